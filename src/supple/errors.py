@@ -1,0 +1,15 @@
+"""What Supple raises and warns with."""
+
+from __future__ import annotations
+
+
+class SuppleError(ValueError):
+    """What was asked cannot be done; the message says in one sentence what was given and what is possible."""
+
+
+class FoldError(SuppleError):
+    """A stroke is strong enough to fold the picture over itself, and the fold policy is ``"error"``."""
+
+
+class FoldWarning(UserWarning):
+    """A stroke was too strong, and was damped so that nothing folds."""
