@@ -1,0 +1,191 @@
+"""Where a deformation lives: its shape, its spacing and its border; and how inputs are checked."""
+
+from __future__ import annotations
+
+import operator
+import reprlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from numbers import Real
+from typing import Any, NoReturn, SupportsIndex
+
+import numpy as np
+import numpy.typing as npt
+
+from supple.errors import SuppleError
+
+# Fields hold fifth powers of lengths; within these bounds, none of them overflows or vanishes in float64.
+SMALLEST = 1e-30
+LARGEST = 1e30
+LENGTH = f"a number above 0 (from {SMALLEST:g} to {LARGEST:g})"
+LONGEST_AXIS = 2**31 - 1
+
+
+class _Short(reprlib.Repr):
+    def repr_int(self, x: int, level: int) -> str:
+        if x.bit_length() <= 64:
+            return repr(x)
+        # Python refuses to spell integers of more than a few thousand digits.
+        return f"an integer of about {int(x.bit_length() * 0.30103) + 1} digits"
+
+
+_SHORT = _Short()
+_SHORT.maxstring = _SHORT.maxother = 60
+
+
+def shown(value: object) -> str:
+    """A short representation of any value, on one line, for a message."""
+    return " ".join(_SHORT.repr(value.item() if isinstance(value, np.generic) else value).split())
+
+
+def refuse(name: str, wanted: str, found: object) -> NoReturn:
+    """Raise the error that says what ``name`` must be and what was found."""
+    raise SuppleError(f"{name} must be {wanted}, found {shown(found)}")
+
+
+def number(name: str, value: object, wanted: str, low: float, high: float) -> float:
+    """``value`` as a float from ``low`` to ``high``.
+
+    Parameters
+    ----------
+    name, wanted : str
+        What is checked and what would do, for the message.
+    value : object
+        Any real number. A bool is none.
+    low, high : float
+        The bounds, both allowed. NaN is never within them.
+
+    Raises
+    ------
+    SuppleError
+        If it is anything else.
+    """
+    if isinstance(value, bool) or not isinstance(value, Real):
+        refuse(name, wanted, value)
+    try:
+        checked = float(value)
+    except OverflowError:
+        refuse(name, wanted, value)
+    if not low <= checked <= high:
+        refuse(name, wanted, value)
+    return checked
+
+
+def length(name: str, value: object) -> float:
+    """``value`` as a length above 0; SuppleError if it is anything else."""
+    return number(name, value, LENGTH, SMALLEST, LARGEST)
+
+
+def integer(name: str, value: object, wanted: str, low: int, high: int) -> int:
+    """``value`` as an int from ``low`` to ``high``; SuppleError if it is anything else."""
+    if isinstance(value, bool) or not isinstance(value, SupportsIndex):
+        refuse(name, wanted, value)
+    try:
+        checked = operator.index(value)
+    except TypeError:  # an array of several numbers has __index__ too
+        refuse(name, wanted, value)
+    if not low <= checked <= high:
+        refuse(name, wanted, value)
+    return checked
+
+
+def items(name: str, value: object, wanted: str, lengths: tuple[int, ...]) -> list[Any]:
+    """The items of a sequence or 1-D array with one of ``lengths``; SuppleError if it is anything else."""
+    if isinstance(value, np.ndarray) and value.ndim == 1:
+        value = value.tolist()
+    text = isinstance(value, str | bytes | bytearray)
+    if text or not isinstance(value, Sequence) or len(value) not in lengths:
+        refuse(name, wanted, value)
+    return list(value)
+
+
+def point(name: str, value: object, lengths: tuple[int, ...] = (2, 3)) -> tuple[float, ...]:
+    """``value`` as the coordinates of a point; SuppleError if it is anything else."""
+    numbers = items(name, value, f"{' or '.join(map(str, lengths))} numbers, x first", lengths)
+    wanted = f"a number from {-LARGEST:g} to {LARGEST:g}"
+    return tuple(number(f"{name}[{i}]", x, wanted, -LARGEST, LARGEST) for i, x in enumerate(numbers))
+
+
+def choice(name: str, value: object, choices: tuple[str, ...]) -> None:
+    """Raise SuppleError unless ``value`` is one of ``choices``."""
+    if not isinstance(value, str) or value not in choices:
+        refuse(name, " or ".join(f'"{known}"' for known in choices), value)
+
+
+def checked_border(border: object) -> float | None:
+    """``border`` as a width, or None where the border is free; SuppleError if it is neither."""
+    if border is None:
+        return None
+    return number("border", border, f"{LENGTH}, or None for a free border", SMALLEST, LARGEST)
+
+
+def _checked_shape(shape: object) -> tuple[int, ...]:
+    wanted = "two or three sizes, (H, W), (T, H, W) or (Z, H, W)"
+    sizes = items("shape", shape, wanted, (2, 3))
+    within = f"an integer from 1 to {LONGEST_AXIS}"
+    return tuple(integer(f"shape[{i}]", size, within, 1, LONGEST_AXIS) for i, size in enumerate(sizes))
+
+
+def _checked_spacing(spacing: object, ndim: int) -> tuple[float, ...]:
+    if isinstance(spacing, Real):
+        return (length("spacing", spacing),) * ndim
+    wanted = f"one number, or {ndim} of them (x first) for a shape of {ndim} axes"
+    steps = items("spacing", spacing, wanted, (ndim,))
+    return tuple(length(f"spacing[{i}]", step) for i, step in enumerate(steps))
+
+
+@dataclass(frozen=True, slots=True, init=False)
+class Domain:
+    """The grid of samples that is deformed: an image, a video or a volume.
+
+    Parameters
+    ----------
+    shape : sequence of int
+        The array's shape: ``(H, W)``, ``(T, H, W)`` or ``(Z, H, W)``, without colour.
+    spacing : float or sequence of float
+        Physical units per pixel, frame or voxel; one for all axes, or one for each, in the order of a point:
+        x first.
+    border : float or None
+        The width, in physical units, over which movement across the border fades to nothing; None frees it.
+    """
+
+    shape: tuple[int, ...]
+    spacing: tuple[float, ...]
+    border: float | None
+
+    def __init__(
+        self,
+        shape: Sequence[int],
+        spacing: float | Sequence[float] | npt.NDArray[Any] = 1.0,
+        border: float | None = 50.0,
+    ) -> None:
+        sizes = _checked_shape(shape)
+        object.__setattr__(self, "shape", sizes)
+        object.__setattr__(self, "spacing", _checked_spacing(spacing, len(sizes)))
+        object.__setattr__(self, "border", checked_border(border))
+
+    @property
+    def ndim(self) -> int:
+        """How many coordinates a point has: 2 or 3."""
+        return len(self.shape)
+
+    @property
+    def extent(self) -> tuple[float, ...]:
+        """From the first sample's centre to the last one's, in physical units, x first."""
+        return tuple((n - 1) * step for n, step in zip(reversed(self.shape), self.spacing, strict=True))
+
+    def packed(self) -> npt.NDArray[np.float64]:
+        """The domain as the engines take it.
+
+        Returns
+        -------
+        ndarray of float64, shape (3, 3)
+            One row ``(extent, sigma, spacing)`` for each of x, y and z, in physical units. ``sigma`` is the
+            width of the fixed border, at most half the extent (0 for an axis of one sample, along which
+            nothing moves), and -1 where the axis is free. An image is free along z, and has no extent there.
+        """
+        rows = np.array([[0.0, -1.0, 1.0]] * 3)
+        for row, extent, step in zip(rows, self.extent, self.spacing, strict=False):
+            sigma = -1.0 if self.border is None else min(self.border, extent / 2)
+            row[:] = extent, sigma, step
+        return rows

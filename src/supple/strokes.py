@@ -1,0 +1,299 @@
+"""What a person did: strokes and recipes as immutable values, as JSON, and as the engines' table."""
+
+from __future__ import annotations
+
+import difflib
+import json
+import math
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, fields
+from typing import Any, Literal, NoReturn, Self, get_args
+
+import numpy as np
+import numpy.typing as npt
+
+from supple.domain import checked_border, choice, integer, length, number, point, refuse, shown
+from supple.errors import SuppleError
+
+Brush = Literal["grab"]
+FoldPolicy = Literal["damp", "flow", "error"]
+Point = Sequence[float] | npt.NDArray[Any]
+
+VERSION = 1
+
+STROKE_DTYPE = np.dtype(
+    [
+        ("pivot", np.float64, (3,)),
+        ("force", np.float64, (3,)),
+        ("matrix", np.float64, (3, 3)),
+        ("radius2", np.float64, (3,)),
+        ("p", np.float64, (3,)),
+        ("q", np.float64, (3,)),
+        ("r", np.float64, (3,)),
+        ("terms", np.int64),
+        ("kind", np.int64),
+    ],
+    align=True,
+)
+
+# The radii are ε, 1.1ε and 1.21ε. The weights that cancel the far field, divided by what they leave at the
+# pivot, are exactly these fractions; worked out in floats they would lose digits.
+_WEIGHTS = {1: np.array([1.0]), 2: np.array([11.0, -11.0]), 3: np.array([14641.0, -26741.0, 12100.0]) / 331}
+_RADIUS2 = (1.0, 1.21, 1.4641)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Stroke:
+    """One movement of a brush.
+
+    Parameters
+    ----------
+    at : sequence of float
+        Where the brush is put down, in samples, x first: ``(x, y)``, ``(x, y, t)`` or ``(x, y, z)``.
+    by : sequence of float
+        How far it is dragged, in samples; as many numbers.
+    radius : float
+        The brush's radius, in physical units.
+    poisson : float
+        The material's Poisson ratio, at most 0.5 (incompressible); ``-inf`` is allowed.
+    scales : int
+        1 reaches farthest (fading as 1/r), 2 fades as 1/r³, 3 as 1/r⁵.
+    brush : str
+        ``"grab"``.
+    """
+
+    at: tuple[float, ...]
+    by: tuple[float, ...]
+    radius: float
+    poisson: float = 0.4
+    scales: int = 1
+    brush: Brush = "grab"
+
+    def __post_init__(self) -> None:
+        choice("brush", self.brush, get_args(Brush))
+        at = point("at", self.at)
+        checked = {
+            "at": at,
+            "by": point("by", self.by, (len(at),)),
+            "radius": length("radius", self.radius),
+            "poisson": number("poisson", self.poisson, "a number up to 0.5, or -inf", -math.inf, 0.5),
+            "scales": integer("scales", self.scales, "1, 2 or 3", 1, 3),
+        }
+        for name, value in checked.items():
+            object.__setattr__(self, name, value)
+
+    @classmethod
+    def grab(
+        cls,
+        at: Point,
+        *,
+        to: Point | None = None,
+        by: Point | None = None,
+        radius: float,
+        poisson: float = 0.4,
+        scales: int = 1,
+    ) -> Self:
+        """Grab what is ``at`` a point and drag it ``to`` another, or ``by`` a distance."""
+        start = point("at", at)
+        if by is not None and to is None:
+            drag = point("by", by, (len(start),))
+        elif to is not None and by is None:
+            end = point("to", to, (len(start),))
+            drag = tuple(b - a for a, b in zip(start, end, strict=True))
+        else:
+            raise SuppleError(f"a grab takes one of to and by, found {'neither' if to is None else 'both'}")
+        return cls(at=start, by=drag, radius=radius, poisson=poisson, scales=scales)
+
+    @property
+    def ndim(self) -> int:
+        """How many coordinates its points have: 2 or 3."""
+        return len(self.at)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Recipe:
+    """All that was done, to be done again on any medium.
+
+    Parameters
+    ----------
+    border : float or None
+        The width of the fixed border, in physical units; None frees it.
+    on_fold : str
+        What is done with a stroke that would fold the picture: ``"damp"``, ``"flow"`` or ``"error"``.
+    strokes : iterable of Stroke
+        In the order in which they are applied, all with as many coordinates.
+    """
+
+    border: float | None = 50.0
+    on_fold: FoldPolicy = "damp"
+    strokes: tuple[Stroke, ...] = ()
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "border", checked_border(self.border))
+        choice("on_fold", self.on_fold, get_args(FoldPolicy))
+        if not isinstance(self.strokes, Iterable):
+            refuse("strokes", "a sequence of Stroke", self.strokes)
+        strokes = tuple(self.strokes)
+        for i, stroke in enumerate(strokes):
+            if not isinstance(stroke, Stroke):
+                refuse(f"strokes[{i}]", "a Stroke", stroke)
+            if (n := strokes[0].ndim) != stroke.ndim:
+                refuse(f"strokes[{i}].at", f"a point of {n} numbers, as in strokes[0]", stroke.at)
+        object.__setattr__(self, "strokes", strokes)
+
+    def to_json(self) -> str:
+        """The recipe as strict JSON, one stroke a line, from which `from_json` makes an equal one."""
+        head = {"supple": VERSION, "border": _plain(self.border), "on_fold": self.on_fold}
+        members = [f"  {_dump(key)}: {_dump(value)}" for key, value in head.items()]
+        strokes = ",\n".join(f"    {_dump(_stroke_entry(stroke))}" for stroke in self.strokes)
+        members.append(f'  "strokes": [\n{strokes}\n  ]' if strokes else '  "strokes": []')
+        return "{\n" + ",\n".join(members) + "\n}\n"
+
+    @classmethod
+    def from_json(cls, text: str) -> Self:
+        """Read a recipe that `to_json` or a person wrote.
+
+        Parameters
+        ----------
+        text : str
+            ``border``, ``on_fold``, ``poisson`` and ``scales`` may be left out, for their defaults.
+
+        Raises
+        ------
+        SuppleError
+            If it is not a recipe; the message names what is wrong.
+        """
+        data = _parse(text)
+        if not isinstance(data, dict):
+            refuse("a recipe", "a JSON object", data)
+        if "supple" not in data:
+            raise SuppleError(
+                f'the key "supple", a recipe\'s version ({VERSION}), is missing in {shown(data)}'
+            )
+        wanted = f"{VERSION} (the only version that this release reads)"
+        integer('"supple"', data.pop("supple"), wanted, VERSION, VERSION)
+        _check_keys("the recipe", data, [field.name for field in fields(cls)], ["strokes"])
+        if not isinstance(data["strokes"], list):
+            refuse("strokes", "a list", data["strokes"])
+        data["strokes"] = [_stroke(f"strokes[{i}]", entry) for i, entry in enumerate(data["strokes"])]
+        return cls(**data)
+
+
+def _plain(x: float | None) -> float | None:
+    if x is None or not x.is_integer() or abs(x) >= 2**53 or (x == 0 and math.copysign(1, x) < 0):
+        return x
+    return int(x)
+
+
+def _dump(value: object) -> str:
+    return json.dumps(value, allow_nan=False)
+
+
+def _stroke_entry(stroke: Stroke) -> dict[str, object]:
+    return {
+        "brush": stroke.brush,
+        "at": [_plain(x) for x in stroke.at],
+        "by": [_plain(x) for x in stroke.by],
+        "radius": _plain(stroke.radius),
+        "poisson": "-inf" if stroke.poisson == -math.inf else _plain(stroke.poisson),
+        "scales": stroke.scales,
+    }
+
+
+def _stroke(where: str, entry: object) -> Stroke:
+    if not isinstance(entry, dict):
+        refuse(where, "a JSON object", entry)
+    _check_keys(where, entry, [field.name for field in fields(Stroke)], ["brush", "at", "by", "radius"])
+    if entry.get("poisson") == "-inf":
+        entry["poisson"] = -math.inf
+    try:
+        return Stroke(**entry)
+    except SuppleError as error:
+        raise SuppleError(f"{where}: {error}") from None
+
+
+def _check_keys(where: str, entry: dict[str, object], known: list[str], required: list[str]) -> None:
+    for key in entry:
+        if key not in known:
+            near = difflib.get_close_matches(key, known, n=1, cutoff=0.4)
+            hint = f'did you mean "{near[0]}"?' if near else f"known are {', '.join(known)}"
+            raise SuppleError(f"unknown key {shown(key)} in {where}: {hint}")
+    for key in required:
+        if key not in entry:
+            raise SuppleError(f'the key "{key}" is missing in {where}')
+
+
+def _parse(text: str) -> Any:
+    if not isinstance(text, str):
+        refuse("a recipe", "text in JSON", text)
+    try:
+        return json.loads(text, object_pairs_hook=_unique, parse_constant=_no_constant, parse_int=_parse_int)
+    except json.JSONDecodeError as error:
+        reason = f"{error.msg} at line {error.lineno}, column {error.colno}"
+    except RecursionError:
+        reason = "it is nested too deeply"
+    raise SuppleError(f"a recipe must be JSON: {reason}")
+
+
+def _unique(pairs: list[tuple[str, object]]) -> dict[str, object]:
+    twice = [key for key, n in Counter(key for key, _ in pairs).items() if n > 1]
+    if twice:
+        raise SuppleError(f"the key {shown(twice[0])} is given twice in one object of the recipe")
+    return dict(pairs)
+
+
+def _no_constant(token: str) -> NoReturn:
+    raise SuppleError(f'a recipe must be strict JSON, found {token} (an infinite poisson is written "-inf")')
+
+
+def _parse_int(digits: str) -> float:
+    # Python refuses to read integers of thousands of digits; as a float such a one is out of all bounds.
+    return int(digits) if len(digits) < 100 else float(digits)
+
+
+def pack(strokes: Iterable[Stroke], spacing: Sequence[float]) -> npt.NDArray[np.void]:
+    """The strokes as the table that the engines read.
+
+    With ``d = point - pivot`` and ``rho_i² = |d|² + radius2_i``, a row stands for the displacement
+    ``sum_i (p_i / rho_i + q_i / rho_i³) force + (r_i / rho_i³) (d · force) d``: ``force`` at the pivot.
+
+    Parameters
+    ----------
+    strokes : iterable of Stroke
+    spacing : sequence of float
+        Physical units per sample, x first; as many as the strokes have coordinates.
+
+    Returns
+    -------
+    ndarray of STROKE_DTYPE
+        One row a stroke, in physical units; what has no third coordinate has 0 there.
+    """
+    strokes = tuple(strokes)
+    table = np.zeros(len(strokes), STROKE_DTYPE)
+    n = len(spacing)
+    for i, (row, stroke) in enumerate(zip(table, strokes, strict=True)):
+        if stroke.ndim != n:
+            refuse(f"strokes[{i}].at", f"a point of {n} numbers, as the medium has {n} axes", stroke.at)
+        row["pivot"][:n] = np.multiply(stroke.at, spacing)
+        row["force"][:n] = np.multiply(stroke.by, spacing)
+        row["terms"] = stroke.scales
+        _set_terms(row, stroke)
+    return table
+
+
+def _set_terms(row: np.void, stroke: Stroke) -> None:
+    # b/a of the kelvinlet (a itself cancels): from 0, at -inf, to 1/2, so that no sum here loses digits.
+    ratio = 1 / (4 * (1 - stroke.poisson))
+    scale = stroke.radius * 2 / (3 - 2 * ratio)
+    weights = _WEIGHTS[stroke.scales]
+    m = stroke.scales
+    row["radius2"] = stroke.radius**2
+    row["radius2"][:m] *= _RADIUS2[:m]
+    row["p"][:m] = weights * (scale * (1 - ratio))
+    row["r"][:m] = weights * (scale * ratio)
+    row["q"][:m] = weights * scale * row["radius2"][:m] / 2
+    if m > 1:
+        # These must sum to zero to the last bit, or what is left of 1/r outlives 1/r⁵. The sums are exact.
+        row["p"][m - 1] = -row["p"][: m - 1].sum()
+        row["r"][m - 1] = -row["r"][: m - 1].sum()
