@@ -35,7 +35,8 @@ _SHORT.maxstring = _SHORT.maxother = 60
 
 def shown(value: object) -> str:
     """A short representation of any value, on one line, for a message."""
-    return " ".join(_SHORT.repr(value.item() if isinstance(value, np.generic) else value).split())
+    text = " ".join(_SHORT.repr(value.item() if isinstance(value, np.generic) else value).split())
+    return text if len(text) <= 100 else f"{text[:97]}..."
 
 
 def refuse(name: str, wanted: str, found: object) -> NoReturn:
@@ -155,7 +156,7 @@ class Domain:
 
     def __init__(
         self,
-        shape: Sequence[int],
+        shape: Sequence[SupportsIndex],
         spacing: float | Sequence[float] | npt.NDArray[Any] = 1.0,
         border: float | None = 50.0,
     ) -> None:

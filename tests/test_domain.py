@@ -1,0 +1,195 @@
+"""Domains: what they hold, how they are packed, and what they refuse."""
+
+from __future__ import annotations
+
+import copy
+import pickle
+import re
+from collections.abc import Callable
+from dataclasses import FrozenInstanceError
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from supple.domain import Domain, choice, integer, items, length, number, point, shown
+from supple.errors import SuppleError
+
+HUGE = pytest.param(10**5000, id="huge")  # too long for Python to spell
+
+
+def refusal(call: Callable[[], object]) -> str:
+    """The message with which a call is refused, checked to be one plain sentence."""
+    with pytest.raises(SuppleError) as caught:
+        call()
+    message = str(caught.value)
+    assert message.isprintable()
+    assert 10 < len(message) < 300
+    return message
+
+
+def test_defaults() -> None:
+    domain = Domain((512, 640))
+    assert domain.shape == (512, 640)
+    assert domain.spacing == (1.0, 1.0)
+    assert domain.border == 50.0
+    assert domain.ndim == 2
+    assert domain.extent == (639.0, 511.0)
+
+
+def test_is_a_value() -> None:
+    domain = Domain([3, 4, 5], np.array([1, 2, 3]), border=None)
+    assert domain == Domain((np.int32(3), 4, 5), (1.0, 2.0, 3.0), None)
+    assert hash(domain) == hash(Domain((3, 4, 5), (1, 2, 3), None))
+    assert domain != Domain((3, 4, 5), (1, 2, 3))
+    assert pickle.loads(pickle.dumps(domain)) == domain
+    assert copy.deepcopy(domain) == domain
+    assert all(type(n) is int for n in domain.shape)
+    assert all(type(step) is float for step in domain.spacing)
+    with pytest.raises(FrozenInstanceError):
+        domain.border = 1.0  # type: ignore[misc]
+
+
+def test_points_are_x_first() -> None:
+    domain = Domain((3, 5, 9), (1, 10, 100))
+    assert domain.extent == (8.0, 40.0, 200.0)
+    assert domain.ndim == 3
+
+
+def test_a_scalar_spacing_is_for_all_axes() -> None:
+    assert Domain((3, 5, 9), np.float64(0.5)).spacing == (0.5, 0.5, 0.5)
+    assert Domain((3, 5), Fraction(1, 4)).spacing == (0.25, 0.25)  # type: ignore[arg-type]
+    assert Domain((3, 5), 2).extent == (8.0, 4.0)
+
+
+def test_packed_image() -> None:
+    packed = Domain((101, 401), (1, 2), border=60).packed()
+    assert packed.dtype == np.float64
+    assert packed.flags.c_contiguous
+    np.testing.assert_array_equal(packed, [[400, 60, 1], [200, 60, 2], [0, -1, 1]])
+
+
+def test_packed_border_is_at_most_half_the_extent() -> None:
+    packed = Domain((41, 61, 1001), (1, 1, 3), border=50).packed()
+    np.testing.assert_array_equal(packed, [[1000, 50, 1], [60, 30, 1], [120, 50, 3]])
+
+
+def test_packed_free_border() -> None:
+    packed = Domain((4, 5, 6), 2, border=None).packed()
+    np.testing.assert_array_equal(packed, [[10, -1, 2], [8, -1, 2], [6, -1, 2]])
+
+
+def test_an_axis_of_one_sample() -> None:
+    np.testing.assert_array_equal(Domain((1, 11)).packed(), [[10, 5, 1], [0, 0, 1], [0, -1, 1]])
+    np.testing.assert_array_equal(Domain((1, 1), border=None).packed(), [[0, -1, 1]] * 3)
+    np.testing.assert_array_equal(Domain((1, 1, 1)).packed(), [[0, 0, 1]] * 3)
+
+
+def test_packed_is_a_copy() -> None:
+    domain = Domain((4, 5))
+    domain.packed()[:] = 7
+    assert domain.packed()[0, 0] == 4
+
+
+@settings(deadline=None)
+@given(
+    st.lists(st.integers(1, 10**6), min_size=2, max_size=3),
+    st.floats(1e-6, 1e6),
+    st.none() | st.floats(1e-6, 1e6),
+)
+def test_packed_agrees_with_the_properties(shape: list[int], step: float, border: float | None) -> None:
+    domain = Domain(shape, step, border)
+    packed = domain.packed()
+    assert tuple(packed[: domain.ndim, 0]) == domain.extent
+    assert tuple(packed[: domain.ndim, 2]) == domain.spacing
+    sigma = packed[: domain.ndim, 1]
+    if border is None:
+        assert (sigma == -1).all()
+    else:
+        assert ((sigma >= 0) & (sigma <= border) & (2 * sigma <= packed[: domain.ndim, 0])).all()
+
+
+@pytest.mark.parametrize(
+    "shape",
+    [
+        (5,), (2, 3, 4, 5), (), 5, None, "512x512", b"ab", {1: 2, 3: 4}, {3, 4}, iter((3, 4)), np.eye(2),
+        np.array(5),
+    ],
+)  # fmt: skip
+def test_refuses_shapes_of_other_kinds(shape: Any) -> None:
+    assert refusal(lambda: Domain(shape)).startswith("shape must be two or three sizes")
+
+
+@pytest.mark.parametrize(
+    "size", [0, -1, 2.0, True, np.True_, "3", None, float("nan"), 2**31, HUGE, np.array([1, 2]), [3]]
+)
+def test_refuses_sizes(size: Any) -> None:
+    message = refusal(lambda: Domain((4, size)))
+    assert message.startswith("shape[1] must be an integer from 1 to 2147483647, found ")
+    assert refusal(lambda: Domain((size, 4, 4))).startswith("shape[0] must be ")
+
+
+BAD_LENGTHS = [0, -0.0, -1, True, np.False_, "1", float("nan"), float("inf"), -float("inf"), 1e-31, 1e31,
+               10**400, Fraction(10**400), 1j, HUGE, b"1"]  # fmt: skip
+
+
+@pytest.mark.parametrize("bad", [*BAD_LENGTHS, None])
+def test_refuses_spacings(bad: Any) -> None:
+    assert refusal(lambda: Domain((4, 4), (1, bad))).startswith("spacing[1] must be a number above 0")
+    assert refusal(lambda: Domain((4, 4), bad)).startswith("spacing must be ")
+
+
+@pytest.mark.parametrize("spacing", [(1,), (1, 1, 1), "12", [[1, 2]], np.eye(2), {1, 2}, None])
+def test_refuses_spacings_of_another_length(spacing: Any) -> None:
+    assert refusal(lambda: Domain((4, 4), spacing)).startswith("spacing")
+    assert refusal(lambda: Domain((4, 4), (1, 1, 1))) == (
+        "spacing must be one number, or 2 of them (x first) for a shape of 2 axes, found (1, 1, 1)"
+    )
+
+
+@pytest.mark.parametrize("bad", [*BAD_LENGTHS, [50], (50, 50), "none"])
+def test_refuses_borders(bad: Any) -> None:
+    message = refusal(lambda: Domain((4, 4), border=bad))
+    assert message.startswith("border must be a number above 0")
+    assert "None" in message
+
+
+def test_messages_show_what_was_found() -> None:
+    assert refusal(lambda: Domain((4, 4), border=-3)).endswith("for a free border, found -3")
+    assert refusal(lambda: Domain((4, 0))).endswith("found 0")
+    assert refusal(lambda: Domain((4, np.int16(-2)))).endswith("found -2")
+    assert refusal(lambda: Domain((4, 10**5000))).endswith("found an integer of about 5001 digits")
+
+
+def test_shown_is_short_and_on_one_line() -> None:
+    class Rude:
+        def __repr__(self) -> str:
+            raise RuntimeError
+
+    rude = [
+        np.arange(10_000.0).reshape(100, 100),
+        "x\n" * 1000,
+        [10**9999] * 99,
+        Rude(),
+        {"a": [[[[[[[[1]]]]]]]]},
+    ]
+    for value in rude:
+        assert len(shown(value)) <= 100
+        assert shown(value).isprintable()
+    assert re.fullmatch(r"an integer of about \d+ digits", shown(-(10**9999)))
+    assert shown(np.float32(0.5)) == "0.5"
+
+
+def test_checks_pass_what_is_right() -> None:
+    assert number("n", np.float32(0.5), "a half", 0.5, 0.5) == 0.5
+    assert length("n", Fraction(1, 2)) == 0.5
+    assert integer("n", np.uint8(3), "3", 3, 3) == 3
+    assert items("n", range(2), "two", (2,)) == [0, 1]
+    assert point("n", np.array([1, 2, 3], np.int16)) == (1.0, 2.0, 3.0)
+    assert point("n", [1, np.float64(2)]) == (1.0, 2.0)
+    choice("n", "a", ("a", "b"))
+    assert refusal(lambda: choice("n", "c", ("a", "b"))) == 'n must be "a" or "b", found \'c\''
+    assert refusal(lambda: point("n", (1, 2), (3,))) == "n must be 3 numbers, x first, found (1, 2)"

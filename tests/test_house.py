@@ -1,0 +1,64 @@
+"""The import rule: data flows one way, and the check that says so bites."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+
+
+def lint_imports(root: Path) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [
+            sys.executable,
+            "-c",
+            "from importlinter.cli import lint_imports_command as run; run()",
+            "--no-cache",
+        ],
+        cwd=root,
+        env={**os.environ, "PYTHONPATH": str(root / "src")},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+
+
+@pytest.fixture
+def copied(tmp_path: Path) -> Path:
+    shutil.copy(ROOT / "pyproject.toml", tmp_path)
+    shutil.copytree(ROOT / "src", tmp_path / "src", ignore=shutil.ignore_patterns("__pycache__"))
+    return tmp_path
+
+
+def test_data_flows_one_way() -> None:
+    result = lint_imports(ROOT)
+    assert result.returncode == 0, result.stdout + result.stderr
+
+
+@pytest.mark.parametrize(
+    ("module", "line"),
+    [
+        ("errors.py", "import supple.domain\n"),
+        ("strokes.py", "from supple import cli\n"),
+        ("domain.py", "def late() -> None:\n    import supple.deformation\n"),
+        ("cpu/bad.py", "import supple.media\n"),
+    ],
+)
+def test_an_import_against_the_rule_is_found(copied: Path, module: str, line: str) -> None:
+    source = copied / "src" / "supple"
+    for name in ("cli", "deformation"):
+        (source / f"{name}.py").touch()
+    for name in ("cpu", "media"):
+        (source / name).mkdir(exist_ok=True)
+        (source / name / "__init__.py").touch()
+    with (source / module).open("a") as file:
+        file.write(f"\n\n{line}")
+    result = lint_imports(copied)
+    assert result.returncode == 1, result.stdout + result.stderr
+    assert "Data flows one way BROKEN" in result.stdout
