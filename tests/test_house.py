@@ -1,8 +1,9 @@
-"""The import rule: data flows one way, and the check that says so bites."""
+"""The import rule (data flows one way, and the check that says so bites), and the version."""
 
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -62,3 +63,10 @@ def test_an_import_against_the_rule_is_found(copied: Path, module: str, line: st
     result = lint_imports(copied)
     assert result.returncode == 1, result.stdout + result.stderr
     assert "Data flows one way BROKEN" in result.stdout
+
+
+def test_the_citation_is_of_this_version() -> None:
+    init = (ROOT / "src" / "supple" / "__init__.py").read_text(encoding="utf-8")
+    version = re.findall(r'^__version__ = "(.+)"$', init, re.MULTILINE)
+    assert version == re.findall(r"^version: (.+)$", (ROOT / "CITATION.cff").read_text("utf-8"), re.MULTILINE)
+    assert len(version) == 1
