@@ -1,0 +1,259 @@
+"""T⁻¹ for a band of a plane: every pixel's source point, from a lattice that is refined where it has to be.
+
+Source points are float32, relative to an integer anchor for each run of cells, so that they keep their precision
+however large the image is.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from supple.cpu.field import X, Z
+from supple.cpu.kernel import BATCH, kernel
+from supple.cpu.lattice import (
+    ERROR, M, NODE, RESOLVED, SIZE, SMOOTH, TWIST, U, check, patch, set_twists, solve_batch, too_coarse,
+)  # fmt: skip
+from supple.cpu.newton import QX, QY, QZ, ROWS
+
+RUN = 8  # cells that share an anchor
+WORST, SPLITS, EVALUATIONS, CELLS, STATS = 0, 1, 2, 3, 4
+
+
+@kernel
+def _cubic(v0, d0, v1, d1, inverse):  # type: ignore[no-untyped-def]
+    """The coefficients of the cubic with values and slopes given at 0 and at 1 / ``inverse``."""
+    rise = (v1 - v0) * inverse
+    return v0, d0, (3.0 * rise - 2.0 * d0 - d1) * inverse, (d0 + d1 - 2.0 * rise) * inverse * inverse
+
+
+@kernel
+def _fill(nodes, j, i, h, k, width, height, left, top, x0, y0, z0, points, box):  # type: ignore[no-untyped-def]
+    """Write a cell's source points: ``width`` by ``height`` pixels from column ``left`` and row ``top`` on.
+
+    ``box`` grows by what bounds them: a Bézier patch lies within its control points.
+    """
+    p, q, r, o = nodes[j, i], nodes[j, i + 1], nodes[j + 1, i], nodes[j + 1, i + 1]
+    for c in range(points.shape[0]):
+        one_x, one_y = (1.0 if c == 0 else 0.0), (1.0 if c == 1 else 0.0)
+        offset = x0 if c == 0 else (y0 if c == 1 else z0)
+        mx, my, f = M + 3 * c, M + 3 * c + 1, TWIST + c
+        low, high = box[c, 0], box[c, 1]
+        for corner in range(4):
+            e = p if corner == 0 else (q if corner == 1 else (r if corner == 2 else o))
+            right, below = float(corner % 2), float(corner // 2)
+            a = offset + e[U + c] + one_x * h * right + one_y * k * below
+            dx, dy = h * (e[mx] * (1.0 - 2.0 * right)) / 3.0, k * (e[my] * (1.0 - 2.0 * below)) / 3.0
+            d = a + dx + dy + e[f] * h * k * (1.0 - 2.0 * right) * (1.0 - 2.0 * below) / 9.0
+            low = min(min(low, a), min(min(a + dx, a + dy), d))
+            high = max(max(high, a), max(max(a + dx, a + dy), d))
+        box[c, 0], box[c, 1] = low, high
+        # As a polynomial in pixels: first along the left and the right edge, then across.
+        a0, a1, a2, a3 = _cubic(p[c], p[my] - one_y, r[c], r[my] - one_y, 1.0 / k)
+        b0, b1, b2, b3 = _cubic(q[c], q[my] - one_y, o[c], o[my] - one_y, 1.0 / k)
+        d0, d1, d2, d3 = _cubic(p[mx] - one_x, p[f], r[mx] - one_x, r[f], 1.0 / k)
+        e0, e1, e2, e3 = _cubic(q[mx] - one_x, q[f], o[mx] - one_x, o[f], 1.0 / k)
+        p00, p01, p02, p03 = _cubic(a0, d0, b0, e0, 1.0 / h)
+        p10, p11, p12, p13 = _cubic(a1, d1, b1, e1, 1.0 / h)
+        p20, p21, p22, p23 = _cubic(a2, d2, b2, e2, 1.0 / h)
+        p30, p31, p32, p33 = _cubic(a3, d3, b3, e3, 1.0 / h)
+        p00, p01, p10 = p00 + offset, p01 + one_x, p10 + one_y
+        for y in range(height):
+            t = float(y)
+            c0 = np.float32(p00 + t * (p10 + t * (p20 + t * p30)))
+            c1 = np.float32(p01 + t * (p11 + t * (p21 + t * p31)))
+            c2 = np.float32(p02 + t * (p12 + t * (p22 + t * p32)))
+            c3 = np.float32(p03 + t * (p13 + t * (p23 + t * p33)))
+            row = points[c, top + y, left : left + width]
+            for x in range(width):
+                s = np.float32(np.int32(x))  # of 32 bits: wider ones have no vector conversion
+                row[x] = c0 + s * (c1 + s * (c2 + s * c3))
+
+
+@kernel
+def _copy(source, j, i, target, v, u):  # type: ignore[no-untyped-def]
+    for m in range(NODE):
+        target[v, u, m] = source[j, i, m]
+
+
+@kernel
+def _halves(a, b, split):  # type: ignore[no-untyped-def]
+    return (a, (a + b) // 2, b) if split and b - a > 1 else (a, b, b)
+
+
+@kernel
+def _sides(cell):  # type: ignore[no-untyped-def]
+    """Where a cell is split: three or two positions along each axis."""
+    h, k, side = cell[1] - cell[0], cell[3] - cell[2], cell[4]
+    xs = _halves(cell[0], cell[1], side != 2 or k == 1)
+    ys = _halves(cell[2], cell[3], side != 1 or h == 1)
+    return xs, ys
+
+
+@kernel
+def _solve_middles(w, one, table, axes, z, x0, y0, cells, count, smooth, ndim, local, solved):  # type: ignore[no-untyped-def]
+    """Solve the nodes in the middles of cells and of their edges; once each. Returns the evaluations."""
+    cols, rows = np.empty(BATCH, np.int64), np.empty(BATCH, np.int64)
+    n, evaluations = 0, 0.0
+    corners = np.empty((2, 2, NODE))  # a cell's, side by side, as the patch wants them
+    for m in range(count):
+        a0, a1, b0, b1 = cells[m, 0], cells[m, 1], cells[m, 2], cells[m, 3]
+        _copy(local, b0, a0, corners, 0, 0)
+        _copy(local, b0, a1, corners, 0, 1)
+        _copy(local, b1, a0, corners, 1, 0)
+        _copy(local, b1, a1, corners, 1, 1)
+        xs, ys = _sides(cells[m])
+        for v in range(3):
+            for u in range(3):
+                col, row = xs[u], ys[v]
+                if solved[row, col]:
+                    continue
+                solved[row, col] = True
+                cols[n], rows[n] = col, row
+                w[QX + n] = (x0 + col) * axes[0, 2]
+                w[QY + n] = (y0 + row) * axes[1, 2]
+                w[QZ + n] = z * axes[2, 2]
+                w[Z + n] = w[QZ + n]
+                for c in range(ndim):
+                    value = patch(corners, 0, 0, c, a1 - a0, b1 - b0, (col - a0) / (a1 - a0), (row - b0) / (b1 - b0))
+                    w[X + c * BATCH + n] = w[QX + c * BATCH + n] + value * axes[c, 2]
+                n += 1
+                if n == BATCH:
+                    evaluations += solve_batch(w, one, n, table, axes, cols, rows, True, smooth, local)
+                    n = 0
+    if n > 0:
+        evaluations += solve_batch(w, one, n, table, axes, cols, rows, True, smooth, local)
+    return evaluations
+
+
+@kernel
+def _refine(w, one, table, axes, z, x0, y0, h, k, side, width, height, left, top, x_off, y_off, z_off, tolerance, local, solved, points, box, stats):  # type: ignore[no-untyped-def]
+    """Split a cell until every part of it is as exact as it should be, and fill the parts."""
+    cells, following = np.empty((SIZE * SIZE, 5), np.int64), np.empty((SIZE * SIZE, 5), np.int64)
+    cx, cy, ch, ck = np.empty(4), np.empty(4), np.empty(4), np.empty(4)
+    ci, cj = np.empty(4, np.int64), np.empty(4, np.int64)
+    errors, sides = np.empty(4), np.empty(4, np.int64)
+    mini, mx, my = np.empty((3, 3, NODE)), np.empty(3), np.empty(3)
+    for v in range(k + 1):
+        for u in range(h + 1):
+            solved[v, u] = (u == 0 or u == h) and (v == 0 or v == k)
+    cells[0, 0], cells[0, 1], cells[0, 2], cells[0, 3] = 0, h, 0, k
+    cells[0, 4] = side
+    count = 1
+    # Where the whole cell is resolved, so are its parts.
+    smooth = max(h, k) > RESOLVED * min(
+        min(local[0, 0, SMOOTH], local[0, h, SMOOTH]), min(local[k, 0, SMOOTH], local[k, h, SMOOTH])
+    )
+    while count > 0:
+        stats[EVALUATIONS] += _solve_middles(w, one, table, axes, z, x0, y0, cells, count, smooth, points.shape[0], local, solved)
+        stats[SPLITS] += count
+        more = 0
+        for m in range(count):
+            xs, ys = _sides(cells[m])
+            nx, ny = (3 if xs[2] > xs[1] else 2), (3 if ys[2] > ys[1] else 2)
+            for v in range(ny):
+                my[v] = ys[v]
+                for u in range(nx):
+                    mx[u] = xs[u]
+                    _copy(local, ys[v], xs[u], mini, v, u)
+            set_twists(mx, my, nx, ny, 0, ny, points.shape[0], mini)
+            n = 0
+            for v in range(ny - 1):
+                for u in range(nx - 1):
+                    ci[n], cj[n] = u, v
+                    cx[n], cy[n] = x0 + xs[u], y0 + ys[v]
+                    ch[n], ck[n] = xs[u + 1] - xs[u], ys[v + 1] - ys[v]
+                    n += 1
+            check(w, n, table, axes, points.shape[0], z, cx, cy, ch, ck, cj, ci, mini, errors, sides)
+            for e in range(n):
+                u, v = ci[e], cj[e]
+                a0, a1, b0, b1 = xs[u], xs[u + 1], ys[v], ys[v + 1]
+                single = a1 - a0 == 1 and b1 - b0 == 1
+                error = errors[e]
+                if single:  # nothing lies between its nodes
+                    error = max(
+                        max(mini[v, u, ERROR], mini[v, u + 1, ERROR]),
+                        max(mini[v + 1, u, ERROR], mini[v + 1, u + 1, ERROR]),
+                    )
+                if single or (error <= tolerance and not too_coarse(mini, v, u, ch[e], ck[e])):
+                    stats[WORST] = max(stats[WORST], error)
+                    stats[CELLS] += 1
+                    across = a1 - a0 + (1 if a1 == h and width > h else 0)
+                    down = b1 - b0 + (1 if b1 == k and height > k else 0)
+                    _fill(
+                        mini, v, u, ch[e], ck[e], across, down, left + a0, top + b0, x_off + a0, y_off + b0, z_off,
+                        points, box,
+                    )  # fmt: skip
+                else:
+                    following[more, 0], following[more, 1] = a0, a1
+                    following[more, 2], following[more, 3] = b0, b1
+                    following[more, 4] = sides[e]
+                    more += 1
+                    for d in range(2):
+                        for f in range(2):
+                            for c in range(3):
+                                local[ys[v + d], xs[u + f], TWIST + c] = mini[v + d, u + f, TWIST + c]
+        cells, following = following, cells
+        count = more
+
+
+@kernel
+def source_points(table, axes, z, xs, ys, wide, tall, first, last, tolerance, nodes, points, anchors, boxes, stats):  # type: ignore[no-untyped-def]
+    """The source points of all pixels in the lattice's cell rows ``first`` to ``last - 1``.
+
+    Parameters
+    ----------
+    wide, tall : int
+        The plane's size in pixels; a lattice of one column or row reaches beyond it.
+    points : float32 array, shape (2 or 3, rows of pixels, wide)
+        Receives the points, in pixels, less the anchor of their run.
+    anchors : int64 array, shape (runs, 3)
+    boxes : float64 array, shape (last - first, cells, 2 or 3, 2)
+        Receives the smallest and the largest coordinate of each cell's points, in pixels.
+    stats : float64 array, shape (STATS,)
+        Worst certified error in pixels; cells split; evaluations of T; cells filled.
+    """
+    w, one = np.empty(ROWS * BATCH), np.empty(ROWS * BATCH)
+    local, solved = np.empty((SIZE + 1, SIZE + 1, NODE)), np.empty((SIZE + 1, SIZE + 1), np.bool_)
+    cols, rows = np.empty(8, np.int64), np.empty(8, np.int64)
+    cx, cy, ch, ck = np.empty(8), np.empty(8), np.empty(8), np.empty(8)
+    errors, box, sides = np.empty(8), np.empty((3, 2)), np.empty(8, np.int64)
+    for run in range(anchors.shape[0]):
+        node = nodes[first, run * RUN]
+        anchors[run, 0] = np.int64(xs[run * RUN] + np.rint(node[U]))
+        anchors[run, 1] = np.int64(ys[first] + np.rint(node[U + 1]))
+        anchors[run, 2] = np.int64(z + np.rint(node[U + 2]))
+    for j in range(first, last):
+        for start in range(0, xs.size - 1, 8):
+            n = min(8, xs.size - 1 - start)
+            for m in range(n):
+                i = start + m
+                cols[m], rows[m] = i, j
+                cx[m], cy[m] = xs[i], ys[j]
+                ch[m], ck[m] = xs[i + 1] - xs[i], ys[j + 1] - ys[j]
+            check(w, n, table, axes, points.shape[0], z, cx, cy, ch, ck, rows, cols, nodes, errors, sides)
+            for m in range(n):
+                i = start + m
+                h, k = xs[i + 1] - xs[i], ys[j + 1] - ys[j]
+                left, top = xs[i], ys[j] - ys[first]
+                width = h + 1 if i == xs.size - 2 and wide > 1 else h
+                height = k + 1 if j == ys.size - 2 and tall > 1 else k
+                anchor = anchors[i // RUN]
+                x_off, y_off, z_off = xs[i] - anchor[0], ys[j] - anchor[1], z - anchor[2]
+                for c in range(3):
+                    box[c, 0], box[c, 1] = 1e300, -1e300
+                if errors[m] <= tolerance and not too_coarse(nodes, j, i, h, k):
+                    stats[WORST] = max(stats[WORST], errors[m])
+                    stats[CELLS] += 1
+                    _fill(nodes, j, i, h, k, width, height, left, top, x_off, y_off, z_off, points, box)
+                else:
+                    _copy(nodes, j, i, local, 0, 0)
+                    _copy(nodes, j, i + 1, local, 0, h)
+                    _copy(nodes, j + 1, i, local, k, 0)
+                    _copy(nodes, j + 1, i + 1, local, k, h)
+                    _refine(
+                        w, one, table, axes, z, xs[i], ys[j], h, k, sides[m], width, height, left, top, x_off, y_off, z_off,
+                        tolerance, local, solved, points, box, stats,
+                    )  # fmt: skip
+                for c in range(points.shape[0]):
+                    boxes[j - first, i, c, 0] = anchor[c] + box[c, 0]
+                    boxes[j - first, i, c, 1] = anchor[c] + box[c, 1]

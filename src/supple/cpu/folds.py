@@ -1,0 +1,248 @@
+"""How close a stroke comes to folding where the border is fixed: a minimum over all points, bounded on both sides.
+
+Let S = sym(J_β), with a force of length 1, and μ the smallest eigenvalue of S over the domain. It is found by branch
+and bound, the box with the lowest bound first. In a box of widths h where β has no kink, the multilinear interpolant
+of S from the corners v is a mean of the S(v), and at most Σ_k h_k²/8 |∂_kk S| away from S. As λ_min is concave,
+
+    λ_min(S(p)) ≥ min_v λ_min(S(v) - D),  with a diagonal D such that  xᵀ D x ≥ Σ_k h_k²/8 |xᵀ ∂_kk S(p) x|.
+
+Where N_n bounds the n-th derivatives of K, and β_i is the sine of an angle with the slope κ_i (0 where β_i = 1),
+
+    |xᵀ ∂_kk S x| ≤ N3 |x|² + Σ_i κ_i N2 x_i² + (2κ_k N2 + κ_k² N1) |x_k| |x| + (2κ_k² N1 + κ_k³ N0) x_k²,
+
+from the derivatives of β_i K_i; and |S| ≤ N1 + max κ_i N0. K of 1, 2 and 3 scales is a constant times the zeroth,
+first and second divided difference, in e = ε², of
+
+    U = (1-β) s^(-1/2) f + e/2 s^(-3/2) f + β s^(-3/2) (r·f) r,    β = b/a, s = |r|² + e,
+
+hence a mean of U, ∂U/∂e or ∂²U/∂e²/2, all of which have the form P ρ^-k f + Q e ρ^-(k+2) f + R ρ^-(k+2) (r·f) r with
+k = 1, 3, 5. Bounded so, nothing cancels. With n derivatives, ρ^-k is a Gegenbauer polynomial in the cosine x of
+the direction, times |r|/ρ, over ρ^(k+n); and (r·f) r has just two. What rounding can do to a bound is taken off it.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from supple.cpu.kernel import kernel
+
+# Columns of a box's axis, ...
+DISTANCE, DEPTH, WIDTH, AWAY, INWARD, KAPPA = range(6)
+# ... of one of its two ends, ...
+_PLACE, _BETA, _SLOPE = range(3)
+# ... and of the numbers in ``bounds``.
+POWER, AMOUNT, P, Q, R, LARGEST_E, NOISE = range(7)
+# The diagonals: what a cut along one of the three axes would leave of D, D, and zeros.
+_D, _NONE = 3, 4
+# At a double root, the cosine formula for a cubic's roots loses half of the digits.
+_CUBIC = 1e-7
+_TINY = 1e-150
+
+
+@kernel
+def _smallest(s, v, d, row):  # type: ignore[no-untyped-def]
+    """The smallest eigenvalue of S(v) less a diagonal, or a little less; of S(v) itself, or a little more."""
+    a, b, c = s[v, 0] - d[row, 0], s[v, 1] - d[row, 1], s[v, 2] - d[row, 2]
+    xy, xz, yz = s[v, 3], s[v, 4], s[v, 5]
+    if xz == 0.0 and yz == 0.0:
+        return min(c, 0.5 * (a + b) - np.sqrt(0.25 * (a - b) * (a - b) + xy * xy))
+    mean = (a + b + c) / 3.0
+    a, b, c = a - mean, b - mean, c - mean
+    p = np.sqrt((a * a + b * b + c * c + 2.0 * (xy * xy + xz * xz + yz * yz)) / 6.0) + _TINY
+    a, b, c, xy, xz, yz = a / p, b / p, c / p, xy / p, xz / p, yz / p
+    half = 0.5 * (a * (b * c - yz * yz) - xy * (xy * c - xz * yz) + xz * (xy * yz - b * xz))
+    angle = np.arccos(min(max(half, -1.0), 1.0)) / 3.0
+    return mean + p * (2.0 * np.cos(angle + 2.0 * np.pi / 3.0) + (_CUBIC if row == _NONE else -_CUBIC))
+
+
+@kernel
+def _strain(s, v, terms, force, active, ends, i, j, k):  # type: ignore[no-untyped-def]
+    """S at a corner, into s[v]: xx, yy, zz, xy, xz, yz."""
+    x, y, z = ends[0, i, _PLACE], ends[1, j, _PLACE], ends[2, k, _PLACE]
+    bx, by, bz = ends[0, i, _BETA], ends[1, j, _BETA], ends[2, k, _BETA]
+    fx, fy, fz = force[0], force[1], force[2]
+    a, b, da, db = 0.0, 0.0, 0.0, 0.0
+    r2 = x * x + y * y + z * z
+    for m in range(terms.shape[0]):
+        v2 = 1.0 / (r2 + terms[m, 0])
+        v1 = np.sqrt(v2)
+        v3 = v1 * v2
+        p, q, r = terms[m, 1], terms[m, 2], terms[m, 3]
+        a += p * v1 + q * v3
+        b += r * v3
+        da -= v3 * (p + 3.0 * q * v2)
+        db -= 3.0 * r * v3 * v2
+    rf = x * fx + y * fy + z * fz
+    g, h = b * rf, db * rf
+    cx, cy, cz = da * fx + h * x, da * fy + h * y, da * fz + h * z
+    ex, ey, ez = b * x, b * y, b * z
+    s[v, 0] = bx * (cx * x + ex * fx + g) + ends[0, i, _SLOPE] * (a * fx + g * x)
+    s[v, 1] = by * (cy * y + ey * fy + g) + ends[1, j, _SLOPE] * (a * fy + g * y)
+    s[v, 2] = bz * (cz * z + ez * fz + g) + ends[2, k, _SLOPE] * (a * fz + g * z)
+    # Across an axis without extent there are no points that could fold.
+    xy, xz, yz = 0.5 * active[0] * active[1], 0.5 * active[0] * active[2], 0.5 * active[1] * active[2]
+    s[v, 3] = xy * (bx * (cx * y + ex * fy) + by * (cy * x + ey * fx))
+    s[v, 4] = xz * (bx * (cx * z + ex * fz) + bz * (cz * x + ez * fx))
+    s[v, 5] = yz * (by * (cy * z + ey * fz) + bz * (cz * y + ez * fy))
+
+
+@kernel
+def _put_ends(ends, boxes, item, active):  # type: ignore[no-untyped-def]
+    for k in range(3):
+        for end in range(2):
+            t = end * boxes[item, k, WIDTH]
+            kappa, inward, away = boxes[item, k, KAPPA], boxes[item, k, INWARD], boxes[item, k, AWAY]
+            angle = kappa * (boxes[item, k, DEPTH] + inward * t)
+            ends[k, end, _PLACE] = away * (boxes[item, k, DISTANCE] + t)
+            ends[k, end, _BETA] = active[k] * (np.sin(angle) if kappa > 0.0 else 1.0)
+            ends[k, end, _SLOPE] = active[k] * away * inward * kappa * np.cos(angle)
+
+
+@kernel
+def _derivatives(k, x):  # type: ignore[no-untyped-def]
+    """Bounds of ρ^-k and its derivatives, times ρ^k, ρ^(k+1) and so on, where |r|/ρ is at most x."""
+    c = k * (k + 2.0)
+    y = min(x, 1.0 / np.sqrt(k + 4.0))
+    third = max(c * y * (3.0 - (k + 4.0) * y * y), c * x * ((k + 4.0) * x * x - 3.0))
+    return 1.0, k * x, max(k, c * x * x - k), third
+
+
+@kernel
+def _put_errors(d, boxes, item, active, e, bounds):  # type: ignore[no-untyped-def]
+    """The diagonals of a box. Returns bounds of |S| in it, and of what rounding does to S."""
+    near2, far2, steepest = 0.0, 0.0, 0.0
+    for k in range(3):
+        near, far = boxes[item, k, DISTANCE], boxes[item, k, DISTANCE] + boxes[item, k, WIDTH]
+        near2 += near * near
+        far2 += far * far
+        steepest = max(steepest, boxes[item, k, KAPPA])
+        d[_D, k] = 0.0
+    r2, x = near2 + e, np.sqrt(far2 / (far2 + e))
+    rho = np.sqrt(r2)
+    power = bounds[POWER]
+    c = bounds[AMOUNT] * (e / r2) ** (0.5 * power)
+    p, q, r = c * bounds[P], c * bounds[Q] * min(bounds[LARGEST_E] / r2, 1.0), c * bounds[R]
+    p0, p1, p2, p3 = _derivatives(power, x)
+    q0, q1, q2, q3 = _derivatives(power + 2.0, x)
+    q += r * x * x
+    n0 = p * p0 + q * q0
+    n1 = (p * p1 + q * q1 + r * 2.0 * x * q0) / rho
+    n2 = (p * p2 + q * q2 + r * (4.0 * x * q1 + 2.0 * q0)) / r2
+    n3 = (p * p3 + q * q3 + r * (6.0 * x * q2 + 6.0 * q1)) / r2 / rho
+    for k in range(3):
+        kappa = boxes[item, k, KAPPA]
+        share = 0.125 * boxes[item, k, WIDTH] * boxes[item, k, WIDTH]
+        mixed = kappa * (2.0 * n2 + kappa * n1)
+        own = mixed + kappa * kappa * (2.0 * n1 + kappa * n0)
+        for i in range(3):
+            # 4 |x_k| |x| ≤ |x|² + 4 x_k²
+            part = n3 + boxes[item, i, KAPPA] * n2 + 0.25 * mixed + (own if i == k else 0.0)
+            d[k, i] = share * part * active[i]
+            d[_D, i] += d[k, i]
+    for k in range(3):
+        for i in range(3):
+            d[k, i] = d[_D, i] - 0.75 * d[k, i]
+    return n1 + steepest * n0, bounds[NOISE] / rho * (5.0 / rho + steepest)
+
+
+@kernel
+def _push(heap, keys, n, item):  # type: ignore[no-untyped-def]
+    i = n
+    while i > 0 and keys[heap[(i - 1) // 2]] > keys[item]:
+        heap[i] = heap[(i - 1) // 2]
+        i = (i - 1) // 2
+    heap[i] = item
+
+
+@kernel
+def _pop(heap, keys, n):  # type: ignore[no-untyped-def]
+    """The item with the smallest key of ``n``, taken out."""
+    top, item = heap[0], heap[n - 1]
+    i, child = 0, 1
+    while child < n - 1:
+        if child + 1 < n - 1 and keys[heap[child + 1]] < keys[heap[child]]:
+            child += 1
+        if keys[heap[child]] >= keys[item]:
+            break
+        heap[i] = heap[child]
+        i, child = child, 2 * child + 1
+    heap[i] = item
+    return top
+
+
+@kernel
+def smallest_strain(terms, force, active, boxes, keys, heap, n, bounds, target, gap):  # type: ignore[no-untyped-def]
+    """Bounds of μ over all points of the first ``n`` boxes.
+
+    Parameters
+    ----------
+    terms : ndarray, shape (M, 4)
+        Rows of radius², p, q and r of the stroke.
+    force : ndarray, shape (3,)
+        The drag's direction, a unit vector.
+    active : ndarray, shape (3,)
+        1.0 for an axis that the domain extends along, 0.0 for another.
+    boxes : ndarray, shape (N, 3, 6)
+        For each axis: DISTANCE from the pivot and DEPTH from the face, both at the end nearer to the pivot; WIDTH;
+        AWAY, 1 or -1, the way that leads away from the pivot; INWARD, 1 or -1, how DEPTH changes on that way; and
+        KAPPA. After ``n``, room for more boxes: when there is no more, the bounds are what they are.
+    keys, heap : ndarray, shape (N,)
+        Lower bounds in the boxes, and a heap of the boxes by them.
+    bounds : ndarray, shape (7,)
+        POWER k; AMOUNT, K's constant over ε^k; P, Q and R; LARGEST_E, the largest e; NOISE, of rounding.
+    target : float
+        At most 0. A lower bound above it need not be close to the upper one.
+    gap : float
+        How close the bounds must come, as a part of the upper one.
+
+    Returns
+    -------
+    tuple
+        The lower and the upper bound, and the number of boxes.
+    """
+    ends, d, s = np.empty((3, 2, 3)), np.zeros((5, 3)), np.empty((8, 6))
+    all_of_d = d.shape[0] - 2  # _D, but no literal: Numba compiles a function again for each of those
+    made = n
+    lower, upper = 0.0, 0.0
+    while n > 0:
+        item = _pop(heap, keys, n)
+        n -= 1
+        bound = keys[item]
+        if bound >= min(target, upper * (1.0 + gap)) or made == boxes.shape[0]:
+            lower = min(lower, bound)
+            break
+        norm, noise = _put_errors(d, boxes, item, active, terms[0, 0], bounds)
+        _put_ends(ends, boxes, item, active)
+        worst, at = 1e300, item
+        for v in range(8):
+            i, j, k = v & 1, (v >> 1) & 1, v >> 2
+            if i <= active[0] and j <= active[1] and k <= active[2]:
+                _strain(s, v, terms, force, active, ends, i, j, k)
+                value = _smallest(s, v, d, all_of_d)
+                if value < worst:
+                    worst, at = value, v
+        bound = max(bound, -norm, worst - noise)
+        axis, best = 0, -1e300
+        for row in range(5):
+            value = _smallest(s, at, d, row)
+            if row == _NONE:
+                upper = min(upper, value + noise)
+            elif row != _D and boxes[item, row, WIDTH] > 0.0 and value > best:
+                axis, best = row, value
+        if bound >= min(target, upper * (1.0 + gap)) or noise > d[_D, 0] + d[_D, 1] + d[_D, 2]:
+            lower = min(lower, bound)
+            continue
+        for k in range(3):
+            for column in range(6):
+                boxes[made, k, column] = boxes[item, k, column]
+        half = 0.5 * boxes[item, axis, WIDTH]
+        boxes[item, axis, WIDTH], boxes[made, axis, WIDTH] = half, half
+        boxes[made, axis, DISTANCE] += half
+        boxes[made, axis, DEPTH] += half * boxes[made, axis, INWARD]
+        for child in range(2):
+            new = made if child else item
+            keys[new] = bound
+            _push(heap, keys, n, new)
+            n += 1
+        made += 1
+    return lower, upper, made

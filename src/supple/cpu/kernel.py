@@ -1,0 +1,61 @@
+"""How every kernel is compiled, and how kernels share the cores."""
+
+from __future__ import annotations
+
+import os
+import threading
+from collections.abc import Callable, Iterable
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
+from numba import njit
+
+# Inputs are checked to be finite outside the kernels, so that these may assume it.
+FAST = {"nnan", "ninf", "nsz", "arcp", "contract", "reassoc"}
+
+BATCH = 64  # points that go through the strokes together: their workspace fits the first-level cache
+
+
+def kernel(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Compile for one core, without the interpreter's lock, kept on disk."""
+    return njit(nogil=True, cache=True, error_model="numpy", fastmath=FAST)(function)  # type: ignore[no-any-return]
+
+
+def exact_kernel(function: Callable[..., Any]) -> Callable[..., Any]:
+    """The same with IEEE arithmetic, where infinities or the order of operations matter."""
+    return njit(nogil=True, cache=True, error_model="numpy")(function)  # type: ignore[no-any-return]
+
+
+def threads() -> int:
+    """How many threads work at once: ``SUPPLE_THREADS``, or as many as this process may use."""
+    asked = os.environ.get("SUPPLE_THREADS", "")
+    if asked.isdigit() and int(asked) > 0:
+        return int(asked)
+    affinity = getattr(os, "sched_getaffinity", None)
+    return len(affinity(0)) if affinity else os.cpu_count() or 1
+
+
+_pools: dict[tuple[int, int], ThreadPoolExecutor] = {}
+_lock = threading.Lock()
+_inside = threading.local()
+
+
+def share(work: Callable[[Any], Any], items: Iterable[Any]) -> list[Any]:
+    """``work`` for every item, on all cores; the results in the items' order.
+
+    Called from inside such work, it runs there and then: one pool never waits for itself.
+    """
+    listed = list(items)
+    n = threads()
+    if n == 1 or len(listed) < 2 or getattr(_inside, "yes", False):
+        return [work(item) for item in listed]
+    with _lock:
+        key = (os.getpid(), n)  # a forked child must not wait for its parent's threads
+        if key not in _pools:
+            _pools[key] = ThreadPoolExecutor(n, "supple", initializer=_mark)
+        pool = _pools[key]
+    return list(pool.map(work, listed))
+
+
+def _mark() -> None:
+    _inside.yes = True

@@ -1,0 +1,303 @@
+"""T⁻¹ on a plane: solved at the nodes of a lattice, filled in between, and certified.
+
+At a node, Newton's method gives the displacement u = T⁻¹(q) - q and, exactly, its slopes ∂u/∂q = (I+J)⁻¹ - I.
+A cell between four nodes is filled by bicubic Hermite interpolation of values, slopes and twists; its error falls
+with the fourth power of the cell's size. It is measured: T of points within the cell and on its edges is compared
+with where they should be, and the residual, times (I+J)⁻¹, is the distance to the true T⁻¹(q). Where it is too
+large, the cell is split in four, down to single pixels, which are nodes themselves.
+
+A node is a row of numbers, in pixels: u (3), ∂p/∂q (9, row by row), the twist ∂²u/∂x∂y (3), the length over which
+the map can be smooth there, and its own error.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from supple.cpu.field import (
+    J00, J01, J02, J10, J11, J12, J20, J21, J22, X, Y, Z, apply, identity, step,
+)  # fmt: skip
+from supple.cpu.kernel import BATCH, kernel
+from supple.cpu.newton import (
+    DONE, DX, DY, DZ, NORM, PX, PY, PZ, QX, QY, QZ, ROWS, STEPS, newton, undo,
+)  # fmt: skip
+
+U, M, TWIST, SMOOTH, ERROR, NODE = 0, 3, 12, 15, 16, 17
+
+SIZE = 32  # pixels from node to node
+# A node is done when Newton's next step is shorter than this, in pixels; that step is then taken, and what it
+# leaves is of the order of its square over the length on which the map varies.
+TOLERANCE = 1e-3
+LEFT = 1e-5
+# The interpolation error along a line is as s²(1-s)², of which the points looked at see 0.7; the rest is reserve.
+RESERVE = 1.6
+# A cell may be as large as the smoothest length at its corners; beyond, what is seen at points says nothing.
+RESOLVED = 1.0
+
+
+@kernel
+def solve_batch(w, one, n, table, axes, cols, rows, guessed, smooth, nodes):  # type: ignore[no-untyped-def]
+    """Solve T(p) = q for the pixels in the rows QX..; the nodes' numbers go to ``nodes[rows[i], cols[i]]``.
+
+    The rows X.. hold guesses if ``guessed``. How smooth the map is there is found if ``smooth``. Returns the
+    evaluations that were needed.
+    """
+    sx, sy, sz = axes[0, 2], axes[1, 2], axes[2, 2]
+    finest = TOLERANCE * min(sx, min(sy, sz))
+    for i in range(n):
+        w[STEPS + i] = 0.0
+    left = 1.0
+    if guessed:
+        left = newton(w, n, table, axes, 0, table.shape[0], finest, 10)
+        for i in range(n):
+            left += 1.0 - w[DONE + i]
+    if left > 0.0:
+        for i in range(3 * BATCH):
+            w[X + i] = w[QX + i]
+        undo(w, one, n, table, axes, finest)
+    evaluations = 0.0
+    for i in range(n):
+        node = nodes[rows[i], cols[i]]
+        evaluations += w[STEPS + i]
+        a, b, c = w[J00 + i], w[J01 + i], w[J02 + i]
+        d, e, f = w[J10 + i], w[J11 + i], w[J12 + i]
+        g, h, k = w[J20 + i], w[J21 + i], w[J22 + i]
+        ca, cb, cc = e * k - f * h, f * g - d * k, d * h - e * g
+        t = 1.0 / (a * ca + b * cb + c * cc)
+        node[M] = t * ca
+        node[M + 1] = t * (c * h - b * k) * sy / sx
+        node[M + 2] = t * (b * f - c * e) * sz / sx
+        node[M + 3] = t * cb * sx / sy
+        node[M + 4] = t * (a * k - c * g)
+        node[M + 5] = t * (c * d - a * f) * sz / sy
+        node[M + 6] = t * cc * sx / sz
+        node[M + 7] = t * (b * g - a * h) * sy / sz
+        node[M + 8] = t * (a * e - b * d)
+        if w[DONE + i] > 0.0:
+            w[PX + i] += w[DX + i]
+            w[PY + i] += w[DY + i]
+            w[PZ + i] += w[DZ + i]
+            node[ERROR] = LEFT
+        else:
+            size = 0.0
+            for m in range(9):
+                size += node[M + m] * node[M + m]
+            node[ERROR] = np.sqrt(size * w[NORM + i]) / min(sx, min(sy, sz))
+        node[U] = (w[PX + i] - w[QX + i]) / sx
+        node[U + 1] = (w[PY + i] - w[QY + i]) / sy
+        node[U + 2] = (w[PZ + i] - w[QZ + i]) / sz
+        node[SMOOTH] = 1e300
+    if smooth:
+        _smoothness(w, n, table, axes, cols, rows, nodes)
+    return evaluations
+
+
+@kernel
+def _smoothness(w, n, table, axes, cols, rows, nodes):  # type: ignore[no-untyped-def]
+    """How far, in output pixels, the map stays as smooth as it is at a node.
+
+    A stroke varies over ρ, and its border over σ or the distance to it: both are seen through the derivative of
+    the stroke's input by q.
+    """
+    for i in range(n):
+        w[X + i], w[Y + i], w[Z + i] = w[PX + i], w[PY + i], w[PZ + i]
+    identity(w, n)
+    for s in range(table.shape[0]):
+        stroke = table[s]
+        for i in range(n):
+            node = nodes[rows[i], cols[i]]
+            size = 0.0
+            for c in range(2):
+                # Physical units of the stroke's input per output pixel.
+                u = node[M + c] * axes[0, 2]
+                v = node[M + 3 + c] * axes[1, 2]
+                t = node[M + 6 + c] * axes[2, 2]
+                gx = w[J00 + i] * u + w[J01 + i] * v + w[J02 + i] * t
+                gy = w[J10 + i] * u + w[J11 + i] * v + w[J12 + i] * t
+                gz = w[J20 + i] * u + w[J21 + i] * v + w[J22 + i] * t
+                size = max(size, gx * gx + gy * gy + gz * gz)
+            rx, ry, rz = w[X + i] - stroke["pivot"][0], w[Y + i] - stroke["pivot"][1], w[Z + i] - stroke["pivot"][2]
+            reach = np.sqrt(rx * rx + ry * ry + rz * rz + stroke["radius2"][0])
+            for axis in range(3):
+                if axes[axis, 1] > 0.0:
+                    x = w[X + axis * BATCH + i]
+                    reach = min(reach, max(axes[axis, 1], min(x, axes[axis, 0] - x)))
+            node[SMOOTH] = min(node[SMOOTH], reach / np.sqrt(size))
+        step(w, n, stroke, axes, True)
+
+
+@kernel
+def solve_rows(table, axes, z, xs, ys, first, last, nodes):  # type: ignore[no-untyped-def]
+    """Solve the lattice's rows ``first`` to ``last - 1``, each from the one before. Returns the evaluations."""
+    w, one = np.empty(ROWS * BATCH), np.empty(ROWS * BATCH)
+    cols, rows = np.empty(BATCH, np.int64), np.empty(BATCH, np.int64)
+    evaluations = 0.0
+    for j in range(first, last):
+        for start in range(0, xs.size, BATCH):
+            n = min(BATCH, xs.size - start)
+            for i in range(n):
+                cols[i], rows[i] = start + i, j
+                w[QX + i] = xs[start + i] * axes[0, 2]
+                w[QY + i] = ys[j] * axes[1, 2]
+                w[QZ + i] = z * axes[2, 2]
+                if j > first:
+                    # Along the slopes, and as these have changed since the row before.
+                    node = nodes[j - 1, start + i]
+                    older = nodes[max(first, j - 2), start + i]
+                    h = ys[j] - ys[j - 1]
+                    for c in range(3):
+                        m, kept = node[M + 3 * c + 1], older[M + 3 * c + 1]
+                        slope = m - (1.0 if c == 1 else 0.0) + 0.5 * (m - kept)
+                        q = w[QX + c * BATCH + i]
+                        w[X + c * BATCH + i] = q + (node[U + c] + h * slope) * axes[c, 2]
+            evaluations += solve_batch(w, one, n, table, axes, cols, rows, j > first, True, nodes)
+    return evaluations
+
+
+@kernel
+def _slope(x0, x1, x2, f0, f1, f2, x):  # type: ignore[no-untyped-def]
+    """The derivative at x of the parabola through three points; of the line, if the last two are one."""
+    if x2 == x1:
+        return (f1 - f0) / (x1 - x0)
+    return (
+        f0 * (2.0 * x - x1 - x2) / ((x0 - x1) * (x0 - x2))
+        + f1 * (2.0 * x - x0 - x2) / ((x1 - x0) * (x1 - x2))
+        + f2 * (2.0 * x - x0 - x1) / ((x2 - x0) * (x2 - x1))
+    )
+
+
+@kernel
+def set_twists(xs, ys, nx, ny, first, last, ndim, nodes):  # type: ignore[no-untyped-def]
+    """∂²u/∂x∂y at the nodes of the rows ``first`` to ``last - 1``, from the slopes of their neighbours."""
+    for j in range(first, last):
+        b = min(max(j - 1, 0), max(ny - 3, 0))
+        b1, b2 = b + 1, min(b + 2, ny - 1)
+        for i in range(nx):
+            a = min(max(i - 1, 0), max(nx - 3, 0))
+            a1, a2 = a + 1, min(a + 2, nx - 1)
+            for c in range(ndim):
+                m = M + 3 * c
+                along_x = _slope(
+                    xs[a], xs[a1], xs[a2], nodes[j, a, m + 1], nodes[j, a1, m + 1], nodes[j, a2, m + 1], xs[i]
+                )
+                along_y = _slope(ys[b], ys[b1], ys[b2], nodes[b, i, m], nodes[b1, i, m], nodes[b2, i, m], ys[j])
+                # Three nodes in a line know better than two.
+                weight = 0.5 if (nx > 2) == (ny > 2) else (1.0 if nx > 2 else 0.0)
+                nodes[j, i, TWIST + c] = weight * along_x + (1.0 - weight) * along_y
+
+
+@kernel
+def patch(nodes, j, i, c, h, k, s, t):  # type: ignore[no-untyped-def]
+    """Component ``c`` of u at (s, t) in [0, 1]² of the cell, ``h`` by ``k`` pixels, right and below a node."""
+    s1, t1 = 1.0 - s, 1.0 - t
+    vs, ws = (1.0 + 2.0 * s) * s1 * s1, s * s * (3.0 - 2.0 * s)
+    gs, hs = h * s * s1 * s1, -h * s * s * s1
+    vt, wt = (1.0 + 2.0 * t) * t1 * t1, t * t * (3.0 - 2.0 * t)
+    gt, ht = k * t * t1 * t1, -k * t * t * t1
+    mx, my = M + 3 * c, M + 3 * c + 1
+    one_x, one_y = (1.0 if c == 0 else 0.0), (1.0 if c == 1 else 0.0)
+    p, q, r, o = nodes[j, i], nodes[j, i + 1], nodes[j + 1, i], nodes[j + 1, i + 1]
+    value = vt * (vs * p[c] + ws * q[c] + gs * (p[mx] - one_x) + hs * (q[mx] - one_x))
+    value += wt * (vs * r[c] + ws * o[c] + gs * (r[mx] - one_x) + hs * (o[mx] - one_x))
+    f = TWIST + c
+    value += gt * (vs * (p[my] - one_y) + ws * (q[my] - one_y) + gs * p[f] + hs * q[f])
+    value += ht * (vs * (r[my] - one_y) + ws * (o[my] - one_y) + gs * r[f] + hs * o[f])
+    return value
+
+
+@kernel
+def too_coarse(nodes, j, i, h, k):  # type: ignore[no-untyped-def]
+    """Whether a cell is larger than the map is smooth."""
+    smooth = min(
+        min(nodes[j, i, SMOOTH], nodes[j, i + 1, SMOOTH]),
+        min(nodes[j + 1, i, SMOOTH], nodes[j + 1, i + 1, SMOOTH]),
+    )
+    return max(h, k) > RESOLVED * smooth
+
+
+def _weights() -> np.ndarray:
+    """How the 16 numbers of a cell make up u at the eight points that are looked at.
+
+    Four within the cell, two on its upper and two on its left edge. The numbers are, for each corner, the value,
+    the slope along x times the width, that along y times the height, and the twist times both.
+    """
+    out = np.empty((16, 8))
+    at = [(0.3, 0.3), (0.7, 0.3), (0.3, 0.7), (0.7, 0.7), (0.3, 0.0), (0.7, 0.0), (0.0, 0.3), (0.0, 0.7)]
+    for k, (s, t) in enumerate(at):
+        along, down = [
+            [((1 + 2 * v) * (1 - v) ** 2, v * (1 - v) ** 2), (v * v * (3 - 2 * v), -v * v * (1 - v))] for v in (s, t)
+        ]
+        for corner in range(4):
+            (a, b), (c, d) = along[corner % 2], down[corner // 2]
+            out[4 * corner : 4 * corner + 4, k] = a * c, b * c, a * d, b * d
+    return out
+
+
+WEIGHTS = _weights()
+AT_X = np.array([0.3, 0.7, 0.3, 0.7, 0.3, 0.7, 0.0, 0.0])
+AT_Y = np.array([0.3, 0.3, 0.7, 0.7, 0.0, 0.0, 0.3, 0.7])
+
+
+@kernel
+def check(w, n, table, axes, ndim, z, x0, y0, hs, ks, js, cells, nodes, errors, sides):  # type: ignore[no-untyped-def]
+    """Bound the errors of ``n`` ≤ BATCH / 8 cells, in pixels: within each and on two of its edges, T is compared.
+
+    Cell ``m`` lies right and below ``nodes[js[m], cells[m]]``, at the pixel (x0[m], y0[m]), ``hs[m]`` by ``ks[m]``.
+    ``sides[m]`` says along which axes the error calls for smaller cells: 1 x, 2 y, 3 both.
+    """
+    known, mean = np.empty(16), np.empty(9)
+    for m in range(n):
+        h, k = hs[m], ks[m]
+        for i in range(8):
+            w[QX + 8 * m + i] = (x0[m] + AT_X[i] * h) * axes[0, 2]
+            w[QY + 8 * m + i] = (y0[m] + AT_Y[i] * k) * axes[1, 2]
+            w[QZ + 8 * m + i] = z * axes[2, 2]
+            w[Z + 8 * m + i] = z * axes[2, 2]
+        for c in range(ndim):
+            one_x, one_y = (1.0 if c == 0 else 0.0), (1.0 if c == 1 else 0.0)
+            for corner in range(4):
+                node = nodes[js[m] + corner // 2, cells[m] + corner % 2]
+                known[4 * corner] = node[U + c]
+                known[4 * corner + 1] = h * (node[M + 3 * c] - one_x)
+                known[4 * corner + 2] = k * (node[M + 3 * c + 1] - one_y)
+                known[4 * corner + 3] = h * k * node[TWIST + c]
+            to, q = X + c * BATCH + 8 * m, QX + c * BATCH + 8 * m
+            for i in range(8):
+                w[to + i] = w[q + i]
+            for a in range(16):
+                v = known[a] * axes[c, 2]
+                for i in range(8):
+                    w[to + i] += v * WEIGHTS[a, i]
+    apply(w, 8 * n, table, axes, 0, table.shape[0], False)
+    for m in range(n):
+        j, i = js[m], cells[m]
+        for a in range(9):
+            mean[a] = 0.25 * (
+                nodes[j, i, M + a] + nodes[j, i + 1, M + a] + nodes[j + 1, i, M + a] + nodes[j + 1, i + 1, M + a]
+            )
+        inner, upper, left = 0.0, 0.0, 0.0
+        for k in range(8):
+            x = 8 * m + k
+            ex = (w[X + x] - w[QX + x]) / axes[0, 2]
+            ey = (w[Y + x] - w[QY + x]) / axes[1, 2]
+            ez = (w[Z + x] - w[QZ + x]) / axes[2, 2]
+            error = 0.0
+            for c in range(ndim):
+                v = mean[3 * c] * ex + mean[3 * c + 1] * ey + mean[3 * c + 2] * ez
+                error += v * v
+            if k < 4:
+                inner = max(inner, error)
+            elif k < 6:
+                upper = max(upper, error)
+            else:
+                left = max(left, error)
+        own = max(
+            max(nodes[j, i, ERROR], nodes[j, i + 1, ERROR]),
+            max(nodes[j + 1, i, ERROR], nodes[j + 1, i + 1, ERROR]),
+        )
+        errors[m] = own + RESERVE * max(np.sqrt(inner), np.sqrt(upper) + np.sqrt(left))
+        sides[m] = 3
+        if upper > 16.0 * left:
+            sides[m] = 1
+        elif left > 16.0 * upper:
+            sides[m] = 2

@@ -1,0 +1,157 @@
+"""The part of a source that a run of pixels reads: where it lies, and its samples, made ready for filters.
+
+Everything that depends on the source's type, its colours or what lies outside it happens here, once for each
+sample; the filters behind see a plain rectangle of numbers.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from supple.cpu.band import RUN
+from supple.cpu.kernel import kernel
+
+EDGE, CONSTANT, REFLECT = 0, 1, 2
+
+
+@kernel
+def _reach(boxes, j, i, axis, size, rule, margin):  # type: ignore[no-untyped-def]
+    low, high = boxes[j, i, axis, 0], boxes[j, i, axis, 1]
+    if rule != REFLECT:
+        # Farther out, nothing changes any more: points are drawn near before they are sampled.
+        low, high = min(max(low, -margin), size - 1.0 + margin), min(max(high, -margin), size - 1.0 + margin)
+    return np.int64(np.floor(low)) - margin, np.int64(np.floor(high)) + 2 + margin
+
+
+@kernel
+def bounds(boxes, run, axis, size, rule, margin):  # type: ignore[no-untyped-def]
+    """The first sample along an axis that a run may read, ``margin`` around its points; and one past the last."""
+    first, last = _reach(boxes, 0, run * RUN, axis, size, rule, margin)
+    for j in range(boxes.shape[0]):
+        for i in range(run * RUN, min((run + 1) * RUN, boxes.shape[1])):
+            low, high = _reach(boxes, j, i, axis, size, rule, margin)
+            first, last = min(first, low), max(last, high)
+    return first, last
+
+
+@kernel
+def spans(boxes, run, width, height, x0, x1, y0, y1, rule, margin, out):  # type: ignore[no-untyped-def]
+    """Which samples the run may read of each row y0..y1-1: from ``out[0]`` to ``out[1] - 1``."""
+    for y in range(y1 - y0):
+        out[0, y], out[1, y] = x1, x0
+    for j in range(boxes.shape[0]):
+        for i in range(run * RUN, min((run + 1) * RUN, boxes.shape[1])):
+            left, right = _reach(boxes, j, i, 0, width, rule, margin)
+            above, below = _reach(boxes, j, i, 1, height, rule, margin)
+            for y in range(above - y0, below - y0):
+                out[0, y], out[1, y] = min(out[0, y], left), max(out[1, y], right)
+
+
+@kernel
+def place(i, n, rule):  # type: ignore[no-untyped-def]
+    """The sample that stands for sample ``i`` of an axis of ``n``, or -1 where a constant does."""
+    if 0 <= i < n:
+        return i
+    if rule == EDGE:
+        return min(max(i, 0), n - 1)
+    if rule == CONSTANT:
+        return -1
+    k = i % (2 * n)  # mirrored at the outer edges of the border's samples
+    return k if k < n else 2 * n - 1 - k
+
+
+@kernel
+def load(source, first, lanes, x0, x1, y0, y1, spans, rule, fill, alpha, top, table, tile):  # type: ignore[no-untyped-def]
+    """Fill ``tile``, flat, with ``lanes`` channels from ``first`` on of the source's samples x0..x1-1, y0..y1-1.
+
+    Of each row, only what is in its span is needed, and written. ``alpha`` is the index of the channel by which the others are multiplied, or -1; ``top`` its value for opaque.
+    ``table``, unless empty, gives the numbers that stand for the source's integers, as for linear light.
+    """
+    height, width, channels = source.shape
+    count = min(lanes, channels - first)
+    scale = 1.0 / top
+    for y in range(y0, y1):
+        j = place(y, height, rule)
+        for x in range(spans[0, y - y0], spans[1, y - y0]):
+            i = place(x, width, rule)
+            at = ((y - y0) * (x1 - x0) + x - x0) * lanes
+            for c in range(count):
+                k = first + c
+                if i < 0 or j < 0:
+                    tile[at + c] = fill[k]
+                elif table.size > 0 and k != alpha:
+                    tile[at + c] = table[np.int64(source[j, i, k])]
+                else:
+                    tile[at + c] = source[j, i, k]
+            if alpha >= 0 and i >= 0 and j >= 0:
+                opacity = source[j, i, alpha] * scale
+                for c in range(count):
+                    if first + c != alpha:
+                        tile[at + c] *= opacity
+            for c in range(count, lanes):
+                tile[at + c] = 0
+
+
+@kernel
+def load_words(source, x0, x1, y0, y1, spans, rule, fill, tile):  # type: ignore[no-untyped-def]
+    """The same for up to four channels of 8 bits, one word for each pixel."""
+    height, width, channels = source.shape
+    wide = x1 - x0
+    for y in range(y0, y1):
+        j = place(y, height, rule)
+        at = (y - y0) * wide
+        start, end = spans[0, y - y0], spans[1, y - y0]
+        if j < 0:
+            for x in range(start - x0, end - x0):
+                tile[at + x] = fill
+            continue
+        inner0, inner1 = min(max(start, 0), end), max(min(end, width), start)
+        if channels == 3:
+            # Slices, whose indices count from 0: the compiler knows that they are not negative.
+            taken, words = source[j, inner0:inner1], tile[at + inner0 - x0 : at + inner1 - x0]
+            for x in range(inner1 - inner0):
+                words[x] = (
+                    np.uint32(taken[x, 0])
+                    | (np.uint32(taken[x, 1]) << np.uint32(8))
+                    | (np.uint32(taken[x, 2]) << np.uint32(16))
+                )
+        else:
+            for x in range(inner0, inner1):
+                word = np.uint32(0)
+                for c in range(channels):
+                    word |= np.uint32(source[j, x, c]) << np.uint32(8 * c)
+                tile[at + x - x0] = word
+        for x in range(start, end):
+            if inner0 <= x < inner1:
+                continue
+            i = place(x, width, rule)
+            word = np.uint32(0)
+            if i < 0:
+                word = fill
+            else:
+                for c in range(channels):
+                    word |= np.uint32(source[j, i, c]) << np.uint32(8 * c)
+            tile[at + x - x0] = word
+
+
+@kernel
+def store(values, first, lanes, n, alpha, top, low, high, whole, linear, out, row, column):  # type: ignore[no-untyped-def]
+    """Write ``n`` pixels of ``lanes`` numbers to a row of ``out`` from ``column`` on: the reverse of `load`.
+
+    ``low`` and ``high`` bound what the type holds, and it is rounded if ``whole``. ``linear``, unless 0, is the
+    value of white, by which colours come back from linear light to sRGB's curve.
+    """
+    count = min(lanes, out.shape[2] - first)
+    for x in range(n):
+        for c in range(count):
+            v = values[x * lanes + c]
+            if alpha >= 0 and first + c != alpha:
+                opacity = values[x * lanes + alpha - first]
+                v = v * top / opacity if opacity > 0 else v * 0
+            if linear > 0 and first + c != alpha:
+                u = v / linear
+                u = 12.92 * u if u <= 0.0031308 else 1.055 * u ** (1.0 / 2.4) - 0.055
+                v = u * linear
+            if whole:
+                v = min(max(np.floor(v + 0.5), low), high)
+            out[row, column + x, first + c] = v

@@ -1,0 +1,152 @@
+"""Planes in parallel: bands of a lattice, and what is done with the source points of each."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from supple.cpu.band import EVALUATIONS, RUN, SPLITS, STATS, WORST, source_points
+from supple.cpu.kernel import share, threads
+from supple.cpu.lattice import NODE, SIZE, set_twists, solve_rows
+
+CELL_ROWS = 2  # of a band: its source points stay in the second-level cache, and there are bands for all cores
+
+Floats = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Plane:
+    """The lattice of one plane: the inverse map in a form that is quick to fill in."""
+
+    table: npt.NDArray[np.void]
+    axes: Floats
+    z: float
+    shape: tuple[int, int]
+    ndim: int
+    xs: npt.NDArray[np.int64]
+    ys: npt.NDArray[np.int64]
+    nodes: Floats
+    evaluations: float
+
+
+@dataclass(frozen=True, slots=True)
+class Band:
+    """The source points of some rows of a plane.
+
+    ``points[c, y, x] + anchors[run, c]`` is coordinate ``c``, in pixels, of the source of the pixel (x, top + y),
+    where ``run`` counts stretches of RUN * SIZE pixels, the last one perhaps a pixel longer. ``boxes`` bounds the
+    points of every lattice cell.
+    """
+
+    top: int
+    points: npt.NDArray[np.float32]
+    anchors: npt.NDArray[np.int64]
+    boxes: Floats
+
+
+@dataclass(frozen=True, slots=True)
+class Certificate:
+    """What is known of the map that was used."""
+
+    error: float
+    evaluations: float
+    splits: float
+
+    def __or__(self, other: Certificate) -> Certificate:
+        return Certificate(
+            max(self.error, other.error), self.evaluations + other.evaluations, self.splits + other.splits
+        )
+
+
+def _positions(n: int) -> npt.NDArray[np.int64]:
+    # One sample alone still gets a cell, which reaches beyond the plane.
+    return np.array([*range(0, n - 1, SIZE), n - 1] if n > 1 else [0, 1], np.int64)
+
+
+def solve_plane(table: npt.NDArray[np.void], axes: Floats, shape: tuple[int, int], ndim: int, z: float = 0.0) -> Plane:
+    """Solve for T⁻¹ on the lattice of a plane.
+
+    Parameters
+    ----------
+    table : ndarray of STROKE_DTYPE
+        Strokes that are known to be one-to-one.
+    axes : float64 array, shape (3, 3)
+        The packed domain.
+    shape : (int, int)
+        Rows and columns of the plane.
+    ndim : int
+        2 for an image, 3 for a plane of a video or a volume.
+    z : float
+        Which plane, in samples.
+    """
+    xs, ys = _positions(shape[1]), _positions(shape[0])
+    nodes = np.empty((ys.size, xs.size, NODE))
+    parts = min(threads(), max(1, xs.size * ys.size // 256))
+    edges = [ys.size * k // parts for k in range(parts + 1)]
+
+    def solve(k: int) -> float:
+        return float(solve_rows(table, axes, z, xs, ys, edges[k], edges[k + 1], nodes))
+
+    evaluations = sum(share(solve, range(parts)))
+    set_twists(xs, ys, xs.size, ys.size, 0, ys.size, ndim, nodes)
+    return Plane(table, axes, z, shape, ndim, xs, ys, nodes, evaluations)
+
+
+def rounding(shape: tuple[int, int]) -> float:
+    """How far float32 may put a source point that is relative to its anchor off, in pixels."""
+    reach = min(max(shape), 4 * RUN * SIZE)
+    return 2.0**-22 * reach
+
+
+def each_band(plane: Plane, tolerance: float, use: Callable[[Band], None]) -> Certificate:
+    """Call ``use`` for every band of a plane, on all cores.
+
+    Parameters
+    ----------
+    plane : Plane
+    tolerance : float
+        How far a source point may be from the true T⁻¹(q), in pixels.
+    use : function of a Band
+
+    Returns
+    -------
+    Certificate
+        Its error bounds the distance of all source points to the true ones. It exceeds the tolerance only where
+        that is finer than what Newton's method and float32 can reach, or where a point did not converge.
+    """
+    xs, ys = plane.xs, plane.ys
+    height, width = plane.shape
+    runs = -(-(xs.size - 1) // RUN)
+    slack = rounding(plane.shape)
+
+    def work(first: int) -> Certificate:
+        last = min(first + CELL_ROWS, ys.size - 1)
+        top, end = int(ys[first]), int(ys[last]) if last < ys.size - 1 else height
+        points = np.empty((plane.ndim, end - top, width), np.float32)
+        anchors = np.empty((runs, 3), np.int64)
+        boxes = np.empty((last - first, xs.size - 1, plane.ndim, 2))
+        stats = np.zeros(STATS)
+        source_points(
+            plane.table, plane.axes, plane.z, xs, ys, width, height, first, last, max(tolerance - slack, 0.0),
+            plane.nodes, points, anchors, boxes, stats,
+        )  # fmt: skip
+        use(Band(top, points, anchors, boxes))
+        return Certificate(float(stats[WORST]) + slack, float(stats[EVALUATIONS]), float(stats[SPLITS]))
+
+    total = Certificate(0.0, plane.evaluations, 0.0)
+    for certificate in share(work, range(0, ys.size - 1, CELL_ROWS)):
+        total |= certificate
+    return total
+
+
+def absolute(band: Band, out: npt.NDArray[np.floating]) -> None:
+    """Write a band's source points, coordinates last and in pixels, into ``out`` (rows, columns, 2 or 3)."""
+    width = band.points.shape[2]
+    for run, anchor in enumerate(band.anchors):
+        left = run * RUN * SIZE
+        right = width if run == len(band.anchors) - 1 else left + RUN * SIZE
+        for c in range(band.points.shape[0]):
+            np.add(band.points[c, :, left:right], anchor[c], out=out[:, left:right, c], casting="same_kind")
