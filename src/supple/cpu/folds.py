@@ -1,42 +1,55 @@
-"""How close a stroke comes to folding where the border is fixed: a minimum over all points, bounded on both sides.
+"""How close a stroke comes to folding where the border is fixed: a minimum over all points, bounded.
 
-Let S = sym(J_β), with a force of length 1, and μ the smallest eigenvalue of S over the domain. It is found by branch
-and bound, the box with the lowest bound first. In a box of widths h where β has no kink, the multilinear interpolant
-of S from the corners v is a mean of the S(v), and at most Σ_k h_k²/8 |∂_kk S| away from S. As λ_min is concave,
+Let S = sym(J_β), of a force of length 1, and μ the smallest eigenvalue of S over the domain. Branch and
+bound finds it, the box with the lowest bound first. In a box of widths h where β has no kink, the
+multilinear interpolant of S from the corners v is a mean of the S(v), and differs from S by Σ_k h_k²/8
+|∂_kk S| at most. As λ_min is concave,
 
-    λ_min(S(p)) ≥ min_v λ_min(S(v) - D),  with a diagonal D such that  xᵀ D x ≥ Σ_k h_k²/8 |xᵀ ∂_kk S(p) x|.
+    λ_min(S(p)) ≥ min_v λ_min(S(v) - D),  D diagonal with  xᵀ D x ≥ Σ_k h_k²/8 |xᵀ ∂_kk S(p) x|.
 
-Where N_n bounds the n-th derivatives of K, and β_i is the sine of an angle with the slope κ_i (0 where β_i = 1),
+Let N_n bound the n-th derivatives of K in the box, and β_i be the sine of an angle of slope κ_i, or 1 where
+κ_i = 0. From the derivatives of β_i K_i, |S| ≤ N1 + max κ_i N0, and
 
-    |xᵀ ∂_kk S x| ≤ N3 |x|² + Σ_i κ_i N2 x_i² + (2κ_k N2 + κ_k² N1) |x_k| |x| + (2κ_k² N1 + κ_k³ N0) x_k²,
+    |xᵀ ∂_kk S x| ≤ N3 |x|² + Σ_i κ_i N2 x_i² + (2κ_k N2 + κ_k² N1) |x_k| |x| + (2κ_k² N1 + κ_k³ N0) x_k².
 
-from the derivatives of β_i K_i; and |S| ≤ N1 + max κ_i N0. K of 1, 2 and 3 scales is a constant times the zeroth,
-first and second divided difference, in e = ε², of
+K of 1, 2 and 3 scales is a constant times the zeroth, first and second divided difference, in e = ε², of
 
-    U = (1-β) s^(-1/2) f + e/2 s^(-3/2) f + β s^(-3/2) (r·f) r,    β = b/a, s = |r|² + e,
+    U = (1-ω) ρ^-1 f + e/2 ρ^-3 f + ω ρ^-3 (r·f) r,    ω = b/a, ρ² = |r|² + e,
 
-hence a mean of U, ∂U/∂e or ∂²U/∂e²/2, all of which have the form P ρ^-k f + Q e ρ^-(k+2) f + R ρ^-(k+2) (r·f) r with
-k = 1, 3, 5. Bounded so, nothing cancels. With n derivatives, ρ^-k is a Gegenbauer polynomial in the cosine x of
-the direction, times |r|/ρ, over ρ^(k+n); and (r·f) r has just two. What rounding can do to a bound is taken off it.
+hence a mean of U, ∂U/∂e or ∂²U/∂e² / 2. With e = ρ² - |r|², each of these is, but for a constant,
+
+    ρ^-k f - k/(3-2ω) ρ^-(k+2) [ |r|² f - 2ω (r·f) r ],    k = 1, 3, 5,
+
+where nothing cancels any more. The n-th derivative of ρ^-k is a Gegenbauer polynomial of a cosine times |r|/ρ,
+over ρ^(k+n). As 2ω ≤ 1, the bracket and its two derivatives are at most |r|², 2|r| and 2. What rounding can do
+to a bound is taken off it.
 """
 
 from __future__ import annotations
 
+import itertools
+import math
+
 import numpy as np
+import numpy.typing as npt
 
 from supple.cpu.kernel import kernel
+
+Floats = npt.NDArray[np.float64]
 
 # Columns of a box's axis, ...
 DISTANCE, DEPTH, WIDTH, AWAY, INWARD, KAPPA = range(6)
 # ... of one of its two ends, ...
 _PLACE, _BETA, _SLOPE = range(3)
-# ... and of the numbers in ``bounds``.
-POWER, AMOUNT, P, Q, R, LARGEST_E, NOISE = range(7)
+# ... and of the numbers in ``limits``.
+POWER, AMOUNT, BRACKET, NOISE, FREE = range(5)
 # The diagonals: what a cut along one of the three axes would leave of D, D, and zeros.
 _D, _NONE = 3, 4
 # At a double root, the cosine formula for a cubic's roots loses half of the digits.
 _CUBIC = 1e-7
 _TINY = 1e-150
+# A bound as bad as none, of which the square is still a number.
+_HUGE = 1e100
 
 
 @kernel
@@ -108,8 +121,8 @@ def _derivatives(k, x):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _put_errors(d, boxes, item, active, e, bounds):  # type: ignore[no-untyped-def]
-    """The diagonals of a box. Returns bounds of |S| in it, and of what rounding does to S."""
+def _put_errors(d, boxes, item, active, e, limits):  # type: ignore[no-untyped-def]
+    """The diagonals of a box. Returns a simple bound of μ in it, and what rounding may do to S."""
     near2, far2, steepest = 0.0, 0.0, 0.0
     for k in range(3):
         near, far = boxes[item, k, DISTANCE], boxes[item, k, DISTANCE] + boxes[item, k, WIDTH]
@@ -119,16 +132,15 @@ def _put_errors(d, boxes, item, active, e, bounds):  # type: ignore[no-untyped-d
         d[_D, k] = 0.0
     r2, x = near2 + e, np.sqrt(far2 / (far2 + e))
     rho = np.sqrt(r2)
-    power = bounds[POWER]
-    c = bounds[AMOUNT] * (e / r2) ** (0.5 * power)
-    p, q, r = c * bounds[P], c * bounds[Q] * min(bounds[LARGEST_E] / r2, 1.0), c * bounds[R]
+    power = limits[POWER]
+    c = limits[AMOUNT] * (e / r2) ** (0.5 * power)
     p0, p1, p2, p3 = _derivatives(power, x)
     q0, q1, q2, q3 = _derivatives(power + 2.0, x)
-    q += r * x * x
-    n0 = p * p0 + q * q0
-    n1 = (p * p1 + q * q1 + r * 2.0 * x * q0) / rho
-    n2 = (p * p2 + q * q2 + r * (4.0 * x * q1 + 2.0 * q0)) / r2
-    n3 = (p * p3 + q * q3 + r * (6.0 * x * q2 + 6.0 * q1)) / r2 / rho
+    q = limits[BRACKET]
+    n0 = c * (p0 + q * x * x * q0)
+    n1 = c * (p1 + q * x * (x * q1 + 2.0 * q0)) / rho
+    n2 = c * (p2 + q * (x * x * q2 + 4.0 * x * q1 + 2.0 * q0)) / r2
+    n3 = c * (p3 + q * (x * x * q3 + 6.0 * x * q2 + 6.0 * q1)) / r2 / rho
     for k in range(3):
         kappa = boxes[item, k, KAPPA]
         share = 0.125 * boxes[item, k, WIDTH] * boxes[item, k, WIDTH]
@@ -137,12 +149,13 @@ def _put_errors(d, boxes, item, active, e, bounds):  # type: ignore[no-untyped-d
         for i in range(3):
             # 4 |x_k| |x| ≤ |x|² + 4 x_k²
             part = n3 + boxes[item, i, KAPPA] * n2 + 0.25 * mixed + (own if i == k else 0.0)
-            d[k, i] = share * part * active[i]
+            d[k, i] = min(share * part, _HUGE) * active[i]
             d[_D, i] += d[k, i]
     for k in range(3):
         for i in range(3):
             d[k, i] = d[_D, i] - 0.75 * d[k, i]
-    return n1 + steepest * n0, bounds[NOISE] / rho * (5.0 / rho + steepest)
+    least = -(n1 + steepest * n0) if steepest > 0.0 else max(-n1, limits[FREE])
+    return least, limits[NOISE] / rho * (5.0 / rho + steepest)
 
 
 @kernel
@@ -171,8 +184,10 @@ def _pop(heap, keys, n):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def smallest_strain(terms, force, active, boxes, keys, heap, n, bounds, target, gap):  # type: ignore[no-untyped-def]
-    """Bounds of μ over all points of the first ``n`` boxes.
+def smallest_strain(  # type: ignore[no-untyped-def]
+    terms, force, active, boxes, keys, heap, n, limits, upper, target, gap
+):
+    """Bounds of μ over the first ``n`` boxes, and how many boxes it took.
 
     Parameters
     ----------
@@ -183,27 +198,25 @@ def smallest_strain(terms, force, active, boxes, keys, heap, n, bounds, target, 
     active : ndarray, shape (3,)
         1.0 for an axis that the domain extends along, 0.0 for another.
     boxes : ndarray, shape (N, 3, 6)
-        For each axis: DISTANCE from the pivot and DEPTH from the face, both at the end nearer to the pivot; WIDTH;
-        AWAY, 1 or -1, the way that leads away from the pivot; INWARD, 1 or -1, how DEPTH changes on that way; and
-        KAPPA. After ``n``, room for more boxes: when there is no more, the bounds are what they are.
+        For each axis: DISTANCE from the pivot and DEPTH from the face, both at the end nearer to the pivot;
+        WIDTH; AWAY, 1 or -1, the way that leads away from the pivot; INWARD, 1 or -1, how DEPTH changes on
+        that way; and KAPPA. After ``n``, room for more: when it is full, the bounds are what they are.
     keys, heap : ndarray, shape (N,)
         Lower bounds in the boxes, and a heap of the boxes by them.
-    bounds : ndarray, shape (7,)
-        POWER k; AMOUNT, K's constant over ε^k; P, Q and R; LARGEST_E, the largest e; NOISE, of rounding.
+    limits : ndarray, shape (5,)
+        POWER k; AMOUNT, the constant over ε^k; BRACKET, the factor k/(3-2ω); NOISE, of rounding; FREE, a lower
+        bound of μ with a free border.
+    upper : float
+        An upper bound of μ, at most 0.
     target : float
         At most 0. A lower bound above it need not be close to the upper one.
     gap : float
         How close the bounds must come, as a part of the upper one.
-
-    Returns
-    -------
-    tuple
-        The lower and the upper bound, and the number of boxes.
     """
     ends, d, s = np.empty((3, 2, 3)), np.zeros((5, 3)), np.empty((8, 6))
     all_of_d = d.shape[0] - 2  # _D, but no literal: Numba compiles a function again for each of those
     made = n
-    lower, upper = 0.0, 0.0
+    lower = 0.0
     while n > 0:
         item = _pop(heap, keys, n)
         n -= 1
@@ -211,7 +224,7 @@ def smallest_strain(terms, force, active, boxes, keys, heap, n, bounds, target, 
         if bound >= min(target, upper * (1.0 + gap)) or made == boxes.shape[0]:
             lower = min(lower, bound)
             break
-        norm, noise = _put_errors(d, boxes, item, active, terms[0, 0], bounds)
+        least, noise = _put_errors(d, boxes, item, active, terms[0, 0], limits)
         _put_ends(ends, boxes, item, active)
         worst, at = 1e300, item
         for v in range(8):
@@ -221,7 +234,7 @@ def smallest_strain(terms, force, active, boxes, keys, heap, n, bounds, target, 
                 value = _smallest(s, v, d, all_of_d)
                 if value < worst:
                     worst, at = value, v
-        bound = max(bound, -norm, worst - noise)
+        bound = max(bound, worst - noise)
         axis, best = 0, -1e300
         for row in range(5):
             value = _smallest(s, at, d, row)
@@ -229,8 +242,10 @@ def smallest_strain(terms, force, active, boxes, keys, heap, n, bounds, target, 
                 upper = min(upper, value + noise)
             elif row != _D and boxes[item, row, WIDTH] > 0.0 and value > best:
                 axis, best = row, value
-        if bound >= min(target, upper * (1.0 + gap)) or noise > d[_D, 0] + d[_D, 1] + d[_D, 2]:
-            lower = min(lower, bound)
+        # Not as a key: where it is the same for many boxes, it would not tell which one leads on.
+        least = max(least, bound)
+        if least >= min(target, upper * (1.0 + gap)) or noise > d[_D, 0] + d[_D, 1] + d[_D, 2]:
+            lower = min(lower, least)
             continue
         for k in range(3):
             for column in range(6):
@@ -246,3 +261,35 @@ def smallest_strain(terms, force, active, boxes, keys, heap, n, bounds, target, 
             n += 1
         made += 1
     return lower, upper, made
+
+
+def cells(extent: float, sigma: float, pivot: float) -> list[tuple[float, ...]]:
+    """An axis cut where β has kinks and at the pivot, see `smallest_strain`."""
+    if not (extent > 0 and sigma > 0):
+        return [(abs(pivot), 0.0, 0.0, -math.copysign(1.0, pivot), 0.0, 0.0)]
+    kappa = math.pi / 2 / sigma
+    found: list[tuple[float, ...]] = []
+    # Each side is measured from its own face, so that a border that is thin for the extent is still there.
+    for low, high, p, sense, k in (
+        (0.0, sigma, pivot, 1.0, kappa),
+        (sigma, extent - sigma, pivot, 1.0, 0.0),
+        (0.0, sigma, extent - pivot, -1.0, kappa),
+    ):
+        cuts = [low, p, high] if low < p < high else [low, high]
+        for a, b in itertools.pairwise(cuts):
+            if a < b:
+                away = 1.0 if p <= a else -1.0
+                start = a if p <= a else b
+                found.append((abs(start - p), start, b - a, sense * away, away if k else 0.0, k))
+    return found
+
+
+def limits(terms: Floats, free: float) -> Floats:
+    """The numbers that bound N_n, and rounding, see `smallest_strain`."""
+    e, p, q, r = terms.T
+    ratio = r[0] / (p[0] + r[0])
+    power, amount = {1: (1, 1.0), 2: (3, 11 * 0.21 / 2), 3: (5, 14641 / 331 * 0.21 * 0.4641 * 3 / 8)}[
+        len(terms)
+    ]
+    noise = 1e-14 * float(np.sum(np.abs(p) + np.abs(r) + np.abs(q) / e))
+    return np.array([power, amount, power / (3 - 2 * ratio), noise, free])

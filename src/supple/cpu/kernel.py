@@ -18,12 +18,17 @@ BATCH = 64  # points that go through the strokes together: their workspace fits 
 
 def kernel(function: Callable[..., Any]) -> Callable[..., Any]:
     """Compile for one core, without the interpreter's lock, kept on disk."""
-    return njit(nogil=True, cache=True, error_model="numpy", fastmath=FAST)(function)  # type: ignore[no-any-return]
+    return njit(nogil=True, cache=True, error_model="numpy", fastmath=FAST)(function)
+
+
+def colour_kernel(function: Callable[..., Any]) -> Callable[..., Any]:
+    """The same for samples, which may be infinite or not a number."""
+    return njit(nogil=True, cache=True, error_model="numpy", fastmath=FAST - {"nnan", "ninf"})(function)
 
 
 def exact_kernel(function: Callable[..., Any]) -> Callable[..., Any]:
     """The same with IEEE arithmetic, where infinities or the order of operations matter."""
-    return njit(nogil=True, cache=True, error_model="numpy")(function)  # type: ignore[no-any-return]
+    return njit(nogil=True, cache=True, error_model="numpy")(function)
 
 
 def threads() -> int:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from supple.cpu.band import RUN
-from supple.cpu.kernel import kernel
+from supple.cpu.kernel import colour_kernel as kernel
 
 EDGE, CONSTANT, REFLECT = 0, 1, 2
 

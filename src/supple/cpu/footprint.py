@@ -1,0 +1,115 @@
+"""How much of the source an output pixel covers, and the weights of the samples there.
+
+The footprint of a pixel is a parallelogram, the image of its square under M = ∂T⁻¹/∂q, which neighbouring source
+points give. It is described by the covariance C = M Mᵀ, whose eigenvalues are the squares of M's singular values. A
+footprint that is nearly upright is averaged exactly: the cubic interpolant, integrated over a box, is a sum of
+samples whose weights separate, and are kept in a table of box widths and positions. A long or an oblique one is
+made of several such boxes along its major axis, taken from a pyramid where even the minor one is long.
+"""
+
+from __future__ import annotations
+
+import functools
+
+import numpy as np
+
+from supple.cpu.kernel import kernel
+from supple.cpu.sample import WIDE
+
+LINEAR, CUBIC, AUTO, ANTIALIAS, EWA = 0, 1, 2, 3, 4
+
+# Rows of a run's scratch of float32, after PART_X and PART_Y: the points of the row and of those around it, with
+# one more on either side; then σ₁'², σ₂'², C' (xx, xy, yy), and the box widths in steps of the table.
+_ROW = WIDE + 2
+HERE_X, HERE_Y = 2 * WIDE + 1, 2 * WIDE + 1 + _ROW
+ABOVE_X, ABOVE_Y = 2 * WIDE + 2 * _ROW, 2 * WIDE + 3 * _ROW
+BELOW_X, BELOW_Y = 2 * WIDE + 4 * _ROW, 2 * WIDE + 5 * _ROW
+MAJOR, MINOR = 2 * WIDE + 6 * _ROW, 3 * WIDE + 6 * _ROW
+XX, XY, YY = 4 * WIDE + 6 * _ROW, 5 * WIDE + 6 * _ROW, 6 * WIDE + 6 * _ROW
+BOX_X, BOX_Y = 7 * WIDE + 6 * _ROW, 8 * WIDE + 6 * _ROW
+PARTS = 9 * WIDE + 6 * _ROW
+
+TAPS = 6  # samples along an axis under a box of up to two pixels, widened by the cubic
+PLACES = 256  # positions between two samples
+STEPS = 32  # box widths to a pixel
+WIDEST = 2.0
+OBLIQUE = 0.25  # an upright box stands for a footprint with less covariance than this
+
+
+def _integral(t: np.ndarray) -> np.ndarray:
+    """The integral of Catmull and Rom's kernel from 0 to t."""
+    x = np.minimum(np.abs(t), 2.0)
+    inner = x - 5 / 6 * x**3 + 3 / 8 * x**4
+    outer = 2 * x - 2 * x**2 + 5 / 6 * x**3 - x**4 / 8 - 1 / 6
+    return np.asarray(np.sign(t) * np.where(x <= 1, inner, outer))
+
+
+@functools.cache
+def weights(dtype: np.dtype[np.floating]) -> np.ndarray:
+    """The table: for each box width and position, the weights of the samples -2 to 3, flat."""
+    width = np.arange(int(WIDEST * STEPS) + 1)[:, None, None] / STEPS
+    width = np.maximum(width, 1e-3)
+    t = np.arange(TAPS)[None, None, :] - 2 - np.arange(PLACES + 1)[None, :, None] / PLACES
+    table = (_integral(t + width / 2) - _integral(t - width / 2)) / width
+    table /= table.sum(axis=-1, keepdims=True)
+    return np.ascontiguousarray(table.astype(dtype).ravel())
+
+
+@kernel
+def _copy_row(points, c, row, left, n, parts, at):  # type: ignore[no-untyped-def]
+    taken = points[c, row, left : left + n]
+    for i in range(n):
+        parts[at + i] = taken[i]
+
+
+@kernel
+def footprints(points, row, left, n, mode, parts):  # type: ignore[no-untyped-def]
+    """Describe the footprints of a row's pixels in ``parts``; the largest σ₁'² and σ₂'² are returned."""
+    rows = points.shape[1]
+    above, below = max(row - 1, 0), min(row + 1, rows - 1)
+    _copy_row(points, 0, row, left, n, parts, HERE_X)
+    _copy_row(points, 1, row, left, n, parts, HERE_Y)
+    _copy_row(points, 0, above, left, n, parts, ABOVE_X)
+    _copy_row(points, 1, above, left, n, parts, ABOVE_Y)
+    _copy_row(points, 0, below, left, n, parts, BELOW_X)
+    _copy_row(points, 1, below, left, n, parts, BELOW_Y)
+    one = np.float32(1.0)
+    if n > 1:  # beyond its ends, the row goes on as it is there
+        for at in (HERE_X, HERE_Y):
+            parts[at - 1] = parts[at] + parts[at] - parts[at + 1]
+            parts[at + n] = parts[at + n - 1] + parts[at + n - 1] - parts[at + n - 2]
+    else:
+        parts[HERE_X - 1], parts[HERE_X + 1] = parts[HERE_X] - one, parts[HERE_X] + one
+        parts[HERE_Y - 1], parts[HERE_Y + 1] = parts[HERE_Y], parts[HERE_Y]
+    single = one if rows == 1 else np.float32(0.0)
+    scale = np.float32(1.0 / max(below - above, 1))
+    half, zero = np.float32(0.5), np.float32(0.0)
+    largest, second = zero, zero
+    for i in range(n):
+        xx, yx = half * (parts[HERE_X + 1 + i] - parts[HERE_X - 1 + i]), half * (
+            parts[HERE_Y + 1 + i] - parts[HERE_Y - 1 + i]
+        )
+        xy = scale * (parts[BELOW_X + i] - parts[ABOVE_X + i])
+        yy = scale * (parts[BELOW_Y + i] - parts[ABOVE_Y + i]) + single
+        a, b, c = xx * xx + xy * xy, xx * yx + xy * yy, yx * yx + yy * yy
+        spread = np.sqrt((a - c) * (a - c) + np.float32(4.0) * b * b)
+        s1, s2 = half * (a + c + spread), max(half * (a + c - spread), zero)
+        if mode == AUTO:
+            # The source is as fine as its own pixels: only what goes beyond them has to be averaged away.
+            t1, t2 = max(s1 - one, zero), max(s2 - one, zero)
+        elif mode == EWA:
+            t1, t2 = max(s1, one), max(s2, one)
+        else:
+            # The whole footprint; faded in below 1, so that no seam shows where the map begins to shrink.
+            shrinking = min(max((np.sqrt(s1) - np.float32(0.97)) * np.float32(1.0 / 0.03), zero), one)
+            t1, t2 = s1 * shrinking, s2 * shrinking
+        # C' has the axes of C and the eigenvalues t1 and t2.
+        upright = (a - s2) / (spread + np.float32(1e-12)) if spread > np.float32(1e-6) else half
+        parts[XX + i] = t1 * upright + t2 * (one - upright)
+        parts[YY + i] = t2 * upright + t1 * (one - upright)
+        parts[XY + i] = (t1 - t2) * b / (spread + np.float32(1e-12)) if spread > np.float32(1e-6) else zero
+        parts[MAJOR + i], parts[MINOR + i] = t1, t2
+        parts[BOX_X + i] = np.sqrt(parts[XX + i]) * np.float32(STEPS) + half
+        parts[BOX_Y + i] = np.sqrt(parts[YY + i]) * np.float32(STEPS) + half
+        largest, second = max(largest, t1), max(second, t2)
+    return largest, second

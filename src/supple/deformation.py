@@ -1,0 +1,435 @@
+"""Deformation: strokes on a domain, and what can be done with them."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, Self
+
+import numpy as np
+import numpy.typing as npt
+
+from supple.cpu import field as forward_kernels
+from supple.cpu import newton
+from supple.cpu.kernel import share, threads
+from supple.cpu.warp import Band, Certificate, absolute, each_band, solve_plane
+from supple.domain import Domain, choice, number, refuse
+from supple.errors import FoldWarning, SuppleError
+from supple.folding import Resolved, resolve
+from supple.strokes import STROKE_DTYPE, FoldPolicy, Point, Recipe, Stroke
+from supple.warping import FILTERS, OUTSIDE, Source, warp_array, warp_function
+
+Floats = npt.NDArray[np.float64]
+
+CONVERGED = 1e-6
+"""A point has converged where T(p) is within this many pixels of q."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Inverse:
+    """T⁻¹ of some points, with what is known of each.
+
+    Parameters
+    ----------
+    points : float64 array, shape (..., D)
+        The source points p, in pixels, x first.
+    residual : float64 array, shape (...)
+        |T(p) - q|, in pixels, measured at the points that are given.
+    steps : int64 array, shape (...)
+        How often T was evaluated with its Jacobian, over all strokes.
+    converged : bool array, shape (...)
+        Whether the residual is at most 1e-6 pixels (and as exact as float64 allows, beyond 10⁸ pixels).
+    """
+
+    points: Floats
+    residual: Floats
+    steps: npt.NDArray[np.int64]
+    converged: npt.NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True)
+class Report:
+    """What was done with the strokes, and how exact the inverse map is.
+
+    Parameters
+    ----------
+    strokes : int
+        How many strokes were asked for.
+    applied : int
+        How many are carried out: a stroke that flows becomes several.
+    damping : tuple of float
+        For each stroke asked for, the part of it that is applied: 1 unless it was damped.
+    margin : float
+        A lower bound, at every point, of the smallest eigenvalue of the symmetric part of each stroke's I + J. It
+        is above 0: nothing folds.
+    folds : int
+        Pixels at which the map folds: 0, which ``margin`` proves.
+    tolerance, error : float
+        The tolerance asked for, and the certified bound on the distance of every source point of the inverse map
+        to the true T⁻¹(q), in pixels.
+    within : bool
+        Whether the error is within the tolerance.
+    evaluations : float
+        Evaluations of T with its Jacobian, for each pixel: far below 1, as most pixels are interpolated.
+    """
+
+    strokes: int
+    applied: int
+    damping: tuple[float, ...]
+    margin: float
+    folds: int
+    tolerance: float
+    error: float
+    within: bool
+    evaluations: float
+
+
+@dataclass(frozen=True, slots=True, eq=False, init=False)
+class Deformation:
+    """Strokes on a domain: the map T that moves each point to where it is seen, and its inverse.
+
+    An immutable value: `grab` and `add` return a new one. Strokes apply one after the other, each on what the last
+    one shows; none of them folds, and their composition is inverted as a whole, so that a picture is sampled once.
+
+    Parameters
+    ----------
+    shape : sequence of int
+        The array's shape: ``(H, W)`` for an image, ``(T, H, W)`` or ``(Z, H, W)``.
+    border : float or None
+        The width, in physical units, over which strokes fade towards the fixed border; None frees it.
+    spacing : float or sequence of float
+        Physical units per sample, x first.
+    on_fold : str
+        What is done with a stroke that would fold the picture over itself: ``"damp"`` it to what is safe, with a
+        `FoldWarning`; let it ``"flow"`` to its target in smaller steps; or raise a `FoldError` (``"error"``).
+
+    Raises
+    ------
+    SuppleError
+        If an argument is not of that kind.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> d = Deformation((512, 512)).grab((256, 256), to=(256, 346), radius=100)
+    >>> out = d.warp(np.zeros((512, 512, 3), np.uint8))
+    >>> d.forward((256, 256))
+    array([256., 346.])
+    """
+
+    domain: Domain
+    on_fold: FoldPolicy
+    strokes: tuple[Stroke, ...]
+    _resolved: tuple[Resolved, ...] = field(repr=False)
+    _axes: Floats = field(repr=False)
+    _table: npt.NDArray[np.void] = field(repr=False)
+
+    def __init__(
+        self,
+        shape: Sequence[int],
+        *,
+        border: float | None = 50.0,
+        spacing: float | Sequence[float] = 1.0,
+        on_fold: FoldPolicy = "damp",
+    ) -> None:
+        choice("on_fold", on_fold, ("damp", "flow", "error"))
+        domain = Domain(shape, spacing, border)
+        values = {
+            "domain": domain, "on_fold": on_fold, "strokes": (), "_resolved": (), "_axes": domain.packed(),
+            "_table": np.zeros(0, STROKE_DTYPE),
+        }  # fmt: skip
+        for name, value in values.items():
+            object.__setattr__(self, name, value)
+
+    @classmethod
+    def from_recipe(
+        cls, recipe: Recipe, shape: Sequence[int], *, spacing: float | Sequence[float] = 1.0
+    ) -> Self:
+        """A recipe's strokes on a domain; its errors name the stroke."""
+        made = cls(shape, border=recipe.border, spacing=spacing, on_fold=recipe.on_fold)
+        for i, stroke in enumerate(recipe.strokes):
+            try:
+                made = made.add(stroke)
+            except SuppleError as error:
+                many = len(recipe.strokes) > 1
+                raise type(error)(f"stroke {i + 1} of {len(recipe.strokes)}: {error}" if many else str(error)) from None
+        return made
+
+    @property
+    def recipe(self) -> Recipe:
+        """What was asked for, apart from the domain."""
+        return Recipe(border=self.domain.border, on_fold=self.on_fold, strokes=self.strokes)
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """The shape of the arrays that it deforms."""
+        return self.domain.shape
+
+    @property
+    def ndim(self) -> int:
+        """How many coordinates a point has."""
+        return self.domain.ndim
+
+    @property
+    def is_identity(self) -> bool:
+        """Whether there is nothing to do: no strokes, or none with any force."""
+        return self._table.size == 0
+
+    def grab(
+        self,
+        at: Point,
+        *,
+        to: Point | None = None,
+        by: Point | None = None,
+        radius: float,
+        poisson: float = 0.4,
+        scales: int = 1,
+    ) -> Self:
+        """Grab the material at a point, and drag it.
+
+        Parameters
+        ----------
+        at : sequence of float
+            Where, in pixels, x first.
+        to, by : sequence of float
+            Where to, or how far; one of the two.
+        radius : float
+            How far the drag is felt, in physical units (ε of the regularized Kelvinlet).
+        poisson : float
+            Poisson's ratio ν of the material: 0.5 keeps areas and volumes, -inf does not care for them.
+        scales : int
+            1: felt far, as 1/r. 2 and 3: more local, as 1/r³ and 1/r⁵.
+
+        Raises
+        ------
+        SuppleError
+            If an argument is not of that kind; `FoldError` if it would fold, under ``on_fold="error"``.
+
+        Warns
+        -----
+        FoldWarning
+            If it was damped, under ``on_fold="damp"``.
+        """
+        return self.add(Stroke.grab(at, to=to, by=by, radius=radius, poisson=poisson, scales=scales))
+
+    def add(self, stroke: Stroke) -> Self:
+        """Apply one more stroke on what the strokes so far show."""
+        if stroke.ndim != self.ndim:
+            refuse("a stroke's point", f"{self.ndim} numbers, as the shape has {self.ndim} axes", stroke.at)
+        resolved = resolve(stroke, self.domain, self.on_fold)
+        if resolved.warning:
+            warnings.warn(resolved.warning, FoldWarning, stacklevel=3)
+        made = object.__new__(type(self))
+        values = {
+            "domain": self.domain, "on_fold": self.on_fold, "strokes": (*self.strokes, stroke),
+            "_resolved": (*self._resolved, resolved), "_axes": self._axes,
+            "_table": np.concatenate([self._table, resolved.rows]),
+        }  # fmt: skip
+        for name, value in values.items():
+            object.__setattr__(made, name, value)
+        return made
+
+    def forward(self, points: npt.ArrayLike) -> Floats:
+        """T: where points of the input are seen in the output.
+
+        Parameters
+        ----------
+        points : array_like, shape (..., D)
+            In pixels, x first.
+
+        Returns
+        -------
+        float64 array, shape (..., D)
+        """
+        moved, shape = self._columns(points)
+        forward_kernels.forward(self._table, self._axes, moved, np.empty((9, 0)))
+        return self._points(moved, shape)
+
+    def jacobian(self, points: npt.ArrayLike) -> Floats:
+        """∂T/∂p = I + J of all strokes together.
+
+        Parameters
+        ----------
+        points : array_like, shape (..., D)
+            In pixels, x first.
+
+        Returns
+        -------
+        float64 array, shape (..., D, D)
+            Row i, column j is ∂T_i/∂x_j, in pixels per pixel.
+        """
+        moved, shape = self._columns(points)
+        matrices = np.empty((9, moved.shape[1]))
+        forward_kernels.forward(self._table, self._axes, moved, matrices)
+        n, steps = self.ndim, np.array(self.domain.spacing)
+        full = matrices.reshape(3, 3, -1)[:n, :n] * (steps[None, :] / steps[:, None])[..., None]
+        return np.moveaxis(full, -1, 0).reshape(*shape[:-1], n, n)
+
+    def inverse(self, points: npt.ArrayLike) -> Inverse:
+        """T⁻¹: which points of the input are seen at points of the output; solved for each, not interpolated.
+
+        Parameters
+        ----------
+        points : array_like, shape (..., D)
+            In pixels, x first. They may lie outside the domain.
+
+        Returns
+        -------
+        Inverse
+        """
+        targets, shape = self._columns(points)
+        found, residual = np.empty_like(targets), np.empty(targets.shape[1])
+        steps = np.zeros(targets.shape[1], np.int64)
+        finest = min(self.domain.spacing)
+        parts = max(1, min(threads() * 4, targets.shape[1] // 1024))
+        edges = [targets.shape[1] * k // parts for k in range(parts + 1)]
+
+        def solve(k: int) -> None:
+            a, b = edges[k], edges[k + 1]
+            newton.inverse(
+                self._table, self._axes, np.ascontiguousarray(targets[:, a:b]), found[:, a:b], residual[a:b], steps[a:b],
+                1e-9 * finest,
+            )  # fmt: skip
+
+        share(solve, range(parts))
+        solved = self._points(found, shape)
+        if self.is_identity:
+            solved = np.array(np.broadcast_to(np.asarray(points, np.float64), shape))
+        # A bound on the residual in pixels, which for one spacing along all axes is the residual.
+        off = residual.reshape(shape[:-1]) / finest
+        scale = np.abs(targets).max(axis=0, initial=0.0).reshape(shape[:-1]) / finest
+        return Inverse(solved, off, steps.reshape(shape[:-1]), off <= np.maximum(CONVERGED, 1e-14 * scale))
+
+    def inverse_map(self, *, tolerance: float = 0.01) -> npt.NDArray[np.float32]:
+        """The source point of every output pixel.
+
+        Parameters
+        ----------
+        tolerance : float
+            How far one may be from the true T⁻¹(q), in pixels, before it is rounded to float32.
+
+        Returns
+        -------
+        float32 array, shape (*shape, D)
+            In pixels, x first: ``cv2.remap`` takes ``map[..., 0]`` and ``map[..., 1]``.
+        """
+        out = np.empty((*self.shape, self.ndim), np.float32)
+        self._each_plane(tolerance, lambda z: lambda band: absolute(band, _rows(out, z, self.ndim, band)))
+        return out
+
+    def warp(
+        self,
+        source: Source,
+        *,
+        filter: str = "auto",
+        tolerance: float = 0.01,
+        outside: str = "edge",
+        fill: float | Sequence[float] = 0.0,
+        alpha: bool | None = None,
+        linear_light: bool = False,
+        samples: int = 1,
+        out: npt.NDArray[Any] | None = None,
+    ) -> npt.NDArray[Any]:
+        """Deform an image, or a function of points.
+
+        Parameters
+        ----------
+        source : array of shape (H, W) or (H, W, C), or function
+            Of bool, integers or floats. A function takes points (N, 2), x first, and returns (N,) or (N, C).
+        filter : str
+            ``"auto"`` (averaged by as much as the map shrinks, cubic elsewhere), ``"antialias"`` (the average over
+            what each output pixel covers), ``"ewa"`` (the elliptical reference, slow), ``"cubic"`` (Catmull and
+            Rom's), ``"linear"`` or ``"nearest"`` (values as they are, for labels).
+        tolerance : float
+            How far a source point may be from the true T⁻¹(q), in pixels.
+        outside : str
+            What lies outside the source: its ``"edge"``, a ``"constant"``, or its mirror image (``"reflect"``: about
+            the outer edge of the border's pixels, as in scipy.ndimage).
+        fill : float or sequence of float
+            The constant, in the source's values; one for all channels, or one for each.
+        alpha : bool, optional
+            Whether the last channel is opacity, by which the others are weighted while they are filtered. By
+            default, the last of exactly four channels is.
+        linear_light : bool
+            Whether to average light rather than values on sRGB's curve, which darkens fine detail.
+        samples : int
+            For a function: samples along each side of an output pixel, which are averaged.
+        out : array, optional
+            Where to put the result; of its shape and type, and not overlapping ``source``.
+
+        Returns
+        -------
+        array
+            Of the source's shape and type. Without any strokes, or force, an exact copy.
+
+        Raises
+        ------
+        SuppleError
+            If an argument does not fit.
+        """
+        choice("filter", filter, ("nearest", *FILTERS))
+        choice("outside", outside, tuple(OUTSIDE))
+        tolerance = number("tolerance", tolerance, "a number of pixels above 0", 1e-9, 1e9)
+        if self.ndim != 2:
+            raise SuppleError(
+                f"warp takes images in this release, and shape {self.shape} has three axes: "
+                "use inverse_map, or a deformation of each plane"
+            )
+        if callable(source):
+            return warp_function(self, source, samples, out)
+        return warp_array(
+            source, self.shape, self.is_identity, lambda use: self._each_plane(tolerance, lambda _: use),
+            filter=filter, outside=outside, fill=fill, alpha=alpha, light=linear_light, out=out,
+        )  # fmt: skip
+
+    def report(self, *, tolerance: float = 0.01) -> Report:
+        """What was done with the strokes, and the certified error of the inverse map at a tolerance, in pixels."""
+        tolerance = number("tolerance", tolerance, "a number of pixels above 0", 1e-9, 1e9)
+        certificate = self._each_plane(tolerance, lambda _: _ignore)
+        size = float(np.prod(self.shape))
+        return Report(
+            strokes=len(self.strokes),
+            applied=len(self._table),
+            damping=tuple(r.alpha for r in self._resolved),
+            margin=min((r.margin for r in self._resolved), default=1.0),
+            folds=0,
+            tolerance=tolerance,
+            error=certificate.error,
+            within=certificate.error <= tolerance,
+            evaluations=certificate.evaluations / size,
+        )
+
+    def _each_plane(self, tolerance: float, use: Callable[[int], Callable[[Band], None]]) -> Certificate:
+        total = Certificate(0.0, 0.0, 0.0)
+        height, width = self.shape[-2:]
+        for z in range(self.shape[0] if self.ndim == 3 else 1):
+            plane = solve_plane(self._table, self._axes, (height, width), self.ndim, float(z))
+            total |= each_band(plane, tolerance, use(z))
+        return total if not self.is_identity else replace(total, error=0.0)
+
+    def _columns(self, points: npt.ArrayLike) -> tuple[Floats, tuple[int, ...]]:
+        """Points as the kernels take them: (3, N), in physical units."""
+        try:
+            given = np.asarray(points, np.float64)
+        except (TypeError, ValueError):
+            refuse("points", f"numbers in an array of shape (..., {self.ndim})", points)
+        if given.ndim == 0 or given.shape[-1] != self.ndim:
+            refuse("points", f"an array of shape (..., {self.ndim}), x first", f"shape {given.shape}")
+        if not np.isfinite(given).all():
+            raise SuppleError("points must be finite, found NaN or infinity among them")
+        columns = np.zeros((3, given.size // self.ndim))
+        columns[: self.ndim] = (given.reshape(-1, self.ndim) * self.domain.spacing).T
+        return columns, given.shape
+
+    def _points(self, columns: Floats, shape: tuple[int, ...]) -> Floats:
+        return np.ascontiguousarray((columns[: self.ndim].T / self.domain.spacing).reshape(shape))
+
+
+def _rows(out: npt.NDArray[Any], z: int, ndim: int, band: Band) -> npt.NDArray[Any]:
+    plane = out if ndim == 2 else out[z]
+    return plane[band.top : band.top + band.points.shape[1]]
+
+
+def _ignore(band: Band) -> None:
+    pass

@@ -1,0 +1,282 @@
+"""How strong is too strong: the limit of a stroke, and what is done with one beyond it.
+
+A stroke's map T(p) = p + K_β(p) is one-to-one on its (convex) domain if the symmetric part of I + J_β is at
+least m > 0 at every point: T is strongly monotone then, and |(I + J_β)⁻¹| ≤ 1/m. J_β is linear in the
+force, so
+
+    μ = min λ_min(sym J_β), over all points of the domain,
+
+decides: the part α of the force is safe if α |μ| ≤ 1 - m.
+
+Where the border is free, the worst point is on the axis through the pivot along the force. At the distance
+t from the pivot, with s_i = t² + ε_i², K = k f is there
+
+    k = Σ w_i [ s_i^(-1/2) + g ε_i² s_i^(-3/2) ],    g = 1/2 - b/a,
+    dk/dt = -t Σ w_i [ s_i^(-3/2) + 3g ε_i² s_i^(-5/2) ],
+
+and μ = |f| dk/dt where d²k/dt² = 0; for a single scale, where 2s² + (12g - 3) ε² s - 15g ε⁴ = 0. Where it
+is fixed, branch and bound finds μ (`supple.cpu.folds`).
+"""
+
+from __future__ import annotations
+
+import decimal
+import itertools
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+import numpy.typing as npt
+
+from supple.cpu import folds
+from supple.domain import Domain
+from supple.errors import FoldError, SuppleError
+from supple.strokes import FoldPolicy, Stroke, pack
+
+Floats = npt.NDArray[np.float64]
+Table = npt.NDArray[np.void]
+
+MARGIN = 0.01
+"""The m that every stroke keeps."""
+
+CLEARLY_SAFE = -0.5 * (1 - MARGIN)
+"""Where μ is above this, nobody needs to know it more closely."""
+
+MOST_SUBSTROKES = 10_000
+
+_MOST_BOXES = 100_000
+_GAP = 0.002
+_FLOW_GAP = 0.05
+_FLOW_MARGIN = 0.3  # substrokes are well-conditioned: Newton takes few steps, and errors grow little
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Resolved:
+    """What a stroke becomes, so that nothing folds.
+
+    Parameters
+    ----------
+    rows : ndarray of STROKE_DTYPE
+        The packed strokes to apply, one after the other; none if nothing moves.
+    alpha : float
+        The part of the drag that was kept: 1, unless it was damped.
+    margin : float
+        A proven lower bound of λ_min(sym(I + J_β)), for every row and at every point.
+    warning : str or None
+        What to warn with, if it was damped.
+    """
+
+    rows: Table
+    alpha: float = 1.0
+    margin: float = 1.0
+    warning: str | None = None
+
+    @property
+    def substrokes(self) -> int:
+        """How many rows carry the stroke out."""
+        return len(self.rows)
+
+
+def resolve(stroke: Stroke, domain: Domain, on_fold: FoldPolicy) -> Resolved:
+    """Make a stroke safe: λ_min(sym(I + J_β)) ≥ m at every point, proven.
+
+    Parameters
+    ----------
+    stroke : Stroke
+    domain : Domain
+    on_fold : str
+        ``"damp"`` scales a drag that folds to the largest that does not, within 0.2 %; ``"error"`` refuses
+        it. ``"flow"`` carries out any drag, as a sequence of strokes whose pivots move along with what is
+        held, until that is just where it should be: a fixed border does not hold it back either.
+
+    Raises
+    ------
+    FoldError
+        If it folds, and ``on_fold`` is ``"error"``.
+    SuppleError
+        If the stroke does not fit the domain; or, with ``"flow"``, if the fixed border keeps what is held
+        from its target, or it would take more than `MOST_SUBSTROKES` strokes.
+    """
+    table = pack([stroke], domain.spacing)
+    axes = domain.packed()
+    if not table["force"].any():
+        return Resolved(table[:0])
+    if on_fold == "flow":
+        return _flow(stroke, table[0], axes)
+    lower, _ = weakest(table[0], axes)
+    if lower >= MARGIN - 1:
+        return Resolved(table, margin=1 + lower)
+    alpha = (1 - MARGIN) / -lower * (1 - 1e-14)
+    folds = f"{_described(stroke)} folds"
+    if on_fold == "error":
+        most = _shown([0.999 * alpha * x for x in stroke.by])
+        raise FoldError(f"{folds}: at most {most} does not, and with on_fold='flow' any drag arrives")
+    table["force"] *= alpha
+    warning = f"{folds}: damped to {_cut(alpha, 2)} of it (use on_fold='flow' to go all the way)"
+    return Resolved(table, alpha, 1 + alpha * lower, warning)
+
+
+def _flow(stroke: Stroke, row: np.void, axes: Floats) -> Resolved:
+    position, drag = row["pivot"].copy(), row["force"].copy()
+    target = position + drag
+    fixed = axes[:, 1] >= 0
+    held = bool(np.all(~fixed | ((position >= 0) & (position <= axes[:, 0]))))
+    if held and np.any(
+        (drag != 0) & fixed & ((_beta(position, axes) < 1e-100) | (target <= 0) | (target >= axes[:, 0]))
+    ):
+        raise SuppleError(
+            f"{_described(stroke)} cannot arrive: the border is fixed, so that what is on it only slides "
+            "along it, and nothing else gets there; use border=None, or points further in"
+        )
+    # What is outside of a fixed border is held by nothing; a brush only passes there.
+    weights = axes if held else np.array([[0.0, -1.0, 1.0]] * 3)
+    reach = (1 - _FLOW_MARGIN) * limit(stroke.poisson, stroke.scales) * stroke.radius
+    refused = held and math.hypot(*drag.tolist()) > MOST_SUBSTROKES * reach
+    rows: list[np.void] = []
+    margin, pieces = 1.0, 2.0
+    while pieces > 1 and not refused:
+        beta = _beta(position, weights)
+        row["pivot"] = position
+        row["force"] = np.divide(target - position, beta, out=np.zeros(3), where=beta > 0)
+        lower, _ = weakest(row, axes, _FLOW_MARGIN - 1, _FLOW_GAP)
+        pieces = max(float(np.ceil(-lower / (1 - _FLOW_MARGIN) * (1 - 1e-9))), 1.0)
+        refused = len(rows) == MOST_SUBSTROKES or (not held and pieces > MOST_SUBSTROKES)
+        row["force"] /= pieces
+        position = position + beta * row["force"]
+        margin = min(margin, 1 + lower / pieces)
+        rows.append(row.copy())
+    if refused:
+        raise SuppleError(
+            f"{_described(stroke)} would take more than {MOST_SUBSTROKES} strokes to arrive without a fold; "
+            "use a larger radius, or on_fold='damp'"
+        )
+    return Resolved(np.array(rows), margin=margin)
+
+
+def _beta(position: Floats, axes: Floats) -> Floats:
+    extent, sigma = axes[:, 0], axes[:, 1]
+    depth = np.minimum(np.minimum(position, extent - position), sigma)
+    beta = np.sin(np.pi / 2 * np.divide(depth, sigma, out=np.zeros(3), where=sigma > 0))
+    return np.where(sigma < 0, 1.0, beta)
+
+
+def _described(stroke: Stroke) -> str:
+    return f"a drag by {_shown(stroke.by)} at {_shown(stroke.at)} with radius {stroke.radius:g}"
+
+
+def _shown(values: Iterable[float]) -> str:
+    return f"({', '.join(_cut(x, 5) for x in values)})"
+
+
+def _cut(x: float, digits: int) -> str:
+    """A number for a message, cut and not rounded: what may be done at most is not more than that."""
+    context = decimal.Context(prec=digits, rounding=decimal.ROUND_DOWN)
+    return f"{float(context.create_decimal_from_float(x)) + 0.0:.{digits}g}"
+
+
+def limit(poisson: float, scales: int) -> float:
+    """The largest |f|/ε of a stroke with a free border: there, λ_min(sym(I + J)) reaches 0.
+
+    Parameters
+    ----------
+    poisson : float
+    scales : int
+    """
+    return _limit(poisson, scales)[0]
+
+
+@lru_cache(maxsize=1024)
+def _limit(poisson: float, scales: int) -> tuple[float, float]:
+    """The limit, and the worst point's distance from the pivot over ε."""
+    stroke = Stroke(at=(0.0, 0.0), by=(1.0, 0.0), radius=1.0, poisson=poisson, scales=scales)
+    row = pack([stroke], (1.0, 1.0))[0]
+    e, a, g = row["radius2"], row["p"] + row["r"], row["q"] - row["r"] * row["radius2"]
+
+    def slope(u: float) -> float:
+        return -math.sqrt(u) * float(np.sum((a + 3 * g / (u + e)) * (u + e) ** -1.5))
+
+    def bend(u: float) -> float:
+        v = u / (u + e)
+        return float(np.sum((a * (3 * v - 1) + 3 * g / (u + e) * (5 * v - 1)) * (u + e) ** -1.5))
+
+    if scales == 1:
+        half = 3 * g[0] / a[0] - 0.75
+        worst = math.sqrt(half**2 + 7.5 * g[0] / a[0]) - half - 1
+    else:
+        worst, high = 0.05, 0.5
+        for _ in range(60):
+            middle = (worst + high) / 2
+            worst, high = (middle, high) if bend(middle) < 0 else (worst, middle)
+    return -1 / slope(worst), math.sqrt(worst)
+
+
+def weakest(
+    row: np.void, axes: Floats, target: float = CLEARLY_SAFE, gap: float = _GAP
+) -> tuple[float, float]:
+    """Bounds of μ, from below and above, for one stroke.
+
+    Parameters
+    ----------
+    row : void of STROKE_DTYPE
+    axes : ndarray, shape (3, 3)
+        The domain, packed. Where it is free, the bounds are those of all of space.
+    target : float
+        The lower bound need not be close to the upper one where it is above this; 0 for a close one always.
+    gap : float
+        How close they must come, as a part of the upper one. Of strokes beyond all reason they may stay
+        further apart: what rounding does is in them, and the number of boxes is limited.
+    """
+    active = (axes[:, 0] > 0) & (axes[:, 1] > 0)
+    # In a plane through the pivot, the force across it moves nothing within it.
+    force = np.where((axes[:, 1] >= 0) & ~active & (row["pivot"] == 0), 0.0, row["force"])
+    size = math.hypot(*force.tolist())
+    if size == 0 or not (active.any() or (axes[:, 1] < 0).all()):
+        return 0.0, 0.0
+    direction, radius = force / size, math.sqrt(row["radius2"][0])
+    strongest, distance = _limit(_poisson(row), int(row["terms"]))
+    free = -1 / (strongest * radius)
+    worst = row["pivot"] + distance * radius * direction
+    inside = (axes[:, 1] <= worst) & (worst <= axes[:, 0] - axes[:, 1])
+    lower, upper = free * (1 + 1e-12), free * (1 - 1e-12)
+    if active.any():
+        there = np.where(active, inside, (direction == 0) & (row["pivot"] == 0)).all()
+        lower, upper = _fixed(row, axes, direction, (lower, upper if there else 0.0), target / size, gap)
+    return lower * size, upper * size
+
+
+def _fixed(
+    row: np.void, axes: Floats, direction: Floats, known: tuple[float, float], target: float, gap: float
+) -> tuple[float, float]:
+    """Bounds of μ with a fixed border and a force of length 1, from a lower one with a free border."""
+    n = int(row["terms"])
+    terms = np.stack([row[name][:n] for name in ("radius2", "p", "q", "r")], axis=1)
+    pivots = row["pivot"].tolist()
+    cells = [
+        folds.cells(extent, sigma, p) for (extent, sigma, _), p in zip(axes.tolist(), pivots, strict=True)
+    ]
+    boxes, keys, heap = np.empty((_MOST_BOXES, 3, 6)), np.empty(_MOST_BOXES), np.empty(_MOST_BOXES, np.int64)
+    count = math.prod(map(len, cells))
+    boxes[:count] = list(itertools.product(*cells))
+    keys[:count] = -1e300
+    heap[:count] = range(count)
+    lower, upper, _ = folds.smallest_strain(
+        terms,
+        direction,
+        ((axes[:, 0] > 0) & (axes[:, 1] > 0)).astype(np.float64),
+        boxes,
+        keys,
+        heap,
+        count,
+        folds.limits(terms, known[0]),
+        known[1],
+        max(target, -1e300),
+        gap,
+    )
+    return lower, upper
+
+
+def _poisson(row: np.void) -> float:
+    ratio = row["r"][0] / (row["p"][0] + row["r"][0])
+    return min(1 - 1 / (4 * float(ratio)), 0.5) if ratio > 0 else -math.inf
