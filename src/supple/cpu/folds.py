@@ -20,9 +20,9 @@ hence a mean of U, ∂U/∂e or ∂²U/∂e² / 2. With e = ρ² - |r|², each o
 
     ρ^-k f - k/(3-2ω) ρ^-(k+2) [ |r|² f - 2ω (r·f) r ],    k = 1, 3, 5,
 
-where nothing cancels any more. The n-th derivative of ρ^-k is a Gegenbauer polynomial of a cosine times |r|/ρ,
-over ρ^(k+n). As 2ω ≤ 1, the bracket and its two derivatives are at most |r|², 2|r| and 2. What rounding can do
-to a bound is taken off it.
+where nothing cancels any more. The n-th derivative of ρ^-k is a Gegenbauer polynomial of a cosine times
+|r|/ρ, over ρ^(k+n). As 2ω ≤ 1, the bracket and its two derivatives are at most |r|², 2|r| and 2. What
+rounding can do to a bound is taken off it.
 """
 
 from __future__ import annotations
@@ -204,8 +204,8 @@ def smallest_strain(  # type: ignore[no-untyped-def]
     keys, heap : ndarray, shape (N,)
         Lower bounds in the boxes, and a heap of the boxes by them.
     limits : ndarray, shape (5,)
-        POWER k; AMOUNT, the constant over ε^k; BRACKET, the factor k/(3-2ω); NOISE, of rounding; FREE, a lower
-        bound of μ with a free border.
+        POWER k; AMOUNT, the constant over ε^k; BRACKET, the factor k/(3-2ω); NOISE, of rounding; FREE, a
+        lower bound of μ with a free border.
     upper : float
         An upper bound of μ, at most 0.
     target : float

@@ -33,7 +33,7 @@ TAPS = 6  # samples along an axis under a box of up to two pixels, widened by th
 PLACES = 256  # positions between two samples
 STEPS = 32  # box widths to a pixel
 WIDEST = 2.0
-OBLIQUE = 0.25  # an upright box stands for a footprint with less covariance than this
+OBLIQUE = 0.5  # an upright box stands for a footprint with less covariance than this
 
 
 def _integral(t: np.ndarray) -> np.ndarray:
@@ -64,7 +64,7 @@ def _copy_row(points, c, row, left, n, parts, at):  # type: ignore[no-untyped-de
 
 @kernel
 def footprints(points, row, left, n, mode, parts):  # type: ignore[no-untyped-def]
-    """Describe the footprints of a row's pixels in ``parts``; the largest σ₁'² and σ₂'² are returned."""
+    """Describe the footprints of a row's pixels in ``parts``."""
     rows = points.shape[1]
     above, below = max(row - 1, 0), min(row + 1, rows - 1)
     _copy_row(points, 0, row, left, n, parts, HERE_X)
@@ -84,32 +84,53 @@ def footprints(points, row, left, n, mode, parts):  # type: ignore[no-untyped-de
     single = one if rows == 1 else np.float32(0.0)
     scale = np.float32(1.0 / max(below - above, 1))
     half, zero = np.float32(0.5), np.float32(0.0)
-    largest, second = zero, zero
     for i in range(n):
-        xx, yx = half * (parts[HERE_X + 1 + i] - parts[HERE_X - 1 + i]), half * (
-            parts[HERE_Y + 1 + i] - parts[HERE_Y - 1 + i]
-        )
+        xx = half * (parts[HERE_X + 1 + i] - parts[HERE_X - 1 + i])
+        yx = half * (parts[HERE_Y + 1 + i] - parts[HERE_Y - 1 + i])
         xy = scale * (parts[BELOW_X + i] - parts[ABOVE_X + i])
         yy = scale * (parts[BELOW_Y + i] - parts[ABOVE_Y + i]) + single
-        a, b, c = xx * xx + xy * xy, xx * yx + xy * yy, yx * yx + yy * yy
+        parts[XX + i], parts[XY + i], parts[YY + i] = xx * xx + xy * xy, xx * yx + xy * yy, yx * yx + yy * yy
+    for i in range(n):
+        a, b, c = parts[XX + i], parts[XY + i], parts[YY + i]
         spread = np.sqrt((a - c) * (a - c) + np.float32(4.0) * b * b)
-        s1, s2 = half * (a + c + spread), max(half * (a + c - spread), zero)
-        if mode == AUTO:
-            # The source is as fine as its own pixels: only what goes beyond them has to be averaged away.
-            t1, t2 = max(s1 - one, zero), max(s2 - one, zero)
-        elif mode == EWA:
-            t1, t2 = max(s1, one), max(s2, one)
-        else:
-            # The whole footprint; faded in below 1, so that no seam shows where the map begins to shrink.
-            shrinking = min(max((np.sqrt(s1) - np.float32(0.97)) * np.float32(1.0 / 0.03), zero), one)
-            t1, t2 = s1 * shrinking, s2 * shrinking
-        # C' has the axes of C and the eigenvalues t1 and t2.
-        upright = (a - s2) / (spread + np.float32(1e-12)) if spread > np.float32(1e-6) else half
-        parts[XX + i] = t1 * upright + t2 * (one - upright)
-        parts[YY + i] = t2 * upright + t1 * (one - upright)
-        parts[XY + i] = (t1 - t2) * b / (spread + np.float32(1e-12)) if spread > np.float32(1e-6) else zero
-        parts[MAJOR + i], parts[MINOR + i] = t1, t2
-        parts[BOX_X + i] = np.sqrt(parts[XX + i]) * np.float32(STEPS) + half
-        parts[BOX_Y + i] = np.sqrt(parts[YY + i]) * np.float32(STEPS) + half
-        largest, second = max(largest, t1), max(second, t2)
-    return largest, second
+        parts[MAJOR + i], parts[MINOR + i] = half * (a + c + spread), half * (a + c - spread)
+        # How much of the major axis lies along x, and the cosine times the sine: C' has the axes of C.
+        inverse = one / (spread + np.float32(1e-6))
+        parts[BOX_X + i] = half * (one + (a - c) * inverse)
+        parts[BOX_Y + i] = b * inverse
+    if mode == AUTO:
+        # The source is as fine as its own pixels: only what goes beyond them has to be averaged away.
+        for i in range(n):
+            parts[MAJOR + i] = max(parts[MAJOR + i] - one, zero)
+            parts[MINOR + i] = max(parts[MINOR + i] - one, zero)
+    elif mode == EWA:
+        for i in range(n):
+            parts[MAJOR + i] = max(parts[MAJOR + i], one)
+            parts[MINOR + i] = max(parts[MINOR + i], one)
+    else:
+        # The whole footprint; faded in below 1, so that no seam shows where the map begins to shrink.
+        for i in range(n):
+            shrinking = (np.sqrt(parts[MAJOR + i]) - np.float32(0.97)) * np.float32(1.0 / 0.03)
+            shrinking = min(max(shrinking, zero), one)
+            parts[MAJOR + i] *= shrinking
+            parts[MINOR + i] = max(parts[MINOR + i], zero) * shrinking
+    for i in range(n):
+        major, minor, upright = parts[MAJOR + i], parts[MINOR + i], parts[BOX_X + i]
+        across = major * upright + minor * (one - upright)
+        down = minor * upright + major * (one - upright)
+        parts[XX + i], parts[XY + i], parts[YY + i] = across, (major - minor) * parts[BOX_Y + i], down
+    for i in range(n):  # apart: together with the loop above, it would not vectorize
+        parts[BOX_X + i] = np.sqrt(max(parts[XX + i], zero)) * np.float32(STEPS) + half
+        parts[BOX_Y + i] = np.sqrt(max(parts[YY + i], zero)) * np.float32(STEPS) + half
+
+
+@kernel
+def extremes(points, left, n, mode, parts):  # type: ignore[no-untyped-def]
+    """About the largest σ₁'² and σ₂'² of a run, from some of its rows, with a reserve for the others."""
+    largest, second = 0.0, 0.0
+    for k in range(0, points.shape[1] + 7, 8):
+        footprints(points, min(k, points.shape[1] - 1), left, n, mode, parts)
+        for i in range(n):
+            largest = max(largest, np.float64(parts[MAJOR + i]))
+            second = max(second, np.float64(parts[MINOR + i]))
+    return 1.5 * largest, 1.5 * second

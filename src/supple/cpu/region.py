@@ -10,6 +10,7 @@ import numpy as np
 
 from supple.cpu.band import RUN
 from supple.cpu.kernel import colour_kernel as kernel
+from supple.cpu.vector import gather_bytes, spread_bytes
 
 EDGE, CONSTANT, REFLECT = 0, 1, 2
 
@@ -61,18 +62,39 @@ def place(i, n, rule):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def load(source, first, lanes, x0, x1, y0, y1, spans, rule, fill, alpha, top, table, tile):  # type: ignore[no-untyped-def]
+def load(source, first, lanes, x0, x1, y0, y1, spans, rule, fill, alpha, top, table, octets, tile):  # type: ignore[no-untyped-def]
     """Fill ``tile``, flat, with ``lanes`` channels from ``first`` on of the source's samples x0..x1-1, y0..y1-1.
 
     Of each row, only what is in its span is needed, and written. ``alpha`` is the index of the channel by which the others are multiplied, or -1; ``top`` its value for opaque.
     ``table``, unless empty, gives the numbers that stand for the source's integers, as for linear light.
+    ``octets`` says that the source is of uint8.
     """
     height, width, channels = source.shape
     count = min(lanes, channels - first)
     scale = 1.0 / top
+    plain = alpha < 0 and table.size == 0 and first == 0 and ((channels == 3 and lanes == 4) or channels == 1)
     for y in range(y0, y1):
         j = place(y, height, rule)
-        for x in range(spans[0, y - y0], spans[1, y - y0]):
+        start, end = spans[0, y - y0], spans[1, y - y0]
+        if plain and j >= 0 and start >= 0 and end <= width:
+            taken = source[j, start:end]
+            row = tile[((y - y0) * (x1 - x0) + start - x0) * lanes : ((y - y0) * (x1 - x0) + end - x0) * lanes]
+            if count == 3 and octets and (j < height - 1 or end < width):
+                # The fourth is the next pixel's first, and counts for nothing.
+                flat, first_byte = source.reshape(-1), 3 * (j * width + start)
+                for x in range(end - start):
+                    spread_bytes(flat, first_byte + 3 * x, row, 4 * x)
+            elif count == 3:
+                for x in range(end - start):
+                    row[4 * x] = taken[x, 0]
+                    row[4 * x + 1] = taken[x, 1]
+                    row[4 * x + 2] = taken[x, 2]
+                    row[4 * x + 3] = 0
+            else:
+                for x in range(end - start):
+                    row[x] = taken[x, 0]
+            continue
+        for x in range(start, end):
             i = place(x, width, rule)
             at = ((y - y0) * (x1 - x0) + x - x0) * lanes
             for c in range(count):
@@ -135,13 +157,29 @@ def load_words(source, x0, x1, y0, y1, spans, rule, fill, tile):  # type: ignore
 
 
 @kernel
-def store(values, first, lanes, n, alpha, top, low, high, whole, linear, out, row, column):  # type: ignore[no-untyped-def]
+def store(values, first, lanes, n, alpha, top, low, high, whole, linear, octets, out, row, column):  # type: ignore[no-untyped-def]
     """Write ``n`` pixels of ``lanes`` numbers to a row of ``out`` from ``column`` on: the reverse of `load`.
 
     ``low`` and ``high`` bound what the type holds, and it is rounded if ``whole``. ``linear``, unless 0, is the
     value of white, by which colours come back from linear light to sRGB's curve.
     """
     count = min(lanes, out.shape[2] - first)
+    if whole and alpha < 0 and linear == 0:
+        pixels = out[row, column : column + n]
+        # In the values' own type, and rounded by cutting off above 0: of such loops, the compiler makes short work.
+        for x in range(n * lanes):
+            values[x] = min(max(np.floor(values[x] + np.float32(0.5)), low), high)
+        simple = 0
+        if octets and count == 3 and lanes == 4 and out.shape[2] == 3:
+            # Each pixel's fourth byte is overwritten by the next one's first.
+            simple = n - 1
+            flat, first_byte = out.reshape(-1), 3 * (row * out.shape[1] + column)
+            for x in range(simple):
+                gather_bytes(values, 4 * x, flat, first_byte + 3 * x)
+        for x in range(simple, n):
+            for c in range(count):
+                pixels[x, first + c] = values[x * lanes + c]
+        return
     for x in range(n):
         for c in range(count):
             v = values[x * lanes + c]
