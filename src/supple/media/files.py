@@ -134,9 +134,7 @@ def _publish(temporary: Path, target: Path, force: bool) -> bool:
         return True
     try:
         os.link(temporary, target)  # one step, and it fails where the name is taken
-    except FileExistsError:
-        return False
-    except OSError:  # a file system without links: reserve the name first
+    except OSError:  # so it is, or the file system has no links: reserve the name first
         try:
             os.close(os.open(target, _NEW, 0o666))
         except FileExistsError:

@@ -108,13 +108,10 @@ _LOADERS = {
     "webp": "WebP",
     "heif": "HEIF",
     "gif": "GIF",
-}
-_LOADERS |= {
     "svg": "SVG",
     "jxl": "JPEG XL",
     "jp2k": "JPEG 2000",
     "ppm": "PNM",
-    "rad": "Radiance",
     "openexr": "OpenEXR",
 }
 _MAGIC = (b"\x89PNG", b"\xff\xd8", b"II*\0", b"MM\0*", b"II+\0", b"MM\0+", b"RIFF", b"GIF8")
@@ -173,16 +170,17 @@ def read(path: PathLike) -> Picture:
     PageWarning
         The file holds several pages or frames.
     MetadataWarning
-        The file is a TIFF with EXIF, which libvips does not read.
+        The file has EXIF or IPTC in a TIFF, or a gain map for HDR in a JPEG.
     """
     image, form = _open(path)
+    name = shown(path)
     pages, orientation, bits = _facts(image)
     if pages > 1:
-        text = f"{shown(path)} holds {pages} pages or frames, and only one of them is read"
+        text = f"{name} holds {pages} pages or frames, and only one of them is read"
         warnings.warn(text, PageWarning, stacklevel=2)
     with _reading(path):
-        if form == "TIFF" and _tiff_exif(path):
-            text = f"{shown(path)}: the EXIF of a TIFF is not carried over"
+        if lost := _unread(path, image, form):
+            text = f"{name}: its {' and '.join(lost)} cannot be carried over"
             warnings.warn(text, MetadataWarning, stacklevel=2)
         pixels = _apart(lambda: _decoded(image, orientation), image)
         header = _header(image, form, orientation >= 5)
@@ -276,14 +274,11 @@ def write(
     same = like is not None and like.pixels.shape[2:] == array.shape[2:]
     if alpha is None:
         alpha = like.alpha if like is not None and same else channels in (2, 4)
-    meaning = _meaning(
-        array.dtype, channels - alpha, like.interpretation if like is not None and same else ""
-    )
+    known = like.interpretation if like is not None and same else ""
+    meaning = _meaning(array.dtype, channels - alpha, known)
     _check(name, form, array, meaning, alpha)
     if lossless and form is _JPEG:
-        raise SuppleError(
-            f"cannot write {name} without loss: JPEG always loses: write PNG, TIFF, WebP or AVIF"
-        )
+        raise SuppleError(f"cannot write {name} without loss: JPEG loses some: write PNG, TIFF, WebP or AVIF")
     if quality is not None and not 1 <= quality <= 100:
         raise SuppleError(f"cannot write {name} with quality {quality}: quality goes from 1 to 100")
     have = like.bits if like is not None and like.pixels.dtype == array.dtype else array.dtype.itemsize * 8
@@ -305,19 +300,19 @@ def _open(path: PathLike) -> tuple[Any, str]:
     """Open an image for one reading from top to bottom; tell its format."""
     name = shown(path)
     kinds = "give a PNG, JPEG, TIFF, WebP, AVIF or GIF file"
+    head = b""
     try:
-        if not stat.S_ISREG(os.stat(path).st_mode):
-            raise SuppleError(f"cannot read {name}: it is a folder or no plain file: {kinds}")
-        with open(path, "rb") as file:
-            head = file.read(12)
+        plain = stat.S_ISREG(os.stat(path).st_mode)
+        if plain:
+            with open(path, "rb") as file:
+                head = file.read(12)
     except OSError as error:
         raise SuppleError(f"cannot read {name}: {error.strerror}: check the name and its rights") from error
     except ValueError as error:
-        if isinstance(error, SuppleError):
-            raise
         raise SuppleError(f"cannot read {name}: no file can have that name: check it") from error
     if not head:
-        raise SuppleError(f"cannot read {name}: it is empty: {kinds}")
+        what = "it is empty" if plain else "it is a folder or no plain file"
+        raise SuppleError(f"cannot read {name}: {what}: {kinds}")
     known = head.startswith(_MAGIC) or head[4:8] == b"ftyp"
     try:
         image = _apart(lambda: _sequential(path))
@@ -434,7 +429,7 @@ def _header(image: Any, form: str, turned: bool) -> dict[str, Any]:
     """Collect what `write` puts back."""
     header: dict[str, Any] = {}
     for name in image.get_fields():
-        if name.startswith(_KEPT) and (name != "iptc-data" or form == "JPEG"):  # libvips garbles that of TIFF
+        if name.startswith(_KEPT) and (name != "iptc-data" or form == "JPEG"):
             with contextlib.suppress(UnicodeError):
                 header[name] = image.get(name)
     if "xmp-data" in header:  # it may say the orientation once more
@@ -444,6 +439,16 @@ def _header(image: Any, form: str, turned: bool) -> dict[str, Any]:
     if min(sizes) > 0 and sizes != (1, 1):  # libvips' way to say unknown
         header["xres"], header["yres"] = sizes
     return header
+
+
+def _unread(path: PathLike, image: Any, form: str) -> list[str]:
+    """Name what is not in the header: what libvips misses or garbles, or what belongs to the old pixels."""
+    found = {
+        "EXIF": form == "TIFF" and _tiff_exif(path),
+        "IPTC": form == "TIFF" and image.get_typeof("iptc-data"),
+        "HDR gain map": image.get_typeof("gainmap-data"),
+    }
+    return [name for name, there in found.items() if there]
 
 
 def _tiff_exif(path: PathLike) -> bool:

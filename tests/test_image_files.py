@@ -1,0 +1,893 @@
+import gc
+import os
+import stat
+import struct
+import subprocess
+import sys
+import textwrap
+import warnings
+import zlib
+from dataclasses import replace
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+import pytest
+import pyvips
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+from supple.errors import SuppleError
+from supple.media.image import (
+    _TIFF,
+    SUFFIXES_OUT,
+    DepthWarning,
+    MetadataWarning,
+    PageWarning,
+    Picture,
+    _options,
+    check_target,
+    info,
+    read,
+    write,
+)
+
+FORMATS = (".png", ".jpg", ".tif", ".webp", ".avif")
+SAVERS = {".png": "pngsave", ".jpg": "jpegsave", ".tif": "tiffsave", ".webp": "webpsave", ".avif": "heifsave"}
+SRGB = bytes(pyvips.Operation.call("profile_load", "srgb"))
+CMYK = bytes(pyvips.Operation.call("profile_load", "cmyk"))
+BLOB, STRING, INT = pyvips.GValue.blob_type, pyvips.GValue.refstr_type, pyvips.GValue.gint_type
+
+# what a viewer does to the stored pixels, for each value of the orientation tag
+UPRIGHT = {
+    1: lambda a: a,
+    2: lambda a: a[:, ::-1],
+    3: lambda a: np.rot90(a, 2),
+    4: lambda a: a[::-1],
+    5: lambda a: np.swapaxes(a, 0, 1),
+    6: lambda a: np.rot90(a, -1),
+    7: lambda a: np.rot90(np.swapaxes(a, 0, 1), 2),
+    8: lambda a: np.rot90(a, 1),
+}
+
+
+def noise(dtype, *shape):
+    random = np.random.default_rng(sum(shape))
+    dtype = np.dtype(dtype)
+    if dtype.kind == "f":
+        return random.normal(size=shape).astype(dtype)
+    bounds = np.iinfo(dtype)
+    return random.integers(bounds.min, bounds.max, shape, dtype, endpoint=True)
+
+
+def smooth(height, width, dtype=np.uint8):
+    """Make a picture that lossy formats keep well, and that no two turns of are alike."""
+    y, x = np.mgrid[:height, :width]
+    colours = np.stack([x / width, y / height, (x + y) / (width + height)], axis=-1)
+    return (colours * np.iinfo(dtype).max).astype(dtype)
+
+
+def save(path, pixels, fields=(), **options):
+    """Write an image with pyvips alone."""
+    image = pyvips.Image.new_from_array(pixels, interpretation="b-w" if pixels.ndim == 2 else "srgb").copy()
+    for name, value in dict(fields).items():
+        image.set_type({bytes: BLOB, str: STRING, int: INT}[type(value)], name, value)
+    getattr(image, SAVERS[path.suffix])(str(path), **options)
+
+
+def loaded(path):
+    """Read an image with pyvips alone: its pixels as they stand in the file, and its header."""
+    image = pyvips.Image.new_from_buffer(path.read_bytes(), "")
+    return image.numpy(), {name: image.get(name) for name in image.get_fields()}
+
+
+def run(code, *arguments):
+    """Run a program in a process of its own, and return its exit status and output."""
+    command = [sys.executable, "-c", textwrap.dedent(code), *map(str, arguments)]
+    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[1] / "src")}
+    done = subprocess.run(command, capture_output=True, text=True, env=environment)
+    return done.returncode, done.stdout + done.stderr
+
+
+def refused(action, *arguments, **options):
+    """Return the one line that an action is refused with."""
+    with pytest.raises(SuppleError) as caught:
+        action(*arguments, **options)
+    message = str(caught.value)
+    assert "\n" not in message
+    return message
+
+
+class TestRoundTrips:
+    @pytest.mark.parametrize("channels", [(), (2,), (3,), (4,)])
+    @pytest.mark.parametrize(
+        ("suffix", "dtype"),
+        [
+            *[(suffix, dtype) for suffix in (".png", ".tif", ".tiff") for dtype in ("u1", "u2")],
+            *[(".tif", dtype) for dtype in ("f4", "i1", "i2", "u4", "i4")],
+        ],
+    )
+    def test_bit_for_bit(self, tmp_path, suffix, dtype, channels):
+        pixels = noise(dtype, 19, 23, *channels)
+        write(tmp_path / f"out{suffix}", pixels)
+        picture = read(tmp_path / f"out{suffix}")
+        assert picture.pixels.dtype == pixels.dtype
+        assert picture.pixels.flags.c_contiguous
+        np.testing.assert_array_equal(picture.pixels, pixels)
+        assert picture.alpha == (channels in ((2,), (4,)))
+        assert picture.bits == pixels.dtype.itemsize * 8
+
+    @pytest.mark.parametrize("channels", [3, 4])
+    @pytest.mark.parametrize("suffix", [".webp", ".avif"])
+    def test_bit_for_bit_when_asked_for(self, tmp_path, suffix, channels):
+        pixels = noise("u1", 19, 23, channels)  # with colours where alpha is 0
+        write(tmp_path / f"out{suffix}", pixels, lossless=True)
+        picture = read(tmp_path / f"out{suffix}")
+        np.testing.assert_array_equal(picture.pixels, pixels)
+        assert picture.alpha == (channels == 4)
+
+    @pytest.mark.parametrize("alpha", [False, True])
+    @pytest.mark.parametrize("suffix", [".webp", ".avif"])
+    def test_formats_without_grey_repeat_it(self, tmp_path, suffix, alpha):
+        pixels = noise("u1", 19, 23, 2) if alpha else noise("u1", 19, 23)
+        write(tmp_path / f"out{suffix}", pixels, lossless=True)
+        picture = read(tmp_path / f"out{suffix}")
+        grey = pixels[..., 0] if alpha else pixels
+        np.testing.assert_array_equal(picture.pixels[..., :3], np.repeat(grey[..., None], 3, axis=2))
+        assert picture.alpha == alpha
+        assert not alpha or np.array_equal(picture.pixels[..., 3], pixels[..., 1])
+
+    @settings(max_examples=30, deadline=None)
+    @given(
+        hnp.arrays(
+            st.sampled_from([np.uint8, np.uint16]),
+            st.tuples(st.integers(1, 20), st.integers(1, 20), st.sampled_from([2, 3, 4])),
+        ),
+        st.sampled_from([".png", ".tif"]),
+    )
+    def test_any_pixels(self, tmp_path_factory, pixels, suffix):
+        path = tmp_path_factory.getbasetemp() / f"any{suffix}"
+        write(path, pixels, force=True)
+        np.testing.assert_array_equal(read(path).pixels, pixels)
+
+    @pytest.mark.parametrize("shape", [(1, 1), (1, 9), (9, 1)])
+    @pytest.mark.parametrize("suffix", FORMATS)
+    def test_the_smallest_images(self, tmp_path, suffix, shape):
+        pixels = np.full((*shape, 3), 200, np.uint8)
+        write(tmp_path / f"out{suffix}", pixels)
+        assert np.abs(read(tmp_path / f"out{suffix}").pixels.astype(int) - 200).max() <= 3
+        write(tmp_path / f"grey{suffix}", pixels[..., 0])
+        assert read(tmp_path / f"grey{suffix}").pixels.shape[:2] == shape
+
+    @pytest.mark.parametrize(("suffix", "worst"), [(".jpg", 6), (".webp", 12), (".avif", 6)])
+    def test_lossy_formats_stay_close(self, tmp_path, suffix, worst):
+        pixels = smooth(64, 96)
+        write(tmp_path / f"out{suffix}", pixels)
+        assert np.abs(read(tmp_path / f"out{suffix}").pixels.astype(int) - pixels).max() <= worst
+
+    def test_jpeg_keeps_its_colours_sharp(self, tmp_path):
+        write(tmp_path / "out.jpg", smooth(32, 32))
+        assert loaded(tmp_path / "out.jpg")[1]["jpeg-chroma-subsample"] == "4:4:4"
+
+    @pytest.mark.parametrize("suffix", [".jpg", ".webp", ".avif"])
+    def test_quality_costs_bytes(self, tmp_path, suffix):
+        pixels = smooth(64, 64) // 2 + noise("u1", 64, 64, 3) // 8
+        for quality in (30, 99):
+            write(tmp_path / f"{quality}{suffix}", pixels, quality=quality)
+        low, high = ((tmp_path / f"{quality}{suffix}").stat().st_size for quality in (30, 99))
+        assert low < high / 2
+
+    @pytest.mark.parametrize("suffix", [".png", ".tif"])
+    @pytest.mark.parametrize("shape", [(8, 40_000, 3), (40_000, 8, 3)])
+    def test_sides_beyond_32767(self, tmp_path, suffix, shape):
+        pixels = noise("u1", *shape)
+        write(tmp_path / f"out{suffix}", pixels)
+        np.testing.assert_array_equal(read(tmp_path / f"out{suffix}").pixels, pixels)
+
+    def test_arrays_of_any_layout(self, tmp_path):
+        pixels = noise("u2", 30, 40, 3)
+        for name, view in {
+            "a": pixels[::2, ::-3],
+            "b": pixels.swapaxes(0, 1),
+            "c": pixels.astype(">u2"),
+        }.items():
+            write(tmp_path / f"{name}.png", view)
+            np.testing.assert_array_equal(read(tmp_path / f"{name}.png").pixels, view)
+        pixels.flags.writeable = False
+        write(tmp_path / "d.png", pixels)
+        np.testing.assert_array_equal(read(tmp_path / "d.png").pixels, pixels)
+
+    @pytest.mark.parametrize("suffix", [".png", ".tif"])
+    def test_smooth_images_become_small_files(self, tmp_path, suffix):
+        for dtype in ("u1", "u2"):
+            pixels = smooth(300, 400, dtype)
+            write(tmp_path / f"{dtype}{suffix}", pixels)
+            assert (tmp_path / f"{dtype}{suffix}").stat().st_size < pixels.nbytes / 10
+
+    def test_beyond_4_gigabytes_tiff_changes_its_kind(self):
+        for width, big in ((60_000, True), (50_000, False)):
+            pixels = np.broadcast_to(np.uint8(0), (70_000, width))  # takes no memory
+            assert _options(_TIFF, pixels, 8, None, False)["bigtiff"] is big
+
+    def test_many_channels_go_into_tiff(self, tmp_path):
+        pixels = noise("u2", 19, 23, 7)
+        write(tmp_path / "out.tif", pixels)
+        picture = read(tmp_path / "out.tif")
+        np.testing.assert_array_equal(picture.pixels, pixels)
+        assert not picture.alpha
+
+    def test_other_readers_see_the_colours_named(self, tmp_path):
+        for dtype, names in {"u1": ("b-w", "srgb"), "u2": ("grey16", "rgb16")}.items():
+            for channels, name in zip(((), (3,)), names, strict=True):
+                for suffix in (".png", ".tif"):
+                    write(tmp_path / f"out{suffix}", noise(dtype, 9, 9, *channels), force=True)
+                    assert info(tmp_path / f"out{suffix}")["interpretation"] == name
+
+
+class TestDepth:
+    @pytest.mark.parametrize("suffix", [".jpg", ".webp"])
+    def test_16_bits_are_rounded_to_8(self, tmp_path, suffix):
+        ramp = np.arange(65536, dtype=np.uint16).reshape(256, 256)
+        with pytest.warns(
+            DepthWarning, match=rf"out\{suffix}: .* holds 8 bits a channel, and the 16 .* rounded$"
+        ):
+            write(tmp_path / f"out{suffix}", ramp, lossless=suffix == ".webp", quality=100)
+        found = read(tmp_path / f"out{suffix}").pixels.reshape(256, 256, -1)[..., 0]
+        worst = np.abs(found - np.rint(ramp / 257)).max()
+        assert worst == 0 if suffix == ".webp" else worst <= 2
+
+    def test_avif_keeps_12_bits_and_white(self, tmp_path):
+        ramp = np.arange(65536, dtype=np.uint16).reshape(256, 256)
+        with pytest.warns(DepthWarning, match="AVIF holds 12 bits a channel, and the 16"):
+            write(tmp_path / "out.avif", ramp, lossless=True)
+        picture = read(tmp_path / "out.avif")
+        assert (picture.pixels.dtype, picture.bits) == (np.uint16, 12)
+        assert picture.pixels.min() == 0
+        assert picture.pixels.max() == 65535
+        assert np.abs(picture.pixels[..., 0].astype(int) - ramp).max() <= 65535 / 4095 / 2 + 1
+        write(tmp_path / "again.avif", picture.pixels, like=picture, lossless=True)  # and warns no more
+        np.testing.assert_array_equal(read(tmp_path / "again.avif").pixels, picture.pixels)
+
+    def test_ten_bits_stay_ten(self, tmp_path):
+        save(tmp_path / "ten.avif", smooth(32, 32, np.uint16), compression="av1", lossless=True, bitdepth=10)
+        picture = read(tmp_path / "ten.avif")
+        assert picture.bits == 10
+        assert picture.pixels.max() > 65472 - 64 * 32
+        write(tmp_path / "again.avif", picture.pixels, like=picture, lossless=True)
+        again = read(tmp_path / "again.avif")
+        assert again.bits == 10
+        np.testing.assert_array_equal(again.pixels, picture.pixels)
+
+    def test_one_bit_and_palettes_are_spread(self, tmp_path):
+        bits = noise("u1", 16, 24) // 128 * 255
+        save(tmp_path / "bits.png", bits, bitdepth=1)
+        assert info(tmp_path / "bits.png")["bits"] == 1
+        np.testing.assert_array_equal(read(tmp_path / "bits.png").pixels, bits)
+        colours = np.zeros((16, 24, 3), np.uint8)
+        colours[4:9, 3:8] = (255, 0, 0)
+        save(tmp_path / "palette.png", colours, palette=True)
+        assert info(tmp_path / "palette.png")["channels"] == 3
+        np.testing.assert_array_equal(read(tmp_path / "palette.png").pixels, colours)
+        clear = np.concatenate([colours, colours[..., :1]], axis=2)
+        save(tmp_path / "clear.png", clear, palette=True)
+        picture = read(tmp_path / "clear.png")
+        assert picture.alpha
+        write(tmp_path / "out.png", picture.pixels, like=picture)
+        np.testing.assert_array_equal(read(tmp_path / "out.png").pixels, picture.pixels)
+
+
+class TestOrientation:
+    @pytest.mark.parametrize("suffix", [".jpg", ".tif", ".png", ".webp"])
+    @pytest.mark.parametrize("orientation", range(1, 9))
+    def test_is_applied_once(self, tmp_path, orientation, suffix):
+        path = tmp_path / f"turned{suffix}"
+        save(path, smooth(40, 70), {"orientation": orientation})
+        stored = loaded(path)[0]
+        upright = UPRIGHT[orientation](stored)
+        picture = read(path)
+        np.testing.assert_array_equal(picture.pixels, upright)
+        assert picture.pixels.flags.c_contiguous
+        facts = info(path)
+        assert (facts["height"], facts["width"], facts["orientation"]) == (*upright.shape[:2], orientation)
+        for target in (".png", ".tif", suffix):
+            out = tmp_path / f"out{target}"
+            write(out, picture.pixels, like=picture, force=True)
+            pixels, header = loaded(out)
+            assert header.get("orientation", 1) == 1
+            assert header.get("exif-ifd0-Orientation", "1").startswith("1")
+            assert pixels.shape == upright.shape
+            if target in (".png", ".tif"):
+                np.testing.assert_array_equal(pixels, upright)
+            np.testing.assert_array_equal(read(out).pixels, pixels)
+
+    @pytest.mark.parametrize("orientation", range(1, 9))
+    def test_of_avif_is_its_own(self, tmp_path, orientation):
+        save(
+            tmp_path / "turned.avif",
+            smooth(40, 70),
+            {"orientation": orientation},
+            compression="av1",
+            lossless=True,
+        )
+        picture = read(tmp_path / "turned.avif")
+        np.testing.assert_array_equal(picture.pixels, UPRIGHT[orientation](smooth(40, 70)))
+        write(tmp_path / "out.avif", picture.pixels, like=picture, lossless=True)
+        np.testing.assert_array_equal(read(tmp_path / "out.avif").pixels, picture.pixels)
+
+    def test_of_grey_and_of_16_bits(self, tmp_path):
+        for number, pixels in enumerate((noise("u1", 33, 70), noise("u2", 33, 70), noise("u2", 33, 70, 4))):
+            save(tmp_path / f"{number}.tif", pixels, {"orientation": 7})
+            np.testing.assert_array_equal(read(tmp_path / f"{number}.tif").pixels, UPRIGHT[7](pixels))
+
+    def test_in_xmp_follows(self, tmp_path):
+        xmp = b'<x:xmpmeta xmlns:x="adobe:ns:meta/"><r tiff:Orientation="6" dc:title="6"/></x:xmpmeta>'
+        save(tmp_path / "turned.jpg", smooth(20, 30), {"orientation": 6, "xmp-data": xmp})
+        picture = read(tmp_path / "turned.jpg")
+        write(tmp_path / "out.jpg", picture.pixels, like=picture)
+        expected = xmp.replace(b'Orientation="6"', b'Orientation="1"')
+        assert loaded(tmp_path / "out.jpg")[1]["xmp-data"] == expected
+
+    def test_unheard_of_is_none(self, tmp_path):
+        save(tmp_path / "odd.jpg", smooth(20, 30), {"orientation": 6})
+        data = (tmp_path / "odd.jpg").read_bytes()
+        entry = struct.pack("<HHI", 0x112, 3, 1)
+        assert data.count(entry + b"\x06\0") == 1
+        (tmp_path / "odd.jpg").write_bytes(data.replace(entry + b"\x06\0", entry + b"\x0c\0"))
+        assert read(tmp_path / "odd.jpg").pixels.shape == (20, 30, 3)
+
+
+EXIF = {
+    "exif-ifd0-Make": "Jose!!",
+    "exif-ifd0-Copyright": "me (and you)",
+    "exif-ifd2-DateTimeOriginal": "2020:01:02 03:04:05",
+    "exif-ifd2-ExposureTime": "1/125",
+    "exif-ifd2-UserComment": "hello",
+    "exif-ifd3-GPSLatitudeRef": "N",
+    "exif-ifd3-GPSLatitude": "47/1 10/1 1234/100",
+    "exif-ifd3-GPSLongitude": "8/1 30/1 0/1",
+}
+XMP = b'<x:xmpmeta xmlns:x="adobe:ns:meta/"><r title="bent"/></x:xmpmeta>'
+SOURCES = (".jpg", ".png", ".webp", ".avif")
+
+
+class TestHeaders:
+    @pytest.mark.parametrize("source", [*SOURCES, ".tif"])
+    @pytest.mark.parametrize("target", FORMATS)
+    def test_profile_and_xmp_come_through(self, tmp_path, source, target):
+        options = {"compression": "av1"} if source == ".avif" else {}
+        save(tmp_path / f"in{source}", smooth(20, 30), {"icc-profile-data": SRGB, "xmp-data": XMP}, **options)
+        picture = read(tmp_path / f"in{source}")
+        assert picture.icc == SRGB
+        write(tmp_path / f"out{target}", picture.pixels, like=picture)
+        header = loaded(tmp_path / f"out{target}")[1]
+        assert header["icc-profile-data"] == SRGB
+        assert header["xmp-data"] == XMP
+        assert read(tmp_path / f"out{target}").icc == SRGB
+
+    @pytest.mark.parametrize("source", SOURCES)
+    @pytest.mark.parametrize("target", SOURCES)
+    def test_exif_comes_through(self, tmp_path, source, target):
+        options = {"compression": "av1"} if source == ".avif" else {}
+        save(tmp_path / f"in{source}", smooth(20, 30), {**EXIF, "orientation": 6}, **options)
+        data = (tmp_path / f"in{source}").read_bytes()
+        if source == ".jpg":  # a maker who does not write ASCII
+            (tmp_path / "in.jpg").write_bytes(data.replace(b"Jose!!", b"Jos\xe9!!"))
+        before = loaded(tmp_path / f"in{source}")[1]
+        picture = read(tmp_path / f"in{source}")
+        write(tmp_path / f"out{target}", picture.pixels, like=picture)
+        after = loaded(tmp_path / f"out{target}")[1]
+        assert {name: after[name] for name in EXIF} == {name: before[name] for name in EXIF}
+        assert after["exif-ifd2-PixelXDimension"].startswith("20 ")
+        assert source != ".jpg" or b"Jos\xe9!!" in (tmp_path / f"out{target}").read_bytes()
+
+    def test_a_thumbnail_of_what_was_is_dropped(self, tmp_path):
+        thumbnail = pyvips.Image.new_from_array(smooth(8, 8)).jpegsave_buffer()
+        fields = {**EXIF, "exif-ifd1-Compression": "6", "jpeg-thumbnail-data": thumbnail}
+        save(tmp_path / "in.jpg", smooth(20, 30), fields)
+        assert thumbnail in (tmp_path / "in.jpg").read_bytes()
+        picture = read(tmp_path / "in.jpg")
+        write(tmp_path / "out.jpg", picture.pixels, like=picture)
+        assert thumbnail not in (tmp_path / "out.jpg").read_bytes()
+        assert not any(name.startswith("exif-ifd1") for name in loaded(tmp_path / "out.jpg")[1])
+
+    @pytest.mark.parametrize("source", FORMATS)
+    def test_resolution_comes_through(self, tmp_path, source):
+        image = pyvips.Image.new_from_array(smooth(20, 30), interpretation="srgb").copy(xres=12, yres=6)
+        image.set_type(STRING, "resolution-unit", "cm")
+        image.set_type(STRING, "exif-ifd0-Make", "Acme")
+        options = {"compression": "av1"} if source == ".avif" else {}
+        getattr(image, SAVERS[source])(str(tmp_path / f"in{source}"), **options)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", MetadataWarning)
+            picture = read(tmp_path / f"in{source}")
+            for target in FORMATS:
+                write(tmp_path / f"out{target}", picture.pixels, like=picture)
+        for target in (".png", ".jpg", ".tif"):
+            header = loaded(tmp_path / f"out{target}")[1]
+            assert (header["xres"], header["yres"]) == pytest.approx((12, 6), rel=1e-3)
+        if source != ".tif":
+            header = loaded(tmp_path / "out.webp")[1]
+            assert Fraction(header["exif-ifd0-XResolution"].split()[0]) == 120
+
+    def test_resolution_turns_with_the_image(self, tmp_path):
+        image = pyvips.Image.new_from_array(smooth(20, 30), interpretation="srgb").copy(xres=12, yres=6)
+        image.set_type(INT, "orientation", 6)
+        image.tiffsave(str(tmp_path / "in.tif"))
+        picture = read(tmp_path / "in.tif")
+        write(tmp_path / "out.tif", picture.pixels, like=picture)
+        header = loaded(tmp_path / "out.tif")[1]
+        assert (header["xres"], header["yres"]) == pytest.approx((6, 12), rel=1e-3)
+
+    @pytest.mark.parametrize("suffix", [".png", ".jpg", ".tif"])
+    def test_without_a_resolution_there_are_72_dots_an_inch(self, tmp_path, suffix):
+        write(tmp_path / f"out{suffix}", smooth(20, 30))
+        assert loaded(tmp_path / f"out{suffix}")[1]["xres"] == pytest.approx(72 / 25.4, rel=1e-3)
+
+    def test_broken_exif_does_no_harm(self, tmp_path):
+        save(tmp_path / "in.jpg", smooth(20, 30), EXIF)
+        data = (tmp_path / "in.jpg").read_bytes()
+        start = data.index(b"Exif\0\0") + 6
+        (tmp_path / "in.jpg").write_bytes(data[:start] + bytes(200) + data[start + 200 :])
+        picture = read(tmp_path / "in.jpg")
+        for target in (".jpg", ".png", ".webp"):
+            write(tmp_path / f"out{target}", picture.pixels, like=picture)
+            assert info(tmp_path / f"out{target}")["width"] == 30
+
+    def test_exif_into_tiff_is_not_lost_in_silence(self, tmp_path):
+        save(tmp_path / "bare.jpg", smooth(20, 30))
+        bare = read(tmp_path / "bare.jpg")
+        write(tmp_path / "bare.tif", bare.pixels, like=bare)  # nothing of worth to lose, no warning
+        save(tmp_path / "in.jpg", smooth(20, 30), EXIF)
+        picture = read(tmp_path / "in.jpg")
+        with pytest.warns(MetadataWarning, match=r"out\.tif: TIFF cannot take over EXIF$"):
+            write(tmp_path / "out.tif", picture.pixels, like=picture)
+
+    @pytest.mark.parametrize("bigtiff", [False, True])
+    def test_exif_in_tiff_is_not_lost_in_silence(self, tmp_path, bigtiff):
+        save(tmp_path / "in.tif", smooth(20, 30), {"image-description": "bent"}, bigtiff=bigtiff)
+        read(tmp_path / "in.tif")
+        data = (tmp_path / "in.tif").read_bytes()
+        # the tag of the description becomes that of an EXIF folder
+        tag = struct.pack("<HH", 270, 2)
+        assert data.count(tag) == 1
+        (tmp_path / "in.tif").write_bytes(data.replace(tag, struct.pack("<HH", 34665, 2)))
+        with pytest.warns(MetadataWarning, match=r"in\.tif: its EXIF cannot be carried over$"):
+            read(tmp_path / "in.tif")
+
+    @pytest.mark.skipif(not pyvips.type_find("VipsOperation", "uhdrsave"), reason="needs libvips 8.18")
+    def test_a_gain_map_is_not_lost_in_silence(self, tmp_path):
+        light = pyvips.Image.new_from_array(smooth(64, 64) / np.float32(64), interpretation="scrgb")
+        light.uhdrsave(str(tmp_path / "in.jpg"))
+        with pytest.warns(MetadataWarning, match=r"in\.jpg: its HDR gain map cannot be carried over$"):
+            picture = read(tmp_path / "in.jpg")
+        assert (picture.format, picture.pixels.dtype, picture.pixels.shape) == ("JPEG", np.uint8, (64, 64, 3))
+
+    def test_iptc_is_not_lost_in_silence(self, tmp_path):
+        iptc = b"Photoshop 3.0\0008BIM\x04\x04\0\0\0\0\0\x08\x1c\x02\x05\0\x03abc"
+        save(tmp_path / "in.jpg", smooth(20, 30), {"iptc-data": iptc})
+        picture = read(tmp_path / "in.jpg")
+        write(tmp_path / "out.jpg", picture.pixels, like=picture)
+        assert loaded(tmp_path / "out.jpg")[1]["iptc-data"] == iptc
+        with pytest.warns(MetadataWarning, match="PNG cannot take over IPTC"):
+            write(tmp_path / "out.png", picture.pixels, like=picture)
+        save(tmp_path / "in.tif", smooth(20, 30), {"iptc-data": iptc})
+        with pytest.warns(MetadataWarning, match="its IPTC cannot be carried over"):
+            read(tmp_path / "in.tif")
+
+    def test_a_profile_of_other_colours_is_not_written(self, tmp_path):
+        save(tmp_path / "in.png", smooth(20, 30), {"icc-profile-data": SRGB})
+        picture = read(tmp_path / "in.png")
+        with pytest.warns(MetadataWarning, match="PNG cannot take over the RGB profile"):
+            write(tmp_path / "grey.png", picture.pixels[..., 0], like=picture)
+        assert read(tmp_path / "grey.png").icc is None
+        grey = replace(picture, pixels=picture.pixels[..., 0], icc=SRGB[:16] + b"GRAY" + SRGB[20:])
+        with pytest.warns(MetadataWarning, match="WebP cannot take over the GRAY profile"):
+            write(tmp_path / "grey.webp", grey.pixels, like=grey)
+
+    def test_info_tells_the_header(self, tmp_path):
+        path = tmp_path / "in.tif"
+        save(path, noise("u2", 20, 30, 4), {"icc-profile-data": SRGB, "orientation": 8})
+        assert info(path) == {
+            "width": 20,
+            "height": 30,
+            "channels": 4,
+            "dtype": "uint16",
+            "bits": 16,
+            "alpha": True,
+            "format": "TIFF",
+            "interpretation": "rgb16",
+            "profile": "sRGB",
+            "orientation": 8,
+            "pages": 1,
+            "bytes": path.stat().st_size,
+        }
+        for suffix, name in ((".png", "PNG"), (".jpg", "JPEG"), (".webp", "WebP"), (".avif", "AVIF")):
+            write(tmp_path / f"out{suffix}", smooth(8, 8))
+            assert info(tmp_path / f"out{suffix}")["format"] == name
+
+    def test_info_reads_no_pixels(self, tmp_path):
+        write(tmp_path / "in.jpg", noise("u1", 200, 300, 3))
+        data = (tmp_path / "in.jpg").read_bytes()
+        (tmp_path / "in.jpg").write_bytes(data[: len(data) // 2])
+        assert info(tmp_path / "in.jpg")["width"] == 300
+
+    @pytest.mark.parametrize(
+        ("tag", "name"),
+        [
+            (b"desc\0\0\0\0" + struct.pack(">I", 9) + b"Adobe 98\0", "Adobe 98"),
+            (b"mluc\0\0\0\0" + struct.pack(">IIIII", 1, 12, 0, 6, 28) + "Zoë".encode("utf-16-be"), "Zoë"),
+            (b"mluc\0\0", None),
+            (b"", None),
+        ],
+    )
+    def test_profiles_old_new_and_broken_are_named(self, tmp_path, tag, name):
+        icc = SRGB[:128] + struct.pack(">I4sII", 1, b"desc", 144, len(tag)) + tag
+        save(tmp_path / "in.tif", smooth(8, 8), {"icc-profile-data": icc})
+        assert info(tmp_path / "in.tif")["profile"] == name
+
+
+class TestColours:
+    @pytest.mark.parametrize("suffix", [".tif", ".jpg"])
+    def test_cmyk_stays_cmyk(self, tmp_path, suffix):
+        pixels = np.concatenate([smooth(32, 32), smooth(32, 32)[..., :1]], axis=2)
+        image = pyvips.Image.new_from_array(pixels, interpretation="cmyk").copy()
+        image.set_type(BLOB, "icc-profile-data", CMYK)
+        getattr(image, SAVERS[suffix])(str(tmp_path / f"in{suffix}"))
+        picture = read(tmp_path / f"in{suffix}")
+        assert (picture.interpretation, picture.alpha, picture.icc) == ("cmyk", False, CMYK)
+        write(tmp_path / "out.tif", picture.pixels, like=picture)
+        again = read(tmp_path / "out.tif")
+        assert (again.interpretation, again.alpha, again.icc) == ("cmyk", False, CMYK)
+        np.testing.assert_array_equal(again.pixels, picture.pixels)
+        write(tmp_path / "out.jpg", picture.pixels, like=picture, quality=100)
+        assert np.abs(read(tmp_path / "out.jpg").pixels.astype(int) - picture.pixels).max() <= 4
+        for target in (".png", ".webp", ".avif"):
+            message = refused(write, tmp_path / f"out{target}", picture.pixels, like=picture)
+            assert message.endswith("holds no CMYK colours: write TIFF or JPEG")
+
+    def test_alpha_can_be_told(self, tmp_path):
+        pixels = noise("u1", 19, 23, 4)
+        message = refused(write, tmp_path / "out.png", pixels, alpha=False)
+        assert message.endswith("out.png: PNG does not hold 4 channels: write a TIFF")
+        write(tmp_path / "out.png", pixels, alpha=True)
+        np.testing.assert_array_equal(read(tmp_path / "out.png").pixels, pixels)
+
+    def test_premultiplied_alpha_becomes_straight(self, tmp_path):
+        pixels = np.full((8, 8, 4), (200, 100, 50, 128), np.uint8)
+        save(tmp_path / "in.tif", pixels, premultiply=True)
+        assert np.abs(read(tmp_path / "in.tif").pixels.astype(int) - pixels).max() <= 1
+
+
+class TestPages:
+    def test_of_an_animation_the_first_is_read(self, tmp_path):
+        frames = np.zeros((30, 12, 3), np.uint8)
+        frames[:10], frames[10:20], frames[20:] = (255, 0, 0), (0, 255, 0), (0, 0, 255)
+        for suffix in (".gif", ".webp"):
+            image = pyvips.Image.new_from_array(frames, interpretation="srgb").copy()
+            image.set_type(INT, "page-height", 10)
+            image.write_to_file(
+                str(tmp_path / f"in{suffix}"), **({"lossless": True} if suffix == ".webp" else {})
+            )
+            with pytest.warns(PageWarning, match=r"holds 3 pages or frames, and only one of them is read$"):
+                picture = read(tmp_path / f"in{suffix}")
+            np.testing.assert_array_equal(picture.pixels[..., :3], frames[:10])
+            assert info(tmp_path / f"in{suffix}")["pages"] == 3
+            write(tmp_path / f"out{suffix}.png", picture.pixels, like=picture)
+            assert info(tmp_path / f"out{suffix}.png")["height"] == 10
+
+    def test_of_a_tiff_the_first_is_read(self, tmp_path):
+        image = pyvips.Image.new_from_array(noise("u2", 30, 12), interpretation="grey16").copy()
+        image.set_type(INT, "page-height", 10)
+        image.tiffsave(str(tmp_path / "in.tif"))
+        with pytest.warns(PageWarning):
+            picture = read(tmp_path / "in.tif")
+        np.testing.assert_array_equal(picture.pixels, noise("u2", 30, 12)[:10])
+        write(tmp_path / "out.tif", picture.pixels, like=picture)
+        assert info(tmp_path / "out.tif")["pages"] == 1
+
+
+class TestWhatCannotBeRead:
+    @pytest.mark.parametrize("suffix", [*FORMATS, ".gif"])
+    def test_damaged_files(self, tmp_path, suffix, capfd):
+        pixels = noise("u1", 90, 120, 3)
+        image = pyvips.Image.new_from_array(pixels, interpretation="srgb")
+        options = {"compression": "av1"} if suffix == ".avif" else {}
+        image.write_to_file(str(tmp_path / f"whole{suffix}"), **options)
+        data = (tmp_path / f"whole{suffix}").read_bytes()
+        path = tmp_path / f"cut{suffix}"
+        for length in (1, 4, 11, 50, len(data) // 3, len(data) - 40):
+            path.write_bytes(data[:length])
+            message = refused(read, path)
+            assert message.startswith(f"cannot read {path}: it is ")
+            assert len(message) < 400
+        path.write_bytes(data[:20] + bytes(len(data) - 20))
+        refused(read, path)
+        assert capfd.readouterr() == ("", "")
+
+    @pytest.mark.parametrize(
+        "data",
+        [
+            b"Dear diary,\n",
+            bytes(1000),
+            b"3 2\n1 2 3\n4 5 6\n",
+            b"1,2\n3,4\n",
+            b"\xff\xd8",
+            b"RIFF....WAVEfmt ",
+        ],
+    )
+    @pytest.mark.parametrize("suffix", [".png", ".csv", ".mat", ".v", ""])
+    def test_other_files(self, tmp_path, data, suffix, capfd):
+        path = tmp_path / f"in{suffix}"
+        path.write_bytes(data)
+        for action in (read, info):
+            assert refused(action, path).startswith(f"cannot read {path}: it is ")
+        assert capfd.readouterr() == ("", "")
+
+    def test_no_files(self, tmp_path):
+        (tmp_path / "empty.png").touch()
+        given = "give a PNG, JPEG, TIFF, WebP, AVIF or GIF file"
+        for name, message in {
+            "empty.png": f"it is empty: {given}",
+            "": f"it is a folder or no plain file: {given}",
+            "none.png": "No such file or directory: check the name and its rights",
+            "empty.png/in.png": "Not a directory: check the name and its rights",
+            "a\0b.png": "no file can have that name: check it",
+        }.items():
+            for action in (read, info):
+                assert refused(action, tmp_path / name).endswith(f": {message}")
+
+    @pytest.mark.skipif(not hasattr(os, "geteuid"), reason="permission bits are POSIX's")
+    def test_without_the_right(self, tmp_path, monkeypatch):
+        write(tmp_path / "in.png", smooth(8, 8))
+        (tmp_path / "in.png").chmod(0)
+        monkeypatch.chdir(tmp_path)  # root's own folders are closed to others
+        root = os.geteuid() == 0
+        if root:
+            os.seteuid(65534)
+        try:
+            assert (
+                refused(read, "in.png")
+                == "cannot read in.png: Permission denied: check the name and its rights"
+            )
+        finally:
+            if root:
+                os.seteuid(0)
+
+    def test_more_pixels_than_memory(self, tmp_path):
+        write(tmp_path / "in.png", smooth(8, 8))
+        data = (tmp_path / "in.png").read_bytes()
+        header = b"IHDR" + struct.pack(">II", 5_000_000, 5_000_000) + data[24:29]
+        check = struct.pack(">I", zlib.crc32(header))
+        (tmp_path / "in.png").write_bytes(data[:12] + header + check + data[33:])
+        assert refused(read, tmp_path / "in.png").endswith(
+            "it is too large for the memory: cut it into parts"
+        )
+
+    def test_files_are_closed_and_read_afresh(self, tmp_path):
+        path = tmp_path / "in.png"
+        for value in (10, 20):
+            write(path, np.full((50, 60, 3), value, np.uint8), force=True)
+            assert np.all(read(path).pixels == value)
+            info(path)
+        path.write_bytes(path.read_bytes()[:-60])
+        refused(read, path)
+        gc.collect()
+        if os.path.isdir("/proc/self/fd"):
+            links = [f"/proc/self/fd/{number}" for number in os.listdir("/proc/self/fd")]
+            assert str(path) not in [os.readlink(link) for link in links if os.path.lexists(link)]
+
+
+class TestWhatCannotBeWritten:
+    def test_unknown_suffixes(self, tmp_path):
+        known = "use .png, .jpg, .jpeg, .tif, .tiff, .webp, .avif"
+        assert ", ".join(SUFFIXES_OUT) in known
+        assert refused(check_target, "out.gif") == (
+            f"cannot write out.gif: the suffix .gif is no image format: {known}"
+        )
+        assert (
+            refused(check_target, "out")
+            == f"cannot write out: a name without suffix is no image format: {known}"
+        )
+        refused(write, tmp_path / "out.bmp", smooth(8, 8))
+        for suffix in SUFFIXES_OUT:
+            check_target(f"out{suffix.upper()}")
+
+    @pytest.mark.parametrize(
+        ("suffix", "pixels", "message"),
+        [
+            (".jpg", noise("u1", 9, 9, 4), "JPEG holds no transparency: write PNG, TIFF, WebP or AVIF"),
+            (".jpg", noise("u1", 9, 9, 2), "JPEG holds no transparency: write PNG, TIFF, WebP or AVIF"),
+            (".png", noise("f4", 9, 9), "PNG takes no float32 values: write a TIFF"),
+            (".jpg", noise("f4", 9, 9, 3), "JPEG takes no float32 values: write a TIFF"),
+            (".webp", noise("f4", 9, 9, 3), "WebP takes no float32 values: write a TIFF"),
+            (".avif", noise("i2", 9, 9, 3), "AVIF takes no int16 values: write a TIFF"),
+            (
+                ".tif",
+                noise("f8", 9, 9),
+                "TIFF takes no float64 values: convert to uint8, uint16 or, for TIFF, float32",
+            ),
+            (
+                ".png",
+                np.ones((9, 9), bool),
+                "PNG takes no bool values: convert to uint8, uint16 or, for TIFF, float32",
+            ),
+            (".png", noise("u1", 9, 9, 5), "PNG does not hold 5 channels: write a TIFF"),
+            (".jpg", noise("u1", 9, 9, 7), "JPEG does not hold 7 channels: write a TIFF"),
+            (
+                ".jpg",
+                np.zeros((2, 65_501), "u1"),
+                "JPEG ends at 65500 pixels on a side, and the image has 65501 x 2: write PNG or TIFF",
+            ),
+            (
+                ".webp",
+                np.zeros((16_384, 2), "u1"),
+                "WebP ends at 16383 pixels on a side, and the image has 2 x 16384: write PNG or TIFF",
+            ),
+            (
+                ".avif",
+                np.zeros((16_385, 2), "u1"),
+                "AVIF ends at 16384 pixels on a side, and the image has 2 x 16385: write PNG or TIFF",
+            ),
+            (".png", np.zeros((0, 9), "u1"), "an image has shape (H, W) or (H, W, C), and not (0, 9)"),
+            (".png", np.zeros(9, "u1"), "an image has shape (H, W) or (H, W, C), and not (9,)"),
+            (
+                ".png",
+                np.zeros((1, 2, 3, 4), "u1"),
+                "an image has shape (H, W) or (H, W, C), and not (1, 2, 3, 4)",
+            ),
+        ],
+    )
+    def test_more_than_a_format_holds(self, tmp_path, suffix, pixels, message):
+        path = tmp_path / f"out{suffix}"
+        assert refused(write, path, pixels) == f"cannot write {path}: {message}"
+        assert os.listdir(tmp_path) == []
+
+    def test_the_largest_that_formats_hold(self, tmp_path):
+        for suffix, side in ((".jpg", 65_500), (".webp", 16_383)):
+            write(tmp_path / f"out{suffix}", np.zeros((2, side), "u1"))
+            assert read(tmp_path / f"out{suffix}").pixels.shape[1] == side
+
+    @pytest.mark.parametrize(
+        "options",
+        [{"quality": 0}, {"quality": 101}, {"quality": -5}, {"quality": float("nan")}, {"lossless": True}],
+    )
+    def test_impossible_settings(self, tmp_path, options):
+        refused(write, tmp_path / "out.jpg", smooth(8, 8), **options)
+        assert os.listdir(tmp_path) == []
+
+    def test_an_existing_file_unless_forced(self, tmp_path):
+        (tmp_path / "out.png").write_bytes(b"old")
+        message = refused(write, tmp_path / "out.png", smooth(8, 8))
+        assert message.endswith("out.png exists already: pass --force (force=True) to replace it")
+        assert (tmp_path / "out.png").read_bytes() == b"old"
+        write(tmp_path / "out.png", smooth(8, 8), force=True)
+        np.testing.assert_array_equal(read(tmp_path / "out.png").pixels, smooth(8, 8))
+
+    @pytest.mark.parametrize("suffix", FORMATS)
+    @pytest.mark.parametrize("error", [KeyboardInterrupt, pyvips.Error])
+    def test_a_failure_in_mid_write_leaves_what_was_there(self, tmp_path, monkeypatch, suffix, error):
+        def fail(_image, filename, **_options):
+            Path(os.fsdecode(filename)).write_bytes(b"half")
+            raise error("no", "vips2png: it broke\nand more\n") if error is pyvips.Error else error
+
+        monkeypatch.setattr(pyvips.Image, SAVERS[suffix], fail, raising=False)
+        for existing in (False, True):
+            if existing:
+                (tmp_path / f"out{suffix}").write_bytes(b"old")
+            with pytest.raises((KeyboardInterrupt, SuppleError)) as caught:
+                write(tmp_path / f"out{suffix}", smooth(8, 8), force=True)
+            assert error is KeyboardInterrupt or str(caught.value).endswith("(it broke): try another format")
+            assert os.listdir(tmp_path) == ([f"out{suffix}"] if existing else [])
+        assert (tmp_path / f"out{suffix}").read_bytes() == b"old"
+
+    @pytest.mark.skipif(os.name != "posix", reason="timers are POSIX's")
+    def test_a_real_interrupt_leaves_what_was_there(self, tmp_path):
+        code = """
+            import signal, sys
+            import numpy as np
+            from supple.media.image import write
+            pixels = np.random.default_rng(0).integers(0, 256, (1500, 1500, 3), np.uint8)
+            write(sys.argv[1], pixels[:8])  # so that the clock starts with everything loaded
+            with open(sys.argv[2], "wb") as file:
+                file.write(b"old")
+            signal.signal(signal.SIGALRM, signal.default_int_handler)
+            signal.setitimer(signal.ITIMER_REAL, 0.05)
+            try:
+                write(sys.argv[2], pixels, force=True)
+            except KeyboardInterrupt:
+                print("interrupted")
+        """
+        assert run(code, tmp_path / "warm.png", tmp_path / "out.png") == (0, "interrupted\n")
+        assert sorted(os.listdir(tmp_path)) == ["out.png", "warm.png"]
+        assert (tmp_path / "out.png").read_bytes() == b"old"
+
+    @pytest.mark.skipif(os.name != "posix", reason="limits of file sizes are POSIX's")
+    def test_a_full_disk_leaves_what_was_there(self, tmp_path):
+        code = """
+            import os, resource, sys
+            import numpy as np
+            from supple.errors import SuppleError
+            from supple.media.image import write
+            folder, *suffixes = sys.argv[1:]
+            pixels = np.random.default_rng(0).integers(0, 256, (300, 300, 3), np.uint8)
+            for suffix in suffixes:
+                path = f"{folder}/out{suffix}"
+                write(path, pixels)
+                size, soft = os.path.getsize(path), resource.getrlimit(resource.RLIMIT_FSIZE)
+                with open(path, "wb") as file:
+                    file.write(b"old")
+                for limit in (0, size // 2, size - 1):
+                    resource.setrlimit(resource.RLIMIT_FSIZE, (limit, soft[1]))
+                    try:
+                        write(path, pixels, force=True)
+                    except SuppleError as error:
+                        print(error)
+                    resource.setrlimit(resource.RLIMIT_FSIZE, soft)
+        """
+        status, output = run(code, tmp_path, *FORMATS)
+        reason = "File too large: make room or choose another place"
+        expected = [f"cannot write {tmp_path}/out{suffix}: {reason}" for suffix in FORMATS for _ in range(3)]
+        assert (status, output.splitlines()) == (0, expected)
+        assert sorted(os.listdir(tmp_path)) == sorted(f"out{suffix}" for suffix in FORMATS)
+        assert all((tmp_path / f"out{suffix}").read_bytes() == b"old" for suffix in FORMATS)
+
+
+class TestHouseKeeping:
+    @pytest.mark.parametrize("name", ["a[page=1].png", "é ü.png", "-o.png", "new\nline.png", "n\udcff.png"])
+    def test_any_name_will_do(self, tmp_path, name):
+        try:
+            (tmp_path / name).touch()
+            (tmp_path / name).unlink()
+        except OSError:
+            pytest.skip("this file system does not take the name")
+        write(tmp_path / name, smooth(8, 8))
+        np.testing.assert_array_equal(read(tmp_path / name).pixels, smooth(8, 8))
+        assert refused(write, tmp_path / name, smooth(8, 8)).isprintable()
+
+    @pytest.mark.skipif(os.name != "posix", reason="permission bits are POSIX's")
+    @pytest.mark.parametrize("suffix", FORMATS)
+    def test_permission_bits_survive_the_writers(self, tmp_path, suffix):
+        path = tmp_path / f"out{suffix}"
+        before = os.umask(0o026)
+        try:
+            write(path, smooth(8, 8))
+        finally:
+            os.umask(before)
+        assert stat.S_IMODE(path.stat().st_mode) == 0o640
+
+    def test_pictures_can_be_made_by_hand(self, tmp_path):
+        picture = Picture(smooth(8, 8), icc=SRGB)
+        write(tmp_path / "out.png", picture.pixels, like=picture)
+        assert read(tmp_path / "out.png").icc == SRGB
+
+    @pytest.mark.skipif(not os.path.exists("/proc/self/status"), reason="reads Linux's account of memory")
+    @pytest.mark.parametrize("suffix", [".png", ".tif", ".jpg"])
+    def test_memory_holds_the_image_once(self, tmp_path, suffix):
+        code = """
+            import re, sys
+            from supple.media.image import read, write
+
+            def peak():
+                with open("/proc/self/status") as file:
+                    return int(re.search(r"VmHWM:\\s+(\\d+)", file.read())[1]) / 1024
+
+            small, large, out = sys.argv[1:]
+            write(out, read(small).pixels)
+            before = peak()
+            picture = read(large)
+            write(out, picture.pixels, like=picture, force=True)
+            print(peak() - before - picture.pixels.nbytes / 2**20)
+        """
+        ramp = pyvips.Image.xyz(4096, 4096)
+        image = (ramp.bandjoin(ramp[0] + ramp[1]) / 32).cast("uchar").copy(interpretation="srgb")
+        getattr(image, SAVERS[suffix])(str(tmp_path / f"large{suffix}"))
+        write(tmp_path / f"small{suffix}", smooth(8, 8))
+        status, output = run(
+            code, tmp_path / f"small{suffix}", tmp_path / f"large{suffix}", tmp_path / f"out{suffix}"
+        )
+        assert status == 0, output
+        assert float(output) < 30  # a second copy would take 48
+
+    def test_importing_supple_alone_is_light(self):
+        assert run("import sys, supple; print('pyvips' in sys.modules)") == (0, "False\n")
