@@ -26,9 +26,10 @@ U, M, TWIST, SMOOTH, ERROR, NODE = 0, 3, 12, 15, 16, 17
 
 SIZE = 32  # pixels from node to node
 # A node is done when Newton's next step is shorter than this, in pixels; that step is then taken, and what it
-# leaves is of the order of its square over the length on which the map varies.
-TOLERANCE = 1e-3
-LEFT = 1e-5
+# leaves is of the order of its square over the length on which the map varies. Within a cell that resolves the
+# map, that length is large, and one step from the cell's own guess will mostly do.
+TOLERANCE, LEFT = 1e-3, 1e-5
+ROUGH_TOLERANCE, ROUGH_LEFT = 0.03, 2e-4
 # The interpolation error along a line is as s²(1-s)², of which the points looked at see 0.7; the rest is reserve.
 RESERVE = 1.6
 # A cell may be as large as the smoothest length at its corners; beyond, what is seen at points says nothing.
@@ -43,7 +44,7 @@ def solve_batch(w, one, n, table, axes, cols, rows, guessed, smooth, nodes):  # 
     evaluations that were needed.
     """
     sx, sy, sz = axes[0, 2], axes[1, 2], axes[2, 2]
-    finest = TOLERANCE * min(sx, min(sy, sz))
+    finest = (TOLERANCE if smooth else ROUGH_TOLERANCE) * min(sx, min(sy, sz))
     for i in range(n):
         w[STEPS + i] = 0.0
     left = 1.0
@@ -77,7 +78,7 @@ def solve_batch(w, one, n, table, axes, cols, rows, guessed, smooth, nodes):  # 
             w[PX + i] += w[DX + i]
             w[PY + i] += w[DY + i]
             w[PZ + i] += w[DZ + i]
-            node[ERROR] = LEFT
+            node[ERROR] = LEFT if smooth else ROUGH_LEFT
         else:
             size = 0.0
             for m in range(9):
@@ -155,34 +156,32 @@ def solve_rows(table, axes, z, xs, ys, first, last, nodes):  # type: ignore[no-u
 
 
 @kernel
-def _slope(x0, x1, x2, f0, f1, f2, x):  # type: ignore[no-untyped-def]
-    """The derivative at x of the parabola through three points; of the line, if the last two are one."""
+def _slope_weights(x0, x1, x2, x):  # type: ignore[no-untyped-def]
+    """How the derivative at x of the parabola through three points, or the line through two, weighs their values."""
     if x2 == x1:
-        return (f1 - f0) / (x1 - x0)
-    return (
-        f0 * (2.0 * x - x1 - x2) / ((x0 - x1) * (x0 - x2))
-        + f1 * (2.0 * x - x0 - x2) / ((x1 - x0) * (x1 - x2))
-        + f2 * (2.0 * x - x0 - x1) / ((x2 - x0) * (x2 - x1))
-    )
+        w = 1.0 / (x1 - x0)
+        return -w, w, 0.0
+    a, b, c = 1.0 / (x1 - x0), 1.0 / (x2 - x0), 1.0 / (x2 - x1)
+    return (2.0 * x - x1 - x2) * a * b, -(2.0 * x - x0 - x2) * a * c, (2.0 * x - x0 - x1) * b * c
 
 
 @kernel
 def set_twists(xs, ys, nx, ny, first, last, ndim, nodes):  # type: ignore[no-untyped-def]
     """∂²u/∂x∂y at the nodes of the rows ``first`` to ``last - 1``, from the slopes of their neighbours."""
+    # Three nodes in a line know better than two.
+    weight = 0.5 if (nx > 2) == (ny > 2) else (1.0 if nx > 2 else 0.0)
     for j in range(first, last):
         b = min(max(j - 1, 0), max(ny - 3, 0))
         b1, b2 = b + 1, min(b + 2, ny - 1)
+        v0, v1, v2 = _slope_weights(ys[b], ys[b1], ys[b2], ys[j])
         for i in range(nx):
             a = min(max(i - 1, 0), max(nx - 3, 0))
             a1, a2 = a + 1, min(a + 2, nx - 1)
+            w0, w1, w2 = _slope_weights(xs[a], xs[a1], xs[a2], xs[i])
             for c in range(ndim):
                 m = M + 3 * c
-                along_x = _slope(
-                    xs[a], xs[a1], xs[a2], nodes[j, a, m + 1], nodes[j, a1, m + 1], nodes[j, a2, m + 1], xs[i]
-                )
-                along_y = _slope(ys[b], ys[b1], ys[b2], nodes[b, i, m], nodes[b1, i, m], nodes[b2, i, m], ys[j])
-                # Three nodes in a line know better than two.
-                weight = 0.5 if (nx > 2) == (ny > 2) else (1.0 if nx > 2 else 0.0)
+                along_x = w0 * nodes[j, a, m + 1] + w1 * nodes[j, a1, m + 1] + w2 * nodes[j, a2, m + 1]
+                along_y = v0 * nodes[b, i, m] + v1 * nodes[b1, i, m] + v2 * nodes[b2, i, m]
                 nodes[j, i, TWIST + c] = weight * along_x + (1.0 - weight) * along_y
 
 
