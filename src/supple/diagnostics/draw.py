@@ -1,0 +1,252 @@
+"""Pictures of a deformation: iterations, residual, stretch, axes and grid.
+
+Matplotlib is imported where a picture is drawn, as that is slow; and none of its global state is touched, as
+whoever calls this may have figures of their own.
+"""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from supple.deformation import Deformation
+from supple.diagnostics import measure
+from supple.diagnostics.background import background
+from supple.diagnostics.frame import (
+    Background,
+    Extend,
+    arrows,
+    bar,
+    edges,
+    map_axes,
+    panels,
+    show,
+    title,
+    under,
+)
+from supple.domain import choice
+from supple.errors import SuppleError
+from supple.media.files import check_output, replacing, shown
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+WHATS = ("iterations", "residual", "stretch", "axes", "grid")
+SUFFIXES = (".png", ".svg", ".pdf")
+
+_DPI = 150
+_BLUE = "#33628d"
+_NEWTON = 1e-6  # how exact the inverse of each pixel is that the map is compared with
+
+Floats = npt.NDArray[np.float64]
+
+
+def plot(
+    deformation: Deformation,
+    what: str,
+    path: str | os.PathLike[str],
+    *,
+    image: npt.NDArray[Any] | None = None,
+    force: bool = False,
+) -> None:
+    """Write a picture of a deformation to a file.
+
+    Parameters
+    ----------
+    deformation : Deformation
+        Of images.
+    what, image
+        As `figure` takes them.
+    path : str or os.PathLike
+        A PNG, SVG or PDF file, by its suffix.
+    force : bool
+        Whether a file that exists already may be replaced.
+
+    Raises
+    ------
+    SuppleError
+        If it cannot be drawn, or not be written there.
+    """
+    suffix = Path(path).suffix.lower()
+    if suffix not in SUFFIXES:
+        raise SuppleError(f"cannot write {shown(path)}: a plot's name must end in {', '.join(SUFFIXES)}")
+    check_output(path, force=force)
+    drawn = figure(deformation, what, image=image)
+    metadata = {"Date": None} if suffix == ".svg" else {"CreationDate": None} if suffix == ".pdf" else {}
+    with replacing(path, force=force) as file:
+        drawn.savefig(file, format=suffix[1:], dpi=_DPI, metadata=metadata)
+
+
+def figure(deformation: Deformation, what: str, *, image: npt.NDArray[Any] | None = None) -> Figure:
+    """Draw a deformation.
+
+    Parameters
+    ----------
+    deformation : Deformation
+        Of images.
+    what : str
+        ``"iterations"``: how many each pixel takes, by the published method and by ours. ``"residual"``: how
+        far the inverse map is from the truth. ``"stretch"``: where the picture expands and contracts.
+        ``"axes"``: along which direction it shrinks, and by how much. ``"grid"``: straight lines, bent.
+    image : array, optional
+        The picture before it is deformed, which is shown (deformed) below the stretch, the axes or the grid.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+
+    Raises
+    ------
+    SuppleError
+        If ``what`` is none of these, the deformation is not one of images, or the image does not fit it.
+    """
+    choice("what", what, WHATS)
+    measure.require_image(deformation)
+    below = background(deformation, image) if image is not None else None
+    if what == "iterations":
+        return _iterations(deformation)
+    if what == "residual":
+        return _residual(deformation)
+    if what == "stretch":
+        return _stretch(deformation, below)
+    if what == "axes":
+        return _axes(deformation, below)
+    return _grid(deformation, below)
+
+
+def _iterations(deformation: Deformation) -> Figure:
+    from matplotlib.colors import Normalize
+    from matplotlib.ticker import MaxNLocator
+
+    found = measure.iterations(deformation)
+    made, parts = panels(deformation, 2, 2)
+    most = max(int(found.published.max()), int(found.ours.max()), 1)
+    norm = Normalize(0, most)
+    left = f"\n{found.unconverged} pixels not within 0.1 px" if found.unconverged else ""
+    published, ours = "Published: Gauss–Newton, μ = 0.5, to 0.1 px", "Ours: Newton, to 0.000001 px"
+    rows = (
+        (found.published, published, "iterations", found.published_error, left),
+        (found.ours, ours, "evaluations of T and its Jacobian", found.residual, ""),
+    )
+    for k, (counts, name, unit, error, note) in enumerate(rows):
+        bars, shown_map = parts[2 * k], parts[2 * k + 1]
+        tally = np.bincount(counts.ravel(), minlength=most + 1) / counts.size
+        bars.bar(np.arange(most + 1), 100 * tally, width=0.85, color=_BLUE)
+        bars.set_title(name, fontsize=11, loc="left")
+        bars.set_xlabel(unit)
+        bars.set_ylabel("pixels (%)")
+        bars.set_xlim(-0.7, most + 0.7)
+        bars.set_ylim(0, 125 * tally.max())  # room for the text
+        bars.xaxis.set_major_locator(MaxNLocator(integer=True))
+        bars.spines[["top", "right"]].set_visible(False)
+        bars.tick_params(labelsize=8)
+        kind = "worst distance to the true source" if k == 0 else "worst residual"
+        text = f"mean {counts.mean():.1f}, most {counts.max()}\n{kind}: {error.max():.2g} px{note}"
+        bars.text(0.98, 0.97, text, transform=bars.transAxes, ha="right", va="top", fontsize=9)
+        drawn = show(shown_map, counts.astype(np.float64), found.every, norm, "viridis")
+        map_axes(shown_map, deformation, "At each output pixel")
+        arrows(shown_map, deformation)
+        bar(made, drawn, shown_map, unit)
+    each = deformation.report().evaluations
+    title(made, f"Work to invert every pixel by itself (the lattice needs {each:.2g} evaluations a pixel)")
+    return made
+
+
+def _residual(deformation: Deformation) -> Figure:
+    from matplotlib.colors import LogNorm
+
+    found = measure.residual(deformation)
+    made, parts = panels(deformation, 1, 2)
+    worst = max(float(found.distance.max()), float(found.residual.max()))
+    high = 2 * max(worst, found.tolerance, found.bound)
+    norm = LogNorm(high * 1e-5, high, clip=True)
+    names = ("|T(p) − q| in output pixels", "|p − T⁻¹(q)| in input pixels")
+    for axes, values, name in zip(parts, (found.residual, found.distance), names, strict=True):
+        drawn = show(axes, values, found.every, norm, "magma")
+        map_axes(axes, deformation, f"{name}: at most {values.max():.2g}")
+    scale = bar(made, drawn, parts, "px (line: tolerance; dotted: certified bound of |p − T⁻¹(q)|)")
+    for value, style, colour in ((found.tolerance, "-", "#00a5a5"), (found.bound, ":", "black")):
+        if value > 0:
+            scale.axhline(value, color=colour, linestyle=style, linewidth=2)
+    beyond = int(np.count_nonzero(found.distance > found.bound + _NEWTON))
+    text = (
+        f"Error of the inverse map: certified at most {found.bound:.3g} px, tolerance {found.tolerance:g} px"
+    )
+    title(made, text + (f"; {beyond} pixels are beyond that" if beyond else ""))
+    return made
+
+
+def _stretch(deformation: Deformation, below: Background) -> Figure:
+    from matplotlib.colors import TwoSlopeNorm
+
+    vertical, horizontal = measure.stretch(deformation)
+    every = measure.spacing_of(deformation.shape)
+    made, parts = panels(deformation, 1, 2)
+    reach = max(float(np.abs(vertical - 1).max()), float(np.abs(horizontal - 1).max()), 0.05)
+    norm = TwoSlopeNorm(1.0, 1 - reach, 1 + reach)
+    for axes, values, name in zip(parts, (vertical, horizontal), ("Vertical", "Horizontal"), strict=True):
+        under(axes, deformation, below)
+        drawn = show(axes, values, every, norm, "RdBu_r", 0.72 if below is not None else None)
+        map_axes(axes, deformation, f"{name}: {values.min():.2f} to {values.max():.2f}")
+        arrows(axes, deformation)
+    bar(made, drawn, parts, "contracted  ←  1  →  expanded")
+    title(made, "Stretch of the picture")
+    return made
+
+
+def _axes(deformation: Deformation, below: Background) -> Figure:
+    from matplotlib.collections import LineCollection
+    from matplotlib.colors import Normalize
+
+    found = measure.footprints(deformation)
+    made, parts = panels(deformation, 1, 2)
+    levels = [np.maximum(np.log2(values), 0.0) for values in (found.major, found.minor)]
+    # Close to a fixed border, a few pixels may shrink far more than all others.
+    high = max(1.0, float(np.percentile(levels[0], 99.5)))
+    names = ("Major axis, log₂ σ₁, and its direction", "Minor axis, log₂ σ₂")
+    for axes, level, name in zip(parts, levels, names, strict=True):
+        under(axes, deformation, below)
+        alpha = None if below is None else 0.9 * np.sqrt(np.minimum(level / high, 1.0))
+        drawn = show(axes, level, found.every, Normalize(0, high), "YlGnBu", alpha)
+        map_axes(axes, deformation, f"{name}: at most {level.max():.2f}")
+    parts[0].add_collection(LineCollection(_needles(found), colors="black", linewidths=0.9, capstyle="round"))
+    cut: Extend = "max" if float(levels[0].max()) > high else "neither"
+    bar(made, drawn, parts, "log₂ of the source pixels that an output pixel spans", cut)
+    title(made, "Where the picture shrinks: levels of a pyramid (0 where it does not)")
+    return made
+
+
+def _needles(found: measure.Footprints) -> list[Floats]:
+    """Short lines along the major axes, the longer the more the picture shrinks along them."""
+    step = max(1, round(max(found.major.shape) / 36))
+    rows, columns = (
+        axis.ravel() for axis in np.indices(found.major.shape)[:, step // 2 :: step, step // 2 :: step]
+    )
+    shrink = 1 - 1 / np.maximum(found.major[rows, columns], 1.0)
+    half = found.direction[rows, columns] * (0.48 * step * np.sqrt(shrink))[:, None]
+    centre = np.stack([columns, rows], axis=-1)
+    return list(np.stack([centre - half, centre + half], axis=1)[shrink > 0.005] * found.every)
+
+
+def _grid(deformation: Deformation, below: Background) -> Figure:
+    from matplotlib.collections import LineCollection
+    from matplotlib.patheffects import withStroke
+
+    made, (axes,) = panels(deformation, 1, 1)
+    lines = measure.grid(deformation)
+    if below is not None:
+        axes.imshow(below, extent=edges(deformation))
+        bent = LineCollection(lines, colors="white", linewidths=0.8, alpha=0.9)
+        bent.set_path_effects([withStroke(linewidth=1.8, foreground=(0, 0, 0, 0.45))])
+    else:
+        still = measure.grid(Deformation(deformation.shape, spacing=deformation.domain.spacing))
+        axes.add_collection(LineCollection([x[[0, -1]] for x in still], colors="#d9d9d9", linewidths=0.6))
+        bent = LineCollection(lines, colors=_BLUE, linewidths=0.9)
+    axes.add_collection(bent)
+    map_axes(axes, deformation, "Straight lines of the input, as the output shows them")
+    arrows(axes, deformation, "black" if below is None else "#d55e00")
+    return made
