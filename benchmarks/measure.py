@@ -39,16 +39,25 @@ def pair(ours: Callable[[], object], peer: Callable[[], object], runs: int) -> t
         end = time.perf_counter()
         a.append(end - middle)
         b.append(middle - start)
-    return statistics.median(a), statistics.median(b), statistics.median(x / y for x, y in zip(a, b, strict=True))
+    return (
+        statistics.median(a),
+        statistics.median(b),
+        statistics.median(x / y for x, y in zip(a, b, strict=True)),
+    )
 
 
 def timed(what: str, ours: Callable[[], object], peer: Callable[[], object], runs: int, bar: float | None) -> Row:
     """A row that compares times; the bar is the largest ratio that will do."""
     a, b, ratio = pair(ours, peer, runs)
     return Row(
-        what, milliseconds(a), milliseconds(b), f"{ratio:.2f}", "" if bar is None else f"≤ {bar:g}",
-        None if bar is None else ratio <= bar, runs,
-    )  # fmt: skip
+        what,
+        milliseconds(a),
+        milliseconds(b),
+        f"{ratio:.2f}",
+        "" if bar is None else f"≤ {bar:g}",
+        None if bar is None else ratio <= bar,
+        runs,
+    )
 
 
 def milliseconds(seconds: float) -> str:
@@ -73,7 +82,9 @@ def machine() -> str:
     model = platform.processor() or platform.machine()
     info = Path("/proc/cpuinfo")
     if info.exists():
-        names = [line.split(":", 1)[1].strip() for line in info.read_text().splitlines() if line.startswith("model name")]
+        names = [
+            line.split(":", 1)[1].strip() for line in info.read_text().splitlines() if line.startswith("model name")
+        ]
         model = names[0] if names else model
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
     return f"{model}, {cores} cores, {platform.system()}, Python {platform.python_version()}"

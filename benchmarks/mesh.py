@@ -21,8 +21,14 @@ def rasterize(image, moved, out):  # type: ignore[no-untyped-def]
                 area = (x1 - x0) * (y2 - y0) - (x2 - x0) * (y1 - y0)
                 if area == 0.0:
                     continue
-                left, right = max(0, int(np.ceil(min(x0, x1, x2)))), min(width - 1, int(np.floor(max(x0, x1, x2))))
-                top, low = max(0, int(np.ceil(min(y0, y1, y2)))), min(height - 1, int(np.floor(max(y0, y1, y2))))
+                left, right = (
+                    max(0, int(np.ceil(min(x0, x1, x2)))),
+                    min(width - 1, int(np.floor(max(x0, x1, x2)))),
+                )
+                top, low = (
+                    max(0, int(np.ceil(min(y0, y1, y2)))),
+                    min(height - 1, int(np.floor(max(y0, y1, y2)))),
+                )
                 for j in range(top, low + 1):
                     for i in range(left, right + 1):
                         u = ((i - x0) * (y2 - y0) - (x2 - x0) * (j - y0)) / area

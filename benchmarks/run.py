@@ -66,8 +66,9 @@ def whole_warps(runs: int) -> list[Row]:
                 f"warp, linear, {name}: ours / cv2.remap with its map made",
                 lambda d=d, image=image: d.warp(image, filter="linear"),
                 lambda image=image, maps=maps: remap(image, maps),
-                runs, bar,
-            )  # fmt: skip
+                runs,
+                bar,
+            )
         )
         if height == 1080:
             for kind, most in (("antialias", 2.5), ("auto", None), ("cubic", None)):
@@ -76,8 +77,9 @@ def whole_warps(runs: int) -> list[Row]:
                         f"warp, {kind}, {name}: ours / cv2.remap, linear",
                         lambda d=d, image=image, kind=kind: d.warp(image, filter=kind),
                         lambda image=image, maps=maps: remap(image, maps),
-                        runs, most,
-                    )  # fmt: skip
+                        runs,
+                        most,
+                    )
                 )
     return rows
 
@@ -99,8 +101,9 @@ def many_strokes(runs: int) -> list[Row]:
                 f"100 strokes in sequence at 1080p, {name} / one stroke",
                 lambda many=many: many.warp(image, filter="linear"),
                 lambda one=one: one.warp(image, filter="linear"),
-                runs, bar,
-            )  # fmt: skip
+                runs,
+                bar,
+            )
         )
     return rows
 
@@ -115,20 +118,31 @@ def against_the_paper(runs: int) -> list[Row]:
         true = d.inverse(np.stack([x, y], axis=-1)).points
         worst_theirs = np.linalg.norm(theirs - true, axis=-1).max()
         worst_ours = np.linalg.norm(d.inverse_map() - true, axis=-1).max()
-        a, b, ratio = pair(lambda d=d: d.inverse_map(), lambda t=table, s=axes: paper.inverse_map(t, s, (512, 512)), runs)
+        a, b, ratio = pair(
+            lambda d=d: d.inverse_map(), lambda t=table, s=axes: paper.inverse_map(t, s, (512, 512)), runs
+        )
         name = "free border" if border is None else "fixed border"
         rows.append(
             Row(
-                f"inverse_map, 512², Fig 6.1b, {name}: the paper's time / ours", milliseconds(a), milliseconds(b),
-                f"{1 / ratio:.0f}×", "≥ 30×" if bar else "", 1 / ratio >= 30 if bar else None, runs,
-            )  # fmt: skip
+                f"inverse_map, 512², Fig 6.1b, {name}: the paper's time / ours",
+                milliseconds(a),
+                milliseconds(b),
+                f"{1 / ratio:.0f}×",
+                "≥ 30×" if bar else "",
+                1 / ratio >= 30 if bar else None,
+                runs,
+            )
         )
         rows.append(
             Row(
-                f"the same, worst error: the paper's / ours (tolerance 0.01 px), {name}", f"{worst_ours:.4f} px",
-                f"{worst_theirs:.4f} px", f"{worst_theirs / worst_ours:.0f}×", "≥ 10×" if bar else "",
-                worst_theirs / worst_ours >= 10 if bar else None, 1,
-            )  # fmt: skip
+                f"the same, worst error: the paper's / ours (tolerance 0.01 px), {name}",
+                f"{worst_ours:.4f} px",
+                f"{worst_theirs:.4f} px",
+                f"{worst_theirs / worst_ours:.0f}×",
+                "≥ 10×" if bar else "",
+                worst_theirs / worst_ours >= 10 if bar else None,
+                1,
+            )
         )
     return rows
 
@@ -149,11 +163,21 @@ def other_ways(runs: int) -> list[Row]:
     coordinates = np.concatenate([coordinates, channel])
     few = max(3, runs // 5)
     return [
-        timed("warp, linear, 512²: ours / forward mapping on a mesh of triangles", lambda: d.warp(image, filter="linear"),
-              forward_mesh, few, None),
-        timed("warp, linear, 512²: ours / skimage.transform.warp with its map made", lambda: d.warp(image, filter="linear"),
-              lambda: skimage.transform.warp(image, coordinates, order=1, mode="edge", preserve_range=True), few, None),
-    ]  # fmt: skip
+        timed(
+            "warp, linear, 512²: ours / forward mapping on a mesh of triangles",
+            lambda: d.warp(image, filter="linear"),
+            forward_mesh,
+            few,
+            None,
+        ),
+        timed(
+            "warp, linear, 512²: ours / skimage.transform.warp with its map made",
+            lambda: d.warp(image, filter="linear"),
+            lambda: skimage.transform.warp(image, coordinates, order=1, mode="edge", preserve_range=True),
+            few,
+            None,
+        ),
+    ]
 
 
 def catmull_rom(image: np.ndarray, points: np.ndarray) -> np.ndarray:
@@ -161,8 +185,12 @@ def catmull_rom(image: np.ndarray, points: np.ndarray) -> np.ndarray:
     i, j = np.floor(x).astype(int), np.floor(y).astype(int)
 
     def weights(t: np.ndarray) -> list[np.ndarray]:
-        return [(-t + 2 * t * t - t**3) / 2, (2 - 5 * t * t + 3 * t**3) / 2, (t + 4 * t * t - 3 * t**3) / 2,
-                (t**3 - t * t) / 2]  # fmt: skip
+        return [
+            (-t + 2 * t * t - t**3) / 2,
+            (2 - 5 * t * t + 3 * t**3) / 2,
+            (t + 4 * t * t - 3 * t**3) / 2,
+            (t**3 - t * t) / 2,
+        ]
 
     along, down = weights(x - i), weights(y - j)
     height, width = image.shape
@@ -195,7 +223,7 @@ def quality() -> list[Row]:
         total = np.zeros(image.shape)
         for dy in (np.arange(n) + 0.5) / n - 0.5:
             for dx in (np.arange(n) + 0.5) / n - 0.5:
-                total += catmull_rom(image.astype(float), d.inverse(grid + (dx, dy)).points)
+                total += catmull_rom(image.astype(float), d.inverse(grid + np.array([dx, dy])).points)
         reference = np.clip(total / n**2, 0, 255)
         theirs = psnr(remap(image, map_of(d)), reference)
         for kind in ("antialias", "ewa", "auto"):
@@ -203,10 +231,14 @@ def quality() -> list[Row]:
             asked = kind == "antialias"
             rows.append(
                 Row(
-                    f"{kind} against {n}×{n} subsamples, {name}; peer: cv2.remap, linear", f"{value:.1f} dB",
-                    f"{theirs:.1f} dB", f"{value - theirs:+.1f} dB", f"≥ {bar} dB" if asked else "",
-                    value >= bar if asked else None, 1,
-                )  # fmt: skip
+                    f"{kind} against {n}×{n} subsamples, {name}; peer: cv2.remap, linear",
+                    f"{value:.1f} dB",
+                    f"{theirs:.1f} dB",
+                    f"{value - theirs:+.1f} dB",
+                    f"≥ {bar} dB" if asked else "",
+                    value >= bar if asked else None,
+                    1,
+                )
             )
     return rows
 
@@ -224,22 +256,36 @@ def processes(runs: int, quick: bool) -> list[Row]:
         idle = [sys.executable, "-c", "import numba, pyvips"]
         few = max(5, runs // 3)
         rows.append(
-            timed("second start of `supple warp` on 512² / python -c 'import numba, pyvips'", lambda: run(warp),
-                  lambda: run(idle), few, 3.0)
-        )  # fmt: skip
+            timed(
+                "second start of `supple warp` on 512² / python -c 'import numba, pyvips'",
+                lambda: run(warp),
+                lambda: run(idle),
+                few,
+                3.0,
+            )
+        )
         side = 2048 if quick else 8192
         large = here / "large.png"
         pyvips.Image.new_from_array(photograph(side, side)).write_to_file(str(large), compression=1)
-        stroke = ["--grab", f"{side // 2},{side // 2}:{side // 2},{side // 2 + side // 8}", "--radius", f"{side // 4}"]
+        stroke = [
+            "--grab",
+            f"{side // 2},{side // 2}:{side // 2},{side // 2 + side // 8}",
+            "--radius",
+            f"{side // 4}",
+        ]
         _, base = run([*command, str(tiny), str(here / "t.png"), "--grab", "32,32:33,33", "--radius", "9", "--quiet"])
         _, peak = run([*command, str(large), str(here / "l.png"), *stroke, "--quiet"])
         data, most = 2 * side * side * 3 / 1e6, 2 * side * side * 3 / 1e6 + 100
         rows.append(
             Row(
                 f"peak memory of `supple warp`, {side}² RGB, above one of 64² (input and output: {data:.0f} MB)",
-                f"{peak - base:.0f} MB", "", f"data {peak - base - data:+.0f} MB", f"≤ {most:.0f} MB",
-                peak - base <= most, 1,
-            )  # fmt: skip
+                f"{peak - base:.0f} MB",
+                "",
+                f"data {peak - base - data:+.0f} MB",
+                f"≤ {most:.0f} MB",
+                peak - base <= most,
+                1,
+            )
         )
     return rows
 
@@ -261,9 +307,13 @@ def main() -> int:
     warnings.simplefilter("error", supple.FoldWarning)
     rows: list[Row] = []
     parts: list[Any] = [
-        lambda: whole_warps(runs), lambda: many_strokes(max(7, runs // 3)), lambda: against_the_paper(max(5, runs // 3)),
-        lambda: other_ways(runs), quality, lambda: processes(runs, asked.quick),
-    ]  # fmt: skip
+        lambda: whole_warps(runs),
+        lambda: many_strokes(max(7, runs // 3)),
+        lambda: against_the_paper(max(5, runs // 3)),
+        lambda: other_ways(runs),
+        quality,
+        lambda: processes(runs, asked.quick),
+    ]
     for part in parts:
         for row in part():
             rows.append(row)

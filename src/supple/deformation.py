@@ -64,7 +64,7 @@ class Report:
         A lower bound, at every point, of the smallest eigenvalue of the symmetric part of each stroke's I + J. It
         is above 0: nothing folds.
     folds : int
-        Pixels at which the map folds: 0, which ``margin`` proves.
+        At how many nodes of the lattice the map turns space over. ``margin`` proves that there are none.
     tolerance, error : float
         The tolerance asked for, and the certified bound on the distance of every source point of the inverse map
         to the true T⁻¹(q), in pixels.
@@ -136,16 +136,18 @@ class Deformation:
         choice("on_fold", on_fold, ("damp", "flow", "error"))
         domain = Domain(shape, spacing, border)
         values = {
-            "domain": domain, "on_fold": on_fold, "strokes": (), "_resolved": (), "_axes": domain.packed(),
+            "domain": domain,
+            "on_fold": on_fold,
+            "strokes": (),
+            "_resolved": (),
+            "_axes": domain.packed(),
             "_table": np.zeros(0, STROKE_DTYPE),
-        }  # fmt: skip
+        }
         for name, value in values.items():
             object.__setattr__(self, name, value)
 
     @classmethod
-    def from_recipe(
-        cls, recipe: Recipe, shape: Sequence[int], *, spacing: float | Sequence[float] = 1.0
-    ) -> Self:
+    def from_recipe(cls, recipe: Recipe, shape: Sequence[int], *, spacing: float | Sequence[float] = 1.0) -> Self:
         """A recipe's strokes on a domain; its errors name the stroke."""
         made = cls(shape, border=recipe.border, spacing=spacing, on_fold=recipe.on_fold)
         for i, stroke in enumerate(recipe.strokes):
@@ -222,10 +224,13 @@ class Deformation:
             warnings.warn(resolved.warning, FoldWarning, stacklevel=3)
         made = object.__new__(type(self))
         values = {
-            "domain": self.domain, "on_fold": self.on_fold, "strokes": (*self.strokes, stroke),
-            "_resolved": (*self._resolved, resolved), "_axes": self._axes,
+            "domain": self.domain,
+            "on_fold": self.on_fold,
+            "strokes": (*self.strokes, stroke),
+            "_resolved": (*self._resolved, resolved),
+            "_axes": self._axes,
             "_table": np.concatenate([self._table, resolved.rows]),
-        }  # fmt: skip
+        }
         for name, value in values.items():
             object.__setattr__(made, name, value)
         return made
@@ -264,7 +269,7 @@ class Deformation:
         forward_kernels.forward(self._table, self._axes, moved, matrices)
         n, steps = self.ndim, np.array(self.domain.spacing)
         full = matrices.reshape(3, 3, -1)[:n, :n] * (steps[None, :] / steps[:, None])[..., None]
-        return np.moveaxis(full, -1, 0).reshape(*shape[:-1], n, n)
+        return np.asarray(np.moveaxis(full, -1, 0).reshape(*shape[:-1], n, n), np.float64)
 
     def inverse(self, points: npt.ArrayLike) -> Inverse:
         """T⁻¹: which points of the input are seen at points of the output; solved for each, not interpolated.
@@ -288,9 +293,14 @@ class Deformation:
         def solve(k: int) -> None:
             a, b = edges[k], edges[k + 1]
             newton.inverse(
-                self._table, self._axes, np.ascontiguousarray(targets[:, a:b]), found[:, a:b], residual[a:b], steps[a:b],
+                self._table,
+                self._axes,
+                np.ascontiguousarray(targets[:, a:b]),
+                found[:, a:b],
+                residual[a:b],
+                steps[a:b],
                 1e-9 * finest,
-            )  # fmt: skip
+            )
 
         share(solve, range(parts))
         solved = self._points(found, shape)
@@ -379,9 +389,17 @@ class Deformation:
         if callable(source):
             return warp_function(self, source, samples, out)
         return warp_array(
-            source, self.shape, self.is_identity, lambda use: self._each_plane(tolerance, lambda _: use),
-            filter=filter, outside=outside, fill=fill, alpha=alpha, light=linear_light, out=out,
-        )  # fmt: skip
+            source,
+            self.shape,
+            self.is_identity,
+            lambda use: self._each_plane(tolerance, lambda _: use),
+            filter=filter,
+            outside=outside,
+            fill=fill,
+            alpha=alpha,
+            light=linear_light,
+            out=out,
+        )
 
     def report(self, *, tolerance: float = 0.01) -> Report:
         """What was done with the strokes, and the certified error of the inverse map at a tolerance, in pixels."""
@@ -393,7 +411,7 @@ class Deformation:
             applied=len(self._table),
             damping=tuple(r.alpha for r in self._resolved),
             margin=min((r.margin for r in self._resolved), default=1.0),
-            folds=0,
+            folds=certificate.folds,
             tolerance=tolerance,
             error=certificate.error,
             within=certificate.error <= tolerance,
@@ -401,7 +419,7 @@ class Deformation:
         )
 
     def _each_plane(self, tolerance: float, use: Callable[[int], Callable[[Band], None]]) -> Certificate:
-        total = Certificate(0.0, 0.0, 0.0)
+        total = Certificate(0.0, 0.0, 0.0, 0)
         height, width = self.shape[-2:]
         for z in range(self.shape[0] if self.ndim == 3 else 1):
             plane = solve_plane(self._table, self._axes, (height, width), self.ndim, float(z))

@@ -63,10 +63,15 @@ def warp_array(
         target = np.empty(native.shape, native.dtype)
     each(
         sampler(
-            deep, target if target.ndim == 3 else target[..., None],
-            filter=filter, outside=outside, fill=colours, alpha=straight, light=light,
+            deep,
+            target if target.ndim == 3 else target[..., None],
+            filter=filter,
+            outside=outside,
+            fill=colours,
+            alpha=straight,
+            light=light,
         )
-    )  # fmt: skip
+    )
     if target is not result:
         result[...] = target
     return result
@@ -85,9 +90,12 @@ def _fill(fill: float | Sequence[float], channels: int) -> npt.NDArray[np.float6
 def _result(out: Array | None, like: Array) -> Array:
     if out is None:
         return np.empty_like(like, order="C")
-    if not isinstance(out, np.ndarray) or out.shape != like.shape or out.dtype != like.dtype:
-        found = f"{out.dtype} of shape {out.shape}" if isinstance(out, np.ndarray) else out
-        refuse("out", f"an array of {like.dtype} of shape {like.shape}, as the source is", found)
+    wanted = f"an array of {like.dtype} of shape {like.shape}, as the source is"
+    given: object = out  # it may be anything
+    if not isinstance(given, np.ndarray):
+        refuse("out", wanted, given)
+    if out.shape != like.shape or out.dtype != like.dtype:
+        refuse("out", wanted, f"{out.dtype} of shape {out.shape}")
     if not out.flags.writeable:
         raise SuppleError("out must be an array that can be written, found a read-only one")
     if np.may_share_memory(out, like):

@@ -11,8 +11,20 @@ import numpy as np
 from supple.cpu.field import X, Z
 from supple.cpu.kernel import BATCH, kernel
 from supple.cpu.lattice import (
-    ERROR, M, NODE, RESOLVED, SIZE, SMOOTH, TWIST, U, check, patch, set_twists, solve_batch, too_coarse,
-)  # fmt: skip
+    ERROR,
+    NODE,
+    RESOLVED,
+    SIZE,
+    SMOOTH,
+    TWIST,
+    M,
+    U,
+    check,
+    patch,
+    set_twists,
+    solve_batch,
+    too_coarse,
+)
 from supple.cpu.newton import QX, QY, QZ, ROWS
 
 RUN = 8  # cells that share an anchor
@@ -20,14 +32,14 @@ WORST, SPLITS, EVALUATIONS, CELLS, STATS = 0, 1, 2, 3, 4
 
 
 @kernel
-def _cubic(v0, d0, v1, d1, inverse):  # type: ignore[no-untyped-def]
+def _cubic(v0, d0, v1, d1, inverse):
     """The coefficients of the cubic with values and slopes given at 0 and at 1 / ``inverse``."""
     rise = (v1 - v0) * inverse
     return v0, d0, (3.0 * rise - 2.0 * d0 - d1) * inverse, (d0 + d1 - 2.0 * rise) * inverse * inverse
 
 
 @kernel
-def _fill(nodes, j, i, h, k, width, height, left, top, x0, y0, z0, points, box):  # type: ignore[no-untyped-def]
+def _fill(nodes, j, i, h, k, width, height, left, top, x0, y0, z0, points, box):
     """Write a cell's source points: ``width`` by ``height`` pixels from column ``left`` and row ``top`` on.
 
     ``box`` grows by what bounds them: a Bézier patch lies within its control points.
@@ -70,18 +82,18 @@ def _fill(nodes, j, i, h, k, width, height, left, top, x0, y0, z0, points, box):
 
 
 @kernel
-def _copy(source, j, i, target, v, u):  # type: ignore[no-untyped-def]
+def _copy(source, j, i, target, v, u):
     for m in range(NODE):
         target[v, u, m] = source[j, i, m]
 
 
 @kernel
-def _halves(a, b, split):  # type: ignore[no-untyped-def]
+def _halves(a, b, split):
     return (a, (a + b) // 2, b) if split and b - a > 1 else (a, b, b)
 
 
 @kernel
-def _sides(cell):  # type: ignore[no-untyped-def]
+def _sides(cell):
     """Where a cell is split: three or two positions along each axis."""
     h, k, side = cell[1] - cell[0], cell[3] - cell[2], cell[4]
     xs = _halves(cell[0], cell[1], side != 2 or k == 1)
@@ -90,7 +102,7 @@ def _sides(cell):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _solve_middles(w, one, table, axes, z, x0, y0, cells, count, smooth, ndim, local, solved):  # type: ignore[no-untyped-def]
+def _solve_middles(w, one, table, axes, z, x0, y0, cells, count, smooth, ndim, local, solved):
     """Solve the nodes in the middles of cells and of their edges; once each. Returns the evaluations."""
     cols, rows = np.empty(BATCH, np.int64), np.empty(BATCH, np.int64)
     n, evaluations = 0, 0.0
@@ -126,7 +138,31 @@ def _solve_middles(w, one, table, axes, z, x0, y0, cells, count, smooth, ndim, l
 
 
 @kernel
-def _refine(w, one, table, axes, z, x0, y0, h, k, side, width, height, left, top, x_off, y_off, z_off, tolerance, local, solved, points, box, stats):  # type: ignore[no-untyped-def]
+def _refine(
+    w,
+    one,
+    table,
+    axes,
+    z,
+    x0,
+    y0,
+    h,
+    k,
+    side,
+    width,
+    height,
+    left,
+    top,
+    x_off,
+    y_off,
+    z_off,
+    tolerance,
+    local,
+    solved,
+    points,
+    box,
+    stats,
+):
     """Split a cell until every part of it is as exact as it should be, and fill the parts."""
     cells, following = np.empty((SIZE * SIZE, 5), np.int64), np.empty((SIZE * SIZE, 5), np.int64)
     cx, cy, ch, ck = np.empty(4), np.empty(4), np.empty(4), np.empty(4)
@@ -144,7 +180,9 @@ def _refine(w, one, table, axes, z, x0, y0, h, k, side, width, height, left, top
         min(local[0, 0, SMOOTH], local[0, h, SMOOTH]), min(local[k, 0, SMOOTH], local[k, h, SMOOTH])
     )
     while count > 0:
-        stats[EVALUATIONS] += _solve_middles(w, one, table, axes, z, x0, y0, cells, count, smooth, points.shape[0], local, solved)
+        stats[EVALUATIONS] += _solve_middles(
+            w, one, table, axes, z, x0, y0, cells, count, smooth, points.shape[0], local, solved
+        )
         stats[SPLITS] += count
         more = 0
         for m in range(count):
@@ -180,9 +218,21 @@ def _refine(w, one, table, axes, z, x0, y0, h, k, side, width, height, left, top
                     across = a1 - a0 + (1 if a1 == h and width > h else 0)
                     down = b1 - b0 + (1 if b1 == k and height > k else 0)
                     _fill(
-                        mini, v, u, ch[e], ck[e], across, down, left + a0, top + b0, x_off + a0, y_off + b0, z_off,
-                        points, box,
-                    )  # fmt: skip
+                        mini,
+                        v,
+                        u,
+                        ch[e],
+                        ck[e],
+                        across,
+                        down,
+                        left + a0,
+                        top + b0,
+                        x_off + a0,
+                        y_off + b0,
+                        z_off,
+                        points,
+                        box,
+                    )
                 else:
                     following[more, 0], following[more, 1] = a0, a1
                     following[more, 2], following[more, 3] = b0, b1
@@ -197,7 +247,7 @@ def _refine(w, one, table, axes, z, x0, y0, h, k, side, width, height, left, top
 
 
 @kernel
-def source_points(table, axes, z, xs, ys, wide, tall, first, last, tolerance, nodes, points, anchors, boxes, stats):  # type: ignore[no-untyped-def]
+def source_points(table, axes, z, xs, ys, wide, tall, first, last, tolerance, nodes, points, anchors, boxes, stats):
     """The source points of all pixels in the lattice's cell rows ``first`` to ``last - 1``.
 
     Parameters
@@ -251,9 +301,30 @@ def source_points(table, axes, z, xs, ys, wide, tall, first, last, tolerance, no
                     _copy(nodes, j + 1, i, local, k, 0)
                     _copy(nodes, j + 1, i + 1, local, k, h)
                     _refine(
-                        w, one, table, axes, z, xs[i], ys[j], h, k, sides[m], width, height, left, top, x_off, y_off, z_off,
-                        tolerance, local, solved, points, box, stats,
-                    )  # fmt: skip
+                        w,
+                        one,
+                        table,
+                        axes,
+                        z,
+                        xs[i],
+                        ys[j],
+                        h,
+                        k,
+                        sides[m],
+                        width,
+                        height,
+                        left,
+                        top,
+                        x_off,
+                        y_off,
+                        z_off,
+                        tolerance,
+                        local,
+                        solved,
+                        points,
+                        box,
+                        stats,
+                    )
                 for c in range(points.shape[0]):
                     boxes[j - first, i, c, 0] = anchor[c] + box[c, 0]
                     boxes[j - first, i, c, 1] = anchor[c] + box[c, 1]

@@ -34,7 +34,7 @@ FREE_ROWS = 28
 
 
 @kernel
-def _sine(x):  # type: ignore[no-untyped-def]
+def _sine(x):
     # Taylor's series: to the last bit on [0, π/2], and it vectorizes, which the library's sine does not.
     t = x * x
     y = -1.9572941063391263e-20
@@ -51,7 +51,7 @@ def _sine(x):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _edge(w, n, axis, extent, sigma):  # type: ignore[no-untyped-def]
+def _edge(w, n, axis, extent, sigma):
     x, beta, slope = X + axis * BATCH, BETA + axis * BATCH, SLOPE + axis * BATCH
     near, inside = NEAR + axis * BATCH, INSIDE + axis * BATCH
     if sigma < 0.0:
@@ -78,7 +78,7 @@ def _edge(w, n, axis, extent, sigma):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _profiles(w, n, stroke):  # type: ignore[no-untyped-def]
+def _profiles(w, n, stroke):
     """A, B, 2A' and 2B' at the nearest points, summed over the stroke's terms."""
     px, py, pz = stroke["pivot"][0], stroke["pivot"][1], stroke["pivot"][2]
     for i in range(n):
@@ -100,7 +100,7 @@ def _profiles(w, n, stroke):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _move(w, n, stroke):  # type: ignore[no-untyped-def]
+def _move(w, n, stroke):
     px, py, pz = stroke["pivot"][0], stroke["pivot"][1], stroke["pivot"][2]
     fx, fy, fz = stroke["force"][0], stroke["force"][1], stroke["force"][2]
     for i in range(n):
@@ -112,7 +112,7 @@ def _move(w, n, stroke):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _move_with_jacobian(w, n, stroke):  # type: ignore[no-untyped-def]
+def _move_with_jacobian(w, n, stroke):
     px, py, pz = stroke["pivot"][0], stroke["pivot"][1], stroke["pivot"][2]
     fx, fy, fz = stroke["force"][0], stroke["force"][1], stroke["force"][2]
     for i in range(n):
@@ -153,7 +153,7 @@ def _move_with_jacobian(w, n, stroke):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def step(w, n, stroke, axes, with_jacobian):  # type: ignore[no-untyped-def]
+def step(w, n, stroke, axes, with_jacobian):
     """Send the ``n`` ≤ BATCH points of a workspace through one stroke, and multiply their Jacobians by its."""
     _edge(w, n, 0, axes[0, 0], axes[0, 1])
     _edge(w, n, 1, axes[1, 0], axes[1, 1])
@@ -166,7 +166,7 @@ def step(w, n, stroke, axes, with_jacobian):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def identity(w, n):  # type: ignore[no-untyped-def]
+def identity(w, n):
     """Set the Jacobians of a batch to the identity."""
     for i in range(n):
         w[J00 + i], w[J01 + i], w[J02 + i] = 1.0, 0.0, 0.0
@@ -175,7 +175,7 @@ def identity(w, n):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def apply(w, n, table, axes, first, last, with_jacobian):  # type: ignore[no-untyped-def]
+def apply(w, n, table, axes, first, last, with_jacobian):
     """Send a batch through the strokes ``first`` to ``last - 1``; the rows J00.. become their Jacobian, if wanted."""
     if with_jacobian:
         identity(w, n)
@@ -184,7 +184,7 @@ def apply(w, n, table, axes, first, last, with_jacobian):  # type: ignore[no-unt
 
 
 @kernel
-def load(w, row, n, source, start):  # type: ignore[no-untyped-def]
+def load(w, row, n, source, start):
     """Copy ``source[:, start : start + n]`` into the rows from ``row`` on."""
     for k in range(source.shape[0]):
         for i in range(n):
@@ -192,7 +192,7 @@ def load(w, row, n, source, start):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def save(w, row, n, target, start):  # type: ignore[no-untyped-def]
+def save(w, row, n, target, start):
     """The reverse of `load`."""
     for k in range(target.shape[0]):
         for i in range(n):
@@ -200,7 +200,7 @@ def save(w, row, n, target, start):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def forward(table, axes, points, jacobian):  # type: ignore[no-untyped-def]
+def forward(table, axes, points, jacobian):
     """T of ``points`` (3, N), in place; and its Jacobian into ``jacobian`` (9, N), unless that has no columns."""
     w = np.empty(FREE_ROWS * BATCH)
     total = points.shape[1]

@@ -6,15 +6,32 @@ import numpy as np
 
 from supple.cpu.band import RUN
 from supple.cpu.footprint import (
-    ANTIALIAS, AUTO, BOX_X, BOX_Y, CUBIC, EWA, LINEAR, MAJOR, MINOR, OBLIQUE, PARTS, PLACES, STEPS, TAPS, WIDEST, XX,
-    XY, YY, extremes, footprints,
-)  # fmt: skip
+    ANTIALIAS,
+    AUTO,
+    BOX_X,
+    BOX_Y,
+    EWA,
+    LINEAR,
+    MAJOR,
+    MINOR,
+    OBLIQUE,
+    PARTS,
+    PLACES,
+    STEPS,
+    TAPS,
+    WIDEST,
+    XX,
+    XY,
+    YY,
+    extremes,
+    footprints,
+)
 from supple.cpu.kernel import colour_kernel as kernel
 from supple.cpu.lattice import SIZE
 from supple.cpu.pyramid import build, levels_for
 from supple.cpu.region import bounds, load, spans, store
-from supple.cpu.vector import four_channels, one_channel
 from supple.cpu.sample import CORNERS, MIXED, PART_X, PART_Y, WHERE, WIDE, limits, positions
+from supple.cpu.vector import four_channels, one_channel
 
 MOST_TAPS = 64
 
@@ -28,7 +45,7 @@ _two1, _four1, _six1 = one_channel(2), one_channel(4), one_channel(TAPS)
 
 
 @kernel
-def _cubic_weights(part, own, at):  # type: ignore[no-untyped-def]
+def _cubic_weights(part, own, at):
     own[at] = part
     t = own[at]  # now of the type that all is worked out in
     half, one, three = np.float32(0.5), np.float32(1.0), np.float32(3.0)
@@ -39,7 +56,7 @@ def _cubic_weights(part, own, at):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _boxes(tile, starts, widths, lanes, x, y, xx, xy, yy, major, minor, table, zero, out, to):  # type: ignore[no-untyped-def]
+def _boxes(tile, starts, widths, lanes, x, y, xx, xy, yy, major, minor, table, zero, out, to):
     """The average over a footprint of any form around (x, y), by boxes along its major axis."""
     level, unit = 0, 1.0
     while level < starts.size - 1 and minor > WIDEST * WIDEST * unit * unit:
@@ -77,7 +94,7 @@ def _boxes(tile, starts, widths, lanes, x, y, xx, xy, yy, major, minor, table, z
 
 
 @kernel
-def _ellipse(tile, stride, lanes, x, y, xx, xy, yy, out, to):  # type: ignore[no-untyped-def]
+def _ellipse(tile, stride, lanes, x, y, xx, xy, yy, out, to):
     """Heckbert's elliptical weighted average: exp(-2 r²) within the ellipse r² = dᵀ C⁻¹ d ≤ 1."""
     scale = 1.0 / (xx * yy - xy * xy)
     reach_x, reach_y = np.sqrt(xx), np.sqrt(yy)
@@ -98,7 +115,7 @@ def _ellipse(tile, stride, lanes, x, y, xx, xy, yy, out, to):  # type: ignore[no
 
 
 @kernel
-def _choose(n, parts, words):  # type: ignore[no-untyped-def]
+def _choose(n, parts, words):
     """How each pixel of a row is filtered, and where in the table its weights are."""
     most, oblique = np.float32(WIDEST * WIDEST), np.float32(OBLIQUE)
     places, half = np.float32(PLACES), np.float32(0.5)
@@ -115,10 +132,10 @@ def _choose(n, parts, words):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _row(tile, starts, widths, lanes, n, mode, largest, stride, words, parts, table, own, values):  # type: ignore[no-untyped-def]
+def _row(tile, starts, widths, lanes, n, mode, largest, stride, words, parts, table, own, values):
     """The filtered values of a row's pixels, whose positions and footprints are in ``words`` and ``parts``."""
     zero = own[8]
-    if mode == AUTO or mode == ANTIALIAS:
+    if mode in (AUTO, ANTIALIAS):
         _choose(n, parts, words)
     else:
         kind = np.uint32(LONG if mode == EWA else POINT)
@@ -144,9 +161,22 @@ def _row(tile, starts, widths, lanes, n, mode, largest, stride, words, parts, ta
                 _ellipse(tile, stride, lanes, x, y, xx, xy, yy, values, i * lanes)
             else:
                 _boxes(
-                    tile, starts, widths, lanes, x, y, xx, xy, yy, fit * major, fit * minor, table, zero, values,
+                    tile,
+                    starts,
+                    widths,
+                    lanes,
+                    x,
+                    y,
+                    xx,
+                    xy,
+                    yy,
+                    fit * major,
+                    fit * minor,
+                    table,
+                    zero,
+                    values,
                     i * lanes,
-                )  # fmt: skip
+                )
         elif mode == LINEAR:
             own[1], own[5] = parts[PART_X + i], parts[PART_Y + i]
             own[0], own[4] = np.float32(1.0) - own[1], np.float32(1.0) - own[5]
@@ -164,7 +194,27 @@ def _row(tile, starts, widths, lanes, n, mode, largest, stride, words, parts, ta
 
 
 @kernel
-def filtered(source, points, anchors, boxes, mode, lanes, rule, fill, alpha, top, levels, table, own, linear, low, high, whole, octets, out):  # type: ignore[no-untyped-def]
+def filtered(
+    source,
+    points,
+    anchors,
+    boxes,
+    mode,
+    lanes,
+    rule,
+    fill,
+    alpha,
+    top,
+    levels,
+    table,
+    own,
+    linear,
+    low,
+    high,
+    whole,
+    octets,
+    out,
+):
     """Sample a band by any filter but nearest.
 
     Parameters

@@ -53,7 +53,7 @@ _HUGE = 1e100
 
 
 @kernel
-def _smallest(s, v, d, row):  # type: ignore[no-untyped-def]
+def _smallest(s, v, d, row):
     """The smallest eigenvalue of S(v) less a diagonal, or a little less; of S(v) itself, or a little more."""
     a, b, c = s[v, 0] - d[row, 0], s[v, 1] - d[row, 1], s[v, 2] - d[row, 2]
     xy, xz, yz = s[v, 3], s[v, 4], s[v, 5]
@@ -69,7 +69,7 @@ def _smallest(s, v, d, row):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _strain(s, v, terms, force, active, ends, i, j, k):  # type: ignore[no-untyped-def]
+def _strain(s, v, terms, force, active, ends, i, j, k):
     """S at a corner, into s[v]: xx, yy, zz, xy, xz, yz."""
     x, y, z = ends[0, i, _PLACE], ends[1, j, _PLACE], ends[2, k, _PLACE]
     bx, by, bz = ends[0, i, _BETA], ends[1, j, _BETA], ends[2, k, _BETA]
@@ -100,7 +100,7 @@ def _strain(s, v, terms, force, active, ends, i, j, k):  # type: ignore[no-untyp
 
 
 @kernel
-def _put_ends(ends, boxes, item, active):  # type: ignore[no-untyped-def]
+def _put_ends(ends, boxes, item, active):
     for k in range(3):
         for end in range(2):
             t = end * boxes[item, k, WIDTH]
@@ -112,7 +112,7 @@ def _put_ends(ends, boxes, item, active):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _derivatives(k, x):  # type: ignore[no-untyped-def]
+def _derivatives(k, x):
     """Bounds of ρ^-k and its derivatives, times ρ^k, ρ^(k+1) and so on, where |r|/ρ is at most x."""
     c = k * (k + 2.0)
     y = min(x, 1.0 / np.sqrt(k + 4.0))
@@ -121,7 +121,7 @@ def _derivatives(k, x):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _put_errors(d, boxes, item, active, e, limits):  # type: ignore[no-untyped-def]
+def _put_errors(d, boxes, item, active, e, limits):
     """The diagonals of a box. Returns a simple bound of μ in it, and what rounding may do to S."""
     near2, far2, steepest = 0.0, 0.0, 0.0
     for k in range(3):
@@ -159,7 +159,7 @@ def _put_errors(d, boxes, item, active, e, limits):  # type: ignore[no-untyped-d
 
 
 @kernel
-def _push(heap, keys, n, item):  # type: ignore[no-untyped-def]
+def _push(heap, keys, n, item):
     i = n
     while i > 0 and keys[heap[(i - 1) // 2]] > keys[item]:
         heap[i] = heap[(i - 1) // 2]
@@ -168,7 +168,7 @@ def _push(heap, keys, n, item):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _pop(heap, keys, n):  # type: ignore[no-untyped-def]
+def _pop(heap, keys, n):
     """The item with the smallest key of ``n``, taken out."""
     top, item = heap[0], heap[n - 1]
     i, child = 0, 1
@@ -184,7 +184,7 @@ def _pop(heap, keys, n):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def smallest_strain(  # type: ignore[no-untyped-def]
+def smallest_strain(
     terms, force, active, boxes, keys, heap, n, limits, upper, target, gap
 ):
     """Bounds of μ over the first ``n`` boxes, and how many boxes it took.

@@ -56,14 +56,14 @@ def weights(dtype: np.dtype[np.floating]) -> np.ndarray:
 
 
 @kernel
-def _copy_row(points, c, row, left, n, parts, at):  # type: ignore[no-untyped-def]
+def _copy_row(points, c, row, left, n, parts, at):
     taken = points[c, row, left : left + n]
     for i in range(n):
         parts[at + i] = taken[i]
 
 
 @kernel
-def footprints(points, row, left, n, mode, parts):  # type: ignore[no-untyped-def]
+def footprints(points, row, left, n, mode, parts):
     """Describe the footprints of a row's pixels in ``parts``."""
     rows = points.shape[1]
     above, below = max(row - 1, 0), min(row + 1, rows - 1)
@@ -125,7 +125,7 @@ def footprints(points, row, left, n, mode, parts):  # type: ignore[no-untyped-de
 
 
 @kernel
-def extremes(points, left, n, mode, parts):  # type: ignore[no-untyped-def]
+def extremes(points, left, n, mode, parts):
     """About the largest σ₁'² and σ₂'² of a run, from some of its rows, with a reserve for the others."""
     largest, second = 0.0, 0.0
     for k in range(0, points.shape[1] + 7, 8):

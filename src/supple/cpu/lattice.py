@@ -15,12 +15,40 @@ from __future__ import annotations
 import numpy as np
 
 from supple.cpu.field import (
-    J00, J01, J02, J10, J11, J12, J20, J21, J22, X, Y, Z, apply, identity, step,
-)  # fmt: skip
+    J00,
+    J01,
+    J02,
+    J10,
+    J11,
+    J12,
+    J20,
+    J21,
+    J22,
+    X,
+    Y,
+    Z,
+    apply,
+    identity,
+    step,
+)
 from supple.cpu.kernel import BATCH, kernel
 from supple.cpu.newton import (
-    DONE, DX, DY, DZ, NORM, PX, PY, PZ, QX, QY, QZ, ROWS, STEPS, newton, undo,
-)  # fmt: skip
+    DONE,
+    DX,
+    DY,
+    DZ,
+    NORM,
+    PX,
+    PY,
+    PZ,
+    QX,
+    QY,
+    QZ,
+    ROWS,
+    STEPS,
+    newton,
+    undo,
+)
 
 U, M, TWIST, SMOOTH, ERROR, NODE = 0, 3, 12, 15, 16, 17
 
@@ -37,7 +65,7 @@ RESOLVED = 1.0
 
 
 @kernel
-def solve_batch(w, one, n, table, axes, cols, rows, guessed, smooth, nodes):  # type: ignore[no-untyped-def]
+def solve_batch(w, one, n, table, axes, cols, rows, guessed, smooth, nodes):
     """Solve T(p) = q for the pixels in the rows QX..; the nodes' numbers go to ``nodes[rows[i], cols[i]]``.
 
     The rows X.. hold guesses if ``guessed``. How smooth the map is there is found if ``smooth``. Returns the
@@ -94,7 +122,7 @@ def solve_batch(w, one, n, table, axes, cols, rows, guessed, smooth, nodes):  # 
 
 
 @kernel
-def _smoothness(w, n, table, axes, cols, rows, nodes):  # type: ignore[no-untyped-def]
+def _smoothness(w, n, table, axes, cols, rows, nodes):
     """How far, in output pixels, the map stays as smooth as it is at a node.
 
     A stroke varies over ρ, and its border over σ or the distance to it: both are seen through the derivative of
@@ -117,7 +145,11 @@ def _smoothness(w, n, table, axes, cols, rows, nodes):  # type: ignore[no-untype
                 gy = w[J10 + i] * u + w[J11 + i] * v + w[J12 + i] * t
                 gz = w[J20 + i] * u + w[J21 + i] * v + w[J22 + i] * t
                 size = max(size, gx * gx + gy * gy + gz * gz)
-            rx, ry, rz = w[X + i] - stroke["pivot"][0], w[Y + i] - stroke["pivot"][1], w[Z + i] - stroke["pivot"][2]
+            rx, ry, rz = (
+                w[X + i] - stroke["pivot"][0],
+                w[Y + i] - stroke["pivot"][1],
+                w[Z + i] - stroke["pivot"][2],
+            )
             reach = np.sqrt(rx * rx + ry * ry + rz * rz + stroke["radius2"][0])
             for axis in range(3):
                 if axes[axis, 1] > 0.0:
@@ -128,7 +160,7 @@ def _smoothness(w, n, table, axes, cols, rows, nodes):  # type: ignore[no-untype
 
 
 @kernel
-def solve_rows(table, axes, z, xs, ys, first, last, nodes):  # type: ignore[no-untyped-def]
+def solve_rows(table, axes, z, xs, ys, first, last, nodes):
     """Solve the lattice's rows ``first`` to ``last - 1``, each from the one before. Returns the evaluations."""
     w, one = np.empty(ROWS * BATCH), np.empty(ROWS * BATCH)
     cols, rows = np.empty(BATCH, np.int64), np.empty(BATCH, np.int64)
@@ -156,7 +188,7 @@ def solve_rows(table, axes, z, xs, ys, first, last, nodes):  # type: ignore[no-u
 
 
 @kernel
-def _slope_weights(x0, x1, x2, x):  # type: ignore[no-untyped-def]
+def _slope_weights(x0, x1, x2, x):
     """How the derivative at x of the parabola through three points, or the line through two, weighs their values."""
     if x2 == x1:
         w = 1.0 / (x1 - x0)
@@ -166,7 +198,7 @@ def _slope_weights(x0, x1, x2, x):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def set_twists(xs, ys, nx, ny, first, last, ndim, nodes):  # type: ignore[no-untyped-def]
+def set_twists(xs, ys, nx, ny, first, last, ndim, nodes):
     """∂²u/∂x∂y at the nodes of the rows ``first`` to ``last - 1``, from the slopes of their neighbours."""
     # Three nodes in a line know better than two.
     weight = 0.5 if (nx > 2) == (ny > 2) else (1.0 if nx > 2 else 0.0)
@@ -186,7 +218,7 @@ def set_twists(xs, ys, nx, ny, first, last, ndim, nodes):  # type: ignore[no-unt
 
 
 @kernel
-def patch(nodes, j, i, c, h, k, s, t):  # type: ignore[no-untyped-def]
+def patch(nodes, j, i, c, h, k, s, t):
     """Component ``c`` of u at (s, t) in [0, 1]² of the cell, ``h`` by ``k`` pixels, right and below a node."""
     s1, t1 = 1.0 - s, 1.0 - t
     vs, ws = (1.0 + 2.0 * s) * s1 * s1, s * s * (3.0 - 2.0 * s)
@@ -205,7 +237,7 @@ def patch(nodes, j, i, c, h, k, s, t):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def too_coarse(nodes, j, i, h, k):  # type: ignore[no-untyped-def]
+def too_coarse(nodes, j, i, h, k):
     """Whether a cell is larger than the map is smooth."""
     smooth = min(
         min(nodes[j, i, SMOOTH], nodes[j, i + 1, SMOOTH]),
@@ -238,7 +270,7 @@ AT_Y = np.array([0.3, 0.3, 0.7, 0.7, 0.0, 0.0, 0.3, 0.7])
 
 
 @kernel
-def check(w, n, table, axes, ndim, z, x0, y0, hs, ks, js, cells, nodes, errors, sides):  # type: ignore[no-untyped-def]
+def check(w, n, table, axes, ndim, z, x0, y0, hs, ks, js, cells, nodes, errors, sides):
     """Bound the errors of ``n`` ≤ BATCH / 8 cells, in pixels: within each and on two of its edges, T is compared.
 
     Cell ``m`` lies right and below ``nodes[js[m], cells[m]]``, at the pixel (x0[m], y0[m]), ``hs[m]`` by ``ks[m]``.

@@ -11,8 +11,23 @@ from __future__ import annotations
 import numpy as np
 
 from supple.cpu.field import (
-    FREE_ROWS, J00, J01, J02, J10, J11, J12, J20, J21, J22, X, Y, Z, apply, load, save,
-)  # fmt: skip
+    FREE_ROWS,
+    J00,
+    J01,
+    J02,
+    J10,
+    J11,
+    J12,
+    J20,
+    J21,
+    J22,
+    X,
+    Y,
+    Z,
+    apply,
+    load,
+    save,
+)
 from supple.cpu.kernel import BATCH, kernel
 
 # Rows of a workspace, after those of the field: what should be reached, the best point so far and its next
@@ -29,7 +44,7 @@ _SMALLEST_LENGTH = 2.0**-24
 
 
 @kernel
-def _keep_inside(w, n, axis, extent):  # type: ignore[no-untyped-def]
+def _keep_inside(w, n, axis, extent):
     # A fixed face maps to itself, and beyond it the map moves nothing across: the solution is on q's side.
     x, q = X + axis * BATCH, QX + axis * BATCH
     for i in range(n):
@@ -38,7 +53,7 @@ def _keep_inside(w, n, axis, extent):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _try(w, n):  # type: ignore[no-untyped-def]
+def _try(w, n):
     for i in range(n):
         w[X + i] = w[PX + i] + w[LENGTH + i] * w[DX + i]
         w[Y + i] = w[PY + i] + w[LENGTH + i] * w[DY + i]
@@ -46,7 +61,7 @@ def _try(w, n):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _judge(w, n, axes, tolerance2):  # type: ignore[no-untyped-def]
+def _judge(w, n, axes, tolerance2):
     """Take the trials that led downhill and find their next steps; halve the others. How many go on."""
     left = 0.0
     for i in range(n):
@@ -84,7 +99,7 @@ def _judge(w, n, axes, tolerance2):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def newton(w, n, table, axes, first, last, tolerance, limit):  # type: ignore[no-untyped-def]
+def newton(w, n, table, axes, first, last, tolerance, limit):
     """Solve T(p) = q for the strokes ``first`` to ``last - 1``, for a batch.
 
     The rows QX.. hold the targets q, X.. the guesses. Afterwards PX.. hold the solutions, J00.. T's Jacobian
@@ -111,7 +126,7 @@ def newton(w, n, table, axes, first, last, tolerance, limit):  # type: ignore[no
 
 
 @kernel
-def _continue(w, one, i, table, axes, k, tolerance):  # type: ignore[no-untyped-def]
+def _continue(w, one, i, table, axes, k, tolerance):
     """Follow T⁻¹ along the straight line from where point ``i`` is sent to where it should be sent."""
     for axis in range(3):
         one[X + axis * BATCH] = w[QX + axis * BATCH + i]
@@ -138,7 +153,7 @@ def _continue(w, one, i, table, axes, k, tolerance):  # type: ignore[no-untyped-
 
 
 @kernel
-def undo(w, one, n, table, axes, tolerance):  # type: ignore[no-untyped-def]
+def undo(w, one, n, table, axes, tolerance):
     """T⁻¹ of a batch without a guess. The rows X.. hold q; afterwards all is as `newton` leaves it."""
     goal = np.empty(3 * BATCH)
     for i in range(3 * BATCH):
@@ -155,7 +170,7 @@ def undo(w, one, n, table, axes, tolerance):  # type: ignore[no-untyped-def]
             w[QX + i] = goal[i] if whole else w[X + i]
         if whole and strokes == 1:
             break
-        left = newton(w, n, table, axes, first, last, tolerance, 8 if whole else 40)
+        newton(w, n, table, axes, first, last, tolerance, 8 if whole else 40)
         if not whole:
             for i in range(n):
                 if w[DONE + i] == 0.0:
@@ -165,7 +180,7 @@ def undo(w, one, n, table, axes, tolerance):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def inverse(table, axes, targets, points, residual, steps, tolerance):  # type: ignore[no-untyped-def]
+def inverse(table, axes, targets, points, residual, steps, tolerance):
     """T⁻¹ of ``targets`` (3, N) into ``points``, with |T(p) - q| in physical units and the evaluations."""
     w, one = np.empty(ROWS * BATCH), np.empty(ROWS * BATCH)
     total = targets.shape[1]

@@ -23,7 +23,7 @@ _SINGULAR = 1e-200
 
 
 @kernel
-def _border(x, extent, sigma):  # type: ignore[no-untyped-def]
+def _border(x, extent, sigma):
     """β and β' of a coordinate."""
     if sigma < 0.0:
         return 1.0, 0.0
@@ -38,7 +38,7 @@ def _border(x, extent, sigma):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _evaluate(stroke, axes, x, y):  # type: ignore[no-untyped-def]
+def _evaluate(stroke, axes, x, y):
     """K_β and the entries of J_β, row by row."""
     dx, dy = x - stroke["pivot"][0], y - stroke["pivot"][1]
     fx, fy = stroke["force"][0], stroke["force"][1]
@@ -66,7 +66,7 @@ def _evaluate(stroke, axes, x, y):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def invert_rows(  # type: ignore[no-untyped-def]
+def invert_rows(
     table, axes, xs, ys, first, last, mu, tolerance, limit, own, other, points, iterations, residual
 ):
     """Invert T at the pixels (xs[i], ys[j]) of the rows ``first`` to ``last - 1``, each stroke by itself.
@@ -157,7 +157,7 @@ def inverse_map(
         invert_rows(
             table, axes, xs, ys, edges[k], edges[k + 1], mu, tolerance, limit, own, other,
             points, iterations, residual,
-        )  # fmt: skip
+        )
 
     share(work, range(parts))
     if table.size > 1:

@@ -8,7 +8,7 @@ from supple.cpu.kernel import colour_kernel as kernel
 
 
 @kernel
-def levels_for(squared, widest):  # type: ignore[no-untyped-def]
+def levels_for(squared, widest):
     """How often a footprint, given by the square of its minor axis, has to be halved to be no wider than that."""
     level, unit = 0, 1.0
     while squared > widest * widest * unit * unit and level < 12:
@@ -17,7 +17,7 @@ def levels_for(squared, widest):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def build(tile, wide, tall, lanes, coarsest):  # type: ignore[no-untyped-def]
+def build(tile, wide, tall, lanes, coarsest):
     """Append the levels 1 to ``coarsest`` to a flat tile, whose sides they must divide.
 
     Returns where each level starts in it, and how many samples its rows have.

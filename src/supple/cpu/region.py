@@ -16,7 +16,7 @@ EDGE, CONSTANT, REFLECT = 0, 1, 2
 
 
 @kernel
-def _reach(boxes, j, i, axis, size, rule, margin):  # type: ignore[no-untyped-def]
+def _reach(boxes, j, i, axis, size, rule, margin):
     low, high = boxes[j, i, axis, 0], boxes[j, i, axis, 1]
     if rule != REFLECT:
         # Farther out, nothing changes any more: points are drawn near before they are sampled.
@@ -25,7 +25,7 @@ def _reach(boxes, j, i, axis, size, rule, margin):  # type: ignore[no-untyped-de
 
 
 @kernel
-def bounds(boxes, run, axis, size, rule, margin):  # type: ignore[no-untyped-def]
+def bounds(boxes, run, axis, size, rule, margin):
     """The first sample along an axis that a run may read, ``margin`` around its points; and one past the last."""
     first, last = _reach(boxes, 0, run * RUN, axis, size, rule, margin)
     for j in range(boxes.shape[0]):
@@ -36,7 +36,7 @@ def bounds(boxes, run, axis, size, rule, margin):  # type: ignore[no-untyped-def
 
 
 @kernel
-def spans(boxes, run, width, height, x0, x1, y0, y1, rule, margin, out):  # type: ignore[no-untyped-def]
+def spans(boxes, run, width, height, x0, x1, y0, y1, rule, margin, out):
     """Which samples the run may read of each row y0..y1-1: from ``out[0]`` to ``out[1] - 1``."""
     for y in range(y1 - y0):
         out[0, y], out[1, y] = x1, x0
@@ -49,7 +49,7 @@ def spans(boxes, run, width, height, x0, x1, y0, y1, rule, margin, out):  # type
 
 
 @kernel
-def place(i, n, rule):  # type: ignore[no-untyped-def]
+def place(i, n, rule):
     """The sample that stands for sample ``i`` of an axis of ``n``, or -1 where a constant does."""
     if 0 <= i < n:
         return i
@@ -62,10 +62,11 @@ def place(i, n, rule):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def load(source, first, lanes, x0, x1, y0, y1, spans, rule, fill, alpha, top, table, octets, tile):  # type: ignore[no-untyped-def]
+def load(source, first, lanes, x0, x1, y0, y1, spans, rule, fill, alpha, top, table, octets, tile):
     """Fill ``tile``, flat, with ``lanes`` channels from ``first`` on of the source's samples x0..x1-1, y0..y1-1.
 
-    Of each row, only what is in its span is needed, and written. ``alpha`` is the index of the channel by which the others are multiplied, or -1; ``top`` its value for opaque.
+    Of each row, only what is in its span is needed, and written. ``alpha`` is the index of the channel by which the
+    others are multiplied, or -1; ``top`` its value for opaque.
     ``table``, unless empty, gives the numbers that stand for the source's integers, as for linear light.
     ``octets`` says that the source is of uint8.
     """
@@ -115,7 +116,7 @@ def load(source, first, lanes, x0, x1, y0, y1, spans, rule, fill, alpha, top, ta
 
 
 @kernel
-def load_words(source, x0, x1, y0, y1, spans, rule, fill, tile):  # type: ignore[no-untyped-def]
+def load_words(source, x0, x1, y0, y1, spans, rule, fill, tile):
     """The same for up to four channels of 8 bits, one word for each pixel."""
     height, width, channels = source.shape
     wide = x1 - x0
@@ -157,7 +158,7 @@ def load_words(source, x0, x1, y0, y1, spans, rule, fill, tile):  # type: ignore
 
 
 @kernel
-def store(values, first, lanes, n, alpha, top, low, high, whole, linear, octets, out, row, column):  # type: ignore[no-untyped-def]
+def store(values, first, lanes, n, alpha, top, low, high, whole, linear, octets, out, row, column):
     """Write ``n`` pixels of ``lanes`` numbers to a row of ``out`` from ``column`` on: the reverse of `load`.
 
     ``low`` and ``high`` bound what the type holds, and it is rounded if ``whole``. ``linear``, unless 0, is the

@@ -21,7 +21,7 @@ PART_X, PART_Y = 0, WIDE
 
 
 @kernel
-def nearest(source, points, anchors, rule, fill, out):  # type: ignore[no-untyped-def]
+def nearest(source, points, anchors, rule, fill, out):
     """The sample nearest to each point; ties go to the larger index, as in rounding half up."""
     height, width, channels = source.shape
     for y in range(out.shape[0]):
@@ -34,7 +34,7 @@ def nearest(source, points, anchors, rule, fill, out):  # type: ignore[no-untype
 
 
 @kernel
-def positions(points, row, first, n, x0, y0, low_x, high_x, low_y, high_y, stride, words, parts):  # type: ignore[no-untyped-def]
+def positions(points, row, first, n, x0, y0, low_x, high_x, low_y, high_y, stride, words, parts):
     """Where in a tile each of ``n`` points lies: the sample above and left of it, and how far beyond that it is."""
     xs, ys = points[0, row, first : first + n], points[1, row, first : first + n]
     for i in range(n):
@@ -46,7 +46,7 @@ def positions(points, row, first, n, x0, y0, low_x, high_x, low_y, high_y, strid
 
 
 @kernel
-def limits(anchor, axis, size, rule, margin):  # type: ignore[no-untyped-def]
+def limits(anchor, axis, size, rule, margin):
     """Within which points have to be drawn, relative to their anchor, for a tile with that margin to hold them."""
     if rule == REFLECT:
         return np.float32(-3e38), np.float32(3e38)
@@ -54,16 +54,19 @@ def limits(anchor, axis, size, rule, margin):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _gather(tile, n, stride, words):  # type: ignore[no-untyped-def]
+def _gather(tile, n, stride, words):
     below = np.uint32(stride)
     for i in range(n):
         k = words[WHERE + i]
         words[CORNERS + i], words[CORNERS + WIDE + i] = tile[k], tile[k + np.uint32(1)]
-        words[CORNERS + 2 * WIDE + i], words[CORNERS + 3 * WIDE + i] = tile[k + below], tile[k + below + np.uint32(1)]
+        words[CORNERS + 2 * WIDE + i], words[CORNERS + 3 * WIDE + i] = (
+            tile[k + below],
+            tile[k + below + np.uint32(1)],
+        )
 
 
 @kernel
-def _blend(words, parts, n, shift):  # type: ignore[no-untyped-def]
+def _blend(words, parts, n, shift):
     """One byte of the four corners' words, interpolated, into the same byte of the mixed word."""
     byte, s = np.uint32(255), np.uint32(shift)
     for i in range(n):
@@ -77,19 +80,19 @@ def _blend(words, parts, n, shift):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _corner(word, shift):  # type: ignore[no-untyped-def]
+def _corner(word, shift):
     return np.float32(np.int32((word >> np.uint32(shift)) & np.uint32(255)))
 
 
 @kernel
-def _between(p, q, r, t, wx, wy, shift):  # type: ignore[no-untyped-def]
+def _between(p, q, r, t, wx, wy, shift):
     a, b, c, d = _corner(p, shift), _corner(q, shift), _corner(r, shift), _corner(t, shift)
     u, v = a + wx * (b - a), c + wx * (d - c)
     return np.uint32(np.int32(u + wy * (v - u) + np.float32(0.5))) << np.uint32(shift)
 
 
 @kernel
-def _blend3(words, parts, n):  # type: ignore[no-untyped-def]
+def _blend3(words, parts, n):
     for i in range(n):
         p, q = words[CORNERS + i], words[CORNERS + WIDE + i]
         r, t = words[CORNERS + 2 * WIDE + i], words[CORNERS + 3 * WIDE + i]
@@ -99,7 +102,7 @@ def _blend3(words, parts, n):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def linear_words(source, points, anchors, boxes, rule, fill, out):  # type: ignore[no-untyped-def]
+def linear_words(source, points, anchors, boxes, rule, fill, out):
     """Bilinear samples of up to four channels of 8 bits."""
     height, width, channels = source.shape
     words, parts = np.empty(6 * WIDE, np.uint32), np.empty(2 * WIDE, np.float32)

@@ -106,10 +106,26 @@ def sampler(
         rows = out[band.top : band.top + band.points.shape[1]]
         target = np.empty(rows.shape, np.float32) if half else rows
         filters.filtered(
-            source, band.points, band.anchors, band.boxes, mode, 1 if channels == 1 else 4, rule, inside,
-            channels - 1 if alpha else -1, top, levels, table, np.zeros(9, number), top if light else 0.0, low, high,
-            integral, source.dtype == np.uint8, target,
-        )  # fmt: skip
+            source,
+            band.points,
+            band.anchors,
+            band.boxes,
+            mode,
+            1 if channels == 1 else 4,
+            rule,
+            inside,
+            channels - 1 if alpha else -1,
+            top,
+            levels,
+            table,
+            np.zeros(9, number),
+            top if light else 0.0,
+            low,
+            high,
+            integral,
+            source.dtype == np.uint8,
+            target,
+        )
         if half:
             with np.errstate(over="ignore"):
                 rows[...] = target

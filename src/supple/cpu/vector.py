@@ -41,8 +41,10 @@ def four_channels(count: int) -> Callable[..., None]:
     sum, into ``out[to + c]`` for four channels c.
     """
 
-    @intrinsic  # type: ignore[untyped-decorator]
-    def weighted(typing: Any, tile: Any, at: Any, stride: Any, table: Any, along: Any, down: Any, out: Any, to: Any) -> Any:
+    @intrinsic
+    def weighted(
+        typing: Any, tile: Any, at: Any, stride: Any, table: Any, along: Any, down: Any, out: Any, to: Any
+    ) -> Any:
         def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
             kind = signature.args
             samples, at_, stride_, weights, along_, down_, target, to_ = args
@@ -74,14 +76,16 @@ def four_channels(count: int) -> Callable[..., None]:
 
         return _signature(tile, table, out), generate
 
-    return weighted  # type: ignore[no-any-return]
+    return weighted
 
 
 def one_channel(count: int) -> Callable[..., None]:
     """The same for one channel: ``tile[at + j stride + i]`` into ``out[to]``; ``count`` is even."""
 
-    @intrinsic  # type: ignore[untyped-decorator]
-    def weighted(typing: Any, tile: Any, at: Any, stride: Any, table: Any, along: Any, down: Any, out: Any, to: Any) -> Any:
+    @intrinsic
+    def weighted(
+        typing: Any, tile: Any, at: Any, stride: Any, table: Any, along: Any, down: Any, out: Any, to: Any
+    ) -> Any:
         def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
             kind = signature.args
             samples, at_, stride_, weights, along_, down_, target, to_ = args
@@ -112,10 +116,10 @@ def one_channel(count: int) -> Callable[..., None]:
 
         return _signature(tile, table, out), generate
 
-    return weighted  # type: ignore[no-any-return]
+    return weighted
 
 
-@intrinsic  # type: ignore[untyped-decorator]
+@intrinsic
 def spread_bytes(typing: Any, source: Any, start: Any, values: Any, at: Any) -> Any:
     """Four bytes from ``source[start]`` on, flat, become the four numbers from ``values[at]`` on."""
 
@@ -124,7 +128,8 @@ def spread_bytes(typing: Any, source: Any, start: Any, values: Any, at: Any) -> 
         element = context.get_data_type(kind[2].dtype)
         place = _at(builder, _pointer(context, builder, kind[0], args[0]), args[1], 4, ir.IntType(8))
         numbers = builder.uitofp(
-            builder.zext(builder.load(place, align=1), ir.VectorType(ir.IntType(32), 4)), ir.VectorType(element, 4)
+            builder.zext(builder.load(place, align=1), ir.VectorType(ir.IntType(32), 4)),
+            ir.VectorType(element, 4),
         )
         target = _at(builder, _pointer(context, builder, kind[2], args[2]), args[3], 4, element)
         builder.store(numbers, target, align=context.get_abi_sizeof(element))
@@ -133,7 +138,7 @@ def spread_bytes(typing: Any, source: Any, start: Any, values: Any, at: Any) -> 
     return types.void(source, types.intp, values, types.intp), generate
 
 
-@intrinsic  # type: ignore[untyped-decorator]
+@intrinsic
 def gather_bytes(typing: Any, values: Any, at: Any, target: Any, to: Any) -> Any:
     """The reverse: four numbers, from 0 to 255, cut off to whole ones, become four bytes from ``target[to]`` on."""
 

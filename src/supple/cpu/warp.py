@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from supple.cpu.band import EVALUATIONS, RUN, SPLITS, STATS, WORST, source_points
 from supple.cpu.kernel import share, threads
-from supple.cpu.lattice import NODE, SIZE, set_twists, solve_rows
+from supple.cpu.lattice import NODE, SIZE, M, set_twists, solve_rows
 
 CELL_ROWS = 2  # of a band: its source points stay in the second-level cache, and there are bands for all cores
 
@@ -54,10 +54,14 @@ class Certificate:
     error: float
     evaluations: float
     splits: float
+    folds: int
 
     def __or__(self, other: Certificate) -> Certificate:
         return Certificate(
-            max(self.error, other.error), self.evaluations + other.evaluations, self.splits + other.splits
+            max(self.error, other.error),
+            self.evaluations + other.evaluations,
+            self.splits + other.splits,
+            self.folds + other.folds,
         )
 
 
@@ -130,13 +134,28 @@ def each_band(plane: Plane, tolerance: float, use: Callable[[Band], None]) -> Ce
         boxes = np.empty((last - first, xs.size - 1, plane.ndim, 2))
         stats = np.zeros(STATS)
         source_points(
-            plane.table, plane.axes, plane.z, xs, ys, width, height, first, last, max(tolerance - slack, 0.0),
-            plane.nodes, points, anchors, boxes, stats,
-        )  # fmt: skip
+            plane.table,
+            plane.axes,
+            plane.z,
+            xs,
+            ys,
+            width,
+            height,
+            first,
+            last,
+            max(tolerance - slack, 0.0),
+            plane.nodes,
+            points,
+            anchors,
+            boxes,
+            stats,
+        )
         use(Band(top, points, anchors, boxes))
-        return Certificate(float(stats[WORST]) + slack, float(stats[EVALUATIONS]), float(stats[SPLITS]))
+        return Certificate(float(stats[WORST]) + slack, float(stats[EVALUATIONS]), float(stats[SPLITS]), 0)
 
-    total = Certificate(0.0, plane.evaluations, 0.0)
+    matrices = plane.nodes[..., M : M + 9].reshape(-1, 3, 3)
+    folds = int(np.count_nonzero(np.linalg.det(matrices) <= 0))
+    total = Certificate(0.0, plane.evaluations, 0.0, folds)
     for certificate in share(work, range(0, ys.size - 1, CELL_ROWS)):
         total |= certificate
     return total
