@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
 from typing import Any, Self
 
 import numpy as np
@@ -13,7 +13,7 @@ import numpy.typing as npt
 from supple.cpu import field as forward_kernels
 from supple.cpu import newton
 from supple.cpu.kernel import share, threads
-from supple.cpu.warp import Band, Certificate, absolute, each_band, solve_plane
+from supple.cpu.warp import Band, Certificate, Plane, absolute, each_band, folds, solve_plane
 from supple.domain import Domain, choice, number, refuse
 from supple.errors import FoldWarning, SuppleError
 from supple.folding import Resolved, resolve
@@ -404,27 +404,30 @@ class Deformation:
     def report(self, *, tolerance: float = 0.01) -> Report:
         """What was done with the strokes, and the certified error of the inverse map at a tolerance, in pixels."""
         tolerance = number("tolerance", tolerance, "a number of pixels above 0", 1e-9, 1e9)
-        certificate = self._each_plane(tolerance, lambda _: _ignore)
+        certificate, turned = Certificate(0.0, 0.0, 0.0), 0
+        for plane in self._planes() if not self.is_identity else ():
+            certificate |= each_band(plane, tolerance, _ignore)
+            turned += folds(plane)
         size = float(np.prod(self.shape))
         return Report(
             strokes=len(self.strokes),
             applied=len(self._table),
             damping=tuple(r.alpha for r in self._resolved),
             margin=min((r.margin for r in self._resolved), default=1.0),
-            folds=certificate.folds,
+            folds=turned,
             tolerance=tolerance,
             error=certificate.error,
             within=certificate.error <= tolerance,
             evaluations=certificate.evaluations / size,
         )
 
-    def _each_plane(self, tolerance: float, use: Callable[[int], Callable[[Band], None]]) -> Certificate:
-        total = Certificate(0.0, 0.0, 0.0, 0)
-        height, width = self.shape[-2:]
+    def _planes(self) -> Iterator[Plane]:
         for z in range(self.shape[0] if self.ndim == 3 else 1):
-            plane = solve_plane(self._table, self._axes, (height, width), self.ndim, float(z))
-            total |= each_band(plane, tolerance, use(z))
-        return total if not self.is_identity else replace(total, error=0.0)
+            yield solve_plane(self._table, self._axes, (self.shape[-2], self.shape[-1]), self.ndim, float(z))
+
+    def _each_plane(self, tolerance: float, use: Callable[[int], Callable[[Band], None]]) -> None:
+        for z, plane in enumerate(self._planes()):
+            each_band(plane, tolerance, use(z))
 
     def _columns(self, points: npt.ArrayLike) -> tuple[Floats, tuple[int, ...]]:
         """Points as the kernels take them: (3, N), in physical units."""

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from supple.cpu.field import X, Z
-from supple.cpu.kernel import BATCH, kernel
+from supple.cpu.kernel import BATCH, inlined, kernel
 from supple.cpu.lattice import (
     ERROR,
     NODE,
@@ -101,7 +101,7 @@ def _sides(cell):
     return xs, ys
 
 
-@kernel
+@inlined
 def _solve_middles(w, one, table, axes, z, x0, y0, cells, count, smooth, ndim, local, solved):
     """Solve the nodes in the middles of cells and of their edges; once each. Returns the evaluations."""
     cols, rows = np.empty(BATCH, np.int64), np.empty(BATCH, np.int64)
@@ -137,7 +137,7 @@ def _solve_middles(w, one, table, axes, z, x0, y0, cells, count, smooth, ndim, l
     return evaluations
 
 
-@kernel
+@inlined
 def _refine(
     w,
     one,

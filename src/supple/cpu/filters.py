@@ -27,6 +27,7 @@ from supple.cpu.footprint import (
     footprints,
 )
 from supple.cpu.kernel import colour_kernel as kernel
+from supple.cpu.kernel import inlined
 from supple.cpu.lattice import SIZE
 from supple.cpu.pyramid import build, levels_for
 from supple.cpu.region import bounds, load, spans, store
@@ -114,7 +115,7 @@ def _ellipse(tile, stride, lanes, x, y, xx, xy, yy, out, to):
         out[to + c] /= total
 
 
-@kernel
+@inlined
 def _choose(n, parts, words):
     """How each pixel of a row is filtered, and where in the table its weights are."""
     most, oblique = np.float32(WIDEST * WIDEST), np.float32(OBLIQUE)
@@ -131,7 +132,7 @@ def _choose(n, parts, words):
         words[KIND + i] = plain if upright else np.uint32(LONG)
 
 
-@kernel
+@inlined
 def _row(tile, starts, widths, lanes, n, mode, largest, stride, words, parts, table, own, values):
     """The filtered values of a row's pixels, whose positions and footprints are in ``words`` and ``parts``."""
     zero = own[8]

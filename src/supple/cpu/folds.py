@@ -16,13 +16,14 @@ K of 1, 2 and 3 scales is a constant times the zeroth, first and second divided 
 
     U = (1-ω) ρ^-1 f + e/2 ρ^-3 f + ω ρ^-3 (r·f) r,    ω = b/a, ρ² = |r|² + e,
 
-hence a mean of U, ∂U/∂e or ∂²U/∂e² / 2. With e = ρ² - |r|², each of these is, but for a constant,
+hence a mean of U, ∂U/∂e or ∂²U/∂e² / 2. As e = ρ² - |r|², these are, but for a constant, with q = k/(3-2ω),
 
-    ρ^-k f - k/(3-2ω) ρ^-(k+2) [ |r|² f - 2ω (r·f) r ],    k = 1, 3, 5,
+    ρ^-k f - q ρ^-(k+2) [ |r|² f - 2ω (r·f) r ]
+    = (1-q) ρ^-k f + q e ρ^-(k+2) f + 2ωq ρ^-(k+2) (r·f) r,    k = 1, 3, 5,
 
-where nothing cancels any more. The n-th derivative of ρ^-k is a Gegenbauer polynomial of a cosine times
-|r|/ρ, over ρ^(k+n). As 2ω ≤ 1, the bracket and its two derivatives are at most |r|², 2|r| and 2. What
-rounding can do to a bound is taken off it.
+where little cancels any more: in the first line near the pivot, in the second far from it. The n-th derivative
+of ρ^-k is a Gegenbauer polynomial of a cosine times |r|/ρ, over ρ^(k+n). As 2ω ≤ 1, the bracket and its two
+derivatives are at most |r|², 2|r| and 2. What rounding can do to a bound is taken off it.
 """
 
 from __future__ import annotations
@@ -42,7 +43,7 @@ DISTANCE, DEPTH, WIDTH, AWAY, INWARD, KAPPA = range(6)
 # ... of one of its two ends, ...
 _PLACE, _BETA, _SLOPE = range(3)
 # ... and of the numbers in ``limits``.
-POWER, AMOUNT, BRACKET, NOISE, FREE = range(5)
+POWER, AMOUNT, BRACKET, LARGEST_E, NOISE, FREE = range(6)
 # The diagonals: what a cut along one of the three axes would leave of D, D, and zeros.
 _D, _NONE = 3, 4
 # At a double root, the cosine formula for a cubic's roots loses half of the digits.
@@ -136,11 +137,14 @@ def _put_errors(d, boxes, item, active, e, limits):
     c = limits[AMOUNT] * (e / r2) ** (0.5 * power)
     p0, p1, p2, p3 = _derivatives(power, x)
     q0, q1, q2, q3 = _derivatives(power + 2.0, x)
-    q = limits[BRACKET]
-    n0 = c * (p0 + q * x * x * q0)
-    n1 = c * (p1 + q * x * (x * q1 + 2.0 * q0)) / rho
-    n2 = c * (p2 + q * (x * x * q2 + 4.0 * x * q1 + 2.0 * q0)) / r2
-    n3 = c * (p3 + q * (x * x * q3 + 6.0 * x * q2 + 6.0 * q1)) / r2 / rho
+    q, f = limits[BRACKET], min(limits[LARGEST_E] / r2, 1.0)
+    b0, b1, b2 = x * x * q0, x * (x * q1 + 2.0 * q0), x * x * q2 + 4.0 * x * q1 + 2.0 * q0
+    b3 = x * x * q3 + 6.0 * x * q2 + 6.0 * q1
+    t, u, w = abs(1.0 - q), q * f, 3.0 * q - power
+    n0 = c * min(p0 + q * b0, t * p0 + u * q0 + w * b0)
+    n1 = c * min(p1 + q * b1, t * p1 + u * q1 + w * b1) / rho
+    n2 = c * min(p2 + q * b2, t * p2 + u * q2 + w * b2) / r2
+    n3 = c * min(p3 + q * b3, t * p3 + u * q3 + w * b3) / r2 / rho
     for k in range(3):
         kappa = boxes[item, k, KAPPA]
         share = 0.125 * boxes[item, k, WIDTH] * boxes[item, k, WIDTH]
@@ -184,9 +188,7 @@ def _pop(heap, keys, n):
 
 
 @kernel
-def smallest_strain(
-    terms, force, active, boxes, keys, heap, n, limits, upper, target, gap
-):
+def smallest_strain(terms, force, active, boxes, keys, heap, n, limits, upper, target, gap):
     """Bounds of μ over the first ``n`` boxes, and how many boxes it took.
 
     Parameters
@@ -203,9 +205,9 @@ def smallest_strain(
         that way; and KAPPA. After ``n``, room for more: when it is full, the bounds are what they are.
     keys, heap : ndarray, shape (N,)
         Lower bounds in the boxes, and a heap of the boxes by them.
-    limits : ndarray, shape (5,)
-        POWER k; AMOUNT, the constant over ε^k; BRACKET, the factor k/(3-2ω); NOISE, of rounding; FREE, a
-        lower bound of μ with a free border.
+    limits : ndarray, shape (6,)
+        POWER k; AMOUNT, the constant over ε^k; BRACKET q; LARGEST_E; NOISE, what rounding does; FREE, a lower
+        bound of μ with a free border.
     upper : float
         An upper bound of μ, at most 0.
     target : float
@@ -288,8 +290,6 @@ def limits(terms: Floats, free: float) -> Floats:
     """The numbers that bound N_n, and rounding, see `smallest_strain`."""
     e, p, q, r = terms.T
     ratio = r[0] / (p[0] + r[0])
-    power, amount = {1: (1, 1.0), 2: (3, 11 * 0.21 / 2), 3: (5, 14641 / 331 * 0.21 * 0.4641 * 3 / 8)}[
-        len(terms)
-    ]
+    power, amount = {1: (1, 1.0), 2: (3, 11 * 0.21 / 2), 3: (5, 14641 / 331 * 0.21 * 0.4641 * 3 / 8)}[len(terms)]
     noise = 1e-14 * float(np.sum(np.abs(p) + np.abs(r) + np.abs(q) / e))
-    return np.array([power, amount, power / (3 - 2 * ratio), noise, free])
+    return np.array([power, amount, power / (3 - 2 * ratio), e[-1], noise, free])

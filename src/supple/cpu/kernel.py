@@ -21,6 +21,11 @@ def kernel(function: Callable[..., Any]) -> Callable[..., Any]:
     return njit(nogil=True, cache=True, error_model="numpy", fastmath=FAST)(function)
 
 
+def inlined(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Compile as a part of the one kernel that calls it: a level of calls less, and none of its work twice."""
+    return njit(nogil=True, error_model="numpy", fastmath=FAST, inline="always")(function)
+
+
 def colour_kernel(function: Callable[..., Any]) -> Callable[..., Any]:
     """The same for samples, which may be infinite or not a number."""
     return njit(nogil=True, cache=True, error_model="numpy", fastmath=FAST - {"nnan", "ninf"})(function)

@@ -31,7 +31,7 @@ from supple.cpu.field import (
     identity,
     step,
 )
-from supple.cpu.kernel import BATCH, kernel
+from supple.cpu.kernel import BATCH, inlined, kernel
 from supple.cpu.newton import (
     DONE,
     DX,
@@ -121,7 +121,7 @@ def solve_batch(w, one, n, table, axes, cols, rows, guessed, smooth, nodes):
     return evaluations
 
 
-@kernel
+@inlined
 def _smoothness(w, n, table, axes, cols, rows, nodes):
     """How far, in output pixels, the map stays as smooth as it is at a node.
 

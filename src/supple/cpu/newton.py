@@ -28,7 +28,7 @@ from supple.cpu.field import (
     load,
     save,
 )
-from supple.cpu.kernel import BATCH, kernel
+from supple.cpu.kernel import BATCH, inlined, kernel
 
 # Rows of a workspace, after those of the field: what should be reached, the best point so far and its next
 # step, how much of it is tried, the best residual's square, whether the point is done, and its evaluations.
@@ -125,7 +125,7 @@ def newton(w, n, table, axes, first, last, tolerance, limit):
     return left
 
 
-@kernel
+@inlined
 def _continue(w, one, i, table, axes, k, tolerance):
     """Follow T⁻¹ along the straight line from where point ``i`` is sent to where it should be sent."""
     for axis in range(3):

@@ -66,9 +66,7 @@ def _evaluate(stroke, axes, x, y):
 
 
 @kernel
-def invert_rows(
-    table, axes, xs, ys, first, last, mu, tolerance, limit, own, other, points, iterations, residual
-):
+def invert_rows(table, axes, xs, ys, first, last, mu, tolerance, limit, own, other, points, iterations, residual):
     """Invert T at the pixels (xs[i], ys[j]) of the rows ``first`` to ``last - 1``, each stroke by itself.
 
     ``own`` and ``other`` weigh Jᵀ and J in A: 2 and 0 as published, 1 and 1 as they should be. ``residual``
@@ -155,8 +153,20 @@ def inverse_map(
 
     def work(k: int) -> None:
         invert_rows(
-            table, axes, xs, ys, edges[k], edges[k + 1], mu, tolerance, limit, own, other,
-            points, iterations, residual,
+            table,
+            axes,
+            xs,
+            ys,
+            edges[k],
+            edges[k + 1],
+            mu,
+            tolerance,
+            limit,
+            own,
+            other,
+            points,
+            iterations,
+            residual,
         )
 
     share(work, range(parts))

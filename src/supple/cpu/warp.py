@@ -54,14 +54,10 @@ class Certificate:
     error: float
     evaluations: float
     splits: float
-    folds: int
 
     def __or__(self, other: Certificate) -> Certificate:
         return Certificate(
-            max(self.error, other.error),
-            self.evaluations + other.evaluations,
-            self.splits + other.splits,
-            self.folds + other.folds,
+            max(self.error, other.error), self.evaluations + other.evaluations, self.splits + other.splits
         )
 
 
@@ -97,6 +93,12 @@ def solve_plane(table: npt.NDArray[np.void], axes: Floats, shape: tuple[int, int
     evaluations = sum(share(solve, range(parts)))
     set_twists(xs, ys, xs.size, ys.size, 0, ys.size, ndim, nodes)
     return Plane(table, axes, z, shape, ndim, xs, ys, nodes, evaluations)
+
+
+def folds(plane: Plane) -> int:
+    """At how many nodes of a plane's lattice the map turns space over."""
+    matrices = plane.nodes[..., M : M + 9].reshape(-1, 3, 3)
+    return int(np.count_nonzero(np.linalg.det(matrices) <= 0))
 
 
 def rounding(shape: tuple[int, int]) -> float:
@@ -151,11 +153,9 @@ def each_band(plane: Plane, tolerance: float, use: Callable[[Band], None]) -> Ce
             stats,
         )
         use(Band(top, points, anchors, boxes))
-        return Certificate(float(stats[WORST]) + slack, float(stats[EVALUATIONS]), float(stats[SPLITS]), 0)
+        return Certificate(float(stats[WORST]) + slack, float(stats[EVALUATIONS]), float(stats[SPLITS]))
 
-    matrices = plane.nodes[..., M : M + 9].reshape(-1, 3, 3)
-    folds = int(np.count_nonzero(np.linalg.det(matrices) <= 0))
-    total = Certificate(0.0, plane.evaluations, 0.0, folds)
+    total = Certificate(0.0, plane.evaluations, 0.0)
     for certificate in share(work, range(0, ys.size - 1, CELL_ROWS)):
         total |= certificate
     return total
