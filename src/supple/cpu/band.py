@@ -28,7 +28,7 @@ from supple.cpu.lattice import (
 from supple.cpu.newton import QX, QY, QZ, ROWS
 
 RUN = 8  # cells that share an anchor
-WORST, SPLITS, EVALUATIONS, CELLS, STATS = 0, 1, 2, 3, 4
+WORST, SPLITS, EVALUATIONS, CELLS, REACH, STATS = 0, 1, 2, 3, 4, 5
 
 
 @kernel
@@ -260,7 +260,8 @@ def source_points(table, axes, z, xs, ys, wide, tall, first, last, tolerance, no
     boxes : float64 array, shape (last - first, cells, 2 or 3, 2)
         Receives the smallest and the largest coordinate of each cell's points, in pixels.
     stats : float64 array, shape (STATS,)
-        Worst certified error in pixels; cells split; evaluations of T; cells filled.
+        Worst certified error in pixels; cells split; evaluations of T; cells filled; the farthest that a point is
+        from its anchor.
     """
     w, one = np.empty(ROWS * BATCH), np.empty(ROWS * BATCH)
     local, solved = np.empty((SIZE + 1, SIZE + 1, NODE)), np.empty((SIZE + 1, SIZE + 1), np.bool_)
@@ -326,5 +327,6 @@ def source_points(table, axes, z, xs, ys, wide, tall, first, last, tolerance, no
                         stats,
                     )
                 for c in range(points.shape[0]):
+                    stats[REACH] = max(stats[REACH], max(abs(box[c, 0]), abs(box[c, 1])))
                     boxes[j - first, i, c, 0] = anchor[c] + box[c, 0]
                     boxes[j - first, i, c, 1] = anchor[c] + box[c, 1]

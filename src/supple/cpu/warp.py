@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from supple.cpu.band import EVALUATIONS, RUN, SPLITS, STATS, WORST, source_points
+from supple.cpu.band import EVALUATIONS, REACH, RUN, SPLITS, STATS, WORST, source_points
 from supple.cpu.kernel import share, threads
 from supple.cpu.lattice import NODE, SIZE, M, set_twists, solve_rows
 
@@ -101,9 +101,8 @@ def folds(plane: Plane) -> int:
     return int(np.count_nonzero(np.linalg.det(matrices) <= 0))
 
 
-def rounding(shape: tuple[int, int]) -> float:
-    """How far float32 may put a source point that is relative to its anchor off, in pixels."""
-    reach = min(max(shape), 4 * RUN * SIZE)
+def _rounding(reach: float) -> float:
+    """How far off float32, and the few operations that make them, may put points up to ``reach`` from their anchor."""
     return 2.0**-22 * reach
 
 
@@ -126,7 +125,7 @@ def each_band(plane: Plane, tolerance: float, use: Callable[[Band], None]) -> Ce
     xs, ys = plane.xs, plane.ys
     height, width = plane.shape
     runs = -(-(xs.size - 1) // RUN)
-    slack = rounding(plane.shape)
+    slack = _rounding(min(max(height, width), 2 * RUN * SIZE))
 
     def work(first: int) -> Certificate:
         last = min(first + CELL_ROWS, ys.size - 1)
@@ -153,7 +152,9 @@ def each_band(plane: Plane, tolerance: float, use: Callable[[Band], None]) -> Ce
             stats,
         )
         use(Band(top, points, anchors, boxes))
-        return Certificate(float(stats[WORST]) + slack, float(stats[EVALUATIONS]), float(stats[SPLITS]))
+        return Certificate(
+            float(stats[WORST]) + _rounding(float(stats[REACH])), float(stats[EVALUATIONS]), float(stats[SPLITS])
+        )
 
     total = Certificate(0.0, plane.evaluations, 0.0)
     for certificate in share(work, range(0, ys.size - 1, CELL_ROWS)):
