@@ -111,10 +111,10 @@ def resolve(stroke: Stroke, domain: Domain, on_fold: FoldPolicy) -> Resolved:
     alpha = (1 - MARGIN) / -lower * (1 - 1e-14)
     folds = f"{_described(stroke)} folds"
     if on_fold == "error":
-        most = _shown([0.999 * alpha * x for x in stroke.by])
-        raise FoldError(f"{folds}: at most {most} does not, and with on_fold='flow' any drag arrives")
+        most = _shown(_cut(0.999 * alpha * x, 5) for x in stroke.by)
+        raise FoldError(f"{folds}: at most {most} does not (on_fold='flow' goes all the way)")
     table["force"] *= alpha
-    warning = f"{folds}: damped to {_cut(alpha, 2)} of it (use on_fold='flow' to go all the way)"
+    warning = f"{folds}: damped to {_cut(alpha, 2):g} of it (use on_fold='flow' to go all the way)"
     return Resolved(table, alpha, 1 + alpha * lower, warning)
 
 
@@ -137,12 +137,14 @@ def _flow(stroke: Stroke, row: np.void, axes: Floats) -> Resolved:
     rows: list[np.void] = []
     margin, pieces = 1.0, 2.0
     while pieces > 1 and not refused:
-        beta = _beta(position, weights)
+        beta, left = _beta(position, weights), target - position
         row["pivot"] = position
-        row["force"] = np.divide(target - position, beta, out=np.zeros(3), where=beta > 0)
+        row["force"] = np.divide(left, beta, out=np.zeros(3), where=beta > 0)
         lower, _ = weakest(row, axes, _FLOW_MARGIN - 1, _FLOW_GAP)
         pieces = max(float(np.ceil(-lower / (1 - _FLOW_MARGIN) * (1 - 1e-9))), 1.0)
-        refused = len(rows) == MOST_SUBSTROKES or (not held and pieces > MOST_SUBSTROKES)
+        # Close to a border steps are short, but they grow with β.
+        slow = pieces * float(np.min(beta, where=left != 0, initial=1.0)) > MOST_SUBSTROKES
+        refused = slow or len(rows) == MOST_SUBSTROKES
         row["force"] /= pieces
         position = position + beta * row["force"]
         margin = min(margin, 1 + lower / pieces)
@@ -167,13 +169,12 @@ def _described(stroke: Stroke) -> str:
 
 
 def _shown(values: Iterable[float]) -> str:
-    return f"({', '.join(_cut(x, 5) for x in values)})"
+    return f"({', '.join(f'{x + 0.0:g}' for x in values)})"
 
 
-def _cut(x: float, digits: int) -> str:
-    """A number for a message, cut and not rounded: what may be done at most is not more than that."""
-    context = decimal.Context(prec=digits, rounding=decimal.ROUND_DOWN)
-    return f"{float(context.create_decimal_from_float(x)) + 0.0:.{digits}g}"
+def _cut(x: float, digits: int) -> float:
+    """Cut, not rounded: what may be done at most is not more than that."""
+    return float(decimal.Context(prec=digits, rounding=decimal.ROUND_DOWN).create_decimal_from_float(x))
 
 
 def limit(poisson: float, scales: int) -> float:
@@ -212,9 +213,7 @@ def _limit(poisson: float, scales: int) -> tuple[float, float]:
     return -1 / slope(worst), math.sqrt(worst)
 
 
-def weakest(
-    row: np.void, axes: Floats, target: float = CLEARLY_SAFE, gap: float = _GAP
-) -> tuple[float, float]:
+def weakest(row: np.void, axes: Floats, target: float = CLEARLY_SAFE, gap: float = _GAP) -> tuple[float, float]:
     """Bounds of μ, from below and above, for one stroke.
 
     Parameters
@@ -225,8 +224,8 @@ def weakest(
     target : float
         The lower bound need not be close to the upper one where it is above this; 0 for a close one always.
     gap : float
-        How close they must come, as a part of the upper one. Of strokes beyond all reason they may stay
-        further apart: what rounding does is in them, and the number of boxes is limited.
+        How close they must come, as a part of the upper one. Rounding and a limited number of boxes can keep
+        them further apart, where |μ| is next to nothing or in the strangest of volumes.
     """
     active = (axes[:, 0] > 0) & (axes[:, 1] > 0)
     # In a plane through the pivot, the force across it moves nothing within it.
@@ -253,9 +252,7 @@ def _fixed(
     n = int(row["terms"])
     terms = np.stack([row[name][:n] for name in ("radius2", "p", "q", "r")], axis=1)
     pivots = row["pivot"].tolist()
-    cells = [
-        folds.cells(extent, sigma, p) for (extent, sigma, _), p in zip(axes.tolist(), pivots, strict=True)
-    ]
+    cells = [folds.cells(extent, sigma, p) for (extent, sigma, _), p in zip(axes.tolist(), pivots, strict=True)]
     boxes, keys, heap = np.empty((_MOST_BOXES, 3, 6)), np.empty(_MOST_BOXES), np.empty(_MOST_BOXES, np.int64)
     count = math.prod(map(len, cells))
     boxes[:count] = list(itertools.product(*cells))

@@ -1,0 +1,404 @@
+"""Folding: the limit, bounds of μ against a dense search, and the three policies."""
+
+from __future__ import annotations
+
+import math
+import re
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from supple.cpu.field import forward
+from supple.domain import Domain
+from supple.errors import FoldError, SuppleError
+from supple.folding import CLEARLY_SAFE, MARGIN, Resolved, limit, resolve, weakest
+from supple.strokes import STROKE_DTYPE, FoldPolicy, Stroke, pack
+
+Floats = npt.NDArray[np.float64]
+
+RATIOS = [-math.inf, -3.0, 0.0, 0.25, 0.3, 0.4, 0.45, 0.5]
+
+
+def kelvinlet(row: np.void, poisson: float, points: Floats) -> Floats:
+    """K from the printed equations: kelvinlets, weighted, and normalised at the pivot."""
+    a, b = 1.0, 1 / (4 * (1 - poisson))
+    e = row["radius2"][0] * 1.21 ** np.arange(3)
+    weights = {
+        1: [1.0],
+        2: [1.0, -1.0],
+        3: [1.0, -(e[2] - e[0]) / (e[2] - e[1]), (e[1] - e[0]) / (e[2] - e[1])],
+    }[int(row["terms"])]
+    r = points - row["pivot"]
+    s = (r * r).sum(-1, keepdims=True)
+    along = (r @ row["force"])[..., None] * r
+    total, whole = np.zeros_like(r), 0.0
+    for w, e_i in zip(weights, e, strict=False):
+        rho = np.sqrt(s + e_i)
+        total += w * (((a - b) / rho + a * e_i / (2 * rho**3)) * row["force"] + b / rho**3 * along)
+        whole += w * ((a - b) + a / 2) / math.sqrt(e_i)
+    return np.asarray(total / whole)
+
+
+def displacement(row: np.void, poisson: float, axes: Floats, points: Floats) -> Floats:
+    """K_β; past a face, as its smooth continuation."""
+    k = kelvinlet(row, poisson, points)
+    for i, (extent, sigma, _) in enumerate(axes):
+        if sigma == 0:
+            k[..., i] = 0
+        elif sigma > 0:
+            distance = np.minimum(points[..., i], extent - points[..., i])
+            k[..., i] *= np.sin(np.pi / 2 * np.minimum(distance, sigma) / sigma)
+    return k
+
+
+def strains(row: np.void, poisson: float, axes: Floats, points: Floats) -> Floats:
+    """λ_min of sym(J_β) by central differences, over the axes along which there are points."""
+    used = [i for i in range(3) if axes[i, 0] > 0]
+    columns = []
+    for j in used:
+        h = 1e-5 * min(math.sqrt(row["radius2"][0]), axes[j, 1] if axes[j, 1] > 0 else math.inf)
+        step = h * np.eye(3)[j]
+        ahead, behind = (displacement(row, poisson, axes, points + x) for x in (step, -step))
+        columns.append((ahead - behind)[..., used] / (2 * h))
+    jacobian = np.stack(columns, axis=-1)
+    return np.asarray(np.linalg.eigvalsh((jacobian + np.swapaxes(jacobian, -1, -2)) / 2)[..., 0], np.float64)
+
+
+def searched(
+    rng: np.random.Generator, row: np.void, poisson: float, axes: Floats, many: int = 4000
+) -> tuple[float, Floats]:
+    """μ by a dense random search that closes in on the best points, and the worst point."""
+    extent, size = axes[:, 0], math.sqrt(row["radius2"][0])
+    away = np.exp(rng.uniform(-3, 6, (many, 1))) * size * rng.normal(size=(many, 3))
+    u = rng.uniform(size=(many, 3))
+    near_faces = np.where(rng.uniform(size=(many, 3)) < 0.5, np.round(u) * extent, u * extent)
+    start = [rng.uniform(size=(many, 3)) * extent, row["pivot"] + away, near_faces]
+    points = np.clip(np.concatenate(start), 0, extent)
+    values = strains(row, poisson, axes, points)
+    best = np.argsort(values)[:16]
+    points, values = points[best], values[best]
+    spread = 0.2 * np.minimum(size, np.where(extent > 0, extent, 0))
+    for _ in range(25):
+        tried = np.clip(points[:, None] + spread * rng.normal(size=(len(points), 24, 3)), 0, extent)
+        tried = np.concatenate([tried, points[:, None]], axis=1)
+        found = strains(row, poisson, axes, tried)
+        pick = np.argmin(found, axis=1)
+        points, values = tried[np.arange(len(points)), pick], found[np.arange(len(points)), pick]
+        spread = 0.75 * spread
+    i = int(np.argmin(values))
+    return float(values[i]), points[i]
+
+
+def moved(resolved: Resolved, domain: Domain, points: npt.ArrayLike) -> tuple[Floats, Floats]:
+    """T and λ_min(sym(∂T/∂p)) of points in samples, by the engine; of the last stroke where there are more."""
+    p = np.zeros((3, np.atleast_2d(points).shape[0]))
+    p[: domain.ndim] = (np.atleast_2d(points) * domain.spacing).T
+    jacobian = np.empty((9, p.shape[1]))
+    forward(resolved.rows, domain.packed(), p, jacobian)
+    used = [i for i in range(3) if domain.packed()[i, 0] > 0]
+    matrices = jacobian.T.reshape(-1, 3, 3)[:, used][:, :, used]
+    values = np.asarray(np.linalg.eigvalsh((matrices + np.swapaxes(matrices, 1, 2)) / 2)[:, 0], np.float64)
+    return p[: domain.ndim].T / domain.spacing, values
+
+
+def any_case(rng: np.random.Generator) -> tuple[Stroke, Domain]:
+    """A stroke with a fixed border: of any kind, up to 20 radii strong, inside or a little outside."""
+    ndim = int(rng.integers(2, 4))
+    shape = rng.integers(8, 400 if ndim == 2 else 100, ndim)
+    if rng.uniform() < 0.1:
+        shape[rng.integers(ndim)] = 1
+    spacing = np.exp(rng.uniform(-1, 1, ndim))
+    domain = Domain(shape.tolist(), spacing, float(np.exp(rng.uniform(0, 5))))
+    radius = float(np.exp(rng.uniform(np.log(2), np.log(500))))
+    by = rng.normal(size=ndim) * np.where(rng.uniform() < 0.3, np.arange(ndim) == rng.integers(ndim), 1)
+    by *= radius * np.exp(rng.uniform(-2, 3)) / np.linalg.norm(by * spacing)
+    at = rng.uniform(-0.2, 1.2, ndim) * domain.extent / spacing
+    poisson, scales = float(rng.choice(RATIOS)), int(rng.integers(1, 4))
+    return Stroke.grab(at, by=by, radius=radius, poisson=poisson, scales=scales), domain
+
+
+@pytest.mark.parametrize(
+    ("poisson", "value"),
+    [
+        (-math.inf, 1.8822),
+        (0.0, 2.1295),
+        (0.25, 2.2515),
+        (0.3, 2.2917),
+        (0.4, 2.4046),
+        (0.45, 2.4870),
+        (0.5, 3 * math.sqrt(3) / 2),
+    ],
+)
+def test_the_limit_of_a_single_scale(poisson: float, value: float) -> None:
+    assert limit(poisson, 1) == pytest.approx(value, abs=5e-5)
+
+
+@pytest.mark.parametrize("scales", [1, 2, 3])
+@pytest.mark.parametrize("poisson", RATIOS)
+def test_the_limit_is_of_all_of_space(poisson: float, scales: int) -> None:
+    stroke = Stroke(at=(0, 0, 0), by=(2, -1, 2), radius=1, poisson=poisson, scales=scales)
+    row = pack([stroke], (1.0, 1.0, 1.0))[0]
+    everywhere = np.array([[1.0, -1.0, 1.0]] * 3)
+    size = 3 / limit(poisson, scales)
+    axis, across = np.array([2, -1, 2]) / 3, np.array([1, 2, 0]) / math.sqrt(5)
+    far = np.concatenate([np.linspace(0.02, 3, 100), np.geomspace(3, 100, 20)])
+    angle = np.linspace(0, np.pi, 61)
+    plane = far[:, None, None] * (np.cos(angle)[:, None] * axis + np.sin(angle)[:, None] * across)
+    around = np.random.default_rng(0).normal(size=(2000, 3))
+    for points in (plane.reshape(-1, 3), around):
+        assert strains(row, poisson, everywhere, points).min() >= -size * (1 + 1e-6)
+    on_axis = strains(row, poisson, everywhere, np.linspace(0.3, 0.8, 2001)[:, None] * axis)
+    assert on_axis.min() == pytest.approx(-size, rel=1e-6)
+
+
+def test_with_a_free_border_mu_is_the_limit() -> None:
+    for spacing, ratio, scales in [((1, 1), 0.4, 1), ((0.5, 2), -math.inf, 2), ((3, 1, 1), 0.5, 3)]:
+        shape = (5, 9, 7)[: len(spacing)]
+        stroke = Stroke(
+            at=(-3, 900, 2)[: len(spacing)], by=(7, 1, 5)[: len(spacing)], radius=4, poisson=ratio, scales=scales
+        )
+        row = pack([stroke], spacing)[0]
+        lower, upper = weakest(row, Domain(shape, spacing, None).packed())
+        size = -float(np.linalg.norm(row["force"])) / (4 * limit(ratio, scales))
+        assert lower <= size * (1 + 1e-13)
+        assert upper >= size * (1 - 1e-13)
+        assert lower == pytest.approx(upper, rel=1e-11)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_mu_is_bounded_on_both_sides(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    for _ in range(8):
+        stroke, domain = any_case(rng)
+        row, axes = pack([stroke], domain.spacing)[0], domain.packed()
+        lower, upper = weakest(row, axes, target=-0.01)
+        found, _ = searched(rng, row, stroke.poisson, axes)
+        assert lower <= upper <= 0
+        assert lower * (1 + 1e-6) <= found, stroke
+        if lower < -0.01:
+            assert lower >= 1.0021 * upper
+            assert lower >= 1.005 * found, stroke
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_damped_strokes_do_not_fold_and_are_as_strong_as_can_be(seed: int) -> None:
+    rng = np.random.default_rng(100 + seed)
+    for _ in range(8):
+        stroke, domain = any_case(rng)
+        resolved, axes = resolve(stroke, domain, "damp"), domain.packed()
+        found, worst = searched(rng, resolved.rows[0], stroke.poisson, axes)
+        assert 1 + found >= resolved.margin - 1e-6 >= MARGIN - 1e-6, stroke
+        assert (resolved.alpha < 1) == (resolved.warning is not None)
+        if resolved.alpha < 1:
+            assert resolved.margin == pytest.approx(MARGIN, abs=1e-12)
+            assert found < -(1 - MARGIN) / 1.005, stroke
+        points = np.concatenate([[worst], rng.uniform(size=(2000, 3)) * axes[:, 0]])
+        ours = moved(resolved, domain, points[:, : domain.ndim] / domain.spacing)[1]
+        theirs = 1 + strains(resolved.rows[0], stroke.poisson, axes, points)
+        np.testing.assert_allclose(ours, theirs, rtol=0, atol=1e-5)
+        assert ours.min() >= MARGIN - 1e-9
+
+
+@settings(max_examples=25, deadline=None)
+@given(
+    st.sampled_from([(40, 60), (9, 30, 20), (1, 50), (1, 20, 30)]),
+    st.one_of(st.none(), st.floats(0.1, 100)),
+    st.floats(0.5, 1000),
+    st.floats(0.01, 20),
+    st.lists(st.floats(-0.5, 1.5), min_size=3, max_size=3),
+    st.lists(st.floats(-1, 1), min_size=3, max_size=3),
+    st.floats(-10, 0.5),
+    st.integers(1, 3),
+)
+def test_no_policy_lets_anything_fold(
+    shape: tuple[int, ...],
+    border: float | None,
+    radius: float,
+    strength: float,
+    place: list[float],
+    way: list[float],
+    poisson: float,
+    scales: int,
+) -> None:
+    domain = Domain(shape, 0.7, border)
+    at = np.array(place)[: domain.ndim] * np.maximum(domain.extent, 1)
+    by = np.array(way)[: domain.ndim] * strength * radius
+    stroke = Stroke.grab(at, by=by, radius=radius, poisson=poisson, scales=scales)
+    points = np.random.default_rng(0).uniform(size=(500, domain.ndim)) * domain.extent / 0.7
+    refusals: dict[FoldPolicy, tuple[type[SuppleError], ...]]
+    refusals = {"damp": (), "flow": (SuppleError,), "error": (FoldError,)}
+    for policy, refused in refusals.items():
+        try:
+            resolved = resolve(stroke, domain, policy)
+        except refused:
+            continue
+        least = 0.3 if policy == "flow" else MARGIN
+        assert resolved.margin >= least - 1e-8
+        for row in resolved.rows:
+            assert moved(Resolved(np.array([row])), domain, points)[1].min() >= resolved.margin - 1e-9
+
+
+FLOWS = [
+    (Stroke(at=(256, 256), by=(0, 200), radius=20), (512, 512), 1.0, 50.0),
+    (Stroke(at=(0.001, 300), by=(200, 0), radius=30), (512, 512), 1.0, 50.0),
+    (Stroke(at=(20, 30), by=(-19.5, 460), radius=40, scales=2), (512, 512), (2.0, 0.5), 50.0),
+    (Stroke(at=(3, 40), by=(90, 40), radius=15, poisson=0.5, scales=3), (120, 100), 1.0, 60.0),
+    (Stroke(at=(0, 40), by=(0, 50), radius=5), (100, 100), 1.0, 10.0),
+    (Stroke(at=(15, 10, 4), by=(9, -8, 3), radius=3, poisson=-math.inf), (9, 20, 30), (1.0, 1.0, 2.5), 4.0),
+    (Stroke(at=(15, 10, 0), by=(10, 5, 0), radius=3), (1, 20, 30), 1.0, 50.0),
+    (Stroke(at=(-40, 700), by=(500, -900), radius=50), (512, 512), 1.0, None),
+    (Stroke(at=(5, 5, 5), by=(0, -70, 0), radius=4, scales=3), (9, 9, 9), (1.0, 0.5, 2.0), None),
+    (Stroke(at=(100, 60), by=(3, 2), radius=40), (128, 200), 1.0, 50.0),
+]
+
+
+@pytest.mark.parametrize(("stroke", "shape", "spacing", "border"), FLOWS)
+def test_flow_arrives(
+    stroke: Stroke, shape: tuple[int, ...], spacing: float | tuple[float, ...], border: float | None
+) -> None:
+    domain = Domain(shape, spacing, border)
+    resolved = resolve(stroke, domain, "flow")
+    end, _ = moved(resolved, domain, stroke.at)
+    np.testing.assert_allclose(end[0], np.add(stroke.at, stroke.by), rtol=0, atol=1e-6)
+    assert resolved.alpha == 1
+    assert resolved.warning is None
+    assert resolved.margin >= 0.3 - 1e-8
+    assert resolved.rows.dtype == STROKE_DTYPE
+    assert resolved.substrokes == len(resolved.rows)
+    rng = np.random.default_rng(0)
+    for row in resolved.rows[:: max(len(resolved.rows) // 4, 1)]:
+        if border is not None:
+            found, _ = searched(rng, row, stroke.poisson, domain.packed(), 1000)
+            assert 1 + found >= resolved.margin - 1e-6
+
+
+def test_flow_with_a_free_border_takes_equal_steps() -> None:
+    stroke = Stroke(at=(10, 20), by=(300, 400), radius=50)
+    resolved = resolve(stroke, Domain((64, 64), border=None), "flow")
+    assert resolved.substrokes == math.ceil(500 / (0.7 * limit(0.4, 1) * 50))
+    steps = resolved.rows["force"][:, :2]
+    np.testing.assert_allclose(steps, [np.array([300, 400]) / len(steps)] * len(steps))
+    np.testing.assert_allclose(resolved.rows["pivot"][1:, :2], np.add((10, 20), np.cumsum(steps, axis=0))[:-1])
+
+
+def test_a_safe_stroke_flows_as_one() -> None:
+    stroke = Stroke(at=(256, 256), by=(5, 3), radius=100)
+    flow, damp = (resolve(stroke, Domain((512, 512)), policy) for policy in ("flow", "damp"))
+    assert flow.rows.tobytes() == damp.rows.tobytes()
+
+
+@pytest.mark.parametrize(
+    ("at", "by"),
+    [
+        ((256, 256), (0, 255)),
+        ((256, 256), (0, 400)),
+        ((256, 256), (-256, 0)),
+        ((0, 256), (5, 0)),
+        ((0, 256), (5, 50)),
+        ((511, 511), (-1, -1)),
+        ((256, 0), (0, -5)),
+    ],
+)
+def test_flow_refuses_what_a_fixed_border_forbids(at: tuple[float, float], by: tuple[float, float]) -> None:
+    stroke = Stroke(at=at, by=by, radius=100)
+    with pytest.raises(SuppleError, match=r"^a drag by .* at .* cannot arrive: the border is fixed.*border=None"):
+        resolve(stroke, Domain((512, 512)), "flow")
+    assert resolve(stroke, Domain((512, 512), border=None), "flow").substrokes >= 1
+    assert resolve(stroke, Domain((512, 512)), "damp").substrokes == 1
+
+
+def test_a_pivot_outside_holds_nothing() -> None:
+    stroke = Stroke(at=(-100, 256), by=(700, 0), radius=50)
+    resolved = resolve(stroke, Domain((512, 512)), "flow")
+    assert resolved.rows["force"].sum(axis=0) == pytest.approx([700, 0, 0])
+    far = Stroke(at=(-1e6, 256), by=(1e3, 0), radius=50)
+    assert resolve(far, Domain((512, 512)), "flow").rows.tobytes() == pack([far], (1, 1)).tobytes()
+
+
+@pytest.mark.parametrize("border", [None, 50.0])
+def test_flow_has_an_end(border: float | None) -> None:
+    stroke = Stroke(at=(256, 256), by=(0, 200), radius=1e-3)
+    with pytest.raises(SuppleError, match="more than 10000 strokes"):
+        resolve(stroke, Domain((512, 512), border=border), "flow")
+
+
+def test_damping_says_what_it_does() -> None:
+    stroke = Stroke(at=(256, 256), by=(0, 500), radius=100)
+    resolved = resolve(stroke, Domain((512, 512), border=None), "damp")
+    assert resolved.alpha == pytest.approx(0.99 * limit(0.4, 1) / 5)
+    assert resolved.rows["force"][0] == pytest.approx([0, 500 * resolved.alpha, 0])
+    assert resolved.warning == (
+        "a drag by (0, 500) at (256, 256) with radius 100 folds: damped to 0.47 of it "
+        "(use on_fold='flow' to go all the way)"
+    )
+
+
+@pytest.mark.parametrize("border", [None, 50.0, 1e3])
+def test_error_says_what_is_possible(border: float | None) -> None:
+    domain = Domain((512, 512), border=border)
+    stroke = Stroke(at=(256.5, 200), by=(-300, 500), radius=100)
+    with pytest.raises(FoldError, match=r"^a drag by \(-300, 500\) at \(256\.5, 200\) .* folds: at most") as caught:
+        resolve(stroke, domain, "error")
+    most = re.search(r"at most \((.*)\) does not", str(caught.value))
+    assert most is not None
+    weaker = Stroke.grab(stroke.at, by=[float(x) for x in most[1].split(",")], radius=100)
+    allowed = resolve(weaker, domain, "error")
+    assert allowed.rows.tobytes() == pack([weaker], (1, 1)).tobytes()
+    assert allowed.margin < MARGIN + 0.005
+
+
+@pytest.mark.parametrize("policy", ["damp", "flow", "error"])
+def test_without_a_drag_there_is_nothing_to_apply(policy: FoldPolicy) -> None:
+    resolved = resolve(Stroke(at=(5, 5), by=(0, 0), radius=1e-9), Domain((10, 10)), policy)
+    assert (resolved.substrokes, resolved.alpha, resolved.margin) == (0, 1.0, 1.0)
+    assert resolved.rows.dtype == STROKE_DTYPE
+
+
+def test_what_has_no_extent_does_not_fold() -> None:
+    strong = pack([Stroke(at=(0, 0), by=(1e9, 1e9), radius=1)], (1, 1))[0]
+    assert weakest(strong, Domain((1, 1)).packed()) == (0, 0)
+    column = Domain((60, 1)).packed()
+    assert weakest(pack([Stroke(at=(0, 30), by=(1e9, 0), radius=1)], (1, 1))[0], column) == (0, 0)
+    for at, by in [((0, 30), (1e9, 5)), ((4, 30), (20, 0)), ((-3, 20), (-9, 30))]:
+        row = pack([Stroke(at=at, by=by, radius=8)], (1, 1))[0]
+        lower, _ = weakest(row, column, target=0)
+        found, _ = searched(np.random.default_rng(0), row, 0.4, column)
+        assert 1.005 * found <= lower <= found
+
+
+@pytest.mark.parametrize("radius", [1e-30, 1e-9, 1e9, 1e30])
+@pytest.mark.parametrize("scales", [1, 2, 3])
+def test_radii_without_measure(radius: float, scales: int) -> None:
+    domain = Domain((64, 64), border=20)
+    stroke = Stroke(at=(30.3, 20.1), by=(100, 30), radius=radius, scales=scales)
+    resolved = resolve(stroke, domain, "damp")
+    assert 0 < resolved.alpha < 1
+    if radius < 1:
+        assert resolved.alpha == pytest.approx(0.99 * radius * limit(0.4, scales) / math.hypot(100, 30), rel=2e-3)
+    else:
+        found, _ = searched(np.random.default_rng(0), resolved.rows[0], 0.4, domain.packed())
+        assert -0.99 - 1e-6 <= found <= -0.985
+
+
+def test_far_pivots_and_tiny_borders_are_bounded_too() -> None:
+    for stroke, border in [
+        (Stroke(at=(1e30, 1e30), by=(1e30, 0), radius=1e30), 50),
+        (Stroke(at=(-1e9, 5), by=(1e12, 1e12), radius=1e3), 50),
+        (Stroke(at=(30, 30), by=(9, 5), radius=10), 1e-30),
+        (Stroke(at=(30, 30), by=(1e-300, 0), radius=1), 50),
+    ]:
+        domain = Domain((64, 64), border=border)
+        resolved = resolve(stroke, domain, "damp")
+        lower, upper = weakest(resolved.rows[0], domain.packed(), target=0)
+        assert -(1 - MARGIN) * (1 + 1e-9) <= lower <= upper <= 0
+        assert math.isfinite(resolved.margin)
+
+
+def test_an_early_answer_is_still_a_bound() -> None:
+    row, axes = pack([Stroke(at=(250, 260), by=(8, 9), radius=100)], (1, 1))[0], Domain((512, 512)).packed()
+    close, _ = weakest(row, axes, target=0)
+    early, _ = weakest(row, axes)
+    assert CLEARLY_SAFE <= early <= close
