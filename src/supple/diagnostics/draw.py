@@ -173,9 +173,7 @@ def _residual(deformation: Deformation) -> Figure:
         if value > 0:
             scale.axhline(value, color=colour, linestyle=style, linewidth=2)
     beyond = int(np.count_nonzero(found.distance > found.bound + _NEWTON))
-    text = (
-        f"Error of the inverse map: certified at most {found.bound:.3g} px, tolerance {found.tolerance:g} px"
-    )
+    text = f"Error of the inverse map: certified at most {found.bound:.3g} px, tolerance {found.tolerance:g} px"
     title(made, text + (f"; {beyond} pixels are beyond that" if beyond else ""))
     return made
 
@@ -186,8 +184,10 @@ def _stretch(deformation: Deformation, below: Background) -> Figure:
     vertical, horizontal = measure.stretch(deformation)
     every = measure.spacing_of(deformation.shape)
     made, parts = panels(deformation, 1, 2)
-    reach = max(float(np.abs(vertical - 1).max()), float(np.abs(horizontal - 1).max()), 0.05)
-    norm = TwoSlopeNorm(1.0, 1 - reach, 1 + reach)
+    low, high = min(vertical.min(), horizontal.min()), max(vertical.max(), horizontal.max())
+    # What is squeezed to nothing is as dark as what is stretched most.
+    reach = max(1 - low, high - 1, 0.05)
+    norm = TwoSlopeNorm(1.0, 1 - reach, 1 + reach) if reach <= 1 else TwoSlopeNorm(1.0, min(low, 0), max(high, 2))
     for axes, values, name in zip(parts, (vertical, horizontal), ("Vertical", "Horizontal"), strict=True):
         under(axes, deformation, below)
         drawn = show(axes, values, every, norm, "RdBu_r", 0.72 if below is not None else None)
@@ -223,9 +223,7 @@ def _axes(deformation: Deformation, below: Background) -> Figure:
 def _needles(found: measure.Footprints) -> list[Floats]:
     """Short lines along the major axes, the longer the more the picture shrinks along them."""
     step = max(1, round(max(found.major.shape) / 36))
-    rows, columns = (
-        axis.ravel() for axis in np.indices(found.major.shape)[:, step // 2 :: step, step // 2 :: step]
-    )
+    rows, columns = (axis.ravel() for axis in np.indices(found.major.shape)[:, step // 2 :: step, step // 2 :: step])
     shrink = 1 - 1 / np.maximum(found.major[rows, columns], 1.0)
     half = found.direction[rows, columns] * (0.48 * step * np.sqrt(shrink))[:, None]
     centre = np.stack([columns, rows], axis=-1)

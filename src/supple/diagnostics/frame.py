@@ -78,9 +78,7 @@ def under(axes: Axes, deformation: Deformation, below: Background) -> None:
         axes.imshow(0.3 + 0.7 * grey, extent=edges(deformation), cmap="gray", vmin=0, vmax=1)
 
 
-def bar(
-    made: Figure, drawn: AxesImage, parts: Axes | list[Axes], label: str, extend: Extend = "neither"
-) -> Axes:
+def bar(made: Figure, drawn: AxesImage, parts: Axes | list[Axes], label: str, extend: Extend = "neither") -> Axes:
     """Add a colour bar, and return its axes."""
     made_bar = made.colorbar(drawn, ax=parts, shrink=0.9, pad=0.02, extend=extend)
     made_bar.set_label(label)

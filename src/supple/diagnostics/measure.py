@@ -119,9 +119,7 @@ def iterations(deformation: Deformation) -> Iterations:
     """The work of the published method, and ours."""
     every, q = _pixels(deformation)
     height, width = deformation.shape
-    points, counts, residuals = paper.inverse_map(
-        deformation._table, deformation._axes, (height, width), every=every
-    )
+    points, counts, residuals = paper.inverse_map(deformation._table, deformation._axes, (height, width), every=every)
     exact = deformation.inverse(q)
     return Iterations(
         every=every,
