@@ -19,11 +19,7 @@ from supple.diagnostics.background import background
 from supple.diagnostics.measure import spacing_of
 
 FIG_6_1B = Deformation((512, 512), border=None).grab((256, 256), by=(0, 90), radius=100)
-SMALL = (
-    Deformation((60, 80), border=12)
-    .grab((30, 25), by=(9, 12), radius=20)
-    .grab((50, 30), by=(-8, 3), radius=15)
-)
+SMALL = Deformation((60, 80), border=12).grab((30, 25), by=(9, 12), radius=20).grab((50, 30), by=(-8, 3), radius=15)
 
 
 def pixels(shape: tuple[int, ...]) -> npt.NDArray[np.float64]:
@@ -146,11 +142,7 @@ def test_a_large_image_is_looked_at_here_and_there() -> None:
     assert spacing_of((1024, 1024)) == 1
     for shape in ((1025, 1024), (8192, 8192), (1, 5_000_000), (40_000, 30_001)):
         every = spacing_of(shape)
-        assert (
-            np.prod([-(-n // every) for n in shape])
-            <= 1 << 20
-            < np.prod([-(-n // (every - 1)) for n in shape])
-        )
+        assert np.prod([-(-n // every) for n in shape]) <= 1 << 20 < np.prod([-(-n // (every - 1)) for n in shape])
     d = Deformation((3000, 40)).grab((20, 1500), by=(0, 60), radius=80)
     assert stretch(d)[0].shape == (3000, 40)
     large = Deformation((2000, 1500)).grab((700, 900), by=(40, 30), radius=200)
