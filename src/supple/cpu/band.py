@@ -16,6 +16,7 @@ from supple.cpu.lattice import (
     RESOLVED,
     SIZE,
     SMOOTH,
+    TOGETHER,
     TWIST,
     M,
     U,
@@ -265,17 +266,17 @@ def source_points(table, axes, z, xs, ys, wide, tall, first, last, tolerance, no
     """
     w, one = np.empty(ROWS * BATCH), np.empty(ROWS * BATCH)
     local, solved = np.empty((SIZE + 1, SIZE + 1, NODE)), np.empty((SIZE + 1, SIZE + 1), np.bool_)
-    cols, rows = np.empty(8, np.int64), np.empty(8, np.int64)
-    cx, cy, ch, ck = np.empty(8), np.empty(8), np.empty(8), np.empty(8)
-    errors, box, sides = np.empty(8), np.empty((3, 2)), np.empty(8, np.int64)
+    cols, rows = np.empty(TOGETHER, np.int64), np.empty(TOGETHER, np.int64)
+    cx, cy, ch, ck = np.empty(TOGETHER), np.empty(TOGETHER), np.empty(TOGETHER), np.empty(TOGETHER)
+    errors, box, sides = np.empty(TOGETHER), np.empty((3, 2)), np.empty(TOGETHER, np.int64)
     for run in range(anchors.shape[0]):
         node = nodes[first, run * RUN]
         anchors[run, 0] = np.int64(xs[run * RUN] + np.rint(node[U]))
         anchors[run, 1] = np.int64(ys[first] + np.rint(node[U + 1]))
         anchors[run, 2] = np.int64(z + np.rint(node[U + 2]))
     for j in range(first, last):
-        for start in range(0, xs.size - 1, 8):
-            n = min(8, xs.size - 1 - start)
+        for start in range(0, xs.size - 1, TOGETHER):
+            n = min(TOGETHER, xs.size - 1 - start)
             for m in range(n):
                 i = start + m
                 cols[m], rows[m] = i, j

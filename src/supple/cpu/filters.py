@@ -265,7 +265,8 @@ def filtered(
         low_x, high_x = limits(anchors[run], 0, width, rule, margin)
         low_y, high_y = limits(anchors[run], 1, height, rule, margin)
         move_x, move_y = np.float32(anchors[run, 0] - x0), np.float32(anchors[run, 1] - y0)
-        for first in range(0, channels, lanes):
+        step = lanes if alpha < 0 else lanes - 1
+        for first in range(0, channels if alpha < 0 else channels - 1, step):
             load(source, first, lanes, x0, x1, y0, y1, rows, rule, fill, alpha, top, levels, octets, tile)
             starts, widths = build(tile, wide, tall, lanes, coarsest)
             for y in range(out.shape[0]):

@@ -98,20 +98,17 @@ def footprints(points, row, left, n, mode, parts):
         inverse = one / (spread + np.float32(1e-6))
         parts[BOX_X + i] = half * (one + (a - c) * inverse)
         parts[BOX_Y + i] = b * inverse
-    if mode == AUTO:
-        # The source is as fine as its own pixels: only what goes beyond them has to be averaged away.
-        for i in range(n):
-            parts[MAJOR + i] = max(parts[MAJOR + i] - one, zero)
-            parts[MINOR + i] = max(parts[MINOR + i] - one, zero)
-    elif mode == EWA:
+    if mode == EWA:
         for i in range(n):
             parts[MAJOR + i] = max(parts[MAJOR + i], one)
             parts[MINOR + i] = max(parts[MINOR + i], one)
     else:
-        # The whole footprint; faded in below 1, so that no seam shows where the map begins to shrink.
+        # The whole footprint, faded in so that no seam shows: for ANTIALIAS before the map begins to shrink, for AUTO
+        # as it does, which leaves what is hardly shrunk as sharp as it was.
+        start = np.float32(0.97 if mode == ANTIALIAS else 1.0)
+        rise = one / np.float32(0.03 if mode == ANTIALIAS else 0.1)
         for i in range(n):
-            shrinking = (np.sqrt(parts[MAJOR + i]) - np.float32(0.97)) * np.float32(1.0 / 0.03)
-            shrinking = min(max(shrinking, zero), one)
+            shrinking = min(max((np.sqrt(parts[MAJOR + i]) - start) * rise, zero), one)
             parts[MAJOR + i] *= shrinking
             parts[MINOR + i] = max(parts[MINOR + i], zero) * shrinking
     for i in range(n):

@@ -34,9 +34,6 @@ from supple.cpu.field import (
 from supple.cpu.kernel import BATCH, inlined, kernel
 from supple.cpu.newton import (
     DONE,
-    DX,
-    DY,
-    DZ,
     NORM,
     PX,
     PY,
@@ -57,11 +54,12 @@ SIZE = 32  # pixels from node to node
 # leaves is of the order of its square over the length on which the map varies. Within a cell that resolves the
 # map, that length is large, and one step from the cell's own guess will mostly do.
 TOLERANCE, LEFT = 1e-3, 1e-5
-ROUGH_TOLERANCE, ROUGH_LEFT = 0.03, 2e-4
-# The interpolation error along a line is as s²(1-s)², of which the points looked at see 0.7; the rest is reserve.
-RESERVE = 1.6
-# A cell may be as large as the smoothest length at its corners; beyond, what is seen at points says nothing.
-RESOLVED = 1.0
+ROUGH_TOLERANCE, ROUGH_LEFT = 0.02, 2e-4
+# What is seen at a few points of a cell is nearly the worst of it; the rest is reserve.
+RESERVE = 2.0
+# A cell may be as large as this part of the length on which the map varies at its corners: beyond, what is seen at
+# points says little about what lies between them.
+RESOLVED = 0.5
 
 
 @kernel
@@ -102,16 +100,12 @@ def solve_batch(w, one, n, table, axes, cols, rows, guessed, smooth, nodes):
         node[M + 6] = t * cc * sx / sz
         node[M + 7] = t * (b * g - a * h) * sy / sz
         node[M + 8] = t * (a * e - b * d)
-        if w[DONE + i] > 0.0:
-            w[PX + i] += w[DX + i]
-            w[PY + i] += w[DY + i]
-            w[PZ + i] += w[DZ + i]
-            node[ERROR] = LEFT if smooth else ROUGH_LEFT
-        else:
-            size = 0.0
-            for m in range(9):
-                size += node[M + m] * node[M + m]
-            node[ERROR] = np.sqrt(size * w[NORM + i]) / min(sx, min(sy, sz))
+        # What rounding of T leaves, where the inverse enlarges it; and all of the residual where it did not converge.
+        size, reach = 0.0, abs(w[QX + i]) + abs(w[QY + i]) + abs(w[QZ + i])
+        for m in range(9):
+            size += node[M + m] * node[M + m]
+        residual = 1e-15 * reach if w[DONE + i] > 0.0 else np.sqrt(w[NORM + i])
+        node[ERROR] = (LEFT if smooth else ROUGH_LEFT) + np.sqrt(size) * residual / min(sx, min(sy, sz))
         node[U] = (w[PX + i] - w[QX + i]) / sx
         node[U + 1] = (w[PY + i] - w[QY + i]) / sy
         node[U + 2] = (w[PZ + i] - w[QZ + i]) / sz
@@ -247,43 +241,47 @@ def too_coarse(nodes, j, i, h, k):
 
 
 def _weights() -> np.ndarray:
-    """How the 16 numbers of a cell make up u at the eight points that are looked at.
+    """How the 16 numbers of a cell make up u, and its slopes, at the points that are looked at.
 
-    Four within the cell, two on its upper and two on its left edge. The numbers are, for each corner, the value,
-    the slope along x times the width, that along y times the height, and the twist times both.
+    The middles of the four edges, of the cell and of its quarters. The numbers are, for each corner, the value, the
+    slope along x times the width, that along y times the height, and the twist times both; the slopes that come out
+    are times width and height as well.
     """
-    out = np.empty((16, 8))
-    at = [(0.3, 0.3), (0.7, 0.3), (0.3, 0.7), (0.7, 0.7), (0.3, 0.0), (0.7, 0.0), (0.0, 0.3), (0.0, 0.7)]
-    for k, (s, t) in enumerate(at):
-        along, down = [
-            [((1 + 2 * v) * (1 - v) ** 2, v * (1 - v) ** 2), (v * v * (3 - 2 * v), -v * v * (1 - v))] for v in (s, t)
+    out = np.empty((3, 16, SEEN))
+    for k, (s, t) in enumerate(zip(AT_X, AT_Y, strict=True)):
+        values = [
+            [((1 + 2 * v) * (1 - v) ** 2, v * (1 - v) ** 2), (v * v * (3 - 2 * v), v * v * (v - 1))] for v in (s, t)
         ]
-        for corner in range(4):
-            (a, b), (c, d) = along[corner % 2], down[corner // 2]
-            out[4 * corner : 4 * corner + 4, k] = a * c, b * c, a * d, b * d
+        slopes = [[(6 * v * (v - 1), (1 - v) * (1 - 3 * v)), (6 * v * (1 - v), v * (3 * v - 2))] for v in (s, t)]
+        for kind, (along, down) in enumerate([(values[0], values[1]), (slopes[0], values[1]), (values[0], slopes[1])]):
+            for corner in range(4):
+                (a, b), (c, d) = along[corner % 2], down[corner // 2]
+                out[kind, 4 * corner : 4 * corner + 4, k] = a * c, b * c, a * d, b * d
     return out
 
 
+AT_X = np.array([0.5, 0.5, 0.0, 1.0, 0.5, 0.25, 0.75, 0.25, 0.75])
+AT_Y = np.array([0.0, 1.0, 0.5, 0.5, 0.5, 0.25, 0.25, 0.75, 0.75])
+SEEN = 9
+TOGETHER = BATCH // SEEN  # cells that are looked at together
 WEIGHTS = _weights()
-AT_X = np.array([0.3, 0.7, 0.3, 0.7, 0.3, 0.7, 0.0, 0.0])
-AT_Y = np.array([0.3, 0.3, 0.7, 0.7, 0.0, 0.0, 0.3, 0.7])
 
 
 @kernel
 def check(w, n, table, axes, ndim, z, x0, y0, hs, ks, js, cells, nodes, errors, sides):
-    """Bound the errors of ``n`` ≤ BATCH / 8 cells, in pixels: within each and on two of its edges, T is compared.
+    """Bound the errors of ``n`` ≤ TOGETHER cells, in pixels: at nine points of each, T is compared.
 
     Cell ``m`` lies right and below ``nodes[js[m], cells[m]]``, at the pixel (x0[m], y0[m]), ``hs[m]`` by ``ks[m]``.
     ``sides[m]`` says along which axes the error calls for smaller cells: 1 x, 2 y, 3 both.
     """
-    known, mean = np.empty(16), np.empty(9)
+    known, slopes = np.empty(16), np.empty(6 * BATCH)
     for m in range(n):
-        h, k = hs[m], ks[m]
-        for i in range(8):
-            w[QX + 8 * m + i] = (x0[m] + AT_X[i] * h) * axes[0, 2]
-            w[QY + 8 * m + i] = (y0[m] + AT_Y[i] * k) * axes[1, 2]
-            w[QZ + 8 * m + i] = z * axes[2, 2]
-            w[Z + 8 * m + i] = z * axes[2, 2]
+        h, k, at = hs[m], ks[m], SEEN * m
+        for i in range(SEEN):
+            w[QX + at + i] = (x0[m] + AT_X[i] * h) * axes[0, 2]
+            w[QY + at + i] = (y0[m] + AT_Y[i] * k) * axes[1, 2]
+            w[QZ + at + i] = z * axes[2, 2]
+            w[Z + at + i] = z * axes[2, 2]
         for c in range(ndim):
             one_x, one_y = (1.0 if c == 0 else 0.0), (1.0 if c == 1 else 0.0)
             for corner in range(4):
@@ -292,43 +290,46 @@ def check(w, n, table, axes, ndim, z, x0, y0, hs, ks, js, cells, nodes, errors, 
                 known[4 * corner + 1] = h * (node[M + 3 * c] - one_x)
                 known[4 * corner + 2] = k * (node[M + 3 * c + 1] - one_y)
                 known[4 * corner + 3] = h * k * node[TWIST + c]
-            to, q = X + c * BATCH + 8 * m, QX + c * BATCH + 8 * m
-            for i in range(8):
+            to, q = X + c * BATCH + at, QX + c * BATCH + at
+            along, down = 2 * c * BATCH + at, (2 * c + 1) * BATCH + at
+            for i in range(SEEN):
                 w[to + i] = w[q + i]
+                slopes[along + i], slopes[down + i] = one_x, one_y
             for a in range(16):
-                v = known[a] * axes[c, 2]
-                for i in range(8):
-                    w[to + i] += v * WEIGHTS[a, i]
-    apply(w, 8 * n, table, axes, 0, table.shape[0], False)
+                v, vx, vy = known[a] * axes[c, 2], known[a] / h, known[a] / k
+                for i in range(SEEN):
+                    w[to + i] += v * WEIGHTS[0, a, i]
+                    slopes[along + i] += vx * WEIGHTS[1, a, i]
+                    slopes[down + i] += vy * WEIGHTS[2, a, i]
+    apply(w, SEEN * n, table, axes, 0, table.shape[0], False)
     for m in range(n):
         j, i = js[m], cells[m]
-        for a in range(9):
-            mean[a] = 0.25 * (
-                nodes[j, i, M + a] + nodes[j, i + 1, M + a] + nodes[j + 1, i, M + a] + nodes[j + 1, i + 1, M + a]
-            )
-        inner, upper, left = 0.0, 0.0, 0.0
-        for k in range(8):
-            x = 8 * m + k
+        inner, level, upright = 0.0, 0.0, 0.0
+        for k in range(SEEN):
+            x = SEEN * m + k
             ex = (w[X + x] - w[QX + x]) / axes[0, 2]
             ey = (w[Y + x] - w[QY + x]) / axes[1, 2]
             ez = (w[Z + x] - w[QZ + x]) / axes[2, 2]
             error = 0.0
             for c in range(ndim):
-                v = mean[3 * c] * ex + mean[3 * c + 1] * ey + mean[3 * c + 2] * ez
+                # ∂p/∂q of the patch itself; along z, only the nodes know it.
+                v = slopes[2 * c * BATCH + x] * ex + slopes[(2 * c + 1) * BATCH + x] * ey
+                a = M + 3 * c + 2
+                if ndim == 3:
+                    v += 0.25 * ez * (nodes[j, i, a] + nodes[j, i + 1, a] + nodes[j + 1, i, a] + nodes[j + 1, i + 1, a])
                 error += v * v
-            if k < 4:
-                inner = max(inner, error)
-            elif k < 6:
-                upper = max(upper, error)
+            if k < 2:
+                level = max(level, error)
+            elif k < 4:
+                upright = max(upright, error)
             else:
-                left = max(left, error)
+                inner = max(inner, error)
         own = max(
-            max(nodes[j, i, ERROR], nodes[j, i + 1, ERROR]),
-            max(nodes[j + 1, i, ERROR], nodes[j + 1, i + 1, ERROR]),
+            max(nodes[j, i, ERROR], nodes[j, i + 1, ERROR]), max(nodes[j + 1, i, ERROR], nodes[j + 1, i + 1, ERROR])
         )
-        errors[m] = own + RESERVE * max(np.sqrt(inner), np.sqrt(upper) + np.sqrt(left))
+        errors[m] = own + RESERVE * np.sqrt(max(inner, max(level, upright)))
         sides[m] = 3
-        if upper > 16.0 * left:
+        if level > 16.0 * upright:
             sides[m] = 1
-        elif left > 16.0 * upper:
+        elif upright > 16.0 * level:
             sides[m] = 2

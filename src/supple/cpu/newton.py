@@ -102,9 +102,9 @@ def _judge(w, n, axes, tolerance2):
 def newton(w, n, table, axes, first, last, tolerance, limit):
     """Solve T(p) = q for the strokes ``first`` to ``last - 1``, for a batch.
 
-    The rows QX.. hold the targets q, X.. the guesses. Afterwards PX.. hold the solutions, J00.. T's Jacobian
-    there, NORM the squares of |T(p) - q|; STEPS grows by the evaluations. A point is done where the next step
-    would be shorter than ``tolerance``. Returns how many are not yet.
+    The rows QX.. hold the targets q, X.. the guesses. Afterwards PX.. hold the solutions, J00.. T's Jacobian and
+    NORM the squares of |T(p) - q| where the last step began; STEPS grows by the evaluations. A point is done where
+    that step was shorter than ``tolerance``. Returns how many are not yet.
     """
     for i in range(n):
         w[PX + i], w[PY + i], w[PZ + i] = w[X + i], w[Y + i], w[Z + i]
@@ -122,6 +122,17 @@ def newton(w, n, table, axes, first, last, tolerance, limit):
         left = _judge(w, n, axes, tolerance * tolerance)
         if left == 0.0:
             break
+    # The step that was short enough to end with is known, and taken.
+    for i in range(n):
+        last_step = 1.0 if w[DONE + i] > 0.0 else 0.0
+        w[X + i] = w[PX + i] + last_step * w[DX + i]
+        w[Y + i] = w[PY + i] + last_step * w[DY + i]
+        w[Z + i] = w[PZ + i] + last_step * w[DZ + i]
+    for axis in range(3):
+        if axes[axis, 1] >= 0.0:
+            _keep_inside(w, n, axis, axes[axis, 0])
+    for i in range(n):
+        w[PX + i], w[PY + i], w[PZ + i] = w[X + i], w[Y + i], w[Z + i]
     return left
 
 

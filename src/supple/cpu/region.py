@@ -71,7 +71,8 @@ def load(source, first, lanes, x0, x1, y0, y1, spans, rule, fill, alpha, top, ta
     ``octets`` says that the source is of uint8.
     """
     height, width, channels = source.shape
-    count = min(lanes, channels - first)
+    # Opacity goes along in the last lane, with every group of colours.
+    count = min(lanes, channels - first) if alpha < 0 else min(lanes - 1, alpha - first)
     scale = 1.0 / top
     plain = alpha < 0 and table.size == 0 and first == 0 and ((channels == 3 and lanes == 4) or channels == 1)
     for y in range(y0, y1):
@@ -102,17 +103,20 @@ def load(source, first, lanes, x0, x1, y0, y1, spans, rule, fill, alpha, top, ta
                 k = first + c
                 if i < 0 or j < 0:
                     tile[at + c] = fill[k]
-                elif table.size > 0 and k != alpha:
+                elif table.size > 0:
                     tile[at + c] = table[np.int64(source[j, i, k])]
                 else:
                     tile[at + c] = source[j, i, k]
-            if alpha >= 0 and i >= 0 and j >= 0:
-                opacity = source[j, i, alpha] * scale
-                for c in range(count):
-                    if first + c != alpha:
-                        tile[at + c] *= opacity
             for c in range(count, lanes):
                 tile[at + c] = 0
+            if alpha >= 0:
+                if i < 0 or j < 0:
+                    tile[at + lanes - 1] = fill[alpha]
+                else:
+                    opacity = source[j, i, alpha] * scale
+                    tile[at + lanes - 1] = source[j, i, alpha]
+                    for c in range(count):
+                        tile[at + c] *= opacity
 
 
 @kernel
@@ -164,7 +168,7 @@ def store(values, first, lanes, n, alpha, top, low, high, whole, linear, octets,
     ``low`` and ``high`` bound what the type holds, and it is rounded if ``whole``. ``linear``, unless 0, is the
     value of white, by which colours come back from linear light to sRGB's curve.
     """
-    count = min(lanes, out.shape[2] - first)
+    count = min(lanes, out.shape[2] - first) if alpha < 0 else min(lanes - 1, alpha - first)
     if whole and alpha < 0 and linear == 0:
         pixels = out[row, column : column + n]
         # In the values' own type, and rounded by cutting off above 0: of such loops, the compiler makes short work.
@@ -182,12 +186,17 @@ def store(values, first, lanes, n, alpha, top, low, high, whole, linear, octets,
                 pixels[x, first + c] = values[x * lanes + c]
         return
     for x in range(n):
+        opacity = values[x * lanes + lanes - 1]
+        if alpha >= 0:
+            # A cubic overshoots; more than opaque, or less than clear, there is nothing.
+            opacity = min(max(opacity, opacity * 0), opacity * 0 + top)
+            v = np.floor(opacity + 0.5) if whole else opacity
+            out[row, column + x, alpha] = v
         for c in range(count):
             v = values[x * lanes + c]
-            if alpha >= 0 and first + c != alpha:
-                opacity = values[x * lanes + alpha - first]
+            if alpha >= 0:
                 v = v * top / opacity if opacity > 0 else v * 0
-            if linear > 0 and first + c != alpha:
+            if linear > 0:
                 u = v / linear
                 u = 12.92 * u if u <= 0.0031308 else 1.055 * u ** (1.0 / 2.4) - 0.055
                 v = u * linear

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 
 from supple.cpu.band import EVALUATIONS, REACH, RUN, SPLITS, STATS, WORST, source_points
+from supple.cpu.certify import farthest
 from supple.cpu.kernel import share, threads
 from supple.cpu.lattice import NODE, SIZE, M, set_twists, solve_rows
 
@@ -54,10 +55,14 @@ class Certificate:
     error: float
     evaluations: float
     splits: float
+    unknown: int = 0
 
     def __or__(self, other: Certificate) -> Certificate:
         return Certificate(
-            max(self.error, other.error), self.evaluations + other.evaluations, self.splits + other.splits
+            max(self.error, other.error),
+            self.evaluations + other.evaluations,
+            self.splits + other.splits,
+            self.unknown + other.unknown,
         )
 
 
@@ -160,6 +165,19 @@ def each_band(plane: Plane, tolerance: float, use: Callable[[Band], None]) -> Ce
     for certificate in share(work, range(0, ys.size - 1, CELL_ROWS)):
         total |= certificate
     return total
+
+
+def measure(plane: Plane, tolerance: float) -> Certificate:
+    """The error of a plane's source points at a tolerance: not estimated cell by cell, but measured at every pixel."""
+    found: list[tuple[float, int]] = []
+
+    def look(band: Band) -> None:
+        finest = min(1e-5, 1e-3 * tolerance)
+        found.append(farthest(plane.table, plane.axes, plane.z, band.top, band.points, band.anchors, finest))
+
+    estimated = each_band(plane, tolerance, look)
+    worst = max(error for error, _ in found)
+    return replace(estimated, error=worst, unknown=sum(unknown for _, unknown in found))
 
 
 def absolute(band: Band, out: npt.NDArray[np.floating]) -> None:
