@@ -1,0 +1,231 @@
+"""Many pictures: which they are, where they go, and how they are worked on side by side."""
+
+from __future__ import annotations
+
+import contextlib
+import glob
+import os
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor, as_completed
+from pathlib import Path
+
+from supple.console import FAULT, REFUSED, Console, deaf, fault
+from supple.errors import SuppleError
+from supple.media.files import check_output, shown
+
+# Of a folder, everything that somebody may take for a picture: what cannot be done is then named.
+_PICTURES = frozenset(
+    {".avif", ".bmp", ".exr", ".gif", ".hdr", ".heic", ".heif", ".jp2", ".jpeg", ".jpg", ".jxl", ".png", ".ppm", ".svg"}
+    | {".tif", ".tiff", ".webp"}
+)
+
+Job = tuple[Path, Path]
+
+
+def pair(given: Sequence[str], target: str) -> tuple[list[Job], bool]:
+    """Find the pictures, and name what each becomes.
+
+    Parameters
+    ----------
+    given : sequence of str
+        Files, folders and patterns.
+    target : str
+        A file; or a folder, if it is one or there may be several pictures.
+
+    Returns
+    -------
+    list of pairs of pathlib.Path
+        Sources and targets, in order.
+    bool
+        Whether the target is a folder.
+    """
+    found: list[tuple[Path, Path]] = []  # with the name below the target
+    several = len(given) > 1
+    for name in given:
+        path = Path(name)
+        if path.is_dir():
+            several = True
+            inside = sorted(p for p in path.iterdir() if p.suffix.lower() in _PICTURES and p.is_file())
+            if not inside:
+                raise SuppleError(f"the folder {shown(name)} holds no pictures: give another, or their names")
+            found += [(p, p.relative_to(path)) for p in inside if not p.name.startswith(".")]
+        elif glob.has_magic(name) and not path.exists():
+            several = True
+            matching = sorted(Path(p) for p in glob.glob(name, recursive=True) if not os.path.isdir(p))
+            if not matching:
+                raise SuppleError(f"no file matches {shown(name)}: check the pattern")
+            base = _fixed_part(name)
+            found += [(p, p.relative_to(base)) for p in matching]
+        else:
+            found.append((path, Path(path.name)))
+    if not several and not Path(target).is_dir():
+        return [(found[0][0], Path(target))], False
+    jobs = [(source, Path(target) / name) for source, name in found]
+    taken: dict[Path, Path] = {}
+    for source, goal in jobs:
+        if taken.setdefault(goal, source) != source:
+            raise SuppleError(f"{shown(taken[goal])} and {shown(source)} would both become {shown(goal)}")
+    return list(dict.fromkeys(jobs)), True
+
+
+def make_folders(jobs: Sequence[Job]) -> None:
+    """Make the folders that targets go into."""
+    for folder in dict.fromkeys(target.parent for _, target in jobs):
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise SuppleError(
+                f"cannot make the folder {shown(folder)}: {error.strerror}: choose another place"
+            ) from error
+
+
+def check_recipe_file(name: str, jobs: Sequence[Job], force: bool) -> None:
+    """Refuse a name for the recipe that cannot be written, or is that of a picture."""
+    path = check_output(name, force=force)
+    if any(path == Path(os.path.realpath(target)) for _, target in jobs):
+        raise SuppleError(f"{shown(name)} cannot be both the picture and the recipe: give it another name")
+
+
+def _fixed_part(pattern: str) -> Path:
+    parts = []
+    for part in Path(pattern).parts[:-1]:
+        if glob.has_magic(part):
+            break
+        parts.append(part)
+    return Path(*parts)
+
+
+class _StoppedError(Exception):
+    pass
+
+
+class Crew:
+    """Works on several pictures at once, as far as cores and memory go.
+
+    An interrupt stops them where they are, except for files that are being written: these are finished, since only
+    then nothing of them stays behind.
+    """
+
+    def __init__(self, workers: int, memory: float | None = None) -> None:
+        self._workers = workers
+        self._free = self._memory = _half_of_memory() if memory is None else memory
+        self._writing = 0
+        self._stopped = False
+        self._changed = threading.Condition()
+
+    def work(
+        self,
+        jobs: Sequence[Job],
+        do: Callable[[Job, Callable[[str], None]], None],
+        console: Console,
+        failed: Callable[[Job, str], None],
+    ) -> int:
+        """Do all jobs; report those that fail, and go on with the others.
+
+        Returns
+        -------
+        int
+            The exit status: 0 if none failed.
+        """
+        status = 0
+        pool = ThreadPoolExecutor(self._workers, "supple-file")
+        try:
+            with _bar(console, len(jobs)) as advance:
+                futures = {pool.submit(self._one, job, do): job for job in jobs}
+                for future in as_completed(futures):
+                    message, blame = _outcome(future)
+                    if message:
+                        source, target = map(shown, futures[future])
+                        if source not in message and target not in message:
+                            message = f"{source}: {message}"
+                        status = FAULT if FAULT in (status, blame) else REFUSED
+                        console.say(message)
+                        failed(futures[future], message)
+                    advance()
+        except BaseException:
+            with deaf():
+                self._stop()
+                pool.shutdown(wait=False, cancel_futures=True)
+            raise
+        pool.shutdown()
+        return status
+
+    def _one(self, job: Job, do: Callable[[Job, Callable[[str], None]], None]) -> None:
+        writing = False
+
+        def step(name: str) -> None:
+            nonlocal writing
+            with self._changed:
+                if self._stopped:
+                    raise _StoppedError
+                if name == "write":
+                    writing = True
+                    self._writing += 1
+
+        need = min(_size(job[0]), self._memory)
+        with self._changed:
+            self._changed.wait_for(lambda: self._free >= need or self._stopped)
+            self._free -= need
+        try:
+            do(job, step)
+        finally:
+            with self._changed:
+                self._free += need
+                self._writing -= writing
+                self._changed.notify_all()
+
+    def _stop(self) -> None:
+        with self._changed:
+            self._stopped = True
+            self._changed.notify_all()
+            self._changed.wait_for(lambda: not self._writing)
+
+
+def _outcome(future: Future[None]) -> tuple[str, int]:
+    try:
+        future.result()
+    except SuppleError as error:
+        return str(error), REFUSED
+    except MemoryError:
+        return "this takes more memory than there is: cut the picture into parts", REFUSED
+    except Exception as error:
+        return fault(error), FAULT
+    return "", 0
+
+
+def _size(path: Path) -> float:
+    """Estimate the memory that a picture takes, twice its pixels; what cannot be read takes none."""
+    from supple.media.image import info
+
+    try:
+        facts = info(path)
+    except SuppleError:
+        return 0.0
+    width, height, channels = (float(str(facts[name])) for name in ("width", "height", "channels"))
+    return 2.0 * width * height * channels * max(1, int(str(facts["bits"])) // 8)
+
+
+def _half_of_memory() -> float:
+    try:
+        return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 2
+    except (AttributeError, ValueError, OSError):
+        return 4e9
+
+
+@contextlib.contextmanager
+def _bar(console: Console, total: int) -> Iterator[Callable[[], None]]:
+    if not console.terminal:
+        yield lambda: None
+        return
+    from rich.console import Console as Screen
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    columns = TextColumn("supple:"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()
+    with Progress(*columns, console=Screen(stderr=True), redirect_stdout=False) as bar:
+        task = bar.add_task("", total=total)
+        console.bar = bar
+        try:
+            yield lambda: bar.advance(task)
+        finally:
+            console.bar = None

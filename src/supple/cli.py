@@ -1,0 +1,296 @@
+"""The command line."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NoReturn
+
+from cyclopts import App, CycloptsError, Group, Parameter
+
+from supple.console import Console, SomeFailedError, run
+from supple.errors import SuppleError
+from supple.options import RunOptions, StrokeOptions, parse_fill, parse_number
+
+if TYPE_CHECKING:
+    from supple.batch import Job
+    from supple.deformation import Deformation, Report
+
+What = Literal["grid", "stretch", "axes", "residual", "iterations"]
+Filter = Literal["auto", "antialias", "ewa", "cubic", "linear", "nearest"]
+Outside = Literal["edge", "constant", "reflect"]
+Tell = Callable[[str], None]
+
+SAMPLING = Group("Sampling", sort_key=2)
+WRITING = Group("Writing", sort_key=3)
+
+_GRAB = "--grab X,Y:X,Y --radius R [OPTIONS]"
+_EXAMPLES = """\
+Example: grab what is at (256, 256), in pixels from the top left, and drag it to (256, 346)
+
+  supple warp photo.jpg out.jpg --grab 256,256:256,346 --radius 100
+"""
+_WARP_EXAMPLES = """\
+Examples:
+
+  supple warp photo.jpg out.jpg --grab 256,256:256,346 --radius 100
+  supple warp photo.jpg out.png --grab 90,80:60,70 --grab 300,80:330,70 --radius 40
+  supple warp photos/ bent/ --recipe strokes.json
+"""
+
+
+_RUN = RunOptions()
+_STROKES = StrokeOptions()
+
+
+@dataclass(frozen=True, slots=True)
+class _Commands:
+    """What the commands share: a console."""
+
+    console: Console = field(default_factory=Console)
+
+    def warp(
+        self,
+        *paths: Annotated[str, Parameter(name="IN... OUT", required=True)],
+        strokes: StrokeOptions = _STROKES,
+        filter: Annotated[Filter, Parameter(group=SAMPLING)] = "auto",
+        outside: Annotated[Outside, Parameter(group=SAMPLING)] = "edge",
+        fill: Annotated[str, Parameter(group=SAMPLING, metavar="V|V,V,V", allow_leading_hyphen=True)] = "0",
+        tolerance: Annotated[str, Parameter(group=SAMPLING, metavar="PX", allow_leading_hyphen=True)] = "0.01",
+        linear_light: Annotated[bool, Parameter(group=SAMPLING)] = False,
+        quality: Annotated[int | None, Parameter(group=WRITING, metavar="1..100", allow_leading_hyphen=True)] = None,
+        lossless: Annotated[bool, Parameter(group=WRITING)] = False,
+        save_recipe: Annotated[str | None, Parameter(group=WRITING, metavar="FILE")] = None,
+        options: RunOptions = _RUN,
+    ) -> None:
+        """Bend pictures.
+
+        Several pictures, a folder or a pattern in quotes go into a folder, under the same names.
+
+        Parameters
+        ----------
+        paths
+            Pictures to read, and last the one to write (by suffix: PNG, JPEG, TIFF, WebP, AVIF) or a folder.
+        filter
+            Colours between pixels: auto averages where the picture shrinks, and is cubic elsewhere.
+        outside
+            What is seen beyond the edges: these go on, a constant (--fill), or the mirror image.
+        fill
+            The constant, in the picture's own values: one for all channels, or one for each.
+        tolerance
+            How far from its exact place a colour may be taken, in pixels; this is certified.
+        linear_light
+            Average light rather than sRGB values, which darken fine detail.
+        quality
+            For JPEG (default 95), WebP and AVIF (90).
+        lossless
+            Keep every value in WebP and AVIF; PNG and TIFF always do.
+        save_recipe
+            Write the strokes, to be carried out again with --recipe.
+        """
+        from supple.batch import Crew, check_recipe_file, make_folders, pair
+        from supple.files import warp_file, write_recipe
+
+        if len(paths) < 2:
+            raise SuppleError("give a picture to read and a name to write to: supple warp IN OUT --grab …")
+        self.console.started(quiet=options.quiet, threads=options.threads)
+        recipe = strokes.to_recipe()
+        sampling: dict[str, Any] = {
+            "filter": filter,
+            "outside": outside,
+            "fill": parse_fill(fill),
+            "tolerance": parse_number("--tolerance", tolerance, "a number of pixels above 0"),
+            "linear_light": linear_light,
+            "quality": quality,
+            "lossless": lossless,
+            "force": options.force,
+        }
+        jobs, many = pair(paths[:-1], paths[-1])
+        if save_recipe is not None:
+            check_recipe_file(save_recipe, jobs, options.force)
+
+        def do(job: Job, tell: bool | Tell) -> None:
+            made = warp_file(job[0], job[1], recipe, progress=tell, **sampling)
+            report = self._checked(made.deformation, made.tolerance)
+            if options.json:
+                self.console.tell(_facts(job, made.deformation, report))
+
+        def failed(job: Job, message: str) -> None:
+            if options.json:
+                self.console.tell({"input": str(job[0]), "output": str(job[1]), "error": message})
+
+        self.console.tell_of_compiling()
+        if many:
+            from supple.cpu.kernel import threads
+
+            make_folders(jobs)
+            failures = Crew(min(len(jobs), threads())).work(jobs, do, self.console, failed)
+        else:
+            failures = 0
+            self._alone(jobs[0], do, failed)
+        if save_recipe is not None:
+            write_recipe(save_recipe, recipe, force=options.force)
+        if failures:
+            raise SomeFailedError(failures)
+
+    def plot(
+        self,
+        source: Annotated[str, Parameter(name="IN")],
+        target: Annotated[str, Parameter(name="OUT")],
+        /,
+        *,
+        what: Annotated[What, Parameter(group=WRITING)] = "grid",
+        strokes: StrokeOptions = _STROKES,
+        options: RunOptions = _RUN,
+    ) -> None:
+        """Draw what strokes do to a picture.
+
+        Parameters
+        ----------
+        source
+            The picture.
+        target
+            A PNG, SVG or PDF file.
+        what
+            Bent lines, growth and shrinking, its direction, the inverse's error, or the work for it.
+        """
+        self.console.started(quiet=options.quiet, threads=options.threads)
+        recipe = strokes.to_recipe()
+        from supple.deformation import Deformation
+        from supple.diagnostics import plot
+        from supple.media.files import check_output
+        from supple.media.image import read
+
+        check_output(target, force=options.force)
+        pixels = read(source).pixels
+        self.console.tell_of_compiling()
+        deformation = Deformation.from_recipe(recipe, pixels.shape[:2])
+        plot(deformation, what, target, image=pixels, force=options.force)
+        report = self._checked(deformation, 0.01)
+        if options.json:
+            self.console.tell({**_facts((Path(source), Path(target)), deformation, report), "what": what})
+
+    def info(
+        self,
+        *files: Annotated[str, Parameter(name="FILE", required=True)],
+        json: Annotated[bool, Parameter(negative=())] = False,
+    ) -> None:
+        """Tell what pictures and recipes hold.
+
+        Parameters
+        ----------
+        files
+            Pictures, or recipes in JSON.
+        json
+            As one JSON object for each file.
+        """
+        from supple.describe import describe
+
+        for name in files:
+            facts, text = describe(name)
+            if json:
+                self.console.tell(facts)
+            else:
+                print(text)
+
+    def demo(
+        self,
+        folder: Annotated[str, Parameter(name="DIR")] = "supple-demo",
+        /,
+        *,
+        options: RunOptions = _RUN,
+    ) -> None:
+        """Write a small gallery, with an index.html to look at.
+
+        Parameters
+        ----------
+        folder
+            Where to.
+        """
+        from supple.gallery import write_gallery
+
+        self.console.started(quiet=options.quiet, threads=options.threads)
+        self.console.tell_of_compiling()
+        page = write_gallery(folder, force=options.force)
+        if options.json:
+            self.console.tell({"output": str(page)})
+        elif not options.quiet:
+            print(f"open {page}")
+
+    def _alone(self, job: Job, do: Callable[[Job, bool], None], failed: Callable[[Job, str], None]) -> None:
+        try:
+            do(job, self.console.terminal)
+        except SuppleError as error:
+            failed(job, str(error))
+            raise
+
+    def _checked(self, deformation: Deformation, tolerance: float) -> Report:
+        report = deformation.report(tolerance=tolerance)
+        if not report.within:
+            self.console.warn(f"the error is at most {report.error:.3g} px, and not {tolerance:g} as asked")
+        return report
+
+
+def command(arguments: Sequence[str]) -> int:
+    """Carry out a command line; return the exit status."""
+    return run(lambda console: _dispatch(console, arguments))
+
+
+def main() -> NoReturn:
+    """Carry out the process's own command line, and end."""
+    # Where SciPy is installed, Numba would import its linear algebra, for kernels that we do not have: 0.2 s.
+    sys.modules.setdefault("scipy.linalg", None)  # type: ignore[arg-type]
+    status = command(sys.argv[1:])
+    for stream in (sys.stdout, sys.stderr):
+        with contextlib.suppress(OSError, ValueError, AttributeError):
+            stream.flush()
+    # All files are whole by now. Tidying up the interpreter takes 0.3 s, and after an interrupt it would wait for
+    # threads whose work nobody wants.
+    os._exit(status)
+
+
+def _dispatch(console: Console, arguments: Sequence[str]) -> None:
+    app = App(
+        name="supple",
+        help="Bend pictures with elastic brushes, exactly inverted and sampled once.",
+        help_epilogue=_EXAMPLES,
+        help_format="plaintext",
+        version=_version,
+        default_parameter=Parameter(negative=(), show_default=_unless_false),
+        suppress_keyboard_interrupt=False,
+        result_action="return_value",
+    )
+    commands = _Commands(console)
+    app.command(commands.warp, usage=f"Usage: supple warp IN... OUT {_GRAB}", help_epilogue=_WARP_EXAMPLES)
+    app.command(commands.plot, usage=f"Usage: supple plot IN OUT.png {_GRAB}", help_epilogue="")
+    app.command(commands.info, usage="Usage: supple info FILE... [--json]", help_epilogue="")
+    app.command(commands.demo, usage="Usage: supple demo [DIR] [OPTIONS]", help_epilogue="")
+    try:
+        app(list(arguments), exit_on_error=False, print_error=False, verbose=False)
+    except CycloptsError as error:
+        raise SuppleError(f"{str(error).strip().rstrip('.')} (supple --help tells more)") from None
+
+
+def _unless_false(value: object) -> object:
+    return None if value is False else value
+
+
+def _version() -> str:
+    from supple import __version__
+
+    return f"supple {__version__}"
+
+
+def _facts(job: Job, deformation: Deformation, report: Report) -> dict[str, Any]:
+    from dataclasses import asdict
+
+    height, width = deformation.shape
+    return {"input": str(job[0]), "output": str(job[1]), "width": width, "height": height, **asdict(report)}
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,204 @@
+"""What the command line says, and how it ends: one line for all that goes wrong, and an exit status."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import signal
+import sys
+import threading
+import warnings
+from collections.abc import Callable, Iterator, Mapping
+from types import FrameType
+from typing import Any, NoReturn
+
+from supple.errors import SuppleError
+
+DONE, FAULT, REFUSED = 0, 1, 2
+INTERRUPTED = 128 + signal.SIGINT
+TERMINATED = 128 + signal.SIGTERM
+PIPE_CLOSED = 141  # 128 + SIGPIPE, which Windows does not name
+
+
+class Terminated(BaseException):
+    """Somebody asked the process to end."""
+
+
+class SomeFailedError(Exception):
+    """Of several files, some were not done; each has been reported."""
+
+    def __init__(self, status: int) -> None:
+        super().__init__()
+        self.status = status
+
+
+def one_line(text: object) -> str:
+    """Make any message a line that a terminal shows as it is."""
+    joined = " ".join(str(text).splitlines())
+    return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in joined)
+
+
+class Console:
+    """Where messages go. Line by line to standard error, above a progress bar if there is one."""
+
+    def __init__(self) -> None:
+        self.quiet = False
+        self.bar: Any = None
+        self._said: set[str] = set()
+        self._lock = threading.Lock()
+
+    @property
+    def terminal(self) -> bool:
+        """Whether a person watches."""
+        return not self.quiet and sys.stderr is not None and sys.stderr.isatty()
+
+    def say(self, text: object) -> None:
+        """Write a line to standard error."""
+        line = f"supple: {one_line(text)}"
+        with self._lock, contextlib.suppress(OSError, ValueError):
+            if self.bar is not None:
+                self.bar.console.print(line, markup=False, highlight=False, soft_wrap=True)
+            elif sys.stderr is not None:
+                print(line, file=sys.stderr, flush=True)
+
+    def tell(self, facts: Mapping[str, object]) -> None:
+        """Write one JSON object, a line, to standard output."""
+        print(json.dumps(facts), flush=True)
+
+    def warn(self, text: object) -> None:
+        """Write a warning, unless it has been written before or nobody wants to hear."""
+        line = one_line(text)
+        if not self.quiet and line not in self._said:
+            self._said.add(line)
+            self.say(f"warning: {line}")
+
+    def started(self, *, quiet: bool, threads: int | None) -> None:
+        """Take the options that every command has."""
+        self.quiet = quiet
+        if threads is not None:
+            if threads < 1:
+                raise SuppleError(f"--threads must be a number of threads from 1, found {threads}")
+            os.environ["SUPPLE_THREADS"] = os.environ["VIPS_CONCURRENCY"] = str(threads)
+
+    def tell_of_compiling(self) -> None:
+        """Have the first wait explained: kernels are compiled where no cache holds them yet."""
+        if not self.terminal:
+            return
+        from numba.core import event
+
+        console = self
+
+        class Listener(event.Listener):
+            def __init__(self) -> None:
+                self.told = False
+
+            def on_start(self, event: Any) -> None:
+                if not self.told:
+                    self.told = True
+                    console.say("compiling for this machine, once: this can take a minute…")
+
+            def on_end(self, event: Any) -> None:
+                pass
+
+        event.register("numba:compile", Listener())  # type: ignore[no-untyped-call]
+
+
+def run(command: Callable[[Console], object]) -> int:
+    """Run a command; turn however it ends into an exit status and at most one line."""
+    console = Console()
+    try:
+        with _signals(), _warnings(console):
+            command(console)
+            if sys.stdout is not None:
+                sys.stdout.flush()
+        return DONE
+    except SomeFailedError as failed:
+        return failed.status
+    except SuppleError as error:
+        console.say(error)
+        return REFUSED
+    except KeyboardInterrupt:
+        console.say("interrupted")
+        return INTERRUPTED
+    except Terminated:
+        console.say("terminated")
+        return TERMINATED
+    except BrokenPipeError:
+        _close_output()
+        return PIPE_CLOSED
+    except MemoryError:
+        console.say("this takes more memory than there is: cut the picture into parts")
+        return REFUSED
+    except OSError as error:
+        _close_output()
+        console.say(f"the system refuses: {error.strerror or error}")
+        return REFUSED
+    except Exception as error:
+        if os.environ.get("SUPPLE_DEBUG") == "1":
+            raise
+        console.say(fault(error))
+        return FAULT
+
+
+def fault(error: BaseException) -> str:
+    """Say that we are to blame."""
+    told = f"{type(error).__name__}: {error}".rstrip(": ")
+    return f"a fault of Supple's own ({told}): please report it, with what SUPPLE_DEBUG=1 shows"
+
+
+def _close_output() -> None:
+    """Keep the interpreter from trying once more at its end."""
+    with contextlib.suppress(OSError, ValueError, AttributeError):
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+@contextlib.contextmanager
+def _signals() -> Iterator[None]:
+    """End as after an interrupt, with everything cleaned up, when asked to terminate."""
+    names = [name for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
+    if threading.current_thread() is not threading.main_thread():
+        names = []
+    before: dict[int, Any] = {}
+    for number in (getattr(signal, name) for name in names):
+        if signal.getsignal(number) == signal.SIG_DFL:  # others, nohup say, know what they do
+            before[number] = signal.signal(number, _terminate)
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def _terminate(number: int, frame: FrameType | None) -> NoReturn:
+    raise Terminated
+
+
+@contextlib.contextmanager
+def deaf() -> Iterator[None]:
+    """Let nothing interrupt what must be finished."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = {number: signal.signal(number, signal.SIG_IGN) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+@contextlib.contextmanager
+def _warnings(console: Console) -> Iterator[None]:
+    """Make each of our warnings a line; those of others are for developers."""
+
+    def show(message: Warning | str, category: type[Warning], *rest: object, **named: object) -> None:
+        if category.__module__.startswith("supple."):
+            console.warn(message)
+
+    with warnings.catch_warnings():
+        if os.environ.get("SUPPLE_DEBUG") != "1":
+            warnings.simplefilter("ignore")
+        warnings.simplefilter("always", UserWarning)
+        warnings.showwarning = show  # type: ignore[assignment]
+        yield

@@ -1,0 +1,191 @@
+"""Files in, files out: a picture that is read, deformed and written."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from supple.deformation import Deformation, Report
+from supple.errors import SuppleError
+from supple.media.files import check_output, replacing, shown
+from supple.media.image import check_target, read, write
+from supple.strokes import Recipe
+
+PathLike = str | os.PathLike[str]
+
+
+@dataclass(frozen=True, slots=True)
+class Warped:
+    """A file that was written.
+
+    Parameters
+    ----------
+    source, target : pathlib.Path
+        What was read, and what was written.
+    deformation : Deformation
+        The strokes, on the source's shape.
+    tolerance : float
+        How far a source point may be from the true T⁻¹(q), in pixels.
+    """
+
+    source: Path
+    target: Path
+    deformation: Deformation
+    tolerance: float
+
+    def report(self) -> Report:
+        """What was done with the strokes, and the certified error of the map; it is solved once more for this."""
+        return self.deformation.report(tolerance=self.tolerance)
+
+
+def warp_file(
+    source: PathLike,
+    target: PathLike,
+    recipe: Recipe,
+    *,
+    filter: str = "auto",
+    tolerance: float = 0.01,
+    outside: str = "edge",
+    fill: float | Sequence[float] = 0.0,
+    linear_light: bool = False,
+    quality: int | None = None,
+    lossless: bool = False,
+    force: bool = False,
+    progress: bool | Callable[[str], None] = False,
+) -> Warped:
+    """Deform a picture file.
+
+    Profile, EXIF, XMP and resolution come along; opacity is filtered as opacity. The target appears whole, or not
+    at all.
+
+    Parameters
+    ----------
+    source : str or os.PathLike
+        A PNG, JPEG, TIFF, WebP, AVIF or GIF file.
+    target : str or os.PathLike
+        Its suffix names the format: PNG, JPEG, TIFF, WebP or AVIF.
+    recipe : Recipe
+        The strokes, the border and the fold policy.
+    filter, tolerance, outside, fill, linear_light
+        As `Deformation.warp` takes them.
+    quality : int, optional
+        From 1 to 100, for JPEG, WebP and AVIF.
+    lossless : bool
+        Keep every value, in WebP and AVIF too.
+    force : bool
+        Whether a file that exists may be replaced, even the source.
+    progress : bool or function
+        Whether to show on a terminal what is being done. Or a function, which is called before each part of
+        the work with its name, ``"read"``, ``"warp"`` and ``"write"``: what it raises ends the work, and
+        leaves no file.
+
+    Returns
+    -------
+    Warped
+
+    Raises
+    ------
+    SuppleError
+        If the source cannot be read, the target cannot be written (known before any work is done, where it can
+        be), or the recipe cannot be carried out on a picture.
+
+    Examples
+    --------
+    >>> recipe = Recipe(strokes=[Stroke.grab((256, 256), to=(256, 346), radius=100)])  # doctest: +SKIP
+    >>> warp_file("photo.jpg", "bent.jpg", recipe).report().error  # doctest: +SKIP
+    """
+    check_target(target)
+    _check_options(target, quality, lossless)
+    if not force and _same(source, target):
+        raise SuppleError(f"{shown(target)} is the picture itself: pass --force (force=True) to replace it")
+    check_output(target, force=force)
+    with contextlib.nullcontext(progress) if callable(progress) else _told(source, progress) as tell:
+        tell("read")
+        picture = read(source)
+        tell("warp")
+        deformation = Deformation.from_recipe(recipe, picture.pixels.shape[:2])
+        pixels = deformation.warp(
+            picture.pixels,
+            filter=filter,
+            tolerance=tolerance,
+            outside=outside,
+            fill=fill,
+            alpha=picture.alpha,
+            linear_light=linear_light,
+        )
+        # Of the input, only the header is needed now: the encoder may have its memory.
+        like = replace(picture, pixels=np.empty((0, *picture.pixels.shape[1:]), picture.pixels.dtype))
+        del picture
+        tell("write")
+        write(target, pixels, like=like, quality=quality, lossless=lossless, force=force)
+    return Warped(Path(source), Path(target), deformation, tolerance)
+
+
+def read_recipe(path: PathLike) -> Recipe:
+    """Read a recipe from a JSON file.
+
+    Raises
+    ------
+    SuppleError
+        If the file cannot be read, or holds no recipe; the message names the file and what is wrong.
+    """
+    name = shown(path)
+    try:
+        text = Path(path).read_bytes().decode("utf-8-sig")
+    except OSError as error:
+        raise SuppleError(f"cannot read {name}: {error.strerror}: give a recipe in JSON") from error
+    except UnicodeDecodeError as error:
+        raise SuppleError(f"cannot read {name}: it is no text: give a recipe in JSON") from error
+    except ValueError as error:
+        raise SuppleError(f"cannot read {name}: no file can have that name: check it") from error
+    try:
+        return Recipe.from_json(text)
+    except SuppleError as error:
+        raise SuppleError(f"{name}: {error}") from None
+
+
+def write_recipe(path: PathLike, recipe: Recipe, *, force: bool = False) -> None:
+    """Write a recipe as JSON; the file appears whole or not at all.
+
+    Raises
+    ------
+    SuppleError
+        If it exists and `force` is false, or cannot be written.
+    """
+    with replacing(path, force=force) as temporary:
+        temporary.write_text(recipe.to_json(), encoding="utf-8")
+
+
+def _check_options(target: PathLike, quality: int | None, lossless: bool) -> None:
+    name = shown(target)
+    if quality is not None and not 1 <= quality <= 100:
+        raise SuppleError(f"cannot write {name} with quality {quality}: quality goes from 1 to 100")
+    if lossless and Path(target).suffix.lower() in (".jpg", ".jpeg"):
+        raise SuppleError(f"cannot write {name} without loss: JPEG always loses: write PNG, TIFF, WebP or AVIF")
+
+
+def _same(source: PathLike, target: PathLike) -> bool:
+    try:
+        return os.path.samefile(source, target)
+    except (OSError, ValueError):
+        return False
+
+
+@contextlib.contextmanager
+def _told(source: PathLike, progress: bool) -> Iterator[Callable[[str], None]]:
+    """Show each part of the work on the terminal, if there is one and it is wanted."""
+    if not progress or sys.stderr is None or not sys.stderr.isatty():
+        yield lambda step: None
+        return
+    from rich.console import Console
+    from rich.text import Text
+
+    console = Console(stderr=True)
+    with console.status(Text(f"{shown(source)}")) as status:
+        yield lambda step: status.update(Text(f"{step}: {shown(source)}"))

@@ -1,0 +1,155 @@
+"""Options that several commands have, and the recipe that they make."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Annotated, Literal
+
+from cyclopts import Group, Parameter
+
+from supple.errors import SuppleError
+
+if TYPE_CHECKING:
+    from supple.strokes import Recipe, Stroke
+
+STROKES = Group("Strokes", sort_key=1)
+RUNNING = Group("Running", sort_key=4)
+
+
+@Parameter(name="*", group=STROKES)
+@dataclass(frozen=True, kw_only=True)
+class StrokeOptions:
+    """What is grabbed, where it goes, and what it is made of.
+
+    Parameters
+    ----------
+    grab
+        Drag one point to another, in pixels from the top left one. Several grabs are a sequence.
+    radius
+        How far a grab is felt, in pixels. Like the next two: once for all grabs, or once for each.
+    poisson
+        The material (default 0.4): 0.5 keeps areas, lower ones down to -inf squeeze more.
+    scales
+        How local a grab is: 1 (default) is felt far, 2 and 3 less and less.
+    recipe
+        Strokes from a JSON file, which come before those of --grab.
+    border
+        Width in pixels (default 50) of the border that stays in place; none: the edges move too.
+    on_fold
+        A grab that would fold the picture: damp it (default), let it flow there, or refuse it.
+    """
+
+    grab: Annotated[list[str], Parameter(allow_leading_hyphen=True, metavar="X,Y:X,Y", show_default=False)] = ()  # type: ignore[assignment]
+    radius: Annotated[list[str], Parameter(allow_leading_hyphen=True, metavar="R", show_default=False)] = ()  # type: ignore[assignment]
+    poisson: Annotated[list[str], Parameter(allow_leading_hyphen=True, metavar="N", show_default=False)] = ()  # type: ignore[assignment]
+    scales: Annotated[list[str], Parameter(allow_leading_hyphen=True, metavar="1|2|3", show_default=False)] = ()  # type: ignore[assignment]
+    recipe: Annotated[str | None, Parameter(metavar="FILE")] = None
+    border: Annotated[str | None, Parameter(allow_leading_hyphen=True, metavar="N|none")] = None
+    on_fold: Annotated[
+        Literal["damp", "flow", "error"] | None, Parameter(metavar="damp|flow|error", show_choices=False)
+    ] = None
+
+    def to_recipe(self) -> Recipe:
+        """Read the recipe file, if one is given, and add the grabs."""
+        from supple.strokes import Recipe
+
+        if not self.grab and self.recipe is None:
+            raise SuppleError("nothing to do: give --grab X,Y:X,Y --radius R, or --recipe FILE")
+        if self.recipe is None:
+            made = Recipe()
+        else:
+            from supple.files import read_recipe
+
+            made = read_recipe(self.recipe)
+        made = replace(made, strokes=(*made.strokes, *self._strokes()))
+        if self.border is not None:
+            free = self.border.strip().lower() == "none"
+            made = replace(made, border=None if free else parse_number("--border", self.border, "a width, or none"))
+        return made if self.on_fold is None else replace(made, on_fold=self.on_fold)
+
+    def _strokes(self) -> list[Stroke]:
+        from supple.strokes import Stroke
+
+        count = len(self.grab)
+        if count and not self.radius:
+            raise SuppleError("--grab needs a --radius: how far it is felt, in pixels")
+        radii = _spread("--radius", self.radius, count, "a number of pixels above 0")
+        ratios = _spread("--poisson", self.poisson, count, "a number up to 0.5, or -inf") or [0.4] * count
+        scales = _spread("--scales", self.scales, count, "1, 2 or 3") or [1] * count
+        strokes = []
+        for text, radius, ratio, scale in zip(self.grab, radii, ratios, scales, strict=True):
+            start, end = _grab(text)
+            whole = int(scale) if float(scale).is_integer() else scale
+            try:
+                strokes.append(Stroke.grab(start, to=end, radius=radius, poisson=ratio, scales=whole))  # type: ignore[arg-type]
+            except SuppleError as error:
+                raise SuppleError(f"--grab {text}: {error}") from None
+        return strokes
+
+
+@Parameter(name="*", group=RUNNING)
+@dataclass(frozen=True, kw_only=True)
+class RunOptions:
+    """How the command goes about it.
+
+    Parameters
+    ----------
+    force
+        Replace files that exist, even the input.
+    quiet
+        No warnings, no progress.
+    json
+        Tell on standard output what was done, as one JSON object for each file.
+    threads
+        How many threads work at once; all cores by default.
+    """
+
+    force: bool = False
+    quiet: bool = False
+    json: bool = False
+    threads: Annotated[int | None, Parameter(metavar="N", allow_leading_hyphen=True)] = None
+
+
+def parse_number(name: str, text: str, wanted: str) -> float:
+    """Read a number from the command line."""
+    try:
+        return float(text)
+    except ValueError:
+        raise SuppleError(f"{name} must be {wanted}, found {text!r}") from None
+
+
+def parse_fill(text: str) -> list[float]:
+    """Read a colour from the command line."""
+    return [
+        parse_number(
+            "--fill",
+            part,
+            "a number, or one for each channel: 255,0,0",
+        )
+        for part in text.split(",")
+    ]
+
+
+def _spread(name: str, given: Sequence[str], count: int, wanted: str) -> list[float]:
+    if len(given) not in (0, 1, count) or (given and not count):
+        many = f"{count} grabs" if count > 1 else "one grab" if count else "no --grab"
+        raise SuppleError(f"{name} is given {len(given)} times for {many}: give it once, or once for each --grab")
+    values = [parse_number(name, text, wanted) for text in given]
+    return values * count if len(values) == 1 else values
+
+
+def _grab(text: str) -> tuple[list[float], list[float]]:
+    wanted = "X,Y:X,Y, two points in pixels (256,256:256,346, say)"
+    parts = text.split(":")
+    if len(parts) != 2:
+        raise SuppleError(f"--grab must be {wanted}, found {text!r}")
+    points = []
+    for part in parts:
+        try:
+            points.append([float(x) for x in part.split(",")])
+        except ValueError:
+            raise SuppleError(f"--grab must be {wanted}, found {text!r}") from None
+    if len(points[0]) != len(points[1]) or len(points[0]) not in (2, 3):
+        raise SuppleError(f"--grab must be {wanted}, found {text!r}")
+    return points[0], points[1]
