@@ -30,7 +30,7 @@ from functools import lru_cache
 import numpy as np
 import numpy.typing as npt
 
-from supple.cpu import folds
+from supple.cpu import field, folds
 from supple.domain import Domain
 from supple.errors import FoldError, SuppleError
 from supple.strokes import FoldPolicy, Stroke, pack
@@ -47,6 +47,7 @@ CLEARLY_SAFE = -0.5 * (1 - MARGIN)
 MOST_SUBSTROKES = 10_000
 
 _MOST_BOXES = 100_000
+_SQUEEZED = 1e-5  # a sequence that leaves less of a length has lost too many digits to be undone
 _GAP = 0.002
 _FLOW_GAP = 0.05
 _FLOW_MARGIN = 0.3  # substrokes are well-conditioned: Newton takes few steps, and errors grow little
@@ -154,7 +155,26 @@ def _flow(stroke: Stroke, row: np.void, axes: Floats) -> Resolved:
             f"{_described(stroke)} would take more than {MOST_SUBSTROKES} strokes to arrive without a fold; "
             "use a larger radius, or on_fold='damp'"
         )
-    return Resolved(np.array(rows), margin=margin)
+    table = np.array(rows)
+    if _narrowest(table, axes, table[0]["pivot"], drag) < _SQUEEZED:
+        raise SuppleError(
+            f"{_described(stroke)} squeezes what lies before it more than {1 / _SQUEEZED:g} times, which could not be "
+            "undone; use a target farther from the border, a larger radius, or on_fold='damp'"
+        )
+    return Resolved(table, margin=margin)
+
+
+def _narrowest(table: Table, axes: Floats, start: Floats, drag: Floats) -> float:
+    """The smallest singular value of the whole sequence's Jacobian that is found along its way and around."""
+    ahead = start[:, None] + drag[:, None] * np.linspace(-1.0, 4.0, 401)
+    extent = np.where(axes[:, 1] >= 0, axes[:, 0], 0.0)
+    parts = np.stack(np.meshgrid(*[np.linspace(0, 1, 17 if e > 0 else 1) for e in extent]), axis=0).reshape(3, -1)
+    around = np.where(extent[:, None] > 0, parts * extent[:, None], start[:, None])
+    points = np.concatenate([ahead, around], axis=1)
+    points = np.where((axes[:, 1] >= 0)[:, None], np.clip(points, 0, axes[:, :1]), points)
+    jacobian = np.empty((9, points.shape[1]))
+    field.forward(table, axes, np.ascontiguousarray(points), jacobian)
+    return float(np.linalg.svd(jacobian.T.reshape(-1, 3, 3), compute_uv=False).min())
 
 
 def _beta(position: Floats, axes: Floats) -> Floats:
