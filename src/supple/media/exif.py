@@ -1,0 +1,244 @@
+"""EXIF in TIFF, which libvips neither reads nor writes: into and out of the block that other formats hold.
+
+Both are folders of tags. Folders are read as far as they hold together, and laid out anew: damaged ones come to
+no harm, and what they still say stays. Only what is wanted is read, and no more than `_ROOM` of it.
+"""
+
+from __future__ import annotations
+
+import io
+import os
+from dataclasses import dataclass
+from typing import BinaryIO, Literal, TypeAlias
+
+import numpy as np
+
+# for each folder the folders below it, by the tag that points at them; no tag points at the image's own
+_IMAGE, _EXIF, _GPS, _INTEROP = -1, 34665, 34853, 40965
+_BELOW: dict[int, tuple[int, ...]] = {_IMAGE: (_EXIF, _GPS), _EXIF: (_INTEROP,), _GPS: (), _INTEROP: ()}
+_WIDTH, _HEIGHT = 40962, 40963
+# of the image's own folder: names, dates, texts and ratings; the rest tells how the pixels are stored
+_SOUGHT = {269, 270, 271, 272, 305, 306, 315, 316, 18246, 18249, 33432, *range(40091, 40096), _EXIF, _GPS}
+_MOST = 4096  # entries a folder
+_ROOM = 2**24  # bytes in all
+_PREFIX = b"Exif\0\0"
+# for each kind of value the bytes that it takes, and those that the byte order turns
+_SIZES = {1: 1, 2: 1, 3: 2, 4: 4, 5: 8, 6: 1, 7: 1, 8: 2, 9: 4, 10: 8, 11: 4, 12: 8, 13: 4, 129: 1}
+_SIZES |= {16: 8, 17: 8, 18: 8}
+_TURNED = {**_SIZES, 5: 4, 10: 4}
+_LONG8 = 16
+
+
+@dataclass(frozen=True, slots=True)
+class _Value:
+    kind: int
+    data: bytes
+
+
+# an entry as it stands in a file, a value to be laid out, or a folder below
+_Folder: TypeAlias = "dict[int, bytes | _Value | _Folder]"
+
+
+@dataclass(frozen=True, slots=True)
+class _Form:
+    """How a file writes numbers: its byte order, and whether it is a BigTIFF."""
+
+    order: Literal["little", "big"]
+    big: bool = False
+
+    @property
+    def count(self) -> int:
+        return 8 if self.big else 2
+
+    @property
+    def word(self) -> int:
+        return 8 if self.big else 4
+
+    @property
+    def step(self) -> int:
+        return 20 if self.big else 12
+
+    def number(self, data: bytes) -> int:
+        return int.from_bytes(data, self.order)
+
+    def bytes(self, number: int, size: int) -> bytes:
+        return number.to_bytes(size, self.order)
+
+
+class _Reader:
+    """Reads folders; `whole` tells whether all that was wanted could be read."""
+
+    def __init__(self, file: BinaryIO) -> None:
+        self.file = file
+        self.size = file.seek(0, os.SEEK_END)
+        self.room, self.whole = _ROOM, True
+        head = self.at(0, 16)
+        order: Literal["little", "big"] = "big" if head.startswith(b"MM") else "little"
+        magic = int.from_bytes(head[2:4], order)
+        self.form = _Form(order, magic == 43)
+        self.start = 8 if self.form.big else 4  # where the header says where the first folder is
+        self.first = self.form.number(head[self.start : self.start + self.form.word])
+        if head[:2] not in (b"II", b"MM") or magic not in (42, 43):
+            self.first, self.whole = self.size, False
+
+    def at(self, offset: int, size: int) -> bytes:
+        size = min(size, self.size - offset)
+        if size <= 0:
+            return b""
+        self.file.seek(offset)
+        return self.file.read(size)
+
+    def entries(self, offset: int) -> tuple[list[bytes], bytes]:
+        """Read a folder's entries as they stand there, and what follows them."""
+        form = self.form
+        head = self.at(offset, form.count)
+        count = min(form.number(head), _MOST)
+        table = self.at(offset + form.count, form.step * count + form.word)
+        found = min(count, len(table) // form.step)
+        if len(head) < form.count or found < form.number(head):
+            self.whole = False
+        entries = [table[at : at + form.step] for at in range(0, form.step * found, form.step)]
+        return entries, table[form.step * count :].ljust(form.word, b"\0")
+
+    def folder(self, offset: int, parent: int = _IMAGE) -> _Folder:
+        """Read a folder and those below it, each of them once: there is no way round in circles."""
+        found: _Folder = {}
+        for entry in self.entries(offset)[0]:
+            tag = self.form.number(entry[:2])
+            if tag in found or (parent == _IMAGE and tag not in _SOUGHT):
+                continue
+            if tag not in _BELOW:
+                value = self.value(entry)
+                if value is not None and value.data:
+                    found[tag] = value
+            elif tag not in _BELOW[parent]:
+                self.whole = False
+            elif below := self.folder(self.pointer(entry), tag):
+                found[tag] = below
+        return found
+
+    def value(self, entry: bytes) -> _Value | None:
+        """Read what an entry holds or points at, if it is there as a whole."""
+        form = self.form
+        kind, count = form.number(entry[2:4]), form.number(entry[4 : -form.word])
+        size = _SIZES.get(kind, _ROOM + 1) * count
+        if size <= form.word:
+            data = entry[-form.word :][:size]
+        else:
+            data = self.at(form.number(entry[-form.word :]), size) if size <= self.room else b""
+        if len(data) < size:
+            self.whole = False
+            return None
+        self.room -= size
+        if kind in (16, 17, 18):  # other formats have no such long numbers
+            wide = np.frombuffer(data, _dtype(form, "i" if kind == 17 else "u", 8))
+            narrow = wide.astype(_dtype(form, wide.dtype.kind, 4))
+            if not np.array_equal(wide, narrow):
+                self.whole = False
+                return None
+            data, kind = narrow.tobytes(), 9 if kind == 17 else 4
+        return _Value({13: 4, 129: 2}.get(kind, kind), data)
+
+    def pointer(self, entry: bytes) -> int:
+        value = self.value(entry)
+        return self.form.number(value.data) if value and value.kind == 4 and len(value.data) == 4 else self.size
+
+
+def from_tiff(path: str | os.PathLike[str]) -> tuple[bytes | None, bool]:
+    """Make an EXIF block of what a TIFF's first page says.
+
+    Returns
+    -------
+    tuple
+        The block, if there is something to say; and whether all of it could be read.
+    """
+    with open(path, "rb") as file:
+        reader = _Reader(file)
+        found = reader.folder(reader.first)
+    return (_block(found, reader.form) if found else None), reader.whole
+
+
+def is_whole(block: bytes) -> bool:
+    """Tell whether all of an EXIF block can be read."""
+    return _parsed(block)[2]
+
+
+def fitted(block: bytes, most: int) -> bytes:
+    """Leave out of an EXIF block its largest values, until it is as small as that."""
+    found, form, _ = _parsed(block)
+    folders = [found, *(item for item in found.values() if isinstance(item, dict))]
+    sizes = [
+        (len(item.data), at, tag)
+        for at, folder in enumerate(folders)
+        for tag, item in folder.items()
+        if isinstance(item, _Value)
+    ]
+    for _, at, tag in sorted(sizes, reverse=True):
+        if len(block := _block(found, form)) <= most:
+            break
+        del folders[at][tag]
+    return block
+
+
+def into_tiff(path: str | os.PathLike[str], block: bytes, width: int, height: int) -> None:
+    """Append an EXIF block's folders to a TIFF, with the texts that it lacks and the size of its image."""
+    found, source, _ = _parsed(block)
+    if not found:
+        return
+    inner = found.get(_EXIF)
+    if isinstance(inner, dict):
+        for tag, number in ((_WIDTH, width), (_HEIGHT, height)):
+            if tag in inner:
+                inner[tag] = _Value(4, source.bytes(number, 4))
+    with open(path, "rb+") as file:
+        reader = _Reader(file)
+        form = reader.form
+        entries, following = reader.entries(reader.first)
+        stored: _Folder = {form.number(entry[:2]): entry for entry in entries}
+        place = reader.size + -reader.size % form.word
+        data = _laid(found | stored, place, source, form, following)
+        file.seek(reader.size)
+        file.write(bytes(place - reader.size) + data)
+        file.seek(reader.start)
+        file.write(form.bytes(place, form.word))
+
+
+def _parsed(block: bytes) -> tuple[_Folder, _Form, bool]:
+    reader = _Reader(io.BytesIO(block.removeprefix(_PREFIX)))
+    return reader.folder(reader.first), reader.form, reader.whole
+
+
+def _block(found: _Folder, source: _Form) -> bytes:
+    form = _Form(source.order)  # kept, since what makers note may depend on it
+    head = (b"II" if form.order == "little" else b"MM") + form.bytes(42, 2) + form.bytes(8, 4)
+    return _PREFIX + head + _laid(found, 8, source, form)
+
+
+def _laid(folder: _Folder, place: int, source: _Form, form: _Form, following: bytes = b"") -> bytes:
+    """Lay out a folder that stands at `place`, and behind it all that it points at."""
+    table = bytearray(form.bytes(len(folder), form.count))
+    rest = bytearray()
+    behind = place + form.count + form.step * len(folder) + form.word
+    behind += -behind % form.word
+    for tag, item in sorted(folder.items()):
+        if isinstance(item, bytes):
+            table += item
+            continue
+        if isinstance(item, _Value):
+            kind, count, unit = item.kind, len(item.data) // _SIZES[item.kind], _TURNED[item.kind]
+            data = np.frombuffer(item.data, _dtype(source, "u", unit)).astype(_dtype(form, "u", unit)).tobytes()
+        else:
+            kind, count = (_LONG8 if form.big else 4), 1
+            data = _laid(item, behind + len(rest), source, form)
+        if isinstance(item, dict) or len(data) > form.word:
+            inline = form.bytes(behind + len(rest), form.word)
+            rest += data + bytes(-len(data) % form.word)
+        else:
+            inline = data.ljust(form.word, b"\0")
+        table += form.bytes(tag, 2) + form.bytes(kind, 2) + form.bytes(count, form.word) + inline
+    table += following or bytes(form.word)
+    return bytes(table + bytes(behind - place - len(table)) + rest)
+
+
+def _dtype(form: _Form, kind: str, size: int) -> np.dtype[np.integer]:
+    return np.dtype(f"{'<' if form.order == 'little' else '>'}{kind}{size}")

@@ -1,0 +1,117 @@
+"""What the headers of images say beside the pixels, and how it gets from one file into another."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import re
+import struct
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import pyvips
+
+from supple.media import exif
+from supple.media.formats import COLOURS, DTYPES, JPEG, TIFF, Format
+
+PathLike = str | os.PathLike[str]
+
+_ICC_COLOURS = {b"GRAY": 1, b"RGB ": 3, b"Lab ": 3, b"CMYK": 4}
+_KEPT = ("icc-profile-data", "exif-data", "xmp-data", "iptc-data", "image-description", "png-comment-")
+_THUMBNAIL = ("exif-ifd1-", "jpeg-thumbnail-data")
+_EXIF_MOST = 65_000  # libvips reads no more than fits into a JPEG, and adds a few tags
+
+
+def facts(image: Any) -> tuple[int, int, int]:
+    """Tell how many pages the file has, its orientation (1 to 8), and its bits a channel."""
+    names = ("n-pages", "orientation", "bits-per-sample")
+    pages, orientation, bits = (image.get(name) if image.get_typeof(name) else 0 for name in names)
+    depth = np.dtype(DTYPES[image.format]).itemsize * 8
+    return max(1, pages), orientation if 1 <= orientation <= 8 else 1, bits or depth
+
+
+def has_alpha(image: Any) -> bool:
+    """Tell whether the last channel is opacity: one above the colours is, several are something else."""
+    colours = COLOURS.get(image.interpretation, 3)
+    return bool(colours and image.bands == colours + 1)
+
+
+def collected(path: PathLike, image: Any, form: str, turned: bool) -> tuple[dict[str, Any], list[str]]:
+    """Collect what `dressed` puts back; name what cannot be, or what belongs to the old pixels."""
+    header: dict[str, Any] = {}
+    for name in image.get_fields():
+        if name.startswith(_KEPT) and (name != "iptc-data" or form == "JPEG"):
+            with contextlib.suppress(UnicodeError):
+                header[name] = image.get(name)
+    if "xmp-data" in header:  # it may say the orientation once more
+        pattern = rb"(tiff:Orientation(?:=[\"']|>)\s*)[2-8]"
+        header["xmp-data"] = re.sub(pattern, rb"\g<1>1", header["xmp-data"])
+    sizes = (image.yres, image.xres) if turned else (image.xres, image.yres)
+    if min(sizes) > 0 and sizes != (1, 1):  # libvips' way to say unknown
+        header["xres"], header["yres"] = sizes
+    lost = []
+    if form == "TIFF":
+        block, whole = exif.from_tiff(path)
+        if block is not None:
+            header["exif-data"] = block
+        if not whole:
+            lost.append("a part of its EXIF")
+        if image.get_typeof("iptc-data"):  # libvips garbles it
+            lost.append("its IPTC")
+    if image.get_typeof("gainmap-data"):
+        lost.append("its HDR gain map")
+    return header, lost
+
+
+def dressed(
+    image: Any, header: Mapping[str, Any], icc: bytes | None, form: Format, colours: int
+) -> tuple[Any, list[str]]:
+    """Give an image a header and a profile; name what of them the format cannot hold."""
+    lost = []
+    header = dict(header)
+    sizes = header.pop("xres", None), header.pop("yres", None)
+    if icc is not None:
+        sign = icc[16:20]
+        stored = colours if form.grey else max(3, colours)
+        if _ICC_COLOURS.get(sign, stored) == stored:
+            header["icc-profile-data"] = icc
+        else:
+            lost.append(f"the {sign.decode('latin-1').strip()} profile")
+    if form is not JPEG and header.pop("iptc-data", None):
+        lost.append("IPTC")
+    block = header.get("exif-data", b"")
+    if form is TIFF and block and not exif.is_whole(block):
+        lost.append("a part of EXIF")
+    if form is not TIFF and len(block) > _EXIF_MOST:
+        header["exif-data"] = exif.fitted(block, _EXIF_MOST)
+        lost.append("the largest parts of EXIF")
+    image = image.copy()
+    for name, value in header.items():
+        kind = pyvips.GValue.blob_type if isinstance(value, bytes) else pyvips.GValue.refstr_type
+        image.set_type(kind, name, value)  # of EXIF this makes a field for every tag
+    for name in image.get_fields():
+        if name.startswith(_THUMBNAIL):  # it shows what was
+            image.remove(name)
+    image.set_type(pyvips.GValue.gint_type, "orientation", 1)
+    if sizes[0] is None:
+        sizes = (72 / 25.4, 72 / 25.4) if (image.xres, image.yres) == (1, 1) else (image.xres, image.yres)
+    return image.copy(xres=sizes[0], yres=sizes[1]), lost
+
+
+def profile_name(icc: bytes) -> str | None:
+    """Find the description in a colour profile, of either version."""
+    try:
+        (count,) = struct.unpack_from(">I", icc, 128)
+        for entry in range(count):
+            sign, start, size = struct.unpack_from(">4sII", icc, 132 + 12 * entry)
+            if sign == b"desc":
+                tag = icc[start : start + size]
+                if tag.startswith(b"mluc"):
+                    length, start = struct.unpack_from(">II", tag, 20)
+                    return tag[start : start + length].decode("utf-16-be")
+                (length,) = struct.unpack_from(">I", tag, 8)
+                return tag[12 : 12 + length].rstrip(b"\0").decode("ascii", "replace")
+    except (struct.error, UnicodeError):
+        pass  # a broken profile has no name
+    return None

@@ -1,0 +1,153 @@
+"""Files opened and decoded by libvips, and its accounts of failure in one sentence."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import os
+import re
+import stat
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any, TypeVar
+
+import numpy as np
+import pyvips
+
+from supple.errors import SuppleError
+from supple.media.files import shown
+from supple.media.formats import DTYPES, Array
+
+T = TypeVar("T")
+PathLike = str | os.PathLike[str]
+
+# libvips also reads tables of numbers and raw memory: those are no images
+_LOADERS = {
+    "png": "PNG",
+    "jpeg": "JPEG",
+    "uhdr": "JPEG",
+    "tiff": "TIFF",
+    "webp": "WebP",
+    "heif": "HEIF",
+    "gif": "GIF",
+    "svg": "SVG",
+    "jxl": "JPEG XL",
+    "jp2k": "JPEG 2000",
+    "ppm": "PNM",
+    "openexr": "OpenEXR",
+}
+_MAGIC = (b"\x89PNG", b"\xff\xd8", b"II*\0", b"MM\0*", b"II+\0", b"MM\0+", b"RIFF", b"GIF8")
+
+
+def opened(path: PathLike) -> tuple[Any, str]:
+    """Open an image for one reading from top to bottom; tell its format."""
+    name = shown(path)
+    kinds = "give a PNG, JPEG, TIFF, WebP, AVIF or GIF file"
+    head = b""
+    try:
+        plain = stat.S_ISREG(os.stat(path).st_mode)
+        if plain:
+            with open(path, "rb") as file:
+                head = file.read(12)
+    except OSError as error:
+        raise SuppleError(f"cannot read {name}: {error.strerror}: check the name and its rights") from error
+    except ValueError as error:
+        raise SuppleError(f"cannot read {name}: no file can have that name: check it") from error
+    if not head:
+        what = "it is empty" if plain else "it is a folder or no plain file"
+        raise SuppleError(f"cannot read {name}: {what}: {kinds}")
+    known = head.startswith(_MAGIC) or head[4:8] == b"ftyp"
+    try:
+        image = apart(lambda: _sequential(path))
+        form = _LOADERS.get(str(image.get("vips-loader")).partition("load")[0])
+        if form == "HEIF" and image.get("heif-compression") == "av1":
+            form = "AVIF"
+    except (pyvips.Error, UnicodeError) as error:
+        if known:
+            raise _damaged(path, error) from error
+        form = None
+    if form is None or image.format not in DTYPES or image.coding != "none":
+        raise SuppleError(f"cannot read {name}: it is no image of a known kind: {kinds}")
+    return image, form
+
+
+def _sequential(path: PathLike) -> Any:
+    # a source, since libvips would take "[...]" in a file's name for options, and cache what it read
+    source = pyvips.Source.new_from_file(os.fsencode(path))
+    return pyvips.Image.new_from_source(source, "", access="sequential", fail_on="truncated")
+
+
+def apart(work: Callable[[], T], image: Any = None) -> T:
+    """Let libvips work in another thread: here, its callbacks would swallow an interrupt, and print it."""
+    with ThreadPoolExecutor(1) as thread:
+        future = thread.submit(work)
+        try:
+            return future.result()
+        except BaseException:
+            if image is not None:
+                image.set_kill(True)  # or it would work to the end
+            raise
+
+
+@contextlib.contextmanager
+def reading(path: PathLike) -> Iterator[None]:
+    """Make of every failure one sentence."""
+    try:
+        yield
+    except (pyvips.Error, OSError, UnicodeError, MemoryError) as error:
+        raise _damaged(path, error) from error
+
+
+@contextlib.contextmanager
+def writing(path: PathLike) -> Iterator[None]:
+    """Make libvips' account of a failure an `OSError` where the system refused, else one sentence."""
+    try:
+        yield
+    except (pyvips.Error, UnicodeError) as error:
+        text = getattr(error, "detail", "")
+        if found := re.search("system error: (.+)", text):
+            code = next((code for code in errno.errorcode if os.strerror(code) == found[1]), errno.EIO)
+            raise OSError(code, found[1]) from error
+        raise SuppleError(f"cannot write {shown(path)}: libvips fails{_reason(text)}: try another format") from error
+
+
+def _damaged(path: PathLike, error: Exception) -> SuppleError:
+    """Say in one sentence why a file was not read, with the telling line of libvips, if there is one."""
+    text = getattr(error, "detail", "")
+    if isinstance(error, MemoryError) or "out of memory" in text:
+        return SuppleError(f"cannot read {shown(path)}: it is too large for the memory: cut it into parts")
+    what = f"it is damaged, cut short or of an unknown kind{_reason(text)}"
+    return SuppleError(f"cannot read {shown(path)}: {what}: give a whole copy of it")
+
+
+def _reason(text: str) -> str:
+    for line in map(str.strip, text.splitlines()):
+        if line and not re.search("bad seek|not in a known format", line):
+            told = re.sub(r"^\w+: ", "", line)  # without the name of libvips' part
+            return f" ({told})"
+    return ""
+
+
+def decoded(image: Any, orientation: int) -> Array:
+    """Decode all pixels into one array, upright."""
+    shape = (image.height, image.width, image.bands) if image.bands > 1 else (image.height, image.width)
+    dtype = np.dtype(DTYPES[image.format])
+    if orientation == 1:
+        return np.frombuffer(image.write_to_memory(), dtype).reshape(shape)
+    turned = orientation >= 5
+    upright = np.empty((shape[1], shape[0], *shape[2:]) if turned else shape, dtype)
+    stored = upright.swapaxes(0, 1) if turned else upright
+    stored = stored[:: -1 if orientation in (3, 4, 6, 7) else 1, :: -1 if orientation in (2, 3, 7, 8) else 1]
+    region = pyvips.Region.new(image)
+    for top in range(0, shape[0], 16):  # turned a strip at a time, or memory would hold the image twice
+        strip = stored[top : top + 16]
+        data = region.fetch(0, top, shape[1], len(strip))
+        strip[:] = np.frombuffer(data, dtype).reshape(strip.shape)
+    return upright
+
+
+def widen(pixels: Array, bits: int) -> None:
+    """Fill the low bits, which libvips leaves empty, so that white is 65535."""
+    for top in range(0, len(pixels), 64):
+        strip = pixels[top : top + 64]
+        strip |= strip >> bits
