@@ -390,7 +390,8 @@ class Deformation:
                 "use inverse_map, or a deformation of each plane"
             )
         if callable(source):
-            return warp_function(self, source, samples, out)
+            height, width = self.shape
+            return warp_function(source, (height, width), lambda q: self.inverse(q).points, samples, out)
         return warp_array(
             source,
             self.shape,

@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from supple.cpu.sampling import FILTERS, OUTSIDE, sampler
 from supple.cpu.warp import Band
-from supple.domain import integer, number, refuse
+from supple.domain import integer, refuse
 from supple.errors import SuppleError
-
-if TYPE_CHECKING:
-    from supple.deformation import Deformation
 
 __all__ = ["FILTERS", "OUTSIDE", "Source", "warp_array", "warp_function"]
 
@@ -104,8 +101,9 @@ def _result(out: Array | None, like: Array) -> Array:
 
 
 def warp_function(
-    deformation: Deformation,
     function: Callable[[npt.NDArray[np.float64]], npt.ArrayLike],
+    shape: tuple[int, int],
+    inverse: Callable[[npt.NDArray[np.float64]], npt.NDArray[np.float64]],
     samples: int,
     out: Array | None,
 ) -> Array:
@@ -114,8 +112,7 @@ def warp_function(
     There is nothing to interpolate: the function is as sharp, however far the map enlarges it.
     """
     samples = integer("samples", samples, "a number of samples along a pixel's side, from 1 to 64", 1, 64)
-    number("samples", samples, "a number", 1, 64)
-    height, width = deformation.shape
+    height, width = shape
     within = (np.arange(samples) + 0.5) / samples - 0.5
     x = (np.arange(width)[:, None] + within).ravel()
     rows = max(1, _MOST_POINTS // (width * samples * samples))
@@ -123,7 +120,7 @@ def warp_function(
     for top in range(0, height, rows):
         y = (np.arange(top, min(top + rows, height))[:, None] + within).ravel()
         grid = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
-        points = deformation.inverse(grid).points
+        points = inverse(grid)
         values = np.asarray(function(points))
         if values.ndim not in (1, 2) or values.shape[0] != len(points) or values.dtype.kind not in "biuf":
             wanted = f"numbers of shape ({len(points)},) or ({len(points)}, channels) for points {points.shape}"
