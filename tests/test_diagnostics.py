@@ -101,9 +101,11 @@ def test_iterations_compare_both() -> None:
 
 
 @pytest.mark.parametrize("deformation", [FIG_6_1B, SMALL, Deformation((60, 80))])
-def test_the_residual_is_that_of_the_map(deformation: Deformation) -> None:
+def test_the_residual_is_that_of_the_map_and_within_its_bound(deformation: Deformation) -> None:
     found = residual(deformation, tolerance=0.003)
-    assert found.bound == deformation.report(tolerance=0.003).error <= found.tolerance == 0.003
+    assert found.distance.max() <= found.bound <= found.tolerance == 0.003
+    assert found.bound == deformation.report(tolerance=0.003).error
+    assert found.unconverged == 0
     exact = deformation.inverse(pixels(deformation.shape)).points
     shown = np.linalg.norm(deformation.inverse_map(tolerance=0.003) - exact, axis=-1)
     np.testing.assert_allclose(found.distance, shown, atol=1e-4)

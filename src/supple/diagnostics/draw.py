@@ -40,7 +40,6 @@ SUFFIXES = (".png", ".svg", ".pdf")
 
 _DPI = 150
 _BLUE = "#33628d"
-_NEWTON = 1e-6  # how exact the inverse of each pixel is that the map is compared with
 
 Floats = npt.NDArray[np.float64]
 
@@ -172,9 +171,8 @@ def _residual(deformation: Deformation) -> Figure:
     for value, style, colour in ((found.tolerance, "-", "#00a5a5"), (found.bound, ":", "black")):
         if value > 0:
             scale.axhline(value, color=colour, linestyle=style, linewidth=2)
-    beyond = int(np.count_nonzero(found.distance > found.bound + _NEWTON))
     text = f"Error of the inverse map: certified at most {found.bound:.3g} px, tolerance {found.tolerance:g} px"
-    title(made, text + (f"; {beyond} pixels are beyond that" if beyond else ""))
+    title(made, text + (f"; of {found.unconverged} pixels it is not known" if found.unconverged else ""))
     return made
 
 

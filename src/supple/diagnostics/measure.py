@@ -61,7 +61,9 @@ class Errors:
     distance : float64 array
         |p - T⁻¹(q)|, in pixels of the input; T⁻¹(q) by Newton's method at each pixel.
     bound, tolerance : float
-        The certified bound on the distance at every pixel, and what was asked for.
+        The certified distance of the worst of all pixels (`Report.error`), and what was asked for.
+    unconverged : int
+        Of how many pixels that is not known.
     """
 
     every: int
@@ -69,6 +71,7 @@ class Errors:
     distance: Floats
     bound: float
     tolerance: float
+    unconverged: int
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -147,13 +150,15 @@ def residual(deformation: Deformation, *, tolerance: float = 0.01) -> Errors:
         points[start : start + len(taken)] = taken
 
     plane = solve_plane(deformation._table, deformation._axes, (height, width), 2)
-    certificate = each_band(plane, tolerance, keep)
+    each_band(plane, tolerance, keep)
+    report = deformation.report(tolerance=tolerance)
     return Errors(
         every=every,
         residual=np.asarray(np.linalg.norm(deformation.forward(points) - q, axis=-1)),
         distance=np.asarray(np.linalg.norm(points - deformation.inverse(q).points, axis=-1)),
-        bound=0.0 if deformation.is_identity else certificate.error,
+        bound=report.error,
         tolerance=tolerance,
+        unconverged=report.unconverged,
     )
 
 

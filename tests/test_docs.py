@@ -1,0 +1,70 @@
+"""The documentation is true: its Python runs, its links lead somewhere, and its commands exist."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import supple
+
+ROOT = Path(__file__).resolve().parent.parent
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+PHOTO = Path(supple.__file__).parent / "data" / "coffee.jpg"
+OPTION = r"(?<![\w-])--[a-z][a-z-]*"
+
+
+def blocks(page: Path, language: str) -> list[str]:
+    return re.findall(rf"^```{language}\n(.*?)^```$", page.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
+
+
+@pytest.mark.parametrize("page", [p for p in PAGES if blocks(p, "python")], ids=lambda page: page.stem)
+def test_the_python_of_a_page_runs(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    shutil.copy(PHOTO, "photo.jpg")
+    names: dict[str, object] = {}
+    for block in blocks(page, "python"):
+        exec(compile(block, str(page), "exec"), names)
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+def test_links_and_pictures_are_there(page: Path) -> None:
+    for target in re.findall(r"\]\(([^)]+)\)", page.read_text(encoding="utf-8")):
+        if not target.startswith(("http://", "https://", "#")):
+            assert (page.parent / target.partition("#")[0]).exists(), target
+
+
+def test_the_recipe_that_is_shown_is_one() -> None:
+    (text,) = blocks(ROOT / "docs" / "recipes.md", "json")
+    recipe = supple.Recipe.from_json(text)
+    assert [stroke.scales for stroke in recipe.strokes] == [2, 1]
+
+
+def test_pictures_are_small() -> None:
+    assert sum(path.stat().st_size for path in (ROOT / "docs" / "images").iterdir()) < 300_000
+
+
+def test_every_option_that_is_named_exists_and_every_one_that_exists_is_named() -> None:
+    helps = {}
+    for command in ("", "warp", "plot", "info", "demo"):
+        result = subprocess.run(
+            [sys.executable, "-m", "supple.cli", *command.split(), "--help"],
+            env={**os.environ, "PYTHONPATH": str(ROOT / "src"), "COLUMNS": "200"},
+            capture_output=True,
+            text=True,
+            check=True,
+        )
+        helps[command] = set(re.findall(OPTION, result.stdout))
+    text = "\n".join(page.read_text(encoding="utf-8") for page in PAGES)
+    named = set(re.findall(OPTION, re.sub(r"^(pip|make|git) .*$", "", text, flags=re.MULTILINE)))
+    known = set().union(*helps.values())
+    assert named <= known
+    reference = (ROOT / "docs" / "command-line.md").read_text(encoding="utf-8")
+    assert known - {"--version"} <= set(re.findall(OPTION, reference))
+    for line in re.findall(r"^supple (?:warp|plot|info|demo) .*$", text, re.MULTILINE):
+        assert set(re.findall(OPTION, line)) <= helps[line.split()[1]], line
