@@ -198,7 +198,8 @@ class Deformation:
         at : sequence of float
             Where, in pixels, x first.
         to, by : sequence of float
-            Where to, or how far; one of the two.
+            Where to, or how far; one of the two. Near a fixed border, a stroke is held back, and falls short, by the
+            border's factor β there, unless it flows.
         radius : float
             How far the drag is felt, in physical units (ε of the regularized Kelvinlet).
         poisson : float

@@ -124,8 +124,9 @@ def each_band(plane: Plane, tolerance: float, use: Callable[[Band], None]) -> Ce
     Returns
     -------
     Certificate
-        Its error bounds the distance of all source points to the true ones. It exceeds the tolerance only where
-        that is finer than what Newton's method and float32 can reach, or where a point did not converge.
+        Its error is what the checks of all cells say, with their reserve; `measure` looks at every pixel instead. It
+        exceeds the tolerance only where that is finer than what Newton's method and float32 can reach, or where a
+        node did not converge.
     """
     xs, ys = plane.xs, plane.ys
     height, width = plane.shape
