@@ -215,7 +215,8 @@ class _Commands:
 
         self.console.started(quiet=options.quiet, threads=options.threads)
         self.console.tell_of_compiling()
-        page = write_gallery(folder, force=options.force)
+        progress = self.console.say if self.console.terminal else None
+        page = write_gallery(folder, force=options.force, progress=progress)
         if options.json:
             self.console.tell({"output": str(page)})
         elif not options.quiet:

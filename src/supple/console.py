@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import re
 import signal
 import sys
 import threading
@@ -39,6 +40,11 @@ def one_line(text: object) -> str:
     return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in joined)
 
 
+def as_options(text: str) -> str:
+    """Name options as the command line does, where a message of the library names arguments."""
+    return re.sub(r"\bon_fold='(\w+)'", r"--on-fold \1", text).replace("border=None", "--border none")
+
+
 class Console:
     """Where messages go. Line by line to standard error, above a progress bar if there is one."""
 
@@ -55,7 +61,7 @@ class Console:
 
     def say(self, text: object) -> None:
         """Write a line to standard error."""
-        line = f"supple: {one_line(text)}"
+        line = f"supple: {as_options(one_line(text))}"
         with self._lock, contextlib.suppress(OSError, ValueError):
             if self.bar is not None:
                 self.bar.console.print(line, markup=False, highlight=False, soft_wrap=True)
