@@ -1,0 +1,263 @@
+"""Random recipes, many points: nothing folds, and every point converges or is reported. ``python tests/soak.py``."""
+
+from __future__ import annotations
+
+import argparse
+import math
+import sys
+import time
+import warnings
+from dataclasses import dataclass, field, fields
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+if __name__ == "__main__":
+    sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "src"))
+
+from supple import Deformation, FoldWarning, SuppleError
+from supple.cpu import field as kernels
+
+Floats = npt.NDArray[np.float64]
+
+POISSONS = (-math.inf, -20.0, -5.0, -1.0, 0.0, 0.25, 0.3, 0.4, 0.45, 0.5)
+BORDERS = (None, 1.0, 50.0, 200.0)
+STROKES = (1, 1, 1, 2, 3, 5, 10, 20, 50)
+WORK = 1_500_000
+"""About how many points times strokes a recipe gets, ..."""
+MOST, LEAST = 20_000, 1_000
+"""... and how many points at most and at least."""
+MOST_ROWS = 1_500
+"""No stroke is added to more substrokes than that, so that no recipe takes minutes."""
+MOST_PIXELS = 20_000
+"""Of images whose maps are looked at whole."""
+CONVERGED = 1e-6
+"""Pixels."""
+ROUNDING = 2.0**-52
+FAIR = 16.0
+"""A point may be reported where rounding alone leaves more than a part of 1/FAIR of what is allowed."""
+
+
+@dataclass
+class Tally:
+    """What was looked at, and what was found.
+
+    Points that did not converge are ``reported``; images whose report says that the map is not as exact as asked for
+    are ``beyond``; errors are parts of the tolerance, in the others.
+    """
+
+    points: int = 0
+    recipes: int = 0
+    strokes: int = 0
+    refused: int = 0
+    flowing: int = 0
+    reported: int = 0
+    worst_residual: float = 0.0
+    images: int = 0
+    pixels: int = 0
+    beyond: int = 0
+    reported_pixels: int = 0
+    worst_error: float = 0.0
+    violations: list[str] = field(default_factory=list)
+
+    def lines(self) -> list[str]:
+        """One for each number."""
+        names = [f.name for f in fields(self) if f.name != "violations"]
+        width = max(map(len, names))
+        return [f"{name.replace('_', ' '):{width}} {getattr(self, name):,.6g}" for name in names]
+
+
+def drawn(rng: np.random.Generator) -> tuple[Deformation, int]:
+    """A random recipe on a random domain, and how many of its strokes were refused on the way."""
+    ndim = int(rng.integers(2, 4))
+    small = rng.uniform() < 0.3
+    shape = rng.integers(1, 120 if small and ndim == 2 else 25 if small else 500, ndim)
+    if rng.uniform() < 0.05:
+        shape[rng.integers(ndim)] = 1
+    spacing = np.ones(ndim) if rng.uniform() < 0.6 else np.exp(rng.uniform(-2.3, 2.3, ndim))
+    d = Deformation(
+        shape.tolist(),
+        border=BORDERS[rng.integers(len(BORDERS))],
+        spacing=spacing.tolist(),
+        on_fold="flow" if rng.uniform() < 0.35 else "damp",
+    )
+    size, many, refused = shape[::-1] - 1.0, int(rng.choice(STROKES)), 0
+    while len(d.strokes) < many and len(d._table) < MOST_ROWS and refused < 200:
+        radius = float(np.exp(rng.uniform(0, np.log(2 * max(shape) + 2))) * spacing.min())
+        at = rng.uniform(0, 1, ndim) * size
+        where = rng.uniform()
+        if where < 0.15:
+            at = rng.uniform(-1, 2, ndim) * (size + 1)
+        elif where < 0.3:
+            axis = rng.integers(ndim)
+            at[axis] = rng.choice([0.0, 1.0, 0.5, size[axis], size[axis] - 1])
+        elif where < 0.4 and d.strokes:
+            at = np.array(d.strokes[-1].at) + rng.choice([0.0, 1.0]) * np.array(d.strokes[-1].by)
+        by = rng.normal(size=ndim) if rng.uniform() < 0.7 else rng.choice([-1.0, 0.0, 1.0], ndim)
+        if not by.any():
+            continue
+        by *= radius * np.exp(rng.uniform(np.log(0.01), np.log(20))) / np.linalg.norm(by)
+        try:
+            d = d.grab(
+                at,
+                by=by / spacing,
+                radius=radius,
+                poisson=float(rng.choice(POISSONS)),
+                scales=int(rng.integers(1, 4)),
+            )
+        except SuppleError:
+            refused += 1
+    return d, refused
+
+
+def targets(d: Deformation, rng: np.random.Generator, many: int) -> Floats:
+    """Points anywhere, outside, on faces, and near what was held and where it went."""
+    size = np.array(d.shape[::-1]) - 1.0
+    points = rng.uniform(0, 1, (many, d.ndim)) * size
+    part = many // 5
+    points[:part] = rng.uniform(-1, 2, (part, d.ndim)) * (size + 1)
+    rows, axes = np.arange(part, 2 * part), rng.integers(0, d.ndim, part)
+    points[rows, axes] = rng.integers(0, 2, part) * size[axes]
+    points[rows, axes] += rng.choice([0.0, 1e-9, -1e-9, 0.3, -0.3], part)
+    if d.strokes:
+        held = np.array([s.at for s in d.strokes]), np.array([s.by for s in d.strokes])
+        which = rng.integers(0, len(d.strokes), 2 * part)
+        away = rng.normal(size=(2 * part, d.ndim)) * np.exp(rng.uniform(-14, 0.7, (2 * part, 1)))
+        away *= np.array([s.radius for s in d.strokes])[which][:, None] / np.array(d.domain.spacing)
+        points[-2 * part :] = held[0][which] + rng.choice([0, 1, 0.5], (2 * part, 1)) * held[1][which] + away
+    return points
+
+
+def attainable(d: Deformation, points: Floats) -> Floats:
+    """About how close to T(p), in pixels, rounding lets one come: what each stroke's input cannot tell apart is
+    enlarged by all strokes that follow."""
+    w = np.zeros((3, len(points)))
+    w[: d.ndim] = (points * d.domain.spacing).T
+    left = np.zeros(len(points))
+    for k in range(len(d._table)):
+        tail, jacobian = w.copy(), np.empty((9, len(points)))
+        kernels.forward(d._table[k:], d._axes, tail, jacobian)
+        matrices = np.nan_to_num(jacobian.T.reshape(-1, 3, 3), nan=1e300, posinf=1e300, neginf=-1e300)
+        left += np.linalg.norm(matrices, axis=(1, 2)) * np.linalg.norm(w, axis=0) * ROUNDING
+        kernels.forward(d._table[k : k + 1], d._axes, w, np.empty((9, 0)))
+    return np.asarray(left / min(d.domain.spacing))
+
+
+def look_at_points(d: Deformation, rng: np.random.Generator, tally: Tally) -> list[str]:
+    """Solve for random points, and for the images of others."""
+    wrong = []
+    many = int(np.clip(WORK // max(len(d._table), 1), LEAST, MOST)) // 2
+    flows, finest = d.on_fold == "flow", min(d.domain.spacing)
+    sources = targets(d, rng, many)
+    q = np.concatenate([targets(d, rng, many), d.forward(sources)])
+    found = d.inverse(q)
+    tally.points += len(q)
+    good = found.converged
+    if not np.isfinite(found.points[good]).all():
+        wrong.append("points that are not finite have converged")
+    # Measured again, where the distance in pixels is bounded as it is reported.
+    with np.errstate(all="ignore"):
+        p = np.where(np.isfinite(found.points), found.points, 0.0)
+        off = np.linalg.norm((d.forward(p) - q) * d.domain.spacing, axis=-1) / finest
+    allowed = np.maximum(CONVERGED, 1e-14 * np.abs(q * d.domain.spacing).max(axis=-1) / finest)
+    if good.any():
+        tally.worst_residual = max(tally.worst_residual, float((off / allowed)[good].max()) * CONVERGED)
+    if (bad := good & ~(off <= 1.1 * allowed)).any():
+        wrong.append(f"{bad.sum()} residuals, up to {off[bad].max():.3g} px, have been passed off")
+    if not good.all():
+        tally.reported += int((~good).sum())
+        lost = ~good & ~(FAIR * np.asarray(attainable(d, p)) > allowed) if flows else ~good
+        if lost.any():
+            worst = found.residual[lost].max()
+            wrong.append(f"{lost.sum()} points did not converge (residual up to {worst:.3g} px)")
+    # Nothing turns over, and nothing lands on anything else.
+    everywhere = np.concatenate([sources, p])
+    matrices = d.jacobian(everywhere)
+    fine = np.concatenate([good[many:], good]) | (not flows)
+    if (turned := fine & ~(np.linalg.det(matrices) > 0)).any():
+        wrong.append(f"det ∂T/∂p ≤ 0 at {turned.sum()} points")
+    inverse = 1 / np.linalg.svd(matrices[:many], compute_uv=False)[:, -1]
+    away = np.linalg.norm(found.points[many:] - sources, axis=-1)
+    ratio = max(d.domain.spacing) / finest
+    if (other := good[many:] & ~(away <= 2 * ratio * allowed[many:] * (1 + inverse))).any():
+        wrong.append(f"T⁻¹(T(p)) is not p at {other.sum()} points, by up to {away[other].max():.3g} px")
+    return wrong
+
+
+def look_at_map(d: Deformation, rng: np.random.Generator, tally: Tally) -> list[str]:
+    """Whether all of the map is as exact as the report says."""
+    wrong = []
+    tolerance = float(rng.choice([1.0, 0.1, 0.01, 0.001]))
+    with np.errstate(all="ignore"):
+        report, found = d.report(tolerance=tolerance), d.inverse_map(tolerance=tolerance).astype(np.float64)
+    axes = np.meshgrid(*[np.arange(n, dtype=np.float64) for n in d.shape], indexing="ij")
+    true = d.inverse(np.stack(axes[::-1], axis=-1))
+    tally.images += 1
+    tally.pixels += true.converged.size
+    tally.reported_pixels += report.unconverged
+    rounding = np.spacing(np.abs(found).astype(np.float32)).astype(np.float64) / 2
+    off = np.linalg.norm(np.maximum(np.abs(found - true.points) - rounding, 0), axis=-1)
+    # What the comparison itself leaves open.
+    inverse = (
+        1 / np.linalg.svd(d.jacobian(np.where(np.isfinite(true.points), true.points, 0)), compute_uv=False)[..., -1]
+    )
+    off = (off - 1e-9 - inverse * true.residual)[true.converged]
+    worst = float(off.max(initial=0.0))
+    if report.unconverged == 0 and not worst <= report.error:
+        wrong.append(f"the map is off by {worst:.3g} px, but {report.error:.3g} was said, at {tolerance:g}")
+    if report.within:
+        tally.worst_error = max(tally.worst_error, worst / tolerance)
+    else:
+        tally.beyond += 1
+    if report.within != (report.error <= tolerance and report.unconverged == 0):
+        wrong.append(f"within is {report.within} at {tolerance:g}, with {report.error:.3g} px")
+    if d.on_fold == "damp" and (report.unconverged or not true.converged.all()):
+        wrong.append(f"{report.unconverged} pixels of a damped map could not be measured")
+    if report.folds and (d.on_fold == "damp" or report.within):
+        wrong.append(f"{report.folds} nodes are folded")
+    return wrong
+
+
+def soak(points: int, seed: int = 1, seconds: float = math.inf, show: bool = False) -> Tally:
+    """Look at recipe after recipe, each drawn from its own seed, until there were so many points."""
+    tally, start = Tally(), time.monotonic()
+    shown = start
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", FoldWarning)
+        while tally.points < points and time.monotonic() - start < seconds:
+            rng = np.random.default_rng(seed)
+            d, refused = drawn(rng)
+            tally.recipes += 1
+            tally.strokes += len(d.strokes)
+            tally.refused += refused
+            tally.flowing += d.on_fold == "flow"
+            wrong = look_at_points(d, rng, tally)
+            if math.prod(d.shape) * max(1, len(d._table) // 20) <= MOST_PIXELS:
+                wrong += look_at_map(d, rng, tally)
+            tally.violations += [f"seed {seed}: {line} ({d.on_fold}, {len(d.strokes)} strokes)" for line in wrong]
+            seed += 1
+            if show and time.monotonic() - shown > 10:
+                shown = time.monotonic()
+                print(f"{tally.points:,} points, {len(tally.violations)} violations", flush=True)
+    return tally
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--points", type=int, default=10_000_000, help="how many points at least")
+    parser.add_argument("--seed", type=int, default=1, help="of the first recipe; the next ones' follow")
+    parser.add_argument("--seconds", type=float, default=math.inf, help="when to stop, done or not")
+    args = parser.parse_args()
+    tally = soak(args.points, args.seed, args.seconds, show=True)
+    print("\n".join(tally.lines()))
+    for line in tally.violations:
+        print(line)
+    print(f"{len(tally.violations)} violations" if tally.violations else "no violations")
+    if tally.violations:
+        print("look at one recipe again: python tests/soak.py --points 1 --seed N")
+    return 1 if tally.violations else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

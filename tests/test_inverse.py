@@ -1,0 +1,310 @@
+"""T⁻¹ of points: found wherever they are and however hard the strokes drag; or, if not, so reported."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+import reference
+import soak
+
+from supple import Deformation, SuppleError
+from supple.folding import limit
+from supple.strokes import Stroke
+
+pytestmark = pytest.mark.filterwarnings("ignore::supple.FoldWarning")
+
+Floats = npt.NDArray[np.float64]
+
+SHAPE = (90, 120)
+VOLUME = (30, 40, 50)
+IMAGE = {"at": (50.5, 30.0), "by": (9.0, -17.0), "radius": 30.0}
+
+
+def twenty_radii(**how: Any) -> Deformation:
+    return Deformation((300, 300), **how).grab((150, 150), by=(200, 0), radius=10, scales=2)
+
+
+def deep_sequence(**how: Any) -> Deformation:
+    rng = np.random.default_rng(1)
+    d = Deformation(SHAPE, **how)
+    for _ in range(30):
+        radius = float(np.exp(rng.uniform(0.5, 5)))
+        by = rng.normal(size=2) * radius
+        d = d.grab(rng.uniform(0, 1, 2) * (119, 89), by=by, radius=radius, scales=int(rng.integers(1, 4)))
+    return d
+
+
+def several(d: Deformation, *strokes: dict[str, Any]) -> Deformation:
+    for stroke in strokes:
+        d = d.grab(**stroke)
+    return d
+
+
+PROBLEMS: dict[str, Callable[[], Deformation]] = {
+    "nothing": lambda: Deformation(SHAPE),
+    "one grab": lambda: Deformation(SHAPE).grab(**IMAGE),
+    "a free border": lambda: Deformation(SHAPE, border=None).grab(**IMAGE),
+    "a border of one pixel": lambda: Deformation(SHAPE, border=1.0).grab(**IMAGE),
+    "a border wider than all": lambda: Deformation(SHAPE, border=1e6).grab(**IMAGE),
+    "ν = 0.5": lambda: Deformation(SHAPE).grab(**IMAGE, poisson=0.5),
+    "ν = -∞": lambda: Deformation(SHAPE).grab(**IMAGE, poisson=-math.inf),
+    "two scales": lambda: Deformation(SHAPE).grab(**IMAGE, scales=2),
+    "three scales": lambda: Deformation(SHAPE).grab(**IMAGE, scales=3),
+    "20 radii, damped": lambda: twenty_radii(),
+    "20 radii, damped, free": lambda: twenty_radii(border=None),
+    "20 radii, flowing": lambda: twenty_radii(on_fold="flow", border=None),
+    "20 radii, flowing, a border": lambda: Deformation((300, 400), on_fold="flow").grab(
+        (100, 150), by=(200, 0), radius=10, scales=2
+    ),
+    "just below the limit": lambda: Deformation(SHAPE, border=None).grab(
+        (60, 40), by=(0.985 * 20 * limit(0.4, 1), 0), radius=20
+    ),
+    "a corner": lambda: Deformation(SHAPE).grab((0, 0), by=(30, 40), radius=30),
+    "the other corner": lambda: Deformation(SHAPE, border=5).grab((119, 89), by=(-30, -40), radius=30, scales=2),
+    "a free corner": lambda: Deformation(SHAPE, border=None).grab((119, 0), by=(-30, 40), radius=30),
+    "a face": lambda: Deformation(SHAPE, border=3).grab((60, 0), by=(4, 40), radius=30),
+    "far outside": lambda: Deformation(SHAPE).grab((-300, 500), by=(400, 90), radius=200),
+    "just outside": lambda: Deformation(SHAPE, border=None).grab((-3, 92), by=(20, -30), radius=15, scales=3),
+    "a pixel's radius": lambda: Deformation(SHAPE).grab((60.3, 40.9), by=(1, -0.7), radius=1, scales=3),
+    "a radius of many images": lambda: Deformation(SHAPE).grab((60, 40), by=(900, 500), radius=5000),
+    "flat pixels": lambda: Deformation(SHAPE, spacing=(0.2, 3.0)).grab((50, 30), by=(40, -2), radius=12),
+    "tiny units": lambda: Deformation(SHAPE, spacing=1e-9, border=1e-8).grab((50, 30), by=(9, -17), radius=3e-8),
+    "thirty strokes": lambda: deep_sequence(),
+    "thirty strokes, free": lambda: deep_sequence(border=None),
+    "there and back": lambda: several(
+        Deformation((200, 200), border=20, on_fold="flow"),
+        {"at": (60, 100), "to": (140, 105), "radius": 20},
+        {"at": (140, 105), "to": (60, 100), "radius": 20},
+    ),
+    "a volume": lambda: Deformation(VOLUME, border=8).grab((25, 20, 15), by=(9, -7, 4), radius=12),
+    "thick slices": lambda: several(
+        Deformation(VOLUME, border=10, spacing=(0.7, 0.7, 3.0)),
+        {"at": (25, 20, 15), "by": (9, -7, 1), "radius": 12, "scales": 2},
+        {"at": (5, 39, 0), "by": (-9, -7, 30), "radius": 40, "poisson": -2},
+    ),
+    "a volume, flowing": lambda: Deformation(VOLUME, border=None, on_fold="flow").grab(
+        (10, 20, 15), to=(40, 12, 20), radius=5
+    ),
+    "one row": lambda: Deformation((1, 120)).grab((50, 0), by=(30, 0), radius=20),
+    "one pixel": lambda: Deformation((1, 1), border=None).grab((0, 0), by=(3, 1), radius=4),
+}
+
+
+def targets(d: Deformation) -> Floats:
+    """Points within, outside, far outside, on faces and corners, and around what is held and where it goes."""
+    rng = np.random.default_rng(2)
+    n, size = d.ndim, np.array(d.shape[::-1]) - 1.0
+    inside = rng.uniform(0, 1, (300, n)) * size
+    faces = np.where(rng.uniform(size=(100, n)) < 0.4, rng.integers(0, 2, (100, n)) * size, inside[:100])
+    corners = np.array(list(itertools.product((0.0, 0.5, 1.0), repeat=n))) * size
+    outside, far = rng.uniform(-1, 2, (100, n)) * (size + 1), rng.normal(size=(50, n)) * 1e4
+    held = [np.array(s.at) + part * np.array(s.by) for s in d.strokes for part in (0, 0.5, 1)]
+    steps = np.array(d.domain.spacing)
+    near = [
+        h + rng.normal(size=(5, n)) * s.radius * 10.0 ** rng.uniform(-8, 0, (5, 1)) / steps
+        for h, s in zip(held, [s for s in d.strokes for _ in range(3)], strict=True)
+    ]
+    return np.concatenate([inside, faces, corners, outside, far, *(h[None] for h in held), *near])
+
+
+@pytest.mark.parametrize("problem", PROBLEMS)
+def test_it_is_the_inverse(problem: str) -> None:
+    d = PROBLEMS[problem]()
+    q = targets(d)
+    found = d.inverse(q)
+    assert found.converged.all()
+    assert found.points.dtype == found.residual.dtype == np.float64
+    # By the engine's own T, and the residual is as it is said to be, ...
+    off = np.linalg.norm(d.forward(found.points) - q, axis=-1)
+    assert off.max() < 1e-6
+    rounding = 1e-14 * (1 + np.abs(q).max()) * (1 + np.linalg.norm(d.jacobian(found.points), axis=(1, 2)))
+    said = found.residual * min(d.domain.spacing) / np.array(d.domain.spacing).max()
+    assert (said <= off + 100 * rounding).all()
+    assert (off <= found.residual + 100 * rounding).all()
+    # ... and by the printed equations, where what is applied can be told without the engine.
+    if d.on_fold == "damp":
+        moved = reference.forward(reference.carried_out(d), d.domain, found.points)
+        assert np.abs(moved - q).max() < 1e-6
+    # One-to-one: it comes back from where it was sent to.
+    p = q[:600]
+    back = d.inverse(d.forward(p))
+    assert back.converged.all()
+    leeway = 2e-6 / np.linalg.svd(d.jacobian(p), compute_uv=False)[:, -1]
+    ratio = max(d.domain.spacing) / min(d.domain.spacing)
+    assert (np.linalg.norm(back.points - p, axis=-1) <= ratio * leeway).all()
+    assert (np.linalg.det(d.jacobian(found.points)) > 0).all()
+
+
+@pytest.mark.parametrize("problem", ["one grab", "flat pixels", "thick slices", "three scales", "a corner"])
+def test_an_independent_solver_finds_the_same(problem: str) -> None:
+    d = PROBLEMS[problem]()
+    size = np.array(d.shape[::-1]) - 1.0
+    q = np.random.default_rng(3).uniform(0, 1, (60, d.ndim)) * size
+    expected = reference.inverse(reference.carried_out(d), d.domain, q)
+    np.testing.assert_allclose(d.inverse(q).points, expected, rtol=0, atol=1e-8)
+
+
+@pytest.mark.parametrize("border", [None, 20.0])
+def test_what_flows_arrives(border: float | None) -> None:
+    d = Deformation((200, 260), border=border, on_fold="flow").grab((60, 100), to=(200, 110), radius=15)
+    assert d.report().applied > 1
+    np.testing.assert_allclose(d.inverse((200, 110)).points, (60, 100), rtol=0, atol=1e-6)
+
+
+def test_faces_and_corners_stay_where_they_are() -> None:
+    d = deep_sequence(border=7.0)
+    x, y = np.linspace(0, 119, 50), np.linspace(0, 89, 50)
+    for axis, side, along in ((1, 0.0, x), (1, 89.0, x), (0, 0.0, y), (0, 119.0, y)):
+        q = np.empty((50, 2))
+        q[:, axis], q[:, 1 - axis] = side, along
+        found = d.inverse(q)
+        assert found.converged.all()
+        np.testing.assert_array_equal(found.points[:, axis], q[:, axis])
+    corners = np.array(list(itertools.product((0.0, 119.0), (0.0, 89.0))))
+    np.testing.assert_array_equal(d.inverse(corners).points, corners)
+    # What is within stays within.
+    inside = d.inverse(reference.grid(SHAPE)).points
+    assert ((inside >= 0) & (inside <= (119, 89))).all()
+
+
+def test_far_from_the_domain() -> None:
+    for border in (None, 20.0):
+        d = Deformation(SHAPE, border=border).grab(**IMAGE)
+        for distance in (1e3, 1e6, 1e9, 1e12):
+            q = np.array([[distance, 3.0], [-distance, -distance], [40.0, distance]])
+            found = d.inverse(q)
+            assert found.converged.all()
+            np.testing.assert_allclose(d.forward(found.points), q, rtol=1e-14, atol=1e-6)
+
+
+def test_the_identity_is_exact() -> None:
+    q = np.random.default_rng(4).normal(size=(50, 2)) * 1e3
+    for d in (Deformation(SHAPE), Deformation(SHAPE, spacing=(0.3, 0.7)).grab((5, 5), by=(0, 0), radius=4)):
+        found = d.inverse(q)
+        np.testing.assert_array_equal(found.points, q)
+        assert found.converged.all()
+        assert (found.residual == 0).all()
+        assert not np.may_share_memory(found.points, q)
+
+
+def test_few_steps() -> None:
+    """Newton's method: a handful of evaluations, even at the very limit."""
+    gentle = Deformation((512, 512)).grab((256, 256), by=(0, 90), radius=100)
+    q = reference.grid((512, 512))[::16, ::16]
+    assert gentle.inverse(q).steps.mean() < 6
+    assert gentle.inverse(q).steps.max() < 12
+    hard = PROBLEMS["just below the limit"]()
+    assert hard.inverse(reference.grid(SHAPE)).steps.max() < 40
+
+
+def test_what_cannot_be_undone_is_reported() -> None:
+    """Each of these drags can be undone alone; together they lose more digits than float64 has."""
+    d = Deformation((100, 100), border=5, on_fold="flow")
+    for _ in range(5):
+        d = d.grab((30, 50), to=(98.5, 50), radius=8)
+    for _ in range(5):
+        d = d.grab((98.5, 50), to=(30, 50), radius=8)
+    q = reference.grid(d.shape)
+    found = d.inverse(q)
+    lost = ~found.converged
+    assert lost.any()
+    assert not lost.all()
+    # What is said of each is true, ...
+    assert (found.residual[lost] > 1e-6).all()
+    assert (found.residual[~lost] <= 1e-6).all()
+    off = np.linalg.norm(d.forward(found.points) - q, axis=-1)
+    assert (off[~lost] <= 1e-4).all()
+    # ... and it is lost to rounding only.
+    assert (soak.attainable(d, found.points[lost]) > 1e-6 / soak.FAIR).all()
+    report = d.report()
+    assert report.unconverged > 0
+    assert not report.within
+
+
+@pytest.mark.parametrize("shape", [(), (1,), (7,), (0,), (2, 0), (3, 4), (0, 5, 2), (2, 1, 3)])
+@pytest.mark.parametrize("ndim", [2, 3])
+@pytest.mark.parametrize("moved", [False, True])
+def test_shapes_are_kept(shape: tuple[int, ...], ndim: int, moved: bool) -> None:
+    d = Deformation((SHAPE, VOLUME)[ndim - 2])
+    if moved:
+        d = d.grab((20, 15, 12)[:ndim], by=(3, 2, 1)[:ndim], radius=10)
+    points = np.full((*shape, ndim), 12.0)
+    found = d.inverse(points)
+    assert found.points.shape == points.shape
+    assert found.residual.shape == found.steps.shape == found.converged.shape == shape
+    assert found.converged.dtype == np.bool_
+    assert found.steps.dtype == np.int64
+    assert (points == 12).all()
+
+
+def test_many_points_are_as_few() -> None:
+    """Batches and threads make no difference."""
+    d = deep_sequence()
+    q = reference.grid(SHAPE).reshape(-1, 2)
+    whole = d.inverse(q)
+    parts = [d.inverse(q[i : i + 997]) for i in range(0, len(q), 997)]
+    np.testing.assert_allclose(np.concatenate([p.points for p in parts]), whole.points, rtol=0, atol=1e-7)
+    np.testing.assert_array_equal(np.concatenate([p.converged for p in parts]), whole.converged)
+    again = d.inverse(q)
+    np.testing.assert_array_equal(again.points, whole.points)
+
+
+def test_points_of_any_kind() -> None:
+    d = Deformation(SHAPE).grab(**IMAGE)
+    expected = d.inverse(np.array([[12.0, 40.0], [7.0, 3.0]])).points
+    columns = np.array([[12.0, 7.0], [40.0, 3.0]])
+    wide = np.zeros((4, 4))
+    wide[::2, ::2] = [[12, 40], [7, 3]]
+    frozen = np.array([[12.0, 40.0], [7.0, 3.0]])
+    frozen.flags.writeable = False
+    for points in (
+        [[12, 40], [7, 3]],
+        ((12.0, 40), (7, 3)),
+        np.array([[12, 40], [7, 3]], np.uint8),
+        np.array([[12, 40], [7, 3]], np.float16),
+        np.array([[12, 40], [7, 3]], ">f4"),
+        columns.T,
+        wide[::2, ::2],
+        frozen,
+    ):
+        np.testing.assert_array_equal(d.inverse(points).points, expected)
+
+
+BAD = [
+    (3.0, "shape"),
+    ((), "shape"),
+    ((1, 2, 3), "shape"),
+    (np.zeros((2, 3)), "shape"),
+    (np.zeros((2, 0)), "shape"),
+    ("here", "points must be"),
+    ([(1, 2), (3,)], "points must be"),
+    ([1, None], "points must be"),
+    ((1j, 2), "points must be"),
+    ((math.nan, 1), "finite"),
+    ([(1, 2), (math.inf, 3)], "finite"),
+    ((1, -math.inf), "finite"),
+]
+
+
+@pytest.mark.parametrize(("points", "message"), BAD)
+@pytest.mark.parametrize("method", ["inverse", "forward", "jacobian"])
+def test_bad_points_are_refused(points: Any, message: str, method: str) -> None:
+    for d in (Deformation(SHAPE), Deformation(SHAPE).grab(**IMAGE)):
+        with pytest.raises(SuppleError, match=message):
+            getattr(d, method)(points)
+
+
+def test_strokes_in_the_order_in_which_they_are_made() -> None:
+    a, b = Stroke.grab((50, 30), by=(9, -7), radius=20), Stroke.grab((60, 35), by=(-4, 12), radius=15)
+    both = Deformation(SHAPE).add(a).add(b)
+    q = np.random.default_rng(5).uniform(0, 80, (50, 2))
+    one_by_one = Deformation(SHAPE).add(a).inverse(Deformation(SHAPE).add(b).inverse(q).points)
+    np.testing.assert_allclose(both.inverse(q).points, one_by_one.points, rtol=0, atol=1e-9)
+    other = Deformation(SHAPE).add(b).add(a).inverse(q).points
+    assert np.abs(other - one_by_one.points).max() > 0.1
