@@ -44,13 +44,13 @@ def pair(given: Sequence[str], target: str) -> tuple[list[Job], bool]:
     several = len(given) > 1
     for name in given:
         path = Path(name)
-        if path.is_dir():
+        if os.path.isdir(name):
             several = True
-            inside = sorted(p for p in path.iterdir() if p.suffix.lower() in _PICTURES and p.is_file())
+            inside = _pictures_in(path)
             if not inside:
                 raise SuppleError(f"the folder {shown(name)} holds no pictures: give another, or their names")
-            found += [(p, p.relative_to(path)) for p in inside if not p.name.startswith(".")]
-        elif glob.has_magic(name) and not path.exists():
+            found += [(p, p.relative_to(path)) for p in inside]
+        elif glob.has_magic(name) and not os.path.exists(name):
             several = True
             matching = sorted(Path(p) for p in glob.glob(name, recursive=True) if not os.path.isdir(p))
             if not matching:
@@ -59,14 +59,25 @@ def pair(given: Sequence[str], target: str) -> tuple[list[Job], bool]:
             found += [(p, p.relative_to(base)) for p in matching]
         else:
             found.append((path, Path(path.name)))
-    if not several and not Path(target).is_dir():
+    if not several and not os.path.isdir(target):
         return [(found[0][0], Path(target))], False
+    if not target:
+        raise SuppleError("several pictures need a folder to go into: name one, last")
     jobs = [(source, Path(target) / name) for source, name in found]
     taken: dict[Path, Path] = {}
     for source, goal in jobs:
         if taken.setdefault(goal, source) != source:
             raise SuppleError(f"{shown(taken[goal])} and {shown(source)} would both become {shown(goal)}")
     return list(dict.fromkeys(jobs)), True
+
+
+def _pictures_in(folder: Path) -> list[Path]:
+    try:
+        names = sorted(os.listdir(folder))
+    except OSError as error:
+        raise SuppleError(f"cannot read the folder {shown(folder)}: {error.strerror}: check its rights") from error
+    seen = [folder / name for name in names if not name.startswith(".")]
+    return [path for path in seen if path.suffix.lower() in _PICTURES and os.path.isfile(path)]
 
 
 def make_folders(jobs: Sequence[Job]) -> None:

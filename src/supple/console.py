@@ -206,5 +206,5 @@ def _warnings(console: Console) -> Iterator[None]:
         if os.environ.get("SUPPLE_DEBUG") != "1":
             warnings.simplefilter("ignore")
         warnings.simplefilter("always", UserWarning)
-        warnings.showwarning = show  # type: ignore[assignment]
+        warnings.showwarning = show
         yield

@@ -1,0 +1,598 @@
+"""The command line: what it does, and how it ends when it cannot."""
+
+from __future__ import annotations
+
+import json
+import os
+import pty
+import resource
+import select
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+import supple
+from supple.cli import command
+from supple.media import image
+
+SOURCE = str(Path(__file__).resolve().parent.parent / "src")
+GRAB = ("--grab", "20,16:23,18", "--radius", "12")
+Said = tuple[int, str, str]
+Run = Callable[..., Said]
+
+
+def noise(height: int, width: int, channels: int = 3, dtype: type = np.uint8) -> npt.NDArray[np.uint8]:
+    rng = np.random.default_rng(height * 1000 + width)
+    top = np.iinfo(dtype).max + 1
+    shape = (height, width, channels) if channels > 1 else (height, width)
+    return rng.integers(0, top, shape, dtype=dtype)
+
+
+@pytest.fixture
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """An empty folder with one picture, in which commands run."""
+    monkeypatch.chdir(tmp_path)
+    image.write("in.png", noise(40, 48))
+    return tmp_path
+
+
+@pytest.fixture
+def run(here: Path, capsys: pytest.CaptureFixture[str]) -> Run:
+    """Run a command line in this process."""
+
+    def run(*arguments: str) -> Said:
+        capsys.readouterr()
+        status = command(arguments)
+        out, err = capsys.readouterr()
+        return status, out, err
+
+    return run
+
+
+def start(*arguments: str, **options: object) -> subprocess.Popen[str]:
+    return subprocess.Popen(
+        [sys.executable, "-m", "supple.cli", *arguments],
+        env={**os.environ, "PYTHONPATH": SOURCE},
+        stdout=options.pop("stdout", subprocess.PIPE),
+        stderr=subprocess.PIPE,
+        text=True,
+        **options,
+    )
+
+
+def finish(process: subprocess.Popen[str]) -> Said:
+    out, err = process.communicate(timeout=300)
+    return process.returncode, out or "", err
+
+
+def one_line(text: str) -> str:
+    assert text.startswith("supple: "), text
+    assert text.count("\n") == 1, text
+    assert text.endswith("\n")
+    assert "Traceback" not in text
+    return text
+
+
+def test_it_does_what_the_library_does(run: Run) -> None:
+    status, out, err = run("warp", "in.png", "out.png", *GRAB, "--scales", "2", "--border", "10")
+    assert (status, out, err) == (0, "", "")
+    pixels = image.read("in.png").pixels
+    d = supple.Deformation((40, 48), border=10).grab((20, 16), to=(23, 18), radius=12, scales=2)
+    np.testing.assert_array_equal(image.read("out.png").pixels, d.warp(pixels))
+
+
+@pytest.mark.parametrize(
+    ("options", "strokes"),
+    [
+        (
+            ["--grab", "-3,4.5:10,20", "--radius", "30"],
+            [((-3, 4.5), (13, 15.5), 30.0, 0.4, 1)],
+        ),
+        (
+            ["--grab=-3,-4:1e1,2", "--radius=30", "--poisson", "-inf"],
+            [((-3, -4), (13, 6), 30.0, -np.inf, 1)],
+        ),
+        (
+            ["--grab", "1,2:3,4", "--grab", "5,6:7,8", "--radius", "9", "--poisson", "-1", "--scales", "3"],
+            [((1, 2), (2, 2), 9.0, -1.0, 3), ((5, 6), (2, 2), 9.0, -1.0, 3)],
+        ),
+        (
+            [
+                "--grab",
+                "1,2:3,4",
+                "--radius",
+                "9",
+                "--scales",
+                "1",
+                "--grab",
+                "5,6:7,8",
+                "--radius",
+                "8",
+                "--scales",
+                "2",
+            ],
+            [((1, 2), (2, 2), 9.0, 0.4, 1), ((5, 6), (2, 2), 8.0, 0.4, 2)],
+        ),
+    ],
+)
+def test_what_is_asked_for_is_what_is_saved(run: Run, options: Sequence[str], strokes: Sequence[tuple]) -> None:  # type: ignore[type-arg]
+    assert run("warp", "in.png", "out.png", *options, "--save-recipe", "r.json", "--quiet")[0] == 0
+    recipe = supple.Recipe.from_json(Path("r.json").read_text())
+    assert [(s.at, s.by, s.radius, s.poisson, s.scales) for s in recipe.strokes] == strokes
+    assert (recipe.border, recipe.on_fold) == (50, "damp")
+
+
+def test_a_recipe_makes_the_same_file_again(run: Run) -> None:
+    options = ["--border", "none", "--on-fold", "flow", "--poisson", "0.25"]
+    first = run("warp", "in.png", "out.png", *GRAB, *options, "--save-recipe", "r.json")
+    assert first == (0, "", "")
+    assert run("warp", "in.png", "again.png", "--recipe", "r.json") == (0, "", "")
+    assert Path("out.png").read_bytes() == Path("again.png").read_bytes()
+
+
+def test_grabs_come_after_those_of_a_recipe_and_options_override_it(run: Run) -> None:
+    run("warp", "in.png", "out.png", *GRAB, "--border", "7", "--on-fold", "flow", "--save-recipe", "r.json")
+    more = ["--recipe", "r.json", "--grab", "1,2:3,4", "--radius", "5"]
+    assert run("warp", "in.png", "b.png", *more, "--save-recipe", "kept.json")[0] == 0
+    kept = supple.Recipe.from_json(Path("kept.json").read_text())
+    assert [s.at for s in kept.strokes] == [(20, 16), (1, 2)]
+    assert (kept.border, kept.on_fold) == (7, "flow")
+    changed = ["--border", "none", "--on-fold", "damp", "--save-recipe", "changed.json"]
+    assert run("warp", "in.png", "c.png", *more, *changed)[0] == 0
+    recipe = supple.Recipe.from_json(Path("changed.json").read_text())
+    assert (recipe.border, recipe.on_fold) == (None, "damp")
+
+
+@pytest.mark.parametrize("channels", [1, 3, 4])
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+def test_without_force_no_bit_changes(run: Run, channels: int, dtype: type) -> None:
+    pixels = noise(31, 17, channels, dtype)
+    image.write("here.png", pixels)
+    assert run("warp", "here.png", "there.png", "--grab", "5,5:5,5", "--radius", "9") == (0, "", "")
+    np.testing.assert_array_equal(image.read("there.png").pixels, pixels)
+
+
+@pytest.mark.parametrize("size", [(1, 1), (1, 37), (37, 1), (2, 2)])
+@pytest.mark.parametrize("border", ["none", "50"])
+def test_the_smallest_pictures(run: Run, size: tuple[int, int], border: str) -> None:
+    image.write("small.png", noise(*size))
+    drag = ["--grab", "0,0:3,2", "--radius", "10", "--quiet"]
+    assert run("warp", "small.png", "o.png", *drag, "--border", border) == (0, "", "")
+    assert image.read("o.png").pixels.shape == (*size, 3)
+
+
+def test_a_stroke_far_outside(run: Run) -> None:
+    options = ["--grab", "-1e7,5e6:3,4", "--radius", "20", "--border", "none"]
+    status, _, err = run("warp", "in.png", "out.png", *options)
+    assert status == 0
+    assert one_line(err).startswith("supple: warning: ")
+    assert image.read("out.png").pixels.shape == (40, 48, 3)
+
+
+def test_damping_is_one_line_unless_quiet(run: Run) -> None:
+    options = ["--grab", "20,16:40,16", "--radius", "3", "--force"]
+    status, out, err = run("warp", "in.png", "out.png", *options)
+    assert (status, out) == (0, "")
+    assert one_line(err).startswith("supple: warning: ")
+    assert "--on-fold flow" in err
+    assert run("warp", "in.png", "out.png", *options, "--quiet") == (0, "", "")
+    status, _, err = run("warp", "in.png", "out.png", *options, "--on-fold", "error")
+    assert status == 2
+    assert "folds" in one_line(err)
+
+
+def test_json_tells_what_was_done(run: Run) -> None:
+    status, out, err = run("warp", "in.png", "out.png", *GRAB, "--json", "--tolerance", "0.002")
+    assert (status, err) == (0, "")
+    facts = json.loads(out)
+    assert (facts["input"], facts["output"], facts["width"], facts["height"]) == ("in.png", "out.png", 48, 40)
+    assert 0 < facts["error"] <= facts["tolerance"] == 0.002
+    assert facts["within"] is True
+    assert facts["folds"] == 0
+    status, out, err = run("warp", "none.png", "x.png", *GRAB, "--json")
+    assert status == 2
+    assert one_line(err)[8:].strip() == json.loads(out)["error"]
+
+
+@pytest.mark.parametrize(
+    ("options", "wanted"),
+    [
+        ([], "--grab X,Y:X,Y"),
+        (["--grab", "1,2:3,4"], "--radius"),
+        (["--grab"], "--grab"),
+        (["--radius", "5"], "--grab"),
+        (["--grab", "1,2", "--radius", "5"], "X,Y:X,Y"),
+        (["--grab", "1,2:3", "--radius", "5"], "X,Y:X,Y"),
+        (["--grab", "1,2:3,4:5,6", "--radius", "5"], "X,Y:X,Y"),
+        (["--grab", "a,b:c,d", "--radius", "5"], "X,Y:X,Y"),
+        (["--grab", "", "--radius", "5"], "X,Y:X,Y"),
+        (["--grab", "1,2:3,4\n5", "--radius", "5"], "X,Y:X,Y"),
+        (["--grab", "nan,2:3,4", "--radius", "5"], "nan"),
+        (["--grab", "1,2:inf,4", "--radius", "5"], "inf"),
+        (["--grab", "1,2,3:4,5,6", "--radius", "5"], "2 numbers"),
+        (["--grab", "1,2:3,4", "--radius", "nan"], "nan"),
+        (["--grab", "1,2:3,4", "--radius", "inf"], "inf"),
+        (["--grab", "1,2:3,4", "--radius", "0"], "above 0"),
+        (["--grab", "1,2:3,4", "--radius", "-5"], "above 0"),
+        (["--grab", "1,2:3,4", "--radius", "abc"], "abc"),
+        (["--grab", "1,2:3,4", "--radius"], "--radius"),
+        (["--grab", "1,2:3,4", "--radius", "5", "--radius", "6"], "2 times"),
+        ([*GRAB, "--poisson", "0.51"], "0.5"),
+        ([*GRAB, "--poisson", "nan"], "nan"),
+        ([*GRAB, "--scales", "4"], "1, 2 or 3"),
+        ([*GRAB, "--scales", "1.5"], "1, 2 or 3"),
+        ([*GRAB, "--border", "thin"], "thin"),
+        ([*GRAB, "--border", "-1"], "border"),
+        ([*GRAB, "--on-fold", "pray"], "pray"),
+        ([*GRAB, "--filter", "magic"], "magic"),
+        ([*GRAB, "--outside", "void"], "void"),
+        ([*GRAB, "--fill", "red"], "red"),
+        ([*GRAB, "--fill", "1,2"], "fill"),
+        ([*GRAB, "--tolerance", "0"], "tolerance"),
+        ([*GRAB, "--tolerance", "nan"], "tolerance"),
+        ([*GRAB, "--quality", "0"], "quality"),
+        ([*GRAB, "--quality", "x"], "quality"),
+        ([*GRAB, "--threads", "0"], "--threads"),
+        ([*GRAB, "--nope"], "--nope"),
+        ([*GRAB, "--recipe", "none.json"], "none.json"),
+        ([*GRAB, "--save-recipe", "missing/r.json"], "missing"),
+        ([*GRAB, "--save-recipe", "out.png"], "out.png"),
+        ([*GRAB, "--filter"], "--filter"),
+    ],
+)
+def test_a_malformed_request_is_one_line(run: Run, options: Sequence[str], wanted: str) -> None:
+    status, out, err = run("warp", "in.png", "out.png", *options)
+    assert (status, out) == (2, "")
+    assert wanted in one_line(err)
+    assert os.listdir() == ["in.png"]
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["wrap"],
+        ["warp"],
+        ["warp", "in.png", *GRAB],
+        ["--nope"],
+        ["info"],
+        ["plot", "in.png"],
+        ["info", "--nope", "in.png"],
+    ],
+)
+def test_a_malformed_command_is_one_line(run: Run, arguments: Sequence[str]) -> None:
+    status, out, err = run(*arguments)
+    assert (status, out) == (2, "")
+    one_line(err)
+
+
+@pytest.mark.parametrize("name", ["missing", "empty", "text", "cut", "folder", "cut jpeg"])
+def test_what_is_no_picture_is_one_line(run: Run, name: str) -> None:
+    whole = Path("in.png").read_bytes()
+    made = {"empty": b"", "text": b"hello " * 99, "cut": whole[: len(whole) // 2]}
+    if name == "cut jpeg":
+        image.write("whole.jpg", noise(60, 60))
+        made[name] = Path("whole.jpg").read_bytes()[:900]
+    if name in made:
+        Path(name).write_bytes(made[name])
+    elif name == "folder":
+        Path(name).mkdir()
+    before = sorted(os.listdir())
+    for arguments in (["warp", name, "out.png", *GRAB], ["plot", name, "out.png", *GRAB]):
+        status, out, err = run(*arguments)
+        assert (status, out) == (2, "")
+        assert name in one_line(err)
+        assert sorted(os.listdir()) == before
+
+
+@pytest.mark.parametrize(
+    ("target", "wanted"),
+    [
+        ("out.xyz", ".xyz"),
+        ("out", "suffix"),
+        ("none/out.png", "none"),
+        ("in.png/out.png", "in.png"),
+        ("taken.png", "--force"),
+        ("in.png", "--force"),
+        ("link.png", "--force"),
+        ("a\0b.png", "name"),
+        ("x" * 300 + ".png", "xxx"),
+        ("", "suffix"),
+        ("/proc/out.png", "/proc"),
+    ],
+)
+def test_what_cannot_be_written_is_one_line_before_any_work(
+    run: Run, monkeypatch: pytest.MonkeyPatch, target: str, wanted: str
+) -> None:
+    Path("taken.png").write_bytes(b"precious")
+    Path("link.png").symlink_to("in.png")
+    kept = Path("in.png").read_bytes()
+    if target != "/proc/out.png":  # whether that can be written is only found out by writing
+        monkeypatch.setattr("supple.files.read", lambda path: pytest.fail("it was read"))
+    status, out, err = run("warp", "in.png", target, *GRAB)
+    assert (status, out) == (2, "")
+    assert wanted in one_line(err)
+    assert Path("taken.png").read_bytes() == b"precious"
+    assert Path("in.png").read_bytes() == kept
+    assert sorted(os.listdir()) == ["in.png", "link.png", "taken.png"]
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="nothing is forbidden to root")
+def test_a_folder_without_rights_is_one_line(run: Run) -> None:
+    Path("shut").mkdir(mode=0o555)
+    status, out, err = run("warp", "in.png", "shut/out.png", *GRAB)
+    assert (status, out) == (2, "")
+    assert "shut/out.png" in one_line(err)
+
+
+def test_a_picture_is_replaced_with_force_through_a_link_too(run: Run) -> None:
+    Path("link.png").symlink_to("in.png")
+    before = Path("in.png").read_bytes()
+    assert run("warp", "in.png", "link.png", *GRAB, "--force") == (0, "", "")
+    assert Path("link.png").is_symlink()
+    assert Path("in.png").read_bytes() != before
+    assert sorted(os.listdir()) == ["in.png", "link.png"]
+
+
+@pytest.mark.parametrize(
+    ("text", "wanted"),
+    [
+        ("", "JSON"),
+        ("[]", "object"),
+        ('{"strokes": []}', "supple"),
+        ('{"supple": 2, "strokes": []}', "version"),
+        ('{"supple": "1", "strokes": []}', "version"),
+        ('{"supple": 1, "strokes": [], "boarder": 3}', "boarder"),
+        ('{"supple": 1, "strokes": 7}', "strokes"),
+        ('{"supple": 1, "strokes": [{"brush": "grab", "at": [1, 2], "by": [1, 1], "radius": "5"}]}', "radius"),
+        ('{"supple": 1, "strokes": [{"brush": "grab", "at": [1, 2], "by": [1, 1], "radius": 5, "p": 1}]}', "p"),
+        ('{"supple": 1, "strokes": [{"brush": "grab", "at": [1, 2, 3], "by": [1, 1, 1], "radius": 5}]}', "2 numbers"),
+        ('{"supple": 1, "strokes": [NaN]}', "NaN"),
+        ("\udcff", "text"),
+    ],
+)
+def test_a_wrong_recipe_is_one_line(run: Run, text: str, wanted: str) -> None:
+    Path("r.json").write_bytes(text.encode("utf-8", "surrogateescape"))
+    status, out, err = run("warp", "in.png", "out.png", "--recipe", "r.json")
+    assert (status, out) == (2, "")
+    assert wanted in one_line(err)
+    assert sorted(os.listdir()) == ["in.png", "r.json"]
+
+
+def test_recipes_are_not_overwritten(run: Run) -> None:
+    Path("r.json").write_text("precious")
+    status, _, err = run("warp", "in.png", "out.png", *GRAB, "--save-recipe", "r.json")
+    assert status == 2
+    assert "--force" in one_line(err)
+    assert Path("r.json").read_text() == "precious"
+    assert not Path("out.png").exists()
+    assert run("warp", "in.png", "out.png", *GRAB, "--save-recipe", "r.json", "--force")[0] == 0
+    assert supple.Recipe.from_json(Path("r.json").read_text()).strokes
+
+
+def pictures(folder: str) -> None:
+    Path(folder, "deep").mkdir(parents=True)
+    for i, name in enumerate(["a.png", "b.jpg", "deep/a.png"]):
+        image.write(f"{folder}/{name}", noise(30 + i, 20))
+    Path(folder, "bad.png").write_text("no picture")
+    Path(folder, "notes.txt").write_text("no picture either")
+
+
+def test_a_folder_goes_into_a_folder(run: Run) -> None:
+    pictures("in")
+    status, out, err = run("warp", "in", "new/out", *GRAB, "--json", "--save-recipe", "r.json")
+    assert status == 2
+    assert "in/bad.png" in one_line(err)
+    assert sorted(os.listdir("new/out")) == ["a.png", "b.jpg"]
+    facts = {line["output"]: line for line in map(json.loads, out.splitlines())}
+    assert sorted(facts) == ["new/out/a.png", "new/out/b.jpg", "new/out/bad.png"]
+    assert "error" in facts["new/out/bad.png"]
+    assert facts["new/out/a.png"]["within"]
+    assert run("warp", "in/a.png", "alone.png", "--recipe", "r.json")[0] == 0
+    assert Path("alone.png").read_bytes() == Path("new/out/a.png").read_bytes()
+
+
+def test_a_pattern_goes_into_a_folder_with_the_names_below(run: Run) -> None:
+    pictures("in")
+    assert run("warp", "in/**/a.png", "out", *GRAB) == (0, "", "")
+    assert sorted(str(p) for p in Path("out").rglob("*.png")) == ["out/a.png", "out/deep/a.png"]
+    status, _, err = run("warp", "in/*.gif", "out", *GRAB)
+    assert status == 2
+    assert "in/*.gif" in one_line(err)
+
+
+def test_several_names_go_into_a_folder(run: Run) -> None:
+    pictures("in")
+    assert run("warp", "in/a.png", "in/b.jpg", "out", *GRAB) == (0, "", "")
+    assert sorted(os.listdir("out")) == ["a.png", "b.jpg"]
+    status, _, err = run("warp", "in/a.png", "in/b.jpg", "out", *GRAB)
+    assert status == 2
+    assert err.count("--force") == err.count("\n") == 2
+    status, _, err = run("warp", "in/a.png", "in/deep/a.png", "out", *GRAB)
+    assert status == 2
+    assert "both" in one_line(err)
+    status, _, err = run("warp", "in/a.png", "in/b.jpg", "in.png", *GRAB)
+    assert status == 2
+    one_line(err)
+
+
+def test_one_picture_goes_into_a_folder_that_is_there(run: Run) -> None:
+    Path("out").mkdir()
+    assert run("warp", "in.png", "out", *GRAB) == (0, "", "")
+    assert os.listdir("out") == ["in.png"]
+
+
+def test_brackets_in_a_name_are_a_name(run: Run) -> None:
+    os.rename("in.png", "in[1].png")
+    assert run("warp", "in[1].png", "out[2].png", *GRAB) == (0, "", "")
+    assert sorted(os.listdir()) == ["in[1].png", "out[2].png"]
+
+
+def test_an_error_of_one_of_many_names_it(run: Run) -> None:
+    image.write("b.png", noise(30, 20))
+    status, _, err = run("warp", "in.png", "b.png", "out", "--grab", "9,9:19,9", "--radius", "1", "--on-fold", "error")
+    assert status == 2
+    assert sorted(line.split(":")[1].strip() for line in err.splitlines()) == ["b.png", "in.png"]
+
+
+def test_info(run: Run) -> None:
+    status, out, err = run("info", "in.png")
+    assert (status, err) == (0, "")
+    assert "48 x 40" in out
+    run("warp", "in.png", "out.png", *GRAB, "--save-recipe", "r.json")
+    status, out, err = run("info", "in.png", "r.json", "--json")
+    assert (status, err) == (0, "")
+    picture, recipe = map(json.loads, out.splitlines())
+    assert (picture["kind"], picture["width"], picture["height"]) == ("image", 48, 40)
+    assert (recipe["kind"], recipe["strokes"][0]["radius"]) == ("recipe", 12)
+    status, out, err = run("info", "r.json")
+    assert "(20, 16) to (23, 18)" in out
+    status, out, err = run("info", "none.png")
+    assert (status, out) == (2, "")
+    one_line(err)
+
+
+@pytest.mark.parametrize("what", ["grid", "stretch"])
+def test_plot(run: Run, what: str) -> None:
+    assert run("plot", "in.png", "plot.png", *GRAB, "--what", what) == (0, "", "")
+    assert image.info("plot.png")["format"] == "PNG"
+    status, _, err = run("plot", "in.png", "plot.png", *GRAB)
+    assert status == 2
+    assert "--force" in one_line(err)
+    status, _, err = run("plot", "in.png", "plot.xyz", *GRAB)
+    assert status == 2
+    assert ".xyz" in one_line(err)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "wanted"),
+    [
+        ([], "warp"),
+        (["--help"], "--radius 100"),
+        (["warp", "--help"], "--save-recipe"),
+        (["plot", "--help"], "--what"),
+        (["--version"], f"supple {supple.__version__}"),
+    ],
+)
+def test_help(run: Run, arguments: Sequence[str], wanted: str) -> None:
+    status, out, err = run(*arguments)
+    assert (status, err) == (0, "")
+    assert wanted in out
+
+
+def test_a_fault_of_ours_is_one_line(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(*given: object, **options: object) -> None:
+        raise RuntimeError("two\nlines")
+
+    monkeypatch.delenv("SUPPLE_DEBUG", raising=False)
+    monkeypatch.setattr("supple.files.warp_file", fail)
+    status, out, err = run("warp", "in.png", "out.png", *GRAB)
+    assert (status, out) == (1, "")
+    assert "report it" in one_line(err)
+    Path("out").mkdir()
+    status, out, err = run("warp", "in.png", "out", *GRAB)
+    assert status == 1
+    one_line(err)
+    monkeypatch.setenv("SUPPLE_DEBUG", "1")
+    with pytest.raises(RuntimeError):
+        run("warp", "in.png", "out.png", *GRAB)
+
+
+def test_a_process_ends_as_it_should(here: Path) -> None:
+    assert finish(start("warp", "in.png", "out.png", *GRAB, "--json"))[0] == 0
+    status, out, err = finish(start("warp", "in.png", "out.png", *GRAB))
+    assert (status, out) == (2, "")
+    assert "--force" in one_line(err)
+
+
+def test_a_full_disk_leaves_nothing(here: Path) -> None:
+    def little() -> None:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096))
+
+    image.write("in.png", noise(200, 300), force=True)
+    status, out, err = finish(start("warp", "in.png", "out.png", *GRAB, preexec_fn=little))
+    assert (status, out) == (2, "")
+    assert "out.png" in one_line(err)
+    assert os.listdir() == ["in.png"]
+
+
+def when_it_writes(process: subprocess.Popen[str], folder: str, number: int) -> None:
+    end = time.monotonic() + 200
+    while not any(p.name.startswith(".") and p.stat().st_size for p in Path(folder).iterdir()):
+        assert process.poll() is None
+        assert time.monotonic() < end
+        time.sleep(0.002)
+    process.send_signal(number)
+
+
+@pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_an_interrupt_in_mid_write_leaves_nothing(here: Path, number: int, status: int) -> None:
+    image.write("big.tif", noise(3000, 4000))
+    Path("out").mkdir()
+    process = start("warp", "big.tif", "out/big.png", *GRAB)
+    when_it_writes(process, "out", number)
+    ended, out, err = finish(process)
+    assert (ended, out) == (status, "")
+    one_line(err)
+    assert os.listdir("out") == []
+
+
+def test_an_interrupt_among_many_leaves_whole_files(here: Path) -> None:
+    os.mkdir("in")
+    for i in range(6):
+        image.write(f"in/{i}.tif", noise(1200, 1000))
+    os.mkdir("out")
+    process = start("warp", "in/*.tif", "out", *GRAB)
+    when_it_writes(process, "out", signal.SIGINT)
+    ended, out, err = finish(process)
+    assert (ended, out) == (130, "")
+    one_line(err)
+    done = os.listdir("out")
+    assert len(done) < 6
+    for name in done:
+        assert image.read(f"out/{name}").pixels.shape == (1200, 1000, 3)
+
+
+def test_output_that_nobody_reads_is_no_error(here: Path) -> None:
+    reading, writing = os.pipe()
+    os.close(reading)
+    try:
+        status, _, err = finish(start("info", "in.png", stdout=writing))
+    finally:
+        os.close(writing)
+    assert (status, err) == (141, "")
+
+
+def test_output_that_finds_no_room_is_one_line(here: Path) -> None:
+    with open("/dev/full", "w") as full:
+        status, _, err = finish(start("info", "in.png", stdout=full))
+    assert status == 2
+    one_line(err)
+
+
+def test_progress_is_for_terminals(here: Path) -> None:
+    pictures("in")
+    terminal, inside = pty.openpty()
+    command_line = [sys.executable, "-m", "supple.cli", "warp", "in", "out", *GRAB]
+    environment = {**os.environ, "PYTHONPATH": SOURCE, "TERM": "xterm", "COLUMNS": "90"}
+    process = subprocess.Popen(command_line, env=environment, stdout=subprocess.DEVNULL, stderr=inside)
+    os.close(inside)
+    shown = b""
+    while select.select([terminal], [], [], 200)[0]:
+        try:
+            got = os.read(terminal, 4096)
+        except OSError:  # all is read
+            break
+        if not got:
+            break
+        shown += got
+    os.close(terminal)
+    assert process.wait() == 2
+    assert b"3/3" in shown
+    assert b"supple: cannot read in/bad.png" in shown

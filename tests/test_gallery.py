@@ -1,0 +1,121 @@
+"""The gallery: a page with pictures that its commands make again."""
+
+from __future__ import annotations
+
+import re
+import shlex
+from html.parser import HTMLParser
+from pathlib import Path
+
+import pytest
+
+from supple import SuppleError
+from supple.cli import command
+from supple.gallery import SCENES, write_gallery
+from supple.media import image
+
+SHOTS = [shot for scene in SCENES for shot in scene.shots]
+
+
+@pytest.fixture(scope="module")
+def gallery(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_gallery(tmp_path_factory.mktemp("gallery") / "new" / "demo").parent
+
+
+class Links(HTMLParser):
+    """Collects what a page refers to, and checks that its elements are closed."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.links: list[str] = []
+        self.open: list[str] = []
+        self.commands: list[str] = []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.links += [value for name, value in attrs if name in ("src", "href") and value]
+        if tag not in ("img", "input", "meta"):
+            self.open.append(tag)
+        if tag == "pre":
+            self.commands.append("")
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+    def handle_data(self, data: str) -> None:
+        if self.open and self.open[-1] == "pre":
+            self.commands[-1] += data
+
+
+def read_page(gallery: Path) -> tuple[str, Links]:
+    text = (gallery / "index.html").read_text(encoding="utf-8")
+    links = Links()
+    links.feed(text)
+    assert not links.open
+    return text, links
+
+
+def test_the_page_needs_nothing_from_elsewhere(gallery: Path) -> None:
+    text, links = read_page(gallery)
+    assert "http" not in text
+    assert "$" not in text
+    there = {path.name for path in gallery.iterdir()}
+    assert there == {"index.html", *links.links}
+    assert sum(path.stat().st_size for path in gallery.iterdir()) < 20_000_000
+
+
+def test_every_picture_has_its_views_and_its_certified_error(gallery: Path) -> None:
+    text, links = read_page(gallery)
+    for shot in SHOTS:
+        assert {shot.source, f"{shot.name}.jpg", f"{shot.name}-stretch.png", f"{shot.name}-grid.png"} <= set(
+            links.links
+        )
+        size = [
+            image.info(gallery / name)[key] for name in (shot.source, f"{shot.name}.jpg") for key in ("width", "height")
+        ]
+        assert size[:2] == size[2:]
+    errors = [float(found) for found in re.findall(r"Error at most ([\d.]+) px", text)]
+    assert len(errors) == len(SHOTS)
+    assert all(0 < error <= 0.01 for error in errors)
+    assert text.count("supple: warning: ") == 1
+
+
+@pytest.mark.parametrize("number", range(len(SHOTS)))
+def test_the_commands_make_the_pictures(gallery: Path, number: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    _, links = read_page(gallery)
+    monkeypatch.chdir(gallery)
+    name = f"{SHOTS[number].name}.jpg"
+    before = Path(name).read_bytes()
+    arguments = shlex.split(links.commands[number].partition("\nsupple:")[0].replace("\\\n", ""))
+    assert arguments[:2] == ["supple", "warp"]
+    assert command([*arguments[1:], "--force", "--quiet"]) == 0
+    assert Path(name).read_bytes() == before
+
+
+def test_a_gallery_is_written_anew_and_nothing_else_is_touched(
+    gallery: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("supple.gallery.SCENES", SCENES[:1])
+    (gallery / "mine.txt").write_text("precious")
+    (gallery / "cat.jpg").write_bytes(b"broken")
+    try:
+        assert command(["demo", str(gallery)]) == 0
+        assert capsys.readouterr() == (f"open {gallery / 'index.html'}\n", "")
+        assert (gallery / "mine.txt").read_text() == "precious"
+        assert image.info(gallery / "cat.jpg")["format"] == "JPEG"
+    finally:
+        (gallery / "mine.txt").unlink()
+
+
+def test_another_folder_is_left_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "index.html").write_text("<html>mine</html>")
+    assert command(["demo", str(tmp_path)]) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.startswith("supple: ")
+    assert err.count("\n") == 1
+    assert "--force" in err
+    assert [path.name for path in tmp_path.iterdir()] == ["index.html"]
+    with pytest.raises(SuppleError, match="no folder"):
+        write_gallery(tmp_path / "index.html")
+    with pytest.raises(SuppleError):
+        write_gallery(tmp_path / "index.html" / "deeper")
