@@ -148,7 +148,8 @@ def _smoothness(w, n, table, axes, cols, rows, nodes):
             for axis in range(3):
                 if axes[axis, 1] > 0.0:
                     x = w[X + axis * BATCH + i]
-                    reach = min(reach, max(axes[axis, 1], min(x, axes[axis, 0] - x)))
+                    # A quarter of a sine is smoother than a Kelvinlet; its kinks, no length resolves.
+                    reach = min(reach, 2.0 * max(axes[axis, 1], min(x, axes[axis, 0] - x)))
             node[SMOOTH] = min(node[SMOOTH], reach / np.sqrt(size))
         step(w, n, stroke, axes, True)
 
