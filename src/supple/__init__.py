@@ -1,14 +1,14 @@
 """Supple bends images, videos and volumes, as if by hand, and never tears them."""
 
+from importlib import import_module
 from typing import TYPE_CHECKING
 
-from supple.deformation import Deformation, Inverse, Report
-from supple.domain import Domain
-from supple.errors import FoldError, FoldWarning, SuppleError
-from supple.strokes import Recipe, Stroke
-
 if TYPE_CHECKING:
+    from supple.deformation import Deformation, Inverse, Report
+    from supple.domain import Domain
+    from supple.errors import FoldError, FoldWarning, SuppleError, ToleranceWarning
     from supple.files import warp_file
+    from supple.strokes import Recipe, Stroke
 
 __version__ = "0.1.0"
 
@@ -22,14 +22,31 @@ __all__ = [
     "Report",
     "Stroke",
     "SuppleError",
+    "ToleranceWarning",
     "warp_file",
 ]
 
+# Where each name is. They are loaded when they are asked for: compilers and image libraries take their time.
+_HOMES = {
+    "Deformation": "deformation",
+    "Domain": "domain",
+    "FoldError": "errors",
+    "FoldWarning": "errors",
+    "Inverse": "deformation",
+    "Recipe": "strokes",
+    "Report": "deformation",
+    "Stroke": "strokes",
+    "SuppleError": "errors",
+    "ToleranceWarning": "errors",
+    "warp_file": "files",
+}
+
 
 def __getattr__(name: str) -> object:
-    # Files need a library that arrays do not: it is loaded when it is asked for.
-    if name == "warp_file":
-        from supple.files import warp_file
+    if name not in _HOMES:
+        raise AttributeError(f"module 'supple' has no attribute {name!r}")
+    return getattr(import_module(f"supple.{_HOMES[name]}"), name)
 
-        return warp_file
-    raise AttributeError(f"module 'supple' has no attribute {name!r}")
+
+def __dir__() -> list[str]:
+    return sorted([*globals(), *__all__])

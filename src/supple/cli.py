@@ -115,9 +115,8 @@ class _Commands:
 
         def do(job: Job, tell: bool | Tell) -> None:
             made = warp_file(job[0], job[1], recipe, progress=tell, **sampling)
-            report = self._checked(made.deformation, made.tolerance)
             if options.json:
-                self.console.tell(_facts(job, made.deformation, report))
+                self.console.tell(_facts(job, made.deformation, made.report()))
 
         def failed(job: Job, message: str) -> None:
             if options.json:
@@ -170,9 +169,9 @@ class _Commands:
         self.console.tell_of_compiling()
         deformation = Deformation.from_recipe(recipe, pixels.shape[:2])
         plot(deformation, what, target, image=pixels, force=options.force)
-        report = self._checked(deformation, 0.01)
         if options.json:
-            self.console.tell({**_facts((Path(source), Path(target)), deformation, report), "what": what})
+            facts = _facts((Path(source), Path(target)), deformation, deformation.report())
+            self.console.tell({**facts, "what": what})
 
     def info(
         self,
@@ -228,12 +227,6 @@ class _Commands:
         except SuppleError as error:
             failed(job, str(error))
             raise
-
-    def _checked(self, deformation: Deformation, tolerance: float) -> Report:
-        report = deformation.report(tolerance=tolerance)
-        if not report.within:
-            self.console.warn(f"the error is at most {report.error:.3g} px, and not {tolerance:g} as asked")
-        return report
 
 
 def command(arguments: Sequence[str]) -> int:

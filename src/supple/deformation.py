@@ -15,7 +15,7 @@ from supple.cpu import newton
 from supple.cpu.kernel import share, threads
 from supple.cpu.warp import Band, Certificate, Plane, absolute, each_band, folds, measure, solve_plane
 from supple.domain import Domain, choice, number, refuse
-from supple.errors import FoldWarning, SuppleError
+from supple.errors import FoldWarning, SuppleError, ToleranceWarning
 from supple.folding import Resolved, resolve
 from supple.strokes import STROKE_DTYPE, FoldPolicy, Point, Recipe, Stroke
 from supple.warping import FILTERS, OUTSIDE, Source, warp_array, warp_function
@@ -328,6 +328,7 @@ class Deformation:
         float32 array, shape (*shape, D)
             In pixels, x first: ``cv2.remap`` takes ``map[..., 0]`` and ``map[..., 1]``.
         """
+        tolerance = number("tolerance", tolerance, "a number of pixels above 0", 1e-9, 1e9)
         out = np.empty((*self.shape, self.ndim), np.float32)
         self._each_plane(tolerance, lambda z: lambda band: absolute(band, _rows(out, z, self.ndim, band)))
         return out
@@ -381,6 +382,11 @@ class Deformation:
         ------
         SuppleError
             If an argument does not fit.
+
+        Warns
+        -----
+        ToleranceWarning
+            If the checks of the map's cells do not promise the tolerance everywhere.
         """
         choice("filter", filter, ("nearest", *FILTERS))
         choice("outside", outside, tuple(OUTSIDE))
@@ -432,8 +438,17 @@ class Deformation:
             yield solve_plane(self._table, self._axes, (self.shape[-2], self.shape[-1]), self.ndim, float(z))
 
     def _each_plane(self, tolerance: float, use: Callable[[int], Callable[[Band], None]]) -> None:
+        certificate = Certificate(0.0, 0.0, 0.0)
         for z, plane in enumerate(self._planes()):
-            each_band(plane, tolerance, use(z))
+            certificate |= each_band(plane, tolerance, use(z))
+        # What float32 adds to a fine tolerance is no surprise.
+        if not certificate.error <= 1.01 * tolerance + 1e-3:
+            warnings.warn(
+                f"the map may be off by {certificate.error:.2g} px somewhere, more than the tolerance {tolerance:g}; "
+                "report() tells",
+                ToleranceWarning,
+                stacklevel=4,
+            )
 
     def _columns(self, points: npt.ArrayLike) -> tuple[Floats, tuple[int, ...]]:
         """Points as the kernels take them: (3, N), in physical units."""

@@ -13,3 +13,7 @@ class FoldError(SuppleError):
 
 class FoldWarning(UserWarning):
     """A stroke was too strong, and was damped so that nothing folds."""
+
+
+class ToleranceWarning(UserWarning):
+    """The inverse map is not as exact everywhere as was asked."""

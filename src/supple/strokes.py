@@ -168,9 +168,7 @@ class Recipe:
         if not isinstance(data, dict):
             refuse("a recipe", "a JSON object", data)
         if "supple" not in data:
-            raise SuppleError(
-                f'the key "supple", a recipe\'s version ({VERSION}), is missing in {shown(data)}'
-            )
+            raise SuppleError(f'the key "supple", a recipe\'s version ({VERSION}), is missing in {shown(data)}')
         wanted = f"{VERSION} (the only version that this release reads)"
         integer('"supple"', data.pop("supple"), wanted, VERSION, VERSION)
         _check_keys("the recipe", data, [field.name for field in fields(cls)], ["strokes"])
