@@ -1,0 +1,724 @@
+"""Sampling: every filter, type, number of channels and rule, against the printed interpolants at the exact inverse."""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+import reference
+
+from supple import Deformation, SuppleError
+
+pytestmark = pytest.mark.filterwarnings("ignore::supple.FoldWarning")
+
+Floats = npt.NDArray[np.float64]
+Array = npt.NDArray[Any]
+
+SHAPE = (45, 70)
+DTYPES = ["bool", "u1", "i1", "u2", "i2", "u4", "i4", "u8", "i8", "f2", "f4", "f8"]
+CHANNELS = [1, 2, 3, 4, 5, 9]
+FILTERS = ["nearest", "linear", "cubic", "auto", "antialias", "ewa"]
+PRINTED = ["linear", "cubic"]
+AVERAGES = ["auto", "antialias", "ewa"]
+RULES = ["edge", "constant", "reflect"]
+FINE = 1e-5
+
+
+@functools.cache
+def bent() -> Deformation:
+    """It shrinks and magnifies, and reaches beyond the image on two sides."""
+    d = Deformation(SHAPE, border=None).grab((30, 20), by=(14, -9), radius=16)
+    return d.grab((8, 30), by=(-6, 5), radius=9, scales=2)
+
+
+@functools.cache
+def exact(d: Deformation) -> Floats:
+    found = d.inverse(reference.grid(d.shape))
+    assert found.converged.all()
+    return found.points
+
+
+def top_of(dtype: npt.DTypeLike) -> float:
+    kind = np.dtype(dtype)
+    return float(np.iinfo(kind).max) if kind.kind in "iu" else 1.0
+
+
+def noise(dtype: npt.DTypeLike, channels: int, shape: tuple[int, int] = SHAPE, seed: int = 0) -> Array:
+    """All of a type's range, and its very ends side by side."""
+    rng, kind = np.random.default_rng(seed), np.dtype(dtype)
+    size = (*shape, channels)
+    if kind == np.bool_:
+        return rng.uniform(size=size) < 0.5
+    if kind.kind == "f":
+        return (100 * rng.normal(size=size)).astype(kind)
+    limits = np.iinfo(kind)
+    values = rng.integers(limits.min, limits.max, size, kind, endpoint=True)
+    values[::7], values[3::7] = limits.max, limits.min
+    return values
+
+
+def fills(dtype: npt.DTypeLike, channels: int) -> list[float]:
+    return [1.0] * channels if np.dtype(dtype) == np.bool_ else [3.0 + 9 * c for c in range(channels)]
+
+
+def same(out: Array, values: Floats, span: float, leeway: float = 2e-4) -> None:
+    """Whether ``out`` holds ``values``, bounded and rounded as its type does, up to a part of their span."""
+    off = leeway * span
+    if out.dtype == np.bool_:
+        clear = np.abs(values - 0.5) > leeway
+        assert (out == (values >= 0.5))[clear].all()
+        return
+    found = out.astype(np.float64)
+    if out.dtype.kind in "iu":
+        limits = np.iinfo(out.dtype)
+        values, off = np.clip(values, float(limits.min), float(limits.max)), off + 0.5
+    elif out.dtype == np.float16:
+        off += 2**-11 * np.abs(values).max()
+    assert np.abs(found - values).max() <= off
+
+
+@pytest.mark.parametrize("rule", RULES)
+@pytest.mark.parametrize("dtype", DTYPES)
+def test_interpolation_is_the_printed_one(dtype: str, rule: str) -> None:
+    source, fill = noise(dtype, 9), fills(dtype, 9)
+    span = 2 * float(np.abs(source.astype(np.float64)).max())
+    expected = {f: reference.sample(source, exact(bent()), f, rule, fill) for f in PRINTED}
+    for channels in CHANNELS:
+        part, colours = np.ascontiguousarray(source[..., :channels]), fill[:channels]
+        how: dict[str, Any] = {"outside": rule, "fill": colours, "alpha": False, "tolerance": FINE}
+        for name in PRINTED:
+            out = bent().warp(part, filter=name, **how)
+            assert out.dtype == part.dtype
+            assert out.shape == part.shape
+            same(out, expected[name][..., :channels], span)
+
+
+@pytest.mark.parametrize("dtype", DTYPES)
+def test_nearest_keeps_values_as_they_are(dtype: str) -> None:
+    source, points = noise(dtype, 9), exact(bent())
+    clear = (np.abs(points - np.floor(points) - 0.5) > 1e-4).all(axis=-1)
+    for rule in RULES:
+        fill = fills(dtype, 9)
+        expected = reference.sample(source, points, "nearest", rule, fill)
+        for channels in CHANNELS:
+            how: dict[str, Any] = {"outside": rule, "fill": fill[:channels], "tolerance": FINE}
+            out = bent().warp(source[..., :channels], filter="nearest", **how)
+            np.testing.assert_array_equal(out[clear], expected[..., :channels][clear])
+    labels = set(np.unique(source[..., 0]).tolist())
+    assert set(np.unique(bent().warp(source[..., 0], filter="nearest")).tolist()) <= labels
+
+
+@pytest.mark.parametrize("rule", RULES)
+@pytest.mark.parametrize("dtype", DTYPES)
+def test_averages_are_those_of_float64(dtype: str, rule: str) -> None:
+    """Filters are linear: what a type holds is the rounded result of its numbers as float64, channel by channel."""
+    source, fill = noise(dtype, 9), fills(dtype, 9)
+    numbers = source.astype(np.float64)
+    span = 2 * float(np.abs(numbers).max())
+    for name in AVERAGES:
+        how: dict[str, Any] = {"filter": name, "outside": rule, "alpha": False}
+        values = np.dstack([bent().warp(numbers[..., c], fill=fill[c], **how) for c in range(9)])
+        for channels in CHANNELS:
+            part = np.ascontiguousarray(source[..., :channels])
+            same(bent().warp(part, fill=fill[:channels], **how), values[..., :channels], span, 1e-5)
+
+
+@pytest.mark.parametrize("dtype", ["u1", "u2", "i2", "u4", "f2", "f4", "f8"])
+@pytest.mark.parametrize("channels", [2, 4, 5])
+def test_opacity_weighs_the_colours(dtype: str, channels: int) -> None:
+    top = top_of(dtype)
+    source = np.abs(noise("f8", channels)) % 100 / 100 * top
+    source[::4, :, -1], source[1::4, :, -1] = 0, top
+    source = source.astype(dtype)
+    numbers = source.astype(np.float64)
+    premultiplied = np.dstack([numbers[..., :-1] * numbers[..., -1:] / top, numbers[..., -1]])
+    fill = [*(0.3 * top, 0.9 * top, 0.1 * top, 0.6 * top)[: channels - 1], 0.5 * top]
+    inside = [*(0.5 * x for x in fill[:-1]), fill[-1]]
+    for rule in RULES:
+        for name in PRINTED:
+            out = bent().warp(source, filter=name, outside=rule, fill=fill, alpha=True, tolerance=FINE)
+            values = reference.sample(premultiplied, exact(bent()), name, rule, inside)
+            opacity = np.clip(values[..., -1], 0, top)
+            same(out[..., -1], opacity, top)
+            seen = (values[..., -1] > 0.1 * top) & (values[..., -1] <= top)
+            same(out[..., :-1][seen], (values[..., :-1] * top)[seen] / opacity[seen][:, None], 10 * top)
+            clear = values[..., -1] < -1e-3 * top
+            assert (out[clear][..., :-1] == 0).all()
+        for name in AVERAGES:
+            out = bent().warp(source, filter=name, outside=rule, fill=fill, alpha=True)
+            values = bent().warp(premultiplied, filter=name, outside=rule, fill=inside, alpha=False)
+            opacity = np.clip(values[..., -1], 0, top)
+            same(out[..., -1], opacity, top, 1e-5)
+            seen = (values[..., -1] > 0.1 * top) & (values[..., -1] <= top)
+            same(out[..., :-1][seen], (values[..., :-1] * top)[seen] / opacity[seen][:, None], 10 * top, 1e-5)
+
+
+def test_the_last_of_four_channels_is_opacity_unless_told() -> None:
+    d = bent()
+    for channels in CHANNELS:
+        source = noise("u1", channels)
+        plain = d.warp(source, alpha=False)
+        np.testing.assert_array_equal(d.warp(source), d.warp(source, alpha=True) if channels == 4 else plain)
+    assert (d.warp(noise("u1", 4), alpha=False) != d.warp(noise("u1", 4))).any()
+
+
+@pytest.mark.parametrize("dtype", ["u1", "u2", "f4", "f8"])
+def test_an_opaque_picture_is_as_one_without_opacity(dtype: str) -> None:
+    top = top_of(dtype)
+    colours = (np.random.default_rng(1).uniform(0, top, (*SHAPE, 3))).astype(dtype)
+    opaque = np.dstack([colours, np.full(SHAPE, top, dtype)])
+    for name in FILTERS:
+        for rule in ("edge", "reflect"):
+            plain, weighed = (bent().warp(s, filter=name, outside=rule) for s in (colours, opaque))
+            assert weighed.dtype == plain.dtype
+            off = np.abs(weighed[..., :3].astype(np.float64) - plain).max()
+            assert off <= (1 if dtype in ("u1", "u2") else 1e-5)
+            assert (np.abs(weighed[..., 3].astype(np.float64) - top) <= 1e-6 * top).all()
+
+
+@pytest.mark.parametrize("dtype", ["u1", "u2", "f4"])
+@pytest.mark.parametrize("filter", FILTERS)
+def test_what_is_clear_colours_nothing(dtype: str, filter: str) -> None:
+    """A red shape on clear green has no green fringe."""
+    top = top_of(dtype)
+    source = np.zeros((*SHAPE, 4), dtype)
+    source[:, :35], source[:, 35:] = (top, 0, 0, top), (0, top, 0, 0)
+    out = bent().warp(source, filter=filter).astype(np.float64) / top
+    assert (out >= 0).all()
+    assert (out[..., 3] <= 1).all()
+    seen = out[..., 3] > 0.01
+    assert np.abs(out[seen][:, 1]).max() <= 1e-6
+    assert out[seen][:, 0].min() > 1 - 1e-5
+    assert (~seen).any()
+
+
+@pytest.mark.xfail(strict=True, reason="colours are divided by opacity after it is bounded, not before")
+def test_an_edge_of_opacity_has_no_halo() -> None:
+    """Where opacity overshoots, the colours that it weighs do as well."""
+    for dtype, grey in (("u1", 100), ("u2", 30_000), ("f8", 0.4)):
+        source = np.full((*SHAPE, 4), grey, dtype)
+        source[:, :35, 3], source[:, 35:, 3] = top_of(dtype), 0
+        for name in FILTERS:
+            out = bent().warp(source, filter=name)
+            seen = out[..., 3] > 0.01 * top_of(dtype)
+            assert np.abs(out[seen][:, :3].astype(np.float64) - grey).max() <= 1e-4 * grey
+
+
+@pytest.mark.xfail(strict=True, reason="the largest opacity of 64 bits is not a float64")
+@pytest.mark.parametrize("dtype", ["i8", "u8"])
+def test_opacity_of_64_bits(dtype: str) -> None:
+    source = np.full((*SHAPE, 3), np.iinfo(dtype).max, dtype)
+    for name in FILTERS:
+        out = bent().warp(source, filter=name, alpha=True).astype(np.float64)
+        assert np.abs(out / top_of(dtype) - 1).max() < 1e-9
+
+
+@pytest.mark.parametrize("dtype", DTYPES)
+def test_constants_stay_constant(dtype: str) -> None:
+    kind = np.dtype(dtype)
+    values: list[Any] = [0, 77, 3.1416]
+    if kind == np.bool_:
+        values = [False, True]
+    elif kind.kind in "iu":
+        limits = np.iinfo(kind)
+        values = [limits.min, limits.max, 0, 77]
+    for value in values:
+        for channels in (1, 3, 5):
+            source = np.full((*SHAPE, channels), value, kind)
+            for name in FILTERS:
+                for alpha in {False, channels > 1 and kind.kind != "i" and kind.itemsize < 8}:
+                    out = bent().warp(source, filter=name, alpha=alpha)
+                    numbers = out.astype(np.float64)
+                    if name == "nearest" or (kind.kind != "f" and abs(int(value)) < 2**53 and not alpha):
+                        np.testing.assert_array_equal(out, source)
+                    elif alpha and kind.kind == "f":
+                        # More than opaque is opaque.
+                        assert np.isfinite(numbers).all()
+                        assert numbers[..., -1].max() <= 1
+                    else:
+                        leeway = 2e-3 if kind == np.float16 else 2e-6
+                        visible = numbers[..., :-1] if alpha and value == 0 else numbers
+                        assert np.abs(visible - float(value)).max() <= leeway * abs(float(value))
+
+
+def strange(dtype: str, channels: int) -> Array:
+    """Any bits at all: NaNs of all kinds, infinities, subnormal numbers, zeros of both signs."""
+    kind = np.dtype(dtype)
+    raw = np.random.default_rng(2).integers(0, 256, (math.prod(SHAPE) * channels * kind.itemsize,), np.uint8)
+    if kind == np.bool_:
+        raw &= 1
+    values = raw.view(kind).reshape(*SHAPE, channels)
+    if kind.kind == "f":
+        values[0, :5, 0] = [np.nan, -np.inf, np.inf, -0.0, np.finfo(kind).smallest_subnormal]
+    return values
+
+
+@pytest.mark.parametrize("dtype", [*DTYPES, ">u2", ">i4", ">f4", ">f8"])
+def test_without_a_stroke_or_force_no_bit_changes(dtype: str) -> None:
+    still = [
+        Deformation(SHAPE),
+        Deformation(SHAPE, border=None).grab((3, 3), by=(0, 0), radius=5),
+        Deformation(SHAPE, on_fold="flow").grab((3, 3), to=(3, 3), radius=5).grab((9, 9), by=(-0.0, 0), radius=1),
+    ]
+    for channels in (1, 4):
+        source = strange(dtype, channels)
+        before = source.tobytes()
+        for d in still:
+            assert d.is_identity
+            for name in FILTERS:
+                for rule in RULES:
+                    out = d.warp(source, filter=name, outside=rule)
+                    assert out.dtype == source.dtype
+                    assert out.tobytes() == before
+                    assert not np.may_share_memory(out, source)
+        flipped = source[::-1, ::-1]
+        assert still[0].warp(flipped).tobytes() == flipped.tobytes()
+        assert source.tobytes() == before
+
+
+@pytest.mark.parametrize("dtype", ["f2", "f4", "f8"])
+@pytest.mark.parametrize("filter", FILTERS)
+def test_what_is_not_a_number_stays_where_it_is(dtype: str, filter: str) -> None:
+    clean = np.random.default_rng(3).uniform(size=(*SHAPE, 3)).astype(dtype)
+    source = clean.copy()
+    source[20, 30, 0], source[33, 50, 1], source[10, 60, 1] = np.nan, np.inf, -np.inf
+    out, expected = bent().warp(source, filter=filter), bent().warp(clean, filter=filter)
+    away = np.stack([np.abs(exact(bent()) - p).max(axis=-1) for p in ((30, 20), (50, 33), (60, 10))]).min(axis=0)
+    np.testing.assert_array_equal(out[away > 6], expected[away > 6])
+    np.testing.assert_array_equal(out[..., 2], expected[..., 2])  # nor does it reach other channels
+    near = np.abs(exact(bent()) - (30, 20)).max(axis=-1) < 0.4
+    assert np.isnan(out[near][:, 0]).all()
+    assert np.isfinite(out).mean() > 0.9
+
+
+@pytest.mark.parametrize("filter", FILTERS)
+def test_arrays_of_any_layout(filter: str, tmp_path: Path) -> None:
+    wide = np.random.default_rng(4).uniform(size=(90, 140, 6)).astype(np.float32)
+    base = np.ascontiguousarray(wide[::2, ::2, ::2])
+    expected = bent().warp(base, filter=filter)
+    frozen = base.copy()
+    frozen.flags.writeable = False
+    mapped = np.memmap(tmp_path / "source", np.float32, "w+", shape=base.shape)
+    mapped[:] = base
+    layouts = {
+        "strided": wide[::2, ::2, ::2],
+        "reversed": np.ascontiguousarray(base[::-1, ::-1])[::-1, ::-1],
+        "Fortran": np.asfortranarray(base),
+        "transposed": np.ascontiguousarray(base.transpose(2, 1, 0)).transpose(2, 1, 0),
+        "big-endian": base.astype(">f4"),
+        "frozen": frozen,
+        "mapped": mapped,
+    }
+    for name, source in layouts.items():
+        before = source.tobytes()
+        out = bent().warp(source, filter=filter)
+        assert out.dtype == source.dtype, name
+        assert out.flags.c_contiguous, name
+        np.testing.assert_array_equal(out, expected, err_msg=name)
+        assert source.tobytes() == before, name
+        for order in ("C", "F"):
+            given = np.full(source.shape, 7, source.dtype, order=order)
+            assert bent().warp(source, filter=filter, out=given) is given
+            np.testing.assert_array_equal(given, expected, err_msg=name)
+    whole = np.full((90, 140, 6), 7, np.float32)
+    bent().warp(base, filter=filter, out=whole[::2, ::2, ::2])
+    np.testing.assert_array_equal(whole[::2, ::2, ::2], expected)
+    assert (whole[1::2] == 7).all()
+    written = np.memmap(tmp_path / "out", np.float32, "w+", shape=base.shape)
+    bent().warp(base, filter=filter, out=written)
+    np.testing.assert_array_equal(written, expected)
+    grey = bent().warp(base[..., 0], filter=filter)
+    assert grey.shape == SHAPE
+    np.testing.assert_array_equal(grey, bent().warp(base[..., :1], filter=filter)[..., 0])
+
+
+def light(v: Floats) -> Floats:
+    return np.where(v <= 0.04045, v / 12.92, ((np.maximum(v, 0.04045) + 0.055) / 1.055) ** 2.4)
+
+
+def curve(v: Floats) -> Floats:
+    return np.where(v <= 0.0031308, v * 12.92, 1.055 * np.maximum(v, 0.0031308) ** (1 / 2.4) - 0.055)
+
+
+@pytest.mark.parametrize("dtype", ["u1", "u2", "f2", "f4", "f8"])
+@pytest.mark.parametrize("channels", [1, 3, 4])
+def test_light_is_averaged_if_asked_for(dtype: str, channels: int) -> None:
+    top = top_of(dtype)
+    source = (np.random.default_rng(5).uniform(0, top, (*SHAPE, channels))).astype(dtype)
+    numbers = source.astype(np.float64) / top
+    alpha = channels == 4
+    if alpha:
+        source[..., 3] = (0.2 + 0.8 * numbers[..., 3]) * top
+        numbers = source.astype(np.float64) / top
+    colours = light(numbers[..., :3])
+    weights = numbers[..., 3:] if alpha else np.ones((*SHAPE, 1))
+    lit = np.dstack([colours * weights, weights])
+    for rule, fill in (("edge", 0.0), ("constant", 0.5), ("reflect", 0.0)):
+        inside = [*[light(np.array(fill)) * (fill if alpha else 1)] * min(channels, 3), fill if alpha else 1.0]
+        for name in PRINTED:
+            out = bent().warp(source, filter=name, outside=rule, fill=fill * top, linear_light=True, tolerance=FINE)
+            values = reference.sample(lit, exact(bent()), name, rule, inside)
+            seen = (values[..., -1] > 0.3) & (values[..., -1] <= 1)
+            found = curve(values[..., :-1] / values[..., -1:])
+            same(out[..., :3][seen], found[seen] * top, 3 * top)
+            if alpha:
+                same(out[..., 3], np.clip(values[..., -1], 0, 1) * top, top)
+
+
+@pytest.mark.parametrize("filter", FILTERS)
+def test_light_of_one_colour_is_that_colour(filter: str) -> None:
+    ramp = np.broadcast_to(np.arange(256, dtype=np.uint8)[:, None, None], (256, 20, 3))
+    d = Deformation((256, 20)).grab((10, 128), by=(3, 0), radius=40)
+    for value in (0, 1, 10, 100, 254, 255):
+        flat = np.full((*SHAPE, 3), value, np.uint8)
+        np.testing.assert_array_equal(bent().warp(flat, filter=filter, linear_light=True), flat)
+    assert np.abs(d.warp(ramp, filter=filter, linear_light=True).astype(int) - ramp).max() < 40
+    # Fine black and white lines are as bright as half their light, not as half their values.
+    lines = np.zeros((64, 256), np.uint8)
+    lines[:, ::2] = 255
+    squeezed = Deformation((64, 256), border=None, on_fold="flow").grab((40, 32), to=(150, 32), radius=25)
+    if filter in AVERAGES:
+        where = (30, slice(155, 165))
+        dark, bright = (squeezed.warp(lines, filter=filter, linear_light=lit)[where].mean() for lit in (False, True))
+        assert dark == pytest.approx(127.5, abs=12)
+        assert bright == pytest.approx(188, abs=12)
+
+
+@pytest.mark.parametrize("filter", FILTERS)
+def test_what_lies_outside(filter: str) -> None:
+    away = Deformation((40, 50), border=None).grab((25, 20), by=(30, 0), radius=1e7)  # all of it, 30 to the right
+    source = np.random.default_rng(6).integers(1, 255, (40, 50, 3), np.uint8)
+    edge = away.warp(source, filter=filter, outside="edge")
+    np.testing.assert_array_equal(edge[:, :27], np.broadcast_to(edge[:, :1], (40, 27, 3)))
+    if filter in ("nearest", "linear", "cubic", "auto"):  # the others average over the pixel itself
+        np.testing.assert_allclose(edge[:, 0], source[:, 0], atol=1)
+    constant = away.warp(source, filter=filter, outside="constant", fill=(9, 99, 199))
+    np.testing.assert_array_equal(constant[:, :27], np.broadcast_to(np.uint8([9, 99, 199]), (40, 27, 3)))
+    np.testing.assert_array_equal(away.warp(source, filter=filter, outside="constant")[:, :27], 0)
+    mirrored = away.warp(source, filter=filter, outside="reflect")
+    if filter in ("nearest", "linear", "cubic", "auto"):
+        np.testing.assert_allclose(mirrored[:, :30], source[:, 29::-1], atol=1)
+        np.testing.assert_allclose(mirrored[:, 30:], source[:, :20], atol=1)
+    np.testing.assert_allclose(edge[3:-3, 34:], mirrored[3:-3, 34:], atol=1)
+    # Rounded and bounded as the source's values are.
+    assert (away.warp(source, filter=filter, outside="constant", fill=1e6)[:, :27] == 255).all() or filter == "nearest"
+
+
+@pytest.mark.parametrize("rule", RULES)
+def test_very_far_outside(rule: str) -> None:
+    d = Deformation((30, 30), border=None, on_fold="flow").grab((15, 15), by=(900, -700), radius=400)
+    source = np.random.default_rng(7).integers(0, 255, (30, 30, 3), np.uint8)
+    for name in FILTERS:
+        out = d.warp(source, filter=name, outside=rule, fill=50, tolerance=1e-4)
+        if rule == "constant":
+            assert (out == 50).mean() > 0.9
+        if name in ("nearest", *PRINTED) and rule != "reflect":
+            same(out, reference.sample(source, exact(d), name, rule, 50).astype(np.float64), 255, 1e-2)
+
+
+SIZES = [(1, 1), (1, 2), (1, 50), (50, 1), (2, 2), (3, 33), (32, 32), (33, 33), (5, 257), (4, 300)]
+
+
+@pytest.mark.parametrize("shape", SIZES)
+@pytest.mark.parametrize("rule", RULES)
+def test_sizes(shape: tuple[int, int], rule: str) -> None:
+    d = Deformation(shape, border=None).grab(np.array(shape[::-1]) * 0.4, by=(2.3, -1.2), radius=9)
+    for channels in (1, 3, 4):
+        source = noise("u1", channels, shape)
+        for name in FILTERS:
+            out = d.warp(source, filter=name, outside=rule, fill=70, alpha=False, tolerance=FINE)
+            assert out.shape == source.shape
+            if name in PRINTED:
+                same(out, reference.sample(source, exact(d), name, rule, 70).astype(np.float64), 255)
+            # Results do not depend on what is in the memory that they are written to.
+            given = np.full_like(source, 77)
+            d.warp(source, filter=name, outside=rule, fill=70, alpha=False, tolerance=FINE, out=given)
+            np.testing.assert_array_equal(given, out)
+    fixed = Deformation(shape).grab((0, 0), by=(2, 1), radius=3)
+    assert fixed.warp(np.full(shape, 9, np.uint8)).min() == 9
+
+
+def catmull_rom(image: Array, points: Floats) -> Floats:
+    """The cubic interpolant of a grey image at points close to it; see `reference.sample`."""
+    pad = 40
+    padded = np.pad(image.astype(np.float64), pad, mode="edge")
+    x, y = np.moveaxis(points, -1, 0)
+    i, j = np.floor(x).astype(np.int64), np.floor(y).astype(np.int64)
+    s, t = x - i, y - j
+    corner = (j + pad - 1) * padded.shape[1] + i + pad - 1
+    total = np.zeros(x.shape)
+    for row, down in enumerate(_weights(t)):
+        along = sum(w * padded.ravel().take(corner + row * padded.shape[1] + k) for k, w in enumerate(_weights(s)))
+        total += down * along
+    return total
+
+
+def _weights(t: Floats) -> list[Floats]:
+    u, v = t * t, t * t * t
+    return [u - (v + t) / 2, 1 + 1.5 * v - 2.5 * u, 2 * u - 1.5 * v + t / 2, (v - u) / 2]
+
+
+def test_the_fast_reference_is_the_reference() -> None:
+    source, p = noise("f8", 1), exact(Deformation(SHAPE).grab((30, 20), by=(14, -9), radius=16))
+    np.testing.assert_allclose(catmull_rom(source[..., 0], p), reference.sample(source, p, "cubic")[..., 0], atol=1e-9)
+
+
+def supersampled(image: Array, d: Deformation, n: int, mirrored: bool = False) -> Floats:
+    """The mean of n × n samples at the exact inverse. Where the map is its own mirror image, half of it is solved."""
+    height, width = image.shape
+    within = (np.arange(n) + 0.5) / n - 0.5
+    x = (np.arange(width)[:, None] + within).ravel()
+    left = x[: x.size // 2] if mirrored else x
+    out = np.empty((height, width))
+    for top in range(0, height, 16):
+        rows = np.arange(top, min(top + 16, height))
+        points = d.inverse(np.stack(np.meshgrid(left, (rows[:, None] + within).ravel()), axis=-1)).points
+        if mirrored:
+            other = points[:, ::-1] * (-1, 1) + (width - 1, 0)
+            points = np.concatenate([points, other], axis=1)
+        values = catmull_rom(image, points).reshape(len(rows), n, width, n)
+        out[rows] = values.mean(axis=(1, 3))
+    return np.clip(out, 0, 255)
+
+
+def scores(image: Array, d: Deformation, expected: Floats, *filters: str) -> dict[str, float]:
+    return {f: reference.psnr(d.warp(image, filter=f), expected) for f in filters}
+
+
+def test_the_zone_plate() -> None:
+    y, x = np.mgrid[:512, :512] - 255.5
+    image = np.rint(127.5 + 127.5 * np.cos(np.pi * (x * x + y * y) / 600)).astype(np.uint8)
+    d = Deformation((512, 512)).grab((255.5, 255.5), by=(0, 90), radius=100)
+    found = scores(image, d, supersampled(image, d, 8, mirrored=True), *FILTERS[1:])
+    assert found["antialias"] >= 36
+    assert found["auto"] >= found["linear"]
+    assert found["ewa"] >= found["linear"]
+    assert found["cubic"] < 30
+
+
+def test_lines_of_one_pixel() -> None:
+    image = np.zeros((256, 256), np.uint8)
+    image[::8] = image[:, ::8] = 255
+    d = Deformation((256, 256)).grab((127.5, 127.5), by=(0, 70), radius=30)
+    found = scores(image, d, supersampled(image, d, 16, mirrored=True), *FILTERS[1:])
+    assert found["antialias"] >= 29.5
+    assert found["auto"] >= found["linear"]
+
+
+def test_the_ellipses_are_heckberts() -> None:
+    """EWA at a few pixels, from the exact inverse and its exact Jacobian."""
+    image = np.random.default_rng(8).uniform(size=(120, 120))
+    d = Deformation((120, 120), on_fold="flow").grab((50, 60), to=(70, 55), radius=12)
+    out = d.warp(image, filter="ewa", tolerance=FINE)
+    some = np.random.default_rng(9).integers(25, 95, (400, 2)).astype(np.float64)
+    points = d.inverse(some).points
+    u, s, _ = np.linalg.svd(np.linalg.inv(d.jacobian(points)))
+    assert s.max() > 2
+    j, i = np.mgrid[:120, :120]
+    off = []
+    for q, p, axes, sizes in zip(some.astype(int), points, u, np.maximum(s, 1), strict=True):
+        away = np.stack([i - p[0], j - p[1]], axis=-1) @ axes / sizes
+        r2 = (away**2).sum(axis=-1)
+        weights = np.where(r2 <= 1, np.exp(-2 * r2), 0)
+        off.append(out[q[1], q[0]] - (weights * image).sum() / weights.sum())
+    # Footprints come from differences, so that a sample at an ellipse's rim may be in one and not in the other.
+    assert np.median(np.abs(off)) < 0.01
+    assert np.sqrt(np.mean(np.square(off))) < 0.03
+
+
+def test_averages_are_paid_only_where_the_map_shrinks() -> None:
+    """Where it only translates or magnifies, ``auto`` is ``cubic``, up to float32's rounding of points."""
+    source = np.random.default_rng(10).uniform(size=(90, 120, 3)).astype(np.float32)
+    still = Deformation((90, 120), border=None).grab((60, 40), by=(3.3, 2.7), radius=1e7)
+    rough = Deformation((90, 120), on_fold="flow").grab((60, 45), to=(75, 50), radius=20)
+    for d in (still, rough, bent()):
+        image = source[: d.shape[0], : d.shape[1]]
+        auto, cubic = (d.warp(image, filter=f) for f in ("auto", "cubic"))
+        sizes = np.linalg.svd(np.linalg.inv(d.jacobian(exact(d))), compute_uv=False)[..., 0]
+        # Footprints are those of four rows together, from differences over three.
+        around = np.pad(sizes, 4, mode="edge")
+        most = np.lib.stride_tricks.sliding_window_view(around, (9, 9)).max(axis=(2, 3))
+        large = most < (1.001 if d is still else 0.999)
+        if d is still:
+            large = np.ones_like(large)
+        assert large.any() or d is bent()
+        np.testing.assert_allclose(auto[large], cubic[large], rtol=0, atol=1e-5)
+        shrunk = np.lib.stride_tricks.sliding_window_view(around, (9, 9)).min(axis=(2, 3)) > 1.3
+        if d is rough:
+            assert shrunk.any()
+            assert np.abs(auto - cubic)[shrunk].max() > 0.05
+
+
+def test_what_is_much_smaller_has_no_holes() -> None:
+    d = Deformation((200, 260), border=None, on_fold="flow").grab((60, 100), by=(150, 10), radius=15)
+    sizes = np.linalg.svd(np.linalg.inv(d.jacobian(exact(d))), compute_uv=False)[..., 0]
+    assert sizes.max() > 8
+    rng = np.random.default_rng(11)
+    fine = rng.integers(0, 2, (200, 260)).astype(np.float64)
+    hard, expected = sizes > 6, supersampled(255 * fine, d, 8)
+    linear = d.warp(fine, filter="linear")
+    for name in ("auto", "antialias"):
+        out = d.warp(fine, filter=name)
+        assert np.isfinite(out).all()
+        assert out[hard].std() < 0.6 * linear[hard].std()
+        assert out[hard].std() == pytest.approx(expected[hard].std() / 255, rel=0.1)
+        given = np.full((200, 260), np.nan)
+        d.warp(np.full((200, 260), 0.25), filter=name, out=given)
+        np.testing.assert_allclose(given, 0.25, rtol=1e-12)
+        found = scores(255 * fine, d, expected, name, "linear", "cubic")
+        assert found[name] > max(found["linear"], found["cubic"]) + 5
+
+
+def test_a_tolerance_is_kept_to_when_sampling() -> None:
+    y, x = np.mgrid[:200, :200].astype(np.float64)
+    d = Deformation((200, 200)).grab((90, 110), by=(30, -20), radius=40)
+    for tolerance in (1.0, 0.1, 0.01, 1e-3):
+        seen = np.stack([d.warp(v, filter="linear", tolerance=tolerance) for v in (x, y)], axis=-1)
+        off = np.linalg.norm(seen - exact(d), axis=-1)[1:-1, 1:-1]
+        assert off.max() <= tolerance
+
+
+def ripples(points: Floats) -> Floats:
+    return np.asarray(np.sin(points[:, 0] / 3) * np.cos(points[:, 1] / 5))
+
+
+def test_functions_are_evaluated_at_the_exact_inverse() -> None:
+    d = bent()
+    expected = ripples(exact(d).reshape(-1, 2)).reshape(SHAPE)
+    out = d.warp(ripples)
+    assert out.dtype == np.float64
+    np.testing.assert_allclose(out, expected, atol=1e-6)
+    colours = d.warp(lambda p: np.stack([ripples(p), p[:, 0], p[:, 1]], axis=-1).astype(np.float32))
+    assert colours.shape == (*SHAPE, 3)
+    assert colours.dtype == np.float32
+    np.testing.assert_allclose(colours[..., 0], expected, atol=1e-6)
+    assert (d.warp(lambda p: p[:, 0] > 20) == (exact(d)[..., 0] > 20)).mean() > 0.999
+    still = Deformation(SHAPE)
+    np.testing.assert_array_equal(still.warp(lambda p: p), reference.grid(SHAPE))
+
+
+@pytest.mark.parametrize("samples", [1, 2, 3, 8])
+def test_functions_are_averaged_over_each_pixel(samples: int) -> None:
+    d = Deformation((30, 40)).grab((20, 15), by=(3, 4), radius=10)
+    within = (np.arange(samples) + 0.5) / samples - 0.5
+    expected = np.zeros((30, 40))
+    for v in within:
+        for u in within:
+            points = d.inverse(reference.grid((30, 40)) + np.array([u, v])).points
+            expected += ripples(points.reshape(-1, 2)).reshape(30, 40) / samples**2
+    np.testing.assert_allclose(d.warp(ripples, samples=samples), expected, atol=1e-9)
+    given = np.full((30, 40), np.nan)
+    assert d.warp(ripples, samples=samples, out=given) is given
+    np.testing.assert_allclose(given, expected, atol=1e-9)
+
+
+def test_functions_are_asked_for_some_points_at_once() -> None:
+    asked: list[int] = []
+
+    def count(points: Floats) -> Floats:
+        asked.append(len(points))
+        return points[:, 0]
+
+    d = Deformation((100, 300)).grab((150, 50), by=(9, 5), radius=40)
+    d.warp(count, samples=5)
+    assert sum(asked) == 100 * 300 * 25
+    assert max(asked) <= 1 << 18
+
+
+WRONG: list[tuple[Callable[[Floats], Any], str]] = [
+    (lambda p: p[:5, 0], "function's values"),
+    (lambda p: 3.0, "function's values"),
+    (lambda p: np.zeros((len(p), 2, 2)), "function's values"),
+    (lambda p: p[:, 0] + 1j, "function's values"),
+    (lambda p: ["a"] * len(p), "function's values"),
+    (lambda p: None, "function's values"),
+]
+
+
+@pytest.mark.parametrize(("function", "message"), WRONG)
+def test_functions_that_give_something_else(function: Callable[[Floats], Any], message: str) -> None:
+    with pytest.raises(SuppleError, match=message):
+        bent().warp(function)
+
+
+@pytest.mark.parametrize("samples", [0, -1, 65, 1.5, True, "2", None])
+def test_bad_numbers_of_samples(samples: Any) -> None:
+    with pytest.raises(SuppleError, match="samples"):
+        bent().warp(ripples, samples=samples)
+
+
+GOOD = np.zeros((*SHAPE, 3), np.uint8)
+REFUSED: list[tuple[dict[str, Any], str]] = [
+    ({"source": np.zeros((45, 71, 3), np.uint8)}, "source"),
+    ({"source": np.zeros((70, 45), np.uint8)}, "source"),
+    ({"source": np.zeros(SHAPE[0], np.uint8)}, "source"),
+    ({"source": np.zeros((*SHAPE, 3, 1), np.uint8)}, "source"),
+    ({"source": np.zeros((*SHAPE, 0), np.uint8)}, "source"),
+    ({"source": np.zeros(SHAPE, complex)}, "dtype complex128"),
+    ({"source": np.zeros(SHAPE, object)}, "dtype object"),
+    ({"source": np.zeros(SHAPE, "U3")}, "dtype <U3"),
+    ({"source": np.zeros(SHAPE, "M8[s]")}, "dtype datetime64"),
+    ({"source": np.zeros(SHAPE, [("r", "u1")])}, "dtype"),
+    ({"source": None}, "dtype object"),
+    ({"source": "photo.png"}, "dtype"),
+    ({"source": 3}, "shape"),
+    ({"filter": "lanczos"}, "filter must be"),
+    ({"filter": None}, "filter must be"),
+    ({"outside": "wrap"}, "outside must be"),
+    ({"tolerance": 0}, "tolerance"),
+    ({"tolerance": -1.0}, "tolerance"),
+    ({"tolerance": math.nan}, "tolerance"),
+    ({"tolerance": math.inf}, "tolerance"),
+    ({"tolerance": "0.1"}, "tolerance"),
+    ({"fill": (1, 2)}, "fill"),
+    ({"fill": math.nan}, "fill"),
+    ({"fill": [1, math.inf, 3]}, "fill"),
+    ({"fill": "black"}, "fill"),
+    ({"fill": [[1, 2, 3]]}, "fill"),
+    ({"source": np.zeros(SHAPE, np.uint8), "alpha": True}, "alpha"),
+    ({"source": np.zeros((*SHAPE, 1), np.uint8), "alpha": True}, "alpha"),
+    ({"source": np.zeros(SHAPE, bool), "linear_light": True}, "linear_light"),
+    ({"source": np.zeros(SHAPE, np.int16), "linear_light": True}, "linear_light"),
+    ({"source": np.zeros(SHAPE, np.uint32), "linear_light": True}, "linear_light"),
+    ({"out": np.zeros(SHAPE, np.uint8)}, "out must be"),
+    ({"out": np.zeros((*SHAPE, 3), np.uint16)}, "out must be"),
+    ({"out": np.zeros((*SHAPE, 3), np.int8)}, "out must be"),
+    ({"out": [[0]]}, "out must be"),
+    ({"out": GOOD}, "overlap"),
+    ({"out": GOOD[::-1]}, "overlap"),
+]
+
+
+@pytest.mark.parametrize(("how", "message"), REFUSED)
+def test_refusals(how: dict[str, Any], message: str) -> None:
+    for d in (bent(), Deformation(SHAPE)):
+        with pytest.raises(SuppleError, match=message):
+            d.warp(**{"source": GOOD, **how})
+    assert not GOOD.any()
+
+
+def test_more_refusals() -> None:
+    frozen = np.zeros_like(GOOD)
+    frozen.flags.writeable = False
+    with pytest.raises(SuppleError, match="read-only"):
+        bent().warp(GOOD, out=frozen)
+    with pytest.raises(SuppleError, match="three axes"):
+        Deformation((3, *SHAPE)).warp(np.zeros((3, *SHAPE)))
+    np.testing.assert_array_equal(bent().warp(GOOD.tolist()), 0)  # what NumPy makes an array of will do
+
+
+def test_threads_make_no_difference(monkeypatch: pytest.MonkeyPatch) -> None:
+    d = Deformation((150, 600)).grab((300, 70), by=(40, 30), radius=60)
+    source = np.random.default_rng(12).integers(0, 255, (150, 600, 3), np.uint8)
+    for name in FILTERS:
+        results = []
+        for threads in ("1", "3"):
+            monkeypatch.setenv("SUPPLE_THREADS", threads)
+            results.append(d.warp(source, filter=name))
+        np.testing.assert_array_equal(*results)
