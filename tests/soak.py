@@ -16,7 +16,7 @@ import numpy.typing as npt
 if __name__ == "__main__":
     sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "src"))
 
-from supple import Deformation, FoldWarning, SuppleError
+from supple import Deformation, FoldWarning, SuppleError, ToleranceWarning
 from supple.cpu import field as kernels
 
 Floats = npt.NDArray[np.float64]
@@ -225,6 +225,7 @@ def soak(points: int, seed: int = 1, seconds: float = math.inf, show: bool = Fal
     shown = start
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", FoldWarning)
+        warnings.simplefilter("ignore", ToleranceWarning)
         while tally.points < points and time.monotonic() - start < seconds:
             rng = np.random.default_rng(seed)
             d, refused = drawn(rng)

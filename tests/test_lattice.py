@@ -76,30 +76,59 @@ def test_pixels_that_are_not_square(seed: int) -> None:
     promise(drawn(rng, (70, 90), 2, spacing=spacing))
 
 
+@pytest.mark.parametrize("seed", range(60))
+def test_what_is_asked_for_is_reached(seed: int) -> None:
+    rng = np.random.default_rng(4000 + seed)
+    spacing = tuple(np.exp(rng.uniform(-1.5, 1.5, 2))) if rng.uniform() < 0.3 else (1.0, 1.0)
+    shape, strokes = tuple(int(n) for n in rng.integers(33, 140, 2)), int(rng.choice([1, 1, 1, 2, 3, 5, 10, 20]))
+    d = drawn(rng, shape, strokes, spacing=spacing)
+    for tolerance in TOLERANCES:
+        report = d.report(tolerance=tolerance)
+        assert report.within
+        assert report.error <= tolerance
+        assert report.unconverged == 0
+
+
+LAST_COLUMN = pytest.mark.xfail(strict=True, reason="the last column is rounded as float32 rounds its cells' slopes")
+
+
+@pytest.mark.filterwarnings("ignore::supple.ToleranceWarning")
+@pytest.mark.parametrize("axis", [pytest.param(0, marks=LAST_COLUMN), 1])
+def test_squeezed_against_the_last_column_or_row(axis: int) -> None:
+    """Every drag is safe; together they leave 10⁻⁸ of a length at the face."""
+    shape, at, by = (40, 60), (40, 20), (100, 0)
+    if axis == 1:
+        shape, at, by = shape[::-1], at[::-1], by[::-1]
+    d = Deformation(shape, border=5)
+    for _ in range(6):
+        d = d.grab(at, by=by, radius=15)
+    promise(d, (1.0, 0.01))
+
+
 # Single strokes for which bounds of less than the true error have been seen.
 FOUND = [
-    ((129, 90), None, (67.7, 64.5), (2.39, -1.06), 4.0, 1, 1e-3),
-    ((102, 94), None, (31.2, 100.5), (2.2, 4.9), 12.4, 3, 1e-3),
-    ((85, 62), 50.0, (11.0, 8.5), (-7.37, -26.88), 13.8, 3, 0.1),
-    ((121, 106), 5.0, (61.8, 81.3), (-16.35, -61.01), 39.1, 3, 1.0),
-    ((108, 126), None, (96.7, 13.9), (6.65, 8.45), 3.9, 2, 1e-3),
-    ((129, 100), 1.0, (64.1, 65.0), (11.21, 4.08), 10.9, 2, 1.0),
-    ((47, 128), 5.0, (27.1, 15.9), (6.48, -9.89), 8.6, 3, 1.0),
-    ((50, 106), None, (53.9, 48.4), (-2.28, 8.02), 8.1, 1, 0.1),
-    ((66, 119), None, (6.6, 46.1), (38.89, 2.4), 19.9, 1, 0.1),
-    ((119, 89), None, (54.9, 57.8), (-1.61, -3.13), 2.7, 3, 1.0),
-    ((124, 63), None, (44.2, 36.0), (-19.09, 16.76), 11.3, 2, 0.01),
-    ((129, 93), None, (75.9, 112.3), (-5.76, 25.58), 27.9, 2, 0.1),
-    ((53, 118), 50.0, (96.7, 31.7), (1.31, 4.73), 10.1, 3, 0.01),
-    ((93, 96), 1.0, (68.9, 13.9), (-8.16, -4.62), 5.4, 2, 1.0),
-    ((125, 111), None, (106.0, 65.1), (-8.44, 0.12), 24.0, 3, 0.01),
+    ((129, 90), None, (67.7, 64.5), (2.39, -1.06), 4.0, 1),
+    ((102, 94), None, (31.2, 100.5), (2.2, 4.9), 12.4, 3),
+    ((85, 62), 50.0, (11.0, 8.5), (-7.37, -26.88), 13.8, 3),
+    ((121, 106), 5.0, (61.8, 81.3), (-16.35, -61.01), 39.1, 3),
+    ((108, 126), None, (96.7, 13.9), (6.65, 8.45), 3.9, 2),
+    ((129, 100), 1.0, (64.1, 65.0), (11.21, 4.08), 10.9, 2),
+    ((47, 128), 5.0, (27.1, 15.9), (6.48, -9.89), 8.6, 3),
+    ((50, 106), None, (53.9, 48.4), (-2.28, 8.02), 8.1, 1),
+    ((66, 119), None, (6.6, 46.1), (38.89, 2.4), 19.9, 1),
+    ((119, 89), None, (54.9, 57.8), (-1.61, -3.13), 2.7, 3),
+    ((124, 63), None, (44.2, 36.0), (-19.09, 16.76), 11.3, 2),
+    ((129, 93), None, (75.9, 112.3), (-5.76, 25.58), 27.9, 2),
+    ((53, 118), 50.0, (96.7, 31.7), (1.31, 4.73), 10.1, 3),
+    ((93, 96), 1.0, (68.9, 13.9), (-8.16, -4.62), 5.4, 2),
+    ((125, 111), None, (106.0, 65.1), (-8.44, 0.12), 24.0, 3),
 ]
 
 
 @pytest.mark.parametrize("case", FOUND)
 def test_where_bounds_have_failed(case: tuple[Any, ...]) -> None:
-    shape, border, at, by, radius, scales, tolerance = case
-    promise(Deformation(shape, border=border).grab(at, by=by, radius=radius, scales=scales), (tolerance,))
+    shape, border, at, by, radius, scales = case
+    promise(Deformation(shape, border=border).grab(at, by=by, radius=radius, scales=scales))
 
 
 @pytest.mark.parametrize("at", [(48.0, 48.0), (64.0, 64.0), (47.3, 50.9), (33.0, 2.0)])

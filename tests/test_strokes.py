@@ -163,9 +163,7 @@ class TestStroke:
         "bad", [math.nan, math.inf, -math.inf, True, np.True_, "1", None, 1j, [1], 1.1e30, 10**400, HUGE]
     )
     def test_refuses_coordinates(self, bad: Any) -> None:
-        assert refusal(lambda: grab(at=(1, bad))).startswith(
-            "at[1] must be a number from -1e+30 to 1e+30, found "
-        )
+        assert refusal(lambda: grab(at=(1, bad))).startswith("at[1] must be a number from -1e+30 to 1e+30, found ")
         assert refusal(lambda: grab(by=(bad, 1))).startswith("by[0] must be ")
 
     @pytest.mark.parametrize(
@@ -190,13 +188,9 @@ class TestStroke:
     def test_refuses_radii(self, bad: Any) -> None:
         assert refusal(lambda: grab(radius=bad)).startswith("radius must be a number above 0 (from ")
 
-    @pytest.mark.parametrize(
-        "bad", [0.6, math.nextafter(0.5, 1), math.nan, math.inf, True, "-inf", None, -(10**400)]
-    )
+    @pytest.mark.parametrize("bad", [0.6, math.nextafter(0.5, 1), math.nan, math.inf, True, "-inf", None, -(10**400)])
     def test_refuses_poisson_ratios(self, bad: Any) -> None:
-        assert refusal(lambda: grab(poisson=bad)).startswith(
-            "poisson must be a number up to 0.5, or -inf, found "
-        )
+        assert refusal(lambda: grab(poisson=bad)).startswith("poisson must be a number up to 0.5, or -inf, found ")
 
     @pytest.mark.parametrize("bad", [0, 4, -1, 1.0, True, "1", None, math.nan, [1], HUGE, np.array([1, 2])])
     def test_refuses_scales(self, bad: Any) -> None:
@@ -220,9 +214,7 @@ class TestRecipe:
 
     @pytest.mark.parametrize("bad", ["stop", None, 1, "DAMP", ["damp"]])
     def test_refuses_fold_policies(self, bad: Any) -> None:
-        assert refusal(lambda: Recipe(on_fold=bad)).startswith(
-            'on_fold must be "damp" or "flow" or "error", found '
-        )
+        assert refusal(lambda: Recipe(on_fold=bad)).startswith('on_fold must be "damp" or "flow" or "error", found ')
 
     @pytest.mark.parametrize("bad", [None, 5, [None], "ab", {"at": 1}, [grab(), (1, 2)]])
     def test_refuses_strokes(self, bad: Any) -> None:
@@ -286,9 +278,7 @@ class TestJson:
         json.loads(text, parse_constant=refuse)
 
     def test_what_may_be_left_out(self) -> None:
-        text = (
-            '{"strokes": [{"radius": 100, "by": [0, 90], "at": [256.0, 256], "brush": "grab"}], "supple": 1}'
-        )
+        text = '{"strokes": [{"radius": 100, "by": [0, 90], "at": [256.0, 256], "brush": "grab"}], "supple": 1}'
         assert Recipe.from_json(text) == Recipe(strokes=(grab(),))
         assert Recipe.from_json('{"supple": 1, "border": null, "strokes": []}').border is None
 
@@ -300,9 +290,7 @@ class TestJson:
 
     def test_missing_keys(self) -> None:
         assert read_refusal('{"supple": 1}') == 'the key "strokes" is missing in the recipe'
-        assert read_refusal('{"strokes": []}').startswith(
-            'the key "supple", a recipe\'s version (1), is missing'
-        )
+        assert read_refusal('{"strokes": []}').startswith('the key "supple", a recipe\'s version (1), is missing')
         assert read_refusal("{}").endswith("is missing in {}")
 
     @pytest.mark.parametrize("version", ["2", "0", "-1", "1.0", "true", "null", '"1"', "[1]", "9" * 5000])
@@ -395,9 +383,7 @@ class TestJson:
     @given(
         st.recursive(
             st.none() | st.booleans() | st.floats() | st.integers() | st.text(),
-            lambda inner: (
-                st.lists(inner) | st.dictionaries(st.sampled_from(["border", "strokes", "at", "x"]), inner)
-            ),
+            lambda inner: st.lists(inner) | st.dictionaries(st.sampled_from(["border", "strokes", "at", "x"]), inner),
         )
     )
     def test_any_other_json(self, data: object) -> None:
