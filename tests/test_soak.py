@@ -85,5 +85,17 @@ def test_the_status_tells(
     monkeypatch.setattr(soak, "soak", lambda *_, **__: soak.Tally(points=5, violations=violations))
     assert soak.main() == status
     said = capsys.readouterr().out
-    assert ("seed 7: folded" in said) == bool(violations)
+    assert ("1 violations" in said) == bool(violations)
     assert "points" in said
+
+
+def test_errors_are_violations(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    def fail(*_: object) -> None:
+        raise ArithmeticError("no")
+
+    monkeypatch.setattr(soak, "look_at_points", fail)
+    clock = iter(range(100))
+    monkeypatch.setattr("time.monotonic", lambda: next(clock))
+    tally = soak.soak(1, seed=3, seconds=5, show=True)
+    assert tally.violations[0] == "seed 3: ArithmeticError: no"
+    assert "seed 4: ArithmeticError: no" in capsys.readouterr().out
