@@ -198,7 +198,6 @@ def test_what_is_clear_colours_nothing(dtype: str, filter: str) -> None:
     assert (~seen).any()
 
 
-@pytest.mark.xfail(strict=True, reason="colours are divided by opacity after it is bounded, not before")
 def test_an_edge_of_opacity_has_no_halo() -> None:
     """Where opacity overshoots, the colours that it weighs do as well."""
     for dtype, grey in (("u1", 100), ("u2", 30_000), ("f8", 0.4)):
@@ -210,7 +209,6 @@ def test_an_edge_of_opacity_has_no_halo() -> None:
             assert np.abs(out[seen][:, :3].astype(np.float64) - grey).max() <= 1e-4 * grey
 
 
-@pytest.mark.xfail(strict=True, reason="the largest opacity of 64 bits is not a float64")
 @pytest.mark.parametrize("dtype", ["i8", "u8"])
 def test_opacity_of_64_bits(dtype: str) -> None:
     source = np.full((*SHAPE, 3), np.iinfo(dtype).max, dtype)

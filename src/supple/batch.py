@@ -68,6 +68,12 @@ def pair(given: Sequence[str], target: str) -> tuple[list[Job], bool]:
     for source, goal in jobs:
         if taken.setdefault(goal, source) != source:
             raise SuppleError(f"{shown(taken[goal])} and {shown(source)} would both become {shown(goal)}")
+    sources = {os.path.realpath(source) for source, _ in jobs}
+    for source, goal in jobs:
+        if os.path.realpath(goal) in sources - {os.path.realpath(source)}:
+            raise SuppleError(
+                f"{shown(source)} would become {shown(goal)}, which is to be read too: use another folder"
+            )
     return list(dict.fromkeys(jobs)), True
 
 
@@ -94,7 +100,7 @@ def make_folders(jobs: Sequence[Job]) -> None:
 def check_recipe_file(name: str, jobs: Sequence[Job], force: bool) -> None:
     """Refuse a name for the recipe that cannot be written, or is that of a picture."""
     path = check_output(name, force=force)
-    if any(path == Path(os.path.realpath(target)) for _, target in jobs):
+    if any(path == Path(os.path.realpath(picture)) for job in jobs for picture in job):
         raise SuppleError(f"{shown(name)} cannot be both the picture and the recipe: give it another name")
 
 

@@ -70,7 +70,9 @@ class Console:
 
     def tell(self, facts: Mapping[str, object]) -> None:
         """Write one JSON object, a line, to standard output."""
-        print(json.dumps(facts), flush=True)
+        with self._lock:  # one line at a time, though many threads have something to tell
+            sys.stdout.write(json.dumps(facts) + "\n")
+            sys.stdout.flush()
 
     def warn(self, text: object) -> None:
         """Write a warning, unless it has been written before or nobody wants to hear."""

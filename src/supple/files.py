@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import shutil
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -110,6 +111,12 @@ def warp_file(
         picture = read(source)
         tell("warp")
         deformation = Deformation.from_recipe(recipe, picture.pixels.shape[:2])
+        if deformation.is_identity and quality is None and not lossless and _suffix(source) == _suffix(target):
+            # Encoded anew, a lossy picture would not be what it was.
+            tell("write")
+            with replacing(target, force=force) as place:
+                shutil.copyfile(source, place)
+            return Warped(Path(source), Path(target), deformation, tolerance)
         pixels = deformation.warp(
             picture.pixels,
             filter=filter,
@@ -125,6 +132,11 @@ def warp_file(
         tell("write")
         write(target, pixels, like=like, quality=quality, lossless=lossless, force=force)
     return Warped(Path(source), Path(target), deformation, tolerance)
+
+
+def _suffix(path: PathLike) -> str:
+    suffix = Path(path).suffix.lower()
+    return {".jpeg": ".jpg", ".tif": ".tiff"}.get(suffix, suffix)
 
 
 def read_recipe(path: PathLike) -> Recipe:

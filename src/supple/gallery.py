@@ -20,7 +20,6 @@ from supple.media.image import info, read
 from supple.strokes import FoldPolicy, Recipe, Stroke
 
 PAGE = "index.html"
-_MARK = '<meta name="generator" content="supple demo">'
 _CREDITS = (
     "Photographs: Chelsea the cat by Stéfan van der Walt (CC0); a cup of espresso by Rachel Michetti, courtesy of "
     "Pikolo Espresso Bar (CC0); the astronaut Eileen Collins by NASA (public domain). All from scikit-image."
@@ -200,8 +199,6 @@ def _prepared(folder: Path, force: bool) -> Path:
     try:
         folder.mkdir(parents=True, exist_ok=True)
         empty = next(folder.iterdir(), None) is None
-        page = folder / PAGE
-        ours = page.is_file() and _MARK in page.read_text(encoding="utf-8", errors="replace")
     except FileExistsError as error:
         raise SuppleError(f"{shown(folder)} is no folder: choose another name") from error
     except OSError as error:
@@ -210,9 +207,9 @@ def _prepared(folder: Path, force: bool) -> Path:
         ) from error
     except ValueError as error:
         raise SuppleError(f"no folder can be called {shown(folder)}: choose another name") from error
-    if not (empty or ours or force):
+    if not (empty or force):
         raise SuppleError(
-            f"{shown(folder)} holds other files: choose another folder, or pass --force (force=True) to write there"
+            f"{shown(folder)} is not empty: choose another folder, or pass --force (force=True) to write there"
         )
     return folder
 

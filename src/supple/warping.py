@@ -35,7 +35,10 @@ def warp_array(
     out: Array | None,
 ) -> Array:
     """Sample an array at the source points of every band that ``each`` calls its argument with."""
-    array = np.asarray(source)
+    try:
+        array = np.asarray(source)
+    except (TypeError, ValueError):
+        refuse("source", "an array of numbers", source)
     if array.dtype.kind not in "biuf" or array.dtype.itemsize > 8:
         refuse("source", "an array of bool, integers or floats of up to 64 bits", f"dtype {array.dtype}")
     if array.shape[:2] != shape or array.ndim not in (2, 3) or 0 in array.shape:
@@ -43,7 +46,7 @@ def warp_array(
         wanted = f"of shape ({height}, {width}) or ({height}, {width}, channels), as the deformation is"
         refuse("source", wanted, f"shape {array.shape}")
     channels = array.shape[2] if array.ndim == 3 else 1
-    straight = alpha if alpha is not None else channels == 4 and array.ndim == 3
+    straight = bool(alpha) if alpha is not None else channels == 4 and array.dtype.str[1:] in ("u1", "u2")
     if straight and channels < 2:
         raise SuppleError(f"alpha=True needs a last channel beside the colours, found shape {array.shape}")
     if light and (array.dtype.kind == "b" or (array.dtype.kind in "iu" and array.dtype.str[1:] not in ("u1", "u2"))):

@@ -72,14 +72,15 @@ def _fill(nodes, j, i, h, k, width, height, left, top, x0, y0, z0, points, box):
         p00, p01, p10 = p00 + offset, p01 + one_x, p10 + one_y
         for y in range(height):
             t = float(y)
-            c0 = np.float32(p00 + t * (p10 + t * (p20 + t * p30)))
-            c1 = np.float32(p01 + t * (p11 + t * (p21 + t * p31)))
-            c2 = np.float32(p02 + t * (p12 + t * (p22 + t * p32)))
-            c3 = np.float32(p03 + t * (p13 + t * (p23 + t * p33)))
+            a, b = p00 + t * (p10 + t * (p20 + t * p30)), p01 + t * (p11 + t * (p21 + t * p31))
+            d, e = p02 + t * (p12 + t * (p22 + t * p32)), p03 + t * (p13 + t * (p23 + t * p33))
+            c0, c1, c2, c3 = np.float32(a), np.float32(b), np.float32(d), np.float32(e)
             row = points[c, top + y, left : left + width]
             for x in range(width):
                 s = np.float32(np.int32(x))  # of 32 bits: wider ones have no vector conversion
                 row[x] = c0 + s * (c1 + s * (c2 + s * c3))
+            if width > h:  # the plane's last column, where steep slopes may cancel
+                row[width - 1] = np.float32(a + h * (b + h * (d + h * e)))
 
 
 @kernel

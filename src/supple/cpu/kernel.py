@@ -16,9 +16,18 @@ FAST = {"nnan", "ninf", "nsz", "arcp", "contract", "reassoc"}
 BATCH = 64  # points that go through the strokes together: their workspace fits the first-level cache
 
 
+def _compiled(function: Callable[..., Any], **options: Any) -> Callable[..., Any]:
+    made: Callable[..., Any]
+    try:
+        made = njit(nogil=True, cache=True, error_model="numpy", **options)(function)
+    except RuntimeError:  # neither the package's folder nor the user's cache can be written: compile at every start
+        made = njit(nogil=True, error_model="numpy", **options)(function)
+    return made
+
+
 def kernel(function: Callable[..., Any]) -> Callable[..., Any]:
     """Compile for one core, without the interpreter's lock, kept on disk."""
-    return njit(nogil=True, cache=True, error_model="numpy", fastmath=FAST)(function)
+    return _compiled(function, fastmath=FAST)
 
 
 def inlined(function: Callable[..., Any]) -> Callable[..., Any]:
@@ -28,18 +37,18 @@ def inlined(function: Callable[..., Any]) -> Callable[..., Any]:
 
 def colour_kernel(function: Callable[..., Any]) -> Callable[..., Any]:
     """The same for samples, which may be infinite or not a number."""
-    return njit(nogil=True, cache=True, error_model="numpy", fastmath=FAST - {"nnan", "ninf"})(function)
+    return _compiled(function, fastmath=FAST - {"nnan", "ninf"})
 
 
 def exact_kernel(function: Callable[..., Any]) -> Callable[..., Any]:
     """The same with IEEE arithmetic, where infinities or the order of operations matter."""
-    return njit(nogil=True, cache=True, error_model="numpy")(function)
+    return _compiled(function)
 
 
 def threads() -> int:
     """How many threads work at once: ``SUPPLE_THREADS``, or as many as this process may use."""
     asked = os.environ.get("SUPPLE_THREADS", "")
-    if asked.isdigit() and int(asked) > 0:
+    if asked.isascii() and asked.isdecimal() and int(asked) > 0:
         return int(asked)
     affinity = getattr(os, "sched_getaffinity", None)
     return len(affinity(0)) if affinity else os.cpu_count() or 1

@@ -188,9 +188,11 @@ def store(values, first, lanes, n, alpha, top, low, high, whole, linear, octets,
     for x in range(n):
         opacity = values[x * lanes + lanes - 1]
         if alpha >= 0:
-            # A cubic overshoots; more than opaque, or less than clear, there is nothing.
-            opacity = min(max(opacity, opacity * 0), opacity * 0 + top)
-            v = np.floor(opacity + 0.5) if whole else opacity
+            # A cubic overshoots; more than opaque, or less than clear, there is nothing to show. The colours overshoot
+            # with it, and are divided by it as it is.
+            v = min(max(opacity, opacity * 0), opacity * 0 + top)
+            if whole:
+                v = min(np.floor(v + 0.5), high)
             out[row, column + x, alpha] = v
         for c in range(count):
             v = values[x * lanes + c]
