@@ -98,7 +98,7 @@ def test_a_gallery_is_written_anew_and_nothing_else_is_touched(
     (gallery / "mine.txt").write_text("precious")
     (gallery / "cat.jpg").write_bytes(b"broken")
     try:
-        assert command(["demo", str(gallery)]) == 0
+        assert command(["demo", str(gallery), "--force"]) == 0
         assert capsys.readouterr() == (f"open {gallery / 'index.html'}\n", "")
         assert (gallery / "mine.txt").read_text() == "precious"
         assert image.info(gallery / "cat.jpg")["format"] == "JPEG"

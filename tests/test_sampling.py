@@ -159,13 +159,16 @@ def test_opacity_weighs_the_colours(dtype: str, channels: int) -> None:
             same(out[..., :-1][seen], (values[..., :-1] * top)[seen] / opacity[seen][:, None], 10 * top, 1e-5)
 
 
-def test_the_last_of_four_channels_is_opacity_unless_told() -> None:
+def test_the_last_of_four_channels_of_8_or_16_bits_is_opacity_unless_told() -> None:
     d = bent()
-    for channels in CHANNELS:
-        source = noise("u1", channels)
-        plain = d.warp(source, alpha=False)
-        np.testing.assert_array_equal(d.warp(source), d.warp(source, alpha=True) if channels == 4 else plain)
-    assert (d.warp(noise("u1", 4), alpha=False) != d.warp(noise("u1", 4))).any()
+    for dtype in DTYPES:
+        for channels in CHANNELS:
+            source = np.abs(noise("f8", channels)) % 1 * top_of(dtype)
+            source = source.astype(dtype)
+            weighed = channels == 4 and dtype in ("u1", "u2")
+            np.testing.assert_array_equal(d.warp(source), d.warp(source, alpha=weighed))
+            if channels == 4 and dtype != "bool":
+                assert (d.warp(source, alpha=False) != d.warp(source, alpha=True)).any()
 
 
 @pytest.mark.parametrize("dtype", ["u1", "u2", "f4", "f8"])
@@ -175,7 +178,8 @@ def test_an_opaque_picture_is_as_one_without_opacity(dtype: str) -> None:
     opaque = np.dstack([colours, np.full(SHAPE, top, dtype)])
     for name in FILTERS:
         for rule in ("edge", "reflect"):
-            plain, weighed = (bent().warp(s, filter=name, outside=rule) for s in (colours, opaque))
+            plain = bent().warp(colours, filter=name, outside=rule)
+            weighed = bent().warp(opaque, filter=name, outside=rule, alpha=True)
             assert weighed.dtype == plain.dtype
             off = np.abs(weighed[..., :3].astype(np.float64) - plain).max()
             assert off <= (1 if dtype in ("u1", "u2") else 1e-5)
@@ -189,7 +193,7 @@ def test_what_is_clear_colours_nothing(dtype: str, filter: str) -> None:
     top = top_of(dtype)
     source = np.zeros((*SHAPE, 4), dtype)
     source[:, :35], source[:, 35:] = (top, 0, 0, top), (0, top, 0, 0)
-    out = bent().warp(source, filter=filter).astype(np.float64) / top
+    out = bent().warp(source, filter=filter, alpha=True).astype(np.float64) / top
     assert (out >= 0).all()
     assert (out[..., 3] <= 1).all()
     seen = out[..., 3] > 0.01
@@ -360,7 +364,8 @@ def test_light_is_averaged_if_asked_for(dtype: str, channels: int) -> None:
     for rule, fill in (("edge", 0.0), ("constant", 0.5), ("reflect", 0.0)):
         inside = [*[light(np.array(fill)) * (fill if alpha else 1)] * min(channels, 3), fill if alpha else 1.0]
         for name in PRINTED:
-            out = bent().warp(source, filter=name, outside=rule, fill=fill * top, linear_light=True, tolerance=FINE)
+            how: dict[str, Any] = {"outside": rule, "fill": fill * top, "alpha": alpha, "tolerance": FINE}
+            out = bent().warp(source, filter=name, linear_light=True, **how)
             values = reference.sample(lit, exact(bent()), name, rule, inside)
             seen = (values[..., -1] > 0.3) & (values[..., -1] <= 1)
             found = curve(values[..., :-1] / values[..., -1:])
