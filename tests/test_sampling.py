@@ -670,6 +670,7 @@ REFUSED: list[tuple[dict[str, Any], str]] = [
     ({"source": np.zeros(SHAPE, [("r", "u1")])}, "dtype"),
     ({"source": None}, "dtype object"),
     ({"source": "photo.png"}, "dtype"),
+    ({"source": [[1, 2], [3]]}, "source must be an array"),
     ({"source": 3}, "shape"),
     ({"filter": "lanczos"}, "filter must be"),
     ({"filter": None}, "filter must be"),
