@@ -138,12 +138,15 @@ class Deformation:
     ) -> None:
         choice("on_fold", on_fold, ("damp", "flow", "error"))
         domain = Domain(shape, spacing, border)
+        axes = domain.packed()
+        if domain.ndim == 2:
+            axes[2, 1] = 0.0  # nothing leaves the plane, and how the field varies off it is no concern
         values = {
             "domain": domain,
             "on_fold": on_fold,
             "strokes": (),
             "_resolved": (),
-            "_axes": domain.packed(),
+            "_axes": axes,
             "_table": np.zeros(0, STROKE_DTYPE),
         }
         for name, value in values.items():

@@ -174,7 +174,10 @@ def _narrowest(table: Table, axes: Floats, start: Floats, drag: Floats) -> float
     points = np.where((axes[:, 1] >= 0)[:, None], np.clip(points, 0, axes[:, :1]), points)
     jacobian = np.empty((9, points.shape[1]))
     field.forward(table, axes, np.ascontiguousarray(points), jacobian)
-    return float(np.linalg.svd(jacobian.T.reshape(-1, 3, 3), compute_uv=False).min())
+    if not np.isfinite(jacobian).all():
+        return 0.0
+    n = 2 if axes[2, 0] == 0 and axes[2, 1] < 0 else 3  # of an image, only the plane counts
+    return float(np.linalg.svd(jacobian.T.reshape(-1, 3, 3)[:, :n, :n], compute_uv=False).min())
 
 
 def _beta(position: Floats, axes: Floats) -> Floats:

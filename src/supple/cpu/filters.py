@@ -270,9 +270,9 @@ def filtered(
             load(source, first, lanes, x0, x1, y0, y1, rows, rule, fill, alpha, top, levels, octets, tile)
             starts, widths = build(tile, wide, tall, lanes, coarsest)
             for y in range(out.shape[0]):
-                if mode >= AUTO and y % 4 == 0:
-                    # They vary slowly: those of the second of four rows do for all.
-                    footprints(points, min(y + 1, out.shape[0] - 1), left, n, mode, parts)
+                if mode >= AUTO and y % 8 == 0:
+                    # They vary slowly: those of the fifth of eight rows do for all.
+                    footprints(points, min(y + 4, out.shape[0] - 1), left, n, mode, parts)
                 positions(points, y, left, n, move_x, move_y, low_x, high_x, low_y, high_y, wide, words, parts)
                 _row(tile, starts, widths, lanes, n, mode, largest, wide, words, parts, table, own, values)
                 store(values, first, lanes, n, alpha, top, low, high, whole, linear, octets, out, y, left)

@@ -13,7 +13,7 @@ from supple.cpu.certify import farthest
 from supple.cpu.kernel import share, threads
 from supple.cpu.lattice import NODE, SIZE, M, set_twists, solve_rows
 
-CELL_ROWS = 2  # of a band: its source points stay in the second-level cache, and there are bands for all cores
+CELL_ROWS = 3  # of a band, at most: few enough for all cores to have some, and enough to be worth starting
 
 Floats = npt.NDArray[np.float64]
 
@@ -133,8 +133,12 @@ def each_band(plane: Plane, tolerance: float, use: Callable[[Band], None]) -> Ce
     runs = -(-(xs.size - 1) // RUN)
     slack = _rounding(min(max(height, width), 2 * RUN * SIZE))
 
-    def work(first: int) -> Certificate:
-        last = min(first + CELL_ROWS, ys.size - 1)
+    # An even number of bands, so that two cores, or more, end together; and the same ones on any machine.
+    rows = ys.size - 1
+    bands = min(-(-rows // (2 * CELL_ROWS)) * 2, rows)
+
+    def work(k: int) -> Certificate:
+        first, last = rows * k // bands, rows * (k + 1) // bands
         top, end = int(ys[first]), int(ys[last]) if last < ys.size - 1 else height
         points = np.empty((plane.ndim, end - top, width), np.float32)
         anchors = np.empty((runs, 3), np.int64)
@@ -163,7 +167,7 @@ def each_band(plane: Plane, tolerance: float, use: Callable[[Band], None]) -> Ce
         )
 
     total = Certificate(0.0, plane.evaluations, 0.0)
-    for certificate in share(work, range(0, ys.size - 1, CELL_ROWS)):
+    for certificate in share(work, range(bands)):
         total |= certificate
     return total
 
