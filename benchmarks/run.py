@@ -322,7 +322,7 @@ def main() -> int:
     peers = ", ".join(f"{name} {version(name)}" for name in names)
     page = f"""# Benchmarks
 
-Measured by `make bench` (`python benchmarks/run.py --write`) on this machine: {machine()}; {peers}.
+Measured by `make bench` on this machine: {machine()}; {peers}.
 
 Ours and the peer run in turn in one process, two threads each; the ratio is the median of the ratios of those
 pairs, so that it holds when the machine's speed drifts. Times alone do not carry over to other machines. "With its

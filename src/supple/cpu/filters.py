@@ -266,13 +266,14 @@ def filtered(
         low_y, high_y = limits(anchors[run], 1, height, rule, margin)
         move_x, move_y = np.float32(anchors[run, 0] - x0), np.float32(anchors[run, 1] - y0)
         step = lanes if alpha < 0 else lanes - 1
+        every = 8 if largest <= 1.5 * WIDEST * WIDEST else 1
         for first in range(0, channels if alpha < 0 else channels - 1, step):
             load(source, first, lanes, x0, x1, y0, y1, rows, rule, fill, alpha, top, levels, octets, tile)
             starts, widths = build(tile, wide, tall, lanes, coarsest)
             for y in range(out.shape[0]):
-                if mode >= AUTO and y % 8 == 0:
-                    # They vary slowly: those of the fifth of eight rows do for all.
-                    footprints(points, min(y + 4, out.shape[0] - 1), left, n, mode, parts)
+                if mode >= AUTO and y % every == 0:
+                    # Where they are small, they vary slowly: those of the fifth of eight rows do for all.
+                    footprints(points, min(y + every // 2, out.shape[0] - 1), left, n, mode, parts)
                 positions(points, y, left, n, move_x, move_y, low_x, high_x, low_y, high_y, wide, words, parts)
                 _row(tile, starts, widths, lanes, n, mode, largest, wide, words, parts, table, own, values)
                 store(values, first, lanes, n, alpha, top, low, high, whole, linear, octets, out, y, left)

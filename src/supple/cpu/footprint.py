@@ -125,7 +125,7 @@ def footprints(points, row, left, n, mode, parts):
 def extremes(points, left, n, mode, parts):
     """About the largest σ₁'² and σ₂'² of a run, from some of its rows, with a reserve for the others."""
     largest, second = 0.0, 0.0
-    for k in range(0, points.shape[1] + 15, 16):
+    for k in range(0, points.shape[1] + 7, 8):
         footprints(points, min(k, points.shape[1] - 1), left, n, mode, parts)
         for i in range(n):
             largest = max(largest, np.float64(parts[MAJOR + i]))
