@@ -40,11 +40,6 @@ def colour_kernel(function: Callable[..., Any]) -> Callable[..., Any]:
     return _compiled(function, fastmath=FAST - {"nnan", "ninf"})
 
 
-def exact_kernel(function: Callable[..., Any]) -> Callable[..., Any]:
-    """The same with IEEE arithmetic, where infinities or the order of operations matter."""
-    return _compiled(function)
-
-
 def threads() -> int:
     """How many threads work at once: ``SUPPLE_THREADS``, or as many as this process may use."""
     asked = os.environ.get("SUPPLE_THREADS", "")
