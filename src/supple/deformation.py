@@ -424,7 +424,7 @@ class Deformation:
     def report(self, *, tolerance: float = 0.01) -> Report:
         """What was done with the strokes, and the certified error of the inverse map at a tolerance, in pixels."""
         tolerance = number("tolerance", tolerance, "a number of pixels above 0", 1e-9, 1e9)
-        certificate, turned = Certificate(0.0, 0.0, 0.0), 0
+        certificate, turned = Certificate(0.0, 0.0), 0
         for plane in self._planes() if not self.is_identity else ():
             certificate |= measure(plane, tolerance)
             turned += folds(plane)
@@ -447,7 +447,7 @@ class Deformation:
             yield solve_plane(self._table, self._axes, (self.shape[-2], self.shape[-1]), self.ndim, float(z))
 
     def _each_plane(self, tolerance: float, use: Callable[[int], Callable[[Band], None]]) -> None:
-        certificate = Certificate(0.0, 0.0, 0.0)
+        certificate = Certificate(0.0, 0.0)
         for z, plane in enumerate(self._planes()):
             certificate |= each_band(plane, tolerance, use(z))
         # Float32 has its limits, which `tolerance` names.

@@ -29,7 +29,7 @@ from supple.cpu.lattice import (
 from supple.cpu.newton import QX, QY, QZ, ROWS
 
 RUN = 8  # cells that share an anchor
-WORST, SPLITS, EVALUATIONS, CELLS, REACH, STATS = 0, 1, 2, 3, 4, 5
+WORST, EVALUATIONS, REACH, STATS = 0, 1, 2, 3
 
 
 @kernel
@@ -185,7 +185,6 @@ def _refine(
         stats[EVALUATIONS] += _solve_middles(
             w, one, table, axes, z, x0, y0, cells, count, smooth, points.shape[0], local, solved
         )
-        stats[SPLITS] += count
         more = 0
         for m in range(count):
             xs, ys = _sides(cells[m])
@@ -216,7 +215,6 @@ def _refine(
                     )
                 if single or (error <= tolerance and not too_coarse(mini, v, u, ch[e], ck[e])):
                     stats[WORST] = max(stats[WORST], error)
-                    stats[CELLS] += 1
                     across = a1 - a0 + (1 if a1 == h and width > h else 0)
                     down = b1 - b0 + (1 if b1 == k and height > k else 0)
                     _fill(
@@ -262,8 +260,8 @@ def source_points(table, axes, z, xs, ys, wide, tall, first, last, tolerance, no
     boxes : float64 array, shape (last - first, cells, 2 or 3, 2)
         Receives the smallest and the largest coordinate of each cell's points, in pixels.
     stats : float64 array, shape (STATS,)
-        Worst certified error in pixels; cells split; evaluations of T; cells filled; the farthest that a point is
-        from its anchor.
+        Worst error that the checks let expect, in pixels; evaluations of T; the farthest that a point is from its
+        anchor.
     """
     w, one = np.empty(ROWS * BATCH), np.empty(ROWS * BATCH)
     local, solved = np.empty((SIZE + 1, SIZE + 1, NODE)), np.empty((SIZE + 1, SIZE + 1), np.bool_)
@@ -296,7 +294,6 @@ def source_points(table, axes, z, xs, ys, wide, tall, first, last, tolerance, no
                     box[c, 0], box[c, 1] = 1e300, -1e300
                 if errors[m] <= tolerance and not too_coarse(nodes, j, i, h, k):
                     stats[WORST] = max(stats[WORST], errors[m])
-                    stats[CELLS] += 1
                     _fill(nodes, j, i, h, k, width, height, left, top, x_off, y_off, z_off, points, box)
                 else:
                     _copy(nodes, j, i, local, 0, 0)

@@ -8,7 +8,7 @@ from supple.cpu.band import RUN
 from supple.cpu.field import X, Y, Z
 from supple.cpu.kernel import BATCH, kernel
 from supple.cpu.lattice import SIZE
-from supple.cpu.newton import DONE, PX, PY, PZ, QX, QY, QZ, ROWS, STEPS, newton, undo
+from supple.cpu.newton import DONE, PX, PY, PZ, QX, QY, QZ, ROWS, settle
 
 
 @kernel
@@ -33,14 +33,7 @@ def farthest(table, axes, z, top, points, anchors, tolerance):
                     start[c, i] = anchors[run, c] + np.float64(points[c, y, first + i])
                 w[QX + i], w[QY + i], w[QZ + i] = (first + i) * sx, (top + y) * sy, z * sz
                 w[X + i], w[Y + i], w[Z + i] = start[0, i] * sx, start[1, i] * sy, start[2, i] * sz
-                w[STEPS + i] = 0.0
-            left = newton(w, n, table, axes, 0, table.shape[0], finest, 8)
-            for i in range(n):
-                left += 1.0 - w[DONE + i]
-            if left > 0.0:
-                for i in range(3 * BATCH):
-                    w[X + i] = w[QX + i]
-                undo(w, one, n, table, axes, finest)
+            settle(w, one, n, table, axes, finest, 8)
             for i in range(n):
                 if w[DONE + i] == 0.0:
                     unknown += 1

@@ -31,7 +31,7 @@ def kernel(function: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def inlined(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Compile as a part of the one kernel that calls it: a level of calls less, and none of its work twice."""
+    """Compile as a part of the kernel that calls it: a level of calls, each of which is optimised again, less."""
     return njit(nogil=True, error_model="numpy", fastmath=FAST, inline="always")(function)
 
 

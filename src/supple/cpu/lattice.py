@@ -2,9 +2,9 @@
 
 At a node, Newton's method gives the displacement u = T⁻¹(q) - q and, exactly, its slopes ∂u/∂q = (I+J)⁻¹ - I.
 A cell between four nodes is filled by bicubic Hermite interpolation of values, slopes and twists; its error falls
-with the fourth power of the cell's size. It is measured: T of points within the cell and on its edges is compared
-with where they should be, and the residual, times (I+J)⁻¹, is the distance to the true T⁻¹(q). Where it is too
-large, the cell is split in four, down to single pixels, which are nodes themselves.
+with the fourth power of the cell's size. It is checked: T of points within the cell and on its edges is compared
+with where they should be, and the residual, times ∂p/∂q, is the distance to the true T⁻¹(q). Where it is too large,
+the cell is split (`supple.cpu.band`), down to single pixels, which are nodes themselves.
 
 A node is a row of numbers, in pixels: u (3), ∂p/∂q (9, row by row), the twist ∂²u/∂x∂y (3), the length over which
 the map can be smooth there, and its own error.
@@ -43,7 +43,7 @@ from supple.cpu.newton import (
     QZ,
     ROWS,
     STEPS,
-    newton,
+    settle,
     undo,
 )
 
@@ -71,16 +71,9 @@ def solve_batch(w, one, n, table, axes, cols, rows, guessed, smooth, nodes):
     """
     sx, sy, sz = axes[0, 2], axes[1, 2], axes[2, 2]
     finest = (TOLERANCE if smooth else ROUGH_TOLERANCE) * min(sx, min(sy, sz))
-    for i in range(n):
-        w[STEPS + i] = 0.0
-    left = 1.0
     if guessed:
-        left = newton(w, n, table, axes, 0, table.shape[0], finest, 10)
-        for i in range(n):
-            left += 1.0 - w[DONE + i]
-    if left > 0.0:
-        for i in range(3 * BATCH):
-            w[X + i] = w[QX + i]
+        settle(w, one, n, table, axes, finest, 10)
+    else:
         undo(w, one, n, table, axes, finest)
     evaluations = 0.0
     for i in range(n):

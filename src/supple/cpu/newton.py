@@ -61,7 +61,7 @@ def _try(w, n):
 
 
 @kernel
-def _judge(w, n, axes, tolerance2):
+def _judge(w, n, tolerance2):
     """Take the trials that led downhill and find their next steps; halve the others. How many go on."""
     left = 0.0
     for i in range(n):
@@ -103,14 +103,13 @@ def newton(w, n, table, axes, first, last, tolerance, limit):
     """Solve T(p) = q for the strokes ``first`` to ``last - 1``, for a batch.
 
     The rows QX.. hold the targets q, X.. the guesses. Afterwards PX.. hold the solutions, J00.. T's Jacobian and
-    NORM the squares of |T(p) - q| where the last step began; STEPS grows by the evaluations. A point is done where
-    that step was shorter than ``tolerance``. Returns how many are not yet.
+    NORM the squares of |T(p) - q| where the last step began; STEPS grows by the evaluations. A point is DONE where
+    that step was shorter than ``tolerance``.
     """
     for i in range(n):
         w[PX + i], w[PY + i], w[PZ + i] = w[X + i], w[Y + i], w[Z + i]
         w[DX + i], w[DY + i], w[DZ + i] = 0.0, 0.0, 0.0
         w[LENGTH + i], w[NORM + i], w[DONE + i] = 1.0, 1e300, 0.0
-    left = 1.0 * n
     for _ in range(limit):
         _try(w, n)
         for axis in range(3):
@@ -119,8 +118,7 @@ def newton(w, n, table, axes, first, last, tolerance, limit):
         for i in range(3 * BATCH):
             w[GOAL + i] = w[X + i]
         apply(w, n, table, axes, first, last, True)
-        left = _judge(w, n, axes, tolerance * tolerance)
-        if left == 0.0:
+        if _judge(w, n, tolerance * tolerance) == 0.0:
             break
     # The step that was short enough to end with is known, and taken.
     for i in range(n):
@@ -133,7 +131,6 @@ def newton(w, n, table, axes, first, last, tolerance, limit):
             _keep_inside(w, n, axis, axes[axis, 0])
     for i in range(n):
         w[PX + i], w[PY + i], w[PZ + i] = w[X + i], w[Y + i], w[Z + i]
-    return left
 
 
 @inlined
@@ -165,10 +162,10 @@ def _continue(w, one, i, table, axes, k, tolerance):
 
 @kernel
 def undo(w, one, n, table, axes, tolerance):
-    """T⁻¹ of a batch without a guess. The rows X.. hold q; afterwards all is as `newton` leaves it."""
+    """T⁻¹ of a batch without a guess. The rows QX.. hold the targets; afterwards all is as `newton` leaves it."""
     goal = np.empty(3 * BATCH)
     for i in range(3 * BATCH):
-        goal[i] = w[X + i]
+        goal[i] = w[X + i] = w[QX + i]
     for i in range(n):
         w[STEPS + i] = 0.0
     strokes = table.shape[0]
@@ -190,6 +187,19 @@ def undo(w, one, n, table, axes, tolerance):
             w[X + i] = w[PX + i]
 
 
+@inlined
+def settle(w, one, n, table, axes, tolerance, limit):
+    """T⁻¹ of a batch from the guesses in the rows X..; without them, if they were not good enough for all of it."""
+    for i in range(n):
+        w[STEPS + i] = 0.0
+    newton(w, n, table, axes, 0, table.shape[0], tolerance, limit)
+    missed = 0.0
+    for i in range(n):
+        missed += 1.0 - w[DONE + i]
+    if missed > 0.0:
+        undo(w, one, n, table, axes, tolerance)
+
+
 @kernel
 def inverse(table, axes, targets, points, residual, steps, tolerance):
     """T⁻¹ of ``targets`` (3, N) into ``points``, with |T(p) - q| in physical units and the evaluations."""
@@ -197,7 +207,7 @@ def inverse(table, axes, targets, points, residual, steps, tolerance):
     total = targets.shape[1]
     for start in range(0, total, BATCH):
         n = min(BATCH, total - start)
-        load(w, X, n, targets, start)
+        load(w, QX, n, targets, start)
         undo(w, one, n, table, axes, tolerance)
         save(w, PX, n, points, start)
         # What is said of a point is measured once more, at what is handed out.

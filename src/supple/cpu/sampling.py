@@ -48,7 +48,8 @@ def sampler(
     light : bool
         Whether colours are averaged as amounts of light rather than as values on sRGB's curve.
     """
-    if source.dtype == np.bool_:
+    truth = source.dtype == np.bool_
+    if truth:
         source, out = source.view(np.uint8), out.view(np.uint8)
     half = source.dtype == np.float16
     if half:
@@ -59,7 +60,7 @@ def sampler(
     channels = source.shape[2]
     integral = source.dtype.kind in "iu"
     limits = np.iinfo(source.dtype) if integral else None
-    top = float(limits.max) if limits and not np.all(out.dtype == np.bool_) else 1.0
+    top = float(limits.max) if limits and not truth else 1.0
 
     if filter == "nearest":
         exact = fill.astype(source.dtype)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from supple.cpu.band import EVALUATIONS, REACH, RUN, SPLITS, STATS, WORST, source_points
+from supple.cpu.band import EVALUATIONS, REACH, RUN, STATS, WORST, source_points
 from supple.cpu.certify import farthest
 from supple.cpu.kernel import share, threads
 from supple.cpu.lattice import NODE, SIZE, M, set_twists, solve_rows
@@ -54,14 +54,12 @@ class Certificate:
 
     error: float
     evaluations: float
-    splits: float
     unknown: int = 0
 
     def __or__(self, other: Certificate) -> Certificate:
         return Certificate(
             max(self.error, other.error),
             self.evaluations + other.evaluations,
-            self.splits + other.splits,
             self.unknown + other.unknown,
         )
 
@@ -162,11 +160,9 @@ def each_band(plane: Plane, tolerance: float, use: Callable[[Band], None]) -> Ce
             stats,
         )
         use(Band(top, points, anchors, boxes))
-        return Certificate(
-            float(stats[WORST]) + _rounding(float(stats[REACH])), float(stats[EVALUATIONS]), float(stats[SPLITS])
-        )
+        return Certificate(float(stats[WORST]) + _rounding(float(stats[REACH])), float(stats[EVALUATIONS]))
 
-    total = Certificate(0.0, plane.evaluations, 0.0)
+    total = Certificate(0.0, plane.evaluations)
     for certificate in share(work, range(bands)):
         total |= certificate
     return total
