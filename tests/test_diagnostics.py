@@ -14,11 +14,12 @@ import pytest
 
 from supple import Deformation, SuppleError
 from supple.cpu import paper
-from supple.diagnostics import WHATS, figure, footprints, grid, iterations, plot, residual, stretch
+from supple.diagnostics import WHATS, figure, footprints, grid, iterations, plot, residual, sources, stretch
 from supple.diagnostics.background import background
 from supple.diagnostics.measure import spacing_of
 
 FIG_6_1B = Deformation((512, 512), border=None).grab((256, 256), by=(0, 90), radius=100)
+VIDEO = Deformation((30, 48, 64), border=8, spacing=(1.0, 1.0, 1.5)).grab((30, 20, 14), by=(4, 3, 5), radius=15)
 SMALL = Deformation((60, 80), border=12).grab((30, 25), by=(9, 12), radius=20).grab((50, 30), by=(-8, 3), radius=15)
 
 
@@ -212,6 +213,109 @@ def test_what_cannot_be_drawn_is_refused(tmp_path: Path) -> None:
         plot(SMALL, "grid", tmp_path / "a.png", image=np.zeros((61, 80)))
     with pytest.raises(SuppleError, match="grey, RGB or RGBA"):
         plot(SMALL, "grid", tmp_path / "a.png", image=np.zeros((60, 80, 5)))
+    assert list(tmp_path.iterdir()) == []
+
+
+def plane(k: float) -> npt.NDArray[np.float64]:
+    q = pixels(VIDEO.shape[1:])
+    return np.concatenate([q, np.full((*q.shape[:2], 1), k)], axis=-1)
+
+
+def test_the_published_method_goes_through_time_as_well() -> None:
+    two = VIDEO.grab((40, 30, 10), by=(-5, 3, -4), radius=12, scales=2)
+    options: dict[str, Any] = {"z": 17.0, "tolerance": 1e-7, "limit": 3000}
+    for corrected in (False, True):
+        points, counts, residuals = paper.inverse_map(two._table, two._axes, (48, 64), corrected=corrected, **options)
+        np.testing.assert_allclose(points, two.inverse(plane(17)).points, atol=2e-5)
+        off = np.linalg.norm(two.forward(points) - plane(17), axis=-1)
+        np.testing.assert_allclose(residuals, off, atol=1e-9)
+        assert counts.max() > 20
+
+
+def test_its_step_in_time_is_as_written_there() -> None:
+    q = np.array([31.0, 22.0, 17.0])
+    for corrected in (False, True):
+        p, steps = q.copy(), 0
+        while np.linalg.norm(VIDEO.forward(p) - q) >= 0.1:
+            # The method works in physical units.
+            unit = np.array(VIDEO.domain.spacing)
+            J = (VIDEO.jacobian(p) - np.eye(3)) * unit[:, None] / unit
+            A = J.T @ J + (J.T + J if corrected else 2 * J.T) + np.eye(3)
+            b = -(J.T + np.eye(3)) @ ((VIDEO.forward(p) - q) * unit)
+            p, steps = p + 0.5 * np.linalg.solve(A, b) / unit, steps + 1
+        points, counts, _ = paper.inverse_map(VIDEO._table, VIDEO._axes, (48, 64), z=17.0, corrected=corrected)
+        assert counts[22, 31] == steps > 3
+        np.testing.assert_allclose(points[22, 31], p, atol=1e-4)
+
+
+def test_its_kernel_for_planes_computes_as_plain_python_does() -> None:
+    table, axes, xs, ys = VIDEO._table, VIDEO._axes, np.arange(0.0, 64, 20), np.arange(0.0, 48, 20)
+    results = []
+    for function in (paper.invert_rows_3d, paper.invert_rows_3d.py_func):
+        made = np.zeros((3, 4, 3), np.float32), np.zeros((3, 4), np.int64), np.zeros((3, 4))
+        function(table, axes, 12.0, xs, ys, 0, 3, 0.5, 0.1, 200, 2.0, 0.0, *made)
+        results.append(made)
+    for a, b in zip(*results, strict=True):
+        np.testing.assert_allclose(a, b, atol=1e-6)
+
+
+def test_a_frame_is_measured_as_a_plane_of_the_video() -> None:
+    found = residual(VIDEO, 16, tolerance=0.003)
+    assert 0 < found.distance.max() <= found.bound <= found.tolerance == 0.003
+    shown = np.linalg.norm(VIDEO.inverse_map(tolerance=0.003)[16] - VIDEO.inverse(plane(16)).points, axis=-1)
+    np.testing.assert_allclose(found.distance, shown, atol=1e-4)
+    assert residual(Deformation((4, 20, 30)), 2).bound == 0
+    work = iterations(VIDEO, 16)
+    assert work.unconverged == 0
+    assert work.published_error.max() < 0.3
+    assert work.residual.max() < 1e-6
+    assert 0 < work.lattice < 1
+    every, points = sources(VIDEO, 16)
+    assert every == 1
+    np.testing.assert_allclose(VIDEO.forward(points), plane(16), atol=1e-6)
+
+
+def test_a_frame_stretches_in_time_too() -> None:
+    p, h = VIDEO.inverse(plane(16)).points[2:-2, 2:-2], 1e-5
+    for values, axis in zip(stretch(VIDEO, 16), (1, 0, 2), strict=True):
+        step = np.eye(3)[axis] * h
+        slope = (VIDEO.forward(p + step) - VIDEO.forward(p - step))[..., axis] / (2 * h)
+        np.testing.assert_allclose(values[2:-2, 2:-2], slope, atol=1e-5)
+
+
+def test_footprints_of_a_frame_are_those_within_the_picture() -> None:
+    found = footprints(VIDEO, 16)
+    matrices = np.linalg.inv(VIDEO.jacobian(VIDEO.inverse(plane(16)).points))[..., :2, :2]
+    _, values, right = np.linalg.svd(matrices)
+    np.testing.assert_allclose(found.major, values[..., 0], rtol=1e-10)
+    np.testing.assert_allclose(found.minor, values[..., 1], rtol=1e-9)
+    long = values[..., 0] > 1.01 * values[..., 1]
+    assert np.abs((right[..., 0, :] * found.direction).sum(-1))[long].min() > 1 - 1e-9
+
+
+@pytest.mark.parametrize("what", WHATS)
+def test_every_plot_of_a_frame_is_written(what: str, tmp_path: Path) -> None:
+    image = np.random.default_rng(0).integers(0, 255, (48, 64, 3), np.uint8)
+    for k, below in ((0, None), (16, image), (29, image[..., 0])):
+        plot(VIDEO, what, tmp_path / "a.png", image=below, frame=k, force=True)
+    plot(Deformation((3, 48, 64)), what, tmp_path / "still.png", frame=1)
+    for shape in ((1, 1, 1), (4, 1, 30), (4, 30, 1)):
+        free = Deformation(shape, border=None).grab((3, 0, 0), by=(0, 0, 2), radius=10)
+        plot(free, what, tmp_path / "odd.png", frame=0, force=True)
+    panels = {"iterations": 6, "residual": 3, "stretch": 4, "axes": 3, "grid": 2}
+    assert len(figure(VIDEO, what, frame=16).axes) == panels[what]
+
+
+def test_frames_that_are_not_there_are_refused(tmp_path: Path) -> None:
+    for k in (-1, 30, 1.5, "1", True):
+        with pytest.raises(SuppleError, match="frame must be a frame from 0 to 29, found"):
+            plot(VIDEO, "grid", tmp_path / "a.png", frame=k)  # type: ignore[arg-type]
+    with pytest.raises(SuppleError, match=r"three axes: say which frame \(--frame"):
+        plot(VIDEO, "grid", tmp_path / "a.png")
+    with pytest.raises(SuppleError, match="frame is for videos"):
+        plot(SMALL, "grid", tmp_path / "a.png", frame=0)
+    with pytest.raises(SuppleError, match=r"frame to plot on must be of shape \(48, 64\[, C\]\), found \(30, 48, 64\)"):
+        plot(VIDEO, "grid", tmp_path / "a.png", frame=0, image=np.zeros(VIDEO.shape))
     assert list(tmp_path.iterdir()) == []
 
 

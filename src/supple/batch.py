@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, as_completed
 from pathlib import Path
 
+from supple.clips import SUFFIXES
 from supple.console import FAULT, REFUSED, Console, deaf, fault
 from supple.errors import SuppleError
 from supple.media.files import check_output, shown
@@ -83,7 +84,7 @@ def _pictures_in(folder: Path) -> list[Path]:
     except OSError as error:
         raise SuppleError(f"cannot read the folder {shown(folder)}: {error.strerror}: check its rights") from error
     seen = [folder / name for name in names if not name.startswith(".")]
-    return [path for path in seen if path.suffix.lower() in _PICTURES and os.path.isfile(path)]
+    return [path for path in seen if path.suffix.lower() in _PICTURES | SUFFIXES and os.path.isfile(path)]
 
 
 def make_folders(jobs: Sequence[Job]) -> None:

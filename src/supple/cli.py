@@ -14,13 +14,15 @@ from cyclopts import App, CycloptsError, Group, Parameter
 
 from supple.console import Console, SomeFailedError, run
 from supple.errors import SuppleError
-from supple.options import RunOptions, StrokeOptions, parse_fill, parse_number
+from supple.options import RunOptions, StrokeOptions, VideoOptions, parse_fill, parse_number
 
 if TYPE_CHECKING:
     from supple.batch import Job
+    from supple.clips import WarpedClip
     from supple.deformation import Deformation, Report
+    from supple.files import Warped
 
-What = Literal["grid", "stretch", "axes", "residual", "iterations"]
+What = Literal["grid", "stretch", "axes", "residual", "iterations", "slice", "sheet"]
 Filter = Literal["auto", "antialias", "ewa", "cubic", "linear", "nearest"]
 Outside = Literal["edge", "constant", "reflect"]
 Tell = Callable[[str], None]
@@ -28,7 +30,7 @@ Tell = Callable[[str], None]
 SAMPLING = Group("Sampling", sort_key=2)
 WRITING = Group("Writing", sort_key=3)
 
-_GRAB = "--grab X,Y:X,Y --radius R [OPTIONS]"
+_GRAB = "--grab X,Y[,T]:X,Y[,T] --radius R [OPTIONS]"
 _EXAMPLES = """\
 Example: grab what is at (256, 256), in pixels from the top left, and drag it to (256, 346)
 
@@ -40,11 +42,14 @@ Examples:
   supple warp photo.jpg out.jpg --grab 256,256:256,346 --radius 100
   supple warp photo.jpg out.png --grab 90,80:60,70 --grab 300,80:330,70 --radius 40
   supple warp photos/ bent/ --recipe strokes.json
+  supple warp clip.mp4 late.mp4 --grab 1050,700,10:1050,700,70 --radius 60
+  supple warp frames/%05d.png bent/%05d.png --recipe strokes.json
 """
 
 
 _RUN = RunOptions()
 _STROKES = StrokeOptions()
+_VIDEO = VideoOptions()
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,16 +70,19 @@ class _Commands:
         quality: Annotated[int | None, Parameter(group=WRITING, metavar="1..100", allow_leading_hyphen=True)] = None,
         lossless: Annotated[bool, Parameter(group=WRITING)] = False,
         save_recipe: Annotated[str | None, Parameter(group=WRITING, metavar="FILE")] = None,
+        video: VideoOptions = _VIDEO,
         options: RunOptions = _RUN,
     ) -> None:
-        """Bend pictures.
+        """Bend pictures and videos.
 
-        Several pictures, a folder or a pattern in quotes go into a folder, under the same names.
+        Several files, a folder or a pattern in quotes go into a folder, under the same names. Numbered pictures,
+        frames/%05d.png, or with a time a folder of them, are a video.
 
         Parameters
         ----------
         paths
-            Pictures to read, and last the one to write (by suffix: PNG, JPEG, TIFF, WebP, AVIF) or a folder.
+            Files to read, and last the one to write (by suffix: PNG, JPEG, TIFF, WebP, AVIF; MP4, MOV, MKV, WebM,
+            AVI, GIF) or a folder.
         filter
             Colours between pixels: auto averages where the picture shrinks, and is cubic elsewhere.
         outside
@@ -88,15 +96,16 @@ class _Commands:
         quality
             For JPEG (default 95), WebP and AVIF (90).
         lossless
-            Keep every value in WebP and AVIF; PNG and TIFF always do.
+            Keep every value in WebP and AVIF, and of a video, by FFV1; PNG and TIFF always do.
         save_recipe
             Write the strokes, to be carried out again with --recipe.
         """
         from supple.batch import Crew, check_recipe_file, make_folders, pair
+        from supple.clips import WarpedClip, is_clip
         from supple.files import warp_file, write_recipe
 
         if len(paths) < 2:
-            raise SuppleError("give a picture to read and a name to write to: supple warp IN OUT --grab …")
+            raise SuppleError("give a file to read and a name to write to: supple warp IN OUT --grab …")
         self.console.started(quiet=options.quiet, threads=options.threads)
         recipe = strokes.to_recipe()
         sampling: dict[str, Any] = {
@@ -108,15 +117,19 @@ class _Commands:
             "quality": quality,
             "lossless": lossless,
             "force": options.force,
+            "clip": video.to_clip(),
         }
-        jobs, many = pair(paths[:-1], paths[-1])
+        if len(paths) == 2 and is_clip(paths[0], paths[1], recipe) and not _into_folder(*paths):
+            jobs, many = [(Path(paths[0]), Path(paths[1]))], False
+        else:
+            jobs, many = pair(paths[:-1], paths[-1])
         if save_recipe is not None:
             check_recipe_file(save_recipe, jobs, options.force)
 
         def do(job: Job, tell: bool | Tell) -> None:
             made = warp_file(job[0], job[1], recipe, progress=tell, **sampling)
             if options.json:
-                self.console.tell(_facts(job, made.deformation, made.report()))
+                self.console.tell(_clip_facts(made) if isinstance(made, WarpedClip) else _report_facts(job, made))
 
         def failed(job: Job, message: str) -> None:
             if options.json:
@@ -127,7 +140,9 @@ class _Commands:
             from supple.cpu.kernel import threads
 
             make_folders(jobs)
-            failures = Crew(min(len(jobs), threads())).work(jobs, do, self.console, failed)
+            # Of clips one at a time: each has work for all cores.
+            crew = 1 if any(is_clip(*job, recipe) for job in jobs) else min(len(jobs), threads())
+            failures = Crew(crew).work(jobs, do, self.console, failed)
         else:
             failures = 0
             self._alone(jobs[0], do, failed)
@@ -143,35 +158,52 @@ class _Commands:
         /,
         *,
         what: Annotated[What, Parameter(group=WRITING)] = "grid",
+        frame: Annotated[int | None, Parameter(group=WRITING, metavar="K", allow_leading_hyphen=True)] = None,
+        x: Annotated[int | None, Parameter(group=WRITING, metavar="X", allow_leading_hyphen=True)] = None,
+        y: Annotated[int | None, Parameter(group=WRITING, metavar="Y", allow_leading_hyphen=True)] = None,
         strokes: StrokeOptions = _STROKES,
+        video: VideoOptions = _VIDEO,
         options: RunOptions = _RUN,
     ) -> None:
-        """Draw what strokes do to a picture.
+        """Draw what strokes do to a picture or a video.
 
         Parameters
         ----------
         source
-            The picture.
+            The picture or video.
         target
             A PNG, SVG or PDF file.
         what
-            Bent lines, growth and shrinking, its direction, the inverse's error, or the work for it.
+            Bent lines, growth and shrinking, its direction, the inverse's error, or the work for it. Of a video also a
+            cut along time (slice), or frames before and after (sheet).
+        frame
+            Which frame of a video, counted from 0.
+        x, y
+            Which column or row a slice shows over time.
         """
         self.console.started(quiet=options.quiet, threads=options.threads)
         recipe = strokes.to_recipe()
-        from supple.deformation import Deformation
-        from supple.diagnostics import plot
-        from supple.media.files import check_output
-        from supple.media.image import read
+        from supple.plots import plot_file
 
-        check_output(target, force=options.force)
-        pixels = read(source).pixels
         self.console.tell_of_compiling()
-        deformation = Deformation.from_recipe(recipe, pixels.shape[:2])
-        plot(deformation, what, target, image=pixels, force=options.force)
+        deformation = plot_file(
+            source,
+            target,
+            recipe,
+            what,
+            frame=frame,
+            x=x,
+            y=y,
+            clip=video.to_clip(),
+            force=options.force,
+            progress=self.console.terminal,
+        )
         if options.json:
-            facts = _facts((Path(source), Path(target)), deformation, deformation.report())
-            self.console.tell({**facts, "what": what})
+            job = (Path(source), Path(target))
+            facts = (
+                _facts(job, deformation, deformation.report()) if deformation.ndim == 2 else deformation.resolution()
+            )
+            self.console.tell({**facts, "input": source, "output": target, "what": what})
 
     def info(
         self,
@@ -250,7 +282,7 @@ def main() -> NoReturn:
 def _dispatch(console: Console, arguments: Sequence[str]) -> None:
     app = App(
         name="supple",
-        help="Bend pictures with elastic brushes, exactly inverted and sampled once.",
+        help="Bend pictures and videos with elastic brushes, exactly inverted and sampled once.",
         help_epilogue=_EXAMPLES,
         help_format="plaintext",
         version=_version,
@@ -277,6 +309,32 @@ def _version() -> str:
     from supple import __version__
 
     return f"supple {__version__}"
+
+
+def _into_folder(source: str, target: str) -> bool:
+    """Whether a video goes into a folder, under its name."""
+    return os.path.isfile(source) and os.path.isdir(target)
+
+
+def _report_facts(job: Job, made: Warped) -> dict[str, Any]:
+    return _facts(job, made.deformation, made.report())
+
+
+def _clip_facts(made: WarpedClip) -> dict[str, Any]:
+    deformation = made.deformation
+    height, width = deformation.shape[-2:]
+    return {
+        "input": str(made.source),
+        "output": str(made.target),
+        "width": width,
+        "height": height,
+        "frames": made.frames,
+        "still": made.still,
+        "held": made.held,
+        "tolerance": made.tolerance,
+        "error": made.error,
+        **deformation.resolution(),
+    }
 
 
 def _facts(job: Job, deformation: Deformation, report: Report) -> dict[str, Any]:

@@ -13,12 +13,14 @@ import numpy.typing as npt
 from supple.cpu import field as forward_kernels
 from supple.cpu import newton
 from supple.cpu.kernel import share, threads
+from supple.cpu.stack import BETWEEN
 from supple.cpu.warp import Band, Certificate, Plane, absolute, each_band, folds, measure, solve_plane
 from supple.domain import Domain, choice, number, refuse
 from supple.errors import FoldWarning, SuppleError, ToleranceWarning
 from supple.folding import Resolved, resolve
+from supple.streaming import Sampling, Space
 from supple.strokes import STROKE_DTYPE, FoldPolicy, Point, Recipe, Stroke
-from supple.warping import FILTERS, OUTSIDE, Source, warp_array, warp_function
+from supple.warping import FILTERS, OUTSIDE, Source, warp_array, warp_frames, warp_function
 
 Floats = npt.NDArray[np.float64]
 
@@ -180,6 +182,12 @@ class Deformation:
     def ndim(self) -> int:
         """How many coordinates a point has."""
         return self.domain.ndim
+
+    @property
+    def space(self) -> Space:
+        """The strokes on their domain, as frames stream through them."""
+        count = self.shape[0] if self.ndim == 3 else 1
+        return Space(self._table, self._axes, self.ndim, count, (self.shape[-2], self.shape[-1]))
 
     @property
     def is_identity(self) -> bool:
@@ -350,15 +358,18 @@ class Deformation:
         fill: float | Sequence[float] = 0.0,
         alpha: bool | None = None,
         linear_light: bool = False,
+        between: str | None = None,
+        time_filter: bool = False,
         samples: int = 1,
         out: npt.NDArray[Any] | None = None,
     ) -> npt.NDArray[Any]:
-        """Deform an image, or a function of points.
+        """Deform an image, a stack of frames, or a function of points.
 
         Parameters
         ----------
-        source : array of shape (H, W) or (H, W, C), or function
-            Of bool, integers or floats. A function takes points (N, 2), x first, and returns (N,) or (N, C).
+        source : array of shape (H, W[, C]) or (T, H, W[, C]), or function
+            Of bool, integers or floats. Frames are read, and their results written, a few at a time, so that both
+            may be memory-mapped. A function takes points (N, 2), x first, and returns (N,) or (N, C).
         filter : str
             ``"auto"`` (averaged by as much as the map shrinks, cubic elsewhere), ``"antialias"`` (the average over
             what each output pixel covers), ``"ewa"`` (the elliptical reference, slow), ``"cubic"`` (Catmull and
@@ -377,6 +388,12 @@ class Deformation:
             8 or 16 bits is.
         linear_light : bool
             Whether to average light rather than values on sRGB's curve, which darkens fine detail.
+        between : str, optional
+            How frames are interpolated: ``"linear"``, ``"cubic"`` or ``"nearest"``; linear by default, and nearest
+            under ``filter="nearest"``.
+        time_filter : bool
+            Whether to average each pixel over the frames that it covers, where the map compresses time: jagged edges
+            become motion blur.
         samples : int
             For a function: samples along each side of an output pixel, which are averaged.
         out : array, optional
@@ -400,11 +417,25 @@ class Deformation:
         choice("filter", filter, ("nearest", *FILTERS))
         choice("outside", outside, tuple(OUTSIDE))
         tolerance = number("tolerance", tolerance, "a number of pixels above 0", 1e-9, 1e9)
-        if self.ndim != 2:
-            raise SuppleError(
-                f"warp takes images in this release, and shape {self.shape} has three axes: "
-                "use inverse_map, or a deformation of each plane"
+        if between is None:
+            between = "nearest" if filter == "nearest" else "linear"
+        elif self.ndim == 2:
+            refuse("between", "left out for an image, which is one frame", between)
+        choice("between", between, tuple(BETWEEN))
+        if self.ndim == 3:
+            if callable(source):
+                raise SuppleError(f"a function of points is warped as an image, and shape {self.shape} has three axes")
+            if filter == "nearest" and between != "nearest":
+                refuse("between", '"nearest" under filter="nearest", which keeps values as they are', between)
+            made, certificate = warp_frames(
+                source,
+                self.space,
+                Sampling(filter, between, time_filter, outside, fill, linear_light, tolerance),  # type: ignore[arg-type]
+                alpha=alpha,
+                out=out,
             )
+            warn_of(certificate, tolerance, 3)
+            return made
         if callable(source):
             height, width = self.shape
             return warp_function(source, (height, width), self._sources, samples, out)
@@ -430,10 +461,7 @@ class Deformation:
             turned += folds(plane)
         size = float(np.prod(self.shape))
         return Report(
-            strokes=len(self.strokes),
-            applied=len(self._table),
-            damping=tuple(r.alpha for r in self._resolved),
-            margin=min((r.margin for r in self._resolved), default=1.0),
+            **self.resolution(),
             folds=turned,
             tolerance=tolerance,
             error=certificate.error,
@@ -441,6 +469,15 @@ class Deformation:
             within=certificate.error <= tolerance and certificate.unknown == 0,
             evaluations=certificate.evaluations / size,
         )
+
+    def resolution(self) -> dict[str, Any]:
+        """What became of the strokes, as in `Report`, without looking at the map."""
+        return {
+            "strokes": len(self.strokes),
+            "applied": len(self._table),
+            "damping": tuple(r.alpha for r in self._resolved),
+            "margin": min((r.margin for r in self._resolved), default=1.0),
+        }
 
     def _planes(self) -> Iterator[Plane]:
         for z in range(self.shape[0] if self.ndim == 3 else 1):
@@ -450,14 +487,7 @@ class Deformation:
         certificate = Certificate(0.0, 0.0)
         for z, plane in enumerate(self._planes()):
             certificate |= each_band(plane, tolerance, use(z))
-        # Float32 has its limits, which `tolerance` names.
-        if not certificate.error <= 1.01 * tolerance + 3e-4:
-            warnings.warn(
-                f"the map may be off by {certificate.error:.2g} px somewhere, more than the tolerance {tolerance:g}; "
-                "report() tells",
-                ToleranceWarning,
-                stacklevel=4,
-            )
+        warn_of(certificate, tolerance, 5)
 
     def _sources(self, points: Floats) -> Floats:
         found = self.inverse(points)
@@ -486,6 +516,18 @@ class Deformation:
 
     def _points(self, columns: Floats, shape: tuple[int, ...]) -> Floats:
         return np.ascontiguousarray((columns[: self.ndim].T / self.domain.spacing).reshape(shape))
+
+
+def warn_of(certificate: Certificate, tolerance: float, stacklevel: int) -> None:
+    """Warn if a map may be less exact than was asked."""
+    # Float32 has its limits, which `tolerance` names.
+    if not certificate.error <= 1.01 * tolerance + 3e-4:
+        warnings.warn(
+            f"the map may be off by {certificate.error:.2g} px somewhere, more than the tolerance {tolerance:g}; "
+            "report() tells",
+            ToleranceWarning,
+            stacklevel=stacklevel,
+        )
 
 
 def _rows(out: npt.NDArray[Any], z: int, ndim: int, band: Band) -> npt.NDArray[Any]:

@@ -1,4 +1,4 @@
-"""Files in, files out: a picture that is read, deformed and written."""
+"""Files in, files out: a picture or a clip that is read, deformed and written."""
 
 from __future__ import annotations
 
@@ -9,9 +9,11 @@ import sys
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from supple.clips import ClipOptions, WarpedClip, is_clip, warp_clip
 from supple.deformation import Deformation, Report
 from supple.errors import SuppleError
 from supple.media.files import check_output, replacing, shown
@@ -59,36 +61,42 @@ def warp_file(
     lossless: bool = False,
     force: bool = False,
     progress: bool | Callable[[str], None] = False,
-) -> Warped:
-    """Deform a picture file.
+    clip: ClipOptions | None = None,
+) -> Warped | WarpedClip:
+    """Deform a picture file, a video, or an image sequence.
 
-    Profile, EXIF, XMP and resolution come along; opacity is filtered as opacity. The target appears whole, or not
-    at all.
+    Of a picture, profile, EXIF, XMP and resolution come along; of a video, all that its new container can hold.
+    Opacity is filtered as opacity. The target appears whole, or not at all.
 
     Parameters
     ----------
     source : str or os.PathLike
-        A PNG, JPEG, TIFF, WebP, AVIF or GIF file.
+        A PNG, JPEG, TIFF, WebP, AVIF or GIF file; a video; a pattern such as ``frames/%05d.png``, or a folder of
+        pictures.
     target : str or os.PathLike
-        Its suffix names the format: PNG, JPEG, TIFF, WebP or AVIF.
+        Its suffix names the format: PNG, JPEG, TIFF, WebP or AVIF; for clips, MP4, MOV, MKV, WebM, AVI or GIF, or a
+        pattern or a folder for pictures.
     recipe : Recipe
-        The strokes, the border and the fold policy.
+        The strokes, the border and the fold policy. Strokes with a time, x, y and t in frames, bend the clip; of
+        those without one, each frame is bent alike.
     filter, tolerance, outside, fill, linear_light
         As `Deformation.warp` takes them.
     quality : int, optional
         From 1 to 100, for JPEG, WebP and AVIF.
     lossless : bool
-        Keep every value, in WebP and AVIF too.
+        Keep every value, in WebP and AVIF too; of a video, with FFV1.
     force : bool
         Whether a file that exists may be replaced, even the source.
     progress : bool or function
         Whether to show on a terminal what is being done. Or a function, which is called before each part of
         the work with its name, ``"read"``, ``"warp"`` and ``"write"``: what it raises ends the work, and
-        leaves no file.
+        leaves no file. Of a clip, ``"plan"`` and ``"warp"`` come for every frame.
+    clip : ClipOptions, optional
+        What is particular to clips.
 
     Returns
     -------
-    Warped
+    Warped or WarpedClip
 
     Raises
     ------
@@ -101,6 +109,27 @@ def warp_file(
     >>> recipe = Recipe(strokes=[Stroke.grab((256, 256), to=(256, 346), radius=100)])  # doctest: +SKIP
     >>> warp_file("photo.jpg", "bent.jpg", recipe).report().error  # doctest: +SKIP
     """
+    if is_clip(source, target, recipe):
+        if not force and _same(source, target):
+            raise SuppleError(f"{shown(target)} is the clip itself: pass --force (force=True) to replace it")
+        sampling = {"filter": filter, "tolerance": tolerance, "outside": outside, "fill": fill}
+        with counted(progress) as counts:
+            return warp_clip(
+                source,
+                target,
+                recipe,
+                **sampling,  # type: ignore[arg-type]
+                linear_light=linear_light,
+                quality=quality,
+                lossless=lossless,
+                force=force,
+                options=clip,
+                tell=counts,
+            )
+    if clip is not None and clip != ClipOptions(memory=clip.memory):
+        raise SuppleError(
+            f"{shown(source)} is taken for a picture, and what was asked of it is for clips: leave that out"
+        )
     check_target(target)
     _check_options(target, quality, lossless)
     if not force and _same(source, target):
@@ -132,6 +161,42 @@ def warp_file(
         tell("write")
         write(target, pixels, like=like, quality=quality, lossless=lossless, force=force)
     return Warped(Path(source), Path(target), deformation, tolerance)
+
+
+@contextlib.contextmanager
+def counted(progress: bool | Callable[[str], None]) -> Iterator[Callable[[str, int, int], None]]:
+    """Show how far a clip is: frames, their rate, and the time left."""
+    if callable(progress):
+        yield lambda step, done, total: progress(step)
+        return
+    if not progress or sys.stderr is None or not sys.stderr.isatty():
+        yield lambda step, done, total: None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, Task, TextColumn, TimeRemainingColumn
+    from rich.text import Text
+
+    class Rate(TextColumn):
+        def render(self, task: Task) -> Text:
+            speed = task.finished_speed or task.speed
+            return Text(f"{speed:.1f} frames/s" if speed else "")
+
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        Rate(""),
+        TimeRemainingColumn(),
+    )
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        tasks: dict[str, Any] = {}
+
+        def show(step: str, done: int, total: int) -> None:
+            if step not in tasks:
+                tasks[step] = bar.add_task({"plan": "planning", "warp": "frames"}[step], total=total)
+            bar.update(tasks[step], completed=done)
+
+        yield show
 
 
 def _suffix(path: PathLike) -> str:

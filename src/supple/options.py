@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -11,10 +12,12 @@ from cyclopts import Group, Parameter
 from supple.errors import SuppleError
 
 if TYPE_CHECKING:
+    from supple.clips import ClipOptions
     from supple.strokes import Recipe, Stroke
 
 STROKES = Group("Strokes", sort_key=1)
-RUNNING = Group("Running", sort_key=4)
+VIDEO = Group("Videos and image sequences", sort_key=4)
+RUNNING = Group("Running", sort_key=5)
 
 
 @Parameter(name="*", group=STROKES)
@@ -25,7 +28,8 @@ class StrokeOptions:
     Parameters
     ----------
     grab
-        Drag one point to another, in pixels from the top left one. Several grabs are a sequence.
+        Drag one point to another, in pixels from the top left one; in a video to another time as well, with a third
+        number, the frame, counted from 0. Several grabs are a sequence.
     radius
         How far a grab is felt, in pixels. Like the next two: once for all grabs, or once for each.
     poisson
@@ -40,7 +44,7 @@ class StrokeOptions:
         A grab that would fold the picture: damp it (default), let it flow there, or refuse it.
     """
 
-    grab: Annotated[list[str], Parameter(allow_leading_hyphen=True, metavar="X,Y:X,Y", show_default=False)] = ()  # type: ignore[assignment]
+    grab: Annotated[list[str], Parameter(allow_leading_hyphen=True, metavar="X,Y[,T]:X,Y[,T]", show_default=False)] = ()  # type: ignore[assignment]
     radius: Annotated[list[str], Parameter(allow_leading_hyphen=True, metavar="R", show_default=False)] = ()  # type: ignore[assignment]
     poisson: Annotated[list[str], Parameter(allow_leading_hyphen=True, metavar="N", show_default=False)] = ()  # type: ignore[assignment]
     scales: Annotated[list[str], Parameter(allow_leading_hyphen=True, metavar="1|2|3", show_default=False)] = ()  # type: ignore[assignment]
@@ -111,6 +115,69 @@ class RunOptions:
     threads: Annotated[int | None, Parameter(metavar="N", allow_leading_hyphen=True)] = None
 
 
+@Parameter(name="*", group=VIDEO)
+@dataclass(frozen=True, kw_only=True)
+class VideoOptions:
+    """What is particular to videos and image sequences.
+
+    Parameters
+    ----------
+    time_scale
+        How many pixels a frame is worth to the brush.
+    between
+        What is seen between two frames: a mixture (linear, the default), a smoother one (cubic), or the nearest.
+    time_filter
+        Average pixels over the frames that they cover, where time is compressed: motion blur for jagged edges.
+    codec
+        h264, hevc, vp9, av1, ffv1, prores, …: by default that of the input.
+    crf
+        Constant rate factor: less is better (18 for H.264).
+    preset
+        How much work the encoder does: medium, slow, …
+    pixel_format
+        By default that of the input: yuv420p, yuv444p10le, …
+    fps
+        Frames a second of an image sequence (24).
+    memory
+        How many gigabytes the frames may take that are held at once (2); beyond, they go to a temporary file.
+    """
+
+    time_scale: Annotated[str | None, Parameter(metavar="PX", allow_leading_hyphen=True)] = None
+    between: Annotated[Literal["linear", "cubic", "nearest"] | None, Parameter()] = None
+    time_filter: bool = False
+    codec: Annotated[str | None, Parameter(metavar="NAME")] = None
+    crf: Annotated[str | None, Parameter(metavar="N", allow_leading_hyphen=True)] = None
+    preset: Annotated[str | None, Parameter(metavar="NAME")] = None
+    pixel_format: Annotated[str | None, Parameter(metavar="NAME")] = None
+    fps: Annotated[str | None, Parameter(metavar="N", allow_leading_hyphen=True)] = None
+    memory: Annotated[str | None, Parameter(metavar="GB", allow_leading_hyphen=True)] = None
+
+    def to_clip(self) -> ClipOptions:
+        """The same for the library."""
+        from supple.clips import GB, ClipOptions
+
+        def read(name: str, text: str | None, wanted: str) -> float | None:
+            return None if text is None else parse_number(name, text, wanted)
+
+        scale = read("--time-scale", self.time_scale, "a number of pixels above 0")
+        if scale is not None and not 0 < scale < math.inf:
+            raise SuppleError(f"--time-scale must be a number of pixels above 0, found {self.time_scale!r}")
+        memory = read("--memory", self.memory, "a number of gigabytes")
+        if memory is not None and not memory >= 0:
+            raise SuppleError(f"--memory must be a number of gigabytes from 0, found {self.memory!r}")
+        return ClipOptions(
+            between=self.between,
+            time_filter=self.time_filter,
+            time_scale=1.0 if scale is None else scale,
+            rate=read("--fps", self.fps, "a number of frames a second"),
+            codec=self.codec,
+            crf=read("--crf", self.crf, "a number"),
+            preset=self.preset,
+            pixel_format=self.pixel_format,
+            memory=2 * GB if memory is None else min(memory, 1e12) * GB,
+        )
+
+
 def parse_number(name: str, text: str, wanted: str) -> float:
     """Read a number from the command line."""
     try:
@@ -140,7 +207,7 @@ def _spread(name: str, given: Sequence[str], count: int, wanted: str) -> list[fl
 
 
 def _grab(text: str) -> tuple[list[float], list[float]]:
-    wanted = "X,Y:X,Y, two points in pixels (256,256:256,346, say)"
+    wanted = "X,Y:X,Y or X,Y,T:X,Y,T, two points in pixels and frames (256,256:256,346, say)"
     parts = text.split(":")
     if len(parts) != 2:
         raise SuppleError(f"--grab must be {wanted}, found {text!r}")

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from supple.cpu.sampling import FILTERS, OUTSIDE, sampler
-from supple.cpu.warp import Band
+from supple.cpu.sampling import FILTERS, OUTSIDE, linear_light, sampler
+from supple.cpu.warp import Band, Certificate
 from supple.domain import integer, refuse
 from supple.errors import SuppleError
+from supple.streaming import Group, Layout, Sampling, Space, from_array, make_plan, stream
 
-__all__ = ["FILTERS", "OUTSIDE", "Source", "warp_array", "warp_function"]
+__all__ = ["FILTERS", "OUTSIDE", "Source", "warp_array", "warp_frames", "warp_function"]
 
 Array = npt.NDArray[Any]
 Source = Array | Callable[[npt.NDArray[np.float64]], npt.ArrayLike]
@@ -35,23 +37,8 @@ def warp_array(
     out: Array | None,
 ) -> Array:
     """Sample an array at the source points of every band that ``each`` calls its argument with."""
-    try:
-        array = np.asarray(source)
-    except (TypeError, ValueError):
-        refuse("source", "an array of numbers", source)
-    if array.dtype.kind not in "biuf" or array.dtype.itemsize > 8:
-        refuse("source", "an array of bool, integers or floats of up to 64 bits", f"dtype {array.dtype}")
-    if array.shape[:2] != shape or array.ndim not in (2, 3) or 0 in array.shape:
-        height, width = shape
-        wanted = f"of shape ({height}, {width}) or ({height}, {width}, channels), as the deformation is"
-        refuse("source", wanted, f"shape {array.shape}")
-    channels = array.shape[2] if array.ndim == 3 else 1
-    straight = bool(alpha) if alpha is not None else channels == 4 and array.dtype.str[1:] in ("u1", "u2")
-    if straight and channels < 2:
-        raise SuppleError(f"alpha=True needs a last channel beside the colours, found shape {array.shape}")
-    if light and (array.dtype.kind == "b" or (array.dtype.kind in "iu" and array.dtype.str[1:] not in ("u1", "u2"))):
-        raise SuppleError(f"linear_light needs 8 or 16 bit colours or floats, found {array.dtype}")
-    colours = _fill(fill, channels)
+    array, straight = _checked(source, shape, alpha, light)
+    colours = _fill(fill, array.shape[2] if array.ndim == 3 else 1)
     result = _result(out, array)
     if untouched:
         result[...] = array
@@ -70,11 +57,84 @@ def warp_array(
             fill=colours,
             alpha=straight,
             light=light,
+            white=None,
         )
     )
     if target is not result:
         result[...] = target
     return result
+
+
+def warp_frames(
+    source: Array, space: Space, sampling: Sampling, *, alpha: bool | None, out: Array | None
+) -> tuple[Array, Certificate]:
+    """Sample an array of frames, plane by plane, so that neither it nor ``out`` has to be in memory as a whole."""
+    array, straight = _checked(source, (space.count, *space.shape), alpha, sampling.light)
+    channels = array.shape[3] if array.ndim == 4 else 1
+    colours = _fill(sampling.fill, channels)
+    result = _result(out, array)
+    if space.table.size == 0:
+        result[...] = array
+        return result, Certificate(0.0, 0.0)
+    deep, target = (a if a.ndim == 4 else a[..., None] for a in (array, result))
+    kind = np.dtype(
+        np.uint8 if array.dtype.kind == "b" else np.float32 if array.dtype == np.float16 else array.dtype
+    ).newbyteorder("=")
+    white = 1.0 if kind.kind == "f" or array.dtype.kind == "b" else float(np.iinfo(kind).max)
+    bent = sampling.light and kind.kind == "f" and sampling.filter != "nearest"
+    layout = Layout((Group(space.shape, channels, alpha=straight),), kind, white)
+    sampling = replace(sampling, fill=tuple(colours))
+    plan = make_plan(space, layout, sampling, range(space.count))
+    if array.dtype == kind and array.flags.c_contiguous and not bent:
+        made = from_array(space, layout, sampling, plan, deep)
+    else:
+        frames = (_ArrayFrame(deep[z], straight, bent) for z in range(space.count))
+        made = stream(space, layout, sampling, plan, frames)
+    certificate = Certificate(0.0, 0.0)
+    for z, planes, known in made:
+        with np.errstate(over="ignore"):
+            target[z] = planes[0]
+            if bent and plan.still[z]:
+                target[z] = deep[z]  # and not light, back on its curve
+        certificate |= known
+    return result, certificate
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _ArrayFrame:
+    """A frame of an array that kernels do not take as it is."""
+
+    samples: Array
+    alpha: bool
+    bent: bool
+
+    def copy_to(self, arrays: Sequence[Array]) -> None:
+        held = arrays[0]
+        held[...] = self.samples
+        if self.bent:
+            colours = slice(0, -1 if self.alpha else None)
+            held[..., colours] = linear_light(held[..., colours], 1.0)
+
+
+def _checked(source: object, shape: tuple[int, ...], alpha: bool | None, light: bool) -> tuple[Array, bool]:
+    """The source as an array that fits, and whether its last channel is opacity."""
+    try:
+        array: Array = np.asarray(source)
+    except (TypeError, ValueError):
+        refuse("source", "an array of numbers", source)
+    if array.dtype.kind not in "biuf" or array.dtype.itemsize > 8:
+        refuse("source", "an array of bool, integers or floats of up to 64 bits", f"dtype {array.dtype}")
+    axes = len(shape)
+    if array.shape[:axes] != shape or array.ndim not in (axes, axes + 1) or 0 in array.shape:
+        sizes = ", ".join(map(str, shape))
+        refuse("source", f"of shape ({sizes}) or ({sizes}, channels), as the deformation is", f"shape {array.shape}")
+    channels = array.shape[axes] if array.ndim > axes else 1
+    straight = bool(alpha) if alpha is not None else channels == 4 and array.dtype.str[1:] in ("u1", "u2")
+    if straight and channels < 2:
+        raise SuppleError(f"alpha=True needs a last channel beside the colours, found shape {array.shape}")
+    if light and (array.dtype.kind == "b" or (array.dtype.kind in "iu" and array.dtype.str[1:] not in ("u1", "u2"))):
+        raise SuppleError(f"linear_light needs 8 or 16 bit colours or floats, found {array.dtype}")
+    return array, straight
 
 
 def _fill(fill: float | Sequence[float], channels: int) -> npt.NDArray[np.float64]:

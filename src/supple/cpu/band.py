@@ -29,7 +29,8 @@ from supple.cpu.lattice import (
 from supple.cpu.newton import QX, QY, QZ, ROWS
 
 RUN = 8  # cells that share an anchor
-WORST, EVALUATIONS, REACH, STATS = 0, 1, 2, 3
+WIDTH = SIZE + 1
+WORST, EVALUATIONS, REACH, FAR, STATS = 0, 1, 2, 3, 4
 
 
 @kernel
@@ -39,48 +40,112 @@ def _cubic(v0, d0, v1, d1, inverse):
     return v0, d0, (3.0 * rise - 2.0 * d0 - d1) * inverse, (d0 + d1 - 2.0 * rise) * inverse * inverse
 
 
+@inlined
+def _bound(low, high, a, dx, dy, twist):
+    """Extend bounds by a corner's four control points."""
+    d = a + dx + dy + twist
+    low = min(min(low, a), min(min(a + dx, a + dy), d))
+    high = max(max(high, a), max(max(a + dx, a + dy), d))
+    return low, high
+
+
+@inlined
+def _far(a, dx, dy, twist):
+    return max(max(abs(a), abs(a + dx)), max(abs(a + dy), abs(a + dx + dy + twist)))
+
+
+@inlined
+def _write(row, n, a, b, d, e):
+    c0, c1, c2, c3 = np.float32(a), np.float32(b), np.float32(d), np.float32(e)
+    for i in range(n):
+        s = np.float32(np.int32(i))  # of 32 bits: wider ones have no vector conversion
+        row[i] = c0 + s * (c1 + s * (c2 + s * c3))
+
+
 @kernel
-def _fill(nodes, j, i, h, k, width, height, left, top, x0, y0, z0, points, box):
+def _fill(
+    nodes, j, i, h, k, width, height, left, top, x, y, anchor, points, box, grid, grid_anchor, first, coarse, own, stats
+):
     """Write a cell's source points: ``width`` by ``height`` pixels from column ``left`` and row ``top`` on.
 
-    ``box`` grows by what bounds them: a Bézier patch lies within its control points.
+    ``box`` grows by what bounds them: a Bézier patch lies within its control points. The cell starts at the pixel
+    (``x``, ``y``). Where the samples of a coarser grid lie in it, their source points go to ``coarse``, which starts
+    at the grid's row ``first``. Beyond the plane, the map goes on as it does beyond a fixed face.
     """
     p, q, r, o = nodes[j, i], nodes[j, i + 1], nodes[j + 1, i], nodes[j + 1, i + 1]
     for c in range(points.shape[0]):
         one_x, one_y = (1.0 if c == 0 else 0.0), (1.0 if c == 1 else 0.0)
-        offset = x0 if c == 0 else (y0 if c == 1 else z0)
+        offset = (x if c == 0 else (y if c == 1 else anchor[3])) - anchor[c]
         mx, my, f = M + 3 * c, M + 3 * c + 1, TWIST + c
-        low, high = box[c, 0], box[c, 1]
-        for corner in range(4):
-            e = p if corner == 0 else (q if corner == 1 else (r if corner == 2 else o))
-            right, below = float(corner % 2), float(corner // 2)
-            a = offset + e[U + c] + one_x * h * right + one_y * k * below
-            dx, dy = h * (e[mx] * (1.0 - 2.0 * right)) / 3.0, k * (e[my] * (1.0 - 2.0 * below)) / 3.0
-            d = a + dx + dy + e[f] * h * k * (1.0 - 2.0 * right) * (1.0 - 2.0 * below) / 9.0
-            low = min(min(low, a), min(min(a + dx, a + dy), d))
-            high = max(max(high, a), max(max(a + dx, a + dy), d))
-        box[c, 0], box[c, 1] = low, high
+        pu, qu, ru, ou = p[c], q[c], r[c], o[c]
+        px, qx, rx, kx = p[mx] - one_x, q[mx] - one_x, r[mx] - one_x, o[mx] - one_x
+        py, qy, ry, ky = p[my] - one_y, q[my] - one_y, r[my] - one_y, o[my] - one_y
+        pf, qf, rf, of = p[f], q[f], r[f], o[f]
+        across, down, both = h / 3.0, k / 3.0, h * k / 9.0
+        low, high = _bound(box[c, 0], box[c, 1], offset + pu, across * (px + one_x), down * (py + one_y), both * pf)
+        low, high = _bound(low, high, offset + qu + one_x * h, -across * (qx + one_x), down * (qy + one_y), -both * qf)
+        low, high = _bound(low, high, offset + ru + one_y * k, across * (rx + one_x), -down * (ry + one_y), -both * rf)
+        box[c, 0], box[c, 1] = _bound(
+            low, high, offset + ou + one_x * h + one_y * k, -across * (kx + one_x), -down * (ky + one_y), both * of
+        )
+        if points.shape[1] == 0:  # only bounds are wanted
+            far = max(
+                _far(pu, across * px, down * py, both * pf),
+                _far(qu, -across * qx, down * qy, -both * qf),
+            )
+            far = max(far, _far(ru, across * rx, -down * ry, -both * rf))
+            stats[FAR] = max(stats[FAR], max(far, _far(ou, -across * kx, -down * ky, both * of)))
+            continue
         # As a polynomial in pixels: first along the left and the right edge, then across.
-        a0, a1, a2, a3 = _cubic(p[c], p[my] - one_y, r[c], r[my] - one_y, 1.0 / k)
-        b0, b1, b2, b3 = _cubic(q[c], q[my] - one_y, o[c], o[my] - one_y, 1.0 / k)
-        d0, d1, d2, d3 = _cubic(p[mx] - one_x, p[f], r[mx] - one_x, r[f], 1.0 / k)
-        e0, e1, e2, e3 = _cubic(q[mx] - one_x, q[f], o[mx] - one_x, o[f], 1.0 / k)
+        a0, a1, a2, a3 = _cubic(pu, py, ru, ry, 1.0 / k)
+        b0, b1, b2, b3 = _cubic(qu, qy, ou, ky, 1.0 / k)
+        d0, d1, d2, d3 = _cubic(px, pf, rx, rf, 1.0 / k)
+        e0, e1, e2, e3 = _cubic(qx, qf, kx, of, 1.0 / k)
         p00, p01, p02, p03 = _cubic(a0, d0, b0, e0, 1.0 / h)
         p10, p11, p12, p13 = _cubic(a1, d1, b1, e1, 1.0 / h)
         p20, p21, p22, p23 = _cubic(a2, d2, b2, e2, 1.0 / h)
         p30, p31, p32, p33 = _cubic(a3, d3, b3, e3, 1.0 / h)
         p00, p01, p10 = p00 + offset, p01 + one_x, p10 + one_y
-        for y in range(height):
-            t = float(y)
-            a, b = p00 + t * (p10 + t * (p20 + t * p30)), p01 + t * (p11 + t * (p21 + t * p31))
-            d, e = p02 + t * (p12 + t * (p22 + t * p32)), p03 + t * (p13 + t * (p23 + t * p33))
-            c0, c1, c2, c3 = np.float32(a), np.float32(b), np.float32(d), np.float32(e)
-            row = points[c, top + y, left : left + width]
-            for x in range(width):
-                s = np.float32(np.int32(x))  # of 32 bits: wider ones have no vector conversion
-                row[x] = c0 + s * (c1 + s * (c2 + s * c3))
+        # The polynomials of all rows first, several at a time.
+        for v in range(height):
+            t = np.float64(np.int32(v))
+            own[v] = p00 + t * (p10 + t * (p20 + t * p30))
+            own[WIDTH + v] = p01 + t * (p11 + t * (p21 + t * p31))
+            own[2 * WIDTH + v] = p02 + t * (p12 + t * (p22 + t * p32))
+            own[3 * WIDTH + v] = p03 + t * (p13 + t * (p23 + t * p33))
+        for v in range(height):
+            a, b, d, e = own[v], own[WIDTH + v], own[2 * WIDTH + v], own[3 * WIDTH + v]
+            row = points[c, top + v, left : left + width]
+            _write(row, width, a, b, d, e)
             if width > h:  # the plane's last column, where steep slopes may cancel
                 row[width - 1] = np.float32(a + h * (b + h * (d + h * e)))
+        if coarse.shape[1] > 0:
+            # The same polynomial where the samples of a coarser grid lie, in their numbers.
+            fx, fy, ox, oy = grid[0], grid[1], grid[2], grid[3]
+            u0, v0 = int(np.ceil((x - ox) / fx)), int(np.ceil((y - oy) / fy))
+            u1, v1 = int(np.ceil((x + h - ox) / fx)), int(np.ceil((y + k - oy) / fy))
+            u2 = u1
+            if x + h >= grid[4]:  # the plane's last column, and samples that lie beyond it
+                u1, u2 = int(np.floor((x + h - ox) / fx)) + 1, coarse.shape[2]
+            if y + k >= grid[5]:
+                v1 = first + coarse.shape[1]
+            u1, v1 = min(u1, coarse.shape[2]), min(v1, first + coarse.shape[1])
+            unit, sited = (fx, ox) if c == 0 else ((fy, oy) if c == 1 else (1.0, 0.0))
+            moved, scale = (anchor[c] - sited) / unit - grid_anchor[c], 1.0 / unit
+            s = fx * u0 + ox - x
+            for v in range(v0, v1):
+                t = fy * v + oy - y
+                beyond = max(t - k, 0.0)
+                t -= beyond
+                a, b = p00 + t * (p10 + t * (p20 + t * p30)), p01 + t * (p11 + t * (p21 + t * p31))
+                d, e = p02 + t * (p12 + t * (p22 + t * p32)), p03 + t * (p13 + t * (p23 + t * p33))
+                a += one_y * beyond
+                row = coarse[c, v - first, u0:u2]
+                for u in range(u1, u2):
+                    last = a + h * (b + h * (d + h * e)) + one_x * (fx * u + ox - x - h)
+                    row[u - u0] = np.float32(moved + scale * last)
+                a, b, d = a + s * (b + s * (d + s * e)), b + s * (2.0 * d + 3.0 * s * e), d + 3.0 * s * e
+                _write(row, u1 - u0, moved + scale * a, scale * fx * b, scale * fx * fx * d, scale * fx * fx * fx * e)
 
 
 @kernel
@@ -155,14 +220,17 @@ def _refine(
     height,
     left,
     top,
-    x_off,
-    y_off,
-    z_off,
+    anchor,
     tolerance,
     local,
     solved,
     points,
     box,
+    grid,
+    grid_anchor,
+    row0,
+    coarse,
+    own,
     stats,
 ):
     """Split a cell until every part of it is as exact as it should be, and fill the parts."""
@@ -177,6 +245,7 @@ def _refine(
     cells[0, 0], cells[0, 1], cells[0, 2], cells[0, 3] = 0, h, 0, k
     cells[0, 4] = side
     count = 1
+    between = coarse.shape[1] > 0
     # Where the whole cell is resolved, so are its parts.
     smooth = max(h, k) > RESOLVED * min(
         min(local[0, 0, SMOOTH], local[0, h, SMOOTH]), min(local[k, 0, SMOOTH], local[k, h, SMOOTH])
@@ -208,7 +277,7 @@ def _refine(
                 a0, a1, b0, b1 = xs[u], xs[u + 1], ys[v], ys[v + 1]
                 single = a1 - a0 == 1 and b1 - b0 == 1
                 error = errors[e]
-                if single:  # nothing lies between its nodes
+                if single and not between:  # nothing lies between its nodes
                     error = max(
                         max(mini[v, u, ERROR], mini[v, u + 1, ERROR]),
                         max(mini[v + 1, u, ERROR], mini[v + 1, u + 1, ERROR]),
@@ -227,11 +296,17 @@ def _refine(
                         down,
                         left + a0,
                         top + b0,
-                        x_off + a0,
-                        y_off + b0,
-                        z_off,
+                        x0 + a0,
+                        y0 + b0,
+                        anchor,
                         points,
                         box,
+                        grid,
+                        grid_anchor,
+                        row0,
+                        coarse,
+                        own,
+                        stats,
                     )
                 else:
                     following[more, 0], following[more, 1] = a0, a1
@@ -247,7 +322,26 @@ def _refine(
 
 
 @kernel
-def source_points(table, axes, z, xs, ys, wide, tall, first, last, tolerance, nodes, points, anchors, boxes, stats):
+def source_points(
+    table,
+    axes,
+    z,
+    xs,
+    ys,
+    wide,
+    tall,
+    first,
+    last,
+    tolerance,
+    nodes,
+    points,
+    anchors,
+    boxes,
+    grid,
+    coarse,
+    coarse_anchors,
+    stats,
+):
     """The source points of all pixels in the lattice's cell rows ``first`` to ``last - 1``.
 
     Parameters
@@ -255,24 +349,35 @@ def source_points(table, axes, z, xs, ys, wide, tall, first, last, tolerance, no
     wide, tall : int
         The plane's size in pixels; a lattice of one column or row reaches beyond it.
     points : float32 array, shape (2 or 3, rows of pixels, wide)
-        Receives the points, in pixels, less the anchor of their run.
+        Receives the points, in pixels, less the anchor of their run; without rows, only bounds are found.
     anchors : int64 array, shape (runs, 3)
     boxes : float64 array, shape (last - first, cells, 2 or 3, 2)
         Receives the smallest and the largest coordinate of each cell's points, in pixels.
+    grid : float64 array (step x, step y, offset x, offset y, last x, last y)
+        Where the samples of a coarser grid lie, in pixels; and the last node of the lattice.
+    coarse : float32 array, shape (2 or 3, rows of samples, samples)
+        Receives the points of those, in steps of their grid, less their anchors; has no rows if there is none.
+    coarse_anchors : int64 array, shape (runs, 3)
     stats : float64 array, shape (STATS,)
         Worst error that the checks let expect, in pixels; evaluations of T; the farthest that a point is from its
-        anchor.
+        anchor; and, if only bounds are found, a bound of every component of the displacement.
     """
     w, one = np.empty(ROWS * BATCH), np.empty(ROWS * BATCH)
     local, solved = np.empty((SIZE + 1, SIZE + 1, NODE)), np.empty((SIZE + 1, SIZE + 1), np.bool_)
     cols, rows = np.empty(TOGETHER, np.int64), np.empty(TOGETHER, np.int64)
     cx, cy, ch, ck = np.empty(TOGETHER), np.empty(TOGETHER), np.empty(TOGETHER), np.empty(TOGETHER)
     errors, box, sides = np.empty(TOGETHER), np.empty((3, 2)), np.empty(TOGETHER, np.int64)
+    anchor, own = np.empty(4), np.empty(4 * WIDTH)
+    anchor[3] = z
+    row0 = int(np.ceil((ys[first] - grid[3]) / grid[1]))
     for run in range(anchors.shape[0]):
         node = nodes[first, run * RUN]
         anchors[run, 0] = np.int64(xs[run * RUN] + np.rint(node[U]))
         anchors[run, 1] = np.int64(ys[first] + np.rint(node[U + 1]))
         anchors[run, 2] = np.int64(z + np.rint(node[U + 2]))
+        coarse_anchors[run, 0] = np.int64(np.rint((anchors[run, 0] - grid[2]) / grid[0]))
+        coarse_anchors[run, 1] = np.int64(np.rint((anchors[run, 1] - grid[3]) / grid[1]))
+        coarse_anchors[run, 2] = anchors[run, 2]
     for j in range(first, last):
         for start in range(0, xs.size - 1, TOGETHER):
             n = min(TOGETHER, xs.size - 1 - start)
@@ -288,13 +393,34 @@ def source_points(table, axes, z, xs, ys, wide, tall, first, last, tolerance, no
                 left, top = xs[i], ys[j] - ys[first]
                 width = h + 1 if i == xs.size - 2 and wide > 1 else h
                 height = k + 1 if j == ys.size - 2 and tall > 1 else k
-                anchor = anchors[i // RUN]
-                x_off, y_off, z_off = xs[i] - anchor[0], ys[j] - anchor[1], z - anchor[2]
+                run = i // RUN
                 for c in range(3):
+                    anchor[c] = anchors[run, c]
                     box[c, 0], box[c, 1] = 1e300, -1e300
                 if errors[m] <= tolerance and not too_coarse(nodes, j, i, h, k):
                     stats[WORST] = max(stats[WORST], errors[m])
-                    _fill(nodes, j, i, h, k, width, height, left, top, x_off, y_off, z_off, points, box)
+                    _fill(
+                        nodes,
+                        j,
+                        i,
+                        h,
+                        k,
+                        width,
+                        height,
+                        left,
+                        top,
+                        xs[i],
+                        ys[j],
+                        anchor,
+                        points,
+                        box,
+                        grid,
+                        coarse_anchors[run],
+                        row0,
+                        coarse,
+                        own,
+                        stats,
+                    )
                 else:
                     _copy(nodes, j, i, local, 0, 0)
                     _copy(nodes, j, i + 1, local, 0, h)
@@ -315,14 +441,17 @@ def source_points(table, axes, z, xs, ys, wide, tall, first, last, tolerance, no
                         height,
                         left,
                         top,
-                        x_off,
-                        y_off,
-                        z_off,
+                        anchor,
                         tolerance,
                         local,
                         solved,
                         points,
                         box,
+                        grid,
+                        coarse_anchors[run],
+                        row0,
+                        coarse,
+                        own,
                         stats,
                     )
                 for c in range(points.shape[0]):

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from supple.cpu.band import RUN
 from supple.cpu.footprint import (
     ANTIALIAS,
     AUTO,
@@ -28,7 +27,6 @@ from supple.cpu.footprint import (
 )
 from supple.cpu.kernel import colour_kernel as kernel
 from supple.cpu.kernel import inlined
-from supple.cpu.lattice import SIZE
 from supple.cpu.pyramid import build, levels_for
 from supple.cpu.region import bounds, load, spans, store
 from supple.cpu.sample import CORNERS, MIXED, PART_X, PART_Y, WHERE, WIDE, limits, positions
@@ -39,7 +37,7 @@ MOST_TAPS = 64
 # Rows of a run's words, in place of those that bilinear sampling needs; and how a pixel is filtered: as a point,
 # by one box, or by what its footprint needs.
 KIND, ALONG, DOWN = MIXED, CORNERS, CORNERS + WIDE
-POINT, BOX, LONG = 0, 1, 2
+POINT, BOX, LONG, NONE = 0, 1, 2, 3
 
 _two4, _four4, _six4 = four_channels(2), four_channels(4), four_channels(TAPS)
 _two1, _four1, _six1 = one_channel(2), one_channel(4), one_channel(TAPS)
@@ -133,15 +131,20 @@ def _choose(n, parts, words):
 
 
 @inlined
-def _row(tile, starts, widths, lanes, n, mode, largest, stride, words, parts, table, own, values):
-    """The filtered values of a row's pixels, whose positions and footprints are in ``words`` and ``parts``."""
-    zero = own[8]
+def choose(n, mode, parts, words):
+    """How each pixel of a row is filtered."""
     if mode in (AUTO, ANTIALIAS):
         _choose(n, parts, words)
     else:
         kind = np.uint32(LONG if mode == EWA else POINT)
         for i in range(n):
             words[KIND + i] = kind
+
+
+@inlined
+def filter_row(tile, starts, widths, lanes, n, mode, largest, stride, words, parts, table, own, values):
+    """The filtered values of a row's pixels, whose positions and footprints are in ``words`` and ``parts``."""
+    zero = own[8]
     for i in range(n):
         at, kind = np.int64(words[WHERE + i]), words[KIND + i]
         if kind == np.uint32(BOX):
@@ -178,6 +181,8 @@ def _row(tile, starts, widths, lanes, n, mode, largest, stride, words, parts, ta
                     values,
                     i * lanes,
                 )
+        elif kind == np.uint32(NONE):
+            pass
         elif mode == LINEAR:
             own[1], own[5] = parts[PART_X + i], parts[PART_Y + i]
             own[0], own[4] = np.float32(1.0) - own[1], np.float32(1.0) - own[5]
@@ -199,6 +204,7 @@ def filtered(
     source,
     points,
     anchors,
+    pitch,
     boxes,
     mode,
     lanes,
@@ -238,8 +244,8 @@ def filtered(
     values = np.empty((WIDE + 1) * lanes, table.dtype)  # and room for one box
     tile, rows = np.empty(1, table.dtype), np.empty((2, 1), np.int64)
     for run in range(anchors.shape[0]):
-        left = run * RUN * SIZE
-        right = out.shape[1] if run == anchors.shape[0] - 1 else left + RUN * SIZE
+        left = run * pitch
+        right = out.shape[1] if run == anchors.shape[0] - 1 else left + pitch
         n = right - left
         margin, coarsest, largest = 3, 0, 0.0
         if mode >= AUTO:
@@ -261,7 +267,7 @@ def filtered(
             for y in range(tall):
                 rows[0, y], rows[1, y] = x0, x1
         else:
-            spans(boxes, run, width, height, x0, x1, y0, y1, rule, margin, rows)
+            spans(boxes, run, width, height, x0, x1, y0, y1, rule, margin, 0.0, 0.0, rows)
         low_x, high_x = limits(anchors[run], 0, width, rule, margin)
         low_y, high_y = limits(anchors[run], 1, height, rule, margin)
         move_x, move_y = np.float32(anchors[run, 0] - x0), np.float32(anchors[run, 1] - y0)
@@ -275,5 +281,6 @@ def filtered(
                     # Where they are small, they vary slowly: those of the fifth of eight rows do for all.
                     footprints(points, min(y + every // 2, out.shape[0] - 1), left, n, mode, parts)
                 positions(points, y, left, n, move_x, move_y, low_x, high_x, low_y, high_y, wide, words, parts)
-                _row(tile, starts, widths, lanes, n, mode, largest, wide, words, parts, table, own, values)
+                choose(n, mode, parts, words)
+                filter_row(tile, starts, widths, lanes, n, mode, largest, wide, words, parts, table, own, values)
                 store(values, first, lanes, n, alpha, top, low, high, whole, linear, octets, out, y, left)

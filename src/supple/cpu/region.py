@@ -36,12 +36,17 @@ def bounds(boxes, run, axis, size, rule, margin):
 
 
 @kernel
-def spans(boxes, run, width, height, x0, x1, y0, y1, rule, margin, out):
-    """Which samples the run may read of each row y0..y1-1: from ``out[0]`` to ``out[1] - 1``."""
+def spans(boxes, run, width, height, x0, x1, y0, y1, rule, margin, early, late, out):
+    """Which samples the run may read of each row y0..y1-1: from ``out[0]`` to ``out[1] - 1``.
+
+    Of frames, only cells count that are seen between the times ``early`` and ``late``.
+    """
     for y in range(y1 - y0):
         out[0, y], out[1, y] = x1, x0
     for j in range(boxes.shape[0]):
         for i in range(run * RUN, min((run + 1) * RUN, boxes.shape[1])):
+            if boxes.shape[2] == 3 and (boxes[j, i, 2, 1] < early or boxes[j, i, 2, 0] > late):
+                continue
             left, right = _reach(boxes, j, i, 0, width, rule, margin)
             above, below = _reach(boxes, j, i, 1, height, rule, margin)
             for y in range(above - y0, below - y0):
@@ -174,6 +179,18 @@ def store(values, first, lanes, n, alpha, top, low, high, whole, linear, octets,
         # In the values' own type, and rounded by cutting off above 0: of such loops, the compiler makes short work.
         for x in range(n * lanes):
             values[x] = min(max(np.floor(values[x] + np.float32(0.5)), low), high)
+        if lanes == 1 and out.shape[2] == 1:
+            start = row * out.shape[1] + column
+            line = out.reshape(-1)[start : start + n]
+            for x in range(n):
+                line[x] = values[x]
+            return
+        if count == 2 and out.shape[2] == 2:
+            start = 2 * (row * out.shape[1] + column)
+            line = out.reshape(-1)[start : start + 2 * n]
+            for x in range(n):
+                line[2 * x], line[2 * x + 1] = values[4 * x], values[4 * x + 1]
+            return
         simple = 0
         if octets and count == 3 and lanes == 4 and out.shape[2] == 3:
             # Each pixel's fourth byte is overwritten by the next one's first.

@@ -21,12 +21,12 @@ PART_X, PART_Y = 0, WIDE
 
 
 @kernel
-def nearest(source, points, anchors, rule, fill, out):
+def nearest(source, points, anchors, pitch, rule, fill, out):
     """The sample nearest to each point; ties go to the larger index, as in rounding half up."""
     height, width, channels = source.shape
     for y in range(out.shape[0]):
         for x in range(out.shape[1]):
-            run = min(x // (RUN * SIZE), anchors.shape[0] - 1)
+            run = min(x // pitch, anchors.shape[0] - 1)
             i = place(anchors[run, 0] + np.int64(np.floor(points[0, y, x] + np.float32(0.5))), width, rule)
             j = place(anchors[run, 1] + np.int64(np.floor(points[1, y, x] + np.float32(0.5))), height, rule)
             for c in range(channels):
@@ -102,14 +102,14 @@ def _blend3(words, parts, n):
 
 
 @kernel
-def linear_words(source, points, anchors, boxes, rule, fill, out):
+def linear_words(source, points, anchors, pitch, boxes, rule, fill, out):
     """Bilinear samples of up to four channels of 8 bits."""
     height, width, channels = source.shape
     words, parts = np.empty(6 * WIDE, np.uint32), np.empty(2 * WIDE, np.float32)
     tile, rows = np.empty(1, np.uint32), np.empty((2, 1), np.int64)
     for run in range(anchors.shape[0]):
-        left = run * RUN * SIZE
-        right = out.shape[1] if run == anchors.shape[0] - 1 else left + RUN * SIZE
+        left = run * pitch
+        right = out.shape[1] if run == anchors.shape[0] - 1 else left + pitch
         n = right - left
         x0, x1 = bounds(boxes, run, 0, width, rule, 2)
         y0, y1 = bounds(boxes, run, 1, height, rule, 2)
@@ -117,7 +117,7 @@ def linear_words(source, points, anchors, boxes, rule, fill, out):
             tile = np.empty((x1 - x0) * (y1 - y0) * 5 // 4, np.uint32)
         if rows.shape[1] < y1 - y0:
             rows = np.empty((2, 2 * (y1 - y0)), np.int64)
-        spans(boxes, run, width, height, x0, x1, y0, y1, rule, 2, rows)
+        spans(boxes, run, width, height, x0, x1, y0, y1, rule, 2, 0.0, 0.0, rows)
         load_words(source, x0, x1, y0, y1, rows, rule, fill, tile)
         low_x, high_x = limits(anchors[run], 0, width, rule, 2)
         low_y, high_y = limits(anchors[run], 1, height, rule, 2)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -30,8 +31,60 @@ def linear_light(values: npt.NDArray[np.floating], white: float) -> npt.NDArray[
         return np.asarray(white * np.where(u <= 0.04045, u / 12.92, ((u + 0.055) / 1.055) ** 2.4))
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Numbers:
+    """How samples of a type are worked with, as `supple.cpu.region.load` and `store` take it."""
+
+    alpha: int
+    top: float
+    light: bool
+    levels: Array
+    inside: Array
+    low: float
+    high: float
+    whole: bool
+
+    @property
+    def dtype(self) -> np.dtype[Any]:
+        """The type that all is worked out in."""
+        return self.inside.dtype
+
+
+def numbers_of(dtype: np.dtype[Any], fill: Array, *, alpha: bool, light: bool, white: float | None = None) -> Numbers:
+    """Choose them, for samples of a type.
+
+    Parameters
+    ----------
+    dtype : numpy.dtype
+        Bool, as bytes, has ``white`` 1.
+    fill : array, shape (channels,)
+        What lies outside, in the samples' values.
+    alpha, light : bool
+        As `sampler` takes them.
+    white : float, optional
+        The largest value, and that of opaque; by default, what an integer type holds, and 1 of floats.
+    """
+    limits = np.iinfo(dtype) if dtype.kind in "iu" else None
+    top = float(limits.max) if limits else 1.0
+    top = top if white is None else white
+    number = np.dtype(np.float64 if dtype.itemsize > 2 and dtype != np.float32 else np.float32)
+    levels = np.empty(0, number)
+    inside = fill.astype(number)
+    if light:
+        colours = slice(0, -1 if alpha else None)
+        if limits and dtype.itemsize <= 2 and limits.min == 0:
+            levels = linear_light(np.arange(limits.max + 1.0), top).astype(number)
+        inside[colours] = linear_light(inside[colours], top)
+    if alpha:
+        inside[:-1] *= inside[-1] / top
+    low, high = (float(limits.min), _below(limits.max, number)) if limits else (0.0, 0.0)
+    if limits and white is not None:
+        high = min(high, white)
+    return Numbers(len(fill) - 1 if alpha else -1, top, light, levels, inside, low, high, limits is not None)
+
+
 def sampler(
-    source: Array, out: Array, *, filter: str, outside: str, fill: Array, alpha: bool, light: bool
+    source: Array, out: Array, *, filter: str, outside: str, fill: Array, alpha: bool, light: bool, white: float | None
 ) -> Callable[[Band], None]:
     """What samples ``source`` at the source points of a band into the band's rows of ``out``.
 
@@ -47,10 +100,11 @@ def sampler(
         Whether the last channel is opacity: the others are multiplied by it while they are filtered.
     light : bool
         Whether colours are averaged as amounts of light rather than as values on sRGB's curve.
+    white : float, optional
+        The largest value, if that is not what the type holds.
     """
-    truth = source.dtype == np.bool_
-    if truth:
-        source, out = source.view(np.uint8), out.view(np.uint8)
+    if source.dtype == np.bool_:
+        source, out, white = source.view(np.uint8), out.view(np.uint8), 1.0
     half = source.dtype == np.float16
     if half:
         source = source.astype(np.float32)
@@ -58,9 +112,6 @@ def sampler(
     source.flags.writeable = False  # one type for the kernels, whatever the caller's array allows
     rule = OUTSIDE[outside]
     channels = source.shape[2]
-    integral = source.dtype.kind in "iu"
-    limits = np.iinfo(source.dtype) if integral else None
-    top = float(limits.max) if limits and not truth else 1.0
 
     if filter == "nearest":
         exact = fill.astype(source.dtype)
@@ -68,7 +119,7 @@ def sampler(
         def use_nearest(band: Band) -> None:
             rows = out[band.top : band.top + band.points.shape[1]]
             target = np.empty(rows.shape, source.dtype) if half else rows
-            sample.nearest(source, band.points, band.anchors, rule, exact, target)
+            sample.nearest(source, band.points, band.anchors, band.pitch, rule, exact, target)
             if half:
                 rows[...] = target
 
@@ -80,27 +131,17 @@ def sampler(
 
         def use_words(band: Band) -> None:
             rows = out[band.top : band.top + band.points.shape[1]]
-            sample.linear_words(source, band.points, band.anchors, band.boxes, rule, word, rows)
+            sample.linear_words(source, band.points, band.anchors, band.pitch, band.boxes, rule, word, rows)
 
         return use_words
 
-    fine = source.dtype.itemsize > 2 and source.dtype != np.float32
-    number = np.dtype(np.float64 if fine else np.float32)
-    levels = np.empty(0, number)
-    inside = fill.astype(number)
-    if light:
+    n = numbers_of(source.dtype, fill, alpha=alpha, light=light, white=white)
+    if light and n.levels.size == 0:
+        source = source.astype(n.dtype)
         colours = slice(0, channels - 1 if alpha else channels)
-        if integral and source.dtype.itemsize <= 2 and limits and limits.min == 0:
-            levels = linear_light(np.arange(limits.max + 1.0), top).astype(number)
-        else:
-            source = source.astype(number)
-            source[..., colours] = linear_light(source[..., colours], top)
-            source.flags.writeable = False
-        inside[colours] = linear_light(inside[colours], top)
-    if alpha:
-        inside[:-1] *= inside[-1] / top
-    low, high = (float(limits.min), _below(limits.max, number)) if limits else (0.0, 0.0)
-    table = footprint.weights(number)
+        source[..., colours] = linear_light(source[..., colours], n.top)
+        source.flags.writeable = False
+    table = footprint.weights(n.dtype)
     mode = FILTERS[filter]
 
     def use(band: Band) -> None:
@@ -110,20 +151,21 @@ def sampler(
             source,
             band.points,
             band.anchors,
+            band.pitch,
             band.boxes,
             mode,
             1 if channels == 1 else 4,
             rule,
-            inside,
-            channels - 1 if alpha else -1,
-            top,
-            levels,
+            n.inside,
+            n.alpha,
+            n.top,
+            n.levels,
             table,
-            np.zeros(9, number),
-            top if light else 0.0,
-            low,
-            high,
-            integral,
+            np.zeros(9, n.dtype),
+            n.top if light else 0.0,
+            n.low,
+            n.high,
+            n.whole,
             source.dtype == np.uint8,
             target,
         )

@@ -153,3 +153,219 @@ def gather_bytes(typing: Any, values: Any, at: Any, target: Any, to: Any) -> Any
         return context.get_dummy_value()
 
     return types.void(values, types.intp, target, types.intp), generate
+
+
+def reader(size: int) -> Callable[..., Any]:
+    """Makes ``f(source, start)``, which reads ``size`` ≤ 4 bytes from an item of a flat array on as one number."""
+
+    @intrinsic
+    def read(typing: Any, source: Any, start: Any) -> Any:
+        def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+            place = builder.gep(_pointer(context, builder, signature.args[0], args[0]), [args[1]])
+            number = builder.load(builder.bitcast(place, ir.IntType(8 * size).as_pointer()), align=1)
+            return number if size == 4 else builder.zext(number, ir.IntType(32))
+
+        return types.uint32(source, types.intp), generate
+
+    return read
+
+
+@intrinsic
+def prefetch(typing: Any, source: Any, start: Any) -> Any:
+    """Fetch what lies around an item of a flat array into the cache; it need not be in the array."""
+
+    def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        place = builder.gep(_pointer(context, builder, signature.args[0], args[0]), [args[1]])
+        place = builder.bitcast(place, ir.IntType(8).as_pointer())
+        whole = ir.IntType(32)
+        kind = ir.FunctionType(ir.VoidType(), [ir.IntType(8).as_pointer(), whole, whole, whole])
+        function = builder.module.declare_intrinsic("llvm.prefetch.p0", (), kind)
+        builder.call(function, [place, ir.Constant(whole, 0), ir.Constant(whole, 3), ir.Constant(whole, 1)])
+        return context.get_dummy_value()
+
+    return types.void(source, types.intp), generate
+
+
+def _numbers(builder: Any, kind: Any, pointer: Any, at: Any, lanes: int, element: Any, number: Any) -> Any:
+    """``lanes`` samples of a type from an index on, as a vector of numbers."""
+    size = element.width // 8 if isinstance(element, ir.IntType) else (8 if isinstance(element, ir.DoubleType) else 4)
+    value = builder.load(_at(builder, pointer, at, lanes, element), align=size)
+    if not isinstance(element, ir.IntType):
+        return value if element == number else builder.fpext(value, ir.VectorType(number, lanes))
+    signed = bool(kind.dtype.signed)
+    if element.width < 32:
+        widen = builder.sext if signed else builder.zext
+        value, signed = widen(value, ir.VectorType(ir.IntType(32), lanes)), True
+    convert = builder.sitofp if signed else builder.uitofp
+    return convert(value, ir.VectorType(number, lanes))
+
+
+def _pick(builder: Any, vector: Any, lanes: list[int]) -> Any:
+    whole = ir.IntType(32)
+    order = ir.Constant(ir.VectorType(whole, len(lanes)), [ir.Constant(whole, k) for k in lanes])
+    return builder.shuffle_vector(vector, ir.Constant(vector.type, ir.Undefined), order)
+
+
+def _sum(builder: Any, vector: Any, channels: int) -> list[Any]:
+    """The sums of a vector's lanes, those of each channel."""
+    lanes = vector.type.count
+    while lanes > channels:
+        lanes //= 2
+        low, high = _pick(builder, vector, list(range(lanes))), _pick(builder, vector, list(range(lanes, 2 * lanes)))
+        vector = builder.fadd(low, high)
+    return [builder.extract_element(vector, ir.Constant(ir.IntType(32), c)) for c in range(channels)]
+
+
+def _stencil(
+    builder: Any,
+    kind: Any,
+    pointer: Any,
+    bases: list[Any],
+    stride: Any,
+    types_: Any,
+    across: Any,
+    down: Any,
+    taps: int,
+    channels: int,
+    share: Any,
+) -> list[Any]:
+    """The weighted sum of ``taps`` by ``taps`` pixels in each frame, blended by ``share``; one for each channel."""
+    element, number = types_
+    whole = ir.IntType(64)
+    padded = 4 if taps == 4 else 8
+    lanes = padded * channels if channels < 3 else 4
+    rows = [_pick(builder, down, [j] * lanes) for j in range(taps)]
+    columns = [_pick(builder, across, [i] * 4) for i in range(taps)] if channels > 2 else []
+    frames = []
+    for base in bases:  # of two frames
+        total = None
+        for j in range(taps):
+            at = builder.add(base, builder.mul(stride, ir.Constant(whole, j)))
+            if channels < 3:
+                line = _numbers(builder, kind, pointer, at, lanes, element, number)
+            else:
+                line = None
+                for i in range(taps):
+                    place = builder.add(at, ir.Constant(whole, i * channels))
+                    value = _numbers(builder, kind, pointer, place, 4, element, number)
+                    line = _fused(builder, value, columns[i], line) if line else builder.fmul(value, columns[i])
+            total = _fused(builder, line, rows[j], total) if total else builder.fmul(line, rows[j])
+        frames.append(total)
+    blended = _fused(builder, builder.fsub(frames[1], frames[0]), _splat(builder, share, lanes), frames[0])
+    if channels > 2:
+        return [builder.extract_element(blended, ir.Constant(ir.IntType(32), c)) for c in range(channels)]
+    spread = _pick(builder, across, [i // channels for i in range(lanes)])
+    return _sum(builder, builder.fmul(blended, spread), channels)
+
+
+def _keep(builder: Any, context: Any, kind: Any, target: Any, to: Any, values: list[Any]) -> None:
+    data = _pointer(context, builder, kind, target)
+    for c, value in enumerate(values):
+        builder.store(value, builder.gep(data, [builder.add(to, ir.Constant(ir.IntType(64), c))]))
+
+
+def cubic_stencil(channels: int) -> Callable[..., None]:
+    """Makes ``f(samples, here, there, stride, x, y, share, out, to)`` for flat arrays of frames.
+
+    It puts Catmull and Rom's interpolants of four by four pixels in two frames, the first ones at ``here`` and
+    ``there``, mixed, into ``out[to:]``: one number for each channel. The second frame has a ``share``. ``x`` and ``y``
+    are how far it is from the second pixel to the third; all weights are of ``out``'s type.
+    """
+
+    @intrinsic
+    def weighted(
+        typing: Any, samples: Any, here: Any, there: Any, stride: Any, x: Any, y: Any, share: Any, out: Any, to: Any
+    ) -> Any:
+        def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+            kind = signature.args
+            element, number = (context.get_data_type(kind[k].dtype) for k in (0, 7))
+
+            def vector(values: list[float]) -> Any:
+                return ir.Constant(ir.VectorType(number, 4), [ir.Constant(number, v) for v in values])
+
+            def weights(part: Any) -> Any:
+                t = _splat(builder, part, 4)
+                value = _fused(builder, vector([-0.5, 1.5, -1.5, 0.5]), t, vector([1.0, -2.5, 2.0, -0.5]))
+                value = _fused(builder, value, t, vector([-0.5, 0.0, 0.5, 0.0]))
+                return _fused(builder, value, t, vector([0.0, 1.0, 0.0, 0.0]))
+
+            values = _stencil(
+                builder,
+                kind[0],
+                _pointer(context, builder, kind[0], args[0]),
+                list(args[1:3]),
+                args[3],
+                (element, number),
+                weights(args[4]),
+                weights(args[5]),
+                4,
+                channels,
+                args[6],
+            )
+            _keep(builder, context, kind[7], args[7], args[8], values)
+            return context.get_dummy_value()
+
+        i = types.intp
+        return types.void(samples, i, i, i, out.dtype, out.dtype, out.dtype, out, i), generate
+
+    return weighted
+
+
+def table_stencil(channels: int) -> Callable[..., None]:
+    """The same of six by six pixels, with weights from a table: ``f(…, stride, table, along, down, share, out, to)``.
+
+    The weights of columns and rows start at ``along`` and ``down``. Two pixels more are read on the right.
+    """
+
+    @intrinsic
+    def weighted(
+        typing: Any,
+        samples: Any,
+        here: Any,
+        there: Any,
+        stride: Any,
+        table: Any,
+        along: Any,
+        down: Any,
+        share: Any,
+        out: Any,
+        to: Any,
+    ) -> Any:
+        def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+            kind = signature.args
+            element, number = (context.get_data_type(kind[k].dtype) for k in (0, 8))
+            data = _pointer(context, builder, kind[4], args[4])
+
+            def weights(start: Any) -> Any:
+                whole = ir.IntType(64)
+                size = context.get_abi_sizeof(number)
+                first = builder.load(_at(builder, data, start, 4, number), align=size)
+                rest = builder.load(
+                    _at(builder, data, builder.add(start, ir.Constant(whole, 4)), 2, number), align=size
+                )
+                zeros = ir.Constant(ir.VectorType(number, 2), [ir.Constant(number, 0.0)] * 2)
+                order = [ir.Constant(ir.IntType(32), k) for k in range(4)]
+                rest = builder.shuffle_vector(rest, zeros, ir.Constant(ir.VectorType(ir.IntType(32), 4), order))
+                order = [ir.Constant(ir.IntType(32), k) for k in range(8)]
+                return builder.shuffle_vector(first, rest, ir.Constant(ir.VectorType(ir.IntType(32), 8), order))
+
+            values = _stencil(
+                builder,
+                kind[0],
+                _pointer(context, builder, kind[0], args[0]),
+                list(args[1:3]),
+                args[3],
+                (element, number),
+                weights(args[5]),
+                weights(args[6]),
+                6,
+                channels,
+                args[7],
+            )
+            _keep(builder, context, kind[8], args[8], args[9], values)
+            return context.get_dummy_value()
+
+        i = types.intp
+        return types.void(samples, i, i, i, table, i, i, out.dtype, out, i), generate
+
+    return weighted

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 
-from supple.cpu.band import EVALUATIONS, REACH, RUN, STATS, WORST, source_points
+from supple.cpu.band import EVALUATIONS, FAR, REACH, RUN, STATS, WORST, source_points
 from supple.cpu.certify import farthest
 from supple.cpu.kernel import share, threads
 from supple.cpu.lattice import NODE, SIZE, M, set_twists, solve_rows
@@ -34,18 +35,36 @@ class Plane:
 
 
 @dataclass(frozen=True, slots=True)
+class Grid:
+    """Samples that are not a plane's pixels, such as chroma.
+
+    ``step`` is how many pixels there are from one to the next, and ``offset`` where the first one lies, x first; there
+    are ``shape`` of them, rows first.
+    """
+
+    step: tuple[int, int]
+    offset: tuple[float, float]
+    shape: tuple[int, int]
+
+
+@dataclass(frozen=True, slots=True)
 class Band:
     """The source points of some rows of a plane.
 
     ``points[c, y, x] + anchors[run, c]`` is coordinate ``c``, in pixels, of the source of the pixel (x, top + y),
-    where ``run`` counts stretches of RUN * SIZE pixels, the last one perhaps a pixel longer. ``boxes`` bounds the
-    points of every lattice cell.
+    where ``run`` counts stretches of ``pitch`` pixels, the last one perhaps a pixel longer. ``boxes`` bounds the
+    points of every lattice cell. ``rates`` is ∂p_t/∂t at the corners of these cells, which are ``tall`` rows high.
+    ``coarse`` is the same part of the plane in the samples of another grid, and in their numbers.
     """
 
     top: int
     points: npt.NDArray[np.float32]
     anchors: npt.NDArray[np.int64]
     boxes: Floats
+    pitch: int = RUN * SIZE
+    tall: int = SIZE
+    rates: Floats | None = None
+    coarse: Band | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,7 +128,7 @@ def _rounding(reach: float) -> float:
     return 2.0**-22 * reach
 
 
-def each_band(plane: Plane, tolerance: float, use: Callable[[Band], None]) -> Certificate:
+def each_band(plane: Plane, tolerance: float, use: Callable[[Band], None], grid: Grid | None = None) -> Certificate:
     """Call ``use`` for every band of a plane, on all cores.
 
     Parameters
@@ -118,6 +137,8 @@ def each_band(plane: Plane, tolerance: float, use: Callable[[Band], None]) -> Ce
     tolerance : float
         How far a source point may be from the true T⁻¹(q), in pixels.
     use : function of a Band
+    grid : Grid, optional
+        Whose source points to find as well.
 
     Returns
     -------
@@ -130,6 +151,8 @@ def each_band(plane: Plane, tolerance: float, use: Callable[[Band], None]) -> Ce
     height, width = plane.shape
     runs = -(-(xs.size - 1) // RUN)
     slack = _rounding(min(max(height, width), 2 * RUN * SIZE))
+    steps = np.array([*(grid.step + grid.offset if grid else (1.0, 1.0, 0.0, 0.0)), xs[-1], ys[-1]], np.float64)
+    columns = grid.shape[1] if grid else 0
 
     # An even number of bands, so that two cores, or more, end together; and the same ones on any machine.
     rows = ys.size - 1
@@ -141,6 +164,12 @@ def each_band(plane: Plane, tolerance: float, use: Callable[[Band], None]) -> Ce
         points = np.empty((plane.ndim, end - top, width), np.float32)
         anchors = np.empty((runs, 3), np.int64)
         boxes = np.empty((last - first, xs.size - 1, plane.ndim, 2))
+        above = below = 0
+        if grid:
+            above, below = (math.ceil((y - grid.offset[1]) / grid.step[1]) for y in (top, end))
+            below = grid.shape[0] if last == rows else below
+        coarse = np.empty((plane.ndim, below - above, columns), np.float32)
+        coarse_anchors = np.empty((runs, 3), np.int64)
         stats = np.zeros(STATS)
         source_points(
             plane.table,
@@ -157,15 +186,71 @@ def each_band(plane: Plane, tolerance: float, use: Callable[[Band], None]) -> Ce
             points,
             anchors,
             boxes,
+            steps,
+            coarse,
+            coarse_anchors,
             stats,
         )
-        use(Band(top, points, anchors, boxes))
+        rates = np.ascontiguousarray(plane.nodes[first : last + 1, :, M + 8]) if plane.ndim == 3 else None
+        second = None
+        if grid:
+            bounds = boxes.copy()
+            for c in range(2):
+                bounds[..., c, :] = (boxes[..., c, :] - grid.offset[c]) / grid.step[c]
+            pitch = RUN * SIZE // grid.step[0]
+            second = Band(above, coarse, coarse_anchors, bounds, pitch, SIZE // grid.step[1], rates)
+        use(Band(top, points, anchors, boxes, RUN * SIZE, SIZE, rates, second))
         return Certificate(float(stats[WORST]) + _rounding(float(stats[REACH])), float(stats[EVALUATIONS]))
 
     total = Certificate(0.0, plane.evaluations)
     for certificate in share(work, range(bands)):
         total |= certificate
     return total
+
+
+@dataclass(frozen=True, slots=True)
+class Bounds:
+    """Where the source points of a plane lie: the first and the last time, and how far any coordinate moves.
+
+    ``rate`` is about how many frames a pixel covers, where it covers most.
+    """
+
+    early: float
+    late: float
+    moved: float
+    rate: float
+
+
+def bounds_of(plane: Plane, tolerance: float) -> Bounds:
+    """Bound the source points that `each_band` finds, without finding them."""
+    xs, ys = plane.xs, plane.ys
+    cells, rows = xs.size - 1, ys.size - 1
+    boxes = np.empty((rows, cells, 3, 2))
+    anchors = np.empty((-(-cells // RUN), 3), np.int64)
+    stats = np.zeros(STATS)
+    slack = _rounding(min(max(plane.shape), 2 * RUN * SIZE))
+    source_points(
+        plane.table,
+        plane.axes,
+        plane.z,
+        xs,
+        ys,
+        plane.shape[1],
+        plane.shape[0],
+        0,
+        rows,
+        max(tolerance - slack, 0.0),
+        plane.nodes,
+        np.empty((3, 0, 0), np.float32),
+        anchors,
+        boxes,
+        np.array([1.0, 1.0, 0.0, 0.0, 0.0, 0.0]),
+        np.empty((3, 0, 0), np.float32),
+        anchors.copy(),
+        stats,
+    )
+    rates = np.sqrt((plane.nodes[..., M + 6 : M + 9] ** 2).sum(axis=-1).max())
+    return Bounds(float(boxes[..., 2, 0].min()), float(boxes[..., 2, 1].max()), float(stats[FAR]), float(rates))
 
 
 def measure(plane: Plane, tolerance: float) -> Certificate:

@@ -1,6 +1,8 @@
 """Pictures of a deformation, to judge it by, and the numbers behind them."""
 
+from supple.diagnostics.clip import clip_sheet, clip_slice, draw_sheet, draw_slice, evenly
 from supple.diagnostics.draw import WHATS, figure, plot
+from supple.diagnostics.frame import check_plot
 from supple.diagnostics.measure import (
     Errors,
     Footprints,
@@ -9,6 +11,7 @@ from supple.diagnostics.measure import (
     grid,
     iterations,
     residual,
+    sources,
     stretch,
 )
 
@@ -17,11 +20,18 @@ __all__ = [
     "Errors",
     "Footprints",
     "Iterations",
+    "check_plot",
+    "clip_sheet",
+    "clip_slice",
+    "draw_sheet",
+    "draw_slice",
+    "evenly",
     "figure",
     "footprints",
     "grid",
     "iterations",
     "plot",
     "residual",
+    "sources",
     "stretch",
 ]

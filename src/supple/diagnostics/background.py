@@ -21,7 +21,7 @@ def background(deformation: Deformation, image: npt.NDArray[Any]) -> npt.NDArray
     ----------
     deformation : Deformation
     image : array of shape (H, W), (H, W, 1), or with alpha, RGB or RGBA (H, W, 2 to 4)
-        Of any type that `Deformation.warp` takes.
+        Of any type that `Deformation.warp` takes. Of a video, a frame of the output, which is deformed already.
 
     Returns
     -------
@@ -29,11 +29,16 @@ def background(deformation: Deformation, image: npt.NDArray[Any]) -> npt.NDArray
         Of fewer pixels if the image is large.
     """
     array = np.asarray(image)
+    if deformation.ndim == 3 and (array.shape[:2] != deformation.shape[1:] or array.ndim > 3):
+        height, width = deformation.shape[1:]
+        raise SuppleError(f"a frame to plot on must be of shape ({height}, {width}[, C]), found {array.shape}")
     if array.ndim == 3 and array.shape[2] > 4:
         raise SuppleError(f"an image to plot on must be grey, RGB or RGBA, found shape {array.shape}")
-    bent = deformation.warp(array, alpha=array.ndim == 3 and array.shape[2] in (2, 4))
+    bent = array
+    if deformation.ndim == 2:
+        bent = deformation.warp(array, alpha=array.ndim == 3 and array.shape[2] in (2, 4))
     low, high = _range(array)
-    every = spacing_of(deformation.shape, _MOST_PIXELS)
+    every = spacing_of(deformation.shape[-2:], _MOST_PIXELS)
     small = _smaller(bent if bent.ndim == 3 else bent[..., None], every)
     with np.errstate(invalid="ignore", over="ignore"):
         small = np.clip(np.nan_to_num((small - low) / (high - low)), 0, 1)

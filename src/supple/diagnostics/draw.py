@@ -7,7 +7,6 @@ whoever calls this may have figures of their own.
 from __future__ import annotations
 
 import os
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -21,24 +20,22 @@ from supple.diagnostics.frame import (
     Extend,
     arrows,
     bar,
+    check_plot,
     edges,
     map_axes,
     panels,
+    save,
     show,
     title,
     under,
 )
 from supple.domain import choice
-from supple.errors import SuppleError
-from supple.media.files import check_output, replacing, shown
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 WHATS = ("iterations", "residual", "stretch", "axes", "grid")
-SUFFIXES = (".png", ".svg", ".pdf")
 
-_DPI = 150
 _BLUE = "#33628d"
 
 Floats = npt.NDArray[np.float64]
@@ -50,6 +47,7 @@ def plot(
     path: str | os.PathLike[str],
     *,
     image: npt.NDArray[Any] | None = None,
+    frame: int | None = None,
     force: bool = False,
 ) -> None:
     """Write a picture of a deformation to a file.
@@ -57,8 +55,8 @@ def plot(
     Parameters
     ----------
     deformation : Deformation
-        Of images.
-    what, image
+        Of images or videos.
+    what, image, frame
         As `figure` takes them.
     path : str or os.PathLike
         A PNG, SVG or PDF file, by its suffix.
@@ -70,29 +68,29 @@ def plot(
     SuppleError
         If it cannot be drawn, or not be written there.
     """
-    suffix = Path(path).suffix.lower()
-    if suffix not in SUFFIXES:
-        raise SuppleError(f"cannot write {shown(path)}: a plot's name must end in {', '.join(SUFFIXES)}")
-    check_output(path, force=force)
-    drawn = figure(deformation, what, image=image)
-    metadata = {"Date": None} if suffix == ".svg" else {"CreationDate": None} if suffix == ".pdf" else {}
-    with replacing(path, force=force) as file:
-        drawn.savefig(file, format=suffix[1:], dpi=_DPI, metadata=metadata)
+    check_plot(path, force=force)
+    save(figure(deformation, what, image=image, frame=frame), path, force=force)
 
 
-def figure(deformation: Deformation, what: str, *, image: npt.NDArray[Any] | None = None) -> Figure:
+def figure(
+    deformation: Deformation, what: str, *, image: npt.NDArray[Any] | None = None, frame: int | None = None
+) -> Figure:
     """Draw a deformation.
 
     Parameters
     ----------
     deformation : Deformation
-        Of images.
+        Of images, or of videos: then of one frame of the output.
     what : str
         ``"iterations"``: how many each pixel takes, by the published method and by ours. ``"residual"``: how
         far the inverse map is from the truth. ``"stretch"``: where the picture expands and contracts.
-        ``"axes"``: along which direction it shrinks, and by how much. ``"grid"``: straight lines, bent.
+        ``"axes"``: along which direction it shrinks, and by how much. ``"grid"``: straight lines, bent; and of a
+        video, from which time each pixel is.
     image : array, optional
-        The picture before it is deformed, which is shown (deformed) below the stretch, the axes or the grid.
+        The picture before it is deformed, which is shown (deformed) below the stretch, the axes or the grid. Of a
+        video, the frame as the output has it.
+    frame : int, optional
+        Which frame of a video, from 0.
 
     Returns
     -------
@@ -101,32 +99,33 @@ def figure(deformation: Deformation, what: str, *, image: npt.NDArray[Any] | Non
     Raises
     ------
     SuppleError
-        If ``what`` is none of these, the deformation is not one of images, or the image does not fit it.
+        If ``what`` is none of these, there is no such frame, or the image does not fit.
     """
     choice("what", what, WHATS)
-    measure.require_image(deformation)
+    measure.require_plane(deformation, frame)
     below = background(deformation, image) if image is not None else None
     if what == "iterations":
-        return _iterations(deformation)
+        return _iterations(deformation, frame)
     if what == "residual":
-        return _residual(deformation)
+        return _residual(deformation, frame)
     if what == "stretch":
-        return _stretch(deformation, below)
+        return _stretch(deformation, frame, below)
     if what == "axes":
-        return _axes(deformation, below)
-    return _grid(deformation, below)
+        return _axes(deformation, frame, below)
+    return _grid(deformation, below) if frame is None else _time_grid(deformation, frame, below)
 
 
-def _iterations(deformation: Deformation) -> Figure:
+def _iterations(deformation: Deformation, frame: int | None) -> Figure:
     from matplotlib.colors import Normalize
     from matplotlib.ticker import MaxNLocator
 
-    found = measure.iterations(deformation)
+    found = measure.iterations(deformation, frame)
+    px = _unit(deformation)
     made, parts = panels(deformation, 2, 2)
     most = max(int(found.published.max()), int(found.ours.max()), 1)
     norm = Normalize(0, most)
-    left = f"\n{found.unconverged} pixels not within 0.1 px" if found.unconverged else ""
-    published, ours = "Published: Gauss–Newton, μ = 0.5, to 0.1 px", "Ours: Newton, to 0.000001 px"
+    left = f"\n{found.unconverged} pixels not within 0.1 {px}" if found.unconverged else ""
+    published, ours = f"Published: Gauss–Newton, μ = 0.5, to 0.1 {px}", f"Ours: Newton, to 0.000001 {px}"
     rows = (
         (found.published, published, "iterations", found.published_error, left),
         (found.ours, ours, "evaluations of T and its Jacobian", found.residual, ""),
@@ -144,21 +143,22 @@ def _iterations(deformation: Deformation) -> Figure:
         bars.spines[["top", "right"]].set_visible(False)
         bars.tick_params(labelsize=8)
         kind = "worst distance to the true source" if k == 0 else "worst residual"
-        text = f"mean {counts.mean():.1f}, most {counts.max()}\n{kind}: {error.max():.2g} px{note}"
+        text = f"mean {counts.mean():.1f}, most {counts.max()}\n{kind}: {error.max():.2g} {px}{note}"
         bars.text(0.98, 0.97, text, transform=bars.transAxes, ha="right", va="top", fontsize=9)
         drawn = show(shown_map, counts.astype(np.float64), found.every, norm, "viridis")
         map_axes(shown_map, deformation, "At each output pixel")
         arrows(shown_map, deformation)
         bar(made, drawn, shown_map, unit)
-    each = deformation.report().evaluations
-    title(made, f"Work to invert every pixel by itself (the lattice needs {each:.2g} evaluations a pixel)")
+    text = f"Work to invert every pixel by itself (the lattice needs {found.lattice:.2g} evaluations a pixel)"
+    title(made, text + _of(frame))
     return made
 
 
-def _residual(deformation: Deformation) -> Figure:
+def _residual(deformation: Deformation, frame: int | None) -> Figure:
     from matplotlib.colors import LogNorm
 
-    found = measure.residual(deformation)
+    found = measure.residual(deformation, frame)
+    px = _unit(deformation)
     made, parts = panels(deformation, 1, 2)
     worst = max(float(found.distance.max()), float(found.residual.max()))
     high = 2 * max(worst, found.tolerance, found.bound)
@@ -167,40 +167,40 @@ def _residual(deformation: Deformation) -> Figure:
     for axes, values, name in zip(parts, (found.residual, found.distance), names, strict=True):
         drawn = show(axes, values, found.every, norm, "magma")
         map_axes(axes, deformation, f"{name}: at most {values.max():.2g}")
-    scale = bar(made, drawn, parts, "px (line: tolerance; dotted: certified bound of |p − T⁻¹(q)|)")
+    scale = bar(made, drawn, parts, f"{px}\n(line: tolerance; dotted: certified bound)")
     for value, style, colour in ((found.tolerance, "-", "#00a5a5"), (found.bound, ":", "black")):
         if value > 0:
             scale.axhline(value, color=colour, linestyle=style, linewidth=2)
-    text = f"Error of the inverse map: certified at most {found.bound:.3g} px, tolerance {found.tolerance:g} px"
-    title(made, text + (f"; of {found.unconverged} pixels it is not known" if found.unconverged else ""))
+    text = f"Error of the inverse map: certified at most {found.bound:.3g} {px}, tolerance {found.tolerance:g}"
+    title(made, text + (f"; of {found.unconverged} pixels it is not known" if found.unconverged else "") + _of(frame))
     return made
 
 
-def _stretch(deformation: Deformation, below: Background) -> Figure:
+def _stretch(deformation: Deformation, frame: int | None, below: Background) -> Figure:
     from matplotlib.colors import TwoSlopeNorm
 
-    vertical, horizontal = measure.stretch(deformation)
-    every = measure.spacing_of(deformation.shape)
-    made, parts = panels(deformation, 1, 2)
-    low, high = min(vertical.min(), horizontal.min()), max(vertical.max(), horizontal.max())
+    found = measure.stretch(deformation, frame)
+    every = measure.spacing_of(deformation.shape[-2:])
+    made, parts = panels(deformation, 1, len(found))
+    low, high = min(values.min() for values in found), max(values.max() for values in found)
     # What is squeezed to nothing is as dark as what is stretched most.
     reach = max(1 - low, high - 1, 0.05)
     norm = TwoSlopeNorm(1.0, 1 - reach, 1 + reach) if reach <= 1 else TwoSlopeNorm(1.0, min(low, 0), max(high, 2))
-    for axes, values, name in zip(parts, (vertical, horizontal), ("Vertical", "Horizontal"), strict=True):
+    for axes, values, name in zip(parts, found, ("Vertical", "Horizontal", "In time"), strict=False):
         under(axes, deformation, below)
         drawn = show(axes, values, every, norm, "RdBu_r", 0.72 if below is not None else None)
         map_axes(axes, deformation, f"{name}: {values.min():.2f} to {values.max():.2f}")
         arrows(axes, deformation)
     bar(made, drawn, parts, "contracted  ←  1  →  expanded")
-    title(made, "Stretch of the picture")
+    title(made, f"Stretch of the {'picture' if frame is None else 'video'}{_of(frame)}")
     return made
 
 
-def _axes(deformation: Deformation, below: Background) -> Figure:
+def _axes(deformation: Deformation, frame: int | None, below: Background) -> Figure:
     from matplotlib.collections import LineCollection
     from matplotlib.colors import Normalize
 
-    found = measure.footprints(deformation)
+    found = measure.footprints(deformation, frame)
     made, parts = panels(deformation, 1, 2)
     levels = [np.maximum(np.log2(values), 0.0) for values in (found.major, found.minor)]
     # Close to a fixed border, a few pixels may shrink far more than all others.
@@ -214,7 +214,7 @@ def _axes(deformation: Deformation, below: Background) -> Figure:
     parts[0].add_collection(LineCollection(_needles(found), colors="black", linewidths=0.9, capstyle="round"))
     cut: Extend = "max" if float(levels[0].max()) > high else "neither"
     bar(made, drawn, parts, "log₂ of the source pixels that an output pixel spans", cut)
-    title(made, "Where the picture shrinks: levels of a pyramid (0 where it does not)")
+    title(made, f"Where the picture shrinks: levels of a pyramid (0 where it does not){_of(frame)}")
     return made
 
 
@@ -246,3 +246,33 @@ def _grid(deformation: Deformation, below: Background) -> Figure:
     map_axes(axes, deformation, "Straight lines of the input, as the output shows them")
     arrows(axes, deformation, "black" if below is None else "#d55e00")
     return made
+
+
+def _time_grid(deformation: Deformation, frame: int, below: Background) -> Figure:
+    from matplotlib.colors import TwoSlopeNorm
+
+    every, points = measure.sources(deformation, frame)
+    made, (axes,) = panels(deformation, 1, 1, beside=1.4)
+    under(axes, deformation, below)
+    ahead = points[..., 2] - frame
+    reach = max(float(np.abs(ahead).max()), 1e-3)
+    norm = TwoSlopeNorm(0.0, -reach, reach)
+    drawn = show(axes, ahead, every, norm, "PuOr_r", None if below is None else 0.55)
+    if min(ahead.shape) > 1:
+        x, y = (np.arange(n) * float(every) for n in reversed(ahead.shape))
+        inside = 1e-6  # the border's own lines
+        for c, places in enumerate(measure.ticks(deformation, 24)):
+            places = np.clip(places, inside, max(places[-1] - inside, inside))
+            axes.contour(x, y, points[..., c], np.unique(places), colors="black", linewidths=0.7)
+    map_axes(axes, deformation, f"Frame {frame} of the output: straight lines of the input")
+    arrows(axes, deformation)
+    bar(made, drawn, axes, f"frame of the input − {frame}")
+    return made
+
+
+def _unit(deformation: Deformation) -> str:
+    return "px" if deformation.ndim == 2 else "px and frames"
+
+
+def _of(frame: int | None) -> str:
+    return "" if frame is None else f"; frame {frame}"

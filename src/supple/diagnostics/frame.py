@@ -1,13 +1,17 @@
-"""What the plots are made of: panels, maps, colour bars, and the strokes as arrows."""
+"""What the plots are made of: panels, maps, colour bars, the strokes as arrows, and the file."""
 
 from __future__ import annotations
 
+import os
+from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 import numpy.typing as npt
 
 from supple.deformation import Deformation
+from supple.errors import SuppleError
+from supple.media.files import check_output, replacing, shown
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -15,6 +19,9 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from matplotlib.image import AxesImage
     from matplotlib.patheffects import AbstractPathEffect
+
+SUFFIXES = (".png", ".svg", ".pdf")
+DPI = 150
 
 _PANEL = 5.0  # inches
 _MOST_STROKES = 12  # that are drawn as arrows: more of them hide the picture
@@ -24,34 +31,54 @@ Background = npt.NDArray[np.float32] | None
 Extend = Literal["neither", "max"]
 
 
-def panels(deformation: Deformation, rows: int, columns: int) -> tuple[Figure, list[Axes]]:
-    """A figure with panels in the deformation's proportions."""
+def check_plot(path: str | os.PathLike[str], *, force: bool = False) -> None:
+    """Refuse a name that no plot can be written under, before any work is done for it."""
+    if Path(path).suffix.lower() not in SUFFIXES:
+        raise SuppleError(f"cannot write {shown(path)}: a plot's name must end in {', '.join(SUFFIXES)}")
+    check_output(path, force=force)
+
+
+def save(made: Figure, path: str | os.PathLike[str], *, force: bool = False) -> None:
+    """Write a figure to a file, which appears whole or not at all; the same figure makes the same bytes."""
+    check_plot(path, force=force)
+    suffix = Path(path).suffix.lower()
+    metadata = {"Date": None} if suffix == ".svg" else {"CreationDate": None} if suffix == ".pdf" else {}
+    with replacing(path, force=force) as file:
+        made.savefig(file, format=suffix[1:], dpi=DPI, metadata=metadata)
+
+
+def sheet(width: float, height: float, rows: int, columns: int) -> tuple[Figure, list[Axes]]:
+    """A figure of so many inches, with so many panels."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
     from matplotlib.layout_engine import ConstrainedLayoutEngine
 
-    spaced = ConstrainedLayoutEngine(w_pad=0.12, h_pad=0.1)
-    tall = min(max(ratio(deformation), 0.35), 1.6) * _PANEL
-    made = Figure(figsize=(columns * (_PANEL + 1.0) + 0.3, rows * (tall + 0.7) + 0.6), layout=spaced)
+    made = Figure(figsize=(width, height), layout=ConstrainedLayoutEngine(w_pad=0.12, h_pad=0.1))
     FigureCanvasAgg(made)
     return made, list(made.subplots(rows, columns, squeeze=False).flat)
 
 
+def panels(deformation: Deformation, rows: int, columns: int, beside: float = 0.3) -> tuple[Figure, list[Axes]]:
+    """A figure with panels in the deformation's proportions, and so many inches of room beside them."""
+    tall = min(max(ratio(deformation), 0.35), 1.6) * _PANEL
+    return sheet(columns * (_PANEL + 1.0) + beside, rows * (tall + 0.7) + 0.6, rows, columns)
+
+
 def ratio(deformation: Deformation) -> float:
     """Height over width, in physical units."""
-    (height, width), (sx, sy) = deformation.shape, deformation.domain.spacing
+    (height, width), (sx, sy) = deformation.shape[-2:], deformation.domain.spacing[:2]
     return (height * sy) / (width * sx)
 
 
 def edges(deformation: Deformation) -> tuple[float, float, float, float]:
     """Left, right, bottom and top of the picture, half a pixel around its pixels' centres."""
-    height, width = deformation.shape
+    height, width = deformation.shape[-2:]
     return -0.5, width - 0.5, height - 0.5, -0.5
 
 
 def map_axes(axes: Axes, deformation: Deformation, name: str) -> None:
     """Make axes those of a map: y down, in pixels."""
-    sx, sy = deformation.domain.spacing
+    sx, sy = deformation.domain.spacing[:2]
     axes.set_aspect(sy / sx if 1 / 6 <= ratio(deformation) <= 6 else "auto")
     left, right, bottom, top = edges(deformation)
     axes.set_xlim(left, right)
@@ -92,14 +119,23 @@ def arrows(axes: Axes, deformation: Deformation, colour: str = "black") -> None:
 
     halo: list[AbstractPathEffect] = [withStroke(linewidth=2.6, foreground="white")]
     for stroke in deformation.strokes[:_MOST_STROKES]:
-        (x, y), (dx, dy) = stroke.at, stroke.by
-        arrow = axes.annotate(
-            "", (x + dx, y + dy), (x, y), annotation_clip=True,
-            arrowprops={"arrowstyle": "->", "linewidth": 1.3, "color": colour, "shrinkA": 0, "shrinkB": 0},
-        )  # fmt: skip
-        if arrow.arrow_patch is not None:
-            arrow.arrow_patch.set_path_effects(halo)
+        (x, y), (dx, dy) = stroke.at[:2], stroke.by[:2]
+        if dx or dy:
+            arrow = axes.annotate(
+                "", (x + dx, y + dy), (x, y), annotation_clip=True,
+                arrowprops={"arrowstyle": "->", "linewidth": 1.3, "color": colour, "shrinkA": 0, "shrinkB": 0},
+            )  # fmt: skip
+            if arrow.arrow_patch is not None:
+                arrow.arrow_patch.set_path_effects(halo)
         axes.plot([x], [y], "o", markersize=4.5, color=colour, markeredgecolor="white")
+        if deformation.ndim == 3:
+            # Where the arrow does not go.
+            across, down = (-1 if dx > 0 and x > 0.15 * deformation.shape[2] else 1), (-1 if dy < 0 else 1)
+            axes.annotate(
+                f"t {stroke.at[2]:g} → {stroke.at[2] + stroke.by[2]:g}", (x, y), (6 * across, 5 * down),
+                textcoords="offset points", ha="left" if across > 0 else "right", va="bottom" if down > 0 else "top",
+                fontsize=8, color=colour, path_effects=halo, annotation_clip=True,
+            )  # fmt: skip
 
 
 def title(made: Figure, text: str) -> None:

@@ -1,4 +1,7 @@
-"""What the pictures show, as numbers: at every pixel of the output, or at every so many-th of a large one."""
+"""What the pictures show, as numbers: at every pixel of the output, or at every so many-th of a large one.
+
+Of a video, they are those of one frame of the output.
+"""
 
 from __future__ import annotations
 
@@ -9,9 +12,9 @@ import numpy as np
 import numpy.typing as npt
 
 from supple.cpu import paper
-from supple.cpu.warp import Band, absolute, each_band, solve_plane
+from supple.cpu.warp import Band, Certificate, Plane, absolute, each_band, measure, solve_plane
 from supple.deformation import Deformation
-from supple.domain import number
+from supple.domain import integer, number
 from supple.errors import SuppleError
 
 Floats = npt.NDArray[np.float64]
@@ -38,6 +41,8 @@ class Iterations:
         Evaluations of T and its Jacobian by `Deformation.inverse`.
     residual : float64 array
         What that leaves: |T(p) - q|, in pixels.
+    lattice : float
+        Evaluations for each pixel where the map is interpolated on a lattice.
     """
 
     every: int
@@ -46,6 +51,7 @@ class Iterations:
     published_error: Floats
     ours: Integers
     residual: Floats
+    lattice: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -57,11 +63,11 @@ class Errors:
     every : int
         Arrays have one entry for so many rows and columns of the output.
     residual : float64 array
-        |T(p) - q|, in pixels of the output.
+        |T(p) - q|, in pixels of the output; of a video, in pixels and frames.
     distance : float64 array
         |p - T⁻¹(q)|, in pixels of the input; T⁻¹(q) by Newton's method at each pixel.
     bound, tolerance : float
-        The certified distance of the worst of all pixels (`Report.error`), and what was asked for.
+        The certified distance of the worst of all pixels (of an image, `Report.error`), and what was asked for.
     unconverged : int
         Of how many pixels that is not known.
     """
@@ -77,6 +83,8 @@ class Errors:
 @dataclass(frozen=True, slots=True, eq=False)
 class Footprints:
     """What the output's pixels cover of the input: ellipses, the images of unit circles under M = (I+J)⁻¹.
+
+    Of a video, what they cover within the picture: M without its row and column of time.
 
     Parameters
     ----------
@@ -94,13 +102,18 @@ class Footprints:
     direction: Floats
 
 
-def require_image(deformation: Deformation) -> None:
-    """Raise SuppleError unless the deformation is one of images."""
-    if deformation.ndim != 2:
+def require_plane(deformation: Deformation, frame: int | None) -> int:
+    """Which plane to look at; SuppleError if there is no such."""
+    if deformation.ndim == 2:
+        if frame is not None:
+            raise SuppleError(f"frame is for videos, and shape {deformation.shape} is that of an image: leave it out")
+        return 0
+    if frame is None:
         raise SuppleError(
-            "plots show deformations of images in this release, "
-            f"and shape {deformation.shape} has three axes: plot one of its planes"
+            f"a plot shows one plane, and shape {deformation.shape} has three axes: say which frame (--frame, frame=)"
         )
+    last = deformation.shape[0] - 1
+    return integer("frame", frame, f"a frame from 0 to {last}", 0, last)
 
 
 def spacing_of(shape: tuple[int, ...], most: int = MOST_PIXELS) -> int:
@@ -111,19 +124,32 @@ def spacing_of(shape: tuple[int, ...], most: int = MOST_PIXELS) -> int:
     return step
 
 
-def _pixels(deformation: Deformation) -> tuple[int, Floats]:
-    require_image(deformation)
-    every = spacing_of(deformation.shape)
-    height, width = deformation.shape
-    return every, np.stack(np.meshgrid(np.arange(0.0, width, every), np.arange(0.0, height, every)), axis=-1)
+def _pixels(deformation: Deformation, frame: int | None) -> tuple[int, Floats]:
+    z = require_plane(deformation, frame)
+    height, width = deformation.shape[-2:]
+    every = spacing_of((height, width))
+    axes = [np.arange(0.0, width, every), np.arange(0.0, height, every), np.array([float(z)])][: deformation.ndim]
+    q = np.stack(np.meshgrid(*axes), axis=-1)
+    return every, q.reshape(*q.shape[:2], deformation.ndim)
 
 
-def iterations(deformation: Deformation) -> Iterations:
+def _plane(deformation: Deformation, frame: int | None) -> Plane:
+    height, width = deformation.shape[-2:]
+    z = float(require_plane(deformation, frame))
+    return solve_plane(deformation._table, deformation._axes, (height, width), deformation.ndim, z)
+
+
+def iterations(deformation: Deformation, frame: int | None = None) -> Iterations:
     """The work of the published method, and ours."""
-    every, q = _pixels(deformation)
-    height, width = deformation.shape
-    points, counts, residuals = paper.inverse_map(deformation._table, deformation._axes, (height, width), every=every)
+    every, q = _pixels(deformation, frame)
+    height, width = deformation.shape[-2:]
+    z = None if frame is None else float(frame)
+    table, axes = deformation._table, deformation._axes
+    points, counts, residuals = paper.inverse_map(table, axes, (height, width), z=z, every=every)
     exact = deformation.inverse(q)
+    used = 0.0
+    if not deformation.is_identity:
+        used = each_band(_plane(deformation, frame), 0.01, lambda band: None).evaluations
     return Iterations(
         every=every,
         published=counts,
@@ -131,89 +157,102 @@ def iterations(deformation: Deformation) -> Iterations:
         published_error=np.asarray(np.linalg.norm(points - exact.points, axis=-1)),
         ours=exact.steps,
         residual=exact.residual,
+        lattice=used / (height * width),
     )
 
 
-def residual(deformation: Deformation, *, tolerance: float = 0.01) -> Errors:
+def residual(deformation: Deformation, frame: int | None = None, *, tolerance: float = 0.01) -> Errors:
     """The errors of the lattice map at a tolerance, in pixels, and what it certifies."""
-    every, q = _pixels(deformation)
+    every, q = _pixels(deformation, frame)
     tolerance = number("tolerance", tolerance, "a number of pixels above 0", 1e-9, 1e9)
-    height, width = deformation.shape
     points = np.empty_like(q)
 
     def keep(band: Band) -> None:
-        rows = np.empty((*band.points.shape[1:], 2))
+        rows = np.empty((*band.points.shape[1:], deformation.ndim))
         absolute(band, rows)
         first = -band.top % every
         taken = rows[first::every, ::every]
         start = (band.top + first) // every
         points[start : start + len(taken)] = taken
 
-    plane = solve_plane(deformation._table, deformation._axes, (height, width), 2)
+    plane = _plane(deformation, frame)
     each_band(plane, tolerance, keep)
-    report = deformation.report(tolerance=tolerance)
+    certificate = Certificate(0.0, 0.0) if deformation.is_identity else measure(plane, tolerance)
     return Errors(
         every=every,
         residual=np.asarray(np.linalg.norm(deformation.forward(points) - q, axis=-1)),
         distance=np.asarray(np.linalg.norm(points - deformation.inverse(q).points, axis=-1)),
-        bound=report.error,
+        bound=certificate.error,
         tolerance=tolerance,
-        unconverged=report.unconverged,
+        unconverged=certificate.unknown,
     )
 
 
-def stretch(deformation: Deformation) -> tuple[Floats, Floats]:
-    """How much the picture is stretched at each pixel of the output, vertically and horizontally.
+def sources(deformation: Deformation, frame: int | None = None) -> tuple[int, Floats]:
+    """Which point of the input each pixel shows, in pixels and frames, x first; and for every how many-th pixel."""
+    every, q = _pixels(deformation, frame)
+    return every, deformation.inverse(q).points
+
+
+def stretch(deformation: Deformation, frame: int | None = None) -> tuple[Floats, ...]:
+    """How much the picture is stretched at each pixel of the output: vertically, horizontally, and a video in time.
 
     Returns
     -------
-    vertical, horizontal : float64 array
-        ∂T_y/∂y and ∂T_x/∂x at the source point: above 1 it expands, below 1 it contracts.
+    vertical, horizontal[, in time] : float64 array
+        ∂T_y/∂y, ∂T_x/∂x and ∂T_t/∂t at the source point: above 1 it expands, below 1 it contracts.
     """
-    _, q = _pixels(deformation)
-    matrices = deformation.jacobian(deformation.inverse(q).points)
-    return matrices[..., 1, 1], matrices[..., 0, 0]
+    _, points = sources(deformation, frame)
+    matrices = deformation.jacobian(points)
+    return tuple(matrices[..., i, i] for i in (1, 0, 2)[: deformation.ndim])
 
 
-def footprints(deformation: Deformation) -> Footprints:
+def footprints(deformation: Deformation, frame: int | None = None) -> Footprints:
     """What each pixel of the output covers of the input."""
-    every, q = _pixels(deformation)
-    matrices = deformation.jacobian(deformation.inverse(q).points)
-    a, b, c, d = (matrices[..., i, j] for i in range(2) for j in range(2))
+    every, points = sources(deformation, frame)
+    inverted = np.linalg.inv(deformation.jacobian(points))
+    a, b, c, d = (inverted[..., i, j] for i in range(2) for j in range(2))
     # A 2×2 matrix is a rotation by one angle times some factor, plus a reflection times another: its singular
-    # values are their sum and difference. M's are one over those, and swap their roles.
+    # values are their sum and difference.
     rotated, reflected = np.hypot(a + d, c - b) / 2, np.hypot(a - d, c + b) / 2
-    angle = (np.arctan2(c - b, a + d) + np.arctan2(c + b, a - d)) / 2 + np.pi / 2
+    angle = (np.arctan2(c + b, a - d) - np.arctan2(c - b, a + d)) / 2
     return Footprints(
         every=every,
-        major=1 / (rotated - reflected),
-        minor=1 / (rotated + reflected),
+        major=rotated + reflected,
+        minor=np.abs(rotated - reflected),
         direction=np.stack([np.cos(angle), np.sin(angle)], axis=-1),
     )
 
 
+def ticks(deformation: Deformation, lines: int) -> list[Floats]:
+    """Where the lines of a grid cross the axes x and y, in pixels; its cells are square in physical units."""
+    size = np.array([n - 1.0 for n in reversed(deformation.shape[-2:])])
+    physical = size * deformation.domain.spacing[:2]
+    cells = np.maximum(1, np.rint(lines * physical / max(physical.max(), 1e-300))).astype(int)
+    return [np.linspace(0, size[axis], cells[axis] + 1) for axis in range(2)]
+
+
 def grid(deformation: Deformation, *, lines: int = 24) -> list[Floats]:
-    """Straight lines of the input as the output shows them.
+    """Straight lines of an image as the output shows them.
 
     Parameters
     ----------
     deformation : Deformation
+        Of images.
     lines : int
-        How many cells there are between them along the longer side; they are square in physical units.
+        How many cells there are between them along the longer side.
 
     Returns
     -------
     list of float64 arrays, shape (N, 2)
         Points along each line, in pixels, x first.
     """
-    require_image(deformation)
-    size = np.array([n - 1.0 for n in reversed(deformation.shape)])
-    physical = size * deformation.domain.spacing
-    cells = np.maximum(1, np.rint(lines * physical / max(physical.max(), 1e-300))).astype(int)
+    require_plane(deformation, None)
+    size = [n - 1.0 for n in reversed(deformation.shape)]
     found = []
-    for axis in range(2):
+    for axis, places in enumerate(ticks(deformation, lines)):
         along = np.linspace(0, size[1 - axis], 1 + int(min(max(64, size[1 - axis]), 1024)))
-        for place in np.linspace(0, size[axis], cells[axis] + 1):
+        for place in places:
             line = np.empty((along.size, 2))
             line[:, axis], line[:, 1 - axis] = place, along
             found.append(deformation.forward(line))

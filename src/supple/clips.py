@@ -1,0 +1,315 @@
+"""Clips in, clips out: videos and image sequences that stream through a deformation."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import shutil
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+
+from supple.cpu.stack import BETWEEN
+from supple.cpu.warp import Certificate
+from supple.deformation import Deformation, Report, warn_of
+from supple.domain import choice, length, number, refuse
+from supple.errors import SuppleError
+from supple.media.files import check_output, replacing, shown
+from supple.media.numbering import has_number, is_sequence
+from supple.streaming import Array, Layout, Sampling, make_plan, stream
+from supple.strokes import Recipe
+from supple.warping import FILTERS, OUTSIDE
+
+PathLike = str | os.PathLike[str]
+Tell = Callable[[str, int, int], None]
+
+# What is always taken for a video; others are one if they are asked to be.
+SUFFIXES = frozenset(
+    {".3gp", ".asf", ".avi", ".flv", ".h264", ".h265", ".hevc", ".ivf", ".m2ts", ".m2v", ".m4v", ".mj2", ".mkv"}
+    | {".mov", ".mp4", ".mpeg", ".mpg", ".mts", ".mxf", ".ogv", ".ts", ".vob", ".webm", ".wmv", ".y4m"}
+)
+SUFFIXES_OUT = frozenset({".avi", ".mkv", ".mov", ".mp4", ".webm"})
+GB = 1e9
+
+
+@dataclass(frozen=True, slots=True)
+class ClipOptions:
+    """What is particular to clips.
+
+    Parameters
+    ----------
+    between : str, optional
+        How frames are interpolated, as `Deformation.warp` takes it.
+    time_filter : bool
+        Whether pixels are averaged over the frames that they cover.
+    time_scale : float
+        How many pixels a frame is worth to the brush.
+    rate : float, optional
+        Frames a second of an image sequence, which does not know; 24 without it.
+    codec, preset, pixel_format : str, optional
+        As `supple.media.video.Clip.writer` takes them.
+    crf : float, optional
+        The same.
+    memory : float
+        How many bytes the frames may take that are held at once; beyond, they go to a temporary file.
+    """
+
+    between: str | None = None
+    time_filter: bool = False
+    time_scale: float = 1.0
+    rate: float | None = None
+    codec: str | None = None
+    crf: float | None = None
+    preset: str | None = None
+    pixel_format: str | None = None
+    memory: float = 2 * GB
+
+
+@dataclass(frozen=True, slots=True)
+class WarpedClip:
+    """A clip that was written.
+
+    Parameters
+    ----------
+    source, target : pathlib.Path
+        What was read, and what was written.
+    deformation : Deformation
+        The strokes, on the clip's shape; or on a frame's, if they have no time and bend every frame.
+    tolerance : float
+        How far a source point may be from the true T⁻¹(q), in pixels and frames.
+    frames : int
+        How many there are.
+    still : int
+        How many were passed on as they were, since nothing moves there.
+    held : int
+        How many were held at once.
+    error : float
+        What the checks of the map let expect, in pixels and frames; `report` measures it.
+    """
+
+    source: Path
+    target: Path
+    deformation: Deformation
+    tolerance: float
+    frames: int
+    still: int
+    held: int
+    error: float
+
+    def report(self) -> Report:
+        """What was done with the strokes, and the certified error of the map, measured at every pixel; this is slow."""
+        return self.deformation.report(tolerance=self.tolerance)
+
+
+def is_clip(source: PathLike, target: PathLike, recipe: Recipe) -> bool:
+    """Whether a file, a pattern or a folder is to be warped as a clip."""
+    suffix, goal = (Path(path).suffix.lower() for path in (source, target))
+    timed = bool(recipe.strokes) and recipe.strokes[0].ndim == 3
+    if suffix in SUFFIXES or goal in SUFFIXES_OUT or has_number(source):
+        return True
+    if os.path.isdir(source):
+        return timed
+    return (timed and suffix in (".gif", ".webp", ".png", ".apng", "")) or (suffix == ".gif" == goal)
+
+
+@contextlib.contextmanager
+def open_clip(source: PathLike, *, rate: float | None = None, count: int | None = None) -> Iterator[Any]:
+    """Open a video file, or an image sequence by its pattern or folder."""
+    if is_sequence(source):
+        from supple.media.sequence import open_sequence
+
+        with open_sequence(source, rate=24 if rate is None else rate) as pictures:
+            yield pictures
+        return
+    from supple.media.video import open_video
+
+    if rate is not None:
+        raise SuppleError(f"a rate is for image sequences, and {shown(source)} has its own: leave it out")
+    with open_video(source, count=count) as clip:
+        yield clip
+
+
+def deformation_of(recipe: Recipe, count: int, shape: tuple[int, int], time_scale: float, name: str) -> Deformation:
+    """A recipe on a clip: strokes with a time bend the clip, those without one bend each of its frames."""
+    length("time_scale", time_scale)
+    if not recipe.strokes or recipe.strokes[0].ndim == 2:
+        return Deformation.from_recipe(recipe, shape)
+    for i, stroke in enumerate(recipe.strokes):
+        if not 0 <= stroke.at[2] <= count - 1:
+            which = f"stroke {i + 1}: " if len(recipe.strokes) > 1 else ""
+            has = "one frame: t is 0" if count == 1 else f"{count} frames: t goes from 0 to {count - 1}"
+            raise SuppleError(f"{which}there is no frame {stroke.at[2]:g} in {name}, which has {has}")
+    return Deformation.from_recipe(recipe, (count, *shape), spacing=(1.0, 1.0, time_scale))
+
+
+def sampling_of(
+    layout: Layout,
+    name: str,
+    *,
+    filter: str,
+    outside: str,
+    fill: float | Sequence[float],
+    tolerance: float,
+    light: bool,
+    options: ClipOptions,
+) -> Sampling:
+    """How a clip's frames are sampled, checked."""
+    choice("filter", filter, ("nearest", *FILTERS))
+    choice("outside", outside, tuple(OUTSIDE))
+    between = options.between or ("nearest" if filter == "nearest" else "linear")
+    choice("between", between, tuple(BETWEEN))
+    if filter == "nearest" and between != "nearest":
+        refuse("between", '"nearest" under filter="nearest", which keeps values as they are', between)
+    tolerance = number("tolerance", tolerance, "a number of pixels above 0", 1e-9, 1e9)
+    if light and (len(layout.groups) > 1 or layout.dtype.kind == "f" or not _is_rgb(layout)):
+        raise SuppleError(
+            f"linear_light needs frames of RGB or grey of 8 or 16 bits, and {name} has others: leave it out"
+        )
+    values = np.asarray(fill, np.float64).ravel()
+    channels = sum(group.channels for group in layout.groups)
+    if values.size not in (1, channels) or not np.isfinite(values).all():
+        refuse("fill", f"a number, or {channels} of them, one for each component of {name}", fill)
+    if values.size == 1 and values[0] == 0:
+        values = np.asarray(layout.black, np.float64)
+    return Sampling(filter, between, options.time_filter, outside, tuple(values.tolist()), light, tolerance)
+
+
+def _is_rgb(layout: Layout) -> bool:
+    return all(value == 0 for value in layout.black)
+
+
+def warp_clip(
+    source: PathLike,
+    target: PathLike,
+    recipe: Recipe,
+    *,
+    filter: str = "auto",
+    tolerance: float = 0.01,
+    outside: str = "edge",
+    fill: float | Sequence[float] = 0.0,
+    linear_light: bool = False,
+    quality: int | None = None,
+    lossless: bool = False,
+    force: bool = False,
+    options: ClipOptions | None = None,
+    tell: Tell = lambda step, done, total: None,
+) -> WarpedClip:
+    """Deform a video or an image sequence, frame by frame, as `supple.warp_file` does.
+
+    ``tell`` is called with ``"plan"`` or ``"warp"``, the number of frames done, and of all.
+    """
+    known = options or ClipOptions()
+    number("memory", known.memory, "a number of bytes from 0", 0.0, 1e30)
+    count: int | None = None
+    from supple.media.troubles import CountError
+
+    while True:
+        try:
+            with open_clip(source, rate=known.rate, count=count) as clip:
+                deformation = deformation_of(recipe, clip.count, clip.layout.shape, known.time_scale, clip.name)
+                sampling = sampling_of(
+                    clip.layout,
+                    clip.name,
+                    filter=filter,
+                    outside=outside,
+                    fill=fill,
+                    tolerance=tolerance,
+                    light=linear_light,
+                    options=known,
+                )
+                untouched = deformation.is_identity and known == replace(ClipOptions(), memory=known.memory)
+                if untouched and not lossless and os.path.isfile(source) and _suffix(source) == _suffix(target):
+                    # Encoded anew, a clip would not be what it was.
+                    check_output(target, force=force)
+                    with replacing(target, force=force) as place:
+                        shutil.copyfile(source, place)
+                    known_error, held, still = 0.0, 0, clip.count
+                else:
+                    writer = _writer(clip, target, known, quality, lossless, force)
+                    known_error, held, still = _through(clip, deformation, sampling, writer, known.memory, tell)
+                warn_of(Certificate(known_error, 0.0), tolerance, 3)
+                return WarpedClip(
+                    Path(source), Path(target), deformation, tolerance, clip.count, still, held, known_error
+                )
+        except CountError as miscounted:
+            if count is not None:
+                raise SuppleError(f"{shown(source)} gives another number of frames each time: repair it") from None
+            count = miscounted.found
+
+
+def _through(
+    clip: Any,
+    deformation: Deformation,
+    sampling: Sampling,
+    writer: contextlib.AbstractContextManager[Any],
+    memory: float,
+    tell: Tell,
+) -> tuple[float, int, int]:
+    """Send all frames through a deformation; return the error, the frames held at once, and those left as they were."""
+    n = clip.count
+    space = replace(deformation.space, count=n)
+    # The writer first: what it refuses is known before any work.
+    with writer as sink:
+        plan = make_plan(space, clip.layout, sampling, range(n), lambda done: tell("plan", done, n))
+        error = 0.0
+        with contextlib.closing(
+            cast(Any, stream(space, clip.layout, sampling, plan, clip.frames(), memory=memory))
+        ) as made:
+            for z, arrays, certificate in made:
+                sink.write(arrays, z)
+                error = max(error, certificate.error)
+                tell("warp", z + 1, n)
+    return error, plan.capacity, int(plan.still.sum())
+
+
+def _writer(
+    clip: Any, target: PathLike, options: ClipOptions, quality: int | None, lossless: bool, force: bool
+) -> contextlib.AbstractContextManager[Any]:
+    """What writes to a target: a video file, or pictures."""
+    encoding = {
+        "codec": options.codec,
+        "crf": options.crf,
+        "preset": options.preset,
+        "pixel_format": options.pixel_format,
+    }
+    name = shown(target)
+    if is_picture_target(target):
+        for option, value in encoding.items():
+            if value is not None:
+                raise SuppleError(f"{option} is for videos, and {name} is pictures: leave it out")
+        from supple.media.sequence_out import sequence_writer
+
+        return sequence_writer(target, clip, force=force, quality=quality, lossless=lossless)
+    if quality is not None:
+        raise SuppleError(f"quality is for pictures, and {name} is a video: give a crf")
+    if lossless and encoding["codec"] is None:
+        encoding["codec"] = "ffv1"
+    import supple.media.video as video
+
+    if not hasattr(video, "writer_of"):
+        return clip.writer(target, force=force, **encoding)
+    writer_of = video.writer_of
+
+    return writer_of(clip, target, force=force, **encoding)
+
+
+def is_picture_target(target: PathLike) -> bool:
+    """Whether a name stands for a sequence: a pattern, a folder, or a name without a suffix."""
+    return is_sequence(target) or not Path(target).suffix
+
+
+def _suffix(path: PathLike) -> str:
+    return Path(path).suffix.lower()
+
+
+def frames_of(
+    clip: Any, deformation: Deformation, sampling: Sampling, planes: Sequence[int], memory: float = 2 * GB
+) -> Iterator[tuple[int, list[Array]]]:
+    """Some frames of a warped clip, in order, as arrays that the next one overwrites."""
+    space = replace(deformation.space, count=clip.count)
+    plan = make_plan(space, clip.layout, sampling, planes)
+    for z, arrays, _ in stream(space, clip.layout, sampling, plan, clip.frames(), memory=memory):
+        yield z, arrays

@@ -1,0 +1,311 @@
+"""Cubic and box filters between frames, straight from the frames as they lie in memory.
+
+Where nothing has to be prepared (no opacity, no linear light, edges that go on), a pixel's stencil is read from its
+frames directly. Long and oblique footprints are left to `supple.cpu.between`.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from supple.cpu.band import RUN
+from supple.cpu.between import LINEAR, time_weight, time_widths
+from supple.cpu.filters import ALONG, DOWN, KIND, NONE, POINT, choose
+from supple.cpu.filters import LONG as OBLIQUE
+from supple.cpu.footprint import AUTO, PARTS, footprints
+from supple.cpu.frames import PART_T, locate
+from supple.cpu.frames import PARTS as FRACTIONS
+from supple.cpu.kernel import colour_kernel as kernel
+from supple.cpu.kernel import inlined
+from supple.cpu.region import store
+from supple.cpu.sample import PART_X, PART_Y, WIDE
+from supple.cpu.vector import cubic_stencil, table_stencil
+
+LEFT, RIGHT, ABOVE, BELOW = 2, 6, 2, 4  # how far a stencil may reach from the sample before a point
+
+_cubic1, _cubic2, _cubic3, _cubic4 = cubic_stencil(1), cubic_stencil(2), cubic_stencil(3), cubic_stencil(4)
+_box1, _box2, _box3, _box4 = table_stencil(1), table_stencil(2), table_stencil(3), table_stencil(4)
+
+
+@inlined
+def _at_point(samples, here, there, stride, channels, x, y, share, values, to):
+    if channels == 1:
+        _cubic1(samples, here, there, stride, x, y, share, values, to)
+    elif channels == 2:
+        _cubic2(samples, here, there, stride, x, y, share, values, to)
+    elif channels == 3:
+        _cubic3(samples, here, there, stride, x, y, share, values, to)
+    else:
+        _cubic4(samples, here, there, stride, x, y, share, values, to)
+
+
+@inlined
+def _in_box(samples, here, there, stride, channels, table, along, down, share, values, to):
+    if channels == 1:
+        _box1(samples, here, there, stride, table, along, down, share, values, to)
+    elif channels == 2:
+        _box2(samples, here, there, stride, table, along, down, share, values, to)
+    elif channels == 3:
+        _box3(samples, here, there, stride, table, along, down, share, values, to)
+    else:
+        _box4(samples, here, there, stride, table, along, down, share, values, to)
+
+
+@kernel
+def _copy_patch(samples, start, i, j, width, height, channels, patch):
+    """The nine by nine samples around one close to an edge, which goes on."""
+    for v in range(9):
+        row = start + min(max(j + v - ABOVE, 0), height - 1) * width * channels
+        for u in range(9):
+            column = min(max(i + u - LEFT, 0), width - 1) * channels
+            for c in range(channels):
+                patch[(v * 9 + u) * channels + c] = samples[row + column + c]
+
+
+@kernel
+def _pixel(
+    samples, here, there, i, j, width, height, channels, kind, x, y, share, table, along, down, patch, values, to
+):
+    """The filtered value of a pixel, whose point lies beyond the sample (i, j), in a mixture of two frames."""
+    if LEFT <= i < width - RIGHT and ABOVE <= j < height - BELOW:
+        stride = width * channels
+        at = j * stride + i * channels
+        if kind == np.uint32(POINT):
+            back = stride + channels
+            _at_point(samples, here + at - back, there + at - back, stride, channels, x, y, share, values, to)
+        else:
+            back = 2 * stride + 2 * channels
+            first, second = here + at - back, there + at - back
+            _in_box(samples, first, second, stride, channels, table, along, down, share, values, to)
+    else:
+        size = 81 * channels
+        _copy_patch(samples, here, i, j, width, height, channels, patch)
+        _copy_patch(samples, there, i, j, width, height, channels, patch[size:])
+        stride = 9 * channels
+        if kind == np.uint32(POINT):
+            _at_point(patch, 10 * channels, size + 10 * channels, stride, channels, x, y, share, values, to)
+        else:
+            _in_box(patch, 0, size, stride, channels, table, along, down, share, values, to)
+
+
+@kernel
+def _inside(points, row, left, n, anchor, width, height):
+    """Whether all stencils of a row lie within the frame."""
+    xs, ys = points[0, row, left : left + n], points[1, row, left : left + n]
+    low_x, high_x, low_y, high_y = xs[0], xs[0], ys[0], ys[0]
+    for i in range(n):
+        low_x, high_x = min(low_x, xs[i]), max(high_x, xs[i])
+        low_y, high_y = min(low_y, ys[i]), max(high_y, ys[i])
+    across = low_x + anchor[0] >= LEFT and high_x + anchor[0] < width - RIGHT
+    return across and low_y + anchor[1] >= ABOVE and high_y + anchor[1] < height - BELOW
+
+
+@kernel
+def _row(samples, starts, width, channels, n, where, frame, words, parts, fractions, table, values):
+    """The filtered values of a row that lies within the frame, between two frames each."""
+    zero = table.dtype.type(0)
+    lanes = 1 if channels == 1 else 4
+    stride = width * channels
+    near, far = stride + channels, 2 * stride + 2 * channels
+    if channels == 1:
+        for i in range(n):
+            at, f = np.int64(where[i]) * 1, frame[i]
+            here, there = starts[f] + at, starts[f + 1] + at
+            t = zero + fractions[PART_T + i]
+            if words[KIND + i] == np.uint32(POINT):
+                x, y = zero + parts[PART_X + i], zero + parts[PART_Y + i]
+                _cubic1(samples, here - near, there - near, stride, x, y, t, values, lanes * i)
+            elif words[KIND + i] != np.uint32(NONE):
+                along, down = np.int64(words[ALONG + i]), np.int64(words[DOWN + i])
+                _box1(samples, here - far, there - far, stride, table, along, down, t, values, lanes * i)
+    elif channels == 2:
+        for i in range(n):
+            at, f = np.int64(where[i]) * 2, frame[i]
+            here, there = starts[f] + at, starts[f + 1] + at
+            t = zero + fractions[PART_T + i]
+            if words[KIND + i] == np.uint32(POINT):
+                x, y = zero + parts[PART_X + i], zero + parts[PART_Y + i]
+                _cubic2(samples, here - near, there - near, stride, x, y, t, values, lanes * i)
+            elif words[KIND + i] != np.uint32(NONE):
+                along, down = np.int64(words[ALONG + i]), np.int64(words[DOWN + i])
+                _box2(samples, here - far, there - far, stride, table, along, down, t, values, lanes * i)
+    elif channels == 3:
+        for i in range(n):
+            at, f = np.int64(where[i]) * 3, frame[i]
+            here, there = starts[f] + at, starts[f + 1] + at
+            t = zero + fractions[PART_T + i]
+            if words[KIND + i] == np.uint32(POINT):
+                x, y = zero + parts[PART_X + i], zero + parts[PART_Y + i]
+                _cubic3(samples, here - near, there - near, stride, x, y, t, values, lanes * i)
+            elif words[KIND + i] != np.uint32(NONE):
+                along, down = np.int64(words[ALONG + i]), np.int64(words[DOWN + i])
+                _box3(samples, here - far, there - far, stride, table, along, down, t, values, lanes * i)
+    else:
+        for i in range(n):
+            at, f = np.int64(where[i]) * 4, frame[i]
+            here, there = starts[f] + at, starts[f + 1] + at
+            t = zero + fractions[PART_T + i]
+            if words[KIND + i] == np.uint32(POINT):
+                x, y = zero + parts[PART_X + i], zero + parts[PART_Y + i]
+                _cubic4(samples, here - near, there - near, stride, x, y, t, values, lanes * i)
+            elif words[KIND + i] != np.uint32(NONE):
+                along, down = np.int64(words[ALONG + i]), np.int64(words[DOWN + i])
+                _box4(samples, here - far, there - far, stride, table, along, down, t, values, lanes * i)
+
+
+@kernel
+def filtered_directly(
+    samples,
+    starts,
+    frames,
+    first,
+    height,
+    width,
+    points,
+    anchors,
+    pitch,
+    rates,
+    tall,
+    kind,
+    average,
+    mode,
+    table,
+    low,
+    high,
+    whole,
+    octets,
+    done,
+    out,
+):
+    """Sample a band of frames of up to four channels by cubics and boxes.
+
+    Parameters
+    ----------
+    samples, starts, frames, first, height, width
+        As `supple.cpu.frames.linear_packed` takes them.
+    kind, average, mode, rates, tall, table, low, high, whole, octets
+        As `supple.cpu.between.filtered_frames` takes them.
+    done : bool array, shape (runs,)
+        Receives which runs are done; the others have footprints that no box stands for.
+    """
+    channels = out.shape[2]
+    lanes = 1 if channels == 1 else 4
+    words, parts, fractions = (
+        np.empty(6 * WIDE, np.uint32),
+        np.empty(PARTS, np.float32),
+        np.empty(FRACTIONS, np.float32),
+    )
+    where, frame = np.empty(WIDE, np.int32), np.empty(WIDE, np.int32)
+    values, one = np.empty(WIDE * lanes, table.dtype), np.empty(4, table.dtype)
+    patch = np.empty(2 * 81 * channels + 8, samples.dtype)
+    widths, forms = np.zeros(WIDE), np.empty(WIDE, np.uint32)
+    most = starts.size - 2
+    zero = table.dtype.type(0)
+    for run in range(anchors.shape[0]):
+        left = run * pitch
+        right = out.shape[1] if run == anchors.shape[0] - 1 else left + pitch
+        n = right - left
+        done[run] = True
+        if mode >= AUTO:
+            for i in range(n):
+                parts[PART_X + i], parts[PART_Y + i] = 0, 0
+            for y in range(out.shape[0] // 8 + 1):
+                footprints(points, min(8 * y + 4, out.shape[0] - 1), left, n, mode, parts)
+                choose(n, mode, parts, words)
+                for i in range(n):
+                    if words[KIND + i] == np.uint32(OBLIQUE):
+                        done[run] = False
+            if not done[run]:
+                continue
+        for y in range(out.shape[0]):
+            if mode >= AUTO and y % 8 == 0:
+                footprints(points, min(y + 4, out.shape[0] - 1), left, n, mode, parts)
+            locate(points, y, left, n, anchors[run], width, height, first, frames - 1, most, where, frame, fractions)
+            for i in range(n):
+                parts[PART_X + i], parts[PART_Y + i] = fractions[PART_X + i], fractions[PART_Y + i]
+            choose(n, mode, parts, words)
+            if average:
+                time_widths(points, y, left, n, rates, pitch // RUN, tall, widths)
+            between_two = kind == LINEAR and not average
+            if between_two and _inside(points, y, left, n, anchors[run], width, height):
+                _row(samples, starts, width, channels, n, where, frame, words, parts, fractions, table, values)
+                store(values, 0, lanes, n, -1, 1.0, low, high, whole, 0.0, octets, out, y, left)
+                continue
+            if between_two:
+                far_x, far_y = width - RIGHT - anchors[run, 0], height - BELOW - anchors[run, 1]
+                near_x, near_y = LEFT - anchors[run, 0], ABOVE - anchors[run, 1]
+                for i in range(n):
+                    px, py = points[0, y, left + i], points[1, y, left + i]
+                    forms[i] = words[KIND + i]
+                    if px < near_x or px >= far_x or py < near_y or py >= far_y:
+                        words[KIND + i] = np.uint32(NONE)
+                _row(samples, starts, width, channels, n, where, frame, words, parts, fractions, table, values)
+            for i in range(n):
+                if between_two and words[KIND + i] != np.uint32(NONE):
+                    continue
+                j = np.int64(where[i]) // width
+                x, dx, dy = np.int64(where[i]) - j * width, parts[PART_X + i], parts[PART_Y + i]
+                along, down, form = (
+                    np.int64(words[ALONG + i]),
+                    np.int64(words[DOWN + i]),
+                    forms[i] if between_two else words[KIND + i],
+                )
+                f, t = np.int64(frame[i]), fractions[PART_T + i]
+                if between_two or (kind == LINEAR and widths[i] == 0):
+                    here, there = starts[f], starts[min(f + 1, most + 1)]
+                    _pixel(
+                        samples,
+                        here,
+                        there,
+                        x,
+                        j,
+                        width,
+                        height,
+                        channels,
+                        form,
+                        zero + dx,
+                        zero + dy,
+                        zero + t,
+                        table,
+                        along,
+                        down,
+                        patch,
+                        values,
+                        i * lanes,
+                    )
+                    continue
+                reach = 2.0 + 0.5 * widths[i]
+                total = 0.0
+                for c in range(channels):
+                    values[i * lanes + c] = 0
+                for k in range(int(np.ceil(f + t - reach)), int(np.floor(f + t + reach)) + 1):
+                    weight = time_weight(kind, k - np.float64(f) - t, widths[i])
+                    if weight == 0.0:
+                        continue
+                    here = starts[min(max(k, 0), most)]
+                    _pixel(
+                        samples,
+                        here,
+                        here,
+                        x,
+                        j,
+                        width,
+                        height,
+                        channels,
+                        form,
+                        zero + dx,
+                        zero + dy,
+                        zero,
+                        table,
+                        along,
+                        down,
+                        patch,
+                        one,
+                        0,
+                    )
+                    total += weight
+                    for c in range(channels):
+                        values[i * lanes + c] += weight * one[c]
+                for c in range(channels):
+                    values[i * lanes + c] /= total
+            store(values, 0, lanes, n, -1, 1.0, low, high, whole, 0.0, octets, out, y, left)

@@ -1,0 +1,250 @@
+"""Samples between frames, straight from the frames as they lie in memory: nearest, and linear along x, y and t.
+
+As in `supple.cpu.sample`, a row of a run is done in passes. The samples that a pixel needs are two neighbours in two
+rows of two frames. Neighbours lie together, and are read as one number.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from supple.cpu.kernel import colour_kernel, inlined, kernel
+from supple.cpu.region import place
+from supple.cpu.sample import WIDE
+from supple.cpu.vector import prefetch, reader
+
+# Rows of a run's words: what is needed of both frames; and of its fractions.
+WORDS = 4 * WIDE
+PART_X, PART_Y, PART_T = 0, WIDE, 2 * WIDE
+PARTS = 3 * WIDE
+AHEAD = 3  # rows from where samples are read to where they are fetched into the cache
+
+_read_two, _read_four = reader(2), reader(4)
+
+
+@kernel
+def nearest_frames(source, slots, first, points, anchors, pitch, rule, fill, out):
+    """The sample nearest to each point, in all three coordinates; ties go to the larger index.
+
+    ``slots`` says where in ``source`` the frames from ``first`` on are, -1 for one that is constant.
+    """
+    height, width, channels = source.shape[1:]
+    for y in range(out.shape[0]):
+        for x in range(out.shape[1]):
+            run = min(x // pitch, anchors.shape[0] - 1)
+            half = np.float32(0.5)
+            i = place(anchors[run, 0] + np.int64(np.floor(points[0, y, x] + half)), width, rule)
+            j = place(anchors[run, 1] + np.int64(np.floor(points[1, y, x] + half)), height, rule)
+            k = anchors[run, 2] + np.int64(np.floor(points[2, y, x] + half))
+            slot = slots[min(max(k - first, 0), slots.size - 1)]
+            if i < 0 or j < 0 or slot < 0:
+                for c in range(channels):
+                    out[y, x, c] = fill[c]
+            else:
+                for c in range(channels):
+                    out[y, x, c] = source[slot, j, i, c]
+
+
+@kernel
+def locate(points, row, left, n, anchor, width, height, first, last, most, where, frame, parts):
+    """The sample before each point, along every axis, and how far beyond that it is; within the source."""
+    one = np.float32(1.0)
+    xs, ys, ts = points[0, row, left : left + n], points[1, row, left : left + n], points[2, row, left : left + n]
+    low_x, high_x = np.float32(-anchor[0]), np.float32(width - 1 - anchor[0])
+    low_y, high_y = np.float32(-anchor[1]), np.float32(height - 1 - anchor[1])
+    low_t, high_t = np.float32(-anchor[2]), np.float32(last - anchor[2])
+    x0, y0, t0 = np.int32(anchor[0]), np.int32(anchor[1]), np.int32(anchor[2] - first)
+    stride = np.int32(width)
+    for i in range(n):
+        x, y = min(max(xs[i], low_x), high_x), min(max(ys[i], low_y), high_y)
+        a, b = min(np.floor(x), high_x - one), min(np.floor(y), high_y - one)
+        parts[PART_X + i], parts[PART_Y + i] = x - a, y - b
+        where[i] = (np.int32(b) + y0) * stride + (np.int32(a) + x0)
+    for i in range(n):
+        t = min(max(ts[i], low_t), high_t)
+        c = np.floor(t)
+        parts[PART_T + i] = t - c
+        frame[i] = min(max(np.int32(c) + t0, np.int32(0)), np.int32(most))
+
+
+@inlined
+def _stretch(frame, i, n):
+    """How far the pixels from ``i`` on are of the same two frames: as long, an address is one sum."""
+    end = i + 1
+    while end < n and frame[end] == frame[i]:
+        end += 1
+    return end
+
+
+@kernel
+def _gather_pairs(samples, starts, stride, n, where, frame, words):
+    """Of one channel of bytes, both neighbours in both rows make a word for each of the two frames."""
+    i = 0
+    while i < n:
+        end = _stretch(frame, i, n)
+        here, there = samples[starts[frame[i]] :], samples[starts[frame[i] + 1] :]
+        below_here, below_there = here[stride:], there[stride:]
+        # Slices, whose indices count from 0: the compiler knows that they are not negative.
+        places, first, second = where[i:end], words[i:end], words[WIDE + i : WIDE + end]
+        for k in range(0, end - i, 32):
+            ahead = np.int64(places[k]) + AHEAD * stride
+            prefetch(here, ahead)
+            prefetch(there, ahead)
+        for k in range(end - i):
+            at = np.uint32(places[k])
+            first[k] = _read_two(here, at) | (_read_two(below_here, at) << np.uint32(16))
+            second[k] = _read_two(there, at) | (_read_two(below_there, at) << np.uint32(16))
+        i = end
+
+
+@kernel
+def _gather_words(samples, starts, stride, n, where, frame, scale, words):
+    """Of two channels of bytes, or one of 16 bits, both neighbours in a row make a word: four for a pixel."""
+    i = 0
+    while i < n:
+        end = _stretch(frame, i, n)
+        here, there = samples[starts[frame[i]] :], samples[starts[frame[i] + 1] :]
+        below_here, below_there = here[stride * scale :], there[stride * scale :]
+        places, first, second = where[i:end], words[i:end], words[WIDE + i : WIDE + end]
+        third, fourth = words[2 * WIDE + i : 2 * WIDE + end], words[3 * WIDE + i : 3 * WIDE + end]
+        for k in range(0, end - i, 16):
+            ahead = (np.int64(places[k]) + AHEAD * stride) * scale
+            prefetch(here, ahead)
+            prefetch(there, ahead)
+        for k in range(end - i):
+            at = np.uint32(places[k]) * np.uint32(scale)
+            first[k], second[k] = _read_four(here, at), _read_four(below_here, at)
+            third[k], fourth[k] = _read_four(there, at), _read_four(below_there, at)
+        i = end
+
+
+@inlined
+def _part(word, shift, mask):
+    return np.float32(np.int32((word >> np.uint32(shift)) & np.uint32(mask)))
+
+
+@inlined
+def _mix(p, q, r, t, x, y):
+    u, v = p + x * (q - p), r + x * (t - r)
+    return u + y * (v - u)
+
+
+@kernel
+def _blend_pairs(words, parts, n, out):
+    half = np.float32(0.5)
+    for i in range(n):
+        a, b = words[i], words[WIDE + i]
+        x, y = parts[PART_X + i], parts[PART_Y + i]
+        u = _mix(_part(a, 0, 255), _part(a, 8, 255), _part(a, 16, 255), _part(a, 24, 255), x, y)
+        v = _mix(_part(b, 0, 255), _part(b, 8, 255), _part(b, 16, 255), _part(b, 24, 255), x, y)
+        words[i] = np.uint32(np.int32(u + parts[PART_T + i] * (v - u) + half))
+    for i in range(n):
+        out[i, 0] = words[i]
+
+
+@inlined
+def _mixed(words, parts, i, low, high, mask):
+    """A channel of four words, whose neighbours are at the bits ``low`` and ``high``."""
+    x, y = parts[PART_X + i], parts[PART_Y + i]
+    a, b, c, d = words[i], words[WIDE + i], words[2 * WIDE + i], words[3 * WIDE + i]
+    u = _mix(_part(a, low, mask), _part(a, high, mask), _part(b, low, mask), _part(b, high, mask), x, y)
+    v = _mix(_part(c, low, mask), _part(c, high, mask), _part(d, low, mask), _part(d, high, mask), x, y)
+    return np.uint32(np.int32(u + parts[PART_T + i] * (v - u) + np.float32(0.5)))
+
+
+@kernel
+def _blend_two(words, parts, n, out):
+    for i in range(n):
+        even, odd = _mixed(words, parts, i, 0, 16, 255), _mixed(words, parts, i, 8, 24, 255)
+        words[i] = even | (odd << np.uint32(8))
+    for i in range(n):
+        out[i, 0], out[i, 1] = words[i] & np.uint32(255), words[i] >> np.uint32(8)
+
+
+@kernel
+def _blend_deep(words, parts, n, out):
+    for i in range(n):
+        words[i] = _mixed(words, parts, i, 0, 16, 65535)
+    for i in range(n):
+        out[i, 0] = words[i]
+
+
+@kernel
+def linear_packed(samples, starts, frames, first, height, width, points, anchors, pitch, scale, out):
+    """Linear samples of one or two channels of bytes, or one of 16 bits.
+
+    Parameters
+    ----------
+    samples : flat array
+        All frames that there are.
+    starts : int64 array
+        Where the frames from ``first`` on start in it; the last one twice.
+    frames : int
+        How many frames the clip has.
+    scale : int
+        Items of ``samples`` for each pixel.
+    """
+    octets = samples.itemsize == 1
+    words, parts = np.empty(WORDS, np.uint32), np.empty(PARTS, np.float32)
+    where, frame = np.empty(WIDE, np.int32), np.empty(WIDE, np.int32)
+    most = starts.size - 2
+    for run in range(anchors.shape[0]):
+        left = run * pitch
+        right = out.shape[1] if run == anchors.shape[0] - 1 else left + pitch
+        n = right - left
+        for y in range(out.shape[0]):
+            locate(points, y, left, n, anchors[run], width, height, first, frames - 1, most, where, frame, parts)
+            if octets and scale == 1:
+                _gather_pairs(samples, starts, width, n, where, frame, words)
+                _blend_pairs(words, parts, n, out[y, left:right])
+            else:
+                _gather_words(samples, starts, width, n, where, frame, scale, words)
+                if octets:
+                    _blend_two(words, parts, n, out[y, left:right])
+                else:
+                    _blend_deep(words, parts, n, out[y, left:right])
+
+
+@colour_kernel
+def linear_plain(samples, starts, frames, first, height, width, points, anchors, pitch, zero, whole, high, out):
+    """The same for any type and number of channels.
+
+    ``zero`` is of the type that all is worked out in, and ``high`` the largest value of whole numbers.
+    """
+    channels = out.shape[2]
+    parts = np.empty(PARTS, np.float32)
+    where, frame = np.empty(WIDE, np.int32), np.empty(WIDE, np.int32)
+    most = starts.size - 2
+    half = zero + np.float32(0.5)
+    for run in range(anchors.shape[0]):
+        left = run * pitch
+        right = out.shape[1] if run == anchors.shape[0] - 1 else left + pitch
+        n = right - left
+        for row in range(out.shape[0]):
+            locate(points, row, left, n, anchors[run], width, height, first, frames - 1, most, where, frame, parts)
+            pixels = out[row, left:right]
+            for i in range(n):
+                at = np.int64(where[i]) * channels
+                here, there = starts[frame[i]] + at, starts[frame[i] + 1] + at
+                x, y, t = zero + parts[PART_X + i], zero + parts[PART_Y + i], zero + parts[PART_T + i]
+                below = width * channels
+                for c in range(channels):
+                    a, b = here + c, there + c
+                    u = _mix(
+                        zero + samples[a],
+                        zero + samples[a + channels],
+                        zero + samples[a + below],
+                        zero + samples[a + below + channels],
+                        x,
+                        y,
+                    )
+                    v = _mix(
+                        zero + samples[b],
+                        zero + samples[b + channels],
+                        zero + samples[b + below],
+                        zero + samples[b + below + channels],
+                        x,
+                        y,
+                    )
+                    value = u + t * (v - u)
+                    pixels[i, c] = min(np.floor(value + half), high) if whole else value

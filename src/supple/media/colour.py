@@ -1,0 +1,267 @@
+"""What the numbers of a clip mean: colours, the siting of chroma, the way up, the light that it was graded for."""
+
+from __future__ import annotations
+
+import re
+import threading
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from fractions import Fraction
+from typing import Any
+
+import av
+import av.logging
+import numpy as np
+from av.filter import Graph
+
+from supple.media.pixels import Form, Kind, form, pack
+from supple.streaming import Array
+
+LIMITED, FULL = 1, 2  # AVCOL_RANGE_MPEG, AVCOL_RANGE_JPEG
+RGB, BT709, UNKNOWN, BT601, BT2020 = 0, 1, 2, 6, 9  # AVColorSpace
+_RESERVED = (0, 3)  # of primaries and transfers
+_BT2020_PRIMARIES, _PQ, _HLG = 9, 16, 18
+_LEVEL, _USUAL = 40, 32  # AV_LOG_VERBOSE says how chroma is sited; AV_LOG_INFO is the default
+# where the first sample of chroma lies, in steps from the top left sample of luma to the middle of its box
+_SITES = {
+    "left": (0.0, 1.0),
+    "center": (1.0, 1.0),
+    "topleft": (0.0, 0.0),
+    "top": (1.0, 0.0),
+    "bottomleft": (0.0, 2.0),
+    "bottom": (1.0, 2.0),
+}
+_CENTRED = frozenset(("mjpeg", "mpeg1video", "jpeg2000", "png", "webp", "theora", "vp8", "h263", "h261", "flv1"))
+_FLAGS = "bicubic+accurate_rnd+full_chroma_int+full_chroma_inp"
+_lock = threading.Lock()
+
+
+@dataclass(frozen=True, slots=True)
+class Colour:
+    """What the samples of a clip mean, in the numbers that FFmpeg shares with ITU-T H.273.
+
+    Parameters
+    ----------
+    range, primaries, transfer, matrix : int
+        As FFmpeg gives them; 0 for an unknown range, 2 for the others.
+    site : str
+        ``"left"``, ``"topleft"``, …; empty where the file does not say.
+    """
+
+    range: int = 0
+    primaries: int = UNKNOWN
+    transfer: int = UNKNOWN
+    matrix: int = UNKNOWN
+    site: str = ""
+
+    def full(self, form: Form) -> bool:
+        """Tell whether samples use their whole range."""
+        return self.range == FULL or form.name.startswith("yuvj") or form.kind.family in ("rgb", "xyz")
+
+    def coefficients(self, height: int) -> int:
+        """Return the matrix, guessed where the file does not say: BT.601 below 720 lines, BT.709 from there on."""
+        if self.matrix in (RGB, UNKNOWN, 3):
+            return BT709 if height >= 720 else BT601
+        return self.matrix
+
+    def valid(self) -> Colour:
+        """Return the same without what no encoder would take."""
+        primaries = UNKNOWN if self.primaries in _RESERVED else self.primaries
+        transfer = UNKNOWN if self.transfer in _RESERVED else self.transfer
+        return replace(
+            self, primaries=primaries, transfer=transfer, matrix=UNKNOWN if self.matrix == 3 else self.matrix
+        )
+
+    def mark(self, frame: av.VideoFrame) -> None:
+        """Write it onto a frame."""
+        frame.color_range, frame.colorspace = self.range, self.matrix
+        frame.color_primaries, frame.color_trc = self.primaries, self.transfer
+
+
+def described(container: av.container.InputContainer, index: int) -> str:
+    """Return what FFmpeg says of a stream; some of it, such as where chroma is sited, can be had no other way."""
+    with _lock:  # the level belongs to the whole process
+        level = av.logging.get_level()
+        try:
+            av.logging.set_level(av.logging.INFO)
+            av.logging.set_libav_level(_LEVEL)
+            text: str = container.dumps_format()  # type: ignore[attr-defined]
+        finally:
+            av.logging.set_libav_level(_USUAL)
+            av.logging.set_level(level)
+    found = re.search(rf"^ *Stream #0:{index}\b.*: Video: (.*)$", text, re.MULTILINE)
+    return found.group(1) if found else ""
+
+
+def named_site(description: str) -> str:
+    """Find where a stream says that chroma is sited; empty where it does not."""
+    for inside in re.findall(r"\(([^()]*)\)", description):
+        for word in inside.split(", "):
+            if word in _SITES:
+                return str(word)
+    return ""
+
+
+def sited(colour: Colour, codec: str, kind: Kind) -> str:
+    """Name the place of chroma: the one that a file gives, or what its codec is used to.
+
+    Of 4:2:0, MJPEG, MPEG-1, H.263, VP8 and codecs of pictures site it in the centre of its pixels; HEVC and AV1 with
+    the colours of BT.2020 at their top left; all others, MPEG-2, H.264, HEVC, VP9, AV1, at their left.
+    """
+    x, y = kind.step
+    if colour.site:
+        return colour.site
+    if codec in _CENTRED and x == y:
+        return "center"
+    if colour.primaries == _BT2020_PRIMARIES and colour.transfer in (_PQ, _HLG) and codec in ("hevc", "av1"):
+        return "topleft"
+    return "left"
+
+
+def siting(site: str, kind: Kind) -> tuple[float, float]:
+    """Tell where the first sample of chroma lies, in pixels of the frame.
+
+    At the left, that is (0, 0.5) for 4:2:0. Chroma of 4:2:2 and 4:1:1 lies on the leftmost of its pixels, (0, 0), and
+    that of 4:4:0 between two lines, (0, 0.5).
+    """
+    x, y = kind.step
+    across, down = _SITES[site]
+    return across * (x - 1) / 2, down * (y - 1) / 2
+
+
+def black(form: Form, colour: Colour) -> tuple[float, ...]:
+    """Return the value of each component in black, in the order of a layout's groups; that of opacity is 0."""
+    kind, full = form.kind, colour.full(form)
+    if kind.family == "gray":  # is taken for full where nothing is said
+        full = colour.range != LIMITED
+    low = 0.0 if full or kind.real or kind.family in ("rgb", "xyz") else 16.0 * 2 ** (kind.bits - 8)
+    middle = 2.0 ** (kind.bits - 1) if kind.family == "yuv" else low
+    opacity = (0.0,) * kind.alpha
+    if kind.family == "gray":
+        return (low, *opacity)
+    return (low, *(opacity if kind.step != (1, 1) else ()), middle, middle, *opacity)
+
+
+def to_rgb(arrays: Sequence[Array], staging: Form, colour: Colour, shape: tuple[int, int], deep: bool = False) -> Array:
+    """Show a frame as RGB of 8 bits, or of 16 if `deep`, by its own matrix and range, without its opacity."""
+    height, width = shape
+    if staging.kind.family == "gray" and colour.range == LIMITED:  # which libswscale does not know of
+        white, low, unit = 65535 if deep else 255, *(level * 2.0 ** (staging.kind.bits - 8) for level in (16, 219))
+        grey = np.clip((arrays[0][..., :1] - np.float32(low)) * np.float32(white / unit) + 0.5, 0, white)
+        return np.repeat(grey.astype(np.uint16 if deep else np.uint8), 3, axis=2)
+    goal, item = (form("rgb48le"), "<u2") if deep else (form("rgb24"), "u1")
+    assert goal is not None
+    frame = recast(arrays, staging, colour, goal, Colour(FULL, matrix=RGB), shape)
+    plane: Any = frame.planes[0]
+    rows = np.frombuffer(plane, item).reshape(height, -1)
+    return rows[:, : 3 * width].reshape(height, width, 3).astype(np.uint16 if deep else np.uint8)
+
+
+def recast(
+    arrays: Sequence[Array], staging: Form, colour: Colour, target: Form, meant: Colour, shape: tuple[int, int]
+) -> av.VideoFrame:
+    """Make a frame of one pixel format and meaning of arrays of another."""
+    height, width = shape
+    yuv = ("yuv", "gray")
+    full, wanted = colour.full(staging), meant.full(target)
+    if staging.kind.family == "gray":  # libswscale takes grey for full in any case
+        full, wanted = True, wanted or not (colour.range == FULL and meant.range == LIMITED)
+    source = colour.coefficients(height) if staging.kind.family in yuv else meant.coefficients(height)
+    goal = meant.coefficients(height) if target.kind.family in yuv else source
+    made = _scaled(
+        pack(arrays, staging, width, height),
+        target.name,
+        in_color_matrix=_swscale(source),
+        out_color_matrix=_swscale(goal),
+        in_range="full" if full else "limited",
+        out_range="full" if wanted else "limited",
+        in_chroma_loc=colour.site or "left",
+        out_chroma_loc=meant.site or "left",
+        flags=_FLAGS,
+    )
+    meant.mark(made)
+    return made
+
+
+def _scaled(frame: av.VideoFrame, to: str, **settings: str) -> av.VideoFrame:
+    """Convert a frame. Other than `VideoFrame.reformat`, this knows where chroma lies."""
+    graph = Graph()
+    frame.pts, frame.time_base = 0, Fraction(1, 25)
+    source = graph.add_buffer(width=frame.width, height=frame.height, format=frame.format, time_base=frame.time_base)
+    scale = graph.add("scale", ":".join(f"{key}={value}" for key, value in settings.items()))
+    shape, sink = graph.add("format", f"pix_fmts={to}"), graph.add("buffersink")
+    source.link_to(scale)
+    scale.link_to(shape)
+    shape.link_to(sink)
+    graph.configure()
+    graph.vpush(frame)
+    return graph.vpull()
+
+
+def _swscale(matrix: int) -> str:
+    """Name the matrix as libswscale does."""
+    return {BT709: "bt709", 4: "fcc", 7: "smpte240m", BT2020: "bt2020", 10: "bt2020"}.get(matrix, "bt601")
+
+
+@dataclass(frozen=True, slots=True)
+class Grading:
+    """For which screen a clip was graded, and how bright it gets (SMPTE ST 2086, CTA-861.3).
+
+    Parameters
+    ----------
+    screen : tuple of int or None
+        Red x, y, green x, y, blue x, y, white x, y in 1/50000; darkest and brightest in 1/10000 cd/m².
+    light : (int, int) or None
+        The brightest pixel and the brightest average of a frame, in cd/m².
+    """
+
+    screen: tuple[int, ...] | None = None
+    light: tuple[int, int] | None = None
+
+    def x265(self) -> str:
+        """Return it as parameters of x265 and x264."""
+        words = []
+        if self.screen:
+            rx, ry, gx, gy, bx, by, wx, wy, dark, bright = self.screen
+            words.append(f"master-display=G({gx},{gy})B({bx},{by})R({rx},{ry})WP({wx},{wy})L({bright},{dark})")
+        if self.light:
+            words.append(f"max-cll={self.light[0]},{self.light[1]}")
+        return ":".join(words)
+
+    def svt(self) -> str:
+        """Return it as parameters of SVT-AV1."""
+        words = []
+        if self.screen:
+            rx, ry, gx, gy, bx, by, wx, wy = (f"{value / 50000:.5f}" for value in self.screen[:8])
+            dark, bright = (f"{value / 10000:.4f}" for value in self.screen[8:])
+            words.append(f"mastering-display=G({gx},{gy})B({bx},{by})R({rx},{ry})WP({wx},{wy})L({bright},{dark})")
+        if self.light:
+            words.append(f"content-light={self.light[0]},{self.light[1]}")
+        return ":".join(words)
+
+
+def graded(frame: av.VideoFrame) -> Grading:
+    """Find out for which screen a frame was graded."""
+    screen = light = None
+    data = side_data(frame, "MASTERING_DISPLAY_METADATA")
+    if data is not None and len(data) >= 88:
+        numbers = np.frombuffer(data, "<i4", 22)
+        colours, bright = numbers[20], numbers[21]
+        ratios = numbers[:20].reshape(10, 2).astype(float)
+        if colours and bright and ratios[:, 1].all():
+            values = ratios[:, 0] / ratios[:, 1] * np.array([50000.0] * 8 + [10000.0] * 2)
+            screen = tuple(round(value) for value in values)
+    data = side_data(frame, "CONTENT_LIGHT_LEVEL")
+    if data is not None and len(data) >= 8:
+        brightest, average = np.frombuffer(data, "<u4", 2)
+        light = (int(brightest), int(average))
+    return Grading(screen, light)
+
+
+def side_data(frame: av.VideoFrame, kind: str) -> bytes | None:
+    """Return a piece of side data of a frame, if it has it."""
+    try:
+        found: Any = frame.side_data
+        return bytes(found[kind])
+    except KeyError:
+        return None

@@ -1,0 +1,222 @@
+"""Video files as packets: opened, counted, and set to one clock."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import re
+import stat
+from collections.abc import Iterator
+from dataclasses import dataclass
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import av
+from av.format import Flags as FormatFlags
+
+from supple.media.troubles import said, unreadable
+
+PathLike = str | os.PathLike[str]
+_ADVICE = "give a whole video file, such as MP4, MOV, MKV, WebM or AVI"
+_TEXT = frozenset(("ansi", "bintext", "xbin", "idf"))  # text that FFmpeg would show as a film of a terminal
+_DISCONTINUOUS: int = getattr(FormatFlags.ts_discont, "value", 0)
+_JUMP = 10  # seconds: what no gap in healthy sound or picture exceeds
+_BACK = Fraction(1, 10)
+_PICTURES = av.stream.Disposition.attached_pic | av.stream.Disposition.timed_thumbnails
+
+
+def opened(path: PathLike) -> av.container.InputContainer:
+    """Open a video file.
+
+    Raises
+    ------
+    SuppleError
+        It is missing, empty, no plain file, damaged at its start, or no video.
+    """
+    try:
+        found = os.stat(path)
+    except OSError as error:
+        raise unreadable(path, error.strerror or "no such file", "check the name and its rights") from error
+    except ValueError as error:
+        raise unreadable(path, "no file can have that name", "check it") from error
+    if not stat.S_ISREG(found.st_mode):
+        raise unreadable(path, "it is a folder" if stat.S_ISDIR(found.st_mode) else "it is no plain file", _ADVICE)
+    if not found.st_size:
+        raise unreadable(path, "it is empty", _ADVICE)
+    try:
+        # names with a colon are no addresses: an absolute path never is one
+        return av.open(str(Path(path).absolute()), "r", metadata_errors="surrogateescape")
+    except (PermissionError, av.error.PermissionError) as error:
+        raise unreadable(path, "there is no right to read it", "check its rights") from error
+    except (av.FFmpegError, ValueError, MemoryError) as error:
+        what = f"it is no video, or damaged or cut short where it begins ({said(error)})"
+        raise unreadable(path, what, _ADVICE) from error
+
+
+def chosen(container: av.container.InputContainer, path: PathLike) -> av.VideoStream:
+    """Choose the first stream that is a film, not a picture of its cover.
+
+    Raises
+    ------
+    SuppleError
+        There is none, or nothing that could decode it.
+    """
+    films = [stream for stream in container.streams.video if not stream.disposition & _PICTURES]
+    if not films:
+        kinds = {stream.type for stream in container.streams}
+        only = (
+            "a cover picture and no film"
+            if "video" in kinds
+            else "sound and no film"
+            if "audio" in kinds
+            else "no film"
+        )
+        raise unreadable(path, f"it holds {only}", _ADVICE)
+    film = films[0]
+    if film.codec_context is None:
+        raise unreadable(path, "nothing here can decode its kind of video", "convert it, to H.264 for instance")
+    if film.codec_context.codec.canonical_name in _TEXT:
+        raise unreadable(path, "it is text", _ADVICE)
+    return film
+
+
+@dataclass(frozen=True, slots=True)
+class Survey:
+    """What the packets of a film say of it before it is decoded.
+
+    Parameters
+    ----------
+    packets : int
+        How many there are that are decoded.
+    count : int
+        How many of these are shown.
+    duration : Fraction
+        Seconds from the start of the first frame to the end of the last.
+    damaged : bool
+        Whether the file breaks off.
+    suspect : bool
+        Whether some packets may be damaged, or incomplete.
+    """
+
+    packets: int
+    count: int
+    duration: Fraction
+    damaged: bool
+    suspect: bool
+
+
+def survey(container: av.container.InputContainer, film: av.VideoStream) -> Survey:
+    """Count the frames of a film by its packets."""
+    for other in container.streams:
+        if other.index != film.index:
+            other.discard = av.stream.Discard.all
+    hidden = film.codec_context.codec.canonical_name == "vp8"
+    packets = count = 0
+    first = last = None
+    step = total = 0
+    damaged = suspect = False
+    try:
+        for packet in container.demux(film):
+            if not packet.size:
+                continue
+            packets += 1
+            suspect |= packet.is_corrupt
+            if packet.is_discard or (hidden and not memoryview(packet)[0] & 16):
+                continue
+            count += 1
+            step = packet.duration or step
+            total += packet.duration or 0
+            start = packet.pts if packet.pts is not None else packet.dts
+            if start is not None:
+                first = start if first is None else min(first, start)
+                last = start + step if last is None else max(last, start + step)
+    except av.FFmpegError:
+        damaged = True
+    base = film.time_base or Fraction(1)
+    span = Fraction(last - first) * base if first is not None and last is not None else Fraction(0)
+    if total and sums_up(container):
+        span = total * base
+    told = _told(film)
+    cut = told is not None and packets > 0 and told > span + 3 * span / packets
+    return Survey(packets, count, span, damaged or cut, suspect or damaged or cut)
+
+
+def sums_up(container: av.container.InputContainer) -> bool:
+    """Tell whether packets last until the next is decoded, not until the next is shown."""
+    return "mp4" in container.format.name
+
+
+def _told(film: av.VideoStream) -> Fraction | None:
+    """Return the seconds that Matroska says a film lasts, which outlive it being cut short."""
+    found = re.fullmatch(r"(\d+):(\d\d):(\d\d(?:\.\d+)?)", film.metadata.get("DURATION", ""))
+    return int(found[1]) * 3600 + int(found[2]) * 60 + Fraction(found[3]) if found else None
+
+
+class Clock:
+    """One clock for all streams of a file: broadcasts start anywhere, and jump where they were joined.
+
+    Parameters
+    ----------
+    container : InputContainer
+        Times of MPEG-TS, MPEG-PS and the like are moved to begin at zero. All others are kept.
+    """
+
+    def __init__(self, container: av.container.InputContainer) -> None:
+        self._broadcast = bool(container.format.flags & _DISCONTINUOUS)
+        start = container.start_time if self._broadcast else None
+        self._shift = -Fraction(start, av.time_base) if start is not None else Fraction(0)
+        self._due: dict[int, Fraction] = {}
+
+    def set(self, packet: av.Packet[Any], continuous: bool) -> None:
+        """Move the times of a packet onto the clock.
+
+        Parameters
+        ----------
+        packet : Packet
+            Its times are changed.
+        continuous : bool
+            Whether its stream goes on without gaps, as sound and pictures do, so that a gap is a jump of the clock.
+        """
+        when = packet.dts if packet.dts is not None else packet.pts
+        if not self._broadcast or when is None:
+            return
+        base = packet.time_base
+        time = when * base + self._shift
+        due = self._due.get(packet.stream_index)
+        if continuous and due is not None and not due - _BACK <= time <= due + _JUMP:
+            self._shift += due - time
+            time = due
+        self._due[packet.stream_index] = time + (packet.duration or 0) * base
+        ticks = round(self._shift / base)
+        if packet.pts is not None:
+            packet.pts += ticks
+        if packet.dts is not None:
+            packet.dts += ticks
+
+
+def packets(container: av.container.InputContainer, streams: list[av.stream.Stream]) -> Iterator[av.Packet[Any]]:
+    """Read the packets of some streams, on one clock, until the file ends or breaks off."""
+    clock = Clock(container)
+    for stream in container.streams:
+        if stream not in streams:
+            stream.discard = av.stream.Discard.all
+    with contextlib.suppress(av.FFmpegError):  # the survey has noticed it
+        for packet in container.demux(streams):
+            if packet.size or packet.pts is not None:
+                clock.set(packet, packet.stream.type in ("audio", "video"))
+                yield packet
+
+
+def fed(stream: Iterator[av.Packet[Any]]) -> Iterator[av.Packet[Any] | None]:
+    """Hand out packets, then None, at which a decoder gives what it still has."""
+    yield from stream
+    yield None
+
+
+def decoded_by(decoder: av.VideoCodecContext, packet: av.Packet[Any] | None) -> list[av.VideoFrame] | None:
+    """Decode a packet, or what is left; None where it cannot be."""
+    try:
+        return decoder.decode(packet)
+    except av.FFmpegError:
+        return None

@@ -1,0 +1,277 @@
+"""A clip as it is written: frames encoded, the rest passed on, times kept."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import os
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import av
+
+from supple.media.codecs import container_of
+from supple.media.colour import Colour, recast, sited
+from supple.media.files import check_output, replacing
+from supple.media.film import Reel, Stills
+from supple.media.gif import Palettes
+from supple.media.matching import Match
+from supple.media.passing import Passage, kept_tags
+from supple.media.pixels import form, pack
+from supple.media.plan import UPRIGHT_ONLY, Plan, workers
+from supple.media.timing import usual_step
+from supple.media.troubles import raised
+from supple.streaming import Array
+
+if TYPE_CHECKING:
+    from supple.media.sequence import Pictures
+
+PathLike = str | os.PathLike[str]
+_TICKS = 50_000_000  # a second, the most in MP4
+
+
+class Sink:
+    """A film that is being written; see `writer_of`."""
+
+    def __init__(self, reel: Reel, plan: Plan, temporary: Path) -> None:
+        self._plan, self._reel = plan, reel
+        self._colour = replace(reel.colour, site=sited(reel.colour, reel.codec, reel.form.kind))
+        self._times: dict[int, tuple[int, int]] = {}
+        self._written = 0
+        self._tick: int | None = None
+        self._newest = 0
+        self._span = (0, 0)  # from the start of the first frame to the end of the last
+        self._decoding: tuple[int, int] | None = None  # the first and the last time at which a packet is needed
+        self._palettes = Palettes(reel.width, reel.height) if plan.encoder.name == "gif" else None
+        self._output = av.open(
+            str(temporary),
+            "w",
+            format=plan.container,
+            metadata_errors="surrogateescape",
+            container_options={"movie_timescale": str(_timescale(reel))} if plan.container in ("mp4", "mov") else {},
+        )
+        try:
+            self._stream = self._film()
+            self._passage = Passage(reel.source, reel.index, self._output, plan.container, plan.target)
+            self._output.metadata.update(kept_tags(reel.source.metadata if reel.source else {}))
+            chapters = reel.chapters()
+            if chapters and plan.container in ("mp4", "mov", "matroska", "webm"):
+                self._output.set_chapters(chapters)
+            elif chapters:
+                plan.warn("cannot hold the chapters of the source: they are left out")
+            self._output.start_encoding()
+        except BaseException:
+            self.abort()
+            raise
+
+    def _film(self) -> av.VideoStream:
+        plan, reel = self._plan, self._reel
+        rate = reel.rate.limit_denominator(1 << 20)
+        stream = self._output.add_stream(plan.encoder.name, rate=rate)
+        assert isinstance(stream, av.VideoStream)
+        plan.settle(stream.codec_context, plan.match)
+        stream.time_base = plan.base
+        stream.metadata.update(kept_tags(reel.tags))
+        stream.disposition = reel.disposition
+        if reel.matrix and plan.container not in UPRIGHT_ONLY:
+            stream.set_display_matrix(reel.matrix)
+        if plan.encoder.codec in ("vp8", "vp9") and plan.match.form.kind.alpha:
+            stream.metadata["alpha_mode"] = "1"
+        stream.codec_context.open()
+        return stream
+
+    @property
+    def indices(self) -> list[int]:
+        """Of the source's streams that go along."""
+        return self._passage.indices
+
+    def take(self, packet: av.Packet[Any]) -> None:
+        """Take a packet of another stream, from the thread that reads."""
+        self._passage.take(packet)
+
+    def write(self, arrays: Sequence[Array], k: int) -> None:
+        """Encode a frame.
+
+        Parameters
+        ----------
+        arrays : sequence of ndarray
+            Its samples, as the clip's layout says. They are copied.
+        k : int
+            Its number: 0, 1, 2, …, in order.
+        """
+        if k != self._written:
+            raise ValueError(f"frame {k} comes after {self._written} frames")
+        pts, duration = self._reel.time(k)
+        self._written += 1
+        frame = self._frame(arrays)
+        frame.time_base = self._stream.codec_context.time_base
+        frame.pts = self._stamp(k, pts, duration)
+        for made in self._palettes.add(frame) if self._palettes else [frame]:
+            self._encode(made)
+
+    def _frame(self, arrays: Sequence[Array]) -> av.VideoFrame:
+        reel, chosen = self._reel, self._plan.match
+        shape, colour = (reel.height, reel.width), self._colour
+        if self._palettes:
+            return recast(arrays, reel.form, colour, form("bgra") or reel.form, Colour(2, matrix=0), shape)
+        if chosen.opacity and (arrays[0][..., -1] < reel.layout.white).any():
+            self._plan.warn("loses opacity")
+            self._plan.match = chosen = Match(chosen.form, chosen.colour, chosen.same, chosen.lost, False)
+        if not chosen.same:
+            return recast(arrays, reel.form, colour, chosen.form, self._plan.colour, shape)
+        frame = pack(arrays, chosen.form, reel.width, reel.height)
+        chosen.colour.mark(frame)
+        return frame
+
+    def _encode(self, frame: av.VideoFrame) -> None:
+        frame.time_base = self._stream.codec_context.time_base  # filters have set their own
+        self._mux(self._stream.encode(frame))
+
+    def _stamp(self, k: int, pts: int, duration: int) -> int:
+        """Return the time that the encoder is given, and keep the time that the file is given for it."""
+        plan = self._plan
+        if plan.base != self._reel.base:  # times are rounded to what the container can say, each by itself
+            scale = self._reel.base / plan.base
+            start, end = round(pts * scale), round((pts + duration) * scale)
+            start = start if self._tick is None else max(start, self._tick + 1)
+            self._tick = start
+            pts, duration = start, max(1, end - start)
+        stamp = pts if plan.timed else k
+        if self._newest in self._times:  # it is shown until the next one is, whatever the file said
+            before = self._times[self._newest][0]
+            self._times[self._newest] = (before, pts - before)
+        self._newest = stamp
+        self._times[stamp] = (pts, duration)
+        self._span = (self._span[0] if k else pts, pts + duration)
+        return stamp
+
+    def _mux(self, packets: list[av.Packet[Any]], last: bool = False) -> None:
+        plan = self._plan
+        for packet in packets:
+            stamp, decoded = packet.pts, packet.dts
+            assert stamp is not None
+            pts, duration = self._times[stamp]
+            dts = decoded if plan.timed else self._decoded(decoded, pts)
+            packet.pts, packet.dts, packet.duration, packet.time_base = pts, dts, duration, plan.base
+            keep = stamp if decoded is None else min(decoded, stamp)
+            for old in [key for key in self._times if key < keep]:
+                del self._times[old]
+            packet.stream = self._stream
+            needed = pts if dts is None else dts
+            self._decoding = (self._decoding[0] if self._decoding else needed, needed)
+            if last and packet is packets[-1]:  # MP4 adds up what packets last
+                packet.duration = max(1, self._span[1] - self._span[0] - (needed - self._decoding[0]))
+            self._passage.write(needed * plan.base)
+            self._output.mux_one(packet)
+
+    def _decoded(self, number: int | None, pts: int) -> int:
+        """Turn the number of a frame by which a packet is needed into a time."""
+        if number is None:
+            return pts
+        if number in self._times:
+            return self._times[number][0]
+        first = min(self._times)
+        return self._times[first][0] + (number - first) * usual_step(self._reel.rate, self._plan.base)
+
+    def finish(self) -> None:
+        """Write what is still on its way, and close the file."""
+        if self._palettes:
+            for made in self._palettes.finish():
+                self._encode(made)
+        self._mux(self._stream.encode(None), self._plan.container in ("mp4", "mov"))
+        for packet in self._reel.rest():
+            self._passage.take(packet)
+            self._passage.write()
+        self._passage.write()
+        self._output.close()
+
+    def abort(self) -> None:
+        """Let go of the file, whatever state it is in."""
+        with contextlib.suppress(av.FFmpegError, OSError, ValueError):
+            self._output.close()
+
+
+def _timescale(reel: Reel) -> int:
+    """Choose the ticks in which MP4 says when a stream begins: such that nothing is rounded, if there are."""
+    streams = reel.source.streams if reel.source else ()
+    bases = [reel.base, *(stream.time_base for stream in streams if stream.type in ("audio", "video"))]
+    exact = math.lcm(1000, *(base.denominator for base in bases if base))
+    return exact if exact <= _TICKS else 90000
+
+
+@contextlib.contextmanager
+def sinking(reel: Reel, plan: Plan, temporary: Path) -> Iterator[Sink]:
+    """Write a film into a file that is there already, and close it."""
+    sink = None
+    try:
+        sink = Sink(reel, plan, temporary)
+        reel.sink = sink
+        yield sink
+        sink.finish()
+    except av.FFmpegError as error:
+        raise raised(plan.target, error) from error
+    finally:
+        reel.sink = None
+        if sink is not None:
+            sink.abort()
+
+
+@contextlib.contextmanager
+def writer_of(
+    clip: Reel | Pictures,
+    target: PathLike,
+    *,
+    codec: str | None = None,
+    crf: float | None = None,
+    preset: str | None = None,
+    pixel_format: str | None = None,
+    force: bool = False,
+    threads: int | None = None,
+) -> Iterator[Sink]:
+    """Write a clip anew, with other frames, and with all else that it holds; or make a film of pictures.
+
+    Parameters
+    ----------
+    clip : Clip or Pictures
+        Pictures follow each other at their rate. Their opacity is kept where the codec has it.
+    target : str or os.PathLike
+        The file to write: MP4, MOV, MKV, WebM, AVI or GIF, by its suffix. It appears when it is whole.
+    codec : str, optional
+        A codec or encoder, such as ``"h264"``, ``"libx264"``, ``"ffv1"``. By default that of the source, or
+        what the container is used to.
+    crf : float, optional
+        Constant rate factor, where the codec has one: less is better.
+    preset : str, optional
+        How much work the encoder does, where it has presets.
+    pixel_format : str, optional
+        By default that of the source, or the nearest that the codec takes. Of pictures, codecs that lose something
+        anyway get YUV, of 4:2:0 where they have it, in the limited range of BT.709.
+    force : bool
+        Whether a file that exists may be replaced.
+    threads : int, optional
+        For the encoder. By default as many as Supple uses.
+
+    Yields
+    ------
+    Sink
+        Its ``write(arrays, k)`` takes the frames k = 0, 1, 2, …; those of a video each after its ``frames`` has
+        handed out its own.
+
+    Raises
+    ------
+    SuppleError
+        Something asked for cannot be; or the file cannot be written.
+
+    Warns
+    -----
+    ClipWarning
+        Something of the source does not come through.
+    """
+    container_of(target)
+    check_output(target, force=force)
+    reel = clip if isinstance(clip, Reel) else Stills(clip)
+    plan = Plan(reel, target, codec, crf, preset, pixel_format, workers(threads))
+    with replacing(target, force=force) as temporary, sinking(reel, plan, temporary) as sink:
+        yield sink

@@ -1,0 +1,250 @@
+"""What is known of a film before it is decoded, and of pictures that are to become one."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from dataclasses import replace
+from fractions import Fraction
+from typing import TYPE_CHECKING, Any
+
+import av
+import numpy as np
+
+from supple.errors import SuppleError
+from supple.media.colour import (
+    BT709,
+    FULL,
+    RGB,
+    Colour,
+    Grading,
+    black,
+    described,
+    graded,
+    named_site,
+    side_data,
+    sited,
+    siting,
+)
+from supple.media.demux import Survey, chosen
+from supple.media.files import shown
+from supple.media.passing import name_of
+from supple.media.pixels import Form, form, palette, wider
+from supple.streaming import Layout
+
+if TYPE_CHECKING:
+    from supple.media.encode import Sink
+    from supple.media.sequence import Pictures
+
+PathLike = str | os.PathLike[str]
+_MOST = 1000  # frames a second; what claims more counts ticks
+
+
+_STILLS = {
+    "uint8": ("gray", "ya8", "rgb24", "rgba"),
+    "uint16": ("gray16le", "ya16le", "rgb48le", "rgba64le"),
+    "float32": ("grayf32le", "yaf32le", "gbrpf32le", "gbrapf32le"),
+}
+
+
+class Reel:
+    """What there is to write as a film. All that pictures do not have is empty here.
+
+    Attributes
+    ----------
+    name : str
+        As it can stand in a line of text.
+    layout : Layout
+        What a frame is made of. Where chroma lies is told by `supple.media.colour.siting`.
+    form : Form
+        The pixel format of frames that are arrays of that layout.
+    colour : Colour
+        What samples mean.
+    rate : Fraction
+        Frames a second, on average.
+    base : Fraction
+        Seconds a tick, the unit of `time`.
+    stills : bool
+        Whether it is made of pictures, so that any film of them is one that players are used to.
+    unheld : tuple of str
+        What it has that no video file holds.
+    """
+
+    layout: Layout
+    form: Form
+    colour: Colour
+    stills = False
+    unheld: tuple[str, ...] = ()
+    codec, lossless, field_order, index = "", False, 0, -1
+    aspect: Fraction | None = None
+    grading = Grading()
+    source: av.container.InputContainer | None = None
+    sink: Sink | None = None
+
+    def __init__(self, name: str, rate: Fraction, base: Fraction) -> None:
+        self.name, self.rate, self.base = name, rate, base
+        self.tags: dict[str, str] = {}
+        self.disposition = av.stream.Disposition(0)
+        self.matrix: list[int] = []
+
+    @property
+    def width(self) -> int:
+        """Of a frame as it is stored, before any rotation for display."""
+        return self.layout.shape[1]
+
+    @property
+    def height(self) -> int:
+        """Of a frame as it is stored."""
+        return self.layout.shape[0]
+
+    def time(self, k: int) -> tuple[int, int]:
+        """Return the start and the duration of frame `k` in ticks of `base`, once, in order."""
+        return k, 1
+
+    def chapters(self) -> list[Any]:
+        """Return the chapters of the file."""
+        return list(self.source.chapters()) if self.source else []
+
+    def rest(self) -> Iterator[av.Packet[Any]]:
+        """Read the packets of other streams that come after the last of the film."""
+        return iter(())
+
+
+class Stills(Reel):
+    """Pictures, as a film.
+
+    Raises
+    ------
+    SuppleError
+        They are neither grey nor RGB.
+
+    Notes
+    -----
+    Their colours are taken for those of sRGB, which are those of BT.709. Most players take the curves of both for one.
+    """
+
+    stills = True
+
+    def __init__(self, pictures: Pictures) -> None:
+        super().__init__(pictures.name, pictures.rate, 1 / pictures.rate)
+        self.layout, group = pictures.layout, pictures.layout.groups[0]
+        count, known = group.channels, _STILLS[self.layout.dtype.name]
+        if count > len(known) or group.alpha == bool(count % 2) or pictures.interpretation == "cmyk":
+            raise SuppleError(f"{self.name} holds neither grey nor RGB pictures: convert them first")
+        found = form(known[count - 1])
+        assert found is not None
+        self.form, self.colour = found, Colour(FULL, BT709, BT709, RGB)
+        profile = pictures.picture(0)[0].icc
+        if profile and b"sRGB" not in profile and "sRGB".encode("utf-16-be") not in profile:
+            self.unheld = ("the colour profile of the pictures",)
+
+
+class Film(Reel):
+    """The film in a video file, and what is around it.
+
+    Attributes
+    ----------
+    count : int
+        How many frames there are.
+    codec : str
+        Of the film, such as ``"h264"``.
+    pixel_format : str
+        As it is decoded, such as ``"yuv420p"``.
+    """
+
+    source: av.container.InputContainer
+
+    def __init__(self, path: PathLike, source: av.container.InputContainer, survey: Survey, count: int | None) -> None:
+        film = chosen(source, path)
+        super().__init__(shown(path), _rate(film, survey), film.time_base or Fraction(1, 1000))
+        self.path, self.source, self.survey = path, source, survey
+        self.count = survey.count if count is None else count
+        self._read_facts(film)
+
+    def _read_facts(self, film: av.VideoStream) -> None:
+        self.index = film.index
+        context = film.codec_context
+        self.codec, self.lossless = context.codec.canonical_name, context.codec.lossless and not context.codec.lossy
+        self.tags, self.disposition = dict(film.metadata), film.disposition
+        self.field_order = context.field_order
+        aspect = film.sample_aspect_ratio
+        self.aspect = aspect if aspect and aspect > 0 else None
+        self._site = named_site(described(self.source, film.index))
+
+    def look(self, frame: av.VideoFrame) -> None:
+        """Learn from the first frame what all are like."""
+        self.pixel_format = frame.format.name
+        self.colour = Colour(
+            int(frame.color_range),
+            int(frame.color_primaries),
+            int(frame.color_trc),
+            int(frame.colorspace),
+            self._site,
+        )
+        self.grading = graded(frame)
+        matrix = side_data(frame, "DISPLAYMATRIX")
+        turned = [int(value) for value in np.frombuffer(matrix, "=i4")] if matrix else []
+        self.matrix = turned if turned != [65536, 0, 0, 0, 65536, 0, 0, 0, 1 << 30] else []
+        self.rotation = frame.rotation
+        self.interlaced = frame.interlaced_frame
+        found = form(self.pixel_format)
+        if found is None and frame.format.has_palette:
+            opaque = (palette(frame)[..., 3] == 255).all()
+            found = form("rgb24" if opaque else "rgba")
+        elif found is None:
+            found = form(wider(self.pixel_format))
+        assert found is not None
+        self.form = found
+        offset = siting(sited(self.colour, self.codec, found.kind), found.kind)
+        layout = found.kind.layout(frame.width, frame.height, offset)
+        self.layout = replace(layout, black=black(found, self.colour))
+
+    def facts(self) -> dict[str, Any]:
+        """Return what a person may want to know."""
+        seen = self.survey.duration or Fraction(self.count) / self.rate
+        names: dict[str, list[str]] = {"audio": [], "subtitle": [], "other": []}
+        for stream in self.source.streams:
+            if stream.index != self.index:
+                codec, tongue = name_of(stream), stream.metadata.get("language", "und")
+                sort = stream.type if stream.type in names else "other"
+                names[sort].append(codec if tongue == "und" else f"{codec} ({tongue})")
+        kind = self.form.kind
+        return {
+            "container": self.source.format.name,
+            "codec": self.codec,
+            "width": self.width,
+            "height": self.height,
+            "frames": self.count,
+            "rate": self.rate,
+            "duration": float(seen),
+            "pixel_format": self.pixel_format,
+            "bits": kind.bits,
+            "alpha": kind.alpha,
+            "range": {1: "limited", 2: "full"}.get(self.colour.range, "unknown"),
+            "primaries": self.colour.primaries,
+            "transfer": self.colour.transfer,
+            "matrix": self.colour.matrix,
+            "siting": self.colour.site or "unknown",
+            "rotation": self.rotation,
+            "aspect": self.aspect or Fraction(1),
+            "interlaced": self.interlaced,
+            "damaged": self.survey.damaged,
+            "audio": names["audio"],
+            "subtitles": names["subtitle"],
+            "other": names["other"],
+            "chapters": len(self.chapters()),
+        }
+
+
+def said_of(film: av.VideoStream, key: str) -> str | None:
+    """Look metadata of a stream up, whatever the case of its key."""
+    return next((value for name, value in film.metadata.items() if name.lower() == key), None)
+
+
+def _rate(film: av.VideoStream, counted: Survey) -> Fraction:
+    for rate in (film.average_rate, film.guessed_rate, film.base_rate):
+        if rate and 0 < rate <= _MOST:
+            return Fraction(rate)
+    if counted.duration > 0 and counted.count:
+        return (counted.count / counted.duration).limit_denominator(1001)
+    return Fraction(25)

@@ -1,0 +1,176 @@
+"""Which pixel format of an encoder is nearest to a clip's, and what is lost in it."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+from supple.media.colour import BT709, FULL, LIMITED, RGB, UNKNOWN, Colour
+from supple.media.pixels import Form, Kind, form
+from supple.media.troubles import unwritable
+
+PathLike = str | os.PathLike[str]
+_CHROMA = {(1, 1): "4:4:4", (2, 1): "4:2:2", (2, 2): "4:2:0", (4, 1): "4:1:1", (4, 4): "4:1:0", (1, 2): "4:4:0"}
+
+
+@dataclass(frozen=True, slots=True)
+class Match:
+    """How frames are handed to an encoder.
+
+    Parameters
+    ----------
+    form : Form
+        The encoder's pixel format.
+    colour : Colour
+        What its samples mean.
+    same : bool
+        Whether the samples are written as they are.
+    lost : str
+        What does not come through, except opacity; empty where nothing is lost.
+    opacity : bool
+        Whether opacity, where a frame has any, is lost.
+    """
+
+    form: Form
+    colour: Colour
+    same: bool
+    lost: str
+    opacity: bool
+
+
+def match(
+    target: PathLike,
+    encoder: str,
+    names: list[str],
+    source: Form,
+    colour: Colour,
+    asked: str | None,
+    opens: Callable[[Match], bool],
+    size: str,
+    exact: bool = True,
+) -> Match:
+    """Find the pixel format in which an encoder takes a clip: its own, else the nearest that loses least.
+
+    Parameters
+    ----------
+    target : str or os.PathLike
+        The file to write, for messages.
+    encoder : str
+        What writes it.
+    names : list of str
+        The pixel formats that the encoder takes; any where it is empty.
+    source : Form
+        How the clip's frames are laid out.
+    colour : Colour
+        What its samples mean.
+    asked : str or None
+        The pixel format that is asked for.
+    opens : callable
+        Tells whether the encoder opens with a match.
+    size : str
+        The size of frames, for messages.
+    exact : bool
+        Whether it is a loss that values of RGB are rounded to those of YUV.
+
+    Raises
+    ------
+    SuppleError
+        The encoder does not take the format that is asked for, or none at this size.
+    """
+    forms = [found for name in (names or [source.name]) if (found := form(name)) is not None]
+    if asked is not None:
+        wanted = form(asked) or form(asked + "le")
+        if wanted is None or (names and wanted.name not in names):
+            usable = ", ".join(found.name for found in forms)
+            raise unwritable(target, f"{encoder} does not take the pixel format {asked!r}", f"use {usable}")
+        forms = [wanted]
+    forms.sort(key=lambda found: _cost(source, colour, found))
+    first: Match | None = None
+    for found in forms:
+        made = _matched(source, colour, found, exact)
+        if opens(made):
+            if first is not None and not made.lost and first.same:
+                made = replace(made, lost=f"{first.form.name}, which {encoder} does not take at {size}")
+            return made
+        first = first or made
+    advice = "use another pixel format" if asked is not None else "use another codec, such as ffv1 in .mkv"
+    what = f" in {asked}" if asked is not None else ""
+    raise unwritable(target, f"{encoder} does not take frames of {size}{what}", advice)
+
+
+def _cost(source: Form, colour: Colour, to: Form) -> tuple[float, ...]:
+    """Order formats: what loses least first, then what needs least, then what is most like the source."""
+    a, b = source.kind, to.kind
+    chroma = (b.step[0] * b.step[1]) / (a.step[0] * a.step[1])
+    recoded = colour.full(source) != colour.full(to) and to.name.startswith("yuvj")
+    coarser = chroma if _coarser(a, b) else 0.0
+    if a.family == "rgb" and b.family == "yuv":  # what every player shows
+        coarser = chroma = abs(4 - b.step[0] * b.step[1])
+    return (
+        float(a.alpha and not b.alpha),
+        float(_colourless(a, b)),
+        float(a.family == "rgb" and b.family == "yuv"),
+        coarser,
+        max(0, _depth(a) - _depth(b)),
+        float(recoded),
+        float(b.alpha and not a.alpha),
+        float(a.family != b.family),
+        -chroma,
+        _depth(b) - _depth(a),
+        float(a.real != b.real),
+        float(to.name != source.name),
+        float(len({place.plane for place in to.places}) != len({place.plane for place in source.places})),
+    )
+
+
+def _depth(kind: Kind) -> float:
+    return {16: 11.5, 32: 24.0}[kind.bits] if kind.real else kind.bits
+
+
+def _colourless(a: Kind, b: Kind) -> bool:
+    return (a.family != "gray" and b.family == "gray") or (a.family == "xyz") != (b.family == "xyz")
+
+
+def _coarser(a: Kind, b: Kind) -> bool:
+    return a.family in ("rgb", "yuv") and b.family == "yuv" and (b.step[0] > a.step[0] or b.step[1] > a.step[1])
+
+
+def _losses(a: Kind, b: Kind, exact: bool) -> str:
+    words = []
+    if _colourless(a, b):
+        words.append("its colours")
+    elif _coarser(a, b):
+        words.append(f"detail of colours (to {_CHROMA.get(b.step, 'less')})")
+    elif a.family == "yuv" and b.family == "rgb":
+        words.append("exact values (to RGB)")
+    if exact and a.family == "rgb" and b.family == "yuv":
+        words.append("exact values (to YUV)")
+    if _depth(b) < _depth(a):
+        words.append(f"depth ({a.bits}{' real' if a.real else ''} to {b.bits} bits)")
+    return " and ".join(words)
+
+
+def _pictured(kind: Kind, colour: Colour) -> bool:
+    """Tell whether it is RGB, or the grey of pictures, which is that of RGB."""
+    return kind.family == "rgb" or (kind.family == "gray" and colour.matrix == RGB)
+
+
+def _matched(source: Form, colour: Colour, to: Form, exact: bool) -> Match:
+    same = source.kind == to.kind and not (to.name.startswith("yuvj") and not colour.full(source))
+    meant = colour.valid()
+    lost = _losses(source.kind, to.kind, exact)
+    if to.kind.family in ("rgb", "xyz"):
+        meant = replace(meant, range=FULL if to.kind.family == "rgb" else meant.range, matrix=RGB, site="")
+    elif to.kind.family == "gray" and source.kind.family != "gray":
+        meant = replace(meant, range=FULL)  # libswscale knows no other grey
+    elif to.kind.family == "yuv" and _pictured(source.kind, colour):
+        full = to.name.startswith("yuvj")
+        meant = replace(meant, range=FULL if full else LIMITED, matrix=BT709)
+    elif meant.matrix == RGB:
+        meant = replace(meant, matrix=UNKNOWN)
+    if to.name.startswith("yuvj") or source.name.startswith("yuvj"):
+        meant = replace(meant, range=FULL)
+        if not same and not colour.full(source) and not lost:
+            lost = "exact values (to full range)"
+    return Match(to, meant, same, lost, source.kind.alpha and not to.kind.alpha)

@@ -1,0 +1,97 @@
+"""Names of image sequences: numbered pictures, and the pictures of a folder."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+from supple.errors import SuppleError
+from supple.media.files import shown
+from supple.media.formats import SUFFIXES_OUT
+from supple.media.vips import PathLike
+
+# Of a folder, everything that somebody may take for a picture: what cannot be read is then named.
+SUFFIXES_IN = frozenset(
+    {*SUFFIXES_OUT, ".bmp", ".exr", ".gif", ".hdr", ".heic", ".heif", ".jp2", ".jxl", ".pgm", ".ppm", ".svg"}
+)
+_NUMBER = re.compile("%(?:0[1-9][0-9]?)?d")
+
+
+def is_sequence(path: PathLike) -> bool:
+    """Whether a name is that of a sequence: a folder, or a pattern with a number in it, such as ``frames/%05d.png``."""
+    text = os.fspath(path)
+    return text.endswith(("/", os.sep)) or has_number(text) or os.path.isdir(text)
+
+
+def has_number(path: PathLike) -> bool:
+    """Whether a name is a pattern."""
+    return bool(_NUMBER.search(Path(path).name))
+
+
+def first_number(paths: list[Path]) -> int | None:
+    """The number at the end of the first name, if the others count on from there."""
+    numbers = [int(found[-1]) if (found := re.findall("[0-9]+", path.stem)) else None for path in paths]
+    start = numbers[0]
+    return start if start is not None and numbers == list(range(start, start + len(paths))) else None
+
+
+def spelling(pattern: str, whole: str) -> Callable[[int], str]:
+    """How a pattern spells a number."""
+    if len(_NUMBER.findall(pattern)) > 1 or "%" in _NUMBER.sub("", pattern):
+        raise SuppleError(f"{shown(whole)} must hold one number, as %d or %05d, and no other percent sign")
+    return lambda number: pattern % number
+
+
+def matching(text: str) -> tuple[list[Path], list[int], Callable[[int], str]]:
+    """The pictures that a pattern stands for, in order, with their numbers."""
+    path = Path(text)
+    spell = spelling(path.name, text)
+    before, after = _NUMBER.split(path.name)
+    numbers = []
+    for name in _names_in(path.parent):
+        digits = name[len(before) : len(name) - len(after)]
+        fits = name.startswith(before) and name.endswith(after) and digits.isascii() and digits.isdecimal()
+        if fits and spell(int(digits)) == name:
+            numbers.append(int(digits))
+    numbers.sort()
+    return [path.parent / spell(number) for number in numbers], numbers, spell
+
+
+def numbered(text: str) -> tuple[list[Path], int]:
+    """The pictures that a pattern stands for, and the first number; an error where one is missing."""
+    paths, numbers, spell = matching(text)
+    if not paths:
+        raise SuppleError(f"no picture is named {shown(text)}: check the pattern")
+    for place, number in enumerate(numbers):
+        missing = numbers[0] + place
+        if number != missing:
+            name = shown(Path(text).parent / spell(missing))
+            raise SuppleError(
+                f"{name} is missing between {shown(paths[0])} and {shown(paths[-1])}: "
+                "add it, or give a folder that holds the frames alone"
+            )
+    return paths, numbers[0]
+
+
+def pictures_in(folder: Path) -> list[Path]:
+    """The pictures of a folder, the 9th before the 10th."""
+    names = [n for n in _names_in(folder) if Path(n).suffix.lower() in SUFFIXES_IN and os.path.isfile(folder / n)]
+    if not names:
+        raise SuppleError(f"the folder {shown(folder)} holds no pictures: give another, or a pattern such as %05d.png")
+    return [folder / name for name in sorted(names, key=_natural)]
+
+
+def _names_in(folder: Path) -> list[str]:
+    try:
+        return [name for name in os.listdir(folder) if not name.startswith(".")]
+    except OSError as error:
+        raise SuppleError(f"cannot read the folder {shown(folder)}: {error.strerror}: check its name") from error
+    except ValueError as error:
+        raise SuppleError(f"cannot read {shown(folder)}: no folder can have that name: check it") from error
+
+
+def _natural(name: str) -> tuple[list[str | int], str]:
+    parts = re.split("([0-9]+)", name.lower())
+    return [int(part) if k % 2 else part for k, part in enumerate(parts)], name

@@ -1,0 +1,247 @@
+"""Pixel formats of video: where each component lies in memory, and the planes that it stands for."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import av
+import numpy as np
+
+from supple.streaming import Array, Group, Layout
+
+# what is packed in an order that its name does not tell
+_ORDER = {"xv36": "uyvx", "xv48": "uyvx", "yuyv422": "yuyv", "uyvy422": "uyvy", "yvyu422": "yvyu"}
+_ORDER |= {"y210": "yuyv", "y212": "yuyv", "y216": "yuyv", "xyz12": "rgb"}
+_PACKED = re.compile(r"([rgbayuvx0]{2,4})(?:\d+|f16|f32)?")
+# Formats with parts of bytes, and what holds all of them. The rest is converted to 8 bits of RGB.
+_WIDER = {
+    "mono[bw]": "gray",
+    "x2(rgb|bgr)10": "gbrp10le",
+    "(v30x|xv30)": "yuv444p10le",
+    "uyyvyy411": "yuv411p",
+    "rgb96": "rgb48le",
+    "rgba128": "rgba64le",
+    "gbrap32": "gbrap16le",
+    "gray32": "gray16le",
+    "bayer_....16": "rgb48le",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Kind:
+    """What a pixel format can say, wherever its bytes lie.
+
+    Parameters
+    ----------
+    family : str
+        ``"gray"``, ``"yuv"``, ``"rgb"`` or ``"xyz"``.
+    step : (int, int)
+        Pixels for one sample of chroma, x first.
+    bits : int
+        Bits of a sample; 32 or 16 where `real`.
+    alpha : bool
+        Whether there is opacity.
+    real : bool
+        Whether samples are floating point.
+    """
+
+    family: str
+    step: tuple[int, int]
+    bits: int
+    alpha: bool
+    real: bool
+
+    @property
+    def white(self) -> float:
+        """The largest value of a sample."""
+        return 1.0 if self.real else float(2**self.bits - 1)
+
+    @property
+    def dtype(self) -> np.dtype[np.generic]:
+        """Of the arrays that frames are handed out in."""
+        return np.dtype(np.float32 if self.real else np.uint8 if self.bits <= 8 else np.uint16)
+
+    def layout(self, width: int, height: int, offset: tuple[float, float]) -> Layout:
+        """Return the groups of components of a frame of that size, with chroma sited at `offset`."""
+        colours = 1 if self.family == "gray" else 3
+        alpha = int(self.alpha)
+        if self.step == (1, 1):
+            groups: tuple[Group, ...] = (Group((height, width), colours + alpha, alpha=self.alpha),)
+        else:
+            small = (-(-height // self.step[1]), -(-width // self.step[0]))
+            luma = Group((height, width), 1 + alpha, alpha=self.alpha)
+            groups = (luma, Group(small, 2 + alpha, self.step, offset, self.alpha))
+        return Layout(groups, self.dtype, self.white)
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """Where the samples of one component lie: in which plane, from which item, how many items apart."""
+
+    plane: int
+    start: int
+    step: int
+
+
+@dataclass(frozen=True, slots=True)
+class Form:
+    """A pixel format whose components can be read and written as they are.
+
+    Parameters
+    ----------
+    name : str
+        What FFmpeg calls it.
+    kind : Kind
+        What it can say.
+    places : tuple of Place
+        Of Y, U, V or R, G, B, and then of opacity.
+    item : numpy.dtype
+        Of the samples in memory.
+    shift : int
+        By how many bits the samples are moved up.
+    """
+
+    name: str
+    kind: Kind
+    places: tuple[Place, ...]
+    item: np.dtype[np.generic]
+    shift: int = 0
+
+
+@lru_cache(maxsize=1024)
+def form(name: str) -> Form | None:
+    """Tell how a pixel format lies in memory; None where samples share bytes, or are not in memory."""
+    try:
+        video = av.VideoFormat(name, 64, 64)
+    except ValueError:
+        return None
+    parts = video.components
+    bits = {part.bits for part in parts}
+    if not parts or len(bits) > 1 or video.has_palette or video.is_bit_stream or video.is_bayer:
+        return None
+    base = re.sub(r"(le|be)$", "", video.name)
+    real = bool(re.search(r"f(16|32)$", base))
+    depth = bits.pop()
+    if depth < 8 or (depth > 16 and not real) or re.search("x2|v30|uyyvyy", base):
+        return None
+    size = max(8, 1 << (depth - 1).bit_length())
+    item = np.dtype(f"{'>' if video.is_big_endian else '<'}{'f' if real else 'u'}{size // 8}")
+    places = _places(video, base)
+    family = "xyz" if base.startswith("xyz") else "rgb" if video.is_rgb else "yuv" if len(parts) > 2 else "gray"
+    step = (1, 1)
+    if family == "yuv":
+        step = (64 // parts[1].width, 64 // parts[1].height)
+    moved = "msb" in base or re.fullmatch(r"p[0-4]1[0-6]|y21[0-6]|xv36|xyz12", base)
+    kind = Kind(family, step, depth, len(parts) in (2, 4), real)
+    return Form(video.name, kind, places, item, size - depth if moved else 0)
+
+
+def _places(video: av.VideoFormat, base: str) -> tuple[Place, ...]:
+    parts = video.components
+    if len({part.plane for part in parts}) == len(parts):
+        return tuple(Place(part.plane, 0, 1) for part in parts)
+    if video.is_planar:  # the two of chroma share a plane
+        swapped = int(base in ("nv21", "nv42"))
+        return (Place(0, 0, 1), Place(1, swapped, 2), Place(1, 1 - swapped, 2))
+    found = _PACKED.fullmatch(base)
+    order = _ORDER.get(base) or (found.group(1) if found else "")
+    names = "ya" if len(parts) == 2 else ("rgba" if video.is_rgb or base.startswith("xyz") else "yuva")[: len(parts)]
+    return tuple(Place(0, order.index(a), len(order) // order.count(a)) for a in names)
+
+
+def wider(name: str) -> str:
+    """Name the format, one that can be read as it is, that holds all of what another one says."""
+    base = re.sub(r"(le|be)$", "", name)
+    return next((to for pattern, to in _WIDER.items() if re.fullmatch(pattern, base)), "rgb24")
+
+
+def _samples(plane: Any, rows: int, item: np.dtype[np.generic]) -> Array:
+    line = plane.line_size
+    table = np.frombuffer(plane, np.uint8)[: rows * abs(line)].reshape(rows, abs(line))
+    table = table[:, : abs(line) // item.itemsize * item.itemsize].view(item)
+    return table[::-1] if line < 0 else table  # some decoders store pictures bottom up
+
+
+def _views(frame: av.VideoFrame, form: Form) -> list[Array]:
+    """Look at each component of a frame where it lies."""
+    planes = frame.planes
+    seen: list[Array] = []
+    for number, place in enumerate(form.places):
+        width, height = frame.width, frame.height
+        if number in (1, 2) and form.kind.family == "yuv":
+            width, height = -(-width // form.kind.step[0]), -(-height // form.kind.step[1])
+        rows = _samples(planes[place.plane], height, form.item)
+        seen.append(rows[:, place.start :: place.step][:, :width])
+    return seen
+
+
+def _slots(arrays: Sequence[Array], kind: Kind) -> list[Array]:
+    """Look at each component in the arrays, in the same order; without the opacity for chroma."""
+    slots = [arrays[0][..., channel] for channel in range(arrays[0].shape[-1])]
+    if len(arrays) > 1:
+        slots[1:1] = [arrays[1][..., 0], arrays[1][..., 1]]
+    return slots
+
+
+def _whole(frame: av.VideoFrame, form: Form) -> Array | None:
+    """Look at a packed frame as one array, where its components lie in order and nothing else does."""
+    count = len(form.places)
+    if count == 1 or any(place != Place(0, number, count) for number, place in enumerate(form.places)):
+        return None
+    rows = _samples(frame.planes[0], frame.height, form.item)
+    return rows[:, : frame.width * count].reshape(frame.height, frame.width, count)
+
+
+def unpack(frame: av.VideoFrame, form: Form, arrays: Sequence[Array]) -> None:
+    """Copy the samples of a frame into arrays, one for each group."""
+    whole = _whole(frame, form)
+    if whole is not None and not form.shift:
+        arrays[0][:] = whole
+    else:
+        for view, slot in zip(_views(frame, form), _slots(arrays, form.kind), strict=True):
+            if form.shift:
+                np.right_shift(view, form.shift, out=slot)
+            else:
+                slot[:] = view
+    if form.kind.alpha and len(arrays) > 1:
+        arrays[1][..., 2] = _averaged(arrays[0][..., 1], form.kind)
+
+
+def _averaged(alpha: Array, kind: Kind) -> Array:
+    """Average opacity over the pixels of each sample of chroma."""
+    (x, y), (height, width) = kind.step, alpha.shape
+    padded = np.pad(alpha, ((0, -height % y), (0, -width % x)), mode="edge")
+    sums = padded.reshape(padded.shape[0] // y, y, -1, x).sum(axis=(1, 3), dtype=np.float32 if kind.real else np.uint32)
+    mean: Array = sums / (x * y) if kind.real else (sums + x * y // 2) // (x * y)
+    return mean
+
+
+def pack(arrays: Sequence[Array], form: Form, width: int, height: int) -> av.VideoFrame:
+    """Make a frame of the samples in arrays, one for each group."""
+    frame = av.VideoFrame(width, height, form.name)
+    whole = _whole(frame, form)
+    if whole is not None and not form.shift:
+        whole[:] = arrays[0]
+        return frame
+    if len(form.places) < abs(form.places[0].step) and form.kind.step == (1, 1):
+        _samples(frame.planes[0], height, form.item)[:] = 0  # the room beside the components
+    for view, slot in zip(_views(frame, form), _slots(arrays, form.kind), strict=True):
+        if form.shift:
+            np.left_shift(slot, form.shift, out=view)
+        else:
+            view[:] = slot
+    return frame
+
+
+def palette(frame: av.VideoFrame) -> Array:
+    """Look the pixels of a frame up in its palette: shape (H, W, 4), RGBA."""
+    index = _samples(frame.planes[0], frame.height, np.dtype(np.uint8))[:, : frame.width]
+    table_of: Any = frame.planes[1]
+    entries = np.frombuffer(table_of, "<u4")[:256]
+    table = np.stack([entries >> 16 & 255, entries >> 8 & 255, entries & 255, entries >> 24], axis=-1)
+    found: Array = table.astype(np.uint8)[index]
+    return found

@@ -1,0 +1,180 @@
+"""How a clip will be written: all that is asked for, settled and tried before there is a file."""
+
+from __future__ import annotations
+
+import os
+import warnings
+from dataclasses import replace
+from fractions import Fraction
+from typing import TYPE_CHECKING
+
+import av
+import numpy as np
+
+from supple.cpu.kernel import threads as all_threads
+from supple.errors import SuppleError
+from supple.media.codecs import Encoder, container_of, named, options, pixel_formats
+from supple.media.colour import Colour, sited
+from supple.media.files import shown
+from supple.media.matching import Match, match
+from supple.media.pixels import Form, Kind, form
+from supple.media.troubles import ClipWarning, unwritable
+
+if TYPE_CHECKING:
+    from supple.media.film import Reel
+
+PathLike = str | os.PathLike[str]
+# Encoders that take any times. The others count frames, and their packets are given the times afterwards.
+_TIMED = frozenset(("libx264", "libx264rgb", "libx265", "libvpx", "libvpx-vp9", "libsvtav1"))
+_FINEST = 1_000_000  # ticks a second that they are trusted with
+# Codecs that say themselves how wide a pixel is; Matroska and AVI cannot be told through PyAV.
+_ASPECT = frozenset(("h264", "hevc", "mpeg4", "mpeg2video", "mpeg1video", "mjpeg"))
+UPRIGHT_ONLY = frozenset(("avi", "gif"))
+os.environ.setdefault("SVT_LOG", "0")  # it writes to the terminal otherwise
+
+
+class Plan:
+    """How a clip will be written, with all that can be refused refused.
+
+    Parameters
+    ----------
+    reel : Reel
+        What is written.
+    target : str or os.PathLike
+        The file to write.
+    codec, crf, preset, pixel_format : optional
+        What was asked for.
+    workers : int
+        How many threads encode.
+    """
+
+    def __init__(
+        self,
+        reel: Reel,
+        target: PathLike,
+        codec: str | None,
+        crf: float | None,
+        preset: str | None,
+        pixel_format: str | None,
+        workers: int,
+    ) -> None:
+        self.reel, self.target, self.workers = reel, target, workers
+        self.container = container_of(target)
+        supported = av.open(os.devnull, "w", format=self.container).supported_codecs
+        name = named(target, self.container, supported, codec, reel.codec, reel.lossless)
+        settings = options(target, name, crf, preset, workers, self.container)
+        found = av.Codec(name, "w")
+        self.encoder = Encoder(name, found.canonical_name, settings)
+        self.base = self._base()
+        if name == "gif":
+            if pixel_format not in (None, "pal8"):
+                raise unwritable(target, f"gif does not take the pixel format {pixel_format!r}", "use pal8")
+            rgba = Form("pal8", Kind("rgb", (1, 1), 8, True, False), (), np.dtype(np.uint8))
+            self.match = Match(rgba, Colour(), False, "", False)
+        else:
+            self.match = self._matched(found, pixel_format)
+        if reel.stills and reel.form.kind.real and not self.match.form.kind.real:
+            what = f"{reel.name} holds floating point, whose colours have no place in {self.encoder.codec}"
+            raise unwritable(target, what, "use codec ffv1 in .mkv, or convert them to 16 bits first")
+        self._warn_of_losses()
+
+    def _matched(self, codec: av.Codec, asked: str | None) -> Match:
+        """Choose the pixel format."""
+        reel, encoder = self.reel, self.encoder
+        names = pixel_formats(encoder.name)
+        usual = reel.stills and not (codec.lossless and not codec.lossy)
+        if usual and asked is None:
+            names = [each for each in names if (made := form(each)) and made.kind.family == "yuv"] or names
+        size = f"{reel.width}x{reel.height}"
+        wanted = (self.target, encoder.name, names, reel.form, reel.colour, asked, self._opens, size, not usual)
+        try:
+            return match(*wanted)
+        except SuppleError:
+            if encoder.name != "ffv1":
+                raise
+            encoder.options.update({"level": "1", "slices": "1"})  # frames too small to be cut into slices
+            return match(*wanted)
+
+    def _warn_of_losses(self) -> None:
+        reel, lost = self.reel, self.match.lost
+        if lost:
+            self.warn(f"loses {lost}" if ", which" not in lost else f"is not in {lost}")
+        for what in reel.unheld:
+            self.warn(f"cannot hold {what}")
+        square = reel.aspect in (None, Fraction(1))
+        if not square and self.container not in ("mp4", "mov") and self.encoder.codec not in _ASPECT:
+            self.warn(f"cannot say that pixels are {reel.aspect} as wide as high: they are left as they are stored")
+        if reel.matrix and self.container in UPRIGHT_ONLY:
+            self.warn("cannot say which way up it is shown: it is left as it is stored")
+
+    def _base(self) -> Fraction:
+        """Choose the unit of the file's time stamps."""
+        if self.container == "avi":
+            return 1 / self.reel.rate
+        return Fraction(1, 100) if self.container == "gif" else self.reel.base
+
+    @property
+    def colour(self) -> Colour:
+        """What the samples that are encoded mean, with the place of chroma, which the file need not say."""
+        chosen = self.match
+        return replace(chosen.colour, site=sited(chosen.colour, self.encoder.codec, chosen.form.kind))
+
+    @property
+    def timed(self) -> bool:
+        """Whether the encoder is given the times of frames, and not their numbers."""
+        return self.encoder.name in _TIMED and self.container != "avi" and self.base.denominator <= _FINEST
+
+    def warn(self, what: str) -> None:
+        """Warn of what does not come through."""
+        warnings.warn(f"{shown(self.target)} {what}", ClipWarning, stacklevel=3)
+
+    def settle(self, context: av.VideoCodecContext, chosen: Match) -> None:
+        """Give an encoder its settings."""
+        reel = self.reel
+        context.width, context.height, context.pix_fmt = reel.width, reel.height, chosen.form.name
+        context.framerate = reel.rate.limit_denominator(1 << 20)
+        context.time_base = reel.base if self.timed else 1 / reel.rate.limit_denominator(1 << 20)
+        context.thread_count = self.workers
+        if reel.aspect:
+            context.sample_aspect_ratio = reel.aspect
+        colour = chosen.colour
+        context.color_range, context.colorspace = colour.range, colour.matrix
+        context.color_primaries, context.color_trc = colour.primaries, colour.transfer
+        if reel.field_order > 1:
+            context.field_order = reel.field_order
+        context.options = dict(self.encoder.options)
+        self._extras(context, chosen)
+
+    def _extras(self, context: av.VideoCodecContext, chosen: Match) -> None:
+        reel, settings = self.reel, context.options
+        if chosen.colour.site and chosen.form.kind.step != (1, 1):
+            settings["chroma_sample_location"] = chosen.colour.site
+        words = {"libx264": "x264-params", "libx265": "x265-params", "libsvtav1": "svtav1-params"}
+        key = words.get(self.encoder.name)
+        if key:
+            extra = reel.grading.svt() if key == "svtav1-params" else reel.grading.x265()
+            if key == "x264-params":
+                extra = extra.replace("master-display", "mastering-display").replace("max-cll", "cll")
+                if reel.field_order in (2, 4, 3, 5):
+                    extra = ":".join(filter(None, (extra, "tff=1" if reel.field_order in (2, 4) else "bff=1")))
+            joined = ":".join(part for part in (settings.get(key, ""), extra) if part)
+            if joined:
+                settings[key] = joined
+        if self.encoder.codec == "hevc" and self.container in ("mp4", "mov"):
+            context.codec_tag = "hvc1"  # what QuickTime plays
+
+    def _opens(self, chosen: Match) -> bool:
+        """Try whether the encoder opens."""
+        context = av.CodecContext.create(self.encoder.name, "w")
+        assert isinstance(context, av.VideoCodecContext)
+        self.settle(context, chosen)
+        try:
+            context.open()
+        except (av.FFmpegError, ValueError):
+            return False
+        return True
+
+
+def workers(threads: int | None) -> int:
+    """Return how many threads a codec may use."""
+    return threads if threads else all_threads()

@@ -1,0 +1,195 @@
+"""Image sequences as clips: numbered pictures, or all pictures of a folder, one for each frame."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import warnings
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from supple.errors import SuppleError
+from supple.media.files import shown
+from supple.media.formats import DTYPES
+from supple.media.headers import collected, facts, has_alpha
+from supple.media.image import PageWarning, Picture
+from supple.media.numbering import first_number, has_number, is_sequence, numbered, pictures_in
+from supple.media.vips import PathLike, apart, decoded, opened, reading, widen
+from supple.streaming import Frame, Group, Layout
+
+__all__ = ["Pictures", "is_sequence", "open_sequence"]
+
+Array = npt.NDArray[Any]
+
+_WHITE = {"uint8": 255.0, "uint16": 65535.0, "float32": 1.0}
+
+
+@dataclass(frozen=True, slots=True)
+class _Still:
+    """A frame that is read when it is copied, so that no more than one is in memory."""
+
+    path: Path
+    layout: Layout
+
+    def copy_to(self, arrays: Sequence[Array]) -> None:
+        image, form = opened(self.path)
+        _require(self.path, _layout(self.path, image), self.layout, "the first picture")
+        _, orientation, bits = facts(image)
+        with reading(self.path):
+            pixels = apart(lambda: decoded(image, orientation), image)
+        np.copyto(arrays[0], pixels.reshape(arrays[0].shape))
+        if form in ("AVIF", "HEIF") and 8 < bits < 16:
+            widen(arrays[0], bits)
+
+
+class Pictures:
+    """Pictures of one size and type, as the frames of a clip.
+
+    Attributes
+    ----------
+    name : str
+        As it was given.
+    paths : list of pathlib.Path
+        In order.
+    first : int or None
+        The number of the first picture, where the names are numbered.
+    layout : Layout
+        One group: a grid of pixels.
+    rate : Fraction
+        Frames a second: pictures do not know, and whoever opens them says it.
+    """
+
+    def __init__(self, name: str, paths: list[Path], rate: Fraction, first: int | None) -> None:
+        self.name, self.paths, self.rate, self.first = name, paths, rate, first
+        image, self.format = opened(paths[0])
+        self.layout = _layout(paths[0], image)
+        self.interpretation: str = image.interpretation
+        if facts(image)[0] > 1:
+            text = f"{shown(paths[0])} holds several pages or frames, and only one of each picture is read"
+            warnings.warn(text, PageWarning, stacklevel=3)
+        for path in paths[1:]:
+            _require(path, _layout(path, opened(path)[0]), self.layout, shown(paths[0]))
+
+    @property
+    def count(self) -> int:
+        """How many frames there are."""
+        return len(self.paths)
+
+    def frames(self) -> Iterator[Frame]:
+        """The frames in order; each is read when it is copied."""
+        for path in self.paths:
+            yield _Still(path, self.layout)
+
+    def to_rgb(self, arrays: Sequence[Array], *, deep: bool = False) -> npt.NDArray[Any]:
+        """A frame as RGB of 8 bits, or of 16 if ``deep``: shape (H, W, 3), without opacity.
+
+        Colours are taken as they are, whatever their profile; of floats, what lies outside 0 to 1 is cut off.
+        """
+        pixels = arrays[0][..., :-1] if self.layout.groups[0].alpha else arrays[0]
+        if pixels.shape[2] not in (1, 3) or self.interpretation == "cmyk":
+            raise SuppleError(f"{self.name} holds neither grey nor RGB pictures: convert them first")
+        white, dtype = (65535, np.uint16) if deep else (255, np.uint8)
+        if pixels.dtype != dtype:
+            scaled = np.clip(pixels * np.float32(white / self.layout.white), 0, white)
+            pixels = np.rint(np.nan_to_num(scaled, copy=False)).astype(dtype)
+        return np.ascontiguousarray(np.broadcast_to(pixels, (*pixels.shape[:2], 3)))
+
+    def picture(self, k: int) -> tuple[Picture, list[str]]:
+        """Frame ``k``'s picture without its pixels, but with profile, EXIF and all; and what is not among it."""
+        path, group = self.paths[k], self.layout.groups[0]
+        image, form = opened(path)
+        _, orientation, bits = facts(image)
+        with reading(path):
+            header, lost = collected(path, image, form, orientation >= 5)
+        icc = header.pop("icc-profile-data", None)
+        channels = (group.channels,) if group.channels > 1 else ()
+        empty = np.empty((0, group.shape[1], *channels), self.layout.dtype)
+        return Picture(empty, group.alpha, icc, bits, form, image.interpretation, header), lost
+
+    def info(self) -> dict[str, object]:
+        """What `supple info` tells."""
+        (height, width), group = self.layout.shape, self.layout.groups[0]
+        return {
+            "width": width,
+            "height": height,
+            "frames": self.count,
+            "rate": str(self.rate),
+            "channels": group.channels,
+            "dtype": str(self.layout.dtype),
+            "alpha": group.alpha,
+            "format": self.format,
+            "first": str(self.paths[0]),
+            "last": str(self.paths[-1]),
+        }
+
+
+@contextlib.contextmanager
+def open_sequence(path: PathLike, *, rate: float | Fraction = 24) -> Iterator[Pictures]:
+    """Open pictures as a clip.
+
+    Parameters
+    ----------
+    path : str or os.PathLike
+        A pattern such as ``frames/%05d.png``, which stands for pictures that are numbered without a gap, from
+        whatever number on. Or a folder, which stands for all its pictures, the 9th before the 10th.
+    rate : float or Fraction
+        Frames a second. 23.976, 29.97 and the like are taken for what they mean, 24000/1001 and 30000/1001.
+
+    Yields
+    ------
+    Pictures
+
+    Raises
+    ------
+    SuppleError
+        There are no such pictures, one is missing, cannot be read, or is of another size or type than the first.
+    """
+    text = os.fspath(path)
+    known = _rate(rate)
+    first: int | None
+    if has_number(text):
+        paths, first = numbered(text)
+    else:
+        paths = pictures_in(Path(text))
+        first = first_number(paths)
+    yield Pictures(shown(text), paths, known, first)
+
+
+def _rate(rate: float | Fraction) -> Fraction:
+    try:
+        known = Fraction(rate)
+    except (TypeError, ValueError, OverflowError):
+        known = Fraction(0)
+    if not 0 < known <= 100_000:
+        raise SuppleError(f"rate must be a number of frames a second above 0, found {rate!r}")
+    ntsc = Fraction(round(known * 1001 / 1000) * 1000, 1001)
+    if known.denominator > 2 and abs(known - ntsc) < Fraction(1, 200):
+        return ntsc
+    return known.limit_denominator(100_000)
+
+
+def _layout(path: Path, image: Any) -> Layout:
+    _, orientation, _ = facts(image)
+    shape = (image.width, image.height) if orientation >= 5 else (image.height, image.width)
+    dtype = np.dtype(DTYPES[image.format])
+    if dtype.name not in _WHITE:
+        raise SuppleError(f"{shown(path)} holds {dtype} values: a frame must be of uint8, uint16 or float32")
+    return Layout((Group(shape, image.bands, alpha=has_alpha(image)),), dtype, _WHITE[dtype.name])
+
+
+def _require(path: Path, found: Layout, wanted: Layout, like: str) -> None:
+    if found != wanted:
+        raise SuppleError(f"{shown(path)} is {_described(found)}, and {like} {_described(wanted)}: make them alike")
+
+
+def _described(layout: Layout) -> str:
+    (height, width), group = layout.shape, layout.groups[0]
+    opacity = " with opacity" if group.alpha else ""
+    channels = f"{group.channels} channel{'s' if group.channels > 1 else ''}"
+    return f"{width} x {height} of {channels}{opacity} in {layout.dtype}"

@@ -1,0 +1,251 @@
+"""Videos as files: frames decoded in order, in the planes that they are stored in, and written anew."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import warnings
+from collections import deque
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from typing import Any
+
+import av
+
+from supple.media.codecs import SUFFIXES_OUT, container_of
+from supple.media.colour import sited, to_rgb
+from supple.media.demux import chosen, decoded_by, fed, opened, packets, sums_up, survey
+from supple.media.encode import writer_of
+from supple.media.film import Film, said_of
+from supple.media.pixels import Form, palette, unpack
+from supple.media.plan import workers
+from supple.media.timing import Times, usual_step
+from supple.media.troubles import ClipWarning, CountError, unreadable
+from supple.streaming import Array
+
+__all__ = [
+    "SUFFIXES_OUT",
+    "Clip",
+    "ClipWarning",
+    "CountError",
+    "Picture",
+    "container_of",
+    "info",
+    "open_video",
+    "writer_of",
+]
+
+PathLike = str | os.PathLike[str]
+_COPY = "give a whole copy of it"
+_ALPHA = {"vp8": "libvpx", "vp9": "libvpx-vp9"}  # FFmpeg's own decoders leave the opacity of WebM out
+
+
+class Picture:
+    """A decoded frame, as its clip hands it out."""
+
+    __slots__ = ("_form", "_frame")
+
+    def __init__(self, frame: av.VideoFrame, form: Form) -> None:
+        self._frame, self._form = frame, form
+
+    def copy_to(self, arrays: Sequence[Array]) -> None:
+        """Copy its samples into one array for each group of the clip's layout."""
+        if self._frame.format.has_palette:
+            arrays[0][:] = palette(self._frame)[..., : arrays[0].shape[-1]]
+        else:
+            unpack(self._frame, self._form, arrays)
+
+
+class Clip(Film):
+    """A video file, opened; see `open_video`. What is known of it is told by `Film`."""
+
+    def __init__(self, path: PathLike, threads: int | None, count: int | None) -> None:
+        self._threads = workers(threads)
+        self._pump: Iterator[av.Packet[Any]] | None = None
+        self._times: Times | None = None
+        self._fresh = True
+        with opened(path) as container:
+            counted = survey(container, chosen(container, path))
+        self._sturdy = count is not None or counted.suspect
+        source = opened(path)
+        try:
+            super().__init__(path, source, counted, count)
+            self.look(self._first())
+        except BaseException:
+            source.close()
+            raise
+        if self.survey.damaged and count is None:
+            what = "is damaged or cut short: what can be decoded of it is used"
+            warnings.warn(f"{self.name} {what}", ClipWarning, stacklevel=4)
+
+    def _first(self) -> av.VideoFrame:
+        """Decode one frame, from a container of its own."""
+        with opened(self.path) as container:
+            film = chosen(container, self.path)
+            decoder = self._decoder(film, 1)
+            for packet in fed(packets(container, [film])):
+                for frame in decoded_by(decoder, packet) or ():
+                    return frame
+        raise unreadable(self.path, "no frame of it can be decoded", _COPY)
+
+    def _decoder(self, film: av.VideoStream, count: int) -> av.VideoCodecContext:
+        context = film.codec_context
+        if self.codec in _ALPHA and said_of(film, "alpha_mode") == "1":
+            with contextlib.suppress(ValueError):
+                made = av.CodecContext.create(_ALPHA[self.codec], "r")
+                assert isinstance(made, av.VideoCodecContext)
+                context = made
+        context.thread_count = count
+        # frames decoded at once are lost together where one is damaged
+        context.thread_type = "SLICE" if self._sturdy else "AUTO"
+        return context
+
+    def time(self, k: int) -> tuple[int, int]:
+        """Return the start and the duration of frame `k` in ticks of `base`, once, in order."""
+        kept = self._times.kept if self._times else None
+        if not kept:
+            raise ValueError(f"frame {k} has not been read")
+        return kept.popleft()
+
+    def frames(self) -> Iterator[Picture]:
+        """Decode all frames in the order in which they are shown, once.
+
+        While a writer is open, the other streams of the file go to it on the way.
+
+        Yields
+        ------
+        Picture
+            The next frame.
+
+        Raises
+        ------
+        SuppleError
+            A frame has another size or pixel format than the first.
+        CountError
+            There are more or fewer than `count`. None beyond is handed out.
+        """
+        film = self._rewind()
+        others = [self.source.streams[index] for index in self.sink.indices] if self.sink else []
+        times = Times(self.base, usual_step(self.rate, self.base), deque() if self.sink else None)
+        self._times = times
+        counted = self.source.format.name == "avi"  # its frames have places, not times
+        shown_at: deque[int] = deque()
+        found = bad = 0
+        self._pump = packets(self.source, [film, *others])
+        decoder = self._decoder(film, self._threads)
+        for packet in self._film_packets(film.index):
+            if packet is not None and counted and packet.dts is not None:
+                shown_at.append(packet.dts)
+            decoded = decoded_by(decoder, packet)
+            if decoded is None:
+                bad += 1
+                continue
+            for frame in decoded:
+                bad += frame.is_corrupt
+                self._check(frame, found)
+                found += 1
+                if found <= self.count:
+                    lasts = frame.duration
+                    if found == self.count and sums_up(self.source):
+                        lasts = times.left(frame.pts, round(self.survey.duration / self.base)) or lasts
+                    times.add(shown_at.popleft() if shown_at else frame.pts, lasts)
+                    yield Picture(self._readable(frame), self.form)
+        if found == 0:
+            raise unreadable(self.path, "no frame of it can be decoded", _COPY)
+        if found != self.count:
+            raise CountError(found)
+        if bad and not self.survey.damaged:
+            what = f"has {bad} damaged frame{'s' * (bad > 1)}: what can be decoded is used"
+            warnings.warn(f"{self.name} {what}", ClipWarning, stacklevel=2)
+
+    def _rewind(self) -> av.VideoStream:
+        if not self._fresh:
+            self.source.close()
+            self.source = opened(self.path)
+        self._fresh = False
+        return chosen(self.source, self.path)
+
+    def _film_packets(self, index: int) -> Iterator[av.Packet[Any] | None]:
+        """Hand out the packets of the film, then None; those of other streams go to the writer."""
+        left = self.survey.packets
+        assert self._pump is not None
+        for packet in self._pump:
+            if packet.stream_index != index:
+                if self.sink:
+                    self.sink.take(packet)
+                continue
+            if packet.size:
+                yield packet
+                left -= 1
+            if left <= 0:  # what follows is read by the writer, when it has come that far
+                break
+        yield None
+
+    def rest(self) -> Iterator[av.Packet[Any]]:
+        """Read the packets of other streams that come after the last of the film."""
+        for packet in self._pump or ():
+            if packet.stream_index != self.index:
+                yield packet
+
+    def _check(self, frame: av.VideoFrame, k: int) -> None:
+        size, kind = (frame.width, frame.height), frame.format.name
+        if size == (self.width, self.height) and kind == self.pixel_format:
+            return
+        now = f"{frame.width}x{frame.height} {kind}"
+        first = f"{self.width}x{self.height} {self.pixel_format}"
+        raise unreadable(
+            self.path, f"frame {k} is {now}, and frame 0 is {first}", "cut it where it changes, and warp the parts"
+        )
+
+    def _readable(self, frame: av.VideoFrame) -> av.VideoFrame:
+        if frame.format.has_palette or frame.format.name == self.form.name:
+            return frame
+        return frame.reformat(format=self.form.name, src_color_range=2, dst_color_range=2)
+
+    writer = writer_of
+
+    def to_rgb(self, arrays: Sequence[Array], *, deep: bool = False) -> Array:
+        """Show a frame's samples as RGB of 8 bits, or of 16 if `deep`: (H, W, 3), as stored, without rotation."""
+        colour = replace(self.colour, site=sited(self.colour, self.codec, self.form.kind))
+        return to_rgb(arrays, self.form, colour, self.layout.shape, deep)
+
+
+@contextlib.contextmanager
+def open_video(path: PathLike, *, threads: int | None = None, count: int | None = None) -> Iterator[Clip]:
+    """Open a video file for reading.
+
+    Parameters
+    ----------
+    path : str or os.PathLike
+        Any file that FFmpeg reads. Its first film is taken, not the picture of a cover.
+    threads : int, optional
+        For the decoder. By default as many as Supple uses.
+    count : int, optional
+        How many frames there are, where `CountError` has told it.
+
+    Yields
+    ------
+    Clip
+        Closed when the block ends.
+
+    Raises
+    ------
+    SuppleError
+        The file is missing, empty, damaged, or holds no film.
+
+    Warns
+    -----
+    ClipWarning
+        It is damaged, and a part can be used.
+    """
+    clip = Clip(path, threads, count)
+    try:
+        yield clip
+    finally:
+        clip.source.close()
+
+
+def info(path: PathLike) -> dict[str, Any]:
+    """Tell what a video file holds, without decoding more than a frame."""
+    with open_video(path) as clip:
+        return clip.facts()

@@ -1,0 +1,166 @@
+"""Plots of files: what strokes do to a picture, or to a video."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from supple.clips import ClipOptions, PathLike, deformation_of, frames_of, is_clip, open_clip, sampling_of
+from supple.deformation import Deformation
+from supple.diagnostics import WHATS, check_plot, draw_sheet, draw_slice, evenly, plot
+from supple.domain import choice, integer
+from supple.errors import SuppleError
+from supple.files import counted
+from supple.media.files import check_output, shown
+from supple.streaming import Array
+from supple.strokes import Recipe
+
+Colours = npt.NDArray[np.uint8]
+Tell = Callable[[str, int, int], None]
+
+_COLUMNS = 6  # frames on a sheet
+
+
+def plot_file(
+    source: PathLike,
+    target: PathLike,
+    recipe: Recipe,
+    what: str = "grid",
+    *,
+    frame: int | None = None,
+    x: int | None = None,
+    y: int | None = None,
+    clip: ClipOptions | None = None,
+    force: bool = False,
+    progress: bool = False,
+) -> Deformation:
+    """Draw what strokes do to a file.
+
+    Parameters
+    ----------
+    source : str or os.PathLike
+        A picture, a video, a pattern or a folder of frames.
+    target : str or os.PathLike
+        A PNG, SVG or PDF file.
+    recipe : Recipe
+        The strokes.
+    what : str
+        One of `supple.diagnostics.WHATS`; of a clip also ``"slice"``, a column or a row over time, and ``"sheet"``,
+        some frames before and after.
+    frame : int, optional
+        Which frame of a clip is drawn.
+    x, y : int, optional
+        Which column, or row, a slice shows.
+    clip : ClipOptions, optional
+        What is particular to clips.
+    force : bool
+        Whether a file that exists may be replaced.
+    progress : bool
+        Whether to show on a terminal how far a clip is.
+
+    Returns
+    -------
+    Deformation
+        The strokes on the file's shape.
+
+    Raises
+    ------
+    SuppleError
+        If it cannot be read, drawn or written.
+    """
+    choice("what", what, (*WHATS, "slice", "sheet"))
+    check_output(target, force=force)
+    check_plot(target, force=force)
+    if is_clip(source, "", recipe):
+        with counted(progress) as tell:
+            return _plot_clip(source, target, recipe, what, frame, x, y, clip or ClipOptions(), force, tell)
+    if what in ("slice", "sheet") or frame is not None:
+        raise SuppleError(
+            f"{shown(source)} is taken for a picture, which has no time: leave frame, slice and sheet out"
+        )
+    from supple.media.image import read
+
+    pixels = read(source).pixels
+    deformation = Deformation.from_recipe(recipe, pixels.shape[:2])
+    plot(deformation, what, target, image=pixels, force=force)
+    return deformation
+
+
+def _plot_clip(
+    source: PathLike,
+    target: PathLike,
+    recipe: Recipe,
+    what: str,
+    frame: int | None,
+    x: int | None,
+    y: int | None,
+    options: ClipOptions,
+    force: bool,
+    tell: Tell,
+) -> Deformation:
+    with _counted_clip(source, options) as clip:
+        height, width = clip.layout.shape
+        deformation = deformation_of(recipe, clip.count, clip.layout.shape, options.time_scale, clip.name)
+        if what == "slice":
+            if (x is None) == (y is None):
+                raise SuppleError("a slice shows one column or one row over time: give --x or --y")
+            axis, given, most = ("x", x, width) if x is not None else ("y", y, height)
+            at = integer(f"--{axis}", given, f"from 0 to {most - 1}, as the frame is {width} x {height}", 0, most - 1)
+            line: tuple[Any, ...] = (slice(None), at) if axis == "x" else (at,)
+            planes: Sequence[int] = range(clip.count)
+        else:
+            line = ()
+            planes = evenly(clip.count, _COLUMNS)
+        if what in WHATS:
+            if frame is None:
+                raise SuppleError(f"{clip.name} is a video: say which frame, from 0 to {clip.count - 1} (--frame)")
+            planes = [integer("frame", frame, f"from 0 to {clip.count - 1}", 0, clip.count - 1)]
+        elif frame is not None:
+            raise SuppleError(f"--frame is for the pictures of one frame, and {what} shows many: leave it out")
+        before = [] if what in WHATS else [rgb[line].copy() for rgb in _shown(clip, planes)]
+    with _counted_clip(source, options, clip.count) as clip:
+        sampling = sampling_of(
+            clip.layout,
+            clip.name,
+            filter="auto",
+            outside="edge",
+            fill=0.0,
+            tolerance=0.01,
+            light=False,
+            options=options,
+        )
+        after = []
+        for z, arrays in frames_of(clip, deformation, sampling, planes, options.memory):
+            after.append(clip.to_rgb(arrays)[line].copy())
+            tell("warp", len(after), len(planes))
+            del z
+        if what == "slice":
+            draw_slice(np.stack(before), np.stack(after), at, target, axis=axis, force=force)
+        elif what == "sheet":
+            draw_sheet(
+                list(zip(planes, before, strict=True)), list(zip(planes, after, strict=True)), target, force=force
+            )
+        else:
+            timed = deformation.ndim == 3
+            plot(deformation, what, target, image=after[0], frame=planes[0] if timed else None, force=force)
+    return deformation
+
+
+@contextlib.contextmanager
+def _counted_clip(source: PathLike, options: ClipOptions, count: int | None = None) -> Iterator[Any]:
+    with open_clip(source, rate=options.rate, count=count) as clip:
+        yield clip
+
+
+def _shown(clip: Any, planes: Sequence[int]) -> Iterator[Colours]:
+    """Some frames of a clip as they are, in RGB."""
+    wanted = set(planes)
+    arrays: list[Array] = [np.empty((*g.shape, g.channels), clip.layout.dtype) for g in clip.layout.groups]
+    for k, picture in enumerate(clip.frames()):
+        if k in wanted:
+            picture.copy_to(arrays)
+            yield clip.to_rgb(arrays)

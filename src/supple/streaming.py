@@ -1,0 +1,372 @@
+"""Frames that stream through a deformation: what passes between media and engine."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import os
+import tempfile
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import IO, Any, Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from supple.cpu.between import LONGEST
+from supple.cpu.kernel import share
+from supple.cpu.sampling import sampler
+from supple.cpu.stack import SUPPORT, slots_of, stack_sampler, times_seen
+from supple.cpu.warp import Band, Certificate, Grid, Plane, bounds_of, each_band, solve_plane
+from supple.errors import SuppleError
+
+Array = npt.NDArray[Any]
+Tell = Callable[[int], None]
+
+SLACK = 1e-3  # frames
+
+
+@dataclass(frozen=True, slots=True)
+class Group:
+    """The components of a frame that share a grid of samples.
+
+    Parameters
+    ----------
+    shape : (int, int)
+        Rows and columns of samples.
+    channels : int
+        How many components. Their samples are arrays of shape (rows, samples, channels).
+    step : (int, int)
+        Pixels of the frame from one sample to the next, x first: (2, 2) for the chroma of 4:2:0.
+    offset : (float, float)
+        Where the first sample lies, in pixels of the frame, x first: the siting.
+    alpha : bool
+        Whether the last channel is opacity.
+    """
+
+    shape: tuple[int, int]
+    channels: int
+    step: tuple[int, int] = (1, 1)
+    offset: tuple[float, float] = (0.0, 0.0)
+    alpha: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Layout:
+    """What a frame is made of.
+
+    Parameters
+    ----------
+    groups : tuple of Group
+        The first has a sample for every pixel of the frame.
+    dtype : numpy.dtype
+        Of all samples.
+    white : float
+        The largest value that a sample may have, and that of opaque: 255, 1023, …
+    black : tuple of float
+        What black is, one value for all components or one for each, in the groups' order.
+    """
+
+    groups: tuple[Group, ...]
+    dtype: np.dtype[Any]
+    white: float
+    black: tuple[float, ...] = (0.0,)
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns of the frame, in pixels."""
+        return self.groups[0].shape
+
+
+class Frame(Protocol):
+    """A frame of a clip, as media hand it out."""
+
+    def copy_to(self, arrays: Sequence[Array]) -> None:
+        """Copy its samples into one array for each group."""
+
+
+@dataclass(frozen=True, slots=True)
+class Sampling:
+    """How frames are sampled; see `supple.Deformation.warp`."""
+
+    filter: str = "auto"
+    between: str = "linear"
+    time_filter: bool = False
+    outside: str = "edge"
+    fill: tuple[float, ...] = (0.0,)
+    light: bool = False
+    tolerance: float = 0.01
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """What frames each plane of the output needs, before any is read.
+
+    Parameters
+    ----------
+    planes : tuple of int
+        Which planes of the output are wanted, in ascending order.
+    first, last : int64 array
+        The frames that each of these samples, some perhaps outside the clip.
+    still : bool array
+        Which of them are their frame, as nothing moves there by more than the tolerance.
+    keep, read : int64 array
+        When each is made, frames before ``keep`` are done with, and all up to ``read`` have been read.
+    capacity : int
+        How many frames are held at once.
+    """
+
+    planes: tuple[int, ...]
+    first: npt.NDArray[np.int64]
+    last: npt.NDArray[np.int64]
+    still: npt.NDArray[np.bool_]
+    keep: npt.NDArray[np.int64]
+    read: npt.NDArray[np.int64]
+    capacity: int
+
+
+@dataclass(frozen=True, slots=True)
+class Space:
+    """The strokes on their domain, as the engine takes them, and the number of frames."""
+
+    table: npt.NDArray[np.void]
+    axes: npt.NDArray[np.float64]
+    ndim: int
+    count: int
+    shape: tuple[int, int]
+
+    def solve(self, z: int, step: tuple[int, int] = (1, 1)) -> Plane:
+        """The lattice of a plane. With a free border it reaches as far as samples ``step`` pixels apart may lie."""
+        height, width = self.shape
+        if self.axes[0, 1] < 0:  # beyond a fixed face, the map goes on as at the face
+            width, height = -(-width // step[0]) * step[0], -(-height // step[1]) * step[1]
+        return solve_plane(self.table, self.axes, (height, width), self.ndim, float(z))
+
+
+def make_plan(
+    space: Space, layout: Layout, sampling: Sampling, planes: Sequence[int], tell: Tell = lambda done: None
+) -> Plan:
+    """Solve the lattice of every plane for the frames that it needs.
+
+    ``tell`` is called with the number of planes done, now and then.
+    """
+    n = len(planes)
+    first, last = np.array(planes, np.int64), np.array(planes, np.int64)
+    still = np.full(n, space.table.size == 0)
+    if space.ndim == 3 and space.table.size:
+        support = SUPPORT[sampling.between]
+        earliest, latest = times_seen(sampling.outside, space.count)
+        step = max(group.step for group in layout.groups)
+
+        def look(k: int) -> None:
+            bounds = bounds_of(space.solve(planes[k], step), sampling.tolerance)
+            still[k] = bounds.moved * 3**0.5 <= sampling.tolerance
+            if not still[k]:
+                # Chroma covers more than a pixel; and rates between nodes may be larger.
+                beyond = min(2.0 * bounds.rate, LONGEST) / 2 + 1 if sampling.time_filter else 0.0
+                # Points are of float32, and may lie a little outside the bounds.
+                seen = bounds.early - SLACK, bounds.late + SLACK
+                early, late = (min(max(t, earliest), latest) for t in seen)
+                first[k] = math.floor(early - beyond) - support + 1
+                last[k] = math.floor(late + beyond) + support
+
+        for start in range(0, n, 64):
+            share(look, range(start, min(start + 64, n)))
+            tell(min(start + 64, n))
+    needed = np.array([_needed(a, b, space.count, sampling.outside) for a, b in zip(first, last, strict=True)])
+    keep = np.minimum.accumulate(needed[::-1, 0])[::-1]
+    # A frame's own time is known when it has been read.
+    read = np.maximum.accumulate(np.maximum(needed[:, 1], planes)) if n else needed[:, 1]
+    return Plan(tuple(planes), first, last, still, keep, read, int((read - keep).max()) + 1)
+
+
+def _needed(first: int, last: int, count: int, outside: str) -> tuple[int, int]:
+    """The frames of the clip that stand for a range of times."""
+    if outside == "reflect" and (first < 0 or last >= count):
+        seen = slots_of(max(first, last - 2 * count), last, count, outside, count)
+        return int(seen.min()), int(seen.max())
+    return min(max(first, 0), count - 1), min(max(last, 0), count - 1)
+
+
+def stream(
+    space: Space,
+    layout: Layout,
+    sampling: Sampling,
+    plan: Plan,
+    frames: Iterable[Frame],
+    *,
+    memory: float = math.inf,
+) -> Iterator[tuple[int, list[Array], Certificate]]:
+    """Warp a clip as it is read.
+
+    Parameters
+    ----------
+    space, layout, sampling, plan
+        What to do, with what.
+    frames : iterable of Frame
+        All frames of the clip in order; it is read to its end.
+    memory : float
+        How many bytes frames may take in memory; beyond, they go to a temporary file.
+
+    Yields
+    ------
+    int
+        A plane of the output.
+    list of arrays
+        Its samples, one array (h, w, channels) for each group, which the next one overwrites.
+    Certificate
+        How exact its map is.
+
+    Raises
+    ------
+    SuppleError
+        If there are fewer frames than the plan needs, or no room for the temporary file.
+    """
+    with contextlib.ExitStack() as stack:
+        window = stack.enter_context(_window(layout, plan.capacity, memory))
+        outs = [np.empty((*g.shape, g.channels), layout.dtype) for g in layout.groups]
+        make = _maker(space, layout, sampling, window)
+        source = iter(frames)
+        have = 0
+        for k, z in enumerate(plan.planes):
+            while have <= plan.read[k]:
+                frame = next(source, None)
+                if frame is None:
+                    raise SuppleError(f"the clip ends after {have} frames, where {space.count} were expected")
+                if have >= plan.keep[k]:
+                    frame.copy_to([held[have % plan.capacity] for held in window])
+                have += 1
+            if plan.still[k]:
+                yield z, [held[z % plan.capacity] for held in window], Certificate(0.0, 0.0)
+            else:
+                yield z, outs, make(z, int(plan.first[k]), int(plan.last[k]), outs)
+        for _ in source:
+            pass
+
+
+def from_array(
+    space: Space, layout: Layout, sampling: Sampling, plan: Plan, frames: Array
+) -> Iterator[tuple[int, list[Array], Certificate]]:
+    """The same for frames that are an array (T, h, w, channels), contiguous and of the layout's type."""
+    outs = [np.empty(frames.shape[1:], frames.dtype)]
+    make = _maker(space, layout, sampling, [frames])
+    for k, z in enumerate(plan.planes):
+        if plan.still[k]:
+            yield z, [frames[z]], Certificate(0.0, 0.0)
+        else:
+            yield z, outs, make(z, int(plan.first[k]), int(plan.last[k]), outs)
+
+
+def _maker(
+    space: Space, layout: Layout, sampling: Sampling, window: Sequence[Array]
+) -> Callable[[int, int, int, Sequence[Array]], Certificate]:
+    """What fills the arrays of a plane from the frames in a window."""
+    grids = {(g.step, g.offset): g.shape for g in layout.groups}
+    coarse = [key for key in grids if key != ((1, 1), (0.0, 0.0))]
+    if len(coarse) > 1:
+        raise SuppleError("frames with more than two grids of samples cannot be warped: convert them first")
+    grid = Grid(*coarse[0], grids[coarse[0]]) if coarse else None
+    step = grid.step if grid else (1, 1)
+    capacity = len(window[0])
+    channels = [g.channels for g in layout.groups]
+    fills = np.split(np.broadcast_to(np.asarray(sampling.fill, np.float64), sum(channels)), np.cumsum(channels)[:-1])
+    common: dict[str, Any] = {
+        "filter": sampling.filter,
+        "outside": sampling.outside,
+        "light": sampling.light,
+        "white": layout.white,
+    }
+    parts = list(zip(layout.groups, window, fills, strict=True))
+
+    def part_of(band: Band, group: Group) -> Band:
+        if grid and group.step == grid.step and group.offset == grid.offset:
+            assert band.coarse is not None
+            return band.coarse
+        return band
+
+    if space.ndim == 2:
+        plane = space.solve(0, step)
+        bands: list[Band] = []
+        certificate = each_band(plane, sampling.tolerance, bands.append, grid)
+
+        def repeat(z: int, first: int, last: int, outs: Sequence[Array]) -> Certificate:
+            uses = [
+                sampler(held[z % capacity], out, fill=fill, alpha=g.alpha, **common)
+                for (g, held, fill), out in zip(parts, outs, strict=True)
+            ]
+
+            def fill_band(band: Band) -> None:
+                for use, g in zip(uses, layout.groups, strict=True):
+                    use(part_of(band, g))
+
+            share(fill_band, bands)
+            return certificate
+
+        return repeat
+
+    samplers = [
+        stack_sampler(
+            held,
+            space.count,
+            fill=fill,
+            alpha=g.alpha,
+            between_frames=sampling.between,
+            average=sampling.time_filter,
+            **common,
+        )
+        for g, held, fill in parts
+    ]
+
+    def make(z: int, first: int, last: int, outs: Sequence[Array]) -> Certificate:
+        slots = slots_of(first, last, space.count, sampling.outside, capacity)
+
+        def fill_band(band: Band) -> None:
+            for use, g, out in zip(samplers, layout.groups, outs, strict=True):
+                use(part_of(band, g), out, first, slots)
+
+        return each_band(space.solve(z, step), sampling.tolerance, fill_band, grid)
+
+    return make
+
+
+@contextlib.contextmanager
+def _window(layout: Layout, capacity: int, memory: float) -> Iterator[list[Array]]:
+    """Room for some frames: in memory or, where that is too little, in a file that is gone afterwards."""
+    shapes = [(capacity, *g.shape, g.channels) for g in layout.groups]
+    sizes = [math.prod(shape) * layout.dtype.itemsize for shape in shapes]
+    if sum(sizes) <= memory:
+        yield [np.empty(shape, layout.dtype) for shape in shapes]
+        return
+    folder = tempfile.gettempdir()
+    try:
+        with tempfile.TemporaryFile(prefix="supple-") as file:
+            reserve(file, sum(sizes))
+            starts = [0, *np.cumsum(sizes)[:-1].tolist()]
+            held = [
+                np.memmap(file, layout.dtype, "r+", start, shape) for start, shape in zip(starts, shapes, strict=True)
+            ]
+            yield [np.asarray(part) for part in held]
+    except _NoRoomError as error:
+        raise SuppleError(
+            f"{capacity} frames have to be held at once, {sum(sizes) / 1e9:.1f} GB, more than the memory allowed, and "
+            f"{folder} has no room for them ({error}): allow more memory, or name another folder in TMPDIR"
+        ) from None
+
+
+class _NoRoomError(Exception):
+    pass
+
+
+def reserve(file: IO[bytes], size: int) -> None:
+    """Make a file as large as it is going to be, so that no later write finds the disk full."""
+    try:
+        allocate = getattr(os, "posix_fallocate", None)
+        if allocate:
+            allocate(file.fileno(), 0, size)
+        else:
+            zeros = bytes(1 << 24)
+            for start in range(0, size, len(zeros)):
+                file.write(zeros[: size - start])
+            file.flush()
+    except OSError as error:
+        raise _NoRoomError(error.strerror or str(error)) from None
