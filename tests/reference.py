@@ -207,3 +207,68 @@ def supersampled(source: npt.NDArray[np.generic], d: Deformation, n: int) -> Flo
 def psnr(a: npt.ArrayLike, b: npt.ArrayLike, peak: float = 255.0) -> float:
     """Peak signal to noise ratio in dB."""
     return float(10 * np.log10(peak**2 / np.mean((np.asarray(a, float) - np.asarray(b, float)) ** 2)))
+
+
+KERNELS: dict[str, tuple[int, Callable[[Floats], Floats]]] = {"linear": (1, _linear), "cubic": (2, _cubic)}
+
+
+def averaged(name: str, t: Floats, width: Floats) -> Floats:
+    """A kernel's mean over a box of some width around t; the kernel itself where the box is no wider than nothing."""
+    reach, kernel = KERNELS[name]
+    nodes, weights = np.polynomial.legendre.leggauss(4)  # exact for what is cubic between the knots
+    low, high = t - width / 2, t + width / 2
+    total = np.zeros(np.broadcast(t, width).shape)
+    for knot in range(-reach, reach):
+        a, b = np.clip(low, knot, knot + 1), np.clip(high, knot, knot + 1)
+        for node, weight in zip(nodes, weights, strict=True):
+            total += weight * (b - a) / 2 * kernel((a + b) / 2 + node * (b - a) / 2)
+    return np.where(width > 1e-3, total / np.maximum(width, 1e-3), kernel(t))
+
+
+def sample_frames(
+    source: npt.NDArray[np.generic],
+    points: Floats,
+    filter: str,
+    between: str,
+    outside: str = "edge",
+    fill: npt.ArrayLike = 0.0,
+    widths: npt.ArrayLike = 0.0,
+) -> npt.NDArray[np.generic]:
+    """Samples of (T, H, W, C) at points (..., 3), x first, averaged in time over ``widths`` frames.
+
+    What lies outside follows the same rule along all three axes.
+    """
+    count, channels = source.shape[0], source.shape[3]
+    t, spread = points[..., 2], np.broadcast_to(np.asarray(widths, np.float64), points.shape[:-1])
+    absent = np.broadcast_to(np.asarray(fill).astype(source.dtype), (*source.shape[1:3], channels))
+    reach = 2.5 + spread.max() / 2
+    whole = filter == "nearest"
+    total = np.zeros((*t.shape, channels), source.dtype if whole else np.float64)
+    for k in range(math.floor(t.min() - reach), math.ceil(t.max() + reach) + 1):
+        at = _place(np.array(k), count, outside)
+        # Only where this frame counts: clips are larger than the stretch of time that a pixel sees.
+        if between == "nearest":
+            weight = (np.floor(t + 0.5) == k).astype(np.float64)
+        else:
+            weight = averaged(between, k - t, spread)
+        seen = weight != 0
+        if not seen.any():
+            continue
+        rule = "edge" if at < 0 else outside
+        values = sample(absent if at < 0 else source[at], points[seen][:, :2], filter, rule, fill)
+        if whole:
+            total[seen] = values
+        else:
+            total[seen] += weight[seen][:, None] * values
+    return total
+
+
+def durations(d: Deformation, points: Floats) -> Floats:
+    """How many frames an output pixel covers whose source point this is: the length of the row ∂p_t/∂q."""
+    rows = np.linalg.inv(d.jacobian(points))[..., 2, :]
+    return np.asarray(np.linalg.norm(rows, axis=-1))
+
+
+def faded(length: Floats) -> Floats:
+    """The box that stands for an extent in time: none up to one frame, all of it from 1.1."""
+    return length * np.clip((length - 1) * 10, 0, 1)

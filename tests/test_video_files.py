@@ -5,6 +5,7 @@ import queue
 import subprocess
 import sys
 import threading
+import types
 import warnings
 from fractions import Fraction
 
@@ -14,7 +15,8 @@ import numpy as np
 import pytest
 
 from supple.errors import SuppleError
-from supple.media import pixels
+from supple.media import colour, demux, pixels
+from supple.media import film as movie
 from supple.media.video import ClipWarning, CountError, info, open_video
 
 FORMATS = (  # of FFV1
@@ -176,12 +178,106 @@ def test_siting_is_read_and_written(tmp_path, site, offset):
             assert clip.layout.groups[1].offset == offset
 
 
+def test_siting_that_another_codec_is_not_used_to_is_told(tmp_path):
+    """Chroma of MPEG-1 and VP8 lies in the centre, that of H.264 and VP9 at the left, unless they say else."""
+    for codec, name, container, target in (
+        ("mpeg1video", "a.mpg", None, "h264"),
+        ("mpeg1video", "a.mpg", None, "hevc"),
+        ("libvpx", "a.webm", None, "vp9"),
+        ("mjpeg", "a.avi", None, "h264"),
+    ):
+        options = {"strict": "experimental"} if codec == "mjpeg" else {}
+        kind = "yuvj420p" if codec == "mjpeg" else "yuv420p"
+        source = clips.make(tmp_path / name, codec, kind, options=options, container=container)
+        copy(source, tmp_path / "b.mkv", codec=target)
+        with open_video(tmp_path / "b.mkv") as clip:
+            assert clip.layout.groups[1].offset == (0.5, 0.5)
+
+
+def test_chroma_stays_where_it_is_in_another_grid(tmp_path):
+    """A ramp of chroma from 4:4:4 to 4:2:0, whose first sample lies where the file says."""
+    frame = av.VideoFrame(64, 48, "yuv444p")
+    frame.planes[0].update(bytes([100]) * frame.planes[0].buffer_size)
+    ramp = np.tile(np.arange(frame.planes[1].line_size, dtype=np.uint8) * 2 + 60, 48)
+    for plane in frame.planes[1:]:
+        plane.update(ramp.tobytes())
+    with av.open(str(tmp_path / "a.nut"), "w") as out:
+        stream = out.add_stream("rawvideo", rate=25)
+        stream.width, stream.height, stream.pix_fmt = 64, 48, "yuv444p"
+        frame.pts = 0
+        out.mux(stream.encode(frame))
+        out.mux(stream.encode(None))
+    with pytest.warns(ClipWarning, match="detail of colours"):
+        copy(tmp_path / "a.nut", tmp_path / "b.mkv", codec="ffv1", pixel_format="yuv420p")
+    [[_, chroma]] = read(tmp_path / "b.mkv")
+    want = 60 + 2 * 2 * np.arange(32)  # at the columns 0, 2, 4, …
+    assert np.abs(chroma[:, 2:-2, 0] - want[None, 2:-2].astype(int)).max() <= 1
+
+
 def test_opacity_has_its_mean_on_the_grid_of_chroma(tmp_path):
     source = clips.make(tmp_path / "a.mkv", "ffv1", "yuva420p", 1, (33, 17), smooth=False)
     [(first, second)] = read(source)
     alpha = first[..., 1].astype(float)
     padded = np.pad(alpha, ((0, 1), (0, 1)), mode="edge").reshape(9, 2, 17, 2).mean(axis=(1, 3))
     assert np.abs(padded - second[..., 2]).max() <= 0.5
+
+
+LIMITED = {
+    "yuv420p": (16, 128, 128),
+    "nv12": (16, 128, 128),
+    "yuv444p10le": (64, 512, 512),
+    "p010le": (64, 512, 512),
+    "yuv420p12le": (256, 2048, 2048),
+    "yuv422p16le": (4096, 32768, 32768),
+    "yuva420p": (16, 0, 128, 128, 0),
+    "yuva444p10le": (64, 512, 512, 0),
+    "gray": (16,),
+    "gray10le": (64,),
+    "ya8": (16, 0),
+    "rgb24": (0, 0, 0),
+    "gbrap12le": (0, 0, 0, 0),
+    "gbrpf32le": (0, 0, 0),
+}
+
+
+@pytest.mark.parametrize("name", LIMITED)
+@pytest.mark.parametrize("full", [False, True])
+def test_black_is_what_it_is_in_range_and_depth(name, full):
+    found = pixels.form(name)
+    values = colour.black(found, colour.Colour(colour.FULL if full else colour.LIMITED))
+    want = LIMITED[name]
+    if full:
+        want = (0, *want[1:])
+    assert values == want
+    layout = found.kind.layout(32, 16, (0, 0))
+    assert len(values) == sum(group.channels for group in layout.groups)
+    if not found.kind.alpha and found.kind.family != "gray":
+        arrays, start = [], 0
+        for group in layout.groups:
+            part = values[start : start + group.channels]
+            arrays.append(np.broadcast_to(np.array(part, layout.dtype), (*group.shape, group.channels)))
+            start += group.channels
+        meant = colour.Colour(colour.FULL if full else colour.LIMITED, matrix=colour.BT709, site="left")
+        assert colour.to_rgb(arrays, found, meant, (16, 32)).max() == 0
+        assert colour.to_rgb(arrays, found, meant, (16, 32), True).max() == 0
+
+
+def test_black_of_a_file(tmp_path):
+    def full(stream):
+        stream.codec_context.color_range = 2
+
+    for name, setup, want in (
+        ("yuv420p", None, (16, 128, 128)),
+        ("yuv420p", full, (0, 128, 128)),
+        ("yuvj420p", None, (0, 128, 128)),
+        ("gray", None, (0,)),
+        ("yuv422p10le", None, (64, 512, 512)),
+        ("bgr0", None, (0, 0, 0)),
+    ):
+        codec = "mjpeg" if name == "yuvj420p" else "ffv1"
+        options = {"strict": "experimental"}
+        with open_video(clips.make(tmp_path / "a.mkv", codec, name, 1, setup=setup, options=options)) as clip:
+            assert clip.layout.black == want
 
 
 # --- times ---
@@ -732,6 +828,45 @@ def test_no_video(tmp_path, name, content, message):
         info(tmp_path / name)
 
 
+def test_lists_of_files_are_not_followed(tmp_path):
+    clips.make(tmp_path / "a.ts")
+    (tmp_path / "a.txt").write_text("ffconcat version 1.0\nfile a.ts\n")
+    (tmp_path / "a.m3u8").write_text("#EXTM3U\n#EXT-X-TARGETDURATION:1\n#EXTINF:1,\na.ts\n#EXT-X-ENDLIST\n")
+    for name in ("a.txt", "a.m3u8"):
+        with pytest.raises(SuppleError, match="cannot read"), open_video(tmp_path / name):
+            pass
+
+
+def test_a_clip_that_begins_late_is_not_damaged(tmp_path):
+    times = [10**8 + 40 * k for k in range(5)]
+    source = clips.make(tmp_path / "a.mkv", "ffv1", count=5, times=times, base=Fraction(1, 1000))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        copy(source, tmp_path / "b.mkv")
+    assert [t * 1000 for t in clips.when(tmp_path / "b.mkv")] == times
+
+
+@pytest.mark.parametrize(("target", "gap"), [("b.mp4", 10**9), ("b.mov", 10**9), ("b.gif", 10**6)])
+def test_gaps_that_a_file_cannot_tell_are_refused(tmp_path, target, gap):
+    source = clips.make(tmp_path / "a.mkv", "ffv1", count=3, times=[0, 1, gap], base=Fraction(1, 1000))
+    with pytest.raises(SuppleError, match=f"frame 2 comes {gap // 1000} s after the one before"):
+        copy(source, tmp_path / target, codec=None if target == "b.gif" else "h264")
+    assert_nothing_left(tmp_path, "a.mkv")
+
+
+@pytest.mark.parametrize("claim", [Fraction(1, 10**9), Fraction(0), Fraction(10**9), Fraction(2**31 - 1, 7)])
+def test_rates_that_no_file_means_are_not_believed(tmp_path, claim, monkeypatch):
+    source = clips.make(tmp_path / "a.mkv", "ffv1", count=3)
+    for span in (Fraction(1, 10**12), Fraction(10**12), Fraction(0)):
+        counted = demux.Survey(3, 3, span, False, False)
+        film = types.SimpleNamespace(average_rate=claim, guessed_rate=None, base_rate=claim)
+        rate = movie._rate(film, counted)
+        assert Fraction(1, 10_000) <= rate <= 100_000
+        monkeypatch.setattr(movie, "_rate", lambda film, counted, rate=rate: rate)
+        copy(source, tmp_path / "b.mp4")
+        monkeypatch.undo()
+
+
 def test_no_file(tmp_path):
     for path, message in (
         (tmp_path / "no.mp4", "No such file"),
@@ -866,13 +1001,70 @@ def test_facts(tmp_path):
 def test_rgb_for_a_plot(tmp_path, name):
     source = clips.make(tmp_path / "a.nut", "rawvideo", name, 1)
     [frame] = clips.decoded(source)
-    want = frame.reformat(format="rgb24", interpolation="BICUBIC").to_ndarray()
+    want = np.rint(frame.reformat(format="rgb48le", interpolation="BICUBIC").to_ndarray() / 257)
     with open_video(source) as clip:
         [arrays] = read(source)
         shown = clip.to_rgb(arrays)
     assert shown.dtype == np.uint8
     assert shown.shape == (48, 64, 3)
     assert np.abs(shown.astype(int) - want).max() <= 2
+
+
+@pytest.mark.parametrize("name", ["yuv444p", "yuv444p10le", "gbrp12le", "rgb48le", "gray12le", "gbrpf32le", "yuv420p"])
+@pytest.mark.parametrize("full", [False, True])
+def test_deep_rgb(tmp_path, name, full):
+    def setup(stream):
+        stream.codec_context.color_range, stream.codec_context.colorspace = 2 if full else 1, 1
+
+    setup = setup if "yuv" in name or "gray" in name else None
+    path = clips.make(
+        tmp_path / "a.mkv", "ffv1", name, 1, smooth=False, setup=setup, options={"strict": "experimental"}
+    )
+    [arrays] = read(path)
+    with open_video(path) as clip:
+        deep, plain = clip.to_rgb(arrays, deep=True), clip.to_rgb(arrays)
+        layout = clip.layout
+    assert deep.dtype == np.uint16
+    assert deep.shape == plain.shape == (48, 64, 3)
+    assert np.abs(deep / 257 - plain).max() < 0.51
+    values = arrays[0].astype(float)
+    if name == "yuv420p":
+        return
+    if "yuv" in name or "gray" in name:
+        top = layout.white if full else 235 / 16 * 2 ** round(np.log2(layout.white + 1)) / 16
+        low = 0 if full else top * 16 / 235
+        values = (values - [low, *[(layout.white + 1) / 2] * 2][: values.shape[2]]) / (top - low)
+    else:
+        values /= layout.white
+    if "yuv" in name:
+        y, u, v = np.moveaxis(values, -1, 0)
+        u, v = (c if full else c * 219 / 224 for c in (u, v))
+        values = np.stack([y + 1.5748 * v, y - 0.187324 * u - 0.468124 * v, y + 1.8556 * u], axis=-1)
+    off = np.abs(np.clip(values, 0, 1) * 65535 - deep)
+    assert off.max() < (257 if "yuv" in name else 40)
+
+
+@pytest.mark.parametrize(
+    ("codec", "name", "lossless"),
+    [("mjpeg", "b.mov", False), ("mpeg4", "b.avi", False), ("vp8", "b.webm", False), ("ffv1", "b.avi", True)],
+)
+def test_colours_that_a_file_cannot_tell_look_the_same(tmp_path, codec, name, lossless):
+    def setup(stream):
+        context = stream.codec_context
+        context.color_range, context.colorspace = 2, 1
+
+    source = clips.make(tmp_path / "a.mkv", "ffv1", "yuv420p", 2, setup=setup)
+    with pytest.warns(ClipWarning, match="cannot say" if lossless else "exact values"):
+        copy(source, tmp_path / name, codec=codec)
+    if lossless:
+        assert_same_frames(source, tmp_path / name)
+        return
+    shown = []
+    for path in (source, tmp_path / name):
+        with open_video(path) as clip:
+            shown.append([clip.to_rgb(arrays).astype(int) for arrays in read(path)])
+    for a, b in zip(*shown, strict=True):
+        assert np.abs((a - b).mean(axis=(0, 1))).max() < 2
 
 
 SILENT = """

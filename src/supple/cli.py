@@ -210,23 +210,32 @@ class _Commands:
         *files: Annotated[str, Parameter(name="FILE", required=True)],
         json: Annotated[bool, Parameter(negative=())] = False,
     ) -> None:
-        """Tell what pictures and recipes hold.
+        """Tell what pictures, videos and recipes hold.
 
         Parameters
         ----------
         files
-            Pictures, or recipes in JSON.
+            Pictures, videos, patterns or folders of frames, or recipes in JSON.
         json
             As one JSON object for each file.
         """
+        from supple.console import REFUSED
         from supple.describe import describe
 
+        failures = 0
         for name in files:
-            facts, text = describe(name)
+            try:
+                facts, text = describe(name)
+            except SuppleError as error:
+                failures = REFUSED
+                self.console.say(error)
+                facts, text = {"file": name, "error": str(error)}, ""
             if json:
                 self.console.tell(facts)
-            else:
+            elif text:
                 print(text)
+        if failures:
+            raise SomeFailedError(failures)
 
     def demo(
         self,

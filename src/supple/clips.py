@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import shutil
+import warnings
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -18,7 +19,8 @@ from supple.deformation import Deformation, Report, warn_of
 from supple.domain import choice, length, number, refuse
 from supple.errors import SuppleError
 from supple.media.files import check_output, replacing, shown
-from supple.media.numbering import has_number, is_sequence
+from supple.media.formats import SUFFIXES_OUT as PICTURES_OUT
+from supple.media.numbering import SUFFIXES_IN, has_number, is_sequence
 from supple.streaming import Array, Layout, Sampling, make_plan, stream
 from supple.strokes import Recipe
 from supple.warping import FILTERS, OUTSIDE
@@ -108,17 +110,27 @@ def is_clip(source: PathLike, target: PathLike, recipe: Recipe) -> bool:
     """Whether a file, a pattern or a folder is to be warped as a clip."""
     suffix, goal = (Path(path).suffix.lower() for path in (source, target))
     timed = bool(recipe.strokes) and recipe.strokes[0].ndim == 3
-    if suffix in SUFFIXES or goal in SUFFIXES_OUT or has_number(source):
+    if suffix in SUFFIXES or goal in SUFFIXES_OUT or (has_number(source) and not os.path.isfile(source)):
         return True
     if os.path.isdir(source):
-        return timed
-    return (timed and suffix in (".gif", ".webp", ".png", ".apng", "")) or (suffix == ".gif" == goal)
+        return timed and not _holds_videos_alone(source)
+    still = suffix not in (".gif", ".webp", ".png", ".apng", "")
+    return (timed and not still) or (suffix == ".gif" and (goal == ".gif" or has_number(target)))
+
+
+def _holds_videos_alone(folder: PathLike) -> bool:
+    """Whether a folder is one of videos, not of frames."""
+    try:
+        suffixes = {_suffix(name) for name in os.listdir(folder) if not name.startswith(".")}
+    except OSError:
+        return False
+    return bool(suffixes & SUFFIXES) and not suffixes & SUFFIXES_IN
 
 
 @contextlib.contextmanager
 def open_clip(source: PathLike, *, rate: float | None = None, count: int | None = None) -> Iterator[Any]:
     """Open a video file, or an image sequence by its pattern or folder."""
-    if is_sequence(source):
+    if is_sequence(source) and not os.path.isfile(source):
         from supple.media.sequence import open_sequence
 
         with open_sequence(source, rate=24 if rate is None else rate) as pictures:
@@ -127,9 +139,44 @@ def open_clip(source: PathLike, *, rate: float | None = None, count: int | None 
     from supple.media.video import open_video
 
     if rate is not None:
-        raise SuppleError(f"a rate is for image sequences, and {shown(source)} has its own: leave it out")
+        raise SuppleError(f"a rate (--fps) is for image sequences, and {shown(source)} has its own: leave it out")
+    if _suffix(source) in SUFFIXES_IN and os.path.isfile(source):
+        _refuse_picture(source)
     with open_video(source, count=count) as clip:
         yield clip
+
+
+def _refuse_picture(path: PathLike) -> None:
+    """Refuse a file of a single picture, which FFmpeg would take for a short video."""
+    from supple.media.demux import opened
+
+    with opened(path) as container:
+        kind = container.format.name
+    if kind.endswith("_pipe") or kind == "image2":
+        raise SuppleError(
+            f"{shown(path)} is a picture, and has no time: its strokes have 2 numbers, x and y, and it is written as "
+            "a picture (videos are made of numbered ones, frames/%05d.png, or of a folder)"
+        )
+
+
+def turned(rotation: float) -> str:
+    """Which way a video is turned when it is played."""
+    return "clockwise" if rotation < 0 else "counterclockwise"
+
+
+def warn_of_rotation(clip: Any, deformation: Deformation) -> None:
+    """Say that points are those of frames as they are stored, where players show them otherwise."""
+    rotation = getattr(clip, "rotation", 0)
+    if rotation and not deformation.is_identity:
+        from supple.media.troubles import ClipWarning
+
+        height, width = clip.layout.shape
+        warnings.warn(
+            f"{clip.name} is turned by {abs(rotation):g}° {turned(rotation)} when it is played: points are in the "
+            f"frame as it is stored, {width} x {height}",
+            ClipWarning,
+            stacklevel=4,
+        )
 
 
 def deformation_of(recipe: Recipe, count: int, shape: tuple[int, int], time_scale: float, name: str) -> Deformation:
@@ -199,9 +246,11 @@ def warp_clip(
 ) -> WarpedClip:
     """Deform a video or an image sequence, frame by frame, as `supple.warp_file` does.
 
-    ``tell`` is called with ``"plan"`` or ``"warp"``, the number of frames done, and of all.
+    ``tell`` is called with ``"write"`` when the target is begun, and then with ``"plan"`` or ``"warp"``, the number of
+    frames done, and of all.
     """
     known = options or ClipOptions()
+    _check_target(target, known, quality)
     number("memory", known.memory, "a number of bytes from 0", 0.0, 1e30)
     count: int | None = None
     from supple.media.troubles import CountError
@@ -210,6 +259,8 @@ def warp_clip(
         try:
             with open_clip(source, rate=known.rate, count=count) as clip:
                 deformation = deformation_of(recipe, clip.count, clip.layout.shape, known.time_scale, clip.name)
+                if count is None:
+                    warn_of_rotation(clip, deformation)
                 sampling = sampling_of(
                     clip.layout,
                     clip.name,
@@ -251,6 +302,7 @@ def _through(
     """Send all frames through a deformation; return the error, the frames held at once, and those left as they were."""
     n = clip.count
     space = replace(deformation.space, count=n)
+    tell("write", 0, n)
     # The writer first: what it refuses is known before any work.
     with writer as sink:
         plan = make_plan(space, clip.layout, sampling, range(n), lambda done: tell("plan", done, n))
@@ -265,40 +317,50 @@ def _through(
     return error, plan.capacity, int(plan.still.sum())
 
 
+def _check_target(target: PathLike, options: ClipOptions, quality: int | None) -> None:
+    """Refuse what a target cannot be, or what is not for its kind."""
+    name = shown(target)
+    if not is_picture_target(target):
+        if _suffix(target) in PICTURES_OUT:
+            stem, suffix = os.path.splitext(name)
+            raise SuppleError(
+                f"{name} is one picture, and a clip is many: name a pattern, such as {stem}-%05d{suffix}, or a folder"
+            )
+        if quality is not None:
+            raise SuppleError(f"quality is for pictures, and {name} is a video: give a crf")
+        return
+    for option in ("codec", "crf", "preset", "pixel_format"):
+        if getattr(options, option) is not None:
+            raise SuppleError(f"{option} is for videos, and {name} is pictures: leave it out")
+    if quality is not None and not 1 <= quality <= 100:
+        raise SuppleError(f"cannot write {name} with quality {quality}: quality goes from 1 to 100")
+
+
 def _writer(
     clip: Any, target: PathLike, options: ClipOptions, quality: int | None, lossless: bool, force: bool
 ) -> contextlib.AbstractContextManager[Any]:
     """What writes to a target: a video file, or pictures."""
-    encoding = {
-        "codec": options.codec,
-        "crf": options.crf,
-        "preset": options.preset,
-        "pixel_format": options.pixel_format,
-    }
-    name = shown(target)
     if is_picture_target(target):
-        for option, value in encoding.items():
-            if value is not None:
-                raise SuppleError(f"{option} is for videos, and {name} is pictures: leave it out")
         from supple.media.sequence_out import sequence_writer
 
         return sequence_writer(target, clip, force=force, quality=quality, lossless=lossless)
-    if quality is not None:
-        raise SuppleError(f"quality is for pictures, and {name} is a video: give a crf")
-    if lossless and encoding["codec"] is None:
-        encoding["codec"] = "ffv1"
-    import supple.media.video as video
+    from supple.media.video import writer_of
 
-    if not hasattr(video, "writer_of"):
-        return clip.writer(target, force=force, **encoding)
-    writer_of = video.writer_of
-
-    return writer_of(clip, target, force=force, **encoding)
+    return writer_of(
+        clip,
+        target,
+        codec="ffv1" if lossless and options.codec is None else options.codec,
+        crf=options.crf,
+        preset=options.preset,
+        pixel_format=options.pixel_format,
+        force=force,
+    )
 
 
 def is_picture_target(target: PathLike) -> bool:
     """Whether a name stands for a sequence: a pattern, a folder, or a name without a suffix."""
-    return is_sequence(target) or not Path(target).suffix
+    suffix = _suffix(target)
+    return not suffix or (is_sequence(target) and not (has_number(target) and suffix in SUFFIXES_OUT))
 
 
 def _suffix(path: PathLike) -> str:

@@ -3,20 +3,34 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
+from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
+from supple.clips import SUFFIXES, turned
+from supple.errors import SuppleError
 from supple.media.files import shown
+from supple.media.numbering import is_sequence
 from supple.strokes import Recipe
+
+# What ITU-T H.273 calls the numbers of colours.
+_PRIMARIES = {1: "BT.709", 4: "BT.470 M", 5: "BT.601 (625)", 6: "BT.601 (525)", 7: "SMPTE 240M", 8: "film"}
+_PRIMARIES |= {9: "BT.2020", 10: "XYZ", 11: "DCI-P3", 12: "Display P3", 22: "EBU 3213"}
+_TRANSFERS = {1: "BT.709", 4: "gamma 2.2", 5: "gamma 2.8", 6: "BT.601", 7: "SMPTE 240M", 8: "linear"}
+_TRANSFERS |= {11: "xvYCC", 13: "sRGB", 14: "BT.2020", 15: "BT.2020", 16: "PQ", 17: "SMPTE 428", 18: "HLG"}
+_MATRICES = {0: "RGB", 1: "BT.709", 4: "FCC", 5: "BT.601", 6: "BT.601", 7: "SMPTE 240M", 8: "YCgCo"}
+_MATRICES |= {9: "BT.2020", 10: "BT.2020 constant", 14: "ICtCp"}
+_TAGS = {"primaries": _PRIMARIES, "transfer": _TRANSFERS, "matrix": _MATRICES}
 
 
 def describe(name: str) -> tuple[dict[str, Any], str]:
-    """Describe a picture, or a recipe.
+    """Describe a picture, a video, an image sequence, or a recipe.
 
     Parameters
     ----------
     name : str
-        A picture file; or a recipe, whose name ends in .json.
+        A picture or a video; a pattern or a folder of pictures; or a recipe, whose name ends in .json.
 
     Returns
     -------
@@ -28,20 +42,49 @@ def describe(name: str) -> tuple[dict[str, Any], str]:
     Raises
     ------
     SuppleError
-        If it is neither.
+        If it is none of these.
     """
-    if Path(name).suffix.lower() == ".json":
+    suffix = Path(name).suffix.lower()
+    if suffix == ".json":
         from supple.files import read_recipe
 
         recipe = read_recipe(name)
         return {"file": name, "kind": "recipe", **json.loads(recipe.to_json())}, _recipe(name, recipe)
+    if is_sequence(name):
+        from supple.media.sequence import open_sequence
+
+        with open_sequence(name) as pictures:
+            facts = pictures.info()
+        del facts["rate"]  # which pictures do not know
+        return {"file": name, "kind": "sequence", **facts}, _sequence(name, facts)
+    if suffix in SUFFIXES:
+        return _described_video(name)
     from supple.media.image import info
 
-    facts = info(name)
+    try:
+        facts = info(name)
+    except SuppleError:
+        try:
+            return _described_video(name)
+        except SuppleError:
+            pass
+        raise
+    if suffix == ".gif" and facts["pages"] != 1:
+        return _described_video(name)
     return {"file": name, "kind": "image", **facts}, _picture(name, facts)
 
 
-def _picture(name: str, facts: dict[str, Any]) -> str:
+def _described_video(name: str) -> tuple[dict[str, Any], str]:
+    from supple.media.video import info
+
+    facts = info(name)
+    for tag, names in _TAGS.items():
+        facts[tag] = names.get(facts[tag], "unknown" if facts[tag] in (2, 3) else str(facts[tag]))
+    told = {key: str(value) if isinstance(value, Fraction) else value for key, value in facts.items()}
+    return {"file": name, "kind": "video", **told}, _video(name, facts)
+
+
+def _picture(name: str, facts: Mapping[str, Any]) -> str:
     channels = int(facts["channels"])
     depth = f"{facts['bits']} bit{' float' if str(facts['dtype']).startswith('float') else ''}"
     lines = {
@@ -56,6 +99,48 @@ def _picture(name: str, facts: dict[str, Any]) -> str:
         lines["orientation"] = f"{facts['orientation']}, applied when it is read"
     if facts["pages"] != 1:
         lines["pages"] = f"{facts['pages']}, of which one is read"
+    return _listed(name, lines)
+
+
+def _video(name: str, facts: Mapping[str, Any]) -> str:
+    rate, turn = facts["rate"], facts["rotation"]
+    exact = f" ({rate})" if rate.denominator > 1 else ""
+    tags = [f"{tag} {facts[tag]}" for tag in ("range", *_TAGS, "siting") if facts[tag] != "unknown"]
+    lines = {
+        "format": f"{facts['container']}, {facts['codec']}",
+        "size": f"{facts['width']} x {facts['height']}",
+        "frames": f"{facts['frames']}, {float(rate):.6g} a second{exact}, {facts['duration']:.3f} s",
+        "pixels": f"{facts['pixel_format']}, {facts['bits']} bit{', with opacity' if facts['alpha'] else ''}",
+        "colours": ", ".join(tags) or "not said",
+    }
+    if turn:
+        lines["rotation"] = f"{abs(turn):g}° {turned(turn)}, applied when it is played"
+    if facts["aspect"] != 1:
+        lines["aspect"] = f"pixels are {facts['aspect']} as wide as high"
+    if facts["interlaced"]:
+        lines["fields"] = "interlaced"
+    for key in ("audio", "subtitles", "other"):
+        if facts[key]:
+            lines[key] = ", ".join(facts[key])
+    if facts["chapters"]:
+        lines["chapters"] = str(facts["chapters"])
+    if facts["damaged"]:
+        lines["damage"] = "it breaks off: what can be decoded of it is used"
+    return _listed(name, lines)
+
+
+def _sequence(name: str, facts: Mapping[str, Any]) -> str:
+    lines = {
+        "format": f"pictures, {facts['format']}",
+        "size": f"{facts['width']} x {facts['height']}",
+        "frames": f"{facts['frames']}, from {shown(facts['first'])} to {shown(facts['last'])}",
+        "channels": f"{facts['channels']}{', the last is opacity' if facts['alpha'] else ''}",
+        "depth": facts["dtype"],
+    }
+    return _listed(name, lines)
+
+
+def _listed(name: str, lines: Mapping[str, object]) -> str:
     return "\n".join([f"{shown(name)}:", *(f"  {key:<12}{value}" for key, value in lines.items())])
 
 

@@ -90,7 +90,7 @@ def warp_file(
     progress : bool or function
         Whether to show on a terminal what is being done. Or a function, which is called before each part of
         the work with its name, ``"read"``, ``"warp"`` and ``"write"``: what it raises ends the work, and
-        leaves no file. Of a clip, ``"plan"`` and ``"warp"`` come for every frame.
+        leaves no file. Of a clip, ``"write"`` comes first, and then ``"plan"`` and ``"warp"`` for every frame.
     clip : ClipOptions, optional
         What is particular to clips.
 
@@ -192,6 +192,8 @@ def counted(progress: bool | Callable[[str], None]) -> Iterator[Callable[[str, i
         tasks: dict[str, Any] = {}
 
         def show(step: str, done: int, total: int) -> None:
+            if step == "write":
+                return
             if step not in tasks:
                 tasks[step] = bar.add_task({"plan": "planning", "warp": "frames"}[step], total=total)
             bar.update(tasks[step], completed=done)

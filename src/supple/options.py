@@ -162,6 +162,9 @@ class VideoOptions:
         scale = read("--time-scale", self.time_scale, "a number of pixels above 0")
         if scale is not None and not 0 < scale < math.inf:
             raise SuppleError(f"--time-scale must be a number of pixels above 0, found {self.time_scale!r}")
+        rate = read("--fps", self.fps, "a number of frames a second")
+        if rate is not None and not 0 < rate <= 100_000:
+            raise SuppleError(f"--fps must be a number of frames a second above 0, found {self.fps!r}")
         memory = read("--memory", self.memory, "a number of gigabytes")
         if memory is not None and not memory >= 0:
             raise SuppleError(f"--memory must be a number of gigabytes from 0, found {self.memory!r}")
@@ -169,7 +172,7 @@ class VideoOptions:
             between=self.between,
             time_filter=self.time_filter,
             time_scale=1.0 if scale is None else scale,
-            rate=read("--fps", self.fps, "a number of frames a second"),
+            rate=rate,
             codec=self.codec,
             crf=read("--crf", self.crf, "a number"),
             preset=self.preset,

@@ -2,14 +2,22 @@
 
 from __future__ import annotations
 
-import contextlib
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from supple.clips import ClipOptions, PathLike, deformation_of, frames_of, is_clip, open_clip, sampling_of
+from supple.clips import (
+    ClipOptions,
+    PathLike,
+    deformation_of,
+    frames_of,
+    is_clip,
+    open_clip,
+    sampling_of,
+    warn_of_rotation,
+)
 from supple.deformation import Deformation
 from supple.diagnostics import WHATS, check_plot, draw_sheet, draw_slice, evenly, plot
 from supple.domain import choice, integer
@@ -73,15 +81,26 @@ def plot_file(
         If it cannot be read, drawn or written.
     """
     choice("what", what, (*WHATS, "slice", "sheet"))
+    options = clip or ClipOptions()
+    for option in ("codec", "crf", "preset", "pixel_format"):
+        if getattr(options, option) is not None:
+            raise SuppleError(f"{option} is for videos, and {shown(target)} is a plot: leave it out")
+    if what != "slice" and (x is not None or y is not None):
+        raise SuppleError(f"x and y are for slices, and {what} shows whole frames: leave them out")
     check_output(target, force=force)
     check_plot(target, force=force)
     if is_clip(source, "", recipe):
+        from supple.media.troubles import CountError
+
+        asked = (source, target, recipe, what, frame, x, y, options, force)
         with counted(progress) as tell:
-            return _plot_clip(source, target, recipe, what, frame, x, y, clip or ClipOptions(), force, tell)
-    if what in ("slice", "sheet") or frame is not None:
-        raise SuppleError(
-            f"{shown(source)} is taken for a picture, which has no time: leave frame, slice and sheet out"
-        )
+            try:
+                return _plot_clip(*asked, tell)
+            except CountError as miscounted:
+                return _plot_clip(*asked, tell, miscounted.found)
+    timeless = options == ClipOptions(memory=options.memory)
+    if what in ("slice", "sheet") or frame is not None or not timeless:
+        raise SuppleError(f"{shown(source)} is taken for a picture, which has no time: leave out what is for videos")
     from supple.media.image import read
 
     pixels = read(source).pixels
@@ -101,10 +120,13 @@ def _plot_clip(
     options: ClipOptions,
     force: bool,
     tell: Tell,
+    count: int | None = None,
 ) -> Deformation:
-    with _counted_clip(source, options) as clip:
+    with open_clip(source, rate=options.rate, count=count) as clip:
         height, width = clip.layout.shape
         deformation = deformation_of(recipe, clip.count, clip.layout.shape, options.time_scale, clip.name)
+        if count is None:
+            warn_of_rotation(clip, deformation)
         if what == "slice":
             if (x is None) == (y is None):
                 raise SuppleError("a slice shows one column or one row over time: give --x or --y")
@@ -122,7 +144,7 @@ def _plot_clip(
         elif frame is not None:
             raise SuppleError(f"--frame is for the pictures of one frame, and {what} shows many: leave it out")
         before = [] if what in WHATS else [rgb[line].copy() for rgb in _shown(clip, planes)]
-    with _counted_clip(source, options, clip.count) as clip:
+    with open_clip(source, rate=options.rate, count=clip.count) as clip:
         sampling = sampling_of(
             clip.layout,
             clip.name,
@@ -148,12 +170,6 @@ def _plot_clip(
             timed = deformation.ndim == 3
             plot(deformation, what, target, image=after[0], frame=planes[0] if timed else None, force=force)
     return deformation
-
-
-@contextlib.contextmanager
-def _counted_clip(source: PathLike, options: ClipOptions, count: int | None = None) -> Iterator[Any]:
-    with open_clip(source, rate=options.rate, count=count) as clip:
-        yield clip
 
 
 def _shown(clip: Any, planes: Sequence[int]) -> Iterator[Colours]:

@@ -155,15 +155,16 @@ def make_plan(
     still = np.full(n, space.table.size == 0)
     if space.ndim == 3 and space.table.size:
         support = SUPPORT[sampling.between]
-        earliest, latest = times_seen(sampling.outside, space.count)
+        earliest, latest = times_seen(sampling.outside, space.count, sampling.time_filter)
         step = max(group.step for group in layout.groups)
 
         def look(k: int) -> None:
             bounds = bounds_of(space.solve(planes[k], step), sampling.tolerance)
             still[k] = bounds.moved * 3**0.5 <= sampling.tolerance
             if not still[k]:
-                # Chroma covers more than a pixel; and rates between nodes may be larger.
-                beyond = min(2.0 * bounds.rate, LONGEST) / 2 + 1 if sampling.time_filter else 0.0
+                # A sample of chroma covers several pixels; and rates between nodes may be larger.
+                wide = 1.5 * bounds.rate * math.hypot(*step, 1)
+                beyond = min(wide, LONGEST) / 2 + 1 if sampling.time_filter else 0.0
                 # Points are of float32, and may lie a little outside the bounds.
                 seen = bounds.early - SLACK, bounds.late + SLACK
                 early, late = (min(max(t, earliest), latest) for t in seen)
@@ -324,7 +325,7 @@ def _maker(
             for use, g, out in zip(samplers, layout.groups, outs, strict=True):
                 use(part_of(band, g), out, first, slots)
 
-        return each_band(space.solve(z, step), sampling.tolerance, fill_band, grid)
+        return each_band(space.solve(z, step), sampling.tolerance, fill_band, grid, rates=sampling.time_filter)
 
     return make
 

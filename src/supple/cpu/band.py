@@ -26,11 +26,12 @@ from supple.cpu.lattice import (
     solve_batch,
     too_coarse,
 )
-from supple.cpu.newton import QX, QY, QZ, ROWS
+from supple.cpu.newton import DONE, NORM, PX, QX, QY, QZ, ROWS, settle
+from supple.cpu.vector import write_cubic
 
 RUN = 8  # cells that share an anchor
 WIDTH = SIZE + 1
-WORST, EVALUATIONS, REACH, FAR, STATS = 0, 1, 2, 3, 4
+WORST, EVALUATIONS, REACH, FAR, RATE, STATS = 0, 1, 2, 3, 4, 5
 
 
 @kernel
@@ -55,11 +56,14 @@ def _far(a, dx, dy, twist):
 
 
 @inlined
-def _write(row, n, a, b, d, e):
+def _write(flat, at, n, a, b, d, e):
+    """``n`` values of a cubic polynomial, from 0 on."""
     c0, c1, c2, c3 = np.float32(a), np.float32(b), np.float32(d), np.float32(e)
-    for i in range(n):
-        s = np.float32(np.int32(i))  # of 32 bits: wider ones have no vector conversion
-        row[i] = c0 + s * (c1 + s * (c2 + s * c3))
+    for i in range(0, n - 7, 8):
+        write_cubic(flat, at + i, np.float32(i), c0, c1, c2, c3)
+    for i in range(n - n % 8, n):
+        s = np.float32(i)
+        flat[at + i] = c0 + s * (c1 + s * (c2 + s * c3))
 
 
 @kernel
@@ -73,7 +77,8 @@ def _fill(
     at the grid's row ``first``. Beyond the plane, the map goes on as it does beyond a fixed face.
     """
     p, q, r, o = nodes[j, i], nodes[j, i + 1], nodes[j + 1, i], nodes[j + 1, i + 1]
-    for c in range(points.shape[0]):
+    flat, coarse_flat = points.reshape(-1), coarse.reshape(-1)
+    for c in range(min(points.shape[0], 3)):
         one_x, one_y = (1.0 if c == 0 else 0.0), (1.0 if c == 1 else 0.0)
         offset = (x if c == 0 else (y if c == 1 else anchor[3])) - anchor[c]
         mx, my, f = M + 3 * c, M + 3 * c + 1, TWIST + c
@@ -89,6 +94,9 @@ def _fill(
             low, high, offset + ou + one_x * h + one_y * k, -across * (kx + one_x), -down * (ky + one_y), both * of
         )
         if points.shape[1] == 0:  # only bounds are wanted
+            for m in (M + 6, M + 7, M + 8):
+                slope = max(max(abs(p[m]), abs(q[m])), max(abs(r[m]), abs(o[m])))
+                stats[RATE] = max(stats[RATE], slope)
             far = max(
                 _far(pu, across * px, down * py, both * pf),
                 _far(qu, -across * qx, down * qy, -both * qf),
@@ -115,10 +123,10 @@ def _fill(
             own[3 * WIDTH + v] = p03 + t * (p13 + t * (p23 + t * p33))
         for v in range(height):
             a, b, d, e = own[v], own[WIDTH + v], own[2 * WIDTH + v], own[3 * WIDTH + v]
-            row = points[c, top + v, left : left + width]
-            _write(row, width, a, b, d, e)
+            at = ((c * points.shape[1] + top + v) * points.shape[2]) + left
+            _write(flat, at, width, a, b, d, e)
             if width > h:  # the plane's last column, where steep slopes may cancel
-                row[width - 1] = np.float32(a + h * (b + h * (d + h * e)))
+                flat[at + width - 1] = np.float32(a + h * (b + h * (d + h * e)))
         if coarse.shape[1] > 0:
             # The same polynomial where the samples of a coarser grid lie, in their numbers.
             fx, fy, ox, oy = grid[0], grid[1], grid[2], grid[3]
@@ -133,19 +141,47 @@ def _fill(
             unit, sited = (fx, ox) if c == 0 else ((fy, oy) if c == 1 else (1.0, 0.0))
             moved, scale = (anchor[c] - sited) / unit - grid_anchor[c], 1.0 / unit
             s = fx * u0 + ox - x
-            for v in range(v0, v1):
-                t = fy * v + oy - y
+            fx2, fx3 = scale * fx * fx, scale * fx * fx * fx
+            for v in range(v1 - v0):
+                t = fy * np.float64(np.int32(v)) + (fy * v0 + oy - y)
                 beyond = max(t - k, 0.0)
                 t -= beyond
                 a, b = p00 + t * (p10 + t * (p20 + t * p30)), p01 + t * (p11 + t * (p21 + t * p31))
                 d, e = p02 + t * (p12 + t * (p22 + t * p32)), p03 + t * (p13 + t * (p23 + t * p33))
                 a += one_y * beyond
-                row = coarse[c, v - first, u0:u2]
+                own[4 * WIDTH + v] = a + h * (b + h * (d + h * e))  # in the plane's last column
+                own[v] = moved + scale * (a + s * (b + s * (d + s * e)))
+                own[WIDTH + v] = scale * fx * (b + s * (2.0 * d + 3.0 * s * e))
+                own[2 * WIDTH + v] = fx2 * (d + 3.0 * s * e)
+                own[3 * WIDTH + v] = fx3 * e
+            for v in range(v1 - v0):
+                at = (c * coarse.shape[1] + v0 + v - first) * coarse.shape[2] + u0
+                _write(coarse_flat, at, u1 - u0, own[v], own[WIDTH + v], own[2 * WIDTH + v], own[3 * WIDTH + v])
                 for u in range(u1, u2):
-                    last = a + h * (b + h * (d + h * e)) + one_x * (fx * u + ox - x - h)
-                    row[u - u0] = np.float32(moved + scale * last)
-                a, b, d = a + s * (b + s * (d + s * e)), b + s * (2.0 * d + 3.0 * s * e), d + 3.0 * s * e
-                _write(row, u1 - u0, moved + scale * a, scale * fx * b, scale * fx * fx * d, scale * fx * fx * fx * e)
+                    beyond = one_x * (fx * u + ox - x - h)
+                    coarse_flat[at + u - u0] = np.float32(moved + scale * (own[4 * WIDTH + v] + beyond))
+
+
+@kernel
+def _fill_rates(nodes, j, i, h, k, width, height, left, top, x, y, points, grid, first, coarse):
+    """The same for ∂p_t/∂t, bilinear between the nodes."""
+    m = M + 8
+    p, q, r, o = nodes[j, i, m], nodes[j, i + 1, m], nodes[j + 1, i, m], nodes[j + 1, i + 1, m]
+    for v in range(height):
+        t = v / k
+        a, b = p + t * (r - p), q + t * (o - q)
+        for u in range(width):
+            points[3, top + v, left + u] = a + u / h * (b - a)
+    if coarse.shape[1] > 0:
+        u0, v0 = int(np.ceil((x - grid[2]) / grid[0])), int(np.ceil((y - grid[3]) / grid[1]))
+        u1, v1 = int(np.ceil((x + h - grid[2]) / grid[0])), int(np.ceil((y + k - grid[3]) / grid[1]))
+        u1 = coarse.shape[2] if x + h >= grid[4] else min(u1, coarse.shape[2])
+        v1 = first + coarse.shape[1] if y + k >= grid[5] else min(v1, first + coarse.shape[1])
+        for v in range(v0, v1):
+            t = min((grid[1] * v + grid[3] - y) / k, 1.0)
+            a, b = p + t * (r - p), q + t * (o - q)
+            for u in range(u0, u1):
+                coarse[3, v - first, u] = a + min((grid[0] * u + grid[2] - x) / h, 1.0) * (b - a)
 
 
 @kernel
@@ -204,6 +240,32 @@ def _solve_middles(w, one, table, axes, z, x0, y0, cells, count, smooth, ndim, l
     return evaluations
 
 
+@kernel
+def _settle_coarse(w, one, table, axes, z, x, y, grid, anchor, first, coarse):
+    """Solve for the samples of the coarser grid in a cell of one pixel, where no patch is good enough.
+
+    Returns the residual, in pixels, if that did not converge.
+    """
+    fx, fy, ox, oy = grid[0], grid[1], grid[2], grid[3]
+    u, v = int(np.ceil((x - ox) / fx)), int(np.ceil((y - oy) / fy))
+    left, down = fx * u + ox - x, fy * v + oy - y
+    inside = u < coarse.shape[2] and 0 <= v - first < coarse.shape[1]
+    if not inside or left >= 1.0 or down >= 1.0 or (left == 0.0 and down == 0.0):
+        return 0.0
+    finest = 1e-4 * min(axes[0, 2], min(axes[1, 2], axes[2, 2]))
+    w[QX], w[QY], w[QZ] = (x + left) * axes[0, 2], (y + down) * axes[1, 2], z * axes[2, 2]
+    for c in range(min(coarse.shape[0], 3)):
+        unit, sited = (fx, ox) if c == 0 else ((fy, oy) if c == 1 else (1.0, 0.0))
+        w[X + c * BATCH] = ((anchor[c] + np.float64(coarse[c, v - first, u])) * unit + sited) * axes[c, 2]
+    if coarse.shape[0] == 2:
+        w[Z] = z * axes[2, 2]
+    settle(w, one, 1, table, axes, finest, 10)
+    for c in range(min(coarse.shape[0], 3)):
+        unit, sited = (fx, ox) if c == 0 else ((fy, oy) if c == 1 else (1.0, 0.0))
+        coarse[c, v - first, u] = np.float32((w[PX + c * BATCH] / axes[c, 2] - sited) / unit - anchor[c])
+    return 0.0 if w[DONE] > 0.0 else np.sqrt(w[NORM])
+
+
 @inlined
 def _refine(
     w,
@@ -245,15 +307,13 @@ def _refine(
     cells[0, 0], cells[0, 1], cells[0, 2], cells[0, 3] = 0, h, 0, k
     cells[0, 4] = side
     count = 1
-    between = coarse.shape[1] > 0
+    between, ndim = coarse.shape[1] > 0, min(points.shape[0], 3)
     # Where the whole cell is resolved, so are its parts.
     smooth = max(h, k) > RESOLVED * min(
         min(local[0, 0, SMOOTH], local[0, h, SMOOTH]), min(local[k, 0, SMOOTH], local[k, h, SMOOTH])
     )
     while count > 0:
-        stats[EVALUATIONS] += _solve_middles(
-            w, one, table, axes, z, x0, y0, cells, count, smooth, points.shape[0], local, solved
-        )
+        stats[EVALUATIONS] += _solve_middles(w, one, table, axes, z, x0, y0, cells, count, smooth, ndim, local, solved)
         more = 0
         for m in range(count):
             xs, ys = _sides(cells[m])
@@ -263,7 +323,7 @@ def _refine(
                 for u in range(nx):
                     mx[u] = xs[u]
                     _copy(local, ys[v], xs[u], mini, v, u)
-            set_twists(mx, my, nx, ny, 0, ny, points.shape[0], mini)
+            set_twists(mx, my, nx, ny, 0, ny, ndim, mini)
             n = 0
             for v in range(ny - 1):
                 for u in range(nx - 1):
@@ -271,13 +331,14 @@ def _refine(
                     cx[n], cy[n] = x0 + xs[u], y0 + ys[v]
                     ch[n], ck[n] = xs[u + 1] - xs[u], ys[v + 1] - ys[v]
                     n += 1
-            check(w, n, table, axes, points.shape[0], z, cx, cy, ch, ck, cj, ci, mini, errors, sides)
+            check(w, n, table, axes, ndim, z, cx, cy, ch, ck, cj, ci, mini, errors, sides)
             for e in range(n):
                 u, v = ci[e], cj[e]
                 a0, a1, b0, b1 = xs[u], xs[u + 1], ys[v], ys[v + 1]
                 single = a1 - a0 == 1 and b1 - b0 == 1
                 error = errors[e]
-                if single and not between:  # nothing lies between its nodes
+                if single:  # nothing lies between its nodes; what is between them is made exact
+                    inner = errors[e]
                     error = max(
                         max(mini[v, u, ERROR], mini[v, u + 1, ERROR]),
                         max(mini[v + 1, u, ERROR], mini[v + 1, u + 1, ERROR]),
@@ -308,6 +369,29 @@ def _refine(
                         own,
                         stats,
                     )
+                    if points.shape[0] == 4:
+                        _fill_rates(
+                            mini,
+                            v,
+                            u,
+                            ch[e],
+                            ck[e],
+                            across,
+                            down,
+                            left + a0,
+                            top + b0,
+                            x0 + a0,
+                            y0 + b0,
+                            points,
+                            grid,
+                            row0,
+                            coarse,
+                        )
+                    if single and between and inner > tolerance:
+                        missed = _settle_coarse(
+                            w, one, table, axes, z, x0 + a0, y0 + b0, grid, grid_anchor, row0, coarse
+                        )
+                        stats[WORST] = max(stats[WORST], missed)
                 else:
                     following[more, 0], following[more, 1] = a0, a1
                     following[more, 2], following[more, 3] = b0, b1
@@ -348,27 +432,30 @@ def source_points(
     ----------
     wide, tall : int
         The plane's size in pixels; a lattice of one column or row reaches beyond it.
-    points : float32 array, shape (2 or 3, rows of pixels, wide)
-        Receives the points, in pixels, less the anchor of their run; without rows, only bounds are found.
+    points : float32 array, shape (2, 3 or 4, rows of pixels, wide)
+        Receives the points, in pixels, less the anchor of their run; without rows, only bounds are found. The fourth
+        is ∂p_t/∂t.
     anchors : int64 array, shape (runs, 3)
     boxes : float64 array, shape (last - first, cells, 2 or 3, 2)
         Receives the smallest and the largest coordinate of each cell's points, in pixels.
     grid : float64 array (step x, step y, offset x, offset y, last x, last y)
         Where the samples of a coarser grid lie, in pixels; and the last node of the lattice.
-    coarse : float32 array, shape (2 or 3, rows of samples, samples)
+    coarse : float32 array, shape (2, 3 or 4, rows of samples, samples)
         Receives the points of those, in steps of their grid, less their anchors; has no rows if there is none.
     coarse_anchors : int64 array, shape (runs, 3)
     stats : float64 array, shape (STATS,)
         Worst error that the checks let expect, in pixels; evaluations of T; the farthest that a point is from its
-        anchor; and, if only bounds are found, a bound of every component of the displacement.
+        anchor; and, if only bounds are found, a bound of every component of the displacement, and the largest
+        component of ∂p_t/∂q at a node.
     """
     w, one = np.empty(ROWS * BATCH), np.empty(ROWS * BATCH)
     local, solved = np.empty((SIZE + 1, SIZE + 1, NODE)), np.empty((SIZE + 1, SIZE + 1), np.bool_)
     cols, rows = np.empty(TOGETHER, np.int64), np.empty(TOGETHER, np.int64)
     cx, cy, ch, ck = np.empty(TOGETHER), np.empty(TOGETHER), np.empty(TOGETHER), np.empty(TOGETHER)
     errors, box, sides = np.empty(TOGETHER), np.empty((3, 2)), np.empty(TOGETHER, np.int64)
-    anchor, own = np.empty(4), np.empty(4 * WIDTH)
+    anchor, own = np.empty(4), np.empty(5 * WIDTH)
     anchor[3] = z
+    ndim = min(points.shape[0], 3)
     row0 = int(np.ceil((ys[first] - grid[3]) / grid[1]))
     for run in range(anchors.shape[0]):
         node = nodes[first, run * RUN]
@@ -386,7 +473,7 @@ def source_points(
                 cols[m], rows[m] = i, j
                 cx[m], cy[m] = xs[i], ys[j]
                 ch[m], ck[m] = xs[i + 1] - xs[i], ys[j + 1] - ys[j]
-            check(w, n, table, axes, points.shape[0], z, cx, cy, ch, ck, rows, cols, nodes, errors, sides)
+            check(w, n, table, axes, ndim, z, cx, cy, ch, ck, rows, cols, nodes, errors, sides)
             for m in range(n):
                 i = start + m
                 h, k = xs[i + 1] - xs[i], ys[j + 1] - ys[j]
@@ -421,6 +508,10 @@ def source_points(
                         own,
                         stats,
                     )
+                    if points.shape[0] == 4:
+                        _fill_rates(
+                            nodes, j, i, h, k, width, height, left, top, xs[i], ys[j], points, grid, row0, coarse
+                        )
                 else:
                     _copy(nodes, j, i, local, 0, 0)
                     _copy(nodes, j, i + 1, local, 0, h)
@@ -454,7 +545,7 @@ def source_points(
                         own,
                         stats,
                     )
-                for c in range(points.shape[0]):
+                for c in range(ndim):
                     stats[REACH] = max(stats[REACH], max(abs(box[c, 0]), abs(box[c, 1])))
                     boxes[j - first, i, c, 0] = anchor[c] + box[c, 0]
                     boxes[j - first, i, c, 1] = anchor[c] + box[c, 1]

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from supple.cpu.band import RUN
 from supple.cpu.filters import KIND, NONE, choose, filter_row
 from supple.cpu.footprint import AUTO, EWA, PARTS, WIDEST, extremes, footprints
 from supple.cpu.kernel import colour_kernel as kernel
@@ -60,23 +59,17 @@ def _times(points, row, left, n, anchor, low, high, times):
 
 
 @kernel
-def time_widths(points, row, left, n, rates, cell, tall, widths):
+def time_widths(points, row, left, n, widths):
     """How many frames each pixel of a row covers; the filter fades in as a picture's does."""
     last = points.shape[2] - 1
     above, below = max(row - 1, 0), min(row + 1, points.shape[1] - 1)
-    j = min(row // tall, rates.shape[0] - 2)
-    v = min(row / tall - j, 1.0)
     for i in range(n):
         x = left + i
         before, after = max(x - 1, 0), min(x + 1, last)
         across = (points[2, row, after] - points[2, row, before]) / max(after - before, 1)
         down = (points[2, below, x] - points[2, above, x]) / max(below - above, 1)
-        k = min(x // cell, rates.shape[1] - 2)
-        u = min(x / cell - k, 1.0)
-        upper, lower = rates[j, k] + u * (rates[j, k + 1] - rates[j, k]), rates[j + 1, k]
-        lower += u * (rates[j + 1, k + 1] - lower)
-        along = upper + v * (lower - upper)
-        length = np.sqrt(across * across + down * down + along * along)
+        along = points[3, row, x]
+        length = np.sqrt(np.float64(across * across + down * down + along * along))
         widths[i] = min(length * min(max((length - 1.0) * 10.0, 0.0), 1.0), LONGEST)
 
 
@@ -102,8 +95,6 @@ def filtered_frames(
     anchors,
     pitch,
     boxes,
-    rates,
-    tall,
     kind,
     average,
     mode,
@@ -132,12 +123,10 @@ def filtered_frames(
         Where in ``source`` the frames from ``first`` on are; -1 for one that is constant.
     earliest, latest : float
         Beyond these times, nothing changes any more.
-    rates : float64 array, shape (cells down + 1, cells across + 1)
-        ∂p_t/∂t at the corners of the lattice's cells, which are ``tall`` rows and an eighth of ``pitch``.
     kind : int
         LINEAR or CUBIC: how frames are interpolated; NEAREST if they are not.
     average : bool
-        Whether pixels are averaged over the time that they cover.
+        Whether pixels are averaged over the time that they cover; ``points`` then has ∂p_t/∂t, too.
     done : bool array, shape (runs,)
         Which runs to leave out.
     mode, lanes, rule, fill, alpha, top, levels, table, own, linear, low, high, whole, octets
@@ -186,7 +175,7 @@ def filtered_frames(
             for i in range(n):
                 early, late = min(early, times[i]), max(late, times[i])
             if average:
-                time_widths(points, y, left, n, rates, pitch // RUN, tall, widths)
+                time_widths(points, y, left, n, widths)
                 for i in range(n):
                     longest = max(longest, widths[i])
         radius = reach + 0.5 * longest
@@ -215,7 +204,7 @@ def filtered_frames(
                 for y in range(tall_out):
                     _times(points, y, left, n, np.float64(anchors[run, 2]), earliest, latest, times)
                     if average:
-                        time_widths(points, y, left, n, rates, pitch // RUN, tall, widths)
+                        time_widths(points, y, left, n, widths)
                     some = False
                     for i in range(n):
                         weights[i] = time_weight(kind, f - times[i], widths[i])

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from supple.cpu.band import RUN
 from supple.cpu.between import LINEAR, time_weight, time_widths
 from supple.cpu.filters import ALONG, DOWN, KIND, NONE, POINT, choose
 from supple.cpu.filters import LONG as OBLIQUE
@@ -21,6 +20,7 @@ from supple.cpu.region import store
 from supple.cpu.sample import PART_X, PART_Y, WIDE
 from supple.cpu.vector import cubic_stencil, table_stencil
 
+FAR = 5.0  # beyond the frame by more, all samples of a stencil are the same
 LEFT, RIGHT, ABOVE, BELOW = 2, 6, 2, 4  # how far a stencil may reach from the sample before a point
 
 _cubic1, _cubic2, _cubic3, _cubic4 = cubic_stencil(1), cubic_stencil(2), cubic_stencil(3), cubic_stencil(4)
@@ -164,8 +164,8 @@ def filtered_directly(
     points,
     anchors,
     pitch,
-    rates,
-    tall,
+    earliest,
+    latest,
     kind,
     average,
     mode,
@@ -183,7 +183,7 @@ def filtered_directly(
     ----------
     samples, starts, frames, first, height, width
         As `supple.cpu.frames.linear_packed` takes them.
-    kind, average, mode, rates, tall, table, low, high, whole, octets
+    earliest, latest, kind, average, mode, table, low, high, whole, octets
         As `supple.cpu.between.filtered_frames` takes them.
     done : bool array, shape (runs,)
         Receives which runs are done; the others have footprints that no box stands for.
@@ -199,6 +199,7 @@ def filtered_directly(
     values, one = np.empty(WIDE * lanes, table.dtype), np.empty(4, table.dtype)
     patch = np.empty(2 * 81 * channels + 8, samples.dtype)
     widths, forms = np.zeros(WIDE), np.empty(WIDE, np.uint32)
+    singly, columns, rows = np.empty(WIDE, np.bool_), np.empty(WIDE, np.int64), np.empty(WIDE, np.int64)
     most = starts.size - 2
     zero = table.dtype.type(0)
     for run in range(anchors.shape[0]):
@@ -223,36 +224,37 @@ def filtered_directly(
             locate(points, y, left, n, anchors[run], width, height, first, frames - 1, most, where, frame, fractions)
             for i in range(n):
                 parts[PART_X + i], parts[PART_Y + i] = fractions[PART_X + i], fractions[PART_Y + i]
-            choose(n, mode, parts, words)
-            if average:
-                time_widths(points, y, left, n, rates, pitch // RUN, tall, widths)
             between_two = kind == LINEAR and not average
             if between_two and _inside(points, y, left, n, anchors[run], width, height):
+                choose(n, mode, parts, words)
                 _row(samples, starts, width, channels, n, where, frame, words, parts, fractions, table, values)
                 store(values, 0, lanes, n, -1, 1.0, low, high, whole, 0.0, octets, out, y, left)
                 continue
+            # Stencils that reach beyond the frame, or over other frames, are taken one by one.
+            for i in range(n):
+                px, py = points[0, y, left + i] + anchors[run, 0], points[1, y, left + i] + anchors[run, 1]
+                singly[i] = not (between_two and LEFT <= px < width - RIGHT and ABOVE <= py < height - BELOW)
+                if singly[i]:
+                    px, py = min(max(px, -FAR), width - 1 + FAR), min(max(py, -FAR), height - 1 + FAR)
+                    columns[i], rows[i] = int(np.floor(px)), int(np.floor(py))
+                    parts[PART_X + i], parts[PART_Y + i] = px - columns[i], py - rows[i]
+            choose(n, mode, parts, words)
             if between_two:
-                far_x, far_y = width - RIGHT - anchors[run, 0], height - BELOW - anchors[run, 1]
-                near_x, near_y = LEFT - anchors[run, 0], ABOVE - anchors[run, 1]
                 for i in range(n):
-                    px, py = points[0, y, left + i], points[1, y, left + i]
                     forms[i] = words[KIND + i]
-                    if px < near_x or px >= far_x or py < near_y or py >= far_y:
+                    if singly[i]:
                         words[KIND + i] = np.uint32(NONE)
                 _row(samples, starts, width, channels, n, where, frame, words, parts, fractions, table, values)
+            elif average:
+                time_widths(points, y, left, n, widths)
             for i in range(n):
-                if between_two and words[KIND + i] != np.uint32(NONE):
+                if not singly[i]:
                     continue
-                j = np.int64(where[i]) // width
-                x, dx, dy = np.int64(where[i]) - j * width, parts[PART_X + i], parts[PART_Y + i]
-                along, down, form = (
-                    np.int64(words[ALONG + i]),
-                    np.int64(words[DOWN + i]),
-                    forms[i] if between_two else words[KIND + i],
-                )
-                f, t = np.int64(frame[i]), fractions[PART_T + i]
-                if between_two or (kind == LINEAR and widths[i] == 0):
-                    here, there = starts[f], starts[min(f + 1, most + 1)]
+                x, j, dx, dy = columns[i], rows[i], parts[PART_X + i], parts[PART_Y + i]
+                along, down = np.int64(words[ALONG + i]), np.int64(words[DOWN + i])
+                form = forms[i] if between_two else words[KIND + i]
+                if between_two:
+                    here, there = starts[frame[i]], starts[frame[i] + 1]
                     _pixel(
                         samples,
                         here,
@@ -265,7 +267,7 @@ def filtered_directly(
                         form,
                         zero + dx,
                         zero + dy,
-                        zero + t,
+                        zero + fractions[PART_T + i],
                         table,
                         along,
                         down,
@@ -274,15 +276,16 @@ def filtered_directly(
                         i * lanes,
                     )
                     continue
+                time = min(max(anchors[run, 2] + np.float64(points[2, y, left + i]), earliest), latest)
                 reach = 2.0 + 0.5 * widths[i]
                 total = 0.0
                 for c in range(channels):
                     values[i * lanes + c] = 0
-                for k in range(int(np.ceil(f + t - reach)), int(np.floor(f + t + reach)) + 1):
-                    weight = time_weight(kind, k - np.float64(f) - t, widths[i])
+                for k in range(int(np.ceil(time - reach)), int(np.floor(time + reach)) + 1):
+                    weight = time_weight(kind, k - time, widths[i])
                     if weight == 0.0:
                         continue
-                    here = starts[min(max(k, 0), most)]
+                    here = starts[min(max(k - first, 0), most)]
                     _pixel(
                         samples,
                         here,

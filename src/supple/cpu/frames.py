@@ -188,11 +188,11 @@ def linear_packed(samples, starts, frames, first, height, width, points, anchors
     words, parts = np.empty(WORDS, np.uint32), np.empty(PARTS, np.float32)
     where, frame = np.empty(WIDE, np.int32), np.empty(WIDE, np.int32)
     most = starts.size - 2
-    for run in range(anchors.shape[0]):
-        left = run * pitch
-        right = out.shape[1] if run == anchors.shape[0] - 1 else left + pitch
-        n = right - left
-        for y in range(out.shape[0]):
+    for y in range(out.shape[0]):
+        for run in range(anchors.shape[0]):
+            left = run * pitch
+            right = out.shape[1] if run == anchors.shape[0] - 1 else left + pitch
+            n = right - left
             locate(points, y, left, n, anchors[run], width, height, first, frames - 1, most, where, frame, parts)
             if octets and scale == 1:
                 _gather_pairs(samples, starts, width, n, where, frame, words)

@@ -68,7 +68,25 @@ def share(work: Callable[[Any], Any], items: Iterable[Any]) -> list[Any]:
         if key not in _pools:
             _pools[key] = ThreadPoolExecutor(n, "supple", initializer=_mark)
         pool = _pools[key]
-    return list(pool.map(work, listed))
+    # Each thread takes the next item when it is done with one: cheaper than a future for each.
+    results: list[Any] = [None] * len(listed)
+    left = iter(range(len(listed)))
+
+    def go() -> None:
+        for k in left:
+            results[k] = work(listed[k])
+
+    tasks = [pool.submit(go) for _ in range(min(n, len(listed)))]
+    try:
+        for task in tasks:
+            task.result()
+    except BaseException:
+        for _ in left:  # nobody begins another
+            pass
+        for task in tasks:
+            task.cancel()
+        raise
+    return results
 
 
 def _mark() -> None:

@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from supple.cpu import between, direct, footprint, frames
+from supple.cpu.between import LONGEST
 from supple.cpu.sampling import FILTERS, OUTSIDE, numbers_of
 from supple.cpu.warp import Band
 
@@ -98,18 +99,20 @@ def stack_sampler(
         rows = out[band.top : band.top + band.points.shape[1]]
         done = np.zeros(len(band.anchors), np.bool_)
         octets = source.dtype == np.uint8
-        timing = (band.rates, band.tall, BETWEEN[between_frames], average, mode)
+        timing = (BETWEEN[between_frames], average, mode)
         if not prepared and readable and min(height, width) > 1:
             starts = np.append(slots, slots[-1]) * size
             place = (samples, starts, count, first, height, width, band.points, band.anchors, band.pitch)
-            direct.filtered_directly(*place, *timing, table, n.low, n.high, n.whole, octets, done, rows)
+            direct.filtered_directly(
+                *place, *times_seen(outside, count, average), *timing, table, n.low, n.high, n.whole, octets, done, rows
+            )
             if done.all():
                 return
         between.filtered_frames(
             source,
             slots,
             first,
-            *times_seen(outside, count),
+            *times_seen(outside, count, average),
             band.points,
             band.anchors,
             band.pitch,
@@ -135,11 +138,12 @@ def stack_sampler(
     return use
 
 
-def times_seen(outside: str, count: int) -> tuple[float, float]:
+def times_seen(outside: str, count: int, average: bool) -> tuple[float, float]:
     """Beyond which times nothing changes any more, as an edge or a constant goes on."""
+    beyond = 3.0 + (LONGEST / 2 if average else 0.0)
     if outside == "reflect":
         return -1e9, 1e9
-    return (0.0, count - 1.0) if outside == "edge" else (-3.0, count + 2.0)
+    return -beyond, count - 1.0 + beyond
 
 
 def slots_of(first: int, last: int, count: int, outside: str, capacity: int) -> npt.NDArray[np.int64]:

@@ -369,3 +369,23 @@ def table_stencil(channels: int) -> Callable[..., None]:
         return types.void(samples, i, i, i, table, i, i, out.dtype, out, i), generate
 
     return weighted
+
+
+@intrinsic
+def write_cubic(typing: Any, out: Any, at: Any, start: Any, a: Any, b: Any, c: Any, d: Any) -> Any:
+    """Eight values of a + b s + c s² + d s³, from s = ``start`` on, into a flat array of float32 from ``at`` on."""
+
+    def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        number = ir.FloatType()
+        kind = ir.VectorType(number, 8)
+        steps = ir.Constant(kind, [ir.Constant(number, float(k)) for k in range(8)])
+        s = builder.fadd(_splat(builder, args[2], 8), steps)
+        value = _splat(builder, args[6], 8)
+        for k in (5, 4, 3):
+            value = _fused(builder, value, s, _splat(builder, args[k], 8))
+        place = _at(builder, _pointer(context, builder, signature.args[0], args[0]), args[1], 8, number)
+        builder.store(value, place, align=4)
+        return context.get_dummy_value()
+
+    f = types.float32
+    return types.void(out, types.intp, f, f, f, f, f), generate

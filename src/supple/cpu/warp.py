@@ -9,12 +9,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from supple.cpu.band import EVALUATIONS, FAR, REACH, RUN, STATS, WORST, source_points
+from supple.cpu.band import EVALUATIONS, FAR, RATE, REACH, RUN, STATS, WORST, source_points
 from supple.cpu.certify import farthest
 from supple.cpu.kernel import share, threads
 from supple.cpu.lattice import NODE, SIZE, M, set_twists, solve_rows
 
-CELL_ROWS = 3  # of a band, at most: few enough for all cores to have some, and enough to be worth starting
+CELL_ROWS = 1  # of a band, at most: few enough for all cores to have some, and enough to be worth starting
 
 Floats = npt.NDArray[np.float64]
 
@@ -51,10 +51,10 @@ class Grid:
 class Band:
     """The source points of some rows of a plane.
 
-    ``points[c, y, x] + anchors[run, c]`` is coordinate ``c``, in pixels, of the source of the pixel (x, top + y),
-    where ``run`` counts stretches of ``pitch`` pixels, the last one perhaps a pixel longer. ``boxes`` bounds the
-    points of every lattice cell. ``rates`` is ∂p_t/∂t at the corners of these cells, which are ``tall`` rows high.
-    ``coarse`` is the same part of the plane in the samples of another grid, and in their numbers.
+    ``points[c, y, x] + anchors[run, c]``, for c up to 2, is coordinate ``c``, in pixels, of the source of the pixel
+    (x, top + y), where ``run`` counts stretches of ``pitch`` pixels, the last one perhaps a pixel longer. ``boxes``
+    bounds the points of every lattice cell. ``coarse`` is the same part of the plane in the samples of another grid,
+    and in their numbers.
     """
 
     top: int
@@ -62,8 +62,6 @@ class Band:
     anchors: npt.NDArray[np.int64]
     boxes: Floats
     pitch: int = RUN * SIZE
-    tall: int = SIZE
-    rates: Floats | None = None
     coarse: Band | None = None
 
 
@@ -128,7 +126,9 @@ def _rounding(reach: float) -> float:
     return 2.0**-22 * reach
 
 
-def each_band(plane: Plane, tolerance: float, use: Callable[[Band], None], grid: Grid | None = None) -> Certificate:
+def each_band(
+    plane: Plane, tolerance: float, use: Callable[[Band], None], grid: Grid | None = None, rates: bool = False
+) -> Certificate:
     """Call ``use`` for every band of a plane, on all cores.
 
     Parameters
@@ -139,6 +139,8 @@ def each_band(plane: Plane, tolerance: float, use: Callable[[Band], None], grid:
     use : function of a Band
     grid : Grid, optional
         Whose source points to find as well.
+    rates : bool
+        Whether to find ∂p_t/∂t too, as a fourth coordinate.
 
     Returns
     -------
@@ -161,14 +163,14 @@ def each_band(plane: Plane, tolerance: float, use: Callable[[Band], None], grid:
     def work(k: int) -> Certificate:
         first, last = rows * k // bands, rows * (k + 1) // bands
         top, end = int(ys[first]), int(ys[last]) if last < ys.size - 1 else height
-        points = np.empty((plane.ndim, end - top, width), np.float32)
+        points = np.empty((plane.ndim + rates, end - top, width), np.float32)
         anchors = np.empty((runs, 3), np.int64)
         boxes = np.empty((last - first, xs.size - 1, plane.ndim, 2))
         above = below = 0
         if grid:
             above, below = (math.ceil((y - grid.offset[1]) / grid.step[1]) for y in (top, end))
             below = grid.shape[0] if last == rows else below
-        coarse = np.empty((plane.ndim, below - above, columns), np.float32)
+        coarse = np.empty((plane.ndim + rates, below - above, columns), np.float32)
         coarse_anchors = np.empty((runs, 3), np.int64)
         stats = np.zeros(STATS)
         source_points(
@@ -191,15 +193,14 @@ def each_band(plane: Plane, tolerance: float, use: Callable[[Band], None], grid:
             coarse_anchors,
             stats,
         )
-        rates = np.ascontiguousarray(plane.nodes[first : last + 1, :, M + 8]) if plane.ndim == 3 else None
         second = None
         if grid:
             bounds = boxes.copy()
             for c in range(2):
                 bounds[..., c, :] = (boxes[..., c, :] - grid.offset[c]) / grid.step[c]
             pitch = RUN * SIZE // grid.step[0]
-            second = Band(above, coarse, coarse_anchors, bounds, pitch, SIZE // grid.step[1], rates)
-        use(Band(top, points, anchors, boxes, RUN * SIZE, SIZE, rates, second))
+            second = Band(above, coarse, coarse_anchors, bounds, pitch)
+        use(Band(top, points, anchors, boxes, RUN * SIZE, second))
         return Certificate(float(stats[WORST]) + _rounding(float(stats[REACH])), float(stats[EVALUATIONS]))
 
     total = Certificate(0.0, plane.evaluations)
@@ -212,7 +213,7 @@ def each_band(plane: Plane, tolerance: float, use: Callable[[Band], None], grid:
 class Bounds:
     """Where the source points of a plane lie: the first and the last time, and how far any coordinate moves.
 
-    ``rate`` is about how many frames a pixel covers, where it covers most.
+    ``rate`` is the largest component of ∂p_t/∂q at a node.
     """
 
     early: float
@@ -249,8 +250,7 @@ def bounds_of(plane: Plane, tolerance: float) -> Bounds:
         anchors.copy(),
         stats,
     )
-    rates = np.sqrt((plane.nodes[..., M + 6 : M + 9] ** 2).sum(axis=-1).max())
-    return Bounds(float(boxes[..., 2, 0].min()), float(boxes[..., 2, 1].max()), float(stats[FAR]), float(rates))
+    return Bounds(float(boxes[..., 2, 0].min()), float(boxes[..., 2, 1].max()), float(stats[FAR]), float(stats[RATE]))
 
 
 def measure(plane: Plane, tolerance: float) -> Certificate:

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import av
 
+from supple.media.colour import BT601, BT709, LIMITED, UNKNOWN, Colour
 from supple.media.files import shown
 from supple.media.troubles import unwritable
 
@@ -62,6 +63,8 @@ _PRESETS = {
 _COARSE = frozenset(
     ("mpeg4", "mpeg2video", "mpeg1video", "mjpeg", "flv", "h263p", "msmpeg4", "msmpeg4v2", "wmv1", "wmv2")
 )
+_SPOKEN = frozenset(("h264", "hevc", "vp9", "av1", "mpeg2video", "prores"))  # say themselves what colours mean
+_NEVER_FULL = frozenset(("mpeg2video", "vp8", "prores"))
 _FINE = {"qmin": "2", "qmax": "3", "b": "400000000", "maxrate": "0"}
 
 
@@ -207,3 +210,15 @@ def pixel_formats(encoder: str) -> list[str]:
     """Name the pixel formats that an encoder takes; none where it takes any."""
     found = _encoder(encoder)
     return [video.name for video in (found.video_formats or [])] if found else []
+
+
+def read_as(codec: str, container: str, height: int) -> Colour:
+    """Tell what players take samples of YUV for, whatever is meant; what a file can say is left unknown."""
+    matrix = UNKNOWN
+    if codec in ("mjpeg", "vp8"):
+        matrix = BT601
+    elif container == "avi" and codec not in _SPOKEN:
+        matrix = BT709 if height >= 720 else BT601
+    silent = container == "avi" and codec not in _SPOKEN and codec != "mjpeg"
+    limited = silent or codec in _NEVER_FULL or (codec == "mpeg4" and container == "mov")
+    return Colour(LIMITED if limited else 0, matrix=matrix)

@@ -149,12 +149,17 @@ def to_rgb(arrays: Sequence[Array], staging: Form, colour: Colour, shape: tuple[
         white, low, unit = 65535 if deep else 255, *(level * 2.0 ** (staging.kind.bits - 8) for level in (16, 219))
         grey = np.clip((arrays[0][..., :1] - np.float32(low)) * np.float32(white / unit) + 0.5, 0, white)
         return np.repeat(grey.astype(np.uint16 if deep else np.uint8), 3, axis=2)
-    goal, item = (form("rgb48le"), "<u2") if deep else (form("rgb24"), "u1")
+    # in 8 bits, libswscale turns what is far too bright into black, and dithers
+    wide = deep or staging.kind.family == "yuv" or staging.kind.bits > 8
+    goal, item = (form("rgb48le"), "<u2") if wide else (form("rgb24"), "u1")
     assert goal is not None
     frame = recast(arrays, staging, colour, goal, Colour(FULL, matrix=RGB), shape)
     plane: Any = frame.planes[0]
     rows = np.frombuffer(plane, item).reshape(height, -1)
-    return rows[:, : 3 * width].reshape(height, width, 3).astype(np.uint16 if deep else np.uint8)
+    pixels = rows[:, : 3 * width].reshape(height, width, 3)
+    if wide and not deep:
+        return ((pixels + np.uint32(128)) // np.uint32(257)).astype(np.uint8)
+    return pixels.astype(np.uint16 if deep else np.uint8)
 
 
 def recast(

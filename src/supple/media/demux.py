@@ -20,6 +20,7 @@ from supple.media.troubles import said, unreadable
 PathLike = str | os.PathLike[str]
 _ADVICE = "give a whole video file, such as MP4, MOV, MKV, WebM or AVI"
 _TEXT = frozenset(("ansi", "bintext", "xbin", "idf"))  # text that FFmpeg would show as a film of a terminal
+_LISTS = frozenset(("concat", "hls", "dash", "imf"))  # text that names other files, or addresses
 _DISCONTINUOUS: int = getattr(FormatFlags.ts_discont, "value", 0)
 _JUMP = 10  # seconds: what no gap in healthy sound or picture exceeds
 _BACK = Fraction(1, 10)
@@ -46,12 +47,17 @@ def opened(path: PathLike) -> av.container.InputContainer:
         raise unreadable(path, "it is empty", _ADVICE)
     try:
         # names with a colon are no addresses: an absolute path never is one
-        return av.open(str(Path(path).absolute()), "r", metadata_errors="surrogateescape")
+        name, limits = str(Path(path).absolute()), {"protocol_whitelist": "file"}
+        container = av.open(name, "r", container_options=limits, metadata_errors="surrogateescape")
     except (PermissionError, av.error.PermissionError) as error:
         raise unreadable(path, "there is no right to read it", "check its rights") from error
     except (av.FFmpegError, ValueError, MemoryError) as error:
         what = f"it is no video, or damaged or cut short where it begins ({said(error)})"
         raise unreadable(path, what, _ADVICE) from error
+    if _LISTS.intersection(container.format.name.split(",")):
+        container.close()
+        raise unreadable(path, "it is a list of other files", _ADVICE)
+    return container
 
 
 def chosen(container: av.container.InputContainer, path: PathLike) -> av.VideoStream:
@@ -138,7 +144,8 @@ def survey(container: av.container.InputContainer, film: av.VideoStream) -> Surv
     if total and sums_up(container):
         span = total * base
     told = _told(film)
-    cut = told is not None and packets > 0 and told > span + 3 * span / packets
+    end = span if last is None else max(span, last * base)  # what it says may count from zero
+    cut = told is not None and packets > 0 and told > end + 3 * span / packets
     return Survey(packets, count, span, damaged or cut, suspect or damaged or cut)
 
 

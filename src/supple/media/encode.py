@@ -7,6 +7,7 @@ import math
 import os
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -22,7 +23,7 @@ from supple.media.passing import Passage, kept_tags
 from supple.media.pixels import form, pack
 from supple.media.plan import UPRIGHT_ONLY, Plan, workers
 from supple.media.timing import usual_step
-from supple.media.troubles import raised
+from supple.media.troubles import raised, unwritable
 from supple.streaming import Array
 
 if TYPE_CHECKING:
@@ -30,6 +31,7 @@ if TYPE_CHECKING:
 
 PathLike = str | os.PathLike[str]
 _TICKS = 50_000_000  # a second, the most in MP4
+_LONGEST = {"mp4": 2**31 - 1, "mov": 2**31 - 1, "gif": 65535}  # ticks that a frame may last
 
 
 class Sink:
@@ -141,11 +143,19 @@ class Sink:
         stamp = pts if plan.timed else k
         if self._newest in self._times:  # it is shown until the next one is, whatever the file said
             before = self._times[self._newest][0]
+            self._require_sayable(k, (pts - before) * plan.base)
             self._times[self._newest] = (before, pts - before)
         self._newest = stamp
         self._times[stamp] = (pts, duration)
         self._span = (self._span[0] if k else pts, pts + duration)
         return stamp
+
+    def _require_sayable(self, k: int, seconds: Fraction) -> None:
+        """Refuse a gap that would overflow unnoticed."""
+        unit = self._stream.time_base
+        if unit and seconds > _LONGEST.get(self._plan.container, math.inf) * unit:
+            what = f"frame {k} comes {float(seconds):.0f} s after the one before, which is longer than it can say"
+            raise unwritable(self._plan.target, what, "choose another container, such as .mkv")
 
     def _mux(self, packets: list[av.Packet[Any]], last: bool = False) -> None:
         plan = self._plan

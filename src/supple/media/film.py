@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from supple.media.sequence import Pictures
 
 PathLike = str | os.PathLike[str]
+_LEAST, _UTMOST = Fraction(1, 10_000), Fraction(100_000)
 _MOST = 1000  # frames a second; what claims more counts ticks
 
 
@@ -243,8 +244,8 @@ def said_of(film: av.VideoStream, key: str) -> str | None:
 
 def _rate(film: av.VideoStream, counted: Survey) -> Fraction:
     for rate in (film.average_rate, film.guessed_rate, film.base_rate):
-        if rate and 0 < rate <= _MOST:
+        if rate and _LEAST <= rate <= _MOST:
             return Fraction(rate)
     if counted.duration > 0 and counted.count:
-        return (counted.count / counted.duration).limit_denominator(1001)
+        return min(max(_LEAST, (counted.count / counted.duration).limit_denominator(1001)), _UTMOST)
     return Fraction(25)

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
-from supple.media.colour import BT709, FULL, LIMITED, RGB, UNKNOWN, Colour
+from supple.media.colour import BT601, BT709, FULL, LIMITED, RGB, UNKNOWN, Colour
 from supple.media.pixels import Form, Kind, form
 from supple.media.troubles import unwritable
 
@@ -39,16 +39,33 @@ class Match:
     opacity: bool
 
 
+@dataclass(frozen=True, slots=True)
+class Wish:
+    """What a pixel format is looked for.
+
+    Parameters
+    ----------
+    form : Form
+        How the frames are laid out.
+    colour : Colour
+        What their samples mean.
+    size : (int, int)
+        Width and height.
+    exact : bool
+        Whether all is to come through as it is. If not, what players are used to is as good.
+    read_as : Colour
+        What samples of YUV will be taken for, as far as the file cannot say it.
+    """
+
+    form: Form
+    colour: Colour
+    size: tuple[int, int]
+    exact: bool = True
+    read_as: Colour = field(default_factory=Colour)
+
+
 def match(
-    target: PathLike,
-    encoder: str,
-    names: list[str],
-    source: Form,
-    colour: Colour,
-    asked: str | None,
-    opens: Callable[[Match], bool],
-    size: str,
-    exact: bool = True,
+    target: PathLike, encoder: str, names: list[str], wish: Wish, asked: str | None, opens: Callable[[Match], bool]
 ) -> Match:
     """Find the pixel format in which an encoder takes a clip: its own, else the nearest that loses least.
 
@@ -60,24 +77,19 @@ def match(
         What writes it.
     names : list of str
         The pixel formats that the encoder takes; any where it is empty.
-    source : Form
-        How the clip's frames are laid out.
-    colour : Colour
-        What its samples mean.
+    wish : Wish
+        What frames are like.
     asked : str or None
         The pixel format that is asked for.
     opens : callable
         Tells whether the encoder opens with a match.
-    size : str
-        The size of frames, for messages.
-    exact : bool
-        Whether it is a loss that values of RGB are rounded to those of YUV.
 
     Raises
     ------
     SuppleError
         The encoder does not take the format that is asked for, or none at this size.
     """
+    source, colour = wish.form, wish.colour
     forms = [found for name in (names or [source.name]) if (found := form(name)) is not None]
     if asked is not None:
         wanted = form(asked) or form(asked + "le")
@@ -86,11 +98,13 @@ def match(
             raise unwritable(target, f"{encoder} does not take the pixel format {asked!r}", f"use {usable}")
         forms = [wanted]
     forms.sort(key=lambda found: _cost(source, colour, found))
+    size = "{}x{}".format(*wish.size)
     first: Match | None = None
     for found in forms:
-        made = _matched(source, colour, found, exact)
+        made = _matched(wish, found)
         if opens(made):
-            if first is not None and not made.lost and first.same:
+            usual = first is not None and (first.same or (not wish.exact and first.opacity == made.opacity))
+            if first is not None and not made.lost and usual:
                 made = replace(made, lost=f"{first.form.name}, which {encoder} does not take at {size}")
             return made
         first = first or made
@@ -110,7 +124,7 @@ def _cost(source: Form, colour: Colour, to: Form) -> tuple[float, ...]:
     return (
         float(a.alpha and not b.alpha),
         float(_colourless(a, b)),
-        float(a.family == "rgb" and b.family == "yuv"),
+        float(_pictured(a, colour) and b.family == "yuv"),
         coarser,
         max(0, _depth(a) - _depth(b)),
         float(recoded),
@@ -140,13 +154,13 @@ def _losses(a: Kind, b: Kind, exact: bool) -> str:
     words = []
     if _colourless(a, b):
         words.append("its colours")
-    elif _coarser(a, b):
+    elif _coarser(a, b) and (exact or a.family == "yuv"):
         words.append(f"detail of colours (to {_CHROMA.get(b.step, 'less')})")
     elif a.family == "yuv" and b.family == "rgb":
         words.append("exact values (to RGB)")
     if exact and a.family == "rgb" and b.family == "yuv":
         words.append("exact values (to YUV)")
-    if _depth(b) < _depth(a):
+    if _depth(b) < _depth(a) and (exact or b.bits < 10):
         words.append(f"depth ({a.bits}{' real' if a.real else ''} to {b.bits} bits)")
     return " and ".join(words)
 
@@ -156,21 +170,36 @@ def _pictured(kind: Kind, colour: Colour) -> bool:
     return kind.family == "rgb" or (kind.family == "gray" and colour.matrix == RGB)
 
 
-def _matched(source: Form, colour: Colour, to: Form, exact: bool) -> Match:
-    same = source.kind == to.kind and not (to.name.startswith("yuvj") and not colour.full(source))
+def _matched(wish: Wish, to: Form) -> Match:
+    source, colour = wish.form, wish.colour
+    whole = to.name.startswith("yuvj")
+    same = source.kind == to.kind and not (whole and not colour.full(source))
     meant = colour.valid()
-    lost = _losses(source.kind, to.kind, exact)
+    lost = _losses(source.kind, to.kind, wish.exact)
     if to.kind.family in ("rgb", "xyz"):
         meant = replace(meant, range=FULL if to.kind.family == "rgb" else meant.range, matrix=RGB, site="")
     elif to.kind.family == "gray" and source.kind.family != "gray":
         meant = replace(meant, range=FULL)  # libswscale knows no other grey
     elif to.kind.family == "yuv" and _pictured(source.kind, colour):
-        full = to.name.startswith("yuvj")
-        meant = replace(meant, range=FULL if full else LIMITED, matrix=BT709)
+        meant = replace(meant, range=FULL if whole else LIMITED, matrix=BT709)
     elif meant.matrix == RGB:
         meant = replace(meant, matrix=UNKNOWN)
-    if to.name.startswith("yuvj") or source.name.startswith("yuvj"):
+    if whole or source.name.startswith("yuvj"):
         meant = replace(meant, range=FULL)
-        if not same and not colour.full(source) and not lost:
-            lost = "exact values (to full range)"
+    moved = "to full range" if whole and not colour.full(source) else ""
+    if to.kind.family == "yuv":
+        told = wish.read_as
+        if told.range == LIMITED and meant.full(to) and not whole:
+            meant, moved = replace(meant, range=LIMITED), "to limited range"
+        height = wish.size[1]
+        if told.matrix != UNKNOWN and _five(told.matrix) != _five(meant.coefficients(height)):
+            meant = replace(meant, matrix=told.matrix)
+            moved = moved or "to another matrix"
+    if moved and source.kind.family == "yuv":
+        same, lost = False, lost or f"exact values ({moved})"
     return Match(to, meant, same, lost, source.kind.alpha and not to.kind.alpha)
+
+
+def _five(matrix: int) -> int:
+    """Give the two names of the matrix of BT.601 as one."""
+    return BT601 if matrix == 5 else matrix

@@ -13,10 +13,10 @@ import numpy as np
 
 from supple.cpu.kernel import threads as all_threads
 from supple.errors import SuppleError
-from supple.media.codecs import Encoder, container_of, named, options, pixel_formats
+from supple.media.codecs import Encoder, container_of, named, options, pixel_formats, read_as
 from supple.media.colour import Colour, sited
 from supple.media.files import shown
-from supple.media.matching import Match, match
+from supple.media.matching import Match, Wish, match
 from supple.media.pixels import Form, Kind, form
 from supple.media.troubles import ClipWarning, unwritable
 
@@ -27,6 +27,7 @@ PathLike = str | os.PathLike[str]
 # Encoders that take any times. The others count frames, and their packets are given the times afterwards.
 _TIMED = frozenset(("libx264", "libx264rgb", "libx265", "libvpx", "libvpx-vp9", "libsvtav1"))
 _FINEST = 1_000_000  # ticks a second that they are trusted with
+_USUAL = 10  # bits, the most that players are used to
 # Codecs that say themselves how wide a pixel is; Matroska and AVI cannot be told through PyAV.
 _ASPECT = frozenset(("h264", "hevc", "mpeg4", "mpeg2video", "mpeg1video", "mjpeg"))
 UPRIGHT_ONLY = frozenset(("avi", "gif"))
@@ -74,26 +75,37 @@ class Plan:
         else:
             self.match = self._matched(found, pixel_format)
         if reel.stills and reel.form.kind.real and not self.match.form.kind.real:
-            what = f"{reel.name} holds floating point, whose colours have no place in {self.encoder.codec}"
-            raise unwritable(target, what, "use codec ffv1 in .mkv, or convert them to 16 bits first")
+            what = f"{self.encoder.codec} cannot hold the floating point of {reel.name}"
+            first = "" if reel.form.kind.alpha else "use codec ffv1 in .mkv, or "
+            raise unwritable(target, what, f"{first}convert the pictures to 16 bits first")
         self._warn_of_losses()
+        kind = self.match.form.kind
+        site = sited(reel.colour, reel.codec, reel.form.kind)
+        if self.match.same and kind.step != (1, 1) and site != self.colour.site:  # codecs are used to different ones
+            self.match = replace(self.match, colour=replace(self.match.colour, site=site))
 
     def _matched(self, codec: av.Codec, asked: str | None) -> Match:
         """Choose the pixel format."""
         reel, encoder = self.reel, self.encoder
         names = pixel_formats(encoder.name)
-        usual = reel.stills and not (codec.lossless and not codec.lossy)
-        if usual and asked is None:
-            names = [each for each in names if (made := form(each)) and made.kind.family == "yuv"] or names
-        size = f"{reel.width}x{reel.height}"
-        wanted = (self.target, encoder.name, names, reel.form, reel.colour, asked, self._opens, size, not usual)
+        lossy = codec.lossy or not codec.lossless
+        told = read_as(encoder.codec, self.container, reel.height)
+        if reel.stills and lossy and asked is None:
+            kinds = {each: found.kind for each in names if (found := form(each))}
+            names = [each for each, kind in kinds.items() if kind.family == "yuv" and kind.bits <= _USUAL] or names
+        size = (reel.width, reel.height)
+        wish = Wish(reel.form, reel.colour, size, not (reel.stills and lossy), told if lossy else Colour())
         try:
-            return match(*wanted)
+            made = match(self.target, encoder.name, names, wish, asked, self._opens)
         except SuppleError:
             if encoder.name != "ffv1":
                 raise
             encoder.options.update({"level": "1", "slices": "1"})  # frames too small to be cut into slices
-            return match(*wanted)
+            made = match(self.target, encoder.name, names, wish, asked, self._opens)
+        strange = made.colour.full(made.form) or made.colour.coefficients(reel.height) not in (told.matrix, 5)
+        if not lossy and made.form.kind.family == "yuv" and told != Colour() and strange:
+            self.warn("cannot say what its colours mean, and may look different")
+        return made
 
     def _warn_of_losses(self) -> None:
         reel, lost = self.reel, self.match.lost

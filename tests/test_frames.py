@@ -1,0 +1,651 @@
+"""Frames of a clip: every filter, type and rule along all three axes, against the printed interpolants."""
+
+from __future__ import annotations
+
+import functools
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+import reference
+
+from supple import Deformation, SuppleError, ToleranceWarning
+
+pytestmark = pytest.mark.filterwarnings("ignore::supple.FoldWarning")
+
+Floats = npt.NDArray[np.float64]
+Array = npt.NDArray[Any]
+
+SHAPE = (7, 37, 50)
+DTYPES = ["bool", "u1", "i1", "u2", "i2", "u4", "i4", "f2", "f4", "f8"]
+CHANNELS = [1, 2, 3, 4, 5]
+PRINTED = [("linear", "linear"), ("linear", "cubic"), ("linear", "nearest"), ("cubic", "linear"), ("cubic", "cubic")]
+FILTERS = ["nearest", "linear", "cubic", "auto", "antialias", "ewa"]
+DIRECT = ["linear", "cubic", "auto", "antialias"]  # these have a path of their own
+BETWEEN = ["nearest", "linear", "cubic"]
+RULES = ["edge", "constant", "reflect"]
+FINE = 1e-5
+
+
+@functools.cache
+def bent() -> Deformation:
+    """It shrinks and magnifies, and reaches beyond the clip along every axis."""
+    d = Deformation(SHAPE, border=None).grab((20, 18, 3), by=(10, -7, 3), radius=14)
+    return d.grab((45, 30, 5), by=(-5, 6, -2.5), radius=9, scales=2)
+
+
+@functools.cache
+def held() -> Deformation:
+    """As strong, but no point comes from outside."""
+    return Deformation(SHAPE).grab((20, 18, 3), by=(9, -6, 1.5), radius=14)
+
+
+@functools.cache
+def exact(d: Deformation) -> Floats:
+    found = d.inverse(reference.grid(d.shape))
+    assert found.converged.all()
+    return found.points
+
+
+def top_of(dtype: npt.DTypeLike) -> float:
+    kind = np.dtype(dtype)
+    return float(np.iinfo(kind).max) if kind.kind in "iu" else 1.0
+
+
+def noise(dtype: npt.DTypeLike, channels: int, shape: tuple[int, ...] = SHAPE, seed: int = 0) -> Array:
+    rng, kind = np.random.default_rng(seed), np.dtype(dtype)
+    size = (*shape, channels)
+    if kind == np.bool_:
+        return rng.uniform(size=size) < 0.5
+    if kind.kind == "f":
+        return (100 * rng.normal(size=size)).astype(kind)
+    limits = np.iinfo(kind)
+    return rng.integers(limits.min, limits.max, size, kind.newbyteorder("="), endpoint=True).astype(kind)
+
+
+def same(out: Array, values: Floats, span: float, leeway: float = 3e-4) -> None:
+    """Whether ``out`` holds ``values``, bounded and rounded as its type does, up to a part of their span."""
+    off = leeway * span
+    if out.dtype == np.bool_:
+        clear = np.abs(values - 0.5) > leeway
+        assert (out == (values >= 0.5))[clear].all()
+        return
+    if out.dtype.kind in "iu":
+        limits = np.iinfo(out.dtype)
+        values, off = np.clip(values, float(limits.min), float(limits.max)), off + 0.5
+    elif out.dtype == np.float16:
+        off += 2**-11 * np.abs(values).max()
+    assert np.abs(out.astype(np.float64) - values).max() <= off
+
+
+def test_the_deformations_are_what_they_should_be() -> None:
+    size = np.array(SHAPE[::-1]) - 1
+    points = exact(bent())
+    assert (points.min(axis=(0, 1, 2)) < -1).all()
+    assert (points.max(axis=(0, 1, 2)) > size + 1).all()
+    points = exact(held())
+    assert points.min() > -1e-9
+    assert (points <= size + 1e-9).all()
+
+
+@pytest.mark.parametrize("rule", RULES)
+@pytest.mark.parametrize("dtype", DTYPES)
+def test_interpolation_is_the_printed_one(dtype: str, rule: str) -> None:
+    source = noise(dtype, 5)
+    fill = [1.0] * 5 if dtype == "bool" else [3.0 + 9 * c for c in range(5)]
+    span = 2 * float(np.abs(source.astype(np.float64)).max())
+    for name, between in PRINTED:
+        expected = reference.sample_frames(source, exact(bent()), name, between, rule, fill)
+        # Where the nearest frame is in doubt, it is not looked at.
+        t = exact(bent())[..., 2]
+        clear = np.abs(t - np.floor(t) - 0.5) > 1e-4 if between == "nearest" else np.ones(t.shape, bool)
+        for channels in CHANNELS:
+            how: dict[str, Any] = {"outside": rule, "fill": fill[:channels], "alpha": False, "tolerance": FINE}
+            part = np.ascontiguousarray(source[..., :channels])
+            out = bent().warp(part, filter=name, between=between, **how)
+            assert out.dtype == part.dtype
+            assert out.shape == part.shape
+            same(out[clear], expected[..., :channels][clear], span)
+
+
+@pytest.mark.parametrize("dtype", [">u2", ">i2", ">u4", ">f2", ">f4", ">f8"])
+def test_the_order_of_bytes_makes_no_difference(dtype: str) -> None:
+    source = noise(dtype, 3)
+    native = source.astype(np.dtype(dtype).newbyteorder("="))
+    for name in FILTERS:
+        out = bent().warp(source, filter=name)
+        assert out.dtype == source.dtype
+        np.testing.assert_array_equal(out, bent().warp(native, filter=name))
+
+
+@pytest.mark.parametrize("dtype", [*DTYPES, "u8", "i8"])
+def test_nearest_keeps_values_as_they_are(dtype: str) -> None:
+    source, points = noise(dtype, 5), exact(bent())
+    clear = (np.abs(points - np.floor(points) - 0.5) > 1e-4).all(axis=-1)
+    fill = [1.0] * 5 if dtype == "bool" else [3.0 + 9 * c for c in range(5)]
+    for rule in RULES:
+        expected = reference.sample_frames(source, points, "nearest", "nearest", rule, fill)
+        for channels in CHANNELS:
+            how: dict[str, Any] = {"outside": rule, "fill": fill[:channels], "tolerance": FINE}
+            out = bent().warp(source[..., :channels], filter="nearest", **how)
+            np.testing.assert_array_equal(out[clear], expected[..., :channels][clear])
+    labels = set(np.unique(source[..., 0]).tolist())
+    assert set(np.unique(bent().warp(source[..., 0], filter="nearest")).tolist()) <= labels
+
+
+@pytest.mark.parametrize("dtype", ["u1", "u2", "f2", "f4", "f8"])
+def test_nearest_knows_neither_light_nor_opacity(dtype: str) -> None:
+    source = np.abs(noise("f8", 4)) % 1 * top_of(dtype)
+    source = source.astype(dtype)
+    plain = bent().warp(source, filter="nearest", alpha=False)
+    np.testing.assert_array_equal(bent().warp(source, filter="nearest", alpha=True), plain)
+    np.testing.assert_array_equal(bent().warp(source, filter="nearest", linear_light=True), plain)
+
+
+@pytest.mark.parametrize("rule", RULES)
+@pytest.mark.parametrize("dtype", DTYPES)
+def test_averages_are_those_of_float64(dtype: str, rule: str) -> None:
+    source = noise(dtype, 5)
+    fill = [1.0] * 5 if dtype == "bool" else [3.0 + 9 * c for c in range(5)]
+    numbers = source.astype(np.float64)
+    span = 2 * float(np.abs(numbers).max())
+    for name in ("auto", "antialias", "ewa"):
+        for averaged in (False, True):
+            how: dict[str, Any] = {"filter": name, "outside": rule, "alpha": False, "time_filter": averaged}
+            values = bent().warp(numbers, fill=fill, **how)
+            for channels in CHANNELS[:4]:
+                part = np.ascontiguousarray(source[..., :channels])
+                found = bent().warp(part, fill=fill[:channels], **how)
+                same(found, values[..., :channels], span, 3e-3)  # five channels go another way, row by row
+
+
+def test_a_plane_through_the_pivot_is_a_picture() -> None:
+    """Where a stroke does not act along time, a frame is deformed as a picture is, by every filter."""
+    source = noise("f8", 4)
+    for border in (None, 50.0):
+        d = Deformation(SHAPE, border=border).grab((20, 18, 3), by=(10, -7, 0), radius=14)
+        flat = Deformation(SHAPE[1:], border=border).grab((20, 18), by=(10, -7), radius=14)
+        for name in FILTERS:
+            for rule in RULES:
+                for channels in (1, 3):
+                    part = np.ascontiguousarray(source[..., :channels])
+                    how: dict[str, Any] = {"filter": name, "outside": rule, "fill": 30.0}
+                    picture = flat.warp(part[3], **how)
+                    for averaged in (False, True):
+                        out = d.warp(part, time_filter=averaged, **how)[3]
+                        off = np.abs(out - picture)
+                        # Samples at an ellipse's rim may be in one and not in the other.
+                        assert (np.median(off) if name == "ewa" else off.max()) <= 0.05
+
+
+@pytest.mark.parametrize("averaged", [False, True])
+@pytest.mark.parametrize("between", BETWEEN)
+@pytest.mark.parametrize("filter", DIRECT)
+def test_both_ways_to_a_sample_agree(filter: str, between: str, averaged: bool) -> None:
+    """Up to four plain channels whose edges go on are sampled straight from the frames, all others by tiles."""
+    how: dict[str, Any] = {"filter": filter, "between": between, "time_filter": averaged}
+    for dtype, off in (("f8", 2e-4), ("f4", 2e-4), ("u1", 1), ("u2", 20)):
+        source = (np.random.default_rng(1).uniform(0, top_of(dtype), (*SHAPE, 5))).astype(dtype)
+        for d in (bent(), held()):
+            general = d.warp(source, alpha=False, **how).astype(np.float64)
+            for channels in (1, 2, 3, 4):
+                part = np.ascontiguousarray(source[..., :channels])
+                direct = d.warp(part, alpha=False, **how).astype(np.float64)
+                assert np.abs(direct - general[..., :channels]).max() <= max(off, 4e-3 * top_of(dtype))
+        for rule in ("reflect", "constant"):
+            for channels in (1, 2, 3, 4):
+                part = np.ascontiguousarray(source[..., :channels])
+                direct, other = (held().warp(part, outside=r, alpha=False, **how) for r in ("edge", rule))
+                # A tap may lie outside although its point does not.
+                inner = (slice(None), slice(6, -6), slice(6, -6)) if between == "nearest" else (slice(3, 4),) * 1
+                inner = (*inner, slice(8, -8), slice(8, -8)) if len(inner) == 1 else inner
+                away = np.abs(direct[inner].astype(np.float64) - other[inner])
+                assert away.max() <= max(off, 4e-3 * top_of(dtype))
+        opaque = np.concatenate([source[..., :3], np.full((*SHAPE, 1), top_of(dtype), dtype)], axis=-1)
+        plain = held().warp(np.ascontiguousarray(source[..., :3]), **how).astype(np.float64)
+        weighed = held().warp(opaque, alpha=True, **how).astype(np.float64)
+        assert np.abs(weighed[..., :3] - plain).max() <= max(off, 4e-3 * top_of(dtype))
+        assert np.abs(weighed[..., 3] - top_of(dtype)).max() <= 1e-5 * top_of(dtype)
+
+
+@pytest.mark.parametrize("dtype", ["u1", "u2", "f2", "f4", "f8"])
+@pytest.mark.parametrize("channels", [2, 4, 5])
+def test_opacity_weighs_the_colours(dtype: str, channels: int) -> None:
+    top = top_of(dtype)
+    source = np.abs(noise("f8", channels)) % 100 / 100 * top
+    source[:, ::4, :, -1], source[:, 1::4, :, -1], source[5, ..., -1] = 0, top, 0
+    source = source.astype(dtype)
+    numbers = source.astype(np.float64)
+    premultiplied = np.concatenate([numbers[..., :-1] * numbers[..., -1:] / top, numbers[..., -1:]], axis=-1)
+    fill = [*(0.3 * top, 0.9 * top, 0.1 * top, 0.6 * top)[: channels - 1], 0.5 * top]
+    inside = [*(0.5 * x for x in fill[:-1]), fill[-1]]
+    for rule in RULES:
+        for name, between in PRINTED:
+            how: dict[str, Any] = {"filter": name, "between": between, "outside": rule, "tolerance": FINE}
+            out = bent().warp(source, fill=fill, alpha=True, **how)
+            values = reference.sample_frames(premultiplied, exact(bent()), name, between, rule, inside)
+            t = exact(bent())[..., 2]
+            clear = (np.abs(t - np.floor(t) - 0.5) > 1e-4) | (between != "nearest")
+            opacity = np.clip(values[..., -1], 0, top)
+            same(out[..., -1][clear], opacity[clear], top)
+            seen = (values[..., -1] > 0.1 * top) & (values[..., -1] <= top) & clear
+            same(out[..., :-1][seen], (values[..., :-1] * top)[seen] / opacity[seen][:, None], 10 * top)
+            nothing = (values[..., -1] < -1e-3 * top) & clear
+            assert (out[nothing][..., :-1] == 0).all()
+
+
+def test_the_last_of_four_channels_of_8_or_16_bits_is_opacity_unless_told() -> None:
+    for dtype in ("u1", "u2", "i2", "f4"):
+        for channels in (2, 3, 4, 5):
+            source = (np.abs(noise("f8", channels)) % 1 * top_of(dtype)).astype(dtype)
+            weighed = channels == 4 and dtype in ("u1", "u2")
+            np.testing.assert_array_equal(bent().warp(source), bent().warp(source, alpha=weighed))
+            if channels == 4:
+                assert (bent().warp(source, alpha=False) != bent().warp(source, alpha=True)).any()
+
+
+def light(v: Floats) -> Floats:
+    return np.where(v <= 0.04045, v / 12.92, ((np.maximum(v, 0.04045) + 0.055) / 1.055) ** 2.4)
+
+
+def curve(v: Floats) -> Floats:
+    return np.where(v <= 0.0031308, v * 12.92, 1.055 * np.maximum(v, 0.0031308) ** (1 / 2.4) - 0.055)
+
+
+@pytest.mark.parametrize("dtype", ["u1", "u2", "f2", "f4", "f8"])
+@pytest.mark.parametrize("channels", [1, 3, 4])
+def test_light_is_averaged_if_asked_for(dtype: str, channels: int) -> None:
+    top = top_of(dtype)
+    source = np.random.default_rng(5).uniform(0, top, (*SHAPE, channels)).astype(dtype)
+    alpha = channels == 4
+    if alpha:
+        source[..., 3] = (0.2 * top + 0.8 * source[..., 3].astype(np.float64)).astype(dtype)
+    numbers = source.astype(np.float64) / top
+    weights = numbers[..., 3:] if alpha else np.ones((*SHAPE, 1))
+    lit = np.concatenate([light(numbers[..., :3]) * weights, weights], axis=-1)
+    for rule, fill in (("edge", 0.0), ("constant", 0.5), ("reflect", 0.0)):
+        inside = [*[light(np.array(fill)) * (fill if alpha else 1)] * min(channels, 3), fill if alpha else 1.0]
+        for name, between in (("linear", "linear"), ("cubic", "cubic")):
+            how: dict[str, Any] = {"filter": name, "between": between, "outside": rule, "tolerance": FINE}
+            out = bent().warp(source, linear_light=True, alpha=alpha, fill=fill * top, **how)
+            values = reference.sample_frames(lit, exact(bent()), name, between, rule, inside)
+            seen = (values[..., -1] > 0.3) & (values[..., -1] <= 1)
+            found = curve(values[..., :-1] / values[..., -1:])
+            same(out[..., :3][seen], found[seen] * top, 3 * top)
+            if alpha:
+                same(out[..., 3], np.clip(values[..., -1], 0, 1) * top, top)
+
+
+@pytest.mark.parametrize("averaged", [False, True])
+@pytest.mark.parametrize("between", BETWEEN)
+@pytest.mark.parametrize("filter", ["linear", "cubic", "auto", "antialias", "ewa"])
+def test_constants_stay_constant(filter: str, between: str, averaged: bool) -> None:
+    """All weights sum to one: a clip of one colour is left as it is."""
+    how: dict[str, Any] = {"filter": filter, "between": between, "time_filter": averaged}
+    strong = Deformation((20, 37, 50), border=None, on_fold="flow").grab((20, 18, 4), by=(0, 0, 30), radius=18)
+    for d in (bent(), strong):
+        for dtype, values in (("u1", (0, 77, 255)), ("i2", (-32768, 32767)), ("f4", (0.3,)), ("f8", (1e6 / 3,))):
+            for value in values:
+                for channels in (1, 3, 5):
+                    source = np.full((*d.shape, channels), value, dtype)
+                    for alpha in {False, channels > 1 and dtype == "u1"}:
+                        for rule in ("edge", "reflect"):
+                            out = d.warp(source, outside=rule, alpha=alpha, **how)
+                            if dtype in ("f4", "f8"):
+                                np.testing.assert_allclose(out, source, rtol=3e-6 if dtype == "f4" else 1e-6)
+                            elif not (alpha and value < 255):
+                                np.testing.assert_array_equal(out, source)
+                            elif value:
+                                np.testing.assert_array_equal(out[..., :-1], source[..., :-1])
+
+
+@pytest.mark.parametrize("rule", RULES)
+@pytest.mark.parametrize("shift", [-31, -12, -3, 2, 9, 12, 30])
+def test_all_of_a_clip_outside_itself(shift: int, rule: str) -> None:
+    """By whole frames, so that every filter but an average shows just one of them; far beyond the clip as well."""
+    count = 9
+    d = Deformation((count, 20, 40), border=None).grab((20, 10, 4), by=(0, 0, shift), radius=1e7)
+    t = np.arange(count) - shift
+    folded = t % (2 * count)
+    shown = {
+        "edge": np.clip(t, 0, count - 1),
+        "reflect": np.where(folded < count, folded, 2 * count - 1 - folded),
+        "constant": np.where((t >= 0) & (t < count), t, -1),
+    }[rule]
+    for dtype in ("u1", "f4"):
+        for channels in (1, 2, 3, 5):
+            source = np.random.default_rng(2).integers(0, 255, (count, 20, 40, channels)).astype(dtype)
+            clip = np.concatenate([source, np.full((1, 20, 40, channels), 50, dtype)])
+            for filter in ("nearest", "linear", "cubic", "auto"):
+                for averaged in (False, True):
+                    how: dict[str, Any] = {"filter": filter, "outside": rule, "fill": 50, "time_filter": averaged}
+                    out = d.warp(source, alpha=False, **how)
+                    off = np.abs(out.astype(np.float64) - clip[shown])
+                    assert off.max() <= (0 if dtype == "u1" else 2e-3), (dtype, channels, how)
+
+
+@pytest.mark.parametrize("shape", [(1, 1, 1), (1, 37, 50), (2, 2, 2), (5, 1, 40), (5, 40, 1), (3, 33, 33), (2, 3, 300)])
+@pytest.mark.parametrize("rule", RULES)
+def test_sizes(shape: tuple[int, int, int], rule: str) -> None:
+    d = Deformation(shape, border=None).grab(np.array(shape[::-1]) * 0.4, by=(2.3, -1.2, 0.8), radius=9)
+    for channels in (1, 3, 5):
+        source = noise("u1", channels, shape)
+        for name in FILTERS:
+            for between in ("linear", "cubic") if name != "nearest" else ("nearest",):
+                how: dict[str, Any] = {"filter": name, "between": between, "outside": rule, "fill": 70}
+                out = d.warp(source, alpha=False, tolerance=FINE, **how)
+                assert out.shape == source.shape
+                if (name, between) in PRINTED:
+                    expected = reference.sample_frames(source, exact(d), name, between, rule, 70)
+                    same(out, expected.astype(np.float64), 255)
+                given = np.full_like(source, 77)
+                d.warp(source, alpha=False, tolerance=FINE, out=given, **how)
+                np.testing.assert_array_equal(given, out)
+
+
+@functools.cache
+def shrinking() -> Deformation:
+    return Deformation((8, 90, 120), border=None, on_fold="flow").grab((45, 45, 4), by=(40, 8, 2), radius=20)
+
+
+def test_where_a_frame_shrinks_it_is_averaged() -> None:
+    """Against 6 × 6 samples of the cubic interpolant in each pixel, at the exact inverse."""
+    d = shrinking()
+    source = np.random.default_rng(3).integers(0, 255, (*d.shape, 1)).astype(np.float64)
+    matrices = np.linalg.inv(d.jacobian(exact(d)))
+    sizes = np.linalg.svd(matrices[..., :2, :2], compute_uv=False)[..., 0]
+    inside = ((exact(d) > 4) & (exact(d) < np.array(d.shape[::-1]) - 5))[..., :2].all(axis=-1)
+    hard = (sizes > 2) & inside
+    assert hard.sum() > 500
+    within = (np.arange(6) + 0.5) / 6 - 0.5
+    q = reference.grid(d.shape)[hard]
+    expected = np.zeros(len(q))
+    for v in within:
+        for u in within:
+            points = d.inverse(q + np.array([u, v, 0])).points
+            expected += reference.sample_frames(source, points, "cubic", "linear")[:, 0] / 36
+    found = {name: reference.psnr(d.warp(source, filter=name)[hard][:, 0], expected) for name in FILTERS[1:]}
+    # Boxes of equal covariance stand for parallelograms: of noise, the hardest of pictures, some is left.
+    for name in ("auto", "antialias"):
+        assert found[name] > found["linear"] + 6
+        assert found[name] > found["cubic"] + 8
+    assert found["ewa"] > found["linear"] + 3
+    tiles = d.warp(np.repeat(source, 5, axis=-1), filter="auto")[hard][:, 0]
+    assert reference.psnr(tiles, expected) > found["linear"] + 6
+
+
+@functools.cache
+def hurried() -> Deformation:
+    """Time runs several times as fast behind a drag."""
+    return Deformation((60, 40, 70), on_fold="flow").grab((35, 20, 15), by=(4, 2, 28), radius=25)
+
+
+@functools.cache
+def durations() -> Floats:
+    return reference.durations(hurried(), exact(hurried()))
+
+
+@pytest.mark.parametrize("dtype", ["u1", "u2", "f4"])
+@pytest.mark.parametrize("between", ["linear", "cubic"])
+def test_what_flickers_becomes_grey_where_time_is_compressed(between: str, dtype: str) -> None:
+    d, top = hurried(), top_of(dtype)
+    clip = np.zeros((*d.shape, 1), dtype)
+    clip[::2] = top
+    for channels in (1, 3, 5):
+        source = np.repeat(clip, channels, axis=-1)
+        for filter in ("linear", "cubic", "auto"):
+            how: dict[str, Any] = {"filter": filter, "between": between}
+            sharp, soft = (d.warp(source, time_filter=f, **how).astype(np.float64) / top for f in (False, True))
+            fast = durations() > 3
+            fast &= (exact(d)[..., 2] > durations()) & (exact(d)[..., 2] < d.shape[0] - 1 - durations())
+            assert fast.sum() > 200
+            # What is left of a flicker of one frame, of an average over that many.
+            assert (np.abs(soft[fast] - 0.5) < 0.5 / durations()[fast][:, None]).mean() > 0.99
+            assert np.abs(soft[fast] - 0.5).mean() < 0.05
+            assert np.abs(sharp[fast] - 0.5).mean() > 0.2
+
+
+@pytest.mark.parametrize("between", BETWEEN)
+def test_time_is_left_alone_where_it_is_not_compressed(between: str) -> None:
+    d = hurried()
+    around = np.pad(durations(), ((0, 0), (33, 33), (33, 33)), mode="edge")  # rates come from the lattice's nodes
+    most = np.lib.stride_tricks.sliding_window_view(around, (67, 67), axis=(1, 2)).max(axis=(3, 4))
+    slow = most < 0.999
+    assert slow.mean() > 0.1
+    for channels in (1, 5):
+        source = noise("f8", channels, d.shape)
+        for filter in ("linear", "cubic", "auto"):
+            how: dict[str, Any] = {"filter": filter, "between": between}
+            sharp, soft = (d.warp(source, time_filter=f, **how) for f in (False, True))
+            np.testing.assert_allclose(soft[slow], sharp[slow], rtol=0, atol=1e-9)
+            if between == "nearest":
+                np.testing.assert_allclose(soft, sharp, rtol=0, atol=1e-9)
+            else:
+                assert np.abs(soft - sharp)[durations() > 2].mean() > 10
+
+
+@pytest.mark.parametrize("between", ["linear", "cubic"])
+@pytest.mark.parametrize("filter", ["linear", "cubic"])
+def test_the_average_over_time_is_the_integral(filter: str, between: str) -> None:
+    d, points = hurried(), exact(hurried())
+    some = (slice(0, 60, 4), slice(None), slice(None))
+    widths = reference.faded(durations())[some]
+    assert widths.max() > 4
+    source = noise("f8", 5, d.shape)
+    expected = reference.sample_frames(source, points[some], filter, between, widths=widths)
+    sharp = reference.sample_frames(source, points[some], filter, between)
+    for channels in (1, 3, 5):
+        how: dict[str, Any] = {"filter": filter, "between": between, "tolerance": 1e-4, "time_filter": True}
+        out = d.warp(np.ascontiguousarray(source[..., :channels]), **how)[some]
+        off = np.abs(out - expected[..., :channels])
+        blurred = np.abs(sharp - expected)[..., :channels]
+        # Lengths are interpolated between nodes, and differ by some per cent.
+        assert off[widths > 1.2].mean() < 0.04 * blurred[widths > 1.2].mean()
+        assert off[widths == 0].mean() < 0.3
+
+
+def test_the_reference_average_is_one() -> None:
+    t = np.random.default_rng(4).uniform(-3, 3, 200)
+    for name in ("linear", "cubic"):
+        for width in (0.0, 0.4, 1.0, 2.7, 9.0):
+            frames = np.arange(-12, 13)[:, None] - t
+            np.testing.assert_allclose(reference.averaged(name, frames, np.full_like(frames, width)).sum(axis=0), 1)
+
+
+def test_averages_over_time_beyond_the_clip() -> None:
+    """A box around a time outside is as long as one inside."""
+    d = Deformation((30, 40, 50), border=None, on_fold="flow").grab((25, 20, 5), by=(0, 0, 25), radius=20)
+    points = exact(d)
+    widths = reference.faded(reference.durations(d, points))
+    seen = (widths > 1.5) & ((points[..., 2] < -0.5) | (points[..., 2] > 29.5))
+    assert seen.sum() > 100
+    source = noise("f8", 5, d.shape)
+    for rule in RULES:
+        expected = reference.sample_frames(source, points, "linear", "linear", rule, 0.0, widths)
+        for channels in (1, 5):
+            part = np.ascontiguousarray(source[..., :channels])
+            out = d.warp(part, filter="linear", outside=rule, time_filter=True)
+            assert np.abs(out - expected[..., :channels])[seen].mean() < 3
+
+
+@pytest.mark.parametrize("filter", ["nearest", "linear", "auto"])
+def test_arrays_of_any_layout(filter: str, tmp_path: Path) -> None:
+    wide = np.random.default_rng(6).uniform(size=(14, 74, 100, 6)).astype(np.float32)
+    base = np.ascontiguousarray(wide[::2, ::2, ::2, ::2])
+    expected = bent().warp(base, filter=filter)
+    frozen = base.copy()
+    frozen.flags.writeable = False
+    mapped = np.memmap(tmp_path / "source", np.float32, "w+", shape=base.shape)
+    mapped[:] = base
+    mapped.flush()
+    layouts = {
+        "strided": wide[::2, ::2, ::2, ::2],
+        "reversed": np.ascontiguousarray(base[::-1, ::-1])[::-1, ::-1],
+        "Fortran": np.asfortranarray(base),
+        "transposed": np.ascontiguousarray(base.transpose(3, 2, 0, 1)).transpose(2, 3, 1, 0),
+        "big-endian": base.astype(">f4"),
+        "frozen": frozen,
+        "mapped": np.memmap(tmp_path / "source", np.float32, "r", shape=base.shape),
+    }
+    for name, source in layouts.items():
+        before = source.tobytes()
+        out = bent().warp(source, filter=filter)
+        assert out.dtype == source.dtype, name
+        assert out.flags.c_contiguous, name
+        np.testing.assert_array_equal(out, expected, err_msg=name)
+        assert source.tobytes() == before, name
+        for order in ("C", "F"):
+            given = np.full(source.shape, 7, source.dtype, order=order)
+            assert bent().warp(source, filter=filter, out=given) is given
+            np.testing.assert_array_equal(given, expected, err_msg=name)
+    whole = np.full((14, 74, 100, 6), 7, np.float32)
+    bent().warp(base, filter=filter, out=whole[::2, ::2, ::2, ::2])
+    np.testing.assert_array_equal(whole[::2, ::2, ::2, ::2], expected)
+    assert (whole[1::2] == 7).all()
+    written = np.memmap(tmp_path / "out", np.float32, "w+", shape=base.shape)
+    assert bent().warp(mapped, filter=filter, out=written) is written
+    written.flush()
+    np.testing.assert_array_equal(np.fromfile(tmp_path / "out", np.float32).reshape(base.shape), expected)
+    grey = bent().warp(base[..., 0], filter=filter)
+    assert grey.shape == SHAPE
+    np.testing.assert_array_equal(grey, bent().warp(base[..., :1], filter=filter)[..., 0])
+
+
+@pytest.mark.parametrize("dtype", [*DTYPES, "u8", "i8", ">u2", ">f4", ">f2"])
+def test_without_a_stroke_or_force_no_bit_changes(dtype: str) -> None:
+    """Any bits at all, and so numbers that are none."""
+    kind = np.dtype(dtype)
+    raw = np.random.default_rng(7).integers(0, 256, math.prod(SHAPE) * 4 * kind.itemsize, np.uint8)
+    source = (raw & 1 if kind == np.bool_ else raw).view(kind).reshape(*SHAPE, 4)
+    still = [Deformation(SHAPE), Deformation(SHAPE, border=None).grab((3, 3, 3), by=(0, 0, 0), radius=5)]
+    for d in still:
+        for name in FILTERS:
+            for averaged in (False, True):
+                out = d.warp(source, filter=name, time_filter=averaged, alpha=False)
+                assert out.dtype == source.dtype
+                assert out.tobytes() == source.tobytes()
+                assert not np.may_share_memory(out, source)
+
+
+@pytest.mark.parametrize("dtype", ["bool", "u1", "i2", "u4", "i8", "f2", "f4", ">u2", ">f4"])
+def test_planes_where_nothing_moves_are_left_as_they_are(dtype: str) -> None:
+    d = Deformation((40, 37, 50), border=None).grab((25, 18, 6), by=(3, 2, 2), radius=4, scales=3)
+    source = noise(dtype, 3, d.shape)
+    if np.dtype(dtype).kind == "f":
+        source[30, 5, 5], source[30, 6, 6] = np.inf, -0.0
+    for light_too in (False, True):
+        if light_too and dtype in ("bool", "i2", "u4", "i8"):
+            continue
+        for name in ("nearest", "linear", "auto"):
+            with np.errstate(invalid="ignore"):
+                out = d.warp(source, filter=name, linear_light=light_too)
+            for z in (25, 30, 39):
+                assert out[z].tobytes() == source[z].tobytes()
+            assert (out[6] != source[6]).any()
+
+
+def test_threads_make_no_difference(monkeypatch: pytest.MonkeyPatch) -> None:
+    source = np.random.default_rng(8).integers(0, 255, (*hurried().shape, 3), np.uint8)
+    for name in FILTERS:
+        results = []
+        for threads in ("1", "3"):
+            monkeypatch.setenv("SUPPLE_THREADS", threads)
+            results.append(hurried().warp(source, filter=name, time_filter=True))
+        np.testing.assert_array_equal(*results)
+
+
+GOOD = np.zeros((*SHAPE, 3), np.uint8)
+REFUSED: list[tuple[dict[str, Any], str]] = [
+    ({"source": np.zeros((7, 37, 51, 3), np.uint8)}, "source"),
+    ({"source": np.zeros((8, 37, 50), np.uint8)}, "source"),
+    ({"source": np.zeros(SHAPE[1:], np.uint8)}, "source"),
+    ({"source": np.zeros((*SHAPE, 3, 1), np.uint8)}, "source"),
+    ({"source": np.zeros((*SHAPE, 0), np.uint8)}, "source"),
+    ({"source": np.zeros(SHAPE, complex)}, "dtype complex128"),
+    ({"source": np.zeros(SHAPE, object)}, "dtype object"),
+    ({"source": None}, "dtype object"),
+    ({"source": lambda p: p[:, 0]}, "three axes"),
+    ({"filter": "lanczos"}, "filter must be"),
+    ({"outside": "wrap"}, "outside must be"),
+    ({"between": "quintic"}, "between must be"),
+    ({"between": 1}, "between must be"),
+    ({"filter": "nearest", "between": "linear"}, "between must be"),
+    ({"tolerance": 0}, "tolerance"),
+    ({"tolerance": math.nan}, "tolerance"),
+    ({"fill": (1, 2)}, "fill"),
+    ({"fill": math.inf}, "fill"),
+    ({"source": np.zeros(SHAPE, np.uint8), "alpha": True}, "alpha"),
+    ({"source": np.zeros((*SHAPE, 1), np.uint8), "alpha": True}, "alpha"),
+    ({"source": np.zeros(SHAPE, bool), "linear_light": True}, "linear_light"),
+    ({"source": np.zeros(SHAPE, np.int16), "linear_light": True}, "linear_light"),
+    ({"out": np.zeros(SHAPE, np.uint8)}, "out must be"),
+    ({"out": np.zeros((*SHAPE, 3), np.uint16)}, "out must be"),
+    ({"out": [[0]]}, "out must be"),
+    ({"out": GOOD}, "overlap"),
+    ({"out": GOOD[::-1]}, "overlap"),
+]
+
+
+@pytest.mark.parametrize(("how", "message"), REFUSED)
+def test_refusals(how: dict[str, Any], message: str) -> None:
+    for d in (bent(), Deformation(SHAPE)):
+        with pytest.raises(SuppleError, match=message):
+            d.warp(**{"source": GOOD, **how})
+    assert not GOOD.any()
+
+
+def test_more_refusals() -> None:
+    frozen = np.zeros_like(GOOD)
+    frozen.flags.writeable = False
+    with pytest.raises(SuppleError, match="read-only"):
+        bent().warp(GOOD, out=frozen)
+    with pytest.raises(SuppleError, match="between"):
+        Deformation((5, 5)).warp(np.zeros((5, 5)), between="linear")
+    with pytest.warns(ToleranceWarning):
+        bent().warp(GOOD, tolerance=1e-9)
+    np.testing.assert_array_equal(bent().warp(GOOD.tolist()), 0)
+
+
+# The paper's Figure 6.4: 50 × 50 × 100, black, and red from frame 52 on, which is index 51.
+FIRST_RED = 51
+
+
+@functools.cache
+def figure_6_4() -> Deformation:
+    return Deformation((100, 50, 50), border=None).grab((49, 49, 49), by=(0, 0, -30), radius=50)
+
+
+def test_figure_6_4() -> None:
+    """Red is brought forward in time: at the pivot it is seen 30 frames early, and later the farther from there."""
+    d = figure_6_4()
+    clip = np.zeros((100, 50, 50, 3), np.uint8)
+    clip[FIRST_RED:, :, :, 0] = 255
+    out = d.warp(clip, filter="linear")
+    assert not out[..., 1:].any()
+    red = out[..., 0].astype(np.float64) / 255
+    # Half red is where the last black and the first red frame are half and half: at T of that time.
+    half = FIRST_RED - 0.5
+    y, x = np.mgrid[:50, :50].astype(np.float64)
+    when = np.empty((50, 50))
+    for j, i in np.ndindex(50, 50):
+        after = int(np.argmax(red[:, j, i] >= 0.5))
+        a, b = red[after - 1, j, i], red[after, j, i]
+        when[j, i] = after - 1 + (0.5 - a) / (b - a)
+    surface = d.inverse(np.stack([x, y, when], axis=-1)).points[..., 2]
+    assert np.abs(surface - half).max() < 0.02
+    # Every pixel turns once, and does not turn back.
+    assert (np.diff(red, axis=0) >= 0).all()
+    assert (red[0] == 0).all()
+    assert (red[-1] == 1).all()
+    # At the pivot: about frame 22, which is index 21.
+    begins = int(np.argmax(red[:, 49, 49] > 0))
+    assert begins == 21
+    # It is smooth: from a pixel to its neighbour, a part of a frame later.
+    assert np.abs(np.diff(when, axis=0)).max() < 1
+    assert np.abs(np.diff(when, axis=1)).max() < 1
+    assert when[49, 49] == when.min()
+    assert when[0, 0] == when.max()
+    assert when[0, 0] > when[49, 49] + 8
