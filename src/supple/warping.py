@@ -86,7 +86,7 @@ def warp_frames(
     sampling = replace(sampling, fill=tuple(colours))
     plan = make_plan(space, layout, sampling, range(space.count))
     if array.dtype == kind and array.flags.c_contiguous and not bent:
-        made = from_array(space, layout, sampling, plan, deep)
+        made = from_array(space, layout, sampling, plan, [deep])
     else:
         frames = (_ArrayFrame(deep[z], straight, bent) for z in range(space.count))
         made = stream(space, layout, sampling, plan, frames)
