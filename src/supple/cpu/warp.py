@@ -14,7 +14,7 @@ from supple.cpu.certify import farthest
 from supple.cpu.kernel import share, threads
 from supple.cpu.lattice import NODE, SIZE, M, set_twists, solve_rows
 
-CELL_ROWS = 1  # of a band, at most: few enough for all cores to have some, and enough to be worth starting
+CELL_ROWS = 3  # of a band, at most: few enough for all cores to have some, and enough to be worth starting
 
 Floats = npt.NDArray[np.float64]
 

