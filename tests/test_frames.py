@@ -20,7 +20,7 @@ Floats = npt.NDArray[np.float64]
 Array = npt.NDArray[Any]
 
 SHAPE = (7, 37, 50)
-DTYPES = ["bool", "u1", "i1", "u2", "i2", "u4", "i4", "f2", "f4", "f8"]
+DTYPES = ["bool", "u1", "i1", "u2", "i2", "u4", "f2", "f4", "f8"]
 CHANNELS = [1, 2, 3, 4, 5]
 PRINTED = [("linear", "linear"), ("linear", "cubic"), ("linear", "nearest"), ("cubic", "linear"), ("cubic", "cubic")]
 FILTERS = ["nearest", "linear", "cubic", "auto", "antialias", "ewa"]

@@ -63,8 +63,8 @@ def gathered(plane: Plane, tolerance: float, grid: Grid | None) -> tuple[Floats,
     def put(band: Band, out: Floats) -> None:
         rows, columns = band.points.shape[1:]
         for run, anchor in enumerate(band.anchors):
-            left = run * band.pitch
-            right = columns if run == len(band.anchors) - 1 else left + band.pitch
+            left = band.edges[run]
+            right = min(band.edges[run + 1], columns)
             for c in range(plane.ndim):
                 values = band.points[c, :, left:right].astype(np.float64) + anchor[c]
                 assert np.isnan(out[band.top : band.top + rows, left:right, c]).all()  # each once

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import glob
 import os
 import sys
 from collections.abc import Callable, Sequence
@@ -119,6 +120,8 @@ class _Commands:
             "force": options.force,
             "clip": video.to_clip(),
         }
+        if not paths[-1]:
+            raise SuppleError("cannot write '': name a file, or a folder, last")
         if len(paths) == 2 and is_clip(paths[0], paths[1], recipe) and not _into_folder(*paths):
             jobs, many = [(Path(paths[0]), Path(paths[1]))], False
         else:
@@ -321,8 +324,12 @@ def _version() -> str:
 
 
 def _into_folder(source: str, target: str) -> bool:
-    """Whether a video goes into a folder, under its name."""
-    return os.path.isfile(source) and os.path.isdir(target)
+    """Whether a video goes into a folder, under its name, or several do, which a pattern stands for."""
+    from supple.media.numbering import has_number
+
+    if os.path.isfile(source):
+        return os.path.isdir(target)
+    return glob.has_magic(source) and not has_number(source) and not os.path.exists(source)
 
 
 def _report_facts(job: Job, made: Warped) -> dict[str, Any]:

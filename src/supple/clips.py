@@ -140,14 +140,14 @@ def open_clip(source: PathLike, *, rate: float | None = None, count: int | None 
 
     if rate is not None:
         raise SuppleError(f"a rate (--fps) is for image sequences, and {shown(source)} has its own: leave it out")
-    if _suffix(source) in SUFFIXES_IN and os.path.isfile(source):
-        _refuse_picture(source)
     with open_video(source, count=count) as clip:
         yield clip
 
 
-def _refuse_picture(path: PathLike) -> None:
+def refuse_picture(path: PathLike) -> None:
     """Refuse a file of a single picture, which FFmpeg would take for a short video."""
+    if _suffix(path) not in SUFFIXES_IN or not os.path.isfile(path):
+        return
     from supple.media.demux import opened
 
     with opened(path) as container:
@@ -250,6 +250,7 @@ def warp_clip(
     frames done, and of all.
     """
     known = options or ClipOptions()
+    refuse_picture(source)
     _check_target(target, known, quality)
     number("memory", known.memory, "a number of bytes from 0", 0.0, 1e30)
     count: int | None = None
@@ -320,6 +321,8 @@ def _through(
 def _check_target(target: PathLike, options: ClipOptions, quality: int | None) -> None:
     """Refuse what a target cannot be, or what is not for its kind."""
     name = shown(target)
+    if not os.fspath(target):
+        raise SuppleError("cannot write '': no file can have that name: choose another")
     if not is_picture_target(target):
         if _suffix(target) in PICTURES_OUT:
             stem, suffix = os.path.splitext(name)

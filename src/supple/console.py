@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import _thread
 import contextlib
 import json
 import os
@@ -116,7 +117,7 @@ def run(command: Callable[[Console], object]) -> int:
     """Run a command; turn however it ends into an exit status and at most one line."""
     console = Console()
     try:
-        with _signals(), _warnings(console):
+        with _signals(), _insistent(), _warnings(console):
             command(console)
             if sys.stdout is not None:
                 sys.stdout.flush()
@@ -180,6 +181,32 @@ def _signals() -> Iterator[None]:
 
 def _terminate(number: int, frame: FrameType | None) -> NoReturn:
     raise Terminated
+
+
+@contextlib.contextmanager
+def _insistent() -> Iterator[None]:
+    """Have an interrupt come again that nobody could hear.
+
+    LLVM calls back into Python while kernels are loaded, and what is raised there goes no further.
+    """
+    before = sys.unraisablehook
+    timers: list[threading.Timer] = []
+
+    def again(lost: sys.UnraisableHookArgs) -> None:
+        number = {KeyboardInterrupt: signal.SIGINT, Terminated: signal.SIGTERM}.get(lost.exc_type)
+        if number is None:
+            before(lost)
+            return
+        timers.append(threading.Timer(0.02, _thread.interrupt_main, (number,)))
+        timers[-1].start()
+
+    sys.unraisablehook = again
+    try:
+        yield
+    finally:
+        sys.unraisablehook = before
+        for timer in timers:
+            timer.cancel()
 
 
 @contextlib.contextmanager

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Mapping
 from fractions import Fraction
 from pathlib import Path
@@ -50,7 +51,7 @@ def describe(name: str) -> tuple[dict[str, Any], str]:
 
         recipe = read_recipe(name)
         return {"file": name, "kind": "recipe", **json.loads(recipe.to_json())}, _recipe(name, recipe)
-    if is_sequence(name):
+    if is_sequence(name) and not os.path.isfile(name):
         from supple.media.sequence import open_sequence
 
         with open_sequence(name) as pictures:

@@ -15,6 +15,7 @@ from supple.clips import (
     frames_of,
     is_clip,
     open_clip,
+    refuse_picture,
     sampling_of,
     warn_of_rotation,
 )
@@ -92,6 +93,7 @@ def plot_file(
     if is_clip(source, "", recipe):
         from supple.media.troubles import CountError
 
+        refuse_picture(source)
         asked = (source, target, recipe, what, frame, x, y, options, force)
         with counted(progress) as tell:
             try:

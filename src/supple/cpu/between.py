@@ -93,7 +93,7 @@ def filtered_frames(
     latest,
     points,
     anchors,
-    pitch,
+    edges,
     boxes,
     kind,
     average,
@@ -146,8 +146,7 @@ def filtered_frames(
     for run in range(anchors.shape[0]):
         if done[run]:
             continue
-        left = run * pitch
-        right = out.shape[1] if run == anchors.shape[0] - 1 else left + pitch
+        left, right = edges[run], min(edges[run + 1], out.shape[1])
         n = right - left
         margin, coarsest, largest = 3, 0, 0.0
         if mode >= AUTO:

@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from supple.cpu.band import RUN
 from supple.cpu.field import X, Y, Z
 from supple.cpu.kernel import BATCH, kernel
-from supple.cpu.lattice import SIZE
 from supple.cpu.newton import DONE, PX, PY, PZ, QX, QY, QZ, ROWS, settle
 
 
 @kernel
-def farthest(table, axes, z, top, points, anchors, tolerance):
+def farthest(table, axes, z, top, points, anchors, edges, tolerance):
     """The largest distance, in pixels, of a band's points to T⁻¹; and of how many pixels this cannot be said.
 
     Newton's method goes on from every point to the true one, up to ``tolerance`` pixels; from scratch where that
@@ -26,8 +24,10 @@ def farthest(table, axes, z, top, points, anchors, tolerance):
     for y in range(points.shape[1]):
         for first in range(0, points.shape[2], BATCH):
             n = min(BATCH, points.shape[2] - first)
+            run = 0
             for i in range(n):
-                run = min((first + i) // (RUN * SIZE), anchors.shape[0] - 1)
+                while run < anchors.shape[0] - 1 and first + i >= edges[run + 1]:
+                    run += 1
                 start[2, i] = z
                 for c in range(points.shape[0]):
                     start[c, i] = anchors[run, c] + np.float64(points[c, y, first + i])

@@ -167,7 +167,7 @@ def filtered_directly(
     width,
     points,
     anchors,
-    pitch,
+    edges,
     earliest,
     latest,
     kind,
@@ -207,8 +207,7 @@ def filtered_directly(
     most = starts.size - 2
     zero = table.dtype.type(0)
     for run in range(anchors.shape[0]):
-        left = run * pitch
-        right = out.shape[1] if run == anchors.shape[0] - 1 else left + pitch
+        left, right = edges[run], min(edges[run + 1], out.shape[1])
         n = right - left
         done[run] = True
         if mode >= AUTO:

@@ -204,7 +204,7 @@ def filtered(
     source,
     points,
     anchors,
-    pitch,
+    edges,
     boxes,
     mode,
     lanes,
@@ -244,8 +244,7 @@ def filtered(
     values = np.empty((WIDE + 1) * lanes, table.dtype)  # and room for one box
     tile, rows = np.empty(1, table.dtype), np.empty((2, 1), np.int64)
     for run in range(anchors.shape[0]):
-        left = run * pitch
-        right = out.shape[1] if run == anchors.shape[0] - 1 else left + pitch
+        left, right = edges[run], min(edges[run + 1], out.shape[1])
         n = right - left
         margin, coarsest, largest = 3, 0, 0.0
         if mode >= AUTO:

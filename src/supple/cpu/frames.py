@@ -23,26 +23,26 @@ _read_two, _read_four = reader(2), reader(4)
 
 
 @kernel
-def nearest_frames(source, slots, first, points, anchors, pitch, rule, fill, out):
+def nearest_frames(source, slots, first, points, anchors, edges, rule, fill, out):
     """The sample nearest to each point, in all three coordinates; ties go to the larger index.
 
     ``slots`` says where in ``source`` the frames from ``first`` on are, -1 for one that is constant.
     """
     height, width, channels = source.shape[1:]
-    for y in range(out.shape[0]):
-        for x in range(out.shape[1]):
-            run = min(x // pitch, anchors.shape[0] - 1)
-            half = np.float32(0.5)
-            i = place(anchors[run, 0] + np.int64(np.floor(points[0, y, x] + half)), width, rule)
-            j = place(anchors[run, 1] + np.int64(np.floor(points[1, y, x] + half)), height, rule)
-            k = anchors[run, 2] + np.int64(np.floor(points[2, y, x] + half))
-            slot = slots[min(max(k - first, 0), slots.size - 1)]
-            if i < 0 or j < 0 or slot < 0:
-                for c in range(channels):
-                    out[y, x, c] = fill[c]
-            else:
-                for c in range(channels):
-                    out[y, x, c] = source[slot, j, i, c]
+    half = np.float32(0.5)
+    for run in range(anchors.shape[0]):
+        for y in range(out.shape[0]):
+            for x in range(edges[run], min(edges[run + 1], out.shape[1])):
+                i = place(anchors[run, 0] + np.int64(np.floor(points[0, y, x] + half)), width, rule)
+                j = place(anchors[run, 1] + np.int64(np.floor(points[1, y, x] + half)), height, rule)
+                k = anchors[run, 2] + np.int64(np.floor(points[2, y, x] + half))
+                slot = slots[min(max(k - first, 0), slots.size - 1)]
+                if i < 0 or j < 0 or slot < 0:
+                    for c in range(channels):
+                        out[y, x, c] = fill[c]
+                else:
+                    for c in range(channels):
+                        out[y, x, c] = source[slot, j, i, c]
 
 
 @kernel
@@ -170,7 +170,7 @@ def _blend_deep(words, parts, n, out):
 
 
 @kernel
-def linear_packed(samples, starts, frames, first, height, width, points, anchors, pitch, scale, out):
+def linear_packed(samples, starts, frames, first, height, width, points, anchors, edges, scale, out):
     """Linear samples of one or two channels of bytes, or one of 16 bits.
 
     Parameters
@@ -190,8 +190,7 @@ def linear_packed(samples, starts, frames, first, height, width, points, anchors
     most = starts.size - 2
     for y in range(out.shape[0]):
         for run in range(anchors.shape[0]):
-            left = run * pitch
-            right = out.shape[1] if run == anchors.shape[0] - 1 else left + pitch
+            left, right = edges[run], min(edges[run + 1], out.shape[1])
             n = right - left
             locate(points, y, left, n, anchors[run], width, height, first, frames - 1, most, where, frame, parts)
             if octets and scale == 1:
@@ -206,7 +205,7 @@ def linear_packed(samples, starts, frames, first, height, width, points, anchors
 
 
 @colour_kernel
-def linear_plain(samples, starts, frames, first, height, width, points, anchors, pitch, zero, whole, high, out):
+def linear_plain(samples, starts, frames, first, height, width, points, anchors, edges, zero, whole, high, out):
     """The same for any type and number of channels.
 
     ``zero`` is of the type that all is worked out in, and ``high`` the largest value of whole numbers.
@@ -217,8 +216,7 @@ def linear_plain(samples, starts, frames, first, height, width, points, anchors,
     most = starts.size - 2
     half = zero + np.float32(0.5)
     for run in range(anchors.shape[0]):
-        left = run * pitch
-        right = out.shape[1] if run == anchors.shape[0] - 1 else left + pitch
+        left, right = edges[run], min(edges[run + 1], out.shape[1])
         n = right - left
         for row in range(out.shape[0]):
             locate(points, row, left, n, anchors[run], width, height, first, frames - 1, most, where, frame, parts)

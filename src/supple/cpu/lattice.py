@@ -112,8 +112,8 @@ def solve_batch(w, one, n, table, axes, cols, rows, guessed, smooth, nodes):
 def _smoothness(w, n, table, axes, cols, rows, nodes):
     """How far, in output pixels, the map stays as smooth as it is at a node.
 
-    A stroke varies over ρ, and its border over σ or the distance to it: both are seen through the derivative of
-    the stroke's input by q.
+    A stroke varies over ρ, and its border, along each axis by itself, over σ or the distance to it: both are seen
+    through the derivative of the stroke's input by q.
     """
     for i in range(n):
         w[X + i], w[Y + i], w[Z + i] = w[PX + i], w[PY + i], w[PZ + i]
@@ -122,7 +122,7 @@ def _smoothness(w, n, table, axes, cols, rows, nodes):
         stroke = table[s]
         for i in range(n):
             node = nodes[rows[i], cols[i]]
-            size = 0.0
+            size, along = 0.0, (0.0, 0.0, 0.0)
             for c in range(2):
                 # Physical units of the stroke's input per output pixel.
                 u = node[M + c] * axes[0, 2]
@@ -132,18 +132,20 @@ def _smoothness(w, n, table, axes, cols, rows, nodes):
                 gy = w[J10 + i] * u + w[J11 + i] * v + w[J12 + i] * t
                 gz = w[J20 + i] * u + w[J21 + i] * v + w[J22 + i] * t
                 size = max(size, gx * gx + gy * gy + gz * gz)
+                along = (max(along[0], abs(gx)), max(along[1], abs(gy)), max(along[2], abs(gz)))
             rx, ry, rz = (
                 w[X + i] - stroke["pivot"][0],
                 w[Y + i] - stroke["pivot"][1],
                 w[Z + i] - stroke["pivot"][2],
             )
-            reach = np.sqrt(rx * rx + ry * ry + rz * rz + stroke["radius2"][0])
+            reach = np.sqrt((rx * rx + ry * ry + rz * rz + stroke["radius2"][0]) / size)
             for axis in range(3):
                 if axes[axis, 1] > 0.0:
                     x = w[X + axis * BATCH + i]
                     # A quarter of a sine is smoother than a Kelvinlet; its kinks, no length resolves.
-                    reach = min(reach, 2.0 * max(axes[axis, 1], min(x, axes[axis, 0] - x)))
-            node[SMOOTH] = min(node[SMOOTH], reach / np.sqrt(size))
+                    distance = 2.0 * max(axes[axis, 1], min(x, axes[axis, 0] - x))
+                    reach = min(reach, distance / max(along[axis], 1e-12))
+            node[SMOOTH] = min(node[SMOOTH], reach)
         step(w, n, stroke, axes, True)
 
 

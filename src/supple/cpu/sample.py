@@ -21,16 +21,17 @@ PART_X, PART_Y = 0, WIDE
 
 
 @kernel
-def nearest(source, points, anchors, pitch, rule, fill, out):
+def nearest(source, points, anchors, edges, rule, fill, out):
     """The sample nearest to each point; ties go to the larger index, as in rounding half up."""
     height, width, channels = source.shape
-    for y in range(out.shape[0]):
-        for x in range(out.shape[1]):
-            run = min(x // pitch, anchors.shape[0] - 1)
-            i = place(anchors[run, 0] + np.int64(np.floor(points[0, y, x] + np.float32(0.5))), width, rule)
-            j = place(anchors[run, 1] + np.int64(np.floor(points[1, y, x] + np.float32(0.5))), height, rule)
-            for c in range(channels):
-                out[y, x, c] = fill[c] if i < 0 or j < 0 else source[j, i, c]
+    half = np.float32(0.5)
+    for run in range(anchors.shape[0]):
+        for y in range(out.shape[0]):
+            for x in range(edges[run], min(edges[run + 1], out.shape[1])):
+                i = place(anchors[run, 0] + np.int64(np.floor(points[0, y, x] + half)), width, rule)
+                j = place(anchors[run, 1] + np.int64(np.floor(points[1, y, x] + half)), height, rule)
+                for c in range(channels):
+                    out[y, x, c] = fill[c] if i < 0 or j < 0 else source[j, i, c]
 
 
 @kernel
@@ -102,14 +103,13 @@ def _blend3(words, parts, n):
 
 
 @kernel
-def linear_words(source, points, anchors, pitch, boxes, rule, fill, out):
+def linear_words(source, points, anchors, edges, boxes, rule, fill, out):
     """Bilinear samples of up to four channels of 8 bits."""
     height, width, channels = source.shape
     words, parts = np.empty(6 * WIDE, np.uint32), np.empty(2 * WIDE, np.float32)
     tile, rows = np.empty(1, np.uint32), np.empty((2, 1), np.int64)
     for run in range(anchors.shape[0]):
-        left = run * pitch
-        right = out.shape[1] if run == anchors.shape[0] - 1 else left + pitch
+        left, right = edges[run], min(edges[run + 1], out.shape[1])
         n = right - left
         x0, x1 = bounds(boxes, run, 0, width, rule, 2)
         y0, y1 = bounds(boxes, run, 1, height, rule, 2)

@@ -119,7 +119,7 @@ def sampler(
         def use_nearest(band: Band) -> None:
             rows = out[band.top : band.top + band.points.shape[1]]
             target = np.empty(rows.shape, source.dtype) if half else rows
-            sample.nearest(source, band.points, band.anchors, band.pitch, rule, exact, target)
+            sample.nearest(source, band.points, band.anchors, band.edges, rule, exact, target)
             if half:
                 rows[...] = target
 
@@ -131,7 +131,7 @@ def sampler(
 
         def use_words(band: Band) -> None:
             rows = out[band.top : band.top + band.points.shape[1]]
-            sample.linear_words(source, band.points, band.anchors, band.pitch, band.boxes, rule, word, rows)
+            sample.linear_words(source, band.points, band.anchors, band.edges, band.boxes, rule, word, rows)
 
         return use_words
 
@@ -151,7 +151,7 @@ def sampler(
             source,
             band.points,
             band.anchors,
-            band.pitch,
+            band.edges,
             band.boxes,
             mode,
             1 if channels == 1 else 4,

@@ -68,7 +68,7 @@ def stack_sampler(
 
         def use_nearest(band: Band, out: Array, first: int, slots: npt.NDArray[np.int64]) -> None:
             rows = out[band.top : band.top + band.points.shape[1]]
-            frames.nearest_frames(source, slots, first, band.points, band.anchors, band.pitch, rule, exact, rows)
+            frames.nearest_frames(source, slots, first, band.points, band.anchors, band.edges, rule, exact, rows)
 
         return use_nearest
 
@@ -82,7 +82,7 @@ def stack_sampler(
         def use_linear(band: Band, out: Array, first: int, slots: npt.NDArray[np.int64]) -> None:
             rows = out[band.top : band.top + band.points.shape[1]]
             starts = np.append(slots, slots[-1]) * size
-            place = (samples, starts, count, first, height, width, band.points, band.anchors, band.pitch)
+            place = (samples, starts, count, first, height, width, band.points, band.anchors, band.edges)
             if packed:
                 frames.linear_packed(*place, channels, rows)
             else:
@@ -102,7 +102,7 @@ def stack_sampler(
         timing = (BETWEEN[between_frames], average, mode)
         if not prepared and readable and min(height, width) > 1:
             starts = np.append(slots, slots[-1]) * size
-            place = (samples, starts, count, first, height, width, band.points, band.anchors, band.pitch)
+            place = (samples, starts, count, first, height, width, band.points, band.anchors, band.edges)
             direct.filtered_directly(
                 *place, *times_seen(outside, count, average), *timing, table, n.low, n.high, n.whole, octets, done, rows
             )
@@ -115,7 +115,7 @@ def stack_sampler(
             *times_seen(outside, count, average),
             band.points,
             band.anchors,
-            band.pitch,
+            band.edges,
             band.boxes,
             *timing,
             1 if channels == 1 else 4,

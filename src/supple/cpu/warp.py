@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -52,7 +53,7 @@ class Band:
     """The source points of some rows of a plane.
 
     ``points[c, y, x] + anchors[run, c]``, for c up to 2, is coordinate ``c``, in pixels, of the source of the pixel
-    (x, top + y), where ``run`` counts stretches of ``pitch`` pixels, the last one perhaps a pixel longer. ``boxes``
+    (x, top + y), where ``run`` counts the stretches of pixels between ``edges``. ``boxes``
     bounds the points of every lattice cell. ``coarse`` is the same part of the plane in the samples of another grid,
     and in their numbers.
     """
@@ -61,7 +62,7 @@ class Band:
     points: npt.NDArray[np.float32]
     anchors: npt.NDArray[np.int64]
     boxes: Floats
-    pitch: int = RUN * SIZE
+    edges: npt.NDArray[np.int64]
     coarse: Band | None = None
 
 
@@ -81,9 +82,15 @@ class Certificate:
         )
 
 
-def _positions(n: int) -> npt.NDArray[np.int64]:
-    # One sample alone still gets a cell, which reaches beyond the plane.
-    return np.array([*range(0, n - 1, SIZE), n - 1] if n > 1 else [0, 1], np.int64)
+def _positions(n: int, axis: Floats) -> npt.NDArray[np.int64]:
+    """Where the lattice has its nodes along an axis of ``n`` samples, no more than SIZE apart."""
+    if n == 1:  # one sample alone still gets a cell, which reaches beyond the plane
+        return np.array([0, 1], np.int64)
+    # The border's influence has a kink where it ends. Few cells lie across it if they end there too.
+    extent, sigma, spacing = axis
+    kinks = [round(k / spacing) for k in (sigma, extent - sigma)] if sigma > 0 else []
+    ends = sorted({0, *(k for k in kinks if 0 < k < n - 1), n - 1})
+    return np.concatenate([*(np.arange(a, b, SIZE) for a, b in itertools.pairwise(ends)), [n - 1]]).astype(np.int64)
 
 
 def solve_plane(table: npt.NDArray[np.void], axes: Floats, shape: tuple[int, int], ndim: int, z: float = 0.0) -> Plane:
@@ -102,7 +109,7 @@ def solve_plane(table: npt.NDArray[np.void], axes: Floats, shape: tuple[int, int
     z : float
         Which plane, in samples.
     """
-    xs, ys = _positions(shape[1]), _positions(shape[0])
+    xs, ys = _positions(shape[1], axes[0]), _positions(shape[0], axes[1])
     nodes = np.empty((ys.size, xs.size, NODE))
     parts = min(threads(), max(1, xs.size * ys.size // 256))
     edges = [ys.size * k // parts for k in range(parts + 1)]
@@ -155,6 +162,8 @@ def each_band(
     slack = _rounding(min(max(height, width), 2 * RUN * SIZE))
     steps = np.array([*(grid.step + grid.offset if grid else (1.0, 1.0, 0.0, 0.0)), xs[-1], ys[-1]], np.float64)
     columns = grid.shape[1] if grid else 0
+    edges = np.append(xs[:-1:RUN], width)
+    coarse_edges = np.append(np.ceil((edges[:-1] - steps[2]) / steps[0]).astype(np.int64), columns)
 
     # An even number of bands, so that two cores, or more, end together; and the same ones on any machine.
     rows = ys.size - 1
@@ -198,9 +207,8 @@ def each_band(
             bounds = boxes.copy()
             for c in range(2):
                 bounds[..., c, :] = (boxes[..., c, :] - grid.offset[c]) / grid.step[c]
-            pitch = RUN * SIZE // grid.step[0]
-            second = Band(above, coarse, coarse_anchors, bounds, pitch)
-        use(Band(top, points, anchors, boxes, RUN * SIZE, second))
+            second = Band(above, coarse, coarse_anchors, bounds, coarse_edges)
+        use(Band(top, points, anchors, boxes, edges, second))
         return Certificate(float(stats[WORST]) + _rounding(float(stats[REACH])), float(stats[EVALUATIONS]))
 
     total = Certificate(0.0, plane.evaluations)
@@ -259,7 +267,9 @@ def measure(plane: Plane, tolerance: float) -> Certificate:
 
     def look(band: Band) -> None:
         finest = min(1e-5, 1e-3 * tolerance)
-        found.append(farthest(plane.table, plane.axes, plane.z, band.top, band.points, band.anchors, finest))
+        found.append(
+            farthest(plane.table, plane.axes, plane.z, band.top, band.points, band.anchors, band.edges, finest)
+        )
 
     estimated = each_band(plane, tolerance, look)
     worst = max(error for error, _ in found)
@@ -268,9 +278,6 @@ def measure(plane: Plane, tolerance: float) -> Certificate:
 
 def absolute(band: Band, out: npt.NDArray[np.floating]) -> None:
     """Write a band's source points, coordinates last and in pixels, into ``out`` (rows, columns, 2 or 3)."""
-    width = band.points.shape[2]
-    for run, anchor in enumerate(band.anchors):
-        left = run * RUN * SIZE
-        right = width if run == len(band.anchors) - 1 else left + RUN * SIZE
+    for left, right, anchor in zip(band.edges, band.edges[1:], band.anchors, strict=False):
         for c in range(band.points.shape[0]):
             np.add(band.points[c, :, left:right], anchor[c], out=out[:, left:right, c], casting="same_kind")

@@ -1,0 +1,224 @@
+"""What the gallery shows: scenes of pictures and clips, each made by one command."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from supple.strokes import FoldPolicy, Recipe, Stroke
+
+
+@dataclass(frozen=True, slots=True)
+class Shot:
+    """One command: a photograph or a clip, strokes, and the name of what they make of it.
+
+    Parameters
+    ----------
+    name : str
+        Of what is made, without suffix.
+    caption : str
+    source : str
+        The photograph, or the clip.
+    grabs : tuple of (x, y, x, y, radius), or (x, y, t, x, y, t, radius)
+    scales : int
+    border : float or None
+    on_fold : str
+    outside : str
+    cut : int
+        How much of the width of a photograph the page shows as it was, at first, in percent.
+    """
+
+    name: str
+    caption: str
+    source: str
+    grabs: tuple[tuple[int, ...], ...]
+    scales: int = 1
+    border: float | None = 50
+    on_fold: FoldPolicy = "damp"
+    outside: str = "edge"
+    cut: int = 50
+
+    @property
+    def target(self) -> str:
+        """The name of the file that is made."""
+        return f"{self.name}.jpg"
+
+    @property
+    def recipe(self) -> Recipe:
+        """The strokes as the library takes them."""
+        strokes = [Stroke.grab(a, to=b, radius=r, scales=self.scales) for a, b, r in map(_split, self.grabs)]
+        return Recipe(border=self.border, on_fold=self.on_fold, strokes=tuple(strokes))
+
+    @property
+    def command(self) -> str:
+        """The strokes as the command line takes them."""
+        alike = len({grab[-1] for grab in self.grabs}) == 1
+        lines = [f"supple warp {self.source} {self.target}"]
+        for a, b, r in map(_split, self.grabs):
+            places = ":".join(",".join(map(str, point)) for point in (a, b))
+            lines.append(f"--grab {places}" + ("" if alike else f" --radius {r}"))
+        rest = [f"--radius {self.grabs[0][-1]}"] if alike else []
+        rest += self._options()
+        lines += [" ".join(rest)] if rest else []
+        return (" \\\n  " if len(self.grabs) > 1 else " ").join(lines)
+
+    def _options(self) -> list[str]:
+        found = []
+        if self.scales != 1:
+            found.append(f"--scales {self.scales}")
+        if self.border != 50:
+            found.append(f"--border {'none' if self.border is None else format(self.border, 'g')}")
+        if self.on_fold != "damp":
+            found.append(f"--on-fold {self.on_fold}")
+        if self.outside != "edge":
+            found.append(f"--outside {self.outside}")
+        return found
+
+
+@dataclass(frozen=True, slots=True)
+class Take(Shot):
+    """The same for a clip.
+
+    Parameters
+    ----------
+    time_scale : float
+    frames : tuple of int
+        Those that are shown side by side; the middle one stands for the clip until it plays.
+    area : (x, y, width, height)
+        What is shown of them.
+    row : int, optional
+        A row of pixels that is shown over time.
+    """
+
+    time_scale: float = 1.0
+    frames: tuple[int, ...] = ()
+    area: tuple[int, int, int, int] = (0, 0, 0, 0)
+    row: int | None = None
+
+    @property
+    def target(self) -> str:
+        """The name of the file that is made."""
+        return f"{self.name}.mp4"
+
+    def _options(self) -> list[str]:
+        scale = [f"--time-scale {self.time_scale:g}"] if self.time_scale != 1 else []
+        return [*Shot._options(self), *scale]
+
+
+def _split(grab: tuple[int, ...]) -> tuple[tuple[int, ...], tuple[int, ...], int]:
+    """Where a grab begins, where it ends, and its radius."""
+    half = len(grab) // 2
+    return grab[:half], grab[half:-1], grab[-1]
+
+
+@dataclass(frozen=True, slots=True)
+class Scene:
+    """What one or two shots show."""
+
+    title: str
+    text: str
+    shots: tuple[Shot, ...]
+
+
+SCENES = (
+    Scene(
+        "A wider look, and a smile",
+        "Six short strokes, one after the other, as in retouching: four open the eyes, two raise the corners of the "
+        "mouth. However many there are, the photograph is sampled once, so that the fur stays as sharp as it was.",
+        (
+            Shot(
+                "cat",
+                "Six strokes in sequence.",
+                "chelsea.jpg",
+                (
+                    (168, 86, 164, 68, 42),
+                    (172, 146, 176, 158, 42),
+                    (318, 112, 320, 96, 42),
+                    (318, 162, 320, 173, 42),
+                    (225, 262, 205, 246, 34),
+                    (300, 262, 322, 244, 34),
+                ),
+            ),
+        ),
+    ),
+    Scene(
+        "Stronger than the material",
+        "A drag of 135 pixels with a brush of 28 would fold the picture over itself. By default it is damped to what "
+        "is safe, with a warning. With --on-fold flow it arrives, in smaller steps, and nothing folds either.",
+        (
+            Shot("cup-damp", "Damped to what is safe.", "coffee.jpg", ((215, 285, 90, 335, 28),), cut=10),
+            Shot("cup-flow", "All the way.", "coffee.jpg", ((215, 285, 90, 335, 28),), on_fold="flow", cut=10),
+        ),
+    ),
+    Scene(
+        "A shuttle of rubber",
+        "Bi-scale brushes keep to themselves: the model bends, and its surroundings hardly notice.",
+        (
+            Shot(
+                "shuttle",
+                "Three strokes that flow.",
+                "astronaut.jpg",
+                ((417, 25, 345, 60, 60), (415, 130, 450, 120, 60), (385, 60, 352, 45, 40)),
+                scales=2,
+                border=10,
+                on_fold="flow",
+            ),
+        ),
+    ),
+    Scene(
+        "Edges that stay, edges that go",
+        "The edges of a picture stay where they are, and the strokes fade towards them over 50 pixels. With --border "
+        "none they move as well, and --outside says what appears from beyond: here the mirror image.",
+        (
+            Shot("table-fixed", "The border is fixed.", "coffee.jpg", ((290, 200, 370, 200, 120),), cut=6),
+            Shot(
+                "table-free",
+                "The border is free.",
+                "coffee.jpg",
+                ((290, 200, 370, 200, 120),),
+                border=None,
+                outside="reflect",
+                cut=6,
+            ),
+        ),
+    ),
+    Scene(
+        "A smile that comes and goes",
+        "Strokes may have a time as well. Two raise the corners of the mouth around frame 46 of this clip, two more "
+        "around frame 54, where the head has turned a little, and before and after that he sulks as ever. A frame "
+        "counts as two and a half pixels, so that a radius of 16 pixels is felt for about six frames each way.",
+        (
+            Take(
+                "smile",
+                "Four strokes in space and time.",
+                "bunny.mp4",
+                (
+                    (328, 157, 46, 319, 148, 46, 16),
+                    (366, 145, 46, 371, 136, 46, 14),
+                    (336, 155, 54, 327, 146, 54, 16),
+                    (376, 143, 54, 382, 134, 54, 14),
+                ),
+                scales=2,
+                time_scale=2.5,
+                frames=(40, 43, 46, 49, 52, 55, 58),
+                area=(260, 80, 160, 120),
+            ),
+        ),
+    ),
+    Scene(
+        "A head that is late",
+        "What is dragged along time happens later, there only: the arms come down while he still yawns, and his "
+        "head follows half a second behind. Where two times meet, each pixel has its own.",
+        (
+            Take(
+                "late",
+                "One stroke along time, by 14 frames.",
+                "bunny.mp4",
+                ((350, 120, 38, 350, 120, 52, 60),),
+                scales=2,
+                frames=(36, 39, 42, 45, 48),
+                area=(140, 0, 420, 360),
+                row=120,
+            ),
+        ),
+    ),
+)
