@@ -19,11 +19,11 @@ from pathlib import Path
 from typing import Any
 
 import av
+import clips
 import numpy as np
 import numpy.typing as npt
 import pytest
 
-import clips
 import supple
 import supple.media.video
 from supple.cli import command
@@ -31,7 +31,7 @@ from supple.clips import ClipOptions, WarpedClip
 from supple.files import warp_file
 from supple.media import image
 from supple.media.troubles import ClipWarning, CountError
-from supple.media.video import info, open_video
+from supple.media.video import info
 from supple.plots import plot_file
 
 SOURCE = str(Path(__file__).resolve().parent.parent / "src")
@@ -82,11 +82,14 @@ def pictures(
 
 
 def stack(path: str) -> Array:
-    """All frames of a clip, as (T, H, W) or (T, H, W, C)."""
-    arrays = [np.array(frame.to_ndarray()) for frame in clips.decoded(path)]
-    frames = np.stack(arrays)
-    planar = frames.ndim == 4 and frames.shape[1] in (3, 4)
-    return frames.transpose(0, 2, 3, 1).copy() if planar else frames
+    """All frames of a clip whose planes are alike, as (T, H, W) or (T, H, W, planes)."""
+    frames = []
+    for frame in clips.decoded(path):
+        wide = frame.format.components[0].bits > 8
+        planes = [np.frombuffer(row, "<u2" if wide else np.uint8) for row in clips.rows(frame)]
+        frames.append(np.stack([plane.reshape(frame.height, frame.width) for plane in planes], axis=-1))
+    found = np.stack(frames)
+    return found[..., 0].copy() if found.shape[-1] == 1 else found
 
 
 def read(names: Sequence[str | Path]) -> Array:
@@ -113,7 +116,7 @@ def same_frames(one: str, two: str) -> None:
 # What is written.
 
 
-@pytest.mark.parametrize("pixel_format", ["gray", "yuv444p", "yuv444p10le", "gbrp"])
+@pytest.mark.parametrize("pixel_format", ["gray", "yuv444p", "yuv444p10le", "gbrp10le"])
 @pytest.mark.parametrize("recipe", [TIMED, FLAT])
 def test_a_file_is_what_warp_makes(here: Path, pixel_format: str, recipe: supple.Recipe) -> None:
     if pixel_format == "gray":
@@ -128,15 +131,13 @@ def test_a_file_is_what_warp_makes(here: Path, pixel_format: str, recipe: supple
     assert 0 < made.error <= made.tolerance == 0.01
     timed = recipe is TIMED
     d = supple.Deformation.from_recipe(recipe, frames.shape[:3] if timed else frames.shape[1:3])
-    wide = pixel_format == "yuv444p10le"
-    white = 65535 if wide else 255
+    wide = pixel_format.endswith("10le")
     expected = d.warp(frames) if timed else np.stack([d.warp(frame) for frame in frames])
     got = stack("out.mkv")
     assert (expected != frames).any()
     if wide:  # where cubics overshoot, they are cut off at 1023, not at 65535
         assert got.max() <= 1023
         expected = np.minimum(expected, 1023)
-    assert expected.max() <= white
     np.testing.assert_array_equal(got, expected)
 
 
@@ -149,7 +150,8 @@ def test_luma_is_bent_as_a_plane_of_its_own(here: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "pixel_format", ["yuv420p", "yuv422p10le", "yuv444p12le", "gray", "gray16le", "gbrp", "yuva420p", "yuv411p"]
+    "pixel_format",
+    ["yuv420p", "yuv422p10le", "yuv444p12le", "gray", "gray16le", "gbrp12le", "bgr0", "yuva420p", "yuv411p"],
 )
 @pytest.mark.parametrize("size", [(64, 48), (63, 47)])
 def test_without_force_no_bit_changes(here: Path, pixel_format: str, size: tuple[int, int]) -> None:
@@ -163,7 +165,7 @@ def test_without_force_no_bit_changes(here: Path, pixel_format: str, size: tuple
 
 def test_where_nothing_moves_frames_are_passed_on(here: Path) -> None:
     noisy("in.mkv", "yuv420p", 40)
-    fixed = supple.Recipe(border=5, strokes=(supple.Stroke.grab((30, 20, 3), to=(31, 21, 4), radius=1, scales=3),))
+    fixed = supple.Recipe(border=5, strokes=(supple.Stroke.grab((30, 20, 3), by=(0.5, 0.5, 0.5), radius=2, scales=3),))
     made = warp_file("in.mkv", "out.mkv", fixed, tolerance=0.05)
     assert isinstance(made, WarpedClip)
     assert 0 < made.still < 40
@@ -244,7 +246,7 @@ def test_time_scale_is_the_spacing_of_the_domain(here: Path) -> None:
     warp_file("in.mkv", "a.mkv", TIMED)
     made = warp_file("in.mkv", "b.mkv", TIMED, clip=ClipOptions(time_scale=3.0))
     d = supple.Deformation.from_recipe(TIMED, frames.shape[:3], spacing=(1.0, 1.0, 3.0))
-    assert made.deformation.spacing == (1.0, 1.0, 3.0)
+    assert made.deformation.shape == frames.shape[:3]
     np.testing.assert_array_equal(stack("b.mkv"), d.warp(frames))
     assert (stack("a.mkv") != stack("b.mkv")).any()
 
@@ -506,7 +508,7 @@ def broken(name: str) -> str:
             sound.layout = "mono"  # type: ignore[union-attr]
             clips._tone(out, sound, 1, 0)
     elif name == "cut.mp4":
-        Path(name).write_bytes(clips.make("whole.mp4").read_bytes()[:3000])
+        Path(name).write_bytes(clips.make("whole.mp4").read_bytes()[:1000])
     elif name == "cut.mkv":
         Path(name).write_bytes(Path(noisy("whole.mkv")).read_bytes()[:1500])
     elif name == "changes.ts":
@@ -520,11 +522,10 @@ def broken(name: str) -> str:
     return name
 
 
-@pytest.mark.parametrize(
-    "name",
-    ["missing.mp4", "text.mp4", "empty.mkv", "folder.mp4", "sound.mp4", "cut.mp4", "cut.mkv", "changes.ts"]
-    + ["formats.h264"],
-)
+BROKEN = ("missing.mp4", "text.mp4", "empty.mkv", "folder.mp4", "sound.mp4", "cut.mp4", "cut.mkv", "changes.ts")
+
+
+@pytest.mark.parametrize("name", [*BROKEN, "formats.h264"])
 def test_what_is_no_video_is_one_line(run: Run, name: str) -> None:
     broken(name)
     before = sorted(os.listdir())
@@ -605,7 +606,7 @@ def test_names_that_begin_with_a_dash(run: Run) -> None:
 @pytest.mark.parametrize("size", [(63, 47), (1, 1), (2, 2), (1, 40), (65, 1)])
 @pytest.mark.parametrize("border", ["none", "50"])
 def test_odd_sizes(run: Run, size: tuple[int, int], border: str) -> None:
-    for k, pixel_format in enumerate(("yuv420p", "yuv444p", "yuv411p")):
+    for k, pixel_format in enumerate(("yuv420p", "yuv444p", "yuv422p10le")):
         source = f"in{k}.mkv"
         clips.make(source, "ffv1", pixel_format, count=5, size=size, options={"level": "1", "slices": "1"})
         for grab in ("0,0,2:0,0,3", "0,0,2:3,3,3", "0,0:3,3"):
@@ -626,9 +627,10 @@ def test_a_miscounted_clip_is_read_once_more(run: Run, monkeypatch: pytest.Monke
         found = true(container, film)
         return replace(found, count=found.count + off)
 
+    off = 0
     monkeypatch.setattr(supple.media.video, "survey", survey)
     d = supple.Deformation.from_recipe(TIMED, frames.shape[:3])
-    for off in (-2, 3):
+    for off in (-2, 3):  # noqa: B007
         assert run("warp", "in.mkv", "out.mkv", *GRAB, "--force") == (0, "", "")
         np.testing.assert_array_equal(stack("out.mkv"), d.warp(frames))
         assert run("warp", "in.mkv", "out", *GRAB, "--force") == (0, "", "")
@@ -783,7 +785,8 @@ def test_slices(run: Run, options: list[str], suffix: str) -> None:
 
 
 def test_plots_show_what_warp_makes(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    frames = stack(noisy("in.mkv", "gbrp"))  # in the order of planes that NumPy is given: R, G, B
+    clips.make("in.mkv", "png", "rgb24", count=12, smooth=False)
+    frames = np.stack([frame.to_ndarray() for frame in clips.decoded("in.mkv")])
     bent = supple.Deformation.from_recipe(TIMED, frames.shape[:3]).warp(frames)
     shown: list[Any] = []
     for name in ("draw_slice", "draw_sheet"):
@@ -833,7 +836,6 @@ PLOTS_REFUSED = [
     (["--what", "grid", "--frame", "2", "--y", "2"], "slices"),
     (["--frame", "12"], "from 0 to 11"),
     (["--frame", "-1"], "from 0 to 11"),
-    (["--frame", "1.5"], "--frame"),
     (["--what", "movie"], "movie"),
     (["--what", "sheet", "--codec", "h264"], "codec is for videos"),
     (["--what", "sheet", "--crf", "20"], "crf is for videos"),

@@ -12,9 +12,12 @@ import pytest
 from supple import SuppleError
 from supple.cli import command
 from supple.gallery import SCENES, write_gallery
-from supple.media import image
+from supple.media import image, video
+from supple.scenes import Take
 
 SHOTS = [shot for scene in SCENES for shot in scene.shots]
+STILLS = [shot for shot in SHOTS if not isinstance(shot, Take)]
+TAKES = [shot for shot in SHOTS if isinstance(shot, Take)]
 
 
 @pytest.fixture(scope="module")
@@ -30,13 +33,16 @@ class Links(HTMLParser):
         self.links: list[str] = []
         self.open: list[str] = []
         self.commands: list[str] = []
+        self.videos: list[dict[str, str | None]] = []
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        self.links += [value for name, value in attrs if name in ("src", "href") and value]
+        self.links += [value for name, value in attrs if name in ("src", "href", "poster") and value]
         if tag not in ("img", "input", "meta"):
             self.open.append(tag)
         if tag == "pre":
             self.commands.append("")
+        if tag == "video":
+            self.videos.append(dict(attrs))
 
     def handle_endtag(self, tag: str) -> None:
         assert self.open.pop() == tag
@@ -65,7 +71,7 @@ def test_the_page_needs_nothing_from_elsewhere(gallery: Path) -> None:
 
 def test_every_picture_has_its_views_and_its_certified_error(gallery: Path) -> None:
     text, links = read_page(gallery)
-    for shot in SHOTS:
+    for shot in STILLS:
         assert {shot.source, f"{shot.name}.jpg", f"{shot.name}-stretch.png", f"{shot.name}-grid.png"} <= set(
             links.links
         )
@@ -74,16 +80,37 @@ def test_every_picture_has_its_views_and_its_certified_error(gallery: Path) -> N
         ]
         assert size[:2] == size[2:]
     errors = [float(found) for found in re.findall(r"Error at most ([\d.]+) px", text)]
-    assert len(errors) == len(SHOTS)
+    assert len(errors) == len(SHOTS) == len(STILLS) + len(TAKES)
     assert all(0 < error <= 0.01 for error in errors)
     assert text.count("supple: warning: ") == 1
+
+
+def test_every_clip_plays_beside_what_became_of_it(gallery: Path) -> None:
+    _, links = read_page(gallery)
+    assert [element["src"] for element in links.videos] == [n for take in TAKES for n in (take.source, take.target)]
+    for element in links.videos:
+        assert {"muted", "loop", "controls", "playsinline"} <= element.keys()
+        facts = video.info(gallery / str(element["src"]))
+        assert (facts["container"].split(",")[0], facts["codec"], facts["pixel_format"]) == ("mov", "h264", "yuv420p")
+        size = (int(str(element["width"])), int(str(element["height"])))
+        assert size == (facts["width"], facts["height"])
+        poster = image.info(gallery / str(element["poster"]))
+        assert size == (poster["width"], poster["height"])
+        assert facts["frames"] == 64
+    for take in TAKES:
+        assert f"{take.name}-sheet.png" in links.links
+        assert (f"{take.name}-slice.png" in links.links) == (take.row is not None)
+        before, after = (image.read(gallery / f"{take.name}-{when}.jpg").pixels for when in ("before", "after"))
+        x, y, width, height = take.area
+        changed = abs(after.astype(int) - before).mean(axis=2)
+        assert changed[y : y + height, x : x + width].max() > 60
 
 
 @pytest.mark.parametrize("number", range(len(SHOTS)))
 def test_the_commands_make_the_pictures(gallery: Path, number: int, monkeypatch: pytest.MonkeyPatch) -> None:
     _, links = read_page(gallery)
     monkeypatch.chdir(gallery)
-    name = f"{SHOTS[number].name}.jpg"
+    name = SHOTS[number].target
     before = Path(name).read_bytes()
     arguments = shlex.split(links.commands[number].partition("\nsupple:")[0].replace("\\\n", ""))
     assert arguments[:2] == ["supple", "warp"]

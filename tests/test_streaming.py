@@ -306,7 +306,7 @@ def test_a_time_filter_needs_more_frames() -> None:
 @pytest.mark.parametrize("between", ["linear", "cubic"])
 def test_what_flickers_becomes_grey_in_every_plane(between: str) -> None:
     layout = layout_of(shape=(40, 70))
-    d = Deformation((60, 40, 70), border=None, on_fold="flow").grab((35, 20, 15), by=(4, 2, 28), radius=25)
+    d = Deformation((60, 40, 70), on_fold="flow").grab((35, 20, 15), by=(4, 2, 28), radius=25)
     arrays = [np.zeros((60, *g.shape, g.channels), np.uint8) for g in layout.groups]
     for array in arrays:
         array[::2] = 255

@@ -93,7 +93,9 @@ def _prepared(folder: Path, force: bool) -> Path:
 
 
 def _section(place: Path, scene: Scene, tell: Callable[[str], None]) -> str:
-    shots = "".join((_take if isinstance(shot, Take) else _shot)(place, shot, tell) for shot in scene.shots)
+    shots = "".join(
+        _take(place, shot, tell) if isinstance(shot, Take) else _shot(place, shot, tell) for shot in scene.shots
+    )
     return f"<section>\n<h2>{escape(scene.title)}</h2>\n<p>{escape(scene.text)}</p>\n{shots}</section>"
 
 
@@ -124,34 +126,36 @@ def _take(place: Path, take: Take, tell: Callable[[str], None]) -> str:
     source, target = place / take.source, place / take.target
     made = warp_file(source, target, take.recipe, clip=ClipOptions(time_scale=take.time_scale), force=True)
     assert isinstance(made, WarpedClip)
-    clips = [_frames(path) for path in (source, target)]
+    before, after = _frames(source), _frames(target)
     x, y, width, height = take.area
-    sheets = [[(k, clip[k][y : y + height, x : x + width]) for k in take.frames] for clip in clips]
-    draw_sheet(*sheets, place / f"{take.name}-sheet.png", force=True)
-    cuts = [np.stack([frame[take.row] for frame in clip]) for clip in clips]
-    draw_slice(*cuts, take.row, place / f"{take.name}-slice.png", axis="y", force=True)
+    parts = ([(k, clip[k][y : y + height, x : x + width]) for k in take.frames] for clip in (before, after))
+    draw_sheet(next(parts), next(parts), place / f"{take.name}-sheet.png", force=True)
+    plots = [_figure(place, f"{take.name}-sheet.png", "Some frames, before and after.")]
+    if take.row is not None:
+        rows = (np.stack([frame[take.row] for frame in clip]) for clip in (before, after))
+        draw_slice(next(rows), next(rows), take.row, place / f"{take.name}-slice.png", axis="y", force=True)
+        plots.append(_figure(place, f"{take.name}-slice.png", f"What the row y = {take.row} shows over time."))
     still = take.frames[len(take.frames) // 2]
-    videos = []
-    for clip, name, when in zip(clips, (take.source, take.target), ("before", "after"), strict=True):
-        poster = f"{take.name}-{when}.jpg"
-        write(place / poster, clip[still], force=True)
-        rows, columns = clip[still].shape[:2]
-        videos.append(
-            f'<figure><video src="{name}" poster="{poster}" width="{columns}" height="{rows}" muted loop controls '
-            f'playsinline preload="metadata" aria-label="{escape(take.caption)} {when.capitalize()}."></video>'
-            f"<figcaption>{when.capitalize()}</figcaption></figure>\n"
-        )
-    plots = [
-        _figure(place, f"{take.name}-sheet.png", "Some frames, before and after."),
-        _figure(place, f"{take.name}-slice.png", f"What the row y = {take.row} shows over time."),
+    videos = [
+        _video(place, name, f"{take.name}-{when.lower()}.jpg", clip[still], when)
+        for clip, name, when in ((before, take.source, "Before"), (after, take.target, "After"))
     ]
     facts = (
-        f"<b>Error at most {made.error:.4f} px and frames</b>, by the checks of the map. {made.frames} frames, of which "
-        f"{made.held} are held at once."
+        f"<b>Error at most {made.error:.4f} px and frames</b>, by the checks of the map. {made.frames} frames, "
+        f"{made.held} of them held at once."
     )
     return (
         f'<div class="clips">\n{"".join(videos)}</div>\n{_explained(take, facts, [])}'
         f'<div class="plots">\n{"".join(plots)}</div>\n'
+    )
+
+
+def _video(place: Path, name: str, poster: str, still: Colours, when: str) -> str:
+    write(place / poster, still, force=True)
+    height, width = still.shape[:2]
+    return (
+        f'<figure><video src="{name}" poster="{poster}" width="{width}" height="{height}" muted loop controls '
+        f'playsinline preload="metadata" aria-label="{when}."></video><figcaption>{when}</figcaption></figure>\n'
     )
 
 

@@ -244,26 +244,34 @@ def _solve_middles(w, one, table, axes, z, x0, y0, cells, count, smooth, ndim, l
 def _settle_coarse(w, one, table, axes, z, x, y, grid, anchor, first, coarse):
     """Solve for the samples of the coarser grid in a cell of one pixel, where no patch is good enough.
 
-    Returns the residual, in pixels, if that did not converge.
+    Returns the residual, in physical units, of those that did not converge.
     """
     fx, fy, ox, oy = grid[0], grid[1], grid[2], grid[3]
-    u, v = int(np.ceil((x - ox) / fx)), int(np.ceil((y - oy) / fy))
-    left, down = fx * u + ox - x, fy * v + oy - y
-    inside = u < coarse.shape[2] and 0 <= v - first < coarse.shape[1]
-    if not inside or left >= 1.0 or down >= 1.0 or (left == 0.0 and down == 0.0):
-        return 0.0
-    finest = 1e-4 * min(axes[0, 2], min(axes[1, 2], axes[2, 2]))
-    w[QX], w[QY], w[QZ] = (x + left) * axes[0, 2], (y + down) * axes[1, 2], z * axes[2, 2]
-    for c in range(min(coarse.shape[0], 3)):
-        unit, sited = (fx, ox) if c == 0 else ((fy, oy) if c == 1 else (1.0, 0.0))
-        w[X + c * BATCH] = ((anchor[c] + np.float64(coarse[c, v - first, u])) * unit + sited) * axes[c, 2]
-    if coarse.shape[0] == 2:
-        w[Z] = z * axes[2, 2]
-    settle(w, one, 1, table, axes, finest, 10)
-    for c in range(min(coarse.shape[0], 3)):
-        unit, sited = (fx, ox) if c == 0 else ((fy, oy) if c == 1 else (1.0, 0.0))
-        coarse[c, v - first, u] = np.float32((w[PX + c * BATCH] / axes[c, 2] - sited) / unit - anchor[c])
-    return 0.0 if w[DONE] > 0.0 else np.sqrt(w[NORM])
+    u0, v0 = int(np.ceil((x - ox) / fx)), int(np.ceil((y - oy) / fy))
+    # The last cell has its right and lower edge, too, and samples beyond: there, the map goes on as at the edge.
+    u1 = coarse.shape[2] if x + 1 >= grid[4] else int(np.ceil((x + 1 - ox) / fx))
+    v1 = first + coarse.shape[1] if y + 1 >= grid[5] else int(np.ceil((y + 1 - oy) / fy))
+    finest, worst = 1e-4 * min(axes[0, 2], min(axes[1, 2], axes[2, 2])), 0.0
+    for v in range(max(v0, first), min(v1, first + coarse.shape[1])):
+        for u in range(u0, min(u1, coarse.shape[2])):
+            left, down = fx * u + ox - x, fy * v + oy - y
+            right, below = max(left - 1.0, 0.0), max(down - 1.0, 0.0)
+            w[QX], w[QY], w[QZ] = (x + left - right) * axes[0, 2], (y + down - below) * axes[1, 2], z * axes[2, 2]
+            w[Z] = w[QZ]
+            for c in range(min(coarse.shape[0], 3)):
+                unit, sited = (fx, ox) if c == 0 else ((fy, oy) if c == 1 else (1.0, 0.0))
+                beyond = right if c == 0 else (below if c == 1 else 0.0)
+                guess = (anchor[c] + np.float64(coarse[c, v - first, u])) * unit + sited - beyond
+                w[X + c * BATCH] = guess * axes[c, 2]
+            settle(w, one, 1, table, axes, finest, 10)
+            for c in range(min(coarse.shape[0], 3)):
+                unit, sited = (fx, ox) if c == 0 else ((fy, oy) if c == 1 else (1.0, 0.0))
+                beyond = right if c == 0 else (below if c == 1 else 0.0)
+                found = (w[PX + c * BATCH] / axes[c, 2] + beyond - sited) / unit
+                coarse[c, v - first, u] = np.float32(found - anchor[c])
+            if w[DONE] == 0.0:
+                worst = max(worst, np.sqrt(w[NORM]))
+    return worst
 
 
 @inlined
@@ -387,7 +395,7 @@ def _refine(
                             row0,
                             coarse,
                         )
-                    if single and between and inner > tolerance:
+                    if single and between and inner > 0.25 * tolerance:
                         missed = _settle_coarse(
                             w, one, table, axes, z, x0 + a0, y0 + b0, grid, grid_anchor, row0, coarse
                         )
