@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import json
 import os
 import pty
@@ -19,7 +20,9 @@ import numpy.typing as npt
 import pytest
 
 import supple
+from supple import console
 from supple.cli import command
+from supple.console import Console
 from supple.media import image
 
 SOURCE = str(Path(__file__).resolve().parent.parent / "src")
@@ -520,6 +523,29 @@ def test_a_full_disk_leaves_nothing(here: Path) -> None:
     assert (status, out) == (2, "")
     assert "out.png" in one_line(err)
     assert os.listdir() == ["in.png"]
+
+
+def test_an_interrupt_that_a_library_swallows_comes_again(capsys: pytest.CaptureFixture[str]) -> None:
+    """What is raised in a callback from C, as LLVM has them, goes no further."""
+    heard: list[int] = []
+
+    def deep() -> int:
+        os.kill(os.getpid(), signal.SIGTERM)
+        heard.append(1)
+        time.sleep(0.001)
+        return 0
+
+    def wait(console: Console) -> None:
+        ctypes.CFUNCTYPE(ctypes.c_int)(deep)()
+        end = time.monotonic() + 100
+        while time.monotonic() < end:
+            time.sleep(0.001)
+
+    hook = sys.unraisablehook
+    assert console.run(wait) == 143
+    assert heard == []
+    assert capsys.readouterr() == ("", "supple: terminated\n")
+    assert sys.unraisablehook is hook
 
 
 def when_it_writes(process: subprocess.Popen[str], folder: str, number: int) -> None:

@@ -338,36 +338,28 @@ def _window(layout: Layout, capacity: int, memory: float) -> Iterator[list[Array
     if sum(sizes) <= memory:
         yield [np.empty(shape, layout.dtype) for shape in shapes]
         return
-    folder = tempfile.gettempdir()
-    try:
-        with tempfile.TemporaryFile(prefix="supple-") as file:
+    with contextlib.ExitStack() as stack:
+        try:
+            file = stack.enter_context(tempfile.TemporaryFile(prefix="supple-"))
             reserve(file, sum(sizes))
-            starts = [0, *np.cumsum(sizes)[:-1].tolist()]
-            held = [
-                np.memmap(file, layout.dtype, "r+", start, shape) for start, shape in zip(starts, shapes, strict=True)
-            ]
-            yield [np.asarray(part) for part in held]
-    except _NoRoomError as error:
-        raise SuppleError(
-            f"{capacity} frames have to be held at once, {sum(sizes) / 1e9:.1f} GB, more than the memory allowed, and "
-            f"{folder} has no room for them ({error}): allow more memory, or name another folder in TMPDIR"
-        ) from None
-
-
-class _NoRoomError(Exception):
-    pass
+        except OSError as error:
+            gb, why = sum(sizes) / 1e9, error.strerror or error
+            raise SuppleError(
+                f"{capacity} frames have to be held at once, {gb:.2g} GB, more than the memory allowed, and there is "
+                f"no room for them among the temporary files ({why}): allow more memory, or set TMPDIR elsewhere"
+            ) from None
+        starts = [0, *np.cumsum(sizes)[:-1].tolist()]
+        held = [np.memmap(file, layout.dtype, "r+", start, shape) for start, shape in zip(starts, shapes, strict=True)]
+        yield [np.asarray(part) for part in held]
 
 
 def reserve(file: IO[bytes], size: int) -> None:
     """Make a file as large as it is going to be, so that no later write finds the disk full."""
-    try:
-        allocate = getattr(os, "posix_fallocate", None)
-        if allocate:
-            allocate(file.fileno(), 0, size)
-        else:
-            zeros = bytes(1 << 24)
-            for start in range(0, size, len(zeros)):
-                file.write(zeros[: size - start])
-            file.flush()
-    except OSError as error:
-        raise _NoRoomError(error.strerror or str(error)) from None
+    allocate = getattr(os, "posix_fallocate", None)
+    if allocate:
+        allocate(file.fileno(), 0, size)
+        return
+    zeros = bytes(1 << 24)
+    for start in range(0, size, len(zeros)):
+        file.write(zeros[: size - start])
+    file.flush()
