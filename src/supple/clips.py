@@ -6,7 +6,9 @@ import contextlib
 import os
 import shutil
 import warnings
+from collections import deque
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, cast
@@ -35,6 +37,7 @@ SUFFIXES = frozenset(
 )
 SUFFIXES_OUT = frozenset({".avi", ".mkv", ".mov", ".mp4", ".webm"})
 GB = 1e9
+_AHEAD = 2  # frames that wait to be encoded
 
 
 @dataclass(frozen=True, slots=True)
@@ -281,15 +284,22 @@ def warp_clip(
                     known_error, held, still = 0.0, 0, clip.count
                 else:
                     writer = _writer(clip, target, known, quality, lossless, force)
-                    known_error, held, still = _through(clip, deformation, sampling, writer, known.memory, tell)
+                    known_error, held, still = _through(
+                        clip, deformation, sampling, writer, known.memory, not is_picture_target(target), tell
+                    )
                 warn_of(Certificate(known_error, 0.0), tolerance, 3)
                 return WarpedClip(
                     Path(source), Path(target), deformation, tolerance, clip.count, still, held, known_error
                 )
         except CountError as miscounted:
             if count is not None:
-                raise SuppleError(f"{shown(source)} gives another number of frames each time: repair it") from None
+                raise fickle(source) from None
             count = miscounted.found
+
+
+def fickle(source: PathLike) -> SuppleError:
+    """A clip whose frames cannot be counted."""
+    return SuppleError(f"{shown(source)} gives another number of frames each time: repair it")
 
 
 def _through(
@@ -298,6 +308,7 @@ def _through(
     sampling: Sampling,
     writer: contextlib.AbstractContextManager[Any],
     memory: float,
+    aside: bool,
     tell: Tell,
 ) -> tuple[float, int, int]:
     """Send all frames through a deformation; return the error, the frames held at once, and those left as they were."""
@@ -308,11 +319,10 @@ def _through(
     with writer as sink:
         plan = make_plan(space, clip.layout, sampling, range(n), lambda done: tell("plan", done, n))
         error = 0.0
-        with contextlib.closing(
-            cast(Any, stream(space, clip.layout, sampling, plan, clip.frames(), memory=memory))
-        ) as made:
+        made = stream(space, clip.layout, sampling, plan, clip.frames(), memory=memory, buffers=_AHEAD + 1)
+        with contextlib.closing(cast(Any, made)), _writing(sink.write, aside) as write:
             for z, arrays, certificate in made:
-                sink.write(arrays, z)
+                write(arrays, z)
                 error = max(error, certificate.error)
                 tell("warp", z + 1, n)
     return error, plan.capacity, int(plan.still.sum())
@@ -337,6 +347,29 @@ def _check_target(target: PathLike, options: ClipOptions, quality: int | None) -
             raise SuppleError(f"{option} is for videos, and {name} is pictures: leave it out")
     if quality is not None and not 1 <= quality <= 100:
         raise SuppleError(f"cannot write {name} with quality {quality}: quality goes from 1 to 100")
+
+
+@contextlib.contextmanager
+def _writing(write: Callable[[Sequence[Array], int], None], aside: bool) -> Iterator[Callable[..., None]]:
+    """Encode in a thread, while the next frames are made; what goes wrong there is raised here."""
+    if not aside:
+        yield write
+        return
+    waiting: deque[Future[None]] = deque()
+
+    def submit(arrays: Sequence[Array], k: int) -> None:
+        while len(waiting) >= _AHEAD:
+            waiting.popleft().result()
+        waiting.append(pool.submit(write, arrays, k))
+
+    with ThreadPoolExecutor(1, "supple-encode") as pool:
+        try:
+            yield submit
+            while waiting:
+                waiting.popleft().result()
+        finally:
+            for future in waiting:
+                future.cancel()
 
 
 def _writer(

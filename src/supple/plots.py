@@ -12,6 +12,7 @@ from supple.clips import (
     ClipOptions,
     PathLike,
     deformation_of,
+    fickle,
     frames_of,
     is_clip,
     open_clip,
@@ -99,7 +100,11 @@ def plot_file(
             try:
                 return _plot_clip(*asked, tell)
             except CountError as miscounted:
-                return _plot_clip(*asked, tell, miscounted.found)
+                found = miscounted.found
+            try:
+                return _plot_clip(*asked, tell, found)
+            except CountError:
+                raise fickle(source) from None
     timeless = options == ClipOptions(memory=options.memory)
     if what in ("slice", "sheet") or frame is not None or not timeless:
         raise SuppleError(f"{shown(source)} is taken for a picture, which has no time: leave out what is for videos")

@@ -197,6 +197,7 @@ def stream(
     frames: Iterable[Frame],
     *,
     memory: float = math.inf,
+    buffers: int = 1,
 ) -> Iterator[tuple[int, list[Array], Certificate]]:
     """Warp a clip as it is read.
 
@@ -208,13 +209,16 @@ def stream(
         All frames of the clip in order; it is read to its end.
     memory : float
         How many bytes frames may take in memory; beyond, they go to a temporary file.
+    buffers : int
+        For how many planes the samples are kept.
 
     Yields
     ------
     int
         A plane of the output.
     list of arrays
-        Its samples, one array (h, w, channels) for each group, which the next one overwrites.
+        Its samples, one array (h, w, channels) for each group, which a later one overwrites: the next, unless there
+        are more buffers.
     Certificate
         How exact its map is.
 
@@ -225,7 +229,7 @@ def stream(
     """
     with contextlib.ExitStack() as stack:
         window = stack.enter_context(_window(layout, plan.capacity, memory))
-        outs = [np.empty((*g.shape, g.channels), layout.dtype) for g in layout.groups]
+        sets = [[np.empty((*g.shape, g.channels), layout.dtype) for g in layout.groups] for _ in range(buffers)]
         make = _maker(space, layout, sampling, window)
         source = iter(frames)
         have = 0
@@ -237,8 +241,11 @@ def stream(
                 if have >= plan.keep[k]:
                     frame.copy_to([held[have % plan.capacity] for held in window])
                 have += 1
+            outs = sets[k % buffers]
             if plan.still[k]:
-                yield z, [held[z % plan.capacity] for held in window], Certificate(0.0, 0.0)
+                for held, out in zip(window, outs, strict=True):
+                    out[...] = held[z % plan.capacity]
+                yield z, outs, Certificate(0.0, 0.0)
             else:
                 yield z, outs, make(z, int(plan.first[k]), int(plan.last[k]), outs)
         for _ in source:

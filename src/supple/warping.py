@@ -78,7 +78,11 @@ def warp_frames(
         return result, Certificate(0.0, 0.0)
     deep, target = (a if a.ndim == 4 else a[..., None] for a in (array, result))
     kind = np.dtype(
-        np.uint8 if array.dtype.kind == "b" else np.float32 if array.dtype == np.float16 else array.dtype
+        np.uint8
+        if array.dtype.kind == "b"
+        else np.float32
+        if (array.dtype.kind, array.dtype.itemsize) == ("f", 2)
+        else array.dtype
     ).newbyteorder("=")
     white = 1.0 if kind.kind == "f" or array.dtype.kind == "b" else float(np.iinfo(kind).max)
     bent = sampling.light and kind.kind == "f" and sampling.filter != "nearest"
