@@ -122,7 +122,7 @@ class _Commands:
         }
         if not paths[-1]:
             raise SuppleError("cannot write '': name a file, or a folder, last")
-        if len(paths) == 2 and is_clip(paths[0], paths[1], recipe) and not _into_folder(*paths):
+        if len(paths) == 2 and is_clip(paths[0], paths[1], recipe) and not _stands_for_several(paths[0]):
             jobs, many = [(Path(paths[0]), Path(paths[1]))], False
         else:
             jobs, many = pair(paths[:-1], paths[-1])
@@ -323,12 +323,10 @@ def _version() -> str:
     return f"supple {__version__}"
 
 
-def _into_folder(source: str, target: str) -> bool:
-    """Whether a video goes into a folder, under its name, or several do, which a pattern stands for."""
+def _stands_for_several(source: str) -> bool:
+    """Whether several videos go into a folder, which a pattern stands for; of one, a folder takes the pictures."""
     from supple.media.numbering import has_number
 
-    if os.path.isfile(source):
-        return os.path.isdir(target)
     return glob.has_magic(source) and not has_number(source) and not os.path.exists(source)
 
 

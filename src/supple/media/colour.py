@@ -268,5 +268,5 @@ def side_data(frame: av.VideoFrame, kind: str) -> bytes | None:
     try:
         found: Any = frame.side_data
         return bytes(found[kind])
-    except KeyError:
+    except (KeyError, ValueError):  # PyAV knows not all kinds, and then tells of none
         return None

@@ -27,7 +27,7 @@ def is_sequence(path: PathLike) -> bool:
 
 def has_number(path: PathLike) -> bool:
     """Whether a name is a pattern."""
-    return bool(_NUMBER.search(Path(path).name))
+    return bool(_NUMBER.search(Path(path).name)) and not os.path.isdir(path)
 
 
 def first_number(paths: list[Path]) -> int | None:

@@ -12,7 +12,6 @@ import av
 import numpy as np
 
 from supple.cpu.kernel import threads as all_threads
-from supple.errors import SuppleError
 from supple.media.codecs import Encoder, container_of, named, options, pixel_formats, read_as
 from supple.media.colour import Colour, sited
 from supple.media.files import shown
@@ -27,6 +26,7 @@ PathLike = str | os.PathLike[str]
 # Encoders that take any times. The others count frames, and their packets are given the times afterwards.
 _TIMED = frozenset(("libx264", "libx264rgb", "libx265", "libvpx", "libvpx-vp9", "libsvtav1"))
 _FINEST = 1_000_000  # ticks a second that they are trusted with
+_SLICED = 16  # pixels that a frame must have along each side for FFV1 to cut it
 _USUAL = 10  # bits, the most that players are used to
 # Codecs that say themselves how wide a pixel is; Matroska and AVI cannot be told through PyAV.
 _ASPECT = frozenset(("h264", "hevc", "mpeg4", "mpeg2video", "mpeg1video", "mjpeg"))
@@ -95,13 +95,9 @@ class Plan:
             names = [each for each, kind in kinds.items() if kind.family == "yuv" and kind.bits <= _USUAL] or names
         size = (reel.width, reel.height)
         wish = Wish(reel.form, reel.colour, size, not (reel.stills and lossy), told if lossy else Colour())
-        try:
-            made = match(self.target, encoder.name, names, wish, asked, self._opens)
-        except SuppleError:
-            if encoder.name != "ffv1":
-                raise
-            encoder.options.update({"level": "1", "slices": "1"})  # frames too small to be cut into slices
-            made = match(self.target, encoder.name, names, wish, asked, self._opens)
+        if encoder.name == "ffv1" and min(size) < _SLICED:
+            encoder.options.update({"level": "1", "slices": "1"})  # too small to be cut into slices
+        made = match(self.target, encoder.name, names, wish, asked, self._opens)
         strange = made.colour.full(made.form) or made.colour.coefficients(reel.height) not in (told.matrix, 5)
         if not lossy and made.form.kind.family == "yuv" and told != Colour() and strange:
             self.warn("cannot say what its colours mean, and may look different")
