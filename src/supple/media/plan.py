@@ -95,7 +95,7 @@ class Plan:
             names = [each for each, kind in kinds.items() if kind.family == "yuv" and kind.bits <= _USUAL] or names
         size = (reel.width, reel.height)
         wish = Wish(reel.form, reel.colour, size, not (reel.stills and lossy), told if lossy else Colour())
-        if encoder.name == "ffv1" and min(size) < _SLICED:
+        if encoder.name == "ffv1" and min(size) < _SLICED and not (asked or self._takes(reel.form, reel.colour)):
             encoder.options.update({"level": "1", "slices": "1"})  # too small to be cut into slices
         made = match(self.target, encoder.name, names, wish, asked, self._opens)
         strange = made.colour.full(made.form) or made.colour.coefficients(reel.height) not in (told.matrix, 5)
@@ -170,6 +170,10 @@ class Plan:
                 settings[key] = joined
         if self.encoder.codec == "hevc" and self.container in ("mp4", "mov"):
             context.codec_tag = "hvc1"  # what QuickTime plays
+
+    def _takes(self, own: Form, colour: Colour) -> bool:
+        """Whether the encoder opens for the pixel format that there is."""
+        return self._opens(Match(own, colour, True, "", False))
 
     def _opens(self, chosen: Match) -> bool:
         """Try whether the encoder opens."""
