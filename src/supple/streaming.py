@@ -346,14 +346,16 @@ def _window(layout: Layout, capacity: int, memory: float) -> Iterator[list[Array
         yield [np.empty(shape, layout.dtype) for shape in shapes]
         return
     with contextlib.ExitStack() as stack:
+        folder = "the folder of temporary files"
         try:
+            folder = tempfile.gettempdir()
             file = stack.enter_context(tempfile.TemporaryFile(prefix="supple-"))
             reserve(file, sum(sizes))
         except OSError as error:
             gb, why = sum(sizes) / 1e9, error.strerror or error
             raise SuppleError(
                 f"{capacity} frames have to be held at once, {gb:.2g} GB, more than the memory allowed, and there is "
-                f"no room for them among the temporary files ({why}): allow more memory, or set TMPDIR elsewhere"
+                f"no room for them in {folder} ({why}): allow more memory, or set TMPDIR to another folder"
             ) from None
         starts = [0, *np.cumsum(sizes)[:-1].tolist()]
         held = [np.memmap(file, layout.dtype, "r+", start, shape) for start, shape in zip(starts, shapes, strict=True)]
