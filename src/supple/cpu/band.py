@@ -432,6 +432,7 @@ def source_points(
     grid,
     coarse,
     coarse_anchors,
+    coarse_boxes,
     stats,
 ):
     """The source points of all pixels in the lattice's cell rows ``first`` to ``last - 1``.
@@ -451,6 +452,8 @@ def source_points(
     coarse : float32 array, shape (2, 3 or 4, rows of samples, samples)
         Receives the points of those, in steps of their grid, less their anchors; has no rows if there is none.
     coarse_anchors : int64 array, shape (runs, 3)
+    coarse_boxes : float64 array
+        The same for this grid, in its numbers; without cells if there is none.
     stats : float64 array, shape (STATS,)
         Worst error that the checks let expect, in pixels; evaluations of T; the farthest that a point is from its
         anchor; and, if only bounds are found, a bound of every component of the displacement, and the largest
@@ -557,3 +560,8 @@ def source_points(
                     stats[REACH] = max(stats[REACH], max(abs(box[c, 0]), abs(box[c, 1])))
                     boxes[j - first, i, c, 0] = anchor[c] + box[c, 0]
                     boxes[j - first, i, c, 1] = anchor[c] + box[c, 1]
+                if coarse_boxes.shape[1] > 0:
+                    for c in range(ndim):
+                        unit, sited = (grid[c], grid[2 + c]) if c < 2 else (1.0, 0.0)
+                        for side in range(2):
+                            coarse_boxes[j - first, i, c, side] = (anchor[c] + box[c, side] - sited) / unit

@@ -12,7 +12,7 @@ from supple.cpu.between import LINEAR, time_weight, time_widths
 from supple.cpu.filters import ALONG, DOWN, KIND, NONE, POINT, choose
 from supple.cpu.filters import LONG as OBLIQUE
 from supple.cpu.footprint import AUTO, PARTS, footprints
-from supple.cpu.frames import PART_T, locate
+from supple.cpu.frames import PART_T, locate, starts_of
 from supple.cpu.frames import PARTS as FRACTIONS
 from supple.cpu.kernel import colour_kernel as kernel
 from supple.cpu.kernel import inlined
@@ -160,7 +160,7 @@ def _row(samples, starts, width, channels, n, where, frame, words, parts, fracti
 @kernel
 def filtered_directly(
     samples,
-    starts,
+    slots,
     frames,
     first,
     height,
@@ -185,7 +185,7 @@ def filtered_directly(
 
     Parameters
     ----------
-    samples, starts, frames, first, height, width
+    samples, slots, frames, first, height, width
         As `supple.cpu.frames.linear_packed` takes them.
     earliest, latest, kind, average, mode, table, low, high, whole, octets
         As `supple.cpu.between.filtered_frames` takes them.
@@ -193,6 +193,7 @@ def filtered_directly(
         Receives which runs are done; the others have footprints that no box stands for.
     """
     channels = out.shape[2]
+    starts = starts_of(slots, height * width * channels)
     lanes = 1 if channels == 1 else 4
     words, parts, fractions = (
         np.empty(6 * WIDE, np.uint32),

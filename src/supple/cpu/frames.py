@@ -170,21 +170,31 @@ def _blend_deep(words, parts, n, out):
 
 
 @kernel
-def linear_packed(samples, starts, frames, first, height, width, points, anchors, edges, scale, out):
+def starts_of(slots, size):
+    """Where frames of so many samples start; the last one twice, as the next one beyond the last counts for nothing."""
+    starts = np.empty(slots.size + 1, np.int64)
+    for k in range(slots.size + 1):
+        starts[k] = slots[min(k, slots.size - 1)] * size
+    return starts
+
+
+@kernel
+def linear_packed(samples, slots, frames, first, height, width, points, anchors, edges, scale, out):
     """Linear samples of one or two channels of bytes, or one of 16 bits.
 
     Parameters
     ----------
     samples : flat array
         All frames that there are.
-    starts : int64 array
-        Where the frames from ``first`` on start in it; the last one twice.
+    slots : int64 array
+        Which of them the frames from ``first`` on are.
     frames : int
         How many frames the clip has.
     scale : int
         Items of ``samples`` for each pixel.
     """
     octets = samples.itemsize == 1
+    starts = starts_of(slots, height * width * scale)
     words, parts = np.empty(WORDS, np.uint32), np.empty(PARTS, np.float32)
     where, frame = np.empty(WIDE, np.int32), np.empty(WIDE, np.int32)
     most = starts.size - 2
@@ -205,12 +215,13 @@ def linear_packed(samples, starts, frames, first, height, width, points, anchors
 
 
 @colour_kernel
-def linear_plain(samples, starts, frames, first, height, width, points, anchors, edges, zero, whole, high, out):
+def linear_plain(samples, slots, frames, first, height, width, points, anchors, edges, zero, whole, high, out):
     """The same for any type and number of channels.
 
     ``zero`` is of the type that all is worked out in, and ``high`` the largest value of whole numbers.
     """
     channels = out.shape[2]
+    starts = starts_of(slots, height * width * channels)
     parts = np.empty(PARTS, np.float32)
     where, frame = np.empty(WIDE, np.int32), np.empty(WIDE, np.int32)
     most = starts.size - 2

@@ -60,7 +60,6 @@ def stack_sampler(
     source.flags.writeable = False
     rule = OUTSIDE[outside]
     height, width, channels = source.shape[1:]
-    size = height * width * channels
     samples = source.reshape(-1)
 
     if filter == "nearest":
@@ -81,8 +80,7 @@ def stack_sampler(
 
         def use_linear(band: Band, out: Array, first: int, slots: npt.NDArray[np.int64]) -> None:
             rows = out[band.top : band.top + band.points.shape[1]]
-            starts = np.append(slots, slots[-1]) * size
-            place = (samples, starts, count, first, height, width, band.points, band.anchors, band.edges)
+            place = (samples, slots, count, first, height, width, band.points, band.anchors, band.edges)
             if packed:
                 frames.linear_packed(*place, channels, rows)
             else:
@@ -101,8 +99,7 @@ def stack_sampler(
         octets = source.dtype == np.uint8
         timing = (BETWEEN[between_frames], average, mode)
         if not prepared and readable and min(height, width) > 1:
-            starts = np.append(slots, slots[-1]) * size
-            place = (samples, starts, count, first, height, width, band.points, band.anchors, band.edges)
+            place = (samples, slots, count, first, height, width, band.points, band.anchors, band.edges)
             direct.filtered_directly(
                 *place, *times_seen(outside, count, average), *timing, table, n.low, n.high, n.whole, octets, done, rows
             )

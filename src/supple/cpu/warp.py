@@ -181,6 +181,7 @@ def each_band(
             below = grid.shape[0] if last == rows else below
         coarse = np.empty((plane.ndim + rates, below - above, columns), np.float32)
         coarse_anchors = np.empty((runs, 3), np.int64)
+        coarse_boxes = np.empty((last - first, xs.size - 1 if grid else 0, plane.ndim, 2))
         stats = np.zeros(STATS)
         source_points(
             plane.table,
@@ -200,14 +201,12 @@ def each_band(
             steps,
             coarse,
             coarse_anchors,
+            coarse_boxes,
             stats,
         )
         second = None
         if grid:
-            bounds = boxes.copy()
-            for c in range(2):
-                bounds[..., c, :] = (boxes[..., c, :] - grid.offset[c]) / grid.step[c]
-            second = Band(above, coarse, coarse_anchors, bounds, coarse_edges)
+            second = Band(above, coarse, coarse_anchors, coarse_boxes, coarse_edges)
         use(Band(top, points, anchors, boxes, edges, second))
         return Certificate(float(stats[WORST]) + _rounding(float(stats[REACH])), float(stats[EVALUATIONS]))
 
@@ -256,6 +255,7 @@ def bounds_of(plane: Plane, tolerance: float) -> Bounds:
         np.array([1.0, 1.0, 0.0, 0.0, 0.0, 0.0]),
         np.empty((3, 0, 0), np.float32),
         anchors.copy(),
+        np.empty((rows, 0, 3, 2)),
         stats,
     )
     return Bounds(float(boxes[..., 2, 0].min()), float(boxes[..., 2, 1].max()), float(stats[FAR]), float(stats[RATE]))
