@@ -353,8 +353,9 @@ map made" means that the peer only samples: inverting the deformation is not in 
 - Memory of pictures is the peak resident size of the process, less that of the same command on a picture of 64².
 - Clips are Big Buck Bunny, resized, forwards and backwards in turn. Decoding and encoding alone is done by PyAV with
   the same settings (x264, medium, crf 18, two threads).
-- Forward mapping is the method of the paper's Appendix A, compiled, on two threads. As written, each frame searches
-  the columns of vertices for those around it; going on from where the frame before found them is faster.
+- Forward mapping is the method of the paper's Appendix A, compiled, on two threads; the authors' own took 45 s for
+  such a clip, on another machine. As written, each frame searches the columns of vertices for those around it; going
+  on from where the frame before found them is faster.
 - Warping one frame is what it costs in a stream: the map, and samples of luma and both chroma planes. The peer samples
   the same planes of two frames with maps made, and blends them by the weights of each pixel.
 """
