@@ -221,7 +221,8 @@ def against_forward_mapping(runs: int, quick: bool) -> list[Row]:
         how = "as written, each vertex searched for" if literal else "with a search that goes on from frame to frame"
         rows.append(
             Row(
-                f"a clip of 640×368×{count} bent in x, y and t: forward mapping of RGB ({how}) / ours, linear, 4:2:0 as stored",
+                f"a clip of 640×368×{count} bent in x, y and t: forward mapping of RGB ({how}) / "
+                "ours, linear, 4:2:0 as stored",
                 milliseconds(float(np.median(ours))),
                 milliseconds(float(np.median(theirs))),
                 f"{ratio:.0f}×",
