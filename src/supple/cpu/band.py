@@ -67,6 +67,28 @@ def _write(flat, at, n, a, b, d, e):
 
 
 @kernel
+def _fill_rates(nodes, j, i, h, k, width, height, left, top, x, y, points, grid, first, coarse):
+    """Write a cell's ∂p_t/∂t, bilinear between its nodes, beside its source points."""
+    m = M + 8
+    p, q, r, o = nodes[j, i, m], nodes[j, i + 1, m], nodes[j + 1, i, m], nodes[j + 1, i + 1, m]
+    for v in range(height):
+        t = v / k
+        a, b = p + t * (r - p), q + t * (o - q)
+        for u in range(width):
+            points[3, top + v, left + u] = a + u / h * (b - a)
+    if coarse.shape[1] > 0:
+        u0, v0 = int(np.ceil((x - grid[2]) / grid[0])), int(np.ceil((y - grid[3]) / grid[1]))
+        u1, v1 = int(np.ceil((x + h - grid[2]) / grid[0])), int(np.ceil((y + k - grid[3]) / grid[1]))
+        u1 = coarse.shape[2] if x + h >= grid[4] else min(u1, coarse.shape[2])
+        v1 = first + coarse.shape[1] if y + k >= grid[5] else min(v1, first + coarse.shape[1])
+        for v in range(v0, v1):
+            t = min((grid[1] * v + grid[3] - y) / k, 1.0)
+            a, b = p + t * (r - p), q + t * (o - q)
+            for u in range(u0, u1):
+                coarse[3, v - first, u] = a + min((grid[0] * u + grid[2] - x) / h, 1.0) * (b - a)
+
+
+@kernel
 def _fill(
     nodes, j, i, h, k, width, height, left, top, x, y, anchor, points, box, grid, grid_anchor, first, coarse, own, stats
 ):
@@ -160,28 +182,8 @@ def _fill(
                 for u in range(u1, u2):
                     beyond = one_x * (fx * u + ox - x - h)
                     coarse_flat[at + u - u0] = np.float32(moved + scale * (own[4 * WIDTH + v] + beyond))
-
-
-@kernel
-def _fill_rates(nodes, j, i, h, k, width, height, left, top, x, y, points, grid, first, coarse):
-    """The same for ∂p_t/∂t, bilinear between the nodes."""
-    m = M + 8
-    p, q, r, o = nodes[j, i, m], nodes[j, i + 1, m], nodes[j + 1, i, m], nodes[j + 1, i + 1, m]
-    for v in range(height):
-        t = v / k
-        a, b = p + t * (r - p), q + t * (o - q)
-        for u in range(width):
-            points[3, top + v, left + u] = a + u / h * (b - a)
-    if coarse.shape[1] > 0:
-        u0, v0 = int(np.ceil((x - grid[2]) / grid[0])), int(np.ceil((y - grid[3]) / grid[1]))
-        u1, v1 = int(np.ceil((x + h - grid[2]) / grid[0])), int(np.ceil((y + k - grid[3]) / grid[1]))
-        u1 = coarse.shape[2] if x + h >= grid[4] else min(u1, coarse.shape[2])
-        v1 = first + coarse.shape[1] if y + k >= grid[5] else min(v1, first + coarse.shape[1])
-        for v in range(v0, v1):
-            t = min((grid[1] * v + grid[3] - y) / k, 1.0)
-            a, b = p + t * (r - p), q + t * (o - q)
-            for u in range(u0, u1):
-                coarse[3, v - first, u] = a + min((grid[0] * u + grid[2] - x) / h, 1.0) * (b - a)
+    if points.shape[0] == 4:
+        _fill_rates(nodes, j, i, h, k, width, height, left, top, x, y, points, grid, first, coarse)
 
 
 @kernel
@@ -377,24 +379,6 @@ def _refine(
                         own,
                         stats,
                     )
-                    if points.shape[0] == 4:
-                        _fill_rates(
-                            mini,
-                            v,
-                            u,
-                            ch[e],
-                            ck[e],
-                            across,
-                            down,
-                            left + a0,
-                            top + b0,
-                            x0 + a0,
-                            y0 + b0,
-                            points,
-                            grid,
-                            row0,
-                            coarse,
-                        )
                     if single and between and inner > 0.25 * tolerance:
                         missed = _settle_coarse(
                             w, one, table, axes, z, x0 + a0, y0 + b0, grid, grid_anchor, row0, coarse
@@ -519,10 +503,6 @@ def source_points(
                         own,
                         stats,
                     )
-                    if points.shape[0] == 4:
-                        _fill_rates(
-                            nodes, j, i, h, k, width, height, left, top, xs[i], ys[j], points, grid, row0, coarse
-                        )
                 else:
                     _copy(nodes, j, i, local, 0, 0)
                     _copy(nodes, j, i + 1, local, 0, h)

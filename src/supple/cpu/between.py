@@ -9,12 +9,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from supple.cpu.filters import KIND, NONE, choose, filter_row
-from supple.cpu.footprint import AUTO, EWA, PARTS, WIDEST, extremes, footprints
+from supple.cpu.filters import KIND, NONE, choose, filter_row, tile_of
+from supple.cpu.footprint import AUTO, PARTS, WIDEST, footprints
 from supple.cpu.kernel import colour_kernel as kernel
 from supple.cpu.kernel import inlined
-from supple.cpu.pyramid import build, levels_for
-from supple.cpu.region import bounds, load, spans, store
+from supple.cpu.pyramid import build
+from supple.cpu.region import load, spans, store
 from supple.cpu.sample import WIDE, limits, positions
 
 NEAREST, LINEAR, CUBIC = 0, 1, 2
@@ -148,16 +148,9 @@ def filtered_frames(
             continue
         left, right = edges[run], min(edges[run + 1], out.shape[1])
         n = right - left
-        margin, coarsest, largest = 3, 0, 0.0
-        if mode >= AUTO:
-            largest, second = extremes(points, left, n, mode, parts)
-            coarsest = 0 if mode == EWA else levels_for(second, WIDEST)
-            margin = int(np.ceil((1.0 if mode == EWA else 0.5) * np.sqrt(largest))) + 3 * 2**coarsest + 1
-        x0, x1 = bounds(boxes, run, 0, width, rule, margin)
-        y0, y1 = bounds(boxes, run, 1, height, rule, margin)
-        unit = 2**coarsest
-        x0, y0 = x0 - x0 % unit, y0 - y0 % unit
-        x1, y1 = x1 + (x0 - x1) % unit, y1 + (y0 - y1) % unit
+        x0, x1, y0, y1, margin, coarsest, largest = tile_of(
+            points, boxes, run, left, n, width, height, rule, mode, parts
+        )
         wide, deep = x1 - x0, y1 - y0
         if tile.size < wide * deep * lanes * (2 if coarsest else 1):
             tile = np.empty(wide * deep * lanes * (2 if coarsest else 1), table.dtype)

@@ -104,57 +104,44 @@ def _inside(points, row, left, n, anchor, width, height):
     return across and low_y + anchor[1] >= ABOVE and high_y + anchor[1] < height - BELOW
 
 
+def _row_of(channels, cubic, box):
+    """The loop over a row, for one number of channels: known to the compiler, they cost half."""
+    lanes = 1 if channels == 1 else 4
+
+    @inlined
+    def row(samples, starts, width, n, where, frame, words, parts, fractions, table, values):
+        zero = table.dtype.type(0)
+        stride = width * channels
+        near, far = stride + channels, 2 * stride + 2 * channels
+        for i in range(n):
+            at, f = np.int64(where[i]) * channels, frame[i]
+            here, there = starts[f] + at, starts[f + 1] + at
+            t = zero + fractions[PART_T + i]
+            if words[KIND + i] == np.uint32(POINT):
+                x, y = zero + parts[PART_X + i], zero + parts[PART_Y + i]
+                cubic(samples, here - near, there - near, stride, x, y, t, values, lanes * i)
+            elif words[KIND + i] != np.uint32(NONE):
+                along, down = np.int64(words[ALONG + i]), np.int64(words[DOWN + i])
+                box(samples, here - far, there - far, stride, table, along, down, t, values, lanes * i)
+
+    return row
+
+
+_row1, _row2 = _row_of(1, _cubic1, _box1), _row_of(2, _cubic2, _box2)
+_row3, _row4 = _row_of(3, _cubic3, _box3), _row_of(4, _cubic4, _box4)
+
+
 @kernel
 def _row(samples, starts, width, channels, n, where, frame, words, parts, fractions, table, values):
     """The filtered values of a row that lies within the frame, between two frames each."""
-    zero = table.dtype.type(0)
-    lanes = 1 if channels == 1 else 4
-    stride = width * channels
-    near, far = stride + channels, 2 * stride + 2 * channels
     if channels == 1:
-        for i in range(n):
-            at, f = np.int64(where[i]) * 1, frame[i]
-            here, there = starts[f] + at, starts[f + 1] + at
-            t = zero + fractions[PART_T + i]
-            if words[KIND + i] == np.uint32(POINT):
-                x, y = zero + parts[PART_X + i], zero + parts[PART_Y + i]
-                _cubic1(samples, here - near, there - near, stride, x, y, t, values, lanes * i)
-            elif words[KIND + i] != np.uint32(NONE):
-                along, down = np.int64(words[ALONG + i]), np.int64(words[DOWN + i])
-                _box1(samples, here - far, there - far, stride, table, along, down, t, values, lanes * i)
+        _row1(samples, starts, width, n, where, frame, words, parts, fractions, table, values)
     elif channels == 2:
-        for i in range(n):
-            at, f = np.int64(where[i]) * 2, frame[i]
-            here, there = starts[f] + at, starts[f + 1] + at
-            t = zero + fractions[PART_T + i]
-            if words[KIND + i] == np.uint32(POINT):
-                x, y = zero + parts[PART_X + i], zero + parts[PART_Y + i]
-                _cubic2(samples, here - near, there - near, stride, x, y, t, values, lanes * i)
-            elif words[KIND + i] != np.uint32(NONE):
-                along, down = np.int64(words[ALONG + i]), np.int64(words[DOWN + i])
-                _box2(samples, here - far, there - far, stride, table, along, down, t, values, lanes * i)
+        _row2(samples, starts, width, n, where, frame, words, parts, fractions, table, values)
     elif channels == 3:
-        for i in range(n):
-            at, f = np.int64(where[i]) * 3, frame[i]
-            here, there = starts[f] + at, starts[f + 1] + at
-            t = zero + fractions[PART_T + i]
-            if words[KIND + i] == np.uint32(POINT):
-                x, y = zero + parts[PART_X + i], zero + parts[PART_Y + i]
-                _cubic3(samples, here - near, there - near, stride, x, y, t, values, lanes * i)
-            elif words[KIND + i] != np.uint32(NONE):
-                along, down = np.int64(words[ALONG + i]), np.int64(words[DOWN + i])
-                _box3(samples, here - far, there - far, stride, table, along, down, t, values, lanes * i)
+        _row3(samples, starts, width, n, where, frame, words, parts, fractions, table, values)
     else:
-        for i in range(n):
-            at, f = np.int64(where[i]) * 4, frame[i]
-            here, there = starts[f] + at, starts[f + 1] + at
-            t = zero + fractions[PART_T + i]
-            if words[KIND + i] == np.uint32(POINT):
-                x, y = zero + parts[PART_X + i], zero + parts[PART_Y + i]
-                _cubic4(samples, here - near, there - near, stride, x, y, t, values, lanes * i)
-            elif words[KIND + i] != np.uint32(NONE):
-                along, down = np.int64(words[ALONG + i]), np.int64(words[DOWN + i])
-                _box4(samples, here - far, there - far, stride, table, along, down, t, values, lanes * i)
+        _row4(samples, starts, width, n, where, frame, words, parts, fractions, table, values)
 
 
 @kernel

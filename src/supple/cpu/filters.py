@@ -199,6 +199,25 @@ def filter_row(tile, starts, widths, lanes, n, mode, largest, stride, words, par
                 _four1(tile, at - stride - 1, stride, own, 0, 4, values, i)
 
 
+@inlined
+def tile_of(points, boxes, run, left, n, width, height, rule, mode, parts):
+    """The part of a source that a run of pixels needs, whole at every level of its pyramid.
+
+    Returns its bounds x0, x1, y0 and y1, the margin in them, the coarsest level, and the largest σ₁'².
+    """
+    margin, coarsest, largest = 3, 0, 0.0
+    if mode >= AUTO:
+        largest, second = extremes(points, left, n, mode, parts)
+        coarsest = 0 if mode == EWA else levels_for(second, WIDEST)
+        margin = int(np.ceil((1.0 if mode == EWA else 0.5) * np.sqrt(largest))) + 3 * 2**coarsest + 1
+    x0, x1 = bounds(boxes, run, 0, width, rule, margin)
+    y0, y1 = bounds(boxes, run, 1, height, rule, margin)
+    unit = 2**coarsest
+    x0, y0 = x0 - x0 % unit, y0 - y0 % unit
+    x1, y1 = x1 + (x0 - x1) % unit, y1 + (y0 - y1) % unit
+    return x0, x1, y0, y1, margin, coarsest, largest
+
+
 @kernel
 def filtered(
     source,
@@ -246,16 +265,9 @@ def filtered(
     for run in range(anchors.shape[0]):
         left, right = edges[run], min(edges[run + 1], out.shape[1])
         n = right - left
-        margin, coarsest, largest = 3, 0, 0.0
-        if mode >= AUTO:
-            largest, second = extremes(points, left, n, mode, parts)
-            coarsest = 0 if mode == EWA else levels_for(second, WIDEST)
-            margin = int(np.ceil((1.0 if mode == EWA else 0.5) * np.sqrt(largest))) + 3 * 2**coarsest + 1
-        x0, x1 = bounds(boxes, run, 0, width, rule, margin)
-        y0, y1 = bounds(boxes, run, 1, height, rule, margin)
-        unit = 2**coarsest
-        x0, y0 = x0 - x0 % unit, y0 - y0 % unit
-        x1, y1 = x1 + (x0 - x1) % unit, y1 + (y0 - y1) % unit
+        x0, x1, y0, y1, margin, coarsest, largest = tile_of(
+            points, boxes, run, left, n, width, height, rule, mode, parts
+        )
         wide, tall = x1 - x0, y1 - y0
         # Every level is a quarter of the one before.
         if tile.size < wide * tall * lanes * (2 if coarsest else 1):

@@ -217,20 +217,15 @@ def _sum(builder: Any, vector: Any, channels: int) -> list[Any]:
 
 
 def _stencil(
-    builder: Any,
-    kind: Any,
-    pointer: Any,
-    bases: list[Any],
-    stride: Any,
-    types_: Any,
-    across: Any,
-    down: Any,
-    taps: int,
-    channels: int,
-    share: Any,
-) -> list[Any]:
-    """The weighted sum of ``taps`` by ``taps`` pixels in each frame, blended by ``share``; one for each channel."""
-    element, number = types_
+    context: Any, builder: Any, kind: Any, args: Any, across: Any, down: Any, taps: int, channels: int
+) -> None:
+    """The weighted sum of ``taps`` by ``taps`` pixels in each of two frames, mixed; one for each channel.
+
+    ``args`` begins with the samples, where the frames' pixels start in them, and the stride of rows, and ends with
+    the second frame's share, and with the array and the place that the sums go to.
+    """
+    element, number = (context.get_data_type(kind[k].dtype) for k in (0, -2))
+    pointer, bases, stride, share = _pointer(context, builder, kind[0], args[0]), args[1:3], args[3], args[-3]
     whole = ir.IntType(64)
     padded = 4 if taps == 4 else 8
     lanes = padded * channels if channels < 3 else 4
@@ -242,26 +237,24 @@ def _stencil(
         for j in range(taps):
             at = builder.add(base, builder.mul(stride, ir.Constant(whole, j)))
             if channels < 3:
-                line = _numbers(builder, kind, pointer, at, lanes, element, number)
+                line = _numbers(builder, kind[0], pointer, at, lanes, element, number)
             else:
                 line = None
                 for i in range(taps):
                     place = builder.add(at, ir.Constant(whole, i * channels))
-                    value = _numbers(builder, kind, pointer, place, 4, element, number)
+                    value = _numbers(builder, kind[0], pointer, place, 4, element, number)
                     line = _fused(builder, value, columns[i], line) if line else builder.fmul(value, columns[i])
             total = _fused(builder, line, rows[j], total) if total else builder.fmul(line, rows[j])
         frames.append(total)
     blended = _fused(builder, builder.fsub(frames[1], frames[0]), _splat(builder, share, lanes), frames[0])
     if channels > 2:
-        return [builder.extract_element(blended, ir.Constant(ir.IntType(32), c)) for c in range(channels)]
-    spread = _pick(builder, across, [i // channels for i in range(lanes)])
-    return _sum(builder, builder.fmul(blended, spread), channels)
-
-
-def _keep(builder: Any, context: Any, kind: Any, target: Any, to: Any, values: list[Any]) -> None:
-    data = _pointer(context, builder, kind, target)
-    for c, value in enumerate(values):
-        builder.store(value, builder.gep(data, [builder.add(to, ir.Constant(ir.IntType(64), c))]))
+        sums = [builder.extract_element(blended, ir.Constant(ir.IntType(32), c)) for c in range(channels)]
+    else:
+        spread = _pick(builder, across, [i // channels for i in range(lanes)])
+        sums = _sum(builder, builder.fmul(blended, spread), channels)
+    target = _pointer(context, builder, kind[-2], args[-2])
+    for c, value in enumerate(sums):
+        builder.store(value, builder.gep(target, [builder.add(args[-1], ir.Constant(whole, c))]))
 
 
 def cubic_stencil(channels: int) -> Callable[..., None]:
@@ -278,7 +271,7 @@ def cubic_stencil(channels: int) -> Callable[..., None]:
     ) -> Any:
         def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
             kind = signature.args
-            element, number = (context.get_data_type(kind[k].dtype) for k in (0, 7))
+            number = context.get_data_type(kind[7].dtype)
 
             def vector(values: list[float]) -> Any:
                 return ir.Constant(ir.VectorType(number, 4), [ir.Constant(number, v) for v in values])
@@ -289,20 +282,7 @@ def cubic_stencil(channels: int) -> Callable[..., None]:
                 value = _fused(builder, value, t, vector([-0.5, 0.0, 0.5, 0.0]))
                 return _fused(builder, value, t, vector([0.0, 1.0, 0.0, 0.0]))
 
-            values = _stencil(
-                builder,
-                kind[0],
-                _pointer(context, builder, kind[0], args[0]),
-                list(args[1:3]),
-                args[3],
-                (element, number),
-                weights(args[4]),
-                weights(args[5]),
-                4,
-                channels,
-                args[6],
-            )
-            _keep(builder, context, kind[7], args[7], args[8], values)
+            _stencil(context, builder, kind, args, weights(args[4]), weights(args[5]), 4, channels)
             return context.get_dummy_value()
 
         i = types.intp
@@ -333,7 +313,7 @@ def table_stencil(channels: int) -> Callable[..., None]:
     ) -> Any:
         def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
             kind = signature.args
-            element, number = (context.get_data_type(kind[k].dtype) for k in (0, 8))
+            number = context.get_data_type(kind[8].dtype)
             data = _pointer(context, builder, kind[4], args[4])
 
             def weights(start: Any) -> Any:
@@ -349,20 +329,7 @@ def table_stencil(channels: int) -> Callable[..., None]:
                 order = [ir.Constant(ir.IntType(32), k) for k in range(8)]
                 return builder.shuffle_vector(first, rest, ir.Constant(ir.VectorType(ir.IntType(32), 8), order))
 
-            values = _stencil(
-                builder,
-                kind[0],
-                _pointer(context, builder, kind[0], args[0]),
-                list(args[1:3]),
-                args[3],
-                (element, number),
-                weights(args[5]),
-                weights(args[6]),
-                6,
-                channels,
-                args[7],
-            )
-            _keep(builder, context, kind[8], args[8], args[9], values)
+            _stencil(context, builder, kind, args, weights(args[5]), weights(args[6]), 6, channels)
             return context.get_dummy_value()
 
         i = types.intp
