@@ -15,7 +15,6 @@ from typing import Any, cast
 
 import numpy as np
 
-from supple.cpu.stack import BETWEEN
 from supple.cpu.warp import Certificate
 from supple.deformation import Deformation, Report, warn_of
 from supple.domain import choice, length, number, refuse
@@ -25,7 +24,7 @@ from supple.media.formats import SUFFIXES_OUT as PICTURES_OUT
 from supple.media.numbering import SUFFIXES_IN, has_number, is_sequence
 from supple.streaming import Array, Layout, Sampling, make_plan, stream
 from supple.strokes import Recipe
-from supple.warping import FILTERS, OUTSIDE
+from supple.warping import FILTERS, OUTSIDE, interpolated
 
 PathLike = str | os.PathLike[str]
 Tell = Callable[[str, int, int], None]
@@ -209,10 +208,7 @@ def sampling_of(
     """How a clip's frames are sampled, checked."""
     choice("filter", filter, ("nearest", *FILTERS))
     choice("outside", outside, tuple(OUTSIDE))
-    between = options.between or ("nearest" if filter == "nearest" else "linear")
-    choice("between", between, tuple(BETWEEN))
-    if filter == "nearest" and between != "nearest":
-        refuse("between", '"nearest" under filter="nearest", which keeps values as they are', between)
+    between = interpolated(filter, options.between)
     tolerance = number("tolerance", tolerance, "a number of pixels above 0", 1e-9, 1e9)
     if light and (len(layout.groups) > 1 or layout.dtype.kind == "f" or not _is_rgb(layout)):
         raise SuppleError(

@@ -13,14 +13,13 @@ import numpy.typing as npt
 from supple.cpu import field as forward_kernels
 from supple.cpu import newton
 from supple.cpu.kernel import share, threads
-from supple.cpu.stack import BETWEEN
 from supple.cpu.warp import Band, Certificate, Plane, absolute, each_band, folds, measure, solve_plane
 from supple.domain import Domain, choice, number, refuse
 from supple.errors import FoldWarning, SuppleError, ToleranceWarning
 from supple.folding import Resolved, resolve
 from supple.streaming import Sampling, Space
 from supple.strokes import STROKE_DTYPE, FoldPolicy, Point, Recipe, Stroke
-from supple.warping import FILTERS, OUTSIDE, Source, warp_array, warp_frames, warp_function
+from supple.warping import FILTERS, OUTSIDE, Source, interpolated, warp_array, warp_frames, warp_function
 
 Floats = npt.NDArray[np.float64]
 
@@ -417,16 +416,12 @@ class Deformation:
         choice("filter", filter, ("nearest", *FILTERS))
         choice("outside", outside, tuple(OUTSIDE))
         tolerance = number("tolerance", tolerance, "a number of pixels above 0", 1e-9, 1e9)
-        if between is None:
-            between = "nearest" if filter == "nearest" else "linear"
-        elif self.ndim == 2:
+        if between is not None and self.ndim == 2:
             refuse("between", "left out for an image, which is one frame", between)
-        choice("between", between, tuple(BETWEEN))
+        between = interpolated(filter, between)
         if self.ndim == 3:
             if callable(source):
                 raise SuppleError(f"a function of points is warped as an image, and shape {self.shape} has three axes")
-            if filter == "nearest" and between != "nearest":
-                refuse("between", '"nearest" under filter="nearest", which keeps values as they are', between)
             made, certificate = warp_frames(
                 source,
                 self.space,

@@ -156,7 +156,8 @@ def make_plan(
     if space.ndim == 3 and space.table.size:
         support = SUPPORT[sampling.between]
         earliest, latest = times_seen(sampling.outside, space.count, sampling.time_filter)
-        step = max(group.step for group in layout.groups)
+        grid = _grid_of(layout)
+        step = grid.step if grid else (1, 1)
 
         def look(k: int) -> None:
             bounds = bounds_of(space.solve(planes[k], step), sampling.tolerance)
@@ -265,15 +266,20 @@ def from_array(
             yield z, outs, make(z, int(plan.first[k]), int(plan.last[k]), outs)
 
 
-def _maker(
-    space: Space, layout: Layout, sampling: Sampling, window: Sequence[Array]
-) -> Callable[[int, int, int, Sequence[Array]], Certificate]:
-    """What fills the arrays of a plane from the frames in a window."""
+def _grid_of(layout: Layout) -> Grid | None:
+    """The grid of the samples that are not one for each pixel, if there are such."""
     grids = {(g.step, g.offset): g.shape for g in layout.groups}
     coarse = [key for key in grids if key != ((1, 1), (0.0, 0.0))]
     if len(coarse) > 1:
         raise SuppleError("frames with more than two grids of samples cannot be warped: convert them first")
-    grid = Grid(*coarse[0], grids[coarse[0]]) if coarse else None
+    return Grid(*coarse[0], grids[coarse[0]]) if coarse else None
+
+
+def _maker(
+    space: Space, layout: Layout, sampling: Sampling, window: Sequence[Array]
+) -> Callable[[int, int, int, Sequence[Array]], Certificate]:
+    """What fills the arrays of a plane from the frames in a window."""
+    grid = _grid_of(layout)
     step = grid.step if grid else (1, 1)
     capacity = len(window[0])
     channels = [g.channels for g in layout.groups]

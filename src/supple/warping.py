@@ -10,17 +10,28 @@ import numpy as np
 import numpy.typing as npt
 
 from supple.cpu.sampling import FILTERS, OUTSIDE, linear_light, sampler
+from supple.cpu.stack import BETWEEN
 from supple.cpu.warp import Band, Certificate
-from supple.domain import integer, refuse
+from supple.domain import choice, integer, refuse
 from supple.errors import SuppleError
 from supple.streaming import Group, Layout, Sampling, Space, from_array, make_plan, stream
 
-__all__ = ["FILTERS", "OUTSIDE", "Source", "warp_array", "warp_frames", "warp_function"]
+__all__ = ["FILTERS", "OUTSIDE", "Source", "interpolated", "warp_array", "warp_frames", "warp_function"]
 
 Array = npt.NDArray[Any]
 Source = Array | Callable[[npt.NDArray[np.float64]], npt.ArrayLike]
 
 _MOST_POINTS = 1 << 18  # of a function, asked for at once
+
+
+def interpolated(filter: str, between: str | None) -> str:
+    """How frames are interpolated, if it is not said; SuppleError if that does not go with the filter."""
+    if between is None:
+        return "nearest" if filter == "nearest" else "linear"
+    choice("between", between, tuple(BETWEEN))
+    if filter == "nearest" and between != "nearest":
+        refuse("between", '"nearest" under filter="nearest", which keeps values as they are', between)
+    return between
 
 
 def warp_array(
@@ -77,13 +88,9 @@ def warp_frames(
         result[...] = array
         return result, Certificate(0.0, 0.0)
     deep, target = (a if a.ndim == 4 else a[..., None] for a in (array, result))
-    kind = np.dtype(
-        np.uint8
-        if array.dtype.kind == "b"
-        else np.float32
-        if (array.dtype.kind, array.dtype.itemsize) == ("f", 2)
-        else array.dtype
-    ).newbyteorder("=")
+    kind = array.dtype.newbyteorder("=")
+    if kind in (np.bool_, np.float16):  # which kernels do not know
+        kind = np.dtype(np.uint8 if kind == np.bool_ else np.float32)
     white = 1.0 if kind.kind == "f" or array.dtype.kind == "b" else float(np.iinfo(kind).max)
     bent = sampling.light and kind.kind == "f" and sampling.filter != "nearest"
     layout = Layout((Group(space.shape, channels, alpha=straight),), kind, white)

@@ -49,6 +49,23 @@ class Numbers:
         """The type that all is worked out in."""
         return self.inside.dtype
 
+    def arguments(self, rule: int, table: Array) -> tuple[Any, ...]:
+        """What filters take, from ``lanes`` to ``whole``."""
+        return (
+            1 if len(self.inside) == 1 else 4,
+            rule,
+            self.inside,
+            self.alpha,
+            self.top,
+            self.levels,
+            table,
+            np.zeros(9, self.dtype),
+            self.top if self.light else 0.0,
+            self.low,
+            self.high,
+            self.whole,
+        )
+
 
 def numbers_of(dtype: np.dtype[Any], fill: Array, *, alpha: bool, light: bool, white: float | None = None) -> Numbers:
     """Choose them, for samples of a type.
@@ -154,18 +171,7 @@ def sampler(
             band.edges,
             band.boxes,
             mode,
-            1 if channels == 1 else 4,
-            rule,
-            n.inside,
-            n.alpha,
-            n.top,
-            n.levels,
-            table,
-            np.zeros(9, n.dtype),
-            n.top if light else 0.0,
-            n.low,
-            n.high,
-            n.whole,
+            *n.arguments(rule, table),
             source.dtype == np.uint8,
             target,
         )
