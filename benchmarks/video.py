@@ -27,7 +27,8 @@ from reference import psnr, reference_frame
 
 import supple
 from supple.clips import warp_clip
-from supple.streaming import Group, Layout, Sampling, from_array, make_plan
+from supple.stacks import warp_stack
+from supple.streaming import Group, Layout, Sampling, Space
 
 Array = npt.NDArray[Any]
 DATA = Path(supple.__file__).parent / "data"
@@ -116,17 +117,17 @@ def one_frame(runs: int) -> list[Row]:
         theirs = plain_resampling(luma[..., 0], chroma, points)
 
         for kind, bar in (("linear", 1.0 if border is None else None), ("auto", None)):
-            sampling = Sampling(kind)
-            # The same frame again and again, as they come when a clip streams through.
-            plan = make_plan(d.space, layout, sampling, [z] * (runs + 1))
-            made = from_array(d.space, layout, sampling, plan, [luma, chroma])
+            outs = [np.empty((1, *a.shape[1:]), a.dtype) for a in (luma, chroma)]
+
+            def ours(space: Space = d.space, kind: str = kind, outs: list[Array] = outs) -> None:
+                list(warp_stack(space, layout, Sampling(kind), [z], [luma, chroma], outs))
 
             name = "free border" if border is None else "fixed border of 50"
             rows.append(
                 timed(
                     f"one frame of 1080p 4:2:0 warped in time, {kind}, {name}: ours / cv2.remap of two frames, "
                     "maps made, blended",
-                    lambda made=made: next(made),
+                    ours,
                     theirs,
                     runs,
                     bar,
@@ -203,10 +204,10 @@ def against_forward_mapping(runs: int, quick: bool) -> list[Row]:
         d = d.grab((200, 200, min(75, count // 2)), by=(100, 100, 60), radius=70)
     out = np.empty_like(frames)
 
+    kept = [np.empty_like(luma), np.empty_like(chroma)]
+
     def as_stored() -> None:
-        plan = make_plan(d.space, layout, Sampling("linear"), range(count))
-        for _ in from_array(d.space, layout, Sampling("linear"), plan, [luma, chroma]):
-            pass
+        list(warp_stack(d.space, layout, Sampling("linear"), range(count), [luma, chroma], kept))
 
     as_stored()
     rows, literally = [], 0.0

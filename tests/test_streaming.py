@@ -20,7 +20,8 @@ import pytest
 import reference
 
 from supple import Deformation, SuppleError
-from supple.streaming import Group, Layout, Plan, Sampling, Space, from_array, make_plan, stream
+from supple.stacks import warp_stack
+from supple.streaming import Group, Layout, Plan, Sampling, Space, make_plan, stream
 
 pytestmark = pytest.mark.filterwarnings("ignore::supple.FoldWarning")
 
@@ -207,11 +208,14 @@ def test_streams_and_arrays_are_one(rule: str) -> None:
         for averaged in (False, True):
             between = "nearest" if name == "nearest" else "linear"
             sampling = Sampling(name, between, averaged, rule, (50.0,))
-            found, plan, _ = streamed(d.space, layout, arrays, sampling)
-            for k, (z, parts, _) in enumerate(from_array(d.space, layout, sampling, plan, arrays)):
-                assert z == k
-                for part, out in zip(parts, found, strict=True):
-                    np.testing.assert_array_equal(part, out[k])
+            found, _, _ = streamed(d.space, layout, arrays, sampling)
+            for planes in (range(COUNT), [5]):
+                outs = [np.empty((len(planes), *a.shape[1:]), a.dtype) for a in arrays]
+                *_, (done, known) = warp_stack(d.space, layout, sampling, planes, arrays, outs)
+                assert done == len(planes)
+                assert 0 < known.error <= 0.01
+                for out, part in zip(outs, found, strict=True):
+                    np.testing.assert_array_equal(out, part[list(planes)])
             grey = Layout(layout.groups[:1], layout.dtype, 255)
             alone, _, _ = streamed(d.space, grey, arrays[:1], sampling)
             np.testing.assert_array_equal(

@@ -156,7 +156,7 @@ def make_plan(
     if space.ndim == 3 and space.table.size:
         support = SUPPORT[sampling.between]
         earliest, latest = times_seen(sampling.outside, space.count, sampling.time_filter)
-        grid = _grid_of(layout)
+        grid = grid_of(layout)
         step = grid.step if grid else (1, 1)
 
         def look(k: int) -> None:
@@ -253,20 +253,7 @@ def stream(
             pass
 
 
-def from_array(
-    space: Space, layout: Layout, sampling: Sampling, plan: Plan, window: Sequence[Array]
-) -> Iterator[tuple[int, list[Array], Certificate]]:
-    """The same for frames in arrays (T, h, w, channels), one for each group: contiguous, of the layout's type."""
-    outs = [np.empty(held.shape[1:], held.dtype) for held in window]
-    make = _maker(space, layout, sampling, window)
-    for k, z in enumerate(plan.planes):
-        if plan.still[k]:
-            yield z, [held[z] for held in window], Certificate(0.0, 0.0)
-        else:
-            yield z, outs, make(z, int(plan.first[k]), int(plan.last[k]), outs)
-
-
-def _grid_of(layout: Layout) -> Grid | None:
+def grid_of(layout: Layout) -> Grid | None:
     """The grid of the samples that are not one for each pixel, if there are such."""
     grids = {(g.step, g.offset): g.shape for g in layout.groups}
     coarse = [key for key in grids if key != ((1, 1), (0.0, 0.0))]
@@ -275,28 +262,35 @@ def _grid_of(layout: Layout) -> Grid | None:
     return Grid(*coarse[0], grids[coarse[0]]) if coarse else None
 
 
+def fills_of(layout: Layout, sampling: Sampling) -> list[npt.NDArray[np.float64]]:
+    """What lies outside, for each group."""
+    channels = [g.channels for g in layout.groups]
+    values = np.broadcast_to(np.asarray(sampling.fill, np.float64), sum(channels))
+    return np.split(values, np.cumsum(channels)[:-1])
+
+
+def part_of(band: Band, group: Group, grid: Grid | None) -> Band:
+    """The source points of a group's samples."""
+    if grid and group.step == grid.step and group.offset == grid.offset:
+        assert band.coarse is not None
+        return band.coarse
+    return band
+
+
 def _maker(
     space: Space, layout: Layout, sampling: Sampling, window: Sequence[Array]
 ) -> Callable[[int, int, int, Sequence[Array]], Certificate]:
     """What fills the arrays of a plane from the frames in a window."""
-    grid = _grid_of(layout)
+    grid = grid_of(layout)
     step = grid.step if grid else (1, 1)
     capacity = len(window[0])
-    channels = [g.channels for g in layout.groups]
-    fills = np.split(np.broadcast_to(np.asarray(sampling.fill, np.float64), sum(channels)), np.cumsum(channels)[:-1])
     common: dict[str, Any] = {
         "filter": sampling.filter,
         "outside": sampling.outside,
         "light": sampling.light,
         "white": layout.white,
     }
-    parts = list(zip(layout.groups, window, fills, strict=True))
-
-    def part_of(band: Band, group: Group) -> Band:
-        if grid and group.step == grid.step and group.offset == grid.offset:
-            assert band.coarse is not None
-            return band.coarse
-        return band
+    parts = list(zip(layout.groups, window, fills_of(layout, sampling), strict=True))
 
     if space.ndim == 2:
         plane = space.solve(0, step)
@@ -311,7 +305,7 @@ def _maker(
 
             def fill_band(band: Band) -> None:
                 for use, g in zip(uses, layout.groups, strict=True):
-                    use(part_of(band, g))
+                    use(part_of(band, g, grid))
 
             share(fill_band, bands)
             return certificate
@@ -336,7 +330,7 @@ def _maker(
 
         def fill_band(band: Band) -> None:
             for use, g, out in zip(samplers, layout.groups, outs, strict=True):
-                use(part_of(band, g), out, first, slots)
+                use(part_of(band, g, grid), out, first, slots)
 
         return each_band(space.solve(z, step), sampling.tolerance, fill_band, grid, rates=sampling.time_filter)
 

@@ -14,7 +14,8 @@ from supple.cpu.stack import BETWEEN
 from supple.cpu.warp import Band, Certificate
 from supple.domain import choice, integer, refuse
 from supple.errors import SuppleError
-from supple.streaming import Group, Layout, Sampling, Space, from_array, make_plan, stream
+from supple.stacks import warp_stack
+from supple.streaming import Group, Layout, Sampling, Space, Tell, make_plan, stream
 
 __all__ = ["FILTERS", "OUTSIDE", "Source", "interpolated", "warp_array", "warp_frames", "warp_function"]
 
@@ -77,9 +78,18 @@ def warp_array(
 
 
 def warp_frames(
-    source: Array, space: Space, sampling: Sampling, *, alpha: bool | None, out: Array | None
+    source: Array,
+    space: Space,
+    sampling: Sampling,
+    *,
+    alpha: bool | None,
+    out: Array | None,
+    tell: Tell = lambda done: None,
 ) -> tuple[Array, Certificate]:
-    """Sample an array of frames, plane by plane, so that neither it nor ``out`` has to be in memory as a whole."""
+    """Sample an array of frames, plane by plane, so that neither it nor ``out`` has to be in memory as a whole.
+
+    ``tell`` is called with the number of planes done, now and then.
+    """
     array, straight = _checked(source, (space.count, *space.shape), alpha, sampling.light)
     channels = array.shape[3] if array.ndim == 4 else 1
     colours = _fill(sampling.fill, channels)
@@ -95,19 +105,21 @@ def warp_frames(
     bent = sampling.light and kind.kind == "f" and sampling.filter != "nearest"
     layout = Layout((Group(space.shape, channels, alpha=straight),), kind, white)
     sampling = replace(sampling, fill=tuple(colours))
-    plan = make_plan(space, layout, sampling, range(space.count))
-    if array.dtype == kind and array.flags.c_contiguous and not bent:
-        made = from_array(space, layout, sampling, plan, [deep])
-    else:
-        frames = (_ArrayFrame(deep[z], straight, bent) for z in range(space.count))
-        made = stream(space, layout, sampling, plan, frames)
     certificate = Certificate(0.0, 0.0)
-    for z, planes, known in made:
+    if not bent and all(a.dtype == kind and a.flags.c_contiguous for a in (deep, target)):
+        for done, known in warp_stack(space, layout, sampling, range(space.count), [deep], [np.asarray(target)]):
+            certificate |= known
+            tell(done)
+        return result, certificate
+    plan = make_plan(space, layout, sampling, range(space.count))
+    frames = (_ArrayFrame(deep[z], straight, bent) for z in range(space.count))
+    for z, planes, known in stream(space, layout, sampling, plan, frames):
         with np.errstate(over="ignore"):
             target[z] = planes[0]
             if bent and plan.still[z]:
                 target[z] = deep[z]  # and not light, back on its curve
         certificate |= known
+        tell(z + 1)
     return result, certificate
 
 

@@ -215,6 +215,57 @@ def linear_packed(samples, slots, frames, first, height, width, points, anchors,
 
 
 @colour_kernel
+def _gather_samples(samples, starts, stride, n, where, frame, taps):
+    """Of one channel, all eight neighbours: each in a row of its own."""
+    i = 0
+    while i < n:
+        end = _stretch(frame, i, n)
+        here, there = samples[starts[frame[i]] :], samples[starts[frame[i] + 1] :]
+        places = where[i:end]
+        a, b, c, d = taps[0, i:end], taps[1, i:end], taps[2, i:end], taps[3, i:end]
+        e, f, g, h = taps[4, i:end], taps[5, i:end], taps[6, i:end], taps[7, i:end]
+        for k in range(end - i):
+            at = np.uint32(places[k])
+            below = at + np.uint32(stride)
+            a[k], b[k], c[k], d[k] = here[at], here[at + np.uint32(1)], here[below], here[below + np.uint32(1)]
+            e[k], f[k], g[k], h[k] = there[at], there[at + np.uint32(1)], there[below], there[below + np.uint32(1)]
+        i = end
+
+
+@colour_kernel
+def _blend_samples(taps, parts, n, zero, whole, high, out):
+    half = zero + np.float32(0.5)
+    a, b, c, d = taps[0], taps[1], taps[2], taps[3]
+    e, f, g, h = taps[4], taps[5], taps[6], taps[7]
+    for i in range(n):
+        x, y, t = zero + parts[PART_X + i], zero + parts[PART_Y + i], zero + parts[PART_T + i]
+        u, v = _mix(a[i], b[i], c[i], d[i], x, y), _mix(e[i], f[i], g[i], h[i], x, y)
+        a[i] = u + t * (v - u)
+    if whole:
+        for i in range(n):
+            out[i, 0] = min(np.floor(a[i] + half), high)
+    else:
+        for i in range(n):
+            out[i, 0] = a[i]
+
+
+@colour_kernel
+def linear_single(samples, slots, frames, first, height, width, points, anchors, edges, zero, whole, high, out):
+    """The same for one channel of any type; see `linear_plain`."""
+    starts = starts_of(slots, height * width)
+    parts, taps = np.empty(PARTS, np.float32), np.full((8, WIDE), zero)
+    where, frame = np.empty(WIDE, np.int32), np.empty(WIDE, np.int32)
+    most = starts.size - 2
+    for y in range(out.shape[0]):
+        for run in range(anchors.shape[0]):
+            left, right = edges[run], min(edges[run + 1], out.shape[1])
+            n = right - left
+            locate(points, y, left, n, anchors[run], width, height, first, frames - 1, most, where, frame, parts)
+            _gather_samples(samples, starts, width, n, where, frame, taps)
+            _blend_samples(taps, parts, n, zero, whole, high, out[y, left:right])
+
+
+@colour_kernel
 def linear_plain(samples, slots, frames, first, height, width, points, anchors, edges, zero, whole, high, out):
     """The same for any type and number of channels.
 

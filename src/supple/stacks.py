@@ -1,0 +1,105 @@
+"""Frames or slices that are all at hand, in memory or mapped to it: planes side by side."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from supple.cpu.between import LONGEST
+from supple.cpu.kernel import share, threads
+from supple.cpu.lattice import U
+from supple.cpu.stack import SUPPORT, slots_of, stack_sampler, times_seen
+from supple.cpu.warp import Band, Certificate, Plane, bounds_of, each_band
+from supple.streaming import SLACK, Layout, Sampling, Space, fills_of, grid_of, part_of
+
+Array = npt.NDArray[Any]
+
+
+def warp_stack(
+    space: Space,
+    layout: Layout,
+    sampling: Sampling,
+    planes: Sequence[int],
+    sources: Sequence[Array],
+    outs: Sequence[Array],
+) -> Iterator[tuple[int, Certificate]]:
+    """Warp a clip or a volume whose frames can be read in any order.
+
+    Unlike `supple.streaming.stream`, it needs no plan, as nothing has to be held: each plane finds the frames it needs.
+
+    Parameters
+    ----------
+    space, layout, sampling
+        What to do, with what.
+    planes : sequence of int
+        Which planes of the output are wanted.
+    sources : sequence of arrays
+        All frames, one array (T, h, w, channels) for each group: contiguous, of the layout's type.
+    outs : sequence of arrays
+        Where the planes go, in the order of ``planes``: one array (len(planes), h, w, channels) for each group.
+
+    Yields
+    ------
+    int
+        How many planes are done.
+    Certificate
+        How exact the map is of those that were done since the last time.
+    """
+    grid = grid_of(layout)
+    step = grid.step if grid else (1, 1)
+    samplers = [
+        stack_sampler(
+            np.asarray(source),
+            space.count,
+            filter=sampling.filter,
+            between_frames=sampling.between,
+            average=sampling.time_filter,
+            outside=sampling.outside,
+            fill=fill,
+            alpha=group.alpha,
+            light=sampling.light,
+            white=layout.white,
+        )
+        for group, source, fill in zip(layout.groups, sources, fills_of(layout, sampling), strict=True)
+    ]
+    beyond = (LONGEST / 2 + 1 if sampling.time_filter else 0.0) + SLACK
+    support = SUPPORT[sampling.between]
+    earliest, latest = times_seen(sampling.outside, space.count, sampling.time_filter)
+
+    def one(k: int) -> Certificate:
+        plane = space.solve(planes[k], step)
+        if _is_still(plane, sampling.tolerance):
+            for source, out in zip(sources, outs, strict=True):
+                out[k] = source[planes[k]]
+            return Certificate(0.0, plane.evaluations)
+
+        def use(band: Band) -> None:
+            times = band.boxes[:, :, 2]
+            early, late = (min(max(float(t), earliest), latest) for t in (times.min(), times.max()))
+            first, last = math.floor(early - beyond) - support + 1, math.floor(late + beyond) + support
+            slots = slots_of(first, last, space.count, sampling.outside, space.count)
+            for sample, group, out in zip(samplers, layout.groups, outs, strict=True):
+                sample(part_of(band, group, grid), np.asarray(out[k]), first, slots)
+
+        return each_band(plane, sampling.tolerance, use, grid, rates=sampling.time_filter)
+
+    together = 8 * threads()
+    for start in range(0, len(planes), together):
+        chunk = range(start, min(start + together, len(planes)))
+        # A few planes share their bands instead.
+        found = share(one, chunk) if len(chunk) > threads() else [one(k) for k in chunk]
+        certificate = Certificate(0.0, 0.0)
+        for known in found:
+            certificate |= known
+        yield chunk.stop, certificate
+
+
+def _is_still(plane: Plane, tolerance: float) -> bool:
+    """Whether nothing on a plane moves by more than the tolerance."""
+    seen = float(np.abs(plane.nodes[..., U : U + 3]).max())
+    # Bounds of the whole plane are worth their while where the nodes have not settled it.
+    return seen * 3**0.5 <= tolerance and bounds_of(plane, tolerance).moved * 3**0.5 <= tolerance
