@@ -10,22 +10,22 @@ from numba.core import types
 from numba.extending import intrinsic
 
 
-def _pointer(context: Any, builder: Any, kind: Any, array: Any) -> Any:
+def data_of(context: Any, builder: Any, kind: Any, array: Any) -> Any:
     return context.make_array(kind)(context, builder, array).data
 
 
-def _at(builder: Any, pointer: Any, index: Any, lanes: int, element: Any) -> Any:
+def vector_at(builder: Any, pointer: Any, index: Any, lanes: int, element: Any) -> Any:
     return builder.bitcast(builder.gep(pointer, [index]), ir.VectorType(element, lanes).as_pointer())
 
 
-def _splat(builder: Any, value: Any, lanes: int) -> Any:
+def splat(builder: Any, value: Any, lanes: int) -> Any:
     vector = ir.VectorType(value.type, lanes)
     first = builder.insert_element(ir.Constant(vector, ir.Undefined), value, ir.Constant(ir.IntType(32), 0))
     zeros = ir.Constant(ir.VectorType(ir.IntType(32), lanes), [0] * lanes)
     return builder.shuffle_vector(first, ir.Constant(vector, ir.Undefined), zeros)
 
 
-def _fused(builder: Any, a: Any, b: Any, c: Any) -> Any:
+def fused(builder: Any, a: Any, b: Any, c: Any) -> Any:
     return builder.fadd(builder.fmul(a, b, flags=("contract",)), c, flags=("contract",))
 
 
@@ -48,15 +48,15 @@ def four_channels(count: int) -> Callable[..., None]:
         def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
             kind = signature.args
             samples, at_, stride_, weights, along_, down_, target, to_ = args
-            data = _pointer(context, builder, kind[0], samples)
-            rows = _pointer(context, builder, kind[3], weights)
+            data = data_of(context, builder, kind[0], samples)
+            rows = data_of(context, builder, kind[3], weights)
             element = context.get_data_type(kind[0].dtype)
             size = context.get_abi_sizeof(element)
             whole = ir.IntType(64)
 
             def weight(start: Any, k: int) -> Any:
                 value = builder.load(builder.gep(rows, [builder.add(start, ir.Constant(whole, k))]))
-                return _splat(builder, value, 4)
+                return splat(builder, value, 4)
 
             across = [weight(along_, i) for i in range(count)]
             total = None
@@ -65,12 +65,12 @@ def four_channels(count: int) -> Callable[..., None]:
                 start = builder.shl(start, ir.Constant(whole, 2))
                 line = None
                 for i in range(count):
-                    place = _at(builder, data, builder.add(start, ir.Constant(whole, 4 * i)), 4, element)
+                    place = vector_at(builder, data, builder.add(start, ir.Constant(whole, 4 * i)), 4, element)
                     value = builder.load(place, align=size)
-                    line = _fused(builder, value, across[i], line) if line else builder.fmul(value, across[i])
+                    line = fused(builder, value, across[i], line) if line else builder.fmul(value, across[i])
                 below = weight(down_, j)
-                total = _fused(builder, line, below, total) if total else builder.fmul(line, below)
-            place = _at(builder, _pointer(context, builder, kind[6], target), to_, 4, element)
+                total = fused(builder, line, below, total) if total else builder.fmul(line, below)
+            place = vector_at(builder, data_of(context, builder, kind[6], target), to_, 4, element)
             builder.store(total, place, align=size)
             return context.get_dummy_value()
 
@@ -89,8 +89,8 @@ def one_channel(count: int) -> Callable[..., None]:
         def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
             kind = signature.args
             samples, at_, stride_, weights, along_, down_, target, to_ = args
-            data = _pointer(context, builder, kind[0], samples)
-            rows = _pointer(context, builder, kind[3], weights)
+            data = data_of(context, builder, kind[0], samples)
+            rows = data_of(context, builder, kind[3], weights)
             element = context.get_data_type(kind[0].dtype)
             size = context.get_abi_sizeof(element)
             whole = ir.IntType(64)
@@ -101,17 +101,17 @@ def one_channel(count: int) -> Callable[..., None]:
                 start = builder.add(at_, builder.mul(stride_, ir.Constant(whole, j)))
                 down_j = builder.load(builder.gep(rows, [builder.add(down_, ir.Constant(whole, j))]))
                 for g, (first, lanes) in enumerate(groups):
-                    place = _at(builder, data, builder.add(start, ir.Constant(whole, first)), lanes, element)
-                    value, below = builder.load(place, align=size), _splat(builder, down_j, lanes)
-                    totals[g] = _fused(builder, value, below, totals[g]) if totals[g] else builder.fmul(value, below)
+                    place = vector_at(builder, data, builder.add(start, ir.Constant(whole, first)), lanes, element)
+                    value, below = builder.load(place, align=size), splat(builder, down_j, lanes)
+                    totals[g] = fused(builder, value, below, totals[g]) if totals[g] else builder.fmul(value, below)
             total = ir.Constant(element, 0.0)
             for (first, lanes), columns in zip(groups, totals, strict=True):
-                place = _at(builder, rows, builder.add(along_, ir.Constant(whole, first)), lanes, element)
+                place = vector_at(builder, rows, builder.add(along_, ir.Constant(whole, first)), lanes, element)
                 product = builder.fmul(columns, builder.load(place, align=size))
                 for lane in range(lanes):
                     part = builder.extract_element(product, ir.Constant(ir.IntType(32), lane))
                     total = builder.fadd(total, part)
-            builder.store(total, builder.gep(_pointer(context, builder, kind[6], target), [to_]))
+            builder.store(total, builder.gep(data_of(context, builder, kind[6], target), [to_]))
             return context.get_dummy_value()
 
         return _signature(tile, table, out), generate
@@ -126,12 +126,12 @@ def spread_bytes(typing: Any, source: Any, start: Any, values: Any, at: Any) -> 
     def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         kind = signature.args
         element = context.get_data_type(kind[2].dtype)
-        place = _at(builder, _pointer(context, builder, kind[0], args[0]), args[1], 4, ir.IntType(8))
+        place = vector_at(builder, data_of(context, builder, kind[0], args[0]), args[1], 4, ir.IntType(8))
         numbers = builder.uitofp(
             builder.zext(builder.load(place, align=1), ir.VectorType(ir.IntType(32), 4)),
             ir.VectorType(element, 4),
         )
-        target = _at(builder, _pointer(context, builder, kind[2], args[2]), args[3], 4, element)
+        target = vector_at(builder, data_of(context, builder, kind[2], args[2]), args[3], 4, element)
         builder.store(numbers, target, align=context.get_abi_sizeof(element))
         return context.get_dummy_value()
 
@@ -145,10 +145,10 @@ def gather_bytes(typing: Any, values: Any, at: Any, target: Any, to: Any) -> Any
     def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         kind = signature.args
         element = context.get_data_type(kind[0].dtype)
-        place = _at(builder, _pointer(context, builder, kind[0], args[0]), args[1], 4, element)
+        place = vector_at(builder, data_of(context, builder, kind[0], args[0]), args[1], 4, element)
         numbers = builder.load(place, align=context.get_abi_sizeof(element))
         whole = builder.fptosi(numbers, ir.VectorType(ir.IntType(32), 4))
-        place = _at(builder, _pointer(context, builder, kind[2], args[2]), args[3], 4, ir.IntType(8))
+        place = vector_at(builder, data_of(context, builder, kind[2], args[2]), args[3], 4, ir.IntType(8))
         builder.store(builder.trunc(whole, ir.VectorType(ir.IntType(8), 4)), place, align=1)
         return context.get_dummy_value()
 
@@ -161,7 +161,7 @@ def reader(size: int) -> Callable[..., Any]:
     @intrinsic
     def read(typing: Any, source: Any, start: Any) -> Any:
         def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-            place = builder.gep(_pointer(context, builder, signature.args[0], args[0]), [args[1]])
+            place = builder.gep(data_of(context, builder, signature.args[0], args[0]), [args[1]])
             number = builder.load(builder.bitcast(place, ir.IntType(8 * size).as_pointer()), align=1)
             return number if size == 4 else builder.zext(number, ir.IntType(32))
 
@@ -175,7 +175,7 @@ def prefetch(typing: Any, source: Any, start: Any) -> Any:
     """Fetch what lies around an item of a flat array into the cache; it need not be in the array."""
 
     def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        place = builder.gep(_pointer(context, builder, signature.args[0], args[0]), [args[1]])
+        place = builder.gep(data_of(context, builder, signature.args[0], args[0]), [args[1]])
         place = builder.bitcast(place, ir.IntType(8).as_pointer())
         whole = ir.IntType(32)
         kind = ir.FunctionType(ir.VoidType(), [ir.IntType(8).as_pointer(), whole, whole, whole])
@@ -189,7 +189,7 @@ def prefetch(typing: Any, source: Any, start: Any) -> Any:
 def _numbers(builder: Any, kind: Any, pointer: Any, at: Any, lanes: int, element: Any, number: Any) -> Any:
     """``lanes`` samples of a type from an index on, as a vector of numbers."""
     size = element.width // 8 if isinstance(element, ir.IntType) else (8 if isinstance(element, ir.DoubleType) else 4)
-    value = builder.load(_at(builder, pointer, at, lanes, element), align=size)
+    value = builder.load(vector_at(builder, pointer, at, lanes, element), align=size)
     if not isinstance(element, ir.IntType):
         return value if element == number else builder.fpext(value, ir.VectorType(number, lanes))
     signed = bool(kind.dtype.signed)
@@ -225,7 +225,7 @@ def _stencil(
     the second frame's share, and with the array and the place that the sums go to.
     """
     element, number = (context.get_data_type(kind[k].dtype) for k in (0, -2))
-    pointer, bases, stride, share = _pointer(context, builder, kind[0], args[0]), args[1:3], args[3], args[-3]
+    pointer, bases, stride, share = data_of(context, builder, kind[0], args[0]), args[1:3], args[3], args[-3]
     whole = ir.IntType(64)
     padded = 4 if taps == 4 else 8
     lanes = padded * channels if channels < 3 else 4
@@ -243,16 +243,16 @@ def _stencil(
                 for i in range(taps):
                     place = builder.add(at, ir.Constant(whole, i * channels))
                     value = _numbers(builder, kind[0], pointer, place, 4, element, number)
-                    line = _fused(builder, value, columns[i], line) if line else builder.fmul(value, columns[i])
-            total = _fused(builder, line, rows[j], total) if total else builder.fmul(line, rows[j])
+                    line = fused(builder, value, columns[i], line) if line else builder.fmul(value, columns[i])
+            total = fused(builder, line, rows[j], total) if total else builder.fmul(line, rows[j])
         frames.append(total)
-    blended = _fused(builder, builder.fsub(frames[1], frames[0]), _splat(builder, share, lanes), frames[0])
+    blended = fused(builder, builder.fsub(frames[1], frames[0]), splat(builder, share, lanes), frames[0])
     if channels > 2:
         sums = [builder.extract_element(blended, ir.Constant(ir.IntType(32), c)) for c in range(channels)]
     else:
         spread = _pick(builder, across, [i // channels for i in range(lanes)])
         sums = _sum(builder, builder.fmul(blended, spread), channels)
-    target = _pointer(context, builder, kind[-2], args[-2])
+    target = data_of(context, builder, kind[-2], args[-2])
     for c, value in enumerate(sums):
         builder.store(value, builder.gep(target, [builder.add(args[-1], ir.Constant(whole, c))]))
 
@@ -277,10 +277,10 @@ def cubic_stencil(channels: int) -> Callable[..., None]:
                 return ir.Constant(ir.VectorType(number, 4), [ir.Constant(number, v) for v in values])
 
             def weights(part: Any) -> Any:
-                t = _splat(builder, part, 4)
-                value = _fused(builder, vector([-0.5, 1.5, -1.5, 0.5]), t, vector([1.0, -2.5, 2.0, -0.5]))
-                value = _fused(builder, value, t, vector([-0.5, 0.0, 0.5, 0.0]))
-                return _fused(builder, value, t, vector([0.0, 1.0, 0.0, 0.0]))
+                t = splat(builder, part, 4)
+                value = fused(builder, vector([-0.5, 1.5, -1.5, 0.5]), t, vector([1.0, -2.5, 2.0, -0.5]))
+                value = fused(builder, value, t, vector([-0.5, 0.0, 0.5, 0.0]))
+                return fused(builder, value, t, vector([0.0, 1.0, 0.0, 0.0]))
 
             _stencil(context, builder, kind, args, weights(args[4]), weights(args[5]), 4, channels)
             return context.get_dummy_value()
@@ -314,14 +314,14 @@ def table_stencil(channels: int) -> Callable[..., None]:
         def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
             kind = signature.args
             number = context.get_data_type(kind[8].dtype)
-            data = _pointer(context, builder, kind[4], args[4])
+            data = data_of(context, builder, kind[4], args[4])
 
             def weights(start: Any) -> Any:
                 whole = ir.IntType(64)
                 size = context.get_abi_sizeof(number)
-                first = builder.load(_at(builder, data, start, 4, number), align=size)
+                first = builder.load(vector_at(builder, data, start, 4, number), align=size)
                 rest = builder.load(
-                    _at(builder, data, builder.add(start, ir.Constant(whole, 4)), 2, number), align=size
+                    vector_at(builder, data, builder.add(start, ir.Constant(whole, 4)), 2, number), align=size
                 )
                 zeros = ir.Constant(ir.VectorType(number, 2), [ir.Constant(number, 0.0)] * 2)
                 order = [ir.Constant(ir.IntType(32), k) for k in range(4)]
@@ -346,11 +346,11 @@ def write_cubic(typing: Any, out: Any, at: Any, start: Any, a: Any, b: Any, c: A
         number = ir.FloatType()
         kind = ir.VectorType(number, 8)
         steps = ir.Constant(kind, [ir.Constant(number, float(k)) for k in range(8)])
-        s = builder.fadd(_splat(builder, args[2], 8), steps)
-        value = _splat(builder, args[6], 8)
+        s = builder.fadd(splat(builder, args[2], 8), steps)
+        value = splat(builder, args[6], 8)
         for k in (5, 4, 3):
-            value = _fused(builder, value, s, _splat(builder, args[k], 8))
-        place = _at(builder, _pointer(context, builder, signature.args[0], args[0]), args[1], 8, number)
+            value = fused(builder, value, s, splat(builder, args[k], 8))
+        place = vector_at(builder, data_of(context, builder, signature.args[0], args[0]), args[1], 8, number)
         builder.store(value, place, align=4)
         return context.get_dummy_value()
 

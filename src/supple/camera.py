@@ -1,0 +1,151 @@
+"""A camera that looks at a volume: where it stands, and the rays of a picture's pixels."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from supple.domain import integer, number, point, refuse
+from supple.geometry import Geometry
+
+Floats = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Camera:
+    """A camera on an orbit around the middle of a volume, with perspective.
+
+    Angles are as a patient's: at 0, 0 it stands in front of the face. For data that does not know of a patient, the
+    face looks along -y, and the head is along +z.
+
+    Parameters
+    ----------
+    azimuth : float
+        Degrees around the vertical axis: 90 looks at the patient's left side, 180 from the back.
+    elevation : float
+        Degrees above the horizon, from -90 to 90.
+    distance : float, optional
+        From the eye to the target, in millimetres; by default, the whole volume just fits.
+    field_of_view : float
+        Degrees across the shorter side of the picture.
+    roll : float
+        Degrees by which the camera is turned about its own axis, clockwise.
+    target : (float, float, float), optional
+        What it looks at, in indices, x first; the volume's middle by default.
+    up : (float, float, float)
+        Where above is, in LPS: the head by default.
+    """
+
+    azimuth: float = 0.0
+    elevation: float = 0.0
+    distance: float | None = None
+    field_of_view: float = 30.0
+    roll: float = 0.0
+    target: tuple[float, ...] | None = None
+    up: tuple[float, ...] = (0.0, 0.0, 1.0)
+
+    def __post_init__(self) -> None:
+        for name in ("azimuth", "roll"):
+            number(name, getattr(self, name), "a number of degrees", -1e6, 1e6)
+        number("elevation", self.elevation, "a number of degrees from -90 to 90", -90, 90)
+        number("field_of_view", self.field_of_view, "a number of degrees from 1 to 150", 1, 150)
+        if self.distance is not None:
+            number("distance", self.distance, "a number of millimetres above 0", 1e-6, 1e9)
+        if self.target is not None:
+            object.__setattr__(self, "target", point("target", self.target, (3,)))
+        object.__setattr__(self, "up", point("up", self.up, (3,)))
+        if not any(self.up):
+            refuse("up", "a direction, and not 0,0,0", self.up)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class View:
+    """A camera before a volume, and the size of the picture.
+
+    Parameters
+    ----------
+    packed : float64 array, shape (5, 3)
+        As the engine takes it (`supple.cpu.raymarch`).
+    size : (int, int)
+        Rows and columns of the picture.
+    """
+
+    packed: Floats
+    size: tuple[int, int]
+
+    @property
+    def eye(self) -> Floats:
+        """Where the camera stands, in indices, x first."""
+        return np.asarray(self.packed[0], np.float64)
+
+    @property
+    def spacing(self) -> Floats:
+        """Millimetres from voxel to voxel, x first."""
+        return np.asarray(self.packed[1], np.float64)
+
+    @property
+    def ahead(self) -> Floats:
+        """Where it looks, in millimetres along the volume's axes; of length 1."""
+        return np.asarray(self.packed[2], np.float64)
+
+    def middle(self, xs: npt.ArrayLike, ys: npt.ArrayLike) -> Floats:
+        """Pixels, from the centre of the upper left one, as the engine counts them: from the middle, (N, 2)."""
+        height, width = self.size
+        return np.stack(
+            [np.asarray(xs, np.float64) - (width - 1) / 2, np.asarray(ys, np.float64) - (height - 1) / 2], -1
+        )
+
+    def direction(self, x: float, y: float) -> Floats:
+        """Where a pixel's ray goes, in millimetres along the volume's axes; of length 1."""
+        made = self.packed[2:].T @ np.array([1.0, *self.middle([x], [y])[0]])
+        return np.asarray(made / np.linalg.norm(made), np.float64)
+
+
+def view_of(camera: Camera, shape: tuple[int, ...], geometry: Geometry, size: tuple[int, int]) -> View:
+    """Set up a camera before a volume of ``shape`` (Z, H, W), for a picture of ``size`` (rows, columns)."""
+    height, width = (
+        integer(name, n, "a number of pixels from 1 to 32768", 1, 32768)
+        for name, n in zip(("height", "width"), size, strict=True)
+    )
+    spacing = np.array(geometry.spacing)
+    extent = np.array([n - 1.0 for n in reversed(shape)])
+    target = extent / 2 if camera.target is None else np.array(camera.target)
+    half = math.radians(camera.field_of_view) / 2
+    up = np.array(camera.up) / np.linalg.norm(camera.up)
+    # In front is -y; where that is above, another direction will do.
+    front = np.array([0.0, -1.0, 0.0])
+    if abs(front @ up) > 0.999:
+        front = np.array([0.0, 0.0, -1.0])
+    front -= (front @ up) * up
+    front /= np.linalg.norm(front)
+    left = np.cross(front, -up)  # of the patient who looks to the front
+    into = geometry.direction.T  # from LPS to the volume's axes
+
+    def axes_at(azimuth: float) -> tuple[Floats, Floats, Floats]:
+        """Where right, up and the eye are, along the volume's axes."""
+        elevation, roll = math.radians(camera.elevation), math.radians(camera.roll)
+        around = math.cos(azimuth) * front + math.sin(azimuth) * left
+        outward = math.cos(elevation) * around + math.sin(elevation) * up
+        above = math.cos(elevation) * up - math.sin(elevation) * around
+        right = np.cross(above, outward)
+        turned = math.cos(roll) * right - math.sin(roll) * above
+        return into @ turned, into @ (math.cos(roll) * above + math.sin(roll) * right), into @ outward
+
+    right, above, outward = axes_at(math.radians(camera.azimuth))
+    distance = camera.distance
+    if distance is None:
+        # From anywhere around it, so that a volume that turns does not seem to come and go.
+        corners = (np.array(list(itertools.product((0, 1), repeat=3))) * extent - target) * spacing
+        reach = np.array([width, height]) / min(width, height) * math.tan(half)
+        distance = float(spacing.max())
+        for azimuth in np.linspace(0, 2 * math.pi, 24, endpoint=False):
+            across, along, towards = (corners @ axis for axis in axes_at(azimuth))
+            sides = np.maximum(abs(across) / reach[0], abs(along) / reach[1])
+            distance = max(distance, float((sides + towards).max()))
+    eye = target + outward * distance / spacing
+    pixel = 2 * math.tan(half) / min(height, width)
+    return View(np.stack([eye, spacing, -outward, pixel * right, -pixel * above]), (height, width))

@@ -1,0 +1,423 @@
+"""A volume seen through a camera: rays from the eye, their first surface, and what lies behind it.
+
+The paper's Algorithm 3: where a ray enters the box, its first sample above a threshold, the surface before that by
+bisection, and samples from there on through a transfer function. They are composited front to back,
+c ← c + (1 - α) α_v c_v and α ← α + (1 - α) α_v, which gives what the paper's back to front does, and can stop early.
+
+A deformed volume is sampled at p = T⁻¹(q), and its gradient is (∂p/∂q)ᵀ ∇f.
+
+A view is float64 of shape (5, 3): the eye, in indices; the spacing; and, in millimetres along the volume's axes, where
+the camera looks, and a pixel to the right and one down, a millimetre ahead. Pixels are counted from the middle.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from supple.cpu.bricks import BRICK
+from supple.cpu.kernel import BATCH, colour_kernel, inlined, kernel
+from supple.cpu.newton import (
+    J00,
+    J01,
+    J02,
+    J10,
+    J11,
+    J12,
+    J20,
+    J21,
+    J22,
+    PX,
+    QX,
+    ROWS,
+    STEPS,
+    X,
+    settle,
+)
+from supple.cpu.solid import displacement, transposed
+
+BISECTIONS = 4  # before the surface is found by a straight line between two values, in 1/16 of a step
+OPAQUE = 0.995  # where a ray ends
+FAINT = 1e-3  # opacity below which nobody sees the shading
+AMBIENT, DIFFUSE, SPECULAR, SHININESS = 0.15, 0.8, 0.2, 4
+PLAIN, LATTICE = 0, 1
+
+
+@kernel
+def ray_of(view, x, y):
+    """Where a pixel's ray goes: in indices a millimetre, and in millimetres along the axes."""
+    a = view[2, 0] + x * view[3, 0] + y * view[4, 0]
+    b = view[2, 1] + x * view[3, 1] + y * view[4, 1]
+    c = view[2, 2] + x * view[3, 2] + y * view[4, 2]
+    size = 1.0 / np.sqrt(a * a + b * b + c * c)
+    a, b, c = a * size, b * size, c * size
+    return a / view[1, 0], b / view[1, 1], c / view[1, 2], a, b, c
+
+
+@kernel
+def box_of(ox, oy, oz, dx, dy, dz, nx, ny, nz):
+    """Where a ray enters and leaves the box between the outermost voxels' centres."""
+    near, far = 0.0, 1e300
+    for o, d, n in ((ox, dx, nx), (oy, dy, ny), (oz, dz, nz)):
+        if d == 0.0:
+            if o < 0.0 or o > n - 1.0:
+                return 1.0, 0.0
+        else:
+            a, b = -o / d, (n - 1.0 - o) / d
+            near, far = max(near, min(a, b)), min(far, max(a, b))
+    return near, far
+
+
+@inlined
+def _value(samples, nx, ny, nz, x, y, z):
+    """The trilinear sample at a point, that at the nearest point of the box outside of it."""
+    zero = np.float32(0.0)
+    x = min(max(np.float32(x), zero), np.float32(nx - 1))
+    y = min(max(np.float32(y), zero), np.float32(ny - 1))
+    z = min(max(np.float32(z), zero), np.float32(nz - 1))
+    i, j, k = min(np.int32(x), np.int32(nx - 2)), min(np.int32(y), np.int32(ny - 2)), min(np.int32(z), np.int32(nz - 2))
+    u, v, w = x - np.float32(i), y - np.float32(j), z - np.float32(k)
+    at = np.uint64((np.int64(k) * ny + j) * nx + i)
+    down, deep = np.uint64(nx), np.uint64(nx * ny)
+    one = np.uint64(1)
+    a, b = np.float32(samples[at]), np.float32(samples[at + one])
+    c, d = np.float32(samples[at + down]), np.float32(samples[at + down + one])
+    e, f = np.float32(samples[at + deep]), np.float32(samples[at + deep + one])
+    g, h = np.float32(samples[at + deep + down]), np.float32(samples[at + deep + down + one])
+    a, c, e, g = a + u * (b - a), c + u * (d - c), e + u * (f - e), g + u * (h - g)
+    a, e = a + v * (c - a), e + v * (g - e)
+    return a + w * (e - a)
+
+
+@inlined
+def _line(samples, at, stride, u):
+    """Twice the slope along a line of voxels, between the second and the third of four."""
+    a, b = np.float32(samples[at - stride]), np.float32(samples[at])
+    c, d = np.float32(samples[at + stride]), np.float32(samples[at + stride + stride])
+    before = c - a
+    return before + u * (d - b - before)
+
+
+@inlined
+def _mixed(a, b, c, d, s, t):
+    a, c = a + s * (b - a), c + s * (d - c)
+    return a + t * (c - a)
+
+
+@kernel
+def _slopes(samples, nx, ny, nz, x, y, z):
+    """The gradient by central differences, per index: of voxels, and trilinear in between."""
+    half, one = np.float32(0.5), np.float32(1.0)
+    x, y, z = np.float32(x), np.float32(y), np.float32(z)
+    inside = x >= one and y >= one and z >= one
+    if inside and x < np.float32(nx - 2) and y < np.float32(ny - 2) and z < np.float32(nz - 2):
+        i, j, k = np.int32(x), np.int32(y), np.int32(z)
+        u, v, w = x - np.float32(i), y - np.float32(j), z - np.float32(k)
+        right, down, deep = np.uint64(1), np.uint64(nx), np.uint64(nx * ny)
+        at = np.uint64((np.int64(k) * ny + j) * nx + i)
+        low, back = at + down, at + deep
+        gx = _mixed(
+            _line(samples, at, right, u),
+            _line(samples, low, right, u),
+            _line(samples, back, right, u),
+            _line(samples, back + down, right, u),
+            v,
+            w,
+        )
+        gy = _mixed(
+            _line(samples, at, down, v),
+            _line(samples, at + right, down, v),
+            _line(samples, back, down, v),
+            _line(samples, back + right, down, v),
+            u,
+            w,
+        )
+        gz = _mixed(
+            _line(samples, at, deep, w),
+            _line(samples, at + right, deep, w),
+            _line(samples, low, deep, w),
+            _line(samples, low + right, deep, w),
+            u,
+            v,
+        )
+    else:
+        gx = _value(samples, nx, ny, nz, x + one, y, z) - _value(samples, nx, ny, nz, x - one, y, z)
+        gy = _value(samples, nx, ny, nz, x, y + one, z) - _value(samples, nx, ny, nz, x, y - one, z)
+        gz = _value(samples, nx, ny, nz, x, y, z + one) - _value(samples, nx, ny, nz, x, y, z - one)
+    return half * gx, half * gy, half * gz
+
+
+@inlined
+def _entry(table, low, scale, value):
+    """Which row of a transfer function a value has."""
+    top = np.float32(table.shape[0] - 1)
+    return np.uint32(min(max((value - low) * scale, np.float32(0.0)), top) + np.float32(0.5))
+
+
+@kernel
+def _lit(gx, gy, gz, light, along):
+    """Ambient and diffuse light, and the highlight, of a surface with a gradient.
+
+    ``light`` points to the light, and ``along`` where the ray goes; both sides of a surface are lit.
+    """
+    zero = np.float32(0.0)
+    size = gx * gx + gy * gy + gz * gz
+    if not size > zero:
+        return np.float32(AMBIENT + DIFFUSE), zero
+    scale = np.float32(1.0) / np.sqrt(size)
+    nx, ny, nz = gx * scale, gy * scale, gz * scale
+    diffuse = abs(nx * light[0] + ny * light[1] + nz * light[2])
+    hx, hy, hz = light[0] - along[0], light[1] - along[1], light[2] - along[2]
+    half = np.float32(1.0) / max(np.sqrt(hx * hx + hy * hy + hz * hz), np.float32(1e-6))
+    shine = abs(nx * hx + ny * hy + nz * hz) * half
+    for _ in range(SHININESS):
+        shine *= shine
+    return np.float32(AMBIENT) + np.float32(DIFFUSE) * diffuse, np.float32(SPECULAR) * shine
+
+
+@inlined
+def _source(nodes, per_voxel, mode, x, y, z):
+    """T⁻¹ by the lattice, or the point itself."""
+    if mode == LATTICE:
+        dx, dy, dz = displacement(nodes, per_voxel, x, y, z)
+        x, y, z = x + dx, y + dy, z + dz
+    return x, y, z
+
+
+@colour_kernel
+def march(
+    samples, size, nodes, per_voxel, mode, skips, table, low, scale, threshold, window, view, pixels, step, light,
+    shaded, out, depth, work,
+):  # fmt: skip
+    """See a volume along some rays.
+
+    Parameters
+    ----------
+    samples : flat array
+        Of a type that float32 holds.
+    size : int64 array (nx, ny, nz)
+    nodes, per_voxel, mode
+        The lattice of T⁻¹, in indices, float32 of shape (., ., ., FIELDS); its nodes per voxel; PLAIN to do without.
+    skips : uint8 array (bricks z, y, x)
+        How many bricks away the next one is that anything is seen of.
+    table : float32 array (entries, 4)
+        The transfer function: linear red, green and blue, and the opacity of a step.
+    low, scale : float32
+        Which entry a value has.
+    threshold : float32
+        Below it, nothing is seen before the first surface.
+    window : float32 array (2)
+        The values that are seen at all.
+    view : float64 array (5, 3)
+    pixels : float64 array (n, 2)
+        x and y.
+    step : float
+        Millimetres from sample to sample.
+    light : float32 array (3)
+        Where it comes from, in millimetres along the axes.
+    shaded : bool
+    out : float32 array (n, 4)
+        Receives premultiplied linear colour, and opacity.
+    depth : float64 array (n, 2)
+        Receives how far the first surface is, in millimetres, and where opacity passes 0.9; infinity, if never.
+    work : int64 array (n, 2)
+        Receives the samples that were taken; the second is left for inversions.
+    """
+    nx, ny, nz = size[0], size[1], size[2]
+    wide, high, deep = np.uint32(skips.shape[2] - 1), np.uint32(skips.shape[1] - 1), np.uint32(skips.shape[0] - 1)
+    unseen, zero, one = np.float32(FAINT), np.float32(0.0), np.float32(1.0)
+    along = np.empty(3, np.float32)
+    ox, oy, oz = view[0, 0], view[0, 1], view[0, 2]
+    sx, sy, sz = np.float32(1.0 / view[1, 0]), np.float32(1.0 / view[1, 1]), np.float32(1.0 / view[1, 2])
+    bottom, top = window[0], window[1]
+    for r in range(pixels.shape[0]):
+        dx, dy, dz, ax, ay, az = ray_of(view, pixels[r, 0], pixels[r, 1])
+        along[0], along[1], along[2] = np.float32(ax), np.float32(ay), np.float32(az)
+        red = green = blue = alpha = np.float32(0.0)
+        surface, opaque, taken = np.inf, np.inf, 0
+        near, far = box_of(ox, oy, oz, dx, dy, dz, nx, ny, nz)
+        # How many steps a whole brick is, at least.
+        brick = BRICK / (max(abs(dx), max(abs(dy), abs(dz))) * step)
+        t, found, within = near, threshold == -np.inf, False
+        if found and near <= far:
+            surface = near
+        while t <= far:
+            qx, qy, qz = np.float32(ox + t * dx), np.float32(oy + t * dy), np.float32(oz + t * dz)
+            if not within:
+                bx = min(np.uint32(max(qx, zero)) // np.uint32(BRICK), wide)
+                by = min(np.uint32(max(qy, zero)) // np.uint32(BRICK), high)
+                bz = min(np.uint32(max(qz, zero)) // np.uint32(BRICK), deep)
+                away = skips[bz, by, bx]
+                if away > 0:
+                    t += step * max(1.0, np.floor((np.float64(away) - 1.0) * brick))
+                    continue
+            within = False
+            x, y, z = _source(nodes, per_voxel, mode, qx, qy, qz)
+            value = _value(samples, nx, ny, nz, x, y, z)
+            taken += 1
+            if not found:
+                if not (value >= threshold and value <= top):
+                    t += step
+                    continue
+                found = True
+                # The surface lies within the last step.
+                low_t, before = max(near, t - step), np.float32(-np.inf)
+                for turn in range(BISECTIONS + 1):
+                    middle = 0.5 * (low_t + t)
+                    if turn == BISECTIONS:
+                        if not (np.float32(-np.inf) < before and before < threshold):
+                            break
+                        middle = low_t + (t - low_t) * np.float64((threshold - before) / (value - before))
+                    mx, my, mz = (
+                        np.float32(ox + middle * dx),
+                        np.float32(oy + middle * dy),
+                        np.float32(oz + middle * dz),
+                    )
+                    ux, uy, uz = _source(nodes, per_voxel, mode, mx, my, mz)
+                    inner = _value(samples, nx, ny, nz, ux, uy, uz)
+                    taken += 1
+                    if turn == BISECTIONS or (inner >= threshold and inner <= top):
+                        t, x, y, z, value = middle, ux, uy, uz, inner
+                        qx, qy, qz = mx, my, mz
+                    else:
+                        low_t, before = middle, inner
+                surface = t
+            if value >= bottom and value <= top:
+                entry = _entry(table, low, scale, value)
+                opacity = table[entry, 3]
+                if opacity > zero:
+                    within = True  # where something is seen, the next sample is most likely too
+                    lit, shine = one, zero
+                    if shaded and opacity > unseen:
+                        fx, fy, fz = _slopes(samples, nx, ny, nz, x, y, z)
+                        if mode == LATTICE:
+                            fx, fy, fz = transposed(nodes, per_voxel, qx, qy, qz, fx, fy, fz)
+                        lit, shine = _lit(fx * sx, fy * sy, fz * sz, light, along)
+                    part = (one - alpha) * opacity
+                    red += part * (table[entry, 0] * lit + shine)
+                    green += part * (table[entry, 1] * lit + shine)
+                    blue += part * (table[entry, 2] * lit + shine)
+                    alpha += part
+                    if opaque == np.inf and alpha >= np.float32(0.9):
+                        opaque = t
+                    if alpha > np.float32(OPAQUE):
+                        break
+            t += step
+        out[r, 0], out[r, 1], out[r, 2], out[r, 3] = red, green, blue, alpha
+        depth[r, 0], depth[r, 1], work[r, 0] = surface, opaque, taken
+
+
+@inlined
+def _invert(w, one, n, view, rays, which, ts, shift, table, axes, finest, work):
+    """T⁻¹ of the points of ``n`` rays: into the rows PX.., from displacements that are known nearby."""
+    for m in range(n):
+        r = which[m]
+        for c in range(3):
+            q = (view[0, c] + ts[r] * rays[r, c]) * view[1, c]
+            w[QX + c * BATCH + m] = q
+            w[X + c * BATCH + m] = q + shift[r, c]
+    settle(w, one, n, table, axes, finest, 10)
+    for m in range(n):
+        r = which[m]
+        work[r, 1] += np.int64(w[STEPS + m])
+        for c in range(3):
+            shift[r, c] = w[PX + c * BATCH + m] - w[QX + c * BATCH + m]
+
+
+@colour_kernel
+def march_exactly(
+    samples, size, strokes, axes, finest, table, low, scale, threshold, window, view, pixels, step, light, shaded, out,
+    depth, work,
+):  # fmt: skip
+    """The same, but every sample along every ray is inverted by Newton's method, up to BATCH rays side by side.
+
+    ``strokes``, ``axes`` and ``finest`` are as the solver takes them; each sample starts from the displacement of the
+    one before.
+    """
+    nx, ny, nz = size[0], size[1], size[2]
+    w, one, alone = np.empty(ROWS * BATCH), np.empty(ROWS * BATCH), np.empty(ROWS * BATCH)
+    unit = np.float32(1.0)
+    spacing = view[1]
+    n = pixels.shape[0]
+    rays = np.empty((n, 6))
+    ts, fars, shift = np.empty(n), np.empty(n), np.zeros((n, 3))
+    found, which, single = np.zeros(n, np.bool_), np.empty(BATCH, np.int64), np.empty(1, np.int64)
+    along = np.empty(3, np.float32)
+    for first in range(0, n, BATCH):
+        last = min(first + BATCH, n)
+        count = 0
+        for r in range(first, last):
+            dx, dy, dz, ax, ay, az = ray_of(view, pixels[r, 0], pixels[r, 1])
+            rays[r, 0], rays[r, 1], rays[r, 2], rays[r, 3], rays[r, 4], rays[r, 5] = dx, dy, dz, ax, ay, az
+            near, far = box_of(view[0, 0], view[0, 1], view[0, 2], dx, dy, dz, nx, ny, nz)
+            ts[r], fars[r], found[r] = near, far, threshold == -np.inf
+            depth[r, 0], depth[r, 1], work[r, 0], work[r, 1] = np.inf, np.inf, 0, 0
+            out[r, 0] = out[r, 1] = out[r, 2] = out[r, 3] = np.float32(0.0)
+            if near <= far:
+                which[count] = r
+                count += 1
+                if found[r]:
+                    depth[r, 0] = near
+        while count > 0:
+            _invert(w, one, count, view, rays, which, ts, shift, strokes, axes, finest, work)
+            left = 0
+            for m in range(count):
+                r = which[m]
+                x, y, z = w[PX + m] / spacing[0], w[PX + BATCH + m] / spacing[1], w[PX + 2 * BATCH + m] / spacing[2]
+                value = _value(samples, nx, ny, nz, x, y, z)
+                work[r, 0] += 1
+                ended = False
+                if not found[r] and value >= threshold and value <= window[1]:
+                    found[r] = True
+                    single[0] = r
+                    high_t, low_t = ts[r], max(0.0, ts[r] - step)
+                    above, before = value, np.float32(-np.inf)
+                    for turn in range(BISECTIONS + 1):
+                        ts[r] = 0.5 * (low_t + high_t)
+                        if turn == BISECTIONS:
+                            known = np.float32(-np.inf) < before and before < threshold
+                            part = (threshold - before) / (above - before) if known else unit
+                            ts[r] = low_t + (high_t - low_t) * np.float64(part)
+                        _invert(alone, one, 1, view, rays, single, ts, shift, strokes, axes, finest, work)
+                        x, y = alone[PX] / spacing[0], alone[PX + BATCH] / spacing[1]
+                        z = alone[PX + 2 * BATCH] / spacing[2]
+                        value = _value(samples, nx, ny, nz, x, y, z)
+                        work[r, 0] += 1
+                        if value >= threshold and value <= window[1]:
+                            high_t, above = ts[r], value
+                        else:
+                            low_t, before = ts[r], value
+                    depth[r, 0] = ts[r]
+                    for c in range(9):
+                        w[J00 + c * BATCH + m] = alone[J00 + c * BATCH]
+                if found[r] and value >= window[0] and value <= window[1]:
+                    entry = _entry(table, low, scale, value)
+                    opacity = table[entry, 3]
+                    if opacity > np.float32(0.0):
+                        lit, shine = unit, np.float32(0.0)
+                        if shaded and opacity > np.float32(FAINT):
+                            fx, fy, fz = _slopes(samples, nx, ny, nz, x, y, z)
+                            # In millimetres, ∇_q g = (I+J)⁻ᵀ ∇_p f.
+                            fx, fy, fz = fx / spacing[0], fy / spacing[1], fz / spacing[2]
+                            a, b, c = w[J00 + m], w[J01 + m], w[J02 + m]
+                            d, e, f = w[J10 + m], w[J11 + m], w[J12 + m]
+                            g, h, k = w[J20 + m], w[J21 + m], w[J22 + m]
+                            ca, cb, cc = e * k - f * h, f * g - d * k, d * h - e * g
+                            over = 1.0 / (a * ca + b * cb + c * cc)
+                            gx = over * (ca * fx + cb * fy + cc * fz)
+                            gy = over * ((c * h - b * k) * fx + (a * k - c * g) * fy + (b * g - a * h) * fz)
+                            gz = over * ((b * f - c * e) * fx + (c * d - a * f) * fy + (a * e - b * d) * fz)
+                            for axis in range(3):
+                                along[axis] = np.float32(rays[r, 3 + axis])
+                            lit, shine = _lit(np.float32(gx), np.float32(gy), np.float32(gz), light, along)
+                        part = (unit - out[r, 3]) * opacity
+                        for channel in range(3):
+                            out[r, channel] += part * (table[entry, channel] * lit + shine)
+                        out[r, 3] += part
+                        if depth[r, 1] == np.inf and out[r, 3] >= np.float32(0.9):
+                            depth[r, 1] = ts[r]
+                        ended = out[r, 3] > np.float32(OPAQUE)
+                ts[r] += step
+                if not ended and ts[r] <= fars[r]:
+                    which[left] = r
+                    left += 1
+            count = left
