@@ -13,15 +13,18 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, NoReturn
 
 from cyclopts import App, CycloptsError, Group, Parameter
 
+from supple.cli_volume import POINTS_EXAMPLES, RENDER_EXAMPLES, VolumeCommands
 from supple.console import Console, SomeFailedError, run
 from supple.errors import SuppleError
 from supple.options import RunOptions, StrokeOptions, VideoOptions, parse_fill, parse_number
+from supple.options_volume import VOLUME, VolumeOptions
 
 if TYPE_CHECKING:
     from supple.batch import Job
     from supple.clips import WarpedClip
     from supple.deformation import Deformation, Report
     from supple.files import Warped
+    from supple.volumes import WarpedVolume
 
 What = Literal["grid", "stretch", "axes", "residual", "iterations", "slice", "sheet"]
 Filter = Literal["auto", "antialias", "ewa", "cubic", "linear", "nearest"]
@@ -31,7 +34,7 @@ Tell = Callable[[str], None]
 SAMPLING = Group("Sampling", sort_key=2)
 WRITING = Group("Writing", sort_key=3)
 
-_GRAB = "--grab X,Y[,T]:X,Y[,T] --radius R [OPTIONS]"
+_GRAB = "--grab X,Y[,T|Z]:X,Y[,T|Z] --radius R [OPTIONS]"
 _EXAMPLES = """\
 Example: grab what is at (256, 256), in pixels from the top left, and drag it to (256, 346)
 
@@ -45,12 +48,14 @@ Examples:
   supple warp photos/ bent/ --recipe strokes.json
   supple warp clip.mp4 late.mp4 --grab 1050,700,10:1050,700,70 --radius 60
   supple warp frames/%05d.png bent/%05d.png --recipe strokes.json
+  supple warp head.nii.gz bent.nii.gz --grab 90,150,100:90,170,100 --radius 30
 """
 
 
 _RUN = RunOptions()
 _STROKES = StrokeOptions()
 _VIDEO = VideoOptions()
+_VOLUME = VolumeOptions()
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,18 +77,21 @@ class _Commands:
         lossless: Annotated[bool, Parameter(group=WRITING)] = False,
         save_recipe: Annotated[str | None, Parameter(group=WRITING, metavar="FILE")] = None,
         video: VideoOptions = _VIDEO,
+        labels: Annotated[bool, Parameter(group=VOLUME)] = False,
+        save_field: Annotated[str | None, Parameter(group=VOLUME, metavar="FILE")] = None,
+        volume: VolumeOptions = _VOLUME,
         options: RunOptions = _RUN,
     ) -> None:
-        """Bend pictures and videos.
+        """Bend pictures, videos and volumes.
 
         Several files, a folder or a pattern in quotes go into a folder, under the same names. Numbered pictures,
-        frames/%05d.png, or with a time a folder of them, are a video.
+        frames/%05d.png, or with a time a folder of them, are a video; a folder of DICOM slices is a volume.
 
         Parameters
         ----------
         paths
             Files to read, and last the one to write (by suffix: PNG, JPEG, TIFF, WebP, AVIF; MP4, MOV, MKV, WebM,
-            AVI, GIF) or a folder.
+            AVI, GIF; NIfTI, NRRD, MHA) or a folder.
         filter
             Colours between pixels: auto averages where the picture shrinks, and is cubic elsewhere.
         outside
@@ -100,10 +108,15 @@ class _Commands:
             Keep every value in WebP and AVIF, and of a video, by FFV1; PNG and TIFF always do.
         save_recipe
             Write the strokes, to be carried out again with --recipe.
+        labels
+            Values are names of things, and are kept: each voxel takes that of the nearest.
+        save_field
+            Write the inverse displacements too, for SimpleITK, ANTs and 3D Slicer: NIfTI, NRRD, MHA or .h5.
         """
         from supple.batch import Crew, check_recipe_file, make_folders, pair
-        from supple.clips import WarpedClip, is_clip
+        from supple.clips import is_clip
         from supple.files import warp_file, write_recipe
+        from supple.volumes import is_volume_job
 
         if len(paths) < 2:
             raise SuppleError("give a file to read and a name to write to: supple warp IN OUT --grab …")
@@ -119,10 +132,13 @@ class _Commands:
             "lossless": lossless,
             "force": options.force,
             "clip": video.to_clip(),
+            "volume": volume.to_reading(labels=labels, save_field=save_field),
         }
         if not paths[-1]:
             raise SuppleError("cannot write '': name a file, or a folder, last")
-        if len(paths) == 2 and is_clip(paths[0], paths[1], recipe) and not _stands_for_several(paths[0]):
+        reading = sampling["volume"]
+        single = len(paths) == 2 and not _stands_for_several(paths[0])
+        if single and (is_volume_job(paths[0], paths[1], recipe, reading) or is_clip(paths[0], paths[1], recipe)):
             jobs, many = [(Path(paths[0]), Path(paths[1]))], False
         else:
             jobs, many = pair(paths[:-1], paths[-1])
@@ -132,7 +148,7 @@ class _Commands:
         def do(job: Job, tell: bool | Tell) -> None:
             made = warp_file(job[0], job[1], recipe, progress=tell, **sampling)
             if options.json:
-                self.console.tell(_clip_facts(made) if isinstance(made, WarpedClip) else _report_facts(job, made))
+                self.console.tell(_facts_of(job, made))
 
         def failed(job: Job, message: str) -> None:
             if options.json:
@@ -143,8 +159,9 @@ class _Commands:
             from supple.cpu.kernel import threads
 
             make_folders(jobs)
-            # Of clips one at a time: each has work for all cores.
-            crew = 1 if any(is_clip(*job, recipe) for job in jobs) else min(len(jobs), threads())
+            # Of clips and volumes one at a time: each has work for all cores.
+            large = any(is_clip(*job, recipe) or is_volume_job(*job, recipe, reading) for job in jobs)
+            crew = 1 if large else min(len(jobs), threads())
             failures = Crew(crew).work(jobs, do, self.console, failed)
         else:
             failures = 0
@@ -294,7 +311,7 @@ def main() -> NoReturn:
 def _dispatch(console: Console, arguments: Sequence[str]) -> None:
     app = App(
         name="supple",
-        help="Bend pictures and videos with elastic brushes, exactly inverted and sampled once.",
+        help="Bend pictures, videos and volumes with elastic brushes, exactly inverted and sampled once.",
         help_epilogue=_EXAMPLES,
         help_format="plaintext",
         version=_version,
@@ -305,6 +322,9 @@ def _dispatch(console: Console, arguments: Sequence[str]) -> None:
     commands = _Commands(console)
     app.command(commands.warp, usage=f"Usage: supple warp IN... OUT {_GRAB}", help_epilogue=_WARP_EXAMPLES)
     app.command(commands.plot, usage=f"Usage: supple plot IN OUT.png {_GRAB}", help_epilogue="")
+    volumes = VolumeCommands(console)
+    app.command(volumes.render, usage=f"Usage: supple render VOLUME OUT [{_GRAB}]", help_epilogue=RENDER_EXAMPLES)
+    app.command(volumes.points, usage=f"Usage: supple points IN OUT --on FILE {_GRAB}", help_epilogue=POINTS_EXAMPLES)
     app.command(commands.info, usage="Usage: supple info FILE... [--json]", help_epilogue="")
     app.command(commands.demo, usage="Usage: supple demo [DIR] [OPTIONS]", help_epilogue="")
     try:
@@ -330,8 +350,32 @@ def _stands_for_several(source: str) -> bool:
     return glob.has_magic(source) and not has_number(source) and not os.path.exists(source)
 
 
-def _report_facts(job: Job, made: Warped) -> dict[str, Any]:
+def _facts_of(job: Job, made: Warped | WarpedClip | WarpedVolume) -> dict[str, Any]:
+    from supple.clips import WarpedClip
+    from supple.volumes import WarpedVolume
+
+    if isinstance(made, WarpedClip):
+        return _clip_facts(made)
+    if isinstance(made, WarpedVolume):
+        return _volume_facts(made)
     return _facts(job, made.deformation, made.report())
+
+
+def _volume_facts(made: WarpedVolume) -> dict[str, Any]:
+    depth, height, width = made.deformation.shape
+    return {
+        "input": str(made.source),
+        "output": str(made.target),
+        "width": width,
+        "height": height,
+        "depth": depth,
+        "volumes": made.volumes,
+        "spacing": list(made.geometry.spacing),
+        "convention": made.geometry.convention,
+        "tolerance": made.tolerance,
+        "error": made.error,
+        **made.deformation.resolution(),
+    }
 
 
 def _clip_facts(made: WarpedClip) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""Files in, files out: a picture or a clip that is read, deformed and written."""
+"""Files in, files out: a picture, a clip or a volume that is read, deformed and written."""
 
 from __future__ import annotations
 
@@ -19,6 +19,7 @@ from supple.errors import SuppleError
 from supple.media.files import check_output, replacing, shown
 from supple.media.image import check_target, read, write
 from supple.strokes import Recipe
+from supple.volumes import VolumeOptions, WarpedVolume, is_volume_job, warp_volume
 
 PathLike = str | os.PathLike[str]
 
@@ -62,23 +63,25 @@ def warp_file(
     force: bool = False,
     progress: bool | Callable[[str], None] = False,
     clip: ClipOptions | None = None,
-) -> Warped | WarpedClip:
-    """Deform a picture file, a video, or an image sequence.
+    volume: VolumeOptions | None = None,
+) -> Warped | WarpedClip | WarpedVolume:
+    """Deform a picture file, a video, an image sequence, or a volume.
 
-    Of a picture, profile, EXIF, XMP and resolution come along; of a video, all that its new container can hold.
+    Of a picture, profile, EXIF, XMP and resolution come along; of a video, all that its new container can hold; of a
+    volume, its place in space, its scaling and, in the same format, its header.
     Opacity is filtered as opacity. The target appears whole, or not at all.
 
     Parameters
     ----------
     source : str or os.PathLike
         A PNG, JPEG, TIFF, WebP, AVIF or GIF file; a video; a pattern such as ``frames/%05d.png``, or a folder of
-        pictures.
+        pictures; a volume in NIfTI, NRRD, MetaImage, a stack of TIFF pages, ``.dat``, or a folder of DICOM slices.
     target : str or os.PathLike
         Its suffix names the format: PNG, JPEG, TIFF, WebP or AVIF; for clips, MP4, MOV, MKV, WebM, AVI or GIF, or a
-        pattern or a folder for pictures.
+        pattern or a folder for pictures; for volumes, NIfTI, NRRD, MetaImage or TIFF.
     recipe : Recipe
         The strokes, the border and the fold policy. Strokes with a time, x, y and t in frames, bend the clip; of
-        those without one, each frame is bent alike.
+        those without one, each frame is bent alike. In volumes, points are voxels, x, y and z, and lengths millimetres.
     filter, tolerance, outside, fill, linear_light
         As `Deformation.warp` takes them.
     quality : int, optional
@@ -93,10 +96,12 @@ def warp_file(
         leaves no file. Of a clip, ``"write"`` comes first, and then ``"plan"`` and ``"warp"`` for every frame.
     clip : ClipOptions, optional
         What is particular to clips.
+    volume : VolumeOptions, optional
+        What is particular to volumes.
 
     Returns
     -------
-    Warped or WarpedClip
+    Warped, WarpedClip or WarpedVolume
 
     Raises
     ------
@@ -109,6 +114,26 @@ def warp_file(
     >>> recipe = Recipe(strokes=[Stroke.grab((256, 256), to=(256, 346), radius=100)])  # doctest: +SKIP
     >>> warp_file("photo.jpg", "bent.jpg", recipe).report().error  # doctest: +SKIP
     """
+    if is_volume_job(source, target, recipe, volume):
+        if quality is not None or lossless or linear_light or not _only_memory(clip):
+            raise SuppleError(f"{shown(source)} is a volume, and what was asked of it is for pictures or videos")
+        if not force and _same(source, target):
+            raise SuppleError(f"{shown(target)} is the volume itself: pass --force (force=True) to replace it")
+        with counted(progress, "slices") as counts:
+            return warp_volume(
+                source,
+                target,
+                recipe,
+                filter=filter,
+                tolerance=tolerance,
+                outside=outside,
+                fill=fill,
+                force=force,
+                options=volume,
+                tell=counts,
+            )
+    if volume is not None and volume != VolumeOptions():
+        raise SuppleError(f"{shown(source)} is no volume, and what was asked of it is for volumes: leave that out")
     if is_clip(source, target, recipe):
         if not force and _same(source, target):
             raise SuppleError(f"{shown(target)} is the clip itself: pass --force (force=True) to replace it")
@@ -126,7 +151,7 @@ def warp_file(
                 options=clip,
                 tell=counts,
             )
-    if clip is not None and clip != ClipOptions(memory=clip.memory):
+    if not _only_memory(clip):
         raise SuppleError(
             f"{shown(source)} is taken for a picture, and what was asked of it is for clips: leave that out"
         )
@@ -163,9 +188,13 @@ def warp_file(
     return Warped(Path(source), Path(target), deformation, tolerance)
 
 
+def _only_memory(clip: ClipOptions | None) -> bool:
+    return clip is None or clip == ClipOptions(memory=clip.memory)
+
+
 @contextlib.contextmanager
-def counted(progress: bool | Callable[[str], None]) -> Iterator[Callable[[str, int, int], None]]:
-    """Show how far a clip is: frames, their rate, and the time left."""
+def counted(progress: bool | Callable[[str], None], unit: str = "frames") -> Iterator[Callable[[str, int, int], None]]:
+    """Show how far a clip or a volume is: frames or slices, their rate, and the time left."""
     if callable(progress):
         yield lambda step, done, total: progress(step)
         return
@@ -179,7 +208,7 @@ def counted(progress: bool | Callable[[str], None]) -> Iterator[Callable[[str, i
     class Rate(TextColumn):
         def render(self, task: Task) -> Text:
             speed = task.finished_speed or task.speed
-            return Text(f"{speed:.1f} frames/s" if speed else "")
+            return Text(f"{speed:.1f} {unit}/s" if speed else "")
 
     columns = (
         TextColumn("{task.description}"),
@@ -192,10 +221,11 @@ def counted(progress: bool | Callable[[str], None]) -> Iterator[Callable[[str, i
         tasks: dict[str, Any] = {}
 
         def show(step: str, done: int, total: int) -> None:
-            if step == "write":
+            if step in ("read", "write"):
                 return
             if step not in tasks:
-                tasks[step] = bar.add_task({"plan": "planning", "warp": "frames"}[step], total=total)
+                names = {"plan": "planning", "warp": unit, "render": "rendering"}
+                tasks[step] = bar.add_task(names[step], total=total)
             bar.update(tasks[step], completed=done)
 
         yield show

@@ -29,9 +29,9 @@ class StrokeOptions:
     ----------
     grab
         Drag one point to another, in pixels from the top left one; in a video to another time as well, with a third
-        number, the frame, counted from 0. Several grabs are a sequence.
+        number, the frame, counted from 0; in a volume in voxels, x, y and z. Several grabs are a sequence.
     radius
-        How far a grab is felt, in pixels. Like the next two: once for all grabs, or once for each.
+        How far a grab is felt, in pixels, in volumes in millimetres. Like the next two: once for all, or once for each.
     poisson
         The material (default 0.4): 0.5 keeps areas, lower ones down to -inf squeeze more.
     scales
@@ -39,12 +39,14 @@ class StrokeOptions:
     recipe
         Strokes from a JSON file, which come before those of --grab.
     border
-        Width in pixels (default 50) of the border that stays in place; none: the edges move too.
+        Width in pixels or millimetres (default 50) of the border that stays in place; none: the edges move too.
     on_fold
         A grab that would fold the picture: damp it (default), let it flow there, or refuse it.
     """
 
-    grab: Annotated[list[str], Parameter(allow_leading_hyphen=True, metavar="X,Y[,T]:X,Y[,T]", show_default=False)] = ()  # type: ignore[assignment]
+    grab: Annotated[
+        list[str], Parameter(allow_leading_hyphen=True, metavar="X,Y[,T|Z]:X,Y[,T|Z]", show_default=False)
+    ] = ()  # type: ignore[assignment]
     radius: Annotated[list[str], Parameter(allow_leading_hyphen=True, metavar="R", show_default=False)] = ()  # type: ignore[assignment]
     poisson: Annotated[list[str], Parameter(allow_leading_hyphen=True, metavar="N", show_default=False)] = ()  # type: ignore[assignment]
     scales: Annotated[list[str], Parameter(allow_leading_hyphen=True, metavar="1|2|3", show_default=False)] = ()  # type: ignore[assignment]
@@ -53,6 +55,11 @@ class StrokeOptions:
     on_fold: Annotated[
         Literal["damp", "flow", "error"] | None, Parameter(metavar="damp|flow|error", show_choices=False)
     ] = None
+
+    @property
+    def any(self) -> bool:
+        """Whether there is anything to do."""
+        return bool(self.grab) or self.recipe is not None
 
     def to_recipe(self) -> Recipe:
         """Read the recipe file, if one is given, and add the grabs."""

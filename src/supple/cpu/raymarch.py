@@ -15,24 +15,9 @@ from __future__ import annotations
 import numpy as np
 
 from supple.cpu.bricks import BRICK
+from supple.cpu.field import J00, J01, J02, J10, J11, J12, J20, J21, J22, X
 from supple.cpu.kernel import BATCH, colour_kernel, inlined, kernel
-from supple.cpu.newton import (
-    J00,
-    J01,
-    J02,
-    J10,
-    J11,
-    J12,
-    J20,
-    J21,
-    J22,
-    PX,
-    QX,
-    ROWS,
-    STEPS,
-    X,
-    settle,
-)
+from supple.cpu.newton import PX, QX, ROWS, STEPS, settle
 from supple.cpu.solid import displacement, transposed
 
 BISECTIONS = 4  # before the surface is found by a straight line between two values, in 1/16 of a step

@@ -1,0 +1,103 @@
+"""Deformations of volumes as displacement fields, for the tools that resample with those."""
+
+from __future__ import annotations
+
+import os
+from functools import partial
+
+import numpy as np
+import numpy.typing as npt
+
+from supple.cpu.warp import Band, Certificate, absolute, each_band, solve_plane
+from supple.deformation import Deformation, warn_of
+from supple.domain import number
+from supple.errors import SuppleError
+from supple.geometry import Geometry
+from supple.media.files import check_output
+from supple.media.transform import check_target, write_field
+
+Floats = npt.NDArray[np.float64]
+PathLike = str | os.PathLike[str]
+
+
+def displacement_of(
+    deformation: Deformation, geometry: Geometry, *, tolerance: float = 0.01
+) -> npt.NDArray[np.float32]:
+    """How far from each voxel of the output, and in which direction, the input is fetched.
+
+    Parameters
+    ----------
+    deformation : Deformation
+        Of a volume.
+    geometry : Geometry
+        Where its voxels lie.
+    tolerance : float
+        How far a source point may be from the true T⁻¹(q), in voxels.
+
+    Returns
+    -------
+    float32 array, shape (Z, H, W, 3)
+        The place of T⁻¹(q) less the place of q, in millimetres along the axes of LPS, x first.
+
+    Raises
+    ------
+    SuppleError
+        The deformation is of an image, or the tolerance is no number above 0.
+
+    Warns
+    -----
+    ToleranceWarning
+        If the checks of the map's cells do not promise the tolerance everywhere.
+    """
+    _check(deformation)
+    tolerance = number("tolerance", tolerance, "a number of voxels above 0", 1e-9, 1e9)
+    space = deformation.space
+    made = np.zeros((*deformation.shape, 3), np.float32)
+    if deformation.is_identity:
+        return made
+    matrix, certificate = geometry.matrix[:3, :3], Certificate(0.0, 0.0)
+    for z in range(space.count):
+        plane = solve_plane(space.table, space.axes, space.shape, 3, float(z))
+        certificate |= each_band(plane, tolerance, partial(_fill, made[z], z, matrix))
+    warn_of(certificate, tolerance, 3)
+    return made
+
+
+def write_transform(
+    target: PathLike, deformation: Deformation, geometry: Geometry, *, tolerance: float = 0.01, force: bool = False
+) -> None:
+    """Write a deformation of a volume as a displacement field, by which ITK, ANTs and 3D Slicer resample the same.
+
+    Parameters
+    ----------
+    target : str or os.PathLike
+        ``.nii``, ``.nii.gz``, ``.nrrd``, ``.mha`` or ``.h5``; see `supple.media.transform.write_field`.
+    deformation, geometry, tolerance
+        As `displacement_of` takes them.
+    force : bool
+        Whether to replace a file that exists.
+
+    Raises
+    ------
+    SuppleError
+        As `displacement_of` does, or if the file cannot be written (known before any work is done, where it can be).
+    """
+    check_target(target)
+    check_output(target, force=force)
+    write_field(target, displacement_of(deformation, geometry, tolerance=tolerance), geometry, force=force)
+
+
+def _check(deformation: Deformation) -> None:
+    if deformation.ndim != 3:
+        raise SuppleError(f"a displacement field is of a volume, and shape {deformation.shape} has two axes")
+
+
+def _fill(out: npt.NDArray[np.float32], z: int, matrix: Floats, band: Band) -> None:
+    """Write a band's displacements; in float64, as in float32 a difference of places would lose half its digits."""
+    rows, width = band.points.shape[1], out.shape[1]
+    step = np.empty((rows, width, 3))
+    absolute(band, step)
+    step[..., 0] -= np.arange(width)
+    step[..., 1] -= np.arange(band.top, band.top + rows)[:, None]
+    step[..., 2] -= z
+    np.matmul(step, matrix.T, out=out[band.top : band.top + rows], casting="same_kind")

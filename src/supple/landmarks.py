@@ -1,0 +1,148 @@
+"""Landmarks: points of a file that travel with an image, a clip or a volume, or back."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from supple.deformation import Deformation
+from supple.domain import choice
+from supple.errors import SuppleError
+from supple.geometry import Geometry
+from supple.media.files import check_output
+from supple.media.points import PointFile, check_target, read_points, write_points
+
+Floats = npt.NDArray[np.float64]
+PathLike = str | os.PathLike[str]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Moved:
+    """Points that were moved from a file to another.
+
+    Lengths are in millimetres where there is a geometry; otherwise in the units of the deformation's spacing, which
+    are pixels and frames if it is 1.
+
+    Parameters
+    ----------
+    source, target : pathlib.Path
+        What was read, and what was written.
+    count : int
+        How many points there are.
+    displaced : float64 array, shape (N,)
+        How far each went.
+    residual : float64 array, shape (N,)
+        |T(p) - q| of each point q in the output and the solution p of T(p) = q, as it was measured there: for points
+        that went back, how exact they are; for points that went along, how exactly they could be brought back.
+    outside : int
+        How many points of the source lay beyond the outer faces of the voxels. They are moved too, as T is defined
+        there, but there is nothing to see.
+    unconverged : int
+        For how many points that equation was not solved to 1e-6 voxels.
+    """
+
+    source: Path
+    target: Path
+    count: int
+    displaced: Floats
+    residual: Floats
+    outside: int
+    unconverged: int
+
+
+def move_points(
+    source: PathLike,
+    target: PathLike,
+    deformation: Deformation,
+    geometry: Geometry | None = None,
+    *,
+    inverse: bool = False,
+    convention: str | None = None,
+    force: bool = False,
+) -> Moved:
+    """Move the points of a file as a deformation moves what they mark.
+
+    Parameters
+    ----------
+    source, target : str or os.PathLike
+        Of one kind: .csv, .tsv, .txt; .fcsv; or .mrk.json. All but the coordinates is kept; a table also gets a column
+        ``residual``, in the units of `Moved`.
+    deformation : Deformation
+        Of an image, for which only x and y are moved, of a clip, or of a volume.
+    geometry : Geometry, optional
+        Where the volume's voxels lie; not for images and clips.
+    inverse : bool
+        False: by T, from the input to where it is seen in the output. True: by T⁻¹, from the output back.
+    convention : str, optional
+        What the numbers of a table mean that does not say it: ``"LPS"`` or ``"RAS"``, in millimetres, or ``"index"``
+        (the default), in pixels, frames or voxels from 0. A file that does say it must agree.
+    force : bool
+        Whether to replace a file that exists.
+
+    Returns
+    -------
+    Moved
+
+    Raises
+    ------
+    SuppleError
+        A file cannot be read or written, its coordinates do not fit the deformation, or they are places in space and
+        there is no geometry.
+    """
+    check_target(target, source)
+    if convention is not None:
+        choice("convention", convention, ("LPS", "RAS", "index"))
+    if geometry is not None and deformation.ndim != 3:
+        raise SuppleError(f"a geometry is of a volume, and shape {deformation.shape} has two axes")
+    check_output(target, force=force)
+    read = read_points(source)
+    known = _convention(read, convention, geometry)
+    if read.points.shape[1] < deformation.ndim:
+        raise SuppleError(
+            f"cannot move {read.name}: it has x and y, and shape {deformation.shape} needs a third column"
+        )
+    given = read.points[:, : deformation.ndim]
+    start = given if geometry is None or known == "index" else geometry.from_world(given, known)
+    if inverse:
+        solved = deformation.inverse(start)
+        end, seen = solved.points, start
+    else:
+        end = seen = start if deformation.is_identity else deformation.forward(start)  # no rounding for nothing
+        solved = deformation.inverse(seen)
+    made = read.points.copy()
+    if geometry is None or known == "index":
+        made[:, : deformation.ndim] = end
+    else:  # added to what was read, so that what does not move keeps every bit
+        made += geometry.to_world(end, known) - geometry.to_world(start, known)
+    steps = np.array(deformation.domain.spacing if geometry is None else geometry.spacing)
+    residual = np.linalg.norm((deformation.forward(solved.points) - seen) * steps, axis=1)
+    write_points(target, made, read, residual=residual, force=force)
+    last = np.array(deformation.shape[::-1]) - 0.5
+    return Moved(
+        Path(source),
+        Path(target),
+        len(made),
+        np.asarray(np.linalg.norm((end - start) * steps, axis=1)),
+        np.asarray(residual),
+        int(np.count_nonzero(((start < -0.5) | (start > last)).any(axis=1))),
+        int(np.count_nonzero(~solved.converged)),
+    )
+
+
+def _convention(read: PointFile, asked: str | None, geometry: Geometry | None) -> str:
+    if asked not in (None, read.convention) and read.convention != "index":
+        raise SuppleError(
+            f"cannot move {read.name}: it says that it is in {read.convention}, and {asked} was asked for: "
+            "leave that out"
+        )
+    known = asked or read.convention
+    if known != "index" and geometry is None:
+        raise SuppleError(
+            f"cannot move {read.name}: it is in {known}, and only volumes have a place in space: "
+            "give pixels in a table with x and y"
+        )
+    return known

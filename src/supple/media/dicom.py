@@ -1,0 +1,261 @@
+"""Series of DICOM slices, by SimpleITK's GDCM, put in order and checked for gaps."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from supple.media.files import shown
+from supple.media.itk import check_voxels, failing, geometry_of, library, silence
+from supple.media.volume_data import Array, PathLike, Volume, check_spacing, head_of, located, unreadable
+
+_UID, _NUMBER, _TEXT, _PIXEL_SPACING = "0020|000e", "0020|0011", "0008|103e", "0028|0030"
+_THICKNESS, _BETWEEN = "0018|0050", "0018|0088"
+_SUFFIXES = {".dcm", ".dicom", ".ima"}
+_ASIDE = 0.25  # of a pixel: how far slices may lie beside their common axis
+_ALONG = 0.1  # of a step: how far they may lie off even steps
+
+
+@dataclass(frozen=True, slots=True)
+class Series:
+    """Slices of a folder that belong together."""
+
+    uid: str
+    number: int
+    description: str
+    paths: tuple[str, ...]
+
+
+def is_slice(path: PathLike) -> bool:
+    """Tell by its first bytes whether a file is DICOM."""
+    try:
+        with open(path, "rb") as file:
+            return file.read(132)[128:] == b"DICM"
+    except (OSError, ValueError):
+        return False
+
+
+def in_folder(path: PathLike) -> bool:
+    """Tell whether a folder holds a DICOM file: by its suffix, or, if it has none but a number, by its first bytes."""
+    try:
+        with os.scandir(path) as entries:
+            for entry in entries:
+                suffix = os.path.splitext(entry.name)[1].lower()
+                named = suffix in _SUFFIXES
+                if entry.is_file() and (named or ((not suffix or suffix[1:].isdigit()) and is_slice(entry.path))):
+                    return True
+    except (OSError, ValueError):
+        pass
+    return False
+
+
+def listed(path: PathLike) -> list[Series]:
+    """Find the series of images in a folder, in the order of their numbers.
+
+    Raises
+    ------
+    SuppleError
+        There is none.
+    """
+    sitk, found = library(), []
+    folder = os.fspath(path)
+    with failing(path, "DICOM"):
+        uids = sitk.ImageSeriesReader.GetGDCMSeriesIDs(folder)
+        files = {uid: sitk.ImageSeriesReader.GetGDCMSeriesFileNames(folder, uid) for uid in uids}
+    for uid, paths in files.items():
+        reader = _reader(sitk, paths[0])
+        if reader is not None:  # else a report, a plan, ...
+            number = _tag(reader, _NUMBER)
+            known = int(number) if number.lstrip("+-").isdigit() else 0
+            found.append(Series(_tag(reader, _UID) or uid, known, _tag(reader, _TEXT), tuple(paths)))
+    _check_left(folder, {os.path.basename(name) for names in files.values() for name in names})
+    if not found:
+        raise unreadable(path, "there are no DICOM images in that folder", "give the folder that holds the slices")
+    return sorted(found, key=lambda one: (one.number, one.uid))
+
+
+def _check_left(folder: str, known: set[str]) -> None:
+    """Refuse a slice that belongs to no series: GDCM passes over damaged ones, and nobody would miss the last."""
+    for name in sorted(set(os.listdir(folder)) - known):
+        path = os.path.join(folder, name)
+        named = os.path.splitext(name)[1].lower() in _SUFFIXES
+        if name.upper() != "DICOMDIR" and os.path.isfile(path) and (named or is_slice(path)):
+            raise unreadable(
+                path, "it is damaged, or no slice of any series", "give a whole copy of it, or take it out"
+            )
+
+
+def described(found: list[Series]) -> str:
+    """Name series in one line."""
+    parts = []
+    for k, one in enumerate(found, 1):
+        text = f" {shown(one.description)}" if one.description else ""
+        slices = f"{len(one.paths)} slice{'s' if len(one.paths) > 1 else ''}"
+        parts.append(f"{k} is {one.uid}{text} of {slices}")
+    return ", ".join(parts)
+
+
+def read(path: PathLike, series: str | None = None) -> Volume:
+    """Read a series of slices, or one file that holds many.
+
+    Parameters
+    ----------
+    path : str or os.PathLike
+        The folder that holds the slices, or one of them.
+    series : str, optional
+        Which series of the folder: its SeriesInstanceUID, or its place in the list, from 1.
+
+    Returns
+    -------
+    Volume
+        In the units that the files speak of: of CT, Hounsfield's. Nothing that tells of the patient is kept.
+
+    Raises
+    ------
+    SuppleError
+        There is no such series, or there are several and none is named; a slice is missing, or of another size or
+        direction than the others; the slices are not stacked at right angles; a file cannot be read.
+    """
+    sitk, file = library(), Path(path)
+    if not file.is_dir():
+        head_of(path, 1)
+        with failing(path, "DICOM"):
+            reader = _informed(sitk, os.fspath(path))
+        if reader.GetSize()[2:3] > (1,):
+            return _frames(path, sitk, reader)
+        return _stacked(path, sitk, _chosen(file.parent, path, series or _tag(reader, _UID)))
+    return _stacked(path, sitk, _chosen(file, path, series))
+
+
+def _chosen(folder: Path, path: PathLike, series: str | None) -> Series:
+    found = listed(folder)
+    if series is None and len(found) == 1:
+        return found[0]
+    for k, one in enumerate(found, 1):
+        if series is not None and series.strip() in (one.uid, str(k)):
+            return one
+    what = f"it holds {len(found)} series" if series is None else f"it holds no series {shown(series)}"
+    raise unreadable(path, f"{what} ({described(found)})", 'say which one by --series (series="1")')
+
+
+def _informed(sitk: Any, name: str) -> Any:
+    reader = sitk.ImageFileReader()
+    reader.SetImageIO("GDCMImageIO")
+    reader.SetFileName(name)
+    reader.ReadImageInformation()
+    return reader
+
+
+def _reader(sitk: Any, name: str) -> Any | None:
+    try:
+        with silence():
+            return _informed(sitk, name)
+    except RuntimeError:
+        return None
+
+
+def _tag(reader: Any, key: str) -> str:
+    return str(reader.GetMetaData(key)).strip(" \0") if reader.HasMetaDataKey(key) else ""
+
+
+def _check_pixels(path: PathLike, reader: Any) -> None:
+    """Refuse a spacing of pixels that GDCM would set to 1."""
+    if text := _tag(reader, _PIXEL_SPACING):
+        try:
+            steps = [float(step) for step in text.split("\\")]
+        except ValueError:
+            steps = [float("nan")]
+        check_spacing(path, steps)
+
+
+def _thickness(reader: Any) -> float:
+    """What one slice alone has for a spacing: GDCM knows that between slices only."""
+    with contextlib.suppress(ValueError):
+        if not _tag(reader, _BETWEEN) and (known := float(_tag(reader, _THICKNESS))) > 0:
+            return known
+    return float(reader.GetSpacing()[2])
+
+
+def _frames(path: PathLike, sitk: Any, reader: Any) -> Volume:
+    """Read one file that holds all slices."""
+    check_voxels(path, sitk, reader)
+    _check_pixels(path, reader)
+    geometry = geometry_of(path, reader)
+    with failing(path, "DICOM", tuple(reader.GetSize())):
+        samples = sitk.GetArrayFromImage(reader.Execute())
+    return Volume(samples, geometry, shown(path), "DICOM")
+
+
+def _stacked(path: PathLike, sitk: Any, series: Series) -> Volume:
+    readers = []
+    for name in series.paths:
+        with failing(name, "DICOM"):
+            readers.append(_informed(sitk, name))
+        check_voxels(name, sitk, readers[-1])
+        _check_pixels(name, readers[-1])
+    first = readers[0]
+    if len(readers) == 1 and first.GetSize()[2:3] > (1,):
+        return _frames(path, sitk, first)
+    for name, reader in zip(series.paths, readers, strict=True):
+        _require_alike(path, (series.paths[0], first), (name, reader))
+    direction = np.array(first.GetDirection()).reshape(3, 3)
+    places = np.array([reader.GetOrigin() for reader in readers])
+    along = (places - places[0]) @ direction[:, 2]
+    order = np.argsort(along, kind="stable")
+    names = [series.paths[k] for k in order]
+    step = _check_steps(path, names, along[order]) if len(names) > 1 else _thickness(first)
+    aside = places[order] - places[order][0] - np.outer(along[order] - along[order][0], direction[:, 2])
+    if np.abs(aside).max() > _ASIDE * min(first.GetSpacing()[:2]):
+        told = "its slices are not stacked at right angles (a tilted gantry, for one)"
+        raise unreadable(path, told, "resample it first")
+    spacing = [*first.GetSpacing()[:2], float(step)]
+    geometry = located(path, spacing, places[order][0].tolist(), direction, "LPS")
+    reader = sitk.ImageSeriesReader()
+    reader.SetImageIO("GDCMImageIO")
+    reader.SetFileNames(names)
+    if len(kinds := {one.GetPixelID() for one in readers}) > 1:  # else the first would round the others
+        floats = any(kind >= sitk.sitkFloat32 for kind in kinds)
+        reader.SetOutputPixelType(sitk.sitkFloat64 if floats else sitk.sitkInt32)
+    with failing(path, "DICOM", (*first.GetSize()[:2], len(names))):
+        samples = sitk.GetArrayFromImage(reader.Execute())
+    return Volume(samples, geometry, shown(path), "DICOM")
+
+
+def _require_alike(path: PathLike, first: tuple[str, Any], other: tuple[str, Any]) -> None:
+    """Refuse slices of several sizes, kinds or directions in one series."""
+    (a, one), (b, two) = first, other
+    for what, get in (
+        ("sizes", lambda r: (*r.GetSize()[:3], r.GetNumberOfComponents())),
+        ("spacings", lambda r: r.GetSpacing()[:2]),
+        ("directions", lambda r: r.GetDirection()),
+    ):
+        if not np.allclose(get(one), get(two), rtol=1e-4, atol=1e-4):
+            names = f"{shown(Path(a).name)} and {shown(Path(b).name)}"
+            raise unreadable(path, f"its slices have several {what} ({names})", "take the odd ones out")
+
+
+def _check_steps(path: PathLike, names: list[str], along: Array) -> float:
+    """The step between slices; SuppleError if they are not even."""
+    steps = np.diff(along)
+    usual = float(np.sort(steps)[(len(steps) - 1) // 2])  # the median, or the less of the two
+    even = float((along[-1] - along[0]) / len(steps))
+
+    def between(k: int) -> str:
+        return f"{shown(Path(names[k]).name)} and {shown(Path(names[k + 1]).name)}"
+
+    if ((closest := int(steps.argmin())) >= 0 and steps[closest] < _ALONG * usual) or usual <= 0:
+        told = f"{between(closest)} lie at the same place"
+        raise unreadable(path, told, "take one of them out, or give a series of one time and kind")
+    widest = int(steps.argmax())
+    if steps[widest] > 1.5 * usual:
+        told = f"slices are missing between {between(widest)} ({steps[widest]:g} mm, elsewhere {usual:g} mm)"
+        raise unreadable(path, told, "give all of them")
+    if np.abs(along - along[0] - even * np.arange(len(along))).max() > _ALONG * even:
+        told = f"its slices lie from {steps.min():g} to {steps.max():g} mm apart"
+        raise unreadable(path, told, "resample it to even steps first")
+    return even

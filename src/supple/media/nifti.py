@@ -1,0 +1,277 @@
+"""NIfTI files: the header by nibabel, the voxels mapped from the file or read at once."""
+
+from __future__ import annotations
+
+import contextlib
+import gzip
+import math
+import os
+import warnings
+from collections.abc import Iterator
+from pathlib import Path
+from typing import IO, Any, Literal, cast
+
+import numpy as np
+
+from supple.media.files import replacing, shown
+from supple.media.volume_data import (
+    DTYPES,
+    Array,
+    PathLike,
+    Volume,
+    check_spacing,
+    head_of,
+    native,
+    placed,
+    reading,
+    too_large,
+    unreadable,
+)
+
+_GZIP = b"\x1f\x8b"
+_MILLIMETRES = {1: 1000.0, 3: 0.001}  # of a metre, of a micrometre
+_SECONDS = {16: 1e-3, 24: 1e-6}
+_COLOURS = {128: 3, 2304: 4}  # RGB24, RGBA32
+_LONGEST = 32_767  # an axis in the first version of the format
+_CHUNK = 1 << 22
+_ORDERS: tuple[Literal["little", "big"], ...] = ("little", "big")
+
+
+def read(path: PathLike) -> Volume:
+    """Read a NIfTI file, or a pair of .hdr and .img; what is not compressed is mapped.
+
+    The place of the voxels is that of the sform if it has a code, else of the qform, else of the spacing alone.
+
+    Raises
+    ------
+    SuppleError
+        It is no NIfTI file, damaged or cut short; its voxels are not at right angles, or of a type that is no real
+        number; it has more axes than x, y, z and either time or components.
+    """
+    first, data = _pair(path)
+    header, single = _header(first)
+    sizes, components, series = _axes(path, header)
+    dtype, colours = _dtype(path, header), _COLOURS.get(int(header["datatype"]), 0)
+    if colours and (series or components > 1):
+        raise unreadable(path, "it is a series or a field of colours", "give one volume of colours")
+    try:
+        offset = int(header["vox_offset"])
+    except (ValueError, OverflowError) as error:
+        raise unreadable(path, f"its voxels begin at byte {header['vox_offset']}", "correct its header") from error
+    offset = max(offset, header.single_vox_offset) if single else max(offset, 0)
+    shape = (*sizes[::-1], colours) if colours else sizes[::-1]
+    with reading(data):
+        samples = native(_samples(data, shape, dtype, offset))
+    if components > 1:
+        samples = np.ascontiguousarray(np.moveaxis(samples.reshape(components, *shape[-3:]), 0, -1))
+    elif not colours and not series:
+        samples = samples.reshape(shape[-3:])
+    units = int(header["xyzt_units"])
+    return Volume(
+        samples,
+        placed(path, _affine(path, header, _MILLIMETRES.get(units & 7, 1.0)), "RAS"),
+        shown(path),
+        "NIfTI",
+        series,
+        header,
+        (1.0, 0.0) if colours else _scaling(path, header),
+        _interval(header, units) if series else 1.0,
+    )
+
+
+def _pair(path: PathLike) -> tuple[Path, Path]:
+    """Where the header and the voxels are: in one file, or in two."""
+    file = Path(path)
+    if file.suffix.lower() not in (".hdr", ".img"):
+        return file, file
+    upper = file.suffix.isupper()
+    first, data = (file.with_suffix(s.upper() if upper else s) for s in (".hdr", ".img"))
+    return first, data
+
+
+def _opened(path: PathLike) -> IO[bytes]:
+    packed = head_of(path, 2) == _GZIP  # whatever its name says
+    return cast("IO[bytes]", gzip.open(path)) if packed else open(path, "rb")
+
+
+def _header(path: Path) -> tuple[Any, bool]:
+    """A header of one file, whatever it came from; and whether the voxels are in the same file."""
+    import nibabel
+    from nibabel.spatialimages import HeaderDataError
+    from nibabel.wrapstruct import WrapStructError
+
+    with reading(path), _opened(path) as file:
+        head = file.read(348)
+        sizes = {int.from_bytes(head[:4], order) for order in _ORDERS}
+        magic = head[4:8] if 540 in sizes else head[344:348]
+        if not sizes & {348, 540} or magic not in (b"n+1\0", b"ni1\0", b"n+2\0", b"ni2\0"):
+            old = magic == bytes(4) and 348 in sizes
+            what = "it is an Analyze file, which does not tell left from right" if old else "it is no NIfTI file"
+            raise unreadable(path, what, "convert it to NIfTI" if old else "check its name")
+        kind: Any = nibabel.Nifti2Header if 540 in sizes else nibabel.Nifti1Header
+        file.seek(0)
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")  # of odd extensions, which are carried over as they are
+                header = kind.from_fileobj(file, check=False)
+        except (HeaderDataError, WrapStructError, ValueError) as error:
+            raise unreadable(path, f"its header is damaged ({error})") from error
+        return header, magic[:2] == b"n+"
+
+
+def _axes(path: PathLike, header: Any) -> tuple[tuple[int, ...], int, bool]:
+    """The sizes along x, y, z and time or component, how many components, and whether there is time."""
+    dim = [int(n) for n in header["dim"]]
+    sizes = dim[1 : dim[0] + 1] if 1 <= dim[0] <= 7 else []
+    if not sizes or min(sizes) < 1:
+        raise unreadable(path, f"its header gives the sizes {dim[1:]} to {dim[0]} axes", "correct its header")
+    while len(sizes) > 3 and sizes[-1] == 1:
+        sizes.pop()
+    sizes += [1] * (3 - len(sizes))
+    if len(sizes) > 5 or (len(sizes) == 5 and sizes[3] > 1):
+        told = " x ".join(map(str, sizes))
+        raise unreadable(path, f"it holds {told} values", "give x, y, z and either time or components")
+    if len(sizes) == 5:
+        return (*sizes[:3], sizes[4]), sizes[4], False
+    return tuple(sizes), 1, len(sizes) == 4
+
+
+def _dtype(path: PathLike, header: Any) -> np.dtype[Any]:
+    """The type of one value in the file, in its own byte order."""
+    from nibabel.nifti1 import data_type_codes
+
+    code = int(header["datatype"])
+    if code in _COLOURS:
+        return np.dtype(np.uint8)
+    known = data_type_codes.label.get(code, f"type {code}")
+    if known not in DTYPES:
+        raise unreadable(path, f"its voxels are of {known}", f"convert them to one of {', '.join(DTYPES)}")
+    dtype: np.dtype[Any] = header.get_data_dtype()
+    return dtype
+
+
+def _samples(path: PathLike, shape: tuple[int, ...], dtype: np.dtype[Any], offset: int) -> Array:
+    sizes = tuple(reversed(shape[:3]))
+    wanted = offset + dtype.itemsize * math.prod(shape)
+    with _opened(path) as file:
+        if not isinstance(file, gzip.GzipFile):
+            found = os.stat(path).st_size
+            if found < wanted:
+                raise unreadable(path, f"its header promises {wanted} bytes, and it has {found}")
+            return np.memmap(path, dtype, "r", offset, shape)
+        try:
+            samples = np.empty(shape, dtype)
+        except (MemoryError, ValueError) as error:
+            raise too_large(path, sizes) from error
+        file.seek(offset)
+        flat, done = memoryview(samples.reshape(-1).view(np.uint8)), 0
+        while done < len(flat):
+            count = file.readinto(flat[done : done + _CHUNK])
+            if not count:
+                raise unreadable(path, f"its header promises {wanted} bytes, and it has {offset + done}")
+            done += count
+        while file.read(_CHUNK):  # to the end, where the checksum is
+            pass
+        return samples
+
+
+def _affine(path: PathLike, header: Any, unit: float) -> Array:
+    """From indices to places in RAS, in millimetres."""
+    from nibabel.spatialimages import HeaderDataError
+
+    try:
+        if header["sform_code"] > 0:
+            affine = np.array(header.get_sform(), np.float64)
+        else:
+            check_spacing(path, [float(x) for x in header["pixdim"][1:4]])
+            oriented = header["qform_code"] > 0
+            affine = np.array(header.get_qform() if oriented else header.get_base_affine(), np.float64)
+    except (HeaderDataError, ValueError) as error:
+        raise unreadable(path, f"its qform is damaged ({error})", "correct its header") from error
+    affine[:3] *= unit
+    return affine
+
+
+def _scaling(path: PathLike, header: Any) -> tuple[float, float]:
+    slope, intercept = float(header["scl_slope"]), float(header["scl_inter"])
+    if not np.isfinite(slope) or slope == 0:  # the format's way to say: none
+        return 1.0, 0.0
+    if not np.isfinite(intercept):
+        raise unreadable(path, f"its values are scaled by {slope:g}, plus {intercept}", "correct its header")
+    return slope, intercept
+
+
+def _interval(header: Any, units: int) -> float:
+    step = float(header["pixdim"][4]) * _SECONDS.get(units & 0x38, 1.0)
+    return step if 0 < step < np.inf else 1.0
+
+
+def write(path: PathLike, samples: Array, like: Volume, *, force: bool = False) -> None:
+    """Write a NIfTI file, slice by slice, compressed if its name ends in ``.gz``.
+
+    What came from NIfTI keeps its header and its byte order; else its sform and qform say where it lies.
+
+    Raises
+    ------
+    SuppleError
+        The file cannot be written.
+    """
+    header = _copied(like.header, samples) if like.format == "NIfTI" and like.header is not None else None
+    if header is None:
+        header = _made(samples, like)
+    colours = int(header["datatype"]) in _COLOURS
+    stored = samples if colours or samples.ndim == 3 or like.series else np.moveaxis(samples, -1, 0)
+    dtype = samples.dtype.newbyteorder(header.endianness)
+    with replacing(path, force=force) as temporary, _writing(temporary, os.fspath(path)) as file:
+        header.write_to(file)
+        file.write(bytes(int(header["vox_offset"]) - file.tell()))
+        for slab in stored if stored.ndim == 3 or colours else (part for whole in stored for part in whole):
+            file.write(np.ascontiguousarray(slab, dtype).data)
+
+
+@contextlib.contextmanager
+def _writing(temporary: Path, name: str) -> Iterator[IO[bytes]]:
+    with open(temporary, "wb") as plain:
+        if not name.lower().endswith(".gz"):
+            yield plain
+            return
+        # neither a name nor a time in it: the same volume makes the same file
+        with gzip.GzipFile("", "wb", 1, plain, 0) as packed:
+            yield packed  # type: ignore[misc]
+
+
+def _copied(known: Any, samples: Array) -> Any:
+    """The header that a file came with, for samples of another type, maybe, in one file."""
+    header = known.copy()
+    if int(header["datatype"]) not in _COLOURS or samples.dtype != np.uint8:
+        if int(header["datatype"]) in _COLOURS:
+            return None
+        header.set_data_dtype(samples.dtype)
+    header["magic"] = header.single_magic
+    header["vox_offset"] = header.single_vox_offset + header.extensions.get_sizeondisk()
+    return header
+
+
+def _made(samples: Array, like: Volume) -> Any:
+    import nibabel
+
+    long = max(samples.shape) > _LONGEST
+    kind: Any = nibabel.Nifti2Header if long else nibabel.Nifti1Header
+    header = kind()
+    components = samples.shape[3] if samples.ndim == 4 and not like.series else 1
+    colours = samples.dtype == np.uint8 and components in _COLOURS.values()
+    spacing = like.geometry.spacing
+    header.set_data_dtype({3: "RGB", 4: "RGBA"}[components] if colours else samples.dtype)
+    if components > 1 and not colours:
+        header.set_data_shape((*like.sizes, 1, components))
+        header.set_intent("vector")
+    else:
+        header.set_data_shape((*like.sizes, len(samples)) if like.series else like.sizes)
+    header.set_zooms((*spacing, like.interval) if like.series else (*spacing, 1.0, 1.0)[: len(header.get_data_shape())])
+    affine = np.diag([-1.0, -1.0, 1.0, 1.0]) @ like.geometry.matrix
+    header.set_qform(affine, 1)
+    header.set_sform(affine, 1)
+    header.set_xyzt_units("mm", "sec")
+    header["scl_slope"], header["scl_inter"] = like.scaling
+    header["vox_offset"] = header.single_vox_offset
+    return header

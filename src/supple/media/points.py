@@ -1,0 +1,255 @@
+"""Landmarks as files: tables of points (CSV), and 3D Slicer's ``.fcsv`` and ``.mrk.json``."""
+
+from __future__ import annotations
+
+import copy
+import json
+import os
+import re
+import stat
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, NoReturn
+
+import numpy as np
+import numpy.typing as npt
+
+from supple.domain import LARGEST
+from supple.domain import shown as value_shown
+from supple.errors import SuppleError
+from supple.media.files import replacing, shown
+from supple.media.tables import Table, parsed
+
+Floats = npt.NDArray[np.float64]
+PathLike = str | os.PathLike[str]
+
+KINDS = {".csv": "CSV", ".tsv": "CSV", ".txt": "CSV", ".fcsv": "fcsv", ".json": "JSON"}
+_GIVE = "give a .csv, .tsv, .txt, .fcsv or .mrk.json file"
+_FLIP = np.array([-1.0, -1.0, 1.0])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PointFile:
+    """Points, and all else that their file holds.
+
+    Parameters
+    ----------
+    points : float64 array, shape (N, 2) or (N, 3)
+        x first.
+    convention : str
+        ``"LPS"`` or ``"RAS"``, in millimetres; or ``"index"``, in pixels, frames or voxels from 0: what a table means
+        that does not say anything.
+    labels : tuple of str
+        One for each point; empty where there is none.
+    name : str
+        As messages show it.
+    kind : str
+        ``"CSV"``, ``"fcsv"`` or ``"JSON"``.
+    """
+
+    points: Floats
+    convention: str
+    labels: tuple[str, ...]
+    name: str
+    kind: str
+    _as_read: Any = field(repr=False)
+
+
+@dataclass(frozen=True, slots=True)
+class _Markups:
+    """A ``.mrk.json``, with the control points that have a place: (markup, point, whether x and y are flipped)."""
+
+    data: dict[str, Any]
+    places: tuple[tuple[int, int, bool], ...]
+    text: str
+
+
+def check_target(path: PathLike, source: PathLike) -> None:
+    """Refuse a name under which the points of ``source`` cannot be written: files keep their kind.
+
+    Raises
+    ------
+    SuppleError
+        One of the suffixes is unknown, or they are of two kinds.
+    """
+    kind = _kind("read", source)
+    if _kind("write", path) != kind:
+        suffixes = " or ".join(suffix for suffix, known in KINDS.items() if known == kind)
+        raise SuppleError(f"cannot write {shown(path)}: {shown(source)} is of another kind: give a name in {suffixes}")
+
+
+def read_points(path: PathLike) -> PointFile:
+    """Read a file of points.
+
+    A table (.csv, .tsv, .txt) is separated by commas, semicolons or tabs. A header, which may be a comment, names its
+    columns: x, y, and z, t or frame where there is one; or r, a, s or l, p, s for places in millimetres, or i, j, k.
+    Without a header, the first three columns of numbers are the coordinates, or both where there are two. Comments
+    begin with #.
+
+    Parameters
+    ----------
+    path : str or os.PathLike
+        A .csv, .tsv, .txt, .fcsv or .mrk.json file.
+
+    Returns
+    -------
+    PointFile
+        In a .mrk.json, the control points of all markups, one after the other, without those that are not placed; in
+        the convention of the first, if they have several.
+
+    Raises
+    ------
+    SuppleError
+        The file cannot be read, is damaged, or holds no points; a coordinate is no finite number; a row has more or
+        fewer cells than the first; the coordinate system is unknown.
+    """
+    name, kind = shown(path), _kind("read", path)
+    text = _text(path)
+    if kind == "JSON":
+        return _from_json(name, text)
+    table, points, convention, labels = parsed(name, text, fcsv=kind == "fcsv")
+    return PointFile(points, convention, labels, name, kind, table)
+
+
+def write_points(
+    path: PathLike,
+    points: npt.ArrayLike,
+    like: PointFile,
+    *,
+    residual: npt.ArrayLike | None = None,
+    force: bool = False,
+) -> None:
+    """Write points into a file like the one that they came from; it appears whole or not at all.
+
+    All that is not a coordinate is kept as it was, and so is the text of coordinates that have not changed. What
+    Slicer derives from control points (lengths, angles) is not computed anew.
+
+    Parameters
+    ----------
+    path : str or os.PathLike
+        With a suffix of the same kind.
+    points : array_like, shape as ``like.points``
+        In the convention of ``like``.
+    like : PointFile
+        What was read.
+    residual : array_like, shape (N,), optional
+        For a CSV: the last column of the file, or the one that is named ``residual`` already.
+    force : bool
+        Whether to replace a file that exists.
+
+    Raises
+    ------
+    SuppleError
+        The points are not finite or not as many, the suffix is of another kind, or the file cannot be written.
+    """
+    check_target(path, f"x{next(suffix for suffix, kind in KINDS.items() if kind == like.kind)}")
+    made = np.asarray(points, np.float64)
+    if made.shape != like.points.shape or not np.isfinite(made).all():
+        wanted = f"an array of finite numbers of shape {like.points.shape}"
+        raise SuppleError(f"cannot write {shown(path)}: points must be {wanted}, as in {like.name}")
+    if isinstance(like._as_read, Table):
+        notes = (
+            None if residual is None or like.kind != "CSV" else [f"{r:.3g}" for r in np.asarray(residual, np.float64)]
+        )
+        text = like._as_read.written(made, like.points, notes)
+    else:
+        text = _to_json(like._as_read, made, like.points)
+    with replacing(path, force=force) as temporary:
+        temporary.write_bytes(text.encode("utf-8", "surrogateescape"))
+
+
+def _kind(verb: str, path: PathLike) -> str:
+    suffix = Path(path).suffix
+    if suffix.lower() not in KINDS:
+        found = f"the suffix {shown(suffix)}" if suffix else "a name without suffix"
+        raise SuppleError(f"cannot {verb} {shown(path)}: {found} is of no file of points: {_GIVE}")
+    return KINDS[suffix.lower()]
+
+
+def _text(path: PathLike) -> str:
+    name = shown(path)
+    try:
+        plain = stat.S_ISREG(os.stat(path).st_mode)
+        data = Path(path).read_bytes() if plain else b""
+    except OSError as error:
+        raise SuppleError(f"cannot read {name}: {error.strerror}: check the name and its rights") from error
+    except ValueError as error:
+        raise SuppleError(f"cannot read {name}: no file can have that name: check it") from error
+    if not plain:
+        raise SuppleError(f"cannot read {name}: it is a folder or no plain file: {_GIVE}")
+    if not data.strip():
+        raise SuppleError(f"cannot read {name}: it is empty: {_GIVE}")
+    if b"\0" in data:
+        raise SuppleError(f"cannot read {name}: it is no text in UTF-8: save it as that")
+    return data.decode("utf-8", "surrogateescape")  # so that labels in other encodings come through
+
+
+def _from_json(name: str, text: str) -> PointFile:
+    def refuse(where: str, found: str, advice: str) -> NoReturn:
+        raise SuppleError(f"cannot read {name}: {where}{found}: {advice}")
+
+    slicer = "save it from Slicer as .mrk.json"
+    try:
+        data = json.loads(text.removeprefix("\ufeff"))
+    except json.JSONDecodeError as error:
+        refuse(f"line {error.lineno}: ", f"it is no whole JSON ({error.msg})", slicer)
+    except (ValueError, RecursionError):
+        refuse("", "it is JSON of a size or depth that nobody needs", slicer)
+    markups = data.get("markups") if isinstance(data, dict) else None
+    if not isinstance(markups, list) or not markups:
+        refuse("", 'it has no list "markups"', slicer)
+    places, points, labels, first = [], [], [], ""
+    for m, markup in enumerate(markups):
+        where = f"markup {m + 1}: "
+        controls = markup.get("controlPoints") if isinstance(markup, dict) else None
+        if not isinstance(controls, list):
+            refuse(where, 'it has no list "controlPoints"', slicer)
+        convention = markup.get("coordinateSystem", "LPS")
+        if convention not in ("LPS", "RAS"):
+            refuse(where, f"its coordinateSystem is {value_shown(convention)}", 'give "LPS" or "RAS"')
+        unit = markup.get("coordinateUnits", "mm")
+        if unit != "mm" and not (isinstance(unit, list) and unit and unit[0] == "mm"):
+            refuse(where, f"its coordinateUnits are {value_shown(unit)}", 'give "mm"')
+        for k, control in enumerate(controls):
+            where = f"markup {m + 1}, control point {k + 1}: "
+            if not isinstance(control, dict):
+                refuse(where, f"it is {value_shown(control)}", "give an object with a position")
+            if control.get("positionStatus", "defined") != "defined":
+                continue
+            first = first or convention
+            position = _position(control.get("position"))
+            if position is None:
+                found = (
+                    f"its position is {value_shown(control['position'])}" if "position" in control else "no position"
+                )
+                refuse(where, found, f"give three numbers from {-LARGEST:g} to {LARGEST:g}")
+            places.append((m, k, convention != first))
+            points.append(position * _FLIP if convention != first else position)
+            labels.append(str(control.get("label") or ""))
+    if not points:
+        refuse("", "it holds no points that are placed", "place some")
+    return PointFile(np.array(points), first, tuple(labels), name, "JSON", _Markups(data, tuple(places), text))
+
+
+def _position(value: object) -> Floats | None:
+    if not isinstance(value, list) or len(value) != 3:
+        return None
+    if not all(isinstance(x, int | float) and not isinstance(x, bool) and abs(x) <= LARGEST for x in value):
+        return None
+    return np.array(value, np.float64)
+
+
+def _to_json(markups: _Markups, points: Floats, before: Floats) -> str:
+    data = copy.deepcopy(markups.data)
+    for (m, k, flipped), new, old in zip(markups.places, points, before, strict=True):
+        position = data["markups"][m]["controlPoints"][k]["position"]
+        signs = _FLIP if flipped else np.ones(3)
+        for i in np.flatnonzero(new != old):
+            position[i] = float(new[i] * signs[i])
+    text = markups.text
+    step = re.match(r"\ufeff?\s*\{\r?\n([ \t]+)", text)
+    made = json.dumps(data, indent=step[1] if step else 4, ensure_ascii=text.isascii())
+    if not re.search(r"\[\s*\n\s*[-\d]", text):  # Slicer has a list of numbers on one line
+        made = re.sub(r'\[\n\s*([^\[\]{}"]*?)\n\s*\]', lambda found: f"[{' '.join(found[1].split())}]", made)
+    mark = "\ufeff" if text.startswith("\ufeff") else ""
+    return mark + made + text[len(text.rstrip()) :]

@@ -1,0 +1,65 @@
+"""Voxels as they are, with three sizes before them (the volumes of TU Wien) or with no header at all."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import numpy as np
+
+from supple.geometry import Geometry
+from supple.media.files import shown
+from supple.media.volume_data import PathLike, RawLayout, Volume, head_of, native, reading, unreadable
+
+_HEAD = 6  # three sizes of 16 bits
+_TELL = "give --shape, --dtype and --spacing (raw=RawLayout(...))"
+
+
+def read_dat(path: PathLike) -> Volume:
+    """Map a volume of TU Wien: three sizes, x first, and as many samples, all little-endian, unsigned, of 16 bits.
+
+    Raises
+    ------
+    SuppleError
+        The file is missing, or not as long as its sizes say.
+    """
+    head = head_of(path, _HEAD)
+    if len(head) < _HEAD:
+        raise unreadable(path, f"it has {len(head)} bytes, and its header alone takes {_HEAD}")
+    width, height, depth = (int.from_bytes(head[i : i + 2], "little") for i in (0, 2, 4))
+    count, found = _HEAD + 2 * width * height * depth, os.stat(path).st_size
+    if count != found or count == _HEAD:
+        sizes = f"{width} x {height} x {depth}"
+        told = f"its header says {sizes} samples of 16 bits, {count} bytes in all, and it has {found}"
+        raise unreadable(path, told, f"give a whole copy of it, or, if it has no such header, {_TELL}")
+    return _mapped(path, RawLayout((width, height, depth), "<u2", offset=_HEAD))
+
+
+def read(path: PathLike, layout: RawLayout | None) -> Volume:
+    """Map a file without a header.
+
+    Raises
+    ------
+    SuppleError
+        The file is missing, not as long as the layout says, or there is no layout.
+    """
+    head_of(path, 1)
+    if layout is None:
+        for suffix in (".mhd", ".nhdr"):
+            if (beside := Path(path).with_suffix(suffix)).exists():
+                raise unreadable(path, f"it has no header, and {shown(beside)} is one", "give that file")
+        raise unreadable(path, "it has no header that tells what is in it", _TELL)
+    width, height, depth = layout.shape
+    dtype, found = np.dtype(layout.dtype), os.stat(path).st_size
+    wanted = layout.offset + dtype.itemsize * width * height * depth
+    if wanted != found:
+        after = f" after {layout.offset} bytes" if layout.offset else ""
+        told = f"{width} x {height} x {depth} voxels of {dtype.name}{after} take {wanted} bytes, and it has {found}"
+        raise unreadable(path, told, "check --shape and --dtype (RawLayout)")
+    return _mapped(path, layout)
+
+
+def _mapped(path: PathLike, layout: RawLayout) -> Volume:
+    with reading(path):
+        samples = np.memmap(path, layout.dtype, "r", layout.offset, layout.shape[::-1])
+        return Volume(native(samples), Geometry(layout.spacing), shown(path), "raw")

@@ -1,0 +1,223 @@
+"""Tables of points in text: whatever is no coordinate stays as it was, to the byte."""
+
+from __future__ import annotations
+
+import io
+import re
+from dataclasses import dataclass
+from typing import NoReturn
+
+import numpy as np
+import numpy.typing as npt
+
+from supple.domain import LARGEST
+from supple.domain import shown as value_shown
+from supple.errors import SuppleError
+
+Floats = npt.NDArray[np.float64]
+
+_MARK = "\ufeff"  # which Excel puts before UTF-8
+_SYSTEMS = {"0": "RAS", "RAS": "RAS", "1": "LPS", "LPS": "LPS", "2": "index", "IJK": "index"}
+_TRIPLES = {"ras": "RAS", "lps": "LPS", "ijk": "index"}
+_STATEMENT = re.compile(r"\s*#\s*CoordinateSystem\s*=\s*(.*)", re.IGNORECASE)
+_COLUMNS = re.compile(r"\s*#\s*columns\s*=", re.IGNORECASE)
+_UNIT = re.compile(r"\s*[(\[].*")
+_AROUND = re.compile(r"(?:pos|position|coord|point)[ _.-]?([xyzt])|([xyzt])[ _.-]?(?:pos|position|coord|mm|px|voxel)")
+
+
+@dataclass(frozen=True, slots=True)
+class _Record:
+    """A line, or several where quotes hold line breaks; ``cells`` hold the text with its spaces and quotes."""
+
+    line: int
+    cells: list[str]
+    end: str
+
+
+@dataclass(frozen=True, slots=True)
+class Table:
+    """A table as it was read: its records, which of them are the header and points, and where the coordinates are."""
+
+    mark: str
+    records: list[_Record]
+    delimiter: str
+    header: int | None
+    rows: list[int]
+    columns: tuple[int, ...]
+
+    def written(self, points: Floats, before: Floats, notes: list[str] | None) -> str:
+        """The text with other points, shape (N, 2) or (N, 3), and with ``notes`` in the column ``residual``."""
+        records = [list(record.cells) for record in self.records]
+        for row, new, old in zip(self.rows, points, before, strict=True):
+            for i in np.flatnonzero(new != old):
+                cell = records[row][self.columns[i]]
+                records[row][self.columns[i]] = cell.replace(bare(cell), repr(float(new[i])), 1)
+        if notes is not None:
+            names = [] if self.header is None else [bare(cell).lower() for cell in records[self.header]]
+            at = names.index("residual") if "residual" in names else None
+            if self.header is not None and at is None:
+                records[self.header].append("residual")
+            for row, note in zip(self.rows, notes, strict=True):
+                if at is None:
+                    records[row].append(note)
+                else:
+                    records[row][at] = note
+        ends = [record.end for record in self.records]
+        return self.mark + "".join(self.delimiter.join(cells) + end for cells, end in zip(records, ends, strict=True))
+
+
+def parsed(name: str, text: str, *, fcsv: bool) -> tuple[Table, Floats, str, tuple[str, ...]]:
+    """A table, its points (N, 2) or (N, 3), their convention and labels; SuppleError names the line at fault."""
+    plain = text.removeprefix(_MARK)
+    lines = _lines(name, plain)
+    data = [k for k, (_, line, _) in enumerate(lines) if line.strip() and not _is_comment(line)]
+    comments = [k for k, (_, line, _) in enumerate(lines[: data[0] if data else None]) if _is_comment(line)]
+    if not data:
+        _refuse(name, None, "it holds no points", "give one in each line, x first")
+    delimiter = "," if fcsv else _delimiter(lines[data[0]][1])
+    records = [_Record(number, split(line, delimiter), end) for number, line, end in lines]
+    stated = "RAS" if fcsv else "index"  # what Slicer takes for granted, and what a table without a word means
+    for k in comments:
+        if statement := _STATEMENT.fullmatch(lines[k][1]):
+            said = bare(statement[1].rstrip(", \t")).upper()
+            if said not in _SYSTEMS:
+                _refuse(name, records[k], f"the coordinate system {value_shown(said)} is unknown", "give LPS or RAS")
+            stated = _SYSTEMS[said]
+    if fcsv:
+        header, columns, convention = _slicers(name, records, comments, lines)
+    else:
+        header, columns, convention = _headed(name, records, comments, data)
+    rows = [k for k in data if k != header]
+    if not rows:
+        _refuse(name, None, "it holds no points", "give one in each line, below the header")
+    wide = len(records[rows[0] if header is None or fcsv else header].cells)
+    for row in rows:
+        cells = records[row].cells
+        if len(cells) <= max(columns) or (not fcsv and len(cells) != wide):
+            found = f"it has {len(cells)} cell{'s' if len(cells) != 1 else ''}"
+            _refuse(name, records[row], found, f"give {max(columns) + 1 if fcsv else wide}")
+    points = np.array([[_coordinate(name, records[row], c) for c in columns] for row in rows])
+    table = Table(text[: len(text) - len(plain)], records, delimiter, header, rows, columns)
+    return table, points, convention or stated, _labels(table, fcsv)
+
+
+def bare(cell: str) -> str:
+    """What a cell says, without the quotes and spaces around it."""
+    return cell.strip().strip('"').strip()
+
+
+def split(line: str, delimiter: str) -> list[str]:
+    """A line's cells, with their quotes and spaces."""
+    if '"' not in line or _is_comment(line):
+        return line.split(delimiter)
+    return re.split(rf'{delimiter}(?=(?:[^"]*"[^"]*")*[^"]*$)', line)
+
+
+def _refuse(name: str, record: _Record | None, found: str, advice: str) -> NoReturn:
+    where = "" if record is None else f"line {record.line}: "
+    raise SuppleError(f"cannot read {name}: {where}{found}: {advice}")
+
+
+def _is_comment(line: str) -> bool:
+    return line.lstrip().startswith("#")
+
+
+def _lines(name: str, text: str) -> list[tuple[int, str, str]]:
+    """Lines as (number, text, line ending); those within quotes are one."""
+    made, held, begun = [], "", 1
+    for number, line in enumerate(io.StringIO(text, newline=""), 1):
+        begun, held = begun if held else number, held + line
+        if _is_comment(held) or held.count('"') % 2 == 0:
+            whole = held.rstrip("\r\n")
+            made.append((begun, whole, held[len(whole) :]))
+            held = ""
+    if held:
+        raise SuppleError(f"cannot read {name}: line {begun}: a quote is not closed: close it")
+    return made
+
+
+def _delimiter(line: str) -> str:
+    outside = re.sub(r'"[^"]*"', "", line)
+    return max(",;\t", key=outside.count)
+
+
+def _number(cell: str) -> float | None:
+    try:
+        return None if "_" in cell else float(bare(cell))
+    except ValueError:
+        return None
+
+
+def _coordinate(name: str, record: _Record, column: int) -> float:
+    cell = record.cells[column]
+    value = _number(cell)
+    if value is None or not abs(value) <= LARGEST:
+        found = f"cell {column + 1} is {value_shown(bare(cell))}"
+        _refuse(name, record, found, f"a coordinate is a number from {-LARGEST:g} to {LARGEST:g}")
+    return value
+
+
+def _slicers(
+    name: str, records: list[_Record], comments: list[int], lines: list[tuple[int, str, str]]
+) -> tuple[None, tuple[int, ...], str | None]:
+    for k in comments:
+        if found := _COLUMNS.match(lines[k][1]):
+            names = lines[k][1][found.end() :].split(",")
+            axes = _axes(name, records[k], names)
+            if axes is None or len(axes[0]) != 3:
+                _refuse(name, records[k], "the columns are not x, y and z", "name them so")
+            return None, *axes
+    return None, (1, 2, 3), None
+
+
+def _headed(
+    name: str, records: list[_Record], comments: list[int], data: list[int]
+) -> tuple[int | None, tuple[int, ...], str | None]:
+    """The header, if there is one, the columns of the coordinates, and the convention that their names tell."""
+    first = records[data[0]]
+    numbers = [c for c, cell in enumerate(first.cells) if _number(cell) is not None]
+    if not numbers:
+        axes = _axes(name, first, first.cells)
+        if axes is None:
+            found = "neither are there numbers, nor names of columns x and y"
+            _refuse(name, first, found, "name them in the first line, with , ; or tabs between")
+        return data[0], *axes
+    if comments and len(records[comments[-1]].cells) == len(first.cells):
+        names = [records[comments[-1]].cells[0].lstrip(" \t#"), *records[comments[-1]].cells[1:]]
+        axes = _axes(name, records[comments[-1]], names)
+        if axes is not None:
+            return comments[-1], *axes
+    if len(numbers) < 2:
+        _refuse(name, first, "only one cell is a number", "give x and y, and z or t for volumes and videos")
+    return None, tuple(numbers[:3]), None
+
+
+def _axes(name: str, record: _Record, names: list[str]) -> tuple[tuple[int, ...], str | None] | None:
+    plain = [_UNIT.sub("", bare(cell).lower()) for cell in names]
+    loose = [(found[1] or found[2]) if (found := _AROUND.fullmatch(cell)) else cell for cell in plain]
+    for known in (plain, loose):
+        if "x" in known and "y" in known:
+            third = [axis for axis in ("z", "t", "frame") if axis in known][:1]
+            return _places(name, record, known, ["x", "y", *third]), None
+    for triple, convention in _TRIPLES.items():
+        if set(triple) <= set(plain):
+            return _places(name, record, plain, list(triple)), convention
+    return None
+
+
+def _places(name: str, record: _Record, known: list[str], axes: list[str]) -> tuple[int, ...]:
+    for axis in axes:
+        if known.count(axis) > 1:
+            _refuse(name, record, f"several columns are named {axis}", "leave the name to one")
+    return tuple(known.index(axis) for axis in axes)
+
+
+def _labels(table: Table, fcsv: bool) -> tuple[str, ...]:
+    names = (
+        []
+        if table.header is None
+        else [bare(cell.lstrip(" \t#")).lower() for cell in table.records[table.header].cells]
+    )
+    column = next((names.index(known) for known in ("label", "name", "id") if known in names), 11 if fcsv else None)
+    cells = [table.records[row].cells for row in table.rows]
+    return tuple(bare(row[column]) if column is not None and column < len(row) else "" for row in cells)

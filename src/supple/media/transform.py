@@ -1,0 +1,175 @@
+"""Displacement fields as files that ITK, ANTs and 3D Slicer resample with."""
+
+from __future__ import annotations
+
+import gzip
+import os
+from io import IOBase
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from supple.errors import SuppleError
+from supple.geometry import Geometry
+from supple.media.files import replacing, shown
+
+Field = npt.NDArray[np.floating[Any]]
+PathLike = str | os.PathLike[str]
+
+SUFFIXES_OUT = (".nii", ".nii.gz", ".nrrd", ".mha", ".h5")
+_LONGEST_NIFTI_AXIS = 32_767
+_OVERHEAD = 1 << 16  # more than a transform's HDF5 file holds apart from the field
+_CHUNK = 1 << 20
+_TYPES = {np.dtype(np.float32): ("float", "MET_FLOAT"), np.dtype(np.float64): ("double", "MET_DOUBLE")}
+
+
+def check_target(path: PathLike) -> None:
+    """Refuse a name whose suffix no field can be written under.
+
+    Raises
+    ------
+    SuppleError
+        The suffix is not in `SUFFIXES_OUT`.
+    """
+    if _suffix(path) is None:
+        suffix = Path(path).suffix
+        found = f"the suffix {shown(suffix)}" if suffix else "a name without suffix"
+        raise SuppleError(f"cannot write {shown(path)}: {found} is of no transform: use {', '.join(SUFFIXES_OUT)}")
+
+
+def write_field(path: PathLike, displacement: Field, geometry: Geometry, *, force: bool = False) -> None:
+    """Write a displacement field, by which ITK, ANTs and 3D Slicer resample a volume onto the field's own grid.
+
+    At each voxel of the output stands how far from it, and in which direction, the input is fetched. The file
+    appears whole or not at all.
+
+    Parameters
+    ----------
+    path : str or os.PathLike
+        ``.nii`` and ``.nii.gz`` (a vector for each voxel, intent 1007, as ANTs writes it), ``.nrrd`` and ``.mha`` (a
+        vector image), or ``.h5`` (a transform of ITK's, in float64).
+    displacement : float32 or float64 array, shape (Z, H, W, 3)
+        In millimetres along the axes of LPS, x first, whatever the convention of ``geometry``. It is read plane by
+        plane, but for NIfTI, which takes one component of the whole at a time.
+    geometry : Geometry
+        Where the voxels lie.
+    force : bool
+        Whether to replace a file that exists.
+
+    Raises
+    ------
+    SuppleError
+        The array is of another shape or type, holds NaN or infinity, or is too large for the format; or the file
+        cannot be written.
+    """
+    check_target(path)
+    name, suffix = shown(path), _suffix(path)
+    field = np.asarray(displacement)
+    if field.ndim != 4 or field.shape[3] != 3 or 0 in field.shape or field.dtype not in _TYPES:
+        wanted = "an array of shape (Z, H, W, 3) in float32 or float64"
+        raise SuppleError(f"cannot write {name}: a field is {wanted}, and not {field.dtype} of shape {field.shape}")
+    if not all(np.isfinite(plane).all() for plane in field):
+        raise SuppleError(f"cannot write {name}: a field must be finite, found NaN or infinity")
+    if suffix in (".nii", ".nii.gz") and max(field.shape) > _LONGEST_NIFTI_AXIS:
+        raise SuppleError(
+            f"cannot write {name}: NIfTI ends at {_LONGEST_NIFTI_AXIS} voxels on a side, and the field has "
+            f"{' x '.join(map(str, field.shape[2::-1]))}: write .nrrd or .mha"
+        )
+    with replacing(path, force=force) as temporary:
+        if suffix == ".h5":
+            _write_transform(name, temporary, field, geometry)
+            return
+        with open(temporary, "wb") as file:
+            if suffix == ".nii":
+                _write_nifti(file, field, geometry)
+            elif suffix == ".nii.gz":
+                # the noise of the last bits is not worth a higher level; without name and time, as equal fields are
+                with gzip.GzipFile("", "wb", 1, file, 0) as packed:
+                    _write_nifti(packed, field, geometry)
+            else:
+                file.write((_nrrd if suffix == ".nrrd" else _mha)(field, geometry).encode())
+                for plane in field:
+                    file.write(np.ascontiguousarray(plane, plane.dtype.newbyteorder("<")).data)
+
+
+def _suffix(path: PathLike) -> str | None:
+    name = Path(path).name.lower()
+    return next((suffix for suffix in sorted(SUFFIXES_OUT, key=len, reverse=True) if name.endswith(suffix)), None)
+
+
+def _write_nifti(file: IOBase, field: Field, geometry: Geometry) -> None:
+    import nibabel
+
+    kind: Any = nibabel.Nifti1Image
+    affine = np.diag([-1.0, -1.0, 1.0, 1.0]) @ geometry.matrix  # the grid in RAS; the vectors stay in LPS, as ITK's do
+    image = kind(field.transpose(2, 1, 0, 3)[:, :, :, None], affine)
+    image.set_sform(affine, code=1)
+    image.set_qform(affine, code=1)
+    image.header.set_intent("vector")
+    image.header.set_xyzt_units("mm")
+    image.to_file_map({"image": nibabel.FileHolder(fileobj=file)})
+
+
+# SimpleITK copies a field before it writes it, and does not always notice when a disk is full.
+
+
+def _nrrd(field: Field, geometry: Geometry) -> str:
+    def vector(numbers: npt.ArrayLike) -> str:
+        return f"({','.join(_spelled(numbers))})"
+
+    lines = {
+        "type": _TYPES[field.dtype][0],
+        "dimension": "4",
+        "space": "left-posterior-superior",
+        "sizes": f"3 {' '.join(map(str, field.shape[2::-1]))}",
+        "space directions": " ".join(["none", *(vector(axis) for axis in geometry.matrix[:3, :3].T)]),
+        "kinds": "vector domain domain domain",
+        "endian": "little",
+        "encoding": "raw",
+        "space origin": vector(geometry.origin),
+    }
+    return "".join(["NRRD0004\n", *(f"{key}: {value}\n" for key, value in lines.items()), "\n"])
+
+
+def _mha(field: Field, geometry: Geometry) -> str:
+    lines = {
+        "ObjectType": "Image",
+        "NDims": "3",
+        "BinaryData": "True",
+        "BinaryDataByteOrderMSB": "False",
+        "CompressedData": "False",
+        "TransformMatrix": " ".join(_spelled(geometry.direction.T.ravel())),
+        "Offset": " ".join(_spelled(geometry.origin)),
+        "CenterOfRotation": "0 0 0",
+        "ElementSpacing": " ".join(_spelled(geometry.spacing)),
+        "DimSize": " ".join(map(str, field.shape[2::-1])),
+        "ElementNumberOfChannels": "3",
+        "ElementType": _TYPES[field.dtype][1],
+        "ElementDataFile": "LOCAL",
+    }
+    return "".join(f"{key} = {value}\n" for key, value in lines.items())
+
+
+def _spelled(numbers: npt.ArrayLike) -> list[str]:
+    return [repr(x) for x in np.asarray(numbers, np.float64).tolist()]
+
+
+def _write_transform(name: str, path: Path, field: Field, geometry: Geometry) -> None:
+    import SimpleITK
+
+    sitk: Any = SimpleITK
+    with open(path, "wb") as file:  # for HDF5 crashes where the disk is full
+        for _ in range(0, 8 * field.size + _OVERHEAD, _CHUNK):
+            file.write(bytes(_CHUNK))
+    image = sitk.Image([int(n) for n in field.shape[2::-1]], sitk.sitkVectorFloat64, 3)
+    for z, plane in enumerate(field):
+        image[:, :, z] = sitk.GetImageFromArray(plane.astype(np.float64), isVector=True)
+    image.SetSpacing(geometry.spacing)
+    image.SetOrigin(geometry.origin)
+    image.SetDirection(geometry.direction.ravel().tolist())
+    try:
+        sitk.WriteTransform(sitk.DisplacementFieldTransform(image), str(path))
+    except RuntimeError as error:
+        raise SuppleError(f"cannot write {name}: ITK could not write the transform: choose another place") from error

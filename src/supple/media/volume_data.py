@@ -1,0 +1,236 @@
+"""Volumes in memory, and what the readers of their formats have in common."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import stat
+import zlib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from supple.domain import LONGEST_AXIS, integer, items, length, refuse
+from supple.errors import SuppleError
+from supple.geometry import Geometry
+from supple.media.files import shown
+
+Array = npt.NDArray[Any]
+PathLike = str | os.PathLike[str]
+
+DTYPES = ("uint8", "int8", "uint16", "int16", "uint32", "int32", "uint64", "int64", "float32", "float64")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Volume:
+    """A volume as its file holds it.
+
+    Parameters
+    ----------
+    samples : ndarray
+        Shape (Z, H, W), or (Z, H, W, C) of colours or vectors, or (T, Z, H, W) of a series in time; in the file's own
+        dtype, in this machine's byte order. It may be mapped from the file, and then is not writable.
+    geometry : Geometry
+        Where the voxels lie.
+    name : str
+        The file's name, for messages.
+    format : str
+        ``"NIfTI"``, ``"NRRD"``, ``"MetaImage"``, ``"DICOM"``, ``"TIFF"`` or ``"raw"``.
+    series : bool
+        Whether the first axis is time.
+    header : object
+        What the file's own format needs to be written again as it came.
+    scaling : (float, float)
+        Slope and intercept: what is meant is ``slope * samples + intercept``.
+    interval : float
+        Seconds from a volume of a series to the next.
+    """
+
+    samples: Array
+    geometry: Geometry
+    name: str = "the volume"
+    format: str = ""
+    series: bool = False
+    header: Any = None
+    scaling: tuple[float, float] = (1.0, 0.0)
+    interval: float = 1.0
+
+    @property
+    def sizes(self) -> tuple[int, int, int]:
+        """How many voxels there are along x, y and z."""
+        depth, height, width = self.samples.shape[1:4] if self.series else self.samples.shape[:3]
+        return width, height, depth
+
+    @property
+    def components(self) -> int:
+        """How many values a voxel has."""
+        return int(self.samples.shape[3]) if self.samples.ndim == 4 and not self.series else 1
+
+    def rescaled(self) -> Array:
+        """The values that are meant: the samples themselves, or in float32 if they are scaled.
+
+        In float64 if the samples have 64 bits, or are integers of 32, which float32 cannot tell apart.
+        """
+        return rescaled(self.samples, self.scaling)
+
+
+@dataclass(frozen=True, slots=True)
+class RawLayout:
+    """What a file without a header holds.
+
+    Parameters
+    ----------
+    shape : (int, int, int)
+        The voxels along x, y and z; x runs fastest in the file.
+    dtype : str
+        As NumPy names it: ``"uint8"``, ``"<i2"`` (16 bits, little-endian), ``">f4"``, ...
+    spacing : (float, float, float)
+        Millimetres from a voxel to the next, x first.
+    offset : int
+        Bytes before the first voxel.
+
+    Raises
+    ------
+    SuppleError
+        One of them is no such thing.
+    """
+
+    shape: tuple[int, int, int]
+    dtype: str
+    spacing: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    offset: int = 0
+
+    def __post_init__(self) -> None:
+        wanted = "three sizes, x first"
+        sizes = [
+            integer(f"shape[{i}]", size, f"an integer from 1 to {LONGEST_AXIS}", 1, LONGEST_AXIS)
+            for i, size in enumerate(items("shape", self.shape, wanted, (3,)))
+        ]
+        steps = [
+            length(f"spacing[{i}]", step)
+            for i, step in enumerate(items("spacing", self.spacing, "three numbers, x first", (3,)))
+        ]
+        integer("offset", self.offset, "a number of bytes", 0, 2**62)
+        try:
+            known = np.dtype(self.dtype).name in DTYPES
+        except (TypeError, ValueError, SyntaxError):
+            known = False
+        if not known:
+            refuse("dtype", f"one of {', '.join(DTYPES)}, or as NumPy shortens them, such as <i2", self.dtype)
+        object.__setattr__(self, "shape", tuple(sizes))
+        object.__setattr__(self, "spacing", tuple(steps))
+
+
+def rescaled(samples: Array, scaling: tuple[float, float]) -> Array:
+    """``slope * samples + intercept``, as `Volume.rescaled` tells; the samples themselves if that changes nothing."""
+    slope, intercept = scaling
+    if (slope, intercept) == (1, 0):
+        return samples
+    made = np.empty(samples.shape, rescaled_dtype(samples.dtype, scaling))
+    for one, whole in zip(made, samples, strict=True):  # a slab at a time: the steps between are in float64
+        one[...] = np.float64(slope) * whole + intercept
+    return made
+
+
+def rescaled_dtype(dtype: npt.DTypeLike, scaling: tuple[float, float]) -> np.dtype[Any]:
+    """Tell the dtype of `rescaled`."""
+    known = np.dtype(dtype)
+    if scaling == (1, 0):
+        return known
+    wide = known.itemsize == 8 or (known.kind in "iu" and known.itemsize == 4)
+    return np.dtype(np.float64 if wide else np.float32)
+
+
+def native(samples: Array) -> Array:
+    """Return samples in this machine's byte order, contiguous and aligned: themselves, if they are."""
+    return np.require(samples, samples.dtype.newbyteorder("="), ("C", "A"))
+
+
+def unreadable(path: PathLike, what: str, advice: str = "give a whole copy of it") -> SuppleError:
+    """Say in one sentence why a file is not read, and what would do."""
+    return SuppleError(f"cannot read {shown(path)}: {what}: {advice}")
+
+
+def placed(path: PathLike, matrix: npt.ArrayLike, convention: str) -> Geometry:
+    """Make a geometry of a matrix (4, 4) from indices, x first, to places in millimetres.
+
+    Parameters
+    ----------
+    path : str or os.PathLike
+        For messages.
+    matrix : array_like
+        Into RAS if that is the convention, else into LPS.
+    convention : str
+        As in `Geometry`.
+
+    Raises
+    ------
+    SuppleError
+        A spacing is not above 0, the axes are not at right angles, or something is not finite.
+    """
+    known = np.array(matrix, np.float64)
+    if convention == "RAS":
+        known[:2] *= -1
+    with np.errstate(all="ignore"):
+        spacing = np.sqrt((known[:3, :3] ** 2).sum(axis=0))
+        check_spacing(path, spacing.tolist())
+        direction = known[:3, :3] / spacing
+    return located(path, spacing.tolist(), known[:3, 3].tolist(), direction, convention)
+
+
+def located(path: PathLike, spacing: list[float], origin: list[float], direction: Array, convention: str) -> Geometry:
+    """Make a geometry of its parts, all in LPS; SuppleError with the name of the file if that cannot be."""
+    check_spacing(path, spacing)
+    (x, y, z), (a, b, c) = spacing, origin
+    try:
+        return Geometry((x, y, z), (a, b, c), direction, convention)
+    except SuppleError as error:
+        raise SuppleError(f"cannot read {shown(path)}: {error}") from error
+
+
+def check_spacing(path: PathLike, spacing: list[float]) -> None:
+    """Refuse a spacing that is not above 0."""
+    if not all(0 < step < np.inf for step in spacing):
+        found = " x ".join(f"{step:g}" for step in spacing)
+        raise unreadable(path, f"its spacing is {found}, and not three numbers above 0", "correct its header")
+
+
+def head_of(path: PathLike, count: int) -> bytes:
+    """Return the first bytes of a file; SuppleError if it is missing, no plain file, may not be read, or is empty."""
+    try:
+        if not stat.S_ISREG(os.stat(path).st_mode):
+            raise unreadable(path, "it is a folder or no plain file", "give the name of a file")
+        with open(path, "rb") as file:
+            head = file.read(count)
+    except OSError as error:
+        raise unreadable(path, error.strerror or str(error), "check the name and its rights") from error
+    except ValueError as error:
+        raise unreadable(path, "no file can have that name", "check it") from error
+    if not head:
+        raise unreadable(path, "it is empty")
+    return head
+
+
+@contextlib.contextmanager
+def reading(path: PathLike) -> Iterator[None]:
+    """Make one sentence of what goes wrong while a file is read."""
+    try:
+        yield
+    except SuppleError:
+        raise
+    except MemoryError as error:
+        raise too_large(path) from error
+    except EOFError as error:
+        raise unreadable(path, "it is cut short") from error
+    except (OSError, zlib.error) as error:
+        known = isinstance(error, OSError) and error.strerror
+        raise unreadable(path, str(known or "its compressed data is damaged")) from error
+
+
+def too_large(path: PathLike, sizes: tuple[int, ...] = ()) -> SuppleError:
+    """Say that a volume does not fit into memory."""
+    told = f", with {' x '.join(map(str, sizes))} voxels by its header" if sizes else ""
+    return unreadable(path, f"it is too large for the memory{told}", "check its header, or cut it into parts")

@@ -1,0 +1,238 @@
+"""Volume files as pictures, and as turns around them."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from supple.camera import Camera
+from supple.domain import choice, integer, number, point
+from supple.errors import SuppleError
+from supple.media import image, reel
+from supple.media.files import check_output, shown
+from supple.media.folder import check_outputs, replacing_all
+from supple.media.numbering import has_number, spelling
+from supple.media.volume import Volume
+from supple.rendering import MODES, Scene
+from supple.strokes import Recipe
+from supple.transfer import TransferFunction, transfer_of
+from supple.volumes import VolumeOptions, deformation_of, open_volume
+
+Array = npt.NDArray[Any]
+PathLike = str | os.PathLike[str]
+Tell = Callable[[str, int, int], None]
+
+WHATS = ("picture", "inversions")
+LIGHTLESS = (".png", ".tif", ".tiff", ".webp", ".avif")  # which hold opacity
+
+
+@dataclass(frozen=True, slots=True)
+class RenderOptions:
+    """How a volume is seen.
+
+    Parameters
+    ----------
+    transfer : str or TransferFunction, optional
+        A preset's name or a JSON file; by default, that which fits the values.
+    density : (float, float), optional
+        Values outside are not seen.
+    camera : Camera
+    size : (int, int)
+        Rows and columns of the picture.
+    step : float, optional
+        Millimetres from sample to sample; the smallest spacing by default.
+    mode : str
+        ``"lattice"``, ``"exact"`` or ``"buffered"``: how strokes are seen; see `supple.rendering.Scene`.
+    shaded : bool
+    background : (float, float, float), optional
+        sRGB from 0 to 1; without it, pictures are transparent where there is nothing, and videos black.
+    supersampling : int
+        Rays along each side of a pixel.
+    turntable : int, optional
+        How many pictures to take on a way around: as a video, or with a number in the name.
+    rate : float
+        Pictures a second of that video.
+    what : str
+        ``"picture"``, or ``"inversions"``: how often T⁻¹ was needed along each ray.
+    time : int
+        Which volume of a series, from 0.
+    """
+
+    transfer: TransferFunction | PathLike | None = None
+    density: tuple[float, float] | None = None
+    camera: Camera = field(default_factory=Camera)
+    size: tuple[int, int] = (512, 512)
+    step: float | None = None
+    mode: str = "lattice"
+    shaded: bool = True
+    background: tuple[float, float, float] | None = None
+    supersampling: int = 1
+    turntable: int | None = None
+    rate: float = 24.0
+    what: str = "picture"
+    time: int = 0
+
+    def __post_init__(self) -> None:
+        choice("mode", self.mode, MODES)
+        choice("what", self.what, WHATS)
+        for name, pixels in zip(("height", "width"), self.size, strict=True):
+            integer(name, pixels, "a number of pixels from 1 to 16384", 1, 16384)
+        integer("supersampling", self.supersampling, "a number of rays along a pixel's side, from 1 to 8", 1, 8)
+        if self.turntable is not None:
+            integer("turntable", self.turntable, "a number of pictures from 2 to 100000", 2, 100_000)
+        if self.background is not None:
+            for value in point("background", self.background, (3,)):
+                number("background", value, "three numbers from 0 to 1", 0.0, 1.0)
+        number("rate", self.rate, "a number of pictures a second above 0", 1e-3, 1e4)
+        if self.what == "inversions" and self.turntable:
+            raise SuppleError("inversions are drawn as one picture: leave the turntable out")
+
+
+def default_transfer(volume: Volume) -> str:
+    """The preset that fits a volume's values: computed tomography is told by its air, at -1000 Hounsfield units."""
+    values = volume.samples if volume.scaling == (1.0, 0.0) else volume.rescaled()
+    low, high = float(np.nanmin(values)), float(np.nanmax(values))
+    return "ct-skin" if low <= -800 and high >= 200 else "mr-head"
+
+
+def scene_of(
+    volume: Volume, recipe: Recipe | None = None, options: RenderOptions | None = None, *, world: bool = False
+) -> Scene:
+    """A volume as a scene, perhaps with strokes.
+
+    Raises
+    ------
+    SuppleError
+        If it has several components, or something does not fit.
+    """
+    known = options or RenderOptions()
+    samples = volume.rescaled()
+    if volume.series:
+        last = len(samples) - 1
+        samples = samples[
+            integer("time", known.time, f"the number of a volume of {volume.name}, from 0 to {last}", 0, last)
+        ]
+    elif samples.ndim > 3:
+        raise SuppleError(
+            f"{volume.name} has {samples.shape[3]} components, and pictures are of one: take one out of it"
+        )
+    deformation = None if recipe is None else deformation_of(recipe, volume, world=world)
+    given = known.transfer if known.transfer is not None else default_transfer(volume)
+    transfer = given if isinstance(given, TransferFunction) else transfer_of(given)
+    return Scene(
+        samples,
+        volume.geometry,
+        deformation=deformation,
+        transfer=transfer,
+        density=known.density,
+        mode=known.mode,
+        step=known.step,
+        shaded=known.shaded,
+    )
+
+
+def render_file(
+    source: PathLike,
+    target: PathLike,
+    recipe: Recipe | None = None,
+    *,
+    options: RenderOptions | None = None,
+    volume: VolumeOptions | None = None,
+    force: bool = False,
+    tell: Tell = lambda step, done, total: None,
+) -> Scene:
+    """Take a picture of a volume file, or turn around it.
+
+    Parameters
+    ----------
+    source : str or os.PathLike
+        As `supple.warp_file` takes volumes.
+    target : str or os.PathLike
+        A picture; for a turntable, a video (MP4, MOV, MKV), or a name with a number in it, such as ``%03d.png``.
+    recipe : Recipe, optional
+        Strokes, through which the volume is seen.
+    options, volume
+        How it is seen, and how it is read.
+    force : bool
+        Whether to replace a file that exists.
+    tell : function
+        Called with ``"render"``, what is done of it, and of how much.
+
+    Returns
+    -------
+    Scene
+
+    Raises
+    ------
+    SuppleError
+        If the source cannot be read, the target cannot be written (known before any work is done, where it can be),
+        or something does not fit.
+    """
+    known, reading = options or RenderOptions(), volume or VolumeOptions()
+    suffix = Path(target).suffix.lower()
+    many = known.turntable is not None
+    _check_target(target, suffix, many, known.what, force)
+    given = open_volume(source, reading)
+    scene = scene_of(given, recipe, known, world=reading.world)
+    if not many:
+        picture = scene.render(
+            known.camera,
+            known.size,
+            supersampling=known.supersampling,
+            tell=lambda rows: tell("render", rows, known.size[0]),
+        )
+        if known.what == "inversions":
+            from supple.diagnostics.rays import draw_inversions
+
+            draw_inversions(picture.samples, target, what="inversions" if recipe else "samples", force=force)
+        else:
+            behind = known.background if suffix in LIGHTLESS else known.background or (0.0, 0.0, 0.0)
+            image.write(target, picture.pixels(behind), force=force)
+        return scene
+    count = known.turntable or 0
+
+    def pictures(opaque: bool) -> Iterator[Array]:
+        behind = known.background or ((0.0, 0.0, 0.0) if opaque else None)
+        for k in range(count):
+            camera = scene.turned(known.camera, k, count)
+            yield scene.render(camera, known.size, supersampling=known.supersampling).pixels(behind)
+            tell("render", k + 1, count)
+
+    if suffix in reel.SUFFIXES:
+        reel.write_reel(target, pictures(True), known.size, rate=known.rate, force=force)
+        return scene
+    path = Path(target)
+    spell = spelling(path.name, os.fspath(target))
+    check_outputs((path.parent / spell(k) for k in range(count)), force=force)
+    with replacing_all(path.parent, force=force) as folder:
+        for k, pixels in enumerate(pictures(suffix not in LIGHTLESS)):
+            image.write(folder / spell(k), pixels)
+    return scene
+
+
+def _check_target(target: PathLike, suffix: str, many: bool, what: str, force: bool) -> None:
+    name = shown(target)
+    if many and suffix in reel.SUFFIXES:
+        check_output(target, force=force)
+        return
+    if many and not has_number(target):
+        raise SuppleError(
+            f"a turntable is many pictures, and {name} is one: name a video ({', '.join(reel.SUFFIXES)}) "
+            "or a pattern, such as turn-%03d.png"
+        )
+    if not many and suffix in reel.SUFFIXES:
+        raise SuppleError(f"{name} is a video: give --turntable with the number of its pictures")
+    if what == "inversions":
+        from supple.diagnostics.frame import check_plot
+
+        check_plot(target, force=force)
+        return
+    image.check_target(target)
+    if not many:
+        check_output(target, force=force)

@@ -1,0 +1,284 @@
+"""Volumes through a deformation, from file to file, in millimetres."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import os
+import shutil
+import tempfile
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from supple.cpu.warp import Certificate
+from supple.deformation import Deformation, Report, warn_of
+from supple.domain import choice, number
+from supple.errors import SuppleError
+from supple.fields import write_transform
+from supple.geometry import Geometry
+from supple.media import transform
+from supple.media.files import check_output, replacing, shown
+from supple.media.volume import (
+    SUFFIXES_OUT,
+    RawLayout,
+    Volume,
+    check_target,
+    has_pages,
+    is_volume,
+    read,
+    suffix_of,
+    write,
+)
+from supple.streaming import Sampling, reserve
+from supple.strokes import Recipe
+from supple.warping import FILTERS, OUTSIDE, warp_frames
+
+Array = npt.NDArray[Any]
+PathLike = str | os.PathLike[str]
+Tell = Callable[[str, int, int], None]
+
+_TIFF = (".tif", ".tiff")
+
+
+@dataclass(frozen=True, slots=True)
+class VolumeOptions:
+    """What is particular to volumes.
+
+    Parameters
+    ----------
+    world : bool
+        Whether the strokes' points are places in space, in millimetres, in the file's own convention, rather than
+        indices.
+    labels : bool
+        Whether values are names of things, which are kept as they are: every voxel takes that of the nearest.
+    save_field : str or os.PathLike, optional
+        Where to write the inverse displacements too, for SimpleITK, ANTs and 3D Slicer.
+    layout : RawLayout, optional
+        What a file without a header holds.
+    series : str, optional
+        Which DICOM series of a folder: its number in the list, or its UID.
+    """
+
+    world: bool = False
+    labels: bool = False
+    save_field: PathLike | None = None
+    layout: RawLayout | None = None
+    series: str | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WarpedVolume:
+    """A volume that was written.
+
+    Parameters
+    ----------
+    source, target : pathlib.Path
+        What was read, and what was written.
+    deformation : Deformation
+        The strokes, on the volume's shape and spacing.
+    geometry : Geometry
+        Where its voxels lie.
+    tolerance : float
+        How far a source point may be from the true T⁻¹(q), in voxels.
+    error : float
+        What the checks of the map let expect, in voxels; `report` measures it.
+    volumes : int
+        How many there are: the time points of a series.
+    """
+
+    source: Path
+    target: Path
+    deformation: Deformation
+    geometry: Geometry
+    tolerance: float
+    error: float
+    volumes: int = 1
+
+    def report(self) -> Report:
+        """What was done with the strokes, and the certified error of the map, measured at every voxel; this is slow."""
+        return self.deformation.report(tolerance=self.tolerance)
+
+
+def is_volume_job(source: PathLike, target: PathLike, recipe: Recipe, options: VolumeOptions | None = None) -> bool:
+    """Whether a file or a folder is to be warped as a volume."""
+    known = options or VolumeOptions()
+    if known.layout is not None or known.series is not None:
+        return True
+    solid = bool(recipe.strokes) and recipe.strokes[0].ndim == 3
+    if suffix_of(source) in _TIFF and not os.path.isdir(source):
+        return (solid or suffix_of(target) in set(SUFFIXES_OUT) - set(_TIFF)) and has_pages(source)
+    return is_volume(source)
+
+
+def open_volume(source: PathLike, options: VolumeOptions | None = None) -> Volume:
+    """Read a volume, as the options say."""
+    known = options or VolumeOptions()
+    return read(source, raw=known.layout, series=known.series)
+
+
+def deformation_of(recipe: Recipe, volume: Volume, *, world: bool = False) -> Deformation:
+    """A recipe on a volume: radius and border in millimetres, points as indices or as places in space.
+
+    Raises
+    ------
+    SuppleError
+        If a stroke has no third coordinate, or starts outside the volume; if places are asked for, and the volume
+        knows of none.
+    """
+    geometry, sizes = volume.geometry, volume.sizes
+    if world and geometry.convention == "array":
+        raise SuppleError(f"{volume.name} does not know where it lies in space: leave --world out, and give indices")
+    strokes = []
+    for i, stroke in enumerate(recipe.strokes):
+        which = f"stroke {i + 1}: " if len(recipe.strokes) > 1 else ""
+        if stroke.ndim != 3:
+            raise SuppleError(f"{which}a volume's points have three numbers, x, y and z, and {stroke.at} has two")
+        made = stroke
+        if world:
+            start, end = (geometry.from_world(p) for p in (stroke.at, np.add(stroke.at, stroke.by)))
+            made = replace(stroke, at=tuple(start.tolist()), by=tuple((end - start).tolist()))
+        if not all(-0.5 <= x <= n - 0.5 for x, n in zip(made.at, sizes, strict=True)):
+            raise SuppleError(f"{which}{_spoken(stroke.at)} is not in {volume.name}: {_extent(volume, world)}")
+        strokes.append(made)
+    shape = tuple(reversed(sizes))
+    return Deformation.from_recipe(replace(recipe, strokes=tuple(strokes)), shape, spacing=geometry.spacing)
+
+
+def _spoken(point: npt.ArrayLike) -> str:
+    return "(" + ", ".join(f"{x:g}" for x in np.asarray(point)) + ")"
+
+
+def _extent(volume: Volume, world: bool) -> str:
+    last = np.array(volume.sizes) - 1.0
+    if not world:
+        return f"its indices go from (0, 0, 0) to {_spoken(last)} (places in space need --world)"
+    corners = np.array([volume.geometry.to_world(np.array(c) * last) for c in np.ndindex(2, 2, 2)])
+    low, high = (_spoken(np.round(c, 1)) for c in (corners.min(axis=0), corners.max(axis=0)))
+    return f"its {volume.geometry.convention} coordinates go from {low} to {high}"
+
+
+def sampling_of(
+    filter: str,
+    *,
+    outside: str = "edge",
+    fill: float | Sequence[float] = 0.0,
+    tolerance: float = 0.01,
+) -> Sampling:
+    """How a volume is sampled: alike along all three axes."""
+    choice("filter", filter, ("nearest", *FILTERS))
+    choice("outside", outside, tuple(OUTSIDE))
+    tolerance = number("tolerance", tolerance, "a number of voxels above 0", 1e-9, 1e9)
+    between = {"nearest": "nearest", "auto": "cubic", "cubic": "cubic"}.get(filter, "linear")
+    averaged = filter in ("auto", "antialias", "ewa")
+    return Sampling(filter, between, averaged, outside, fill, False, tolerance)  # type: ignore[arg-type]
+
+
+def warp_volume(
+    source: PathLike,
+    target: PathLike,
+    recipe: Recipe,
+    *,
+    filter: str = "auto",
+    tolerance: float = 0.01,
+    outside: str = "edge",
+    fill: float | Sequence[float] = 0.0,
+    force: bool = False,
+    options: VolumeOptions | None = None,
+    tell: Tell = lambda step, done, total: None,
+) -> WarpedVolume:
+    """Deform a volume, slab by slab, as `supple.warp_file` does.
+
+    ``tell`` is called with ``"read"``, then with ``"warp"``, the number of slices done, and of all, and with
+    ``"write"``.
+    """
+    known = options or VolumeOptions()
+    sampling = sampling_of(
+        "nearest" if known.labels and filter == "auto" else filter, outside=outside, fill=fill, tolerance=tolerance
+    )
+    if known.labels and sampling.filter != "nearest":
+        raise SuppleError(f"labels are kept as they are, which filter {filter!r} does not: leave one of the two out")
+    check_output(target, force=force)
+    if known.save_field is not None:
+        transform.check_target(known.save_field)
+        check_output(known.save_field, force=force)
+        if os.path.realpath(known.save_field) in (os.path.realpath(target), os.path.realpath(source)):
+            raise SuppleError(f"{shown(known.save_field)} cannot be the field and a volume too: give it another name")
+    tell("read", 0, 1)
+    volume = open_volume(source, known)
+    check_target(target, volume)
+    if known.labels and volume.samples.dtype.kind == "f":
+        raise SuppleError(
+            f"labels are whole numbers, and {volume.name} holds {volume.samples.dtype}: leave --labels out"
+        )
+    deformation = deformation_of(recipe, volume, world=known.world)
+    if known.save_field is not None:
+        write_transform(known.save_field, deformation, volume.geometry, tolerance=tolerance, force=force)
+    series = volume.samples if volume.series else volume.samples[None]
+    error = 0.0
+    if deformation.is_identity and os.path.isfile(source) and _alone(source, target):
+        tell("write", 0, 1)
+        with replacing(target, force=force) as place:
+            shutil.copyfile(source, place)
+    else:
+        with _room(series, target) as out:
+            space = deformation.space
+            total = len(series) * space.count
+            for t, samples in enumerate(series):
+                begun = t * space.count
+                _, certificate = warp_frames(
+                    samples,
+                    space,
+                    sampling,
+                    alpha=False,
+                    out=out[t],
+                    tell=lambda done, begun=begun: tell("warp", begun + done, total),  # type: ignore[misc]
+                )
+                error = max(error, certificate.error)
+            tell("write", 0, 1)
+            # Of the input, only shape and header are needed now: what writes may have its memory.
+            shape, dtype = volume.samples.shape, volume.samples.dtype
+            series = np.empty(0)
+            volume = replace(volume, samples=np.broadcast_to(np.zeros((), dtype), shape))
+            write(target, out if volume.series else out[0], volume, force=force)
+    warn_of(Certificate(error, 0.0), tolerance, 3)
+    count = volume.samples.shape[0] if volume.series else 1
+    return WarpedVolume(Path(source), Path(target), deformation, volume.geometry, tolerance, error, count)
+
+
+def _alone(source: PathLike, target: PathLike) -> bool:
+    """Whether a copy of one file is what is asked for."""
+    suffix = suffix_of(source)
+    return suffix == suffix_of(target) and suffix not in (".mhd", ".nhdr", ".hdr", ".img")
+
+
+@contextlib.contextmanager
+def _room(like: Array, target: PathLike) -> Iterator[Array]:
+    """An array like another: in memory or, where that is too little, in a file that is then gone."""
+    dtype = like.dtype.newbyteorder("=")
+    if like.nbytes <= _memory() / 4:
+        yield np.empty(like.shape, dtype)
+        return
+    folder = os.path.dirname(os.path.realpath(target))
+    with contextlib.ExitStack() as stack:
+        try:
+            file = stack.enter_context(tempfile.TemporaryFile(prefix=".supple-", dir=folder))
+            reserve(file, like.nbytes)
+        except OSError as error:
+            why = error.strerror or error
+            raise SuppleError(
+                f"the result takes {like.nbytes / 1e9:.2g} GB, and there is no room for it beside {shown(target)} "
+                f"({why}): choose another place"
+            ) from None
+        yield np.asarray(np.memmap(file, dtype, "r+", 0, like.shape))
+
+
+def _memory() -> float:
+    try:
+        return float(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"))
+    except (AttributeError, ValueError, OSError):
+        return math.inf

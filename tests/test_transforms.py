@@ -1,0 +1,258 @@
+"""Displacement fields: what ITK makes of them is what Supple shows."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import textwrap
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import nibabel
+import numpy as np
+import numpy.typing as npt
+import pytest
+import SimpleITK as sitk  # noqa: N813
+
+from supple import Deformation, SuppleError
+from supple.fields import displacement_of, write_transform
+from supple.geometry import Geometry
+from supple.media.transform import SUFFIXES_OUT, check_target, write_field
+
+Array = npt.NDArray[Any]
+
+SHAPE = (20, 30, 26)
+SPACING = (0.9, 1.1, 1.7)
+
+
+def rotation(*angles: float) -> npt.NDArray[np.float64]:
+    made = np.eye(3)
+    for i, angle in enumerate(angles):
+        turn = np.eye(3)
+        a, b = (i + 1) % 3, (i + 2) % 3
+        turn[a, a] = turn[b, b] = np.cos(angle)
+        turn[a, b], turn[b, a] = -np.sin(angle), np.sin(angle)
+        made = made @ turn
+    return made
+
+
+GEOMETRIES = {
+    "plain": Geometry(SPACING),
+    "oblique": Geometry(SPACING, (-71.25, 33.5, 812.125), rotation(0.4, -0.3, 1.1), "LPS"),
+    "flipped": Geometry(SPACING, (12.0, -40.0, 7.0), rotation(0.2, 0.1, -0.3) * (1, -1, 1), "RAS"),
+}
+
+
+def bent(border: float | None = 5.0) -> Deformation:
+    made = Deformation(SHAPE, spacing=SPACING, border=border)
+    return made.grab((12, 14, 9), to=(16, 17, 11), radius=8).grab((9, 20, 12), by=(-2, 1, -2), radius=6)
+
+
+def smooth(seed: int = 0) -> Array:
+    rng = np.random.default_rng(seed)
+    z, y, x = np.indices(SHAPE)
+    waves = [np.sin(rng.uniform(0.1, 0.5) * x + rng.uniform(0.1, 0.5) * y + rng.uniform(0.1, 0.5) * z) for _ in "abc"]
+    return np.asarray(np.sum(waves, axis=0) * 100, np.float32)
+
+
+def image_of(array: Array, geometry: Geometry) -> sitk.Image:
+    image = sitk.GetImageFromArray(array)
+    image.SetSpacing(geometry.spacing)
+    image.SetOrigin(geometry.origin)
+    image.SetDirection(geometry.direction.ravel().tolist())
+    return image
+
+
+def transform_from(path: Path) -> Any:
+    if path.suffix == ".h5":
+        return sitk.ReadTransform(str(path))
+    return sitk.DisplacementFieldTransform(sitk.ReadImage(str(path), sitk.sitkVectorFloat64))
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES_OUT)
+@pytest.mark.parametrize("where", GEOMETRIES)
+def test_itk_resamples_to_what_supple_shows(tmp_path: Path, where: str, suffix: str) -> None:
+    geometry, deformation, volume = GEOMETRIES[where], bent(), smooth()
+    path = tmp_path / f"field{suffix}"
+    write_transform(path, deformation, geometry, tolerance=1e-4)
+    moving = image_of(volume, geometry)
+    theirs = sitk.GetArrayFromImage(sitk.Resample(moving, moving, transform_from(path), sitk.sitkLinear, -1e6))
+    ours = deformation.warp(volume, filter="linear", tolerance=1e-4)
+    sources = deformation.inverse_map(tolerance=1e-4)
+    last = np.array(SHAPE[::-1]) - 1
+    inside = ((sources > 1e-3) & (sources < last - 1e-3)).all(axis=-1)
+    assert inside.mean() > 0.5
+    np.testing.assert_allclose(theirs[inside], ours[inside], atol=1e-3 * np.ptp(volume))
+    assert np.abs(ours - volume)[inside].max() > 0.1 * np.ptp(volume)  # or a field of zeros would pass
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES_OUT)
+@pytest.mark.parametrize("dtype", ["f4", "f8"])
+def test_vectors_and_grid_come_through_as_they_are(tmp_path: Path, suffix: str, dtype: str) -> None:
+    field = np.random.default_rng(1).normal(size=(4, 5, 6, 3)).astype(dtype)
+    path, geometry = tmp_path / f"field{suffix}", GEOMETRIES["oblique"]
+    write_field(path, field, geometry)
+    grid = transform_from(path).GetDisplacementField() if suffix == ".h5" else sitk.ReadImage(str(path))
+    found = sitk.GetArrayFromImage(grid)
+    np.testing.assert_array_equal(found, field)
+    assert suffix == ".h5" or found.dtype == field.dtype
+    for index in ((0, 0, 0), (5, 0, 3), (2, 4, 1)):
+        np.testing.assert_allclose(grid.TransformIndexToPhysicalPoint(index), geometry.to_lps(index), atol=2e-4)
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES_OUT)
+@pytest.mark.parametrize("shape", [(1, 4, 3), (3, 1, 2), (2, 3, 1), (1, 1, 1)])
+def test_thin_fields(tmp_path: Path, suffix: str, shape: tuple[int, ...]) -> None:
+    field = np.random.default_rng(3).normal(size=(*shape, 3))
+    path = tmp_path / f"field{suffix}"
+    write_field(path, field, Geometry())
+    if shape[0] == 1 and suffix.startswith(".nii"):  # of which SimpleITK makes a picture
+        loaded: Any = nibabel.load(path)
+        found = loaded.get_fdata()[:, :, :, 0].transpose(2, 1, 0, 3)
+    else:
+        found = sitk.GetArrayFromImage(transform_from(path).GetDisplacementField())
+    np.testing.assert_array_equal(found, field)
+
+
+@pytest.mark.parametrize("suffix", [".nii", ".nii.gz", ".NII.GZ"])
+def test_nifti_says_that_it_holds_vectors(tmp_path: Path, suffix: str) -> None:
+    path, geometry = tmp_path / f"field{suffix}", GEOMETRIES["flipped"]
+    write_field(path, np.zeros((4, 5, 6, 3), np.float32), geometry)
+    found: Any = nibabel.load(path)
+    assert found.shape == (6, 5, 4, 1, 3)
+    assert int(found.header["intent_code"]) == 1007
+    assert found.header.get_xyzt_units()[0] == "mm"
+    for affine, code in (found.get_sform(coded=True), found.get_qform(coded=True)):
+        assert code == 1
+        np.testing.assert_allclose(affine[:3] @ (5, 0, 3, 1), geometry.to_world((5, 0, 3), "RAS"), atol=1e-4)
+
+
+def test_the_field_is_the_inverse_in_millimetres() -> None:
+    deformation, geometry = bent(border=None), GEOMETRIES["oblique"]
+    field = displacement_of(deformation, geometry, tolerance=1e-6)
+    assert (field.shape, field.dtype) == ((*SHAPE, 3), np.float32)
+    q = np.random.default_rng(2).integers(0, np.array(SHAPE[::-1]), (200, 3))
+    expected = geometry.to_lps(deformation.inverse(q).points) - geometry.to_lps(q)
+    np.testing.assert_allclose(field[q[:, 2], q[:, 1], q[:, 0]], expected, atol=1e-5)
+
+
+def test_small_displacements_keep_their_digits_far_from_the_first_voxel() -> None:
+    deformation = Deformation((1, 2, 4000), border=None).grab((3900, 0, 0), by=(1e-3, 0, 0), radius=50)
+    field = displacement_of(deformation, Geometry(), tolerance=1e-9)
+    expected = deformation.inverse((3990, 1, 0)).points - (3990, 1, 0)
+    np.testing.assert_allclose(field[0, 1, 3990], expected, atol=2e-6)  # in float32, 3990 is off by up to 1e-4
+
+
+def test_nothing_moves_without_strokes(tmp_path: Path) -> None:
+    deformation = Deformation(SHAPE, spacing=SPACING)
+    assert not displacement_of(deformation, GEOMETRIES["oblique"]).any()
+
+
+def test_equal_fields_are_equal_files(tmp_path: Path) -> None:
+    for suffix in (".nii", ".nii.gz", ".nrrd", ".mha"):
+        for name in ("a", "b"):
+            write_field(tmp_path / f"{name}{suffix}", np.ones((2, 3, 4, 3), np.float32), Geometry())
+        assert (tmp_path / f"a{suffix}").read_bytes() == (tmp_path / f"b{suffix}").read_bytes()
+
+
+def refused(action: Callable[..., object], *args: Any, **options: Any) -> str:
+    with pytest.raises(SuppleError) as caught:
+        action(*args, **options)
+    message = str(caught.value)
+    assert "\n" not in message
+    return message
+
+
+FIELD = np.zeros((2, 3, 4, 3), np.float32)
+
+
+@pytest.mark.parametrize(
+    ("name", "field", "message"),
+    [
+        ("a.tfm", FIELD, "the suffix .tfm is of no transform: use .nii, .nii.gz, .nrrd, .mha, .h5"),
+        ("a", FIELD, "a name without suffix is of no transform: use .nii, .nii.gz, .nrrd, .mha, .h5"),
+        (
+            "a.mha",
+            FIELD[..., :2],
+            "a field is an array of shape (Z, H, W, 3) in float32 or float64, and not float32 of shape (2, 3, 4, 2)",
+        ),
+        (
+            "a.mha",
+            FIELD.astype(int),
+            "a field is an array of shape (Z, H, W, 3) in float32 or float64, and not int64 of shape (2, 3, 4, 3)",
+        ),
+        (
+            "a.h5",
+            FIELD[:0],
+            "a field is an array of shape (Z, H, W, 3) in float32 or float64, and not float32 of shape (0, 3, 4, 3)",
+        ),
+        ("a.nrrd", FIELD * np.nan, "a field must be finite, found NaN or infinity"),
+        (
+            "a.nii",
+            np.zeros((1, 1, 32_768, 3), np.float32),
+            "NIfTI ends at 32767 voxels on a side, and the field has 32768 x 1 x 1: write .nrrd or .mha",
+        ),
+    ],
+)
+def test_what_cannot_be_written(tmp_path: Path, name: str, field: Array, message: str) -> None:
+    path = tmp_path / name
+    assert refused(write_field, path, field, Geometry()) == f"cannot write {path}: {message}"
+    assert os.listdir(tmp_path) == []
+
+
+def test_names_are_checked_before_the_work(tmp_path: Path) -> None:
+    check_target("a.b.NII.gz")
+    refused(write_transform, tmp_path / "a.txt", bent(), Geometry())
+    flat = Deformation((8, 8))
+    message = refused(write_transform, tmp_path / "a.mha", flat, Geometry())
+    assert message == "a displacement field is of a volume, and shape (8, 8) has two axes"
+    refused(displacement_of, bent(), Geometry(), tolerance=0)
+    assert os.listdir(tmp_path) == []
+    (tmp_path / "a.mha").write_bytes(b"old")
+    message = refused(write_transform, tmp_path / "a.mha", bent(), Geometry())
+    assert message.endswith("a.mha exists already: pass --force (force=True) to replace it")
+    assert (tmp_path / "a.mha").read_bytes() == b"old"
+    write_transform(tmp_path / "a.mha", bent(), Geometry(SPACING), force=True)
+    assert transform_from(tmp_path / "a.mha").GetDisplacementField().GetSize() == SHAPE[::-1]
+
+
+@pytest.mark.skipif(os.name != "posix", reason="limits of file sizes are POSIX's")
+def test_a_full_disk_leaves_what_was_there_and_no_word_of_itks(tmp_path: Path) -> None:
+    code = """
+        import os, resource, sys
+        import numpy as np
+        from supple.errors import SuppleError
+        from supple.geometry import Geometry
+        from supple.media.transform import SUFFIXES_OUT, write_field
+        field = np.random.default_rng(0).normal(size=(9, 20, 30, 3))
+        for suffix in SUFFIXES_OUT:
+            path = f"{sys.argv[1]}/out{suffix}"
+            write_field(path, field, Geometry())
+            size, soft = os.path.getsize(path), resource.getrlimit(resource.RLIMIT_FSIZE)
+            with open(path, "wb") as file:
+                file.write(b"old")
+            for limit in (0, size // 2, size - 1):
+                resource.setrlimit(resource.RLIMIT_FSIZE, (limit, soft[1]))
+                try:
+                    write_field(path, field, Geometry(), force=True)
+                    said = "nothing"
+                except SuppleError as error:
+                    said = str(error)
+                resource.setrlimit(resource.RLIMIT_FSIZE, soft)
+                print(said)
+    """
+    command = [sys.executable, "-c", textwrap.dedent(code), str(tmp_path)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    said = [f"cannot write {tmp_path}/out{s}: File too large: make room or choose another place" for s in SUFFIXES_OUT]
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout.splitlines() == [line for line in said for _ in range(3)]
+    assert sorted(os.listdir(tmp_path)) == sorted(f"out{suffix}" for suffix in SUFFIXES_OUT)
+    assert all((tmp_path / f"out{suffix}").read_bytes() == b"old" for suffix in SUFFIXES_OUT)
+
+
+def test_pictures_load_neither_itk_nor_nibabel() -> None:
+    code = "import sys, supple.fields, supple.landmarks; print({'SimpleITK', 'nibabel'} & set(sys.modules))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout == "set()\n"
