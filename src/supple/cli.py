@@ -149,6 +149,8 @@ class _Commands:
             made = warp_file(job[0], job[1], recipe, progress=tell, **sampling)
             if options.json:
                 self.console.tell(_facts_of(job, made))
+            elif reading.world and not options.quiet:
+                self.console.say(f"points are {_convention(made)} millimetres, as {job[0]} has them")
 
         def failed(job: Job, message: str) -> None:
             if options.json:
@@ -229,23 +231,24 @@ class _Commands:
         self,
         *files: Annotated[str, Parameter(name="FILE", required=True)],
         json: Annotated[bool, Parameter(negative=())] = False,
+        volume: VolumeOptions = _VOLUME,
     ) -> None:
-        """Tell what pictures, videos and recipes hold.
+        """Tell what pictures, videos, volumes and recipes hold.
 
         Parameters
         ----------
         files
-            Pictures, videos, patterns or folders of frames, or recipes in JSON.
+            Pictures, videos, patterns or folders of frames, volumes, or recipes in JSON.
         json
             As one JSON object for each file.
         """
         from supple.console import REFUSED
         from supple.describe import describe
 
-        failures = 0
+        failures, reading = 0, volume.to_reading()
         for name in files:
             try:
-                facts, text = describe(name)
+                facts, text = describe(name, layout=reading.layout, series=reading.series)
             except SuppleError as error:
                 failures = REFUSED
                 self.console.say(error)
@@ -359,6 +362,11 @@ def _facts_of(job: Job, made: Warped | WarpedClip | WarpedVolume) -> dict[str, A
     if isinstance(made, WarpedVolume):
         return _volume_facts(made)
     return _facts(job, made.deformation, made.report())
+
+
+def _convention(made: Warped | WarpedClip | WarpedVolume) -> str:
+    geometry = getattr(made, "geometry", None)
+    return geometry.convention if geometry else ""
 
 
 def _volume_facts(made: WarpedVolume) -> dict[str, Any]:

@@ -13,6 +13,7 @@ from supple.clips import SUFFIXES, turned
 from supple.errors import SuppleError
 from supple.media.files import shown
 from supple.media.numbering import is_sequence
+from supple.media.volume import RawLayout
 from supple.strokes import Recipe
 
 # What ITU-T H.273 calls the numbers of colours.
@@ -25,13 +26,15 @@ _MATRICES |= {9: "BT.2020", 10: "BT.2020 constant", 14: "ICtCp"}
 _TAGS = {"primaries": _PRIMARIES, "transfer": _TRANSFERS, "matrix": _MATRICES}
 
 
-def describe(name: str) -> tuple[dict[str, Any], str]:
-    """Describe a picture, a video, an image sequence, or a recipe.
+def describe(name: str, *, layout: RawLayout | None = None, series: str | None = None) -> tuple[dict[str, Any], str]:
+    """Describe a picture, a video, an image sequence, a volume, or a recipe.
 
     Parameters
     ----------
     name : str
-        A picture or a video; a pattern or a folder of pictures; or a recipe, whose name ends in .json.
+        A picture, a video or a volume; a pattern or a folder of pictures; or a recipe, whose name ends in .json.
+    layout, series
+        As `supple.media.volume.read` takes them.
 
     Returns
     -------
@@ -51,6 +54,11 @@ def describe(name: str) -> tuple[dict[str, Any], str]:
 
         recipe = read_recipe(name)
         return {"file": name, "kind": "recipe", **json.loads(recipe.to_json())}, _recipe(name, recipe)
+    from supple.media import volume
+
+    if layout is not None or series is not None or volume.is_volume(name):
+        facts = volume.info(name, raw=layout, series=series)
+        return {"file": name, "kind": "volume", **facts}, _volume(name, facts)
     if is_sequence(name) and not os.path.isfile(name):
         from supple.media.sequence import open_sequence
 
@@ -127,6 +135,39 @@ def _video(name: str, facts: Mapping[str, Any]) -> str:
         lines["chapters"] = str(facts["chapters"])
     if facts["damaged"]:
         lines["damage"] = "it breaks off: what can be decoded of it is used"
+    return _listed(name, lines)
+
+
+def _volume(name: str, facts: Mapping[str, Any]) -> str:
+    if "series" in facts and "shape" not in facts:
+        lines = {
+            f"series {one['number']}": f"{one['slices']} slices, {one['description'] or 'no description'}, {one['uid']}"
+            for one in facts["series"]
+        }
+        return _listed(name, {"format": "DICOM, several series: choose by --series", **lines})
+
+    def spoken(numbers: Any) -> str:
+        return ", ".join(f"{x:.6g}" for x in numbers)
+
+    convention = facts["convention"]
+    lines = {
+        "format": facts["format"],
+        "size": " x ".join(map(str, facts["shape"])) + (f", {facts['times']} times" if facts["times"] > 1 else ""),
+        "spacing": f"{' x '.join(f'{s:.6g}' for s in facts['spacing'])} mm",
+        "values": facts["dtype"] + (f", {facts['components']} components" if facts["components"] > 1 else ""),
+    }
+    if convention != "array":
+        lines["origin"] = f"{spoken(facts['origin'])} ({convention})"
+        lines["axes"] = f"towards {facts['orientation']}"
+    if facts["minimum"] is not None:
+        lines["range"] = f"{facts['minimum']:.6g} to {facts['maximum']:.6g}"
+    if tuple(facts["scaling"]) != (1.0, 0.0):
+        slope, intercept = facts["scaling"]
+        lines["scaling"] = f"{slope:g} times what is stored, and {intercept:g}"
+    if facts["nan"]:
+        lines["gaps"] = f"{facts['nan']} voxels are not a number"
+    if facts["interval"] is not None:
+        lines["interval"] = f"{facts['interval']:g} s"
     return _listed(name, lines)
 
 

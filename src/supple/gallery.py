@@ -5,14 +5,16 @@ from __future__ import annotations
 import os
 import warnings
 from collections.abc import Callable
+from dataclasses import replace
 from html import escape
-from importlib.resources import files
+from importlib.resources import as_file, files
 from pathlib import Path
 from string import Template
 
 import numpy as np
 import numpy.typing as npt
 
+from supple.camera import Camera
 from supple.clips import ClipOptions, WarpedClip, open_clip
 from supple.console import as_options
 from supple.diagnostics import draw_sheet, draw_slice, plot
@@ -20,14 +22,20 @@ from supple.errors import FoldWarning, SuppleError
 from supple.files import Warped, warp_file
 from supple.media.files import replacing, shown
 from supple.media.image import info, read, write
-from supple.scenes import SCENES, Scene, Shot, Take
+from supple.media.volume import read as read_volume
+from supple.media.volume import write as write_volume
+from supple.rendering import Scene as Solid
+from supple.scenes import BACKGROUND, DISTANCE, HEAD, INSIDE, SCENES, Look, Scene, Shot, Take
+from supple.views import RenderOptions, render_file
 
 PAGE = "index.html"
 _CREDITS = (
     "Photographs: Chelsea the cat by Stéfan van der Walt (CC0); a cup of espresso by Rachel Michetti, courtesy of "
     "Pikolo Espresso Bar (CC0); the astronaut Eileen Collins by NASA (public domain). All from scikit-image. Clip: an "
     "excerpt from Big Buck Bunny, © copyright Blender Foundation, www.bigbuckbunny.org (CC BY 3.0), and what Supple "
-    "makes of it."
+    "makes of it. Head: Colin27, copyright (C) 1993–2009 Louis Collins, McConnell Brain Imaging Centre, Montreal "
+    "Neurological Institute, McGill University; permission to use, copy, modify and distribute it is granted, provided "
+    "that this notice appears in all copies."
 )
 _PLOTS = {
     "stretch": "Where the picture grows and shrinks.",
@@ -40,7 +48,7 @@ Colours = npt.NDArray[np.uint8]
 def write_gallery(
     folder: str | os.PathLike[str], *, force: bool = False, progress: Callable[[str], None] | None = None
 ) -> Path:
-    """Write photographs and a clip, what strokes make of them, plots, and a page that shows them.
+    """Write photographs, a clip and a volume, what strokes make of them, plots, and a page that shows them.
 
     Parameters
     ----------
@@ -63,6 +71,9 @@ def write_gallery(
     """
     place = _prepared(Path(folder), force)
     for name in dict.fromkeys(shot.source for scene in SCENES for shot in scene.shots):
+        if name == INSIDE:
+            _write_inside(place / name)
+            continue
         with replacing(place / name, force=True) as temporary:
             temporary.write_bytes((files("supple") / "data" / name).read_bytes())
     sections = [_section(place, scene, progress or (lambda name: None)) for scene in SCENES]
@@ -93,14 +104,18 @@ def _prepared(folder: Path, force: bool) -> Path:
 
 
 def _section(place: Path, scene: Scene, tell: Callable[[str], None]) -> str:
-    shots = "".join(
-        _take(place, shot, tell) if isinstance(shot, Take) else _shot(place, shot, tell) for shot in scene.shots
-    )
+    shots = "".join(_made(place, shot, tell) for shot in scene.shots)
     return f"<section>\n<h2>{escape(scene.title)}</h2>\n<p>{escape(scene.text)}</p>\n{shots}</section>"
 
 
-def _shot(place: Path, shot: Shot, tell: Callable[[str], None]) -> str:
+def _made(place: Path, shot: Shot, tell: Callable[[str], None]) -> str:
     tell(shot.target)
+    if isinstance(shot, Look):
+        return _look(place, shot)
+    return _take(place, shot) if isinstance(shot, Take) else _shot(place, shot)
+
+
+def _shot(place: Path, shot: Shot) -> str:
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", FoldWarning)
         made = warp_file(place / shot.source, place / shot.target, shot.recipe, outside=shot.outside, force=True)
@@ -116,13 +131,12 @@ def _shot(place: Path, shot: Shot, tell: Callable[[str], None]) -> str:
     steps = f" The strokes take {report.applied} steps." if report.applied > report.strokes else ""
     facts = f"<b>Error at most {report.error:.4f} px</b>, certified at every pixel. <b>{report.folds} folds</b>.{steps}"
     return (
-        f'<div class="shot">\n{_compared(shot, made)}{_explained(shot, facts, said)}</div>\n'
+        f'<div class="shot">\n{_compared(shot, shot.source, *made.deformation.shape)}{_explained(shot, facts, said)}</div>\n'
         f'<div class="plots">\n{"".join(plots)}</div>\n'
     )
 
 
-def _take(place: Path, take: Take, tell: Callable[[str], None]) -> str:
-    tell(take.target)
+def _take(place: Path, take: Take) -> str:
     source, target = place / take.source, place / take.target
     made = warp_file(source, target, take.recipe, clip=ClipOptions(time_scale=take.time_scale), force=True)
     assert isinstance(made, WarpedClip)
@@ -148,6 +162,49 @@ def _take(place: Path, take: Take, tell: Callable[[str], None]) -> str:
         f'<div class="clips">\n{"".join(videos)}</div>\n{_explained(take, facts, [])}'
         f'<div class="plots">\n{"".join(plots)}</div>\n'
     )
+
+
+def _look(place: Path, look: Look) -> str:
+    red, green, blue = bytes.fromhex(BACKGROUND)
+    view = RenderOptions(
+        camera=Camera(azimuth=look.azimuth, elevation=look.elevation, distance=DISTANCE),
+        size=(look.size, look.size),
+        background=(red / 255, green / 255, blue / 255),
+        supersampling=look.smooth,
+        density=look.density,
+        turntable=look.turntable or None,
+    )
+    source, target = place / look.source, place / look.target
+    made = render_file(source, target, look.recipe, options=view, force=True)
+    if look.turntable:
+        still = made.render(view.camera, view.size).pixels(view.background)
+        video = _video(place, look.target, f"{look.name}.jpg", still, look.caption)
+        return f'<div class="shot">\n{video}{_explained(look, _facts(made), [])}</div>\n'
+    before, work = f"{look.name}-before.jpg", f"{look.name}-inversions.png"
+    render_file(source, place / before, options=view, force=True)
+    counted = replace(view, mode="exact", what="inversions", supersampling=1)
+    render_file(source, place / work, look.recipe, options=counted, force=True)
+    plot = _figure(place, work, "How often T is evaluated for each ray, if every sample along it is inverted exactly.")
+    return (
+        f'<div class="shot">\n{_compared(look, before, *view.size)}{_explained(look, _facts(made), [])}</div>\n'
+        f'<div class="plots">\n{plot}</div>\n'
+    )
+
+
+def _facts(made: Solid) -> str:
+    assert made.deformation is not None
+    resolution = made.deformation.resolution()
+    steps = f" The stroke takes {resolution['applied']} steps." if resolution["applied"] > 1 else ""
+    return f"<b>Source points within {made.error:.4f} voxels</b>, by the checks of the lattice.{steps}"
+
+
+def _write_inside(target: Path) -> None:
+    """Write the head without what is not marked as brain."""
+    data = files("supple") / "data"
+    with as_file(data / HEAD) as head, as_file(data / "brain.nii.gz") as marks:
+        volume = read_volume(head)
+        alone = np.where(read_volume(marks).samples > 0, volume.samples, 0).astype(volume.samples.dtype)
+        write_volume(target, alone, volume, force=True)
 
 
 def _video(place: Path, name: str, poster: str, still: Colours, when: str) -> str:
@@ -178,12 +235,11 @@ def _figure(place: Path, name: str, text: str) -> str:
     )
 
 
-def _compared(shot: Shot, made: Warped) -> str:
-    height, width = made.deformation.shape
+def _compared(shot: Shot, before: str, height: int, width: int) -> str:
     size = f'width="{width}" height="{height}"'
     return (
         f'<figure><div class="pair"><img src="{shot.target}" {size} alt="{escape(shot.caption)}">'
-        f'<img class="before" src="{shot.source}" {size} alt="The photograph.">'
+        f'<img class="before" src="{before}" {size} alt="As it was.">'
         f'<div class="edge"></div><span>before</span><span>after</span>'
         f'<input type="range" min="0" max="100" value="{shot.cut}" step="0.1" aria-label="before and after"></div>'
         f"<figcaption>{escape(shot.caption)}</figcaption></figure>\n"

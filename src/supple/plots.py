@@ -26,6 +26,7 @@ from supple.domain import choice, integer
 from supple.errors import SuppleError
 from supple.files import counted
 from supple.media.files import check_output, shown
+from supple.media.volume import is_volume
 from supple.streaming import Array
 from supple.strokes import Recipe
 
@@ -91,6 +92,8 @@ def plot_file(
         raise SuppleError(f"x and y are for slices, and {what} shows whole frames: leave them out")
     check_output(target, force=force)
     check_plot(target, force=force)
+    if is_volume(source):
+        raise SuppleError(f"plots are of pictures and videos, and {shown(source)} is a volume: supple render shows it")
     if is_clip(source, "", recipe):
         from supple.media.troubles import CountError
 

@@ -1,4 +1,4 @@
-"""What the gallery shows: scenes of pictures and clips, each made by one command."""
+"""What the gallery shows: scenes of pictures, clips and volumes, each made by one command."""
 
 from __future__ import annotations
 
@@ -6,10 +6,18 @@ from dataclasses import dataclass
 
 from supple.strokes import FoldPolicy, Recipe, Stroke
 
+DISTANCE = 480
+"""From the camera to the middle of a volume, in millimetres."""
+BACKGROUND = "1a1a1e"
+HEAD = "head.nii.gz"
+INSIDE = "inside.nii.gz"
+"""What of the head is marked as brain."""
+_DENT = ((40, 86, 65, 44, 63, 53, 32),)
+
 
 @dataclass(frozen=True, slots=True)
 class Shot:
-    """One command: a photograph or a clip, strokes, and the name of what they make of it.
+    """One command: a photograph, a clip or a volume, strokes, and the name of what they make of it.
 
     Parameters
     ----------
@@ -17,8 +25,8 @@ class Shot:
         Of what is made, without suffix.
     caption : str
     source : str
-        The photograph, or the clip.
-    grabs : tuple of (x, y, x, y, radius), or (x, y, t, x, y, t, radius)
+        The photograph, the clip, or the volume.
+    grabs : tuple of (x, y, x, y, radius), or (x, y, t, x, y, t, radius), or with z for t
     scales : int
     border : float or None
     on_fold : str
@@ -43,6 +51,11 @@ class Shot:
         return f"{self.name}.jpg"
 
     @property
+    def verb(self) -> str:
+        """The command that makes it."""
+        return "warp"
+
+    @property
     def recipe(self) -> Recipe:
         """The strokes as the library takes them."""
         strokes = [Stroke.grab(a, to=b, radius=r, scales=self.scales) for a, b, r in map(_split, self.grabs)]
@@ -52,7 +65,7 @@ class Shot:
     def command(self) -> str:
         """The strokes as the command line takes them."""
         alike = len({grab[-1] for grab in self.grabs}) == 1
-        lines = [f"supple warp {self.source} {self.target}"]
+        lines = [f"supple {self.verb} {self.source} {self.target}"]
         for a, b, r in map(_split, self.grabs):
             places = ":".join(",".join(map(str, point)) for point in (a, b))
             lines.append(f"--grab {places}" + ("" if alike else f" --radius {r}"))
@@ -102,6 +115,54 @@ class Take(Shot):
     def _options(self) -> list[str]:
         scale = [f"--time-scale {self.time_scale:g}"] if self.time_scale != 1 else []
         return [*Shot._options(self), *scale]
+
+
+@dataclass(frozen=True, slots=True)
+class Look(Shot):
+    """A picture of a volume, or a turn around it.
+
+    Parameters
+    ----------
+    azimuth, elevation : int
+        Where the camera stands, in degrees, at first.
+    size : int
+        Of the picture, in pixels.
+    smooth : int
+        Rays along each side of a pixel.
+    density : (int, int), optional
+        The values that are seen.
+    turntable : int
+        How many pictures a turn has; a single one if 0.
+    """
+
+    azimuth: int = 38
+    elevation: int = 12
+    size: int = 560
+    smooth: int = 2
+    density: tuple[int, int] | None = None
+    turntable: int = 0
+
+    @property
+    def target(self) -> str:
+        """The name of the file that is made."""
+        return f"{self.name}.mp4" if self.turntable else f"{self.name}.jpg"
+
+    @property
+    def verb(self) -> str:
+        """The command that makes it."""
+        return "render"
+
+    def _options(self) -> list[str]:
+        found = Shot._options(self)
+        found.append(f"--azimuth {self.azimuth} --elevation {self.elevation} --distance {DISTANCE}")
+        found.append(f"--size {self.size}x{self.size} --background {BACKGROUND}")
+        if self.smooth != 1:
+            found.append(f"--smooth {self.smooth}")
+        if self.density is not None:
+            found.append(f"--density {self.density[0]},{self.density[1]}")
+        if self.turntable:
+            found.append(f"--turntable {self.turntable}")
+        return found
 
 
 def _split(grab: tuple[int, ...]) -> tuple[tuple[int, ...], tuple[int, ...], int]:
@@ -218,6 +279,29 @@ SCENES = (
                 frames=(36, 39, 42, 45, 48),
                 area=(140, 0, 420, 360),
                 row=120,
+            ),
+        ),
+    ),
+    Scene(
+        "A head, outside and inside",
+        "A volume bends like anything else, in millimetres: what is inside follows. The head is seen by rays that look "
+        "up where each of their points came from, on a certified lattice, so that nothing is warped beforehand. Of the "
+        "brain, a density window shows what is brighter than the fluid around it.",
+        (
+            Look("head", "One stroke of 54 mm that flows.", HEAD, _DENT, border=10, on_fold="flow"),
+            Look(
+                "brain", "The same stroke, inside.", INSIDE, _DENT, border=10, on_fold="flow", cut=10, density=(45, 254)
+            ),
+            Look(
+                "turn",
+                "Once around.",
+                HEAD,
+                _DENT,
+                border=10,
+                on_fold="flow",
+                size=400,
+                smooth=1,
+                turntable=72,
             ),
         ),
     ),

@@ -71,7 +71,8 @@ class TransferFunction:
         """
         values = np.linspace(low, high, ENTRIES)
         known = np.array(self.points)
-        places = known[:, 0] if not self.relative else low + known[:, 0] * (high - low)
+        # Where all values are one, it is the smallest.
+        places = known[:, 0] if not self.relative else low + known[:, 0] * ((high - low) or 1.0)
         seen = np.stack([np.interp(values, places, known[:, c]) for c in range(1, 5)], axis=1)
         colours = seen[:, :3]
         linear = np.where(colours <= 0.04045, colours / 12.92, ((colours + 0.055) / 1.055) ** 2.4)

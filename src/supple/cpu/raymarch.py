@@ -324,7 +324,7 @@ def march_exactly(
     spacing = view[1]
     n = pixels.shape[0]
     rays = np.empty((n, 6))
-    ts, fars, shift = np.empty(n), np.empty(n), np.zeros((n, 3))
+    ts, nears, fars, shift = np.empty(n), np.empty(n), np.empty(n), np.zeros((n, 3))
     found, which, single = np.zeros(n, np.bool_), np.empty(BATCH, np.int64), np.empty(1, np.int64)
     along = np.empty(3, np.float32)
     for first in range(0, n, BATCH):
@@ -334,7 +334,7 @@ def march_exactly(
             dx, dy, dz, ax, ay, az = ray_of(view, pixels[r, 0], pixels[r, 1])
             rays[r, 0], rays[r, 1], rays[r, 2], rays[r, 3], rays[r, 4], rays[r, 5] = dx, dy, dz, ax, ay, az
             near, far = box_of(view[0, 0], view[0, 1], view[0, 2], dx, dy, dz, nx, ny, nz)
-            ts[r], fars[r], found[r] = near, far, threshold == -np.inf
+            ts[r], nears[r], fars[r], found[r] = near, near, far, threshold == -np.inf
             depth[r, 0], depth[r, 1], work[r, 0], work[r, 1] = np.inf, np.inf, 0, 0
             out[r, 0] = out[r, 1] = out[r, 2] = out[r, 3] = np.float32(0.0)
             if near <= far:
@@ -354,7 +354,7 @@ def march_exactly(
                 if not found[r] and value >= threshold and value <= window[1]:
                     found[r] = True
                     single[0] = r
-                    high_t, low_t = ts[r], max(0.0, ts[r] - step)
+                    high_t, low_t = ts[r], max(nears[r], ts[r] - step)
                     above, before = value, np.float32(-np.inf)
                     for turn in range(BISECTIONS + 1):
                         ts[r] = 0.5 * (low_t + high_t)

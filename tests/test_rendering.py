@@ -1,0 +1,453 @@
+"""Rendering against a slow reference, known bodies, and itself from other sides."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from scipy import ndimage
+
+import supple
+from supple.camera import Camera
+from supple.cpu import bricks, raymarch
+from supple.geometry import Geometry
+from supple.rendering import MODES, Picture, Scene
+from supple.transfer import ENTRIES, TransferFunction
+
+Floats = npt.NDArray[np.float64]
+
+SIZE = (30, 36)
+SOFT = TransferFunction(((0.2, 1.0, 0.2, 0.1, 0.0), (0.5, 0.9, 0.5, 0.3, 0.2), (1.0, 1.0, 1.0, 1.0, 0.6)))
+HARD = TransferFunction(((0.49, 1.0, 0.8, 0.6, 0.0), (0.5, 1.0, 0.8, 0.6, 1.0), (1.0, 1.0, 0.8, 0.6, 1.0)))
+
+
+def cloud(shape: tuple[int, int, int] = (24, 30, 28), seed: int = 0) -> npt.NDArray[np.float32]:
+    rng = np.random.default_rng(seed)
+    made = ndimage.gaussian_filter(rng.normal(size=shape), 3, mode="constant")
+    made -= made.min()
+    return (made / made.max()).astype(np.float32)
+
+
+def ball(shape: tuple[int, int, int], geometry: Geometry, centre: Floats, radius: float) -> npt.NDArray[np.float32]:
+    """A ball in millimetres, 1 within and 0 outside, with a soft edge of some millimetres."""
+    index = np.stack(np.meshgrid(*(np.arange(n) for n in shape), indexing="ij")[::-1], axis=-1)
+    away = np.linalg.norm(geometry.to_lps(index) - centre, axis=-1)
+    return np.clip(0.5 + (radius - away) / 4, 0, 1).astype(np.float32)
+
+
+def bent(shape: tuple[int, ...], geometry: Geometry = Geometry()) -> supple.Deformation:  # noqa: B008
+    middle = [(n - 1) / 2 for n in reversed(shape)]
+    d = supple.Deformation(shape, spacing=geometry.spacing, border=None)
+    return d.grab(middle, by=(4, -2, 3), radius=9).grab([0.3 * m for m in middle], by=(-1, 2, 2), radius=7)
+
+
+def reference(scene: Scene, camera: Camera, size: tuple[int, int]) -> tuple[Floats, Floats, Floats]:
+    """The same, a ray at a time, in float64, composited from back to front as the paper does.
+
+    Returns premultiplied colour and opacity, and the depth of the surface and of opacity 0.9.
+    """
+    view = scene.view(camera, size)
+    volume = scene.samples.astype(np.float64)
+    low, high = scene.range
+    table = scene.transfer.table(low, high, scene.step).astype(np.float64)
+    entries = np.linspace(low, high, ENTRIES)
+    seen = (table[:, 3] > 0) & (entries >= scene.density[0]) & (entries <= scene.density[1])
+    first = entries[np.argmax(seen)] - 0.5 * (entries[1] - entries[0])
+    threshold = -math.inf if seen[0] and scene.density[0] <= low else max(first, scene.density[0])
+    light = -view.ahead - 0.35 * view.packed[3] / np.linalg.norm(view.packed[3])
+    light -= 0.45 * view.packed[4] / np.linalg.norm(view.packed[4])
+    light /= np.linalg.norm(light)
+
+    def sampled(field: Floats, points: Floats) -> Floats:
+        made: Floats = ndimage.map_coordinates(field, points[:, ::-1].T, order=1, mode="nearest")
+        return made
+
+    def source(points: Floats) -> tuple[Floats, Floats]:
+        if scene.deformation is None or scene.mode == "buffered":
+            return points, np.broadcast_to(np.eye(3), (len(points), 3, 3))
+        found = scene.deformation.inverse(points).points
+        return found, np.linalg.inv(scene.deformation.jacobian(found))
+
+    out, depth = np.zeros((*size, 4)), np.full((*size, 2), math.inf)
+    n = np.array(volume.shape[::-1]) - 1.0
+    for y in range(size[0]):
+        for x in range(size[1]):
+            direction = view.direction(x, y)
+            along = direction / view.spacing
+            with np.errstate(divide="ignore"):
+                faces = np.stack([-view.eye / along, (n - view.eye) / along])
+            near, far = max(faces.min(axis=0).max(), 0), faces.max(axis=0).min()
+            if near > far:
+                continue
+            ts = np.arange(near, far + 1e-9, scene.step)
+            points = view.eye + ts[:, None] * along
+            values = sampled(volume, source(points)[0])
+            hit = values >= threshold
+            if scene.density[1] < math.inf:
+                hit &= values <= scene.density[1]
+            if threshold == -math.inf:
+                start = near
+            elif not hit.any():
+                continue
+            else:
+                k = int(np.argmax(hit))
+                a, b = max(near, ts[k] - scene.step), ts[k]
+                for _ in range(40):
+                    middle = (a + b) / 2
+                    value = sampled(volume, source(view.eye + middle * along[None])[0])[0]
+                    if value >= threshold and value <= scene.density[1]:
+                        b = middle
+                    else:
+                        a = middle
+                start = b
+            ts = np.arange(start, far + 1e-9, scene.step)
+            points = view.eye + ts[:, None] * along
+            places, inverse = source(points)
+            values = sampled(volume, places)
+            colours = table[np.rint((values - low) / (high - low) * (ENTRIES - 1)).astype(int)].copy()
+            colours[(values < scene.density[0]) | (values > scene.density[1]), 3] = 0
+            lit, shine = np.ones(len(ts)), np.zeros(len(ts))
+            if scene.shaded:
+                sides = [(sampled(volume, places + e) - sampled(volume, places - e)) / 2 for e in np.eye(3)]
+                slopes = np.stack(sides, axis=-1)
+                slopes = np.einsum("nji,nj->ni", inverse, slopes) / view.spacing
+                size_ = np.linalg.norm(slopes, axis=1)
+                normals = slopes / np.maximum(size_, 1e-12)[:, None]
+                half = light - direction
+                half /= np.linalg.norm(half)
+                lit = raymarch.AMBIENT + raymarch.DIFFUSE * np.where(size_ > 0, abs(normals @ light), 1)
+                shine = raymarch.SPECULAR * np.where(size_ > 0, abs(normals @ half), 0) ** 16
+            total = np.zeros(3)
+            for k in range(len(ts) - 1, -1, -1):
+                alpha = colours[k, 3]
+                total = alpha * (colours[k, :3] * lit[k] + shine[k]) + (1 - alpha) * total
+            gathered = 1 - np.cumprod(1 - colours[:, 3])
+            out[y, x] = *total, gathered[-1]
+            depth[y, x, 0] = start
+            if (gathered >= 0.9).any():
+                depth[y, x, 1] = ts[np.argmax(gathered >= 0.9)]
+    return out[..., :3], out[..., 3], depth
+
+
+def psnr(a: Picture, b: Picture) -> float:
+    first, second = (p.pixels((0.1, 0.1, 0.1)).astype(np.float64) for p in (a, b))
+    return float(10 * np.log10(255**2 / max(np.mean((first - second) ** 2), 1e-9)))
+
+
+GEOMETRIES = {
+    "cubic": Geometry(),
+    "thick slices": Geometry((0.8, 1.0, 2.5)),
+    "oblique and flipped": Geometry(
+        (1.0, 1.2, 1.5),
+        (10.0, -20.0, 5.0),
+        np.array([[0.0, -0.8, 0.6], [1.0, 0.0, 0.0], [0.0, 0.6, 0.8]]) @ np.diag([1.0, -1.0, 1.0]),
+    ),
+}
+
+
+@pytest.mark.parametrize("mode", ["plain", "exact", "lattice"])
+@pytest.mark.parametrize("transfer", [SOFT, HARD], ids=["soft", "hard"])
+@pytest.mark.parametrize("where", GEOMETRIES)
+def test_a_picture_is_the_slow_one(where: str, transfer: TransferFunction, mode: str) -> None:
+    geometry = GEOMETRIES[where]
+    volume = cloud()
+    d = None if mode == "plain" else bent(volume.shape, geometry)
+    scene = Scene(
+        volume, geometry, deformation=d, transfer=transfer, mode="lattice" if mode == "plain" else mode, tolerance=0.005
+    )
+    camera = Camera(35, 20, roll=10)
+    picture = scene.render(camera, SIZE)
+    colours, alpha, depth = reference(scene, camera, SIZE)
+    assert (alpha > 0).sum() > 150
+    off = np.abs(picture.light[..., :3] - colours).max(axis=-1)
+    veiled = np.abs(picture.light[..., 3] - alpha)
+    # Rays that graze a surface may just miss it, or hit it; and what ends early is opaque to 0.995.
+    assert np.quantile(off, 0.97) < 0.006
+    assert np.quantile(veiled, 0.97) < 0.006
+    assert off.mean() < 0.003
+    both = np.isfinite(depth[..., 0]) & np.isfinite(picture.depth)
+    assert (both == np.isfinite(depth[..., 0])).mean() > 0.98
+    # The surface is found to a sixteenth of a step, where the line through two values does not find it better.
+    assert np.quantile(np.abs(picture.depth[both] - depth[..., 0][both]), 0.97) < scene.step / 16
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.int16, np.uint16, np.float32, np.float64, np.int32, np.bool_])
+def test_the_type_of_samples_does_not_matter(dtype: Any) -> None:
+    volume = cloud() > 0.5
+    whole = (volume * 200).astype(np.float32)
+    given = volume if dtype == np.bool_ else (whole - (100 if np.dtype(dtype).kind != "u" else 0)).astype(dtype)
+    relative = TransferFunction(((0.3, 1, 1, 1, 0), (0.6, 1, 0.5, 0.2, 0.9)), relative=True)
+    one = Scene(whole, transfer=relative).render(size=SIZE)
+    other = Scene(given, transfer=relative).render(size=SIZE)
+    np.testing.assert_allclose(other.light, one.light, atol=2e-3)
+
+
+def test_skipping_empty_bricks_changes_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    volume = cloud((33, 37, 41), 3) ** 3
+    d = bent(volume.shape)
+    for transfer in (HARD, SOFT):
+        for deformation in (None, d):
+            quick = Scene(volume, deformation=deformation, transfer=transfer)
+            assert quick._skips.max() > 0
+            slow = Scene(volume, deformation=deformation, transfer=transfer)
+            object.__setattr__(slow, "_skips", np.zeros_like(slow._skips))
+            a, b = quick.render(Camera(20, 30), SIZE), slow.render(Camera(20, 30), SIZE)
+            np.testing.assert_array_equal(a.light, b.light)
+            np.testing.assert_array_equal(a.depth, b.depth)
+            assert a.samples.sum() < (0.7 if transfer is HARD else 1.0) * b.samples.sum()
+
+
+def test_bricks_know_their_range_and_their_distance() -> None:
+    volume = cloud((9, 14, 22))
+    counts = tuple(-(-(n - 1) // bricks.BRICK) for n in volume.shape)
+    lows, highs = np.empty(counts, np.float32), np.empty(counts, np.float32)
+    bricks.ranges(volume.reshape(-1), np.array(volume.shape[::-1]), lows, highs)
+    for c, b, a in np.ndindex(counts):
+        part = volume[tuple(slice(k * bricks.BRICK, k * bricks.BRICK + bricks.BRICK + 1) for k in (c, b, a))]
+        assert (lows[c, b, a], highs[c, b, a]) == (part.min(), part.max())
+    seen = np.random.default_rng(1).random((7, 9, 8)) > 0.985
+    found = bricks.distances(seen)
+    places = np.argwhere(seen)
+    for at in np.ndindex(seen.shape):
+        assert found[at] == np.abs(places - at).max(axis=1).min()
+    assert (bricks.distances(np.zeros((3, 3, 300), np.bool_)) == bricks.FARTHEST).all()
+
+
+def test_the_three_ways_show_the_same() -> None:
+    shape = (48, 52, 50)
+    geometry = Geometry((1.0, 1.0, 1.2))
+    volume = ball(shape, geometry, np.array([25.0, 25.0, 28.0]), 16)
+    d = supple.Deformation(shape, spacing=geometry.spacing).grab((25, 12, 24), by=(8, -9, 5), radius=14)
+    pictures = {
+        mode: Scene(volume, geometry, deformation=d, transfer=HARD, mode=mode).render(Camera(30, 15), (96, 96))
+        for mode in MODES
+    }
+    assert psnr(pictures["lattice"], pictures["exact"]) > 45
+    assert psnr(pictures["buffered"], pictures["exact"]) > 32
+    assert pictures["exact"].evaluations.sum() > 2 * pictures["exact"].samples.sum()
+    assert pictures["lattice"].evaluations.sum() == 0
+    undone = Scene(volume, geometry, transfer=HARD).render(Camera(30, 15), (96, 96))
+    assert psnr(undone, pictures["exact"]) < 28
+
+
+def centre_of(picture: Picture) -> tuple[float, float]:
+    """Where what is seen is, from the middle of the picture: to the right, and up, in parts of its size."""
+    alpha = picture.light[..., 3]
+    height, width = alpha.shape
+    x = (alpha.sum(axis=0) * np.arange(width)).sum() / alpha.sum()
+    y = (alpha.sum(axis=1) * np.arange(height)).sum() / alpha.sum()
+    return x / (width - 1) - 0.5, 0.5 - y / (height - 1)
+
+
+SIDES = {
+    # What is at the patient's left (+x), back (+y) and head (+z) is seen to the right or above.
+    "front": (Camera(0, 0), (1, 0), (0, 0), (0, 1)),
+    "left": (Camera(90, 0), (0, 0), (1, 0), (0, 1)),
+    "back": (Camera(180, 0), (-1, 0), (0, 0), (0, 1)),
+    "right": (Camera(-90, 0), (0, 0), (-1, 0), (0, 1)),
+    "above": (Camera(0, 90), (1, 0), (0, 1), (0, 0)),
+    "rolled": (Camera(0, 0, roll=90), (0, 1), (0, 0), (-1, 0)),
+}
+
+
+@pytest.mark.parametrize("side", SIDES)
+@pytest.mark.parametrize("where", GEOMETRIES)
+def test_left_is_left(where: str, side: str) -> None:
+    """In any geometry: a blob away from the middle is seen where the patient has it."""
+    geometry = GEOMETRIES[where]
+    shape = (30, 30, 30)
+    camera, *expected = SIDES[side]
+    middle = geometry.to_lps(np.array([14.5, 14.5, 14.5]))
+    for axis in range(3):
+        blob = ball(shape, geometry, middle + 6.0 * np.eye(3)[axis], 4)
+        x, y = centre_of(Scene(blob, geometry, transfer=HARD).render(camera, (64, 64)))
+        for found, want in zip((x, y), expected[axis], strict=True):
+            assert abs(found) < 0.02 if want == 0 else found * want > 0.05
+
+
+def test_voxels_need_not_be_cubes() -> None:
+    """The same ball, sampled on other grids, looks the same."""
+    camera = Camera(25, 35, distance=150, target=None)
+    pictures = []
+    for geometry, shape in (
+        (Geometry(), (49, 49, 49)),
+        (Geometry((0.5, 1.0, 1.5)), (33, 49, 97)),
+        (Geometry((1.0, 0.75, 2.0), (3.0, 4.0, 5.0), GEOMETRIES["oblique and flipped"].direction), (25, 65, 49)),
+    ):
+        middle = geometry.to_lps((np.array(shape[::-1]) - 1) / 2)
+        volume = ball(shape, geometry, middle, 15) - 0.5 * ball(shape, geometry, middle + np.array([6.0, -9.0, 8.0]), 7)
+        pictures.append(Scene(volume, geometry, transfer=HARD, step=0.5).render(camera, (80, 80)))
+    for other in pictures[1:]:
+        assert psnr(other, pictures[0]) > 30
+
+
+def test_perspective() -> None:
+    """A ball at a known distance has a known size, and its nearest point a known depth."""
+    shape, radius = (61, 61, 61), 12.0
+    volume = ball(shape, Geometry(), np.array([30.0, 30.0, 30.0]), radius)
+    for distance, angle in ((100.0, 30.0), (70.0, 50.0)):
+        camera = Camera(40, -20, distance=distance, field_of_view=angle)
+        picture = Scene(volume, transfer=HARD).render(camera, (200, 200))
+        seen = picture.light[..., 3].sum() / 200**2
+        tangent = math.tan(math.asin(radius / distance)) / math.tan(math.radians(angle / 2)) / 2
+        assert seen == pytest.approx(math.pi * tangent**2, rel=0.02)
+        assert picture.depth.min() == pytest.approx(distance - radius, abs=0.05)
+
+
+def test_opacity_is_that_of_the_way_and_not_of_the_steps() -> None:
+    shape = (40, 40, 40)
+    fog = np.full(shape, 0.5, np.float32)
+    fog[0, 0, 0] = 1.0
+    thin = TransferFunction(((0.0, 1.0, 1.0, 1.0, 0.02),), unit=1.0)
+    found = [
+        Scene(fog, transfer=thin, step=step, shaded=False).render(Camera(distance=5000, field_of_view=1), (9, 9)).light
+        for step in (1.0, 0.5, 0.25)
+    ]
+    for light in found:
+        assert light[4, 4, 3] == pytest.approx(1 - 0.98**39, abs=0.012)
+
+
+def test_density_shows_what_is_inside() -> None:
+    shape = (40, 40, 40)
+    middle = np.full(3, 19.5)
+    volume = 0.5 * ball(shape, Geometry(), middle, 15) + 0.5 * ball(shape, Geometry(), middle, 6)
+    outer = Scene(volume, transfer=TransferFunction(((0.3, 1, 0, 0, 0), (0.35, 1, 0, 0, 1))))
+    inner = Scene(volume, transfer=outer.transfer, density=(0.8, 1.0))
+    a, b = outer.render(size=(64, 64)), inner.render(size=(64, 64))
+    assert (b.light[..., 3] > 0.5).sum() < 0.3 * (a.light[..., 3] > 0.5).sum()
+    again = outer.seen_through(outer.transfer, (0.8, 1.0)).render(size=(64, 64))
+    np.testing.assert_array_equal(again.light, b.light)
+    assert Scene(volume, density=(2.0, 3.0)).render(size=(8, 8)).light.max() == 0
+
+
+def test_pick_and_drag() -> None:
+    shape, geometry = (50, 50, 50), GEOMETRIES["oblique and flipped"]
+    middle = geometry.to_lps(np.full(3, 24.5))
+    volume = ball(shape, geometry, middle, 14)
+    camera, size = Camera(30, 20), (120, 160)
+    d = supple.Deformation(shape, spacing=geometry.spacing).grab((24, 20, 24), by=(2, -2, 1), radius=12)
+    for mode, deformation in (("lattice", None), ("lattice", d), ("exact", d)):
+        scene = Scene(volume, geometry, deformation=deformation, transfer=HARD, mode=mode)
+        assert scene.pick(camera, size, (0, 0)) is None
+        pick = scene.pick(camera, size, (80, 61))
+        assert pick is not None
+        # It lies on its ray, at its depth, on the surface of the ball.
+        view = scene.view(camera, size)
+        at = view.eye + pick.depth * view.direction(80, 61) / view.spacing
+        np.testing.assert_allclose(pick.index, at, atol=1e-9)
+        away = np.linalg.norm(geometry.to_lps(np.array(pick.source)) - middle)
+        assert away == pytest.approx(14, abs=1.2)
+        if deformation is not None:
+            np.testing.assert_allclose(deformation.forward(pick.source), pick.index, atol=1e-6)
+        by = scene.drag(camera, size, pick, (100, 40))
+        end = (np.array(pick.index) + by - view.eye) * view.spacing
+        np.testing.assert_allclose(end / np.linalg.norm(end), view.direction(100, 40), atol=1e-9)
+        # In the camera's plane: neither nearer nor farther.
+        assert np.array(by) * view.spacing @ view.ahead == pytest.approx(0, abs=1e-9)
+        assert scene.drag(camera, size, pick, (80, 61)) == pytest.approx((0, 0, 0), abs=1e-9)
+
+
+def test_a_drag_moves_what_was_picked_to_the_pixel() -> None:
+    shape = (50, 50, 50)
+    volume = ball(shape, Geometry(), np.full(3, 24.5), 14)
+    camera, size = Camera(20, 10), (120, 120)
+    scene = Scene(volume, transfer=HARD)
+    pick = scene.pick(camera, size, (60, 60))
+    assert pick is not None
+    by = scene.drag(camera, size, pick, (72, 52))
+    d = supple.Deformation(shape, border=None).grab(pick.index, by=by, radius=20)
+    moved = Scene(volume, deformation=d, transfer=HARD).pick(camera, size, (72, 52))
+    assert moved is not None
+    np.testing.assert_allclose(moved.source, pick.index, atol=0.3)
+
+
+def test_supersampling_smooths_outlines() -> None:
+    volume = ball((40, 40, 40), Geometry(), np.full(3, 19.5), 14)
+    scene = Scene(volume, transfer=HARD)
+    edge, smooth = (scene.render(size=(48, 48), supersampling=n).light[..., 3] for n in (1, 4))
+    assert set(np.unique(edge.round(3))) <= {0.0, 1.0}
+    assert ((smooth > 0.1) & (smooth < 0.9)).sum() > 40
+    assert smooth.sum() == pytest.approx(edge.sum(), rel=0.02)
+
+
+def test_pixels() -> None:
+    light = np.zeros((1, 3, 4), np.float32)
+    light[0, 1] = 0.5, 0.25, 0.0, 0.5
+    light[0, 2] = 1.2, 1.0, 1.0, 1.0
+    picture = Picture(light, np.zeros((1, 3)), np.zeros((1, 3), np.int64), np.zeros((1, 3), np.int64))
+    np.testing.assert_array_equal(picture.pixels()[0], [[0, 0, 0, 0], [255, 188, 0, 128], [255, 255, 255, 255]])
+    np.testing.assert_array_equal(picture.pixels((1.0, 1.0, 1.0))[0, 0], [255, 255, 255])
+    # Half of a background of 0.5 in linear light, which is 188 in sRGB.
+    np.testing.assert_array_equal(picture.pixels((188 / 255, 0.0, 0.0))[0, 1], [225, 137, 0])
+
+
+@pytest.mark.parametrize("shape", [(1, 20, 20), (20, 1, 20), (2, 2, 2), (1, 1, 1), (5, 3, 30)])
+def test_thin_volumes(shape: tuple[int, int, int]) -> None:
+    volume = np.ones(shape, np.float32)
+    volume.flat[0] = 0
+    picture = Scene(volume, transfer=HARD).render(Camera(20, 30), (32, 32))
+    assert np.isfinite(picture.light).all()
+    if max(shape) > 1:
+        assert picture.light[..., 3].max() > 0.9
+
+
+def test_what_is_not_a_number_is_nothing() -> None:
+    volume = ball((30, 30, 30), Geometry(), np.full(3, 14.5), 9)
+    holes = volume.copy()
+    holes[:4] = np.nan
+    holes[-3:, :2] = -np.inf
+    np.testing.assert_allclose(
+        Scene(holes, transfer=HARD).render(size=SIZE).light,
+        Scene(volume, transfer=HARD).render(size=SIZE).light,
+        atol=1e-6,
+    )
+    assert Scene(np.full((5, 5, 5), np.nan)).render(size=(8, 8)).light.max() == 0
+
+
+def test_a_camera_inside() -> None:
+    volume = np.full((30, 30, 30), 0.6, np.float32)
+    volume[0, 0, 0] = 0
+    picture = Scene(volume, transfer=HARD).render(Camera(distance=1.0), (16, 16))
+    assert (picture.light[..., 3] > 0.99).all()
+    assert picture.depth.max() < 2
+
+
+@pytest.mark.parametrize(
+    ("given", "text"),
+    [
+        ({"samples": np.zeros((3, 3))}, "a volume of numbers"),
+        ({"samples": np.zeros((3, 3, 3), complex)}, "a volume of numbers"),
+        ({"samples": np.zeros((0, 3, 3))}, "a volume of numbers"),
+        ({"mode": "fast"}, '"lattice" or "exact" or "buffered"'),
+        ({"transfer": "bone"}, '"ct-bone"'),
+        ({"density": (3, 1)}, "the lower one first"),
+        ({"density": (1,)}, "2 numbers"),
+        ({"step": 0}, "step must be a number of millimetres above 0"),
+        ({"tolerance": -1}, "tolerance"),
+        ({"deformation": supple.Deformation((4, 4, 4))}, "as the volume"),
+        ({"deformation": supple.Deformation((8, 8, 8), spacing=2.0)}, "of spacing"),
+    ],
+)
+def test_bad_scenes(given: dict[str, Any], text: str) -> None:
+    known: dict[str, Any] = {"samples": np.zeros((8, 8, 8)), **given}
+    with pytest.raises(supple.SuppleError, match=text):
+        Scene(**known)
+
+
+@pytest.mark.parametrize(
+    ("given", "text"),
+    [
+        ({"elevation": 100}, "from -90 to 90"),
+        ({"distance": 0}, "above 0"),
+        ({"field_of_view": 180}, "from 1 to 150"),
+        ({"up": (0, 0, 0)}, "a direction"),
+        ({"target": (1, 2)}, "3 numbers"),
+        ({"azimuth": math.nan}, "a number of degrees"),
+    ],
+)
+def test_bad_cameras(given: dict[str, Any], text: str) -> None:
+    with pytest.raises(supple.SuppleError, match=text):
+        Camera(**given)
