@@ -116,7 +116,7 @@ class _Commands:
         from supple.batch import Crew, check_recipe_file, make_folders, pair
         from supple.clips import is_clip
         from supple.files import warp_file, write_recipe
-        from supple.volumes import is_volume_job
+        from supple.volumes import holds_volumes, is_volume_job
 
         if len(paths) < 2:
             raise SuppleError("give a file to read and a name to write to: supple warp IN OUT --grab …")
@@ -137,7 +137,7 @@ class _Commands:
         if not paths[-1]:
             raise SuppleError("cannot write '': name a file, or a folder, last")
         reading = sampling["volume"]
-        single = len(paths) == 2 and not _stands_for_several(paths[0])
+        single = len(paths) == 2 and not _stands_for_several(paths[0]) and not holds_volumes(paths[0])
         if single and (is_volume_job(paths[0], paths[1], recipe, reading) or is_clip(paths[0], paths[1], recipe)):
             jobs, many = [(Path(paths[0]), Path(paths[1]))], False
         else:

@@ -144,7 +144,8 @@ class VolumeCommands:
         if moved.unconverged:
             self.console.say(f"{moved.unconverged} of {moved.count} points did not converge: see their residuals")
         if not options.quiet:
-            print(f"{moved.count} points, moved by up to {furthest:.3g} {unit}; residual up to {worst:.1g} {unit}")
+            many = "1 point" if moved.count == 1 else f"{moved.count} points"
+            print(f"{many}, moved by up to {furthest:.3g} {unit}; residual up to {worst:.1g} {unit}")
 
 
 def _deformation(on: str, recipe: Recipe, reading: Reading, video: VideoOptions) -> tuple[Deformation, Geometry | None]:

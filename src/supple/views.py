@@ -96,8 +96,12 @@ class RenderOptions:
 
 def default_transfer(volume: Volume) -> str:
     """The preset that fits a volume's values: computed tomography is told by its air, at -1000 Hounsfield units."""
-    values = volume.samples if volume.scaling == (1.0, 0.0) else volume.rescaled()
-    low, high = float(np.nanmin(values)), float(np.nanmax(values))
+    values = volume.samples
+    known = values[np.isfinite(values)] if values.dtype.kind == "f" else values
+    if known.size == 0:
+        return "mr-head"
+    slope, intercept = volume.scaling
+    low, high = sorted(slope * float(v) + intercept for v in (known.min(), known.max()))
     return "ct-skin" if low <= -800 and high >= 200 else "mr-head"
 
 

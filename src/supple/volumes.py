@@ -42,6 +42,8 @@ Array = npt.NDArray[Any]
 PathLike = str | os.PathLike[str]
 Tell = Callable[[str, int, int], None]
 
+ONE_FILE = frozenset({".nii", ".nii.gz", ".nrrd", ".mha"})
+"""Suffixes of files that are volumes, whatever lies beside them."""
 _TIFF = (".tif", ".tiff")
 
 
@@ -113,6 +115,14 @@ def is_volume_job(source: PathLike, target: PathLike, recipe: Recipe, options: V
     if suffix_of(source) in _TIFF and not os.path.isdir(source):
         return (solid or suffix_of(target) in set(SUFFIXES_OUT) - set(_TIFF)) and has_pages(source)
     return is_volume(source)
+
+
+def holds_volumes(path: PathLike) -> bool:
+    """Whether a folder is one of volumes: of files, each of which is one."""
+    try:
+        return os.path.isdir(path) and any(suffix_of(name) in ONE_FILE for name in os.listdir(path))
+    except OSError:
+        return False
 
 
 def open_volume(source: PathLike, options: VolumeOptions | None = None) -> Volume:

@@ -1,0 +1,235 @@
+"""Volume files as pictures, turns around them, and the command for it."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import av
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+import supple
+from supple.camera import Camera
+from supple.cli import command
+from supple.geometry import Geometry
+from supple.media import image
+from supple.media import volume as media
+from supple.transfer import PRESETS
+from supple.views import RenderOptions, default_transfer, render_file
+from supple.volumes import VolumeOptions
+
+SHAPE = (24, 30, 28)
+GRAB = ["--grab", "13,14,11:17,14,11", "--radius", "9"]
+RECIPE = supple.Recipe(strokes=[supple.Stroke.grab((13, 14, 11), to=(17, 14, 11), radius=9)])
+
+
+@pytest.fixture
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def head(low: float = 0, high: float = 200) -> npt.NDArray[np.int16]:
+    """A ball with a nose, which looks to the front (-y)."""
+    z, y, x = np.mgrid[: SHAPE[0], : SHAPE[1], : SHAPE[2]]
+    skin = ((x - 13.5) ** 2 + (y - 16) ** 2 + (z - 11.5) ** 2 < 81) | (
+        (abs(x - 13.5) < 2) & (abs(z - 11.5) < 2) & (y < 10) & (y > 2)
+    )
+    bone = (x - 13.5) ** 2 + (y - 16) ** 2 + (z - 11.5) ** 2 < 25
+    return np.where(bone, high, np.where(skin, low + 0.6 * (high - low), low)).astype(np.int16)
+
+
+def stored(path: str, samples: npt.NDArray[Any], *, series: bool = False) -> None:
+    geometry = Geometry((1.0, 1.0, 1.2), (5.0, 6.0, 7.0), convention="LPS")
+    media.write(path, samples, media.Volume(samples, geometry, series=series))
+
+
+def test_a_picture(here: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    stored("in.nii.gz", head())
+    assert command(["render", "in.nii.gz", "out.png", "--azimuth", "40", "--size", "60x50", "--json"]) == 0
+    facts = json.loads(capfd.readouterr().out)
+    assert (facts["width"], facts["height"], facts["minimum"], facts["maximum"]) == (60, 50, 0, 200)
+    picture = image.read("out.png")
+    assert picture.pixels.shape == (50, 60, 4)
+    assert picture.alpha
+    assert set(np.unique(picture.pixels[..., 3])) >= {0, 255}
+    assert command(["render", "in.nii.gz", "b.jpg", "--background", "#ff0000", "--size", "60x50"]) == 0
+    red = image.read("b.jpg").pixels
+    assert red.shape == (50, 60, 3)
+    assert (red[0, 0] > [240, -1, -1]).all()
+    assert (red[0, 0] < [256, 30, 30]).all()
+
+
+def test_strokes_are_seen(here: Path) -> None:
+    stored("in.nii", head())
+    pictures = {}
+    for name, more in (("plain", []), ("lattice", GRAB), ("exact", GRAB), ("buffered", GRAB)):
+        mode = [] if name == "plain" else ["--mode", name]
+        given = ["render", "in.nii", f"{name}.png", *more, *mode, "--size", "64x64", "--border", "6"]
+        assert command(given if more else given[:-2]) == 0
+        pictures[name] = image.read(f"{name}.png").pixels.astype(float)
+    assert np.abs(pictures["lattice"] - pictures["exact"]).mean() < 0.5
+    assert np.abs(pictures["buffered"] - pictures["exact"]).mean() < 4
+    assert np.abs(pictures["plain"] - pictures["exact"]).mean() > 1
+
+    # What was dragged to the patient's left is seen to the right.
+    def middle(p: npt.NDArray[Any]) -> float:
+        return float((p[..., 3].sum(axis=0) * np.arange(64)).sum() / p[..., 3].sum())
+
+    assert middle(pictures["exact"]) > middle(pictures["plain"]) + 0.5
+
+
+def test_world_points(here: Path) -> None:
+    stored("in.nii", head())
+    start, end = Geometry((1.0, 1.0, 1.2), (5.0, 6.0, 7.0)).to_lps(np.array([[13.0, 14, 11], [17, 14, 11]])) * [
+        -1,
+        -1,
+        1,
+    ]
+    world = ":".join(",".join(f"{x:.4f}" for x in p) for p in (start, end))
+    assert command(["render", "in.nii", "a.png", *GRAB, "--size", "40x40"]) == 0
+    given = ["--grab", world, "--radius", "9", "--world"]
+    assert command(["render", "in.nii", "b.png", *given, "--size", "40x40"]) == 0
+    assert np.abs(image.read("a.png").pixels.astype(int) - image.read("b.png").pixels).max() <= 2
+
+
+def test_a_turn_as_a_video(here: Path) -> None:
+    stored("in.nii", head())
+    render_file("in.nii", "turn.mp4", options=RenderOptions(turntable=8, size=(41, 51), rate=12.5))
+    with av.open("turn.mp4") as clip:
+        frames = [f.to_ndarray(format="rgb24") for f in clip.decode(video=0)]
+        assert clip.streams.video[0].average_rate == 12.5
+    assert len(frames) == 8
+    assert frames[0].shape == (42, 52, 3)
+    # The nose is in the middle from the front, and beside from the left.
+    assert np.abs(frames[0].astype(int) - frames[4]).mean() > 1
+
+
+def test_a_turn_as_pictures(here: Path) -> None:
+    stored("in.nii", head())
+    known = RenderOptions(turntable=4, size=(40, 40), camera=Camera(10, 20))
+    render_file("in.nii", "turn/%02d.png", options=known)
+    assert sorted(p.name for p in Path("turn").iterdir()) == [f"{k:02d}.png" for k in range(4)]
+    alone = render_file("in.nii", "one.png", options=RenderOptions(size=(40, 40), camera=Camera(100, 20)))
+    np.testing.assert_array_equal(image.read("turn/01.png").pixels, image.read("one.png").pixels)
+    assert alone.turned(Camera(10, 20), 1, 4) == Camera(100, 20)
+    with pytest.raises(supple.SuppleError, match="exists already"):
+        render_file("in.nii", "turn/%02d.png", options=known)
+    render_file("in.nii", "turn/%02d.png", options=known, force=True)
+
+
+def test_inversions(here: Path) -> None:
+    stored("in.nii", head())
+    for mode in ("exact", "lattice"):
+        assert command(["render", "in.nii", f"{mode}.png", *GRAB, "--mode", mode, "--what", "inversions"]) == 0
+        assert image.read(f"{mode}.png").pixels.shape[2] >= 3
+
+
+def test_presets_are_guessed() -> None:
+    def guess(samples: npt.NDArray[Any], scaling: tuple[float, float] = (1.0, 0.0)) -> str:
+        return default_transfer(media.Volume(samples, Geometry(), scaling=scaling))
+
+    assert guess(head(-1000, 900)) == "ct-skin"
+    assert guess((head(-1000, 900) + 1024).astype(np.uint16), (1.0, -1024.0)) == "ct-skin"
+    assert guess(head()) == "mr-head"
+    assert guess(np.full((2, 2, 2), np.nan)) == "mr-head"
+
+
+def test_density_and_transfer(here: Path) -> None:
+    stored("in.nii", head(-1000, 900))
+    Path("look.json").write_text(PRESETS["ct-bone"].to_json(), encoding="utf-8")
+    given = ["render", "in.nii"]
+    assert command([*given, "skin.png"]) == 0
+    assert command([*given, "bone.png", "--transfer", "ct-bone"]) == 0
+    assert command([*given, "json.png", "--transfer", "look.json"]) == 0
+    assert command([*given, "inside.png", "--density", "500,2000"]) == 0
+    seen = {p.stem: (image.read(p).pixels[..., 3] > 128).sum() for p in here.glob("*.png")}
+    assert seen["bone"] == seen["json"] < 0.6 * seen["skin"]
+    assert seen["inside"] < 0.6 * seen["skin"]
+
+
+def test_series_and_raw(here: Path) -> None:
+    stored("t.nii", np.stack([head(), 0 * head()]), series=True)
+    for time, most in ((0, 255), (1, 0)):
+        assert command(["render", "t.nii", f"{time}.png", "--time", str(time), "--transfer", "ct-skin"]) in (0,)
+        assert image.read(f"{time}.png").pixels.shape == (512, 512, 4)
+        assert most in np.unique(image.read(f"{time}.png").pixels[..., 3]) or time == 1
+    Path("x.raw").write_bytes(head().astype("<i2").tobytes())
+    shape = ",".join(map(str, SHAPE[::-1]))
+    assert command(["render", "x.raw", "raw.png", "--shape", shape, "--dtype", "<i2"]) == 0
+    options = VolumeOptions(layout=media.RawLayout(SHAPE[::-1], "<i2"))
+    render_file("x.raw", "raw2.png", volume=options)
+    np.testing.assert_array_equal(image.read("raw.png").pixels, image.read("raw2.png").pixels)
+
+
+BAD: list[tuple[list[str], str]] = [
+    (["in.nii", "out.txt"], "out.txt"),
+    (["in.nii", "out.mp4"], "--turntable"),
+    (["in.nii", "out.png", "--turntable", "5"], "is one"),
+    (["in.nii", "out.mp4", "--turntable", "1"], "from 2 to"),
+    (["in.nii", "out.png", "--transfer", "skull"], "ct-bone"),
+    (["in.nii", "out.png", "--transfer", "none.json"], "none.json"),
+    (["in.nii", "out.png", "--density", "3"], "LO,HI"),
+    (["in.nii", "out.png", "--density", "3,1"], "lower one first"),
+    (["in.nii", "out.png", "--size", "big"], "--size"),
+    (["in.nii", "out.png", "--size", "0x5"], "from 1 to"),
+    (["in.nii", "out.png", "--background", "red"], "#1a1a1e"),
+    (["in.nii", "out.png", "--elevation", "91"], "from -90 to 90"),
+    (["in.nii", "out.png", "--azimuth", "left"], "--azimuth"),
+    (["in.nii", "out.png", "--step", "0"], "above 0"),
+    (["in.nii", "out.png", "--smooth", "99"], "from 1 to 8"),
+    (["in.nii", "out.png", "--up", "0,0,0"], "a direction"),
+    (["in.nii", "out.png", "--target", "1,2"], "three numbers"),
+    (["in.nii", "out.png", "--world"], "there are none"),
+    (["in.nii", "out.png", "--what", "inversions", "--turntable", "4"], "leave the turntable out"),
+    (["in.nii", "out.txt", "--what", "inversions"], "out.txt"),
+    (["in.nii", "there.png"], "exists already"),
+    (["rgb.nrrd", "out.png"], "3 components"),
+    (["t.nii", "out.png", "--time", "2"], "from 0 to 1"),
+    (["photo.png", "out.png"], "photo.png"),
+    (["missing.nii", "out.png"], "missing.nii"),
+    (["in.nii", "out.png", "--grab", "1,1:2,2", "--radius", "3"], "three numbers"),
+    (["in.nii", "no/out.png"], "there is no folder"),
+]
+
+
+@pytest.mark.parametrize(("given", "text"), BAD)
+def test_bad_input(here: Path, capfd: pytest.CaptureFixture[str], given: list[str], text: str) -> None:
+    stored("in.nii", head())
+    stored("t.nii", np.stack([head(), head()]), series=True)
+    stored("rgb.nrrd", np.stack([head()] * 3, axis=-1).astype(np.uint8))
+    image.write("photo.png", np.zeros((9, 9), np.uint8))
+    image.write("there.png", np.zeros((9, 9), np.uint8))
+    before = {p.name: p.read_bytes() for p in here.iterdir()}
+    assert command(["render", *given]) == 2
+    out, err = capfd.readouterr()
+    assert text in err
+    assert err.count("\n") == 1
+    assert out == ""
+    assert {p.name: p.read_bytes() for p in here.iterdir()} == before
+
+
+def test_points_on_everything(here: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    stored("in.nii", head())
+    image.write("photo.png", np.zeros((60, 80), np.uint8))
+    Path("p.csv").write_text("name,x,y,z\na,13,14,11\n", encoding="utf-8")
+    Path("q.csv").write_text("name,x,y\na,30,30\n", encoding="utf-8")
+    given = ["--border", "none", "--json"]
+    assert command(["points", "p.csv", "moved.csv", "--on", "in.nii", *GRAB, *given]) == 0
+    facts = json.loads(capfd.readouterr().out)
+    assert facts["displaced"] == pytest.approx([4.0])
+    assert Path("moved.csv").read_text(encoding="utf-8").splitlines()[1].startswith("a,17.0,14.0,11.0,")
+    assert command(["points", "moved.csv", "back.csv", "--on", "in.nii", *GRAB, *given, "--inverse"]) == 0
+    row = Path("back.csv").read_text(encoding="utf-8").splitlines()[1].split(",")
+    np.testing.assert_allclose([float(x) for x in row[1:4]], [13, 14, 11], atol=1e-6)
+    flat = ["--grab", "30,30:35,28", "--radius", "10"]
+    assert command(["points", "q.csv", "moved2.csv", "--on", "photo.png", *flat, "--border", "none"]) == 0
+    assert "a,35.0,28.0," in Path("moved2.csv").read_text(encoding="utf-8")
+    assert "1 point, moved by up to 5.39 px" in capfd.readouterr().out
+    assert command(["points", "q.csv", "x.csv", "--on", "in.nii", *GRAB]) == 2
+    assert command(["points", "q.csv", "x.csv", "--on", "photo.png", *flat, "--world"]) == 2
+    assert "--world is for volumes" in capfd.readouterr().err
+    assert not Path("x.csv").exists()

@@ -1,0 +1,360 @@
+"""Volumes from file to file: values, places in space, labels, series, and what is refused."""
+
+from __future__ import annotations
+
+import json
+import warnings
+from pathlib import Path
+from typing import Any
+
+import nibabel
+import numpy as np
+import numpy.typing as npt
+import pytest
+from scipy import ndimage
+
+import supple
+from supple import volumes
+from supple.cli import command
+from supple.geometry import Geometry
+from supple.media import volume as media
+from supple.volumes import VolumeOptions, deformation_of, is_volume_job, sampling_of, warp_volume
+
+SHAPE = (20, 26, 24)
+DIRECTION = np.array([[0.0, -0.8, 0.6], [1.0, 0.0, 0.0], [0.0, 0.6, 0.8]]) @ np.diag([1.0, -1.0, 1.0])
+OBLIQUE = Geometry((0.9, 1.1, 2.0), (10.0, -20.0, 30.0), DIRECTION, "LPS")
+OFF = 0.8  # what 0.01 voxels are worth, where values rise by 80 from voxel to voxel
+RECIPE = supple.Recipe(strokes=[supple.Stroke.grab((11, 13, 9), by=(3, -2, 1.5), radius=9)], border=8.0)
+GRAB = ["--grab", "11,13,9:14,11,10.5", "--radius", "9", "--border", "8"]
+
+
+@pytest.fixture
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def made(shape: tuple[int, ...] = SHAPE, dtype: Any = np.int16, seed: int = 0) -> npt.NDArray[Any]:
+    rng = np.random.default_rng(seed)
+    values = ndimage.gaussian_filter(rng.normal(size=shape), [2 if n > 5 else 0 for n in shape])
+    values = (values - values.min()) / (values.max() - values.min())
+    return (values * 1000 - (200 if np.dtype(dtype).kind != "u" else 0)).astype(dtype)
+
+
+def stored(
+    path: str, samples: npt.NDArray[Any], geometry: Geometry = OBLIQUE, *, series: bool = False
+) -> npt.NDArray[Any]:
+    media.write(path, samples, media.Volume(samples, geometry, series=series))
+    return samples
+
+
+def truth(samples: npt.NDArray[Any], recipe: supple.Recipe = RECIPE, order: int = 1) -> npt.NDArray[np.float64]:
+    """The same by SciPy, from source points that are solved for one by one."""
+    d = supple.Deformation.from_recipe(recipe, samples.shape[:3], spacing=OBLIQUE.spacing)
+    grid = np.stack(np.meshgrid(*(np.arange(n) for n in samples.shape[:3]), indexing="ij")[::-1], axis=-1)
+    places = np.moveaxis(d.inverse(grid).points, -1, 0)[::-1]
+    planes = samples[..., None] if samples.ndim == 3 else samples
+    seen = [
+        ndimage.map_coordinates(planes[..., c].astype(np.float64), places, order=order, mode="nearest")
+        for c in range(planes.shape[3])
+    ]
+    return np.stack(seen, axis=-1).reshape(samples.shape)
+
+
+@pytest.mark.parametrize("suffix", [".nii", ".nii.gz", ".nrrd", ".mha"])
+@pytest.mark.parametrize("dtype", [np.uint8, np.int16, np.float32])
+def test_a_volume_is_deformed_in_millimetres(here: Path, suffix: str, dtype: Any) -> None:
+    samples = stored(f"in{suffix}", made(dtype=np.float32).clip(0, 255).astype(dtype))
+    done = warp_volume(f"in{suffix}", f"out{suffix}", RECIPE, filter="linear")
+    out = media.read(f"out{suffix}")
+    assert out.samples.dtype == dtype
+    off = np.abs(out.samples - truth(samples))
+    assert off.max() <= (OFF if dtype == np.float32 else OFF + 0.5)
+    assert off.mean() < 0.3
+    np.testing.assert_allclose(out.geometry.matrix, OBLIQUE.matrix, atol=1e-5)
+    assert out.geometry.convention == ("RAS" if suffix.startswith(".nii") else "LPS")
+    assert 0 < done.error <= 0.01
+    assert done.report().within
+    assert done.deformation.domain.spacing == pytest.approx(OBLIQUE.spacing)
+
+
+def test_every_filter_samples_all_axes_alike(here: Path) -> None:
+    """Turned so that another axis comes last, a volume gives the same, turned."""
+    samples = made((22, 22, 22), np.float32)
+    strokes = [supple.Stroke.grab((9, 12, 10), by=(4, -3, 2), radius=7)]
+    turned = [supple.Stroke.grab((10, 9, 12), by=(2, 4, -3), radius=7)]
+    for name in ("nearest", "linear", "cubic"):
+        found = []
+        for values, given in ((samples, strokes), (np.moveaxis(samples, 0, 2), turned)):
+            d = supple.Deformation.from_recipe(supple.Recipe(strokes=given, border=None), values.shape)
+            how = sampling_of(name, tolerance=1e-3)
+            found.append(d.warp(values, filter=how.filter, between=how.between, tolerance=1e-3))
+        off = np.abs(found[0] - np.moveaxis(found[1], 2, 0))
+        assert np.quantile(off, 0.99) < 1.0
+    assert sampling_of("auto").time_filter
+    assert sampling_of("auto").between == "cubic"
+    assert not sampling_of("linear").time_filter
+
+
+def test_places_in_space(here: Path) -> None:
+    """The same stroke by index, in LPS and in RAS; and in the file's own numbers as nibabel has them."""
+    samples = stored("in.nii", made())
+    media.write("in.nrrd", samples, media.Volume(samples, OBLIQUE))
+    start, end = np.array([11.0, 13.0, 9.0]), np.array([14.0, 11.0, 10.5])
+    affine = nibabel.load("in.nii").affine
+    for name, places in (
+        ("in.nii", [affine[:3, :3] @ p + affine[:3, 3] for p in (start, end)]),
+        ("in.nrrd", [OBLIQUE.to_lps(p) for p in (start, end)]),
+    ):
+        given = supple.Recipe(strokes=[supple.Stroke.grab(places[0], to=places[1], radius=9)], border=8.0)
+        warp_volume(name, "world" + name[2:], given, options=VolumeOptions(world=True))
+        warp_volume(name, "index" + name[2:], RECIPE)
+        a, b = (media.read(kind + name[2:]).samples for kind in ("world", "index"))
+        assert np.abs(a.astype(int) - b).max() <= 1
+        assert np.abs(a.astype(int) - samples).max() > 50
+
+
+def test_strokes_must_start_in_the_volume(here: Path) -> None:
+    stored("in.nii", made())
+    plain = stored("in.tif", made())
+    assert plain.shape == SHAPE
+    cases: list[tuple[str, Any, bool, str]] = [
+        (
+            "in.nii",
+            (100, 5, 5),
+            False,
+            r"\(100, 5, 5\) is not in in.nii: its indices go from \(0, 0, 0\) to \(23, 25, 19\)",
+        ),
+        ("in.nii", (500, 5, 5), True, "its RAS coordinates go from"),
+        ("in.tif", (5, 5, 5), True, "does not know where it lies in space"),
+    ]
+    for name, at, world, text in cases:
+        recipe = supple.Recipe(strokes=[supple.Stroke.grab(at, by=(1, 0, 0), radius=5)])
+        with pytest.raises(supple.SuppleError, match=text):
+            warp_volume(name, "out.nii", recipe, options=VolumeOptions(world=world))
+    flat = supple.Recipe(strokes=[supple.Stroke.grab((5, 5), by=(1, 0), radius=5)])
+    with pytest.raises(supple.SuppleError, match="three numbers"):
+        warp_volume("in.nii", "out.nii", flat)
+    assert not Path("out.nii").exists()
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.int16, np.int32, np.uint16, np.int64])
+def test_labels_keep_their_values(here: Path, dtype: Any) -> None:
+    samples = (made(dtype=np.float32) > 300).astype(dtype) * np.array(np.iinfo(dtype).max - 3, dtype)
+    samples[5:9, 4:12, 3:8] = 7
+    stored("in.nii.gz", samples)
+    warp_volume("in.nii.gz", "out.nii.gz", RECIPE, options=VolumeOptions(labels=True))
+    out = media.read("out.nii.gz").samples
+    assert out.dtype == dtype
+    assert set(np.unique(out)) == set(np.unique(samples))
+    # The values of the nearest voxels, but where two are as near.
+    assert (out == truth(samples.astype(np.float64), order=0)).mean() > 0.998
+    for name in ("linear", "cubic"):
+        with pytest.raises(supple.SuppleError, match="labels"):
+            warp_volume("in.nii.gz", "x.nii.gz", RECIPE, filter=name, options=VolumeOptions(labels=True))
+    stored("f.nii.gz", samples.astype(np.float32))
+    with pytest.raises(supple.SuppleError, match="labels are whole numbers"):
+        warp_volume("f.nii.gz", "x.nii.gz", RECIPE, options=VolumeOptions(labels=True))
+
+
+def test_vectors_and_series(here: Path) -> None:
+    vectors = np.stack([made(seed=k, dtype=np.float32) for k in range(3)], axis=-1)
+    stored("v.nrrd", vectors)
+    warp_volume("v.nrrd", "v2.nrrd", RECIPE, filter="linear")
+    np.testing.assert_allclose(media.read("v2.nrrd").samples, truth(vectors), atol=OFF)
+    times = np.stack([made(seed=k) for k in range(4)])
+    stored("t.nii.gz", times, series=True)
+    done = warp_volume("t.nii.gz", "t2.nii.gz", RECIPE, filter="linear")
+    out = media.read("t2.nii.gz")
+    assert out.series
+    assert done.volumes == 4
+    for k in range(4):
+        assert np.abs(out.samples[k] - truth(times[k])).max() <= OFF + 0.5
+
+
+def test_scaled_values_come_out_scaled(here: Path) -> None:
+    samples = made()
+    image = nibabel.Nifti1Image(samples.transpose(2, 1, 0), np.diag([-0.9, -1.1, 2.0, 1.0]))
+    image.header.set_data_dtype(np.int16)
+    image.header.set_slope_inter(0.5, -7.0)
+    image.to_filename("in.nii")
+    warp_volume("in.nii", "out.nii", RECIPE, filter="linear")
+    before, after = (nibabel.load(name) for name in ("in.nii", "out.nii"))
+    assert after.get_data_dtype() == np.int16
+    assert (after.dataobj.slope, after.dataobj.inter) == (before.dataobj.slope, before.dataobj.inter)
+    warp_volume("in.nii", "out.mha", RECIPE, filter="linear")
+    np.testing.assert_allclose(
+        media.read("out.mha").samples, np.asarray(after.dataobj).transpose(2, 1, 0), atol=0.51 * before.dataobj.slope
+    )
+
+
+def test_what_is_not_a_number_stays_where_it_is(here: Path) -> None:
+    samples = made(dtype=np.float32)
+    samples[3, 4:6, 5] = np.nan
+    stored("in.nii", samples)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        warp_volume("in.nii", "out.nii", RECIPE, filter="linear")
+    out = media.read("out.nii").samples
+    assert 1 <= np.isnan(out).sum() < 60
+    known = ~np.isnan(out)
+    expected = truth(np.nan_to_num(samples))
+    far = ndimage.binary_dilation(~known, iterations=2)
+    np.testing.assert_allclose(out[~far], expected[~far], atol=OFF)
+
+
+def test_nothing_to_do_is_a_copy(here: Path) -> None:
+    stored("in.nii.gz", made())
+    still = supple.Recipe(strokes=[supple.Stroke.grab((5, 5, 5), by=(0, 0, 0), radius=5)])
+    warp_volume("in.nii.gz", "out.nii.gz", still)
+    assert Path("in.nii.gz").read_bytes() == Path("out.nii.gz").read_bytes()
+    warp_volume("in.nii.gz", "out.nrrd", still)
+    np.testing.assert_array_equal(media.read("out.nrrd").samples, media.read("in.nii.gz").samples)
+
+
+def test_results_too_large_for_memory_go_through_a_file(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    samples = stored("in.nii", made())
+    warp_volume("in.nii", "a.nii", RECIPE, filter="linear")
+    monkeypatch.setattr(volumes, "_memory", lambda: samples.nbytes * 2.0)
+    warp_volume("in.nii", "b.nii", RECIPE, filter="linear")
+    assert Path("a.nii").read_bytes() == Path("b.nii").read_bytes()
+    monkeypatch.setattr(volumes, "reserve", _full)
+    with pytest.raises(supple.SuppleError, match=r"no room for it beside c.nii \(No space left on device\)"):
+        warp_volume("in.nii", "c.nii", RECIPE, filter="linear")
+    assert sorted(p.name for p in here.iterdir()) == ["a.nii", "b.nii", "in.nii"]
+
+
+def _full(*_: Any) -> None:
+    raise OSError(28, "No space left on device")
+
+
+def test_what_is_a_volume(here: Path) -> None:
+    stored("in.nii", made())
+    stored("stack.tif", made())
+    from supple.media import image
+
+    image.write("one.tif", np.zeros((8, 8), np.uint8))
+    flat = supple.Recipe(strokes=[supple.Stroke.grab((5, 5), by=(1, 0), radius=5)])
+    assert is_volume_job("in.nii", "out.nii", flat)
+    assert is_volume_job("stack.tif", "out.tif", RECIPE)
+    assert is_volume_job("stack.tif", "out.nii", flat)
+    assert not is_volume_job("stack.tif", "out.tif", flat)
+    assert not is_volume_job("one.tif", "out.tif", RECIPE)
+    assert not is_volume_job("photo.jpg", "out.jpg", flat)
+    assert is_volume_job("x.bin", "out.nii", flat, VolumeOptions(layout=media.RawLayout((2, 2, 2), "uint8")))
+
+
+def test_raw_files(here: Path) -> None:
+    samples = made(dtype=np.uint16)
+    Path("x.bin").write_bytes(samples.tobytes())
+    sizes = np.array(SHAPE[::-1], "<u2").tobytes()
+    Path("x.dat").write_bytes(sizes + samples.astype("<u2").tobytes())
+    spacing = ",".join(str(s) for s in OBLIQUE.spacing)
+    shape = ",".join(str(n) for n in SHAPE[::-1])
+    given = ["--shape", shape, "--dtype", "<u2", "--spacing", spacing, "--filter", "linear"]
+    assert command(["warp", "x.bin", "bin.nii", *GRAB, *given]) == 0
+    out = media.read("bin.nii")
+    assert np.abs(out.samples - truth(samples)).max() <= OFF + 0.5
+    assert out.geometry.spacing == pytest.approx(OBLIQUE.spacing)
+    assert command(["warp", "x.dat", "dat.nii", *GRAB]) == 0
+    assert media.read("dat.nii").geometry.spacing == (1, 1, 1)
+
+
+def test_the_command_line(here: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    stored("in.nii.gz", made())
+    assert command(["warp", "in.nii.gz", "out.nrrd", *GRAB, "--json", "--save-field", "field.nii.gz"]) == 0
+    facts = json.loads(capfd.readouterr().out)
+    assert (facts["width"], facts["height"], facts["depth"]) == SHAPE[::-1]
+    assert facts["error"] <= 0.01
+    assert facts["convention"] == "RAS"
+    assert nibabel.load("field.nii.gz").shape[-1] == 3
+    assert command(["info", "in.nii.gz", "out.nrrd"]) == 0
+    text = capfd.readouterr().out
+    assert "24 x 26 x 20" in text
+    assert "0.9 x 1.1 x 2 mm" in text
+    world = OBLIQUE.to_world(np.array([11.0, 13, 9]), "RAS")
+    point = ",".join(f"{x:.3f}" for x in world)
+    Path("w").mkdir()
+    grab = ["--grab", f"{point}:{point}", "--radius", "5", "--world"]
+    assert command(["warp", "in.nii.gz", "w/out.nii.gz", *grab]) == 0
+    assert "RAS millimetres" in capfd.readouterr().err
+
+
+def test_a_folder_of_volumes(here: Path) -> None:
+    Path("scans").mkdir()
+    for k in range(2):
+        stored(f"scans/{k}.nii.gz", made(seed=k))
+    assert command(["warp", "scans", "bent", *GRAB, "--filter", "linear", "--quiet"]) == 0
+    assert sorted(p.name for p in Path("bent").iterdir()) == ["0.nii.gz", "1.nii.gz"]
+    assert np.abs(media.read("bent/1.nii.gz").samples - truth(made(seed=1))).max() <= OFF + 0.5
+
+
+BAD: list[tuple[list[str], str]] = [
+    (["warp", "in.nii", "out.jpg", *GRAB], "no format that volumes are written in"),
+    (["warp", "in.nii", "in.nii", *GRAB], "is the volume itself"),
+    (["warp", "in.nii", "there.nii", *GRAB], "exists already"),
+    (["warp", "in.nii", "out.nii", *GRAB, "--quality", "9"], "is for pictures or videos"),
+    (["warp", "in.nii", "out.nii", *GRAB, "--codec", "h264"], "is for pictures or videos"),
+    (["warp", "in.nii", "out.nii", *GRAB, "--save-field", "out.txt"], "out.txt"),
+    (["warp", "in.nii", "out.nii", *GRAB, "--save-field", "out.nii"], "cannot be the field"),
+    (["warp", "in.nii", "out.nii", *GRAB, "--tolerance", "0"], "tolerance"),
+    (["warp", "in.nii", "out.nii", *GRAB, "--shape", "1,2,3"], "both --shape X,Y,Z and --dtype"),
+    (["warp", "in.nii", "out.nii", *GRAB, "--shape", "1,2,3", "--dtype", "text"], "dtype"),
+    (["warp", "in.nii", "out.nii", *GRAB, "--shape", "1,2", "--dtype", "u1"], "three numbers"),
+    (["warp", "in.nii", "out.nii", *GRAB, "--shape", "99,99,99", "--dtype", "u1"], "in.nii"),
+    (["warp", "in.raw", "out.nii", *GRAB], "--shape"),
+    (["warp", "missing.nii", "out.nii", *GRAB], "missing.nii"),
+    (["warp", "text.nii.gz", "out.nii", *GRAB], "text.nii.gz"),
+    (["warp", "photo.png", "out.png", "--grab", "1,1:2,2", "--radius", "3", "--labels"], "is no volume"),
+    (["warp", "in.nii", "out.nii", "--grab", "1,1:2,2", "--radius", "3"], "three numbers"),
+    (["plot", "in.nii", "out.png", *GRAB], "supple render shows it"),
+]
+
+
+@pytest.mark.parametrize(("given", "text"), BAD)
+def test_bad_input(here: Path, capfd: pytest.CaptureFixture[str], given: list[str], text: str) -> None:
+    from supple.media import image
+
+    stored("in.nii", made())
+    for name in ("text.nii.gz", "in.raw", "there.nii"):
+        Path(name).write_text("this is text", encoding="utf-8")
+    image.write("photo.png", np.zeros((9, 9), np.uint8))
+    before = sorted(p.name for p in here.iterdir())
+    assert command(given) == 2
+    out, err = capfd.readouterr()
+    assert text in err
+    assert err.count("\n") == 1
+    assert out == ""
+    assert sorted(p.name for p in here.iterdir()) == before
+    assert Path("there.nii").read_text(encoding="utf-8") == "this is text"
+
+
+def test_an_interrupt_leaves_nothing(here: Path) -> None:
+    stored("in.nii", made())
+    seen = []
+
+    def stop(step: str, done: int, total: int) -> None:
+        seen.append((step, done, total))
+        if step == "warp":
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        warp_volume("in.nii", "out.nii", RECIPE, tell=stop)
+    assert seen[0][0] == "read"
+    assert seen[-1][2] == SHAPE[0]
+    assert [p.name for p in here.iterdir()] == ["in.nii"]
+
+
+def test_a_recipe_on_a_volume() -> None:
+    volume = media.Volume(made(), OBLIQUE, name="it")
+    d = deformation_of(RECIPE, volume)
+    assert d.shape == SHAPE
+    assert d.recipe == RECIPE
+    # The radius is in millimetres: as far in space, a point moves as much along any axis.
+    free = deformation_of(supple.Recipe(strokes=RECIPE.strokes, border=None), volume)
+    at, by = np.array(RECIPE.strokes[0].at), np.array(RECIPE.strokes[0].by)
+    for axis in range(3):
+        for sign in (-1, 1):
+            step = sign * 9.0 / OBLIQUE.spacing[axis] * np.eye(3)[axis]
+            moved = (free.forward(at + step) - at - step) * OBLIQUE.spacing
+            assert 0.3 < np.linalg.norm(moved) / np.linalg.norm(by * OBLIQUE.spacing) < 0.95
