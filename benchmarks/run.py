@@ -26,6 +26,7 @@ import skimage.transform
 from measure import Row, machine, milliseconds, pair, run, timed
 from mesh import rasterize
 from video import against_forward_mapping, certified, memory, one_frame, whole_clips
+from volume import all_rows as volumes
 
 import supple
 from supple.cpu import paper
@@ -312,6 +313,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--quick", action="store_true", help="fewer runs and a smaller picture for memory")
     parser.add_argument("--video", action="store_true", help="only what concerns videos")
+    parser.add_argument("--volume", action="store_true", help="only what concerns volumes")
     parser.add_argument("--write", action="store_true", help="keep the table in docs/benchmarks.md")
     asked = parser.parse_args()
     runs = 7 if asked.quick else 31
@@ -333,8 +335,13 @@ def main() -> int:
             lambda: against_forward_mapping(3, asked.quick),
             certified,
         ]
-        rows = measured(videos if asked.video else [*parts, *videos])
-    names = ("numpy", "numba", "opencv-python-headless", "scikit-image", "pyvips", "av")
+        solid = volumes(here, runs, asked.quick)
+        some = [*(videos if asked.video else []), *(solid if asked.volume else [])]
+        rows = measured(some or [*parts, *videos, *solid])
+    names = (
+        *("numpy", "numba", "opencv-python-headless", "scikit-image", "pyvips", "av"),
+        *("scipy", "simpleitk", "vtk"),
+    )
     peers = ", ".join(f"{name} {version(name)}" for name in names)
     page = f"""# Benchmarks
 
@@ -357,6 +364,10 @@ map made" means that the peer only samples: inverting the deformation is not in 
   such a clip, on another machine. As written, each frame searches the columns of vertices for those around it; going
   on from where the frame before found them is faster. The bar of 50× is beyond what plain resampling reaches against
   this peer, as the row below says; strokes that squeeze strongly cost refinement of the map besides.
+- Volumes are warped whole, map and all, while SciPy and SimpleITK have the map or the field made; SciPy knows one
+  thread. SimpleITK inverts the displacement field of the same stroke, sampled at every voxel, with its defaults.
+- The head is the shipped one, enlarged to a millimetre. VTK draws it with the same camera, transfer function, sample
+  distance and two threads. Scenes are made before, as VTK's tables are.
 - Warping one frame is what it costs in a stream: the map, and samples of luma and both chroma planes. The peer samples
   the same planes of two frames with maps made, and blends them by the weights of each pixel.
 """

@@ -2,6 +2,7 @@
 
 import io
 import sys
+import tempfile
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,10 @@ from supple.media import image
 
 HERE = Path(__file__).resolve().parent
 sys.path.insert(0, str(HERE.parent / "examples"))
+import asymmetry  # noqa: E402
+import head  # noqa: E402
 import heart  # noqa: E402
+import modes  # noqa: E402
 import smile  # noqa: E402
 
 WHITE = [255] * 3
@@ -58,6 +62,18 @@ def time_filtered(folder: Path) -> None:
     joined.jpegsave(folder / "time.jpg", Q=80, keep="none")
 
 
+def volumes_bent(folder: Path) -> None:
+    """What the examples of volumes show."""
+    with tempfile.TemporaryDirectory() as name:
+        made = Path(name)
+        for example in (head, asymmetry, modes):
+            example.main(made)
+        for what, scale in (("head", 0.75), ("asymmetry", 0.75), ("inversions", 0.5)):
+            picture = pyvips.Image.new_from_file(str(made / f"{what}.png"))
+            picture = picture.flatten(background=255) if picture.hasalpha() else picture
+            picture.resize(scale).jpegsave(folder / f"{what}.jpg", Q=80, keep="none")
+
+
 def main() -> None:
     """Make all pictures."""
     folder = HERE / "images"
@@ -72,6 +88,7 @@ def main() -> None:
     paper = supple.Deformation((512, 512)).grab((256, 256), by=(0, 90), radius=100)
     bunny_smiles(folder)
     time_filtered(folder)
+    volumes_bent(folder)
     rendered(paper, "iterations").pngsave(folder / "iterations.png", palette=True, keep="none")
 
 

@@ -12,10 +12,11 @@ from pathlib import Path
 import pytest
 
 import supple
+from supple.transfer import PRESETS, TransferFunction
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
-PHOTO = Path(supple.__file__).parent / "data" / "coffee.jpg"
+DATA = Path(supple.__file__).parent / "data"
 OPTION = r"(?<![\w-])--[a-z][a-z-]*"
 
 
@@ -26,7 +27,9 @@ def blocks(page: Path, language: str) -> list[str]:
 @pytest.mark.parametrize("page", [p for p in PAGES if blocks(p, "python")], ids=lambda page: page.stem)
 def test_the_python_of_a_page_runs(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    shutil.copy(PHOTO, "photo.jpg")
+    shutil.copy(DATA / "coffee.jpg", "photo.jpg")
+    for name in ("head.nii.gz", "brain.nii.gz"):
+        shutil.copy(DATA / name, name)
     names: dict[str, object] = {}
     for block in blocks(page, "python"):
         exec(compile(block, str(page), "exec"), names)
@@ -45,13 +48,18 @@ def test_the_recipe_that_is_shown_is_one() -> None:
     assert [stroke.scales for stroke in recipe.strokes] == [2, 1]
 
 
+def test_the_transfer_function_that_is_shown_is_one() -> None:
+    (text,) = blocks(ROOT / "docs" / "rendering.md", "json")
+    assert TransferFunction.from_json(text) == PRESETS["ct-bone"]
+
+
 def test_pictures_are_small() -> None:
-    assert sum(path.stat().st_size for path in (ROOT / "docs" / "images").iterdir()) < 300_000
+    assert sum(path.stat().st_size for path in (ROOT / "docs" / "images").iterdir()) < 400_000
 
 
 def test_every_option_that_is_named_exists_and_every_one_that_exists_is_named() -> None:
     helps = {}
-    for command in ("", "warp", "plot", "info", "demo"):
+    for command in ("", "warp", "render", "points", "plot", "info", "demo"):
         result = subprocess.run(
             [sys.executable, "-m", "supple.cli", *command.split(), "--help"],
             env={**os.environ, "PYTHONPATH": str(ROOT / "src"), "COLUMNS": "200"},
@@ -66,5 +74,5 @@ def test_every_option_that_is_named_exists_and_every_one_that_exists_is_named() 
     assert named <= known
     reference = (ROOT / "docs" / "command-line.md").read_text(encoding="utf-8")
     assert known - {"--version"} <= set(re.findall(OPTION, reference))
-    for line in re.findall(r"^supple (?:warp|plot|info|demo) .*$", text, re.MULTILINE):
+    for line in re.findall(r"^supple (?:warp|render|points|plot|info|demo) .*$", text, re.MULTILINE):
         assert set(re.findall(OPTION, line)) <= helps[line.split()[1]], line

@@ -7,17 +7,20 @@ import shlex
 from html.parser import HTMLParser
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+import supple
 from supple import SuppleError
 from supple.cli import command
 from supple.gallery import SCENES, write_gallery
-from supple.media import image, video
-from supple.scenes import Take
+from supple.media import image, video, volume
+from supple.scenes import Look, Take
 
 SHOTS = [shot for scene in SCENES for shot in scene.shots]
-STILLS = [shot for shot in SHOTS if not isinstance(shot, Take)]
+STILLS = [shot for shot in SHOTS if not isinstance(shot, Take | Look)]
 TAKES = [shot for shot in SHOTS if isinstance(shot, Take)]
+LOOKS = [shot for shot in SHOTS if isinstance(shot, Look)]
 
 
 @pytest.fixture(scope="module")
@@ -65,7 +68,7 @@ def test_the_page_needs_nothing_from_elsewhere(gallery: Path) -> None:
     assert "http" not in text
     assert "$" not in text
     there = {path.name for path in gallery.iterdir()}
-    assert there == {"index.html", *links.links}
+    assert there == {"index.html", "head.nii.gz", "inside.nii.gz", *links.links}
     assert sum(path.stat().st_size for path in gallery.iterdir()) < 20_000_000
 
 
@@ -80,15 +83,17 @@ def test_every_picture_has_its_views_and_its_certified_error(gallery: Path) -> N
         ]
         assert size[:2] == size[2:]
     errors = [float(found) for found in re.findall(r"Error at most ([\d.]+) px", text)]
-    assert len(errors) == len(SHOTS) == len(STILLS) + len(TAKES)
+    assert len(errors) == len(STILLS) + len(TAKES) == len(SHOTS) - len(LOOKS)
     assert all(0 < error <= 0.01 for error in errors)
     assert text.count("supple: warning: ") == 1
 
 
 def test_every_clip_plays_beside_what_became_of_it(gallery: Path) -> None:
     _, links = read_page(gallery)
-    assert [element["src"] for element in links.videos] == [n for take in TAKES for n in (take.source, take.target)]
-    for element in links.videos:
+    assert [element["src"] for element in links.videos[:-1]] == [
+        n for take in TAKES for n in (take.source, take.target)
+    ]
+    for element in links.videos[:-1]:
         assert {"muted", "loop", "controls", "playsinline"} <= element.keys()
         facts = video.info(gallery / str(element["src"]))
         assert (facts["container"].split(",")[0], facts["codec"], facts["pixel_format"]) == ("mov", "h264", "yuv420p")
@@ -106,6 +111,47 @@ def test_every_clip_plays_beside_what_became_of_it(gallery: Path) -> None:
         assert changed[y : y + height, x : x + width].max() > 60
 
 
+def test_the_head_is_seen_outside_and_inside_and_from_all_sides(gallery: Path) -> None:
+    text, links = read_page(gallery)
+    errors = [float(found) for found in re.findall(r"Source points within ([\d.]+) voxels", text)]
+    assert len(errors) == len(LOOKS)
+    assert all(0 < error <= 0.05 for error in errors)
+    *stills, turn = LOOKS
+    for look in stills:
+        assert {f"{look.name}.jpg", f"{look.name}-before.jpg"} <= set(links.links)
+        before, after = (image.read(gallery / f"{look.name}{when}.jpg").pixels for when in ("-before", ""))
+        assert before.shape == after.shape == (look.size, look.size, 3)
+        assert before.std() > 40
+        assert abs(after.astype(int) - before).mean() > 5
+    facts = video.info(gallery / turn.target)
+    assert (facts["frames"], facts["width"], facts["height"]) == (turn.turntable, turn.size, turn.size)
+    assert (facts["codec"], facts["pixel_format"]) == ("h264", "yuv420p")
+    assert links.videos[-1]["src"] == turn.target
+
+
+def test_the_head_lies_where_it_did() -> None:
+    data = Path(supple.__file__).parent / "data"
+    assert (data / "head.nii.gz").stat().st_size < 500_000
+    head, brain = (volume.read(data / f"{name}.nii.gz") for name in ("head", "brain"))
+    for known in (head, brain):
+        assert known.samples.shape == (91, 109, 91)
+        assert known.geometry.spacing == (2, 2, 2)
+        # Those of the first and the last voxel of Colin27, in RAS.
+        assert known.geometry.to_world((0, 0, 0)).tolist() == [-90, -125, -71]
+        assert known.geometry.to_world((90, 108, 90)).tolist() == [90, 91, 109]
+    # White matter beside the midline, and a ventricle.
+    inside = brain.samples > 0
+    assert np.unique(brain.samples).tolist() == [0, 1]
+    white, fluid = (
+        float(head.samples[z, y, x])
+        for x, y, z in np.rint(head.geometry.from_world([(26, -20, 30), (8, 0, 18)])).astype(int)
+    )
+    assert white > 90 > 50 > fluid
+    assert 1.5e6 < inside.sum() * 8 < 2.5e6  # mm³
+    z, y, x = np.argwhere(inside).mean(axis=0)
+    assert np.abs(head.geometry.to_world((x, y, z)) - (0, -20, 10)).max() < 12
+
+
 @pytest.mark.parametrize("number", range(len(SHOTS)))
 def test_the_commands_make_the_pictures(gallery: Path, number: int, monkeypatch: pytest.MonkeyPatch) -> None:
     _, links = read_page(gallery)
@@ -113,7 +159,7 @@ def test_the_commands_make_the_pictures(gallery: Path, number: int, monkeypatch:
     name = SHOTS[number].target
     before = Path(name).read_bytes()
     arguments = shlex.split(links.commands[number].partition("\nsupple:")[0].replace("\\\n", ""))
-    assert arguments[:2] == ["supple", "warp"]
+    assert arguments[:2] == ["supple", SHOTS[number].verb]
     assert command([*arguments[1:], "--force", "--quiet"]) == 0
     assert Path(name).read_bytes() == before
 

@@ -165,13 +165,15 @@ def test_a_picture_is_the_slow_one(where: str, transfer: TransferFunction, mode:
     off = np.abs(picture.light[..., :3] - colours).max(axis=-1)
     veiled = np.abs(picture.light[..., 3] - alpha)
     # Rays that graze a surface may just miss it, or hit it; and what ends early is opaque to 0.995.
-    assert np.quantile(off, 0.97) < 0.006
+    assert np.quantile(off, 0.97) < 0.01
     assert np.quantile(veiled, 0.97) < 0.006
     assert off.mean() < 0.003
     both = np.isfinite(depth[..., 0]) & np.isfinite(picture.depth)
     assert (both == np.isfinite(depth[..., 0])).mean() > 0.98
-    # The surface is found to a sixteenth of a step, where the line through two values does not find it better.
-    assert np.quantile(np.abs(picture.depth[both] - depth[..., 0][both]), 0.97) < scene.step / 16
+    # The surface is found to a quarter of a step, and mostly far better by the line between two values.
+    away = np.abs(picture.depth[both] - depth[..., 0][both])
+    assert away.max() < scene.step / 4 + 1e-6
+    assert np.quantile(away, 0.9) < scene.step / 50
 
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.int16, np.uint16, np.float32, np.float64, np.int32, np.bool_])
@@ -220,7 +222,7 @@ def test_the_three_ways_show_the_same() -> None:
     shape = (48, 52, 50)
     geometry = Geometry((1.0, 1.0, 1.2))
     volume = ball(shape, geometry, np.array([25.0, 25.0, 28.0]), 16)
-    d = supple.Deformation(shape, spacing=geometry.spacing).grab((25, 12, 24), by=(8, -9, 5), radius=14)
+    d = supple.Deformation(shape, spacing=geometry.spacing, border=None).grab((25, 12, 24), by=(8, -9, 5), radius=14)
     pictures = {
         mode: Scene(volume, geometry, deformation=d, transfer=HARD, mode=mode).render(Camera(30, 15), (96, 96))
         for mode in MODES
@@ -362,6 +364,15 @@ def test_a_drag_moves_what_was_picked_to_the_pixel() -> None:
     moved = Scene(volume, deformation=d, transfer=HARD).pick(camera, size, (72, 52))
     assert moved is not None
     np.testing.assert_allclose(moved.source, pick.index, atol=0.3)
+
+
+def test_a_lattice_that_is_not_good_enough_says_so() -> None:
+    shape = (30, 30, 30)
+    d = supple.Deformation(shape, border=3.0, on_fold="flow").grab((14, 14, 14), by=(6, 5, -6), radius=6)
+    with pytest.warns(supple.ToleranceWarning, match='mode "exact"'):
+        scene = Scene(cloud(shape), deformation=d, transfer=HARD, tolerance=1e-4)
+    assert scene.error > 1e-4
+    assert Scene(cloud(shape), deformation=d, transfer=HARD, tolerance=1e-4, mode="exact").error == 0
 
 
 def test_supersampling_smooths_outlines() -> None:

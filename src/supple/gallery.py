@@ -130,8 +130,9 @@ def _shot(place: Path, shot: Shot) -> str:
     report = made.report()
     steps = f" The strokes take {report.applied} steps." if report.applied > report.strokes else ""
     facts = f"<b>Error at most {report.error:.4f} px</b>, certified at every pixel. <b>{report.folds} folds</b>.{steps}"
+    compared = _compared(shot, shot.source, *made.deformation.shape)
     return (
-        f'<div class="shot">\n{_compared(shot, shot.source, *made.deformation.shape)}{_explained(shot, facts, said)}</div>\n'
+        f'<div class="shot">\n{compared}{_explained(shot, facts, said)}</div>\n'
         f'<div class="plots">\n{"".join(plots)}</div>\n'
     )
 
@@ -182,13 +183,13 @@ def _look(place: Path, look: Look) -> str:
         return f'<div class="shot">\n{video}{_explained(look, _facts(made), [])}</div>\n'
     before, work = f"{look.name}-before.jpg", f"{look.name}-inversions.png"
     render_file(source, place / before, options=view, force=True)
+    compared = f"{_compared(look, before, *view.size)}{_explained(look, _facts(made), [])}"
+    if look.density is not None:
+        return f'<div class="shot">\n{compared}</div>\n'
     counted = replace(view, mode="exact", what="inversions", supersampling=1)
     render_file(source, place / work, look.recipe, options=counted, force=True)
     plot = _figure(place, work, "How often T is evaluated for each ray, if every sample along it is inverted exactly.")
-    return (
-        f'<div class="shot">\n{_compared(look, before, *view.size)}{_explained(look, _facts(made), [])}</div>\n'
-        f'<div class="plots">\n{plot}</div>\n'
-    )
+    return f'<div class="shot">\n{compared}</div>\n<div class="plots small">\n{plot}</div>\n'
 
 
 def _facts(made: Solid) -> str:

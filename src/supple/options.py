@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from fractions import Fraction
 from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Group, Parameter
@@ -84,8 +85,8 @@ class StrokeOptions:
 
         count = len(self.grab)
         if count and not self.radius:
-            raise SuppleError("--grab needs a --radius: how far it is felt, in pixels")
-        radii = _spread("--radius", self.radius, count, "a number of pixels above 0")
+            raise SuppleError("--grab needs a --radius: how far it is felt, in pixels or millimetres")
+        radii = _spread("--radius", self.radius, count, "a number of pixels or millimetres above 0")
         ratios = _spread("--poisson", self.poisson, count, "a number up to 0.5, or -inf") or [0.4] * count
         scales = _spread("--scales", self.scales, count, "1, 2 or 3") or [1] * count
         strokes = []
@@ -144,7 +145,7 @@ class VideoOptions:
     pixel_format
         By default that of the input: yuv420p, yuv444p10le, …
     fps
-        Frames a second of an image sequence (24).
+        Frames a second of an image sequence (24): 25, 29.97 or 24000/1001, say.
     memory
         How many gigabytes the frames may take that are held at once (2); beyond, they go to a temporary file.
     """
@@ -169,7 +170,7 @@ class VideoOptions:
         scale = read("--time-scale", self.time_scale, "a number of pixels above 0")
         if scale is not None and not 0 < scale < math.inf:
             raise SuppleError(f"--time-scale must be a number of pixels above 0, found {self.time_scale!r}")
-        rate = read("--fps", self.fps, "a number of frames a second")
+        rate = None if self.fps is None else _rate(self.fps)
         if rate is not None and not 0 < rate <= 100_000:
             raise SuppleError(f"--fps must be a number of frames a second above 0, found {self.fps!r}")
         memory = read("--memory", self.memory, "a number of gigabytes")
@@ -196,6 +197,24 @@ def parse_number(name: str, text: str, wanted: str) -> float:
         raise SuppleError(f"{name} must be {wanted}, found {text!r}") from None
 
 
+def parse_integer(name: str, text: str, wanted: str) -> int:
+    """Read a whole number from the command line."""
+    try:
+        return int(text)
+    except ValueError:
+        raise SuppleError(f"{name} must be {wanted}, found {text!r}") from None
+
+
+def _rate(text: str) -> float | Fraction:
+    """Read frames a second from the command line: a number, or a ratio of two."""
+    if "/" not in text:
+        return parse_number("--fps", text, "a number of frames a second")
+    try:
+        return Fraction(text)
+    except (ValueError, ZeroDivisionError):
+        raise SuppleError(f"--fps must be a number of frames a second, or 24000/1001, found {text!r}") from None
+
+
 def parse_fill(text: str) -> list[float]:
     """Read a colour from the command line."""
     return [
@@ -217,7 +236,7 @@ def _spread(name: str, given: Sequence[str], count: int, wanted: str) -> list[fl
 
 
 def _grab(text: str) -> tuple[list[float], list[float]]:
-    wanted = "X,Y:X,Y or X,Y,T:X,Y,T, two points in pixels and frames (256,256:256,346, say)"
+    wanted = "X,Y:X,Y, or X,Y,T:X,Y,T, two points in pixels, frames or voxels (256,256:256,346, say)"
     parts = text.split(":")
     if len(parts) != 2:
         raise SuppleError(f"--grab must be {wanted}, found {text!r}")

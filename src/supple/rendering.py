@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
@@ -16,7 +17,7 @@ from supple.cpu.kernel import share
 from supple.cpu.solid import solve_solid, unmoved
 from supple.deformation import Deformation
 from supple.domain import choice, integer, number, point, refuse
-from supple.errors import SuppleError
+from supple.errors import SuppleError, ToleranceWarning
 from supple.geometry import Geometry
 from supple.transfer import ENTRIES, PRESETS, TransferFunction
 
@@ -24,7 +25,7 @@ Array = npt.NDArray[Any]
 Floats = npt.NDArray[np.float64]
 
 MODES = ("lattice", "exact", "buffered")
-_ROWS = 4  # of a picture, that a core takes at a time
+_ROWS = 12  # of a picture, that a core takes at a time
 _TYPES = (np.uint8, np.int8, np.uint16, np.int16, np.float32)
 PICKED = 0.9
 """The opacity that a ray has gathered where something is picked."""
@@ -160,7 +161,7 @@ class Scene:
         mode: str = "lattice",
         step: float | None = None,
         shaded: bool = True,
-        tolerance: float = 0.05,
+        tolerance: float = 0.1,
     ) -> None:
         choice("mode", mode, MODES)
         places = Geometry() if geometry is None else geometry
@@ -184,6 +185,13 @@ class Scene:
         elif deformation is not None and mode == "lattice":
             solid = solve_solid(deformation.space.table, deformation.space.axes, given.shape, tolerance)
             nodes, per_voxel, error = solid.nodes, 1.0 / solid.step, solid.error
+            if error > tolerance:
+                warnings.warn(
+                    f"the lattice may be off by {error:.2g} voxels somewhere, more than the tolerance {tolerance:g}: "
+                    'mode "exact" or "buffered" is not',
+                    ToleranceWarning,
+                    stacklevel=2,
+                )
         ready = _prepared(given)
         counts = tuple(-(-max(n - 1, 1) // bricks.BRICK) for n in ready.shape)
         lows, highs = np.empty(counts, np.float32), np.empty(counts, np.float32)
@@ -237,6 +245,11 @@ class Scene:
             seen = moved
         return np.asarray(bricks.distances(seen), np.uint8)
 
+    @property
+    def is_empty(self) -> bool:
+        """Whether no value is seen at all."""
+        return self._threshold == math.inf
+
     def view(self, camera: Camera, size: tuple[int, int]) -> View:
         """The camera before this scene, for a picture of ``size`` (rows, columns)."""
         return view_of(camera, self.samples.shape, self.geometry, size)
@@ -268,17 +281,19 @@ class Scene:
         work = np.zeros((height, width, 2), np.int64)
         columns = (np.arange(width) + 0.5) / fine - 0.5
 
+        march = self._marcher(view)
+
         def rows(top: int) -> None:
             below = min(top + _ROWS, height)
             ys = (np.arange(top, below) + 0.5) / fine - 0.5
-            pixels = view.middle(np.tile(columns, len(ys)), np.repeat(ys, width))
+            pixels = view.middle(*np.meshgrid(columns, ys)).reshape(-1, 2)
             parts = (a[top:below].reshape(-1, a.shape[-1]) for a in (light, depth, work))
-            self.march(view, pixels, *parts)
+            march(pixels, *parts)
 
         starts = range(0, height, _ROWS)
-        for k in range(0, len(starts), 32):
-            share(rows, starts[k : k + 32])
-            tell(min(starts[min(k + 31, len(starts) - 1)] + _ROWS, height) // fine)
+        for k in range(0, len(starts), 16):
+            share(rows, starts[k : k + 16])
+            tell(min(starts[min(k + 15, len(starts) - 1)] + _ROWS, height) // fine)
 
         def smaller(a: Array, take: Callable[..., Array]) -> Array:
             return take(a.reshape(size[0], fine, size[1], fine, -1), axis=(1, 3))
@@ -288,27 +303,30 @@ class Scene:
             depth = smaller(depth, np.min)
         return Picture(light, depth[..., 0], work[..., 0], work[..., 1])
 
-    def march(self, view: View, pixels: Floats, out: Array, depth: Array, work: Array) -> None:
-        """March along the rays of pixels; see `supple.cpu.raymarch.march`."""
+    def _marcher(self, view: View) -> Callable[..., None]:
+        """What marches along the rays of pixels, into colours, depths and work; see `supple.cpu.raymarch`."""
         low, high = self.range
-        scale = np.float32(_entries(low, high))
-        window = np.array(self.density, np.float32)
-        light = _light(view)
-        size = _size(self.samples)
-        flat = self.samples.reshape(-1)
-        common = (self._table, np.float32(low), scale, np.float32(self._threshold), window)
+        common = (
+            self._table,
+            np.float32(low),
+            np.float32(_entries(low, high)),
+            np.float32(self._threshold),
+            np.array(self.density, np.float32),
+            view.packed,
+        )
+        rest = (self.step, _light(view), self.shaded)
+        flat, size = self.samples.reshape(-1), _size(self.samples)
         if self.mode == "exact" and self.deformation is not None:
-            space = self.deformation.space
-            raymarch.march_exactly(
-                flat, size, space.table, space.axes, 1e-3 * min(self.geometry.spacing), *common,
-                view.packed, pixels, self.step, light, self.shaded, out, depth, work,
-            )  # fmt: skip
-            return
-        mode = raymarch.LATTICE if self._per_voxel > 0 else raymarch.PLAIN
-        raymarch.march(
-            flat, size, self._nodes, np.float32(self._per_voxel), mode, self._skips, *common,
-            view.packed, pixels, self.step, light, self.shaded, out, depth, work,
-        )  # fmt: skip
+            space, finest = self.deformation.space, 1e-3 * min(self.geometry.spacing)
+            return lambda pixels, *parts: raymarch.march_exactly(
+                flat, size, space.table, space.axes, finest, *common, pixels, *rest, *parts
+            )
+        lattice = (
+            self._nodes,
+            np.float32(self._per_voxel),
+            raymarch.LATTICE if self._per_voxel > 0 else raymarch.PLAIN,
+        )
+        return lambda pixels, *parts: raymarch.march(flat, size, *lattice, self._skips, *common, pixels, *rest, *parts)
 
     def pick(self, camera: Camera, size: tuple[int, int], pixel: tuple[float, float]) -> Pick | None:
         """What a click at a pixel takes hold of.
@@ -329,7 +347,7 @@ class Scene:
         x, y = point("pixel", pixel, (2,))
         view = self.view(camera, size)
         out, depth, work = np.empty((1, 4), np.float32), np.empty((1, 2)), np.zeros((1, 2), np.int64)
-        self.march(view, view.middle([x], [y]), out, depth, work)
+        self._marcher(view)(view.middle([x], [y]), out, depth, work)
         if not np.isfinite(depth[0, 1]):
             return None
         at = view.eye + depth[0, 1] * view.direction(x, y) / view.spacing

@@ -12,7 +12,7 @@ BACKGROUND = "1a1a1e"
 HEAD = "head.nii.gz"
 INSIDE = "inside.nii.gz"
 """What of the head is marked as brain."""
-_DENT = ((40, 86, 65, 44, 63, 53, 32),)
+_DENT = ((40, 86, 65, 44, 63, 53, 36),)
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,8 +71,9 @@ class Shot:
             lines.append(f"--grab {places}" + ("" if alike else f" --radius {r}"))
         rest = [f"--radius {self.grabs[0][-1]}"] if alike else []
         rest += self._options()
-        lines += [" ".join(rest)] if rest else []
-        return (" \\\n  " if len(self.grabs) > 1 else " ").join(lines)
+        long = self.verb == "render"
+        lines += rest if long or not rest else [" ".join(rest)]
+        return (" \\\n  " if long or len(self.grabs) > 1 else " ").join(lines)
 
     def _options(self) -> list[str]:
         found = []
@@ -156,13 +157,9 @@ class Look(Shot):
         found = Shot._options(self)
         found.append(f"--azimuth {self.azimuth} --elevation {self.elevation} --distance {DISTANCE}")
         found.append(f"--size {self.size}x{self.size} --background {BACKGROUND}")
-        if self.smooth != 1:
-            found.append(f"--smooth {self.smooth}")
-        if self.density is not None:
-            found.append(f"--density {self.density[0]},{self.density[1]}")
-        if self.turntable:
-            found.append(f"--turntable {self.turntable}")
-        return found
+        found += [f"--smooth {self.smooth}"] if self.smooth != 1 else []
+        found += [f"--density {self.density[0]},{self.density[1]}"] if self.density is not None else []
+        return [*found, f"--turntable {self.turntable}"] if self.turntable else found
 
 
 def _split(grab: tuple[int, ...]) -> tuple[tuple[int, ...], tuple[int, ...], int]:
@@ -288,21 +285,9 @@ SCENES = (
         "up where each of their points came from, on a certified lattice, so that nothing is warped beforehand. Of the "
         "brain, a density window shows what is brighter than the fluid around it.",
         (
-            Look("head", "One stroke of 54 mm that flows.", HEAD, _DENT, border=10, on_fold="flow"),
-            Look(
-                "brain", "The same stroke, inside.", INSIDE, _DENT, border=10, on_fold="flow", cut=10, density=(45, 254)
-            ),
-            Look(
-                "turn",
-                "Once around.",
-                HEAD,
-                _DENT,
-                border=10,
-                on_fold="flow",
-                size=400,
-                smooth=1,
-                turntable=72,
-            ),
+            Look("head", "One stroke of 52 mm.", HEAD, _DENT, border=30, on_fold="flow"),
+            Look("brain", "The same, inside.", INSIDE, _DENT, border=30, on_fold="flow", cut=10, density=(45, 254)),
+            Look("turn", "Once around", HEAD, _DENT, border=30, on_fold="flow", size=360, smooth=1, turntable=60),
         ),
     ),
 )

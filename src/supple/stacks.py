@@ -18,6 +18,8 @@ from supple.streaming import SLACK, Layout, Sampling, Space, fills_of, grid_of, 
 
 Array = npt.NDArray[Any]
 
+MANY = 16  # planes from which on each is worked on by one core; whatever cores there are, so that all agree
+
 
 def warp_stack(
     space: Space,
@@ -85,13 +87,13 @@ def warp_stack(
             for sample, group, out in zip(samplers, layout.groups, outs, strict=True):
                 sample(part_of(band, group, grid), np.asarray(out[k]), first, slots)
 
-        return each_band(plane, sampling.tolerance, use, grid, rates=sampling.time_filter)
+        return each_band(plane, sampling.tolerance, use, grid, sampling.time_filter, len(planes) >= MANY)
 
     together = 8 * threads()
     for start in range(0, len(planes), together):
         chunk = range(start, min(start + together, len(planes)))
-        # A few planes share their bands instead.
-        found = share(one, chunk) if len(chunk) > threads() else [one(k) for k in chunk]
+        # Of a few planes, the bands are shared instead.
+        found = share(one, chunk) if len(planes) >= MANY else [one(k) for k in chunk]
         certificate = Certificate(0.0, 0.0)
         for known in found:
             certificate |= known

@@ -184,6 +184,12 @@ def render_file(
     _check_target(target, suffix, many, known.what, force)
     given = open_volume(source, reading)
     scene = scene_of(given, recipe, known, world=reading.world)
+    if scene.is_empty:
+        low, high = scene.range
+        raise SuppleError(
+            f"nothing is seen of {given.name}: its values go from {low:g} to {high:g}, which this transfer function and "
+            "density leave out: choose others"
+        )
     if not many:
         picture = scene.render(
             known.camera,

@@ -19,7 +19,7 @@ PART_X, PART_Y, PART_T = 0, WIDE, 2 * WIDE
 PARTS = 3 * WIDE
 AHEAD = 3  # rows from where samples are read to where they are fetched into the cache
 
-_read_two, _read_four = reader(2), reader(4)
+_read_two, _read_four, _read_eight = reader(2), reader(4), reader(8)
 
 
 @kernel
@@ -232,21 +232,52 @@ def _gather_samples(samples, starts, stride, n, where, frame, taps):
         i = end
 
 
+@kernel
+def _gather_floats(samples, starts, stride, n, where, frame, pairs):
+    """The same for float32: both neighbours in a row are read as one number."""
+    i = 0
+    while i < n:
+        end = _stretch(frame, i, n)
+        here, there = samples[starts[frame[i]] :], samples[starts[frame[i] + 1] :]
+        below_here, below_there = here[stride:], there[stride:]
+        places = where[i:end]
+        a, b, c, d = pairs[0, i:end], pairs[1, i:end], pairs[2, i:end], pairs[3, i:end]
+        for k in range(0, end - i, 8):
+            ahead = np.int64(places[k]) + AHEAD * stride
+            prefetch(here, ahead)
+            prefetch(there, ahead)
+        for k in range(end - i):
+            at = np.uint32(places[k])
+            a[k], b[k] = _read_eight(here, at), _read_eight(below_here, at)
+            c[k], d[k] = _read_eight(there, at), _read_eight(below_there, at)
+        i = end
+
+
 @colour_kernel
-def _blend_samples(taps, parts, n, zero, whole, high, out):
+def _blend_samples(taps, step, parts, n, zero, whole, high, out):
+    """Blend eight neighbours; every ``step``-th number of a row is the next pixel's."""
     half = zero + np.float32(0.5)
-    a, b, c, d = taps[0], taps[1], taps[2], taps[3]
-    e, f, g, h = taps[4], taps[5], taps[6], taps[7]
-    for i in range(n):
-        x, y, t = zero + parts[PART_X + i], zero + parts[PART_Y + i], zero + parts[PART_T + i]
-        u, v = _mix(a[i], b[i], c[i], d[i], x, y), _mix(e[i], f[i], g[i], h[i], x, y)
-        a[i] = u + t * (v - u)
+    done = np.empty(WIDE, taps.dtype)
+    if step == 1:
+        a, b, c, d = taps[0], taps[1], taps[2], taps[3]
+        e, f, g, h = taps[4], taps[5], taps[6], taps[7]
+        for i in range(n):
+            x, y, t = zero + parts[PART_X + i], zero + parts[PART_Y + i], zero + parts[PART_T + i]
+            u, v = _mix(a[i], b[i], c[i], d[i], x, y), _mix(e[i], f[i], g[i], h[i], x, y)
+            done[i] = u + t * (v - u)
+    else:
+        p, q, r, s = taps[0], taps[1], taps[2], taps[3]
+        for i in range(n):
+            x, y, t = zero + parts[PART_X + i], zero + parts[PART_Y + i], zero + parts[PART_T + i]
+            k, m = 2 * i, 2 * i + 1
+            u, v = _mix(p[k], p[m], q[k], q[m], x, y), _mix(r[k], r[m], s[k], s[m], x, y)
+            done[i] = u + t * (v - u)
     if whole:
         for i in range(n):
-            out[i, 0] = min(np.floor(a[i] + half), high)
+            out[i, 0] = min(np.floor(done[i] + half), high)
     else:
         for i in range(n):
-            out[i, 0] = a[i]
+            out[i, 0] = done[i]
 
 
 @colour_kernel
@@ -262,7 +293,23 @@ def linear_single(samples, slots, frames, first, height, width, points, anchors,
             n = right - left
             locate(points, y, left, n, anchors[run], width, height, first, frames - 1, most, where, frame, parts)
             _gather_samples(samples, starts, width, n, where, frame, taps)
-            _blend_samples(taps, parts, n, zero, whole, high, out[y, left:right])
+            _blend_samples(taps, 1, parts, n, zero, whole, high, out[y, left:right])
+
+
+@colour_kernel
+def linear_floats(samples, slots, frames, first, height, width, points, anchors, edges, out):
+    """The same for one channel of float32."""
+    starts = starts_of(slots, height * width)
+    parts, pairs = np.empty(PARTS, np.float32), np.empty((4, WIDE), np.uint64)
+    where, frame = np.empty(WIDE, np.int32), np.empty(WIDE, np.int32)
+    most, zero = starts.size - 2, np.float32(0.0)
+    for y in range(out.shape[0]):
+        for run in range(anchors.shape[0]):
+            left, right = edges[run], min(edges[run + 1], out.shape[1])
+            n = right - left
+            locate(points, y, left, n, anchors[run], width, height, first, frames - 1, most, where, frame, parts)
+            _gather_floats(samples, starts, width, n, where, frame, pairs)
+            _blend_samples(pairs.view(np.float32), 2, parts, n, zero, False, zero, out[y, left:right])
 
 
 @colour_kernel

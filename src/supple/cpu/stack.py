@@ -83,6 +83,8 @@ def stack_sampler(
             place = (samples, slots, count, first, height, width, band.points, band.anchors, band.edges)
             if packed:
                 frames.linear_packed(*place, channels, rows)
+            elif channels == 1 and samples.dtype == np.float32 == n.dtype:
+                frames.linear_floats(*place, rows)
             elif channels == 1:
                 frames.linear_single(*place, zero, n.whole, n.high, rows)
             else:

@@ -156,16 +156,17 @@ def gather_bytes(typing: Any, values: Any, at: Any, target: Any, to: Any) -> Any
 
 
 def reader(size: int) -> Callable[..., Any]:
-    """Makes ``f(source, start)``, which reads ``size`` ≤ 4 bytes from an item of a flat array on as one number."""
+    """Makes ``f(source, start)``, reading ``size`` bytes (2, 4 or 8) from an item of a flat array on as a number."""
+    wide = types.uint64 if size == 8 else types.uint32
 
     @intrinsic
     def read(typing: Any, source: Any, start: Any) -> Any:
         def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
             place = builder.gep(data_of(context, builder, signature.args[0], args[0]), [args[1]])
             number = builder.load(builder.bitcast(place, ir.IntType(8 * size).as_pointer()), align=1)
-            return number if size == 4 else builder.zext(number, ir.IntType(32))
+            return builder.zext(number, ir.IntType(32)) if size < 4 else number
 
-        return types.uint32(source, types.intp), generate
+        return wide(source, types.intp), generate
 
     return read
 

@@ -134,7 +134,12 @@ def _rounding(reach: float) -> float:
 
 
 def each_band(
-    plane: Plane, tolerance: float, use: Callable[[Band], None], grid: Grid | None = None, rates: bool = False
+    plane: Plane,
+    tolerance: float,
+    use: Callable[[Band], None],
+    grid: Grid | None = None,
+    rates: bool = False,
+    whole: bool = False,
 ) -> Certificate:
     """Call ``use`` for every band of a plane, on all cores.
 
@@ -148,6 +153,8 @@ def each_band(
         Whose source points to find as well.
     rates : bool
         Whether to find ∂p_t/∂t too, as a fourth coordinate.
+    whole : bool
+        Whether the plane is one band, as where planes are worked on side by side.
 
     Returns
     -------
@@ -167,7 +174,7 @@ def each_band(
 
     # An even number of bands, so that two cores, or more, end together; and the same ones on any machine.
     rows = ys.size - 1
-    bands = min(-(-rows // (2 * CELL_ROWS)) * 2, rows)
+    bands = 1 if whole else min(-(-rows // (2 * CELL_ROWS)) * 2, rows)
 
     def work(k: int) -> Certificate:
         first, last = rows * k // bands, rows * (k + 1) // bands
