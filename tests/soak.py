@@ -12,12 +12,14 @@ from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
+from numba import njit
 
 if __name__ == "__main__":
     sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "src"))
 
 from supple import Deformation, FoldWarning, SuppleError, ToleranceWarning
 from supple.cpu import field as kernels
+from supple.cpu.solid import displacement, solve_solid
 from supple.streaming import Array, Group, Layout, Sampling, make_plan, stream
 
 Floats = npt.NDArray[np.float64]
@@ -62,6 +64,9 @@ class Tally:
     worst_error: float = 0.0
     frames: int = 0
     worst_frame: float = 0.0
+    solids: int = 0
+    solids_beyond: int = 0
+    worst_solid: float = 0.0
     violations: list[str] = field(default_factory=list)
 
     def lines(self) -> list[str]:
@@ -276,6 +281,39 @@ def look_at_clip(d: Deformation, rng: np.random.Generator, tally: Tally) -> list
     return wrong
 
 
+@njit
+def between_nodes(nodes, per_voxel, points):  # type: ignore[no-untyped-def]
+    """The displacements at points, by the lattice of a volume."""
+    out = np.empty((len(points), 3))
+    for i in range(len(points)):
+        x, y, z = np.float32(points[i, 0]), np.float32(points[i, 1]), np.float32(points[i, 2])
+        out[i, 0], out[i, 1], out[i, 2] = displacement(nodes, per_voxel, x, y, z)
+    return out
+
+
+def look_at_solid(d: Deformation, rng: np.random.Generator, tally: Tally) -> list[str]:
+    """Whether the lattice of a volume, by which it is seen, is as exact as is said."""
+    tolerance = float(rng.choice([0.5, 0.1, 0.02]))
+    solid = solve_solid(d.space.table, d.space.axes, d.shape, tolerance)
+    q = rng.uniform(0, 1, (2_000, 3)) * (np.array(d.shape[::-1]) - 1.0)
+    # Half of them where something happens: about the ends of strokes.
+    for k, stroke in enumerate(d.strokes[:8]):
+        part = q[100 * k : 100 * k + 100]
+        near = np.add(stroke.at, stroke.by) + rng.normal(size=part.shape) * stroke.radius / d.domain.spacing
+        part[...] = np.clip(near, 0, np.array(d.shape[::-1]) - 1.0)
+    true = d.inverse(q)
+    found = between_nodes(solid.nodes, np.float32(1 / solid.step), q)
+    off = np.linalg.norm(q + found - true.points, axis=-1)[true.converged]
+    worst = float(off.max(initial=0.0))
+    tally.solids += 1
+    tally.solids_beyond += solid.error > tolerance
+    if solid.error <= tolerance:
+        tally.worst_solid = max(tally.worst_solid, worst / tolerance)
+        if not worst <= tolerance + 1e-3:
+            return [f"the lattice, {solid.step} voxels wide, is off by {worst:.3g}, but {solid.error:.3g} was said"]
+    return []
+
+
 def look_at_recipe(rng: np.random.Generator, tally: Tally) -> list[str]:
     """What is wrong with the next recipe."""
     tally.recipes += 1
@@ -288,6 +326,8 @@ def look_at_recipe(rng: np.random.Generator, tally: Tally) -> list[str]:
         wrong += look_at_map(d, rng, tally)
     if d.ndim == 3 and math.prod(d.shape[1:]) * len(d._table) <= 10 * MOST_PIXELS:
         wrong += look_at_clip(d, rng, tally)
+    if d.ndim == 3 and math.prod(d.shape) * len(d._table) <= 100 * MOST_PIXELS:
+        wrong += look_at_solid(d, rng, tally)
     return [f"{line} ({d.on_fold}, {len(d.strokes)} strokes)" for line in wrong]
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -89,7 +90,7 @@ class VolumeCommands:
                     "step": scene.step,
                     "minimum": low,
                     "maximum": high,
-                    "error": scene.error,
+                    "error": scene.error if math.isfinite(scene.error) else None,
                     **facts,
                 }
             )

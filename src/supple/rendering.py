@@ -186,8 +186,9 @@ class Scene:
             solid = solve_solid(deformation.space.table, deformation.space.axes, given.shape, tolerance)
             nodes, per_voxel, error = solid.nodes, 1.0 / solid.step, solid.error
             if error > tolerance:
+                off = f"by {error:.2g} voxels" if math.isfinite(error) else "by more than a voxel"
                 warnings.warn(
-                    f"the lattice may be off by {error:.2g} voxels somewhere, more than the tolerance {tolerance:g}: "
+                    f"the lattice may be off {off} somewhere, beyond the tolerance {tolerance:g}: "
                     'mode "exact" or "buffered" is not',
                     ToleranceWarning,
                     stacklevel=2,

@@ -187,8 +187,8 @@ def render_file(
     if scene.is_empty:
         low, high = scene.range
         raise SuppleError(
-            f"nothing is seen of {given.name}: its values go from {low:g} to {high:g}, which this transfer function and "
-            "density leave out: choose others"
+            f"nothing is seen of {given.name}: its values go from {low:g} to {high:g}, and the transfer function and "
+            "density leave all of them out: choose others"
         )
     if not many:
         picture = scene.render(

@@ -9,6 +9,7 @@ is good enough.
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import dataclass
 
@@ -18,15 +19,17 @@ import numpy.typing as npt
 from supple.cpu.blend import displaced, turned
 from supple.cpu.field import X, Y, Z, apply
 from supple.cpu.kernel import BATCH, inlined, kernel, share
-from supple.cpu.lattice import NODE, RESERVE, M, U, solve_rows
+from supple.cpu.lattice import NODE, RESERVE, RESOLVED, SMOOTH, M, U, solve_rows
 from supple.cpu.newton import QX, QY, QZ, ROWS
 
 Floats = npt.NDArray[np.float64]
 
 FIELDS = 16  # of a node: u, and the columns of ∂p/∂q, each with a 0, as `supple.cpu.blend` takes them
-COARSEST, FINEST = 16, 2  # voxels from node to node: a finer lattice would be larger than the volume
-# Where a cell is looked at: its middle, and those of its faces and edges at one corner.
-_SEEN = np.array([(u, v, w) for u in (0.5, 0.0) for v in (0.5, 0.0) for w in (0.5, 0.0) if u + v + w > 0])
+COARSEST, FINEST = 8, 2  # voxels from node to node: a finer lattice would be larger than the volume
+# Where a cell is looked at: its middle, those of its faces and edges at one corner, and of its eighths.
+_SEEN = np.array(
+    [*(p for p in itertools.product((0.5, 0.0), repeat=3) if any(p)), *itertools.product((0.25, 0.75), repeat=3)]
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -40,7 +43,8 @@ class Solid:
     step : int
         Voxels from node to node; the first is the first voxel.
     error : float
-        How far a source point is from the true T⁻¹(q), in voxels, as far as the checks see, with their reserve.
+        How far a source point is from the true T⁻¹(q), in voxels, as far as the checks see, with their reserve;
+        infinity where even the finest lattice is too coarse for them to see anything.
     evaluations : float
         Of T with its Jacobian.
     """
@@ -58,34 +62,37 @@ def solve_solid(table: npt.NDArray[np.void], axes: Floats, shape: tuple[int, ...
     """
     step, evaluations = COARSEST, 0.0
     while True:
-        solid = _solve(table, axes, shape, step)
+        solid, smooth = _solve(table, axes, shape, step)
         evaluations += solid.evaluations
-        if solid.error <= tolerance or step == FINEST:
-            return Solid(solid.nodes, step, solid.error, evaluations)
+        # What is seen at points says little where the map varies between them.
+        resolved = step <= RESOLVED * smooth
+        if (solid.error <= tolerance and resolved) or step == FINEST:
+            return Solid(solid.nodes, step, solid.error if resolved else math.inf, evaluations)
         # The error falls with the cube of the step.
-        finer = step * (tolerance / solid.error) ** (1 / 3)
+        finer = min(step * (tolerance / max(solid.error, tolerance)) ** (1 / 3), max(RESOLVED * smooth, FINEST))
         step = max(FINEST, min(step // 2, 2 ** math.floor(math.log2(max(finer, 1.0)))))
 
 
-def _solve(table: npt.NDArray[np.void], axes: Floats, shape: tuple[int, ...], step: int) -> Solid:
+def _solve(table: npt.NDArray[np.void], axes: Floats, shape: tuple[int, ...], step: int) -> tuple[Solid, float]:
+    """A lattice, and the least length, in voxels, over which the map varies at a node."""
     xs, ys, zs = (np.arange(0, max(n - 1, 1) + step, step, dtype=np.int64) for n in reversed(shape))
     nodes = np.zeros((zs.size, ys.size, xs.size, FIELDS), np.float32)
 
-    def layer(k: int) -> float:
+    def layer(k: int) -> tuple[float, float]:
         own = np.empty((ys.size, xs.size, NODE))
         spent = float(solve_rows(table, axes, float(zs[k]), xs, ys, 0, ys.size, own))
         nodes[k, :, :, :3] = own[..., U : U + 3]
         for c in range(3):
             nodes[k, :, :, 4 * c + 4 : 4 * c + 7] = own[..., M + c : M + 9 : 3]
-        return spent
+        return spent, float(own[..., SMOOTH].min())
 
-    spent = sum(share(layer, range(zs.size)))
+    layers = share(layer, range(zs.size))
 
     def look(k: int) -> float:
         return float(_check(table, axes, nodes, step, k, _SEEN))
 
     worst = max(share(look, range(zs.size - 1)))
-    return Solid(nodes, step, worst, spent)
+    return Solid(nodes, step, worst, sum(spent for spent, _ in layers)), min(smooth for _, smooth in layers)
 
 
 @inlined
