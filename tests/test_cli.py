@@ -15,6 +15,7 @@ import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+import clips
 import numpy as np
 import numpy.typing as npt
 import pytest
@@ -175,7 +176,9 @@ def test_a_stroke_far_outside(run: Run) -> None:
     options = ["--grab", "-1e7,5e6:3,4", "--radius", "20", "--border", "none"]
     status, _, err = run("warp", "in.png", "out.png", *options)
     assert status == 0
-    assert one_line(err).startswith("supple: warning: ")
+    told = err.splitlines()
+    assert len(told) == 2
+    assert sum("folds: damped" in line for line in told) == sum("farther outside in.png" in line for line in told) == 1
     assert image.read("out.png").pixels.shape == (40, 48, 3)
 
 
@@ -459,6 +462,24 @@ def test_info(run: Run) -> None:
     status, out, err = run("info", "none.png")
     assert (status, out) == (2, "")
     one_line(err)
+
+
+def test_info_of_what_is_nothing_known(run: Run) -> None:
+    Path("README.md").write_text("# Words")
+    status, out, err = run("info", "README.md")
+    assert (status, out) == (2, "")
+    assert one_line(err) == (
+        "supple: cannot read README.md: it is no picture, video, volume or recipe of a known kind: give one of these\n"
+    )
+    Path("cut.png").write_bytes(Path("in.png").read_bytes()[:60])
+    assert "no picture, video" not in run("info", "cut.png")[2]
+
+
+def test_info_says_that_a_rate_varies(run: Run) -> None:
+    clips.make("a.mkv", times=[0, 1, 2, 9, 10, 11, 12, 13, 14, 15])
+    clips.make("b.mkv")
+    assert "at a variable rate" in run("info", "a.mkv")[1]
+    assert "variable" not in run("info", "b.mkv")[1]
 
 
 @pytest.mark.parametrize("what", ["grid", "stretch"])

@@ -9,8 +9,8 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from supple import SuppleError
-from supple.diagnostics import check_plot, clip_sheet, clip_slice, draw_sheet, draw_slice, evenly
+from supple import Deformation, SuppleError
+from supple.diagnostics import check_plot, clip_sheet, clip_slice, draw_sheet, draw_slice, evenly, figure
 
 Array = npt.NDArray[Any]
 
@@ -83,6 +83,19 @@ def test_a_sheet_keeps_the_frames_proportions(shape: tuple[int, ...], columns: i
         box = axes.get_window_extent()
         assert box.height / box.width == pytest.approx(shape[0] / shape[1], rel=0.02)
     assert made.get_size_inches()[0] <= 25
+
+
+@pytest.mark.parametrize("what", ["axes", "stretch", "residual", "grid", "iterations"])
+@pytest.mark.parametrize("shape", [(20, 200), (170, 400), (200, 60)])
+def test_every_word_is_in_the_picture(what: str, shape: tuple[int, int]) -> None:
+    height, width = shape
+    made = figure(Deformation((8, *shape)).grab((width / 2, height / 2, 4), by=(3, 0, 0), radius=20), what, frame=4)
+    made.canvas.draw()
+    whole = made.bbox
+    for axes in made.axes:
+        for text in (axes.yaxis.label, axes.xaxis.label):
+            box = text.get_window_extent()
+            assert not text.get_text() or (box.y0 >= -1 and box.y1 <= whole.y1 + 1), text.get_text()
 
 
 def test_frames_evenly_spaced() -> None:

@@ -31,7 +31,7 @@ from supple.clips import ClipOptions, WarpedClip
 from supple.files import warp_file
 from supple.media import image
 from supple.media.troubles import ClipWarning, CountError
-from supple.media.video import info
+from supple.media.video import info, open_video
 from supple.plots import plot_file
 
 SOURCE = str(Path(__file__).resolve().parent.parent / "src")
@@ -220,7 +220,10 @@ def test_lossless_is_ffv1(run: Run) -> None:
 
 def test_options_reach_the_sampler_and_the_encoder(run: Run) -> None:
     frames = stack(noisy("in.mkv", "yuv444p", 9))
-    options = ["--filter", "linear", "--outside", "constant", "--fill", "1,2,3", "--tolerance", "0.1", "--between"]
+    luma = 0.299 * 200 + 0.587 * 30 + 0.114 * 60  # of BT.601
+    chroma = [128 + 224 / 255 * (60 - luma) / 1.772, 128 + 224 / 255 * (200 - luma) / 1.402]
+    fill = [16 + 219 / 255 * luma, *chroma]
+    options = ["--filter", "linear", "--outside", "constant", "--fill", "200,30,60", "--tolerance", "0.1", "--between"]
     more = ["--time-scale", "2", "--time-filter"]
     strokes = ["--grab", "5,20,3:30,22,6", "--radius", "15", "--border", "none", "--quiet"]
     assert run("warp", "in.mkv", "out.mkv", *strokes, *options, "cubic", *more) == (0, "", "")
@@ -228,7 +231,7 @@ def test_options_reach_the_sampler_and_the_encoder(run: Run) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", supple.FoldWarning)
         d = d.grab((5, 20, 3), to=(30, 22, 6), radius=15)
-    settings: dict[str, Any] = {"filter": "linear", "outside": "constant", "fill": (1, 2, 3), "tolerance": 0.1}
+    settings: dict[str, Any] = {"filter": "linear", "outside": "constant", "fill": fill, "tolerance": 0.1}
     expected = d.warp(frames, **settings, between="cubic", time_filter=True)
     np.testing.assert_array_equal(stack("out.mkv"), expected)
     plain = supple.Deformation(frames.shape[:3], border=None)
@@ -366,9 +369,85 @@ def test_pictures_into_a_video_and_back(run: Run) -> None:
     assert (facts["frames"], float(facts["rate"])) == (6, 30.0)
     assert run("warp", "a.mkv", "back/%03d.png", *still) == (0, "", "")
     np.testing.assert_array_equal(read(sorted(Path("back").iterdir())), frames)
-    assert run("warp", "in", "b.mp4", *still) == (0, "", "")
+    status, _, err = run("warp", "in", "b.mp4", *still)
+    assert status == 0
+    assert err.count("\n") == 1
+    assert "loses detail of colours (to 4:2:0): --pixel-format yuv444p keeps more" in err
     assert float(info("b.mp4")["rate"]) == 24.0
     assert info("b.mp4")["pixel_format"] == "yuv420p"
+
+
+def test_sound_that_pictures_cannot_hold_is_said(run: Run) -> None:
+    clips.make("in.mkv", audio="aac", subtitles=True)
+    clips.make("mute.mkv")
+    assert run("warp", "mute.mkv", "a/", *GRAB) == (0, "", "")
+    status, _, err = run("warp", "in.mkv", "b/", *GRAB)
+    assert (status, err) == (
+        0,
+        "supple: warning: b gets pictures alone, without the sound and the subtitles of in.mkv\n",
+    )
+
+
+def test_a_rate_may_be_a_ratio(run: Run) -> None:
+    pictures("in")
+    assert run("warp", "in", "a.mkv", *GRAB, "--codec", "ffv1", "--fps", "24000/1001") == (0, "", "")
+    assert info("a.mkv")["rate"] == Fraction(24000, 1001)
+
+
+@pytest.mark.parametrize("name", ["yuv420p", "yuv420p10le", "yuvj444p", "yuva420p", "gray", "gbrp"])
+@pytest.mark.parametrize("fill", ["255,0,0", "255"])
+def test_a_fill_is_a_colour_in_any_planes(run: Run, name: str, fill: str) -> None:
+    clips.make("in.nut", "rawvideo", name, count=2)
+    white = 1023 if "10" in name else 255
+    colour = [int(value) * white // 255 for value in fill.split(",")]
+    text = ",".join(map(str, colour))
+    strokes = ["--grab", "5,24:60,24", "--radius", "60", "--border", "none", "--quiet"]
+    status, _, err = run(
+        "warp", "in.nut", "out.mkv", *strokes, "--codec", "ffv1", "--outside", "constant", "--fill", text
+    )
+    if name == "gray" and len(colour) > 1:
+        assert status == 2
+        assert "fill must be a number, or 1 of them (grey)" in err
+        return
+    assert status == 0
+    with open_video("out.mkv") as clip:
+        frame = next(iter(clip.frames()))
+        arrays = [np.empty((*g.shape, g.channels), clip.layout.dtype) for g in clip.layout.groups]
+        frame.copy_to(arrays)
+        seen = clip.to_rgb(arrays)[24, 1]
+        assert not clip.layout.groups[0].alpha or arrays[0][24, 1, -1] == white  # a colour is opaque
+    np.testing.assert_allclose(seen, [255, 0, 0] if len(colour) > 1 else [255] * 3, atol=3)
+
+
+@pytest.mark.parametrize(("source", "target"), [("in.mkv", "out.mkv"), ("in.png", "out.png")])
+def test_a_stroke_that_begins_far_outside_is_told(run: Run, source: str, target: str) -> None:
+    noisy("in.mkv")
+    image.write("in.png", np.zeros((48, 64, 3), np.uint8))
+    for at, told in (("75,20", False), ("85,20", True), ("20,-21", True), ("20,-19", False)):
+        status, _, err = run("warp", source, target, "--grab", f"{at}:20,20", "--radius", "20", "--quiet", "--force")
+        assert (status, err) == (0, "")
+        status, _, err = run("warp", source, target, "--grab", f"{at}:{at}", "--radius", "20", "--force")
+        assert status == 0
+        assert told == ("farther outside" in err), at
+    assert (
+        f"the stroke begins at (20, -21), farther outside {source}"
+        in run("warp", source, target, "--grab", "20,-21:20,-21", "--radius", "20", "--force")[2]
+    )
+
+
+def test_a_sheet_shows_where_strokes_act(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    noisy("in.mkv", count=80)
+    seen: list[list[int]] = []
+    monkeypatch.setattr("supple.plots.draw_sheet", lambda before, *rest, **named: seen.append([k for k, _ in before]))
+    local = supple.Recipe(strokes=[supple.Stroke.grab((30, 20, 40), by=(4, 0, 0), radius=6, scales=3)], border=None)
+    everywhere = supple.Recipe(strokes=[supple.Stroke.grab((30, 20), by=(4, 0), radius=6)])
+    still = supple.Recipe(strokes=[supple.Stroke.grab((30, 20, 40), by=(0, 0, 0), radius=6)])
+    for recipe in (local, everywhere, still):
+        plot_file("in.mkv", "out.png", recipe, "sheet")
+    assert len(seen[0]) == 6
+    assert 25 < seen[0][0] < 40 < seen[0][-1] < 55
+    assert 40 - seen[0][0] == seen[0][-1] - 40
+    assert seen[1] == seen[2] == [0, 16, 32, 47, 63, 79]
 
 
 def test_a_folder_of_videos_is_no_clip(run: Run) -> None:
@@ -443,7 +522,7 @@ VIDEO_REFUSED = [
     ("out.mkv", ["--codec", "ffv1", "--crf", "3"], "no crf"),
     ("out.mp4", ["--preset", "quick"], "no preset quick"),
     ("out.mp4", ["--pixel-format", "rgb24"], "rgb24"),
-    ("out.mp4", ["--quality", "90"], "quality is for pictures"),
+    ("out.mp4", ["--quality", "90"], "--quality is for pictures"),
     ("out.mp4", ["--fps", "25"], "--fps"),
     ("out.mp4", ["--fps", "0"], "--fps"),
     ("out.mp4", ["--fps", "nan"], "--fps"),
@@ -451,7 +530,7 @@ VIDEO_REFUSED = [
     ("out.mp4", ["--time-scale", "0"], "--time-scale"),
     ("out.mp4", ["--time-scale", "nan"], "--time-scale"),
     ("out.mp4", ["--time-scale", "inf"], "--time-scale"),
-    ("out.mp4", ["--time-scale", "1e300"], "time_scale"),
+    ("out.mp4", ["--time-scale", "1e300"], "--time-scale"),
     ("out.mp4", ["--memory", "nan"], "--memory"),
     ("out.mp4", ["--memory", "-1"], "--memory"),
     ("out.mp4", ["--memory", "lots"], "--memory"),
@@ -460,11 +539,11 @@ VIDEO_REFUSED = [
     ("out.mp4", ["--tolerance", "nan"], "tolerance"),
     ("out.mp4", ["--fill", "1,2"], "fill"),
     ("out.mp4", ["--fill", "nan"], "fill"),
-    ("out.mp4", ["--linear-light"], "linear_light"),
-    ("out%d.png", ["--codec", "h264"], "codec is for videos"),
-    ("out%d.png", ["--crf", "3"], "crf is for videos"),
-    ("out", ["--preset", "slow"], "preset is for videos"),
-    ("out/", ["--pixel-format", "yuv420p"], "pixel_format is for videos"),
+    ("out.mp4", ["--linear-light"], "--linear-light"),
+    ("out%d.png", ["--codec", "h264"], "--codec is for videos"),
+    ("out%d.png", ["--crf", "3"], "--crf is for videos"),
+    ("out", ["--preset", "slow"], "--preset is for videos"),
+    ("out/", ["--pixel-format", "yuv420p"], "--pixel-format is for videos"),
     ("out%d.jpg", ["--quality", "101"], "101"),
     ("out.png", [], "out.png is one picture, and a clip is many: name a pattern, such as out-%05d.png, or a folder"),
     ("out.txt", [], "the suffix .txt is no video format"),
@@ -825,6 +904,10 @@ PLOTS_REFUSED = [
     (["--what", "slice"], "--x or --y"),
     (["--what", "slice", "--x", "3", "--y", "4"], "--x or --y"),
     (["--what", "slice", "--x", "64"], "--x must be from 0 to 63"),
+    (["--what", "slice", "--x", "2.5"], "--x must be a whole number of pixels, found '2.5'"),
+    (["--what", "grid", "--frame", "2.5"], "--frame must be a whole number, counted from 0, found '2.5'"),
+    (["--what", "grid", "--frame", "99"], "--frame must be from 0 to 11, found 99"),
+    (["--what", "grid", "--x", "3"], "--x and --y are for slices"),
     (["--what", "slice", "--y", "48"], "--y must be from 0 to 47"),
     (["--what", "slice", "--x", "-1"], "--x must be from 0 to 63"),
     (["--what", "slice", "--x", "9" * 30], "--x must be from 0 to 63"),
@@ -836,8 +919,8 @@ PLOTS_REFUSED = [
     (["--frame", "12"], "from 0 to 11"),
     (["--frame", "-1"], "from 0 to 11"),
     (["--what", "movie"], "movie"),
-    (["--what", "sheet", "--codec", "h264"], "codec is for videos"),
-    (["--what", "sheet", "--crf", "20"], "crf is for videos"),
+    (["--what", "sheet", "--codec", "h264"], "--codec is for videos"),
+    (["--what", "sheet", "--crf", "20"], "--crf is for videos"),
     (["--what", "sheet", "--fps", "20"], "--fps"),
 ]
 

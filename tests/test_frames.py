@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import math
+import os
 from pathlib import Path
 from typing import Any
 
@@ -511,6 +512,27 @@ def test_arrays_of_any_layout(filter: str, tmp_path: Path) -> None:
     grey = bent().warp(base[..., 0], filter=filter)
     assert grey.shape == SHAPE
     np.testing.assert_array_equal(grey, bent().warp(base[..., :1], filter=filter)[..., 0])
+
+
+def test_two_maps_of_one_file_overlap(tmp_path: Path) -> None:
+    """Though not in memory."""
+    size = math.prod(SHAPE)
+    np.zeros(2 * size + 8, np.uint8).tofile(tmp_path / "a")
+    os.symlink(tmp_path / "a", tmp_path / "link")
+
+    def mapped(name: str, offset: int, mode: Any = "r+") -> npt.NDArray[np.uint8]:
+        return np.memmap(tmp_path / name, np.uint8, mode, offset, shape=SHAPE)
+
+    for source, out in (
+        (mapped("a", 0, "r"), mapped("a", 0)),
+        (mapped("a", 0, "r"), mapped("link", size - 1)),
+        (np.asarray(mapped("a", 8, "r")), mapped("a", 0)[:]),
+    ):
+        with pytest.raises(SuppleError, match="out must not overlap source"):
+            bent().warp(source, out=out)
+    bent().warp(mapped("a", 0, "r"), out=mapped("a", size))
+    (tmp_path / "b").write_bytes((tmp_path / "a").read_bytes())
+    bent().warp(mapped("a", 0, "r"), out=mapped("b", 0))
 
 
 @pytest.mark.parametrize("dtype", [*DTYPES, ">u2", ">f4", ">f2"])

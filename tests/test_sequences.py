@@ -26,6 +26,8 @@ from supple.streaming import Group, Layout
 
 Array = npt.NDArray[Any]
 SRGB = bytes(pyvips.Operation.call("profile_load", "srgb"))
+# what every film of RGB pictures says that is as players want it; `test_what_a_sequence_loses_is_said` hears it
+pytestmark = pytest.mark.filterwarnings("ignore:.* loses detail of colours:supple.media.troubles.ClipWarning")
 
 
 def picture(k: int, shape: tuple[int, ...] = (6, 8, 3), dtype: str = "u1") -> Array:
@@ -537,6 +539,7 @@ def test_colours_of_a_sequence_look_the_same(
     pictures = gradients(tmp_path / "in", 3)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
+        warnings.filterwarnings("ignore", ".* loses detail of colours", ClipWarning)
         film(tmp_path / "in", tmp_path / name, codec=None if name[0] == "a" else codec)
     facts, frames = shot(tmp_path / name)
     assert (facts["codec"], facts["pixel_format"], facts["matrix"]) == (codec, pixel_format, matrix)
@@ -604,8 +607,40 @@ def test_opacity_of_pictures_is_kept_or_missed(tmp_path: Path) -> None:
     film(tmp_path / "in", tmp_path / "a.webm")
     assert info(tmp_path / "a.webm")["alpha"]
     with pytest.warns(ClipWarning, match="loses opacity") as caught:
-        film(tmp_path / "in", tmp_path / "a.mp4")
+        film(tmp_path / "in", tmp_path / "a.mp4", pixel_format="yuv420p")
     assert len(caught) == 1
+
+
+@pytest.mark.parametrize(
+    ("kind", "codec", "lost", "keeps"),
+    [
+        ("u1", "h264", "detail of colours (to 4:2:0)", "yuv444p"),
+        ("u2", "h264", "detail of colours (to 4:2:0) and depth (16 to 10 bits)", "yuv444p10le"),
+        ("u1", "hevc", "detail of colours (to 4:2:0)", "gbrp"),
+        ("u1", "mpeg4", "detail of colours (to 4:2:0)", ""),
+    ],
+)
+def test_what_a_film_of_pictures_loses_is_said_and_what_keeps_it(
+    tmp_path: Path, kind: str, codec: str, lost: str, keeps: str
+) -> None:
+    gradients(tmp_path / "in", 1, kind)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        film(tmp_path / "in", tmp_path / "a.mkv", codec=codec)
+    told = f"{tmp_path / 'a.mkv'} loses {lost}" + (f": --pixel-format {keeps} keeps more" if keeps else "")
+    assert [str(warning.message) for warning in caught] == [told]
+    if keeps:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            film(tmp_path / "in", tmp_path / "b.mkv", codec=codec, pixel_format=keeps)
+        assert info(tmp_path / "b.mkv")["pixel_format"] == keeps
+
+
+def test_grey_pictures_lose_nothing_in_a_film(tmp_path: Path) -> None:
+    save(tmp_path / "in", numbers(1, 2), shape=(48, 64))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        film(tmp_path / "in", tmp_path / "a.mp4")
 
 
 def test_what_a_sequence_loses_is_said(tmp_path: Path) -> None:

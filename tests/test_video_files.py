@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from supple.errors import SuppleError
-from supple.media import colour, demux, pixels
+from supple.media import colour, demux, pixels, plan
 from supple.media import film as movie
 from supple.media.video import ClipWarning, CountError, info, open_video
 
@@ -262,6 +262,28 @@ def test_black_is_what_it_is_in_range_and_depth(name, full):
         assert colour.to_rgb(arrays, found, meant, (16, 32), True).max() == 0
 
 
+@pytest.mark.parametrize("name", ["yuv420p", "yuv444p10le", "yuvj420p", "yuva444p12le", "gray", "gray10le", "gbrp"])
+@pytest.mark.parametrize("matrix", [2, 1, 6, 9, 7])
+@pytest.mark.parametrize("full", [0, 1, 2])
+def test_colours_that_are_painted_are_seen(name, matrix, full):
+    """Against libswscale."""
+    found = pixels.form(name)
+    meant, white = colour.Colour(full, matrix=matrix), found.kind.white
+    grey = found.kind.family == "gray"
+    wanted = np.array([0.4, 0.4, 0.4] if grey else [0.9, 0.3, 0.15])
+    alpha = [white] * found.kind.alpha
+    values = iter(colour.painted(found, meant, 48, [*wanted[: 1 if grey else 3] * white, *alpha]))
+    layout = found.kind.layout(32, 16, (0, 0))
+    arrays = [
+        np.stack([np.full(g.shape, round(next(values)), layout.dtype) for _ in range(g.channels)], -1)
+        for g in layout.groups
+    ]
+    seen = colour.to_rgb(arrays, found, meant, (16, 32), True)[8, 16] / 65535
+    np.testing.assert_allclose(seen, wanted, atol=0.008)
+    nothing = [0.0] * ((1 if grey else 3) + found.kind.alpha)
+    assert colour.painted(found, meant, 48, nothing) == pytest.approx(colour.black(found, meant))
+
+
 def test_black_of_a_file(tmp_path):
     def full(stream):
         stream.codec_context.color_range = 2
@@ -306,6 +328,36 @@ def test_variable_rate_into_matroska_is_kept_to_the_millisecond(tmp_path):
     assert [t * 1000 for t in clips.when(tmp_path / "b.mkv")] == times
     copy(tmp_path / "b.mkv", tmp_path / "c.mp4")
     assert [t * 1000 for t in clips.when(tmp_path / "c.mp4")] == times
+
+
+def test_a_pause_is_kept_in_avi(tmp_path):
+    times = [k + 50 * (k > 4) for k in range(10)]
+    source = clips.make(tmp_path / "a.mp4", times=times)
+    copy(source, tmp_path / "b.avi")
+    with open_video(tmp_path / "b.avi") as clip:
+        clip.sink = types.SimpleNamespace(indices=[], take=None)
+        assert [clip.time(k)[0] * clip.base for k, _ in enumerate(clip.frames())] == [Fraction(t, 25) for t in times]
+
+
+def test_times_that_avi_cannot_keep_are_told(tmp_path):
+    times = [0, 40, 80, 130, 173, 215, 256, 300, 340, 390]
+    source = clips.make(tmp_path / "a.mkv", times=times, base=Fraction(1, 1000))
+    with pytest.warns(ClipWarning, match=r"has one frame rate, and frames are up to 0\.02 s from their times"):
+        copy(source, tmp_path / "b.avi", codec="mpeg4")
+
+
+@pytest.mark.parametrize(
+    ("times", "base", "varies"),
+    [
+        (range(10), Fraction(1, 25), False),
+        ([0, 33, 67, 100, 133, 167, 200, 233, 267, 300], Fraction(1, 1000), False),
+        ([0, 1, 2, 3, 54, 55, 56, 57, 58, 59], Fraction(1, 25), True),
+        ([0, 40, 80, 130, 173, 215, 256, 300, 340, 390], Fraction(1, 1000), True),
+    ],
+)
+def test_a_variable_rate_is_told(tmp_path, times, base, varies):
+    source = clips.make(tmp_path / "a.mkv", times=list(times), base=base)
+    assert info(source)["variable"] is varies
 
 
 def test_durations_are_kept(tmp_path):
@@ -423,7 +475,7 @@ def assert_same_sound(source, target, tolerance=1e-9):
     ],
 )
 def test_sound_comes_through_unchanged_and_in_step(tmp_path, one, two, audio, tolerance):
-    codec = "libvpx" if one == "webm" else "libx264"
+    codec = "libvpx" if one == "webm" else "mpeg4" if two == "avi" else "libx264"
     source = clips.make(tmp_path / f"a.{one}", codec, count=25, audio=audio)
     copy(source, tmp_path / f"b.{two}")
     if audio == "pcm_s16le":  # cut into other packets
@@ -520,6 +572,92 @@ def test_covers_and_chapters_come_through_mp4(tmp_path):
         assert [c["metadata"]["title"] for c in out.chapters()] == ["One"]
 
 
+@pytest.mark.parametrize("between", ["mp4", "mov", "mkv"])
+def test_titles_of_streams_come_through(tmp_path, between):
+    """MP4 gives a title back as a name, which muxers do not know."""
+
+    def setup(stream):
+        stream.metadata["title"] = "Film"
+
+    source = clips.make(tmp_path / "a.mkv", audio="aac", setup=setup)
+    with av.open(str(source)) as one, av.open(str(tmp_path / "b.mkv"), "w") as two:
+        streams = {}
+        for stream in one.streams:
+            streams[stream.index] = two.add_stream_from_template(stream, opaque=True)
+            streams[stream.index].metadata["title"] = f"Track {stream.index}"
+        for packet in one.demux():
+            if packet.size:
+                packet.stream = streams[packet.stream_index]
+                two.mux(packet)
+    copy(tmp_path / "b.mkv", tmp_path / f"c.{between}")
+    copy(tmp_path / f"c.{between}", tmp_path / "d.mp4")
+    copy(tmp_path / "d.mp4", tmp_path / "e.mkv")
+    with av.open(str(tmp_path / "e.mkv")) as made:
+        assert [stream.metadata.get("title") for stream in made.streams] == ["Track 0", "Track 1"]
+    with av.open(str(tmp_path / "d.mp4")) as made:
+        assert [stream.metadata.get("name") for stream in made.streams] == ["Track 0", "Track 1"]
+
+
+def flash_and_click(path):
+    """A white frame and a click, both after a second."""
+    with av.open(str(path), "w") as out:
+        film, sound = out.add_stream("libx264", rate=25, options={"bf": "2"}), out.add_stream("aac", rate=48000)
+        film.width, film.height, film.pix_fmt = 64, 48, "yuv420p"
+        sound.layout = "mono"
+        for k in range(50):
+            planes = np.full((72, 64), 128, np.uint8)
+            planes[:48] = 235 if k == 25 else 16
+            frame = av.VideoFrame.from_ndarray(planes, "yuv420p")
+            frame.pts, frame.time_base = k, Fraction(1, 25)
+            out.mux(film.encode(frame))
+        out.mux(film.encode(None))
+        wave = np.zeros((1, 94 * 1024), np.float32)
+        wave[0, 48000:48096] = 0.8
+        for k in range(94):
+            frame = av.AudioFrame.from_ndarray(np.ascontiguousarray(wave[:, k * 1024 :][:, :1024]), "fltp", "mono")
+            frame.sample_rate, frame.pts, frame.time_base = 48000, k * 1024, Fraction(1, 48000)
+            out.mux(sound.encode(frame))
+        out.mux(sound.encode(None))
+    return path
+
+
+def seen_and_heard(path):
+    """The seconds at which the frame is white, as `Clip` tells times, and the click begins."""
+    with open_video(path) as clip:
+        clip.sink = types.SimpleNamespace(indices=[], take=None)
+        light = []
+        for k, frame in enumerate(clip.frames()):
+            arrays = [np.empty((*g.shape, g.channels), clip.layout.dtype) for g in clip.layout.groups]
+            frame.copy_to(arrays)
+            light.append((arrays[0].mean(), clip.time(k)[0] * clip.base))
+    with av.open(str(path)) as source:
+        for frame in source.decode(audio=0):
+            loud = np.flatnonzero(np.abs(frame.to_ndarray()[0]) > 0.3)
+            if loud.size:
+                return float(max(light)[1]), float(frame.pts * frame.time_base) + loud[0] / frame.sample_rate
+    raise AssertionError("no click")
+
+
+@pytest.mark.parametrize(
+    ("suffix", "codec"), [("avi", "h264"), ("avi", "mpeg4"), ("mp4", "h264"), ("mkv", "h264"), ("mov", "mpeg4")]
+)
+def test_a_flash_and_a_click_stay_together(tmp_path, suffix, codec):
+    source = flash_and_click(tmp_path / "a.mp4")
+    if (suffix, codec) == ("avi", "h264"):
+        with pytest.warns(ClipWarning, match="out of step by a frame in players that rest on FFmpeg: use codec mpeg4"):
+            copy(source, tmp_path / "b.avi", codec=codec)
+    else:
+        copy(source, tmp_path / f"b.{suffix}", codec=codec)
+    flash, click = seen_and_heard(tmp_path / f"b.{suffix}")
+    assert flash == pytest.approx(click, abs=0.002)
+
+
+def test_sound_that_begins_too_early_in_avi_is_said(tmp_path):
+    source = clips.make(tmp_path / "a.mkv", count=25, audio="aac", audio_start=0.5)
+    with pytest.warns(ClipWarning, match="cannot say that sound begins later: it is 0.48 s too early"):
+        copy(source, tmp_path / "b.avi", codec="mpeg4")
+
+
 def test_what_a_container_cannot_hold_is_said(tmp_path):
     source = clips.make(tmp_path / "a.mkv", audio="flac", subtitles=True, attachment=True)
     with pytest.warns(ClipWarning, match="cannot hold") as caught:
@@ -570,6 +708,17 @@ def test_grading_comes_through(tmp_path):
             assert two.grading.screen == pytest.approx(one.grading.screen, rel=0.02), target
 
 
+@pytest.mark.parametrize(("target", "codec"), [("b.mkv", "ffv1"), ("b.mov", "prores"), ("b.webm", "vp9")])
+def test_grading_that_is_lost_is_said(tmp_path, target, codec):
+    params = "log-level=none:hdr10=1:max-cll=1000,400"
+    source = clips.make(tmp_path / "a.mp4", "libx265", "yuv420p10le", options={"x265-params": params})
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        copy(source, tmp_path / target, codec=codec)
+    told = f"loses the light levels of HDR, which {codec} cannot hold"
+    assert sum(told in str(warning.message) for warning in caught) == 1
+
+
 def test_opacity_of_webm_comes_through(tmp_path):
     def setup(stream):
         stream.metadata["alpha_mode"] = "1"
@@ -594,6 +743,33 @@ def test_opacity_that_is_lost_is_said_once_and_only_if_there_is_any(tmp_path):
             frame.copy_to(arrays)
             arrays[0][..., 1] = 255
             sink.write(arrays, k)
+
+
+def test_opacity_that_the_container_drops_is_said(tmp_path):
+    def setup(stream):
+        stream.metadata["alpha_mode"] = "1"
+
+    source = clips.make(tmp_path / "a.webm", "libvpx-vp9", "yuva420p", setup=setup)
+    with pytest.warns(ClipWarning, match="b.mp4 loses opacity"):
+        copy(source, tmp_path / "b.mp4")
+    assert info(tmp_path / "b.mp4")["codec"] == "vp9"
+    copy(source, tmp_path / "c.mkv")
+    assert info(tmp_path / "c.mkv")["alpha"]
+
+
+@pytest.mark.parametrize(("opacity", "told"), [((0, 255), False), ((0, 128), True)])
+def test_half_opacity_that_gif_drops_is_said(tmp_path, opacity, told):
+    source = clips.make(tmp_path / "a.mkv", "ffv1", "bgra", count=3)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        with open_video(source) as clip, clip.writer(tmp_path / "b.gif") as sink:
+            for k, frame in enumerate(clip.frames()):
+                arrays = [np.empty((*g.shape, g.channels), clip.layout.dtype) for g in clip.layout.groups]
+                frame.copy_to(arrays)
+                arrays[0][..., 3] = opacity[k % 2]
+                sink.write(arrays, k)
+    assert len(caught) == told
+    assert not told or "half transparent" in str(caught[0].message)
 
 
 # --- codecs ---
@@ -654,6 +830,108 @@ def test_the_pixel_format_is_the_nearest(tmp_path, name, codec, want, lost):
     assert found in (want, "nv12") or found.replace("j", "") == want
 
 
+EXACT = [
+    ("h264", "mp4", "yuv420p"),
+    ("h264", "mkv", "yuv444p10le"),
+    ("h264", "avi", "yuvj420p"),
+    ("libx264rgb", "mkv", "rgb24"),
+    ("hevc", "mp4", "yuv422p12le"),
+    ("hevc", "mkv", "gbrp"),
+    ("vp9", "webm", "yuv444p"),
+    ("vp9", "webm", "yuva420p"),
+    (None, "webm", "yuv420p"),
+    ("av1", "mkv", "yuv420p"),
+    ("av1", "mp4", "yuv420p10le"),
+    ("ffv1", "mkv", "gray16le"),
+    ("utvideo", "avi", "yuv422p"),
+    ("huffyuv", "avi", "yuv422p"),
+    ("png", "mov", "rgb24"),
+    (None, "mkv", "yuva444p10le"),
+]
+
+
+@pytest.mark.parametrize(("codec", "suffix", "name"), EXACT)
+def test_lossless_is_bit_for_bit(tmp_path, codec, suffix, name):
+    source = clips.make(tmp_path / "a.nut", "rawvideo", name, 4, (128, 96), smooth=False)
+    target = tmp_path / f"b.{suffix}"
+    copy(source, target, codec=codec, lossless=True)
+    if codec not in (None, "libx264rgb"):
+        assert info(target)["codec"] == codec
+    before, after = read(source), read(target)
+    assert len(before) == len(after) == 4
+    for one, two in zip(before, after, strict=True):
+        for a, b in zip(one, two, strict=True):
+            np.testing.assert_array_equal(a, b)
+
+
+@pytest.mark.parametrize("preset", ["0", "6", "10"])
+def test_lossless_is_bit_for_bit_with_any_preset_of_av1(tmp_path, preset):
+    source = clips.make(tmp_path / "a.nut", "rawvideo", count=2, size=(64, 64), smooth=False)
+    copy(source, tmp_path / "b.mkv", codec="av1", preset=preset, lossless=True)
+    for one, two in zip(read(source), read(tmp_path / "b.mkv"), strict=True):
+        for a, b in zip(one, two, strict=True):
+            np.testing.assert_array_equal(a, b)
+
+
+@pytest.mark.parametrize(("preset", "crf"), [("10", 1), ("11", 8), ("13", 8)])
+def test_what_av1_is_let_write_decodes(tmp_path, preset, crf):
+    source = clips.make(tmp_path / "a.nut", "rawvideo", count=6, size=(320, 192), smooth=False)
+    copy(source, tmp_path / "b.mkv", codec="av1", preset=preset, crf=crf)
+    assert len(clips.decoded(tmp_path / "b.mkv")) == 6
+
+
+def test_a_source_whose_profile_no_codec_takes_is_written_in_another(tmp_path, monkeypatch):
+    source = clips.make(tmp_path / "a.mov", "prores_ks", "yuv422p10le", 2)
+    opens = plan.Plan._opens
+    monkeypatch.setattr(plan.Plan, "_opens", lambda self, m: self.encoder.codec != "prores" and opens(self, m))
+    with pytest.warns(ClipWarning, match="is written as h264: prores cannot be written as the source has it"):
+        copy(source, tmp_path / "b.mov")
+    assert info(tmp_path / "b.mov")["codec"] == "h264"
+    with pytest.raises(SuppleError, match="does not take frames of"):
+        copy(source, tmp_path / "c.mov", codec="prores")
+    assert_nothing_left(tmp_path, "a.mov", "b.mov")
+
+
+@pytest.mark.parametrize(
+    ("name", "profile", "want"),
+    [
+        ("yuv422p", "dnxhr_lb", "DNXHR LB"),
+        ("yuv422p", "dnxhr_hq", "DNXHR HQ"),
+        ("yuv422p10le", "dnxhr_hqx", "DNXHR HQX"),
+        ("yuv444p10le", "dnxhr_444", "DNXHR 444"),
+    ],
+)
+def test_profiles_of_dnxhr_are_passed_on(tmp_path, name, profile, want):
+    source = clips.make(tmp_path / "a.mov", "dnxhd", name, 2, (320, 192), options={"profile": profile})
+    copy(source, tmp_path / "b.mov")
+    with av.open(str(tmp_path / "b.mov")) as made:
+        assert made.streams.video[0].codec_context.profile == want
+        assert made.streams.video[0].codec_context.pix_fmt == name
+
+
+def test_an_encoder_without_its_device_is_said(tmp_path):
+    context = av.CodecContext.create("h264_nvenc", "w")
+    context.width, context.height, context.pix_fmt, context.time_base = 640, 480, "yuv420p", Fraction(1, 25)
+    try:
+        context.open()
+    except (av.FFmpegError, ValueError):
+        source = clips.make(tmp_path / "a.mp4", count=2)
+        with pytest.raises(SuppleError, match="h264_nvenc cannot be started here"):
+            copy(source, tmp_path / "b.mp4", codec="h264_nvenc")
+    else:
+        pytest.skip("there is one")
+
+
+@pytest.mark.parametrize("count", [1, 2, 3])
+def test_few_frames_of_hevc(tmp_path, count):
+    """Of which x265 gives no times of decoding, but what lies in memory."""
+    source = clips.make(tmp_path / "a.mp4", count=count)
+    for target in ("b.mp4", "b.mov", "b.mkv"):
+        for _ in range(4):
+            copy(source, tmp_path / target, codec="hevc")
+            assert clips.when(tmp_path / target) == [Fraction(k, 25) for k in range(count)]
+
+
 def test_values_stay_where_depth_and_chroma_grow(tmp_path):
     source = clips.make(tmp_path / "a.nut", "rawvideo", "yuv420p", 1, smooth=False)
     copy(source, tmp_path / "b.mkv", codec="ffv1", pixel_format="yuv420p10")
@@ -708,6 +986,18 @@ REFUSED = [
     ("b.mp4", {"pixel_format": "rgb24"}, "libx264 does not take the pixel format 'rgb24': use yuv420p"),
     ("b.mp4", {"pixel_format": "mad"}, "does not take the pixel format 'mad'"),
     ("b.gif", {"pixel_format": "rgb24"}, "use pal8"),
+    ("b.gif", {"lossless": True}, "gif always loses something: use ffv1"),
+    ("b.mov", {"codec": "prores", "lossless": True}, "prores always loses something"),
+    ("b.avi", {"codec": "mpeg4", "lossless": True}, "mpeg4 always loses something"),
+    ("b.mov", {"codec": "png", "lossless": True}, "png loses exact values"),
+    ("b.mp4", {"codec": "h264", "lossless": True, "crf": 0}, "crf 0 is for what may lose something"),
+    (
+        "b.mkv",
+        {"codec": "av1", "preset": "11", "crf": 7},
+        "preset 11 fails below crf 8: use preset 10 or less, or crf 8",
+    ),
+    ("b.mkv", {"codec": "av1", "preset": "13", "crf": 1}, "preset 13 fails below crf 8"),
+    ("b.mkv", {"codec": "av1", "preset": "12", "lossless": True}, "preset 12 fails if lossless: use preset 10 or less"),
     ("b.mp5", {}, "the suffix .mp5 is no video format: use .mp4"),
     ("b", {}, "a name without suffix"),
     ("no/b.mp4", {}, "there is no folder"),
@@ -896,9 +1186,10 @@ def test_a_cover_is_no_film(tmp_path):
         pass
 
 
-def test_a_size_that_changes_is_said(tmp_path):
-    one = clips.make(tmp_path / "a.ts", count=5)
-    two = clips.make(tmp_path / "b.ts", count=5, size=(32, 32))
+@pytest.mark.parametrize("codec", ["libx264", "mpeg2video"])  # of which the second drops a frame there
+def test_a_size_that_changes_is_said(tmp_path, codec):
+    one = clips.make(tmp_path / "a.ts", codec, count=5)
+    two = clips.make(tmp_path / "b.ts", codec, count=5, size=(32, 32))
     (tmp_path / "c.ts").write_bytes(one.read_bytes() + two.read_bytes())
     message = r"frame 5 is 32x32 yuv420p, and frame 0 is 64x48 yuv420p"
     with pytest.raises(SuppleError, match=message):

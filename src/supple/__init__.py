@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from supple.deformation import Deformation, Inverse, Report
     from supple.domain import Domain
-    from supple.errors import FoldError, FoldWarning, SuppleError, ToleranceWarning
+    from supple.errors import FoldError, FoldWarning, OutsideWarning, SuppleError, ToleranceWarning
     from supple.files import warp_file
     from supple.strokes import Recipe, Stroke
 
@@ -18,6 +18,7 @@ __all__ = [
     "FoldError",
     "FoldWarning",
     "Inverse",
+    "OutsideWarning",
     "Recipe",
     "Report",
     "Stroke",
@@ -33,6 +34,7 @@ _HOMES = {
     "FoldError": "errors",
     "FoldWarning": "errors",
     "Inverse": "deformation",
+    "OutsideWarning": "errors",
     "Recipe": "strokes",
     "Report": "deformation",
     "Stroke": "strokes",

@@ -16,7 +16,7 @@ from cyclopts import App, CycloptsError, Group, Parameter
 from supple.cli_volume import POINTS_EXAMPLES, RENDER_EXAMPLES, VolumeCommands
 from supple.console import Console, SomeFailedError, run
 from supple.errors import SuppleError
-from supple.options import RunOptions, StrokeOptions, VideoOptions, parse_fill, parse_number
+from supple.options import RunOptions, StrokeOptions, VideoOptions, parse_fill, parse_integer, parse_number
 from supple.options_volume import VOLUME, VolumeOptions
 
 if TYPE_CHECKING:
@@ -46,7 +46,7 @@ Examples:
   supple warp photo.jpg out.jpg --grab 256,256:256,346 --radius 100
   supple warp photo.jpg out.png --grab 90,80:60,70 --grab 300,80:330,70 --radius 40
   supple warp photos/ bent/ --recipe strokes.json
-  supple warp clip.mp4 late.mp4 --grab 1050,700,10:1050,700,70 --radius 60
+  supple warp clip.mp4 late.mp4 --grab 350,120,38:350,120,52 --radius 60
   supple warp frames/%05d.png bent/%05d.png --recipe strokes.json
   supple warp head.nii.gz bent.nii.gz --grab 90,150,100:90,170,100 --radius 30
 """
@@ -105,7 +105,7 @@ class _Commands:
         quality
             For JPEG (default 95), WebP and AVIF (90).
         lossless
-            Keep every value in WebP and AVIF, and of a video, by FFV1; PNG and TIFF always do.
+            Keep every value in WebP and AVIF, and of a video, by FFV1 or the --codec; PNG and TIFF always do.
         save_recipe
             Write the strokes, to be carried out again with --recipe.
         labels
@@ -180,9 +180,9 @@ class _Commands:
         /,
         *,
         what: Annotated[What, Parameter(group=WRITING)] = "grid",
-        frame: Annotated[int | None, Parameter(group=WRITING, metavar="K", allow_leading_hyphen=True)] = None,
-        x: Annotated[int | None, Parameter(group=WRITING, metavar="X", allow_leading_hyphen=True)] = None,
-        y: Annotated[int | None, Parameter(group=WRITING, metavar="Y", allow_leading_hyphen=True)] = None,
+        frame: Annotated[str | None, Parameter(group=WRITING, metavar="K", allow_leading_hyphen=True)] = None,
+        x: Annotated[str | None, Parameter(group=WRITING, metavar="X", allow_leading_hyphen=True)] = None,
+        y: Annotated[str | None, Parameter(group=WRITING, metavar="Y", allow_leading_hyphen=True)] = None,
         strokes: StrokeOptions = _STROKES,
         video: VideoOptions = _VIDEO,
         options: RunOptions = _RUN,
@@ -200,8 +200,10 @@ class _Commands:
             cut along time (slice), or frames before and after (sheet).
         frame
             Which frame of a video, counted from 0.
-        x, y
-            Which column or row a slice shows over time.
+        x
+            Which column a slice shows over time.
+        y
+            Which row a slice shows over time.
         """
         self.console.started(quiet=options.quiet, threads=options.threads)
         recipe = strokes.to_recipe()
@@ -213,9 +215,9 @@ class _Commands:
             target,
             recipe,
             what,
-            frame=frame,
-            x=x,
-            y=y,
+            frame=None if frame is None else parse_integer("--frame", frame, "a whole number, counted from 0"),
+            x=None if x is None else parse_integer("--x", x, "a whole number of pixels"),
+            y=None if y is None else parse_integer("--y", y, "a whole number of pixels"),
             clip=video.to_clip(),
             force=options.force,
             progress=self.console.terminal,

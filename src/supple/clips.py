@@ -10,6 +10,7 @@ from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from fractions import Fraction
 from pathlib import Path
 from typing import Any, cast
 
@@ -18,7 +19,7 @@ import numpy as np
 from supple.cpu.warp import Certificate
 from supple.deformation import Deformation, Report, warn_of
 from supple.domain import choice, length, number, refuse
-from supple.errors import SuppleError
+from supple.errors import OutsideWarning, SuppleError
 from supple.media.files import check_output, replacing, shown
 from supple.media.formats import SUFFIXES_OUT as PICTURES_OUT
 from supple.media.numbering import SUFFIXES_IN, has_number, is_sequence
@@ -51,7 +52,7 @@ class ClipOptions:
         Whether pixels are averaged over the frames that they cover.
     time_scale : float
         How many pixels a frame is worth to the brush.
-    rate : float, optional
+    rate : float or Fraction, optional
         Frames a second of an image sequence, which does not know; 24 without it.
     codec, preset, pixel_format : str, optional
         As `supple.media.video.Clip.writer` takes them.
@@ -64,7 +65,7 @@ class ClipOptions:
     between: str | None = None
     time_filter: bool = False
     time_scale: float = 1.0
-    rate: float | None = None
+    rate: float | Fraction | None = None
     codec: str | None = None
     crf: float | None = None
     preset: str | None = None
@@ -130,7 +131,7 @@ def _holds_videos_alone(folder: PathLike) -> bool:
 
 
 @contextlib.contextmanager
-def open_clip(source: PathLike, *, rate: float | None = None, count: int | None = None) -> Iterator[Any]:
+def open_clip(source: PathLike, *, rate: float | Fraction | None = None, count: int | None = None) -> Iterator[Any]:
     """Open a video file, or an image sequence by its pattern or folder."""
     if is_sequence(source) and not os.path.isfile(source):
         from supple.media.sequence import open_sequence
@@ -181,6 +182,23 @@ def warn_of_rotation(clip: Any, deformation: Deformation) -> None:
         )
 
 
+def warn_of_misses(deformation: Deformation, name: PathLike) -> None:
+    """Say which stroke begins farther outside the picture than it reaches, which is most often a slip."""
+    height, width = deformation.shape[-2:]
+    for i, stroke in enumerate(deformation.strokes):
+        beyond = max(max(-p, p - (n - 1)) for p, n in zip(stroke.at[:2], (width, height), strict=True))
+        if beyond > stroke.radius:
+            which = f"stroke {i + 1}" if len(deformation.strokes) > 1 else "the stroke"
+            place = ", ".join(f"{x:g}" for x in stroke.at[:2])
+            warnings.warn(
+                f"{which} begins at ({place}), farther outside {shown(name)}, which is {width} x {height}, "
+                f"than its radius of {stroke.radius:g}",
+                OutsideWarning,
+                stacklevel=4,
+            )
+            return
+
+
 def deformation_of(recipe: Recipe, count: int, shape: tuple[int, int], time_scale: float, name: str) -> Deformation:
     """A recipe on a clip: strokes with a time bend the clip, those without one bend each of its frames."""
     length("time_scale", time_scale)
@@ -195,8 +213,7 @@ def deformation_of(recipe: Recipe, count: int, shape: tuple[int, int], time_scal
 
 
 def sampling_of(
-    layout: Layout,
-    name: str,
+    clip: Any,
     *,
     filter: str,
     outside: str,
@@ -206,6 +223,8 @@ def sampling_of(
     options: ClipOptions,
 ) -> Sampling:
     """How a clip's frames are sampled, checked."""
+    layout: Layout = clip.layout
+    name: str = clip.name
     choice("filter", filter, ("nearest", *FILTERS))
     choice("outside", outside, tuple(OUTSIDE))
     between = interpolated(filter, options.between)
@@ -214,13 +233,28 @@ def sampling_of(
         raise SuppleError(
             f"linear_light needs frames of RGB or grey of 8 or 16 bits, and {name} has others: leave it out"
         )
-    values = np.asarray(fill, np.float64).ravel()
-    channels = sum(group.channels for group in layout.groups)
-    if values.size not in (1, channels) or not np.isfinite(values).all():
-        refuse("fill", f"a number, or {channels} of them, one for each component of {name}", fill)
-    if values.size == 1 and values[0] == 0:
-        values = np.asarray(layout.black, np.float64)
-    return Sampling(filter, between, options.time_filter, outside, tuple(values.tolist()), light, tolerance)
+    return Sampling(filter, between, options.time_filter, outside, _filled(clip, fill), light, tolerance)
+
+
+def _filled(clip: Any, fill: float | Sequence[float]) -> tuple[float, ...]:
+    """A constant colour, as the components of a clip."""
+    layout: Layout = clip.layout
+    values = [float(value) for value in np.asarray(fill, np.float64).ravel()]
+    paint = getattr(clip, "painted", None)  # a video's, whose planes may be none of RGB
+    alpha = layout.groups[0].alpha
+    grey = len(layout.groups) == 1 and layout.groups[0].channels - alpha == 1
+    full = (1 if grey else 3) + alpha if paint else layout.groups[0].channels
+    allowed = {1, full, 3} if paint and not grey else {1, full}
+    if len(values) not in allowed or not np.isfinite(values).all():
+        colours = "grey" if grey else "red, green and blue"
+        refuse("fill", f"a number, or {full} of them ({colours}{', opacity' if alpha else ''}) for {clip.name}", fill)
+    if values == [0.0]:
+        return tuple(layout.black)
+    if len(values) == 1:
+        values *= full
+    if not paint:
+        return tuple(values)
+    return tuple(paint([*values, layout.white] if alpha and len(values) < full else values))
 
 
 def _is_rgb(layout: Layout) -> bool:
@@ -261,9 +295,9 @@ def warp_clip(
                 deformation = deformation_of(recipe, clip.count, clip.layout.shape, known.time_scale, clip.name)
                 if count is None:
                     warn_of_rotation(clip, deformation)
+                    warn_of_misses(deformation, source)
                 sampling = sampling_of(
-                    clip.layout,
-                    clip.name,
+                    clip,
                     filter=filter,
                     outside=outside,
                     fill=fill,
@@ -381,11 +415,12 @@ def _writer(
     return writer_of(
         clip,
         target,
-        codec="ffv1" if lossless and options.codec is None else options.codec,
+        codec=options.codec,
         crf=options.crf,
         preset=options.preset,
         pixel_format=options.pixel_format,
         force=force,
+        lossless=lossless,
     )
 
 

@@ -23,6 +23,13 @@ TERMINATED = 128 + signal.SIGTERM
 PIPE_CLOSED = 141  # 128 + SIGPIPE, which Windows does not name
 
 
+# An argument of the library that a message begins with, and says what it must be.
+_ARGUMENT = re.compile(
+    r"^(between|codec|crf|fill|filter|frame|linear_light|memory|outside|pixel_format|preset|quality|time_scale|tolerance)"
+    r"(?= is for | must be | needs )"
+)
+
+
 class Terminated(BaseException):
     """Somebody asked the process to end."""
 
@@ -43,6 +50,7 @@ def one_line(text: object) -> str:
 
 def as_options(text: str) -> str:
     """Name options as the command line does, where a message of the library names arguments."""
+    text = _ARGUMENT.sub(lambda found: "--" + found[1].replace("_", "-"), text)
     return re.sub(r"\bon_fold='(\w+)'", r"--on-fold \1", text).replace("border=None", "--border none")
 
 

@@ -72,11 +72,14 @@ def describe(name: str, *, layout: RawLayout | None = None, series: str | None =
 
     try:
         facts = info(name)
-    except SuppleError:
+    except SuppleError as refused:
         try:
             return _described_video(name)
         except SuppleError:
             pass
+        if "no image of a known kind" in str(refused):
+            what = "it is no picture, video, volume or recipe of a known kind"
+            raise SuppleError(f"cannot read {shown(name)}: {what}: give one of these") from None
         raise
     if suffix == ".gif" and facts["pages"] != 1:
         return _described_video(name)
@@ -115,10 +118,11 @@ def _video(name: str, facts: Mapping[str, Any]) -> str:
     rate, turn = facts["rate"], facts["rotation"]
     exact = f" ({rate})" if rate.denominator > 1 else ""
     tags = [f"{tag} {facts[tag]}" for tag in ("range", *_TAGS, "siting") if facts[tag] != "unknown"]
+    vary = ", at a variable rate" if facts["variable"] else ""
     lines = {
         "format": f"{facts['container']}, {facts['codec']}",
         "size": f"{facts['width']} x {facts['height']}",
-        "frames": f"{facts['frames']}, {float(rate):.6g} a second{exact}, {facts['duration']:.3f} s",
+        "frames": f"{facts['frames']}, {float(rate):.6g} a second{exact}{vary}, {facts['duration']:.3f} s",
         "pixels": f"{facts['pixel_format']}, {facts['bits']} bit{', with opacity' if facts['alpha'] else ''}",
         "colours": ", ".join(tags) or "not said",
     }

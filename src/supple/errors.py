@@ -15,5 +15,9 @@ class FoldWarning(UserWarning):
     """A stroke was too strong, and was damped so that nothing folds."""
 
 
+class OutsideWarning(UserWarning):
+    """A stroke begins so far outside the picture that it is hardly felt."""
+
+
 class ToleranceWarning(UserWarning):
     """The inverse map is not as exact everywhere as was asked."""

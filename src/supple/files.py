@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from supple.clips import ClipOptions, WarpedClip, is_clip, warp_clip
+from supple.clips import ClipOptions, WarpedClip, is_clip, warn_of_misses, warp_clip
 from supple.deformation import Deformation, Report
 from supple.errors import SuppleError
 from supple.media.files import check_output, replacing, shown
@@ -87,7 +87,7 @@ def warp_file(
     quality : int, optional
         From 1 to 100, for JPEG, WebP and AVIF.
     lossless : bool
-        Keep every value, in WebP and AVIF too; of a video, with FFV1.
+        Keep every value, in WebP and AVIF too; of a video, with FFV1 or the codec that is named.
     force : bool
         Whether a file that exists may be replaced, even the source.
     progress : bool or function
@@ -165,6 +165,7 @@ def warp_file(
         picture = read(source)
         tell("warp")
         deformation = Deformation.from_recipe(recipe, picture.pixels.shape[:2])
+        warn_of_misses(deformation, source)
         if deformation.is_identity and quality is None and not lossless and _suffix(source) == _suffix(target):
             # Encoded anew, a lossy picture would not be what it was.
             tell("write")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,7 @@ from supple.clips import (
     open_clip,
     refuse_picture,
     sampling_of,
+    warn_of_misses,
     warn_of_rotation,
 )
 from supple.deformation import Deformation
@@ -27,13 +29,14 @@ from supple.errors import SuppleError
 from supple.files import counted
 from supple.media.files import check_output, shown
 from supple.media.volume import is_volume
-from supple.streaming import Array
+from supple.streaming import Array, Sampling, make_plan
 from supple.strokes import Recipe
 
 Colours = npt.NDArray[np.uint8]
 Tell = Callable[[str, int, int], None]
 
 _COLUMNS = 6  # frames on a sheet
+_SEEN = 0.5  # pixels and frames
 
 
 def plot_file(
@@ -61,7 +64,7 @@ def plot_file(
         The strokes.
     what : str
         One of `supple.diagnostics.WHATS`; of a clip also ``"slice"``, a column or a row over time, and ``"sheet"``,
-        some frames before and after.
+        some frames before and after, of those in which anything moves by half a pixel.
     frame : int, optional
         Which frame of a clip is drawn.
     x, y : int, optional
@@ -89,7 +92,7 @@ def plot_file(
         if getattr(options, option) is not None:
             raise SuppleError(f"{option} is for videos, and {shown(target)} is a plot: leave it out")
     if what != "slice" and (x is not None or y is not None):
-        raise SuppleError(f"x and y are for slices, and {what} shows whole frames: leave them out")
+        raise SuppleError(f"--x and --y are for slices, and {what} shows whole frames: leave them out")
     check_output(target, force=force)
     check_plot(target, force=force)
     if is_volume(source):
@@ -115,6 +118,7 @@ def plot_file(
 
     pixels = read(source).pixels
     deformation = Deformation.from_recipe(recipe, pixels.shape[:2])
+    warn_of_misses(deformation, source)
     plot(deformation, what, target, image=pixels, force=force)
     return deformation
 
@@ -137,6 +141,7 @@ def _plot_clip(
         deformation = deformation_of(recipe, clip.count, clip.layout.shape, options.time_scale, clip.name)
         if count is None:
             warn_of_rotation(clip, deformation)
+            warn_of_misses(deformation, source)
         if what == "slice":
             if (x is None) == (y is None):
                 raise SuppleError("a slice shows one column or one row over time: give --x or --y")
@@ -146,7 +151,7 @@ def _plot_clip(
             planes: Sequence[int] = range(clip.count)
         else:
             line = ()
-            planes = evenly(clip.count, _COLUMNS)
+            planes = _seen_best(clip, deformation, options) if what == "sheet" else ()
         if what in WHATS:
             if frame is None:
                 raise SuppleError(f"{clip.name} is a video: say which frame, from 0 to {clip.count - 1} (--frame)")
@@ -155,16 +160,7 @@ def _plot_clip(
             raise SuppleError(f"--frame is for the pictures of one frame, and {what} shows many: leave it out")
         before = [] if what in WHATS else [rgb[line].copy() for rgb in _shown(clip, planes)]
     with open_clip(source, rate=options.rate, count=clip.count) as clip:
-        sampling = sampling_of(
-            clip.layout,
-            clip.name,
-            filter="auto",
-            outside="edge",
-            fill=0.0,
-            tolerance=0.01,
-            light=False,
-            options=options,
-        )
+        sampling = _sampling(clip, options)
         after = []
         for z, arrays in frames_of(clip, deformation, sampling, planes, options.memory):
             after.append(clip.to_rgb(arrays)[line].copy())
@@ -180,6 +176,19 @@ def _plot_clip(
             timed = deformation.ndim == 3
             plot(deformation, what, target, image=after[0], frame=planes[0] if timed else None, force=force)
     return deformation
+
+
+def _sampling(clip: Any, options: ClipOptions) -> Sampling:
+    return sampling_of(clip, filter="auto", outside="edge", fill=0.0, tolerance=0.01, light=False, options=options)
+
+
+def _seen_best(clip: Any, deformation: Deformation, options: ClipOptions) -> list[int]:
+    """The frames of a sheet: evenly spaced over those in which something moves that can be seen."""
+    space = replace(deformation.space, count=clip.count)
+    sampling = replace(_sampling(clip, options), tolerance=_SEEN)
+    moving = np.flatnonzero(~make_plan(space, clip.layout, sampling, range(clip.count)).still)
+    first, last = (int(moving[0]), int(moving[-1])) if moving.size else (0, clip.count - 1)
+    return [first + k for k in evenly(last - first + 1, _COLUMNS)]
 
 
 def _shown(clip: Any, planes: Sequence[int]) -> Iterator[Colours]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -181,9 +182,32 @@ def _result(out: Array | None, like: Array) -> Array:
         refuse("out", wanted, f"{out.dtype} of shape {out.shape}")
     if not out.flags.writeable:
         raise SuppleError("out must be an array that can be written, found a read-only one")
-    if np.may_share_memory(out, like):
+    if np.may_share_memory(out, like) or _same_bytes(out, like):
         raise SuppleError("out must not overlap source: the source is read while the result is written")
     return out
+
+
+def _same_bytes(out: Array, source: Array) -> bool:
+    """Whether two arrays are mapped from overlapping parts of one file."""
+    one, two = _mapped(out), _mapped(source)
+    if one is None or two is None or not (one[1] < two[2] and two[1] < one[2]):
+        return False
+    try:
+        return os.path.samefile(one[0], two[0])
+    except OSError:  # one of them is gone, and lives on only here
+        return False
+
+
+def _mapped(array: Array) -> tuple[str, int, int] | None:
+    """The file that an array is mapped from, and from which byte to which."""
+    root: Any = array
+    while isinstance(root.base, np.ndarray):
+        root = root.base
+    if not isinstance(root, np.memmap) or root.filename is None:
+        return None
+    low, high = np.lib.array_utils.byte_bounds(array)
+    start = root.offset - np.lib.array_utils.byte_bounds(root)[0]
+    return os.fspath(root.filename), low + start, high + start
 
 
 def warp_function(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import textwrap
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -24,6 +25,7 @@ SUFFIXES = (".png", ".svg", ".pdf")
 DPI = 150
 
 _PANEL = 5.0  # inches
+_LETTERS = 13  # an inch, of a label
 _MOST_STROKES = 12  # that are drawn as arrows: more of them hide the picture
 
 Floats = npt.NDArray[np.float64]
@@ -108,7 +110,9 @@ def under(axes: Axes, deformation: Deformation, below: Background) -> None:
 def bar(made: Figure, drawn: AxesImage, parts: Axes | list[Axes], label: str, extend: Extend = "neither") -> Axes:
     """Add a colour bar, and return its axes."""
     made_bar = made.colorbar(drawn, ax=parts, shrink=0.9, pad=0.02, extend=extend)
-    made_bar.set_label(label)
+    first = parts[0] if isinstance(parts, list) else parts
+    room = 0.9 * made.get_figheight() * first.get_position().height  # inches
+    made_bar.set_label("\n".join(textwrap.fill(line, max(8, int(room * _LETTERS))) for line in label.splitlines()))
     made_bar.ax.tick_params(labelsize=8)
     return made_bar.ax
 

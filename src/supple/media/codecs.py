@@ -65,6 +65,15 @@ _COARSE = frozenset(
 )
 _SPOKEN = frozenset(("h264", "hevc", "vp9", "av1", "mpeg2video", "prores"))  # say themselves what colours mean
 _NEVER_FULL = frozenset(("mpeg2video", "vp8", "prores"))
+# How those that lose something can be kept from it.
+_EXACT = {
+    "libx264": {"qp": "0"},  # a crf of 0 is exact in 8 bits only
+    "libx264rgb": {"qp": "0"},
+    "libx265": {"x265-params": "lossless=1"},
+    "libvpx-vp9": {"lossless": "1"},
+    "libsvtav1": {"svtav1-params": "lossless=1"},
+}
+_HASTY, _FINE_CRF = 11, 8  # SVT-AV1 from this preset on, below this crf, writes what no decoder reads
 _FINE = {"qmin": "2", "qmax": "3", "b": "400000000", "maxrate": "0"}
 
 
@@ -156,21 +165,34 @@ def named(target: PathLike, container: str, supported: set[str], codec: str | No
         return own.name
     if lossless and "ffv1" in usable and container in ("matroska", "avi"):
         return "ffv1"
+    return usual(container)
+
+
+def usual(container: str) -> str:
+    """Name the encoder that a container is used to."""
     return _ENCODERS[_USUAL[container]]
 
 
 def options(
-    target: PathLike, encoder: str, crf: float | None, preset: str | None, workers: int, container: str
+    target: PathLike,
+    encoder: str,
+    crf: float | None,
+    preset: str | None,
+    workers: int,
+    container: str,
+    lossless: bool = False,
 ) -> dict[str, str]:
     """Return the settings of an encoder.
 
     Raises
     ------
     SuppleError
-        It knows no constant rate factor or no presets, or not this one.
+        It knows no constant rate factor or no presets, or not this one; or it cannot keep every value.
     """
     chosen: dict[str, str] = {}
-    if encoder in _CRF:
+    if lossless:
+        chosen |= _exact(target, encoder, crf)
+    elif encoder in _CRF:
         low, high, usual = _CRF[encoder]
         quality = usual if crf is None else crf
         if not low <= quality <= high:
@@ -185,6 +207,11 @@ def options(
             raise unwritable(target, f"{encoder} has no preset {shown(str(preset))}", f"use {', '.join(presets)}")
     elif preset is not None:
         raise unwritable(target, f"{encoder} has no presets", f"leave it out, or use {_have(_PRESETS)}")
+    if encoder == "libsvtav1" and int(chosen["preset"]) >= _HASTY and float(chosen.get("crf", 0)) < _FINE_CRF:
+        when = "if lossless" if lossless else f"below crf {_FINE_CRF}"
+        what, or_else = f"{encoder} with preset {chosen['preset']} fails {when}", f", or crf {_FINE_CRF} or more"
+        or_else = "" if lossless else or_else
+        raise unwritable(target, what, f"use preset {_HASTY - 1} or less{or_else}")
     if encoder in ("libvpx", "libvpx-vp9"):
         chosen |= {"deadline": "good", "cpu-used": "2"}
         chosen |= {"b": "100000000"} if encoder == "libvpx" else {"b": "0", "row-mt": "1"}
@@ -193,12 +220,31 @@ def options(
     elif encoder == "ffv1":
         chosen |= {"slicecrc": "1", "g": "1", "strict": "experimental"}
     if encoder == "libx265":
-        chosen["x265-params"] = f"log-level=none:pools={workers}"
+        chosen["x265-params"] = _joined(chosen.get("x265-params"), f"log-level=none:pools={workers}")
     elif encoder == "libsvtav1":
-        chosen["svtav1-params"] = f"lp={workers}"
+        chosen["svtav1-params"] = _joined(chosen.get("svtav1-params"), f"lp={workers}")
     if container == "avi":  # which keeps one time for each frame
         chosen["bf"] = "0"
     return chosen
+
+
+def _exact(target: PathLike, encoder: str, crf: float | None) -> dict[str, str]:
+    """Return what keeps an encoder from losing anything."""
+    if crf is not None:
+        raise unwritable(target, f"crf {crf:g} is for what may lose something", "leave out either it or lossless")
+    found = _encoder(encoder)
+    if encoder in _EXACT:
+        return dict(_EXACT[encoder])
+    if found is None or encoder == "gif" or found.lossy or not found.lossless:
+        codec = found.canonical_name if found else encoder
+        raise unwritable(
+            target, f"{codec} always loses something", "use ffv1, h264, hevc, vp9 or av1, or leave out lossless"
+        )
+    return {}
+
+
+def _joined(*parts: str | None) -> str:
+    return ":".join(part for part in parts if part)
 
 
 def _have(encoders: Iterable[str]) -> str:

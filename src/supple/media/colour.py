@@ -32,6 +32,8 @@ _SITES = {
     "bottom": (1.0, 2.0),
 }
 _CENTRED = frozenset(("mjpeg", "mpeg1video", "jpeg2000", "png", "webp", "theora", "vp8", "h263", "h261", "flv1"))
+_WEIGHTS = {"bt601": (0.299, 0.114), "bt709": (0.2126, 0.0722), "fcc": (0.3, 0.11), "smpte240m": (0.212, 0.087)}
+_WEIGHTS["bt2020"] = (0.2627, 0.0593)  # of red and blue in luma
 _FLAGS = "bicubic+accurate_rnd+full_chroma_int+full_chroma_inp"
 _lock = threading.Lock()
 
@@ -140,6 +142,29 @@ def black(form: Form, colour: Colour) -> tuple[float, ...]:
     if kind.family == "gray":
         return (low, *opacity)
     return (low, *(opacity if kind.step != (1, 1) else ()), middle, middle, *opacity)
+
+
+def painted(form: Form, colour: Colour, height: int, values: Sequence[float]) -> tuple[float, ...]:
+    """Turn a colour of RGB or grey, each from 0 to the largest sample, into components in the order of `black`.
+
+    After red, green and blue, or grey, opacity may follow.
+    """
+    kind = form.kind
+    colours = 3 if len(values) > 2 else 1
+    rgb, opacity = [values[c % colours] for c in range(3)], values[colours:]
+    if kind.family in ("rgb", "xyz"):
+        return (*rgb, *opacity)
+    full = colour.range != LIMITED if kind.family == "gray" else colour.full(form)
+    unit = 1.0 if kind.real else 2.0 ** (kind.bits - 8)
+    low, luma, chroma = (0.0, kind.white, kind.white) if full or kind.real else (16 * unit, 219 * unit, 224 * unit)
+    red, blue = _WEIGHTS.get(_swscale(colour.coefficients(height)), _WEIGHTS["bt601"])
+    r, g, b = (value / kind.white for value in rgb)
+    y = red * r + (1 - red - blue) * g + blue * b
+    if kind.family == "gray":
+        return (low + luma * y, *opacity)
+    middle = 2.0 ** (kind.bits - 1)
+    u, v = (middle + chroma * (c - y) / (2 - 2 * weight) for c, weight in ((b, blue), (r, red)))
+    return (low + luma * y, *(opacity if kind.step != (1, 1) else ()), u, v, *opacity)
 
 
 def to_rgb(arrays: Sequence[Array], staging: Form, colour: Colour, shape: tuple[int, int], deep: bool = False) -> Array:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 import os
 import re
 import stat
@@ -103,6 +104,8 @@ class Survey:
         Whether the file breaks off.
     suspect : bool
         Whether some packets may be damaged, or incomplete.
+    variable : bool
+        Whether frames are not evenly spaced in time.
     """
 
     packets: int
@@ -110,6 +113,7 @@ class Survey:
     duration: Fraction
     damaged: bool
     suspect: bool
+    variable: bool = False
 
 
 def survey(container: av.container.InputContainer, film: av.VideoStream) -> Survey:
@@ -122,6 +126,7 @@ def survey(container: av.container.InputContainer, film: av.VideoStream) -> Surv
     first = last = None
     step = total = 0
     damaged = suspect = False
+    starts: list[int] = []
     try:
         for packet in container.demux(film):
             if not packet.size:
@@ -134,6 +139,8 @@ def survey(container: av.container.InputContainer, film: av.VideoStream) -> Surv
             step = packet.duration or step
             total += packet.duration or 0
             start = packet.pts if packet.pts is not None else packet.dts
+            if packet.pts is not None:
+                starts.append(packet.pts)
             if start is not None:
                 first = start if first is None else min(first, start)
                 last = start + step if last is None else max(last, start + step)
@@ -146,7 +153,15 @@ def survey(container: av.container.InputContainer, film: av.VideoStream) -> Surv
     told = _told(film)
     end = span if last is None else max(span, last * base)  # what it says may count from zero
     cut = told is not None and packets > 0 and told > end + 3 * span / packets
-    return Survey(packets, count, span, damaged or cut, suspect or damaged or cut)
+    return Survey(packets, count, span, damaged or cut, suspect or damaged or cut, _varies(starts))
+
+
+def _varies(starts: list[int]) -> bool:
+    """Tell whether times are farther from even spacing than rounding and a tenth of a frame explain."""
+    if len(starts) < 3:
+        return False
+    steps = [b - a for a, b in itertools.pairwise(sorted(starts))]
+    return max(steps) - min(steps) > max(2, sorted(steps)[len(steps) // 2] / 10)
 
 
 def sums_up(container: av.container.InputContainer) -> bool:

@@ -19,9 +19,9 @@ from supple.media.files import check_output, replacing
 from supple.media.film import Reel, Stills
 from supple.media.gif import Palettes
 from supple.media.matching import Match
-from supple.media.passing import Passage, kept_tags
+from supple.media.passing import Passage, kept_tags, titled
 from supple.media.pixels import form, pack
-from supple.media.plan import UPRIGHT_ONLY, Plan, workers
+from supple.media.plan import UPRIGHT_ONLY, Plan, timescale, workers
 from supple.media.timing import usual_step
 from supple.media.troubles import raised, unwritable
 from supple.streaming import Array
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from supple.media.sequence import Pictures
 
 PathLike = str | os.PathLike[str]
-_TICKS = 50_000_000  # a second, the most in MP4
+_FELT = Fraction(1, 4)  # of a frame: further from its time, it is told
 _LONGEST = {"mp4": 2**31 - 1, "mov": 2**31 - 1, "gif": 65535}  # ticks that a frame may last
 
 
@@ -42,6 +42,8 @@ class Sink:
         self._colour = replace(reel.colour, site=sited(reel.colour, reel.codec, reel.form.kind))
         self._times: dict[int, tuple[int, int]] = {}
         self._written = 0
+        self._halved = False  # whether half opacity has been met
+        self._drift, self._origin = Fraction(0), Fraction(0)  # seconds that a frame is off at most, and the first is
         self._tick: int | None = None
         self._newest = 0
         self._span = (0, 0)  # from the start of the first frame to the end of the last
@@ -52,7 +54,7 @@ class Sink:
             "w",
             format=plan.container,
             metadata_errors="surrogateescape",
-            container_options={"movie_timescale": str(_timescale(reel))} if plan.container in ("mp4", "mov") else {},
+            container_options={"movie_timescale": str(timescale(reel))} if plan.container in ("mp4", "mov") else {},
         )
         try:
             self._stream = self._film()
@@ -75,7 +77,7 @@ class Sink:
         assert isinstance(stream, av.VideoStream)
         plan.settle(stream.codec_context, plan.match)
         stream.time_base = plan.base
-        stream.metadata.update(kept_tags(reel.tags))
+        stream.metadata.update(titled(kept_tags(reel.tags)))
         stream.disposition = reel.disposition
         if reel.matrix and plan.container not in UPRIGHT_ONLY:
             stream.set_display_matrix(reel.matrix)
@@ -117,6 +119,7 @@ class Sink:
         reel, chosen = self._reel, self._plan.match
         shape, colour = (reel.height, reel.width), self._colour
         if self._palettes:
+            self._warn_of_half_opacity(arrays)
             return recast(arrays, reel.form, colour, form("bgra") or reel.form, Colour(2, matrix=0), shape)
         if chosen.opacity and (arrays[0][..., -1] < reel.layout.white).any():
             self._plan.warn("loses opacity")
@@ -126,6 +129,15 @@ class Sink:
         frame = pack(arrays, chosen.form, reel.width, reel.height)
         chosen.colour.mark(frame)
         return frame
+
+    def _warn_of_half_opacity(self, arrays: Sequence[Array]) -> None:
+        group = self._reel.layout.groups[0]
+        if not group.alpha or self._halved:
+            return
+        opacity = arrays[0][..., -1]
+        if ((opacity > 0) & (opacity < self._reel.layout.white)).any():
+            self._halved = True
+            self._plan.warn("has pixels that are seen or not: what is half transparent becomes one of these")
 
     def _encode(self, frame: av.VideoFrame) -> None:
         frame.time_base = self._stream.codec_context.time_base  # filters have set their own
@@ -139,6 +151,9 @@ class Sink:
             start, end = round(pts * scale), round((pts + duration) * scale)
             start = start if self._tick is None else max(start, self._tick + 1)
             self._tick = start
+            off = start * plan.base - pts * self._reel.base
+            self._origin = self._origin if k else off
+            self._drift = max(self._drift, abs(off - self._origin))
             pts, duration = start, max(1, end - start)
         stamp = pts if plan.timed else k
         if self._newest in self._times:  # it is shown until the next one is, whatever the file said
@@ -196,19 +211,14 @@ class Sink:
             self._passage.write()
         self._passage.write()
         self._output.close()
+        if self._plan.container == "avi" and self._drift * self._reel.rate > _FELT:
+            off = float(self._drift)
+            self._plan.warn(f"has one frame rate, and frames are up to {off:.2g} s from their times: use .mkv or .mp4")
 
     def abort(self) -> None:
         """Let go of the file, whatever state it is in."""
         with contextlib.suppress(av.FFmpegError, OSError, ValueError):
             self._output.close()
-
-
-def _timescale(reel: Reel) -> int:
-    """Choose the ticks in which MP4 says when a stream begins: such that nothing is rounded, if there are."""
-    streams = reel.source.streams if reel.source else ()
-    bases = [reel.base, *(stream.time_base for stream in streams if stream.type in ("audio", "video"))]
-    exact = math.lcm(1000, *(base.denominator for base in bases if base))
-    return exact if exact <= _TICKS else 90000
 
 
 @contextlib.contextmanager
@@ -239,6 +249,7 @@ def writer_of(
     pixel_format: str | None = None,
     force: bool = False,
     threads: int | None = None,
+    lossless: bool = False,
 ) -> Iterator[Sink]:
     """Write a clip anew, with other frames, and with all else that it holds; or make a film of pictures.
 
@@ -262,6 +273,8 @@ def writer_of(
         Whether a file that exists may be replaced.
     threads : int, optional
         For the encoder. By default as many as Supple uses.
+    lossless : bool
+        Whether every value is to be kept: by FFV1, unless a codec is named, which then has to be able to.
 
     Yields
     ------
@@ -282,6 +295,6 @@ def writer_of(
     container_of(target)
     check_output(target, force=force)
     reel = clip if isinstance(clip, Reel) else Stills(clip)
-    plan = Plan(reel, target, codec, crf, preset, pixel_format, workers(threads))
+    plan = Plan(reel, target, codec, crf, preset, pixel_format, workers(threads), lossless)
     with replacing(target, force=force) as temporary, sinking(reel, plan, temporary) as sink:
         yield sink

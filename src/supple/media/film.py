@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from fractions import Fraction
 from typing import TYPE_CHECKING, Any
@@ -22,6 +22,7 @@ from supple.media.colour import (
     described,
     graded,
     named_site,
+    painted,
     side_data,
     sited,
     siting,
@@ -55,6 +56,8 @@ class Reel:
     ----------
     name : str
         As it can stand in a line of text.
+    count : int
+        How many frames there are.
     layout : Layout
         What a frame is made of. Where chroma lies is told by `supple.media.colour.siting`.
     form : Form
@@ -65,6 +68,10 @@ class Reel:
         Frames a second, on average.
     base : Fraction
         Seconds a tick, the unit of `time`.
+    pace : Fraction
+        The ticks a second in which all times of frames are whole numbers, as far as the file lets guess; 0 if not.
+    profile : str
+        Of the codec, as FFmpeg names it.
     stills : bool
         Whether it is made of pictures, so that any film of them is one that players are used to.
     unheld : tuple of str
@@ -74,9 +81,11 @@ class Reel:
     layout: Layout
     form: Form
     colour: Colour
+    count: int
     stills = False
     unheld: tuple[str, ...] = ()
-    codec, lossless, field_order, index = "", False, 0, -1
+    codec, profile, lossless, field_order, index = "", "", False, 0, -1
+    pace = Fraction(0)
     aspect: Fraction | None = None
     grading = Grading()
     source: av.container.InputContainer | None = None
@@ -128,7 +137,7 @@ class Stills(Reel):
 
     def __init__(self, pictures: Pictures) -> None:
         super().__init__(pictures.name, pictures.rate, 1 / pictures.rate)
-        self.layout, group = pictures.layout, pictures.layout.groups[0]
+        self.layout, self.count, group = pictures.layout, pictures.count, pictures.layout.groups[0]
         count, known = group.channels, _STILLS[self.layout.dtype.name]
         if count > len(known) or group.alpha == bool(count % 2) or pictures.interpretation == "cmyk":
             raise SuppleError(f"{self.name} holds neither grey nor RGB pictures: convert them first")
@@ -145,8 +154,6 @@ class Film(Reel):
 
     Attributes
     ----------
-    count : int
-        How many frames there are.
     codec : str
         Of the film, such as ``"h264"``.
     pixel_format : str
@@ -167,7 +174,8 @@ class Film(Reel):
         context = film.codec_context
         self.codec, self.lossless = context.codec.canonical_name, context.codec.lossless and not context.codec.lossy
         self.tags, self.disposition = dict(film.metadata), film.disposition
-        self.field_order = context.field_order
+        self.field_order, self.profile = context.field_order, context.profile or ""
+        self.pace = Fraction(film.base_rate or 0)
         aspect = film.sample_aspect_ratio
         self.aspect = aspect if aspect and aspect > 0 else None
         self._site = named_site(described(self.source, film.index))
@@ -200,6 +208,10 @@ class Film(Reel):
         layout = found.kind.layout(frame.width, frame.height, offset)
         self.layout = replace(layout, black=black(found, self.colour))
 
+    def painted(self, values: Sequence[float]) -> tuple[float, ...]:
+        """Turn grey, or red, green and blue, in the depth of the clip, and opacity, into components of the layout."""
+        return painted(self.form, self.colour, self.height, values)
+
     def facts(self) -> dict[str, Any]:
         """Return what a person may want to know."""
         seen = self.survey.duration or Fraction(self.count) / self.rate
@@ -217,6 +229,7 @@ class Film(Reel):
             "height": self.height,
             "frames": self.count,
             "rate": self.rate,
+            "variable": self.survey.variable,
             "duration": float(seen),
             "pixel_format": self.pixel_format,
             "bits": kind.bits,

@@ -154,15 +154,30 @@ def _losses(a: Kind, b: Kind, exact: bool) -> str:
     words = []
     if _colourless(a, b):
         words.append("its colours")
-    elif _coarser(a, b) and (exact or a.family == "yuv"):
+    elif _coarser(a, b):
         words.append(f"detail of colours (to {_CHROMA.get(b.step, 'less')})")
     elif a.family == "yuv" and b.family == "rgb":
         words.append("exact values (to RGB)")
     if exact and a.family == "rgb" and b.family == "yuv":
         words.append("exact values (to YUV)")
-    if _depth(b) < _depth(a) and (exact or b.bits < 10):
+    if _depth(b) < _depth(a):
         words.append(f"depth ({a.bits}{' real' if a.real else ''} to {b.bits} bits)")
     return " and ".join(words)
+
+
+def finer(source: Form, chosen: Match, names: list[str], opens: Callable[[Match], bool]) -> str:
+    """Name a pixel format that keeps more than the one that was chosen; empty where there is none."""
+
+    def cost(kind: Kind) -> tuple[float, ...]:
+        chroma = kind.step[0] * kind.step[1] if kind.family == "yuv" and _coarser(source.kind, kind) else 1
+        other = source.kind.family == "rgb" != kind.family
+        missing = max(0.0, _depth(source.kind) - _depth(kind))
+        return (source.kind.alpha and not kind.alpha, _colourless(source.kind, kind), chroma, missing, other)
+
+    found = [each for name in names if (each := form(name)) is not None and name.startswith(("yuv", "gbr", "rgb"))]
+    better = [each for each in found if not each.name.startswith("yuvj") and cost(each.kind) < cost(chosen.form.kind)]
+    better.sort(key=lambda each: (cost(each.kind), _depth(each.kind)))
+    return next((each.name for each in better if opens(replace(chosen, form=each))), "")
 
 
 def _pictured(kind: Kind, colour: Colour) -> bool:

@@ -19,8 +19,14 @@ PathLike = str | os.PathLike[str]
 _HELD = 64 << 20  # bytes of packets that wait for the film before they go first
 # what describes the file that it came from, and not what is in it
 _OWN = frozenset(("encoder", "duration", "major_brand", "minor_version", "compatible_brands", "rotate", "alpha_mode"))
+_FELT = Fraction(1, 50)  # seconds between picture and sound: more is told
 _WEBM = frozenset(("vp8", "vp9", "av1", "opus", "vorbis", "webvtt"))
 _COUNTED = ("_STATISTICS", "BPS", "NUMBER_OF_", "DURATION")
+
+
+def titled(tags: dict[str, str]) -> dict[str, str]:
+    """Call the title of a stream what muxers call it: MP4 gives it back as its name."""
+    return {"title" if key == "name" and "title" not in tags else key: value for key, value in tags.items()}
 
 
 def kept_tags(tags: dict[str, str]) -> dict[str, str]:
@@ -31,7 +37,7 @@ def kept_tags(tags: dict[str, str]) -> dict[str, str]:
 def copied(output: av.container.OutputContainer, template: av.stream.Stream) -> av.stream.Stream:
     """Add a stream like one of another file, for packets as they are."""
     made = output.add_stream_from_template(template, opaque=True)
-    made.metadata.update(kept_tags(template.metadata))
+    made.metadata.update(titled(kept_tags(template.metadata)))
     made.disposition = template.disposition
     return made
 
@@ -102,6 +108,7 @@ class Passage:
     ) -> None:
         self._target = target
         self._output = output
+        self._avi = container == "avi"  # which cannot say that sound begins before the film, as that of AAC does
         self._streams: dict[int, av.stream.Stream] = {}
         self._last: dict[int, int] = {}
         self._waiting: deque[tuple[Fraction | None, av.Packet[Any]]] = deque()
@@ -156,7 +163,14 @@ class Passage:
         stream = self._streams.get(index)
         if stream is None:
             return
-        last = self._last.get(index)
+        last, start = self._last.get(index), packet.pts
+        if self._avi and last is None and start is not None and stream.type == "audio":
+            if start < 0 and start + (packet.duration or 0) <= 0:
+                return
+            if start * packet.time_base > _FELT:
+                self._warn(
+                    f"cannot say that sound begins later: it is {float(start * packet.time_base):.2g} s too early"
+                )
         when = packet.dts if packet.dts is not None else packet.pts
         if when is None:
             when = 0 if last is None else last + 1

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import math
 import os
 import warnings
 from dataclasses import replace
@@ -12,10 +14,11 @@ import av
 import numpy as np
 
 from supple.cpu.kernel import threads as all_threads
-from supple.media.codecs import Encoder, container_of, named, options, pixel_formats, read_as
-from supple.media.colour import Colour, sited
+from supple.errors import SuppleError
+from supple.media.codecs import Encoder, container_of, named, options, pixel_formats, read_as, usual
+from supple.media.colour import Colour, Grading, sited
 from supple.media.files import shown
-from supple.media.matching import Match, Wish, match
+from supple.media.matching import Match, Wish, finer, match
 from supple.media.pixels import Form, Kind, form
 from supple.media.troubles import ClipWarning, unwritable
 
@@ -26,10 +29,14 @@ PathLike = str | os.PathLike[str]
 # Encoders that take any times. The others count frames, and their packets are given the times afterwards.
 _TIMED = frozenset(("libx264", "libx264rgb", "libx265", "libvpx", "libvpx-vp9", "libsvtav1"))
 _FINEST = 1_000_000  # ticks a second that they are trusted with
+_TICKS = 50_000_000  # a second, the most in MP4
+_DELAYED = 3  # frames: x265 says nonsense of when fewer are decoded, if it may reorder them
 _SLICED = 16  # pixels that a frame must have along each side for FFV1 to cut it
 _USUAL = 10  # bits, the most that players are used to
 # Codecs that say themselves how wide a pixel is; Matroska and AVI cannot be told through PyAV.
 _ASPECT = frozenset(("h264", "hevc", "mpeg4", "mpeg2video", "mpeg1video", "mjpeg"))
+_GRADED = {"libx264": "x264-params", "libx265": "x265-params", "libsvtav1": "svtav1-params"}
+_PACES = 8  # times as many ticks as frames that AVI is given, so that frames keep their times
 UPRIGHT_ONLY = frozenset(("avi", "gif"))
 os.environ.setdefault("SVT_LOG", "0")  # it writes to the terminal otherwise
 
@@ -47,6 +54,8 @@ class Plan:
         What was asked for.
     workers : int
         How many threads encode.
+    lossless : bool
+        Whether every value is to be kept.
     """
 
     def __init__(
@@ -58,22 +67,32 @@ class Plan:
         preset: str | None,
         pixel_format: str | None,
         workers: int,
+        lossless: bool = False,
     ) -> None:
-        self.reel, self.target, self.workers = reel, target, workers
+        self.reel, self.target, self.workers, self.lossless = reel, target, workers, lossless
         self.container = container_of(target)
         supported = av.open(os.devnull, "w", format=self.container).supported_codecs
-        name = named(target, self.container, supported, codec, reel.codec, reel.lossless)
-        settings = options(target, name, crf, preset, workers, self.container)
-        found = av.Codec(name, "w")
-        self.encoder = Encoder(name, found.canonical_name, settings)
+        exact = lossless and codec is None and self.container not in ("gif", "webm")
+        name = named(target, self.container, supported, "ffv1" if exact else codec, reel.codec, reel.lossless)
+        self._use(name, options(target, name, crf, preset, workers, self.container, lossless))
         self.base = self._base()
+        self._asked = pixel_format
         if name == "gif":
             if pixel_format not in (None, "pal8"):
                 raise unwritable(target, f"gif does not take the pixel format {pixel_format!r}", "use pal8")
             rgba = Form("pal8", Kind("rgb", (1, 1), 8, True, False), (), np.dtype(np.uint8))
             self.match = Match(rgba, Colour(), False, "", False)
         else:
-            self.match = self._matched(found, pixel_format)
+            try:
+                self.match = self._matched(pixel_format)
+            except SuppleError:
+                other = usual(self.container)
+                if (codec, crf, preset, pixel_format) != (None,) * 4 or other == name:
+                    raise
+                self._use(other, options(target, other, None, None, workers, self.container))
+                self.match = self._matched(None)
+                self.warn(f"is written as {self.encoder.codec}: {reel.codec} cannot be written as the source has it")
+        self._require_exact()
         if reel.stills and reel.form.kind.real and not self.match.form.kind.real:
             what = f"{self.encoder.codec} cannot hold the floating point of {reel.name}"
             first = "" if reel.form.kind.alpha else "use codec ffv1 in .mkv, or "
@@ -84,11 +103,16 @@ class Plan:
         if self.match.same and kind.step != (1, 1) and site != self.colour.site:  # codecs are used to different ones
             self.match = replace(self.match, colour=replace(self.match.colour, site=site))
 
-    def _matched(self, codec: av.Codec, asked: str | None) -> Match:
+    def _use(self, name: str, settings: dict[str, str]) -> None:
+        """Take an encoder."""
+        found = av.Codec(name, "w")
+        self.encoder = Encoder(name, found.canonical_name, settings)
+        self._lossy = (found.lossy or not found.lossless) and not self.lossless
+
+    def _matched(self, asked: str | None) -> Match:
         """Choose the pixel format."""
-        reel, encoder = self.reel, self.encoder
-        names = pixel_formats(encoder.name)
-        lossy = codec.lossy or not codec.lossless
+        reel, encoder, lossy = self.reel, self.encoder, self._lossy
+        names = self._formats()
         told = read_as(encoder.codec, self.container, reel.height)
         if reel.stills and lossy and asked is None:
             kinds = {each: found.kind for each in names if (found := form(each))}
@@ -97,7 +121,13 @@ class Plan:
         wish = Wish(reel.form, reel.colour, size, not (reel.stills and lossy), told if lossy else Colour())
         if encoder.name == "ffv1" and min(size) < _SLICED and not (asked or self._takes(reel.form, reel.colour)):
             encoder.options.update({"level": "1", "slices": "1"})  # too small to be cut into slices
-        made = match(self.target, encoder.name, names, wish, asked, self._opens)
+        try:
+            made = match(self.target, encoder.name, names, wish, asked, self._opens)
+        except SuppleError:
+            if self._starts():
+                raise
+            what = f"{encoder.name} cannot be started here: it needs a device or a driver that is missing"
+            raise unwritable(self.target, what, "use another codec, such as h264 or ffv1") from None
         strange = made.colour.full(made.form) or made.colour.coefficients(reel.height) not in (told.matrix, 5)
         if not lossy and made.form.kind.family == "yuv" and told != Colour() and strange:
             self.warn("cannot say what its colours mean, and may look different")
@@ -105,8 +135,16 @@ class Plan:
 
     def _warn_of_losses(self) -> None:
         reel, lost = self.reel, self.match.lost
-        if lost:
-            self.warn(f"loses {lost}" if ", which" not in lost else f"is not in {lost}")
+        if lost and not (reel.stills and self._asked):
+            found = finer(reel.form, self.match, self._formats(), self._opens)
+            advice = f": --pixel-format {found} keeps more" if found and not self._asked else ""
+            self.warn(f"loses {lost}{advice}" if ", which" not in lost else f"is not in {lost}")
+        if reel.grading != Grading() and self.encoder.name not in _GRADED:
+            self.warn(f"loses the light levels of HDR, which {self.encoder.codec} cannot hold: hevc, h264 and av1 can")
+        sound = reel.source is not None and any(stream.type == "audio" for stream in reel.source.streams)
+        if sound and self.container == "avi" and self.encoder.codec in ("h264", "hevc"):
+            # measured: they take its first frame for a delayed one, whoever wrote it
+            self.warn("is out of step by a frame in players that rest on FFmpeg: use codec mpeg4, or .mkv")
         for what in reel.unheld:
             self.warn(f"cannot hold {what}")
         square = reel.aspect in (None, Fraction(1))
@@ -118,7 +156,8 @@ class Plan:
     def _base(self) -> Fraction:
         """Choose the unit of the file's time stamps."""
         if self.container == "avi":
-            return 1 / self.reel.rate
+            rate, pace = self.reel.rate, self.reel.pace
+            return 1 / (pace if rate < pace <= _PACES * rate else rate)
         return Fraction(1, 100) if self.container == "gif" else self.reel.base
 
     @property
@@ -157,8 +196,11 @@ class Plan:
         reel, settings = self.reel, context.options
         if chosen.colour.site and chosen.form.kind.step != (1, 1):
             settings["chroma_sample_location"] = chosen.colour.site
-        words = {"libx264": "x264-params", "libx265": "x265-params", "libsvtav1": "svtav1-params"}
-        key = words.get(self.encoder.name)
+        if self.encoder.name == "libx265" and reel.count < _DELAYED:
+            settings["x265-params"] += ":bframes=0"
+        if self.encoder.name == "dnxhd":
+            settings["profile"] = _dnxhr(reel.profile, chosen.form.kind)
+        key = _GRADED.get(self.encoder.name)
         if key:
             extra = reel.grading.svt() if key == "svtav1-params" else reel.grading.x265()
             if key == "x264-params":
@@ -170,6 +212,32 @@ class Plan:
                 settings[key] = joined
         if self.encoder.codec == "hevc" and self.container in ("mp4", "mov"):
             context.codec_tag = "hvc1"  # what QuickTime plays
+
+    def _formats(self) -> list[str]:
+        """Name the pixel formats that the encoder takes, and the container can hold."""
+        names = pixel_formats(self.encoder.name)
+        if self.encoder.codec in ("vp8", "vp9") and self.container not in ("matroska", "webm"):
+            return [name for name in names if not ((found := form(name)) and found.kind.alpha)]
+        return names
+
+    def _require_exact(self) -> None:
+        """Refuse what would not be lossless, if that was asked for."""
+        lost = self.match.lost
+        if self.lossless and lost and ", which" not in lost:
+            advice = "leave out lossless" if self.encoder.name == "ffv1" else "use ffv1 in .mkv, or leave out lossless"
+            raise unwritable(self.target, f"{self.encoder.codec} loses {lost}", advice)
+
+    def _starts(self) -> bool:
+        """Whether the encoder opens at all."""
+        context = av.CodecContext.create(self.encoder.name, "w")
+        assert isinstance(context, av.VideoCodecContext)
+        context.width, context.height, context.time_base = 1280, 720, Fraction(1, 25)
+        for name in pixel_formats(self.encoder.name) or ["yuv420p"]:
+            context.pix_fmt = name
+            with contextlib.suppress(av.FFmpegError, ValueError):
+                context.open()
+                return True
+        return False
 
     def _takes(self, own: Form, colour: Colour) -> bool:
         """Whether the encoder opens for the pixel format that there is."""
@@ -185,6 +253,24 @@ class Plan:
         except (av.FFmpegError, ValueError):
             return False
         return True
+
+
+def _dnxhr(profile: str, kind: Kind) -> str:
+    """Choose a profile of DNxHR, which takes any size: the source's if it can hold the pixels, else the best."""
+    if kind.step == (1, 1):
+        return "dnxhr_444"
+    if kind.bits > 8:
+        return "dnxhr_hqx"
+    known = {"DNXHR LB": "dnxhr_lb", "DNXHR SQ": "dnxhr_sq"}
+    return known.get(profile, "dnxhr_hq")
+
+
+def timescale(reel: Reel) -> int:
+    """Choose the ticks in which MP4 says when a stream begins: such that nothing is rounded, if there are."""
+    streams = reel.source.streams if reel.source else ()
+    bases = [reel.base, *(stream.time_base for stream in streams if stream.type in ("audio", "video"))]
+    exact = math.lcm(1000, *(base.denominator for base in bases if base))
+    return exact if exact <= _TICKS else 90000
 
 
 def workers(threads: int | None) -> int:

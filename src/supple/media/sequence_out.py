@@ -131,12 +131,26 @@ def sequence_writer(
     listed = [name(k) for k in range(clip.count)]
     check_outputs((folder / each for each in listed), force=force)
     options = {"quality": quality, "lossless": lossless}
+    _tell_of_streams(clip, folder)
     with replacing_all(folder, force=force) as temporary:
         yield Sink(clip, folder, temporary, name, options)
     left = len(set(_others(folder, text)) - set(listed))
     if left:
         text = f"{shown(folder)} also holds {left} other pictures, which are left as they were"
         warnings.warn(text, ImageWarning, stacklevel=3)
+
+
+def _tell_of_streams(clip: Clip, folder: Path) -> None:
+    """Warn that pictures hold no sound and no subtitles."""
+    source = getattr(clip, "source", None)
+    sorts = {"audio": "sound", "subtitle": "subtitles"}
+    lost = [sorts[kind] for kind in sorts if source and any(stream.type == kind for stream in source.streams)]
+    if lost:
+        from supple.media.troubles import ClipWarning  # which imports PyAV: a video has done so already
+
+        name = getattr(clip, "name", "the video")
+        text = f"{shown(folder)} gets pictures alone, without the {' and the '.join(lost)} of {name}"
+        warnings.warn(text, ClipWarning, stacklevel=4)
 
 
 def _numbers(clip: Clip, text: str) -> Callable[[int], str]:

@@ -6,7 +6,7 @@ import contextlib
 import os
 import warnings
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -130,19 +130,25 @@ class Clip(Film):
         self._times = times
         counted = self.source.format.name == "avi"  # its frames have places, not times
         shown_at: deque[int] = deque()
+        keys: deque[tuple[int | None, int]] = deque(maxlen=64)
+        fed_so_far = 0
         found = bad = 0
         self._pump = packets(self.source, [film, *others])
         decoder = self._decoder(film, self._threads)
         for packet in self._film_packets(film.index):
             if packet is not None and counted and packet.dts is not None:
                 shown_at.append(packet.dts)
+            if packet is not None:
+                if packet.is_keyframe:
+                    keys.append((packet.pts, fed_so_far))
+                fed_so_far += 1
             decoded = decoded_by(decoder, packet)
             if decoded is None:
                 bad += 1
                 continue
             for frame in decoded:
                 bad += frame.is_corrupt
-                self._check(frame, found)
+                self._check(frame, found, keys)
                 found += 1
                 if found <= self.count:
                     lasts = frame.duration
@@ -187,10 +193,12 @@ class Clip(Film):
             if packet.stream_index != self.index:
                 yield packet
 
-    def _check(self, frame: av.VideoFrame, k: int) -> None:
+    def _check(self, frame: av.VideoFrame, k: int, keys: Iterable[tuple[int | None, int]]) -> None:
         size, kind = (frame.width, frame.height), frame.format.name
         if size == (self.width, self.height) and kind == self.pixel_format:
             return
+        # where the size changes, decoders drop what they held back: the packets say how many there were
+        k = max([k, *(number for pts, number in keys if pts is not None and pts == frame.pts)])
         now = f"{frame.width}x{frame.height} {kind}"
         first = f"{self.width}x{self.height} {self.pixel_format}"
         raise unreadable(
