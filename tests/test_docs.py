@@ -64,7 +64,7 @@ def test_every_option_that_is_named_exists_and_every_one_that_exists_is_named() 
             [sys.executable, "-m", "supple.cli", *command.split(), "--help"],
             env={**os.environ, "PYTHONPATH": str(ROOT / "src"), "COLUMNS": "200"},
             capture_output=True,
-            text=True,
+            encoding="utf-8",
             check=True,
         )
         helps[command] = set(re.findall(OPTION, result.stdout))

@@ -436,7 +436,7 @@ def test_a_camera_inside() -> None:
         ({"transfer": "bone"}, '"ct-bone"'),
         ({"density": (3, 1)}, "the lower one first"),
         ({"density": (1,)}, "2 numbers"),
-        ({"step": 0}, "step must be a number of millimetres above 0"),
+        ({"step": 0}, "step must be millimetres, at least 0.001"),
         ({"tolerance": -1}, "tolerance"),
         ({"deformation": supple.Deformation((4, 4, 4))}, "as the volume"),
         ({"deformation": supple.Deformation((8, 8, 8), spacing=2.0)}, "of spacing"),

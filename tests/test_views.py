@@ -180,7 +180,7 @@ BAD: list[tuple[list[str], str]] = [
     (["in.nii", "out.png", "--background", "red"], "#1a1a1e"),
     (["in.nii", "out.png", "--elevation", "91"], "from -90 to 90"),
     (["in.nii", "out.png", "--azimuth", "left"], "--azimuth"),
-    (["in.nii", "out.png", "--step", "0"], "above 0"),
+    (["in.nii", "out.png", "--step", "0"], "at least 0.001"),
     (["in.nii", "out.png", "--smooth", "99"], "from 1 to 8"),
     (["in.nii", "out.png", "--up", "0,0,0"], "a direction"),
     (["in.nii", "out.png", "--target", "1,2"], "three numbers"),

@@ -192,9 +192,12 @@ def test_what_is_not_a_number_stays_where_it_is(here: Path) -> None:
     samples = made(dtype=np.float32)
     samples[3, 4:6, 5] = np.nan
     stored("in.nii", samples)
+    with pytest.warns(supple.errors.GapWarning, match="2 voxels of in.nii are not finite"):
+        warp_volume("in.nii", "out.nii", RECIPE, filter="linear")
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        warp_volume("in.nii", "out.nii", RECIPE, filter="linear")
+        warp_volume("in.nii", "near.nii", RECIPE, filter="nearest")
+    assert 1 <= np.isnan(media.read("near.nii").samples).sum() < 10
     out = media.read("out.nii").samples
     assert 1 <= np.isnan(out).sum() < 60
     known = ~np.isnan(out)
@@ -215,16 +218,16 @@ def test_nothing_to_do_is_a_copy(here: Path) -> None:
 def test_results_too_large_for_memory_go_through_a_file(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     samples = stored("in.nii", made())
     warp_volume("in.nii", "a.nii", RECIPE, filter="linear")
-    monkeypatch.setattr(volumes, "_memory", lambda: samples.nbytes * 2.0)
+    monkeypatch.setattr(volumes, "memory", lambda: samples.nbytes * 2.0)
     warp_volume("in.nii", "b.nii", RECIPE, filter="linear")
     assert Path("a.nii").read_bytes() == Path("b.nii").read_bytes()
-    monkeypatch.setattr(volumes, "reserve", _full)
+    monkeypatch.setattr("supple.media.room.reserve", _full)
     with pytest.raises(supple.SuppleError, match=r"no room for it beside c.nii \(No space left on device\)"):
         warp_volume("in.nii", "c.nii", RECIPE, filter="linear")
     assert sorted(p.name for p in here.iterdir()) == ["a.nii", "b.nii", "in.nii"]
 
 
-def _full(*_: Any) -> None:
+def _full(*_: Any, **__: Any) -> None:
     raise OSError(28, "No space left on device")
 
 
@@ -289,6 +292,25 @@ def test_a_folder_of_volumes(here: Path) -> None:
     assert np.abs(media.read("bent/1.nii.gz").samples - truth(made(seed=1))).max() <= OFF + 0.5
 
 
+FCSV = """# Markups fiducial file version = 4.11
+# CoordinateSystem = LPS
+# columns = id,x,y,z,ow,ox,oy,oz,vis,sel,lock,label,desc,associatedNodeID
+1,5.0,6.0,7.0,0.0,0.0,0.0,1.0,1,1,0,a,,
+"""
+
+
+def test_a_field_is_left_only_with_its_volume(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    stored("in.nii", made())
+    monkeypatch.setattr(volumes, "write", _full)
+    with pytest.raises(supple.SuppleError, match="No space left"):
+        warp_volume("in.nii", "out.nii", RECIPE, options=VolumeOptions(save_field="f.nii"))
+    assert [p.name for p in here.iterdir()] == ["in.nii"]
+    monkeypatch.undo()
+    monkeypatch.chdir(here)
+    warp_volume("in.nii", "out.nii", RECIPE, options=VolumeOptions(save_field="f.nii"))
+    assert sorted(p.name for p in here.iterdir()) == ["f.nii", "in.nii", "out.nii"]
+
+
 BAD: list[tuple[list[str], str]] = [
     (["warp", "in.nii", "out.jpg", *GRAB], "no format that volumes are written in"),
     (["warp", "in.nii", "in.nii", *GRAB], "is the volume itself"),
@@ -308,6 +330,10 @@ BAD: list[tuple[list[str], str]] = [
     (["warp", "photo.png", "out.png", "--grab", "1,1:2,2", "--radius", "3", "--labels"], "is no volume"),
     (["warp", "in.nii", "out.nii", "--grab", "1,1:2,2", "--radius", "3"], "three numbers"),
     (["plot", "in.nii", "out.png", *GRAB], "supple render shows it"),
+    (["warp", "in.nii", "out.nii", *GRAB, "--series", "1"], "--series is for DICOM"),
+    (["warp", "in.nii", "out.nii", *GRAB, "--save-field", "f.nii", "--save-recipe", "f.nii"], "recipe and the field"),
+    (["render", "in.nii", "out.png", "--time", "1"], "--time is for series"),
+    (["points", "p.fcsv", "q.fcsv", "--on", "stack.tif", *GRAB], "does not know where it lies in space"),
 ]
 
 
@@ -319,6 +345,8 @@ def test_bad_input(here: Path, capfd: pytest.CaptureFixture[str], given: list[st
     for name in ("text.nii.gz", "in.raw", "there.nii"):
         Path(name).write_text("this is text", encoding="utf-8")
     image.write("photo.png", np.zeros((9, 9), np.uint8))
+    stored("stack.tif", made())
+    Path("p.fcsv").write_text(FCSV, encoding="utf-8")
     before = sorted(p.name for p in here.iterdir())
     assert command(given) == 2
     out, err = capfd.readouterr()

@@ -144,12 +144,14 @@ class _Commands:
             jobs, many = pair(paths[:-1], paths[-1])
         if save_recipe is not None:
             check_recipe_file(save_recipe, jobs, options.force)
+            if save_field is not None and os.path.realpath(save_recipe) == os.path.realpath(save_field):
+                raise SuppleError(f"{save_recipe} cannot be both the recipe and the field: give one another name")
 
         def do(job: Job, tell: bool | Tell) -> None:
             made = warp_file(job[0], job[1], recipe, progress=tell, **sampling)
             if options.json:
                 self.console.tell(_facts_of(job, made))
-            elif reading.world and not options.quiet:
+            if reading.world and not options.quiet:
                 self.console.say(f"points are {_convention(made)} millimetres, as {job[0]} has them")
 
         def failed(job: Job, message: str) -> None:

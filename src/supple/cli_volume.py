@@ -76,6 +76,7 @@ class VolumeCommands:
         self.console.tell_of_compiling()
         with counted(self.console.terminal) as tell:
             scene = render_file(source, target, recipe, options=render, volume=reading, force=options.force, tell=tell)
+        self._place(reading.world, scene.geometry.convention, source, options)
         if options.json:
             facts = scene.deformation.resolution() if scene.deformation else {}
             low, high = scene.range
@@ -94,6 +95,11 @@ class VolumeCommands:
                     **facts,
                 }
             )
+
+    def _place(self, world: bool, convention: str, name: str, options: RunOptions) -> None:
+        """Say in which coordinates points were taken."""
+        if world and not options.quiet:
+            self.console.say(f"points are {convention} millimetres, as {name} has them")
 
     def points(
         self,
@@ -132,6 +138,7 @@ class VolumeCommands:
         moved = move_points(
             source, target, deformation, geometry, inverse=inverse, convention=convention, force=options.force
         )
+        self._place(volume.world, geometry.convention if geometry else "", on, options)
         worst = float(moved.residual.max(initial=0.0))
         if options.json:
             known = {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in asdict(moved).items()}

@@ -21,3 +21,7 @@ class OutsideWarning(UserWarning):
 
 class ToleranceWarning(UserWarning):
     """The inverse map is not as exact everywhere as was asked."""
+
+
+class GapWarning(UserWarning):
+    """Voxels are not finite numbers, and spread to those beside them."""

@@ -14,14 +14,22 @@ from supple.domain import number
 from supple.errors import SuppleError
 from supple.geometry import Geometry
 from supple.media.files import check_output
+from supple.media.room import room
 from supple.media.transform import check_target, write_field
 
 Floats = npt.NDArray[np.float64]
 PathLike = str | os.PathLike[str]
 
+MOST = 1 << 27
+"""Bytes of a field that are held in memory: it is larger than its volume."""
+
 
 def displacement_of(
-    deformation: Deformation, geometry: Geometry, *, tolerance: float = 0.01
+    deformation: Deformation,
+    geometry: Geometry,
+    *,
+    tolerance: float = 0.01,
+    out: npt.NDArray[np.float32] | None = None,
 ) -> npt.NDArray[np.float32]:
     """How far from each voxel of the output, and in which direction, the input is fetched.
 
@@ -33,6 +41,8 @@ def displacement_of(
         Where its voxels lie.
     tolerance : float
         How far a source point may be from the true T⁻¹(q), in voxels.
+    out : float32 array, optional
+        Where to put the result; it may be mapped from a file.
 
     Returns
     -------
@@ -52,8 +62,9 @@ def displacement_of(
     _check(deformation)
     tolerance = number("tolerance", tolerance, "a number of voxels above 0", 1e-9, 1e9)
     space = deformation.space
-    made = np.zeros((*deformation.shape, 3), np.float32)
+    made = np.empty((*deformation.shape, 3), np.float32) if out is None else out
     if deformation.is_identity:
+        made[...] = 0
         return made
     matrix, certificate = geometry.matrix[:3, :3], Certificate(0.0, 0.0)
     for z in range(space.count):
@@ -84,7 +95,9 @@ def write_transform(
     """
     check_target(target)
     check_output(target, force=force)
-    write_field(target, displacement_of(deformation, geometry, tolerance=tolerance), geometry, force=force)
+    _check(deformation)
+    with room((*deformation.shape, 3), np.float32, target, MOST) as out:
+        write_field(target, displacement_of(deformation, geometry, tolerance=tolerance, out=out), geometry, force=force)
 
 
 def _check(deformation: Deformation) -> None:

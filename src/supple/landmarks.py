@@ -145,4 +145,9 @@ def _convention(read: PointFile, asked: str | None, geometry: Geometry | None) -
             f"cannot move {read.name}: it is in {known}, and only volumes have a place in space: "
             "give pixels in a table with x and y"
         )
+    if known != "index" and geometry is not None and geometry.convention == "array":
+        raise SuppleError(
+            f"cannot move {read.name}: it is in {known}, and the volume does not know where it lies in space: "
+            "give indices in a table with x, y and z"
+        )
     return known

@@ -170,7 +170,11 @@ class Scene:
             refuse("samples", "a volume of numbers, (Z, H, W)", f"{given.dtype} of shape {given.shape}")
         known = transfer_function(transfer)
         finest = min(places.spacing)
-        step = finest if step is None else number("step", step, "a number of millimetres above 0", finest * 1e-3, 1e9)
+        step = (
+            finest
+            if step is None
+            else number("step", step, f"millimetres, at least {finest * 1e-3:g}", finest * 1e-3, 1e9)
+        )
         tolerance = number("tolerance", tolerance, "a number of voxels above 0", 1e-6, 1e6)
         if deformation is not None:
             if deformation.shape != given.shape:
@@ -179,9 +183,11 @@ class Scene:
                 refuse("the deformation", f"one of spacing {places.spacing}", deformation.domain.spacing)
             deformation = None if deformation.is_identity else deformation
         nodes, per_voxel, error = unmoved(), 0.0, 0.0
+        ready = _prepared(given)
+        low, high = float(ready.min()), float(ready.max())  # of the volume as it was, whatever the mode
         if deformation is not None and mode == "buffered":
-            given = deformation.warp(given, filter="linear", tolerance=tolerance)
-            error = tolerance
+            ready = deformation.warp(ready[tuple(map(slice, given.shape))], filter="linear", tolerance=tolerance)
+            ready, error = _prepared(ready), tolerance
         elif deformation is not None and mode == "lattice":
             solid = solve_solid(deformation.space.table, deformation.space.axes, given.shape, tolerance)
             nodes, per_voxel, error = solid.nodes, 1.0 / solid.step, solid.error
@@ -193,11 +199,9 @@ class Scene:
                     ToleranceWarning,
                     stacklevel=2,
                 )
-        ready = _prepared(given)
         counts = tuple(-(-max(n - 1, 1) // bricks.BRICK) for n in ready.shape)
         lows, highs = np.empty(counts, np.float32), np.empty(counts, np.float32)
         bricks.ranges(ready.reshape(-1), _size(ready), lows, highs)
-        low, high = float(lows.min()), float(highs.max())
         values: dict[str, Any] = {
             "samples": ready,
             "geometry": places,

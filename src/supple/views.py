@@ -122,6 +122,8 @@ def scene_of(
         samples = samples[
             integer("time", known.time, f"the number of a volume of {volume.name}, from 0 to {last}", 0, last)
         ]
+    elif known.time:
+        raise SuppleError(f"{volume.name} is one volume, and --time is for series: leave it out")
     elif samples.ndim > 3:
         raise SuppleError(
             f"{volume.name} has {samples.shape[3]} components, and pictures are of one: take one out of it"
@@ -184,6 +186,8 @@ def render_file(
     _check_target(target, suffix, many, known.what, force)
     given = open_volume(source, reading)
     scene = scene_of(given, recipe, known, world=reading.world)
+    if given.samples.dtype.kind == "f" and not np.isfinite(given.samples).any():
+        raise SuppleError(f"nothing is seen of {given.name}: none of its values is a finite number")
     if scene.is_empty:
         low, high = scene.range
         raise SuppleError(

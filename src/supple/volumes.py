@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import contextlib
-import math
 import os
 import shutil
-import tempfile
-from collections.abc import Callable, Iterator, Sequence
+import warnings
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -18,11 +17,12 @@ import numpy.typing as npt
 from supple.cpu.warp import Certificate
 from supple.deformation import Deformation, Report, warn_of
 from supple.domain import choice, number
-from supple.errors import SuppleError
+from supple.errors import GapWarning, SuppleError
 from supple.fields import write_transform
 from supple.geometry import Geometry
 from supple.media import transform
 from supple.media.files import check_output, replacing, shown
+from supple.media.room import memory, room
 from supple.media.volume import (
     SUFFIXES_OUT,
     RawLayout,
@@ -34,7 +34,7 @@ from supple.media.volume import (
     suffix_of,
     write,
 )
-from supple.streaming import Sampling, reserve
+from supple.streaming import Sampling
 from supple.strokes import Recipe
 from supple.warping import FILTERS, OUTSIDE, warp_frames
 
@@ -128,7 +128,10 @@ def holds_volumes(path: PathLike) -> bool:
 def open_volume(source: PathLike, options: VolumeOptions | None = None) -> Volume:
     """Read a volume, as the options say."""
     known = options or VolumeOptions()
-    return read(source, raw=known.layout, series=known.series)
+    volume = read(source, raw=known.layout, series=known.series)
+    if known.series is not None and volume.format != "DICOM":
+        raise SuppleError(f"{volume.name} is {volume.format}, and --series is for DICOM folders: leave it out")
+    return volume
 
 
 def deformation_of(recipe: Recipe, volume: Volume, *, world: bool = False) -> Deformation:
@@ -226,22 +229,56 @@ def warp_volume(
             f"labels are whole numbers, and {volume.name} holds {volume.samples.dtype}: leave --labels out"
         )
     deformation = deformation_of(recipe, volume, world=known.world)
-    if known.save_field is not None:
-        write_transform(known.save_field, deformation, volume.geometry, tolerance=tolerance, force=force)
+    _warn_of_gaps(volume, sampling.filter)
+    with contextlib.ExitStack() as stack:
+        if known.save_field is not None:
+            # It gets its name when the volume has its own: if either cannot be written, neither is.
+            place = stack.enter_context(replacing(known.save_field, force=force))
+            write_transform(place, deformation, volume.geometry, tolerance=tolerance, force=True)
+        error, count = _written(volume, source, target, deformation, sampling, force, tell)
+    warn_of(Certificate(error, 0.0), tolerance, 3)
+    return WarpedVolume(Path(source), Path(target), deformation, volume.geometry, tolerance, error, count)
+
+
+def _warn_of_gaps(volume: Volume, filter: str) -> None:
+    """Say that what is not a number spreads, as it does in every average."""
+    if volume.samples.dtype.kind != "f" or filter == "nearest":
+        return
+    gaps = sum(int(np.count_nonzero(~np.isfinite(slab))) for slab in volume.samples)
+    if gaps:
+        warnings.warn(
+            f"{gaps} voxels of {volume.name} are not finite numbers, and what is averaged with them is none either: "
+            'filter "nearest" keeps them as they are, and "linear" spreads them least',
+            GapWarning,
+            stacklevel=4,
+        )
+
+
+def _written(
+    volume: Volume,
+    source: PathLike,
+    target: PathLike,
+    deformation: Deformation,
+    sampling: Sampling,
+    force: bool,
+    tell: Tell,
+) -> tuple[float, int]:
+    """Warp and write a volume; return the error, and how many volumes there are."""
     series = volume.samples if volume.series else volume.samples[None]
-    error = 0.0
+    count, error = len(series), 0.0
     if deformation.is_identity and os.path.isfile(source) and _alone(source, target):
         tell("write", 0, 1)
         with replacing(target, force=force) as place:
             shutil.copyfile(source, place)
     else:
-        with _room(series, target) as out:
+        dtype = series.dtype.newbyteorder("=")
+        with room(series.shape, dtype, target, memory() / 4) as out:
             space = deformation.space
-            total = len(series) * space.count
-            for t, samples in enumerate(series):
+            total = count * space.count
+            for t in range(count):
                 begun = t * space.count
                 _, certificate = warp_frames(
-                    samples,
+                    series[t],
                     space,
                     sampling,
                     alpha=False,
@@ -250,45 +287,11 @@ def warp_volume(
                 )
                 error = max(error, certificate.error)
             tell("write", 0, 1)
-            # Of the input, only shape and header are needed now: what writes may have its memory.
-            shape, dtype = volume.samples.shape, volume.samples.dtype
-            series = np.empty(0)
-            volume = replace(volume, samples=np.broadcast_to(np.zeros((), dtype), shape))
             write(target, out if volume.series else out[0], volume, force=force)
-    warn_of(Certificate(error, 0.0), tolerance, 3)
-    count = volume.samples.shape[0] if volume.series else 1
-    return WarpedVolume(Path(source), Path(target), deformation, volume.geometry, tolerance, error, count)
+    return error, count
 
 
 def _alone(source: PathLike, target: PathLike) -> bool:
     """Whether a copy of one file is what is asked for."""
     suffix = suffix_of(source)
     return suffix == suffix_of(target) and suffix not in (".mhd", ".nhdr", ".hdr", ".img")
-
-
-@contextlib.contextmanager
-def _room(like: Array, target: PathLike) -> Iterator[Array]:
-    """An array like another: in memory or, where that is too little, in a file that is then gone."""
-    dtype = like.dtype.newbyteorder("=")
-    if like.nbytes <= _memory() / 4:
-        yield np.empty(like.shape, dtype)
-        return
-    folder = os.path.dirname(os.path.realpath(target))
-    with contextlib.ExitStack() as stack:
-        try:
-            file = stack.enter_context(tempfile.TemporaryFile(prefix=".supple-", dir=folder))
-            reserve(file, like.nbytes)
-        except OSError as error:
-            why = error.strerror or error
-            raise SuppleError(
-                f"the result takes {like.nbytes / 1e9:.2g} GB, and there is no room for it beside {shown(target)} "
-                f"({why}): choose another place"
-            ) from None
-        yield np.asarray(np.memmap(file, dtype, "r+", 0, like.shape))
-
-
-def _memory() -> float:
-    try:
-        return float(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"))
-    except (AttributeError, ValueError, OSError):
-        return math.inf
