@@ -392,8 +392,26 @@ class TestNIfTI:
 
     @pytest.mark.parametrize("step", [0, -1, np.nan, np.inf])
     def test_a_bad_spacing_counts_where_there_is_no_sform(self, tmp_path, step):
-        change = [(254, "<h", 0), (84, "<f", step)]
-        assert f"spacing is 0.7 x {step:g} x 2.3" in refused(read, nifti(tmp_path / "in.nii", change=change))
+        for code in (0, 1):
+            change = [(252, "<hh", code, 0), (84, "<f", step)]
+            message = refused(read, nifti(tmp_path / "in.nii", change=change))
+            assert f"in.nii: its spacing is 0.7 x {step:g} x 2.3, and" in message
+            assert message.count("cannot read") == 1
+
+    @pytest.mark.parametrize("suffix", [".nii", ".nii.gz"])
+    def test_sizes_smaller_than_the_data(self, tmp_path, suffix):
+        path = nifti(tmp_path / f"in{suffix}", change=[(42, "<h", 5)])
+        message = refused(read, path)
+        assert "promises 552 bytes, and it has 592" in message
+        assert "sizes" in message
+
+    @pytest.mark.parametrize("suffix", [".nii", ".nii.gz"])
+    def test_a_few_bytes_at_the_end_are_padding(self, tmp_path, suffix):
+        path = nifti(tmp_path / f"in{suffix}")
+        opened = gzip.open if suffix == ".nii.gz" else open
+        with opened(path, "ab") as file:
+            file.write(bytes(11))
+        np.testing.assert_array_equal(read(path).samples, noise("i2", *SHAPE))
 
     def test_a_damaged_qform(self, tmp_path):
         change = [(252, "<hh", 1, 0), (256, "<3f", 5, 5, 5)]
@@ -478,7 +496,7 @@ class TestITKFormats:
             (".mha", "ElementSpacing = 1", "ElementSpacing = 0", "spacing is 0 x"),
             (".mha", "ElementSpacing = 1", "ElementSpacing = -1", "spacing is -1 x"),
             (".mha", "ElementSpacing = 1", "ElementSpacing = nan", "spacing"),
-            (".mha", "DimSize = 6 5 4", "DimSize = 6 -5 4", "too large for the memory, with 6 x"),
+            (".mha", "DimSize = 6 5 4", "DimSize = 6 -5 4", "6 x -5 x 4 voxels, which is none"),
             (".mha", "DimSize = 6 5 4", "DimSize = 60000 50000 40000", "60000 x 50000 x 40000"),
             (".mha", "DimSize = 6 5 4", "DimSize = 6 5 8", "cut short"),
             (".nrrd", "sizes: 6 5 4", "sizes: 6 0 4", "size is zero"),
@@ -519,6 +537,111 @@ class TestITKFormats:
         if short:
             (tmp_path / "in.raw").write_bytes(data[:-9])
         assert f"in{suffix}" in refused(read, tmp_path / f"in{suffix}")
+
+    def test_what_is_wrong_with_the_data_file(self, tmp_path):
+        sitk.WriteImage(image(noise("i2", *SHAPE)), str(tmp_path / "in.mhd"))
+        data = (tmp_path / "in.raw").read_bytes()
+        (tmp_path / "in.raw").write_bytes(data[:-9])
+        message = refused(read, tmp_path / "in.mhd")
+        assert "in.raw is cut short to 231" in message
+        assert "240 bytes" in message
+        (tmp_path / "in.raw").unlink()
+        assert "in.raw is missing" in refused(read, tmp_path / "in.mhd")
+
+    @pytest.mark.parametrize("suffix", [".nrrd", ".nhdr", ".mha", ".mhd"])
+    def test_damaged_compressed_data(self, tmp_path, suffix):
+        path = tmp_path / f"in{suffix}"
+        sitk.WriteImage(image(noise("i2", 20, 30, 40)), str(path), useCompression=True)
+        agree(by_us(path), by_itk(path))
+        packed = {".nhdr": tmp_path / "in.raw.gz", ".mhd": tmp_path / "in.zraw"}.get(suffix, path)
+        whole = packed.read_bytes()
+        for place in (len(whole) // 2, len(whole) - 6):
+            damaged = bytearray(whole)
+            damaged[place] ^= 0xFF
+            packed.write_bytes(damaged)
+            message = refused(read, path)
+            assert "compressed data is damaged" in message or "cut short" in message
+        packed.write_bytes(whole[:-2])
+        assert "cut short" in refused(read, path)
+
+    @pytest.mark.parametrize(
+        ("suffix", "old", "new"),
+        [(".mha", b"CompressedData = False", b"CompressedData = True"), (".nrrd", b"encoding: raw", b"encoding: gzip")],
+    )
+    def test_raw_data_that_is_said_to_be_compressed(self, tmp_path, suffix, old, new):
+        path = tmp_path / f"in{suffix}"
+        sitk.WriteImage(image(noise("i2", *SHAPE)), str(path))
+        assert old in path.read_bytes()
+        path.write_bytes(path.read_bytes().replace(old, new))
+        assert "compressed data is damaged" in refused(read, path)
+
+    def test_gzip_in_parts(self, tmp_path):
+        samples = noise("i2", *SHAPE)
+        head = b"NRRD0004\ntype: short\ndimension: 3\nsizes: 6 5 4\nendian: little\nencoding: gzip\n\n"
+        data = samples.tobytes()
+        (tmp_path / "in.nrrd").write_bytes(head + gzip.compress(data[:100]) + gzip.compress(data[100:]))
+        np.testing.assert_array_equal(read(tmp_path / "in.nrrd").samples, samples)
+
+    @pytest.mark.parametrize("packed", [False, True])
+    @pytest.mark.parametrize("suffix", [".nrrd", ".nhdr", ".mha", ".mhd"])
+    @pytest.mark.parametrize(("size", "told"), [(b"5", "200 bytes"), (b"7", "280 bytes"), (b"0", "")])
+    def test_sizes_other_than_those_of_the_data(self, tmp_path, suffix, packed, size, told):
+        path = tmp_path / f"in{suffix}"
+        sitk.WriteImage(sitk.GetImageFromArray(noise("i2", *SHAPE)), str(path), useCompression=packed)
+        name = b"DimSize = " if suffix.startswith(".m") else b"sizes: "
+        assert name + b"6 5 4" in path.read_bytes()
+        path.write_bytes(path.read_bytes().replace(name + b"6", name + size))
+        message = refused(read, path)
+        if told:
+            assert told in message
+        elif suffix.startswith(".m"):
+            assert "0 x 5 x 4 voxels, which is none" in message
+
+    @pytest.mark.parametrize(
+        ("old", "new", "told"),
+        [
+            ("(1,0,0)", "(-1e300,0,0)", "spacing is inf x 2 x 3"),
+            ("(1,0,0)", "none", "directions are none (0,2,0)"),
+            ("origin: (0,0,0)", "origin: (nan,nan,nan)", "origin is (nan,nan,nan)"),
+            ("space origin", 'space units: "um" "um" "um"\nspace origin', "unit of length is 'um'"),
+        ],
+    )
+    def test_places_that_would_be_replaced(self, tmp_path, old, new, told):
+        made = sitk.GetImageFromArray(noise("i2", *SHAPE))
+        made.SetSpacing((1, 2, 3))
+        sitk.WriteImage(made, str(tmp_path / "in.nrrd"))
+        data = (tmp_path / "in.nrrd").read_bytes()
+        assert old.encode() in data
+        (tmp_path / "in.nrrd").write_bytes(data.replace(old.encode(), new.encode(), 1))
+        assert told in refused(read, tmp_path / "in.nrrd")
+
+    def test_millimetres_are_millimetres(self, tmp_path):
+        sitk.WriteImage(image(noise("i2", *SHAPE)), str(tmp_path / "in.nrrd"))
+        data = (tmp_path / "in.nrrd").read_bytes()
+        units = b'space units: "mm" "mm" "mm"\nspace origin'
+        (tmp_path / "in.nrrd").write_bytes(data.replace(b"space origin", units, 1))
+        agree(by_us(tmp_path / "in.nrrd"), by_itk(tmp_path / "in.nrrd"))
+
+    def test_a_nrrd_that_tells_no_space(self, tmp_path):
+        head = "NRRD0004\ntype: short\ndimension: 3\nsizes: 6 5 4\nspacings: 1 2 3\nendian: little\nencoding: raw\n\n"
+        (tmp_path / "in.nrrd").write_bytes(head.encode() + noise("i2", *SHAPE).tobytes())
+        geometry = read(tmp_path / "in.nrrd").geometry
+        assert (geometry.convention, geometry.spacing) == ("array", (1, 2, 3))
+
+    def test_a_spacing_is_told_as_it_is(self, tmp_path):
+        sitk.WriteImage(sitk.GetImageFromArray(noise("i2", *SHAPE)), str(tmp_path / "in.mha"))
+        data = (tmp_path / "in.mha").read_bytes()
+        (tmp_path / "in.mha").write_bytes(data.replace(b"Spacing = 1 1 1", b"Spacing = 1 nan 1"))
+        assert "spacing is 1 x nan x 1" in refused(read, tmp_path / "in.mha")
+
+    def test_a_target_whose_data_file_exists(self, tmp_path):
+        like = volume(noise("i2", *SHAPE))
+        check_target(tmp_path / "out.mhd", like)
+        (tmp_path / "out.raw").write_text("precious")
+        with pytest.raises(SuppleError, match=r"out\.raw exists already"):
+            check_target(tmp_path / "out.mhd", like)
+        check_target(tmp_path / "out.mhd", like, force=True)
+        check_target(tmp_path / "out.mha", like)
 
     def test_complex_numbers(self, tmp_path):
         sitk.WriteImage(sitk.GetImageFromArray(np.zeros(SHAPE, "c8")), str(tmp_path / "in.nrrd"))

@@ -223,7 +223,7 @@ def warp_volume(
             raise SuppleError(f"{shown(known.save_field)} cannot be the field and a volume too: give it another name")
     tell("read", 0, 1)
     volume = open_volume(source, known)
-    check_target(target, volume)
+    check_target(target, volume, force=force)
     if known.labels and volume.samples.dtype.kind == "f":
         raise SuppleError(
             f"labels are whole numbers, and {volume.name} holds {volume.samples.dtype}: leave --labels out"

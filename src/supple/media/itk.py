@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import math
 import os
 import re
 import tempfile
@@ -17,20 +18,23 @@ import numpy as np
 from supple.errors import SuppleError
 from supple.geometry import Geometry
 from supple.media.files import check_output, replacing, shown
+from supple.media.raw import count_bytes
 from supple.media.volume_data import (
     DTYPES,
     Array,
     PathLike,
     Volume,
+    check_spacing,
     head_of,
     located,
     native,
+    reading,
     too_large,
     unreadable,
 )
 
 _LOADERS = {"NRRD": "NrrdImageIO", "MetaImage": "MetaImageIO"}
-_DETACHED = {".nhdr", ".mhd"}
+_MILLIMETRES = {"", "???", "mm", "millimeter", "millimeters", "millimetre", "millimetres"}
 # what ITK notes for itself, and what it writes anyway
 _OWN = re.compile(r"ITK_|NRRD_space$|NRRD_kinds|NRRD_sizes|NRRD_thicknesses")
 _SILENCE = threading.Lock()
@@ -81,6 +85,8 @@ def read(path: PathLike, form: str) -> Volume:
     head = head_of(path, 4)
     if form == "NRRD" and head != b"NRRD":
         raise unreadable(path, "it is no NRRD file", "check its name")
+    fields, end = _fields(path, form)
+    data = _data_file(path, fields)
     reader = sitk.ImageFileReader()
     reader.SetFileName(os.fspath(path))
     reader.SetImageIO(_LOADERS[form])
@@ -92,9 +98,12 @@ def read(path: PathLike, form: str) -> Volume:
     if ndim > 4 or (series and components > 1):
         held = " x ".join(map(str, (*sizes, components)))
         raise unreadable(path, f"it holds {held} values", "give x, y, z and either time or components")
-    geometry = geometry_of(path, reader)
-    if form == "NRRD":
-        _check_spacings(path, ndim)
+    _check_place(path, fields, ndim)
+    placed = form == "MetaImage" or "space" in fields or "spacedimension" in fields
+    geometry = geometry_of(path, reader, "LPS" if placed else "array")
+    each = int(re.findall(r"(\d+)-bit", _kind(sitk, reader))[0]) // 8
+    # a NRRD counts components as an axis
+    _check_data(path, data, fields, end, each * components if form == "MetaImage" else each)
     told = {key: reader.GetMetaData(key) for key in reader.GetMetaDataKeys() if not _OWN.match(key)}
     # SimpleITK has no words for matrices, such as NRRD's measurement frame
     header = {key: text for key, text in told.items() if not text.startswith("[UNKNOWN")}
@@ -107,22 +116,97 @@ def read(path: PathLike, form: str) -> Volume:
 
 def check_voxels(path: PathLike, sitk: Any, reader: Any) -> None:
     """Refuse voxels that are no real numbers."""
-    kind = sitk.GetPixelIDValueAsString(reader.GetPixelID())
+    kind = _kind(sitk, reader)
     if "integer" not in kind and (kind.startswith("complex") or "float" not in kind):
         raise unreadable(path, f"its voxels are {kind}", f"convert them to one of {', '.join(DTYPES)}")
 
 
-def _check_spacings(path: PathLike, ndim: int) -> None:
-    """Refuse a spacing that is no number, which ITK takes for 1; an axis that is not in space has none."""
-    line = re.search(rb"(?mi)^spacings: *([^\r\n]*)", head_of(path, 1 << 16).split(b"\n\n")[0])
-    steps = line[1].decode("latin-1").split() if line else []
-    if steps and sum("nan" in step.lower() for step in steps) > len(steps) - ndim:
-        raise unreadable(
-            path, f"its spacing is {' x '.join(steps)}, and not three numbers above 0", "correct its header"
-        )
+def _kind(sitk: Any, reader: Any) -> str:
+    return str(sitk.GetPixelIDValueAsString(reader.GetPixelID()))
 
 
-def geometry_of(path: PathLike, reader: Any) -> Geometry:
+def _fields(path: PathLike, form: str) -> tuple[dict[str, str], int]:
+    """What a header says, by its words in small letters and without spaces, and where the data after it begins."""
+    head = head_of(path, 1 << 20)
+    stop = rb"\r?\n\r?\n" if form == "NRRD" else rb"(?m)^\s*ElementDataFile\s*[=:][^\n]*\n?"
+    found = re.search(stop, head)
+    end = found.end() if found else len(head)
+    line = r"(?m)^([\w ]+): +([^\r\n]*)" if form == "NRRD" else r"(?m)^[ \t]*(\w+)[ \t]*[=:][ \t]*([^\r\n]*)"
+    pairs = re.findall(line, head[:end].decode("latin-1"))
+    return {name.lower().replace(" ", ""): text.strip() for name, text in pairs}, end
+
+
+def _data_file(path: PathLike, fields: dict[str, str]) -> Path | None:
+    """Where the voxels are, if they are in one file."""
+    name = fields.get("datafile", fields.get("elementdatafile", "local"))
+    if name.lower() == "local":
+        return Path(path)
+    if name.startswith("LIST") or "%" in name:
+        return None
+    data = Path(path).parent / os.fsdecode(name.encode("latin-1"))
+    if not data.is_file():
+        raise unreadable(path, f"its data file {shown(data)} is missing", "put it there")
+    return data
+
+
+def _check_data(path: PathLike, data: Path | None, fields: dict[str, str], end: int, each: int) -> None:
+    """Refuse fewer or more voxels than the header tells, and damaged ones, of which ITK says nothing."""
+    sizes = [int(n) for n in re.findall(r"[-\d]+", fields.get("dimsize", fields.get("sizes", "")))]
+    if "dimsize" in fields:
+        known = "raw" if fields.get("binarydata", "true")[:1] in "Tt1" else "text"
+        known = "gzip" if fields.get("compresseddata", "")[:1] in ("T", "t", "1") else known
+        skipped = fields.get("headersize", "0")
+    else:
+        known = fields.get("encoding", "").lower()
+        skipped = "0" if {fields.get("byteskip", "0"), fields.get("lineskip", "0")} == {"0"} else "-1"
+    told = " x ".join(map(str, sizes))
+    if min(sizes, default=0) < 1:
+        raise unreadable(path, f"its header says {told} voxels, which is none", "correct its header")
+    if data is None or known not in ("raw", "gzip", "gz") or not skipped.isdigit():
+        return  # what ITK alone can tell
+    wanted, packed = each * math.prod(sizes), None
+    if known != "raw":
+        packed = int("".join(re.findall(r"^\d+$", fields.get("compresseddatasize", ""))) or 0)
+    whose = "" if data == Path(path) else f" of its data file {shown(data)}"
+    with reading(data):
+        found = count_bytes(data, int(skipped) or (end if data == Path(path) else 0), wanted, packed)
+    if found != wanted:
+        short = found < wanted
+        count = found if short or packed is None else f"more than {wanted}"
+        found_out = f"the data{whose} {'is cut short to' if short else 'has'} {count}"
+        what = f"its header says {told}, {wanted} bytes, and {found_out}"
+        raise unreadable(path, what, "give a whole copy of it" if short else "correct the sizes in its header")
+
+
+def _check_place(path: PathLike, fields: dict[str, str], ndim: int) -> None:
+    """Refuse a place in space that ITK would replace by another: what is no number, none, or not in millimetres."""
+    if "elementspacing" in fields:
+        check_spacing(path, _numbers(fields["elementspacing"])[:3])
+    steps = fields.get("spacings", "").split()
+    if sum("nan" in step.lower() for step in steps) > max(len(steps) - ndim, 0):  # an axis not in space has none
+        told = f"its spacing is {' x '.join(steps)}, and not three numbers above 0"
+        raise unreadable(path, told, "correct its header")
+    axes = re.findall(r"none|\([^)]*\)", fields.get("spacedirections", ""))
+    if len(axes) > ndim and "none" in axes:
+        axes.remove("none")  # that of the components
+    if "none" in axes[:3]:
+        raise unreadable(path, f"its space directions are {fields['spacedirections']}", "give each axis a direction")
+    # squared as ITK does it, which overflows early
+    check_spacing(path, [math.sqrt(sum(x * x for x in _numbers(axis))) for axis in axes[:3]])
+    if not all(map(math.isfinite, _numbers(fields.get("spaceorigin", "")))):
+        raise unreadable(path, f"its origin is {fields['spaceorigin']}", "correct its header")
+    for unit in re.findall('"([^"]*)"', fields.get("spaceunits", ""))[:3]:
+        if unit.strip().lower() not in _MILLIMETRES:
+            raise unreadable(path, f"its unit of length is {unit!a}", "give its header millimetres")
+
+
+def _numbers(text: str) -> list[float]:
+    """The numbers in a text; NaN for what is none."""
+    known = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)(e[-+]?\d+)?$", re.I)
+    return [float(word) if known.match(word) else math.nan for word in re.findall(r"[^\s,()]+", text)]
+
+
+def geometry_of(path: PathLike, reader: Any, convention: str = "LPS") -> Geometry:
     """Where ITK says that the voxels lie; what is flat gets a third axis of spacing 1."""
     ndim = reader.GetDimension()
     flat, direction = min(ndim, 3), np.eye(3)
@@ -132,7 +216,7 @@ def geometry_of(path: PathLike, reader: Any) -> Geometry:
     direction[:flat, :flat] = known[:flat, :flat]
     spacing = [*reader.GetSpacing()[:flat], 1.0][:3]
     origin = [*reader.GetOrigin()[:flat], 0.0][:3]
-    return located(path, spacing, origin, direction, "LPS")
+    return located(path, spacing, origin, direction, convention)
 
 
 @contextlib.contextmanager

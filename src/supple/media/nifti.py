@@ -61,7 +61,7 @@ def read(path: PathLike) -> Volume:
     offset = max(offset, header.single_vox_offset) if single else max(offset, 0)
     shape = (*sizes[::-1], colours) if colours else sizes[::-1]
     with reading(data):
-        samples = native(_samples(data, shape, dtype, offset))
+        samples = native(_samples(data, shape, dtype, offset, colours=bool(colours)))
     if components > 1:
         samples = np.ascontiguousarray(np.moveaxis(samples.reshape(components, *shape[-3:]), 0, -1))
     elif not colours and not series:
@@ -150,14 +150,16 @@ def _dtype(path: PathLike, header: Any) -> np.dtype[Any]:
     return dtype
 
 
-def _samples(path: PathLike, shape: tuple[int, ...], dtype: np.dtype[Any], offset: int) -> Array:
+def _samples(path: PathLike, shape: tuple[int, ...], dtype: np.dtype[Any], offset: int, *, colours: bool) -> Array:
     sizes = tuple(reversed(shape[:3]))
     wanted = offset + dtype.itemsize * math.prod(shape)
+    row = dtype.itemsize * (math.prod(shape[-2:]) if colours else shape[-1])
     with _opened(path) as file:
         if not isinstance(file, gzip.GzipFile):
             found = os.stat(path).st_size
             if found < wanted:
                 raise unreadable(path, f"its header promises {wanted} bytes, and it has {found}")
+            _check_rest(path, wanted, found - wanted, row)
             return np.memmap(path, dtype, "r", offset, shape)
         try:
             samples = np.empty(shape, dtype)
@@ -170,24 +172,33 @@ def _samples(path: PathLike, shape: tuple[int, ...], dtype: np.dtype[Any], offse
             if not count:
                 raise unreadable(path, f"its header promises {wanted} bytes, and it has {offset + done}")
             done += count
-        while file.read(_CHUNK):  # to the end, where the checksum is
-            pass
+        rest = 0
+        while count := len(file.read(_CHUNK)):  # to the end, where the checksum is
+            rest += count
+        _check_rest(path, wanted, rest, row)
         return samples
+
+
+def _check_rest(path: PathLike, wanted: int, rest: int, row: int) -> None:
+    """Refuse what follows the voxels if it is a row or more: the header's sizes are others than the data's."""
+    if rest >= row:
+        told = f"its header promises {wanted} bytes, and it has {wanted + rest}"
+        raise unreadable(path, told, "correct the sizes in its header")
 
 
 def _affine(path: PathLike, header: Any, unit: float) -> Array:
     """From indices to places in RAS, in millimetres."""
     from nibabel.spatialimages import HeaderDataError
 
-    try:
-        if header["sform_code"] > 0:
-            affine = np.array(header.get_sform(), np.float64)
-        else:
-            check_spacing(path, [float(x) for x in header["pixdim"][1:4]])
-            oriented = header["qform_code"] > 0
+    if header["sform_code"] > 0:
+        affine = np.array(header.get_sform(), np.float64)
+    else:
+        check_spacing(path, [float(x) for x in header["pixdim"][1:4]])
+        oriented = header["qform_code"] > 0
+        try:
             affine = np.array(header.get_qform() if oriented else header.get_base_affine(), np.float64)
-    except (HeaderDataError, ValueError) as error:
-        raise unreadable(path, f"its qform is damaged ({error})", "correct its header") from error
+        except (HeaderDataError, ValueError) as error:
+            raise unreadable(path, f"its qform is damaged ({error})", "correct its header") from error
     affine[:3] *= unit
     return affine
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import zlib
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,8 @@ from supple.media.files import shown
 from supple.media.volume_data import PathLike, RawLayout, Volume, head_of, native, reading, unreadable
 
 _HEAD = 6  # three sizes of 16 bits
+_CHUNK = 1 << 22
+_GZIP = b"\x1f\x8b"
 _TELL = "give --shape, --dtype and --spacing (raw=RawLayout(...))"
 
 
@@ -63,3 +66,43 @@ def _mapped(path: PathLike, layout: RawLayout) -> Volume:
     with reading(path):
         samples = np.memmap(path, layout.dtype, "r", layout.offset, layout.shape[::-1])
         return Volume(native(samples), Geometry(layout.spacing), shown(path), "raw")
+
+
+def count_bytes(path: PathLike, start: int, most: int, packed: int | None = None) -> int:
+    """Count the bytes of voxels in a file from a place on; of compressed ones (zlib, gzip) no more than `most`, or so.
+
+    Parameters
+    ----------
+    path : str or os.PathLike
+        The file.
+    start : int
+        Bytes before the first voxel.
+    most : int
+        Where to stop: the file holds too many.
+    packed : int, optional
+        They are compressed, into so many bytes; 0 if that is not known.
+
+    Raises
+    ------
+    OSError, EOFError, zlib.error
+        The file cannot be read; the compressed data stops too early, or its checksum does not hold.
+    """
+    if packed is None:
+        return max(os.stat(path).st_size - start, 0)
+    count, left, stream, data = 0, packed or os.stat(path).st_size, zlib.decompressobj(15 | 32), b""
+    with open(path, "rb") as file:
+        file.seek(start)
+        while count <= most:
+            if not data:
+                data = file.read(min(_CHUNK, left))
+                left -= len(data)
+            if not data and not stream.eof:
+                raise EOFError
+            if stream.eof:
+                if not data.startswith(_GZIP):
+                    break
+                stream = zlib.decompressobj(15 | 32)  # gzip may go on with another part
+            count += len(stream.decompress(data, _CHUNK))
+            data = stream.unused_data if stream.eof else stream.unconsumed_tail
+    return count
+    return count

@@ -131,7 +131,7 @@ def _format(path: PathLike) -> str:
     raise unreadable(path, "it is no volume of a known kind", _KINDS)
 
 
-def check_target(path: PathLike, like: Volume, dtype: npt.DTypeLike | None = None) -> None:
+def check_target(path: PathLike, like: Volume, dtype: npt.DTypeLike | None = None, *, force: bool = False) -> None:
     """Refuse a file that a volume cannot be written to, before any work is done for it.
 
     Parameters
@@ -142,11 +142,13 @@ def check_target(path: PathLike, like: Volume, dtype: npt.DTypeLike | None = Non
         What is to be written is of its shape.
     dtype : dtype, optional
         The type of what is to be written, if it is another.
+    force : bool
+        Whether the ``.raw`` beside a ``.mhd`` may be replaced. Of the file itself `check_output` tells.
 
     Raises
     ------
     SuppleError
-        The suffix is not in `SUFFIXES_OUT`, or its format cannot hold such a volume.
+        The suffix is not in `SUFFIXES_OUT`, or its format cannot hold such a volume; beside a ``.mhd`` is a ``.raw``.
     """
     name, suffix = shown(path), suffix_of(path)
     if suffix not in SUFFIXES_OUT:
@@ -161,6 +163,8 @@ def check_target(path: PathLike, like: Volume, dtype: npt.DTypeLike | None = Non
         stack.check(path, like, known)
     elif known.name not in DTYPES:
         raise SuppleError(f"cannot write {name}: volumes hold no {known} values: use one of {', '.join(DTYPES)}")
+    if suffix == ".mhd":
+        check_output(Path(os.path.realpath(path)).with_suffix(".raw"), force=force)
 
 
 def write(path: PathLike, samples: Array, like: Volume, *, force: bool = False) -> None:
@@ -183,7 +187,7 @@ def write(path: PathLike, samples: Array, like: Volume, *, force: bool = False) 
     SuppleError
         The format cannot hold it, or the file cannot be written.
     """
-    check_target(path, like, samples.dtype)
+    check_target(path, like, samples.dtype, force=force)
     check_output(path, force=force)
     if samples.shape != like.samples.shape:
         what = f"the samples are of {samples.shape}, and {like.name} is of {like.samples.shape}"
