@@ -3,21 +3,25 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from supple.cpu.band import RUN
 from supple.cpu.between import LONGEST
 from supple.cpu.kernel import share, threads
-from supple.cpu.lattice import U
+from supple.cpu.lattice import SIZE, U
+from supple.cpu.sampling import numbers_of
+from supple.cpu.slab import linear_slab
 from supple.cpu.stack import SUPPORT, slots_of, stack_sampler, times_seen
-from supple.cpu.warp import Band, Certificate, Plane, bounds_of, each_band
+from supple.cpu.warp import Band, Certificate, Plane, bounds_of, each_band, positions, rounding
 from supple.streaming import SLACK, Layout, Sampling, Space, fills_of, grid_of, part_of
 
 Array = npt.NDArray[Any]
 
+SLAB = 4  # planes that are worked on without Python in between
 MANY = 16  # planes from which on each is worked on by one core; whatever cores there are, so that all agree
 
 
@@ -89,6 +93,9 @@ def warp_stack(
 
         return each_band(plane, sampling.tolerance, use, grid, sampling.time_filter, len(planes) >= MANY)
 
+    if len(planes) >= MANY and _is_plain(space, layout, sampling):
+        yield from _slabs(space, layout, sampling, planes, sources[0], outs[0], one)
+        return
     together = 8 * threads()
     for start in range(0, len(planes), together):
         chunk = range(start, min(start + together, len(planes)))
@@ -98,6 +105,49 @@ def warp_stack(
         for known in found:
             certificate |= known
         yield chunk.stop, certificate
+
+
+def _is_plain(space: Space, layout: Layout, sampling: Sampling) -> bool:
+    """Whether `supple.cpu.slab` knows what to do."""
+    group = layout.groups[0]
+    plain = (sampling.filter, sampling.between, sampling.outside) == ("linear", "linear", "edge")
+    mixed = group.alpha or sampling.light or sampling.time_filter
+    return plain and not mixed and len(layout.groups) == 1 and group.channels == 1 and min(space.shape) > 1
+
+
+def _slabs(
+    space: Space,
+    layout: Layout,
+    sampling: Sampling,
+    planes: Sequence[int],
+    source: Array,
+    out: Array,
+    alone: Callable[[int], Certificate],
+) -> Iterator[tuple[int, Certificate]]:
+    """The same, a few planes at a time without Python in between."""
+    height, width = space.shape
+    xs, ys = positions(width, space.axes[0]), positions(height, space.axes[1])
+    slack = rounding(min(max(height, width), 2 * RUN * SIZE))
+    n = numbers_of(layout.dtype, np.zeros(1), alpha=False, light=False, white=layout.white)
+    flat, shape = np.asarray(source).reshape(-1), np.array([space.count, height, width])
+    floats = layout.dtype == np.float32 == n.dtype
+    wanted, found = np.asarray(planes, np.int64), np.empty((len(planes), 3))
+
+    def slab(start: int) -> None:
+        some = slice(start, min(start + SLAB, len(planes)))
+        linear_slab(
+            space.table, space.axes, wanted[some], xs, ys, sampling.tolerance, slack, flat, shape,
+            n.dtype.type(0), n.whole, n.high, floats, np.asarray(out[some]), found[some],
+        )  # fmt: skip
+
+    together = SLAB * 2 * threads()
+    for start in range(0, len(planes), together):
+        end = min(start + together, len(planes))
+        share(slab, range(start, end, SLAB))
+        certificate = Certificate(float(found[start:end, 0].max()), float(found[start:end, 1].sum()))
+        for k in np.flatnonzero(found[start:end, 2]) + start:
+            certificate |= alone(int(k))
+        yield end, certificate
 
 
 def _is_still(plane: Plane, tolerance: float) -> bool:

@@ -82,7 +82,7 @@ class Certificate:
         )
 
 
-def _positions(n: int, axis: Floats) -> npt.NDArray[np.int64]:
+def positions(n: int, axis: Floats) -> npt.NDArray[np.int64]:
     """Where the lattice has its nodes along an axis of ``n`` samples, no more than SIZE apart."""
     if n == 1:  # one sample alone still gets a cell, which reaches beyond the plane
         return np.array([0, 1], np.int64)
@@ -109,7 +109,7 @@ def solve_plane(table: npt.NDArray[np.void], axes: Floats, shape: tuple[int, int
     z : float
         Which plane, in samples.
     """
-    xs, ys = _positions(shape[1], axes[0]), _positions(shape[0], axes[1])
+    xs, ys = positions(shape[1], axes[0]), positions(shape[0], axes[1])
     nodes = np.empty((ys.size, xs.size, NODE))
     parts = min(threads(), max(1, xs.size * ys.size // 256))
     edges = [ys.size * k // parts for k in range(parts + 1)]
@@ -128,7 +128,7 @@ def folds(plane: Plane) -> int:
     return int(np.count_nonzero(np.linalg.det(matrices) <= 0))
 
 
-def _rounding(reach: float) -> float:
+def rounding(reach: float) -> float:
     """How far off float32, and the few operations that make them, may put points up to ``reach`` from their anchor."""
     return 2.0**-22 * reach
 
@@ -166,7 +166,7 @@ def each_band(
     xs, ys = plane.xs, plane.ys
     height, width = plane.shape
     runs = -(-(xs.size - 1) // RUN)
-    slack = _rounding(min(max(height, width), 2 * RUN * SIZE))
+    slack = rounding(min(max(height, width), 2 * RUN * SIZE))
     steps = np.array([*(grid.step + grid.offset if grid else (1.0, 1.0, 0.0, 0.0)), xs[-1], ys[-1]], np.float64)
     columns = grid.shape[1] if grid else 0
     edges = np.append(xs[:-1:RUN], width)
@@ -215,7 +215,7 @@ def each_band(
         if grid:
             second = Band(above, coarse, coarse_anchors, coarse_boxes, coarse_edges)
         use(Band(top, points, anchors, boxes, edges, second))
-        return Certificate(float(stats[WORST]) + _rounding(float(stats[REACH])), float(stats[EVALUATIONS]))
+        return Certificate(float(stats[WORST]) + rounding(float(stats[REACH])), float(stats[EVALUATIONS]))
 
     total = Certificate(0.0, plane.evaluations)
     for certificate in share(work, range(bands)):
@@ -243,7 +243,7 @@ def bounds_of(plane: Plane, tolerance: float) -> Bounds:
     boxes = np.empty((rows, cells, 3, 2))
     anchors = np.empty((-(-cells // RUN), 3), np.int64)
     stats = np.zeros(STATS)
-    slack = _rounding(min(max(plane.shape), 2 * RUN * SIZE))
+    slack = rounding(min(max(plane.shape), 2 * RUN * SIZE))
     source_points(
         plane.table,
         plane.axes,
