@@ -206,7 +206,7 @@ def test_bricks_know_their_range_and_their_distance() -> None:
     volume = cloud((9, 14, 22))
     counts = tuple(-(-(n - 1) // bricks.BRICK) for n in volume.shape)
     lows, highs = np.empty(counts, np.float32), np.empty(counts, np.float32)
-    bricks.ranges(volume.reshape(-1), np.array(volume.shape[::-1]), lows, highs)
+    bricks.ranges(volume.reshape(-1), np.array(volume.shape[::-1]), bricks.BRICK, lows, highs)
     for c, b, a in np.ndindex(counts):
         part = volume[tuple(slice(k * bricks.BRICK, k * bricks.BRICK + bricks.BRICK + 1) for k in (c, b, a))]
         assert (lows[c, b, a], highs[c, b, a]) == (part.min(), part.max())

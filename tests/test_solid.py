@@ -96,14 +96,13 @@ def test_moved_bricks_miss_nothing() -> None:
     """Every brick that shows a voxel that is seen is marked, wherever the map takes it from."""
     d = bent(None)
     solid = solve_solid(d.space.table, d.space.axes, SHAPE, 0.05)
-    counts = tuple(-(-(n - 1) // bricks.BRICK) for n in SHAPE)
-    seen = np.random.default_rng(2).random(counts) > 0.97
-    found = np.empty_like(seen)
-    bricks.moved(seen, solid.nodes, 1 / solid.step, np.array(SHAPE[::-1]), found)
+    fine, counts = (tuple(-(-(n - 1) // brick) for n in SHAPE) for brick in (bricks.FINE, bricks.BRICK))
+    seen = np.random.default_rng(2).random(fine) > 0.997
+    found = np.empty(counts, np.bool_)
+    bricks.moved(seen, bricks.FINE, solid.nodes, 1 / solid.step, np.array(SHAPE[::-1]), found)
     points = drawn(200_000)
     inside = np.clip(sources(solid, points), 0, np.array(SHAPE[::-1]) - 1)
-    at, to = (
-        tuple(np.minimum(p // bricks.BRICK, np.array(counts[::-1]) - 1).astype(int).T[::-1]) for p in (inside, points)
-    )
+    at = tuple(np.minimum(inside // bricks.FINE, np.array(fine[::-1]) - 1).astype(int).T[::-1])
+    to = tuple(np.minimum(points // bricks.BRICK, np.array(counts[::-1]) - 1).astype(int).T[::-1])
     assert found[to][seen[at]].all()
     assert found.mean() < 0.5

@@ -161,7 +161,7 @@ class Scene:
         mode: str = "lattice",
         step: float | None = None,
         shaded: bool = True,
-        tolerance: float = 0.1,
+        tolerance: float = 0.2,
     ) -> None:
         choice("mode", mode, MODES)
         places = Geometry() if geometry is None else geometry
@@ -199,9 +199,9 @@ class Scene:
                     ToleranceWarning,
                     stacklevel=2,
                 )
-        counts = tuple(-(-max(n - 1, 1) // bricks.BRICK) for n in ready.shape)
-        lows, highs = np.empty(counts, np.float32), np.empty(counts, np.float32)
-        bricks.ranges(ready.reshape(-1), _size(ready), lows, highs)
+        brick = bricks.FINE if per_voxel > 0 else bricks.BRICK
+        lows, highs = (np.empty(_bricks(ready.shape, brick), np.float32) for _ in range(2))
+        bricks.ranges(ready.reshape(-1), _size(ready), brick, lows, highs)
         values: dict[str, Any] = {
             "samples": ready,
             "geometry": places,
@@ -245,8 +245,8 @@ class Scene:
         first, last = (np.clip(np.rint((v - low) * entries), 0, ENTRIES - 1).astype(np.int64) for v in (lows, highs))
         seen = (visible[np.maximum(last, first) + 1] > visible[first]) & (lows <= highs)
         if known["_per_voxel"] > 0:
-            moved = np.empty_like(seen)
-            bricks.moved(seen, known["_nodes"], known["_per_voxel"], _size(known["samples"]), moved)
+            moved = np.empty(_bricks(known["samples"].shape, bricks.BRICK), np.bool_)
+            bricks.moved(seen, bricks.FINE, known["_nodes"], known["_per_voxel"], _size(known["samples"]), moved)
             seen = moved
         return np.asarray(bricks.distances(seen), np.uint8)
 
@@ -435,6 +435,10 @@ def _light(view: View) -> npt.NDArray[np.float32]:
     right, down = (axis / np.linalg.norm(axis) for axis in view.packed[3:])
     towards = -view.ahead - 0.35 * right - 0.45 * down
     return np.asarray(towards / np.linalg.norm(towards), np.float32)
+
+
+def _bricks(shape: tuple[int, ...], brick: int) -> tuple[int, ...]:
+    return tuple(-(-max(n - 1, 1) // brick) for n in shape)
 
 
 def _size(samples: Array) -> npt.NDArray[np.int64]:

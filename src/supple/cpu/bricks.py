@@ -10,23 +10,23 @@ import numpy as np
 
 from supple.cpu.kernel import kernel
 
-BRICK = 4
+BRICK, FINE = 4, 2
 FARTHEST = 255
 
 
 @kernel
-def ranges(samples, size, lows, highs):
-    """The smallest and the largest sample of each brick. ``samples`` is flat, ``size`` is (nx, ny, nz)."""
+def ranges(samples, size, brick, lows, highs):
+    """The smallest and the largest sample of bricks, each ``brick`` voxels wide; ``size`` is (nx, ny, nz)."""
     nx, ny, nz = size[0], size[1], size[2]
     deep, high, wide = lows.shape
     for c in range(deep):
         for b in range(high):
             for a in range(wide):
                 low, top = np.float32(np.inf), np.float32(-np.inf)
-                for k in range(c * BRICK, min(c * BRICK + BRICK + 1, nz)):
-                    for j in range(b * BRICK, min(b * BRICK + BRICK + 1, ny)):
+                for k in range(c * brick, min(c * brick + brick + 1, nz)):
+                    for j in range(b * brick, min(b * brick + brick + 1, ny)):
                         row = (k * ny + j) * nx
-                        for i in range(a * BRICK, min(a * BRICK + BRICK + 1, nx)):
+                        for i in range(a * brick, min(a * brick + brick + 1, nx)):
                             value = np.float32(samples[row + i])
                             low, top = min(low, value), max(top, value)
                 lows[c, b, a], highs[c, b, a] = low, top
@@ -67,8 +67,10 @@ def distances(seen):
 
 
 @kernel
-def moved(seen, nodes, per_voxel, size, out):
-    """Which bricks of the deformed volume show any brick that is seen, by the bounds of their displacement.
+def moved(seen, brick, nodes, per_voxel, size, out):
+    """Which bricks of the deformed volume show any that is seen of the volume's own, by bounds of their displacement.
+
+    Those are ``brick`` voxels wide: narrower ones tell better, as a moved brick lies across several.
 
     ``nodes`` is the lattice of T⁻¹ (`supple.cpu.solid`), in voxels.
     """
@@ -90,9 +92,9 @@ def moved(seen, nodes, per_voxel, size, out):
                 )
     first, last = np.empty(3, np.int64), np.empty(3, np.int64)
     least, most = np.empty(nodes.shape[3]), np.empty(nodes.shape[3])
-    for c in range(deep):
-        for b in range(high):
-            for a in range(wide):
+    for c in range(out.shape[0]):
+        for b in range(out.shape[1]):
+            for a in range(out.shape[2]):
                 place = (a, b, c)
                 for axis in range(3):
                     n = nodes.shape[2 - axis]
@@ -112,8 +114,8 @@ def moved(seen, nodes, per_voxel, size, out):
                     bent = 0.01
                     for m in range(4 + axis, 16, 4):
                         bent += 0.125 / per_voxel * (most[m] - least[m])
-                    p = (place[axis] * BRICK + least[axis] - bent) / BRICK
-                    q = (place[axis] * BRICK + BRICK + most[axis] + bent) / BRICK
+                    p = (place[axis] * BRICK + least[axis] - bent) / brick
+                    q = (place[axis] * BRICK + BRICK + most[axis] + bent) / brick
                     n = seen.shape[2 - axis]
                     first[axis] = min(max(int(np.floor(p)), 0), n - 1)
                     last[axis] = min(max(int(np.floor(q)), 0), n - 1) + 1
