@@ -25,7 +25,7 @@ Array = npt.NDArray[Any]
 Floats = npt.NDArray[np.float64]
 
 MODES = ("lattice", "exact", "buffered")
-_ROWS = 12  # of a picture, that a core takes at a time
+_ROWS = 8  # of a picture, that a core takes at a time
 _TYPES = (np.uint8, np.int8, np.uint16, np.int16, np.float32)
 PICKED = 0.9
 """The opacity that a ray has gathered where something is picked."""
@@ -296,9 +296,9 @@ class Scene:
             march(pixels, *parts)
 
         starts = range(0, height, _ROWS)
-        for k in range(0, len(starts), 16):
-            share(rows, starts[k : k + 16])
-            tell(min(starts[min(k + 15, len(starts) - 1)] + _ROWS, height) // fine)
+        for k in range(0, len(starts), 64):
+            share(rows, starts[k : k + 64])
+            tell(min(starts[min(k + 63, len(starts) - 1)] + _ROWS, height) // fine)
 
         def smaller(a: Array, take: Callable[..., Array]) -> Array:
             return take(a.reshape(size[0], fine, size[1], fine, -1), axis=(1, 3))

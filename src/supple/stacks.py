@@ -21,7 +21,7 @@ from supple.streaming import SLACK, Layout, Sampling, Space, fills_of, grid_of, 
 
 Array = npt.NDArray[Any]
 
-SLAB = 4  # planes that are worked on without Python in between
+SLAB = 2  # planes that are worked on without Python in between
 MANY = 16  # planes from which on each is worked on by one core; whatever cores there are, so that all agree
 
 
@@ -140,7 +140,7 @@ def _slabs(
             n.dtype.type(0), n.whole, n.high, floats, np.asarray(out[some]), found[some],
         )  # fmt: skip
 
-    together = SLAB * 2 * threads()
+    together = SLAB * 16 * threads()  # few ends to wait for
     for start in range(0, len(planes), together):
         end = min(start + together, len(planes))
         share(slab, range(start, end, SLAB))
