@@ -365,8 +365,8 @@ map made" means that the peer only samples: inverting the deformation is not in 
   on from where the frame before found them is faster. The bar of 50× is beyond what plain resampling reaches against
   this peer, as the row below says; strokes that squeeze strongly cost refinement of the map besides.
 - Volumes are warped whole, map and all, while SciPy and SimpleITK have the map or the field made; SciPy knows one
-  thread. SimpleITK inverts the displacement field of the same stroke, sampled at every voxel; it is asked for 0.01 voxels,
-  as ours is, in up to 200 iterations.
+  thread. SimpleITK inverts the displacement field of the same stroke, sampled at every voxel; it is asked for
+  0.01 voxels, as ours is, in up to 200 iterations.
 - The head is the shipped one, enlarged to a millimetre. VTK draws it with the same camera, transfer function, sample
   distance and two threads. Scenes are made before, as VTK's tables are.
 - Warping one frame is what it costs in a stream: the map, and samples of luma and both chroma planes. The peer samples
