@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, NoReturn
 
 from cyclopts import App, CycloptsError, Group, Parameter
 
-from supple.cli_volume import POINTS_EXAMPLES, RENDER_EXAMPLES, VolumeCommands
+from supple.cli_volume import POINTS_EXAMPLES, RENDER_EXAMPLES, VolumeCommands, say_convention
 from supple.console import Console, SomeFailedError, run
 from supple.errors import SuppleError
 from supple.options import RunOptions, StrokeOptions, VideoOptions, parse_fill, parse_integer, parse_number
@@ -151,8 +151,7 @@ class _Commands:
             made = warp_file(job[0], job[1], recipe, progress=tell, **sampling)
             if options.json:
                 self.console.tell(_facts_of(job, made))
-            if reading.world and not options.quiet:
-                self.console.say(f"points are {_convention(made)} millimetres, as {job[0]} has them")
+            say_convention(self.console, reading.world, getattr(made, "geometry", None), job[0], options)
 
         def failed(job: Job, message: str) -> None:
             if options.json:
@@ -366,11 +365,6 @@ def _facts_of(job: Job, made: Warped | WarpedClip | WarpedVolume) -> dict[str, A
     if isinstance(made, WarpedVolume):
         return _volume_facts(made)
     return _facts(job, made.deformation, made.report())
-
-
-def _convention(made: Warped | WarpedClip | WarpedVolume) -> str:
-    geometry = getattr(made, "geometry", None)
-    return geometry.convention if geometry else ""
 
 
 def _volume_facts(made: WarpedVolume) -> dict[str, Any]:

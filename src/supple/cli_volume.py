@@ -76,7 +76,7 @@ class VolumeCommands:
         self.console.tell_of_compiling()
         with counted(self.console.terminal) as tell:
             scene = render_file(source, target, recipe, options=render, volume=reading, force=options.force, tell=tell)
-        self._place(reading.world, scene.geometry.convention, source, options)
+        say_convention(self.console, reading.world, scene.geometry, source, options)
         if options.json:
             facts = scene.deformation.resolution() if scene.deformation else {}
             low, high = scene.range
@@ -95,11 +95,6 @@ class VolumeCommands:
                     **facts,
                 }
             )
-
-    def _place(self, world: bool, convention: str, name: str, options: RunOptions) -> None:
-        """Say in which coordinates points were taken."""
-        if world and not options.quiet:
-            self.console.say(f"points are {convention} millimetres, as {name} has them")
 
     def points(
         self,
@@ -138,7 +133,7 @@ class VolumeCommands:
         moved = move_points(
             source, target, deformation, geometry, inverse=inverse, convention=convention, force=options.force
         )
-        self._place(volume.world, geometry.convention if geometry else "", on, options)
+        say_convention(self.console, volume.world, geometry, on, options)
         worst = float(moved.residual.max(initial=0.0))
         if options.json:
             known = {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in asdict(moved).items()}
@@ -154,6 +149,12 @@ class VolumeCommands:
         if not options.quiet:
             many = "1 point" if moved.count == 1 else f"{moved.count} points"
             print(f"{many}, moved by up to {furthest:.3g} {unit}; residual up to {worst:.1g} {unit}")
+
+
+def say_convention(console: Console, world: bool, geometry: Geometry | None, name: object, options: RunOptions) -> None:
+    """Say in which coordinates points were taken, if they are places in space."""
+    if world and geometry and not options.quiet:
+        console.say(f"points are {geometry.convention} millimetres, as {name} has them")
 
 
 def _deformation(on: str, recipe: Recipe, reading: Reading, video: VideoOptions) -> tuple[Deformation, Geometry | None]:

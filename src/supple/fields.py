@@ -8,7 +8,7 @@ from functools import partial
 import numpy as np
 import numpy.typing as npt
 
-from supple.cpu.warp import Band, Certificate, absolute, each_band, solve_plane
+from supple.cpu.warp import Band, Certificate, absolute, each_band
 from supple.deformation import Deformation, warn_of
 from supple.domain import number
 from supple.errors import SuppleError
@@ -68,7 +68,7 @@ def displacement_of(
         return made
     matrix, certificate = geometry.matrix[:3, :3], Certificate(0.0, 0.0)
     for z in range(space.count):
-        plane = solve_plane(space.table, space.axes, space.shape, 3, float(z))
+        plane = space.solve(z)
         certificate |= each_band(plane, tolerance, partial(_fill, made[z], z, matrix))
     warn_of(certificate, tolerance, 3)
     return made

@@ -14,6 +14,7 @@ import numpy.typing as npt
 from supple.camera import Camera, View, view_of
 from supple.cpu import bricks, raymarch
 from supple.cpu.kernel import share
+from supple.cpu.sampling import linear_light
 from supple.cpu.solid import solve_solid, unmoved
 from supple.deformation import Deformation
 from supple.domain import choice, integer, number, point, refuse
@@ -67,9 +68,8 @@ class Picture:
             colours = self.light[..., :3] / np.maximum(alpha, 1e-6)
             seen = np.concatenate([_srgb(colours), alpha], axis=-1)
         else:
-            behind = np.asarray(background, np.float64)
-            linear = np.where(behind <= 0.04045, behind / 12.92, ((behind + 0.055) / 1.055) ** 2.4)
-            seen = _srgb(self.light[..., :3] + (1 - alpha) * linear)
+            behind = linear_light(np.asarray(background, np.float64), 1.0)
+            seen = _srgb(self.light[..., :3] + (1 - alpha) * behind)
         return np.asarray(np.rint(seen * 255), np.uint8)
 
 

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from supple.cpu.sampling import linear_light
 from supple.domain import items, number, refuse
 from supple.errors import SuppleError
 
@@ -74,8 +75,7 @@ class TransferFunction:
         # Where all values are one, it is the smallest.
         places = known[:, 0] if not self.relative else low + known[:, 0] * ((high - low) or 1.0)
         seen = np.stack([np.interp(values, places, known[:, c]) for c in range(1, 5)], axis=1)
-        colours = seen[:, :3]
-        linear = np.where(colours <= 0.04045, colours / 12.92, ((colours + 0.055) / 1.055) ** 2.4)
+        linear = linear_light(seen[:, :3], 1.0)
         opacity = 1 - (1 - seen[:, 3]) ** (step / self.unit)
         return np.ascontiguousarray(np.concatenate([linear, opacity[:, None]], axis=1), np.float32)
 

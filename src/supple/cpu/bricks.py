@@ -34,10 +34,7 @@ def ranges(samples, size, brick, lows, highs):
 
 @kernel
 def distances(seen):
-    """How many bricks each one is from the nearest that is seen, diagonals counting as one; at most FARTHEST.
-
-    Each axis by itself: of the bricks in a line, at a distance of d, those count that are at most d off the line.
-    """
+    """How many bricks each one is from the nearest that is seen, diagonals counting as one; at most FARTHEST."""
     deep, high, wide = seen.shape
     out = np.empty(seen.shape, np.uint8)
     for c in range(deep):
