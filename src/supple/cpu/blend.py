@@ -17,18 +17,25 @@ _FLOAT, _WHOLE = ir.FloatType(), ir.IntType(64)
 _FOUR = ir.VectorType(_FLOAT, 4)
 
 
-def _loaded(context: Any, builder: Any, kind: Any, nodes: Any, place: Any, row: Any, layer: Any) -> list[list[Any]]:
-    """Four vectors of each of the eight nodes; x changes first."""
+def _loaded(
+    context: Any, builder: Any, kind: Any, nodes: Any, place: Any, row: Any, layer: Any, first: int, lanes: int
+) -> list[Any]:
+    """``lanes`` numbers of each of the eight nodes, from the ``first`` on; x changes first."""
     data = data_of(context, builder, kind, nodes)
     found = []
     for corner in range(8):
-        start = place
-        for bit, stride in ((1, ir.Constant(_WHOLE, 16)), (2, row), (4, layer)):
+        start = builder.add(place, ir.Constant(_WHOLE, first + 16 * (corner & 1)))
+        for bit, stride in ((2, row), (4, layer)):
             if corner & bit:
                 start = builder.add(start, stride)
-        where = [builder.add(start, ir.Constant(_WHOLE, 4 * k)) for k in range(4)]
-        found.append([builder.load(vector_at(builder, data, w, 4, _FLOAT), align=4) for w in where])
+        found.append(builder.load(vector_at(builder, data, start, lanes, _FLOAT), align=4))
     return found
+
+
+def _half(builder: Any, vector: Any, which: int) -> Any:
+    whole = ir.IntType(32)
+    lanes = ir.Constant(ir.VectorType(whole, 4), [ir.Constant(whole, 4 * which + k) for k in range(4)])
+    return builder.shuffle_vector(vector, ir.Constant(vector.type, ir.Undefined), lanes)
 
 
 def _line(builder: Any, part: Any, a: Any, b: Any) -> Any:
@@ -50,17 +57,31 @@ def displaced(
     """
 
     def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        corners = _loaded(context, builder, signature.args[0], *args[:4])
-        parts, bends = ([splat(builder, a, 4) for a in given] for given in (args[4:7], args[7:10]))
+        # Eight at a time: u beside ∂p/∂x, and ∂p/∂y beside ∂p/∂z.
+        values, slopes = (_loaded(context, builder, signature.args[0], *args[:4], first, 8) for first in (0, 8))
+        parts = [splat(builder, a, 8) for a in args[4:7]]
+        narrow, bends = ([splat(builder, a, 4) for a in given] for given in (args[4:7], args[7:10]))
+
+        def across(axis: int, a: Any, b: Any) -> tuple[Any, Any]:
+            change = builder.fsub(b, a)
+            return change, fused(builder, parts[axis], change, a)
+
+        def bent(axis: int, value: Any, change: Any) -> Any:
+            return fused(builder, builder.fneg(bends[axis]), change, value)
+
         # Along x, then y, then z: what is left of a node is u and the slopes along the axes to come.
-        for axis in range(3):
-            joined = []
-            for a, b in zip(corners[::2], corners[1::2], strict=True):
-                line = _line(builder, parts[axis], a[0], b[0])
-                value = fused(builder, bends[axis], builder.fsub(a[1], b[1]), line)
-                joined.append([value, *(_line(builder, parts[axis], c, d) for c, d in zip(a[2:], b[2:], strict=True))])
-            corners = joined
-        lanes = [builder.extract_element(corners[0][0], ir.Constant(ir.IntType(32), k)) for k in range(3)]
+        u, g = [], []
+        for k in range(0, 8, 2):
+            change, line = across(0, values[k], values[k + 1])
+            u.append(bent(0, _half(builder, line, 0), _half(builder, change, 1)))
+            g.append(across(0, slopes[k], slopes[k + 1])[1])
+        for k in range(2):
+            change, g[k] = across(1, g[2 * k], g[2 * k + 1])
+            line = _line(builder, narrow[1], u[2 * k], u[2 * k + 1])
+            u[k] = bent(1, line, _half(builder, change, 0))
+        change = builder.fsub(_half(builder, g[1], 1), _half(builder, g[0], 1))
+        total = bent(2, _line(builder, narrow[2], u[0], u[1]), change)
+        lanes = [builder.extract_element(total, ir.Constant(ir.IntType(32), k)) for k in range(3)]
         return _numbers(builder, context, lanes)
 
     i, f = types.int64, types.float32
@@ -74,15 +95,15 @@ def turned(
     """(∂p/∂q)ᵀ f at (u, v, w) of a cell, with ∂p/∂q between its nodes; see `displaced`."""
 
     def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        corners = [c[1:] for c in _loaded(context, builder, signature.args[0], *args[:4])]
-        for part in args[4:7]:
-            share = splat(builder, part, 4)
-            corners = [
-                [_line(builder, share, c, d) for c, d in zip(a, b, strict=True)]
-                for a, b in zip(corners[::2], corners[1::2], strict=True)
-            ]
+        columns = []
+        for first, lanes in ((4, 4), (8, 8)):
+            corners = _loaded(context, builder, signature.args[0], *args[:4], first, lanes)
+            for part in args[4:7]:
+                share = splat(builder, part, lanes)
+                corners = [_line(builder, share, a, b) for a, b in zip(corners[::2], corners[1::2], strict=True)]
+            columns.append(corners[0])
         sums = []
-        for column in corners[0]:
+        for column in (columns[0], _half(builder, columns[1], 0), _half(builder, columns[1], 1)):
             total = None
             for k, force in enumerate(args[7:10]):
                 lane = builder.extract_element(column, ir.Constant(ir.IntType(32), k))

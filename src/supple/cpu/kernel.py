@@ -35,6 +35,15 @@ def inlined(function: Callable[..., Any]) -> Callable[..., Any]:
     return njit(nogil=True, error_model="numpy", fastmath=FAST, inline="always")(function)
 
 
+def lean(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Compile as a part of the kernel that calls it, for what it does to every item; it makes no array.
+
+    Elsewhere Numba counts the references to each array that is handed on, at every call: shared by the cores, those
+    counts can take longer than the work.
+    """
+    return njit(nogil=True, error_model="numpy", fastmath=FAST, forceinline=True, _nrt=False)(function)
+
+
 def colour_kernel(function: Callable[..., Any]) -> Callable[..., Any]:
     """The same for samples, which may be infinite or not a number."""
     return _compiled(function, fastmath=FAST - {"nnan", "ninf"})

@@ -16,9 +16,10 @@ import numpy as np
 
 from supple.cpu.bricks import BRICK
 from supple.cpu.field import J00, J01, J02, J10, J11, J12, J20, J21, J22, X
-from supple.cpu.kernel import BATCH, colour_kernel, inlined, kernel
+from supple.cpu.kernel import BATCH, colour_kernel, inlined, lean
 from supple.cpu.newton import PX, QX, ROWS, STEPS, settle
 from supple.cpu.solid import displacement, transposed
+from supple.cpu.voxels import sample_at, slopes_at
 
 BISECTIONS = 2  # before the surface is found by a straight line between two values, in a quarter of a step
 OPAQUE = 0.995  # where a ray ends
@@ -27,7 +28,7 @@ AMBIENT, DIFFUSE, SPECULAR, SHININESS = 0.15, 0.8, 0.2, 4
 PLAIN, LATTICE = 0, 1
 
 
-@kernel
+@lean
 def ray_of(view, x, y):
     """Where a pixel's ray goes: in indices a millimetre, and in millimetres along the axes."""
     a = view[2, 0] + x * view[3, 0] + y * view[4, 0]
@@ -38,7 +39,7 @@ def ray_of(view, x, y):
     return a / view[1, 0], b / view[1, 1], c / view[1, 2], a, b, c
 
 
-@kernel
+@lean
 def box_of(ox, oy, oz, dx, dy, dz, nx, ny, nz):
     """Where a ray enters and leaves the box between the outermost voxels' centres."""
     near, far = 0.0, 1e300
@@ -52,97 +53,26 @@ def box_of(ox, oy, oz, dx, dy, dz, nx, ny, nz):
     return near, far
 
 
-@inlined
-def _value(samples, nx, ny, nz, x, y, z):
-    """The trilinear sample at a point, that at the nearest point of the box outside of it."""
-    zero = np.float32(0.0)
-    x = min(max(np.float32(x), zero), np.float32(nx - 1))
-    y = min(max(np.float32(y), zero), np.float32(ny - 1))
-    z = min(max(np.float32(z), zero), np.float32(nz - 1))
-    i, j, k = min(np.int32(x), np.int32(nx - 2)), min(np.int32(y), np.int32(ny - 2)), min(np.int32(z), np.int32(nz - 2))
-    u, v, w = x - np.float32(i), y - np.float32(j), z - np.float32(k)
-    at = np.uint64((np.int64(k) * ny + j) * nx + i)
-    down, deep = np.uint64(nx), np.uint64(nx * ny)
-    one = np.uint64(1)
-    a, b = np.float32(samples[at]), np.float32(samples[at + one])
-    c, d = np.float32(samples[at + down]), np.float32(samples[at + down + one])
-    e, f = np.float32(samples[at + deep]), np.float32(samples[at + deep + one])
-    g, h = np.float32(samples[at + deep + down]), np.float32(samples[at + deep + down + one])
-    a, c, e, g = a + u * (b - a), c + u * (d - c), e + u * (f - e), g + u * (h - g)
-    a, e = a + v * (c - a), e + v * (g - e)
-    return a + w * (e - a)
-
-
-@inlined
-def _line(samples, at, stride, u):
-    """Twice the slope along a line of voxels, between the second and the third of four."""
-    a, b = np.float32(samples[at - stride]), np.float32(samples[at])
-    c, d = np.float32(samples[at + stride]), np.float32(samples[at + stride + stride])
-    before = c - a
-    return before + u * (d - b - before)
-
-
-@inlined
-def _mixed(a, b, c, d, s, t):
-    a, c = a + s * (b - a), c + s * (d - c)
-    return a + t * (c - a)
-
-
-@kernel
-def _slopes(samples, nx, ny, nz, x, y, z):
-    """The gradient by central differences, per index: of voxels, and trilinear in between."""
-    half, one = np.float32(0.5), np.float32(1.0)
-    x, y, z = np.float32(x), np.float32(y), np.float32(z)
-    inside = x >= one and y >= one and z >= one
-    if inside and x < np.float32(nx - 2) and y < np.float32(ny - 2) and z < np.float32(nz - 2):
-        i, j, k = np.int32(x), np.int32(y), np.int32(z)
-        u, v, w = x - np.float32(i), y - np.float32(j), z - np.float32(k)
-        right, down, deep = np.uint64(1), np.uint64(nx), np.uint64(nx * ny)
-        at = np.uint64((np.int64(k) * ny + j) * nx + i)
-        low, back = at + down, at + deep
-        gx = _mixed(
-            _line(samples, at, right, u),
-            _line(samples, low, right, u),
-            _line(samples, back, right, u),
-            _line(samples, back + down, right, u),
-            v,
-            w,
-        )
-        gy = _mixed(
-            _line(samples, at, down, v),
-            _line(samples, at + right, down, v),
-            _line(samples, back, down, v),
-            _line(samples, back + right, down, v),
-            u,
-            w,
-        )
-        gz = _mixed(
-            _line(samples, at, deep, w),
-            _line(samples, at + right, deep, w),
-            _line(samples, low, deep, w),
-            _line(samples, low + right, deep, w),
-            u,
-            v,
-        )
-    else:
-        gx = _value(samples, nx, ny, nz, x + one, y, z) - _value(samples, nx, ny, nz, x - one, y, z)
-        gy = _value(samples, nx, ny, nz, x, y + one, z) - _value(samples, nx, ny, nz, x, y - one, z)
-        gz = _value(samples, nx, ny, nz, x, y, z + one) - _value(samples, nx, ny, nz, x, y, z - one)
-    return half * gx, half * gy, half * gz
-
-
-@inlined
+@lean
 def _entry(table, low, scale, value):
     """Which row of a transfer function a value has."""
     top = np.float32(table.shape[0] - 1)
     return np.uint32(min(max((value - low) * scale, np.float32(0.0)), top) + np.float32(0.5))
 
 
-@kernel
-def _lit(gx, gy, gz, light, along):
+@lean
+def _halfway(light, ax, ay, az, out):
+    """The direction between that to the light and that to the eye, of a ray along (ax, ay, az)."""
+    hx, hy, hz = light[0] - np.float32(ax), light[1] - np.float32(ay), light[2] - np.float32(az)
+    scale = np.float32(1.0) / max(np.sqrt(hx * hx + hy * hy + hz * hz), np.float32(1e-6))
+    out[0], out[1], out[2] = hx * scale, hy * scale, hz * scale
+
+
+@lean
+def _lit(gx, gy, gz, light, half):
     """Ambient and diffuse light, and the highlight, of a surface with a gradient.
 
-    ``light`` points to the light, and ``along`` where the ray goes; both sides of a surface are lit.
+    ``light`` points to the light, and ``half`` between it and the eye; both sides of a surface are lit.
     """
     zero = np.float32(0.0)
     size = gx * gx + gy * gy + gz * gz
@@ -151,15 +81,13 @@ def _lit(gx, gy, gz, light, along):
     scale = np.float32(1.0) / np.sqrt(size)
     nx, ny, nz = gx * scale, gy * scale, gz * scale
     diffuse = abs(nx * light[0] + ny * light[1] + nz * light[2])
-    hx, hy, hz = light[0] - along[0], light[1] - along[1], light[2] - along[2]
-    half = np.float32(1.0) / max(np.sqrt(hx * hx + hy * hy + hz * hz), np.float32(1e-6))
-    shine = abs(nx * hx + ny * hy + nz * hz) * half
+    shine = abs(nx * half[0] + ny * half[1] + nz * half[2])
     for _ in range(SHININESS):
         shine *= shine
     return np.float32(AMBIENT) + np.float32(DIFFUSE) * diffuse, np.float32(SPECULAR) * shine
 
 
-@inlined
+@lean
 def _source(nodes, per_voxel, mode, x, y, z):
     """T⁻¹ by the lattice, or the point itself."""
     if mode == LATTICE:
@@ -168,7 +96,7 @@ def _source(nodes, per_voxel, mode, x, y, z):
     return x, y, z
 
 
-@inlined
+@lean
 def _over(d):
     """The inverse of a direction, large where there is none."""
     return 1.0 / d if abs(d) > 1e-12 else 1e12
@@ -216,13 +144,13 @@ def march(
     nx, ny, nz = size[0], size[1], size[2]
     wide, high, deep = np.uint32(skips.shape[2] - 1), np.uint32(skips.shape[1] - 1), np.uint32(skips.shape[0] - 1)
     unseen, zero, one = np.float32(FAINT), np.float32(0.0), np.float32(1.0)
-    along = np.empty(3, np.float32)
+    half = np.empty(3, np.float32)
     ox, oy, oz = view[0, 0], view[0, 1], view[0, 2]
     sx, sy, sz = np.float32(1.0 / view[1, 0]), np.float32(1.0 / view[1, 1]), np.float32(1.0 / view[1, 2])
     bottom, top, over = window[0], window[1], 1.0 / step
     for r in range(pixels.shape[0]):
         dx, dy, dz, ax, ay, az = ray_of(view, pixels[r, 0], pixels[r, 1])
-        along[0], along[1], along[2] = np.float32(ax), np.float32(ay), np.float32(az)
+        _halfway(light, ax, ay, az, half)
         red = green = blue = alpha = np.float32(0.0)
         surface, opaque, taken = np.inf, np.inf, 0
         near, far = box_of(ox, oy, oz, dx, dy, dz, nx, ny, nz)
@@ -247,7 +175,7 @@ def march(
                     continue
             within = False
             px, py, pz = _source(nodes, per_voxel, mode, qx, qy, qz)
-            value = _value(samples, nx, ny, nz, px, py, pz)
+            value = sample_at(samples, nx, ny, nz, px, py, pz)
             taken += 1
             if not found:
                 if not (value >= threshold and value <= top):
@@ -268,7 +196,7 @@ def march(
                         np.float32(oz + middle * dz),
                     )
                     ux, uy, uz = _source(nodes, per_voxel, mode, mx, my, mz)
-                    inner = _value(samples, nx, ny, nz, ux, uy, uz)
+                    inner = sample_at(samples, nx, ny, nz, ux, uy, uz)
                     taken += 1
                     if turn == BISECTIONS or (inner >= threshold and inner <= top):
                         t, px, py, pz, value = middle, ux, uy, uz, inner
@@ -283,10 +211,10 @@ def march(
                     within = True  # where something is seen, the next sample is most likely too
                     lit, shine, part = one, zero, (one - alpha) * opacity
                     if shaded and part > unseen:
-                        fx, fy, fz = _slopes(samples, nx, ny, nz, px, py, pz)
+                        fx, fy, fz = slopes_at(samples, nx, ny, nz, px, py, pz)
                         if mode == LATTICE:
                             fx, fy, fz = transposed(nodes, per_voxel, qx, qy, qz, fx, fy, fz)
-                        lit, shine = _lit(fx * sx, fy * sy, fz * sz, light, along)
+                        lit, shine = _lit(fx * sx, fy * sy, fz * sz, light, half)
                     red += part * (table[entry, 0] * lit + shine)
                     green += part * (table[entry, 1] * lit + shine)
                     blue += part * (table[entry, 2] * lit + shine)
@@ -335,7 +263,7 @@ def march_exactly(
     rays = np.empty((n, 6))
     ts, nears, fars, shift = np.empty(n), np.empty(n), np.empty(n), np.zeros((n, 3))
     found, which, single = np.zeros(n, np.bool_), np.empty(BATCH, np.int64), np.empty(1, np.int64)
-    along = np.empty(3, np.float32)
+    half = np.empty(3, np.float32)
     for first in range(0, n, BATCH):
         last = min(first + BATCH, n)
         count = 0
@@ -357,7 +285,7 @@ def march_exactly(
             for m in range(count):
                 r = which[m]
                 x, y, z = w[PX + m] / spacing[0], w[PX + BATCH + m] / spacing[1], w[PX + 2 * BATCH + m] / spacing[2]
-                value = _value(samples, nx, ny, nz, x, y, z)
+                value = sample_at(samples, nx, ny, nz, x, y, z)
                 work[r, 0] += 1
                 ended = False
                 if not found[r] and value >= threshold and value <= window[1]:
@@ -374,7 +302,7 @@ def march_exactly(
                         _invert(alone, one, 1, view, rays, single, ts, shift, strokes, axes, finest, work)
                         x, y = alone[PX] / spacing[0], alone[PX + BATCH] / spacing[1]
                         z = alone[PX + 2 * BATCH] / spacing[2]
-                        value = _value(samples, nx, ny, nz, x, y, z)
+                        value = sample_at(samples, nx, ny, nz, x, y, z)
                         work[r, 0] += 1
                         if value >= threshold and value <= window[1]:
                             high_t, above = ts[r], value
@@ -389,7 +317,7 @@ def march_exactly(
                     if opacity > np.float32(0.0):
                         lit, shine, part = unit, np.float32(0.0), (unit - out[r, 3]) * opacity
                         if shaded and part > np.float32(FAINT):
-                            fx, fy, fz = _slopes(samples, nx, ny, nz, x, y, z)
+                            fx, fy, fz = slopes_at(samples, nx, ny, nz, x, y, z)
                             # In millimetres, ∇_q g = (I+J)⁻ᵀ ∇_p f.
                             fx, fy, fz = fx / spacing[0], fy / spacing[1], fz / spacing[2]
                             a, b, c = w[J00 + m], w[J01 + m], w[J02 + m]
@@ -400,9 +328,8 @@ def march_exactly(
                             gx = over * (ca * fx + cb * fy + cc * fz)
                             gy = over * ((c * h - b * k) * fx + (a * k - c * g) * fy + (b * g - a * h) * fz)
                             gz = over * ((b * f - c * e) * fx + (c * d - a * f) * fy + (a * e - b * d) * fz)
-                            for axis in range(3):
-                                along[axis] = np.float32(rays[r, 3 + axis])
-                            lit, shine = _lit(np.float32(gx), np.float32(gy), np.float32(gz), light, along)
+                            _halfway(light, rays[r, 3], rays[r, 4], rays[r, 5], half)
+                            lit, shine = _lit(np.float32(gx), np.float32(gy), np.float32(gz), light, half)
                         for channel in range(3):
                             out[r, channel] += part * (table[entry, channel] * lit + shine)
                         out[r, 3] += part

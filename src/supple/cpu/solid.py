@@ -18,7 +18,7 @@ import numpy.typing as npt
 
 from supple.cpu.blend import displaced, turned
 from supple.cpu.field import X, Y, Z, apply
-from supple.cpu.kernel import BATCH, inlined, kernel, share
+from supple.cpu.kernel import BATCH, kernel, lean, share
 from supple.cpu.lattice import NODE, RESERVE, RESOLVED, SMOOTH, M, U, solve_rows
 from supple.cpu.newton import QX, QY, QZ, ROWS
 
@@ -95,7 +95,7 @@ def _solve(table: npt.NDArray[np.void], axes: Floats, shape: tuple[int, ...], st
     return Solid(nodes, step, worst, sum(spent for spent, _ in layers)), min(smooth for _, smooth in layers)
 
 
-@inlined
+@lean
 def _cell_of(nodes, per_voxel, x, y, z):
     """The cell that a point lies in, given in voxels, and where in it; ``per_voxel`` are the nodes per voxel."""
     zero = np.float32(0.0)
@@ -108,7 +108,7 @@ def _cell_of(nodes, per_voxel, x, y, z):
     return i, j, k, sx - np.float32(i), sy - np.float32(j), sz - np.float32(k)
 
 
-@inlined
+@lean
 def displacement(nodes, per_voxel, x, y, z):
     """T⁻¹(q) - q at a point, in voxels."""
     i, j, k, u, v, w = _cell_of(nodes, per_voxel, x, y, z)
@@ -119,7 +119,7 @@ def displacement(nodes, per_voxel, x, y, z):
     return displaced(nodes, place, row, layer, u, v, w, bu, bv, bw)
 
 
-@inlined
+@lean
 def transposed(nodes, per_voxel, x, y, z, fx, fy, fz):
     """(∂p/∂q)ᵀ f at a point."""
     i, j, k, u, v, w = _cell_of(nodes, per_voxel, x, y, z)

@@ -187,7 +187,7 @@ def prefetch(typing: Any, source: Any, start: Any) -> Any:
     return types.void(source, types.intp), generate
 
 
-def _numbers(builder: Any, kind: Any, pointer: Any, at: Any, lanes: int, element: Any, number: Any) -> Any:
+def numbers_at(builder: Any, kind: Any, pointer: Any, at: Any, lanes: int, element: Any, number: Any) -> Any:
     """``lanes`` samples of a type from an index on, as a vector of numbers."""
     size = element.width // 8 if isinstance(element, ir.IntType) else (8 if isinstance(element, ir.DoubleType) else 4)
     value = builder.load(vector_at(builder, pointer, at, lanes, element), align=size)
@@ -238,12 +238,12 @@ def _stencil(
         for j in range(taps):
             at = builder.add(base, builder.mul(stride, ir.Constant(whole, j)))
             if channels < 3:
-                line = _numbers(builder, kind[0], pointer, at, lanes, element, number)
+                line = numbers_at(builder, kind[0], pointer, at, lanes, element, number)
             else:
                 line = None
                 for i in range(taps):
                     place = builder.add(at, ir.Constant(whole, i * channels))
-                    value = _numbers(builder, kind[0], pointer, place, 4, element, number)
+                    value = numbers_at(builder, kind[0], pointer, place, 4, element, number)
                     line = fused(builder, value, columns[i], line) if line else builder.fmul(value, columns[i])
             total = fused(builder, line, rows[j], total) if total else builder.fmul(line, rows[j])
         frames.append(total)
