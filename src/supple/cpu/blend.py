@@ -5,6 +5,7 @@ A node is sixteen float32: u, ∂p/∂x, ∂p/∂y and ∂p/∂z, each of three 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 from llvmlite import ir
@@ -17,10 +18,9 @@ _FLOAT, _WHOLE = ir.FloatType(), ir.IntType(64)
 _FOUR = ir.VectorType(_FLOAT, 4)
 
 
-def _loaded(
-    context: Any, builder: Any, kind: Any, nodes: Any, place: Any, row: Any, layer: Any, first: int, lanes: int
-) -> list[Any]:
+def _loaded(context: Any, builder: Any, kind: Any, where: Sequence[Any], first: int, lanes: int) -> list[Any]:
     """``lanes`` numbers of each of the eight nodes, from the ``first`` on; x changes first."""
+    nodes, place, row, layer = where
     data = data_of(context, builder, kind, nodes)
     found = []
     for corner in range(8):
@@ -58,7 +58,7 @@ def displaced(
 
     def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         # Eight at a time: u beside ∂p/∂x, and ∂p/∂y beside ∂p/∂z.
-        values, slopes = (_loaded(context, builder, signature.args[0], *args[:4], first, 8) for first in (0, 8))
+        values, slopes = (_loaded(context, builder, signature.args[0], args[:4], first, 8) for first in (0, 8))
         parts = [splat(builder, a, 8) for a in args[4:7]]
         narrow, bends = ([splat(builder, a, 4) for a in given] for given in (args[4:7], args[7:10]))
 
@@ -97,7 +97,7 @@ def turned(
     def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         columns = []
         for first, lanes in ((4, 4), (8, 8)):
-            corners = _loaded(context, builder, signature.args[0], *args[:4], first, lanes)
+            corners = _loaded(context, builder, signature.args[0], args[:4], first, lanes)
             for part in args[4:7]:
                 share = splat(builder, part, lanes)
                 corners = [_line(builder, share, a, b) for a, b in zip(corners[::2], corners[1::2], strict=True)]

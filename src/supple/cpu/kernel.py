@@ -41,7 +41,9 @@ def lean(function: Callable[..., Any]) -> Callable[..., Any]:
     Elsewhere Numba counts the references to each array that is handed on, at every call: shared by the cores, those
     counts can take longer than the work.
     """
-    return njit(nogil=True, error_model="numpy", fastmath=FAST, forceinline=True, _nrt=False)(function)
+    options: dict[str, Any] = {"nogil": True, "fastmath": FAST, "forceinline": True, "_nrt": False}
+    made: Callable[..., Any] = njit(error_model="numpy", **options)(function)
+    return made
 
 
 def colour_kernel(function: Callable[..., Any]) -> Callable[..., Any]:

@@ -46,9 +46,7 @@ def sample_at(samples, nx, ny, nz, x, y, z):
 
 
 @intrinsic
-def _inner_slopes(
-    typing: Any, samples: Any, at: Any, row: Any, layer: Any, u: Any, v: Any, w: Any
-) -> Any:
+def _inner_slopes(typing: Any, samples: Any, at: Any, row: Any, layer: Any, u: Any, v: Any, w: Any) -> Any:
     """Twice the gradient at (u, v, w) of the cell whose first voxel is at an index, away from the faces.
 
     Twelve rows of four voxels, summed before their lanes are: a few instructions for each.
@@ -58,49 +56,32 @@ def _inner_slopes(
         kind = signature.args[0]
         data, element = data_of(context, builder, kind, args[0]), context.get_data_type(kind.dtype)
         number, whole = ir.FloatType(), ir.IntType(64)
-        one, none = ir.Constant(number, 1.0), ir.Constant(number, 0.0)
+        u, v, w = args[4:7]
 
-        def between(part: Any) -> list[Any]:
-            return [none, builder.fsub(one, part), part, none]
-
-        def difference(part: Any) -> list[Any]:
-            rest = builder.fsub(one, part)
-            return [builder.fneg(rest), builder.fneg(part), rest, part]
-
-        def line(j: int, k: int) -> Any:
+        def row_at(j: int, k: int) -> Any:
             place = builder.sub(args[1], ir.Constant(whole, 1))
             for count, stride in ((j - 1, args[2]), (k - 1, args[3])):
                 place = builder.add(place, builder.mul(stride, ir.Constant(whole, count)))
             return numbers_at(builder, kind, data, place, 4, element, number)
 
-        def summed(lines: list[Any], parts: list[Any]) -> Any:
-            total = None
-            for value, part in zip(lines, parts, strict=True):
-                share = splat(builder, part, 4)
-                total = fused(builder, value, share, total) if total else builder.fmul(value, share)
-            return total
+        # Differences come before weights: where all voxels are the same, the slope is 0, and no rounded rest.
+        def line(part: Any, a: Any, b: Any) -> Any:
+            share = splat(builder, part, 4) if isinstance(a.type, ir.VectorType) else part
+            return fused(builder, share, builder.fsub(b, a), a)
 
-        def across(value: Any, parts: list[Any]) -> Any:
-            total = None
-            for lane, part in enumerate(parts):
-                if part is none:
-                    continue
-                one_of = builder.extract_element(value, ir.Constant(ir.IntType(32), lane))
-                total = fused(builder, one_of, part, total) if total else builder.fmul(one_of, part)
-            return total
+        def change(part: Any, four: list[Any]) -> Any:
+            return line(part, builder.fsub(four[2], four[0]), builder.fsub(four[3], four[1]))
 
-        u, v, w = args[4:7]
-        rows = {(j, k): line(j, k) for j in range(4) for k in range(4) if 0 < j < 3 or 0 < k < 3}
-        sides = {k: summed([rows[1, k], rows[2, k]], between(v)[1:3]) for k in range(4)}
+        def lanes(vector: Any, which: range) -> list[Any]:
+            return [builder.extract_element(vector, ir.Constant(ir.IntType(32), lane)) for lane in which]
+
+        rows = {(j, k): row_at(j, k) for j in range(4) for k in range(4) if 0 < j < 3 or 0 < k < 3}
+        sides = [line(v, rows[1, k], rows[2, k]) for k in range(4)]
+        down = [change(v, [rows[j, k] for j in range(4)]) for k in (1, 2)]
         slopes = (
-            across(summed([sides[1], sides[2]], between(w)[1:3]), difference(u)),
-            across(
-                summed(
-                    [summed([rows[j, k] for j in range(4)], difference(v)) for k in (1, 2)], between(w)[1:3]
-                ),
-                between(u),
-            ),
-            across(summed([sides[k] for k in range(4)], difference(w)), between(u)),
+            change(u, lanes(line(w, sides[1], sides[2]), range(4))),
+            line(u, *lanes(line(w, *down), range(1, 3))),
+            line(u, *lanes(change(w, sides), range(1, 3))),
         )
         return context.make_tuple(builder, types.UniTuple(types.float32, 3), slopes)
 

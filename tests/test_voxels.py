@@ -1,0 +1,60 @@
+"""Samples between voxels and their slopes, against SciPy and NumPy."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from numba import njit
+from scipy.ndimage import map_coordinates
+
+from supple.cpu.voxels import sample_at, slopes_at
+
+SHAPE = (7, 9, 8)
+
+
+@njit
+def seen(samples, size, points, out):  # type: ignore[no-untyped-def]
+    nx, ny, nz = size
+    for i in range(len(points)):
+        x, y, z = points[i]
+        out[i, 0] = sample_at(samples, nx, ny, nz, x, y, z)
+        out[i, 1], out[i, 2], out[i, 3] = slopes_at(samples, nx, ny, nz, x, y, z)
+
+
+def looked_at(volume: np.ndarray, points: np.ndarray) -> np.ndarray:
+    out = np.empty((len(points), 4), np.float32)
+    seen(volume.reshape(-1), np.array(volume.shape[::-1]), points.astype(np.float32), out)
+    return out
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.int8, np.uint16, np.int16, np.float32])
+def test_samples_and_slopes_are_those_of_central_differences_between_voxels(dtype: Any) -> None:
+    rng = np.random.default_rng(3)
+    low, high = (-1e3, 1e3) if dtype is np.float32 else (np.iinfo(dtype).min, np.iinfo(dtype).max)
+    volume = rng.uniform(low, high, SHAPE).astype(dtype)
+    # In the middle, at the faces and on voxels: the last of them included.
+    points = rng.uniform(-0.5, 1.0, (4000, 3)) * np.array(SHAPE[::-1])
+    points = np.clip(points, 0, np.array(SHAPE[::-1]) - 1)
+    points[::7] = np.rint(points[::7])
+    points = points.astype(np.float32).astype(np.float64)
+    exact = volume.astype(np.float64)
+    found = looked_at(volume, points)
+    wanted = map_coordinates(exact, points.T[::-1], order=1, mode="nearest")
+    scale = np.abs(exact).max()
+    np.testing.assert_allclose(found[:, 0], wanted, atol=1e-5 * scale)
+    for axis in range(3):
+        after, before = points.copy(), points.copy()
+        after[:, axis] += 1
+        before[:, axis] -= 1
+        values = [map_coordinates(exact, p.T[::-1], order=1, mode="nearest") for p in (after, before)]
+        np.testing.assert_allclose(found[:, 1 + axis], 0.5 * (values[0] - values[1]), atol=1e-5 * scale)
+
+
+def test_where_all_voxels_are_the_same_there_is_no_slope_at_all() -> None:
+    # Else shading would show the direction of rounding.
+    points = np.random.default_rng(5).uniform(0, 1, (2000, 3)) * (np.array(SHAPE[::-1]) - 1)
+    found = looked_at(np.full(SHAPE, 0.7, np.float32), points)
+    assert not found[:, 1:].any()
+    assert np.ptp(found[:, 0]) == 0
