@@ -86,7 +86,7 @@ def main(folder: Path, path: Path = HEAD) -> None:
 
     states = {"original": head, "flattened": flat, "corrected": mended}
     rows = []
-    for layer in seen:
+    for layer in (seen[0], seen[-1]):  # skin and bone
         views = [scene(layer, d).render(ABOVE, SIZE, supersampling=2) for d in states.values()]
         rows.append(np.hstack([view.pixels(BACKGROUND) for view in views]))
         for name, d in states.items():

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import SimpleITK as sitk  # noqa: N813
 
 import supple
 from supple.camera import Camera
@@ -50,7 +51,20 @@ def layers(path: Path) -> tuple[Geometry, list[Layer]]:
     return volume.geometry, [
         Layer("skin", samples, "mr-head", (0.12 * top, top)),
         Layer("brain", np.where(inside, samples, 0), "mr-head", (0.2 * top, top)),
+        Layer("bone", skull(samples < 0.3 * top, inside, volume.geometry), "ct-bone", (300, 1000)),
     ]
+
+
+def skull(dark: np.ndarray, brain: np.ndarray, geometry: Geometry) -> np.ndarray:
+    """The skull's outside, as MR shows it: what is dark around the brain, up to the bright fat of the scalp."""
+    radius = [max(1, round(12 / step)) for step in geometry.spacing]
+    inner = sitk.GetImageFromArray(brain.astype(np.uint8))
+    around = sitk.BinaryDilate(inner, radius, sitk.sitkBall)
+    found = sitk.And(around, sitk.Or(inner, sitk.GetImageFromArray(dark.astype(np.uint8))))
+    found = sitk.BinaryMorphologicalOpening(found, [2, 2, 2])
+    found = sitk.RelabelComponent(sitk.ConnectedComponent(found), sortByObjectSize=True) == 1
+    found = sitk.BinaryFillhole(sitk.BinaryMorphologicalClosing(found, [2, 2, 2]))
+    return sitk.GetArrayFromImage(sitk.DiscreteGaussian(sitk.Cast(found, sitk.sitkFloat32), 2.0)) * 1000
 
 
 def bent(shape: tuple[int, ...], geometry: Geometry, by: tuple[float, ...]) -> supple.Deformation:

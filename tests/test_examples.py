@@ -29,8 +29,8 @@ MATCHES = {
         r"^skin, original: 1\.\d %",
         r"^skin, flattened: 6\.\d %",
         r"^skin, corrected: 1\.\d %",
-        r"^brain, flattened: 11\.\d %",
-        r"^brain, corrected: 4\.\d %",
+        r"^bone, flattened: [89]\.\d %",
+        r"^bone, corrected: [23]\.\d %",
     ],
     "head": [r"^strong: 1 steps, 0 folds, source points within 0\.00\d voxels$"],
     "landmarks": [
