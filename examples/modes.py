@@ -30,7 +30,7 @@ def of_planes(d: supple.Deformation) -> int:
 
 
 def main(folder: Path, path: Path = HEAD) -> None:
-    geometry, (skin, _) = layers(path)
+    geometry, (skin, *_) = layers(path)
     d = bent(skin.samples.shape, geometry, DRAGS["moderate"])
     spent = {
         "lattice": round(solve_solid(d.space.table, d.space.axes, d.shape, TOLERANCE).evaluations),

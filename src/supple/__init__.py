@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from supple.deformation import Deformation, Inverse, Report
     from supple.domain import Domain
-    from supple.errors import FoldError, FoldWarning, OutsideWarning, SuppleError, ToleranceWarning
+    from supple.errors import DeviceWarning, FoldError, FoldWarning, OutsideWarning, SuppleError, ToleranceWarning
     from supple.files import warp_file
     from supple.strokes import Recipe, Stroke
 
@@ -14,6 +14,7 @@ __version__ = "0.1.0"
 
 __all__ = [
     "Deformation",
+    "DeviceWarning",
     "Domain",
     "FoldError",
     "FoldWarning",
@@ -30,6 +31,7 @@ __all__ = [
 # Where each name is. They are loaded when they are asked for: compilers and image libraries take their time.
 _HOMES = {
     "Deformation": "deformation",
+    "DeviceWarning": "errors",
     "Domain": "domain",
     "FoldError": "errors",
     "FoldWarning": "errors",

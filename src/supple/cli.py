@@ -16,7 +16,7 @@ from cyclopts import App, CycloptsError, Group, Parameter
 from supple.cli_volume import POINTS_EXAMPLES, RENDER_EXAMPLES, VolumeCommands, say_convention
 from supple.console import Console, SomeFailedError, run
 from supple.errors import SuppleError
-from supple.options import RunOptions, StrokeOptions, VideoOptions, parse_fill, parse_integer, parse_number
+from supple.options import RUNNING, RunOptions, StrokeOptions, VideoOptions, parse_fill, parse_integer, parse_number
 from supple.options_volume import VOLUME, VolumeOptions
 
 if TYPE_CHECKING:
@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 What = Literal["grid", "stretch", "axes", "residual", "iterations", "slice", "sheet"]
 Filter = Literal["auto", "antialias", "ewa", "cubic", "linear", "nearest"]
 Outside = Literal["edge", "constant", "reflect"]
+Device = Literal["auto", "cpu", "gpu"]
 Tell = Callable[[str], None]
 
 SAMPLING = Group("Sampling", sort_key=2)
@@ -80,6 +81,7 @@ class _Commands:
         labels: Annotated[bool, Parameter(group=VOLUME)] = False,
         save_field: Annotated[str | None, Parameter(group=VOLUME, metavar="FILE")] = None,
         volume: VolumeOptions = _VOLUME,
+        device: Annotated[Device, Parameter(group=RUNNING)] = "cpu",
         options: RunOptions = _RUN,
     ) -> None:
         """Bend pictures, videos and volumes.
@@ -112,6 +114,8 @@ class _Commands:
             Values are names of things, and are kept: each voxel takes that of the nearest.
         save_field
             Write the inverse displacements too, for SimpleITK, ANTs and 3D Slicer: NIfTI, NRRD, MHA or .h5.
+        device
+            Who bends pictures: the CPU, the GPU, or auto: a graphics card, where there is one.
         """
         from supple.batch import Crew, check_recipe_file, make_folders, pair
         from supple.clips import is_clip
@@ -122,6 +126,12 @@ class _Commands:
             raise SuppleError("give a file to read and a name to write to: supple warp IN OUT --grab …")
         self.console.started(quiet=options.quiet, threads=options.threads)
         recipe = strokes.to_recipe()
+        if device == "gpu":
+            from supple.gpu.device import open_gpu
+
+            gpu = open_gpu()
+            if gpu.software:
+                self.console.warn(f"{gpu.name} is a program that runs on the CPU: no graphics card was found")
         sampling: dict[str, Any] = {
             "filter": filter,
             "outside": outside,
@@ -130,6 +140,7 @@ class _Commands:
             "linear_light": linear_light,
             "quality": quality,
             "lossless": lossless,
+            "device": device,
             "force": options.force,
             "clip": video.to_clip(),
             "volume": volume.to_reading(labels=labels, save_field=save_field),
@@ -232,22 +243,35 @@ class _Commands:
 
     def info(
         self,
-        *files: Annotated[str, Parameter(name="FILE", required=True)],
+        *files: Annotated[str, Parameter(name="FILE")],
+        gpu: Annotated[bool, Parameter(negative=())] = False,
         json: Annotated[bool, Parameter(negative=())] = False,
         volume: VolumeOptions = _VOLUME,
     ) -> None:
-        """Tell what pictures, videos, volumes and recipes hold.
+        """Tell what pictures, videos, volumes and recipes hold, or which GPUs there are.
 
         Parameters
         ----------
         files
             Pictures, videos, patterns or folders of frames, volumes, or recipes in JSON.
+        gpu
+            Which graphics cards there are, and programs that stand in for them; the first one is used.
         json
             As one JSON object for each file.
         """
         from supple.console import REFUSED
         from supple.describe import describe
 
+        if not gpu and not files:
+            raise SuppleError("give a file to tell about: supple info FILE, or supple info --gpu")
+        if gpu:
+            from supple.gpu.device import describe as describe_gpus
+
+            for found in describe_gpus():
+                if json:
+                    self.console.tell(found)
+                else:
+                    print(f"{found['name']}: {found['kind']}, {found['backend']}, {found['driver']}")
         failures, reading = 0, volume.to_reading()
         for name in files:
             try:

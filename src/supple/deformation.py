@@ -15,6 +15,7 @@ from supple.cpu import newton
 from supple.cpu.kernel import share, threads
 from supple.cpu.warp import Band, Certificate, Plane, absolute, each_band, folds, measure, solve_plane
 from supple.domain import Domain, choice, number, refuse
+from supple.engines import gpu_of, warp_on_gpu
 from supple.errors import FoldWarning, SuppleError, ToleranceWarning
 from supple.folding import Resolved, resolve
 from supple.streaming import Sampling, Space
@@ -360,6 +361,7 @@ class Deformation:
         between: str | None = None,
         time_filter: bool = False,
         samples: int = 1,
+        device: str = "cpu",
         out: npt.NDArray[Any] | None = None,
     ) -> npt.NDArray[Any]:
         """Deform an image, a stack of frames, or a function of points.
@@ -395,6 +397,9 @@ class Deformation:
             become motion blur.
         samples : int
             For a function: samples along each side of an output pixel, which are averaged.
+        device : str
+            Who does it: the ``"cpu"``; the ``"gpu"``, also one that is a program for the CPU; or ``"auto"``: a graphics
+            card, where there is one and it does what is asked, and the CPU otherwise.
         out : array, optional
             Where to put the result; of its shape and type, and not overlapping ``source``.
 
@@ -412,6 +417,8 @@ class Deformation:
         -----
         ToleranceWarning
             If the checks of the map's cells do not promise the tolerance everywhere.
+        DeviceWarning
+            If the GPU was asked for and failed, so that the CPU did it.
         """
         choice("filter", filter, ("nearest", *FILTERS))
         choice("outside", outside, tuple(OUTSIDE))
@@ -419,6 +426,13 @@ class Deformation:
         if between is not None and self.ndim == 2:
             refuse("between", "left out for an image, which is one frame", between)
         between = interpolated(filter, between)
+        gpu = gpu_of(device)
+        if gpu is not None and not callable(source):
+            sampling = Sampling(filter, between, time_filter, outside, fill, linear_light, tolerance)  # type: ignore[arg-type]
+            done = warp_on_gpu(gpu, source, self.space, sampling, alpha=alpha, out=out, must=device == "gpu")
+            if done is not None:
+                warn_of(done[1], tolerance, 3)
+                return done[0]
         if self.ndim == 3:
             if callable(source):
                 raise SuppleError(f"a function of points is warped as an image, and shape {self.shape} has three axes")

@@ -15,6 +15,10 @@ class FoldWarning(UserWarning):
     """A stroke was too strong, and was damped so that nothing folds."""
 
 
+class DeviceWarning(UserWarning):
+    """A GPU could not do what was asked of it, and the CPU did."""
+
+
 class OutsideWarning(UserWarning):
     """A stroke begins so far outside the picture that it is hardly felt."""
 

@@ -15,6 +15,8 @@ import numpy as np
 
 from supple.clips import ClipOptions, WarpedClip, is_clip, warn_of_misses, warp_clip
 from supple.deformation import Deformation, Report
+from supple.domain import choice
+from supple.engines import DEVICES
 from supple.errors import SuppleError
 from supple.media.files import check_output, replacing, shown
 from supple.media.image import check_target, read, write
@@ -60,6 +62,7 @@ def warp_file(
     linear_light: bool = False,
     quality: int | None = None,
     lossless: bool = False,
+    device: str = "cpu",
     force: bool = False,
     progress: bool | Callable[[str], None] = False,
     clip: ClipOptions | None = None,
@@ -88,6 +91,8 @@ def warp_file(
         From 1 to 100, for JPEG, WebP and AVIF.
     lossless : bool
         Keep every value, in WebP and AVIF too; of a video, with FFV1 or the codec that is named.
+    device : str
+        Who bends a picture, as `Deformation.warp` takes it; videos and volumes are bent by the CPU.
     force : bool
         Whether a file that exists may be replaced, even the source.
     progress : bool or function
@@ -114,7 +119,9 @@ def warp_file(
     >>> recipe = Recipe(strokes=[Stroke.grab((256, 256), to=(256, 346), radius=100)])  # doctest: +SKIP
     >>> warp_file("photo.jpg", "bent.jpg", recipe).report().error  # doctest: +SKIP
     """
+    choice("device", device, DEVICES)
     if is_volume_job(source, target, recipe, volume):
+        _only_cpu(source, "volume", device)
         if quality is not None or lossless or linear_light or not _only_memory(clip):
             raise SuppleError(f"{shown(source)} is a volume, and what was asked of it is for pictures or videos")
         if not force and _same(source, target):
@@ -135,6 +142,7 @@ def warp_file(
     if volume is not None and volume != VolumeOptions():
         raise SuppleError(f"{shown(source)} is no volume, and what was asked of it is for volumes: leave that out")
     if is_clip(source, target, recipe):
+        _only_cpu(source, "video", device)
         if not force and _same(source, target):
             raise SuppleError(f"{shown(target)} is the clip itself: pass --force (force=True) to replace it")
         sampling = {"filter": filter, "tolerance": tolerance, "outside": outside, "fill": fill}
@@ -180,6 +188,7 @@ def warp_file(
             fill=fill,
             alpha=picture.alpha,
             linear_light=linear_light,
+            device=device,
         )
         # Of the input, only the header is needed now: the encoder may have its memory.
         like = replace(picture, pixels=np.empty((0, *picture.pixels.shape[1:]), picture.pixels.dtype))
@@ -187,6 +196,11 @@ def warp_file(
         tell("write")
         write(target, pixels, like=like, quality=quality, lossless=lossless, force=force)
     return Warped(Path(source), Path(target), deformation, tolerance)
+
+
+def _only_cpu(source: PathLike, kind: str, device: str) -> None:
+    if device == "gpu":
+        raise SuppleError(f"{shown(source)} is a {kind}, which the GPU does not bend yet: device must be cpu or auto")
 
 
 def _only_memory(clip: ClipOptions | None) -> bool:

@@ -50,9 +50,9 @@ def warp_array(
     out: Array | None,
 ) -> Array:
     """Sample an array at the source points of every band that ``each`` calls its argument with."""
-    array, straight = _checked(source, shape, alpha, light)
-    colours = _fill(fill, array.shape[2] if array.ndim == 3 else 1)
-    result = _result(out, array)
+    array, straight = checked_source(source, shape, alpha, light)
+    colours = checked_fill(fill, array.shape[2] if array.ndim == 3 else 1)
+    result = result_like(out, array)
     if untouched:
         result[...] = array
         return result
@@ -91,10 +91,10 @@ def warp_frames(
 
     ``tell`` is called with the number of planes done, now and then.
     """
-    array, straight = _checked(source, (space.count, *space.shape), alpha, sampling.light)
+    array, straight = checked_source(source, (space.count, *space.shape), alpha, sampling.light)
     channels = array.shape[3] if array.ndim == 4 else 1
-    colours = _fill(sampling.fill, channels)
-    result = _result(out, array)
+    colours = checked_fill(sampling.fill, channels)
+    result = result_like(out, array)
     if space.table.size == 0:
         result[...] = array
         return result, Certificate(0.0, 0.0)
@@ -140,7 +140,7 @@ class _ArrayFrame:
             held[..., colours] = linear_light(held[..., colours], 1.0)
 
 
-def _checked(source: object, shape: tuple[int, ...], alpha: bool | None, light: bool) -> tuple[Array, bool]:
+def checked_source(source: object, shape: tuple[int, ...], alpha: bool | None, light: bool) -> tuple[Array, bool]:
     """The source as an array that fits, and whether its last channel is opacity."""
     try:
         array: Array = np.asarray(source)
@@ -161,7 +161,8 @@ def _checked(source: object, shape: tuple[int, ...], alpha: bool | None, light: 
     return array, straight
 
 
-def _fill(fill: float | Sequence[float], channels: int) -> npt.NDArray[np.float64]:
+def checked_fill(fill: float | Sequence[float], channels: int) -> npt.NDArray[np.float64]:
+    """The constant as one number for each channel; SuppleError if it is none."""
     try:
         values = np.asarray(fill, np.float64)
     except (TypeError, ValueError):
@@ -171,7 +172,8 @@ def _fill(fill: float | Sequence[float], channels: int) -> npt.NDArray[np.float6
     return np.ascontiguousarray(np.broadcast_to(values, (channels,)))
 
 
-def _result(out: Array | None, like: Array) -> Array:
+def result_like(out: Array | None, like: Array) -> Array:
+    """Where the result goes: ``out``, if it fits (SuppleError if not), or a new array."""
     if out is None:
         return np.empty_like(like, order="C")
     wanted = f"an array of {like.dtype} of shape {like.shape}, as the source is"
@@ -239,7 +241,7 @@ def warp_function(
             values = values.astype(np.float64)
         square = values.reshape(len(y) // samples, samples, width, samples, *values.shape[1:]).mean(axis=(1, 3))
         if result is None:
-            result = _result(out, np.empty((height, width, *values.shape[1:]), values.dtype))
+            result = result_like(out, np.empty((height, width, *values.shape[1:]), values.dtype))
         result[top : top + len(square)] = square
     assert result is not None
     return result

@@ -1,0 +1,139 @@
+"""Which GPU works: its adapter, what it is asked for, and what to say where there is none."""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import os
+import sys
+import tempfile
+import threading
+from dataclasses import dataclass
+from typing import Any
+
+from supple.errors import SuppleError
+
+# What is asked of every adapter: what ordinary GPUs grant, whatever this one has. Work beyond it is split.
+LIMITS: dict[str, int] = {
+    "max-bind-groups": 4,
+    "max-buffer-size": 256 << 20,
+    "max-compute-invocations-per-workgroup": 256,
+    "max-compute-workgroup-size-x": 256,
+    "max-compute-workgroup-size-y": 256,
+    "max-compute-workgroup-size-z": 64,
+    "max-compute-workgroup-storage-size": 16384,
+    "max-compute-workgroups-per-dimension": 65535,
+    "max-storage-buffer-binding-size": 128 << 20,
+    "max-storage-buffers-per-shader-stage": 8,
+    "max-uniform-buffer-binding-size": 64 << 10,
+}
+BINDING = LIMITS["max-storage-buffer-binding-size"]
+"""The largest array that a shader takes, in bytes."""
+
+_KINDS = ("DiscreteGPU", "IntegratedGPU", "VirtualGPU", "Unknown", "CPU")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Gpu:
+    """An opened device.
+
+    Parameters
+    ----------
+    name : str
+        The adapter's.
+    software : bool
+        Whether it is a program that runs on the CPU.
+    backend : str
+        Vulkan, Metal or D3D12.
+    device : wgpu.GPUDevice
+    pipelines : dict
+        What has been compiled for it.
+    lock
+        For whom works on it: one thread at a time.
+    """
+
+    name: str
+    software: bool
+    backend: str
+    device: Any
+    pipelines: dict[Any, Any]
+    lock: Any
+
+
+@functools.cache
+def adapters() -> tuple[Any, ...]:
+    """The adapters of this machine, the fastest kind first."""
+    try:
+        import wgpu
+        from wgpu.backends.wgpu_native import extras
+    except (ImportError, OSError, RuntimeError) as error:
+        raise SuppleError(f"the GPU needs wgpu, which cannot be loaded ({error}): pip install 'supple[gpu]'") from None
+    # OpenGL offers the same adapters once more, and less of them. Somebody else may have chosen already.
+    with contextlib.suppress(RuntimeError):
+        extras.set_instance_extras(backends=["Vulkan", "Metal", "DX12"])
+    # Where nobody is logged in, libraries of windows complain on the terminal that this is not set.
+    given = os.environ.get("XDG_RUNTIME_DIR")
+    os.environ.setdefault("XDG_RUNTIME_DIR", tempfile.gettempdir())
+    try:
+        found = [a for a in wgpu.gpu.enumerate_adapters_sync() if a.info["backend_type"] != "OpenGL"]
+    finally:
+        if given is None:
+            os.environ.pop("XDG_RUNTIME_DIR", None)
+    return tuple(sorted(found, key=lambda a: _KINDS.index(a.info["adapter_type"])))
+
+
+def missing() -> str:
+    """What to install on this system."""
+    if sys.platform == "darwin":
+        return "macOS 10.13 or later with Metal is needed"
+    if sys.platform == "win32":
+        return "a driver with Direct3D 12 or Vulkan is needed, from the maker of the graphics card"
+    return (
+        "a Vulkan driver is needed: that of the graphics card, or Mesa's, also for running on the CPU "
+        "(Debian and Ubuntu: apt install mesa-vulkan-drivers; Fedora: dnf install mesa-vulkan-drivers)"
+    )
+
+
+@functools.cache
+def open_gpu(software: bool = True) -> Gpu:
+    """The fastest adapter's device.
+
+    Parameters
+    ----------
+    software : bool
+        Whether one that runs on the CPU will do, where there is no other.
+
+    Raises
+    ------
+    SuppleError
+        If there is none; the message says what to install.
+    """
+    found = [a for a in adapters() if software or a.info["adapter_type"] != "CPU"]
+    if not found:
+        raise SuppleError(f"no GPU was found: {missing()}; device cpu needs none")
+    adapter = found[0]
+    short = [name for name, wanted in LIMITS.items() if adapter.limits.get(name, wanted) < wanted]
+    if short:
+        raise SuppleError(f"the GPU {adapter.info['device']!r} is too small ({short[0]}): device cpu needs none")
+    device = adapter.request_device_sync(required_limits=dict(LIMITS))
+    info = adapter.info
+    return Gpu(
+        str(info["device"]), info["adapter_type"] == "CPU", str(info["backend_type"]), device, {}, threading.RLock()
+    )
+
+
+def describe() -> list[dict[str, str]]:
+    """The adapters of this machine, for people; SuppleError if there are none."""
+    if not adapters():
+        raise SuppleError(f"no GPU was found: {missing()}")
+    kinds = {"DiscreteGPU": "a graphics card", "IntegratedGPU": "in the processor", "VirtualGPU": "a part of another's"}
+    kinds["CPU"] = "a program that runs on the CPU"
+    return [
+        {
+            "name": str(a.info["device"]),
+            "kind": kinds.get(a.info["adapter_type"], "of an unknown kind"),
+            "backend": str(a.info["backend_type"]),
+            "driver": str(a.info["description"]),
+        }
+        for a in adapters()
+    ]

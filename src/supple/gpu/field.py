@@ -1,0 +1,86 @@
+"""The strokes and their domain, as shaders read them; T and T⁻¹ of points."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from supple.gpu.device import Gpu
+from supple.gpu.kernel import READ, UNIFORM, WRITE, download, pipeline, room, run, spread, upload
+
+Floats = npt.NDArray[np.float64]
+
+STROKE = np.dtype(
+    [
+        ("pivot", np.float32, 3),
+        ("terms", np.float32),
+        ("rest", np.float32, 4),
+        ("force", np.float32, 4),
+        ("radius2", np.float32, 4),
+        ("p", np.float32, 4),
+        ("q", np.float32, 4),
+        ("r", np.float32, 4),
+    ]
+)
+_POINTS = ("field", "newton", "points")
+
+
+def packed(table: npt.NDArray[np.void]) -> npt.NDArray[np.void]:
+    """A table of strokes (`supple.strokes.pack`) in float32, each pivot as the sum of two numbers."""
+    out = np.zeros(table.size, STROKE)
+    out["pivot"] = table["pivot"]
+    out["rest"][:, :3] = table["pivot"] - out["pivot"].astype(np.float64)
+    out["force"][:, :3] = table["force"]
+    out["terms"] = table["terms"]
+    for name in ("radius2", "p", "q", "r"):
+        out[name][:, : table[name].shape[1]] = table[name]
+    return out
+
+
+def domain(axes: Floats) -> npt.NDArray[np.float32]:
+    """A packed domain (`Domain.packed`): extents, widths of the border and spacing, each of three axes and a 0."""
+    out = np.zeros((3, 4), np.float32)
+    out[:, :3] = axes.T
+    return out
+
+
+def forward(
+    gpu: Gpu, table: npt.NDArray[np.void], axes: Floats, anchors: Floats, offsets: Floats
+) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
+    """T of the points ``anchors + offsets`` (N, 3), in physical units: T(p) - anchor (N, 3), and ∂T/∂p (N, 3, 3)."""
+    found = _points(gpu, "forward", table, axes, anchors, offsets, 0.0)
+    return found[:, 0, :3], np.moveaxis(found[:, 1:, :3], 1, 2)
+
+
+def inverse(
+    gpu: Gpu, table: npt.NDArray[np.void], axes: Floats, anchors: Floats, tolerance: float
+) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32], npt.NDArray[np.float32]]:
+    """T⁻¹(q) - q of points q (N, 3), in physical units, with |T(p) - q| and the evaluations of T."""
+    found = _points(gpu, "inverse", table, axes, anchors, np.zeros_like(anchors), tolerance)
+    return found[:, 0, :3], found[:, 0, 3], found[:, 1, 3]
+
+
+def _points(
+    gpu: Gpu, entry: str, table: npt.NDArray[np.void], axes: Floats, anchors: Floats, offsets: Floats, tolerance: float
+) -> npt.NDArray[np.float32]:
+    n = len(anchors)
+    settings = np.zeros(1, [("strokes", "u4"), ("count", "u4"), ("tolerance", "f4"), ("unused", "f4")])
+    settings["strokes"], settings["count"], settings["tolerance"] = table.size, n, tolerance
+
+    def four(values: Floats) -> Any:
+        return upload(gpu, np.pad(values, ((0, 0), (0, 1))).astype(np.float32))
+
+    results = room(gpu, n * 64)
+    buffers = [
+        upload(gpu, settings, UNIFORM),
+        upload(gpu, domain(axes), UNIFORM),
+        upload(gpu, packed(table)),
+        four(anchors),
+        four(offsets),
+        results,
+    ]
+    made = pipeline(gpu, _POINTS, entry, (UNIFORM, UNIFORM, READ, READ, READ, WRITE))
+    run(gpu, [(made, buffers, spread(n, 64))])
+    return download(gpu, results, np.float32, n * 16).reshape(n, 4, 4).copy()

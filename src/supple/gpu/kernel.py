@@ -1,0 +1,110 @@
+"""How shaders are composed and run: sources, pipelines, arrays in and out."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from importlib import resources
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from supple.gpu.device import Gpu
+
+Array = npt.NDArray[Any]
+
+UNIFORM, READ, WRITE = "uniform", "read-only-storage", "storage"
+MOST_GROUPS = 65535
+
+
+def failures() -> tuple[type[Exception], ...]:
+    """What it raises when a device is lost, or its memory is full, or a driver does not compile a shader."""
+    from wgpu import GPUError
+
+    return (GPUError, MemoryError, RuntimeError)
+
+
+def source(*names: str) -> str:
+    """The shaders of some files, one after the other; WGSL does not care in which order things are said."""
+    folder = resources.files("supple.gpu")
+    return "\n".join((folder / f"{name}.wgsl").read_text(encoding="utf-8") for name in names)
+
+
+def pipeline(
+    gpu: Gpu, names: Sequence[str], entry: str, kinds: Sequence[str], constants: Mapping[str, float] | None = None
+) -> Any:
+    """A compute shader's entry point, compiled; kept with the device.
+
+    ``kinds`` are those of its bindings: UNIFORM, READ or WRITE.
+    """
+    chosen = tuple(sorted((constants or {}).items()))
+    key = (tuple(names), entry, tuple(kinds), chosen)
+    if key not in gpu.pipelines:
+        module_key = tuple(names)
+        if module_key not in gpu.pipelines:
+            gpu.pipelines[module_key] = gpu.device.create_shader_module(label=names[0], code=source(*names))
+        entries = [{"binding": k, "visibility": "COMPUTE", "buffer": {"type": kind}} for k, kind in enumerate(kinds)]
+        layout = gpu.device.create_bind_group_layout(entries=entries)
+        gpu.pipelines[key] = (
+            gpu.device.create_compute_pipeline(
+                layout=gpu.device.create_pipeline_layout(bind_group_layouts=[layout]),
+                compute={"module": gpu.pipelines[module_key], "entry_point": entry, "constants": dict(chosen)},
+            ),
+            layout,
+        )
+    return gpu.pipelines[key]
+
+
+def upload(gpu: Gpu, array: Array, kind: str = READ) -> Any:
+    """An array's bytes on the device, up to a whole number of words."""
+    usage = "UNIFORM" if kind == UNIFORM else "STORAGE|COPY_SRC"
+    data = np.ascontiguousarray(array).reshape(-1).view(np.uint8)
+    if data.size == 0:
+        data = np.zeros(4, np.uint8)
+    size = -(-data.size // 4) * 4
+    buffer = gpu.device.create_buffer(size=max(size, 16), usage=f"{usage}|COPY_DST")
+    whole = data.size // 4 * 4
+    if whole:
+        gpu.device.queue.write_buffer(buffer, 0, data[:whole])
+    if whole < data.size:
+        gpu.device.queue.write_buffer(buffer, whole, np.pad(data[whole:], (0, 4 - data.size + whole)))
+    return buffer
+
+
+def room(gpu: Gpu, size: int) -> Any:
+    """Room for ``size`` bytes on the device, all 0."""
+    return gpu.device.create_buffer(size=max(-(-size // 4) * 4, 16), usage="STORAGE|COPY_SRC|COPY_DST")
+
+
+def run(gpu: Gpu, passes: Sequence[tuple[Any, Sequence[Any], Any]]) -> None:
+    """Run pipelines one after the other: each with its buffers and its workgroups, or the buffer that tells these."""
+    encoder = gpu.device.create_command_encoder()
+    for (made, layout), buffers, groups in passes:
+        entries = [{"binding": k, "resource": {"buffer": buffer}} for k, buffer in enumerate(buffers)]
+        bound = gpu.device.create_bind_group(layout=layout, entries=entries)
+        told = None
+        if not isinstance(groups, tuple):  # a shader cannot write what it is dispatched by
+            told = gpu.device.create_buffer(size=16, usage="INDIRECT|COPY_DST")
+            encoder.copy_buffer_to_buffer(groups, 0, told, 0, 12)
+        step = encoder.begin_compute_pass()
+        step.set_pipeline(made)
+        step.set_bind_group(0, bound)
+        if told is None:
+            step.dispatch_workgroups(*groups)
+        else:
+            step.dispatch_workgroups_indirect(told, 0)
+        step.end()
+    gpu.device.queue.submit([encoder.finish()])
+
+
+def download(gpu: Gpu, buffer: Any, dtype: Any, count: int) -> Array:
+    """The first ``count`` numbers of a buffer; waits for what fills it."""
+    size = -(-count * np.dtype(dtype).itemsize // 4) * 4
+    return np.frombuffer(gpu.device.queue.read_buffer(buffer, 0, size), dtype, count)
+
+
+def spread(count: int, size: int) -> tuple[int, int]:
+    """Workgroups of ``size`` threads for ``count`` items, in rows."""
+    groups = max(1, -(-count // size))
+    rows = -(-groups // MOST_GROUPS)
+    return -(-groups // rows), rows

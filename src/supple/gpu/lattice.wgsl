@@ -1,0 +1,123 @@
+// T⁻¹ on planes: solved at nodes STEP pixels apart, and interpolated in between; see supple/cpu/solid.py.
+//
+// A node is four vectors: the displacement u in pixels, with the node's own error, and the columns of ∂p/∂q.
+
+struct Source {
+    shift: vec3f, // u, in pixels
+    matrix: mat3x3f, // ∂p/∂q, in pixels a pixel
+}
+
+// The four nodes around a cell: above and below, each the left and the right one.
+struct Patch {
+    p: Source,
+    q: Source,
+    r: Source,
+    o: Source,
+}
+
+fn node_at(i: vec2u, plane: u32) -> Source {
+    let k = 4u * ((plane * settings.nodes.y + i.y) * settings.nodes.x + i.x);
+    return Source(nodes[k].xyz, mat3x3f(nodes[k + 1u].xyz, nodes[k + 2u].xyz, nodes[k + 3u].xyz));
+}
+
+fn patch_at(i: vec2u, plane: u32) -> Patch {
+    return Patch(
+        node_at(i, plane),
+        node_at(i + vec2u(1u, 0u), plane),
+        node_at(i + vec2u(0u, 1u), plane),
+        node_at(i + vec2u(1u, 1u), plane),
+    );
+}
+
+// Along an axis, the line between two values is off by half of s (1 - s) h times what the slopes differ by.
+fn bent(a: vec3f, b: vec3f, slope_a: vec3f, slope_b: vec3f, s: f32) -> vec3f {
+    return mix(a, b, s) + 0.5 * f32(STEP) * s * (1.0 - s) * (slope_a - slope_b);
+}
+
+// At a place in the cell, from 0 to 1.
+fn between_nodes(cell: Patch, at: vec2f) -> Source {
+    let s = at.x;
+    let upper = bent(cell.p.shift, cell.q.shift, cell.p.matrix[0], cell.q.matrix[0], s);
+    let lower = bent(cell.r.shift, cell.o.shift, cell.r.matrix[0], cell.o.matrix[0], s);
+    let above = cell.p.matrix + s * (cell.q.matrix - cell.p.matrix);
+    let below = cell.r.matrix + s * (cell.o.matrix - cell.r.matrix);
+    return Source(bent(upper, lower, above[1], below[1], at.y), above + at.y * (below - above));
+}
+
+// From physical units to pixels.
+fn in_pixels(matrix: mat3x3f) -> mat3x3f {
+    var m: mat3x3f;
+    for (var c = 0u; c < 3u; c++) {
+        m[c] = matrix[c] * domain.spacing[c] / domain.spacing.xyz;
+    }
+    return m;
+}
+
+fn norm_of(m: mat3x3f) -> f32 {
+    return sqrt(dot(m[0], m[0]) + dot(m[1], m[1]) + dot(m[2], m[2]));
+}
+
+fn finest() -> f32 {
+    return min(domain.spacing.x, min(domain.spacing.y, domain.spacing.z));
+}
+
+// How far from the true T⁻¹(q) a source point is, in pixels, to first order.
+fn error_at(q: vec3f, source: Source) -> f32 {
+    let at = moved(0u, settings.strokes, q, source.shift * domain.spacing.xyz);
+    return length(source.matrix * (at.offset / domain.spacing.xyz));
+}
+
+@compute @workgroup_size(8, 8)
+fn solve(@builtin(global_invocation_id) id: vec3u) {
+    if (id.x >= settings.nodes.x || id.y >= settings.nodes.y) {
+        return;
+    }
+    let q = vec3f(vec2f(id.xy * STEP), f32(settings.first + id.z)) * domain.spacing.xyz;
+    let found = undo(q, 1e-3 * finest());
+    let m = in_pixels(found.matrix);
+    let place = 4u * ((id.z * settings.nodes.y + id.y) * settings.nodes.x + id.x);
+    nodes[place] = vec4f(found.offset / domain.spacing.xyz, norm_of(m) * found.residual / finest());
+    for (var c = 0u; c < 3u; c++) {
+        nodes[place + 1u + c] = vec4f(m[c], 0.0);
+    }
+}
+
+// Which cells interpolate well enough: their error, as far as it is seen, with a reserve.
+@compute @workgroup_size(8, 8)
+fn check(@builtin(global_invocation_id) id: vec3u) {
+    let cells = settings.nodes - 1u;
+    if (id.x >= cells.x || id.y >= cells.y) {
+        return;
+    }
+    let patch_ = patch_at(id.xy, id.z);
+    var found = 0.0;
+    for (var k = 0u; k < 8u; k++) {
+        let at = SEEN[k];
+        let p = (vec2f(id.xy) + at) * f32(STEP);
+        let q = vec3f(p, f32(settings.first + id.z)) * domain.spacing.xyz;
+        found = max(found, error_at(q, between_nodes(patch_, at)));
+    }
+    let cell = (id.z * cells.y + id.y) * cells.x + id.x;
+    errors[cell] = RESERVE * found;
+    if (!(RESERVE * found <= settings.tolerance)) {
+        rough[4u + atomicAdd(&stats[2], 1u)] = cell;
+    }
+}
+
+// How many workgroups the cells take that were found too coarse.
+@compute @workgroup_size(1)
+fn count() {
+    let n = atomicLoad(&stats[2]);
+    rough[0] = min(n, MOST_GROUPS);
+    rough[1] = (n + MOST_GROUPS - 1u) / MOST_GROUPS;
+    rough[2] = 1u;
+    rough[3] = n;
+}
+
+const MOST_GROUPS = 65535u;
+
+const RESERVE = 2.0;
+const SEEN = array<vec2f, 8>(
+    vec2f(0.5, 0.5), vec2f(0.5, 0.0), vec2f(0.0, 0.5), vec2f(0.25, 0.25),
+    vec2f(0.75, 0.25), vec2f(0.25, 0.75), vec2f(0.75, 0.75), vec2f(0.5, 0.25),
+);

@@ -1,0 +1,76 @@
+// T⁻¹ at a point: Newton's method with backtracking; see supple/cpu/newton.py.
+
+struct Found {
+    offset: vec3f, // of the source point from q
+    residual: f32, // |T(p) - q| there, in physical units
+    steps: f32, // evaluations of T with its Jacobian, over all strokes
+    matrix: mat3x3f, // ∂p/∂q
+}
+
+fn inverse_of(m: mat3x3f) -> mat3x3f {
+    let a = cross(m[1], m[2]);
+    let b = cross(m[2], m[0]);
+    let c = cross(m[0], m[1]);
+    return transpose(mat3x3f(a, b, c)) * (1.0 / dot(m[0], a));
+}
+
+// A fixed face maps to itself, and nothing moves across it: the solution is on the target's side.
+fn kept_inside(q: vec3f, goal: vec3f, w: vec3f) -> vec3f {
+    var out = w;
+    for (var axis = 0u; axis < 3u; axis++) {
+        if (domain.sigma[axis] >= 0.0) {
+            let target_ = q[axis] + goal[axis];
+            let beyond = target_ <= 0.0 || target_ >= domain.extent[axis];
+            out[axis] = select(clamp(w[axis], -q[axis], domain.extent[axis] - q[axis]), goal[axis], beyond);
+        }
+    }
+    return out;
+}
+
+// Solve T(q + w) = q + goal for the strokes from first to last - 1, from a guess of w.
+fn newton(first: u32, last: u32, q: vec3f, goal: vec3f, guess: vec3f, tolerance: f32, limit: u32) -> Found {
+    var best = Found(guess, 1e30, 0.0, mat3x3f(1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0));
+    var step = vec3f(0.0);
+    var part = 1.0;
+    var steps = 0.0;
+    for (var i = 0u; i < limit; i++) {
+        let tried = kept_inside(q, goal, best.offset + part * step);
+        let at = moved(first, last, q, tried);
+        let error = at.offset - goal;
+        let size = length(error);
+        steps += 1.0;
+        if (size <= best.residual * (1.0 - 1e-4 * part)) {
+            let matrix = inverse_of(at.jacobian);
+            step = -(matrix * error);
+            best = Found(tried, size, steps, matrix);
+            part = 1.0;
+            if (length(step) <= tolerance) {
+                best.offset = kept_inside(q, goal, tried + step); // it is known, and taken
+                break;
+            }
+        } else {
+            // No better, and no farther off than rounding puts it: this is as good as it gets.
+            part *= 0.5;
+            if (part * length(step) <= 0.01 * tolerance) {
+                break;
+            }
+        }
+    }
+    best.steps = steps;
+    return best;
+}
+
+// T⁻¹(q) without a guess: stroke after stroke undone, the last one first, and polished together.
+fn undo(q: vec3f, tolerance: f32) -> Found {
+    let count = u32(settings.strokes);
+    var w = vec3f(0.0);
+    var steps = 0.0;
+    for (var k = count; k > 0u; k--) {
+        let found = newton(k - 1u, k, q, w, w, tolerance, 40u);
+        w = found.offset;
+        steps += found.steps;
+    }
+    var found = newton(0u, count, q, vec3f(0.0), w, tolerance, 8u);
+    found.steps += steps;
+    return found;
+}

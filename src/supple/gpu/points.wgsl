@@ -1,0 +1,41 @@
+// T and T⁻¹ of points, one for each thread.
+
+struct Settings {
+    strokes: u32,
+    count: u32,
+    tolerance: f32,
+    unused: f32,
+}
+
+@group(0) @binding(0) var<uniform> settings: Settings;
+@group(0) @binding(1) var<uniform> domain: Domain;
+@group(0) @binding(2) var<storage, read> strokes: array<Stroke>;
+@group(0) @binding(3) var<storage, read> anchors: array<vec4f>; // q
+@group(0) @binding(4) var<storage, read> offsets: array<vec4f>; // what is added to them, or should be reached
+@group(0) @binding(5) var<storage, read_write> results: array<vec4f>; // four for each point
+
+@compute @workgroup_size(64)
+fn forward(@builtin(global_invocation_id) id: vec3u, @builtin(num_workgroups) groups: vec3u) {
+    let i = id.x + id.y * groups.x * 64u;
+    if (i >= settings.count) {
+        return;
+    }
+    let at = moved(0u, settings.strokes, anchors[i].xyz, offsets[i].xyz);
+    results[4u * i] = vec4f(at.offset, 0.0);
+    for (var c = 0u; c < 3u; c++) {
+        results[4u * i + 1u + c] = vec4f(at.jacobian[c], 0.0);
+    }
+}
+
+@compute @workgroup_size(64)
+fn inverse(@builtin(global_invocation_id) id: vec3u, @builtin(num_workgroups) groups: vec3u) {
+    let i = id.x + id.y * groups.x * 64u;
+    if (i >= settings.count) {
+        return;
+    }
+    let found = undo(anchors[i].xyz, settings.tolerance);
+    results[4u * i] = vec4f(found.offset, found.residual);
+    results[4u * i + 1u] = vec4f(found.matrix[0], found.steps);
+    results[4u * i + 2u] = vec4f(found.matrix[1], 0.0);
+    results[4u * i + 3u] = vec4f(found.matrix[2], 0.0);
+}

@@ -1,0 +1,188 @@
+// Planes of an image or of a stack of frames, warped: lattice, check, and colours at T⁻¹ of every pixel.
+
+struct Settings {
+    size: vec2u, // pixels of a plane
+    nodes: vec2u, // of its lattice
+    fill: vec4f,
+    strokes: u32,
+    first: u32, // of the planes that are made here
+    frames: u32, // of the whole source
+    earliest: u32, // of the source's frames that are here
+    held: u32, // how many they are
+    channels: u32,
+    white: f32, // what opaque and white are
+    tolerance: f32, // of source points, in pixels
+    bounds: vec2f, // of the values of the samples' type
+    groups: u32, // words of pixels in a row
+    unused: u32,
+}
+
+@group(0) @binding(0) var<uniform> settings: Settings;
+@group(0) @binding(1) var<uniform> domain: Domain;
+@group(0) @binding(2) var<storage, read> strokes: array<Stroke>;
+@group(0) @binding(3) var<storage, read_write> nodes: array<vec4f>;
+@group(0) @binding(4) var<storage, read_write> errors: array<f32>;
+@group(0) @binding(5) var<storage, read> samples: array<u32>;
+@group(0) @binding(6) var<storage, read_write> target_: array<u32>;
+// The worst error of a source point, how many points are lost, and how many cells are rough.
+@group(0) @binding(7) var<storage, read_write> stats: array<atomic<u32>, 4>;
+@group(0) @binding(8) var<storage, read_write> rough: array<u32>; // workgroups, the number of cells, and which ones
+
+override FORMAT: u32;
+override FILTER: u32;
+override BETWEEN: u32;
+override OUTSIDE: u32;
+override ALPHA: bool;
+override LIGHT: bool;
+
+const BYTE = 0u;
+const BYTES = 1u;
+const SHORT = 2u;
+const SHORTS = 3u;
+const FLOAT = 4u;
+const NEAREST = 0u;
+const LINEAR = 1u;
+const CUBIC = 2u;
+const ANTIALIAS = 3u;
+const AUTO = 4u;
+const EDGE = 0u;
+const CONSTANT = 1u;
+const REFLECT = 2u;
+const STEP = 16u;
+const TAPS = 16u;
+
+var<private> worst: f32 = 0.0;
+var<private> lost: u32 = 0u;
+
+// A workgroup makes the pixels of one cell: what it reads of the lattice is the same for all of them.
+var<private> cell: vec2u;
+var<private> known: f32; // the error of what the cell interpolates
+var<private> patch_: Patch;
+
+// T⁻¹ of a pixel: from the lattice where that is good enough, and solved from there elsewhere.
+fn source_of(x: u32, y: u32, plane: u32, solving: bool) -> Source {
+    let source = between_nodes(patch_, (vec2f(vec2u(x, y)) - vec2f(STEP * cell)) / f32(STEP));
+    if (!solving) {
+        worst = max(worst, known);
+        return source;
+    }
+    let q = vec3f(vec2f(vec2u(x, y)), f32(settings.first + plane)) * domain.spacing.xyz;
+    let wanted = 0.1 * settings.tolerance * finest();
+    var found = newton(0u, settings.strokes, q, vec3f(0.0), source.shift * domain.spacing.xyz, wanted, 12u);
+    var m = in_pixels(found.matrix);
+    var off = norm_of(m) * found.residual / finest();
+    if (!(off <= settings.tolerance)) {
+        found = undo(q, wanted);
+        m = in_pixels(found.matrix);
+        off = norm_of(m) * found.residual / finest();
+        if (!(off <= settings.tolerance)) {
+            lost += 1u;
+        }
+    }
+    worst = max(worst, off);
+    return Source(found.offset / domain.spacing.xyz, m);
+}
+
+fn colour(x: u32, y: u32, plane: u32, solving: bool) -> vec4f {
+    let source = source_of(x, y, plane, solving);
+    let v = filtered(vec3i(vec3u(x, y, settings.first + plane)), source);
+    if (FORMAT < FLOAT) {
+        return clamp(round(v), vec4f(settings.bounds.x), vec4f(settings.bounds.y));
+    }
+    return v;
+}
+
+fn write(at: vec2u, plane: u32, solving: bool) {
+    let row = plane * settings.size.y + at.y;
+    switch FORMAT {
+        // Several pixels in a word: rows begin with a word of their own.
+        case BYTE, SHORT: {
+            let pixels = select(2u, 4u, FORMAT == BYTE);
+            let bits = 32u / pixels;
+            var word = 0u;
+            for (var k = 0u; k < pixels; k++) {
+                let x = pixels * at.x + k;
+                if (x < settings.size.x) {
+                    word |= u32(colour(x, at.y, plane, solving).x) << (bits * k);
+                }
+            }
+            target_[row * settings.groups + at.x] = word;
+        }
+        case BYTES: {
+            target_[row * settings.groups + at.x] = pack4xU8(vec4u(colour(at.x, at.y, plane, solving)));
+        }
+        case SHORTS: {
+            let v = vec4u(colour(at.x, at.y, plane, solving));
+            let i = 2u * (row * settings.groups + at.x);
+            target_[i] = v.x | (v.y << 16u);
+            target_[i + 1u] = v.z | (v.w << 16u);
+        }
+        case FLOAT: {
+            target_[row * settings.groups + at.x] = bitcast<u32>(colour(at.x, at.y, plane, solving).x);
+        }
+        default: {
+            let v = bitcast<vec4u>(colour(at.x, at.y, plane, solving));
+            let i = 4u * (row * settings.groups + at.x);
+            for (var k = 0u; k < 4u; k++) {
+                target_[i + k] = v[k];
+            }
+        }
+    }
+}
+
+// Threads along the sides of a cell; each makes eight pixels, with what it read of the lattice once.
+override ACROSS: u32;
+override DOWN: u32;
+
+fn fill(group: vec2u, plane: u32, own: vec2u, solving: bool) {
+    patch_ = patch_at(cell, plane);
+    let x = group.x * ACROSS + own.x;
+    if (x < settings.groups) {
+        for (var j = own.y; j < STEP; j += DOWN) {
+            let y = group.y * STEP + j;
+            if (y < settings.size.y) {
+                write(vec2u(x, y), plane, solving);
+            }
+        }
+        // Positive numbers are in order as their bits are.
+        atomicMax(&stats[0], bitcast<u32>(worst));
+        if (lost > 0u) {
+            atomicAdd(&stats[1], lost);
+        }
+    }
+}
+
+// Cells that interpolate well enough.
+@compute @workgroup_size(ACROSS, DOWN)
+fn warp(@builtin(local_invocation_id) own: vec3u, @builtin(workgroup_id) group: vec3u) {
+    let cells = settings.nodes - 1u;
+    cell = min(group.xy, cells - 1u); // a last pixel may be the last node
+    known = errors[(group.z * cells.y + cell.y) * cells.x + cell.x];
+    if (known <= settings.tolerance) {
+        fill(group.xy, group.z, own.xy, false);
+    }
+}
+
+// The others, in a pass of their own: what a branch may do costs some GPUs as much as what it does.
+@compute @workgroup_size(ACROSS, DOWN)
+fn solve_and_warp(
+    @builtin(local_invocation_id) own: vec3u,
+    @builtin(workgroup_id) group: vec3u,
+    @builtin(num_workgroups) groups: vec3u,
+) {
+    let place = group.y * groups.x + group.x;
+    if (place >= rough[3]) {
+        return;
+    }
+    let cells = settings.nodes - 1u;
+    let which = rough[4u + place];
+    let plane = which / (cells.x * cells.y);
+    cell = vec2u(which % cells.x, which / cells.x % cells.y);
+    // Pixels on the last nodes have no cell of their own.
+    let more = vec2u(u32(cell.x + 1u == cells.x), u32(cell.y + 1u == cells.y));
+    for (var j = 0u; j <= more.y; j++) {
+        for (var i = 0u; i <= more.x; i++) {
+            fill(cell + vec2u(i, j), plane, own.xy, true);
+        }
+    }
+}
