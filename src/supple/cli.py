@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, NoReturn
 
 from cyclopts import App, CycloptsError, Group, Parameter
 
-from supple.cli_volume import POINTS_EXAMPLES, RENDER_EXAMPLES, VolumeCommands, say_convention
+from supple.cli_volume import POINTS_EXAMPLES, RENDER_EXAMPLES, VolumeCommands, say_convention, say_software
 from supple.console import Console, SomeFailedError, run
 from supple.errors import SuppleError
 from supple.options import RUNNING, RunOptions, StrokeOptions, VideoOptions, parse_fill, parse_integer, parse_number
@@ -126,12 +126,7 @@ class _Commands:
             raise SuppleError("give a file to read and a name to write to: supple warp IN OUT --grab …")
         self.console.started(quiet=options.quiet, threads=options.threads)
         recipe = strokes.to_recipe()
-        if device == "gpu":
-            from supple.gpu.device import open_gpu
-
-            gpu = open_gpu()
-            if gpu.software:
-                self.console.warn(f"{gpu.name} is a program that runs on the CPU: no graphics card was found")
+        say_software(self.console, device)
         sampling: dict[str, Any] = {
             "filter": filter,
             "outside": outside,

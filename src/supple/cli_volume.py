@@ -69,6 +69,7 @@ class VolumeCommands:
         from supple.views import render_file
 
         self.console.started(quiet=options.quiet, threads=options.threads)
+        say_software(self.console, look.device)
         recipe = strokes.to_recipe() if strokes.any else None
         render, reading = look.to_render(camera.to_camera()), volume.to_reading()
         if reading.world and recipe is None:
@@ -149,6 +150,16 @@ class VolumeCommands:
         if not options.quiet:
             many = "1 point" if moved.count == 1 else f"{moved.count} points"
             print(f"{many}, moved by up to {furthest:.3g} {unit}; residual up to {worst:.1g} {unit}")
+
+
+def say_software(console: Console, device: str) -> None:
+    """Say that the GPU that was asked for is none; SuppleError if there is not even such a one."""
+    if device == "gpu":
+        from supple.gpu.device import open_gpu
+
+        gpu = open_gpu()
+        if gpu.software:
+            console.warn(f"{gpu.name} is a program that runs on the CPU: no graphics card was found")
 
 
 def say_convention(console: Console, world: bool, geometry: Geometry | None, name: object, options: RunOptions) -> None:

@@ -142,6 +142,8 @@ class LookOptions:
         The picture, or how many inversions each ray needed.
     time
         Which volume of a series in time, from 0.
+    device
+        Who takes the pictures: the CPU, the GPU, or auto: a graphics card, where there is one.
     """
 
     transfer: Annotated[str | None, Parameter(metavar="NAME|FILE")] = None
@@ -156,6 +158,7 @@ class LookOptions:
     rate: Annotated[str, Parameter(metavar="N", allow_leading_hyphen=True)] = "24"
     what: Literal["picture", "inversions"] = "picture"
     time: Annotated[int, Parameter(metavar="K", allow_leading_hyphen=True)] = 0
+    device: Literal["auto", "cpu", "gpu"] = "cpu"
 
     def to_render(self, camera: Camera) -> RenderOptions:
         """The same for the library."""
@@ -175,6 +178,7 @@ class LookOptions:
             rate=parse_number("--rate", self.rate, "a number of pictures a second"),
             what=self.what,
             time=self.time,
+            device=self.device,
         )
 
 

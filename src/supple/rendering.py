@@ -18,8 +18,13 @@ from supple.cpu.sampling import linear_light
 from supple.cpu.solid import solve_solid, unmoved
 from supple.deformation import Deformation
 from supple.domain import choice, integer, number, point, refuse
-from supple.errors import SuppleError, ToleranceWarning
+from supple.engines import gpu_of
+from supple.errors import DeviceWarning, SuppleError, ToleranceWarning
 from supple.geometry import Geometry
+from supple.gpu import raymarch as shading
+from supple.gpu.device import Gpu
+from supple.gpu.kernel import failures
+from supple.strokes import STROKE_DTYPE
 from supple.transfer import ENTRIES, PRESETS, TransferFunction
 
 Array = npt.NDArray[Any]
@@ -122,11 +127,19 @@ class Scene:
         Whether surfaces are lit, by their gradient.
     tolerance : float
         How far source points may be from the true T⁻¹(q), in voxels.
+    device : str
+        Who marches along the rays: the ``"cpu"``; the ``"gpu"``, also one that is a program for the CPU; or ``"auto"``:
+        a graphics card, where there is one. What it cannot hold, the CPU does.
 
     Raises
     ------
     SuppleError
         If something does not fit.
+
+    Warns
+    -----
+    DeviceWarning
+        If the GPU was asked for and failed, so that the CPU does it.
     """
 
     samples: Array
@@ -149,6 +162,7 @@ class Scene:
     _skips: npt.NDArray[np.uint8]
     _table: npt.NDArray[np.float32]
     _threshold: float
+    _held: shading.Held | None
 
     def __init__(
         self,
@@ -162,8 +176,10 @@ class Scene:
         step: float | None = None,
         shaded: bool = True,
         tolerance: float = 0.2,
+        device: str = "cpu",
     ) -> None:
         choice("mode", mode, MODES)
+        gpu = gpu_of(device)
         places = Geometry() if geometry is None else geometry
         given = np.asarray(samples)
         if given.ndim != 3 or 0 in given.shape or given.dtype.kind not in "biuf":
@@ -220,6 +236,7 @@ class Scene:
             **_seen_through(known, density, (low, high), step),
         }
         values["_skips"] = self._skipped(values)
+        values["_held"] = _held(gpu, values, device == "gpu") if gpu is not None else None
         for name, value in values.items():
             object.__setattr__(self, name, value)
 
@@ -282,10 +299,22 @@ class Scene:
         fine = integer("supersampling", supersampling, "a number of rays along a pixel's side, from 1 to 8", 1, 8)
         view = self.view(camera or Camera(), size)
         height, width = size[0] * fine, size[1] * fine
-        light, depth = np.empty((height, width, 4), np.float32), np.empty((height, width, 2))
-        work = np.zeros((height, width, 2), np.int64)
         columns = (np.arange(width) + 0.5) / fine - 0.5
 
+        def smaller(a: Array, take: Callable[..., Array]) -> Array:
+            return take(a.reshape(size[0], fine, size[1], fine, -1), axis=(1, 3)) if fine > 1 else a
+
+        if self._held is not None:
+            try:
+                with self._held.gpu.lock:
+                    light, depth, work = shading.march(
+                        self._held, self._look(view), view.packed, (height, width), fine, lambda n: tell(n // fine)
+                    )
+                return _picture(smaller(light, np.mean), smaller(depth, np.min), smaller(work, np.sum))
+            except failures() as error:
+                warnings.warn(f"the CPU did what {self._held.gpu.name} could not: {error}", DeviceWarning, stacklevel=2)
+        light, depth = np.empty((height, width, 4), np.float32), np.empty((height, width, 2))
+        work = np.zeros((height, width, 2), np.int64)
         march = self._marcher(view)
 
         def rows(top: int) -> None:
@@ -300,13 +329,21 @@ class Scene:
             share(rows, starts[k : k + 64])
             tell(min(starts[min(k + 63, len(starts) - 1)] + _ROWS, height) // fine)
 
-        def smaller(a: Array, take: Callable[..., Array]) -> Array:
-            return take(a.reshape(size[0], fine, size[1], fine, -1), axis=(1, 3))
+        return _picture(smaller(light, np.mean), smaller(depth, np.min), smaller(work, np.sum))
 
-        if fine > 1:
-            light, work = smaller(light, np.mean), smaller(work, np.sum)
-            depth = smaller(depth, np.min)
-        return Picture(light, depth[..., 0], work[..., 0], work[..., 1])
+    def _look(self, view: View) -> shading.Look:
+        low, high = self.range
+        return shading.Look(
+            self._skips,
+            self._table,
+            low,
+            _entries(low, high),
+            self._threshold,
+            self.density,
+            self.step,
+            _light(view),
+            self.shaded,
+        )
 
     def _marcher(self, view: View) -> Callable[..., None]:
         """What marches along the rays of pixels, into colours, depths and work; see `supple.cpu.raymarch`."""
@@ -390,6 +427,27 @@ class Scene:
     def turned(self, camera: Camera, k: int, count: int) -> Camera:
         """The camera of picture ``k`` of ``count`` on a way around the volume."""
         return replace(camera, azimuth=camera.azimuth + 360.0 * k / count)
+
+
+def _picture(light: Array, depth: Array, work: Array) -> Picture:
+    return Picture(light, depth[..., 0], work[..., 0], work[..., 1])
+
+
+def _held(gpu: Gpu, known: dict[str, Any], must: bool) -> shading.Held | None:
+    """A volume on the GPU; None if it does not fit there."""
+    deformation = known["deformation"]
+    mode, table, axes = shading.PLAIN, np.zeros(0, STROKE_DTYPE), np.zeros((3, 3))
+    axes[:, 2] = known["geometry"].spacing
+    if deformation is not None:
+        table, axes = deformation.space.table, deformation.space.axes
+        mode = {"lattice": shading.LATTICE, "exact": shading.EXACT}.get(known["mode"], shading.PLAIN)
+    try:
+        with gpu.lock:
+            return shading.hold(gpu, known["samples"], known["_nodes"], known["_per_voxel"], mode, table, axes)
+    except failures() as error:
+        if must:
+            warnings.warn(f"the CPU does what {gpu.name} cannot: {error}", DeviceWarning, stacklevel=4)
+        return None
 
 
 def transfer_function(given: TransferFunction | str) -> TransferFunction:

@@ -13,6 +13,7 @@ import numpy.typing as npt
 
 from supple.camera import Camera
 from supple.domain import choice, integer, number, point
+from supple.engines import DEVICES
 from supple.errors import SuppleError
 from supple.media import image, reel
 from supple.media.files import check_output, shown
@@ -62,6 +63,8 @@ class RenderOptions:
         ``"picture"``, or ``"inversions"``: how often T⁻¹ was needed along each ray.
     time : int
         Which volume of a series, from 0.
+    device : str
+        ``"cpu"``, ``"gpu"`` or ``"auto"``; see `supple.rendering.Scene`.
     """
 
     transfer: TransferFunction | PathLike | None = None
@@ -77,8 +80,10 @@ class RenderOptions:
     rate: float = 24.0
     what: str = "picture"
     time: int = 0
+    device: str = "cpu"
 
     def __post_init__(self) -> None:
+        choice("device", self.device, DEVICES)
         choice("mode", self.mode, MODES)
         choice("what", self.what, WHATS)
         for name, pixels in zip(("height", "width"), self.size, strict=True):
@@ -140,6 +145,7 @@ def scene_of(
         mode=known.mode,
         step=known.step,
         shaded=known.shaded,
+        device=known.device,
     )
 
 

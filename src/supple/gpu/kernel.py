@@ -15,6 +15,7 @@ Array = npt.NDArray[Any]
 
 UNIFORM, READ, WRITE = "uniform", "read-only-storage", "storage"
 MOST_GROUPS = 65535
+LEAST = 256  # bytes of a buffer: an array of one item must fit, though it may hold none
 
 
 def failures() -> tuple[type[Exception], ...]:
@@ -62,7 +63,7 @@ def upload(gpu: Gpu, array: Array, kind: str = READ) -> Any:
     if data.size == 0:
         data = np.zeros(4, np.uint8)
     size = -(-data.size // 4) * 4
-    buffer = gpu.device.create_buffer(size=max(size, 16), usage=f"{usage}|COPY_DST")
+    buffer = gpu.device.create_buffer(size=max(size, LEAST), usage=f"{usage}|COPY_DST")
     whole = data.size // 4 * 4
     if whole:
         gpu.device.queue.write_buffer(buffer, 0, data[:whole])
@@ -73,7 +74,7 @@ def upload(gpu: Gpu, array: Array, kind: str = READ) -> Any:
 
 def room(gpu: Gpu, size: int) -> Any:
     """Room for ``size`` bytes on the device, all 0."""
-    return gpu.device.create_buffer(size=max(-(-size // 4) * 4, 16), usage="STORAGE|COPY_SRC|COPY_DST")
+    return gpu.device.create_buffer(size=max(-(-size // 4) * 4, LEAST), usage="STORAGE|COPY_SRC|COPY_DST")
 
 
 def run(gpu: Gpu, passes: Sequence[tuple[Any, Sequence[Any], Any]]) -> None:

@@ -1,0 +1,249 @@
+// A volume seen through a camera, a ray for each thread; see supple/cpu/raymarch.py.
+
+struct Settings {
+    size: vec3u, // voxels
+    strokes: u32,
+    nodes: vec3u, // of the lattice of T⁻¹
+    spread: f32, // voxels from node to node
+    bricks: vec3u, // of the map of what may be skipped
+    first: u32, // of the rows that are made here
+    picture: vec2u,
+    window: vec2f, // the values that are seen at all
+    eye: vec4f, // in voxels
+    ahead: vec4f, // where the camera looks, and a pixel to the right and one down, in millimetres along the axes
+    right: vec4f,
+    below: vec4f,
+    light: vec4f, // where it comes from
+    step: f32, // millimetres from sample to sample
+    low: f32, // the value of the first entry of the transfer function, and entries a value
+    scale: f32,
+    threshold: f32, // below it, nothing is seen before the first surface
+    entries: u32,
+    shaded: u32,
+    always: u32, // whether any value is seen
+    fine: u32, // rays along a pixel's side
+    rows: u32,
+    unused: vec3u,
+}
+
+@group(0) @binding(0) var<uniform> settings: Settings;
+@group(0) @binding(1) var<uniform> domain: Domain;
+@group(0) @binding(2) var<storage, read> strokes: array<Stroke>;
+@group(0) @binding(3) var<storage, read> nodes: array<vec4f>;
+@group(0) @binding(4) var<storage, read> skips: array<u32>;
+@group(0) @binding(5) var<storage, read> samples: array<u32>;
+@group(0) @binding(6) var<storage, read> colours: array<vec4f>; // the transfer function
+@group(0) @binding(7) var<storage, read_write> seen: array<vec4f>; // for each ray: colour; depth, samples, inversions
+
+override FORMAT: u32;
+override MODE: u32;
+
+const BYTE = 0u;
+const SIGNED_BYTE = 1u;
+const SHORT = 2u;
+const SIGNED_SHORT = 3u;
+const PLAIN = 0u;
+const LATTICE = 1u;
+const EXACT = 2u;
+const BRICK = 4u;
+const BISECTIONS = 2u;
+const OPAQUE = 0.995;
+const FAINT = 4e-3;
+const FAR = 3e38;
+
+var<private> inversions: f32 = 0.0;
+
+// Where a point of what is seen comes from, in voxels; an exact one starts from the displacement of the one before.
+struct Place {
+    p: vec3f,
+    shift: vec3f,
+    matrix: mat3x3f, // ∂p/∂q, in physical units, of an exact one
+}
+
+fn source_of(q: vec3f, near: vec3f) -> Place {
+    let still = mat3x3f(1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0);
+    if (MODE == LATTICE) {
+        return Place(q + displacement(q), vec3f(0.0), still);
+    }
+    if (MODE == EXACT) {
+        let at = q * domain.spacing.xyz;
+        let finest = min(domain.spacing.x, min(domain.spacing.y, domain.spacing.z));
+        let wanted = 1e-3 * finest;
+        var found = newton(0u, settings.strokes, at, vec3f(0.0), near, wanted, 10u);
+        inversions += found.steps;
+        if (found.residual > 0.05 * finest) {
+            found = undo(at, wanted);
+            inversions += found.steps;
+        }
+        return Place(q + found.offset / domain.spacing.xyz, found.offset, found.matrix);
+    }
+    return Place(q, vec3f(0.0), still);
+}
+
+struct Ray {
+    o: vec3f, // in voxels
+    d: vec3f, // voxels a millimetre
+    over: vec3f, // 1 / d
+    forwards: vec3<bool>,
+    // Samples lie whole steps from a start: a sum of many would not stay exact.
+    start: f32,
+    count: f32,
+}
+
+// How many steps lead out of the bricks around that nothing is seen of; 0 where there are none.
+fn steps_to_skip(ray: Ray, q: vec3f, t: f32) -> f32 {
+    if (MODE == EXACT) {
+        return 0.0;
+    }
+    let i = min(vec3u(max(q, vec3f(0.0))) / BRICK, settings.bricks - 1u);
+    let k = (i.z * settings.bricks.y + i.y) * settings.bricks.x + i.x;
+    let away = f32(extractBits(skips[k >> 2u], 8u * (k & 3u), 8u));
+    let wall = f32(BRICK) * (vec3f(i) + select(vec3f(1.0 - away), vec3f(away), ray.forwards));
+    let leaves = (wall - ray.o) * ray.over;
+    let leave = min(leaves.x, min(leaves.y, leaves.z));
+    return select(0.0, max(1.0, ceil((leave - t) / settings.step - 1e-3)), away > 0.0);
+}
+
+// The gradient of what is seen, for each millimetre: (∂p/∂q)ᵀ ∇f.
+fn gradient_at(place: Place, q: vec3f) -> vec3f {
+    let g = slopes_at(place.p);
+    if (MODE == LATTICE) {
+        return g * matrix_at(q) / domain.spacing.xyz;
+    }
+    return (g / domain.spacing.xyz) * place.matrix;
+}
+
+fn seen_first(value: f32) -> bool {
+    return value >= settings.threshold && value <= settings.window.y;
+}
+
+@compute @workgroup_size(8, 8)
+fn march(@builtin(global_invocation_id) id: vec3u) {
+    let size = settings.picture;
+    if (id.x >= size.x || id.y >= settings.rows || id.y + settings.first >= size.y) {
+        return;
+    }
+    let fine = f32(settings.fine);
+    let pixel = (vec2f(f32(id.x), f32(id.y + settings.first)) + 0.5) / fine - 0.5
+        - 0.5 * (vec2f(size) / fine - 1.0);
+    let along = normalize(settings.ahead.xyz + pixel.x * settings.right.xyz + pixel.y * settings.below.xyz);
+    let d = along / domain.spacing.xyz;
+    let o = settings.eye.xyz;
+    // Where the ray enters and leaves the box between the outermost voxels' centres.
+    let safe = select(d, vec3f(1e-12), abs(d) < vec3f(1e-12));
+    let over = 1.0 / safe;
+    let one_way = -o * over;
+    let other_way = (vec3f(settings.size - 1u) - o) * over;
+    let enters = min(one_way, other_way);
+    let leaves = max(one_way, other_way);
+    let near = max(0.0, max(enters.x, max(enters.y, enters.z)));
+    let far = min(leaves.x, min(leaves.y, leaves.z));
+    let half_ = normalize(settings.light.xyz - along);
+    var ray = Ray(o, d, over, safe > vec3f(0.0), near, 0.0);
+    var taken = 0.0;
+    var shift = vec3f(0.0);
+    var surface = FAR;
+    if (near <= far) {
+        surface = select(FAR, near, settings.always == 1u);
+        // To the first sample above the threshold ...
+        var at = near;
+        var value = 0.0;
+        while (surface == FAR && at <= far) {
+            let q = o + at * d;
+            let hop = steps_to_skip(ray, q, at);
+            if (hop > 0.0) {
+                ray.count += hop;
+            } else {
+                let place = source_of(q, shift);
+                shift = place.shift;
+                value = sample_at(place.p);
+                taken += 1.0;
+                if (seen_first(value)) {
+                    surface = at;
+                    break;
+                }
+                ray.count += 1.0;
+            }
+            at = ray.start + ray.count * settings.step;
+        }
+        // ... and back to the surface, which lies within the last step.
+        if (surface != FAR && settings.always == 0u) {
+            var low = max(near, surface - settings.step);
+            var before = -FAR;
+            for (var turn = 0u; turn <= BISECTIONS; turn++) {
+                var middle = 0.5 * (low + surface);
+                if (turn == BISECTIONS) {
+                    if (!(before > -FAR && before < settings.threshold)) {
+                        break;
+                    }
+                    middle = low + (surface - low) * ((settings.threshold - before) / (value - before));
+                }
+                let inner = source_of(o + middle * d, shift);
+                let there = sample_at(inner.p);
+                taken += 1.0;
+                if (turn == BISECTIONS || seen_first(there)) {
+                    surface = middle;
+                    value = there;
+                    shift = inner.shift;
+                } else {
+                    low = middle;
+                    before = there;
+                }
+            }
+            ray.start = surface;
+            ray.count = 0.0;
+            taken -= 1.0; // the sample at the surface is taken once more
+        }
+    }
+    // What lies behind it.
+    var total = vec4f(0.0);
+    var opaque = FAR;
+    var within = true;
+    var t = select(ray.start + ray.count * settings.step, FAR, surface == FAR);
+    while (t <= far) {
+        let q = o + t * d;
+        let hop = select(steps_to_skip(ray, q, t), 0.0, within);
+        within = false;
+        if (hop > 0.0) {
+            ray.count += hop;
+        } else {
+            let place = source_of(q, shift);
+            shift = place.shift;
+            let value = sample_at(place.p);
+            taken += 1.0;
+            let last = f32(settings.entries - 1u);
+            let colour = colours[u32(clamp((value - settings.low) * settings.scale, 0.0, last) + 0.5)];
+            let part = (1.0 - total.w) * colour.w;
+            if (value >= settings.window.x && value <= settings.window.y && colour.w > 0.0) {
+                within = true;
+                var lit = vec2f(1.0, 0.0);
+                if (settings.shaded == 1u && part > FAINT) {
+                    lit = lit_by(gradient_at(place, q), half_);
+                }
+                total += part * vec4f(colour.xyz * lit.x + lit.y, 1.0);
+                if (opaque == FAR && total.w >= 0.9) {
+                    opaque = t;
+                }
+                if (total.w > OPAQUE) {
+                    break;
+                }
+            }
+            ray.count += 1.0;
+        }
+        t = ray.start + ray.count * settings.step;
+    }
+    let k = 2u * (id.y * size.x + id.x);
+    seen[k] = total;
+    seen[k + 1u] = vec4f(surface, opaque, taken, inversions);
+}
+
+// Ambient and diffuse light, and the highlight, of a surface with a gradient; both sides are lit.
+fn lit_by(gradient: vec3f, half_: vec3f) -> vec2f {
+    let size = length(gradient);
+    if (!(size > 0.0)) {
+        return vec2f(0.95, 0.0);
+    }
+    let normal = gradient / size;
+    let shine = pow(abs(dot(normal, half_)), 16.0);
+    return vec2f(0.15 + 0.8 * abs(dot(normal, settings.light.xyz)), 0.2 * shine);
+}
