@@ -66,7 +66,8 @@ def test_a_picture_is_the_cpu_s(gpu: Gpu, cloud: np.ndarray, bent: supple.Deform
         both = np.isfinite(one.depth) & np.isfinite(other.depth)
         assert np.quantile(abs(one.depth[both] - other.depth[both]), 0.98) < 0.01
         assert (np.isfinite(one.depth) != np.isfinite(other.depth)).mean() < 2e-3
-        assert abs(int(one.samples.sum()) - int(other.samples.sum())) < 0.02 * one.samples.sum()
+        # The CPU looks once more where a ray begins within what is seen.
+        assert abs(int(one.samples.sum()) - int(other.samples.sum())) < 0.08 * one.samples.sum()
         assert (one.evaluations.sum() > 0) == (other.evaluations.sum() > 0) == (mode == "exact")
 
 
