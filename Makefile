@@ -5,12 +5,13 @@ VENV := .venv
 BIN := $(VENV)/bin
 PYTHON ?=
 
-.PHONY: help venv demo test bench soak lint clean
+.PHONY: help venv demo test bench bench-gpu soak lint clean
 
 help:
 	@echo "make demo   a small gallery in demo/, to look at"
 	@echo "make test   all tests"
 	@echo "make bench  how fast and how exact, against others"
+	@echo "make bench-gpu  how fast the GPU is, in its own time"
 	@echo "make soak   ten million points of random strokes"
 	@echo "make lint   style, types and the import rule"
 	@echo "make venv   only the virtual environment, in .venv"
@@ -53,6 +54,9 @@ test: venv
 
 bench: venv $(VENV)/stamp-bench
 	$(BIN)/python benchmarks/run.py
+
+bench-gpu: venv
+	$(BIN)/python benchmarks/gpu.py
 
 soak: venv
 	$(BIN)/python tests/soak.py

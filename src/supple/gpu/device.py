@@ -30,6 +30,7 @@ LIMITS: dict[str, int] = {
 BINDING = LIMITS["max-storage-buffer-binding-size"]
 """The largest array that a shader takes, in bytes."""
 
+CLOCK = "timestamp-query"
 _KINDS = ("DiscreteGPU", "IntegratedGPU", "VirtualGPU", "Unknown", "CPU")
 
 
@@ -50,6 +51,8 @@ class Gpu:
         What has been compiled for it.
     lock
         For whom works on it: one thread at a time.
+    clocks : list
+        Those that are running (`supple.gpu.kernel.clocked`).
     """
 
     name: str
@@ -58,6 +61,7 @@ class Gpu:
     device: Any
     pipelines: dict[Any, Any]
     lock: Any
+    clocks: list[Any]
 
 
 @functools.cache
@@ -115,10 +119,11 @@ def open_gpu(software: bool = True) -> Gpu:
     short = [name for name, wanted in LIMITS.items() if adapter.limits.get(name, wanted) < wanted]
     if short:
         raise SuppleError(f"the GPU {adapter.info['device']!r} is too small ({short[0]}): device cpu needs none")
-    device = adapter.request_device_sync(required_limits=dict(LIMITS))
+    features = [CLOCK] if CLOCK in adapter.features else []
+    device = adapter.request_device_sync(required_limits=dict(LIMITS), required_features=features)
     info = adapter.info
     return Gpu(
-        str(info["device"]), info["adapter_type"] == "CPU", str(info["backend_type"]), device, {}, threading.RLock()
+        str(info["device"]), info["adapter_type"] == "CPU", str(info["backend_type"]), device, {}, threading.RLock(), []
     )
 
 

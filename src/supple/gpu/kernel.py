@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import contextlib
+from collections.abc import Iterator, Mapping, Sequence
 from importlib import resources
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from supple.gpu.device import Gpu
+from supple.gpu.device import CLOCK, Gpu
 
 Array = npt.NDArray[Any]
 
@@ -80,6 +81,7 @@ def room(gpu: Gpu, size: int) -> Any:
 def run(gpu: Gpu, passes: Sequence[tuple[Any, Sequence[Any], Any]]) -> None:
     """Run pipelines one after the other: each with its buffers and its workgroups, or the buffer that tells these."""
     encoder = gpu.device.create_command_encoder()
+    clock = gpu.clocks[-1] if gpu.clocks else None
     for (made, layout), buffers, groups in passes:
         entries = [{"binding": k, "resource": {"buffer": buffer}} for k, buffer in enumerate(buffers)]
         bound = gpu.device.create_bind_group(layout=layout, entries=entries)
@@ -87,7 +89,7 @@ def run(gpu: Gpu, passes: Sequence[tuple[Any, Sequence[Any], Any]]) -> None:
         if not isinstance(groups, tuple):  # a shader cannot write what it is dispatched by
             told = gpu.device.create_buffer(size=16, usage="INDIRECT|COPY_DST")
             encoder.copy_buffer_to_buffer(groups, 0, told, 0, 12)
-        step = encoder.begin_compute_pass()
+        step = encoder.begin_compute_pass(timestamp_writes=clock.next_pass() if clock else None)
         step.set_pipeline(made)
         step.set_bind_group(0, bound)
         if told is None:
@@ -96,6 +98,52 @@ def run(gpu: Gpu, passes: Sequence[tuple[Any, Sequence[Any], Any]]) -> None:
             step.dispatch_workgroups_indirect(told, 0)
         step.end()
     gpu.device.queue.submit([encoder.finish()])
+
+
+class Clock:
+    """What the passes take that are run while it is running, by the GPU's own clock."""
+
+    def __init__(self, gpu: Gpu, most: int = 2048) -> None:
+        self._gpu, self._most, self._passes = gpu, most, 0
+        self._queries = gpu.device.create_query_set(type="timestamp", count=2 * most)
+
+    def next_pass(self) -> dict[str, Any] | None:
+        """Where the next pass writes when it begins and ends; nowhere, beyond the most that it holds."""
+        if self._passes >= self._most:
+            return None
+        k = 2 * self._passes
+        self._passes += 1
+        return {
+            "query_set": self._queries,
+            "beginning_of_pass_write_index": k,
+            "end_of_pass_write_index": k + 1,
+        }
+
+    def seconds(self) -> float:
+        """All passes together."""
+        if not self._passes:
+            return 0.0
+        buffer = self._gpu.device.create_buffer(size=16 * self._most, usage="QUERY_RESOLVE|COPY_SRC")
+        encoder = self._gpu.device.create_command_encoder()
+        encoder.resolve_query_set(self._queries, 0, 2 * self._passes, buffer, 0)
+        self._gpu.device.queue.submit([encoder.finish()])
+        times = np.frombuffer(self._gpu.device.queue.read_buffer(buffer, 0, 16 * self._passes), np.uint64)
+        # In nanoseconds, on all adapters seen so far.
+        return float((times[1::2] - times[::2]).sum()) * 1e-9
+
+
+@contextlib.contextmanager
+def clocked(gpu: Gpu) -> Iterator[Clock | None]:
+    """Measure the passes within; None where a GPU has no clock."""
+    if CLOCK not in gpu.device.features:
+        yield None
+        return
+    clock = Clock(gpu)
+    gpu.clocks.append(clock)
+    try:
+        yield clock
+    finally:
+        gpu.clocks.remove(clock)
 
 
 def download(gpu: Gpu, buffer: Any, dtype: Any, count: int) -> Array:

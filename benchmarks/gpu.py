@@ -1,0 +1,126 @@
+"""The GPU engine: `make bench-gpu`, or `python benchmarks/gpu.py [--quick]`.
+
+What a GPU takes is told by its own clock, where it has one, beside the wall time of the whole call, with upload and
+download. The adapter is named with the table.
+"""
+
+from __future__ import annotations
+
+import argparse
+import statistics
+import time
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from measure import milliseconds
+
+import supple
+from supple.camera import Camera
+from supple.gpu import kernel
+from supple.gpu.device import open_gpu
+from supple.media import image
+from supple.rendering import Scene
+from supple.volumes import open_volume
+
+DATA = Path(supple.__file__).parent / "data"
+
+
+def timed(work: Callable[[], object], runs: int) -> tuple[float, float | None]:
+    """The median wall time of some work, and of what the GPU's clock says of it, in seconds."""
+    walls, clocks = [], []
+    work()  # compiles
+    for _ in range(runs):
+        with kernel.clocked(open_gpu()) as clock:
+            start = time.perf_counter()
+            work()
+            walls.append(time.perf_counter() - start)
+        clocks.append(clock.seconds() if clock else None)
+    known = [c for c in clocks if c is not None]
+    return statistics.median(walls), statistics.median(known) if known else None
+
+
+def row(what: str, work: Callable[[], object], cpu: Callable[[], object] | None, runs: int) -> str:
+    wall, clock = timed(work, runs)
+    other = ""
+    if cpu is not None:
+        cpu()
+        start = time.perf_counter()
+        for _ in range(runs):
+            cpu()
+        other = milliseconds((time.perf_counter() - start) / runs)
+    return f"| {what} | {milliseconds(clock) if clock is not None else 'no clock'} | {milliseconds(wall)} | {other} | {runs} |"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--quick", action="store_true", help="once each, and smaller")
+    quick = parser.parse_args().quick
+    runs, scale = (1, 4) if quick else (5, 1)
+    warnings.simplefilter("ignore", supple.FoldWarning)
+    gpu = open_gpu()
+    print(f"{gpu.name}, {gpu.backend}\n")
+    print("| what | GPU | whole call | CPU engine, whole call | runs |\n|---|---|---|---|---|")
+    photo = image.read(DATA / "coffee.jpg").pixels
+    height, width = 1080 // scale, 1920 // scale
+    frame = np.ascontiguousarray(np.tile(photo, (3, 4, 1))[:height, :width])
+    d = supple.Deformation((height, width), border=None).grab(
+        (width / 2, height / 2), by=(200 / scale, 0), radius=300 / scale
+    )
+    for kind in ("linear", "cubic", "auto"):
+        print(
+            row(
+                f"picture, {width}×{height} RGB, {kind}",
+                lambda kind=kind: d.warp(frame, filter=kind, device="gpu"),  # type: ignore[misc]
+                lambda kind=kind: d.warp(frame, filter=kind),  # type: ignore[misc]
+                runs,
+            )
+        )
+    clip = np.stack([np.roll(frame, 3 * k, axis=1) for k in range(9)])
+    t = supple.Deformation(clip.shape[:3], border=None).grab(
+        (width / 2, height / 2, 4), by=(0, 0, 3), radius=300 / scale
+    )
+    print(
+        row(
+            "9 frames of it bent in time, linear",
+            lambda: t.warp(clip, filter="linear", device="gpu"),
+            lambda: t.warp(clip, filter="linear"),
+            runs,
+        )
+    )
+    head = open_volume(DATA / "head.nii.gz")
+    size = (1000 // scale, 1000 // scale)
+    camera = Camera(azimuth=38, elevation=12, distance=480)
+    bent = supple.Deformation(head.samples.shape, spacing=head.geometry.spacing, border=30)
+    bent = bent.grab((40, 86, 65), to=(44, 63, 53), radius=36)
+    for mode in ("exact", "lattice", "buffered"):
+        scenes = [
+            Scene(head.samples, head.geometry, deformation=bent, transfer="mr-head", mode=mode, step=1.0, device=device)
+            for device in ("gpu", "cpu")
+        ]
+        print(
+            row(
+                f"view of the head, {size[1]}×{size[0]}, {mode}",
+                lambda scenes=scenes: scenes[0].render(camera, size),  # type: ignore[misc]
+                lambda scenes=scenes: scenes[1].render(camera, size),  # type: ignore[misc]
+                runs,
+            )
+        )
+    n = 512 // scale
+    volume = np.random.default_rng(0).random((n, n, n), np.float32)
+    middle = (n / 2, n / 2, n / 2)
+    v = supple.Deformation(volume.shape, border=None).grab(middle, by=(n / 16, 0, 0), radius=n / 5)
+    out = np.empty_like(volume)
+    print(
+        row(
+            f"volume, {n}³ float32, linear",
+            lambda: v.warp(volume, filter="linear", device="gpu", out=out),
+            lambda: v.warp(volume, filter="linear", out=out),
+            1 if gpu.software else runs,
+        )
+    )
+
+
+if __name__ == "__main__":
+    main()
