@@ -8,14 +8,14 @@ PYTHON ?=
 .PHONY: help venv demo test bench bench-gpu soak lint clean
 
 help:
-	@echo "make demo   a small gallery in demo/, to look at"
-	@echo "make test   all tests"
-	@echo "make bench  how fast and how exact, against others"
-	@echo "make bench-gpu  how fast the GPU is, in its own time"
-	@echo "make soak   ten million points of random strokes"
-	@echo "make lint   style, types and the import rule"
-	@echo "make venv   only the virtual environment, in .venv"
-	@echo "make clean  remove all that these made"
+	@echo "make demo      a small gallery in demo/, to look at"
+	@echo "make test      all tests"
+	@echo "make bench     how fast and how exact, against others"
+	@echo "make bench-gpu how fast the GPU is, in its own time"
+	@echo "make soak      ten million points of random strokes"
+	@echo "make lint      style, types and the import rule"
+	@echo "make venv      only the virtual environment, in .venv"
+	@echo "make clean     remove all that these made"
 
 venv: $(VENV)/stamp
 

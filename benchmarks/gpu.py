@@ -50,7 +50,8 @@ def row(what: str, work: Callable[[], object], cpu: Callable[[], object] | None,
         for _ in range(runs):
             cpu()
         other = milliseconds((time.perf_counter() - start) / runs)
-    return f"| {what} | {milliseconds(clock) if clock is not None else 'no clock'} | {milliseconds(wall)} | {other} | {runs} |"
+    told = milliseconds(clock) if clock is not None else "no clock"
+    return f"| {what} | {told} | {milliseconds(wall)} | {other} | {runs} |"
 
 
 def main() -> None:
