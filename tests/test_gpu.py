@@ -3,22 +3,24 @@
 from __future__ import annotations
 
 import os
+import re
 import warnings
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import pytest
 
 import supple
 from supple.cli import command
+from supple.cpu import bricks, lattice, raymarch
 from supple.domain import Domain
 from supple.engines import gpu_of
 from supple.errors import DeviceWarning, FoldWarning, SuppleError
 from supple.gpu import device as devices
 from supple.gpu import field, kernel
 from supple.gpu.device import Gpu
-from supple.gpu.warp import format_of
+from supple.gpu.warp import STEP, format_of
 from supple.media import image
 
 MUST = os.environ.get("SUPPLE_TEST_GPU") == "1"
@@ -150,9 +152,16 @@ def test_filters_and_what_lies_outside(gpu: Gpu, photo: np.ndarray, filter: str,
 
 
 def test_nearest_keeps_values(gpu: Gpu) -> None:
-    labels = np.random.default_rng(0).choice([3, 40, 200], (90, 110)).astype(np.uint8)
-    made = bent(labels.shape, 4).warp(labels, filter="nearest", device="gpu")
+    rng = np.random.default_rng(0)
+    labels = rng.choice([3, 40, 200], (90, 110)).astype(np.uint8)
+    d = bent(labels.shape, 4)
+    made = d.warp(labels, filter="nearest", device="gpu")
     assert set(np.unique(made)) == {3, 40, 200}
+    # Whatever the opacity says, and light.
+    colours = rng.choice([0, 9, 250], (90, 110, 4)).astype(np.uint8)
+    for options in ({}, {"linear_light": True}):
+        ours, theirs = (d.warp(colours, filter="nearest", device=k, **options) for k in ("cpu", "gpu"))
+        assert (ours != theirs).mean() < 4e-3
 
 
 @pytest.mark.parametrize("options", [{"linear_light": True}, {"alpha": True}, {"alpha": True, "linear_light": True}])
@@ -206,9 +215,15 @@ def test_frames_are_bent_in_time(gpu: Gpu, between: str, outside: str) -> None:
 def test_long_stacks_go_through_a_window(gpu: Gpu, monkeypatch: pytest.MonkeyPatch) -> None:
     clip = np.random.default_rng(7).integers(0, 255, (40, 32, 48)).astype(np.uint8)
     d = supple.Deformation(clip.shape, border=None).grab((24, 16, 20), by=(3, 2, 3), radius=6, scales=3)
-    whole = d.warp(clip, filter="linear", device="gpu")
+    ways: list[dict[str, Any]] = [
+        {"filter": "linear"},
+        {"filter": "cubic", "between": "cubic", "outside": "reflect"},
+        {"filter": "antialias", "outside": "constant"},
+    ]
+    whole = [d.warp(clip, device="gpu", **way) for way in ways]
     monkeypatch.setattr("supple.gpu.warp.BINDING", 16 * 32 * 48)
-    np.testing.assert_array_equal(d.warp(clip, filter="linear", device="gpu"), whole)
+    for way, made in zip(ways, whole, strict=True):
+        np.testing.assert_array_equal(d.warp(clip, device="gpu", **way), made)
     # A window that is too small for what a plane is made of ends in the CPU's result.
     monkeypatch.setattr("supple.gpu.warp.BINDING", 2 * 32 * 48)
     with pytest.warns(DeviceWarning, match="the CPU did what"):
@@ -216,13 +231,39 @@ def test_long_stacks_go_through_a_window(gpu: Gpu, monkeypatch: pytest.MonkeyPat
     np.testing.assert_array_equal(made, d.warp(clip, filter="linear"))
 
 
-@pytest.mark.parametrize("shape", [(1, 1), (1, 40), (33, 1), (17, 16), (16, 17), (2, 3, 2)])
-def test_odd_sizes(gpu: Gpu, shape: tuple[int, ...]) -> None:
+@pytest.mark.parametrize("outside", ["edge", "constant"])
+@pytest.mark.parametrize("shape", [(1, 1), (1, 40), (33, 1), (17, 16), (16, 17), (2, 3, 2), (1, 20, 30)])
+def test_odd_sizes(gpu: Gpu, shape: tuple[int, ...], outside: str) -> None:
     source = np.random.default_rng(8).integers(0, 255, shape).astype(np.uint8)
     centre = [(n - 1) / 2 for n in shape[::-1]]
     d = supple.Deformation(shape, border=None).grab(centre, by=[0.4] * len(shape), radius=5)
-    apart = np.abs(d.warp(source, filter="linear", device="gpu").astype(int) - d.warp(source, filter="linear"))
+    options: dict[str, Any] = {"filter": "linear", "outside": outside, "fill": 99}
+    apart = np.abs(d.warp(source, device="gpu", **options).astype(int) - d.warp(source, **options))
     assert apart.max() <= 4
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_small_strokes_are_not_lost_between_nodes(gpu: Gpu, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    radius = float(0.6 * 1.7**seed)
+    d = supple.Deformation((96, 96), border=None, on_fold="flow")
+    at = rng.uniform(32, 64, 2)
+    d = d.grab(at, by=rng.normal(0, 0.7 * radius, 2), radius=radius, scales=1 + seed % 3)
+    ramps = np.stack(np.meshgrid(*[np.arange(96.0)] * 2), axis=-1).astype(np.float32)
+    ours, theirs = (d.warp(ramps, filter="linear", device=device) for device in ("cpu", "gpu"))
+    assert np.abs(ours - ramps).max() > 0.2 * radius
+    assert np.abs(theirs - ours).max() < 0.021
+
+
+def test_numbers_that_float32_does_not_hold_are_left_to_the_cpu(gpu: Gpu) -> None:
+    source = np.random.default_rng(1).integers(0, 255, (40, 50)).astype(np.uint8)
+    d = supple.Deformation(source.shape, spacing=1e13, border=None).grab((25, 20), by=(4, 2), radius=12e13)
+    with pytest.raises(SuppleError, match="strokes of such sizes"):
+        d.warp(source, device="gpu")
+    # But large spacings do no harm by themselves.
+    d = supple.Deformation(source.shape, spacing=1e4, border=None).grab((25, 20), by=(4, 2), radius=12e4)
+    apart = np.abs(d.warp(source, filter="linear", device="gpu").astype(int) - d.warp(source, filter="linear"))
+    assert apart.max() <= 3
 
 
 def test_many_strokes_and_strong_ones(gpu: Gpu, photo: np.ndarray) -> None:
@@ -275,18 +316,77 @@ def test_a_lost_device_ends_in_the_cpu_s_result(gpu: Gpu, photo: np.ndarray, mon
     np.testing.assert_array_equal(made, d.warp(photo))
 
 
+def test_averages_are_of_one_time(gpu: Gpu) -> None:
+    # Frames of one colour each: whatever is averaged over a frame is that colour.
+    clip = np.broadcast_to(np.random.default_rng(2).integers(0, 255, (12, 1, 1)), (12, 40, 50)).astype(np.uint8)
+    d = supple.Deformation(clip.shape, border=None).grab((25, 20, 6), by=(9, 0, 3), radius=9)
+    apart = np.abs(d.warp(clip, filter="antialias", device="gpu").astype(int) - d.warp(clip, filter="antialias"))
+    assert apart.max() <= 3
+
+
+def test_a_device_that_is_lost_is_opened_anew(gpu: Gpu, photo: np.ndarray) -> None:
+    d = bent(photo.shape[:2], 3)
+    before = devices.open_gpu()
+    before.device.destroy()
+    with pytest.warns(DeviceWarning, match="the CPU did what"):
+        d.warp(photo, device="gpu")
+    assert devices.open_gpu() is not before
+    assert np.abs(d.warp(photo, filter="linear", device="gpu").astype(int) - d.warp(photo, filter="linear")).max() < 8
+
+
+def test_drivers_that_fail_are_said_in_a_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Adapter:
+        info: ClassVar = {"device": "Card", "adapter_type": "DiscreteGPU", "backend_type": "Vulkan"}
+        limits: ClassVar[dict[str, int]] = {}
+        features: ClassVar[set[str]] = set()
+
+        def request_device_sync(self, **rest: object) -> None:
+            raise RuntimeError("no\nqueue")
+
+    monkeypatch.setattr(devices, "adapters", lambda: (Adapter(),))
+    monkeypatch.setattr(devices, "_opened", {})
+    with pytest.raises(SuppleError, match=r"Card cannot be opened \(no queue\)"):
+        gpu_of("gpu")
+    assert gpu_of("auto") is None
+
+
+def test_functions_are_refused_and_bytes_stay_in_their_order(gpu: Gpu, photo: np.ndarray) -> None:
+    d = bent(photo.shape[:2], 3)
+    with pytest.raises(SuppleError, match="a function of points"):
+        d.warp(lambda points: points[:, 0], device="gpu")
+    swapped = photo.astype(">u2")
+    made = d.warp(swapped, filter="linear", device="gpu", out=np.empty_like(swapped))
+    assert made.dtype == swapped.dtype
+    assert np.abs(made.astype(int) - d.warp(swapped, filter="linear")).max() <= 8
+
+
+def test_shaders_have_the_numbers_of_the_cpu() -> None:
+    marching, lattice_ = kernel.source("raymarch"), kernel.source("lattice")
+
+    def said(text: str, name: str) -> float:
+        found = re.search(rf"const {name} = ([-\w.]+?)u?;", text)
+        assert found, name
+        return float(found[1])
+
+    assert said(marching, "BRICK") == bricks.BRICK
+    for name in ("BISECTIONS", "OPAQUE", "FAINT"):
+        assert said(marching, name) == getattr(raymarch, name)
+    for name in ("RESERVE", "RESOLVED"):
+        assert said(lattice_, name) == getattr(lattice, name)
+    assert said(kernel.source("warp"), "STEP") == STEP
+
+
 def test_without_an_adapter_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(devices, "adapters", lambda: ())
-    monkeypatch.setattr("supple.engines.open_gpu", devices.open_gpu.__wrapped__)
     with pytest.raises(SuppleError, match=r"no GPU was found: .* is needed.*; device cpu needs none"):
         gpu_of("gpu")
     assert gpu_of("auto") is None
     assert gpu_of("cpu") is None
 
 
-def test_auto_never_takes_a_program(monkeypatch: pytest.MonkeyPatch, gpu: Gpu) -> None:
-    if gpu.software:
-        assert gpu_of("auto") is None
+def test_auto_never_takes_a_program(gpu: Gpu) -> None:
+    found = gpu_of("auto")
+    assert found is None if gpu.software else found is gpu
 
 
 def test_the_command_line(gpu: Gpu, photo: np.ndarray, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, NoReturn
 
 from cyclopts import App, CycloptsError, Group, Parameter
 
-from supple.cli_volume import POINTS_EXAMPLES, RENDER_EXAMPLES, VolumeCommands, say_convention, say_software
+from supple.cli_volume import POINTS_EXAMPLES, RENDER_EXAMPLES, VolumeCommands, say_convention, told_of_software
 from supple.console import Console, SomeFailedError, run
 from supple.errors import SuppleError
 from supple.options import RUNNING, RunOptions, StrokeOptions, VideoOptions, parse_fill, parse_integer, parse_number
@@ -126,7 +126,7 @@ class _Commands:
             raise SuppleError("give a file to read and a name to write to: supple warp IN OUT --grab …")
         self.console.started(quiet=options.quiet, threads=options.threads)
         recipe = strokes.to_recipe()
-        say_software(self.console, device)
+        say_software = told_of_software(self.console, device)
         sampling: dict[str, Any] = {
             "filter": filter,
             "outside": outside,
@@ -175,6 +175,7 @@ class _Commands:
         else:
             failures = 0
             self._alone(jobs[0], do, failed)
+        say_software()
         if save_recipe is not None:
             write_recipe(save_recipe, recipe, force=options.force)
         if failures:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -69,7 +70,7 @@ class VolumeCommands:
         from supple.views import render_file
 
         self.console.started(quiet=options.quiet, threads=options.threads)
-        say_software(self.console, look.device)
+        say_software = told_of_software(self.console, look.device)
         recipe = strokes.to_recipe() if strokes.any else None
         render, reading = look.to_render(camera.to_camera()), volume.to_reading()
         if reading.world and recipe is None:
@@ -77,6 +78,7 @@ class VolumeCommands:
         self.console.tell_of_compiling()
         with counted(self.console.terminal) as tell:
             scene = render_file(source, target, recipe, options=render, volume=reading, force=options.force, tell=tell)
+        say_software()
         say_convention(self.console, reading.world, scene.geometry, source, options)
         if options.json:
             facts = scene.deformation.resolution() if scene.deformation else {}
@@ -152,14 +154,21 @@ class VolumeCommands:
             print(f"{many}, moved by up to {furthest:.3g} {unit}; residual up to {worst:.1g} {unit}")
 
 
-def say_software(console: Console, device: str) -> None:
-    """Say that the GPU that was asked for is none; SuppleError if there is not even such a one."""
-    if device == "gpu":
-        from supple.gpu.device import open_gpu
+def told_of_software(console: Console, device: str) -> Callable[[], None]:
+    """What says, when the work is done, that the GPU that was asked for is none.
 
-        gpu = open_gpu()
-        if gpu.software:
-            console.warn(f"{gpu.name} is a program that runs on the CPU: no graphics card was found")
+    Raises
+    ------
+    SuppleError
+        If there is not even such a one.
+    """
+    if device != "gpu":
+        return lambda: None
+    from supple.gpu.device import open_gpu
+
+    gpu = open_gpu()
+    text = f"{gpu.name} is a program that runs on the CPU: no graphics card was found"
+    return lambda: console.warn(text) if gpu.software else None
 
 
 def say_convention(console: Console, world: bool, geometry: Geometry | None, name: object, options: RunOptions) -> None:

@@ -418,7 +418,7 @@ class Deformation:
         ToleranceWarning
             If the checks of the map's cells do not promise the tolerance everywhere.
         DeviceWarning
-            If the GPU was asked for and failed, so that the CPU did it.
+            If the GPU failed, so that the CPU did it.
         """
         choice("filter", filter, ("nearest", *FILTERS))
         choice("outside", outside, tuple(OUTSIDE))
@@ -426,6 +426,8 @@ class Deformation:
         if between is not None and self.ndim == 2:
             refuse("between", "left out for an image, which is one frame", between)
         between = interpolated(filter, between)
+        if device == "gpu" and callable(source):
+            refuse("device", '"cpu" for a function of points, which Python evaluates', device)
         gpu = gpu_of(device)
         if gpu is not None and not callable(source):
             sampling = Sampling(filter, between, time_filter, outside, fill, linear_light, tolerance)  # type: ignore[arg-type]

@@ -15,7 +15,8 @@ from supple.cpu.warp import Certificate
 from supple.domain import choice, refuse
 from supple.errors import DeviceWarning, SuppleError
 from supple.gpu.device import Gpu, open_gpu
-from supple.gpu.kernel import failures
+from supple.gpu.field import fits
+from supple.gpu.kernel import failures, trouble
 from supple.gpu.warp import Wanted, format_of, held_bytes, warp
 from supple.streaming import Group, Layout, Sampling, Space, make_plan
 from supple.warping import checked_fill, checked_source, result_like
@@ -70,10 +71,10 @@ def warp_on_gpu(
     """
     shape = space.shape if space.ndim == 2 else (space.count, *space.shape)
     array, straight = checked_source(source, shape, alpha, sampling.light)
-    array = array.astype(array.dtype.newbyteorder("="), copy=False)
     channels = array.shape[-1] if array.ndim > space.ndim else 1
-    colours = checked_fill(sampling.fill, channels)
-    reason = _unknown(array, channels, sampling)
+    colours = checked_fill(sampling.fill, channels, array.dtype)
+    reason = "" if fits(space.table) else "strokes of such sizes"
+    reason = reason or _unknown(array.dtype, channels, sampling)
     if reason:
         if must:
             refuse("device", f'"cpu" for {reason}', "gpu")
@@ -82,12 +83,13 @@ def warp_on_gpu(
     if space.table.size == 0:
         result[...] = array
         return result, Certificate(0.0, 0.0)
+    array = array.astype(array.dtype.newbyteorder("="), copy=False)
     deep = (space.count, *space.shape, channels)
     target = result if result.flags.c_contiguous and result.dtype.isnative else np.empty(array.shape, array.dtype)
     white = float(np.iinfo(array.dtype).max) if array.dtype.kind in "iu" else 1.0
     wanted = Wanted(
         sampling.filter,
-        sampling.between,
+        sampling.between if space.ndim == 3 else "nothing",
         sampling.outside,
         tuple(colours),
         straight,
@@ -99,22 +101,21 @@ def warp_on_gpu(
         reach = _reach(space, array.dtype, channels, replace(sampling, fill=tuple(colours)))
         with gpu.lock:
             worst, lost = warp(gpu, space.table, space.axes, array.reshape(deep), target.reshape(deep), wanted, reach)
-        trouble = f"{lost} points could not be solved in its numbers" if lost else ""
+        failed = f"{lost} points could not be solved to the tolerance in its numbers" if lost else ""
     except failures() as error:
-        trouble = " ".join(str(error).split())[:120] or "the work does not fit"
-    if trouble:
-        if must:
-            warnings.warn(f"the CPU did what {gpu.name} could not: {trouble}", DeviceWarning, stacklevel=4)
+        failed = trouble(gpu, error)
+    if failed:
+        warnings.warn(f"the CPU did what {gpu.name} could not: {failed}", DeviceWarning, stacklevel=4)
         return None
     if target is not result:
         result[...] = target
     return result, Certificate(worst, 0.0)
 
 
-def _unknown(array: Array, channels: int, sampling: Sampling) -> str:
+def _unknown(dtype: Any, channels: int, sampling: Sampling) -> str:
     """What the GPU does not do of this, if anything."""
-    if format_of(array.dtype, channels) is None:
-        return f"samples of {array.dtype} in {channels} channel{'s' if channels > 1 else ''}"
+    if format_of(dtype.newbyteorder("="), channels) is None:
+        return f"samples of {dtype} in {channels} channel{'s' if channels > 1 else ''}"
     if sampling.filter == "ewa":
         return 'filter="ewa"'
     if sampling.time_filter:

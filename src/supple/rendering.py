@@ -23,7 +23,8 @@ from supple.errors import DeviceWarning, SuppleError, ToleranceWarning
 from supple.geometry import Geometry
 from supple.gpu import raymarch as shading
 from supple.gpu.device import Gpu
-from supple.gpu.kernel import failures
+from supple.gpu.field import fits
+from supple.gpu.kernel import failures, trouble
 from supple.strokes import STROKE_DTYPE
 from supple.transfer import ENTRIES, PRESETS, TransferFunction
 
@@ -139,7 +140,7 @@ class Scene:
     Warns
     -----
     DeviceWarning
-        If the GPU was asked for and failed, so that the CPU does it.
+        If the GPU failed, so that the CPU does it.
     """
 
     samples: Array
@@ -236,7 +237,7 @@ class Scene:
             **_seen_through(known, density, (low, high), step),
         }
         values["_skips"] = self._skipped(values)
-        values["_held"] = _held(gpu, values, device == "gpu") if gpu is not None else None
+        values["_held"] = _held(gpu, values) if gpu is not None else None
         for name, value in values.items():
             object.__setattr__(self, name, value)
 
@@ -305,14 +306,25 @@ class Scene:
             return take(a.reshape(size[0], fine, size[1], fine, -1), axis=(1, 3)) if fine > 1 else a
 
         if self._held is not None:
+            gpu, wrong = self._held.gpu, False
+
+            def told(rows: int) -> None:
+                nonlocal wrong
+                wrong = True  # what is raised here is no fault of the GPU's
+                tell(rows // fine)
+                wrong = False
+
             try:
-                with self._held.gpu.lock:
+                with gpu.lock:
                     light, depth, work = shading.march(
-                        self._held, self._look(view), view.packed, (height, width), fine, lambda n: tell(n // fine)
+                        self._held, self._look(view), view.packed, (height, width), fine, told
                     )
                 return _picture(smaller(light, np.mean), smaller(depth, np.min), smaller(work, np.sum))
             except failures() as error:
-                warnings.warn(f"the CPU did what {self._held.gpu.name} could not: {error}", DeviceWarning, stacklevel=2)
+                if wrong:
+                    raise
+                failed = trouble(gpu, error)
+            warnings.warn(f"the CPU did what {gpu.name} could not: {failed}", DeviceWarning, stacklevel=2)
         light, depth = np.empty((height, width, 4), np.float32), np.empty((height, width, 2))
         work = np.zeros((height, width, 2), np.int64)
         march = self._marcher(view)
@@ -433,21 +445,23 @@ def _picture(light: Array, depth: Array, work: Array) -> Picture:
     return Picture(light, depth[..., 0], work[..., 0], work[..., 1])
 
 
-def _held(gpu: Gpu, known: dict[str, Any], must: bool) -> shading.Held | None:
+def _held(gpu: Gpu, known: dict[str, Any]) -> shading.Held | None:
     """A volume on the GPU; None if it does not fit there."""
     deformation = known["deformation"]
     mode, table, axes = shading.PLAIN, np.zeros(0, STROKE_DTYPE), np.zeros((3, 3))
-    axes[:, 2] = known["geometry"].spacing
+    axes[:, 0], axes[:, 2] = 1.0, known["geometry"].spacing
     if deformation is not None:
         table, axes = deformation.space.table, deformation.space.axes
         mode = {"lattice": shading.LATTICE, "exact": shading.EXACT}.get(known["mode"], shading.PLAIN)
-    try:
-        with gpu.lock:
-            return shading.hold(gpu, known["samples"], known["_nodes"], known["_per_voxel"], mode, table, axes)
-    except failures() as error:
-        if must:
-            warnings.warn(f"the CPU does what {gpu.name} cannot: {error}", DeviceWarning, stacklevel=4)
-        return None
+    failed = "" if fits(table) else "strokes of such sizes are beyond its numbers"
+    if not failed:
+        try:
+            with gpu.lock:
+                return shading.hold(gpu, known["samples"], known["_nodes"], known["_per_voxel"], mode, table, axes)
+        except failures() as error:
+            failed = trouble(gpu, error)
+    warnings.warn(f"the CPU does what {gpu.name} cannot: {failed}", DeviceWarning, stacklevel=4)
+    return None
 
 
 def transfer_function(given: TransferFunction | str) -> TransferFunction:

@@ -51,7 +51,7 @@ def warp_array(
 ) -> Array:
     """Sample an array at the source points of every band that ``each`` calls its argument with."""
     array, straight = checked_source(source, shape, alpha, light)
-    colours = checked_fill(fill, array.shape[2] if array.ndim == 3 else 1)
+    colours = checked_fill(fill, array.shape[2] if array.ndim == 3 else 1, array.dtype)
     result = result_like(out, array)
     if untouched:
         result[...] = array
@@ -93,7 +93,7 @@ def warp_frames(
     """
     array, straight = checked_source(source, (space.count, *space.shape), alpha, sampling.light)
     channels = array.shape[3] if array.ndim == 4 else 1
-    colours = checked_fill(sampling.fill, channels)
+    colours = checked_fill(sampling.fill, channels, array.dtype)
     result = result_like(out, array)
     if space.table.size == 0:
         result[...] = array
@@ -153,6 +153,8 @@ def checked_source(source: object, shape: tuple[int, ...], alpha: bool | None, l
         sizes = ", ".join(map(str, shape))
         refuse("source", f"of shape ({sizes}) or ({sizes}, channels), as the deformation is", f"shape {array.shape}")
     channels = array.shape[axes] if array.ndim > axes else 1
+    if alpha is not None and not isinstance(alpha, bool | np.bool_):
+        refuse("alpha", "True or False, or None to have it guessed", alpha)
     straight = bool(alpha) if alpha is not None else channels == 4 and array.dtype.str[1:] in ("u1", "u2")
     if straight and channels < 2:
         raise SuppleError(f"alpha=True needs a last channel beside the colours, found shape {array.shape}")
@@ -161,14 +163,16 @@ def checked_source(source: object, shape: tuple[int, ...], alpha: bool | None, l
     return array, straight
 
 
-def checked_fill(fill: float | Sequence[float], channels: int) -> npt.NDArray[np.float64]:
-    """The constant as one number for each channel; SuppleError if it is none."""
+def checked_fill(fill: float | Sequence[float], channels: int, dtype: Any) -> npt.NDArray[np.float64]:
+    """The constant as one number for each channel, as near as a type has it; SuppleError if it is none."""
     try:
         values = np.asarray(fill, np.float64)
     except (TypeError, ValueError):
         refuse("fill", "a number, or one for each channel", fill)
     if values.shape not in ((), (1,), (channels,)) or not np.isfinite(values).all():
         refuse("fill", f"a number, or {channels} of them, one for each channel", fill)
+    if dtype.kind in "iu":
+        values = np.clip(values, np.iinfo(dtype).min, np.iinfo(dtype).max)
     return np.ascontiguousarray(np.broadcast_to(values, (channels,)))
 
 

@@ -80,10 +80,17 @@ def adapters() -> tuple[Any, ...]:
     os.environ.setdefault("XDG_RUNTIME_DIR", tempfile.gettempdir())
     try:
         found = [a for a in wgpu.gpu.enumerate_adapters_sync() if a.info["backend_type"] != "OpenGL"]
+    except Exception as error:  # drivers fail in many ways
+        raise SuppleError(f"GPUs cannot be listed ({' '.join(str(error).split())[:100]}): {missing()}") from None
     finally:
         if given is None:
             os.environ.pop("XDG_RUNTIME_DIR", None)
-    return tuple(sorted(found, key=lambda a: _KINDS.index(a.info["adapter_type"])))
+    return tuple(
+        sorted(
+            found,
+            key=lambda a: _KINDS.index(a.info["adapter_type"]) if a.info["adapter_type"] in _KINDS else len(_KINDS),
+        )
+    )
 
 
 def missing() -> str:
@@ -98,9 +105,12 @@ def missing() -> str:
     )
 
 
-@functools.cache
+_lock = threading.Lock()
+_opened: dict[int, Gpu] = {}
+
+
 def open_gpu(software: bool = True) -> Gpu:
-    """The fastest adapter's device.
+    """The fastest adapter's device; it stays open.
 
     Parameters
     ----------
@@ -110,21 +120,36 @@ def open_gpu(software: bool = True) -> Gpu:
     Raises
     ------
     SuppleError
-        If there is none; the message says what to install.
+        If there is none that works; the message says what to install.
     """
-    found = [a for a in adapters() if software or a.info["adapter_type"] != "CPU"]
-    if not found:
-        raise SuppleError(f"no GPU was found: {missing()}; device cpu needs none")
-    adapter = found[0]
-    short = [name for name, wanted in LIMITS.items() if adapter.limits.get(name, wanted) < wanted]
-    if short:
-        raise SuppleError(f"the GPU {adapter.info['device']!r} is too small ({short[0]}): device cpu needs none")
-    features = [CLOCK] if CLOCK in adapter.features else []
-    device = adapter.request_device_sync(required_limits=dict(LIMITS), required_features=features)
-    info = adapter.info
-    return Gpu(
-        str(info["device"]), info["adapter_type"] == "CPU", str(info["backend_type"]), device, {}, threading.RLock(), []
-    )
+    with _lock:
+        reason = ""
+        for k, adapter in enumerate(adapters()):
+            if adapter.info["adapter_type"] == "CPU" and not software:
+                continue
+            if k in _opened:
+                return _opened[k]
+            short = [name for name, wanted in LIMITS.items() if adapter.limits.get(name, wanted) < wanted]
+            if short:
+                reason = f"{adapter.info['device']} is too small ({short[0]}): "
+                continue
+            features = [CLOCK] if CLOCK in adapter.features else []
+            try:
+                device = adapter.request_device_sync(required_limits=dict(LIMITS), required_features=features)
+            except Exception as error:  # drivers fail in many ways
+                reason = f"{adapter.info['device']} cannot be opened ({' '.join(str(error).split())[:100]}): "
+                continue
+            name, kind, backend = (str(adapter.info[key]) for key in ("device", "adapter_type", "backend_type"))
+            _opened[k] = Gpu(name, kind == "CPU", backend, device, {}, threading.RLock(), [])
+            return _opened[k]
+    raise SuppleError(f"no GPU was found: {reason}{missing()}; device cpu needs none")
+
+
+def forget(gpu: Gpu) -> None:
+    """Open the device anew when it is asked for again: this one failed."""
+    with _lock:
+        for k in [k for k, known in _opened.items() if known is gpu]:
+            del _opened[k]
 
 
 def describe() -> list[dict[str, str]]:

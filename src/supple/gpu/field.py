@@ -30,19 +30,28 @@ _POINTS = ("field", "newton", "points")
 def packed(table: npt.NDArray[np.void]) -> npt.NDArray[np.void]:
     """A table of strokes (`supple.strokes.pack`) in float32, each pivot as the sum of two numbers."""
     out = np.zeros(table.size, STROKE)
-    out["pivot"] = table["pivot"]
-    out["rest"][:, :3] = table["pivot"] - out["pivot"].astype(np.float64)
-    out["force"][:, :3] = table["force"]
-    out["terms"] = table["terms"]
-    for name in ("radius2", "p", "q", "r"):
-        out[name][:, : table[name].shape[1]] = table[name]
+    with np.errstate(over="ignore"):  # `fits` tells
+        out["pivot"] = table["pivot"]
+        out["rest"][:, :3] = table["pivot"] - out["pivot"].astype(np.float64)
+        out["force"][:, :3] = table["force"]
+        out["terms"] = table["terms"]
+        for name in ("radius2", "p", "q", "r"):
+            out[name][:, : table[name].shape[1]] = table[name]
     return out
+
+
+def fits(table: npt.NDArray[np.void]) -> bool:
+    """Whether float32 holds all numbers of a table, with room for their products."""
+    made = packed(table)
+    return all(bool((np.abs(made[name]) < 1e18).all()) for name in ("pivot", "force", "radius2", "p", "q", "r"))
 
 
 def domain(axes: Floats) -> npt.NDArray[np.float32]:
     """A packed domain (`Domain.packed`): extents, widths of the border and spacing, each of three axes and a 0."""
     out = np.zeros((3, 4), np.float32)
     out[:, :3] = axes.T
+    if axes[2, 1] == 0.0 and axes[2, 0] == 0.0:
+        out[2, 2] = out[2, :2].min()  # nothing is off a picture's plane, and its pixels are what counts
     return out
 
 

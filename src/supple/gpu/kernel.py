@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from supple.gpu.device import CLOCK, Gpu
+from supple.gpu.device import CLOCK, Gpu, forget
 
 Array = npt.NDArray[Any]
 
@@ -19,11 +19,19 @@ MOST_GROUPS = 65535
 LEAST = 256  # bytes of a buffer: an array of one item must fit, though it may hold none
 
 
+def trouble(gpu: Gpu, error: Exception) -> str:
+    """What failed, in one short line; a device that is lost is opened anew next time."""
+    text = " ".join(str(error).split())[:120] or "the work does not fit"
+    if not isinstance(error, MemoryError | ArithmeticError):
+        forget(gpu)
+    return text
+
+
 def failures() -> tuple[type[Exception], ...]:
     """What it raises when a device is lost, or its memory is full, or a driver does not compile a shader."""
     from wgpu import GPUError
 
-    return (GPUError, MemoryError, RuntimeError)
+    return (GPUError, MemoryError, RuntimeError, ArithmeticError)
 
 
 def source(*names: str) -> str:
@@ -78,16 +86,23 @@ def room(gpu: Gpu, size: int) -> Any:
     return gpu.device.create_buffer(size=max(-(-size // 4) * 4, LEAST), usage="STORAGE|COPY_SRC|COPY_DST")
 
 
+def owned(stack: contextlib.ExitStack, *buffers: Any) -> tuple[Any, ...]:
+    """Buffers that are destroyed when a stack is left, however that comes about."""
+    for buffer in buffers:
+        stack.callback(buffer.destroy)
+    return buffers
+
+
 def run(gpu: Gpu, passes: Sequence[tuple[Any, Sequence[Any], Any]]) -> None:
     """Run pipelines one after the other: each with its buffers and its workgroups, or the buffer that tells these."""
-    encoder = gpu.device.create_command_encoder()
+    encoder, stack = gpu.device.create_command_encoder(), contextlib.ExitStack()
     clock = gpu.clocks[-1] if gpu.clocks else None
     for (made, layout), buffers, groups in passes:
         entries = [{"binding": k, "resource": {"buffer": buffer}} for k, buffer in enumerate(buffers)]
         bound = gpu.device.create_bind_group(layout=layout, entries=entries)
         told = None
         if not isinstance(groups, tuple):  # a shader cannot write what it is dispatched by
-            told = gpu.device.create_buffer(size=16, usage="INDIRECT|COPY_DST")
+            (told,) = owned(stack, gpu.device.create_buffer(size=16, usage="INDIRECT|COPY_DST"))
             encoder.copy_buffer_to_buffer(groups, 0, told, 0, 12)
         step = encoder.begin_compute_pass(timestamp_writes=clock.next_pass() if clock else None)
         step.set_pipeline(made)
@@ -97,7 +112,8 @@ def run(gpu: Gpu, passes: Sequence[tuple[Any, Sequence[Any], Any]]) -> None:
         else:
             step.dispatch_workgroups_indirect(told, 0)
         step.end()
-    gpu.device.queue.submit([encoder.finish()])
+    with stack:  # what is submitted keeps what it needs
+        gpu.device.queue.submit([encoder.finish()])
 
 
 class Clock:
@@ -128,8 +144,10 @@ class Clock:
         encoder.resolve_query_set(self._queries, 0, 2 * self._passes, buffer, 0)
         self._gpu.device.queue.submit([encoder.finish()])
         times = np.frombuffer(self._gpu.device.queue.read_buffer(buffer, 0, 16 * self._passes), np.uint64)
-        # In nanoseconds, on all adapters seen so far.
-        return float((times[1::2] - times[::2]).sum()) * 1e-9
+        from wgpu.backends.wgpu_native._ffi import lib
+
+        period = float(lib.wgpuQueueGetTimestampPeriod(self._gpu.device.queue._internal))  # nanoseconds a tick
+        return float((times[1::2].astype(np.int64) - times[::2].astype(np.int64)).sum()) * period * 1e-9
 
 
 @contextlib.contextmanager

@@ -1,6 +1,7 @@
 // T⁻¹ on planes: solved at nodes STEP pixels apart, and interpolated in between; see supple/cpu/solid.py.
 //
-// A node is four vectors: the displacement u in pixels, with the node's own error, and the columns of ∂p/∂q.
+// A node is four vectors: the displacement u in pixels, with the node's own error, and the columns of ∂p/∂q, with the
+// length in pixels over which the map can be smooth there.
 
 struct Source {
     shift: vec3f, // u, in pixels
@@ -15,8 +16,12 @@ struct Patch {
     o: Source,
 }
 
+fn node_of(i: vec2u, plane: u32) -> u32 {
+    return (plane * settings.nodes.y + i.y) * settings.nodes.x + i.x;
+}
+
 fn node_at(i: vec2u, plane: u32) -> Source {
-    let k = 4u * ((plane * settings.nodes.y + i.y) * settings.nodes.x + i.x);
+    let k = 4u * node_of(i, plane);
     return Source(nodes[k].xyz, mat3x3f(nodes[k + 1u].xyz, nodes[k + 2u].xyz, nodes[k + 3u].xyz));
 }
 
@@ -75,11 +80,35 @@ fn solve(@builtin(global_invocation_id) id: vec3u) {
     let q = vec3f(vec2f(id.xy * STEP), f32(settings.first + id.z)) * domain.spacing.xyz;
     let found = undo(q, 1e-3 * finest());
     let m = in_pixels(found.matrix);
-    let place = 4u * ((id.z * settings.nodes.y + id.y) * settings.nodes.x + id.x);
+    let place = 4u * node_of(id.xy, id.z);
     nodes[place] = vec4f(found.offset / domain.spacing.xyz, norm_of(m) * found.residual / finest());
+    let smooth_ = smoothness(q, found.offset, m);
     for (var c = 0u; c < 3u; c++) {
-        nodes[place + 1u + c] = vec4f(m[c], 0.0);
+        nodes[place + 1u + c] = vec4f(m[c], smooth_);
     }
+}
+
+// How far, in pixels, the map stays as smooth as it is at a point: a stroke varies over ρ, and its border, along each
+// axis by itself, over σ or the distance to it, both as seen through the derivative of the stroke's input by q.
+fn smoothness(q: vec3f, w: vec3f, m: mat3x3f) -> f32 {
+    var at = Moved(w, mat3x3f(1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0));
+    var least = 1e30;
+    for (var k = 0u; k < settings.strokes; k++) {
+        let x = at.jacobian * (m[0] * domain.spacing.xyz);
+        let y = at.jacobian * (m[1] * domain.spacing.xyz);
+        let d = (q - strokes[k].pivot) + (at.offset - strokes[k].rest.xyz);
+        least = min(least, sqrt((dot(d, d) + strokes[k].radius2.x) / max(dot(x, x), dot(y, y))));
+        let along = max(abs(x), abs(y));
+        let place = q + at.offset;
+        for (var axis = 0u; axis < 3u; axis++) {
+            if (domain.sigma[axis] > 0.0) {
+                let distance_ = max(domain.sigma[axis], min(place[axis], domain.extent[axis] - place[axis]));
+                least = min(least, 2.0 * distance_ / max(along[axis], 1e-12));
+            }
+        }
+        at = moved_by(k, q, at);
+    }
+    return least;
 }
 
 // Which cells interpolate well enough: their error, as far as it is seen, with a reserve.
@@ -90,16 +119,25 @@ fn check(@builtin(global_invocation_id) id: vec3u) {
         return;
     }
     let patch_ = patch_at(id.xy, id.z);
+    // What is seen at points says little where the map varies between them.
     var found = 0.0;
+    var fine = true;
+    for (var k = 0u; k < 4u; k++) {
+        let node = 4u * node_of(id.xy + vec2u(k & 1u, k >> 1u), id.z);
+        found = max(found, nodes[node].w);
+        fine = fine && nodes[node].w <= settings.tolerance && f32(STEP) <= RESOLVED * nodes[node + 1u].w;
+    }
     for (var k = 0u; k < 8u; k++) {
         let at = SEEN[k];
         let p = (vec2f(id.xy) + at) * f32(STEP);
         let q = vec3f(p, f32(settings.first + id.z)) * domain.spacing.xyz;
-        found = max(found, error_at(q, between_nodes(patch_, at)));
+        let error = RESERVE * error_at(q, between_nodes(patch_, at));
+        found = max(found, error);
+        fine = fine && error <= settings.tolerance; // and never so if it is not a number
     }
     let cell = (id.z * cells.y + id.y) * cells.x + id.x;
-    errors[cell] = RESERVE * found;
-    if (!(RESERVE * found <= settings.tolerance)) {
+    errors[cell] = select(1e30, found, fine);
+    if (!fine) {
         rough[4u + atomicAdd(&stats[2], 1u)] = cell;
     }
 }
@@ -117,6 +155,7 @@ fn count() {
 const MOST_GROUPS = 65535u;
 
 const RESERVE = 2.0;
+const RESOLVED = 0.5;
 const SEEN = array<vec2f, 8>(
     vec2f(0.5, 0.5), vec2f(0.5, 0.0), vec2f(0.0, 0.5), vec2f(0.25, 0.25),
     vec2f(0.75, 0.25), vec2f(0.25, 0.75), vec2f(0.75, 0.75), vec2f(0.5, 0.25),

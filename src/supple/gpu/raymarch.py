@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -11,7 +12,7 @@ import numpy.typing as npt
 
 from supple.gpu.device import BINDING, Gpu
 from supple.gpu.field import domain, packed
-from supple.gpu.kernel import READ, UNIFORM, WRITE, Array, download, pipeline, room, run, upload
+from supple.gpu.kernel import READ, UNIFORM, WRITE, Array, download, owned, pipeline, room, run, upload
 
 Floats = npt.NDArray[np.float64]
 
@@ -204,24 +205,25 @@ def march(
         "light": look.light,
     }.items():
         settings[name][0, :3] = row
-    skips, colours = upload(gpu, look.skips), upload(gpu, look.table)
     light, depth = np.empty((height, width, 4), np.float32), np.empty((height, width, 2))
     work = np.empty((height, width, 2), np.int64)
     rows = max(1, min(height, RAYS // width))
-    seen = room(gpu, rows * width * 32)
-    for first in range(0, height, rows):
-        count = min(rows, height - first)
-        settings["first"], settings["rows"] = first, count
-        told = upload(gpu, settings, UNIFORM)
-        buffers = [told, held.domain, held.strokes, held.nodes, skips, held.samples, colours, seen]
-        run(gpu, [(made, buffers, (-(-width // 8), -(-count // 8), 1))])
-        found = download(gpu, seen, np.float32, count * width * 8).reshape(count, width, 8)
-        light[first : first + count] = found[..., :4]
-        where = found[..., 4:6].astype(np.float64)
-        depth[first : first + count] = np.where(where > 1e38, np.inf, where)
-        work[first : first + count] = found[..., 6:]
-        told.destroy()
-        tell(first + count)
-    for buffer in (skips, colours, seen):
-        buffer.destroy()
+    with contextlib.ExitStack() as stack:
+        skips, colours = owned(stack, upload(gpu, look.skips), upload(gpu, look.table))
+        (seen,) = owned(stack, room(gpu, rows * width * 32))
+        for first in range(0, height, rows):
+            count = min(rows, height - first)
+            settings["first"], settings["rows"] = first, count
+            with contextlib.ExitStack() as own:
+                (told,) = owned(own, upload(gpu, settings, UNIFORM))
+                buffers = [told, held.domain, held.strokes, held.nodes, skips, held.samples, colours, seen]
+                run(gpu, [(made, buffers, (-(-width // 8), -(-count // 8), 1))])
+                found = download(gpu, seen, np.float32, count * width * 8).reshape(count, width, 8)
+            if (found[..., 7] < 0).any():
+                raise ArithmeticError("points along rays could not be solved in its numbers")
+            light[first : first + count] = found[..., :4]
+            where = found[..., 4:6].astype(np.float64)
+            depth[first : first + count] = np.where(where > 1e38, np.inf, where)
+            work[first : first + count] = found[..., 6:]
+            tell(first + count)
     return light, depth, work

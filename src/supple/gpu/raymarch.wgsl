@@ -52,6 +52,7 @@ const FAINT = 4e-3;
 const FAR = 3e38;
 
 var<private> inversions: f32 = 0.0;
+var<private> lost: bool = false; // whether a point could not be solved
 
 // Where a point of what is seen comes from, in voxels; an exact one starts from the displacement of the one before.
 struct Place {
@@ -71,9 +72,10 @@ fn source_of(q: vec3f, near: vec3f) -> Place {
         let wanted = 1e-3 * finest;
         var found = newton(0u, settings.strokes, at, vec3f(0.0), near, wanted, 10u);
         inversions += found.steps;
-        if (found.residual > 0.05 * finest) {
+        if (!(found.residual <= 0.05 * finest)) {
             found = undo(at, wanted);
             inversions += found.steps;
+            lost = lost || !(found.residual <= 0.05 * finest);
         }
         return Place(q + found.offset / domain.spacing.xyz, found.offset, found.matrix);
     }
@@ -234,7 +236,7 @@ fn march(@builtin(global_invocation_id) id: vec3u) {
     }
     let k = 2u * (id.y * size.x + id.x);
     seen[k] = total;
-    seen[k + 1u] = vec4f(surface, opaque, taken, inversions);
+    seen[k + 1u] = vec4f(surface, opaque, taken, select(inversions, -1.0, lost));
 }
 
 // Ambient and diffuse light, and the highlight, of a surface with a gradient; both sides are lit.

@@ -157,7 +157,7 @@ fn at_place(place: Place, cubic: bool) -> vec4f {
     let base = place.base.xy;
     let part = place.part.xy;
     let frame = place.base.z;
-    if (settings.frames == 1u) {
+    if (BETWEEN == NOTHING) {
         return in_frame(base, part, 0, cubic);
     }
     if (BETWEEN == NEAREST) {
@@ -174,7 +174,7 @@ fn at_place(place: Place, cubic: bool) -> vec4f {
     return mix(in_frame(base, part, frame, cubic), in_frame(base, part, frame + 1, cubic), place.part.z);
 }
 
-// The average over what a pixel covers: a grid of points in the parallelogram of ∂p/∂q, less than one source
+// The average over what a pixel covers of the picture, at one time: a grid of points in the parallelogram of ∂p/∂q, less than one source
 // pixel apart up to TAPS of them along each side.
 fn averaged(q: vec3i, shift: vec3f, matrix: mat3x3f) -> vec4f {
     let taps = clamp(vec2u(ceil(2.0 * vec2f(length(matrix[0].xy), length(matrix[1].xy)))), vec2u(1u), vec2u(TAPS));
@@ -182,7 +182,7 @@ fn averaged(q: vec3i, shift: vec3f, matrix: mat3x3f) -> vec4f {
     for (var j = 0u; j < taps.y; j++) {
         for (var i = 0u; i < taps.x; i++) {
             let s = (vec2f(vec2u(i, j)) + 0.5) / vec2f(taps) - 0.5;
-            total += at_place(place_of(q, shift + s.x * matrix[0] + s.y * matrix[1]), true);
+            total += at_place(place_of(q, shift + vec3f(s.x * matrix[0].xy + s.y * matrix[1].xy, 0.0)), true);
         }
     }
     return total / f32(taps.x * taps.y);
@@ -198,14 +198,12 @@ fn largest(m: mat3x3f) -> f32 {
 }
 
 fn filtered(q: vec3i, source: Source) -> vec4f {
-    if (FILTER == ANTIALIAS) {
-        return finished(averaged(q, source.shift, source.matrix));
-    }
-    let cubic = FILTER == CUBIC || FILTER == AUTO;
-    var value = at_place(place_of(q, source.shift), cubic);
-    if (FILTER == AUTO) {
+    let averaging = FILTER == ANTIALIAS || FILTER == AUTO;
+    var value = at_place(place_of(q, source.shift), FILTER == CUBIC || averaging);
+    if (averaging) {
         // Where the map shrinks, averages fade in.
-        let part = smoothstep(1.0, 1.1, largest(source.matrix));
+        let from_ = select(1.0, 0.97, FILTER == ANTIALIAS);
+        let part = smoothstep(from_, select(1.1, 1.0, FILTER == ANTIALIAS), largest(source.matrix));
         if (part > 0.0) {
             value = mix(value, averaged(q, source.shift, source.matrix), part);
         }

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -11,13 +12,13 @@ import numpy.typing as npt
 
 from supple.gpu.device import BINDING, Gpu
 from supple.gpu.field import domain, packed
-from supple.gpu.kernel import READ, UNIFORM, WRITE, Array, download, pipeline, room, run, upload
+from supple.gpu.kernel import READ, UNIFORM, WRITE, Array, download, owned, pipeline, room, run, upload
 
 Floats = npt.NDArray[np.float64]
 
 STEP = 16  # pixels from node to node, as warp.wgsl has it
 FILTERS = {"nearest": 0, "linear": 1, "cubic": 2, "antialias": 3, "auto": 4}
-BETWEEN = {"nearest": 0, "linear": 1, "cubic": 2}
+BETWEEN = {"nearest": 0, "linear": 1, "cubic": 2, "nothing": 3}
 OUTSIDE = {"edge": 0, "constant": 1, "reflect": 2}
 _NAMES = ("warp", "field", "newton", "lattice", "sample")
 _KINDS = (UNIFORM, UNIFORM, READ, WRITE, WRITE, READ, WRITE, WRITE, WRITE)
@@ -96,7 +97,7 @@ class Wanted:
     """How colours are made."""
 
     filter: str
-    between: str
+    between: str  # "nothing", of a picture
     outside: str
     fill: tuple[float, ...]
     alpha: bool
@@ -147,8 +148,8 @@ def warp(
         "FILTER": FILTERS[wanted.filter],
         "BETWEEN": BETWEEN[wanted.between],
         "OUTSIDE": OUTSIDE[wanted.outside],
-        "ALPHA": int(wanted.alpha),
-        "LIGHT": int(wanted.light),
+        "ALPHA": int(wanted.alpha and wanted.filter != "nearest"),
+        "LIGHT": int(wanted.light and wanted.filter != "nearest"),
         "ACROSS": STEP // form.pixels,
         "DOWN": 2 * form.pixels,
     }
@@ -158,24 +159,13 @@ def warp(
     )
     frames, height, width, channels = source.shape
     cells = np.array([max(1, -(-(width - 1) // STEP)), max(1, -(-(height - 1) // STEP))])
-    fixed = [upload(gpu, domain(axes), UNIFORM), upload(gpu, packed(table))]
-    worst, lost, held = 0.0, 0, (0, 0, None)
     plane = height * form.words(width) * 4
     made_of = max(plane, int(np.prod(cells + 1)) * 64)
-    first = 0
-    while first < frames:
-        count = max(1, min(frames - first, BINDING // made_of, 16))
-        while True:
-            low, high = reach(first, first + count)
-            if held_bytes((height, width), source.dtype, channels, high - low) is not None:
-                break
-            if count == 1:
-                raise MemoryError("the frames that one is made of are more than a shader takes")
-            count //= 2
-        if made_of > BINDING:
-            raise MemoryError("a picture of this size is more than a shader takes")
-        if held[:2] != (low, high):
-            held = (low, high, upload(gpu, _packed(source[low:high], form)))
+    if made_of > BINDING:
+        raise MemoryError("a picture of this size is more than a shader takes")
+
+    def some(first: int, count: int, window: tuple[int, int], samples: Any) -> tuple[float, int]:
+        """Make some planes."""
         settings = np.zeros(1, SETTINGS)
         for name, value in {
             "size": (width, height),
@@ -183,8 +173,8 @@ def warp(
             "strokes": table.size,
             "first": first,
             "frames": frames,
-            "earliest": low,
-            "held": high - low,
+            "earliest": window[0],
+            "held": window[1] - window[0],
             "channels": channels,
             "white": wanted.white,
             "tolerance": wanted.tolerance,
@@ -193,33 +183,51 @@ def warp(
         }.items():
             settings[name] = value
         settings["fill"][0, :channels] = wanted.fill
-        target, stats = room(gpu, count * plane), room(gpu, 16)
-        nodes, errors = (room(gpu, count * int(np.prod(n)) * size) for n, size in ((cells + 1, 64), (cells, 4)))
-        rough = room(gpu, 16 + 4 * count * int(np.prod(cells)))
-        buffers = [upload(gpu, settings, UNIFORM), *fixed, nodes, errors, held[2], target, stats, rough]
 
-        def groups(whole: Any, size: int, planes: int = count) -> tuple[int, ...]:
-            return (*(-(-int(n) // size) for n in whole), planes)
+        def groups(whole: Any, size: int) -> tuple[int, ...]:
+            return (*(-(-int(n) // size) for n in whole), count)
 
-        run(
-            gpu,
-            [
-                (solve, buffers, groups(cells + 1, 8)),
-                (check, buffers, groups(cells, 8)),
-                (count_rough, buffers, (1, 1, 1)),
-                (colour, buffers, groups((width, height), STEP)),
-                (finish, buffers, rough),
-            ],
-        )
-        found = download(gpu, target, form.dtype, count * plane // np.dtype(form.dtype).itemsize)
+        sizes = (64 * int(np.prod(cells + 1)), 4 * int(np.prod(cells)), plane)
+        with contextlib.ExitStack() as stack:
+            nodes, errors, target = owned(stack, *(room(gpu, count * size) for size in sizes))
+            stats, rough = owned(stack, room(gpu, 16), room(gpu, 16 + 4 * count * int(np.prod(cells))))
+            (told,) = owned(stack, upload(gpu, settings, UNIFORM))
+            buffers = [told, *fixed, nodes, errors, samples, target, stats, rough]
+            run(
+                gpu,
+                [
+                    (solve, buffers, groups(cells + 1, 8)),
+                    (check, buffers, groups(cells, 8)),
+                    (count_rough, buffers, (1, 1, 1)),
+                    (colour, buffers, groups((width, height), STEP)),
+                    (finish, buffers, rough),
+                ],
+            )
+            found = download(gpu, target, form.dtype, count * plane // np.dtype(form.dtype).itemsize)
+            said = download(gpu, stats, np.uint32, 2)
         pixels = found.reshape(count, height, -1, form.channels)[:, :, :width, :channels]
         _store(pixels, out[first : first + count])
-        said = download(gpu, stats, np.uint32, 2)
-        worst, lost = max(worst, float(said[:1].view(np.float32)[0])), lost + int(said[1])
-        for buffer in (buffers[0], nodes, errors, target, stats, rough):
-            buffer.destroy()
-        first += count
-        tell(first)
+        return float(said[:1].view(np.float32)[0]), int(said[1])
+
+    worst, lost, first, held = 0.0, 0, 0, (0, 0)
+    with contextlib.ExitStack() as stack, contextlib.ExitStack() as window:
+        fixed = owned(stack, upload(gpu, domain(axes), UNIFORM), upload(gpu, packed(table)))
+        samples: Any = None
+        while first < frames:
+            count = max(1, min(frames - first, BINDING // made_of, 16))
+            low, high = reach(first, first + count)
+            while held_bytes((height, width), source.dtype, channels, high - low) is None:
+                if count == 1:
+                    raise MemoryError("the frames that one is made of are more than a shader takes")
+                count //= 2
+                low, high = reach(first, first + count)
+            if held != (low, high):
+                window.close()
+                held, (samples,) = (low, high), owned(window, upload(gpu, _packed(source[low:high], form)))
+            error, more = some(first, count, held, samples)
+            worst, lost = max(worst, error), lost + more
+            first += count
+            tell(first)
     return worst, lost
 
 

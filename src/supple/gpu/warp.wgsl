@@ -45,6 +45,7 @@ const LINEAR = 1u;
 const CUBIC = 2u;
 const ANTIALIAS = 3u;
 const AUTO = 4u;
+const NOTHING = 3u; // lies between the frames of a picture: there is one
 const EDGE = 0u;
 const CONSTANT = 1u;
 const REFLECT = 2u;
@@ -79,7 +80,7 @@ fn source_of(x: u32, y: u32, plane: u32, solving: bool) -> Source {
             lost += 1u;
         }
     }
-    worst = max(worst, off);
+    worst = max(worst, select(1e30, off, off <= settings.tolerance));
     return Source(found.offset / domain.spacing.xyz, m);
 }
 
@@ -148,6 +149,7 @@ fn fill(group: vec2u, plane: u32, own: vec2u, solving: bool) {
         atomicMax(&stats[0], bitcast<u32>(worst));
         if (lost > 0u) {
             atomicAdd(&stats[1], lost);
+            lost = 0u;
         }
     }
 }
