@@ -66,7 +66,7 @@ def start(*arguments: str, **options: object) -> subprocess.Popen[str]:
         env={**os.environ, "PYTHONPATH": SOURCE},
         stdout=options.pop("stdout", subprocess.PIPE),
         stderr=subprocess.PIPE,
-        text=True,
+        encoding="utf-8",
         **options,
     )
 

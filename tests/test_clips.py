@@ -952,7 +952,7 @@ def start(*arguments: str, **options: Any) -> subprocess.Popen[str]:
         env=environment(TMPDIR=os.path.abspath("tmp")),
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
-        text=True,
+        encoding="utf-8",
         **options,
     )
 

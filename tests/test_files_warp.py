@@ -148,7 +148,7 @@ def peak(*arguments: str) -> float:
     """Run a command line in a process of its own; return the most memory it took, in MiB."""
     environment = {**os.environ, "PYTHONPATH": SOURCE}
     done = subprocess.run(
-        [sys.executable, "-c", _PEAK, *arguments], env=environment, capture_output=True, text=True, check=True
+        [sys.executable, "-c", _PEAK, *arguments], env=environment, capture_output=True, encoding="utf-8", check=True
     )
     status, size = done.stdout.split()
     assert status == "0", done.stderr

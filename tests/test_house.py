@@ -25,7 +25,7 @@ def lint_imports(root: Path) -> subprocess.CompletedProcess[str]:
         cwd=root,
         env={**os.environ, "PYTHONPATH": str(root / "src")},
         capture_output=True,
-        text=True,
+        encoding="utf-8",
         check=False,
     )
 

@@ -89,7 +89,7 @@ def run(code, *arguments):
     """Run a program in a process of its own, and return its exit status and output."""
     command = [sys.executable, "-c", textwrap.dedent(code), *map(str, arguments)]
     environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[1] / "src")}
-    done = subprocess.run(command, capture_output=True, text=True, env=environment)
+    done = subprocess.run(command, capture_output=True, encoding="utf-8", env=environment)
     return done.returncode, done.stdout + done.stderr
 
 

@@ -244,7 +244,7 @@ def test_a_full_disk_leaves_what_was_there_and_no_word_of_itks(tmp_path: Path) -
                 print(said)
     """
     command = [sys.executable, "-c", textwrap.dedent(code), str(tmp_path)]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    done = subprocess.run(command, capture_output=True, encoding="utf-8", check=False)
     said = [f"cannot write {tmp_path}/out{s}: File too large: make room or choose another place" for s in SUFFIXES_OUT]
     assert (done.returncode, done.stderr) == (0, "")
     assert done.stdout.splitlines() == [line for line in said for _ in range(3)]
@@ -254,5 +254,5 @@ def test_a_full_disk_leaves_what_was_there_and_no_word_of_itks(tmp_path: Path) -
 
 def test_pictures_load_neither_itk_nor_nibabel() -> None:
     code = "import sys, supple.fields, supple.landmarks; print({'SimpleITK', 'nibabel'} & set(sys.modules))"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, encoding="utf-8", check=True)
     assert done.stdout == "set()\n"

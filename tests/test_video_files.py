@@ -1252,7 +1252,7 @@ def test_a_full_disk_is_said(tmp_path, target):
     source = clips.make(tmp_path / "a.mkv", "ffv1", smooth=False, count=20)
     for room in (0, 20000):
         command = [sys.executable, "-c", FULL_DISK, str(source), str(tmp_path / target), str(room)]
-        done = subprocess.run(command, capture_output=True, text=True, timeout=100, check=False)
+        done = subprocess.run(command, capture_output=True, encoding="utf-8", timeout=100, check=False)
         assert done.returncode == 3, done
         assert "File too large: make room" in done.stdout
         assert done.stderr == ""
@@ -1370,5 +1370,5 @@ for codec in ("h264", "hevc", "av1", "vp9"):
 def test_encoders_are_silent(tmp_path):
     source = clips.make(tmp_path / "a.mkv", "ffv1")
     command = [sys.executable, "-c", SILENT, str(source), str(tmp_path / "b.mkv"), os.path.dirname(__file__)]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=100, check=False)
+    done = subprocess.run(command, capture_output=True, encoding="utf-8", timeout=100, check=False)
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")

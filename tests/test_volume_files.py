@@ -1075,7 +1075,7 @@ class TestRefusals:
         for limit in (300, 40_000, 79_990):
             command = [sys.executable, "-c", textwrap.dedent(code), str(tmp_path / f"out{suffix}"), str(limit)]
             environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[1] / "src")}
-            done = subprocess.run(command, capture_output=True, text=True, env=environment)
+            done = subprocess.run(command, capture_output=True, encoding="utf-8", env=environment)
             assert (done.returncode, done.stderr) == (0, "")
             assert done.stdout.count("\n") == 1
             assert f"out{suffix}" in done.stdout or "out.raw" in done.stdout
@@ -1152,5 +1152,5 @@ class TestKinds:
     def test_it_takes_no_library_to_tell(self):
         code = "import sys, supple.media.volume; print(sorted({'nibabel', 'SimpleITK', 'pyvips'} & set(sys.modules)))"
         environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[1] / "src")}
-        done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=environment)
+        done = subprocess.run([sys.executable, "-c", code], capture_output=True, encoding="utf-8", env=environment)
         assert done.stdout == "[]\n"
