@@ -17,7 +17,7 @@ from supple.errors import DeviceWarning, SuppleError
 from supple.gpu.device import Gpu, open_gpu
 from supple.gpu.field import fits
 from supple.gpu.kernel import failures, trouble
-from supple.gpu.warp import Wanted, format_of, held_bytes, warp
+from supple.gpu.warp import Wanted, format_of, may_hold, warp
 from supple.streaming import Group, Layout, Sampling, Space, make_plan
 from supple.warping import checked_fill, checked_source, result_like
 
@@ -126,7 +126,7 @@ def _unknown(dtype: Any, channels: int, sampling: Sampling) -> str:
 def _reach(space: Space, dtype: Any, channels: int, sampling: Sampling) -> Callable[[int, int], tuple[int, int]]:
     """Which frames some planes are made of: all, if they fit, and else as the lattices of the planes tell."""
     whole = (0, space.count)
-    if held_bytes(space.shape, dtype, channels, space.count) is not None:
+    if may_hold(space.shape, dtype, channels, space.count):
         return lambda first, last: whole
     kind = np.dtype(np.float32)
     plan = make_plan(space, Layout((Group(space.shape, channels),), kind, 1.0), sampling, range(space.count))

@@ -24,6 +24,10 @@ struct Moved {
     jacobian: mat3x3f, // ∂T/∂p, column j by the j-th coordinate
 }
 
+fn finest() -> f32 {
+    return min(domain.spacing.x, min(domain.spacing.y, domain.spacing.z));
+}
+
 const HALF_PI = 1.5707963267948966;
 
 // β, β', the offset of the nearest point of the domain, and 1 where that is the point itself.

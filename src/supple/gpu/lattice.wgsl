@@ -34,19 +34,14 @@ fn patch_at(i: vec2u, plane: u32) -> Patch {
     );
 }
 
-// Along an axis, the line between two values is off by half of s (1 - s) h times what the slopes differ by.
-fn bent(a: vec3f, b: vec3f, slope_a: vec3f, slope_b: vec3f, s: f32) -> vec3f {
-    return mix(a, b, s) + 0.5 * f32(STEP) * s * (1.0 - s) * (slope_a - slope_b);
-}
-
 // At a place in the cell, from 0 to 1.
 fn between_nodes(cell: Patch, at: vec2f) -> Source {
     let s = at.x;
-    let upper = bent(cell.p.shift, cell.q.shift, cell.p.matrix[0], cell.q.matrix[0], s);
-    let lower = bent(cell.r.shift, cell.o.shift, cell.r.matrix[0], cell.o.matrix[0], s);
+    let upper = bent(cell.p.shift, cell.q.shift, cell.p.matrix[0], cell.q.matrix[0], s, f32(STEP));
+    let lower = bent(cell.r.shift, cell.o.shift, cell.r.matrix[0], cell.o.matrix[0], s, f32(STEP));
     let above = cell.p.matrix + s * (cell.q.matrix - cell.p.matrix);
     let below = cell.r.matrix + s * (cell.o.matrix - cell.r.matrix);
-    return Source(bent(upper, lower, above[1], below[1], at.y), above + at.y * (below - above));
+    return Source(bent(upper, lower, above[1], below[1], at.y, f32(STEP)), above + at.y * (below - above));
 }
 
 // From physical units to pixels.
@@ -60,10 +55,6 @@ fn in_pixels(matrix: mat3x3f) -> mat3x3f {
 
 fn norm_of(m: mat3x3f) -> f32 {
     return sqrt(dot(m[0], m[0]) + dot(m[1], m[1]) + dot(m[2], m[2]));
-}
-
-fn finest() -> f32 {
-    return min(domain.spacing.x, min(domain.spacing.y, domain.spacing.z));
 }
 
 // How far from the true T⁻¹(q) a source point is, in pixels, to first order.

@@ -19,7 +19,7 @@ Floats = npt.NDArray[np.float64]
 PLAIN, LATTICE, EXACT = 0, 1, 2
 RAYS = 1 << 18  # at once: systems end work that takes seconds
 _FORMATS = {"u1": 0, "i1": 1, "u2": 2, "i2": 3, "f4": 4}
-_NAMES = ("raymarch", "volume", "solid", "field", "newton")
+_NAMES = ("raymarch", "volume", "solid", "blend", "field", "newton")
 _KINDS = (UNIFORM, UNIFORM, READ, READ, READ, READ, READ, WRITE)
 
 SETTINGS = np.dtype(

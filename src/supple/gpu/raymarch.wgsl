@@ -68,14 +68,13 @@ fn source_of(q: vec3f, near: vec3f) -> Place {
     }
     if (MODE == EXACT) {
         let at = q * domain.spacing.xyz;
-        let finest = min(domain.spacing.x, min(domain.spacing.y, domain.spacing.z));
-        let wanted = 1e-3 * finest;
+        let wanted = 1e-3 * finest();
         var found = newton(0u, settings.strokes, at, vec3f(0.0), near, wanted, 10u);
         inversions += found.steps;
-        if (!(found.residual <= 0.05 * finest)) {
+        if (!(found.residual <= 0.05 * finest())) {
             found = undo(at, wanted);
             inversions += found.steps;
-            lost = lost || !(found.residual <= 0.05 * finest);
+            lost = lost || !(found.residual <= 0.05 * finest());
         }
         return Place(q + found.offset / domain.spacing.xyz, found.offset, found.matrix);
     }

@@ -2,10 +2,6 @@
 //
 // A node is four vectors: the displacement u in voxels, and the columns of ∂p/∂q.
 
-fn bent(a: vec3f, b: vec3f, slope_a: vec3f, slope_b: vec3f, s: f32) -> vec3f {
-    return mix(a, b, s) + 0.5 * settings.spread * s * (1.0 - s) * (slope_a - slope_b);
-}
-
 struct Corner {
     place: u32,
     at: vec3f, // where in its cell, from 0 to 1
@@ -26,7 +22,7 @@ struct Edge {
 
 fn along_x(k: u32, s: f32) -> Edge {
     return Edge(
-        bent(nodes[k].xyz, nodes[k + 4u].xyz, nodes[k + 1u].xyz, nodes[k + 5u].xyz, s),
+        bent(nodes[k].xyz, nodes[k + 4u].xyz, nodes[k + 1u].xyz, nodes[k + 5u].xyz, s, settings.spread),
         mix(nodes[k + 2u].xyz, nodes[k + 6u].xyz, s),
         mix(nodes[k + 3u].xyz, nodes[k + 7u].xyz, s),
     );
@@ -42,9 +38,9 @@ fn displacement(p: vec3f) -> vec3f {
     let b = along_x(corner.place + down, s.x);
     let c = along_x(corner.place + deep, s.x);
     let d = along_x(corner.place + deep + down, s.x);
-    let near = bent(a.shift, b.shift, a.down, b.down, s.y);
-    let far = bent(c.shift, d.shift, c.down, d.down, s.y);
-    return bent(near, far, mix(a.deep, b.deep, s.y), mix(c.deep, d.deep, s.y), s.z);
+    let near = bent(a.shift, b.shift, a.down, b.down, s.y, settings.spread);
+    let far = bent(c.shift, d.shift, c.down, d.down, s.y, settings.spread);
+    return bent(near, far, mix(a.deep, b.deep, s.y), mix(c.deep, d.deep, s.y), s.z, settings.spread);
 }
 
 fn slopes_between(k: u32, s: f32) -> mat3x3f {

@@ -20,7 +20,7 @@ STEP = 16  # pixels from node to node, as warp.wgsl has it
 FILTERS = {"nearest": 0, "linear": 1, "cubic": 2, "antialias": 3, "auto": 4}
 BETWEEN = {"nearest": 0, "linear": 1, "cubic": 2, "nothing": 3}
 OUTSIDE = {"edge": 0, "constant": 1, "reflect": 2}
-_NAMES = ("warp", "field", "newton", "lattice", "sample")
+_NAMES = ("warp", "field", "newton", "lattice", "blend", "sample")
 _KINDS = (UNIFORM, UNIFORM, READ, WRITE, WRITE, READ, WRITE, WRITE, WRITE)
 
 SETTINGS = np.dtype(
@@ -84,12 +84,12 @@ def format_of(dtype: Any, channels: int) -> Format | None:
     return None
 
 
-def held_bytes(shape: tuple[int, int], dtype: Any, channels: int, frames: int) -> int | None:
-    """How many bytes some frames take on the device; None if that is more than a shader takes."""
+def may_hold(shape: tuple[int, int], dtype: Any, channels: int, frames: int) -> bool:
+    """Whether some frames are no more than a shader takes."""
     form = format_of(dtype, channels)
     assert form is not None
     size = frames * shape[0] * shape[1] * form.channels * np.dtype(form.dtype).itemsize
-    return size if size <= BINDING else None
+    return bool(size <= BINDING)
 
 
 @dataclass(frozen=True, slots=True)
@@ -216,7 +216,7 @@ def warp(
         while first < frames:
             count = max(1, min(frames - first, BINDING // made_of, 16))
             low, high = reach(first, first + count)
-            while held_bytes((height, width), source.dtype, channels, high - low) is None:
+            while not may_hold((height, width), source.dtype, channels, high - low):
                 if count == 1:
                     raise MemoryError("the frames that one is made of are more than a shader takes")
                 count //= 2

@@ -1,0 +1,6 @@
+// Between nodes, h apart, that know their values and slopes; see supple/cpu/blend.py.
+
+// Along an axis, the line between two values is off by half of s (1 - s) h times what the slopes differ by.
+fn bent(a: vec3f, b: vec3f, slope_a: vec3f, slope_b: vec3f, s: f32, h: f32) -> vec3f {
+    return mix(a, b, s) + 0.5 * h * s * (1.0 - s) * (slope_a - slope_b);
+}
