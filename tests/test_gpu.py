@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import re
 import warnings
 from pathlib import Path
@@ -22,18 +21,6 @@ from supple.gpu import field, kernel
 from supple.gpu.device import Gpu
 from supple.gpu.warp import STEP, format_of
 from supple.media import image
-
-MUST = os.environ.get("SUPPLE_TEST_GPU") == "1"
-
-
-@pytest.fixture(scope="module")
-def gpu() -> Gpu:
-    try:
-        return devices.open_gpu()
-    except SuppleError as error:
-        if MUST:
-            raise
-        pytest.skip(str(error))
 
 
 @pytest.fixture(scope="module")
@@ -221,11 +208,11 @@ def test_long_stacks_go_through_a_window(gpu: Gpu, monkeypatch: pytest.MonkeyPat
         {"filter": "antialias", "outside": "constant"},
     ]
     whole = [d.warp(clip, device="gpu", **way) for way in ways]
-    monkeypatch.setattr("supple.gpu.warp.BINDING", 16 * 32 * 48)
+    monkeypatch.setattr(gpu, "binding", 16 * 32 * 48)
     for way, made in zip(ways, whole, strict=True):
         np.testing.assert_array_equal(d.warp(clip, device="gpu", **way), made)
     # A window that is too small for what a plane is made of ends in the CPU's result.
-    monkeypatch.setattr("supple.gpu.warp.BINDING", 2 * 32 * 48)
+    monkeypatch.setattr(gpu, "binding", 2 * 32 * 48)
     with pytest.warns(DeviceWarning, match="the CPU did what"):
         made = d.warp(clip, filter="linear", device="gpu")
     np.testing.assert_array_equal(made, d.warp(clip, filter="linear"))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +12,7 @@ from scipy import ndimage
 import supple
 from supple.camera import Camera
 from supple.cli import command
-from supple.errors import DeviceWarning, SuppleError
+from supple.errors import DeviceWarning
 from supple.geometry import Geometry
 from supple.gpu import device as devices
 from supple.gpu.device import Gpu
@@ -24,16 +23,6 @@ from supple.transfer import TransferFunction
 SHAPE, SIZE = (22, 30, 26), (40, 52)
 GEOMETRY = Geometry(spacing=(0.9, 1.1, 1.8))
 SOFT = TransferFunction(((0.3, 1, 0.2, 0.1, 0), (0.5, 0.9, 0.5, 0.3, 0.3), (1, 1, 1, 1, 0.8)), relative=True)
-
-
-@pytest.fixture(scope="module")
-def gpu() -> Gpu:
-    try:
-        return devices.open_gpu()
-    except SuppleError as error:
-        if os.environ.get("SUPPLE_TEST_GPU") == "1":
-            raise
-        pytest.skip(str(error))
 
 
 @pytest.fixture(scope="module")
@@ -124,7 +113,7 @@ def test_what_does_not_fit_is_done_by_the_cpu(gpu: Gpu, cloud: np.ndarray, monke
     monkeypatch.setattr("supple.gpu.raymarch.run", lost)
     with pytest.warns(DeviceWarning, match="device is lost"):
         np.testing.assert_array_equal(held.render(size=SIZE).light, wanted.light)
-    monkeypatch.setattr("supple.gpu.raymarch.BINDING", 1000)
+    monkeypatch.setattr(devices.open_gpu(), "binding", 1000)  # the other one is gone
     with pytest.warns(DeviceWarning, match="is more than a shader takes"):
         scene = Scene(cloud, GEOMETRY, transfer=SOFT, device="gpu")
     np.testing.assert_array_equal(scene.render(size=SIZE).light, wanted.light)

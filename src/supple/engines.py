@@ -98,7 +98,7 @@ def warp_on_gpu(
         sampling.tolerance,
     )
     try:
-        reach = _reach(space, array.dtype, channels, replace(sampling, fill=tuple(colours)))
+        reach = _reach(gpu, space, array.dtype, channels, replace(sampling, fill=tuple(colours)))
         with gpu.lock:
             worst, lost = warp(gpu, space.table, space.axes, array.reshape(deep), target.reshape(deep), wanted, reach)
         failed = f"{lost} points could not be solved to the tolerance in its numbers" if lost else ""
@@ -123,10 +123,12 @@ def _unknown(dtype: Any, channels: int, sampling: Sampling) -> str:
     return ""
 
 
-def _reach(space: Space, dtype: Any, channels: int, sampling: Sampling) -> Callable[[int, int], tuple[int, int]]:
+def _reach(
+    gpu: Gpu, space: Space, dtype: Any, channels: int, sampling: Sampling
+) -> Callable[[int, int], tuple[int, int]]:
     """Which frames some planes are made of: all, if they fit, and else as the lattices of the planes tell."""
     whole = (0, space.count)
-    if may_hold(space.shape, dtype, channels, space.count):
+    if may_hold(gpu, space.shape, dtype, channels, space.count):
         return lambda first, last: whole
     kind = np.dtype(np.float32)
     plan = make_plan(space, Layout((Group(space.shape, channels),), kind, 1.0), sampling, range(space.count))

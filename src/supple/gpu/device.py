@@ -27,14 +27,16 @@ LIMITS: dict[str, int] = {
     "max-storage-buffers-per-shader-stage": 8,
     "max-uniform-buffer-binding-size": 64 << 10,
 }
-BINDING = LIMITS["max-storage-buffer-binding-size"]
-"""The largest array that a shader takes, in bytes."""
+_BINDINGS = (1 << 30, 512 << 20, 256 << 20, LIMITS["max-storage-buffer-binding-size"])
+"""What is asked for as the largest array of a shader, in bytes: the first of these that is granted."""
+
+_SIZES = ("max-storage-buffer-binding-size", "max-buffer-size")
 
 CLOCK = "timestamp-query"
 _KINDS = ("DiscreteGPU", "IntegratedGPU", "VirtualGPU", "Unknown", "CPU")
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(slots=True, eq=False)
 class Gpu:
     """An opened device.
 
@@ -53,6 +55,8 @@ class Gpu:
         For whom works on it: one thread at a time.
     clocks : list
         Those that are running (`supple.gpu.kernel.clocked`).
+    binding : int
+        The largest array that a shader takes, in bytes.
     """
 
     name: str
@@ -62,6 +66,7 @@ class Gpu:
     pipelines: dict[Any, Any]
     lock: Any
     clocks: list[Any]
+    binding: int
 
 
 @functools.cache
@@ -134,13 +139,16 @@ def open_gpu(software: bool = True) -> Gpu:
                 reason = f"{adapter.info['device']} is too small ({short[0]}): "
                 continue
             features = [CLOCK] if CLOCK in adapter.features else []
+            binding = next(size for size in _BINDINGS if all(adapter.limits.get(name, size) >= size for name in _SIZES))
+            limits = LIMITS | dict.fromkeys(_SIZES, max(binding, LIMITS["max-buffer-size"]))
+            limits["max-storage-buffer-binding-size"] = binding
             try:
-                device = adapter.request_device_sync(required_limits=dict(LIMITS), required_features=features)
+                device = adapter.request_device_sync(required_limits=limits, required_features=features)
             except Exception as error:  # drivers fail in many ways
                 reason = f"{adapter.info['device']} cannot be opened ({' '.join(str(error).split())[:100]}): "
                 continue
             name, kind, backend = (str(adapter.info[key]) for key in ("device", "adapter_type", "backend_type"))
-            _opened[k] = Gpu(name, kind == "CPU", backend, device, {}, threading.RLock(), [])
+            _opened[k] = Gpu(name, kind == "CPU", backend, device, {}, threading.RLock(), [], binding)
             return _opened[k]
     raise SuppleError(f"no GPU was found: {reason}{missing()}; device cpu needs none")
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from supple.gpu.device import BINDING, Gpu
+from supple.gpu.device import Gpu
 from supple.gpu.field import domain, packed
 from supple.gpu.kernel import READ, UNIFORM, WRITE, Array, download, owned, pipeline, room, run, upload
 
@@ -114,8 +114,8 @@ def hold(
     MemoryError
         If the volume is more than a shader takes.
     """
-    if max(samples.nbytes, nodes.nbytes) > BINDING:
-        raise MemoryError(f"a volume of {samples.nbytes >> 20} MB is more than a shader takes, {BINDING >> 20} MB")
+    if max(samples.nbytes, nodes.nbytes) > gpu.binding:
+        raise MemoryError(f"a volume of {samples.nbytes >> 20} MB is more than a shader takes, {gpu.binding >> 20} MB")
     return Held(
         gpu,
         upload(gpu, samples),

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from supple.gpu.device import BINDING, Gpu
+from supple.gpu.device import Gpu
 from supple.gpu.field import domain, packed
 from supple.gpu.kernel import READ, UNIFORM, WRITE, Array, download, owned, pipeline, room, run, upload
 
@@ -84,12 +84,12 @@ def format_of(dtype: Any, channels: int) -> Format | None:
     return None
 
 
-def may_hold(shape: tuple[int, int], dtype: Any, channels: int, frames: int) -> bool:
+def may_hold(gpu: Gpu, shape: tuple[int, int], dtype: Any, channels: int, frames: int) -> bool:
     """Whether some frames are no more than a shader takes."""
     form = format_of(dtype, channels)
     assert form is not None
     size = frames * shape[0] * shape[1] * form.channels * np.dtype(form.dtype).itemsize
-    return bool(size <= BINDING)
+    return bool(size <= gpu.binding)
 
 
 @dataclass(frozen=True, slots=True)
@@ -161,7 +161,7 @@ def warp(
     cells = np.array([max(1, -(-(width - 1) // STEP)), max(1, -(-(height - 1) // STEP))])
     plane = height * form.words(width) * 4
     made_of = max(plane, int(np.prod(cells + 1)) * 64)
-    if made_of > BINDING:
+    if made_of > gpu.binding:
         raise MemoryError("a picture of this size is more than a shader takes")
 
     def some(first: int, count: int, window: tuple[int, int], samples: Any) -> tuple[float, int]:
@@ -214,9 +214,9 @@ def warp(
         fixed = owned(stack, upload(gpu, domain(axes), UNIFORM), upload(gpu, packed(table)))
         samples: Any = None
         while first < frames:
-            count = max(1, min(frames - first, BINDING // made_of, 16))
+            count = max(1, min(frames - first, gpu.binding // made_of, 16))
             low, high = reach(first, first + count)
-            while not may_hold((height, width), source.dtype, channels, high - low):
+            while not may_hold(gpu, (height, width), source.dtype, channels, high - low):
                 if count == 1:
                     raise MemoryError("the frames that one is made of are more than a shader takes")
                 count //= 2
