@@ -18,6 +18,7 @@ Floats = npt.NDArray[np.float64]
 
 PLAIN, LATTICE, EXACT = 0, 1, 2
 RAYS = 1 << 18  # at once: systems end work that takes seconds
+LONGEST = 8  # samples
 _FORMATS = {"u1": 0, "i1": 1, "u2": 2, "i2": 3, "f4": 4}
 _NAMES = ("raymarch", "volume", "solid", "blend", "field", "newton")
 _KINDS = (UNIFORM, UNIFORM, READ, READ, READ, READ, READ, WRITE)
@@ -46,7 +47,8 @@ SETTINGS = np.dtype(
         ("always", "u4"),
         ("fine", "u4"),
         ("rows", "u4"),
-        ("unused", "u4", 7),
+        ("stretch", "u4"),
+        ("unused", "u4", 6),
     ]
 )
 _LARGEST = float(np.finfo(np.float32).max)
@@ -195,6 +197,7 @@ def march(
         "shaded": look.shaded,
         "always": look.threshold == -np.inf,
         "fine": fine,
+        "stretch": _stretch(held, look.step, float(view[1].min())),
     }.items():
         settings[name] = value
     for name, row in {
@@ -227,3 +230,10 @@ def march(
             work[first : first + count] = found[..., 6:]
             tell(first + count)
     return light, depth, work
+
+
+def _stretch(held: Held, step: float, finest: float) -> int:
+    """How many samples lie within the width of a cell of the lattice."""
+    if held.mode != LATTICE:
+        return LONGEST
+    return max(1, min(int(held.spread * finest / step), LONGEST))

@@ -23,7 +23,8 @@ struct Settings {
     always: u32, // whether any value is seen
     fine: u32, // rays along a pixel's side
     rows: u32,
-    unused: vec3u,
+    stretch: u32, // samples that share what is read of the lattice
+    unused: vec2u,
 }
 
 @group(0) @binding(0) var<uniform> settings: Settings;
@@ -54,31 +55,77 @@ const FAR = 3e38;
 var<private> inversions: f32 = 0.0;
 var<private> lost: bool = false; // whether a point could not be solved
 
-// Where a point of what is seen comes from, in voxels; an exact one starts from the displacement of the one before.
+// Where a point of what is seen comes from, in voxels.
 struct Place {
     p: vec3f,
-    shift: vec3f,
+    shift: vec3f, // of an exact one, from which the next one starts
     matrix: mat3x3f, // ∂p/∂q, in physical units, of an exact one
 }
 
-fn source_of(q: vec3f, near: vec3f) -> Place {
-    let still = mat3x3f(1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0);
+const STILL = mat3x3f(1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0);
+
+fn solved(q: vec3f, near: vec3f) -> Place {
+    let at = q * domain.spacing.xyz;
+    let wanted = 1e-3 * finest();
+    var found = newton(0u, settings.strokes, at, vec3f(0.0), near, wanted, 10u);
+    inversions += found.steps;
+    if (!(found.residual <= 0.05 * finest())) {
+        found = undo(at, wanted);
+        inversions += found.steps;
+        lost = lost || !(found.residual <= 0.05 * finest());
+    }
+    return Place(q + found.offset / domain.spacing.xyz, found.offset, found.matrix);
+}
+
+// A stretch of a ray, a few steps long, along which what comes from the lattice is a cubic: what is read there serves
+// all of its samples. It is about as long as the lattice's cells, and not coarser than they are.
+struct Stretch {
+    start: f32, // in millimetres along the ray
+    over: f32, // 1 / its length
+    from_: Between, // at its ends
+    to: Between,
+    a: vec3f, // u = from + s (to - from + (1 - s) ((1 - s) a - s b))
+    b: vec3f,
+}
+
+var<private> stretch: Stretch;
+
+// Go on to the stretch that begins some steps from the ray's start.
+fn begin(ray: Ray, going_on: bool) {
+    if (MODE != LATTICE) {
+        return;
+    }
+    let length_ = f32(settings.stretch) * settings.step;
+    stretch.start = ray.start + ray.count * settings.step;
+    stretch.over = 1.0 / length_;
+    stretch.from_ = stretch.to;
+    // Its end, and its start where that is not the last one's end: a loop, as some devices carry out all of a branch.
+    let ends = select(2u, 1u, going_on);
+    for (var k = 0u; k < ends; k++) {
+        let here = between(ray.o + (stretch.start + select(length_, 0.0, k == 1u)) * ray.d);
+        if (k == 0u) {
+            stretch.to = here;
+        } else {
+            stretch.from_ = here;
+        }
+    }
+    let rise = stretch.to.shift - stretch.from_.shift;
+    stretch.a = length_ * (stretch.from_.matrix * ray.d - ray.d) - rise;
+    stretch.b = length_ * (stretch.to.matrix * ray.d - ray.d) - rise;
+}
+
+fn source_of(ray: Ray, t: f32, near: vec3f) -> Place {
+    let q = ray.o + t * ray.d;
     if (MODE == LATTICE) {
-        return Place(q + displacement(q), vec3f(0.0), still);
+        let s = (t - stretch.start) * stretch.over;
+        let rise = stretch.to.shift - stretch.from_.shift;
+        let u = stretch.from_.shift + s * (rise + (1.0 - s) * ((1.0 - s) * stretch.a - s * stretch.b));
+        return Place(q + u, near, STILL);
     }
     if (MODE == EXACT) {
-        let at = q * domain.spacing.xyz;
-        let wanted = 1e-3 * finest();
-        var found = newton(0u, settings.strokes, at, vec3f(0.0), near, wanted, 10u);
-        inversions += found.steps;
-        if (!(found.residual <= 0.05 * finest())) {
-            found = undo(at, wanted);
-            inversions += found.steps;
-            lost = lost || !(found.residual <= 0.05 * finest());
-        }
-        return Place(q + found.offset / domain.spacing.xyz, found.offset, found.matrix);
+        return solved(q, near);
     }
-    return Place(q, vec3f(0.0), still);
+    return Place(q, near, STILL);
 }
 
 struct Ray {
@@ -92,10 +139,11 @@ struct Ray {
 }
 
 // How many steps lead out of the bricks around that nothing is seen of; 0 where there are none.
-fn steps_to_skip(ray: Ray, q: vec3f, t: f32) -> f32 {
+fn steps_to_skip(ray: Ray, t: f32) -> f32 {
     if (MODE == EXACT) {
         return 0.0;
     }
+    let q = ray.o + t * ray.d;
     let i = min(vec3u(max(q, vec3f(0.0))) / BRICK, settings.bricks - 1u);
     let k = (i.z * settings.bricks.y + i.y) * settings.bricks.x + i.x;
     let away = f32(extractBits(skips[k >> 2u], 8u * (k & 3u), 8u));
@@ -106,10 +154,11 @@ fn steps_to_skip(ray: Ray, q: vec3f, t: f32) -> f32 {
 }
 
 // The gradient of what is seen, for each millimetre: (∂p/∂q)ᵀ ∇f.
-fn gradient_at(place: Place, q: vec3f) -> vec3f {
+fn gradient_at(place: Place, t: f32) -> vec3f {
     let g = slopes_at(place.p);
     if (MODE == LATTICE) {
-        return g * matrix_at(q) / domain.spacing.xyz;
+        let s = (t - stretch.start) * stretch.over;
+        return g * (stretch.from_.matrix + s * (stretch.to.matrix - stretch.from_.matrix)) / domain.spacing.xyz;
     }
     return (g / domain.spacing.xyz) * place.matrix;
 }
@@ -149,13 +198,16 @@ fn march(@builtin(global_invocation_id) id: vec3u) {
         // To the first sample above the threshold ...
         var at = near;
         var value = 0.0;
+        var going_on = false;
         while (surface == FAR && at <= far) {
-            let q = o + at * d;
-            let hop = steps_to_skip(ray, q, at);
-            if (hop > 0.0) {
+            for (var hop = steps_to_skip(ray, at); hop > 0.0 && at <= far; hop = steps_to_skip(ray, at)) {
                 ray.count += hop;
-            } else {
-                let place = source_of(q, shift);
+                at = ray.start + ray.count * settings.step;
+                going_on = false;
+            }
+            begin(ray, going_on);
+            for (var j = 0u; j < settings.stretch && at <= far; j++) {
+                let place = source_of(ray, at, shift);
                 shift = place.shift;
                 value = sample_at(place.p);
                 taken += 1.0;
@@ -164,8 +216,9 @@ fn march(@builtin(global_invocation_id) id: vec3u) {
                     break;
                 }
                 ray.count += 1.0;
+                at = ray.start + ray.count * settings.step;
             }
-            at = ray.start + ray.count * settings.step;
+            going_on = true;
         }
         // ... and back to the surface, which lies within the last step.
         if (surface != FAR && settings.always == 0u) {
@@ -179,7 +232,7 @@ fn march(@builtin(global_invocation_id) id: vec3u) {
                     }
                     middle = low + (surface - low) * ((settings.threshold - before) / (value - before));
                 }
-                let inner = source_of(o + middle * d, shift);
+                let inner = source_of(ray, middle, shift);
                 let there = sample_at(inner.p);
                 taken += 1.0;
                 if (turn == BISECTIONS || seen_first(there)) {
@@ -199,39 +252,45 @@ fn march(@builtin(global_invocation_id) id: vec3u) {
     // What lies behind it.
     var total = vec4f(0.0);
     var opaque = FAR;
-    var within = true;
-    var t = select(ray.start + ray.count * settings.step, FAR, surface == FAR);
+    var going_on = false;
+    var t = select(ray.start, FAR, surface == FAR);
+    let last = f32(settings.entries - 1u);
     while (t <= far) {
-        let q = o + t * d;
-        let hop = select(steps_to_skip(ray, q, t), 0.0, within);
-        within = false;
-        if (hop > 0.0) {
-            ray.count += hop;
-        } else {
-            let place = source_of(q, shift);
+        begin(ray, going_on);
+        var within = false;
+        for (var j = 0u; j < settings.stretch && t <= far; j++) {
+            let place = source_of(ray, t, shift);
             shift = place.shift;
             let value = sample_at(place.p);
             taken += 1.0;
-            let last = f32(settings.entries - 1u);
             let colour = colours[u32(clamp((value - settings.low) * settings.scale, 0.0, last) + 0.5)];
             let part = (1.0 - total.w) * colour.w;
             if (value >= settings.window.x && value <= settings.window.y && colour.w > 0.0) {
                 within = true;
                 var lit = vec2f(1.0, 0.0);
                 if (settings.shaded == 1u && part > FAINT) {
-                    lit = lit_by(gradient_at(place, q), half_);
+                    lit = lit_by(gradient_at(place, t), half_);
                 }
                 total += part * vec4f(colour.xyz * lit.x + lit.y, 1.0);
                 if (opaque == FAR && total.w >= 0.9) {
                     opaque = t;
                 }
                 if (total.w > OPAQUE) {
+                    t = FAR;
                     break;
                 }
             }
             ray.count += 1.0;
+            t = ray.start + ray.count * settings.step;
         }
-        t = ray.start + ray.count * settings.step;
+        going_on = true;
+        if (!within) {
+            for (var hop = steps_to_skip(ray, t); hop > 0.0 && t <= far; hop = steps_to_skip(ray, t)) {
+                ray.count += hop;
+                t = ray.start + ray.count * settings.step;
+                going_on = false;
+            }
+        }
     }
     let k = 2u * (id.y * size.x + id.x);
     seen[k] = total;

@@ -14,22 +14,24 @@ fn corner_of(p: vec3f) -> Corner {
     return Corner(4u * ((i.z * settings.nodes.y + i.y) * settings.nodes.x + i.x), v - vec3f(i));
 }
 
-struct Edge {
-    shift: vec3f,
-    down: vec3f,
-    deep: vec3f,
+struct Between {
+    shift: vec3f, // T⁻¹(q) - q, in voxels
+    matrix: mat3x3f, // ∂p/∂q, in voxels a voxel
 }
 
-fn along_x(k: u32, s: f32) -> Edge {
-    return Edge(
+fn along_x(k: u32, s: f32) -> Between {
+    return Between(
         bent(nodes[k].xyz, nodes[k + 4u].xyz, nodes[k + 1u].xyz, nodes[k + 5u].xyz, s, settings.spread),
-        mix(nodes[k + 2u].xyz, nodes[k + 6u].xyz, s),
-        mix(nodes[k + 3u].xyz, nodes[k + 7u].xyz, s),
+        mat3x3f(
+            mix(nodes[k + 1u].xyz, nodes[k + 5u].xyz, s),
+            mix(nodes[k + 2u].xyz, nodes[k + 6u].xyz, s),
+            mix(nodes[k + 3u].xyz, nodes[k + 7u].xyz, s),
+        ),
     );
 }
 
-// T⁻¹(q) - q, in voxels.
-fn displacement(p: vec3f) -> vec3f {
+// T⁻¹ at a point, given in voxels.
+fn between(p: vec3f) -> Between {
     let corner = corner_of(p);
     let down = 4u * settings.nodes.x;
     let deep = down * settings.nodes.y;
@@ -38,30 +40,9 @@ fn displacement(p: vec3f) -> vec3f {
     let b = along_x(corner.place + down, s.x);
     let c = along_x(corner.place + deep, s.x);
     let d = along_x(corner.place + deep + down, s.x);
-    let near = bent(a.shift, b.shift, a.down, b.down, s.y, settings.spread);
-    let far = bent(c.shift, d.shift, c.down, d.down, s.y, settings.spread);
-    return bent(near, far, mix(a.deep, b.deep, s.y), mix(c.deep, d.deep, s.y), s.z, settings.spread);
-}
-
-fn slopes_between(k: u32, s: f32) -> mat3x3f {
-    return mat3x3f(
-        mix(nodes[k + 1u].xyz, nodes[k + 5u].xyz, s),
-        mix(nodes[k + 2u].xyz, nodes[k + 6u].xyz, s),
-        mix(nodes[k + 3u].xyz, nodes[k + 7u].xyz, s),
-    );
-}
-
-// ∂p/∂q, in voxels a voxel.
-fn matrix_at(p: vec3f) -> mat3x3f {
-    let corner = corner_of(p);
-    let down = 4u * settings.nodes.x;
-    let deep = down * settings.nodes.y;
-    let s = corner.at;
-    let a = slopes_between(corner.place, s.x);
-    let b = slopes_between(corner.place + down, s.x);
-    let c = slopes_between(corner.place + deep, s.x);
-    let d = slopes_between(corner.place + deep + down, s.x);
-    let near = a + s.y * (b - a);
-    let far = c + s.y * (d - c);
-    return near + s.z * (far - near);
+    let m = a.matrix + s.y * (b.matrix - a.matrix);
+    let n = c.matrix + s.y * (d.matrix - c.matrix);
+    let near = bent(a.shift, b.shift, a.matrix[1], b.matrix[1], s.y, settings.spread);
+    let far = bent(c.shift, d.shift, c.matrix[1], d.matrix[1], s.y, settings.spread);
+    return Between(bent(near, far, m[2], n[2], s.z, settings.spread), m + s.z * (n - m));
 }
