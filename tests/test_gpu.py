@@ -18,7 +18,9 @@ from supple.engines import gpu_of
 from supple.errors import DeviceWarning, FoldWarning, SuppleError
 from supple.gpu import device as devices
 from supple.gpu import field, kernel
+from supple.gpu import raymarch as shading
 from supple.gpu.device import Gpu
+from supple.gpu.fill import BLOCK
 from supple.gpu.warp import STEP, format_of
 from supple.media import image
 
@@ -348,7 +350,7 @@ def test_functions_are_refused_and_bytes_stay_in_their_order(gpu: Gpu, photo: np
 
 
 def test_shaders_have_the_numbers_of_the_cpu() -> None:
-    marching, lattice_ = kernel.source("raymarch"), kernel.source("lattice")
+    marching, lattice_ = kernel.source("raymarch"), kernel.source("smooth")
 
     def said(text: str, name: str) -> float:
         found = re.search(rf"const {name} = ([-\w.]+?)u?;", text)
@@ -361,6 +363,9 @@ def test_shaders_have_the_numbers_of_the_cpu() -> None:
     for name in ("RESERVE", "RESOLVED"):
         assert said(lattice_, name) == getattr(lattice, name)
     assert said(kernel.source("warp"), "STEP") == STEP
+    for name in ("PLAIN", "LATTICE", "EXACT", "HYBRID"):
+        assert said(marching, name) == getattr(shading, name)
+    assert said(marching, "BLOCK") == said(kernel.source("fill"), "BLOCK") == BLOCK
 
 
 def test_without_an_adapter_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -10,14 +10,18 @@ import pytest
 from scipy import ndimage
 
 import supple
+from supple import drawing
 from supple.camera import Camera
 from supple.cli import command
-from supple.errors import DeviceWarning
+from supple.cpu import solid as cpu_solid
+from supple.errors import DeviceWarning, SuppleError
 from supple.geometry import Geometry
 from supple.gpu import device as devices
+from supple.gpu import fill, kernel, solid, volume
 from supple.gpu.device import Gpu
 from supple.media import image
-from supple.rendering import MODES, Picture, Scene
+from supple.picture import Picture
+from supple.rendering import MODES, Scene
 from supple.transfer import TransferFunction
 
 SHAPE, SIZE = (22, 30, 26), (40, 52)
@@ -97,7 +101,7 @@ def test_without_strokes_and_thin(gpu: Gpu, cloud: np.ndarray) -> None:
 def test_large_pictures_come_in_parts(gpu: Gpu, cloud: np.ndarray, monkeypatch: pytest.MonkeyPatch) -> None:
     scene = Scene(cloud, GEOMETRY, transfer=SOFT, device="gpu")
     whole = scene.render(size=SIZE)
-    monkeypatch.setattr("supple.gpu.raymarch.RAYS", 7 * SIZE[1])
+    monkeypatch.setattr(kernel.Pace, "parts", lambda pace, total: ((k, min(7, total - k)) for k in range(0, total, 7)))
     parts = scene.render(size=SIZE)
     np.testing.assert_array_equal(parts.light, whole.light)
     np.testing.assert_array_equal(parts.depth, whole.depth)
@@ -129,3 +133,184 @@ def test_the_command_line(gpu: Gpu, tmp_path: Path, capsys: pytest.CaptureFixtur
     assert np.sqrt(np.mean((one - other) ** 2)) < 2
     assert command(["render", head, str(tmp_path / "x.png"), "--device", "cuda"]) == 2
     assert not (tmp_path / "x.png").exists()
+
+
+def test_the_lattice_is_the_cpu_s(gpu: Gpu, bent: supple.Deformation) -> None:
+    space = bent.space
+    for step in (2, 4):
+        _, nodes, error, smooth = solid.solve(gpu, space.table, space.axes, SHAPE, step)
+        ours, least = cpu_solid._solve(space.table, space.axes, SHAPE, step)
+        assert nodes.shape == ours.nodes.shape
+        np.testing.assert_allclose(nodes, ours.nodes, atol=2e-4)
+        assert error == pytest.approx(ours.error, rel=0.02, abs=1e-4)
+        assert smooth == pytest.approx(least, rel=1e-3)
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.int8, np.uint16, np.int16, np.float32])
+@pytest.mark.parametrize("polished", [False, True])
+def test_the_buffer_is_the_warped_volume(
+    gpu: Gpu, cloud: np.ndarray, bent: supple.Deformation, dtype: Any, polished: bool
+) -> None:
+    given = (cloud * 200 - (100 if np.dtype(dtype).kind == "i" else 0)).astype(dtype)
+    held = volume.hold(gpu, given, twice=True)
+    space = bent.space
+    # What is solved for each voxel does not need a fine lattice.
+    lattice, *_ = solid.solve(gpu, space.table, space.axes, SHAPE, 8 if polished else 2)
+    filling = fill.Filling(held, lattice, polished=polished, tolerance=0.01)
+    assert filling.part == 0.0
+    assert filling.advance(60.0) == filling.part == 1.0
+    size = held.warped * given.itemsize
+    raw = kernel.download(gpu, held.samples, np.uint8, 2 * size)
+    for half, wanted in ((raw[:size], given), (raw[size:], bent.warp(given, filter="linear", tolerance=1e-3))):
+        found = half.view(dtype).reshape(*SHAPE[:2], held.pitch)[..., : SHAPE[2]]
+        away = np.abs(found.astype(float) - wanted.astype(float))
+        # A number may be rounded the other way.
+        assert away.max() <= (0 if wanted is given else 1 if given.dtype.kind in "iu" else 0.3)
+        assert np.mean(away) < 0.02
+
+
+def test_hybrid_fills_its_buffer_bit_by_bit(gpu: Gpu, monkeypatch: pytest.MonkeyPatch) -> None:
+    rng = np.random.default_rng(3)
+    given = ndimage.gaussian_filter(rng.normal(size=(70, 60, 66)), 3, mode="constant").astype(np.float32)
+    given = (given - given.min()) / np.ptp(given)
+    d = supple.Deformation(given.shape, border=None).grab((30, 30, 35), by=(6, -3, 4), radius=16)
+    camera = Camera(azimuth=40, elevation=15)
+    exact, hybrid = (
+        Scene(given, deformation=d, transfer=SOFT, mode=mode, device="gpu") for mode in ("exact", "hybrid")
+    )
+    wanted = exact.render(camera, SIZE)
+    # A buffer is sampled twice.
+    buffered = Scene(given, deformation=d, transfer=SOFT, mode="buffered").render(camera, SIZE)
+    floor = apart(buffered, wanted) - 1
+    assert floor > 30
+    monkeypatch.setattr(kernel.Pace, "parts", _one_at_a_time(kernel.Pace.parts))
+    parts = [0.0]
+    while parts[-1] < 1:
+        parts.append(hybrid.fill(camera, SIZE, seconds=1e-9))
+        if len(parts) % 12 == 2 or parts[-1] == 1:
+            assert apart(hybrid.render(camera, SIZE), wanted) > floor
+    assert len(parts) == 5 * 4 * 5 + 1
+    assert np.diff(parts).min() > 0
+    assert hybrid.fill(camera) == 1.0
+    # What is not seen is made last, and what lies in front first.
+    filling = Scene(given, deformation=d, transfer=SOFT, mode="hybrid", device="gpu")
+    order = drawing.order_of(filling.view(camera, SIZE), given.shape, filling._skips)
+    assert sorted(order) == list(range(5 * 4 * 5))
+    middles = (np.stack(np.unravel_index(order, (5, 4, 5))[::-1], -1) + 0.5) * 16
+    view = filling.view(camera, SIZE)
+    depth = (middles - view.eye) @ view.ahead
+    assert depth[:20].mean() < depth[-20:].mean()
+    # A camera that looks away has nothing in view.
+    behind = filling.view(Camera(azimuth=40, elevation=15, distance=20, field_of_view=5), (8, 8))
+    first = np.unravel_index(drawing.order_of(behind, given.shape, filling._skips)[0], (5, 4, 5))
+    assert np.abs((np.array(first[::-1]) + 0.5) * 16 - behind.eye - 20 * behind.ahead).max() < 40
+
+
+def _one_at_a_time(parts: Any) -> Any:
+    """Parts of some work, one item each, where there is a limit."""
+
+    def made(self: kernel.Pace, total: int, seconds: float = 1.0, limit: float = np.inf) -> Any:
+        return parts(self, total, seconds) if limit == np.inf else iter([(0, 1)])
+
+    return made
+
+
+def test_only_what_is_finished_is_read_of_the_buffer(gpu: Gpu, cloud: np.ndarray, bent: supple.Deformation) -> None:
+    scene = Scene(cloud, GEOMETRY, deformation=bent, transfer=SOFT, mode="hybrid", device="gpu")
+    wanted = scene.render(size=SIZE)
+    held = scene._held
+    assert held is not None
+    assert held.filling is not None
+    filling, size = held.filling, 4 * held.volume.warped
+    # One brick of eight is there: its neighbours are not, so that none can be read.
+    scene.fill(seconds=1e-9)
+    filling._made[...] = False
+    filling._made[0, 0, 0] = True
+    filling._tell()
+    gpu.device.queue.write_buffer(held.volume.samples, size, np.full(size // 4, 0.9, np.float32).view(np.uint8))
+    np.testing.assert_allclose(scene.render(size=SIZE).light, wanted.light, atol=1e-5)
+    # And with them it is.
+    filling._made[...] = True
+    filling._made[-1] = False
+    filling._tell()
+    assert apart(scene.render(size=SIZE), wanted) > 40  # two layers of bricks: none has all of its neighbours
+    filling._made[...] = True
+    filling._tell()
+    assert apart(scene.render(size=SIZE), wanted) < 25
+
+
+def test_scenes_of_one_volume_take_turns_with_its_buffer(gpu: Gpu, cloud: np.ndarray, bent: supple.Deformation) -> None:
+    one = Scene(cloud, GEOMETRY, deformation=bent, transfer=SOFT, mode="hybrid", device="gpu")
+    more = bent.grab((10, 10, 10), by=(0, 3, 0), radius=7)
+    other = one.deformed(more)
+    assert other._held is not None
+    assert one._held is not None
+    assert other._held.volume is one._held.volume  # nothing went to the GPU again
+    for scene, d in ((one, bent), (other, more), (one, bent)):
+        assert scene._held is not None
+        assert scene._held.filling is not None
+        assert scene._held.filling.part == 0.0
+        wanted = Scene(cloud, GEOMETRY, deformation=d, transfer=SOFT, mode="exact").render(size=SIZE)
+        assert apart(scene.render(size=SIZE), wanted) > 40
+        assert scene.fill(seconds=60.0) == 1.0
+        assert apart(scene.render(size=SIZE), wanted) > 40
+    plain = one.deformed(None)
+    assert apart(plain.render(size=SIZE), Scene(cloud, GEOMETRY, transfer=SOFT).render(size=SIZE)) > 50
+    with pytest.raises(SuppleError, match="the deformation must be one of shape"):
+        one.deformed(supple.Deformation((5, 6, 7)))
+
+
+def test_the_cpu_has_the_same_verbs(cloud: np.ndarray, bent: supple.Deformation) -> None:
+    scene = Scene(cloud, GEOMETRY, transfer=SOFT, mode="hybrid")
+    other = scene.deformed(bent)
+    wanted = Scene(cloud, GEOMETRY, deformation=bent, transfer=SOFT).render(size=SIZE)
+    np.testing.assert_array_equal(other.render(size=SIZE).light, wanted.light)
+    assert other.fill() == 1.0
+    with pytest.raises(SuppleError, match="this scene has none: use render"):
+        other.draw(None)
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_a_texture_receives_the_picture(gpu: Gpu, cloud: np.ndarray, bent: supple.Deformation, mode: str) -> None:
+    scene = Scene(cloud, GEOMETRY, deformation=bent, transfer=SOFT, mode=mode, device="gpu")
+    height, width = 41, 53
+    texture = gpu.device.create_texture(size=(width, height, 1), format="rgba8unorm", usage="STORAGE_BINDING|COPY_SRC")
+    scene.draw(texture, Camera(azimuth=25), supersampling=2, background=(0.1, 0.2, 0.3))
+    data = gpu.device.queue.read_texture(
+        {"texture": texture}, {"bytes_per_row": 4 * width, "rows_per_image": height}, (width, height, 1)
+    )
+    found = np.frombuffer(data, np.uint8).reshape(height, width, 4)
+    wanted = scene.render(Camera(azimuth=25), (height, width), supersampling=2).pixels((0.1, 0.2, 0.3))
+    assert np.abs(found[..., :3].astype(int) - wanted).max() <= 1
+    assert (found[..., 3] == 255).all()
+    with pytest.raises(SuppleError, match="texture must be rgba8unorm, of 80 x 60 pixels or more"):
+        scene.draw(texture, size=(60, 80))
+
+
+def test_what_a_caller_raises_is_no_fault_of_the_gpu(gpu: Gpu, cloud: np.ndarray) -> None:
+    scene = Scene(cloud, GEOMETRY, transfer=SOFT, device="gpu")
+
+    def stop(rows: int) -> None:
+        raise RuntimeError("enough")
+
+    with pytest.raises(RuntimeError, match="enough"):
+        scene.render(size=SIZE, tell=stop)
+    assert devices.open_gpu() is gpu
+
+
+def test_parts_of_work_take_about_as_long(monkeypatch: pytest.MonkeyPatch) -> None:
+    clock = [0.0]
+    monkeypatch.setattr("supple.gpu.kernel.time.perf_counter", lambda: clock[0])
+    pace, counts = kernel.Pace(1), []
+    for first, count in pace.parts(1000, 0.25):
+        assert first == sum(counts)
+        counts.append(count)
+        clock[0] += count / 128
+    assert sum(counts) == 1000
+    assert counts[:3] == [1, 4, 16]
+    assert max(counts) == 32
+    counts.clear()
+    for _, count in pace.parts(1000, 0.25, 0.375):
+        counts.append(count)
+        clock[0] += count / 128
+    assert counts == [32, 16]

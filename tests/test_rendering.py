@@ -14,7 +14,8 @@ import supple
 from supple.camera import Camera
 from supple.cpu import bricks, raymarch
 from supple.geometry import Geometry
-from supple.rendering import MODES, Picture, Scene
+from supple.picture import Picture
+from supple.rendering import MODES, Scene
 from supple.transfer import ENTRIES, TransferFunction
 
 Floats = npt.NDArray[np.float64]

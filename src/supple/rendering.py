@@ -14,93 +14,25 @@ import numpy.typing as npt
 from supple.camera import Camera, View, view_of
 from supple.cpu import bricks, raymarch
 from supple.cpu.kernel import share
-from supple.cpu.sampling import linear_light
 from supple.cpu.solid import solve_solid, unmoved
 from supple.deformation import Deformation
 from supple.domain import choice, integer, number, point, refuse
+from supple.drawing import InterruptionError, held_scene, order_of, tried
 from supple.engines import gpu_of
-from supple.errors import DeviceWarning, SuppleError, ToleranceWarning
+from supple.errors import SuppleError, ToleranceWarning
 from supple.geometry import Geometry
 from supple.gpu import raymarch as shading
 from supple.gpu.device import Gpu
-from supple.gpu.field import fits
 from supple.gpu.kernel import failures, trouble
-from supple.strokes import STROKE_DTYPE
-from supple.transfer import ENTRIES, PRESETS, TransferFunction
+from supple.gpu.volume import Volume
+from supple.picture import Array, Pick, Picture, light_of
+from supple.seeing import brick_counts, entries, lamp, prepared, seen_through, sizes, skipped, transfer_function, triple
+from supple.transfer import TransferFunction
 
-Array = npt.NDArray[Any]
-Floats = npt.NDArray[np.float64]
-
-MODES = ("lattice", "exact", "buffered")
+MODES = ("lattice", "exact", "buffered", "hybrid")
 _ROWS = 8  # of a picture, that a core takes at a time
-_TYPES = (np.uint8, np.int8, np.uint16, np.int16, np.float32)
 PICKED = 0.9
 """The opacity that a ray has gathered where something is picked."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Picture:
-    """A volume, seen.
-
-    Parameters
-    ----------
-    light : float32 array, shape (H, W, 4)
-        Linear red, green and blue, already weighted by opacity, and the opacity.
-    depth : float64 array, shape (H, W)
-        Millimetres from the eye to the first surface; infinity where there is none.
-    samples, evaluations : int64 arrays, shape (H, W)
-        How many samples each pixel took, and how many evaluations of T with its Jacobian (in the mode ``"exact"``).
-    """
-
-    light: npt.NDArray[np.float32]
-    depth: Floats
-    samples: npt.NDArray[np.int64]
-    evaluations: npt.NDArray[np.int64]
-
-    def pixels(self, background: tuple[float, float, float] | None = None) -> npt.NDArray[np.uint8]:
-        """As sRGB of 8 bits.
-
-        Parameters
-        ----------
-        background : (float, float, float), optional
-            sRGB from 0 to 1, to make an opaque picture; without it, opacity is kept.
-
-        Returns
-        -------
-        uint8 array, shape (H, W, 3 or 4)
-        """
-        alpha = np.clip(self.light[..., 3:], 0, 1)
-        if background is None:
-            colours = self.light[..., :3] / np.maximum(alpha, 1e-6)
-            seen = np.concatenate([_srgb(colours), alpha], axis=-1)
-        else:
-            behind = linear_light(np.asarray(background, np.float64), 1.0)
-            seen = _srgb(self.light[..., :3] + (1 - alpha) * behind)
-        return np.asarray(np.rint(seen * 255), np.uint8)
-
-
-def _srgb(linear: Array) -> Array:
-    u = np.clip(linear, 0, 1)
-    return np.asarray(np.where(u <= 0.0031308, 12.92 * u, 1.055 * np.power(u, 1 / 2.4) - 0.055))
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Pick:
-    """What lies under a pixel.
-
-    Parameters
-    ----------
-    index : (float, float, float)
-        The point of the deformed volume, in voxels, x first.
-    source : (float, float, float)
-        The point of the volume as it was, that is seen there.
-    depth : float
-        Millimetres from the eye.
-    """
-
-    index: tuple[float, float, float]
-    source: tuple[float, float, float]
-    depth: float
 
 
 @dataclass(frozen=True, slots=True, eq=False, init=False)
@@ -121,7 +53,8 @@ class Scene:
         Values outside are not seen, as when hard structures inside should be.
     mode : str
         How a deformation is seen: by a certified ``"lattice"`` of inverse displacements, ``"exact"`` inversion of every
-        sample along every ray, or ``"buffered"``, which warps the volume first.
+        sample along every ray, ``"buffered"``, which warps the volume first, or ``"hybrid"``: the lattice, until `fill`
+        has made the buffer on the GPU, bit by bit. On the CPU, that is the lattice.
     step : float, optional
         Millimetres from sample to sample along a ray; the smallest spacing by default.
     shaded : bool
@@ -143,7 +76,10 @@ class Scene:
         If the GPU failed, so that the CPU does it.
     """
 
+    shape: tuple[int, ...]
+    """Of the volume that was given."""
     samples: Array
+    """What the CPU samples: the volume as it was given, or warped where it is buffered there."""
     geometry: Geometry
     deformation: Deformation | None
     transfer: TransferFunction
@@ -163,6 +99,9 @@ class Scene:
     _skips: npt.NDArray[np.uint8]
     _table: npt.NDArray[np.float32]
     _threshold: float
+    gpu: Gpu | None
+    """The device that marches along the rays, if it is not the CPU."""
+    _original: Array
     _held: shading.Held | None
 
     def __init__(
@@ -193,80 +132,44 @@ class Scene:
             else number("step", step, f"millimetres, at least {finest * 1e-3:g}", finest * 1e-3, 1e9)
         )
         tolerance = number("tolerance", tolerance, "a number of voxels above 0", 1e-6, 1e6)
-        if deformation is not None:
-            if deformation.shape != given.shape:
-                refuse("the deformation", f"one of shape {given.shape}, as the volume", f"shape {deformation.shape}")
-            if not np.allclose(deformation.domain.spacing, places.spacing):
-                refuse("the deformation", f"one of spacing {places.spacing}", deformation.domain.spacing)
-            deformation = None if deformation.is_identity else deformation
-        nodes, per_voxel, error = unmoved(), 0.0, 0.0
-        ready = _prepared(given)
-        low, high = float(ready.min()), float(ready.max())  # of the volume as it was, whatever the mode
-        if deformation is not None and mode == "buffered":
-            ready = deformation.warp(ready[tuple(map(slice, given.shape))], filter="linear", tolerance=tolerance)
-            ready, error = _prepared(ready), tolerance
-        elif deformation is not None and mode == "lattice":
-            solid = solve_solid(deformation.space.table, deformation.space.axes, given.shape, tolerance)
-            nodes, per_voxel, error = solid.nodes, 1.0 / solid.step, solid.error
-            if error > tolerance:
-                off = f"by {error:.2g} voxels" if math.isfinite(error) else "by more than a voxel"
-                warnings.warn(
-                    f"the lattice may be off {off} somewhere, beyond the tolerance {tolerance:g}: "
-                    'mode "exact" or "buffered" is not',
-                    ToleranceWarning,
-                    stacklevel=2,
-                )
-        brick = bricks.FINE if per_voxel > 0 else bricks.BRICK
-        lows, highs = (np.empty(_bricks(ready.shape, brick), np.float32) for _ in range(2))
-        bricks.ranges(ready.reshape(-1), _size(ready), brick, lows, highs)
+        ready = prepared(given)
+        low, high = float(ready.min()), float(ready.max())
         values: dict[str, Any] = {
-            "samples": ready,
+            "shape": given.shape,
             "geometry": places,
-            "deformation": deformation,
             "transfer": known,
             "mode": mode,
             "step": step,
             "shaded": bool(shaded),
             "tolerance": tolerance,
-            "error": error,
             "range": (low, high),
-            "_nodes": nodes,
-            "_per_voxel": per_voxel,
-            "_lows": lows,
-            "_highs": highs,
-            **_seen_through(known, density, (low, high), step),
+            "gpu": gpu,
+            "_original": ready,
+            **seen_through(known, density, (low, high), step),
         }
-        values["_skips"] = self._skipped(values)
-        values["_held"] = _held(gpu, values) if gpu is not None else None
+        self._set(values | _deformed(values, deformation, None))
+
+    def _set(self, values: dict[str, Any]) -> None:
         for name, value in values.items():
             object.__setattr__(self, name, value)
+
+    def _known(self) -> dict[str, Any]:
+        return {name: getattr(self, name) for name in self.__slots__}
+
+    def deformed(self, deformation: Deformation | None) -> Scene:
+        """The same scene with other strokes. The volume stays on the GPU, where it is there."""
+        made = object.__new__(type(self))
+        values = self._known()
+        made._set(values | _deformed(values, deformation, self._held.volume if self._held else None))
+        return made
 
     def seen_through(self, transfer: TransferFunction | str, density: tuple[float, float] | None = None) -> Scene:
         """The same scene through another transfer function; nothing is inverted or warped anew."""
         made = object.__new__(type(self))
-        values = {name: getattr(self, name) for name in self.__slots__}
-        known = transfer_function(transfer)
-        values |= {"transfer": known, **_seen_through(known, density, self.range, self.step)}
-        values["_skips"] = self._skipped(values)
-        for name, value in values.items():
-            object.__setattr__(made, name, value)
+        values, known = self._known(), transfer_function(transfer)
+        values |= {"transfer": known, **seen_through(known, density, self.range, self.step)}
+        made._set(values | {"_skips": skipped(values)})
         return made
-
-    @staticmethod
-    def _skipped(known: dict[str, Any]) -> npt.NDArray[np.uint8]:
-        """How many bricks away the next one is that anything is seen of."""
-        table, (low, high) = known["_table"], known["range"]
-        bottom, top = known["density"]
-        entries = _entries(low, high)
-        visible = np.concatenate([[0], np.cumsum(table[:, 3] > 0)])
-        lows, highs = np.maximum(known["_lows"], bottom), np.minimum(known["_highs"], top)
-        first, last = (np.clip(np.rint((v - low) * entries), 0, ENTRIES - 1).astype(np.int64) for v in (lows, highs))
-        seen = (visible[np.maximum(last, first) + 1] > visible[first]) & (lows <= highs)
-        if known["_per_voxel"] > 0:
-            moved = np.empty(_bricks(known["samples"].shape, bricks.BRICK), np.bool_)
-            bricks.moved(seen, bricks.FINE, known["_nodes"], known["_per_voxel"], _size(known["samples"]), moved)
-            seen = moved
-        return np.asarray(bricks.distances(seen), np.uint8)
 
     @property
     def is_empty(self) -> bool:
@@ -305,26 +208,27 @@ class Scene:
         def smaller(a: Array, take: Callable[..., Array]) -> Array:
             return take(a.reshape(size[0], fine, size[1], fine, -1), axis=(1, 3)) if fine > 1 else a
 
-        if self._held is not None:
-            gpu, wrong = self._held.gpu, False
+        held = self._held
+        if held is not None:
 
             def told(rows: int) -> None:
-                nonlocal wrong
-                wrong = True  # what is raised here is no fault of the GPU's
-                tell(rows // fine)
-                wrong = False
+                try:
+                    tell(rows // fine)
+                except Exception as error:
+                    raise InterruptionError from error
 
             try:
-                with gpu.lock:
-                    light, depth, work = shading.march(
-                        self._held, self._look(view), view.packed, (height, width), fine, told
-                    )
+                done = tried(
+                    held.volume.gpu,
+                    lambda: shading.march(held, self._look(view), view.packed, (height, width), fine, told),
+                    2,
+                    "the CPU did what {} could not",
+                )
+            except InterruptionError as stopped:
+                raise stopped.__cause__ or stopped from None
+            if done is not None:
+                light, depth, work = done
                 return _picture(smaller(light, np.mean), smaller(depth, np.min), smaller(work, np.sum))
-            except failures() as error:
-                if wrong:
-                    raise
-                failed = trouble(gpu, error)
-            warnings.warn(f"the CPU did what {gpu.name} could not: {failed}", DeviceWarning, stacklevel=2)
         light, depth = np.empty((height, width, 4), np.float32), np.empty((height, width, 2))
         work = np.zeros((height, width, 2), np.int64)
         march = self._marcher(view)
@@ -343,17 +247,97 @@ class Scene:
 
         return _picture(smaller(light, np.mean), smaller(depth, np.min), smaller(work, np.sum))
 
+    def draw(
+        self,
+        texture: Any,
+        camera: Camera | None = None,
+        size: tuple[int, int] | None = None,
+        *,
+        supersampling: int = 1,
+        background: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    ) -> None:
+        """Draw a picture into a texture of the GPU, for a window; nothing comes back from there.
+
+        Parameters
+        ----------
+        texture : wgpu.GPUTexture
+            Of ``scene.gpu.device``, format ``rgba8unorm`` and usage ``STORAGE_BINDING``. It receives sRGB.
+        camera : Camera, optional
+        size : (int, int), optional
+            Rows and columns, at the texture's upper left; all of it by default.
+        supersampling : int
+            As `render` takes it.
+        background : (float, float, float)
+            sRGB from 0 to 1.
+
+        Raises
+        ------
+        SuppleError
+            If the scene is not on a GPU, the texture is another, or the GPU failed: `render` still works then.
+        """
+        held = self._held
+        if held is None:
+            raise SuppleError("a texture is drawn into by a GPU, and this scene has none: use render")
+        fine = integer("supersampling", supersampling, "a number of rays along a pixel's side, from 1 to 8", 1, 8)
+        width, height = texture.size[:2]
+        rows, columns = size or (height, width)
+        if texture.format != "rgba8unorm" or rows > height or columns > width:
+            wanted = f"rgba8unorm, of {columns} x {rows} pixels or more"
+            refuse("texture", wanted, f"{texture.format} of {width} x {height}")
+        view, behind = self.view(camera or Camera(), (rows, columns)), light_of(background).astype(np.float32)
+        gpu = held.volume.gpu
+        try:
+            with gpu.lock:
+                shading.paint(held, self._look(view), view.packed, (rows * fine, columns * fine), fine, behind, texture)
+        except failures() as error:
+            raise SuppleError(f"{gpu.name} could not draw: {trouble(gpu, error)}: use render") from None
+
+    def fill(
+        self, camera: Camera | None = None, size: tuple[int, int] = (512, 512), *, seconds: float = 0.004
+    ) -> float:
+        """Go on making the buffer of a ``"hybrid"`` scene, between two pictures.
+
+        Parameters
+        ----------
+        camera, size
+            Of the next picture: what it shows is made first.
+        seconds : float
+            About how long this may take; one brick of 16³ voxels is made at least.
+
+        Returns
+        -------
+        float
+            How much is there, from 0 to 1. Scenes that have no buffer need none, and it is 1.
+
+        Warns
+        -----
+        DeviceWarning
+            If the GPU failed: the scene stays as it is.
+        """
+        held = self._held
+        if held is None or held.filling is None or held.filling.part == 1.0:
+            return 1.0
+        filling, shape = held.filling, self.samples.shape
+        order = order_of(self.view(camera or Camera(), size), shape, self._skips)
+        done = tried(
+            held.volume.gpu,
+            lambda: filling.advance(seconds, order),
+            2,
+            "{} does not go on with the buffer",
+        )
+        return 1.0 if done is None else done
+
     def _look(self, view: View) -> shading.Look:
         low, high = self.range
         return shading.Look(
             self._skips,
             self._table,
             low,
-            _entries(low, high),
+            entries(low, high),
             self._threshold,
             self.density,
             self.step,
-            _light(view),
+            lamp(view),
             self.shaded,
         )
 
@@ -363,13 +347,13 @@ class Scene:
         common = (
             self._table,
             np.float32(low),
-            np.float32(_entries(low, high)),
+            np.float32(entries(low, high)),
             np.float32(self._threshold),
             np.array(self.density, np.float32),
             view.packed,
         )
-        rest = (self.step, _light(view), self.shaded)
-        flat, size = self.samples.reshape(-1), _size(self.samples)
+        rest = (self.step, lamp(view), self.shaded)
+        flat, size = self.samples.reshape(-1), sizes(self.samples)
         if self.mode == "exact" and self.deformation is not None:
             space, finest = self.deformation.space, 1e-3 * min(self.geometry.spacing)
             return lambda pixels, *parts: raymarch.march_exactly(
@@ -406,7 +390,7 @@ class Scene:
             return None
         at = view.eye + depth[0, 1] * view.direction(x, y) / view.spacing
         source = at if self.deformation is None else self.deformation.inverse(at).points
-        return Pick(_triple(at), _triple(source), float(depth[0, 1]))
+        return Pick(triple(at), triple(source), float(depth[0, 1]))
 
     def drag(
         self, camera: Camera, size: tuple[int, int], pick: Pick, to: tuple[float, float]
@@ -434,7 +418,7 @@ class Scene:
             raise SuppleError("the picked point lies behind the camera: pick with the same camera")
         direction = view.direction(x, y)
         end = direction * (away / float(direction @ view.ahead))
-        return _triple((end - start) / view.spacing)
+        return triple((end - start) / view.spacing)
 
     def turned(self, camera: Camera, k: int, count: int) -> Camera:
         """The camera of picture ``k`` of ``count`` on a way around the volume."""
@@ -445,93 +429,51 @@ def _picture(light: Array, depth: Array, work: Array) -> Picture:
     return Picture(light, depth[..., 0], work[..., 0], work[..., 1])
 
 
-def _held(gpu: Gpu, known: dict[str, Any]) -> shading.Held | None:
-    """A volume on the GPU; None if it does not fit there."""
-    deformation = known["deformation"]
-    mode, table, axes = shading.PLAIN, np.zeros(0, STROKE_DTYPE), np.zeros((3, 3))
-    axes[:, 0], axes[:, 2] = 1.0, known["geometry"].spacing
+def _deformed(known: dict[str, Any], deformation: Deformation | None, volume: Volume | None) -> dict[str, Any]:
+    """What strokes make of a scene: ``known`` is what it has without them."""
+    shape, ready, mode, tolerance = (known[name] for name in ("shape", "_original", "mode", "tolerance"))
+    gpu: Gpu | None = known["gpu"]
     if deformation is not None:
-        table, axes = deformation.space.table, deformation.space.axes
-        mode = {"lattice": shading.LATTICE, "exact": shading.EXACT}.get(known["mode"], shading.PLAIN)
-    failed = "" if fits(table) else "strokes of such sizes are beyond its numbers"
-    if not failed:
-        try:
-            with gpu.lock:
-                return shading.hold(gpu, known["samples"], known["_nodes"], known["_per_voxel"], mode, table, axes)
-        except failures() as error:
-            failed = trouble(gpu, error)
-    warnings.warn(f"the CPU does what {gpu.name} cannot: {failed}", DeviceWarning, stacklevel=4)
-    return None
-
-
-def transfer_function(given: TransferFunction | str) -> TransferFunction:
-    """A transfer function, or the preset of a name."""
-    if isinstance(given, TransferFunction):
-        return given
-    choice("transfer", given, tuple(PRESETS))
-    return PRESETS[given]
-
-
-def _seen_through(
-    transfer: TransferFunction, density: tuple[float, float] | None, values: tuple[float, float], step: float
-) -> dict[str, Any]:
-    low, high = values
-    if density is None:
-        window = (-math.inf, math.inf)
-    else:
-        bounds = point("density", density, (2,))
-        if bounds[0] >= bounds[1]:
-            refuse("density", "two values LO,HI, the lower one first", density)
-        window = (bounds[0], bounds[1])
-    table = transfer.table(low, high, step)
-    entries = np.linspace(low, high, ENTRIES)
-    seen = (table[:, 3] > 0) & (entries >= window[0]) & (entries <= window[1])
-    # Halfway to the last entry that nothing is seen of, as entries are rounded to.
-    first = int(np.argmax(seen)) if seen.any() else 0
-    if not seen.any():
-        threshold = math.inf
-    elif first == 0:
-        threshold = -math.inf if window[0] <= low else window[0]
-    else:
-        threshold = max(window[0], float(entries[first]) - 0.5 * (high - low) / (ENTRIES - 1))
-    return {"density": window, "_table": table, "_threshold": threshold}
-
-
-def _entries(low: float, high: float) -> float:
-    """Entries of the table for each unit of value."""
-    return (ENTRIES - 1) / (high - low) if high > low else 0.0
-
-
-def _light(view: View) -> npt.NDArray[np.float32]:
-    """A lamp beside the camera, above and to the left."""
-    right, down = (axis / np.linalg.norm(axis) for axis in view.packed[3:])
-    towards = -view.ahead - 0.35 * right - 0.45 * down
-    return np.asarray(towards / np.linalg.norm(towards), np.float32)
-
-
-def _bricks(shape: tuple[int, ...], brick: int) -> tuple[int, ...]:
-    return tuple(-(-max(n - 1, 1) // brick) for n in shape)
-
-
-def _size(samples: Array) -> npt.NDArray[np.int64]:
-    return np.array(samples.shape[::-1], np.int64)
-
-
-def _triple(values: Floats) -> tuple[float, float, float]:
-    x, y, z = (float(v) for v in values)
-    return x, y, z
-
-
-def _prepared(given: Array) -> Array:
-    """Samples as the kernels take them: of a type they know, two along each axis at least, and numbers all."""
-    if given.dtype.newbyteorder("=") not in _TYPES:
-        with np.errstate(over="ignore"):
-            given = given.astype(np.float32)
-    ready = np.ascontiguousarray(given, given.dtype.newbyteorder("="))
-    if ready.dtype.kind == "f" and not np.isfinite(ready).all():
-        finite = ready[np.isfinite(ready)]
-        bottom, top = (finite.min(), finite.max()) if finite.size else (0.0, 0.0)
-        ready = np.nan_to_num(ready, nan=bottom, neginf=bottom, posinf=top)
-    if min(ready.shape) < 2:
-        ready = np.pad(ready, [(0, 1 if n < 2 else 0) for n in ready.shape], mode="edge")
-    return ready
+        if deformation.shape != shape:
+            refuse("the deformation", f"one of shape {shape}, as the volume", f"shape {deformation.shape}")
+        spacing = known["geometry"].spacing
+        if not np.allclose(deformation.domain.spacing, spacing):
+            refuse("the deformation", f"one of spacing {spacing}", deformation.domain.spacing)
+        deformation = None if deformation.is_identity else deformation
+    space = deformation.space if deformation is not None else None
+    nodes, per_voxel, error = unmoved(), 0.0, 0.0
+    held, solid = None, None
+    if gpu is not None:
+        done = tried(gpu, lambda: held_scene(gpu, ready, known["geometry"].spacing, space, mode, tolerance, volume), 4)
+        held, solid = done or (None, None)
+    if deformation is not None and mode == "buffered" and held is None:
+        part = ready[tuple(map(slice, shape))]
+        ready = prepared(deformation.warp(part, filter="linear", tolerance=tolerance))
+    elif space is not None and mode != "exact":
+        solid = solid or solve_solid(space.table, space.axes, shape, tolerance)
+        nodes, per_voxel = solid.nodes, 1.0 / solid.step
+        error = solid.error
+        if mode != "buffered" and error > tolerance:
+            off = f"by {error:.2g} voxels" if math.isfinite(error) else "by more than a voxel"
+            warnings.warn(
+                f"the lattice may be off {off} somewhere, beyond the tolerance {tolerance:g}: "
+                'mode "exact" or "buffered" is not',
+                ToleranceWarning,
+                stacklevel=4,
+            )
+    if deformation is not None and mode == "buffered":
+        error = tolerance
+    brick = bricks.FINE if per_voxel > 0 else bricks.BRICK
+    lows, highs = (np.empty(brick_counts(ready.shape, brick), np.float32) for _ in range(2))
+    bricks.ranges(ready.reshape(-1), sizes(ready), brick, lows, highs)
+    values = {
+        "deformation": deformation,
+        "samples": ready,
+        "error": error,
+        "_nodes": nodes,
+        "_per_voxel": per_voxel,
+        "_lows": lows,
+        "_highs": highs,
+        "_held": held,
+    }
+    return values | {"_skips": skipped(known | values)}

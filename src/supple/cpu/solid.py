@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -55,14 +56,21 @@ class Solid:
     evaluations: float
 
 
-def solve_solid(table: npt.NDArray[np.void], axes: Floats, shape: tuple[int, ...], tolerance: float) -> Solid:
+def solve_solid(
+    table: npt.NDArray[np.void],
+    axes: Floats,
+    shape: tuple[int, ...],
+    tolerance: float,
+    attempt: Callable[[int], tuple[Solid, float]] | None = None,
+) -> Solid:
     """Solve for T⁻¹ on a lattice in a volume of ``shape`` (Z, H, W), as fine as the tolerance needs, in voxels.
 
-    The error says whether the finest was enough.
+    The error says whether the finest was enough. ``attempt`` is what solves with so many voxels from node to node, and
+    tells the least length over which the map varies; these kernels, by default.
     """
     step, evaluations = COARSEST, 0.0
     while True:
-        solid, smooth = _solve(table, axes, shape, step)
+        solid, smooth = attempt(step) if attempt else _solve(table, axes, shape, step)
         evaluations += solid.evaluations
         # What is seen at points says little where the map varies between them.
         resolved = step <= RESOLVED * smooth

@@ -4,3 +4,9 @@
 fn bent(a: vec3f, b: vec3f, slope_a: vec3f, slope_b: vec3f, s: f32, h: f32) -> vec3f {
     return mix(a, b, s) + 0.5 * h * s * (1.0 - s) * (slope_a - slope_b);
 }
+
+// The cubic between two values that differ by a rise, and whose slopes, times the way from one to the other, are a and
+// b beyond that.
+fn cubic(from_: vec3f, rise: vec3f, a: vec3f, b: vec3f, s: f32) -> vec3f {
+    return from_ + s * (rise + (1.0 - s) * ((1.0 - s) * a + s * b));
+}

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import contextlib
+import math
+import time
 from collections.abc import Iterator, Mapping, Sequence
 from importlib import resources
 from typing import Any
@@ -14,8 +16,10 @@ from supple.gpu.device import CLOCK, Gpu, forget
 
 Array = npt.NDArray[Any]
 
-UNIFORM, READ, WRITE = "uniform", "read-only-storage", "storage"
+UNIFORM, READ, WRITE, TEXTURE = "uniform", "read-only-storage", "storage", "texture"
+_PAINTED = {"access": "write-only", "format": "rgba8unorm", "view_dimension": "2d"}
 MOST_GROUPS = 65535
+PART = 0.25  # seconds
 LEAST = 256  # bytes of a buffer: an array of one item must fit, though it may hold none
 
 
@@ -45,7 +49,7 @@ def pipeline(
 ) -> Any:
     """A compute shader's entry point, compiled; kept with the device.
 
-    ``kinds`` are those of its bindings: UNIFORM, READ or WRITE.
+    ``kinds`` are those of its bindings: UNIFORM, READ, WRITE or TEXTURE (rgba8unorm, written to).
     """
     chosen = tuple(sorted((constants or {}).items()))
     key = (tuple(names), entry, tuple(kinds), chosen)
@@ -53,7 +57,11 @@ def pipeline(
         module_key = tuple(names)
         if module_key not in gpu.pipelines:
             gpu.pipelines[module_key] = gpu.device.create_shader_module(label=names[0], code=source(*names))
-        entries = [{"binding": k, "visibility": "COMPUTE", "buffer": {"type": kind}} for k, kind in enumerate(kinds)]
+        entries = [
+            {"binding": k, "visibility": "COMPUTE"}
+            | ({"storage_texture": _PAINTED} if kind == TEXTURE else {"buffer": {"type": kind}})
+            for k, kind in enumerate(kinds)
+        ]
         layout = gpu.device.create_bind_group_layout(entries=entries)
         gpu.pipelines[key] = (
             gpu.device.create_compute_pipeline(
@@ -98,7 +106,10 @@ def run(gpu: Gpu, passes: Sequence[tuple[Any, Sequence[Any], Any]]) -> None:
     encoder, stack = gpu.device.create_command_encoder(), contextlib.ExitStack()
     clock = gpu.clocks[-1] if gpu.clocks else None
     for (made, layout), buffers, groups in passes:
-        entries = [{"binding": k, "resource": {"buffer": buffer}} for k, buffer in enumerate(buffers)]
+        entries = [
+            {"binding": k, "resource": buffer if hasattr(buffer, "texture") else {"buffer": buffer}}
+            for k, buffer in enumerate(buffers)
+        ]
         bound = gpu.device.create_bind_group(layout=layout, entries=entries)
         told = None
         if not isinstance(groups, tuple):  # a shader cannot write what it is dispatched by
@@ -168,6 +179,39 @@ def download(gpu: Gpu, buffer: Any, dtype: Any, count: int) -> Array:
     """The first ``count`` numbers of a buffer; waits for what fills it."""
     size = -(-count * np.dtype(dtype).itemsize // 4) * 4
     return np.frombuffer(gpu.device.queue.read_buffer(buffer, 0, size), dtype, count)
+
+
+class Pace:
+    """How much of some work is done at once, as far as it is known what that takes: systems end work of seconds.
+
+    Parameters
+    ----------
+    count : int
+        How much is tried first.
+    most : int
+        How much at most.
+    """
+
+    def __init__(self, count: int, most: int = 1 << 30) -> None:
+        self._most, self.count = most, min(count, most)
+
+    def parts(self, total: int, seconds: float = PART, limit: float = math.inf) -> Iterator[tuple[int, int]]:
+        """Where each part begins, and how large it is; whoever asks for the next one has waited for the last.
+
+        They take about ``seconds`` each, and end after ``limit`` seconds, as far as that is known before.
+        """
+        begun, done, most = time.perf_counter(), 0, total
+        while done < total and most > 0:
+            start = time.perf_counter()
+            part = min(self.count, total - done, most)
+            yield done, part
+            now = time.perf_counter()
+            done += part
+            per_item = max(now - start, 1e-9) / part
+            if part == self.count or per_item * self.count > seconds:
+                self.count = max(1, min(int(seconds / per_item), 4 * self.count, self._most))
+            if limit < math.inf:
+                most = int((limit - (now - begun)) / per_item)
 
 
 def spread(count: int, size: int) -> tuple[int, int]:

@@ -3,25 +3,25 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from supple.gpu.device import Gpu
-from supple.gpu.field import domain, packed
-from supple.gpu.kernel import READ, UNIFORM, WRITE, Array, download, owned, pipeline, room, run, upload
+from supple.gpu.fill import Filling
+from supple.gpu.kernel import READ, TEXTURE, UNIFORM, WRITE, Pace, download, owned, pipeline, room, run, upload
+from supple.gpu.solid import Lattice
+from supple.gpu.volume import Volume
 
 Floats = npt.NDArray[np.float64]
 
-PLAIN, LATTICE, EXACT = 0, 1, 2
-RAYS = 1 << 18  # at once: systems end work that takes seconds
+PLAIN, LATTICE, EXACT, HYBRID = 0, 1, 2, 3
+RAYS = 1 << 16  # at once, before it is known what they take
 LONGEST = 8  # samples
-_FORMATS = {"u1": 0, "i1": 1, "u2": 2, "i2": 3, "f4": 4}
 _NAMES = ("raymarch", "volume", "solid", "blend", "field", "newton")
-_KINDS = (UNIFORM, UNIFORM, READ, READ, READ, READ, READ, WRITE)
+_KINDS = (UNIFORM, UNIFORM, READ, READ, READ, READ, READ, WRITE, READ)
 
 SETTINGS = np.dtype(
     [
@@ -48,89 +48,37 @@ SETTINGS = np.dtype(
         ("fine", "u4"),
         ("rows", "u4"),
         ("stretch", "u4"),
-        ("unused", "u4", 6),
+        ("pitch", "u4"),
+        ("warped", "u4"),
     ]
+)
+_PAINT = np.dtype(
+    [("background", "f4", 3), ("fine", "u4"), ("width", "u4"), ("first", "u4"), ("rows", "u4"), ("unused", "u4")]
 )
 _LARGEST = float(np.finfo(np.float32).max)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Held:
-    """A volume on the device, and the lattice of T⁻¹.
+    """What a device holds of a scene.
 
     Parameters
     ----------
-    gpu : Gpu
-    samples, nodes, strokes, domain
-        Buffers.
-    size, lattice : tuple of int
-        Voxels, and nodes, x first.
-    spread : float
-        Voxels from node to node.
+    volume : Volume
+    lattice : Lattice
     mode : int
-        PLAIN, LATTICE or EXACT.
-    format : int
-        Of the samples, as the shader counts them.
-    count : int
-        How many strokes.
+        PLAIN, LATTICE, EXACT or HYBRID. What is hybrid is plain once its buffer is filled.
+    filling : Filling or None
+        The buffer, of a hybrid scene.
+    pace : Pace
+        How many rays are done at once.
     """
 
-    gpu: Gpu
-    samples: Any
-    nodes: Any
-    strokes: Any
-    domain: Any
-    size: tuple[int, ...]
-    lattice: tuple[int, ...]
-    spread: float
+    volume: Volume
+    lattice: Lattice
     mode: int
-    format: int
-    count: int
-
-
-def hold(
-    gpu: Gpu,
-    samples: Array,
-    nodes: npt.NDArray[np.float32],
-    per_voxel: float,
-    mode: int,
-    table: npt.NDArray[np.void],
-    axes: Floats,
-) -> Held:
-    """Put a volume on the device.
-
-    Parameters
-    ----------
-    gpu : Gpu
-    samples : array (Z, H, W), two along each axis at least
-        Of 8 or 16 bits, or float32.
-    nodes, per_voxel
-        The lattice, as `supple.cpu.solid` solves it.
-    mode : int
-        PLAIN, LATTICE or EXACT.
-    table, axes
-        The strokes and the domain, as the CPU's kernels take them.
-
-    Raises
-    ------
-    MemoryError
-        If the volume is more than a shader takes.
-    """
-    if max(samples.nbytes, nodes.nbytes) > gpu.binding:
-        raise MemoryError(f"a volume of {samples.nbytes >> 20} MB is more than a shader takes, {gpu.binding >> 20} MB")
-    return Held(
-        gpu,
-        upload(gpu, samples),
-        upload(gpu, nodes),
-        upload(gpu, packed(table)),
-        upload(gpu, domain(axes), UNIFORM),
-        samples.shape[::-1],
-        nodes.shape[2::-1],
-        1.0 / per_voxel if per_voxel > 0 else 1.0,
-        mode,
-        _FORMATS[samples.dtype.str[1:]],
-        table.size,
-    )
+    filling: Filling | None
+    pace: Pace
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -176,19 +124,74 @@ def march(
     arrays (H, W, 4), (H, W, 2) and (H, W, 2)
         Light and opacity; where the first surface is and where opacity passes 0.9; samples and evaluations of T.
     """
-    gpu = held.gpu
-    made = pipeline(gpu, _NAMES, "march", _KINDS, {"FORMAT": held.format, "MODE": held.mode})
+    gpu = held.volume.gpu
+    height, width = size
+    light, depth = np.empty((height, width, 4), np.float32), np.empty((height, width, 2))
+    work = np.empty((height, width, 2), np.int64)
+    for first, count, seen in _rays(held, look, view, size, fine):
+        found = download(gpu, seen, np.float32, count * width * 8).reshape(count, width, 8)
+        if (found[..., 7] < 0).any():
+            raise ArithmeticError("points along rays could not be solved in its numbers")
+        light[first : first + count] = found[..., :4]
+        where = found[..., 4:6].astype(np.float64)
+        depth[first : first + count] = np.where(where > 1e38, np.inf, where)
+        work[first : first + count] = found[..., 6:]
+        tell(first + count)
+    return light, depth, work
+
+
+def paint(
+    held: Held,
+    look: Look,
+    view: Floats,
+    size: tuple[int, int],
+    fine: int,
+    background: npt.NDArray[np.float32],
+    target: Any,
+) -> None:
+    """Draw a picture into a texture of format rgba8unorm, that shaders may write to, as sRGB.
+
+    Parameters
+    ----------
+    held, look, view, size, fine
+        As `march` takes them.
+    background : float32 array (3)
+        Linear light behind the volume.
+    target : wgpu.GPUTexture
+        Of ``size`` over ``fine``, or larger.
+    """
+    gpu = held.volume.gpu
+    work = pipeline(gpu, ("paint",), "paint", (UNIFORM, READ, WRITE, TEXTURE))
+    settings = np.zeros(1, _PAINT)
+    settings["width"], settings["fine"], settings["background"] = size[1] // fine, fine, background
+    with contextlib.ExitStack() as stack:
+        (lost,) = owned(stack, room(gpu, 4))
+        for first, count, seen in _rays(held, look, view, size, fine):
+            settings["first"], settings["rows"] = first // fine, count // fine
+            with contextlib.ExitStack() as own:
+                (told,) = owned(own, upload(gpu, settings, UNIFORM))
+                groups = (-(-size[1] // (8 * fine)), -(-count // (8 * fine)), 1)
+                run(gpu, [(work, [told, seen, lost, target.create_view()], groups)])
+                if download(gpu, lost, np.uint32, 1)[0]:  # waits
+                    raise ArithmeticError("points along rays could not be solved in its numbers")
+
+
+def _rays(held: Held, look: Look, view: Floats, size: tuple[int, int], fine: int) -> Iterator[tuple[int, int, Any]]:
+    """March along the rays of some rows at a time: which is the first, how many they are, and what is seen."""
+    volume, lattice, filling = held.volume, held.lattice, held.filling
+    gpu, finest = volume.gpu, float(view[1].min())
+    mode = _mode(held, look.step / finest)
+    made = pipeline(gpu, _NAMES, "march", _KINDS, {"FORMAT": volume.format, "MODE": mode})
     height, width = size
     settings = np.zeros(1, SETTINGS)
-    window = np.clip(look.window, -_LARGEST, _LARGEST)
     for name, value in {
-        "size": held.size,
-        "strokes": held.count,
-        "nodes": held.lattice,
-        "spread": held.spread,
+        "size": volume.size,
+        "strokes": lattice.count,
+        "nodes": lattice.shape,
+        "spread": lattice.spread,
         "bricks": look.skips.shape[::-1],
         "picture": (width, height),
-        "window": window,
+        "window": np.clip(look.window, -_LARGEST, _LARGEST),
         "step": look.step,
         "low": look.low,
         "scale": look.scale,
@@ -197,7 +200,9 @@ def march(
         "shaded": look.shaded,
         "always": look.threshold == -np.inf,
         "fine": fine,
-        "stretch": _stretch(held, look.step, float(view[1].min())),
+        "stretch": _stretch(mode, lattice.spread * finest / look.step),
+        "pitch": volume.pitch,
+        "warped": volume.warped if mode in (PLAIN, HYBRID) and filling is not None else 0,
     }.items():
         settings[name] = value
     for name, row in {
@@ -208,32 +213,38 @@ def march(
         "light": look.light,
     }.items():
         settings[name][0, :3] = row
-    light, depth = np.empty((height, width, 4), np.float32), np.empty((height, width, 2))
-    work = np.empty((height, width, 2), np.int64)
-    rows = max(1, min(height, RAYS // width))
+    # Whole rows of pixels, whose rays there is room for.
+    row_ = width * fine
+    most = max(1, min(height // fine, gpu.binding // (32 * row_)))
+    pace = Pace(max(1, held.pace.count // row_), most)
     with contextlib.ExitStack() as stack:
         skips, colours = owned(stack, upload(gpu, look.skips), upload(gpu, look.table))
-        (seen,) = owned(stack, room(gpu, rows * width * 32))
-        for first in range(0, height, rows):
-            count = min(rows, height - first)
-            settings["first"], settings["rows"] = first, count
+        (seen,) = owned(stack, room(gpu, 32 * row_ * most))
+        for first, count in pace.parts(height // fine):
+            settings["first"], settings["rows"] = first * fine, count * fine
             with contextlib.ExitStack() as own:
                 (told,) = owned(own, upload(gpu, settings, UNIFORM))
-                buffers = [told, held.domain, held.strokes, held.nodes, skips, held.samples, colours, seen]
-                run(gpu, [(made, buffers, (-(-width // 8), -(-count // 8), 1))])
-                found = download(gpu, seen, np.float32, count * width * 8).reshape(count, width, 8)
-            if (found[..., 7] < 0).any():
-                raise ArithmeticError("points along rays could not be solved in its numbers")
-            light[first : first + count] = found[..., :4]
-            where = found[..., 4:6].astype(np.float64)
-            depth[first : first + count] = np.where(where > 1e38, np.inf, where)
-            work[first : first + count] = found[..., 6:]
-            tell(first + count)
-    return light, depth, work
+                finished = filling.finished if filling is not None else skips
+                buffers = [told, lattice.domain, lattice.strokes, lattice.nodes, skips, volume.samples, colours, seen]
+                run(gpu, [(made, [*buffers, finished], (-(-width // 8), -(-count * fine // 8), 1))])
+            yield first * fine, count * fine, seen
+            pace.count = min(pace.count, most)
+    held.pace.count = pace.count * row_
 
 
-def _stretch(held: Held, step: float, finest: float) -> int:
-    """How many samples lie within the width of a cell of the lattice."""
-    if held.mode != LATTICE:
+def _mode(held: Held, step: float) -> int:
+    """How rays are marched along now, with samples so many voxels apart."""
+    filling = held.filling
+    if filling is None:
+        return held.mode
+    if filling.part == 1.0:
+        return PLAIN
+    # A stretch of samples is read of the buffer if it begins in a brick that can be.
+    return HYBRID if filling.part > 0.0 and step <= LONGEST else LATTICE
+
+
+def _stretch(mode: int, in_a_cell: float) -> int:
+    """How many samples share what is read of the lattice: as many as lie in a cell of it."""
+    if mode not in (LATTICE, HYBRID):
         return LONGEST
-    return max(1, min(int(held.spread * finest / step), LONGEST))
+    return max(1, min(int(in_a_cell), LONGEST))

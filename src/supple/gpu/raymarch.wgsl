@@ -24,7 +24,8 @@ struct Settings {
     fine: u32, // rays along a pixel's side
     rows: u32,
     stretch: u32, // samples that share what is read of the lattice
-    unused: vec2u,
+    pitch: u32, // samples of a row
+    warped: u32, // where the buffer begins
 }
 
 @group(0) @binding(0) var<uniform> settings: Settings;
@@ -36,16 +37,15 @@ struct Settings {
 @group(0) @binding(6) var<storage, read> colours: array<vec4f>; // the transfer function
 @group(0) @binding(7) var<storage, read_write> seen: array<vec4f>; // for each ray: colour; depth, samples, inversions
 
-override FORMAT: u32;
+@group(0) @binding(8) var<storage, read> finished: array<u32>; // for each brick of the buffer, whether it can be read
+
 override MODE: u32;
 
-const BYTE = 0u;
-const SIGNED_BYTE = 1u;
-const SHORT = 2u;
-const SIGNED_SHORT = 3u;
 const PLAIN = 0u;
 const LATTICE = 1u;
 const EXACT = 2u;
+const HYBRID = 3u;
+const BLOCK = 16u;
 const BRICK = 4u;
 const BISECTIONS = 2u;
 const OPAQUE = 0.995;
@@ -80,11 +80,13 @@ fn solved(q: vec3f, near: vec3f) -> Place {
 // A stretch of a ray, a few steps long, along which what comes from the lattice is a cubic: what is read there serves
 // all of its samples. It is about as long as the lattice's cells, and not coarser than they are.
 struct Stretch {
+    first: u32, // sample of the volume that is read: of the buffer, where that has been filled around here
     start: f32, // in millimetres along the ray
     over: f32, // 1 / its length
     from_: Between, // at its ends
     to: Between,
-    a: vec3f, // u = from + s (to - from + (1 - s) ((1 - s) a - s b))
+    rise: vec3f, // see `cubic`
+    a: vec3f,
     b: vec3f,
 }
 
@@ -92,15 +94,29 @@ var<private> stretch: Stretch;
 
 // Go on to the stretch that begins some steps from the ray's start.
 fn begin(ray: Ray, going_on: bool) {
-    if (MODE != LATTICE) {
+    if (MODE == PLAIN) {
+        stretch.first = settings.warped;
+    }
+    if (MODE == PLAIN || MODE == EXACT) {
         return;
     }
-    let length_ = f32(settings.stretch) * settings.step;
-    stretch.start = ray.start + ray.count * settings.step;
+    // The last one begins earlier, so that all lie where the lattice is.
+    let whole = f32(settings.stretch) * settings.step;
+    let wanted = ray.start + ray.count * settings.step;
+    stretch.start = max(ray.near, min(wanted, ray.far - whole));
+    let length_ = max(min(stretch.start + whole, ray.far) - stretch.start, 1e-3 * whole);
     stretch.over = 1.0 / length_;
     stretch.from_ = stretch.to;
     // Its end, and its start where that is not the last one's end: a loop, as some devices carry out all of a branch.
-    let ends = select(2u, 1u, going_on);
+    var ends = select(2u, 1u, going_on && stretch.start == wanted);
+    if (MODE == HYBRID) {
+        let was = stretch.first;
+        let block = vec3u(clamp(ray.o + stretch.start * ray.d, vec3f(0.0), vec3f(settings.size - 1u))) / BLOCK;
+        let blocks = (settings.size + BLOCK - 1u) / BLOCK;
+        let is_finished = finished[(block.z * blocks.y + block.y) * blocks.x + block.x] != 0u;
+        stretch.first = select(0u, settings.warped, is_finished);
+        ends = select(select(ends, 2u, was != 0u), 0u, is_finished);
+    }
     for (var k = 0u; k < ends; k++) {
         let here = between(ray.o + (stretch.start + select(length_, 0.0, k == 1u)) * ray.d);
         if (k == 0u) {
@@ -109,23 +125,21 @@ fn begin(ray: Ray, going_on: bool) {
             stretch.from_ = here;
         }
     }
-    let rise = stretch.to.shift - stretch.from_.shift;
-    stretch.a = length_ * (stretch.from_.matrix * ray.d - ray.d) - rise;
-    stretch.b = length_ * (stretch.to.matrix * ray.d - ray.d) - rise;
+    stretch.rise = stretch.to.shift - stretch.from_.shift;
+    stretch.a = length_ * (stretch.from_.matrix * ray.d - ray.d) - stretch.rise;
+    stretch.b = stretch.rise - length_ * (stretch.to.matrix * ray.d - ray.d);
 }
 
 fn source_of(ray: Ray, t: f32, near: vec3f) -> Place {
     let q = ray.o + t * ray.d;
-    if (MODE == LATTICE) {
-        let s = (t - stretch.start) * stretch.over;
-        let rise = stretch.to.shift - stretch.from_.shift;
-        let u = stretch.from_.shift + s * (rise + (1.0 - s) * ((1.0 - s) * stretch.a - s * stretch.b));
-        return Place(q + u, near, STILL);
-    }
     if (MODE == EXACT) {
         return solved(q, near);
     }
-    return Place(q, near, STILL);
+    if (MODE == PLAIN || (MODE == HYBRID && stretch.first != 0u)) {
+        return Place(q, near, STILL);
+    }
+    let s = (t - stretch.start) * stretch.over;
+    return Place(q + cubic(stretch.from_.shift, stretch.rise, stretch.a, stretch.b, s), near, STILL);
 }
 
 struct Ray {
@@ -133,6 +147,8 @@ struct Ray {
     d: vec3f, // voxels a millimetre
     over: vec3f, // 1 / d
     forwards: vec3<bool>,
+    near: f32, // where it enters and leaves the box
+    far: f32,
     // Samples lie whole steps from a start: a sum of many would not stay exact.
     start: f32,
     count: f32,
@@ -155,12 +171,15 @@ fn steps_to_skip(ray: Ray, t: f32) -> f32 {
 
 // The gradient of what is seen, for each millimetre: (∂p/∂q)ᵀ ∇f.
 fn gradient_at(place: Place, t: f32) -> vec3f {
-    let g = slopes_at(place.p);
-    if (MODE == LATTICE) {
-        let s = (t - stretch.start) * stretch.over;
-        return g * (stretch.from_.matrix + s * (stretch.to.matrix - stretch.from_.matrix)) / domain.spacing.xyz;
+    let g = slopes_at(place.p, stretch.first);
+    if (MODE == EXACT) {
+        return (g / domain.spacing.xyz) * place.matrix;
     }
-    return (g / domain.spacing.xyz) * place.matrix;
+    if (MODE == PLAIN || (MODE == HYBRID && stretch.first != 0u)) {
+        return g / domain.spacing.xyz;
+    }
+    let s = (t - stretch.start) * stretch.over;
+    return g * (stretch.from_.matrix + s * (stretch.to.matrix - stretch.from_.matrix)) / domain.spacing.xyz;
 }
 
 fn seen_first(value: f32) -> bool {
@@ -189,7 +208,7 @@ fn march(@builtin(global_invocation_id) id: vec3u) {
     let near = max(0.0, max(enters.x, max(enters.y, enters.z)));
     let far = min(leaves.x, min(leaves.y, leaves.z));
     let half_ = normalize(settings.light.xyz - along);
-    var ray = Ray(o, d, over, safe > vec3f(0.0), near, 0.0);
+    var ray = Ray(o, d, over, safe > vec3f(0.0), near, far, near, 0.0);
     var taken = 0.0;
     var shift = vec3f(0.0);
     var surface = FAR;
@@ -209,7 +228,7 @@ fn march(@builtin(global_invocation_id) id: vec3u) {
             for (var j = 0u; j < settings.stretch && at <= far; j++) {
                 let place = source_of(ray, at, shift);
                 shift = place.shift;
-                value = sample_at(place.p);
+                value = sample_at(place.p, stretch.first);
                 taken += 1.0;
                 if (seen_first(value)) {
                     surface = at;
@@ -233,7 +252,7 @@ fn march(@builtin(global_invocation_id) id: vec3u) {
                     middle = low + (surface - low) * ((settings.threshold - before) / (value - before));
                 }
                 let inner = source_of(ray, middle, shift);
-                let there = sample_at(inner.p);
+                let there = sample_at(inner.p, stretch.first);
                 taken += 1.0;
                 if (turn == BISECTIONS || seen_first(there)) {
                     surface = middle;
@@ -261,7 +280,7 @@ fn march(@builtin(global_invocation_id) id: vec3u) {
         for (var j = 0u; j < settings.stretch && t <= far; j++) {
             let place = source_of(ray, t, shift);
             shift = place.shift;
-            let value = sample_at(place.p);
+            let value = sample_at(place.p, stretch.first);
             taken += 1.0;
             let colour = colours[u32(clamp((value - settings.low) * settings.scale, 0.0, last) + 0.5)];
             let part = (1.0 - total.w) * colour.w;

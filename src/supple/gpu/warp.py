@@ -20,7 +20,7 @@ STEP = 16  # pixels from node to node, as warp.wgsl has it
 FILTERS = {"nearest": 0, "linear": 1, "cubic": 2, "antialias": 3, "auto": 4}
 BETWEEN = {"nearest": 0, "linear": 1, "cubic": 2, "nothing": 3}
 OUTSIDE = {"edge": 0, "constant": 1, "reflect": 2}
-_NAMES = ("warp", "field", "newton", "lattice", "blend", "sample")
+_NAMES = ("warp", "field", "newton", "lattice", "smooth", "blend", "sample")
 _KINDS = (UNIFORM, UNIFORM, READ, WRITE, WRITE, READ, WRITE, WRITE, WRITE)
 
 SETTINGS = np.dtype(

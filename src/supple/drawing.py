@@ -1,0 +1,145 @@
+"""What a GPU holds of a scene: its volume, the lattice of T⁻¹, and the buffer of the deformed volume."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+from typing import Any, TypeVar
+
+import numpy as np
+import numpy.typing as npt
+
+from supple.camera import View
+from supple.cpu.bricks import BRICK
+from supple.cpu.solid import Solid, solve_solid
+from supple.errors import DeviceWarning
+from supple.gpu.device import Gpu
+from supple.gpu.field import fits
+from supple.gpu.fill import BLOCK, Filling
+from supple.gpu.kernel import Pace, failures, trouble
+from supple.gpu.raymarch import EXACT, HYBRID, LATTICE, PLAIN, RAYS, Held
+from supple.gpu.solid import Lattice, hold_strokes, solve
+from supple.gpu.volume import Volume, hold
+from supple.streaming import Space
+from supple.strokes import STROKE_DTYPE
+
+Array = npt.NDArray[Any]
+Floats = npt.NDArray[np.float64]
+T = TypeVar("T")
+
+_LONG = 1e9  # seconds
+
+
+class InterruptionError(Exception):
+    """What a caller's own function raised, which is no fault of the GPU's; the cause is what it raised."""
+
+
+def tried(gpu: Gpu, work: Callable[[], T], stacklevel: int, says: str = "the CPU does what {} cannot") -> T | None:
+    """What some work on a GPU gives; None, and a DeviceWarning, where that fails."""
+    try:
+        with gpu.lock:
+            return work()
+    except failures() as error:
+        failed = trouble(gpu, error)
+    warnings.warn(f"{says.format(gpu.name)}: {failed}", DeviceWarning, stacklevel=stacklevel + 1)
+    return None
+
+
+def held_scene(
+    gpu: Gpu,
+    samples: Array,
+    spacing: tuple[float, ...],
+    space: Space | None,
+    mode: str,
+    tolerance: float,
+    volume: Volume | None = None,
+) -> tuple[Held, Solid | None]:
+    """Put a scene on a GPU.
+
+    Parameters
+    ----------
+    gpu : Gpu
+    samples : array (Z, H, W)
+        As `supple.seeing.prepared` makes them.
+    spacing : tuple of float
+        Millimetres from voxel to voxel, x first.
+    space : Space or None
+        The strokes, if there are any.
+    mode : str
+        Of `supple.rendering.MODES`.
+    tolerance : float
+        Of source points, in voxels.
+    volume : Volume, optional
+        The same samples, if they are on the GPU already.
+
+    Returns
+    -------
+    Held
+    Solid or None
+        The lattice, where one was solved.
+
+    Raises
+    ------
+    Exception
+        One of `supple.gpu.kernel.failures`.
+    """
+    if space is not None and not fits(space.table):
+        raise ArithmeticError("strokes of such sizes are beyond its numbers")
+    twice = mode == "hybrid" or (mode == "buffered" and space is not None)
+    if volume is None or (twice and not volume.warped):
+        volume = hold(gpu, samples, twice=twice)
+    if space is None:
+        return Held(
+            volume, hold_strokes(gpu, np.zeros(0, STROKE_DTYPE), _still(spacing)), PLAIN, None, Pace(RAYS)
+        ), None
+    if mode == "exact":
+        return Held(volume, hold_strokes(gpu, space.table, space.axes), EXACT, None, Pace(RAYS)), None
+    solid, lattice = _lattice(gpu, space, tolerance)
+    if not twice:
+        return Held(volume, lattice, LATTICE, None, Pace(RAYS)), solid
+    filling = Filling(volume, lattice, polished=solid.error > tolerance, tolerance=tolerance)
+    if mode == "buffered":
+        filling.advance(_LONG)
+    return Held(volume, lattice, HYBRID, filling, Pace(RAYS)), solid
+
+
+def _lattice(gpu: Gpu, space: Space, tolerance: float) -> tuple[Solid, Lattice]:
+    """The lattice, refined as the CPU does it, and solved here."""
+    made: list[Lattice] = []
+    shape = (space.count, *space.shape)
+
+    def attempt(step: int) -> tuple[Solid, float]:
+        made[:] = []
+        lattice, nodes, error, smooth = solve(gpu, space.table, space.axes, shape, step)
+        made.append(lattice)
+        return Solid(nodes, step, error, 0.0), smooth
+
+    return solve_solid(space.table, space.axes, shape, tolerance, attempt), made[0]
+
+
+def order_of(view: View, shape: tuple[int, ...], skips: npt.NDArray[np.uint8]) -> npt.NDArray[np.intp]:
+    """In which order bricks of the buffer are made: those in view and seen first, of these the nearest first."""
+    blocks = tuple(-(-n // BLOCK) for n in shape)
+    middles = np.stack(np.meshgrid(*(np.arange(n) for n in reversed(blocks)), indexing="ij"), -1)
+    middles = middles.transpose(2, 1, 0, 3).reshape(-1, 3)  # x first, in the order of an array (z, y, x)
+    away = ((middles + 0.5) * BLOCK - view.eye) * view.spacing
+    right, below = view.packed[3], view.packed[4]
+    depth = away @ view.ahead
+    radius = 0.5 * BLOCK * float(np.linalg.norm(view.spacing))
+    ahead = np.maximum(depth, 1e-6)
+    hidden = depth < -radius
+    for axis, size in ((right, view.size[1]), (below, view.size[0])):
+        scale = float(axis @ axis)
+        hidden |= np.abs(away @ axis) / scale > (0.5 * size) * (ahead + radius) + radius / np.sqrt(scale)
+    wide = BLOCK // BRICK
+    seen = np.ones(blocks, np.bool_)
+    for index in np.ndindex(blocks):
+        seen[index] = (skips[tuple(slice(wide * i, wide * i + wide) for i in index)] == 0).any()
+    return np.lexsort((depth, hidden, ~seen.reshape(-1)))
+
+
+def _still(spacing: tuple[float, ...]) -> Floats:
+    """A domain in which nothing moves."""
+    axes = np.zeros((3, 3))
+    axes[:, 0], axes[:, 2] = 1.0, spacing
+    return axes

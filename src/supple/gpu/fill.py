@@ -1,0 +1,123 @@
+"""A deformed volume, made brick by brick beside the one that it is made of."""
+
+from __future__ import annotations
+
+import contextlib
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from supple.gpu.kernel import READ, UNIFORM, WRITE, Pace, download, owned, pipeline, room, run, spread, upload
+from supple.gpu.solid import Lattice
+from supple.gpu.volume import Volume
+
+BLOCK = 16  # voxels along a brick's side
+_NAMES = ("fill", "volume", "solid", "blend", "smooth", "field", "newton")
+_KINDS = (UNIFORM, UNIFORM, READ, READ, WRITE, READ, WRITE)
+
+_SETTINGS = np.dtype(
+    [
+        ("size", "u4", 3),
+        ("pitch", "u4"),
+        ("nodes", "u4", 3),
+        ("spread", "f4"),
+        ("bounds", "f4", 2),
+        ("strokes", "u4"),
+        ("warped", "u4"),
+        ("count", "u4"),
+        ("tolerance", "f4"),
+        ("unused", "u4", 2),
+    ]
+)
+
+
+class Filling:
+    """The buffer of a deformed volume, and how much of it is there.
+
+    It is always made from the original volume and all strokes. Another one of the same volume takes its place, and
+    this one begins again when it is asked for once more.
+
+    Parameters
+    ----------
+    volume : Volume
+        With room for the buffer.
+    lattice : Lattice
+    polished : bool
+        Whether each voxel is solved for, as the lattice alone is not good enough.
+    tolerance : float
+        Of source points, in voxels.
+    """
+
+    def __init__(self, volume: Volume, lattice: Lattice, *, polished: bool, tolerance: float) -> None:
+        self._volume, self._lattice = volume, lattice
+        self._polished, self._tolerance = polished, tolerance
+        self._blocks = tuple(-(-n // BLOCK) for n in reversed(volume.size))
+        self._made = np.zeros(self._blocks, np.bool_)
+        self._pace = Pace(4)
+        self.finished = room(volume.gpu, 4 * self._made.size)
+        """A buffer with a 1 for each brick that is there with all of its neighbours, so that it can be read."""
+
+    @property
+    def part(self) -> float:
+        """How much is there, from 0 to 1."""
+        return float(self._made.mean()) if self._volume.owner is self else 0.0
+
+    def advance(self, seconds: float, order: npt.NDArray[np.intp] | None = None) -> float:
+        """Make some bricks, for about as long; return how much is there then.
+
+        Parameters
+        ----------
+        seconds : float
+        order : int array
+            Which bricks are made first, and so on: indices of flat arrays (bricks z, y, x).
+
+        Raises
+        ------
+        ArithmeticError
+            If points could not be solved to the tolerance in float32.
+        """
+        if self._volume.owner is not self:
+            self._volume.owner = self
+            self._made[...] = False
+        gpu = self._volume.gpu
+        every = np.arange(self._made.size) if order is None else order
+        wanted = every[~self._made.reshape(-1)[every]].astype(np.uint32)
+        if not wanted.size:
+            return self.part
+        work = pipeline(gpu, _NAMES, "fill", _KINDS, {"FORMAT": self._volume.format, "POLISHED": int(self._polished)})
+        settings = np.zeros(1, _SETTINGS)
+        for name, value in {
+            "size": self._volume.size,
+            "pitch": self._volume.pitch,
+            "nodes": self._lattice.shape,
+            "spread": self._lattice.spread,
+            "bounds": self._volume.bounds,
+            "strokes": self._lattice.count,
+            "warped": self._volume.warped,
+            "tolerance": self._tolerance,
+        }.items():
+            settings[name] = value
+        lattice = self._lattice
+        with contextlib.ExitStack() as stack:
+            (lost,) = owned(stack, room(gpu, 4))
+            for first, count in self._pace.parts(wanted.size, min(seconds, 0.25), seconds):
+                settings["count"] = count
+                with contextlib.ExitStack() as own:
+                    told, some = owned(own, upload(gpu, settings, UNIFORM), upload(gpu, wanted[first : first + count]))
+                    buffers = [told, lattice.domain, lattice.strokes, lattice.nodes, self._volume.samples, some, lost]
+                    run(gpu, [(work, buffers, (*spread(count, 1), 1))])
+                    if download(gpu, lost, np.uint32, 1)[0]:  # waits
+                        raise ArithmeticError("voxels could not be solved in its numbers")
+                self._made.reshape(-1)[wanted[first : first + count]] = True
+        self._tell()
+        return self.part
+
+    def _tell(self) -> None:
+        """Tell the device which bricks can be read: samples between voxels, and slopes, take their neighbours too."""
+        padded = np.pad(self._made, 1, constant_values=True)
+        ready = np.ones_like(self._made)
+        for shift in np.ndindex(3, 3, 3):
+            ready &= padded[tuple(slice(s, s + n) for s, n in zip(shift, self._blocks, strict=True))]
+        words: Any = ready.astype(np.uint32)
+        self._volume.gpu.device.queue.write_buffer(self.finished, 0, words)

@@ -1,0 +1,66 @@
+// The lattice of a volume: T⁻¹ solved at its nodes, and its cells looked at; see supple/cpu/solid.py.
+
+struct Settings {
+    nodes: vec3u,
+    spread: f32, // voxels from node to node
+    strokes: u32,
+    first: u32, // layer of nodes, or of cells, that is worked on here
+    last: u32, // the first one that is not
+    unused: u32,
+}
+
+@group(0) @binding(0) var<uniform> settings: Settings;
+@group(0) @binding(1) var<uniform> domain: Domain;
+@group(0) @binding(2) var<storage, read> strokes: array<Stroke>;
+@group(0) @binding(3) var<storage, read_write> nodes: array<vec4f>;
+// The worst error that is seen, in voxels, and the least length over which the map varies: positive numbers, whose bits
+// are in their order.
+@group(0) @binding(4) var<storage, read_write> stats: array<atomic<u32>, 2>;
+
+fn saw(error: f32) {
+    atomicMax(&stats[0], bitcast<u32>(select(1e30, error, error <= 1e30)));
+}
+
+@compute @workgroup_size(4, 4, 4)
+fn solve(@builtin(global_invocation_id) id: vec3u) {
+    let i = vec3u(id.xy, id.z + settings.first);
+    if (any(i >= settings.nodes) || i.z >= settings.last) {
+        return;
+    }
+    let q = vec3f(i) * settings.spread * domain.spacing.xyz;
+    let found = undo(q, 1e-3 * finest());
+    let m = in_pixels(found.matrix);
+    let place = 4u * ((i.z * settings.nodes.y + i.y) * settings.nodes.x + i.x);
+    nodes[place] = vec4f(found.offset / domain.spacing.xyz, 0.0);
+    for (var c = 0u; c < 3u; c++) {
+        nodes[place + 1u + c] = vec4f(m[c], 0.0);
+    }
+    saw(norm_of(m) * found.residual / finest());
+    atomicMin(&stats[1], bitcast<u32>(smoothness(q, found.offset, m)));
+}
+
+@compute @workgroup_size(4, 4, 4)
+fn check(@builtin(global_invocation_id) id: vec3u) {
+    let i = vec3u(id.xy, id.z + settings.first);
+    if (any(i + 1u >= settings.nodes) || i.z >= settings.last) {
+        return;
+    }
+    let here = 4u * ((i.z * settings.nodes.y + i.y) * settings.nodes.x + i.x);
+    let there = here + 4u * ((settings.nodes.y + 1u) * settings.nodes.x + 1u);
+    var m: mat3x3f;
+    for (var c = 0u; c < 3u; c++) {
+        m[c] = 0.5 * (nodes[here + 1u + c].xyz + nodes[there + 1u + c].xyz);
+    }
+    var worst = 0.0;
+    for (var k = 0u; k < 15u; k++) {
+        // Its middle, those of its faces and edges at one corner, and of its eighths.
+        let bits = vec3f(vec3u(k, k >> 1u, k >> 2u) & vec3u(1u));
+        let at = select(0.25 + 0.5 * bits, 0.5 - 0.5 * bits, k < 7u);
+        let p = (vec3f(i) + at) * settings.spread;
+        let q = p * domain.spacing.xyz;
+        let off = moved(0u, settings.strokes, q, between(p).shift * domain.spacing.xyz).offset / domain.spacing.xyz;
+        let error = length(m * off);
+        worst = max(worst, select(1e30, error, error <= 1e30));
+    }
+    saw(RESERVE * worst);
+}

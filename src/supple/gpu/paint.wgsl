@@ -1,0 +1,37 @@
+// What rays saw, put on a background as sRGB, into a texture.
+
+struct Settings {
+    background: vec3f, // linear light
+    fine: u32, // rays along a pixel's side
+    width: u32, // pixels
+    first: u32, // row of them
+    rows: u32,
+    unused: u32,
+}
+
+@group(0) @binding(0) var<uniform> settings: Settings;
+@group(0) @binding(1) var<storage, read> seen: array<vec4f>; // for each ray: colour; depth, samples, inversions
+@group(0) @binding(2) var<storage, read_write> lost: atomic<u32>; // rays of which a point could not be solved
+@group(0) @binding(3) var target_: texture_storage_2d<rgba8unorm, write>;
+
+@compute @workgroup_size(8, 8)
+fn paint(@builtin(global_invocation_id) id: vec3u) {
+    if (id.x >= settings.width || id.y >= settings.rows) {
+        return;
+    }
+    var total = vec4f(0.0);
+    for (var j = 0u; j < settings.fine; j++) {
+        for (var i = 0u; i < settings.fine; i++) {
+            let k = 2u * ((id.y * settings.fine + j) * settings.width * settings.fine + id.x * settings.fine + i);
+            total += seen[k];
+            if (seen[k + 1u].w < 0.0) {
+                atomicAdd(&lost, 1u);
+            }
+        }
+    }
+    total /= f32(settings.fine * settings.fine);
+    let light = clamp(total.xyz + (1.0 - clamp(total.w, 0.0, 1.0)) * settings.background, vec3f(0.0), vec3f(1.0));
+    let curved = 1.055 * pow(max(light, vec3f(0.0031308)), vec3f(1.0 / 2.4)) - 0.055;
+    let shown = select(curved, light * 12.92, light <= vec3f(0.0031308));
+    textureStore(target_, vec2u(id.x, id.y + settings.first), vec4f(shown, 1.0));
+}

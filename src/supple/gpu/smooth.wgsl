@@ -1,0 +1,40 @@
+// What lattices are judged by; see supple/cpu/lattice.py.
+
+const RESERVE = 2.0;
+const RESOLVED = 0.5;
+
+// From physical units to pixels.
+fn in_pixels(matrix: mat3x3f) -> mat3x3f {
+    var m: mat3x3f;
+    for (var c = 0u; c < 3u; c++) {
+        m[c] = matrix[c] * domain.spacing[c] / domain.spacing.xyz;
+    }
+    return m;
+}
+
+fn norm_of(m: mat3x3f) -> f32 {
+    return sqrt(dot(m[0], m[0]) + dot(m[1], m[1]) + dot(m[2], m[2]));
+}
+
+// How far, in pixels, the map stays as smooth as it is at a point: a stroke varies over ρ, and its border, along each
+// axis by itself, over σ or the distance to it, both as seen through the derivative of the stroke's input by q.
+fn smoothness(q: vec3f, w: vec3f, m: mat3x3f) -> f32 {
+    var at = Moved(w, mat3x3f(1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0));
+    var least = 1e30;
+    for (var k = 0u; k < settings.strokes; k++) {
+        let x = at.jacobian * (m[0] * domain.spacing.xyz);
+        let y = at.jacobian * (m[1] * domain.spacing.xyz);
+        let d = (q - strokes[k].pivot) + (at.offset - strokes[k].rest.xyz);
+        least = min(least, sqrt((dot(d, d) + strokes[k].radius2.x) / max(dot(x, x), dot(y, y))));
+        let along = max(abs(x), abs(y));
+        let place = q + at.offset;
+        for (var axis = 0u; axis < 3u; axis++) {
+            if (domain.sigma[axis] > 0.0) {
+                let distance_ = max(domain.sigma[axis], min(place[axis], domain.extent[axis] - place[axis]));
+                least = min(least, 2.0 * distance_ / max(along[axis], 1e-12));
+            }
+        }
+        at = moved_by(k, q, at);
+    }
+    return least;
+}

@@ -1,0 +1,83 @@
+"""What is seen of a volume: a picture, and what lies under one of its pixels."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from supple.cpu.sampling import linear_light
+
+Array = npt.NDArray[Any]
+Floats = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Picture:
+    """A volume, seen.
+
+    Parameters
+    ----------
+    light : float32 array, shape (H, W, 4)
+        Linear red, green and blue, already weighted by opacity, and the opacity.
+    depth : float64 array, shape (H, W)
+        Millimetres from the eye to the first surface; infinity where there is none.
+    samples, evaluations : int64 arrays, shape (H, W)
+        How many samples each pixel took, and how many evaluations of T with its Jacobian (in the mode ``"exact"``).
+    """
+
+    light: npt.NDArray[np.float32]
+    depth: Floats
+    samples: npt.NDArray[np.int64]
+    evaluations: npt.NDArray[np.int64]
+
+    def pixels(self, background: tuple[float, float, float] | None = None) -> npt.NDArray[np.uint8]:
+        """As sRGB of 8 bits.
+
+        Parameters
+        ----------
+        background : (float, float, float), optional
+            sRGB from 0 to 1, to make an opaque picture; without it, opacity is kept.
+
+        Returns
+        -------
+        uint8 array, shape (H, W, 3 or 4)
+        """
+        alpha = np.clip(self.light[..., 3:], 0, 1)
+        if background is None:
+            colours = self.light[..., :3] / np.maximum(alpha, 1e-6)
+            seen = np.concatenate([_srgb(colours), alpha], axis=-1)
+        else:
+            seen = _srgb(self.light[..., :3] + (1 - alpha) * light_of(background))
+        return np.asarray(np.rint(seen * 255), np.uint8)
+
+
+def _srgb(linear: Array) -> Array:
+    u = np.clip(linear, 0, 1)
+    return np.asarray(np.where(u <= 0.0031308, 12.92 * u, 1.055 * np.power(u, 1 / 2.4) - 0.055))
+
+
+def light_of(colour: tuple[float, float, float]) -> Floats:
+    """Linear light of sRGB from 0 to 1."""
+    return np.asarray(linear_light(np.asarray(colour, np.float64), 1.0))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Pick:
+    """What lies under a pixel.
+
+    Parameters
+    ----------
+    index : (float, float, float)
+        The point of the deformed volume, in voxels, x first.
+    source : (float, float, float)
+        The point of the volume as it was, that is seen there.
+    depth : float
+        Millimetres from the eye.
+    """
+
+    index: tuple[float, float, float]
+    source: tuple[float, float, float]
+    depth: float

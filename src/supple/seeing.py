@@ -1,0 +1,112 @@
+"""How a volume is seen: its samples made ready, transfer functions, light, and what may be skipped."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from supple.camera import View
+from supple.cpu import bricks
+from supple.domain import choice, point, refuse
+from supple.transfer import ENTRIES, PRESETS, TransferFunction
+
+Array = npt.NDArray[Any]
+Floats = npt.NDArray[np.float64]
+
+_TYPES = (np.uint8, np.int8, np.uint16, np.int16, np.float32)
+
+
+def skipped(known: dict[str, Any]) -> npt.NDArray[np.uint8]:
+    """How many bricks away the next one is that anything is seen of."""
+    table, (low, high) = known["_table"], known["range"]
+    bottom, top = known["density"]
+    each = entries(low, high)
+    visible = np.concatenate([[0], np.cumsum(table[:, 3] > 0)])
+    lows, highs = np.maximum(known["_lows"], bottom), np.minimum(known["_highs"], top)
+    first, last = (np.clip(np.rint((v - low) * each), 0, ENTRIES - 1).astype(np.int64) for v in (lows, highs))
+    seen = (visible[np.maximum(last, first) + 1] > visible[first]) & (lows <= highs)
+    if known["_per_voxel"] > 0:
+        moved = np.empty(brick_counts(known["samples"].shape, bricks.BRICK), np.bool_)
+        bricks.moved(seen, bricks.FINE, known["_nodes"], known["_per_voxel"], sizes(known["samples"]), moved)
+        seen = moved
+    return np.asarray(bricks.distances(seen), np.uint8)
+
+
+def transfer_function(given: TransferFunction | str) -> TransferFunction:
+    """A transfer function, or the preset of a name."""
+    if isinstance(given, TransferFunction):
+        return given
+    choice("transfer", given, tuple(PRESETS))
+    return PRESETS[given]
+
+
+def seen_through(
+    transfer: TransferFunction, density: tuple[float, float] | None, values: tuple[float, float], step: float
+) -> dict[str, Any]:
+    """What a scene has of a transfer function and a window of values, for samples of some range."""
+    low, high = values
+    if density is None:
+        window = (-math.inf, math.inf)
+    else:
+        bounds = point("density", density, (2,))
+        if bounds[0] >= bounds[1]:
+            refuse("density", "two values LO,HI, the lower one first", density)
+        window = (bounds[0], bounds[1])
+    table = transfer.table(low, high, step)
+    values_ = np.linspace(low, high, ENTRIES)
+    seen = (table[:, 3] > 0) & (values_ >= window[0]) & (values_ <= window[1])
+    # Halfway to the last entry that nothing is seen of, as entries are rounded to.
+    first = int(np.argmax(seen)) if seen.any() else 0
+    if not seen.any():
+        threshold = math.inf
+    elif first == 0:
+        threshold = -math.inf if window[0] <= low else window[0]
+    else:
+        threshold = max(window[0], float(values_[first]) - 0.5 * (high - low) / (ENTRIES - 1))
+    return {"density": window, "_table": table, "_threshold": threshold}
+
+
+def entries(low: float, high: float) -> float:
+    """Entries of the table for each unit of value."""
+    return (ENTRIES - 1) / (high - low) if high > low else 0.0
+
+
+def lamp(view: View) -> npt.NDArray[np.float32]:
+    """A lamp beside the camera, above and to the left."""
+    right, down = (axis / np.linalg.norm(axis) for axis in view.packed[3:])
+    towards = -view.ahead - 0.35 * right - 0.45 * down
+    return np.asarray(towards / np.linalg.norm(towards), np.float32)
+
+
+def brick_counts(shape: tuple[int, ...], brick: int) -> tuple[int, ...]:
+    """How many bricks lie along each axis."""
+    return tuple(-(-max(n - 1, 1) // brick) for n in shape)
+
+
+def sizes(samples: Array) -> npt.NDArray[np.int64]:
+    """Voxels along x, y and z."""
+    return np.array(samples.shape[::-1], np.int64)
+
+
+def triple(values: Floats) -> tuple[float, float, float]:
+    """Three numbers, of Python's."""
+    x, y, z = (float(v) for v in values)
+    return x, y, z
+
+
+def prepared(given: Array) -> Array:
+    """Samples as the kernels take them: of a type they know, two along each axis at least, and numbers all."""
+    if given.dtype.newbyteorder("=") not in _TYPES:
+        with np.errstate(over="ignore"):
+            given = given.astype(np.float32)
+    ready = np.ascontiguousarray(given, given.dtype.newbyteorder("="))
+    if ready.dtype.kind == "f" and not np.isfinite(ready).all():
+        finite = ready[np.isfinite(ready)]
+        bottom, top = (finite.min(), finite.max()) if finite.size else (0.0, 0.0)
+        ready = np.nan_to_num(ready, nan=bottom, neginf=bottom, posinf=top)
+    if min(ready.shape) < 2:
+        ready = np.pad(ready, [(0, 1 if n < 2 else 0) for n in ready.shape], mode="edge")
+    return ready
