@@ -18,9 +18,13 @@ from measure import milliseconds
 
 import supple
 from supple.camera import Camera
+from supple.drawing import lattice_of
 from supple.gpu import kernel
 from supple.gpu.device import open_gpu
+from supple.gpu.fill import Filling
+from supple.gpu.volume import hold
 from supple.media import image
+from supple.media.volume import Volume
 from supple.rendering import Scene
 from supple.volumes import open_volume
 
@@ -52,6 +56,57 @@ def row(what: str, work: Callable[[], object], cpu: Callable[[], object] | None,
         other = milliseconds((time.perf_counter() - start) / runs)
     told = milliseconds(clock) if clock is not None else "no clock"
     return f"| {what} | {told} | {milliseconds(wall)} | {other} | {runs} |"
+
+
+def hybrid(head: Volume, bent: supple.Deformation, camera: Camera, size: tuple[int, int]) -> list[str]:
+    """Frames while a buffer is filled between them: before, the longest, and when it is full."""
+    scene = Scene(
+        head.samples, head.geometry, deformation=bent, transfer="mr-head", mode="hybrid", step=1.0, device="gpu"
+    )
+    frames: list[float] = []
+    for _ in range(4):
+        start = time.perf_counter()
+        scene.render(camera, size)
+        frames.append(time.perf_counter() - start)
+    before = statistics.median(frames[1:])
+    stalls: list[float] = []
+    done = 0.0
+    while done < 1:
+        start = time.perf_counter()
+        done = scene.fill(camera, size, seconds=max(0.004, 0.05 * before))
+        scene.render(camera, size)
+        stalls.append(time.perf_counter() - start)
+    frames.clear()
+    for _ in range(3):
+        start = time.perf_counter()
+        scene.render(camera, size)
+        frames.append(time.perf_counter() - start)
+    what, after = f"view of the head, {size[1]}×{size[0]}, hybrid", statistics.median(frames)
+    worst = max(stalls)
+    longest = f"the longest of {len(stalls)} frames meanwhile, {worst / before:.2f}× as long"
+    return [
+        f"| {what}: a frame before its buffer is filled | | {milliseconds(before)} | | 3 |",
+        f"| {longest} | | {milliseconds(worst)} | | 1 |",
+        f"| a frame when it is full | | {milliseconds(after)} | | 3 |",
+    ]
+
+
+def filled(n: int, runs: int) -> str:
+    """A whole buffer, from a volume that is on the GPU already: the lattice, and all bricks."""
+    gpu = open_gpu()
+    samples = np.random.default_rng(0).random((n, n, n), np.float32)
+    space = (
+        supple.Deformation(samples.shape, border=None)
+        .grab((n / 2, n / 2, n / 2), by=(n / 16, 0, 0), radius=n / 5)
+        .space
+    )
+    held = hold(gpu, samples, twice=True)
+
+    def work() -> None:
+        solid, lattice = lattice_of(gpu, space, 0.05)
+        Filling(held, lattice, polished=solid.error > 0.05, tolerance=0.05).advance(1e9)
+
+    return row(f"buffer of a {n}³ float32 volume: lattice and bricks", work, None, runs)
 
 
 def main() -> None:
@@ -108,6 +163,8 @@ def main() -> None:
                 runs,
             )
         )
+    print(*hybrid(head, bent, camera, (size[0] // (2 if gpu.software else 1),) * 2), sep="\n")
+    print(filled(n=(512 if gpu.binding >= 1 << 30 else 256) // scale, runs=1 if gpu.software else runs))
     n = 512 // scale
     volume = np.random.default_rng(0).random((n, n, n), np.float32)
     middle = (n / 2, n / 2, n / 2)

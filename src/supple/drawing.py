@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any, TypeVar
 
 import numpy as np
@@ -17,7 +18,7 @@ from supple.gpu.device import Gpu
 from supple.gpu.field import fits
 from supple.gpu.fill import BLOCK, Filling
 from supple.gpu.kernel import Pace, failures, trouble
-from supple.gpu.raymarch import EXACT, HYBRID, LATTICE, PLAIN, RAYS, Held
+from supple.gpu.raymarch import EXACT, HYBRID, LATTICE, PLAIN, RAYS, Held, prepare
 from supple.gpu.solid import Lattice, hold_strokes, solve
 from supple.gpu.volume import Volume, hold
 from supple.streaming import Space
@@ -94,16 +95,19 @@ def held_scene(
         ), None
     if mode == "exact":
         return Held(volume, hold_strokes(gpu, space.table, space.axes), EXACT, None, Pace(RAYS)), None
-    solid, lattice = _lattice(gpu, space, tolerance)
+    solid, lattice = lattice_of(gpu, space, tolerance)
     if not twice:
         return Held(volume, lattice, LATTICE, None, Pace(RAYS)), solid
     filling = Filling(volume, lattice, polished=solid.error > tolerance, tolerance=tolerance)
+    held = Held(volume, lattice, HYBRID, filling, Pace(RAYS))
     if mode == "buffered":
         filling.advance(_LONG)
-    return Held(volume, lattice, HYBRID, filling, Pace(RAYS)), solid
+    else:
+        prepare(held, filling)
+    return held, solid
 
 
-def _lattice(gpu: Gpu, space: Space, tolerance: float) -> tuple[Solid, Lattice]:
+def lattice_of(gpu: Gpu, space: Space, tolerance: float) -> tuple[Solid, Lattice]:
     """The lattice, refined as the CPU does it, and solved here."""
     made: list[Lattice] = []
     shape = (space.count, *space.shape)
@@ -114,7 +118,9 @@ def _lattice(gpu: Gpu, space: Space, tolerance: float) -> tuple[Solid, Lattice]:
         made.append(lattice)
         return Solid(nodes, step, error, 0.0), smooth
 
-    return solve_solid(space.table, space.axes, shape, tolerance, attempt), made[0]
+    solid = solve_solid(space.table, space.axes, shape, tolerance, attempt)
+    # A cubic over two cells is off by about as much as the lattice is said to be, and by a twentieth over one.
+    return solid, replace(made[0], cells=2 if 3 * solid.error <= tolerance else 1)
 
 
 def order_of(view: View, shape: tuple[int, ...], skips: npt.NDArray[np.uint8]) -> npt.NDArray[np.intp]:

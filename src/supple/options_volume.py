@@ -127,7 +127,8 @@ class LookOptions:
     step
         Millimetres from sample to sample along a ray; the smallest spacing by default.
     mode
-        How strokes are seen: by a certified lattice (default), exact at every sample, or warped first (buffered).
+        How strokes are seen: by a certified lattice (default), exact at every sample, warped first (buffered), or the
+        lattice while the GPU warps (hybrid).
     flat
         No shading.
     background
@@ -150,7 +151,7 @@ class LookOptions:
     density: Annotated[str | None, Parameter(metavar="LO,HI", allow_leading_hyphen=True)] = None
     size: Annotated[str, Parameter(metavar="WxH", allow_leading_hyphen=True)] = "512x512"
     step: Annotated[str | None, Parameter(metavar="MM", allow_leading_hyphen=True)] = None
-    mode: Literal["lattice", "exact", "buffered"] = "lattice"
+    mode: Literal["lattice", "exact", "buffered", "hybrid"] = "lattice"
     flat: bool = False
     background: Annotated[str | None, Parameter(metavar="#RRGGBB")] = None
     smooth: Annotated[int, Parameter(metavar="N", allow_leading_hyphen=True)] = 1

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -31,6 +32,7 @@ Tell = Callable[[str, int, int], None]
 
 WHATS = ("picture", "inversions")
 LIGHTLESS = (".png", ".tif", ".tiff", ".webp", ".avif")  # which hold opacity
+_BESIDE = 0.2  # of what a picture takes, for the buffer of a hybrid scene
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,7 +51,7 @@ class RenderOptions:
     step : float, optional
         Millimetres from sample to sample; the smallest spacing by default.
     mode : str
-        ``"lattice"``, ``"exact"`` or ``"buffered"``: how strokes are seen; see `supple.rendering.Scene`.
+        ``"lattice"``, ``"exact"``, ``"buffered"`` or ``"hybrid"``: how strokes are seen; see `supple.rendering.Scene`.
     shaded : bool
     background : (float, float, float), optional
         sRGB from 0 to 1; without it, pictures are transparent where there is nothing, and videos black.
@@ -220,8 +222,11 @@ def render_file(
     def pictures(opaque: bool) -> Iterator[Array]:
         behind = known.background or ((0.0, 0.0, 0.0) if opaque else None)
         for k in range(count):
-            camera = scene.turned(known.camera, k, count)
-            yield scene.render(camera, known.size, supersampling=known.supersampling).pixels(behind)
+            camera, begun = scene.turned(known.camera, k, count), time.perf_counter()
+            picture = scene.render(camera, known.size, supersampling=known.supersampling)
+            # A hybrid scene's buffer takes little beside the pictures, which are the faster for it.
+            scene.fill(camera, known.size, seconds=_BESIDE * (time.perf_counter() - begun))
+            yield picture.pixels(behind)
             tell("render", k + 1, count)
 
     if suffix in reel.SUFFIXES:

@@ -55,6 +55,8 @@ class Filling:
         self._blocks = tuple(-(-n // BLOCK) for n in reversed(volume.size))
         self._made = np.zeros(self._blocks, np.bool_)
         self._pace = Pace(4)
+        constants = {"FORMAT": volume.format, "POLISHED": int(polished)}
+        self._work = pipeline(volume.gpu, _NAMES, "fill", _KINDS, constants)
         self.finished = room(volume.gpu, 4 * self._made.size)
         """A buffer with a 1 for each brick that is there with all of its neighbours, so that it can be read."""
 
@@ -83,35 +85,42 @@ class Filling:
         gpu = self._volume.gpu
         every = np.arange(self._made.size) if order is None else order
         wanted = every[~self._made.reshape(-1)[every]].astype(np.uint32)
-        if not wanted.size:
-            return self.part
-        work = pipeline(gpu, _NAMES, "fill", _KINDS, {"FORMAT": self._volume.format, "POLISHED": int(self._polished)})
-        settings = np.zeros(1, _SETTINGS)
-        for name, value in {
-            "size": self._volume.size,
-            "pitch": self._volume.pitch,
-            "nodes": self._lattice.shape,
-            "spread": self._lattice.spread,
-            "bounds": self._volume.bounds,
-            "strokes": self._lattice.count,
-            "warped": self._volume.warped,
-            "tolerance": self._tolerance,
-        }.items():
-            settings[name] = value
-        lattice = self._lattice
         with contextlib.ExitStack() as stack:
             (lost,) = owned(stack, room(gpu, 4))
             for first, count in self._pace.parts(wanted.size, min(seconds, 0.25), seconds):
-                settings["count"] = count
-                with contextlib.ExitStack() as own:
-                    told, some = owned(own, upload(gpu, settings, UNIFORM), upload(gpu, wanted[first : first + count]))
-                    buffers = [told, lattice.domain, lattice.strokes, lattice.nodes, self._volume.samples, some, lost]
-                    run(gpu, [(work, buffers, (*spread(count, 1), 1))])
-                    if download(gpu, lost, np.uint32, 1)[0]:  # waits
-                        raise ArithmeticError("voxels could not be solved in its numbers")
-                self._made.reshape(-1)[wanted[first : first + count]] = True
+                some = wanted[first : first + count]
+                self._make(some, lost)
+                if download(gpu, lost, np.uint32, 1)[0]:  # waits
+                    raise ArithmeticError("voxels could not be solved in its numbers")
+                self._made.reshape(-1)[some] = True
         self._tell()
         return self.part
+
+    def prepare(self) -> None:
+        """Run for no brick: some devices compile only then."""
+        with contextlib.ExitStack() as stack:
+            (lost,) = owned(stack, room(self._volume.gpu, 4))
+            self._make(np.zeros(0, np.uint32), lost)
+
+    def _make(self, wanted: npt.NDArray[np.uint32], lost: Any) -> None:
+        gpu, volume, lattice = self._volume.gpu, self._volume, self._lattice
+        settings = np.zeros(1, _SETTINGS)
+        for name, value in {
+            "size": volume.size,
+            "pitch": volume.pitch,
+            "nodes": lattice.shape,
+            "spread": lattice.spread,
+            "bounds": volume.bounds,
+            "strokes": lattice.count,
+            "warped": volume.warped,
+            "count": wanted.size,
+            "tolerance": self._tolerance,
+        }.items():
+            settings[name] = value
+        with contextlib.ExitStack() as own:
+            told, some = owned(own, upload(gpu, settings, UNIFORM), upload(gpu, wanted))
+            buffers = [told, lattice.domain, lattice.strokes, lattice.nodes, volume.samples, some, lost]
+            run(gpu, [(self._work, buffers, (*spread(wanted.size, 1), 1))])
 
     def _tell(self) -> None:
         """Tell the device which bricks can be read: samples between voxels, and slopes, take their neighbours too."""

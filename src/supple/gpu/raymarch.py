@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from supple.gpu.fill import Filling
+from supple.gpu.fill import BLOCK, Filling
 from supple.gpu.kernel import READ, TEXTURE, UNIFORM, WRITE, Pace, download, owned, pipeline, room, run, upload
 from supple.gpu.solid import Lattice
 from supple.gpu.volume import Volume
@@ -20,6 +20,8 @@ Floats = npt.NDArray[np.float64]
 PLAIN, LATTICE, EXACT, HYBRID = 0, 1, 2, 3
 RAYS = 1 << 16  # at once, before it is known what they take
 LONGEST = 8  # samples
+# A stretch of them is read of the buffer if it begins in a brick whose neighbours are there: it ends in one of these.
+FARTHEST = BLOCK - 4  # voxels
 _NAMES = ("raymarch", "volume", "solid", "blend", "field", "newton")
 _KINDS = (UNIFORM, UNIFORM, READ, READ, READ, READ, READ, WRITE, READ)
 
@@ -181,7 +183,7 @@ def _rays(held: Held, look: Look, view: Floats, size: tuple[int, int], fine: int
     volume, lattice, filling = held.volume, held.lattice, held.filling
     gpu, finest = volume.gpu, float(view[1].min())
     mode = _mode(held, look.step / finest)
-    made = pipeline(gpu, _NAMES, "march", _KINDS, {"FORMAT": volume.format, "MODE": mode})
+    made = _marching(volume, mode)
     height, width = size
     settings = np.zeros(1, SETTINGS)
     for name, value in {
@@ -200,7 +202,7 @@ def _rays(held: Held, look: Look, view: Floats, size: tuple[int, int], fine: int
         "shaded": look.shaded,
         "always": look.threshold == -np.inf,
         "fine": fine,
-        "stretch": _stretch(mode, lattice.spread * finest / look.step),
+        "stretch": _stretch(mode, lattice.cells * lattice.spread, look.step / finest),
         "pitch": volume.pitch,
         "warped": volume.warped if mode in (PLAIN, HYBRID) and filling is not None else 0,
     }.items():
@@ -232,6 +234,21 @@ def _rays(held: Held, look: Look, view: Floats, size: tuple[int, int], fine: int
     held.pace.count = pace.count * row_
 
 
+def _marching(volume: Volume, mode: int) -> Any:
+    return pipeline(volume.gpu, _NAMES, "march", _KINDS, {"FORMAT": volume.format, "MODE": mode})
+
+
+def prepare(held: Held, filling: Filling) -> None:
+    """Compile what a hybrid scene needs later, so that no frame waits for it: some do when it first runs."""
+    volume, lattice, some = held.volume, held.lattice, filling.finished
+    with contextlib.ExitStack() as stack:
+        told, seen = owned(stack, upload(volume.gpu, np.zeros(1, SETTINGS), UNIFORM), room(volume.gpu, 32))
+        buffers = [told, lattice.domain, lattice.strokes, lattice.nodes, some, volume.samples, some, seen, some]
+        run(volume.gpu, [(_marching(volume, mode), buffers, (1, 1, 1)) for mode in (LATTICE, HYBRID, PLAIN)])
+        filling.prepare()
+        download(volume.gpu, seen, np.float32, 8)  # waits
+
+
 def _mode(held: Held, step: float) -> int:
     """How rays are marched along now, with samples so many voxels apart."""
     filling = held.filling
@@ -239,12 +256,11 @@ def _mode(held: Held, step: float) -> int:
         return held.mode
     if filling.part == 1.0:
         return PLAIN
-    # A stretch of samples is read of the buffer if it begins in a brick that can be.
-    return HYBRID if filling.part > 0.0 and step <= LONGEST else LATTICE
+    return HYBRID if filling.part > 0.0 and step <= FARTHEST else LATTICE
 
 
-def _stretch(mode: int, in_a_cell: float) -> int:
-    """How many samples share what is read of the lattice: as many as lie in a cell of it."""
+def _stretch(mode: int, cells: float, step: float) -> int:
+    """How many samples share what is read of the lattice: as many as lie in its cells, all of them in voxels."""
     if mode not in (LATTICE, HYBRID):
         return LONGEST
-    return max(1, min(int(in_a_cell), LONGEST))
+    return max(1, min(int((min(cells, FARTHEST) if mode == HYBRID else cells) / step), LONGEST))

@@ -40,6 +40,8 @@ class Lattice:
         Voxels from node to node; 0 where nothing moves, or no lattice was solved.
     count : int
         How many strokes.
+    cells : int
+        Over how many cells a ray may go on along one cubic.
     """
 
     gpu: Gpu
@@ -49,6 +51,7 @@ class Lattice:
     shape: tuple[int, int, int]
     spread: float
     count: int
+    cells: int = 1
 
 
 def hold_strokes(gpu: Gpu, table: npt.NDArray[np.void], axes: Floats) -> Lattice:
