@@ -12,6 +12,7 @@ import time
 import warnings
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from measure import milliseconds
@@ -25,7 +26,7 @@ from supple.gpu.fill import Filling
 from supple.gpu.volume import hold
 from supple.media import image
 from supple.media.volume import Volume
-from supple.rendering import Scene
+from supple.rendering import MODES, Scene
 from supple.volumes import open_volume
 
 DATA = Path(supple.__file__).parent / "data"
@@ -58,37 +59,43 @@ def row(what: str, work: Callable[[], object], cpu: Callable[[], object] | None,
     return f"| {what} | {told} | {milliseconds(wall)} | {other} | {runs} |"
 
 
-def hybrid(head: Volume, bent: supple.Deformation, camera: Camera, size: tuple[int, int]) -> list[str]:
-    """Frames while a buffer is filled between them: before, the longest, and when it is full."""
-    scene = Scene(
-        head.samples, head.geometry, deformation=bent, transfer="mr-head", mode="hybrid", step=1.0, device="gpu"
-    )
-    frames: list[float] = []
-    for _ in range(4):
+def frame(scene: Scene, camera: Camera, size: tuple[int, int], runs: int) -> float:
+    """The median time of a picture, in seconds; one before it is not counted."""
+    times = []
+    for _ in range(runs + 1):
         start = time.perf_counter()
         scene.render(camera, size)
-        frames.append(time.perf_counter() - start)
-    before = statistics.median(frames[1:])
-    stalls: list[float] = []
-    done = 0.0
+        times.append(time.perf_counter() - start)
+    return statistics.median(times[1:])
+
+
+def ways(name: str, head: Volume, look: dict[str, Any], camera: Camera, size: tuple[int, int]) -> str:
+    """The four ways beside one another, as in the paper's table 6.1: frames, and what a buffer takes."""
+    scenes, made = {}, {}
+    for mode in MODES:
+        for _ in range(2):  # the first time compiles
+            start = time.perf_counter()
+            scenes[mode] = Scene(head.samples, head.geometry, mode=mode, step=1.0, device="gpu", **look)
+            made[mode] = time.perf_counter() - start
+    still = {mode: frame(scenes[mode], camera, size, 3) for mode in ("exact", "lattice", "hybrid")}
+    scene, frames, done = scenes["hybrid"], [], 0.0
     while done < 1:
         start = time.perf_counter()
-        done = scene.fill(camera, size, seconds=max(0.004, 0.05 * before))
-        scene.render(camera, size)
-        stalls.append(time.perf_counter() - start)
-    frames.clear()
-    for _ in range(3):
-        start = time.perf_counter()
+        done = scene.fill(camera, size, seconds=max(0.004, 0.05 * still["hybrid"]))
         scene.render(camera, size)
         frames.append(time.perf_counter() - start)
-    what, after = f"view of the head, {size[1]}×{size[0]}, hybrid", statistics.median(frames)
-    worst = max(stalls)
-    longest = f"the longest of {len(stalls)} frames meanwhile, {worst / before:.2f}× as long"
-    return [
-        f"| {what}: a frame before its buffer is filled | | {milliseconds(before)} | | 3 |",
-        f"| {longest} | | {milliseconds(worst)} | | 1 |",
-        f"| a frame when it is full | | {milliseconds(after)} | | 3 |",
+    longest = max(frames) / still["hybrid"]
+    cells = [
+        milliseconds(still["exact"]),
+        milliseconds(still["lattice"]),
+        milliseconds(made["lattice"]),
+        milliseconds(frame(scenes["buffered"], camera, size, 3)),
+        milliseconds(made["buffered"]),
+        f"{milliseconds(statistics.median(frames))} (longest {longest:.2f}× the one before)",
+        f"{milliseconds(sum(frames))}, {len(frames)} frames",
+        milliseconds(frame(scene, camera, size, 3)),
     ]
+    return f"| {name} | " + " | ".join(cells) + " |"
 
 
 def filled(n: int, runs: int) -> str:
@@ -163,7 +170,6 @@ def main() -> None:
                 runs,
             )
         )
-    print(*hybrid(head, bent, camera, (size[0] // (2 if gpu.software else 1),) * 2), sep="\n")
     print(filled(n=(512 if gpu.binding >= 1 << 30 else 256) // scale, runs=1 if gpu.software else runs))
     n = 512 // scale
     volume = np.random.default_rng(0).random((n, n, n), np.float32)
@@ -178,6 +184,16 @@ def main() -> None:
             1 if gpu.software else runs,
         )
     )
+
+    print(f"\nThe four ways, {size[1] // 2}×{size[0] // 2}:\n")
+    print(
+        "| seen | exact | lattice | made in | buffered | made in | hybrid, while it fills | filled after | and then |"
+    )
+    print("|---|" + "---|" * 8)
+    half = (size[0] // 2, size[1] // 2)
+    brain = {"deformation": bent, "transfer": "mr-head", "density": (110.0, 254.0)}
+    print(ways("the head", head, {"deformation": bent, "transfer": "mr-head"}, camera, half))
+    print(ways("what is bright in it", head, brain, camera, half))
 
 
 if __name__ == "__main__":
