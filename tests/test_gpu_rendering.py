@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import resource
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +24,7 @@ from supple.media import image
 from supple.picture import Picture
 from supple.rendering import MODES, Scene
 from supple.transfer import TransferFunction
+from supple.volumes import open_volume
 
 SHAPE, SIZE = (22, 30, 26), (40, 52)
 GEOMETRY = Geometry(spacing=(0.9, 1.1, 1.8))
@@ -194,7 +196,7 @@ def test_hybrid_fills_its_buffer_bit_by_bit(gpu: Gpu, monkeypatch: pytest.Monkey
     assert hybrid.fill(camera) == 1.0
     # What is not seen is made last, and what lies in front first.
     filling = Scene(given, deformation=d, transfer=SOFT, mode="hybrid", device="gpu")
-    order = drawing.order_of(filling.view(camera, SIZE), given.shape, filling._skips)
+    order = drawing.order_of(filling.view(camera, SIZE), filling._unseen)
     assert sorted(order) == list(range(5 * 4 * 5))
     middles = (np.stack(np.unravel_index(order, (5, 4, 5))[::-1], -1) + 0.5) * 16
     view = filling.view(camera, SIZE)
@@ -202,7 +204,7 @@ def test_hybrid_fills_its_buffer_bit_by_bit(gpu: Gpu, monkeypatch: pytest.Monkey
     assert depth[:20].mean() < depth[-20:].mean()
     # A camera that looks away has nothing in view.
     behind = filling.view(Camera(azimuth=40, elevation=15, distance=20, field_of_view=5), (8, 8))
-    first = np.unravel_index(drawing.order_of(behind, given.shape, filling._skips)[0], (5, 4, 5))
+    first = np.unravel_index(drawing.order_of(behind, filling._unseen)[0], (5, 4, 5))
     assert np.abs((np.array(first[::-1]) + 0.5) * 16 - behind.eye - 20 * behind.ahead).max() < 40
 
 
@@ -314,3 +316,41 @@ def test_parts_of_work_take_about_as_long(monkeypatch: pytest.MonkeyPatch) -> No
         counts.append(count)
         clock[0] += count / 128
     assert counts == [32, 16]
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_the_head(gpu: Gpu, mode: str) -> None:
+    head = open_volume(Path(supple.__file__).parent / "data" / "head.nii.gz")
+    d = supple.Deformation(head.samples.shape, spacing=head.geometry.spacing, border=30)
+    d = d.grab((40, 86, 65), to=(44, 63, 53), radius=36)
+    camera, size = Camera(azimuth=38, elevation=12, distance=480), (96, 96)
+    one, other = (
+        Scene(head.samples, head.geometry, deformation=d, transfer="mr-head", mode=mode, step=1.0, device=device)
+        for device in ("cpu", "gpu")
+    )
+    assert other.fill(camera, size, seconds=60.0) == 1.0
+    wanted = one.render(camera, size)
+    # A hybrid one is a lattice on the CPU, and a buffer in the end on the GPU, which is sampled twice.
+    assert apart(wanted, other.render(camera, size)) > (36 if mode == "hybrid" else 50)
+    still = Scene(head.samples, head.geometry, transfer="mr-head", step=1.0).render(camera, size)
+    assert apart(still, wanted) < 25
+
+
+def test_what_scenes_hold_is_freed(gpu: Gpu) -> None:
+    given = np.zeros((128, 128, 128), np.float32)  # 16 MB, with its buffer
+    given[40:90, 40:90, 40:90] = 1.0
+    scene = Scene(given, mode="hybrid", device="gpu")
+    d = supple.Deformation(given.shape, border=None)
+
+    def work(k: int) -> None:
+        other = Scene(given, deformation=d.grab((64, 64, 64), by=(k % 3, 1, 2), radius=40), mode="hybrid", device="gpu")
+        other.fill(seconds=0.0)
+        other.render(size=SIZE)
+        scene.deformed(other.deformation).render(size=SIZE)
+
+    for k in range(3):
+        work(k)
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss  # kilobytes
+    for k in range(12):
+        work(k)
+    assert (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) * 1024 < 4 * 2 * given.nbytes

@@ -123,25 +123,34 @@ def lattice_of(gpu: Gpu, space: Space, tolerance: float) -> tuple[Solid, Lattice
     return solid, replace(made[0], cells=2 if 3 * solid.error <= tolerance else 1)
 
 
-def order_of(view: View, shape: tuple[int, ...], skips: npt.NDArray[np.uint8]) -> npt.NDArray[np.intp]:
+def unseen_blocks(shape: tuple[int, ...], skips: npt.NDArray[np.uint8]) -> npt.NDArray[np.bool_]:
+    """Of which bricks of a buffer (z, y, x) nothing is seen."""
+    blocks, wide = tuple(-(-n // BLOCK) for n in shape), BLOCK // BRICK
+    whole = [(0, wide * n - m) for n, m in zip(blocks, skips.shape, strict=True)]
+    deep, high, across = blocks
+    fine = np.pad(skips > 0, whole, constant_values=True).reshape(deep, wide, high, wide, across, wide)
+    return np.asarray(fine.all(axis=(1, 3, 5)), np.bool_)
+
+
+def order_of(view: View, unseen: npt.NDArray[np.bool_]) -> npt.NDArray[np.intp]:
     """In which order bricks of the buffer are made: those in view and seen first, of these the nearest first."""
-    blocks = tuple(-(-n // BLOCK) for n in shape)
-    middles = np.stack(np.meshgrid(*(np.arange(n) for n in reversed(blocks)), indexing="ij"), -1)
-    middles = middles.transpose(2, 1, 0, 3).reshape(-1, 3)  # x first, in the order of an array (z, y, x)
-    away = ((middles + 0.5) * BLOCK - view.eye) * view.spacing
-    right, below = view.packed[3], view.packed[4]
-    depth = away @ view.ahead
+    away = [
+        ((np.arange(n) + 0.5) * BLOCK - eye) * spacing
+        for n, eye, spacing in zip(reversed(unseen.shape), view.eye, view.spacing, strict=True)
+    ]
+
+    def along(axis: Floats) -> npt.NDArray[np.float32]:
+        x, y, z = ((a * c).astype(np.float32) for a, c in zip(away, axis, strict=True))
+        return np.asarray(z[:, None, None] + y[:, None] + x)
+
+    depth = along(view.ahead)
     radius = 0.5 * BLOCK * float(np.linalg.norm(view.spacing))
-    ahead = np.maximum(depth, 1e-6)
     hidden = depth < -radius
-    for axis, size in ((right, view.size[1]), (below, view.size[0])):
-        scale = float(axis @ axis)
-        hidden |= np.abs(away @ axis) / scale > (0.5 * size) * (ahead + radius) + radius / np.sqrt(scale)
-    wide = BLOCK // BRICK
-    seen = np.ones(blocks, np.bool_)
-    for index in np.ndindex(blocks):
-        seen[index] = (skips[tuple(slice(wide * i, wide * i + wide) for i in index)] == 0).any()
-    return np.lexsort((depth, hidden, ~seen.reshape(-1)))
+    for axis, size in ((view.packed[3], view.size[1]), (view.packed[4], view.size[0])):
+        scale = float(np.linalg.norm(axis))  # millimetres of a pixel, a millimetre ahead
+        hidden |= np.abs(along(axis)) / scale > 0.5 * size * scale * (np.maximum(depth, 0.0) + radius) + radius
+    far = float(np.abs(depth).max()) + 1.0
+    return np.argsort((depth + far * (2.0 * hidden + 4.0 * unseen)).reshape(-1))
 
 
 def _still(spacing: tuple[float, ...]) -> Floats:

@@ -17,7 +17,7 @@ from supple.cpu.kernel import share
 from supple.cpu.solid import solve_solid, unmoved
 from supple.deformation import Deformation
 from supple.domain import choice, integer, number, point, refuse
-from supple.drawing import InterruptionError, held_scene, order_of, tried
+from supple.drawing import InterruptionError, held_scene, order_of, tried, unseen_blocks
 from supple.engines import gpu_of
 from supple.errors import SuppleError, ToleranceWarning
 from supple.geometry import Geometry
@@ -97,6 +97,7 @@ class Scene:
     _lows: npt.NDArray[np.float32]
     _highs: npt.NDArray[np.float32]
     _skips: npt.NDArray[np.uint8]
+    _unseen: npt.NDArray[np.bool_]
     _table: npt.NDArray[np.float32]
     _threshold: float
     gpu: Gpu | None
@@ -168,7 +169,7 @@ class Scene:
         made = object.__new__(type(self))
         values, known = self._known(), transfer_function(transfer)
         values |= {"transfer": known, **seen_through(known, density, self.range, self.step)}
-        made._set(values | {"_skips": skipped(values)})
+        made._set(values | _skipping(values))
         return made
 
     @property
@@ -317,8 +318,8 @@ class Scene:
         held = self._held
         if held is None or held.filling is None or held.filling.part == 1.0:
             return 1.0
-        filling, shape = held.filling, self.samples.shape
-        order = order_of(self.view(camera or Camera(), size), shape, self._skips)
+        filling = held.filling
+        order = order_of(self.view(camera or Camera(), size), self._unseen)
         done = tried(
             held.volume.gpu,
             lambda: filling.advance(seconds, order),
@@ -476,4 +477,10 @@ def _deformed(known: dict[str, Any], deformation: Deformation | None, volume: Vo
         "_highs": highs,
         "_held": held,
     }
-    return values | {"_skips": skipped(known | values)}
+    return values | _skipping(known | values)
+
+
+def _skipping(known: dict[str, Any]) -> dict[str, Any]:
+    """What nothing is seen of: to rays, and for the buffer."""
+    skips = skipped(known)
+    return {"_skips": skips, "_unseen": unseen_blocks(known["samples"].shape, skips)}

@@ -55,6 +55,7 @@ class Filling:
         self._blocks = tuple(-(-n // BLOCK) for n in reversed(volume.size))
         self._made = np.zeros(self._blocks, np.bool_)
         self._pace = Pace(4)
+        self._key = object()  # and not itself: a circle would keep the device's memory until it is found
         constants = {"FORMAT": volume.format, "POLISHED": int(polished)}
         self._work = pipeline(volume.gpu, _NAMES, "fill", _KINDS, constants)
         self.finished = room(volume.gpu, 4 * self._made.size)
@@ -63,7 +64,7 @@ class Filling:
     @property
     def part(self) -> float:
         """How much is there, from 0 to 1."""
-        return float(self._made.mean()) if self._volume.owner is self else 0.0
+        return float(self._made.mean()) if self._volume.owner is self._key else 0.0
 
     def advance(self, seconds: float, order: npt.NDArray[np.intp] | None = None) -> float:
         """Make some bricks, for about as long; return how much is there then.
@@ -79,8 +80,8 @@ class Filling:
         ArithmeticError
             If points could not be solved to the tolerance in float32.
         """
-        if self._volume.owner is not self:
-            self._volume.owner = self
+        if self._volume.owner is not self._key:
+            self._volume.owner = self._key
             self._made[...] = False
         gpu = self._volume.gpu
         every = np.arange(self._made.size) if order is None else order

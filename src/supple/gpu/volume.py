@@ -33,7 +33,7 @@ class Volume:
     warped : int
         At which sample the other volume begins; 0 where there is no room for one.
     owner : object
-        Whose the other volume is, if it is anybody's: a `supple.gpu.fill.Filling`.
+        What stands for whom the other volume belongs to, if to anybody: see `supple.gpu.fill.Filling`.
     """
 
     gpu: Gpu
