@@ -288,6 +288,7 @@ class _Commands:
         folder: Annotated[str, Parameter(name="DIR")] = "supple-demo",
         /,
         *,
+        device: Annotated[Device, Parameter(group=RUNNING)] = "cpu",
         options: RunOptions = _RUN,
     ) -> None:
         """Write a small gallery, with an index.html to look at.
@@ -296,13 +297,17 @@ class _Commands:
         ----------
         folder
             Where to.
+        device
+            Who makes it: the CPU, the GPU, or auto: a graphics card, where there is one.
         """
         from supple.gallery import write_gallery
 
         self.console.started(quiet=options.quiet, threads=options.threads)
+        say_software = told_of_software(self.console, device)
         self.console.tell_of_compiling()
         progress = self.console.say if self.console.terminal else None
-        page = write_gallery(folder, force=options.force, progress=progress)
+        page = write_gallery(folder, force=options.force, device=device, progress=progress)
+        say_software()
         if options.json:
             self.console.tell({"output": str(page)})
         elif not options.quiet:

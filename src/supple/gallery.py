@@ -18,6 +18,7 @@ from supple.camera import Camera
 from supple.clips import ClipOptions, WarpedClip, open_clip
 from supple.console import as_options
 from supple.diagnostics import draw_sheet, draw_slice, plot
+from supple.engines import gpu_of
 from supple.errors import FoldWarning, SuppleError
 from supple.files import Warped, warp_file
 from supple.media.files import replacing, shown
@@ -46,7 +47,11 @@ Colours = npt.NDArray[np.uint8]
 
 
 def write_gallery(
-    folder: str | os.PathLike[str], *, force: bool = False, progress: Callable[[str], None] | None = None
+    folder: str | os.PathLike[str],
+    *,
+    force: bool = False,
+    device: str = "cpu",
+    progress: Callable[[str], None] | None = None,
 ) -> Path:
     """Write photographs, a clip and a volume, what strokes make of them, plots, and a page that shows them.
 
@@ -56,6 +61,8 @@ def write_gallery(
         Made if it is missing. A gallery that is there already is written anew; nothing else is touched.
     force : bool
         Whether to write into a folder that holds something else, and replace files that have the same names.
+    device : str
+        Who makes it: ``"cpu"``, ``"gpu"`` or ``"auto"``, as `supple.warp_file` takes it; the page says it.
     progress : function, optional
         Called with the name of each picture or clip before it is made.
 
@@ -69,6 +76,8 @@ def write_gallery(
     SuppleError
         If the folder holds something else, or cannot be written.
     """
+    gpu = gpu_of(device)
+    maker = f"the GPU {gpu.name}, through {gpu.backend}" if gpu is not None else "the CPU"
     place = _prepared(Path(folder), force)
     for name in dict.fromkeys(shot.source for scene in SCENES for shot in scene.shots):
         if name == INSIDE:
@@ -76,9 +85,10 @@ def write_gallery(
             continue
         with replacing(place / name, force=True) as temporary:
             temporary.write_bytes((files("supple") / "data" / name).read_bytes())
-    sections = [_section(place, scene, progress or (lambda name: None)) for scene in SCENES]
+    tell = progress or (lambda name: None)
+    sections = [_section(place, scene, device, tell) for scene in SCENES]
     template = (files("supple") / "data" / "gallery.html").read_text(encoding="utf-8")
-    page = Template(template).substitute(sections="\n".join(sections), credits=escape(_CREDITS))
+    page = Template(template).substitute(sections="\n".join(sections), credits=escape(_CREDITS), maker=escape(maker))
     with replacing(place / PAGE, force=True) as temporary:
         temporary.write_text(page, encoding="utf-8")
     return place / PAGE
@@ -103,22 +113,24 @@ def _prepared(folder: Path, force: bool) -> Path:
     return folder
 
 
-def _section(place: Path, scene: Scene, tell: Callable[[str], None]) -> str:
-    shots = "".join(_made(place, shot, tell) for shot in scene.shots)
+def _section(place: Path, scene: Scene, device: str, tell: Callable[[str], None]) -> str:
+    shots = "".join(_made(place, shot, device, tell) for shot in scene.shots)
     return f"<section>\n<h2>{escape(scene.title)}</h2>\n<p>{escape(scene.text)}</p>\n{shots}</section>"
 
 
-def _made(place: Path, shot: Shot, tell: Callable[[str], None]) -> str:
+def _made(place: Path, shot: Shot, device: str, tell: Callable[[str], None]) -> str:
     tell(shot.target)
     if isinstance(shot, Look):
-        return _look(place, shot)
-    return _take(place, shot) if isinstance(shot, Take) else _shot(place, shot)
+        return _look(place, shot, device)
+    return _take(place, shot, device) if isinstance(shot, Take) else _shot(place, shot, device)
 
 
-def _shot(place: Path, shot: Shot) -> str:
+def _shot(place: Path, shot: Shot, device: str) -> str:
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", FoldWarning)
-        made = warp_file(place / shot.source, place / shot.target, shot.recipe, outside=shot.outside, force=True)
+        made = warp_file(
+            place / shot.source, place / shot.target, shot.recipe, outside=shot.outside, device=device, force=True
+        )
     assert isinstance(made, Warped)
     said = [as_options(str(w.message)) for w in caught if issubclass(w.category, FoldWarning)]
     image = read(place / shot.source).pixels
@@ -137,9 +149,10 @@ def _shot(place: Path, shot: Shot) -> str:
     )
 
 
-def _take(place: Path, take: Take) -> str:
+def _take(place: Path, take: Take, device: str) -> str:
     source, target = place / take.source, place / take.target
-    made = warp_file(source, target, take.recipe, clip=ClipOptions(time_scale=take.time_scale), force=True)
+    options = ClipOptions(time_scale=take.time_scale)
+    made = warp_file(source, target, take.recipe, clip=options, device=device, force=True)
     assert isinstance(made, WarpedClip)
     before, after = _frames(source), _frames(target)
     x, y, width, height = take.area
@@ -165,7 +178,7 @@ def _take(place: Path, take: Take) -> str:
     )
 
 
-def _look(place: Path, look: Look) -> str:
+def _look(place: Path, look: Look, device: str) -> str:
     red, green, blue = bytes.fromhex(BACKGROUND)
     view = RenderOptions(
         camera=Camera(azimuth=look.azimuth, elevation=look.elevation, distance=DISTANCE),
@@ -174,6 +187,7 @@ def _look(place: Path, look: Look) -> str:
         supersampling=look.smooth,
         density=look.density,
         turntable=look.turntable or None,
+        device=device,
     )
     source, target = place / look.source, place / look.target
     made = render_file(source, target, look.recipe, options=view, force=True)
