@@ -1,0 +1,185 @@
+// Pictures and frames as a window shows them: a part of the plane, enlarged or reduced, through strokes.
+//
+// T⁻¹ is solved at every 16th pixel of the window, and a pixel interpolates it; where time allows, it goes on from there
+// by Newton's method. All offsets are in physical units.
+
+struct Settings {
+    size: vec2u, // pixels that are drawn
+    nodes: vec2u,
+    origin: vec2f, // where the first of them lies, in pixels of the picture
+    scale: f32, // pixels of the picture from pixel to pixel
+    time: f32, // the frame
+    source: vec2u, // pixels of the picture
+    frames: u32, // of the whole clip
+    earliest: u32, // of the frames that are here
+    held: u32, // how many they are
+    slots: u32, // that there is room for
+    stride: u32, // words from frame to frame, with all levels
+    levels: u32, // each half as large as the one before
+    strokes: u32,
+    solved: u32, // whether each pixel is solved for
+    overlay: u32,
+    every: f32, // pixels from line to line of a grid
+    back: vec4f, // behind the picture
+}
+
+@group(0) @binding(0) var<uniform> settings: Settings;
+@group(0) @binding(1) var<uniform> domain: Domain;
+@group(0) @binding(2) var<storage, read> strokes: array<Stroke>;
+@group(0) @binding(3) var<storage, read_write> nodes: array<vec4f>; // three for each: w, and two columns of ∂p/∂q
+@group(0) @binding(4) var<storage, read> pixels: array<u32>; // sRGB and opacity, of 8 bits each
+@group(0) @binding(5) var target_: texture_storage_2d<rgba8unorm, write>;
+
+const CELL = 16u;
+const GRID = 1u;
+const STRETCH = 2u;
+const RESIDUAL = 3u;
+const INVERSIONS = 4u;
+
+struct Seen {
+    w: vec3f,
+    right: vec3f, // ∂p/∂q by x and y
+    below: vec3f,
+    residual: f32,
+    steps: f32,
+}
+
+fn anchor(at: vec2f) -> vec3f {
+    return vec3f(settings.origin + settings.scale * at, settings.time) * domain.spacing.xyz;
+}
+
+@compute @workgroup_size(8, 8)
+fn solve(@builtin(global_invocation_id) id: vec3u) {
+    if (id.x >= settings.nodes.x || id.y >= settings.nodes.y) {
+        return;
+    }
+    let found = undo(anchor(vec2f(id.xy * CELL)), 1e-3 * finest());
+    let k = 3u * (id.y * settings.nodes.x + id.x);
+    nodes[k] = vec4f(found.offset, found.residual);
+    nodes[k + 1u] = vec4f(found.matrix[0], found.steps);
+    nodes[k + 2u] = vec4f(found.matrix[1], 0.0);
+}
+
+fn interpolated(at: vec2f) -> Seen {
+    let v = at / f32(CELL);
+    let i = min(vec2u(v), settings.nodes - 2u);
+    let s = v - vec2f(i);
+    let a = 3u * (i.y * settings.nodes.x + i.x);
+    let c = a + 3u * settings.nodes.x;
+    let x = vec3f(1.0, 0.0, 0.0);
+    let y = vec3f(0.0, 1.0, 0.0);
+    let h = f32(CELL) * settings.scale * domain.spacing.xyz;
+    let upper = bent(nodes[a].xyz, nodes[a + 3u].xyz, nodes[a + 1u].xyz, nodes[a + 4u].xyz, s.x, h.x);
+    let lower = bent(nodes[c].xyz, nodes[c + 3u].xyz, nodes[c + 1u].xyz, nodes[c + 4u].xyz, s.x, h.x);
+    let above = mix(nodes[a + 2u].xyz, nodes[a + 5u].xyz, s.x);
+    let below = mix(nodes[c + 2u].xyz, nodes[c + 5u].xyz, s.x);
+    let right = mix(mix(nodes[a + 1u].xyz, nodes[a + 4u].xyz, s.x), mix(nodes[c + 1u].xyz, nodes[c + 4u].xyz, s.x), s.y);
+    return Seen(
+        bent(upper, lower, above, below, s.y, h.y), right, mix(above, below, s.y),
+        max(nodes[a].w, nodes[c].w), max(nodes[a + 1u].w, nodes[c + 1u].w),
+    );
+}
+
+fn source_of(at: vec2f) -> Seen {
+    if (settings.strokes == 0u) {
+        return Seen(vec3f(0.0), vec3f(1.0, 0.0, 0.0), vec3f(0.0, 1.0, 0.0), 0.0, 0.0);
+    }
+    let guess = interpolated(at);
+    if (settings.solved == 0u) {
+        return guess;
+    }
+    let found = newton(0u, settings.strokes, anchor(at), vec3f(0.0), guess.w, 1e-3 * finest(), 6u);
+    return Seen(found.offset, found.matrix[0], found.matrix[1], found.residual, found.steps);
+}
+
+// A pixel of a level of a frame, weighted by its opacity.
+fn texel(at: vec2i, level: u32, frame: i32) -> vec4f {
+    var size = settings.source;
+    var start = 0u;
+    for (var k = 0u; k < level; k++) {
+        start += size.x * size.y;
+        size = (size + 1u) / 2u;
+    }
+    let kept = vec2u(clamp(at, vec2i(0), vec2i(size) - 1));
+    // The frames that are here lie in a ring.
+    let here = clamp(frame, i32(settings.earliest), i32(settings.earliest + settings.held) - 1);
+    let slot = u32(here) % settings.slots;
+    let v = unpack4x8unorm(pixels[slot * settings.stride + start + kept.y * size.x + kept.x]);
+    return vec4f(v.xyz * v.w, v.w);
+}
+
+fn linear_at(p: vec2f, level: u32, frame: i32) -> vec4f {
+    let q = (p + 0.5) / f32(1u << level) - 0.5;
+    let whole = floor(clamp(q, vec2f(-1e6), vec2f(1e6)));
+    let part = q - whole;
+    let i = vec2i(whole);
+    let upper = mix(texel(i, level, frame), texel(i + vec2i(1, 0), level, frame), part.x);
+    let lower = mix(texel(i + vec2i(0, 1), level, frame), texel(i + vec2i(1, 1), level, frame), part.x);
+    return mix(upper, lower, part.y);
+}
+
+fn at_time(p: vec2f, level: u32, time: f32) -> vec4f {
+    let kept = clamp(time, 0.0, f32(settings.frames - 1u));
+    let before = i32(floor(kept));
+    let part = kept - f32(before);
+    if (settings.frames == 1u || part == 0.0) {
+        return linear_at(p, level, before);
+    }
+    return mix(linear_at(p, level, before), linear_at(p, level, before + 1), part);
+}
+
+fn warm(x: f32) -> vec3f {
+    return mix(vec3f(0.10, 0.25, 0.75), vec3f(0.95, 0.35, 0.10), clamp(x, 0.0, 1.0));
+}
+
+@compute @workgroup_size(8, 8)
+fn paint(@builtin(global_invocation_id) id: vec3u) {
+    if (id.x >= settings.size.x || id.y >= settings.size.y) {
+        return;
+    }
+    let at = vec2f(id.xy);
+    let q = settings.origin + settings.scale * at;
+    // A pixel is drawn as far as it covers the picture.
+    let inside = clamp(
+        (min(q + 0.5, vec2f(settings.source) - 0.5 - q)) / settings.scale + 0.5, vec2f(0.0), vec2f(1.0)
+    );
+    let cover = inside.x * inside.y;
+    if (cover == 0.0) {
+        textureStore(target_, id.xy, settings.back);
+        return;
+    }
+    let seen = source_of(at);
+    let p = q + seen.w.xy / domain.spacing.xy;
+    let time = settings.time + seen.w.z / domain.spacing.z;
+    // What a pixel covers of the picture, in steps of a level's pixels.
+    let right = settings.scale * seen.right.xy * domain.spacing.x / domain.spacing.xy;
+    let below = settings.scale * seen.below.xy * domain.spacing.y / domain.spacing.xy;
+    let covers = max(length(right), length(below));
+    // While a hand moves, one sample will do.
+    let levels = log2(max(covers, 1e-6)) - select(0.5, 1.0, settings.solved == 1u);
+    let level = u32(clamp(ceil(levels - 0.5), 0.0, f32(settings.levels - 1u)));
+    let taps = select(1u, u32(clamp(ceil(covers / f32(1u << level) - 0.1), 1.0, 4.0)), settings.solved == 1u);
+    var total = vec4f(0.0);
+    for (var j = 0u; j < taps; j++) {
+        for (var i = 0u; i < taps; i++) {
+            let s = (vec2f(vec2u(i, j)) + 0.5) / f32(taps) - 0.5;
+            total += at_time(p + s.x * right + s.y * below, level, time);
+        }
+    }
+    total /= f32(taps * taps);
+    // What is transparent lies on a chequered ground.
+    let ground = select(0.42, 0.58, ((id.x / 8u + id.y / 8u) & 1u) == 0u);
+    var shown = total.xyz + (1.0 - total.w) * ground;
+    if (settings.overlay == GRID) {
+        let lines = abs(p / settings.every - round(p / settings.every)) * settings.every / max(covers, 1e-6);
+        shown = mix(vec3f(1.0), shown, clamp(min(lines.x, lines.y) - 0.2, 0.25, 1.0));
+    } else if (settings.overlay == STRETCH) {
+        let area = abs(seen.right.x * seen.below.y - seen.right.y * seen.below.x);
+        shown = mix(shown, warm(0.5 - 0.5 * log2(max(area, 1e-6))), 0.6);
+    } else if (settings.overlay == RESIDUAL) {
+        shown = mix(shown, warm(1.0 + log2(max(seen.residual / finest(), 1e-9)) / 16.0), 0.6);
+    } else if (settings.overlay == INVERSIONS) {
+        shown = mix(shown, warm(seen.steps / 8.0), 0.6);
+    }
+    textureStore(target_, id.xy, vec4f(mix(settings.back.xyz, shown, cover), 1.0));
+}

@@ -1,0 +1,38 @@
+// What was drawn, on the screen: two textures of any size beside one another, cut where a slider is.
+
+struct Settings {
+    split: f32, // left of it, from 0 to 1, the second texture
+    line: f32, // half the width of the line between them
+    linear: u32, // whether the screen wants linear light
+    unused: u32,
+}
+
+@group(0) @binding(0) var<uniform> settings: Settings;
+@group(0) @binding(1) var first: texture_2d<f32>;
+@group(0) @binding(2) var second: texture_2d<f32>;
+@group(0) @binding(3) var smooth_: sampler;
+
+struct Corner {
+    @builtin(position) position: vec4f,
+    @location(0) at: vec2f,
+}
+
+@vertex
+fn corner(@builtin(vertex_index) k: u32) -> Corner {
+    let at = vec2f(f32((k << 1u) & 2u), f32(k & 2u));
+    return Corner(vec4f(2.0 * at.x - 1.0, 1.0 - 2.0 * at.y, 0.0, 1.0), at);
+}
+
+@fragment
+fn shown(corner: Corner) -> @location(0) vec4f {
+    let one = textureSampleLevel(first, smooth_, corner.at, 0.0).xyz;
+    let other = textureSampleLevel(second, smooth_, corner.at, 0.0).xyz;
+    var v = select(one, other, corner.at.x < settings.split);
+    if (abs(corner.at.x - settings.split) < settings.line) {
+        v = vec3f(1.0);
+    }
+    if (settings.linear == 1u) {
+        v = select(pow((v + 0.055) / 1.055, vec3f(2.4)), v / 12.92, v <= vec3f(0.04045));
+    }
+    return vec4f(v, 1.0);
+}

@@ -1,0 +1,148 @@
+"""Frames of a clip for the eye: decoded ahead in a thread, and kept as long as there is room."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import threading
+from collections import OrderedDict
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from supple.clips import open_clip
+from supple.errors import SuppleError
+
+Pixels = npt.NDArray[np.uint8]
+PathLike = str | os.PathLike[str]
+
+ROOM = 512 << 20  # bytes of frames that are kept
+
+
+class Film:
+    """A clip's frames as (rows, columns, 4) of sRGB, each there some time after it is asked for.
+
+    Parameters
+    ----------
+    path : str or os.PathLike
+    room : int
+        How many bytes of frames are kept.
+    on_frame : function
+        Called, in a thread of its own, when another frame is there.
+
+    Raises
+    ------
+    SuppleError
+        If the clip cannot be read.
+    """
+
+    def __init__(self, path: PathLike, *, room: int = ROOM, on_frame: Callable[[], None] = lambda: None) -> None:
+        self._path, self._on_frame = path, on_frame
+        with open_clip(path) as clip:
+            self.name: str = clip.name
+            self.count: int = clip.count
+            height, width = clip.layout.shape
+            self.rate = float(clip.rate)
+        self.size: tuple[int, int] = (width, height)
+        self.most = max(4, room // (4 * width * height))
+        """How many frames are kept."""
+        self.error = ""
+        """Why no more frames come, if none do."""
+        self._frames: OrderedDict[int, Pixels] = OrderedDict()
+        self._wanted = (0, 0)
+        self._news = threading.Condition()
+        self._closed = False
+        self._thread = threading.Thread(target=self._work, name="supple-film", daemon=True)
+        self._thread.start()
+
+    def want(self, first: int, last: int) -> None:
+        """Ask for frames ``first`` to ``last``; what follows them is decoded too, while there is room."""
+        with self._news:
+            self._wanted = max(0, first), min(self.count - 1, last)
+            self._news.notify_all()
+
+    def get(self, frame: int) -> Pixels | None:
+        """A frame, if it is there."""
+        with self._news:
+            found = self._frames.get(frame)
+            if found is not None:
+                self._frames.move_to_end(frame)
+            return found
+
+    def wait(self, first: int, last: int, seconds: float) -> bool:
+        """Wait until frames are there; whether they are."""
+        self.want(first, last)
+        with self._news:
+            return self._news.wait_for(
+                lambda: bool(self.error) or all(k in self._frames for k in range(*self._clipped(first, last))), seconds
+            )
+
+    def _clipped(self, first: int, last: int) -> tuple[int, int]:
+        return max(0, first), min(self.count - 1, last) + 1
+
+    def close(self) -> None:
+        """Stop decoding."""
+        with self._news:
+            self._closed = True
+            self._news.notify_all()
+        self._thread.join(5.0)
+
+    def _next(self, at: int) -> int | None:
+        """Which frame is decoded next by whoever is about to decode ``at``; None for none now."""
+        first, last = self._wanted
+        # Frames that are wanted, and then those after them, as many as are kept beside those.
+        for frame in range(first, min(self.count, max(last + 1, first + self.most * 3 // 4))):
+            if frame not in self._frames:
+                return frame
+        return None
+
+    def _work(self) -> None:
+        while not self._closed:
+            try:
+                with open_clip(self._path, count=self.count) as clip:
+                    self._decode(clip)
+            except SuppleError as error:
+                self.error = str(error)
+            except Exception as error:  # a thread has nobody to tell but those who wait
+                self.error = f"{self.name} cannot be decoded: {error}"
+            if self.error:
+                with self._news:
+                    self._news.notify_all()
+                return
+
+    def _decode(self, clip: Any) -> None:
+        """Decode from the start until frames are wanted that lie behind."""
+        arrays = [np.empty((*g.shape, g.channels), clip.layout.dtype) for g in clip.layout.groups]
+        at = 0
+        with contextlib.closing(clip.frames()) as frames:
+            for picture in frames:
+                with self._news:
+                    while not self._closed and self._next(at) is None:
+                        self._news.wait()
+                    wanted = self._next(at)
+                    if self._closed or (wanted is not None and wanted < at):
+                        return
+                    keep = at not in self._frames and at >= self._wanted[0]
+                if keep:
+                    picture.copy_to(arrays)
+                    pixels = np.full((self.size[1], self.size[0], 4), 255, np.uint8)
+                    pixels[..., :3] = clip.to_rgb(arrays)
+                    with self._news:
+                        self._frames[at] = pixels
+                        self._thin()
+                        self._news.notify_all()
+                    self._on_frame()
+                at += 1
+        with self._news:  # all are decoded: wait for what lies behind
+            while not self._closed and self._next(at) is None:
+                self._news.wait()
+
+    def _thin(self) -> None:
+        first, last = self._wanted
+        while len(self._frames) > self.most:
+            oldest = next((k for k in self._frames if not first <= k <= last), None)
+            if oldest is None:
+                return
+            del self._frames[oldest]

@@ -1,0 +1,131 @@
+"""The window in a browser of another machine: bound to this one, and for those alone who have its token."""
+
+from __future__ import annotations
+
+import hmac
+import secrets
+import socket
+from collections.abc import Awaitable, Callable, MutableMapping
+from html import escape
+from http.cookies import CookieError, SimpleCookie
+from typing import Any
+from urllib.parse import parse_qs
+
+from supple.errors import SuppleError
+
+Scope = MutableMapping[str, Any]
+Receive = Callable[[], Awaitable[MutableMapping[str, Any]]]
+Send = Callable[[MutableMapping[str, Any]], Awaitable[None]]
+App = Callable[[Scope, Receive, Send], Awaitable[None]]
+
+HOST = "127.0.0.1"
+_PAGE = """<!DOCTYPE html>
+<html lang="en">
+<head>
+<meta charset="utf-8">
+<title>{title}</title>
+<link rel="stylesheet" href="renderview.css">
+<style>
+html, body {{ margin: 0; height: 100%; overflow: hidden; background: #1f1f21 }}
+#canvas {{ width: 100vw; height: 100vh; border: 0 }}
+#status {{ display: none }}
+p {{ color: #aaa; font: 16px system-ui, sans-serif; margin: 2rem }}
+</style>
+<script type="module" src="renderview.js"></script>
+<script type="module" src="renderview-client.js"></script>
+</head>
+<body><div id="canvas" class="renderview-wrapper"><p>Loading {title} …</p></div><div id="status"></div></body>
+</html>
+"""
+_REFUSED = b"This window is open to those who have its whole address, with the token that supple view printed.\n"
+
+
+def new_token() -> str:
+    """A token that nobody guesses."""
+    return secrets.token_urlsafe(24)
+
+
+def guarded(app: App, token: str, title: str) -> App:
+    """An ASGI application for those alone who bring a token: once in the address, and then as a cookie.
+
+    Parameters
+    ----------
+    app : ASGI application
+        What is served: `rendercanvas.http.asgi`.
+    token : str
+    title : str
+        Of the page.
+    """
+    name = "supple-" + token[:6]
+    page = _PAGE.format(title=escape(title)).encode()
+
+    async def serve(scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["type"] == "lifespan":
+            await app(scope, receive, send)
+            return
+        brought = _cookie(scope, name)
+        if brought is not None and hmac.compare_digest(brought, token):
+            if scope["type"] == "http" and scope["path"] in ("/", "/index.html"):
+                await _answer(send, 200, page, [(b"content-type", b"text/html; charset=utf-8"), *_PRIVATE])
+            else:
+                await app(scope, receive, send)
+            return
+        if scope["type"] == "websocket":
+            await receive()
+            await send({"type": "websocket.close", "code": 4403})
+            return
+        given = parse_qs(scope.get("query_string", b"").decode("latin-1")).get("token", [""])[0]
+        if hmac.compare_digest(given.encode(), token.encode()):
+            # The token leaves the address, so that it is in no history and no referrer.
+            cookie = f"{name}={token}; HttpOnly; SameSite=Strict; Path=/"
+            await _answer(send, 303, b"", [(b"location", b"/"), (b"set-cookie", cookie.encode()), *_PRIVATE])
+        else:
+            await _answer(send, 403, _REFUSED, [(b"content-type", b"text/plain"), *_PRIVATE])
+
+    return serve
+
+
+_PRIVATE = [(b"cache-control", b"no-store"), (b"referrer-policy", b"no-referrer"), (b"x-frame-options", b"DENY")]
+
+
+def _cookie(scope: Scope, name: str) -> str | None:
+    for key, value in scope.get("headers", []):
+        if key == b"cookie":
+            try:
+                found = SimpleCookie(value.decode("latin-1")).get(name)
+            except CookieError:
+                continue
+            if found is not None and found.value.isascii():
+                return found.value
+    return None
+
+
+async def _answer(send: Send, status: int, body: bytes, headers: list[tuple[bytes, bytes]]) -> None:
+    await send({"type": "http.response.start", "status": status, "headers": headers})
+    await send({"type": "http.response.body", "body": body})
+
+
+def listening(port: int) -> socket.socket:
+    """A socket on this machine alone; port 0 for any that is free.
+
+    Raises
+    ------
+    SuppleError
+        If the port is taken.
+    """
+    made = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+    made.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    try:
+        made.bind((HOST, port))
+    except OSError as error:
+        made.close()
+        raise SuppleError(f"port {port} cannot be used ({error.strerror}): choose another one, or 0 for any") from None
+    return made
+
+
+def serve(app: App, listener: socket.socket) -> None:
+    """Serve until it is interrupted."""
+    import uvicorn
+
+    config = uvicorn.Config(app, log_level="warning", ws="websockets-sansio", lifespan="on")
+    uvicorn.Server(config).run(sockets=[listener])

@@ -1,0 +1,172 @@
+"""What a window shows, by medium: each draws itself, through strokes, into a texture."""
+
+from __future__ import annotations
+
+import math
+import os
+from typing import Any, Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from supple.camera import Camera
+from supple.deformation import Deformation
+from supple.errors import SuppleError
+from supple.gpu.device import Gpu
+from supple.gpu.plate import Plate, Sight
+from supple.media.volume import Volume
+from supple.rendering import Scene
+from supple.transfer import TransferFunction
+from supple.viewer.film import Film
+from supple.viewer.pixels import Pixels
+
+PathLike = str | os.PathLike[str]
+Floats = npt.NDArray[np.float64]
+
+_BACK = (0.12, 0.12, 0.13)
+
+
+class Stage(Protocol):
+    """What is shown.
+
+    Attributes
+    ----------
+    kind : str
+        ``"image"``, ``"video"`` or ``"volume"``.
+    name : str
+    shape : tuple of int
+        Of deformations of it.
+    spacing : tuple of float
+    """
+
+    kind: str
+    name: str
+    shape: tuple[int, ...]
+    spacing: tuple[float, ...]
+
+
+class ImageStage:
+    """A photograph."""
+
+    kind = "image"
+
+    def __init__(self, gpu: Gpu, name: str, pixels: Pixels) -> None:
+        self.name, self.pixels = name, pixels
+        height, width = pixels.shape[:2]
+        self.shape, self.spacing = (height, width), (1.0, 1.0)
+        self.size = (width, height)
+        self._plate = Plate(gpu, self.size)
+        self._plate.put(0, pixels)
+
+    def draw(self, deformation: Deformation, sight: Sight, texture: Any) -> bool:
+        """Draw what a window shows; whether all that is needed was there."""
+        space = deformation.space
+        self._plate.draw(sight, space.table, space.axes, texture)
+        return True
+
+    def value(self, point: tuple[float, float], time: float) -> str:
+        """What lies at a point of the picture as it was."""
+        return said(self.pixels, point)
+
+
+class VideoStage:
+    """A clip."""
+
+    kind = "video"
+
+    def __init__(self, gpu: Gpu, film: Film, time_scale: float = 1.0) -> None:
+        self.film, self.name = film, film.name
+        width, height = film.size
+        self.shape, self.spacing = (film.count, height, width), (1.0, 1.0, time_scale)
+        self.size, self.rate = film.size, film.rate
+        self._gpu = gpu
+        slots = max(2, min(film.most, Plate.most(gpu, film.size), film.count))
+        self._plate = Plate(gpu, film.size, film.count, slots)
+
+    def draw(self, deformation: Deformation, sight: Sight, texture: Any) -> bool:
+        """Draw what a window shows of a frame; whether all that is needed was there."""
+        first, last = self.needed(deformation, sight.time)
+        last = min(last, first + self._plate.slots - 1)
+        self.film.want(first, last)
+        ready = True
+        plate = self._plate
+        for k in range(first, last + 1):
+            if plate.earliest <= k < plate.earliest + plate.held:
+                continue
+            pixels = self.film.get(k)
+            if pixels is None:
+                ready = False
+                break
+            plate.put(k, pixels)
+        space = deformation.space
+        if plate.held:
+            plate.draw(sight, space.table, space.axes, texture)
+        return ready
+
+    def needed(self, deformation: Deformation, time: float) -> tuple[int, int]:
+        """Which frames one is made of, as far as points of a grid tell."""
+        low = high = time
+        if not deformation.is_identity and deformation.ndim == 3:
+            width, height = self.size
+            xs, ys = np.linspace(0, width - 1, 24), np.linspace(0, height - 1, 14)
+            grid = np.stack(np.meshgrid(xs, ys, [time]), -1).reshape(-1, 3)
+            times = deformation.inverse(grid).points[:, 2]
+            low, high = float(times.min()), float(times.max())
+            margin = 0.1 * (high - low)
+            low, high = low - margin, high + margin
+        last = self.film.count - 1
+        return min(max(math.floor(low), 0), last), min(max(math.floor(high) + 1, 0), last)
+
+    def value(self, point: tuple[float, float], time: float) -> str:
+        """What lies at a point of a frame as it was."""
+        pixels = self.film.get(round(time))
+        return "" if pixels is None else said(pixels, point)
+
+
+class VolumeStage:
+    """A volume."""
+
+    kind = "volume"
+
+    def __init__(self, gpu: Gpu, volume: Volume, transfer: TransferFunction | str, samples: Any) -> None:
+        self.name, self.volume = volume.name, volume
+        self.scene = Scene(
+            samples, volume.geometry, transfer=transfer, mode="hybrid", device="gpu" if gpu.software else "auto"
+        )
+        if self.scene.gpu is None or self.scene._held is None:
+            raise SuppleError(f"{volume.name} does not fit into the memory that a shader takes of {gpu.name}")
+        self.shape, self.spacing = self.scene.shape, tuple(volume.geometry.spacing)
+        self._plain = self.scene
+        self._deformation: Deformation | None = None
+
+    def deform(self, deformation: Deformation) -> Scene:
+        """The scene through strokes; that of the last ones is kept."""
+        if deformation.is_identity:
+            return self._plain
+        if deformation is not self._deformation:
+            self.scene, self._deformation = self._plain.deformed(deformation), deformation
+        return self.scene
+
+    def look(self, transfer: TransferFunction | str, density: tuple[float, float] | None) -> None:
+        """Show it through another transfer function."""
+        self.scene = self.scene.seen_through(transfer, density)
+        self._plain = self._plain.seen_through(transfer, density)
+
+    def draw(self, deformation: Deformation, camera: Camera, size: tuple[int, int], texture: Any) -> None:
+        """Draw it into a texture, of columns and rows."""
+        self.deform(deformation).draw(texture, camera, (size[1], size[0]), background=_BACK)
+
+    def fill(self, deformation: Deformation, camera: Camera, size: tuple[int, int], seconds: float) -> float:
+        """Go on with the buffer; how much of it is there."""
+        if deformation.is_identity:
+            return 1.0
+        return self.deform(deformation).fill(camera, (size[1], size[0]), seconds=seconds)
+
+
+def said(pixels: Pixels, point: tuple[float, float]) -> str:
+    """The value of the pixel that a point lies in; nothing, beside the picture."""
+    x, y = (math.floor(v + 0.5) for v in point)
+    if not (0 <= x < pixels.shape[1] and 0 <= y < pixels.shape[0]):
+        return ""
+    r, g, b, a = (int(v) for v in pixels[y, x])
+    return f"{r} {g} {b}" if a == 255 else f"{r} {g} {b}, opacity {a / 255:.2f}"
