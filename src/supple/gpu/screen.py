@@ -49,7 +49,14 @@ class Screen:
             primitive={"topology": "triangle-list"},
         )
 
-    def present(self, view: Any, first: Any, second: Any = None, split: float = 0.0) -> None:
+    def present(
+        self,
+        view: Any,
+        first: Any,
+        second: Any = None,
+        split: float = 0.0,
+        place: tuple[int, int, int, int] | None = None,
+    ) -> None:
         """Draw a texture, and another one left of where the split is, from 0 to 1.
 
         Parameters
@@ -58,6 +65,8 @@ class Screen:
             What the window presents.
         first, second : wgpu.GPUTexture
         split : float
+        place : (int, int, int, int), optional
+            Where on the screen: left, top, columns and rows; all of it, by default.
         """
         settings = np.zeros(1, _SETTINGS)
         settings["split"] = split if second is not None else -1.0
@@ -76,6 +85,10 @@ class Screen:
             color_attachments=[{"view": view, "load_op": "clear", "store_op": "store", "clear_value": (0, 0, 0, 1)}]
         )
         drawing.set_pipeline(self._pipeline)
+        if place is not None:
+            width, height = view.texture.size[:2]
+            left, top = min(place[0], width - 1), min(place[1], height - 1)
+            drawing.set_viewport(left, top, min(place[2], width - left), min(place[3], height - top), 0.0, 1.0)
         drawing.set_bind_group(0, group)
         drawing.draw(3)
         drawing.end()

@@ -124,20 +124,53 @@ class VideoStage:
 
 
 class VolumeStage:
-    """A volume."""
+    """A volume.
+
+    Parameters
+    ----------
+    gpu : Gpu
+    volume : Volume
+    preset : str
+        The transfer function's name.
+    samples : array, shape (Z, H, W), optional
+        What is shown of it, where it holds several.
+    """
 
     kind = "volume"
 
-    def __init__(self, gpu: Gpu, volume: Volume, transfer: TransferFunction | str, samples: Any) -> None:
-        self.name, self.volume = volume.name, volume
-        self.scene = Scene(
-            samples, volume.geometry, transfer=transfer, mode="hybrid", device="gpu" if gpu.software else "auto"
-        )
-        if self.scene.gpu is None or self.scene._held is None:
-            raise SuppleError(f"{volume.name} does not fit into the memory that a shader takes of {gpu.name}")
+    def __init__(self, gpu: Gpu, volume: Volume, preset: str, samples: Any = None) -> None:
+        self.name, self.volume, self.preset = volume.name, volume, preset
+        self.density: tuple[float, float] | None = None
+        self.mode = "hybrid"
+        self._gpu = gpu
+        self._samples = volume.rescaled() if samples is None else samples
+        self.scene = self._made(preset)
         self.shape, self.spacing = self.scene.shape, tuple(volume.geometry.spacing)
+        counts, _ = np.histogram(self.scene.samples, 96, self.scene.range)
+        self.histogram = np.log1p(counts).astype(np.float32)
+        """Logarithms of how many voxels have which value."""
         self._plain = self.scene
         self._deformation: Deformation | None = None
+
+    def _made(self, transfer: TransferFunction | str) -> Scene:
+        device = "gpu" if self._gpu.software else "auto"
+        scene = Scene(
+            self._samples,
+            self.volume.geometry,
+            transfer=transfer,
+            density=self.density,
+            mode=self.mode,
+            device=device,
+        )
+        if scene._held is None:
+            raise SuppleError(f"{self.name} is more than a shader takes of {self._gpu.name}")
+        return scene
+
+    def set_mode(self, mode: str) -> None:
+        """Show it in another of the four ways."""
+        self.mode = mode
+        self._plain = self._made(self.scene.transfer)
+        self.scene, self._deformation = self._plain, None
 
     def deform(self, deformation: Deformation) -> Scene:
         """The scene through strokes; that of the last ones is kept."""
@@ -149,6 +182,7 @@ class VolumeStage:
 
     def look(self, transfer: TransferFunction | str, density: tuple[float, float] | None) -> None:
         """Show it through another transfer function."""
+        self.preset, self.density = transfer if isinstance(transfer, str) else "", density
         self.scene = self.scene.seen_through(transfer, density)
         self._plain = self._plain.seen_through(transfer, density)
 

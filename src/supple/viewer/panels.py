@@ -1,0 +1,301 @@
+"""The panel beside the picture: strokes by number, the brush, what is shown, and what is done with files."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any, Literal, get_args
+
+from imgui_bundle import imgui
+
+from supple.gpu.plate import OVERLAYS
+from supple.strokes import FoldPolicy, Stroke
+from supple.transfer import PRESETS
+from supple.viewer.stages import VolumeStage
+
+if TYPE_CHECKING:
+    from supple.viewer.view import View
+
+WIDE = 300  # logical pixels
+_POLICIES = get_args(FoldPolicy)
+_SAYS = {"damp": "damp what would fold", "flow": "flow, in smaller steps", "error": "refuse"}
+
+
+def panel(view: View) -> None:
+    """Draw all of it."""
+    width, height = view.logical
+    imgui.set_next_window_pos((width - WIDE, 0))
+    imgui.set_next_window_size((WIDE, height))
+    flags = imgui.WindowFlags_.no_move | imgui.WindowFlags_.no_resize | imgui.WindowFlags_.no_collapse
+    imgui.begin("panel", None, flags | imgui.WindowFlags_.no_title_bar | imgui.WindowFlags_.no_bring_to_front_on_focus)
+    imgui.push_item_width(-110)
+    _brush(view)
+    _strokes(view)
+    _selected(view)
+    if isinstance(view.stage, VolumeStage):
+        _volume(view)
+    _seeing(view)
+    _files(view)
+    imgui.pop_item_width()
+    imgui.end()
+
+
+def _head(text: str) -> None:
+    imgui.spacing()
+    imgui.separator_text(text)
+
+
+def _brush(view: View) -> None:
+    tools = view.tools
+    imgui.separator_text("Brush")
+    unit = "mm" if view.stage.kind == "volume" else "px"
+    changed, value = imgui.slider_float(
+        "radius", tools.radius, 1.0, view.longest, f"%.1f {unit}", imgui.SliderFlags_.logarithmic
+    )
+    if changed:
+        tools.set_brush(radius=value)
+    hint("How far a drag is felt (wheel, or [ and ])")
+    changed, value = imgui.slider_float("Poisson", max(tools.poisson, -1.0), -1.0, 0.5, "%.2f")
+    if changed:
+        tools.set_brush(poisson=value)
+    hint("0.5 keeps areas and volumes; less lets them shrink and grow")
+    changed, index = imgui.combo("reach", tools.scales - 1, ["far, as 1/r", "nearer, as 1/r3", "near, as 1/r5"])
+    if changed:
+        tools.set_brush(scales=index + 1)
+
+
+def _strokes(view: View) -> None:
+    document = view.document
+    state = document.state
+    _head(f"Strokes ({len(state.items)})")
+    imgui.begin_disabled(not document.can_undo)
+    if imgui.small_button("undo"):
+        document.undo()
+    imgui.end_disabled()
+    imgui.same_line()
+    imgui.begin_disabled(not document.can_redo)
+    if imgui.small_button("redo"):
+        document.redo()
+    imgui.end_disabled()
+    imgui.begin_child("strokes", (0, min(180, 26 + 24 * max(len(state.items), 1))), imgui.ChildFlags_.borders)
+    if not state.items:
+        imgui.text_disabled("Drag on the picture.")
+    for i, item in enumerate(state.items):
+        imgui.push_id(i)
+        changed, seen = imgui.checkbox("##seen", not item.hidden)
+        hint("Seen, or hidden")
+        if changed:
+            view.attempt(lambda i=i, seen=seen: document.hide(i, not seen))  # type: ignore[misc]
+        imgui.same_line()
+        damping = 1.0 if item.hidden else document.damping(i) or 1.0
+        text = _said(item.stroke) + (f"  {damping:.0%}" if damping < 0.995 else "")
+        if imgui.selectable(text, state.selected == i)[0]:
+            document.select(None if state.selected == i else i)
+        if damping < 0.995:
+            hint("Damped to what does not fold: choose flow below to carry it out whole")
+        imgui.pop_id()
+    imgui.end_child()
+
+
+def _said(stroke: Stroke) -> str:
+    at = ", ".join(f"{v:.0f}" for v in stroke.at)
+    return f"({at})  r {stroke.radius:.3g}"
+
+
+def _selected(view: View) -> None:
+    document = view.document
+    i = document.state.selected
+    if i is not None and i < len(document.state.items):
+        stroke = document.state.items[i].stroke
+        _head(f"Stroke {i + 1}")
+        axes = "xyt" if view.stage.kind == "video" else "xyz"
+        made: dict[str, Any] = {}
+        for name, label in (("at", "from"), ("by", "by")):
+            values = list(getattr(stroke, name))
+            for axis in range(len(values)):
+                imgui.set_next_item_width((WIDE - 130) / len(values))
+                entered, value = imgui.input_float(
+                    f"##{name}{axis}", values[axis], 0.0, 0.0, "%.2f", imgui.InputTextFlags_.enter_returns_true
+                )
+                hint(f"{label} {axes[axis]}")
+                imgui.same_line()
+                if entered and math.isfinite(value):
+                    values[axis] = value
+                    made[name] = tuple(values)
+            imgui.text(label)
+        entered, value = imgui.input_float("radius##own", stroke.radius, 0, 0, "%.2f", _ENTER)
+        if entered:
+            made["radius"] = value
+        entered, value = imgui.input_float("Poisson##own", stroke.poisson, 0, 0, "%.3f", _ENTER)
+        if entered:
+            made["poisson"] = value
+        changed, index = imgui.combo("reach##own", stroke.scales - 1, ["far", "nearer", "near"])
+        if changed:
+            made["scales"] = index + 1
+        if made:
+            view.attempt(lambda: document.replace(i, replace(stroke, **made)))
+        for label, step in (("earlier", -1), ("later", 1)):
+            if imgui.small_button(label) and 0 <= i + step < len(document.state.items):
+                view.attempt(lambda step=step: document.move(i, i + step))  # type: ignore[misc]
+            imgui.same_line()
+        if imgui.small_button("delete"):
+            view.attempt(lambda: document.remove(i))
+    _head("Folds and border")
+    policy = document.state.on_fold
+    changed, index = imgui.combo("folds", _POLICIES.index(policy), [_SAYS[p] for p in _POLICIES])
+    if changed:
+        view.attempt(lambda: document.set_on_fold(_POLICIES[index]))
+    border = document.state.border
+    changed, fixed = imgui.checkbox("fixed border", border is not None)
+    if changed:
+        view.attempt(lambda: document.set_border(50.0 if fixed else None))
+    if border is not None:
+        entered, value = imgui.input_float("its width", border, 0, 0, "%.1f", _ENTER)
+        if entered:
+            view.attempt(lambda: document.set_border(value))
+
+
+_ENTER = imgui.InputTextFlags_.enter_returns_true
+
+
+def _volume(view: View) -> None:
+    stage = view.stage
+    assert isinstance(stage, VolumeStage)
+    _head("Volume")
+    names = list(PRESETS)
+    now = names.index(stage.preset) if stage.preset in names else -1
+    changed, index = imgui.combo("colours", now, names)
+    if changed:
+        stage.look(names[index], stage.density)
+        view.refresh()
+    low, high = stage.scene.range
+    window = stage.density or (low, high)
+    imgui.plot_histogram("##histogram", stage.histogram, graph_size=(WIDE - 20, 50))
+    hint("How many voxels have which value (logarithms)")
+    for k, label in enumerate(("from", "to")):
+        changed, value = imgui.slider_float(f"{label}##density", window[k], low, high, "%.4g")
+        if changed:
+            both = (value, max(window[1], value)) if k == 0 else (min(window[0], value), value)
+            if both[0] < both[1]:
+                stage.look(stage.scene.transfer, None if both == (low, high) else both)
+                view.refresh()
+    _transfer(view, stage)
+    changed, index = imgui.combo("mode", _MODES.index(stage.mode), list(_MODES))
+    if changed:
+        view.attempt(lambda: stage.set_mode(_MODES[index]))
+        view.refresh()
+    if stage.mode == "hybrid":
+        imgui.progress_bar(view.filled, (-1, 6), "")
+        hint("How much of the bent volume is in a buffer of its own: pictures are faster with it")
+
+
+_MODES: tuple[Literal["hybrid"], Literal["lattice"], Literal["exact"], Literal["buffered"]] = (
+    "hybrid",
+    "lattice",
+    "exact",
+    "buffered",
+)
+
+
+def _transfer(view: View, stage: VolumeStage) -> None:
+    """The points of the transfer function: values, colours and opacities."""
+    if not imgui.tree_node("transfer function"):
+        return
+    transfer = stage.scene.transfer
+    points, changed_any = [list(p) for p in transfer.points], False
+    for k, (value, red, green, blue, opacity) in enumerate(points):
+        imgui.push_id(k)
+        imgui.set_next_item_width(70)
+        entered, moved = imgui.input_float("##value", value, 0, 0, "%.3g", _ENTER)
+        imgui.same_line()
+        painted, colour = imgui.color_edit3("##colour", [red, green, blue], imgui.ColorEditFlags_.no_inputs)
+        imgui.same_line()
+        imgui.set_next_item_width(90)
+        thinned, seen = imgui.slider_float("##opacity", opacity, 0.0, 1.0, "%.2f")
+        if entered or painted or thinned:
+            points[k] = [moved, *colour, seen]
+            changed_any = True
+        imgui.same_line()
+        if imgui.small_button("x") and len(points) > 2:
+            del points[k]
+            changed_any = True
+            imgui.pop_id()
+            break
+        imgui.pop_id()
+    if imgui.small_button("add a point") and len(points) >= 2:
+        middle = [0.5 * (a + b) for a, b in zip(points[-2], points[-1], strict=True)]
+        points.insert(len(points) - 1, middle)
+        changed_any = True
+    if changed_any:
+        made = tuple(sorted((tuple(p) for p in points), key=lambda p: p[0]))
+        view.attempt(lambda: stage.look(replace(transfer, points=made), stage.density))
+        view.refresh()
+    imgui.tree_pop()
+
+
+def _seeing(view: View) -> None:
+    _head("Seeing")
+    changed, on = imgui.checkbox("before and after", view.tools.split is not None)
+    if changed:
+        view.tools.split = 0.5 if on else None
+        view.refresh()
+    imgui.same_line()
+    imgui.text_disabled("(\\ for before)")
+    if view.tools.split is not None:
+        changed, value = imgui.slider_float("cut", view.tools.split, 0.0, 1.0, "%.2f")
+        if changed:
+            view.tools.split = value
+            view.refresh()
+    if view.stage.kind != "volume":
+        names = list(OVERLAYS)
+        changed, index = imgui.combo("overlay", names.index(view.overlay), ["none", *names[1:]])
+        if changed:
+            view.overlay = names[index]
+            view.refresh()
+        if imgui.small_button("fit"):
+            view.tools.handle({"event_type": "key_down", "key": "0", "modifiers": ()})
+        imgui.same_line()
+        if imgui.small_button("100 %"):
+            view.tools.handle({"event_type": "key_down", "key": "1", "modifiers": ()})
+
+
+def _files(view: View) -> None:
+    _head("Files")
+    for name, says in (("save", "save recipe"), ("open", "open recipe"), ("export", "export"), ("copy", "save view")):
+        if imgui.small_button(says):
+            view.ask(name)
+        if name in ("save", "export"):
+            imgui.same_line()
+    job = view.export
+    if job is not None:
+        imgui.progress_bar(job.progress, (-70, 0), job.text)
+        imgui.same_line()
+        if imgui.small_button("cancel" if not job.done else "close"):
+            view.end_export()
+    asked = view.asked
+    if asked is not None:
+        imgui.open_popup(asked.title)
+        if imgui.begin_popup_modal(asked.title, None, imgui.WindowFlags_.always_auto_resize)[0]:
+            imgui.text(asked.text)
+            if asked.path is not None:
+                imgui.set_next_item_width(420)
+                if asked.fresh:
+                    imgui.set_keyboard_focus_here()
+                    asked.fresh = False
+                entered, asked.path = imgui.input_text("##path", asked.path, _ENTER)
+                if entered:
+                    view.answer(asked.choices[0])
+            for k, label in enumerate(asked.choices):
+                if k:
+                    imgui.same_line()
+                if imgui.button(label):
+                    view.answer(label)
+            if asked.problem:
+                imgui.text_wrapped(asked.problem)
+            imgui.end_popup()
+
+
+def hint(text: str) -> None:
+    """Say something of the last thing, when the pointer stays on it."""
+    if imgui.is_item_hovered(imgui.HoveredFlags_.delay_short):
+        imgui.set_tooltip(text)
