@@ -19,7 +19,7 @@ from supple.errors import DeviceWarning, FoldWarning, SuppleError
 from supple.gpu import device as devices
 from supple.gpu import field, kernel
 from supple.gpu.device import Gpu
-from supple.gpu.warp import STEP, format_of
+from supple.gpu.samples import STEP, format_of
 from supple.media import image
 
 
@@ -296,7 +296,7 @@ def test_a_lost_device_ends_in_the_cpu_s_result(gpu: Gpu, photo: np.ndarray, mon
     def lost(*rest: object) -> None:
         raise RuntimeError("Parent device is lost")
 
-    monkeypatch.setattr("supple.gpu.warp.run", lost)
+    monkeypatch.setattr("supple.gpu.planes.run", lost)
     d = bent(photo.shape[:2], 3)
     with pytest.warns(DeviceWarning, match="device is lost"):
         made = d.warp(photo, device="gpu")

@@ -20,6 +20,14 @@ fn loaded(i: u32) -> vec4f {
             let b = samples[2u * i + 1u];
             return vec4f(vec4u(a & 0xffffu, a >> 16u, b & 0xffffu, b >> 16u));
         }
+        case BYTE_PAIR: {
+            let both = extractBits(samples[i >> 1u], 16u * (i & 1u), 16u);
+            return vec4f(f32(both & 0xffu), f32(both >> 8u), 0.0, 0.0);
+        }
+        case SHORT_PAIR: {
+            let both = samples[i];
+            return vec4f(f32(both & 0xffffu), f32(both >> 16u), 0.0, 0.0);
+        }
         case FLOAT: {
             return vec4f(bitcast<f32>(samples[i]), 0.0, 0.0, 0.0);
         }
@@ -96,9 +104,14 @@ fn texel(x: i32, y: i32, frame: i32) -> vec4f {
     } else {
         at = clamp(at, vec3i(0), size - 1);
     }
-    // The frames that are here begin with one of those of the whole.
-    let here = clamp(at.z - i32(settings.earliest), 0, i32(settings.held) - 1);
-    return prepared(loaded((u32(here) * settings.size.y + u32(at.y)) * settings.size.x + u32(at.x)));
+    let here = vec2u(at.zy);
+    if (any(here < settings.held.xz) || any(here >= settings.held.yw)) {
+        missing += 1u; // and what comes of it is not used
+        return vec4f(0.0);
+    }
+    var slot = here.x - settings.held.x + settings.shift;
+    slot -= select(0u, settings.slots, slot >= settings.slots);
+    return prepared(loaded(slot * settings.stride + (here.y - settings.held.z) * settings.size.x + u32(at.x)));
 }
 
 fn cubic_weights(t: f32) -> vec4f {
@@ -153,39 +166,64 @@ fn in_frame(base: vec2i, part: vec2f, frame: i32, cubic: bool) -> vec4f {
     return linear_at(base, part, frame);
 }
 
-fn at_place(place: Place, cubic: bool) -> vec4f {
-    let base = place.base.xy;
-    let part = place.part.xy;
-    let frame = place.base.z;
-    if (BETWEEN == NOTHING) {
-        return in_frame(base, part, 0, cubic);
-    }
-    if (BETWEEN == NEAREST) {
-        return in_frame(base, part, frame + i32(place.part.z >= 0.5), cubic);
-    }
+// The integral of a kernel between frames, the tent or Catmull and Rom's, from 0 to t.
+fn integral(t: f32) -> f32 {
+    var x = min(abs(t), 2.0);
+    var value: f32;
     if (BETWEEN == CUBIC) {
-        let w = cubic_weights(place.part.z);
-        var total = vec4f(0.0);
-        for (var k = 0; k < 4; k++) {
-            total += w[k] * in_frame(base, part, frame + k - 1, cubic);
+        if (x <= 1.0) {
+            value = x * (1.0 + x * x * (-5.0 / 6.0 + 0.375 * x));
+        } else {
+            value = x * (2.0 + x * (-2.0 + x * (5.0 / 6.0 - 0.125 * x))) - 1.0 / 6.0;
         }
-        return total;
+    } else {
+        x = min(x, 1.0);
+        value = x - 0.5 * x * x;
     }
-    return mix(in_frame(base, part, frame, cubic), in_frame(base, part, frame + 1, cubic), place.part.z);
+    return select(-value, value, t > 0.0);
 }
 
-// The average over what a pixel covers of the picture, at one time: a grid of points in the parallelogram of ∂p/∂q, less than one source
-// pixel apart up to TAPS of them along each side.
-fn averaged(q: vec3i, shift: vec3f, matrix: mat3x3f) -> vec4f {
-    let taps = clamp(vec2u(ceil(2.0 * vec2f(length(matrix[0].xy), length(matrix[1].xy)))), vec2u(1u), vec2u(TAPS));
+// How many frames a pixel covers; the average fades in.
+fn width_in_time(m: mat3x3f) -> f32 {
+    let along = length(vec3f(m[0].z, m[1].z, m[2].z));
+    return min(along * clamp((along - 1.0) * 10.0, 0.0, 1.0), LONGEST);
+}
+
+// The parallelogram of ∂p/∂q that a pixel covers of a picture, and how many points along its sides are averaged.
+struct Covered {
+    x: vec2f,
+    y: vec2f,
+    taps: vec2u,
+}
+
+// As large as the footprint where the map shrinks, and fading to a point where it does not; see supple/cpu/footprint.py.
+fn covered(m: mat3x3f) -> Covered {
+    let start = select(1.0, 0.97, FILTER == ANTIALIAS);
+    let rise = select(10.0, 1.0 / 0.03, FILTER == ANTIALIAS);
+    let part = sqrt(clamp((largest(m) - start) * rise, 0.0, 1.0));
+    let x = part * m[0].xy;
+    let y = part * m[1].xy;
+    // Less than one source pixel apart, as long as there are enough.
+    let least = select(1u, 2u, part > 0.0);
+    return Covered(x, y, clamp(vec2u(ceil(2.0 * vec2f(length(x), length(y)))), vec2u(least), vec2u(TAPS)));
+}
+
+fn in_picture(q: vec3i, source: Source, place: Place, over: Covered, frame: i32) -> vec4f {
+    if (FILTER != ANTIALIAS && FILTER != AUTO) {
+        return in_frame(place.base.xy, place.part.xy, frame, FILTER == CUBIC);
+    }
+    if (all(over.taps == vec2u(1u))) {
+        return cubic_at(place.base.xy, place.part.xy, frame);
+    }
     var total = vec4f(0.0);
-    for (var j = 0u; j < taps.y; j++) {
-        for (var i = 0u; i < taps.x; i++) {
-            let s = (vec2f(vec2u(i, j)) + 0.5) / vec2f(taps) - 0.5;
-            total += at_place(place_of(q, shift + vec3f(s.x * matrix[0].xy + s.y * matrix[1].xy, 0.0)), true);
+    for (var j = 0u; j < over.taps.y; j++) {
+        for (var i = 0u; i < over.taps.x; i++) {
+            let s = (vec2f(vec2u(i, j)) + 0.5) / vec2f(over.taps) - 0.5;
+            let tap = place_of(q, source.shift + vec3f(s.x * over.x + s.y * over.y, 0.0));
+            total += cubic_at(tap.base.xy, tap.part.xy, frame);
         }
     }
-    return total / f32(taps.x * taps.y);
+    return total / f32(over.taps.x * over.taps.y);
 }
 
 // The larger singular value of the upper left part: how many source pixels a pixel covers, at most.
@@ -198,15 +236,40 @@ fn largest(m: mat3x3f) -> f32 {
 }
 
 fn filtered(q: vec3i, source: Source) -> vec4f {
-    let averaging = FILTER == ANTIALIAS || FILTER == AUTO;
-    var value = at_place(place_of(q, source.shift), FILTER == CUBIC || averaging);
-    if (averaging) {
-        // Where the map shrinks, averages fade in.
-        let from_ = select(1.0, 0.97, FILTER == ANTIALIAS);
-        let part = smoothstep(from_, select(1.1, 1.0, FILTER == ANTIALIAS), largest(source.matrix));
-        if (part > 0.0) {
-            value = mix(value, averaged(q, source.shift, source.matrix), part);
+    let place = place_of(q, source.shift);
+    let over = covered(source.matrix);
+    if (BETWEEN == NOTHING) {
+        return finished(in_picture(q, source, place, over, 0));
+    }
+    // Far outside the clip, all times are the same.
+    let kept = clamp(place.base.z, settings.times.x, settings.times.y);
+    let part = select(0.0, place.part.z, kept == place.base.z);
+    if (BETWEEN == NEAREST) {
+        return finished(in_picture(q, source, place, over, kept + i32(part >= 0.5)));
+    }
+    var width = 0.0;
+    if (AVERAGE) {
+        width = width_in_time(source.matrix);
+    }
+    let reach = select(1.0, 2.0, BETWEEN == CUBIC);
+    let radius = reach + 0.5 * width;
+    var total = vec4f(0.0);
+    var weights = 0.0;
+    let cubic = cubic_weights(part);
+    for (var k = i32(floor(part - radius)) + 1; f32(k) < part + radius; k++) {
+        let t = f32(k) - part;
+        var weight: f32;
+        if (width > 1e-3) {
+            weight = (integral(t + 0.5 * width) - integral(t - 0.5 * width)) / width;
+        } else if (BETWEEN == CUBIC) {
+            weight = cubic[clamp(k + 1, 0, 3)];
+        } else {
+            weight = 1.0 - abs(t);
+        }
+        if (weight != 0.0) {
+            total += weight * in_picture(q, source, place, over, kept + k);
+            weights += weight;
         }
     }
-    return finished(value);
+    return finished(total / weights);
 }
