@@ -389,10 +389,6 @@ def test_the_command_line(gpu: Gpu, photo: np.ndarray, tmp_path: Path, capsys: p
     assert command(["info", "--gpu"]) == 0
     assert gpu.name in capsys.readouterr().out
     assert command(["info"]) == 2
-    clip = Path(supple.__file__).parent / "data" / "bunny.mp4"
-    assert command(["warp", str(clip), str(tmp_path / "x.mp4"), *stroke, "--device", "gpu"]) == 2
-    assert "is a video, which the GPU does not bend yet" in capsys.readouterr().err
-    assert not (tmp_path / "x.mp4").exists()
 
 
 def test_shaders_see_what_the_cpu_packs() -> None:

@@ -354,9 +354,7 @@ def _through(
         plan = make_plan(space, clip.layout, sampling, range(n), lambda done: tell("plan", done, n), engine)
         error = 0.0
         frames = clip.frames()
-        made = stream(
-            space, clip.layout, sampling, plan, frames, memory=memory, buffers=_AHEAD + 1, engine=engine
-        )
+        made = stream(space, clip.layout, sampling, plan, frames, memory=memory, buffers=_AHEAD + 1, engine=engine)
         with contextlib.closing(cast(Any, made)), _writing(sink.write, aside) as write:
             for z, arrays, certificate in made:
                 write(arrays, z)

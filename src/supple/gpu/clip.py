@@ -143,7 +143,9 @@ class Clip:
         finally:
             use.copy.unmap()
         failed = f"{said[1]} points could not be solved to the tolerance in its numbers" if said[1] else ""
-        return float(said[:1].view(np.float32)[0]), failed or ("a point lies far outside what was foreseen" if said[3] else "")
+        return float(said[:1].view(np.float32)[0]), failed or (
+            "a point lies far outside what was foreseen" if said[3] else ""
+        )
 
 
 def fits_whole(gpu: Gpu, strokes: Strokes, pictures: Sequence[Picture], slots: int) -> bool:

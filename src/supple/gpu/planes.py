@@ -18,7 +18,7 @@ Floats = npt.NDArray[np.float64]
 Range = tuple[int, int]
 
 NODE = 64  # bytes
-_NAMES = ("warp", "field", "newton", "lattice", "blend", "sample")
+_NAMES = ("warp", "field", "newton", "lattice", "blend", "sample", "footprint")
 _LATTICE = (UNIFORM, UNIFORM, READ, WRITE, WRITE, WRITE, WRITE)
 _COLOURS = (*_LATTICE, READ, WRITE)
 
@@ -118,7 +118,7 @@ class Lattice:
 
     def solve(self, part: Part, tolerance: float) -> None:
         """Solve it for a part that is as large as the one that there is room for."""
-        strokes, gpu = self.strokes, self.strokes.gpu
+        gpu = self.strokes.gpu
         assert (part.count, part.tall) == (self.part.count, self.part.tall)
         self.part, self.solved = part, None
         count, down, across = self.shape

@@ -111,11 +111,15 @@ def box_of(
     part = planes, cells
     slack = more + 2 * wanted.tolerance + 1e-3
     averaging = wanted.filter in ("antialias", "auto")
-    tall = slack + (0.75 * float(reach.tall[part].max()) / step if averaging else 0.0)
+    tall = slack
+    if averaging:
+        # A footprint of its own size, of samples that are averages where it is large.
+        covered = 1.5 * float(reach.tall[part].max()) / step
+        tall += 0.5 * covered + (3 * covered if covered > 2 else 0.0)
     rows = held_of(
         (float(reach.above[part].min()) - picture.offset[1]) / step - tall,
         (float(reach.below[part].max()) - picture.offset[1]) / step + tall,
-        2 if averaging or wanted.filter == "cubic" else 1,
+        3 if averaging else 2 if wanted.filter == "cubic" else 1,
         picture.shape[0],
         wanted.outside,
     )

@@ -124,9 +124,13 @@ fn cubic_weights(t: f32) -> vec4f {
 }
 
 fn linear_at(base: vec2i, part: vec2f, frame: i32) -> vec4f {
-    let upper = mix(texel(base.x, base.y, frame), texel(base.x + 1, base.y, frame), part.x);
-    let lower = mix(texel(base.x, base.y + 1, frame), texel(base.x + 1, base.y + 1, frame), part.x);
-    return mix(upper, lower, part.y);
+    var total = vec4f(0.0);
+    for (var k = 0; k < 4; k++) {
+        let at = vec2i(k & 1, k >> 1);
+        let weight = select(1.0 - part, part, at == vec2i(1));
+        total += weight.x * weight.y * texel(base.x + at.x, base.y + at.y, frame);
+    }
+    return total;
 }
 
 fn cubic_at(base: vec2i, part: vec2f, frame: i32) -> vec4f {
@@ -166,21 +170,13 @@ fn in_frame(base: vec2i, part: vec2f, frame: i32, cubic: bool) -> vec4f {
     return linear_at(base, part, frame);
 }
 
-// The integral of a kernel between frames, the tent or Catmull and Rom's, from 0 to t.
+// The integral of a kernel between frames, from 0 to t.
 fn integral(t: f32) -> f32 {
-    var x = min(abs(t), 2.0);
-    var value: f32;
     if (BETWEEN == CUBIC) {
-        if (x <= 1.0) {
-            value = x * (1.0 + x * x * (-5.0 / 6.0 + 0.375 * x));
-        } else {
-            value = x * (2.0 + x * (-2.0 + x * (5.0 / 6.0 - 0.125 * x))) - 1.0 / 6.0;
-        }
-    } else {
-        x = min(x, 1.0);
-        value = x - 0.5 * x * x;
+        return cubic_integral(t);
     }
-    return select(-value, value, t > 0.0);
+    let x = min(abs(t), 1.0);
+    return sign(t) * (x - 0.5 * x * x);
 }
 
 // How many frames a pixel covers; the average fades in.
@@ -189,85 +185,40 @@ fn width_in_time(m: mat3x3f) -> f32 {
     return min(along * clamp((along - 1.0) * 10.0, 0.0, 1.0), LONGEST);
 }
 
-// The parallelogram of ∂p/∂q that a pixel covers of a picture, and how many points along its sides are averaged.
-struct Covered {
-    x: vec2f,
-    y: vec2f,
-    taps: vec2u,
-}
-
-// As large as the footprint where the map shrinks, and fading to a point where it does not; see supple/cpu/footprint.py.
-fn covered(m: mat3x3f) -> Covered {
-    let start = select(1.0, 0.97, FILTER == ANTIALIAS);
-    let rise = select(10.0, 1.0 / 0.03, FILTER == ANTIALIAS);
-    let part = sqrt(clamp((largest(m) - start) * rise, 0.0, 1.0));
-    let x = part * m[0].xy;
-    let y = part * m[1].xy;
-    // Less than one source pixel apart, as long as there are enough.
-    let least = select(1u, 2u, part > 0.0);
-    return Covered(x, y, clamp(vec2u(ceil(2.0 * vec2f(length(x), length(y)))), vec2u(least), vec2u(TAPS)));
-}
-
-fn in_picture(q: vec3i, source: Source, place: Place, over: Covered, frame: i32) -> vec4f {
-    if (FILTER != ANTIALIAS && FILTER != AUTO) {
-        return in_frame(place.base.xy, place.part.xy, frame, FILTER == CUBIC);
-    }
-    if (all(over.taps == vec2u(1u))) {
-        return cubic_at(place.base.xy, place.part.xy, frame);
-    }
-    var total = vec4f(0.0);
-    for (var j = 0u; j < over.taps.y; j++) {
-        for (var i = 0u; i < over.taps.x; i++) {
-            let s = (vec2f(vec2u(i, j)) + 0.5) / vec2f(over.taps) - 0.5;
-            let tap = place_of(q, source.shift + vec3f(s.x * over.x + s.y * over.y, 0.0));
-            total += cubic_at(tap.base.xy, tap.part.xy, frame);
-        }
-    }
-    return total / f32(over.taps.x * over.taps.y);
-}
-
-// The larger singular value of the upper left part: how many source pixels a pixel covers, at most.
-fn largest(m: mat3x3f) -> f32 {
-    let a = m[0].xy;
-    let b = m[1].xy;
-    let half_ = 0.5 * (dot(a, a) + dot(b, b));
-    let cross_ = a.x * b.y - a.y * b.x;
-    return sqrt(half_ + sqrt(max(half_ * half_ - cross_ * cross_, 0.0)));
-}
-
 fn filtered(q: vec3i, source: Source) -> vec4f {
     let place = place_of(q, source.shift);
-    let over = covered(source.matrix);
-    if (BETWEEN == NOTHING) {
-        return finished(in_picture(q, source, place, over, 0));
-    }
+    let over = footprint_of(source.matrix);
     // Far outside the clip, all times are the same.
     let kept = clamp(place.base.z, settings.times.x, settings.times.y);
     let part = select(0.0, place.part.z, kept == place.base.z);
-    if (BETWEEN == NEAREST) {
-        return finished(in_picture(q, source, place, over, kept + i32(part >= 0.5)));
-    }
     var width = 0.0;
     if (AVERAGE) {
         width = width_in_time(source.matrix);
     }
-    let reach = select(1.0, 2.0, BETWEEN == CUBIC);
-    let radius = reach + 0.5 * width;
+    let radius = select(1.0, 2.0, BETWEEN == CUBIC) + 0.5 * width;
+    var first = kept + i32(floor(part - radius)) + 1;
+    var last = kept + i32(ceil(part + radius)) - 1;
+    if (BETWEEN == NOTHING || BETWEEN == NEAREST) {
+        first = select(0, kept + i32(part >= 0.5), BETWEEN == NEAREST);
+        last = first;
+    }
     var total = vec4f(0.0);
     var weights = 0.0;
     let cubic = cubic_weights(part);
-    for (var k = i32(floor(part - radius)) + 1; f32(k) < part + radius; k++) {
-        let t = f32(k) - part;
-        var weight: f32;
-        if (width > 1e-3) {
-            weight = (integral(t + 0.5 * width) - integral(t - 0.5 * width)) / width;
-        } else if (BETWEEN == CUBIC) {
-            weight = cubic[clamp(k + 1, 0, 3)];
-        } else {
-            weight = 1.0 - abs(t);
+    for (var frame = first; frame <= last; frame++) {
+        let t = f32(frame - kept) - part;
+        var weight = 1.0;
+        if (BETWEEN == LINEAR || BETWEEN == CUBIC) {
+            if (width > 1e-3) {
+                weight = (integral(t + 0.5 * width) - integral(t - 0.5 * width)) / width;
+            } else if (BETWEEN == CUBIC) {
+                weight = cubic[clamp(frame - kept + 1, 0, 3)];
+            } else {
+                weight = 1.0 - abs(t);
+            }
         }
         if (weight != 0.0) {
-            total += weight * in_picture(q, source, place, over, kept + k);
+            total += weight * in_picture(place, over, frame);
             weights += weight;
         }
     }

@@ -164,6 +164,8 @@ class Picture:
             "AVERAGE": int(wanted.average),
             "ACROSS": across,
             "DOWN": min(self.rows, max(1, 32 // across)),
+            "PIXELS": form.pixels,
+            "WORDS": form.pixels * form.size // 4,
             "ROWS": self.rows,
         }
 

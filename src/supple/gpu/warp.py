@@ -1,10 +1,9 @@
-"""Images and stacks of frames, warped by the GPU: in parts that are as large as fit, and as take no longer than drivers
-allow.
-"""
+"""Images and stacks of frames, warped by the GPU in parts: no larger than fits, and done before a driver ends them."""
 
 from __future__ import annotations
 
 import contextlib
+import itertools
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -47,6 +46,7 @@ class _Work:
     strokes: Strokes
     picture: Picture
     frames: int
+    there: Range
     read: Read
     write: Write
     box: tuple[Range, Range] | None = None
@@ -103,13 +103,17 @@ class _Work:
 
     def make(self, part: Part, reach: Reach, known: Part) -> None:
         """Make a part of what ``reach`` is known of."""
-        whole = (0, self.frames), (0, self.picture.shape[0])
+        whole = self.there, (0, self.picture.shape[0])
         at = (
             slice(part.planes[0] - known.planes[0], part.planes[1] - known.planes[0]),
             slice(part.cells[0] - known.cells[0], part.cells[1] - known.cells[0]),
         )
         fits = self.size_of(*whole) <= self.gpu.binding
-        box = whole if fits else box_of(reach, *at, self.picture, self.frames, self.more)
+        box = whole
+        if not fits:
+            (low, high), box_rows = box_of(reach, *at, self.picture, self.frames, self.more)
+            low = min(max(low, self.there[0]), self.there[1] - 1)
+            box = (low, max(min(high, self.there[1]), low + 1)), box_rows
         rows = part.tall * self.picture.rows + 1
         largest = max(self.size_of(*box), part.count * target_size(self.picture, rows))
         work = self.samples_read(part, reach, at)
@@ -136,7 +140,7 @@ class _Work:
             said = download(self.gpu, lattice.stats, np.uint32, 4)
         if said[3]:
             if box == whole:
-                raise ArithmeticError("a source point is nowhere")
+                raise ArithmeticError("a point lies far outside what was foreseen")
             self.more, lattice.solved = 2 * self.more + 1, None  # what is known of it is not counted twice
             self.make(part, reach, known)
             return
@@ -169,6 +173,7 @@ def warp(
     read: Read,
     write: Write,
     *,
+    there: Range | None = None,
     step: tuple[int, int] = (1, 1),
     tell: Callable[[int], None] = lambda done: None,
 ) -> tuple[float, int]:
@@ -191,6 +196,8 @@ def warp(
         Of frames and rows, from and to: the source's samples (frames, rows, samples, channels).
     write : function
         Of planes and rows, and of their samples.
+    there : (int, int), optional
+        Which frames can be read, if not all: from, to.
     step : (int, int)
         Pixels from sample to sample, of the coarsest samples that a frame has.
     tell : function
@@ -206,12 +213,12 @@ def warp(
     MemoryError
         If what a few rows are made of is more than a shader takes.
     ArithmeticError
-        If points could not be solved.
+        If points could not be solved, or lie in frames that cannot be read.
     """
     wanted = picture.wanted
     with contextlib.ExitStack() as stack:
         strokes = strokes_on(stack, gpu, table, axes, shape, step)
-        work = _Work(strokes, picture, frames, read, write)
+        work = _Work(strokes, picture, frames, there or (0, frames), read, write)
         stack.callback(work.close)
         across, down = strokes.cells
         # Solving a node takes about 25 evaluations of every stroke.
@@ -228,9 +235,9 @@ def warp(
                 still = np.flatnonzero(reach.moved.max(axis=1) * 3**0.5 <= wanted.tolerance)
                 if wanted.between == "nothing" or part.tall < down:
                     still = still[:0]
-                for k in still:
-                    # Nothing moves: this frame is as it was.
-                    write((first + k, first + k + 1), (0, picture.shape[0]), read((first + k, first + k + 1), (0, picture.shape[0])))
+                for z in (int(k) + first for k in still):  # where nothing moves, a frame is as it was
+                    rows = (0, picture.shape[0])
+                    write((z, z + 1), rows, read((z, z + 1), rows))
                 for planes_ in _stretches(first, last, still + first):
                     work.make(Part(planes_, part.cells), reach, part)
             tell(last - planes[0])
@@ -240,4 +247,4 @@ def warp(
 def _stretches(first: int, last: int, without: npt.NDArray[np.intp]) -> list[Range]:
     """The ranges between some planes."""
     edges = [first - 1, *(int(z) for z in without), last]
-    return [(a + 1, b) for a, b in zip(edges, edges[1:], strict=False) if b > a + 1]
+    return [(a + 1, b) for a, b in itertools.pairwise(edges) if b > a + 1]

@@ -63,7 +63,6 @@ const EDGE = 0u;
 const CONSTANT = 1u;
 const REFLECT = 2u;
 const STEP = 16u;
-const TAPS = 16u;
 const LONGEST = 64.0; // frames that a pixel is averaged over, at most
 
 var<private> worst: f32 = 0.0;
@@ -122,56 +121,33 @@ fn colour(x: u32, y: u32, plane: u32, solving: bool) -> vec4f {
     return v;
 }
 
+// Pixels in a thread's words, which rows begin with, and words in a thread.
+override PIXELS: u32 = 4u;
+override WORDS: u32 = 1u;
+
 fn write(at: vec2u, plane: u32, solving: bool) {
+    var words = vec4u(0u);
+    // One place that all formats share: what compilers make of a shader is as long as it is often said.
+    for (var k = 0u; k < PIXELS; k++) {
+        let x = PIXELS * at.x + k;
+        if (x < settings.size.x) {
+            let v = colour(x, at.y, plane, solving);
+            if (FORMAT >= FLOAT) {
+                words = bitcast<vec4u>(v);
+            } else {
+                let whole = vec4u(v);
+                let bits = select(16u, 8u, FORMAT == BYTE || FORMAT == BYTES || FORMAT == BYTE_PAIR);
+                let channels = 32u * WORDS / (bits * PIXELS);
+                for (var c = 0u; c < channels; c++) {
+                    let bit = bits * (channels * k + c);
+                    words[bit >> 5u] |= whole[c] << (bit & 31u);
+                }
+            }
+        }
+    }
     let row = plane * settings.tall + (at.y - settings.top);
-    switch FORMAT {
-        // Several pixels in a word: rows begin with a word of their own.
-        case BYTE, SHORT: {
-            let pixels = select(2u, 4u, FORMAT == BYTE);
-            let bits = 32u / pixels;
-            var word = 0u;
-            for (var k = 0u; k < pixels; k++) {
-                let x = pixels * at.x + k;
-                if (x < settings.size.x) {
-                    word |= u32(colour(x, at.y, plane, solving).x) << (bits * k);
-                }
-            }
-            target_[row * settings.groups + at.x] = word;
-        }
-        case BYTE_PAIR: {
-            var word = 0u;
-            for (var k = 0u; k < 2u; k++) {
-                let x = 2u * at.x + k;
-                if (x < settings.size.x) {
-                    let v = vec2u(colour(x, at.y, plane, solving).xy);
-                    word |= (v.x | (v.y << 8u)) << (16u * k);
-                }
-            }
-            target_[row * settings.groups + at.x] = word;
-        }
-        case SHORT_PAIR: {
-            let v = vec2u(colour(at.x, at.y, plane, solving).xy);
-            target_[row * settings.groups + at.x] = v.x | (v.y << 16u);
-        }
-        case BYTES: {
-            target_[row * settings.groups + at.x] = pack4xU8(vec4u(colour(at.x, at.y, plane, solving)));
-        }
-        case SHORTS: {
-            let v = vec4u(colour(at.x, at.y, plane, solving));
-            let i = 2u * (row * settings.groups + at.x);
-            target_[i] = v.x | (v.y << 16u);
-            target_[i + 1u] = v.z | (v.w << 16u);
-        }
-        case FLOAT: {
-            target_[row * settings.groups + at.x] = bitcast<u32>(colour(at.x, at.y, plane, solving).x);
-        }
-        default: {
-            let v = bitcast<vec4u>(colour(at.x, at.y, plane, solving));
-            let i = 4u * (row * settings.groups + at.x);
-            for (var k = 0u; k < 4u; k++) {
-                target_[i + k] = v[k];
-            }
-        }
+    for (var w = 0u; w < WORDS; w++) {
+        target_[(row * settings.groups + at.x) * WORDS + w] = words[w];
     }
 }
 
