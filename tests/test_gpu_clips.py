@@ -141,6 +141,14 @@ def test_what_is_still_passes_as_it_is(gpu: Gpu) -> None:
         np.testing.assert_array_equal(part[:5], source[:5])
 
 
+def test_a_small_stroke_between_nodes_is_not_still(gpu: Gpu) -> None:
+    stack = np.random.default_rng(5).integers(0, 255, (9, 48, 64)).astype(np.uint8)
+    d = Deformation(stack.shape, border=None, on_fold="flow").grab((24, 24, 4), by=(0.8, 0.5, 0), radius=1.5, scales=3)
+    ours, theirs = (d.warp(stack, filter="linear", device=device) for device in ("cpu", "gpu"))
+    assert (ours != stack).any()
+    assert apart(ours, theirs, 255).max() <= 2.1
+
+
 def test_frames_in_a_file_are_the_same(gpu: Gpu) -> None:
     layout = LAYOUTS["4:2:0"]
     arrays = noise(layout)

@@ -129,9 +129,9 @@ class Clip:
         """Put a plane's samples into an array for each picture; return its error, and what failed."""
         use = begun.room
         begun.mapped.sync_wait()
+        # It has perhaps waited for the plane before it.
         seconds = time.perf_counter() - begun.since
-        if seconds > 2 * SECONDS:
-            self.parts = min(2 * self.parts, self.strokes.cells[1])
+        self.parts = min(max(self.parts, round(0.5 * seconds / SECONDS)), self.strokes.cells[1])
         try:
             words = use.copy.read_mapped(copy=False)
             starts = [0, *np.cumsum(use.sizes).tolist()]
