@@ -123,7 +123,7 @@ class Clip:
                 at += size
             gpu.device.queue.submit([encoder.finish()])
             # Asked for now, it does not wait for what is begun later.
-            return _Begun(use, use.copy.map_async("READ_NOSYNC"), time.perf_counter())
+            return _Begun(use, use.copy.map_async("READ"), time.perf_counter())
 
     def finish(self, begun: _Begun, outs: Sequence[Array]) -> tuple[float, str]:
         """Put a plane's samples into an array for each picture; return its error, and what failed."""
