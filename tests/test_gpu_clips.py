@@ -400,6 +400,11 @@ def test_large_pictures_are_made_in_bands(
         warnings.simplefilter("error", DeviceWarning)
         np.testing.assert_array_equal(d.warp(photo, device="gpu", **way), whole)
     assert len(pieces) >= 2
+    # Where not even the lattice fits, it is one of some rows at a time.
+    pieces.clear()
+    monkeypatch.setattr(warping, "NODE", 64 * 30)
+    np.testing.assert_array_equal(d.warp(photo, device="gpu", **way), whole)
+    assert max(part.tall for part in pieces) < 5
     # One that does not even fit in rows of cells ends in the CPU's result.
     monkeypatch.setattr(gpu, "binding", 330 * 4 * 10)
     with pytest.warns(DeviceWarning, match="more than a shader takes"):

@@ -128,10 +128,12 @@ class Clip:
     def finish(self, begun: _Begun, outs: Sequence[Array]) -> tuple[float, str]:
         """Put a plane's samples into an array for each picture; return its error, and what failed."""
         use = begun.room
+        asked = time.perf_counter()
         begun.mapped.sync_wait()
-        # It has perhaps waited for the plane before it.
-        seconds = time.perf_counter() - begun.since
-        self.parts = min(max(self.parts, round(0.5 * seconds / SECONDS)), self.strokes.cells[1])
+        done = time.perf_counter()
+        if done - asked > 1e-2:  # else it was done before, nobody knows when
+            # It has perhaps waited for the plane before it.
+            self.parts = min(max(self.parts, round(0.5 * (done - begun.since) / SECONDS)), self.strokes.cells[1])
         try:
             words = use.copy.read_mapped(copy=False)
             starts = [0, *np.cumsum(use.sizes).tolist()]
