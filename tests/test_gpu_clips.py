@@ -32,7 +32,7 @@ from supple.media import image
 from supple.media.volume import read as read_volume
 from supple.media.volume import write
 from supple.media.volume_data import Volume
-from supple.streaming import Layout, Plan, Sampling, Space, make_plan, slots_of, stream
+from supple.streaming import CPU, Layout, Plan, Sampling, Space, make_plan, slots_of, stream
 
 pytestmark = pytest.mark.filterwarnings("ignore::supple.FoldWarning")
 
@@ -139,6 +139,14 @@ def test_what_is_still_passes_as_it_is(gpu: Gpu) -> None:
     assert not plan.still[18:23].any()
     for part, source in zip(found, arrays, strict=True):
         np.testing.assert_array_equal(part[:5], source[:5])
+
+
+def test_a_small_stroke_between_nodes_is_not_still(gpu: Gpu) -> None:
+    stack = np.random.default_rng(5).integers(0, 255, (9, 48, 64)).astype(np.uint8)
+    d = Deformation(stack.shape, border=None, on_fold="flow").grab((24, 24, 4), by=(0.8, 0.5, 0), radius=1.5, scales=3)
+    ours, theirs = (d.warp(stack, filter="linear", device=device) for device in ("cpu", "gpu"))
+    assert (ours != stack).any()
+    assert apart(ours, theirs, 255).max() <= 2.1
 
 
 def test_frames_in_a_file_are_the_same(gpu: Gpu) -> None:
@@ -267,6 +275,20 @@ def test_a_real_clip(gpu: Gpu) -> None:
         assert found.mean() < 0.01
 
 
+def test_a_card_does_what_it_knows(gpu: Gpu, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("supple.engines.open_gpu", lambda software=True: gpu)
+    space, layout = bent().space, LAYOUTS["4:2:0"]
+    assert engine_of("auto", space, layout, LINEAR) is not CPU
+    assert engine_of("auto", space, layout, replace(LINEAR, filter="ewa")) is CPU
+    assert engine_of("auto", Deformation((12, *SHAPE)).space, layout, LINEAR) is CPU
+    wide = replace(layout, dtype=np.dtype(np.float64))
+    assert engine_of("auto", space, wide, LINEAR) is CPU
+    with pytest.raises(SuppleError, match='"cpu" for samples of float64 in 1 channel'):
+        engine_of("gpu", space, wide, LINEAR)
+    with pytest.raises(SuppleError, match='"cpu" for samples that lie as these do'):
+        engine_of("gpu", space, layout_of((3, 3)), LINEAR)
+
+
 def test_video_files(gpu: Gpu, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     source = clips.make(tmp_path / "in.mp4", count=6, audio="aac", smooth=False)
     grab = ["--grab", "30,24,3:38,20,4", "--radius", "12", "--filter", "linear", "--lossless"]
@@ -339,10 +361,12 @@ def test_labels_of_volumes_and_types_that_are_refused(
     for kind in (np.int32, np.float64):
         source = str(written(tmp_path / f"{np.dtype(kind)}.nii", labels.astype(kind)))
         capsys.readouterr()
-        assert command(["warp", source, str(tmp_path / "x.nii"), *grab, "--device", "gpu"]) == 2
+        ends = [str(tmp_path / "x.nii"), *grab, "--device", "gpu", "--save-field", str(tmp_path / "f.nii")]
+        assert command(["warp", source, *ends]) == 2
         said = capsys.readouterr().err
         assert f"samples of {np.dtype(kind)} in 1 channel" in said
         assert not (tmp_path / "x.nii").exists()
+        assert not (tmp_path / "f.nii").exists()
 
 
 def test_volumes_that_are_larger_than_a_shader_takes(gpu: Gpu, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -376,6 +400,11 @@ def test_large_pictures_are_made_in_bands(
         warnings.simplefilter("error", DeviceWarning)
         np.testing.assert_array_equal(d.warp(photo, device="gpu", **way), whole)
     assert len(pieces) >= 2
+    # Where not even the lattice fits, it is one of some rows at a time.
+    pieces.clear()
+    monkeypatch.setattr(warping, "NODE", 64 * 30)
+    np.testing.assert_array_equal(d.warp(photo, device="gpu", **way), whole)
+    assert max(part.tall for part in pieces) < 5
     # One that does not even fit in rows of cells ends in the CPU's result.
     monkeypatch.setattr(gpu, "binding", 330 * 4 * 10)
     with pytest.warns(DeviceWarning, match="more than a shader takes"):

@@ -24,7 +24,7 @@ from supple.errors import OutsideWarning, SuppleError
 from supple.media.files import check_output, replacing, shown
 from supple.media.formats import SUFFIXES_OUT as PICTURES_OUT
 from supple.media.numbering import SUFFIXES_IN, has_number, is_sequence
-from supple.streaming import Array, Layout, Sampling, make_plan, stream
+from supple.streaming import Array, Layout, Sampling, capacity_of, make_plan, stream
 from supple.strokes import Recipe
 from supple.warping import FILTERS, OUTSIDE, interpolated
 
@@ -360,7 +360,7 @@ def _through(
                 write(arrays, z)
                 error = max(error, certificate.error)
                 tell("warp", z + 1, n)
-    return error, plan.capacity, int(plan.still.sum())
+    return error, capacity_of(plan, engine), int(plan.still.sum())
 
 
 def _check_target(target: PathLike, options: ClipOptions, quality: int | None) -> None:

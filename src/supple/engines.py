@@ -116,6 +116,12 @@ def warp_on_gpu(
     return result, Certificate(worst, 0.0)
 
 
+def check_frames(device: str, source: Array, space: Space, sampling: Sampling) -> None:
+    """Refuse frames that the GPU must sample and does not know, before any work; SuppleError says why."""
+    channels = source.shape[3] if source.ndim == 4 else 1
+    engine_of(device, space, Layout((Group(space.shape, channels),), source.dtype, 1.0), sampling)
+
+
 def warp_frames_by(
     device: str,
     source: Array,

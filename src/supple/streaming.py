@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import contextlib
 import math
-import os
-import tempfile
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import IO, Any, Protocol
+from typing import Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -21,6 +19,7 @@ from supple.cpu.sampling import sampler
 from supple.cpu.stack import SUPPORT, slots_of, stack_sampler, times_seen
 from supple.cpu.warp import Band, Certificate, Grid, Plane, bounds_of, each_band, solve_plane
 from supple.errors import SuppleError
+from supple.spill import room_for
 
 Array = npt.NDArray[Any]
 Tell = Callable[[int], None]
@@ -296,7 +295,9 @@ def stream(
         If there are fewer frames than the plan needs, or no room for the temporary file.
     """
     with contextlib.ExitStack() as stack:
-        window = stack.enter_context(_window(layout, _capacity(plan, engine.lead), memory))
+        capacity = capacity_of(plan, engine)
+        shapes = [(capacity, *g.shape, g.channels) for g in layout.groups]
+        window = stack.enter_context(room_for(shapes, layout.dtype, memory))
         sets = [[np.empty((*g.shape, g.channels), layout.dtype) for g in layout.groups] for _ in range(buffers)]
         maker = stack.enter_context(engine.opened(space, layout, sampling, window))
         source = iter(frames)
@@ -324,8 +325,9 @@ def stream(
             pass
 
 
-def _capacity(plan: Plan, lead: int) -> int:
-    """How many frames are held at once, where a plane is finished when others have been begun, and the next is read."""
+def capacity_of(plan: Plan, engine: Engine) -> int:
+    """How many frames are held at once: a plane may be finished when others have been begun, and the next is read."""
+    lead = engine.lead
     if not lead or not plan.planes:
         return plan.capacity
     n = len(plan.planes)
@@ -446,40 +448,3 @@ def _maker(
         return each_band(space.solve(z, step), sampling.tolerance, fill_band, grid, rates=sampling.time_filter)
 
     return make
-
-
-@contextlib.contextmanager
-def _window(layout: Layout, capacity: int, memory: float) -> Iterator[list[Array]]:
-    """Room for some frames: in memory or, where that is too little, in a file that is gone afterwards."""
-    shapes = [(capacity, *g.shape, g.channels) for g in layout.groups]
-    sizes = [math.prod(shape) * layout.dtype.itemsize for shape in shapes]
-    if sum(sizes) <= memory:
-        yield [np.empty(shape, layout.dtype) for shape in shapes]
-        return
-    with contextlib.ExitStack() as stack:
-        folder = "the folder of temporary files"
-        try:
-            folder = tempfile.gettempdir()
-            file = stack.enter_context(tempfile.TemporaryFile(prefix="supple-"))
-            reserve(file, sum(sizes))
-        except OSError as error:
-            gb, why = sum(sizes) / 1e9, error.strerror or error
-            raise SuppleError(
-                f"{capacity} frames have to be held at once, {gb:.2g} GB, more than the memory allowed, and there is "
-                f"no room for them in {folder} ({why}): allow more memory, or set TMPDIR to another folder"
-            ) from None
-        starts = [0, *np.cumsum(sizes)[:-1].tolist()]
-        held = [np.memmap(file, layout.dtype, "r+", start, shape) for start, shape in zip(starts, shapes, strict=True)]
-        yield [np.asarray(part) for part in held]
-
-
-def reserve(file: IO[bytes], size: int) -> None:
-    """Make a file as large as it is going to be, so that no later write finds the disk full."""
-    allocate = getattr(os, "posix_fallocate", None)
-    if allocate:
-        allocate(file.fileno(), 0, size)
-        return
-    zeros = bytes(1 << 24)
-    for start in range(0, size, len(zeros)):
-        file.write(zeros[: size - start])
-    file.flush()

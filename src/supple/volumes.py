@@ -17,7 +17,7 @@ import numpy.typing as npt
 from supple.cpu.warp import Certificate
 from supple.deformation import Deformation, Report, warn_of
 from supple.domain import choice, number
-from supple.engines import warp_frames_by
+from supple.engines import check_frames, warp_frames_by
 from supple.errors import GapWarning, SuppleError
 from supple.fields import write_transform
 from supple.geometry import Geometry
@@ -231,6 +231,7 @@ def warp_volume(
             f"labels are whole numbers, and {volume.name} holds {volume.samples.dtype}: leave --labels out"
         )
     deformation = deformation_of(recipe, volume, world=known.world)
+    check_frames(device, volume.samples[0] if volume.series else volume.samples, deformation.space, sampling)
     _warn_of_gaps(volume, sampling.filter)
     with contextlib.ExitStack() as stack:
         if known.save_field is not None:

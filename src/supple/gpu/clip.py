@@ -123,15 +123,17 @@ class Clip:
                 at += size
             gpu.device.queue.submit([encoder.finish()])
             # Asked for now, it does not wait for what is begun later.
-            return _Begun(use, use.copy.map_async("READ_NOSYNC"), time.perf_counter())
+            return _Begun(use, use.copy.map_async("READ"), time.perf_counter())
 
     def finish(self, begun: _Begun, outs: Sequence[Array]) -> tuple[float, str]:
         """Put a plane's samples into an array for each picture; return its error, and what failed."""
         use = begun.room
+        asked = time.perf_counter()
         begun.mapped.sync_wait()
-        seconds = time.perf_counter() - begun.since
-        if seconds > 2 * SECONDS:
-            self.parts = min(2 * self.parts, self.strokes.cells[1])
+        done = time.perf_counter()
+        if done - asked > 1e-2:  # else it was done before, nobody knows when
+            # It has perhaps waited for the plane before it.
+            self.parts = min(max(self.parts, round(0.5 * (done - begun.since) / SECONDS)), self.strokes.cells[1])
         try:
             words = use.copy.read_mapped(copy=False)
             starts = [0, *np.cumsum(use.sizes).tolist()]

@@ -144,9 +144,11 @@ class Lattice:
         count = int(np.prod(self.shape)) * 16
         return download(self.strokes.gpu, self.buffers[3], np.float32, count).reshape(*self.shape, 4, 4)
 
-    def rough(self) -> int:
-        """How many cells are not interpolated."""
-        return int(download(self.strokes.gpu, self.stats, np.uint32, 4)[2])
+    def rough(self) -> npt.NDArray[np.bool_]:
+        """Which cells are not interpolated: planes, rows, columns."""
+        count, down, across = self.part.count, self.part.tall, self.strokes.cells[0]
+        known = download(self.strokes.gpu, self.buffers[4], np.float32, count * down * across)
+        return known.reshape(count, down, across) > 1e29
 
 
 def lattice_on(stack: contextlib.ExitStack, strokes: Strokes, part: Part) -> Lattice:

@@ -36,6 +36,7 @@ Write = Callable[[Range, Range, Array], None]
 
 TOGETHER = 16  # planes
 AT_FIRST = float(1 << 28)  # samples that are read at once, until it is known what takes how long
+EVALUATED = 40.0  # samples that could be read while a point is solved, for each stroke
 SECONDS = 0.5  # that one piece of work should take
 
 
@@ -53,6 +54,7 @@ class _Work:
     held: Held | None = None
     lattice: Lattice | None = None
     limit: float = AT_FIRST
+    solving: float = 0.0  # evaluations of a stroke for a sample, on average: where the lattice is too coarse
     more: float = 0.0  # rows and frames, beyond those that nodes tell of: between them, the map may reach farther
     worst: float = 0.0
     lost: int = 0
@@ -93,13 +95,13 @@ class _Work:
         return (frames[1] - frames[0]) * (rows[1] - rows[0]) * self.picture.shape[1] * self.picture.format.size
 
     def samples_read(self, part: Part, reach: Reach, at: tuple[slice, slice]) -> float:
-        """How many samples of the source are read for a part, about."""
+        """How many samples of the source are read for a part, about; to evaluate a stroke takes as long as some."""
         wanted = self.picture.wanted
         each = {"nearest": 1.0, "linear": 4.0, "cubic": 16.0}.get(wanted.filter, 16.0 * float(reach.work[at].mean()))
         if wanted.between in ("linear", "cubic"):
             each *= {"linear": 2.0, "cubic": 4.0}[wanted.between]
             each *= 1.0 + (min(float(reach.long[at].mean()), LONGEST) if wanted.average else 0.0)
-        return each * part.count * part.tall * self.picture.rows * self.picture.shape[1]
+        return (each + self.solving) * part.count * part.tall * self.picture.rows * self.picture.shape[1]
 
     def make(self, part: Part, reach: Reach, known: Part) -> None:
         """Make a part of what ``reach`` is known of."""
@@ -231,8 +233,13 @@ def warp(
             last = min(first + together, planes[1])
             for top in range(0, down, tall):
                 part = Part((first, last), (top, min(top + tall, down)))
-                reach = reach_of(work.solve(part).nodes(), first, top, picture.step)
-                still = np.flatnonzero(reach.moved.max(axis=1) * 3**0.5 <= wanted.tolerance)
+                lattice = work.solve(part)
+                reach = reach_of(lattice.nodes(), first, top, picture.step)
+                rough = lattice.rough()
+                work.solving = EVALUATED * float(rough.mean()) * strokes.count
+                # Of what lies within a cell that is too coarse, nodes know nothing.
+                moves = (reach.moved.max(axis=1) * 3**0.5 > wanted.tolerance) | rough.any(axis=(1, 2))
+                still = np.flatnonzero(~moves)
                 if wanted.between == "nothing" or part.tall < down:
                     still = still[:0]
                 for z in (int(k) + first for k in still):  # where nothing moves, a frame is as it was
