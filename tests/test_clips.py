@@ -259,10 +259,10 @@ def test_a_window_on_disk_gives_the_same(here: Path, monkeypatch: pytest.MonkeyP
     Path("tmp").mkdir()
     monkeypatch.setattr("tempfile.tempdir", str(here / "tmp"))
     used: list[int] = []
-    from supple import streaming
+    from supple import spill
 
-    reserve = streaming.reserve
-    monkeypatch.setattr(streaming, "reserve", lambda file, size: (used.append(size), reserve(file, size)))
+    reserve = spill.reserve
+    monkeypatch.setattr(spill, "reserve", lambda file, size: (used.append(size), reserve(file, size)))
     warp_file("in.mkv", "a.mkv", TIMED)
     assert used == []
     made = warp_file("in.mkv", "b.mkv", TIMED, clip=ClipOptions(memory=0))

@@ -21,7 +21,7 @@ from supple.gpu import field, kernel
 from supple.gpu import raymarch as shading
 from supple.gpu.device import Gpu
 from supple.gpu.fill import BLOCK
-from supple.gpu.warp import STEP, format_of
+from supple.gpu.samples import STEP, format_of
 from supple.media import image
 
 
@@ -298,7 +298,7 @@ def test_a_lost_device_ends_in_the_cpu_s_result(gpu: Gpu, photo: np.ndarray, mon
     def lost(*rest: object) -> None:
         raise RuntimeError("Parent device is lost")
 
-    monkeypatch.setattr("supple.gpu.warp.run", lost)
+    monkeypatch.setattr("supple.gpu.planes.run", lost)
     d = bent(photo.shape[:2], 3)
     with pytest.warns(DeviceWarning, match="device is lost"):
         made = d.warp(photo, device="gpu")
@@ -394,10 +394,6 @@ def test_the_command_line(gpu: Gpu, photo: np.ndarray, tmp_path: Path, capsys: p
     assert command(["info", "--gpu"]) == 0
     assert gpu.name in capsys.readouterr().out
     assert command(["info"]) == 2
-    clip = Path(supple.__file__).parent / "data" / "bunny.mp4"
-    assert command(["warp", str(clip), str(tmp_path / "x.mp4"), *stroke, "--device", "gpu"]) == 2
-    assert "is a video, which the GPU does not bend yet" in capsys.readouterr().err
-    assert not (tmp_path / "x.mp4").exists()
 
 
 def test_shaders_see_what_the_cpu_packs() -> None:

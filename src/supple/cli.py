@@ -115,7 +115,7 @@ class _Commands:
         save_field
             Write the inverse displacements too, for SimpleITK, ANTs and 3D Slicer: NIfTI, NRRD, MHA or .h5.
         device
-            Who bends pictures: the CPU, the GPU, or auto: a graphics card, where there is one.
+            Who does it: the CPU, the GPU, or auto: a graphics card, where there is one.
         """
         from supple.batch import Crew, check_recipe_file, make_folders, pair
         from supple.clips import is_clip

@@ -19,11 +19,12 @@ import numpy as np
 from supple.cpu.warp import Certificate
 from supple.deformation import Deformation, Report, warn_of
 from supple.domain import choice, length, number, refuse
+from supple.engines import engine_of
 from supple.errors import OutsideWarning, SuppleError
 from supple.media.files import check_output, replacing, shown
 from supple.media.formats import SUFFIXES_OUT as PICTURES_OUT
 from supple.media.numbering import SUFFIXES_IN, has_number, is_sequence
-from supple.streaming import Array, Layout, Sampling, make_plan, stream
+from supple.streaming import Array, Layout, Sampling, capacity_of, make_plan, stream
 from supple.strokes import Recipe
 from supple.warping import FILTERS, OUTSIDE, interpolated
 
@@ -273,6 +274,7 @@ def warp_clip(
     linear_light: bool = False,
     quality: int | None = None,
     lossless: bool = False,
+    device: str = "cpu",
     force: bool = False,
     options: ClipOptions | None = None,
     tell: Tell = lambda step, done, total: None,
@@ -315,7 +317,7 @@ def warp_clip(
                 else:
                     writer = _writer(clip, target, known, quality, lossless, force)
                     known_error, held, still = _through(
-                        clip, deformation, sampling, writer, known.memory, not is_picture_target(target), tell
+                        clip, deformation, sampling, writer, known.memory, not is_picture_target(target), device, tell
                     )
                 warn_of(Certificate(known_error, 0.0), tolerance, 3)
                 return WarpedClip(
@@ -339,23 +341,26 @@ def _through(
     writer: contextlib.AbstractContextManager[Any],
     memory: float,
     aside: bool,
+    device: str,
     tell: Tell,
 ) -> tuple[float, int, int]:
     """Send all frames through a deformation; return the error, the frames held at once, and those left as they were."""
     n = clip.count
     space = replace(deformation.space, count=n)
+    engine = engine_of(device, space, clip.layout, sampling)
     tell("write", 0, n)
     # The writer first: what it refuses is known before any work.
     with writer as sink:
-        plan = make_plan(space, clip.layout, sampling, range(n), lambda done: tell("plan", done, n))
+        plan = make_plan(space, clip.layout, sampling, range(n), lambda done: tell("plan", done, n), engine)
         error = 0.0
-        made = stream(space, clip.layout, sampling, plan, clip.frames(), memory=memory, buffers=_AHEAD + 1)
+        frames = clip.frames()
+        made = stream(space, clip.layout, sampling, plan, frames, memory=memory, buffers=_AHEAD + 1, engine=engine)
         with contextlib.closing(cast(Any, made)), _writing(sink.write, aside) as write:
             for z, arrays, certificate in made:
                 write(arrays, z)
                 error = max(error, certificate.error)
                 tell("warp", z + 1, n)
-    return error, plan.capacity, int(plan.still.sum())
+    return error, capacity_of(plan, engine), int(plan.still.sum())
 
 
 def _check_target(target: PathLike, options: ClipOptions, quality: int | None) -> None:

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import warnings
-from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -13,13 +11,16 @@ import numpy.typing as npt
 
 from supple.cpu.warp import Certificate
 from supple.domain import choice, refuse
-from supple.errors import DeviceWarning, SuppleError
+from supple.errors import SuppleError
 from supple.gpu.device import Gpu, open_gpu
 from supple.gpu.field import fits
 from supple.gpu.kernel import failures, trouble
-from supple.gpu.warp import Wanted, format_of, may_hold, warp
-from supple.streaming import Group, Layout, Sampling, Space, make_plan
-from supple.warping import checked_fill, checked_source, result_like
+from supple.gpu.planes import Range
+from supple.gpu.samples import format_of, known_grid
+from supple.gpu.warp import warp
+from supple.offload import OnGpu, pictures_of, unsolved, warn
+from supple.streaming import CPU, Engine, Group, Layout, Sampling, Space, Tell
+from supple.warping import checked_fill, checked_source, result_like, warp_frames
 
 Array = npt.NDArray[Any]
 
@@ -47,14 +48,22 @@ def gpu_of(device: str) -> Gpu | None:
 
 
 def warp_on_gpu(
-    gpu: Gpu, source: object, space: Space, sampling: Sampling, *, alpha: bool | None, out: Array | None, must: bool
+    gpu: Gpu,
+    source: object,
+    space: Space,
+    sampling: Sampling,
+    *,
+    alpha: bool | None,
+    out: Array | None,
+    must: bool,
+    tell: Tell = lambda done: None,
 ) -> tuple[Array, Certificate] | None:
     """Sample an image or frames at the source points of every pixel, on a GPU.
 
     Parameters
     ----------
     gpu : Gpu
-    source, space, sampling, alpha, out
+    source, space, sampling, alpha, out, tell
         As `supple.warping` takes them; of an image, ``space`` has two coordinates.
     must : bool
         Whether to refuse what the GPU does not do.
@@ -73,63 +82,90 @@ def warp_on_gpu(
     array, straight = checked_source(source, shape, alpha, sampling.light)
     channels = array.shape[-1] if array.ndim > space.ndim else 1
     colours = checked_fill(sampling.fill, channels, array.dtype)
-    reason = "" if fits(space.table) else "strokes of such sizes"
-    reason = reason or _unknown(array.dtype, channels, sampling)
-    if reason:
-        if must:
-            refuse("device", f'"cpu" for {reason}', "gpu")
+    white = float(np.iinfo(array.dtype).max) if array.dtype.kind in "iu" else 1.0
+    layout = Layout((Group(space.shape, channels, alpha=straight),), array.dtype, white)
+    sampling = replace(sampling, fill=tuple(colours))
+    if not _does(space, layout, sampling, must):
         return None
     result = result_like(out, array)
     if space.table.size == 0:
         result[...] = array
         return result, Certificate(0.0, 0.0)
-    array = array.astype(array.dtype.newbyteorder("="), copy=False)
-    deep = (space.count, *space.shape, channels)
-    target = result if result.flags.c_contiguous and result.dtype.isnative else np.empty(array.shape, array.dtype)
-    white = float(np.iinfo(array.dtype).max) if array.dtype.kind in "iu" else 1.0
-    wanted = Wanted(
-        sampling.filter,
-        sampling.between if space.ndim == 3 else "nothing",
-        sampling.outside,
-        tuple(colours),
-        straight,
-        sampling.light,
-        white,
-        sampling.tolerance,
-    )
+    (picture,) = pictures_of(space, layout, sampling)
+    deep, target = (a if a.ndim > space.ndim else a[..., None] for a in (array, result))
+    deep, target = (a[None] if space.ndim == 2 else a for a in (deep, target))
+
+    def read(frames: Range, rows: Range) -> Array:
+        return np.asarray(deep[slice(*frames), slice(*rows)])
+
+    def write(planes: Range, rows: Range, pixels: Array) -> None:
+        picture.store(pixels, target[slice(*planes), slice(*rows)])
+
     try:
-        reach = _reach(gpu, space, array.dtype, channels, replace(sampling, fill=tuple(colours)))
         with gpu.lock:
-            worst, lost = warp(gpu, space.table, space.axes, array.reshape(deep), target.reshape(deep), wanted, reach)
-        failed = f"{lost} points could not be solved to the tolerance in its numbers" if lost else ""
+            every = (0, len(deep))
+            worst, lost = warp(
+                gpu, space.table, space.axes, picture, space.shape, len(deep), every, read, write, tell=tell
+            )
+        failed = unsolved(lost)
     except failures() as error:
         failed = trouble(gpu, error)
     if failed:
-        warnings.warn(f"the CPU did what {gpu.name} could not: {failed}", DeviceWarning, stacklevel=4)
+        warn(gpu, failed, 5)
         return None
-    if target is not result:
-        result[...] = target
     return result, Certificate(worst, 0.0)
 
 
-def _unknown(dtype: Any, channels: int, sampling: Sampling) -> str:
-    """What the GPU does not do of this, if anything."""
-    if format_of(dtype.newbyteorder("="), channels) is None:
-        return f"samples of {dtype} in {channels} channel{'s' if channels > 1 else ''}"
+def check_frames(device: str, source: Array, space: Space, sampling: Sampling) -> None:
+    """Refuse frames that the GPU must sample and does not know, before any work; SuppleError says why."""
+    channels = source.shape[3] if source.ndim == 4 else 1
+    engine_of(device, space, Layout((Group(space.shape, channels),), source.dtype, 1.0), sampling)
+
+
+def warp_frames_by(
+    device: str,
+    source: Array,
+    space: Space,
+    sampling: Sampling,
+    *,
+    alpha: bool | None,
+    out: Array | None,
+    tell: Tell = lambda done: None,
+) -> tuple[Array, Certificate]:
+    """Sample an array of frames as `supple.warping.warp_frames` does, by any of DEVICES."""
+    gpu = gpu_of(device)
+    if gpu is not None:
+        done = warp_on_gpu(gpu, source, space, sampling, alpha=alpha, out=out, must=device == "gpu", tell=tell)
+        if done is not None:
+            return done
+    return warp_frames(source, space, sampling, alpha=alpha, out=out, tell=tell)
+
+
+def engine_of(device: str, space: Space, layout: Layout, sampling: Sampling) -> Engine:
+    """Who makes the planes of a clip.
+
+    Raises
+    ------
+    SuppleError
+        If it must be the GPU, and there is none, or it does not do this.
+    """
+    gpu = gpu_of(device)
+    if gpu is None or not _does(space, layout, sampling, device == "gpu") or space.table.size == 0:
+        return CPU
+    return OnGpu(gpu, sampling.tolerance)
+
+
+def _does(space: Space, layout: Layout, sampling: Sampling, must: bool) -> bool:
+    """Whether the GPU does this; SuppleError if not, and it must."""
+    reason = "" if fits(space.table) else "strokes of such sizes"
+    for group in layout.groups:
+        if format_of(layout.dtype, group.channels) is None:
+            several = "s" if group.channels > 1 else ""
+            reason = reason or f"samples of {layout.dtype} in {group.channels} channel{several}"
+        elif not known_grid(group.step, group.offset, layout.dtype, group.channels):
+            reason = reason or "samples that lie as these do"
     if sampling.filter == "ewa":
-        return 'filter="ewa"'
-    if sampling.time_filter:
-        return "time_filter"
-    return ""
-
-
-def _reach(
-    gpu: Gpu, space: Space, dtype: Any, channels: int, sampling: Sampling
-) -> Callable[[int, int], tuple[int, int]]:
-    """Which frames some planes are made of: all, if they fit, and else as the lattices of the planes tell."""
-    whole = (0, space.count)
-    if may_hold(gpu, space.shape, dtype, channels, space.count):
-        return lambda first, last: whole
-    kind = np.dtype(np.float32)
-    plan = make_plan(space, Layout((Group(space.shape, channels),), kind, 1.0), sampling, range(space.count))
-    return lambda first, last: (int(plan.keep[first:last].min()), int(plan.read[first:last].max()) + 1)
+        reason = reason or 'filter="ewa"'
+    if reason and must:
+        refuse("device", f'"cpu" for {reason}', "gpu")
+    return not reason

@@ -92,7 +92,7 @@ def warp_file(
     lossless : bool
         Keep every value, in WebP and AVIF too; of a video, with FFV1 or the codec that is named.
     device : str
-        Who bends a picture, as `Deformation.warp` takes it; videos and volumes are bent by the CPU.
+        Who does it, as `Deformation.warp` takes it.
     force : bool
         Whether a file that exists may be replaced, even the source.
     progress : bool or function
@@ -121,7 +121,6 @@ def warp_file(
     """
     choice("device", device, DEVICES)
     if is_volume_job(source, target, recipe, volume):
-        _only_cpu(source, "volume", device)
         if quality is not None or lossless or linear_light or not _only_memory(clip):
             raise SuppleError(f"{shown(source)} is a volume, and what was asked of it is for pictures or videos")
         if not force and _same(source, target):
@@ -135,6 +134,7 @@ def warp_file(
                 tolerance=tolerance,
                 outside=outside,
                 fill=fill,
+                device=device,
                 force=force,
                 options=volume,
                 tell=counts,
@@ -142,7 +142,6 @@ def warp_file(
     if volume is not None and volume != VolumeOptions():
         raise SuppleError(f"{shown(source)} is no volume, and what was asked of it is for volumes: leave that out")
     if is_clip(source, target, recipe):
-        _only_cpu(source, "video", device)
         if not force and _same(source, target):
             raise SuppleError(f"{shown(target)} is the clip itself: pass --force (force=True) to replace it")
         sampling = {"filter": filter, "tolerance": tolerance, "outside": outside, "fill": fill}
@@ -155,6 +154,7 @@ def warp_file(
                 linear_light=linear_light,
                 quality=quality,
                 lossless=lossless,
+                device=device,
                 force=force,
                 options=clip,
                 tell=counts,
@@ -196,11 +196,6 @@ def warp_file(
         tell("write")
         write(target, pixels, like=like, quality=quality, lossless=lossless, force=force)
     return Warped(Path(source), Path(target), deformation, tolerance)
-
-
-def _only_cpu(source: PathLike, kind: str, device: str) -> None:
-    if device == "gpu":
-        raise SuppleError(f"{shown(source)} is a {kind}, which the GPU does not bend yet: device must be cpu or auto")
 
 
 def _only_memory(clip: ClipOptions | None) -> bool:

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import contextlib
 import math
-import os
-import tempfile
+from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import IO, Any, Protocol
+from typing import Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -19,6 +19,7 @@ from supple.cpu.sampling import sampler
 from supple.cpu.stack import SUPPORT, slots_of, stack_sampler, times_seen
 from supple.cpu.warp import Band, Certificate, Grid, Plane, bounds_of, each_band, solve_plane
 from supple.errors import SuppleError
+from supple.spill import room_for
 
 Array = npt.NDArray[Any]
 Tell = Callable[[int], None]
@@ -143,8 +144,70 @@ class Space:
         return solve_plane(self.table, self.axes, (height, width), self.ndim, float(z))
 
 
+class Maker(Protocol):
+    """What makes planes from the frames in a window, which holds frame k in the slot k modulo its capacity."""
+
+    def begin(self, z: int, first: int, last: int) -> object:
+        """Begin a plane that samples the frames ``first`` to ``last``, which are in the window."""
+
+    def finish(self, begun: Any, z: int, first: int, last: int, outs: Sequence[Array]) -> Certificate:
+        """Put what was begun, whose frames are still in the window, into an array for each group."""
+
+
+class Engine(Protocol):
+    """Who makes the planes of a stream."""
+
+    @property
+    def lead(self) -> int:
+        """How many planes are begun before the first of them is finished; if any, frames are read in a thread."""
+
+    @property
+    def slack(self) -> float:
+        """By how many frames its source points may lie outside the bounds that a plan knows."""
+
+    def opened(
+        self, space: Space, layout: Layout, sampling: Sampling, window: Sequence[Array]
+    ) -> contextlib.AbstractContextManager[Maker]:
+        """Return what makes planes from a window: for each group, an array (capacity, h, w, channels)."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Ready:
+    """The maker whose planes are made when they are to be finished."""
+
+    make: Callable[[int, int, int, Sequence[Array]], Certificate]
+
+    def begin(self, z: int, first: int, last: int) -> object:
+        return None
+
+    def finish(self, begun: Any, z: int, first: int, last: int, outs: Sequence[Array]) -> Certificate:
+        return self.make(z, first, last, outs)
+
+
+@dataclass(frozen=True, slots=True)
+class Cpu:
+    """The engine that runs everywhere."""
+
+    lead: int = 0
+    slack: float = SLACK
+
+    def opened(
+        self, space: Space, layout: Layout, sampling: Sampling, window: Sequence[Array]
+    ) -> contextlib.AbstractContextManager[Maker]:
+        """See `Engine`."""
+        return contextlib.nullcontext(_Ready(_maker(space, layout, sampling, window)))
+
+
+CPU = Cpu()
+
+
 def make_plan(
-    space: Space, layout: Layout, sampling: Sampling, planes: Sequence[int], tell: Tell = lambda done: None
+    space: Space,
+    layout: Layout,
+    sampling: Sampling,
+    planes: Sequence[int],
+    tell: Tell = lambda done: None,
+    engine: Engine = CPU,
 ) -> Plan:
     """Solve the lattice of every plane for the frames that it needs.
 
@@ -167,7 +230,7 @@ def make_plan(
                 wide = 1.5 * bounds.rate * math.hypot(*step, 1)
                 beyond = min(wide, LONGEST) / 2 + 1 if sampling.time_filter else 0.0
                 # Points are of float32, and may lie a little outside the bounds.
-                seen = bounds.early - SLACK, bounds.late + SLACK
+                seen = bounds.early - engine.slack, bounds.late + engine.slack
                 early, late = (min(max(t, earliest), latest) for t in seen)
                 first[k] = math.floor(early - beyond) - support + 1
                 last[k] = math.floor(late + beyond) + support
@@ -175,14 +238,14 @@ def make_plan(
         for start in range(0, n, 64):
             share(look, range(start, min(start + 64, n)))
             tell(min(start + 64, n))
-    needed = np.array([_needed(a, b, space.count, sampling.outside) for a, b in zip(first, last, strict=True)])
+    needed = np.array([frames_needed(a, b, space.count, sampling.outside) for a, b in zip(first, last, strict=True)])
     keep = np.minimum.accumulate(needed[::-1, 0])[::-1]
     # A frame's own time is known when it has been read.
     read = np.maximum.accumulate(np.maximum(needed[:, 1], planes)) if n else needed[:, 1]
     return Plan(tuple(planes), first, last, still, keep, read, int((read - keep).max()) + 1)
 
 
-def _needed(first: int, last: int, count: int, outside: str) -> tuple[int, int]:
+def frames_needed(first: int, last: int, count: int, outside: str) -> tuple[int, int]:
     """The frames of the clip that stand for a range of times."""
     if outside == "reflect" and (first < 0 or last >= count):
         seen = slots_of(max(first, last - 2 * count), last, count, outside, count)
@@ -199,6 +262,7 @@ def stream(
     *,
     memory: float = math.inf,
     buffers: int = 1,
+    engine: Engine = CPU,
 ) -> Iterator[tuple[int, list[Array], Certificate]]:
     """Warp a clip as it is read.
 
@@ -212,6 +276,8 @@ def stream(
         How many bytes frames may take in memory; beyond, they go to a temporary file.
     buffers : int
         For how many planes the samples are kept.
+    engine : Engine
+        Who makes the planes; the one that the plan was made for.
 
     Yields
     ------
@@ -229,28 +295,75 @@ def stream(
         If there are fewer frames than the plan needs, or no room for the temporary file.
     """
     with contextlib.ExitStack() as stack:
-        window = stack.enter_context(_window(layout, plan.capacity, memory))
+        capacity = capacity_of(plan, engine)
+        shapes = [(capacity, *g.shape, g.channels) for g in layout.groups]
+        window = stack.enter_context(room_for(shapes, layout.dtype, memory))
         sets = [[np.empty((*g.shape, g.channels), layout.dtype) for g in layout.groups] for _ in range(buffers)]
-        make = _maker(space, layout, sampling, window)
+        maker = stack.enter_context(engine.opened(space, layout, sampling, window))
         source = iter(frames)
-        have = 0
-        for k, z in enumerate(plan.planes):
-            while have <= plan.read[k]:
-                frame = next(source, None)
-                if frame is None:
-                    raise SuppleError(f"the clip ends after {have} frames, where {space.count} were expected")
-                if have >= plan.keep[k]:
-                    frame.copy_to([held[have % plan.capacity] for held in window])
-                have += 1
-            outs = sets[k % buffers]
+        reading = stack.enter_context(_reading(source, space.count, plan, window, aside=engine.lead > 0))
+        waiting: deque[tuple[int, object]] = deque()
+
+        def finished() -> tuple[int, list[Array], Certificate]:
+            k, begun = waiting.popleft()
+            z, outs = plan.planes[k], sets[k % buffers]
             if plan.still[k]:
                 for held, out in zip(window, outs, strict=True):
-                    out[...] = held[z % plan.capacity]
-                yield z, outs, Certificate(0.0, 0.0)
-            else:
-                yield z, outs, make(z, int(plan.first[k]), int(plan.last[k]), outs)
+                    out[...] = held[z % len(held)]
+                return z, outs, Certificate(0.0, 0.0)
+            return z, outs, maker.finish(begun, z, int(plan.first[k]), int(plan.last[k]), outs)
+
+        for k, z in enumerate(plan.planes):
+            reading(k)
+            begun = None if plan.still[k] else maker.begin(z, int(plan.first[k]), int(plan.last[k]))
+            waiting.append((k, begun))
+            if len(waiting) > engine.lead:
+                yield finished()
+        while waiting:
+            yield finished()
         for _ in source:
             pass
+
+
+def capacity_of(plan: Plan, engine: Engine) -> int:
+    """How many frames are held at once: a plane may be finished when others have been begun, and the next is read."""
+    lead = engine.lead
+    if not lead or not plan.planes:
+        return plan.capacity
+    n = len(plan.planes)
+    ahead, behind = np.minimum(np.arange(n) + 1, n - 1), np.maximum(np.arange(n) - lead, 0)
+    return int((plan.read[ahead] - plan.keep[behind]).max()) + 1
+
+
+@contextlib.contextmanager
+def _reading(
+    source: Iterator[Frame], count: int, plan: Plan, window: Sequence[Array], *, aside: bool
+) -> Iterator[Callable[[int], None]]:
+    """What reads the frames that a plane needs into their slots; aside, those of the next plane meanwhile."""
+    have = 0
+
+    def read(k: int) -> None:
+        nonlocal have
+        while have <= plan.read[k]:
+            frame = next(source, None)
+            if frame is None:
+                raise SuppleError(f"the clip ends after {have} frames, where {count} were expected")
+            if have >= plan.keep[k]:
+                frame.copy_to([held[have % len(held)] for held in window])
+            have += 1
+
+    if not aside:
+        yield read
+        return
+    ahead: Future[None] | None = None
+
+    def fetch(k: int) -> None:
+        nonlocal ahead
+        (ahead or pool.submit(read, k)).result()
+        ahead = pool.submit(read, k + 1) if k + 1 < len(plan.planes) else None
+
+    with ThreadPoolExecutor(1, "supple-read") as pool:
+        yield fetch
 
 
 def grid_of(layout: Layout) -> Grid | None:
@@ -335,40 +448,3 @@ def _maker(
         return each_band(space.solve(z, step), sampling.tolerance, fill_band, grid, rates=sampling.time_filter)
 
     return make
-
-
-@contextlib.contextmanager
-def _window(layout: Layout, capacity: int, memory: float) -> Iterator[list[Array]]:
-    """Room for some frames: in memory or, where that is too little, in a file that is gone afterwards."""
-    shapes = [(capacity, *g.shape, g.channels) for g in layout.groups]
-    sizes = [math.prod(shape) * layout.dtype.itemsize for shape in shapes]
-    if sum(sizes) <= memory:
-        yield [np.empty(shape, layout.dtype) for shape in shapes]
-        return
-    with contextlib.ExitStack() as stack:
-        folder = "the folder of temporary files"
-        try:
-            folder = tempfile.gettempdir()
-            file = stack.enter_context(tempfile.TemporaryFile(prefix="supple-"))
-            reserve(file, sum(sizes))
-        except OSError as error:
-            gb, why = sum(sizes) / 1e9, error.strerror or error
-            raise SuppleError(
-                f"{capacity} frames have to be held at once, {gb:.2g} GB, more than the memory allowed, and there is "
-                f"no room for them in {folder} ({why}): allow more memory, or set TMPDIR to another folder"
-            ) from None
-        starts = [0, *np.cumsum(sizes)[:-1].tolist()]
-        held = [np.memmap(file, layout.dtype, "r+", start, shape) for start, shape in zip(starts, shapes, strict=True)]
-        yield [np.asarray(part) for part in held]
-
-
-def reserve(file: IO[bytes], size: int) -> None:
-    """Make a file as large as it is going to be, so that no later write finds the disk full."""
-    allocate = getattr(os, "posix_fallocate", None)
-    if allocate:
-        allocate(file.fileno(), 0, size)
-        return
-    zeros = bytes(1 << 24)
-    for start in range(0, size, len(zeros)):
-        file.write(zeros[: size - start])
-    file.flush()

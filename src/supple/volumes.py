@@ -17,6 +17,7 @@ import numpy.typing as npt
 from supple.cpu.warp import Certificate
 from supple.deformation import Deformation, Report, warn_of
 from supple.domain import choice, number
+from supple.engines import check_frames, warp_frames_by
 from supple.errors import GapWarning, SuppleError
 from supple.fields import write_transform
 from supple.geometry import Geometry
@@ -36,7 +37,7 @@ from supple.media.volume import (
 )
 from supple.streaming import Sampling
 from supple.strokes import Recipe
-from supple.warping import FILTERS, OUTSIDE, warp_frames
+from supple.warping import FILTERS, OUTSIDE
 
 Array = npt.NDArray[Any]
 PathLike = str | os.PathLike[str]
@@ -200,6 +201,7 @@ def warp_volume(
     tolerance: float = 0.01,
     outside: str = "edge",
     fill: float | Sequence[float] = 0.0,
+    device: str = "cpu",
     force: bool = False,
     options: VolumeOptions | None = None,
     tell: Tell = lambda step, done, total: None,
@@ -229,13 +231,14 @@ def warp_volume(
             f"labels are whole numbers, and {volume.name} holds {volume.samples.dtype}: leave --labels out"
         )
     deformation = deformation_of(recipe, volume, world=known.world)
+    check_frames(device, volume.samples[0] if volume.series else volume.samples, deformation.space, sampling)
     _warn_of_gaps(volume, sampling.filter)
     with contextlib.ExitStack() as stack:
         if known.save_field is not None:
             # It gets its name when the volume has its own: if either cannot be written, neither is.
             place = stack.enter_context(replacing(known.save_field, force=force))
             write_transform(place, deformation, volume.geometry, tolerance=tolerance, force=True)
-        error, count = _written(volume, source, target, deformation, sampling, force, tell)
+        error, count = _written(volume, source, target, deformation, sampling, device, force, tell)
     warn_of(Certificate(error, 0.0), tolerance, 3)
     return WarpedVolume(Path(source), Path(target), deformation, volume.geometry, tolerance, error, count)
 
@@ -260,6 +263,7 @@ def _written(
     target: PathLike,
     deformation: Deformation,
     sampling: Sampling,
+    device: str,
     force: bool,
     tell: Tell,
 ) -> tuple[float, int]:
@@ -277,7 +281,8 @@ def _written(
             total = count * space.count
             for t in range(count):
                 begun = t * space.count
-                _, certificate = warp_frames(
+                _, certificate = warp_frames_by(
+                    device,
                     series[t],
                     space,
                     sampling,

@@ -55,7 +55,8 @@ fn solve(@builtin(global_invocation_id) id: vec3u) {
     if (id.x >= settings.nodes.x || id.y >= settings.nodes.y) {
         return;
     }
-    let q = vec3f(vec2f(id.xy * STEP), f32(settings.first + id.z)) * domain.spacing.xyz;
+    let pixel = (id.xy + vec2u(0u, settings.origin)) * STEP;
+    let q = vec3f(vec2f(pixel), f32(settings.first + id.z)) * domain.spacing.xyz;
     let found = undo(q, 1e-3 * finest());
     let m = in_pixels(found.matrix);
     let place = 4u * node_of(id.xy, id.z);
@@ -84,7 +85,7 @@ fn check(@builtin(global_invocation_id) id: vec3u) {
     }
     for (var k = 0u; k < 8u; k++) {
         let at = SEEN[k];
-        let p = (vec2f(id.xy) + at) * f32(STEP);
+        let p = (vec2f(id.xy + vec2u(0u, settings.origin)) + at) * f32(STEP);
         let q = vec3f(p, f32(settings.first + id.z)) * domain.spacing.xyz;
         let error = RESERVE * error_at(q, between_nodes(patch_, at));
         found = max(found, error);

@@ -20,6 +20,14 @@ fn loaded(i: u32) -> vec4f {
             let b = samples[2u * i + 1u];
             return vec4f(vec4u(a & 0xffffu, a >> 16u, b & 0xffffu, b >> 16u));
         }
+        case BYTE_PAIR: {
+            let both = extractBits(samples[i >> 1u], 16u * (i & 1u), 16u);
+            return vec4f(f32(both & 0xffu), f32(both >> 8u), 0.0, 0.0);
+        }
+        case SHORT_PAIR: {
+            let both = samples[i];
+            return vec4f(f32(both & 0xffffu), f32(both >> 16u), 0.0, 0.0);
+        }
         case FLOAT: {
             return vec4f(bitcast<f32>(samples[i]), 0.0, 0.0, 0.0);
         }
@@ -96,9 +104,14 @@ fn texel(x: i32, y: i32, frame: i32) -> vec4f {
     } else {
         at = clamp(at, vec3i(0), size - 1);
     }
-    // The frames that are here begin with one of those of the whole.
-    let here = clamp(at.z - i32(settings.earliest), 0, i32(settings.held) - 1);
-    return prepared(loaded((u32(here) * settings.size.y + u32(at.y)) * settings.size.x + u32(at.x)));
+    let here = vec2u(at.zy);
+    if (any(here < settings.held.xz) || any(here >= settings.held.yw)) {
+        missing += 1u; // and what comes of it is not used
+        return vec4f(0.0);
+    }
+    var slot = here.x - settings.held.x + settings.shift;
+    slot -= select(0u, settings.slots, slot >= settings.slots);
+    return prepared(loaded(slot * settings.stride + (here.y - settings.held.z) * settings.size.x + u32(at.x)));
 }
 
 fn cubic_weights(t: f32) -> vec4f {
@@ -111,9 +124,13 @@ fn cubic_weights(t: f32) -> vec4f {
 }
 
 fn linear_at(base: vec2i, part: vec2f, frame: i32) -> vec4f {
-    let upper = mix(texel(base.x, base.y, frame), texel(base.x + 1, base.y, frame), part.x);
-    let lower = mix(texel(base.x, base.y + 1, frame), texel(base.x + 1, base.y + 1, frame), part.x);
-    return mix(upper, lower, part.y);
+    var total = vec4f(0.0);
+    for (var k = 0; k < 4; k++) {
+        let at = vec2i(k & 1, k >> 1);
+        let weight = select(1.0 - part, part, at == vec2i(1));
+        total += weight.x * weight.y * texel(base.x + at.x, base.y + at.y, frame);
+    }
+    return total;
 }
 
 fn cubic_at(base: vec2i, part: vec2f, frame: i32) -> vec4f {
@@ -153,60 +170,57 @@ fn in_frame(base: vec2i, part: vec2f, frame: i32, cubic: bool) -> vec4f {
     return linear_at(base, part, frame);
 }
 
-fn at_place(place: Place, cubic: bool) -> vec4f {
-    let base = place.base.xy;
-    let part = place.part.xy;
-    let frame = place.base.z;
-    if (BETWEEN == NOTHING) {
-        return in_frame(base, part, 0, cubic);
-    }
-    if (BETWEEN == NEAREST) {
-        return in_frame(base, part, frame + i32(place.part.z >= 0.5), cubic);
-    }
+// The integral of a kernel between frames, from 0 to t.
+fn integral(t: f32) -> f32 {
     if (BETWEEN == CUBIC) {
-        let w = cubic_weights(place.part.z);
-        var total = vec4f(0.0);
-        for (var k = 0; k < 4; k++) {
-            total += w[k] * in_frame(base, part, frame + k - 1, cubic);
-        }
-        return total;
+        return cubic_integral(t);
     }
-    return mix(in_frame(base, part, frame, cubic), in_frame(base, part, frame + 1, cubic), place.part.z);
+    let x = min(abs(t), 1.0);
+    return sign(t) * (x - 0.5 * x * x);
 }
 
-// The average over what a pixel covers of the picture, at one time: a grid of points in the parallelogram of ∂p/∂q, less than one source
-// pixel apart up to TAPS of them along each side.
-fn averaged(q: vec3i, shift: vec3f, matrix: mat3x3f) -> vec4f {
-    let taps = clamp(vec2u(ceil(2.0 * vec2f(length(matrix[0].xy), length(matrix[1].xy)))), vec2u(1u), vec2u(TAPS));
-    var total = vec4f(0.0);
-    for (var j = 0u; j < taps.y; j++) {
-        for (var i = 0u; i < taps.x; i++) {
-            let s = (vec2f(vec2u(i, j)) + 0.5) / vec2f(taps) - 0.5;
-            total += at_place(place_of(q, shift + vec3f(s.x * matrix[0].xy + s.y * matrix[1].xy, 0.0)), true);
-        }
-    }
-    return total / f32(taps.x * taps.y);
-}
-
-// The larger singular value of the upper left part: how many source pixels a pixel covers, at most.
-fn largest(m: mat3x3f) -> f32 {
-    let a = m[0].xy;
-    let b = m[1].xy;
-    let half_ = 0.5 * (dot(a, a) + dot(b, b));
-    let cross_ = a.x * b.y - a.y * b.x;
-    return sqrt(half_ + sqrt(max(half_ * half_ - cross_ * cross_, 0.0)));
+// How many frames a pixel covers; the average fades in.
+fn width_in_time(m: mat3x3f) -> f32 {
+    let along = length(vec3f(m[0].z, m[1].z, m[2].z));
+    return min(along * clamp((along - 1.0) * 10.0, 0.0, 1.0), LONGEST);
 }
 
 fn filtered(q: vec3i, source: Source) -> vec4f {
-    let averaging = FILTER == ANTIALIAS || FILTER == AUTO;
-    var value = at_place(place_of(q, source.shift), FILTER == CUBIC || averaging);
-    if (averaging) {
-        // Where the map shrinks, averages fade in.
-        let from_ = select(1.0, 0.97, FILTER == ANTIALIAS);
-        let part = smoothstep(from_, select(1.1, 1.0, FILTER == ANTIALIAS), largest(source.matrix));
-        if (part > 0.0) {
-            value = mix(value, averaged(q, source.shift, source.matrix), part);
+    let place = place_of(q, source.shift);
+    let over = footprint_of(source.matrix);
+    // Far outside the clip, all times are the same.
+    let kept = clamp(place.base.z, settings.times.x, settings.times.y);
+    let part = select(0.0, place.part.z, kept == place.base.z);
+    var width = 0.0;
+    if (AVERAGE) {
+        width = width_in_time(source.matrix);
+    }
+    let radius = select(1.0, 2.0, BETWEEN == CUBIC) + 0.5 * width;
+    var first = kept + i32(floor(part - radius)) + 1;
+    var last = kept + i32(ceil(part + radius)) - 1;
+    if (BETWEEN == NOTHING || BETWEEN == NEAREST) {
+        first = select(0, kept + i32(part >= 0.5), BETWEEN == NEAREST);
+        last = first;
+    }
+    var total = vec4f(0.0);
+    var weights = 0.0;
+    let cubic = cubic_weights(part);
+    for (var frame = first; frame <= last; frame++) {
+        let t = f32(frame - kept) - part;
+        var weight = 1.0;
+        if (BETWEEN == LINEAR || BETWEEN == CUBIC) {
+            if (width > 1e-3) {
+                weight = (integral(t + 0.5 * width) - integral(t - 0.5 * width)) / width;
+            } else if (BETWEEN == CUBIC) {
+                weight = cubic[clamp(frame - kept + 1, 0, 3)];
+            } else {
+                weight = 1.0 - abs(t);
+            }
+        }
+        if (weight != 0.0) {
+            total += weight * in_picture(place, over, frame);
+            weights += weight;
         }
     }
-    return finished(value);
+    return finished(total / weights);
 }

@@ -1,133 +1,207 @@
-"""Images and stacks of frames, warped by the GPU: plane by plane, in as many at once as fit."""
+"""Images and stacks of frames, warped by the GPU in parts: no larger than fits, and done before a driver ends them."""
 
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Any
+import itertools
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
 
 from supple.gpu.device import Gpu
-from supple.gpu.field import domain, packed
-from supple.gpu.kernel import READ, UNIFORM, WRITE, Array, download, owned, pipeline, room, run, upload
+from supple.gpu.kernel import Array, download, owned, room, upload
+from supple.gpu.planes import (
+    NODE,
+    SETTINGS,
+    Held,
+    Lattice,
+    Part,
+    Range,
+    Strokes,
+    colour,
+    lattice_on,
+    strokes_on,
+    target_size,
+    unpacked,
+)
+from supple.gpu.reach import Reach, box_of, reach_of
+from supple.gpu.samples import LONGEST, Picture
 
 Floats = npt.NDArray[np.float64]
+Read = Callable[[Range, Range], Array]
+Write = Callable[[Range, Range, Array], None]
 
-STEP = 16  # pixels from node to node, as warp.wgsl has it
-FILTERS = {"nearest": 0, "linear": 1, "cubic": 2, "antialias": 3, "auto": 4}
-BETWEEN = {"nearest": 0, "linear": 1, "cubic": 2, "nothing": 3}
-OUTSIDE = {"edge": 0, "constant": 1, "reflect": 2}
-_NAMES = ("warp", "field", "newton", "lattice", "smooth", "blend", "sample")
-_KINDS = (UNIFORM, UNIFORM, READ, WRITE, WRITE, READ, WRITE, WRITE, WRITE)
-
-SETTINGS = np.dtype(
-    [
-        ("size", "u4", 2),
-        ("nodes", "u4", 2),
-        ("fill", "f4", 4),
-        ("strokes", "u4"),
-        ("first", "u4"),
-        ("frames", "u4"),
-        ("earliest", "u4"),
-        ("held", "u4"),
-        ("channels", "u4"),
-        ("white", "f4"),
-        ("tolerance", "f4"),
-        ("bounds", "f4", 2),
-        ("groups", "u4"),
-        ("unused", "u4"),
-    ]
-)
+TOGETHER = 16  # planes
+AT_FIRST = float(1 << 28)  # samples that are read at once, until it is known what takes how long
+EVALUATED = 40.0  # samples that could be read while a point is solved, for each stroke
+SECONDS = 0.5  # that one piece of work should take
 
 
-@dataclass(frozen=True, slots=True)
-class Format:
-    """How pixels lie in words of 32 bits.
+@dataclass(slots=True, eq=False)
+class _Work:
+    """What is on the device while a picture, or many of them, are made."""
 
-    ``number`` is what FORMAT says of it, ``dtype`` what a channel is, ``channels`` how many there are in memory, of
-    which the last ones may be unused, and ``pixels`` how many a thread writes.
-    """
+    strokes: Strokes
+    picture: Picture
+    frames: int
+    there: Range
+    read: Read
+    write: Write
+    box: tuple[Range, Range] | None = None
+    held: Held | None = None
+    lattice: Lattice | None = None
+    limit: float = AT_FIRST
+    solving: float = 0.0  # evaluations of a stroke for a sample, on average: where the lattice is too coarse
+    more: float = 0.0  # rows and frames, beyond those that nodes tell of: between them, the map may reach farther
+    worst: float = 0.0
+    lost: int = 0
+    of_source: contextlib.ExitStack = field(default_factory=contextlib.ExitStack)
+    of_lattice: contextlib.ExitStack = field(default_factory=contextlib.ExitStack)
 
-    number: int
-    dtype: Any
-    channels: int
-    pixels: int
+    @property
+    def gpu(self) -> Gpu:
+        return self.strokes.gpu
 
-    def words(self, width: int) -> int:
-        """Words that a row of ``width`` pixels takes."""
-        return self.threads(width) * self.pixels * self.channels * int(np.dtype(self.dtype).itemsize) // 4
+    def close(self) -> None:
+        self.of_source.close()
+        self.of_lattice.close()
 
-    def threads(self, width: int) -> int:
-        """Threads that write a row."""
-        return -(-width // self.pixels)
+    def solve(self, part: Part) -> Lattice:
+        """The lattice of a part; what is there already is not solved again."""
+        lattice = self.lattice
+        if lattice is None or (lattice.part.count, lattice.part.tall) != (part.count, part.tall):
+            self.of_lattice.close()
+            lattice = self.lattice = lattice_on(self.of_lattice, self.strokes, part)
+        if lattice.solved != part:
+            lattice.solve(part, self.picture.wanted.tolerance)
+        return lattice
+
+    def hold(self, frames: Range, rows: Range) -> Held:
+        """Some rows of some frames."""
+        if self.held is None or self.box != (frames, rows):
+            self.of_source.close()
+            self.box, self.held = None, None
+            packed = self.picture.format.packed(self.read(frames, rows))
+            (samples,) = owned(self.of_source, upload(self.gpu, packed))
+            count, stride = frames[1] - frames[0], (rows[1] - rows[0]) * self.picture.shape[1]
+            self.box, self.held = (frames, rows), Held(samples, frames, rows, count, 0, stride)
+        return self.held
+
+    def size_of(self, frames: Range, rows: Range) -> int:
+        """Bytes on the device."""
+        return (frames[1] - frames[0]) * (rows[1] - rows[0]) * self.picture.shape[1] * self.picture.format.size
+
+    def samples_read(self, part: Part, reach: Reach, at: tuple[slice, slice]) -> float:
+        """How many samples of the source are read for a part, about; to evaluate a stroke takes as long as some."""
+        wanted = self.picture.wanted
+        each = {"nearest": 1.0, "linear": 4.0, "cubic": 16.0}.get(wanted.filter, 16.0 * float(reach.work[at].mean()))
+        if wanted.between in ("linear", "cubic"):
+            each *= {"linear": 2.0, "cubic": 4.0}[wanted.between]
+            each *= 1.0 + (min(float(reach.long[at].mean()), LONGEST) if wanted.average else 0.0)
+        return (each + self.solving) * part.count * part.tall * self.picture.rows * self.picture.shape[1]
+
+    def make(self, part: Part, reach: Reach, known: Part) -> None:
+        """Make a part of what ``reach`` is known of."""
+        whole = self.there, (0, self.picture.shape[0])
+        at = (
+            slice(part.planes[0] - known.planes[0], part.planes[1] - known.planes[0]),
+            slice(part.cells[0] - known.cells[0], part.cells[1] - known.cells[0]),
+        )
+        fits = self.size_of(*whole) <= self.gpu.binding
+        box = whole
+        if not fits:
+            (low, high), box_rows = box_of(reach, *at, self.picture, self.frames, self.more)
+            low = min(max(low, self.there[0]), self.there[1] - 1)
+            box = (low, max(min(high, self.there[1]), low + 1)), box_rows
+        rows = part.tall * self.picture.rows + 1
+        largest = max(self.size_of(*box), part.count * target_size(self.picture, rows))
+        work = self.samples_read(part, reach, at)
+        if largest > self.gpu.binding or work > self.limit:
+            halves = _halves(part)
+            for half in halves:
+                self.make(half, reach, known)
+            if halves:
+                return
+            if largest > self.gpu.binding:
+                raise MemoryError("what a few rows are made of is more than a shader takes")
+        held = self.hold(*box)
+        lattice = self.solve(part)
+        with contextlib.ExitStack() as stack:
+            told, target = owned(
+                stack,
+                self.gpu.device.create_buffer(size=SETTINGS.itemsize, usage="UNIFORM|COPY_DST"),
+                room(self.gpu, part.count * target_size(self.picture, rows)),
+            )
+            begun = time.perf_counter()
+            top, end = colour(lattice, self.picture, self.frames, held, told, target)
+            words = download(self.gpu, target, np.uint32, part.count * target_size(self.picture, end - top) // 4)
+            self._paced(work, time.perf_counter() - begun)
+            said = download(self.gpu, lattice.stats, np.uint32, 4)
+        if said[3]:
+            if box == whole:
+                raise ArithmeticError("a point lies far outside what was foreseen")
+            self.more, lattice.solved = 2 * self.more + 1, None  # what is known of it is not counted twice
+            self.make(part, reach, known)
+            return
+        self.worst, self.lost = max(self.worst, float(said[:1].view(np.float32)[0])), self.lost + int(said[1])
+        self.write(part.planes, (top, end), unpacked(self.picture, words, part.count, end - top))
+
+    def _paced(self, work: float, seconds: float) -> None:
+        """The next piece takes as long as it should; the first one may have been compiled, too."""
+        wanted = work * SECONDS / max(seconds, 1e-4)
+        self.limit = min(max(wanted, self.limit / 4), self.limit * 4, 64 * AT_FIRST)
 
 
-_BYTE, _BYTES = Format(0, np.uint8, 1, 4), Format(1, np.uint8, 4, 1)
-_SHORT, _SHORTS = Format(2, np.uint16, 1, 2), Format(3, np.uint16, 4, 1)
-_FLOAT, _FLOATS = Format(4, np.float32, 1, 1), Format(5, np.float32, 4, 1)
-
-
-def format_of(dtype: Any, channels: int) -> Format | None:
-    """How samples of a type are handed over; None if they cannot be, as float32 does not hold all of their values."""
-    kind = np.dtype(dtype)
-    if channels > 4:
-        return None
-    if kind == np.uint8:
-        return _BYTE if channels == 1 else _BYTES
-    if kind == np.uint16:
-        return _SHORT if channels == 1 else _SHORTS
-    if kind in (np.float32, np.float16, np.int8, np.int16, np.bool_):
-        return _FLOAT if channels == 1 else _FLOATS
-    return None
-
-
-def may_hold(gpu: Gpu, shape: tuple[int, int], dtype: Any, channels: int, frames: int) -> bool:
-    """Whether some frames are no more than a shader takes."""
-    form = format_of(dtype, channels)
-    assert form is not None
-    size = frames * shape[0] * shape[1] * form.channels * np.dtype(form.dtype).itemsize
-    return bool(size <= gpu.binding)
-
-
-@dataclass(frozen=True, slots=True)
-class Wanted:
-    """How colours are made."""
-
-    filter: str
-    between: str  # "nothing", of a picture
-    outside: str
-    fill: tuple[float, ...]
-    alpha: bool
-    light: bool
-    white: float
-    tolerance: float
+def _halves(part: Part) -> Sequence[Part]:
+    (z0, z1), (y0, y1) = part.planes, part.cells
+    if z1 - z0 > 1:
+        return Part((z0, (z0 + z1) // 2), part.cells), Part(((z0 + z1) // 2, z1), part.cells)
+    if y1 - y0 > 1:
+        return Part(part.planes, (y0, (y0 + y1) // 2)), Part(part.planes, ((y0 + y1) // 2, y1))
+    return ()
 
 
 def warp(
     gpu: Gpu,
     table: npt.NDArray[np.void],
     axes: Floats,
-    source: Array,
-    out: Array,
-    wanted: Wanted,
-    reach: Callable[[int, int], tuple[int, int]],
+    picture: Picture,
+    shape: tuple[int, int],
+    frames: int,
+    planes: Range,
+    read: Read,
+    write: Write,
+    *,
+    there: Range | None = None,
+    step: tuple[int, int] = (1, 1),
     tell: Callable[[int], None] = lambda done: None,
 ) -> tuple[float, int]:
-    """Warp frames (T, H, W, C), of which an image is one.
+    """Warp some planes of a stack of frames, of which an image is one.
 
     Parameters
     ----------
     gpu : Gpu
     table, axes
         The strokes and the domain, as the CPU's kernels take them.
-    source, out : arrays of one shape and type
-        Of a type and channels that `format_of` knows.
-    wanted : Wanted
-    reach : function
-        Of a range of planes: the range of source frames, both with their ends excluded, that they may be made of.
+    picture : Picture
+        The samples that are made; each plane's are a part of what ``shape`` says.
+    shape : (int, int)
+        Rows and columns of a frame, in pixels.
+    frames : int
+        How many the source has.
+    planes : (int, int)
+        Which ones are made: from, to.
+    read : function
+        Of frames and rows, from and to: the source's samples (frames, rows, samples, channels).
+    write : function
+        Of planes and rows, and of their samples.
+    there : (int, int), optional
+        Which frames can be read, if not all: from, to.
+    step : (int, int)
+        Pixels from sample to sample, of the coarsest samples that a frame has.
     tell : function
         Called with the number of planes done.
 
@@ -139,119 +213,45 @@ def warp(
     Raises
     ------
     MemoryError
-        If what a single plane is made of is more than a shader takes.
+        If what a few rows are made of is more than a shader takes.
+    ArithmeticError
+        If points could not be solved, or lie in frames that cannot be read.
     """
-    form = format_of(source.dtype, source.shape[3])
-    assert form is not None
-    constants = {
-        "FORMAT": form.number,
-        "FILTER": FILTERS[wanted.filter],
-        "BETWEEN": BETWEEN[wanted.between],
-        "OUTSIDE": OUTSIDE[wanted.outside],
-        "ALPHA": int(wanted.alpha and wanted.filter != "nearest"),
-        "LIGHT": int(wanted.light and wanted.filter != "nearest"),
-        "ACROSS": STEP // form.pixels,
-        "DOWN": 2 * form.pixels,
-    }
-    solve, check, count_rough, colour, finish = (
-        pipeline(gpu, _NAMES, entry, _KINDS, constants)
-        for entry in ("solve", "check", "count", "warp", "solve_and_warp")
-    )
-    frames, height, width, channels = source.shape
-    cells = np.array([max(1, -(-(width - 1) // STEP)), max(1, -(-(height - 1) // STEP))])
-    plane = height * form.words(width) * 4
-    made_of = max(plane, int(np.prod(cells + 1)) * 64)
-    if made_of > gpu.binding:
-        raise MemoryError("a picture of this size is more than a shader takes")
-
-    def some(first: int, count: int, window: tuple[int, int], samples: Any) -> tuple[float, int]:
-        """Make some planes."""
-        settings = np.zeros(1, SETTINGS)
-        for name, value in {
-            "size": (width, height),
-            "nodes": cells + 1,
-            "strokes": table.size,
-            "first": first,
-            "frames": frames,
-            "earliest": window[0],
-            "held": window[1] - window[0],
-            "channels": channels,
-            "white": wanted.white,
-            "tolerance": wanted.tolerance,
-            "bounds": _bounds(form.dtype),
-            "groups": form.threads(width),
-        }.items():
-            settings[name] = value
-        settings["fill"][0, :channels] = wanted.fill
-
-        def groups(whole: Any, size: int) -> tuple[int, ...]:
-            return (*(-(-int(n) // size) for n in whole), count)
-
-        sizes = (64 * int(np.prod(cells + 1)), 4 * int(np.prod(cells)), plane)
-        with contextlib.ExitStack() as stack:
-            nodes, errors, target = owned(stack, *(room(gpu, count * size) for size in sizes))
-            stats, rough = owned(stack, room(gpu, 16), room(gpu, 16 + 4 * count * int(np.prod(cells))))
-            (told,) = owned(stack, upload(gpu, settings, UNIFORM))
-            buffers = [told, *fixed, nodes, errors, samples, target, stats, rough]
-            run(
-                gpu,
-                [
-                    (solve, buffers, groups(cells + 1, 8)),
-                    (check, buffers, groups(cells, 8)),
-                    (count_rough, buffers, (1, 1, 1)),
-                    (colour, buffers, groups((width, height), STEP)),
-                    (finish, buffers, rough),
-                ],
-            )
-            found = download(gpu, target, form.dtype, count * plane // np.dtype(form.dtype).itemsize)
-            said = download(gpu, stats, np.uint32, 2)
-        pixels = found.reshape(count, height, -1, form.channels)[:, :, :width, :channels]
-        _store(pixels, out[first : first + count])
-        return float(said[:1].view(np.float32)[0]), int(said[1])
-
-    worst, lost, first, held = 0.0, 0, 0, (0, 0)
-    with contextlib.ExitStack() as stack, contextlib.ExitStack() as window:
-        fixed = owned(stack, upload(gpu, domain(axes), UNIFORM), upload(gpu, packed(table)))
-        samples: Any = None
-        while first < frames:
-            count = max(1, min(frames - first, gpu.binding // made_of, 16))
-            low, high = reach(first, first + count)
-            while not may_hold(gpu, (height, width), source.dtype, channels, high - low):
-                if count == 1:
-                    raise MemoryError("the frames that one is made of are more than a shader takes")
-                count //= 2
-                low, high = reach(first, first + count)
-            if held != (low, high):
-                window.close()
-                held, (samples,) = (low, high), owned(window, upload(gpu, _packed(source[low:high], form)))
-            error, more = some(first, count, held, samples)
-            worst, lost = max(worst, error), lost + more
-            first += count
-            tell(first)
-    return worst, lost
+    wanted = picture.wanted
+    with contextlib.ExitStack() as stack:
+        strokes = strokes_on(stack, gpu, table, axes, shape, step)
+        work = _Work(strokes, picture, frames, there or (0, frames), read, write)
+        stack.callback(work.close)
+        across, down = strokes.cells
+        # Solving a node takes about 25 evaluations of every stroke.
+        most = int(min(gpu.binding // NODE, 8 * AT_FIRST / (25 * max(strokes.count, 1)))) // (across + 1)
+        if most < 2:
+            raise MemoryError("a picture of this width is more than a shader takes")
+        tall = min(down, most - 1)
+        together = max(1, min(TOGETHER, most // (tall + 1)))
+        for first in range(*planes, together):
+            last = min(first + together, planes[1])
+            for top in range(0, down, tall):
+                part = Part((first, last), (top, min(top + tall, down)))
+                lattice = work.solve(part)
+                reach = reach_of(lattice.nodes(), first, top, picture.step)
+                rough = lattice.rough()
+                work.solving = EVALUATED * float(rough.mean()) * strokes.count
+                # Of what lies within a cell that is too coarse, nodes know nothing.
+                moves = (reach.moved.max(axis=1) * 3**0.5 > wanted.tolerance) | rough.any(axis=(1, 2))
+                still = np.flatnonzero(~moves)
+                if wanted.between == "nothing" or part.tall < down:
+                    still = still[:0]
+                for z in (int(k) + first for k in still):  # where nothing moves, a frame is as it was
+                    rows = (0, picture.shape[0])
+                    write((z, z + 1), rows, read((z, z + 1), rows))
+                for planes_ in _stretches(first, last, still + first):
+                    work.make(Part(planes_, part.cells), reach, part)
+            tell(last - planes[0])
+    return work.worst, work.lost
 
 
-def _packed(source: Array, form: Format) -> Array:
-    """Frames as their words: channels filled up, and samples that the shader does not know as floats."""
-    if source.shape[3] == form.channels and source.dtype == form.dtype:
-        return np.ascontiguousarray(source)
-    out = np.zeros((*source.shape[:3], form.channels), form.dtype)
-    out[..., : source.shape[3]] = source
-    return out
-
-
-def _store(pixels: Array, out: Array) -> None:
-    if out.dtype.kind in "iub" and pixels.dtype.kind == "f":
-        if out.dtype == np.bool_:
-            out[...] = pixels >= 0.5
-            return
-        low, high = _bounds(out.dtype)
-        out[...] = np.clip(np.rint(pixels), low, high)
-        return
-    with np.errstate(over="ignore"):
-        out[...] = pixels
-
-
-def _bounds(dtype: Any) -> tuple[float, float]:
-    kind = np.dtype(dtype)
-    return (float(np.iinfo(kind).min), float(np.iinfo(kind).max)) if kind.kind in "iu" else (0.0, 0.0)
+def _stretches(first: int, last: int, without: npt.NDArray[np.intp]) -> list[Range]:
+    """The ranges between some planes."""
+    edges = [first - 1, *(int(z) for z in without), last]
+    return [(a + 1, b) for a, b in itertools.pairwise(edges) if b > a + 1]

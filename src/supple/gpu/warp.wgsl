@@ -1,20 +1,29 @@
 // Planes of an image or of a stack of frames, warped: lattice, check, and colours at T⁻¹ of every pixel.
 
 struct Settings {
-    size: vec2u, // pixels of a plane
-    nodes: vec2u, // of its lattice
+    size: vec2u, // samples of a whole plane
+    nodes: vec2u, // of the lattice that is here
     fill: vec4f,
+    pitch: vec2f, // pixels from sample to sample
+    offset: vec2f, // where the first sample lies, in pixels
     strokes: u32,
     first: u32, // of the planes that are made here
     frames: u32, // of the whole source
-    earliest: u32, // of the source's frames that are here
-    held: u32, // how many they are
     channels: u32,
+    origin: u32, // the lattice's first row of cells
+    top: u32, // the first row of samples that is made here
+    tall: u32, // how many rows
+    groups: u32, // words of pixels in a row
+    held: vec4u, // the source's frames that are here, and its rows: from, to
+    slots: u32, // how many frames there is room for, one after the other and round again
+    shift: u32, // in which of them the first frame is that is here
+    stride: u32, // samples from one to the next
+    unused: u32,
+    part: vec2u, // rows of cells that are coloured now: from, to
+    bounds: vec2f, // of the values of the samples' type
     white: f32, // what opaque and white are
     tolerance: f32, // of source points, in pixels
-    bounds: vec2f, // of the values of the samples' type
-    groups: u32, // words of pixels in a row
-    unused: u32,
+    times: vec2i, // beyond which nothing changes
 }
 
 @group(0) @binding(0) var<uniform> settings: Settings;
@@ -22,24 +31,28 @@ struct Settings {
 @group(0) @binding(2) var<storage, read> strokes: array<Stroke>;
 @group(0) @binding(3) var<storage, read_write> nodes: array<vec4f>;
 @group(0) @binding(4) var<storage, read_write> errors: array<f32>;
-@group(0) @binding(5) var<storage, read> samples: array<u32>;
-@group(0) @binding(6) var<storage, read_write> target_: array<u32>;
-// The worst error of a source point, how many points are lost, and how many cells are rough.
-@group(0) @binding(7) var<storage, read_write> stats: array<atomic<u32>, 4>;
-@group(0) @binding(8) var<storage, read_write> rough: array<u32>; // workgroups, the number of cells, and which ones
+// The worst error of a source point, how many points are lost, how many cells are rough, and how many samples were
+// asked for that are not here.
+@group(0) @binding(5) var<storage, read_write> stats: array<atomic<u32>, 4>;
+@group(0) @binding(6) var<storage, read_write> rough: array<u32>; // workgroups, the number of cells, and which ones
+@group(0) @binding(7) var<storage, read> samples: array<u32>;
+@group(0) @binding(8) var<storage, read_write> target_: array<u32>;
 
-override FORMAT: u32;
-override FILTER: u32;
-override BETWEEN: u32;
-override OUTSIDE: u32;
-override ALPHA: bool;
-override LIGHT: bool;
+override FORMAT: u32 = 0u;
+override FILTER: u32 = 0u;
+override BETWEEN: u32 = 0u;
+override OUTSIDE: u32 = 0u;
+override ALPHA: bool = false;
+override LIGHT: bool = false;
+override AVERAGE: bool = false; // over the time that a pixel covers
 
 const BYTE = 0u;
 const BYTES = 1u;
 const SHORT = 2u;
 const SHORTS = 3u;
-const FLOAT = 4u;
+const BYTE_PAIR = 4u;
+const SHORT_PAIR = 5u;
+const FLOAT = 6u;
 const NEAREST = 0u;
 const LINEAR = 1u;
 const CUBIC = 2u;
@@ -50,24 +63,26 @@ const EDGE = 0u;
 const CONSTANT = 1u;
 const REFLECT = 2u;
 const STEP = 16u;
-const TAPS = 16u;
+const LONGEST = 64.0; // frames that a pixel is averaged over, at most
 
 var<private> worst: f32 = 0.0;
 var<private> lost: u32 = 0u;
+var<private> missing: u32 = 0u;
 
 // A workgroup makes the pixels of one cell: what it reads of the lattice is the same for all of them.
 var<private> cell: vec2u;
 var<private> known: f32; // the error of what the cell interpolates
 var<private> patch_: Patch;
 
-// T⁻¹ of a pixel: from the lattice where that is good enough, and solved from there elsewhere.
+// T⁻¹ of a sample: from the lattice where that is good enough, and solved from there elsewhere.
 fn source_of(x: u32, y: u32, plane: u32, solving: bool) -> Source {
-    let source = between_nodes(patch_, (vec2f(vec2u(x, y)) - vec2f(STEP * cell)) / f32(STEP));
+    let place = settings.pitch * vec2f(vec2u(x, y)) + settings.offset;
+    let source = between_nodes(patch_, (place - f32(STEP) * vec2f(cell + vec2u(0u, settings.origin))) / f32(STEP));
     if (!solving) {
         worst = max(worst, known);
         return source;
     }
-    let q = vec3f(vec2f(vec2u(x, y)), f32(settings.first + plane)) * domain.spacing.xyz;
+    let q = vec3f(place, f32(settings.first + plane)) * domain.spacing.xyz;
     let wanted = 0.1 * settings.tolerance * finest();
     var found = newton(0u, settings.strokes, q, vec3f(0.0), source.shift * domain.spacing.xyz, wanted, 12u);
     var m = in_pixels(found.matrix);
@@ -84,64 +99,70 @@ fn source_of(x: u32, y: u32, plane: u32, solving: bool) -> Source {
     return Source(found.offset / domain.spacing.xyz, m);
 }
 
+// From pixels to the samples' own numbers.
+fn in_samples(source: Source) -> Source {
+    let unit = vec3f(settings.pitch, 1.0);
+    return Source(
+        source.shift / unit,
+        mat3x3f(
+            source.matrix[0] * unit.x / unit,
+            source.matrix[1] * unit.y / unit,
+            source.matrix[2] / unit,
+        ),
+    );
+}
+
 fn colour(x: u32, y: u32, plane: u32, solving: bool) -> vec4f {
-    let source = source_of(x, y, plane, solving);
+    let source = in_samples(source_of(x, y, plane, solving));
     let v = filtered(vec3i(vec3u(x, y, settings.first + plane)), source);
     if (FORMAT < FLOAT) {
-        return clamp(round(v), vec4f(settings.bounds.x), vec4f(settings.bounds.y));
+        return clamp(floor(v + 0.5), vec4f(settings.bounds.x), vec4f(settings.bounds.y));
     }
     return v;
 }
 
+// Pixels in a thread's words, which rows begin with, and words in a thread.
+override PIXELS: u32 = 4u;
+override WORDS: u32 = 1u;
+
 fn write(at: vec2u, plane: u32, solving: bool) {
-    let row = plane * settings.size.y + at.y;
-    switch FORMAT {
-        // Several pixels in a word: rows begin with a word of their own.
-        case BYTE, SHORT: {
-            let pixels = select(2u, 4u, FORMAT == BYTE);
-            let bits = 32u / pixels;
-            var word = 0u;
-            for (var k = 0u; k < pixels; k++) {
-                let x = pixels * at.x + k;
-                if (x < settings.size.x) {
-                    word |= u32(colour(x, at.y, plane, solving).x) << (bits * k);
+    var words = vec4u(0u);
+    // One place that all formats share: what compilers make of a shader is as long as it is often said.
+    for (var k = 0u; k < PIXELS; k++) {
+        let x = PIXELS * at.x + k;
+        if (x < settings.size.x) {
+            let v = colour(x, at.y, plane, solving);
+            if (FORMAT >= FLOAT) {
+                words = bitcast<vec4u>(v);
+            } else {
+                let whole = vec4u(v);
+                let bits = select(16u, 8u, FORMAT == BYTE || FORMAT == BYTES || FORMAT == BYTE_PAIR);
+                let channels = 32u * WORDS / (bits * PIXELS);
+                for (var c = 0u; c < channels; c++) {
+                    let bit = bits * (channels * k + c);
+                    words[bit >> 5u] |= whole[c] << (bit & 31u);
                 }
-            }
-            target_[row * settings.groups + at.x] = word;
-        }
-        case BYTES: {
-            target_[row * settings.groups + at.x] = pack4xU8(vec4u(colour(at.x, at.y, plane, solving)));
-        }
-        case SHORTS: {
-            let v = vec4u(colour(at.x, at.y, plane, solving));
-            let i = 2u * (row * settings.groups + at.x);
-            target_[i] = v.x | (v.y << 16u);
-            target_[i + 1u] = v.z | (v.w << 16u);
-        }
-        case FLOAT: {
-            target_[row * settings.groups + at.x] = bitcast<u32>(colour(at.x, at.y, plane, solving).x);
-        }
-        default: {
-            let v = bitcast<vec4u>(colour(at.x, at.y, plane, solving));
-            let i = 4u * (row * settings.groups + at.x);
-            for (var k = 0u; k < 4u; k++) {
-                target_[i + k] = v[k];
             }
         }
     }
+    let row = plane * settings.tall + (at.y - settings.top);
+    for (var w = 0u; w < WORDS; w++) {
+        target_[(row * settings.groups + at.x) * WORDS + w] = words[w];
+    }
 }
 
-// Threads along the sides of a cell; each makes eight pixels, with what it read of the lattice once.
-override ACROSS: u32;
-override DOWN: u32;
+// Threads along the sides of a cell; each makes several pixels, with what it read of the lattice once.
+override ACROSS: u32 = 4u;
+override DOWN: u32 = 8u;
+override ROWS: u32 = 16u; // of samples in a cell
 
 fn fill(group: vec2u, plane: u32, own: vec2u, solving: bool) {
     patch_ = patch_at(cell, plane);
     let x = group.x * ACROSS + own.x;
     if (x < settings.groups) {
-        for (var j = own.y; j < STEP; j += DOWN) {
-            let y = group.y * STEP + j;
-            if (y < settings.size.y) {
+        for (var j = own.y; j < ROWS; j += DOWN) {
+            let y = (group.y + settings.origin) * ROWS + j;
+            if (y < settings.top + settings.tall) {
                 write(vec2u(x, y), plane, solving);
             }
         }
@@ -151,6 +172,10 @@ fn fill(group: vec2u, plane: u32, own: vec2u, solving: bool) {
             atomicAdd(&stats[1], lost);
             lost = 0u;
         }
+        if (missing > 0u) {
+            atomicAdd(&stats[3], missing);
+            missing = 0u;
+        }
     }
 }
 
@@ -158,10 +183,11 @@ fn fill(group: vec2u, plane: u32, own: vec2u, solving: bool) {
 @compute @workgroup_size(ACROSS, DOWN)
 fn warp(@builtin(local_invocation_id) own: vec3u, @builtin(workgroup_id) group: vec3u) {
     let cells = settings.nodes - 1u;
-    cell = min(group.xy, cells - 1u); // a last pixel may be the last node
+    let place = vec2u(group.x, group.y + settings.part.x);
+    cell = min(place, cells - 1u); // a last pixel may be the last node
     known = errors[(group.z * cells.y + cell.y) * cells.x + cell.x];
     if (known <= settings.tolerance) {
-        fill(group.xy, group.z, own.xy, false);
+        fill(place, group.z, own.xy, false);
     }
 }
 
@@ -183,8 +209,10 @@ fn solve_and_warp(
     // Pixels on the last nodes have no cell of their own.
     let more = vec2u(u32(cell.x + 1u == cells.x), u32(cell.y + 1u == cells.y));
     for (var j = 0u; j <= more.y; j++) {
-        for (var i = 0u; i <= more.x; i++) {
-            fill(cell + vec2u(i, j), plane, own.xy, true);
+        if (cell.y + j >= settings.part.x && cell.y + j < settings.part.y) {
+            for (var i = 0u; i <= more.x; i++) {
+                fill(cell + vec2u(i, j), plane, own.xy, true);
+            }
         }
     }
 }

@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from supple.errors import SuppleError
 from supple.media.files import shown
-from supple.streaming import reserve
+from supple.spill import reserve
 
 
 @contextlib.contextmanager

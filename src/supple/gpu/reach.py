@@ -1,0 +1,131 @@
+"""Which part of a source some cells of the lattice may ask for, from what the nodes know."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from supple.gpu.planes import Range
+from supple.gpu.samples import LONGEST, STEP, Picture
+
+Floats = npt.NDArray[np.float64]
+
+SUPPORT = {"nearest": 1, "linear": 1, "cubic": 2, "nothing": 1}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Reach:
+    """Of each plane's rows of cells, arrays (planes, rows): where their source points lie, and how far they move.
+
+    Parameters
+    ----------
+    early, late : array
+        The first and the last time.
+    above, below : array
+        The first and the last row, in pixels.
+    moved : array
+        How far any coordinate moves, in pixels.
+    tall, long : array
+        How many rows and frames a pixel covers, at most, in pixels.
+    work : array
+        How many points a pixel averages in the picture, about.
+    """
+
+    early: Floats
+    late: Floats
+    above: Floats
+    below: Floats
+    moved: Floats
+    tall: Floats
+    long: Floats
+    work: Floats
+
+
+def reach_of(nodes: npt.NDArray[np.float32], first: int, origin: int, step: tuple[int, int]) -> Reach:
+    """Look at the nodes of planes from ``first`` on, whose first row of cells is ``origin``.
+
+    Raises
+    ------
+    ArithmeticError
+        If a node is not a number.
+    """
+    if not np.isfinite(nodes).all():
+        raise ArithmeticError("a point could not be solved")
+    known = nodes.astype(np.float64)
+    planes, rows = known.shape[:2]
+    u, across, down, along = (known[..., k, :3] for k in range(4))
+    # Between two nodes, the map is no farther from the line than slopes differ, times an eighth of what lies between.
+    bend = np.zeros((planes, rows - 1, 3))
+    for slopes, axis in ((across, 2), (down, 1)):
+        apart = np.abs(np.diff(slopes, axis=axis)).max(axis=2) * (STEP / 8)
+        bend += apart if axis == 1 else np.maximum(apart[:, 1:], apart[:, :-1])
+
+    def both(values: Floats, end: int) -> Floats:
+        """The least or the largest of a row of cells, which lies between two rows of nodes."""
+        found: Floats = (values.min if end < 0 else values.max)(axis=2)
+        pick = np.minimum if end < 0 else np.maximum
+        return np.asarray(pick(found[:, 1:], found[:, :-1]))
+
+    z = np.arange(first, first + planes)[:, None, None]
+    y = (STEP * np.arange(origin, origin + rows))[None, :, None]
+    # How large a footprint is: along y with all of its parallelogram, along t with the length of its row.
+    tall = np.abs(across[..., 1]) * step[0] + np.abs(down[..., 1]) * step[1]
+    long = np.sqrt((across[..., 2] * step[0]) ** 2 + (down[..., 2] * step[1]) ** 2 + along[..., 2] ** 2)
+    taps = np.clip(2 * np.linalg.norm(across[..., :2], axis=-1), 1, 16) * np.clip(
+        2 * np.linalg.norm(down[..., :2], axis=-1), 1, 16
+    )
+    return Reach(
+        both(z + u[..., 2], -1) - bend[..., 2],
+        both(z + u[..., 2], 1) + bend[..., 2],
+        both(y + u[..., 1], -1) - bend[..., 1],
+        both(y + u[..., 1], 1) + bend[..., 1],
+        both(np.abs(u).max(axis=-1), 1) + bend.max(axis=-1),
+        both(tall, 1),
+        both(long, 1),
+        taps.mean(axis=2)[:, :-1],
+    )
+
+
+def held_of(low: float, high: float, support: int, n: int, outside: str) -> Range:
+    """The samples of an axis that stand for those around points from ``low`` to ``high``: from, to.
+
+    ``support`` is how many a filter reads on either side.
+    """
+    first, last = math.floor(max(low, -1e9)) - support + 1, math.floor(min(high, 1e9)) + support
+    if outside == "reflect" and (first < 0 or last >= n):
+        # Mirrored at either end, what lies beyond is what lies as far within.
+        if first < -n or last >= 2 * n or (first < 0 and last >= n):
+            return 0, n
+        return (0, max(last + 1, -first)) if first < 0 else (min(first, 2 * n - 1 - last), n)
+    return min(max(first, 0), n - 1), min(max(last, 0), n - 1) + 1
+
+
+def box_of(
+    reach: Reach, planes: slice, cells: slice, picture: Picture, frames: int, more: float
+) -> tuple[Range, Range]:
+    """The frames and the rows of samples that a part of a picture may ask for, with ``more`` of both."""
+    wanted, (_, step) = picture.wanted, picture.step
+    part = planes, cells
+    slack = more + 2 * wanted.tolerance + 1e-3
+    averaging = wanted.filter in ("antialias", "auto")
+    tall = slack
+    if averaging:
+        # A footprint of its own size, of samples that are averages where it is large.
+        covered = 1.5 * float(reach.tall[part].max()) / step
+        tall += 0.5 * covered + (3 * covered if covered > 2 else 0.0)
+    rows = held_of(
+        (float(reach.above[part].min()) - picture.offset[1]) / step - tall,
+        (float(reach.below[part].max()) - picture.offset[1]) / step + tall,
+        3 if averaging else 2 if wanted.filter == "cubic" else 1,
+        picture.shape[0],
+        wanted.outside,
+    )
+    if wanted.between == "nothing":
+        return (0, frames), rows
+    times = float(reach.early[part].min()) - slack, float(reach.late[part].max()) + slack
+    early, late = (min(max(t, wanted.times[0]), wanted.times[1]) for t in times)
+    wide = min(1.5 * float(reach.long[part].max()), LONGEST) / 2 if wanted.average else 0.0
+    return held_of(early - wide, late + wide, SUPPORT[wanted.between], frames, wanted.outside), rows
