@@ -206,7 +206,7 @@ def deformation_of(recipe: Recipe, count: int, shape: tuple[int, int], time_scal
     if not recipe.strokes or recipe.strokes[0].ndim == 2:
         return Deformation.from_recipe(recipe, shape)
     for i, stroke in enumerate(recipe.strokes):
-        if not 0 <= stroke.at[2] <= count - 1:
+        if not stroke.hidden and not 0 <= stroke.at[2] <= count - 1:
             which = f"stroke {i + 1}: " if len(recipe.strokes) > 1 else ""
             has = "one frame: t is 0" if count == 1 else f"{count} frames: t goes from 0 to {count - 1}"
             raise SuppleError(f"{which}there is no frame {stroke.at[2]:g} in {name}, which has {has}")

@@ -156,11 +156,13 @@ class Deformation:
 
     @classmethod
     def from_recipe(cls, recipe: Recipe, shape: Sequence[int], *, spacing: float | Sequence[float] = 1.0) -> Self:
-        """A recipe's strokes on a domain; its errors name the stroke."""
+        """A recipe's strokes on a domain, without those that are hidden; its errors name the stroke."""
         if not isinstance(recipe, Recipe):
             refuse("a recipe", "a Recipe (Recipe.from_json reads one)", recipe)
         made = cls(shape, border=recipe.border, spacing=spacing, on_fold=recipe.on_fold)
         for i, stroke in enumerate(recipe.strokes):
+            if stroke.hidden:
+                continue
             try:
                 made = made.add(stroke)
             except SuppleError as error:
@@ -170,7 +172,7 @@ class Deformation:
 
     @property
     def recipe(self) -> Recipe:
-        """What was asked for, apart from the domain."""
+        """What was asked for, apart from the domain; hidden strokes, which were left out, are not in it."""
         return Recipe(border=self.domain.border, on_fold=self.on_fold, strokes=self.strokes)
 
     @property
@@ -232,14 +234,34 @@ class Deformation:
         """
         return self.add(Stroke.grab(at, to=to, by=by, radius=radius, poisson=poisson, scales=scales))
 
-    def add(self, stroke: Stroke) -> Self:
-        """Apply one more stroke on what the strokes so far show."""
+    def add(self, stroke: Stroke, *, warn: bool = True) -> Self:
+        """Apply one more stroke on what the strokes so far show.
+
+        Parameters
+        ----------
+        stroke : Stroke
+            A hidden one changes nothing, and is not kept: this deformation itself comes back.
+        warn : bool
+            Whether to warn if it was damped; `fold_warnings` tells it too.
+
+        Raises
+        ------
+        SuppleError
+            As `grab` does.
+
+        Warns
+        -----
+        FoldWarning
+            If it was damped, under ``on_fold="damp"``.
+        """
         if not isinstance(stroke, Stroke):
             refuse("a stroke", "a Stroke", stroke)
         if stroke.ndim != self.ndim:
             refuse("a stroke's point", f"{self.ndim} numbers, as the shape has {self.ndim} axes", stroke.at)
+        if stroke.hidden:
+            return self
         resolved = resolve(stroke, self.domain, self.on_fold)
-        if resolved.warning:
+        if resolved.warning and warn:
             warnings.warn(resolved.warning, FoldWarning, stacklevel=3)
         made = object.__new__(type(self))
         values = {
@@ -489,6 +511,11 @@ class Deformation:
             "damping": tuple(r.alpha for r in self._resolved),
             "margin": min((r.margin for r in self._resolved), default=1.0),
         }
+
+    @property
+    def fold_warnings(self) -> tuple[str | None, ...]:
+        """For each stroke, what was warned of if it was damped."""
+        return tuple(r.warning for r in self._resolved)
 
     def _planes(self) -> Iterator[Plane]:
         for z in range(self.shape[0] if self.ndim == 3 else 1):

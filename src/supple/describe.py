@@ -196,6 +196,6 @@ def _recipe(name: str, recipe: Recipe) -> str:
     for i, s in enumerate(recipe.strokes):
         to = tuple(a + b for a, b in zip(s.at, s.by, strict=True))
         points = " to ".join("(" + ", ".join(f"{x:g}" for x in point) + ")" for point in (s.at, to))
-        kind = f"radius {s.radius:g}, poisson {s.poisson:g}, scales {s.scales}"
+        kind = f"radius {s.radius:g}, poisson {s.poisson:g}, scales {s.scales}{', hidden' if s.hidden else ''}"
         lines.append(f"  stroke {i + 1:<5}{s.brush} {points}, {kind}")
     return "\n".join(lines)

@@ -100,6 +100,18 @@ def resolve(stroke: Stroke, domain: Domain, on_fold: FoldPolicy) -> Resolved:
         If the stroke does not fit the domain; or, with ``"flow"``, if the fixed border keeps what is held
         from its target, or it would take more than `MOST_SUBSTROKES` strokes.
     """
+    return _resolved(stroke, domain, on_fold)
+
+
+# A stroke does not depend on those before it: where one of many is edited, the others are known.
+@lru_cache(maxsize=256)
+def _resolved(stroke: Stroke, domain: Domain, on_fold: FoldPolicy) -> Resolved:
+    made = _resolve(stroke, domain, on_fold)
+    made.rows.flags.writeable = False
+    return made
+
+
+def _resolve(stroke: Stroke, domain: Domain, on_fold: FoldPolicy) -> Resolved:
     table = pack([stroke], domain.spacing)
     axes = domain.packed()
     if not table["force"].any():

@@ -61,6 +61,8 @@ class Stroke:
         1 reaches farthest (fading as 1/r), 2 fades as 1/r³, 3 as 1/r⁵.
     brush : str
         ``"grab"``.
+    hidden : bool
+        Whether it is only kept, and not applied.
     """
 
     at: tuple[float, ...]
@@ -69,9 +71,12 @@ class Stroke:
     poisson: float = 0.4
     scales: int = 1
     brush: Brush = "grab"
+    hidden: bool = False
 
     def __post_init__(self) -> None:
         choice("brush", self.brush, get_args(Brush))
+        if not isinstance(self.hidden, bool):
+            refuse("hidden", "true or false", self.hidden)
         at = point("at", self.at)
         checked = {
             "at": at,
@@ -122,7 +127,7 @@ class Recipe:
     on_fold : str
         What is done with a stroke that would fold the picture: ``"damp"``, ``"flow"`` or ``"error"``.
     strokes : iterable of Stroke
-        In the order in which they are applied, all with as many coordinates.
+        In the order in which they are applied, all with as many coordinates. Hidden ones are kept, and not applied.
     """
 
     border: float | None = 50.0
@@ -157,7 +162,7 @@ class Recipe:
         Parameters
         ----------
         text : str
-            ``border``, ``on_fold``, ``poisson`` and ``scales`` may be left out, for their defaults.
+            ``border``, ``on_fold``, ``poisson``, ``scales`` and ``hidden`` may be left out, for their defaults.
 
         Raises
         ------
@@ -196,6 +201,7 @@ def _stroke_entry(stroke: Stroke) -> dict[str, object]:
         "radius": _plain(stroke.radius),
         "poisson": "-inf" if stroke.poisson == -math.inf else _plain(stroke.poisson),
         "scales": stroke.scales,
+        **({"hidden": True} if stroke.hidden else {}),  # others are written as they always were
     }
 
 

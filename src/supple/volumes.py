@@ -149,6 +149,8 @@ def deformation_of(recipe: Recipe, volume: Volume, *, world: bool = False) -> De
         raise SuppleError(f"{volume.name} does not know where it lies in space: leave --world out, and give indices")
     strokes = []
     for i, stroke in enumerate(recipe.strokes):
+        if stroke.hidden:
+            continue
         which = f"stroke {i + 1}: " if len(recipe.strokes) > 1 else ""
         if stroke.ndim != 3:
             raise SuppleError(f"{which}a volume's points have three numbers, x, y and z, and {stroke.at} has two")

@@ -1,1 +1,1 @@
-"""The window: a picture, a clip or a volume, and a hand that bends it."""
+"""The window: what is drawn into it, what its events do, and what it keeps."""

@@ -1,0 +1,276 @@
+"""What is edited: a list of strokes on a medium, each edit a step that can be undone."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+from supple.deformation import Deformation
+from supple.domain import integer, refuse
+from supple.errors import SuppleError
+from supple.strokes import FoldPolicy, Recipe, Stroke
+from supple.viewer.history import History
+from supple.viewer.states import Item, Kind, Medium, Solved, State
+
+__all__ = ["Document", "Item", "Kind", "State"]
+
+
+class Document:
+    """Strokes on a medium, as they are edited.
+
+    An edit is done as a whole, and is a step; or it is refused with a `SuppleError`, and nothing has changed. A drag
+    is one step, however long it takes.
+
+    Parameters
+    ----------
+    shape : sequence of int
+        Of the medium, as `Deformation` takes it.
+    spacing : float or sequence of float
+        Physical units per sample, x first.
+    recipe : Recipe, optional
+        What there is at first.
+    kind : str, optional
+        ``"image"``, ``"video"`` or ``"volume"``. Of videos and volumes, strokes that `supple.warp_file` would refuse,
+        since they start before or after it, are refused here too.
+    """
+
+    def __init__(
+        self,
+        shape: Sequence[int],
+        spacing: float | Sequence[float] = 1.0,
+        recipe: Recipe | None = None,
+        *,
+        kind: Kind | None = None,
+    ) -> None:
+        self.shape = tuple(shape)
+        self.spacing = spacing
+        self.kind = kind
+        self.revision = 0
+        """How many changes there were, of any kind."""
+        self.on_change: list[Callable[[], None]] = []
+        """What is called after each change."""
+        self.trouble: str | None = None
+        """Why the drag that is under way does not go on: for the status line."""
+        self._drag: tuple[Solved, int | None] | None = None
+        self._medium = Medium(self.shape, spacing, kind)
+        self._now = self._medium.solve(State.of(recipe or Recipe()))
+        self._history = History(self._now.state)
+        self._saved = self._now.state.content
+
+    @property
+    def state(self) -> State:
+        """All there is, as it is seen: during a drag, with what it does so far."""
+        return self._now.state
+
+    @property
+    def items(self) -> tuple[Item, ...]:
+        """The strokes."""
+        return self._now.state.items
+
+    @property
+    def selected(self) -> int | None:
+        """Which of the strokes is selected."""
+        return self._now.state.selected
+
+    @property
+    def deformation(self) -> Deformation:
+        """What the visible strokes do. As long as they are the same, it is the same object."""
+        return self._now.chain[-1]
+
+    @property
+    def recipe(self) -> Recipe:
+        """What `supple.warp_file` takes to make what is seen, and what is saved: with the hidden strokes."""
+        return self._now.state.recipe
+
+    def damping(self, i: int) -> float:
+        """The part of a stroke that is applied: 1 unless it is damped."""
+        known = self._nth(i)
+        return 1.0 if known is None else float(self.deformation.resolution()["damping"][known])
+
+    def warning(self, i: int) -> str | None:
+        """What there is to say of a stroke that is damped."""
+        known = self._nth(i)
+        return None if known is None else self.deformation.fold_warnings[known]
+
+    def handles(self, i: int) -> tuple[tuple[float, ...], tuple[float, ...]]:
+        """Where a stroke takes hold, and where it is dragged to as far as it is applied: at and at + by·damping."""
+        part, stroke = self.damping(i), self.items[i].stroke
+        return stroke.at, tuple(a + part * b for a, b in zip(stroke.at, stroke.by, strict=True))
+
+    def add(self, stroke: Stroke) -> int:
+        """Apply one more stroke on what is seen, and select it; return its number."""
+        count = len(self.items)
+        self._edit(replace(self.state, items=(*self.items, Item.of(stroke)), selected=count))
+        return count
+
+    def replace(self, i: int, stroke: Stroke) -> None:
+        """Put another stroke in the place of one; it is as hidden as that one was."""
+        self._edit(self._replaced(self.state, self._checked(i), stroke))
+
+    def remove(self, i: int) -> None:
+        """Take a stroke out of the list."""
+        i, selected = self._checked(i), self.selected
+        if selected is not None and selected >= i:
+            selected = None if selected == i else selected - 1
+        self._edit(replace(self.state, items=(*self.items[:i], *self.items[i + 1 :]), selected=selected))
+
+    def move(self, i: int, to: int) -> None:
+        """Put a stroke at another place in the list, so that it is applied earlier or later."""
+        order = list(range(len(self.items)))
+        order.insert(self._checked(to), order.pop(self._checked(i)))
+        selected = None if self.selected is None else order.index(self.selected)
+        self._edit(replace(self.state, items=tuple(self.items[k] for k in order), selected=selected))
+
+    def hide(self, i: int, hidden: bool = True) -> None:
+        """Put a stroke aside, or apply it again."""
+        i = self._checked(i)
+        item = replace(self.items[i], hidden=bool(hidden))
+        self._edit(self.state.with_item(i, item))
+
+    def set_border(self, border: float | None) -> None:
+        """Give the fixed border another width, in physical units; None frees it."""
+        self._edit(replace(self.state, border=Recipe(border=border).border))
+
+    def set_on_fold(self, on_fold: FoldPolicy) -> None:
+        """Choose what is done with strokes that would fold the picture."""
+        self._edit(replace(self.state, on_fold=Recipe(on_fold=on_fold).on_fold))
+
+    def load(self, recipe: Recipe) -> None:
+        """Put a recipe in the place of all there is, as one step."""
+        if not isinstance(recipe, Recipe):
+            refuse("a recipe", "a Recipe", recipe)
+        self._edit(State.of(recipe))
+
+    def select(self, i: int | None) -> None:
+        """Select a stroke, or none; this is no step."""
+        self._rest()
+        state = replace(self.state, selected=None if i is None else self._checked(i))
+        if state != self.state:
+            self._history.amend(state)
+            self._show(Solved(state, self._now.chain))
+
+    @property
+    def can_undo(self) -> bool:
+        """Whether there is anything to undo."""
+        return self.dragging or self._history.can_undo
+
+    @property
+    def can_redo(self) -> bool:
+        """Whether there is anything to redo."""
+        return not self.dragging and self._history.can_redo
+
+    def undo(self) -> None:
+        """Take the last step back; or the drag that is under way."""
+        if self.dragging:
+            self.abandon()
+        elif self._history.can_undo:
+            self._show(self._medium.solve(self._history.undo(), self._now.chain))
+
+    def redo(self) -> None:
+        """Do once more what was undone last."""
+        if self.can_redo:
+            self._show(self._medium.solve(self._history.redo(), self._now.chain))
+
+    @property
+    def dragging(self) -> bool:
+        """Whether a drag is under way."""
+        return self._drag is not None
+
+    def begin_drag(self, i: int | None = None) -> None:
+        """Begin a drag, of a new stroke or of one of the list. Until it ends, other edits are refused."""
+        self._rest()
+        self._drag = (self._now, None if i is None else self._checked(i))
+        self.trouble = None
+
+    def preview(self, stroke: Stroke) -> bool:
+        """Show what the drag does so far.
+
+        Returns
+        -------
+        bool
+            Whether it can be done. If it can't, what was shown last stays, and `trouble` tells why.
+        """
+        before, i = self._dragged()
+        state, had = before.state, self.trouble
+        if i is None:
+            state = replace(state, items=(*state.items, Item.of(stroke)), selected=len(state.items))
+        else:
+            state = replace(self._replaced(state, i, stroke), selected=i)
+        try:
+            made = self._medium.solve(state, self._now.chain)
+        except SuppleError as error:
+            self.trouble = str(error)
+        else:
+            self.trouble = None
+        if self.trouble is None and made.state != self.state:
+            self._show(made)
+        elif self.trouble != had:
+            self._tell()
+        return self.trouble is None
+
+    def commit(self) -> bool:
+        """End the drag, and keep what is shown, as one step; return whether anything has changed."""
+        before, _ = self._dragged()
+        self._drag = self.trouble = None
+        if self.state.content == before.state.content:
+            self._now = before
+        else:
+            self._history.push(self.state)
+        self._tell()
+        return self._now is not before
+
+    def abandon(self) -> None:
+        """End the drag, and put all back as it was."""
+        before, _ = self._dragged()
+        self._drag = self.trouble = None
+        self._show(before)
+
+    @property
+    def dirty(self) -> bool:
+        """Whether there is something that was not saved."""
+        return self.state.content != self._saved
+
+    def mark_saved(self) -> None:
+        """Say that the recipe was saved as it is."""
+        self._saved = self.state.content
+        self._tell()
+
+    def _edit(self, state: State) -> None:
+        self._rest()
+        if state.content == self.state.content:
+            return
+        made = self._medium.solve(state, self._now.chain)
+        self._history.push(state)
+        self._show(made)
+
+    def _show(self, made: Solved) -> None:
+        self._now = made
+        self._tell()
+
+    def _tell(self) -> None:
+        self.revision += 1
+        for call in tuple(self.on_change):
+            call()
+
+    def _rest(self) -> None:
+        if self.dragging:
+            raise SuppleError("a drag is under way: end it first")
+
+    def _dragged(self) -> tuple[Solved, int | None]:
+        if self._drag is None:
+            raise SuppleError("no drag is under way: begin one first")
+        return self._drag
+
+    def _checked(self, i: int) -> int:
+        count = len(self.items)
+        wanted = f"one of {count}, from 0 to {count - 1}" if count else "none, as there are no strokes"
+        return integer("a stroke's number", i, wanted, 0, count - 1)
+
+    def _nth(self, i: int) -> int | None:
+        """Which of the visible strokes an item is."""
+        i = self._checked(i)
+        return None if self.items[i].hidden else sum(not item.hidden for item in self.items[:i])
+
+    @staticmethod
+    def _replaced(state: State, i: int, stroke: Stroke) -> State:
+        return state.with_item(i, Item(Item.of(stroke).stroke, state.items[i].hidden))

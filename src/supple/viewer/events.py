@@ -1,0 +1,299 @@
+"""What the events of a window do, whatever is seen in it: strokes are drawn and edited, the view is led."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
+from typing import Any, Generic
+
+from supple.errors import SuppleError
+from supple.picture import Pick
+from supple.strokes import Stroke
+from supple.viewer.document import Document
+from supple.viewer.gestures import Handle, Held, Lead, Pair, V, handles, nearest, radii
+
+Event = Mapping[str, Any]
+
+GROWTH = 1.1
+"""How many times larger the brush is after a notch of the wheel, which is 100."""
+
+_LEFT = 1
+_REQUESTS = {"s": "save", "o": "open", "e": "export"}
+
+
+class Tools(ABC, Generic[V]):
+    """Turns events into edits of a document, and leads the view.
+
+    Events are those of rendercanvas. Amounts are what counts in them, and not how many there are, as they may come
+    merged. Nothing is raised: what is refused is in `status`.
+
+    Parameters
+    ----------
+    document : Document
+    view : Viewport or Camera
+        How it is looked at, at first.
+    """
+
+    def __init__(self, document: Document, view: V) -> None:
+        self.document = document
+        self.view = view
+        low, self._radius, high = radii(document)
+        self.radius_limits = (low, high)
+        self.poisson = 0.4
+        self.scales = 1
+        self.original = False
+        """Whether what is shown is the original, without strokes."""
+        self.split: float | None = None
+        """Where the original is shown beside what is made of it: a part of the width; None shows no original."""
+        self.requests: list[str] = []
+        """What the window is asked for: ``"save"``, ``"open"``, ``"export"``. It takes them out."""
+        self.pointer: Pair | None = None
+        """Where the pointer is on the canvas."""
+        self._gesture: Held | Lead[V] | None = None
+        self._refused: str | None = None
+
+    @property
+    def radius(self) -> float:
+        """The brush's radius, in physical units; kept within `radius_limits`."""
+        return self._radius
+
+    @radius.setter
+    def radius(self, radius: float) -> None:
+        self._radius = self._limited(radius)
+
+    def _limited(self, radius: float) -> float:
+        low, high = self.radius_limits
+        return min(max(float(radius), low), high)
+
+    @property
+    def held(self) -> Held | None:
+        """The stroke that the pointer holds."""
+        return self._gesture if isinstance(self._gesture, Held) else None
+
+    @property
+    def dragging(self) -> bool:
+        """Whether a stroke is being dragged."""
+        return self.held is not None and self.document.dragging
+
+    @property
+    def status(self) -> str | None:
+        """Why something was not done, in a line."""
+        return self.document.trouble or self._refused
+
+    def handle(self, event: Event) -> bool:
+        """Do what an event asks for; return whether it meant anything here."""
+        act = getattr(self, f"_on_{event.get('event_type')}", None)
+        if act is None:
+            return False
+        try:
+            return bool(act(event))
+        except SuppleError as error:
+            self._refused = str(error)
+            return True
+
+    def abandon(self) -> bool:
+        """Take back what the pointer does, as if the button had never gone down; return whether it did anything."""
+        gesture, self._gesture = self._gesture, None
+        if isinstance(gesture, Lead):
+            self.view = gesture.before
+        if isinstance(gesture, Held):
+            self._put_back(gesture)
+        if self.document.dragging:
+            self.document.abandon()
+        return gesture is not None
+
+    # What the kinds of media do in their own ways.
+
+    @abstractmethod
+    def _grab(self, x: float, y: float) -> tuple[tuple[float, ...], Pick | None] | None:
+        """What is under a point of the canvas; None if nothing is."""
+
+    @abstractmethod
+    def _seen(self, point: tuple[float, ...]) -> Pair | None:
+        """Where a point is seen on the canvas, if it is."""
+
+    @abstractmethod
+    def _carried(self, held: Held, x: float, y: float) -> tuple[float, ...]:
+        """How far what is held goes, if it is to be seen at a point of the canvas."""
+
+    @abstractmethod
+    def _led(self, how: str, view: V, dx: float, dy: float) -> V:
+        """A view, led by the pointer."""
+
+    @abstractmethod
+    def _leads(self, event: Event) -> str | None:
+        """How a button leads the view, if it does."""
+
+    @abstractmethod
+    def _turn(self, event: Event, amount: float) -> None:
+        """Do what the wheel does."""
+
+    @abstractmethod
+    def _key(self, key: str) -> bool:
+        """Do what a key does that not all media have."""
+
+    def _on_nothing(self) -> str | None:
+        """How the left button leads the view where there is nothing to grab."""
+        return None
+
+    def _put_back(self, held: Held) -> None:
+        """Put back what a drag changed outside the document."""
+
+    def _on_pointer_down(self, event: Event) -> bool:
+        x, y = self.pointer = _place(event)
+        self._refused = None
+        if self._gesture is not None:
+            return True
+        button = int(event.get("button", 0))
+        how = self._leads(event)
+        if how is None and button == _LEFT:
+            self._gesture = self._taken(x, y)
+            how = self._on_nothing() or "click"
+        if self._gesture is None and how is not None:
+            self._gesture = Lead(how, button, self.view, self.view, (x, y), (x, y))
+        return self._gesture is not None
+
+    def _taken(self, x: float, y: float) -> Held | None:
+        """A handle of the stroke that is selected; or what is under the pointer, for a new stroke."""
+        chosen = self.document.selected
+        found = None if chosen is None else nearest(self.handles([chosen]), (x, y))
+        if found is not None:
+            (hx, hy), stroke = found.seen, self.document.items[found.item].stroke
+            return Held(stroke, found.point, (x, y), (x, y), (x - hx, y - hy), found.item, found.part)
+        under = self._grab(x, y)
+        if under is None:
+            return None
+        point, pick = under
+        still = (0.0,) * len(point)
+        stroke = Stroke(at=point, by=still, radius=self.radius, poisson=self.poisson, scales=self.scales)
+        return Held(stroke, stroke.at, (x, y), (x, y), pick=pick)
+
+    def handles(self, among: Iterable[int] | None = None) -> list[Handle]:
+        """The handles of some strokes, or of all, that are seen on the canvas."""
+        return handles(self.document, range(len(self.document.items)) if among is None else among, self._seen)
+
+    def _on_pointer_move(self, event: Event) -> bool:
+        self.pointer = _place(event)
+        gesture = self._gesture
+        if gesture is None:
+            return False
+        if gesture.button not in event.get("buttons", (gesture.button,)):
+            return self._released()  # the button went up where the window did not see it
+        self._follow(self.pointer)
+        return True
+
+    def _on_pointer_up(self, event: Event) -> bool:
+        self.pointer = _place(event)
+        gesture = self._gesture
+        if gesture is None or event.get("button") != gesture.button:
+            return False
+        self._follow(self.pointer)
+        return self._released()
+
+    def _on_pointer_leave(self, event: Event) -> bool:
+        self.pointer = None
+        return False
+
+    def _follow(self, place: Pair) -> None:
+        """Take what is held, or led, to where the pointer is."""
+        gesture = self._gesture
+        if gesture is None:
+            return
+        gesture.now = place
+        if isinstance(gesture, Held):
+            gesture.draw(self.document, self._carried)
+        else:
+            (x, y), (a, b) = place, gesture.start
+            self.view = self._led(gesture.how, gesture.base, x - a, y - b)
+
+    def _rebase(self) -> None:
+        if isinstance(self._gesture, Lead):
+            self._gesture.rebase(self.view)
+
+    def _released(self) -> bool:
+        gesture, self._gesture = self._gesture, None
+        if isinstance(gesture, Held):
+            if gesture.changed and self.document.dragging:
+                trouble = self.document.trouble
+                self._refused = None if self.document.commit() else trouble
+                return True
+            if self.document.dragging:
+                self.document.abandon()
+            self._put_back(gesture)
+            if gesture.item is None:
+                self._click(gesture.start)
+        elif gesture is not None and gesture.button == _LEFT and not gesture.moved:
+            self._click(gesture.start)
+        return gesture is not None
+
+    def _click(self, place: Pair) -> None:
+        found = nearest(self.handles(), place)
+        self.document.select(None if found is None else found.item)
+
+    def _on_wheel(self, event: Event) -> bool:
+        amount = float(event.get("dy", 0.0))
+        if "Shift" in event.get("modifiers", ()):
+            amount += float(event.get("dx", 0.0))  # some systems turn the wheel sideways then
+        self._turn(event, amount)
+        return True
+
+    def grow(self, notches: float) -> None:
+        """Make the brush larger, or smaller (below 0); and with it the stroke that is held."""
+        held, factor = self.held, GROWTH**notches
+        if held is None or held.item is None:
+            self.radius *= factor
+        if held is not None:
+            radius = self.radius if held.item is None else self._limited(held.stroke.radius * factor)
+            held.grown |= held.item is not None and radius != held.stroke.radius
+            held.stroke = replace(held.stroke, radius=radius)
+            held.draw(self.document, self._carried)
+
+    def _on_key_down(self, event: Event) -> bool:
+        self._refused = None
+        modifiers = event.get("modifiers", ())
+        key = str(event.get("key", ""))
+        if "Control" in modifiers or "Meta" in modifiers:
+            # Some windows name the control character that is typed.
+            letter = chr(ord(key) + 96) if len(key) == 1 and ord(key) < 27 else key.lower()
+            return self._command(letter, "Shift" in modifiers)
+        return self._edit(key) or self._key(key)
+
+    def _on_key_up(self, event: Event) -> bool:
+        self.original &= event.get("key") != "\\"
+        return False
+
+    def _command(self, letter: str, shift: bool) -> bool:
+        if letter in _REQUESTS:
+            self.requests.append(_REQUESTS[letter])
+        elif letter == "z" and not shift:
+            if not self.abandon():
+                self.document.undo()
+        elif letter in ("z", "y"):
+            self.document.redo()
+        else:
+            return False
+        return True
+
+    def _edit(self, key: str) -> bool:
+        document, chosen = self.document, self.document.selected
+        if key == "Escape":
+            if not self.abandon():
+                document.select(None)
+        elif key in ("[", "]"):
+            self.grow(1 if key == "]" else -1)
+        elif key == "\\":
+            self.original = True
+        elif key in ("Delete", "Backspace", "h", "H"):
+            if chosen is not None and self._gesture is None:
+                if key.lower() == "h":
+                    document.hide(chosen, not document.items[chosen].hidden)
+                else:
+                    document.remove(chosen)
+        else:
+            return False
+        return True
+
+
+def _place(event: Event) -> Pair:
+    return float(event["x"]), float(event["y"])

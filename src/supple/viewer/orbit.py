@@ -1,0 +1,93 @@
+"""The camera before a volume, led by the pointer."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from supple.camera import Camera, View, view_of
+from supple.domain import SMALLEST
+from supple.geometry import Geometry
+
+TURN = 180.0
+"""Degrees for a drag across the shorter side of the canvas."""
+FARTHEST = 10.0
+"""How far away the camera may go, as a multiple of where the whole volume fits."""
+STEP = 1.1
+"""How many times farther the camera is after a notch of the wheel, which is 100."""
+
+
+@dataclass(frozen=True, slots=True)
+class Stage:
+    """What a camera looks at, and the canvas on which that is seen.
+
+    Parameters
+    ----------
+    shape : (int, int, int)
+        Of the volume, (Z, H, W).
+    geometry : Geometry
+    size : (int, int)
+        Rows and columns of the canvas, in logical pixels.
+    """
+
+    shape: tuple[int, ...]
+    geometry: Geometry
+    size: tuple[int, int]
+
+    def view(self, camera: Camera) -> View:
+        """The camera, set up."""
+        return view_of(camera, self.shape, self.geometry, self.size)
+
+    def target(self, camera: Camera) -> tuple[float, ...]:
+        """What a camera looks at, in indices, x first."""
+        return camera.target or tuple((n - 1) / 2 for n in reversed(self.shape))
+
+    def distance(self, camera: Camera) -> float:
+        """How far the camera is from there, in millimetres."""
+        if camera.distance is not None:
+            return camera.distance
+        view = self.view(camera)
+        return float(np.linalg.norm((view.eye - self.target(camera)) * view.spacing))
+
+    def project(self, camera: Camera, point: tuple[float, ...]) -> tuple[float, float, float] | None:
+        """Where a voxel is seen on the canvas, x and y, and how far it is from the eye; None behind the camera."""
+        view = self.view(camera)
+        away = (np.asarray(point) - view.eye) * view.spacing
+        ahead = float(away @ view.ahead)
+        if ahead <= 0:
+            return None
+        height, width = self.size
+        # A canvas is measured from its corner, a pixel from its middle: the half pixels cancel.
+        x, y = (float(away @ axis / (axis @ axis)) / ahead for axis in view.packed[3:])
+        return x + width / 2, y + height / 2, float(np.linalg.norm(away))
+
+
+def orbit(camera: Camera, dx: float, dy: float, stage: Stage) -> Camera:
+    """Turn the volume along with the pointer, which went by logical pixels; not beyond the poles."""
+    roll, step = math.radians(camera.roll), TURN / max(1, min(stage.size))
+    across = math.cos(roll) * dx - math.sin(roll) * dy
+    along = math.sin(roll) * dx + math.cos(roll) * dy
+    return replace(
+        camera,
+        azimuth=math.remainder(camera.azimuth - step * across, 360.0),
+        elevation=min(max(camera.elevation + step * along, -90.0), 90.0),
+    )
+
+
+def pan(camera: Camera, dx: float, dy: float, stage: Stage) -> Camera:
+    """Push the volume along with the pointer; the camera never looks past it."""
+    view, distance = stage.view(camera), stage.distance(camera)
+    moved = np.array(stage.target(camera)) - (dx * view.packed[3] + dy * view.packed[4]) * distance / view.spacing
+    last = np.array(stage.shape[::-1]) - 1.0
+    x, y, z = np.clip(moved, 0.0, last).tolist()
+    return replace(camera, target=(x, y, z), distance=distance)
+
+
+def dolly(camera: Camera, amount: float, stage: Stage) -> Camera:
+    """Go nearer (below 0), or away, by what the wheel was turned."""
+    nearest = max(min(stage.geometry.spacing), SMALLEST)
+    farthest = FARTHEST * stage.distance(replace(camera, distance=None))
+    distance = stage.distance(camera) * STEP ** (amount / 100)
+    return replace(camera, distance=min(max(distance, nearest), farthest))

@@ -1,0 +1,117 @@
+"""Time: which frame of a clip is shown."""
+
+from __future__ import annotations
+
+import math
+
+from supple.domain import LONGEST_AXIS, integer, number
+
+_EARLY = 1e-6  # of a frame, by which one is shown too early rather than a whole one too late
+
+
+class Playback:
+    """A clip that plays or stands.
+
+    It keeps time: what comes too late is dropped, and counted. It knows no clock, but is told the time.
+
+    Parameters
+    ----------
+    count : int
+        How many frames there are.
+    rate : float
+        Frames a second.
+    """
+
+    def __init__(self, count: int, rate: float) -> None:
+        self.count = integer("count", count, "a number of frames above 0", 1, LONGEST_AXIS)
+        self.rate = number("rate", rate, "a number of frames a second above 0", 1e-6, 1e6)
+        self.playing = False
+        self.loop = False
+        self.dropped = 0
+        """How many frames were not shown while it played."""
+        self.first, self.last = 0, self.count - 1
+        """The in point and the out point: what is played, both included."""
+        self._frame = 0
+        self._since: tuple[float, int] | None = None  # when it began to play, and from which frame
+        self._advanced = 0  # frames since then
+
+    @property
+    def frame(self) -> int:
+        """The frame that is shown."""
+        return self._frame
+
+    def play(self) -> None:
+        """Play on, from the in point if there is nothing more to play."""
+        if not self.first <= self._frame <= self.last or (self._frame == self.last and not self.loop):
+            self._frame = self.first
+        self.playing, self._since = True, None
+
+    def pause(self) -> None:
+        """Stand still."""
+        self.playing = False
+
+    def toggle(self) -> None:
+        """Play or stand."""
+        if self.playing:
+            self.pause()
+        else:
+            self.play()
+
+    def seek(self, frame: float) -> None:
+        """Show a frame, the nearest that there is; if it plays, it plays on from there."""
+        self._frame = min(max(math.floor(frame + 0.5), 0), self.count - 1)
+        self._since = None
+
+    def step(self, frames: int) -> None:
+        """Stand still, some frames further."""
+        self.pause()
+        self.seek(self._frame + frames)
+
+    def home(self) -> None:
+        """Show the in point; from there, the first frame."""
+        self.seek(0 if self._frame <= self.first else self.first)
+
+    def end(self) -> None:
+        """Show the out point; from there, the last frame."""
+        self.seek(self.count - 1 if self._frame >= self.last else self.last)
+
+    def mark_in(self) -> None:
+        """Play from the frame that is shown."""
+        self.first = self._frame
+        if self.last < self.first:
+            self.last = self.count - 1
+        self._since = None
+
+    def mark_out(self) -> None:
+        """Play up to the frame that is shown."""
+        self.last = self._frame
+        if self.first > self.last:
+            self.first = 0
+        self._since = None
+
+    def unmark(self) -> None:
+        """Play all."""
+        self.first, self.last, self._since = 0, self.count - 1, None
+
+    def set_loop(self, loop: bool) -> None:
+        """Play over and over, or once."""
+        self.loop, self._since = loop, None
+
+    def frame_at(self, now: float) -> int:
+        """The frame to show at a time, in seconds of any clock that does not go back."""
+        if not self.playing:
+            return self._frame
+        if self._since is None:
+            if not self.first <= self._frame <= self.last:
+                self._frame = self.first
+            self._since, self._advanced = (now, self._frame), 0
+        begun, start = self._since
+        advanced = max(math.floor((now - begun) * self.rate + _EARLY), self._advanced)
+        if not self.loop:
+            advanced = min(advanced, self.last - start)
+        self.dropped += max(advanced - self._advanced - 1, 0)
+        self._advanced = advanced
+        self._frame = self.first + (start - self.first + advanced) % (self.last - self.first + 1)
+        if not self.loop and self._frame == self.last:
+            self.pause()
+        return self._frame

@@ -1,0 +1,282 @@
+"""What is particular to the tools of pictures, of videos and of volumes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from supple.camera import Camera
+from supple.geometry import Geometry
+from supple.picture import Pick
+from supple.viewer import orbit
+from supple.viewer.document import Document
+from supple.viewer.events import GROWTH, Event, Tools
+from supple.viewer.gestures import HANDLE, Handle, Held, Pair
+from supple.viewer.playback import Playback
+from supple.viewer.viewport import Viewport
+
+__all__ = ["GROWTH", "HANDLE", "ZOOM", "Event", "Handle", "Held", "ImageTools", "Tools", "VideoTools", "VolumeTools"]
+
+ZOOM = 1.2
+"""How many times larger a picture is after a notch of the wheel, which is 100."""
+
+_LEFT, _RIGHT, _MIDDLE = 1, 2, 3
+
+
+def _commanded(event: Event) -> bool:
+    modifiers = event.get("modifiers", ())
+    return "Control" in modifiers or "Meta" in modifiers
+
+
+def _pans(event: Event) -> bool:
+    button = event.get("button")
+    return button == _MIDDLE or (button == _LEFT and "Alt" in event.get("modifiers", ()))
+
+
+class ImageTools(Tools[Viewport]):
+    """Edits a picture: a left drag pulls what is under the pointer.
+
+    Parameters
+    ----------
+    document : Document
+    canvas_size : (float, float)
+        Width and height, in logical pixels.
+    pixel_ratio : float
+        Physical pixels along the side of a logical one.
+    """
+
+    def __init__(self, document: Document, canvas_size: Pair, pixel_ratio: float = 1.0) -> None:
+        height, width = document.shape[-2:]
+        super().__init__(document, Viewport((width, height), canvas_size, pixel_ratio))
+
+    @property
+    def viewport(self) -> Viewport:
+        """How the picture lies on the canvas."""
+        return self.view
+
+    @viewport.setter
+    def viewport(self, viewport: Viewport) -> None:
+        self.view = viewport
+
+    @property
+    def hover(self) -> tuple[float, ...] | None:
+        """The point under the pointer, in pixels; it may lie outside the picture."""
+        return None if self.pointer is None else self.view.to_image(*self.pointer)
+
+    def _grab(self, x: float, y: float) -> tuple[tuple[float, ...], Pick | None] | None:
+        point = self.view.to_image(x, y)
+        return (point, None) if self.view.holds(*point) else None
+
+    def _seen(self, point: tuple[float, ...]) -> Pair | None:
+        return self.view.to_canvas(*point[:2])
+
+    def _carried(self, held: Held, x: float, y: float) -> tuple[float, ...]:
+        return tuple(a - b for a, b in zip(self.view.to_image(x, y), held.point, strict=False))
+
+    def _led(self, how: str, view: Viewport, dx: float, dy: float) -> Viewport:
+        return view.pan(dx, dy) if how == "pan" else view
+
+    def _leads(self, event: Event) -> str | None:
+        return "pan" if _pans(event) else None
+
+    def _turn(self, event: Event, amount: float) -> None:
+        if _commanded(event):
+            self.view = self.view.zoom_about(float(event["x"]), float(event["y"]), ZOOM ** (-amount / 100))
+            self._rebase()
+        else:
+            self.grow(-amount / 100)
+
+    def _key(self, key: str) -> bool:
+        if key not in ("0", "1"):
+            return False
+        self.view = self.view.fit() if key == "0" else self.view.actual()
+        self._rebase()
+        return True
+
+    def _on_resize(self, event: Event) -> bool:
+        self.view = self.view.resize((float(event["width"]), float(event["height"])), event.get("pixel_ratio"))
+        self._rebase()
+        return True
+
+
+class VideoTools(ImageTools):
+    """Edits a clip: what is held can be carried through time, too, by the wheel or the arrow keys.
+
+    Parameters
+    ----------
+    document : Document
+    playback : Playback
+    canvas_size : (float, float)
+        Width and height, in logical pixels.
+    pixel_ratio : float
+        Physical pixels along the side of a logical one.
+    """
+
+    def __init__(self, document: Document, playback: Playback, canvas_size: Pair, pixel_ratio: float = 1.0) -> None:
+        super().__init__(document, canvas_size, pixel_ratio)
+        self.playback = playback
+        self._frame = 0  # that was shown when something was taken
+
+    @property
+    def hover(self) -> tuple[float, ...] | None:
+        """The point under the pointer, in pixels and frames."""
+        point = super().hover
+        return None if point is None else (*point, float(self.playback.frame))
+
+    def _taken(self, x: float, y: float) -> Held | None:
+        self.playback.pause()
+        self._frame = self.playback.frame
+        return super()._taken(x, y)
+
+    def _grab(self, x: float, y: float) -> tuple[tuple[float, ...], Pick | None] | None:
+        under = super()._grab(x, y)
+        return None if under is None else ((*under[0], float(self._frame)), None)
+
+    def _seen(self, point: tuple[float, ...]) -> Pair | None:
+        return super()._seen(point) if abs(point[2] - self.playback.frame) <= 0.5 else None
+
+    def _carried(self, held: Held, x: float, y: float) -> tuple[float, ...]:
+        return (*super()._carried(held, x, y), held.time)
+
+    def _put_back(self, held: Held) -> None:
+        self.playback.seek(self._frame)
+
+    def _carry(self, held: Held, frames: float) -> None:
+        """Carry what is held through time; the frame that is shown follows."""
+        start = held.point[2]
+        held.time = min(max(held.time + frames, -start), self.playback.count - 1 - start)
+        self.playback.seek(start + held.time)
+        held.draw(self.document, self._carried)
+
+    def _turn(self, event: Event, amount: float) -> None:
+        held = self.held
+        if held is None or _commanded(event) or "Shift" in event.get("modifiers", ()):
+            super()._turn(event, amount)
+        else:
+            self._carry(held, -amount / 100)
+
+    def _key(self, key: str) -> bool:
+        playback, held = self.playback, self.held
+        steps = {"ArrowLeft": -1, "ArrowRight": 1}
+        if key in steps and held is not None:
+            self._carry(held, steps[key])
+        elif key in steps:
+            playback.step(steps[key])
+        elif key in (" ", "Home", "End", "i", "o", "l"):
+            if held is not None:
+                return True  # the frame that is shown is where it is held
+            acts: dict[str, Callable[[], None]] = {
+                " ": playback.toggle,
+                "Home": playback.home,
+                "End": playback.end,
+                "i": playback.mark_in,
+                "o": playback.mark_out,
+                "l": lambda: playback.set_loop(not playback.loop),
+            }
+            acts[key]()
+        else:
+            return super()._key(key)
+        return True
+
+
+class VolumeTools(Tools[Camera]):
+    """Edits a volume: a left drag pulls what is seen under the pointer, in the camera's plane; beside it, it turns.
+
+    Parameters
+    ----------
+    document : Document
+    geometry : Geometry
+        Where the voxels lie.
+    canvas_size : (float, float)
+        Width and height, in logical pixels.
+    pick : function of float and float
+        What is seen at a point of the canvas, as `supple.rendering.Scene.pick` tells it; None if nothing is.
+    drag : function of Pick and (float, float)
+        How far that goes if it is dragged to another point, as `supple.rendering.Scene.drag` tells it.
+    camera : Camera, optional
+        Where the camera is at first.
+    """
+
+    def __init__(
+        self,
+        document: Document,
+        geometry: Geometry,
+        canvas_size: Pair,
+        pick: Callable[[float, float], Pick | None],
+        drag: Callable[[Pick, Pair], tuple[float, ...]],
+        camera: Camera | None = None,
+    ) -> None:
+        super().__init__(document, camera or Camera())
+        self.home = self.view
+        self.pick, self.drag = pick, drag
+        self.stage = orbit.Stage(document.shape, geometry, _rows(canvas_size))
+
+    @property
+    def camera(self) -> Camera:
+        """Where the camera is."""
+        return self.view
+
+    @camera.setter
+    def camera(self, camera: Camera) -> None:
+        self.view = camera
+
+    @property
+    def hover(self) -> tuple[float, ...] | None:
+        """The voxel under the pointer; a ray is sent for it each time."""
+        found = None if self.pointer is None else self.pick(*self.pointer)
+        return None if found is None else found.index
+
+    def _grab(self, x: float, y: float) -> tuple[tuple[float, ...], Pick | None] | None:
+        found = self.pick(x, y)
+        if found is None:
+            return None
+        # What is seen lies in the volume, but for rounding.
+        last = np.array(self.document.shape[::-1]) - 0.5
+        return tuple(np.clip(found.index, -0.5, last).tolist()), found
+
+    def _seen(self, point: tuple[float, ...]) -> Pair | None:
+        seen = self.stage.project(self.view, point)
+        return None if seen is None else seen[:2]
+
+    def _carried(self, held: Held, x: float, y: float) -> tuple[float, ...]:
+        # A handle is at any depth: only where it is counts.
+        return self.drag(held.pick or Pick(held.point, held.point, 0.0), (x, y))  # type: ignore[arg-type]
+
+    def _led(self, how: str, view: Camera, dx: float, dy: float) -> Camera:
+        if not (dx or dy):
+            return view
+        return {"orbit": orbit.orbit, "pan": orbit.pan}[how](view, dx, dy, self.stage)
+
+    def _leads(self, event: Event) -> str | None:
+        if _pans(event):
+            return "pan"
+        return "orbit" if event.get("button") == _RIGHT else None
+
+    def _on_nothing(self) -> str:
+        return "orbit"
+
+    def _turn(self, event: Event, amount: float) -> None:
+        if self.held is not None or "Shift" in event.get("modifiers", ()):
+            self.grow(-amount / 100)  # a camera that moved would see what is held elsewhere
+        else:
+            self.view = orbit.dolly(self.view, amount, self.stage)
+            self._rebase()
+
+    def _key(self, key: str) -> bool:
+        if key != "0" or self.held is not None:
+            return False
+        self.view = self.home
+        self._rebase()
+        return True
+
+    def _on_resize(self, event: Event) -> bool:
+        self.stage = replace(self.stage, size=_rows((event["width"], event["height"])))
+        self._rebase()
+        return True
+
+
+def _rows(canvas_size: Pair) -> tuple[int, int]:
+    width, height = canvas_size
+    return max(1, round(height)), max(1, round(width))
