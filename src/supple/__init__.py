@@ -9,6 +9,7 @@ if TYPE_CHECKING:
     from supple.errors import DeviceWarning, FoldError, FoldWarning, OutsideWarning, SuppleError, ToleranceWarning
     from supple.files import warp_file
     from supple.strokes import Recipe, Stroke
+    from supple.viewer.launch import view
 
 __version__ = "0.1.0"
 
@@ -25,6 +26,7 @@ __all__ = [
     "Stroke",
     "SuppleError",
     "ToleranceWarning",
+    "view",
     "warp_file",
 ]
 
@@ -42,6 +44,7 @@ _HOMES = {
     "Stroke": "strokes",
     "SuppleError": "errors",
     "ToleranceWarning": "errors",
+    "view": "viewer.launch",
     "warp_file": "files",
 }
 

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, NoReturn
 
 from cyclopts import App, CycloptsError, Group, Parameter
 
+from supple.cli_view import VIEW_EXAMPLES, ViewCommands
 from supple.cli_volume import POINTS_EXAMPLES, RENDER_EXAMPLES, VolumeCommands, say_convention, told_of_software
 from supple.console import Console, SomeFailedError, run
 from supple.errors import SuppleError
@@ -357,6 +358,8 @@ def _dispatch(console: Console, arguments: Sequence[str]) -> None:
     app.command(volumes.render, usage=f"Usage: supple render VOLUME OUT [{_GRAB}]", help_epilogue=RENDER_EXAMPLES)
     app.command(volumes.points, usage=f"Usage: supple points IN OUT --on FILE {_GRAB}", help_epilogue=POINTS_EXAMPLES)
     app.command(commands.info, usage="Usage: supple info FILE... [--json]", help_epilogue="")
+    views = ViewCommands(console)
+    app.command(views.view, usage="Usage: supple view FILE [--serve] [OPTIONS]", help_epilogue=VIEW_EXAMPLES)
     app.command(commands.demo, usage="Usage: supple demo [DIR] [OPTIONS]", help_epilogue="")
     try:
         app(list(arguments), exit_on_error=False, print_error=False, verbose=False)

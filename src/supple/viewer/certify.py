@@ -23,6 +23,7 @@ class Certifier:
         self._on_report = on_report
         self._news = threading.Condition()
         self._wanted: Deformation | None = None
+        self._begun: Deformation | None = None
         self._known: tuple[Deformation, Report] | None = None
         self._closed = False
         self._thread: threading.Thread | None = None
@@ -47,13 +48,12 @@ class Certifier:
             self._news.notify_all()
 
     def _work(self) -> None:
-        done: Deformation | None = None
         while True:
             with self._news:
-                self._news.wait_for(lambda: self._closed or self._wanted is not done)
+                self._news.wait_for(lambda: self._closed or self._wanted is not self._begun)
                 if self._closed:
                     return
-                done = self._wanted
+                done = self._begun = self._wanted
             if done is None:
                 continue
             try:

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-import numpy as np
 from imgui_bundle import imgui
 
-from supple.camera import view_of
 from supple.viewer.stages import VideoStage, VolumeStage
+from supple.viewer.tools import ImageTools, VideoTools, VolumeTools
 
 if TYPE_CHECKING:
     from supple.viewer.view import View
@@ -40,16 +39,20 @@ def draw(view: View) -> None:
 
 
 def _ring(view: View, lines: imgui.ImDrawList) -> None:
-    pointer = view.tools.pointer
-    if pointer is None or view.tools.original:
+    tools = view.tools
+    assert isinstance(tools, ImageTools)
+    pointer = tools.pointer
+    if pointer is None or tools.original or not all(p < n for p, n in zip(pointer, view.area, strict=True)):
         return
-    radius = view.tools.radius * view.tools.viewport.zoom
+    radius = (tools.held.stroke.radius if tools.held is not None else tools.radius) * tools.viewport.zoom
     lines.add_circle(pointer, radius, _DARK, 0, 3.0)
     lines.add_circle(pointer, radius, _WHITE, 0, 1.0)
 
 
 def _handles(view: View, lines: imgui.ImDrawList) -> None:
-    document, viewport = view.document, view.tools.viewport
+    document, tools = view.document, view.tools
+    assert isinstance(tools, ImageTools)
+    viewport = tools.viewport
     for i, item in enumerate(document.items):
         if item.hidden:
             continue
@@ -74,37 +77,22 @@ def _handles(view: View, lines: imgui.ImDrawList) -> None:
 
 def _marks(view: View, lines: imgui.ImDrawList) -> None:
     """The strokes of a volume, as the camera sees them."""
-    stage = view.stage
-    assert isinstance(stage, VolumeStage)
-    width, height = view.area
-    seen = view_of(view.tools.camera, stage.shape, stage.volume.geometry, (round(height), round(width)))
-    right, below = seen.packed[3], seen.packed[4]
-
-    def place(p: tuple[float, ...]) -> tuple[float, float] | None:
-        away = (np.array(p) - seen.eye) * seen.spacing
-        depth = float(away @ seen.ahead)
-        if depth <= 1e-6:
-            return None
-        x, y = (float(away @ axis) / float(axis @ axis) / depth for axis in (right, below))
-        return x + (width - 1) / 2, y + (height - 1) / 2
-
-    for i, item in enumerate(view.document.items):
-        if item.hidden:
-            continue
-        start, end = (place(p) for p in view.document.handles(i))
-        if start is None or end is None:
-            continue
-        colour = _BLUE if view.document.selected == i else 0x90FFFFFF
-        lines.add_line(start, end, _DARK, 3.0)
-        lines.add_line(start, end, colour, 1.5)
-        lines.add_circle(end, 5.0, colour, 0, 2.0)
+    tools = view.tools
+    assert isinstance(tools, VolumeTools)
+    for handle in tools.handles():
+        colour = _BLUE if view.document.selected == handle.item else 0x90FFFFFF
+        if handle.part == "end":
+            lines.add_circle(handle.seen, 5.0, colour, 0, 2.0)
+        else:
+            lines.add_circle_filled(handle.seen, 3.0, colour)
 
 
 def _timeline(view: View, stage: VideoStage) -> None:
     from supple.viewer.view import BAR, LINE
 
-    playback = view.tools.playback
-    assert playback is not None
+    tools = view.tools
+    assert isinstance(tools, VideoTools)
+    playback = tools.playback
     width, height = view.area[0], view.logical[1]
     imgui.set_next_window_pos((0, height - LINE - BAR))
     imgui.set_next_window_size((width, BAR))
@@ -113,16 +101,16 @@ def _timeline(view: View, stage: VideoStage) -> None:
         view.tools.handle({"event_type": "key_down", "key": " ", "modifiers": ()})
     imgui.same_line()
     imgui.set_next_item_width(max(80.0, width - 330))
-    changed, frame = imgui.slider_int("##frame", view.tools.frame, 0, stage.film.count - 1, "")
+    changed, frame = imgui.slider_int("##frame", playback.frame, 0, stage.film.count - 1, "")
     if changed:
-        view.tools.seek(frame)
+        playback.seek(frame)
     imgui.same_line()
-    seconds = view.tools.frame / stage.rate if stage.rate else 0.0
-    imgui.text(f"{view.tools.frame} / {stage.film.count - 1}  {seconds:.2f} s")
+    seconds = playback.frame / stage.rate if stage.rate else 0.0
+    imgui.text(f"{playback.frame} / {stage.film.count - 1}  {seconds:.2f} s")
     imgui.same_line()
     changed, loop = imgui.checkbox("loop", playback.loop)
     if changed:
-        playback.loop = loop
+        playback.set_loop(loop)
     imgui.end()
 
 
@@ -142,7 +130,7 @@ def _status(view: View) -> None:
 def status(view: View) -> str:
     """The line of status: a message, or the point under the pointer; frames a second; and the certified error."""
     parts = []
-    trouble = view.document.trouble or view.message
+    trouble = view.tools.status or view.desk.message
     if trouble:
         parts.append(trouble)
     elif view.tools.hover is not None:
@@ -150,10 +138,10 @@ def status(view: View) -> str:
         names = {"image": "xy", "video": "xyt", "volume": "xyz"}[view.stage.kind]
         parts.append("  ".join(f"{name} {v:.1f}" for name, v in zip(names, hover, strict=False)))
         if not isinstance(view.stage, VolumeStage):
-            value = view.stage.value((hover[0], hover[1]), float(view.tools.frame))
+            value = view.stage.value((hover[0], hover[1]), view.frame)
             if value:
                 parts.append(value)
-    if view.stage.kind != "volume":
+    if isinstance(view.tools, ImageTools):
         parts.append(f"{view.tools.viewport.percent:.0f} %")
     if view.rate:
         parts.append(f"{view.rate:.0f} frames a second")

@@ -50,18 +50,18 @@ def _brush(view: View) -> None:
     imgui.separator_text("Brush")
     unit = "mm" if view.stage.kind == "volume" else "px"
     changed, value = imgui.slider_float(
-        "radius", tools.radius, 1.0, view.longest, f"%.1f {unit}", imgui.SliderFlags_.logarithmic
+        "radius", tools.radius, *tools.radius_limits, f"%.1f {unit}", imgui.SliderFlags_.logarithmic
     )
     if changed:
-        tools.set_brush(radius=value)
+        tools.radius = value
     hint("How far a drag is felt (wheel, or [ and ])")
     changed, value = imgui.slider_float("Poisson", max(tools.poisson, -1.0), -1.0, 0.5, "%.2f")
     if changed:
-        tools.set_brush(poisson=value)
+        tools.poisson = value
     hint("0.5 keeps areas and volumes; less lets them shrink and grow")
     changed, index = imgui.combo("reach", tools.scales - 1, ["far, as 1/r", "nearer, as 1/r3", "near, as 1/r5"])
     if changed:
-        tools.set_brush(scales=index + 1)
+        tools.scales = index + 1
 
 
 def _strokes(view: View) -> None:
@@ -227,7 +227,7 @@ def _transfer(view: View, stage: VolumeStage) -> None:
         points.insert(len(points) - 1, middle)
         changed_any = True
     if changed_any:
-        made = tuple(sorted((tuple(p) for p in points), key=lambda p: p[0]))
+        made: Any = tuple(sorted((tuple(p) for p in points), key=lambda p: p[0]))
         view.attempt(lambda: stage.look(replace(transfer, points=made), stage.density))
         view.refresh()
     imgui.tree_pop()
@@ -263,36 +263,54 @@ def _files(view: View) -> None:
     _head("Files")
     for name, says in (("save", "save recipe"), ("open", "open recipe"), ("export", "export"), ("copy", "save view")):
         if imgui.small_button(says):
-            view.ask(name)
+            view.desk.ask(name)
         if name in ("save", "export"):
             imgui.same_line()
-    job = view.export
+    job = view.desk.export
     if job is not None:
         imgui.progress_bar(job.progress, (-70, 0), job.text)
+        hint(job.error or job.text)
         imgui.same_line()
-        if imgui.small_button("cancel" if not job.done else "close"):
-            view.end_export()
-    asked = view.asked
-    if asked is not None:
+        if imgui.small_button("close" if job.done else "cancel"):
+            view.desk.end_export()
+    question(view)
+
+
+def question(view: View) -> None:
+    """What is asked, over all else."""
+    asked = view.desk.asked
+    if asked is None:
+        return
+    if asked.fresh:
         imgui.open_popup(asked.title)
-        if imgui.begin_popup_modal(asked.title, None, imgui.WindowFlags_.always_auto_resize)[0]:
-            imgui.text(asked.text)
-            if asked.path is not None:
-                imgui.set_next_item_width(420)
-                if asked.fresh:
-                    imgui.set_keyboard_focus_here()
-                    asked.fresh = False
-                entered, asked.path = imgui.input_text("##path", asked.path, _ENTER)
-                if entered:
-                    view.answer(asked.choices[0])
-            for k, label in enumerate(asked.choices):
-                if k:
-                    imgui.same_line()
-                if imgui.button(label):
-                    view.answer(label)
-            if asked.problem:
-                imgui.text_wrapped(asked.problem)
-            imgui.end_popup()
+    width, height = view.logical
+    imgui.set_next_window_pos((width / 2, height / 3), imgui.Cond_.appearing, (0.5, 0.5))
+    if not imgui.begin_popup_modal(asked.title, None, imgui.WindowFlags_.always_auto_resize)[0]:
+        return
+    imgui.text(asked.text)
+    answer = ""
+    if asked.path is not None:
+        imgui.set_next_item_width(460)
+        if asked.fresh:
+            imgui.set_keyboard_focus_here()
+        entered, asked.path = imgui.input_text("##path", asked.path, _ENTER)
+        if entered:
+            answer = asked.choices[0]
+    asked.fresh = False
+    if asked.problem:
+        imgui.push_text_wrap_pos(460)
+        imgui.text(asked.problem)
+        imgui.pop_text_wrap_pos()
+    for k, label in enumerate(asked.choices):
+        if k:
+            imgui.same_line()
+        if imgui.button(label):
+            answer = label
+    if imgui.is_key_pressed(imgui.Key.escape) and "Cancel" in asked.choices:
+        answer = "Cancel"
+    if answer and view.desk.answer(answer):
+        imgui.close_current_popup()
+    imgui.end_popup()
 
 
 def hint(text: str) -> None:

@@ -17,6 +17,7 @@ from supple.gpu.plate import Plate, Sight
 from supple.media.volume import Volume
 from supple.rendering import Scene
 from supple.transfer import TransferFunction
+from supple.viewer.document import Kind
 from supple.viewer.film import Film
 from supple.viewer.pixels import Pixels
 
@@ -39,7 +40,7 @@ class Stage(Protocol):
     spacing : tuple of float
     """
 
-    kind: str
+    kind: Kind
     name: str
     shape: tuple[int, ...]
     spacing: tuple[float, ...]
@@ -48,7 +49,7 @@ class Stage(Protocol):
 class ImageStage:
     """A photograph."""
 
-    kind = "image"
+    kind: Kind = "image"
 
     def __init__(self, gpu: Gpu, name: str, pixels: Pixels) -> None:
         self.name, self.pixels = name, pixels
@@ -72,7 +73,7 @@ class ImageStage:
 class VideoStage:
     """A clip."""
 
-    kind = "video"
+    kind: Kind = "video"
 
     def __init__(self, gpu: Gpu, film: Film, time_scale: float = 1.0) -> None:
         self.film, self.name = film, film.name
@@ -136,7 +137,7 @@ class VolumeStage:
         What is shown of it, where it holds several.
     """
 
-    kind = "volume"
+    kind: Kind = "volume"
 
     def __init__(self, gpu: Gpu, volume: Volume, preset: str, samples: Any = None) -> None:
         self.name, self.volume, self.preset = volume.name, volume, preset

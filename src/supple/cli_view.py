@@ -1,0 +1,64 @@
+"""The command that opens a window."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from cyclopts import Parameter
+
+from supple.console import Console
+from supple.errors import SuppleError
+from supple.options import StrokeOptions
+
+VIEW_EXAMPLES = """\
+Examples:
+
+  supple view photo.jpg
+  supple view clip.mp4 --recipe strokes.json
+  supple view head.nii.gz --serve
+"""
+_STROKES = StrokeOptions()
+
+
+class ViewCommands:
+    """Windows, on the command line."""
+
+    def __init__(self, console: Console) -> None:
+        self.console = console
+
+    def view(
+        self,
+        source: Annotated[str, Parameter(name="FILE")],
+        /,
+        *,
+        serve: bool = False,
+        port: Annotated[int, Parameter(metavar="N", allow_leading_hyphen=True)] = 0,
+        toolkit: Literal["glfw", "qt"] = "glfw",
+        strokes: StrokeOptions = _STROKES,
+    ) -> None:
+        """Bend a photograph, a clip or a volume by hand, in a window.
+
+        Parameters
+        ----------
+        source
+            What supple warp takes.
+        serve
+            Show it in a browser instead, on this machine or through a tunnel to it: it prints the address.
+        port
+            Of that; any that is free, by default.
+        toolkit
+            What makes the window.
+        """
+        from supple.viewer.launch import serve as serve_it
+        from supple.viewer.launch import show
+
+        self.console.started(quiet=False, threads=None)
+        recipe = strokes.to_recipe() if strokes.any else None
+        if port and not serve:
+            raise SuppleError("--port is for --serve: leave it out, or serve")
+        if not 0 <= port <= 65535:
+            raise SuppleError(f"--port goes from 0 to 65535, found {port}")
+        if serve:
+            serve_it(source, recipe, port=port, tell=lambda address: print(f"open {address}", flush=True))
+        else:
+            show(source, recipe, toolkit=toolkit)

@@ -1,0 +1,280 @@
+"""What a window does with files: it saves and opens recipes, exports, and asks before anything is lost."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from supple.errors import SuppleError
+from supple.media.files import check_output, replacing, shown
+from supple.strokes import Recipe
+from supple.viewer import autosave
+from supple.viewer.autosave import Autosave, Found
+from supple.viewer.document import Document
+from supple.viewer.exporting import Export
+
+PathLike = str | os.PathLike[str]
+
+
+@dataclass(slots=True)
+class Question:
+    """Something that the window asks.
+
+    Parameters
+    ----------
+    name : str
+        What it is about.
+    title, text : str
+    choices : tuple of str
+        The first is what Enter means; ``"Cancel"`` does nothing.
+    path : str, optional
+        The name of a file, which can be edited.
+    """
+
+    name: str
+    title: str
+    text: str
+    choices: tuple[str, ...]
+    path: str | None = None
+    problem: str = ""
+    fresh: bool = True
+    """Whether it was not drawn yet."""
+
+
+class Desk:
+    """The files around a document.
+
+    Parameters
+    ----------
+    document : Document
+    source : Path, optional
+        The file that is bent; an array has none.
+    write_view : function of str and bool
+        Writes what is seen to a file; the second says whether one that exists may be replaced.
+    leave : function
+        Closes the window.
+    device : str
+        Who exports, as `supple.warp_file` takes it.
+    """
+
+    def __init__(
+        self,
+        document: Document,
+        source: Path | None,
+        write_view: Callable[[str, bool], None],
+        leave: Callable[[], None],
+        device: str = "cpu",
+    ) -> None:
+        self.document, self.source = document, source
+        self.message = ""
+        """What is said in the status line, until something else happens."""
+        self.asked: Question | None = None
+        self.export: Export | None = None
+        self.recipe_path: Path | None = None
+        """Where the recipe was saved to or opened from."""
+        self._write_view, self._leave, self._device = write_view, leave, device
+        self._left: Found | None = None
+        self._told: Export | None = None
+        self.autosave: Autosave | None = None
+        if source is not None:
+            self.autosave = Autosave(source, document)
+            self._left = autosave.found(source)
+        if self._left is not None:
+            self._offer(self._left)
+
+    def _offer(self, found: Found) -> None:
+        count = len(found.recipe.strokes)
+        text = f"{count} stroke{'s' if count != 1 else ''} on this file were not saved the last time."
+        if not found.same:
+            text += "\nThe file has changed since then."
+        self.asked = Question("restore", "Restore?", text, ("Restore", "Leave"))
+
+    def tick(self) -> None:
+        """Keep what has changed, if it is time to; and say what came of an export."""
+        if self.autosave is not None:
+            self.autosave.tick()
+        export = self.export
+        if export is not None and export.done and self._told is not export:
+            self._told = export
+            said = [export.error or export.text, *export.warnings]
+            self.message = "; ".join(text for text in said if text)
+
+    def attempt(self, work: Callable[[], object]) -> None:
+        """Do what may be refused, and say so then."""
+        try:
+            self.message = ""
+            work()
+        except SuppleError as error:
+            self.message = str(error)
+
+    def ask(self, name: str) -> None:
+        """Begin what is asked for: ``"save"``, ``"open"``, ``"export"``, ``"copy"`` or ``"close"``."""
+        source = self.source or Path("picture.png")
+        stem, suffix = source.with_suffix(""), source.suffix
+        if name.startswith("save") and source.name.endswith(".nii.gz"):
+            stem = source.with_name(source.name[:-7])
+        if source.name.endswith(".nii.gz"):
+            stem, suffix = source.with_name(source.name[:-7]), ".nii.gz"
+        recipe = os.fspath(self.recipe_path or f"{stem}.recipe.json")
+        if name == "save" and self.recipe_path is not None:
+            known = self.recipe_path
+            self.attempt(lambda: self.save(known, force=True))
+        elif name == "save":
+            self.asked = Question("save", "Save the recipe", _SAVE, ("Save", "Replace", "Cancel"), recipe)
+        elif name == "open":
+            self.asked = Question("open", "Open a recipe", _OPEN, ("Open", "Cancel"), recipe)
+        elif name == "export":
+            self.asked = Question("export", "Export", _EXPORT, ("Export", "Replace", "Cancel"), f"{stem}-bent{suffix}")
+        elif name == "copy":
+            self.asked = Question("copy", "Save what is seen", _COPY, ("Save", "Replace", "Cancel"), f"{stem}-view.png")
+        elif name == "close":
+            self.asked = Question("close", "Close?", _CLOSE, ("Save and close", "Close", "Cancel"), recipe)
+
+    def may_close(self) -> bool:
+        """Whether nothing would be lost; otherwise, the question is asked."""
+        if self.document.dirty:
+            self.ask("close")
+            return False
+        if self.export is not None and not self.export.done:
+            self.asked = Question("stop", "Close?", "An export is under way.", ("Stop it and close", "Cancel"))
+            return False
+        return True
+
+    def answer(self, choice: str) -> bool:
+        """Go on with what was asked; return whether that is done with."""
+        asked = self.asked
+        if asked is None:
+            return True
+        try:
+            if choice != "Cancel":
+                self._do(asked, choice)
+            if self.asked is asked:
+                self.asked = None
+        except SuppleError as error:
+            asked.problem = str(error)
+            return False
+        return True
+
+    def _do(self, asked: Question, choice: str) -> None:
+        path, force = asked.path or "", choice == "Replace"
+        if asked.name == "restore" and self._left is not None:
+            if choice == "Restore":
+                self.document.load(self._left.recipe)
+            self._left.set_aside()
+            self._left = None
+        elif asked.name == "save":
+            self.save(path, force=force)
+        elif asked.name == "open":
+            self.open(path)
+        elif asked.name == "copy":
+            self._write_view(path, force)
+            self.message = f"saved {path}"
+        elif asked.name == "export":
+            self.begin_export(path, force=force)
+        elif asked.name == "close":
+            if choice == "Save and close":
+                self.save(path, force=self.recipe_path is not None)
+            else:
+                self.document.mark_saved()  # it is not wanted
+            self._leave()
+        elif asked.name == "stop":
+            self.end_export()
+            self._leave()
+
+    def save(self, path: PathLike, *, force: bool = False) -> None:
+        """Write the recipe.
+
+        Raises
+        ------
+        SuppleError
+            If it cannot be written, or is there already and must not be replaced.
+        """
+        if not os.fspath(path):
+            raise SuppleError("the recipe needs a name: such as strokes.json")
+        check_output(path, force=force)
+        with replacing(path, force=force) as place:
+            Path(place).write_text(self.document.recipe.to_json(), encoding="utf-8")
+        self.recipe_path = Path(path)
+        self.document.mark_saved()
+        self.message = f"saved {shown(path)}"
+
+    def open(self, path: PathLike) -> None:
+        """Put a recipe in the place of the strokes that there are, as one step.
+
+        Raises
+        ------
+        SuppleError
+            If it cannot be read, or does not fit.
+        """
+        try:
+            text = Path(path).read_text(encoding="utf-8")
+        except (OSError, UnicodeDecodeError, ValueError) as error:
+            why = getattr(error, "strerror", None) or "it is no text"
+            raise SuppleError(f"cannot read {shown(path)}: {why}: check the name") from None
+        self.document.load(Recipe.from_json(text))
+        self.message = f"opened {shown(path)}"
+
+    def open_beside(self, path: PathLike) -> None:
+        """Open another medium in a window of its own; nothing is lost here.
+
+        Raises
+        ------
+        SuppleError
+            If there is no such file.
+        """
+        if not os.path.exists(path):
+            raise SuppleError(f"cannot read {shown(path)}: there is no such file")
+        subprocess.Popen([sys.executable, "-m", "supple", "view", os.fspath(path)], start_new_session=True)
+        self.message = f"{shown(path)} opens in a window of its own"
+
+    def begin_export(self, path: PathLike, *, force: bool = False, **options: Any) -> None:
+        """Begin to write the whole medium, bent, beside what goes on here.
+
+        Raises
+        ------
+        SuppleError
+            If there is nothing to export, or an export is under way.
+        """
+        if self.source is None:
+            raise SuppleError("an array is no file: Deformation.warp makes an array of it")
+        if self.export is not None and not self.export.done:
+            raise SuppleError("an export is under way: cancel it, or wait for it")
+        if not os.fspath(path):
+            raise SuppleError("the export needs a name, whose suffix says the format")
+        check_output(path, force=force)
+        self.message = ""
+        made = Export(self.source, path, self.document.recipe, force=force, device=self._device, **options)
+        self.export = made
+
+    def end_export(self) -> None:
+        """Cancel it; or, when it is done, put it aside."""
+        if self.export is None:
+            return
+        if self.export.done:
+            self.export = None
+        else:
+            self.export.cancel()
+
+    def end(self) -> None:
+        """End well: what was not wanted is not kept."""
+        if self.export is not None:
+            self.export.cancel()
+            self.export.join(10.0)
+        if self.autosave is not None:
+            if self.document.dirty:  # whoever closes this without asking keeps it for the next time
+                self.autosave.tick()
+                self.autosave.flush()
+            else:
+                self.autosave.clear()
+
+
+_SAVE = "What supple warp --recipe takes."
+_OPEN = "In the place of the strokes that there are; undo brings these back."
+_EXPORT = "At full quality, to any format of supple warp."
+_COPY = "The picture as it is on the canvas."
+_CLOSE = "There are strokes that were not saved."

@@ -1,0 +1,273 @@
+"""Opening windows: on a screen, in a notebook, or in a browser elsewhere."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from supple.clips import is_clip
+from supple.domain import choice
+from supple.errors import SuppleError
+from supple.gpu.device import Gpu, open_gpu
+from supple.media.files import shown
+from supple.media.image import read
+from supple.strokes import Recipe
+from supple.viewer.document import Document
+from supple.viewer.film import Film
+from supple.viewer.pixels import on_screen
+from supple.viewer.pixels import shown as as_pixels
+from supple.viewer.playback import Playback
+from supple.viewer.stages import ImageStage, VideoStage, VolumeStage
+from supple.viewer.tools import ImageTools, VideoTools, VolumeTools
+from supple.views import default_transfer
+from supple.volumes import is_volume_job, open_volume
+
+if TYPE_CHECKING:
+    from supple.viewer.view import View
+
+SIZE = (1280, 800)
+TOOLKITS = ("glfw", "qt")
+_EXTRA = "pip install 'supple[view]'"
+Source = str | os.PathLike[str] | npt.NDArray[Any]
+
+
+def stage_of(gpu: Gpu, source: Source) -> ImageStage | VideoStage | VolumeStage:
+    """What a file, or an array of a picture (H, W[, C]) or of a volume (Z, H, W), is shown as.
+
+    Raises
+    ------
+    SuppleError
+        If it cannot be read, or is more than the GPU takes.
+    """
+    if not isinstance(source, str | os.PathLike):
+        array = np.asarray(source)
+        if array.ndim == 3 and array.shape[2] > 4:
+            raise SuppleError(f"an array of shape {array.shape} is no picture: give the file of a volume or a clip")
+        if array.ndim not in (2, 3) or 0 in array.shape or array.dtype.kind not in "biuf":
+            raise SuppleError(
+                f"a picture is an array of numbers (H, W) or (H, W, C), found {array.dtype} {array.shape}"
+            )
+        return _held(gpu, "the array", as_pixels(array))
+    if not os.path.exists(source) and "%" not in os.fspath(source):
+        raise SuppleError(f"cannot read {shown(source)}: there is no such file: check the name")
+    if is_volume_job(source, "", Recipe()):
+        volume = open_volume(source)
+        samples = volume.rescaled()
+        if volume.series:
+            samples = samples[0]
+        elif samples.ndim > 3:
+            raise SuppleError(f"{volume.name} has {samples.shape[3]} components, and pictures are of one")
+        return VolumeStage(gpu, volume, default_transfer(volume), samples)
+    if is_clip(source, "x.mp4" if os.path.isdir(source) else "", Recipe()):
+        return VideoStage(gpu, Film(source))
+    return _held(gpu, shown(source), on_screen(read(source)))
+
+
+def _held(gpu: Gpu, name: str, pixels: npt.NDArray[np.uint8]) -> ImageStage:
+    try:
+        return ImageStage(gpu, name, pixels)
+    except MemoryError as error:
+        raise SuppleError(f"{name} cannot be shown: {error}") from None
+
+
+def tools_of(
+    stage: ImageStage | VideoStage | VolumeStage, document: Document, size: tuple[float, float]
+) -> ImageTools | VideoTools | VolumeTools:
+    """What a hand does with a stage."""
+    if isinstance(stage, VideoStage):
+        return VideoTools(document, Playback(stage.film.count, stage.rate), size)
+    if isinstance(stage, ImageStage):
+        return ImageTools(document, size)
+    tools: VolumeTools
+
+    def rows() -> tuple[int, int]:
+        return tools.stage.size
+
+    tools = VolumeTools(
+        document,
+        stage.volume.geometry,
+        size,
+        lambda x, y: stage.deform(document.deformation).pick(tools.camera, rows(), (x, y)),
+        lambda pick, to: stage.deform(document.deformation).drag(tools.camera, rows(), pick, to),
+    )
+    return tools
+
+
+def opened(source: Source, recipe: Recipe | None, canvas: Any, loop: Any, gpu: Gpu | None = None) -> View:
+    """A view of a source on a canvas.
+
+    Raises
+    ------
+    SuppleError
+        If the source or the recipe does not fit, there is no GPU, or a part of the window is not installed.
+    """
+    try:
+        from supple.viewer.view import View
+    except ImportError as error:
+        raise missing(error) from None
+    gpu = gpu or open_gpu()
+    stage = stage_of(gpu, source)
+    document = Document(stage.shape, stage.spacing, recipe, kind=stage.kind)
+    tools = tools_of(stage, document, canvas.get_logical_size())
+    path = Path(source) if isinstance(source, str | os.PathLike) else None
+    made = View(stage, document, tools, canvas, gpu, source=path, call_later=loop.call_later)
+    canvas.set_title(f"{stage.name} - Supple")
+    return made
+
+
+def missing(error: ImportError) -> SuppleError:
+    """What to say where a part of the window is not installed."""
+    return SuppleError(f"the window needs {error.name or error}, which is not installed: {_EXTRA}")
+
+
+def on_screen_of(toolkit: str) -> tuple[Any, Any]:
+    """The canvas and the loop of a toolkit: ``"glfw"`` or ``"qt"``.
+
+    Raises
+    ------
+    SuppleError
+        If it is not installed, or there is no screen.
+    """
+    choice("toolkit", toolkit, TOOLKITS)
+    try:
+        if toolkit == "glfw":
+            import glfw
+
+            if not glfw.init():
+                raise SuppleError("no screen was found for a window: --serve shows it in a browser")
+            from rendercanvas.glfw import RenderCanvas, loop
+        else:
+            from rendercanvas.qt import RenderCanvas, loop
+    except ImportError as error:
+        raise missing(error) from None
+    return RenderCanvas, loop
+
+
+def show(source: Source, recipe: Recipe | None = None, *, toolkit: str = "glfw", size: tuple[int, int] = SIZE) -> View:
+    """Open a window, and come back when it is closed.
+
+    Parameters
+    ----------
+    source : str, os.PathLike or array
+        A photograph, a clip or a volume; or an array of a picture.
+    recipe : Recipe, optional
+        What there is at first.
+    toolkit : str
+        ``"glfw"``, or ``"qt"`` where PySide6 or PyQt6 is installed.
+    size : (int, int)
+        Columns and rows of the window.
+
+    Returns
+    -------
+    View
+        ``view.recipe`` is what was done.
+    """
+    canvas_type, loop = on_screen_of(toolkit)
+    gpu = open_gpu()
+    canvas = canvas_type(size=size, title="Supple", max_fps=60, update_mode="ondemand", vsync=False)
+    try:
+        made = opened(source, recipe, canvas, loop, gpu)
+    except SuppleError:
+        canvas.close()
+        raise
+    if toolkit == "glfw":
+        _ask_before_closing(canvas, made)
+    loop.run()
+    made.close()
+    return made
+
+
+def _ask_before_closing(canvas: Any, view: View) -> None:
+    """Ask before strokes are lost, and open the files that are dropped on the window."""
+    import glfw
+
+    def closing(window: Any) -> None:
+        if not view.desk.may_close():
+            glfw.set_window_should_close(window, 0)
+            canvas.request_draw()
+
+    def dropped(window: Any, paths: Any) -> None:
+        view.drop([str(path) for path in paths])
+
+    glfw.set_window_close_callback(canvas._window, closing)
+    glfw.set_drop_callback(canvas._window, dropped)
+
+
+def in_notebook() -> bool:
+    """Whether this is a notebook."""
+    try:
+        from IPython import get_ipython
+    except ImportError:
+        return False
+    shell = get_ipython()
+    return shell is not None and type(shell).__name__ == "ZMQInteractiveShell"
+
+
+def view(source: Source, recipe: Recipe | None = None) -> View:
+    """Bend a photograph, a clip or a volume by hand.
+
+    In a notebook, what is returned is a widget. Elsewhere, a window is opened, and this comes back when it is closed.
+
+    Parameters
+    ----------
+    source : str, os.PathLike or array
+        A file; or the array of a picture, (H, W) or (H, W, C).
+    recipe : Recipe, optional
+        Strokes that there are at first.
+
+    Returns
+    -------
+    View
+        ``view.recipe`` is what was done, and ``view.on_change`` calls a function with it whenever it changes.
+
+    Raises
+    ------
+    SuppleError
+        If the source or the recipe does not fit, there is no GPU, or a part of the window is not installed.
+    """
+    if not in_notebook():
+        return show(source, recipe)
+    try:
+        from rendercanvas.anywidget import RenderCanvas, loop
+    except ImportError as error:
+        raise missing(error) from None
+    canvas = RenderCanvas(size=(960, 600), max_fps=30, update_mode="ondemand")
+    return opened(source, recipe, canvas, loop)
+
+
+def serve(source: Source, recipe: Recipe | None = None, *, port: int = 0, tell: Callable[[str], None] = print) -> None:
+    """Show the window in a browser, also one of another machine, until it is interrupted.
+
+    It is bound to this machine alone, and open to those who have the token in its address: from another machine, it is
+    reached through a tunnel (``ssh -L``).
+
+    Parameters
+    ----------
+    source, recipe
+        As `view` takes them.
+    port : int
+        0 for any that is free.
+    tell : function
+        Called with the address.
+    """
+    try:
+        from rendercanvas.http import RenderCanvas, asgi, loop
+
+        from supple.viewer import server
+    except ImportError as error:
+        raise missing(error) from None
+    listener = server.listening(port)
+    try:
+        canvas = RenderCanvas(max_fps=30, update_mode="ondemand")
+        made = opened(source, recipe, canvas, loop)
+        token = server.new_token()
+        tell(f"http://{server.HOST}:{listener.getsockname()[1]}/?token={token}")
+        server.serve(server.guarded(asgi, token, f"{made.stage.name} - Supple"), listener)
+        made.close()
+    finally:
+        listener.close()
