@@ -89,7 +89,8 @@ class Desk:
 
     def _offer(self, found: Found) -> None:
         count = len(found.recipe.strokes)
-        text = f"{count} stroke{'s' if count != 1 else ''} on this file were not saved the last time."
+        one = count == 1
+        text = f"{count} stroke{'' if one else 's'} on this file {'was' if one else 'were'} not saved the last time."
         if not found.same:
             text += "\nThe file has changed since then."
         self.asked = Question("restore", "Restore?", text, ("Restore", "Leave"))

@@ -195,7 +195,7 @@ def _ask_before_closing(canvas: Any, view: View) -> None:
         view.drop([str(path) for path in paths])
 
     glfw.set_window_close_callback(canvas._window, closing)
-    glfw.set_drop_callback(canvas._window, dropped)
+    glfw.set_drop_callback(canvas._window, dropped)  # type: ignore[arg-type]
 
 
 def in_notebook() -> bool:

@@ -281,10 +281,10 @@ def question(view: View) -> None:
     asked = view.desk.asked
     if asked is None:
         return
-    if asked.fresh:
+    if not imgui.is_popup_open(asked.title):
         imgui.open_popup(asked.title)
     width, height = view.logical
-    imgui.set_next_window_pos((width / 2, height / 3), imgui.Cond_.appearing, (0.5, 0.5))
+    imgui.set_next_window_pos((width / 2, height / 3), imgui.Cond_.always, (0.5, 0.5))
     if not imgui.begin_popup_modal(asked.title, None, imgui.WindowFlags_.always_auto_resize)[0]:
         return
     imgui.text(asked.text)

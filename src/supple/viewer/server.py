@@ -27,14 +27,18 @@ _PAGE = """<!DOCTYPE html>
 <link rel="stylesheet" href="renderview.css">
 <style>
 html, body {{ margin: 0; height: 100%; overflow: hidden; background: #1f1f21 }}
-#canvas {{ width: 100vw; height: 100vh; border: 0 }}
-#status {{ display: none }}
+div#canvas {{ border: 0; display: block }}
+#status {{ display: none; position: fixed; top: 0; left: 0; padding: .5rem 1rem; background: #ddd; color: #222 }}
+#status:has(button) {{ display: block }}
 p {{ color: #aaa; font: 16px system-ui, sans-serif; margin: 2rem }}
 </style>
 <script type="module" src="renderview.js"></script>
 <script type="module" src="renderview-client.js"></script>
 </head>
-<body><div id="canvas" class="renderview-wrapper"><p>Loading {title} …</p></div><div id="status"></div></body>
+<body>
+<div id="canvas" class="renderview-wrapper" style="width: 100vw; height: 100vh"><p>Loading {title} …</p></div>
+<div id="status"></div>
+</body>
 </html>
 """
 _REFUSED = b"This window is open to those who have its whole address, with the token that supple view printed.\n"
