@@ -64,6 +64,7 @@ class View:
         self.desk = Desk(document, source, self.write, self._leave, "auto")
         self.certifier = Certifier(self._wake)
         self._closed = False
+        self._pressed = 0.0
         self._call_later = call_later
         self._changed_at = 0.0
         self._drawn_key: tuple[Any, ...] | None = None
@@ -142,6 +143,9 @@ class View:
             return
         if kind == "pointer_down":
             self.desk.message = ""
+            self._pressed = event.get("time_stamp", 0.0)
+        elif kind == "pointer_move" and event.get("time_stamp", self._pressed) < self._pressed:
+            return  # browsers hold moves back, and hand them over after a press that came later
         self.tools.handle(event)
         requests, self.tools.requests[:] = list(self.tools.requests), []
         for request in requests:
