@@ -50,29 +50,26 @@ def _ring(view: View, lines: imgui.ImDrawList) -> None:
 
 
 def _handles(view: View, lines: imgui.ImDrawList) -> None:
-    document, tools = view.document, view.tools
+    tools = view.tools
     assert isinstance(tools, ImageTools)
-    viewport = tools.viewport
-    for i, item in enumerate(document.items):
-        if item.hidden:
-            continue
-        selected = document.selected == i
+    place, document = tools.viewport.to_canvas, view.document
+    for known in view.known():
+        selected = document.selected == known.item
         if not selected and len(document.items) > 60:
             continue
-        start, end = (viewport.to_canvas(*p[:2]) for p in document.handles(i))
+        start, end = place(*known.start[:2]), place(*known.end[:2])
         colour = _BLUE if selected else 0x90FFFFFF
         lines.add_line(start, end, _DARK, 3.0)
         lines.add_line(start, end, colour, 1.5)
         lines.add_circle_filled(start, 3.0, colour)
         lines.add_circle(end, 5.0, colour, 0, 2.0)
-        damping = document.damping(i)
-        if damping < 0.995:
+        if known.damping < 0.995:
             # As far as was wanted, and is not reached.
-            wanted = viewport.to_canvas(*(a + b for a, b in zip(item.stroke.at[:2], item.stroke.by[:2], strict=True)))
+            wanted = place(*known.wanted[:2])
             lines.add_line(end, wanted, _RED, 1.5)
             lines.add_circle(wanted, 4.0, _RED, 0, 1.5)
         if selected:
-            lines.add_circle(start, item.stroke.radius * viewport.zoom, 0x80FFA040, 0, 1.0)
+            lines.add_circle(start, document.items[known.item].stroke.radius * tools.viewport.zoom, 0x80FFA040, 0, 1.0)
 
 
 def _marks(view: View, lines: imgui.ImDrawList) -> None:

@@ -80,6 +80,7 @@ def _strokes(view: View) -> None:
     imgui.begin_child("strokes", (0, min(180, 26 + 24 * max(len(state.items), 1))), imgui.ChildFlags_.borders)
     if not state.items:
         imgui.text_disabled("Drag on the picture.")
+    dampings = {known.item: known.damping for known in view.known()}
     for i, item in enumerate(state.items):
         imgui.push_id(i)
         changed, seen = imgui.checkbox("##seen", not item.hidden)
@@ -87,7 +88,7 @@ def _strokes(view: View) -> None:
         if changed:
             view.attempt(lambda i=i, seen=seen: document.hide(i, not seen))  # type: ignore[misc]
         imgui.same_line()
-        damping = 1.0 if item.hidden else document.damping(i) or 1.0
+        damping = dampings.get(i, 1.0)
         text = _said(item.stroke) + (f"  {damping:.0%}" if damping < 0.995 else "")
         if imgui.selectable(text, state.selected == i)[0]:
             document.select(None if state.selected == i else i)

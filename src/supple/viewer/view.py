@@ -6,6 +6,7 @@ import contextlib
 import time
 from collections import deque
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +29,17 @@ from supple.viewer.tools import ImageTools, VideoTools, VolumeTools
 BAR, LINE = 44, 24  # logical pixels of the timeline and of the status line
 SETTLED = 0.15  # seconds without a change, after which a picture is drawn in full
 FILLING = 0.004
+
+
+@dataclass(frozen=True, slots=True)
+class Known:
+    """A stroke that is seen: where it takes hold, where it leads, and where it was to lead."""
+
+    item: int
+    start: tuple[float, ...]
+    end: tuple[float, ...]
+    wanted: tuple[float, ...]
+    damping: float
 
 
 class View:
@@ -64,6 +76,7 @@ class View:
         self.desk = Desk(document, source, self.write, self._leave, "auto")
         self.certifier = Certifier(self._wake)
         self._closed = False
+        self._known: tuple[int, list[Known]] = (-1, [])
         self._pressed = 0.0
         self._call_later = call_later
         self._changed_at = 0.0
@@ -109,6 +122,19 @@ class View:
         width, height = self.logical
         below = LINE + (BAR if self.stage.kind == "video" else 0)
         return max(width - panels.WIDE, 64.0), max(height - below, 64.0)
+
+    def known(self) -> list[Known]:
+        """The strokes that are seen; worked out once for each change."""
+        document = self.document
+        if self._known[0] != document.revision:
+            found = []
+            for i, item in enumerate(document.items):
+                if not item.hidden:
+                    start, end = document.handles(i)
+                    wanted = tuple(a + b for a, b in zip(item.stroke.at, item.stroke.by, strict=True))
+                    found.append(Known(i, start, end, wanted, document.damping(i)))
+            self._known = document.revision, found
+        return self._known[1]
 
     def refresh(self) -> None:
         """Draw anew, in full."""
