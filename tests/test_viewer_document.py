@@ -396,7 +396,9 @@ class TestRecipes:
 
 def random_edit(d: Document, rng: random.Random) -> None:
     n = len(d.items)
-    some = stroke(rng.uniform(0, 160), rng.uniform(0, 120), rng.gauss(0, 40), rng.gauss(0, 40), radius=rng.choice([5, 40]))
+    some = stroke(
+        rng.uniform(0, 160), rng.uniform(0, 120), rng.gauss(0, 40), rng.gauss(0, 40), radius=rng.choice([5, 40])
+    )
     i = rng.randrange(n) if n else None
     acts: list[Any] = [
         lambda: d.add(some),

@@ -1,0 +1,371 @@
+"""The window: without a screen, on a screen by a real pointer, and in a browser."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from windows import SIZE, Browser, Hand, Mouse, a_screen, needs, viewing, wait_for
+
+import supple
+from supple.gpu.device import Gpu
+from supple.media import image, video
+from supple.strokes import Recipe, Stroke
+
+pytest.importorskip("rendercanvas")
+pytest.importorskip("imgui_bundle")
+
+DATA = Path(supple.__file__).parent / "data"
+
+
+@pytest.fixture
+def state(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder of its own for what windows keep."""
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    return tmp_path
+
+
+@pytest.fixture
+def photo(state: Path) -> Path:
+    """A photograph whose pixels are those of the canvas, at 100 %."""
+    pixels = image.read(DATA / "coffee.jpg").pixels[:380, :560]
+    image.write(state / "photo.png", pixels)
+    return state / "photo.png"
+
+
+def opened(source: Any, recipe: Recipe | None = None) -> tuple[Any, Hand]:
+    from rendercanvas.offscreen import RenderCanvas, loop
+
+    from supple.viewer.launch import opened as opened_on
+
+    canvas = RenderCanvas(size=SIZE, pixel_ratio=1.0)
+    view = opened_on(source, recipe, canvas, loop)
+    canvas.draw()
+    return view, Hand(canvas)
+
+
+@pytest.fixture
+def photo_view(gpu: Gpu, photo: Path) -> Iterator[tuple[Any, Hand]]:
+    view, hand = opened(photo)
+    yield view, hand
+    view.close()
+
+
+def near(one: np.ndarray, other: np.ndarray) -> float:
+    """How far pictures are apart: the root of the mean square, in levels."""
+    return float(np.sqrt(np.mean((one.astype(float) - other.astype(float)) ** 2)))
+
+
+def test_a_drag_is_a_stroke_and_the_canvas_shows_what_is_exported(
+    photo_view: tuple[Any, Hand], photo: Path, state: Path
+) -> None:
+    view, hand = photo_view
+    hand.key("1")
+    first = view.tools.viewport.to_canvas(0, 0)
+    hand.drag((350, 300), (400, 270))
+    (stroke,) = view.recipe.strokes
+    np.testing.assert_allclose(stroke.by, (50, -30), atol=1e-9)
+    assert view.document.selected == 0
+    # The file is what supple warp makes of the saved recipe.
+    view.desk.save(state / "strokes.json")
+    view.desk.begin_export(state / "bent.png")
+    wait_for(lambda: view.desk.export.done)
+    view.desk.tick()
+    assert view.desk.message == view.desk.export.text
+    recipe = Recipe.from_json((state / "strokes.json").read_text(encoding="utf-8"))
+    assert recipe == view.recipe
+    supple.warp_file(photo, state / "wanted.png", recipe)
+    exported, wanted = (image.read(state / name).pixels for name in ("bent.png", "wanted.png"))
+    np.testing.assert_array_equal(exported, wanted)
+    # And so is the canvas, but for its own way of filtering.
+    x, y = (round(v) for v in first)
+    left, top = max(x, 0), max(y, 0)
+    seen = view.pixels()
+    height, width = (min(n - s, m) for n, s, m in zip(seen.shape, (top, left), wanted.shape, strict=False))
+    part = wanted[top - y : top - y + height, left - x : left - x + width]
+    assert near(seen[top : top + height, left : left + width], part) < 2.5
+    assert near(image.read(photo).pixels[top - y : top - y + height, left - x : left - x + width], part) > 10
+
+
+def test_steps_are_undone_and_a_drag_is_abandoned(photo_view: tuple[Any, Hand]) -> None:
+    view, hand = photo_view
+    before = view.pixels()
+    hand.drag((300, 250), (330, 260))
+    hand.drag((400, 250), (380, 300))
+    after = view.pixels()
+    assert len(view.recipe.strokes) == 2
+    hand.key("z", "Control")
+    hand.key("z", "Control")
+    assert view.recipe.strokes == ()
+    np.testing.assert_array_equal(view.pixels(), before)
+    hand.key("Z", "Control", "Shift")
+    hand.key("Z", "Control", "Shift")
+    np.testing.assert_array_equal(view.pixels(), after)
+    hand.press(200, 200)
+    hand.move(240, 240, 1)
+    assert len(view.recipe.strokes) == 3
+    hand.key("Escape")
+    hand.release(240, 240)
+    assert len(view.recipe.strokes) == 2
+    # What it was, while a key is held, and beside what it is.
+    hand.send("key_down", key="\\")
+    np.testing.assert_array_equal(view.pixels(), before)
+    hand.send("key_up", key="\\")
+    np.testing.assert_array_equal(view.pixels(), after)
+
+
+def test_changes_are_told(photo_view: tuple[Any, Hand]) -> None:
+    view, hand = photo_view
+    told: list[Recipe] = []
+    view.on_change(told.append)
+    hand.drag((300, 250), (330, 260), steps=3)
+    assert told[-1] == view.recipe
+    assert len(told) >= 3
+
+
+def test_while_a_hand_moves_less_is_drawn(photo_view: tuple[Any, Hand]) -> None:
+    view, hand = photo_view
+    view.painter.coarse = 3
+    hand.press(300, 250)
+    hand.move(330, 250, 1)
+    hand.canvas.draw()
+    width, height = view.area
+    first, _ = view._textures
+    assert first.size[:2] == (-(-round(width) // view.painter.coarse), -(-round(height) // view.painter.coarse)) or (
+        view.painter.coarse != 3  # it has learnt meanwhile
+    )
+    hand.release(330, 250)
+    view._changed_at = -10.0
+    hand.canvas.draw()
+    assert view._textures[0].size[:2] == (round(width), round(height))
+
+
+def test_nothing_is_lost(photo: Path, gpu: Gpu, state: Path) -> None:
+    view, hand = opened(photo)
+    hand.drag((300, 250), (330, 260))
+    kept = view.recipe
+    view.desk.tick()
+    view.desk.autosave.flush()
+    view.desk.autosave._lock.close()  # as if the process had died
+    again, _ = opened(photo)
+    assert again.desk.asked.name == "restore"
+    assert "1 stroke on this file was not saved" in again.desk.asked.text
+    assert again.recipe.strokes == ()
+    assert again.desk.answer("Restore")
+    assert again.recipe == kept
+    # Closing asks; what was saved is not asked for again.
+    assert not again.desk.may_close()
+    assert again.desk.asked.name == "close"
+    again.desk.asked.path = str(state / "saved.json")
+    assert again.desk.answer("Save and close")
+    assert Recipe.from_json((state / "saved.json").read_text(encoding="utf-8")) == kept
+    assert again.desk.may_close()
+    again.close()
+    last, _ = opened(photo)
+    assert last.desk.asked is None
+    # A name that is taken is not replaced, unless it is said.
+    last.document.add(Stroke.grab((5, 5), by=(1, 1), radius=9))
+    last.desk.ask("save")
+    last.desk.asked.path = str(state / "saved.json")
+    assert not last.desk.answer("Save")
+    assert "exists" in last.desk.asked.problem
+    assert last.desk.answer("Replace")
+    assert not last.document.dirty
+    last.close()
+
+
+def test_a_clip_plays_and_is_bent_in_time(gpu: Gpu, state: Path) -> None:
+    view, hand = opened(DATA / "bunny.mp4", Recipe(border=None))
+    assert view.stage.film.wait(0, 6, 30.0)
+    hand.key("ArrowRight")
+    hand.key("ArrowRight")
+    assert view.frame == 2
+    hand.press(300, 250)
+    hand.wheel(300, 250, -300)
+    hand.canvas.draw()
+    assert view.frame == 5
+    hand.move(320, 250, 1)
+    hand.release(320, 250)
+    (stroke,) = view.recipe.strokes
+    assert stroke.at[2] == 2
+    assert stroke.by[2] == pytest.approx(3)
+    assert stroke.by[0] > 0
+    # A frame of the canvas is that of the file.
+    hand.key("1")
+    view._changed_at = -10.0
+    needed = view.stage.needed(view.document.deformation, view.frame)
+    assert view.stage.film.wait(*needed, 30.0)
+    view.document.select(None)
+    seen = view.pixels()
+    left, top = (round(v) for v in view.tools.viewport.to_canvas(0, 0))
+    with video.open_video(DATA / "bunny.mp4") as clip:
+        from supple.clips import ClipOptions, deformation_of, frames_of, sampling_of
+
+        d = deformation_of(view.recipe, clip.count, clip.layout.shape, 1.0, clip.name)
+        common: dict[str, Any] = {"outside": "edge", "fill": 0.0, "tolerance": 0.01, "light": False}
+        sampling = sampling_of(clip, filter="auto", options=ClipOptions(), **common)
+        ((_, arrays),) = frames_of(clip, d, sampling, [5])
+        wanted = clip.to_rgb(arrays)
+    y, x = max(top, 0), max(left, 0)
+    height, width = (
+        min(n - s, m - o) for n, s, m, o in zip(seen.shape, (y, x), wanted.shape, (y - top, x - left), strict=False)
+    )
+    assert near(seen[y : y + height, x : x + width], wanted[y - top :, x - left :][:height, :width]) < 4
+    hand.key(" ")
+    assert view._playing
+    end = time.monotonic() + 20
+    while view.frame < 9 and time.monotonic() < end:
+        hand.canvas.draw()
+    assert view.frame >= 9
+    view.close()
+    assert not view.stage.film._thread.is_alive()
+
+
+def test_a_volume_is_pulled_and_turned(gpu: Gpu, state: Path) -> None:
+    view, hand = opened(DATA / "head.nii.gz")
+    view.stage._plain.step  # noqa: B018, it is a scene
+    camera = view.tools.camera
+    hand.drag((350, 300), (390, 280))
+    (stroke,) = view.recipe.strokes
+    assert stroke.radius == view.tools.radius
+    assert all(0 <= p <= n for p, n in zip(stroke.at, reversed(view.stage.shape), strict=True))
+    assert view.tools.camera == camera
+    hand.drag((350, 300), (390, 280), button=3)
+    assert view.tools.camera != camera
+    hand.key("z", "Control")
+    assert view.recipe.strokes == ()
+    hand.key("0")
+    hand.drag((8, 8), (60, 8))  # beside the head
+    assert view.tools.camera != camera
+    assert view.recipe.strokes == ()
+    hand.wheel(300, 300, 200)
+    view.stage.look("grey", (20.0, 200.0))
+    view.refresh()
+    hand.canvas.draw()
+    view.close()
+
+
+def test_arrays_are_shown_too(gpu: Gpu, state: Path) -> None:
+    ramp = np.linspace(0, 1, 300, dtype=np.float32) * np.ones((200, 1), np.float32)
+    view, hand = opened(ramp, Recipe(strokes=(Stroke.grab((150, 100), by=(20, 0), radius=40),)))
+    assert len(view.recipe.strokes) == 1
+    hand.canvas.draw()
+    seen = view.pixels()
+    assert seen.max() > 200
+    with pytest.raises(supple.SuppleError, match="an array is no file"):
+        view.desk.begin_export("x.png")
+    view.close()
+    for bad, what in (
+        (np.zeros((2, 3, 9)), "no picture"),
+        (np.zeros(3), "array of numbers"),
+        ("none.png", "no such file"),
+    ):
+        with pytest.raises(supple.SuppleError, match=what):
+            opened(bad)
+
+
+async def _answer(app: Any, path: str, query: str = "", cookie: str = "", kind: str = "http") -> list[Any]:
+    said: list[Any] = []
+
+    async def send(message: Any) -> None:
+        said.append(message)
+
+    async def receive() -> Any:
+        return {"type": f"{kind}.connect"}
+
+    headers = [(b"cookie", cookie.encode())] if cookie else []
+    await app({"type": kind, "path": path, "query_string": query.encode(), "headers": headers}, receive, send)
+    return said
+
+
+def test_who_has_no_token_sees_nothing() -> None:
+    from supple.viewer.server import guarded
+
+    async def app(scope: Any, receive: Any, send: Any) -> None:
+        await send({"type": "served"})
+
+    token = "abcdefghij"
+    guard = guarded(app, token, "<photo>")
+    for query in ("", "token=", "token=abcdefghi", "token=ABCDEFGHIJ", "token=%C3%A9"):
+        for path in ("/", "/renderview.js", "/index.html"):
+            assert asyncio.run(_answer(guard, path, query))[0]["status"] == 403
+    for cookie in ("", "supple-abcdef=x", "supple-abcdef=é", "x=y; supple-abcdef="):
+        assert asyncio.run(_answer(guard, "/", cookie=cookie, kind="websocket"))[0]["type"] == "websocket.close"
+    begun = asyncio.run(_answer(guard, "/", f"token={token}"))[0]
+    assert begun["status"] == 303
+    headers = dict(begun["headers"])
+    assert headers[b"location"] == b"/"
+    assert b"HttpOnly" in headers[b"set-cookie"]
+    assert b"SameSite=Strict" in headers[b"set-cookie"]
+    cookie = headers[b"set-cookie"].decode().split(";")[0]
+    page = asyncio.run(_answer(guard, "/", cookie=cookie))
+    assert page[0]["status"] == 200
+    assert b"&lt;photo&gt;" in page[1]["body"]
+    assert asyncio.run(_answer(guard, "/renderview.js", cookie=cookie)) == [{"type": "served"}]
+    assert asyncio.run(_answer(guard, "/", cookie=cookie, kind="websocket")) == [{"type": "served"}]
+
+
+def test_a_real_pointer_on_a_real_screen(gpu: Gpu, photo: Path, state: Path) -> None:
+    with a_screen() as display, viewing(str(photo), folder=state, display=display):
+        mouse = Mouse(display)
+        wait_for(mouse.window)
+        time.sleep(3)
+        mouse.drag((400, 380), (460, 350))
+        time.sleep(1)
+        mouse.drag((500, 300), (480, 340))
+        time.sleep(0.5)
+        mouse.do("key", "ctrl+z")
+        time.sleep(0.5)
+        mouse.do("key", "ctrl+s")
+        time.sleep(1.5)
+        mouse.do("key", "Return")
+        saved = state / "photo.recipe.json"
+        wait_for(saved.exists)
+        recipe = Recipe.from_json(saved.read_text(encoding="utf-8"))
+        assert len(recipe.strokes) == 1
+        assert recipe.strokes[0].by[0] > 10
+        mouse.do("key", "ctrl+shift+z")
+        time.sleep(0.5)
+        mouse.do("key", "ctrl+s")
+        wait_for(lambda: len(Recipe.from_json(saved.read_text(encoding="utf-8")).strokes) == 2)
+        mouse.do("key", "ctrl+e")
+        time.sleep(1.5)
+        mouse.do("key", "Return")
+        wait_for((state / "photo-bent.png").exists)
+        both = Recipe.from_json(saved.read_text(encoding="utf-8"))
+    supple.warp_file(photo, state / "wanted.png", both)
+    made, wanted = (image.read(state / name).pixels for name in ("photo-bent.png", "wanted.png"))
+    np.testing.assert_array_equal(made, wanted)
+
+
+def test_a_browser_does_the_same_and_is_refused_without_the_token(gpu: Gpu, photo: Path, state: Path) -> None:
+    needs("chromium")
+    with viewing(str(photo), "--serve", folder=state) as process:
+        assert process.stdout is not None
+        line = process.stdout.readline()
+        assert line.startswith("open http://127.0.0.1:")
+        address = line.removeprefix("open ").strip()
+        browser = Browser(state / "browser")
+        try:
+            browser.go(address.partition("?")[0])
+            wait_for(lambda: "those who have its whole address" in browser.text())
+            browser.go(address)
+            wait_for(lambda: np.ptp(browser.shown()[100:300, 100:400].astype(int)) > 100)
+            browser.drag((350, 300), (410, 270))
+            time.sleep(1)
+            browser.key("s", 83, 2)
+            time.sleep(2)
+            browser.key("Enter", 13)
+            saved = state / "photo.recipe.json"
+            wait_for(saved.exists)
+            (stroke,) = json.loads(saved.read_text(encoding="utf-8"))["strokes"]
+            assert stroke["by"][0] > 10
+            assert "token" not in str(browser.call("Runtime.evaluate", expression="location.href"))
+        finally:
+            browser.close()

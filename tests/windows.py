@@ -1,0 +1,240 @@
+"""Hands for windows: events for one without a screen, xdotool for one on a screen, and a browser."""
+
+from __future__ import annotations
+
+import base64
+import json
+import os
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import time
+import urllib.request
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import pyvips
+
+MUST = os.environ.get("SUPPLE_TEST_WINDOW") == "1"
+SIZE = (1000, 640)
+Pixels = np.ndarray[Any, np.dtype[np.uint8]]
+
+
+def needs(*programs: str) -> None:
+    """Skip a test where a program is missing; where SUPPLE_TEST_WINDOW is set, none may be."""
+    missing = [name for name in programs if shutil.which(name) is None]
+    if missing:
+        assert not MUST, f"{missing} must be installed"
+        pytest.skip(f"{', '.join(missing)} is not installed")
+
+
+def wait_for(what: Any, seconds: float = 60.0, every: float = 0.1) -> Any:
+    """What a function gives, once that is something."""
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        found = what()
+        if found:
+            return found
+        time.sleep(every)
+    raise AssertionError("it took too long")
+
+
+class Hand:
+    """A pointer and a keyboard for a canvas without a screen."""
+
+    def __init__(self, canvas: Any) -> None:
+        self.canvas, self.modifiers, self.stamp = canvas, (), 0.0
+
+    def send(self, kind: str, **event: Any) -> None:
+        self.stamp += 0.01
+        common = {"event_type": kind, "modifiers": self.modifiers, "time_stamp": self.stamp}
+        self.canvas.submit_event(common | event)
+        self.canvas._process_events()
+
+    def move(self, x: float, y: float, *buttons: int) -> None:
+        self.send("pointer_move", x=x, y=y, button=0, buttons=buttons, ntouches=0, touches={})
+
+    def press(self, x: float, y: float, button: int = 1) -> None:
+        self.send("pointer_down", x=x, y=y, button=button, buttons=(button,), ntouches=0, touches={})
+
+    def release(self, x: float, y: float, button: int = 1) -> None:
+        self.send("pointer_up", x=x, y=y, button=button, buttons=(), ntouches=0, touches={})
+
+    def drag(self, start: tuple[float, float], end: tuple[float, float], button: int = 1, steps: int = 4) -> None:
+        self.move(*start)
+        self.press(*start, button)
+        for k in range(1, steps + 1):
+            x, y = (a + (b - a) * k / steps for a, b in zip(start, end, strict=True))
+            self.move(x, y, button)
+            self.canvas.draw()
+        self.release(*end, button)
+        self.canvas.draw()
+
+    def wheel(self, x: float, y: float, dy: float) -> None:
+        self.send("wheel", x=x, y=y, dx=0.0, dy=dy, buttons=())
+
+    def key(self, key: str, *modifiers: str) -> None:
+        self.modifiers = modifiers
+        self.send("key_down", key=key)
+        self.send("key_up", key=key)
+        self.modifiers = ()
+
+
+@contextmanager
+def viewing(*arguments: str, folder: Path, display: str = "") -> Iterator[subprocess.Popen[str]]:
+    """A process of ``supple view``."""
+    env = os.environ | {"XDG_STATE_HOME": str(folder / "state"), "PYTHONUNBUFFERED": "1"}
+    if display:
+        env["DISPLAY"] = display
+    process = subprocess.Popen(
+        [sys.executable, "-m", "supple", "view", *arguments],
+        env=env,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        encoding="utf-8",
+        start_new_session=True,
+    )
+    try:
+        yield process
+    finally:
+        if process.poll() is None:
+            process.send_signal(signal.SIGINT)
+            try:
+                process.wait(20)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait()
+
+
+@contextmanager
+def a_screen() -> Iterator[str]:
+    """A screen of its own, by Xvfb: its name."""
+    needs("Xvfb", "xdotool")
+    read, write = os.pipe()
+    server = subprocess.Popen(
+        ["Xvfb", "-displayfd", str(write), "-screen", "0", "1280x800x24", "-nolisten", "tcp"],
+        pass_fds=[write],
+        stderr=subprocess.DEVNULL,
+    )
+    os.close(write)
+    try:
+        with os.fdopen(read) as told:
+            yield f":{told.readline().strip()}"
+    finally:
+        server.terminate()
+        server.wait()
+
+
+class Mouse:
+    """A pointer and a keyboard on a screen."""
+
+    def __init__(self, display: str) -> None:
+        self.env = os.environ | {"DISPLAY": display}
+
+    def do(self, *words: object) -> str:
+        made = subprocess.run(
+            ["xdotool", *map(str, words)], env=self.env, check=True, capture_output=True, text=True, timeout=30
+        )
+        return made.stdout
+
+    def window(self) -> bool:
+        """Whether there is a window of ours."""
+        made = subprocess.run(
+            ["xdotool", "search", "--name", "- Supple"], env=self.env, capture_output=True, check=False
+        )
+        return bool(made.stdout.strip())
+
+    def drag(self, start: tuple[int, int], end: tuple[int, int], steps: int = 6) -> None:
+        self.do("mousemove", *start)
+        time.sleep(0.2)
+        self.do("mousedown", 1)
+        for k in range(1, steps + 1):
+            self.do("mousemove", *(round(a + (b - a) * k / steps) for a, b in zip(start, end, strict=True)))
+            time.sleep(0.1)
+        self.do("mouseup", 1)
+
+
+class Browser:
+    """Chromium without a screen, by its own protocol."""
+
+    def __init__(self, folder: Path) -> None:
+        needs("chromium")
+        from websockets.sync.client import connect
+
+        self._process = subprocess.Popen(
+            [
+                "chromium",
+                "--headless=new",
+                "--no-sandbox",
+                "--disable-gpu",
+                f"--window-size={SIZE[0]},{SIZE[1] + 150}",
+                "--remote-debugging-port=0",
+                f"--user-data-dir={folder}",
+                "about:blank",
+            ],
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        assert self._process.stderr is not None
+        port = ""
+        for line in self._process.stderr:
+            found = re.search(r"ws://127\.0\.0\.1:(\d+)/", line)
+            if found:
+                port = found[1]
+                break
+        with urllib.request.urlopen(f"http://127.0.0.1:{port}/json", timeout=30) as answer:
+            page = next(tab for tab in json.load(answer) if tab["type"] == "page")
+        self._stack = connect(page["webSocketDebuggerUrl"], max_size=None)
+        self._socket = self._stack.__enter__()
+        self._count = 0
+        self.call("Page.enable")
+
+    def call(self, method: str, **parameters: Any) -> Any:
+        self._count += 1
+        self._socket.send(json.dumps({"id": self._count, "method": method, "params": parameters}))
+        while True:
+            answer = json.loads(self._socket.recv(timeout=60))
+            if answer.get("id") == self._count:
+                return answer.get("result")
+
+    def go(self, address: str) -> None:
+        self.call("Page.navigate", url=address)
+
+    def text(self) -> str:
+        found = self.call("Runtime.evaluate", expression="document.body ? document.body.innerText : ''")
+        return str(found["result"]["value"])
+
+    def shown(self) -> Pixels:
+        """What is on the page."""
+        data = base64.b64decode(self.call("Page.captureScreenshot", format="png")["data"])
+        return np.asarray(pyvips.Image.new_from_buffer(data, "").numpy())[..., :3]
+
+    def mouse(self, kind: str, x: float, y: float, **more: Any) -> None:
+        self.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, **more)
+
+    def drag(self, start: tuple[float, float], end: tuple[float, float], steps: int = 6) -> None:
+        self.mouse("mouseMoved", *start)
+        time.sleep(0.2)
+        self.mouse("mousePressed", *start, button="left", buttons=1, clickCount=1)
+        for k in range(1, steps + 1):
+            x, y = (a + (b - a) * k / steps for a, b in zip(start, end, strict=True))
+            self.mouse("mouseMoved", x, y, button="left", buttons=1)
+            time.sleep(0.1)
+        self.mouse("mouseReleased", *end, button="left", clickCount=1)
+
+    def key(self, key: str, code: int, modifiers: int = 0) -> None:
+        """Press a key; of modifiers, 2 is Control."""
+        for kind in ("rawKeyDown", "keyUp"):
+            self.call("Input.dispatchKeyEvent", type=kind, key=key, windowsVirtualKeyCode=code, modifiers=modifiers)
+
+    def close(self) -> None:
+        self._stack.__exit__(None, None, None)
+        self._process.terminate()
+        self._process.wait()
