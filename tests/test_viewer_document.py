@@ -93,7 +93,7 @@ class TestEdits:
             objects.append(d.deformation)
             assert d.revision == k + 1
             same(d)
-        assert all(one != next for one, next in itertools.pairwise(states))
+        assert all(one != other for one, other in itertools.pairwise(states))
         for k in reversed(range(len(steps))):
             d.undo()
             assert d.state == states[k]
@@ -226,7 +226,7 @@ class TestRefusals:
     def test_folds(self) -> None:
         d = Document(SHAPE, recipe=Recipe(on_fold="error", strokes=(stroke(),)))
         before = d.state
-        with pytest.raises(FoldError, match="^stroke 2: a drag by"):
+        with pytest.raises(FoldError, match=r"^stroke 2: a drag by"):
             d.add(STRONG)
         assert (d.state, d.revision, d.can_undo) == (before, 0, False)
         d = Document(SHAPE, recipe=Recipe(strokes=(STRONG,)))
@@ -396,7 +396,9 @@ class TestRecipes:
 
 def random_edit(d: Document, rng: random.Random) -> None:
     n = len(d.items)
-    some = stroke(rng.uniform(0, 160), rng.uniform(0, 120), rng.gauss(0, 40), rng.gauss(0, 40), radius=rng.choice([5, 40]))
+    some = stroke(
+        rng.uniform(0, 160), rng.uniform(0, 120), rng.gauss(0, 40), rng.gauss(0, 40), radius=rng.choice([5, 40])
+    )
     i = rng.randrange(n) if n else None
     acts: list[Any] = [
         lambda: d.add(some),
