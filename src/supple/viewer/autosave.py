@@ -1,0 +1,231 @@
+"""What was done to a file, kept beside a crash."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import json
+import os
+import secrets
+import sys
+import time
+from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO, Any
+
+from supple.errors import SuppleError
+from supple.media.files import replacing
+from supple.strokes import Recipe
+from supple.viewer.document import Document
+
+PathLike = str | os.PathLike[str]
+
+EVERY = 1.0
+"""Seconds between two saves, at least."""
+_VERSION = 1
+
+
+@dataclass(frozen=True, slots=True)
+class Found:
+    """What a window left behind that did not end well.
+
+    Parameters
+    ----------
+    recipe : Recipe
+    place : pathlib.Path
+        Where it is kept.
+    saved : float
+        When, in seconds since 1970.
+    same : bool
+        Whether the source is as it was then, by its size and time.
+    """
+
+    recipe: Recipe
+    place: Path
+    saved: float
+    same: bool
+
+    def set_aside(self) -> None:
+        """Do not offer it again; the file stays, under another name."""
+        _set_aside(self.place, "kept")
+
+
+class Autosave:
+    """Keeps the recipe of a document in a file of its own, until a clean end.
+
+    Each window has a file, and a lock on it that the system takes away if the window dies: two of the same source
+    never meet. Writing is done in a thread.
+
+    Parameters
+    ----------
+    source : str or os.PathLike
+        What is edited.
+    document : Document
+    folder : str or os.PathLike, optional
+        Where the files are; by default, where the system keeps such things for the user.
+    clock : function
+        Tells the time in seconds.
+    """
+
+    def __init__(
+        self,
+        source: PathLike,
+        document: Document,
+        folder: PathLike | None = None,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self.trouble: str | None = None
+        """Why it could not be saved the last time, in a line."""
+        self._source, self._document, self._clock = source, document, clock
+        self._folder = Path(folder) if folder is not None else _home()
+        self.place = self._folder / f"{_stem(source)}-{os.getpid()}-{secrets.token_hex(4)}.json"
+        """The file, if there is one: only what is not saved otherwise is in it."""
+        self._lock: IO[bytes] | None = None
+        self._pool = ThreadPoolExecutor(1, "supple-autosave")
+        self._writing: Future[None] | None = None
+        self._next = -float("inf")
+        self._kept: object = self._now()
+        self._ended = False
+
+    def tick(self) -> None:
+        """Save what has changed, if it is time to; called as often as one likes."""
+        now = self._now()
+        if self._ended or self._document.dragging or now == self._kept or self._clock() < self._next:
+            return
+        if self._writing is not None and not self._writing.done():
+            return
+        self._next, self._kept = self._clock() + EVERY, now
+        # What was saved needs no keeping.
+        self._writing = self._pool.submit(self._write, self._document.recipe if self._document.dirty else None)
+
+    def _now(self) -> object:
+        return self._document.state.content, self._document.dirty
+
+    def flush(self) -> None:
+        """Wait until what was begun is written."""
+        if self._writing is not None:
+            self._writing.result()
+
+    def clear(self) -> None:
+        """End well: nothing is kept."""
+        self._ended = True
+        self.flush()
+        self._pool.shutdown()
+        self._remove()
+        if self._lock is not None:
+            self._lock.close()
+            with contextlib.suppress(OSError):
+                _locks(self.place).unlink()
+            self._lock = None
+
+    def _write(self, recipe: Recipe | None) -> None:
+        try:
+            if recipe is None:
+                self._remove()
+            else:
+                self._folder.mkdir(parents=True, exist_ok=True)
+                if self._lock is None:
+                    self._lock = _locked(_locks(self.place))
+                data = {"supple_autosave": _VERSION, "source": _described(self._source), "saved": time.time()}
+                text = json.dumps(data | {"recipe": json.loads(recipe.to_json())}, indent=1, allow_nan=False)
+                with replacing(self.place, force=True) as place:
+                    place.write_text(text, encoding="utf-8")
+            self.trouble = None
+        except (OSError, SuppleError) as error:
+            self.trouble = " ".join(str(error).split())
+            self._kept = None  # to be tried again
+
+    def _remove(self) -> None:
+        with contextlib.suppress(FileNotFoundError):
+            self.place.unlink()
+
+
+def found(source: PathLike, folder: PathLike | None = None) -> Found | None:
+    """What was done to a source last, and neither saved nor ended well; None if there is nothing.
+
+    Files of windows that still live are left alone. One that can't be read is set aside, under another name.
+
+    Parameters
+    ----------
+    source : str or os.PathLike
+    folder : str or os.PathLike, optional
+        As `Autosave` takes it.
+    """
+    home = Path(folder) if folder is not None else _home()
+    best: Found | None = None
+    for place in sorted(home.glob(f"{_stem(source)}-*.json")):
+        with contextlib.suppress(OSError), contextlib.ExitStack() as stack:  # it may be gone, or not be ours to read
+            lock = _locked(_locks(place))
+            if lock is None:
+                continue
+            stack.enter_context(lock)
+            try:
+                one = _read(place, source)
+            except (ValueError, TypeError, KeyError, RecursionError):
+                _set_aside(place, "bad")
+                continue
+            if one is not None and (best is None or one.saved > best.saved):
+                best = one
+    return best
+
+
+def _read(place: Path, source: PathLike) -> Found | None:
+    data: Any = json.loads(place.read_bytes().decode("utf-8"))
+    if data["supple_autosave"] != _VERSION:
+        return None  # of another release, which will find it
+    recipe = Recipe.from_json(json.dumps(data["recipe"]))
+    return Found(recipe, place, float(data["saved"]), data["source"] == _described(source))
+
+
+def _set_aside(place: Path, why: str) -> None:
+    with contextlib.suppress(OSError):
+        os.replace(place, place.with_suffix(f".{secrets.token_hex(2)}.{why}"))
+        _locks(place).unlink()
+
+
+def _home() -> Path:
+    try:
+        from platformdirs import user_state_path
+    except ImportError:
+        raise SuppleError('to keep what was done, platformdirs is needed: pip install "supple[view]"') from None
+    return user_state_path("supple", appauthor=False) / "autosave"
+
+
+def _stem(source: PathLike) -> str:
+    """A name that a source has for itself, as short as a file's name must be."""
+    return hashlib.sha256(os.fsencode(os.path.realpath(source))).hexdigest()[:20]
+
+
+def _described(source: PathLike) -> dict[str, object]:
+    path = os.path.realpath(source)
+    made: dict[str, object] = {"path": os.fsencode(path).decode("utf-8", "backslashreplace")}
+    with contextlib.suppress(OSError):
+        stat = os.stat(path)
+        made |= {"size": stat.st_size, "mtime_ns": stat.st_mtime_ns}
+    return made
+
+
+def _locks(place: Path) -> Path:
+    return place.with_suffix(".lock")
+
+
+def _locked(path: Path) -> IO[bytes] | None:
+    """A file that is locked as long as it is open; None if another one has it."""
+    file = open(path, "ab")  # noqa: SIM115, closing it is what unlocks it
+    try:
+        if sys.platform == "win32":
+            import msvcrt
+
+            msvcrt.locking(file.fileno(), msvcrt.LK_NBLCK, 1)
+        else:
+            import fcntl
+
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except (BlockingIOError, PermissionError):
+        file.close()
+        return None
+    except OSError:
+        pass  # a disk without locks: better found than lost
+    return file
