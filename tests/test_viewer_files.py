@@ -373,6 +373,22 @@ class TestExport:
         go.set()
         assert finished(export).result == "made"
 
+    def test_never_goes_back(self, source: Path, tmp_path: Path) -> None:
+        seen: list[float] = []
+
+        def muddled(*args: Any, tell: Any, **rest: Any) -> None:
+            ready.wait(10)
+            for step in [("read", 0, 1), ("warp", 9, 10), ("plan", 1, 10), ("warp", 10, 10), ("write", 0, 1)]:
+                tell(*step)
+                seen.append(export.progress)
+
+        ready = threading.Event()
+        export = Export(source, tmp_path / "b.png", Recipe(), warp=muddled)
+        ready.set()
+        finished(export)
+        assert seen == sorted(seen)
+        assert 0.5 < seen[1] < seen[-1] < 1
+
     def test_options_are_passed_on(self, source: Path, tmp_path: Path) -> None:
         target = tmp_path / "b.png"
         target.write_text("there")

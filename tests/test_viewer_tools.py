@@ -146,6 +146,15 @@ class TestImages:
         move(tools, 330, 210, buttons=(MIDDLE,))
         assert tools.viewport.to_canvas(*point) == pytest.approx((330, 210))
 
+    def test_escape_takes_back_zooming_too(self) -> None:
+        tools = image()
+        view = tools.viewport
+        down(tools, 300, 200, button=MIDDLE)
+        wheel(tools, -100, "Control")
+        move(tools, 320, 200, buttons=(MIDDLE,))
+        press(tools, "Escape")
+        assert tools.viewport is view
+
     def test_clicks_select(self) -> None:
         strong = Stroke(at=(200, 100), by=(300, 0), radius=30)
         tools = image(Stroke(at=(50, 50), by=(20, 0), radius=30), strong)
@@ -404,6 +413,17 @@ class TestVideos:
         up(tools, 101, 101)
         assert tools.document.items[0].stroke.at == (50, 50, 2)
         assert tools.document.items[0].stroke.by == pytest.approx((25, 0, 6))
+
+    def test_between_two_frames(self) -> None:
+        tools = clip(Stroke(at=(50, 50, 3), by=(20, 0, 0.5), radius=60))
+        tools.document.set_border(None)
+        tools.document.select(0)
+        tools.playback.seek(3)
+        down(tools, 141, 101)
+        wheel(tools, -100)
+        wheel(tools, 100)
+        up(tools, 141, 101)
+        assert tools.playback.frame == 3
 
     def test_plays(self) -> None:
         tools = clip()
