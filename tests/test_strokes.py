@@ -107,6 +107,7 @@ def recipes(draw: st.DrawFn) -> Recipe:
         radius=st.floats(1e-30, 1e30),
         poisson=ratios,
         scales=st.sampled_from([1, 2, 3]),
+        hidden=st.booleans(),
     )
     return Recipe(
         border=draw(st.none() | st.floats(1e-30, 1e30)),
@@ -196,6 +197,10 @@ class TestStroke:
     def test_refuses_scales(self, bad: Any) -> None:
         assert refusal(lambda: grab(scales=bad)).startswith("scales must be 1, 2 or 3, found ")
 
+    @pytest.mark.parametrize("bad", [0, 1, None, "true", np.True_, []])
+    def test_refuses_what_is_neither_hidden_nor_not(self, bad: Any) -> None:
+        assert refusal(lambda: grab(hidden=bad)).startswith("hidden must be true or false, found ")
+
     @pytest.mark.parametrize("bad", ["twist", "", "Grab", None, 1, ["grab"]])
     def test_refuses_brushes(self, bad: Any) -> None:
         assert refusal(lambda: grab(brush=bad)).startswith('brush must be "grab", found ')
@@ -277,6 +282,11 @@ class TestJson:
 
         json.loads(text, parse_constant=refuse)
 
+    def test_only_hidden_strokes_say_so(self) -> None:
+        text = Recipe(strokes=(grab(), grab(hidden=True))).to_json()
+        assert f'    {GRAB},\n    {GRAB[:-1]}, "hidden": true}}\n' in text
+        assert Recipe.from_json(text.replace("true", "false")) == Recipe(strokes=(grab(), grab()))
+
     def test_what_may_be_left_out(self) -> None:
         text = '{"strokes": [{"radius": 100, "by": [0, 90], "at": [256.0, 256], "brush": "grab"}], "supple": 1}'
         assert Recipe.from_json(text) == Recipe(strokes=(grab(),))
@@ -330,6 +340,7 @@ class TestJson:
             ("radius", "9" * 401),
             *[("poisson", v) for v in ("0.51", '"inf"', '"0.4"', "true", "null", "[0]")],
             *[("scales", v) for v in ("0", "4", "1.0", "true", '"1"', "null", "9" * 5000)],
+            *[("hidden", v) for v in ("0", "1", "null", '"true"', "[]")],
             *[("brush", v) for v in ('"twist"', "1", "null", "[]", '"' + "x" * 10_000 + '"')],
         ],
     )  # fmt: skip

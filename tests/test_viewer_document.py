@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from supple.clips import deformation_of as on_clip
 from supple.deformation import Deformation
 from supple.errors import FoldError, FoldWarning, SuppleError
 from supple.files import read_recipe, warp_file, write_recipe
@@ -93,7 +94,7 @@ class TestEdits:
             objects.append(d.deformation)
             assert d.revision == k + 1
             same(d)
-        assert all(one != next for one, next in itertools.pairwise(states))
+        assert all(one != other for one, other in itertools.pairwise(states))
         for k in reversed(range(len(steps))):
             d.undo()
             assert d.state == states[k]
@@ -226,7 +227,7 @@ class TestRefusals:
     def test_folds(self) -> None:
         d = Document(SHAPE, recipe=Recipe(on_fold="error", strokes=(stroke(),)))
         before = d.state
-        with pytest.raises(FoldError, match="^stroke 2: a drag by"):
+        with pytest.raises(FoldError, match=r"^stroke 2: a drag by"):
             d.add(STRONG)
         assert (d.state, d.revision, d.can_undo) == (before, 0, False)
         d = Document(SHAPE, recipe=Recipe(strokes=(STRONG,)))
@@ -271,6 +272,38 @@ class TestFolds:
         assert not recwarn.list
         d.hide(1, False)
         assert d.damping(1) == part
+
+
+class TestHiddenStrokes:
+    HIDDEN = replace(stroke(90, 70), hidden=True)
+
+    def test_a_deformation_leaves_them_out(self) -> None:
+        recipe = Recipe(strokes=(self.HIDDEN, stroke(), self.HIDDEN))
+        d = Deformation.from_recipe(recipe, SHAPE)
+        assert d.recipe == Recipe(strokes=(stroke(),))
+        assert d._table.tobytes() == Deformation(SHAPE).add(stroke())._table.tobytes()
+        assert d.report().strokes == 1
+        assert d.add(self.HIDDEN) is d
+        with pytest.raises(SuppleError, match="2 numbers"):
+            d.add(Stroke(at=(1, 2, 3), by=(1, 1, 1), radius=9, hidden=True))
+
+    def test_errors_count_them(self) -> None:
+        with pytest.raises(FoldError, match=r"^stroke 2 of 2: "):
+            Deformation.from_recipe(Recipe(on_fold="error", strokes=(self.HIDDEN, STRONG)), SHAPE)
+
+    def test_they_may_lie_outside_of_a_clip(self) -> None:
+        late = Stroke(at=(9, 9, 99), by=(1, 1, 1), radius=9, hidden=True)
+        assert on_clip(Recipe(strokes=(late,)), 5, (40, 60), 1.0, "a.mp4").is_identity
+        with pytest.raises(SuppleError, match="no frame 99"):
+            on_clip(Recipe(strokes=(replace(late, hidden=False),)), 5, (40, 60), 1.0, "a.mp4")
+
+    def test_a_deformation_need_not_warn(self) -> None:
+        d = Deformation(SHAPE).add(stroke()).add(STRONG, warn=False)
+        first, second = d.fold_warnings
+        assert first is None
+        with pytest.warns(FoldWarning) as caught:
+            Deformation(SHAPE).add(STRONG)
+        assert str(caught[0].message) == second
 
 
 class TestDrags:

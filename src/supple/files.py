@@ -24,6 +24,7 @@ from supple.strokes import Recipe
 from supple.volumes import VolumeOptions, WarpedVolume, is_volume_job, warp_volume
 
 PathLike = str | os.PathLike[str]
+_PARTS = ("read", "warp", "write")
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,6 +66,7 @@ def warp_file(
     device: str = "cpu",
     force: bool = False,
     progress: bool | Callable[[str], None] = False,
+    tell: Callable[[str, int, int], None] | None = None,
     clip: ClipOptions | None = None,
     volume: VolumeOptions | None = None,
 ) -> Warped | WarpedClip | WarpedVolume:
@@ -99,6 +101,9 @@ def warp_file(
         Whether to show on a terminal what is being done. Or a function, which is called before each part of
         the work with its name, ``"read"``, ``"warp"`` and ``"write"``: what it raises ends the work, and
         leaves no file. Of a clip, ``"write"`` comes first, and then ``"plan"`` and ``"warp"`` for every frame.
+    tell : function of (str, int, int), optional
+        Called like that function, also with how much of the part is done, and of how much: in frames or slices; of a
+        picture, the parts are counted.
     clip : ClipOptions, optional
         What is particular to clips.
     volume : VolumeOptions, optional
@@ -125,7 +130,7 @@ def warp_file(
             raise SuppleError(f"{shown(source)} is a volume, and what was asked of it is for pictures or videos")
         if not force and _same(source, target):
             raise SuppleError(f"{shown(target)} is the volume itself: pass --force (force=True) to replace it")
-        with counted(progress, "slices") as counts:
+        with counted(progress, "slices", tell) as counts:
             return warp_volume(
                 source,
                 target,
@@ -145,7 +150,7 @@ def warp_file(
         if not force and _same(source, target):
             raise SuppleError(f"{shown(target)} is the clip itself: pass --force (force=True) to replace it")
         sampling = {"filter": filter, "tolerance": tolerance, "outside": outside, "fill": fill}
-        with counted(progress) as counts:
+        with counted(progress, also=tell) as counts:
             return warp_clip(
                 source,
                 target,
@@ -168,15 +173,21 @@ def warp_file(
     if not force and _same(source, target):
         raise SuppleError(f"{shown(target)} is the picture itself: pass --force (force=True) to replace it")
     check_output(target, force=force)
-    with contextlib.nullcontext(progress) if callable(progress) else _told(source, progress) as tell:
-        tell("read")
+    with contextlib.nullcontext(progress) if callable(progress) else _told(source, progress) as show:
+
+        def begin(part: str) -> None:
+            show(part)
+            if tell is not None:
+                tell(part, _PARTS.index(part), len(_PARTS))
+
+        begin("read")
         picture = read(source)
-        tell("warp")
+        begin("warp")
         deformation = Deformation.from_recipe(recipe, picture.pixels.shape[:2])
         warn_of_misses(deformation, source)
         if deformation.is_identity and quality is None and not lossless and _suffix(source) == _suffix(target):
             # Encoded anew, a lossy picture would not be what it was.
-            tell("write")
+            begin("write")
             with replacing(target, force=force) as place:
                 shutil.copyfile(source, place)
             return Warped(Path(source), Path(target), deformation, tolerance)
@@ -193,7 +204,7 @@ def warp_file(
         # Of the input, only the header is needed now: the encoder may have its memory.
         like = replace(picture, pixels=np.empty((0, *picture.pixels.shape[1:]), picture.pixels.dtype))
         del picture
-        tell("write")
+        begin("write")
         write(target, pixels, like=like, quality=quality, lossless=lossless, force=force)
     return Warped(Path(source), Path(target), deformation, tolerance)
 
@@ -203,8 +214,21 @@ def _only_memory(clip: ClipOptions | None) -> bool:
 
 
 @contextlib.contextmanager
-def counted(progress: bool | Callable[[str], None], unit: str = "frames") -> Iterator[Callable[[str, int, int], None]]:
-    """Show how far a clip or a volume is: frames or slices, their rate, and the time left."""
+def counted(
+    progress: bool | Callable[[str], None],
+    unit: str = "frames",
+    also: Callable[[str, int, int], None] | None = None,
+) -> Iterator[Callable[[str, int, int], None]]:
+    """Show how far a clip or a volume is: frames or slices, their rate, and the time left; and tell somebody else."""
+    if also is not None:
+        with counted(progress, unit) as counts:
+
+            def both(step: str, done: int, total: int) -> None:
+                counts(step, done, total)
+                also(step, done, total)
+
+            yield both
+        return
     if callable(progress):
         yield lambda step, done, total: progress(step)
         return

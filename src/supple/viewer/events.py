@@ -19,6 +19,7 @@ GROWTH = 1.1
 """How many times larger the brush is after a notch of the wheel, which is 100."""
 
 _LEFT = 1
+_MOST = 1e4  # of what the wheel turns at once: powers of more overflow
 _REQUESTS = {"s": "save", "o": "open", "e": "export"}
 
 
@@ -221,8 +222,7 @@ class Tools(ABC, Generic[V]):
             if self.document.dragging:
                 self.document.abandon()
             self._put_back(gesture)
-            if gesture.item is None:
-                self._click(gesture.start)
+            self._click(gesture.start)
         elif gesture is not None and gesture.button == _LEFT and not gesture.moved:
             self._click(gesture.start)
         return gesture is not None
@@ -235,7 +235,7 @@ class Tools(ABC, Generic[V]):
         amount = float(event.get("dy", 0.0))
         if "Shift" in event.get("modifiers", ()):
             amount += float(event.get("dx", 0.0))  # some systems turn the wheel sideways then
-        self._turn(event, amount)
+        self._turn(event, min(max(amount, -_MOST), _MOST))
         return True
 
     def grow(self, notches: float) -> None:

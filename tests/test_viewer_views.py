@@ -1,0 +1,251 @@
+"""How pictures lie on the canvas, how cameras are led, and how clips play."""
+
+from __future__ import annotations
+
+import random
+
+import numpy as np
+import pytest
+
+from supple.camera import Camera
+from supple.geometry import Geometry
+from supple.viewer import orbit
+from supple.viewer.orbit import Stage
+from supple.viewer.playback import Playback
+from supple.viewer.viewport import Viewport
+
+
+class TestViewport:
+    def test_fits(self) -> None:
+        view = Viewport((200, 100), (800, 600))
+        assert (view.zoom, view.centre, view.percent) == (4, (99.5, 49.5), 400)
+        assert view.to_image(0, 100) == (-0.5, -0.5)  # the corner of the first pixel, half a pixel from its middle
+        assert view.to_image(800, 500) == (199.5, 99.5)
+        assert view.to_canvas(0, 0) == (2, 102)
+        assert Viewport((100, 200), (800, 600)).zoom == 3
+
+    def test_there_and_back(self) -> None:
+        view = Viewport((640, 480), (1000, 700), 2).zoom_about(300, 200, 3.3).pan(-40, 25)
+        for x, y in [(0, 0), (12.5, 470), (639, 3.25)]:
+            assert view.to_image(*view.to_canvas(x, y)) == pytest.approx((x, y), abs=1e-9)
+
+    def test_zooms_about_a_point(self) -> None:
+        view = Viewport((640, 480), (1000, 700))
+        for factor in (1.7, 0.8, 3):
+            before = view.to_image(620, 310)
+            view = view.zoom_about(620, 310, factor)
+            assert view.to_image(620, 310) == pytest.approx(before)
+        assert view.zoom == pytest.approx(700 / 480 * 1.7 * 0.8 * 3)
+
+    def test_limits_of_zoom(self) -> None:
+        view = Viewport((4000, 3000), (800, 600), 2)
+        for factor, zoom in [(1e9, 32), (1e-9, 0.05)]:
+            view = view.zoom_about(10, 10, factor)
+            assert view.zoom == zoom
+            assert view.zoom_about(10, 10, factor) is view
+        small = Viewport((4, 3), (800, 600))
+        assert small.zoom == 200
+        assert small.zoom_about(0, 0, 1e9) is small
+
+    def test_pans(self) -> None:
+        view = Viewport((640, 480), (640, 480)).zoom_about(320, 240, 2)
+        point = view.to_image(100, 50)
+        assert view.pan(30, -7).to_canvas(*point) == pytest.approx((130, 43))
+        assert view.pan(0, 0) is view
+
+    def test_is_never_out_of_sight(self) -> None:
+        rng = random.Random(3)
+        view = Viewport((640, 480), (900, 700), 1.5)
+        for _ in range(500):
+            x, y = rng.uniform(-2000, 2000), rng.uniform(-2000, 2000)
+            match rng.choice(["pan", "zoom", "resize", "actual"]):
+                case "pan":
+                    view = view.pan(x, y)
+                case "zoom":
+                    view = view.zoom_about(x, y, 10 ** rng.uniform(-2, 2))
+                case "resize":
+                    view = view.resize((rng.choice([0, 1, 300, 5000]), rng.uniform(0, 900)))
+                case _:
+                    view = view.actual() if rng.random() < 0.2 else view
+            (left, top), (right, bottom) = view.to_canvas(-0.5, -0.5), view.to_canvas(639.5, 479.5)
+            width, height = view.canvas_size
+            assert left - 1e-6 <= width / 2 <= right + 1e-6
+            assert top - 1e-6 <= height / 2 <= bottom + 1e-6
+            assert view.limits[0] <= view.zoom <= view.limits[1]
+
+    @pytest.mark.parametrize("ratio", [1.0, 2.0, 1.5])
+    def test_actual_size_is_sharp(self, ratio: float) -> None:
+        view = Viewport((641, 480), (803, 700), ratio).zoom_about(100, 90, 1.23).pan(3.3, 7.7)
+        sharp = view.actual()
+        assert sharp.percent == pytest.approx(100)
+        assert max(abs(a - b) for a, b in zip(sharp.centre, view.centre, strict=True)) <= 0.5
+        edges = np.array(sharp.to_canvas(-0.5, -0.5)) * ratio
+        np.testing.assert_allclose(edges, np.rint(edges), atol=1e-9)
+
+    def test_resizes(self) -> None:
+        view = Viewport((200, 100), (800, 600))
+        assert view.resize((400, 300)).zoom == 2
+        assert view.resize((400, 300), 2).percent == 400
+        led = view.zoom_about(10, 20, 2)
+        assert (led.resize((300, 500)).zoom, led.resize((300, 500)).centre) == (led.zoom, led.centre)
+        assert led.fit() == view
+        assert view.resize((0, 0)).canvas_size == (1, 1)
+
+    def test_what_lies_within(self) -> None:
+        view = Viewport((200, 100), (800, 600))
+        assert view.holds(-0.5, 99.5)
+        assert not view.holds(-0.6, 50)
+        assert not view.holds(50, 99.6)
+
+
+STAGE = Stage((40, 60, 50), Geometry(spacing=(1, 1, 2)), (300, 400))
+CAMERAS = [Camera(), Camera(130, 40, roll=30, target=(10, 20, 30)), Camera(distance=100, roll=-60, elevation=-20)]
+
+
+class TestOrbit:
+    @pytest.mark.parametrize("camera", CAMERAS)
+    def test_places_on_the_canvas_are_those_of_rays(self, camera: Camera) -> None:
+        view = STAGE.view(camera)
+        at = view.eye + 70 * view.direction(100, 30) / view.spacing
+        found = STAGE.project(camera, tuple(at))
+        assert found == pytest.approx((100.5, 30.5, 70))
+        assert STAGE.project(camera, tuple(view.eye - view.ahead)) is None
+
+    @pytest.mark.parametrize("camera", CAMERAS)
+    def test_the_front_goes_along_with_the_pointer(self, camera: Camera) -> None:
+        view, target = STAGE.view(camera), np.array(STAGE.target(camera))
+        front = tuple(target + 0.3 * (view.eye - target))
+        x, y, _ = STAGE.project(camera, front) or (0, 0, 0)
+        for dx, dy in [(4, 0), (0, 4), (-3, 2)]:
+            a, b, _ = STAGE.project(orbit.orbit(camera, dx, dy, STAGE), front) or (0, 0, 0)
+            went = np.array((a - x, b - y))
+            assert went @ (dx, dy) > 0.9 * np.hypot(*went) * np.hypot(dx, dy)
+            assert np.hypot(*went) > 4
+
+    def test_turns_by_pixels_and_not_beyond_the_poles(self) -> None:
+        camera = orbit.orbit(Camera(), -300, 0, STAGE)
+        assert abs(camera.azimuth) == 180
+        assert orbit.orbit(Camera(), 0, 75, STAGE).elevation == 45
+        assert orbit.orbit(Camera(), 0, 1e9, STAGE).elevation == 90
+        assert orbit.orbit(Camera(), 0, -1e9, STAGE).elevation == -90
+        assert -180 <= orbit.orbit(Camera(), 1e7, 0, STAGE).azimuth <= 180
+
+    @pytest.mark.parametrize("camera", CAMERAS)
+    def test_pans_what_is_looked_at(self, camera: Camera) -> None:
+        target = STAGE.target(camera)
+        x, y, away = STAGE.project(camera, target) or (0, 0, 0)
+        moved = orbit.pan(camera, 5, -3, STAGE)
+        assert STAGE.project(moved, target) == pytest.approx((x + 5, y - 3, away), abs=0.1)
+        assert STAGE.distance(moved) == pytest.approx(STAGE.distance(camera))
+
+    def test_never_looks_past_the_volume(self) -> None:
+        camera = orbit.pan(Camera(), 1e6, 1e6, STAGE)
+        assert camera.target is not None
+        assert all(0 <= t <= n - 1 for t, n in zip(camera.target, (50, 60, 40), strict=True))
+
+    def test_goes_nearer_and_away(self) -> None:
+        fitted = STAGE.distance(Camera())
+        assert STAGE.distance(orbit.dolly(Camera(), 100, STAGE)) == pytest.approx(fitted * 1.1)
+        two = orbit.dolly(orbit.dolly(Camera(), -100, STAGE), -150, STAGE)
+        assert STAGE.distance(two) == pytest.approx(STAGE.distance(orbit.dolly(Camera(), -250, STAGE)))
+        assert STAGE.distance(orbit.dolly(Camera(), -1e5, STAGE)) == 1
+        assert STAGE.distance(orbit.dolly(Camera(), 1e4, STAGE)) == pytest.approx(10 * fitted)
+
+
+class TestPlayback:
+    def test_keeps_time(self) -> None:
+        clip = Playback(100, 25)
+        assert clip.frame_at(7.0) == 0
+        clip.play()
+        assert [clip.frame_at(10 + k / 25) for k in range(50)] == list(range(50))
+        assert clip.dropped == 0
+
+    def test_drops_what_comes_too_late(self) -> None:
+        clip = Playback(100, 25)
+        clip.play()
+        assert [clip.frame_at(t) for t in (3.0, 3.01, 3.04, 3.2, 3.2, 3.21, 3.25)] == [0, 0, 1, 5, 5, 5, 6]
+        assert clip.dropped == 3
+        clip.frame_at(3.1)
+        assert clip.frame == 6  # a clock that goes back does not take frames back
+
+    def test_stops_at_the_end_and_begins_again(self) -> None:
+        clip = Playback(5, 10)
+        clip.play()
+        clip.frame_at(0)
+        assert (clip.frame_at(9), clip.playing, clip.dropped) == (4, False, 3)
+        assert clip.frame_at(20) == 4
+        clip.toggle()
+        assert clip.frame_at(30) == 0
+        clip.toggle()
+        assert (clip.frame_at(40), clip.playing) == (0, False)
+
+    def test_loops(self) -> None:
+        clip = Playback(5, 10)
+        clip.set_loop(True)
+        clip.play()
+        assert [clip.frame_at(k / 10) for k in range(12)] == [0, 1, 2, 3, 4, 0, 1, 2, 3, 4, 0, 1]
+        assert clip.dropped == 0
+        assert clip.frame_at(100.3) == 3
+
+    def test_plays_from_where_it_is(self) -> None:
+        clip = Playback(50, 10)
+        clip.play()
+        clip.frame_at(0)
+        clip.frame_at(1)
+        clip.pause()
+        assert clip.frame_at(99) == 10
+        clip.play()
+        assert (clip.frame_at(200), clip.frame_at(200.1), clip.dropped) == (10, 11, 9)
+        clip.seek(30)
+        assert (clip.frame_at(300), clip.frame_at(300.2)) == (30, 32)
+        clip.set_loop(True)
+        assert (clip.frame_at(300.3), clip.frame_at(300.4)) == (32, 33)
+
+    def test_seeks_within_the_clip(self) -> None:
+        clip = Playback(10, 10)
+        for to, frame in [(3.4, 3), (3.5, 4), (-7, 0), (99, 9)]:
+            clip.seek(to)
+            assert clip.frame == frame
+        clip.seek(5)
+        clip.play()
+        clip.step(-2)
+        assert (clip.frame, clip.playing) == (3, False)
+
+    def test_in_and_out_points(self) -> None:
+        clip = Playback(10, 10)
+        clip.seek(3)
+        clip.mark_in()
+        clip.seek(6)
+        clip.mark_out()
+        clip.seek(9)
+        clip.set_loop(True)
+        clip.play()
+        assert [clip.frame_at(k / 10) for k in range(6)] == [3, 4, 5, 6, 3, 4]
+        clip.pause()
+        clip.home()
+        assert clip.frame == 3
+        clip.home()
+        assert clip.frame == 0
+        clip.end()
+        assert clip.frame == 6
+        clip.end()
+        assert clip.frame == 9
+        clip.mark_in()
+        assert (clip.first, clip.last) == (9, 9)
+        clip.seek(2)
+        clip.mark_out()
+        assert (clip.first, clip.last) == (0, 2)
+        clip.unmark()
+        assert (clip.first, clip.last) == (0, 9)
+
+    def test_one_frame(self) -> None:
+        clip = Playback(1, 24)
+        for loop in (False, True):
+            clip.set_loop(loop)
+            clip.play()
+            assert (clip.frame_at(0), clip.frame_at(5)) == (0, 0)
+
+    @pytest.mark.parametrize(("count", "rate"), [(0, 1), (1, 0), (1, float("nan")), (2.5, 1)])
+    def test_refuses(self, count: int, rate: float) -> None:
+        with pytest.raises(ValueError, match="must be a number of frames"):
+            Playback(count, rate)
