@@ -111,6 +111,8 @@ def viewing(*arguments: str, folder: Path, display: str = "") -> Iterator[subpro
             except subprocess.TimeoutExpired:
                 process.kill()
                 process.wait()
+        if process.stdout is not None:
+            process.stdout.close()
 
 
 @contextmanager
@@ -213,7 +215,10 @@ class Browser:
 
     def shown(self) -> Pixels:
         """What is on the page."""
-        data = base64.b64decode(self.call("Page.captureScreenshot", format="png")["data"])
+        taken = self.call("Page.captureScreenshot", format="png")
+        if not taken:  # on the way from page to page
+            return np.zeros((SIZE[1], SIZE[0], 3), np.uint8)
+        data = base64.b64decode(taken["data"])
         return np.asarray(pyvips.Image.new_from_buffer(data, "").numpy())[..., :3]
 
     def mouse(self, kind: str, x: float, y: float, **more: Any) -> None:
@@ -238,3 +243,5 @@ class Browser:
         self._stack.__exit__(None, None, None)
         self._process.terminate()
         self._process.wait()
+        if self._process.stderr is not None:
+            self._process.stderr.close()
