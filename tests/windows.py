@@ -112,6 +112,7 @@ def viewing(*arguments: str, folder: Path, display: str = "") -> Iterator[subpro
                 process.kill()
                 process.wait()
         if process.stdout is not None:
+            print(process.stdout.read())
             process.stdout.close()
 
 
