@@ -498,7 +498,7 @@ def test_textures_that_do_not_fit_are_refused(gpu: Gpu, cloud: np.ndarray) -> No
     for background in ((1, 1), "red", (np.nan, 0, 0), (2, -1, 0)):
         with pytest.raises(SuppleError, match="background"):
             scene.draw(texture, background=background)  # type: ignore[arg-type]
-    with pytest.raises(SuppleError):
+    with pytest.raises(SuppleError, match="size must be two numbers of pixels"):
         scene.draw(texture, size=(64,))  # type: ignore[arg-type]
     assert devices.open_gpu() is gpu
 
