@@ -108,8 +108,9 @@ class View:
 
 def view_of(camera: Camera, shape: tuple[int, ...], geometry: Geometry, size: tuple[int, int]) -> View:
     """Set up a camera before a volume of ``shape`` (Z, H, W), for a picture of ``size`` (rows, columns)."""
-    if not isinstance(size, Sequence) or isinstance(size, str) or len(size) != 2:
-        refuse("size", "two numbers of pixels, rows and columns", size)
+    given: object = size  # it may be anything
+    if not isinstance(given, Sequence) or isinstance(given, str) or len(given) != 2:
+        refuse("size", "two numbers of pixels, rows and columns", given)
     height, width = (
         integer(name, n, "a number of pixels from 1 to 32768", 1, 32768)
         for name, n in zip(("height", "width"), size, strict=True)
