@@ -354,3 +354,163 @@ def test_what_scenes_hold_is_freed(gpu: Gpu) -> None:
     for k in range(12):
         work(k)
     assert (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) * 1024 < 4 * 2 * given.nbytes
+
+
+@pytest.fixture
+def rough() -> supple.Deformation:
+    """A stroke that is too small for any lattice."""
+    return supple.Deformation((30, 30, 30), border=8).grab((15, 15, 15), by=(4, 0, 0), radius=2.5)
+
+
+@pytest.fixture
+def ball() -> np.ndarray:
+    z, y, x = np.indices((30, 30, 30))
+    return np.clip(220 - 18 * np.sqrt((x - 15) ** 2 + (y - 14) ** 2 + (z - 15) ** 2), 0, 255).astype(np.uint8)
+
+
+def test_a_buffered_scene_keeps_its_word_beside_others(gpu: Gpu, ball: np.ndarray, rough: supple.Deformation) -> None:
+    options: dict[str, Any] = {"transfer": SOFT, "mode": "buffered", "tolerance": 0.02}
+    ours = Scene(ball, deformation=rough, **options)
+    theirs = Scene(ball, deformation=rough, device="gpu", **options)
+    assert theirs._coarse  # or this proves nothing
+    wanted = ours.render(size=SIZE)
+    assert apart(theirs.render(size=SIZE), wanted) > 45
+    other = theirs.deformed(rough.grab((15, 8, 15), by=(-6, 3, 5), radius=7))
+    assert apart(other.render(size=SIZE), wanted) < 40
+    assert apart(theirs.render(size=SIZE), wanted) > 45
+
+
+def test_the_cpu_sees_what_a_buffer_shows(
+    gpu: Gpu, ball: np.ndarray, rough: supple.Deformation, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    options: dict[str, Any] = {"deformation": rough, "transfer": SOFT, "tolerance": 0.02}
+    exact = Scene(ball, mode="exact", **options)
+    theirs = Scene(ball, mode="buffered", device="gpu", **options)
+    one, other = (scene.pick(Camera(), SIZE, (26, 20)) for scene in (exact, theirs))
+    assert one is not None
+    assert other is not None
+    np.testing.assert_allclose(one.index, other.index, atol=0.05)
+
+    def lost(*rest: object) -> None:
+        raise RuntimeError("Parent device is lost")
+
+    monkeypatch.setattr("supple.gpu.raymarch.run", lost)
+    with pytest.warns(DeviceWarning, match="device is lost"):
+        made = theirs.render(size=SIZE)
+    assert apart(made, exact.render(size=SIZE)) > 45
+    monkeypatch.undo()
+    # Other strokes are another scene, on the device that is opened anew.
+    again = theirs.deformed(rough)
+    assert again.gpu is devices.open_gpu()
+    assert again.gpu is not theirs._held.volume.gpu  # type: ignore[union-attr]
+
+
+def test_a_fill_that_is_interrupted_leaves_no_wrong_map(
+    gpu: Gpu, cloud: np.ndarray, bent: supple.Deformation, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    one = Scene(cloud, GEOMETRY, deformation=bent, transfer=SOFT, mode="hybrid", device="gpu")
+    wanted = one.render(size=SIZE)
+    assert one.fill(seconds=60.0) == 1.0
+    other = one.deformed(bent.grab((13, 15, 11), by=(0, -6, 3), radius=8))
+    assert other.fill(seconds=60.0) == 1.0
+    made = fill.Filling._make
+    calls = []
+
+    def interrupted(self: fill.Filling, wanted: Any, lost: Any) -> None:
+        calls.append(wanted.size)
+        if len(calls) > 1:
+            raise KeyboardInterrupt
+        made(self, wanted, lost)
+
+    monkeypatch.setattr(fill.Filling, "_make", interrupted)
+    held = one._held
+    assert held is not None
+    assert held.filling is not None
+    held.filling._pace = kernel.Pace(1)
+    with pytest.raises(KeyboardInterrupt):
+        one.fill(seconds=60.0)
+    monkeypatch.undo()
+    assert 0.0 < held.filling.part < 1.0
+    assert apart(one.render(size=SIZE), wanted) > 40
+
+
+def test_a_fill_takes_no_longer_than_it_may(gpu: Gpu, monkeypatch: pytest.MonkeyPatch) -> None:
+    clock = [0.0]
+    monkeypatch.setattr("supple.gpu.kernel.time.perf_counter", lambda: clock[0])
+    pace = kernel.Pace(1)
+
+    def spent(limit: float) -> float:
+        start = clock[0]
+        for _, count in pace.parts(10_000, min(limit, 0.25), limit):
+            clock[0] += count / 1024
+        return clock[0] - start
+
+    assert spent(0.004) <= 0.004
+    assert 0.05 < spent(0.1) <= 0.1
+    assert spent(0.004) <= 0.004
+    assert spent(0.0) == 1 / 1024  # one, at least
+
+
+def test_a_fill_that_fails_leaves_the_lattice(
+    gpu: Gpu, cloud: np.ndarray, bent: supple.Deformation, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scene = Scene(cloud, GEOMETRY, deformation=bent, transfer=SOFT, mode="hybrid", device="gpu")
+    wanted = scene.render(size=SIZE)
+
+    def failing(self: fill.Filling, seconds: float, order: Any = None) -> float:
+        raise MemoryError
+
+    monkeypatch.setattr(fill.Filling, "advance", failing)
+    with pytest.warns(DeviceWarning, match="does not go on with the buffer"):
+        assert scene.fill() == 1.0
+    assert scene.fill() == 1.0  # and says so once
+    np.testing.assert_array_equal(scene.render(size=SIZE).light, wanted.light)
+    for seconds in (float("nan"), -1.0, "a"):
+        with pytest.raises(SuppleError, match="seconds must be a number of seconds from 0"):
+            scene.fill(seconds=seconds)  # type: ignore[arg-type]
+
+
+def test_what_does_not_fit_twice_is_a_lattice(
+    gpu: Gpu, cloud: np.ndarray, bent: supple.Deformation, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    gentle = supple.Deformation(SHAPE, spacing=GEOMETRY.spacing, border=None).grab(
+        (13, 14, 11), by=(2, 1, 0), radius=40
+    )
+    monkeypatch.setattr(gpu, "binding", 2 * cloud.nbytes - 4)
+    scene = Scene(cloud, GEOMETRY, deformation=gentle, transfer=SOFT, mode="hybrid", device="gpu")
+    assert scene.gpu is gpu
+    assert scene.fill() == 1.0
+    wanted = Scene(cloud, GEOMETRY, deformation=gentle, transfer=SOFT).render(size=SIZE)
+    assert apart(scene.render(size=SIZE), wanted) > 45
+    # Nor is there a finer lattice than there is room for.
+    with pytest.warns(supple.ToleranceWarning, match="the lattice may be off"):
+        coarse = Scene(cloud, GEOMETRY, deformation=bent, transfer=SOFT, device="gpu")
+    assert coarse.gpu is gpu
+    assert coarse.error > coarse.tolerance
+
+
+def test_textures_that_do_not_fit_are_refused(gpu: Gpu, cloud: np.ndarray) -> None:
+    scene = Scene(cloud, GEOMETRY, transfer=SOFT, device="gpu")
+    bare = gpu.device.create_texture(size=(8, 8, 1), format="rgba8unorm", usage="COPY_SRC")
+    with pytest.raises(SuppleError, match="texture must be of usage STORAGE_BINDING"):
+        scene.draw(bare)
+    texture = gpu.device.create_texture(size=(8, 8, 1), format="rgba8unorm", usage="STORAGE_BINDING")
+    for background in ((1, 1), "red", (np.nan, 0, 0), (2, -1, 0)):
+        with pytest.raises(SuppleError, match="background"):
+            scene.draw(texture, background=background)  # type: ignore[arg-type]
+    with pytest.raises(SuppleError, match="size must be two numbers of pixels"):
+        scene.draw(texture, size=(64,))  # type: ignore[arg-type]
+    assert devices.open_gpu() is gpu
+
+
+def test_what_a_caller_raises_passes_through_a_warp(gpu: Gpu, tmp_path: Path) -> None:
+    head = Path(supple.__file__).parent / "data" / "head.nii.gz"
+    recipe = supple.Recipe(border=30, strokes=(supple.Stroke.grab((40, 86, 65), by=(4, -9, 0), radius=36),))
+
+    def stop(text: str) -> None:
+        raise RuntimeError("the user's own")
+
+    with pytest.raises(RuntimeError, match="the user's own"):
+        supple.warp_file(head, tmp_path / "o.nii.gz", recipe, progress=stop, device="gpu")
+    assert not any(tmp_path.iterdir())
+    assert devices.open_gpu() is gpu

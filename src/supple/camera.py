@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -107,6 +108,9 @@ class View:
 
 def view_of(camera: Camera, shape: tuple[int, ...], geometry: Geometry, size: tuple[int, int]) -> View:
     """Set up a camera before a volume of ``shape`` (Z, H, W), for a picture of ``size`` (rows, columns)."""
+    given: object = size  # it may be anything
+    if not isinstance(given, Sequence) or isinstance(given, str) or len(given) != 2:
+        refuse("size", "two numbers of pixels, rows and columns", given)
     height, width = (
         integer(name, n, "a number of pixels from 1 to 32768", 1, 32768)
         for name, n in zip(("height", "width"), size, strict=True)

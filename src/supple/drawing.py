@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import warnings
 from collections.abc import Callable
 from dataclasses import replace
@@ -12,6 +13,7 @@ import numpy.typing as npt
 
 from supple.camera import View
 from supple.cpu.bricks import BRICK
+from supple.cpu.lattice import RESOLVED
 from supple.cpu.solid import Solid, solve_solid
 from supple.errors import DeviceWarning
 from supple.gpu.device import Gpu
@@ -29,10 +31,6 @@ Floats = npt.NDArray[np.float64]
 T = TypeVar("T")
 
 _LONG = 1e9  # seconds
-
-
-class InterruptionError(Exception):
-    """What a caller's own function raised, which is no fault of the GPU's; the cause is what it raised."""
 
 
 def tried(gpu: Gpu, work: Callable[[], T], stacklevel: int, says: str = "the CPU does what {} cannot") -> T | None:
@@ -88,7 +86,12 @@ def held_scene(
         raise ArithmeticError("strokes of such sizes are beyond its numbers")
     twice = mode == "hybrid" or (mode == "buffered" and space is not None)
     if volume is None or (twice and not volume.warped):
-        volume = hold(gpu, samples, twice=twice)
+        try:
+            volume = hold(gpu, samples, twice=twice)
+        except MemoryError:
+            if mode != "hybrid":
+                raise
+            twice, volume = False, hold(gpu, samples, twice=False)  # a lattice without a buffer
     if space is None:
         return Held(
             volume, hold_strokes(gpu, np.zeros(0, STROKE_DTYPE), _still(spacing)), PLAIN, None, Pace(RAYS)
@@ -99,7 +102,7 @@ def held_scene(
     if not twice:
         return Held(volume, lattice, LATTICE, None, Pace(RAYS)), solid
     filling = Filling(volume, lattice, polished=solid.error > tolerance, tolerance=tolerance)
-    held = Held(volume, lattice, HYBRID, filling, Pace(RAYS))
+    held = Held(volume, lattice, HYBRID, filling, Pace(RAYS), whole=mode == "buffered")
     if mode == "buffered":
         filling.advance(_LONG)
     else:
@@ -110,15 +113,23 @@ def held_scene(
 def lattice_of(gpu: Gpu, space: Space, tolerance: float) -> tuple[Solid, Lattice]:
     """The lattice, refined as the CPU does it, and solved here."""
     made: list[Lattice] = []
+    tries: list[tuple[Solid, float]] = []
     shape = (space.count, *space.shape)
 
     def attempt(step: int) -> tuple[Solid, float]:
-        made[:] = []
         lattice, nodes, error, smooth = solve(gpu, space.table, space.axes, shape, step)
-        made.append(lattice)
-        return Solid(nodes, step, error, 0.0), smooth
+        made[:] = [lattice]
+        tries[:] = [(Solid(nodes, step, error, 0.0), smooth)]
+        return tries[0]
 
-    solid = solve_solid(space.table, space.axes, shape, tolerance, attempt)
+    try:
+        solid = solve_solid(space.table, space.axes, shape, tolerance, attempt)
+    except MemoryError:
+        if not tries:
+            raise
+        solid, smooth = tries[0]  # the finest that there is room for
+        if solid.step > RESOLVED * smooth:
+            solid = replace(solid, error=math.inf)
     # A cubic over two cells is off by about as much as the lattice is said to be, and by a twentieth over one.
     return solid, replace(made[0], cells=2 if 3 * solid.error <= tolerance else 1)
 

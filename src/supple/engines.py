@@ -14,7 +14,7 @@ from supple.domain import choice, refuse
 from supple.errors import SuppleError
 from supple.gpu.device import Gpu, open_gpu
 from supple.gpu.field import fits
-from supple.gpu.kernel import failures, trouble
+from supple.gpu.kernel import failures, let_through, passing, trouble
 from supple.gpu.planes import Range
 from supple.gpu.samples import format_of, known_grid
 from supple.gpu.warp import warp
@@ -101,15 +101,25 @@ def warp_on_gpu(
     def write(planes: Range, rows: Range, pixels: Array) -> None:
         picture.store(pixels, target[slice(*planes), slice(*rows)])
 
-    try:
-        with gpu.lock:
-            every = (0, len(deep))
-            worst, lost = warp(
-                gpu, space.table, space.axes, picture, space.shape, len(deep), every, read, write, tell=tell
-            )
-        failed = unsolved(lost)
-    except failures() as error:
-        failed = trouble(gpu, error)
+    with let_through():
+        try:
+            with gpu.lock:
+                every = (0, len(deep))
+                worst, lost = warp(
+                    gpu,
+                    space.table,
+                    space.axes,
+                    picture,
+                    space.shape,
+                    len(deep),
+                    every,
+                    passing(read),
+                    passing(write),
+                    tell=passing(tell),
+                )
+            failed = unsolved(lost)
+        except failures() as error:
+            failed = trouble(gpu, error)
     if failed:
         warn(gpu, failed, 5)
         return None

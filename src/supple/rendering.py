@@ -17,19 +17,20 @@ from supple.cpu.kernel import share
 from supple.cpu.solid import solve_solid, unmoved
 from supple.deformation import Deformation
 from supple.domain import choice, integer, number, point, refuse
-from supple.drawing import InterruptionError, held_scene, order_of, tried, unseen_blocks
-from supple.engines import gpu_of
+from supple.drawing import held_scene, order_of, tried, unseen_blocks
+from supple.engines import DEVICES, gpu_of
 from supple.errors import SuppleError, ToleranceWarning
 from supple.geometry import Geometry
 from supple.gpu import raymarch as shading
 from supple.gpu.device import Gpu
-from supple.gpu.kernel import failures, trouble
+from supple.gpu.kernel import failures, let_through, passing, trouble
 from supple.gpu.volume import Volume
 from supple.picture import Array, Pick, Picture, light_of
 from supple.seeing import brick_counts, entries, lamp, prepared, seen_through, sizes, skipped, transfer_function, triple
 from supple.transfer import TransferFunction
 
 MODES = ("lattice", "exact", "buffered", "hybrid")
+_STORAGE = 0x08  # wgpu.TextureUsage.STORAGE_BINDING
 _ROWS = 8  # of a picture, that a core takes at a time
 PICKED = 0.9
 """The opacity that a ray has gathered where something is picked."""
@@ -94,14 +95,19 @@ class Scene:
     """The smallest and the largest value."""
     _nodes: npt.NDArray[np.float32]
     _per_voxel: float
+    _coarse: bool
+    """Whether the lattice is not good enough for the CPU, where the GPU has a buffer."""
     _lows: npt.NDArray[np.float32]
     _highs: npt.NDArray[np.float32]
     _skips: npt.NDArray[np.uint8]
     _unseen: npt.NDArray[np.bool_]
     _table: npt.NDArray[np.float32]
     _threshold: float
+    device: str
+    """Who was asked for."""
     gpu: Gpu | None
     """The device that marches along the rays, if it is not the CPU."""
+    _ranges: dict[int, tuple[Array, Array]]
     _original: Array
     _held: shading.Held | None
 
@@ -120,7 +126,7 @@ class Scene:
         device: str = "cpu",
     ) -> None:
         choice("mode", mode, MODES)
-        gpu = gpu_of(device)
+        choice("device", device, DEVICES)
         places = Geometry() if geometry is None else geometry
         given = np.asarray(samples)
         if given.ndim != 3 or 0 in given.shape or given.dtype.kind not in "biuf":
@@ -144,8 +150,9 @@ class Scene:
             "shaded": bool(shaded),
             "tolerance": tolerance,
             "range": (low, high),
-            "gpu": gpu,
+            "device": device,
             "_original": ready,
+            "_ranges": {},
             **seen_through(known, density, (low, high), step),
         }
         self._set(values | _deformed(values, deformation, None))
@@ -211,22 +218,14 @@ class Scene:
 
         held = self._held
         if held is not None:
-
-            def told(rows: int) -> None:
-                try:
-                    tell(rows // fine)
-                except Exception as error:
-                    raise InterruptionError from error
-
-            try:
+            told = passing(lambda rows: tell(rows // fine))
+            with let_through():
                 done = tried(
                     held.volume.gpu,
                     lambda: shading.march(held, self._look(view), view.packed, (height, width), fine, told),
                     2,
                     "the CPU did what {} could not",
                 )
-            except InterruptionError as stopped:
-                raise stopped.__cause__ or stopped from None
             if done is not None:
                 light, depth, work = done
                 return _picture(smaller(light, np.mean), smaller(depth, np.min), smaller(work, np.sum))
@@ -281,11 +280,18 @@ class Scene:
             raise SuppleError("a texture is drawn into by a GPU, and this scene has none: use render")
         fine = integer("supersampling", supersampling, "a number of rays along a pixel's side, from 1 to 8", 1, 8)
         width, height = texture.size[:2]
-        rows, columns = size or (height, width)
+        view = self.view(camera or Camera(), size or (height, width))
+        rows, columns = view.size
         if texture.format != "rgba8unorm" or rows > height or columns > width:
             wanted = f"rgba8unorm, of {columns} x {rows} pixels or more"
             refuse("texture", wanted, f"{texture.format} of {width} x {height}")
-        view, behind = self.view(camera or Camera(), (rows, columns)), light_of(background).astype(np.float32)
+        if not texture.usage & _STORAGE:
+            refuse("texture", "of usage STORAGE_BINDING, so that it can be drawn into", "one without")
+        colour = tuple(
+            number("background", c, "three numbers from 0 to 1", 0.0, 1.0)
+            for c in point("background", background, (3,))
+        )
+        behind = light_of(colour).astype(np.float32)  # type: ignore[arg-type]
         gpu = held.volume.gpu
         try:
             with gpu.lock:
@@ -310,12 +316,17 @@ class Scene:
         float
             How much is there, from 0 to 1. Scenes that have no buffer need none, and it is 1.
 
+        Raises
+        ------
+        SuppleError
+            If an argument is not of that kind.
+
         Warns
         -----
         DeviceWarning
-            If the GPU failed: the scene stays as it is.
+            If the GPU failed: the scene has no buffer then, and goes on with its lattice.
         """
-        held = self._held
+        held, seconds = self._held, number("seconds", seconds, "a number of seconds from 0", 0.0, 1e9)
         if held is None or held.filling is None or held.filling.part == 1.0:
             return 1.0
         filling = held.filling
@@ -326,7 +337,10 @@ class Scene:
             2,
             "{} does not go on with the buffer",
         )
-        return 1.0 if done is None else done
+        if done is None:
+            self._set({"_held": replace(held, filling=None, mode=shading.LATTICE)})
+            return 1.0
+        return done
 
     def _look(self, view: View) -> shading.Look:
         low, high = self.range
@@ -355,7 +369,7 @@ class Scene:
         )
         rest = (self.step, lamp(view), self.shaded)
         flat, size = self.samples.reshape(-1), sizes(self.samples)
-        if self.mode == "exact" and self.deformation is not None:
+        if self.deformation is not None and (self.mode == "exact" or self._coarse):
             space, finest = self.deformation.space, 1e-3 * min(self.geometry.spacing)
             return lambda pixels, *parts: raymarch.march_exactly(
                 flat, size, space.table, space.axes, finest, *common, pixels, *rest, *parts
@@ -433,7 +447,9 @@ def _picture(light: Array, depth: Array, work: Array) -> Picture:
 def _deformed(known: dict[str, Any], deformation: Deformation | None, volume: Volume | None) -> dict[str, Any]:
     """What strokes make of a scene: ``known`` is what it has without them."""
     shape, ready, mode, tolerance = (known[name] for name in ("shape", "_original", "mode", "tolerance"))
-    gpu: Gpu | None = known["gpu"]
+    gpu = gpu_of(known["device"])
+    if volume is not None and volume.gpu is not gpu:
+        volume = None  # that one was lost
     if deformation is not None:
         if deformation.shape != shape:
             refuse("the deformation", f"one of shape {shape}, as the volume", f"shape {deformation.shape}")
@@ -465,16 +481,21 @@ def _deformed(known: dict[str, Any], deformation: Deformation | None, volume: Vo
     if deformation is not None and mode == "buffered":
         error = tolerance
     brick = bricks.FINE if per_voxel > 0 else bricks.BRICK
-    lows, highs = (np.empty(brick_counts(ready.shape, brick), np.float32) for _ in range(2))
-    bricks.ranges(ready.reshape(-1), sizes(ready), brick, lows, highs)
+    ranges: dict[int, tuple[Array, Array]] = known["_ranges"] if ready is known["_original"] else {}
+    if brick not in ranges:
+        lows, highs = (np.empty(brick_counts(ready.shape, brick), np.float32) for _ in range(2))
+        bricks.ranges(ready.reshape(-1), sizes(ready), brick, lows, highs)
+        ranges[brick] = lows, highs
     values = {
         "deformation": deformation,
         "samples": ready,
         "error": error,
         "_nodes": nodes,
         "_per_voxel": per_voxel,
-        "_lows": lows,
-        "_highs": highs,
+        "_coarse": mode == "buffered" and solid is not None and solid.error > tolerance,
+        "_lows": ranges[brick][0],
+        "_highs": ranges[brick][1],
+        "gpu": held.volume.gpu if held is not None else None,
         "_held": held,
     }
     return values | _skipping(known | values)

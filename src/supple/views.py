@@ -225,7 +225,9 @@ def render_file(
             camera, begun = scene.turned(known.camera, k, count), time.perf_counter()
             picture = scene.render(camera, known.size, supersampling=known.supersampling)
             # A hybrid scene's buffer takes little beside the pictures, which are the faster for it.
-            scene.fill(camera, known.size, seconds=_BESIDE * (time.perf_counter() - begun))
+            if k + 1 < count:
+                coming = scene.turned(known.camera, k + 1, count)
+                scene.fill(coming, known.size, seconds=_BESIDE * (time.perf_counter() - begun))
             yield picture.pixels(behind)
             tell("render", k + 1, count)
 

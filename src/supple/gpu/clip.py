@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from supple.gpu.device import Gpu
+from supple.gpu.device import LIMITS, Gpu
 from supple.gpu.kernel import Array, owned, room
 from supple.gpu.planes import (
     NODE,
@@ -156,7 +156,8 @@ def fits_whole(gpu: Gpu, strokes: Strokes, pictures: Sequence[Picture], slots: i
     sizes = [nodes]
     for picture in pictures:
         sizes += [slots * stride_of(picture) * picture.format.size, target_size(picture, picture.shape[0])]
-    return max(sizes) <= gpu.binding
+    # What is copied back is one array, however many pictures there are.
+    return max(sizes) <= gpu.binding and sum(sizes[2::2]) + 16 <= max(gpu.binding, LIMITS["max-buffer-size"])
 
 
 @contextlib.contextmanager

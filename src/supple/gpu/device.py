@@ -57,6 +57,8 @@ class Gpu:
         Those that are running (`supple.gpu.kernel.clocked`).
     binding : int
         The largest array that a shader takes, in bytes.
+    lost : bool
+        Whether it failed, and another one is opened when it is asked for.
     """
 
     name: str
@@ -67,6 +69,7 @@ class Gpu:
     lock: Any
     clocks: list[Any]
     binding: int
+    lost: bool = False
 
 
 @functools.cache
@@ -156,6 +159,7 @@ def open_gpu(software: bool = True) -> Gpu:
 def forget(gpu: Gpu) -> None:
     """Open the device anew when it is asked for again: this one failed."""
     with _lock:
+        gpu.lost = True
         for k in [k for k, known in _opened.items() if known is gpu]:
             del _opened[k]
 

@@ -54,7 +54,7 @@ class Filling:
         self._polished, self._tolerance = polished, tolerance
         self._blocks = tuple(-(-n // BLOCK) for n in reversed(volume.size))
         self._made = np.zeros(self._blocks, np.bool_)
-        self._pace = Pace(4)
+        self._pace = Pace(1)
         self._key = object()  # and not itself: a circle would keep the device's memory until it is found
         constants = {"FORMAT": volume.format, "POLISHED": int(polished)}
         self._work = pipeline(volume.gpu, _NAMES, "fill", _KINDS, constants)
@@ -83,18 +83,19 @@ class Filling:
         if self._volume.owner is not self._key:
             self._volume.owner = self._key
             self._made[...] = False
+            self._tell()  # what another one's map says is no longer so
         gpu = self._volume.gpu
         every = np.arange(self._made.size) if order is None else order
         wanted = every[~self._made.reshape(-1)[every]].astype(np.uint32)
         with contextlib.ExitStack() as stack:
             (lost,) = owned(stack, room(gpu, 4))
+            stack.callback(self._tell)  # whatever ends it
             for first, count in self._pace.parts(wanted.size, min(seconds, 0.25), seconds):
                 some = wanted[first : first + count]
                 self._make(some, lost)
                 if download(gpu, lost, np.uint32, 1)[0]:  # waits
                     raise ArithmeticError("voxels could not be solved in its numbers")
                 self._made.reshape(-1)[some] = True
-        self._tell()
         return self.part
 
     def prepare(self) -> None:

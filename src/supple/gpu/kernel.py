@@ -5,9 +5,9 @@ from __future__ import annotations
 import contextlib
 import math
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from importlib import resources
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -15,6 +15,7 @@ import numpy.typing as npt
 from supple.gpu.device import CLOCK, Gpu, forget
 
 Array = npt.NDArray[Any]
+T = TypeVar("T")
 
 UNIFORM, READ, WRITE, TEXTURE = "uniform", "read-only-storage", "storage", "texture"
 _PAINTED = {"access": "write-only", "format": "rgba8unorm", "view_dimension": "2d"}
@@ -23,10 +24,37 @@ PART = 0.25  # seconds
 LEAST = 256  # bytes of a buffer: an array of one item must fit, though it may hold none
 
 
+class InterruptionError(Exception):
+    """What a caller's own function raised, which is no fault of the GPU's; the cause is what it raised."""
+
+
+def passing(call: Callable[..., T]) -> Callable[..., T]:
+    """A caller's function, whose errors pass through what takes those of the GPU; see `let_through`."""
+
+    def called(*arguments: Any) -> T:
+        try:
+            return call(*arguments)
+        except Exception as error:
+            raise InterruptionError from error
+
+    return called
+
+
+@contextlib.contextmanager
+def let_through() -> Iterator[None]:
+    """Raise what a caller's own function raised."""
+    try:
+        yield
+    except InterruptionError as stopped:
+        raise stopped.__cause__ or stopped from None
+
+
 def trouble(gpu: Gpu, error: Exception) -> str:
     """What failed, in one short line; a device that is lost is opened anew next time."""
+    from wgpu import GPUValidationError
+
     text = " ".join(str(error).split())[:120] or "the work does not fit"
-    if not isinstance(error, MemoryError | ArithmeticError):
+    if not isinstance(error, MemoryError | ArithmeticError | GPUValidationError):
         forget(gpu)
     return text
 
@@ -194,24 +222,29 @@ class Pace:
 
     def __init__(self, count: int, most: int = 1 << 30) -> None:
         self._most, self.count = most, min(count, most)
+        self._each = 0.0  # seconds for one of it, the last time
 
     def parts(self, total: int, seconds: float = PART, limit: float = math.inf) -> Iterator[tuple[int, int]]:
         """Where each part begins, and how large it is; whoever asks for the next one has waited for the last.
 
-        They take about ``seconds`` each, and end after ``limit`` seconds, as far as that is known before.
+        They take about ``seconds`` each, and end after ``limit`` seconds, as far as that is known before; there is one
+        at least.
         """
-        begun, done, most = time.perf_counter(), 0, total
-        while done < total and most > 0:
+        begun, done = time.perf_counter(), 0
+        while done < total:
             start = time.perf_counter()
-            part = min(self.count, total - done, most)
+            left = limit - (start - begun)
+            part = min(self.count, total - done)
+            if self._each > 0.0 and left < math.inf:
+                part = min(part, int(max(left, 0.0) / self._each))
+            if done and part < 1:
+                return
+            part = max(part, 1)
             yield done, part
-            now = time.perf_counter()
             done += part
-            per_item = max(now - start, 1e-9) / part
-            if part == self.count or per_item * self.count > seconds:
-                self.count = max(1, min(int(seconds / per_item), 4 * self.count, self._most))
-            if limit < math.inf:
-                most = int((limit - (now - begun)) / per_item)
+            self._each = max(time.perf_counter() - start, 1e-9) / part
+            if part == self.count or self._each * self.count > seconds:
+                self.count = max(1, min(int(seconds / self._each), 4 * self.count, self._most))
 
 
 def spread(count: int, size: int) -> tuple[int, int]:

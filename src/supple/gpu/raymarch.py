@@ -11,7 +11,20 @@ import numpy as np
 import numpy.typing as npt
 
 from supple.gpu.fill import BLOCK, Filling
-from supple.gpu.kernel import READ, TEXTURE, UNIFORM, WRITE, Pace, download, owned, pipeline, room, run, upload
+from supple.gpu.kernel import (
+    MOST_GROUPS,
+    READ,
+    TEXTURE,
+    UNIFORM,
+    WRITE,
+    Pace,
+    download,
+    owned,
+    pipeline,
+    room,
+    run,
+    upload,
+)
 from supple.gpu.solid import Lattice
 from supple.gpu.volume import Volume
 
@@ -57,6 +70,7 @@ SETTINGS = np.dtype(
 _PAINT = np.dtype(
     [("background", "f4", 3), ("fine", "u4"), ("width", "u4"), ("first", "u4"), ("rows", "u4"), ("unused", "u4")]
 )
+_LONG = 1e9  # seconds
 _LARGEST = float(np.finfo(np.float32).max)
 
 
@@ -74,6 +88,8 @@ class Held:
         The buffer, of a hybrid scene.
     pace : Pace
         How many rays are done at once.
+    whole : bool
+        Whether it is only seen once its buffer is filled.
     """
 
     volume: Volume
@@ -81,6 +97,7 @@ class Held:
     mode: int
     filling: Filling | None
     pace: Pace
+    whole: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -182,6 +199,8 @@ def _rays(held: Held, look: Look, view: Floats, size: tuple[int, int], fine: int
     """March along the rays of some rows at a time: which is the first, how many they are, and what is seen."""
     volume, lattice, filling = held.volume, held.lattice, held.filling
     gpu, finest = volume.gpu, float(view[1].min())
+    if held.whole and filling is not None and filling.part < 1.0:
+        filling.advance(_LONG)  # another scene of the volume has taken its place
     mode = _mode(held, look.step / finest)
     made = _marching(volume, mode)
     height, width = size
@@ -217,7 +236,9 @@ def _rays(held: Held, look: Look, view: Floats, size: tuple[int, int], fine: int
         settings[name][0, :3] = row
     # Whole rows of pixels, whose rays there is room for.
     row_ = width * fine
-    most = max(1, min(height // fine, gpu.binding // (32 * row_)))
+    most = min(height // fine, gpu.binding // (32 * row_))
+    if most < 1 or width > 8 * MOST_GROUPS:
+        raise MemoryError("a row of pixels of so many rays is more than a shader takes")
     pace = Pace(max(1, held.pace.count // row_), most)
     with contextlib.ExitStack() as stack:
         skips, colours = owned(stack, upload(gpu, look.skips), upload(gpu, look.table))

@@ -243,6 +243,12 @@ fn march(@builtin(global_invocation_id) id: vec3u) {
         if (surface != FAR && settings.always == 0u) {
             var low = max(near, surface - settings.step);
             var before = -FAR;
+            if (low < stretch.start) {
+                // That step lies before what is known of the ray.
+                ray.start = low;
+                ray.count = 0.0;
+                begin(ray, false);
+            }
             for (var turn = 0u; turn <= BISECTIONS; turn++) {
                 var middle = 0.5 * (low + surface);
                 if (turn == BISECTIONS) {
