@@ -323,10 +323,8 @@ def test_a_real_pointer_on_a_real_screen(gpu: Gpu, photo: Path, state: Path) -> 
         mouse.do("key", "ctrl+z")
         time.sleep(0.5)
         mouse.do("key", "ctrl+s")
-        time.sleep(1.5)
-        mouse.do("key", "Return")
         saved = state / "photo.recipe.json"
-        wait_for(saved.exists)
+        wait_for(lambda: mouse.enter() or saved.exists(), every=2.0)
         recipe = Recipe.from_json(saved.read_text(encoding="utf-8"))
         assert len(recipe.strokes) == 1
         assert recipe.strokes[0].by[0] > 10
@@ -335,9 +333,7 @@ def test_a_real_pointer_on_a_real_screen(gpu: Gpu, photo: Path, state: Path) -> 
         mouse.do("key", "ctrl+s")
         wait_for(lambda: len(Recipe.from_json(saved.read_text(encoding="utf-8")).strokes) == 2)
         mouse.do("key", "ctrl+e")
-        time.sleep(1.5)
-        mouse.do("key", "Return")
-        wait_for((state / "photo-bent.png").exists)
+        wait_for(lambda: mouse.enter() or (state / "photo-bent.png").exists(), every=2.0)
         both = Recipe.from_json(saved.read_text(encoding="utf-8"))
     supple.warp_file(photo, state / "wanted.png", both)
     made, wanted = (image.read(state / name).pixels for name in ("photo-bent.png", "wanted.png"))
@@ -360,10 +356,8 @@ def test_a_browser_does_the_same_and_is_refused_without_the_token(gpu: Gpu, phot
             browser.drag((350, 300), (410, 270))
             time.sleep(1)
             browser.key("s", 83, 2)
-            time.sleep(2)
-            browser.key("Enter", 13)
             saved = state / "photo.recipe.json"
-            wait_for(saved.exists)
+            wait_for(lambda: browser.key("Enter", 13) or saved.exists(), every=2.0)
             (stroke,) = json.loads(saved.read_text(encoding="utf-8"))["strokes"]
             assert stroke["by"][0] > 10
             assert "token" not in str(browser.call("Runtime.evaluate", expression="location.href"))

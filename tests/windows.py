@@ -149,10 +149,12 @@ class Mouse:
 
     def window(self) -> bool:
         """Whether there is a window of ours."""
-        made = subprocess.run(
-            ["xdotool", "search", "--name", "- Supple"], env=self.env, capture_output=True, check=False
-        )
+        made = subprocess.run(["xdotool", "search", "--name", "Supple"], env=self.env, capture_output=True, check=False)
         return bool(made.stdout.strip())
+
+    def enter(self) -> None:
+        """Press Enter, which is what a question waits for once it is there."""
+        self.do("key", "Return")
 
     def drag(self, start: tuple[int, int], end: tuple[int, int], steps: int = 6) -> None:
         self.do("mousemove", *start)

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from imgui_bundle import imgui
 from wgpu.utils.imgui import ImguiRenderer
 
 from supple.errors import SuppleError
@@ -94,6 +95,7 @@ class View:
         self._gui = ImguiRenderer(gpu.device, canvas, self._format)
         self._gui.set_gui(self._controls)
         self._gui.backend.io.set_ini_filename("")
+        _dress()
         document.on_change.append(self._changed)
         canvas.add_event_handler(
             self._event, "pointer_down", "pointer_move", "pointer_up", "wheel", "key_down", "key_up", "resize", "close"
@@ -302,3 +304,17 @@ class View:
 
 
 _SEEN = ("size", "moving", "origin", "scale", "time", "camera", "overlay", "original", "split")
+
+
+def _dress() -> None:
+    """Letters that can be read, and colours that do not glare."""
+    from importlib import resources
+
+    io, style = imgui.get_io(), imgui.get_style()
+    font = resources.files("imgui_bundle") / "assets" / "fonts" / "DroidSans.ttf"
+    with resources.as_file(font) as path:
+        if path.is_file():
+            io.fonts.add_font_from_file_ttf(str(path), 15.0)
+    style.set_color_(imgui.Col_.modal_window_dim_bg, (0.0, 0.0, 0.0, 0.45))
+    style.frame_rounding = style.grab_rounding = style.popup_rounding = 3.0
+    style.item_spacing = (7, 5)
