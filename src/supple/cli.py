@@ -356,7 +356,7 @@ def _dispatch(console: Console, arguments: Sequence[str]) -> None:
     volumes = VolumeCommands(console)
     app.command(volumes.render, usage=f"Usage: supple render VOLUME OUT [{_GRAB}]", help_epilogue=RENDER_EXAMPLES)
     app.command(volumes.points, usage=f"Usage: supple points IN OUT --on FILE {_GRAB}", help_epilogue=POINTS_EXAMPLES)
-    app.command(commands.info, usage="Usage: supple info FILE... [--json]", help_epilogue="")
+    app.command(commands.info, usage="Usage: supple info FILE... [--gpu] [--json]", help_epilogue="")
     app.command(commands.demo, usage="Usage: supple demo [DIR] [OPTIONS]", help_epilogue="")
     try:
         app(list(arguments), exit_on_error=False, print_error=False, verbose=False)
