@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import resource
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -514,3 +515,16 @@ def test_what_a_caller_raises_passes_through_a_warp(gpu: Gpu, tmp_path: Path) ->
         supple.warp_file(head, tmp_path / "o.nii.gz", recipe, progress=stop, device="gpu")
     assert not any(tmp_path.iterdir())
     assert devices.open_gpu() is gpu
+
+
+def test_rays_of_very_many_samples(gpu: Gpu, cloud: np.ndarray, bent: supple.Deformation) -> None:
+    """Drivers in software end loops of too many turns, and say nothing."""
+    fog = TransferFunction(((0, 1, 1, 1, 0.01), (1, 1, 1, 1, 0.02)), unit=1.0)
+    ours, theirs = (
+        Scene(cloud, GEOMETRY, deformation=bent, transfer=fog, mode="exact", step=0.004, device=device)
+        for device in ("cpu", "gpu")
+    )
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeviceWarning)  # whoever does it, it is right
+        made = theirs.render(size=(3, 4))
+    np.testing.assert_allclose(made.light, ours.render(size=(3, 4)).light, atol=0.01)

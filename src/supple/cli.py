@@ -357,7 +357,7 @@ def _dispatch(console: Console, arguments: Sequence[str]) -> None:
     volumes = VolumeCommands(console)
     app.command(volumes.render, usage=f"Usage: supple render VOLUME OUT [{_GRAB}]", help_epilogue=RENDER_EXAMPLES)
     app.command(volumes.points, usage=f"Usage: supple points IN OUT --on FILE {_GRAB}", help_epilogue=POINTS_EXAMPLES)
-    app.command(commands.info, usage="Usage: supple info FILE... [--json]", help_epilogue="")
+    app.command(commands.info, usage="Usage: supple info FILE... [--gpu] [--json]", help_epilogue="")
     views = ViewCommands(console)
     app.command(views.view, usage="Usage: supple view FILE [--serve] [OPTIONS]", help_epilogue=VIEW_EXAMPLES)
     app.command(commands.demo, usage="Usage: supple demo [DIR] [OPTIONS]", help_epilogue="")

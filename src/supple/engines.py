@@ -14,11 +14,11 @@ from supple.domain import choice, refuse
 from supple.errors import SuppleError
 from supple.gpu.device import Gpu, open_gpu
 from supple.gpu.field import fits
-from supple.gpu.kernel import failures, let_through, passing, trouble
+from supple.gpu.kernel import failures, let_through, passing, trouble, unsolved
 from supple.gpu.planes import Range
 from supple.gpu.samples import format_of, known_grid
 from supple.gpu.warp import warp
-from supple.offload import OnGpu, pictures_of, unsolved, warn
+from supple.offload import OnGpu, pictures_of, warn
 from supple.streaming import CPU, Engine, Group, Layout, Sampling, Space, Tell
 from supple.warping import checked_fill, checked_source, result_like, warp_frames
 
@@ -177,5 +177,5 @@ def _does(space: Space, layout: Layout, sampling: Sampling, must: bool) -> bool:
     if sampling.filter == "ewa":
         reason = reason or 'filter="ewa"'
     if reason and must:
-        refuse("device", f'"cpu" for {reason}', "gpu")
+        refuse("device", f'"cpu" or "auto" for {reason}', "gpu")
     return not reason

@@ -16,7 +16,7 @@ from supple.cpu.warp import Certificate
 from supple.errors import DeviceWarning
 from supple.gpu.clip import Clip, clip_on
 from supple.gpu.device import Gpu
-from supple.gpu.kernel import failures, trouble
+from supple.gpu.kernel import failures, trouble, unsolved
 from supple.gpu.planes import Range
 from supple.gpu.samples import Picture, Wanted
 from supple.gpu.warp import warp
@@ -52,11 +52,6 @@ def pictures_of(space: Space, layout: Layout, sampling: Sampling) -> tuple[Pictu
         )
         for group, fill in zip(layout.groups, fills_of(layout, sampling), strict=True)
     )
-
-
-def unsolved(lost: int) -> str:
-    """What to say of points that are not known to be good enough, if there are any."""
-    return f"{lost} points could not be solved to the tolerance in its numbers" if lost else ""
 
 
 def warn(gpu: Gpu, failed: str, level: int) -> None:

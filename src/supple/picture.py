@@ -14,7 +14,7 @@ Array = npt.NDArray[Any]
 Floats = npt.NDArray[np.float64]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Picture:
     """A volume, seen.
 
@@ -32,6 +32,10 @@ class Picture:
     depth: Floats
     samples: npt.NDArray[np.int64]
     evaluations: npt.NDArray[np.int64]
+
+    def __repr__(self) -> str:
+        rows, columns = self.depth.shape
+        return f"<Picture of {columns} x {rows}>"
 
     def pixels(self, background: tuple[float, float, float] | None = None) -> npt.NDArray[np.uint8]:
         """As sRGB of 8 bits.

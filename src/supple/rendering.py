@@ -36,7 +36,7 @@ PICKED = 0.9
 """The opacity that a ray has gathered where something is picked."""
 
 
-@dataclass(frozen=True, slots=True, eq=False, init=False)
+@dataclass(frozen=True, slots=True, eq=False, init=False, repr=False)
 class Scene:
     """A volume to look at, perhaps deformed.
 
@@ -156,6 +156,11 @@ class Scene:
             **seen_through(known, density, (low, high), step),
         }
         self._set(values | _deformed(values, deformation, None))
+
+    def __repr__(self) -> str:
+        strokes = len(self.deformation.strokes) if self.deformation is not None else 0
+        who = self.gpu.name if self.gpu is not None else "cpu"
+        return f"<Scene of {self.shape} {self.samples.dtype}, {strokes} strokes, mode {self.mode}, by {who}>"
 
     def _set(self, values: dict[str, Any]) -> None:
         for name, value in values.items():
@@ -279,6 +284,8 @@ class Scene:
         if held is None:
             raise SuppleError("a texture is drawn into by a GPU, and this scene has none: use render")
         fine = integer("supersampling", supersampling, "a number of rays along a pixel's side, from 1 to 8", 1, 8)
+        if not all(hasattr(texture, name) for name in ("format", "usage", "create_view")):
+            refuse("texture", "a texture of the GPU", type(texture).__name__)
         width, height = texture.size[:2]
         view = self.view(camera or Camera(), size or (height, width))
         rows, columns = view.size

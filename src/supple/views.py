@@ -212,10 +212,8 @@ def render_file(
         if known.what == "inversions":
             from supple.diagnostics.rays import draw_inversions
 
-            draw_inversions(picture.samples, target, what="inversions" if recipe else "samples", force=force)
-        else:
-            behind = known.background if suffix in LIGHTLESS else known.background or (0.0, 0.0, 0.0)
-            image.write(target, picture.pixels(behind), force=force)
+            inverted = recipe is not None and known.mode == "exact"
+            draw_inversions(picture.samples, target, what="inversions" if inverted else "samples", force=force)
         return scene
     count = known.turntable or 0
 

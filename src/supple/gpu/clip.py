@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from supple.gpu.device import LIMITS, Gpu
-from supple.gpu.kernel import Array, owned, room
+from supple.gpu.kernel import Array, owned, room, unsolved
 from supple.gpu.planes import (
     NODE,
     SETTINGS,
@@ -144,8 +144,7 @@ class Clip:
                     ring.picture.store(unpacked(ring.picture, words[start : start + size], 1, rows)[0], out)
         finally:
             use.copy.unmap()
-        failed = f"{said[1]} points could not be solved to the tolerance in its numbers" if said[1] else ""
-        return float(said[:1].view(np.float32)[0]), failed or (
+        return float(said[:1].view(np.float32)[0]), unsolved(int(said[1])) or (
             "a point lies far outside what was foreseen" if said[3] else ""
         )
 

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from supple.gpu.device import Gpu
-from supple.gpu.kernel import READ, UNIFORM, WRITE, download, pipeline, room, run, spread, upload
+from supple.gpu.kernel import READ, TURNS, UNIFORM, WRITE, download, pipeline, room, run, spread, upload
 
 Floats = npt.NDArray[np.float64]
 
@@ -24,7 +24,7 @@ STROKE = np.dtype(
         ("r", np.float32, 4),
     ]
 )
-_POINTS = ("field", "newton", "points")
+_POINTS = ("field", "newton", "points", "turns")
 
 
 def packed(table: npt.NDArray[np.void]) -> npt.NDArray[np.void]:
@@ -75,8 +75,9 @@ def _points(
     gpu: Gpu, entry: str, table: npt.NDArray[np.void], axes: Floats, anchors: Floats, offsets: Floats, tolerance: float
 ) -> npt.NDArray[np.float32]:
     n = len(anchors)
-    settings = np.zeros(1, [("strokes", "u4"), ("count", "u4"), ("tolerance", "f4"), ("unused", "f4")])
+    settings = np.zeros(1, [("strokes", "u4"), ("count", "u4"), ("tolerance", "f4"), ("turns", "u4")])
     settings["strokes"], settings["count"], settings["tolerance"] = table.size, n, tolerance
+    settings["turns"] = TURNS
 
     def four(values: Floats) -> Any:
         return upload(gpu, np.pad(values, ((0, 0), (0, 1))).astype(np.float32))

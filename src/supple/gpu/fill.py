@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from supple.gpu.kernel import READ, UNIFORM, WRITE, Pace, download, owned, pipeline, room, run, spread, upload
+from supple.gpu.kernel import READ, TURNS, UNIFORM, WRITE, Pace, download, owned, pipeline, room, run, spread, upload
 from supple.gpu.solid import Lattice
 from supple.gpu.volume import Volume
 
 BLOCK = 16  # voxels along a brick's side
-_NAMES = ("fill", "volume", "solid", "blend", "smooth", "field", "newton")
+_NAMES = ("fill", "volume", "solid", "blend", "smooth", "field", "newton", "turns")
 _KINDS = (UNIFORM, UNIFORM, READ, READ, WRITE, READ, WRITE)
 
 _SETTINGS = np.dtype(
@@ -27,7 +27,8 @@ _SETTINGS = np.dtype(
         ("warped", "u4"),
         ("count", "u4"),
         ("tolerance", "f4"),
-        ("unused", "u4", 2),
+        ("turns", "u4"),
+        ("unused", "u4"),
     ]
 )
 
@@ -117,6 +118,7 @@ class Filling:
             "warped": volume.warped,
             "count": wanted.size,
             "tolerance": self._tolerance,
+            "turns": TURNS,
         }.items():
             settings[name] = value
         with contextlib.ExitStack() as own:

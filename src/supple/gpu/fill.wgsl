@@ -10,7 +10,8 @@ struct Settings {
     warped: u32, // where the buffer begins
     count: u32, // of bricks that are made here
     tolerance: f32, // of source points, in voxels
-    unused: vec2u,
+    turns: u32, // see turns.wgsl
+    unused: u32,
 }
 
 @group(0) @binding(0) var<uniform> settings: Settings;
@@ -92,5 +93,8 @@ fn fill(
                 }
             }
         }
+    }
+    if (cut_short()) {
+        atomicAdd(&lost, 1u);
     }
 }

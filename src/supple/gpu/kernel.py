@@ -21,6 +21,8 @@ UNIFORM, READ, WRITE, TEXTURE = "uniform", "read-only-storage", "storage", "text
 _PAINTED = {"access": "write-only", "format": "rgba8unorm", "view_dimension": "2d"}
 MOST_GROUPS = 65535
 PART = 0.25  # seconds
+TURNS = 4  # of a loop that shows whether loops are carried out (turns.wgsl)
+CUT = 1 << 20  # what is added to a count of lost points where they are not
 LEAST = 256  # bytes of a buffer: an array of one item must fit, though it may hold none
 
 
@@ -57,6 +59,13 @@ def trouble(gpu: Gpu, error: Exception) -> str:
     if not isinstance(error, MemoryError | ArithmeticError | GPUValidationError):
         forget(gpu)
     return text
+
+
+def unsolved(lost: int) -> str:
+    """What to say of points that are not known to be good enough, if there are any."""
+    if lost >= CUT:
+        return "its driver ends loops of many turns"
+    return f"{lost} points could not be solved to the tolerance in its numbers" if lost else ""
 
 
 def failures() -> tuple[type[Exception], ...]:

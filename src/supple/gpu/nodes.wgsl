@@ -6,7 +6,7 @@ struct Settings {
     strokes: u32,
     first: u32, // layer of nodes, or of cells, that is worked on here
     last: u32, // the first one that is not
-    unused: u32,
+    turns: u32, // see turns.wgsl
 }
 
 @group(0) @binding(0) var<uniform> settings: Settings;
@@ -35,7 +35,7 @@ fn solve(@builtin(global_invocation_id) id: vec3u) {
     for (var c = 0u; c < 3u; c++) {
         nodes[place + 1u + c] = vec4f(m[c], 0.0);
     }
-    saw(norm_of(m) * found.residual / finest());
+    saw(select(norm_of(m) * found.residual / finest(), 1e30, cut_short()));
     atomicMin(&stats[1], bitcast<u32>(smoothness(q, found.offset, m)));
 }
 
@@ -62,5 +62,5 @@ fn check(@builtin(global_invocation_id) id: vec3u) {
         let error = length(m * off);
         worst = max(worst, select(1e30, error, error <= 1e30));
     }
-    saw(RESERVE * worst);
+    saw(select(RESERVE * worst, 1e30, cut_short()));
 }

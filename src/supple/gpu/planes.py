@@ -11,14 +11,14 @@ import numpy.typing as npt
 
 from supple.gpu.device import Gpu
 from supple.gpu.field import domain, packed
-from supple.gpu.kernel import READ, UNIFORM, WRITE, Array, download, owned, pipeline, room, run, upload
+from supple.gpu.kernel import READ, TURNS, UNIFORM, WRITE, Array, download, owned, pipeline, room, run, upload
 from supple.gpu.samples import STEP, Picture
 
 Floats = npt.NDArray[np.float64]
 Range = tuple[int, int]
 
 NODE = 64  # bytes
-_NAMES = ("warp", "field", "newton", "lattice", "smooth", "blend", "sample", "footprint")
+_NAMES = ("warp", "field", "newton", "lattice", "smooth", "blend", "sample", "footprint", "turns")
 _LATTICE = (UNIFORM, UNIFORM, READ, WRITE, WRITE, WRITE, WRITE)
 _COLOURS = (*_LATTICE, READ, WRITE)
 
@@ -41,7 +41,7 @@ SETTINGS = np.dtype(
         ("slots", "u4"),
         ("shift", "u4"),
         ("stride", "u4"),
-        ("unused", "u4"),
+        ("turns", "u4"),
         ("part", "u4", 2),
         ("bounds", "f4", 2),
         ("white", "f4"),
@@ -169,6 +169,7 @@ def lattice_on(stack: contextlib.ExitStack, strokes: Strokes, part: Part) -> Lat
 def settings_of(lattice: Lattice, tolerance: float) -> npt.NDArray[np.void]:
     """What a shader is told of a lattice."""
     told = np.zeros(1, SETTINGS)
+    told["turns"] = TURNS
     _, down, across = lattice.shape
     told["nodes"], told["strokes"], told["tolerance"] = (across, down), lattice.strokes.count, tolerance
     told["first"], told["origin"] = lattice.part.planes[0], lattice.part.cells[0]

@@ -4,7 +4,7 @@ struct Settings {
     strokes: u32,
     count: u32,
     tolerance: f32,
-    unused: f32,
+    turns: u32, // see turns.wgsl
 }
 
 @group(0) @binding(0) var<uniform> settings: Settings;
@@ -34,7 +34,7 @@ fn inverse(@builtin(global_invocation_id) id: vec3u, @builtin(num_workgroups) gr
         return;
     }
     let found = undo(anchors[i].xyz, settings.tolerance);
-    results[4u * i] = vec4f(found.offset, found.residual);
+    results[4u * i] = vec4f(found.offset, select(found.residual, 1e30, cut_short()));
     results[4u * i + 1u] = vec4f(found.matrix[0], found.steps);
     results[4u * i + 2u] = vec4f(found.matrix[1], 0.0);
     results[4u * i + 3u] = vec4f(found.matrix[2], 0.0);

@@ -15,6 +15,7 @@ from supple.gpu.kernel import (
     MOST_GROUPS,
     READ,
     TEXTURE,
+    TURNS,
     UNIFORM,
     WRITE,
     Pace,
@@ -35,7 +36,7 @@ RAYS = 1 << 16  # at once, before it is known what they take
 LONGEST = 8  # samples
 # A stretch of them is read of the buffer if it begins in a brick whose neighbours are there: it ends in one of these.
 FARTHEST = BLOCK - 4  # voxels
-_NAMES = ("raymarch", "volume", "solid", "blend", "field", "newton")
+_NAMES = ("raymarch", "volume", "solid", "blend", "field", "newton", "turns")
 _KINDS = (UNIFORM, UNIFORM, READ, READ, READ, READ, READ, WRITE, READ)
 
 SETTINGS = np.dtype(
@@ -65,6 +66,8 @@ SETTINGS = np.dtype(
         ("stretch", "u4"),
         ("pitch", "u4"),
         ("warped", "u4"),
+        ("turns", "u4"),
+        ("unused", "u4", 7),
     ]
 )
 _PAINT = np.dtype(
@@ -223,6 +226,7 @@ def _rays(held: Held, look: Look, view: Floats, size: tuple[int, int], fine: int
         "fine": fine,
         "stretch": _stretch(mode, lattice.cells * lattice.spread, look.step / finest),
         "pitch": volume.pitch,
+        "turns": TURNS,
         "warped": volume.warped if mode in (PLAIN, HYBRID) and filling is not None else 0,
     }.items():
         settings[name] = value

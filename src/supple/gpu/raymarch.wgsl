@@ -26,6 +26,8 @@ struct Settings {
     stretch: u32, // samples that share what is read of the lattice
     pitch: u32, // samples of a row
     warped: u32, // where the buffer begins
+    turns: u32, // see turns.wgsl
+    unused: vec3u,
 }
 
 @group(0) @binding(0) var<uniform> settings: Settings;
@@ -319,7 +321,7 @@ fn march(@builtin(global_invocation_id) id: vec3u) {
     }
     let k = 2u * (id.y * size.x + id.x);
     seen[k] = total;
-    seen[k + 1u] = vec4f(surface, opaque, taken, select(inversions, -1.0, lost));
+    seen[k + 1u] = vec4f(surface, opaque, taken, select(inversions, -1.0, lost || cut_short()));
 }
 
 // Ambient and diffuse light, and the highlight, of a surface with a gradient; both sides are lit.

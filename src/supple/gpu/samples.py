@@ -153,6 +153,8 @@ class Picture:
         """What shaders are compiled for."""
         wanted, form = self.wanted, self.format
         filtered = wanted.filter != "nearest"
+        # Where a sample takes many turns of loops, each has a thread of its own.
+        averaging = wanted.average or wanted.filter in ("auto", "antialias")
         across = max(1, STEP // self.step[0] // form.pixels)
         return {
             "FORMAT": form.number,
@@ -163,7 +165,7 @@ class Picture:
             "LIGHT": int(wanted.light and filtered),
             "AVERAGE": int(wanted.average),
             "ACROSS": across,
-            "DOWN": min(self.rows, max(1, 32 // across)),
+            "DOWN": min(self.rows, max(1, (256 if averaging else 32) // across)),
             "PIXELS": form.pixels,
             "WORDS": form.pixels * form.size // 4,
             "ROWS": self.rows,

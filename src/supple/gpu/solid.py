@@ -11,17 +11,17 @@ import numpy.typing as npt
 
 from supple.gpu.device import Gpu
 from supple.gpu.field import domain, packed
-from supple.gpu.kernel import READ, UNIFORM, WRITE, Pace, download, owned, pipeline, room, run, upload
+from supple.gpu.kernel import READ, TURNS, UNIFORM, WRITE, Pace, download, owned, pipeline, room, run, upload
 
 Floats = npt.NDArray[np.float64]
 
-_NAMES = ("nodes", "smooth", "solid", "blend", "field", "newton")
+_NAMES = ("nodes", "smooth", "solid", "blend", "field", "newton", "turns")
 _KINDS = (UNIFORM, UNIFORM, READ, WRITE, WRITE)
 _NODE = 64  # bytes
 _FIRST = 4096  # nodes at once, before it is known what they take
 
 _SETTINGS = np.dtype(
-    [("nodes", "u4", 3), ("spread", "f4"), ("strokes", "u4"), ("first", "u4"), ("last", "u4"), ("unused", "u4")]
+    [("nodes", "u4", 3), ("spread", "f4"), ("strokes", "u4"), ("first", "u4"), ("last", "u4"), ("turns", "u4")]
 )
 
 
@@ -102,6 +102,7 @@ def solve(
     )
     settings = np.zeros(1, _SETTINGS)
     settings["nodes"], settings["spread"], settings["strokes"] = counts, step, table.size
+    settings["turns"] = TURNS
     pace = Pace(max(1, _FIRST // (counts[0] * counts[1])))
     with contextlib.ExitStack() as stack:
         (stats,) = owned(stack, upload(gpu, np.array([0.0, 1e30], np.float32)))

@@ -18,7 +18,7 @@ struct Settings {
     slots: u32, // how many frames there is room for, one after the other and round again
     shift: u32, // in which of them the first frame is that is here
     stride: u32, // samples from one to the next
-    unused: u32,
+    turns: u32, // see turns.wgsl
     part: vec2u, // rows of cells that are coloured now: from, to
     bounds: vec2f, // of the values of the samples' type
     white: f32, // what opaque and white are
@@ -67,6 +67,8 @@ const LONGEST = 64.0; // frames that a pixel is averaged over, at most
 
 var<private> worst: f32 = 0.0;
 var<private> lost: u32 = 0u;
+
+const CUT = 1u << 20u; // what a thread adds to the points that are lost, if its loops were ended
 var<private> missing: u32 = 0u;
 
 // A workgroup makes the pixels of one cell: what it reads of the lattice is the same for all of them.
@@ -168,6 +170,9 @@ fn fill(group: vec2u, plane: u32, own: vec2u, solving: bool) {
         }
         // Positive numbers are in order as their bits are.
         atomicMax(&stats[0], bitcast<u32>(worst));
+        if (cut_short()) {
+            lost += CUT;
+        }
         if (lost > 0u) {
             atomicAdd(&stats[1], lost);
             lost = 0u;

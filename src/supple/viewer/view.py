@@ -317,4 +317,4 @@ def _dress() -> None:
             io.fonts.add_font_from_file_ttf(str(path), 15.0)
     style.set_color_(imgui.Col_.modal_window_dim_bg, (0.0, 0.0, 0.0, 0.45))
     style.frame_rounding = style.grab_rounding = style.popup_rounding = 3.0
-    style.item_spacing = (7, 5)
+    style.item_spacing = imgui.ImVec2(7, 5)
