@@ -5,13 +5,14 @@ VENV := .venv
 BIN := $(VENV)/bin
 PYTHON ?=
 
-.PHONY: help venv demo test bench bench-gpu soak lint clean
+.PHONY: help venv demo test bench bench-gpu bench-window soak lint clean
 
 help:
 	@echo "make demo      a small gallery in demo/, to look at"
 	@echo "make test      all tests"
 	@echo "make bench     how fast and how exact, against others"
 	@echo "make bench-gpu how fast the GPU is, in its own time"
+	@echo "make bench-window  how fast the window follows a hand"
 	@echo "make soak      ten million points of random strokes"
 	@echo "make lint      style, types and the import rule"
 	@echo "make venv      only the virtual environment, in .venv"
@@ -57,6 +58,9 @@ bench: venv $(VENV)/stamp-bench
 
 bench-gpu: venv
 	$(BIN)/python benchmarks/gpu.py
+
+bench-window: venv
+	$(BIN)/python benchmarks/window.py
 
 soak: venv
 	$(BIN)/python tests/soak.py

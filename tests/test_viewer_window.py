@@ -363,3 +363,17 @@ def test_a_browser_does_the_same_and_is_refused_without_the_token(gpu: Gpu, phot
             assert "token" not in str(browser.call("Runtime.evaluate", expression="location.href"))
         finally:
             browser.close()
+
+
+def test_the_panel_says_what_a_border_holds_back() -> None:
+    from supple.viewer.panels import held_back
+
+    stroke = Stroke.grab((40, 20, 0), by=(5, 0, 3), radius=9)
+    assert held_back(stroke, None, (9, 60, 90), (1.0, 1.0, 1.0)) == 1.0
+    assert held_back(stroke, 30.0, (9, 60, 90), (1.0, 1.0, 1.0)) == 0.0  # at the first frame
+    inner = Stroke.grab((15, 20, 4), by=(5, 0, 0), radius=9)
+    d = supple.Deformation((9, 60, 90), border=30.0)
+    moved = d.add(inner).forward((15, 20, 4))[0] - 15
+    part = held_back(inner, 30.0, (9, 60, 90), (1.0, 1.0, 1.0))
+    assert part == pytest.approx(np.sin(np.pi / 4))
+    assert moved == pytest.approx(5 * part * d.add(inner).resolution()["damping"][0])
