@@ -135,6 +135,13 @@ def _selected(view: View) -> None:
             made["scales"] = index + 1
         if made:
             view.attempt(lambda: document.replace(i, replace(stroke, **made)))
+        held = held_back(stroke, document.state.border, view.stage.shape, view.stage.spacing)
+        if held < 0.5:
+            imgui.push_text_wrap_pos(0.0)
+            imgui.text_disabled(
+                f"The fixed border lets {held:.0%} of it through: begin further in, or free the border."
+            )
+            imgui.pop_text_wrap_pos()
         for label, step in (("earlier", -1), ("later", 1)):
             if imgui.small_button(label) and 0 <= i + step < len(document.state.items):
                 view.attempt(lambda step=step: document.move(i, i + step))  # type: ignore[misc]
@@ -154,6 +161,18 @@ def _selected(view: View) -> None:
         entered, value = imgui.input_float("its width", border, 0, 0, "%.1f", _ENTER)
         if entered:
             view.attempt(lambda: document.set_border(value))
+
+
+def held_back(stroke: Stroke, border: float | None, shape: tuple[int, ...], spacing: tuple[float, ...]) -> float:
+    """How much of a stroke a fixed border lets through where it takes hold: the least along any axis that it moves."""
+    if border is None or border <= 0:
+        return 1.0
+    least = 1.0
+    for at, by, n, step in zip(stroke.at, stroke.by, reversed(shape), spacing, strict=True):
+        if by:
+            away = min(at, n - 1 - at) * step
+            least = min(least, math.sin(0.5 * math.pi * min(max(away / border, 0.0), 1.0)))
+    return least
 
 
 _ENTER = imgui.InputTextFlags_.enter_returns_true
