@@ -214,6 +214,9 @@ def render_file(
 
             inverted = recipe is not None and known.mode == "exact"
             draw_inversions(picture.samples, target, what="inversions" if inverted else "samples", force=force)
+        else:
+            behind = known.background if suffix in LIGHTLESS else known.background or (0.0, 0.0, 0.0)
+            image.write(target, picture.pixels(behind), force=force)
         return scene
     count = known.turntable or 0
 

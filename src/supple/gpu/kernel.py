@@ -56,7 +56,9 @@ def trouble(gpu: Gpu, error: Exception) -> str:
     from wgpu import GPUValidationError
 
     text = " ".join(str(error).split())[:120] or "the work does not fit"
-    if not isinstance(error, MemoryError | ArithmeticError | GPUValidationError):
+    # What does not fit together is somebody's mistake; but so says a device that is lost, too.
+    mistaken = isinstance(error, GPUValidationError) and not any(word in text for word in ("lost", "destroyed"))
+    if not (mistaken or isinstance(error, MemoryError | ArithmeticError)):
         forget(gpu)
     return text
 
