@@ -316,6 +316,8 @@ def question(view: View) -> None:
         entered, asked.path = imgui.input_text("##path", asked.path, _ENTER)
         if entered:
             answer = asked.choices[0]
+    if not asked.fresh and imgui.is_key_pressed(imgui.Key.enter):
+        answer = answer or asked.choices[0]  # wherever the keyboard's focus is
     asked.fresh = False
     if asked.problem:
         imgui.push_text_wrap_pos(460)
