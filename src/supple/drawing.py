@@ -30,8 +30,6 @@ Array = npt.NDArray[Any]
 Floats = npt.NDArray[np.float64]
 T = TypeVar("T")
 
-_LONG = 1e9  # seconds
-
 
 def tried(gpu: Gpu, work: Callable[[], T], stacklevel: int, says: str = "the CPU does what {} cannot") -> T | None:
     """What some work on a GPU gives; None, and a DeviceWarning, where that fails."""
@@ -104,7 +102,7 @@ def held_scene(
     filling = Filling(volume, lattice, polished=solid.error > tolerance, tolerance=tolerance)
     held = Held(volume, lattice, HYBRID, filling, Pace(RAYS), whole=mode == "buffered")
     if mode == "buffered":
-        filling.advance(_LONG)
+        filling.advance()
     else:
         prepare(held, filling)
     return held, solid

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import math
 from typing import Any
 
 import numpy as np
@@ -67,7 +68,7 @@ class Filling:
         """How much is there, from 0 to 1."""
         return float(self._made.mean()) if self._volume.owner is self._key else 0.0
 
-    def advance(self, seconds: float, order: npt.NDArray[np.intp] | None = None) -> float:
+    def advance(self, seconds: float = math.inf, order: npt.NDArray[np.intp] | None = None) -> float:
         """Make some bricks, for about as long; return how much is there then.
 
         Parameters

@@ -15,6 +15,7 @@ from supple.gpu.kernel import READ, TEXTURE, UNIFORM, WRITE, pipeline, room, run
 Floats = npt.NDArray[np.float64]
 
 CELL = 16
+BACK = (0.12, 0.12, 0.13)  # sRGB beside what is shown
 OVERLAYS = {"": 0, "grid": 1, "stretch": 2, "residual": 3, "inversions": 4}
 _NAMES = ("plate", "blend", "field", "newton")
 _KINDS = (UNIFORM, UNIFORM, READ, WRITE, READ, TEXTURE)
@@ -73,7 +74,7 @@ class Sight:
     solved: bool = True
     overlay: str = ""
     every: float = 32.0
-    back: tuple[float, float, float] = (0.12, 0.12, 0.13)
+    back: tuple[float, float, float] = BACK
 
 
 class Plate:

@@ -73,7 +73,6 @@ SETTINGS = np.dtype(
 _PAINT = np.dtype(
     [("background", "f4", 3), ("fine", "u4"), ("width", "u4"), ("first", "u4"), ("rows", "u4"), ("unused", "u4")]
 )
-_LONG = 1e9  # seconds
 _LARGEST = float(np.finfo(np.float32).max)
 
 
@@ -203,7 +202,7 @@ def _rays(held: Held, look: Look, view: Floats, size: tuple[int, int], fine: int
     volume, lattice, filling = held.volume, held.lattice, held.filling
     gpu, finest = volume.gpu, float(view[1].min())
     if held.whole and filling is not None and filling.part < 1.0:
-        filling.advance(_LONG)  # another scene of the volume has taken its place
+        filling.advance()  # another scene of the volume has taken its place
     mode = _mode(held, look.step / finest)
     made = _marching(volume, mode)
     height, width = size

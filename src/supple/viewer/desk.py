@@ -117,8 +117,6 @@ class Desk:
         """Begin what is asked for: ``"save"``, ``"open"``, ``"export"``, ``"copy"`` or ``"close"``."""
         source = self.source or Path("picture.png")
         stem, suffix = source.with_suffix(""), source.suffix
-        if name.startswith("save") and source.name.endswith(".nii.gz"):
-            stem = source.with_name(source.name[:-7])
         if source.name.endswith(".nii.gz"):
             stem, suffix = source.with_name(source.name[:-7]), ".nii.gz"
         recipe = os.fspath(self.recipe_path or f"{stem}.recipe.json")

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 from imgui_bundle import imgui
 
+from supple.viewer.panels import BAR, LINE
 from supple.viewer.stages import VideoStage, VolumeStage
 from supple.viewer.tools import ImageTools, VideoTools, VolumeTools
 
@@ -85,8 +86,6 @@ def _marks(view: View, lines: imgui.ImDrawList) -> None:
 
 
 def _timeline(view: View, stage: VideoStage) -> None:
-    from supple.viewer.view import BAR, LINE
-
     tools = view.tools
     assert isinstance(tools, VideoTools)
     playback = tools.playback
@@ -112,8 +111,6 @@ def _timeline(view: View, stage: VideoStage) -> None:
 
 
 def _status(view: View) -> None:
-    from supple.viewer.view import LINE
-
     height = view.logical[1]
     imgui.set_next_window_pos((0, height - LINE))
     imgui.set_next_window_size((view.area[0], LINE))
@@ -130,8 +127,7 @@ def status(view: View) -> str:
     trouble = view.tools.status or view.desk.message
     if trouble:
         parts.append(trouble)
-    elif view.tools.hover is not None:
-        hover = view.tools.hover
+    elif (hover := view.tools.hover) is not None:  # of a volume, it sends a ray
         names = {"image": "xy", "video": "xyt", "volume": "xyz"}[view.stage.kind]
         parts.append("  ".join(f"{name} {v:.1f}" for name, v in zip(names, hover, strict=False)))
         if not isinstance(view.stage, VolumeStage):

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from supple.viewer.view import View
 
 WIDE = 300  # logical pixels
+BAR, LINE = 44, 24  # and of the timeline and the status line below
 _POLICIES = get_args(FoldPolicy)
 _SAYS = {"damp": "damp what would fold", "flow": "flow, in smaller steps", "error": "refuse"}
 

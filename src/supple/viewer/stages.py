@@ -3,47 +3,21 @@
 from __future__ import annotations
 
 import math
-import os
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from supple.camera import Camera
 from supple.deformation import Deformation
 from supple.errors import SuppleError
 from supple.gpu.device import Gpu
-from supple.gpu.plate import Plate, Sight
+from supple.gpu.plate import BACK, Plate, Sight
 from supple.media.volume import Volume
 from supple.rendering import Scene
 from supple.transfer import TransferFunction
 from supple.viewer.document import Kind
 from supple.viewer.film import Film
 from supple.viewer.pixels import Pixels
-
-PathLike = str | os.PathLike[str]
-Floats = npt.NDArray[np.float64]
-
-_BACK = (0.12, 0.12, 0.13)
-
-
-class Stage(Protocol):
-    """What is shown.
-
-    Attributes
-    ----------
-    kind : str
-        ``"image"``, ``"video"`` or ``"volume"``.
-    name : str
-    shape : tuple of int
-        Of deformations of it.
-    spacing : tuple of float
-    """
-
-    kind: Kind
-    name: str
-    shape: tuple[int, ...]
-    spacing: tuple[float, ...]
 
 
 class ImageStage:
@@ -80,7 +54,6 @@ class VideoStage:
         width, height = film.size
         self.shape, self.spacing = (film.count, height, width), (1.0, 1.0, time_scale)
         self.size, self.rate = film.size, film.rate
-        self._gpu = gpu
         slots = max(2, min(film.most, Plate.most(gpu, film.size), film.count))
         self._plate = Plate(gpu, film.size, film.count, slots)
 
@@ -189,7 +162,7 @@ class VolumeStage:
 
     def draw(self, deformation: Deformation, camera: Camera, size: tuple[int, int], texture: Any) -> None:
         """Draw it into a texture, of columns and rows."""
-        self.deform(deformation).draw(texture, camera, (size[1], size[0]), background=_BACK)
+        self.deform(deformation).draw(texture, camera, (size[1], size[0]), background=BACK)
 
     def fill(self, deformation: Deformation, camera: Camera, size: tuple[int, int], seconds: float) -> float:
         """Go on with the buffer; how much of it is there."""

@@ -27,7 +27,6 @@ from supple.viewer.painter import Painter, Shot
 from supple.viewer.stages import ImageStage, VideoStage, VolumeStage
 from supple.viewer.tools import ImageTools, VideoTools, VolumeTools
 
-BAR, LINE = 44, 24  # logical pixels of the timeline and of the status line
 SETTLED = 0.15  # seconds without a change, after which a picture is drawn in full
 FILLING = 0.004
 
@@ -86,8 +85,6 @@ class View:
         self._laid = (0.0, 0.0, 0.0)
         self._frames: deque[float] = deque(maxlen=30)
         self._callbacks: list[Callable[[Recipe], None]] = []
-        self.python_seconds = 0.0
-        """What the last frame took here, apart from the device."""
         context = canvas.get_wgpu_context()
         self._format = context.get_preferred_format(gpu.device.adapter)
         context.configure(device=gpu.device, format=self._format)
@@ -122,7 +119,7 @@ class View:
     def area(self) -> tuple[float, float]:
         """The part of it that the picture has, from the upper left corner."""
         width, height = self.logical
-        below = LINE + (BAR if self.stage.kind == "video" else 0)
+        below = panels.LINE + (panels.BAR if self.stage.kind == "video" else 0)
         return max(width - panels.WIDE, 64.0), max(height - below, 64.0)
 
     def known(self) -> list[Known]:
@@ -196,12 +193,9 @@ class View:
         moving = tools.dragging or begun - self._changed_at < SETTLED or self._playing
         shot = self._shot((round(width * ratio), round(height * ratio)), ratio, moving)
         key = (shot.deformation, *(getattr(shot, name) for name in _SEEN), self.painter.coarse if moving else 0)
-        waited = 0.0
         if key != self._drawn_key or not self.painter.ready:
-            painting = time.perf_counter()
             with contextlib.suppress(SuppleError):
                 self._textures = self.painter.paint(shot)
-            waited = time.perf_counter() - painting
             self._drawn_key = key
         view = self._context.get_current_texture().create_view()
         if self._textures is not None:
@@ -209,7 +203,6 @@ class View:
             self._screen.present(view, first, second, tools.split or 0.0, (0, 0, *shot.size))
         self._gui.render()
         self.desk.tick()
-        self.python_seconds = time.perf_counter() - begun - waited
         self._go_on(moving, shot)
 
     def _shot(self, size: tuple[int, int], ratio: float, moving: bool) -> Shot:
