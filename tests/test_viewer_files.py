@@ -298,10 +298,13 @@ class TestExport:
                 tell(*step)
                 seen.append((export.progress, export.text))
 
+            assert ready.wait(10)
             return warp_file(*args, tell=told, **rest)
 
         recipe = Recipe(border=None, strokes=(Stroke(at=(20, 20, 3), by=(5, 0, 1), radius=15),))
+        ready = threading.Event()
         export = Export(clip, tmp_path / "b.mkv", recipe, warp=watched)
+        ready.set()
         finished(export)
         assert export.error is None
         assert [p for p, _ in seen] == sorted(p for p, _ in seen)
