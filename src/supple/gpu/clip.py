@@ -23,11 +23,13 @@ from supple.gpu.planes import (
     Strokes,
     colour,
     lattice_on,
+    pitch_of,
     strokes_on,
     target_size,
     unpacked,
 )
 from supple.gpu.samples import Picture
+from supple.gpu.texels import LAYERS, Layers, blocks_of, layers
 from supple.gpu.warp import AT_FIRST, SECONDS
 
 Floats = npt.NDArray[np.float64]
@@ -40,30 +42,16 @@ class Ring:
     gpu: Gpu
     picture: Picture
     window: Array
-    samples: Any
+    samples: Layers
     there: list[int]
-
-    @property
-    def stride(self) -> int:
-        """Samples from one slot to the next, whose bytes are whole words."""
-        return stride_of(self.picture)
 
     def take(self, frame: int) -> None:
         """See that a frame is there."""
         slot = frame % len(self.there)
         if self.there[slot] == frame:
             return
-        form = self.picture.format
-        data = form.packed(self.window[slot]).reshape(-1).view(np.uint8)
-        if data.size % 4:
-            data = np.pad(data, (0, -data.size % 4))
-        self.gpu.device.queue.write_buffer(self.samples, slot * self.stride * form.size, data)
+        self.samples.put(self.gpu, slot, self.picture.format.packed(self.window[slot]))
         self.there[slot] = frame
-
-
-def stride_of(picture: Picture) -> int:
-    """Samples from one frame of a ring to the next."""
-    return -(-math.prod(picture.shape) // 4) * 4
 
 
 @dataclass(slots=True, eq=False)
@@ -114,7 +102,7 @@ class Clip:
                 slots = len(ring.there)
                 seen, shift = ((low, high + 1), low % slots) if self.timed else ((0, 1), z % slots)
                 rows = (0, ring.picture.shape[0])
-                held = Held(ring.samples, seen, rows, slots, shift, ring.stride)
+                held = Held(ring.samples, seen, rows, slots, shift)
                 colour(use.lattice, ring.picture, self.frames if self.timed else 1, held, told, target, self.parts)
             encoder = gpu.device.create_command_encoder()
             at = 0
@@ -151,12 +139,13 @@ class Clip:
 
 def fits_whole(gpu: Gpu, strokes: Strokes, pictures: Sequence[Picture], slots: int) -> bool:
     """Whether a window, the lattice of a plane and its samples are no more than a shader takes each."""
-    nodes = NODE * (strokes.cells[0] + 1) * (strokes.cells[1] + 1)
+    nodes = NODE * pitch_of(strokes.cells[0] + 1) * (strokes.cells[1] + 1)
     sizes = [nodes]
     for picture in pictures:
-        sizes += [slots * stride_of(picture) * picture.format.size, target_size(picture, picture.shape[0])]
+        sizes += [slots * math.prod(picture.shape) * picture.format.size, target_size(picture, picture.shape[0])]
     # What is copied back is one array, however many pictures there are.
-    return max(sizes) <= gpu.binding and sum(sizes[2::2]) + 16 <= max(gpu.binding, LIMITS["max-buffer-size"])
+    deep = max(slots * math.prod(blocks_of(picture.shape)) for picture in pictures)
+    return deep <= LAYERS and max(sizes) <= gpu.binding and sum(sizes[2::2]) + 16 <= max(gpu.binding, LIMITS["max-buffer-size"])
 
 
 @contextlib.contextmanager
@@ -201,7 +190,8 @@ def clip_on(
         part = Part((0, 1), (0, strokes.cells[1]))
         rings, rooms = [], []
         for picture, window in zip(pictures, windows, strict=True):
-            (samples,) = owned(stack, room(gpu, slots * stride_of(picture) * picture.format.size))
+            form = picture.format
+            (samples,) = owned(stack, layers(gpu, picture.shape, slots, form.dtype, form.channels))
             rings.append(Ring(gpu, picture, window, samples, [-1] * slots))
         sizes = (*(target_size(picture, picture.shape[0]) for picture in pictures), 16)
         for _ in range(sets):

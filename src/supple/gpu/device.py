@@ -25,6 +25,8 @@ LIMITS: dict[str, int] = {
     "max-compute-workgroups-per-dimension": 65535,
     "max-storage-buffer-binding-size": 128 << 20,
     "max-storage-buffers-per-shader-stage": 8,
+    "max-texture-array-layers": 256,
+    "max-texture-dimension-2d": 8192,
     "max-uniform-buffer-binding-size": 64 << 10,
 }
 _BINDINGS = (1 << 30, 512 << 20, 256 << 20, LIMITS["max-storage-buffer-binding-size"])

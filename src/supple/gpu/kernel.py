@@ -18,7 +18,12 @@ Array = npt.NDArray[Any]
 T = TypeVar("T")
 
 UNIFORM, READ, WRITE, TEXTURE = "uniform", "read-only-storage", "storage", "texture"
-_PAINTED = {"access": "write-only", "format": "rgba8unorm", "view_dimension": "2d"}
+LAYERS, WHOLE_LAYERS = "layers", "layers of whole numbers"
+_TEXTURES: dict[str, Any] = {
+    TEXTURE: {"storage_texture": {"access": "write-only", "format": "rgba8unorm", "view_dimension": "2d"}},
+    LAYERS: {"texture": {"sample_type": "unfilterable-float", "view_dimension": "2d-array"}},
+    WHOLE_LAYERS: {"texture": {"sample_type": "uint", "view_dimension": "2d-array"}},
+}
 MOST_GROUPS = 65535
 PART = 0.25  # seconds
 TURNS = 4  # of a loop that shows whether loops are carried out (turns.wgsl)
@@ -88,7 +93,8 @@ def pipeline(
 ) -> Any:
     """A compute shader's entry point, compiled; kept with the device.
 
-    ``kinds`` are those of its bindings: UNIFORM, READ, WRITE or TEXTURE (rgba8unorm, written to).
+    ``kinds`` are those of its bindings: UNIFORM, READ, WRITE, TEXTURE (rgba8unorm, written to), or what is read of an
+    array of layers.
     """
     chosen = tuple(sorted((constants or {}).items()))
     key = (tuple(names), entry, tuple(kinds), chosen)
@@ -97,8 +103,7 @@ def pipeline(
         if module_key not in gpu.pipelines:
             gpu.pipelines[module_key] = gpu.device.create_shader_module(label=names[0], code=source(*names))
         entries = [
-            {"binding": k, "visibility": "COMPUTE"}
-            | ({"storage_texture": _PAINTED} if kind == TEXTURE else {"buffer": {"type": kind}})
+            {"binding": k, "visibility": "COMPUTE"} | _TEXTURES.get(kind, {"buffer": {"type": kind}})
             for k, kind in enumerate(kinds)
         ]
         layout = gpu.device.create_bind_group_layout(entries=entries)

@@ -17,12 +17,20 @@ struct Patch {
 }
 
 fn node_of(i: vec2u, plane: u32) -> u32 {
-    return (plane * settings.nodes.y + i.y) * settings.nodes.x + i.x;
+    let pitch = (settings.nodes.x + 3u) & ~3u; // rows of whole 256 bytes can be those of a texture
+    return (plane * settings.nodes.y + i.y) * pitch + i.x;
+}
+
+// One of the four vectors of a node.
+fn known_at(i: vec2u, plane: u32, k: u32) -> vec4f {
+    return textureLoad(lattice, vec2u(4u * i.x + k, i.y), plane, 0);
 }
 
 fn node_at(i: vec2u, plane: u32) -> Source {
-    let k = 4u * node_of(i, plane);
-    return Source(nodes[k].xyz, mat3x3f(nodes[k + 1u].xyz, nodes[k + 2u].xyz, nodes[k + 3u].xyz));
+    return Source(
+        known_at(i, plane, 0u).xyz,
+        mat3x3f(known_at(i, plane, 1u).xyz, known_at(i, plane, 2u).xyz, known_at(i, plane, 3u).xyz),
+    );
 }
 
 fn patch_at(i: vec2u, plane: u32) -> Patch {
@@ -79,9 +87,10 @@ fn check(@builtin(global_invocation_id) id: vec3u) {
     var found = 0.0;
     var fine = true;
     for (var k = 0u; k < 4u; k++) {
-        let node = 4u * node_of(id.xy + vec2u(k & 1u, k >> 1u), id.z);
-        found = max(found, nodes[node].w);
-        fine = fine && nodes[node].w <= settings.tolerance && f32(STEP) <= RESOLVED * nodes[node + 1u].w;
+        let node = id.xy + vec2u(k & 1u, k >> 1u);
+        let error = known_at(node, id.z, 0u).w;
+        found = max(found, error);
+        fine = fine && error <= settings.tolerance && f32(STEP) <= RESOLVED * known_at(node, id.z, 1u).w;
     }
     for (var k = 0u; k < 8u; k++) {
         let at = SEEN[k];

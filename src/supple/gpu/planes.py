@@ -11,16 +11,32 @@ import numpy.typing as npt
 
 from supple.gpu.device import Gpu
 from supple.gpu.field import domain, packed
-from supple.gpu.kernel import READ, TURNS, UNIFORM, WRITE, Array, download, owned, pipeline, room, run, upload
+from supple.gpu.kernel import (
+    LAYERS,
+    READ,
+    TURNS,
+    UNIFORM,
+    WHOLE_LAYERS,
+    WRITE,
+    Array,
+    download,
+    owned,
+    pipeline,
+    room,
+    run,
+    upload,
+)
 from supple.gpu.samples import STEP, Picture
+from supple.gpu.texels import Layers, view_of
 
 Floats = npt.NDArray[np.float64]
 Range = tuple[int, int]
 
 NODE = 64  # bytes
-_NAMES = ("warp", "field", "newton", "lattice", "smooth", "blend", "sample", "footprint", "turns")
-_LATTICE = (UNIFORM, UNIFORM, READ, WRITE, WRITE, WRITE, WRITE)
-_COLOURS = (*_LATTICE, READ, WRITE)
+_PARTS = ("warp", "field", "newton", "lattice", "smooth", "blend", "sample", "footprint", "turns")
+_NAMES = (*_PARTS, "texels_whole")
+_SOLVE = (UNIFORM, UNIFORM, READ, WRITE, WRITE, WRITE, WRITE)
+_CHECK = (*_SOLVE, LAYERS)
 
 SETTINGS = np.dtype(
     [
@@ -40,13 +56,14 @@ SETTINGS = np.dtype(
         ("held", "u4", 4),
         ("slots", "u4"),
         ("shift", "u4"),
-        ("stride", "u4"),
-        ("turns", "u4"),
+        ("blocks", "u4", 2),
         ("part", "u4", 2),
         ("bounds", "f4", 2),
         ("white", "f4"),
         ("tolerance", "f4"),
         ("times", "i4", 2),
+        ("turns", "u4"),
+        ("unused", "u4", 3),
     ]
 )
 
@@ -103,12 +120,17 @@ class Part:
 
 @dataclass(slots=True, eq=False)
 class Lattice:
-    """T⁻¹ on a part, or room for it."""
+    """T⁻¹ on a part, or room for it.
+
+    ``read`` is the texture that its nodes are read from, and ``view`` that of all of its planes.
+    """
 
     strokes: Strokes
     buffers: tuple[Any, ...]
     part: Part
     stats: Any
+    read: Any
+    view: Any
     solved: Part | None = None
 
     @property
@@ -125,24 +147,32 @@ class Lattice:
         told = settings_of(self, tolerance)
         gpu.device.queue.write_buffer(self.buffers[0], 0, told)
         gpu.device.queue.write_buffer(self.stats, 0, np.zeros(4, np.uint32))
+        solving = pipeline(gpu, _NAMES, "solve", _SOLVE)
+        run(gpu, [(solving, self.buffers, (-(-across // 8), -(-down // 8), count))])
+        encoder = gpu.device.create_command_encoder()
+        encoder.copy_buffer_to_texture(
+            {"buffer": self.buffers[3], "bytes_per_row": pitch_of(across) * NODE, "rows_per_image": down},
+            {"texture": self.read},
+            (4 * across, down, count),
+        )
+        gpu.device.queue.submit([encoder.finish()])
+        buffers = (*self.buffers, self.view)
+        checking, counting = (pipeline(gpu, _NAMES, entry, _CHECK) for entry in ("check", "count"))
         run(
             gpu,
             [
-                (pipeline(gpu, _NAMES, "solve", _LATTICE), self.buffers, (-(-across // 8), -(-down // 8), count)),
-                (
-                    pipeline(gpu, _NAMES, "check", _LATTICE),
-                    self.buffers,
-                    (-(-(across - 1) // 8), -(-(down - 1) // 8), count),
-                ),
-                (pipeline(gpu, _NAMES, "count", _LATTICE), self.buffers, (1, 1, 1)),
+                (checking, buffers, (-(-(across - 1) // 8), -(-(down - 1) // 8), count)),
+                (counting, buffers, (1, 1, 1)),
             ],
         )
         self.solved = part
 
     def nodes(self) -> npt.NDArray[np.float32]:
         """What the nodes know: planes, rows, columns, u and the columns of ∂p/∂q, each of 4 numbers."""
-        count = int(np.prod(self.shape)) * 16
-        return download(self.strokes.gpu, self.buffers[3], np.float32, count).reshape(*self.shape, 4, 4)
+        count, down, across = self.shape
+        pitch = pitch_of(across)
+        found = download(self.strokes.gpu, self.buffers[3], np.float32, count * down * pitch * 16)
+        return found.reshape(count, down, pitch, 4, 4)[:, :, :across]
 
     def rough(self) -> npt.NDArray[np.bool_]:
         """Which cells are not interpolated: planes, rows, columns."""
@@ -151,19 +181,29 @@ class Lattice:
         return known.reshape(count, down, across) > 1e29
 
 
+def pitch_of(across: int) -> int:
+    """Nodes from one row to the next: rows that become those of a texture are of a multiple of 256 bytes."""
+    return -(-across // 4) * 4
+
+
 def lattice_on(stack: contextlib.ExitStack, strokes: Strokes, part: Part) -> Lattice:
     """Room for the lattice of a part, until a stack is left."""
     gpu, (across, _) = strokes.gpu, strokes.cells
     cells = part.count * part.tall * across
+    read = gpu.device.create_texture(
+        size=(4 * (across + 1), part.tall + 1, part.count), format="rgba32float", usage="TEXTURE_BINDING|COPY_DST"
+    )
+    stack.callback(read.destroy)
     told, nodes, errors, stats, rough = owned(
         stack,
         gpu.device.create_buffer(size=SETTINGS.itemsize, usage="UNIFORM|COPY_DST"),
-        room(gpu, part.count * (part.tall + 1) * (across + 1) * NODE),
+        room(gpu, part.count * (part.tall + 1) * pitch_of(across + 1) * NODE),
         room(gpu, 4 * cells),
         room(gpu, 16),
         room(gpu, 16 + 4 * cells),
     )
-    return Lattice(strokes, (told, strokes.axes, strokes.table, nodes, errors, stats, rough), part, stats)
+    buffers = (told, strokes.axes, strokes.table, nodes, errors, stats, rough)
+    return Lattice(strokes, buffers, part, stats, read, view_of(read))
 
 
 def settings_of(lattice: Lattice, tolerance: float) -> npt.NDArray[np.void]:
@@ -183,23 +223,20 @@ class Held:
 
     Parameters
     ----------
-    samples : buffer
+    samples : Layers
     frames, rows : (int, int)
         Which they are: from, to.
     slots : int
         How many frames there is room for, in a ring.
     shift : int
         In which of the slots the first of the frames is.
-    stride : int
-        Samples from one slot to the next.
     """
 
-    samples: Any
+    samples: Layers
     frames: Range
     rows: Range
     slots: int
     shift: int
-    stride: int
 
 
 def rows_of(picture: Picture, lattice: Lattice) -> Range:
@@ -252,16 +289,19 @@ def colour(
         "held": (*held.frames, *held.rows),
         "slots": held.slots,
         "shift": held.shift,
-        "stride": held.stride,
+        "blocks": held.samples.blocks,
         "bounds": picture.bounds,
         "white": wanted.white,
         "times": wanted.times,
     }.items():
         settings[name] = value
     settings["fill"][0, : picture.channels] = wanted.fill
-    buffers = (told, *lattice.buffers[1:], held.samples, target)
-    constants = picture.constants()
-    known, rough = (pipeline(gpu, _NAMES, entry, _COLOURS, constants) for entry in ("warp", "solve_and_warp"))
+    buffers = (told, *lattice.buffers[1:], lattice.view, held.samples.view, target)
+    constants = picture.constants() | {"FOLDED": int(held.samples.blocks != (1, 1))}
+    whole = np.dtype(form.dtype).kind == "u"
+    names = (*_PARTS, "texels_whole" if whole else "texels_float")
+    kinds = (*_CHECK, WHOLE_LAYERS if whole else LAYERS, WRITE)
+    known, rough = (pipeline(gpu, names, entry, kinds, constants) for entry in ("warp", "solve_and_warp"))
     across = -(-picture.shape[1] * picture.step[0] // STEP)
     down = -(-(end - top) // picture.rows)
     parts = min(parts, down)

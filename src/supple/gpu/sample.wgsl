@@ -1,42 +1,6 @@
 // Colours at points of frames: nearest, linear, cubic, and averages over what a pixel covers.
 //
-// Samples lie in words of 32 bits, as FORMAT says. Weights are float32; no sampler of the hardware's takes part.
-
-const WHITE_8 = 255.0;
-
-fn loaded(i: u32) -> vec4f {
-    switch FORMAT {
-        case BYTE: {
-            return vec4f(f32(extractBits(samples[i >> 2u], 8u * (i & 3u), 8u)), 0.0, 0.0, 0.0);
-        }
-        case BYTES: {
-            return vec4f(unpack4xU8(samples[i]));
-        }
-        case SHORT: {
-            return vec4f(f32(extractBits(samples[i >> 1u], 16u * (i & 1u), 16u)), 0.0, 0.0, 0.0);
-        }
-        case SHORTS: {
-            let a = samples[2u * i];
-            let b = samples[2u * i + 1u];
-            return vec4f(vec4u(a & 0xffffu, a >> 16u, b & 0xffffu, b >> 16u));
-        }
-        case BYTE_PAIR: {
-            let both = extractBits(samples[i >> 1u], 16u * (i & 1u), 16u);
-            return vec4f(f32(both & 0xffu), f32(both >> 8u), 0.0, 0.0);
-        }
-        case SHORT_PAIR: {
-            let both = samples[i];
-            return vec4f(f32(both & 0xffffu), f32(both >> 16u), 0.0, 0.0);
-        }
-        case FLOAT: {
-            return vec4f(bitcast<f32>(samples[i]), 0.0, 0.0, 0.0);
-        }
-        default: {
-            let k = 4u * i;
-            return bitcast<vec4f>(vec4u(samples[k], samples[k + 1u], samples[k + 2u], samples[k + 3u]));
-        }
-    }
-}
+// Weights are float32; no sampler of the hardware's takes part.
 
 fn to_light(v: vec3f) -> vec3f {
     let s = v / settings.white;
@@ -105,13 +69,17 @@ fn texel(x: i32, y: i32, frame: i32) -> vec4f {
         at = clamp(at, vec3i(0), size - 1);
     }
     let here = vec2u(at.zy);
-    if (any(here < settings.held.xz) || any(here >= settings.held.yw)) {
-        missing += 1u; // and what comes of it is not used
-        return vec4f(0.0);
+    // What comes of one that is not here is not used.
+    missing += u32(any(here < settings.held.xz) || any(here >= settings.held.yw));
+    var layer = here.x - settings.held.x + settings.shift;
+    layer -= select(0u, settings.slots, layer >= settings.slots);
+    var place = vec2u(u32(at.x), here.y - settings.held.z);
+    if (FOLDED) {
+        let block = place >> vec2u(SIDE);
+        layer = (layer * settings.blocks.y + block.y) * settings.blocks.x + block.x;
+        place &= vec2u((1u << SIDE) - 1u);
     }
-    var slot = here.x - settings.held.x + settings.shift;
-    slot -= select(0u, settings.slots, slot >= settings.slots);
-    return prepared(loaded(slot * settings.stride + (here.y - settings.held.z) * settings.size.x + u32(at.x)));
+    return prepared(loaded(place, layer));
 }
 
 fn cubic_weights(t: f32) -> vec4f {

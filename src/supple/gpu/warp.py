@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from supple.gpu.device import Gpu
-from supple.gpu.kernel import Array, download, owned, room, upload
+from supple.gpu.kernel import Array, download, owned, room
 from supple.gpu.planes import (
     NODE,
     SETTINGS,
@@ -23,12 +23,14 @@ from supple.gpu.planes import (
     Strokes,
     colour,
     lattice_on,
+    pitch_of,
     strokes_on,
     target_size,
     unpacked,
 )
 from supple.gpu.reach import Reach, box_of, reach_of
 from supple.gpu.samples import LONGEST, Picture
+from supple.gpu.texels import layers
 
 Floats = npt.NDArray[np.float64]
 Read = Callable[[Range, Range], Array]
@@ -84,10 +86,12 @@ class _Work:
         if self.held is None or self.box != (frames, rows):
             self.of_source.close()
             self.box, self.held = None, None
-            packed = self.picture.format.packed(self.read(frames, rows))
-            (samples,) = owned(self.of_source, upload(self.gpu, packed))
-            count, stride = frames[1] - frames[0], (rows[1] - rows[0]) * self.picture.shape[1]
-            self.box, self.held = (frames, rows), Held(samples, frames, rows, count, 0, stride)
+            form, count = self.picture.format, frames[1] - frames[0]
+            size = rows[1] - rows[0], self.picture.shape[1]
+            (samples,) = owned(self.of_source, layers(self.gpu, size, count, form.dtype, form.channels))
+            for k, frame in enumerate(form.packed(self.read(frames, rows))):
+                samples.put(self.gpu, k, frame)
+            self.box, self.held = (frames, rows), Held(samples, frames, rows, count, 0)
         return self.held
 
     def size_of(self, frames: Range, rows: Range) -> int:
@@ -224,7 +228,7 @@ def warp(
         stack.callback(work.close)
         across, down = strokes.cells
         # Solving a node takes about 25 evaluations of every stroke.
-        most = int(min(gpu.binding // NODE, 8 * AT_FIRST / (25 * max(strokes.count, 1)))) // (across + 1)
+        most = int(min(gpu.binding // NODE, 8 * AT_FIRST / (25 * max(strokes.count, 1)))) // pitch_of(across + 1)
         if most < 2:
             raise MemoryError("a picture of this width is more than a shader takes")
         tall = min(down, most - 1)

@@ -17,13 +17,13 @@ struct Settings {
     held: vec4u, // the source's frames that are here, and its rows: from, to
     slots: u32, // how many frames there is room for, one after the other and round again
     shift: u32, // in which of them the first frame is that is here
-    stride: u32, // samples from one to the next
-    turns: u32, // see turns.wgsl
+    blocks: vec2u, // layers of a frame, across and down
     part: vec2u, // rows of cells that are coloured now: from, to
     bounds: vec2f, // of the values of the samples' type
     white: f32, // what opaque and white are
     tolerance: f32, // of source points, in pixels
     times: vec2i, // beyond which nothing changes
+    turns: u32, // see turns.wgsl
 }
 
 @group(0) @binding(0) var<uniform> settings: Settings;
@@ -35,8 +35,8 @@ struct Settings {
 // asked for that are not here.
 @group(0) @binding(5) var<storage, read_write> stats: array<atomic<u32>, 4>;
 @group(0) @binding(6) var<storage, read_write> rough: array<u32>; // workgroups, the number of cells, and which ones
-@group(0) @binding(7) var<storage, read> samples: array<u32>;
-@group(0) @binding(8) var<storage, read_write> target_: array<u32>;
+@group(0) @binding(7) var lattice: texture_2d_array<f32>; // what is in the nodes, once they are solved
+@group(0) @binding(9) var<storage, read_write> target_: array<u32>;
 
 override FORMAT: u32 = 0u;
 override FILTER: u32 = 0u;
@@ -44,6 +44,7 @@ override BETWEEN: u32 = 0u;
 override OUTSIDE: u32 = 0u;
 override ALPHA: bool = false;
 override LIGHT: bool = false;
+override FOLDED: bool = false; // whether frames have several layers
 override AVERAGE: bool = false; // over the time that a pixel covers
 
 const BYTE = 0u;
@@ -63,6 +64,7 @@ const EDGE = 0u;
 const CONSTANT = 1u;
 const REFLECT = 2u;
 const STEP = 16u;
+const SIDE = 13u; // bits of a place in a layer
 const LONGEST = 64.0; // frames that a pixel is averaged over, at most
 
 var<private> worst: f32 = 0.0;
