@@ -83,7 +83,7 @@ def held_scene(
     if space is not None and not fits(space.table):
         raise ArithmeticError("strokes of such sizes are beyond its numbers")
     twice = mode == "hybrid" or (mode == "buffered" and space is not None)
-    if volume is None or (twice and not volume.warped):
+    if volume is None or (twice and volume.warped is None):
         try:
             volume = hold(gpu, samples, twice=twice)
         except MemoryError:

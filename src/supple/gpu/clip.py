@@ -144,8 +144,10 @@ def fits_whole(gpu: Gpu, strokes: Strokes, pictures: Sequence[Picture], slots: i
     for picture in pictures:
         sizes += [slots * math.prod(picture.shape) * picture.format.size, target_size(picture, picture.shape[0])]
     # What is copied back is one array, however many pictures there are.
+    if sum(sizes[2::2]) + 16 > max(gpu.binding, LIMITS["max-buffer-size"]):
+        return False
     deep = max(slots * math.prod(blocks_of(picture.shape)) for picture in pictures)
-    return deep <= LAYERS and max(sizes) <= gpu.binding and sum(sizes[2::2]) + 16 <= max(gpu.binding, LIMITS["max-buffer-size"])
+    return deep <= LAYERS and max(sizes) <= gpu.binding
 
 
 @contextlib.contextmanager

@@ -27,6 +27,7 @@ LIMITS: dict[str, int] = {
     "max-storage-buffers-per-shader-stage": 8,
     "max-texture-array-layers": 256,
     "max-texture-dimension-2d": 8192,
+    "max-texture-dimension-3d": 2048,
     "max-uniform-buffer-binding-size": 64 << 10,
 }
 _BINDINGS = (1 << 30, 512 << 20, 256 << 20, LIMITS["max-storage-buffer-binding-size"])

@@ -9,23 +9,34 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from supple.gpu.kernel import READ, TURNS, UNIFORM, WRITE, Pace, download, owned, pipeline, room, run, spread, upload
+from supple.gpu.kernel import (
+    FILLED,
+    READ,
+    SOLID,
+    TURNS,
+    UNIFORM,
+    WRITE,
+    Pace,
+    download,
+    owned,
+    pipeline,
+    room,
+    run,
+    spread,
+    upload,
+)
 from supple.gpu.solid import Lattice
 from supple.gpu.volume import Volume
 
 BLOCK = 16  # voxels along a brick's side
 _NAMES = ("fill", "volume", "solid", "blend", "smooth", "field", "newton", "turns")
-_KINDS = (UNIFORM, UNIFORM, READ, READ, WRITE, READ, WRITE)
 
 _SETTINGS = np.dtype(
     [
         ("size", "u4", 3),
-        ("pitch", "u4"),
+        ("strokes", "u4"),
         ("nodes", "u4", 3),
         ("spread", "f4"),
-        ("bounds", "f4", 2),
-        ("strokes", "u4"),
-        ("warped", "u4"),
         ("count", "u4"),
         ("tolerance", "f4"),
         ("turns", "u4"),
@@ -58,8 +69,9 @@ class Filling:
         self._made = np.zeros(self._blocks, np.bool_)
         self._pace = Pace(1)
         self._key = object()  # and not itself: a circle would keep the device's memory until it is found
-        constants = {"FORMAT": volume.format, "POLISHED": int(polished)}
-        self._work = pipeline(volume.gpu, _NAMES, "fill", _KINDS, constants)
+        kinds = (UNIFORM, UNIFORM, READ, SOLID, volume.kind, SOLID, READ, WRITE, FILLED)
+        self._work = pipeline(volume.gpu, (*_NAMES, volume.reader), "fill", kinds, {"POLISHED": int(polished)})
+        self._target = volume.warped.create_view()
         self.finished = room(volume.gpu, 4 * self._made.size)
         """A buffer with a 1 for each brick that is there with all of its neighbours, so that it can be read."""
 
@@ -111,12 +123,9 @@ class Filling:
         settings = np.zeros(1, _SETTINGS)
         for name, value in {
             "size": volume.size,
-            "pitch": volume.pitch,
             "nodes": lattice.shape,
             "spread": lattice.spread,
-            "bounds": volume.bounds,
             "strokes": lattice.count,
-            "warped": volume.warped,
             "count": wanted.size,
             "tolerance": self._tolerance,
             "turns": TURNS,
@@ -124,8 +133,9 @@ class Filling:
             settings[name] = value
         with contextlib.ExitStack() as own:
             told, some = owned(own, upload(gpu, settings, UNIFORM), upload(gpu, wanted))
-            buffers = [told, lattice.domain, lattice.strokes, lattice.nodes, volume.samples, some, lost]
-            run(gpu, [(self._work, buffers, (*spread(wanted.size, 1), 1))])
+            # Nothing is read of a buffer here: any other texture stands in its place.
+            read = [lattice.domain, lattice.strokes, lattice.nodes, volume.view, lattice.nodes]
+            run(gpu, [(self._work, [told, *read, some, lost, self._target], (*spread(wanted.size, 1), 1))])
 
     def _tell(self) -> None:
         """Tell the device which bricks can be read: samples between voxels, and slopes, take their neighbours too."""

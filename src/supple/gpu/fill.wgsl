@@ -2,12 +2,9 @@
 
 struct Settings {
     size: vec3u, // voxels
-    pitch: u32, // samples of a row
+    strokes: u32,
     nodes: vec3u, // of the lattice of T⁻¹
     spread: f32, // voxels from node to node
-    bounds: vec2f, // of the values of the samples' type
-    strokes: u32,
-    warped: u32, // where the buffer begins
     count: u32, // of bricks that are made here
     tolerance: f32, // of source points, in voxels
     turns: u32, // see turns.wgsl
@@ -17,15 +14,13 @@ struct Settings {
 @group(0) @binding(0) var<uniform> settings: Settings;
 @group(0) @binding(1) var<uniform> domain: Domain;
 @group(0) @binding(2) var<storage, read> strokes: array<Stroke>;
-@group(0) @binding(3) var<storage, read> nodes: array<vec4f>;
-@group(0) @binding(4) var<storage, read_write> samples: array<u32>; // the volume, and then the buffer
-@group(0) @binding(5) var<storage, read> wanted: array<u32>; // bricks
-@group(0) @binding(6) var<storage, read_write> lost: atomic<u32>; // voxels that could not be solved
+@group(0) @binding(6) var<storage, read> wanted: array<u32>; // bricks
+@group(0) @binding(7) var<storage, read_write> lost: atomic<u32>; // voxels that could not be solved
+@group(0) @binding(8) var made: texture_storage_3d<r32float, write>; // the buffer
 
 override POLISHED: bool; // whether each voxel is solved, from where the lattice puts it
 
 const BLOCK = 16u;
-const FLOAT = 4u;
 
 fn source_of(q: vec3f, u: vec3f) -> vec3f {
     if (!POLISHED) {
@@ -43,13 +38,6 @@ fn source_of(q: vec3f, u: vec3f) -> vec3f {
     return q + found.offset / domain.spacing.xyz;
 }
 
-fn bits_of(value: f32) -> u32 {
-    if (FORMAT == FLOAT) {
-        return bitcast<u32>(value);
-    }
-    return u32(i32(clamp(floor(value + 0.5), settings.bounds.x, settings.bounds.y)));
-}
-
 @compute @workgroup_size(64)
 fn fill(
     @builtin(local_invocation_index) own: u32,
@@ -63,8 +51,6 @@ fn fill(
     let blocks = (settings.size + BLOCK - 1u) / BLOCK;
     let which = wanted[place];
     let corner = BLOCK * vec3u(which % blocks.x, which / blocks.x % blocks.y, which / (blocks.x * blocks.y));
-    let in_word = select(select(2u, 4u, FORMAT < SHORT), 1u, FORMAT == FLOAT);
-    let bits = 32u / in_word;
     let way = u32(settings.spread);
     for (var row = own; row < BLOCK * BLOCK; row += 64u) {
         let y = corner.y + row % BLOCK;
@@ -73,9 +59,7 @@ fn fill(
             continue;
         }
         let end = min(corner.x + BLOCK, settings.size.x);
-        let start = (z * settings.size.y + y) * settings.pitch;
         var to = between(vec3f(vec3u(corner.x, y, z)));
-        var word = 0u;
         for (var x = corner.x; x < end; x += way) {
             let from_ = to;
             to = between(vec3f(vec3u(x + way, y, z)));
@@ -86,11 +70,7 @@ fn fill(
             for (var i = 0u; i < way && x + i < end; i++) {
                 let q = vec3f(vec3u(x + i, y, z));
                 let u = cubic(from_.shift, rise, a, b, f32(i) / settings.spread);
-                word = insertBits(word, bits_of(sample_at(source_of(q, u), 0u)), bits * ((x + i) % in_word), bits);
-                if ((x + i + 1u) % in_word == 0u || x + i + 1u == end) {
-                    samples[(settings.warped + start + x + i) / in_word] = word;
-                    word = 0u;
-                }
+                textureStore(made, vec3u(x + i, y, z), vec4f(sample_at(source_of(q, u), false)));
             }
         }
     }

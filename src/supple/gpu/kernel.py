@@ -19,10 +19,15 @@ T = TypeVar("T")
 
 UNIFORM, READ, WRITE, TEXTURE = "uniform", "read-only-storage", "storage", "texture"
 LAYERS, WHOLE_LAYERS = "layers", "layers of whole numbers"
+SOLID, WHOLE_SOLID, SIGNED_SOLID, FILLED = "solid", "solid of whole numbers", "solid of signed numbers", "filled solid"
 _TEXTURES: dict[str, Any] = {
     TEXTURE: {"storage_texture": {"access": "write-only", "format": "rgba8unorm", "view_dimension": "2d"}},
     LAYERS: {"texture": {"sample_type": "unfilterable-float", "view_dimension": "2d-array"}},
     WHOLE_LAYERS: {"texture": {"sample_type": "uint", "view_dimension": "2d-array"}},
+    SOLID: {"texture": {"sample_type": "unfilterable-float", "view_dimension": "3d"}},
+    WHOLE_SOLID: {"texture": {"sample_type": "uint", "view_dimension": "3d"}},
+    SIGNED_SOLID: {"texture": {"sample_type": "sint", "view_dimension": "3d"}},
+    FILLED: {"storage_texture": {"access": "write-only", "format": "r32float", "view_dimension": "3d"}},
 }
 MOST_GROUPS = 65535
 PART = 0.25  # seconds
@@ -94,7 +99,7 @@ def pipeline(
     """A compute shader's entry point, compiled; kept with the device.
 
     ``kinds`` are those of its bindings: UNIFORM, READ, WRITE, TEXTURE (rgba8unorm, written to), or what is read of an
-    array of layers.
+    array of layers or of a solid, as `_TEXTURES` has it.
     """
     chosen = tuple(sorted((constants or {}).items()))
     key = (tuple(names), entry, tuple(kinds), chosen)

@@ -12,10 +12,11 @@ struct Settings {
 @group(0) @binding(0) var<uniform> settings: Settings;
 @group(0) @binding(1) var<uniform> domain: Domain;
 @group(0) @binding(2) var<storage, read> strokes: array<Stroke>;
-@group(0) @binding(3) var<storage, read_write> nodes: array<vec4f>;
+// Those of some layers: as solid.wgsl reads them, in rows of whole 256 bytes.
+@group(0) @binding(4) var<storage, read_write> nodes: array<vec4f>;
 // The worst error that is seen, in voxels, and the least length over which the map varies: positive numbers, whose bits
 // are in their order.
-@group(0) @binding(4) var<storage, read_write> stats: array<atomic<u32>, 2>;
+@group(0) @binding(5) var<storage, read_write> stats: array<atomic<u32>, 2>;
 
 fn saw(error: f32) {
     atomicMax(&stats[0], bitcast<u32>(select(1e30, error, error <= 1e30)));
@@ -30,10 +31,10 @@ fn solve(@builtin(global_invocation_id) id: vec3u) {
     let q = vec3f(i) * settings.spread * domain.spacing.xyz;
     let found = undo(q, 1e-3 * finest());
     let m = in_pixels(found.matrix);
-    let place = 4u * ((i.z * settings.nodes.y + i.y) * settings.nodes.x + i.x);
-    nodes[place] = vec4f(found.offset / domain.spacing.xyz, 0.0);
-    for (var c = 0u; c < 3u; c++) {
-        nodes[place + 1u + c] = vec4f(m[c], 0.0);
+    let pitch = (settings.nodes.x + 15u) & ~15u;
+    for (var k = 0u; k < 4u; k++) {
+        let row = (2u * id.z + (k >> 1u)) * 2u * settings.nodes.y + 2u * i.y + (k & 1u);
+        nodes[row * pitch + i.x] = vec4f(select(m[max(k, 1u) - 1u], found.offset / domain.spacing.xyz, k == 0u), 0.0);
     }
     saw(select(norm_of(m) * found.residual / finest(), 1e30, cut_short()));
     atomicMin(&stats[1], bitcast<u32>(smoothness(q, found.offset, m)));
@@ -45,11 +46,9 @@ fn check(@builtin(global_invocation_id) id: vec3u) {
     if (any(i + 1u >= settings.nodes) || i.z >= settings.last) {
         return;
     }
-    let here = 4u * ((i.z * settings.nodes.y + i.y) * settings.nodes.x + i.x);
-    let there = here + 4u * ((settings.nodes.y + 1u) * settings.nodes.x + 1u);
     var m: mat3x3f;
     for (var c = 0u; c < 3u; c++) {
-        m[c] = 0.5 * (nodes[here + 1u + c].xyz + nodes[there + 1u + c].xyz);
+        m[c] = 0.5 * (node_at(i, c + 1u) + node_at(i + 1u, c + 1u));
     }
     var worst = 0.0;
     for (var k = 0u; k < 15u; k++) {

@@ -12,11 +12,14 @@ import numpy.typing as npt
 
 from supple.gpu.fill import BLOCK, Filling
 from supple.gpu.kernel import (
+    LAYERS,
     MOST_GROUPS,
     READ,
+    SOLID,
     TEXTURE,
     TURNS,
     UNIFORM,
+    WHOLE_SOLID,
     WRITE,
     Pace,
     download,
@@ -27,6 +30,7 @@ from supple.gpu.kernel import (
     upload,
 )
 from supple.gpu.solid import Lattice
+from supple.gpu.texels import layers, put_solid, solid
 from supple.gpu.volume import Volume
 
 Floats = npt.NDArray[np.float64]
@@ -37,7 +41,6 @@ LONGEST = 8  # samples
 # A stretch of them is read of the buffer if it begins in a brick whose neighbours are there: it ends in one of these.
 FARTHEST = BLOCK - 4  # voxels
 _NAMES = ("raymarch", "volume", "solid", "blend", "field", "newton", "turns")
-_KINDS = (UNIFORM, UNIFORM, READ, READ, READ, READ, READ, WRITE, READ)
 
 SETTINGS = np.dtype(
     [
@@ -64,10 +67,8 @@ SETTINGS = np.dtype(
         ("fine", "u4"),
         ("rows", "u4"),
         ("stretch", "u4"),
-        ("pitch", "u4"),
-        ("warped", "u4"),
         ("turns", "u4"),
-        ("unused", "u4", 7),
+        ("unused", "u4"),
     ]
 )
 _PAINT = np.dtype(
@@ -204,7 +205,7 @@ def _rays(held: Held, look: Look, view: Floats, size: tuple[int, int], fine: int
     if held.whole and filling is not None and filling.part < 1.0:
         filling.advance()  # another scene of the volume has taken its place
     mode = _mode(held, look.step / finest)
-    made = _marching(volume, mode)
+    made = _marching(volume, mode, filling is not None)
     height, width = size
     settings = np.zeros(1, SETTINGS)
     for name, value in {
@@ -224,9 +225,7 @@ def _rays(held: Held, look: Look, view: Floats, size: tuple[int, int], fine: int
         "always": look.threshold == -np.inf,
         "fine": fine,
         "stretch": _stretch(mode, lattice.cells * lattice.spread, look.step / finest),
-        "pitch": volume.pitch,
         "turns": TURNS,
-        "warped": volume.warped if mode in (PLAIN, HYBRID) and filling is not None else 0,
     }.items():
         settings[name] = value
     for name, row in {
@@ -244,31 +243,51 @@ def _rays(held: Held, look: Look, view: Floats, size: tuple[int, int], fine: int
         raise MemoryError("a row of pixels of so many rays is more than a shader takes")
     pace = Pace(max(1, held.pace.count // row_), most)
     with contextlib.ExitStack() as stack:
-        skips, colours = owned(stack, upload(gpu, look.skips), upload(gpu, look.table))
+        skips = solid(gpu, _three(look.skips.shape), np.uint8)
+        colours = layers(gpu, (1, len(look.table)), 1, np.float32, 4)
+        owned(stack, skips, colours)
+        put_solid(gpu, skips, look.skips)
+        colours.put(gpu, 0, look.table[None])
         (seen,) = owned(stack, room(gpu, 32 * row_ * most))
         for first, count in pace.parts(height // fine):
             settings["first"], settings["rows"] = first * fine, count * fine
             with contextlib.ExitStack() as own:
                 (told,) = owned(own, upload(gpu, settings, UNIFORM))
-                finished = filling.finished if filling is not None else skips
-                buffers = [told, lattice.domain, lattice.strokes, lattice.nodes, skips, volume.samples, colours, seen]
-                run(gpu, [(made, [*buffers, finished], (-(-width // 8), -(-count * fine // 8), 1))])
+                finished = filling.finished if filling is not None else lattice.strokes
+                read = _read(held, skips.create_view(), colours.view)
+                run(gpu, [(made, [told, *read, seen, finished], (-(-width // 8), -(-count * fine // 8), 1))])
             yield first * fine, count * fine, seen
             pace.count = min(pace.count, most)
     held.pace.count = pace.count * row_
 
 
-def _marching(volume: Volume, mode: int) -> Any:
-    return pipeline(volume.gpu, _NAMES, "march", _KINDS, {"FORMAT": volume.format, "MODE": mode})
+def _three(shape: tuple[int, ...]) -> tuple[int, int, int]:
+    deep, high, across = shape
+    return deep, high, across
+
+
+def _read(held: Held, skips: Any, colours: Any) -> list[Any]:
+    """What rays read, from the second binding on; where there is no buffer, any other texture stands in its place."""
+    volume, lattice = held.volume, held.lattice
+    warped = volume.warped.create_view() if volume.warped is not None else lattice.nodes
+    return [lattice.domain, lattice.strokes, lattice.nodes, volume.view, warped, skips, colours]
+
+
+def _marching(volume: Volume, mode: int, buffer: bool) -> Any:
+    kinds = (UNIFORM, UNIFORM, READ, SOLID, volume.kind, SOLID, WHOLE_SOLID, LAYERS, WRITE, READ)
+    sampled = {PLAIN: 1, HYBRID: 2}.get(mode, 0) if buffer else 0
+    return pipeline(volume.gpu, (*_NAMES, volume.reader), "march", kinds, {"MODE": mode, "SAMPLED": sampled})
 
 
 def prepare(held: Held, filling: Filling) -> None:
     """Compile what a hybrid scene needs later, so that no frame waits for it: some do when it first runs."""
-    volume, lattice, some = held.volume, held.lattice, filling.finished
+    volume = held.volume
     with contextlib.ExitStack() as stack:
         told, seen = owned(stack, upload(volume.gpu, np.zeros(1, SETTINGS), UNIFORM), room(volume.gpu, 32))
-        buffers = [told, lattice.domain, lattice.strokes, lattice.nodes, some, volume.samples, some, seen, some]
-        run(volume.gpu, [(_marching(volume, mode), buffers, (1, 1, 1)) for mode in (LATTICE, HYBRID, PLAIN)])
+        skips, colours = solid(volume.gpu, (1, 1, 1), np.uint8), layers(volume.gpu, (1, 1), 1, np.float32, 4)
+        owned(stack, skips, colours)
+        buffers = [told, *_read(held, skips.create_view(), colours.view), seen, filling.finished]
+        run(volume.gpu, [(_marching(volume, mode, True), buffers, (1, 1, 1)) for mode in (LATTICE, HYBRID, PLAIN)])
         filling.prepare()
         download(volume.gpu, seen, np.float32, 8)  # waits
 

@@ -24,22 +24,17 @@ struct Settings {
     fine: u32, // rays along a pixel's side
     rows: u32,
     stretch: u32, // samples that share what is read of the lattice
-    pitch: u32, // samples of a row
-    warped: u32, // where the buffer begins
     turns: u32, // see turns.wgsl
-    unused: vec3u,
+    unused: u32,
 }
 
 @group(0) @binding(0) var<uniform> settings: Settings;
 @group(0) @binding(1) var<uniform> domain: Domain;
 @group(0) @binding(2) var<storage, read> strokes: array<Stroke>;
-@group(0) @binding(3) var<storage, read> nodes: array<vec4f>;
-@group(0) @binding(4) var<storage, read> skips: array<u32>;
-@group(0) @binding(5) var<storage, read> samples: array<u32>;
-@group(0) @binding(6) var<storage, read> colours: array<vec4f>; // the transfer function
-@group(0) @binding(7) var<storage, read_write> seen: array<vec4f>; // for each ray: colour; depth, samples, inversions
-
-@group(0) @binding(8) var<storage, read> finished: array<u32>; // for each brick of the buffer, whether it can be read
+@group(0) @binding(6) var skips: texture_3d<u32>;
+@group(0) @binding(7) var colours: texture_2d_array<f32>; // the transfer function: one row
+@group(0) @binding(8) var<storage, read_write> seen: array<vec4f>; // for each ray: colour; depth, samples, inversions
+@group(0) @binding(9) var<storage, read> finished: array<u32>; // for each brick of the buffer, whether it can be read
 
 override MODE: u32;
 
@@ -82,7 +77,7 @@ fn solved(q: vec3f, near: vec3f) -> Place {
 // A stretch of a ray, a few steps long, along which what comes from the lattice is a cubic: what is read there serves
 // all of its samples. It is about as long as the lattice's cells, and not coarser than they are.
 struct Stretch {
-    first: u32, // sample of the volume that is read: of the buffer, where that has been filled around here
+    of_buffer: bool, // whether the buffer is read, as it has been filled around here
     start: f32, // in millimetres along the ray
     over: f32, // 1 / its length
     from_: Between, // at its ends
@@ -96,9 +91,6 @@ var<private> stretch: Stretch;
 
 // Go on to the stretch that begins some steps from the ray's start.
 fn begin(ray: Ray, going_on: bool) {
-    if (MODE == PLAIN) {
-        stretch.first = settings.warped;
-    }
     if (MODE == PLAIN || MODE == EXACT) {
         return;
     }
@@ -112,12 +104,11 @@ fn begin(ray: Ray, going_on: bool) {
     // Its end, and its start where that is not the last one's end: a loop, as some devices carry out all of a branch.
     var ends = select(2u, 1u, going_on && stretch.start == wanted);
     if (MODE == HYBRID) {
-        let was = stretch.first;
+        let was = stretch.of_buffer;
         let block = vec3u(clamp(ray.o + stretch.start * ray.d, vec3f(0.0), vec3f(settings.size - 1u))) / BLOCK;
         let blocks = (settings.size + BLOCK - 1u) / BLOCK;
-        let is_finished = finished[(block.z * blocks.y + block.y) * blocks.x + block.x] != 0u;
-        stretch.first = select(0u, settings.warped, is_finished);
-        ends = select(select(ends, 2u, was != 0u), 0u, is_finished);
+        stretch.of_buffer = finished[(block.z * blocks.y + block.y) * blocks.x + block.x] != 0u;
+        ends = select(select(ends, 2u, was), 0u, stretch.of_buffer);
     }
     for (var k = 0u; k < ends; k++) {
         let here = between(ray.o + (stretch.start + select(length_, 0.0, k == 1u)) * ray.d);
@@ -137,7 +128,7 @@ fn source_of(ray: Ray, t: f32, near: vec3f) -> Place {
     if (MODE == EXACT) {
         return solved(q, near);
     }
-    if (MODE == PLAIN || (MODE == HYBRID && stretch.first != 0u)) {
+    if (MODE == PLAIN || (MODE == HYBRID && stretch.of_buffer)) {
         return Place(q, near, STILL);
     }
     let s = (t - stretch.start) * stretch.over;
@@ -163,8 +154,7 @@ fn steps_to_skip(ray: Ray, t: f32) -> f32 {
     }
     let q = ray.o + t * ray.d;
     let i = min(vec3u(max(q, vec3f(0.0))) / BRICK, settings.bricks - 1u);
-    let k = (i.z * settings.bricks.y + i.y) * settings.bricks.x + i.x;
-    let away = f32(extractBits(skips[k >> 2u], 8u * (k & 3u), 8u));
+    let away = f32(textureLoad(skips, i, 0).x);
     let wall = f32(BRICK) * (vec3f(i) + select(vec3f(1.0 - away), vec3f(away), ray.forwards));
     let leaves = (wall - ray.o) * ray.over;
     let leave = min(leaves.x, min(leaves.y, leaves.z));
@@ -173,11 +163,11 @@ fn steps_to_skip(ray: Ray, t: f32) -> f32 {
 
 // The gradient of what is seen, for each millimetre: (∂p/∂q)ᵀ ∇f.
 fn gradient_at(place: Place, t: f32) -> vec3f {
-    let g = slopes_at(place.p, stretch.first);
+    let g = slopes_at(place.p, stretch.of_buffer);
     if (MODE == EXACT) {
         return (g / domain.spacing.xyz) * place.matrix;
     }
-    if (MODE == PLAIN || (MODE == HYBRID && stretch.first != 0u)) {
+    if (MODE == PLAIN || (MODE == HYBRID && stretch.of_buffer)) {
         return g / domain.spacing.xyz;
     }
     let s = (t - stretch.start) * stretch.over;
@@ -230,7 +220,7 @@ fn march(@builtin(global_invocation_id) id: vec3u) {
             for (var j = 0u; j < settings.stretch && at <= far; j++) {
                 let place = source_of(ray, at, shift);
                 shift = place.shift;
-                value = sample_at(place.p, stretch.first);
+                value = sample_at(place.p, stretch.of_buffer);
                 taken += 1.0;
                 if (seen_first(value)) {
                     surface = at;
@@ -260,7 +250,7 @@ fn march(@builtin(global_invocation_id) id: vec3u) {
                     middle = low + (surface - low) * ((settings.threshold - before) / (value - before));
                 }
                 let inner = source_of(ray, middle, shift);
-                let there = sample_at(inner.p, stretch.first);
+                let there = sample_at(inner.p, stretch.of_buffer);
                 taken += 1.0;
                 if (turn == BISECTIONS || seen_first(there)) {
                     surface = middle;
@@ -288,9 +278,10 @@ fn march(@builtin(global_invocation_id) id: vec3u) {
         for (var j = 0u; j < settings.stretch && t <= far; j++) {
             let place = source_of(ray, t, shift);
             shift = place.shift;
-            let value = sample_at(place.p, stretch.first);
+            let value = sample_at(place.p, stretch.of_buffer);
             taken += 1.0;
-            let colour = colours[u32(clamp((value - settings.low) * settings.scale, 0.0, last) + 0.5)];
+            let entry = u32(clamp((value - settings.low) * settings.scale, 0.0, last) + 0.5);
+            let colour = textureLoad(colours, vec2u(entry, 0u), 0u, 0);
             let part = (1.0 - total.w) * colour.w;
             if (value >= settings.window.x && value <= settings.window.y && colour.w > 0.0) {
                 within = true;

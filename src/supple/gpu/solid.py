@@ -11,12 +11,13 @@ import numpy.typing as npt
 
 from supple.gpu.device import Gpu
 from supple.gpu.field import domain, packed
-from supple.gpu.kernel import READ, TURNS, UNIFORM, WRITE, Pace, download, owned, pipeline, room, run, upload
+from supple.gpu.kernel import READ, SOLID, TURNS, UNIFORM, WRITE, Pace, download, owned, pipeline, room, run, upload
+from supple.gpu.texels import solid
 
 Floats = npt.NDArray[np.float64]
 
 _NAMES = ("nodes", "smooth", "solid", "blend", "field", "newton", "turns")
-_KINDS = (UNIFORM, UNIFORM, READ, WRITE, WRITE)
+_KINDS = (UNIFORM, UNIFORM, READ, SOLID, WRITE, WRITE)
 _NODE = 64  # bytes
 _FIRST = 4096  # nodes at once, before it is known what they take
 
@@ -32,7 +33,9 @@ class Lattice:
     Parameters
     ----------
     gpu : Gpu
-    nodes, strokes, domain
+    nodes : wgpu.GPUTextureView
+        Of the lattice, as solid.wgsl has it.
+    strokes, domain
         Buffers.
     shape : (int, int, int)
         Nodes, x first.
@@ -55,10 +58,10 @@ class Lattice:
 
 
 def hold_strokes(gpu: Gpu, table: npt.NDArray[np.void], axes: Floats) -> Lattice:
-    """Strokes without a lattice: there is a node or two that nothing is made of."""
+    """Strokes without a lattice: there are nodes that nothing is made of."""
     return Lattice(
         gpu,
-        room(gpu, 8 * _NODE),
+        solid(gpu, (4, 4, 2), np.float32, 4).create_view(),
         upload(gpu, packed(table)),
         upload(gpu, domain(axes), UNIFORM),
         (2, 2, 2),
@@ -85,36 +88,58 @@ def solve(
     Raises
     ------
     MemoryError
-        If such a lattice is more than a shader takes.
+        If such a lattice is more than a texture holds.
     """
     counts = tuple(-(-max(n - 1, 1) // step) + 1 for n in reversed(shape))
-    size = int(np.prod(counts)) * _NODE
-    if size > gpu.binding:
-        raise MemoryError(f"a lattice of {size >> 20} MB is more than a shader takes, {gpu.binding >> 20} MB")
+    across, down, deep = counts
+    pitch = -(-across // 16) * 16
+    layer = pitch * down * _NODE
+    if layer > gpu.binding:
+        raise MemoryError("a layer of such a lattice is more than a shader takes")
+    texture = solid(gpu, (2 * deep, 2 * down, across), np.float32, 4)
     made = Lattice(
         gpu,
-        room(gpu, size),
+        texture.create_view(),
         upload(gpu, packed(table)),
         upload(gpu, domain(axes), UNIFORM),
-        (counts[0], counts[1], counts[2]),
+        (across, down, deep),
         float(step),
         table.size,
     )
+    nodes = np.empty((deep, down, across, 16), np.float32)
     settings = np.zeros(1, _SETTINGS)
     settings["nodes"], settings["spread"], settings["strokes"] = counts, step, table.size
     settings["turns"] = TURNS
-    pace = Pace(max(1, _FIRST // (counts[0] * counts[1])))
+    most = min(max(1, gpu.binding // layer), deep)
+    pace = Pace(max(1, _FIRST // (across * down)), most)
     with contextlib.ExitStack() as stack:
-        (stats,) = owned(stack, upload(gpu, np.array([0.0, 1e30], np.float32)))
-        for entry, layers in (("solve", counts[2]), ("check", counts[2] - 1)):
+        stats, some = owned(stack, upload(gpu, np.array([0.0, 1e30], np.float32)), room(gpu, most * layer))
+        for entry, layers in (("solve", deep), ("check", deep - 1)):
             work = pipeline(gpu, _NAMES, entry, _KINDS)
             for first, count in pace.parts(layers):
                 settings["first"], settings["last"] = first, first + count
                 with contextlib.ExitStack() as own:
                     (told,) = owned(own, upload(gpu, settings, UNIFORM))
-                    groups = tuple(-(-n // 4) for n in (counts[0], counts[1], count))
-                    run(gpu, [(work, [told, made.domain, made.strokes, made.nodes, stats], groups)])
+                    groups = tuple(-(-n // 4) for n in (across, down, count))
+                    run(gpu, [(work, [told, made.domain, made.strokes, made.nodes, some, stats], groups)])
+                    if entry == "solve":
+                        _keep(gpu, some, texture, pitch, first, count)
+                        found = download(gpu, some, np.float32, count * layer // 4)
+                        # As they lie there: layers, two by two, rows, two by two, nodes.
+                        laid = found.reshape(count, 2, down, 2, pitch, 4)[..., :across, :].transpose(0, 2, 4, 1, 3, 5)
+                        nodes[first : first + count] = laid.reshape(count, down, across, 16)
                     seen = download(gpu, stats, np.float32, 2)  # waits
         error, smooth = float(seen[0]), float(seen[1])
-    nodes = download(gpu, made.nodes, np.float32, size // 4).reshape(*reversed(counts), 16)
     return made, nodes, error, smooth
+
+
+def _keep(gpu: Gpu, some: Any, texture: Any, pitch: int, first: int, count: int) -> None:
+    """Copy the nodes of some layers to where they are read."""
+    width, rows, _ = texture.size
+    encoder = gpu.device.create_command_encoder()
+    encoder.copy_buffer_to_texture(
+        {"buffer": some, "bytes_per_row": 16 * pitch, "rows_per_image": rows},
+        {"texture": texture, "origin": (0, 0, 2 * first)},
+        (width, rows, 2 * count),
+    )
+    gpu.device.queue.submit([encoder.finish()])

@@ -1,17 +1,12 @@
 // T⁻¹ in a volume: solved at the nodes of a cubic lattice, and interpolated in between; see supple/cpu/solid.py.
 //
-// A node is four vectors: the displacement u in voxels, and the columns of ∂p/∂q.
+// A node is four vectors: the displacement u in voxels, and the columns of ∂p/∂q. They lie two by two: no side of a
+// texture is much longer than there are nodes along it.
 
-struct Corner {
-    place: u32,
-    at: vec3f, // where in its cell, from 0 to 1
-}
+@group(0) @binding(3) var lattice: texture_3d<f32>;
 
-// The first node of the cell that a point lies in, given in voxels.
-fn corner_of(p: vec3f) -> Corner {
-    let v = clamp(p / settings.spread, vec3f(0.0), vec3f(settings.nodes - 1u));
-    let i = min(vec3u(v), settings.nodes - 2u);
-    return Corner(4u * ((i.z * settings.nodes.y + i.y) * settings.nodes.x + i.x), v - vec3f(i));
+fn node_at(i: vec3u, k: u32) -> vec3f {
+    return textureLoad(lattice, vec3u(i.x, 2u * i.y + (k & 1u), 2u * i.z + (k >> 1u)), 0).xyz;
 }
 
 struct Between {
@@ -19,27 +14,26 @@ struct Between {
     matrix: mat3x3f, // ∂p/∂q, in voxels a voxel
 }
 
-fn along_x(k: u32, s: f32) -> Between {
+fn along_x(i: vec3u, s: f32) -> Between {
+    let j = i + vec3u(1u, 0u, 0u);
+    let a = node_at(i, 1u);
+    let b = node_at(j, 1u);
     return Between(
-        bent(nodes[k].xyz, nodes[k + 4u].xyz, nodes[k + 1u].xyz, nodes[k + 5u].xyz, s, settings.spread),
-        mat3x3f(
-            mix(nodes[k + 1u].xyz, nodes[k + 5u].xyz, s),
-            mix(nodes[k + 2u].xyz, nodes[k + 6u].xyz, s),
-            mix(nodes[k + 3u].xyz, nodes[k + 7u].xyz, s),
-        ),
+        bent(node_at(i, 0u), node_at(j, 0u), a, b, s, settings.spread),
+        mat3x3f(mix(a, b, s), mix(node_at(i, 2u), node_at(j, 2u), s), mix(node_at(i, 3u), node_at(j, 3u), s)),
     );
 }
 
 // T⁻¹ at a point, given in voxels.
 fn between(p: vec3f) -> Between {
-    let corner = corner_of(p);
-    let down = 4u * settings.nodes.x;
-    let deep = down * settings.nodes.y;
-    let s = corner.at;
-    let a = along_x(corner.place, s.x);
-    let b = along_x(corner.place + down, s.x);
-    let c = along_x(corner.place + deep, s.x);
-    let d = along_x(corner.place + deep + down, s.x);
+    // The first node of the cell that it lies in, and where in that, from 0 to 1.
+    let v = clamp(p / settings.spread, vec3f(0.0), vec3f(settings.nodes - 1u));
+    let i = min(vec3u(v), settings.nodes - 2u);
+    let s = v - vec3f(i);
+    let a = along_x(i, s.x);
+    let b = along_x(i + vec3u(0u, 1u, 0u), s.x);
+    let c = along_x(i + vec3u(0u, 0u, 1u), s.x);
+    let d = along_x(i + vec3u(0u, 1u, 1u), s.x);
     let m = a.matrix + s.y * (b.matrix - a.matrix);
     let n = c.matrix + s.y * (d.matrix - c.matrix);
     let near = bent(a.shift, b.shift, a.matrix[1], b.matrix[1], s.y, settings.spread);

@@ -12,6 +12,8 @@ from supple.gpu.kernel import Array
 
 SIDE = 8192  # texels of a layer, as sample.wgsl has it: a larger frame has several layers
 LAYERS = 256
+DEEP = 2048  # texels along a side of a solid
+_SLAB = 16 << 20  # bytes that are handed over at once
 _NAMES = {
     ("uint8", 1): "r8uint",
     ("uint8", 2): "rg8uint",
@@ -19,6 +21,8 @@ _NAMES = {
     ("uint16", 1): "r16uint",
     ("uint16", 2): "rg16uint",
     ("uint16", 4): "rgba16uint",
+    ("int8", 1): "r8sint",
+    ("int16", 1): "r16sint",
     ("float32", 1): "r32float",
     ("float32", 4): "rgba32float",
 }
@@ -71,14 +75,44 @@ def layers(gpu: Gpu, shape: tuple[int, int], slots: int, dtype: Any, channels: i
     count = slots * across * down
     if count > LAYERS:
         raise MemoryError(f"{slots} frames of {shape[1]} by {shape[0]} samples are more than a texture holds")
-    texture = gpu.device.create_texture(
-        size=(min(shape[1], SIDE), min(shape[0], SIDE), count),
-        format=_NAMES[np.dtype(dtype).name, channels],
-        usage="TEXTURE_BINDING|COPY_DST",
-    )
+    size = min(shape[1], SIDE), min(shape[0], SIDE), count
+    texture = _texture(gpu, size, _NAMES[np.dtype(dtype).name, channels], "COPY_DST", "2d")
     return Layers(texture, view_of(texture), (across, down))
+
+
+def _texture(gpu: Gpu, size: tuple[int, int, int], name: str, usage: str, dimension: str) -> Any:
+    from wgpu import GPUError
+
+    try:
+        return gpu.device.create_texture(size=size, dimension=dimension, format=name, usage=f"TEXTURE_BINDING|{usage}")
+    except GPUError as error:
+        if "memory" not in str(error).lower():
+            raise
+        wide, high, deep = size
+        raise MemoryError(f"it has no memory left for {wide} x {high} x {deep} samples") from None
 
 
 def view_of(texture: Any) -> Any:
     """All of its layers, though there be one only."""
     return texture.create_view(dimension="2d-array")
+
+
+def solid(gpu: Gpu, shape: tuple[int, int, int], dtype: Any, channels: int = 1, usage: str = "COPY_DST") -> Any:
+    """A texture of so many layers, rows and texels in a row; MemoryError if there is no room for it."""
+    if max(shape) > DEEP:
+        raise MemoryError(f"{max(shape)} samples along a side are more than a texture holds, {DEEP}")
+    return _texture(gpu, shape[::-1], _NAMES[np.dtype(dtype).name, channels], usage, "3d")
+
+
+def put_solid(gpu: Gpu, texture: Any, samples: Array) -> None:
+    """Put samples (layers, rows, samples in a row) into a solid."""
+    count, rows, width = samples.shape
+    some = max(1, _SLAB // (samples.nbytes // count))
+    for first in range(0, count, some):
+        slab = np.ascontiguousarray(samples[first : first + some])
+        gpu.device.queue.write_texture(
+            {"texture": texture, "origin": (0, 0, first)},
+            slab.reshape(-1).view(np.uint8),
+            {"bytes_per_row": width * samples.itemsize, "rows_per_image": rows},
+            (width, rows, len(slab)),
+        )

@@ -8,9 +8,10 @@ from typing import Any
 import numpy as np
 
 from supple.gpu.device import Gpu
-from supple.gpu.kernel import Array, room, upload
+from supple.gpu.kernel import SIGNED_SOLID, SOLID, WHOLE_SOLID, Array
+from supple.gpu.texels import put_solid, solid
 
-FORMATS = {"u1": 0, "i1": 1, "u2": 2, "i2": 3, "f4": 4}
+_KINDS = {"u": (WHOLE_SOLID, "voxels_whole"), "i": (SIGNED_SOLID, "voxels_signed"), "f": (SOLID, "voxels_float")}
 
 
 @dataclass(slots=True, eq=False)
@@ -20,29 +21,25 @@ class Volume:
     Parameters
     ----------
     gpu : Gpu
-    samples
-        The buffer: the volume and, behind it, room for another.
+    samples : wgpu.GPUTexture
+    view : wgpu.GPUTextureView
     size : (int, int, int)
         Voxels, x first.
-    pitch : int
-        Samples from row to row: rows begin with words of their own.
-    format : int
-        Of the samples, as shaders count them.
-    bounds : (float, float)
-        The least and the largest value of their type; 0 of floats.
-    warped : int
-        At which sample the other volume begins; 0 where there is no room for one.
+    kind, reader : str
+        What a pipeline is told of the texture, and the shader that reads it.
+    warped : wgpu.GPUTexture or None
+        Room for a deformed volume, in float32.
     owner : object
-        What stands for whom the other volume belongs to, if to anybody: see `supple.gpu.fill.Filling`.
+        What stands for whom that room belongs to, if to anybody: see `supple.gpu.fill.Filling`.
     """
 
     gpu: Gpu
     samples: Any
+    view: Any
     size: tuple[int, int, int]
-    pitch: int
-    format: int
-    bounds: tuple[float, float]
-    warped: int
+    kind: str
+    reader: str
+    warped: Any
     owner: object = None
 
 
@@ -60,31 +57,13 @@ def hold(gpu: Gpu, samples: Array, *, twice: bool) -> Volume:
     Raises
     ------
     MemoryError
-        If that is more than a shader takes.
+        If that is more than a texture holds, or there is no room for it.
     """
     depth, height, width = samples.shape
-    in_word = 4 // samples.itemsize
-    pitch = -(-width // in_word) * in_word
-    size = depth * height * pitch * samples.itemsize * (2 if twice else 1)
-    if size > gpu.binding:
-        beside = " and a deformed one" if twice else ""
-        raise MemoryError(
-            f"a volume of {samples.nbytes >> 20} MB{beside} is more than a shader takes, {gpu.binding >> 20} MB"
-        )
-    rows = samples if pitch == width else np.pad(samples, ((0, 0), (0, 0), (0, pitch - width)))
-    if twice:
-        made = room(gpu, size)
-        gpu.device.queue.write_buffer(made, 0, np.ascontiguousarray(rows).reshape(-1).view(np.uint8))
-    else:
-        made = upload(gpu, rows)
-    kind = samples.dtype
-    bounds = (float(np.iinfo(kind).min), float(np.iinfo(kind).max)) if kind.kind in "iu" else (0.0, 0.0)
-    return Volume(
-        gpu,
-        made,
-        (width, height, depth),
-        pitch,
-        FORMATS[kind.str[1:]],
-        bounds,
-        depth * height * pitch if twice else 0,
+    made = solid(gpu, (depth, height, width), samples.dtype)
+    put_solid(gpu, made, samples)
+    beside = (
+        solid(gpu, (depth, height, width), np.float32, usage="STORAGE_BINDING|COPY_SRC|COPY_DST") if twice else None
     )
+    kind, reader = _KINDS[samples.dtype.kind]
+    return Volume(gpu, made, made.create_view(), (width, height, depth), kind, reader, beside)

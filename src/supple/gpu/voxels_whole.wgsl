@@ -1,0 +1,7 @@
+// Samples of 8 or 16 bits without a sign.
+
+@group(0) @binding(4) var voxels: texture_3d<u32>;
+
+fn voxel(i: vec3u) -> f32 {
+    return f32(textureLoad(voxels, i, 0).x);
+}
