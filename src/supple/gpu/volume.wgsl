@@ -37,14 +37,51 @@ fn sample_at(p: vec3f, of_buffer: bool) -> f32 {
     return mix(near, far, f.z);
 }
 
-// The gradient by central differences, for each voxel.
+// The voxels before, at both sides of, and behind a point, along each axis.
+struct Around {
+    a: vec3u,
+    b: vec3u,
+    c: vec3u,
+    d: vec3u,
+}
+
+// The difference over two voxels along an axis, in the row of voxels through one of those around.
+fn rise(at: vec3u, axis: vec3<bool>, around: Around, s: f32, of_buffer: bool) -> f32 {
+    let a = voxel_of(select(at, around.a, axis), of_buffer);
+    let b = voxel_of(select(at, around.b, axis), of_buffer);
+    let c = voxel_of(select(at, around.c, axis), of_buffer);
+    let d = voxel_of(select(at, around.d, axis), of_buffer);
+    return mix(c - a, d - b, s);
+}
+
+// The gradient by central differences of what `sample_at` gives, for each voxel: 32 voxels tell it.
 fn slopes_at(p: vec3f, of_buffer: bool) -> vec3f {
-    let x = vec3f(1.0, 0.0, 0.0);
-    let y = vec3f(0.0, 1.0, 0.0);
-    let z = vec3f(0.0, 0.0, 1.0);
+    let last = vec3i(settings.size) - 1;
+    let whole = clamp(floor(p), vec3f(-2.0), vec3f(last + 1));
+    let i = vec3i(whole);
+    let f = clamp(p - whole, vec3f(0.0), vec3f(1.0));
+    let a = vec3u(clamp(i - 1, vec3i(0), last));
+    let b = vec3u(clamp(i, vec3i(0), last));
+    let c = vec3u(clamp(i + 1, vec3i(0), last));
+    let around = Around(a, b, c, vec3u(clamp(i + 2, vec3i(0), last)));
+    let x = vec3<bool>(true, false, false);
+    let y = vec3<bool>(false, true, false);
+    let z = vec3<bool>(false, false, true);
     return 0.5 * vec3f(
-        sample_at(p + x, of_buffer) - sample_at(p - x, of_buffer),
-        sample_at(p + y, of_buffer) - sample_at(p - y, of_buffer),
-        sample_at(p + z, of_buffer) - sample_at(p - z, of_buffer),
+        mix(
+            mix(rise(b, x, around, f.x, of_buffer), rise(select(b, c, y), x, around, f.x, of_buffer), f.y),
+            mix(rise(select(b, c, z), x, around, f.x, of_buffer), rise(c, x, around, f.x, of_buffer), f.y),
+            f.z,
+        ),
+        mix(
+            mix(rise(b, y, around, f.y, of_buffer), rise(select(b, c, x), y, around, f.y, of_buffer), f.x),
+            mix(rise(select(b, c, z), y, around, f.y, of_buffer), rise(c, y, around, f.y, of_buffer), f.x),
+            f.z,
+        ),
+        mix(
+            mix(rise(b, z, around, f.z, of_buffer), rise(select(b, c, x), z, around, f.z, of_buffer), f.x),
+            mix(rise(select(b, c, y), z, around, f.z, of_buffer), rise(c, z, around, f.z, of_buffer), f.x),
+            f.y,
+        ),
     );
 }
