@@ -220,6 +220,21 @@ def test_long_stacks_go_through_a_window(gpu: Gpu, monkeypatch: pytest.MonkeyPat
     np.testing.assert_array_equal(made, d.warp(clip, filter="linear"))
 
 
+@pytest.mark.parametrize(
+    ("shape", "dtype"), [((40, 8300), np.uint8), ((8210, 33), np.float32), ((300, 24, 32), np.uint8)]
+)
+def test_more_than_a_layer_and_more_layers_than_a_texture_has(gpu: Gpu, shape: tuple[int, ...], dtype: Any) -> None:
+    source = np.random.default_rng(9).integers(0, 255, shape).astype(dtype)
+    d = supple.Deformation(shape, border=None)
+    for corner in ([8190.0, 20.0], [16.0, 8190.0]) if len(shape) == 2 else ([16.0, 12.0, 150.0],):
+        if all(c < n for c, n in zip(corner, shape[::-1], strict=True)):
+            d = d.grab(corner, by=[5.3, 4.2, 90.0][: len(shape)], radius=9 if len(shape) == 2 else 90)
+    options: dict[str, Any] = {"filter": "linear", "outside": "reflect"}
+    ours, theirs = d.warp(source, **options), d.warp(source, device="gpu", **options)
+    assert (ours != source).any()
+    assert np.abs(theirs.astype(np.float32) - ours.astype(np.float32)).max() <= 4
+
+
 @pytest.mark.parametrize("outside", ["edge", "constant"])
 @pytest.mark.parametrize("shape", [(1, 1), (1, 40), (33, 1), (17, 16), (16, 17), (2, 3, 2), (1, 20, 30)])
 def test_odd_sizes(gpu: Gpu, shape: tuple[int, ...], outside: str) -> None:
@@ -298,7 +313,7 @@ def test_a_lost_device_ends_in_the_cpu_s_result(gpu: Gpu, photo: np.ndarray, mon
     def lost(*rest: object) -> None:
         raise RuntimeError("Parent device is lost")
 
-    monkeypatch.setattr("supple.gpu.planes.run", lost)
+    monkeypatch.setattr("supple.gpu.lattice.run", lost)
     d = bent(photo.shape[:2], 3)
     with pytest.warns(DeviceWarning, match="device is lost"):
         made = d.warp(photo, device="gpu")

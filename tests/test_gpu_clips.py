@@ -25,7 +25,7 @@ from supple.geometry import Geometry
 from supple.gpu import kernel, planes
 from supple.gpu import warp as warping
 from supple.gpu.device import Gpu
-from supple.gpu.planes import SETTINGS
+from supple.gpu.lattice import SETTINGS
 from supple.gpu.reach import held_of
 from supple.gpu.samples import LONGEST
 from supple.media import image
@@ -506,7 +506,7 @@ def test_what_shrinks_beyond_measure_at_a_border_is_no_hole(gpu: Gpu, filter: st
 def test_loops_that_are_ended_are_noticed(gpu: Gpu, monkeypatch: pytest.MonkeyPatch) -> None:
     picture = np.full((64, 64, 3), 99, np.uint8)
     d = supple.Deformation(picture.shape[:2], border=None).grab((32, 32), by=(4, 0), radius=12)
-    monkeypatch.setattr("supple.gpu.planes.TURNS", 1 << 20)  # more than software carries out
+    monkeypatch.setattr("supple.gpu.lattice.TURNS", 1 << 20)  # more than software carries out
     if not gpu.software:
         pytest.skip("a card carries out all of them")
     with pytest.warns(DeviceWarning, match="ends loops of many turns"):

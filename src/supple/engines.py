@@ -15,7 +15,7 @@ from supple.errors import SuppleError
 from supple.gpu.device import Gpu, open_gpu
 from supple.gpu.field import fits
 from supple.gpu.kernel import failures, let_through, passing, trouble, unsolved
-from supple.gpu.planes import Range
+from supple.gpu.lattice import Range
 from supple.gpu.samples import format_of, known_grid
 from supple.gpu.warp import warp
 from supple.offload import OnGpu, pictures_of, warn

@@ -17,7 +17,7 @@ from supple.errors import DeviceWarning
 from supple.gpu.clip import Clip, clip_on
 from supple.gpu.device import Gpu
 from supple.gpu.kernel import failures, trouble, unsolved
-from supple.gpu.planes import Range
+from supple.gpu.lattice import Range
 from supple.gpu.samples import Picture, Wanted
 from supple.gpu.warp import warp
 from supple.streaming import CPU, SLACK, Layout, Maker, Sampling, Space, fills_of, frames_needed, grid_of

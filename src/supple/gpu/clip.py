@@ -14,20 +14,8 @@ import numpy.typing as npt
 
 from supple.gpu.device import LIMITS, Gpu
 from supple.gpu.kernel import Array, owned, room, unsolved
-from supple.gpu.planes import (
-    NODE,
-    SETTINGS,
-    Held,
-    Lattice,
-    Part,
-    Strokes,
-    colour,
-    lattice_on,
-    pitch_of,
-    strokes_on,
-    target_size,
-    unpacked,
-)
+from supple.gpu.lattice import NODE, SETTINGS, Lattice, Part, Strokes, lattice_on, pitch_of, strokes_on
+from supple.gpu.planes import Held, colour, target_size, unpacked
 from supple.gpu.samples import Picture
 from supple.gpu.texels import LAYERS, Layers, blocks_of, layers
 from supple.gpu.warp import AT_FIRST, SECONDS

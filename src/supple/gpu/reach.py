@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from supple.gpu.planes import Range
+from supple.gpu.lattice import Range
 from supple.gpu.samples import LONGEST, STEP, Picture
 
 Floats = npt.NDArray[np.float64]

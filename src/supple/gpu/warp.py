@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import itertools
+import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -13,24 +14,11 @@ import numpy.typing as npt
 
 from supple.gpu.device import Gpu
 from supple.gpu.kernel import Array, download, owned, room
-from supple.gpu.planes import (
-    NODE,
-    SETTINGS,
-    Held,
-    Lattice,
-    Part,
-    Range,
-    Strokes,
-    colour,
-    lattice_on,
-    pitch_of,
-    strokes_on,
-    target_size,
-    unpacked,
-)
+from supple.gpu.lattice import NODE, SETTINGS, Lattice, Part, Range, Strokes, lattice_on, pitch_of, strokes_on
+from supple.gpu.planes import Held, colour, target_size, unpacked
 from supple.gpu.reach import Reach, box_of, reach_of
 from supple.gpu.samples import LONGEST, Picture
-from supple.gpu.texels import layers
+from supple.gpu.texels import LAYERS, blocks_of, layers
 
 Floats = npt.NDArray[np.float64]
 Read = Callable[[Range, Range], Array]
@@ -94,9 +82,11 @@ class _Work:
             self.box, self.held = (frames, rows), Held(samples, frames, rows, count, 0)
         return self.held
 
-    def size_of(self, frames: Range, rows: Range) -> int:
-        """Bytes on the device."""
-        return (frames[1] - frames[0]) * (rows[1] - rows[0]) * self.picture.shape[1] * self.picture.format.size
+    def fits(self, frames: Range, rows: Range) -> bool:
+        """Whether some rows of some frames are no more than is held at once."""
+        count, shape = frames[1] - frames[0], (rows[1] - rows[0], self.picture.shape[1])
+        size = count * math.prod(shape) * self.picture.format.size
+        return size <= self.gpu.binding and count * math.prod(blocks_of(shape)) <= LAYERS
 
     def samples_read(self, part: Part, reach: Reach, at: tuple[slice, slice]) -> float:
         """How many samples of the source are read for a part, about; to evaluate a stroke takes as long as some."""
@@ -114,22 +104,21 @@ class _Work:
             slice(part.planes[0] - known.planes[0], part.planes[1] - known.planes[0]),
             slice(part.cells[0] - known.cells[0], part.cells[1] - known.cells[0]),
         )
-        fits = self.size_of(*whole) <= self.gpu.binding
         box = whole
-        if not fits:
+        if not self.fits(*whole):
             (low, high), box_rows = box_of(reach, *at, self.picture, self.frames, self.more)
             low = min(max(low, self.there[0]), self.there[1] - 1)
             box = (low, max(min(high, self.there[1]), low + 1)), box_rows
         rows = part.tall * self.picture.rows + 1
-        largest = max(self.size_of(*box), part.count * target_size(self.picture, rows))
+        fits = self.fits(*box) and part.count * target_size(self.picture, rows) <= self.gpu.binding
         work = self.samples_read(part, reach, at)
-        if largest > self.gpu.binding or work > self.limit:
+        if not fits or work > self.limit:
             halves = _halves(part)
             for half in halves:
                 self.make(half, reach, known)
             if halves:
                 return
-            if largest > self.gpu.binding:
+            if not fits:
                 raise MemoryError("what a few rows are made of is more than a shader takes")
         held = self.hold(*box)
         lattice = self.solve(part)
