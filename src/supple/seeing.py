@@ -16,18 +16,17 @@ from supple.transfer import ENTRIES, PRESETS, TransferFunction
 Array = npt.NDArray[Any]
 Floats = npt.NDArray[np.float64]
 
+_LARGEST = float(np.finfo(np.float32).max)
 _TYPES = (np.uint8, np.int8, np.uint16, np.int16, np.float32)
 
 
 def skipped(known: dict[str, Any]) -> npt.NDArray[np.uint8]:
     """How many bricks away the next one is that anything is seen of."""
     table, (low, high) = known["_table"], known["range"]
-    bottom, top = known["density"]
-    each = entries(low, high)
-    visible = np.concatenate([[0], np.cumsum(table[:, 3] > 0)])
-    lows, highs = np.maximum(known["_lows"], bottom), np.minimum(known["_highs"], top)
-    first, last = (np.clip(np.rint((v - low) * each), 0, ENTRIES - 1).astype(np.int64) for v in (lows, highs))
-    seen = (visible[np.maximum(last, first) + 1] > visible[first]) & (lows <= highs)
+    window = np.clip(known["density"], -_LARGEST, _LARGEST).astype(np.float32)  # a kernel knows no infinities
+    scale = np.array([low, entries(low, high)], np.float32)
+    visible = np.concatenate([[0], np.cumsum(table[:, 3] > 0)]).astype(np.int64)
+    seen = bricks.seen(known["_lows"], known["_highs"], window, scale, visible)
     if known["_per_voxel"] > 0:
         moved = np.empty(brick_counts(known["samples"].shape, bricks.BRICK), np.bool_)
         bricks.moved(seen, bricks.FINE, known["_nodes"], known["_per_voxel"], sizes(known["samples"]), moved)

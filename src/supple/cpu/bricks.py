@@ -33,6 +33,26 @@ def ranges(samples, size, brick, lows, highs):
 
 
 @kernel
+def seen(lows, highs, window, scale, visible):
+    """Which bricks have values that are seen.
+
+    ``window`` is the lowest and the highest value that is seen at all, ``scale`` the value of the first entry of a
+    transfer function and entries a value, and ``visible`` counts the entries before each that are not transparent.
+    """
+    deep, high, wide = lows.shape
+    out = np.empty(lows.shape, np.bool_)
+    end = np.float32(visible.shape[0] - 2)
+    for c in range(deep):
+        for b in range(high):
+            for a in range(wide):
+                low, top = max(lows[c, b, a], window[0]), min(highs[c, b, a], window[1])
+                first = np.int64(min(max(np.rint((low - scale[0]) * scale[1]), np.float32(0.0)), end))
+                last = np.int64(min(max(np.rint((top - scale[0]) * scale[1]), np.float32(0.0)), end))
+                out[c, b, a] = low <= top and visible[max(first, last) + 1] > visible[first]
+    return out
+
+
+@kernel
 def distances(seen):
     """How many bricks each one is from the nearest that is seen, diagonals counting as one; at most FARTHEST."""
     deep, high, wide = seen.shape

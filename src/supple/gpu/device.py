@@ -8,7 +8,7 @@ import os
 import sys
 import tempfile
 import threading
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from supple.errors import SuppleError
@@ -67,10 +67,10 @@ class Gpu:
     name: str
     software: bool
     backend: str
-    device: Any
-    pipelines: dict[Any, Any]
-    lock: Any
-    clocks: list[Any]
+    device: Any = field(repr=False)
+    pipelines: dict[Any, Any] = field(repr=False)
+    lock: Any = field(repr=False)
+    clocks: list[Any] = field(repr=False)
     binding: int
     lost: bool = False
 
