@@ -8,7 +8,7 @@ const WIDEST = 2.0;
 const OBLIQUE = 0.5; // an upright box stands for a footprint with less covariance than this
 const MOST_BOXES = 64.0;
 const FINEST = 1.0 / 64.0; // a box that is smaller is a point
-const COARSEST = 4; // of an average, samples that are read along each side
+const COARSEST = 2u; // of an average, two to so many samples are read along each side
 
 struct Footprint {
     kind: u32, // a point, a box, or several
@@ -79,30 +79,38 @@ fn box_weights(part: f32, width: f32) -> array<f32, 6> {
 
 // The average of ``unit`` by ``unit`` samples; of many, of some of them.
 fn averaged(at: vec2i, unit: i32, frame: i32) -> vec4f {
-    let count = min(unit, COARSEST);
-    let apart = unit / count;
+    let bits = min(firstTrailingBit(u32(unit)), COARSEST);
+    let count = 1u << bits;
+    let apart = unit >> bits;
     var total = vec4f(0.0);
-    for (var j = 0; j < count; j++) {
-        for (var i = 0; i < count; i++) {
-            total += texel(at.x * unit + i * apart + apart / 2, at.y * unit + j * apart + apart / 2, frame);
-        }
+    for (var k = 0u; k < count * count; k++) {
+        let i = vec2i(vec2u(k & (count - 1u), k >> bits));
+        let place = at * unit + i * apart + apart / 2;
+        total += texel(place.x, place.y, frame);
     }
     return total / f32(count * count);
 }
 
+// One of them: drivers that have no registers to count through read memory instead.
+fn pick(w: array<f32, 6>, k: i32) -> f32 {
+    return select(select(select(select(select(w[5], w[4], k == 4), w[3], k == 3), w[2], k == 2), w[1], k == 1), w[0], k == 0);
+}
+
 fn boxed(base: vec2i, part: vec2f, box: vec2f, unit: i32, frame: i32) -> vec4f {
-    var wx = box_weights(part.x, box.x);
-    var wy = box_weights(part.y, box.y);
+    let wx = box_weights(part.x, box.x);
+    let wy = box_weights(part.y, box.y);
     var total = vec4f(0.0);
     for (var j = 0; j < 6; j++) {
-        if (wy[j] != 0.0) {
+        let down = pick(wy, j);
+        if (down != 0.0) {
             var row = vec4f(0.0);
             for (var i = 0; i < 6; i++) {
-                if (wx[i] != 0.0) {
-                    row += wx[i] * averaged(base + vec2i(i - 2, j - 2), unit, frame);
+                let across = pick(wx, i);
+                if (across != 0.0) {
+                    row += across * averaged(base + vec2i(i - 2, j - 2), unit, frame);
                 }
             }
-            total += wy[j] * row;
+            total += down * row;
         }
     }
     return total;
