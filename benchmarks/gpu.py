@@ -23,7 +23,7 @@ from supple.drawing import lattice_of
 from supple.gpu import kernel
 from supple.gpu.device import open_gpu
 from supple.gpu.fill import Filling
-from supple.gpu.volume import hold
+from supple.gpu.volume import beside, hold
 from supple.media import image
 from supple.media.volume import Volume
 from supple.rendering import MODES, Scene
@@ -107,7 +107,8 @@ def filled(n: int, runs: int) -> str:
         .grab((n / 2, n / 2, n / 2), by=(n / 16, 0, 0), radius=n / 5)
         .space
     )
-    held = hold(gpu, samples, twice=True)
+    held = hold(gpu, samples)
+    assert beside(held)
 
     def work() -> None:
         solid, lattice = lattice_of(gpu, space, 0.05)

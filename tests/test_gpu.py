@@ -211,22 +211,28 @@ def test_long_stacks_go_through_a_window(gpu: Gpu, monkeypatch: pytest.MonkeyPat
     ]
     whole = [d.warp(clip, device="gpu", **way) for way in ways]
     monkeypatch.setattr(gpu, "binding", 16 * 32 * 48)
+    monkeypatch.setattr(gpu, "texture", 16 * 32 * 48)
     for way, made in zip(ways, whole, strict=True):
         np.testing.assert_array_equal(d.warp(clip, device="gpu", **way), made)
     # A window that is too small for what a plane is made of ends in the CPU's result.
-    monkeypatch.setattr(gpu, "binding", 2 * 32 * 48)
+    monkeypatch.setattr(gpu, "texture", 2 * 32 * 48)
     with pytest.warns(DeviceWarning, match="the CPU did what"):
         made = d.warp(clip, filter="linear", device="gpu")
     np.testing.assert_array_equal(made, d.warp(clip, filter="linear"))
 
 
 @pytest.mark.parametrize(
-    ("shape", "dtype"), [((40, 8300), np.uint8), ((8210, 33), np.float32), ((300, 24, 32), np.uint8)]
+    ("shape", "dtype"),
+    [((24, 33000), np.uint8), ((8210, 33), np.float32), ((132000, 8), np.uint8), ((300, 24, 32), np.uint8)],
 )
 def test_more_than_a_layer_and_more_layers_than_a_texture_has(gpu: Gpu, shape: tuple[int, ...], dtype: Any) -> None:
     source = np.random.default_rng(9).integers(0, 255, shape).astype(dtype)
     d = supple.Deformation(shape, border=None)
-    for corner in ([8190.0, 20.0], [16.0, 8190.0]) if len(shape) == 2 else ([16.0, 12.0, 150.0],):
+    for corner in (
+        ([8190.0, 20.0], [32990.0, 9.0], [16.0, 8190.0], [4.0, 8190.0], [4.0, 131990.0])
+        if len(shape) == 2
+        else ([16.0, 12.0, 150.0],)
+    ):
         if all(c < n for c, n in zip(corner, shape[::-1], strict=True)):
             d = d.grab(corner, by=[5.3, 4.2, 90.0][: len(shape)], radius=9 if len(shape) == 2 else 90)
     options: dict[str, Any] = {"filter": "linear", "outside": "reflect"}

@@ -174,7 +174,7 @@ def test_a_window_that_is_too_large_goes_in_parts(gpu: Gpu, monkeypatch: pytest.
         return hold(self, frames, rows)
 
     monkeypatch.setattr(warping._Work, "hold", seen)
-    monkeypatch.setattr(gpu, "binding", 41 * 67 * (plan.capacity - 1) if timed else 41 * 67 - 300)
+    monkeypatch.setattr(gpu, "texture", 41 * 67 * (plan.capacity - 1) if timed else 41 * 67 - 300)
     parts, _ = streamed("gpu", space, layout, arrays)
     for one, other in zip(parts, whole, strict=True):
         np.testing.assert_array_equal(one, other)
@@ -377,7 +377,7 @@ def test_volumes_that_are_larger_than_a_shader_takes(gpu: Gpu, monkeypatch: pyte
     whole = d.warp(samples, **options)
     assert apart(whole, d.warp(samples, filter="linear"), 180).max() < 2.5
     for binding in (20, 7):  # frames of which all rows fit, and not even those of one plane
-        monkeypatch.setattr(gpu, "binding", binding * 70 * 44 * 4)
+        monkeypatch.setattr(gpu, "texture", binding * 70 * 44 * 4)
         np.testing.assert_array_equal(d.warp(samples, **options), whole)
 
 
@@ -396,6 +396,7 @@ def test_large_pictures_are_made_in_bands(
     colour = warping.colour
     monkeypatch.setattr(warping, "colour", lambda *rest: pieces.append(rest[0].part) or colour(*rest))
     monkeypatch.setattr(gpu, "binding", 330 * 4 * 150)
+    monkeypatch.setattr(gpu, "texture", 330 * 4 * 150)
     with warnings.catch_warnings():
         warnings.simplefilter("error", DeviceWarning)
         np.testing.assert_array_equal(d.warp(photo, device="gpu", **way), whole)
@@ -406,7 +407,7 @@ def test_large_pictures_are_made_in_bands(
     np.testing.assert_array_equal(d.warp(photo, device="gpu", **way), whole)
     assert max(part.tall for part in pieces) < 5
     # One that does not even fit in rows of cells ends in the CPU's result.
-    monkeypatch.setattr(gpu, "binding", 330 * 4 * 10)
+    monkeypatch.setattr(gpu, "texture", 330 * 4 * 10)
     with pytest.warns(DeviceWarning, match="more than a shader takes"):
         np.testing.assert_array_equal(d.warp(photo, device="gpu", **way), d.warp(photo, **way))
 
@@ -415,6 +416,7 @@ def test_rows_that_were_not_foreseen_are_fetched(gpu: Gpu, photo: Array, monkeyp
     d = Deformation(photo.shape[:2], border=None, on_fold="flow").grab((160, 90), by=(20, 60), radius=50)
     whole = d.warp(photo, filter="linear", device="gpu")
     monkeypatch.setattr(gpu, "binding", 330 * 4 * 150)
+    monkeypatch.setattr(gpu, "texture", 330 * 4 * 150)
     boxes: list[Any] = []
     box_of = warping.box_of
 

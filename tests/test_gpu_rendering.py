@@ -157,7 +157,8 @@ def test_the_buffer_is_the_warped_volume(
     gpu: Gpu, cloud: np.ndarray, bent: supple.Deformation, dtype: Any, polished: bool
 ) -> None:
     given = (cloud * 200 - (100 if np.dtype(dtype).kind == "i" else 0)).astype(dtype)
-    held = volume.hold(gpu, given, twice=True)
+    held = volume.hold(gpu, given)
+    assert volume.beside(held)
     space = bent.space
     # What is solved for each voxel does not need a fine lattice.
     lattice, *_ = solid.solve(gpu, space.table, space.axes, SHAPE, 8 if polished else 2)
@@ -490,7 +491,10 @@ def test_what_does_not_fit_twice_is_a_lattice(
     )
     solids = volume.solid
 
+    asked: list[bool] = []
+
     def one(gpu: Gpu, shape: Any, *rest: Any, **options: Any) -> Any:
+        asked.append(bool(options))
         if options:
             raise MemoryError
         return solids(gpu, shape, *rest)
@@ -502,6 +506,11 @@ def test_what_does_not_fit_twice_is_a_lattice(
     assert scene.fill() == 1.0
     wanted = Scene(cloud, GEOMETRY, deformation=gentle, transfer=SOFT).render(size=SIZE)
     assert apart(scene.render(size=SIZE), wanted) > 45
+    # With other strokes, nothing goes there again, nor is there asked for more.
+    assert scene.deformed(gentle).gpu is gpu
+    assert asked == [False, True]
+    with pytest.warns(DeviceWarning, match="no memory left for a deformed volume"):
+        assert Scene(cloud, GEOMETRY, deformation=gentle, transfer=SOFT, mode="buffered", device="gpu").gpu is None
     # Nor is there a finer lattice than there is room for.
     with pytest.warns(supple.ToleranceWarning, match="the lattice may be off"):
         coarse = Scene(cloud, GEOMETRY, deformation=bent, transfer=SOFT, device="gpu")

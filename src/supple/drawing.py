@@ -22,7 +22,7 @@ from supple.gpu.fill import BLOCK, Filling
 from supple.gpu.kernel import Pace, failures, trouble
 from supple.gpu.raymarch import EXACT, HYBRID, LATTICE, PLAIN, RAYS, Held, prepare
 from supple.gpu.solid import Lattice, hold_strokes, solve
-from supple.gpu.volume import Volume, hold
+from supple.gpu.volume import Volume, beside, hold
 from supple.streaming import Space
 from supple.strokes import STROKE_DTYPE
 
@@ -83,13 +83,12 @@ def held_scene(
     if space is not None and not fits(space.table):
         raise ArithmeticError("strokes of such sizes are beyond its numbers")
     twice = mode == "hybrid" or (mode == "buffered" and space is not None)
-    if volume is None or (twice and volume.warped is None):
-        try:
-            volume = hold(gpu, samples, twice=twice)
-        except MemoryError:
-            if mode != "hybrid":
-                raise
-            twice, volume = False, hold(gpu, samples, twice=False)  # a lattice without a buffer
+    if volume is None:
+        volume = hold(gpu, samples)
+    if twice and not beside(volume):
+        if mode == "buffered":
+            raise MemoryError("it has no memory left for a deformed volume")
+        twice = False  # a lattice without a buffer
     if space is None:
         return Held(
             volume, hold_strokes(gpu, np.zeros(0, STROKE_DTYPE), _still(spacing)), PLAIN, None, Pace(RAYS)

@@ -17,7 +17,7 @@ from supple.gpu.kernel import Array, owned, room, unsolved
 from supple.gpu.lattice import NODE, SETTINGS, Lattice, Part, Strokes, lattice_on, pitch_of, strokes_on
 from supple.gpu.planes import Held, colour, target_size, unpacked
 from supple.gpu.samples import Picture
-from supple.gpu.texels import LAYERS, Layers, blocks_of, layers
+from supple.gpu.texels import MOST_LAYERS, SIDE, Layers, blocks_of, layers, texels_of
 from supple.gpu.warp import AT_FIRST, SECONDS
 
 Floats = npt.NDArray[np.float64]
@@ -128,14 +128,17 @@ class Clip:
 def fits_whole(gpu: Gpu, strokes: Strokes, pictures: Sequence[Picture], slots: int) -> bool:
     """Whether a window, the lattice of a plane and its samples are no more than a shader takes each."""
     nodes = NODE * pitch_of(strokes.cells[0] + 1) * (strokes.cells[1] + 1)
-    sizes = [nodes]
-    for picture in pictures:
-        sizes += [slots * math.prod(picture.shape) * picture.format.size, target_size(picture, picture.shape[0])]
+    made = [target_size(picture, picture.shape[0]) for picture in pictures]
     # What is copied back is one array, however many pictures there are.
-    if sum(sizes[2::2]) + 16 > max(gpu.binding, LIMITS["max-buffer-size"]):
+    if max(nodes, *made) > gpu.binding or sum(made) + 16 > max(gpu.binding, LIMITS["max-buffer-size"]):
         return False
-    deep = max(slots * math.prod(blocks_of(picture.shape)) for picture in pictures)
-    return deep <= LAYERS and max(sizes) <= gpu.binding
+    if max(strokes.cells) >= SIDE:
+        return False
+    return all(
+        slots * math.prod(blocks_of(picture.shape)) <= MOST_LAYERS
+        and slots * texels_of(picture.shape) * picture.format.size <= gpu.texture
+        for picture in pictures
+    )
 
 
 @contextlib.contextmanager

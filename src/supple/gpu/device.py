@@ -33,6 +33,8 @@ LIMITS: dict[str, int] = {
 _BINDINGS = (1 << 30, 512 << 20, 256 << 20, LIMITS["max-storage-buffer-binding-size"])
 """What is asked for as the largest array of a shader, in bytes: the first of these that is granted."""
 
+TEXTURE = 512 << 20  # bytes of a texture, if an array may not be larger
+
 _SIZES = ("max-storage-buffer-binding-size", "max-buffer-size")
 
 CLOCK = "timestamp-query"
@@ -60,6 +62,8 @@ class Gpu:
         Those that are running (`supple.gpu.kernel.clocked`).
     binding : int
         The largest array that a shader takes, in bytes.
+    texture : int
+        The largest texture that frames or nodes are put into, in bytes.
     lost : bool
         Whether it failed, and another one is opened when it is asked for.
     """
@@ -72,6 +76,7 @@ class Gpu:
     lock: Any = field(repr=False)
     clocks: list[Any] = field(repr=False)
     binding: int
+    texture: int
     lost: bool = False
 
 
@@ -154,7 +159,9 @@ def open_gpu(software: bool = True) -> Gpu:
                 reason = f"{adapter.info['device']} cannot be opened ({' '.join(str(error).split())[:100]}): "
                 continue
             name, kind, backend = (str(adapter.info[key]) for key in ("device", "adapter_type", "backend_type"))
-            _opened[k] = Gpu(name, kind == "CPU", backend, device, {}, threading.RLock(), [], binding)
+            _opened[k] = Gpu(
+                name, kind == "CPU", backend, device, {}, threading.RLock(), [], binding, max(binding, TEXTURE)
+            )
             return _opened[k]
     raise SuppleError(f"no GPU was found: {reason}{missing()}; device cpu needs none")
 

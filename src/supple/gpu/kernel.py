@@ -230,6 +230,13 @@ def download(gpu: Gpu, buffer: Any, dtype: Any, count: int) -> Array:
     return np.frombuffer(gpu.device.queue.read_buffer(buffer, 0, size), dtype, count)
 
 
+def settle(gpu: Gpu) -> None:
+    """Wait for what has been handed over: until then, there is a copy of it."""
+    with contextlib.ExitStack() as stack:
+        (some,) = owned(stack, room(gpu, 4))
+        download(gpu, some, np.uint32, 1)
+
+
 class Pace:
     """How much of some work is done at once, as far as it is known what that takes: systems end work of seconds.
 

@@ -13,7 +13,7 @@ from supple.gpu.device import Gpu
 from supple.gpu.field import domain, packed
 from supple.gpu.kernel import LAYERS, READ, TURNS, UNIFORM, WRITE, download, owned, pipeline, room, run, upload
 from supple.gpu.samples import STEP
-from supple.gpu.texels import view_of
+from supple.gpu.texels import plane_layers, view_of
 
 Floats = npt.NDArray[np.float64]
 Range = tuple[int, int]
@@ -137,9 +137,9 @@ class Lattice:
         run(gpu, [(solving, self.buffers, (-(-across // 8), -(-down // 8), count))])
         encoder = gpu.device.create_command_encoder()
         encoder.copy_buffer_to_texture(
-            {"buffer": self.buffers[3], "bytes_per_row": pitch_of(across) * NODE, "rows_per_image": down},
+            {"buffer": self.buffers[3], "bytes_per_row": pitch_of(across) * NODE // 4, "rows_per_image": down},
             {"texture": self.read},
-            (4 * across, down, count),
+            (across, down, 4 * count),
         )
         gpu.device.queue.submit([encoder.finish()])
         buffers = (*self.buffers, self.view)
@@ -158,7 +158,7 @@ class Lattice:
         count, down, across = self.shape
         pitch = pitch_of(across)
         found = download(self.strokes.gpu, self.buffers[3], np.float32, count * down * pitch * 16)
-        return found.reshape(count, down, pitch, 4, 4)[:, :, :across]
+        return found.reshape(count, 4, down, pitch, 4)[:, :, :, :across].transpose(0, 2, 3, 1, 4)
 
     def rough(self) -> npt.NDArray[np.bool_]:
         """Which cells are not interpolated: planes, rows, columns."""
@@ -169,16 +169,14 @@ class Lattice:
 
 def pitch_of(across: int) -> int:
     """Nodes from one row to the next: rows that become those of a texture are of a multiple of 256 bytes."""
-    return -(-across // 4) * 4
+    return -(-across // 16) * 16
 
 
 def lattice_on(stack: contextlib.ExitStack, strokes: Strokes, part: Part) -> Lattice:
     """Room for the lattice of a part, until a stack is left."""
     gpu, (across, _) = strokes.gpu, strokes.cells
     cells = part.count * part.tall * across
-    read = gpu.device.create_texture(
-        size=(4 * (across + 1), part.tall + 1, part.count), format="rgba32float", usage="TEXTURE_BINDING|COPY_DST"
-    )
+    read = plane_layers(gpu, (across + 1, part.tall + 1, 4 * part.count))
     stack.callback(read.destroy)
     told, nodes, errors, stats, rough = owned(
         stack,

@@ -16,14 +16,15 @@ struct Patch {
     o: Source,
 }
 
-fn node_of(i: vec2u, plane: u32) -> u32 {
-    let pitch = (settings.nodes.x + 3u) & ~3u; // rows of whole 256 bytes can be those of a texture
-    return (plane * settings.nodes.y + i.y) * pitch + i.x;
+// Where one of the four vectors of a node is written: each has a layer, of rows of whole 256 bytes.
+fn place_of_node(i: vec2u, plane: u32, k: u32) -> u32 {
+    let pitch = (settings.nodes.x + 15u) & ~15u;
+    return ((4u * plane + k) * settings.nodes.y + i.y) * pitch + i.x;
 }
 
-// One of the four vectors of a node.
+// And where it is read.
 fn known_at(i: vec2u, plane: u32, k: u32) -> vec4f {
-    return textureLoad(lattice, vec2u(4u * i.x + k, i.y), plane, 0);
+    return textureLoad(lattice, i, 4u * plane + k, 0);
 }
 
 fn node_at(i: vec2u, plane: u32) -> Source {
@@ -67,11 +68,10 @@ fn solve(@builtin(global_invocation_id) id: vec3u) {
     let q = vec3f(vec2f(pixel), f32(settings.first + id.z)) * domain.spacing.xyz;
     let found = undo(q, 1e-3 * finest());
     let m = in_pixels(found.matrix);
-    let place = 4u * node_of(id.xy, id.z);
-    nodes[place] = vec4f(found.offset / domain.spacing.xyz, norm_of(m) * found.residual / finest());
+    nodes[place_of_node(id.xy, id.z, 0u)] = vec4f(found.offset / domain.spacing.xyz, norm_of(m) * found.residual / finest());
     let smooth_ = smoothness(q, found.offset, m);
     for (var c = 0u; c < 3u; c++) {
-        nodes[place + 1u + c] = vec4f(m[c], smooth_);
+        nodes[place_of_node(id.xy, id.z, 1u + c)] = vec4f(m[c], smooth_);
     }
 }
 

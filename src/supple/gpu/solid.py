@@ -96,6 +96,8 @@ def solve(
     layer = pitch * down * _NODE
     if layer > gpu.binding:
         raise MemoryError("a layer of such a lattice is more than a shader takes")
+    if deep * layer > gpu.texture:
+        raise MemoryError(f"a lattice of {deep * layer >> 20} MB is more than is put into a texture")
     texture = solid(gpu, (2 * deep, 2 * down, across), np.float32, 4)
     made = Lattice(
         gpu,

@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 
 from supple.gpu.device import Gpu
-from supple.gpu.kernel import Array
+from supple.gpu.kernel import Array, settle
 
 SIDE = 8192  # texels of a layer, as sample.wgsl has it: a larger frame has several layers
-LAYERS = 256
+MOST_LAYERS = 256
 DEEP = 2048  # texels along a side of a solid
 _SLAB = 16 << 20  # bytes that are handed over at once
 _NAMES = {
@@ -49,19 +49,24 @@ class Layers:
         """Give the device its memory back."""
         self.texture.destroy()
 
-    def put(self, gpu: Gpu, slot: int, frame: Array) -> None:
-        """Put a frame (rows, samples, channels) into a slot."""
+    def put(self, gpu: Gpu, slot: int, frame: Array, *, wait: bool = False) -> None:
+        """Put a frame (rows, samples, channels) into a slot, and perhaps wait until it is there."""
         across, down = self.blocks
         for j in range(down):
             for i in range(across):
-                block = np.ascontiguousarray(frame[j * SIDE : (j + 1) * SIDE, i * SIDE : (i + 1) * SIDE])
-                rows, width = block.shape[:2]
-                gpu.device.queue.write_texture(
-                    {"texture": self.texture, "origin": (0, 0, (slot * down + j) * across + i)},
-                    block.reshape(-1).view(np.uint8),
-                    {"bytes_per_row": block.nbytes // rows, "rows_per_image": rows},
-                    (width, rows, 1),
-                )
+                block = frame[j * SIDE : (j + 1) * SIDE, i * SIDE : (i + 1) * SIDE]
+                some = max(1, _SLAB // max(1, block[0].nbytes))
+                for top in range(0, len(block), some):
+                    slab = np.ascontiguousarray(block[top : top + some])
+                    rows, width = slab.shape[:2]
+                    gpu.device.queue.write_texture(
+                        {"texture": self.texture, "origin": (0, top, (slot * down + j) * across + i)},
+                        slab.reshape(-1).view(np.uint8),
+                        {"bytes_per_row": slab.nbytes // rows, "rows_per_image": rows},
+                        (width, rows, 1),
+                    )
+                    if wait:
+                        settle(gpu)
 
 
 def blocks_of(shape: tuple[int, int]) -> tuple[int, int]:
@@ -69,11 +74,17 @@ def blocks_of(shape: tuple[int, int]) -> tuple[int, int]:
     return -(-shape[1] // SIDE), -(-shape[0] // SIDE)
 
 
+def texels_of(shape: tuple[int, int]) -> int:
+    """Texels of a frame's layers, of which the last ones may be used in part."""
+    across, down = blocks_of(shape)
+    return across * down * min(shape[0], SIDE) * min(shape[1], SIDE)
+
+
 def layers(gpu: Gpu, shape: tuple[int, int], slots: int, dtype: Any, channels: int) -> Layers:
     """Room for frames of so many rows and samples in a row; MemoryError if they have too many layers."""
     across, down = blocks_of(shape)
     count = slots * across * down
-    if count > LAYERS:
+    if count > MOST_LAYERS:
         raise MemoryError(f"{slots} frames of {shape[1]} by {shape[0]} samples are more than a texture holds")
     size = min(shape[1], SIDE), min(shape[0], SIDE), count
     texture = _texture(gpu, size, _NAMES[np.dtype(dtype).name, channels], "COPY_DST", "2d")
@@ -90,6 +101,13 @@ def _texture(gpu: Gpu, size: tuple[int, int, int], name: str, usage: str, dimens
             raise
         wide, high, deep = size
         raise MemoryError(f"it has no memory left for {wide} x {high} x {deep} samples") from None
+
+
+def plane_layers(gpu: Gpu, size: tuple[int, int, int]) -> Any:
+    """Layers of vectors of float32, so wide, high and many; MemoryError if there is no room for them."""
+    if max(size[:2]) > SIDE or size[2] > MOST_LAYERS:
+        raise MemoryError("a picture of this size is more than a texture holds")
+    return _texture(gpu, size, "rgba32float", "COPY_DST", "2d")
 
 
 def view_of(texture: Any) -> Any:
@@ -116,3 +134,4 @@ def put_solid(gpu: Gpu, texture: Any, samples: Array) -> None:
             {"bytes_per_row": width * samples.itemsize, "rows_per_image": rows},
             (width, rows, len(slab)),
         )
+        settle(gpu)

@@ -28,7 +28,9 @@ class Volume:
     kind, reader : str
         What a pipeline is told of the texture, and the shader that reads it.
     warped : wgpu.GPUTexture or None
-        Room for a deformed volume, in float32.
+        Room for a deformed volume, in float32: see `beside`.
+    full : bool
+        Whether there was none.
     owner : object
         What stands for whom that room belongs to, if to anybody: see `supple.gpu.fill.Filling`.
     """
@@ -39,11 +41,12 @@ class Volume:
     size: tuple[int, int, int]
     kind: str
     reader: str
-    warped: Any
+    warped: Any = None
+    full: bool = False
     owner: object = None
 
 
-def hold(gpu: Gpu, samples: Array, *, twice: bool) -> Volume:
+def hold(gpu: Gpu, samples: Array) -> Volume:
     """Put a volume on the device.
 
     Parameters
@@ -51,8 +54,6 @@ def hold(gpu: Gpu, samples: Array, *, twice: bool) -> Volume:
     gpu : Gpu
     samples : array (Z, H, W), two along each axis at least
         Of 8 or 16 bits, or float32.
-    twice : bool
-        Whether with room for a deformed one.
 
     Raises
     ------
@@ -62,8 +63,17 @@ def hold(gpu: Gpu, samples: Array, *, twice: bool) -> Volume:
     depth, height, width = samples.shape
     made = solid(gpu, (depth, height, width), samples.dtype)
     put_solid(gpu, made, samples)
-    beside = (
-        solid(gpu, (depth, height, width), np.float32, usage="STORAGE_BINDING|COPY_SRC|COPY_DST") if twice else None
-    )
     kind, reader = _KINDS[samples.dtype.kind]
-    return Volume(gpu, made, made.create_view(), (width, height, depth), kind, reader, beside)
+    return Volume(gpu, made, made.create_view(), (width, height, depth), kind, reader)
+
+
+def beside(volume: Volume) -> bool:
+    """Whether there is room for a deformed volume, too; the first time, it is asked for."""
+    if volume.warped is None and not volume.full:
+        wide, high, deep = volume.size
+        usage = "STORAGE_BINDING|COPY_SRC|COPY_DST"
+        try:
+            volume.warped = solid(volume.gpu, (deep, high, wide), np.float32, usage=usage)
+        except MemoryError:
+            volume.full = True
+    return volume.warped is not None

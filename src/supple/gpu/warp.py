@@ -18,7 +18,7 @@ from supple.gpu.lattice import NODE, SETTINGS, Lattice, Part, Range, Strokes, la
 from supple.gpu.planes import Held, colour, target_size, unpacked
 from supple.gpu.reach import Reach, box_of, reach_of
 from supple.gpu.samples import LONGEST, Picture
-from supple.gpu.texels import LAYERS, blocks_of, layers
+from supple.gpu.texels import MOST_LAYERS, SIDE, blocks_of, layers, texels_of
 
 Floats = npt.NDArray[np.float64]
 Read = Callable[[Range, Range], Array]
@@ -77,16 +77,16 @@ class _Work:
             form, count = self.picture.format, frames[1] - frames[0]
             size = rows[1] - rows[0], self.picture.shape[1]
             (samples,) = owned(self.of_source, layers(self.gpu, size, count, form.dtype, form.channels))
-            for k, frame in enumerate(form.packed(self.read(frames, rows))):
-                samples.put(self.gpu, k, frame)
+            for k, frame in enumerate(self.read(frames, rows)):
+                samples.put(self.gpu, k, form.packed(frame), wait=True)
             self.box, self.held = (frames, rows), Held(samples, frames, rows, count, 0)
         return self.held
 
     def fits(self, frames: Range, rows: Range) -> bool:
         """Whether some rows of some frames are no more than is held at once."""
         count, shape = frames[1] - frames[0], (rows[1] - rows[0], self.picture.shape[1])
-        size = count * math.prod(shape) * self.picture.format.size
-        return size <= self.gpu.binding and count * math.prod(blocks_of(shape)) <= LAYERS
+        size = count * texels_of(shape) * self.picture.format.size
+        return size <= self.gpu.texture and count * math.prod(blocks_of(shape)) <= MOST_LAYERS
 
     def samples_read(self, part: Part, reach: Reach, at: tuple[slice, slice]) -> float:
         """How many samples of the source are read for a part, about; to evaluate a stroke takes as long as some."""
@@ -220,7 +220,7 @@ def warp(
         most = int(min(gpu.binding // NODE, 8 * AT_FIRST / (25 * max(strokes.count, 1)))) // pitch_of(across + 1)
         if most < 2:
             raise MemoryError("a picture of this width is more than a shader takes")
-        tall = min(down, most - 1)
+        tall = min(down, most - 1, SIDE - 1)
         together = max(1, min(TOGETHER, most // (tall + 1)))
         for first in range(*planes, together):
             last = min(first + together, planes[1])
