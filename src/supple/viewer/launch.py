@@ -33,6 +33,7 @@ if TYPE_CHECKING:
 SIZE = (1280, 800)
 TOOLKITS = ("glfw", "qt")
 _EXTRA = "pip install 'supple[view]'"
+_NO_SCREEN = "no screen was found for a window: --serve shows it in a browser"
 Source = str | os.PathLike[str] | npt.NDArray[Any]
 
 
@@ -139,10 +140,14 @@ def on_screen_of(toolkit: str) -> tuple[Any, Any]:
             import glfw
 
             if not glfw.init():
-                raise SuppleError("no screen was found for a window: --serve shows it in a browser")
+                raise SuppleError(_NO_SCREEN)
             from rendercanvas.glfw import RenderCanvas, loop
         else:
-            from rendercanvas.qt import RenderCanvas, loop
+            from supple.viewer import qt
+
+            RenderCanvas, loop = qt.toolkit()
+            if not qt.has_screen():
+                raise SuppleError(_NO_SCREEN)
     except ImportError as error:
         raise missing(error) from None
     return RenderCanvas, loop
@@ -177,8 +182,13 @@ def show(source: Source, recipe: Recipe | None = None, *, toolkit: str = "glfw",
         raise
     if toolkit == "glfw":
         _ask_before_closing(canvas, made)
+    else:
+        from supple.viewer import qt
+
+        qt.attend(canvas, made)
     loop.run()
-    made.close()
+    if canvas.get_closed():  # where a loop runs already, as in a notebook of Qt, the window stays
+        made.close()
     return made
 
 
