@@ -331,12 +331,26 @@ class TestVideos:
         wheel(tools, -300)
         assert (tools.playback.frame, tools.document.items[0].stroke.by) == (8, (0, 0, 3))
         move(tools, 221, 101)
-        wheel(tools, 50)
         up(tools, 221, 111)
-        assert tools.document.items[0].stroke == Stroke(at=(100, 50, 5), by=(10, 5, 2.5), radius=40)
+        assert tools.document.items[0].stroke == Stroke(at=(100, 50, 5), by=(10, 5, 3), radius=40)
         assert (tools.playback.frame, tools.radius) == (8, 40)
         tools.document.undo()
         assert tools.document.items == ()
+
+    def test_parts_of_a_notch_add_up_to_whole_frames(self) -> None:
+        tools = clip()
+        tools.playback.seek(5)
+        down(tools, 201, 101)
+        seen = []
+        for _ in range(6):
+            wheel(tools, -40)
+            seen.append((tools.playback.frame, tools.held.time if tools.held else None))
+        assert seen == [(5, 0), (6, 1), (6, 1), (7, 2), (7, 2), (7, 2)]
+        for _ in range(100):
+            wheel(tools, -120)
+        wheel(tools, 100)
+        up(tools, 201, 101)
+        assert tools.document.items[0].stroke.by == (0, 0, 13)  # the way back begins at the last frame
 
     def test_the_wheel_alone_is_the_radius(self) -> None:
         tools = clip()

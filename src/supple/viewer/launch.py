@@ -247,7 +247,7 @@ def view(source: Source, recipe: Recipe | None = None) -> View:
     except ImportError as error:
         raise missing(error) from None
     canvas = RenderCanvas(size=(960, 600), max_fps=30, update_mode="ondemand")
-    canvas.set_css_width("100%")  # of the cell, whatever that is
+    canvas.set_css_width("calc(100% - 4px)")  # of the cell, with its frame
     return opened(source, recipe, canvas, loop)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -144,9 +145,11 @@ class VideoTools(ImageTools):
         self.playback.seek(self._frame)
 
     def _carry(self, held: Held, frames: float) -> None:
-        """Carry what is held through time; the frame that is shown follows."""
+        """Carry what is held through time, by whole frames; the frame that is shown follows."""
         start = held.point[2]
-        held.time = min(max(held.time + frames, -start), self.playback.count - 1 - start)
+        first, last = -start, self.playback.count - 1 - start
+        held.turned = min(max(held.turned + frames, first), last)
+        held.time = min(max(math.floor(held.turned + 0.5), first), last)
         self.playback.seek(start + held.time)
         held.draw(self.document, self._carried)
 
