@@ -62,7 +62,7 @@ class Hand:
         self.canvas.draw()  # which lays the picture out
         paint = self.view.painter.paint
         # All is drawn in full, as a graphics card does.
-        self.view.painter.paint = lambda shot: paint(replace(shot, moving=False))
+        self.view.painter.paint = lambda shot, *more: paint(replace(shot, moving=False), *more)
 
     def send(self, kind: str, **event: Any) -> None:
         """Let something happen where the hand is."""
