@@ -113,6 +113,13 @@ def test_a_window_of_qt_is_dragged_on_and_asks_before_it_closes(gpu: Gpu, tmp_pa
 def test_what_is_not_there_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     from supple.viewer import launch, qt
 
+    def none() -> Gpu:
+        raise supple.SuppleError("no GPU was found: install one; device cpu needs none")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(launch, "open_gpu", none)
+        with pytest.raises(supple.SuppleError, match=r"install one$"):
+            launch.opened(np.zeros((4, 4)), None, None, None)
     monkeypatch.setattr(qt, "BINDINGS", ("no_such_binding",))
     with pytest.raises(supple.SuppleError, match=r"needs PySide6.*pip install"):
         launch.on_screen_of("qt")

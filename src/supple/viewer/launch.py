@@ -111,7 +111,7 @@ def opened(source: Source, recipe: Recipe | None, canvas: Any, loop: Any, gpu: G
         from supple.viewer.view import View
     except ImportError as error:
         raise missing(error) from None
-    gpu = gpu or open_gpu()
+    gpu = gpu or _gpu()
     stage = stage_of(gpu, source)
     document = Document(stage.shape, stage.spacing, recipe, kind=stage.kind)
     tools = tools_of(stage, document, canvas.get_logical_size())
@@ -119,6 +119,14 @@ def opened(source: Source, recipe: Recipe | None, canvas: Any, loop: Any, gpu: G
     made = View(stage, document, tools, canvas, gpu, source=path, call_later=loop.call_later)
     canvas.set_title(f"{stage.name} - Supple")
     return made
+
+
+def _gpu() -> Gpu:
+    """The GPU, which a window cannot do without."""
+    try:
+        return open_gpu()
+    except SuppleError as error:
+        raise SuppleError(str(error).removesuffix("; device cpu needs none")) from None
 
 
 def missing(error: ImportError) -> SuppleError:
@@ -173,7 +181,7 @@ def show(source: Source, recipe: Recipe | None = None, *, toolkit: str = "glfw",
         ``view.recipe`` is what was done.
     """
     canvas_type, loop = on_screen_of(toolkit)
-    gpu = open_gpu()
+    gpu = _gpu()
     canvas = canvas_type(size=size, title="Supple", max_fps=60, update_mode="ondemand", vsync=False)
     try:
         made = opened(source, recipe, canvas, loop, gpu)
