@@ -104,6 +104,7 @@ def test_a_window_of_qt_is_dragged_on_and_asks_before_it_closes(gpu: Gpu, tmp_pa
         check=False,
     )
     assert ran.returncode == 0, ran.stdout + ran.stderr
+    assert "rror" not in ran.stderr, ran.stderr
     assert ran.stdout.split("\n")[:3] == ["grown 1.1", "asked close", "closed True 1"], ran.stdout + ran.stderr
     (stroke,) = Recipe.from_json((tmp_path / "photo.recipe.json").read_text(encoding="utf-8")).strokes
     assert stroke.by[0] > 10

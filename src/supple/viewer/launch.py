@@ -17,6 +17,7 @@ from supple.gpu.device import Gpu, open_gpu
 from supple.media.files import shown
 from supple.media.image import read
 from supple.strokes import Recipe
+from supple.viewer import qt
 from supple.viewer.document import Document
 from supple.viewer.film import Film
 from supple.viewer.pixels import on_screen
@@ -151,8 +152,6 @@ def on_screen_of(toolkit: str) -> tuple[Any, Any]:
                 raise SuppleError(_NO_SCREEN)
             from rendercanvas.glfw import RenderCanvas, loop
         else:
-            from supple.viewer import qt
-
             RenderCanvas, loop = qt.toolkit()
             if not qt.has_screen():
                 raise SuppleError(_NO_SCREEN)
@@ -191,8 +190,6 @@ def show(source: Source, recipe: Recipe | None = None, *, toolkit: str = "glfw",
     if toolkit == "glfw":
         _ask_before_closing(canvas, made)
     else:
-        from supple.viewer import qt
-
         qt.attend(canvas, made)
     loop.run()
     if canvas.get_closed():  # where a loop runs already, as in a notebook of Qt, the window stays

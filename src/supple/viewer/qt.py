@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from supple.errors import SuppleError
 
 if TYPE_CHECKING:
+    from supple.gpu.device import Gpu
     from supple.viewer.view import View
 
 BINDINGS = ("PySide6", "PyQt6")
@@ -53,10 +54,12 @@ def attend(canvas: Any, view: View) -> None:
     class Watch(QtCore.QObject):  # type: ignore[misc]
         def eventFilter(self, watched: Any, event: Any) -> bool:  # noqa: N802, as Qt calls it
             kind = event.type()
-            if kind == kinds.Close and not view.desk.may_close():
-                event.ignore()
-                view.refresh()
-                return True
+            if kind == kinds.Close:
+                if not view.desk.may_close():
+                    event.ignore()
+                    view.refresh()
+                    return True
+                _await_pictures(view.gpu)
             if kind == kinds.DragEnter and event.mimeData().hasUrls():
                 event.acceptProposedAction()
                 return True
@@ -73,3 +76,11 @@ def attend(canvas: Any, view: View) -> None:
 
 def _counted(event: dict[str, Any]) -> None:
     event["dx"], event["dy"] = _NOTCH * event["dx"], _NOTCH * event["dy"]
+
+
+def _await_pictures(gpu: Gpu) -> None:
+    """Wait for pictures that are on their way to a window that closes, as long as there is one to which they come."""
+    import wgpu
+
+    device = gpu.device
+    device.queue.read_buffer(device.create_buffer(size=4, usage=wgpu.BufferUsage.COPY_SRC))
