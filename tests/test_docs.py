@@ -54,7 +54,9 @@ def test_the_transfer_function_that_is_shown_is_one() -> None:
 
 
 def test_pictures_are_small() -> None:
-    assert sum(path.stat().st_size for path in (ROOT / "docs" / "images").iterdir()) < 600_000
+    sizes = {path: path.stat().st_size for path in (ROOT / "docs" / "images").iterdir()}
+    assert sum(size for path, size in sizes.items() if path.suffix != ".webp") < 600_000
+    assert all(size < 1_000_000 for path, size in sizes.items() if path.suffix == ".webp")  # these move
 
 
 def test_every_option_that_is_named_exists_and_every_one_that_exists_is_named() -> None:

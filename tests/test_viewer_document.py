@@ -212,6 +212,8 @@ class TestRefusals:
             lambda: d.add(solid),
             lambda: d.add("stroke"),  # type: ignore[arg-type]
             lambda: d.load("recipe"),  # type: ignore[arg-type]
+            lambda: d.load({"strokes": []}),  # type: ignore[arg-type]
+            lambda: Document(SHAPE, recipe="strokes.json"),  # type: ignore[arg-type]
             lambda: d.load(Recipe(strokes=(solid,))),
         ]
         if dragging:

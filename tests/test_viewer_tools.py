@@ -331,12 +331,26 @@ class TestVideos:
         wheel(tools, -300)
         assert (tools.playback.frame, tools.document.items[0].stroke.by) == (8, (0, 0, 3))
         move(tools, 221, 101)
-        wheel(tools, 50)
         up(tools, 221, 111)
-        assert tools.document.items[0].stroke == Stroke(at=(100, 50, 5), by=(10, 5, 2.5), radius=40)
+        assert tools.document.items[0].stroke == Stroke(at=(100, 50, 5), by=(10, 5, 3), radius=40)
         assert (tools.playback.frame, tools.radius) == (8, 40)
         tools.document.undo()
         assert tools.document.items == ()
+
+    def test_parts_of_a_notch_add_up_to_whole_frames(self) -> None:
+        tools = clip()
+        tools.playback.seek(5)
+        down(tools, 201, 101)
+        seen = []
+        for _ in range(6):
+            wheel(tools, -40)
+            seen.append((tools.playback.frame, tools.held.time if tools.held else None))
+        assert seen == [(5, 0), (6, 1), (6, 1), (7, 2), (7, 2), (7, 2)]
+        for _ in range(100):
+            wheel(tools, -120)
+        wheel(tools, 100)
+        up(tools, 201, 101)
+        assert tools.document.items[0].stroke.by == (0, 0, 13)  # the way back begins at the last frame
 
     def test_the_wheel_alone_is_the_radius(self) -> None:
         tools = clip()
@@ -439,6 +453,16 @@ class TestVideos:
         press(tools, "ArrowRight")
         press(tools, "o")
         assert (playback.first, playback.last) == (4, 5)
+        press(tools, "u")
+        assert (playback.first, playback.last) == (0, 19)
+        press(tools, "i")
+        press(tools, "o")
+        assert (playback.first, playback.last) == (5, 5)
+        press(tools, "u")
+        playback.seek(4)
+        press(tools, "i")
+        playback.seek(5)
+        press(tools, "o")
         press(tools, "l")
         assert playback.loop
         press(tools, "Home")
@@ -495,6 +519,37 @@ class TestVolumes:
         tools.pick = lambda x, y: Pick((-0.6, 20, 39.7), (0, 0, 0), 5)
         drag(tools, (200, 150), (205, 150))
         assert tools.document.items[0].stroke.at == (-0.5, 20, 39.5)
+
+    def test_the_ring_is_as_large_as_the_brush_where_it_is(self) -> None:
+        tools = solid()
+        tools.radius = 4
+        move(tools, 200, 150, buttons=())
+        assert tools.hover == (20, 20, 15)
+        at = tools.stage.project(tools.camera, (20, 20, 15))
+        # It is seen along y: a brush that is across lies in x and z.
+        beside = tools.stage.project(tools.camera, (24, 20, 15))
+        assert at is not None
+        assert beside is not None
+        assert tools.ring == pytest.approx(abs(beside[0] - at[0]), rel=1e-6)
+        first = tools.ring
+        wheel(tools, -100, "Shift", x=200, y=150)
+        assert tools.ring == pytest.approx(1.1 * first)
+        move(tools, 10, 10, buttons=())
+        assert tools.ring is None
+
+    def test_a_ray_is_sent_once_for_what_is_the_same(self) -> None:
+        tools = solid()
+        sent: list[tuple[float, float]] = []
+        pick = tools.pick
+        tools.pick = lambda x, y: sent.append((x, y)) or pick(x, y)  # type: ignore[func-returns-value]
+        move(tools, 200, 150, buttons=())
+        for _ in range(3):
+            assert tools.under is not None
+            assert tools.hover is not None
+        assert len(sent) == 1
+        wheel(tools, -100, x=200, y=150)  # nearer
+        assert tools.hover is not None
+        assert len(sent) == 2
 
     @pytest.mark.parametrize(("x", "button"), [(10, LEFT), (200, RIGHT)])
     def test_beside_it_or_to_the_right_the_camera_turns(self, x: float, button: int) -> None:

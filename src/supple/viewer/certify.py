@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import threading
-import warnings
 from collections.abc import Callable
 
 from supple.deformation import Deformation, Report
 from supple.errors import SuppleError
+from supple.viewer.heard import heard
 
 
 class Certifier:
@@ -57,8 +57,7 @@ class Certifier:
             if done is None:
                 continue
             try:
-                with warnings.catch_warnings():
-                    warnings.simplefilter("ignore")
+                with heard(lambda text, kind: None):
                     report = done.report()
             except SuppleError:
                 continue

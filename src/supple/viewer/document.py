@@ -53,7 +53,7 @@ class Document:
         """Why the drag that is under way does not go on: for the status line."""
         self._drag: tuple[Solved, int | None] | None = None
         self._medium = Medium(self.shape, spacing, kind)
-        self._now = self._medium.solve(State.of(recipe or Recipe()))
+        self._now = self._medium.solve(State.of(_recipe(recipe or Recipe())))
         self._history = History(self._now.state)
         self._saved = self._now.state.content
 
@@ -137,9 +137,7 @@ class Document:
 
     def load(self, recipe: Recipe) -> None:
         """Put a recipe in the place of all there is, as one step."""
-        if not isinstance(recipe, Recipe):
-            refuse("a recipe", "a Recipe", recipe)
-        self._edit(State.of(recipe))
+        self._edit(State.of(_recipe(recipe)))
 
     def select(self, i: int | None) -> None:
         """Select a stroke, or none; this is no step."""
@@ -274,3 +272,9 @@ class Document:
     @staticmethod
     def _replaced(state: State, i: int, stroke: Stroke) -> State:
         return state.with_item(i, Item(Item.of(stroke).stroke, state.items[i].hidden))
+
+
+def _recipe(recipe: Recipe) -> Recipe:
+    if not isinstance(recipe, Recipe):
+        refuse("a recipe", "a Recipe, as Recipe.from_json reads one", recipe)
+    return recipe

@@ -94,8 +94,10 @@ class Held:
         Which stroke of the document it is; None for a new one.
     part : str
         What of it is held: its ``"pivot"``, or its ``"end"``.
+    turned : float
+        How far it was carried through time, in frames; the wheel has parts of them.
     time : float
-        How many frames it was carried.
+        How many whole frames that are, up to the ends of the clip.
     grown : bool
         Whether the radius of a stroke of the document was changed.
     pick : Pick, optional
@@ -109,6 +111,7 @@ class Held:
     offset: Pair = (0.0, 0.0)
     item: int | None = None
     part: Part = "end"
+    turned: float = 0.0
     time: float = 0.0
     grown: bool = False
     pick: Pick | None = None

@@ -17,6 +17,7 @@ from supple.gpu.device import Gpu, open_gpu
 from supple.media.files import shown
 from supple.media.image import read
 from supple.strokes import Recipe
+from supple.viewer import qt
 from supple.viewer.document import Document
 from supple.viewer.film import Film
 from supple.viewer.pixels import on_screen
@@ -33,6 +34,7 @@ if TYPE_CHECKING:
 SIZE = (1280, 800)
 TOOLKITS = ("glfw", "qt")
 _EXTRA = "pip install 'supple[view]'"
+_NO_SCREEN = "no screen was found for a window: --serve shows it in a browser"
 Source = str | os.PathLike[str] | npt.NDArray[Any]
 
 
@@ -110,7 +112,7 @@ def opened(source: Source, recipe: Recipe | None, canvas: Any, loop: Any, gpu: G
         from supple.viewer.view import View
     except ImportError as error:
         raise missing(error) from None
-    gpu = gpu or open_gpu()
+    gpu = gpu or _gpu()
     stage = stage_of(gpu, source)
     document = Document(stage.shape, stage.spacing, recipe, kind=stage.kind)
     tools = tools_of(stage, document, canvas.get_logical_size())
@@ -118,6 +120,14 @@ def opened(source: Source, recipe: Recipe | None, canvas: Any, loop: Any, gpu: G
     made = View(stage, document, tools, canvas, gpu, source=path, call_later=loop.call_later)
     canvas.set_title(f"{stage.name} - Supple")
     return made
+
+
+def _gpu() -> Gpu:
+    """The GPU, which a window cannot do without."""
+    try:
+        return open_gpu()
+    except SuppleError as error:
+        raise SuppleError(str(error).removesuffix("; device cpu needs none")) from None
 
 
 def missing(error: ImportError) -> SuppleError:
@@ -139,10 +149,12 @@ def on_screen_of(toolkit: str) -> tuple[Any, Any]:
             import glfw
 
             if not glfw.init():
-                raise SuppleError("no screen was found for a window: --serve shows it in a browser")
+                raise SuppleError(_NO_SCREEN)
             from rendercanvas.glfw import RenderCanvas, loop
         else:
-            from rendercanvas.qt import RenderCanvas, loop
+            RenderCanvas, loop = qt.toolkit()
+            if not qt.has_screen():
+                raise SuppleError(_NO_SCREEN)
     except ImportError as error:
         raise missing(error) from None
     return RenderCanvas, loop
@@ -168,7 +180,7 @@ def show(source: Source, recipe: Recipe | None = None, *, toolkit: str = "glfw",
         ``view.recipe`` is what was done.
     """
     canvas_type, loop = on_screen_of(toolkit)
-    gpu = open_gpu()
+    gpu = _gpu()
     canvas = canvas_type(size=size, title="Supple", max_fps=60, update_mode="ondemand", vsync=False)
     try:
         made = opened(source, recipe, canvas, loop, gpu)
@@ -177,8 +189,11 @@ def show(source: Source, recipe: Recipe | None = None, *, toolkit: str = "glfw",
         raise
     if toolkit == "glfw":
         _ask_before_closing(canvas, made)
+    else:
+        qt.attend(canvas, made)
     loop.run()
-    made.close()
+    if canvas.get_closed():  # where a loop runs already, as in a notebook of Qt, the window stays
+        made.close()
     return made
 
 
@@ -237,6 +252,7 @@ def view(source: Source, recipe: Recipe | None = None) -> View:
     except ImportError as error:
         raise missing(error) from None
     canvas = RenderCanvas(size=(960, 600), max_fps=30, update_mode="ondemand")
+    canvas.set_css_width("calc(100% - 4px)")  # of the cell, with its frame
     return opened(source, recipe, canvas, loop)
 
 

@@ -63,6 +63,12 @@ class Stage:
         x, y = (float(away @ axis / (axis @ axis)) / ahead for axis in view.packed[3:])
         return x + width / 2, y + height / 2, float(np.linalg.norm(away))
 
+    def scale(self, camera: Camera, point: tuple[float, ...]) -> float:
+        """How many logical pixels a millimetre is there; 0 behind the camera."""
+        view = self.view(camera)
+        ahead = float((np.asarray(point) - view.eye) * view.spacing @ view.ahead)
+        return 1 / (float(np.linalg.norm(view.packed[3])) * ahead) if ahead > 0 else 0.0
+
 
 def orbit(camera: Camera, dx: float, dy: float, stage: Stage) -> Camera:
     """Turn the volume along with the pointer, which went by logical pixels; not beyond the poles."""

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 from imgui_bundle import imgui
 
-from supple.viewer.panels import BAR, LINE
+from supple.viewer.panels import BAR, LINE, hint
+from supple.viewer.playback import Playback
 from supple.viewer.stages import VideoStage, VolumeStage
 from supple.viewer.tools import ImageTools, VideoTools, VolumeTools
 
@@ -74,13 +76,21 @@ def _handles(view: View, lines: imgui.ImDrawList) -> None:
 
 
 def _marks(view: View, lines: imgui.ImDrawList) -> None:
-    """The strokes of a volume, as the camera sees them."""
-    tools = view.tools
+    """The strokes of a volume as the camera sees them, and the brush where the object is."""
+    tools, document = view.tools, view.document
     assert isinstance(tools, VolumeTools)
+    if tools.pointer is not None and not tools.original and (ring := tools.ring):
+        lines.add_circle(tools.pointer, ring, _DARK, 0, 3.0)
+        lines.add_circle(tools.pointer, ring, _WHITE, 0, 1.0)
     for handle in tools.handles():
         colour = _BLUE if view.document.selected == handle.item else 0x90FFFFFF
         if handle.part == "end":
             lines.add_circle(handle.seen, 5.0, colour, 0, 2.0)
+            stroke = document.items[handle.item].stroke
+            wanted = tools.stage.project(tools.view, tuple(map(sum, zip(stroke.at, stroke.by, strict=True))))
+            if wanted is not None and document.damping(handle.item) < 0.995:
+                lines.add_line(handle.seen, wanted[:2], _RED, 1.5)
+                lines.add_circle(wanted[:2], 4.0, _RED, 0, 1.5)
         else:
             lines.add_circle_filled(handle.seen, 3.0, colour)
 
@@ -100,6 +110,8 @@ def _timeline(view: View, stage: VideoStage) -> None:
     changed, frame = imgui.slider_int("##frame", playback.frame, 0, stage.film.count - 1, "")
     if changed:
         playback.seek(frame)
+    hint("i and o mark what is played, u plays all")
+    _marked(playback)
     imgui.same_line()
     seconds = playback.frame / stage.rate if stage.rate else 0.0
     imgui.text(f"{playback.frame} / {stage.film.count - 1}  {seconds:.2f} s")
@@ -108,6 +120,17 @@ def _timeline(view: View, stage: VideoStage) -> None:
     if changed:
         playback.set_loop(loop)
     imgui.end()
+
+
+def _marked(playback: Playback) -> None:
+    """The part of the timeline that is played, if it is not all."""
+    if (playback.first, playback.last) == (0, playback.count - 1):
+        return
+    low, high = imgui.get_item_rect_min(), imgui.get_item_rect_max()
+    inset = 0.5 * imgui.get_style().grab_min_size + 2.0  # a slider's knob stays within it
+    wide = (high.x - low.x - 2 * inset) / max(playback.count - 1, 1)
+    first, last = (low.x + inset + wide * frame for frame in (playback.first, playback.last))
+    imgui.get_window_draw_list().add_rect((first - 2, low.y), (last + 2, high.y), _BLUE, 2.0)
 
 
 def _status(view: View) -> None:
@@ -134,6 +157,8 @@ def status(view: View) -> str:
             value = view.stage.value((hover[0], hover[1]), view.frame)
             if value:
                 parts.append(value)
+        elif isinstance(view.tools, VolumeTools) and view.tools.under is not None:
+            parts.append(view.stage.value(view.tools.under))
     if isinstance(view.tools, ImageTools):
         parts.append(f"{view.tools.viewport.percent:.0f} %")
     if view.rate:
@@ -153,7 +178,11 @@ def certified(view: View) -> str:
     """What is known of the error of what is seen."""
     deformation = view.document.deformation
     if isinstance(view.stage, VolumeStage):
-        return "" if deformation.is_identity else f"within {view.stage.scene.error:.2g} voxels"
+        error = view.stage.scene.error
+        if deformation.is_identity or not view.stage.warned:
+            return "" if deformation.is_identity else f"within {error:.2g} voxels"
+        off = f"up to {error:.2g} voxels" if math.isfinite(error) else "more than a voxel"
+        return f"off by {off}: mode exact is not"
     if deformation.is_identity:
         return ""
     if deformation.ndim == 3 or view.document.dragging:

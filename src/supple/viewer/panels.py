@@ -136,6 +136,13 @@ def _selected(view: View) -> None:
             made["scales"] = index + 1
         if made:
             view.attempt(lambda: document.replace(i, replace(stroke, **made)))
+        damping = document.damping(i)
+        if damping < 0.995:
+            imgui.text_disabled(f"Damped to {damping:.0%} of it.")
+            imgui.same_line()
+            if imgui.small_button("flow: all of it"):
+                view.attempt(lambda: document.set_on_fold("flow"))
+            hint("In smaller steps, none of which folds: for all strokes")
         held = held_back(stroke, document.state.border, view.stage.shape, view.stage.spacing)
         if held < 0.5:
             imgui.push_text_wrap_pos(0.0)

@@ -13,10 +13,12 @@ from supple.errors import SuppleError
 from supple.gpu.device import Gpu
 from supple.gpu.plate import BACK, Plate, Sight
 from supple.media.volume import Volume
+from supple.picture import Pick
 from supple.rendering import Scene
 from supple.transfer import TransferFunction
 from supple.viewer.document import Kind
 from supple.viewer.film import Film
+from supple.viewer.heard import heard
 from supple.viewer.pixels import Pixels
 
 
@@ -125,6 +127,8 @@ class VolumeStage:
         """Logarithms of how many voxels have which value."""
         self._plain = self.scene
         self._deformation: Deformation | None = None
+        self.warned = ""
+        """What there is to say against what is shown."""
 
     def _made(self, transfer: TransferFunction | str) -> Scene:
         device = "gpu" if self._gpu.software else "auto"
@@ -140,6 +144,9 @@ class VolumeStage:
             raise SuppleError(f"{self.name} is more than a shader takes of {self._gpu.name}")
         return scene
 
+    def _hear(self, text: str, kind: type[Warning]) -> None:
+        self.warned = text
+
     def set_mode(self, mode: str) -> None:
         """Show it in another of the four ways."""
         self.mode = mode
@@ -151,7 +158,9 @@ class VolumeStage:
         if deformation.is_identity:
             return self._plain
         if deformation is not self._deformation:
-            self.scene, self._deformation = self._plain.deformed(deformation), deformation
+            self.warned = ""
+            with heard(self._hear):
+                self.scene, self._deformation = self._plain.deformed(deformation), deformation
         return self.scene
 
     def look(self, transfer: TransferFunction | str, density: tuple[float, float] | None) -> None:
@@ -169,6 +178,13 @@ class VolumeStage:
         if deformation.is_identity:
             return 1.0
         return self.deform(deformation).fill(camera, (size[1], size[0]), seconds=seconds)
+
+    def value(self, pick: Pick) -> str:
+        """The value of the voxel that is seen, and where it is seen, in millimetres."""
+        last, geometry = [n - 1 for n in reversed(self.shape)], self.volume.geometry
+        x, y, z = np.clip(np.floor(np.array(pick.source) + 0.5), 0, last).astype(int)
+        place = ", ".join(f"{v:.1f}" for v in geometry.to_world(pick.index))
+        return f"{self._samples[z, y, x]:.6g}   |   ({place}) mm {geometry.convention}"
 
 
 def said(pixels: Pixels, point: tuple[float, float]) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -144,9 +145,11 @@ class VideoTools(ImageTools):
         self.playback.seek(self._frame)
 
     def _carry(self, held: Held, frames: float) -> None:
-        """Carry what is held through time; the frame that is shown follows."""
+        """Carry what is held through time, by whole frames; the frame that is shown follows."""
         start = held.point[2]
-        held.time = min(max(held.time + frames, -start), self.playback.count - 1 - start)
+        first, last = -start, self.playback.count - 1 - start
+        held.turned = min(max(held.turned + frames, first), last)
+        held.time = min(max(math.floor(held.turned + 0.5), first), last)
         self.playback.seek(start + held.time)
         held.draw(self.document, self._carried)
 
@@ -164,7 +167,7 @@ class VideoTools(ImageTools):
             self._carry(held, steps[key])
         elif key in steps:
             playback.step(steps[key])
-        elif key in (" ", "Home", "End", "i", "o", "l"):
+        elif key in (" ", "Home", "End", "i", "o", "u", "l"):
             if held is not None:
                 return True  # the frame that is shown is where it is held
             acts: dict[str, Callable[[], None]] = {
@@ -173,6 +176,7 @@ class VideoTools(ImageTools):
                 "End": playback.end,
                 "i": playback.mark_in,
                 "o": playback.mark_out,
+                "u": playback.unmark,
                 "l": lambda: playback.set_loop(not playback.loop),
             }
             acts[key]()
@@ -212,6 +216,7 @@ class VolumeTools(Tools[Camera]):
         self.home = self.view
         self.pick, self.drag = pick, drag
         self.stage = orbit.Stage(document.shape, geometry, _rows(canvas_size))
+        self._under: tuple[tuple[object, ...], Pick | None] | None = None
 
     @property
     def camera(self) -> Camera:
@@ -223,10 +228,28 @@ class VolumeTools(Tools[Camera]):
         self.view = camera
 
     @property
+    def under(self) -> Pick | None:
+        """What is seen under the pointer; a ray is sent for it when that, the camera or the strokes have changed."""
+        key = (self.pointer, self.view, self.stage.size, self.document.revision)
+        if self._under is None or self._under[0] != key:
+            self._under = key, None if self.pointer is None else self.pick(*self.pointer)
+        return self._under[1]
+
+    @property
     def hover(self) -> tuple[float, ...] | None:
-        """The voxel under the pointer; a ray is sent for it each time."""
-        found = None if self.pointer is None else self.pick(*self.pointer)
+        """The voxel under the pointer."""
+        found = self.under
         return None if found is None else found.index
+
+    @property
+    def ring(self) -> float | None:
+        """The brush's radius as it is seen under the pointer, in logical pixels; None where nothing is."""
+        held = self.held
+        point = self.hover if held is None else held.point
+        if point is None:
+            return None
+        radius = self.radius if held is None else held.stroke.radius
+        return radius * self.stage.scale(self.view, point)
 
     def _grab(self, x: float, y: float) -> tuple[tuple[float, ...], Pick | None] | None:
         found = self.pick(x, y)

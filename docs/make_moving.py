@@ -1,0 +1,253 @@
+"""Make the moving pictures of the window in docs/images: a real window without a screen, and a hand that is drawn.
+
+python docs/make_moving.py [photo] [clip] [volume]      all three, by default; a graphics card helps, and is not needed
+"""
+
+import os
+import sys
+import tempfile
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyvips
+from rendercanvas.offscreen import RenderCanvas
+
+import supple
+from supple.strokes import Recipe
+from supple.viewer import view as windows
+from supple.viewer.launch import opened
+
+HERE = Path(__file__).resolve().parent
+DATA = Path(supple.__file__).parent / "data"
+SIZE, RATE = (900, 540), 12
+LEFT, RIGHT = 1, 2
+POINTER = """<svg xmlns="http://www.w3.org/2000/svg" width="64" height="64"><circle cx="24" cy="24" r="{halo}"
+fill="#fff" fill-opacity="0.45"/><path d="M24 24 l0 22 l5.2 -4.6 l3.4 7.8 l4.2 -1.8 l-3.4 -7.6 l7 -0.4 z"
+fill="#fff" stroke="#000" stroke-width="1.5"/></svg>"""
+Pair = tuple[float, float]
+
+
+class Clock:
+    """The time of the pictures, which is not that of the machine that makes them."""
+
+    now = 100.0
+
+    def perf_counter(self) -> float:
+        """Seconds."""
+        return self.now
+
+
+class Still:
+    """A loop in which nothing happens by itself."""
+
+    def call_later(self, seconds: float, work: Callable[[], None]) -> None:
+        """Do nothing."""
+
+
+class Hand:
+    """A hand at a window, and what was filmed of it."""
+
+    def __init__(self, source: Path, recipe: Recipe | None = None) -> None:
+        self.clock = windows.time = Clock()  # type: ignore[attr-defined]
+        self.canvas = RenderCanvas(size=SIZE, pixel_ratio=1.0)
+        self.view: Any = opened(source, recipe, self.canvas, Still())
+        self.canvas.set_title("")
+        self.place: Pair = (SIZE[0] * 0.3, SIZE[1] * 0.8)
+        self.buttons: tuple[int, ...] = ()
+        self.says = ""
+        self.frames: list[np.ndarray] = []
+        self.canvas.draw()  # which lays the picture out
+        paint = self.view.painter.paint
+        # All is drawn in full, as a graphics card does.
+        self.view.painter.paint = lambda shot, *more: paint(replace(shot, moving=False), *more)
+
+    def send(self, kind: str, **event: Any) -> None:
+        """Let something happen where the hand is."""
+        self.clock.now += 1e-4
+        common = {"event_type": kind, "modifiers": (), "time_stamp": self.clock.now, "ntouches": 0, "touches": {}}
+        x, y = self.place
+        self.canvas.submit_event(common | {"x": x, "y": y, "buttons": self.buttons} | event)
+        self.canvas._process_events()
+
+    def draw(self) -> np.ndarray:
+        """Draw the window, in full."""
+        view = self.view
+        if view.stage.kind == "video":
+            assert view.stage.film.wait(*view.stage.needed(view.document.deformation, view.frame), 60.0)
+        view.painter.coarse = 1
+        view._frames.clear()  # how fast this script is tells nothing
+        view._changed_at = 0.0
+        return np.asarray(self.canvas.draw())[..., :3]
+
+    def shoot(self, seconds: float) -> None:
+        """Film what is there for a time."""
+        for _ in range(max(1, round(seconds * RATE))):
+            self.clock.now += 1 / RATE
+            if self.view.stage.kind != "volume":
+                self.draw()  # what the last event changed in the panel is seen in the second
+            self.frames.append(self.pointed(self.draw()))
+
+    def pointed(self, pixels: np.ndarray) -> np.ndarray:
+        """A frame with the pointer, and what the hand does beside it."""
+        picture = pyvips.Image.new_from_array(np.ascontiguousarray(pixels)).copy(interpretation="srgb")
+        x, y = (round(v) for v in self.place)
+        arrow = pyvips.Image.svgload_buffer(POINTER.format(halo=16 if self.buttons else 0).encode())
+        picture = picture.composite(arrow, "over", x=x - 24, y=y - 24)
+        if self.says:
+            words = self.says.replace("&", "&amp;")
+            text = pyvips.Image.text(f'<span foreground="white">{words}</span>', font="sans 11", dpi=96, rgba=True)
+            back = (pyvips.Image.black(text.width + 16, text.height + 12, bands=3) + 20).cast("uchar")
+            label = back.bandjoin(210).copy(interpretation="srgb").composite(text, "over", x=8, y=6)
+            left = min(x + 24, int(self.view.area[0]) - label.width - 4)
+            picture = picture.composite(label, "over", x=left, y=y + 28)
+        return np.asarray(picture[:3].numpy())
+
+    def move(self, to: Pair, seconds: float = 0.7) -> None:
+        """Go to a place, slowly at first and at last."""
+        start, count = self.place, max(1, round(seconds * RATE))
+        for k in range(1, count + 1):
+            part = 0.5 - 0.5 * np.cos(np.pi * k / count)
+            self.place = tuple(a + part * (b - a) for a, b in zip(start, to, strict=True))  # type: ignore[assignment]
+            self.send("pointer_move", button=0)
+            self.shoot(1 / RATE)
+
+    def press(self, button: int = LEFT) -> None:
+        """Press a button."""
+        self.buttons = (button,)
+        self.send("pointer_down", button=button)
+        self.shoot(0.25)
+
+    def release(self) -> None:
+        """Let go."""
+        (button,), self.buttons = self.buttons, ()
+        self.send("pointer_up", button=button)
+        self.says = ""
+        self.shoot(0.25)
+
+    def wheel(self, notches: int, says: str, *modifiers: str) -> None:
+        """Turn the wheel, a notch each frame; up is above 0."""
+        self.says = says
+        for _ in range(abs(notches)):
+            self.send("wheel", dx=0.0, dy=-100.0 * np.sign(notches), modifiers=modifiers)
+            self.shoot(1 / RATE)
+        self.says = ""
+
+    def key(self, key: str, says: str, seconds: float, held: bool = False) -> None:
+        """Press a key, and film it for a time; or hold it as long."""
+        self.says = says
+        self.send("key_down", key=key)
+        if not held:
+            self.send("key_up", key=key)
+        self.shoot(seconds)
+        if held:
+            self.send("key_up", key=key)
+        self.says = ""
+
+    def drag(self, start: Pair, end: Pair, seconds: float = 0.9, button: int = LEFT, says: str = "drag") -> None:
+        """Go somewhere, and drag from there."""
+        self.move(start)
+        self.says = says
+        self.press(button)
+        self.move(end, seconds)
+        self.release()
+
+    def certified(self) -> None:
+        """Wait until the error is measured, which takes no time in the picture."""
+        while self.view.certifier.report(self.view.document.deformation) is None:
+            pass
+
+    def write(self, path: Path, quality: int) -> None:
+        """Write what was filmed; equal frames take no room."""
+        frames = [pyvips.Image.new_from_array(frame).copy(interpretation="srgb") for frame in self.frames]
+        tall = pyvips.Image.arrayjoin(frames, across=1).copy()
+        tall.set_type(pyvips.GValue.gint_type, "page-height", SIZE[1])
+        tall.set_type(pyvips.GValue.array_int_type, "delay", [round(1000 / RATE)] * len(frames))
+        tall.set_type(pyvips.GValue.gint_type, "loop", 0)
+        # What is left of earlier frames shows as blocks, but for whole ones now and then.
+        tall.webpsave(path, Q=quality, effort=5, kmin=RATE // 2, kmax=RATE, keep="none")
+        print(f"{path.name}: {len(frames)} frames, {path.stat().st_size / 1e6:.2f} MB")
+        self.view.close()
+
+
+def photo(path: Path) -> None:
+    """A cup becomes a heart: four drags, with the brush that each of them needs."""
+    hand = Hand(DATA / "coffee.jpg")
+    tools = hand.view.tools
+    tools.scales = 2
+
+    def pull(at: Pair, by: Pair, notches: int) -> None:
+        hand.move(tools.viewport.to_canvas(*at))
+        if notches:
+            hand.wheel(notches, "wheel: radius")
+        hand.says = "drag"
+        hand.press()
+        hand.move(tools.viewport.to_canvas(at[0] + by[0], at[1] + by[1]), 0.9)
+        hand.release()
+
+    pull((290, 24), (0, 44), -4)
+    pull((290, 206), (0, 42), 6)
+    pull((222, 48), (-16, -10), -3)
+    pull((358, 48), (16, -10), 0)
+    hand.move((540, 470))
+    hand.certified()
+    hand.shoot(0.8)
+    hand.key("\\", "\\ held: the original", 1.0, held=True)
+    hand.shoot(1.2)
+    hand.write(path, 62)
+
+
+def clip(path: Path) -> None:
+    """A pixel is taken, carried through time by the wheel, and bent; then it plays."""
+    hand = Hand(DATA / "bunny.mp4", Recipe(border=None))
+    view = hand.view
+    view.tools.playback.seek(38)
+    view.tools.radius = 60.0
+    place = view.tools.viewport.to_canvas
+    hand.shoot(0.4)
+    hand.move(place(350, 120))
+    hand.says = "taken"
+    hand.press()
+    hand.wheel(10, "wheel: through time")
+    hand.says = "drag"
+    hand.move(place(385, 95), 0.9)
+    hand.shoot(0.3)
+    hand.release()
+    hand.move((480, 380))
+    hand.key("Home", "Home", 0.3)
+    hand.key(" ", "Space: play", 64 / view.stage.rate)
+    hand.shoot(0.8)
+    hand.write(path, 65)
+
+
+def volume(path: Path) -> None:
+    """A head is turned, pulled, and turned again."""
+    hand = Hand(DATA / "head.nii.gz", Recipe(border=None))  # it reaches up to its borders
+    hand.shoot(0.4)
+    hand.drag((520, 430), (360, 400), 1.0, says="beside it: turn")
+    hand.move((300, 200))
+    hand.wheel(6, "Shift+wheel: radius", "Shift")
+    hand.drag((330, 150), (335, 90), 1.2)
+    hand.move((140, 240))
+    hand.wheel(-4, "Shift+wheel: radius", "Shift")
+    hand.drag((138, 250), (180, 256), 1.0)
+    hand.drag((300, 250), (440, 280), 1.4, button=RIGHT, says="right button: turn")
+    hand.shoot(1.0)
+    hand.write(path, 70)
+
+
+FILMS: dict[str, Callable[[Path], None]] = {"photo": photo, "clip": clip, "volume": volume}
+
+
+def main(names: list[str]) -> None:
+    """Make them."""
+    with tempfile.TemporaryDirectory() as state:
+        os.environ["XDG_STATE_HOME"] = state
+        for name in names or FILMS:
+            FILMS[name](HERE / "images" / f"window-{name}.webp")
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

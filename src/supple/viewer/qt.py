@@ -1,0 +1,86 @@
+"""Windows of Qt: what they call things by names of their own; and closing them, and files dropped on them."""
+
+from __future__ import annotations
+
+import os
+import sys
+from importlib import import_module
+from importlib.util import find_spec
+from typing import TYPE_CHECKING, Any
+
+from supple.errors import SuppleError
+
+if TYPE_CHECKING:
+    from supple.gpu.device import Gpu
+    from supple.viewer.view import View
+
+BINDINGS = ("PySide6", "PyQt6")
+_NOTCH = 100 / 120  # of the wheel: as others count it, and as Qt does
+
+
+def has_screen() -> bool:
+    """Whether Qt finds a screen; where it finds none, it ends the process."""
+    names = ("DISPLAY", "WAYLAND_DISPLAY", "QT_QPA_PLATFORM")
+    return not sys.platform.startswith("linux") or any(os.environ.get(name) for name in names)
+
+
+def toolkit() -> tuple[Any, Any]:
+    """The canvas and the loop of Qt.
+
+    Raises
+    ------
+    SuppleError
+        If no binding of it is installed, or can be used.
+    """
+    found = next((name for name in BINDINGS if find_spec(name) is not None), None)
+    if found is None:
+        raise SuppleError("a window of Qt needs PySide6, which is not installed: pip install PySide6-Essentials")
+    try:
+        import_module(f"{found}.QtWidgets")  # rendercanvas takes the binding that is imported
+    except ImportError as error:  # libraries of the system
+        raise SuppleError(f"{found} cannot be used here: {error}") from None
+    from rendercanvas import qt
+
+    qt.KEY_MAP[int(qt.QtCore.Qt.Key.Key_Return)] = "Enter"  # it knows the one beside the digits alone
+    return qt.RenderCanvas, qt.loop
+
+
+def attend(canvas: Any, view: View) -> None:
+    """Ask before strokes are lost, and open the files that are dropped on the window."""
+    from rendercanvas.qt import QtCore
+
+    kinds = QtCore.QEvent.Type
+
+    class Watch(QtCore.QObject):  # type: ignore[misc]
+        def eventFilter(self, watched: Any, event: Any) -> bool:  # noqa: N802, as Qt calls it
+            kind = event.type()
+            if kind == kinds.Close:
+                if not view.desk.may_close():
+                    event.ignore()
+                    view.refresh()
+                    return True
+                _await_pictures(view.gpu)
+            if kind == kinds.DragEnter and event.mimeData().hasUrls():
+                event.acceptProposedAction()
+                return True
+            if kind == kinds.Drop:
+                event.acceptProposedAction()
+                view.drop([url.toLocalFile() for url in event.mimeData().urls() if url.isLocalFile()])
+                return True
+            return False
+
+    canvas.setAcceptDrops(True)
+    canvas.installEventFilter(Watch(canvas))
+    canvas.add_event_handler(_counted, "wheel", order=-100)
+
+
+def _counted(event: dict[str, Any]) -> None:
+    event["dx"], event["dy"] = _NOTCH * event["dx"], _NOTCH * event["dy"]
+
+
+def _await_pictures(gpu: Gpu) -> None:
+    """Wait for pictures that are on their way to a window that closes, as long as there is one to which they come."""
+    import wgpu
+
+    device = gpu.device
+    device.queue.read_buffer(device.create_buffer(size=4, usage=wgpu.BufferUsage.COPY_SRC))
