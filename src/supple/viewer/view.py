@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import time
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from imgui_bundle import imgui
-from wgpu.utils.imgui import ImguiRenderer
 
 from supple.errors import SuppleError
 from supple.gpu.device import Gpu
@@ -23,23 +21,13 @@ from supple.viewer import overlay, panels
 from supple.viewer.certify import Certifier
 from supple.viewer.desk import Desk
 from supple.viewer.document import Document
+from supple.viewer.gui import Gui
 from supple.viewer.painter import Painter, Shot
 from supple.viewer.stages import ImageStage, VideoStage, VolumeStage
 from supple.viewer.tools import ImageTools, VideoTools, VolumeTools
 
 SETTLED = 0.15  # seconds without a change, after which a picture is drawn in full
 FILLING = 0.004
-
-
-@dataclass(frozen=True, slots=True)
-class Known:
-    """A stroke that is seen: where it takes hold, where it leads, and where it was to lead."""
-
-    item: int
-    start: tuple[float, ...]
-    end: tuple[float, ...]
-    wanted: tuple[float, ...]
-    damping: float
 
 
 class View:
@@ -71,15 +59,15 @@ class View:
     ) -> None:
         self.stage, self.document, self.tools, self.canvas, self.gpu = stage, document, tools, canvas, gpu
         self.overlay = ""
+        self.listed: int | None = None
         self.filled = 0.0
         self.painter = Painter(gpu, stage)
         self.desk = Desk(document, source, self.write, self._leave, "auto")
         self.certifier = Certifier(self._wake)
         self._closed = False
-        self._known: tuple[int, list[Known]] = (-1, [])
         self._pressed = 0.0
         self._call_later = call_later
-        self._changed_at = 0.0
+        self._changed_at, self._due = 0.0, math.inf
         self._drawn_key: tuple[Any, ...] | None = None
         self._textures: tuple[Any, Any] | None = None
         self._laid = (0.0, 0.0, 0.0)
@@ -89,10 +77,7 @@ class View:
         self._format = context.get_preferred_format(gpu.device.adapter)
         context.configure(device=gpu.device, format=self._format)
         self._context, self._screen = context, Screen(gpu, self._format)
-        self._gui = ImguiRenderer(gpu.device, canvas, self._format)
-        self._gui.set_gui(self._controls)
-        self._gui.backend.io.set_ini_filename("")
-        _dress()
+        self._gui = Gui(gpu, canvas, self._format, self._controls)
         document.on_change.append(self._changed)
         canvas.add_event_handler(
             self._event, "pointer_down", "pointer_move", "pointer_up", "wheel", "key_down", "key_up", "resize", "close"
@@ -122,19 +107,6 @@ class View:
         below = panels.LINE + (panels.BAR if self.stage.kind == "video" else 0)
         return max(width - panels.WIDE, 64.0), max(height - below, 64.0)
 
-    def known(self) -> list[Known]:
-        """The strokes that are seen; worked out once for each change."""
-        document = self.document
-        if self._known[0] != document.revision:
-            found = []
-            for i, item in enumerate(document.items):
-                if not item.hidden:
-                    start, end = document.handles(i)
-                    wanted = tuple(a + b for a, b in zip(item.stroke.at, item.stroke.by, strict=True))
-                    found.append(Known(i, start, end, wanted, document.damping(i)))
-            self._known = document.revision, found
-        return self._known[1]
-
     def refresh(self) -> None:
         """Draw anew, in full."""
         self._drawn_key = None
@@ -147,6 +119,17 @@ class View:
 
     def _wake(self) -> None:
         self.canvas.request_draw()
+
+    def _wake_in(self, seconds: float) -> None:
+        """Draw then, if not before: one that is due earlier looks again what there is to do."""
+        due = time.perf_counter() + seconds
+        if due < self._due:
+            self._due = due
+            self._call_later(seconds, self._woken)
+
+    def _woken(self) -> None:
+        self._due = math.inf
+        self._wake()
 
     def _changed(self) -> None:
         self._changed_at = time.perf_counter()
@@ -193,17 +176,30 @@ class View:
         moving = tools.dragging or begun - self._changed_at < SETTLED or self._playing
         shot = self._shot((round(width * ratio), round(height * ratio)), ratio, moving)
         key = (shot.deformation, *(getattr(shot, name) for name in _SEEN), self.painter.coarse if moving else 0)
-        if key != self._drawn_key or not self.painter.ready:
+        self._gui.lay()
+        encoder, begun = self.gpu.device.create_command_encoder(), time.perf_counter()
+        anew = key != self._drawn_key or not self.painter.ready
+        if anew:
             with contextlib.suppress(SuppleError):
-                self._textures = self.painter.paint(shot)
+                self._textures = self.painter.paint(shot, encoder)
             self._drawn_key = key
-        view = self._context.get_current_texture().create_view()
-        if self._textures is not None:
-            first, second = self._textures
-            self._screen.present(view, first, second, tools.split or 0.0, (0, 0, *shot.size))
-        self._gui.render()
+        self._present(shot, encoder)
+        if anew and moving:
+            self.painter.learn(begun)
         self.desk.tick()
         self._go_on(moving, shot)
+
+    def _present(self, shot: Shot, encoder: Any) -> None:
+        """Bring it all onto the canvas, at once."""
+        onto = self._context.get_current_texture()
+        colours = {"view": onto.create_view(), "load_op": "clear", "store_op": "store", "clear_value": (0, 0, 0, 1)}
+        drawing = encoder.begin_render_pass(color_attachments=[colours])
+        if self._textures is not None:
+            place = (0, 0, *(min(a, b) for a, b in zip(shot.size, onto.size, strict=False)))
+            self._screen.draw(drawing, *self._textures, self.tools.split or 0.0, place)
+        self._gui.draw(drawing)
+        drawing.end()
+        self.gpu.device.queue.submit([encoder.finish()])
 
     def _shot(self, size: tuple[int, int], ratio: float, moving: bool) -> Shot:
         tools = self.tools
@@ -235,7 +231,7 @@ class View:
         if self._playing or not self.painter.ready:
             self._wake()
         elif moving:
-            self._call_later(SETTLED, self._wake)
+            self._wake_in(max(self._changed_at + SETTLED - time.perf_counter(), 0.01))
         elif isinstance(self.stage, VolumeStage):
             try:
                 self.filled = self.stage.fill(shot.deformation, shot.camera, shot.size, FILLING)
@@ -245,7 +241,7 @@ class View:
                 self._drawn_key = None  # each frame is faster than the last
                 self._wake()
         if (self.desk.export is not None and not self.desk.export.done) or self.document.dirty:
-            self._call_later(0.25, self._wake)  # to see how far it is, and to keep what was done
+            self._wake_in(0.25)  # to see how far it is, and to keep what was done
 
     @property
     def rate(self) -> float:
@@ -297,17 +293,3 @@ class View:
 
 
 _SEEN = ("size", "moving", "origin", "scale", "time", "camera", "overlay", "original", "split")
-
-
-def _dress() -> None:
-    """Letters that can be read, and colours that do not glare."""
-    from importlib import resources
-
-    io, style = imgui.get_io(), imgui.get_style()
-    font = resources.files("imgui_bundle") / "assets" / "fonts" / "DroidSans.ttf"
-    with resources.as_file(font) as path:
-        if path.is_file():
-            io.fonts.add_font_from_file_ttf(str(path), 15.0)
-    style.set_color_(imgui.Col_.modal_window_dim_bg, (0.0, 0.0, 0.0, 0.45))
-    style.frame_rounding = style.grab_rounding = style.popup_rounding = 3.0
-    style.item_spacing = imgui.ImVec2(7, 5)
