@@ -28,6 +28,8 @@ from supple.viewer.tools import ImageTools, VideoTools, VolumeTools
 
 SETTLED = 0.15  # seconds without a change, after which a picture is drawn in full
 FILLING = 0.004
+ANSWERED = 0.1  # seconds after an event in which the panel has answered it
+HINTED = 0.6  # and after which it says what something is that the pointer stays on
 
 
 class View:
@@ -67,7 +69,7 @@ class View:
         self._closed = False
         self._pressed = 0.0
         self._call_later = call_later
-        self._changed_at, self._due = 0.0, math.inf
+        self._changed_at, self._stirred, self._due = 0.0, -math.inf, math.inf
         self._drawn_key: tuple[Any, ...] | None = None
         self._textures: tuple[Any, Any] | None = None
         self._laid = (0.0, 0.0, 0.0)
@@ -79,9 +81,8 @@ class View:
         self._context, self._screen = context, Screen(gpu, self._format)
         self._gui = Gui(gpu, canvas, self._format, self._controls)
         document.on_change.append(self._changed)
-        canvas.add_event_handler(
-            self._event, "pointer_down", "pointer_move", "pointer_up", "wheel", "key_down", "key_up", "resize", "close"
-        )
+        canvas.add_event_handler(self._stir, *_HANDS, "char", order=-100)
+        canvas.add_event_handler(self._event, *_HANDS, "pointer_leave", "close")
         canvas.request_draw(self.draw)
 
     @property
@@ -132,10 +133,21 @@ class View:
         self._wake()
 
     def _changed(self) -> None:
-        self._changed_at = time.perf_counter()
+        self._changed_at, self.filled = time.perf_counter(), 0.0
         for call in self._callbacks:
             call(self.document.recipe)
         self._wake()
+
+    def _stir(self, event: dict[str, Any]) -> None:
+        """Draw some frames for an event: the panel answers in the second or the third, and may keep it to itself."""
+        self._stirred = time.perf_counter()
+        if event["event_type"] == "pointer_move" and not self._inside(event):
+            self.tools.handle({"event_type": "pointer_leave"})
+        self._wake()
+
+    def _inside(self, event: dict[str, Any]) -> bool:
+        """Whether it is on the picture."""
+        return bool(event.get("x", 0) < self.area[0] and event.get("y", 0) < self.area[1])
 
     def _event(self, event: dict[str, Any]) -> None:
         kind = event["event_type"]
@@ -145,8 +157,7 @@ class View:
         if self.desk.asked is not None:
             self._wake()
             return
-        inside = event.get("x", 0) < self.area[0] and event.get("y", 0) < self.area[1]
-        if kind in ("pointer_down", "wheel") and not inside:
+        if kind in ("pointer_down", "wheel") and not self._inside(event):
             self._wake()
             return
         if kind == "pointer_down":
@@ -154,7 +165,10 @@ class View:
             self._pressed = event.get("time_stamp", 0.0)
         elif kind == "pointer_move" and event.get("time_stamp", self._pressed) < self._pressed:
             return  # browsers hold moves back, and hand them over after a press that came later
+        before = self.tools.view
         self.tools.handle(event)
+        if self.tools.view is not before:
+            self._changed_at = time.perf_counter()
         requests, self.tools.requests[:] = list(self.tools.requests), []
         for request in requests:
             self.desk.ask(request)
@@ -164,6 +178,8 @@ class View:
 
     def draw(self) -> None:
         """Draw a frame: what is asked for by the canvas."""
+        if self._closed:
+            return
         begun = time.perf_counter()
         self._frames.append(begun)
         tools, (width, height) = self.tools, self.area
@@ -173,7 +189,7 @@ class View:
             tools.handle({"event_type": "resize", "width": width, "height": height, "pixel_ratio": ratio})
         if isinstance(tools, VideoTools):
             tools.playback.frame_at(begun)
-        moving = tools.dragging or begun - self._changed_at < SETTLED or self._playing
+        moving = tools.dragging or begun - self._changed_at < SETTLED or self._playing or self._filling
         shot = self._shot((round(width * ratio), round(height * ratio)), ratio, moving)
         key = (shot.deformation, *(getattr(shot, name) for name in _SEEN), self.painter.coarse if moving else 0)
         self._gui.lay()
@@ -187,7 +203,7 @@ class View:
         if anew and moving:
             self.painter.learn(begun)
         self.desk.tick()
-        self._go_on(moving, shot)
+        self._go_on(shot)
 
     def _present(self, shot: Shot, encoder: Any) -> None:
         """Bring it all onto the canvas, at once."""
@@ -226,22 +242,44 @@ class View:
     def _playing(self) -> bool:
         return isinstance(self.tools, VideoTools) and self.tools.playback.playing
 
-    def _go_on(self, moving: bool, shot: Shot) -> None:
+    @property
+    def _filling(self) -> bool:
+        """Whether a volume's buffer is worth waiting for before it is drawn in full, which takes seconds without it."""
+        stage = self.stage
+        if not (isinstance(stage, VolumeStage) and stage.mode == "hybrid" and self.gpu.software):
+            return False
+        return self.filled < 1.0 and not self.document.deformation.is_identity
+
+    def _go_on(self, shot: Shot) -> None:
         """See that what is not done yet goes on."""
         if self._playing or not self.painter.ready:
             self._wake()
-        elif moving:
+        elif time.perf_counter() - self._changed_at < SETTLED:
             self._wake_in(max(self._changed_at + SETTLED - time.perf_counter(), 0.01))
-        elif isinstance(self.stage, VolumeStage):
-            try:
-                self.filled = self.stage.fill(shot.deformation, shot.camera, shot.size, FILLING)
-            except SuppleError as error:
-                self.desk.message = str(error)
-            if self.filled < 1.0:
-                self._drawn_key = None  # each frame is faster than the last
-                self._wake()
+        elif isinstance(self.stage, VolumeStage) and not self.tools.dragging:
+            self._fill(shot)
         if (self.desk.export is not None and not self.desk.export.done) or self.document.dirty:
             self._wake_in(0.25)  # to see how far it is, and to keep what was done
+        since = time.perf_counter() - self._stirred
+        if since < ANSWERED:
+            self._wake()
+        elif since < HINTED:
+            self._wake_in(HINTED - since)
+        if self.desk.asked is not None:
+            self._wake_in(0.25)  # where one writes, a line blinks
+
+    def _fill(self, shot: Shot) -> None:
+        waiting, before = self._filling, self.filled
+        assert isinstance(self.stage, VolumeStage)
+        try:
+            seconds = 10 * FILLING if waiting else FILLING
+            self.filled = self.stage.fill(shot.deformation, shot.camera, shot.size, seconds)
+        except SuppleError as error:
+            self.filled, self.desk.message = 1.0, str(error)
+        if before < self.filled or self.filled < 1.0:
+            if not waiting:
+                self._drawn_key = None  # each frame is faster than the last
+            self._wake()
 
     @property
     def rate(self) -> float:
@@ -292,4 +330,5 @@ class View:
             self.stage.film.close()
 
 
+_HANDS = ("pointer_down", "pointer_move", "pointer_up", "wheel", "key_down", "key_up", "resize")
 _SEEN = ("size", "moving", "origin", "scale", "time", "camera", "overlay", "original", "split")
