@@ -161,10 +161,10 @@ def test_the_panel_answers_though_it_keeps_events_to_itself(view: tuple[Any, Han
     assert window.tools.pointer is None
     # A question is seen though nothing else happens.
     window.desk.ask("export")
-    window._stirred = -10.0
+    waking = window._waking
+    waking._stirred, waking._due = -10.0, float("inf")
     later: list[float] = []
-    monkeypatch.setattr(window, "_call_later", lambda seconds, work: later.append(seconds))
-    window._due = float("inf")
+    monkeypatch.setattr(waking, "_call_later", lambda seconds, work: later.append(seconds))
     hand.canvas.draw()
     assert later
     assert min(later) < 0.5

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import math
 import time
 from collections import deque
 from collections.abc import Callable
@@ -25,11 +24,10 @@ from supple.viewer.gui import Gui
 from supple.viewer.painter import Painter, Shot
 from supple.viewer.stages import ImageStage, VideoStage, VolumeStage
 from supple.viewer.tools import ImageTools, VideoTools, VolumeTools
+from supple.viewer.waking import Waking
 
 SETTLED = 0.15  # seconds without a change, after which a picture is drawn in full
 FILLING = 0.004
-ANSWERED = 0.1  # seconds after an event in which the panel has answered it
-HINTED = 0.6  # and after which it says what something is that the pointer stays on
 
 
 class View:
@@ -64,12 +62,13 @@ class View:
         self.listed: int | None = None
         self.filled = 0.0
         self.painter = Painter(gpu, stage)
+        self._waking = Waking(canvas, call_later)
         self.desk = Desk(document, source, self.write, self._leave, "auto")
-        self.certifier = Certifier(self._wake)
+        self.certifier = Certifier(self._waking.now)
         self._closed = False
         self._pressed = 0.0
         self._call_later = call_later
-        self._changed_at, self._stirred, self._due = 0.0, -math.inf, math.inf
+        self._changed_at = 0.0
         self._drawn_key: tuple[Any, ...] | None = None
         self._textures: tuple[Any, Any] | None = None
         self._laid = (0.0, 0.0, 0.0)
@@ -111,39 +110,24 @@ class View:
     def refresh(self) -> None:
         """Draw anew, in full."""
         self._drawn_key = None
-        self._wake()
+        self._waking.now()
 
     def attempt(self, work: Callable[[], object]) -> None:
         """Do what may be refused, and say so then."""
         self.desk.attempt(work)
-        self._wake()
-
-    def _wake(self) -> None:
-        self.canvas.request_draw()
-
-    def _wake_in(self, seconds: float) -> None:
-        """Draw then, if not before: one that is due earlier looks again what there is to do."""
-        due = time.perf_counter() + seconds
-        if due < self._due:
-            self._due = due
-            self._call_later(seconds, self._woken)
-
-    def _woken(self) -> None:
-        self._due = math.inf
-        self._wake()
+        self._waking.now()
 
     def _changed(self) -> None:
         self._changed_at, self.filled = time.perf_counter(), 0.0
         for call in self._callbacks:
             call(self.document.recipe)
-        self._wake()
+        self._waking.now()
 
     def _stir(self, event: dict[str, Any]) -> None:
-        """Draw some frames for an event: the panel answers in the second or the third, and may keep it to itself."""
-        self._stirred = time.perf_counter()
+        """See that an event is answered, though the panel may keep it to itself."""
         if event["event_type"] == "pointer_move" and not self._inside(event):
             self.tools.handle({"event_type": "pointer_leave"})
-        self._wake()
+        self._waking.stir()
 
     def _inside(self, event: dict[str, Any]) -> bool:
         """Whether it is on the picture."""
@@ -155,10 +139,10 @@ class View:
             self.close()
             return
         if self.desk.asked is not None:
-            self._wake()
+            self._waking.now()
             return
         if kind in ("pointer_down", "wheel") and not self._inside(event):
-            self._wake()
+            self._waking.now()
             return
         if kind == "pointer_down":
             self.desk.message = ""
@@ -172,7 +156,7 @@ class View:
         requests, self.tools.requests[:] = list(self.tools.requests), []
         for request in requests:
             self.desk.ask(request)
-        self._wake()
+        self._waking.now()
 
     # What is drawn.
 
@@ -253,20 +237,16 @@ class View:
     def _go_on(self, shot: Shot) -> None:
         """See that what is not done yet goes on."""
         if self._playing or not self.painter.ready:
-            self._wake()
+            self._waking.now()
         elif time.perf_counter() - self._changed_at < SETTLED:
-            self._wake_in(max(self._changed_at + SETTLED - time.perf_counter(), 0.01))
+            self._waking.later(max(self._changed_at + SETTLED - time.perf_counter(), 0.01))
         elif isinstance(self.stage, VolumeStage) and not self.tools.dragging:
             self._fill(shot)
         if (self.desk.export is not None and not self.desk.export.done) or self.document.dirty:
-            self._wake_in(0.25)  # to see how far it is, and to keep what was done
-        since = time.perf_counter() - self._stirred
-        if since < ANSWERED:
-            self._wake()
-        elif since < HINTED:
-            self._wake_in(HINTED - since)
+            self._waking.later(0.25)  # to see how far it is, and to keep what was done
+        self._waking.answer()
         if self.desk.asked is not None:
-            self._wake_in(0.25)  # where one writes, a line blinks
+            self._waking.later(0.25)  # where one writes, a line blinks
 
     def _fill(self, shot: Shot) -> None:
         waiting, before = self._filling, self.filled
@@ -279,7 +259,7 @@ class View:
         if before < self.filled or self.filled < 1.0:
             if not waiting:
                 self._drawn_key = None  # each frame is faster than the last
-            self._wake()
+            self._waking.now()
 
     @property
     def rate(self) -> float:
