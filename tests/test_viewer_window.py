@@ -1,9 +1,8 @@
-"""The window: without a screen, on a screen by a real pointer, and in a browser."""
+"""The window, without a screen."""
 
 from __future__ import annotations
 
 import asyncio
-import json
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -11,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from windows import SIZE, Browser, Hand, Mouse, a_screen, needs, viewing, wait_for
+from windows import SIZE, Hand, wait_for
 
 import supple
 from supple.gpu.device import Gpu
@@ -309,60 +308,6 @@ def test_who_has_no_token_sees_nothing() -> None:
     assert b"&lt;photo&gt;" in page[1]["body"]
     assert asyncio.run(_answer(guard, "/renderview.js", cookie=cookie)) == [{"type": "served"}]
     assert asyncio.run(_answer(guard, "/", cookie=cookie, kind="websocket")) == [{"type": "served"}]
-
-
-def test_a_real_pointer_on_a_real_screen(gpu: Gpu, photo: Path, state: Path) -> None:
-    with a_screen() as display, viewing(str(photo), folder=state, display=display):
-        mouse = Mouse(display)
-        wait_for(mouse.window)
-        time.sleep(3)
-        mouse.drag((400, 380), (460, 350))
-        time.sleep(1)
-        mouse.drag((500, 300), (480, 340))
-        time.sleep(0.5)
-        mouse.do("key", "ctrl+z")
-        time.sleep(0.5)
-        mouse.do("key", "ctrl+s")
-        saved = state / "photo.recipe.json"
-        wait_for(lambda: mouse.enter() or saved.exists(), every=2.0)
-        recipe = Recipe.from_json(saved.read_text(encoding="utf-8"))
-        assert len(recipe.strokes) == 1
-        assert recipe.strokes[0].by[0] > 10
-        mouse.do("key", "ctrl+shift+z")
-        time.sleep(0.5)
-        mouse.do("key", "ctrl+s")
-        wait_for(lambda: len(Recipe.from_json(saved.read_text(encoding="utf-8")).strokes) == 2)
-        mouse.do("key", "ctrl+e")
-        wait_for(lambda: mouse.enter() or (state / "photo-bent.png").exists(), every=2.0)
-        both = Recipe.from_json(saved.read_text(encoding="utf-8"))
-    supple.warp_file(photo, state / "wanted.png", both)
-    made, wanted = (image.read(state / name).pixels for name in ("photo-bent.png", "wanted.png"))
-    np.testing.assert_array_equal(made, wanted)
-
-
-def test_a_browser_does_the_same_and_is_refused_without_the_token(gpu: Gpu, photo: Path, state: Path) -> None:
-    needs("chromium")
-    with viewing(str(photo), "--serve", folder=state) as process:
-        assert process.stdout is not None
-        line = process.stdout.readline()
-        assert line.startswith("open http://127.0.0.1:")
-        address = line.removeprefix("open ").strip()
-        browser = Browser(state / "browser")
-        try:
-            browser.go(address.partition("?")[0])
-            wait_for(lambda: "those who have its whole address" in browser.text())
-            browser.go(address)
-            wait_for(lambda: np.ptp(browser.shown()[100:300, 100:400].astype(int)) > 100)
-            browser.drag((350, 300), (410, 270))
-            time.sleep(1)
-            browser.key("s", 83, 2)
-            saved = state / "photo.recipe.json"
-            wait_for(lambda: browser.key("Enter", 13) or saved.exists(), every=2.0)
-            (stroke,) = json.loads(saved.read_text(encoding="utf-8"))["strokes"]
-            assert stroke["by"][0] > 10
-            assert "token" not in str(browser.call("Runtime.evaluate", expression="location.href"))
-        finally:
-            browser.close()
 
 
 def test_the_panel_says_what_a_border_holds_back() -> None:

@@ -111,34 +111,38 @@ def viewing(*arguments: str, folder: Path, display: str = "") -> Iterator[subpro
             except subprocess.TimeoutExpired:
                 process.kill()
                 process.wait()
+        said = ""
         if process.stdout is not None:
-            print(process.stdout.read())
+            said = process.stdout.read()
             process.stdout.close()
+        print(said)
+    assert "Traceback" not in said
 
 
 @contextmanager
-def a_screen() -> Iterator[str]:
-    """A screen of its own, by Xvfb: its name."""
+def a_screen(folder: Path) -> Iterator[Mouse]:
+    """A screen of its own, by Xvfb, with a pointer; what is on it lies in a folder."""
     needs("Xvfb", "xdotool")
     read, write = os.pipe()
     server = subprocess.Popen(
-        ["Xvfb", "-displayfd", str(write), "-screen", "0", "1280x800x24", "-nolisten", "tcp"],
+        ["Xvfb", "-displayfd", str(write), "-screen", "0", "1280x800x24", "-nolisten", "tcp", "-fbdir", str(folder)],
         pass_fds=[write],
         stderr=subprocess.DEVNULL,
     )
     os.close(write)
     try:
         with os.fdopen(read) as told:
-            yield f":{told.readline().strip()}"
+            yield Mouse(f":{told.readline().strip()}", folder / "Xvfb_screen0")
     finally:
         server.terminate()
         server.wait()
 
 
 class Mouse:
-    """A pointer and a keyboard on a screen."""
+    """A pointer and a keyboard on a screen, and an eye."""
 
-    def __init__(self, display: str) -> None:
+    def __init__(self, display: str, memory: Path) -> None:
+        self.display, self._memory = display, memory
         self.env = os.environ | {"DISPLAY": display}
 
     def do(self, *words: object) -> str:
@@ -152,18 +156,40 @@ class Mouse:
         made = subprocess.run(["xdotool", "search", "--name", "Supple"], env=self.env, capture_output=True, check=False)
         return bool(made.stdout.strip())
 
+    def shown(self) -> Pixels:
+        """What is on the screen: a header, colours that are not used, and words of blue, green, red and nothing."""
+        data = self._memory.read_bytes()
+        head = np.frombuffer(data, ">u4", 25)
+        columns, rows, line, colours = head[4], head[5], head[12], head[19]
+        pixels = np.frombuffer(data, np.uint8, int(line * rows), int(head[0] + 12 * colours))
+        return np.ascontiguousarray(pixels.reshape(rows, line // 4, 4)[:, :columns, 2::-1])
+
+    def settled(self, seconds: float = 60.0) -> Pixels:
+        """What is on the screen, once there is something and it stays as it is."""
+        last, times = self.shown(), 0
+
+        def still() -> bool:
+            nonlocal last, times
+            before, last = last, self.shown()
+            drawn = np.ptp(last[100:600, 100:800].astype(int)) > 100
+            times = times + 1 if drawn and np.array_equal(before, last) else 0
+            return times == 3
+
+        wait_for(still, seconds, every=0.4)
+        return last
+
     def enter(self) -> None:
         """Press Enter, which is what a question waits for once it is there."""
         self.do("key", "Return")
 
-    def drag(self, start: tuple[int, int], end: tuple[int, int], steps: int = 6) -> None:
+    def drag(self, start: tuple[int, int], end: tuple[int, int], button: int = 1, steps: int = 6) -> None:
         self.do("mousemove", *start)
         time.sleep(0.2)
-        self.do("mousedown", 1)
+        self.do("mousedown", button)
         for k in range(1, steps + 1):
             self.do("mousemove", *(round(a + (b - a) * k / steps) for a, b in zip(start, end, strict=True)))
             time.sleep(0.1)
-        self.do("mouseup", 1)
+        self.do("mouseup", button)
 
 
 class Browser:

@@ -61,7 +61,8 @@ def number(name: str, value: object, wanted: str, low: float, high: float) -> fl
     SuppleError
         If it is anything else.
     """
-    if isinstance(value, bool) or not isinstance(value, Real):
+    # Asking for a protocol takes long.
+    if type(value) is not float and (isinstance(value, bool) or not isinstance(value, Real)):
         refuse(name, wanted, value)
     try:
         checked = float(value)
@@ -79,7 +80,7 @@ def length(name: str, value: object) -> float:
 
 def integer(name: str, value: object, wanted: str, low: int, high: int) -> int:
     """``value`` as an int from ``low`` to ``high``; SuppleError if it is anything else."""
-    if isinstance(value, bool) or not isinstance(value, SupportsIndex):
+    if type(value) is not int and (isinstance(value, bool) or not isinstance(value, SupportsIndex)):
         refuse(name, wanted, value)
     try:
         checked = operator.index(value)

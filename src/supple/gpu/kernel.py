@@ -150,23 +150,28 @@ def owned(stack: contextlib.ExitStack, *buffers: Any) -> tuple[Any, ...]:
     return buffers
 
 
+def bound(gpu: Gpu, layout: Any, buffers: Sequence[Any]) -> Any:
+    """The bind group of buffers, and of views of textures."""
+    entries = [
+        {"binding": k, "resource": buffer if hasattr(buffer, "texture") else {"buffer": buffer}}
+        for k, buffer in enumerate(buffers)
+    ]
+    return gpu.device.create_bind_group(layout=layout, entries=entries)
+
+
 def run(gpu: Gpu, passes: Sequence[tuple[Any, Sequence[Any], Any]]) -> None:
     """Run pipelines one after the other: each with its buffers and its workgroups, or the buffer that tells these."""
     encoder, stack = gpu.device.create_command_encoder(), contextlib.ExitStack()
     clock = gpu.clocks[-1] if gpu.clocks else None
     for (made, layout), buffers, groups in passes:
-        entries = [
-            {"binding": k, "resource": buffer if hasattr(buffer, "texture") else {"buffer": buffer}}
-            for k, buffer in enumerate(buffers)
-        ]
-        bound = gpu.device.create_bind_group(layout=layout, entries=entries)
+        group = bound(gpu, layout, buffers)
         told = None
         if not isinstance(groups, tuple):  # a shader cannot write what it is dispatched by
             (told,) = owned(stack, gpu.device.create_buffer(size=16, usage="INDIRECT|COPY_DST"))
             encoder.copy_buffer_to_buffer(groups, 0, told, 0, 12)
         step = encoder.begin_compute_pass(timestamp_writes=clock.next_pass() if clock else None)
         step.set_pipeline(made)
-        step.set_bind_group(0, bound)
+        step.set_bind_group(0, group)
         if told is None:
             step.dispatch_workgroups(*groups)
         else:
@@ -174,6 +179,14 @@ def run(gpu: Gpu, passes: Sequence[tuple[Any, Sequence[Any], Any]]) -> None:
         step.end()
     with stack:  # what is submitted keeps what it needs
         gpu.device.queue.submit([encoder.finish()])
+
+
+def wait(gpu: Gpu) -> None:
+    """Wait until all that was submitted is done."""
+    try:
+        gpu.device._poll_wait()
+    except AttributeError:  # it is wgpu's own: what it promises to others (0.32) fails, or takes a buffer each time
+        download(gpu, room(gpu, LEAST), np.uint32, 1)
 
 
 class Clock:

@@ -10,7 +10,8 @@ import numpy.typing as npt
 
 from supple.gpu.device import Gpu
 from supple.gpu.field import domain, packed
-from supple.gpu.kernel import READ, TEXTURE, UNIFORM, WRITE, pipeline, room, run, upload
+from supple.gpu.kept import Bound, Kept
+from supple.gpu.kernel import READ, TEXTURE, UNIFORM, WRITE, bound, pipeline, room
 
 Floats = npt.NDArray[np.float64]
 
@@ -77,6 +78,15 @@ class Sight:
     back: tuple[float, float, float] = BACK
 
 
+class _Sheet:
+    """What stays on the device to draw into one texture."""
+
+    def __init__(self, gpu: Gpu, texture: Any) -> None:
+        self.texture, self.view = texture, texture.create_view()
+        self.settings, self.domain, self.strokes = Kept(gpu, UNIFORM), Kept(gpu, UNIFORM), Kept(gpu)
+        self.bound = Bound()
+
+
 class Plate:
     """Frames on a device: one of a picture, a ring of some of a clip's.
 
@@ -108,6 +118,7 @@ class Plate:
         self.earliest, self.held = 0, 0
         self._pixels = room(gpu, 4 * self.stride * slots)
         self._nodes: tuple[int, Any] = (0, None)
+        self._sheets: list[_Sheet] = []
 
     @staticmethod
     def most(gpu: Gpu, size: tuple[int, int]) -> int:
@@ -134,6 +145,7 @@ class Plate:
         table: npt.NDArray[np.void],
         axes: Floats,
         texture: Any,
+        encoder: Any = None,
     ) -> None:
         """Draw what a window shows, through strokes, into a texture of format rgba8unorm.
 
@@ -143,43 +155,69 @@ class Plate:
         table, axes
             The strokes and the domain, as the CPU's kernels take them.
         texture : wgpu.GPUTexture
+        encoder : wgpu.GPUCommandEncoder, optional
+            Whose commands are to do it; by default, it is done at once.
         """
         gpu, (width, height) = self.gpu, sight.size
         cells = tuple(max(1, -(-(n - 1) // CELL)) + 1 for n in sight.size)
-        settings = np.zeros(1, _SETTINGS)
-        for name, value in {
-            "size": sight.size,
-            "nodes": cells,
-            "origin": sight.origin,
-            "scale": sight.scale,
-            "time": sight.time,
-            "source": self.size,
-            "frames": self.frames,
-            "earliest": self.earliest,
-            "held": max(self.held, 1),
-            "slots": self.slots,
-            "stride": self.stride,
-            "levels": len(self.sizes),
-            "strokes": table.size,
-            "solved": sight.solved or sight.overlay in ("residual", "inversions"),
-            "overlay": OVERLAYS[sight.overlay],
-            "every": sight.every,
-            "back": (*sight.back, 1.0),
-        }.items():
-            settings[name] = value
         if self._nodes[0] < cells[0] * cells[1]:
             self._nodes = cells[0] * cells[1], room(gpu, 48 * cells[0] * cells[1])
-        buffers = [
-            upload(gpu, settings, UNIFORM),
-            upload(gpu, domain(axes), UNIFORM),
-            upload(gpu, packed(table)),
+        sheet = self._sheet(texture)
+        resources = (
+            sheet.settings.hold(self._settings(sight, cells, table.size)),
+            sheet.domain.hold(domain(axes)),
+            sheet.strokes.hold(packed(table)),
             self._nodes[1],
             self._pixels,
-            texture.create_view(),
-        ]
-        solve, paint = (pipeline(gpu, _NAMES, entry, _KINDS) for entry in ("solve", "paint"))
-        passes = [(solve, buffers, (-(-cells[0] // 8), -(-cells[1] // 8), 1))] if table.size else []
-        run(gpu, [*passes, (paint, buffers, (-(-width // 8), -(-height // 8), 1))])
+            sheet.view,
+        )
+        (solve, layout), (paint, _) = (pipeline(gpu, _NAMES, entry, _KINDS) for entry in ("solve", "paint"))
+        group = sheet.bound.group(resources, lambda: bound(gpu, layout, resources))
+        commands = encoder or gpu.device.create_command_encoder()
+        step = commands.begin_compute_pass()
+        step.set_bind_group(0, group)
+        if table.size:
+            step.set_pipeline(solve)
+            step.dispatch_workgroups(-(-cells[0] // 8), -(-cells[1] // 8), 1)
+        step.set_pipeline(paint)
+        step.dispatch_workgroups(-(-width // 8), -(-height // 8), 1)
+        step.end()
+        if encoder is None:
+            gpu.device.queue.submit([commands.finish()])
+
+    def _sheet(self, texture: Any) -> _Sheet:
+        for sheet in self._sheets:
+            if sheet.texture is texture:
+                return sheet
+        # Those of the picture as it is, as it was, and of both while a hand moves.
+        self._sheets = [*self._sheets[-3:], _Sheet(self.gpu, texture)]
+        return self._sheets[-1]
+
+    def _settings(self, sight: Sight, cells: tuple[int, ...], strokes: int) -> npt.NDArray[np.void]:
+        return np.array(
+            [
+                (
+                    sight.size,
+                    cells,
+                    sight.origin,
+                    sight.scale,
+                    sight.time,
+                    self.size,
+                    self.frames,
+                    self.earliest,
+                    max(self.held, 1),
+                    self.slots,
+                    self.stride,
+                    len(self.sizes),
+                    strokes,
+                    sight.solved or sight.overlay in ("residual", "inversions"),
+                    OVERLAYS[sight.overlay],
+                    sight.every,
+                    (*sight.back, 1.0),
+                )
+            ],
+            _SETTINGS,
+        )
 
 
 def _halved(pixels: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:

@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 
 from supple.gpu.device import Gpu
-from supple.gpu.kernel import UNIFORM, source, upload
+from supple.gpu.kept import Bound, Kept
+from supple.gpu.kernel import UNIFORM, source
 
 _SETTINGS = np.dtype([("split", "f4"), ("line", "f4"), ("linear", "u4"), ("unused", "u4")])
 
@@ -48,10 +49,11 @@ class Screen:
             fragment={"module": module, "entry_point": "shown", "targets": [{"format": format}]},
             primitive={"topology": "triangle-list"},
         )
+        self._told, self._bound = Kept(gpu, UNIFORM), Bound()
 
-    def present(
+    def draw(
         self,
-        view: Any,
+        drawing: Any,
         first: Any,
         second: Any = None,
         split: float = 0.0,
@@ -61,35 +63,26 @@ class Screen:
 
         Parameters
         ----------
-        view : wgpu.GPUTextureView
-            What the window presents.
+        drawing : wgpu.GPURenderPassEncoder
+            Onto what the window presents.
         first, second : wgpu.GPUTexture
         split : float
         place : (int, int, int, int), optional
-            Where on the screen: left, top, columns and rows; all of it, by default.
+            Where on the screen: left, top, columns and rows, all of which lie on it; all of it, by default.
         """
-        settings = np.zeros(1, _SETTINGS)
-        settings["split"] = split if second is not None else -1.0
-        settings["line"] = 0.001
-        settings["linear"] = self._linear
-        told = upload(self._gpu, settings, UNIFORM)
+        settings = np.array([(split if second is not None else -1.0, 0.001, self._linear, 0)], _SETTINGS)
+        things = self._told.hold(settings), first, second or first
+        drawing.set_pipeline(self._pipeline)
+        if place is not None:
+            drawing.set_viewport(*place, 0.0, 1.0)
+        drawing.set_bind_group(0, self._bound.group(things, lambda: self._group(*things)))
+        drawing.draw(3)
+
+    def _group(self, told: Any, first: Any, second: Any) -> Any:
         entries: list[dict[str, Any]] = [
             {"binding": 0, "resource": {"buffer": told}},
             {"binding": 1, "resource": first.create_view()},
-            {"binding": 2, "resource": (second or first).create_view()},
+            {"binding": 2, "resource": second.create_view()},
             {"binding": 3, "resource": self._smooth},
         ]
-        group = self._gpu.device.create_bind_group(layout=self._pipeline.get_bind_group_layout(0), entries=entries)
-        encoder = self._gpu.device.create_command_encoder()
-        drawing = encoder.begin_render_pass(
-            color_attachments=[{"view": view, "load_op": "clear", "store_op": "store", "clear_value": (0, 0, 0, 1)}]
-        )
-        drawing.set_pipeline(self._pipeline)
-        if place is not None:
-            width, height = view.texture.size[:2]
-            left, top = min(place[0], width - 1), min(place[1], height - 1)
-            drawing.set_viewport(left, top, min(place[2], width - left), min(place[3], height - top), 0.0, 1.0)
-        drawing.set_bind_group(0, group)
-        drawing.draw(3)
-        drawing.end()
-        self._gpu.device.queue.submit([encoder.finish()])
+        return self._gpu.device.create_bind_group(layout=self._pipeline.get_bind_group_layout(0), entries=entries)

@@ -19,6 +19,7 @@ from supple.media.encode import writer_of
 from supple.media.film import Film, said_of
 from supple.media.pixels import Form, palette, unpack
 from supple.media.plan import workers
+from supple.media.seeking import Index, index_of
 from supple.media.timing import Times, usual_step
 from supple.media.troubles import ClipWarning, CountError, unreadable
 from supple.streaming import Array
@@ -64,6 +65,7 @@ class Clip(Film):
         self._pump: Iterator[av.Packet[Any]] | None = None
         self._times: Times | None = None
         self._fresh = True
+        self._index: tuple[Index | None] | None = None
         with opened(path) as container:
             counted = survey(container, chosen(container, path))
         self._sturdy = count is not None or counted.suspect
@@ -163,6 +165,53 @@ class Clip(Film):
         if bad and not self.survey.damaged:
             what = f"has {bad} damaged frame{'s' * (bad > 1)}: what can be decoded is used"
             warnings.warn(f"{self.name} {what}", ClipWarning, stacklevel=2)
+
+    def key_before(self, k: int) -> int:
+        """The frame from which decoding must begin for frame `k`; 0 where the file does not tell, too."""
+        if self._index is None:
+            self._index = (None if self.survey.suspect else index_of(self.path, self.count),)
+        known = self._index[0]
+        return 0 if known is None else known.before(k)
+
+    def frames_from(self, k: int) -> Iterator[tuple[int, Picture]]:
+        """Decode from frame `k` on, beginning at the key frame before it; each comes with its number.
+
+        Where that does not give just the frames that there should be, it goes on as if from the start.
+        """
+        due, key = k, self.key_before(k)
+        known = self._index[0] if self._index is not None and key else None
+        if known is not None:
+            for pts, picture in self._sought(known.starts[key]):  # ends with what it opened, when it is dropped
+                number = -1 if pts is None else known.numbers.get(pts, -1)
+                if key <= number < due or (pts is not None and pts < known.starts[key]):
+                    continue  # on the way; or before the key frame, of which the decoder did not know all
+                if number != due:
+                    break
+                yield due, picture
+                due += 1
+            if due == self.count:
+                return
+            self._index = (None,)  # it is not what it seemed to be
+        for number, picture in enumerate(self.frames()):
+            if number >= due:
+                yield number, picture
+
+    def _sought(self, start: int) -> Iterator[tuple[int | None, Picture]]:
+        """Decode from a key frame on, in a container of its own; nothing, where the file has it elsewhere."""
+        with opened(self.path) as container, contextlib.suppress(av.FFmpegError):
+            film = chosen(container, self.path)
+            container.seek(start, stream=film)
+            decoder, fresh = self._decoder(film, self._threads), True
+            for packet in fed(packets(container, [film])):
+                if fresh and (packet is None or not packet.is_keyframe or packet.pts != start):
+                    return
+                fresh = False
+                decoded = decoded_by(decoder, packet)
+                if decoded is None:
+                    return
+                for frame in decoded:
+                    self._check(frame, 0, ())
+                    yield frame.pts, Picture(self._readable(frame), self.form)
 
     def _rewind(self) -> av.VideoStream:
         if not self._fresh:

@@ -216,6 +216,8 @@ class Desk:
             why = getattr(error, "strerror", None) or "it is no text"
             raise SuppleError(f"cannot read {shown(path)}: {why}: check the name") from None
         self.document.load(Recipe.from_json(text))
+        self.recipe_path = Path(path)
+        self.document.mark_saved()
         self.message = f"opened {shown(path)}"
 
     def open_beside(self, path: PathLike) -> None:

@@ -56,6 +56,7 @@ class Document:
         self._now = self._medium.solve(State.of(_recipe(recipe or Recipe())))
         self._history = History(self._now.state)
         self._saved = self._now.state.content
+        self._parts: tuple[Solved | None, tuple[float, ...]] = (None, ())
 
     @property
     def state(self) -> State:
@@ -82,10 +83,17 @@ class Document:
         """What `supple.warp_file` takes to make what is seen, and what is saved: with the hidden strokes."""
         return self._now.state.recipe
 
+    @property
+    def dampings(self) -> tuple[float, ...]:
+        """The part of each stroke that is applied: 1 unless it is damped, or hidden."""
+        if self._parts[0] is not self._now:
+            parts = iter(self.deformation.resolution()["damping"])
+            self._parts = self._now, tuple(1.0 if item.hidden else float(next(parts)) for item in self.items)
+        return self._parts[1]
+
     def damping(self, i: int) -> float:
-        """The part of a stroke that is applied: 1 unless it is damped."""
-        known = self._nth(i)
-        return 1.0 if known is None else float(self.deformation.resolution()["damping"][known])
+        """The part of a stroke that is applied."""
+        return self.dampings[self._checked(i)]
 
     def warning(self, i: int) -> str | None:
         """What there is to say of a stroke that is damped."""

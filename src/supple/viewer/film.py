@@ -6,7 +6,7 @@ import contextlib
 import os
 import threading
 from collections import OrderedDict
-from collections.abc import Callable
+from collections.abc import Callable, Generator
 from typing import Any
 
 import numpy as np
@@ -89,8 +89,8 @@ class Film:
             self._news.notify_all()
         self._thread.join(5.0)
 
-    def _next(self, at: int) -> int | None:
-        """Which frame is decoded next by whoever is about to decode ``at``; None for none now."""
+    def _next(self) -> int | None:
+        """Which frame is to be decoded next; None for none now."""
         first, last = self._wanted
         # Frames that are wanted, and then those after them, as many as are kept beside those.
         for frame in range(first, min(self.count, max(last + 1, first + self.most * 3 // 4))):
@@ -99,31 +99,30 @@ class Film:
         return None
 
     def _work(self) -> None:
-        while not self._closed:
-            try:
-                with open_clip(self._path, count=self.count) as clip:
+        try:
+            with open_clip(self._path, count=self.count) as clip:
+                while not self._closed:
                     self._decode(clip)
-            except SuppleError as error:
-                self.error = str(error)
-            except Exception as error:  # a thread has nobody to tell but those who wait
-                self.error = f"{self.name} cannot be decoded: {error}"
-            if self.error:
-                with self._news:
-                    self._news.notify_all()
-                return
+        except SuppleError as error:
+            self.error = str(error)
+        except Exception as error:  # a thread has nobody to tell but those who wait
+            self.error = f"{self.name} cannot be decoded: {error}"
+        with self._news:
+            self._news.notify_all()
 
     def _decode(self, clip: Any) -> None:
-        """Decode from the start until frames are wanted that lie behind."""
+        """Decode on from what is wanted, until that lies behind, or beyond where decoding may begin anew."""
         arrays = [np.empty((*g.shape, g.channels), clip.layout.dtype) for g in clip.layout.groups]
-        at = 0
-        with contextlib.closing(clip.frames()) as frames:
-            for picture in frames:
+        begin = self._due()
+        if begin is None:
+            return
+        seeks = hasattr(clip, "frames_from")  # numbered pictures do not
+        with contextlib.closing(clip.frames_from(begin) if seeks else _numbered(clip)) as frames:
+            for at, picture in frames:
+                due = self._due()
+                if due is None or due < at or (due > at + 1 and seeks and clip.key_before(due) > at):
+                    return
                 with self._news:
-                    while not self._closed and self._next(at) is None:
-                        self._news.wait()
-                    wanted = self._next(at)
-                    if self._closed or (wanted is not None and wanted < at):
-                        return
                     keep = at not in self._frames and at >= self._wanted[0]
                 if keep:
                     picture.copy_to(arrays)
@@ -134,10 +133,16 @@ class Film:
                         self._thin()
                         self._news.notify_all()
                     self._on_frame()
-                at += 1
-        with self._news:  # all are decoded: wait for what lies behind
-            while not self._closed and self._next(at) is None:
+
+    def _due(self) -> int | None:
+        """Wait until a frame is to be decoded; None if it is closed."""
+        with self._news:
+            while not self._closed:
+                due = self._next()
+                if due is not None:
+                    return due
                 self._news.wait()
+        return None
 
     def _thin(self) -> None:
         first, last = self._wanted
@@ -146,3 +151,7 @@ class Film:
             if oldest is None:
                 return
             del self._frames[oldest]
+
+
+def _numbered(clip: Any) -> Generator[tuple[int, Any]]:
+    yield from enumerate(clip.frames())

@@ -55,24 +55,28 @@ def _ring(view: View, lines: imgui.ImDrawList) -> None:
 def _handles(view: View, lines: imgui.ImDrawList) -> None:
     tools = view.tools
     assert isinstance(tools, ImageTools)
-    place, document = tools.viewport.to_canvas, view.document
-    for known in view.known():
-        selected = document.selected == known.item
-        if not selected and len(document.items) > 60:
+    document, zoom = view.document, tools.viewport.zoom
+    left, top = tools.viewport.to_canvas(0.0, 0.0)
+    for i, (item, part) in enumerate(zip(document.items, document.dampings, strict=True)):
+        selected = document.selected == i
+        if item.hidden or (not selected and len(document.items) > 60):
             continue
-        start, end = place(*known.start[:2]), place(*known.end[:2])
+        stroke = item.stroke
+        start = left + zoom * stroke.at[0], top + zoom * stroke.at[1]
+        way = zoom * stroke.by[0], zoom * stroke.by[1]
+        end = start[0] + part * way[0], start[1] + part * way[1]
         colour = _BLUE if selected else 0x90FFFFFF
         lines.add_line(start, end, _DARK, 3.0)
         lines.add_line(start, end, colour, 1.5)
         lines.add_circle_filled(start, 3.0, colour)
         lines.add_circle(end, 5.0, colour, 0, 2.0)
-        if known.damping < 0.995:
+        if part < 0.995:
             # As far as was wanted, and is not reached.
-            wanted = place(*known.wanted[:2])
+            wanted = start[0] + way[0], start[1] + way[1]
             lines.add_line(end, wanted, _RED, 1.5)
             lines.add_circle(wanted, 4.0, _RED, 0, 1.5)
         if selected:
-            lines.add_circle(start, document.items[known.item].stroke.radius * tools.viewport.zoom, 0x80FFA040, 0, 1.0)
+            lines.add_circle(start, stroke.radius * zoom, 0x80FFA040, 0, 1.0)
 
 
 def _marks(view: View, lines: imgui.ImDrawList) -> None:
@@ -161,7 +165,7 @@ def status(view: View) -> str:
             parts.append(view.stage.value(view.tools.under))
     if isinstance(view.tools, ImageTools):
         parts.append(f"{view.tools.viewport.percent:.0f} %")
-    if view.rate:
+    if view.rate >= 1.5:
         parts.append(f"{view.rate:.0f} frames a second")
     if view.painter.coarse > 1 and view.tools.dragging:
         parts.append(f"drawn at 1/{view.painter.coarse} while you drag: {why(view)}")

@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 from supple.camera import Camera
 from supple.deformation import Deformation
 from supple.gpu.device import Gpu
+from supple.gpu.kernel import wait
 from supple.gpu.plate import Sight
 from supple.gpu.screen import canvas_texture
 from supple.viewer.stages import ImageStage, VideoStage, VolumeStage
 
 FRAME = 0.05  # seconds that a frame may take while a hand moves
 COARSEST = 8
+_HOME = Camera()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -48,7 +50,7 @@ class Shot:
     origin: tuple[float, float] = (0.0, 0.0)
     scale: float = 1.0
     time: float = 0.0
-    camera: Camera = field(default_factory=Camera)
+    camera: Camera = _HOME
     overlay: str = ""
     original: bool = False
     split: bool = False
@@ -72,19 +74,28 @@ class Painter:
         self._textures: dict[tuple[str, tuple[int, int]], Any] = {}
         self._untouched: Deformation | None = None
 
-    def paint(self, shot: Shot) -> tuple[Any, Any]:
-        """Draw a shot; return the texture of what is seen and, if the shot is split, that of what was."""
+    def paint(self, shot: Shot, encoder: Any = None) -> tuple[Any, Any]:
+        """Draw a shot; return the texture of what is seen and, if the shot is split, that of what was.
+
+        With an encoder, it is drawn when that is submitted, but for what must be at once.
+        """
+        if shot.split:  # what one needs of a clip might take the other's place
+            encoder = None
+        first = self._drawn("first", shot, shot.original, encoder)
+        return first, self._drawn("second", shot, True, encoder) if shot.split else None
+
+    def learn(self, begun: float) -> None:
+        """Wait for a picture that was begun at a time, and learn from it how large pixels should be next."""
+        wait(self.gpu)
+        seconds = time.perf_counter() - begun
+        if seconds > FRAME and self.coarse < COARSEST:
+            self.coarse += 1
+        elif self.coarse > 1 and seconds * (self.coarse / (self.coarse - 1)) ** 2 < 0.7 * FRAME:
+            self.coarse -= 1
+
+    def _drawn(self, name: str, shot: Shot, original: bool, encoder: Any) -> Any:
         coarse = self.coarse if shot.moving else 1
         size = (max(1, -(-shot.size[0] // coarse)), max(1, -(-shot.size[1] // coarse)))
-        begun = time.perf_counter()
-        first = self._drawn("first", shot, size, coarse, original=shot.original)
-        second = self._drawn("second", shot, size, coarse, original=True) if shot.split else None
-        if shot.moving:
-            self._wait(first)
-            self._learn(time.perf_counter() - begun)
-        return first, second
-
-    def _drawn(self, name: str, shot: Shot, size: tuple[int, int], coarse: int, *, original: bool) -> Any:
         texture = self._texture(name, size)
         stage = self.stage
         deformation = self._plain(shot.deformation) if original else shot.deformation
@@ -102,7 +113,7 @@ class Painter:
             solved=not shot.moving,
             overlay=shot.overlay,
         )
-        self.ready = stage.draw(deformation, sight, texture)
+        self.ready = stage.draw(deformation, sight, texture, encoder)
         return texture
 
     def _plain(self, deformation: Deformation) -> Deformation:
@@ -118,13 +129,3 @@ class Painter:
                 self._textures.clear()
             self._textures[key] = canvas_texture(self.gpu, size)
         return self._textures[key]
-
-    def _wait(self, texture: Any) -> None:
-        self.gpu.device.queue.read_texture({"texture": texture}, {"bytes_per_row": 4, "rows_per_image": 1}, (1, 1, 1))
-
-    def _learn(self, seconds: float) -> None:
-        """Draw larger pixels where a frame took too long, and smaller ones where there is time to spare."""
-        if seconds > FRAME and self.coarse < COARSEST:
-            self.coarse += 1
-        elif self.coarse > 1 and seconds * (self.coarse / (self.coarse - 1)) ** 2 < 0.7 * FRAME:
-            self.coarse -= 1

@@ -14,6 +14,7 @@ from supple.transfer import PRESETS
 from supple.viewer.stages import VolumeStage
 
 if TYPE_CHECKING:
+    from supple.viewer.states import Item
     from supple.viewer.view import View
 
 WIDE = 300  # logical pixels
@@ -81,22 +82,34 @@ def _strokes(view: View) -> None:
     imgui.begin_child("strokes", (0, min(180, 26 + 24 * max(len(state.items), 1))), imgui.ChildFlags_.borders)
     if not state.items:
         imgui.text_disabled("Drag on the picture.")
-    dampings = {known.item: known.damping for known in view.known()}
-    for i, item in enumerate(state.items):
-        imgui.push_id(i)
-        changed, seen = imgui.checkbox("##seen", not item.hidden)
-        hint("Seen, or hidden")
-        if changed:
-            view.attempt(lambda i=i, seen=seen: document.hide(i, not seen))  # type: ignore[misc]
-        imgui.same_line()
-        damping = dampings.get(i, 1.0)
-        text = _said(item.stroke) + (f"  {damping:.0%}" if damping < 0.995 else "")
-        if imgui.selectable(text, state.selected == i)[0]:
-            document.select(None if state.selected == i else i)
-        if damping < 0.995:
-            hint("Damped to what does not fold: choose flow below to carry it out whole")
-        imgui.pop_id()
+    if view.listed != state.selected:  # what is chosen elsewhere is shown
+        view.listed = state.selected
+        if state.selected is not None:
+            row = imgui.get_frame_height_with_spacing()
+            imgui.set_scroll_y(row * (state.selected + 0.5) - 0.5 * imgui.get_window_height())
+    clipper = imgui.ListClipper()
+    clipper.begin(len(state.items))
+    while clipper.step():
+        for i in range(clipper.display_start, clipper.display_end):
+            _row(view, i, state.items[i], state.selected == i)
     imgui.end_child()
+
+
+def _row(view: View, i: int, item: Item, selected: bool) -> None:
+    document = view.document
+    imgui.push_id(i)
+    changed, seen = imgui.checkbox("##seen", not item.hidden)
+    hint("Seen, or hidden")
+    if changed:
+        view.attempt(lambda: document.hide(i, not seen))
+    imgui.same_line()
+    damping = document.damping(i)
+    text = _said(item.stroke) + (f"  {damping:.0%}" if damping < 0.995 else "")
+    if imgui.selectable(text, selected)[0]:
+        document.select(None if selected else i)
+    if damping < 0.995:
+        hint("Damped to what does not fold: choose flow below to carry it out whole")
+    imgui.pop_id()
 
 
 def _said(stroke: Stroke) -> str:

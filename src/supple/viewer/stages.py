@@ -35,10 +35,10 @@ class ImageStage:
         self._plate = Plate(gpu, self.size)
         self._plate.put(0, pixels)
 
-    def draw(self, deformation: Deformation, sight: Sight, texture: Any) -> bool:
-        """Draw what a window shows; whether all that is needed was there."""
+    def draw(self, deformation: Deformation, sight: Sight, texture: Any, encoder: Any = None) -> bool:
+        """Draw what a window shows, or have an encoder do it; whether all that is needed was there."""
         space = deformation.space
-        self._plate.draw(sight, space.table, space.axes, texture)
+        self._plate.draw(sight, space.table, space.axes, texture, encoder)
         return True
 
     def value(self, point: tuple[float, float], time: float) -> str:
@@ -59,8 +59,8 @@ class VideoStage:
         slots = max(2, min(film.most, Plate.most(gpu, film.size), film.count))
         self._plate = Plate(gpu, film.size, film.count, slots)
 
-    def draw(self, deformation: Deformation, sight: Sight, texture: Any) -> bool:
-        """Draw what a window shows of a frame; whether all that is needed was there."""
+    def draw(self, deformation: Deformation, sight: Sight, texture: Any, encoder: Any = None) -> bool:
+        """Draw what a window shows of a frame, or have an encoder do it; whether all that is needed was there."""
         first, last = self.needed(deformation, sight.time)
         last = min(last, first + self._plate.slots - 1)
         self.film.want(first, last)
@@ -76,7 +76,7 @@ class VideoStage:
             plate.put(k, pixels)
         space = deformation.space
         if plate.held:
-            plate.draw(sight, space.table, space.axes, texture)
+            plate.draw(sight, space.table, space.axes, texture, encoder)
         return ready
 
     def needed(self, deformation: Deformation, time: float) -> tuple[int, int]:

@@ -112,7 +112,7 @@ class Medium:
         visible = [(i, item.stroke) for i, item in enumerate(state.items) if not item.hidden]
         same = 0
         for (_, stroke), before in zip(visible, chain[-1].strokes, strict=False):
-            if stroke != before:
+            if stroke is not before and stroke != before:
                 break
             same += 1
         made = list(chain[: same + 1])

@@ -6,13 +6,10 @@ import contextlib
 import time
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from imgui_bundle import imgui
-from wgpu.utils.imgui import ImguiRenderer
 
 from supple.errors import SuppleError
 from supple.gpu.device import Gpu
@@ -23,23 +20,14 @@ from supple.viewer import overlay, panels
 from supple.viewer.certify import Certifier
 from supple.viewer.desk import Desk
 from supple.viewer.document import Document
+from supple.viewer.gui import Gui
 from supple.viewer.painter import Painter, Shot
 from supple.viewer.stages import ImageStage, VideoStage, VolumeStage
 from supple.viewer.tools import ImageTools, VideoTools, VolumeTools
+from supple.viewer.waking import Waking
 
 SETTLED = 0.15  # seconds without a change, after which a picture is drawn in full
 FILLING = 0.004
-
-
-@dataclass(frozen=True, slots=True)
-class Known:
-    """A stroke that is seen: where it takes hold, where it leads, and where it was to lead."""
-
-    item: int
-    start: tuple[float, ...]
-    end: tuple[float, ...]
-    wanted: tuple[float, ...]
-    damping: float
 
 
 class View:
@@ -71,12 +59,13 @@ class View:
     ) -> None:
         self.stage, self.document, self.tools, self.canvas, self.gpu = stage, document, tools, canvas, gpu
         self.overlay = ""
+        self.listed: int | None = None
         self.filled = 0.0
         self.painter = Painter(gpu, stage)
+        self._waking = Waking(canvas, call_later)
         self.desk = Desk(document, source, self.write, self._leave, "auto")
-        self.certifier = Certifier(self._wake)
+        self.certifier = Certifier(self._waking.now)
         self._closed = False
-        self._known: tuple[int, list[Known]] = (-1, [])
         self._pressed = 0.0
         self._call_later = call_later
         self._changed_at = 0.0
@@ -89,14 +78,10 @@ class View:
         self._format = context.get_preferred_format(gpu.device.adapter)
         context.configure(device=gpu.device, format=self._format)
         self._context, self._screen = context, Screen(gpu, self._format)
-        self._gui = ImguiRenderer(gpu.device, canvas, self._format)
-        self._gui.set_gui(self._controls)
-        self._gui.backend.io.set_ini_filename("")
-        _dress()
+        self._gui = Gui(gpu, canvas, self._format, self._controls)
         document.on_change.append(self._changed)
-        canvas.add_event_handler(
-            self._event, "pointer_down", "pointer_move", "pointer_up", "wheel", "key_down", "key_up", "resize", "close"
-        )
+        canvas.add_event_handler(self._stir, *_HANDS, "char", order=-100)
+        canvas.add_event_handler(self._event, *_HANDS, "pointer_leave", "close")
         canvas.request_draw(self.draw)
 
     @property
@@ -122,37 +107,31 @@ class View:
         below = panels.LINE + (panels.BAR if self.stage.kind == "video" else 0)
         return max(width - panels.WIDE, 64.0), max(height - below, 64.0)
 
-    def known(self) -> list[Known]:
-        """The strokes that are seen; worked out once for each change."""
-        document = self.document
-        if self._known[0] != document.revision:
-            found = []
-            for i, item in enumerate(document.items):
-                if not item.hidden:
-                    start, end = document.handles(i)
-                    wanted = tuple(a + b for a, b in zip(item.stroke.at, item.stroke.by, strict=True))
-                    found.append(Known(i, start, end, wanted, document.damping(i)))
-            self._known = document.revision, found
-        return self._known[1]
-
     def refresh(self) -> None:
         """Draw anew, in full."""
         self._drawn_key = None
-        self._wake()
+        self._waking.now()
 
     def attempt(self, work: Callable[[], object]) -> None:
         """Do what may be refused, and say so then."""
         self.desk.attempt(work)
-        self._wake()
-
-    def _wake(self) -> None:
-        self.canvas.request_draw()
+        self._waking.now()
 
     def _changed(self) -> None:
-        self._changed_at = time.perf_counter()
+        self._changed_at, self.filled = time.perf_counter(), 0.0
         for call in self._callbacks:
             call(self.document.recipe)
-        self._wake()
+        self._waking.now()
+
+    def _stir(self, event: dict[str, Any]) -> None:
+        """See that an event is answered, though the panel may keep it to itself."""
+        if event["event_type"] == "pointer_move" and not self._inside(event):
+            self.tools.handle({"event_type": "pointer_leave"})
+        self._waking.stir()
+
+    def _inside(self, event: dict[str, Any]) -> bool:
+        """Whether it is on the picture."""
+        return bool(event.get("x", 0) < self.area[0] and event.get("y", 0) < self.area[1])
 
     def _event(self, event: dict[str, Any]) -> None:
         kind = event["event_type"]
@@ -160,27 +139,31 @@ class View:
             self.close()
             return
         if self.desk.asked is not None:
-            self._wake()
+            self._waking.now()
             return
-        inside = event.get("x", 0) < self.area[0] and event.get("y", 0) < self.area[1]
-        if kind in ("pointer_down", "wheel") and not inside:
-            self._wake()
+        if kind in ("pointer_down", "wheel") and not self._inside(event):
+            self._waking.now()
             return
         if kind == "pointer_down":
             self.desk.message = ""
             self._pressed = event.get("time_stamp", 0.0)
         elif kind == "pointer_move" and event.get("time_stamp", self._pressed) < self._pressed:
             return  # browsers hold moves back, and hand them over after a press that came later
+        before = self.tools.view
         self.tools.handle(event)
+        if self.tools.view is not before:
+            self._changed_at = time.perf_counter()
         requests, self.tools.requests[:] = list(self.tools.requests), []
         for request in requests:
             self.desk.ask(request)
-        self._wake()
+        self._waking.now()
 
     # What is drawn.
 
     def draw(self) -> None:
         """Draw a frame: what is asked for by the canvas."""
+        if self._closed:
+            return
         begun = time.perf_counter()
         self._frames.append(begun)
         tools, (width, height) = self.tools, self.area
@@ -190,20 +173,33 @@ class View:
             tools.handle({"event_type": "resize", "width": width, "height": height, "pixel_ratio": ratio})
         if isinstance(tools, VideoTools):
             tools.playback.frame_at(begun)
-        moving = tools.dragging or begun - self._changed_at < SETTLED or self._playing
+        moving = tools.dragging or begun - self._changed_at < SETTLED or self._playing or self._filling
         shot = self._shot((round(width * ratio), round(height * ratio)), ratio, moving)
         key = (shot.deformation, *(getattr(shot, name) for name in _SEEN), self.painter.coarse if moving else 0)
-        if key != self._drawn_key or not self.painter.ready:
+        self._gui.lay()
+        encoder, begun = self.gpu.device.create_command_encoder(), time.perf_counter()
+        anew = key != self._drawn_key or not self.painter.ready
+        if anew:
             with contextlib.suppress(SuppleError):
-                self._textures = self.painter.paint(shot)
+                self._textures = self.painter.paint(shot, encoder)
             self._drawn_key = key
-        view = self._context.get_current_texture().create_view()
-        if self._textures is not None:
-            first, second = self._textures
-            self._screen.present(view, first, second, tools.split or 0.0, (0, 0, *shot.size))
-        self._gui.render()
+        self._present(shot, encoder)
+        if anew and moving:
+            self.painter.learn(begun)
         self.desk.tick()
-        self._go_on(moving, shot)
+        self._go_on(shot)
+
+    def _present(self, shot: Shot, encoder: Any) -> None:
+        """Bring it all onto the canvas, at once."""
+        onto = self._context.get_current_texture()
+        colours = {"view": onto.create_view(), "load_op": "clear", "store_op": "store", "clear_value": (0, 0, 0, 1)}
+        drawing = encoder.begin_render_pass(color_attachments=[colours])
+        if self._textures is not None:
+            place = (0, 0, *(min(a, b) for a, b in zip(shot.size, onto.size, strict=False)))
+            self._screen.draw(drawing, *self._textures, self.tools.split or 0.0, place)
+        self._gui.draw(drawing)
+        drawing.end()
+        self.gpu.device.queue.submit([encoder.finish()])
 
     def _shot(self, size: tuple[int, int], ratio: float, moving: bool) -> Shot:
         tools = self.tools
@@ -230,22 +226,40 @@ class View:
     def _playing(self) -> bool:
         return isinstance(self.tools, VideoTools) and self.tools.playback.playing
 
-    def _go_on(self, moving: bool, shot: Shot) -> None:
+    @property
+    def _filling(self) -> bool:
+        """Whether a volume's buffer is worth waiting for before it is drawn in full, which takes seconds without it."""
+        stage = self.stage
+        if not (isinstance(stage, VolumeStage) and stage.mode == "hybrid" and self.gpu.software):
+            return False
+        return self.filled < 1.0 and not self.document.deformation.is_identity
+
+    def _go_on(self, shot: Shot) -> None:
         """See that what is not done yet goes on."""
         if self._playing or not self.painter.ready:
-            self._wake()
-        elif moving:
-            self._call_later(SETTLED, self._wake)
-        elif isinstance(self.stage, VolumeStage):
-            try:
-                self.filled = self.stage.fill(shot.deformation, shot.camera, shot.size, FILLING)
-            except SuppleError as error:
-                self.desk.message = str(error)
-            if self.filled < 1.0:
-                self._drawn_key = None  # each frame is faster than the last
-                self._wake()
+            self._waking.now()
+        elif time.perf_counter() - self._changed_at < SETTLED:
+            self._waking.later(max(self._changed_at + SETTLED - time.perf_counter(), 0.01))
+        elif isinstance(self.stage, VolumeStage) and not self.tools.dragging:
+            self._fill(shot)
         if (self.desk.export is not None and not self.desk.export.done) or self.document.dirty:
-            self._call_later(0.25, self._wake)  # to see how far it is, and to keep what was done
+            self._waking.later(0.25)  # to see how far it is, and to keep what was done
+        self._waking.answer()
+        if self.desk.asked is not None:
+            self._waking.later(0.25)  # where one writes, a line blinks
+
+    def _fill(self, shot: Shot) -> None:
+        waiting, before = self._filling, self.filled
+        assert isinstance(self.stage, VolumeStage)
+        try:
+            seconds = 10 * FILLING if waiting else FILLING
+            self.filled = self.stage.fill(shot.deformation, shot.camera, shot.size, seconds)
+        except SuppleError as error:
+            self.filled, self.desk.message = 1.0, str(error)
+        if before < self.filled or self.filled < 1.0:
+            if not waiting:
+                self._drawn_key = None  # each frame is faster than the last
+            self._waking.now()
 
     @property
     def rate(self) -> float:
@@ -296,18 +310,5 @@ class View:
             self.stage.film.close()
 
 
+_HANDS = ("pointer_down", "pointer_move", "pointer_up", "wheel", "key_down", "key_up", "resize")
 _SEEN = ("size", "moving", "origin", "scale", "time", "camera", "overlay", "original", "split")
-
-
-def _dress() -> None:
-    """Letters that can be read, and colours that do not glare."""
-    from importlib import resources
-
-    io, style = imgui.get_io(), imgui.get_style()
-    font = resources.files("imgui_bundle") / "assets" / "fonts" / "DroidSans.ttf"
-    with resources.as_file(font) as path:
-        if path.is_file():
-            io.fonts.add_font_from_file_ttf(str(path), 15.0)
-    style.set_color_(imgui.Col_.modal_window_dim_bg, (0.0, 0.0, 0.0, 0.45))
-    style.frame_rounding = style.grab_rounding = style.popup_rounding = 3.0
-    style.item_spacing = imgui.ImVec2(7, 5)

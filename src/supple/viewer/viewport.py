@@ -73,7 +73,8 @@ class Viewport:
 
     @property
     def _fit(self) -> float:
-        return min(c / n for c, n in zip(self.canvas_size, self.image_size, strict=True))
+        (width, height), (columns, rows) = self.canvas_size, self.image_size
+        return min(width / columns, height / rows)
 
     def to_image(self, x: float, y: float) -> Pair:
         """The point of the picture under a point of the canvas; it may lie outside."""

@@ -1,0 +1,164 @@
+"""Draws what Dear ImGui lays out: one buffer that is written once a frame, and as few calls as there are clips."""
+
+from __future__ import annotations
+
+import ctypes
+from typing import Any
+
+import numpy as np
+from imgui_bundle import imgui
+
+from supple.gpu.device import Gpu
+from supple.gpu.kept import Kept
+from supple.gpu.kernel import UNIFORM
+
+_SETTINGS = np.dtype([("origin", "f4", 2), ("size", "f4", 2), ("gamma", "f4"), ("unused", "f4", 3)])
+_SHADER = """
+struct Settings { origin: vec2f, size: vec2f, gamma: f32 }
+struct Corner { @builtin(position) position: vec4f, @location(0) at: vec2f, @location(1) colour: vec4f }
+
+@group(0) @binding(0) var<uniform> settings: Settings;
+@group(0) @binding(1) var smooth_: sampler;
+@group(1) @binding(0) var letters: texture_2d<f32>;
+
+@vertex
+fn corner(@location(0) place: vec2f, @location(1) at: vec2f, @location(2) colour: vec4f) -> Corner {
+    let p = 2.0 * (place - settings.origin) / settings.size - 1.0;
+    return Corner(vec4f(p.x, -p.y, 0.0, 1.0), at, colour);
+}
+
+@fragment
+fn inked(corner: Corner) -> @location(0) vec4f {
+    let c = corner.colour * textureSample(letters, smooth_, corner.at);
+    return vec4f(pow(c.rgb, vec3f(settings.gamma)), c.a);
+}
+"""
+_OVER = {"src_factor": "src-alpha", "dst_factor": "one-minus-src-alpha", "operation": "add"}
+_USAGE = "VERTEX|INDEX|COPY_DST"
+_INDEX = {2: "uint16", 4: "uint32"}[imgui.INDEX_SIZE]
+
+
+class Ink:
+    """Draws lists of triangles onto what a window presents.
+
+    Parameters
+    ----------
+    gpu : Gpu
+    format : str
+        Of what it presents.
+    """
+
+    def __init__(self, gpu: Gpu, format: str) -> None:
+        self._device, self._gamma = gpu.device, 2.2 if format.endswith("srgb") else 1.0
+        self._told, self._buffer = Kept(gpu, UNIFORM), gpu.device.create_buffer(size=1 << 18, usage=_USAGE)
+        self._groups: dict[int, Any] = {}
+        self._letters: dict[int, Any] = {}
+        module = gpu.device.create_shader_module(code=_SHADER)
+        shapes = zip(("float32x2", "float32x2", "unorm8x4"), (0, 8, 16), strict=True)
+        attributes = [{"format": f, "offset": o, "shader_location": k} for k, (f, o) in enumerate(shapes)]
+        self._pipeline = gpu.device.create_render_pipeline(
+            layout="auto",
+            vertex={
+                "module": module,
+                "entry_point": "corner",
+                "buffers": [{"array_stride": imgui.VERTEX_SIZE, "step_mode": "vertex", "attributes": attributes}],
+            },
+            fragment={
+                "module": module,
+                "entry_point": "inked",
+                "targets": [{"format": format, "blend": {"color": _OVER, "alpha": _OVER | {"src_factor": "one"}}}],
+            },
+            primitive={"topology": "triangle-list"},
+        )
+        smooth = gpu.device.create_sampler(mag_filter="linear", min_filter="linear")
+        self._common = gpu.device.create_bind_group(
+            layout=self._pipeline.get_bind_group_layout(0),
+            entries=[
+                {"binding": 0, "resource": {"buffer": self._told.hold(np.zeros(1, _SETTINGS))}},
+                {"binding": 1, "resource": smooth},
+            ],
+        )
+
+    def draw(self, data: imgui.ImDrawData, drawing: Any) -> None:
+        """Draw into a render pass."""
+        for texture in data.textures or ():
+            if texture.status != imgui.ImTextureStatus.ok:
+                self._update(texture)
+        ratio, (left, top), (wide, high) = data.framebuffer_scale, data.display_pos, data.display_size
+        columns, rows = int(wide * ratio.x), int(high * ratio.y)
+        lists = list(data.cmd_lists)
+        if columns <= 0 or rows <= 0 or not lists:
+            return
+        self._told.hold(np.array([((left, top), (wide, high), self._gamma, (0, 0, 0))], _SETTINGS))
+        indices = self._write(lists)
+        drawing.set_viewport(0, 0, columns, rows, 0, 1)
+        drawing.set_pipeline(self._pipeline)
+        drawing.set_vertex_buffer(0, self._buffer)
+        drawing.set_index_buffer(self._buffer, _INDEX, indices)
+        drawing.set_bind_group(0, self._common)
+        corner, index, bound = 0, 0, 0
+        for part in lists:
+            for command in part.cmd_buffer:
+                clip = command.clip_rect
+                x, y = max(int((clip.x - left) * ratio.x), 0), max(int((clip.y - top) * ratio.y), 0)
+                width = min(int((clip.z - left) * ratio.x), columns) - x
+                height = min(int((clip.w - top) * ratio.y), rows) - y
+                if width <= 0 or height <= 0 or not command.elem_count:
+                    continue
+                which = command.tex_ref.get_tex_id()
+                if which != bound:
+                    bound = which
+                    drawing.set_bind_group(1, self._groups[which])
+                drawing.set_scissor_rect(x, y, width, height)
+                first, base = index + command.idx_offset, corner + command.vtx_offset
+                drawing.draw_indexed(command.elem_count, 1, first, base, 0)
+            corner += part.vtx_buffer.size()
+            index += part.idx_buffer.size()
+
+    def _write(self, lists: list[Any]) -> int:
+        """Corners, and then the indices of triangles; where these begin."""
+        parts = [_bytes(part.vtx_buffer, imgui.VERTEX_SIZE) for part in lists]
+        begin = sum(map(len, parts))
+        begin += -begin % 4
+        parts += [bytes(begin - sum(map(len, parts)))]
+        parts += [_bytes(part.idx_buffer, imgui.INDEX_SIZE) for part in lists]
+        data = b"".join(parts)
+        data += bytes(-len(data) % 4)
+        if self._buffer.size < len(data):
+            self._buffer = self._device.create_buffer(size=2 * len(data), usage=_USAGE)
+        self._device.queue.write_buffer(self._buffer, 0, data)
+        return begin
+
+    def _update(self, texture: imgui.ImTextureData) -> None:
+        """Do what is wanted with a texture of letters."""
+        status = imgui.ImTextureStatus
+        if texture.status == status.want_destroy:
+            if texture.unused_frames > 0:
+                which = texture.get_tex_id()
+                self._letters.pop(which, None)
+                self._groups.pop(which, None)
+                texture.set_tex_id(0)
+                texture.set_status(status.destroyed)
+            return
+        size = texture.width, texture.height, 1
+        if texture.status == status.want_create:
+            made = self._device.create_texture(size=size, format="rgba8unorm", usage="COPY_DST|TEXTURE_BINDING")
+            which = max(self._letters, default=0) + 1
+            texture.set_tex_id(which)
+            self._letters[which] = made
+            self._groups[which] = self._device.create_bind_group(
+                layout=self._pipeline.get_bind_group_layout(1),
+                entries=[{"binding": 0, "resource": made.create_view()}],
+            )
+        # All of it: some letters more are rare.
+        self._device.queue.write_texture(
+            {"texture": self._letters[texture.get_tex_id()]},
+            texture.get_pixels_array(),
+            {"bytes_per_row": 4 * texture.width, "rows_per_image": texture.height},
+            size,
+        )
+        texture.set_status(status.ok)
+
+
+def _bytes(vector: Any, size: int) -> bytes:
+    return ctypes.string_at(vector.data_address(), vector.size() * size)
