@@ -671,3 +671,15 @@ def test_figure_6_4() -> None:
     assert np.unravel_index(when.argmax(), when.shape) == (0, 0)
     assert when[49, 49] == pytest.approx(FIRST_RED - 0.5 - 30, abs=0.1)
     assert when[0, 0] > when[49, 49] + 15
+
+
+def test_one_frame_is_reported_by_itself():
+    d = Deformation((5, 30, 40), border=None).grab((20, 15, 2), by=(4, 2, 1), radius=8)
+    each = [d.report(plane=k) for k in range(5)]
+    whole = d.report()
+    assert max(report.error for report in each) == whole.error
+    assert min(report.error for report in each) < whole.error
+    assert sum(report.evaluations for report in each) / 5 == pytest.approx(whole.evaluations)
+    for wrong in (5, -1, 0.5):
+        with pytest.raises(SuppleError, match="plane must be one of the 5 there are"):
+            d.report(plane=wrong)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import time
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ import pytest
 from windows import SIZE, Hand
 
 import supple
+from supple.errors import SuppleError
 from supple.gpu.device import Gpu
 from supple.media import volume as volumes
 from supple.strokes import Recipe, Stroke
@@ -108,3 +110,76 @@ def test_what_is_played_is_marked(gpu: Gpu) -> None:
     hand.key("u")
     assert marked().size == 0
     view.close()
+
+
+def test_the_frame_that_is_seen_is_certified(gpu: Gpu) -> None:
+    from supple.viewer.overlay import status
+
+    stroke = Stroke(at=(120, 80, 10), by=(14, 6, 4), radius=40)
+    view, hand = opened(DATA / "bunny.mp4", Recipe(border=None, strokes=(stroke,)))
+    for frame in (8, 12):
+        view.tools.playback.seek(frame)
+        end = time.monotonic() + 60
+        while "certified" not in status(view) and time.monotonic() < end:
+            time.sleep(0.05)
+        wanted = view.document.deformation.report(plane=frame).error
+        assert 0 < wanted < 0.01
+        assert f"error at most {wanted:.2g} px in this frame, certified" in status(view)
+    hand.key(" ")
+    assert "certified" not in status(view)  # while it plays
+    view.document.mark_saved()
+    view.close()
+
+
+def test_strokes_of_other_frames_are_faint(gpu: Gpu) -> None:
+    stroke = Stroke(at=(120, 80, 10), by=(40, 6, 4), radius=40)
+    view, hand = opened(DATA / "bunny.mp4", Recipe(border=None, strokes=(stroke,)))
+    view.document.select(0)
+
+    def blue(frame: int) -> int:
+        view.tools.playback.seek(frame)
+        for _ in range(40):
+            picture = hand.canvas.draw()[..., :3].astype(int)
+            if view.painter.ready:
+                break
+            time.sleep(0.05)
+        return int((np.abs(picture[:600, :600] - (64, 160, 255)).max(axis=-1) < 30).sum())
+
+    counts = [blue(frame) for frame in (2, 10, 14)]
+    assert counts[1] > counts[0] + 10  # where it begins
+    assert counts[2] > counts[0] + 10  # and where it ends
+    view.document.mark_saved()
+    view.close()
+
+
+def test_an_array_of_a_volume(gpu: Gpu) -> None:
+    from rendercanvas.offscreen import RenderCanvas, loop
+
+    from supple.viewer.launch import opened as opened_on
+
+    z, y, x = np.mgrid[:20, :24, :28]
+    ball = (((x - 14) ** 2 + (y - 12) ** 2 + 4 * (z - 10) ** 2) < 90).astype(np.float32)
+    canvas = RenderCanvas(size=SIZE, pixel_ratio=1.0)
+    view = opened_on(ball, None, canvas, loop, spacing=(1, 1, 2))
+    assert view.stage.kind == "volume"
+    assert view.stage.spacing == (1, 1, 2)
+    before = canvas.draw()
+    assert np.ptp(before[200:600, 300:700, :3]) > 60
+    hand = Hand(canvas)
+    hand.drag((350, 300), (410, 300))
+    (made,) = view.recipe.strokes
+    assert len(made.at) == 3
+    view.close()
+    for spacing in ((1, 1), (0, 1, 1), "a"):
+        with pytest.raises(SuppleError, match="spacing"):
+            opened_on(ball, None, canvas, loop, spacing=spacing)  # type: ignore[arg-type]
+    with pytest.raises(SuppleError, match=r"of a clip too: found uint8 \(2, 3, 4, 3\)"):
+        opened_on(np.zeros((2, 3, 4, 3), np.uint8), None, canvas, loop)
+
+
+def test_all_of_a_stroke_is_said() -> None:
+    from supple.viewer.panels import described
+
+    said = described(Stroke(at=(1, 2), by=(3, 4), radius=5, poisson=0.3, scales=2), 0.5)
+    for word in ("grab", "(1.0, 2.0)", "(3.0, 4.0)", "radius 5", "Poisson ratio 0.3", "1/r3", "damped to 50%"):
+        assert word in said

@@ -14,7 +14,7 @@ from supple.cpu import field as forward_kernels
 from supple.cpu import newton
 from supple.cpu.kernel import share, threads
 from supple.cpu.warp import Band, Certificate, Plane, absolute, each_band, folds, measure, solve_plane
-from supple.domain import Domain, choice, number, refuse
+from supple.domain import Domain, choice, integer, number, refuse
 from supple.engines import gpu_of, warp_on_gpu
 from supple.errors import FoldWarning, SuppleError, ToleranceWarning
 from supple.folding import Resolved, resolve
@@ -485,14 +485,26 @@ class Deformation:
             out=out,
         )
 
-    def report(self, *, tolerance: float = 0.01) -> Report:
-        """What was done with the strokes, and the certified error of the inverse map at a tolerance, in pixels."""
+    def report(self, *, tolerance: float = 0.01, plane: int | None = None) -> Report:
+        """What was done with the strokes, and the certified error of the inverse map.
+
+        Parameters
+        ----------
+        tolerance : float
+            At which the map is made, in pixels.
+        plane : int, optional
+            The frame or the slice that is looked at, if not all are.
+        """
         tolerance = number("tolerance", tolerance, "a number of pixels above 0", 1e-9, 1e9)
+        count = self.shape[0] if self.ndim == 3 else 1
+        which = range(count)
+        if plane is not None:
+            which = range(k := integer("plane", plane, f"one of the {count} there are", 0, count - 1), k + 1)
         certificate, turned = Certificate(0.0, 0.0), 0
-        for plane in self._planes() if not self.is_identity else ():
-            certificate |= measure(plane, tolerance)
-            turned += folds(plane)
-        size = float(np.prod(self.shape))
+        for solved in self._planes(which) if not self.is_identity else ():
+            certificate |= measure(solved, tolerance)
+            turned += folds(solved)
+        size = float(np.prod(self.shape)) * len(which) / count
         return Report(
             **self.resolution(),
             folds=turned,
@@ -517,8 +529,8 @@ class Deformation:
         """For each stroke, what was warned of if it was damped."""
         return tuple(r.warning for r in self._resolved)
 
-    def _planes(self) -> Iterator[Plane]:
-        for z in range(self.shape[0] if self.ndim == 3 else 1):
+    def _planes(self, which: range | None = None) -> Iterator[Plane]:
+        for z in which if which is not None else range(self.shape[0] if self.ndim == 3 else 1):
             yield solve_plane(self._table, self._axes, (self.shape[-2], self.shape[-1]), self.ndim, float(z))
 
     def _each_plane(self, tolerance: float, use: Callable[[int], Callable[[Band], None]]) -> None:

@@ -110,10 +110,18 @@ class Autosave:
 
     def clear(self) -> None:
         """End well: nothing is kept."""
+        self._end(keep=False)
+
+    def leave(self) -> None:
+        """End, and leave what is kept to the next window."""
+        self._end(keep=True)
+
+    def _end(self, *, keep: bool) -> None:
         self._ended = True
         self.flush()
         self._pool.shutdown()
-        self._remove()
+        if not keep:
+            self._remove()
         if self._lock is not None:
             self._lock.close()
             with contextlib.suppress(OSError):

@@ -9,6 +9,12 @@ from supple.deformation import Deformation, Report
 from supple.errors import SuppleError
 from supple.viewer.heard import heard
 
+_Asked = tuple[Deformation, int | None] | None
+
+
+def _same(one: _Asked, other: _Asked) -> bool:
+    return one is other or (one is not None and other is not None and one[0] is other[0] and one[1] == other[1])
+
 
 class Certifier:
     """Measures the map of the last deformation that it was given, in a thread of its own.
@@ -22,19 +28,20 @@ class Certifier:
     def __init__(self, on_report: Callable[[], None] = lambda: None) -> None:
         self._on_report = on_report
         self._news = threading.Condition()
-        self._wanted: Deformation | None = None
-        self._begun: Deformation | None = None
-        self._known: tuple[Deformation, Report] | None = None
+        self._wanted: _Asked = None
+        self._begun: _Asked = None
+        self._known: tuple[_Asked, Report] | None = None
         self._closed = False
         self._thread: threading.Thread | None = None
 
-    def report(self, deformation: Deformation) -> Report | None:
-        """What is known of a deformation; None while it is being measured."""
+    def report(self, deformation: Deformation, plane: int | None = None) -> Report | None:
+        """What is known of a deformation, or of one plane of it; None while it is being measured."""
+        asked = deformation, plane
         with self._news:
-            if self._known is not None and self._known[0] is deformation:
+            if self._known is not None and _same(self._known[0], asked):
                 return self._known[1]
-            if self._wanted is not deformation:
-                self._wanted = deformation
+            if not _same(self._wanted, asked):
+                self._wanted = asked
                 self._news.notify_all()
             if self._thread is None:
                 self._thread = threading.Thread(target=self._work, name="supple-certify", daemon=True)
@@ -58,7 +65,7 @@ class Certifier:
                 continue
             try:
                 with heard(lambda text, kind: None):
-                    report = done.report()
+                    report = done[0].report(plane=done[1])
             except SuppleError:
                 continue
             with self._news:

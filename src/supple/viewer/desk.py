@@ -269,7 +269,7 @@ class Desk:
         if self.autosave is not None:
             if self.document.dirty:  # whoever closes this without asking keeps it for the next time
                 self.autosave.tick()
-                self.autosave.flush()
+                self.autosave.leave()
             else:
                 self.autosave.clear()
 

@@ -11,11 +11,13 @@ import numpy as np
 import numpy.typing as npt
 
 from supple.clips import is_clip
-from supple.domain import choice
+from supple.domain import choice, length, point
 from supple.errors import SuppleError
+from supple.geometry import Geometry
 from supple.gpu.device import Gpu, open_gpu
 from supple.media.files import shown
 from supple.media.image import read
+from supple.media.volume import Volume
 from supple.strokes import Recipe
 from supple.viewer import qt
 from supple.viewer.document import Document
@@ -36,10 +38,12 @@ TOOLKITS = ("glfw", "qt")
 _EXTRA = "pip install 'supple[view]'"
 _NO_SCREEN = "no screen was found for a window: --serve shows it in a browser"
 Source = str | os.PathLike[str] | npt.NDArray[Any]
+Spacing = tuple[float, float, float]
+_EVEN = (1.0, 1.0, 1.0)
 
 
-def stage_of(gpu: Gpu, source: Source) -> ImageStage | VideoStage | VolumeStage:
-    """What a file, or an array of a picture (H, W[, C]) or of a volume (Z, H, W), is shown as.
+def stage_of(gpu: Gpu, source: Source, spacing: Spacing = _EVEN) -> ImageStage | VideoStage | VolumeStage:
+    """What a file, or an array of a picture (H, W[, C]) or of a volume (Z, H, W), more than 4 voxels wide, is shown as.
 
     Raises
     ------
@@ -48,12 +52,15 @@ def stage_of(gpu: Gpu, source: Source) -> ImageStage | VideoStage | VolumeStage:
     """
     if not isinstance(source, str | os.PathLike):
         array = np.asarray(source)
-        if array.ndim == 3 and array.shape[2] > 4:
-            raise SuppleError(f"an array of shape {array.shape} is no picture: give the file of a volume or a clip")
         if array.ndim not in (2, 3) or 0 in array.shape or array.dtype.kind not in "biuf":
             raise SuppleError(
-                f"a picture is an array of numbers (H, W) or (H, W, C), found {array.dtype} {array.shape}"
+                "what is shown is an array of numbers, of a picture (H, W) or (H, W, C) or of a volume (Z, H, W), or a "
+                f"file, of a clip too: found {array.dtype} {array.shape}"
             )
+        if array.ndim == 3 and array.shape[2] > 4:
+            x, y, z = (length("spacing", v) for v in point("spacing", spacing, (3,)))
+            held = Volume(array, Geometry(spacing=(x, y, z)), "the array", "array")
+            return VolumeStage(gpu, held, default_transfer(held))
         return _held(gpu, "the array", as_pixels(array))
     if not os.path.exists(source) and "%" not in os.fspath(source):
         raise SuppleError(f"cannot read {shown(source)}: there is no such file: check the name")
@@ -100,7 +107,14 @@ def tools_of(
     return tools
 
 
-def opened(source: Source, recipe: Recipe | None, canvas: Any, loop: Any, gpu: Gpu | None = None) -> View:
+def opened(
+    source: Source,
+    recipe: Recipe | None,
+    canvas: Any,
+    loop: Any,
+    gpu: Gpu | None = None,
+    spacing: Spacing = _EVEN,
+) -> View:
     """A view of a source on a canvas.
 
     Raises
@@ -113,7 +127,7 @@ def opened(source: Source, recipe: Recipe | None, canvas: Any, loop: Any, gpu: G
     except ImportError as error:
         raise missing(error) from None
     gpu = gpu or _gpu()
-    stage = stage_of(gpu, source)
+    stage = stage_of(gpu, source, spacing)
     document = Document(stage.shape, stage.spacing, recipe, kind=stage.kind)
     tools = tools_of(stage, document, canvas.get_logical_size())
     path = Path(source) if isinstance(source, str | os.PathLike) else None
@@ -160,19 +174,28 @@ def on_screen_of(toolkit: str) -> tuple[Any, Any]:
     return RenderCanvas, loop
 
 
-def show(source: Source, recipe: Recipe | None = None, *, toolkit: str = "glfw", size: tuple[int, int] = SIZE) -> View:
+def show(
+    source: Source,
+    recipe: Recipe | None = None,
+    *,
+    toolkit: str = "glfw",
+    size: tuple[int, int] = SIZE,
+    spacing: Spacing = _EVEN,
+) -> View:
     """Open a window, and come back when it is closed.
 
     Parameters
     ----------
     source : str, os.PathLike or array
-        A photograph, a clip or a volume; or an array of a picture.
+        A photograph, a clip or a volume; or an array of a picture or a volume.
     recipe : Recipe, optional
         What there is at first.
     toolkit : str
         ``"glfw"``, or ``"qt"`` where PySide6 or PyQt6 is installed.
     size : (int, int)
         Columns and rows of the window.
+    spacing : (float, float, float)
+        Of the voxels of an array, in millimetres, x first.
 
     Returns
     -------
@@ -183,7 +206,7 @@ def show(source: Source, recipe: Recipe | None = None, *, toolkit: str = "glfw",
     gpu = _gpu()
     canvas = canvas_type(size=size, title="Supple", max_fps=60, update_mode="ondemand", vsync=False)
     try:
-        made = opened(source, recipe, canvas, loop, gpu)
+        made = opened(source, recipe, canvas, loop, gpu, spacing)
     except SuppleError:
         canvas.close()
         raise
@@ -223,7 +246,7 @@ def in_notebook() -> bool:
     return shell is not None and type(shell).__name__ == "ZMQInteractiveShell"
 
 
-def view(source: Source, recipe: Recipe | None = None) -> View:
+def view(source: Source, recipe: Recipe | None = None, *, spacing: Spacing = _EVEN) -> View:
     """Bend a photograph, a clip or a volume by hand.
 
     In a notebook, what is returned is a widget. Elsewhere, a window is opened, and this comes back when it is closed.
@@ -231,9 +254,11 @@ def view(source: Source, recipe: Recipe | None = None) -> View:
     Parameters
     ----------
     source : str, os.PathLike or array
-        A file; or the array of a picture, (H, W) or (H, W, C).
+        A file; or the array of a picture, (H, W) or (H, W, C) of up to 4 channels, or of a volume, (Z, H, W).
     recipe : Recipe, optional
         Strokes that there are at first.
+    spacing : (float, float, float)
+        Of the voxels of an array, in millimetres, x first.
 
     Returns
     -------
@@ -246,14 +271,14 @@ def view(source: Source, recipe: Recipe | None = None) -> View:
         If the source or the recipe does not fit, there is no GPU, or a part of the window is not installed.
     """
     if not in_notebook():
-        return show(source, recipe)
+        return show(source, recipe, spacing=spacing)
     try:
         from rendercanvas.anywidget import RenderCanvas, loop
     except ImportError as error:
         raise missing(error) from None
     canvas = RenderCanvas(size=(960, 600), max_fps=30, update_mode="ondemand")
     canvas.set_css_width("calc(100% - 4px)")  # of the cell, with its frame
-    return opened(source, recipe, canvas, loop)
+    return opened(source, recipe, canvas, loop, spacing=spacing)
 
 
 def serve(source: Source, recipe: Recipe | None = None, *, port: int = 0, tell: Callable[[str], None] = print) -> None:

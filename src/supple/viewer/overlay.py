@@ -66,6 +66,14 @@ def _handles(view: View, lines: imgui.ImDrawList) -> None:
         way = zoom * stroke.by[0], zoom * stroke.by[1]
         end = start[0] + part * way[0], start[1] + part * way[1]
         colour = _BLUE if selected else 0x90FFFFFF
+        if isinstance(view.stage, VideoStage):
+            # Of another frame, they are faint, and cannot be taken.
+            there = [abs(t - view.frame) <= 0.5 for t in (stroke.at[2], stroke.at[2] + part * stroke.by[2])]
+            if not all(there):
+                for place, seen in zip((start, end), there, strict=True):
+                    if seen or selected:
+                        lines.add_circle(place, 5.0 if seen else 3.0, colour if seen else 0x50FFFFFF, 0, 1.5)
+                continue
         lines.add_line(start, end, _DARK, 3.0)
         lines.add_line(start, end, colour, 1.5)
         lines.add_circle_filled(start, 3.0, colour)
@@ -189,7 +197,12 @@ def certified(view: View) -> str:
         return f"off by {off}: mode exact is not"
     if deformation.is_identity:
         return ""
-    if deformation.ndim == 3 or view.document.dragging:
+    if view.document.dragging:
         return ""
-    report = view.certifier.report(deformation)
-    return "measuring the error ..." if report is None else f"error at most {report.error:.2g} px, certified"
+    plane, where = None, ""
+    if isinstance(view.tools, VideoTools):
+        if view.tools.playback.playing:
+            return ""
+        plane, where = round(view.frame), " in this frame"
+    report = view.certifier.report(deformation, plane)
+    return "measuring the error ..." if report is None else f"error at most {report.error:.2g} px{where}, certified"

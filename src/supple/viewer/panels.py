@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
 WIDE = 300  # logical pixels
 BAR, LINE = 44, 24  # and of the timeline and the status line below
+REACHES = ("far, as 1/r", "nearer, as 1/r3", "near, as 1/r5")
 _POLICIES = get_args(FoldPolicy)
 _SAYS = {"damp": "damp what would fold", "flow": "flow, in smaller steps", "error": "refuse"}
 
@@ -61,7 +62,7 @@ def _brush(view: View) -> None:
     if changed:
         tools.poisson = value
     hint("0.5 keeps areas and volumes; less lets them shrink and grow")
-    changed, index = imgui.combo("reach", tools.scales - 1, ["far, as 1/r", "nearer, as 1/r3", "near, as 1/r5"])
+    changed, index = imgui.combo("reach", tools.scales - 1, list(REACHES))
     if changed:
         tools.scales = index + 1
 
@@ -107,9 +108,18 @@ def _row(view: View, i: int, item: Item, selected: bool) -> None:
     text = _said(item.stroke) + (f"  {damping:.0%}" if damping < 0.995 else "")
     if imgui.selectable(text, selected)[0]:
         document.select(None if selected else i)
-    if damping < 0.995:
-        hint("Damped to what does not fold: choose flow below to carry it out whole")
+    hint(described(item.stroke, damping))
     imgui.pop_id()
+
+
+def described(stroke: Stroke, damping: float) -> str:
+    """All that a stroke is, in a few lines."""
+    at, by = (", ".join(f"{v:.1f}" for v in values) for values in (stroke.at, stroke.by))
+    said = f"{stroke.brush} at ({at})\nby ({by})\nradius {stroke.radius:.4g}, Poisson ratio {stroke.poisson:.3g}"
+    said += f"\nreach: {REACHES[stroke.scales - 1]}"
+    if damping < 0.995:
+        said += f"\ndamped to {damping:.0%}, so that nothing folds: flow below carries it out whole"
+    return said
 
 
 def _said(stroke: Stroke) -> str:
