@@ -302,6 +302,30 @@ def test_a_texture_receives_the_picture(gpu: Gpu, cloud: np.ndarray, bent: suppl
         scene.draw(texture, size=(60, 80))
 
 
+@pytest.mark.parametrize("mode", ["exact", "lattice"])
+def test_inversions_tint_the_picture(gpu: Gpu, cloud: np.ndarray, bent: supple.Deformation, mode: str) -> None:
+    ours, scene = (
+        Scene(cloud, GEOMETRY, deformation=bent, transfer=SOFT, mode=mode, device=device) for device in ("cpu", "gpu")
+    )
+    texture = gpu.device.create_texture(size=(64, 40, 1), format="rgba8unorm", usage="STORAGE_BINDING|COPY_SRC")
+    scene.draw(texture, overlay="inversions")
+    data = gpu.device.queue.read_texture(
+        {"texture": texture}, {"bytes_per_row": 256, "rows_per_image": 40}, (64, 40, 1)
+    )
+    found = np.frombuffer(data, np.uint8).reshape(40, 64, 4)[..., :3] / 255
+    picture, other = scene.render(size=(40, 64)), ours.render(size=(40, 64))
+    work = picture.evaluations if mode == "exact" else picture.samples
+    assert (picture.evaluations > 0).any() == (mode == "exact")
+    assert np.abs(picture.evaluations - other.evaluations).mean() < 0.15 * max(other.evaluations.mean(), 1e-9) + 1e-9
+    part = np.clip(np.log2(1 + work) / 12, 0, 1)[..., None]
+    warm = np.array([0.10, 0.25, 0.75]) * (1 - part) + np.array([0.95, 0.35, 0.10]) * part
+    plain = picture.pixels((0, 0, 0)) / 255
+    wanted = np.where(work[..., None] > 0, 0.4 * plain + 0.6 * warm, plain)
+    assert np.abs(found - wanted).max() < 0.02
+    with pytest.raises(SuppleError, match="overlay"):
+        scene.draw(texture, overlay="grid")
+
+
 def test_what_a_caller_raises_is_no_fault_of_the_gpu(gpu: Gpu, cloud: np.ndarray) -> None:
     scene = Scene(cloud, GEOMETRY, transfer=SOFT, device="gpu")
 

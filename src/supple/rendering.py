@@ -260,6 +260,7 @@ class Scene:
         *,
         supersampling: int = 1,
         background: tuple[float, float, float] = (0.0, 0.0, 0.0),
+        overlay: str = "",
     ) -> None:
         """Draw a picture into a texture of the GPU, for a window; nothing comes back from there.
 
@@ -274,6 +275,8 @@ class Scene:
             As `render` takes it.
         background : (float, float, float)
             sRGB from 0 to 1.
+        overlay : str
+            ``"inversions"`` tints what they, or where there are none samples, were many for.
 
         Raises
         ------
@@ -284,6 +287,7 @@ class Scene:
         if held is None:
             raise SuppleError("a texture is drawn into by a GPU, and this scene has none: use render")
         fine = integer("supersampling", supersampling, "a number of rays along a pixel's side, from 1 to 8", 1, 8)
+        choice("overlay", overlay, ("", "inversions"))
         if not all(hasattr(texture, name) for name in ("format", "usage", "create_view")):
             refuse("texture", "a texture of the GPU", type(texture).__name__)
         width, height = texture.size[:2]
@@ -302,7 +306,9 @@ class Scene:
         gpu = held.volume.gpu
         try:
             with gpu.lock:
-                shading.paint(held, self._look(view), view.packed, (rows * fine, columns * fine), fine, behind, texture)
+                size = rows * fine, columns * fine
+                worked = overlay == "inversions"
+                shading.paint(held, self._look(view), view.packed, size, fine, behind, texture, worked)
         except failures() as error:
             raise SuppleError(f"{gpu.name} could not draw: {trouble(gpu, error)}: use render") from None
 

@@ -18,7 +18,7 @@ Floats = npt.NDArray[np.float64]
 CELL = 16
 BACK = (0.12, 0.12, 0.13)  # sRGB beside what is shown
 OVERLAYS = {"": 0, "grid": 1, "stretch": 2, "residual": 3, "inversions": 4}
-_NAMES = ("plate", "blend", "field", "newton")
+_NAMES = ("plate", "warm", "blend", "field", "newton")
 _KINDS = (UNIFORM, UNIFORM, READ, WRITE, READ, TEXTURE)
 
 _SETTINGS = np.dtype(

@@ -128,10 +128,6 @@ fn at_time(p: vec2f, level: u32, time: f32) -> vec4f {
     return mix(linear_at(p, level, before), linear_at(p, level, before + 1), part);
 }
 
-fn warm(x: f32) -> vec3f {
-    return mix(vec3f(0.10, 0.25, 0.75), vec3f(0.95, 0.35, 0.10), clamp(x, 0.0, 1.0));
-}
-
 @compute @workgroup_size(8, 8)
 fn paint(@builtin(global_invocation_id) id: vec3u) {
     if (id.x >= settings.size.x || id.y >= settings.size.y) {

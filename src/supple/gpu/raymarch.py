@@ -72,7 +72,7 @@ SETTINGS = np.dtype(
     ]
 )
 _PAINT = np.dtype(
-    [("background", "f4", 3), ("fine", "u4"), ("width", "u4"), ("first", "u4"), ("rows", "u4"), ("unused", "u4")]
+    [("background", "f4", 3), ("fine", "u4"), ("width", "u4"), ("first", "u4"), ("rows", "u4"), ("worked", "u4")]
 )
 _LARGEST = float(np.finfo(np.float32).max)
 
@@ -170,6 +170,7 @@ def paint(
     fine: int,
     background: npt.NDArray[np.float32],
     target: Any,
+    worked: bool = False,
 ) -> None:
     """Draw a picture into a texture of format rgba8unorm, that shaders may write to, as sRGB.
 
@@ -181,11 +182,14 @@ def paint(
         Linear light behind the volume.
     target : wgpu.GPUTexture
         Of ``size`` over ``fine``, or larger.
+    worked : bool
+        Whether to tint it by the inversions along each ray or, where there are none, the samples.
     """
     gpu = held.volume.gpu
-    work = pipeline(gpu, ("paint",), "paint", (UNIFORM, READ, WRITE, TEXTURE))
+    work = pipeline(gpu, ("paint", "warm"), "paint", (UNIFORM, READ, WRITE, TEXTURE))
     settings = np.zeros(1, _PAINT)
     settings["width"], settings["fine"], settings["background"] = size[1] // fine, fine, background
+    settings["worked"] = worked
     with contextlib.ExitStack() as stack:
         (lost,) = owned(stack, room(gpu, 4))
         for first, count, seen in _rays(held, look, view, size, fine):

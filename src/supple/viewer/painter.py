@@ -100,7 +100,7 @@ class Painter:
         stage = self.stage
         deformation = self._plain(shot.deformation) if original else shot.deformation
         if isinstance(stage, VolumeStage):
-            stage.draw(deformation, shot.camera, size, texture)
+            stage.draw(deformation, shot.camera, size, texture, shot.overlay)
             self.ready = True
             return texture
         # The middle of a coarse pixel lies between those of the fine ones that it covers.

@@ -297,12 +297,14 @@ def _seeing(view: View) -> None:
         if changed:
             view.tools.split = value
             view.refresh()
-    if view.stage.kind != "volume":
-        names = list(OVERLAYS)
-        changed, index = imgui.combo("overlay", names.index(view.overlay), ["none", *names[1:]])
-        if changed:
-            view.overlay = names[index]
-            view.refresh()
+    volume = view.stage.kind == "volume"
+    names = ["", "inversions"] if volume else list(OVERLAYS)
+    changed, index = imgui.combo("overlay", names.index(view.overlay), ["none", *names[1:]])
+    if changed:
+        view.overlay = names[index]
+        view.refresh()
+    hint("How many inversions, or without them samples, each ray took" if volume else "What the map does, and its cost")
+    if not volume:
         if imgui.small_button("fit"):
             view.tools.handle({"event_type": "key_down", "key": "0", "modifiers": ()})
         imgui.same_line()

@@ -169,9 +169,11 @@ class VolumeStage:
         self.scene = self.scene.seen_through(transfer, density)
         self._plain = self._plain.seen_through(transfer, density)
 
-    def draw(self, deformation: Deformation, camera: Camera, size: tuple[int, int], texture: Any) -> None:
+    def draw(
+        self, deformation: Deformation, camera: Camera, size: tuple[int, int], texture: Any, overlay: str = ""
+    ) -> None:
         """Draw it into a texture, of columns and rows."""
-        self.deform(deformation).draw(texture, camera, (size[1], size[0]), background=BACK)
+        self.deform(deformation).draw(texture, camera, (size[1], size[0]), background=BACK, overlay=overlay)
 
     def fill(self, deformation: Deformation, camera: Camera, size: tuple[int, int], seconds: float) -> float:
         """Go on with the buffer; how much of it is there."""
