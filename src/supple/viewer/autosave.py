@@ -103,6 +103,13 @@ class Autosave:
     def _now(self) -> object:
         return self._document.state.content, self._document.dirty
 
+    def keep(self) -> bool:
+        """Save what there is now, and wait until that is written; whether it could be."""
+        self.flush()
+        self._kept = self._now()
+        self._write(self._document.recipe if self._document.dirty else None)
+        return self.trouble is None
+
     def flush(self) -> None:
         """Wait until what was begun is written."""
         if self._writing is not None:
@@ -122,6 +129,8 @@ class Autosave:
         self._pool.shutdown()
         if not keep:
             self._remove()
+        elif self._now() != self._kept:
+            self.keep()
         if self._lock is not None:
             self._lock.close()
             with contextlib.suppress(OSError):

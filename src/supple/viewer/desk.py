@@ -115,7 +115,7 @@ class Desk:
 
     def ask(self, name: str) -> None:
         """Begin what is asked for: ``"save"``, ``"open"``, ``"export"``, ``"copy"`` or ``"close"``."""
-        source = self.source or Path("picture.png")
+        source = Path(os.path.abspath(self.source or "picture.png"))
         stem, suffix = source.with_suffix(""), source.suffix
         if source.name.endswith(".nii.gz"):
             stem, suffix = source.with_name(source.name[:-7]), ".nii.gz"
@@ -132,7 +132,7 @@ class Desk:
         elif name == "copy":
             self.asked = Question("copy", "Save what is seen", _COPY, ("Save", "Replace", "Cancel"), f"{stem}-view.png")
         elif name == "close":
-            self.asked = Question("close", "Close?", _CLOSE, ("Save and close", "Close", "Cancel"), recipe)
+            self.asked = Question("close", "Close?", _CLOSE, _WAYS_OUT, recipe)
 
     def may_close(self) -> bool:
         """Whether nothing would be lost; otherwise, the question is asked."""
@@ -164,6 +164,8 @@ class Desk:
         if asked.name == "restore" and self._left is not None:
             if choice == "Restore":
                 self.document.load(self._left.recipe)
+                if self.autosave is not None and not self.autosave.keep():
+                    raise SuppleError(f"it is restored, but cannot be kept again: {self.autosave.trouble}: save it")
             self._left.set_aside()
             self._left = None
         elif asked.name == "save":
@@ -171,16 +173,19 @@ class Desk:
         elif asked.name == "open":
             self.open(path)
         elif asked.name == "copy":
+            self._spare(path)
             self._write_view(path, force)
             self.message = f"saved {path}"
         elif asked.name == "export":
             self.begin_export(path, force=force)
         elif asked.name == "close":
-            if choice == "Save and close":
-                self.save(path, force=self.recipe_path is not None)
+            if choice in ("Save and close", "Replace and close"):
+                known = self.recipe_path is not None and _same(path, self.recipe_path)
+                self.save(path, force=known or choice == "Replace and close")
             else:
                 self.document.mark_saved()  # it is not wanted
-            self._leave()
+            if self.may_close():  # an export may be under way
+                self._leave()
         elif asked.name == "stop":
             self.end_export()
             self._leave()
@@ -195,12 +200,18 @@ class Desk:
         """
         if not os.fspath(path):
             raise SuppleError("the recipe needs a name: such as strokes.json")
+        self._spare(path)
         check_output(path, force=force)
         with replacing(path, force=force) as place:
             Path(place).write_text(self.document.recipe.to_json(), encoding="utf-8")
         self.recipe_path = Path(path)
         self.document.mark_saved()
         self.message = f"saved {shown(path)}"
+
+    def _spare(self, path: PathLike) -> None:
+        """Refuse to write over what is bent here."""
+        if self.source is not None and _same(path, self.source):
+            raise SuppleError(f"{shown(path)} is what is bent here: choose another name")
 
     def open(self, path: PathLike) -> None:
         """Put a recipe in the place of the strokes that there are, as one step.
@@ -268,12 +279,17 @@ class Desk:
             self.export.join(10.0)
         if self.autosave is not None:
             if self.document.dirty:  # whoever closes this without asking keeps it for the next time
-                self.autosave.tick()
                 self.autosave.leave()
             else:
                 self.autosave.clear()
 
 
+def _same(one: PathLike, other: PathLike) -> bool:
+    """Whether two names are of one file."""
+    return os.path.realpath(one) == os.path.realpath(other)
+
+
+_WAYS_OUT = ("Save and close", "Replace and close", "Close", "Cancel")
 _SAVE = "What supple warp --recipe takes."
 _OPEN = "In the place of the strokes that there are; undo brings these back."
 _EXPORT = "At full quality, to any format of supple warp."

@@ -260,7 +260,7 @@ class Tools(ABC, Generic[V]):
         return self._edit(key) or self._key(key)
 
     def _on_key_up(self, event: Event) -> bool:
-        self.original &= event.get("key") != "\\"
+        self.original &= event.get("key") not in ("\\", "|")  # with Shift, it is another
         return False
 
     def _command(self, letter: str, shift: bool) -> bool:

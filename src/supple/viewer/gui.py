@@ -31,7 +31,19 @@ class Gui:
         # Of this, what it does with events: it draws with a bind group more for each clip of each frame (wgpu 0.32).
         self._renderer = ImguiRenderer(gpu.device, canvas, format)
         self._ink = Ink(gpu, format)
+        self.trouble = ""
+        """What went wrong when it was laid out the last time."""
+        io = self._renderer.backend.io
+        # What was not ended, as something went wrong, is ended for us, and the window lives.
+        io.config_error_recovery_enable_assert = False
+        io.config_error_recovery_enable_tooltip = False
         _dress()
+
+    def release(self) -> None:
+        """Hand the next event on, whatever lay under the pointer when the last frame was drawn."""
+        imgui.set_current_context(self._renderer.imgui_context)
+        if not imgui.is_popup_open("", imgui.PopupFlags_.any_popup):
+            self._renderer.backend.io.want_capture_mouse = False
 
     def lay(self) -> None:
         """Find out what is to be drawn, and what is wanted with it."""
@@ -40,8 +52,11 @@ class Gui:
         io.display_size = self._canvas.get_logical_size()
         io.display_framebuffer_scale = ratio, ratio
         imgui.new_frame()
+        self.trouble = ""
         try:
             self._controls()
+        except Exception as error:  # whatever it is: strokes may be unsaved
+            self.trouble = " ".join(f"{type(error).__name__}: {error}".split())
         finally:
             imgui.render()
 

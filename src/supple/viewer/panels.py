@@ -69,17 +69,17 @@ def _brush(view: View) -> None:
 
 def _strokes(view: View) -> None:
     document = view.document
-    state = document.state
-    _head(f"Strokes ({len(state.items)})")
+    _head(f"Strokes ({len(document.items)})")
     imgui.begin_disabled(not document.can_undo)
     if imgui.small_button("undo"):
-        document.undo()
+        view.attempt(document.undo)
     imgui.end_disabled()
     imgui.same_line()
     imgui.begin_disabled(not document.can_redo)
     if imgui.small_button("redo"):
-        document.redo()
+        view.attempt(document.redo)
     imgui.end_disabled()
+    state = document.state  # after what the buttons did
     imgui.begin_child("strokes", (0, min(180, 26 + 24 * max(len(state.items), 1))), imgui.ChildFlags_.borders)
     if not state.items:
         imgui.text_disabled("Drag on the picture.")
@@ -107,7 +107,7 @@ def _row(view: View, i: int, item: Item, selected: bool) -> None:
     damping = document.damping(i)
     text = _said(item.stroke) + (f"  {damping:.0%}" if damping < 0.995 else "")
     if imgui.selectable(text, selected)[0]:
-        document.select(None if selected else i)
+        view.attempt(lambda: document.select(None if selected else i))
     hint(described(item.stroke, damping))
     imgui.pop_id()
 
@@ -217,7 +217,7 @@ def _volume(view: View) -> None:
     now = names.index(stage.preset) if stage.preset in names else -1
     changed, index = imgui.combo("colours", now, names)
     if changed:
-        stage.look(names[index], stage.density)
+        view.attempt(lambda: stage.look(names[index], stage.density))
         view.refresh()
     low, high = stage.scene.range
     window = stage.density or (low, high)
@@ -228,7 +228,9 @@ def _volume(view: View) -> None:
         if changed:
             both = (value, max(window[1], value)) if k == 0 else (min(window[0], value), value)
             if both[0] < both[1]:
-                stage.look(stage.scene.transfer, None if both == (low, high) else both)
+                view.attempt(
+                    lambda both=both: stage.look(stage.scene.transfer, None if both == (low, high) else both)  # type: ignore[misc]
+                )
                 view.refresh()
     _transfer(view, stage)
     changed, index = imgui.combo("mode", _MODES.index(stage.mode), list(_MODES))

@@ -235,6 +235,10 @@ class VolumeTools(Tools[Camera]):
             self._under = key, None if self.pointer is None else self.pick(*self.pointer)
         return self._under[1]
 
+    def forget(self) -> None:
+        """Send the ray again: what is seen has changed."""
+        self._under = None
+
     @property
     def hover(self) -> tuple[float, ...] | None:
         """The voxel under the pointer."""

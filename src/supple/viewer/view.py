@@ -74,6 +74,7 @@ class View:
         self._laid = (0.0, 0.0, 0.0)
         self._frames: deque[float] = deque(maxlen=30)
         self._callbacks: list[Callable[[Recipe], None]] = []
+        self._told: Recipe | None = None
         context = canvas.get_wgpu_context()
         self._format = context.get_preferred_format(gpu.device.adapter)
         context.configure(device=gpu.device, format=self._format)
@@ -91,6 +92,8 @@ class View:
 
     def on_change(self, call: Callable[[Recipe], None]) -> Callable[[Recipe], None]:
         """Call a function with the recipe whenever it changes; it can be used as a decorator."""
+        if not self._callbacks:
+            self._told = self.document.recipe
         self._callbacks.append(call)
         return call
 
@@ -110,6 +113,8 @@ class View:
     def refresh(self) -> None:
         """Draw anew, in full."""
         self._drawn_key = None
+        if isinstance(self.tools, VolumeTools):
+            self.tools.forget()
         self._waking.now()
 
     def attempt(self, work: Callable[[], object]) -> None:
@@ -119,14 +124,29 @@ class View:
 
     def _changed(self) -> None:
         self._changed_at, self.filled = time.perf_counter(), 0.0
-        for call in self._callbacks:
-            call(self.document.recipe)
+        self._tell()
         self._waking.now()
+
+    def _tell(self) -> None:
+        """Tell whoever wants to know of another recipe."""
+        if not self._callbacks or (recipe := self.document.recipe) == self._told:
+            return
+        self._told = recipe
+        for call in self._callbacks:
+            try:
+                call(recipe)
+            except Exception as error:  # its own matter: the window goes on
+                self.desk.message = " ".join(f"on_change: {type(error).__name__}: {error}".split())
 
     def _stir(self, event: dict[str, Any]) -> None:
         """See that an event is answered, though the panel may keep it to itself."""
-        if event["event_type"] == "pointer_move" and not self._inside(event):
+        kind = event["event_type"]
+        if kind == "pointer_move" and not self._inside(event):
             self.tools.handle({"event_type": "pointer_leave"})
+        if kind in ("pointer_down", "pointer_up") and event.get("button") not in _BUTTONS:
+            event["stop_propagation"] = True  # the panel knows no others
+        elif kind in ("pointer_down", "wheel") and self._inside(event) and self.desk.asked is None:
+            self._gui.release()
         self._waking.stir()
 
     def _inside(self, event: dict[str, Any]) -> bool:
@@ -138,7 +158,7 @@ class View:
         if kind == "close":
             self.close()
             return
-        if self.desk.asked is not None:
+        if self.desk.asked is not None and kind not in ("pointer_up", "key_up"):  # these end what was begun
             self._waking.now()
             return
         if kind in ("pointer_down", "wheel") and not self._inside(event):
@@ -155,7 +175,10 @@ class View:
             self._changed_at = time.perf_counter()
         requests, self.tools.requests[:] = list(self.tools.requests), []
         for request in requests:
-            self.desk.ask(request)
+            if self.tools.dragging:
+                self.desk.message = f"let go of the stroke first: then {request}"
+            else:
+                self.desk.ask(request)
         self._waking.now()
 
     # What is drawn.
@@ -164,6 +187,7 @@ class View:
         """Draw a frame: what is asked for by the canvas."""
         if self._closed:
             return
+        self.desk.tick()  # first: whatever comes, strokes are kept
         begun = time.perf_counter()
         self._frames.append(begun)
         tools, (width, height) = self.tools, self.area
@@ -177,6 +201,8 @@ class View:
         shot = self._shot((round(width * ratio), round(height * ratio)), ratio, moving)
         key = (shot.deformation, *(getattr(shot, name) for name in _SEEN), self.painter.coarse if moving else 0)
         self._gui.lay()
+        if self._gui.trouble:
+            self.desk.message = self._gui.trouble
         encoder, begun = self.gpu.device.create_command_encoder(), time.perf_counter()
         anew = key != self._drawn_key or not self.painter.ready
         if anew:
@@ -186,7 +212,6 @@ class View:
         self._present(shot, encoder)
         if anew and moving:
             self.painter.learn(begun)
-        self.desk.tick()
         self._go_on(shot)
 
     def _present(self, shot: Shot, encoder: Any) -> None:
@@ -311,4 +336,5 @@ class View:
 
 
 _HANDS = ("pointer_down", "pointer_move", "pointer_up", "wheel", "key_down", "key_up", "resize")
+_BUTTONS = range(1, 6)
 _SEEN = ("size", "moving", "origin", "scale", "time", "camera", "overlay", "original", "split")
