@@ -78,7 +78,8 @@ def test_a_damped_stroke_of_a_volume_shows_how_far_it_was_to_go(gpu: Gpu) -> Non
     stroke = Stroke.grab((36, 54, 60), by=(0, 0, -30), radius=12)
     view, hand = opened(DATA / "head.nii.gz", Recipe(border=None, strokes=(stroke,)))
     assert view.document.damping(0) < 0.9
-    assert "off by more than a voxel: mode exact is not" in status(view)  # and nobody is warned elsewhere
+    # And nobody is warned elsewhere.
+    assert "the lattice is off by more than a voxel: mode exact is not" in status(view)
     damped = red(hand.canvas.draw())
     assert damped > 20
     view.document.set_on_fold("flow")

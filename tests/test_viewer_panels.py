@@ -162,7 +162,7 @@ def test_files_are_replaced_only_when_that_is_said(gpu: Gpu, tmp_path: Path) -> 
     view.desk.asked.path = str(other)
     assert not view.desk.answer("Save and close")
     assert other.read_text() == "PRECIOUS"
-    for name in ("save", "copy"):
+    for name in ("save", "copy", "export"):
         view.desk.recipe_path = None
         view.desk.ask(name)
         view.desk.asked.path = os.fspath(source)
@@ -254,3 +254,19 @@ def test_callbacks_hear_of_other_recipes_only(gpu: Gpu) -> None:
     view.document.mark_saved()
     assert len(heard) == count
     view.close()
+
+
+def test_a_recipe_of_another_medium_is_refused_in_a_sentence(gpu: Gpu, tmp_path: Path) -> None:
+    place = tmp_path / "head.json"
+    place.write_text(Recipe(border=None, strokes=DEEP).to_json())
+    view, _ = opened(DATA / "coffee.jpg", Recipe(border=None))
+    view.desk.ask("open")
+    view.desk.asked.path = str(place)
+    assert not view.desk.answer("Open")
+    assert "stroke 1 of the recipe has points of 3 numbers, and this is a picture, with points x, y" in (
+        view.desk.asked.problem
+    )
+    view.desk.asked = None
+    view.close()
+    with pytest.raises(supple.SuppleError, match="and this is a volume, with points x, y, z"):
+        opened(DATA / "head.nii.gz", Recipe(border=None, strokes=FLAT))

@@ -53,6 +53,9 @@ class ViewCommands:
         from supple.viewer.launch import show
 
         self.console.started(quiet=False, threads=None)
+        loose = [n for n in ("radius", "poisson", "scales") if getattr(strokes, n) and not strokes.any]
+        if loose:
+            raise SuppleError(f"--{loose[0]} is for a --grab: give one, or set the brush in the window")
         recipe = strokes.to_recipe() if strokes.any else None
         if port and not serve:
             raise SuppleError("--port is for --serve: leave it out, or serve")

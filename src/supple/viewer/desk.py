@@ -111,7 +111,7 @@ class Desk:
             self.message = ""
             work()
         except SuppleError as error:
-            self.message = str(error)
+            self.message = _in_a_window(error)
 
     def ask(self, name: str) -> None:
         """Begin what is asked for: ``"save"``, ``"open"``, ``"export"``, ``"copy"`` or ``"close"``."""
@@ -155,7 +155,7 @@ class Desk:
             if self.asked is asked:
                 self.asked = None
         except SuppleError as error:
-            asked.problem = str(error)
+            asked.problem = _in_a_window(error)
             return False
         return True
 
@@ -258,6 +258,7 @@ class Desk:
             raise SuppleError("an export is under way: cancel it, or wait for it")
         if not os.fspath(path):
             raise SuppleError("the export needs a name, whose suffix says the format")
+        self._spare(path)
         check_output(path, force=force)
         self.message = ""
         made = Export(self.source, path, self.document.recipe, force=force, device=self._device, **options)
@@ -284,12 +285,17 @@ class Desk:
                 self.autosave.clear()
 
 
+def _in_a_window(error: SuppleError) -> str:
+    """What is wrong, without the command line's advice."""
+    return str(error).replace("pass --force (force=True) to replace it", "choose another name, or Replace")
+
+
 def _same(one: PathLike, other: PathLike) -> bool:
     """Whether two names are of one file."""
     return os.path.realpath(one) == os.path.realpath(other)
 
 
-_WAYS_OUT = ("Save and close", "Replace and close", "Close", "Cancel")
+_WAYS_OUT = ("Save and close", "Replace and close", "Close without saving", "Cancel")
 _SAVE = "What supple warp --recipe takes."
 _OPEN = "In the place of the strokes that there are; undo brings these back."
 _EXPORT = "At full quality, to any format of supple warp."

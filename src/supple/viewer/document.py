@@ -53,7 +53,7 @@ class Document:
         """Why the drag that is under way does not go on: for the status line."""
         self._drag: tuple[Solved, int | None] | None = None
         self._medium = Medium(self.shape, spacing, kind)
-        self._now = self._medium.solve(State.of(_recipe(recipe or Recipe())))
+        self._now = self._medium.solve(State.of(self._fitting(recipe or Recipe())))
         self._history = History(self._now.state)
         self._saved = self._now.state.content
         self._parts: tuple[Solved | None, tuple[float, ...]] = (None, ())
@@ -145,7 +145,21 @@ class Document:
 
     def load(self, recipe: Recipe) -> None:
         """Put a recipe in the place of all there is, as one step."""
-        self._edit(State.of(_recipe(recipe)))
+        self._edit(State.of(self._fitting(recipe)))
+
+    def _fitting(self, recipe: Recipe) -> Recipe:
+        """A recipe, if its strokes are of a medium like this one."""
+        count = len(self.shape)
+        for k, stroke in enumerate(_recipe(recipe).strokes, 1):
+            if len(stroke.at) != count:
+                what = {"image": "a picture, with points x, y", "video": "a clip, with points x, y, t"}.get(
+                    self.kind or ("image" if count == 2 else ""), "a volume, with points x, y, z"
+                )
+                raise SuppleError(
+                    f"stroke {k} of the recipe has points of {len(stroke.at)} numbers, and this is {what}: "
+                    "open one of its kind"
+                )
+        return recipe
 
     def select(self, i: int | None) -> None:
         """Select a stroke, or none; this is no step."""

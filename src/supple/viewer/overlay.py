@@ -194,7 +194,7 @@ def certified(view: View) -> str:
         if deformation.is_identity or not view.stage.warned:
             return "" if deformation.is_identity else f"within {error:.2g} voxels"
         off = f"up to {error:.2g} voxels" if math.isfinite(error) else "more than a voxel"
-        return f"off by {off}: mode exact is not"
+        return f"the lattice is off by {off}: mode exact is not"
     if deformation.is_identity:
         return ""
     if view.document.dragging:
