@@ -229,6 +229,24 @@ def test_a_browser_does_the_same_and_is_refused_without_the_token(gpu: Gpu, phot
             wait_for(lambda: browser.key("Enter", 13) or made.exists(), every=2.0)
             wanted = image.read(warped(photo, "wanted.png", saved)).pixels
             np.testing.assert_array_equal(image.read(made).pixels, wanted)
+            # At 100 %, the page shows what was exported, but for what its compression does.
+            browser.key("1", 49)
+            browser.mouse("mouseMoved", 900, 600)
+            strokes = recipe_in(saved).strokes
+
+            def away(picture: Pixels) -> float:
+                seen = browser.shown()
+                area = seen.shape[1] - WIDE, seen.shape[0] - LINE
+                return on_canvas(picture, seen, area, strokes)
+
+            wait_for(lambda: away(wanted) < 5)
+            assert away(image.read(photo).pixels) > 8
+            # What was saved is opened again, and looks as it did.
+            for _ in range(2):
+                browser.key("z", 90, 2)
+            wait_for(lambda: away(image.read(photo).pixels) < 5)
+            browser.key("o", 79, 2)
+            wait_for(lambda: browser.key("Enter", 13) or away(wanted) < 5, every=2.0)
             assert "token" not in str(browser.call("Runtime.evaluate", expression="location.href"))
         finally:
             browser.close()
