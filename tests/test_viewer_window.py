@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import sys
 import time
 import urllib.error
@@ -330,16 +331,16 @@ def test_who_has_no_token_sees_nothing() -> None:
 @pytest.mark.skipif(sys.platform == "win32", reason="there are no such signals")
 def test_one_interrupt_ends_a_server(gpu: Gpu, photo: Path, state: Path) -> None:
     client = pytest.importorskip("websockets.sync.client")
-    with viewing(str(photo), "--serve", folder=state) as process:
+    with contextlib.ExitStack() as kept, viewing(str(photo), "--serve", folder=state) as process:
         assert process.stdout is not None
         address = process.stdout.readline().removeprefix("open ").strip()
         # Once it answers, the canvas's loop has begun soon after, and has taken Ctrl+C.
         wait_for(lambda: _reached(address.partition("?")[0]))
         token = address.partition("=")[2]
         page = address.partition("?")[0].replace("http", "ws", 1)
-        stays = client.connect(page, additional_headers={"Cookie": f"supple-{token[:6]}={token}"}, max_size=None)
+        cookie = {"Cookie": f"supple-{token[:6]}={token}"}
+        kept.enter_context(client.connect(page, additional_headers=cookie, max_size=None))
         time.sleep(1.0)
-    stays.close()
     assert process.returncode == 130
 
 
