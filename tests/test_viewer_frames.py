@@ -166,6 +166,9 @@ def test_a_stroke_of_more_frames_than_are_kept_says_so(gpu: Gpu, long: Path) -> 
     view.stage._plate.slots = 6
     view.tools.playback.seek(880)
     first, last = view.stage.needed(view.document.deformation, 880.0)
+    assert view.stage.film.wait(first, last, 30.0)
+    hand.canvas.draw()
+    assert not view.painter.ready  # the line of status was laid out before, and is drawn once more
     settled(view, hand)
     said = f"needs {last - first + 1} frames at once, and 6 are kept: export shows it whole"
     assert said in status(view)
