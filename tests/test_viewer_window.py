@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
+import sys
 import time
+import urllib.error
+import urllib.request
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from windows import SIZE, Hand, wait_for
+from windows import SIZE, Hand, viewing, wait_for
 
 import supple
 from supple.gpu.device import Gpu
@@ -261,7 +265,7 @@ def test_arrays_are_shown_too(gpu: Gpu, state: Path) -> None:
         view.desk.begin_export("x.png")
     view.close()
     for bad, what in (
-        (np.zeros((2, 3, 4, 3)), "of a picture .H, W. or .H, W, C. or of a volume .Z, H, W."),
+        (np.zeros((2, 3, 4, 5)), "array of numbers"),
         (np.zeros(3), "array of numbers"),
         ("none.png", "no such file"),
     ):
@@ -269,7 +273,9 @@ def test_arrays_are_shown_too(gpu: Gpu, state: Path) -> None:
             opened(bad)
 
 
-async def _answer(app: Any, path: str, query: str = "", cookie: str = "", kind: str = "http") -> list[Any]:
+async def _answer(
+    app: Any, path: str, query: str = "", cookie: str = "", kind: str = "http", origin: str = ""
+) -> list[Any]:
     said: list[Any] = []
 
     async def send(message: Any) -> None:
@@ -278,7 +284,9 @@ async def _answer(app: Any, path: str, query: str = "", cookie: str = "", kind: 
     async def receive() -> Any:
         return {"type": f"{kind}.connect"}
 
-    headers = [(b"cookie", cookie.encode())] if cookie else []
+    headers = [(b"host", b"127.0.0.1:8000")]
+    headers += [(b"cookie", cookie.encode())] if cookie else []
+    headers += [(b"origin", origin.encode())] if origin else []
     await app({"type": kind, "path": path, "query_string": query.encode(), "headers": headers}, receive, send)
     return said
 
@@ -308,6 +316,43 @@ def test_who_has_no_token_sees_nothing() -> None:
     assert b"&lt;photo&gt;" in page[1]["body"]
     assert asyncio.run(_answer(guard, "/renderview.js", cookie=cookie)) == [{"type": "served"}]
     assert asyncio.run(_answer(guard, "/", cookie=cookie, kind="websocket")) == [{"type": "served"}]
+    # Cookies of other programs on the same host come along, whatever they look like.
+    for other in ('foo={"x": 1}', "flag", "n[1]=2", "x=é", 'x="q', "a b=c", "=", ""):
+        for cookies in (f"{other}; {cookie}", f"{cookie};{other}"):
+            assert asyncio.run(_answer(guard, "/", cookie=cookies))[0]["status"] == 200, cookies
+    # And so do ours, from pages of other programs.
+    for origin in ("http://127.0.0.1:9999", "http://127.0.0.1", "https://example.org", "null", "http://[", "http://"):
+        refused = asyncio.run(_answer(guard, "/", cookie=cookie, kind="websocket", origin=origin))
+        assert refused[0]["type"] == "websocket.close", origin
+    ours = "http://127.0.0.1:8000"
+    assert asyncio.run(_answer(guard, "/", cookie=cookie, kind="websocket", origin=ours)) == [{"type": "served"}]
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="there are no such signals")
+def test_one_interrupt_ends_a_server(gpu: Gpu, photo: Path, state: Path) -> None:
+    client = pytest.importorskip("websockets.sync.client")
+    with contextlib.ExitStack() as kept, viewing(str(photo), "--serve", folder=state) as process:
+        assert process.stdout is not None
+        address = process.stdout.readline().removeprefix("open ").strip()
+        # Once it answers, the canvas's loop has begun soon after, and has taken Ctrl+C.
+        wait_for(lambda: _reached(address.partition("?")[0]))
+        token = address.partition("=")[2]
+        page = address.partition("?")[0].replace("http", "ws", 1)
+        cookie = {"Cookie": f"supple-{token[:6]}={token}"}
+        kept.enter_context(client.connect(page, additional_headers=cookie, max_size=None))
+        time.sleep(1.0)
+    assert process.returncode == 130
+
+
+def _reached(address: str) -> bool:
+    try:
+        urllib.request.urlopen(address, timeout=5).close()
+    except urllib.error.HTTPError as refused:
+        refused.close()
+        return refused.code == 403
+    except OSError:
+        return False
+    return True
 
 
 def test_the_panel_says_what_a_border_holds_back() -> None:

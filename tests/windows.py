@@ -101,6 +101,7 @@ def viewing(*arguments: str, folder: Path, display: str = "") -> Iterator[subpro
         encoding="utf-8",
         start_new_session=True,
     )
+    deaf = False
     try:
         yield process
     finally:
@@ -109,6 +110,7 @@ def viewing(*arguments: str, folder: Path, display: str = "") -> Iterator[subpro
             try:
                 process.wait(20)
             except subprocess.TimeoutExpired:
+                deaf = True
                 process.kill()
                 process.wait()
         said = ""
@@ -117,6 +119,7 @@ def viewing(*arguments: str, folder: Path, display: str = "") -> Iterator[subpro
             process.stdout.close()
         print(said)
     assert "Traceback" not in said
+    assert not deaf, "Ctrl+C did not end it"
 
 
 @contextmanager

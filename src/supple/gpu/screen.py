@@ -10,14 +10,17 @@ from supple.gpu.device import Gpu
 from supple.gpu.kept import Bound, Kept
 from supple.gpu.kernel import UNIFORM, source
 
-_SETTINGS = np.dtype([("split", "f4"), ("line", "f4"), ("linear", "u4"), ("unused", "u4")])
+Part = tuple[float, float, float, float]
+"""Of a texture: left, top, width and height, of which all of it has 1."""
+ALL: Part = (0.0, 0.0, 1.0, 1.0)
+
+_PLAIN = "rgba8unorm"
+_SETTINGS = np.dtype([("part", "f4", 4), ("split", "f4"), ("line", "f4"), ("linear", "u4"), ("unused", "u4")])
 
 
 def canvas_texture(gpu: Gpu, size: tuple[int, int]) -> Any:
     """A texture of columns and rows that scenes and plates can be drawn into, and the screen read."""
-    return gpu.device.create_texture(
-        size=(*size, 1), format="rgba8unorm", usage="STORAGE_BINDING|TEXTURE_BINDING|COPY_SRC"
-    )
+    return gpu.device.create_texture(size=(*size, 1), format=_PLAIN, usage="STORAGE_BINDING|TEXTURE_BINDING|COPY_SRC")
 
 
 def pixels_of(gpu: Gpu, texture: Any) -> np.ndarray[Any, np.dtype[np.uint8]]:
@@ -27,6 +30,18 @@ def pixels_of(gpu: Gpu, texture: Any) -> np.ndarray[Any, np.dtype[np.uint8]]:
         {"texture": texture}, {"bytes_per_row": 4 * width, "rows_per_image": height}, (width, height, 1)
     )
     return np.frombuffer(data, np.uint8).reshape(height, width, 4)
+
+
+def composed(gpu: Gpu, first: Any, second: Any, split: float) -> np.ndarray[Any, np.dtype[np.uint8]]:
+    """Two textures beside one another, as `Screen` draws them: (rows, columns, 4)."""
+    onto = gpu.device.create_texture(size=first.size, format=_PLAIN, usage="RENDER_ATTACHMENT|COPY_SRC")
+    colours = {"view": onto.create_view(), "load_op": "clear", "store_op": "store"}
+    encoder = gpu.device.create_command_encoder()
+    drawing = encoder.begin_render_pass(color_attachments=[colours])
+    Screen(gpu, _PLAIN).draw(drawing, first, second, split)
+    drawing.end()
+    gpu.device.queue.submit([encoder.finish()])
+    return pixels_of(gpu, onto)
 
 
 class Screen:
@@ -58,6 +73,7 @@ class Screen:
         second: Any = None,
         split: float = 0.0,
         place: tuple[int, int, int, int] | None = None,
+        part: Part = ALL,
     ) -> None:
         """Draw a texture, and another one left of where the split is, from 0 to 1.
 
@@ -69,8 +85,10 @@ class Screen:
         split : float
         place : (int, int, int, int), optional
             Where on the screen: left, top, columns and rows, all of which lie on it; all of it, by default.
+        part : (float, float, float, float), optional
+            What of the textures is drawn.
         """
-        settings = np.array([(split if second is not None else -1.0, 0.001, self._linear, 0)], _SETTINGS)
+        settings = np.array([(part, split if second is not None else -1.0, 0.001, self._linear, 0)], _SETTINGS)
         things = self._told.hold(settings), first, second or first
         drawing.set_pipeline(self._pipeline)
         if place is not None:

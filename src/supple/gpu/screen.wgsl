@@ -1,6 +1,7 @@
 // What was drawn, on the screen: two textures of any size beside one another, cut where a slider is.
 
 struct Settings {
+    part: vec4f, // what of the textures is shown: left, top, width and height
     split: f32, // left of it, from 0 to 1, the second texture
     line: f32, // half the width of the line between them
     linear: u32, // whether the screen wants linear light
@@ -25,8 +26,9 @@ fn corner(@builtin(vertex_index) k: u32) -> Corner {
 
 @fragment
 fn shown(corner: Corner) -> @location(0) vec4f {
-    let one = textureSampleLevel(first, smooth_, corner.at, 0.0).xyz;
-    let other = textureSampleLevel(second, smooth_, corner.at, 0.0).xyz;
+    let at = settings.part.xy + settings.part.zw * corner.at;
+    let one = textureSampleLevel(first, smooth_, at, 0.0).xyz;
+    let other = textureSampleLevel(second, smooth_, at, 0.0).xyz;
     var v = select(one, other, corner.at.x < settings.split);
     if (abs(corner.at.x - settings.split) < settings.line) {
         v = vec3f(1.0);

@@ -17,6 +17,7 @@ from supple.errors import SuppleError
 
 Pixels = npt.NDArray[np.uint8]
 PathLike = str | os.PathLike[str]
+Span = tuple[int, int]
 
 ROOM = 512 << 20  # bytes of frames that are kept
 
@@ -51,16 +52,27 @@ class Film:
         self.error = ""
         """Why no more frames come, if none do."""
         self._frames: OrderedDict[int, Pixels] = OrderedDict()
-        self._wanted = (0, 0)
+        self._wanted: tuple[Span, ...] = ((0, 0),)
         self._news = threading.Condition()
         self._closed = False
+        self._start()
+
+    def _start(self) -> None:
         self._thread = threading.Thread(target=self._work, name="supple-film", daemon=True)
         self._thread.start()
 
-    def want(self, first: int, last: int) -> None:
-        """Ask for frames ``first`` to ``last``; what follows them is decoded too, while there is room."""
+    def want(self, first: int, last: int, *others: Span) -> None:
+        """Ask for frames ``first`` to ``last``, and others; what follows the first is decoded too, while there is room.
+
+        Where decoding has failed, it is tried again once other frames are asked for.
+        """
         with self._news:
-            self._wanted = max(0, first), min(self.count - 1, last)
+            wanted = tuple((max(0, a), min(self.count - 1, b)) for a, b in ((first, last), *others))
+            again = bool(self.error) and wanted != self._wanted
+            self._wanted = wanted
+            if again and not self._closed and not self._there():
+                self.error = ""
+                self._start()
             self._news.notify_all()
 
     def get(self, frame: int) -> Pixels | None:
@@ -74,13 +86,15 @@ class Film:
     def wait(self, first: int, last: int, seconds: float) -> bool:
         """Wait until frames are there; whether they are."""
         self.want(first, last)
-        with self._news:
-            return self._news.wait_for(
-                lambda: bool(self.error) or all(k in self._frames for k in range(*self._clipped(first, last))), seconds
-            )
+        return self.arrived(seconds)
 
-    def _clipped(self, first: int, last: int) -> tuple[int, int]:
-        return max(0, first), min(self.count - 1, last) + 1
+    def arrived(self, seconds: float) -> bool:
+        """Wait until all that was asked for last is there, or nothing more comes; whether it did not take too long."""
+        with self._news:
+            return self._news.wait_for(lambda: bool(self.error) or self._there(), seconds)
+
+    def _there(self) -> bool:
+        return all(k in self._frames for first, last in self._wanted for k in range(first, last + 1))
 
     def close(self) -> None:
         """Stop decoding."""
@@ -91,12 +105,16 @@ class Film:
 
     def _next(self) -> int | None:
         """Which frame is to be decoded next; None for none now."""
-        first, last = self._wanted
-        # Frames that are wanted, and then those after them, as many as are kept beside those.
-        for frame in range(first, min(self.count, max(last + 1, first + self.most * 3 // 4))):
-            if frame not in self._frames:
-                return frame
+        for first, last in self._due_spans():
+            for frame in range(first, last + 1):
+                if frame not in self._frames:
+                    return frame
         return None
+
+    def _due_spans(self) -> tuple[Span, ...]:
+        """Frames that are wanted, and then those after the first of them, as many as are kept beside those."""
+        first = self._wanted[0][0]
+        return *self._wanted, (first, min(self.count, first + self.most * 3 // 4) - 1)
 
     def _work(self) -> None:
         try:
@@ -104,10 +122,13 @@ class Film:
                 while not self._closed:
                     self._decode(clip)
         except SuppleError as error:
-            self.error = str(error)
+            self._fail(str(error))
         except Exception as error:  # a thread has nobody to tell but those who wait
-            self.error = f"{self.name} cannot be decoded: {error}"
+            self._fail(f"{self.name} cannot be decoded: {error}")
+
+    def _fail(self, why: str) -> None:
         with self._news:
+            self.error = why
             self._news.notify_all()
 
     def _decode(self, clip: Any) -> None:
@@ -116,6 +137,7 @@ class Film:
         begin = self._due()
         if begin is None:
             return
+        kept = 0
         seeks = hasattr(clip, "frames_from")  # numbered pictures do not
         with contextlib.closing(clip.frames_from(begin) if seeks else _numbered(clip)) as frames:
             for at, picture in frames:
@@ -123,7 +145,7 @@ class Film:
                 if due is None or due < at or (due > at + 1 and seeks and clip.key_before(due) > at):
                     return
                 with self._news:
-                    keep = at not in self._frames and at >= self._wanted[0]
+                    keep = at not in self._frames and any(a <= at <= b for a, b in self._due_spans())
                 if keep:
                     picture.copy_to(arrays)
                     pixels = np.full((self.size[1], self.size[0], 4), 255, np.uint8)
@@ -132,7 +154,11 @@ class Film:
                         self._frames[at] = pixels
                         self._thin()
                         self._news.notify_all()
+                    kept += 1
                     self._on_frame()
+        with self._news:
+            if not kept and self._next() == begin:  # or it would be sought for ever
+                raise SuppleError(f"{self.name} ends before frame {begin}")
 
     def _due(self) -> int | None:
         """Wait until a frame is to be decoded; None if it is closed."""
@@ -145,9 +171,8 @@ class Film:
         return None
 
     def _thin(self) -> None:
-        first, last = self._wanted
         while len(self._frames) > self.most:
-            oldest = next((k for k in self._frames if not first <= k <= last), None)
+            oldest = next((k for k in self._frames if not any(a <= k <= b for a, b in self._wanted)), None)
             if oldest is None:
                 return
             del self._frames[oldest]

@@ -306,9 +306,12 @@ def serve(source: Source, recipe: Recipe | None = None, *, port: int = 0, tell: 
     try:
         canvas = RenderCanvas(max_fps=30, update_mode="ondemand")
         made = opened(source, recipe, canvas, loop)
-        token = server.new_token()
-        tell(f"http://{server.HOST}:{listener.getsockname()[1]}/?token={token}")
-        server.serve(server.guarded(asgi, token, f"{made.stage.name} - Supple"), listener)
-        made.close()
+        try:
+            token = server.new_token()
+            tell(f"http://{server.HOST}:{listener.getsockname()[1]}/?token={token}")
+            app = server.guarded(asgi, token, f"{made.stage.name} - Supple")
+            server.serve(app, listener, canvas.get_closed)
+        finally:
+            made.close()
     finally:
         listener.close()

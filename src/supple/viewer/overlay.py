@@ -166,6 +166,8 @@ def _status(view: View) -> None:
 def status(view: View) -> str:
     """The line of status: a message, or the point under the pointer; frames a second; and the certified error."""
     parts = []
+    if not isinstance(view.stage, VolumeStage):
+        parts.append(view.stage.trouble)
     trouble = view.tools.status or view.desk.message
     if trouble:
         parts.append(trouble)
@@ -173,7 +175,8 @@ def status(view: View) -> str:
         names = {"image": "xy", "video": "xyt", "volume": "xyz"}[view.stage.kind]
         parts.append("  ".join(f"{name} {v:.1f}" for name, v in zip(names, hover, strict=False)))
         if not isinstance(view.stage, VolumeStage):
-            value = view.stage.value((hover[0], hover[1]), view.frame)
+            bent = None if _as_it_was(view) else view.document.deformation
+            value = view.stage.value((hover[0], hover[1]), view.frame, bent)
             if value:
                 parts.append(value)
         elif isinstance(view.tools, VolumeTools) and view.tools.under is not None:
@@ -186,6 +189,13 @@ def status(view: View) -> str:
         parts.append(f"drawn at 1/{view.painter.coarse} while you drag: {why(view)}")
     parts.append(certified(view))
     return "   |   ".join(p for p in parts if p)
+
+
+def _as_it_was(view: View) -> bool:
+    """Whether what is under the pointer is shown without strokes."""
+    tools = view.tools
+    left = tools.pointer is not None and tools.pointer[0] < (tools.split or 0.0) * view.area[0]
+    return tools.original or (tools.split is not None and left)
 
 
 def why(view: View) -> str:

@@ -11,12 +11,19 @@ from supple.deformation import Deformation
 from supple.gpu.device import Gpu
 from supple.gpu.kernel import wait
 from supple.gpu.plate import Sight
-from supple.gpu.screen import canvas_texture
+from supple.gpu.screen import ALL, Part, canvas_texture
 from supple.viewer.stages import ImageStage, VideoStage, VolumeStage
 
 FRAME = 0.05  # seconds that a frame may take while a hand moves
 COARSEST = 8
 _HOME = Camera()
+
+
+def _about_the_middle(seen: tuple[int, int], drawn: tuple[int, int]) -> Part:
+    """What of a volume's picture is seen: a camera looks at its middle, and fits the shorter side."""
+    pixel = min(seen) / min(drawn)
+    width, height = (n / (m * pixel) for n, m in zip(seen, drawn, strict=True))
+    return 0.5 - 0.5 * width, 0.5 - 0.5 * height, width, height
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -70,7 +77,9 @@ class Painter:
         self.coarse = 4 if gpu.software else 1
         """How many pixels of the canvas one that is drawn covers, along each side, while a hand moves."""
         self.ready = True
-        """Whether all that the last picture needs was there."""
+        """Whether nothing is still to come that the last picture needs."""
+        self.part: Part = ALL
+        """What of the textures is seen."""
         self._textures: dict[tuple[str, tuple[int, int]], Any] = {}
         self._untouched: Deformation | None = None
 
@@ -81,8 +90,19 @@ class Painter:
         """
         if shot.split:  # what one needs of a clip might take the other's place
             encoder = None
+        before, self.ready = self._trouble, True
+        if not isinstance(self.stage, VolumeStage):
+            seen = (shot.original, True) if shot.split else (shot.original,)
+            self.stage.expect(tuple(self._strokes(shot, original) for original in seen), shot.time)
         first = self._drawn("first", shot, shot.original, encoder)
-        return first, self._drawn("second", shot, True, encoder) if shot.split else None
+        second = self._drawn("second", shot, True, encoder) if shot.split else None
+        # What is wrong with it is said in the line of status, which was laid out before.
+        self.ready &= self._trouble == before
+        return first, second
+
+    @property
+    def _trouble(self) -> str:
+        return "" if isinstance(self.stage, VolumeStage) else self.stage.trouble
 
     def learn(self, begun: float) -> None:
         """Wait for a picture that was begun at a time, and learn from it how large pixels should be next."""
@@ -98,11 +118,12 @@ class Painter:
         size = (max(1, -(-shot.size[0] // coarse)), max(1, -(-shot.size[1] // coarse)))
         texture = self._texture(name, size)
         stage = self.stage
-        deformation = self._plain(shot.deformation) if original else shot.deformation
+        deformation = self._strokes(shot, original)
         if isinstance(stage, VolumeStage):
             stage.draw(deformation, shot.camera, size, texture, shot.overlay)
-            self.ready = True
+            self.part = _about_the_middle(shot.size, size)
             return texture
+        self.part = 0.0, 0.0, shot.size[0] / (size[0] * coarse), shot.size[1] / (size[1] * coarse)
         # The middle of a coarse pixel lies between those of the fine ones that it covers.
         inset = 0.5 * (coarse - 1) * shot.scale
         sight = Sight(
@@ -113,8 +134,11 @@ class Painter:
             solved=not shot.moving,
             overlay=shot.overlay,
         )
-        self.ready = stage.draw(deformation, sight, texture, encoder)
+        self.ready &= stage.draw(deformation, sight, texture, encoder)
         return texture
+
+    def _strokes(self, shot: Shot, original: bool) -> Deformation:
+        return self._plain(shot.deformation) if original else shot.deformation
 
     def _plain(self, deformation: Deformation) -> Deformation:
         if self._untouched is None:

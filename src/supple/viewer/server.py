@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import hmac
 import secrets
+import signal
 import socket
+import threading
 from collections.abc import Awaitable, Callable, MutableMapping
 from html import escape
-from http.cookies import CookieError, SimpleCookie
 from typing import Any
-from urllib.parse import parse_qs
+from urllib.parse import parse_qs, urlsplit
 
 from supple.errors import SuppleError
 
@@ -19,6 +20,7 @@ Send = Callable[[MutableMapping[str, Any]], Awaitable[None]]
 App = Callable[[Scope, Receive, Send], Awaitable[None]]
 
 HOST = "127.0.0.1"
+PATIENCE = 3  # seconds that browsers have to hang up
 _PAGE = """<!DOCTYPE html>
 <html lang="en">
 <head>
@@ -67,8 +69,8 @@ def guarded(app: App, token: str, title: str) -> App:
         if scope["type"] == "lifespan":
             await app(scope, receive, send)
             return
-        brought = _cookie(scope, name)
-        if brought is not None and hmac.compare_digest(brought, token):
+        brought = any(hmac.compare_digest(value, token.encode()) for value in _cookies(scope, name.encode()))
+        if brought and (scope["type"] != "websocket" or _from_here(scope)):
             if scope["type"] == "http" and scope["path"] in ("/", "/index.html"):
                 await _answer(send, 200, page, [(b"content-type", b"text/html; charset=utf-8"), *_PRIVATE])
             else:
@@ -92,16 +94,27 @@ def guarded(app: App, token: str, title: str) -> App:
 _PRIVATE = [(b"cache-control", b"no-store"), (b"referrer-policy", b"no-referrer"), (b"x-frame-options", b"DENY")]
 
 
-def _cookie(scope: Scope, name: str) -> str | None:
-    for key, value in scope.get("headers", []):
-        if key == b"cookie":
-            try:
-                found = SimpleCookie(value.decode("latin-1")).get(name)
-            except CookieError:
-                continue
-            if found is not None and found.value.isascii():
-                return found.value
-    return None
+def _headers(scope: Scope, name: bytes) -> list[bytes]:
+    return [value for key, value in scope.get("headers", []) if key == name]
+
+
+def _cookies(scope: Scope, name: bytes) -> list[bytes]:
+    """The values of a cookie, whatever those of other programs on this host look like."""
+    parts = (part.strip().partition(b"=") for line in _headers(scope, b"cookie") for part in line.split(b";"))
+    return [value for key, _, value in parts if key == name]
+
+
+def _from_here(scope: Scope) -> bool:
+    """Whether it is our own page that asks: cookies go along from pages of any port of a host."""
+    hosts = [host.decode("latin-1").lower() for host in _headers(scope, b"host")]
+    return all(_place(origin) in hosts for origin in _headers(scope, b"origin"))
+
+
+def _place(origin: bytes) -> str:
+    try:
+        return urlsplit(origin.decode("latin-1")).netloc.lower()
+    except ValueError:
+        return ""
 
 
 async def _answer(send: Send, status: int, body: bytes, headers: list[tuple[bytes, bytes]]) -> None:
@@ -127,9 +140,29 @@ def listening(port: int) -> socket.socket:
     return made
 
 
-def serve(app: App, listener: socket.socket) -> None:
-    """Serve until it is interrupted."""
+def serve(app: App, listener: socket.socket, over: Callable[[], bool] = lambda: False) -> None:
+    """Serve until it is interrupted, or there is nothing left to serve.
+
+    Raises
+    ------
+    KeyboardInterrupt
+        As everywhere, upon Ctrl+C.
+    """
     import uvicorn
 
-    config = uvicorn.Config(app, log_level="warning", ws="websockets-sansio", lifespan="on")
-    uvicorn.Server(config).run(sockets=[listener])
+    class Server(uvicorn.Server):
+        async def on_tick(self, counter: int) -> bool:
+            if main:  # a canvas's loop takes Ctrl+C when it starts, and would end alone
+                signal.signal(signal.SIGINT, self.handle_exit)
+            return await super().on_tick(counter) or over()
+
+    main = threading.current_thread() is threading.main_thread()
+    before = signal.getsignal(signal.SIGINT)
+    config = uvicorn.Config(
+        app, log_level="warning", ws="websockets-sansio", lifespan="on", timeout_graceful_shutdown=PATIENCE
+    )
+    try:
+        Server(config).run(sockets=[listener])
+    finally:
+        if main:
+            signal.signal(signal.SIGINT, before)

@@ -21,6 +21,26 @@ from supple.viewer.film import Film
 from supple.viewer.heard import heard
 from supple.viewer.pixels import Pixels
 
+Point = tuple[float, ...]
+Span = tuple[int, int]
+
+
+class Under:
+    """Where what is seen at a point comes from; the last one is kept."""
+
+    def __init__(self) -> None:
+        self._last: tuple[Deformation, Point, Point] | None = None
+
+    def find(self, deformation: Deformation | None, point: Point) -> Point:
+        """The point T⁻¹(x); of no strokes, x."""
+        if deformation is None or deformation.is_identity:
+            return point
+        last = self._last
+        if last is None or last[0] is not deformation or last[1] != point:
+            made = deformation.inverse(np.array([point[: deformation.ndim]], np.float64)).points[0]
+            last = self._last = deformation, point, (*map(float, made), *point[deformation.ndim :])
+        return last[2]
+
 
 class ImageStage:
     """A photograph."""
@@ -34,6 +54,12 @@ class ImageStage:
         self.size = (width, height)
         self._plate = Plate(gpu, self.size)
         self._plate.put(0, pixels)
+        self._under = Under()
+        self.trouble = ""
+        """Why what is seen is not the whole truth, if it is not."""
+
+    def expect(self, deformations: tuple[Deformation, ...], time: float) -> None:
+        """Hear what is drawn next: all of a picture is always there."""
 
     def draw(self, deformation: Deformation, sight: Sight, texture: Any, encoder: Any = None) -> bool:
         """Draw what a window shows, or have an encoder do it; whether all that is needed was there."""
@@ -41,9 +67,10 @@ class ImageStage:
         self._plate.draw(sight, space.table, space.axes, texture, encoder)
         return True
 
-    def value(self, point: tuple[float, float], time: float) -> str:
-        """What lies at a point of the picture as it was."""
-        return said(self.pixels, point)
+    def value(self, point: tuple[float, float], time: float, deformation: Deformation | None = None) -> str:
+        """What lies at a point of the picture, through strokes if they are given."""
+        x, y, *_ = self._under.find(deformation, point)
+        return said(self.pixels, (x, y))
 
 
 class VideoStage:
@@ -58,26 +85,56 @@ class VideoStage:
         self.size, self.rate = film.size, film.rate
         slots = max(2, min(film.most, Plate.most(gpu, film.size), film.count))
         self._plate = Plate(gpu, film.size, film.count, slots)
+        self._under = Under()
+        self._spans: dict[tuple[Deformation, float], Span] = {}
+        self.trouble = ""
+        """Why what is seen is not the whole truth, if it is not."""
+
+    def expect(self, deformations: tuple[Deformation, ...], time: float) -> None:
+        """Hear what is drawn next: frames of all of it are asked for at once, as those of one might displace another's.
+
+        Parameters
+        ----------
+        deformations : tuple of Deformation
+        time : float
+            The frame.
+        """
+        needed = {(d, time): self._spans.get((d, time)) or self.needed(d, time) for d in deformations}
+        self._spans, self.trouble, slots = needed, "", self._plate.slots
+        most = max(last - first + 1 for first, last in needed.values())
+        if most > slots:
+            self.trouble = f"needs {most} frames at once, and {slots} are kept: export shows it whole"
+        first, *others = (self._kept(span) for span in needed.values())
+        self.film.want(*first, *others)
+
+    def _kept(self, span: Span) -> Span:
+        """As many frames as there is room for."""
+        return span[0], min(span[1], span[0] + self._plate.slots - 1)
 
     def draw(self, deformation: Deformation, sight: Sight, texture: Any, encoder: Any = None) -> bool:
-        """Draw what a window shows of a frame, or have an encoder do it; whether all that is needed was there."""
-        first, last = self.needed(deformation, sight.time)
-        last = min(last, first + self._plate.slots - 1)
-        self.film.want(first, last)
-        ready = True
+        """Draw what a window shows of a frame that was expected, or have an encoder do it; whether that is all."""
+        first, last = self._kept(self._spans[deformation, sight.time])
+        ready = self._laid(first, last)
+        space, plate = deformation.space, self._plate
+        if plate.held:
+            plate.draw(sight, space.table, space.axes, texture, encoder)
+        if ready:
+            return True
+        error = self.film.error
+        self.trouble = error or self.trouble
+        return bool(error)
+
+    def _laid(self, first: int, last: int) -> bool:
+        """Bring frames onto the device; whether all are there."""
         plate = self._plate
         for k in range(first, last + 1):
             if plate.earliest <= k < plate.earliest + plate.held:
                 continue
             pixels = self.film.get(k)
             if pixels is None:
-                ready = False
-                break
+                return False
             plate.put(k, pixels)
-        space = deformation.space
-        if plate.held:
-            plate.draw(sight, space.table, space.axes, texture, encoder)
-        return ready
+        return True
 
     def needed(self, deformation: Deformation, time: float) -> tuple[int, int]:
         """Which frames one is made of, as far as points of a grid tell."""
@@ -93,10 +150,11 @@ class VideoStage:
         last = self.film.count - 1
         return min(max(math.floor(low), 0), last), min(max(math.floor(high) + 1, 0), last)
 
-    def value(self, point: tuple[float, float], time: float) -> str:
-        """What lies at a point of a frame as it was."""
-        pixels = self.film.get(round(time))
-        return "" if pixels is None else said(pixels, point)
+    def value(self, point: tuple[float, float], time: float, deformation: Deformation | None = None) -> str:
+        """What lies at a point of a frame, through strokes if they are given."""
+        x, y, frame = self._under.find(deformation, (*point, time))
+        pixels = self.film.get(min(max(round(frame), 0), self.film.count - 1))
+        return "" if pixels is None else said(pixels, (x, y))
 
 
 class VolumeStage:

@@ -13,7 +13,7 @@ import numpy as np
 
 from supple.errors import SuppleError
 from supple.gpu.device import Gpu
-from supple.gpu.screen import Screen, pixels_of
+from supple.gpu.screen import Screen, composed, pixels_of
 from supple.media import image
 from supple.strokes import Recipe
 from supple.viewer import overlay, panels
@@ -28,6 +28,7 @@ from supple.viewer.waking import Waking
 
 SETTLED = 0.15  # seconds without a change, after which a picture is drawn in full
 FILLING = 0.004
+PATIENCE = 5.0  # seconds that what is saved waits for the frames it is made of
 
 
 class View:
@@ -221,7 +222,7 @@ class View:
         drawing = encoder.begin_render_pass(color_attachments=[colours])
         if self._textures is not None:
             place = (0, 0, *(min(a, b) for a, b in zip(shot.size, onto.size, strict=False)))
-            self._screen.draw(drawing, *self._textures, self.tools.split or 0.0, place)
+            self._screen.draw(drawing, *self._textures, self.tools.split or 0.0, place, self.painter.part)
         self._gui.draw(drawing)
         drawing.end()
         self.gpu.device.queue.submit([encoder.finish()])
@@ -302,12 +303,35 @@ class View:
         image.write(path, self.pixels(), force=force)
 
     def pixels(self) -> np.ndarray[Any, np.dtype[np.uint8]]:
-        """What is seen, drawn in full: (rows, columns, 3) of sRGB."""
+        """What is seen, drawn in full: (rows, columns, 3) of sRGB.
+
+        Raises
+        ------
+        SuppleError
+            If frames that it is made of do not come.
+        """
         ratio = self.canvas.get_pixel_ratio()
         width, height = self.area
         shot = self._shot((round(width * ratio), round(height * ratio)), ratio, False)
-        first, _ = self.painter.paint(shot)
-        return np.ascontiguousarray(pixels_of(self.gpu, first)[..., :3])
+        first, second = self._whole(shot)
+        seen = pixels_of(self.gpu, first)
+        if second is not None:
+            seen = composed(self.gpu, first, second, self.tools.split or 0.0)
+        return np.ascontiguousarray(seen[..., :3])
+
+    def _whole(self, shot: Shot) -> tuple[Any, Any]:
+        """The textures of a shot once all that it needs is there."""
+        self._drawn_key = None  # what is on the canvas is drawn over
+        textures, stage = self.painter.paint(shot), self.stage
+        if isinstance(stage, VideoStage):
+            end = time.perf_counter() + PATIENCE
+            while not self.painter.ready:
+                if not stage.film.arrived(end - time.perf_counter()):
+                    raise SuppleError("frames of it are not decoded yet: try it again in a moment")
+                textures = self.painter.paint(shot)
+            if stage.trouble:
+                raise SuppleError(stage.trouble)
+        return textures
 
     def drop(self, paths: list[str]) -> None:
         """Open a file that was dropped on the window: a recipe here, anything else in a window of its own."""
