@@ -34,7 +34,7 @@ def needs(*programs: str) -> None:
         pytest.skip(f"{', '.join(missing)} is not installed")
 
 
-def wait_for(what: Any, seconds: float = 60.0, every: float = 0.1) -> Any:
+def wait_for(what: Any, seconds: float = 240.0, every: float = 0.1) -> Any:
     """What a function gives, once that is something."""
     end = time.monotonic() + seconds
     while time.monotonic() < end:
