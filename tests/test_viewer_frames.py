@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from clips import make
-from windows import SIZE, Hand, wait_for
+from windows import Hand, opened, wait_for
 
 from supple.errors import SuppleError
 from supple.gpu.device import Gpu
@@ -24,17 +24,6 @@ LATER = Stroke.grab((160, 120, 860), by=(0, 0, 30), radius=100)
 @pytest.fixture(autouse=True)
 def state(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
-
-
-def opened(source: Any, recipe: Recipe | None = None) -> tuple[Any, Hand]:
-    from rendercanvas.offscreen import RenderCanvas, loop
-
-    from supple.viewer.launch import opened as opened_on
-
-    canvas = RenderCanvas(size=SIZE, pixel_ratio=1.0)
-    view = opened_on(source, recipe, canvas, loop)
-    canvas.draw()
-    return view, Hand(canvas)
 
 
 def closed(view: Any) -> None:

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from windows import SIZE, Hand, Pixels
+from windows import SIZE, Hand, Pixels, opened
 
 import supple
 from supple.gpu.device import Gpu
@@ -28,17 +28,6 @@ def photo(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path / "photo.png"
 
 
-def opened(source: Any, ratio: float = 1.0) -> tuple[Any, Hand]:
-    from rendercanvas.offscreen import RenderCanvas, loop
-
-    from supple.viewer.launch import opened as opened_on
-
-    canvas = RenderCanvas(size=SIZE, pixel_ratio=ratio)
-    view = opened_on(source, None, canvas, loop)
-    canvas.draw()
-    return view, Hand(canvas)
-
-
 @pytest.fixture
 def view(gpu: Gpu, photo: Path) -> Iterator[tuple[Any, Hand]]:
     view, hand = opened(photo)
@@ -53,7 +42,7 @@ def seen(hand: Hand) -> Pixels:
 def test_a_screen_of_small_pixels_shows_the_same_twice_as_sharp(gpu: Gpu, photo: Path) -> None:
     pictures, recipes = [], []
     for ratio in (1.0, 2.0):
-        view, hand = opened(photo, ratio)
+        view, hand = opened(photo, ratio=ratio)
         hand.drag((300, 250), (360, 220))
         hand.move(350, 400)
         view._changed_at = -10.0

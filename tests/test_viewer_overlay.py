@@ -5,11 +5,10 @@ from __future__ import annotations
 import re
 import time
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
-from windows import SIZE, Hand
+from windows import SIZE, Hand, opened
 
 import supple
 from supple.errors import SuppleError
@@ -26,17 +25,6 @@ DATA = Path(supple.__file__).parent / "data"
 @pytest.fixture(autouse=True)
 def state(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
-
-
-def opened(source: Path, recipe: Recipe | None = None) -> tuple[Any, Hand]:
-    from rendercanvas.offscreen import RenderCanvas, loop
-
-    from supple.viewer.launch import opened as opened_on
-
-    canvas = RenderCanvas(size=SIZE, pixel_ratio=1.0)
-    view = opened_on(source, recipe, canvas, loop)
-    canvas.draw()
-    return view, Hand(canvas)
 
 
 def red(pixels: np.ndarray) -> int:

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from windows import SIZE, Hand
+from windows import SIZE, Hand, opened
 
 import supple
 from supple.gpu.device import Gpu
@@ -26,17 +26,6 @@ DEEP = (Stroke(at=(20, 60, 60), by=(3, 0, 1), radius=20),)
 @pytest.fixture(autouse=True)
 def state(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
-
-
-def opened(source: Any, recipe: Recipe | None = None, height: int = SIZE[1]) -> tuple[Any, Hand]:
-    from rendercanvas.offscreen import RenderCanvas, loop
-
-    from supple.viewer.launch import opened as opened_on
-
-    canvas = RenderCanvas(size=(SIZE[0], height), pixel_ratio=1.0)
-    view = opened_on(source, recipe, canvas, loop)
-    canvas.draw()
-    return view, Hand(canvas)
 
 
 @pytest.fixture
@@ -80,7 +69,7 @@ def test_every_control_can_be_clicked(gpu: Gpu, seen: dict[str, tuple[float, flo
         source, strokes = DATA / "bunny.mp4", (Stroke(at=(200, 120, 9), by=(20, 10, 3), radius=40),)
     else:
         source, strokes = DATA / "head.nii.gz", DEEP
-    view, hand = opened(source, Recipe(border=None, strokes=strokes), 1400)  # all of the panel
+    view, hand = opened(source, Recipe(border=None, strokes=strokes), size=(SIZE[0], 1400))  # all of the panel
     view.document.select(0)
     hand.canvas.draw()
     labels = list(seen)

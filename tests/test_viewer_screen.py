@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 import SimpleITK as sitk  # noqa: N813
 from clips import decoded
-from windows import Browser, Mouse, Pixels, a_screen, needs, viewing, wait_for
+from windows import Browser, Mouse, Pixels, a_screen, needs, small_photo, viewing, wait_for
 
 import supple
 from supple.cli import command
@@ -41,9 +41,7 @@ def state(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 @pytest.fixture
 def photo(state: Path) -> Path:
-    pixels = image.read(DATA / "coffee.jpg").pixels[:380, :560]
-    image.write(state / "photo.png", pixels)
-    return state / "photo.png"
+    return small_photo(state)
 
 
 @pytest.fixture

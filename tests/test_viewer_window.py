@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from windows import SIZE, Hand, viewing, wait_for
+from windows import Hand, opened, small_photo, viewing, wait_for
 
 import supple
 from supple.gpu.device import Gpu
@@ -36,21 +36,7 @@ def state(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 @pytest.fixture
 def photo(state: Path) -> Path:
-    """A photograph whose pixels are those of the canvas, at 100 %."""
-    pixels = image.read(DATA / "coffee.jpg").pixels[:380, :560]
-    image.write(state / "photo.png", pixels)
-    return state / "photo.png"
-
-
-def opened(source: Any, recipe: Recipe | None = None) -> tuple[Any, Hand]:
-    from rendercanvas.offscreen import RenderCanvas, loop
-
-    from supple.viewer.launch import opened as opened_on
-
-    canvas = RenderCanvas(size=SIZE, pixel_ratio=1.0)
-    view = opened_on(source, recipe, canvas, loop)
-    canvas.draw()
-    return view, Hand(canvas)
+    return small_photo(state)
 
 
 @pytest.fixture

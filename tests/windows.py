@@ -21,6 +21,9 @@ import numpy as np
 import pytest
 import pyvips
 
+import supple
+from supple.media import image
+
 MUST = os.environ.get("SUPPLE_TEST_WINDOW") == "1"
 SIZE = (1000, 640)
 Pixels = np.ndarray[Any, np.dtype[np.uint8]]
@@ -84,6 +87,25 @@ class Hand:
         self.send("key_down", key=key)
         self.send("key_up", key=key)
         self.modifiers = ()
+
+
+def opened(source: Any, recipe: Any = None, *, ratio: float = 1.0, size: tuple[int, int] = SIZE) -> tuple[Any, Hand]:
+    """A window without a screen, and the hand that is in it."""
+    from rendercanvas.offscreen import RenderCanvas, loop
+
+    from supple.viewer.launch import opened as opened_on
+
+    canvas = RenderCanvas(size=size, pixel_ratio=ratio)
+    view = opened_on(source, recipe, canvas, loop)
+    canvas.draw()
+    return view, Hand(canvas)
+
+
+def small_photo(folder: Path) -> Path:
+    """A photograph whose pixels are those of the canvas, at 100 %."""
+    pixels = image.read(Path(supple.__file__).parent / "data" / "coffee.jpg").pixels[:380, :560]
+    image.write(folder / "photo.png", pixels)
+    return folder / "photo.png"
 
 
 @contextmanager

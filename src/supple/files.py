@@ -18,7 +18,7 @@ from supple.deformation import Deformation, Report
 from supple.domain import choice
 from supple.engines import DEVICES
 from supple.errors import SuppleError
-from supple.media.files import check_output, replacing, shown
+from supple.media.files import check_output, replacing, same_file, shown
 from supple.media.image import check_target, read, write
 from supple.strokes import Recipe
 from supple.volumes import VolumeOptions, WarpedVolume, is_volume_job, warp_volume
@@ -128,7 +128,7 @@ def warp_file(
     if is_volume_job(source, target, recipe, volume):
         if quality is not None or lossless or linear_light or not _only_memory(clip):
             raise SuppleError(f"{shown(source)} is a volume, and what was asked of it is for pictures or videos")
-        if not force and _same(source, target):
+        if not force and same_file(source, target):
             raise SuppleError(f"{shown(target)} is the volume itself: pass --force (force=True) to replace it")
         with counted(progress, "slices", tell) as counts:
             return warp_volume(
@@ -147,7 +147,7 @@ def warp_file(
     if volume is not None and volume != VolumeOptions():
         raise SuppleError(f"{shown(source)} is no volume, and what was asked of it is for volumes: leave that out")
     if is_clip(source, target, recipe):
-        if not force and _same(source, target):
+        if not force and same_file(source, target):
             raise SuppleError(f"{shown(target)} is the clip itself: pass --force (force=True) to replace it")
         sampling = {"filter": filter, "tolerance": tolerance, "outside": outside, "fill": fill}
         with counted(progress, also=tell) as counts:
@@ -170,7 +170,7 @@ def warp_file(
         )
     check_target(target)
     _check_options(target, quality, lossless)
-    if not force and _same(source, target):
+    if not force and same_file(source, target):
         raise SuppleError(f"{shown(target)} is the picture itself: pass --force (force=True) to replace it")
     check_output(target, force=force)
     with contextlib.nullcontext(progress) if callable(progress) else _told(source, progress) as show:
@@ -311,13 +311,6 @@ def _check_options(target: PathLike, quality: int | None, lossless: bool) -> Non
         raise SuppleError(f"cannot write {name} with quality {quality}: quality goes from 1 to 100")
     if lossless and Path(target).suffix.lower() in (".jpg", ".jpeg"):
         raise SuppleError(f"cannot write {name} without loss: JPEG always loses: write PNG, TIFF, WebP or AVIF")
-
-
-def _same(source: PathLike, target: PathLike) -> bool:
-    try:
-        return os.path.samefile(source, target)
-    except (OSError, ValueError):
-        return False
 
 
 @contextlib.contextmanager

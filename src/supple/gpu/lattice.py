@@ -13,7 +13,7 @@ from supple.gpu.device import Gpu
 from supple.gpu.field import domain, packed
 from supple.gpu.kernel import LAYERS, READ, TURNS, UNIFORM, WRITE, download, owned, pipeline, room, run, upload
 from supple.gpu.samples import STEP
-from supple.gpu.texels import plane_layers, view_of
+from supple.gpu.texels import copy_in, plane_layers, view_of
 
 Floats = npt.NDArray[np.float64]
 Range = tuple[int, int]
@@ -135,13 +135,7 @@ class Lattice:
         gpu.device.queue.write_buffer(self.stats, 0, np.zeros(4, np.uint32))
         solving = pipeline(gpu, _NAMES, "solve", _SOLVE)
         run(gpu, [(solving, self.buffers, (-(-across // 8), -(-down // 8), count))])
-        encoder = gpu.device.create_command_encoder()
-        encoder.copy_buffer_to_texture(
-            {"buffer": self.buffers[3], "bytes_per_row": pitch_of(across) * NODE // 4, "rows_per_image": down},
-            {"texture": self.read},
-            (across, down, 4 * count),
-        )
-        gpu.device.queue.submit([encoder.finish()])
+        copy_in(gpu, self.buffers[3], pitch_of(across), self.read, 0, 4 * count)
         buffers = (*self.buffers, self.view)
         checking, counting = (pipeline(gpu, _NAMES, entry, CHECK) for entry in ("check", "count"))
         run(

@@ -247,7 +247,7 @@ def _rays(held: Held, look: Look, view: Floats, size: tuple[int, int], fine: int
         raise MemoryError("a row of pixels of so many rays is more than a shader takes")
     pace = Pace(max(1, held.pace.count // row_), most)
     with contextlib.ExitStack() as stack:
-        skips = solid(gpu, _three(look.skips.shape), np.uint8)
+        skips = solid(gpu, look.skips.shape, np.uint8)
         colours = layers(gpu, (1, len(look.table)), 1, np.float32, 4)
         owned(stack, skips, colours)
         put_solid(gpu, skips, look.skips)
@@ -263,11 +263,6 @@ def _rays(held: Held, look: Look, view: Floats, size: tuple[int, int], fine: int
             yield first * fine, count * fine, seen
             pace.count = min(pace.count, most)
     held.pace.count = pace.count * row_
-
-
-def _three(shape: tuple[int, ...]) -> tuple[int, int, int]:
-    deep, high, across = shape
-    return deep, high, across
 
 
 def _read(held: Held, skips: Any, colours: Any) -> list[Any]:

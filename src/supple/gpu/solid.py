@@ -12,7 +12,7 @@ import numpy.typing as npt
 from supple.gpu.device import Gpu
 from supple.gpu.field import domain, packed
 from supple.gpu.kernel import READ, SOLID, TURNS, UNIFORM, WRITE, Pace, download, owned, pipeline, room, run, upload
-from supple.gpu.texels import solid
+from supple.gpu.texels import copy_in, solid
 
 Floats = npt.NDArray[np.float64]
 
@@ -125,7 +125,7 @@ def solve(
                     groups = tuple(-(-n // 4) for n in (across, down, count))
                     run(gpu, [(work, [told, made.domain, made.strokes, made.nodes, some, stats], groups)])
                     if entry == "solve":
-                        _keep(gpu, some, texture, pitch, first, count)
+                        copy_in(gpu, some, pitch, texture, 2 * first, 2 * count)
                         found = download(gpu, some, np.float32, count * layer // 4)
                         # As they lie there: layers, two by two, rows, two by two, nodes.
                         laid = found.reshape(count, 2, down, 2, pitch, 4)[..., :across, :].transpose(0, 2, 4, 1, 3, 5)
@@ -133,15 +133,3 @@ def solve(
                     seen = download(gpu, stats, np.float32, 2)  # waits
         error, smooth = float(seen[0]), float(seen[1])
     return made, nodes, error, smooth
-
-
-def _keep(gpu: Gpu, some: Any, texture: Any, pitch: int, first: int, count: int) -> None:
-    """Copy the nodes of some layers to where they are read."""
-    width, rows, _ = texture.size
-    encoder = gpu.device.create_command_encoder()
-    encoder.copy_buffer_to_texture(
-        {"buffer": some, "bytes_per_row": 16 * pitch, "rows_per_image": rows},
-        {"texture": texture, "origin": (0, 0, 2 * first)},
-        (width, rows, 2 * count),
-    )
-    gpu.device.queue.submit([encoder.finish()])

@@ -57,14 +57,8 @@ class Layers:
                 block = frame[j * SIDE : (j + 1) * SIDE, i * SIDE : (i + 1) * SIDE]
                 some = max(1, _SLAB // max(1, block[0].nbytes))
                 for top in range(0, len(block), some):
-                    slab = np.ascontiguousarray(block[top : top + some])
-                    rows, width = slab.shape[:2]
-                    gpu.device.queue.write_texture(
-                        {"texture": self.texture, "origin": (0, top, (slot * down + j) * across + i)},
-                        slab.reshape(-1).view(np.uint8),
-                        {"bytes_per_row": slab.nbytes // rows, "rows_per_image": rows},
-                        (width, rows, 1),
-                    )
+                    origin = 0, top, (slot * down + j) * across + i
+                    _write(gpu, self.texture, origin, block[None, top : top + some])
                     if wait:
                         settle(gpu)
 
@@ -115,23 +109,43 @@ def view_of(texture: Any) -> Any:
     return texture.create_view(dimension="2d-array")
 
 
-def solid(gpu: Gpu, shape: tuple[int, int, int], dtype: Any, channels: int = 1, usage: str = "COPY_DST") -> Any:
+def solid(gpu: Gpu, shape: tuple[int, ...], dtype: Any, channels: int = 1, usage: str = "COPY_DST") -> Any:
     """A texture of so many layers, rows and texels in a row; MemoryError if there is no room for it."""
     if max(shape) > DEEP:
         raise MemoryError(f"{max(shape)} samples along a side are more than a texture holds, {DEEP}")
-    return _texture(gpu, shape[::-1], _NAMES[np.dtype(dtype).name, channels], usage, "3d")
+    deep, high, wide = shape
+    return _texture(gpu, (wide, high, deep), _NAMES[np.dtype(dtype).name, channels], usage, "3d")
 
 
 def put_solid(gpu: Gpu, texture: Any, samples: Array) -> None:
     """Put samples (layers, rows, samples in a row) into a solid."""
-    count, rows, width = samples.shape
+    count = len(samples)
     some = max(1, _SLAB // (samples.nbytes // count))
     for first in range(0, count, some):
-        slab = np.ascontiguousarray(samples[first : first + some])
-        gpu.device.queue.write_texture(
-            {"texture": texture, "origin": (0, 0, first)},
-            slab.reshape(-1).view(np.uint8),
-            {"bytes_per_row": width * samples.itemsize, "rows_per_image": rows},
-            (width, rows, len(slab)),
-        )
-        settle(gpu)
+        _write(gpu, texture, (0, 0, first), samples[first : first + some])
+        if some < count:  # what is small, as the maps of each picture are, nobody waits for
+            settle(gpu)
+
+
+def copy_in(gpu: Gpu, buffer: Any, pitch: int, texture: Any, first: int, count: int) -> None:
+    """Copy layers of vectors of float32, whose rows are ``pitch`` of them long in a buffer, into a texture."""
+    width, rows, _ = texture.size
+    encoder = gpu.device.create_command_encoder()
+    encoder.copy_buffer_to_texture(
+        {"buffer": buffer, "bytes_per_row": 16 * pitch, "rows_per_image": rows},
+        {"texture": texture, "origin": (0, 0, first)},
+        (width, rows, count),
+    )
+    gpu.device.queue.submit([encoder.finish()])
+
+
+def _write(gpu: Gpu, texture: Any, origin: tuple[int, int, int], slab: Array) -> None:
+    """Hand over some layers (layers, rows, samples in a row, and perhaps channels)."""
+    data = np.ascontiguousarray(slab)
+    count, rows, width = data.shape[:3]
+    gpu.device.queue.write_texture(
+        {"texture": texture, "origin": origin},
+        data.reshape(-1).view(np.uint8),
+        {"bytes_per_row": data.nbytes // (count * rows), "rows_per_image": rows},
+        (width, rows, count),
+    )

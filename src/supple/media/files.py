@@ -158,3 +158,11 @@ def _unwritable(path: str | os.PathLike[str], error: OSError, temporary: Path | 
         reason += f" ({shown(os.fsdecode(error.filename))})"  # another file's trouble
     advice = _ADVICE.get(error.errno or 0, "choose another place")
     return SuppleError(f"cannot write {shown(path)}: {reason}: {advice}")
+
+
+def same_file(one: str | os.PathLike[str], other: str | os.PathLike[str]) -> bool:
+    """Whether two names are of one file that is there."""
+    try:
+        return os.path.samefile(one, other)
+    except (OSError, ValueError):
+        return False

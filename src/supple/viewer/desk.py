@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from supple.errors import SuppleError
-from supple.media.files import check_output, replacing, shown
+from supple.media.files import check_output, replacing, same_file, shown
 from supple.strokes import Recipe
 from supple.viewer import autosave
 from supple.viewer.autosave import Autosave, Found
@@ -180,7 +180,7 @@ class Desk:
             self.begin_export(path, force=force)
         elif asked.name == "close":
             if choice in ("Save and close", "Replace and close"):
-                known = self.recipe_path is not None and _same(path, self.recipe_path)
+                known = self.recipe_path is not None and same_file(path, self.recipe_path)
                 self.save(path, force=known or choice == "Replace and close")
             else:
                 self.document.mark_saved()  # it is not wanted
@@ -210,7 +210,7 @@ class Desk:
 
     def _spare(self, path: PathLike) -> None:
         """Refuse to write over what is bent here."""
-        if self.source is not None and _same(path, self.source):
+        if self.source is not None and same_file(path, self.source):
             raise SuppleError(f"{shown(path)} is what is bent here: choose another name")
 
     def open(self, path: PathLike) -> None:
@@ -288,11 +288,6 @@ class Desk:
 def _in_a_window(error: SuppleError) -> str:
     """What is wrong, without the command line's advice."""
     return str(error).replace("pass --force (force=True) to replace it", "choose another name, or Replace")
-
-
-def _same(one: PathLike, other: PathLike) -> bool:
-    """Whether two names are of one file."""
-    return os.path.realpath(one) == os.path.realpath(other)
 
 
 _WAYS_OUT = ("Save and close", "Replace and close", "Close without saving", "Cancel")

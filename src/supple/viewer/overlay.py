@@ -94,11 +94,9 @@ def _marks(view: View, lines: imgui.ImDrawList) -> None:
     if tools.pointer is not None and not tools.original and (ring := tools.ring):
         lines.add_circle(tools.pointer, ring, _DARK, 0, 3.0)
         lines.add_circle(tools.pointer, ring, _WHITE, 0, 1.0)
-    starts: dict[int, tuple[float, float]] = {}
-    for handle in tools.handles():
-        if handle.part != "end":
-            starts[handle.item] = handle.seen
-    for handle in tools.handles():
+    handles = tools.handles()
+    starts = {handle.item: handle.seen for handle in handles if handle.part != "end"}
+    for handle in handles:
         if handle.part == "end" and handle.item in starts:
             lines.add_line(starts[handle.item], handle.seen, _DARK, 3.0)
             lines.add_line(starts[handle.item], handle.seen, 0x90FFFFFF, 1.0)

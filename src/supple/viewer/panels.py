@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
@@ -108,7 +109,7 @@ def _row(view: View, i: int, item: Item, selected: bool) -> None:
     text = _said(item.stroke) + (f"  {damping:.0%}" if damping < 0.995 else "")
     if imgui.selectable(text, selected)[0]:
         view.attempt(lambda: document.select(None if selected else i))
-    hint(described(item.stroke, damping))
+    hint(lambda: described(item.stroke, damping))
     imgui.pop_id()
 
 
@@ -370,7 +371,7 @@ def question(view: View) -> None:
     imgui.end_popup()
 
 
-def hint(text: str) -> None:
-    """Say something of the last thing, when the pointer stays on it."""
+def hint(text: str | Callable[[], str]) -> None:
+    """Say something of the last thing, when the pointer stays on it; what is a function is only asked then."""
     if imgui.is_item_hovered(imgui.HoveredFlags_.delay_short):
-        imgui.set_tooltip(text)
+        imgui.set_tooltip(text if isinstance(text, str) else text())
