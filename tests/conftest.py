@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
 
 import pytest
+from windows import close_all
 
 from supple.errors import SuppleError
 from supple.gpu.device import Gpu, open_gpu
@@ -19,3 +21,10 @@ def gpu() -> Gpu:
         if os.environ.get("SUPPLE_TEST_GPU") == "1":
             raise
         pytest.skip(str(error))
+
+
+@pytest.fixture(autouse=True)
+def _windows_end() -> Iterator[None]:
+    """No window of one test certifies on during the next, and listens to its warnings."""
+    yield
+    close_all()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import signal
 import sys
 import time
 import urllib.error
@@ -339,6 +340,37 @@ def _reached(address: str) -> bool:
     except OSError:
         return False
     return True
+
+
+@pytest.mark.parametrize("what", ["a frame", "an event"])
+def test_an_interrupt_waits_for_what_is_being_done(
+    photo_view: tuple[Any, Hand], monkeypatch: pytest.MonkeyPatch, what: str
+) -> None:
+    view, hand = photo_view
+    owner, name = (view, "_present") if what == "a frame" else (view.tools, "handle")
+    done, closed = getattr(owner, name), []
+
+    def close(*told: Any) -> None:
+        closed.append(told)
+        view.canvas.close()
+
+    def interrupted(*arguments: Any) -> None:
+        signal.raise_signal(signal.SIGINT)
+        assert not closed
+        done(*arguments)
+
+    monkeypatch.setattr(owner, name, interrupted)
+    before = signal.signal(signal.SIGINT, close)
+    try:
+        if what == "a frame":
+            view.draw()
+        else:
+            hand.send("key_down", key="1")
+        assert len(closed) == 1
+        assert view.canvas.get_closed()
+        assert signal.getsignal(signal.SIGINT) is close
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 def test_the_panel_says_what_a_border_holds_back() -> None:

@@ -89,6 +89,9 @@ class Hand:
         self.modifiers = ()
 
 
+_opened: list[Any] = []
+
+
 def opened(source: Any, recipe: Any = None, *, ratio: float = 1.0, size: tuple[int, int] = SIZE) -> tuple[Any, Hand]:
     """A window without a screen, and the hand that is in it."""
     from rendercanvas.offscreen import RenderCanvas, loop
@@ -97,8 +100,18 @@ def opened(source: Any, recipe: Any = None, *, ratio: float = 1.0, size: tuple[i
 
     canvas = RenderCanvas(size=size, pixel_ratio=ratio)
     view = opened_on(source, recipe, canvas, loop)
+    _opened.append(view)
     canvas.draw()
     return view, Hand(canvas)
+
+
+def close_all() -> None:
+    """Close what was opened, and wait for what goes on there."""
+    while _opened:
+        view = _opened.pop()
+        view.close()
+        if (thread := view.certifier._thread) is not None:
+            thread.join(120)
 
 
 def small_photo(folder: Path) -> Path:

@@ -298,7 +298,9 @@ def _mode(held: Held, step: float) -> int:
         return held.mode
     if filling.part == 1.0:
         return PLAIN
-    return HYBRID if filling.part > 0.0 and step <= FARTHEST else LATTICE
+    # Software carries out both sides of a branch: a ray that may read either would read both.
+    mixed = filling.part > 0.0 and step <= FARTHEST and not held.volume.gpu.software
+    return HYBRID if mixed else LATTICE
 
 
 def _stretch(mode: int, cells: float, step: float) -> int:

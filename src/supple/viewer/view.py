@@ -21,6 +21,7 @@ from supple.viewer.certify import Certifier
 from supple.viewer.desk import Desk
 from supple.viewer.document import Document
 from supple.viewer.gui import Gui
+from supple.viewer.interrupts import unbroken
 from supple.viewer.painter import Painter, Shot
 from supple.viewer.stages import ImageStage, VideoStage, VolumeStage
 from supple.viewer.tools import ImageTools, VideoTools, VolumeTools
@@ -154,6 +155,7 @@ class View:
         """Whether it is on the picture."""
         return bool(event.get("x", 0) < self.area[0] and event.get("y", 0) < self.area[1])
 
+    @unbroken()
     def _event(self, event: dict[str, Any]) -> None:
         kind = event["event_type"]
         if kind == "close":
@@ -184,6 +186,7 @@ class View:
 
     # What is drawn.
 
+    @unbroken()
     def draw(self) -> None:
         """Draw a frame: what is asked for by the canvas."""
         if self._closed:
