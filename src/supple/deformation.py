@@ -263,6 +263,9 @@ class Deformation:
         resolved = resolve(stroke, self.domain, self.on_fold)
         if resolved.warning and warn:
             warnings.warn(resolved.warning, FoldWarning, stacklevel=3)
+        count = self._table.size
+        table = np.empty(count + resolved.substrokes, STROKE_DTYPE)
+        table[:count], table[count:] = self._table, resolved.rows
         made = object.__new__(type(self))
         values = {
             "domain": self.domain,
@@ -270,7 +273,7 @@ class Deformation:
             "strokes": (*self.strokes, stroke),
             "_resolved": (*self._resolved, resolved),
             "_axes": self._axes,
-            "_table": np.concatenate([self._table, resolved.rows]),
+            "_table": table,
         }
         for name, value in values.items():
             object.__setattr__(made, name, value)

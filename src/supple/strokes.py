@@ -8,6 +8,7 @@ import math
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields
+from functools import lru_cache
 from typing import Any, Literal, NoReturn, Self, get_args
 
 import numpy as np
@@ -282,22 +283,27 @@ def pack(strokes: Iterable[Stroke], spacing: Sequence[float]) -> npt.NDArray[np.
         row["pivot"][:n] = np.multiply(stroke.at, spacing)
         row["force"][:n] = np.multiply(stroke.by, spacing)
         row["terms"] = stroke.scales
-        _set_terms(row, stroke)
+        row["radius2"], row["p"], row["q"], row["r"] = _terms(stroke.radius, stroke.poisson, stroke.scales)
     return table
 
 
-def _set_terms(row: np.void, stroke: Stroke) -> None:
+@lru_cache(maxsize=256)
+def _terms(radius: float, poisson: float, scales: int) -> npt.NDArray[np.float64]:
+    """The columns radius2, p, q and r of a row, as four rows."""
     # b/a of the kelvinlet (a itself cancels): from 0, at -inf, to 1/2, so that no sum here loses digits.
-    ratio = 1 / (4 * (1 - stroke.poisson))
-    scale = stroke.radius * 2 / (3 - 2 * ratio)
-    weights = _WEIGHTS[stroke.scales]
-    m = stroke.scales
-    row["radius2"] = stroke.radius**2
-    row["radius2"][:m] *= _RADIUS2[:m]
-    row["p"][:m] = weights * (scale * (1 - ratio))
-    row["r"][:m] = weights * (scale * ratio)
-    row["q"][:m] = weights * scale * row["radius2"][:m] / 2
+    ratio = 1 / (4 * (1 - poisson))
+    scale = radius * 2 / (3 - 2 * ratio)
+    weights, m = _WEIGHTS[scales], scales
+    made = np.zeros((4, 3))
+    radius2, p, q, r = made
+    radius2[:] = radius**2
+    radius2[:m] *= _RADIUS2[:m]
+    p[:m] = weights * (scale * (1 - ratio))
+    r[:m] = weights * (scale * ratio)
+    q[:m] = weights * scale * radius2[:m] / 2
     if m > 1:
         # These must sum to zero to the last bit, or what is left of 1/r outlives 1/r⁵. The sums are exact.
-        row["p"][m - 1] = -row["p"][: m - 1].sum()
-        row["r"][m - 1] = -row["r"][: m - 1].sum()
+        p[m - 1] = -p[: m - 1].sum()
+        r[m - 1] = -r[: m - 1].sum()
+    made.flags.writeable = False
+    return made

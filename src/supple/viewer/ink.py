@@ -50,7 +50,7 @@ class Ink:
 
     def __init__(self, gpu: Gpu, format: str) -> None:
         self._device, self._gamma = gpu.device, 2.2 if format.endswith("srgb") else 1.0
-        self._told, self._buffer = Kept(gpu, UNIFORM), gpu.device.create_buffer(size=1 << 18, usage=_USAGE)
+        self._told, self._bytes, self._buffer = Kept(gpu, UNIFORM), bytearray(), None
         self._groups: dict[int, Any] = {}
         self._letters: dict[int, Any] = {}
         module = gpu.device.create_shader_module(code=_SHADER)
@@ -117,16 +117,19 @@ class Ink:
 
     def _write(self, lists: list[Any]) -> int:
         """Corners, and then the indices of triangles; where these begin."""
-        parts = [_bytes(part.vtx_buffer, imgui.VERTEX_SIZE) for part in lists]
-        begin = sum(map(len, parts))
-        begin += -begin % 4
-        parts += [bytes(begin - sum(map(len, parts)))]
-        parts += [_bytes(part.idx_buffer, imgui.INDEX_SIZE) for part in lists]
-        data = b"".join(parts)
-        data += bytes(-len(data) % 4)
-        if self._buffer.size < len(data):
-            self._buffer = self._device.create_buffer(size=2 * len(data), usage=_USAGE)
-        self._device.queue.write_buffer(self._buffer, 0, data)
+        vectors = [(part.vtx_buffer, imgui.VERTEX_SIZE) for part in lists]
+        vectors += [(part.idx_buffer, imgui.INDEX_SIZE) for part in lists]
+        sizes = [vector.size() * size for vector, size in vectors]
+        begin: int = sum(sizes[: len(lists)])
+        end = begin + sum(sizes[len(lists) :])  # corners are of 20 bytes: indices begin at a whole word
+        if len(self._bytes) < end + 4:
+            self._bytes = bytearray(2 * end + 4)
+            self._buffer = self._device.create_buffer(size=len(self._bytes) & ~3, usage=_USAGE)
+        place = ctypes.addressof(ctypes.c_char.from_buffer(self._bytes))
+        for (vector, _), size in zip(vectors, sizes, strict=True):
+            ctypes.memmove(place, vector.data_address(), size)
+            place += size
+        self._device.queue.write_buffer(self._buffer, 0, memoryview(self._bytes)[: -(-end // 4) * 4])
         return begin
 
     def _update(self, texture: imgui.ImTextureData) -> None:
@@ -158,7 +161,3 @@ class Ink:
             size,
         )
         texture.set_status(status.ok)
-
-
-def _bytes(vector: Any, size: int) -> bytes:
-    return ctypes.string_at(vector.data_address(), vector.size() * size)

@@ -172,7 +172,11 @@ def status(view: View) -> str:
     elif (hover := view.tools.hover) is not None:  # of a volume, it sends a ray
         names = {"image": "xy", "video": "xyt", "volume": "xyz"}[view.stage.kind]
         parts.append("  ".join(f"{name} {v:.1f}" for name, v in zip(names, hover, strict=False)))
-        if not isinstance(view.stage, VolumeStage):
+        document = view.document
+        if document.dragging and document.selected is not None:  # what is held stays under the pointer
+            by = document.items[document.selected].stroke.by
+            parts.append("by " + " ".join(f"{v:+.1f}" for v in by))
+        elif not isinstance(view.stage, VolumeStage):
             bent = None if _as_it_was(view) else view.document.deformation
             value = view.stage.value((hover[0], hover[1]), view.frame, bent)
             if value:

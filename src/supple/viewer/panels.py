@@ -105,7 +105,7 @@ def _row(view: View, i: int, item: Item, selected: bool) -> None:
     if changed:
         view.attempt(lambda: document.hide(i, not seen))
     imgui.same_line()
-    damping = document.damping(i)
+    damping = document.dampings[i]
     text = _said(item.stroke) + (f"  {damping:.0%}" if damping < 0.995 else "")
     if imgui.selectable(text, selected)[0]:
         view.attempt(lambda: document.select(None if selected else i))
@@ -160,7 +160,7 @@ def _selected(view: View) -> None:
             made["scales"] = index + 1
         if made:
             view.attempt(lambda: document.replace(i, replace(stroke, **made)))
-        damping = document.damping(i)
+        damping = document.dampings[i]
         if damping < 0.995:
             imgui.text_disabled(f"Damped to {damping:.0%} of it.")
             imgui.same_line()
