@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import threading
 import time
 from pathlib import Path
 
@@ -172,3 +173,61 @@ def test_all_of_a_stroke_is_said() -> None:
     said = described(Stroke(at=(1, 2), by=(3, 4), radius=5, poisson=0.3, scales=2), 0.5)
     for word in ("grab", "(1.0, 2.0)", "(3.0, 4.0)", "radius 5", "Poisson ratio 0.3", "1/r3", "damped to 50%"):
         assert word in said
+
+
+def test_what_is_compiled_is_told_when_it_takes_long(gpu: Gpu, monkeypatch: pytest.MonkeyPatch) -> None:
+    from supple.viewer import compiling
+    from supple.viewer.overlay import status
+
+    going_on, axes = threading.Event(), []
+
+    def slow(count: int) -> None:
+        axes.append(count)
+        going_on.wait(60)
+
+    monkeypatch.setattr(compiling, "stroke", slow)
+    monkeypatch.setattr(compiling, "TOLD", 0.2)
+    view, hand = opened(np.zeros((40, 50, 3), np.uint8))
+    assert "compiling" not in status(view)
+    time.sleep(0.3)
+    assert "compiling, this once" in status(view)
+    going_on.set()
+    view.compiling._thread.join(60)
+    hand.canvas.draw()
+    assert axes == [2]
+    assert view.compiling.done
+    assert "compiling" not in status(view)
+
+
+def test_a_drag_says_how_far_it_goes_and_frames_are_counted_while_they_matter(gpu: Gpu) -> None:
+    from supple.viewer.overlay import status
+
+    view, hand = opened(np.full((400, 600, 3), 90, np.uint8), Recipe(border=None))
+    hand.key("1")
+    hand.move(300, 300)
+    assert "by " not in status(view)
+    assert "90" in status(view)
+    hand.press(300, 300)
+    for x in (310, 320, 330):
+        hand.move(x, 290, 1)
+        hand.canvas.draw()
+    assert "by +30.0 -10.0" in status(view)
+    assert "frames a second" in status(view)
+    hand.release(330, 290)
+    view._changed_at -= 1.0
+    assert "frames a second" not in status(view)
+
+
+def test_the_knob_of_the_cut_is_seen_and_dragged(gpu: Gpu) -> None:
+    view, hand = opened(np.full((400, 600, 3), 40, np.uint8), Recipe(border=None))
+    hand.key("b")
+    hand.move(10, 10)
+    x, y = (round(v) for v in view.tools.knob)
+    assert (hand.canvas.draw()[y - 6, x, :3] > 200).all()
+    hand.drag((x, y), (x - 200, y))
+    assert view.tools.split == pytest.approx((x - 200) / view.area[0], abs=0.01)
+    assert view.document.items == ()
+    hand.move(10, 10)
+    seen = hand.canvas.draw()
+    assert (seen[y - 6, x - 200, :3] > 200).all()
+    assert (seen[y - 6, x, :3] < 100).all()

@@ -63,6 +63,35 @@ def image(*strokes: Stroke, on_fold: Any = "damp") -> ImageTools:
     return ImageTools(Document((200, 300), recipe=Recipe(strokes=strokes, on_fold=on_fold)), (600, 400))
 
 
+class TestTheCut:
+    @pytest.mark.parametrize("make", [lambda: image(), lambda: solid()])
+    def test_its_knob_is_dragged_and_nothing_is_bent(self, make: Callable[[], Tools[Any]]) -> None:
+        tools = make()
+        assert tools.knob is None
+        press(tools, "b")
+        assert tools.split == 0.5
+        width, height = tools.canvas_size
+        assert tools.knob == (width / 2, height / 2)
+        before = tools.view
+        drag(tools, tools.knob, (0.3 * width, height / 2), (0.25 * width, 0.9 * height))
+        assert tools.split == pytest.approx(0.25)
+        assert tools.document.items == ()
+        assert tools.view == before
+        drag(tools, tools.knob, (-50, 0))
+        assert tools.split == 0.0
+        drag(tools, tools.knob, (2 * width, 0))
+        assert tools.split == 1.0
+        press(tools, "b")
+        assert tools.split is None
+
+    def test_beside_the_knob_the_picture_is_bent(self) -> None:
+        tools = image()
+        press(tools, "b")
+        drag(tools, (300, 240), (330, 240))
+        assert tools.split == 0.5
+        assert len(tools.document.items) == 1
+
+
 class TestImages:
     def test_a_drag_is_a_stroke(self) -> None:
         tools = image()

@@ -15,6 +15,7 @@ import urllib.request
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -94,12 +95,13 @@ _opened: list[Any] = []
 
 def opened(source: Any, recipe: Any = None, *, ratio: float = 1.0, size: tuple[int, int] = SIZE) -> tuple[Any, Hand]:
     """A window without a screen, and the hand that is in it."""
-    from rendercanvas.offscreen import RenderCanvas, loop
+    from rendercanvas.offscreen import RenderCanvas
 
     from supple.viewer.launch import opened as opened_on
 
     canvas = RenderCanvas(size=size, pixel_ratio=ratio)
-    view = opened_on(source, recipe, canvas, loop)
+    # What comes later does not: there is no loop, and frames are drawn by who tests.
+    view = opened_on(source, recipe, canvas, SimpleNamespace(call_later=lambda seconds, work: None))
     _opened.append(view)
     canvas.draw()
     return view, Hand(canvas)
@@ -110,8 +112,9 @@ def close_all() -> None:
     while _opened:
         view = _opened.pop()
         view.close()
-        if (thread := view.certifier._thread) is not None:
-            thread.join(120)
+        for thread in (view.certifier._thread, view.compiling._thread):
+            if thread is not None:
+                thread.join(120)
 
 
 def small_photo(folder: Path) -> Path:

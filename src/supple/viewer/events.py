@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
@@ -18,7 +19,11 @@ Event = Mapping[str, Any]
 GROWTH = 1.1
 """How many times larger the brush is after a notch of the wheel, which is 100."""
 
+KNOB = 10.0
+"""How near the pointer must be to the knob of the cut between before and after, in logical pixels."""
+
 _LEFT = 1
+_CUT = "cut"
 _MOST = 1e4  # of what the wheel turns at once: powers of more overflow
 _REQUESTS = {"s": "save", "o": "open", "e": "export"}
 
@@ -104,7 +109,18 @@ class Tools(ABC, Generic[V]):
             self.document.abandon()
         return gesture is not None
 
+    @property
+    def knob(self) -> Pair | None:
+        """Where the cut between before and after can be taken; None where there is none."""
+        width, height = self.canvas_size
+        return None if self.split is None else (self.split * width, 0.5 * height)
+
     # What the kinds of media do in their own ways.
+
+    @property
+    @abstractmethod
+    def canvas_size(self) -> Pair:
+        """Width and height of the canvas, in logical pixels."""
 
     @abstractmethod
     def _grab(self, x: float, y: float) -> tuple[tuple[float, ...], Pick | None] | None:
@@ -148,7 +164,9 @@ class Tools(ABC, Generic[V]):
             return True
         button = int(event.get("button", 0))
         how = self._leads(event)
-        if how is None and button == _LEFT:
+        if how is None and button == _LEFT and self.knob is not None and math.dist(self.knob, (x, y)) <= KNOB:
+            how = _CUT
+        elif how is None and button == _LEFT:
             self._gesture = self._taken(x, y)
             how = self._on_nothing() or "click"
         if self._gesture is None and how is not None:
@@ -204,6 +222,8 @@ class Tools(ABC, Generic[V]):
         gesture.now = place
         if isinstance(gesture, Held):
             gesture.draw(self.document, self._carried)
+        elif gesture.how == _CUT:
+            self.split = min(max(place[0] / self.canvas_size[0], 0.0), 1.0)
         else:
             (x, y), (a, b) = place, gesture.start
             self.view = self._led(gesture.how, gesture.base, x - a, y - b)
@@ -223,7 +243,7 @@ class Tools(ABC, Generic[V]):
                 self.document.abandon()
             self._put_back(gesture)
             self._click(gesture.start)
-        elif gesture is not None and gesture.button == _LEFT and not gesture.moved:
+        elif gesture is not None and gesture.button == _LEFT and gesture.how != _CUT and not gesture.moved:
             self._click(gesture.start)
         return gesture is not None
 
@@ -284,6 +304,8 @@ class Tools(ABC, Generic[V]):
             self.grow(1 if key == "]" else -1)
         elif key == "\\":
             self.original = True
+        elif key in ("b", "B"):
+            self.split = 0.5 if self.split is None else None
         elif key in ("Delete", "Backspace", "h", "H"):
             if chosen is not None and self._gesture is None:
                 if key.lower() == "h":

@@ -73,5 +73,6 @@ def _dress() -> None:
         if path.is_file():
             io.fonts.add_font_from_file_ttf(str(path), 15.0)
     style.set_color_(imgui.Col_.modal_window_dim_bg, (0.0, 0.0, 0.0, 0.45))
+    style.set_color_(imgui.Col_.popup_bg, (0.12, 0.12, 0.13, 1.0))
     style.frame_rounding = style.grab_rounding = style.popup_rounding = 3.0
     style.item_spacing = imgui.ImVec2(7, 5)

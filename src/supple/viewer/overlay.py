@@ -35,6 +35,7 @@ def draw(view: View) -> None:
     else:
         _handles(view, lines)
         _ring(view, lines)
+    _knob(view, lines)
     lines.pop_clip_rect()
     if isinstance(view.stage, VideoStage):
         _timeline(view, view.stage)
@@ -50,6 +51,18 @@ def _ring(view: View, lines: imgui.ImDrawList) -> None:
     radius = (tools.held.stroke.radius if tools.held is not None else tools.radius) * tools.viewport.zoom
     lines.add_circle(pointer, radius, _DARK, 0, 3.0)
     lines.add_circle(pointer, radius, _WHITE, 0, 1.0)
+
+
+def _knob(view: View, lines: imgui.ImDrawList) -> None:
+    """Where the cut between before and after can be taken."""
+    knob = view.tools.knob
+    if knob is None:
+        return
+    x, y = knob
+    lines.add_circle_filled(knob, 9.0, _WHITE)
+    lines.add_circle(knob, 9.0, _DARK, 0, 1.0)
+    for way in (-1, 1):
+        lines.add_triangle_filled((x + 6 * way, y), (x + 2 * way, y - 4), (x + 2 * way, y + 4), 0xFF202020)
 
 
 def _handles(view: View, lines: imgui.ImDrawList) -> None:
@@ -185,10 +198,12 @@ def status(view: View) -> str:
             parts.append(view.stage.value(view.tools.under))
     if isinstance(view.tools, ImageTools):
         parts.append(f"{view.tools.viewport.percent:.0f} %")
-    if view.rate >= 1.5:
+    if view.busy:
         parts.append(f"{view.rate:.0f} frames a second")
     if view.painter.coarse > 1 and view.tools.dragging:
         parts.append(f"drawn at 1/{view.painter.coarse} while you drag: {why(view)}")
+    if view.compiling.busy:
+        parts.append("compiling, this once: strokes may wait for it")
     parts.append(certified(view))
     return "   |   ".join(p for p in parts if p)
 

@@ -294,7 +294,7 @@ def _seeing(view: View) -> None:
         view.tools.split = 0.5 if on else None
         view.refresh()
     imgui.same_line()
-    imgui.text_disabled("(\\ for before)")
+    imgui.text_disabled("(b; \\ for before)")
     if view.tools.split is not None:
         changed, value = imgui.slider_float("cut", view.tools.split, 0.0, 1.0, "%.2f")
         if changed:
@@ -340,13 +340,16 @@ def question(view: View) -> None:
     if not imgui.is_popup_open(asked.title):
         imgui.open_popup(asked.title)
     width, height = view.logical
-    imgui.set_next_window_pos((width / 2, height / 3), imgui.Cond_.always, (0.5, 0.5))
+    imgui.set_next_window_pos((width / 2, height / 2), imgui.Cond_.always, (0.5, 0.5))
     if not imgui.begin_popup_modal(asked.title, None, imgui.WindowFlags_.always_auto_resize)[0]:
         return
+    wide = max(min(460.0, width - 60), 80.0)
+    imgui.push_text_wrap_pos(wide)
     imgui.text(asked.text)
+    imgui.pop_text_wrap_pos()
     answer = ""
     if asked.path is not None:
-        imgui.set_next_item_width(460)
+        imgui.set_next_item_width(wide)
         if asked.fresh:
             imgui.set_keyboard_focus_here()
         entered, asked.path = imgui.input_text("##path", asked.path, _ENTER)
@@ -356,12 +359,14 @@ def question(view: View) -> None:
         answer = answer or asked.choices[0]  # wherever the keyboard's focus is
     asked.fresh = False
     if asked.problem:
-        imgui.push_text_wrap_pos(460)
+        imgui.push_text_wrap_pos(wide)
         imgui.text(asked.problem)
         imgui.pop_text_wrap_pos()
     for k, label in enumerate(asked.choices):
         if k:
             imgui.same_line()
+            if imgui.get_cursor_pos_x() + imgui.calc_text_size(label).x > width - 40:
+                imgui.new_line()
         if imgui.button(label):
             answer = label
     if imgui.is_key_pressed(imgui.Key.escape) and "Cancel" in asked.choices:

@@ -62,6 +62,11 @@ class ImageTools(Tools[Viewport]):
         self.view = viewport
 
     @property
+    def canvas_size(self) -> Pair:
+        """Width and height of the canvas, in logical pixels."""
+        return self.view.canvas_size
+
+    @property
     def hover(self) -> tuple[float, ...] | None:
         """The point under the pointer, in pixels; it may lie outside the picture."""
         return None if self.pointer is None else self.view.to_image(*self.pointer)
@@ -226,6 +231,12 @@ class VolumeTools(Tools[Camera]):
     @camera.setter
     def camera(self, camera: Camera) -> None:
         self.view = camera
+
+    @property
+    def canvas_size(self) -> Pair:
+        """Width and height of the canvas, in logical pixels."""
+        height, width = self.stage.size
+        return float(width), float(height)
 
     @property
     def under(self) -> Pick | None:

@@ -18,6 +18,7 @@ from supple.media import image
 from supple.strokes import Recipe
 from supple.viewer import overlay, panels
 from supple.viewer.certify import Certifier
+from supple.viewer.compiling import Compiling
 from supple.viewer.desk import Desk
 from supple.viewer.document import Document
 from supple.viewer.gui import Gui
@@ -67,6 +68,7 @@ class View:
         self._waking = Waking(canvas, call_later)
         self.desk = Desk(document, source, self.write, self._leave, "auto")
         self.certifier = Certifier(self._waking.now)
+        self.compiling = Compiling(len(document.shape))
         self._closed = False
         self._pressed = 0.0
         self._call_later = call_later
@@ -201,7 +203,7 @@ class View:
             tools.handle({"event_type": "resize", "width": width, "height": height, "pixel_ratio": ratio})
         if isinstance(tools, VideoTools):
             tools.playback.frame_at(begun)
-        moving = tools.dragging or begun - self._changed_at < SETTLED or self._playing or self._filling
+        moving = tools.dragging or self._lately or self._playing or self._filling
         shot = self._shot((round(width * ratio), round(height * ratio)), ratio, moving)
         key = (shot.deformation, *(getattr(shot, name) for name in _SEEN), self.painter.coarse if moving else 0)
         self._gui.lay()
@@ -265,9 +267,12 @@ class View:
 
     def _go_on(self, shot: Shot) -> None:
         """See that what is not done yet goes on."""
+        self.compiling.begin()  # now that there is something to see
+        if not self.compiling.done:
+            self._waking.later(0.25)
         if self._playing or not self.painter.ready:
             self._waking.now()
-        elif time.perf_counter() - self._changed_at < SETTLED:
+        elif self._lately:
             self._waking.later(max(self._changed_at + SETTLED - time.perf_counter(), 0.01))
         elif isinstance(self.stage, VolumeStage) and not self.tools.dragging:
             self._fill(shot)
@@ -289,6 +294,16 @@ class View:
             if not waiting:
                 self._drawn_key = None  # each frame is faster than the last
             self._waking.now()
+
+    @property
+    def busy(self) -> bool:
+        """Whether frames are drawn one after the other, so that it matters how many."""
+        return self.rate >= 1.5 and (self.tools.dragging or self._playing or self._filling or self._lately)
+
+    @property
+    def _lately(self) -> bool:
+        """Whether there was a change just now."""
+        return time.perf_counter() - self._changed_at < SETTLED
 
     @property
     def rate(self) -> float:

@@ -1,0 +1,63 @@
+"""What strokes need compiled, made ready beside the window: the first one then waits for nothing."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+
+from supple.deformation import Deformation
+from supple.errors import SuppleError
+from supple.viewer.heard import heard
+
+TOLD = 1.0  # seconds after which it is said: what was compiled before is there sooner
+
+
+class Compiling:
+    """Carries out a stroke that nobody sees, in a thread of its own.
+
+    Parameters
+    ----------
+    axes : int
+        How many numbers points have.
+    work : function, optional
+        Of ``axes``: what is carried out.
+    """
+
+    def __init__(self, axes: int, work: Callable[[int], None] | None = None) -> None:
+        self._axes, self._work = axes, work or stroke
+        self._begun = 0.0
+        self._thread: threading.Thread | None = None
+
+    def begin(self) -> None:
+        """Begin, unless it has begun."""
+        if self._thread is None:
+            self._begun = time.perf_counter()
+            self._thread = threading.Thread(target=self._run, name="supple-compile", daemon=True)
+            self._thread.start()
+
+    @property
+    def busy(self) -> bool:
+        """Whether it takes so long that somebody might wait for it."""
+        alive = self._thread is not None and self._thread.is_alive()
+        return alive and time.perf_counter() - self._begun > TOLD
+
+    @property
+    def done(self) -> bool:
+        """Whether it has ended."""
+        return self._thread is not None and not self._thread.is_alive()
+
+    def _run(self) -> None:
+        with heard(lambda text, kind: None):
+            self._work(self._axes)
+
+
+def stroke(axes: int) -> None:
+    """One stroke with a border that is fixed, its inverse, and what is certified of it."""
+    middle = (16.0,) * axes
+    made = Deformation((33,) * axes, border=4.0).grab(middle, by=(0.5,) * axes, radius=6.0)
+    made.inverse([middle])
+    try:
+        made.report()
+    except SuppleError:  # whoever asks for one hears of it
+        return
