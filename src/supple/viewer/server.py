@@ -36,6 +36,16 @@ p {{ color: #aaa; font: 16px system-ui, sans-serif; margin: 2rem }}
 </style>
 <script type="module" src="renderview.js"></script>
 <script type="module" src="renderview-client.js"></script>
+<script type="module">
+// Keys are for the picture from the start, and not only once it was clicked on.
+new MutationObserver((changes, watch) => {{
+  const keys = document.querySelector("#rendercanvas-focus-element-container input");
+  if (keys) {{
+    watch.disconnect();
+    keys.focus({{ preventScroll: true }});
+  }}
+}}).observe(document.documentElement, {{ childList: true, subtree: true }});
+</script>
 </head>
 <body>
 <div id="canvas" class="renderview-wrapper" style="width: 100vw; height: 100vh"><p>Loading {title} …</p></div>
