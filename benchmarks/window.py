@@ -9,6 +9,7 @@ that of an empty window of the same libraries.
 
 from __future__ import annotations
 
+import itertools
 import os
 import statistics
 import subprocess
@@ -21,6 +22,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import av
 import numpy as np
 from measure import milliseconds
 from wgpu.backends.wgpu_native import _api, _ffi, _helpers
@@ -29,6 +31,7 @@ import supple
 from supple.gpu.device import open_gpu
 from supple.media import image
 from supple.strokes import Recipe, Stroke
+from supple.viewer import panels
 
 DATA = Path(supple.__file__).parent / "data"
 _EMPTY = """
@@ -146,6 +149,47 @@ def dragged(view: Any, canvas: Any) -> tuple[list[float], float, float]:
     return parts, rate, alone
 
 
+def clip(target: Path, frames: int = 100, rate: int = 25) -> Path:
+    """A clip of 1080p."""
+    with av.open(str(DATA / "bunny.mp4")) as source, av.open(str(target), "w") as out:
+        stream = out.add_stream("libx264", rate=rate, options={"preset": "veryfast", "g": "25"})
+        stream.width, stream.height, stream.pix_fmt = 1920, 1080, "yuv420p"
+        given = [frame.reformat(1920, 1080, "yuv420p") for frame in itertools.islice(source.decode(video=0), 25)]
+        for k in range(frames):  # to and fro
+            frame = given[min(k % 48, 48 - k % 48)]
+            frame.pts = None
+            out.mux(stream.encode(frame))
+        out.mux(stream.encode(None))
+    return target
+
+
+def played(path: Path, seconds: float = 3.0) -> tuple[float, int, int]:
+    """The rate of a clip that is bent in time; how many frames are due in some seconds, and how many are seen."""
+    from rendercanvas.offscreen import RenderCanvas, loop
+
+    from supple.viewer.launch import opened as opened_on
+
+    canvas = RenderCanvas(size=(1920 + panels.WIDE, 1080 + panels.BAR + panels.LINE))
+    stroke = Stroke.grab((960, 540, 40), by=(150, 0, 4), radius=300)
+    view = opened_on(path, Recipe(border=None, strokes=(stroke,)), canvas, loop)
+    playback = view.tools.playback
+    for _ in range(20):  # what is compiled, and the first frames
+        canvas.draw()
+        time.sleep(0.05)
+    view._context._rc_present = lambda **options: {"method": "skip"}
+    seen = []
+    playback.toggle()
+    begun = time.perf_counter()
+    while time.perf_counter() - begun < seconds:
+        canvas.draw()
+        if view.painter.ready:
+            seen.append(playback.frame)
+        time.sleep(0.001)
+    rate = view.stage.rate
+    view.close()
+    return rate, round(rate * seconds), len([a for a, b in itertools.pairwise(seen) if a != b]) + 1
+
+
 def start_of(text: str, *arguments: str) -> float:
     """What a process says that it took, the second time."""
     said = ""
@@ -171,6 +215,10 @@ def main() -> None:
         print(f"| the main thread's whole own time | {milliseconds(whole)} | |")
         print(f"| frames a second meanwhile, drawn at 1/{view.painter.coarse} | {rate:.0f} | 15 |")
         view.close()
+        rate, due, seen = played(clip(Path(folder) / "clip.mp4"))
+        print(
+            f"| 1080p clip of {rate:g} frames a second, bent in time and played: frames of {due} | {seen} | {due}, on a card |"
+        )
         both = (_EMPTY,), (_OURS, str(DATA / "coffee.jpg"))
         empty, ours = (statistics.median(start_of(*words) for _ in range(3)) for words in both)
         beside = milliseconds(empty)
