@@ -14,6 +14,7 @@ import sys
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 import clips
 import numpy as np
@@ -508,6 +509,30 @@ def test_help(run: Run, arguments: Sequence[str], wanted: str) -> None:
     status, out, err = run(*arguments)
     assert (status, err) == (0, "")
     assert wanted in out
+
+
+@pytest.fixture
+def viewed(monkeypatch: pytest.MonkeyPatch) -> list[tuple[Any, ...]]:
+    """What windows are asked to show; none is opened."""
+    shown: list[tuple[Any, ...]] = []
+
+    def show(source: str, recipe: Any = None, *, toolkit: str, options: Any) -> None:
+        shown.append((source, recipe, options))
+
+    monkeypatch.setattr("supple.viewer.launch.show", show)
+    return shown
+
+
+def test_a_clip_is_viewed_by_a_time_scale(run: Run, viewed: list[tuple[Any, ...]]) -> None:
+    assert run("view", "in.mkv", "--time-scale", "2.5") == (0, "", "")
+    ((source, recipe, options),) = viewed
+    assert (source, recipe, options.time_scale) == ("in.mkv", None, 2.5)
+    assert options.export["clip"].time_scale == 2.5
+    for bad in ("0", "nan", "x"):
+        status, _, err = run("view", "in.mkv", "--time-scale", bad)
+        assert status == 2
+        assert f"--time-scale must be a number of pixels above 0, found '{bad}'" in one_line(err)
+    assert len(viewed) == 1
 
 
 def test_a_fault_of_ours_is_one_line(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -15,9 +15,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from clips import decoded, make, rows
 from windows import Hand, opened, small_photo, viewing, wait_for
 
 import supple
+from supple.clips import ClipOptions
 from supple.gpu.device import Gpu
 from supple.media import image, video
 from supple.strokes import Recipe, Stroke
@@ -215,6 +217,38 @@ def test_a_clip_plays_and_is_bent_in_time(gpu: Gpu, state: Path) -> None:
     assert view.frame >= 9
     view.close()
     assert not view.stage.film._thread.is_alive()
+
+
+def test_a_clip_is_exported_by_the_time_scale_that_it_is_seen_with(gpu: Gpu, state: Path) -> None:
+    make(state / "a.mkv", "ffv1", "yuv444p", count=8)
+    recipe = Recipe(border=None, strokes=(Stroke.grab((30, 20, 3), by=(9, 4, 0.5), radius=12),))
+    view, _ = opened(state / "a.mkv", recipe, time_scale=5.0)
+    assert view.document.deformation.domain.spacing == (1, 1, 5)
+    view.desk.begin_export(state / "seen.mkv")
+    wait_for(lambda: view.desk.export.done)
+    view.close()
+    for name, scale in (("wanted.mkv", 5.0), ("other.mkv", 1.0)):
+        supple.warp_file(state / "a.mkv", state / name, recipe, clip=ClipOptions(time_scale=scale))
+    seen, wanted, other = ([rows(f) for f in decoded(state / f"{name}.mkv")] for name in ("seen", "wanted", "other"))
+    assert seen == wanted != other
+    with pytest.raises(supple.SuppleError, match=r"time_scale is for clips, and .*head\.nii\.gz is none: leave it out"):
+        opened(DATA / "head.nii.gz", time_scale=2.0)
+    with pytest.raises(supple.SuppleError, match="time_scale is for clips, and the array is none"):
+        opened(np.zeros((4, 4)), time_scale=2.0)
+    with pytest.raises(supple.SuppleError, match="time_scale"):
+        opened(state / "a.mkv", time_scale=0.0)
+
+
+def test_a_clip_that_is_restored_by_another_time_scale_says_so(gpu: Gpu, state: Path) -> None:
+    make(state / "a.mkv", "ffv1", "yuv444p", count=8)
+    view, _ = opened(state / "a.mkv", Recipe(border=None), time_scale=5.0)
+    view.document.add(Stroke.grab((30, 20, 3), by=(9, 4, 0.5), radius=12))
+    view.close()
+    for scale, otherwise in ((5.0, False), (1.0, True)):
+        again, _ = opened(state / "a.mkv", time_scale=scale)
+        assert again.desk.asked.name == "restore"
+        assert ("It was read otherwise then" in again.desk.asked.text) == otherwise
+        again.close()
 
 
 def test_a_volume_is_pulled_and_turned(gpu: Gpu, state: Path) -> None:

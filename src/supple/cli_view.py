@@ -8,7 +8,7 @@ from cyclopts import Parameter
 
 from supple.console import Console
 from supple.errors import SuppleError
-from supple.options import StrokeOptions
+from supple.options import StrokeOptions, TimeOptions
 
 VIEW_EXAMPLES = """\
 Examples:
@@ -17,7 +17,7 @@ Examples:
   supple view clip.mp4 --recipe strokes.json
   supple view head.nii.gz --serve
 """
-_STROKES = StrokeOptions()
+_STROKES, _TIME = StrokeOptions(), TimeOptions()
 
 
 class ViewCommands:
@@ -35,6 +35,7 @@ class ViewCommands:
         port: Annotated[int, Parameter(metavar="N", allow_leading_hyphen=True)] = 0,
         toolkit: Literal["glfw", "qt"] = "glfw",
         strokes: StrokeOptions = _STROKES,
+        time: TimeOptions = _TIME,
     ) -> None:
         """Bend a photograph, a clip or a volume by hand, in a window.
 
@@ -49,19 +50,24 @@ class ViewCommands:
         toolkit
             What makes the window.
         """
+        from supple.viewer.launch import ViewOptions, show
         from supple.viewer.launch import serve as serve_it
-        from supple.viewer.launch import show
 
         self.console.started(quiet=False, threads=None)
         loose = [n for n in ("radius", "poisson", "scales") if getattr(strokes, n) and not strokes.any]
         if loose:
             raise SuppleError(f"--{loose[0]} is for a --grab: give one, or set the brush in the window")
         recipe = strokes.to_recipe() if strokes.any else None
+        options = ViewOptions(time_scale=time.to_scale())
         if port and not serve:
             raise SuppleError("--port is for --serve: leave it out, or serve")
         if not 0 <= port <= 65535:
             raise SuppleError(f"--port goes from 0 to 65535, found {port}")
+
+        def tell(address: str) -> None:
+            print(f"open {address}", flush=True)
+
         if serve:
-            serve_it(source, recipe, port=port, tell=lambda address: print(f"open {address}", flush=True))
+            serve_it(source, recipe, port=port, tell=tell, options=options)
         else:
-            show(source, recipe, toolkit=toolkit)
+            show(source, recipe, toolkit=toolkit, options=options)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -58,8 +58,8 @@ class Desk:
         Writes what is seen to a file; the second says whether one that exists may be replaced.
     leave : function
         Closes the window.
-    device : str
-        Who exports, as `supple.warp_file` takes it.
+    options : mapping, optional
+        What else `supple.warp_file` takes to export.
     """
 
     def __init__(
@@ -68,7 +68,7 @@ class Desk:
         source: Path | None,
         write_view: Callable[[str, bool], None],
         leave: Callable[[], None],
-        device: str = "cpu",
+        options: Mapping[str, Any] | None = None,
     ) -> None:
         self.document, self.source = document, source
         self.message = ""
@@ -77,7 +77,7 @@ class Desk:
         self.export: Export | None = None
         self.recipe_path: Path | None = None
         """Where the recipe was saved to or opened from."""
-        self._write_view, self._leave, self._device = write_view, leave, device
+        self._write_view, self._leave, self._options = write_view, leave, options or {}
         self._left: Found | None = None
         self._told: Export | None = None
         self.autosave: Autosave | None = None
@@ -93,6 +93,8 @@ class Desk:
         text = f"{count} stroke{'' if one else 's'} on this file {'was' if one else 'were'} not saved the last time."
         if not found.same:
             text += "\nThe file has changed since then."
+        if not found.read_alike(self.document):
+            text += "\nIt was read otherwise then: by another --time-scale, --shape or --spacing."
         self.asked = Question("restore", "Restore?", text, ("Restore", "Leave"))
 
     def tick(self) -> None:
@@ -244,7 +246,7 @@ class Desk:
         subprocess.Popen([sys.executable, "-m", "supple", "view", os.fspath(path)], start_new_session=True)
         self.message = f"{shown(path)} opens in a window of its own"
 
-    def begin_export(self, path: PathLike, *, force: bool = False, **options: Any) -> None:
+    def begin_export(self, path: PathLike, *, force: bool = False) -> None:
         """Begin to write the whole medium, bent, beside what goes on here.
 
         Raises
@@ -261,8 +263,7 @@ class Desk:
         self._spare(path)
         check_output(path, force=force)
         self.message = ""
-        made = Export(self.source, path, self.document.recipe, force=force, device=self._device, **options)
-        self.export = made
+        self.export = Export(self.source, path, self.document.recipe, force=force, **self._options)
 
     def end_export(self) -> None:
         """Cancel it; or, when it is done, put it aside."""
