@@ -429,6 +429,22 @@ def test_several_names_go_into_a_folder(run: Run) -> None:
     one_line(err)
 
 
+@pytest.mark.parametrize("given", [["in/a.png", "in/b.jpg"], ["in/*.png"], ["in"]])
+def test_several_pictures_do_not_go_into_one(run: Run, given: list[str]) -> None:
+    pictures("in")
+    os.remove("in/bad.png")
+    for target, folder in (("x.png", "x/"), ("deep/X.TIFF", "deep/X/"), ("x%03d.jpg", "bent/"), ("x.nii.gz", "x/")):
+        status, _, err = run("warp", *given, target, *GRAB, "--save-recipe", "r.json")
+        assert status == 2
+        assert f"{target} is the name of one file, and several" in one_line(err)
+        assert err.endswith(f"name one, such as {folder}\n")
+        assert sorted(os.listdir()) == ["in", "in.png"]
+    # A slash says that it is a folder; and so does a folder.
+    assert run("warp", *given, "x.png/", *GRAB) == (0, "", "")
+    assert run("warp", *given, "x.png", *GRAB, "--force") == (0, "", "")
+    assert "a.png" in os.listdir("x.png")
+
+
 def test_one_picture_goes_into_a_folder_that_is_there(run: Run) -> None:
     Path("out").mkdir()
     assert run("warp", "in.png", "out", *GRAB) == (0, "", "")

@@ -13,6 +13,8 @@ from typing import Any
 
 import numpy as np
 
+from supple.clips import SUFFIXES as CLIPS
+from supple.clips import SUFFIXES_OUT as CLIPS_OUT
 from supple.clips import ClipOptions, WarpedClip, is_clip, warn_of_misses, warp_clip
 from supple.deformation import Deformation, Report
 from supple.domain import choice
@@ -20,10 +22,15 @@ from supple.engines import DEVICES
 from supple.errors import SuppleError
 from supple.media.files import check_output, replacing, same_file, shown
 from supple.media.image import check_target, read, write
+from supple.media.numbering import SUFFIXES_IN
+from supple.media.volume import SUFFIXES as VOLUMES
+from supple.media.volume import SUFFIXES_OUT as VOLUMES_OUT
+from supple.media.volume import suffix_of
 from supple.strokes import Recipe
 from supple.volumes import VolumeOptions, WarpedVolume, is_volume_job, warp_volume
 
 PathLike = str | os.PathLike[str]
+_MEDIA = frozenset({*SUFFIXES_IN, *CLIPS, *CLIPS_OUT, *VOLUMES, *VOLUMES_OUT})
 _PARTS = ("read", "warp", "write")
 
 
@@ -268,6 +275,11 @@ def counted(
 def _suffix(path: PathLike) -> str:
     suffix = Path(path).suffix.lower()
     return {".jpeg": ".jpg", ".tif": ".tiff"}.get(suffix, suffix)
+
+
+def is_media_name(path: PathLike) -> bool:
+    """Whether a name is that of a picture, a video or a volume, by its suffix; with a slash behind, of a folder."""
+    return not os.fspath(path).endswith(("/", os.sep)) and suffix_of(path) in _MEDIA
 
 
 def read_recipe(path: PathLike) -> Recipe:
