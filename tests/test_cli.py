@@ -551,6 +551,23 @@ def test_a_clip_is_viewed_by_a_time_scale(run: Run, viewed: list[tuple[Any, ...]
     assert len(viewed) == 1
 
 
+def test_a_volume_is_viewed_as_it_is_warped(run: Run, viewed: list[tuple[Any, ...]]) -> None:
+    layout = ["--shape", "6,5,4", "--dtype", "<i2", "--spacing", "1,2,3"]
+    assert run("view", "in.raw", *layout) == (0, "", "")
+    assert run("view", "in", "--series", "2", "--labels") == (0, "", "")
+    assert run("view", "in.nii", "--grab", "1,2,3:1,2,4", "--radius", "3", "--world") == (0, "", "")
+    raw, series, placed = (options for _, _, options in viewed)
+    known = raw.export["volume"].layout
+    assert (known.shape, known.dtype, known.spacing) == ((6, 5, 4), "<i2", (1.0, 2.0, 3.0))
+    assert (series.export["volume"].series, series.export["volume"].labels) == ("2", True)
+    assert placed.volume.world
+    assert not placed.export["volume"].world
+    for bad, text in ((["--shape", "6,5,4"], "both --shape X,Y,Z and --dtype"), (["--world"], "--world is about")):
+        status, _, err = run("view", "in.raw", *bad)
+        assert status == 2
+        assert text in one_line(err)
+
+
 def test_a_fault_of_ours_is_one_line(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     def fail(*given: object, **options: object) -> None:
         raise RuntimeError("two\nlines")

@@ -21,8 +21,10 @@ from windows import Hand, opened, small_photo, viewing, wait_for
 import supple
 from supple.clips import ClipOptions
 from supple.gpu.device import Gpu
-from supple.media import image, video
+from supple.media import image, video, volume
+from supple.media.volume import RawLayout
 from supple.strokes import Recipe, Stroke
+from supple.volumes import VolumeOptions, deformation_of
 
 pytest.importorskip("rendercanvas")
 pytest.importorskip("imgui_bundle")
@@ -272,6 +274,42 @@ def test_a_volume_is_pulled_and_turned(gpu: Gpu, state: Path) -> None:
     view.stage.look("grey", (20.0, 200.0))
     view.refresh()
     hand.canvas.draw()
+    view.close()
+
+
+def test_voxels_without_a_header_are_shown_and_exported(gpu: Gpu, state: Path) -> None:
+    samples = np.random.default_rng(0).integers(0, 900, (12, 14, 16), np.int16)
+    (state / "a.raw").write_bytes(samples.astype(">i2").tobytes())
+    told = VolumeOptions(layout=RawLayout((16, 14, 12), ">i2", (1.0, 1.5, 2.0)), labels=True)
+    recipe = Recipe(border=None, strokes=(Stroke.grab((8, 7, 6), by=(2, 1, 0), radius=5),))
+    view, _ = opened(state / "a.raw", recipe, volume=told)
+    assert view.stage.spacing == (1.0, 1.5, 2.0)
+    view.desk.ask("export")
+    assert view.desk.asked.path == str(state / "a-bent.nii.gz")
+    assert view.desk.answer("Export")
+    wait_for(lambda: view.desk.export.done)
+    assert view.desk.export.error is None
+    view.close()
+    supple.warp_file(state / "a.raw", state / "wanted.nii.gz", recipe, volume=told)
+    seen, wanted = (volume.read(state / name).samples for name in ("a-bent.nii.gz", "wanted.nii.gz"))
+    np.testing.assert_array_equal(seen, wanted)
+    assert (seen != samples).any()
+    for source in (small_photo(state), samples):
+        with pytest.raises(supple.SuppleError, match=r"is no file of a volume, .*: leave that out"):
+            opened(source, volume=VolumeOptions(labels=True))
+    with pytest.raises(supple.SuppleError, match="--series is for DICOM folders"):
+        opened(DATA / "head.nii.gz", volume=VolumeOptions(series="1"))
+
+
+def test_the_first_strokes_may_be_places_in_space(gpu: Gpu, state: Path) -> None:
+    head = volume.read(DATA / "head.nii.gz")
+    at = head.geometry.to_world(np.array([45.0, 60, 50]))
+    recipe = Recipe(border=None, strokes=(Stroke.grab(tuple(at), by=(4, 0, 2), radius=20),))
+    view, _ = opened(DATA / "head.nii.gz", recipe, volume=VolumeOptions(world=True))
+    (stroke,) = view.recipe.strokes
+    np.testing.assert_allclose(stroke.at, (45, 60, 50), atol=1e-6)
+    wanted = deformation_of(recipe, head, world=True)
+    assert view.document.deformation.strokes == wanted.strokes
     view.close()
 
 

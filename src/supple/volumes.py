@@ -36,7 +36,7 @@ from supple.media.volume import (
     write,
 )
 from supple.streaming import Sampling
-from supple.strokes import Recipe
+from supple.strokes import Recipe, Stroke
 from supple.warping import FILTERS, OUTSIDE
 
 Array = npt.NDArray[Any]
@@ -144,25 +144,42 @@ def deformation_of(recipe: Recipe, volume: Volume, *, world: bool = False) -> De
         If a stroke has no third coordinate, or starts outside the volume; if places are asked for, and the volume
         knows of none.
     """
-    geometry, sizes = volume.geometry, volume.sizes
-    if world and geometry.convention == "array":
-        raise SuppleError(f"{volume.name} does not know where it lies in space: leave --world out, and give indices")
+    sizes = volume.sizes
     strokes = []
+    places = indexed(recipe, volume).strokes if world else recipe.strokes
     for i, stroke in enumerate(recipe.strokes):
         if stroke.hidden:
             continue
         which = f"stroke {i + 1}: " if len(recipe.strokes) > 1 else ""
         if stroke.ndim != 3:
             raise SuppleError(f"{which}a volume's points have three numbers, x, y and z, and {stroke.at} has two")
-        made = stroke
-        if world:
-            start, end = (geometry.from_world(p) for p in (stroke.at, np.add(stroke.at, stroke.by)))
-            made = replace(stroke, at=tuple(start.tolist()), by=tuple((end - start).tolist()))
+        made = places[i]
         if not all(-0.5 <= x <= n - 0.5 for x, n in zip(made.at, sizes, strict=True)):
             raise SuppleError(f"{which}{_spoken(stroke.at)} is not in {volume.name}: {_extent(volume, world)}")
         strokes.append(made)
     shape = tuple(reversed(sizes))
-    return Deformation.from_recipe(replace(recipe, strokes=tuple(strokes)), shape, spacing=geometry.spacing)
+    return Deformation.from_recipe(replace(recipe, strokes=tuple(strokes)), shape, spacing=volume.geometry.spacing)
+
+
+def indexed(recipe: Recipe, volume: Volume) -> Recipe:
+    """A recipe whose points are places in space, in millimetres, as one of indices.
+
+    Raises
+    ------
+    SuppleError
+        If the volume does not know where it lies.
+    """
+    geometry = volume.geometry
+    if geometry.convention == "array":
+        raise SuppleError(f"{volume.name} does not know where it lies in space: leave --world out, and give indices")
+
+    def moved(stroke: Stroke) -> Stroke:
+        if stroke.ndim != 3:  # whoever carries it out says what is wrong with it
+            return stroke
+        start, end = (geometry.from_world(p) for p in (stroke.at, np.add(stroke.at, stroke.by)))
+        return replace(stroke, at=tuple(start.tolist()), by=tuple((end - start).tolist()))
+
+    return replace(recipe, strokes=tuple(map(moved, recipe.strokes)))
 
 
 def _spoken(point: npt.ArrayLike) -> str:

@@ -12,6 +12,7 @@ from typing import Any
 
 from supple.errors import SuppleError
 from supple.media.files import check_output, replacing, same_file, shown
+from supple.media.volume import SUFFIXES_OUT, suffix_of
 from supple.strokes import Recipe
 from supple.viewer import autosave
 from supple.viewer.autosave import Autosave, Found
@@ -94,7 +95,7 @@ class Desk:
         if not found.same:
             text += "\nThe file has changed since then."
         if not found.read_alike(self.document):
-            text += "\nIt was read otherwise then: by another --time-scale, --shape or --spacing."
+            text += "\nIt was read otherwise then: by another --time-scale, --series, --shape or --spacing."
         self.asked = Question("restore", "Restore?", text, ("Restore", "Leave"))
 
     def tick(self) -> None:
@@ -118,9 +119,10 @@ class Desk:
     def ask(self, name: str) -> None:
         """Begin what is asked for: ``"save"``, ``"open"``, ``"export"``, ``"copy"`` or ``"close"``."""
         source = Path(os.path.abspath(self.source or "picture.png"))
-        stem, suffix = source.with_suffix(""), source.suffix
-        if source.name.endswith(".nii.gz"):
-            stem, suffix = source.with_name(source.name[:-7]), ".nii.gz"
+        suffix = "" if os.path.isdir(source) else suffix_of(source)
+        stem = os.fspath(source)[: len(os.fspath(source)) - len(suffix)]
+        if self.document.kind == "volume" and suffix not in SUFFIXES_OUT:
+            suffix = ".nii.gz"
         recipe = os.fspath(self.recipe_path or f"{stem}.recipe.json")
         if name == "save" and self.recipe_path is not None:
             known = self.recipe_path

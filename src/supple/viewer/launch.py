@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -29,7 +29,7 @@ from supple.viewer.playback import Playback
 from supple.viewer.stages import ImageStage, VideoStage, VolumeStage
 from supple.viewer.tools import ImageTools, VideoTools, VolumeTools
 from supple.views import default_transfer
-from supple.volumes import is_volume_job, open_volume
+from supple.volumes import VolumeOptions, indexed, is_volume_job, open_volume
 
 if TYPE_CHECKING:
     from supple.viewer.view import View
@@ -41,6 +41,7 @@ _NO_SCREEN = "no screen was found for a window: --serve shows it in a browser"
 Source = str | os.PathLike[str] | npt.NDArray[Any]
 Spacing = tuple[float, float, float]
 _EVEN = (1.0, 1.0, 1.0)
+_PLAIN = VolumeOptions()
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,10 +54,14 @@ class ViewOptions:
         Of the voxels of an array, in millimetres, x first.
     time_scale : float
         Of a clip, how many pixels a frame is worth to the brush.
+    volume : VolumeOptions
+        What is particular to volumes: what a file without a header holds, which series of a folder is meant, and
+        whether the first strokes are in places in space.
     """
 
     spacing: Spacing = _EVEN
     time_scale: float = 1.0
+    volume: VolumeOptions = _PLAIN
 
     def __post_init__(self) -> None:
         length("time_scale", self.time_scale)
@@ -64,7 +69,8 @@ class ViewOptions:
     @property
     def export(self) -> dict[str, Any]:
         """What `supple.warp_file` takes to make what is seen."""
-        return {"clip": ClipOptions(time_scale=self.time_scale)}
+        # Strokes are indices here, whatever the first ones were.
+        return {"clip": ClipOptions(time_scale=self.time_scale), "volume": replace(self.volume, world=False)}
 
 
 _USUAL = ViewOptions()
@@ -76,7 +82,7 @@ def stage_of(gpu: Gpu, source: Source, options: ViewOptions = _USUAL) -> ImageSt
     Raises
     ------
     SuppleError
-        If it cannot be read, is more than the GPU takes, or is no clip and has a time scale.
+        If it cannot be read, is more than the GPU takes, or is not of the kind that the options are for.
     """
     if not isinstance(source, str | os.PathLike):
         array = np.asarray(source)
@@ -86,6 +92,7 @@ def stage_of(gpu: Gpu, source: Source, options: ViewOptions = _USUAL) -> ImageSt
                 f"file, of a clip too: found {array.dtype} {array.shape}"
             )
         _timeless("the array", options)
+        _flat("the array", options)
         if array.ndim == 3 and array.shape[2] > 4:
             x, y, z = (length("spacing", v) for v in point("spacing", options.spacing, (3,)))
             held = Volume(array, Geometry(spacing=(x, y, z)), "the array", "array")
@@ -93,15 +100,16 @@ def stage_of(gpu: Gpu, source: Source, options: ViewOptions = _USUAL) -> ImageSt
         return _held(gpu, "the array", as_pixels(array))
     if not os.path.exists(source) and "%" not in os.fspath(source):
         raise SuppleError(f"cannot read {shown(source)}: there is no such file: check the name")
-    if is_volume_job(source, "", Recipe()):
+    if is_volume_job(source, "", Recipe(), options.volume):
         _timeless(shown(source), options)
-        volume = open_volume(source)
+        volume = open_volume(source, options.volume)
         samples = volume.rescaled()
         if volume.series:
             samples = samples[0]
         elif samples.ndim > 3:
             raise SuppleError(f"{volume.name} has {samples.shape[3]} components, and pictures are of one")
         return VolumeStage(gpu, volume, default_transfer(volume), samples)
+    _flat(shown(source), options)
     if is_clip(source, "x.mp4" if os.path.isdir(source) else "", Recipe()):
         return VideoStage(gpu, Film(source), options.time_scale)
     _timeless(shown(source), options)
@@ -112,6 +120,12 @@ def _timeless(name: str, options: ViewOptions) -> None:
     """Refuse a time scale where there is no time."""
     if options.time_scale != 1.0:
         raise SuppleError(f"time_scale is for clips, and {name} is none: leave it out")
+
+
+def _flat(name: str, options: ViewOptions) -> None:
+    """Refuse what is for the files of volumes where there is none."""
+    if options.volume != _PLAIN:
+        raise SuppleError(f"{name} is no file of a volume, and what was asked of it is for those: leave that out")
 
 
 def _held(gpu: Gpu, name: str, pixels: npt.NDArray[np.uint8]) -> ImageStage:
@@ -165,6 +179,8 @@ def opened(
         raise missing(error) from None
     gpu = gpu or _gpu()
     stage = stage_of(gpu, source, options)
+    if options.volume.world and isinstance(stage, VolumeStage):
+        recipe = indexed(recipe or Recipe(), stage.volume)
     document = Document(stage.shape, stage.spacing, recipe, kind=stage.kind)
     tools = tools_of(stage, document, canvas.get_logical_size())
     path = Path(source) if isinstance(source, str | os.PathLike) else None
@@ -284,7 +300,14 @@ def in_notebook() -> bool:
     return shell is not None and type(shell).__name__ == "ZMQInteractiveShell"
 
 
-def view(source: Source, recipe: Recipe | None = None, *, spacing: Spacing = _EVEN, time_scale: float = 1.0) -> View:
+def view(
+    source: Source,
+    recipe: Recipe | None = None,
+    *,
+    spacing: Spacing = _EVEN,
+    time_scale: float = 1.0,
+    volume: VolumeOptions | None = None,
+) -> View:
     """Bend a photograph, a clip or a volume by hand.
 
     In a notebook, what is returned is a widget. Elsewhere, a window is opened, and this comes back when it is closed.
@@ -299,6 +322,8 @@ def view(source: Source, recipe: Recipe | None = None, *, spacing: Spacing = _EV
         Of the voxels of an array, in millimetres, x first.
     time_scale : float
         Of a clip, how many pixels a frame is worth to the brush, as ``supple warp --time-scale`` takes it.
+    volume : VolumeOptions, optional
+        What is particular to the file of a volume, as `supple.warp_file` takes it.
 
     Returns
     -------
@@ -310,7 +335,7 @@ def view(source: Source, recipe: Recipe | None = None, *, spacing: Spacing = _EV
     SuppleError
         If the source or the recipe does not fit, there is no GPU, or a part of the window is not installed.
     """
-    options = ViewOptions(spacing, time_scale)
+    options = ViewOptions(spacing, time_scale, volume or _PLAIN)
     if not in_notebook():
         return show(source, recipe, options=options)
     try:
