@@ -13,7 +13,7 @@ from pathlib import Path
 from supple.clips import SUFFIXES
 from supple.console import FAULT, REFUSED, Console, deaf, fault
 from supple.errors import SuppleError
-from supple.files import is_media_name
+from supple.files import check_recipe_name, is_media_name
 from supple.media.files import check_output, shown
 from supple.media.volume import suffix_of
 from supple.volumes import ONE_FILE
@@ -113,6 +113,7 @@ def check_recipe_file(name: str, jobs: Sequence[Job], force: bool) -> None:
     path = check_output(name, force=force)
     if any(path == Path(os.path.realpath(picture)) for job in jobs for picture in job):
         raise SuppleError(f"{shown(name)} cannot be both the picture and the recipe: give it another name")
+    check_recipe_name(name, force=force)
 
 
 def _fixed_part(pattern: str) -> Path:

@@ -28,6 +28,7 @@ from supple.media.volume import (
     SUFFIXES_OUT,
     RawLayout,
     Volume,
+    check_name,
     check_target,
     has_pages,
     is_volume,
@@ -236,12 +237,7 @@ def warp_volume(
     )
     if known.labels and sampling.filter != "nearest":
         raise SuppleError(f"labels are kept as they are, which filter {filter!r} does not: leave one of the two out")
-    check_output(target, force=force)
-    if known.save_field is not None:
-        transform.check_target(known.save_field)
-        check_output(known.save_field, force=force)
-        if os.path.realpath(known.save_field) in (os.path.realpath(target), os.path.realpath(source)):
-            raise SuppleError(f"{shown(known.save_field)} cannot be the field and a volume too: give it another name")
+    check_volume_target(source, target, known, force=force)
     tell("read", 0, 1)
     volume = open_volume(source, known)
     check_target(target, volume, force=force)
@@ -260,6 +256,23 @@ def warp_volume(
         error, count = _written(volume, source, target, deformation, sampling, device, force, tell)
     warn_of(Certificate(error, 0.0), tolerance, 3)
     return WarpedVolume(Path(source), Path(target), deformation, volume.geometry, tolerance, error, count)
+
+
+def check_volume_target(source: PathLike, target: PathLike, options: VolumeOptions, *, force: bool = False) -> None:
+    """Refuse names that a volume, and its field, cannot be written under, before it is read.
+
+    Raises
+    ------
+    SuppleError
+        If one of them has a suffix that is none of its kind, or cannot be written; or if two are the same.
+    """
+    check_output(target, force=force)
+    check_name(target, force=force)
+    if options.save_field is not None:
+        transform.check_target(options.save_field)
+        check_output(options.save_field, force=force)
+        if os.path.realpath(options.save_field) in (os.path.realpath(target), os.path.realpath(source)):
+            raise SuppleError(f"{shown(options.save_field)} cannot be the field and a volume too: give it another name")
 
 
 def _warn_of_gaps(volume: Volume, filter: str) -> None:

@@ -68,7 +68,7 @@ class View:
         self.filled = 0.0
         self.painter = Painter(gpu, stage)
         self._waking = Waking(canvas, call_later)
-        self.desk = Desk(document, source, self.write, self._leave, {"device": "auto", **(export or {})})
+        self.desk = Desk(document, source, self.write, self._leave, "auto", export)
         self.certifier = Certifier(self._waking.now)
         self._closed = False
         self._pressed = 0.0
