@@ -14,6 +14,7 @@ import sys
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 import clips
 import numpy as np
@@ -428,6 +429,22 @@ def test_several_names_go_into_a_folder(run: Run) -> None:
     one_line(err)
 
 
+@pytest.mark.parametrize("given", [["in/a.png", "in/b.jpg"], ["in/*.png"], ["in"]])
+def test_several_pictures_do_not_go_into_one(run: Run, given: list[str]) -> None:
+    pictures("in")
+    os.remove("in/bad.png")
+    for target, folder in (("x.png", "x/"), ("deep/X.TIFF", "deep/X/"), ("x%03d.jpg", "bent/"), ("x.nii.gz", "x/")):
+        status, _, err = run("warp", *given, target, *GRAB, "--save-recipe", "r.json")
+        assert status == 2
+        assert f"{target} is the name of one file, and several" in one_line(err)
+        assert err.endswith(f"name one, such as {folder}\n")
+        assert sorted(os.listdir()) == ["in", "in.png"]
+    # A slash says that it is a folder; and so does a folder.
+    assert run("warp", *given, "x.png/", *GRAB) == (0, "", "")
+    assert run("warp", *given, "x.png", *GRAB, "--force") == (0, "", "")
+    assert "a.png" in os.listdir("x.png")
+
+
 def test_one_picture_goes_into_a_folder_that_is_there(run: Run) -> None:
     Path("out").mkdir()
     assert run("warp", "in.png", "out", *GRAB) == (0, "", "")
@@ -508,6 +525,47 @@ def test_help(run: Run, arguments: Sequence[str], wanted: str) -> None:
     status, out, err = run(*arguments)
     assert (status, err) == (0, "")
     assert wanted in out
+
+
+@pytest.fixture
+def viewed(monkeypatch: pytest.MonkeyPatch) -> list[tuple[Any, ...]]:
+    """What windows are asked to show; none is opened."""
+    shown: list[tuple[Any, ...]] = []
+
+    def show(source: str, recipe: Any = None, *, toolkit: str, options: Any) -> None:
+        shown.append((source, recipe, options))
+
+    monkeypatch.setattr("supple.viewer.launch.show", show)
+    return shown
+
+
+def test_a_clip_is_viewed_by_a_time_scale(run: Run, viewed: list[tuple[Any, ...]]) -> None:
+    assert run("view", "in.mkv", "--time-scale", "2.5") == (0, "", "")
+    ((source, recipe, options),) = viewed
+    assert (source, recipe, options.time_scale) == ("in.mkv", None, 2.5)
+    assert options.export["clip"].time_scale == 2.5
+    for bad in ("0", "nan", "x"):
+        status, _, err = run("view", "in.mkv", "--time-scale", bad)
+        assert status == 2
+        assert f"--time-scale must be a number of pixels above 0, found '{bad}'" in one_line(err)
+    assert len(viewed) == 1
+
+
+def test_a_volume_is_viewed_as_it_is_warped(run: Run, viewed: list[tuple[Any, ...]]) -> None:
+    layout = ["--shape", "6,5,4", "--dtype", "<i2", "--spacing", "1,2,3"]
+    assert run("view", "in.raw", *layout) == (0, "", "")
+    assert run("view", "in", "--series", "2", "--labels") == (0, "", "")
+    assert run("view", "in.nii", "--grab", "1,2,3:1,2,4", "--radius", "3", "--world") == (0, "", "")
+    raw, series, placed = (options for _, _, options in viewed)
+    known = raw.export["volume"].layout
+    assert (known.shape, known.dtype, known.spacing) == ((6, 5, 4), "<i2", (1.0, 2.0, 3.0))
+    assert (series.export["volume"].series, series.export["volume"].labels) == ("2", True)
+    assert placed.volume.world
+    assert not placed.export["volume"].world
+    for bad, text in ((["--shape", "6,5,4"], "both --shape X,Y,Z and --dtype"), (["--world"], "--world is about")):
+        status, _, err = run("view", "in.raw", *bad)
+        assert status == 2
+        assert text in one_line(err)
 
 
 def test_a_fault_of_ours_is_one_line(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:

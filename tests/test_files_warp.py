@@ -14,7 +14,7 @@ import pytest
 import pyvips
 
 import supple
-from supple.files import read_recipe, warp_file, write_recipe
+from supple.files import check_job, read_recipe, warp_file, write_recipe
 from supple.media import image
 
 SOURCE = str(Path(__file__).resolve().parent.parent / "src")
@@ -115,11 +115,37 @@ def test_progress_on_no_terminal_is_silent(tmp_path: Path, capsys: pytest.Captur
     assert capsys.readouterr() == ("", "")
 
 
+@pytest.mark.parametrize(
+    ("source", "target", "text"),
+    [
+        ("coffee.jpg", "b.xyz", "no image format"),
+        ("bunny.mp4", "b.xyz", "no video format"),
+        ("bunny.mp4", "b%d.xyz", "no image format"),
+        ("head.nii.gz", "b.xyz", "no format that volumes are written in"),
+    ],
+)
+def test_what_nothing_can_write_is_refused_before_it_is_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, source: str, target: str, text: str
+) -> None:
+    def never(*given: object, **options: object) -> None:
+        raise AssertionError("it is read")
+
+    for name in ("supple.files.read", "supple.clips.open_clip", "supple.volumes.open_volume"):
+        monkeypatch.setattr(name, never)
+    for attempt in (warp_file, check_job):
+        with pytest.raises(supple.SuppleError, match=text):
+            attempt(DATA / source, tmp_path / target, supple.Recipe())
+
+
 def test_recipes_on_disk(tmp_path: Path) -> None:
     write_recipe(tmp_path / "r.json", RECIPE)
     assert read_recipe(tmp_path / "r.json") == RECIPE
     with pytest.raises(supple.SuppleError, match="force"):
         write_recipe(tmp_path / "r.json", RECIPE)
+    for name in ("r.png", "r.MP4", "r.nii.gz"):
+        with pytest.raises(supple.SuppleError, match=r"a recipe is JSON, .*: use .*r\.json$"):
+            write_recipe(tmp_path / name, RECIPE)
+    assert os.listdir(tmp_path) == ["r.json"]
     (tmp_path / "marked.json").write_text("\ufeff" + RECIPE.to_json(), encoding="utf-8")
     assert read_recipe(tmp_path / "marked.json") == RECIPE
     with pytest.raises(supple.SuppleError, match="JSON"):

@@ -14,6 +14,8 @@ from windows import SIZE, Hand, opened
 import supple
 from supple.gpu.device import Gpu
 from supple.strokes import Recipe, Stroke
+from supple.viewer.desk import Desk
+from supple.viewer.document import Document
 
 imgui = pytest.importorskip("imgui_bundle").imgui
 pytest.importorskip("rendercanvas")
@@ -163,6 +165,63 @@ def test_files_are_replaced_only_when_that_is_said(gpu: Gpu, tmp_path: Path) -> 
     assert view.desk.answer("Save and close")
     assert len(json.loads(mine.read_text())["strokes"]) == 2
     view.close()
+
+
+@pytest.mark.parametrize(
+    ("source", "bad", "text", "usual"),
+    [
+        ("coffee.jpg", "b.xyz", "the suffix .xyz is no image format: use .png", "a-bent.jpg"),
+        ("coffee.jpg", "b", "a name without suffix is no image format", "a-bent.jpg"),
+        ("coffee.jpg", "b.mp4", "is a picture, and has no time", "a-bent.jpg"),
+        ("bunny.mp4", "b.xyz", "the suffix .xyz is no video format: use .mp4", "a-bent.mp4"),
+        ("bunny.mp4", "b%03d.xyz", "the suffix .xyz is no image format", "a-bent.mp4"),
+        ("bunny.mp4", "b.png", "is one picture, and a clip is many", "a-bent.mp4"),
+        ("head.nii.gz", "b.xyz", "the suffix .xyz is no format that volumes are written in", "a-bent.nii.gz"),
+        ("head.nii.gz", "none/b.nii", "there is no folder", "a-bent.nii.gz"),
+    ],
+)
+def test_what_nothing_can_write_is_refused_in_the_question(
+    tmp_path: Path, source: str, bad: str, text: str, usual: str
+) -> None:
+    place = tmp_path / source.replace(source.partition(".")[0], "a")
+    place.write_bytes((DATA / source).read_bytes())
+    begun: list[Any] = []
+    document = Document((9, 20, 30), kind={"c": "image", "b": "video", "h": "volume"}[source[0]])  # type: ignore[arg-type]
+    desk = Desk(document, place, lambda path, force: begun.append(path), lambda: None)
+    desk.ask("export")
+    assert desk.asked is not None
+    assert desk.asked.path == str(tmp_path / usual)
+    desk.asked.path = str(tmp_path / bad)
+    assert not desk.answer("Export")
+    assert text in desk.asked.problem
+    assert desk.export is None
+    for name, wrong in (("copy", "b.xyz"), ("copy", "b.mp4"), ("save", "b.png"), ("save", "b.nii.gz")):
+        desk.ask(name)
+        desk.asked.path = str(tmp_path / wrong)
+        assert not desk.answer("Save")
+        assert "use " in desk.asked.problem
+        assert "\n" not in desk.asked.problem
+    assert not begun
+    assert sorted(path.name for path in tmp_path.iterdir()) == [place.name]
+    desk.end()
+
+
+def test_formats_that_are_only_read_are_exported_as_others(tmp_path: Path) -> None:
+    for name, kind, usual in (
+        ("a.bmp", "image", "a-bent.png"),
+        ("a.mpg", "video", "a-bent.mp4"),
+        ("frames-%05d.bmp", "video", "frames-%05d-bent.bmp"),
+        ("a.raw", "volume", "a-bent.nii.gz"),
+        ("1.2.840", "volume", "1.2.840-bent.nii.gz"),
+        ("v1.2", "video", "v1.2-bent"),
+    ):
+        if name in ("1.2.840", "v1.2"):
+            (tmp_path / name).mkdir()
+        desk = Desk(Document((9, 20, 30), kind=kind), tmp_path / name, lambda path, force: None, lambda: None)  # type: ignore[arg-type]
+        desk.ask("export")
+        assert desk.asked is not None
+        assert desk.asked.path == str(tmp_path / usual)
+        desk.end()
 
 
 def test_a_folder_that_is_here_can_be_closed(gpu: Gpu, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

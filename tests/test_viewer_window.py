@@ -15,12 +15,16 @@ from typing import Any
 
 import numpy as np
 import pytest
+from clips import decoded, make, rows
 from windows import Hand, opened, small_photo, viewing, wait_for
 
 import supple
+from supple.clips import ClipOptions
 from supple.gpu.device import Gpu
-from supple.media import image, video
+from supple.media import image, video, volume
+from supple.media.volume import RawLayout
 from supple.strokes import Recipe, Stroke
+from supple.volumes import VolumeOptions, deformation_of
 
 pytest.importorskip("rendercanvas")
 pytest.importorskip("imgui_bundle")
@@ -217,6 +221,38 @@ def test_a_clip_plays_and_is_bent_in_time(gpu: Gpu, state: Path) -> None:
     assert not view.stage.film._thread.is_alive()
 
 
+def test_a_clip_is_exported_by_the_time_scale_that_it_is_seen_with(gpu: Gpu, state: Path) -> None:
+    make(state / "a.mkv", "ffv1", "yuv444p", count=8)
+    recipe = Recipe(border=None, strokes=(Stroke.grab((30, 20, 3), by=(9, 4, 0.5), radius=12),))
+    view, _ = opened(state / "a.mkv", recipe, time_scale=5.0)
+    assert view.document.deformation.domain.spacing == (1, 1, 5)
+    view.desk.begin_export(state / "seen.mkv")
+    wait_for(lambda: view.desk.export.done)
+    view.close()
+    for name, scale in (("wanted.mkv", 5.0), ("other.mkv", 1.0)):
+        supple.warp_file(state / "a.mkv", state / name, recipe, clip=ClipOptions(time_scale=scale))
+    seen, wanted, other = ([rows(f) for f in decoded(state / f"{name}.mkv")] for name in ("seen", "wanted", "other"))
+    assert seen == wanted != other
+    with pytest.raises(supple.SuppleError, match=r"time_scale is for clips, and .*head\.nii\.gz is none: leave it out"):
+        opened(DATA / "head.nii.gz", time_scale=2.0)
+    with pytest.raises(supple.SuppleError, match="time_scale is for clips, and the array is none"):
+        opened(np.zeros((4, 4)), time_scale=2.0)
+    with pytest.raises(supple.SuppleError, match="time_scale"):
+        opened(state / "a.mkv", time_scale=0.0)
+
+
+def test_a_clip_that_is_restored_by_another_time_scale_says_so(gpu: Gpu, state: Path) -> None:
+    make(state / "a.mkv", "ffv1", "yuv444p", count=8)
+    view, _ = opened(state / "a.mkv", Recipe(border=None), time_scale=5.0)
+    view.document.add(Stroke.grab((30, 20, 3), by=(9, 4, 0.5), radius=12))
+    view.close()
+    for scale, otherwise in ((5.0, False), (1.0, True)):
+        again, _ = opened(state / "a.mkv", time_scale=scale)
+        assert again.desk.asked.name == "restore"
+        assert ("It was read otherwise then" in again.desk.asked.text) == otherwise
+        again.close()
+
+
 def test_a_volume_is_pulled_and_turned(gpu: Gpu, state: Path) -> None:
     view, hand = opened(DATA / "head.nii.gz")
     view.stage._plain.step  # noqa: B018, it is a scene
@@ -238,6 +274,42 @@ def test_a_volume_is_pulled_and_turned(gpu: Gpu, state: Path) -> None:
     view.stage.look("grey", (20.0, 200.0))
     view.refresh()
     hand.canvas.draw()
+    view.close()
+
+
+def test_voxels_without_a_header_are_shown_and_exported(gpu: Gpu, state: Path) -> None:
+    samples = np.random.default_rng(0).integers(0, 900, (12, 14, 16), np.int16)
+    (state / "a.raw").write_bytes(samples.astype(">i2").tobytes())
+    told = VolumeOptions(layout=RawLayout((16, 14, 12), ">i2", (1.0, 1.5, 2.0)), labels=True)
+    recipe = Recipe(border=None, strokes=(Stroke.grab((8, 7, 6), by=(2, 1, 0), radius=5),))
+    view, _ = opened(state / "a.raw", recipe, volume=told)
+    assert view.stage.spacing == (1.0, 1.5, 2.0)
+    view.desk.ask("export")
+    assert view.desk.asked.path == str(state / "a-bent.nii.gz")
+    assert view.desk.answer("Export")
+    wait_for(lambda: view.desk.export.done)
+    assert view.desk.export.error is None
+    view.close()
+    supple.warp_file(state / "a.raw", state / "wanted.nii.gz", recipe, volume=told)
+    seen, wanted = (volume.read(state / name).samples for name in ("a-bent.nii.gz", "wanted.nii.gz"))
+    np.testing.assert_array_equal(seen, wanted)
+    assert (seen != samples).any()
+    for source in (small_photo(state), samples):
+        with pytest.raises(supple.SuppleError, match=r"is no file of a volume, .*: leave that out"):
+            opened(source, volume=VolumeOptions(labels=True))
+    with pytest.raises(supple.SuppleError, match="--series is for DICOM folders"):
+        opened(DATA / "head.nii.gz", volume=VolumeOptions(series="1"))
+
+
+def test_the_first_strokes_may_be_places_in_space(gpu: Gpu, state: Path) -> None:
+    head = volume.read(DATA / "head.nii.gz")
+    at = head.geometry.to_world(np.array([45.0, 60, 50]))
+    recipe = Recipe(border=None, strokes=(Stroke.grab(tuple(at), by=(4, 0, 2), radius=20),))
+    view, _ = opened(DATA / "head.nii.gz", recipe, volume=VolumeOptions(world=True))
+    (stroke,) = view.recipe.strokes
+    np.testing.assert_allclose(stroke.at, (45, 60, 50), atol=1e-6)
+    wanted = deformation_of(recipe, head, world=True)
+    assert view.document.deformation.strokes == wanted.strokes
     view.close()
 
 

@@ -93,15 +93,19 @@ class Hand:
 _opened: list[Any] = []
 
 
-def opened(source: Any, recipe: Any = None, *, ratio: float = 1.0, size: tuple[int, int] = SIZE) -> tuple[Any, Hand]:
-    """A window without a screen, and the hand that is in it."""
+def opened(
+    source: Any, recipe: Any = None, *, ratio: float = 1.0, size: tuple[int, int] = SIZE, **options: Any
+) -> tuple[Any, Hand]:
+    """A window without a screen, and the hand that is in it; options are those of `supple.view`."""
     from rendercanvas.offscreen import RenderCanvas
 
+    from supple.viewer.launch import ViewOptions
     from supple.viewer.launch import opened as opened_on
 
     canvas = RenderCanvas(size=size, pixel_ratio=ratio)
     # What comes later does not: there is no loop, and frames are drawn by who tests.
-    view = opened_on(source, recipe, canvas, SimpleNamespace(call_later=lambda seconds, work: None))
+    loop = SimpleNamespace(call_later=lambda seconds, work: None)
+    view = opened_on(source, recipe, canvas, loop, options=ViewOptions(**options))
     _opened.append(view)
     canvas.draw()
     return view, Hand(canvas)

@@ -13,6 +13,7 @@ from pathlib import Path
 from supple.clips import SUFFIXES
 from supple.console import FAULT, REFUSED, Console, deaf, fault
 from supple.errors import SuppleError
+from supple.files import check_recipe_name, is_media_name
 from supple.media.files import check_output, shown
 from supple.media.volume import suffix_of
 from supple.volumes import ONE_FILE
@@ -66,6 +67,12 @@ def pair(given: Sequence[str], target: str) -> tuple[list[Job], bool]:
         return [(found[0][0], Path(target))], False
     if not target:
         raise SuppleError("several pictures need a folder to go into: name one, last")
+    if is_media_name(target) and not os.path.isdir(target):
+        stem = target[: -len(suffix_of(target))]
+        raise SuppleError(
+            f"{shown(target)} is the name of one file, and several, a folder or a pattern become a folder: name one, "
+            f"such as {shown('bent' if '%' in stem else stem)}/"
+        )
     jobs = [(source, Path(target) / name) for source, name in found]
     taken: dict[Path, Path] = {}
     for source, goal in jobs:
@@ -106,6 +113,7 @@ def check_recipe_file(name: str, jobs: Sequence[Job], force: bool) -> None:
     path = check_output(name, force=force)
     if any(path == Path(os.path.realpath(picture)) for job in jobs for picture in job):
         raise SuppleError(f"{shown(name)} cannot be both the picture and the recipe: give it another name")
+    check_recipe_name(name, force=force)
 
 
 def _fixed_part(pattern: str) -> Path:

@@ -150,9 +150,9 @@ class _Commands:
         else:
             jobs, many = pair(paths[:-1], paths[-1])
         if save_recipe is not None:
-            check_recipe_file(save_recipe, jobs, options.force)
             if save_field is not None and os.path.realpath(save_recipe) == os.path.realpath(save_field):
                 raise SuppleError(f"{save_recipe} cannot be both the recipe and the field: give one another name")
+            check_recipe_file(save_recipe, jobs, options.force)
 
         def do(job: Job, tell: bool | Tell) -> None:
             made = warp_file(job[0], job[1], recipe, progress=tell, **sampling)

@@ -8,7 +8,8 @@ from cyclopts import Parameter
 
 from supple.console import Console
 from supple.errors import SuppleError
-from supple.options import StrokeOptions
+from supple.options import StrokeOptions, TimeOptions
+from supple.options_volume import VOLUME, VolumeOptions
 
 VIEW_EXAMPLES = """\
 Examples:
@@ -16,8 +17,9 @@ Examples:
   supple view photo.jpg
   supple view clip.mp4 --recipe strokes.json
   supple view head.nii.gz --serve
+  supple view ct.raw --shape 512,512,200 --dtype int16 --spacing 0.7,0.7,1.5
 """
-_STROKES = StrokeOptions()
+_STROKES, _TIME, _VOLUME = StrokeOptions(), TimeOptions(), VolumeOptions()
 
 
 class ViewCommands:
@@ -35,6 +37,9 @@ class ViewCommands:
         port: Annotated[int, Parameter(metavar="N", allow_leading_hyphen=True)] = 0,
         toolkit: Literal["glfw", "qt"] = "glfw",
         strokes: StrokeOptions = _STROKES,
+        time: TimeOptions = _TIME,
+        labels: Annotated[bool, Parameter(group=VOLUME)] = False,
+        volume: VolumeOptions = _VOLUME,
     ) -> None:
         """Bend a photograph, a clip or a volume by hand, in a window.
 
@@ -48,20 +53,29 @@ class ViewCommands:
             Of that; any that is free, by default.
         toolkit
             What makes the window.
+        labels
+            Values are names of things, which exports keep: each voxel takes that of the nearest.
         """
+        from supple.viewer.launch import ViewOptions, show
         from supple.viewer.launch import serve as serve_it
-        from supple.viewer.launch import show
 
         self.console.started(quiet=False, threads=None)
         loose = [n for n in ("radius", "poisson", "scales") if getattr(strokes, n) and not strokes.any]
         if loose:
             raise SuppleError(f"--{loose[0]} is for a --grab: give one, or set the brush in the window")
         recipe = strokes.to_recipe() if strokes.any else None
+        if volume.world and recipe is None:
+            raise SuppleError("--world is about the points of strokes, and there are none: leave it out")
+        options = ViewOptions(time_scale=time.to_scale(), volume=volume.to_reading(labels=labels))
         if port and not serve:
             raise SuppleError("--port is for --serve: leave it out, or serve")
         if not 0 <= port <= 65535:
             raise SuppleError(f"--port goes from 0 to 65535, found {port}")
+
+        def tell(address: str) -> None:
+            print(f"open {address}", flush=True)
+
         if serve:
-            serve_it(source, recipe, port=port, tell=lambda address: print(f"open {address}", flush=True))
+            serve_it(source, recipe, port=port, tell=tell, options=options)
         else:
-            show(source, recipe, toolkit=toolkit)
+            show(source, recipe, toolkit=toolkit, options=options)

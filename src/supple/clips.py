@@ -23,6 +23,7 @@ from supple.engines import engine_of
 from supple.errors import OutsideWarning, SuppleError
 from supple.media.files import check_output, replacing, shown
 from supple.media.formats import SUFFIXES_OUT as PICTURES_OUT
+from supple.media.image import check_target
 from supple.media.numbering import SUFFIXES_IN, has_number, is_sequence
 from supple.streaming import Array, Layout, Sampling, capacity_of, make_plan, stream
 from supple.strokes import Recipe
@@ -285,8 +286,7 @@ def warp_clip(
     frames done, and of all.
     """
     known = options or ClipOptions()
-    refuse_picture(source)
-    _check_target(target, known, quality)
+    check_clip_target(source, target, known, quality=quality, force=force)
     number("memory", known.memory, "a number of bytes from 0", 0.0, 1e30)
     count: int | None = None
     from supple.media.troubles import CountError
@@ -363,8 +363,18 @@ def _through(
     return error, capacity_of(plan, engine), int(plan.still.sum())
 
 
-def _check_target(target: PathLike, options: ClipOptions, quality: int | None) -> None:
-    """Refuse what a target cannot be, or what is not for its kind."""
+def check_clip_target(
+    source: PathLike, target: PathLike, options: ClipOptions, *, quality: int | None = None, force: bool = False
+) -> None:
+    """Refuse what a target cannot be, or what is not for its kind, before a clip is read.
+
+    Raises
+    ------
+    SuppleError
+        If the source is a picture, the target has a suffix that no clip is written under, or cannot be written; or if
+        something is asked for that such a target does not have.
+    """
+    refuse_picture(source)
     name = shown(target)
     if not os.fspath(target):
         raise SuppleError("cannot write '': no file can have that name: choose another")
@@ -376,7 +386,13 @@ def _check_target(target: PathLike, options: ClipOptions, quality: int | None) -
             )
         if quality is not None:
             raise SuppleError(f"quality is for pictures, and {name} is a video: give a crf")
+        from supple.media.codecs import container_of
+
+        container_of(target)
+        check_output(target, force=force)
         return
+    if has_number(target):
+        check_target(target)
     for option in ("codec", "crf", "preset", "pixel_format"):
         if getattr(options, option) is not None:
             raise SuppleError(f"{option} is for videos, and {name} is pictures: leave it out")

@@ -9,21 +9,28 @@ import sys
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
-from supple.clips import ClipOptions, WarpedClip, is_clip, warn_of_misses, warp_clip
+from supple.clips import SUFFIXES as CLIPS
+from supple.clips import SUFFIXES_OUT as CLIPS_OUT
+from supple.clips import ClipOptions, WarpedClip, check_clip_target, is_clip, warn_of_misses, warp_clip
 from supple.deformation import Deformation, Report
 from supple.domain import choice
 from supple.engines import DEVICES
 from supple.errors import SuppleError
 from supple.media.files import check_output, replacing, same_file, shown
 from supple.media.image import check_target, read, write
+from supple.media.numbering import SUFFIXES_IN
+from supple.media.volume import SUFFIXES as VOLUMES
+from supple.media.volume import SUFFIXES_OUT as VOLUMES_OUT
+from supple.media.volume import suffix_of
 from supple.strokes import Recipe
-from supple.volumes import VolumeOptions, WarpedVolume, is_volume_job, warp_volume
+from supple.volumes import VolumeOptions, WarpedVolume, check_volume_target, is_volume_job, warp_volume
 
 PathLike = str | os.PathLike[str]
+_MEDIA = frozenset({*SUFFIXES_IN, *CLIPS, *CLIPS_OUT, *VOLUMES, *VOLUMES_OUT})
 _PARTS = ("read", "warp", "write")
 
 
@@ -125,11 +132,18 @@ def warp_file(
     >>> warp_file("photo.jpg", "bent.jpg", recipe).report().error  # doctest: +SKIP
     """
     choice("device", device, DEVICES)
-    if is_volume_job(source, target, recipe, volume):
-        if quality is not None or lossless or linear_light or not _only_memory(clip):
-            raise SuppleError(f"{shown(source)} is a volume, and what was asked of it is for pictures or videos")
-        if not force and same_file(source, target):
-            raise SuppleError(f"{shown(target)} is the volume itself: pass --force (force=True) to replace it")
+    kind = check_job(
+        source,
+        target,
+        recipe,
+        linear_light=linear_light,
+        quality=quality,
+        lossless=lossless,
+        force=force,
+        clip=clip,
+        volume=volume,
+    )
+    if kind == "volume":
         with counted(progress, "slices", tell) as counts:
             return warp_volume(
                 source,
@@ -144,11 +158,7 @@ def warp_file(
                 options=volume,
                 tell=counts,
             )
-    if volume is not None and volume != VolumeOptions():
-        raise SuppleError(f"{shown(source)} is no volume, and what was asked of it is for volumes: leave that out")
-    if is_clip(source, target, recipe):
-        if not force and same_file(source, target):
-            raise SuppleError(f"{shown(target)} is the clip itself: pass --force (force=True) to replace it")
+    if kind == "clip":
         sampling = {"filter": filter, "tolerance": tolerance, "outside": outside, "fill": fill}
         with counted(progress, also=tell) as counts:
             return warp_clip(
@@ -164,15 +174,6 @@ def warp_file(
                 options=clip,
                 tell=counts,
             )
-    if not _only_memory(clip):
-        raise SuppleError(
-            f"{shown(source)} is taken for a picture, and what was asked of it is for clips: leave that out"
-        )
-    check_target(target)
-    _check_options(target, quality, lossless)
-    if not force and same_file(source, target):
-        raise SuppleError(f"{shown(target)} is the picture itself: pass --force (force=True) to replace it")
-    check_output(target, force=force)
     with contextlib.nullcontext(progress) if callable(progress) else _told(source, progress) as show:
 
         def begin(part: str) -> None:
@@ -207,6 +208,65 @@ def warp_file(
         begin("write")
         write(target, pixels, like=like, quality=quality, lossless=lossless, force=force)
     return Warped(Path(source), Path(target), deformation, tolerance)
+
+
+def check_job(
+    source: PathLike,
+    target: PathLike,
+    recipe: Recipe,
+    *,
+    linear_light: bool = False,
+    quality: int | None = None,
+    lossless: bool = False,
+    force: bool = False,
+    clip: ClipOptions | None = None,
+    volume: VolumeOptions | None = None,
+) -> Literal["picture", "clip", "volume"]:
+    """Tell what a file is warped as, and refuse what can be refused before it is read.
+
+    Parameters
+    ----------
+    source, target, recipe, linear_light, quality, lossless, force, clip, volume
+        As `warp_file` takes them.
+
+    Returns
+    -------
+    str
+        ``"picture"``, ``"clip"`` or ``"volume"``.
+
+    Raises
+    ------
+    SuppleError
+        If nothing of that kind is written under the target's suffix, or there; or if something is asked for that is
+        for another kind.
+    """
+    if is_volume_job(source, target, recipe, volume):
+        if quality is not None or lossless or linear_light or not _only_memory(clip):
+            raise SuppleError(f"{shown(source)} is a volume, and what was asked of it is for pictures or videos")
+        _spare(source, target, "volume", force)
+        check_volume_target(source, target, volume or VolumeOptions(), force=force)
+        return "volume"
+    if volume is not None and volume != VolumeOptions():
+        raise SuppleError(f"{shown(source)} is no volume, and what was asked of it is for volumes: leave that out")
+    if is_clip(source, target, recipe):
+        _spare(source, target, "clip", force)
+        check_clip_target(source, target, clip or ClipOptions(), quality=quality, force=force)
+        return "clip"
+    if not _only_memory(clip):
+        raise SuppleError(
+            f"{shown(source)} is taken for a picture, and what was asked of it is for clips: leave that out"
+        )
+    check_target(target)
+    _check_options(target, quality, lossless)
+    _spare(source, target, "picture", force)
+    check_output(target, force=force)
+    return "picture"
+
+
+def _spare(source: PathLike, target: PathLike, kind: str, force: bool) -> None:
+    """Refuse to write over what is read, unless that is said."""
+    if not force and same_file(source, target):
+        raise SuppleError(f"{shown(target)} is the {kind} itself: pass --force (force=True) to replace it")
 
 
 def _only_memory(clip: ClipOptions | None) -> bool:
@@ -270,6 +330,11 @@ def _suffix(path: PathLike) -> str:
     return {".jpeg": ".jpg", ".tif": ".tiff"}.get(suffix, suffix)
 
 
+def is_media_name(path: PathLike) -> bool:
+    """Whether a name is that of a picture, a video or a volume, by its suffix; with a slash behind, of a folder."""
+    return not os.fspath(path).endswith(("/", os.sep)) and suffix_of(path) in _MEDIA
+
+
 def read_recipe(path: PathLike) -> Recipe:
     """Read a recipe from a JSON file.
 
@@ -293,14 +358,30 @@ def read_recipe(path: PathLike) -> Recipe:
         raise SuppleError(f"{name}: {error}") from None
 
 
+def check_recipe_name(path: PathLike, *, force: bool = False) -> None:
+    """Refuse a file that a recipe cannot be written to, or that would look like something else.
+
+    Raises
+    ------
+    SuppleError
+        If it has the suffix of a picture, a video or a volume, exists and `force` is false, or cannot be written.
+    """
+    if is_media_name(path):
+        name, suffix = shown(path), suffix_of(path)
+        stem = name[: len(name) - len(suffix)]
+        raise SuppleError(f"cannot write {name}: a recipe is JSON, and none is written as {suffix}: use {stem}.json")
+    check_output(path, force=force)
+
+
 def write_recipe(path: PathLike, recipe: Recipe, *, force: bool = False) -> None:
     """Write a recipe as JSON; the file appears whole or not at all.
 
     Raises
     ------
     SuppleError
-        If it exists and `force` is false, or cannot be written.
+        As `check_recipe_name` does.
     """
+    check_recipe_name(path, force=force)
     with replacing(path, force=force) as temporary:
         temporary.write_text(recipe.to_json(), encoding="utf-8")
 

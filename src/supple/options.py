@@ -125,13 +125,33 @@ class RunOptions:
 
 @Parameter(name="*", group=VIDEO)
 @dataclass(frozen=True, kw_only=True)
-class VideoOptions:
-    """What is particular to videos and image sequences.
+class TimeOptions:
+    """How strokes feel time.
 
     Parameters
     ----------
     time_scale
         How many pixels a frame is worth to the brush.
+    """
+
+    time_scale: Annotated[str | None, Parameter(metavar="PX", allow_leading_hyphen=True)] = None
+
+    def to_scale(self) -> float:
+        """The same for the library."""
+        wanted = "a number of pixels above 0"
+        scale = 1.0 if self.time_scale is None else parse_number("--time-scale", self.time_scale, wanted)
+        if not 0 < scale < math.inf:
+            raise SuppleError(f"--time-scale must be {wanted}, found {self.time_scale!r}")
+        return scale
+
+
+@Parameter(name="*", group=VIDEO)
+@dataclass(frozen=True, kw_only=True)
+class VideoOptions(TimeOptions):
+    """What is particular to videos and image sequences.
+
+    Parameters
+    ----------
     between
         What is seen between two frames: a mixture (linear, the default), a smoother one (cubic), or the nearest.
     time_filter
@@ -150,7 +170,6 @@ class VideoOptions:
         How many gigabytes the frames may take that are held at once (2); beyond, they go to a temporary file.
     """
 
-    time_scale: Annotated[str | None, Parameter(metavar="PX", allow_leading_hyphen=True)] = None
     between: Annotated[Literal["linear", "cubic", "nearest"] | None, Parameter()] = None
     time_filter: bool = False
     codec: Annotated[str | None, Parameter(metavar="NAME")] = None
@@ -167,9 +186,6 @@ class VideoOptions:
         def read(name: str, text: str | None, wanted: str) -> float | None:
             return None if text is None else parse_number(name, text, wanted)
 
-        scale = read("--time-scale", self.time_scale, "a number of pixels above 0")
-        if scale is not None and not 0 < scale < math.inf:
-            raise SuppleError(f"--time-scale must be a number of pixels above 0, found {self.time_scale!r}")
         rate = None if self.fps is None else _rate(self.fps)
         if rate is not None and not 0 < rate <= 100_000:
             raise SuppleError(f"--fps must be a number of frames a second above 0, found {self.fps!r}")
@@ -179,7 +195,7 @@ class VideoOptions:
         return ClipOptions(
             between=self.between,
             time_filter=self.time_filter,
-            time_scale=1.0 if scale is None else scale,
+            time_scale=self.to_scale(),
             rate=rate,
             codec=self.codec,
             crf=read("--crf", self.crf, "a number"),

@@ -28,6 +28,7 @@ from supple.media.volume import (
     SUFFIXES_OUT,
     RawLayout,
     Volume,
+    check_name,
     check_target,
     has_pages,
     is_volume,
@@ -36,7 +37,7 @@ from supple.media.volume import (
     write,
 )
 from supple.streaming import Sampling
-from supple.strokes import Recipe
+from supple.strokes import Recipe, Stroke
 from supple.warping import FILTERS, OUTSIDE
 
 Array = npt.NDArray[Any]
@@ -144,25 +145,42 @@ def deformation_of(recipe: Recipe, volume: Volume, *, world: bool = False) -> De
         If a stroke has no third coordinate, or starts outside the volume; if places are asked for, and the volume
         knows of none.
     """
-    geometry, sizes = volume.geometry, volume.sizes
-    if world and geometry.convention == "array":
-        raise SuppleError(f"{volume.name} does not know where it lies in space: leave --world out, and give indices")
+    sizes = volume.sizes
     strokes = []
+    places = indexed(recipe, volume).strokes if world else recipe.strokes
     for i, stroke in enumerate(recipe.strokes):
         if stroke.hidden:
             continue
         which = f"stroke {i + 1}: " if len(recipe.strokes) > 1 else ""
         if stroke.ndim != 3:
             raise SuppleError(f"{which}a volume's points have three numbers, x, y and z, and {stroke.at} has two")
-        made = stroke
-        if world:
-            start, end = (geometry.from_world(p) for p in (stroke.at, np.add(stroke.at, stroke.by)))
-            made = replace(stroke, at=tuple(start.tolist()), by=tuple((end - start).tolist()))
+        made = places[i]
         if not all(-0.5 <= x <= n - 0.5 for x, n in zip(made.at, sizes, strict=True)):
             raise SuppleError(f"{which}{_spoken(stroke.at)} is not in {volume.name}: {_extent(volume, world)}")
         strokes.append(made)
     shape = tuple(reversed(sizes))
-    return Deformation.from_recipe(replace(recipe, strokes=tuple(strokes)), shape, spacing=geometry.spacing)
+    return Deformation.from_recipe(replace(recipe, strokes=tuple(strokes)), shape, spacing=volume.geometry.spacing)
+
+
+def indexed(recipe: Recipe, volume: Volume) -> Recipe:
+    """A recipe whose points are places in space, in millimetres, as one of indices.
+
+    Raises
+    ------
+    SuppleError
+        If the volume does not know where it lies.
+    """
+    geometry = volume.geometry
+    if geometry.convention == "array":
+        raise SuppleError(f"{volume.name} does not know where it lies in space: leave --world out, and give indices")
+
+    def moved(stroke: Stroke) -> Stroke:
+        if stroke.ndim != 3:  # whoever carries it out says what is wrong with it
+            return stroke
+        start, end = (geometry.from_world(p) for p in (stroke.at, np.add(stroke.at, stroke.by)))
+        return replace(stroke, at=tuple(start.tolist()), by=tuple((end - start).tolist()))
+
+    return replace(recipe, strokes=tuple(map(moved, recipe.strokes)))
 
 
 def _spoken(point: npt.ArrayLike) -> str:
@@ -219,12 +237,7 @@ def warp_volume(
     )
     if known.labels and sampling.filter != "nearest":
         raise SuppleError(f"labels are kept as they are, which filter {filter!r} does not: leave one of the two out")
-    check_output(target, force=force)
-    if known.save_field is not None:
-        transform.check_target(known.save_field)
-        check_output(known.save_field, force=force)
-        if os.path.realpath(known.save_field) in (os.path.realpath(target), os.path.realpath(source)):
-            raise SuppleError(f"{shown(known.save_field)} cannot be the field and a volume too: give it another name")
+    check_volume_target(source, target, known, force=force)
     tell("read", 0, 1)
     volume = open_volume(source, known)
     check_target(target, volume, force=force)
@@ -243,6 +256,23 @@ def warp_volume(
         error, count = _written(volume, source, target, deformation, sampling, device, force, tell)
     warn_of(Certificate(error, 0.0), tolerance, 3)
     return WarpedVolume(Path(source), Path(target), deformation, volume.geometry, tolerance, error, count)
+
+
+def check_volume_target(source: PathLike, target: PathLike, options: VolumeOptions, *, force: bool = False) -> None:
+    """Refuse names that a volume, and its field, cannot be written under, before it is read.
+
+    Raises
+    ------
+    SuppleError
+        If one of them has a suffix that is none of its kind, or cannot be written; or if two are the same.
+    """
+    check_output(target, force=force)
+    check_name(target, force=force)
+    if options.save_field is not None:
+        transform.check_target(options.save_field)
+        check_output(options.save_field, force=force)
+        if os.path.realpath(options.save_field) in (os.path.realpath(target), os.path.realpath(source)):
+            raise SuppleError(f"{shown(options.save_field)} cannot be the field and a volume too: give it another name")
 
 
 def _warn_of_gaps(volume: Volume, filter: str) -> None:

@@ -29,6 +29,7 @@ __all__ = [
     "SUFFIXES_OUT",
     "RawLayout",
     "Volume",
+    "check_name",
     "check_target",
     "has_pages",
     "info",
@@ -131,6 +132,31 @@ def _format(path: PathLike) -> str:
     raise unreadable(path, "it is no volume of a known kind", _KINDS)
 
 
+def check_name(path: PathLike, *, force: bool = False) -> None:
+    """Refuse a name that no volume can be written under; of the file itself `check_output` tells.
+
+    Parameters
+    ----------
+    path : str or os.PathLike
+        The file to write.
+    force : bool
+        Whether the ``.raw`` beside a ``.mhd`` may be replaced.
+
+    Raises
+    ------
+    SuppleError
+        The suffix is not in `SUFFIXES_OUT`; beside a ``.mhd`` is a ``.raw``.
+    """
+    name, suffix = shown(path), suffix_of(path)
+    if suffix not in SUFFIXES_OUT:
+        found = f"the suffix {shown(suffix)}" if suffix else "a name without suffix"
+        raise SuppleError(
+            f"cannot write {name}: {found} is no format that volumes are written in: use {', '.join(SUFFIXES_OUT)}"
+        )
+    if suffix == ".mhd":
+        check_output(Path(os.path.realpath(path)).with_suffix(".raw"), force=force)
+
+
 def check_target(path: PathLike, like: Volume, dtype: npt.DTypeLike | None = None, *, force: bool = False) -> None:
     """Refuse a file that a volume cannot be written to, before any work is done for it.
 
@@ -143,19 +169,15 @@ def check_target(path: PathLike, like: Volume, dtype: npt.DTypeLike | None = Non
     dtype : dtype, optional
         The type of what is to be written, if it is another.
     force : bool
-        Whether the ``.raw`` beside a ``.mhd`` may be replaced. Of the file itself `check_output` tells.
+        As `check_name` takes it.
 
     Raises
     ------
     SuppleError
-        The suffix is not in `SUFFIXES_OUT`, or its format cannot hold such a volume; beside a ``.mhd`` is a ``.raw``.
+        As `check_name` does; or the format cannot hold such a volume.
     """
+    check_name(path, force=force)
     name, suffix = shown(path), suffix_of(path)
-    if suffix not in SUFFIXES_OUT:
-        found = f"the suffix {shown(suffix)}" if suffix else "a name without suffix"
-        raise SuppleError(
-            f"cannot write {name}: {found} is no format that volumes are written in: use {', '.join(SUFFIXES_OUT)}"
-        )
     known = np.dtype(like.samples.dtype if dtype is None else dtype)
     if not suffix.startswith(".nii"):
         known = rescaled_dtype(known, like.scaling)
@@ -163,8 +185,6 @@ def check_target(path: PathLike, like: Volume, dtype: npt.DTypeLike | None = Non
         stack.check(path, like, known)
     elif known.name not in DTYPES:
         raise SuppleError(f"cannot write {name}: volumes hold no {known} values: use one of {', '.join(DTYPES)}")
-    if suffix == ".mhd":
-        check_output(Path(os.path.realpath(path)).with_suffix(".raw"), force=force)
 
 
 def write(path: PathLike, samples: Array, like: Volume, *, force: bool = False) -> None:

@@ -15,6 +15,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any
 
+import numpy as np
+
 from supple.errors import SuppleError
 from supple.media.files import replacing
 from supple.strokes import Recipe
@@ -40,12 +42,19 @@ class Found:
         When, in seconds since 1970.
     same : bool
         Whether the source is as it was then, by its size and time.
+    medium : list of list of float, optional
+        The shape and the spacing that it was read with, if that is known.
     """
 
     recipe: Recipe
     place: Path
     saved: float
     same: bool
+    medium: object = None
+
+    def read_alike(self, document: Document) -> bool:
+        """Whether a document is of the same shape and spacing, as far as that is known."""
+        return self.medium is None or self.medium == _medium(document)
 
     def set_aside(self) -> None:
         """Do not offer it again; the file stays, under another name."""
@@ -145,8 +154,13 @@ class Autosave:
                 self._folder.mkdir(parents=True, exist_ok=True)
                 if self._lock is None:
                     self._lock = _locked(_locks(self.place))
-                data = {"supple_autosave": _VERSION, "source": _described(self._source), "saved": time.time()}
-                text = json.dumps(data | {"recipe": json.loads(recipe.to_json())}, indent=1, allow_nan=False)
+                data: dict[str, object] = {
+                    "supple_autosave": _VERSION,
+                    "source": _described(self._source),
+                    "saved": time.time(),
+                }
+                data |= {"medium": _medium(self._document), "recipe": json.loads(recipe.to_json())}
+                text = json.dumps(data, indent=1, allow_nan=False)
                 with replacing(self.place, force=True) as place:
                     place.write_text(text, encoding="utf-8")
             self.trouble = None
@@ -193,7 +207,7 @@ def _read(place: Path, source: PathLike) -> Found | None:
     if data["supple_autosave"] != _VERSION:
         return None  # of another release, which will find it
     recipe = Recipe.from_json(json.dumps(data["recipe"]))
-    return Found(recipe, place, float(data["saved"]), data["source"] == _described(source))
+    return Found(recipe, place, float(data["saved"]), data["source"] == _described(source), data.get("medium"))
 
 
 def _set_aside(place: Path, why: str) -> None:
@@ -222,6 +236,11 @@ def _described(source: PathLike) -> dict[str, object]:
         stat = os.stat(path)
         made |= {"size": stat.st_size, "mtime_ns": stat.st_mtime_ns}
     return made
+
+
+def _medium(document: Document) -> list[list[float]]:
+    """What JSON keeps of how a source is read; a time scale is a spacing."""
+    return [[float(n) for n in np.ravel(values)] for values in (document.shape, document.spacing)]
 
 
 def _locks(place: Path) -> Path:

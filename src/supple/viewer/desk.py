@@ -5,17 +5,24 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from supple.clips import SUFFIXES_OUT as CLIPS_OUT
+from supple.clips import is_picture_target
 from supple.errors import SuppleError
-from supple.media.files import check_output, replacing, same_file, shown
+from supple.files import check_job, write_recipe
+from supple.media.files import check_output, same_file, shown
+from supple.media.image import SUFFIXES_OUT as PICTURES_OUT
+from supple.media.image import check_target
+from supple.media.volume import SUFFIXES_OUT as VOLUMES_OUT
+from supple.media.volume import suffix_of
 from supple.strokes import Recipe
 from supple.viewer import autosave
 from supple.viewer.autosave import Autosave, Found
-from supple.viewer.document import Document
+from supple.viewer.document import Document, Kind
 from supple.viewer.exporting import Export
 
 PathLike = str | os.PathLike[str]
@@ -60,6 +67,8 @@ class Desk:
         Closes the window.
     device : str
         Who exports, as `supple.warp_file` takes it.
+    options : mapping, optional
+        What else it takes, to make what is seen.
     """
 
     def __init__(
@@ -69,6 +78,7 @@ class Desk:
         write_view: Callable[[str, bool], None],
         leave: Callable[[], None],
         device: str = "cpu",
+        options: Mapping[str, Any] | None = None,
     ) -> None:
         self.document, self.source = document, source
         self.message = ""
@@ -78,6 +88,7 @@ class Desk:
         self.recipe_path: Path | None = None
         """Where the recipe was saved to or opened from."""
         self._write_view, self._leave, self._device = write_view, leave, device
+        self._options = options or {}
         self._left: Found | None = None
         self._told: Export | None = None
         self.autosave: Autosave | None = None
@@ -93,6 +104,8 @@ class Desk:
         text = f"{count} stroke{'' if one else 's'} on this file {'was' if one else 'were'} not saved the last time."
         if not found.same:
             text += "\nThe file has changed since then."
+        if not found.read_alike(self.document):
+            text += "\nIt was read otherwise then: by another --time-scale, --series, --shape or --spacing."
         self.asked = Question("restore", "Restore?", text, ("Restore", "Leave"))
 
     def tick(self) -> None:
@@ -116,9 +129,11 @@ class Desk:
     def ask(self, name: str) -> None:
         """Begin what is asked for: ``"save"``, ``"open"``, ``"export"``, ``"copy"`` or ``"close"``."""
         source = Path(os.path.abspath(self.source or "picture.png"))
-        stem, suffix = source.with_suffix(""), source.suffix
-        if source.name.endswith(".nii.gz"):
-            stem, suffix = source.with_name(source.name[:-7]), ".nii.gz"
+        suffix = "" if os.path.isdir(source) else suffix_of(source)
+        stem = os.fspath(source)[: len(os.fspath(source)) - len(suffix)]
+        written, usual = _WRITTEN.get(self.document.kind, ((suffix,), suffix))
+        several = self.document.kind == "video" and is_picture_target(source)
+        bent = f"{stem}-bent{suffix if several or suffix in written else usual}"
         recipe = os.fspath(self.recipe_path or f"{stem}.recipe.json")
         if name == "save" and self.recipe_path is not None:
             known = self.recipe_path
@@ -128,7 +143,7 @@ class Desk:
         elif name == "open":
             self.asked = Question("open", "Open a recipe", _OPEN, ("Open", "Cancel"), recipe)
         elif name == "export":
-            self.asked = Question("export", "Export", _EXPORT, ("Export", "Replace", "Cancel"), f"{stem}-bent{suffix}")
+            self.asked = Question("export", "Export", _EXPORT, ("Export", "Replace", "Cancel"), bent)
         elif name == "copy":
             self.asked = Question("copy", "Save what is seen", _COPY, ("Save", "Replace", "Cancel"), f"{stem}-view.png")
         elif name == "close":
@@ -174,6 +189,8 @@ class Desk:
             self.open(path)
         elif asked.name == "copy":
             self._spare(path)
+            check_target(path)
+            check_output(path, force=force)  # what is seen may take seconds to draw
             self._write_view(path, force)
             self.message = f"saved {path}"
         elif asked.name == "export":
@@ -201,9 +218,7 @@ class Desk:
         if not os.fspath(path):
             raise SuppleError("the recipe needs a name: such as strokes.json")
         self._spare(path)
-        check_output(path, force=force)
-        with replacing(path, force=force) as place:
-            Path(place).write_text(self.document.recipe.to_json(), encoding="utf-8")
+        write_recipe(path, self.document.recipe, force=force)
         self.recipe_path = Path(path)
         self.document.mark_saved()
         self.message = f"saved {shown(path)}"
@@ -244,13 +259,13 @@ class Desk:
         subprocess.Popen([sys.executable, "-m", "supple", "view", os.fspath(path)], start_new_session=True)
         self.message = f"{shown(path)} opens in a window of its own"
 
-    def begin_export(self, path: PathLike, *, force: bool = False, **options: Any) -> None:
+    def begin_export(self, path: PathLike, *, force: bool = False) -> None:
         """Begin to write the whole medium, bent, beside what goes on here.
 
         Raises
         ------
         SuppleError
-            If there is nothing to export, or an export is under way.
+            If there is nothing to export, an export is under way, or nothing can be written by that name.
         """
         if self.source is None:
             raise SuppleError("an array is no file: Deformation.warp makes an array of it")
@@ -259,10 +274,10 @@ class Desk:
         if not os.fspath(path):
             raise SuppleError("the export needs a name, whose suffix says the format")
         self._spare(path)
-        check_output(path, force=force)
+        recipe, device = self.document.recipe, self._device
+        check_job(self.source, path, recipe, force=force, **self._options)
         self.message = ""
-        made = Export(self.source, path, self.document.recipe, force=force, device=self._device, **options)
-        self.export = made
+        self.export = Export(self.source, path, recipe, force=force, device=device, **self._options)
 
     def end_export(self) -> None:
         """Cancel it; or, when it is done, put it aside."""
@@ -290,6 +305,12 @@ def _in_a_window(error: SuppleError) -> str:
     return str(error).replace("pass --force (force=True) to replace it", "choose another name, or Replace")
 
 
+# What each kind is written as, and what is proposed for formats that are only read.
+_WRITTEN: dict[Kind | None, tuple[Collection[str], str]] = {
+    "image": (PICTURES_OUT, ".png"),
+    "video": ({*CLIPS_OUT, ".gif", ".m4v"}, ".mp4"),
+    "volume": (VOLUMES_OUT, ".nii.gz"),
+}
 _WAYS_OUT = ("Save and close", "Replace and close", "Close without saving", "Cancel")
 _SAVE = "What supple warp --recipe takes."
 _OPEN = "In the place of the strokes that there are; undo brings these back."

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
-from supple.clips import is_clip
+from supple.clips import ClipOptions, is_clip
 from supple.domain import choice, length, point
 from supple.errors import SuppleError
 from supple.geometry import Geometry
@@ -28,7 +29,7 @@ from supple.viewer.playback import Playback
 from supple.viewer.stages import ImageStage, VideoStage, VolumeStage
 from supple.viewer.tools import ImageTools, VideoTools, VolumeTools
 from supple.views import default_transfer
-from supple.volumes import is_volume_job, open_volume
+from supple.volumes import VolumeOptions, indexed, is_volume_job, open_volume
 
 if TYPE_CHECKING:
     from supple.viewer.view import View
@@ -40,15 +41,48 @@ _NO_SCREEN = "no screen was found for a window: --serve shows it in a browser"
 Source = str | os.PathLike[str] | npt.NDArray[Any]
 Spacing = tuple[float, float, float]
 _EVEN = (1.0, 1.0, 1.0)
+_PLAIN = VolumeOptions()
 
 
-def stage_of(gpu: Gpu, source: Source, spacing: Spacing = _EVEN) -> ImageStage | VideoStage | VolumeStage:
+@dataclass(frozen=True, slots=True)
+class ViewOptions:
+    """How what is shown is read.
+
+    Parameters
+    ----------
+    spacing : (float, float, float)
+        Of the voxels of an array, in millimetres, x first.
+    time_scale : float
+        Of a clip, how many pixels a frame is worth to the brush.
+    volume : VolumeOptions
+        What is particular to volumes: what a file without a header holds, which series of a folder is meant, and
+        whether the first strokes are in places in space.
+    """
+
+    spacing: Spacing = _EVEN
+    time_scale: float = 1.0
+    volume: VolumeOptions = _PLAIN
+
+    def __post_init__(self) -> None:
+        length("time_scale", self.time_scale)
+
+    @property
+    def export(self) -> dict[str, Any]:
+        """What `supple.warp_file` takes to make what is seen."""
+        # Strokes are indices here, whatever the first ones were.
+        return {"clip": ClipOptions(time_scale=self.time_scale), "volume": replace(self.volume, world=False)}
+
+
+_USUAL = ViewOptions()
+
+
+def stage_of(gpu: Gpu, source: Source, options: ViewOptions = _USUAL) -> ImageStage | VideoStage | VolumeStage:
     """What a file, or an array of a picture (H, W[, C]) or of a volume (Z, H, W), more than 4 voxels wide, is shown as.
 
     Raises
     ------
     SuppleError
-        If it cannot be read, or is more than the GPU takes.
+        If it cannot be read, is more than the GPU takes, or is not of the kind that the options are for.
     """
     if not isinstance(source, str | os.PathLike):
         array = np.asarray(source)
@@ -57,24 +91,41 @@ def stage_of(gpu: Gpu, source: Source, spacing: Spacing = _EVEN) -> ImageStage |
                 "what is shown is an array of numbers, of a picture (H, W) or (H, W, C) or of a volume (Z, H, W), or a "
                 f"file, of a clip too: found {array.dtype} {array.shape}"
             )
+        _timeless("the array", options)
+        _flat("the array", options)
         if array.ndim == 3 and array.shape[2] > 4:
-            x, y, z = (length("spacing", v) for v in point("spacing", spacing, (3,)))
+            x, y, z = (length("spacing", v) for v in point("spacing", options.spacing, (3,)))
             held = Volume(array, Geometry(spacing=(x, y, z)), "the array", "array")
             return VolumeStage(gpu, held, default_transfer(held))
         return _held(gpu, "the array", as_pixels(array))
     if not os.path.exists(source) and "%" not in os.fspath(source):
         raise SuppleError(f"cannot read {shown(source)}: there is no such file: check the name")
-    if is_volume_job(source, "", Recipe()):
-        volume = open_volume(source)
+    if is_volume_job(source, "", Recipe(), options.volume):
+        _timeless(shown(source), options)
+        volume = open_volume(source, options.volume)
         samples = volume.rescaled()
         if volume.series:
             samples = samples[0]
         elif samples.ndim > 3:
             raise SuppleError(f"{volume.name} has {samples.shape[3]} components, and pictures are of one")
         return VolumeStage(gpu, volume, default_transfer(volume), samples)
+    _flat(shown(source), options)
     if is_clip(source, "x.mp4" if os.path.isdir(source) else "", Recipe()):
-        return VideoStage(gpu, Film(source))
+        return VideoStage(gpu, Film(source), options.time_scale)
+    _timeless(shown(source), options)
     return _held(gpu, shown(source), on_screen(read(source)))
+
+
+def _timeless(name: str, options: ViewOptions) -> None:
+    """Refuse a time scale where there is no time."""
+    if options.time_scale != 1.0:
+        raise SuppleError(f"time_scale is for clips, and {name} is none: leave it out")
+
+
+def _flat(name: str, options: ViewOptions) -> None:
+    """Refuse what is for the files of volumes where there is none."""
+    if options.volume != _PLAIN:
+        raise SuppleError(f"{name} is no file of a volume, and what was asked of it is for those: leave that out")
 
 
 def _held(gpu: Gpu, name: str, pixels: npt.NDArray[np.uint8]) -> ImageStage:
@@ -113,7 +164,7 @@ def opened(
     canvas: Any,
     loop: Any,
     gpu: Gpu | None = None,
-    spacing: Spacing = _EVEN,
+    options: ViewOptions = _USUAL,
 ) -> View:
     """A view of a source on a canvas.
 
@@ -127,11 +178,14 @@ def opened(
     except ImportError as error:
         raise missing(error) from None
     gpu = gpu or _gpu()
-    stage = stage_of(gpu, source, spacing)
+    stage = stage_of(gpu, source, options)
+    if options.volume.world and isinstance(stage, VolumeStage):
+        recipe = indexed(recipe or Recipe(), stage.volume)
     document = Document(stage.shape, stage.spacing, recipe, kind=stage.kind)
     tools = tools_of(stage, document, canvas.get_logical_size())
     path = Path(source) if isinstance(source, str | os.PathLike) else None
-    made = View(stage, document, tools, canvas, gpu, source=path, call_later=loop.call_later)
+    later = loop.call_later
+    made = View(stage, document, tools, canvas, gpu, source=path, export=options.export, call_later=later)
     canvas.set_title(f"{stage.name} - Supple")
     return made
 
@@ -180,7 +234,7 @@ def show(
     *,
     toolkit: str = "glfw",
     size: tuple[int, int] = SIZE,
-    spacing: Spacing = _EVEN,
+    options: ViewOptions = _USUAL,
 ) -> View:
     """Open a window, and come back when it is closed.
 
@@ -194,8 +248,8 @@ def show(
         ``"glfw"``, or ``"qt"`` where PySide6 or PyQt6 is installed.
     size : (int, int)
         Columns and rows of the window.
-    spacing : (float, float, float)
-        Of the voxels of an array, in millimetres, x first.
+    options : ViewOptions
+        How the source is read.
 
     Returns
     -------
@@ -206,7 +260,7 @@ def show(
     gpu = _gpu()
     canvas = canvas_type(size=size, title="Supple", max_fps=60, update_mode="ondemand", vsync=False)
     try:
-        made = opened(source, recipe, canvas, loop, gpu, spacing)
+        made = opened(source, recipe, canvas, loop, gpu, options)
     except SuppleError:
         canvas.close()
         raise
@@ -246,7 +300,14 @@ def in_notebook() -> bool:
     return shell is not None and type(shell).__name__ == "ZMQInteractiveShell"
 
 
-def view(source: Source, recipe: Recipe | None = None, *, spacing: Spacing = _EVEN) -> View:
+def view(
+    source: Source,
+    recipe: Recipe | None = None,
+    *,
+    spacing: Spacing = _EVEN,
+    time_scale: float = 1.0,
+    volume: VolumeOptions | None = None,
+) -> View:
     """Bend a photograph, a clip or a volume by hand.
 
     In a notebook, what is returned is a widget. Elsewhere, a window is opened, and this comes back when it is closed.
@@ -259,6 +320,10 @@ def view(source: Source, recipe: Recipe | None = None, *, spacing: Spacing = _EV
         Strokes that there are at first.
     spacing : (float, float, float)
         Of the voxels of an array, in millimetres, x first.
+    time_scale : float
+        Of a clip, how many pixels a frame is worth to the brush, as ``supple warp --time-scale`` takes it.
+    volume : VolumeOptions, optional
+        What is particular to the file of a volume, as `supple.warp_file` takes it.
 
     Returns
     -------
@@ -270,18 +335,26 @@ def view(source: Source, recipe: Recipe | None = None, *, spacing: Spacing = _EV
     SuppleError
         If the source or the recipe does not fit, there is no GPU, or a part of the window is not installed.
     """
+    options = ViewOptions(spacing, time_scale, volume or _PLAIN)
     if not in_notebook():
-        return show(source, recipe, spacing=spacing)
+        return show(source, recipe, options=options)
     try:
         from rendercanvas.anywidget import RenderCanvas, loop
     except ImportError as error:
         raise missing(error) from None
     canvas = RenderCanvas(size=(960, 600), max_fps=30, update_mode="ondemand")
     canvas.set_css_width("calc(100% - 4px)")  # of the cell, with its frame
-    return opened(source, recipe, canvas, loop, spacing=spacing)
+    return opened(source, recipe, canvas, loop, options=options)
 
 
-def serve(source: Source, recipe: Recipe | None = None, *, port: int = 0, tell: Callable[[str], None] = print) -> None:
+def serve(
+    source: Source,
+    recipe: Recipe | None = None,
+    *,
+    port: int = 0,
+    tell: Callable[[str], None] = print,
+    options: ViewOptions = _USUAL,
+) -> None:
     """Show the window in a browser, also one of another machine, until it is interrupted.
 
     It is bound to this machine alone, and open to those who have the token in its address: from another machine, it is
@@ -295,6 +368,8 @@ def serve(source: Source, recipe: Recipe | None = None, *, port: int = 0, tell: 
         0 for any that is free.
     tell : function
         Called with the address.
+    options : ViewOptions
+        How the source is read.
     """
     try:
         from rendercanvas.http import RenderCanvas, asgi, loop
@@ -305,7 +380,7 @@ def serve(source: Source, recipe: Recipe | None = None, *, port: int = 0, tell: 
     listener = server.listening(port)
     try:
         canvas = RenderCanvas(max_fps=30, update_mode="ondemand")
-        made = opened(source, recipe, canvas, loop)
+        made = opened(source, recipe, canvas, loop, options=options)
         try:
             token = server.new_token()
             tell(f"http://{server.HOST}:{listener.getsockname()[1]}/?token={token}")

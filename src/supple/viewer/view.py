@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -45,6 +45,8 @@ class View:
     gpu : Gpu
     source : Path, optional
         The file, for autosave and export.
+    export : mapping, optional
+        What else `supple.warp_file` takes to make what is seen.
     call_later : function
         Of seconds and a function, which runs then in the canvas's loop.
     """
@@ -58,6 +60,7 @@ class View:
         gpu: Gpu,
         *,
         source: Path | None = None,
+        export: Mapping[str, Any] | None = None,
         call_later: Callable[[float, Callable[[], None]], Any] = lambda seconds, work: None,
     ) -> None:
         self.stage, self.document, self.tools, self.canvas, self.gpu = stage, document, tools, canvas, gpu
@@ -66,7 +69,7 @@ class View:
         self.filled = 0.0
         self.painter = Painter(gpu, stage)
         self._waking = Waking(canvas, call_later)
-        self.desk = Desk(document, source, self.write, self._leave, "auto")
+        self.desk = Desk(document, source, self.write, self._leave, "auto", export)
         self.certifier = Certifier(self._waking.now)
         self.compiling = Compiling(len(document.shape))
         self._closed = False
