@@ -25,6 +25,7 @@ import supple
 from supple import console
 from supple.cli import command
 from supple.console import Console
+from supple.gpu.device import Gpu
 from supple.media import image
 
 SOURCE = str(Path(__file__).resolve().parent.parent / "src")
@@ -206,6 +207,36 @@ def test_json_tells_what_was_done(run: Run) -> None:
     status, out, err = run("warp", "none.png", "x.png", *GRAB, "--json")
     assert status == 2
     assert one_line(err)[8:].strip() == json.loads(out)["error"]
+
+
+def test_json_tells_who_did_it(run: Run, gpu: Gpu) -> None:
+    def device(name: str, *options: str) -> tuple[str, str]:
+        status, out, err = run("warp", "in.png", "out.png", *GRAB, "--json", "--force", "--device", name, *options)
+        assert status == 0
+        return json.loads(out)["device"], err
+
+    assert device("cpu") == ("cpu", "")
+    assert device("gpu")[0] == gpu.name
+    assert device("auto")[0] == ("cpu" if gpu.software else gpu.name)
+    # What it could not do, the CPU did.
+    who, err = device("gpu", "--tolerance", "1e-9")
+    assert who == "cpu"
+    assert "the CPU did what" in err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "wanted"),
+    [
+        (["warp", "in.png", "x.png", *GRAB, "--gpu"], "--device gpu is for warp, render and demo"),
+        (["plot", "in.png", "x.png", *GRAB, "--device", "gpu"], "is for warp, render and demo"),
+        (["info", "in.png", "--device", "gpu"], "is for warp, render and demo"),
+    ],
+)
+def test_options_of_devices_are_not_taken_for_others(run: Run, arguments: list[str], wanted: str) -> None:
+    status, _, err = run(*arguments)
+    assert status == 2
+    assert wanted in one_line(err)
+    assert "Did you mean" not in err
 
 
 @pytest.mark.parametrize(

@@ -15,6 +15,7 @@ import supple
 from supple.camera import Camera
 from supple.cli import command
 from supple.geometry import Geometry
+from supple.gpu.device import Gpu
 from supple.media import image
 from supple.media import volume as media
 from supple.transfer import PRESETS
@@ -121,6 +122,20 @@ def test_a_turn_as_pictures(here: Path) -> None:
     render_file("in.nii", "turn/%02d.png", options=known, force=True)
 
 
+@pytest.mark.parametrize("device", ["cpu", "gpu"])
+def test_a_hybrid_turn_is_the_same_each_time(
+    here: Path, gpu: Gpu, device: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    stored("in.nii", head())
+    shown = ["--turntable", "3", "--size", "40x40", "--device", device, "--quiet", "--json"]
+    for mode in ("hybrid", "lattice"):
+        assert command(["render", "in.nii", f"{mode}/%d.png", *GRAB, *shown, "--mode", mode]) == 0
+        assert json.loads(capsys.readouterr().out)["device"] == (gpu.name if device == "gpu" else "cpu")
+    for k in range(3):
+        made = (image.read(f"{mode}/{k}.png").pixels for mode in ("hybrid", "lattice"))
+        np.testing.assert_array_equal(*made)
+
+
 def test_inversions(here: Path) -> None:
     stored("in.nii", head())
     for mode in ("exact", "lattice"):
@@ -186,6 +201,7 @@ BAD: list[tuple[list[str], str]] = [
     (["in.nii", "out.png", "--target", "1,2"], "three numbers"),
     (["in.nii", "out.png", "--world"], "there are none"),
     (["in.nii", "out.png", "--what", "inversions", "--turntable", "4"], "leave the turntable out"),
+    (["in.nii", "out.png", "--what", "inversions", "--background", "#ffffff"], "leave the background out"),
     (["in.nii", "out.txt", "--what", "inversions"], "out.txt"),
     (["in.nii", "there.png"], "exists already"),
     (["rgb.nrrd", "out.png"], "3 components"),

@@ -19,6 +19,7 @@ from supple.console import Console, SomeFailedError, run
 from supple.errors import SuppleError
 from supple.options import RUNNING, RunOptions, StrokeOptions, VideoOptions, parse_fill, parse_integer, parse_number
 from supple.options_volume import VOLUME, VolumeOptions
+from supple.workers import workers
 
 if TYPE_CHECKING:
     from supple.batch import Job
@@ -155,9 +156,10 @@ class _Commands:
             check_recipe_file(save_recipe, jobs, options.force)
 
         def do(job: Job, tell: bool | Tell) -> None:
-            made = warp_file(job[0], job[1], recipe, progress=tell, **sampling)
+            with workers() as who:
+                made = warp_file(job[0], job[1], recipe, progress=tell, **sampling)
             if options.json:
-                self.console.tell(_facts_of(job, made))
+                self.console.tell({**_facts_of(job, made), "device": str(who)})
             say_convention(self.console, reading.world, getattr(made, "geometry", None), job[0], options)
 
         def failed(job: Job, message: str) -> None:
@@ -364,7 +366,17 @@ def _dispatch(console: Console, arguments: Sequence[str]) -> None:
     try:
         app(list(arguments), exit_on_error=False, print_error=False, verbose=False)
     except CycloptsError as error:
-        raise SuppleError(f"{str(error).strip().rstrip('.')} (supple --help tells more)") from None
+        raise SuppleError(f"{_advised(str(error).strip().rstrip('.'))} (supple --help tells more)") from None
+
+
+def _advised(text: str) -> str:
+    """What is wrong with the options; where one that only looks alike would be advised, the one that is meant."""
+    wrong, _, _ = text.partition(" Did you mean")
+    if "option: --gpu" in wrong:
+        return f"{wrong} --device gpu is for warp, render and demo, and info --gpu tells what there is"
+    if "option: --device" in wrong:
+        return f"{wrong} It is for warp, render and demo"
+    return text
 
 
 def _unless_false(value: object) -> object:

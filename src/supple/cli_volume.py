@@ -15,6 +15,7 @@ from supple.console import Console
 from supple.errors import SuppleError
 from supple.options import RunOptions, StrokeOptions, VideoOptions
 from supple.options_volume import CameraOptions, LookOptions, VolumeOptions
+from supple.workers import workers
 
 if TYPE_CHECKING:
     from supple.deformation import Deformation
@@ -76,7 +77,7 @@ class VolumeCommands:
         if reading.world and recipe is None:
             raise SuppleError("--world is about the points of strokes, and there are none: leave it out")
         self.console.tell_of_compiling()
-        with counted(self.console.terminal) as tell:
+        with counted(self.console.terminal) as tell, workers() as who:
             scene = render_file(source, target, recipe, options=render, volume=reading, force=options.force, tell=tell)
         say_software()
         say_convention(self.console, reading.world, scene.geometry, source, options)
@@ -91,6 +92,7 @@ class VolumeCommands:
                     "height": render.size[0],
                     "pictures": render.turntable or 1,
                     "mode": scene.mode,
+                    "device": str(who),
                     "step": scene.step,
                     "minimum": low,
                     "maximum": high,

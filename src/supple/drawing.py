@@ -25,6 +25,7 @@ from supple.gpu.solid import Lattice, hold_strokes, solve
 from supple.gpu.volume import Volume, beside, hold
 from supple.streaming import Space
 from supple.strokes import STROKE_DTYPE
+from supple.workers import CPU, note
 
 Array = npt.NDArray[Any]
 Floats = npt.NDArray[np.float64]
@@ -35,9 +36,12 @@ def tried(gpu: Gpu, work: Callable[[], T], stacklevel: int, says: str = "the CPU
     """What some work on a GPU gives; None, and a DeviceWarning, where that fails."""
     try:
         with gpu.lock:
-            return work()
+            done = work()
+        note(gpu.name)
+        return done
     except failures() as error:
         failed = trouble(gpu, error)
+    note(CPU)
     warnings.warn(f"{says.format(gpu.name)}: {failed}", DeviceWarning, stacklevel=stacklevel + 1)
     return None
 

@@ -21,6 +21,7 @@ from supple.gpu.warp import warp
 from supple.offload import OnGpu, pictures_of, warn
 from supple.streaming import CPU, Engine, Group, Layout, Sampling, Space, Tell
 from supple.warping import checked_fill, checked_source, result_like, warp_frames
+from supple.workers import note
 
 Array = npt.NDArray[Any]
 
@@ -123,6 +124,7 @@ def warp_on_gpu(
     if failed:
         warn(gpu, failed, 5)
         return None
+    note(gpu.name)
     return result, Certificate(worst, 0.0)
 
 

@@ -21,6 +21,8 @@ from supple.gpu.lattice import Range
 from supple.gpu.samples import Picture, Wanted
 from supple.gpu.warp import warp
 from supple.streaming import CPU, SLACK, Layout, Maker, Sampling, Space, fills_of, frames_needed, grid_of
+from supple.workers import CPU as CPU_NAME
+from supple.workers import note
 
 Array = npt.NDArray[Any]
 
@@ -56,6 +58,7 @@ def pictures_of(space: Space, layout: Layout, sampling: Sampling) -> tuple[Pictu
 
 def warn(gpu: Gpu, failed: str, level: int) -> None:
     """Say that the CPU did what a GPU could not."""
+    note(CPU_NAME)
     warnings.warn(f"the CPU did what {gpu.name} could not: {failed}", DeviceWarning, stacklevel=level + 1)
 
 
@@ -140,6 +143,7 @@ class _Sure:
                 else:
                     error, failed = self._in_parts(z, first, last, outs)
                 if not failed:
+                    note(self.gpu.name)
                     return Certificate(error, 0.0)
                 self.fail(failed, for_good=False)
             except failures() as trouble_:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -32,7 +31,6 @@ Tell = Callable[[str, int, int], None]
 
 WHATS = ("picture", "inversions")
 LIGHTLESS = (".png", ".tif", ".tiff", ".webp", ".avif")  # which hold opacity
-_BESIDE = 0.2  # of what a picture takes, for the buffer of a hybrid scene
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,6 +97,8 @@ class RenderOptions:
         number("rate", self.rate, "a number of pictures a second above 0", 1e-3, 1e4)
         if self.what == "inversions" and self.turntable:
             raise SuppleError("inversions are drawn as one picture: leave the turntable out")
+        if self.what == "inversions" and self.background is not None:
+            raise SuppleError("inversions are drawn as a plot, on white: leave the background out")
 
 
 def default_transfer(volume: Volume) -> str:
@@ -223,12 +223,9 @@ def render_file(
     def pictures(opaque: bool) -> Iterator[Array]:
         behind = known.background or ((0.0, 0.0, 0.0) if opaque else None)
         for k in range(count):
-            camera, begun = scene.turned(known.camera, k, count), time.perf_counter()
+            # No buffer is filled meanwhile: it would be there sooner on one machine than on another, and is seen.
+            camera = scene.turned(known.camera, k, count)
             picture = scene.render(camera, known.size, supersampling=known.supersampling)
-            # A hybrid scene's buffer takes little beside the pictures, which are the faster for it.
-            if k + 1 < count:
-                coming = scene.turned(known.camera, k + 1, count)
-                scene.fill(coming, known.size, seconds=_BESIDE * (time.perf_counter() - begun))
             yield picture.pixels(behind)
             tell("render", k + 1, count)
 
