@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from windows import SIZE, Hand, opened
+from windows import SIZE, opened
 
 import supple
 from supple.errors import SuppleError
@@ -143,28 +143,22 @@ def test_strokes_of_other_frames_are_faint(gpu: Gpu) -> None:
 
 
 def test_an_array_of_a_volume(gpu: Gpu) -> None:
-    from rendercanvas.offscreen import RenderCanvas, loop
-
-    from supple.viewer.launch import opened as opened_on
-
     z, y, x = np.mgrid[:20, :24, :28]
     ball = (((x - 14) ** 2 + (y - 12) ** 2 + 4 * (z - 10) ** 2) < 90).astype(np.float32)
-    canvas = RenderCanvas(size=SIZE, pixel_ratio=1.0)
-    view = opened_on(ball, None, canvas, loop, spacing=(1, 1, 2))
+    view, hand = opened(ball, spacing=(1, 1, 2))
     assert view.stage.kind == "volume"
     assert view.stage.spacing == (1, 1, 2)
-    before = canvas.draw()
+    before = hand.canvas.draw()
     assert np.ptp(before[200:600, 300:700, :3]) > 60
-    hand = Hand(canvas)
     hand.drag((350, 300), (410, 300))
     (made,) = view.recipe.strokes
     assert len(made.at) == 3
     view.close()
     for spacing in ((1, 1), (0, 1, 1), "a"):
         with pytest.raises(SuppleError, match="spacing"):
-            opened_on(ball, None, canvas, loop, spacing=spacing)  # type: ignore[arg-type]
+            opened(ball, spacing=spacing)
     with pytest.raises(SuppleError, match=r"of a clip too: found uint8 \(2, 3, 4, 3\)"):
-        opened_on(np.zeros((2, 3, 4, 3), np.uint8), None, canvas, loop)
+        opened(np.zeros((2, 3, 4, 3), np.uint8))
 
 
 def test_all_of_a_stroke_is_said() -> None:

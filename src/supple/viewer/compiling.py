@@ -6,26 +6,28 @@ import threading
 import time
 from collections.abc import Callable
 
+import numpy as np
+import numpy.typing as npt
+
+from supple.camera import Camera
 from supple.deformation import Deformation
-from supple.errors import SuppleError
+from supple.rendering import Scene
 from supple.viewer.heard import heard
 
 TOLD = 1.0  # seconds after which it is said: what was compiled before is there sooner
 
 
 class Compiling:
-    """Carries out a stroke that nobody sees, in a thread of its own.
+    """Carries out what nobody sees, in a thread of its own.
 
     Parameters
     ----------
-    axes : int
-        How many numbers points have.
-    work : function, optional
-        Of ``axes``: what is carried out.
+    *works : function
+        What is carried out, one after the other.
     """
 
-    def __init__(self, axes: int, work: Callable[[int], None] | None = None) -> None:
-        self._axes, self._work = axes, work or stroke
+    def __init__(self, *works: Callable[[], None]) -> None:
+        self._works = works
         self._begun = 0.0
         self._thread: threading.Thread | None = None
 
@@ -49,7 +51,8 @@ class Compiling:
 
     def _run(self) -> None:
         with heard(lambda text, kind: None):
-            self._work(self._axes)
+            for work in self._works:
+                work()
 
 
 def stroke(axes: int) -> None:
@@ -57,7 +60,12 @@ def stroke(axes: int) -> None:
     middle = (16.0,) * axes
     made = Deformation((33,) * axes, border=4.0).grab(middle, by=(0.5,) * axes, radius=6.0)
     made.inverse([middle])
-    try:
-        made.report()
-    except SuppleError:  # whoever asks for one hears of it
-        return
+    made.report()
+
+
+def ray(dtype: npt.DTypeLike) -> None:
+    """What is seen under the pointer, of a volume that is bent."""
+    shape = (9, 9, 9)
+    bent = Deformation(shape, border=None).grab((4, 4, 4), by=(0.1, 0, 0), radius=8.0)
+    for deformation in (None, bent):
+        Scene(np.ones(shape, dtype), deformation=deformation).pick(Camera(), (9, 9), (4, 4))

@@ -16,7 +16,7 @@ from supple.gpu.device import Gpu
 from supple.gpu.screen import Screen, composed, pixels_of
 from supple.media import image
 from supple.strokes import Recipe
-from supple.viewer import overlay, panels
+from supple.viewer import compiling, overlay, panels
 from supple.viewer.certify import Certifier
 from supple.viewer.compiling import Compiling
 from supple.viewer.desk import Desk
@@ -71,7 +71,10 @@ class View:
         self._waking = Waking(canvas, call_later)
         self.desk = Desk(document, source, self.write, self._leave, "auto", export)
         self.certifier = Certifier(self._waking.now)
-        self.compiling = Compiling(len(document.shape))
+        works = [lambda: compiling.stroke(len(document.shape))]
+        if isinstance(stage, VolumeStage):
+            works.append(lambda: compiling.ray(stage.scene.samples.dtype))
+        self.compiling = Compiling(*works)
         self._closed = False
         self._pressed = 0.0
         self._call_later = call_later
