@@ -171,7 +171,7 @@ def main() -> None:
                 runs,
             )
         )
-    print(filled(n=(256 if gpu.software else 512) // scale, runs=1 if gpu.software else runs))
+    print(filled(n=512 // scale, runs=1 if gpu.software else runs))
     n = 512 // scale
     volume = np.random.default_rng(0).random((n, n, n), np.float32)
     middle = (n / 2, n / 2, n / 2)
