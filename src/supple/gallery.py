@@ -200,7 +200,7 @@ def _look(place: Path, look: Look, device: str) -> str:
     compared = f"{_compared(look, before, *view.size)}{_explained(look, _facts(made), [])}"
     if look.density is not None:
         return f'<div class="shot">\n{compared}</div>\n'
-    counted = replace(view, mode="exact", what="inversions", supersampling=1)
+    counted = replace(view, mode="exact", what="inversions", supersampling=1, background=None)
     render_file(source, place / work, look.recipe, options=counted, force=True)
     plot = _figure(place, work, "How often T is evaluated for each ray, if every sample along it is inverted exactly.")
     return f'<div class="shot">\n{compared}</div>\n<div class="plots small">\n{plot}</div>\n'

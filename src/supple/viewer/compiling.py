@@ -18,7 +18,9 @@ TOLD = 1.0  # seconds after which it is said: what was compiled before is there 
 
 
 class Compiling:
-    """Carries out what nobody sees, in a thread of its own.
+    """Carries out what nobody sees, in a thread of its own, which a program waits for when it ends.
+
+    A thread that Python ends in the middle of an import keeps its lock, and the program would wait for that for ever.
 
     Parameters
     ----------
@@ -28,15 +30,19 @@ class Compiling:
 
     def __init__(self, *works: Callable[[], None]) -> None:
         self._works = works
-        self._begun = 0.0
+        self._begun, self._closed = 0.0, False
         self._thread: threading.Thread | None = None
 
     def begin(self) -> None:
         """Begin, unless it has begun."""
         if self._thread is None:
             self._begun = time.perf_counter()
-            self._thread = threading.Thread(target=self._run, name="supple-compile", daemon=True)
+            self._thread = threading.Thread(target=self._run, name="supple-compile", daemon=False)
             self._thread.start()
+
+    def close(self) -> None:
+        """Stop when what is at hand is done."""
+        self._closed = True
 
     @property
     def busy(self) -> bool:
@@ -52,7 +58,8 @@ class Compiling:
     def _run(self) -> None:
         with heard(lambda text, kind: None):
             for work in self._works:
-                work()
+                if not self._closed:
+                    work()
 
 
 def stroke(axes: int) -> None:

@@ -378,6 +378,7 @@ class View:
             return
         self._closed = True
         self.certifier.close()
+        self.compiling.close()
         self.desk.end()
         if isinstance(self.stage, VideoStage):
             self.stage.film.close()
