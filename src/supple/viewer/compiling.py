@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import threading
 import time
 from collections.abc import Callable
@@ -56,7 +57,8 @@ class Compiling:
         return self._thread is not None and not self._thread.is_alive()
 
     def _run(self) -> None:
-        with heard(lambda text, kind: None):
+        # Whoever does it in earnest hears of what is wrong; and a program that ends begins no threads.
+        with contextlib.suppress(Exception), heard(lambda text, kind: None):
             for work in self._works:
                 if not self._closed:
                     work()
