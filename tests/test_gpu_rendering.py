@@ -102,6 +102,21 @@ def test_without_strokes_and_thin(gpu: Gpu, cloud: np.ndarray) -> None:
         assert apart(one, other) > 50
 
 
+@pytest.mark.parametrize("mode", MODES)
+def test_one_slice_of_any_thickness_with_a_fixed_border(gpu: Gpu, cloud: np.ndarray, mode: str) -> None:
+    for spacing in ((1.0, 1.0, 5.0), (1.0, 0.9, 0.3)):
+        d = supple.Deformation((1, *SHAPE[1:]), spacing=spacing).grab((13, 15, 0), by=(4, -3, 0), radius=8)
+        options: dict[str, Any] = {"deformation": d, "transfer": SOFT, "mode": mode}
+        one, other = (
+            Scene(cloud[10:11], Geometry(spacing=spacing), device=device, **options).render(
+                Camera(azimuth=25, elevation=20), SIZE
+            )
+            for device in ("cpu", "gpu")
+        )
+        assert np.ptp(one.pixels((0.1, 0.2, 0.3))) > 100
+        assert apart(one, other) > 50
+
+
 def test_large_pictures_come_in_parts(gpu: Gpu, cloud: np.ndarray, monkeypatch: pytest.MonkeyPatch) -> None:
     scene = Scene(cloud, GEOMETRY, transfer=SOFT, device="gpu")
     whole = scene.render(size=SIZE)
