@@ -594,6 +594,26 @@ def test_what_a_caller_raises_passes_through_a_warp(gpu: Gpu, tmp_path: Path) ->
     assert devices.open_gpu() is gpu
 
 
+@pytest.mark.parametrize("mode", ["lattice", "hybrid"])
+def test_a_lattice_that_it_cannot_solve_is_the_cpu_s(
+    gpu: Gpu, cloud: np.ndarray, bent: supple.Deformation, monkeypatch: pytest.MonkeyPatch, mode: str
+) -> None:
+    tiny = 1e-11  # squares of such lengths are lost in float32
+    d = supple.Deformation(SHAPE, spacing=tiny, border=None).grab((13, 14, 11), by=(3, -2, 2), radius=9 * tiny)
+    options: dict[str, Any] = {"deformation": d, "transfer": SOFT, "mode": mode}
+    wanted = Scene(cloud, Geometry(spacing=(tiny,) * 3), **options)
+    with pytest.warns(DeviceWarning, match="nodes of the lattice could not be solved in its numbers"):
+        made = Scene(cloud, Geometry(spacing=(tiny,) * 3), device="gpu", **options)
+    assert made.gpu is None
+    assert made.error == wanted.error
+    np.testing.assert_array_equal(made.render(size=SIZE).light, wanted.render(size=SIZE).light)
+    if gpu.software:  # a card carries out all of them
+        monkeypatch.setattr(solid, "TURNS", 1 << 20)
+        with pytest.warns(DeviceWarning, match="its driver ends loops of many turns"):
+            assert Scene(cloud, GEOMETRY, deformation=bent, transfer=SOFT, mode=mode, device="gpu").gpu is None
+    assert devices.open_gpu() is gpu
+
+
 def test_rays_of_very_many_samples(gpu: Gpu, cloud: np.ndarray, bent: supple.Deformation) -> None:
     """Drivers in software end loops of too many turns, and say nothing."""
     fog = TransferFunction(((0, 1, 1, 1, 0.01), (1, 1, 1, 1, 0.02)), unit=1.0)
