@@ -441,6 +441,26 @@ def test_a_buffered_scene_keeps_its_word_beside_others(gpu: Gpu, ball: np.ndarra
     assert apart(theirs.render(size=SIZE), wanted) > 45
 
 
+def test_a_buffered_scene_that_cannot_be_filled_again_is_the_cpu_s(
+    gpu: Gpu, ball: np.ndarray, rough: supple.Deformation, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    options: dict[str, Any] = {"transfer": SOFT, "tolerance": 0.02}
+    theirs = Scene(ball, deformation=rough, mode="buffered", device="gpu", **options)
+    other = theirs.deformed(rough.grab((15, 8, 15), by=(-6, 3, 5), radius=7))  # takes the buffer
+
+    def failing(self: fill.Filling, seconds: float = 0.0, order: Any = None) -> float:
+        raise MemoryError
+
+    monkeypatch.setattr(fill.Filling, "advance", failing)
+    with pytest.warns(DeviceWarning, match="the CPU does what .* cannot"):
+        assert theirs.fill(size=SIZE) == 1.0
+    assert theirs.gpu is None
+    assert other.gpu is gpu
+    assert theirs.error == theirs.tolerance
+    exact = Scene(ball, deformation=rough, mode="exact", **options).render(size=SIZE)
+    np.testing.assert_array_equal(theirs.render(size=SIZE).light, exact.light)
+
+
 def test_the_cpu_sees_what_a_buffer_shows(
     gpu: Gpu, ball: np.ndarray, rough: supple.Deformation, monkeypatch: pytest.MonkeyPatch
 ) -> None:

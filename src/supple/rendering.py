@@ -337,7 +337,7 @@ class Scene:
         Warns
         -----
         DeviceWarning
-            If the GPU failed: the scene has no buffer then, and goes on with its lattice.
+            If the GPU failed: a hybrid scene goes on with its lattice, and a buffered one on the CPU.
         """
         held, seconds = self._held, number("seconds", seconds, "a number of seconds from 0", 0.0, 1e9)
         if held is None or held.filling is None or held.filling.part == 1.0:
@@ -348,10 +348,12 @@ class Scene:
             held.volume.gpu,
             lambda: filling.advance(seconds, order),
             2,
-            "{} does not go on with the buffer",
+            "the CPU does what {} cannot" if held.whole else "{} does not go on with the buffer",
         )
         if done is None:
-            self._set({"_held": replace(held, filling=None, mode=shading.LATTICE)})
+            # Of what is only seen whole, the lattice may be one that nobody should see.
+            left = {"_held": replace(held, filling=None, mode=shading.LATTICE)}
+            self._set({"_held": None, "gpu": None} if held.whole else left)
             return 1.0
         return done
 
