@@ -587,6 +587,23 @@ def test_what_does_not_fit_twice_is_a_lattice(
     assert coarse.error > coarse.tolerance
 
 
+def test_a_lattice_is_as_fine_as_there_is_room_for(gpu: Gpu, monkeypatch: pytest.MonkeyPatch) -> None:
+    d = supple.Deformation((40, 40, 40), border=None).grab((20, 20, 20), by=(4, -3, 2), radius=9)
+    solve, asked = solid.solve, []
+
+    def no_finer(gpu: Gpu, table: Any, axes: Any, shape: Any, step: int) -> Any:
+        asked.append(step)
+        if step < 4:
+            raise MemoryError
+        return solve(gpu, table, axes, shape, step)
+
+    monkeypatch.setattr(drawing, "solve", no_finer)
+    found, lattice = drawing.lattice_of(gpu, d.space, 0.02)
+    assert asked == [8, 2, 4, 2]
+    assert found.step == lattice.spread == 4
+    assert 0.02 < found.error < 0.5
+
+
 def test_textures_that_do_not_fit_are_refused(gpu: Gpu, cloud: np.ndarray) -> None:
     scene = Scene(cloud, GEOMETRY, transfer=SOFT, device="gpu")
     bare = gpu.device.create_texture(size=(8, 8, 1), format="rgba8unorm", usage="COPY_SRC")

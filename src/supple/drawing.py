@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import warnings
 from collections.abc import Callable
@@ -14,7 +15,7 @@ import numpy.typing as npt
 from supple.camera import View
 from supple.cpu.bricks import BRICK
 from supple.cpu.lattice import RESOLVED
-from supple.cpu.solid import Solid, solve_solid
+from supple.cpu.solid import FINEST, Solid, solve_solid
 from supple.errors import DeviceWarning
 from supple.gpu.device import Gpu
 from supple.gpu.field import fits
@@ -124,6 +125,9 @@ def lattice_of(gpu: Gpu, space: Space, tolerance: float) -> tuple[Solid, Lattice
     except MemoryError:
         if not tries:
             raise
+        with contextlib.suppress(MemoryError):  # some may have been passed over
+            while tries[0][0].step > FINEST:
+                attempt(tries[0][0].step // 2)
         solid, smooth = tries[0]  # the finest that there is room for
         if solid.step > RESOLVED * smooth:
             solid = replace(solid, error=math.inf)
