@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import resource
 import warnings
 from pathlib import Path
@@ -615,7 +616,21 @@ def test_textures_that_do_not_fit_are_refused(gpu: Gpu, cloud: np.ndarray) -> No
             scene.draw(texture, background=background)  # type: ignore[arg-type]
     with pytest.raises(SuppleError, match="size must be two numbers of pixels"):
         scene.draw(texture, size=(64,))  # type: ignore[arg-type]
+    texture.destroy()
+    with pytest.raises(SuppleError, match="the texture was destroyed: make another one"):
+        scene.draw(texture)
+    other = devices.adapters()[0].request_device_sync()
+    foreign = other.create_texture(size=(8, 8, 1), format="rgba8unorm", usage="STORAGE_BINDING")
+    with pytest.raises(SuppleError, match=r"texture must be made by scene\.gpu\.device"):
+        scene.draw(foreign)
     assert devices.open_gpu() is gpu
+    assert not gpu.lost
+    other.destroy()
+    with pytest.raises(Exception, match="lost") as lost:
+        other.create_texture(size=(8, 8, 1), format="rgba8unorm", usage="STORAGE_BINDING")
+    stricken = dataclasses.replace(gpu, device=other)
+    kernel.trouble(stricken, lost.value)
+    assert stricken.lost
 
 
 def test_what_a_caller_raises_passes_through_a_warp(gpu: Gpu, tmp_path: Path) -> None:

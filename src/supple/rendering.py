@@ -290,6 +290,9 @@ class Scene:
         choice("overlay", overlay, ("", "inversions"))
         if not all(hasattr(texture, name) for name in ("format", "usage", "create_view")):
             refuse("texture", "a texture of the GPU", type(texture).__name__)
+        gpu = held.volume.gpu
+        if getattr(texture, "_device", gpu.device) is not gpu.device:
+            refuse("texture", "made by scene.gpu.device", "one of another device")
         width, height = texture.size[:2]
         view = self.view(camera or Camera(), size or (height, width))
         rows, columns = view.size
@@ -303,14 +306,16 @@ class Scene:
             for c in point("background", background, (3,))
         )
         behind = light_of(colour).astype(np.float32)  # type: ignore[arg-type]
-        gpu = held.volume.gpu
         try:
             with gpu.lock:
                 size = rows * fine, columns * fine
                 worked = overlay == "inversions"
                 shading.paint(held, self._look(view), view.packed, size, fine, behind, texture, worked)
         except failures() as error:
-            raise SuppleError(f"{gpu.name} could not draw: {trouble(gpu, error)}: use render") from None
+            failed = trouble(gpu, error)
+            if not gpu.lost and "Texture with" in failed and "destroyed" in failed:  # all others are the scene's own
+                raise SuppleError("the texture was destroyed: make another one by scene.gpu.device") from None
+            raise SuppleError(f"{gpu.name} could not draw: {failed}: use render") from None
 
     def fill(
         self, camera: Camera | None = None, size: tuple[int, int] = (512, 512), *, seconds: float = 0.004
