@@ -605,6 +605,46 @@ def test_a_lattice_is_as_fine_as_there_is_room_for(gpu: Gpu, monkeypatch: pytest
     assert 0.02 < found.error < 0.5
 
 
+def _of(scene: Scene, point: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """What a scene's lattice says of a point: u and the rows of ∂p/∂q."""
+    where = (scene._nodes, np.float32(scene._per_voxel), *point)
+    rows = [cpu_solid.transposed(*where, *axis) for axis in np.eye(3, dtype=np.float32)]
+    return np.array(cpu_solid.displacement(*where)), np.array(rows)
+
+
+@pytest.mark.parametrize(("radius", "by", "cells"), [(12, (4, -3, 2), 2), (10, (4, -3, 2), 1), (18, (6, -4, 3), 2)])
+def test_the_error_is_that_along_rays(gpu: Gpu, radius: float, by: tuple[float, ...], cells: int) -> None:
+    n = 48
+    d = supple.Deformation((n, n, n), border=None).grab((22, 24, 25), by=by, radius=radius)
+    scene = Scene(np.zeros((n, n, n), np.float32), deformation=d, device="gpu")
+    assert scene._held is not None
+    assert scene._held.lattice.cells == cells
+    rng = np.random.default_rng(0)
+    starts = rng.uniform(0, n - 1, (2000, 3)).astype(np.float32)
+    ways = rng.normal(size=(2000, 3)).astype(np.float32)
+    ways *= min(cells / scene._per_voxel, 8.0) / np.linalg.norm(ways, axis=1)[:, None]
+    points, sources = [], []
+    for start, way in zip(starts, ways, strict=True):
+        if not ((start + way >= 0) & (start + way <= n - 1)).all():
+            continue
+        # As raymarch.wgsl goes along a ray from one end of a stretch to the other.
+        (first, slopes), (last, others) = _of(scene, start), _of(scene, start + way)
+        rise = last - first
+        a, b = slopes @ way - way - rise, rise - others @ way + way
+        for s in (0.25, 0.5, 0.75):
+            points.append(start + s * way)
+            sources.append(points[-1] + first + s * (rise + (1 - s) * ((1 - s) * a + s * b)))
+    seen = np.linalg.norm(d.inverse(np.array(points)).points - np.array(sources), axis=1).max()
+    assert 0.2 * scene.error < seen <= scene.error <= scene.tolerance
+
+
+def test_what_is_beyond_the_tolerance_is_said_so(gpu: Gpu, bent: supple.Deformation) -> None:
+    lattice = solid.hold_strokes(gpu, bent.space.table, bent.space.axes)
+    for error, said in ((0.1, 0.125), (0.19, 0.2), (1.0, 1.25), (np.inf, np.inf)):
+        found = cpu_solid.Solid(cpu_solid.unmoved(), 2, error, 0.0)
+        assert drawing.along_rays(found, lattice, 0.2) == pytest.approx(said)
+
+
 def test_textures_that_do_not_fit_are_refused(gpu: Gpu, cloud: np.ndarray) -> None:
     scene = Scene(cloud, GEOMETRY, transfer=SOFT, device="gpu")
     bare = gpu.device.create_texture(size=(8, 8, 1), format="rgba8unorm", usage="COPY_SRC")

@@ -17,7 +17,7 @@ from supple.cpu.kernel import share
 from supple.cpu.solid import solve_solid, unmoved
 from supple.deformation import Deformation
 from supple.domain import choice, integer, number, point, refuse
-from supple.drawing import held_scene, order_of, tried, unseen_blocks
+from supple.drawing import along_rays, held_scene, order_of, tried, unseen_blocks
 from supple.engines import DEVICES, gpu_of
 from supple.errors import SuppleError, ToleranceWarning
 from supple.geometry import Geometry
@@ -489,7 +489,7 @@ def _deformed(known: dict[str, Any], deformation: Deformation | None, volume: Vo
     elif space is not None and mode != "exact":
         solid = solid or solve_solid(space.table, space.axes, shape, tolerance)
         nodes, per_voxel = solid.nodes, 1.0 / solid.step
-        error = solid.error
+        error = along_rays(solid, held.lattice, tolerance) if held is not None else solid.error
         if mode != "buffered" and error > tolerance:
             off = f"by {error:.2g} voxels" if math.isfinite(error) else "by more than a voxel"
             warnings.warn(
