@@ -656,6 +656,8 @@ def test_textures_that_do_not_fit_are_refused(gpu: Gpu, cloud: np.ndarray) -> No
             scene.draw(texture, background=background)  # type: ignore[arg-type]
     with pytest.raises(SuppleError, match="size must be two numbers of pixels"):
         scene.draw(texture, size=(64,))  # type: ignore[arg-type]
+    with pytest.raises(SuppleError, match="camera must be a Camera, found 'x'"):
+        scene.draw(texture, "x")  # type: ignore[arg-type]
     texture.destroy()
     with pytest.raises(SuppleError, match="the texture was destroyed: make another one"):
         scene.draw(texture)

@@ -451,6 +451,8 @@ def test_a_camera_inside() -> None:
         ({"density": (1,)}, "2 numbers"),
         ({"step": 0}, "step must be millimetres, at least 0.001"),
         ({"tolerance": -1}, "tolerance"),
+        ({"geometry": 3}, "geometry must be a Geometry, found 3"),
+        ({"deformation": "x"}, "deformation must be a Deformation, found 'x'"),
         ({"deformation": supple.Deformation((4, 4, 4))}, "as the volume"),
         ({"deformation": supple.Deformation((8, 8, 8), spacing=2.0)}, "of spacing"),
     ],
@@ -459,6 +461,22 @@ def test_bad_scenes(given: dict[str, Any], text: str) -> None:
     known: dict[str, Any] = {"samples": np.zeros((8, 8, 8)), **given}
     with pytest.raises(supple.SuppleError, match=text):
         Scene(**known)
+
+
+def test_other_things_than_cameras_and_deformations() -> None:
+    scene: Any = Scene(cloud((8, 8, 8)))
+    with pytest.raises(supple.SuppleError, match="deformation must be a Deformation, found 'x'"):
+        scene.deformed("x")
+    for given in ("x", "", 0):
+        for call in (
+            lambda c: scene.render(c, SIZE),
+            lambda c: scene.fill(c, SIZE),
+            lambda c: scene.pick(c, SIZE, (3, 3)),
+            lambda c: scene.view(c, SIZE),
+            lambda c: scene.turned(c, 1, 8),
+        ):
+            with pytest.raises(supple.SuppleError, match="camera must be a Camera, found"):
+                call(given)
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from supple.camera import Camera, View, view_of
+from supple.camera import Camera, View, camera_of, view_of
 from supple.cpu import bricks, raymarch
 from supple.cpu.kernel import share
 from supple.cpu.solid import solve_solid, unmoved
@@ -127,7 +127,9 @@ class Scene:
     ) -> None:
         choice("mode", mode, MODES)
         choice("device", device, DEVICES)
-        places = Geometry() if geometry is None else geometry
+        places: object = Geometry() if geometry is None else geometry
+        if not isinstance(places, Geometry):
+            refuse("geometry", "a Geometry", geometry)
         given = np.asarray(samples)
         if given.ndim != 3 or 0 in given.shape or given.dtype.kind not in "biuf":
             refuse("samples", "a volume of numbers, (Z, H, W)", f"{given.dtype} of shape {given.shape}")
@@ -189,9 +191,9 @@ class Scene:
         """Whether no value is seen at all."""
         return self._threshold == math.inf
 
-    def view(self, camera: Camera, size: tuple[int, int]) -> View:
+    def view(self, camera: Camera | None, size: tuple[int, int]) -> View:
         """The camera before this scene, for a picture of ``size`` (rows, columns)."""
-        return view_of(camera, self.samples.shape, self.geometry, size)
+        return view_of(camera_of(camera), self.samples.shape, self.geometry, size)
 
     def render(
         self,
@@ -214,7 +216,7 @@ class Scene:
             Called with the number of rows that are done, now and then.
         """
         fine = integer("supersampling", supersampling, "a number of rays along a pixel's side, from 1 to 8", 1, 8)
-        view = self.view(camera or Camera(), size)
+        view = self.view(camera, size)
         height, width = size[0] * fine, size[1] * fine
         columns = (np.arange(width) + 0.5) / fine - 0.5
 
@@ -294,7 +296,7 @@ class Scene:
         if getattr(texture, "_device", gpu.device) is not gpu.device:
             refuse("texture", "made by scene.gpu.device", "one of another device")
         width, height = texture.size[:2]
-        view = self.view(camera or Camera(), size or (height, width))
+        view = self.view(camera, size or (height, width))
         rows, columns = view.size
         if texture.format != "rgba8unorm" or rows > height or columns > width:
             wanted = f"rgba8unorm, of {columns} x {rows} pixels or more"
@@ -345,10 +347,11 @@ class Scene:
             If the GPU failed: a hybrid scene goes on with its lattice, and a buffered one on the CPU.
         """
         held, seconds = self._held, number("seconds", seconds, "a number of seconds from 0", 0.0, 1e9)
+        camera = camera_of(camera)
         if held is None or held.filling is None or held.filling.part == 1.0:
             return 1.0
         filling = held.filling
-        order = order_of(self.view(camera or Camera(), size), self._unseen)
+        order = order_of(self.view(camera, size), self._unseen)
         done = tried(
             held.volume.gpu,
             lambda: filling.advance(seconds, order),
@@ -457,6 +460,7 @@ class Scene:
 
     def turned(self, camera: Camera, k: int, count: int) -> Camera:
         """The camera of picture ``k`` of ``count`` on a way around the volume."""
+        camera = camera_of(camera)
         return replace(camera, azimuth=camera.azimuth + 360.0 * k / count)
 
 
@@ -471,6 +475,9 @@ def _deformed(known: dict[str, Any], deformation: Deformation | None, volume: Vo
     if volume is not None and volume.gpu is not gpu:
         volume = None  # that one was lost
     if deformation is not None:
+        given: object = deformation
+        if not isinstance(given, Deformation):
+            refuse("deformation", "a Deformation", given)
         if deformation.shape != shape:
             refuse("the deformation", f"one of shape {shape}, as the volume", f"shape {deformation.shape}")
         spacing = known["geometry"].spacing
