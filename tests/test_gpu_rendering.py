@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import resource
 import warnings
 from pathlib import Path
@@ -99,6 +100,21 @@ def test_windows_flat_light_and_several_rays(gpu: Gpu, cloud: np.ndarray, bent: 
 def test_without_strokes_and_thin(gpu: Gpu, cloud: np.ndarray) -> None:
     for part in (cloud, cloud[:1], cloud[:, :2, :1]):
         one, other = (Scene(part, GEOMETRY, transfer=SOFT, device=d).render(size=SIZE) for d in ("cpu", "gpu"))
+        assert apart(one, other) > 50
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_one_slice_of_any_thickness_with_a_fixed_border(gpu: Gpu, cloud: np.ndarray, mode: str) -> None:
+    for spacing in ((1.0, 1.0, 5.0), (1.0, 0.9, 0.3)):
+        d = supple.Deformation((1, *SHAPE[1:]), spacing=spacing).grab((13, 15, 0), by=(4, -3, 0), radius=8)
+        options: dict[str, Any] = {"deformation": d, "transfer": SOFT, "mode": mode}
+        one, other = (
+            Scene(cloud[10:11], Geometry(spacing=spacing), device=device, **options).render(
+                Camera(azimuth=25, elevation=20), SIZE
+            )
+            for device in ("cpu", "gpu")
+        )
+        assert np.ptp(one.pixels((0.1, 0.2, 0.3))) > 100
         assert apart(one, other) > 50
 
 
@@ -426,6 +442,26 @@ def test_a_buffered_scene_keeps_its_word_beside_others(gpu: Gpu, ball: np.ndarra
     assert apart(theirs.render(size=SIZE), wanted) > 45
 
 
+def test_a_buffered_scene_that_cannot_be_filled_again_is_the_cpu_s(
+    gpu: Gpu, ball: np.ndarray, rough: supple.Deformation, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    options: dict[str, Any] = {"transfer": SOFT, "tolerance": 0.02}
+    theirs = Scene(ball, deformation=rough, mode="buffered", device="gpu", **options)
+    other = theirs.deformed(rough.grab((15, 8, 15), by=(-6, 3, 5), radius=7))  # takes the buffer
+
+    def failing(self: fill.Filling, seconds: float = 0.0, order: Any = None) -> float:
+        raise MemoryError
+
+    monkeypatch.setattr(fill.Filling, "advance", failing)
+    with pytest.warns(DeviceWarning, match="the CPU does what .* cannot"):
+        assert theirs.fill(size=SIZE) == 1.0
+    assert theirs.gpu is None
+    assert other.gpu is gpu
+    assert theirs.error == theirs.tolerance
+    exact = Scene(ball, deformation=rough, mode="exact", **options).render(size=SIZE)
+    np.testing.assert_array_equal(theirs.render(size=SIZE).light, exact.light)
+
+
 def test_the_cpu_sees_what_a_buffer_shows(
     gpu: Gpu, ball: np.ndarray, rough: supple.Deformation, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -552,6 +588,63 @@ def test_what_does_not_fit_twice_is_a_lattice(
     assert coarse.error > coarse.tolerance
 
 
+def test_a_lattice_is_as_fine_as_there_is_room_for(gpu: Gpu, monkeypatch: pytest.MonkeyPatch) -> None:
+    d = supple.Deformation((40, 40, 40), border=None).grab((20, 20, 20), by=(4, -3, 2), radius=9)
+    solve, asked = solid.solve, []
+
+    def no_finer(gpu: Gpu, table: Any, axes: Any, shape: Any, step: int) -> Any:
+        asked.append(step)
+        if step < 4:
+            raise MemoryError
+        return solve(gpu, table, axes, shape, step)
+
+    monkeypatch.setattr(drawing, "solve", no_finer)
+    found, lattice = drawing.lattice_of(gpu, d.space, 0.02)
+    assert asked == [8, 2, 4, 2]
+    assert found.step == lattice.spread == 4
+    assert 0.02 < found.error < 0.5
+
+
+def _of(scene: Scene, point: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """What a scene's lattice says of a point: u and the rows of ∂p/∂q."""
+    where = (scene._nodes, np.float32(scene._per_voxel), *point)
+    rows = [cpu_solid.transposed(*where, *axis) for axis in np.eye(3, dtype=np.float32)]
+    return np.array(cpu_solid.displacement(*where)), np.array(rows)
+
+
+@pytest.mark.parametrize(("radius", "by", "cells"), [(12, (4, -3, 2), 2), (10, (4, -3, 2), 1), (18, (6, -4, 3), 2)])
+def test_the_error_is_that_along_rays(gpu: Gpu, radius: float, by: tuple[float, ...], cells: int) -> None:
+    n = 48
+    d = supple.Deformation((n, n, n), border=None).grab((22, 24, 25), by=by, radius=radius)
+    scene = Scene(np.zeros((n, n, n), np.float32), deformation=d, device="gpu")
+    assert scene._held is not None
+    assert scene._held.lattice.cells == cells
+    rng = np.random.default_rng(0)
+    starts = rng.uniform(0, n - 1, (2000, 3)).astype(np.float32)
+    ways = rng.normal(size=(2000, 3)).astype(np.float32)
+    ways *= min(cells / scene._per_voxel, 8.0) / np.linalg.norm(ways, axis=1)[:, None]
+    points, sources = [], []
+    for start, way in zip(starts, ways, strict=True):
+        if not ((start + way >= 0) & (start + way <= n - 1)).all():
+            continue
+        # As raymarch.wgsl goes along a ray from one end of a stretch to the other.
+        (first, slopes), (last, others) = _of(scene, start), _of(scene, start + way)
+        rise = last - first
+        a, b = slopes @ way - way - rise, rise - others @ way + way
+        for s in (0.25, 0.5, 0.75):
+            points.append(start + s * way)
+            sources.append(points[-1] + first + s * (rise + (1 - s) * ((1 - s) * a + s * b)))
+    seen = np.linalg.norm(d.inverse(np.array(points)).points - np.array(sources), axis=1).max()
+    assert 0.2 * scene.error < seen <= scene.error <= scene.tolerance
+
+
+def test_what_is_beyond_the_tolerance_is_said_so(gpu: Gpu, bent: supple.Deformation) -> None:
+    lattice = solid.hold_strokes(gpu, bent.space.table, bent.space.axes)
+    for error, said in ((0.1, 0.125), (0.19, 0.2), (1.0, 1.25), (np.inf, np.inf)):
+        found = cpu_solid.Solid(cpu_solid.unmoved(), 2, error, 0.0)
+        assert drawing.along_rays(found, lattice, 0.2) == pytest.approx(said)
+
+
 def test_textures_that_do_not_fit_are_refused(gpu: Gpu, cloud: np.ndarray) -> None:
     scene = Scene(cloud, GEOMETRY, transfer=SOFT, device="gpu")
     bare = gpu.device.create_texture(size=(8, 8, 1), format="rgba8unorm", usage="COPY_SRC")
@@ -563,7 +656,23 @@ def test_textures_that_do_not_fit_are_refused(gpu: Gpu, cloud: np.ndarray) -> No
             scene.draw(texture, background=background)  # type: ignore[arg-type]
     with pytest.raises(SuppleError, match="size must be two numbers of pixels"):
         scene.draw(texture, size=(64,))  # type: ignore[arg-type]
+    with pytest.raises(SuppleError, match="camera must be a Camera, found 'x'"):
+        scene.draw(texture, "x")  # type: ignore[arg-type]
+    texture.destroy()
+    with pytest.raises(SuppleError, match="the texture was destroyed: make another one"):
+        scene.draw(texture)
+    other = devices.adapters()[0].request_device_sync()
+    foreign = other.create_texture(size=(8, 8, 1), format="rgba8unorm", usage="STORAGE_BINDING")
+    with pytest.raises(SuppleError, match=r"texture must be made by scene\.gpu\.device"):
+        scene.draw(foreign)
     assert devices.open_gpu() is gpu
+    assert not gpu.lost
+    other.destroy()
+    with pytest.raises(Exception, match="lost") as lost:
+        other.create_texture(size=(8, 8, 1), format="rgba8unorm", usage="STORAGE_BINDING")
+    stricken = dataclasses.replace(gpu, device=other)
+    kernel.trouble(stricken, lost.value)
+    assert stricken.lost
 
 
 def test_what_a_caller_raises_passes_through_a_warp(gpu: Gpu, tmp_path: Path) -> None:
@@ -576,6 +685,26 @@ def test_what_a_caller_raises_passes_through_a_warp(gpu: Gpu, tmp_path: Path) ->
     with pytest.raises(RuntimeError, match="the user's own"):
         supple.warp_file(head, tmp_path / "o.nii.gz", recipe, progress=stop, device="gpu")
     assert not any(tmp_path.iterdir())
+    assert devices.open_gpu() is gpu
+
+
+@pytest.mark.parametrize("mode", ["lattice", "hybrid"])
+def test_a_lattice_that_it_cannot_solve_is_the_cpu_s(
+    gpu: Gpu, cloud: np.ndarray, bent: supple.Deformation, monkeypatch: pytest.MonkeyPatch, mode: str
+) -> None:
+    tiny = 1e-11  # squares of such lengths are lost in float32
+    d = supple.Deformation(SHAPE, spacing=tiny, border=None).grab((13, 14, 11), by=(3, -2, 2), radius=9 * tiny)
+    options: dict[str, Any] = {"deformation": d, "transfer": SOFT, "mode": mode}
+    wanted = Scene(cloud, Geometry(spacing=(tiny,) * 3), **options)
+    with pytest.warns(DeviceWarning, match="nodes of the lattice could not be solved in its numbers"):
+        made = Scene(cloud, Geometry(spacing=(tiny,) * 3), device="gpu", **options)
+    assert made.gpu is None
+    assert made.error == wanted.error
+    np.testing.assert_array_equal(made.render(size=SIZE).light, wanted.render(size=SIZE).light)
+    if gpu.software:  # a card carries out all of them
+        monkeypatch.setattr(solid, "TURNS", 1 << 20)
+        with pytest.warns(DeviceWarning, match="its driver ends loops of many turns"):
+            assert Scene(cloud, GEOMETRY, deformation=bent, transfer=SOFT, mode=mode, device="gpu").gpu is None
     assert devices.open_gpu() is gpu
 
 

@@ -419,6 +419,18 @@ def test_what_is_not_a_number_is_nothing() -> None:
     assert Scene(np.full((5, 5, 5), np.nan)).render(size=(8, 8)).light.max() == 0
 
 
+def test_values_beyond_what_light_is_made_of_are_refused() -> None:
+    volume = ball((20, 20, 20), Geometry(), np.full(3, 9.5), 6)
+    large = TransferFunction(((0.49, 1, 0.8, 0.6, 0), (0.5, 1, 0.8, 0.6, 1), (1, 1, 0.8, 0.6, 1)), relative=True)
+    wanted = Scene(volume, transfer=large).render(size=SIZE)
+    np.testing.assert_allclose(Scene(volume * 1e18, transfer=large).render(size=SIZE).light, wanted.light, atol=1e-3)
+    gap = volume * 1e20
+    gap[0, 0, 0] = np.nan
+    for given in (volume * np.float32(1e19), -1e200 * volume.astype(np.float64), gap):
+        with pytest.raises(supple.SuppleError, match=r"samples must be values from -1e\+18 to 1e\+18 .*divide"):
+            Scene(given)
+
+
 def test_a_camera_inside() -> None:
     volume = np.full((30, 30, 30), 0.6, np.float32)
     volume[0, 0, 0] = 0
@@ -439,6 +451,8 @@ def test_a_camera_inside() -> None:
         ({"density": (1,)}, "2 numbers"),
         ({"step": 0}, "step must be millimetres, at least 0.001"),
         ({"tolerance": -1}, "tolerance"),
+        ({"geometry": 3}, "geometry must be a Geometry, found 3"),
+        ({"deformation": "x"}, "deformation must be a Deformation, found 'x'"),
         ({"deformation": supple.Deformation((4, 4, 4))}, "as the volume"),
         ({"deformation": supple.Deformation((8, 8, 8), spacing=2.0)}, "of spacing"),
     ],
@@ -447,6 +461,22 @@ def test_bad_scenes(given: dict[str, Any], text: str) -> None:
     known: dict[str, Any] = {"samples": np.zeros((8, 8, 8)), **given}
     with pytest.raises(supple.SuppleError, match=text):
         Scene(**known)
+
+
+def test_other_things_than_cameras_and_deformations() -> None:
+    scene: Any = Scene(cloud((8, 8, 8)))
+    with pytest.raises(supple.SuppleError, match="deformation must be a Deformation, found 'x'"):
+        scene.deformed("x")
+    for given in ("x", "", 0):
+        for call in (
+            lambda c: scene.render(c, SIZE),
+            lambda c: scene.fill(c, SIZE),
+            lambda c: scene.pick(c, SIZE, (3, 3)),
+            lambda c: scene.view(c, SIZE),
+            lambda c: scene.turned(c, 1, 8),
+        ):
+            with pytest.raises(supple.SuppleError, match="camera must be a Camera, found"):
+                call(given)
 
 
 @pytest.mark.parametrize(

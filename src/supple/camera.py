@@ -106,6 +106,15 @@ class View:
         return np.asarray(made / np.linalg.norm(made), np.float64)
 
 
+def camera_of(given: object) -> Camera:
+    """A camera, or the usual one for None; SuppleError if it is anything else."""
+    if given is None:
+        return Camera()
+    if not isinstance(given, Camera):
+        refuse("camera", "a Camera", given)
+    return given
+
+
 def view_of(camera: Camera, shape: tuple[int, ...], geometry: Geometry, size: tuple[int, int]) -> View:
     """Set up a camera before a volume of ``shape`` (Z, H, W), for a picture of ``size`` (rows, columns)."""
     given: object = size  # it may be anything

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import warnings
 from collections.abc import Callable
@@ -14,7 +15,7 @@ import numpy.typing as npt
 from supple.camera import View
 from supple.cpu.bricks import BRICK
 from supple.cpu.lattice import RESOLVED
-from supple.cpu.solid import Solid, solve_solid
+from supple.cpu.solid import FINEST, Solid, solve_solid
 from supple.errors import DeviceWarning
 from supple.gpu.device import Gpu
 from supple.gpu.field import fits
@@ -30,6 +31,7 @@ from supple.workers import CPU, note
 Array = npt.NDArray[Any]
 Floats = npt.NDArray[np.float64]
 T = TypeVar("T")
+_TWICE, _ONCE = 3.0, 1.25  # times what a lattice is off, cubics over two of its cells and over one were not farther off
 
 
 def tried(gpu: Gpu, work: Callable[[], T], stacklevel: int, says: str = "the CPU does what {} cannot") -> T | None:
@@ -128,11 +130,21 @@ def lattice_of(gpu: Gpu, space: Space, tolerance: float) -> tuple[Solid, Lattice
     except MemoryError:
         if not tries:
             raise
+        with contextlib.suppress(MemoryError):  # some may have been passed over
+            while tries[0][0].step > FINEST:
+                attempt(tries[0][0].step // 2)
         solid, smooth = tries[0]  # the finest that there is room for
         if solid.step > RESOLVED * smooth:
             solid = replace(solid, error=math.inf)
-    # A cubic over two cells is off by about as much as the lattice is said to be, and by a twentieth over one.
-    return solid, replace(made[0], cells=2 if 3 * solid.error <= tolerance else 1)
+    return solid, replace(made[0], cells=2 if _TWICE * solid.error <= tolerance else 1)
+
+
+def along_rays(solid: Solid, lattice: Lattice, tolerance: float) -> float:
+    """How far off source points are, in voxels, where rays go along cubics over cells of a lattice."""
+    if lattice.cells == 2:
+        return _TWICE * solid.error
+    # Where the lattice is good enough, the reserve that it was looked at with has room for the rest, too.
+    return min(_ONCE * solid.error, tolerance if solid.error <= tolerance else math.inf)
 
 
 def unseen_blocks(shape: tuple[int, ...], skips: npt.NDArray[np.uint8]) -> npt.NDArray[np.bool_]:

@@ -11,13 +11,13 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from supple.camera import Camera, View, view_of
+from supple.camera import Camera, View, camera_of, view_of
 from supple.cpu import bricks, raymarch
 from supple.cpu.kernel import share
 from supple.cpu.solid import solve_solid, unmoved
 from supple.deformation import Deformation
 from supple.domain import choice, integer, number, point, refuse
-from supple.drawing import held_scene, order_of, tried, unseen_blocks
+from supple.drawing import along_rays, held_scene, order_of, tried, unseen_blocks
 from supple.engines import DEVICES, gpu_of
 from supple.errors import SuppleError, ToleranceWarning
 from supple.geometry import Geometry
@@ -127,7 +127,9 @@ class Scene:
     ) -> None:
         choice("mode", mode, MODES)
         choice("device", device, DEVICES)
-        places = Geometry() if geometry is None else geometry
+        places: object = Geometry() if geometry is None else geometry
+        if not isinstance(places, Geometry):
+            refuse("geometry", "a Geometry", geometry)
         given = np.asarray(samples)
         if given.ndim != 3 or 0 in given.shape or given.dtype.kind not in "biuf":
             refuse("samples", "a volume of numbers, (Z, H, W)", f"{given.dtype} of shape {given.shape}")
@@ -189,9 +191,9 @@ class Scene:
         """Whether no value is seen at all."""
         return self._threshold == math.inf
 
-    def view(self, camera: Camera, size: tuple[int, int]) -> View:
+    def view(self, camera: Camera | None, size: tuple[int, int]) -> View:
         """The camera before this scene, for a picture of ``size`` (rows, columns)."""
-        return view_of(camera, self.samples.shape, self.geometry, size)
+        return view_of(camera_of(camera), self.samples.shape, self.geometry, size)
 
     def render(
         self,
@@ -214,7 +216,7 @@ class Scene:
             Called with the number of rows that are done, now and then.
         """
         fine = integer("supersampling", supersampling, "a number of rays along a pixel's side, from 1 to 8", 1, 8)
-        view = self.view(camera or Camera(), size)
+        view = self.view(camera, size)
         height, width = size[0] * fine, size[1] * fine
         columns = (np.arange(width) + 0.5) / fine - 0.5
 
@@ -290,8 +292,11 @@ class Scene:
         choice("overlay", overlay, ("", "inversions"))
         if not all(hasattr(texture, name) for name in ("format", "usage", "create_view")):
             refuse("texture", "a texture of the GPU", type(texture).__name__)
+        gpu = held.volume.gpu
+        if getattr(texture, "_device", gpu.device) is not gpu.device:
+            refuse("texture", "made by scene.gpu.device", "one of another device")
         width, height = texture.size[:2]
-        view = self.view(camera or Camera(), size or (height, width))
+        view = self.view(camera, size or (height, width))
         rows, columns = view.size
         if texture.format != "rgba8unorm" or rows > height or columns > width:
             wanted = f"rgba8unorm, of {columns} x {rows} pixels or more"
@@ -303,14 +308,16 @@ class Scene:
             for c in point("background", background, (3,))
         )
         behind = light_of(colour).astype(np.float32)  # type: ignore[arg-type]
-        gpu = held.volume.gpu
         try:
             with gpu.lock:
                 size = rows * fine, columns * fine
                 worked = overlay == "inversions"
                 shading.paint(held, self._look(view), view.packed, size, fine, behind, texture, worked)
         except failures() as error:
-            raise SuppleError(f"{gpu.name} could not draw: {trouble(gpu, error)}: use render") from None
+            failed = trouble(gpu, error)
+            if not gpu.lost and "Texture with" in failed and "destroyed" in failed:  # all others are the scene's own
+                raise SuppleError("the texture was destroyed: make another one by scene.gpu.device") from None
+            raise SuppleError(f"{gpu.name} could not draw: {failed}: use render") from None
 
     def fill(
         self, camera: Camera | None = None, size: tuple[int, int] = (512, 512), *, seconds: float = 0.004
@@ -337,21 +344,24 @@ class Scene:
         Warns
         -----
         DeviceWarning
-            If the GPU failed: the scene has no buffer then, and goes on with its lattice.
+            If the GPU failed: a hybrid scene goes on with its lattice, and a buffered one on the CPU.
         """
         held, seconds = self._held, number("seconds", seconds, "a number of seconds from 0", 0.0, 1e9)
+        camera = camera_of(camera)
         if held is None or held.filling is None or held.filling.part == 1.0:
             return 1.0
         filling = held.filling
-        order = order_of(self.view(camera or Camera(), size), self._unseen)
+        order = order_of(self.view(camera, size), self._unseen)
         done = tried(
             held.volume.gpu,
             lambda: filling.advance(seconds, order),
             2,
-            "{} does not go on with the buffer",
+            "the CPU does what {} cannot" if held.whole else "{} does not go on with the buffer",
         )
         if done is None:
-            self._set({"_held": replace(held, filling=None, mode=shading.LATTICE)})
+            # Of what is only seen whole, the lattice may be one that nobody should see.
+            left = {"_held": replace(held, filling=None, mode=shading.LATTICE)}
+            self._set({"_held": None, "gpu": None} if held.whole else left)
             return 1.0
         return done
 
@@ -450,6 +460,7 @@ class Scene:
 
     def turned(self, camera: Camera, k: int, count: int) -> Camera:
         """The camera of picture ``k`` of ``count`` on a way around the volume."""
+        camera = camera_of(camera)
         return replace(camera, azimuth=camera.azimuth + 360.0 * k / count)
 
 
@@ -464,6 +475,9 @@ def _deformed(known: dict[str, Any], deformation: Deformation | None, volume: Vo
     if volume is not None and volume.gpu is not gpu:
         volume = None  # that one was lost
     if deformation is not None:
+        given: object = deformation
+        if not isinstance(given, Deformation):
+            refuse("deformation", "a Deformation", given)
         if deformation.shape != shape:
             refuse("the deformation", f"one of shape {shape}, as the volume", f"shape {deformation.shape}")
         spacing = known["geometry"].spacing
@@ -482,7 +496,7 @@ def _deformed(known: dict[str, Any], deformation: Deformation | None, volume: Vo
     elif space is not None and mode != "exact":
         solid = solid or solve_solid(space.table, space.axes, shape, tolerance)
         nodes, per_voxel = solid.nodes, 1.0 / solid.step
-        error = solid.error
+        error = along_rays(solid, held.lattice, tolerance) if held is not None else solid.error
         if mode != "buffered" and error > tolerance:
             off = f"by {error:.2g} voxels" if math.isfinite(error) else "by more than a voxel"
             warnings.warn(

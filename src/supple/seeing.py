@@ -17,6 +17,7 @@ Array = npt.NDArray[Any]
 Floats = npt.NDArray[np.float64]
 
 _LARGEST = float(np.finfo(np.float32).max)
+MOST = 1e18  # of samples: float32 holds the squares of their slopes
 _TYPES = (np.uint8, np.int8, np.uint16, np.int16, np.float32)
 
 
@@ -97,7 +98,19 @@ def triple(values: Floats) -> tuple[float, float, float]:
 
 
 def prepared(given: Array) -> Array:
-    """Samples as the kernels take them: of a type they know, two along each axis at least, and numbers all."""
+    """Samples as the kernels take them: of a type they know, two along each axis at least, and numbers all.
+
+    SuppleError if they are so large that squares of their slopes are beyond float32.
+    """
+    if given.dtype.itemsize > 2:
+        ends = np.array([given.min(), given.max()], np.float64)
+        if not np.isfinite(ends).all():
+            finite = np.isfinite(given)
+            ends = np.array([given.min(where=finite, initial=np.inf), given.max(where=finite, initial=-np.inf)])
+            ends = np.where(np.isfinite(ends), ends, 0.0).astype(np.float64)
+        most = float(ends[np.abs(ends).argmax()])
+        if abs(most) > MOST:
+            refuse("samples", f"values from {-MOST:g} to {MOST:g} to be seen (divide larger ones)", float(f"{most:g}"))
     if given.dtype.newbyteorder("=") not in _TYPES:
         with np.errstate(over="ignore"):
             given = given.astype(np.float32)

@@ -47,11 +47,15 @@ def fits(table: npt.NDArray[np.void]) -> bool:
 
 
 def domain(axes: Floats) -> npt.NDArray[np.float32]:
-    """A packed domain (`Domain.packed`): extents, widths of the border and spacing, each of three axes and a 0."""
+    """A packed domain (`Domain.packed`): extents, widths of the border and spacing, each of three axes.
+
+    A fourth of the spacing is what errors are measured by: the smallest of the axes along which anything may move. Off
+    a picture's plane nothing does, and its pixels are what counts.
+    """
     out = np.zeros((3, 4), np.float32)
     out[:, :3] = axes.T
-    if axes[2, 1] == 0.0 and axes[2, 0] == 0.0:
-        out[2, 2] = out[2, :2].min()  # nothing is off a picture's plane, and its pixels are what counts
+    moving = (axes[:, 0] != 0.0) | (axes[:, 1] != 0.0)
+    out[2, 3] = axes[moving if moving.any() else ..., 2].min()
     return out
 
 

@@ -16,7 +16,7 @@ struct Stroke {
 struct Domain {
     extent: vec4f,
     sigma: vec4f, // of the fixed border; below 0 where it is free, and 0 where nothing moves along an axis
-    spacing: vec4f,
+    spacing: vec4f, // and the smallest that counts, see field.py
 }
 
 struct Moved {
@@ -25,7 +25,7 @@ struct Moved {
 }
 
 fn finest() -> f32 {
-    return min(domain.spacing.x, min(domain.spacing.y, domain.spacing.z));
+    return domain.spacing.w;
 }
 
 const HALF_PI = 1.5707963267948966;

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import math
+import re
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from importlib import resources
@@ -34,6 +35,7 @@ PART = 0.25  # seconds
 TURNS = 4  # of a loop that shows whether loops are carried out (turns.wgsl)
 CUT = 1 << 20  # what is added to a count of lost points where they are not
 LEAST = 256  # bytes of a buffer: an array of one item must fit, though it may hold none
+_LOST = re.compile(r"\blost\b|\bdevice\b.*\bdestroyed\b", re.IGNORECASE)  # a texture or a buffer may be destroyed, too
 
 
 class InterruptionError(Exception):
@@ -65,12 +67,12 @@ def trouble(gpu: Gpu, error: Exception) -> str:
     """What failed, in one short line; a device that is lost is opened anew next time."""
     from wgpu import GPUValidationError
 
-    text = " ".join(str(error).split())[:120] or "the work does not fit"
+    text = " ".join(str(error).split())
     # What does not fit together is somebody's mistake; but so says a device that is lost, too.
-    mistaken = isinstance(error, GPUValidationError) and not any(word in text for word in ("lost", "destroyed"))
+    mistaken = isinstance(error, GPUValidationError) and not _LOST.search(text)
     if not (mistaken or isinstance(error, MemoryError | ArithmeticError)):
         forget(gpu)
-    return text
+    return text[:120] or "the work does not fit"
 
 
 def unsolved(lost: int) -> str:

@@ -15,11 +15,17 @@ struct Settings {
 // Those of some layers: as solid.wgsl reads them, in rows of whole 256 bytes.
 @group(0) @binding(4) var<storage, read_write> nodes: array<vec4f>;
 // The worst error that is seen, in voxels, and the least length over which the map varies: positive numbers, whose bits
-// are in their order.
+// are in their order. Errors from LOST on are of points that could not be solved.
 @group(0) @binding(5) var<storage, read_write> stats: array<atomic<u32>, 2>;
 
+const LOST = 1e30;
+const CUT = 2e30; // where a driver ended a thread's loops
+
 fn saw(error: f32) {
-    atomicMax(&stats[0], bitcast<u32>(select(1e30, error, error <= 1e30)));
+    atomicMax(&stats[0], bitcast<u32>(select(LOST, error, error <= LOST)));
+    if (cut_short()) {
+        atomicMax(&stats[0], bitcast<u32>(CUT));
+    }
 }
 
 @compute @workgroup_size(4, 4, 4)
@@ -36,7 +42,7 @@ fn solve(@builtin(global_invocation_id) id: vec3u) {
         let row = (2u * id.z + (k >> 1u)) * 2u * settings.nodes.y + 2u * i.y + (k & 1u);
         nodes[row * pitch + i.x] = vec4f(select(m[max(k, 1u) - 1u], found.offset / domain.spacing.xyz, k == 0u), 0.0);
     }
-    saw(select(norm_of(m) * found.residual / finest(), 1e30, cut_short()));
+    saw(select(LOST, norm_of(m) * found.residual / finest(), found.residual < LOST));
     atomicMin(&stats[1], bitcast<u32>(smoothness(q, found.offset, m)));
 }
 
@@ -59,7 +65,7 @@ fn check(@builtin(global_invocation_id) id: vec3u) {
         let q = p * domain.spacing.xyz;
         let off = moved(0u, settings.strokes, q, between(p).shift * domain.spacing.xyz).offset / domain.spacing.xyz;
         let error = length(m * off);
-        worst = max(worst, select(1e30, error, error <= 1e30));
+        worst = max(worst, select(LOST, error, error <= LOST));
     }
-    saw(select(RESERVE * worst, 1e30, cut_short()));
+    saw(RESERVE * worst);
 }

@@ -11,7 +11,22 @@ import numpy.typing as npt
 
 from supple.gpu.device import Gpu
 from supple.gpu.field import domain, packed
-from supple.gpu.kernel import READ, SOLID, TURNS, UNIFORM, WRITE, Pace, download, owned, pipeline, room, run, upload
+from supple.gpu.kernel import (
+    CUT,
+    READ,
+    SOLID,
+    TURNS,
+    UNIFORM,
+    WRITE,
+    Pace,
+    download,
+    owned,
+    pipeline,
+    room,
+    run,
+    unsolved,
+    upload,
+)
 from supple.gpu.texels import copy_in, solid
 
 Floats = npt.NDArray[np.float64]
@@ -20,6 +35,8 @@ _NAMES = ("nodes", "smooth", "solid", "blend", "field", "newton", "turns")
 _KINDS = (UNIFORM, UNIFORM, READ, SOLID, WRITE, WRITE)
 _NODE = 64  # bytes
 _FIRST = 4096  # nodes at once, before it is known what they take
+_LOST, _CUT = np.float32(1e30), np.float32(2e30)  # errors that are none, as nodes.wgsl has them
+_UNSOLVED = "nodes of the lattice could not be solved in its numbers"
 
 _SETTINGS = np.dtype(
     [("nodes", "u4", 3), ("spread", "f4"), ("strokes", "u4"), ("first", "u4"), ("last", "u4"), ("turns", "u4")]
@@ -89,6 +106,8 @@ def solve(
     ------
     MemoryError
         If such a lattice is more than a texture holds.
+    ArithmeticError
+        If nodes could not be solved in float32, or by this driver.
     """
     counts = tuple(-(-max(n - 1, 1) // step) + 1 for n in reversed(shape))
     across, down, deep = counts
@@ -131,5 +150,9 @@ def solve(
                         laid = found.reshape(count, 2, down, 2, pitch, 4)[..., :across, :].transpose(0, 2, 4, 1, 3, 5)
                         nodes[first : first + count] = laid.reshape(count, down, across, 16)
                     seen = download(gpu, stats, np.float32, 2)  # waits
+                    if not seen[0] < _LOST:
+                        raise ArithmeticError(unsolved(CUT) if seen[0] >= _CUT else _UNSOLVED)
         error, smooth = float(seen[0]), float(seen[1])
+    if not np.isfinite(nodes).all():  # shaders may take it that there is nothing of the kind
+        raise ArithmeticError(_UNSOLVED)
     return made, nodes, error, smooth
