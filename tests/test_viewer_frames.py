@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import pyvips
 from clips import make
 from windows import Hand, opened, wait_for
 
@@ -254,3 +255,24 @@ def test_coarse_pixels_of_a_volume_lie_about_the_middle() -> None:
     assert (top, height) == pytest.approx((0.0, 1.0))
     assert width == pytest.approx(705 / (89 * 401 / 51))
     assert left + 0.5 * width == pytest.approx(0.5)
+
+
+def test_a_gif_that_moves_is_a_clip_at_its_own_times(gpu: Gpu, tmp_path: Path) -> None:
+    frames = [np.full((40, 60, 3), 20 * k, np.uint8) for k in range(5)]
+    made = pyvips.Image.arrayjoin([pyvips.Image.new_from_array(frame) for frame in frames], across=1)
+    made = made.copy()
+    made.set_type(pyvips.GValue.gint_type, "page-height", 40)
+    made.set_type(pyvips.GValue.array_int_type, "delay", [100, 500, 100, 100, 300])
+    made.write_to_file(str(tmp_path / "moves.gif"))
+    made.crop(0, 0, 60, 40).write_to_file(str(tmp_path / "still.gif"))
+    view, _ = opened(tmp_path / "moves.gif")
+    assert view.stage.kind == "video"
+    assert view.stage.film.count == 5
+    playback = view.tools.playback
+    playback.play()
+    assert [playback.frame_at(3 + t) for t in (0, 0.3, 0.65, 0.75)] == [0, 1, 2, 3]
+    view.desk.ask("export")
+    assert view.desk.asked.path.endswith("moves-bent.gif")
+    view.desk.asked = None
+    still, _ = opened(tmp_path / "still.gif")
+    assert still.stage.kind == "image"

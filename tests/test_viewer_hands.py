@@ -158,3 +158,20 @@ def test_the_panel_answers_though_it_keeps_events_to_itself(view: tuple[Any, Han
     hand.canvas.draw()
     assert later
     assert min(later) < 0.5
+
+
+def test_the_ground_behind_what_is_transparent_stays_while_a_hand_moves(gpu: Gpu, tmp_path: Path) -> None:
+    image.write(tmp_path / "glass.png", np.zeros((380, 560, 4), np.uint8))
+    view, hand = opened(tmp_path / "glass.png", Recipe(border=None))
+    hand.key("1")
+    view._changed_at = -10.0
+    still = seen(hand)
+    hand.move(300, 300)
+    hand.press(300, 300)
+    hand.move(330, 300, 1)
+    view.painter.coarse = 4
+    moving = seen(hand)
+    box = np.s_[150:250, 100:250]
+    assert np.ptp(still[box]) > 30
+    assert np.abs(still[box].astype(int) - moving[box]).mean() < 12
+    view.document.mark_saved()

@@ -318,3 +318,105 @@ def test_a_recipe_of_another_medium_is_refused_in_a_sentence(gpu: Gpu, tmp_path:
     view.close()
     with pytest.raises(supple.SuppleError, match="and this is a volume, with points x, y, z"):
         opened(DATA / "head.nii.gz", Recipe(border=None, strokes=FLAT))
+
+
+def type_(hand: Hand, text: str) -> None:
+    for letter in text:
+        hand.send("key_down", key=letter)
+        hand.send("char", data=letter, is_composing=False, input_type="insertText", repeat=False)
+        hand.send("key_up", key=letter)
+        hand.canvas.draw()
+
+
+@pytest.mark.parametrize("leaving", ["Tab", "Enter", "elsewhere"])
+def test_a_number_that_is_typed_counts_when_it_is_left(
+    gpu: Gpu, seen: dict[str, tuple[float, float]], leaving: str
+) -> None:
+    view, hand = opened(DATA / "coffee.jpg", Recipe(border=None, strokes=FLAT), size=(SIZE[0], 1400))
+    view.document.select(0)
+    hand.canvas.draw()
+    place = seen["input_float radius##own"]
+    click(hand, place)
+    hand.modifiers = ("Control",)
+    hand.send("key_down", key="a")
+    hand.canvas.draw()
+    hand.send("key_up", key="a")
+    hand.modifiers = ()
+    hand.canvas.draw()
+    type_(hand, "61")
+    assert view.document.items[0].stroke.radius == 40  # not yet
+    if leaving == "elsewhere":
+        click(hand, (SIZE[0] - 5, 1300))
+    else:
+        hand.key(leaving)
+    for _ in range(3):
+        hand.canvas.draw()
+    assert view.document.items[0].stroke.radius == 61
+    assert view.typed == {}
+    view.document.undo()
+    assert view.document.items[0].stroke.radius == 40  # it is one step
+    view.document.mark_saved()
+
+
+def test_what_is_typed_before_a_question_is_not_its_answer(gpu: Gpu) -> None:
+    view, hand = opened(DATA / "coffee.jpg", Recipe(border=None))
+    hand.drag((300, 250), (340, 230))
+    for kind, more in (("key_down", {}), ("char", {"data": "b"}), ("key_up", {})):
+        hand.send(kind, key="b", **more)
+    hand.key("s", "Control")
+    for _ in range(4):
+        hand.canvas.draw()
+    asked = view.desk.asked
+    assert asked is not None
+    assert asked.path == str(DATA / "coffee.recipe.json")
+    view.document.mark_saved()
+
+
+def test_opening_over_strokes_that_were_not_saved_asks(gpu: Gpu, tmp_path: Path) -> None:
+    view, hand = opened(DATA / "coffee.jpg", Recipe(border=None))
+    other = tmp_path / "other.json"
+    other.write_text(Recipe(border=None, strokes=FLAT).to_json(), encoding="utf-8")
+    hand.drag((300, 250), (340, 230))
+    mine = view.recipe
+    for way in ("drop", "ask"):
+        if way == "drop":
+            view.drop([str(other)])
+        else:
+            view.desk.ask("open")
+            view.desk.asked.path = str(other)
+            assert view.desk.answer("Open")
+        assert view.desk.asked.name == "over"
+        assert view.recipe == mine
+        assert not view.desk.may_close() or view.desk.asked is not None
+        view.desk.ask("open")
+        view.desk.asked = None
+        assert view.document.dirty
+    view.drop([str(other)])
+    assert view.desk.answer("Open it")
+    assert view.desk.asked is None
+    assert view.recipe.strokes == FLAT
+    assert not view.document.dirty
+    view.document.undo()
+    assert view.recipe == mine
+    # What does not fit is refused without a question.
+    deep = tmp_path / "deep.json"
+    deep.write_text(Recipe(border=None, strokes=DEEP).to_json(), encoding="utf-8")
+    view.drop([str(deep)])
+    assert view.desk.asked is None
+    assert "x, y, z" in view.desk.message or "3 numbers" in view.desk.message
+    view.document.mark_saved()
+
+
+def test_a_recipe_is_saved_under_another_name(gpu: Gpu, tmp_path: Path) -> None:
+    view, hand = opened(DATA / "coffee.jpg", Recipe(border=None))
+    hand.drag((300, 250), (340, 230))
+    view.desk.save(tmp_path / "one.json")
+    hand.drag((200, 250), (240, 230))
+    hand.key("s", "Control", "Shift")
+    asked = view.desk.asked
+    assert asked.name == "save"
+    asked.path = str(tmp_path / "two.json")
+    assert view.desk.answer("Save")
+    count = [len(Recipe.from_json((tmp_path / name).read_text()).strokes) for name in ("one.json", "two.json")]
+    assert count == [1, 2]
+    assert view.desk.recipe_path == tmp_path / "two.json"

@@ -160,6 +160,26 @@ class TestPlayback:
         assert [clip.frame_at(10 + k / 25) for k in range(50)] == list(range(50))
         assert clip.dropped == 0
 
+    def test_keeps_the_times_of_frames_that_are_not_even(self) -> None:
+        starts = (0.0, 0.1, 0.6, 0.7, 1.7)
+        clip = Playback(5, 1000, starts)
+        clip.play()
+        seen = [clip.frame_at(5 + t) for t in (0, 0.05, 0.1, 0.5, 0.61, 0.75, 1.69, 1.7, 3)]
+        assert seen == [0, 0, 1, 1, 2, 3, 3, 4, 4]
+        assert not clip.playing
+        assert clip.seconds == 1.7
+        # Over and over, the last one lasts as long as the one before; and in a part of it.
+        clip.set_loop(True)
+        clip.play()
+        clip.seek(3)
+        assert [clip.frame_at(9 + t) for t in (0, 0.9, 1.0, 1.9, 2.0, 2.1, 2.6)] == [3, 3, 4, 4, 0, 1, 2]
+        clip.seek(1)
+        clip.mark_in()
+        clip.seek(2)
+        clip.mark_out()
+        clip.seek(1)
+        assert [clip.frame_at(20 + t) for t in (0, 0.4, 0.55, 0.61, 1.0, 1.15)] == [1, 1, 2, 1, 1, 2]
+
     def test_drops_what_comes_too_late(self) -> None:
         clip = Playback(100, 25)
         clip.play()

@@ -66,6 +66,8 @@ class Sight:
         Pixels between the lines of a grid.
     back : (float, float, float)
         sRGB beside the picture.
+    square : float
+        How wide, in its pixels, the squares are that lie behind what is transparent.
     """
 
     origin: tuple[float, float]
@@ -76,6 +78,7 @@ class Sight:
     overlay: str = ""
     every: float = 32.0
     back: tuple[float, float, float] = BACK
+    square: float = 8.0
 
 
 class _Sheet:
@@ -213,7 +216,7 @@ class Plate:
                     sight.solved or sight.overlay in ("residual", "inversions"),
                     OVERLAYS[sight.overlay],
                     sight.every,
-                    (*sight.back, 1.0),
+                    (*sight.back, max(sight.square, 1.0)),
                 )
             ],
             _SETTINGS,

@@ -20,7 +20,7 @@ struct Settings {
     solved: u32, // whether each pixel is solved for
     overlay: u32,
     every: f32, // pixels from line to line of a grid
-    back: vec4f, // behind the picture
+    back: vec4f, // behind the picture; and how wide the squares are that lie behind what is transparent
 }
 
 @group(0) @binding(0) var<uniform> settings: Settings;
@@ -141,7 +141,7 @@ fn paint(@builtin(global_invocation_id) id: vec3u) {
     );
     let cover = inside.x * inside.y;
     if (cover == 0.0) {
-        textureStore(target_, id.xy, settings.back);
+        textureStore(target_, id.xy, vec4f(settings.back.xyz, 1.0));
         return;
     }
     let seen = source_of(at);
@@ -164,7 +164,8 @@ fn paint(@builtin(global_invocation_id) id: vec3u) {
     }
     total /= f32(taps * taps);
     // What is transparent lies on a chequered ground.
-    let ground = select(0.42, 0.58, ((id.x / 8u + id.y / 8u) & 1u) == 0u);
+    let square = vec2u((vec2f(id.xy) + 0.5) / settings.back.w);
+    let ground = select(0.42, 0.58, ((square.x + square.y) & 1u) == 0u);
     var shown = total.xyz + (1.0 - total.w) * ground;
     if (settings.overlay == GRID) {
         let lines = abs(p / settings.every - round(p / settings.every)) * settings.every / max(covers, 1e-6);

@@ -106,6 +106,8 @@ class Survey:
         Whether some packets may be damaged, or incomplete.
     variable : bool
         Whether frames are not evenly spaced in time.
+    starts : tuple of float
+        Seconds from the first of them to each, if they are not.
     """
 
     packets: int
@@ -114,6 +116,7 @@ class Survey:
     damaged: bool
     suspect: bool
     variable: bool = False
+    starts: tuple[float, ...] = ()
 
 
 def survey(container: av.container.InputContainer, film: av.VideoStream) -> Survey:
@@ -153,14 +156,17 @@ def survey(container: av.container.InputContainer, film: av.VideoStream) -> Surv
     told = _told(film)
     end = span if last is None else max(span, last * base)  # what it says may count from zero
     cut = told is not None and packets > 0 and told > end + 3 * span / packets
-    return Survey(packets, count, span, damaged or cut, suspect or damaged or cut, _varies(starts))
+    starts.sort()
+    varies = _varies(starts)
+    seconds = tuple(float((start - starts[0]) * base) for start in starts) if varies else ()
+    return Survey(packets, count, span, damaged or cut, suspect or damaged or cut, varies, seconds)
 
 
 def _varies(starts: list[int]) -> bool:
-    """Tell whether times are farther from even spacing than rounding and a tenth of a frame explain."""
+    """Tell whether times in order are farther from even spacing than rounding and a tenth of a frame explain."""
     if len(starts) < 3:
         return False
-    steps = [b - a for a, b in itertools.pairwise(sorted(starts))]
+    steps = [b - a for a, b in itertools.pairwise(starts)]
     return max(steps) - min(steps) > max(2, sorted(steps)[len(steps) // 2] / 10)
 
 

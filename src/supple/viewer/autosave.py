@@ -56,9 +56,9 @@ class Found:
         """Whether a document is of the same shape and spacing, as far as that is known."""
         return self.medium is None or self.medium == _medium(document)
 
-    def set_aside(self) -> None:
-        """Do not offer it again; the file stays, under another name."""
-        _set_aside(self.place, "kept")
+    def set_aside(self) -> Path:
+        """Do not offer it again; the file stays, under another name, which is returned."""
+        return _set_aside(self.place, "kept")
 
 
 class Autosave:
@@ -210,10 +210,15 @@ def _read(place: Path, source: PathLike) -> Found | None:
     return Found(recipe, place, float(data["saved"]), data["source"] == _described(source), data.get("medium"))
 
 
-def _set_aside(place: Path, why: str) -> None:
+def _set_aside(place: Path, why: str) -> Path:
+    aside = place.with_suffix(f".{secrets.token_hex(2)}.{why}")
+    try:
+        os.replace(place, aside)
+    except OSError:
+        return place
     with contextlib.suppress(OSError):
-        os.replace(place, place.with_suffix(f".{secrets.token_hex(2)}.{why}"))
         _locks(place).unlink()
+    return aside
 
 
 def _home() -> Path:

@@ -48,6 +48,8 @@ class Question:
     text: str
     choices: tuple[str, ...]
     path: str | None = None
+    opens: PathLike = ""
+    """What it is about, where that is not to be edited."""
     problem: str = ""
     fresh: bool = True
     """Whether it was not drawn yet."""
@@ -127,7 +129,7 @@ class Desk:
             self.message = _in_a_window(error)
 
     def ask(self, name: str) -> None:
-        """Begin what is asked for: ``"save"``, ``"open"``, ``"export"``, ``"copy"`` or ``"close"``."""
+        """Begin what is asked for: ``"save"``, ``"save as"``, ``"open"``, ``"export"``, ``"copy"`` or ``"close"``."""
         source = Path(os.path.abspath(self.source or "picture.png"))
         suffix = "" if os.path.isdir(source) else suffix_of(source)
         stem = os.fspath(source)[: len(os.fspath(source)) - len(suffix)]
@@ -138,7 +140,7 @@ class Desk:
         if name == "save" and self.recipe_path is not None:
             known = self.recipe_path
             self.attempt(lambda: self.save(known, force=True))
-        elif name == "save":
+        elif name in ("save", "save as"):
             self.asked = Question("save", "Save the recipe", _SAVE, ("Save", "Replace", "Cancel"), recipe)
         elif name == "open":
             self.asked = Question("open", "Open a recipe", _OPEN, ("Open", "Cancel"), recipe)
@@ -181,12 +183,16 @@ class Desk:
                 self.document.load(self._left.recipe)
                 if self.autosave is not None and not self.autosave.keep():
                     raise SuppleError(f"it is restored, but cannot be kept again: {self.autosave.trouble}: save it")
-            self._left.set_aside()
+            place = self._left.set_aside()
+            if choice == "Leave":
+                self.message = f"they are kept in {shown(place)}"
             self._left = None
         elif asked.name == "save":
             self.save(path, force=force)
         elif asked.name == "open":
             self.open(path)
+        elif asked.name == "over":
+            self.open(asked.opens, sure=True)
         elif asked.name == "copy":
             self._spare(path)
             check_target(path)
@@ -228,8 +234,10 @@ class Desk:
         if self.source is not None and same_file(path, self.source):
             raise SuppleError(f"{shown(path)} is what is bent here: choose another name")
 
-    def open(self, path: PathLike) -> None:
+    def open(self, path: PathLike, *, sure: bool = False) -> None:
         """Put a recipe in the place of the strokes that there are, as one step.
+
+        Where these were not saved, it is asked first, unless somebody is sure.
 
         Raises
         ------
@@ -241,7 +249,12 @@ class Desk:
         except (OSError, UnicodeDecodeError, ValueError) as error:
             why = getattr(error, "strerror", None) or "it is no text"
             raise SuppleError(f"cannot read {shown(path)}: {why}: check the name") from None
-        self.document.load(Recipe.from_json(text))
+        recipe = Recipe.from_json(text)
+        if self.document.dirty and not sure:
+            self.document.check(recipe)
+            self.asked = Question("over", "Open it?", _OVER, ("Open it", "Cancel"), opens=path)
+            return
+        self.document.load(recipe)
         self.recipe_path = Path(path)
         self.document.mark_saved()
         self.message = f"opened {shown(path)}"
@@ -314,6 +327,7 @@ _WRITTEN: dict[Kind | None, tuple[Collection[str], str]] = {
 _WAYS_OUT = ("Save and close", "Replace and close", "Close without saving", "Cancel")
 _SAVE = "What supple warp --recipe takes."
 _OPEN = "In the place of the strokes that there are; undo brings these back."
+_OVER = "There are strokes that were not saved. Undo brings them back, but only as long as the window is open."
 _EXPORT = "At full quality, to any format of supple warp."
 _COPY = "The picture as it is on the canvas."
 _CLOSE = "There are strokes that were not saved."

@@ -143,6 +143,10 @@ class Document:
         """Choose what is done with strokes that would fold the picture."""
         self._edit(replace(self.state, on_fold=Recipe(on_fold=on_fold).on_fold))
 
+    def check(self, recipe: Recipe) -> None:
+        """Refuse a recipe whose strokes are of another kind of medium; SuppleError says why."""
+        self._fitting(recipe)
+
     def load(self, recipe: Recipe) -> None:
         """Put a recipe in the place of all there is, as one step."""
         self._edit(State.of(self._fitting(recipe)))

@@ -53,7 +53,7 @@ class Tools(ABC, Generic[V]):
         self.split: float | None = None
         """Where the original is shown beside what is made of it: a part of the width; None shows no original."""
         self.requests: list[str] = []
-        """What the window is asked for: ``"save"``, ``"open"``, ``"export"``. It takes them out."""
+        """What the window is asked for: ``"save"``, ``"save as"``, ``"open"``, ``"export"``. It takes them out."""
         self.pointer: Pair | None = None
         """Where the pointer is on the canvas."""
         self._gesture: Held | Lead[V] | None = None
@@ -285,7 +285,7 @@ class Tools(ABC, Generic[V]):
 
     def _command(self, letter: str, shift: bool) -> bool:
         if letter in _REQUESTS:
-            self.requests.append(_REQUESTS[letter])
+            self.requests.append("save as" if letter == "s" and shift else _REQUESTS[letter])
         elif letter == "z" and not shift:
             if not self.abandon():
                 self.document.undo()

@@ -46,6 +46,9 @@ class Film:
             self.count: int = clip.count
             height, width = clip.layout.shape
             self.rate = float(clip.rate)
+            found = clip.survey.starts if hasattr(clip, "survey") else ()
+            self.starts = found if len(found) == clip.count else ()
+            """Seconds at which each frame is shown, where they are not evenly spaced."""
         self.size: tuple[int, int] = (width, height)
         self.most = max(4, room // (4 * width * height))
         """How many frames are kept."""

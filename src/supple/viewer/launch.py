@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -11,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from supple.clips import ClipOptions, is_clip
+from supple.clips import ClipOptions, is_clip, open_clip
 from supple.domain import choice, length, point
 from supple.errors import SuppleError
 from supple.geometry import Geometry
@@ -110,10 +111,18 @@ def stage_of(gpu: Gpu, source: Source, options: ViewOptions = _USUAL) -> ImageSt
             raise SuppleError(f"{volume.name} has {samples.shape[3]} components, and pictures are of one")
         return VolumeStage(gpu, volume, default_transfer(volume), samples)
     _flat(shown(source), options)
-    if is_clip(source, "x.mp4" if os.path.isdir(source) else "", Recipe()):
+    if _moves(source):
         return VideoStage(gpu, Film(source), options.time_scale)
     _timeless(shown(source), options)
     return _held(gpu, shown(source), on_screen(read(source)))
+
+
+def _moves(source: str | os.PathLike[str]) -> bool:
+    """Whether a file, a folder or a pattern is a clip; a GIF is one where it has several frames."""
+    if Path(source).suffix.lower() == ".gif" and os.path.isfile(source):
+        with contextlib.suppress(SuppleError), open_clip(source) as clip:
+            return bool(clip.count > 1)
+    return is_clip(source, "x.mp4" if os.path.isdir(source) else "", Recipe())
 
 
 def _timeless(name: str, options: ViewOptions) -> None:
@@ -140,7 +149,7 @@ def tools_of(
 ) -> ImageTools | VideoTools | VolumeTools:
     """What a hand does with a stage."""
     if isinstance(stage, VideoStage):
-        return VideoTools(document, Playback(stage.film.count, stage.rate), size)
+        return VideoTools(document, Playback(stage.film.count, stage.rate, stage.film.starts), size)
     if isinstance(stage, ImageStage):
         return ImageTools(document, size)
     tools: VolumeTools

@@ -143,8 +143,7 @@ def _timeline(view: View, stage: VideoStage) -> None:
     hint("i and o mark what is played, u plays all")
     _marked(playback)
     imgui.same_line()
-    seconds = playback.frame / stage.rate if stage.rate else 0.0
-    imgui.text(f"{playback.frame} / {stage.film.count - 1}  {seconds:.2f} s")
+    imgui.text(f"{playback.frame} / {stage.film.count - 1}  {playback.seconds:.2f} s")
     imgui.same_line()
     changed, loop = imgui.checkbox("loop", playback.loop)
     if changed:
@@ -169,7 +168,9 @@ def _status(view: View) -> None:
     imgui.set_next_window_size((view.area[0], LINE))
     imgui.push_style_var(imgui.StyleVar_.window_padding, (8, 3))
     imgui.begin("status", None, _BARE)
-    imgui.text(status(view))
+    said = status(view)
+    imgui.text(said)
+    hint(said.replace("   |   ", "\n"))  # all of it, where the window is narrow
     imgui.end()
     imgui.pop_style_var()
 
@@ -196,6 +197,7 @@ def status(view: View) -> str:
                 parts.append(value)
         elif isinstance(view.tools, VolumeTools) and view.tools.under is not None:
             parts.append(view.stage.value(view.tools.under))
+    parts.append(certified(view))
     if isinstance(view.tools, ImageTools):
         parts.append(f"{view.tools.viewport.percent:.0f} %")
     if view.busy:
@@ -204,7 +206,6 @@ def status(view: View) -> str:
         parts.append(f"drawn at 1/{view.painter.coarse} while you drag: {why(view)}")
     if view.compiling.busy:
         parts.append("compiling, this once: strokes may wait for it")
-    parts.append(certified(view))
     return "   |   ".join(p for p in parts if p)
 
 

@@ -49,6 +49,8 @@ class Shot:
         Whether to show what it was.
     split : bool
         Whether to show both.
+    ratio : float
+        Physical pixels along the side of a logical one.
     """
 
     deformation: Deformation
@@ -61,6 +63,7 @@ class Shot:
     overlay: str = ""
     original: bool = False
     split: bool = False
+    ratio: float = 1.0
 
 
 class Painter:
@@ -133,6 +136,7 @@ class Painter:
             shot.time,
             solved=not shot.moving,
             overlay=shot.overlay,
+            square=8.0 * shot.ratio / coarse,
         )
         self.ready &= stage.draw(deformation, sight, texture, encoder)
         return texture

@@ -125,7 +125,7 @@ def described(stroke: Stroke, damping: float) -> str:
 
 def _said(stroke: Stroke) -> str:
     at = ", ".join(f"{v:.0f}" for v in stroke.at)
-    return f"({at})  r {stroke.radius:.3g}"
+    return f"({at})  r {stroke.radius:.3g}" if stroke.radius < 1000 else f"({at})  r {stroke.radius:.0f}"
 
 
 def _selected(view: View) -> None:
@@ -140,19 +140,17 @@ def _selected(view: View) -> None:
             values = list(getattr(stroke, name))
             for axis in range(len(values)):
                 imgui.set_next_item_width((WIDE - 130) / len(values))
-                entered, value = imgui.input_float(
-                    f"##{name}{axis}", values[axis], 0.0, 0.0, "%.2f", imgui.InputTextFlags_.enter_returns_true
-                )
+                entered, value = _typed(view, f"##{name}{axis}", values[axis], "%.2f")
                 hint(f"{label} {axes[axis]}")
                 imgui.same_line()
                 if entered and math.isfinite(value):
                     values[axis] = value
                     made[name] = tuple(values)
             imgui.text(label)
-        entered, value = imgui.input_float("radius##own", stroke.radius, 0, 0, "%.2f", _ENTER)
+        entered, value = _typed(view, "radius##own", stroke.radius, "%.2f")
         if entered:
             made["radius"] = value
-        entered, value = imgui.input_float("Poisson##own", stroke.poisson, 0, 0, "%.3f", _ENTER)
+        entered, value = _typed(view, "Poisson##own", stroke.poisson, "%.3f")
         if entered:
             made["poisson"] = value
         changed, index = imgui.combo("reach##own", stroke.scales - 1, ["far", "nearer", "near"])
@@ -190,9 +188,18 @@ def _selected(view: View) -> None:
     if changed:
         view.attempt(lambda: document.set_border(50.0 if fixed else None))
     if border is not None:
-        entered, value = imgui.input_float("its width", border, 0, 0, "%.1f", _ENTER)
+        entered, value = _typed(view, "its width", border, "%.1f")
         if entered:
             view.attempt(lambda: document.set_border(value))
+
+
+def _typed(view: View, label: str, value: float, form: str) -> tuple[bool, float]:
+    """A number that is typed; and whether that is over, by Enter or by leaving it."""
+    changed, now = imgui.input_float(label, value, 0.0, 0.0, form)
+    if changed:
+        view.typed[label] = now
+    over = imgui.is_item_deactivated_after_edit() and label in view.typed
+    return over, view.typed.pop(label) if over else value
 
 
 def held_back(stroke: Stroke, border: float | None, shape: tuple[int, ...], spacing: tuple[float, ...]) -> float:
@@ -260,7 +267,7 @@ def _transfer(view: View, stage: VolumeStage) -> None:
     for k, (value, red, green, blue, opacity) in enumerate(points):
         imgui.push_id(k)
         imgui.set_next_item_width(70)
-        entered, moved = imgui.input_float("##value", value, 0, 0, "%.3g", _ENTER)
+        entered, moved = _typed(view, f"##value{k}", value, "%.3g")
         imgui.same_line()
         painted, colour = imgui.color_edit3("##colour", [red, green, blue], imgui.ColorEditFlags_.no_inputs)
         imgui.same_line()
@@ -317,10 +324,10 @@ def _seeing(view: View) -> None:
 
 def _files(view: View) -> None:
     _head("Files")
-    for name, says in (("save", "save recipe"), ("open", "open recipe"), ("export", "export"), ("copy", "save view")):
+    for name, says in _FILES:
         if imgui.small_button(says):
             view.desk.ask(name)
-        if name in ("save", "export"):
+        if name not in ("open", "copy"):
             imgui.same_line()
     job = view.desk.export
     if job is not None:
@@ -330,6 +337,15 @@ def _files(view: View) -> None:
         if imgui.small_button("close" if job.done else "cancel"):
             view.desk.end_export()
     question(view)
+
+
+_FILES = (
+    ("save", "save recipe"),
+    ("save as", "as"),
+    ("open", "open recipe"),
+    ("export", "export"),
+    ("copy", "save view"),
+)
 
 
 def question(view: View) -> None:
@@ -352,6 +368,8 @@ def question(view: View) -> None:
         imgui.set_next_item_width(wide)
         if asked.fresh:
             imgui.set_keyboard_focus_here()
+            imgui.get_io().clear_events_queue()  # what was typed before it was asked is not its answer
+            imgui.get_io().clear_input_keys()
         entered, asked.path = imgui.input_text("##path", asked.path, _ENTER)
         if entered:
             answer = asked.choices[0]

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import bisect
 import math
+from collections.abc import Sequence
 
 from supple.domain import LONGEST_AXIS, integer, number
 
@@ -20,11 +22,16 @@ class Playback:
         How many frames there are.
     rate : float
         Frames a second.
+    starts : sequence of float, optional
+        Seconds at which each frame is shown, where they are not evenly spaced.
     """
 
-    def __init__(self, count: int, rate: float) -> None:
+    def __init__(self, count: int, rate: float, starts: Sequence[float] = ()) -> None:
         self.count = integer("count", count, "a number of frames above 0", 1, LONGEST_AXIS)
         self.rate = number("rate", rate, "a number of frames a second above 0", 1e-6, 1e6)
+        self._starts = list(starts)
+        if self._starts:  # the last one lasts as long as the one before
+            self._starts.append(2 * self._starts[-1] - self._starts[-2] if self.count > 1 else 1 / self.rate)
         self.playing = False
         self.loop = False
         self.dropped = 0
@@ -39,6 +46,11 @@ class Playback:
     def frame(self) -> int:
         """The frame that is shown."""
         return self._frame
+
+    @property
+    def seconds(self) -> float:
+        """The time at which that is shown."""
+        return self._starts[self._frame] if self._starts else self._frame / self.rate
 
     def play(self) -> None:
         """Play on, from the in point if there is nothing more to play."""
@@ -97,6 +109,16 @@ class Playback:
         """Play over and over, or once."""
         self.loop, self._since = loop, None
 
+    def _passed(self, seconds: float, start: int) -> int:
+        """How many frames have passed since one of them was shown, so many seconds ago."""
+        if not self._starts:
+            return math.floor(seconds * self.rate + _EARLY)
+        first, end = self._starts[self.first], self._starts[self.last + 1]
+        turns, rest = divmod(self._starts[start] - first + seconds, end - first) if self.loop else (0.0, seconds)
+        place = first + rest if self.loop else self._starts[start] + seconds
+        late = bisect.bisect_right(self._starts, place + _EARLY / self.rate, self.first, self.last + 1) - 1
+        return int(turns) * (self.last - self.first + 1) + late - start
+
     def frame_at(self, now: float) -> int:
         """The frame to show at a time, in seconds of any clock that does not go back."""
         if not self.playing:
@@ -106,7 +128,7 @@ class Playback:
                 self._frame = self.first
             self._since, self._advanced = (now, self._frame), 0
         begun, start = self._since
-        advanced = max(math.floor((now - begun) * self.rate + _EARLY), self._advanced)
+        advanced = max(self._passed(now - begun, start), self._advanced)
         if not self.loop:
             advanced = min(advanced, self.last - start)
         self.dropped += max(advanced - self._advanced - 1, 0)

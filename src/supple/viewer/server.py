@@ -31,12 +31,22 @@ _PAGE = """<!DOCTYPE html>
 html, body {{ margin: 0; height: 100%; overflow: hidden; background: #1f1f21 }}
 div#canvas {{ border: 0; display: block }}
 #status {{ display: none; position: fixed; top: 0; left: 0; padding: .5rem 1rem; background: #ddd; color: #222 }}
-#status:has(button) {{ display: block }}
+#status:has(button), #status.passive {{ display: block }}
+#status.passive {{ font-size: 0 }}
+#status.passive::after {{
+  content: "Another page has this window, and this one looks on: close that one.";
+  font-size: 1rem;
+}}
 p {{ color: #aaa; font: 16px system-ui, sans-serif; margin: 2rem }}
 </style>
 <script type="module" src="renderview.js"></script>
 <script type="module" src="renderview-client.js"></script>
 <script type="module">
+// Of several pages, one has the window.
+const status = document.querySelector("#status");
+new MutationObserver(() => {{
+  status.classList.toggle("passive", status.textContent.includes("(passive)"));
+}}).observe(status, {{ childList: true, subtree: true, characterData: true }});
 // Keys are for the picture from the start, and not only once it was clicked on.
 new MutationObserver((changes, watch) => {{
   const keys = document.querySelector("#rendercanvas-focus-element-container input");

@@ -66,6 +66,8 @@ class View:
         self.stage, self.document, self.tools, self.canvas, self.gpu = stage, document, tools, canvas, gpu
         self.overlay = ""
         self.listed: int | None = None
+        self.typed: dict[str, float] = {}
+        """Numbers that are being typed in the panel."""
         self.filled = 0.0
         self.painter = Painter(gpu, stage)
         self._waking = Waking(canvas, call_later)
@@ -184,10 +186,12 @@ class View:
         self.tools.handle(event)
         if self.tools.view is not before:
             self._changed_at = time.perf_counter()
+        if kind == "pointer_up" and self.desk.message.startswith(_HOLDING):
+            self.desk.message = ""
         requests, self.tools.requests[:] = list(self.tools.requests), []
         for request in requests:
             if self.tools.dragging:
-                self.desk.message = f"let go of the stroke first: then {request}"
+                self.desk.message = f"{_HOLDING}: then {request}"
             else:
                 self.desk.ask(request)
         self._waking.now()
@@ -245,6 +249,7 @@ class View:
             "moving": moving,
             "original": tools.original,
             "split": tools.split is not None,
+            "ratio": ratio,
             "overlay": self.overlay,
         }
         if isinstance(tools, VolumeTools):
@@ -384,6 +389,7 @@ class View:
             self.stage.film.close()
 
 
+_HOLDING = "let go of the stroke first"
 _HANDS = ("pointer_down", "pointer_move", "pointer_up", "wheel", "key_down", "key_up", "resize")
 _BUTTONS = range(1, 6)
 _SEEN = ("size", "moving", "origin", "scale", "time", "camera", "overlay", "original", "split")
