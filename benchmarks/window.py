@@ -85,11 +85,11 @@ class Clock:
     """
 
     def __init__(self) -> None:
-        self.native, self._main = 0.0, threading.get_ident()
-        _api.libf = _helpers.SafeLibCalls(SimpleNamespace(**dict(self._timed())), _api.error_handler)
+        self.native, self._main, self._plain = 0.0, threading.get_ident(), _api.libf
+        self._timing = _helpers.SafeLibCalls(SimpleNamespace(**dict(self._timed())), _api.error_handler)
 
     def _timed(self) -> Iterator[tuple[str, Any]]:
-        for name in dir(_api.libf):
+        for name in dir(self._plain):
             if name.startswith("wgpu"):
                 yield name, self._wrapped(getattr(_ffi.lib, name))
 
@@ -105,17 +105,29 @@ class Clock:
 
         return timed
 
-    def frame(self, work: Callable[[], object]) -> tuple[float, float, float]:
-        """The whole of some work, Python's part of it, and that of native code."""
-        self.native = 0.0
-        start = time.thread_time()
-        work()
-        whole = time.thread_time() - start
-        return whole, whole - self.native, self.native
+    def frames(self, works: Iterator[Callable[[], object]]) -> tuple[float, float, float]:
+        """Of some works, the median of the whole, of Python's part of it, and of that of native code.
+
+        By turns, they are timed as they are, and with each call into native code timed: that takes a little itself.
+        """
+        wholes, natives = [], []
+        for k, work in enumerate(works):
+            _api.libf = self._timing if k % 2 else self._plain
+            self.native = 0.0
+            start = time.thread_time()
+            work()
+            whole = time.thread_time() - start
+            if k % 2:
+                natives.append(self.native)
+            else:
+                wholes.append(whole)
+        _api.libf = self._plain
+        whole, native = statistics.median(wholes), statistics.median(natives)
+        return whole, whole - native, native
 
 
-def dragged(view: Any, canvas: Any) -> tuple[list[float], float, float]:
-    """The median frame of a drag, as `Clock.frame` tells it; frames a second; and Python's part if the device rests."""
+def dragged(view: Any, canvas: Any) -> tuple[tuple[float, float, float], float, float]:
+    """A drag's median frame, as `Clock.frames` tells it; frames a second; and Python's part if the device rests."""
 
     def send(kind: str, x: float, y: float, *buttons: int) -> None:
         common = {"modifiers": (), "time_stamp": time.perf_counter(), "ntouches": 0, "touches": {}}
@@ -124,7 +136,7 @@ def dragged(view: Any, canvas: Any) -> tuple[list[float], float, float]:
         canvas._process_events()
 
     def frames(first: int) -> Iterator[Callable[[], None]]:
-        for k in range(first, first + 60):
+        for k in range(first, first + 80):
 
             def frame(k: int = k) -> None:
                 send("pointer_move", 402 + k, 400 - k, 1)
@@ -136,16 +148,16 @@ def dragged(view: Any, canvas: Any) -> tuple[list[float], float, float]:
     for frame in frames(0):  # it learns how large pixels must be
         frame()
     begun = time.perf_counter()
-    for frame in frames(60):
+    for frame in frames(80):
         frame()
-    rate = 60 / (time.perf_counter() - begun)
-    clock = Clock()  # which takes a little itself, and counts it as Python's
-    parts = [statistics.median(some) for some in zip(*map(clock.frame, frames(120)), strict=True)]
+    rate = 80 / (time.perf_counter() - begun)
+    clock = Clock()
+    parts = clock.frames(frames(160))
     queue, submit = view.gpu.device.queue, view.gpu.device.queue.submit
     queue.submit = lambda commands: None
-    alone = statistics.median(clock.frame(frame)[1] for frame in frames(180))
+    alone = clock.frames(frames(240))[1]
     queue.submit = submit
-    send("pointer_up", 642, 160)
+    send("pointer_up", 722, 80)
     return parts, rate, alone
 
 
