@@ -11,6 +11,7 @@ import select
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -732,3 +733,19 @@ def test_progress_is_for_terminals(here: Path) -> None:
     assert process.wait() == 2
     assert b"3/3" in shown
     assert b"supple: cannot read in/bad.png" in shown
+
+
+def test_an_interrupt_that_was_lost_wakes_who_waits(capsys: pytest.CaptureFixture[str]) -> None:
+    class Lost:
+        def __del__(self) -> None:
+            raise KeyboardInterrupt  # nobody hears of what is raised here
+
+    def wait(console: Console) -> None:
+        lost = Lost()
+        del lost
+        threading.Event().wait(30)
+
+    begun = time.monotonic()
+    assert console.run(wait) == 130
+    assert time.monotonic() - begun < 10
+    assert capsys.readouterr() == ("", "supple: interrupted\n")

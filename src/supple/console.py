@@ -191,6 +191,15 @@ def _terminate(number: int, frame: FrameType | None) -> NoReturn:
     raise Terminated
 
 
+def _interrupt(number: signal.Signals) -> None:
+    """Interrupt the main thread, also one that waits for another: it must be woken."""
+    main = threading.main_thread().ident
+    if hasattr(signal, "pthread_kill") and main is not None:
+        signal.pthread_kill(main, number)
+    else:
+        _thread.interrupt_main(number)
+
+
 @contextlib.contextmanager
 def _insistent() -> Iterator[None]:
     """Have an interrupt come again that nobody could hear.
@@ -205,7 +214,7 @@ def _insistent() -> Iterator[None]:
         if number is None:
             before(lost)
             return
-        timers.append(threading.Timer(0.02, _thread.interrupt_main, (number,)))
+        timers.append(threading.Timer(0.02, _interrupt, (number,)))
         timers[-1].start()
 
     sys.unraisablehook = again
