@@ -179,6 +179,13 @@ class TestPlayback:
         clip.mark_out()
         clip.seek(1)
         assert [clip.frame_at(20 + t) for t in (0, 0.4, 0.55, 0.61, 1.0, 1.15)] == [1, 1, 2, 1, 1, 2]
+        # Frames that last for nothing are no reason to stop.
+        clip = Playback(3, 10, (0.0, 0.5, 0.5))
+        clip.set_loop(True)
+        clip.seek(2)
+        clip.mark_in()
+        clip.play()
+        assert [clip.frame_at(t) for t in (1, 2, 3)] == [2, 2, 2]
 
     def test_drops_what_comes_too_late(self) -> None:
         clip = Playback(100, 25)

@@ -114,10 +114,12 @@ class Playback:
         if not self._starts:
             return math.floor(seconds * self.rate + _EARLY)
         first, end = self._starts[self.first], self._starts[self.last + 1]
-        turns, rest = divmod(self._starts[start] - first + seconds, end - first) if self.loop else (0.0, seconds)
-        place = first + rest if self.loop else self._starts[start] + seconds
-        late = bisect.bisect_right(self._starts, place + _EARLY / self.rate, self.first, self.last + 1) - 1
-        return int(turns) * (self.last - self.first + 1) + late - start
+        place, turns = self._starts[start] + seconds, 0.0
+        if self.loop and end > first:  # some files have frames that last for nothing
+            turns, rest = divmod(place - first, end - first)
+            place = first + rest
+        shown = bisect.bisect_right(self._starts, place + _EARLY / self.rate, self.first, self.last + 1) - 1
+        return int(turns) * (self.last - self.first + 1) + shown - start
 
     def frame_at(self, now: float) -> int:
         """The frame to show at a time, in seconds of any clock that does not go back."""
