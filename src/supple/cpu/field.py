@@ -18,8 +18,7 @@ from __future__ import annotations
 import numpy as np
 
 from supple.cpu.kernel import BATCH, kernel
-
-HALF_PI = np.pi / 2
+from supple.cpu.point import displacement, faded, gradient, profile
 
 # Where each row of a workspace starts: the points, and the Jacobian's entries row by row, ...
 X, Y, Z = 0 * BATCH, 1 * BATCH, 2 * BATCH
@@ -31,23 +30,6 @@ BETA, SLOPE, NEAR, INSIDE = 12 * BATCH, 15 * BATCH, 18 * BATCH, 21 * BATCH
 # ... A, B, 2A' and 2B'; and from FREE_ROWS on, what a caller keeps beside them.
 A, B, DA, DB = 24 * BATCH, 25 * BATCH, 26 * BATCH, 27 * BATCH
 FREE_ROWS = 28
-
-
-@kernel
-def _sine(x):
-    # Taylor's series: to the last bit on [0, π/2], and it vectorizes, which the library's sine does not.
-    t = x * x
-    y = -1.9572941063391263e-20
-    y = y * t + 8.2206352466243295e-18
-    y = y * t - 2.8114572543455206e-15
-    y = y * t + 7.6471637318198164e-13
-    y = y * t - 1.6059043836821613e-10
-    y = y * t + 2.5052108385441720e-08
-    y = y * t - 2.7557319223985893e-06
-    y = y * t + 1.9841269841269841e-04
-    y = y * t - 8.3333333333333332e-03
-    y = y * t + 1.6666666666666666e-01
-    return x - x * t * y
 
 
 @kernel
@@ -67,14 +49,8 @@ def _edge(w, n, axis, extent, sigma):
             w[near + i] = 0.0
             w[inside + i] = 0.0
     else:
-        scale = HALF_PI / sigma
         for i in range(n):
-            v = min(max(w[x + i], 0.0), extent)
-            angle = min(min(v, extent - v), sigma) * scale
-            w[inside + i] = 1.0 if v == w[x + i] else 0.0
-            w[near + i] = v
-            w[beta + i] = _sine(angle)
-            w[slope + i] = (scale if v + v < extent else -scale) * _sine(HALF_PI - angle)
+            w[beta + i], w[slope + i], w[near + i], w[inside + i] = faded(w[x + i], extent, sigma)
 
 
 @kernel
@@ -90,13 +66,11 @@ def _profiles(w, n, stroke):
         e, p, q, r = stroke["radius2"][m], stroke["p"][m], stroke["q"][m], stroke["r"][m]
         for i in range(n):
             dx, dy, dz = w[NEAR + i] - px, w[NEAR + BATCH + i] - py, w[NEAR + 2 * BATCH + i] - pz
-            v2 = 1.0 / (dx * dx + dy * dy + dz * dz + e)
-            v = np.sqrt(v2)
-            v3 = v * v2
-            w[A + i] += p * v + q * v3
-            w[B + i] += r * v3
-            w[DA + i] -= v3 * (p + 3.0 * q * v2)
-            w[DB + i] -= 3.0 * r * v3 * v2
+            a, b, da, db = profile(dx * dx + dy * dy + dz * dz, e, p, q, r)
+            w[A + i] += a
+            w[B + i] += b
+            w[DA + i] += da
+            w[DB + i] += db
 
 
 @kernel
@@ -105,10 +79,10 @@ def _move(w, n, stroke):
     fx, fy, fz = stroke["force"][0], stroke["force"][1], stroke["force"][2]
     for i in range(n):
         dx, dy, dz = w[NEAR + i] - px, w[NEAR + BATCH + i] - py, w[NEAR + 2 * BATCH + i] - pz
-        a, g = w[A + i], w[B + i] * (dx * fx + dy * fy + dz * fz)
-        w[X + i] += w[BETA + i] * (a * fx + g * dx)
-        w[Y + i] += w[BETA + BATCH + i] * (a * fy + g * dy)
-        w[Z + i] += w[BETA + 2 * BATCH + i] * (a * fz + g * dz)
+        kx, ky, kz = displacement(dx, dy, dz, fx, fy, fz, w[A + i], w[B + i])
+        w[X + i] += w[BETA + i] * kx
+        w[Y + i] += w[BETA + BATCH + i] * ky
+        w[Z + i] += w[BETA + 2 * BATCH + i] * kz
 
 
 @kernel
@@ -119,22 +93,11 @@ def _move_with_jacobian(w, n, stroke):
         dx, dy, dz = w[NEAR + i] - px, w[NEAR + BATCH + i] - py, w[NEAR + 2 * BATCH + i] - pz
         ox, oy, oz = w[INSIDE + i], w[INSIDE + BATCH + i], w[INSIDE + 2 * BATCH + i]
         bx, by, bz = w[BETA + i], w[BETA + BATCH + i], w[BETA + 2 * BATCH + i]
-        a, b, da = w[A + i], w[B + i], w[DA + i]
-        rf = dx * fx + dy * fy + dz * fz
-        g, h = b * rf, w[DB + i] * rf
-        kx, ky, kz = a * fx + g * dx, a * fy + g * dy, a * fz + g * dz
-        # Row i of J is (2A' f_i + 2B' (r·f) r_i) rᵀ + B r_i fᵀ + B (r·f) e_iᵀ.
-        cx, cy, cz = da * fx + h * dx, da * fy + h * dy, da * fz + h * dz
-        ex, ey, ez = b * dx, b * dy, b * dz
-        m00 = 1.0 + ox * (bx * (cx * dx + ex * fx + g) + w[SLOPE + i] * kx)
-        m01 = oy * bx * (cx * dy + ex * fy)
-        m02 = oz * bx * (cx * dz + ex * fz)
-        m10 = ox * by * (cy * dx + ey * fx)
-        m11 = 1.0 + oy * (by * (cy * dy + ey * fy + g) + w[SLOPE + BATCH + i] * ky)
-        m12 = oz * by * (cy * dz + ey * fz)
-        m20 = ox * bz * (cz * dx + ez * fx)
-        m21 = oy * bz * (cz * dy + ez * fy)
-        m22 = 1.0 + oz * (bz * (cz * dz + ez * fz + g) + w[SLOPE + 2 * BATCH + i] * kz)
+        kx, ky, kz = displacement(dx, dy, dz, fx, fy, fz, w[A + i], w[B + i])
+        m00, m01, m02, m10, m11, m12, m20, m21, m22 = gradient(dx, dy, dz, fx, fy, fz, w[B + i], w[DA + i], w[DB + i])
+        m00, m01, m02 = 1.0 + ox * (bx * m00 + w[SLOPE + i] * kx), oy * bx * m01, oz * bx * m02
+        m10, m11, m12 = ox * by * m10, 1.0 + oy * (by * m11 + w[SLOPE + BATCH + i] * ky), oz * by * m12
+        m20, m21, m22 = ox * bz * m20, oy * bz * m21, 1.0 + oz * (bz * m22 + w[SLOPE + 2 * BATCH + i] * kz)
         w[X + i] += bx * kx
         w[Y + i] += by * ky
         w[Z + i] += bz * kz

@@ -46,6 +46,7 @@ from supple.cpu.newton import (
     settle,
     undo,
 )
+from supple.cpu.point import inverted
 
 U, M, TWIST, SMOOTH, ERROR, NODE = 0, 3, 12, 15, 16, 17
 
@@ -79,20 +80,14 @@ def solve_batch(w, one, n, table, axes, cols, rows, guessed, smooth, nodes):
     for i in range(n):
         node = nodes[rows[i], cols[i]]
         evaluations += w[STEPS + i]
-        a, b, c = w[J00 + i], w[J01 + i], w[J02 + i]
-        d, e, f = w[J10 + i], w[J11 + i], w[J12 + i]
-        g, h, k = w[J20 + i], w[J21 + i], w[J22 + i]
-        ca, cb, cc = e * k - f * h, f * g - d * k, d * h - e * g
-        t = 1.0 / (a * ca + b * cb + c * cc)
-        node[M] = t * ca
-        node[M + 1] = t * (c * h - b * k) * sy / sx
-        node[M + 2] = t * (b * f - c * e) * sz / sx
-        node[M + 3] = t * cb * sx / sy
-        node[M + 4] = t * (a * k - c * g)
-        node[M + 5] = t * (c * d - a * f) * sz / sy
-        node[M + 6] = t * cc * sx / sz
-        node[M + 7] = t * (b * g - a * h) * sy / sz
-        node[M + 8] = t * (a * e - b * d)
+        m00, m01, m02, m10, m11, m12, m20, m21, m22 = inverted(
+            w[J00 + i], w[J01 + i], w[J02 + i],
+            w[J10 + i], w[J11 + i], w[J12 + i],
+            w[J20 + i], w[J21 + i], w[J22 + i],
+        )  # fmt: skip
+        node[M], node[M + 1], node[M + 2] = m00, m01 * sy / sx, m02 * sz / sx
+        node[M + 3], node[M + 4], node[M + 5] = m10 * sx / sy, m11, m12 * sz / sy
+        node[M + 6], node[M + 7], node[M + 8] = m20 * sx / sz, m21 * sy / sz, m22
         # What rounding of T leaves, where the inverse enlarges it; and all of the residual where it did not converge.
         size, reach = 0.0, abs(w[QX + i]) + abs(w[QY + i]) + abs(w[QZ + i])
         for m in range(9):

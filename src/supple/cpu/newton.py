@@ -29,6 +29,7 @@ from supple.cpu.field import (
     save,
 )
 from supple.cpu.kernel import BATCH, inlined, kernel
+from supple.cpu.point import SMALLEST_LENGTH, downhill, kept_inside, next_step
 
 # Rows of a workspace, after those of the field: what should be reached, the best point so far and its next
 # step, how much of it is tried, the best residual's square, whether the point is done, and its evaluations.
@@ -40,16 +41,12 @@ STEPS = (FREE_ROWS + 12) * BATCH
 GOAL = (FREE_ROWS + 13) * BATCH  # three rows, for callers that solve for something else in between
 ROWS = FREE_ROWS + 16
 
-_SMALLEST_LENGTH = 2.0**-24
-
 
 @kernel
 def _keep_inside(w, n, axis, extent):
-    # A fixed face maps to itself, and beyond it the map moves nothing across: the solution is on q's side.
     x, q = X + axis * BATCH, QX + axis * BATCH
     for i in range(n):
-        kept = min(max(w[x + i], 0.0), extent)
-        w[x + i] = w[q + i] if w[q + i] <= 0.0 or w[q + i] >= extent else kept
+        w[x + i] = kept_inside(w[x + i], w[q + i], extent)
 
 
 @kernel
@@ -66,17 +63,15 @@ def _judge(w, n, tolerance2):
     left = 0.0
     for i in range(n):
         ex, ey, ez = w[X + i] - w[QX + i], w[Y + i] - w[QY + i], w[Z + i] - w[QZ + i]
-        a, b, c = w[J00 + i], w[J01 + i], w[J02 + i]
-        d, e, f = w[J10 + i], w[J11 + i], w[J12 + i]
-        g, h, k = w[J20 + i], w[J21 + i], w[J22 + i]
-        ca, cb, cc = e * k - f * h, f * g - d * k, d * h - e * g
-        scale = -1.0 / (a * ca + b * cb + c * cc)
-        dx = scale * (ca * ex + (c * h - b * k) * ey + (b * f - c * e) * ez)
-        dy = scale * (cb * ex + (a * k - c * g) * ey + (c * d - a * f) * ez)
-        dz = scale * (cc * ex + (b * g - a * h) * ey + (a * e - b * d) * ez)
+        dx, dy, dz = next_step(
+            w[J00 + i], w[J01 + i], w[J02 + i],
+            w[J10 + i], w[J11 + i], w[J12 + i],
+            w[J20 + i], w[J21 + i], w[J22 + i],
+            ex, ey, ez,
+        )  # fmt: skip
         error = ex * ex + ey * ey + ez * ez
         going = w[DONE + i] == 0.0
-        take = going and error <= w[NORM + i] * (1.0 - 1e-4 * w[LENGTH + i])
+        take = going and downhill(error, w[NORM + i], w[LENGTH + i])
         w[STEPS + i] += 1.0 if going else 0.0
         length = w[LENGTH + i]
         # The point tried is the base plus a part of the step; keep_inside may have moved it.
@@ -94,7 +89,7 @@ def _judge(w, n, tolerance2):
         length = 1.0 if take else 0.5 * length
         length = 0.0 if done > 0.0 else length
         w[LENGTH + i] = length
-        left += 1.0 if length > _SMALLEST_LENGTH else 0.0
+        left += 1.0 if length > SMALLEST_LENGTH else 0.0
     return left
 
 
