@@ -146,21 +146,28 @@ def checked_source(source: object, shape: tuple[int, ...], alpha: bool | None, l
         array: Array = np.asarray(source)
     except (TypeError, ValueError):
         refuse("source", "an array of numbers", source)
-    if array.dtype.kind not in "biuf" or array.dtype.itemsize > 8:
-        refuse("source", "an array of bool, integers or floats of up to 64 bits", f"dtype {array.dtype}")
+    return array, checked_kind(array.shape, array.dtype, shape, alpha, light)
+
+
+def checked_kind(
+    found: tuple[int, ...], dtype: np.dtype[Any], shape: tuple[int, ...], alpha: bool | None, light: bool
+) -> bool:
+    """Whether the last channel of an array of some shape and type is opacity; SuppleError if it does not fit."""
+    if dtype.kind not in "biuf" or dtype.itemsize > 8:
+        refuse("source", "an array of bool, integers or floats of up to 64 bits", f"dtype {dtype}")
     axes = len(shape)
-    if array.shape[:axes] != shape or array.ndim not in (axes, axes + 1) or 0 in array.shape:
+    if found[:axes] != shape or len(found) not in (axes, axes + 1) or 0 in found:
         sizes = ", ".join(map(str, shape))
-        refuse("source", f"of shape ({sizes}) or ({sizes}, channels), as the deformation is", f"shape {array.shape}")
-    channels = array.shape[axes] if array.ndim > axes else 1
+        refuse("source", f"of shape ({sizes}) or ({sizes}, channels), as the deformation is", f"shape {found}")
+    channels = found[axes] if len(found) > axes else 1
     if alpha is not None and not isinstance(alpha, bool | np.bool_):
         refuse("alpha", "True or False, or None to have it guessed", alpha)
-    straight = bool(alpha) if alpha is not None else channels == 4 and array.dtype.str[1:] in ("u1", "u2")
+    straight = bool(alpha) if alpha is not None else channels == 4 and dtype.str[1:] in ("u1", "u2")
     if straight and channels < 2:
-        raise SuppleError(f"alpha=True needs a last channel beside the colours, found shape {array.shape}")
-    if light and (array.dtype.kind == "b" or (array.dtype.kind in "iu" and array.dtype.str[1:] not in ("u1", "u2"))):
-        raise SuppleError(f"linear_light needs 8 or 16 bit colours or floats, found {array.dtype}")
-    return array, straight
+        raise SuppleError(f"alpha=True needs a last channel beside the colours, found shape {found}")
+    if light and (dtype.kind == "b" or (dtype.kind in "iu" and dtype.str[1:] not in ("u1", "u2"))):
+        raise SuppleError(f"linear_light needs 8 or 16 bit colours or floats, found {dtype}")
+    return straight
 
 
 def checked_fill(fill: float | Sequence[float], channels: int, dtype: Any) -> npt.NDArray[np.float64]:

@@ -31,7 +31,7 @@ from supple.cpu.field import (
     identity,
     step,
 )
-from supple.cpu.kernel import BATCH, inlined, kernel
+from supple.cpu.kernel import BATCH, inlined, kernel, lean
 from supple.cpu.newton import (
     DONE,
     NORM,
@@ -172,8 +172,8 @@ def solve_rows(table, axes, z, xs, ys, first, last, nodes):
     return evaluations
 
 
-@kernel
-def _slope_weights(x0, x1, x2, x):
+@lean
+def slope_weights(x0, x1, x2, x):
     """How the derivative at x of the parabola through three points, or the line through two, weighs their values."""
     if x2 == x1:
         w = 1.0 / (x1 - x0)
@@ -190,11 +190,11 @@ def set_twists(xs, ys, nx, ny, first, last, ndim, nodes):
     for j in range(first, last):
         b = min(max(j - 1, 0), max(ny - 3, 0))
         b1, b2 = b + 1, min(b + 2, ny - 1)
-        v0, v1, v2 = _slope_weights(ys[b], ys[b1], ys[b2], ys[j])
+        v0, v1, v2 = slope_weights(ys[b], ys[b1], ys[b2], ys[j])
         for i in range(nx):
             a = min(max(i - 1, 0), max(nx - 3, 0))
             a1, a2 = a + 1, min(a + 2, nx - 1)
-            w0, w1, w2 = _slope_weights(xs[a], xs[a1], xs[a2], xs[i])
+            w0, w1, w2 = slope_weights(xs[a], xs[a1], xs[a2], xs[i])
             for c in range(ndim):
                 m = M + 3 * c
                 along_x = w0 * nodes[j, a, m + 1] + w1 * nodes[j, a1, m + 1] + w2 * nodes[j, a2, m + 1]

@@ -82,15 +82,15 @@ class Certificate:
         )
 
 
-def positions(n: int, axis: Floats) -> npt.NDArray[np.int64]:
-    """Where the lattice has its nodes along an axis of ``n`` samples, no more than SIZE apart."""
+def positions(n: int, axis: Floats, size: int = SIZE) -> npt.NDArray[np.int64]:
+    """Where the lattice has its nodes along an axis of ``n`` samples, no more than ``size`` apart."""
     if n == 1:  # one sample alone still gets a cell, which reaches beyond the plane
         return np.array([0, 1], np.int64)
     # The border's influence has a kink where it ends. Few cells lie across it if they end there too.
     extent, sigma, spacing = axis
     kinks = [round(k / spacing) for k in (sigma, extent - sigma)] if sigma > 0 else []
     ends = sorted({0, *(k for k in kinks if 0 < k < n - 1), n - 1})
-    return np.concatenate([*(np.arange(a, b, SIZE) for a, b in itertools.pairwise(ends)), [n - 1]]).astype(np.int64)
+    return np.concatenate([*(np.arange(a, b, size) for a, b in itertools.pairwise(ends)), [n - 1]]).astype(np.int64)
 
 
 def solve_plane(table: npt.NDArray[np.void], axes: Floats, shape: tuple[int, int], ndim: int, z: float = 0.0) -> Plane:

@@ -1,0 +1,220 @@
+"""Arrays that live on a card, of whatever library: as kernels take them, and made as they came."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from supple.cuda.card import Card, open_card, simulated
+from supple.domain import refuse
+from supple.errors import SuppleError
+
+_CUDA = (2, 13)  # of DLPack's kinds of device: a card's memory, and that which it shares with the host
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class OnCard:
+    """An array on a card.
+
+    Parameters
+    ----------
+    given : object
+        As its library has it.
+    kind : str
+        "torch", "cupy" or "numba", in which its like is made.
+    shape, strides : tuple of int
+        In samples.
+    dtype : numpy.dtype
+    pointer : int
+        Of its first sample.
+    card : Card
+    stream : object
+        Numba's name for the stream that its library works on at the moment.
+    writable : bool
+    """
+
+    given: Any
+    kind: str
+    shape: tuple[int, ...]
+    strides: tuple[int, ...]
+    dtype: np.dtype[Any]
+    pointer: int
+    card: Card
+    stream: Any
+    writable: bool = True
+
+    @property
+    def ndim(self) -> int:
+        """How many axes it has."""
+        return len(self.shape)
+
+    @property
+    def below(self) -> int:
+        """How many samples lie before the first one in memory, where strides are negative."""
+        return sum((n - 1) * -s for n, s in zip(self.shape, self.strides, strict=True) if s < 0)
+
+    @property
+    def span(self) -> int:
+        """From the first to the last sample in memory."""
+        if 0 in self.shape:
+            return 0
+        return 1 + sum((n - 1) * abs(s) for n, s in zip(self.shape, self.strides, strict=True))
+
+    def flat(self) -> Any:
+        """All of the memory that it lies in, as Numba's array of one axis; it begins ``below`` before the first one."""
+        kind = np.dtype(np.uint8) if self.dtype == np.bool_ else self.dtype
+        if simulated():
+            return _flat_in_simulator(self, kind)
+        from numba import cuda
+
+        described = {
+            "shape": (self.span,),
+            "strides": None,
+            "typestr": kind.str,
+            "data": (self.pointer - self.below * kind.itemsize, False),
+            "version": 3,
+        }
+        return cuda.from_cuda_array_interface(described, owner=self.given, sync=False)
+
+    def overlaps(self, other: OnCard) -> bool:
+        """Whether two arrays may share memory."""
+        first, second = (
+            (a.pointer - a.below * a.dtype.itemsize, a.pointer + (a.span - a.below) * a.dtype.itemsize)
+            for a in (self, other)
+        )
+        return self.card is other.card and first[0] < second[1] and second[0] < first[1]
+
+
+def is_on_card(value: object) -> bool:
+    """Whether something is an array on a card, or may be one; no library is imported to find out."""
+    if isinstance(value, np.ndarray) or callable(value):
+        return False
+    if _is_tensor(value):
+        return bool(value.is_cuda)  # type: ignore[attr-defined]
+    if hasattr(type(value), "__cuda_array_interface__") or getattr(type(value), "__cuda_ndarray__", False):
+        return True
+    where = getattr(value, "__dlpack_device__", None)
+    try:
+        return where is not None and int(where()[0]) in _CUDA
+    except (TypeError, ValueError, RuntimeError, BufferError):
+        return False
+
+
+def _is_tensor(value: object) -> bool:
+    torch = sys.modules.get("torch")
+    return torch is not None and isinstance(value, torch.Tensor)
+
+
+def _is_cupy(value: object) -> bool:
+    cupy = sys.modules.get("cupy")
+    return cupy is not None and isinstance(value, cupy.ndarray)
+
+
+def taken(value: Any, name: str) -> OnCard:
+    """An array on a card, whatever made it.
+
+    Raises
+    ------
+    SuppleError
+        If CUDA cannot be used, or the array is of a kind that cannot be taken.
+    """
+    if _is_tensor(value) and value.requires_grad:
+        raise SuppleError(
+            f"{name} is a tensor that wants gradients, found requires_grad=True: supple.torch.warp makes them, and "
+            "tensor.detach() does without"
+        )
+    if simulated():
+        open_card()
+        return _in_simulator(value)
+    kind = "torch" if _is_tensor(value) else "cupy" if _is_cupy(value) else "numba"
+    open_card()  # before anything asks what needs it
+    from cuda.core.utils import StridedMemoryView
+
+    own = kind != "numba" or hasattr(value, "__cuda_ndarray__")
+    try:
+        # Of what is known, all goes on in the order of its stream; of another library, the default stream waits.
+        view: Any = StridedMemoryView.from_any_interface(value, stream_ptr=-1 if own else 1)
+        shape = tuple(int(n) for n in view.shape)
+        dtype = np.dtype(view.dtype)
+    except (BufferError, TypeError, ValueError, RuntimeError, NotImplementedError, AttributeError) as error:
+        refuse(name, "an array on a card, of bool, integers or floats of 16 to 64 bits", " ".join(str(error).split())[:80])
+    strides = tuple(view.strides) if view.strides is not None else _dense(shape)
+    card = open_card(max(int(view.device_id), 0))
+    return OnCard(value, kind, shape, tuple(int(s) for s in strides), dtype, int(view.ptr), card,
+                  stream_of(value, kind, card), not view.readonly)  # fmt: skip
+
+
+def _dense(shape: Sequence[int]) -> tuple[int, ...]:
+    return tuple(int(np.prod(shape[k + 1 :], dtype=np.int64)) for k in range(len(shape)))
+
+
+def stream_of(value: Any, kind: str, card: Card) -> Any:
+    """The stream that a library works on at the moment."""
+    from numba import cuda
+
+    if simulated():
+        return 0
+    with card.current():
+        pointer = 0
+        if kind == "torch":
+            pointer = int(sys.modules["torch"].cuda.current_stream(value.device).cuda_stream)
+        elif kind == "cupy":
+            with value.device:
+                pointer = int(sys.modules["cupy"].cuda.get_current_stream().ptr)
+        elif getattr(value, "stream", 0):
+            return value.stream
+        return cuda.external_stream(pointer) if pointer else cuda.default_stream()
+
+
+def made_like(source: OnCard, shape: Sequence[int], dtype: npt.DTypeLike, *, as_it_lies: bool = False) -> OnCard:
+    """A new array of the same library, on the same card; ``as_it_lies`` in memory, if it has the same shape."""
+    kind = np.dtype(dtype)
+    if source.kind == "torch":
+        torch = sys.modules["torch"]
+        if as_it_lies:
+            given = torch.empty_like(source.given, memory_format=torch.preserve_format)
+        else:
+            given = torch.empty(tuple(shape), dtype=getattr(torch, kind.name), device=source.given.device)
+    elif source.kind == "cupy":
+        cupy = sys.modules["cupy"]
+        with source.given.device:
+            given = cupy.empty_like(source.given, order="K") if as_it_lies else cupy.empty(tuple(shape), kind)
+    else:
+        from numba import cuda
+
+        with source.card.current():
+            given = cuda.device_array(tuple(shape), kind, stream=source.stream)
+    return taken(given, "the result")
+
+
+def contiguous(source: OnCard) -> OnCard:
+    """The same values one after the other; SuppleError where its library does not do that."""
+    if source.strides == _dense(source.shape) or source.span <= 1:
+        return source
+    if source.kind == "torch":
+        return taken(source.given.contiguous(), "the array")
+    if source.kind == "cupy":
+        return taken(sys.modules["cupy"].ascontiguousarray(source.given), "the array")
+    raise SuppleError(f"points must lie one after the other in memory, found strides {source.strides}")
+
+
+def _in_simulator(value: Any) -> OnCard:
+    array = value._ary if hasattr(value, "_ary") else np.asarray(value)
+    strides = tuple(s // array.itemsize for s in array.strides)
+    pointer = array.__array_interface__["data"][0]
+    return OnCard(value, "numba", array.shape, strides, array.dtype, pointer, open_card(), 0, array.flags.writeable)
+
+
+def _flat_in_simulator(array: OnCard, kind: np.dtype[Any]) -> Any:
+    import ctypes
+
+    from numba.cuda.simulator.cudadrv.devicearray import FakeCUDAArray
+
+    size = array.span * kind.itemsize
+    memory = (ctypes.c_ubyte * size).from_address(array.pointer - array.below * kind.itemsize)
+    return FakeCUDAArray(np.frombuffer(memory, kind))

@@ -1,0 +1,146 @@
+"""Which NVIDIA card works, and what to say where there is none."""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import importlib.util
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+from supple.errors import SuppleError
+
+INSTALL = 'pip install "supple[cuda12]" or "supple[cuda13]", for drivers from 525 or 580 on'
+OLDEST = (6, 0)  # compute capability: the first with atomic operations on all that kernels use
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Card:
+    """A card that is ready.
+
+    Parameters
+    ----------
+    number : int
+        As CUDA counts them.
+    name : str
+    processors : int
+        Streaming multiprocessors.
+    context : object
+        Numba's.
+    """
+
+    number: int
+    name: str
+    processors: int
+    context: Any
+
+    @contextlib.contextmanager
+    def current(self) -> Iterator[None]:
+        """Make it the one that kernels run on, in this thread."""
+        with self.context:
+            yield
+
+    @property
+    def free(self) -> int:
+        """Bytes of its memory that are free."""
+        with self.current():
+            found = _numba().current_context().get_memory_info().free
+        return int(min(found, 1 << 62))
+
+
+def simulated() -> bool:
+    """Whether Numba only plays a card, as tests have it do."""
+    from numba.core import config
+
+    return bool(config.ENABLE_CUDASIM)
+
+
+def _numba() -> Any:
+    """Numba's interface to CUDA; SuppleError if it is not there."""
+    if importlib.util.find_spec("numba_cuda") is None:
+        raise SuppleError(f"CUDA needs the package numba-cuda, which is not installed: {INSTALL}")
+    from numba import cuda
+
+    return cuda
+
+
+def open_card(number: int = 0) -> Card:
+    """The card of a number, ready to work.
+
+    Raises
+    ------
+    SuppleError
+        If Numba's package for CUDA, the driver or the card is missing, or too old; the sentence says what would do.
+    """
+    cuda = _numba()
+    if simulated():
+        return Card(number, "the simulator", 1, cuda.gpus[number])
+    return _opened(number)
+
+
+@functools.lru_cache(maxsize=64)
+def _opened(number: int) -> Card:
+    cuda = _numba()
+    reason = _broken(cuda)
+    if reason:
+        raise SuppleError(reason)
+    count = len(cuda.gpus)
+    if number >= count:
+        raise SuppleError(f"card {number} is not there: CUDA sees {count} of them, counted from 0")
+    device = cuda.gpus[number]._device if hasattr(cuda.gpus[number], "_device") else cuda.gpus[number]
+    name = device.name.decode() if isinstance(device.name, bytes) else str(device.name)
+    found = tuple(device.compute_capability)
+    if found < OLDEST:
+        raise SuppleError(
+            f"{name} is too old: its compute capability is {found[0]}.{found[1]}, and {OLDEST[0]}.{OLDEST[1]} is needed; "
+            "device cpu needs no card"
+        )
+    context = cuda.gpus[number]
+    with context:  # what keeps it from working shows here, not amid a warp
+        try:
+            cuda.current_context().get_memory_info()
+        except Exception as error:  # drivers fail in many ways
+            raise SuppleError(f"{name} cannot be opened ({_short(error)}); device cpu needs no card") from None
+    return Card(number, name, int(device.MULTIPROCESSOR_COUNT), context)
+
+
+def _short(error: object) -> str:
+    return " ".join(str(error).split())[:150]
+
+
+def _broken(cuda: Any) -> str:
+    """Why CUDA does not work, in one sentence; "" if it does."""
+    from numba.cuda.cudadrv import driver
+    from numba.cuda.cudadrv.error import CudaSupportError
+
+    try:
+        version = driver.driver.get_version()
+    except CudaSupportError as error:
+        said = _short(error)
+        if "cannot be found" in said or "not found" in said:
+            return "CUDA needs NVIDIA's driver, which is not installed; device cpu needs none"
+        if "NO_DEVICE" in said or "no CUDA-capable device" in said:
+            return "no NVIDIA card was found: the driver sees none; device cpu needs none"
+        return f"NVIDIA's driver does not work ({said}); device cpu needs none"
+    needed = toolkit()
+    if needed and tuple(version) < (needed, 0):
+        return (
+            f"NVIDIA's driver is too old: it knows CUDA {version[0]}.{version[1]}, and what is installed needs {needed}: "
+            f'update the driver, or pip install "supple[cuda{version[0]}]"'
+        )
+    try:
+        count = len(cuda.gpus)
+    except Exception as error:
+        return f"no NVIDIA card can be used ({_short(error)}); device cpu needs none"
+    return "" if count else "no NVIDIA card was found: the driver sees none; device cpu needs none"
+
+
+def toolkit() -> int:
+    """The major version of the CUDA that is installed beside Numba; 0 if that cannot be told."""
+    from importlib.metadata import PackageNotFoundError, version
+
+    try:
+        return int(version("cuda-bindings").split(".")[0])
+    except (PackageNotFoundError, ValueError):
+        return 0

@@ -1,0 +1,156 @@
+"""Every pixel of some planes: its source point, from the lattice or solved, and its colour there.
+
+A thread of `fill` makes a column of pixels through a cell: what the corners say is worked out once for it. Cells that
+are not good enough are left to `rough`, whose threads solve each of their pixels.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from typing import Any
+
+import numpy as np
+from numba import cuda
+
+from supple.cpu.lattice import LEFT
+from supple.cpu.point import inverted
+from supple.cuda.colour import ANTIALIAS, AUTO, MAP, NOTHING, colour
+from supple.cuda.kernel import kernel
+from supple.cuda.lattice import (
+    CELLS,
+    LIST,
+    LOST,
+    NODE,
+    ROUGH,
+    WORST,
+    X,
+    Y,
+    Z,
+    across,
+    column,
+    deformation_of,
+    hermite,
+    in_pixels,
+    norm_of,
+    slope_between,
+)
+from supple.cuda.newton import settle
+
+# Of the planes that are made: their size, how many there are, which is the first, how many deformations there are, and
+# whether all have the same lattice, being pictures of one.
+PLANES = ("height", "width", "count", "first", "deformations", "shared")
+HEIGHT, WIDTH, COUNT, FIRST, DEFORMATIONS, SHARED = range(len(PLANES))
+# Where they go: strides, and the first sample, in samples.
+TARGET = ("plane", "row", "column", "channel", "start")
+PLANE, ROW, COLUMN, CHANNEL, START = range(len(TARGET))
+
+PIXELS = 64  # threads of a cell that is solved
+_f4 = np.float32
+ZERO, ONE = _f4(0.0), _f4(1.0)
+
+
+@functools.cache
+def kernels(filter: int, between: int, average: bool, number: Any, mixed: bool) -> tuple[Any, Any]:
+    """The kernels for cells that are good enough, and for those that are not; arguments as of `supple.cuda.colour`."""
+    paint = colour(filter, between, average, number, mixed)
+    deep = between != NOTHING or filter == MAP  # whether planes are of a stack
+    wide = filter in (AUTO, ANTIALIAS)
+
+    @kernel
+    def fill(xs, ys, cells, nodes, errors, planes, samples, fills, source, how, limits, table, out, target, counts):
+        x, j, p = cuda.blockIdx.x * cuda.blockDim.x + cuda.threadIdx.x, cuda.blockIdx.y, cuda.blockIdx.z
+        if x >= planes[WIDTH]:
+            return
+        nx, ny = xs.size, ys.size
+        i = int(cells[x])
+        own = 0 if planes[SHARED] > 0 else p
+        if errors[(own * (ny - 1) + j) * (nx - 1) + i] >= ROUGH:
+            return
+        upper = ((own * ny + j) * nx + i) * NODE
+        lower = upper + nx * NODE
+        h, k = _f4(xs[i + 1] - xs[i]), _f4(ys[j + 1] - ys[j])
+        s = _f4(x - xs[i]) / h
+        v, w, g, r = hermite(s)
+        x0, x1, x2, x3 = column(nodes, upper, lower, 0, h, v, w, g, r)
+        y0, y1, y2, y3 = column(nodes, upper, lower, 1, h, v, w, g, r)
+        z0, z1, z2, z3 = ZERO, ZERO, ZERO, ZERO
+        if deep:
+            z0, z1, z2, z3 = column(nodes, upper, lower, 2, h, v, w, g, r)
+        end = int(ys[j + 1])
+        if j == ny - 2 and end < planes[HEIGHT]:
+            end += 1  # the last pixel is the last node
+        ux, uy, uz = ZERO, ZERO, ZERO
+        xx, xy, yx, yy, tx, ty, tt = ONE, ZERO, ZERO, ONE, ZERO, ZERO, ONE
+        for y in range(int(ys[j]), min(end, planes[HEIGHT])):
+            t = _f4(y - ys[j]) / k
+            b, d, m, n = hermite(t)
+            ux, uy = across(x0, x2, x1, x3, k, b, d, m, n), across(y0, y2, y1, y3, k, b, d, m, n)
+            if deep:
+                uz = across(z0, z2, z1, z3, k, b, d, m, n)
+            if wide:
+                xx = ONE + slope_between(nodes, upper, lower, X, s, t)
+                yx = slope_between(nodes, upper, lower, X + 1, s, t)
+                xy = slope_between(nodes, upper, lower, Y, s, t)
+                yy = ONE + slope_between(nodes, upper, lower, Y + 1, s, t)
+            if average:
+                tx = slope_between(nodes, upper, lower, X + 2, s, t)
+                ty = slope_between(nodes, upper, lower, Y + 2, s, t)
+                tt = ONE + slope_between(nodes, upper, lower, Z + 2, s, t)
+            at = target[START] + p * target[PLANE] + y * target[ROW] + x * target[COLUMN]
+            paint(samples, fills, source, how, limits, table, planes[FIRST] + p, x, y, planes[FIRST] + p, ux, uy, uz,
+                  xx, xy, yx, yy, tx, ty, tt, out, at, target[CHANNEL], counts)  # fmt: skip
+
+    @kernel
+    def rough(known, spans, xs, ys, nodes, planes, tolerance, samples, fills, source, how, limits, table, out, target,
+              told, counts):  # fmt: skip
+        nx, ny = xs.size, ys.size
+        for listed in range(cuda.blockIdx.x, counts[CELLS], cuda.gridDim.x):
+            cell = int(counts[LIST + listed])
+            own, j, i = cell // ((nx - 1) * (ny - 1)), cell // (nx - 1) % (ny - 1), cell % (nx - 1)
+            left, top = int(xs[i]), int(ys[j])
+            right, bottom = int(xs[i + 1]), int(ys[j + 1])
+            if i == nx - 2:
+                right = planes[WIDTH]
+            if j == ny - 2:
+                bottom = planes[HEIGHT]
+            at, first, last = deformation_of(spans, planes[DEFORMATIONS], planes[FIRST] + own)
+            sx, sy, sz = known[at + 2], known[at + 5], known[at + 8]
+            finest = min(sx, min(sy, sz))
+            upper = ((own * ny + j) * nx + i) * NODE
+            lower = upper + nx * NODE
+            h, k = _f4(right - left), _f4(bottom - top)
+            depth = 0.0 if planes[DEFORMATIONS] > 1 else float(planes[FIRST] + own)
+            for pixel in range(cuda.threadIdx.x, (right - left) * (bottom - top), cuda.blockDim.x):
+                x, y = left + pixel % (right - left), top + pixel // (right - left)
+                s, t = _f4(x - left) / h, _f4(y - top) / k
+                qx, qy, qz = x * sx, y * sy, depth * sz
+                ux, uy = slope_between(nodes, upper, lower, 0, s, t), slope_between(nodes, upper, lower, 1, s, t)
+                uz = slope_between(nodes, upper, lower, 2, s, t)
+                px, py, pz, norm, done, _, a, b, c, d, e, f, g, m, n = settle(
+                    known, at, first, last, qx, qy, qz,
+                    qx + ux * sx, qy + uy * sy, qz + uz * sz, 0.01 * min(tolerance, 1.0) * finest, 10,
+                )  # fmt: skip
+                a, b, c, d, e, f, g, m, n = inverted(a, b, c, d, e, f, g, m, n)
+                a, b, c, d, e, f, g, m, n = in_pixels(a, b, c, d, e, f, g, m, n, sx, sy, sz)
+                error = LEFT
+                if not done:
+                    error += norm_of(a, b, c, d, e, f, g, m, n) * math.sqrt(norm) / finest
+                    if not error <= tolerance:
+                        cuda.atomic.add(counts, LOST, 1)
+                        error = ROUGH
+                if error > told[WORST]:
+                    cuda.atomic.max(told, WORST, _f4(error))
+                ux, uy, uz = _f4((px - qx) / sx), _f4((py - qy) / sy), _f4((pz - qz) / sz)
+                begin, end = own, own + 1
+                if planes[SHARED] > 0:
+                    begin, end = 0, planes[COUNT]
+                for p in range(begin, end):
+                    to = target[START] + p * target[PLANE] + y * target[ROW] + x * target[COLUMN]
+                    paint(samples, fills, source, how, limits, table, planes[FIRST] + p, x, y, planes[FIRST] + p, ux, uy, uz,
+                          _f4(a), _f4(b), _f4(d), _f4(e), _f4(g), _f4(m), _f4(n), out, to, target[CHANNEL],
+                          counts)  # fmt: skip
+
+    return fill, rough
+
+

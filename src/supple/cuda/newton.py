@@ -1,0 +1,145 @@
+"""T⁻¹ at a point, by one thread: Newton's method with backtracking, and a continuation where that struggles.
+
+The method is that of `supple.cpu.newton`, and so is the arithmetic (`supple.cpu.point`).
+"""
+
+from __future__ import annotations
+
+import math
+
+from numba import cuda
+
+from supple.cpu.point import SMALLEST_LENGTH, downhill, kept_inside, next_step
+from supple.cuda.field import DOMAIN, STROKE, moved, moved_with_matrix
+from supple.cuda.kernel import device, kernel
+
+
+@device
+def inside(known, at, x, y, z, qx, qy, qz):
+    """A point, where faces are fixed, on its target's side of them."""
+    if known[at + 1] >= 0.0:
+        x = kept_inside(x, qx, known[at])
+    if known[at + 4] >= 0.0:
+        y = kept_inside(y, qy, known[at + 3])
+    if known[at + 7] >= 0.0:
+        z = kept_inside(z, qz, known[at + 6])
+    return x, y, z
+
+
+@device
+def newton(known, at, first, last, qx, qy, qz, x, y, z, tolerance, limit):
+    """Solve T(p) = q from a guess.
+
+    Returns the point, the square of |T(p) - q| where the last step began, whether that step was shorter than the
+    tolerance, how often T was evaluated, and its Jacobian, row by row.
+    """
+    px, py, pz = x, y, z
+    dx, dy, dz = 0.0, 0.0, 0.0
+    length, norm, done, steps = 1.0, 1e300, False, 0
+    a, b, c, d, e, f, g, h, k = 1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0
+    for _ in range(limit):
+        x, y, z = inside(known, at, px + length * dx, py + length * dy, pz + length * dz, qx, qy, qz)
+        tx, ty, tz, ma, mb, mc, md, me, mf, mg, mh, mk = moved_with_matrix(known, at, first, last, x, y, z)
+        ex, ey, ez = tx - qx, ty - qy, tz - qz
+        error = ex * ex + ey * ey + ez * ez
+        steps += 1
+        if downhill(error, norm, length):
+            px, py, pz, norm, length = x, y, z, error, 1.0
+            a, b, c, d, e, f, g, h, k = ma, mb, mc, md, me, mf, mg, mh, mk
+            dx, dy, dz = next_step(a, b, c, d, e, f, g, h, k, ex, ey, ez)
+            if dx * dx + dy * dy + dz * dz <= tolerance * tolerance:
+                done = True
+                break
+        else:
+            length *= 0.5
+            if length <= SMALLEST_LENGTH:
+                break
+    if done:  # the step that was short enough to end with is known, and taken
+        px, py, pz = inside(known, at, px + dx, py + dy, pz + dz, qx, qy, qz)
+    return px, py, pz, norm, done, steps, a, b, c, d, e, f, g, h, k
+
+
+@device
+def followed(known, at, first, last, qx, qy, qz, tolerance):
+    """T⁻¹ of one stroke, along the straight line from where a point is sent to where it should be sent."""
+    sx, sy, sz = moved(known, at, first, last, qx, qy, qz)
+    px, py, pz = qx, qy, qz
+    way, stride, spent = 0.0, 0.5, 0
+    while way < 1.0 and stride > 1e-9:
+        t = min(1.0, way + stride)
+        x, y, z, _, done, steps, _, _, _, _, _, _, _, _, _ = newton(
+            known, at, first, last,
+            sx + t * (qx - sx), sy + t * (qy - sy), sz + t * (qz - sz),
+            px, py, pz, tolerance, 12,
+        )  # fmt: skip
+        spent += steps
+        if done:
+            px, py, pz, way = x, y, z, t
+            stride *= 2.0
+        else:
+            stride *= 0.5
+    return px, py, pz, way >= 1.0, spent
+
+
+@device
+def undo(known, at, first, last, qx, qy, qz, tolerance):
+    """T⁻¹ without a guess, as `newton` returns it: stroke after stroke undone, the last one first, then polished."""
+    x, y, z, norm, done = qx, qy, qz, 0.0, True
+    a, b, c, d, e, f, g, h, k = 1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0
+    spent = 0
+    s = last - STROKE
+    while s >= first:
+        gx, gy, gz = x, y, z
+        x, y, z, norm, done, steps, a, b, c, d, e, f, g, h, k = newton(
+            known, at, s, s + STROKE, gx, gy, gz, gx, gy, gz, tolerance, 40
+        )
+        spent += steps
+        if not done:
+            fx, fy, fz, arrived, steps = followed(known, at, s, s + STROKE, gx, gy, gz, tolerance)
+            spent += steps
+            if arrived:
+                x, y, z = fx, fy, fz
+                if last - first == STROKE:  # its Jacobian, and what is left
+                    x, y, z, norm, done, steps, a, b, c, d, e, f, g, h, k = newton(
+                        known, at, s, s + STROKE, gx, gy, gz, x, y, z, tolerance, 8
+                    )
+                    spent += steps
+        s -= STROKE
+    if last - first > STROKE:
+        x, y, z, norm, done, steps, a, b, c, d, e, f, g, h, k = newton(
+            known, at, first, last, qx, qy, qz, x, y, z, tolerance, 8
+        )
+        spent += steps
+    return x, y, z, norm, done, spent, a, b, c, d, e, f, g, h, k
+
+
+@device
+def settle(known, at, first, last, qx, qy, qz, x, y, z, tolerance, limit):
+    """T⁻¹ from a guess, as `newton` returns it; without it, if it was not good enough."""
+    found = newton(known, at, first, last, qx, qy, qz, x, y, z, tolerance, limit)
+    if found[4]:
+        return found
+    return undo(known, at, first, last, qx, qy, qz, tolerance)
+
+
+@kernel
+def inverse(known, spans, ndim, targets, tolerance, points, residual, steps):
+    """T⁻¹ of points (N * ndim numbers, in pixels), with |T(p) - q| in physical units, and the evaluations."""
+    i = cuda.grid(1)
+    o = i * ndim
+    if o >= targets.size:
+        return
+    sx, sy, sz = known[2], known[5], known[8]
+    first, last = DOMAIN + STROKE * spans[0], DOMAIN + STROKE * spans[1]
+    qx, qy, qz = float(targets[o]) * sx, float(targets[o + 1]) * sy, 0.0
+    if ndim == 3:
+        qz = float(targets[o + 2]) * sz
+    x, y, z, _, _, spent, _, _, _, _, _, _, _, _, _ = undo(known, 0, first, last, qx, qy, qz, tolerance)
+    points[o], points[o + 1] = x / sx, y / sy
+    if ndim == 3:
+        points[o + 2] = z / sz
+    # What is said of a point is measured once more, at what is handed out.
+    x, y, z = moved(known, 0, first, last, x, y, z)
+    ex, ey, ez = x - qx, y - qy, z - qz
+    residual[i] = math.sqrt(ex * ex + ey * ey + ez * ez)
+    steps[i] = spent

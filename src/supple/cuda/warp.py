@@ -1,0 +1,265 @@
+"""Arrays on a card, warped there: what is prepared once for a deformation, and what is done for each array.
+
+Planes are made some at a time, so that what they need beside the arrays stays small: their lattice is solved, its
+cells are checked, the good ones are filled, and the pixels of the others are solved. Nothing is waited for until all
+of it has been handed over.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections import OrderedDict
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from supple.cpu import footprint as footprints
+from supple.cpu.sampling import OUTSIDE, numbers_of
+from supple.cpu.stack import times_seen
+from supple.cpu.warp import Certificate, positions
+from supple.cuda.arrays import OnCard, made_like
+from supple.cuda.card import Card, simulated
+from supple.cuda.colour import BETWEEN, FILTERS, NOTHING
+from supple.cuda.field import packed
+from supple.cuda.fill import PIXELS, kernels
+from supple.cuda.kernel import THREADS, blocks
+from supple.cuda.lattice import CELLS, LIST, LOST, MISSING, NODE, SIZE, WORST, check, solve, twist
+from supple.cuda.sample import FRAME, START
+from supple.streaming import Sampling, Space
+
+Array = npt.NDArray[Any]
+Floats = npt.NDArray[np.float64]
+
+SCRATCH = 256 << 20  # bytes, at most, beside the arrays
+_KEPT = 64  # small arrays that stay on the cards
+
+
+_held: OrderedDict[tuple[Any, ...], Any] = OrderedDict()
+_lock = threading.Lock()
+
+
+def held(card: Card, array: Array) -> Any:
+    """A small array on a card; one with the same values that is there already is taken."""
+    from numba import cuda
+
+    key = (card.number, array.dtype.str, array.shape, array.tobytes())
+    with _lock:
+        if key not in _held:
+            with card.current():
+                _held[key] = cuda.to_device(array)
+                cuda.default_stream().synchronize()  # other streams will read it
+            while len(_held) > _KEPT:
+                _held.popitem(last=False)
+        _held.move_to_end(key)
+        return _held[key]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Lattice:
+    """What kernels take of deformations of one shape, on a card.
+
+    Parameters
+    ----------
+    known, spans : device arrays
+        See `supple.cuda.field.packed`.
+    xs, ys : device arrays of int32
+        Where nodes are, in pixels.
+    cells : device array of int32
+        In which cell each column lies.
+    size : (int, int)
+        Nodes: rows, and in a row.
+    deformations : int
+    """
+
+    known: Any
+    spans: Any
+    xs: Any
+    ys: Any
+    cells: Any
+    size: tuple[int, int]
+    deformations: int
+
+    @property
+    def nodes(self) -> int:
+        """Of a plane."""
+        return self.size[0] * self.size[1]
+
+    @property
+    def cell_count(self) -> int:
+        """Of a plane."""
+        return (self.size[0] - 1) * (self.size[1] - 1)
+
+
+def lattice_of(card: Card, spaces: Sequence[Space]) -> Lattice:
+    """Put deformations, all of one shape, on a card."""
+    domains = [space.axes for space in spaces]
+    axes = domains[0]
+    if any(not np.array_equal(axes, other) for other in domains[1:]):
+        axes = np.array([[0.0, -1.0, 1.0]] * 3)  # no nodes where one of several borders ends: its cells are rough
+    height, width = spaces[0].shape
+    xs, ys = (positions(n, axes[k], SIZE).astype(np.int32) for k, n in enumerate((width, height)))
+    cells = np.clip(np.searchsorted(xs, np.arange(width), "right") - 1, 0, xs.size - 2).astype(np.int32)
+    known, spans = packed([space.table for space in spaces], domains)
+    return Lattice(
+        *(held(card, array) for array in (known, spans, xs, ys, cells)), (ys.size, xs.size), len(spaces)
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Colours:
+    """How samples are made, as kernels take it: which kernels, and their arguments."""
+
+    kernels: tuple[Any, Any]
+    fills: Any
+    how: tuple[int, ...]
+    limits: tuple[float, ...]
+    table: Any
+
+
+def colours_of(card: Card, dtype: np.dtype[Any], fill: Floats, sampling: Sampling, *, alpha: bool,
+               count: int, stack: bool) -> Colours:  # fmt: skip
+    """How samples of a type are made.
+
+    Parameters
+    ----------
+    card : Card
+    dtype : numpy.dtype
+    fill : float64 array, shape (channels,)
+        What lies outside.
+    sampling : Sampling
+    alpha : bool
+        Whether the last channel is opacity.
+    count : int
+        How many frames there are.
+    stack : bool
+        Whether frames are one volume or clip, and are interpolated.
+    """
+    kind = np.dtype(np.uint8) if dtype == np.bool_ else dtype
+    light = sampling.light and sampling.filter != "nearest"
+    white = 1.0 if dtype == np.bool_ else None
+    numbers = numbers_of(kind, fill, alpha=alpha, light=light, white=white)
+    nearest = sampling.filter == "nearest"
+    between = BETWEEN[sampling.between] if stack else NOTHING
+    average = stack and sampling.time_filter and sampling.between in ("linear", "cubic") and not nearest
+    early, late = times_seen(sampling.outside, count, sampling.time_filter)
+    number = np.float64 if numbers.dtype == np.float64 else np.float32
+    wide = sampling.filter in ("auto", "antialias")
+    table = footprints.weights(np.dtype(np.float32)) if wide else np.zeros(1, np.float32)
+    return Colours(
+        kernels(FILTERS[sampling.filter], between, average, number, (alpha or light) and not nearest),
+        held(card, fill.astype(kind) if nearest else numbers.inside),
+        (numbers.alpha, int(light), int(numbers.whole), OUTSIDE[sampling.outside], int(early), int(late)),
+        (float(numbers.low), float(numbers.high), float(numbers.top)),
+        held(card, table),
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class Frames:
+    """Frames as they lie on a card: flat memory, and where in it; see `supple.cuda.sample.SOURCE`."""
+
+    samples: Any
+    places: tuple[int, ...]
+
+
+class Pieces:
+    """What is needed beside the arrays, on a card: of a library's own memory, so that its streams know of it."""
+
+    def __init__(self, like: OnCard, lattices: Sequence[Lattice], planes: int) -> None:
+        nodes, cells = max(known.nodes for known in lattices), max(known.cell_count for known in lattices)
+        self.together = max(1, min(planes, SCRATCH // (nodes * NODE * 4 + cells * 8), 65535))
+        sizes = {
+            "nodes": (self.together * nodes * NODE, np.float32),
+            "errors": (self.together * cells, np.float32),
+            "told": (1, np.float32),
+            "counts": (LIST + self.together * cells, np.int32),
+        }
+        self.kept = {name: made_like(like, (n,), dtype) for name, (n, dtype) in sizes.items()}
+        self.nodes, self.errors, self.told, self.counts = (self.kept[name].flat() for name in sizes)
+
+
+def make_planes(
+    card: Card,
+    stream: Any,
+    lattice: Lattice,
+    pieces: Pieces,
+    colours: Colours,
+    shape: tuple[int, int],
+    planes: tuple[int, int],
+    source: Frames,
+    out: Frames,
+    *,
+    tolerance: float,
+    shared: int = 0,
+    fresh: bool = True,
+    slab: int | None = None,
+    begun: Callable[[], None] = lambda: None,
+) -> Iterator[None]:
+    """Hand over what makes some planes, slab by slab; it yields after each.
+
+    Parameters
+    ----------
+    card, stream, lattice, pieces, colours
+        Who does it, with what.
+    shape : (int, int)
+        Rows and columns of a plane.
+    planes : (int, int)
+        From, to. ``out`` begins with the first of them.
+    source, out : Frames
+    tolerance : float
+        Of source points, in pixels.
+    shared : int
+        How many pictures one lattice is for; 0 if each plane has its own.
+    fresh : bool
+        Whether what is told of a warp begins with this one.
+    slab : int, optional
+        How many planes are handed over at once.
+    """
+    height, width = shape
+    (rows, columns), (fill, rough) = lattice.size, colours.kernels
+    threads = min(THREADS, -(-width // 32) * 32)
+    together = min(slab or pieces.together, pieces.together)
+    if shared:
+        together = min(planes[1] - planes[0], 65535)
+    grid = 4 if simulated() else 8 * card.processors
+    for first in range(*planes, together):
+        count = min(together, planes[1] - first)
+        solved = 1 if shared else count
+        described = (height, width, count, first, lattice.deformations, int(shared > 0))
+        target = (*out.places[FRAME:START], out.places[START] + (first - planes[0]) * out.places[FRAME])
+        nodes, cells = solved * lattice.nodes, solved * lattice.cell_count
+        begun()
+        solve[blocks(nodes), THREADS, stream](
+            lattice.known, lattice.spans, lattice.deformations, lattice.xs, lattice.ys, solved, first, int(fresh),
+            pieces.nodes, pieces.told, pieces.counts,
+        )  # fmt: skip
+        twist[blocks(nodes), THREADS, stream](lattice.xs, lattice.ys, solved, pieces.nodes)
+        check[blocks(cells), THREADS, stream](
+            lattice.known, lattice.spans, lattice.deformations, lattice.xs, lattice.ys, solved, first, tolerance,
+            pieces.nodes, pieces.errors, pieces.told, pieces.counts,
+        )  # fmt: skip
+        common = (source.samples, colours.fills, source.places, colours.how, colours.limits, colours.table,
+                  out.samples, target)  # fmt: skip
+        fill[(-(-width // threads), rows - 1, count), threads, stream](
+            lattice.xs, lattice.ys, lattice.cells, pieces.nodes, pieces.errors, described, *common, pieces.counts
+        )
+        rough[min(grid, cells), PIXELS, stream](
+            lattice.known, lattice.spans, lattice.xs, lattice.ys, pieces.nodes, described, tolerance, *common,
+            pieces.told, pieces.counts,
+        )  # fmt: skip
+        fresh = False
+        yield
+
+
+def told_of(pieces: Pieces, stream: Any) -> tuple[Certificate, int]:
+    """What is known of the map, and how many samples were asked for that were not there; it waits for the stream."""
+    told = pieces.told.copy_to_host(stream=stream)
+    counts = pieces.counts[:LIST].copy_to_host(stream=stream)
+    if stream:
+        stream.synchronize()
+    lost = int(counts[LOST])
+    return Certificate(np.inf if lost else float(told[WORST]), 0.0, lost), int(counts[MISSING])
+
