@@ -17,6 +17,7 @@ import numpy as np
 
 from supple.cpu.between import LONGEST
 from supple.cpu.kernel import lean
+from supple.cpu.region import CONSTANT
 from supple.cuda.footprint import POINT, averaged_at, footprint
 from supple.cuda.kernel import device
 from supple.cuda.sample import (
@@ -28,18 +29,17 @@ from supple.cuda.sample import (
     HEIGHT,
     HIGH,
     LATE,
-    LIGHT,
     LOW,
     ROW,
-    RULE,
     WHITE,
-    WHOLE,
     WIDTH,
+    Way,
     cubic_at,
-    frame_at,
+    frame_finder,
     from_light,
     linear_at,
-    mapped,
+    mapper,
+    placer,
     reader,
 )
 
@@ -51,15 +51,7 @@ BETWEEN = {"nearest": 0, "linear": 1, "cubic": 2, "nothing": 3}
 NOTHING = 3
 
 _f4 = np.float32
-ZERO, HALF, ONE, TWO, TEN, FAR = _f4(0.0), _f4(0.5), _f4(1.0), _f4(2.0), _f4(10.0), _f4(1e6)
-
-
-@lean
-def place(q, u):
-    """A whole coordinate and an offset, as a whole part and the rest from 0 to 1."""
-    kept = min(max(u, -FAR), FAR)  # sources far outside are all the same
-    whole = int(math.floor(kept))
-    return q + whole, kept - _f4(whole)
+ZERO, HALF, ONE, TWO, TEN = _f4(0.0), _f4(0.5), _f4(1.0), _f4(2.0), _f4(10.0)
 
 
 @lean
@@ -98,49 +90,52 @@ def time_weight(t, width, cubic):
     return weight
 
 
-def _map() -> Callable[..., Any]:
+def _map(way: Way) -> Callable[..., Any]:
+    index, unsigned = way.index, way.unsigned
+
     @device
     def point(samples, fills, source, how, limits, table, picture, x, y, z, ux, uy, uz,
               xx, xy, yx, yy, tx, ty, tt, out, at, channel, counts):  # fmt: skip
-        out[np.uintp(at)] = _f4(x + ux)
-        out[np.uintp(at + channel)] = _f4(y + uy)
+        out[unsigned(at)] = _f4(x + ux)
+        out[unsigned(index(at + channel))] = _f4(y + uy)
         if source[CHANNELS] == 3:
-            out[np.uintp(at + 2 * channel)] = _f4(z + uz)
+            out[unsigned(index(at + channel + channel))] = _f4(z + uz)
 
     return point
 
 
-def _nearest(between: int) -> Callable[..., Any]:
+def _nearest(way: Way) -> Callable[..., Any]:
     """The sample nearest to a point, as it is; ties go to the larger index."""
+    mapped, place, frame_at = mapper(way), placer(way), frame_finder(way)
+    index, unsigned, stack, constant = way.index, way.unsigned, way.between != NOTHING, way.rule == CONSTANT
 
     @device
     def nearest(samples, fills, source, how, limits, table, picture, x, y, z, ux, uy, uz,
                 xx, xy, yx, yy, tx, ty, tt, out, at, channel, counts):  # fmt: skip
         i, u = place(x, ux)
         j, v = place(y, uy)
-        i = mapped(i + int(u >= HALF), source[WIDTH], how[RULE])
-        j = mapped(j + int(v >= HALF), source[HEIGHT], how[RULE])
+        i, j = mapped(index(i + int(u >= HALF)), source[WIDTH]), mapped(index(j + int(v >= HALF)), source[HEIGHT])
         f = picture
-        if between != NOTHING:
+        if stack:
             k, w = place(z, uz)
-            f = k + int(w >= HALF)
-        start = frame_at(source, how, f, counts)
-        inside = start >= 0 and i >= 0 and j >= 0
-        first = start + j * source[ROW] + i * source[COLUMN]
+            f = index(k + int(w >= HALF))
+        start = frame_at(source, f, counts)
+        first = index(index(start + index(j * source[ROW])) + index(i * source[COLUMN]))
         for c in range(source[CHANNELS]):
-            if inside:
-                out[np.uintp(at + c * channel)] = samples[np.uintp(first + c * source[CHANNEL])]
+            to = unsigned(index(at + index(c * channel)))
+            if constant and (start < 0 or i < 0 or j < 0):
+                out[to] = fills[c]
             else:
-                out[np.uintp(at + c * channel)] = fills[c]
+                out[to] = samples[unsigned(index(first + index(c * source[CHANNEL])))]
 
     return nearest
 
 
-def _in_frame(filter: int, number: Any, mixed: bool) -> Callable[..., Any]:
-    read = reader(number, mixed)
-    linear, cubic, averaged = linear_at(read), cubic_at(read), averaged_at(read, number)
-    if filter in (LINEAR, CUBIC):
-        pointed = linear if filter == LINEAR else cubic
+def _in_frame(way: Way) -> Callable[..., Any]:
+    read = reader(way)
+    linear, cubic, averaged = linear_at(way, read), cubic_at(way, read), averaged_at(way, read)
+    if way.filter in (LINEAR, CUBIC):
+        pointed = linear if way.filter == LINEAR else cubic
 
         @device
         def at_point(samples, fills, source, how, limits, table, start, i, j, u, v, c,
@@ -162,69 +157,101 @@ def _in_frame(filter: int, number: Any, mixed: bool) -> Callable[..., Any]:
     return over_footprint
 
 
-def _finisher(number: Any, mixed: bool) -> Callable[..., Any]:
+def _finisher(way: Way) -> Callable[..., Any]:
     """The reverse of `supple.cuda.sample.reader`, and whole numbers where they are wanted."""
-    exact = number(2.0 ** (23 if number is np.float32 else 52))  # from here on, all numbers are whole
+    number, alpha, light, whole = way.number, way.alpha, way.light, way.whole
+    zero, half = number(0.0), number(0.5)
+    small = number is np.float32
+    exact = number(2.0 ** (23 if small else 52))  # from here on, all numbers are whole
 
     @device
     def finished(v, opacity, c, how, limits):
-        if mixed:
-            if c == how[ALPHA]:
-                # A cubic overshoots; more than opaque, or less than clear, there is nothing to show.
-                v = min(max(v, number(0.0)), number(limits[WHITE]))
-            else:
-                if how[ALPHA] >= 0:
-                    v = number(v * limits[WHITE] / opacity) if opacity > number(0.0) else number(0.0)
-                if how[LIGHT] > 0:
-                    v = number(from_light(v, limits[WHITE]))
-        if how[WHOLE] > 0:
+        if alpha and c == how[ALPHA]:
+            # A cubic overshoots; more than opaque, or less than clear, there is nothing to show.
+            v = min(max(v, zero), number(limits[WHITE]))
+        else:
+            if alpha:
+                v = number(v * limits[WHITE] / opacity) if opacity > zero else zero
+            if light:
+                v = number(from_light(v, limits[WHITE]))
+        if whole:
             v = min(max(v, number(limits[LOW])), number(limits[HIGH]))
             if abs(v) < exact:
-                v = min(number(math.floor(v + number(0.5))), number(limits[HIGH]))
+                # Rounded half up, by cutting off.
+                w = number(np.int32(v + half)) if small else number(np.int64(v + half))
+                v = w - number(1.0) if w > v + half else w
+                v = min(v, number(limits[HIGH]))
         return v
 
     return finished
 
 
-def _filtered(filter: int, between: int, average: bool, number: Any, mixed: bool) -> Callable[..., Any]:
-    in_frame, finished = _in_frame(filter, number, mixed), _finisher(number, mixed)
-    over, antialias, smooth = filter in (AUTO, ANTIALIAS), filter == ANTIALIAS, between == BETWEEN["cubic"]
+def _between(way: Way) -> Callable[..., Any]:
+    """What is between frames, or in one."""
+    in_frame, frame_at = _in_frame(way), frame_finder(way)
+    number, index, average = way.number, way.index, way.average
+    smooth, one, two = way.between == BETWEEN["cubic"], index(1), index(2)
     radius = _f4(2.0 if smooth else 1.0)
-    before, after = (1, 2) if smooth else (0, 1)
 
     @device
-    def between_frames(samples, fills, source, how, limits, table, picture, i, j, k, u, v, w, width, c,
-                       kind, box_x, box_y, xx, xy, yy, major, minor, counts):  # fmt: skip
-        if between in (NOTHING, 0):
-            f = picture if between == NOTHING else k + int(w >= HALF)
-            start = frame_at(source, how, f, counts)
-            return in_frame(samples, fills, source, how, limits, table, start, i, j, u, v, c,
-                            kind, box_x, box_y, xx, xy, yy, major, minor)  # fmt: skip
-        first, last = k - before, k + after
+    def single(samples, fills, source, how, limits, table, picture, i, j, k, u, v, w, width, c,
+               kind, box_x, box_y, xx, xy, yy, major, minor, counts):  # fmt: skip
+        f = picture
+        if way_nearest:
+            f = index(k + int(w >= HALF))
+        return in_frame(samples, fills, source, how, limits, table, frame_at(source, f, counts), i, j, u, v, c,
+                        kind, box_x, box_y, xx, xy, yy, major, minor)  # fmt: skip
+
+    @device
+    def linear(samples, fills, source, how, limits, table, picture, i, j, k, u, v, w, width, c,
+               kind, box_x, box_y, xx, xy, yy, major, minor, counts):  # fmt: skip
+        a = in_frame(samples, fills, source, how, limits, table, frame_at(source, k, counts), i, j, u, v, c,
+                     kind, box_x, box_y, xx, xy, yy, major, minor)  # fmt: skip
+        if counted and w == ZERO:  # the next one may be out of reach
+            return a
+        b = in_frame(samples, fills, source, how, limits, table, frame_at(source, index(k + one), counts), i, j, u, v,
+                     c, kind, box_x, box_y, xx, xy, yy, major, minor)  # fmt: skip
+        return a + w * (b - a)
+
+    @device
+    def several(samples, fills, source, how, limits, table, picture, i, j, k, u, v, w, width, c,
+                kind, box_x, box_y, xx, xy, yy, major, minor, counts):  # fmt: skip
+        first, last = index(k - one), index(k + two)
         if average:
             reach = radius + HALF * width
-            first, last = k + int(math.floor(w - reach)) + 1, k + int(math.ceil(w + reach)) - 1
+            first, last = index(k + math.floor(w - reach) + 1), index(k + math.ceil(w + reach) - 1)
         total, weights = number(0.0), ZERO
         for f in range(first, last + 1):
             weight = time_weight(_f4(f - k) - w, width, smooth)
             if weight != ZERO:
-                start = frame_at(source, how, f, counts)
+                start = frame_at(source, index(f), counts)
                 total += weight * in_frame(samples, fills, source, how, limits, table, start, i, j, u, v, c,
                                            kind, box_x, box_y, xx, xy, yy, major, minor)  # fmt: skip
                 weights += weight
         return total / weights
+
+    way_nearest, counted = way.between == BETWEEN["nearest"], way.ring
+    if way.between in (NOTHING, BETWEEN["nearest"]):
+        return single
+    return several if average or smooth else linear
+
+
+def _filtered(way: Way) -> Callable[..., Any]:
+    between_frames, finished, place = _between(way), _finisher(way), placer(way)
+    number, index, unsigned, stack = way.number, way.index, way.unsigned, way.between != NOTHING
+    over, antialias, average, alpha = way.filter in (AUTO, ANTIALIAS), way.filter == ANTIALIAS, way.average, way.alpha
 
     @device
     def filtered(samples, fills, source, how, limits, table, picture, x, y, z, ux, uy, uz,
                  xx, xy, yx, yy, tx, ty, tt, out, at, channel, counts):  # fmt: skip
         i, u = place(x, ux)
         j, v = place(y, uy)
-        k, w, width = 0, ZERO, ZERO
-        if between != NOTHING:
+        k, w, width = index(0), ZERO, ZERO
+        if stack:
             k, w = place(z, uz)
             # Far outside the clip, all times are the same.
             if k < how[EARLY] or k >= how[LATE]:
-                k, w = min(max(k, how[EARLY]), how[LATE]), ZERO
+                k, w = index(min(max(k, how[EARLY]), how[LATE])), ZERO
             if average:
                 width = width_in_time(tx, ty, tt)
         kind, box_x, box_y, major, minor = POINT, 0, 0, ONE, ONE
@@ -232,36 +259,22 @@ def _filtered(filter: int, between: int, average: bool, number: Any, mixed: bool
         if over:
             kind, box_x, box_y, cxx, cxy, cyy, major, minor = footprint(xx, xy, yx, yy, antialias)
         opacity = number(1.0)
-        if mixed and how[ALPHA] >= 0:
+        if alpha:
             opacity = between_frames(samples, fills, source, how, limits, table, picture, i, j, k, u, v, w, width,
                                      how[ALPHA], kind, box_x, box_y, cxx, cxy, cyy, major, minor, counts)  # fmt: skip
         for c in range(source[CHANNELS]):
             value = opacity
-            if not mixed or c != how[ALPHA]:
+            if not alpha or c != how[ALPHA]:
                 value = between_frames(samples, fills, source, how, limits, table, picture, i, j, k, u, v, w, width,
-                                       c, kind, box_x, box_y, cxx, cxy, cyy, major, minor, counts)  # fmt: skip
-            out[np.uintp(at + c * channel)] = finished(value, opacity, c, how, limits)
+                                       index(c), kind, box_x, box_y, cxx, cxy, cyy, major, minor, counts)  # fmt: skip
+            out[unsigned(index(at + index(c * channel)))] = finished(value, opacity, c, how, limits)
 
     return filtered
 
 
 @functools.cache
-def colour(filter: int, between: int, average: bool, number: Any, mixed: bool) -> Callable[..., Any]:
-    """The device function that makes a pixel.
-
-    Parameters
-    ----------
-    filter, between : int
-        One of FILTERS, and of BETWEEN.
-    average : bool
-        Whether pixels are averaged over the time that they cover.
-    number : type
-        What colours are worked out in: numpy.float32 or numpy.float64.
-    mixed : bool
-        Whether light, or colours weighted by opacity, are filtered.
-    """
-    if filter == MAP:
-        return _map()
-    if filter == NEAREST:
-        return _nearest(between)
-    return _filtered(filter, between, average, number, mixed)
+def colour(way: Way) -> Callable[..., Any]:
+    """The device function that makes a pixel."""
+    if way.filter == MAP:
+        return _map(way)
+    return _nearest(way) if way.filter == NEAREST else _filtered(way)

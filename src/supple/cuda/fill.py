@@ -27,7 +27,6 @@ from supple.cuda.lattice import (
     X,
     Y,
     Z,
-    across,
     column,
     deformation_of,
     hermite,
@@ -36,6 +35,7 @@ from supple.cuda.lattice import (
     slope_between,
 )
 from supple.cuda.newton import settle
+from supple.cuda.sample import Way
 
 # Of the planes that are made: their size, how many there are, which is the first, how many deformations there are, and
 # whether all have the same lattice, being pictures of one.
@@ -51,11 +51,12 @@ ZERO, ONE = _f4(0.0), _f4(1.0)
 
 
 @functools.cache
-def kernels(filter: int, between: int, average: bool, number: Any, mixed: bool) -> tuple[Any, Any]:
-    """The kernels for cells that are good enough, and for those that are not; arguments as of `supple.cuda.colour`."""
-    paint = colour(filter, between, average, number, mixed)
-    deep = between != NOTHING or filter == MAP  # whether planes are of a stack
-    wide = filter in (AUTO, ANTIALIAS)
+def kernels(way: Way) -> tuple[Any, Any]:
+    """The kernels for cells that are good enough, and for those that are not."""
+    paint, index = colour(way), way.index
+    deep = way.between != NOTHING or way.filter == MAP  # whether planes are of a stack
+    wide, average = way.filter in (AUTO, ANTIALIAS), way.average
+    one = index(1)
 
     @kernel
     def fill(xs, ys, cells, nodes, errors, planes, samples, fills, source, how, limits, table, out, target, counts):
@@ -69,25 +70,31 @@ def kernels(filter: int, between: int, average: bool, number: Any, mixed: bool) 
             return
         upper = ((own * ny + j) * nx + i) * NODE
         lower = upper + nx * NODE
+        left, top = index(xs[i]), index(ys[j])
         h, k = _f4(xs[i + 1] - xs[i]), _f4(ys[j + 1] - ys[j])
-        s = _f4(x - xs[i]) / h
+        s, part = _f4(x - left) / h, ONE / k
         v, w, g, r = hermite(s)
         x0, x1, x2, x3 = column(nodes, upper, lower, 0, h, v, w, g, r)
         y0, y1, y2, y3 = column(nodes, upper, lower, 1, h, v, w, g, r)
         z0, z1, z2, z3 = ZERO, ZERO, ZERO, ZERO
         if deep:
             z0, z1, z2, z3 = column(nodes, upper, lower, 2, h, v, w, g, r)
-        end = int(ys[j + 1])
+        end = index(ys[j + 1])
         if j == ny - 2 and end < planes[HEIGHT]:
-            end += 1  # the last pixel is the last node
+            end = index(end + one)  # the last pixel is the last node
+        end = min(end, index(planes[HEIGHT]))
+        z = index(planes[FIRST] + p)
         ux, uy, uz = ZERO, ZERO, ZERO
         xx, xy, yx, yy, tx, ty, tt = ONE, ZERO, ZERO, ONE, ZERO, ZERO, ONE
-        for y in range(int(ys[j]), min(end, planes[HEIGHT])):
-            t = _f4(y - ys[j]) / k
+        at = index(target[START] + p * target[PLANE] + top * target[ROW] + x * target[COLUMN])
+        y = top
+        while y < end:
+            t = part * _f4(index(y - top))
             b, d, m, n = hermite(t)
-            ux, uy = across(x0, x2, x1, x3, k, b, d, m, n), across(y0, y2, y1, y3, k, b, d, m, n)
+            m, n = k * m, k * n
+            ux, uy = b * x0 + d * x1 + m * x2 + n * x3, b * y0 + d * y1 + m * y2 + n * y3
             if deep:
-                uz = across(z0, z2, z1, z3, k, b, d, m, n)
+                uz = b * z0 + d * z1 + m * z2 + n * z3
             if wide:
                 xx = ONE + slope_between(nodes, upper, lower, X, s, t)
                 yx = slope_between(nodes, upper, lower, X + 1, s, t)
@@ -97,9 +104,10 @@ def kernels(filter: int, between: int, average: bool, number: Any, mixed: bool) 
                 tx = slope_between(nodes, upper, lower, X + 2, s, t)
                 ty = slope_between(nodes, upper, lower, Y + 2, s, t)
                 tt = ONE + slope_between(nodes, upper, lower, Z + 2, s, t)
-            at = target[START] + p * target[PLANE] + y * target[ROW] + x * target[COLUMN]
-            paint(samples, fills, source, how, limits, table, planes[FIRST] + p, x, y, planes[FIRST] + p, ux, uy, uz,
+            paint(samples, fills, source, how, limits, table, z, index(x), y, z, ux, uy, uz,
                   xx, xy, yx, yy, tx, ty, tt, out, at, target[CHANNEL], counts)  # fmt: skip
+            at = index(at + target[ROW])
+            y = index(y + one)
 
     @kernel
     def rough(known, spans, xs, ys, nodes, planes, tolerance, samples, fills, source, how, limits, table, out, target,
@@ -146,8 +154,9 @@ def kernels(filter: int, between: int, average: bool, number: Any, mixed: bool) 
                 if planes[SHARED] > 0:
                     begin, end = 0, planes[COUNT]
                 for p in range(begin, end):
-                    to = target[START] + p * target[PLANE] + y * target[ROW] + x * target[COLUMN]
-                    paint(samples, fills, source, how, limits, table, planes[FIRST] + p, x, y, planes[FIRST] + p, ux, uy, uz,
+                    to = index(target[START] + p * target[PLANE] + y * target[ROW] + x * target[COLUMN])
+                    z = index(planes[FIRST] + p)
+                    paint(samples, fills, source, how, limits, table, z, index(x), index(y), z, ux, uy, uz,
                           _f4(a), _f4(b), _f4(d), _f4(e), _f4(g), _f4(m), _f4(n), out, to, target[CHANNEL],
                           counts)  # fmt: skip
 

@@ -16,7 +16,7 @@ from supple.cpu.filters import MOST_TAPS
 from supple.cpu.footprint import OBLIQUE, PLACES, STEPS, TAPS, WIDEST
 from supple.cpu.kernel import lean
 from supple.cuda.kernel import device
-from supple.cuda.sample import HEIGHT, RULE, WIDTH, mapped
+from supple.cuda.sample import HEIGHT, WIDTH, Way, mapper
 
 FINEST_SIDE = 16
 POINT, BOX, LONG = 0, 1, 2
@@ -77,8 +77,9 @@ def long_boxes(xx, xy, yy, major, minor):
     return unit, count, ax, ay, int(box_x * _STEPS + HALF), int(box_y * _STEPS + HALF)
 
 
-def averaged_at(read: Callable[..., Any], number: Any) -> Callable[..., Any]:
+def averaged_at(way: Way, read: Callable[..., Any]) -> Callable[..., Any]:
     """The average over a footprint that is no point, in a frame."""
+    mapped, number, index = mapper(way), way.number, way.index
 
     @device
     def square(samples, fills, source, how, limits, start, i, j, unit, c):
@@ -87,9 +88,9 @@ def averaged_at(read: Callable[..., Any], number: Any) -> Callable[..., Any]:
         apart = unit // side
         total = number(0.0)
         for k in range(side):
-            y = mapped(j * unit + k * apart + apart // 2, source[HEIGHT], how[RULE])
+            y = mapped(index(j * unit + k * apart + apart // 2), source[HEIGHT])
             for m in range(side):
-                x = mapped(i * unit + m * apart + apart // 2, source[WIDTH], how[RULE])
+                x = mapped(index(i * unit + m * apart + apart // 2), source[WIDTH])
                 total += read(samples, fills, source, how, limits, start, y, x, c)
         return total / number(side * side)
 
@@ -107,8 +108,8 @@ def averaged_at(read: Callable[..., Any], number: Any) -> Callable[..., Any]:
                     share = table[along + m]
                     if share != ZERO:
                         if unit == 1:
-                            y = mapped(j + k - 2, source[HEIGHT], how[RULE])
-                            x = mapped(i + m - 2, source[WIDTH], how[RULE])
+                            y = mapped(index(j + k - 2), source[HEIGHT])
+                            x = mapped(index(i + m - 2), source[WIDTH])
                             row += share * read(samples, fills, source, how, limits, start, y, x, c)
                         else:
                             row += share * square(

@@ -7,23 +7,18 @@ from typing import Any
 
 from numba import cuda
 
-from supple.cpu.kernel import FAST
-
-# Samples may be infinite or not a number; divisions stay exact, which decide in which cell a point lies.
-LOOSE = FAST - {"nnan", "ninf", "arcp"}
-
 THREADS = 128  # of a block
 
 
 def device(function: Callable[..., Any]) -> Callable[..., Any]:
     """Compile as a part of kernels: what reads arrays. What does not is `supple.cpu.kernel.lean`."""
-    made: Callable[..., Any] = cuda.jit(function, device=True, fastmath=LOOSE)
+    made: Callable[..., Any] = cuda.jit(function, device=True)
     return made
 
 
 def kernel(function: Callable[..., Any]) -> Any:
     """Compile for a card, when it is first called with arguments of some types."""
-    return cuda.jit(function, fastmath=LOOSE)
+    return cuda.jit(function)
 
 
 def blocks(items: int) -> int:

@@ -29,7 +29,7 @@ WORST = 0  # of the numbers that are told of a warp
 # Of its counts: cells that are rough, points that could not be solved, and samples that were not there; then, the cells.
 CELLS, LOST, MISSING, LIST = 0, 1, 2, 4
 
-_f4 = np.float32
+_f4, _u = np.float32, np.uintp
 _SEEN_X, _SEEN_Y = AT_X.astype(_f4), AT_Y.astype(_f4)  # where cells are looked at
 ZERO, ONE, TWO, THREE = _f4(0.0), _f4(1.0), _f4(2.0), _f4(3.0)
 
@@ -177,12 +177,13 @@ def across(p, p_slope, q, q_slope, h, v, w, g, k):
 @device
 def column(nodes, upper, lower, c, h, v, w, g, k):
     """Component ``c`` of u and ∂u/∂y, where weights say, on the upper and the lower edge of a cell."""
+    # Unsigned indices: others are checked for counting from the end.
     p, q, r, o = upper + c, upper + NODE + c, lower + c, lower + NODE + c
     return (
-        across(nodes[p], nodes[p + X], nodes[q], nodes[q + X], h, v, w, g, k),
-        across(nodes[r], nodes[r + X], nodes[o], nodes[o + X], h, v, w, g, k),
-        across(nodes[p + Y], nodes[p + TWIST], nodes[q + Y], nodes[q + TWIST], h, v, w, g, k),
-        across(nodes[r + Y], nodes[r + TWIST], nodes[o + Y], nodes[o + TWIST], h, v, w, g, k),
+        across(nodes[_u(p)], nodes[_u(p + X)], nodes[_u(q)], nodes[_u(q + X)], h, v, w, g, k),
+        across(nodes[_u(r)], nodes[_u(r + X)], nodes[_u(o)], nodes[_u(o + X)], h, v, w, g, k),
+        across(nodes[_u(p + Y)], nodes[_u(p + TWIST)], nodes[_u(q + Y)], nodes[_u(q + TWIST)], h, v, w, g, k),
+        across(nodes[_u(r + Y)], nodes[_u(r + TWIST)], nodes[_u(o + Y)], nodes[_u(o + TWIST)], h, v, w, g, k),
     )
 
 
@@ -197,7 +198,7 @@ def bilinear(p, q, r, o, s, t):
 def slope_between(nodes, upper, lower, c, s, t):
     """A number of a node, interpolated in a cell."""
     return bilinear(
-        nodes[upper + c], nodes[upper + NODE + c], nodes[lower + c], nodes[lower + NODE + c], s, t
+        nodes[_u(upper + c)], nodes[_u(upper + NODE + c)], nodes[_u(lower + c)], nodes[_u(lower + NODE + c)], s, t
     )
 
 

@@ -1,11 +1,14 @@
 """Samples of frames: which one stands for which place, and what is made of those around a point.
 
-Where an array lies in memory is a tuple of integers (``source``), as SOURCE names them: it may have any strides.
+Kernels are made for a `Way` of sampling, so that what it does not need costs no registers, and nothing is asked at every
+sample. Where an array lies in memory is a tuple of integers (``source``), as SOURCE names them: it may have any strides.
+Integers are of 32 bits where all of an array can be counted so, and each sum is cut to that: Numba's own grow to 64.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -21,27 +24,88 @@ from supple.cuda.lattice import MISSING
 SOURCE = ("frames", "height", "width", "channels", "frame", "row", "column", "channel", "start",
           "first", "last", "shift", "slots")  # fmt: skip
 FRAMES, HEIGHT, WIDTH, CHANNELS, FRAME, ROW, COLUMN, CHANNEL, START, FIRST, LAST, SHIFT, SLOTS = range(len(SOURCE))
-# How they are worked with: which channel is opacity, if any, whether light is averaged, and whether whole numbers are
-# wanted; the rule for what lies outside; and beyond which times nothing changes any more. The bounds of the type, and
-# what opaque and white are: see `supple.cpu.region.store`.
-ALPHA, LIGHT, WHOLE, RULE, EARLY, LATE = range(6)
+# How they are worked with: which channel is opacity, if any; beyond which times nothing changes any more. The bounds of
+# the type, and what opaque and white are: see `supple.cpu.region.store`.
+ALPHA, EARLY, LATE = range(3)
 LOW, HIGH, WHITE = range(3)
 
 _f4 = np.float32
 HALF, ONE, TWO, THREE, FOUR, FIVE = _f4(0.5), _f4(1.0), _f4(2.0), _f4(3.0), _f4(4.0), _f4(5.0)
 
-OUTSIDE = -1  # the place of what lies outside, under the rule CONSTANT
+
+@dataclass(frozen=True, slots=True)
+class Way:
+    """How samples are made: what kernels are compiled for.
+
+    Parameters
+    ----------
+    filter, between : int
+        One of `supple.cuda.colour.FILTERS`, and of BETWEEN.
+    rule : int
+        What lies outside: one of `supple.cpu.sampling.OUTSIDE`.
+    average : bool
+        Whether pixels are averaged over the time that they cover.
+    number : type
+        What colours are worked out in: numpy.float32 or numpy.float64.
+    index : type
+        What samples are counted in: numpy.int32 or numpy.int64.
+    whole : bool
+        Whether they are whole numbers.
+    alpha, light : bool
+        Whether a channel is opacity, and whether light is averaged.
+    ring : bool
+        Whether only some frames are here.
+    """
+
+    filter: int
+    between: int
+    rule: int
+    average: bool
+    number: Any
+    index: Any
+    whole: bool
+    alpha: bool
+    light: bool
+    ring: bool
+
+    @property
+    def unsigned(self) -> Any:
+        """The type of indices: signed ones are checked for counting from the end."""
+        return np.uint32 if self.index is np.int32 else np.uint64
 
 
-@lean
-def mapped(i, n, rule):
-    """Which of ``n`` samples in a row stands for the one at ``i``."""
-    if rule == EDGE:
-        return min(max(i, 0), n - 1)
-    if rule == CONSTANT:
-        return i if 0 <= i < n else OUTSIDE
-    k = i % (2 * n)
-    return k if k < n else 2 * n - 1 - k
+def mapper(way: Way) -> Callable[..., Any]:
+    """Which of ``n`` samples in a row stands for the one at ``i``; -1 for one that is constant."""
+    index = way.index
+    zero, one = index(0), index(1)
+
+    def at_edge(i, n):
+        return min(max(i, zero), index(n - one))
+
+    def or_constant(i, n):
+        return i if zero <= i < n else index(-1)
+
+    def reflected(i, n):
+        k = index(i % index(n + n))
+        return k if k < n else index(index(n + n) - one - k)
+
+    return lean(at_edge if way.rule == EDGE else or_constant if way.rule == CONSTANT else reflected)
+
+
+def placer(way: Way) -> Callable[..., Any]:
+    """A whole coordinate and an offset, as a whole part and the rest from 0 to 1."""
+    index = way.index
+    far, one = _f4(1e6), index(1)
+
+    @lean
+    def place(q, u):
+        kept = min(max(u, -far), far)  # sources far outside are all the same
+        whole = index(kept)
+        if _f4(whole) > kept:
+            whole = index(whole - one)
+        return index(q + whole), kept - _f4(whole)
+
+    return place
 
 
 @lean
@@ -69,74 +133,86 @@ def from_light(v, white):
     return white * (12.92 * u if u <= 0.0031308 else 1.055 * u ** (1.0 / 2.4) - 0.055)
 
 
-@device
-def frame_at(source, how, f, counts):
-    """Where a frame starts: OUTSIDE for one that is constant; it counts those that are not here."""
-    k = mapped(f, source[FRAMES], how[RULE])
-    if k < 0:
-        return OUTSIDE
-    if k < source[FIRST] or k >= source[LAST]:
-        cuda.atomic.add(counts, MISSING, 1)
-        k = source[FIRST]
-    slot = k - source[FIRST] + source[SHIFT]
-    if slot >= source[SLOTS]:
-        slot -= source[SLOTS]
-    return source[START] + slot * source[FRAME]
+def frame_finder(way: Way) -> Callable[..., Any]:
+    """Where a frame starts: -1 for one that is constant; it counts those that are not here."""
+    mapped, index, ring, constant = mapper(way), way.index, way.ring, way.rule == CONSTANT
+
+    @device
+    def frame_at(source, f, counts):
+        k = mapped(f, source[FRAMES])
+        if constant and k < 0:
+            return index(-1)
+        if ring:
+            if k < source[FIRST] or k >= source[LAST]:
+                cuda.atomic.add(counts, MISSING, 1)
+                k = source[FIRST]
+            k = index(k - source[FIRST] + source[SHIFT])
+            if k >= source[SLOTS]:
+                k = index(k - source[SLOTS])
+        return index(source[START] + index(k * source[FRAME]))
+
+    return frame_at
 
 
-def reader(number: Any, mixed: bool) -> Callable[..., Any]:
+def reader(way: Way) -> Callable[..., Any]:
     """What reads a sample as a number, as it is filtered: light, if wanted, and weighted by opacity.
 
-    Of places that `mapped` made; ``fills`` is the constant, as it is filtered.
+    Of places that `mapper` made; ``fills`` is the constant, as it is filtered.
     """
-    if not mixed:
+    number, index, unsigned, constant = way.number, way.index, way.unsigned, way.rule == CONSTANT
+    if not (way.alpha or way.light):
 
         @device
         def plain(samples, fills, source, how, limits, start, y, x, c):
-            if start < 0 or y < 0 or x < 0:
+            if constant and (start < 0 or y < 0 or x < 0):
                 return number(fills[c])
-            return number(
-                samples[np.uintp(start + y * source[ROW] + x * source[COLUMN] + c * source[CHANNEL])]
-            )
+            at = index(index(start + index(y * source[ROW])) + index(x * source[COLUMN]))
+            return number(samples[unsigned(at + index(c * source[CHANNEL]))])
 
         return plain
+    alpha, light = way.alpha, way.light
 
     @device
     def prepared(samples, fills, source, how, limits, start, y, x, c):
-        if start < 0 or y < 0 or x < 0:
+        if constant and (start < 0 or y < 0 or x < 0):
             return number(fills[c])
-        at = start + y * source[ROW] + x * source[COLUMN]
-        v = number(samples[np.uintp(at + c * source[CHANNEL])])
+        at = index(index(start + index(y * source[ROW])) + index(x * source[COLUMN]))
+        v = number(samples[unsigned(at + index(c * source[CHANNEL]))])
         if c != how[ALPHA]:
-            if how[LIGHT] > 0:
+            if light:
                 v = number(to_light(v, limits[WHITE]))
-            if how[ALPHA] >= 0:
-                v = number(v * (number(samples[np.uintp(at + how[ALPHA] * source[CHANNEL])]) / limits[WHITE]))
+            if alpha:
+                opacity = number(samples[unsigned(at + index(how[ALPHA] * source[CHANNEL]))])
+                v = number(v * (opacity / limits[WHITE]))
         return v
 
     return prepared
 
 
-def linear_at(read: Callable[..., Any]) -> Callable[..., Any]:
+def linear_at(way: Way, read: Callable[..., Any]) -> Callable[..., Any]:
     """Bilinear, in a frame."""
+    mapped, index = mapper(way), way.index
+    one = index(1)
 
     @device
     def linear(samples, fills, source, how, limits, start, i, j, u, v, c):
-        x0, x1 = mapped(i, source[WIDTH], how[RULE]), mapped(i + 1, source[WIDTH], how[RULE])
-        y0, y1 = mapped(j, source[HEIGHT], how[RULE]), mapped(j + 1, source[HEIGHT], how[RULE])
+        x0, x1 = mapped(i, source[WIDTH]), mapped(index(i + one), source[WIDTH])
+        y0, y1 = mapped(j, source[HEIGHT]), mapped(index(j + one), source[HEIGHT])
         a = read(samples, fills, source, how, limits, start, y0, x0, c)
         b = read(samples, fills, source, how, limits, start, y0, x1, c)
         d = read(samples, fills, source, how, limits, start, y1, x0, c)
         e = read(samples, fills, source, how, limits, start, y1, x1, c)
-        above = (ONE - u) * a + u * b
-        below = (ONE - u) * d + u * e
-        return (ONE - v) * above + v * below
+        above = a + u * (b - a)
+        below = d + u * (e - d)
+        return above + v * (below - above)
 
     return linear
 
 
-def cubic_at(read: Callable[..., Any]) -> Callable[..., Any]:
+def cubic_at(way: Way, read: Callable[..., Any]) -> Callable[..., Any]:
     """Bicubic, in a frame."""
+    mapped, index = mapper(way), way.index
+    one, two = index(1), index(2)
 
     @device
     def row(samples, fills, source, how, limits, start, y, x0, x1, x2, x3, c, p, q, r, s):
@@ -150,10 +226,10 @@ def cubic_at(read: Callable[..., Any]) -> Callable[..., Any]:
     @device
     def cubic(samples, fills, source, how, limits, start, i, j, u, v, c):
         n, m = source[WIDTH], source[HEIGHT]
-        x0, x1 = mapped(i - 1, n, how[RULE]), mapped(i, n, how[RULE])
-        x2, x3 = mapped(i + 1, n, how[RULE]), mapped(i + 2, n, how[RULE])
-        y0, y1 = mapped(j - 1, m, how[RULE]), mapped(j, m, how[RULE])
-        y2, y3 = mapped(j + 1, m, how[RULE]), mapped(j + 2, m, how[RULE])
+        x0, x1 = mapped(index(i - one), n), mapped(i, n)
+        x2, x3 = mapped(index(i + one), n), mapped(index(i + two), n)
+        y0, y1 = mapped(index(j - one), m), mapped(j, m)
+        y2, y3 = mapped(index(j + one), m), mapped(index(j + two), m)
         p, q, r, s = cubic_weights(u)
         a, b, d, e = cubic_weights(v)
         return (

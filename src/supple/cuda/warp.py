@@ -10,7 +10,7 @@ from __future__ import annotations
 import threading
 from collections import OrderedDict
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -27,13 +27,14 @@ from supple.cuda.field import packed
 from supple.cuda.fill import PIXELS, kernels
 from supple.cuda.kernel import THREADS, blocks
 from supple.cuda.lattice import CELLS, LIST, LOST, MISSING, NODE, SIZE, WORST, check, solve, twist
-from supple.cuda.sample import FRAME, START
+from supple.cuda.sample import FIRST, FRAME, FRAMES, LAST, START, Way
 from supple.streaming import Sampling, Space
 
 Array = npt.NDArray[Any]
 Floats = npt.NDArray[np.float64]
 
 SCRATCH = 256 << 20  # bytes, at most, beside the arrays
+_LONG = (1 << 31) - (1 << 24)  # samples, with room for sums
 _KEPT = 64  # small arrays that stay on the cards
 
 
@@ -112,15 +113,16 @@ def lattice_of(card: Card, spaces: Sequence[Space]) -> Lattice:
 class Colours:
     """How samples are made, as kernels take it: which kernels, and their arguments."""
 
-    kernels: tuple[Any, Any]
+    way: Way
     fills: Any
     how: tuple[int, ...]
     limits: tuple[float, ...]
     table: Any
 
 
-def colours_of(card: Card, dtype: np.dtype[Any], fill: Floats, sampling: Sampling, *, alpha: bool,
-               count: int, stack: bool) -> Colours:  # fmt: skip
+def colours_of(
+    card: Card, dtype: np.dtype[Any], fill: Floats, sampling: Sampling, *, alpha: bool, count: int, stack: bool
+) -> Colours:
     """How samples of a type are made.
 
     Parameters
@@ -138,20 +140,29 @@ def colours_of(card: Card, dtype: np.dtype[Any], fill: Floats, sampling: Samplin
         Whether frames are one volume or clip, and are interpolated.
     """
     kind = np.dtype(np.uint8) if dtype == np.bool_ else dtype
-    light = sampling.light and sampling.filter != "nearest"
-    white = 1.0 if dtype == np.bool_ else None
-    numbers = numbers_of(kind, fill, alpha=alpha, light=light, white=white)
     nearest = sampling.filter == "nearest"
-    between = BETWEEN[sampling.between] if stack else NOTHING
-    average = stack and sampling.time_filter and sampling.between in ("linear", "cubic") and not nearest
+    light, opaque = sampling.light and not nearest, alpha and not nearest
+    numbers = numbers_of(kind, fill, alpha=opaque, light=light, white=1.0 if dtype == np.bool_ else None)
     early, late = times_seen(sampling.outside, count, sampling.time_filter)
     number = np.float64 if numbers.dtype == np.float64 else np.float32
     wide = sampling.filter in ("auto", "antialias")
     table = footprints.weights(np.dtype(np.float32)) if wide else np.zeros(1, np.float32)
+    way = Way(
+        FILTERS[sampling.filter],
+        BETWEEN[sampling.between] if stack else NOTHING,
+        OUTSIDE[sampling.outside],
+        stack and sampling.time_filter and sampling.between in ("linear", "cubic") and not nearest,
+        number,
+        np.int32,
+        numbers.whole,
+        opaque,
+        light,
+        False,
+    )
     return Colours(
-        kernels(FILTERS[sampling.filter], between, average, number, (alpha or light) and not nearest),
+        way,
         held(card, fill.astype(kind) if nearest else numbers.inside),
-        (numbers.alpha, int(light), int(numbers.whole), OUTSIDE[sampling.outside], int(early), int(late)),
+        (numbers.alpha, int(early), int(late)),
         (float(numbers.low), float(numbers.high), float(numbers.top)),
         held(card, table),
     )
@@ -163,6 +174,11 @@ class Frames:
 
     samples: Any
     places: tuple[int, ...]
+
+    @property
+    def long(self) -> bool:
+        """Whether it takes more than 32 bits to count its samples."""
+        return bool(self.samples.size > _LONG)
 
 
 class Pieces:
@@ -219,7 +235,11 @@ def make_planes(
         How many planes are handed over at once.
     """
     height, width = shape
-    (rows, columns), (fill, rough) = lattice.size, colours.kernels
+    rows, _ = lattice.size
+    ring = source.places[FIRST : LAST + 1] != (0, source.places[FRAMES])
+    index = np.int64 if source.long or out.long else np.int32
+    fill, rough = kernels(replace(colours.way, index=index, ring=ring))
+    limits = tuple(map(colours.way.number, colours.limits))
     threads = min(THREADS, -(-width // 32) * 32)
     together = min(slab or pieces.together, pieces.together)
     if shared:
@@ -241,8 +261,8 @@ def make_planes(
             lattice.known, lattice.spans, lattice.deformations, lattice.xs, lattice.ys, solved, first, tolerance,
             pieces.nodes, pieces.errors, pieces.told, pieces.counts,
         )  # fmt: skip
-        common = (source.samples, colours.fills, source.places, colours.how, colours.limits, colours.table,
-                  out.samples, target)  # fmt: skip
+        common = (source.samples, colours.fills, tuple(map(index, source.places)), tuple(map(index, colours.how)), limits,
+                  colours.table, out.samples, tuple(map(index, target)))  # fmt: skip
         fill[(-(-width // threads), rows - 1, count), threads, stream](
             lattice.xs, lattice.ys, lattice.cells, pieces.nodes, pieces.errors, described, *common, pieces.counts
         )
