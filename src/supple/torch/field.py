@@ -145,7 +145,8 @@ def _edges(points: Columns, axes: Sequence[Axis]) -> tuple[Columns, Columns]:
 
 def _arriving(pivot: Columns, force: Columns, axes: Sequence[Axis]) -> Columns:
     """The force that makes up for β at its pivot, unless that is outside of a fixed border."""
-    if any(sigma >= 0 and not 0 <= float(x) <= extent for x, (extent, sigma, _) in zip(pivot, axes, strict=True)):
+    places = [float(x.detach()) for x in pivot]
+    if any(sigma >= 0 and not 0 <= x <= extent for x, (extent, sigma, _) in zip(places, axes, strict=True)):
         return force
     _, beta = _edges(pivot, axes)
     return [f / b if b > 0 else f * 0 for f, b in zip(force, beta, strict=True)]
