@@ -27,6 +27,8 @@ def blocks(page: Path, language: str) -> list[str]:
 @pytest.mark.parametrize("page", [p for p in PAGES if blocks(p, "python")], ids=lambda page: page.stem)
 def test_the_python_of_a_page_runs(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
+    if "import supple.torch" in page.read_text(encoding="utf-8") and os.environ.get("SUPPLE_TEST_TORCH") != "1":
+        pytest.importorskip("torch")
     shutil.copy(DATA / "coffee.jpg", "photo.jpg")
     for name in ("head.nii.gz", "brain.nii.gz"):
         shutil.copy(DATA / name, name)

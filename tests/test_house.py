@@ -70,3 +70,25 @@ def test_the_citation_is_of_this_version() -> None:
     version = re.findall(r'^__version__ = "(.+)"$', init, re.MULTILINE)
     assert version == re.findall(r"^version: (.+)$", (ROOT / "CITATION.cff").read_text("utf-8"), re.MULTILINE)
     assert len(version) == 1
+
+
+def test_torch_is_asked_for_only_by_those_who_ask_for_it() -> None:
+    program = """
+import sys
+import supple
+supple.Deformation((3, 3)).grab((1, 1), by=(0.1, 0), radius=2).warp
+assert "torch" not in sys.modules
+sys.modules["torch"] = None  # as if it were not installed
+try:
+    import supple.torch
+except ImportError as error:
+    print(error)
+"""
+    result = subprocess.run(
+        [sys.executable, "-c", program],
+        env={**os.environ, "PYTHONPATH": str(ROOT / "src")},
+        capture_output=True,
+        encoding="utf-8",
+        check=False,
+    )
+    assert result.stdout == "supple.torch needs PyTorch, which is not installed: pip install torch\n", result.stderr

@@ -1,0 +1,114 @@
+"""The values of a tensor, and the source points of its pixels, by the engine of its device."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import torch
+
+from supple.cpu.warp import Band, absolute, each_band
+from supple.deformation import Deformation
+from supple.errors import ToleranceWarning
+from supple.torch.field import Columns, Strokes
+from supple.torch.sample import Filter
+
+_SOLVED = 1 << 18  # points that are solved at once
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Job:
+    """What is done with a tensor of K channels; the strokes are there if they need gradients."""
+
+    deformation: Deformation
+    filter: str
+    between: str
+    outside: str
+    fill: npt.NDArray[np.float64]
+    tolerance: float
+    strokes: Strokes | None = None
+
+    def how(self, dtype: torch.dtype, device: torch.device) -> Filter:
+        """The filter that has gradients."""
+        kinds = [self.filter, self.filter, self.between][: self.deformation.ndim]
+        fill = torch.tensor(self.fill, dtype=dtype, device=device)
+        return Filter(self.deformation.shape[::-1], kinds, self.outside, fill[:, None])
+
+
+def values(tensor: torch.Tensor, job: Job) -> torch.Tensor:
+    """The values of a tensor (K, *shape), by the engine of its device."""
+    view = (tensor.float() if tensor.dtype == torch.bfloat16 else tensor).detach().movedim(0, -1)
+    options: dict[str, Any] = {
+        "filter": job.filter,
+        "between": job.between if job.deformation.ndim == 3 else None,
+        "outside": job.outside,
+        "fill": job.fill,
+        "tolerance": job.tolerance,
+        "alpha": False,
+    }
+    made = torch.from_numpy(job.deformation.warp(view.numpy(force=True), **options))
+    return made.movedim(-1, 0).to(tensor.device, tensor.dtype).contiguous()
+
+
+def offsets_of(like: torch.Tensor, job: Job) -> torch.Tensor:
+    """T⁻¹(q) - q of all output pixels q, in pixels: (M, D), where ``like`` is, and in the type that it is worked in.
+
+    As offsets, they are small: float32 holds them as exactly as they are known, however large the picture is.
+    """
+    deformation, dtype = job.deformation, working(like)
+    sizes = deformation.shape[::-1]
+    made = torch.zeros(math.prod(sizes), len(sizes), dtype=dtype)
+    if deformation.is_identity:
+        return made.to(like.device)
+    if dtype == torch.float32:
+        _interpolated(made.numpy().reshape(*deformation.shape, len(sizes)), deformation, job.tolerance)
+        return made.to(like.device)
+    lost = 0
+    for start in range(0, len(made), _SOLVED):
+        index = torch.arange(start, min(start + _SOLVED, len(made)))
+        points = torch.stack(grid(index, sizes), -1).to(dtype)
+        found = deformation.inverse(points.numpy())
+        made[index] = torch.from_numpy(found.points) - points
+        lost += int(np.count_nonzero(~found.converged))
+    if lost:
+        text = f"{lost} of {len(made)} source points did not converge: what is shown there is a guess"
+        warnings.warn(text, ToleranceWarning, stacklevel=2)
+    return made.to(like.device)
+
+
+def _interpolated(out: npt.NDArray[np.float32], deformation: Deformation, tolerance: float) -> None:
+    space, ndim = deformation.space, deformation.ndim
+    width = out.shape[-2]
+    for z in range(space.count):
+        plane = out if ndim == 2 else out[z]
+
+        def fill(band: Band, plane: Any = plane, z: int = z) -> None:
+            rows = band.points.shape[1]
+            points = np.empty((rows, width, ndim))
+            absolute(band, points)
+            points[..., 0] -= np.arange(width)
+            points[..., 1] -= np.arange(band.top, band.top + rows)[:, None]
+            if ndim == 3:
+                points[..., 2] -= z
+            plane[band.top : band.top + rows] = points
+
+        each_band(space.solve(z), tolerance, fill)
+
+
+def grid(index: torch.Tensor, sizes: Sequence[int]) -> Columns:
+    """The coordinates, x first, of pixels that are counted row by row."""
+    columns = []
+    for size in sizes:
+        columns.append(index % size)
+        index = index // size
+    return columns
+
+
+def working(tensor: torch.Tensor) -> torch.dtype:
+    """The type in which a tensor is worked with where engines do not do it."""
+    return torch.float64 if tensor.dtype == torch.float64 else torch.float32

@@ -1,0 +1,263 @@
+"""Tensors through a map, and points through T, with gradients.
+
+The values are the engines'. What a loss says of them goes back through the same samples, read once more at T⁻¹.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import torch
+from torch.autograd.function import once_differentiable
+
+from supple.deformation import Deformation
+from supple.domain import choice, number, refuse
+from supple.torch.engine import Job, grid, offsets_of, values, working
+from supple.torch.field import Columns, moved, strokes_gradients
+from supple.torch.sample import Filter, read, spread
+from supple.torch.strokes import Item, items
+from supple.warping import FILTERS, OUTSIDE, checked_fill, interpolated
+
+SMOOTH = ("nearest", "linear", "cubic")
+
+_ROOM = 1 << 23  # numbers for the points that are worked on at once: what T takes for its gradients, mostly
+
+
+def warp(
+    tensor: torch.Tensor,
+    deformation: Deformation | Sequence[Deformation],
+    *,
+    at: torch.Tensor | None = None,
+    by: torch.Tensor | None = None,
+    radius: torch.Tensor | None = None,
+    filter: str = "linear",
+    outside: str = "edge",
+    fill: float | Sequence[float] = 0.0,
+    between: str | None = None,
+    tolerance: float = 0.01,
+) -> torch.Tensor:
+    """Deform a tensor, differentiably in it and in the strokes.
+
+    Parameters
+    ----------
+    tensor : tensor of shape (H, W), (C, H, W) or (N, C, H, W); of a volume or frames (Z, H, W) to (N, C, Z, H, W)
+        Of bool, integers or floats, on any device. Only floats have gradients.
+    deformation : Deformation, or sequence of N of them
+        Of the shape of the last axes; or one for each item of the batch.
+    at, by : tensor of shape (n, D), or (N, n, D), optional
+        In place of where the deformation's n strokes grab, and of how far they drag: in pixels, x first.
+    radius : tensor of shape (n,), or (N, n), optional
+        In place of their radii, in physical units.
+    filter : str
+        ``"linear"``, ``"cubic"`` (Catmull and Rom's) or ``"nearest"``; without gradients, also ``"auto"``,
+        ``"antialias"`` and ``"ewa"``, as in `Deformation.warp`.
+    outside : str
+        What lies outside the tensor: its ``"edge"``, a ``"constant"``, or its mirror image (``"reflect"``).
+    fill : float or sequence of float
+        The constant; one for all channels, or one for each.
+    between : str, optional
+        How slices or frames are interpolated: ``"linear"``, ``"cubic"`` or ``"nearest"``; linear by default, and
+        nearest under ``filter="nearest"``.
+    tolerance : float
+        How far a source point may be from the true T⁻¹(q), in pixels. Of float64 tensors that need gradients, each
+        point is solved.
+
+    Returns
+    -------
+    tensor
+        Of the same shape, type and device. Channels are independent of each other: none is opacity.
+
+    Raises
+    ------
+    SuppleError
+        If an argument does not fit, or what needs gradients has none.
+
+    Warns
+    -----
+    FoldWarning
+        If a stroke with new numbers was damped. Gradients take the part of it that is applied for constant.
+    ToleranceWarning
+        If the checks of the map's cells do not promise the tolerance everywhere.
+
+    Notes
+    -----
+    With p = T⁻¹(q) and θ any number of a stroke, ∂p/∂θ = -(I+J)⁻¹ ∂K/∂θ.
+    """
+    given, batch = items(deformation, at, by, radius)
+    shape = given[0].deformation.shape
+    _check(tensor, shape, len(given) if batch else None)
+    choice("filter", filter, ("nearest", *FILTERS))
+    choice("outside", outside, tuple(OUTSIDE))
+    tolerance = number("tolerance", tolerance, "a number of pixels above 0", 1e-9, 1e9)
+    axes = len(shape)
+    if between is not None and axes == 2:
+        refuse("between", "left out for an image, which is one frame", between)
+    between = interpolated(filter, between)
+    wanted = torch.is_grad_enabled() and tensor.requires_grad
+    strokes_wanted = any(item.differentiable for item in given)
+    if (wanted or strokes_wanted) and filter not in SMOOTH:
+        refuse("filter", '"linear", "cubic" or "nearest" where gradients are needed', filter)
+    if strokes_wanted and not tensor.is_floating_point():
+        refuse("tensor", "of floats where strokes need gradients", str(tensor.dtype))
+    channels = tensor.shape[-axes - 1] if tensor.ndim > axes else 1
+    colours = checked_fill(fill, channels, np.dtype(np.float64))
+    if tensor.numel() == 0:
+        return tensor.clone()
+    parts = tensor.reshape(len(given), -1, *shape)
+    colours = np.tile(colours, parts.shape[1] // channels)
+    made = [
+        _warped(part, item, Job(item.deformation, filter, between, outside, colours, tolerance))
+        for part, item in zip(parts, given, strict=True)
+    ]
+    return (torch.stack(made) if batch else made[0]).reshape(tensor.shape)
+
+
+def forward(
+    points: torch.Tensor,
+    deformation: Deformation | Sequence[Deformation],
+    *,
+    at: torch.Tensor | None = None,
+    by: torch.Tensor | None = None,
+    radius: torch.Tensor | None = None,
+) -> torch.Tensor:
+    """T: where points of the input are seen in the output, differentiably, any number of times.
+
+    Parameters
+    ----------
+    points : tensor of floats, shape (..., D)
+        In pixels, x first; (N, ..., D) where the deformations or their strokes are those of a batch.
+    deformation, at, by, radius
+        As `warp` takes them.
+
+    Returns
+    -------
+    tensor of shape (..., D)
+        Of the same type and device.
+
+    Raises
+    ------
+    SuppleError
+        If an argument does not fit.
+
+    Warns
+    -----
+    FoldWarning
+        As `warp` does.
+    """
+    given, batch = items(deformation, at, by, radius)
+    n = given[0].deformation.ndim
+    if not isinstance(points, torch.Tensor):
+        refuse("points", f"a tensor of shape (..., {n})", points)
+    if not points.is_floating_point() or points.ndim == 0 or points.shape[-1] != n:
+        refuse("points", f"floats of shape (..., {n}), x first", f"{points.dtype} of shape {tuple(points.shape)}")
+    if batch and (points.ndim < 2 or len(points) != len(given)):
+        refuse("points", f"of shape ({len(given)}, ..., {n}), as the batch is", f"shape {tuple(points.shape)}")
+    made = []
+    for part, item in zip(points if batch else [points], given, strict=True):
+        strokes = item.strokes(working(points), points.device)
+        columns = [x.to(strokes.at.dtype) * axis[2] for x, axis in zip(part.unbind(-1), strokes.axes, strict=True)]
+        seen = [x / axis[2] for x, axis in zip(moved(columns, strokes), strokes.axes, strict=True)]
+        made.append(torch.stack(seen, -1).to(points.dtype))
+    return torch.stack(made) if batch else made[0]
+
+
+def _check(tensor: object, shape: tuple[int, ...], count: int | None) -> None:
+    if not isinstance(tensor, torch.Tensor):
+        refuse("tensor", "a PyTorch tensor (Deformation.warp takes arrays)", tensor)
+    if tensor.is_complex() or tensor.is_quantized or tensor.layout != torch.strided or _odd(tensor.dtype):
+        wanted = "dense, of bool, integers or floats of 16 to 64 bits"
+        refuse("tensor", wanted, f"{tensor.dtype}, {tensor.layout}")
+    sizes, axes = ", ".join(map(str, shape)), len(shape)
+    if tuple(tensor.shape[-axes:]) != shape or tensor.ndim > axes + 2:
+        wanted = f"of shape ({sizes}), (C, {sizes}) or (N, C, {sizes}), as the deformation is"
+        refuse("tensor", wanted, f"shape {tuple(tensor.shape)}")
+    if count is not None and (tensor.ndim != axes + 2 or len(tensor) != count):
+        wanted = f"of shape ({count}, C, {sizes}), as there are {count} deformations or sets of strokes"
+        refuse("tensor", wanted, f"shape {tuple(tensor.shape)}")
+
+
+def _odd(dtype: torch.dtype) -> bool:
+    return dtype.is_floating_point and dtype not in (torch.float16, torch.bfloat16, torch.float32, torch.float64)
+
+
+def _warped(tensor: torch.Tensor, item: Item, job: Job) -> torch.Tensor:
+    """One item, of shape (K, *shape)."""
+    if item.differentiable:
+        strokes = item.strokes(working(tensor), tensor.device)
+        held = replace(strokes, at=strokes.at.detach(), by=strokes.by.detach(), radius=strokes.radius.detach())
+        job = replace(job, strokes=held)
+        return _Warp.apply(tensor, strokes.at, strokes.by, strokes.radius, job)
+    if job.deformation.is_identity:
+        return tensor.clone()
+    if torch.is_grad_enabled() and tensor.requires_grad:
+        return _Warp.apply(tensor, None, None, None, job)
+    return values(tensor, job)
+
+
+class _Warp(torch.autograd.Function):
+    """A tensor (K, *shape) by a job; at, by and radius are those of the job's strokes, or None."""
+
+    @staticmethod
+    def forward(
+        ctx: Any,
+        tensor: torch.Tensor,
+        at: torch.Tensor | None,
+        by: torch.Tensor | None,
+        radius: torch.Tensor | None,
+        job: Job,
+    ) -> torch.Tensor:
+        offsets = None
+        if job.deformation.is_identity:
+            made = tensor.clone()
+        elif tensor.dtype != torch.float64:
+            made = values(tensor, job)
+        else:
+            offsets = offsets_of(tensor, job)
+            how, source = job.how(tensor.dtype, tensor.device), tensor.reshape(len(tensor), -1)
+            parts = [read(source, *_places(offsets, *ends, how), how) for ends in _chunks(offsets, job)]
+            made = torch.cat(parts, 1).reshape(tensor.shape)
+        ctx.job = job
+        ctx.save_for_backward(tensor if at is not None else None, at, by, radius, offsets)
+        return made
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, gradient: torch.Tensor) -> tuple[Any, ...]:
+        tensor, at, by, radius, offsets = ctx.saved_tensors
+        job, dtype = ctx.job, working(gradient)
+        offsets = offsets_of(gradient, job) if offsets is None else offsets
+        how, flat = job.how(dtype, gradient.device), gradient.reshape(len(gradient), -1)
+        into = torch.zeros_like(flat, dtype=dtype) if ctx.needs_input_grad[0] else None
+        found, strokes, source = None, None, None
+        if at is not None:
+            found = [torch.zeros_like(x) for x in (at, by, radius)]
+            if how.smooth:
+                strokes = replace(job.strokes, at=at, by=by, radius=radius)
+                source = tensor.reshape(len(tensor), -1)
+        for start, stop in _chunks(offsets, job) if into is not None or strokes is not None else ():
+            whole, rest = _places(offsets, start, stop, how)
+            slopes = spread(flat[:, start:stop].to(dtype), source, whole, rest, how, into)
+            if strokes is not None and found is not None:
+                points = [i + t for i, t in zip(whole, rest, strict=True)]
+                for total, more in zip(found, strokes_gradients(points, slopes, strokes), strict=True):
+                    total += more
+        image = None if into is None else into.to(gradient.dtype).reshape(gradient.shape)
+        return image, *(found or (None, None, None)), None
+
+
+def _places(offsets: torch.Tensor, start: int, stop: int, how: Filter) -> tuple[Columns, Columns]:
+    """The source points of some pixels, as whole pixels and what is left."""
+    pixels = grid(torch.arange(start, stop, device=offsets.device), how.sizes)
+    columns = offsets[start:stop].unbind(-1)
+    lower = [torch.floor(x) for x in columns]
+    whole = [i + x.long() for i, x in zip(pixels, lower, strict=True)]
+    return whole, [x - low for x, low in zip(columns, lower, strict=True)]
+
+
+def _chunks(offsets: torch.Tensor, job: Job) -> list[tuple[int, int]]:
+    terms = sum(kind[2] for kind in job.strokes.kinds) if job.strokes is not None else 0
+    size, total = max(1, _ROOM // (len(job.fill) + 16 * (terms + 1))), len(offsets)
+    return [(start, min(start + size, total)) for start in range(0, total, size)]
