@@ -106,7 +106,7 @@ def _map(way: Way) -> Callable[..., Any]:
 
 def _nearest(way: Way) -> Callable[..., Any]:
     """The sample nearest to a point, as it is; ties go to the larger index."""
-    mapped, place, frame_at = mapper(way), placer(way), frame_finder(way)
+    mapped, place, frame_at = mapper(way), placer(way.index), frame_finder(way)
     index, unsigned, stack, constant = way.index, way.unsigned, way.between != NOTHING, way.rule == CONSTANT
 
     @device
@@ -237,7 +237,7 @@ def _between(way: Way) -> Callable[..., Any]:
 
 
 def _filtered(way: Way) -> Callable[..., Any]:
-    between_frames, finished, place = _between(way), _finisher(way), placer(way)
+    between_frames, finished, place = _between(way), _finisher(way), placer(way.index)
     number, index, unsigned, stack = way.number, way.index, way.unsigned, way.between != NOTHING
     over, antialias, average, alpha = way.filter in (AUTO, ANTIALIAS), way.filter == ANTIALIAS, way.average, way.alpha
 

@@ -7,6 +7,7 @@ Integers are of 32 bits where all of an array can be counted so, and each sum is
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -76,7 +77,11 @@ class Way:
 
 def mapper(way: Way) -> Callable[..., Any]:
     """Which of ``n`` samples in a row stands for the one at ``i``; -1 for one that is constant."""
-    index = way.index
+    return _mapper(way.rule, way.index)
+
+
+@functools.cache
+def _mapper(rule: int, index: Any) -> Callable[..., Any]:
     zero, one = index(0), index(1)
 
     def at_edge(i, n):
@@ -89,12 +94,12 @@ def mapper(way: Way) -> Callable[..., Any]:
         k = index(i % index(n + n))
         return k if k < n else index(index(n + n) - one - k)
 
-    return lean(at_edge if way.rule == EDGE else or_constant if way.rule == CONSTANT else reflected)
+    return lean(at_edge if rule == EDGE else or_constant if rule == CONSTANT else reflected)
 
 
-def placer(way: Way) -> Callable[..., Any]:
+@functools.cache
+def placer(index: Any) -> Callable[..., Any]:
     """A whole coordinate and an offset, as a whole part and the rest from 0 to 1."""
-    index = way.index
     far, one = _f4(1e6), index(1)
 
     @lean
