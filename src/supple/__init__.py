@@ -4,6 +4,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from supple.batches import warp_batch
     from supple.deformation import Deformation, Inverse, Report
     from supple.domain import Domain
     from supple.errors import DeviceWarning, FoldError, FoldWarning, OutsideWarning, SuppleError, ToleranceWarning
@@ -27,6 +28,7 @@ __all__ = [
     "SuppleError",
     "ToleranceWarning",
     "view",
+    "warp_batch",
     "warp_file",
 ]
 
@@ -45,6 +47,7 @@ _HOMES = {
     "SuppleError": "errors",
     "ToleranceWarning": "errors",
     "view": "viewer.launch",
+    "warp_batch": "batches",
     "warp_file": "files",
 }
 

@@ -17,7 +17,7 @@ from typing import Any, cast
 import numpy as np
 
 from supple.cpu.warp import Certificate
-from supple.deformation import Deformation, Report, warn_of
+from supple.deformation import Deformation, Report
 from supple.domain import choice, length, number, refuse
 from supple.engines import engine_of
 from supple.errors import OutsideWarning, SuppleError
@@ -27,7 +27,7 @@ from supple.media.image import check_target
 from supple.media.numbering import SUFFIXES_IN, has_number, is_sequence
 from supple.streaming import Array, Layout, Sampling, capacity_of, make_plan, stream
 from supple.strokes import Recipe
-from supple.warping import FILTERS, OUTSIDE, interpolated
+from supple.warping import FILTERS, OUTSIDE, interpolated, warn_of
 
 PathLike = str | os.PathLike[str]
 Tell = Callable[[str, int, int], None]

@@ -18,9 +18,10 @@ from supple.domain import Domain, choice, integer, number, refuse
 from supple.engines import gpu_of, warp_on_gpu
 from supple.errors import FoldWarning, SuppleError, ToleranceWarning
 from supple.folding import Resolved, resolve
-from supple.streaming import Sampling, Space
+from supple.oncard import is_on_card, points_on_card, warp_on_card
+from supple.streaming import Space
 from supple.strokes import STROKE_DTYPE, FoldPolicy, Point, Recipe, Stroke
-from supple.warping import FILTERS, OUTSIDE, Source, interpolated, warp_array, warp_frames, warp_function
+from supple.warping import Source, checked_sampling, warn_of, warp_array, warp_frames, warp_function
 
 Floats = npt.NDArray[np.float64]
 
@@ -285,12 +286,14 @@ class Deformation:
         Parameters
         ----------
         points : array_like, shape (..., D)
-            In pixels, x first.
+            In pixels, x first; on a card, of float32 or float64, and the result is there too.
 
         Returns
         -------
         float64 array, shape (..., D)
         """
+        if is_on_card(points):
+            return points_on_card().forward(self.space, points, matrices=False)  # type: ignore[no-any-return]
         moved, shape = self._columns(points)
         forward_kernels.forward(self._table, self._axes, moved, np.empty((9, 0)))
         return self._points(moved, shape)
@@ -301,13 +304,15 @@ class Deformation:
         Parameters
         ----------
         points : array_like, shape (..., D)
-            In pixels, x first.
+            In pixels, x first; on a card, of float32 or float64, and the result is there too.
 
         Returns
         -------
         float64 array, shape (..., D, D)
             Row i, column j is ∂T_i/∂x_j, in pixels per pixel.
         """
+        if is_on_card(points):
+            return points_on_card().forward(self.space, points, matrices=True)  # type: ignore[no-any-return]
         moved, shape = self._columns(points)
         matrices = np.empty((9, moved.shape[1]))
         forward_kernels.forward(self._table, self._axes, moved, matrices)
@@ -321,16 +326,19 @@ class Deformation:
         Parameters
         ----------
         points : array_like, shape (..., D)
-            In pixels, x first. They may lie outside the domain.
+            In pixels, x first. They may lie outside the domain. On a card, of float32 or float64, and the results are
+            there too.
 
         Returns
         -------
         Inverse
         """
+        finest = min(self.domain.spacing)
+        if is_on_card(points):
+            return Inverse(*points_on_card().inverse(self.space, points, finest))
         targets, shape = self._columns(points)
         found, residual = np.empty_like(targets), np.empty(targets.shape[1])
         steps = np.zeros(targets.shape[1], np.int64)
-        finest = min(self.domain.spacing)
         parts = max(1, min(threads() * 4, targets.shape[1] // 1024))
         edges = [targets.shape[1] * k // parts for k in range(parts + 1)]
 
@@ -355,13 +363,15 @@ class Deformation:
         scale = np.abs(targets).max(axis=0, initial=0.0).reshape(shape[:-1]) / finest
         return Inverse(solved, off, steps.reshape(shape[:-1]), off <= np.maximum(CONVERGED, 1e-14 * scale))
 
-    def inverse_map(self, *, tolerance: float = 0.01) -> npt.NDArray[np.float32]:
+    def inverse_map(self, *, tolerance: float = 0.01, like: Any = None) -> npt.NDArray[np.float32]:
         """The source point of every output pixel.
 
         Parameters
         ----------
         tolerance : float
             How far one may be from the true T⁻¹(q), in pixels, before it is rounded to float32.
+        like : array on a card, optional
+            Of which library, and on which card, the map is to be: by default it is NumPy's.
 
         Returns
         -------
@@ -369,6 +379,12 @@ class Deformation:
             In pixels, x first: ``cv2.remap`` takes ``map[..., 0]`` and ``map[..., 1]``.
         """
         tolerance = number("tolerance", tolerance, "a number of pixels above 0", 1e-9, 1e9)
+        if like is not None:
+            if not is_on_card(like):
+                refuse("like", "an array on a card, or left out", like)
+            found, certificate = points_on_card().inverse_map(self.space, like, tolerance)
+            warn_of(certificate, tolerance, 3)
+            return found  # type: ignore[no-any-return]
         out = np.empty((*self.shape, self.ndim), np.float32)
         self._each_plane(tolerance, lambda z: lambda band: absolute(band, _rows(out, z, self.ndim, band)))
         return out
@@ -395,7 +411,9 @@ class Deformation:
         ----------
         source : array of shape (H, W[, C]) or (T, H, W[, C]), or function
             Of bool, integers or floats. Frames are read, and their results written, a few at a time, so that both
-            may be memory-mapped. A function takes points (N, 2), x first, and returns (N,) or (N, C).
+            may be memory-mapped. An array on an NVIDIA card (PyTorch's, CuPy's, Numba's, or any with DLPack or
+            ``__cuda_array_interface__``) is warped there, on its library's current stream. A function takes points
+            (N, 2), x first, and returns (N,) or (N, C).
         filter : str
             ``"auto"`` (averaged by as much as the map shrinks, cubic elsewhere), ``"antialias"`` (the average over
             what each output pixel covers), ``"ewa"`` (the elliptical reference, slow), ``"cubic"`` (Catmull and
@@ -445,32 +463,27 @@ class Deformation:
         DeviceWarning
             If the GPU failed, so that the CPU did it.
         """
-        choice("filter", filter, ("nearest", *FILTERS))
-        choice("outside", outside, tuple(OUTSIDE))
-        tolerance = number("tolerance", tolerance, "a number of pixels above 0", 1e-9, 1e9)
-        if between is not None and self.ndim == 2:
-            refuse("between", "left out for an image, which is one frame", between)
-        between = interpolated(filter, between)
+        sampling = checked_sampling(
+            self.ndim, filter=filter, tolerance=tolerance, outside=outside, fill=fill, linear_light=linear_light,
+            between=between, time_filter=time_filter,
+        )  # fmt: skip
+        if is_on_card(source):
+            result, certificate = warp_on_card(source, (self.space,), sampling, alpha=alpha, out=out, device=device)
+            warn_of(certificate, sampling.tolerance, 3)
+            return result  # type: ignore[no-any-return]
         if device == "gpu" and callable(source):
             refuse("device", '"cpu" for a function of points, which Python evaluates', device)
         gpu = gpu_of(device)
         if gpu is not None and not callable(source):
-            sampling = Sampling(filter, between, time_filter, outside, fill, linear_light, tolerance)  # type: ignore[arg-type]
             done = warp_on_gpu(gpu, source, self.space, sampling, alpha=alpha, out=out, must=device == "gpu")
             if done is not None:
-                warn_of(done[1], tolerance, 3)
+                warn_of(done[1], sampling.tolerance, 3)
                 return done[0]
         if self.ndim == 3:
             if callable(source):
                 raise SuppleError(f"a function of points is warped as an image, and shape {self.shape} has three axes")
-            made, certificate = warp_frames(
-                source,
-                self.space,
-                Sampling(filter, between, time_filter, outside, fill, linear_light, tolerance),  # type: ignore[arg-type]
-                alpha=alpha,
-                out=out,
-            )
-            warn_of(certificate, tolerance, 3)
+            made, certificate = warp_frames(source, self.space, sampling, alpha=alpha, out=out)
+            warn_of(certificate, sampling.tolerance, 3)
             return made
         if callable(source):
             height, width = self.shape
@@ -479,7 +492,7 @@ class Deformation:
             source,
             self.shape,
             self.is_identity,
-            lambda use: self._each_plane(tolerance, lambda _: use),
+            lambda use: self._each_plane(sampling.tolerance, lambda _: use),
             filter=filter,
             outside=outside,
             fill=fill,
@@ -569,18 +582,6 @@ class Deformation:
 
     def _points(self, columns: Floats, shape: tuple[int, ...]) -> Floats:
         return np.ascontiguousarray((columns[: self.ndim].T / self.domain.spacing).reshape(shape))
-
-
-def warn_of(certificate: Certificate, tolerance: float, stacklevel: int) -> None:
-    """Warn if a map may be less exact than was asked."""
-    # Float32 has its limits, which `tolerance` names.
-    if not certificate.error <= 1.01 * tolerance + 3e-4:
-        warnings.warn(
-            f"the map may be off by {certificate.error:.2g} px somewhere, more than the tolerance {tolerance:g}; "
-            "report() tells",
-            ToleranceWarning,
-            stacklevel=stacklevel,
-        )
 
 
 def _rows(out: npt.NDArray[Any], z: int, ndim: int, band: Band) -> npt.NDArray[Any]:

@@ -9,13 +9,14 @@ import numpy as np
 import numpy.typing as npt
 
 from supple.cpu.warp import Band, Certificate, absolute, each_band
-from supple.deformation import Deformation, warn_of
+from supple.deformation import Deformation
 from supple.domain import number
 from supple.errors import SuppleError
 from supple.geometry import Geometry
 from supple.media.files import check_output
 from supple.media.room import room
 from supple.media.transform import check_target, write_field
+from supple.warping import warn_of
 
 Floats = npt.NDArray[np.float64]
 PathLike = str | os.PathLike[str]

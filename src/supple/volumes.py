@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from supple.cpu.warp import Certificate
-from supple.deformation import Deformation, Report, warn_of
+from supple.deformation import Deformation, Report
 from supple.domain import choice, number
 from supple.engines import check_frames, warp_frames_by
 from supple.errors import GapWarning, SuppleError
@@ -38,7 +38,7 @@ from supple.media.volume import (
 )
 from supple.streaming import Sampling
 from supple.strokes import Recipe, Stroke
-from supple.warping import FILTERS, OUTSIDE
+from supple.warping import FILTERS, OUTSIDE, warn_of
 
 Array = npt.NDArray[Any]
 PathLike = str | os.PathLike[str]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -13,8 +14,8 @@ import numpy.typing as npt
 from supple.cpu.sampling import FILTERS, OUTSIDE, linear_light, sampler
 from supple.cpu.stack import BETWEEN
 from supple.cpu.warp import Band, Certificate
-from supple.domain import choice, integer, refuse
-from supple.errors import SuppleError
+from supple.domain import choice, integer, number, refuse
+from supple.errors import SuppleError, ToleranceWarning
 from supple.stacks import warp_stack
 from supple.streaming import Group, Layout, Sampling, Space, Tell, make_plan, stream
 
@@ -34,6 +35,52 @@ def interpolated(filter: str, between: str | None) -> str:
     if filter == "nearest" and between != "nearest":
         refuse("between", '"nearest" under filter="nearest", which keeps values as they are', between)
     return between
+
+
+def checked_sampling(
+    ndim: int,
+    *,
+    filter: str,
+    tolerance: float,
+    outside: str,
+    fill: float | Sequence[float],
+    linear_light: bool,
+    between: str | None,
+    time_filter: bool,
+) -> Sampling:
+    """How samples are made, as `supple.Deformation.warp` is asked; SuppleError if something is not known."""
+    choice("filter", filter, ("nearest", *FILTERS))
+    choice("outside", outside, tuple(OUTSIDE))
+    tolerance = number("tolerance", tolerance, "a number of pixels above 0", 1e-9, 1e9)
+    if between is not None and ndim == 2:
+        refuse("between", "left out for an image, which is one frame", between)
+    return Sampling(filter, interpolated(filter, between), time_filter, outside, fill, linear_light, tolerance)  # type: ignore[arg-type]
+
+
+def warn_of(certificate: Certificate, tolerance: float, stacklevel: int) -> None:
+    """Warn if a map may be less exact than was asked."""
+    # Float32 has its limits, which `tolerance` names.
+    if not certificate.error <= 1.01 * tolerance + 3e-4:
+        warnings.warn(
+            f"the map may be off by {certificate.error:.2g} px somewhere, more than the tolerance {tolerance:g}; "
+            "report() tells",
+            ToleranceWarning,
+            stacklevel=stacklevel,
+        )
+
+
+def one_or_each(deformations: Any) -> tuple[Space, ...]:
+    """The spaces of one deformation, or of several of one shape; SuppleError if they are none."""
+    wanted = "a Deformation, or a sequence of them, of one shape"
+    several = tuple(deformations) if isinstance(deformations, Sequence) else (deformations,)
+    if not several or not all(isinstance(getattr(d, "space", None), Space) for d in several):
+        refuse("deformations", wanted, deformations)
+    spaces = tuple(d.space for d in several)
+    shapes = [(s.count, *s.shape) if s.ndim == 3 else s.shape for s in spaces]
+    if len(set(shapes)) > 1:
+        other = next(shape for shape in shapes if shape != shapes[0])
+        refuse("deformations", wanted, f"shapes {shapes[0]} and {other}")
+    return spaces
 
 
 def warp_array(

@@ -142,7 +142,9 @@ def taken(value: Any, name: str) -> OnCard:
         shape = tuple(int(n) for n in view.shape)
         dtype = np.dtype(view.dtype)
     except (BufferError, TypeError, ValueError, RuntimeError, NotImplementedError, AttributeError) as error:
-        refuse(name, "an array on a card, of bool, integers or floats of 16 to 64 bits", " ".join(str(error).split())[:80])
+        refuse(
+            name, "an array on a card, of bool, integers or floats of 16 to 64 bits", " ".join(str(error).split())[:80]
+        )
     strides = tuple(view.strides) if view.strides is not None else _dense(shape)
     card = open_card(max(int(view.device_id), 0))
     return OnCard(value, kind, shape, tuple(int(s) for s in strides), dtype, int(view.ptr), card,
@@ -217,4 +219,4 @@ def _flat_in_simulator(array: OnCard, kind: np.dtype[Any]) -> Any:
 
     size = array.span * kind.itemsize
     memory = (ctypes.c_ubyte * size).from_address(array.pointer - array.below * kind.itemsize)
-    return FakeCUDAArray(np.frombuffer(memory, kind))
+    return FakeCUDAArray(np.frombuffer(memoryview(memory), kind))

@@ -53,7 +53,7 @@ def simulated() -> bool:
     """Whether Numba only plays a card, as tests have it do."""
     from numba.core import config
 
-    return bool(config.ENABLE_CUDASIM)
+    return bool(getattr(config, "ENABLE_CUDASIM", 0))
 
 
 def _numba() -> Any:
@@ -93,8 +93,8 @@ def _opened(number: int) -> Card:
     found = tuple(device.compute_capability)
     if found < OLDEST:
         raise SuppleError(
-            f"{name} is too old: its compute capability is {found[0]}.{found[1]}, and {OLDEST[0]}.{OLDEST[1]} is needed; "
-            "device cpu needs no card"
+            f"{name} is too old: its compute capability is {found[0]}.{found[1]}, and {OLDEST[0]}.{OLDEST[1]} is needed"
+            "; device cpu needs no card"
         )
     context = cuda.gpus[number]
     with context:  # what keeps it from working shows here, not amid a warp
@@ -126,8 +126,8 @@ def _broken(cuda: Any) -> str:
     needed = toolkit()
     if needed and tuple(version) < (needed, 0):
         return (
-            f"NVIDIA's driver is too old: it knows CUDA {version[0]}.{version[1]}, and what is installed needs {needed}: "
-            f'update the driver, or pip install "supple[cuda{version[0]}]"'
+            f"NVIDIA's driver is too old: it knows CUDA {version[0]}.{version[1]}, and what is installed needs {needed}"
+            f': update the driver, or pip install "supple[cuda{version[0]}]"'
         )
     try:
         count = len(cuda.gpus)

@@ -58,7 +58,7 @@ def edge(x, extent, sigma):
 
 @device
 def moved(known, at, first, last, x, y, z):
-    """T of a point, by the strokes whose numbers start at ``first`` and end before ``last``, in the domain at ``at``."""
+    """T of a point, by the strokes whose numbers are from ``first`` to ``last``, in the domain at ``at``."""
     for s in range(first, last, STROKE):
         bx, _, nx, _ = edge(x, known[at], known[at + 1])
         by, _, ny, _ = edge(y, known[at + 3], known[at + 4])

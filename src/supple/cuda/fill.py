@@ -161,5 +161,3 @@ def kernels(way: Way) -> tuple[Any, Any]:
                           counts)  # fmt: skip
 
     return fill, rough
-
-

@@ -141,4 +141,3 @@ def averaged_at(way: Way, read: Callable[..., Any]) -> Callable[..., Any]:
         return total / number(count)
 
     return averaged
-

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -15,9 +14,9 @@ from supple.cuda.card import simulated
 from supple.cuda.sample import FRAMES
 from supple.cuda.warp import Frames, Lattice, Pieces, colours_of, lattice_of, make_planes, told_of
 from supple.domain import refuse
-from supple.errors import SuppleError, ToleranceWarning
+from supple.errors import SuppleError
 from supple.streaming import Sampling, Space
-from supple.warping import checked_fill, checked_kind
+from supple.warping import checked_fill, checked_kind, warn_of
 from supple.workers import note
 
 
@@ -63,6 +62,8 @@ def checked(
     """
     space = spaces[0]
     given = taken(source, "source")
+    if batch and len(spaces) not in (1, given.shape[0] if given.ndim else 0):
+        refuse("deformations", f"one, or one for each of the {given.shape[0] if given.ndim else 0} items", len(spaces))
     shape = space.shape if space.ndim == 2 else (space.count, *space.shape)
     if sampling.filter == "ewa":
         refuse("filter", '"antialias" or "auto" for arrays on a card ("ewa" is the CPU\'s reference)', "ewa")
@@ -72,11 +73,12 @@ def checked(
     colours = checked_fill(sampling.fill, channels, given.dtype)
     if given.dtype.kind == "f" and given.dtype.itemsize not in (2, 4, 8):
         refuse("source", "an array of bool, integers or floats of 16, 32 or 64 bits", f"dtype {given.dtype}")
-    if out is None:
-        target = made_like(given, given.shape, given.dtype, as_it_lies=True)
-    else:
-        target = _checked_out(out, given)
+    target = _checked_out(out, given) if out is not None else _like(given)
     return Work(given, target, tuple(spaces), replace(sampling, fill=tuple(colours.tolist())), straight, batch)
+
+
+def _like(given: OnCard) -> OnCard:
+    return made_like(given, given.shape, given.dtype, as_it_lies=True)
 
 
 def _checked_out(out: Any, source: OnCard) -> OnCard:
@@ -120,9 +122,7 @@ def hand_over(work: Work, stream: Any, slab: int | None = None) -> Pieces:
         rounds = _rounds(work)
         fill = np.asarray(sampling.fill, np.float64)
         count, stack = rounds[0].source.places[FRAMES], space.ndim == 3
-        colours = colours_of(
-            card, work.source.dtype, fill, sampling, alpha=work.alpha, count=count, stack=stack
-        )
+        colours = colours_of(card, work.source.dtype, fill, sampling, alpha=work.alpha, count=count, stack=stack)
         pieces = Pieces(work.out, [r.lattice for r in rounds], 1 if rounds[0].shared else rounds[0].planes)
         for k, r in enumerate(rounds):
             for _ in make_planes(
@@ -203,7 +203,7 @@ class Warping:
             with self._work.source.card.current():
                 self._event.synchronize()
                 self._certificate, _ = told_of(self._pieces, self.stream)
-            warn(self._certificate, self._work.sampling.tolerance, 2)
+            warn_of(self._certificate, self._work.sampling.tolerance, 3)
         return self.array
 
     def join(self, stream: Any = None) -> None:
@@ -220,7 +220,7 @@ class Warping:
 
 
 def start(work: Work, *, slab: int | None, stream: Any = None) -> Warping:
-    """Hand a warp over to a stream of its own, or to ``stream``, which begins when what was handed over before is done."""
+    """Hand a warp over to a stream, by default one of its own; it begins when what was handed over before is done."""
     from numba import cuda
 
     card = work.source.card
@@ -243,13 +243,3 @@ def finish(work: Work) -> Certificate:
         certificate, _ = told_of(pieces, work.source.stream)
     note(card.name)
     return certificate
-
-
-def warn(certificate: Certificate, tolerance: float, level: int) -> None:
-    """Warn if a map may be less exact than was asked."""
-    if not certificate.error <= 1.01 * tolerance + 3e-4:
-        warnings.warn(
-            f"the map may be off by {certificate.error:.2g} px somewhere, more than the tolerance {tolerance:g}",
-            ToleranceWarning,
-            stacklevel=level + 1,
-        )

@@ -16,7 +16,7 @@ import numpy as np
 from numba import cuda
 
 from supple.cpu.kernel import lean
-from supple.cpu.lattice import AT_X, AT_Y, LEFT, SEEN, RESERVE, RESOLVED, TOLERANCE, slope_weights
+from supple.cpu.lattice import AT_X, AT_Y, LEFT, RESERVE, RESOLVED, SEEN, TOLERANCE, slope_weights
 from supple.cpu.point import inverted
 from supple.cuda.field import DOMAIN, STROKE, carried, moved, product
 from supple.cuda.kernel import device, kernel
@@ -26,7 +26,7 @@ SIZE = 8  # pixels from node to node
 U, X, Y, Z, TWIST, ERROR, NODE = 0, 3, 6, 9, 12, 15, 16
 ROUGH = 1e30
 WORST = 0  # of the numbers that are told of a warp
-# Of its counts: cells that are rough, points that could not be solved, and samples that were not there; then, the cells.
+# Of its counts: rough cells, points that could not be solved, and samples that were not there; then, those cells.
 CELLS, LOST, MISSING, LIST = 0, 1, 2, 4
 
 _f4, _u = np.float32, np.uintp
@@ -109,9 +109,7 @@ def solve(known, spans, deformations, xs, ys, planes, z0, fresh, nodes, told, co
     depth = 0.0 if deformations > 1 else float(z0 + plane)
     qx, qy, qz = xs[k] * sx, ys[j] * sy, depth * sz
     finest = min(sx, min(sy, sz))
-    x, y, z, norm, done, _, a, b, c, d, e, f, g, h, m = undo(
-        known, at, first, last, qx, qy, qz, TOLERANCE * finest
-    )
+    x, y, z, norm, done, _, a, b, c, d, e, f, g, h, m = undo(known, at, first, last, qx, qy, qz, TOLERANCE * finest)
     a, b, c, d, e, f, g, h, m = inverted(a, b, c, d, e, f, g, h, m)
     a, b, c, d, e, f, g, h, m = in_pixels(a, b, c, d, e, f, g, h, m, sx, sy, sz)
     smooth = smoothness(known, at, first, last, x, y, z, a, b, d, e, g, h)
@@ -251,9 +249,7 @@ def check(known, spans, deformations, xs, ys, planes, z0, tolerance, nodes, erro
     if own < ROUGH:
         seen_x, seen_y = cuda.const.array_like(_SEEN_X), cuda.const.array_like(_SEEN_Y)
         for m in range(SEEN):
-            error = cell_error(
-                known, at, first, last, nodes, upper, lower, x0, y0, depth, h, v, seen_x[m], seen_y[m]
-            )
+            error = cell_error(known, at, first, last, nodes, upper, lower, x0, y0, depth, h, v, seen_x[m], seen_y[m])
             worst = max(worst, error)
             if not error < ROUGH:
                 worst = ROUGH

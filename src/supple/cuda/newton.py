@@ -13,6 +13,9 @@ from supple.cpu.point import SMALLEST_LENGTH, downhill, kept_inside, next_step
 from supple.cuda.field import DOMAIN, STROKE, moved, moved_with_matrix
 from supple.cuda.kernel import device, kernel
 
+EXACT = 1e-9  # pixels: how long Newton's last step may be, for points
+CONVERGED = 1e-6  # pixels: what the residual of one that has converged is at most, as `supple.Inverse` says
+
 
 @device
 def inside(known, at, x, y, z, qx, qy, qz):
@@ -123,8 +126,11 @@ def settle(known, at, first, last, qx, qy, qz, x, y, z, tolerance, limit):
 
 
 @kernel
-def inverse(known, spans, ndim, targets, tolerance, points, residual, steps):
-    """T⁻¹ of points (N * ndim numbers, in pixels), with |T(p) - q| in physical units, and the evaluations."""
+def inverse(known, spans, ndim, targets, finest, points, residual, steps, converged):
+    """T⁻¹ of points (N * ndim numbers, in pixels), with |T(p) - q| in pixels, the evaluations, and whether it is small.
+
+    ``finest`` is the least spacing.
+    """
     i = cuda.grid(1)
     o = i * ndim
     if o >= targets.size:
@@ -134,12 +140,15 @@ def inverse(known, spans, ndim, targets, tolerance, points, residual, steps):
     qx, qy, qz = float(targets[o]) * sx, float(targets[o + 1]) * sy, 0.0
     if ndim == 3:
         qz = float(targets[o + 2]) * sz
-    x, y, z, _, _, spent, _, _, _, _, _, _, _, _, _ = undo(known, 0, first, last, qx, qy, qz, tolerance)
+    x, y, z, _, _, spent, _, _, _, _, _, _, _, _, _ = undo(known, 0, first, last, qx, qy, qz, EXACT * finest)
     points[o], points[o + 1] = x / sx, y / sy
     if ndim == 3:
         points[o + 2] = z / sz
     # What is said of a point is measured once more, at what is handed out.
     x, y, z = moved(known, 0, first, last, x, y, z)
     ex, ey, ez = x - qx, y - qy, z - qz
-    residual[i] = math.sqrt(ex * ex + ey * ey + ez * ez)
+    off = math.sqrt(ex * ex + ey * ey + ez * ez) / finest
+    residual[i] = off
     steps[i] = spent
+    scale = max(abs(qx), max(abs(qy), abs(qz))) / finest
+    converged[i] = 1 if off <= max(CONVERGED, 1e-14 * scale) else 0

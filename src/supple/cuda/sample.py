@@ -1,8 +1,9 @@
 """Samples of frames: which one stands for which place, and what is made of those around a point.
 
-Kernels are made for a `Way` of sampling, so that what it does not need costs no registers, and nothing is asked at every
-sample. Where an array lies in memory is a tuple of integers (``source``), as SOURCE names them: it may have any strides.
-Integers are of 32 bits where all of an array can be counted so, and each sum is cut to that: Numba's own grow to 64.
+Kernels are made for a `Way` of sampling, so that what it does not need costs no registers, and nothing is asked at
+every sample. Where an array lies in memory is a tuple of integers (``source``), as SOURCE names them: it may have any
+strides. Integers are of 32 bits where all of an array can be counted so, and each sum is cut to that: Numba's own grow
+to 64.
 """
 
 from __future__ import annotations

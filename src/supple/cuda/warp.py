@@ -26,7 +26,7 @@ from supple.cuda.colour import BETWEEN, FILTERS, NOTHING
 from supple.cuda.field import packed
 from supple.cuda.fill import PIXELS, kernels
 from supple.cuda.kernel import THREADS, blocks
-from supple.cuda.lattice import CELLS, LIST, LOST, MISSING, NODE, SIZE, WORST, check, solve, twist
+from supple.cuda.lattice import LIST, LOST, MISSING, NODE, SIZE, WORST, check, solve, twist
 from supple.cuda.sample import FIRST, FRAME, FRAMES, LAST, START, Way
 from supple.streaming import Sampling, Space
 
@@ -104,9 +104,8 @@ def lattice_of(card: Card, spaces: Sequence[Space]) -> Lattice:
     xs, ys = (positions(n, axes[k], SIZE).astype(np.int32) for k, n in enumerate((width, height)))
     cells = np.clip(np.searchsorted(xs, np.arange(width), "right") - 1, 0, xs.size - 2).astype(np.int32)
     known, spans = packed([space.table for space in spaces], domains)
-    return Lattice(
-        *(held(card, array) for array in (known, spans, xs, ys, cells)), (ys.size, xs.size), len(spaces)
-    )
+    there = [held(card, array) for array in (known, spans, xs, ys, cells)]
+    return Lattice(there[0], there[1], there[2], there[3], there[4], (ys.size, xs.size), len(spaces))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -261,8 +260,10 @@ def make_planes(
             lattice.known, lattice.spans, lattice.deformations, lattice.xs, lattice.ys, solved, first, tolerance,
             pieces.nodes, pieces.errors, pieces.told, pieces.counts,
         )  # fmt: skip
-        common = (source.samples, colours.fills, tuple(map(index, source.places)), tuple(map(index, colours.how)), limits,
-                  colours.table, out.samples, tuple(map(index, target)))  # fmt: skip
+        places, how = (tuple(map(index, numbers)) for numbers in (source.places, colours.how))
+        common = (
+            source.samples, colours.fills, places, how, limits, colours.table, out.samples, tuple(map(index, target)),
+        )  # fmt: skip
         fill[(-(-width // threads), rows - 1, count), threads, stream](
             lattice.xs, lattice.ys, lattice.cells, pieces.nodes, pieces.errors, described, *common, pieces.counts
         )
@@ -282,4 +283,3 @@ def told_of(pieces: Pieces, stream: Any) -> tuple[Certificate, int]:
         stream.synchronize()
     lost = int(counts[LOST])
     return Certificate(np.inf if lost else float(told[WORST]), 0.0, lost), int(counts[MISSING])
-

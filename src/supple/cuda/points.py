@@ -1,0 +1,89 @@
+"""Points on a card, through a deformation, and the map of all of them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from supple.cpu.warp import Certificate
+from supple.cuda import field, newton
+from supple.cuda.arrays import OnCard, contiguous, made_like, taken
+from supple.cuda.colour import FILTERS, NOTHING
+from supple.cuda.kernel import THREADS, blocks
+from supple.cuda.sample import Way
+from supple.cuda.warp import Colours, Frames, Pieces, held, lattice_of, make_planes, told_of
+from supple.domain import refuse
+from supple.streaming import Space
+
+
+def _columns(points: Any, ndim: int) -> OnCard:
+    given = taken(points, "points")
+    if given.ndim == 0 or given.shape[-1] != ndim:
+        refuse("points", f"an array of shape (..., {ndim}), x first", f"shape {given.shape}")
+    if given.dtype not in (np.float32, np.float64):
+        refuse("points", "an array on a card of float32 or float64", f"dtype {given.dtype}")
+    return contiguous(given)
+
+
+def _known(space: Space, given: OnCard) -> tuple[Any, Any]:
+    known, spans = field.packed([space.table], [space.axes])
+    return held(given.card, known), held(given.card, spans)
+
+
+def forward(space: Space, points: Any, *, matrices: bool) -> Any:
+    """T of points (..., D), or ∂T/∂p (..., D, D), in pixels and float64, as the points came."""
+    given = _columns(points, space.ndim)
+    moved = made_like(given, given.shape, np.float64)
+    found = made_like(given, (*given.shape, space.ndim) if matrices else (0,), np.float64)
+    n = given.span // space.ndim
+    with given.card.current():
+        known, spans = _known(space, given)
+        if n:
+            field.forward[blocks(n), THREADS, given.stream](
+                known, spans, space.ndim, given.flat(), moved.flat(), _flat(found, given)
+            )
+    return found.given if matrices else moved.given
+
+
+def _flat(array: OnCard, like: OnCard) -> Any:
+    return array.flat() if array.span else held(like.card, np.zeros(0))
+
+
+def inverse(space: Space, points: Any, finest: float) -> tuple[Any, Any, Any, Any]:
+    """T⁻¹ of points (..., D), as `supple.Inverse` has it, as the points came; ``finest`` is the least spacing."""
+    given = _columns(points, space.ndim)
+    found = made_like(given, given.shape, np.float64)
+    kinds = (np.float64, np.int64, np.bool_)
+    residual, steps, converged = (made_like(given, given.shape[:-1], dtype) for dtype in kinds)
+    n = given.span // space.ndim
+    with given.card.current():
+        known, spans = _known(space, given)
+        if n:
+            newton.inverse[blocks(n), THREADS, given.stream](
+                known, spans, space.ndim, given.flat(), finest,
+                found.flat(), residual.flat(), steps.flat(), converged.flat(),
+            )  # fmt: skip
+    return found.given, residual.given, steps.given, converged.given
+
+
+def inverse_map(space: Space, like: Any, tolerance: float) -> tuple[Any, Certificate]:
+    """The source point of every pixel, float32 (*shape, D), x first, in pixels, as ``like`` is; and how exact it is."""
+    given = taken(like, "like")
+    shape = space.shape if space.ndim == 2 else (space.count, *space.shape)
+    out = made_like(given, (*shape, space.ndim), np.float32)
+    card, stream = given.card, given.stream
+    strides = out.strides if space.ndim == 3 else (0, *out.strides)
+    with card.current():
+        lattice = lattice_of(card, (space,))
+        pieces = Pieces(out, [lattice], space.count)
+        nothing = held(card, np.zeros(1, np.float32))
+        way = Way(FILTERS["map"], NOTHING, 0, False, np.float32, np.int32, False, False, False, False)
+        colours = Colours(way, nothing, (-1, 0, 0), (0.0, 0.0, 1.0), nothing)
+        source = Frames(nothing, (space.count, *space.shape, space.ndim, 0, 0, 0, 0, 0, 0, space.count, 0, space.count))
+        into = Frames(out.flat(), (space.count, *space.shape, space.ndim, *strides, 0, 0, space.count, 0, space.count))
+        for _ in make_planes(
+            card, stream, lattice, pieces, colours, space.shape, (0, space.count), source, into, tolerance=tolerance
+        ):
+            pass
+        return out.given, told_of(pieces, stream)[0]
