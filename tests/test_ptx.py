@@ -71,15 +71,15 @@ def test_kernels_of_points_and_nodes(name: str) -> None:
 
 def ways() -> Iterator[tuple[str, Way, Any]]:
     """Each filter, each way between frames and each rule; and each type of samples."""
-    for filter in FILTERS:
+    for name in FILTERS:
         for between in BETWEEN:
-            if filter == "nearest" and between in ("linear", "cubic"):
+            if name == "nearest" and between in ("linear", "cubic"):
                 continue
-            if filter in ("map", "offsets") and between != "nothing":
+            if name in ("map", "offsets") and between != "nothing":
                 continue
-            averages = (False, True) if between in ("linear", "cubic") and filter != "nearest" else (False,)
+            averages = (False, True) if between in ("linear", "cubic") and name != "nearest" else (False,)
             for average in averages:
-                yield f"{filter}-{between}-{average}", Way(FILTERS[filter], BETWEEN[between], average=average), "f4"
+                yield f"{name}-{between}-{average}", Way(FILTERS[name], BETWEEN[between], average=average), "f4"
     for rule, number in OUTSIDE.items():
         yield f"linear-{rule}", Way(FILTERS["linear"], BETWEEN["linear"], number), "f4"
         yield f"nearest-{rule}", Way(FILTERS["nearest"], BETWEEN["nearest"], number), "u1"
