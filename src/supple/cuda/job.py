@@ -170,6 +170,10 @@ def _frames(work: Work, array: OnCard, flat: Any, item: int = 0) -> Frames:
     return Frames(flat, (count, *space.shape, work.channels, *strides, start, 0, count, 0, count))
 
 
+_going: list[Warping] = []
+"""What nobody may hold any more, and whose memory must not be given to others before it is done."""
+
+
 class Warping:
     """A warp that goes on on a card while others work: what `start` returns.
 
@@ -232,7 +236,9 @@ def start(work: Work, *, slab: int | None, stream: Any = None) -> Warping:
         pieces = hand_over(work, own, slab)
         done.record(own)
     note(card.name)
-    return Warping(work, own, pieces, done)
+    warping = Warping(work, own, pieces, done)
+    _going[:] = [*(other for other in _going if not other.done()), warping]
+    return warping
 
 
 def finish(work: Work) -> Certificate:

@@ -25,7 +25,7 @@ from supple.cuda.card import Card, simulated
 from supple.cuda.colour import BETWEEN, FILTERS, NOTHING
 from supple.cuda.field import packed
 from supple.cuda.fill import PIXELS, kernels
-from supple.cuda.kernel import THREADS, blocks
+from supple.cuda.kernel import THREADS, blocks, launched
 from supple.cuda.lattice import LIST, LOST, MISSING, NODE, SIZE, WORST, check, solve, twist
 from supple.cuda.sample import FIRST, FRAME, FRAMES, LAST, START, Way
 from supple.streaming import Sampling, Space
@@ -249,12 +249,12 @@ def make_planes(
         target = (*out.places[FRAME:START], out.places[START] + (first - planes[0]) * out.places[FRAME])
         nodes, cells = solved * lattice.nodes, solved * lattice.cell_count
         begun()
-        solve[blocks(nodes), THREADS, stream](
+        launched(solve, blocks(nodes), THREADS, stream)(
             lattice.known, lattice.spans, lattice.deformations, lattice.xs, lattice.ys, solved, first, int(fresh),
             pieces.nodes, pieces.told, pieces.counts,
         )  # fmt: skip
-        twist[blocks(nodes), THREADS, stream](lattice.xs, lattice.ys, solved, pieces.nodes)
-        check[blocks(cells), THREADS, stream](
+        launched(twist, blocks(nodes), THREADS, stream)(lattice.xs, lattice.ys, solved, pieces.nodes)
+        launched(check, blocks(cells), THREADS, stream)(
             lattice.known, lattice.spans, lattice.deformations, lattice.xs, lattice.ys, solved, first, tolerance,
             pieces.nodes, pieces.errors, pieces.told, pieces.counts,
         )  # fmt: skip
@@ -262,10 +262,10 @@ def make_planes(
         common = (
             source.samples, colours.fills, places, how, limits, colours.table, out.samples, tuple(map(index, target)),
         )  # fmt: skip
-        fill[(-(-width // threads), rows - 1, count), threads, stream](
+        launched(fill, (-(-width // threads), rows - 1, count), threads, stream)(
             lattice.xs, lattice.ys, lattice.cells, pieces.nodes, pieces.errors, described, *common, pieces.counts
         )
-        rough[min(grid, cells), PIXELS, stream](
+        launched(rough, min(grid, cells), PIXELS, stream)(
             lattice.known, lattice.spans, lattice.xs, lattice.ys, pieces.nodes, described, tolerance, *common,
             pieces.told, pieces.counts,
         )  # fmt: skip
