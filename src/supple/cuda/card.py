@@ -105,6 +105,19 @@ def _opened(number: int) -> Card:
     return Card(number, name, int(device.MULTIPROCESSOR_COUNT), context)
 
 
+def failures() -> tuple[type[Exception], ...]:
+    """What is raised where a card fails, its memory is full, or a kernel cannot be made for it."""
+    from numba.cuda.cudadrv import error
+
+    kinds: list[type[Exception]] = [RuntimeError, MemoryError, ArithmeticError, ImportError, OSError]
+    kinds += [getattr(error, name) for name in ("CudaDriverError", "NvvmError", "NvrtcError") if hasattr(error, name)]
+    with contextlib.suppress(ImportError, AttributeError):
+        from cuda.core._utils.cuda_utils import CUDAError
+
+        kinds.append(CUDAError)
+    return tuple(kinds)
+
+
 def _short(error: object) -> str:
     return " ".join(str(error).split())[:150]
 

@@ -167,10 +167,14 @@ def colours_of(
 
 @dataclass(frozen=True, slots=True)
 class Frames:
-    """Frames as they lie on a card: flat memory, and where in it; see `supple.cuda.sample.SOURCE`."""
+    """Frames as they lie on a card: flat memory, and where in it; see `supple.cuda.sample.SOURCE`.
+
+    Of a ``ring``, only some may be there; it is one even while all are, so that one kernel does for all of its planes.
+    """
 
     samples: Any
     places: tuple[int, ...]
+    ring: bool = False
 
     @property
     def long(self) -> bool:
@@ -233,7 +237,7 @@ def make_planes(
     """
     height, width = shape
     rows, _ = lattice.size
-    ring = source.places[FIRST : LAST + 1] != (0, source.places[FRAMES])
+    ring = source.ring or source.places[FIRST : LAST + 1] != (0, source.places[FRAMES])
     index = np.int64 if source.long or out.long else np.int32
     fill, rough = kernels(replace(colours.way, index=index, ring=ring))
     limits = tuple(map(colours.way.number, colours.limits))
