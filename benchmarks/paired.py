@@ -89,7 +89,8 @@ class Line:
 
     def told(self) -> dict[str, Any]:
         """As JSON has it."""
-        return {**asdict(self), "holds": self.holds}
+        bar = {} if self.bar is None else {"at_least" if self.bar < 0 else "at_most": abs(self.bar)}
+        return {**asdict(self), "bar": bar, "holds": self.holds}
 
 
 def digits(x: float) -> str:
