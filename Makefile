@@ -77,9 +77,11 @@ $(VENV)/stamp-cuda: $(VENV)/stamp
 demo: venv
 	$(BIN)/supple demo demo --force
 
-# A worker for each core; a file's tests stay together, so that a kernel is compiled by few of them.
+# A worker for each core; a file's tests stay together, so that a kernel is compiled by few of them. What CUDA does is
+# tested on a card that Numba plays.
 test: venv
 	$(BIN)/python -m pytest -q -n auto --dist loadfile
+	NUMBA_ENABLE_CUDASIM=1 $(BIN)/python -m pytest -q -n auto tests/cuda
 
 # On a real card, one after the other: each test fails where there is none. The last are few, and watched.
 ON_CARD := env -u NUMBA_ENABLE_CUDASIM SUPPLE_TEST_CUDA=1

@@ -87,7 +87,7 @@ class OnCard:
             (a.pointer - a.below * a.dtype.itemsize, a.pointer + (a.span - a.below) * a.dtype.itemsize)
             for a in (self, other)
         )
-        return self.card is other.card and first[0] < second[1] and second[0] < first[1]
+        return self.card.number == other.card.number and first[0] < second[1] and second[0] < first[1]
 
 
 def is_on_card(value: object) -> bool:

@@ -43,9 +43,9 @@ from supple.cuda.sample import (
     reader,
 )
 
-# MAP is no filter: source points themselves are written, as float32, x first.
-FILTERS = {"nearest": 0, "linear": 1, "cubic": 2, "auto": 3, "antialias": 4, "map": 5}
-NEAREST, LINEAR, CUBIC, AUTO, ANTIALIAS, MAP = range(6)
+# The last two are no filters: source points themselves are written, as float32, x first, or how far they are off.
+FILTERS = {"nearest": 0, "linear": 1, "cubic": 2, "auto": 3, "antialias": 4, "map": 5, "offsets": 6}
+NEAREST, LINEAR, CUBIC, AUTO, ANTIALIAS, MAP, OFFSETS = range(7)
 # Between frames that are pictures by themselves, nothing is interpolated.
 BETWEEN = {"nearest": 0, "linear": 1, "cubic": 2, "nothing": 3}
 NOTHING = 3
@@ -91,15 +91,17 @@ def time_weight(t, width, cubic):
 
 
 def _map(way: Way) -> Callable[..., Any]:
-    index, unsigned = way.index, way.unsigned
+    index, unsigned, absolute = way.index, way.unsigned, way.filter == MAP
 
     @device
     def point(samples, fills, source, how, limits, table, picture, x, y, z, ux, uy, uz,
               xx, xy, yx, yy, tx, ty, tt, out, at, channel, counts):  # fmt: skip
-        out[unsigned(at)] = _f4(x + ux)
-        out[unsigned(index(at + channel))] = _f4(y + uy)
+        if absolute:
+            ux, uy, uz = _f4(x + ux), _f4(y + uy), _f4(z + uz)
+        out[unsigned(at)] = ux
+        out[unsigned(index(at + channel))] = uy
         if source[CHANNELS] == 3:
-            out[unsigned(index(at + channel + channel))] = _f4(z + uz)
+            out[unsigned(index(at + channel + channel))] = uz
 
     return point
 
@@ -275,6 +277,6 @@ def _filtered(way: Way) -> Callable[..., Any]:
 @functools.cache
 def colour(way: Way) -> Callable[..., Any]:
     """The device function that makes a pixel."""
-    if way.filter == MAP:
+    if way.filter in (MAP, OFFSETS):
         return _map(way)
     return _nearest(way) if way.filter == NEAREST else _filtered(way)

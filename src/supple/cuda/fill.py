@@ -15,7 +15,7 @@ from numba import cuda
 
 from supple.cpu.lattice import LEFT
 from supple.cpu.point import inverted
-from supple.cuda.colour import ANTIALIAS, AUTO, MAP, NOTHING, colour
+from supple.cuda.colour import ANTIALIAS, AUTO, MAP, NOTHING, OFFSETS, colour
 from supple.cuda.kernel import kernel
 from supple.cuda.lattice import (
     CELLS,
@@ -54,7 +54,7 @@ ZERO, ONE = _f4(0.0), _f4(1.0)
 def kernels(way: Way) -> tuple[Any, Any]:
     """The kernels for cells that are good enough, and for those that are not."""
     paint, index = colour(way), way.index
-    deep = way.between != NOTHING or way.filter == MAP  # whether planes are of a stack
+    deep = way.between != NOTHING or way.filter in (MAP, OFFSETS)  # whether planes are of a stack
     wide, average = way.filter in (AUTO, ANTIALIAS), way.average
     one = index(1)
 

@@ -88,7 +88,7 @@ def _checked_out(out: Any, source: OnCard) -> OnCard:
     if not is_on_card(out):
         refuse("out", wanted, out)
     target = taken(out, "out")
-    if target.shape != source.shape or target.dtype != source.dtype or target.card is not source.card:
+    if target.shape != source.shape or target.dtype != source.dtype or target.card.number != source.card.number:
         refuse("out", wanted, f"{target.dtype} of shape {target.shape} on card {target.card.number}")
     if not target.writable:
         raise SuppleError("out must be an array that can be written, found a read-only one")
@@ -226,7 +226,7 @@ def start(work: Work, *, slab: int | None, stream: Any = None) -> Warping:
     card = work.source.card
     with card.current():
         own = cuda.stream() if stream is None else stream
-        ready, done = cuda.event(timing=False), cuda.event(timing=False)
+        ready, done = cuda.event(), cuda.event()
         ready.record(work.source.stream)
         ready.wait(own)
         pieces = hand_over(work, own, slab)

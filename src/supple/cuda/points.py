@@ -67,8 +67,11 @@ def inverse(space: Space, points: Any, finest: float) -> tuple[Any, Any, Any, An
     return found.given, residual.given, steps.given, converged.given
 
 
-def inverse_map(space: Space, like: Any, tolerance: float) -> tuple[Any, Certificate]:
-    """The source point of every pixel, float32 (*shape, D), x first, in pixels, as ``like`` is; and how exact it is."""
+def inverse_map(space: Space, like: Any, tolerance: float, *, offsets: bool = False) -> tuple[Any, Certificate]:
+    """The source point of every pixel, float32 (*shape, D), x first, in pixels, as ``like`` is; and how exact it is.
+
+    Or their ``offsets`` from the pixels, of which float32 keeps more.
+    """
     given = taken(like, "like")
     shape = space.shape if space.ndim == 2 else (space.count, *space.shape)
     out = made_like(given, (*shape, space.ndim), np.float32)
@@ -78,7 +81,18 @@ def inverse_map(space: Space, like: Any, tolerance: float) -> tuple[Any, Certifi
         lattice = lattice_of(card, (space,))
         pieces = Pieces(out, [lattice], space.count)
         nothing = held(card, np.zeros(1, np.float32))
-        way = Way(FILTERS["map"], NOTHING, 0, False, np.float32, np.int32, False, False, False, False)
+        way = Way(
+            FILTERS["offsets" if offsets else "map"],
+            NOTHING,
+            0,
+            False,
+            np.float32,
+            np.int32,
+            False,
+            False,
+            False,
+            False,
+        )
         colours = Colours(way, nothing, (-1, 0, 0), (0.0, 0.0, 1.0), nothing)
         source = Frames(nothing, (space.count, *space.shape, space.ndim, 0, 0, 0, 0, 0, 0, space.count, 0, space.count))
         into = Frames(out.flat(), (space.count, *space.shape, space.ndim, *strides, 0, 0, space.count, 0, space.count))

@@ -61,14 +61,14 @@ class Way:
 
     filter: int
     between: int
-    rule: int
-    average: bool
-    number: Any
-    index: Any
-    whole: bool
-    alpha: bool
-    light: bool
-    ring: bool
+    rule: int = EDGE
+    average: bool = False
+    number: Any = np.float32
+    index: Any = np.int32
+    whole: bool = False
+    alpha: bool = False
+    light: bool = False
+    ring: bool = False
 
     @property
     def unsigned(self) -> Any:

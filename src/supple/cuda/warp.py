@@ -152,11 +152,9 @@ def colours_of(
         OUTSIDE[sampling.outside],
         stack and sampling.time_filter and sampling.between in ("linear", "cubic") and not nearest,
         number,
-        np.int32,
-        numbers.whole,
-        opaque,
-        light,
-        False,
+        whole=numbers.whole,
+        alpha=opaque,
+        light=light,
     )
     return Colours(
         way,

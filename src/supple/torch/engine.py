@@ -15,8 +15,10 @@ import torch
 from supple.cpu.warp import Band, absolute, each_band
 from supple.deformation import Deformation
 from supple.errors import ToleranceWarning
+from supple.oncard import points_on_card
 from supple.torch.field import Columns, Strokes
 from supple.torch.sample import Filter
+from supple.warping import warn_of
 
 _SOLVED = 1 << 18  # points that are solved at once
 
@@ -51,7 +53,8 @@ def values(tensor: torch.Tensor, job: Job) -> torch.Tensor:
         "tolerance": job.tolerance,
         "alpha": False,
     }
-    made = torch.from_numpy(job.deformation.warp(view.numpy(force=True), **options))
+    source: Any = view if view.is_cuda else view.numpy(force=True)
+    made = torch.as_tensor(job.deformation.warp(source, **options))
     return made.movedim(-1, 0).to(tensor.device, tensor.dtype).contiguous()
 
 
@@ -62,19 +65,25 @@ def offsets_of(like: torch.Tensor, job: Job) -> torch.Tensor:
     """
     deformation, dtype = job.deformation, working(like)
     sizes = deformation.shape[::-1]
-    made = torch.zeros(math.prod(sizes), len(sizes), dtype=dtype)
+    where = like.device if like.is_cuda else torch.device("cpu")
+    made = torch.zeros(math.prod(sizes), len(sizes), dtype=dtype, device=where)
     if deformation.is_identity:
         return made.to(like.device)
+    if dtype == torch.float32 and like.is_cuda:
+        detached = like.detach()
+        found, certificate = points_on_card().inverse_map(deformation.space, detached, job.tolerance, offsets=True)
+        warn_of(certificate, job.tolerance, 3)
+        return torch.as_tensor(found).reshape(made.shape)
     if dtype == torch.float32:
         _interpolated(made.numpy().reshape(*deformation.shape, len(sizes)), deformation, job.tolerance)
         return made.to(like.device)
     lost = 0
     for start in range(0, len(made), _SOLVED):
-        index = torch.arange(start, min(start + _SOLVED, len(made)))
-        points = torch.stack(grid(index, sizes), -1).to(dtype)
-        found = deformation.inverse(points.numpy())
-        made[index] = torch.from_numpy(found.points) - points
-        lost += int(np.count_nonzero(~found.converged))
+        index = torch.arange(start, min(start + _SOLVED, len(made)), device=where)
+        points: Any = torch.stack(grid(index, sizes), -1).to(dtype)
+        solved = deformation.inverse(points if like.is_cuda else points.numpy())
+        made[index] = torch.as_tensor(solved.points) - points
+        lost += len(index) - int(torch.as_tensor(solved.converged).sum())
     if lost:
         text = f"{lost} of {len(made)} source points did not converge: what is shown there is a guess"
         warnings.warn(text, ToleranceWarning, stacklevel=2)

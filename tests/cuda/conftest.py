@@ -1,0 +1,43 @@
+"""Tests on a card or, where ``NUMBA_ENABLE_CUDASIM`` is 1, on one that Numba plays: then arrays are tiny."""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+from typing import Any
+
+import pytest
+
+from supple.cuda.card import Card, open_card, simulated
+from supple.errors import SuppleError
+
+
+@pytest.fixture(scope="session")
+def card() -> Card:
+    """The card, or the simulator."""
+    _there()
+    return open_card()
+
+
+def _there() -> None:
+    """Leave tests out where there is no Numba for CUDA, as on macOS; where it must be there, they fail."""
+    if importlib.util.find_spec("numba_cuda") is None and os.environ.get("SUPPLE_TEST_CUDA_COMPILER") != "1":
+        pytest.skip("numba-cuda is not installed")
+
+
+@pytest.fixture
+def numba_cuda() -> Any:
+    """Numba's CUDA, whose arrays live on the card."""
+    _there()
+    open_card()
+    from numba import cuda
+
+    return cuda
+
+
+def pytest_report_header() -> str:
+    """Say who does it."""
+    try:
+        return "cuda: the simulator" if simulated() else f"cuda: {open_card().name}"
+    except SuppleError as error:
+        return f"cuda: {error}"
