@@ -36,6 +36,8 @@ Floats = npt.NDArray[np.float64]
 SCRATCH = 256 << 20  # bytes, at most, beside the arrays
 _LONG = (1 << 31) - (1 << 24)  # samples, with room for sums
 _KEPT = 64  # small arrays that stay on the cards
+_KEPT_LATTICES = 16
+_KEPT_PIECES = 32 << 20  # bytes, at most, of what a thread keeps beside its arrays
 
 
 _held: OrderedDict[tuple[Any, ...], Any] = OrderedDict()
@@ -94,8 +96,25 @@ class Lattice:
         return (self.size[0] - 1) * (self.size[1] - 1)
 
 
+_lattices: OrderedDict[tuple[Any, ...], tuple[Lattice, tuple[Space, ...]]] = OrderedDict()
+
+
 def lattice_of(card: Card, spaces: Sequence[Space]) -> Lattice:
-    """Put deformations, all of one shape, on a card."""
+    """Put deformations, all of one shape, on a card; those that were there last are taken as they are."""
+    # Their arrays never change, and are kept with what was made of them: they cannot become others.
+    key = (card.number, spaces[0].shape, *((id(space.table), id(space.axes)) for space in spaces))
+    with _lock:
+        found = _lattices.get(key)
+    if found is None:
+        found = _new_lattice(card, spaces), tuple(spaces)
+        with _lock:
+            _lattices[key] = found
+            while len(_lattices) > _KEPT_LATTICES:
+                _lattices.popitem(last=False)
+    return found[0]
+
+
+def _new_lattice(card: Card, spaces: Sequence[Space]) -> Lattice:
     domains = [space.axes for space in spaces]
     axes = domains[0]
     if any(not np.array_equal(axes, other) for other in domains[1:]):
@@ -196,6 +215,8 @@ class Pieces:
         }
         self.kept = {name: made_like(like, (n,), dtype) for name, (n, dtype) in sizes.items()}
         self.nodes, self.errors, self.told, self.counts = (self.kept[name].flat() for name in sizes)
+        self.counted = self.counts[:LIST]
+        self.size = sum(n * np.dtype(dtype).itemsize for n, dtype in sizes.values())
 
 
 def make_planes(
@@ -277,10 +298,28 @@ def make_planes(
         yield
 
 
+_kept_pieces = threading.local()
+
+
+def pieces_of(like: OnCard, lattices: Sequence[Lattice], planes: int) -> Pieces:
+    """The pieces for work on a library's current stream, which is waited for: small ones are kept for the next time.
+
+    A thread's work on a stream goes on in its order, so that nothing is overwritten that is still needed.
+    """
+    sizes = tuple((known.nodes, known.cell_count) for known in lattices)
+    key = (like.kind, like.card.number, int(like.stream), planes, *sizes)
+    kept = getattr(_kept_pieces, "one", None)
+    if kept is None or kept[0] != key:
+        made = Pieces(like, lattices, planes)
+        kept = key, made
+        _kept_pieces.one = kept if made.size <= _KEPT_PIECES else None
+    return kept[1]
+
+
 def told_of(pieces: Pieces, stream: Any) -> tuple[Certificate, int]:
     """What is known of the map, and how many samples were asked for that were not there; it waits for the stream."""
     told = pieces.told.copy_to_host(stream=stream)
-    counts = pieces.counts[:LIST].copy_to_host(stream=stream)
+    counts = pieces.counted.copy_to_host(stream=stream)
     if stream:
         stream.synchronize()
     lost = int(counts[LOST])
