@@ -231,7 +231,7 @@ def start(work: Work, *, slab: int | None, stream: Any = None) -> Warping:
 
     card = work.source.card
     with card.current():
-        own = cuda.stream() if stream is None else stream
+        own = card.stream() if stream is None else stream
         ready, done = cuda.event(), cuda.event()
         ready.record(work.source.stream)
         ready.wait(own)

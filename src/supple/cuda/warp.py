@@ -41,6 +41,7 @@ _KEPT_PIECES = 32 << 20  # bytes, at most, of what a thread keeps beside its arr
 
 
 _held: OrderedDict[tuple[Any, ...], Any] = OrderedDict()
+_uploads: dict[int, Any] = {}
 _lock = threading.Lock()
 
 
@@ -52,8 +53,10 @@ def held(card: Card, array: Array) -> Any:
     with _lock:
         if key not in _held:
             with card.current():
-                _held[key] = cuda.to_device(array)
-                cuda.default_stream().synchronize()  # other streams will read it
+                # A stream of its own: what else the card has to do is not waited for.
+                stream = _uploads.get(card.number) or _uploads.setdefault(card.number, card.stream())
+                _held[key] = cuda.to_device(array, stream=stream)
+                stream.synchronize()
             while len(_held) > _KEPT:
                 _held.popitem(last=False)
         _held.move_to_end(key)
@@ -307,7 +310,7 @@ def pieces_of(like: OnCard, lattices: Sequence[Lattice], planes: int) -> Pieces:
     A thread's work on a stream goes on in its order, so that nothing is overwritten that is still needed.
     """
     sizes = tuple((known.nodes, known.cell_count) for known in lattices)
-    key = (like.kind, like.card.number, int(like.stream), planes, *sizes)
+    key = (like.kind, like.card.number, int(getattr(like.stream, "handle", 0) or 0), planes, *sizes)
     kept = getattr(_kept_pieces, "one", None)
     if kept is None or kept[0] != key:
         made = Pieces(like, lattices, planes)
