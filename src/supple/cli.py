@@ -32,6 +32,7 @@ What = Literal["grid", "stretch", "axes", "residual", "iterations", "slice", "sh
 Filter = Literal["auto", "antialias", "ewa", "cubic", "linear", "nearest"]
 Outside = Literal["edge", "constant", "reflect"]
 Device = Literal["auto", "cpu", "gpu"]
+Warper = Literal["auto", "cpu", "gpu", "cuda"]
 Tell = Callable[[str], None]
 
 SAMPLING = Group("Sampling", sort_key=2)
@@ -83,7 +84,7 @@ class _Commands:
         labels: Annotated[bool, Parameter(group=VOLUME)] = False,
         save_field: Annotated[str | None, Parameter(group=VOLUME, metavar="FILE")] = None,
         volume: VolumeOptions = _VOLUME,
-        device: Annotated[Device, Parameter(group=RUNNING)] = "cpu",
+        device: Annotated[Warper, Parameter(group=RUNNING)] = "cpu",
         options: RunOptions = _RUN,
     ) -> None:
         """Bend pictures, videos and volumes.
@@ -117,10 +118,12 @@ class _Commands:
         save_field
             Write the inverse displacements too, for SimpleITK, ANTs and 3D Slicer: NIfTI, NRRD, MHA or .h5.
         device
-            Who does it: the CPU, the GPU, or auto: a graphics card, where there is one.
+            Who does it: the CPU, the GPU, or auto: a graphics card, where there is one; or cuda, an NVIDIA card, of
+            pictures and volumes.
         """
         from supple.batch import Crew, check_recipe_file, make_folders, pair
         from supple.clips import is_clip
+        from supple.engines import check_device
         from supple.files import warp_file, write_recipe
         from supple.volumes import holds_volumes, is_volume_job
 
@@ -166,6 +169,8 @@ class _Commands:
             if options.json:
                 self.console.tell({"input": str(job[0]), "output": str(job[1]), "error": message})
 
+        if not all(is_clip(*job, recipe) for job in jobs):  # of clips, it says that it does not do them
+            check_device(device)
         self.console.tell_of_compiling()
         if many:
             from supple.cpu.kernel import threads
@@ -374,6 +379,8 @@ def _advised(text: str) -> str:
     wrong, _, _ = text.partition(" Did you mean")
     if "option: --gpu" in wrong:
         return f"{wrong} --device gpu is for warp, render and demo, and info --gpu tells what there is"
+    if '"cuda" for --device' in wrong:
+        return "--device cuda is for warp, of pictures and volumes: here it is cpu, gpu or auto"
     if "option: --device" in wrong:
         return f"{wrong} It is for warp, render and demo"
     return text

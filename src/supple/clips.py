@@ -19,7 +19,7 @@ import numpy as np
 from supple.cpu.warp import Certificate
 from supple.deformation import Deformation, Report
 from supple.domain import choice, length, number, refuse
-from supple.engines import engine_of
+from supple.engines import check_no_cuda, engine_of
 from supple.errors import OutsideWarning, SuppleError
 from supple.media.files import check_output, replacing, shown
 from supple.media.formats import SUFFIXES_OUT as PICTURES_OUT
@@ -286,6 +286,7 @@ def warp_clip(
     frames done, and of all.
     """
     known = options or ClipOptions()
+    check_no_cuda(device, "clips")
     check_clip_target(source, target, known, quality=quality, force=force)
     number("memory", known.memory, "a number of bytes from 0", 0.0, 1e30)
     count: int | None = None

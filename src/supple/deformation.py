@@ -15,7 +15,7 @@ from supple.cpu import newton
 from supple.cpu.kernel import share, threads
 from supple.cpu.warp import Band, Certificate, Plane, absolute, each_band, folds, measure, solve_plane
 from supple.domain import Domain, choice, integer, number, refuse
-from supple.engines import gpu_of, warp_on_gpu
+from supple.engines import check_device, warp_elsewhere
 from supple.errors import FoldWarning, SuppleError, ToleranceWarning
 from supple.folding import Resolved, resolve
 from supple.oncard import is_on_card, points_on_card, warp_on_card
@@ -442,7 +442,8 @@ class Deformation:
             For a function: samples along each side of an output pixel, which are averaged.
         device : str
             Who does it: the ``"cpu"``; the ``"gpu"``, also one that is a program for the CPU; or ``"auto"``: a graphics
-            card, where there is one and it does what is asked, and the CPU otherwise.
+            card, where there is one and it does what is asked, and the CPU otherwise. ``"cuda"`` sends the array to an
+            NVIDIA card in slabs, so that it need not fit there.
         out : array, optional
             Where to put the result; of its shape and type, and not overlapping ``source``.
 
@@ -461,7 +462,7 @@ class Deformation:
         ToleranceWarning
             If the checks of the map's cells do not promise the tolerance everywhere.
         DeviceWarning
-            If the GPU failed, so that the CPU did it.
+            If the GPU or the card failed, so that the CPU did it.
         """
         sampling = checked_sampling(
             self.ndim, filter=filter, tolerance=tolerance, outside=outside, fill=fill, linear_light=linear_light,
@@ -471,11 +472,11 @@ class Deformation:
             result, certificate = warp_on_card(source, (self.space,), sampling, alpha=alpha, out=out, device=device)
             warn_of(certificate, sampling.tolerance, 3)
             return result  # type: ignore[no-any-return]
-        if device == "gpu" and callable(source):
+        if device in ("gpu", "cuda") and callable(source):
             refuse("device", '"cpu" for a function of points, which Python evaluates', device)
-        gpu = gpu_of(device)
-        if gpu is not None and not callable(source):
-            done = warp_on_gpu(gpu, source, self.space, sampling, alpha=alpha, out=out, must=device == "gpu")
+        check_device(device)
+        if not callable(source):
+            done = warp_elsewhere(device, source, self.space, sampling, alpha=alpha, out=out)
             if done is not None:
                 warn_of(done[1], sampling.tolerance, 3)
                 return done[0]

@@ -1,4 +1,4 @@
-"""Which engine does the work: the CPU, or a GPU where there is one and the work is of a kind that it does."""
+"""Which engine does the work: the CPU, or a GPU or a card where there is one and it does work of that kind."""
 
 from __future__ import annotations
 
@@ -19,26 +19,41 @@ from supple.gpu.lattice import Range
 from supple.gpu.samples import format_of, known_grid
 from supple.gpu.warp import warp
 from supple.offload import OnGpu, pictures_of, warn
+from supple.oncard import check_sent, open_card, warp_sent
 from supple.streaming import CPU, Engine, Group, Layout, Sampling, Space, Tell
 from supple.warping import checked_fill, checked_source, result_like, warp_frames
 from supple.workers import note
 
 Array = npt.NDArray[Any]
 
-DEVICES = ("auto", "cpu", "gpu")
+DEVICES = ("auto", "cpu", "gpu", "cuda")
 
 
-def gpu_of(device: str) -> Gpu | None:
-    """The GPU that is to work, or None for the CPU.
+def check_device(device: str) -> None:
+    """Refuse what is no device, and ``"cuda"`` where it cannot be used, before any work; SuppleError says why."""
+    choice("device", device, DEVICES)
+    if device == "cuda":
+        open_card()
+
+
+def check_no_cuda(device: str, what: str) -> None:
+    """Refuse what is no device, and ``"cuda"``, which does not do some kind of work; SuppleError says what does."""
+    choice("device", device, DEVICES)
+    if device == "cuda":
+        refuse("device", f'"cpu", "gpu" or "auto" for {what}', device)
+
+
+def gpu_of(device: str, what: str = "this") -> Gpu | None:
+    """The GPU that is to do some kind of work, or None for the CPU.
 
     ``"auto"`` takes a graphics card where there is one, and never a program that plays one; ``"gpu"`` takes either.
 
     Raises
     ------
     SuppleError
-        If there is no such device, or none for ``"gpu"``.
+        If there is no such device, or none for ``"gpu"``, or it is ``"cuda"``, which does work of other kinds.
     """
-    choice("device", device, DEVICES)
+    check_no_cuda(device, what)
     if device == "cpu":
         return None
     if device == "gpu":
@@ -122,14 +137,36 @@ def warp_on_gpu(
         except failures() as error:
             failed = trouble(gpu, error)
     if failed:
-        warn(gpu, failed, 5)
+        warn(gpu.name, failed, 5)
         return None
     note(gpu.name)
     return result, Certificate(worst, 0.0)
 
 
+def warp_elsewhere(
+    device: str,
+    source: object,
+    space: Space,
+    sampling: Sampling,
+    *,
+    alpha: bool | None,
+    out: Array | None,
+    tell: Tell = lambda done: None,
+) -> tuple[Array, Certificate] | None:
+    """Sample an image or frames by any of DEVICES that is not the CPU; None where the CPU should do it."""
+    if device == "cuda":
+        return warp_sent(source, space, sampling, alpha=alpha, out=out, tell=tell)
+    gpu = gpu_of(device)
+    if gpu is None:
+        return None
+    return warp_on_gpu(gpu, source, space, sampling, alpha=alpha, out=out, must=device == "gpu", tell=tell)
+
+
 def check_frames(device: str, source: Array, space: Space, sampling: Sampling) -> None:
-    """Refuse frames that the GPU must sample and does not know, before any work; SuppleError says why."""
+    """Refuse frames that a device must sample and does not know, before any work; SuppleError says why."""
+    if device == "cuda":
+        check_sent(sampling, source.dtype)
+        return
     channels = source.shape[3] if source.ndim == 4 else 1
     engine_of(device, space, Layout((Group(space.shape, channels),), source.dtype, 1.0), sampling)
 
@@ -145,11 +182,9 @@ def warp_frames_by(
     tell: Tell = lambda done: None,
 ) -> tuple[Array, Certificate]:
     """Sample an array of frames as `supple.warping.warp_frames` does, by any of DEVICES."""
-    gpu = gpu_of(device)
-    if gpu is not None:
-        done = warp_on_gpu(gpu, source, space, sampling, alpha=alpha, out=out, must=device == "gpu", tell=tell)
-        if done is not None:
-            return done
+    done = warp_elsewhere(device, source, space, sampling, alpha=alpha, out=out, tell=tell)
+    if done is not None:
+        return done
     return warp_frames(source, space, sampling, alpha=alpha, out=out, tell=tell)
 
 
@@ -161,7 +196,7 @@ def engine_of(device: str, space: Space, layout: Layout, sampling: Sampling) -> 
     SuppleError
         If it must be the GPU, and there is none, or it does not do this.
     """
-    gpu = gpu_of(device)
+    gpu = gpu_of(device, "clips")
     if gpu is None or not _does(space, layout, sampling, device == "gpu") or space.table.size == 0:
         return CPU
     return OnGpu(gpu, sampling.tolerance)

@@ -18,7 +18,7 @@ from supple.clips import SUFFIXES_OUT as CLIPS_OUT
 from supple.clips import ClipOptions, WarpedClip, check_clip_target, is_clip, warn_of_misses, warp_clip
 from supple.deformation import Deformation, Report
 from supple.domain import choice
-from supple.engines import DEVICES
+from supple.engines import DEVICES, check_device, check_no_cuda
 from supple.errors import SuppleError
 from supple.media.files import check_output, replacing, same_file, shown
 from supple.media.image import check_target, read, write
@@ -143,6 +143,10 @@ def warp_file(
         clip=clip,
         volume=volume,
     )
+    if kind == "clip":
+        check_no_cuda(device, "clips")
+    else:
+        check_device(device)
     if kind == "volume":
         with counted(progress, "slices", tell) as counts:
             return warp_volume(

@@ -76,7 +76,7 @@ def write_gallery(
     SuppleError
         If the folder holds something else, or cannot be written.
     """
-    gpu = gpu_of(device)
+    gpu = gpu_of(device, "the gallery")
     maker = f"the GPU {gpu.name}, through {gpu.backend}" if gpu is not None else "the CPU"
     place = _prepared(Path(folder), force)
     for name in dict.fromkeys(shot.source for scene in SCENES for shot in scene.shots):

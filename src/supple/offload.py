@@ -56,10 +56,10 @@ def pictures_of(space: Space, layout: Layout, sampling: Sampling) -> tuple[Pictu
     )
 
 
-def warn(gpu: Gpu, failed: str, level: int) -> None:
-    """Say that the CPU did what a GPU could not."""
+def warn(name: str, failed: str, level: int) -> None:
+    """Say that the CPU did what a device could not."""
     note(CPU_NAME)
-    warnings.warn(f"the CPU did what {gpu.name} could not: {failed}", DeviceWarning, stacklevel=level + 1)
+    warnings.warn(f"the CPU did what {name} could not: {failed}", DeviceWarning, stacklevel=level + 1)
 
 
 @dataclass(frozen=True, slots=True)
@@ -156,7 +156,7 @@ class _Sure:
         """Say so, once."""
         self.lost = self.lost or for_good
         if not self.warned:
-            warn(self.gpu, failed, 3)
+            warn(self.gpu.name, failed, 3)
         self.warned = True
 
     def _frames(self, z: int, first: int, last: int) -> Range:

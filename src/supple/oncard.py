@@ -1,4 +1,4 @@
-"""Arrays that live on a card: what is done with them there. CUDA is imported when there is one."""
+"""Arrays that live on a card, or are sent there: what is done with them. CUDA is imported when there is a card."""
 
 from __future__ import annotations
 
@@ -6,13 +6,19 @@ from collections.abc import Sequence
 from types import ModuleType
 from typing import Any
 
+import numpy as np
+import numpy.typing as npt
+
 from supple.cpu.warp import Certificate
 from supple.cuda.arrays import is_on_card
-from supple.cuda.card import open_card
+from supple.cuda.card import failures, open_card
 from supple.domain import choice, refuse
-from supple.streaming import Sampling, Space
+from supple.gpu.kernel import let_through, passing
+from supple.offload import warn
+from supple.streaming import Sampling, Space, Tell
+from supple.workers import note
 
-__all__ = ["is_on_card", "points_on_card", "warp_on_card"]
+__all__ = ["check_sent", "is_on_card", "open_card", "points_on_card", "warp_on_card", "warp_sent"]
 
 
 def warp_on_card(
@@ -34,6 +40,59 @@ def warp_on_card(
 
     work = job.checked(source, spaces, sampling, alpha=alpha, out=out, batch=batch)
     return work.out.given, job.finish(work)
+
+
+def check_sent(sampling: Sampling, dtype: np.dtype[Any]) -> None:
+    """Refuse what no card does, and that there is none, before any work; SuppleError says why."""
+    open_card()
+    from supple.cuda.large import check_known
+
+    check_known(sampling, dtype)
+
+
+def warp_sent(
+    source: Any,
+    space: Space,
+    sampling: Sampling,
+    *,
+    alpha: bool | None,
+    out: npt.NDArray[Any] | None,
+    tell: Tell = lambda done: None,
+) -> tuple[npt.NDArray[Any], Certificate] | None:
+    """Warp an array of the host on a card.
+
+    Parameters
+    ----------
+    source, space, sampling, alpha, out, tell
+        As `supple.cuda.large.warp_host` takes them.
+
+    Returns
+    -------
+    array and Certificate, or None
+        None where the card failed, and the CPU should do it.
+
+    Raises
+    ------
+    SuppleError
+        If there is no card that can be used, or an argument does not fit.
+    """
+    card = open_card()
+    from supple.cuda.large import warp_host
+
+    failed = ""
+    with let_through():
+        try:
+            made = warp_host(card, source, space, sampling, alpha=alpha, out=out, tell=passing(tell))
+            if made[1].unknown:
+                failed = f"{made[1].unknown} points could not be solved to the tolerance"
+        except failures() as error:
+            failed = " ".join(str(error).split())[:120] or type(error).__name__
+    if failed:
+        warn(card.name, failed, 5)
+        return None
+    if space.table.size:
+        note(card.name)
+    return made
 
 
 def points_on_card() -> ModuleType:

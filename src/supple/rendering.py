@@ -18,7 +18,7 @@ from supple.cpu.solid import solve_solid, unmoved
 from supple.deformation import Deformation
 from supple.domain import choice, integer, number, point, refuse
 from supple.drawing import along_rays, held_scene, order_of, tried, unseen_blocks
-from supple.engines import DEVICES, gpu_of
+from supple.engines import check_no_cuda, gpu_of
 from supple.errors import SuppleError, ToleranceWarning
 from supple.geometry import Geometry
 from supple.gpu import raymarch as shading
@@ -126,7 +126,7 @@ class Scene:
         device: str = "cpu",
     ) -> None:
         choice("mode", mode, MODES)
-        choice("device", device, DEVICES)
+        check_no_cuda(device, "a volume that is seen")
         places: object = Geometry() if geometry is None else geometry
         if not isinstance(places, Geometry):
             refuse("geometry", "a Geometry", geometry)

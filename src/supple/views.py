@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from supple.camera import Camera
 from supple.domain import choice, integer, number, point
-from supple.engines import DEVICES
+from supple.engines import check_no_cuda
 from supple.errors import SuppleError
 from supple.media import image, reel
 from supple.media.files import check_output, shown
@@ -83,7 +83,7 @@ class RenderOptions:
     device: str = "cpu"
 
     def __post_init__(self) -> None:
-        choice("device", self.device, DEVICES)
+        check_no_cuda(self.device, "a volume that is seen")
         choice("mode", self.mode, MODES)
         choice("what", self.what, WHATS)
         for name, pixels in zip(("height", "width"), self.size, strict=True):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import functools
 import importlib.util
+import weakref
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
@@ -40,6 +41,21 @@ class Card:
         """Make it the one that kernels run on, in this thread."""
         with self.context:
             yield
+
+    def stream(self) -> Any:
+        """A new stream, which the default one neither waits for nor holds up: Numba's own are not like that."""
+        cuda = _numba()
+        if simulated():
+            return cuda.stream()
+        from cuda.bindings import driver
+
+        with self.current():
+            status, handle = driver.cuStreamCreate(driver.CUstream_flags.CU_STREAM_NON_BLOCKING.value)
+            if status != driver.CUresult.CUDA_SUCCESS:
+                raise SuppleError(f"{self.name} has no room for another stream ({status.name})")
+            made = cuda.external_stream(int(handle))
+        weakref.finalize(made, driver.cuStreamDestroy, handle)
+        return made
 
     @property
     def free(self) -> int:
@@ -103,6 +119,19 @@ def _opened(number: int) -> Card:
         except Exception as error:  # drivers fail in many ways
             raise SuppleError(f"{name} cannot be opened ({_short(error)}); device cpu needs no card") from None
     return Card(number, name, int(device.MULTIPROCESSOR_COUNT), context)
+
+
+def failures() -> tuple[type[Exception], ...]:
+    """What is raised where a card fails, its memory is full, or a kernel cannot be made for it."""
+    from numba.cuda.cudadrv import error
+
+    kinds: list[type[Exception]] = [RuntimeError, MemoryError, ArithmeticError, ImportError, OSError]
+    kinds += [getattr(error, name) for name in ("CudaDriverError", "NvvmError", "NvrtcError") if hasattr(error, name)]
+    with contextlib.suppress(ImportError, AttributeError):
+        from cuda.core._utils.cuda_utils import CUDAError
+
+        kinds.append(CUDAError)
+    return tuple(kinds)
 
 
 def _short(error: object) -> str:

@@ -1,0 +1,291 @@
+"""Arrays of the host, warped on a card that need not hold them: slab by slab, through a ring of frames.
+
+A slab is some planes of the result. The frames that it may need, as the nodes of its lattice tell, are sent into the
+ring, where they replace those that no slab needs any more; while its kernels run, the slab before is brought back, and
+the frames of the next one follow. A slab that asked for frames that were not there is made again, with more of them.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+import threading
+from collections import deque
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from supple.cpu.warp import Certificate
+from supple.cuda.arrays import taken
+from supple.cuda.card import Card, failures
+from supple.cuda.lattice import LIST, LOST, MISSING, NODE, WORST
+from supple.cuda.needs import Needs, needs_of
+from supple.cuda.ring import Ring, recorded
+from supple.cuda.sample import FIRST, LAST
+from supple.cuda.staging import Lane, pieces
+from supple.cuda.warp import SCRATCH, Colours, Frames, Lattice, Pieces, colours_of, lattice_of, make_planes
+from supple.domain import refuse
+from supple.streaming import Sampling, Space, Tell
+from supple.warping import checked_fill, checked_source, result_like
+
+Array = npt.NDArray[Any]
+Range = tuple[int, int]
+
+SLAB = 64 << 20  # bytes of a slab's planes, about
+SLABS = 8  # of a small array: while one is copied, another is made
+ROOM = 0.8  # of the memory that is free
+
+_working = threading.RLock()  # what is free is found, and taken, by one at a time
+
+
+def warp_host(
+    card: Card,
+    source: Array,
+    space: Space,
+    sampling: Sampling,
+    *,
+    alpha: bool | None,
+    out: Array | None,
+    tell: Tell = lambda done: None,
+    room: int | None = None,
+) -> tuple[Array, Certificate]:
+    """Warp an image, or a stack of frames, that lies in the host's memory or is mapped to it.
+
+    Parameters
+    ----------
+    card : Card
+        Who does it.
+    source : array, shape (H, W[, C]) or (T, H, W[, C])
+        Of bool, integers or floats of 16 to 64 bits, in any order of bytes, with any strides.
+    space, sampling
+        What to do.
+    alpha : bool, optional
+        Whether the last channel is opacity; None to have it guessed.
+    out : array, optional
+        Where to put the result; of its shape and type, and not overlapping ``source``.
+    tell : function
+        Called with the number of planes done.
+    room : int, optional
+        How many bytes of the card's memory may be taken; by default, most of what is free.
+
+    Returns
+    -------
+    array, Certificate
+        The result, of the source's shape and type, and what is known of the map.
+
+    Raises
+    ------
+    SuppleError
+        If an argument does not fit.
+    MemoryError
+        If a plane, and the frames that it is made of, take more than there is room for.
+    """
+    shape = space.shape if space.ndim == 2 else (space.count, *space.shape)
+    array, straight = checked_source(source, shape, alpha, sampling.light)
+    channels = array.shape[-1] if array.ndim > len(shape) else 1
+    colours = checked_fill(sampling.fill, channels, array.dtype)
+    check_known(sampling, array.dtype)
+    result = result_like(out, array)
+    if space.table.size == 0:
+        result[...] = array
+        tell(1 if space.ndim == 2 else space.count)
+        return result, Certificate(0.0, 0.0)
+    # Where the last axis is missing, or the first, a view has it: what is written to it is in the result.
+    deep, target = (a[None] if space.ndim == 2 else a for a in (array, result))
+    deep, target = (a if a.ndim == 4 else a[..., None] for a in (deep, target))
+    with _working, card.current():
+        most = int(ROOM * card.free) if room is None else room
+        with _opened(card, deep, target, space, replace(sampling, fill=tuple(colours.tolist())), straight, most) as job:
+            job.run(tell)
+    return result, job.certificate
+
+
+def check_known(sampling: Sampling, dtype: np.dtype[Any]) -> None:
+    """Refuse what the card does not do; SuppleError says what it does."""
+    if sampling.filter == "ewa":
+        refuse("filter", '"antialias" or "auto" on a card ("ewa" is the CPU\'s reference)', "ewa")
+    if dtype.kind == "f" and dtype.itemsize not in (2, 4, 8):
+        refuse("source", "an array of bool, integers or floats of 16, 32 or 64 bits", f"dtype {dtype}")
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """How a card's memory is shared out.
+
+    Parameters
+    ----------
+    planes : int
+        Of a slab.
+    slots : int
+        How many frames the ring holds.
+    turns : int
+        For how many slabs there is room: while one is brought back, the next is made.
+    """
+
+    planes: int
+    slots: int
+    turns: int
+
+
+def planned(count: int, frame: int, scratch: int, room: int) -> Plan:
+    """Share out the memory.
+
+    Parameters
+    ----------
+    count : int
+        How many frames there are.
+    frame, scratch : int
+        Bytes of a frame, and of what else a plane needs.
+    room : int
+        Bytes.
+
+    Raises
+    ------
+    MemoryError
+        If there is not even room for one.
+    """
+    turns = 1 if count == 1 else 2
+    each = turns * frame + scratch
+    planes = max(1, min(SLAB // frame, -(-count // SLABS), SCRATCH // scratch, room // 4 // each))
+    slots = min(count, (room - planes * each) // frame)
+    if slots < 1:
+        raise MemoryError(f"a frame of {_said(frame)} is more than fits into {_said(room)} of its memory")
+    return Plan(planes, slots, turns)
+
+
+def _said(size: int) -> str:
+    return f"{size / 1e9:.2g} GB" if size >= 1e8 else f"{size / 1e6:.2g} MB"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Slab:
+    """Planes that have been handed over: which, as which work, and what is recorded when they are made."""
+
+    planes: Range
+    number: int
+    made: Any
+
+
+@dataclass(slots=True, eq=False)
+class _Job:
+    """A warp, and what it has on the card."""
+
+    card: Card
+    target: Array
+    sampling: Sampling
+    plan: Plan
+    lattice: Lattice
+    colours: Colours
+    pieces: Pieces
+    ring: Ring
+    slabs: list[Any]
+    down: Lane
+    stream: Any
+    told: list[tuple[Array, Array]]
+    needs: Needs | None = None
+    begun: int = 0
+    certificate: Certificate = field(default_factory=lambda: Certificate(0.0, 0.0))
+
+    def run(self, tell: Tell) -> None:
+        """Make all planes."""
+        count = len(self.target)
+        if count > 1:
+            self.needs = needs_of(self.stream, self.lattice, self.pieces, count, self.sampling, self.colours.how)
+        edges = [*range(0, count, self.plan.planes), count]
+        todo = deque(itertools.pairwise(edges))
+        before: _Slab | None = None
+        done = 0
+        while todo or before:
+            slab = self._begin(todo) if todo else None
+            if before and self._finished(before):
+                done += before.planes[1] - before.planes[0]
+                tell(done)
+            elif before and self.needs:
+                self.needs.more = 2 * self.needs.more + 1
+                todo.appendleft(before.planes)
+            before = slab
+
+    def _begin(self, todo: deque[Range]) -> _Slab:
+        """Hand the next planes over, no more than the ring has frames for."""
+        first, last = todo.popleft()
+        low, high = self._needed((first, last))
+        while high - low > self.plan.slots:
+            if last - first == 1:
+                raise MemoryError(f"a plane is made of {high - low} frames, and there is room for {self.plan.slots}")
+            middle = (first + last) // 2
+            todo.appendleft((middle, last))
+            last = middle
+            low, high = self._needed((first, last))
+        source = self.ring.send(low, high, self.stream)
+        turn = self.begun % self.plan.turns
+        _, height, width, _ = self.target.shape
+        out = Frames(self.slabs[turn], (*source.places[:FIRST], 0, self.plan.planes, 0, self.plan.planes))
+        for _ in make_planes(
+            self.card, self.stream, self.lattice, self.pieces, self.colours, (height, width), (first, last), source,
+            out, tolerance=self.sampling.tolerance,
+        ):  # fmt: skip
+            pass
+        told, counts = self.told[turn]
+        self.pieces.told.copy_to_host(told, stream=self.stream)
+        self.pieces.counts[:LIST].copy_to_host(counts, stream=self.stream)
+        slab = _Slab((first, last), self.begun, recorded(self.stream))
+        self.ring.read_by(slab.number, (source.places[FIRST], source.places[LAST]), slab.made)
+        self.begun += 1
+        return slab
+
+    def _needed(self, planes: Range) -> Range:
+        return self.needs.of(planes) if self.needs else (0, 1)
+
+    def _finished(self, slab: _Slab) -> bool:
+        """Bring planes back; or not, if frames were missing."""
+        slab.made.synchronize()
+        self.ring.forget(slab.number)
+        turn = slab.number % self.plan.turns
+        told, counts = self.told[turn]
+        if counts[MISSING]:
+            return False
+        lost = int(counts[LOST])
+        self.certificate |= Certificate(np.inf if lost else float(told[WORST]), 0.0, lost)
+        self.down.down(self._parts(slab.planes, self.slabs[turn]))
+        return True
+
+    def _parts(self, planes: Range, made: Any) -> Iterator[tuple[Any, Array]]:
+        rows, width = self.down.shape
+        for frames, part in pieces(planes, (rows, width), self.down.most):
+            target = self.target[frames, part]
+            start = ((frames.start - planes[0]) * rows + part.start) * width
+            yield made[start : start + target.size], target
+
+
+@contextlib.contextmanager
+def _opened(
+    card: Card, source: Array, target: Array, space: Space, sampling: Sampling, alpha: bool, room: int
+) -> Iterator[_Job]:
+    """What a warp has on the card; nothing of it goes on when that is left."""
+    from numba import cuda
+
+    count, height, width, channels = source.shape
+    dtype = source.dtype.newbyteorder("=")
+    kind = np.dtype(np.uint8) if dtype == np.bool_ else dtype
+    size = height * width * channels
+    lattice = lattice_of(card, (space,))
+    plan = planned(count, size * kind.itemsize, lattice.nodes * NODE * 4 + lattice.cell_count * 8, room)
+    fill = np.asarray(sampling.fill, np.float64)
+    colours = colours_of(card, dtype, fill, sampling, alpha=alpha, count=count, stack=space.ndim == 3)
+    streams: list[Any] = []
+    try:
+        frames = cuda.device_array(plan.slots * size, kind)
+        slabs = [cuda.device_array(plan.planes * size, kind) for _ in range(plan.turns)]
+        pieces_ = Pieces(taken(frames, "the frames"), [lattice], plan.planes)
+        up, down = (Lane(dtype, (height, width * channels)) for _ in range(2))
+        streams += [up.stream, down.stream, cuda.stream()]
+        told = [(cuda.pinned_array(1, np.float32), cuda.pinned_array(LIST, np.int32)) for _ in range(plan.turns)]
+        ring = Ring(source, frames, plan.slots, up)
+        yield _Job(card, target, sampling, plan, lattice, colours, pieces_, ring, slabs, down, streams[-1], told)
+    finally:
+        for stream in streams:  # until then, copies write to what is about to be given back
+            with contextlib.suppress(*failures()):
+                stream.synchronize()
