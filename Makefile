@@ -67,7 +67,7 @@ $(VENV)/stamp-cuda: $(VENV)/stamp
 	echo "Adding CUDA $$cuda, PyTorch, CuPy and kornia to $(VENV): some gigabytes"; \
 	pip="$(BIN)/python -m pip install --quiet --disable-pip-version-check"; \
 	index=; if [ "$$cuda" = 12 ]; then index="--index-url $(TORCH_FOR_12)"; fi; \
-	$$pip --editable ".[dev,cuda$$cuda]" || exit 1; \
+	$$pip --editable ".[cuda$$cuda]" || exit 1; \
 	$$pip $$index torch || echo "make: without PyTorch: its rows say so, and its tests are left out" >&2; \
 	for other in "cupy-cuda$${cuda}x[ctk]" kornia; do \
 	  $$pip "$$other" || echo "make: without $$other: its rows say so, and its tests are left out" >&2; \
