@@ -180,6 +180,12 @@ def test_batches(numba_cuda: Any, shape: tuple[int, ...], each: bool) -> None:
     made = supple.warp_batch(on_card(numba_cuda, sources), given, **options).copy_to_host()
     close(made, supple.warp_batch(sources, given, **options), sources)
     close(made[1], several[1 if each else 2].warp(sources[1], **options), sources)
+    if each:  # the first has no strokes
+        sources[0, 1, 2] = np.inf
+        again = supple.warp_batch(on_card(numba_cuda, sources), given, filter="cubic").copy_to_host()
+        np.testing.assert_array_equal(again[0], sources[0])
+    nothing = supple.warp_batch(on_card(numba_cuda, sources[:0]), several[2])
+    assert nothing.shape == sources[:0].shape == supple.warp_batch(sources[:0], several[2]).shape
 
 
 def test_views_of_any_strides(numba_cuda: Any) -> None:
@@ -283,6 +289,10 @@ def test_what_cannot_be_done_is_said(numba_cuda: Any) -> None:
         supple.warp_batch(on_card(numba_cuda, np.zeros((3, 9, 12), np.float32)), [d, d])
     with pytest.raises(SuppleError, match="slab must be"):
         supple.cuda.start(source, d, slab=0)
+    with pytest.raises(SuppleError, match="stream must be a stream of PyTorch, CuPy or Numba"):
+        supple.cuda.start(source, d, stream="x")
+    with pytest.raises(SuppleError, match="source must be an array on a card"):
+        supple.cuda.start(np.zeros((9, 12), np.float32), d)
     assert (source.copy_to_host() == 0).all()
 
 

@@ -97,7 +97,7 @@ def is_on_card(value: object) -> bool:
     if _is_tensor(value):
         return bool(value.is_cuda)  # type: ignore[attr-defined]
     try:
-        if getattr(value, "__cuda_ndarray__", False) or hasattr(value, "__cuda_array_interface__"):
+        if getattr(value, "__cuda_ndarray__", None) or hasattr(value, "__cuda_array_interface__"):
             return True
     except (RuntimeError, ValueError):  # some say so rather than not having it
         return False
@@ -137,25 +137,41 @@ def taken(value: Any, name: str) -> OnCard:
         open_card()
         return _in_simulator(value)
     kind = "torch" if _is_tensor(value) else "cupy" if _is_cupy(value) else "numba"
-    open_card()  # before anything asks what needs it
+    card = open_card(_card_of(value, kind))  # before anything asks what needs it
     from cuda.core.utils import StridedMemoryView
 
     own = kind != "numba" or hasattr(value, "__cuda_ndarray__")
     try:
+        with card.current():  # some hand out only what lies on the current one
+            view = StridedMemoryView.from_any_interface(value, stream_ptr=-1 if own else 1)
         # Of what is known, all goes on in the order of its stream; of another library, the default stream waits.
-        view: Any = StridedMemoryView.from_any_interface(value, stream_ptr=-1 if own else 1)
         if not view.is_device_accessible:
             raise BufferError("its memory is not a card's")
         shape = tuple(int(n) for n in view.shape)
         dtype = np.dtype(view.dtype)
-    except (BufferError, TypeError, ValueError, RuntimeError, NotImplementedError, AttributeError) as error:
+    except Exception as error:  # whoever made it has errors of its own
         refuse(
             name, "an array on a card, of bool, integers or floats of 16 to 64 bits", " ".join(str(error).split())[:80]
         )
     strides = tuple(view.strides) if view.strides is not None else _dense(shape)
-    card = open_card(max(int(view.device_id), 0))
+    if int(view.device_id) != card.number:
+        card = open_card(int(view.device_id))
     return OnCard(value, kind, shape, tuple(int(s) for s in strides), dtype, int(view.ptr), card,
                   stream_of(value, kind, card), not view.readonly)  # fmt: skip
+
+
+def plain(value: Any) -> Any:
+    """Something of the same library and on the same card, of whatever type."""
+    if _is_tensor(value):
+        return sys.modules["torch"].empty(1, device=value.device)
+    return value
+
+
+def _card_of(value: Any, kind: str) -> int:
+    """The number of the card that an array is on, as far as its library tells."""
+    if kind == "torch":
+        return int(value.device.index or 0)
+    return int(value.device.id) if kind == "cupy" else 0
 
 
 def _dense(shape: Sequence[int]) -> tuple[int, ...]:
@@ -164,8 +180,6 @@ def _dense(shape: Sequence[int]) -> tuple[int, ...]:
 
 def stream_of(value: Any, kind: str, card: Card) -> Any:
     """The stream that a library works on at the moment."""
-    from numba import cuda
-
     if simulated():
         return 0
     with card.current():
@@ -175,14 +189,47 @@ def stream_of(value: Any, kind: str, card: Card) -> Any:
         elif kind == "cupy":
             with value.device:
                 pointer = int(sys.modules["cupy"].cuda.get_current_stream().ptr)
-        elif getattr(value, "stream", 0):
+        elif hasattr(value, "__cuda_ndarray__") and value.stream:
             return value.stream
-        return cuda.external_stream(pointer) if pointer else cuda.legacy_default_stream()
+        return known_stream(card, pointer)
+
+
+_streams: dict[tuple[int, int], Any] = {}
+
+
+def known_stream(card: Card, pointer: int) -> Any:
+    """Numba's name for a stream, always the same one: what it prepares for a launch, it then finds again."""
+    from numba import cuda
+
+    key = (card.number, pointer)
+    if key not in _streams:
+        if len(_streams) > 256:
+            _streams.clear()
+        _streams[key] = cuda.external_stream(pointer) if pointer else cuda.legacy_default_stream()
+    return _streams[key]
+
+
+def as_stream(value: Any, card: Card) -> Any:
+    """A stream of any library as Numba's; SuppleError if it is none."""
+    if simulated() and hasattr(value, "synchronize"):
+        return value
+    for name in ("cuda_stream", "ptr"):  # PyTorch's, and CuPy's
+        if isinstance(getattr(value, name, None), int):
+            return known_stream(card, getattr(value, name))
+    if hasattr(value, "handle") and hasattr(value, "auto_synchronize"):  # Numba's
+        return value
+    if not hasattr(value, "__cuda_stream__"):
+        refuse("stream", "a stream of PyTorch, CuPy or Numba, or left out", value)
+    return known_stream(card, int(value.__cuda_stream__()[1]))
 
 
 def made_like(source: OnCard, shape: Sequence[int], dtype: npt.DTypeLike, *, as_it_lies: bool = False) -> OnCard:
     """A new array of the same library, on the same card; ``as_it_lies`` in memory, if it has the same shape."""
-    kind = np.dtype(dtype)
+    with source.card.current():
+        return _made_like(source, shape, np.dtype(dtype), as_it_lies)
+
+
+def _made_like(source: OnCard, shape: Sequence[int], kind: np.dtype[Any], as_it_lies: bool) -> OnCard:
     if source.kind == "torch":
         torch = sys.modules["torch"]
         if as_it_lies:
@@ -196,8 +243,7 @@ def made_like(source: OnCard, shape: Sequence[int], dtype: npt.DTypeLike, *, as_
     else:
         from numba import cuda
 
-        with source.card.current():
-            given = cuda.device_array(tuple(shape), kind, stream=source.stream)
+        given = cuda.device_array(tuple(shape), kind, stream=source.stream)
     return taken(given, "the result")
 
 

@@ -13,7 +13,7 @@ from typing import Any
 from supple.errors import SuppleError
 
 INSTALL = 'pip install "supple[cuda12]" or "supple[cuda13]", for drivers from 525 or 580 on'
-OLDEST = (6, 0)  # compute capability: the first with atomic operations on all that kernels use
+OLDEST = ((6, 0), (7, 5))  # compute capability, for CUDA 12 and 13: what kernels use, and what they are compiled for
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -106,12 +106,18 @@ def _opened(number: int) -> Card:
         raise SuppleError(f"card {number} is not there: CUDA sees {count} of them, counted from 0")
     device = cuda.gpus[number]._device if hasattr(cuda.gpus[number], "_device") else cuda.gpus[number]
     name = device.name.decode() if isinstance(device.name, bytes) else str(device.name)
-    found = tuple(device.compute_capability)
-    if found < OLDEST:
+    found, oldest = tuple(device.compute_capability), OLDEST[toolkit() >= 13]
+    if found < oldest:
         raise SuppleError(
-            f"{name} is too old: its compute capability is {found[0]}.{found[1]}, and {OLDEST[0]}.{OLDEST[1]} is needed"
+            f"{name} is too old: its compute capability is {found[0]}.{found[1]}, and {oldest[0]}.{oldest[1]} is needed"
             "; device cpu needs no card"
         )
+    try:
+        from numba.cuda.cudadrv import nvvm
+
+        nvvm.NVVM()
+    except Exception as error:
+        raise SuppleError(f"CUDA's compiler is not there ({_short(error)}): {INSTALL}") from None
     context = cuda.gpus[number]
     with context:  # what keeps it from working shows here, not amid a warp
         try:
@@ -141,11 +147,10 @@ def _short(error: object) -> str:
 def _broken(cuda: Any) -> str:
     """Why CUDA does not work, in one sentence; "" if it does."""
     from numba.cuda.cudadrv import driver
-    from numba.cuda.cudadrv.error import CudaSupportError
 
     try:
         version = driver.driver.get_version()
-    except CudaSupportError as error:
+    except Exception as error:  # too old a driver lacks what is looked for
         said = _short(error)
         if "cannot be found" in said or "not found" in said:
             return "CUDA needs NVIDIA's driver, which is not installed; device cpu needs none"
@@ -153,10 +158,11 @@ def _broken(cuda: Any) -> str:
             return "no NVIDIA card was found: the driver sees none; device cpu needs none"
         return f"NVIDIA's driver does not work ({said}); device cpu needs none"
     needed = toolkit()
+    older = ', or pip install "supple[cuda12]"' if version[0] == 12 else ""
     if needed and tuple(version) < (needed, 0):
         return (
             f"NVIDIA's driver is too old: it knows CUDA {version[0]}.{version[1]}, and what is installed needs {needed}"
-            f': update the driver, or pip install "supple[cuda{version[0]}]"'
+            f": update the driver{older}"
         )
     try:
         count = len(cuda.gpus)

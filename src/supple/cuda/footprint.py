@@ -97,8 +97,8 @@ def averaged_at(way: Way, read: Callable[..., Any]) -> Callable[..., Any]:
     @device
     def boxed(samples, fills, source, how, limits, table, start, i, j, u, v, box_x, box_y, unit, c):
         """The cubic interpolant, integrated over a box around a point: a sum of samples, by the CPU's table."""
-        along = (box_x * (PLACES + 1) + int(u * _PLACES + HALF)) * TAPS
-        down = (box_y * (PLACES + 1) + int(v * _PLACES + HALF)) * TAPS
+        along = (box_x * (PLACES + 1) + min(max(int(u * _PLACES + HALF), 0), PLACES)) * TAPS
+        down = (box_y * (PLACES + 1) + min(max(int(v * _PLACES + HALF), 0), PLACES)) * TAPS
         total = number(0.0)
         for k in range(TAPS):
             weight = table[down + k]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -9,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from supple.cpu.warp import Certificate
-from supple.cuda.arrays import OnCard, made_like, taken
+from supple.cuda.arrays import OnCard, as_stream, made_like, stream_of, taken
 from supple.cuda.card import simulated
 from supple.cuda.sample import FRAMES
 from supple.cuda.warp import Frames, Lattice, Pieces, colours_of, lattice_of, make_planes, pieces_of, told_of
@@ -108,6 +109,7 @@ class _Round:
     out: Frames
     planes: int
     shared: int = 0
+    still: bool = False  # what nothing moves is copied bit for bit
 
 
 def hand_over(work: Work, stream: Any, slab: int | None = None, *, waited: bool = False) -> Pieces:
@@ -117,18 +119,21 @@ def hand_over(work: Work, stream: Any, slab: int | None = None, *, waited: bool 
     ``waited`` says that this thread waits for it next, on the stream of the source's library.
     """
     card, space, sampling = work.source.card, work.spaces[0], work.sampling
-    if all(s.table.size == 0 for s in work.spaces):  # what nothing moves is copied bit for bit
-        sampling = replace(sampling, filter="nearest", between="nearest")
+    exact = replace(sampling, filter="nearest", between="nearest")
     with card.current():
         rounds = _rounds(work)
         fill = np.asarray(sampling.fill, np.float64)
         count, stack = rounds[0].source.places[FRAMES], space.ndim == 3
-        colours = colours_of(card, work.source.dtype, fill, sampling, alpha=work.alpha, count=count, stack=stack)
+        colours, copied = (
+            colours_of(card, work.source.dtype, fill, how, alpha=work.alpha, count=count, stack=stack)
+            for how in (sampling, exact)
+        )
         planes = 1 if rounds[0].shared else rounds[0].planes
         pieces = (pieces_of if waited else Pieces)(work.out, [r.lattice for r in rounds], planes)
         for k, r in enumerate(rounds):
             for _ in make_planes(
-                card, stream, r.lattice, pieces, colours, space.shape, (0, r.planes), r.source, r.out,
+                card, stream, r.lattice, pieces, copied if r.still else colours, space.shape, (0, r.planes), r.source,
+                r.out,
                 tolerance=sampling.tolerance, shared=r.shared, fresh=k == 0, slab=slab,
             ):  # fmt: skip
                 pass
@@ -141,8 +146,19 @@ def _rounds(work: Work) -> list[_Round]:
     if space.ndim == 2:
         count = work.source.shape[0] if work.batch else 1
         lattice = lattice_of(card, work.spaces)
+        still = [k for k, s in enumerate(work.spaces) if s.table.size == 0]
         shared = count if work.batch and len(work.spaces) == 1 else 0
-        return [_Round(lattice, _frames(work, work.source, source), _frames(work, work.out, out), count, shared)]
+        whole = _frames(work, work.source, source), _frames(work, work.out, out)
+        if len(still) == len(work.spaces):
+            return [_Round(lattice, *whole, count, shared, still=True)]
+        alone = [lattice_of(card, work.spaces[k : k + 1]) for k in still]
+        return [
+            _Round(lattice, *whole, count, shared),
+            *(
+                _Round(own, _frames(work, work.source, source, k), _frames(work, work.out, out, k), 1, still=True)
+                for own, k in zip(alone, still, strict=True)
+            ),
+        ]
     items = work.source.shape[0] if work.batch else 1
     lattices = [lattice_of(card, (s,)) for s in work.spaces]
     return [
@@ -151,29 +167,31 @@ def _rounds(work: Work) -> list[_Round]:
             _frames(work, work.source, source, k),
             _frames(work, work.out, out, k),
             space.count,
+            still=work.spaces[k % len(lattices)].table.size == 0,
         )
         for k in range(items)
     ]
 
 
-def _frames(work: Work, array: OnCard, flat: Any, item: int = 0) -> Frames:
-    """An array as frames: an item of a batch of stacks, or all pictures of one."""
+def _frames(work: Work, array: OnCard, flat: Any, item: int | None = None) -> Frames:
+    """An array as frames: an item of a batch, or all pictures of one."""
     space = work.spaces[0]
     strides, start = list(array.strides), array.below
     count = space.count
-    if space.ndim == 3 and work.batch:
-        start += item * strides.pop(0)
-    elif work.batch:
+    if work.batch and item is None:
         count = array.shape[0]
-    elif space.ndim == 2:
+    elif work.batch:
+        start += (item or 0) * strides.pop(0)
+    if space.ndim == 2 and (not work.batch or item is not None):
         strides.insert(0, 0)
     if len(strides) == 3:
         strides.append(0)
     return Frames(flat, (count, *space.shape, work.channels, *strides, start, 0, count, 0, count))
 
 
-_going: list[Warping] = []
-"""What nobody may hold any more, and whose memory must not be given to others before it is done."""
+_going: dict[int, tuple[Any, ...]] = {}
+"""What nobody may hold any more, and whose memory must not be given to others before it is done; and its event."""
+_lock = threading.Lock()
 
 
 class Warping:
@@ -209,13 +227,22 @@ class Warping:
             with self._work.source.card.current():
                 self._event.synchronize()
                 self._certificate, _ = told_of(self._pieces, self.stream)
+            with _lock:
+                _going.pop(id(self._event), None)
             warn_of(self._certificate, self._work.sampling.tolerance, 3)
         return self.array
 
     def join(self, stream: Any = None) -> None:
-        """Have a stream wait for it, and not this thread: by default, the one that the source's library works on."""
-        with self._work.source.card.current():
-            self._event.wait(self._work.source.stream if stream is None else stream)
+        """Have a stream wait for it, and not this thread: by default, that which the source's library works on now."""
+        source = self._work.source
+        with source.card.current():
+            if stream is None:
+                self._event.wait(stream_of(source.given, source.kind, source.card))
+            else:
+                self._event.wait(as_stream(stream, source.card))
+
+    def __repr__(self) -> str:
+        return f"<Warping of {self._work.source.shape}, {'done' if self.done() else 'going on'}>"
 
     @property
     def error(self) -> float:
@@ -231,20 +258,43 @@ def start(work: Work, *, slab: int | None, stream: Any = None) -> Warping:
 
     if work.source.span == 0:
         refuse("source", "a batch of one item or more", f"shape {work.source.shape}")
-    if stream is not None and not hasattr(stream, "synchronize"):
-        refuse("stream", "a stream of numba.cuda's, or left out", stream)
     card = work.source.card
     with card.current():
-        own = card.stream() if stream is None else stream
+        own = card.stream() if stream is None else as_stream(stream, card)
         ready, done = cuda.event(), cuda.event()
         ready.record(work.source.stream)
         ready.wait(own)
+        _order(work, own)
+        with _lock:
+            for key in [key for key, (event, *_) in _going.items() if _over(event)]:
+                del _going[key]
+            _going[id(done)] = (done, work)
         pieces = hand_over(work, own, slab)
         done.record(own)
+        with _lock:
+            _going[id(done)] = (done, work, pieces)
     note(card.name)
-    warping = Warping(work, own, pieces, done)
-    _going[:] = [*(other for other in _going if not other.done()), warping]
-    return warping
+    return Warping(work, own, pieces, done)
+
+
+def _over(event: Any) -> bool:
+    """Whether nothing is going on any more: it is done, or its card has failed."""
+    if simulated():
+        return True
+    try:
+        return bool(event.query())
+    except Exception:  # that is told to whoever waits for it
+        return True
+
+
+def _order(work: Work, stream: Any) -> None:
+    """Have what comes on a stream wait for what is going on on that of a result of another library."""
+    from numba import cuda
+
+    if work.out.kind != work.source.kind:
+        before = cuda.event()
+        before.record(work.out.stream)
+        before.wait(stream)
 
 
 def finish(work: Work) -> Certificate:
@@ -253,6 +303,7 @@ def finish(work: Work) -> Certificate:
         return Certificate(0.0, 0.0)
     card = work.source.card
     with card.current():
+        _order(work, work.source.stream)
         pieces = hand_over(work, work.source.stream, waited=True)
         certificate, _ = told_of(pieces, work.source.stream)
     note(card.name)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable
 from typing import Any
 
@@ -9,6 +10,7 @@ from numba import cuda
 from numba.cuda.core import config
 
 THREADS = 128  # of a block
+_lock = threading.Lock()
 
 
 def device(function: Callable[..., Any]) -> Callable[..., Any]:
@@ -32,12 +34,13 @@ def made_kernel(function: Callable[..., Any]) -> Any:
 
 def launched(kernel: Any, blocks: int | tuple[int, ...], threads: int, stream: Any) -> Any:
     """A kernel on a grid of blocks and on a stream, to be called with its arguments."""
-    kept = config.CUDA_LOW_OCCUPANCY_WARNINGS
-    config.CUDA_LOW_OCCUPANCY_WARNINGS = 0  # small arrays are no fault of whoever has them
-    try:
-        return kernel[blocks, threads, stream]
-    finally:
-        config.CUDA_LOW_OCCUPANCY_WARNINGS = kept
+    with _lock:
+        kept = config.CUDA_LOW_OCCUPANCY_WARNINGS
+        config.CUDA_LOW_OCCUPANCY_WARNINGS = 0  # small arrays are no fault of whoever has them
+        try:
+            return kernel[blocks, threads, stream]
+        finally:
+            config.CUDA_LOW_OCCUPANCY_WARNINGS = kept
 
 
 def blocks(items: int) -> int:

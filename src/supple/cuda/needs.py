@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from supple.cpu.between import LONGEST
 from supple.cpu.stack import SUPPORT
-from supple.cuda.kernel import THREADS, blocks
+from supple.cuda.kernel import THREADS, blocks, launched
 from supple.cuda.lattice import solve
 from supple.cuda.reach import COVERED, FAR, FOUND, LEAST, MOST, bound
 from supple.cuda.sample import EARLY, LATE
@@ -73,11 +73,13 @@ def needs_of(
     there = cuda.to_device(found.reshape(-1), stream=stream)
     for first in range(0, count, pieces.together):
         n = min(pieces.together, count - first)
-        solve[blocks(n * lattice.nodes), THREADS, stream](
+        launched(solve, blocks(n * lattice.nodes), THREADS, stream)(
             lattice.known, lattice.spans, lattice.deformations, lattice.xs, lattice.ys, n, first, 1,
             pieces.nodes, pieces.told, pieces.counts,
         )  # fmt: skip
-        bound[blocks(n * (lattice.size[0] - 1)), THREADS, stream](lattice.xs, lattice.ys, n, first, pieces.nodes, there)
+        launched(bound, blocks(n * (lattice.size[0] - 1)), THREADS, stream)(
+            lattice.xs, lattice.ys, n, first, pieces.nodes, there
+        )
     seen = there.copy_to_host(stream=stream)
     stream.synchronize()
     return Needs(count, sampling, *times_of(seen.reshape(count, FOUND), sampling, how))

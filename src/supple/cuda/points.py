@@ -8,7 +8,7 @@ import numpy as np
 
 from supple.cpu.warp import Certificate
 from supple.cuda import field, newton
-from supple.cuda.arrays import OnCard, contiguous, made_like, taken
+from supple.cuda.arrays import OnCard, contiguous, made_like, plain, taken
 from supple.cuda.colour import FILTERS, NOTHING
 from supple.cuda.kernel import THREADS, blocks, launched
 from supple.cuda.sample import Way
@@ -35,19 +35,23 @@ def forward(space: Space, points: Any, *, matrices: bool) -> Any:
     """T of points (..., D), or ∂T/∂p (..., D, D), in pixels and float64, as the points came."""
     given = _columns(points, space.ndim)
     moved = made_like(given, given.shape, np.float64)
-    found = made_like(given, (*given.shape, space.ndim) if matrices else (0,), np.float64)
+    found = made_like(given, (*given.shape, space.ndim), np.float64) if matrices else None
     n = given.span // space.ndim
     with given.card.current():
         known, spans = _known(space, given)
+        nothing = held(given.card, np.zeros(0))
         if n:
             launched(field.forward, blocks(n), THREADS, given.stream)(
-                known, spans, space.ndim, given.flat(), moved.flat(), _flat(found, given)
+                known, spans, space.ndim, given.flat(), moved.flat(), found.flat() if found else nothing
             )
-    return found.given if matrices else moved.given
+            _wait_for(given)
+    return found.given if found else moved.given
 
 
-def _flat(array: OnCard, like: OnCard) -> Any:
-    return array.flat() if array.span else held(like.card, np.zeros(0))
+def _wait_for(given: OnCard) -> None:
+    """Wait, where nobody else keeps an array until it is read."""
+    if given.kind == "numba" and not hasattr(given.given, "__cuda_ndarray__"):
+        given.stream.synchronize()
 
 
 def inverse(space: Space, points: Any, finest: float) -> tuple[Any, Any, Any, Any]:
@@ -64,6 +68,7 @@ def inverse(space: Space, points: Any, finest: float) -> tuple[Any, Any, Any, An
                 known, spans, space.ndim, given.flat(), finest,
                 found.flat(), residual.flat(), steps.flat(), converged.flat(),
             )  # fmt: skip
+            _wait_for(given)
     return found.given, residual.given, steps.given, converged.given
 
 
@@ -72,7 +77,7 @@ def inverse_map(space: Space, like: Any, tolerance: float, *, offsets: bool = Fa
 
     Or their ``offsets`` from the pixels, of which float32 keeps more.
     """
-    given = taken(like, "like")
+    given = taken(plain(like), "like")
     shape = space.shape if space.ndim == 2 else (space.count, *space.shape)
     out = made_like(given, (*shape, space.ndim), np.float32)
     card, stream = given.card, given.stream

@@ -50,7 +50,7 @@ def start(
     slab : int, optional
         How many planes of a stack are handed over at once: between two slabs, other streams' kernels get their turn.
         By default, as many as need 256 MB beside the arrays.
-    stream : numba.cuda stream, optional
+    stream : stream of PyTorch, CuPy or Numba, optional
         Where it goes on, if not on a stream of its own.
     out : array on the same card, optional
         Where to put the result.
