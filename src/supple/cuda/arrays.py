@@ -190,7 +190,9 @@ def made_like(source: OnCard, shape: Sequence[int], dtype: npt.DTypeLike, *, as_
         from numba import cuda
 
         with source.card.current():
-            given = cuda.device_array(tuple(shape), kind, stream=source.stream)
+            # Bound to a stream only if the source is: arrays that are bound to the default one cannot be handed on.
+            bound = getattr(source.given, "stream", 0) if hasattr(source.given, "__cuda_ndarray__") else 0
+            given = cuda.device_array(tuple(shape), kind, stream=bound or 0)
     return taken(given, "the result")
 
 
