@@ -4,14 +4,17 @@
 VENV := .venv
 BIN := $(VENV)/bin
 PYTHON ?=
+CUDA ?=
 
-.PHONY: help venv demo test bench bench-gpu bench-window soak lint clean
+.PHONY: help venv demo test test-cuda bench bench-gpu bench-cuda bench-window soak lint clean
 
 help:
 	@echo "make demo      a small gallery in demo/, to look at"
 	@echo "make test      all tests"
+	@echo "make test-cuda all tests of the CUDA engine at size, on an NVIDIA card"
 	@echo "make bench     how fast and how exact, against others"
 	@echo "make bench-gpu how fast the GPU is, in its own time"
+	@echo "make bench-cuda how fast CUDA is on an NVIDIA card, against others"
 	@echo "make bench-window  how fast the window follows a hand"
 	@echo "make soak      ten million points of random strokes"
 	@echo "make lint      style, types and the import rule"
@@ -46,6 +49,31 @@ $(VENV)/stamp-bench: $(VENV)/stamp
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[bench]'
 	@touch $@
 
+# The CUDA engine and the libraries whose arrays it takes, or is compared with. Drivers from 580 on know CUDA 13.
+# To choose: make bench-cuda CUDA=12. PyTorch's wheels on PyPI are for one CUDA only; those for 12 are elsewhere.
+TORCH_FOR_12 := https://download.pytorch.org/whl/cu126
+
+$(VENV)/stamp-cuda: $(VENV)/stamp
+	@cuda="$(CUDA)"; \
+	if [ -z "$$cuda" ]; then \
+	  driver=$$(nvidia-smi --query-gpu=driver_version --format=csv,noheader 2>/dev/null | head -n 1 | cut -d. -f1); \
+	  case "$$driver" in \
+	    ''|*[!0-9]*) \
+	      echo "make: nvidia-smi finds no driver for an NVIDIA card; if there is one, say which CUDA it knows: CUDA=12 or CUDA=13." >&2; \
+	      exit 1;; \
+	  esac; \
+	  if [ "$$driver" -ge 580 ]; then cuda=13; else cuda=12; fi; \
+	fi; \
+	echo "Adding CUDA $$cuda, PyTorch, CuPy and kornia to $(VENV): some gigabytes"; \
+	pip="$(BIN)/python -m pip install --quiet --disable-pip-version-check"; \
+	index=; if [ "$$cuda" = 12 ]; then index="--index-url $(TORCH_FOR_12)"; fi; \
+	$$pip --editable ".[cuda$$cuda]" || exit 1; \
+	$$pip $$index torch || echo "make: without PyTorch: its rows say so, and its tests are left out" >&2; \
+	for other in "cupy-cuda$${cuda}x[ctk]" kornia; do \
+	  $$pip "$$other" || echo "make: without $$other: its rows say so, and its tests are left out" >&2; \
+	done
+	@touch $@
+
 demo: venv
 	$(BIN)/supple demo demo --force
 
@@ -55,11 +83,26 @@ test: venv
 	$(BIN)/python -m pytest -q -n auto --dist loadfile
 	NUMBA_ENABLE_CUDASIM=1 $(BIN)/python -m pytest -q -n auto tests/cuda
 
+# On a real card, one after the other: each test fails where there is none. The last are few, and watched.
+ON_CARD := env -u NUMBA_ENABLE_CUDASIM SUPPLE_TEST_CUDA=1
+
+test-cuda: venv $(VENV)/stamp-cuda
+	$(ON_CARD) $(BIN)/python -m pytest -q tests/cuda
+	@if command -v compute-sanitizer >/dev/null; then \
+	  $(ON_CARD) compute-sanitizer --tool memcheck --report-api-errors no --error-exitcode 1 \
+	    $(BIN)/python -m pytest -q tests/cuda/test_memory.py; \
+	else \
+	  echo "compute-sanitizer is not on the PATH (it comes with the CUDA toolkit): memory was not checked"; \
+	fi
+
 bench: venv $(VENV)/stamp-bench
 	$(BIN)/python benchmarks/run.py
 
 bench-gpu: venv
 	$(BIN)/python benchmarks/gpu.py
+
+bench-cuda: venv $(VENV)/stamp-cuda
+	env -u NUMBA_ENABLE_CUDASIM $(BIN)/python benchmarks/card.py
 
 bench-window: venv
 	$(BIN)/python benchmarks/window.py

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import supple
+from supple.cuda import warp
 from supple.errors import FoldWarning, SuppleError, ToleranceWarning
 
 TIGHT = 1e-4  # pixels: so that what differs is not where points are
@@ -283,3 +284,18 @@ def test_what_cannot_be_done_is_said(numba_cuda: Any) -> None:
     with pytest.raises(SuppleError, match="slab must be"):
         supple.cuda.start(source, d, slab=0)
     assert (source.copy_to_host() == 0).all()
+
+
+def test_in_pieces_and_with_long_indices(numba_cuda: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What large arrays take, on small ones."""
+    monkeypatch.setattr(warp, "SCRATCH", 1)
+    monkeypatch.setattr(warp, "_LONG", 0)
+    monkeypatch.setattr(warp, "_KEPT_PIECES", 0)
+    d = bent(STACK, seed=2)
+    source = waves(STACK, 2).astype(np.float32)
+    made = d.warp(on_card(numba_cuda, source), filter="linear", tolerance=TIGHT).copy_to_host()
+    close(made, d.warp(source, filter="linear", tolerance=TIGHT), source)
+    several = [bent((9, 12), seed=k, count=k) for k in range(3)]
+    sources = np.stack([waves((9, 12))] * 3).astype(np.float32)
+    made = supple.warp_batch(on_card(numba_cuda, sources), several, filter="cubic", tolerance=TIGHT).copy_to_host()
+    close(made, supple.warp_batch(sources, several, filter="cubic", tolerance=TIGHT), sources)

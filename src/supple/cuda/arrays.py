@@ -170,7 +170,7 @@ def stream_of(value: Any, kind: str, card: Card) -> Any:
                 pointer = int(sys.modules["cupy"].cuda.get_current_stream().ptr)
         elif getattr(value, "stream", 0):
             return value.stream
-        return cuda.external_stream(pointer) if pointer else cuda.default_stream()
+        return cuda.external_stream(pointer) if pointer else cuda.legacy_default_stream()
 
 
 def made_like(source: OnCard, shape: Sequence[int], dtype: npt.DTypeLike, *, as_it_lies: bool = False) -> OnCard:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import functools
 import importlib.util
+import weakref
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
@@ -40,6 +41,21 @@ class Card:
         """Make it the one that kernels run on, in this thread."""
         with self.context:
             yield
+
+    def stream(self) -> Any:
+        """A new stream, which the default one neither waits for nor holds up: Numba's own are not like that."""
+        cuda = _numba()
+        if simulated():
+            return cuda.stream()
+        from cuda.bindings import driver
+
+        with self.current():
+            status, handle = driver.cuStreamCreate(driver.CUstream_flags.CU_STREAM_NON_BLOCKING.value)
+            if status != driver.CUresult.CUDA_SUCCESS:
+                raise SuppleError(f"{self.name} has no room for another stream ({status.name})")
+            made = cuda.external_stream(int(handle))
+        weakref.finalize(made, driver.cuStreamDestroy, handle)
+        return made
 
     @property
     def free(self) -> int:

@@ -16,7 +16,7 @@ from numba import cuda
 from supple.cpu.lattice import LEFT
 from supple.cpu.point import inverted
 from supple.cuda.colour import ANTIALIAS, AUTO, MAP, NOTHING, OFFSETS, colour
-from supple.cuda.kernel import kernel
+from supple.cuda.kernel import made_kernel
 from supple.cuda.lattice import (
     CELLS,
     LIST,
@@ -58,7 +58,7 @@ def kernels(way: Way) -> tuple[Any, Any]:
     wide, average = way.filter in (AUTO, ANTIALIAS), way.average
     one = index(1)
 
-    @kernel
+    @made_kernel
     def fill(xs, ys, cells, nodes, errors, planes, samples, fills, source, how, limits, table, out, target, counts):
         x, j, p = cuda.blockIdx.x * cuda.blockDim.x + cuda.threadIdx.x, cuda.blockIdx.y, cuda.blockIdx.z
         if x >= planes[WIDTH]:
@@ -109,7 +109,7 @@ def kernels(way: Way) -> tuple[Any, Any]:
             at = index(at + target[ROW])
             y = index(y + one)
 
-    @kernel
+    @made_kernel
     def rough(known, spans, xs, ys, nodes, planes, tolerance, samples, fills, source, how, limits, table, out, target,
               told, counts):  # fmt: skip
         nx, ny = xs.size, ys.size

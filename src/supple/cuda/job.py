@@ -12,7 +12,7 @@ from supple.cpu.warp import Certificate
 from supple.cuda.arrays import OnCard, made_like, taken
 from supple.cuda.card import simulated
 from supple.cuda.sample import FRAMES
-from supple.cuda.warp import Frames, Lattice, Pieces, colours_of, lattice_of, make_planes, told_of
+from supple.cuda.warp import Frames, Lattice, Pieces, colours_of, lattice_of, make_planes, pieces_of, told_of
 from supple.domain import refuse
 from supple.errors import SuppleError
 from supple.streaming import Sampling, Space
@@ -110,10 +110,11 @@ class _Round:
     shared: int = 0
 
 
-def hand_over(work: Work, stream: Any, slab: int | None = None) -> Pieces:
+def hand_over(work: Work, stream: Any, slab: int | None = None, *, waited: bool = False) -> Pieces:
     """Hand all of it over to a stream, without waiting; what is told of it is there when that is done.
 
-    ``slab`` is how many planes are handed over at once, so that what else the card has to do comes in between.
+    ``slab`` is how many planes are handed over at once, so that what else the card has to do comes in between;
+    ``waited`` says that this thread waits for it next, on the stream of the source's library.
     """
     card, space, sampling = work.source.card, work.spaces[0], work.sampling
     if all(s.table.size == 0 for s in work.spaces):  # what nothing moves is copied bit for bit
@@ -123,7 +124,8 @@ def hand_over(work: Work, stream: Any, slab: int | None = None) -> Pieces:
         fill = np.asarray(sampling.fill, np.float64)
         count, stack = rounds[0].source.places[FRAMES], space.ndim == 3
         colours = colours_of(card, work.source.dtype, fill, sampling, alpha=work.alpha, count=count, stack=stack)
-        pieces = Pieces(work.out, [r.lattice for r in rounds], 1 if rounds[0].shared else rounds[0].planes)
+        planes = 1 if rounds[0].shared else rounds[0].planes
+        pieces = (pieces_of if waited else Pieces)(work.out, [r.lattice for r in rounds], planes)
         for k, r in enumerate(rounds):
             for _ in make_planes(
                 card, stream, r.lattice, pieces, colours, space.shape, (0, r.planes), r.source, r.out,
@@ -168,6 +170,10 @@ def _frames(work: Work, array: OnCard, flat: Any, item: int = 0) -> Frames:
     if len(strides) == 3:
         strides.append(0)
     return Frames(flat, (count, *space.shape, work.channels, *strides, start, 0, count, 0, count))
+
+
+_going: list[Warping] = []
+"""What nobody may hold any more, and whose memory must not be given to others before it is done."""
 
 
 class Warping:
@@ -225,21 +231,23 @@ def start(work: Work, *, slab: int | None, stream: Any = None) -> Warping:
 
     card = work.source.card
     with card.current():
-        own = cuda.stream() if stream is None else stream
+        own = card.stream() if stream is None else stream
         ready, done = cuda.event(), cuda.event()
         ready.record(work.source.stream)
         ready.wait(own)
         pieces = hand_over(work, own, slab)
         done.record(own)
     note(card.name)
-    return Warping(work, own, pieces, done)
+    warping = Warping(work, own, pieces, done)
+    _going[:] = [*(other for other in _going if not other.done()), warping]
+    return warping
 
 
 def finish(work: Work) -> Certificate:
     """Warp on the stream that the source's library works on, and wait for it."""
     card = work.source.card
     with card.current():
-        pieces = hand_over(work, work.source.stream)
+        pieces = hand_over(work, work.source.stream, waited=True)
         certificate, _ = told_of(pieces, work.source.stream)
     note(card.name)
     return certificate

@@ -1,4 +1,4 @@
-"""How kernels for NVIDIA cards are compiled, and how many threads take what."""
+"""How kernels for NVIDIA cards are compiled and launched, and how many threads take what."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from collections.abc import Callable
 from typing import Any
 
 from numba import cuda
+from numba.cuda.core import config
 
 THREADS = 128  # of a block
 
@@ -17,8 +18,26 @@ def device(function: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def kernel(function: Callable[..., Any]) -> Any:
-    """Compile for a card, when it is first called with arguments of some types."""
+    """Compile for a card, when it is first called with arguments of some types, and keep that on disk."""
+    try:
+        return cuda.jit(function, cache=True)
+    except RuntimeError:  # nothing can be written: compile at every start
+        return cuda.jit(function)
+
+
+def made_kernel(function: Callable[..., Any]) -> Any:
+    """The same for one that other functions are put into, which Numba does not find again on disk."""
     return cuda.jit(function)
+
+
+def launched(kernel: Any, blocks: int | tuple[int, ...], threads: int, stream: Any) -> Any:
+    """A kernel on a grid of blocks and on a stream, to be called with its arguments."""
+    kept = config.CUDA_LOW_OCCUPANCY_WARNINGS
+    config.CUDA_LOW_OCCUPANCY_WARNINGS = 0  # small arrays are no fault of whoever has them
+    try:
+        return kernel[blocks, threads, stream]
+    finally:
+        config.CUDA_LOW_OCCUPANCY_WARNINGS = kept
 
 
 def blocks(items: int) -> int:

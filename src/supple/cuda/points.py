@@ -10,7 +10,7 @@ from supple.cpu.warp import Certificate
 from supple.cuda import field, newton
 from supple.cuda.arrays import OnCard, contiguous, made_like, taken
 from supple.cuda.colour import FILTERS, NOTHING
-from supple.cuda.kernel import THREADS, blocks
+from supple.cuda.kernel import THREADS, blocks, launched
 from supple.cuda.sample import Way
 from supple.cuda.warp import Colours, Frames, Pieces, held, lattice_of, make_planes, told_of
 from supple.domain import refuse
@@ -40,7 +40,7 @@ def forward(space: Space, points: Any, *, matrices: bool) -> Any:
     with given.card.current():
         known, spans = _known(space, given)
         if n:
-            field.forward[blocks(n), THREADS, given.stream](
+            launched(field.forward, blocks(n), THREADS, given.stream)(
                 known, spans, space.ndim, given.flat(), moved.flat(), _flat(found, given)
             )
     return found.given if matrices else moved.given
@@ -60,7 +60,7 @@ def inverse(space: Space, points: Any, finest: float) -> tuple[Any, Any, Any, An
     with given.card.current():
         known, spans = _known(space, given)
         if n:
-            newton.inverse[blocks(n), THREADS, given.stream](
+            launched(newton.inverse, blocks(n), THREADS, given.stream)(
                 known, spans, space.ndim, given.flat(), finest,
                 found.flat(), residual.flat(), steps.flat(), converged.flat(),
             )  # fmt: skip

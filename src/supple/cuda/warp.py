@@ -25,7 +25,7 @@ from supple.cuda.card import Card, simulated
 from supple.cuda.colour import BETWEEN, FILTERS, NOTHING
 from supple.cuda.field import packed
 from supple.cuda.fill import PIXELS, kernels
-from supple.cuda.kernel import THREADS, blocks
+from supple.cuda.kernel import THREADS, blocks, launched
 from supple.cuda.lattice import LIST, LOST, MISSING, NODE, SIZE, WORST, check, solve, twist
 from supple.cuda.sample import FIRST, FRAME, FRAMES, LAST, START, Way
 from supple.streaming import Sampling, Space
@@ -36,9 +36,12 @@ Floats = npt.NDArray[np.float64]
 SCRATCH = 256 << 20  # bytes, at most, beside the arrays
 _LONG = (1 << 31) - (1 << 24)  # samples, with room for sums
 _KEPT = 64  # small arrays that stay on the cards
+_KEPT_LATTICES = 16
+_KEPT_PIECES = 32 << 20  # bytes, at most, of what a thread keeps beside its arrays
 
 
 _held: OrderedDict[tuple[Any, ...], Any] = OrderedDict()
+_uploads: dict[int, Any] = {}
 _lock = threading.Lock()
 
 
@@ -50,8 +53,10 @@ def held(card: Card, array: Array) -> Any:
     with _lock:
         if key not in _held:
             with card.current():
-                _held[key] = cuda.to_device(array)
-                cuda.default_stream().synchronize()  # other streams will read it
+                # A stream of its own: what else the card has to do is not waited for.
+                stream = _uploads.get(card.number) or _uploads.setdefault(card.number, card.stream())
+                _held[key] = cuda.to_device(array, stream=stream)
+                stream.synchronize()
             while len(_held) > _KEPT:
                 _held.popitem(last=False)
         _held.move_to_end(key)
@@ -94,8 +99,25 @@ class Lattice:
         return (self.size[0] - 1) * (self.size[1] - 1)
 
 
+_lattices: OrderedDict[tuple[Any, ...], tuple[Lattice, tuple[Space, ...]]] = OrderedDict()
+
+
 def lattice_of(card: Card, spaces: Sequence[Space]) -> Lattice:
-    """Put deformations, all of one shape, on a card."""
+    """Put deformations, all of one shape, on a card; those that were there last are taken as they are."""
+    # Their arrays never change, and are kept with what was made of them: they cannot become others.
+    key = (card.number, spaces[0].shape, *((id(space.table), id(space.axes)) for space in spaces))
+    with _lock:
+        found = _lattices.get(key)
+    if found is None:
+        found = _new_lattice(card, spaces), tuple(spaces)
+        with _lock:
+            _lattices[key] = found
+            while len(_lattices) > _KEPT_LATTICES:
+                _lattices.popitem(last=False)
+    return found[0]
+
+
+def _new_lattice(card: Card, spaces: Sequence[Space]) -> Lattice:
     domains = [space.axes for space in spaces]
     axes = domains[0]
     if any(not np.array_equal(axes, other) for other in domains[1:]):
@@ -196,6 +218,8 @@ class Pieces:
         }
         self.kept = {name: made_like(like, (n,), dtype) for name, (n, dtype) in sizes.items()}
         self.nodes, self.errors, self.told, self.counts = (self.kept[name].flat() for name in sizes)
+        self.counted = self.counts[:LIST]
+        self.size = sum(n * np.dtype(dtype).itemsize for n, dtype in sizes.values())
 
 
 def make_planes(
@@ -253,12 +277,12 @@ def make_planes(
         target = (*out.places[FRAME:START], out.places[START] + (first - planes[0]) * out.places[FRAME])
         nodes, cells = solved * lattice.nodes, solved * lattice.cell_count
         begun()
-        solve[blocks(nodes), THREADS, stream](
+        launched(solve, blocks(nodes), THREADS, stream)(
             lattice.known, lattice.spans, lattice.deformations, lattice.xs, lattice.ys, solved, first, int(fresh),
             pieces.nodes, pieces.told, pieces.counts,
         )  # fmt: skip
-        twist[blocks(nodes), THREADS, stream](lattice.xs, lattice.ys, solved, pieces.nodes)
-        check[blocks(cells), THREADS, stream](
+        launched(twist, blocks(nodes), THREADS, stream)(lattice.xs, lattice.ys, solved, pieces.nodes)
+        launched(check, blocks(cells), THREADS, stream)(
             lattice.known, lattice.spans, lattice.deformations, lattice.xs, lattice.ys, solved, first, tolerance,
             pieces.nodes, pieces.errors, pieces.told, pieces.counts,
         )  # fmt: skip
@@ -266,10 +290,10 @@ def make_planes(
         common = (
             source.samples, colours.fills, places, how, limits, colours.table, out.samples, tuple(map(index, target)),
         )  # fmt: skip
-        fill[(-(-width // threads), rows - 1, count), threads, stream](
+        launched(fill, (-(-width // threads), rows - 1, count), threads, stream)(
             lattice.xs, lattice.ys, lattice.cells, pieces.nodes, pieces.errors, described, *common, pieces.counts
         )
-        rough[min(grid, cells), PIXELS, stream](
+        launched(rough, min(grid, cells), PIXELS, stream)(
             lattice.known, lattice.spans, lattice.xs, lattice.ys, pieces.nodes, described, tolerance, *common,
             pieces.told, pieces.counts,
         )  # fmt: skip
@@ -277,10 +301,28 @@ def make_planes(
         yield
 
 
+_kept_pieces = threading.local()
+
+
+def pieces_of(like: OnCard, lattices: Sequence[Lattice], planes: int) -> Pieces:
+    """The pieces for work on a library's current stream, which is waited for: small ones are kept for the next time.
+
+    A thread's work on a stream goes on in its order, so that nothing is overwritten that is still needed.
+    """
+    sizes = tuple((known.nodes, known.cell_count) for known in lattices)
+    key = (like.kind, like.card.number, int(getattr(like.stream, "handle", 0) or 0), planes, *sizes)
+    kept = getattr(_kept_pieces, "one", None)
+    if kept is None or kept[0] != key:
+        made = Pieces(like, lattices, planes)
+        kept = key, made
+        _kept_pieces.one = kept if made.size <= _KEPT_PIECES else None
+    return kept[1]
+
+
 def told_of(pieces: Pieces, stream: Any) -> tuple[Certificate, int]:
     """What is known of the map, and how many samples were asked for that were not there; it waits for the stream."""
     told = pieces.told.copy_to_host(stream=stream)
-    counts = pieces.counts[:LIST].copy_to_host(stream=stream)
+    counts = pieces.counted.copy_to_host(stream=stream)
     if stream:
         stream.synchronize()
     lost = int(counts[LOST])

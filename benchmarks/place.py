@@ -1,0 +1,155 @@
+"""Where arrays are for `card.py`: on an NVIDIA card, of the library that a peer takes; or in Numba's simulator."""
+
+from __future__ import annotations
+
+import gc
+import importlib
+import shutil
+import subprocess
+import time
+from dataclasses import dataclass, field
+from importlib.metadata import PackageNotFoundError, version
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from paired import Clock, Work
+
+Array = npt.NDArray[Any]
+
+
+def wall(work: Work) -> float:
+    """Seconds on the host's clock."""
+    start = time.perf_counter()
+    work()
+    return time.perf_counter() - start
+
+
+@dataclass(frozen=True)
+class Events:
+    """Seconds by a card's clock, from before some work is handed to a stream until the stream has done it.
+
+    Unless it is ``beside`` the work of others, the card is idle before.
+    """
+
+    stream: Any = 0
+    beside: bool = False
+
+    def __call__(self, work: Work) -> float:
+        from numba import cuda
+
+        begin, end = cuda.event(timing=True), cuda.event(timing=True)
+        if not self.beside:
+            cuda.synchronize()
+        begin.record(self.stream)
+        work()
+        end.record(self.stream)
+        end.synchronize()
+        return float(begin.elapsed_time(end)) / 1e3
+
+
+@dataclass
+class Place:
+    """A card, or what plays it, and the libraries that there are.
+
+    Parameters
+    ----------
+    dry : bool
+        Whether Numba plays the card: arrays are Numba's, peers work on the CPU (SciPy in CuPy's place), and times are
+        the host's.
+    missing : dict
+        The peers that are not there, and what is to be said of each.
+    """
+
+    dry: bool
+    missing: dict[str, str] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        for name in ("torch", "cupy", "kornia"):
+            try:
+                found = importlib.import_module("scipy.ndimage" if self.dry and name == "cupy" else name)
+            except ImportError as error:
+                absent = isinstance(error, ModuleNotFoundError) and error.name == name
+                self.missing[name] = f"{name} is not installed" if absent else f"{name} cannot be imported ({error})"
+                continue
+            if name == "torch" and not self.dry and not found.cuda.is_available():
+                self.missing[name] = f"torch {found.__version__} sees no card"
+        if "torch" in self.missing and "kornia" not in self.missing:
+            self.missing["kornia"] = f"kornia needs torch: {self.missing['torch']}"
+
+    @property
+    def clock(self) -> Clock:
+        """What tells the time of calls."""
+        return wall if self.dry else Events()
+
+    @property
+    def kind(self) -> str:
+        """The library whose arrays are warped where no peer wants another."""
+        return next((name for name in ("torch", "cupy") if not self.dry and name not in self.missing), "numba")
+
+    def put(self, array: Array, kind: str = "") -> Any:
+        """An array as Supple takes it there."""
+        kind = "numba" if self.dry else kind or self.kind
+        return self.peers(array, kind) if kind != "numba" else _numba().to_device(array)
+
+    def peers(self, array: Array, kind: str) -> Any:
+        """An array as a peer takes it: on the card, or for its twin on the CPU."""
+        if self.dry and kind == "cupy":
+            return array
+        module: Any = importlib.import_module(kind)
+        return module.asarray(array) if kind == "cupy" else module.as_tensor(array, device=self.device)
+
+    @property
+    def device(self) -> str:
+        """In torch's words."""
+        return "cpu" if self.dry else "cuda"
+
+    def freed(self) -> None:
+        """Give back what nobody holds any more, and memory pools still do."""
+        gc.collect()
+        if self.dry:
+            return
+        if "torch" not in self.missing:
+            importlib.import_module("torch").cuda.empty_cache()
+        if "cupy" not in self.missing:
+            importlib.import_module("cupy").get_default_memory_pool().free_all_blocks()
+
+    def about(self) -> dict[str, str]:
+        """What all this is: the card, its driver, the CUDA that it knows, and the libraries."""
+        from supple.cuda.card import open_card
+
+        libraries = ("supple", "numba", "numba-cuda", "torch", "cupy-cuda12x", "cupy-cuda13x", "kornia")
+        told = {"card": open_card().name}
+        if not self.dry:
+            from numba.cuda.cudadrv.driver import driver
+
+            told |= {"driver": driver_version(), "CUDA": ".".join(map(str, driver.get_version()))}
+        return told | {name: found for name in libraries if (found := _version(name))}
+
+
+def host(array: Any) -> Array:
+    """An array of any of the libraries, on the host."""
+    for name in ("copy_to_host", "get"):  # Numba's, CuPy's
+        if hasattr(array, name):
+            return np.asarray(getattr(array, name)())
+    return np.asarray(array.cpu() if hasattr(array, "cpu") else array)
+
+
+def driver_version() -> str:
+    """Of NVIDIA's driver, as nvidia-smi tells it."""
+    if shutil.which("nvidia-smi") is None:
+        return "not told: nvidia-smi is not there"
+    words = ["nvidia-smi", "--query-gpu=driver_version", "--format=csv,noheader"]
+    said = subprocess.run(words, capture_output=True, text=True, check=False).stdout.split()
+    return said[0] if said else "not told"
+
+
+def _version(name: str) -> str:
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return ""
+
+
+def _numba() -> Any:
+    return importlib.import_module("numba.cuda")
