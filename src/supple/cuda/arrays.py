@@ -243,7 +243,9 @@ def _made_like(source: OnCard, shape: Sequence[int], kind: np.dtype[Any], as_it_
     else:
         from numba import cuda
 
-        given = cuda.device_array(tuple(shape), kind, stream=source.stream)
+        # Bound to a stream only if the source is: arrays that are bound to the default one cannot be handed on.
+        bound = getattr(source.given, "stream", 0) if hasattr(source.given, "__cuda_ndarray__") else 0
+        given = cuda.device_array(tuple(shape), kind, stream=bound or 0)
     return taken(given, "the result")
 
 
