@@ -19,7 +19,7 @@ from numba import types
 from numba.np.numpy_support import from_dtype
 
 from supple.cpu.sampling import OUTSIDE
-from supple.cuda import field, fill, lattice, newton
+from supple.cuda import field, fill, lattice, newton, reach
 from supple.cuda.colour import BETWEEN, FILTERS
 from supple.cuda.sample import Way
 
@@ -41,6 +41,7 @@ KERNELS = {
     "solve": (lattice.solve, (F8, I4, N, I4, I4, N, N, N, F4, F4, I4)),
     "twist": (lattice.twist, (I4, I4, N, F4)),
     "check": (lattice.check, (F8, I4, N, I4, I4, N, N, X, F4, F4, F4, I4)),
+    "bound": (reach.bound, (I4, I4, N, N, F4, F4)),
 }
 
 

@@ -5,13 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-import numpy as np
-
 from supple.deformation import Deformation
 from supple.domain import refuse
 from supple.errors import SuppleError
 from supple.oncard import is_on_card, warp_on_card
-from supple.warping import checked_sampling, one_or_each, result_like, warn_of
+from supple.warping import as_array, checked_sampling, one_or_each, result_like, warn_of
 
 
 def warp_batch(
@@ -67,12 +65,9 @@ def warp_batch(
         warn_of(certificate, sampling.tolerance, 3)
         return result
     several = tuple(deformations) if isinstance(deformations, Sequence) else (deformations,)
-    try:
-        array = np.asarray(sources)
-    except (TypeError, ValueError):
-        refuse("sources", "an array of numbers", sources)
+    array = as_array(sources, "sources")
     shape = several[0].shape
-    if array.ndim < 1 + len(shape) or array.shape[1 : 1 + len(shape)] != shape or not array.shape[0]:
+    if array.ndim < 1 + len(shape) or array.shape[1 : 1 + len(shape)] != shape:
         sizes = ", ".join(map(str, shape))
         refuse("sources", f"of shape (N, {sizes}) or (N, {sizes}, channels)", f"shape {array.shape}")
     if len(several) not in (1, len(array)):

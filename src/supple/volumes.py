@@ -17,7 +17,7 @@ import numpy.typing as npt
 from supple.cpu.warp import Certificate
 from supple.deformation import Deformation, Report
 from supple.domain import choice, number
-from supple.engines import check_frames, warp_frames_by
+from supple.engines import check_device, check_frames, warp_frames_by
 from supple.errors import GapWarning, SuppleError
 from supple.fields import write_transform
 from supple.geometry import Geometry
@@ -232,6 +232,7 @@ def warp_volume(
     ``"write"``.
     """
     known = options or VolumeOptions()
+    check_device(device)
     sampling = sampling_of(
         "nearest" if known.labels and filter == "auto" else filter, outside=outside, fill=fill, tolerance=tolerance
     )

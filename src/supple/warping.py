@@ -189,11 +189,21 @@ class _ArrayFrame:
 
 def checked_source(source: object, shape: tuple[int, ...], alpha: bool | None, light: bool) -> tuple[Array, bool]:
     """The source as an array that fits, and whether its last channel is opacity."""
-    try:
-        array: Array = np.asarray(source)
-    except (TypeError, ValueError):
-        refuse("source", "an array of numbers", source)
+    array = as_array(source, "source")
     return array, checked_kind(array.shape, array.dtype, shape, alpha, light)
+
+
+def as_array(value: object, name: str) -> Array:
+    """A value as NumPy's array; SuppleError if it is none."""
+    if getattr(value, "requires_grad", False) is True:
+        raise SuppleError(
+            f"{name} is a tensor that wants gradients, found requires_grad=True: supple.torch.warp makes them, and "
+            "tensor.detach() does without"
+        )
+    try:
+        return np.asarray(value)
+    except (TypeError, ValueError):
+        refuse(name, "an array of numbers", value)
 
 
 def checked_kind(

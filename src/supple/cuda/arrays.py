@@ -96,8 +96,11 @@ def is_on_card(value: object) -> bool:
         return False
     if _is_tensor(value):
         return bool(value.is_cuda)  # type: ignore[attr-defined]
-    if hasattr(type(value), "__cuda_array_interface__") or getattr(type(value), "__cuda_ndarray__", False):
-        return True
+    try:
+        if getattr(value, "__cuda_ndarray__", False) or hasattr(value, "__cuda_array_interface__"):
+            return True
+    except (RuntimeError, ValueError):  # some say so rather than not having it
+        return False
     where = getattr(value, "__dlpack_device__", None)
     try:
         return where is not None and int(where()[0]) in _CUDA
@@ -121,8 +124,10 @@ def taken(value: Any, name: str) -> OnCard:
     Raises
     ------
     SuppleError
-        If CUDA cannot be used, or the array is of a kind that cannot be taken.
+        If CUDA cannot be used, or the array is not on a card, or of a kind that cannot be taken.
     """
+    if not is_on_card(value):
+        refuse(name, "an array on a card", value)
     if _is_tensor(value) and value.requires_grad:
         raise SuppleError(
             f"{name} is a tensor that wants gradients, found requires_grad=True: supple.torch.warp makes them, and "
@@ -139,6 +144,8 @@ def taken(value: Any, name: str) -> OnCard:
     try:
         # Of what is known, all goes on in the order of its stream; of another library, the default stream waits.
         view: Any = StridedMemoryView.from_any_interface(value, stream_ptr=-1 if own else 1)
+        if not view.is_device_accessible:
+            raise BufferError("its memory is not a card's")
         shape = tuple(int(n) for n in view.shape)
         dtype = np.dtype(view.dtype)
     except (BufferError, TypeError, ValueError, RuntimeError, NotImplementedError, AttributeError) as error:

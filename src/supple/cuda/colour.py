@@ -213,7 +213,7 @@ def _between(way: Way) -> Callable[..., Any]:
             return a
         b = in_frame(samples, fills, source, how, limits, table, frame_at(source, index(k + one), counts), i, j, u, v,
                      c, kind, box_x, box_y, xx, xy, yy, major, minor)  # fmt: skip
-        return a + w * (b - a)
+        return (ONE - w) * a + w * b
 
     @device
     def several(samples, fills, source, how, limits, table, picture, i, j, k, u, v, w, width, c,

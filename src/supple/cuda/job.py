@@ -229,6 +229,10 @@ def start(work: Work, *, slab: int | None, stream: Any = None) -> Warping:
     """Hand a warp over to a stream, by default one of its own; it begins when what was handed over before is done."""
     from numba import cuda
 
+    if work.source.span == 0:
+        refuse("source", "a batch of one item or more", f"shape {work.source.shape}")
+    if stream is not None and not hasattr(stream, "synchronize"):
+        refuse("stream", "a stream of numba.cuda's, or left out", stream)
     card = work.source.card
     with card.current():
         own = card.stream() if stream is None else stream
@@ -245,6 +249,8 @@ def start(work: Work, *, slab: int | None, stream: Any = None) -> Warping:
 
 def finish(work: Work) -> Certificate:
     """Warp on the stream that the source's library works on, and wait for it."""
+    if work.source.span == 0:  # a batch of nothing
+        return Certificate(0.0, 0.0)
     card = work.source.card
     with card.current():
         pieces = hand_over(work, work.source.stream, waited=True)

@@ -208,9 +208,9 @@ def linear_at(way: Way, read: Callable[..., Any]) -> Callable[..., Any]:
         b = read(samples, fills, source, how, limits, start, y0, x1, c)
         d = read(samples, fills, source, how, limits, start, y1, x0, c)
         e = read(samples, fills, source, how, limits, start, y1, x1, c)
-        above = a + u * (b - a)
-        below = d + u * (e - d)
-        return above + v * (below - above)
+        above = (ONE - u) * a + u * b
+        below = (ONE - u) * d + u * e
+        return (ONE - v) * above + v * below
 
     return linear
 

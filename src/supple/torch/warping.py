@@ -87,6 +87,8 @@ def warp(
     With p = T⁻¹(q) and θ any number of a stroke, ∂p/∂θ = -(I+J)⁻¹ ∂K/∂θ.
     """
     given, batch = items(deformation, at, by, radius)
+    if not given:
+        return _nothing(tensor, "tensor")
     shape = given[0].deformation.shape
     _check(tensor, shape, len(given) if batch else None)
     choice("filter", filter, ("nearest", *FILTERS))
@@ -113,6 +115,13 @@ def warp(
         for part, item in zip(parts, given, strict=True)
     ]
     return (torch.stack(made) if batch else made[0]).reshape(tensor.shape)
+
+
+def _nothing(tensor: torch.Tensor, name: str) -> torch.Tensor:
+    """What becomes of a batch without items."""
+    if not isinstance(tensor, torch.Tensor) or tensor.ndim == 0 or len(tensor):
+        refuse(name, "a tensor of no items, as the strokes are", tensor)
+    return tensor.clone()
 
 
 def forward(
@@ -148,6 +157,8 @@ def forward(
         As `warp` does.
     """
     given, batch = items(deformation, at, by, radius)
+    if not given:
+        return _nothing(points, "points")
     n = given[0].deformation.ndim
     if not isinstance(points, torch.Tensor):
         refuse("points", f"a tensor of shape (..., {n})", points)
