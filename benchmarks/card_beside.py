@@ -25,6 +25,7 @@ def handed_over(b: Bench) -> Iterator[Line]:
     from numba import cuda
 
     import supple.cuda
+    from supple.cuda.kernel import launched
 
     place, shape = b.place, (b.side,) * 3
     d = stroke(*shape)
@@ -53,8 +54,10 @@ def handed_over(b: Bench) -> Iterator[Line]:
     cell, stream = cuda.to_device(np.zeros(1, np.int32)), cuda.stream()
     clock = wall if place.dry else Events(stream, beside=True)
 
+    ticking = launched(tick, 1, 1, stream)
+
     def small() -> None:
-        tick[1, 1, stream](cell)
+        ticking(cell)
 
     ways: list[tuple[str, Callable[[], Any] | None]] = [
         ("alone", None),

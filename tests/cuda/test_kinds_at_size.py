@@ -73,7 +73,7 @@ def test_they_come_back_as_they_came(put: Callable[[np.ndarray], Any]) -> None:
     assert type(supple.warp_batch(batch, d, **OPTIONS)) is type(there)
 
 
-VIEWS = {"every other": np.s_[::2, 1::3], "a window": np.s_[5:-4, 7:-2], "turned around": np.s_[::-1, ::-2]}
+VIEWS = {"every other": np.s_[::2, 1::3], "a window": np.s_[1:-1, 2:-1], "turned around": np.s_[::-1, ::-2]}
 
 
 @pytest.mark.parametrize("name", VIEWS)
