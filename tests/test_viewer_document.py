@@ -463,7 +463,8 @@ def random_edit(d: Document, rng: random.Random) -> None:
 def test_soak(seed: int) -> None:
     rng = random.Random(seed)
     gc.collect()
-    before = sum(isinstance(thing, Deformation) for thing in gc.get_objects())
+    # Their types, not themselves: some of other libraries' objects warn of being looked at.
+    before = sum(issubclass(type(thing), Deformation) for thing in gc.get_objects())
     d = Document(SHAPE, recipe=Recipe(strokes=(stroke(), replace(stroke(90, 70), hidden=True))))
     first, table = d.state, d.deformation._table.tobytes()
     past = [d.state.content]  # what undo must bring back
@@ -490,7 +491,7 @@ def test_soak(seed: int) -> None:
     assert d.state.content == first.content
     assert d.deformation._table.tobytes() == table
     gc.collect()
-    alive = sum(isinstance(thing, Deformation) for thing in gc.get_objects())
+    alive = sum(issubclass(type(thing), Deformation) for thing in gc.get_objects())
     assert alive - before <= len(d.items) + 10  # none is kept for a state that is not shown
     while d.can_redo:
         d.redo()
