@@ -94,8 +94,7 @@ def warp_on_gpu(
     SuppleError
         If an argument does not fit, or the GPU must do what it does not.
     """
-    shape = space.shape if space.ndim == 2 else (space.count, *space.shape)
-    array, straight = checked_source(source, shape, alpha, sampling.light)
+    array, straight = checked_source(source, space.whole, alpha, sampling.light)
     channels = array.shape[-1] if array.ndim > space.ndim else 1
     colours = checked_fill(sampling.fill, channels, array.dtype)
     white = float(np.iinfo(array.dtype).max) if array.dtype.kind in "iu" else 1.0

@@ -45,7 +45,7 @@ def warp_on_card(
 def check_sent(sampling: Sampling, dtype: np.dtype[Any]) -> None:
     """Refuse what no card does, and that there is none, before any work; SuppleError says why."""
     open_card()
-    from supple.cuda.large import check_known
+    from supple.cuda.warp import check_known
 
     check_known(sampling, dtype)
 

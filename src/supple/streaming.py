@@ -136,6 +136,11 @@ class Space:
     count: int
     shape: tuple[int, int]
 
+    @property
+    def whole(self) -> tuple[int, ...]:
+        """The shape of the arrays: of an image, or of all frames."""
+        return self.shape if self.ndim == 2 else (self.count, *self.shape)
+
     def solve(self, z: int, step: tuple[int, int] = (1, 1)) -> Plane:
         """The lattice of a plane. With a free border it reaches as far as samples ``step`` pixels apart may lie."""
         height, width = self.shape

@@ -76,7 +76,7 @@ def one_or_each(deformations: Any) -> tuple[Space, ...]:
     if not several or not all(isinstance(getattr(d, "space", None), Space) for d in several):
         refuse("deformations", wanted, deformations)
     spaces = tuple(d.space for d in several)
-    shapes = [(s.count, *s.shape) if s.ndim == 3 else s.shape for s in spaces]
+    shapes = [s.whole for s in spaces]
     if len(set(shapes)) > 1:
         other = next(shape for shape in shapes if shape != shapes[0])
         refuse("deformations", wanted, f"shapes {shapes[0]} and {other}")
@@ -193,13 +193,18 @@ def checked_source(source: object, shape: tuple[int, ...], alpha: bool | None, l
     return array, checked_kind(array.shape, array.dtype, shape, alpha, light)
 
 
-def as_array(value: object, name: str) -> Array:
-    """A value as NumPy's array; SuppleError if it is none."""
+def check_gradients(value: object, name: str) -> None:
+    """Refuse a tensor that wants gradients, which would get none here."""
     if getattr(value, "requires_grad", False) is True:
         raise SuppleError(
             f"{name} is a tensor that wants gradients, found requires_grad=True: supple.torch.warp makes them, and "
             "tensor.detach() does without"
         )
+
+
+def as_array(value: object, name: str) -> Array:
+    """A value as NumPy's array; SuppleError if it is none."""
+    check_gradients(value, name)
     try:
         return np.asarray(value)
     except (TypeError, ValueError):

@@ -13,6 +13,7 @@ import numpy.typing as npt
 from supple.cuda.card import Card, open_card, simulated
 from supple.domain import refuse
 from supple.errors import SuppleError
+from supple.warping import check_gradients
 
 _CUDA = (2, 13)  # of DLPack's kinds of device: a card's memory, and that which it shares with the host
 
@@ -128,11 +129,7 @@ def taken(value: Any, name: str) -> OnCard:
     """
     if not is_on_card(value):
         refuse(name, "an array on a card", value)
-    if _is_tensor(value) and value.requires_grad:
-        raise SuppleError(
-            f"{name} is a tensor that wants gradients, found requires_grad=True: supple.torch.warp makes them, and "
-            "tensor.detach() does without"
-        )
+    check_gradients(value, name)
     if simulated():
         open_card()
         return _in_simulator(value)

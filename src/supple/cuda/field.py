@@ -57,6 +57,20 @@ def edge(x, extent, sigma):
 
 
 @device
+def profiles(known, s, r2):
+    """A, B, 2A' and 2B' of a stroke, summed over its terms, at the square of the distance to its pivot."""
+    a, b, da, db = 0.0, 0.0, 0.0, 0.0
+    for m in range(int(known[s + TERMS])):
+        t = s + TERM + 4 * m
+        more_a, more_b, more_da, more_db = profile(r2, known[t], known[t + 1], known[t + 2], known[t + 3])
+        a += more_a
+        b += more_b
+        da += more_da
+        db += more_db
+    return a, b, da, db
+
+
+@device
 def moved(known, at, first, last, x, y, z):
     """T of a point, by the strokes whose numbers are from ``first`` to ``last``, in the domain at ``at``."""
     for s in range(first, last, STROKE):
@@ -64,14 +78,7 @@ def moved(known, at, first, last, x, y, z):
         by, _, ny, _ = edge(y, known[at + 3], known[at + 4])
         bz, _, nz, _ = edge(z, known[at + 6], known[at + 7])
         dx, dy, dz = nx - known[s], ny - known[s + 1], nz - known[s + 2]
-        a, b = 0.0, 0.0
-        for m in range(int(known[s + TERMS])):
-            t = s + TERM + 4 * m
-            more_a, more_b, _, _ = profile(
-                dx * dx + dy * dy + dz * dz, known[t], known[t + 1], known[t + 2], known[t + 3]
-            )
-            a += more_a
-            b += more_b
+        a, b, _, _ = profiles(known, s, dx * dx + dy * dy + dz * dz)
         kx, ky, kz = displacement(dx, dy, dz, known[s + 3], known[s + 4], known[s + 5], a, b)
         x += bx * kx
         y += by * ky
@@ -87,16 +94,7 @@ def carried(known, at, s, x, y, z):
     bz, slope_z, nz, oz = edge(z, known[at + 6], known[at + 7])
     dx, dy, dz = nx - known[s], ny - known[s + 1], nz - known[s + 2]
     fx, fy, fz = known[s + 3], known[s + 4], known[s + 5]
-    a, b, da, db = 0.0, 0.0, 0.0, 0.0
-    for m in range(int(known[s + TERMS])):
-        t = s + TERM + 4 * m
-        more_a, more_b, more_da, more_db = profile(
-            dx * dx + dy * dy + dz * dz, known[t], known[t + 1], known[t + 2], known[t + 3]
-        )
-        a += more_a
-        b += more_b
-        da += more_da
-        db += more_db
+    a, b, da, db = profiles(known, s, dx * dx + dy * dy + dz * dz)
     kx, ky, kz = displacement(dx, dy, dz, fx, fy, fz, a, b)
     m00, m01, m02, m10, m11, m12, m20, m21, m22 = gradient(dx, dy, dz, fx, fy, fz, b, da, db)
     return (

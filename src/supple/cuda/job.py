@@ -10,10 +10,20 @@ from typing import Any
 import numpy as np
 
 from supple.cpu.warp import Certificate
-from supple.cuda.arrays import OnCard, as_stream, made_like, stream_of, taken
+from supple.cuda.arrays import OnCard, as_stream, is_on_card, made_like, stream_of, taken
 from supple.cuda.card import simulated
 from supple.cuda.sample import FRAMES
-from supple.cuda.warp import Frames, Lattice, Pieces, colours_of, lattice_of, make_planes, pieces_of, told_of
+from supple.cuda.warp import (
+    Frames,
+    Lattice,
+    Pieces,
+    check_known,
+    colours_of,
+    lattice_of,
+    make_planes,
+    pieces_of,
+    told_of,
+)
 from supple.domain import refuse
 from supple.errors import SuppleError
 from supple.streaming import Sampling, Space
@@ -65,15 +75,12 @@ def checked(
     given = taken(source, "source")
     if batch and len(spaces) not in (1, given.shape[0] if given.ndim else 0):
         refuse("deformations", f"one, or one for each of the {given.shape[0] if given.ndim else 0} items", len(spaces))
-    shape = space.shape if space.ndim == 2 else (space.count, *space.shape)
-    if sampling.filter == "ewa":
-        refuse("filter", '"antialias" or "auto" for arrays on a card ("ewa" is the CPU\'s reference)', "ewa")
+    shape = space.whole
+    check_known(sampling, given.dtype)
     items = given.shape[1:] if batch else given.shape
     straight = checked_kind(items, given.dtype, shape, alpha, sampling.light)
     channels = items[-1] if len(items) > len(shape) else 1
     colours = checked_fill(sampling.fill, channels, given.dtype)
-    if given.dtype.kind == "f" and given.dtype.itemsize not in (2, 4, 8):
-        refuse("source", "an array of bool, integers or floats of 16, 32 or 64 bits", f"dtype {given.dtype}")
     target = _checked_out(out, given) if out is not None else _like(given)
     return Work(given, target, tuple(spaces), replace(sampling, fill=tuple(colours.tolist())), straight, batch)
 
@@ -83,8 +90,6 @@ def _like(given: OnCard) -> OnCard:
 
 
 def _checked_out(out: Any, source: OnCard) -> OnCard:
-    from supple.cuda.arrays import is_on_card
-
     wanted = f"an array on the source's card, of {source.dtype} and shape {source.shape}, as the source is"
     if not is_on_card(out):
         refuse("out", wanted, out)
@@ -124,19 +129,19 @@ def hand_over(work: Work, stream: Any, slab: int | None = None, *, waited: bool 
         rounds = _rounds(work)
         fill = np.asarray(sampling.fill, np.float64)
         count, stack = rounds[0].source.places[FRAMES], space.ndim == 3
-        colours, copied = (
-            colours_of(card, work.source.dtype, fill, how, alpha=work.alpha, count=count, stack=stack)
-            for how in (sampling, exact)
-        )
+        colours = {
+            still: colours_of(
+                card, work.source.dtype, fill, exact if still else sampling, alpha=work.alpha, count=count, stack=stack
+            )
+            for still in {r.still for r in rounds}
+        }
         planes = 1 if rounds[0].shared else rounds[0].planes
         pieces = (pieces_of if waited else Pieces)(work.out, [r.lattice for r in rounds], planes)
         for k, r in enumerate(rounds):
-            for _ in make_planes(
-                card, stream, r.lattice, pieces, copied if r.still else colours, space.shape, (0, r.planes), r.source,
-                r.out,
+            make_planes(
+                card, stream, r.lattice, pieces, colours[r.still], space.shape, (0, r.planes), r.source, r.out,
                 tolerance=sampling.tolerance, shared=r.shared, fresh=k == 0, slab=slab,
-            ):  # fmt: skip
-                pass
+            )  # fmt: skip
     return pieces
 
 
@@ -226,7 +231,7 @@ class Warping:
         if self._certificate is None:
             with self._work.source.card.current():
                 self._event.synchronize()
-                self._certificate, _ = told_of(self._pieces, self.stream)
+                self._certificate = told_of(self._pieces, self.stream)
             with _lock:
                 _going.pop(id(self._event), None)
             warn_of(self._certificate, self._work.sampling.tolerance, 3)
@@ -305,6 +310,6 @@ def finish(work: Work) -> Certificate:
     with card.current():
         _order(work, work.source.stream)
         pieces = hand_over(work, work.source.stream, waited=True)
-        certificate, _ = told_of(pieces, work.source.stream)
+        certificate = told_of(pieces, work.source.stream)
     note(card.name)
     return certificate

@@ -21,13 +21,23 @@ import numpy.typing as npt
 from supple.cpu.warp import Certificate
 from supple.cuda.arrays import taken
 from supple.cuda.card import Card, failures
-from supple.cuda.lattice import LIST, LOST, MISSING, NODE, WORST
+from supple.cuda.lattice import LIST, MISSING, NODE
 from supple.cuda.needs import Needs, needs_of
 from supple.cuda.ring import Ring, recorded
 from supple.cuda.sample import FIRST, LAST
 from supple.cuda.staging import Lane, pieces
-from supple.cuda.warp import SCRATCH, Colours, Frames, Lattice, Pieces, colours_of, lattice_of, make_planes
-from supple.domain import refuse
+from supple.cuda.warp import (
+    SCRATCH,
+    Colours,
+    Frames,
+    Lattice,
+    Pieces,
+    certificate_of,
+    check_known,
+    colours_of,
+    lattice_of,
+    make_planes,
+)
 from supple.streaming import Sampling, Space, Tell
 from supple.warping import checked_fill, checked_source, result_like
 
@@ -83,7 +93,7 @@ def warp_host(
     MemoryError
         If a plane, and the frames that it is made of, take more than there is room for.
     """
-    shape = space.shape if space.ndim == 2 else (space.count, *space.shape)
+    shape = space.whole
     array, straight = checked_source(source, shape, alpha, sampling.light)
     channels = array.shape[-1] if array.ndim > len(shape) else 1
     colours = checked_fill(sampling.fill, channels, array.dtype)
@@ -101,14 +111,6 @@ def warp_host(
         with _opened(card, deep, target, space, replace(sampling, fill=tuple(colours.tolist())), straight, most) as job:
             job.run(tell)
     return result, job.certificate
-
-
-def check_known(sampling: Sampling, dtype: np.dtype[Any]) -> None:
-    """Refuse what the card does not do; SuppleError says what it does."""
-    if sampling.filter == "ewa":
-        refuse("filter", '"antialias" or "auto" on a card ("ewa" is the CPU\'s reference)', "ewa")
-    if dtype.kind == "f" and dtype.itemsize not in (2, 4, 8):
-        refuse("source", "an array of bool, integers or floats of 16, 32 or 64 bits", f"dtype {dtype}")
 
 
 @dataclass(frozen=True, slots=True)
@@ -223,14 +225,13 @@ class _Job:
         turn = self.begun % self.plan.turns
         _, height, width, _ = self.target.shape
         out = Frames(self.slabs[turn], (*source.places[:FIRST], 0, self.plan.planes, 0, self.plan.planes))
-        for _ in make_planes(
+        make_planes(
             self.card, self.stream, self.lattice, self.pieces, self.colours, (height, width), (first, last), source,
             out, tolerance=self.sampling.tolerance,
-        ):  # fmt: skip
-            pass
+        )  # fmt: skip
         told, counts = self.told[turn]
         self.pieces.told.copy_to_host(told, stream=self.stream)
-        self.pieces.counts[:LIST].copy_to_host(counts, stream=self.stream)
+        self.pieces.counted.copy_to_host(counts, stream=self.stream)
         slab = _Slab((first, last), self.begun, recorded(self.stream))
         self.ring.read_by(slab.number, (source.places[FIRST], source.places[LAST]), slab.made)
         self.begun += 1
@@ -247,8 +248,7 @@ class _Job:
         told, counts = self.told[turn]
         if counts[MISSING]:
             return False
-        lost = int(counts[LOST])
-        self.certificate |= Certificate(np.inf if lost else float(told[WORST]), 0.0, lost)
+        self.certificate |= certificate_of(told, counts)
         self.down.down(self._parts(slab.planes, self.slabs[turn]))
         return True
 

@@ -78,31 +78,18 @@ def inverse_map(space: Space, like: Any, tolerance: float, *, offsets: bool = Fa
     Or their ``offsets`` from the pixels, of which float32 keeps more.
     """
     given = taken(plain(like), "like")
-    shape = space.shape if space.ndim == 2 else (space.count, *space.shape)
-    out = made_like(given, (*shape, space.ndim), np.float32)
+    out = made_like(given, (*space.whole, space.ndim), np.float32)
     card, stream = given.card, given.stream
     strides = out.strides if space.ndim == 3 else (0, *out.strides)
     with card.current():
         lattice = lattice_of(card, (space,))
         pieces = Pieces(out, [lattice], space.count)
         nothing = held(card, np.zeros(1, np.float32))
-        way = Way(
-            FILTERS["offsets" if offsets else "map"],
-            NOTHING,
-            0,
-            False,
-            np.float32,
-            np.int32,
-            False,
-            False,
-            False,
-            False,
-        )
+        way = Way(FILTERS["offsets" if offsets else "map"], NOTHING)
         colours = Colours(way, nothing, (-1, 0, 0), (0.0, 0.0, 1.0), nothing)
         source = Frames(nothing, (space.count, *space.shape, space.ndim, 0, 0, 0, 0, 0, 0, space.count, 0, space.count))
         into = Frames(out.flat(), (space.count, *space.shape, space.ndim, *strides, 0, 0, space.count, 0, space.count))
-        for _ in make_planes(
+        make_planes(
             card, stream, lattice, pieces, colours, space.shape, (0, space.count), source, into, tolerance=tolerance
-        ):
-            pass
-        return out.given, told_of(pieces, stream)[0]
+        )
+        return out.given, told_of(pieces, stream)

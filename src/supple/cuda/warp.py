@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import threading
 from collections import OrderedDict
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -26,8 +26,9 @@ from supple.cuda.colour import BETWEEN, FILTERS, NOTHING
 from supple.cuda.field import packed
 from supple.cuda.fill import PIXELS, kernels
 from supple.cuda.kernel import THREADS, blocks, launched
-from supple.cuda.lattice import LIST, LOST, MISSING, NODE, SIZE, WORST, check, solve, twist
+from supple.cuda.lattice import LIST, LOST, NODE, SIZE, WORST, check, solve, twist
 from supple.cuda.sample import FIRST, FRAME, FRAMES, LAST, START, Way
+from supple.domain import refuse
 from supple.streaming import Sampling, Space
 
 Array = npt.NDArray[Any]
@@ -128,6 +129,14 @@ def _new_lattice(card: Card, spaces: Sequence[Space]) -> Lattice:
     known, spans = packed([space.table for space in spaces], domains)
     there = [held(card, array) for array in (known, spans, xs, ys, cells)]
     return Lattice(there[0], there[1], there[2], there[3], there[4], (ys.size, xs.size), len(spaces))
+
+
+def check_known(sampling: Sampling, dtype: np.dtype[Any]) -> None:
+    """Refuse what the card does not do; SuppleError says what it does."""
+    if sampling.filter == "ewa":
+        refuse("filter", '"antialias" or "auto" on a card ("ewa" is the CPU\'s reference)', "ewa")
+    if dtype.kind == "f" and dtype.itemsize not in (2, 4, 8):
+        refuse("source", "an array of bool, integers or floats of 16, 32 or 64 bits", f"dtype {dtype}")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -237,9 +246,8 @@ def make_planes(
     shared: int = 0,
     fresh: bool = True,
     slab: int | None = None,
-    begun: Callable[[], None] = lambda: None,
-) -> Iterator[None]:
-    """Hand over what makes some planes, slab by slab; it yields after each.
+) -> None:
+    """Hand over what makes some planes, slab by slab.
 
     Parameters
     ----------
@@ -265,6 +273,8 @@ def make_planes(
     index = np.int64 if source.long or out.long else np.int32
     fill, rough = kernels(replace(colours.way, index=index, ring=ring))
     limits = tuple(map(colours.way.number, colours.limits))
+    places, how = (tuple(map(index, numbers)) for numbers in (source.places, colours.how))
+    read = (source.samples, colours.fills, places, how, limits, colours.table)
     threads = min(THREADS, -(-width // 32) * 32)
     together = min(slab or pieces.together, pieces.together)
     if shared:
@@ -276,7 +286,6 @@ def make_planes(
         described = (height, width, count, first, lattice.deformations, int(shared > 0))
         target = (*out.places[FRAME:START], out.places[START] + (first - planes[0]) * out.places[FRAME])
         nodes, cells = solved * lattice.nodes, solved * lattice.cell_count
-        begun()
         launched(solve, blocks(nodes), THREADS, stream)(
             lattice.known, lattice.spans, lattice.deformations, lattice.xs, lattice.ys, solved, first, int(fresh),
             pieces.nodes, pieces.told, pieces.counts,
@@ -286,10 +295,7 @@ def make_planes(
             lattice.known, lattice.spans, lattice.deformations, lattice.xs, lattice.ys, solved, first, tolerance,
             pieces.nodes, pieces.errors, pieces.told, pieces.counts,
         )  # fmt: skip
-        places, how = (tuple(map(index, numbers)) for numbers in (source.places, colours.how))
-        common = (
-            source.samples, colours.fills, places, how, limits, colours.table, out.samples, tuple(map(index, target)),
-        )  # fmt: skip
+        common = (*read, out.samples, tuple(map(index, target)))
         launched(fill, (-(-width // threads), rows - 1, count), threads, stream)(
             lattice.xs, lattice.ys, lattice.cells, pieces.nodes, pieces.errors, described, *common, pieces.counts
         )
@@ -298,7 +304,6 @@ def make_planes(
             pieces.told, pieces.counts,
         )  # fmt: skip
         fresh = False
-        yield
 
 
 _kept_pieces = threading.local()
@@ -319,11 +324,16 @@ def pieces_of(like: OnCard, lattices: Sequence[Lattice], planes: int) -> Pieces:
     return kept[1]
 
 
-def told_of(pieces: Pieces, stream: Any) -> tuple[Certificate, int]:
-    """What is known of the map, and how many samples were asked for that were not there; it waits for the stream."""
+def told_of(pieces: Pieces, stream: Any) -> Certificate:
+    """What is known of the map; it waits for the stream."""
     told = pieces.told.copy_to_host(stream=stream)
     counts = pieces.counted.copy_to_host(stream=stream)
     if stream:
         stream.synchronize()
+    return certificate_of(told, counts)
+
+
+def certificate_of(told: Array, counts: Array) -> Certificate:
+    """What is known of a map, of what kernels told of it."""
     lost = int(counts[LOST])
-    return Certificate(np.inf if lost else float(told[WORST]), 0.0, lost), int(counts[MISSING])
+    return Certificate(np.inf if lost else float(told[WORST]), 0.0, lost)

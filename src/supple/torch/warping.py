@@ -14,12 +14,12 @@ import torch
 from torch.autograd.function import once_differentiable
 
 from supple.deformation import Deformation
-from supple.domain import choice, number, refuse
+from supple.domain import refuse
 from supple.torch.engine import Job, grid, offsets_of, values, working
 from supple.torch.field import Columns, moved, strokes_gradients
 from supple.torch.sample import Filter, read, spread
 from supple.torch.strokes import Item, items
-from supple.warping import FILTERS, OUTSIDE, checked_fill, interpolated
+from supple.warping import checked_fill, checked_sampling
 
 SMOOTH = ("nearest", "linear", "cubic")
 
@@ -91,13 +91,11 @@ def warp(
         return _nothing(tensor, "tensor")
     shape = given[0].deformation.shape
     _check(tensor, shape, len(given) if batch else None)
-    choice("filter", filter, ("nearest", *FILTERS))
-    choice("outside", outside, tuple(OUTSIDE))
-    tolerance = number("tolerance", tolerance, "a number of pixels above 0", 1e-9, 1e9)
     axes = len(shape)
-    if between is not None and axes == 2:
-        refuse("between", "left out for an image, which is one frame", between)
-    between = interpolated(filter, between)
+    sampling = checked_sampling(
+        axes, filter=filter, tolerance=tolerance, outside=outside, fill=fill, linear_light=False, between=between,
+        time_filter=False,
+    )  # fmt: skip
     wanted = torch.is_grad_enabled() and tensor.requires_grad
     strokes_wanted = any(item.differentiable for item in given)
     if (wanted or strokes_wanted) and filter not in SMOOTH:
@@ -111,7 +109,7 @@ def warp(
     parts = tensor.reshape(len(given), -1, *shape)
     colours = np.tile(colours, parts.shape[1] // channels)
     made = [
-        _warped(part, item, Job(item.deformation, filter, between, outside, colours, tolerance))
+        _warped(part, item, Job(item.deformation, filter, sampling.between, outside, colours, sampling.tolerance))
         for part, item in zip(parts, given, strict=True)
     ]
     return (torch.stack(made) if batch else made[0]).reshape(tensor.shape)
