@@ -83,11 +83,8 @@ def test_filters_and_what_lies_outside(numba_cuda: Any, filter: str, outside: st
     apart = np.abs(made - d.warp(source, **options)).max(axis=-1)
     if filter == "nearest":  # but where a point lies on the line between two samples
         assert (apart > 0).mean() < 0.01
-    elif filter in ("linear", "cubic"):
+    else:
         assert apart.max() < 1e-3
-    else:  # the CPU takes one footprint for eight rows, the card one for each pixel
-        assert np.quantile(apart, 0.9) < 2e-3
-        assert apart.max() < 0.03
 
 
 TYPES = ["f2", "f4", "f8", "u1", "u2", "u4", "u8", "i1", "i2", "i4", "i8", "?"]
@@ -145,8 +142,6 @@ def test_stacks(numba_cuda: Any, filter: str, between: str, average: bool) -> No
     apart = np.abs(made - d.warp(source, **options))
     if "nearest" in (filter, between):
         assert (apart > 1e-3).mean() < 0.01
-    elif filter == "auto":
-        assert np.quantile(apart, 0.95) < 5e-3
     else:
         assert apart.max() < 1e-3
 

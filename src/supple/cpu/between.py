@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from supple.cpu.filters import KIND, NONE, choose, filter_row, tile_of
-from supple.cpu.footprint import AUTO, PARTS, WIDEST, footprints
+from supple.cpu.footprint import AUTO, PARTS, footprints
 from supple.cpu.kernel import colour_kernel as kernel
 from supple.cpu.kernel import inlined
 from supple.cpu.pyramid import build
@@ -105,7 +105,6 @@ def filtered_frames(
     top,
     levels,
     table,
-    own,
     linear,
     low,
     high,
@@ -129,7 +128,7 @@ def filtered_frames(
         Whether pixels are averaged over the time that they cover; ``points`` then has ∂p_t/∂t, too.
     done : bool array, shape (runs,)
         Which runs to leave out.
-    mode, lanes, rule, fill, alpha, top, levels, table, own, linear, low, high, whole, octets
+    mode, lanes, rule, fill, alpha, top, levels, table, linear, low, high, whole, octets
         As in `supple.cpu.filters.filtered`.
     """
     height, width, channels = source.shape[1:]
@@ -159,7 +158,6 @@ def filtered_frames(
         low_x, high_x = limits(anchors[run], 0, width, rule, margin)
         low_y, high_y = limits(anchors[run], 1, height, rule, margin)
         move_x, move_y = np.float32(anchors[run, 0] - x0), np.float32(anchors[run, 1] - y0)
-        every = 8 if largest <= 1.5 * WIDEST * WIDEST else 1
         # The frames of this run.
         early, late, longest = 1e300, -1e300, 0.0
         for y in range(tall_out):
@@ -192,7 +190,6 @@ def filtered_frames(
                 else:
                     _load_constant(group, lanes, channels, wide * deep, fill, alpha, tile)
                 starts, sizes = build(tile, wide, deep, lanes, coarsest)
-                described = -1
                 for y in range(tall_out):
                     _times(points, y, left, n, np.float64(anchors[run, 2]), earliest, latest, times)
                     if average:
@@ -203,15 +200,14 @@ def filtered_frames(
                         some = some or weights[i] != 0
                     if not some:
                         continue
-                    if mode >= AUTO and y // every != described:
-                        described = y // every
-                        footprints(points, min(described * every + every // 2, tall_out - 1), left, n, mode, parts)
+                    if mode >= AUTO:
+                        footprints(points, y, left, n, mode, parts)
                     positions(points, y, left, n, move_x, move_y, low_x, high_x, low_y, high_y, wide, words, parts)
-                    choose(n, mode, parts, words)
+                    choose(n, mode, wide if lanes == 4 else 0, parts, words)
                     for i in range(n):
                         if weights[i] == 0:
                             words[KIND + i] = np.uint32(NONE)
-                    filter_row(tile, starts, sizes, lanes, n, mode, largest, wide, words, parts, table, own, values)
+                    filter_row(tile, starts, sizes, lanes, n, mode, largest, wide, words, parts, table, values)
                     at = y * WIDE * lanes
                     for i in range(n):
                         if weights[i] != 0:

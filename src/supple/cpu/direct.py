@@ -11,7 +11,7 @@ import numpy as np
 from supple.cpu.between import LINEAR, time_weight, time_widths
 from supple.cpu.filters import ALONG, DOWN, KIND, NONE, POINT, choose
 from supple.cpu.filters import LONG as OBLIQUE
-from supple.cpu.footprint import AUTO, PARTS, footprints
+from supple.cpu.footprint import AUTO, PADDED, PARTS, REST, footprints
 from supple.cpu.frames import PART_T, locate, starts_of
 from supple.cpu.frames import PARTS as FRACTIONS
 from supple.cpu.kernel import colour_kernel as kernel
@@ -24,7 +24,7 @@ FAR = 5.0  # beyond the frame by more, all samples of a stencil are the same
 LEFT, RIGHT, ABOVE, BELOW = 2, 6, 2, 4  # how far a stencil may reach from the sample before a point
 
 _cubic1, _cubic2, _cubic3, _cubic4 = cubic_stencil(1), cubic_stencil(2), cubic_stencil(3), cubic_stencil(4)
-_box1, _box2, _box3, _box4 = table_stencil(1), table_stencil(2), table_stencil(3), table_stencil(4)
+_box1, _box2, _box3, _box4 = (table_stencil(channels, PADDED, WIDE) for channels in (1, 2, 3, 4))
 
 
 @inlined
@@ -40,15 +40,15 @@ def _at_point(samples, here, there, stride, channels, x, y, share, values, to):
 
 
 @inlined
-def _in_box(samples, here, there, stride, channels, table, along, down, share, values, to):
+def _in_box(samples, here, there, stride, channels, table, along, down, parts, rest, share, values, to):
     if channels == 1:
-        _box1(samples, here, there, stride, table, along, down, share, values, to)
+        _box1(samples, here, there, stride, table, along, down, parts, rest, share, values, to)
     elif channels == 2:
-        _box2(samples, here, there, stride, table, along, down, share, values, to)
+        _box2(samples, here, there, stride, table, along, down, parts, rest, share, values, to)
     elif channels == 3:
-        _box3(samples, here, there, stride, table, along, down, share, values, to)
+        _box3(samples, here, there, stride, table, along, down, parts, rest, share, values, to)
     else:
-        _box4(samples, here, there, stride, table, along, down, share, values, to)
+        _box4(samples, here, there, stride, table, along, down, parts, rest, share, values, to)
 
 
 @kernel
@@ -64,7 +64,26 @@ def _copy_patch(samples, start, i, j, across, down, width, height, channels, pat
 
 @kernel
 def _pixel(
-    samples, here, there, i, j, width, height, channels, kind, x, y, share, table, along, down, patch, values, to
+    samples,
+    here,
+    there,
+    i,
+    j,
+    width,
+    height,
+    channels,
+    kind,
+    x,
+    y,
+    share,
+    table,
+    along,
+    down,
+    parts,
+    rest,
+    patch,
+    values,
+    to,
 ):
     """The filtered value of a pixel, whose point lies beyond the sample (i, j), in a mixture of two frames."""
     near = kind == np.uint32(POINT)
@@ -76,7 +95,7 @@ def _pixel(
         if near:
             _at_point(samples, first, second, stride, channels, x, y, share, values, to)
         else:
-            _in_box(samples, first, second, stride, channels, table, along, down, share, values, to)
+            _in_box(samples, first, second, stride, channels, table, along, down, parts, rest, share, values, to)
     else:
         size = 64 * channels
         wide, tall = (4, 4) if near else (8, 6)
@@ -89,7 +108,7 @@ def _pixel(
         if near:
             _at_point(patch, 0, second, stride, channels, x, y, share, values, to)
         else:
-            _in_box(patch, 0, second, stride, channels, table, along, down, share, values, to)
+            _in_box(patch, 0, second, stride, channels, table, along, down, parts, rest, share, values, to)
 
 
 @kernel
@@ -122,7 +141,8 @@ def _row_of(channels, cubic, box):
                 cubic(samples, here - near, there - near, stride, x, y, t, values, lanes * i)
             elif words[KIND + i] != np.uint32(NONE):
                 along, down = np.int64(words[ALONG + i]), np.int64(words[DOWN + i])
-                box(samples, here - far, there - far, stride, table, along, down, t, values, lanes * i)
+                rest = REST + i
+                box(samples, here - far, there - far, stride, table, along, down, parts, rest, t, values, lanes * i)
 
     return row
 
@@ -201,28 +221,28 @@ def filtered_directly(
         if mode >= AUTO:
             for i in range(n):
                 parts[PART_X + i], parts[PART_Y + i] = 0, 0
-            for y in range(out.shape[0] // 8 + 1):
-                footprints(points, min(8 * y + 4, out.shape[0] - 1), left, n, mode, parts)
-                choose(n, mode, parts, words)
+            for y in range(out.shape[0]):
+                footprints(points, y, left, n, mode, parts)
+                choose(n, mode, 0, parts, words)
                 for i in range(n):
                     if words[KIND + i] == np.uint32(OBLIQUE):
                         done[run] = False
             if not done[run]:
                 continue
         for y in range(out.shape[0]):
-            if mode >= AUTO and y % 8 == 0:
-                footprints(points, min(y + 4, out.shape[0] - 1), left, n, mode, parts)
+            if mode >= AUTO:
+                footprints(points, y, left, n, mode, parts)
             locate(points, y, left, n, anchors[run], width, height, first, frames - 1, most, where, frame, fractions)
             for i in range(n):
                 parts[PART_X + i], parts[PART_Y + i] = fractions[PART_X + i], fractions[PART_Y + i]
             between_two = kind == LINEAR and not average
             if between_two and _inside(points, y, left, n, anchors[run], width, height):
-                choose(n, mode, parts, words)
+                choose(n, mode, 0, parts, words)
                 _row(samples, starts, width, channels, n, where, frame, words, parts, fractions, table, values)
                 store(values, 0, lanes, n, -1, 1.0, low, high, whole, 0.0, octets, out, y, left)
                 continue
             # Stencils that reach beyond the frame, or over other frames, are taken one by one.
-            choose(n, mode, parts, words)
+            choose(n, mode, 0, parts, words)
             some = False
             for i in range(n):
                 px, py = points[0, y, left + i] + anchors[run, 0], points[1, y, left + i] + anchors[run, 1]
@@ -237,7 +257,7 @@ def filtered_directly(
                     columns[i], rows[i] = int(np.floor(px)), int(np.floor(py))
                     parts[PART_X + i], parts[PART_Y + i] = px - columns[i], py - rows[i]
             if some:
-                choose(n, mode, parts, words)
+                choose(n, mode, 0, parts, words)
             if between_two:
                 for i in range(n):
                     forms[i] = words[KIND + i]
@@ -270,6 +290,8 @@ def filtered_directly(
                         table,
                         along,
                         down,
+                        parts,
+                        REST + i,
                         patch,
                         values,
                         i * lanes,
@@ -301,6 +323,8 @@ def filtered_directly(
                         table,
                         along,
                         down,
+                        parts,
+                        REST + i,
                         patch,
                         one,
                         0,

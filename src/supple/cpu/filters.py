@@ -7,15 +7,17 @@ import numpy as np
 from supple.cpu.footprint import (
     ANTIALIAS,
     AUTO,
-    BOX_X,
-    BOX_Y,
+    ENTRY,
     EWA,
+    FINEST,
     LINEAR,
     MAJOR,
     MINOR,
     OBLIQUE,
+    PADDED,
     PARTS,
     PLACES,
+    REST,
     STEPS,
     TAPS,
     WIDEST,
@@ -30,32 +32,23 @@ from supple.cpu.kernel import inlined
 from supple.cpu.pyramid import build, levels_for
 from supple.cpu.region import bounds, load, spans, store
 from supple.cpu.sample import CORNERS, MIXED, PART_X, PART_Y, WHERE, WIDE, limits, positions
-from supple.cpu.vector import four_channels, one_channel
+from supple.cpu.vector import four_boxed, four_channels, one_boxed, one_channel
 
 MOST_TAPS = 64
 
 # Rows of a run's words, in place of those that bilinear sampling needs; and how a pixel is filtered: as a point,
-# by one box, or by what its footprint needs.
+# by one box, by one that is no wider than a pixel, or by what its footprint needs.
 KIND, ALONG, DOWN = MIXED, CORNERS, CORNERS + WIDE
-POINT, BOX, LONG, NONE = 0, 1, 2, 3
+POINT, BOX, NARROW, LONG, NONE = 0, 1, 2, 3, 4
 
-_two4, _four4, _six4 = four_channels(2), four_channels(4), four_channels(TAPS)
-_two1, _four1, _six1 = one_channel(2), one_channel(4), one_channel(TAPS)
-
-
-@kernel
-def _cubic_weights(part, own, at):
-    own[at] = part
-    t = own[at]  # now of the type that all is worked out in
-    half, one, three = np.float32(0.5), np.float32(1.0), np.float32(3.0)
-    own[at] = half * t * ((one + one - t) * t - one)
-    own[at + 1] = half * t * t * (three * t - (three + one + one)) + one
-    own[at + 2] = half * t * ((three + one - three * t) * t + one)
-    own[at + 3] = half * t * t * (t - one)
+_two4, _four4 = four_channels(2), four_channels(4)
+_two1, _four1 = one_channel(2), one_channel(4)
+_five4, _six4 = four_boxed(5, PADDED, WIDE), four_boxed(TAPS, PADDED, WIDE)
+_six1 = one_boxed(TAPS, PADDED, WIDE)
 
 
 @kernel
-def _boxes(tile, starts, widths, lanes, x, y, xx, xy, yy, major, minor, table, zero, out, to):
+def _boxes(tile, starts, widths, lanes, x, y, xx, xy, yy, major, minor, table, parts, pixel, out, to):
     """The average over a footprint of any form around (x, y), by boxes along its major axis."""
     level, unit = 0, 1.0
     while level < starts.size - 1 and minor > WIDEST * WIDEST * unit * unit:
@@ -70,24 +63,28 @@ def _boxes(tile, starts, widths, lanes, x, y, xx, xy, yy, major, minor, table, z
     count = min(max(2, int(np.ceil(np.sqrt(major) / (1.5 * unit)))), MOST_TAPS)
     # What the boxes' spread does not average, and the level has not, is left to each box.
     spread, had = 1.0 - 1.0 / (count * count), unit * unit - 1.0
-    box_x = min(np.sqrt(max(xx - spread * ax * ax - had, 0.0)) / unit, WIDEST)
-    box_y = min(np.sqrt(max(yy - spread * ay * ay - had, 0.0)) / unit, WIDEST)
-    row_x, row_y = int(box_x * STEPS + 0.5) * (PLACES + 1), int(box_y * STEPS + 0.5) * (PLACES + 1)
+    box_x = min(max(xx - spread * ax * ax - had, 0.0) / (unit * unit), WIDEST * WIDEST)
+    box_y = min(max(yy - spread * ay * ay - had, 0.0) / (unit * unit), WIDEST * WIDEST)
+    step_x, step_y = int(box_x * STEPS + 0.5), int(box_y * STEPS + 0.5)
+    rest = REST + pixel
+    parts[rest + WIDE], parts[rest + 3 * WIDE] = box_x * STEPS - step_x, box_y * STEPS - step_y
     for c in range(lanes):
-        out[to + c] = zero
+        out[to + c] = 0
     stride, base = widths[level], starts[level] // lanes
     share = 1.0 / count
     for k in range(count):
         t = (k + 0.5) / count - 0.5
         u, v = (x + t * ax + 0.5) / unit - 0.5, (y + t * ay + 0.5) / unit - 0.5
         i, j = int(np.floor(u)), int(np.floor(v))
-        along = (row_x + int((u - i) * PLACES + 0.5)) * TAPS
-        down = (row_y + int((v - j) * PLACES + 0.5)) * TAPS
+        place_x, place_y = int((u - i) * PLACES + 0.5), int((v - j) * PLACES + 0.5)
+        parts[rest], parts[rest + 2 * WIDE] = (u - i) * PLACES - place_x, (v - j) * PLACES - place_y
+        along = (step_x * (PLACES + 1) + place_x) * ENTRY
+        down = (step_y * (PLACES + 1) + place_y) * ENTRY
         at = base + (j - 2) * stride + i - 2
         if lanes == 4:
-            _six4(tile, at, stride, table, along, down, out, WIDE * 4)
+            _six4(tile, at, stride, table, along, down, parts, rest, out, WIDE * 4)
         else:
-            _six1(tile, at, stride, table, along, down, out, WIDE)
+            _six1(tile, at, stride, table, along, down, parts, rest, out, WIDE)
         for c in range(lanes):
             out[to + c] += out[WIDE * lanes + c] * share
 
@@ -114,27 +111,43 @@ def _ellipse(tile, stride, lanes, x, y, xx, xy, yy, out, to):
 
 
 @inlined
-def _choose(n, parts, words):
-    """How each pixel of a row is filtered, and where in the table its weights are."""
-    most, oblique = np.float32(WIDEST * WIDEST), np.float32(OBLIQUE)
-    places, half = np.float32(PLACES), np.float32(0.5)
-    row, taps = np.uint32(PLACES + 1), np.uint32(TAPS)
+def _choose(n, stride, parts, words):
+    """How each pixel of a row is filtered, and where in the table its weights are.
+
+    Of six samples, a box no wider than a pixel needs five, the first or the last ones: where it is told the stride of
+    a tile, it moves to them.
+    """
+    most, oblique, finest = np.float32(WIDEST * WIDEST), np.float32(OBLIQUE), np.float32(FINEST * FINEST)
+    places, steps, half = np.float32(PLACES), np.float32(STEPS), np.float32(0.5)
+    row, entry, none = np.uint32(PLACES + 1), np.uint32(ENTRY), np.uint32(0)
+    one, down = np.uint32(1 if stride else 0), np.uint32(stride)
+    narrow = np.uint32(NARROW if stride else BOX)
     for i in range(n):
-        box_x, box_y = np.uint32(np.int32(parts[BOX_X + i])), np.uint32(np.int32(parts[BOX_Y + i]))
-        at_x = np.uint32(np.int32(parts[PART_X + i] * places + half))
-        at_y = np.uint32(np.int32(parts[PART_Y + i] * places + half))
-        words[ALONG + i] = np.uint32(np.uint32(np.uint32(box_x * row) + at_x) * taps)
-        words[DOWN + i] = np.uint32(np.uint32(np.uint32(box_y * row) + at_y) * taps)
+        x, y = parts[PART_X + i] * places, parts[PART_Y + i] * places
+        across, upward = parts[XX + i] * steps, parts[YY + i] * steps
+        at_x, at_y = np.int32(x + half), np.int32(y + half)
+        box_x, box_y = np.int32(across + half), np.int32(upward + half)
+        parts[REST + i], parts[REST + WIDE + i] = x - np.float32(at_x), across - np.float32(box_x)
+        parts[REST + 2 * WIDE + i], parts[REST + 3 * WIDE + i] = y - np.float32(at_y), upward - np.float32(box_y)
+        small = (box_x <= STEPS) & (box_y <= STEPS)
+        right = one if small & (parts[PART_X + i] > half) else none
+        below = one if small & (parts[PART_Y + i] > half) else none
+        along = np.uint32(np.uint32(np.uint32(np.uint32(box_x) * row) + np.uint32(at_x)) * entry)
+        beside = np.uint32(np.uint32(np.uint32(np.uint32(box_y) * row) + np.uint32(at_y)) * entry)
+        words[ALONG + i], words[DOWN + i] = np.uint32(along + right), np.uint32(beside + below)
         upright = (parts[MAJOR + i] <= most) & (abs(parts[XY + i]) <= oblique)
-        plain = np.uint32(POINT) if np.uint32(box_x | box_y) == np.uint32(0) else np.uint32(BOX)
-        words[KIND + i] = plain if upright else np.uint32(LONG)
+        point = (parts[XX + i] < finest) & (parts[YY + i] < finest)
+        boxed = np.uint32(POINT) if point else (narrow if small else np.uint32(BOX))
+        words[KIND + i] = boxed if upright else np.uint32(LONG)
+        moved = np.uint32(right + np.uint32(below * down))
+        words[WHERE + i] += moved if words[KIND + i] == np.uint32(NARROW) else none
 
 
 @inlined
-def choose(n, mode, parts, words):
-    """How each pixel of a row is filtered."""
+def choose(n, mode, stride, parts, words):
+    """How each pixel of a row is filtered, of a tile with that stride; 0 if samples are not taken from a tile."""
     if mode in (AUTO, ANTIALIAS):
-        _choose(n, parts, words)
+        _choose(n, stride, parts, words)
     else:
         kind = np.uint32(LONG if mode == EWA else POINT)
         for i in range(n):
@@ -142,18 +155,19 @@ def choose(n, mode, parts, words):
 
 
 @inlined
-def filter_row(tile, starts, widths, lanes, n, mode, largest, stride, words, parts, table, own, values):
+def filter_row(tile, starts, widths, lanes, n, mode, largest, stride, words, parts, table, values):
     """The filtered values of a row's pixels, whose positions and footprints are in ``words`` and ``parts``."""
-    zero = own[8]
     for i in range(n):
         at, kind = np.int64(words[WHERE + i]), words[KIND + i]
-        if kind == np.uint32(BOX):
-            at -= 2 * stride + 2
+        if kind == np.uint32(NARROW):
+            along, down = np.int64(words[ALONG + i]), np.int64(words[DOWN + i])
+            _five4(tile, at - 2 * stride - 2, stride, table, along, down, parts, REST + i, values, 4 * i)
+        elif kind == np.uint32(BOX):
             along, down = np.int64(words[ALONG + i]), np.int64(words[DOWN + i])
             if lanes == 4:
-                _six4(tile, at, stride, table, along, down, values, 4 * i)
+                _six4(tile, at - 2 * stride - 2, stride, table, along, down, parts, REST + i, values, 4 * i)
             else:
-                _six1(tile, at, stride, table, along, down, values, i)
+                _six1(tile, at - 2 * stride - 2, stride, table, along, down, parts, REST + i, values, i)
         elif kind == np.uint32(LONG):
             x = np.float64(at % stride) + parts[PART_X + i]
             y = np.float64(at // stride) + parts[PART_Y + i]
@@ -177,26 +191,25 @@ def filter_row(tile, starts, widths, lanes, n, mode, largest, stride, words, par
                     fit * major,
                     fit * minor,
                     table,
-                    zero,
+                    parts,
+                    i,
                     values,
                     i * lanes,
                 )
         elif kind == np.uint32(NONE):
             pass
         elif mode == LINEAR:
-            own[1], own[5] = parts[PART_X + i], parts[PART_Y + i]
-            own[0], own[4] = np.float32(1.0) - own[1], np.float32(1.0) - own[5]
+            x, y = parts[PART_X + i], parts[PART_Y + i]
             if lanes == 4:
-                _two4(tile, at, stride, own, 0, 4, values, 4 * i)
+                _two4(tile, at, stride, x, y, values, 4 * i)
             else:
-                _two1(tile, at, stride, own, 0, 4, values, i)
+                _two1(tile, at, stride, x, y, values, i)
         else:
-            _cubic_weights(parts[PART_X + i], own, 0)
-            _cubic_weights(parts[PART_Y + i], own, 4)
+            x, y = parts[PART_X + i], parts[PART_Y + i]
             if lanes == 4:
-                _four4(tile, at - stride - 1, stride, own, 0, 4, values, 4 * i)
+                _four4(tile, at - stride - 1, stride, x, y, values, 4 * i)
             else:
-                _four1(tile, at - stride - 1, stride, own, 0, 4, values, i)
+                _four1(tile, at - stride - 1, stride, x, y, values, i)
 
 
 @inlined
@@ -233,7 +246,6 @@ def filtered(
     top,
     levels,
     table,
-    own,
     linear,
     low,
     high,
@@ -256,7 +268,6 @@ def filtered(
         See `supple.cpu.region.load` and `store`.
     table : float array
         `supple.cpu.footprint.weights`, of the type that all is worked out in.
-    own : array of 9 zeros, of that type
     """
     height, width, channels = source.shape
     words, parts = np.empty(6 * WIDE, np.uint32), np.empty(PARTS, np.float32)
@@ -283,15 +294,13 @@ def filtered(
         low_y, high_y = limits(anchors[run], 1, height, rule, margin)
         move_x, move_y = np.float32(anchors[run, 0] - x0), np.float32(anchors[run, 1] - y0)
         step = lanes if alpha < 0 else lanes - 1
-        every = 8 if largest <= 1.5 * WIDEST * WIDEST else 1
         for first in range(0, channels if alpha < 0 else channels - 1, step):
             load(source, first, lanes, x0, x1, y0, y1, rows, rule, fill, alpha, top, levels, octets, tile)
             starts, widths = build(tile, wide, tall, lanes, coarsest)
             for y in range(out.shape[0]):
-                if mode >= AUTO and y % every == 0:
-                    # Where they are small, they vary slowly: those of the fifth of eight rows do for all.
-                    footprints(points, min(y + every // 2, out.shape[0] - 1), left, n, mode, parts)
+                if mode >= AUTO:
+                    footprints(points, y, left, n, mode, parts)
                 positions(points, y, left, n, move_x, move_y, low_x, high_x, low_y, high_y, wide, words, parts)
-                choose(n, mode, parts, words)
-                filter_row(tile, starts, widths, lanes, n, mode, largest, wide, words, parts, table, own, values)
+                choose(n, mode, wide if lanes == 4 else 0, parts, words)
+                filter_row(tile, starts, widths, lanes, n, mode, largest, wide, words, parts, table, values)
                 store(values, first, lanes, n, alpha, top, low, high, whole, linear, octets, out, y, left)

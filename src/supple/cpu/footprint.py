@@ -13,27 +13,35 @@ import functools
 
 import numpy as np
 
-from supple.cpu.kernel import kernel
+from supple.cpu.kernel import kernel, lean
 from supple.cpu.sample import WIDE
 
 LINEAR, CUBIC, AUTO, ANTIALIAS, EWA = 0, 1, 2, 3, 4
 
-# Rows of a run's scratch of float32, after PART_X and PART_Y: the points of the row and of those around it, with
-# one more on either side; then σ₁'², σ₂'², C' (xx, xy, yy), and the box widths in steps of the table.
-_ROW = WIDE + 2
-HERE_X, HERE_Y = 2 * WIDE + 1, 2 * WIDE + 1 + _ROW
-ABOVE_X, ABOVE_Y = 2 * WIDE + 2 * _ROW, 2 * WIDE + 3 * _ROW
-BELOW_X, BELOW_Y = 2 * WIDE + 4 * _ROW, 2 * WIDE + 5 * _ROW
-MAJOR, MINOR = 2 * WIDE + 6 * _ROW, 3 * WIDE + 6 * _ROW
-XX, XY, YY = 4 * WIDE + 6 * _ROW, 5 * WIDE + 6 * _ROW, 6 * WIDE + 6 * _ROW
-BOX_X, BOX_Y = 7 * WIDE + 6 * _ROW, 8 * WIDE + 6 * _ROW
-PARTS = 9 * WIDE + 6 * _ROW
+# Rows of a run's scratch of float32, after PART_X and PART_Y: σ₁'², σ₂'² and C' (xx, xy, yy), made from M, which is
+# there before; then how far a pixel is from the table's entries, in their steps: place and squared width along x,
+# and along y.
+MAJOR, MINOR, XX, XY, YY, REST = (k * WIDE for k in range(2, 8))
+YX = MINOR
+PARTS = REST + 4 * WIDE
 
 TAPS = 6  # samples along an axis under a box of up to two pixels, widened by the cubic
-PLACES = 256  # positions between two samples
-STEPS = 32  # box widths to a pixel
+PLACES = 128  # positions between two samples
+STEPS = 16  # squares of box widths to a square pixel
 WIDEST = 2.0
+FINEST = 1.0 / 64.0  # a box that is smaller is a point
 OBLIQUE = 0.5  # an upright box stands for a footprint with less covariance than this
+PADDED = 8  # weights, and as many derivatives by place and by squared width, are filled up to so many
+ENTRY = 3 * PADDED
+# Where σ₁² is from this on, and from this, footprints fade in, so that no seam shows: for ANTIALIAS before the map
+# begins to shrink, for AUTO as it does, which leaves what is hardly shrunk as sharp as it was.
+FADE_ANTIALIAS, FADE_AUTO = (0.97**2, 1.0), (1.0, 1.1**2)
+
+
+def _cubic(t: np.ndarray) -> np.ndarray:
+    """Catmull and Rom's kernel."""
+    x = np.minimum(np.abs(t), 2.0)
+    return np.where(x <= 1, 1 - 2.5 * x**2 + 1.5 * x**3, 2 - 4 * x + 2.5 * x**2 - 0.5 * x**3)
 
 
 def _integral(t: np.ndarray) -> np.ndarray:
@@ -46,88 +54,135 @@ def _integral(t: np.ndarray) -> np.ndarray:
 
 @functools.cache
 def weights(dtype: np.dtype[np.floating]) -> np.ndarray:
-    """The table: for each box width and position, the weights of the samples -2 to 3, flat."""
-    width = np.arange(int(WIDEST * STEPS) + 1)[:, None, None] / STEPS
-    width = np.maximum(width, 1e-3)
+    """The table, flat: for each squared box width and position, what the samples -2 to 3 weigh, and how that changes.
+
+    An entry is ENTRY numbers: the weights, and their derivatives by the position and by the squared width, to a step
+    of each. By its square, as a width of nothing is no special case then.
+    """
     t = np.arange(TAPS)[None, None, :] - 2 - np.arange(PLACES + 1)[None, :, None] / PLACES
-    table = (_integral(t + width / 2) - _integral(t - width / 2)) / width
-    table /= table.sum(axis=-1, keepdims=True)
-    return np.ascontiguousarray(table.astype(dtype).ravel())
+    squared = np.arange(int(WIDEST**2 * STEPS) + 1)[:, None, None]
+
+    def averages(squared: np.ndarray) -> np.ndarray:
+        width = np.sqrt(np.maximum(squared / STEPS, 1e-6))
+        return np.asarray((_integral(t + width / 2) - _integral(t - width / 2)) / width)
+
+    width = np.sqrt(np.maximum(squared / STEPS, 1e-6))
+    lower = np.maximum(squared - 0.5, 0.0)
+    table = np.zeros((squared.size, PLACES + 1, 3, PADDED))
+    table[:, :, 0, :TAPS] = averages(squared)
+    table[:, :, 1, :TAPS] = (_cubic(t - width / 2) - _cubic(t + width / 2)) / width / PLACES
+    # Between half steps, so that neighbouring entries agree where they meet.
+    table[:, :, 2, :TAPS] = (averages(squared + 0.5) - averages(lower)) / (squared + 0.5 - lower)
+    # Entries are read from their second number on, too, and as long.
+    return np.concatenate([table.ravel(), np.zeros(PADDED)]).astype(dtype)
 
 
-@kernel
-def _copy_row(points, c, row, left, n, parts, at):
-    taken = points[c, row, left : left + n]
+@lean
+def _differ(before, after, scale, given):
+    for i in range(given.size):
+        given[i] = scale * (after[i] - before[i])
+
+
+@lean
+def _bend(before, after, given):
+    """A difference at an end, from that beside it and one that is farther in: as if it were in the middle."""
+    half = np.float32(0.5)
+    for i in range(given.size):
+        given[i] += half * (given[i] - (after[i] - before[i]))
+
+
+@lean
+def _slopes(points, row, left, n, parts):
+    """M of a row's pixels, by central differences: into XX (∂x/∂x), XY (∂x/∂y), YX (∂y/∂x) and YY (∂y/∂y)."""
+    rows = points.shape[1]
+    above, below = max(row - 1, 0), min(row + 1, rows - 1)
+    scale, half, one = np.float32(1.0 / max(below - above, 1)), np.float32(0.5), np.float32(1.0)
+    for c in range(2):
+        across, down = parts[XX if c == 0 else YX :][:n], parts[XY if c == 0 else YY :][:n]
+        _differ(points[c, above, left : left + n], points[c, below, left : left + n], scale, down)
+        if rows > 2 and above == row:
+            _bend(points[c, 1, left : left + n], points[c, 2, left : left + n], down)
+        elif rows > 2 and below == row:
+            _bend(points[c, rows - 3, left : left + n], points[c, rows - 2, left : left + n], down)
+        here = points[c, row, left : left + n]
+        if n > 1:
+            _differ(here[:-2], here[2:], half, across[1:-1])
+            across[0], across[n - 1] = here[1] - here[0], here[n - 1] - here[n - 2]
+            if n > 2:
+                _bend(here[1:2], here[2:3], across[:1])
+                _bend(here[n - 3 : n - 2], here[n - 2 : n - 1], across[n - 1 :])
+        else:
+            across[0] = one if c == 0 else np.float32(0.0)
+    if rows == 1:
+        for i in range(n):
+            parts[YY + i] = one
+
+
+@lean
+def _covariance(xx, xy, yx, yy):
+    """C = M Mᵀ, and its eigenvalues."""
+    a, b, c = xx * xx + xy * xy, xx * yx + xy * yy, yx * yx + yy * yy
+    spread = np.sqrt((a - c) * (a - c) + np.float32(4.0) * b * b)
+    return a, b, c, np.float32(0.5) * (a + c + spread), np.float32(0.5) * (a + c - spread)
+
+
+@lean
+def _no_smaller_than_a_pixel(n, parts):
+    """C' has the axes of C, and eigenvalues of 1 at least."""
+    one, half = np.float32(1.0), np.float32(0.5)
     for i in range(n):
-        parts[at + i] = taken[i]
+        a, b, c, most, least = _covariance(parts[XX + i], parts[XY + i], parts[YX + i], parts[YY + i])
+        inverse = one / (most - least + np.float32(1e-6))
+        # How much of the major axis lies along x, and the cosine times the sine.
+        upright, mixed = half * (one + (a - c) * inverse), b * inverse
+        major, minor = max(most, one), max(least, one)
+        parts[MAJOR + i], parts[MINOR + i] = major, minor
+        parts[XX + i], parts[XY + i] = major * upright + minor * (one - upright), (major - minor) * mixed
+        parts[YY + i] = minor * upright + major * (one - upright)
+
+
+@lean
+def _faded(n, fade, parts):
+    """C' is C where the map shrinks, and fades to nothing where it does not."""
+    start, rise = np.float32(fade[0]), np.float32(1.0 / (fade[1] - fade[0]))
+    one, zero = np.float32(1.0), np.float32(0.0)
+    for i in range(n):
+        a, b, c, most, least = _covariance(parts[XX + i], parts[XY + i], parts[YX + i], parts[YY + i])
+        shrinking = min(max((most - start) * rise, zero), one)
+        parts[XX + i], parts[XY + i], parts[YY + i] = a * shrinking, b * shrinking, c * shrinking
+        parts[MAJOR + i], parts[MINOR + i] = most * shrinking, max(least, zero) * shrinking
 
 
 @kernel
 def footprints(points, row, left, n, mode, parts):
     """Describe the footprints of a row's pixels in ``parts``."""
-    rows = points.shape[1]
-    above, below = max(row - 1, 0), min(row + 1, rows - 1)
-    _copy_row(points, 0, row, left, n, parts, HERE_X)
-    _copy_row(points, 1, row, left, n, parts, HERE_Y)
-    _copy_row(points, 0, above, left, n, parts, ABOVE_X)
-    _copy_row(points, 1, above, left, n, parts, ABOVE_Y)
-    _copy_row(points, 0, below, left, n, parts, BELOW_X)
-    _copy_row(points, 1, below, left, n, parts, BELOW_Y)
-    one = np.float32(1.0)
-    if n > 1:  # beyond its ends, the row goes on as it is there
-        for at in (HERE_X, HERE_Y):
-            parts[at - 1] = parts[at] + parts[at] - parts[at + 1]
-            parts[at + n] = parts[at + n - 1] + parts[at + n - 1] - parts[at + n - 2]
-    else:
-        parts[HERE_X - 1], parts[HERE_X + 1] = parts[HERE_X] - one, parts[HERE_X] + one
-        parts[HERE_Y - 1], parts[HERE_Y + 1] = parts[HERE_Y], parts[HERE_Y]
-    single = one if rows == 1 else np.float32(0.0)
-    scale = np.float32(1.0 / max(below - above, 1))
-    half, zero = np.float32(0.5), np.float32(0.0)
-    for i in range(n):
-        xx = half * (parts[HERE_X + 1 + i] - parts[HERE_X - 1 + i])
-        yx = half * (parts[HERE_Y + 1 + i] - parts[HERE_Y - 1 + i])
-        xy = scale * (parts[BELOW_X + i] - parts[ABOVE_X + i])
-        yy = scale * (parts[BELOW_Y + i] - parts[ABOVE_Y + i]) + single
-        parts[XX + i], parts[XY + i], parts[YY + i] = xx * xx + xy * xy, xx * yx + xy * yy, yx * yx + yy * yy
-    for i in range(n):
-        a, b, c = parts[XX + i], parts[XY + i], parts[YY + i]
-        spread = np.sqrt((a - c) * (a - c) + np.float32(4.0) * b * b)
-        parts[MAJOR + i], parts[MINOR + i] = half * (a + c + spread), half * (a + c - spread)
-        # How much of the major axis lies along x, and the cosine times the sine: C' has the axes of C.
-        inverse = one / (spread + np.float32(1e-6))
-        parts[BOX_X + i] = half * (one + (a - c) * inverse)
-        parts[BOX_Y + i] = b * inverse
+    _slopes(points, row, left, n, parts)
     if mode == EWA:
-        for i in range(n):
-            parts[MAJOR + i] = max(parts[MAJOR + i], one)
-            parts[MINOR + i] = max(parts[MINOR + i], one)
+        _no_smaller_than_a_pixel(n, parts)
     else:
-        # The whole footprint, faded in so that no seam shows: for ANTIALIAS before the map begins to shrink, for AUTO
-        # as it does, which leaves what is hardly shrunk as sharp as it was.
-        start = np.float32(0.97 if mode == ANTIALIAS else 1.0)
-        rise = one / np.float32(0.03 if mode == ANTIALIAS else 0.1)
-        for i in range(n):
-            shrinking = min(max((np.sqrt(parts[MAJOR + i]) - start) * rise, zero), one)
-            parts[MAJOR + i] *= shrinking
-            parts[MINOR + i] = max(parts[MINOR + i], zero) * shrinking
+        _faded(n, FADE_ANTIALIAS if mode == ANTIALIAS else FADE_AUTO, parts)
+
+
+@kernel
+def _largest(points, row, left, n, mode, parts):
+    footprints(points, row, left, n, mode, parts)
+    largest, second = np.float32(0.0), np.float32(0.0)
     for i in range(n):
-        major, minor, upright = parts[MAJOR + i], parts[MINOR + i], parts[BOX_X + i]
-        across = major * upright + minor * (one - upright)
-        down = minor * upright + major * (one - upright)
-        parts[XX + i], parts[XY + i], parts[YY + i] = across, (major - minor) * parts[BOX_Y + i], down
-    for i in range(n):  # apart: together with the loop above, it would not vectorize
-        parts[BOX_X + i] = np.sqrt(max(parts[XX + i], zero)) * np.float32(STEPS) + half
-        parts[BOX_Y + i] = np.sqrt(max(parts[YY + i], zero)) * np.float32(STEPS) + half
+        largest, second = max(largest, parts[MAJOR + i]), max(second, parts[MINOR + i])
+    return np.float64(largest), np.float64(second)
 
 
 @kernel
 def extremes(points, left, n, mode, parts):
-    """About the largest σ₁'² and σ₂'² of a run, from some of its rows, with a reserve for the others."""
-    largest, second = 0.0, 0.0
-    for k in range(0, points.shape[1] + 7, 8):
-        footprints(points, min(k, points.shape[1] - 1), left, n, mode, parts)
-        for i in range(n):
-            largest = max(largest, np.float64(parts[MAJOR + i]))
-            second = max(second, np.float64(parts[MINOR + i]))
+    """The largest σ₁'² and σ₂'² of a run, or more: of every fourth row and, where they change, those between."""
+    rows = points.shape[1]
+    largest, second, before = 0.0, 0.0, 0.0
+    for k in range(0, rows + 3, 4):
+        here, across = _largest(points, min(k, rows - 1), left, n, mode, parts)
+        largest, second, here = max(largest, here), max(second, across), max(here, 1.0)
+        if k > 0 and max(here, before) > 1.4 * min(here, before):
+            for row in range(k - 3, min(k, rows)):
+                above, beside = _largest(points, row, left, n, mode, parts)
+                largest, second = max(largest, above), max(second, beside)
+        before = here
     return 1.5 * largest, 1.5 * second

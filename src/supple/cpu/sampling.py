@@ -59,7 +59,6 @@ class Numbers:
             self.top,
             self.levels,
             table,
-            np.zeros(9, self.dtype),
             self.top if self.light else 0.0,
             self.low,
             self.high,

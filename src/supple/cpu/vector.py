@@ -29,94 +29,182 @@ def fused(builder: Any, a: Any, b: Any, c: Any) -> Any:
     return builder.fadd(builder.fmul(a, b, flags=("contract",)), c, flags=("contract",))
 
 
-def _signature(tile: Any, table: Any, out: Any) -> Any:
-    i = types.intp
-    return types.void(tile, i, i, table, i, i, out, i)
+def _loaded(builder: Any, pointer: Any, index: Any, lanes: int, element: Any) -> Any:
+    size = 8 if isinstance(element, ir.DoubleType) else 4
+    return builder.load(vector_at(builder, pointer, index, lanes, element), align=size)
+
+
+def _pick(builder: Any, vector: Any, lanes: list[int]) -> Any:
+    whole = ir.IntType(32)
+    order = ir.Constant(ir.VectorType(whole, len(lanes)), [ir.Constant(whole, k) for k in lanes])
+    return builder.shuffle_vector(vector, ir.Constant(vector.type, ir.Undefined), order)
+
+
+def _box_weights(context: Any, builder: Any, kinds: Any, args: Any, padded: int, apart: int) -> tuple[Any, Any]:
+    """What columns and rows weigh: a table's entries, and how far off they are times how they change.
+
+    ``args`` are the table, the places of the two entries in it, an array, and where in it the first of four numbers
+    ``apart`` from each other is: the steps from the entry by place and by width, along x and along y.
+    """
+    number = context.get_data_type(kinds[0].dtype)
+    table, rests = data_of(context, builder, kinds[0], args[0]), data_of(context, builder, kinds[3], args[3])
+    whole = ir.IntType(64)
+
+    def rest(k: int) -> Any:
+        value = builder.load(builder.gep(rests, [builder.add(args[4], ir.Constant(whole, k * apart))]))
+        return splat(builder, value if value.type == number else builder.fpext(value, number), padded)
+
+    def weights(start: Any, first: int) -> Any:
+        value, by_place, by_width = (
+            _loaded(builder, table, builder.add(start, ir.Constant(whole, k * padded)), padded, number)
+            for k in range(3)
+        )
+        return fused(builder, by_width, rest(first + 1), fused(builder, by_place, rest(first), value))
+
+    return weights(args[1], 0), weights(args[2], 2)
+
+
+def _add_pixels(builder: Any, data: Any, at: Any, stride: Any, across: Any, down: Any, count: int) -> Any:
+    """``Σ_j Σ_i down_j across_i`` of ``count`` by ``count`` pixels of four numbers.
+
+    Columns are summed first, two at a time, and those of even and odd rows apart: what waits for nothing is done
+    while the rest waits.
+    """
+    element = across.type.element
+    whole = ir.IntType(64)
+    starts = [
+        builder.shl(builder.add(at, builder.mul(stride, ir.Constant(whole, j))), ir.Constant(whole, 2))
+        for j in range(count)
+    ]
+    totals: dict[int, Any] = {}
+    for i in range(0, count, 2):
+        size = min(2, count - i)
+        sums: list[Any] = [None, None]
+        for j, start in enumerate(starts):
+            value = _loaded(builder, data, builder.add(start, ir.Constant(whole, 4 * i)), 4 * size, element)
+            row = _pick(builder, down, [j] * 4 * size)
+            before = sums[j % 2]
+            sums[j % 2] = fused(builder, value, row, before) if before else builder.fmul(value, row)
+        column = _pick(builder, across, [i + k // 4 for k in range(4 * size)])
+        both, before = builder.fadd(*sums), totals.get(size)
+        totals[size] = fused(builder, both, column, before) if before else builder.fmul(both, column)
+    pairs = totals[2]
+    total = builder.fadd(_pick(builder, pairs, [0, 1, 2, 3]), _pick(builder, pairs, [4, 5, 6, 7]))
+    return builder.fadd(total, totals[1]) if 1 in totals else total
+
+
+def _add_samples(builder: Any, data: Any, at: Any, stride: Any, across: Any, down: Any, count: int) -> Any:
+    """The same of pixels of one number; ``count`` is even. Columns are summed first, in groups of four and two."""
+    element = across.type.element
+    whole = ir.IntType(64)
+    total = ir.Constant(element, 0.0)
+    for first, lanes in [(0, 4), (4, 2)] if count == 6 else [(0, count)]:
+        columns = None
+        for j in range(count):
+            start = builder.add(builder.add(at, builder.mul(stride, ir.Constant(whole, j))), ir.Constant(whole, first))
+            value, row = _loaded(builder, data, start, lanes, element), _pick(builder, down, [j] * lanes)
+            columns = fused(builder, value, row, columns) if columns else builder.fmul(value, row)
+        product = builder.fmul(columns, _pick(builder, across, list(range(first, first + lanes))))
+        for lane in range(lanes):
+            total = builder.fadd(total, builder.extract_element(product, ir.Constant(ir.IntType(32), lane)))
+    return total
+
+
+def _polynomials(builder: Any, powers: list[list[float]], t: Any, number: Any) -> Any:
+    """A vector of polynomials of ``t``, the highest power first."""
+    lanes = len(powers[0])
+    value, *others = (ir.Constant(ir.VectorType(number, lanes), [ir.Constant(number, v) for v in p]) for p in powers)
+    at = splat(builder, t if t.type == number else builder.fpext(t, number), lanes)
+    for other in others:
+        value = fused(builder, value, at, other)
+    return value
+
+
+_LINEAR = [[-1.0, 1.0], [1.0, 0.0]]
+_CUBIC = [[-0.5, 1.5, -1.5, 0.5], [1.0, -2.5, 2.0, -0.5], [-0.5, 0.0, 0.5, 0.0], [0.0, 1.0, 0.0, 0.0]]
+
+
+def _interpolated(count: int, add: Callable[..., Any]) -> Callable[..., None]:
+    @intrinsic
+    def weighted(typing: Any, tile: Any, at: Any, stride: Any, x: Any, y: Any, out: Any, to: Any) -> Any:
+        def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+            kind = signature.args
+            element, powers = context.get_data_type(kind[0].dtype), _LINEAR if count == 2 else _CUBIC
+            across, below = (_polynomials(builder, powers, t, element) for t in args[3:5])
+            data = data_of(context, builder, kind[0], args[0])
+            _store(context, builder, kind[5], args[5:], add(builder, data, args[1], args[2], across, below, count))
+            return context.get_dummy_value()
+
+        i = types.intp
+        return types.void(tile, i, i, x, y, out, i), generate
+
+    return weighted
+
+
+def _boxed(count: int, padded: int, apart: int, add: Callable[..., Any]) -> Callable[..., None]:
+    @intrinsic
+    def boxed(
+        typing: Any,
+        tile: Any,
+        at: Any,
+        stride: Any,
+        table: Any,
+        along: Any,
+        down: Any,
+        rests: Any,
+        rest: Any,
+        out: Any,
+        to: Any,
+    ) -> Any:
+        def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+            kind = signature.args
+            across, below = _box_weights(context, builder, kind[3:7], args[3:8], padded, apart)
+            data = data_of(context, builder, kind[0], args[0])
+            _store(context, builder, kind[8], args[8:], add(builder, data, args[1], args[2], across, below, count))
+            return context.get_dummy_value()
+
+        i = types.intp
+        return types.void(tile, i, i, table, i, i, rests, i, out, i), generate
+
+    return boxed
+
+
+def _store(context: Any, builder: Any, kind: Any, target: Any, value: Any) -> None:
+    """Keep a number or a vector in an array, from a place on."""
+    place = builder.gep(data_of(context, builder, kind, target[0]), [target[1]])
+    size = context.get_abi_sizeof(context.get_data_type(kind.dtype))
+    builder.store(value, builder.bitcast(place, value.type.as_pointer()), align=size)
 
 
 def four_channels(count: int) -> Callable[..., None]:
-    """Makes ``f(tile, at, stride, table, along, down, out, to)`` for flat arrays of one type.
+    """Makes ``f(tile, at, stride, x, y, out, to)`` for flat arrays of one type: an interpolation.
 
-    It puts ``Σ_j Σ_i table[down + j] table[along + i] tile[4 (at + j stride + i) + c]``, ``count`` terms in each
-    sum, into ``out[to + c]`` for four channels c.
+    It puts ``Σ_j Σ_i w_j(y) w_i(x) tile[4 (at + j stride + i) + c]`` into ``out[to + c]`` for four channels c. Of two
+    terms in each sum it is linear, of four Catmull and Rom's; ``x`` and ``y`` are how far a point is from the pixel
+    before it, the first or the second one.
     """
-
-    @intrinsic
-    def weighted(
-        typing: Any, tile: Any, at: Any, stride: Any, table: Any, along: Any, down: Any, out: Any, to: Any
-    ) -> Any:
-        def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-            kind = signature.args
-            samples, at_, stride_, weights, along_, down_, target, to_ = args
-            data = data_of(context, builder, kind[0], samples)
-            rows = data_of(context, builder, kind[3], weights)
-            element = context.get_data_type(kind[0].dtype)
-            size = context.get_abi_sizeof(element)
-            whole = ir.IntType(64)
-
-            def weight(start: Any, k: int) -> Any:
-                value = builder.load(builder.gep(rows, [builder.add(start, ir.Constant(whole, k))]))
-                return splat(builder, value, 4)
-
-            across = [weight(along_, i) for i in range(count)]
-            total = None
-            for j in range(count):
-                start = builder.add(at_, builder.mul(stride_, ir.Constant(whole, j)))
-                start = builder.shl(start, ir.Constant(whole, 2))
-                line = None
-                for i in range(count):
-                    place = vector_at(builder, data, builder.add(start, ir.Constant(whole, 4 * i)), 4, element)
-                    value = builder.load(place, align=size)
-                    line = fused(builder, value, across[i], line) if line else builder.fmul(value, across[i])
-                below = weight(down_, j)
-                total = fused(builder, line, below, total) if total else builder.fmul(line, below)
-            place = vector_at(builder, data_of(context, builder, kind[6], target), to_, 4, element)
-            builder.store(total, place, align=size)
-            return context.get_dummy_value()
-
-        return _signature(tile, table, out), generate
-
-    return weighted
+    return _interpolated(count, _add_pixels)
 
 
 def one_channel(count: int) -> Callable[..., None]:
-    """The same for one channel: ``tile[at + j stride + i]`` into ``out[to]``; ``count`` is even."""
+    """The same for one channel: ``tile[at + j stride + i]`` into ``out[to]``."""
+    return _interpolated(count, _add_samples)
 
-    @intrinsic
-    def weighted(
-        typing: Any, tile: Any, at: Any, stride: Any, table: Any, along: Any, down: Any, out: Any, to: Any
-    ) -> Any:
-        def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-            kind = signature.args
-            samples, at_, stride_, weights, along_, down_, target, to_ = args
-            data = data_of(context, builder, kind[0], samples)
-            rows = data_of(context, builder, kind[3], weights)
-            element = context.get_data_type(kind[0].dtype)
-            size = context.get_abi_sizeof(element)
-            whole = ir.IntType(64)
-            # Columns are summed first, in groups of four and two.
-            groups = [(0, 4), (4, 2)] if count == 6 else [(0, count)]
-            totals: list[Any] = [None] * len(groups)
-            for j in range(count):
-                start = builder.add(at_, builder.mul(stride_, ir.Constant(whole, j)))
-                down_j = builder.load(builder.gep(rows, [builder.add(down_, ir.Constant(whole, j))]))
-                for g, (first, lanes) in enumerate(groups):
-                    place = vector_at(builder, data, builder.add(start, ir.Constant(whole, first)), lanes, element)
-                    value, below = builder.load(place, align=size), splat(builder, down_j, lanes)
-                    totals[g] = fused(builder, value, below, totals[g]) if totals[g] else builder.fmul(value, below)
-            total = ir.Constant(element, 0.0)
-            for (first, lanes), columns in zip(groups, totals, strict=True):
-                place = vector_at(builder, rows, builder.add(along_, ir.Constant(whole, first)), lanes, element)
-                product = builder.fmul(columns, builder.load(place, align=size))
-                for lane in range(lanes):
-                    part = builder.extract_element(product, ir.Constant(ir.IntType(32), lane))
-                    total = builder.fadd(total, part)
-            builder.store(total, builder.gep(data_of(context, builder, kind[6], target), [to_]))
-            return context.get_dummy_value()
 
-        return _signature(tile, table, out), generate
+def four_boxed(count: int, padded: int, apart: int) -> Callable[..., None]:
+    """Makes ``f(tile, at, stride, table, along, down, rests, rest, out, to)``: averages over boxes.
 
-    return weighted
+    As `four_channels`, with the weights of a table (`supple.cpu.footprint.weights`), whose entries for columns and
+    rows start at ``along`` and ``down``: ``padded`` weights and as many derivatives by place and by width. How many
+    steps a pixel is away from the entries, by place and by width along x and along y, is from ``rests[rest]`` on,
+    ``apart`` from each other.
+    """
+    return _boxed(count, padded, apart, _add_pixels)
+
+
+def one_boxed(count: int, padded: int, apart: int) -> Callable[..., None]:
+    """The same for one channel; ``count`` is even."""
+    return _boxed(count, padded, apart, _add_samples)
 
 
 @intrinsic
@@ -201,12 +289,6 @@ def numbers_at(builder: Any, kind: Any, pointer: Any, at: Any, lanes: int, eleme
     return convert(value, ir.VectorType(number, lanes))
 
 
-def _pick(builder: Any, vector: Any, lanes: list[int]) -> Any:
-    whole = ir.IntType(32)
-    order = ir.Constant(ir.VectorType(whole, len(lanes)), [ir.Constant(whole, k) for k in lanes])
-    return builder.shuffle_vector(vector, ir.Constant(vector.type, ir.Undefined), order)
-
-
 def _sum(builder: Any, vector: Any, channels: int) -> list[Any]:
     """The sums of a vector's lanes, those of each channel."""
     lanes = vector.type.count
@@ -273,17 +355,8 @@ def cubic_stencil(channels: int) -> Callable[..., None]:
         def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
             kind = signature.args
             number = context.get_data_type(kind[7].dtype)
-
-            def vector(values: list[float]) -> Any:
-                return ir.Constant(ir.VectorType(number, 4), [ir.Constant(number, v) for v in values])
-
-            def weights(part: Any) -> Any:
-                t = splat(builder, part, 4)
-                value = fused(builder, vector([-0.5, 1.5, -1.5, 0.5]), t, vector([1.0, -2.5, 2.0, -0.5]))
-                value = fused(builder, value, t, vector([-0.5, 0.0, 0.5, 0.0]))
-                return fused(builder, value, t, vector([0.0, 1.0, 0.0, 0.0]))
-
-            _stencil(context, builder, kind, args, weights(args[4]), weights(args[5]), 4, channels)
+            across, below = (_polynomials(builder, _CUBIC, t, number) for t in args[4:6])
+            _stencil(context, builder, kind, args, across, below, 4, channels)
             return context.get_dummy_value()
 
         i = types.intp
@@ -292,10 +365,11 @@ def cubic_stencil(channels: int) -> Callable[..., None]:
     return weighted
 
 
-def table_stencil(channels: int) -> Callable[..., None]:
-    """The same of six by six pixels, with weights from a table: ``f(…, stride, table, along, down, share, out, to)``.
+def table_stencil(channels: int, padded: int, apart: int) -> Callable[..., None]:
+    """The same of six by six pixels, weighed by a table of boxes as `four_boxed` does.
 
-    The weights of columns and rows start at ``along`` and ``down``. Two pixels more are read on the right.
+    ``f(samples, here, there, stride, table, along, down, rests, rest, share, out, to)``. Two pixels more are read on
+    the right.
     """
 
     @intrinsic
@@ -308,33 +382,20 @@ def table_stencil(channels: int) -> Callable[..., None]:
         table: Any,
         along: Any,
         down: Any,
+        rests: Any,
+        rest: Any,
         share: Any,
         out: Any,
         to: Any,
     ) -> Any:
         def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
             kind = signature.args
-            number = context.get_data_type(kind[8].dtype)
-            data = data_of(context, builder, kind[4], args[4])
-
-            def weights(start: Any) -> Any:
-                whole = ir.IntType(64)
-                size = context.get_abi_sizeof(number)
-                first = builder.load(vector_at(builder, data, start, 4, number), align=size)
-                rest = builder.load(
-                    vector_at(builder, data, builder.add(start, ir.Constant(whole, 4)), 2, number), align=size
-                )
-                zeros = ir.Constant(ir.VectorType(number, 2), [ir.Constant(number, 0.0)] * 2)
-                order = [ir.Constant(ir.IntType(32), k) for k in range(4)]
-                rest = builder.shuffle_vector(rest, zeros, ir.Constant(ir.VectorType(ir.IntType(32), 4), order))
-                order = [ir.Constant(ir.IntType(32), k) for k in range(8)]
-                return builder.shuffle_vector(first, rest, ir.Constant(ir.VectorType(ir.IntType(32), 8), order))
-
-            _stencil(context, builder, kind, args, weights(args[5]), weights(args[6]), 6, channels)
+            across, below = _box_weights(context, builder, kind[4:8], args[4:9], padded, apart)
+            _stencil(context, builder, kind, args, across, below, 6, channels)
             return context.get_dummy_value()
 
         i = types.intp
-        return types.void(samples, i, i, i, table, i, i, out.dtype, out, i), generate
+        return types.void(samples, i, i, i, table, i, i, rests, i, out.dtype, out, i), generate
 
     return weighted
 

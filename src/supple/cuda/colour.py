@@ -141,19 +141,19 @@ def _in_frame(way: Way) -> Callable[..., Any]:
 
         @device
         def at_point(samples, fills, source, how, limits, table, start, i, j, u, v, c,
-                     kind, box_x, box_y, xx, xy, yy, major, minor):  # fmt: skip
+                     kind, xx, xy, yy, major, minor):  # fmt: skip
             return pointed(samples, fills, source, how, limits, start, i, j, u, v, c)
 
         return at_point
 
     @device
     def over_footprint(samples, fills, source, how, limits, table, start, i, j, u, v, c,
-                       kind, box_x, box_y, xx, xy, yy, major, minor):  # fmt: skip
+                       kind, xx, xy, yy, major, minor):  # fmt: skip
         if kind == POINT:
             return cubic(samples, fills, source, how, limits, start, i, j, u, v, c)
         return averaged(
             samples, fills, source, how, limits, table, start, i, j, u, v, c,
-            kind, box_x, box_y, xx, xy, yy, major, minor,
+            kind, xx, xy, yy, major, minor,
         )  # fmt: skip
 
     return over_footprint
@@ -197,27 +197,27 @@ def _between(way: Way) -> Callable[..., Any]:
 
     @device
     def single(samples, fills, source, how, limits, table, picture, i, j, k, u, v, w, width, c,
-               kind, box_x, box_y, xx, xy, yy, major, minor, counts):  # fmt: skip
+               kind, xx, xy, yy, major, minor, counts):  # fmt: skip
         f = picture
         if way_nearest:
             f = index(k + int(w >= HALF))
         return in_frame(samples, fills, source, how, limits, table, frame_at(source, f, counts), i, j, u, v, c,
-                        kind, box_x, box_y, xx, xy, yy, major, minor)  # fmt: skip
+                        kind, xx, xy, yy, major, minor)  # fmt: skip
 
     @device
     def linear(samples, fills, source, how, limits, table, picture, i, j, k, u, v, w, width, c,
-               kind, box_x, box_y, xx, xy, yy, major, minor, counts):  # fmt: skip
+               kind, xx, xy, yy, major, minor, counts):  # fmt: skip
         a = in_frame(samples, fills, source, how, limits, table, frame_at(source, k, counts), i, j, u, v, c,
-                     kind, box_x, box_y, xx, xy, yy, major, minor)  # fmt: skip
+                     kind, xx, xy, yy, major, minor)  # fmt: skip
         if counted and w == ZERO:  # the next one may be out of reach
             return a
         b = in_frame(samples, fills, source, how, limits, table, frame_at(source, index(k + one), counts), i, j, u, v,
-                     c, kind, box_x, box_y, xx, xy, yy, major, minor)  # fmt: skip
+                     c, kind, xx, xy, yy, major, minor)  # fmt: skip
         return (ONE - w) * a + w * b
 
     @device
     def several(samples, fills, source, how, limits, table, picture, i, j, k, u, v, w, width, c,
-                kind, box_x, box_y, xx, xy, yy, major, minor, counts):  # fmt: skip
+                kind, xx, xy, yy, major, minor, counts):  # fmt: skip
         first, last = index(k - one), index(k + two)
         if average:
             reach = radius + HALF * width
@@ -228,7 +228,7 @@ def _between(way: Way) -> Callable[..., Any]:
             if weight != ZERO:
                 start = frame_at(source, index(f), counts)
                 total += weight * in_frame(samples, fills, source, how, limits, table, start, i, j, u, v, c,
-                                           kind, box_x, box_y, xx, xy, yy, major, minor)  # fmt: skip
+                                           kind, xx, xy, yy, major, minor)  # fmt: skip
                 weights += weight
         return total / weights
 
@@ -256,19 +256,19 @@ def _filtered(way: Way) -> Callable[..., Any]:
                 k, w = index(min(max(k, how[EARLY]), how[LATE])), ZERO
             if average:
                 width = width_in_time(tx, ty, tt)
-        kind, box_x, box_y, major, minor = POINT, 0, 0, ONE, ONE
+        kind, major, minor = POINT, ONE, ONE
         cxx, cxy, cyy = ONE, ZERO, ONE
         if over:
-            kind, box_x, box_y, cxx, cxy, cyy, major, minor = footprint(xx, xy, yx, yy, antialias)
+            kind, cxx, cxy, cyy, major, minor = footprint(xx, xy, yx, yy, antialias)
         opacity = number(1.0)
         if alpha:
             opacity = between_frames(samples, fills, source, how, limits, table, picture, i, j, k, u, v, w, width,
-                                     how[ALPHA], kind, box_x, box_y, cxx, cxy, cyy, major, minor, counts)  # fmt: skip
+                                     how[ALPHA], kind, cxx, cxy, cyy, major, minor, counts)  # fmt: skip
         for c in range(source[CHANNELS]):
             value = opacity
             if not alpha or c != how[ALPHA]:
                 value = between_frames(samples, fills, source, how, limits, table, picture, i, j, k, u, v, w, width,
-                                       index(c), kind, box_x, box_y, cxx, cxy, cyy, major, minor, counts)  # fmt: skip
+                                       index(c), kind, cxx, cxy, cyy, major, minor, counts)  # fmt: skip
             out[unsigned(index(at + index(c * channel)))] = finished(value, opacity, c, how, limits)
 
     return filtered

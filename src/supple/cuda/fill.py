@@ -24,12 +24,11 @@ from supple.cuda.lattice import (
     NODE,
     ROUGH,
     WORST,
-    X,
-    Y,
     Z,
     column,
     deformation_of,
     hermite,
+    hermite_changes,
     in_pixels,
     norm_of,
     slope_between,
@@ -79,6 +78,16 @@ def kernels(way: Way) -> tuple[Any, Any]:
         z0, z1, z2, z3 = ZERO, ZERO, ZERO, ZERO
         if deep:
             z0, z1, z2, z3 = column(nodes, upper, lower, 2, h, v, w, g, r)
+        # What a pixel covers is told by its neighbours, as on the CPU: those that the cell would have, beyond its edge.
+        p0, p1, p2, p3, q0, q1, q2, q3 = ZERO, ZERO, ZERO, ZERO, ZERO, ZERO, ZERO, ZERO
+        r0, r1, r2, r3 = ZERO, ZERO, ZERO, ZERO
+        if wide or average:
+            v, w, g, r = hermite_changes(s, ONE / h)
+            if wide:
+                p0, p1, p2, p3 = column(nodes, upper, lower, 0, h, v, w, g, r)
+                q0, q1, q2, q3 = column(nodes, upper, lower, 1, h, v, w, g, r)
+            if average:
+                r0, r1, r2, r3 = column(nodes, upper, lower, 2, h, v, w, g, r)
         end = index(ys[j + 1])
         if j == ny - 2 and end < planes[HEIGHT]:
             end = index(end + one)  # the last pixel is the last node
@@ -95,15 +104,18 @@ def kernels(way: Way) -> tuple[Any, Any]:
             ux, uy = b * x0 + d * x1 + m * x2 + n * x3, b * y0 + d * y1 + m * y2 + n * y3
             if deep:
                 uz = b * z0 + d * z1 + m * z2 + n * z3
-            if wide:
-                xx = ONE + slope_between(nodes, upper, lower, X, s, t)
-                yx = slope_between(nodes, upper, lower, X + 1, s, t)
-                xy = slope_between(nodes, upper, lower, Y, s, t)
-                yy = ONE + slope_between(nodes, upper, lower, Y + 1, s, t)
-            if average:
-                tx = slope_between(nodes, upper, lower, X + 2, s, t)
-                ty = slope_between(nodes, upper, lower, Y + 2, s, t)
-                tt = ONE + slope_between(nodes, upper, lower, Z + 2, s, t)
+            if wide or average:
+                v, w, g, r = hermite_changes(t, part)
+                g, r = k * g, k * r
+                if wide:
+                    xx = ONE + (b * p0 + d * p1 + m * p2 + n * p3)
+                    yx = b * q0 + d * q1 + m * q2 + n * q3
+                    xy = v * x0 + w * x1 + g * x2 + r * x3
+                    yy = ONE + (v * y0 + w * y1 + g * y2 + r * y3)
+                if average:
+                    tx = b * r0 + d * r1 + m * r2 + n * r3
+                    ty = v * z0 + w * z1 + g * z2 + r * z3
+                    tt = ONE + slope_between(nodes, upper, lower, Z + 2, s, t)
             paint(samples, fills, source, how, limits, table, z, index(x), y, z, ux, uy, uz,
                   xx, xy, yx, yy, tx, ty, tt, out, at, target[CHANNEL], counts)  # fmt: skip
             at = index(at + target[ROW])

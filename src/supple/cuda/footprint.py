@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from supple.cpu.filters import MOST_TAPS
-from supple.cpu.footprint import OBLIQUE, PLACES, STEPS, TAPS, WIDEST
+from supple.cpu.footprint import ENTRY, FADE_ANTIALIAS, FADE_AUTO, FINEST, OBLIQUE, PADDED, PLACES, STEPS, TAPS, WIDEST
 from supple.cpu.kernel import lean
 from supple.cuda.kernel import device
 from supple.cuda.sample import HEIGHT, WIDTH, Way, mapper
@@ -22,40 +22,33 @@ FINEST_SIDE = 16
 POINT, BOX, LONG = 0, 1, 2
 
 _f4 = np.float32
-ZERO, HALF, ONE, FOUR, TINY = _f4(0.0), _f4(0.5), _f4(1.0), _f4(4.0), _f4(1e-6)
-_STEPS, _PLACES = _f4(STEPS), _f4(PLACES)
+ZERO, HALF, ONE, FOUR = _f4(0.0), _f4(0.5), _f4(1.0), _f4(4.0)
+_STEPS, _PLACES, _POINT, _MOST = _f4(STEPS), _f4(PLACES), _f4(FINEST * FINEST), _f4(WIDEST * WIDEST)
 
 
 @lean
 def footprint(xx, xy, yx, yy, antialias):
-    """How a pixel is filtered, and its footprint: box widths in steps of the table, covariance, and its eigenvalues.
+    """How a pixel is filtered, and its footprint: covariance and its eigenvalues.
 
     Of ∂p/∂q, in the plane. It fades to a point where the map does not shrink.
     """
     a, b, c = xx * xx + xy * xy, xx * yx + xy * yy, yx * yx + yy * yy
     spread = math.sqrt((a - c) * (a - c) + FOUR * b * b)
     major, minor = HALF * (a + c + spread), HALF * (a + c - spread)
-    inverse = ONE / (spread + TINY)
-    upright = HALF * (ONE + (a - c) * inverse)
-    start = _f4(0.97) if antialias else ONE
-    rise = ONE / _f4(0.03) if antialias else _f4(10.0)
-    shrinking = min(max((math.sqrt(major) - start) * rise, ZERO), ONE)
+    start = _f4(FADE_ANTIALIAS[0]) if antialias else _f4(FADE_AUTO[0])
+    rise = _f4(1.0 / (FADE_ANTIALIAS[1] - FADE_ANTIALIAS[0])) if antialias else _f4(1.0 / (FADE_AUTO[1] - FADE_AUTO[0]))
+    shrinking = min(max((major - start) * rise, ZERO), ONE)
     major, minor = major * shrinking, max(minor, ZERO) * shrinking
-    along = major * upright + minor * (ONE - upright)
-    mixed = (major - minor) * b * inverse
-    down = minor * upright + major * (ONE - upright)
-    wide = min(math.sqrt(max(along, ZERO)) * _STEPS + HALF, _f4(1e6))
-    tall = min(math.sqrt(max(down, ZERO)) * _STEPS + HALF, _f4(1e6))
-    box_x, box_y = int(wide), int(tall)
+    a, b, c = a * shrinking, b * shrinking, c * shrinking
     kind = LONG
-    if major <= _f4(WIDEST * WIDEST) and abs(mixed) <= _f4(OBLIQUE):
-        kind = POINT if box_x == 0 and box_y == 0 else BOX
-    return kind, box_x, box_y, along, mixed, down, major, minor
+    if major <= _MOST and abs(b) <= _f4(OBLIQUE):
+        kind = POINT if a < _POINT and c < _POINT else BOX
+    return kind, a, b, c, major, minor
 
 
 @lean
 def long_boxes(xx, xy, yy, major, minor):
-    """Of a long footprint: how many samples its squares have a side, its boxes, its axis, and their widths in steps."""
+    """Of a long footprint: how many samples its squares have a side, its boxes, its axis, and their squared widths."""
     unit = 1
     while unit < 4096 and minor > _f4(WIDEST * WIDEST) * _f4(unit) * _f4(unit):
         unit *= 2
@@ -72,9 +65,23 @@ def long_boxes(xx, xy, yy, major, minor):
     # What the boxes' spread does not average, and the squares have not, is left to each box.
     spread = ONE - ONE / _f4(count * count)
     had = _f4(unit) * _f4(unit) - ONE
-    box_x = min(math.sqrt(max(xx - spread * ax * ax - had, ZERO)) / _f4(unit), _f4(WIDEST))
-    box_y = min(math.sqrt(max(yy - spread * ay * ay - had, ZERO)) / _f4(unit), _f4(WIDEST))
-    return unit, count, ax, ay, int(box_x * _STEPS + HALF), int(box_y * _STEPS + HALF)
+    box_x = min(max(xx - spread * ax * ax - had, ZERO) / (_f4(unit) * _f4(unit)), _MOST)
+    box_y = min(max(yy - spread * ay * ay - had, ZERO) / (_f4(unit) * _f4(unit)), _MOST)
+    return unit, count, ax, ay, box_x, box_y
+
+
+@lean
+def entry(place, squared):
+    """Where the entry of the table that is nearest is, and how many steps away, by place and by squared width."""
+    p, v = place * _PLACES, squared * _STEPS
+    i, j = min(max(int(p + HALF), 0), PLACES), int(v + HALF)
+    return (j * (PLACES + 1) + i) * ENTRY, p - _f4(i), v - _f4(j)
+
+
+@device
+def weight(table, at, by_place, by_width):
+    """What a sample weighs."""
+    return table[at] + by_place * table[at + PADDED] + by_width * table[at + 2 * PADDED]
 
 
 def averaged_at(way: Way, read: Callable[..., Any]) -> Callable[..., Any]:
@@ -95,36 +102,45 @@ def averaged_at(way: Way, read: Callable[..., Any]) -> Callable[..., Any]:
         return total / number(side * side)
 
     @device
+    def row(samples, fills, source, how, limits, start, i, j, unit, c, p, q, r, s, t, w):
+        if unit > 1:
+            return (
+                p * square(samples, fills, source, how, limits, start, i - 2, j, unit, c)
+                + q * square(samples, fills, source, how, limits, start, i - 1, j, unit, c)
+                + r * square(samples, fills, source, how, limits, start, i, j, unit, c)
+                + s * square(samples, fills, source, how, limits, start, i + 1, j, unit, c)
+                + t * square(samples, fills, source, how, limits, start, i + 2, j, unit, c)
+                + w * square(samples, fills, source, how, limits, start, i + 3, j, unit, c)
+            )
+        y, n = mapped(index(j), source[HEIGHT]), source[WIDTH]
+        total = p * read(samples, fills, source, how, limits, start, y, mapped(index(i - 2), n), c)
+        total += q * read(samples, fills, source, how, limits, start, y, mapped(index(i - 1), n), c)
+        total += r * read(samples, fills, source, how, limits, start, y, mapped(index(i), n), c)
+        total += s * read(samples, fills, source, how, limits, start, y, mapped(index(i + 1), n), c)
+        total += t * read(samples, fills, source, how, limits, start, y, mapped(index(i + 2), n), c)
+        return total + w * read(samples, fills, source, how, limits, start, y, mapped(index(i + 3), n), c)
+
+    @device
     def boxed(samples, fills, source, how, limits, table, start, i, j, u, v, box_x, box_y, unit, c):
         """The cubic interpolant, integrated over a box around a point: a sum of samples, by the CPU's table."""
-        along = (box_x * (PLACES + 1) + min(max(int(u * _PLACES + HALF), 0), PLACES)) * TAPS
-        down = (box_y * (PLACES + 1) + min(max(int(v * _PLACES + HALF), 0), PLACES)) * TAPS
+        at, by_place, by_width = entry(u, box_x)
+        p, q = weight(table, at, by_place, by_width), weight(table, at + 1, by_place, by_width)
+        r, s = weight(table, at + 2, by_place, by_width), weight(table, at + 3, by_place, by_width)
+        t, w = weight(table, at + 4, by_place, by_width), weight(table, at + 5, by_place, by_width)
+        at, by_place, by_width = entry(v, box_y)
         total = number(0.0)
         for k in range(TAPS):
-            weight = table[down + k]
-            if weight != ZERO:
-                row = number(0.0)
-                for m in range(TAPS):
-                    share = table[along + m]
-                    if share != ZERO:
-                        if unit == 1:
-                            y = mapped(index(j + k - 2), source[HEIGHT])
-                            x = mapped(index(i + m - 2), source[WIDTH])
-                            row += share * read(samples, fills, source, how, limits, start, y, x, c)
-                        else:
-                            row += share * square(
-                                samples, fills, source, how, limits, start, i + m - 2, j + k - 2, unit, c
-                            )
-                total += weight * row
+            share = weight(table, at + k, by_place, by_width)
+            total += share * row(samples, fills, source, how, limits, start, i, j + k - 2, unit, c, p, q, r, s, t, w)
         return total
 
     @device
     def averaged(
         samples, fills, source, how, limits, table, start, i, j, u, v, c,
-        kind, box_x, box_y, xx, xy, yy, major, minor,
+        kind, xx, xy, yy, major, minor,
     ):  # fmt: skip
         if kind == BOX:
-            return boxed(samples, fills, source, how, limits, table, start, i, j, u, v, box_x, box_y, 1, c)
+            return boxed(samples, fills, source, how, limits, table, start, i, j, u, v, xx, yy, 1, c)
         unit, count, ax, ay, box_x, box_y = long_boxes(xx, xy, yy, major, minor)
         # Squares lie at whole multiples of their size.
         i0, j0 = i // unit, j // unit

@@ -160,10 +160,11 @@ def hermite(t):
 
 
 @lean
-def hermite_slopes(t):
-    """Their derivatives."""
-    r = ONE - t
-    return -_f4(6.0) * t * r, _f4(6.0) * t * r, r * (ONE - THREE * t), t * (THREE * t - TWO)
+def hermite_changes(t, step):
+    """The weights of half of what a cubic changes from ``t - step`` to ``t + step``: its central difference."""
+    r, more = ONE - t, step * step * step
+    rise = _f4(6.0) * t * r * step - (more + more)
+    return -rise, rise, r * (ONE - THREE * t) * step + more, t * (THREE * t - TWO) * step + more
 
 
 @lean

@@ -8,6 +8,9 @@ const WIDEST = 2.0;
 const OBLIQUE = 0.5; // an upright box stands for a footprint with less covariance than this
 const MOST_BOXES = 64.0;
 const FINEST = 1.0 / 64.0; // a box that is smaller is a point
+// Where the square of the larger singular value is from and to as the average fades in.
+const FADE_ANTIALIAS = vec2f(0.9409, 1.0);
+const FADE_AUTO = vec2f(1.0, 1.21);
 const COARSEST = 2u; // of an average, two to so many samples are read along each side
 
 struct Footprint {
@@ -32,17 +35,14 @@ fn footprint_of(m: mat3x3f) -> Footprint {
     let spread = sqrt((a - c) * (a - c) + 4.0 * b * b);
     var major = 0.5 * (a + c + spread);
     var minor = 0.5 * (a + c - spread);
-    let start = select(1.0, 0.97, FILTER == ANTIALIAS);
-    let rise = select(10.0, 1.0 / 0.03, FILTER == ANTIALIAS);
-    let shrinking = clamp((sqrt(major) - start) * rise, 0.0, 1.0);
+    let fade = select(FADE_AUTO, FADE_ANTIALIAS, FILTER == ANTIALIAS);
+    let shrinking = clamp((major - fade.x) / (fade.y - fade.x), 0.0, 1.0);
     major *= shrinking;
     minor = max(minor, 0.0) * shrinking;
-    // How much of the major axis lies along x, and the cosine times the sine.
-    let upright = 0.5 + 0.5 * (a - c) / (spread + 1e-6);
-    let xx = major * upright + minor * (1.0 - upright);
-    let xy = (major - minor) * b / (spread + 1e-6);
-    let yy = minor * upright + major * (1.0 - upright);
-    let box = sqrt(max(vec2f(xx, yy), vec2f(0.0)));
+    let xx = a * shrinking;
+    let xy = b * shrinking;
+    let yy = c * shrinking;
+    let box = sqrt(vec2f(xx, yy));
     var kind = LONG;
     if (major <= WIDEST * WIDEST && abs(xy) <= OBLIQUE) {
         kind = select(BOX, POINT, all(box < vec2f(FINEST)));
