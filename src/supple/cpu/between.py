@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from supple.cpu.filters import KIND, NONE, choose, filter_row, tile_of
-from supple.cpu.footprint import AUTO, PARTS, footprints
+from supple.cpu.footprint import AUTO, PARTS, footprints, slopes
 from supple.cpu.kernel import colour_kernel as kernel
 from supple.cpu.kernel import inlined
 from supple.cpu.pyramid import build
@@ -59,17 +59,15 @@ def _times(points, row, left, n, anchor, low, high, times):
 
 
 @kernel
-def time_widths(points, row, left, n, widths):
-    """How many frames each pixel of a row covers; the filter fades in as a picture's does."""
-    last = points.shape[2] - 1
-    above, below = max(row - 1, 0), min(row + 1, points.shape[1] - 1)
+def time_widths(points, row, left, n, across, down, widths):
+    """How many frames each pixel of a row covers; the filter fades in as a picture's does.
+
+    ``across`` and ``down`` are scratch, float32, shape (n,) or longer.
+    """
+    slopes(points, 2, row, left, n, across, down)
     for i in range(n):
-        x = left + i
-        before, after = max(x - 1, 0), min(x + 1, last)
-        across = (points[2, row, after] - points[2, row, before]) / max(after - before, 1)
-        down = (points[2, below, x] - points[2, above, x]) / max(below - above, 1)
-        along = points[3, row, x]
-        length = np.sqrt(np.float64(across * across + down * down + along * along))
+        along = points[3, row, left + i]
+        length = np.sqrt(np.float64(across[i] * across[i] + down[i] * down[i] + along * along))
         widths[i] = min(length * min(max((length - 1.0) * 10.0, 0.0), 1.0), LONGEST)
 
 
@@ -137,6 +135,7 @@ def filtered_frames(
     tile, rows = np.empty(1, table.dtype), np.empty((2, 1), np.int64)
     tall_out = out.shape[0]
     times, widths = np.empty(WIDE), np.zeros(WIDE)
+    change_x, change_y = np.empty(WIDE, np.float32), np.empty(WIDE, np.float32)
     weights = np.empty(WIDE, table.dtype)
     sums = np.empty(tall_out * WIDE * lanes, table.dtype)
     totals = np.empty(tall_out * WIDE, table.dtype)
@@ -165,7 +164,7 @@ def filtered_frames(
             for i in range(n):
                 early, late = min(early, times[i]), max(late, times[i])
             if average:
-                time_widths(points, y, left, n, widths)
+                time_widths(points, y, left, n, change_x, change_y, widths)
                 for i in range(n):
                     longest = max(longest, widths[i])
         radius = reach + 0.5 * longest
@@ -193,7 +192,7 @@ def filtered_frames(
                 for y in range(tall_out):
                     _times(points, y, left, n, np.float64(anchors[run, 2]), earliest, latest, times)
                     if average:
-                        time_widths(points, y, left, n, widths)
+                        time_widths(points, y, left, n, change_x, change_y, widths)
                     some = False
                     for i in range(n):
                         weights[i] = time_weight(kind, f - times[i], widths[i])

@@ -211,6 +211,7 @@ def filtered_directly(
     values, one = np.empty(WIDE * lanes, table.dtype), np.empty(4, table.dtype)
     patch = np.empty(130 * channels, samples.dtype)
     widths, forms = np.zeros(WIDE), np.empty(WIDE, np.uint32)
+    change_x, change_y = np.empty(WIDE, np.float32), np.empty(WIDE, np.float32)
     singly, columns, rows = np.empty(WIDE, np.bool_), np.empty(WIDE, np.int64), np.empty(WIDE, np.int64)
     most = starts.size - 2
     zero = table.dtype.type(0)
@@ -265,7 +266,7 @@ def filtered_directly(
                         words[KIND + i] = np.uint32(NONE)
                 _row(samples, starts, width, channels, n, where, frame, words, parts, fractions, table, values)
             elif average:
-                time_widths(points, y, left, n, widths)
+                time_widths(points, y, left, n, change_x, change_y, widths)
             for i in range(n):
                 if not singly[i]:
                     continue

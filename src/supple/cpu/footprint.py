@@ -84,38 +84,36 @@ def _differ(before, after, scale, given):
 
 
 @lean
-def _bend(before, after, given):
-    """A difference at an end, from that beside it and one that is farther in: as if it were in the middle."""
-    half = np.float32(0.5)
+def _bend(one, two, three, scale, given):
+    """The slope at an end, from the difference there: what is central of the cubic through it and the next three."""
+    half, more = np.float32(0.5 * scale), np.float32(1.5 * scale)
     for i in range(given.size):
-        given[i] += half * (given[i] - (after[i] - before[i]))
+        given[i] += given[i] - more * (two[i] - one[i]) + half * (three[i] - two[i])
 
 
 @lean
-def _slopes(points, row, left, n, parts):
-    """M of a row's pixels, by central differences: into XX (∂x/∂x), XY (∂x/∂y), YX (∂y/∂x) and YY (∂y/∂y)."""
-    rows = points.shape[1]
+def slopes(points, c, row, left, n, across, down):
+    """What a coordinate of a row's points changes by to the right, and downwards, by central differences."""
+    rows, right = points.shape[1], left + n
     above, below = max(row - 1, 0), min(row + 1, rows - 1)
-    scale, half, one = np.float32(1.0 / max(below - above, 1)), np.float32(0.5), np.float32(1.0)
-    for c in range(2):
-        across, down = parts[XX if c == 0 else YX :][:n], parts[XY if c == 0 else YY :][:n]
-        _differ(points[c, above, left : left + n], points[c, below, left : left + n], scale, down)
-        if rows > 2 and above == row:
-            _bend(points[c, 1, left : left + n], points[c, 2, left : left + n], down)
-        elif rows > 2 and below == row:
-            _bend(points[c, rows - 3, left : left + n], points[c, rows - 2, left : left + n], down)
-        here = points[c, row, left : left + n]
-        if n > 1:
-            _differ(here[:-2], here[2:], half, across[1:-1])
-            across[0], across[n - 1] = here[1] - here[0], here[n - 1] - here[n - 2]
-            if n > 2:
-                _bend(here[1:2], here[2:3], across[:1])
-                _bend(here[n - 3 : n - 2], here[n - 2 : n - 1], across[n - 1 :])
-        else:
-            across[0] = one if c == 0 else np.float32(0.0)
+    scale = np.float32(1.0 / max(below - above, 1))
+    _differ(points[c, above, left:right], points[c, below, left:right], scale, down[:n])
     if rows == 1:
-        for i in range(n):
-            parts[YY + i] = one
+        down[:n] = np.float32(1.0 if c == 1 else 0.0)
+    elif rows > 3 and (above == row or below == row):
+        on = 1 if above == row else -1
+        first, second, third = row + on, row + 2 * on, row + 3 * on
+        _bend(points[c, first, left:right], points[c, second, left:right], points[c, third, left:right], on, down[:n])
+    here = points[c, row, left:right]
+    if n == 1:
+        across[0] = np.float32(1.0 if c == 0 else 0.0)
+    else:
+        # Not beyond the run, whose neighbours have other anchors.
+        _differ(here[:-2], here[2:], np.float32(0.5), across[1 : n - 1])
+        across[0], across[n - 1] = here[1] - here[0], here[n - 1] - here[n - 2]
+        if n > 3:
+            _bend(here[1:2], here[2:3], here[3:4], 1, across[:1])
+            _bend(here[n - 2 : n - 1], here[n - 3 : n - 2], here[n - 4 : n - 3], -1, across[n - 1 : n])
 
 
 @lean
@@ -156,7 +154,9 @@ def _faded(n, fade, parts):
 @kernel
 def footprints(points, row, left, n, mode, parts):
     """Describe the footprints of a row's pixels in ``parts``."""
-    _slopes(points, row, left, n, parts)
+    # M: ∂x/∂x into XX, ∂x/∂y into XY, ∂y/∂x into YX, and ∂y/∂y into YY.
+    slopes(points, 0, row, left, n, parts[XX:], parts[XY:])
+    slopes(points, 1, row, left, n, parts[YX:], parts[YY:])
     if mode == EWA:
         _no_smaller_than_a_pixel(n, parts)
     else:

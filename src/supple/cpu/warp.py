@@ -172,9 +172,10 @@ def each_band(
     edges = np.append(xs[:-1:RUN], width)
     coarse_edges = np.append(np.ceil((edges[:-1] - steps[2]) / steps[0]).astype(np.int64), columns)
 
-    # An even number of bands, so that two cores, or more, end together; and the same ones on any machine.
+    # An even number of bands, so that two cores, or more, end together; and the same ones on any machine. No thin ones:
+    # what a pixel covers is told by its neighbours, whom the last rows of a band have on one side only.
     rows = ys.size - 1
-    bands = 1 if whole else min(-(-rows // (2 * CELL_ROWS)) * 2, rows)
+    bands = 1 if whole or rows < 4 else min(-(-rows // (2 * CELL_ROWS)) * 2, rows)
 
     def work(k: int) -> Certificate:
         first, last = rows * k // bands, rows * (k + 1) // bands

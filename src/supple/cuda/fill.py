@@ -33,7 +33,7 @@ from supple.cuda.lattice import (
     norm_of,
     slope_between,
 )
-from supple.cuda.newton import settle
+from supple.cuda.newton import change, settle
 from supple.cuda.sample import Way
 
 # Of the planes that are made: their size, how many there are, which is the first, how many deformations there are, and
@@ -147,10 +147,10 @@ def kernels(way: Way) -> tuple[Any, Any]:
                 qx, qy, qz = x * sx, y * sy, depth * sz
                 ux, uy = slope_between(nodes, upper, lower, 0, s, t), slope_between(nodes, upper, lower, 1, s, t)
                 uz = slope_between(nodes, upper, lower, 2, s, t)
+                close = 0.01 * min(tolerance, 1.0) * finest
                 px, py, pz, norm, done, _, a, b, c, d, e, f, g, m, n = settle(
-                    known, at, first, last, qx, qy, qz,
-                    qx + ux * sx, qy + uy * sy, qz + uz * sz, 0.01 * min(tolerance, 1.0) * finest, 10,
-                )  # fmt: skip
+                    known, at, first, last, qx, qy, qz, qx + ux * sx, qy + uy * sy, qz + uz * sz, close, 10
+                )
                 a, b, c, d, e, f, g, m, n = inverted(a, b, c, d, e, f, g, m, n)
                 a, b, c, d, e, f, g, m, n = in_pixels(a, b, c, d, e, f, g, m, n, sx, sy, sz)
                 error = LEFT
@@ -161,6 +161,13 @@ def kernels(way: Way) -> tuple[Any, Any]:
                         error = ROUGH
                 if error > told[WORST]:
                     cuda.atomic.max(told, WORST, _f4(error))
+                if wide or average:
+                    # What the map is at the pixel says little of what it covers here.
+                    xx, yx, tx = change(known, at, first, last, qx, qy, qz, px, py, pz, a * sx, d * sy, g * sz,
+                                        sx, 0.0, x, planes[WIDTH], close)  # fmt: skip
+                    xy, yy, ty = change(known, at, first, last, qx, qy, qz, px, py, pz, b * sx, e * sy, m * sz,
+                                        0.0, sy, y, planes[HEIGHT], close)  # fmt: skip
+                    a, b, d, e, g, m = xx / sx, xy / sx, yx / sy, yy / sy, tx / sz, ty / sz
                 ux, uy, uz = _f4((px - qx) / sx), _f4((py - qy) / sy), _f4((pz - qz) / sz)
                 begin, end = own, own + 1
                 if planes[SHARED] > 0:

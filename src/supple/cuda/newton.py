@@ -125,6 +125,36 @@ def settle(known, at, first, last, qx, qy, qz, x, y, z, tolerance, limit):
     return undo(known, at, first, last, qx, qy, qz, tolerance)
 
 
+@device
+def change(known, at, first, last, qx, qy, qz, px, py, pz, rise_x, rise_y, rise_z, sx, sy, k, count, tolerance):
+    """What T⁻¹ changes by from the k-th of so many pixels to the next, by central differences, as the CPU's.
+
+    (sx, sy) leads to the next pixel, and (rise_x, rise_y, rise_z) is about what p changes by. At an end, the
+    difference is that of the cubic through its four pixels.
+    """
+    if count == 1:
+        return sx, sy, 0.0
+    near, middle, far, own, one, two = -1, 1, 0, 0.0, -0.5, 0.5
+    three = 0.0
+    if k == 0 or k == count - 1:
+        near = 1 if k == 0 else -1
+        own, one, two = -1.0 * near, 1.0 * near, 0.0
+        if count > 3:
+            middle, far = 2 * near, 3 * near
+            own, one, two, three = -2.0 * near, 3.5 * near, -2.0 * near, 0.5 * near
+    cx, cy, cz = own * px, own * py, own * pz
+    for m in range(3):
+        step = near if m == 0 else (middle if m == 1 else far)
+        share = one if m == 0 else (two if m == 1 else three)
+        if share != 0.0:
+            x, y, z, _, _, _, _, _, _, _, _, _, _, _, _ = settle(
+                known, at, first, last, qx + step * sx, qy + step * sy, qz,
+                px + step * rise_x, py + step * rise_y, pz + step * rise_z, tolerance, 10,
+            )  # fmt: skip
+            cx, cy, cz = cx + share * x, cy + share * y, cz + share * z
+    return cx, cy, cz
+
+
 @kernel
 def inverse(known, spans, ndim, targets, finest, points, residual, steps, converged):
     """T⁻¹ of points (N * ndim numbers, in pixels), with |T(p) - q| in pixels, the evaluations, and whether it is small.
