@@ -50,8 +50,9 @@ $(VENV)/stamp-bench: $(VENV)/stamp
 	@touch $@
 
 # The CUDA engine and the libraries whose arrays it takes, or is compared with. Drivers from 580 on know CUDA 13.
-# To choose: make bench-cuda CUDA=12. PyTorch's wheels on PyPI are for one CUDA only; those for 12 are elsewhere.
-TORCH_FOR_12 := https://download.pytorch.org/whl/cu126
+# To choose: make bench-cuda CUDA=12. pip's own PyTorch is for one CUDA only; what PyTorch's site names as the index of
+# those for 12 can be given: make bench-cuda CUDA=12 TORCH_INDEX=...
+TORCH_INDEX ?=
 
 $(VENV)/stamp-cuda: $(VENV)/stamp
 	@cuda="$(CUDA)"; \
@@ -66,7 +67,7 @@ $(VENV)/stamp-cuda: $(VENV)/stamp
 	fi; \
 	echo "Adding CUDA $$cuda, PyTorch, CuPy and kornia to $(VENV): some gigabytes"; \
 	pip="$(BIN)/python -m pip install --quiet --disable-pip-version-check"; \
-	index=; if [ "$$cuda" = 12 ]; then index="--index-url $(TORCH_FOR_12)"; fi; \
+	index="$(if $(TORCH_INDEX),--index-url $(TORCH_INDEX))"; \
 	$$pip --editable ".[cuda$$cuda]" || exit 1; \
 	$$pip $$index torch || echo "make: without PyTorch: its rows say so, and its tests are left out" >&2; \
 	for other in "cupy-cuda$${cuda}x[ctk]" kornia; do \

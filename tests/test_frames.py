@@ -427,6 +427,14 @@ def test_time_is_left_alone_where_it_is_not_compressed(between: str) -> None:
                 assert np.abs(soft - sharp)[durations() > 2].mean() > 10
 
 
+def test_no_column_is_averaged_for_its_place() -> None:
+    # Source points of columns 255 and 256 are kept relative to two frames, which is no difference in time.
+    source = np.random.default_rng(0).random((12, 24, 520)).astype(np.float32)
+    d = Deformation(source.shape, border=None, spacing=(60.0, 1, 1)).grab((256, 12, 6), by=(0, 0, 2.2), radius=300)
+    apart = np.abs(d.warp(source, filter="linear", time_filter=True) - d.warp(source, filter="linear"))
+    assert apart[..., 240:272].max() < 0.03
+
+
 @pytest.mark.parametrize("between", ["linear", "cubic"])
 @pytest.mark.parametrize("filter", ["linear", "cubic"])
 def test_the_average_over_time_is_the_integral(filter: str, between: str) -> None:

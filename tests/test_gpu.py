@@ -131,13 +131,22 @@ def test_colours_are_the_cpu_s(gpu: Gpu, photo: np.ndarray, dtype: Any, channels
 
 
 @pytest.mark.parametrize("outside", ["edge", "constant", "reflect"])
-@pytest.mark.parametrize("filter", ["nearest", "linear", "cubic"])
+@pytest.mark.parametrize("filter", ["nearest", "linear", "cubic", "auto", "antialias"])
 def test_filters_and_what_lies_outside(gpu: Gpu, photo: np.ndarray, filter: str, outside: str) -> None:
     d = supple.Deformation(photo.shape[:2], border=None).grab((60, 60), by=(70, 50), radius=90)
     options: dict[str, Any] = {"filter": filter, "outside": outside, "fill": (10, 200, 30)}
     apart = np.abs(d.warp(photo, device="gpu", **options).astype(int) - d.warp(photo, **options))
     # Labels may change where a source point lies within its tolerance of the line between two.
     assert (apart > 1).mean() < (4e-3 if filter == "nearest" else 5e-4)
+
+
+@pytest.mark.parametrize("filter", ["auto", "antialias"])
+def test_averages_of_noise(gpu: Gpu, filter: str) -> None:
+    noise = np.random.default_rng(0).integers(0, 256, (120, 130)).astype(np.uint8)
+    for radius, by in ((9, (5, 4)), (40, (20, 15))):
+        d = supple.Deformation(noise.shape).grab((65, 60), by=by, radius=radius)
+        apart = np.abs(d.warp(noise, filter=filter, device="gpu").astype(int) - d.warp(noise, filter=filter))
+        assert (apart > 1).mean() < 1e-3
 
 
 def test_nearest_keeps_values(gpu: Gpu) -> None:

@@ -181,7 +181,6 @@ def test_a_window_that_is_too_large_goes_in_parts(gpu: Gpu, monkeypatch: pytest.
     assert min(reads) < 41  # of luma, some rows at a time
 
 
-# The CPU looks at footprints in every eighth row, and rounds their size and place to parts of a pixel.
 def test_averages_over_time_and_place(gpu: Gpu) -> None:
     t, y, x = np.mgrid[:24, :48, :64]
     pattern = 128 + 60 * np.sin(x / 3.0 + t) + 60 * np.cos(y / 4.0 - 0.7 * t)

@@ -87,6 +87,18 @@ def test_filters_and_what_lies_outside(numba_cuda: Any, filter: str, outside: st
         assert apart.max() < 1e-3
 
 
+@pytest.mark.parametrize("filter", ["auto", "antialias"])
+def test_averages_of_noise(numba_cuda: Any, filter: str) -> None:
+    # Nothing hides what differs here: neither rough cells nor the picture's edges.
+    shape = (40, 48)
+    source = np.random.default_rng(1).random(shape).astype(np.float32)
+    d = bent(shape, seed=5, border=None)
+    made = d.warp(on_card(numba_cuda, source), filter=filter, tolerance=TIGHT).copy_to_host()
+    apart = np.abs(made - d.warp(source, filter=filter, tolerance=TIGHT))
+    assert np.abs(made - d.warp(source, filter="cubic", tolerance=TIGHT)).max() > 0.05
+    assert apart.max() < 1e-3
+
+
 TYPES = ["f2", "f4", "f8", "u1", "u2", "u4", "u8", "i1", "i2", "i4", "i8", "?"]
 
 
