@@ -24,6 +24,7 @@ import pytest
 
 import supple
 from supple import console
+from supple.batch import Crew, Job
 from supple.cli import command
 from supple.console import Console
 from supple.gpu.device import Gpu
@@ -748,4 +749,27 @@ def test_an_interrupt_that_was_lost_wakes_who_waits(capsys: pytest.CaptureFixtur
     begun = time.monotonic()
     assert console.run(wait) == 130
     assert time.monotonic() - begun < 10
+    assert capsys.readouterr() == ("", "supple: interrupted\n")
+
+
+def test_an_interrupt_that_another_thread_is_given_is_heard(capsys: pytest.CaptureFixture[str]) -> None:
+    given = []
+
+    def work(job: Job, step: Callable[[str], None]) -> None:
+        time.sleep(0.5)  # until it is waited for
+        given.append(time.monotonic())
+        signal.pthread_kill(threading.get_ident(), signal.SIGINT)  # as systems do now and then
+        while time.monotonic() < given[0] + 30:
+            step("read")  # raises once all is stopped
+            time.sleep(0.01)
+
+    def warp(console: Console) -> None:
+        Crew(1).work([(Path("in.png"), Path("out.png"))], work, console, lambda job, message: None)
+
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        assert console.run(warp) == 130
+    finally:
+        signal.signal(signal.SIGINT, before)
+    assert time.monotonic() - given[0] < 10
     assert capsys.readouterr() == ("", "supple: interrupted\n")

@@ -6,8 +6,8 @@ import contextlib
 import glob
 import os
 import threading
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor, as_completed
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from pathlib import Path
 
 from supple.clips import SUFFIXES
@@ -162,7 +162,7 @@ class Crew:
         try:
             with _bar(console, len(jobs)) as advance:
                 futures = {pool.submit(self._one, job, do): job for job in jobs}
-                for future in as_completed(futures):
+                for future in _ended(futures):
                     message, blame = _outcome(future)
                     if message:
                         source, target = map(shown, futures[future])
@@ -209,6 +209,17 @@ class Crew:
             self._stopped = True
             self._changed.notify_all()
             self._changed.wait_for(lambda: not self._writing)
+
+
+def _ended(futures: Iterable[Future[None]]) -> Iterator[Future[None]]:
+    """The futures, one by one as they end.
+
+    A signal that the system gives to another thread does not wake this one, which would hear of it when a future ends.
+    """
+    waiting = set(futures)
+    while waiting:
+        ended, waiting = wait(waiting, timeout=0.2, return_when=FIRST_COMPLETED)
+        yield from ended
 
 
 def _outcome(future: Future[None]) -> tuple[str, int]:

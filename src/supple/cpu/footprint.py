@@ -41,7 +41,7 @@ FADE_ANTIALIAS, FADE_AUTO = (0.97**2, 1.0), (1.0, 1.1**2)
 def _cubic(t: np.ndarray) -> np.ndarray:
     """Catmull and Rom's kernel."""
     x = np.minimum(np.abs(t), 2.0)
-    return np.where(x <= 1, 1 - 2.5 * x**2 + 1.5 * x**3, 2 - 4 * x + 2.5 * x**2 - 0.5 * x**3)
+    return np.asarray(np.where(x <= 1, 1 - 2.5 * x**2 + 1.5 * x**3, 2 - 4 * x + 2.5 * x**2 - 0.5 * x**3))
 
 
 def _integral(t: np.ndarray) -> np.ndarray:
