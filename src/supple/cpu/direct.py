@@ -10,8 +10,7 @@ import numpy as np
 
 from supple.cpu.between import LINEAR, time_weight, time_widths
 from supple.cpu.filters import ALONG, DOWN, KIND, NONE, POINT, choose
-from supple.cpu.filters import LONG as OBLIQUE
-from supple.cpu.footprint import AUTO, PADDED, PARTS, REST, footprints
+from supple.cpu.footprint import AUTO, PADDED, PARTS, REST, one_box_each
 from supple.cpu.frames import PART_T, locate, starts_of
 from supple.cpu.frames import PARTS as FRACTIONS
 from supple.cpu.kernel import colour_kernel as kernel
@@ -220,19 +219,16 @@ def filtered_directly(
         n = right - left
         done[run] = True
         if mode >= AUTO:
-            for i in range(n):
-                parts[PART_X + i], parts[PART_Y + i] = 0, 0
-            for y in range(out.shape[0]):
-                footprints(points, y, left, n, mode, parts)
-                choose(n, mode, 0, parts, words)
-                for i in range(n):
-                    if words[KIND + i] == np.uint32(OBLIQUE):
-                        done[run] = False
+            for y in range(0, out.shape[0], 4):  # most are seen here, before work that would be for nothing
+                if not one_box_each(points, y, left, n, mode, parts):
+                    done[run] = False
+                    break
             if not done[run]:
                 continue
         for y in range(out.shape[0]):
-            if mode >= AUTO:
-                footprints(points, y, left, n, mode, parts)
+            if mode >= AUTO and not one_box_each(points, y, left, n, mode, parts):
+                done[run] = False
+                break
             locate(points, y, left, n, anchors[run], width, height, first, frames - 1, most, where, frame, fractions)
             for i in range(n):
                 parts[PART_X + i], parts[PART_Y + i] = fractions[PART_X + i], fractions[PART_Y + i]

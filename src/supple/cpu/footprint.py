@@ -169,6 +169,17 @@ def footprints(points, row, left, n, mode, parts):
 
 
 @kernel
+def one_box_each(points, row, left, n, mode, parts):
+    """Whether one box stands for the footprint of every pixel of a row; they are described as by `footprints`."""
+    footprints(points, row, left, n, mode, parts)
+    most, oblique, several = np.float32(WIDEST * WIDEST), np.float32(OBLIQUE), 0
+    for i in range(n):
+        upright = (parts[MAJOR + i] <= most) & (abs(parts[XY + i]) <= oblique)
+        several += 0 if upright else 1  # also what is not a number
+    return several == 0
+
+
+@kernel
 def _largest(points, row, left, n, mode, parts):
     footprints(points, row, left, n, mode, parts)
     largest, second = np.float32(0.0), np.float32(0.0)
