@@ -76,12 +76,12 @@ def both_as_floats(source: np.ndarray, d: Any, options: dict[str, Any]) -> np.nd
 @pytest.mark.parametrize("filter", ["antialias", "auto"])
 @pytest.mark.parametrize("room", ["picture", "volume", "frames"])
 def test_averages(numba_cuda: Any, room: str, filter: str, dtype: str) -> None:
-    # The CPU takes one footprint for eight rows, the card one for each pixel.
     _, shape, channels = ROOMS[room]
     source = typed(waves(shape, channels), dtype)
     options: dict[str, Any] = {"filter": filter, "time_filter": room == "frames"}
     made, wanted = both(numba_cuda.to_device(source), source, bent(shape, 1), **options)
-    assert np.quantile(apart(made, wanted, source), 0.99) <= CLOSE
+    # But where a footprint passes from one box to several.
+    assert np.quantile(apart(made, wanted, source), 0.999) <= CLOSE
 
 
 @pytest.mark.parametrize("filter", ["antialias", "auto"])
@@ -203,4 +203,4 @@ def test_arrays_of_the_host_through_a_card(card: Card, filter: str) -> None:
     if filter == "nearest":
         assert not (off[~near_a_boundary(d)] > 0).any()
     else:
-        assert np.quantile(off, 0.99 if filter == "auto" else 1.0) <= CLOSE
+        assert np.quantile(off, 0.999 if filter == "auto" else 1.0) <= CLOSE
