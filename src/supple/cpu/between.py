@@ -179,9 +179,9 @@ def filtered_frames(
                     for y in range(deep):
                         rows[0, y], rows[1, y] = x0, x1
                 else:
-                    # A frame at the clip's end is seen from all times beyond.
-                    since = -1e300 if f <= earliest else f - radius
-                    until = 1e300 if f >= latest else f + radius
+                    # A frame that is seen from the farthest time that counts is seen from all beyond.
+                    since = -1e300 if f - radius <= earliest else f - radius
+                    until = 1e300 if f + radius >= latest else f + radius
                     spans(boxes, run, width, height, x0, x1, y0, y1, rule, margin, since, until, rows)
                 if slot >= 0:
                     picture = source[slot]

@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from supple.cpu import between, direct, footprint, frames
+from supple.cpu.band import FARTHEST
 from supple.cpu.between import LONGEST
 from supple.cpu.sampling import FILTERS, OUTSIDE, numbers_of
 from supple.cpu.warp import Band
@@ -132,7 +133,7 @@ def times_seen(outside: str, count: int, average: bool) -> tuple[float, float]:
     """Beyond which times nothing changes any more, as an edge or a constant goes on."""
     beyond = 3.0 + (LONGEST / 2 if average else 0.0)
     if outside == "reflect":
-        return -1e9, 1e9
+        return -FARTHEST, FARTHEST
     return -beyond, count - 1.0 + beyond
 
 
