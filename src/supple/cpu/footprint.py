@@ -102,18 +102,13 @@ def _bend(one, two, three, scale, given):
 
 
 @lean
-def slopes(points, anchors, run, c, row, left, n, across, down):
+def slopes(points, beyond, anchors, run, c, row, left, n, across, down):
     """What a coordinate of a row's points changes by to the right, and downwards, by central differences."""
     rows, width, right = points.shape[1], points.shape[2], left + n
-    above, below = max(row - 1, 0), min(row + 1, rows - 1)
-    scale, half = np.float32(1.0 / max(below - above, 1)), np.float32(0.5)
-    _differ(points[c, above, left:right], points[c, below, left:right], scale, down[:n])
-    if rows == 1:
-        down[:n] = np.float32(1.0 if c == 1 else 0.0)
-    elif rows > 3 and (above == row or below == row):
-        on = 1 if above == row else -1
-        first, second, third = row + on, row + 2 * on, row + 3 * on
-        _bend(points[c, first, left:right], points[c, second, left:right], points[c, third, left:right], on, down[:n])
+    half = np.float32(0.5)
+    above = points[c, row - 1, left:right] if row > 0 else beyond[0, c, left:right]
+    below = points[c, row + 1, left:right] if row < rows - 1 else beyond[1, c, left:right]
+    _differ(above, below, half, down[:n])
     here = points[c, row, left:right]
     _differ(here[:-2], here[2:], half, across[1 : n - 1])
     # Neighbours in other runs have other anchors.
@@ -169,11 +164,11 @@ def _faded(n, fade, parts):
 
 
 @kernel
-def footprints(points, anchors, run, row, left, n, mode, parts):
+def footprints(points, beyond, anchors, run, row, left, n, mode, parts):
     """Describe the footprints of a row's pixels in ``parts``."""
     # M: ∂x/∂x into XX, ∂x/∂y into XY, ∂y/∂x into YX, and ∂y/∂y into YY.
-    slopes(points, anchors, run, 0, row, left, n, parts[XX:], parts[XY:])
-    slopes(points, anchors, run, 1, row, left, n, parts[YX:], parts[YY:])
+    slopes(points, beyond, anchors, run, 0, row, left, n, parts[XX:], parts[XY:])
+    slopes(points, beyond, anchors, run, 1, row, left, n, parts[YX:], parts[YY:])
     if mode == EWA:
         _no_smaller_than_a_pixel(n, parts)
     else:
@@ -181,9 +176,9 @@ def footprints(points, anchors, run, row, left, n, mode, parts):
 
 
 @kernel
-def one_box_each(points, anchors, run, row, left, n, mode, parts):
+def one_box_each(points, beyond, anchors, run, row, left, n, mode, parts):
     """Whether one box stands for the footprint of every pixel of a row; they are described as by `footprints`."""
-    footprints(points, anchors, run, row, left, n, mode, parts)
+    footprints(points, beyond, anchors, run, row, left, n, mode, parts)
     most, oblique, several = np.float32(WIDEST * WIDEST), np.float32(OBLIQUE), 0
     for i in range(n):
         upright = (parts[MAJOR + i] <= most) & (abs(parts[XY + i]) <= oblique)
@@ -192,8 +187,8 @@ def one_box_each(points, anchors, run, row, left, n, mode, parts):
 
 
 @kernel
-def _largest(points, anchors, run, row, left, n, mode, parts):
-    footprints(points, anchors, run, row, left, n, mode, parts)
+def _largest(points, beyond, anchors, run, row, left, n, mode, parts):
+    footprints(points, beyond, anchors, run, row, left, n, mode, parts)
     largest, second = np.float32(0.0), np.float32(0.0)
     for i in range(n):
         largest, second = max(largest, parts[MAJOR + i]), max(second, parts[MINOR + i])
@@ -201,7 +196,7 @@ def _largest(points, anchors, run, row, left, n, mode, parts):
 
 
 @kernel
-def extremes(points, anchors, run, left, n, mode, parts):
+def extremes(points, beyond, anchors, run, left, n, mode, parts):
     """About the largest σ₁'² and σ₂'² of a run, and half more: of every fourth row, and those between that differ.
 
     Under brushes of a few pixels there may be larger ones, which are cut to this.
@@ -209,11 +204,11 @@ def extremes(points, anchors, run, left, n, mode, parts):
     rows = points.shape[1]
     largest, second, before = 0.0, 0.0, 0.0
     for k in range(0, rows + 3, 4):
-        here, across = _largest(points, anchors, run, min(k, rows - 1), left, n, mode, parts)
+        here, across = _largest(points, beyond, anchors, run, min(k, rows - 1), left, n, mode, parts)
         largest, second, here = max(largest, here), max(second, across), max(here, 1.0)
         if k > 0 and max(here, before) > 1.4 * min(here, before):
             for row in range(k - 3, min(k, rows)):
-                above, beside = _largest(points, anchors, run, row, left, n, mode, parts)
+                above, beside = _largest(points, beyond, anchors, run, row, left, n, mode, parts)
                 largest, second = max(largest, above), max(second, beside)
         before = here
     return 1.5 * largest, 1.5 * second

@@ -102,9 +102,10 @@ def stack_sampler(
         rows = out[band.top : band.top + band.points.shape[1]]
         done = np.zeros(len(band.anchors), np.bool_)
         octets = source.dtype == np.uint8
+        beyond = band.beyond(average or mode >= footprint.AUTO)
         timing = (BETWEEN[between_frames], average, mode)
         if not prepared and readable and min(height, width) > 1:
-            place = (samples, slots, count, first, height, width, band.points, band.anchors, band.edges)
+            place = (samples, slots, count, first, height, width, band.points, beyond, band.anchors, band.edges)
             direct.filtered_directly(
                 *place, *times_seen(outside, count, average), *timing, table, n.low, n.high, n.whole, octets, done, rows
             )
@@ -116,6 +117,7 @@ def stack_sampler(
             first,
             *times_seen(outside, count, average),
             band.points,
+            beyond,
             band.anchors,
             band.edges,
             band.boxes,
