@@ -18,7 +18,7 @@ CLEAR = 1e-3  # pixels: how far a parabola and a cubic through a band's rows may
 
 @kernel
 def _row(points, c, k, last, x):
-    """The k-th row from the first or from the last one on."""
+    """A coordinate in the k-th row from the first, or from the last one on."""
     return np.float64(points[c, points.shape[1] - 1 - k if last else k, x])
 
 
@@ -75,7 +75,7 @@ def rows_beyond(table, axes, z, steps, top, count, points, anchors, edges, toler
     top, count : int
         Which of the grid's rows the band's first one is, and how many it has in all: those beyond are of the edge.
     points, anchors, edges
-        The band's.
+        The band's, which has a row at least.
     tolerance : float
         In pixels.
     beyond : float32 array, shape (2, ndim, columns)

@@ -100,6 +100,8 @@ def stack_sampler(
 
     def use(band: Band, out: Array, first: int, slots: npt.NDArray[np.int64]) -> None:
         rows = out[band.top : band.top + band.points.shape[1]]
+        if not rows.size:  # of chroma, a thin band may have no row
+            return
         done = np.zeros(len(band.anchors), np.bool_)
         octets = source.dtype == np.uint8
         beyond = band.beyond(average or mode >= footprint.AUTO)
