@@ -109,14 +109,17 @@ def slopes(points, beyond, anchors, run, c, row, left, n, across, down):
     above = points[c, row - 1, left:right] if row > 0 else beyond[0, c, left:right]
     below = points[c, row + 1, left:right] if row < rows - 1 else beyond[1, c, left:right]
     _differ(above, below, half, down[:n])
+    if n <= 0:
+        return
     here = points[c, row, left:right]
     _differ(here[:-2], here[2:], half, across[1 : n - 1])
     # Neighbours in other runs have other anchors.
     before, after, spaces = here[0], here[n - 1], 0
     if left > 0:
         before, spaces = points[c, row, left - 1] + np.float32(anchors[run - 1, c] - anchors[run, c]), 1
-    if right < width:
-        after, spaces = points[c, row, right] + np.float32(anchors[run + 1, c] - anchors[run, c]), spaces + 1
+    if right < width:  # of the last run, a column that is not asked for
+        other = min(run + 1, anchors.shape[0] - 1)
+        after, spaces = points[c, row, right] + np.float32(anchors[other, c] - anchors[run, c]), spaces + 1
     if n == 1:
         across[0] = (after - before) / np.float32(spaces) if spaces else np.float32(1.0 if c == 0 else 0.0)
         return
