@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 import numpy.typing as npt
 import pytest
 import reference
 
+from supple import Deformation
+from supple.cpu.beyond import rows_beyond
 from supple.cpu.footprint import (
     ANTIALIAS,
     AUTO,
@@ -28,6 +32,10 @@ from supple.cpu.footprint import (
     slopes,
     weights,
 )
+from supple.cpu.sampling import sampler
+from supple.cpu.warp import Band, Plane, each_band, solve_plane
+
+pytestmark = pytest.mark.filterwarnings("ignore::supple.FoldWarning")
 
 Floats = npt.NDArray[np.float64]
 
@@ -56,27 +64,81 @@ def test_weights_are_integrals_of_the_kernel() -> None:
             assert made[5 if place * PLACES < PLACES // 2 + 0.5 else 0] == 0
 
 
-def row(points: npt.NDArray[np.float32], c: int, y: int, left: int, n: int) -> tuple[Floats, Floats]:
-    across, down = np.empty(n, np.float32), np.empty(n, np.float32)
-    slopes(points, c, y, left, n, across, down)
-    return across.astype(float), down.astype(float)
+ALONE = np.zeros((1, 3), np.int64)  # anchors of one run
 
 
-def test_slopes_are_central_differences_at_ends_too() -> None:
-    # Of a cubic, whose own values beyond the ends are known.
+def test_slopes_are_central_differences_across_runs_and_bands() -> None:
+    # Of a cubic, whose own values beyond the picture's edges are known. It is bent little enough to count as a whole.
     def cubic(y: Floats, x: Floats) -> Floats:
-        return 0.01 * x**3 - 0.2 * x**2 + x - 0.015 * y**3 + 0.1 * y * y + 0.02 * x * y + 0.003 * x * x * y
+        return 0.004 * x**3 - 0.08 * x**2 + x - 0.015 * y**3 + 0.1 * y * y + 0.02 * x * y + 0.003 * x * x * y
 
-    y, x = np.mgrid[:7, :20].astype(float)
-    points = np.stack([cubic(y, x), -cubic(y, x)]).astype(np.float32)
-    left, n = 6, 9  # as of a run: what lies beside it has another anchor
-    points[..., :left], points[..., left + n :] = np.nan, np.nan
+    y, x = np.mgrid[-1:8, :20].astype(float)
+    edges, anchors = [0, 6, 15, 16, 20], np.array([[0, 5, 0], [7, -3, 1], [8, 9, 2], [-20, 0, 3]])
+    points = np.stack([cubic(y, x), -cubic(y, x)])
+    for run in range(4):
+        for c in range(2):
+            points[c, :, edges[run] : edges[run + 1]] -= anchors[run, c]
+    inner = np.ascontiguousarray(points[:, 1:-1], np.float32)
+    beyond = np.ascontiguousarray(points[:, [0, -1]].transpose(1, 0, 2), np.float32)
     across, down = (cubic(y, x + 1) - cubic(y, x - 1)) / 2, (cubic(y + 1, x) - cubic(y - 1, x)) / 2
-    for k in range(7):
-        for c, sign in ((0, 1), (1, -1)):
-            found = row(points, c, k, left, n)
-            np.testing.assert_allclose(found[0], sign * across[k, left : left + n], atol=2e-5)
-            np.testing.assert_allclose(found[1], sign * down[k, left : left + n], atol=2e-5)
+    for run in range(4):
+        left, right = edges[run], edges[run + 1]
+        found = np.empty((2, right - left), np.float32)
+        for k in range(7):
+            for c, sign in ((0, 1), (1, -1)):
+                slopes(inner, beyond, anchors, run, c, k, left, right - left, found[0], found[1])
+                np.testing.assert_allclose(found[0], sign * across[k + 1, left:right], atol=4e-5)
+                np.testing.assert_allclose(found[1], sign * down[k + 1, left:right], atol=4e-5)
+
+
+def plane_of(d: Deformation) -> Plane:
+    height, width = d.shape
+    return solve_plane(d.space.table, d.space.axes, (height, width), 2)
+
+
+@pytest.mark.parametrize("radius", [2.0, 5.0, 40.0])
+def test_rows_beside_a_band_are_those_of_the_band_there(radius: float) -> None:
+    d = Deformation((230, 70), border=None, on_fold="flow")
+    for y in (40, 64, 96, 128, 160):  # cells are 32 rows high, and bands end with some of them
+        d = d.grab((20 + y / 4, y - 0.4), by=(0.9 * radius, 0.7 * radius), radius=radius)
+    bands: dict[int, Band] = {}
+
+    def keep(band: Band) -> None:
+        bands[band.top] = band
+
+    each_band(plane_of(d), 1e-4, keep)
+    tops = sorted(bands)
+    assert len(tops) > 1
+    for one, two in itertools.pairwise(tops):
+        upper, lower = bands[one], bands[two]
+        assert one + upper.points.shape[1] == two
+        np.testing.assert_array_equal(upper.edges, lower.edges)
+        for band, side, other, row in ((upper, 1, lower, 0), (lower, 0, upper, -1)):
+            for run in range(len(band.anchors)):
+                part = slice(band.edges[run], band.edges[run + 1])
+                found = band.beyond(True)[side, :, part] + band.anchors[run, :2, None]
+                wanted = other.points[:, row, part] + other.anchors[run, :2, None]
+                np.testing.assert_allclose(found, wanted, atol=1.5e-3)
+
+
+@pytest.mark.parametrize("filter", ["auto", "antialias"])
+@pytest.mark.parametrize("radius", [2.0, 5.0, 15.0])
+def test_bands_leave_no_trace(radius: float, filter: str) -> None:
+    source = np.random.default_rng(3).random((230, 560, 1)).astype(np.float32)
+    d = Deformation(source.shape[:2], border=None, on_fold="flow")
+    for y in (64, 96, 128):
+        for x in (90, 256, 400):
+            d = d.grab((x, y - 0.4), by=(1.2 * radius, 0.7 * radius), radius=radius)
+    out = np.empty((2, *source.shape), np.float32)
+    plane = plane_of(d)
+    for k in range(2):
+        options = {"filter": filter, "outside": "edge", "fill": np.zeros(1)}
+        use = sampler(source, out[k], alpha=False, light=False, white=None, **options)
+        each_band(plane, 1e-4, use, whole=k == 1)
+    assert np.abs(out[1] - source).max() > 0.3
+    apart = np.abs(out[1] - out[0])
+    assert (apart > 1e-3).mean() < 1e-5  # where a footprint passes from one box to several
+    assert apart.max() < 0.05
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (1, 5), (5, 1), (2, 2), (3, 3), (2, 7), (4, 3)])
@@ -84,10 +146,15 @@ def test_slopes_of_few_pixels(shape: tuple[int, int]) -> None:
     y, x = np.mgrid[: shape[0], : shape[1]].astype(np.float32)
     points = np.stack([1.5 * x + 0.25 * y, 0.75 * y - 0.5 * x]).astype(np.float32)
     alone = [shape[1] == 1, shape[0] == 1]  # nothing is known of such a direction: it is as if nothing moved
+    d = Deformation((8, 8)).space
+    beyond, edges = np.empty((2, 2, shape[1]), np.float32), np.array([0, shape[1]])
+    rows_beyond(d.table, d.axes, 0.0, np.array([1.0, 1, 0, 0]), 0, shape[0], points, ALONE, edges, 1e-3, beyond)
+    found = np.empty((2, shape[1]), np.float32)
     for k in range(shape[0]):
         for c, wanted in ((0, (1.5, 0.25)), (1, (-0.5, 0.75))):
-            for axis, found in enumerate(row(points, c, k, 0, shape[1])):
-                np.testing.assert_allclose(found, (1.0 if c == axis else 0.0) if alone[axis] else wanted[axis])
+            slopes(points, beyond, ALONE, 0, c, k, 0, shape[1], found[0], found[1])
+            for axis in range(2):
+                np.testing.assert_allclose(found[axis], (1.0 if c == axis else 0.0) if alone[axis] else wanted[axis])
 
 
 @pytest.mark.parametrize("mode", [AUTO, ANTIALIAS, EWA])
@@ -98,7 +165,7 @@ def test_footprints_are_those_of_the_jacobian(mode: int) -> None:
         y, x = np.mgrid[:5, :6].astype(float)
         points = np.einsum("ij,jyx->iyx", m, np.stack([x, y])).astype(np.float32)
         parts = np.empty(PARTS, np.float32)
-        footprints(points, 2, 0, 6, mode, parts)
+        footprints(points, points[:, :2].copy(), ALONE, 0, 2, 0, 6, mode, parts)
         u, s, _ = np.linalg.svd(m)
         if mode == EWA:
             s = np.maximum(s, 1)
@@ -112,6 +179,7 @@ def test_footprints_are_those_of_the_jacobian(mode: int) -> None:
 
 @pytest.mark.parametrize("mode", [AUTO, ANTIALIAS])
 def test_no_footprint_is_larger_than_a_band_s_largest(mode: int) -> None:
+    # Under smaller brushes some are, and are cut.
     rng = np.random.default_rng(5)
     y, x = np.mgrid[:96, :200].astype(float)
     for radius in (6.0, 15.0, 40.0, 200.0):
@@ -120,8 +188,9 @@ def test_no_footprint_is_larger_than_a_band_s_largest(mode: int) -> None:
         a, b = rng.normal(0, 1.5 * radius, 2)
         points = np.stack([x + a * bell, y + b * bell]).astype(np.float32)
         parts = np.empty(PARTS, np.float32)
-        largest, second = extremes(points, 0, 200, mode, parts)
+        beyond = np.stack([points[:, 0], points[:, -1]])
+        largest, second = extremes(points, beyond, ALONE, 0, 0, 200, mode, parts)
         for k in range(96):
-            footprints(points, k, 0, 200, mode, parts)
+            footprints(points, beyond, ALONE, 0, k, 0, 200, mode, parts)
             assert parts[MAJOR : MAJOR + 200].max() <= largest
             assert parts[MINOR : MINOR + 200].max() <= second

@@ -427,6 +427,20 @@ def test_time_is_left_alone_where_it_is_not_compressed(between: str) -> None:
                 assert np.abs(soft - sharp)[durations() > 2].mean() > 10
 
 
+@pytest.mark.filterwarnings("ignore::supple.ToleranceWarning")  # float32 does not count so far
+@pytest.mark.parametrize("size", [1e9, 1e20, 1e30])
+def test_as_far_outside_as_numbers_go(size: float) -> None:
+    source = noise("f4", 1, SHAPE)
+    d = Deformation(SHAPE, border=None).grab((20, 18, 3), by=(size, size / 3, -size / 5), radius=size / 2)
+    for name in ("nearest", "linear", "auto"):
+        how: dict[str, Any] = {"filter": name, "time_filter": name == "auto"}
+        made = d.warp(source, outside="edge", **how)
+        np.testing.assert_allclose(made, np.broadcast_to(source[-1, 0, 0], made.shape), rtol=1e-5, atol=1e-4)
+        made = d.warp(source, outside="reflect", **how)
+        assert np.isfinite(made).all()
+        assert np.abs(made).max() <= 1.6 * np.abs(source).max()
+
+
 def test_no_column_is_averaged_for_its_place() -> None:
     # Source points of columns 255 and 256 are kept relative to two frames, which is no difference in time.
     source = np.random.default_rng(0).random((12, 24, 520)).astype(np.float32)

@@ -425,6 +425,23 @@ def test_very_far_outside(rule: str) -> None:
             same(out, reference.sample(source, exact(d), name, rule, 50).astype(np.float64), 255, 1e-2)
 
 
+@pytest.mark.filterwarnings("ignore::supple.ToleranceWarning")  # float32 does not count so far
+@pytest.mark.parametrize("size", [1e9, 1e20, 1e30])
+def test_as_far_outside_as_numbers_go(size: float) -> None:
+    d = Deformation((20, 280), border=None).grab((150, 10), by=(size, size / 3), radius=size / 2)
+    for channels in (1, 3):
+        for dtype in ("u1", "f4"):
+            source = noise(dtype, channels, d.shape)
+            for name in FILTERS:
+                how: dict[str, Any] = {"filter": name, "alpha": False}
+                made = d.warp(source, outside="edge", **how).astype(float)
+                np.testing.assert_allclose(made, np.broadcast_to(source[0, 0], made.shape), rtol=1e-5, atol=1e-4)
+                np.testing.assert_allclose(d.warp(source, outside="constant", fill=7, **how), 7, rtol=1e-5)
+                made = d.warp(source, outside="reflect", **how).astype(float)
+                assert np.isfinite(made).all()
+                assert np.abs(made).max() <= 1.6 * np.abs(source.astype(float)).max()
+
+
 SIZES = [(1, 1), (1, 2), (1, 50), (50, 1), (2, 2), (3, 33), (32, 32), (33, 33), (5, 257), (4, 300)]
 
 

@@ -30,6 +30,7 @@ from supple.cpu.newton import DONE, NORM, PX, QX, QY, QZ, ROWS, settle
 from supple.cpu.vector import write_cubic
 
 RUN = 8  # cells that share an anchor
+FARTHEST = 2.0**22  # samples from the first one that an anchor lies at most: float32 counts so far, and twice
 WIDTH = SIZE + 1
 WORST, EVALUATIONS, REACH, FAR, RATE, STATS = 0, 1, 2, 3, 4, 5
 
@@ -454,9 +455,9 @@ def source_points(
     row0 = int(np.ceil((ys[first] - grid[3]) / grid[1]))
     for run in range(anchors.shape[0]):
         node = nodes[first, run * RUN]
-        anchors[run, 0] = np.int64(xs[run * RUN] + np.rint(node[U]))
-        anchors[run, 1] = np.int64(ys[first] + np.rint(node[U + 1]))
-        anchors[run, 2] = np.int64(z + np.rint(node[U + 2]))
+        anchors[run, 0] = np.int64(min(max(xs[run * RUN] + np.rint(node[U]), -FARTHEST), FARTHEST))
+        anchors[run, 1] = np.int64(min(max(ys[first] + np.rint(node[U + 1]), -FARTHEST), FARTHEST))
+        anchors[run, 2] = np.int64(min(max(z + np.rint(node[U + 2]), -FARTHEST), FARTHEST))
         coarse_anchors[run, 0] = np.int64(np.rint((anchors[run, 0] - grid[2]) / grid[0]))
         coarse_anchors[run, 1] = np.int64(np.rint((anchors[run, 1] - grid[3]) / grid[1]))
         coarse_anchors[run, 2] = anchors[run, 2]

@@ -59,12 +59,12 @@ def _times(points, row, left, n, anchor, low, high, times):
 
 
 @kernel
-def time_widths(points, row, left, n, across, down, widths):
+def time_widths(points, beyond, anchors, run, row, left, n, across, down, widths):
     """How many frames each pixel of a row covers; the filter fades in as a picture's does.
 
     ``across`` and ``down`` are scratch, float32, shape (n,) or longer.
     """
-    slopes(points, 2, row, left, n, across, down)
+    slopes(points, beyond, anchors, run, 2, row, left, n, across, down)
     for i in range(n):
         along = points[3, row, left + i]
         length = np.sqrt(np.float64(across[i] * across[i] + down[i] * down[i] + along * along))
@@ -90,6 +90,7 @@ def filtered_frames(
     earliest,
     latest,
     points,
+    beyond,
     anchors,
     edges,
     boxes,
@@ -147,7 +148,7 @@ def filtered_frames(
         left, right = edges[run], min(edges[run + 1], out.shape[1])
         n = right - left
         x0, x1, y0, y1, margin, coarsest, largest = tile_of(
-            points, boxes, run, left, n, width, height, rule, mode, parts
+            points, beyond, anchors, boxes, run, left, n, width, height, rule, mode, parts
         )
         wide, deep = x1 - x0, y1 - y0
         if tile.size < wide * deep * lanes * (2 if coarsest else 1):
@@ -164,7 +165,7 @@ def filtered_frames(
             for i in range(n):
                 early, late = min(early, times[i]), max(late, times[i])
             if average:
-                time_widths(points, y, left, n, change_x, change_y, widths)
+                time_widths(points, beyond, anchors, run, y, left, n, change_x, change_y, widths)
                 for i in range(n):
                     longest = max(longest, widths[i])
         radius = reach + 0.5 * longest
@@ -179,9 +180,9 @@ def filtered_frames(
                     for y in range(deep):
                         rows[0, y], rows[1, y] = x0, x1
                 else:
-                    # A frame at the clip's end is seen from all times beyond.
-                    since = -1e300 if f <= earliest else f - radius
-                    until = 1e300 if f >= latest else f + radius
+                    # A frame that is seen from the farthest time that counts is seen from all beyond.
+                    since = -1e300 if f - radius <= earliest else f - radius
+                    until = 1e300 if f + radius >= latest else f + radius
                     spans(boxes, run, width, height, x0, x1, y0, y1, rule, margin, since, until, rows)
                 if slot >= 0:
                     picture = source[slot]
@@ -192,7 +193,7 @@ def filtered_frames(
                 for y in range(tall_out):
                     _times(points, y, left, n, np.float64(anchors[run, 2]), earliest, latest, times)
                     if average:
-                        time_widths(points, y, left, n, change_x, change_y, widths)
+                        time_widths(points, beyond, anchors, run, y, left, n, change_x, change_y, widths)
                     some = False
                     for i in range(n):
                         weights[i] = time_weight(kind, f - times[i], widths[i])
@@ -200,7 +201,7 @@ def filtered_frames(
                     if not some:
                         continue
                     if mode >= AUTO:
-                        footprints(points, y, left, n, mode, parts)
+                        footprints(points, beyond, anchors, run, y, left, n, mode, parts)
                     positions(points, y, left, n, move_x, move_y, low_x, high_x, low_y, high_y, wide, words, parts)
                     choose(n, mode, wide if lanes == 4 else 0, parts, words)
                     for i in range(n):

@@ -172,6 +172,7 @@ def filtered_directly(
     height,
     width,
     points,
+    beyond,
     anchors,
     edges,
     earliest,
@@ -220,13 +221,13 @@ def filtered_directly(
         done[run] = True
         if mode >= AUTO:
             for y in range(0, out.shape[0], 4):  # most are seen here, before work that would be for nothing
-                if not one_box_each(points, y, left, n, mode, parts):
+                if not one_box_each(points, beyond, anchors, run, y, left, n, mode, parts):
                     done[run] = False
                     break
             if not done[run]:
                 continue
         for y in range(out.shape[0]):
-            if mode >= AUTO and not one_box_each(points, y, left, n, mode, parts):
+            if mode >= AUTO and not one_box_each(points, beyond, anchors, run, y, left, n, mode, parts):
                 done[run] = False
                 break
             locate(points, y, left, n, anchors[run], width, height, first, frames - 1, most, where, frame, fractions)
@@ -262,7 +263,7 @@ def filtered_directly(
                         words[KIND + i] = np.uint32(NONE)
                 _row(samples, starts, width, channels, n, where, frame, words, parts, fractions, table, values)
             elif average:
-                time_widths(points, y, left, n, change_x, change_y, widths)
+                time_widths(points, beyond, anchors, run, y, left, n, change_x, change_y, widths)
             for i in range(n):
                 if not singly[i]:
                     continue

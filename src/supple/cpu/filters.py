@@ -213,14 +213,14 @@ def filter_row(tile, starts, widths, lanes, n, mode, largest, stride, words, par
 
 
 @inlined
-def tile_of(points, boxes, run, left, n, width, height, rule, mode, parts):
+def tile_of(points, beyond, anchors, boxes, run, left, n, width, height, rule, mode, parts):
     """The part of a source that a run of pixels needs, whole at every level of its pyramid.
 
     Returns its bounds x0, x1, y0 and y1, the margin in them, the coarsest level, and the largest σ₁'².
     """
     margin, coarsest, largest = 3, 0, 0.0
     if mode >= AUTO:
-        largest, second = extremes(points, left, n, mode, parts)
+        largest, second = extremes(points, beyond, anchors, run, left, n, mode, parts)
         coarsest = 0 if mode == EWA else levels_for(second, WIDEST)
         margin = int(np.ceil((1.0 if mode == EWA else 0.5) * np.sqrt(largest))) + 3 * 2**coarsest + 1
     x0, x1 = bounds(boxes, run, 0, width, rule, margin)
@@ -235,6 +235,7 @@ def tile_of(points, boxes, run, left, n, width, height, rule, mode, parts):
 def filtered(
     source,
     points,
+    beyond,
     anchors,
     edges,
     boxes,
@@ -277,7 +278,7 @@ def filtered(
         left, right = edges[run], min(edges[run + 1], out.shape[1])
         n = right - left
         x0, x1, y0, y1, margin, coarsest, largest = tile_of(
-            points, boxes, run, left, n, width, height, rule, mode, parts
+            points, beyond, anchors, boxes, run, left, n, width, height, rule, mode, parts
         )
         wide, tall = x1 - x0, y1 - y0
         # Every level is a quarter of the one before.
@@ -299,7 +300,7 @@ def filtered(
             starts, widths = build(tile, wide, tall, lanes, coarsest)
             for y in range(out.shape[0]):
                 if mode >= AUTO:
-                    footprints(points, y, left, n, mode, parts)
+                    footprints(points, beyond, anchors, run, y, left, n, mode, parts)
                 positions(points, y, left, n, move_x, move_y, low_x, high_x, low_y, high_y, wide, words, parts)
                 choose(n, mode, wide if lanes == 4 else 0, parts, words)
                 filter_row(tile, starts, widths, lanes, n, mode, largest, wide, words, parts, table, values)

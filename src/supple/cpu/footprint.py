@@ -33,6 +33,7 @@ FINEST = 1.0 / 64.0  # a box that is smaller is a point
 OBLIQUE = 0.5  # an upright box stands for a footprint with less covariance than this
 PADDED = 8  # weights, and as many derivatives by place and by squared width, are filled up to so many
 ENTRY = 3 * PADDED
+MOST_BEND = 0.25  # pixels
 # Where σ₁² is from this on, and from this, footprints fade in, so that no seam shows: for ANTIALIAS before the map
 # begins to shrink, for AUTO as it does, which leaves what is hardly shrunk as sharp as it was.
 FADE_ANTIALIAS, FADE_AUTO = (0.97**2, 1.0), (1.0, 1.1**2)
@@ -90,35 +91,44 @@ def _differ(before, after, scale, given):
 
 @lean
 def _bend(one, two, three, scale, given):
-    """The slope at an end, from the difference there: what is central of the cubic through it and the next three."""
-    half, more = np.float32(0.5 * scale), np.float32(1.5 * scale)
+    """The slope at an end, from the difference there: what is central of the cubic through it and the next three.
+
+    Of a map that varies within a pixel or two, these say little: they change it by so much at most.
+    """
+    half, more, most = np.float32(0.5 * scale), np.float32(1.5 * scale), np.float32(MOST_BEND)
     for i in range(given.size):
-        given[i] += given[i] - more * (two[i] - one[i]) + half * (three[i] - two[i])
+        bend = given[i] - more * (two[i] - one[i]) + half * (three[i] - two[i])
+        given[i] += min(max(bend, -most), most)
 
 
 @lean
-def slopes(points, c, row, left, n, across, down):
+def slopes(points, beyond, anchors, run, c, row, left, n, across, down):
     """What a coordinate of a row's points changes by to the right, and downwards, by central differences."""
-    rows, right = points.shape[1], left + n
-    above, below = max(row - 1, 0), min(row + 1, rows - 1)
-    scale = np.float32(1.0 / max(below - above, 1))
-    _differ(points[c, above, left:right], points[c, below, left:right], scale, down[:n])
-    if rows == 1:
-        down[:n] = np.float32(1.0 if c == 1 else 0.0)
-    elif rows > 3 and (above == row or below == row):
-        on = 1 if above == row else -1
-        first, second, third = row + on, row + 2 * on, row + 3 * on
-        _bend(points[c, first, left:right], points[c, second, left:right], points[c, third, left:right], on, down[:n])
+    rows, width, right = points.shape[1], points.shape[2], left + n
+    half = np.float32(0.5)
+    above = points[c, row - 1, left:right] if row > 0 else beyond[0, c, left:right]
+    below = points[c, row + 1, left:right] if row < rows - 1 else beyond[1, c, left:right]
+    _differ(above, below, half, down[:n])
+    if n <= 0:
+        return
     here = points[c, row, left:right]
+    _differ(here[:-2], here[2:], half, across[1 : n - 1])
+    # Neighbours in other runs have other anchors.
+    before, after, spaces = here[0], here[n - 1], 0
+    if left > 0:
+        before, spaces = points[c, row, left - 1] + np.float32(anchors[run - 1, c] - anchors[run, c]), 1
+    if right < width:  # of the last run, a column that is not asked for
+        other = min(run + 1, anchors.shape[0] - 1)
+        after, spaces = points[c, row, right] + np.float32(anchors[other, c] - anchors[run, c]), spaces + 1
     if n == 1:
-        across[0] = np.float32(1.0 if c == 0 else 0.0)
-    else:
-        # Not beyond the run, whose neighbours have other anchors.
-        _differ(here[:-2], here[2:], np.float32(0.5), across[1 : n - 1])
-        across[0], across[n - 1] = here[1] - here[0], here[n - 1] - here[n - 2]
-        if n > 3:
-            _bend(here[1:2], here[2:3], here[3:4], 1, across[:1])
-            _bend(here[n - 2 : n - 1], here[n - 3 : n - 2], here[n - 4 : n - 3], -1, across[n - 1 : n])
+        across[0] = (after - before) / np.float32(spaces) if spaces else np.float32(1.0 if c == 0 else 0.0)
+        return
+    across[0] = half * (here[1] - before) if left > 0 else here[1] - here[0]
+    across[n - 1] = half * (after - here[n - 2]) if right < width else here[n - 1] - here[n - 2]
+    if n > 3 and left == 0:
+        _bend(here[1:2], here[2:3], here[3:4], 1, across[:1])
+    if n > 3 and right == width:
+        _bend(here[n - 2 : n - 1], here[n - 3 : n - 2], here[n - 4 : n - 3], -1, across[n - 1 : n])
 
 
 @lean
@@ -157,11 +167,11 @@ def _faded(n, fade, parts):
 
 
 @kernel
-def footprints(points, row, left, n, mode, parts):
+def footprints(points, beyond, anchors, run, row, left, n, mode, parts):
     """Describe the footprints of a row's pixels in ``parts``."""
     # M: ∂x/∂x into XX, ∂x/∂y into XY, ∂y/∂x into YX, and ∂y/∂y into YY.
-    slopes(points, 0, row, left, n, parts[XX:], parts[XY:])
-    slopes(points, 1, row, left, n, parts[YX:], parts[YY:])
+    slopes(points, beyond, anchors, run, 0, row, left, n, parts[XX:], parts[XY:])
+    slopes(points, beyond, anchors, run, 1, row, left, n, parts[YX:], parts[YY:])
     if mode == EWA:
         _no_smaller_than_a_pixel(n, parts)
     else:
@@ -169,19 +179,19 @@ def footprints(points, row, left, n, mode, parts):
 
 
 @kernel
-def one_box_each(points, row, left, n, mode, parts):
+def one_box_each(points, beyond, anchors, run, row, left, n, mode, parts):
     """Whether one box stands for the footprint of every pixel of a row; they are described as by `footprints`."""
-    footprints(points, row, left, n, mode, parts)
+    footprints(points, beyond, anchors, run, row, left, n, mode, parts)
     most, oblique, several = np.float32(WIDEST * WIDEST), np.float32(OBLIQUE), 0
     for i in range(n):
         upright = (parts[MAJOR + i] <= most) & (abs(parts[XY + i]) <= oblique)
-        several += 0 if upright else 1  # also what is not a number
+        several += 0 if upright else 1
     return several == 0
 
 
 @kernel
-def _largest(points, row, left, n, mode, parts):
-    footprints(points, row, left, n, mode, parts)
+def _largest(points, beyond, anchors, run, row, left, n, mode, parts):
+    footprints(points, beyond, anchors, run, row, left, n, mode, parts)
     largest, second = np.float32(0.0), np.float32(0.0)
     for i in range(n):
         largest, second = max(largest, parts[MAJOR + i]), max(second, parts[MINOR + i])
@@ -189,16 +199,19 @@ def _largest(points, row, left, n, mode, parts):
 
 
 @kernel
-def extremes(points, left, n, mode, parts):
-    """The largest σ₁'² and σ₂'² of a run, or more: of every fourth row and, where they change, those between."""
+def extremes(points, beyond, anchors, run, left, n, mode, parts):
+    """About the largest σ₁'² and σ₂'² of a run, and half more: of every fourth row, and those between that differ.
+
+    Under brushes of a few pixels there may be larger ones, which are cut to this.
+    """
     rows = points.shape[1]
     largest, second, before = 0.0, 0.0, 0.0
     for k in range(0, rows + 3, 4):
-        here, across = _largest(points, min(k, rows - 1), left, n, mode, parts)
+        here, across = _largest(points, beyond, anchors, run, min(k, rows - 1), left, n, mode, parts)
         largest, second, here = max(largest, here), max(second, across), max(here, 1.0)
         if k > 0 and max(here, before) > 1.4 * min(here, before):
             for row in range(k - 3, min(k, rows)):
-                above, beside = _largest(points, row, left, n, mode, parts)
+                above, beside = _largest(points, beyond, anchors, run, row, left, n, mode, parts)
                 largest, second = max(largest, above), max(second, beside)
         before = here
     return 1.5 * largest, 1.5 * second

@@ -10,7 +10,7 @@ import numpy as np
 
 from supple.cpu.kernel import colour_kernel, inlined, kernel
 from supple.cpu.region import place
-from supple.cpu.sample import WIDE
+from supple.cpu.sample import WIDE, nearest_to
 from supple.cpu.vector import prefetch, reader
 
 # Rows of a run's words: what is needed of both frames; and of its fractions.
@@ -29,13 +29,12 @@ def nearest_frames(source, slots, first, points, anchors, edges, rule, fill, out
     ``slots`` says where in ``source`` the frames from ``first`` on are, -1 for one that is constant.
     """
     height, width, channels = source.shape[1:]
-    half = np.float32(0.5)
     for run in range(anchors.shape[0]):
         for y in range(out.shape[0]):
             for x in range(edges[run], min(edges[run + 1], out.shape[1])):
-                i = place(anchors[run, 0] + np.int64(np.floor(points[0, y, x] + half)), width, rule)
-                j = place(anchors[run, 1] + np.int64(np.floor(points[1, y, x] + half)), height, rule)
-                k = anchors[run, 2] + np.int64(np.floor(points[2, y, x] + half))
+                i = place(nearest_to(anchors[run, 0], points[0, y, x]), width, rule)
+                j = place(nearest_to(anchors[run, 1], points[1, y, x]), height, rule)
+                k = nearest_to(anchors[run, 2], points[2, y, x])
                 slot = slots[min(max(k - first, 0), slots.size - 1)]
                 if i < 0 or j < 0 or slot < 0:
                     for c in range(channels):

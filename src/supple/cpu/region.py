@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from supple.cpu.band import RUN
+from supple.cpu.band import FARTHEST, RUN
 from supple.cpu.kernel import colour_kernel as kernel
 from supple.cpu.vector import gather_bytes, spread_bytes
 
@@ -18,9 +18,9 @@ EDGE, CONSTANT, REFLECT = 0, 1, 2
 @kernel
 def _reach(boxes, j, i, axis, size, rule, margin):
     low, high = boxes[j, i, axis, 0], boxes[j, i, axis, 1]
-    if rule != REFLECT:
-        # Farther out, nothing changes any more: points are drawn near before they are sampled.
-        low, high = min(max(low, -margin), size - 1.0 + margin), min(max(high, -margin), size - 1.0 + margin)
+    # Farther out, nothing changes any more, or nobody knows it: points are drawn near before they are sampled.
+    first, last = (-FARTHEST, FARTHEST) if rule == REFLECT else (-1.0 * margin, size - 1.0 + margin)
+    low, high = min(max(low, first), last), min(max(high, first), last)
     return np.int64(np.floor(low)) - margin, np.int64(np.floor(high)) + 2 + margin
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from supple.cpu.band import RUN
+from supple.cpu.band import FARTHEST, RUN
 from supple.cpu.kernel import kernel
 from supple.cpu.lattice import SIZE
 from supple.cpu.region import REFLECT, bounds, load_words, place, spans
@@ -21,15 +21,21 @@ PART_X, PART_Y = 0, WIDE
 
 
 @kernel
+def nearest_to(anchor, offset):
+    """The sample nearest to a point; ties go to the larger index. Farther out than can be counted, all are as far."""
+    most, half = np.float32(2.0**60), np.float32(0.5)
+    return anchor + np.int64(np.floor(min(max(offset, -most), most) + half))
+
+
+@kernel
 def nearest(source, points, anchors, edges, rule, fill, out):
     """The sample nearest to each point; ties go to the larger index, as in rounding half up."""
     height, width, channels = source.shape
-    half = np.float32(0.5)
     for run in range(anchors.shape[0]):
         for y in range(out.shape[0]):
             for x in range(edges[run], min(edges[run + 1], out.shape[1])):
-                i = place(anchors[run, 0] + np.int64(np.floor(points[0, y, x] + half)), width, rule)
-                j = place(anchors[run, 1] + np.int64(np.floor(points[1, y, x] + half)), height, rule)
+                i = place(nearest_to(anchors[run, 0], points[0, y, x]), width, rule)
+                j = place(nearest_to(anchors[run, 1], points[1, y, x]), height, rule)
                 for c in range(channels):
                     out[y, x, c] = fill[c] if i < 0 or j < 0 else source[j, i, c]
 
@@ -50,7 +56,7 @@ def positions(points, row, first, n, x0, y0, low_x, high_x, low_y, high_y, strid
 def limits(anchor, axis, size, rule, margin):
     """Within which points have to be drawn, relative to their anchor, for a tile with that margin to hold them."""
     if rule == REFLECT:
-        return np.float32(-3e38), np.float32(3e38)
+        return np.float32(-FARTHEST - anchor[axis]), np.float32(FARTHEST - anchor[axis])
     return np.float32(-margin - anchor[axis]), np.float32(size - 1 + margin - anchor[axis])
 
 

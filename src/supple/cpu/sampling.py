@@ -166,6 +166,7 @@ def sampler(
         filters.filtered(
             source,
             band.points,
+            band.beyond(mode >= footprint.AUTO),
             band.anchors,
             band.edges,
             band.boxes,

@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from supple.cpu import between, direct, footprint, frames
+from supple.cpu.band import FARTHEST
 from supple.cpu.between import LONGEST
 from supple.cpu.sampling import FILTERS, OUTSIDE, numbers_of
 from supple.cpu.warp import Band
@@ -99,11 +100,14 @@ def stack_sampler(
 
     def use(band: Band, out: Array, first: int, slots: npt.NDArray[np.int64]) -> None:
         rows = out[band.top : band.top + band.points.shape[1]]
+        if not rows.size:  # of chroma, a thin band may have no row
+            return
         done = np.zeros(len(band.anchors), np.bool_)
         octets = source.dtype == np.uint8
+        beyond = band.beyond(average or mode >= footprint.AUTO)
         timing = (BETWEEN[between_frames], average, mode)
         if not prepared and readable and min(height, width) > 1:
-            place = (samples, slots, count, first, height, width, band.points, band.anchors, band.edges)
+            place = (samples, slots, count, first, height, width, band.points, beyond, band.anchors, band.edges)
             direct.filtered_directly(
                 *place, *times_seen(outside, count, average), *timing, table, n.low, n.high, n.whole, octets, done, rows
             )
@@ -115,6 +119,7 @@ def stack_sampler(
             first,
             *times_seen(outside, count, average),
             band.points,
+            beyond,
             band.anchors,
             band.edges,
             band.boxes,
@@ -132,7 +137,7 @@ def times_seen(outside: str, count: int, average: bool) -> tuple[float, float]:
     """Beyond which times nothing changes any more, as an edge or a constant goes on."""
     beyond = 3.0 + (LONGEST / 2 if average else 0.0)
     if outside == "reflect":
-        return -1e9, 1e9
+        return -FARTHEST, FARTHEST
     return -beyond, count - 1.0 + beyond
 
 

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 
 from supple.cpu.band import EVALUATIONS, FAR, RATE, REACH, RUN, STATS, WORST, source_points
+from supple.cpu.beyond import rows_beyond
 from supple.cpu.certify import farthest
 from supple.cpu.kernel import share, threads
 from supple.cpu.lattice import NODE, SIZE, M, set_twists, solve_rows
@@ -55,7 +56,7 @@ class Band:
     ``points[c, y, x] + anchors[run, c]``, for c up to 2, is coordinate ``c``, in pixels, of the source of the pixel
     (x, top + y), where ``run`` counts the stretches of pixels between ``edges``. ``boxes``
     bounds the points of every lattice cell. ``coarse`` is the same part of the plane in the samples of another grid,
-    and in their numbers.
+    and in their numbers. ``find`` finds the rows beside it.
     """
 
     top: int
@@ -63,7 +64,12 @@ class Band:
     anchors: npt.NDArray[np.int64]
     boxes: Floats
     edges: npt.NDArray[np.int64]
+    find: Callable[[Band], npt.NDArray[np.float32]]
     coarse: Band | None = None
+
+    def beyond(self, needed: bool) -> npt.NDArray[np.float32]:
+        """The points of the rows above and below, shape (2, ndim, columns); where they are not needed, of no column."""
+        return self.find(self) if needed else np.empty((2, len(self.points), 0), np.float32)
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,6 +139,31 @@ def rounding(reach: float) -> float:
     return 2.0**-22 * reach
 
 
+def finder(
+    plane: Plane, tolerance: float, steps: Sequence[float], count: int
+) -> Callable[[Band], npt.NDArray[np.float32]]:
+    """What finds the rows beside a band of a grid of ``count`` rows, whose ``steps`` are those of `Grid`."""
+
+    def find(band: Band) -> npt.NDArray[np.float32]:
+        beyond = np.empty((2, plane.ndim, band.points.shape[2]), np.float32)
+        rows_beyond(
+            plane.table,
+            plane.axes,
+            plane.z,
+            np.array(steps, np.float64),
+            band.top,
+            count,
+            band.points,
+            band.anchors,
+            band.edges,
+            min(0.1 * tolerance, 1e-3),
+            beyond,
+        )
+        return beyond
+
+    return find
+
+
 def each_band(
     plane: Plane,
     tolerance: float,
@@ -172,10 +203,9 @@ def each_band(
     edges = np.append(xs[:-1:RUN], width)
     coarse_edges = np.append(np.ceil((edges[:-1] - steps[2]) / steps[0]).astype(np.int64), columns)
 
-    # An even number of bands, so that two cores, or more, end together; and the same ones on any machine. No thin ones:
-    # what a pixel covers is told by its neighbours, whom the last rows of a band have on one side only.
+    # An even number of bands, so that two cores, or more, end together; and the same ones on any machine.
     rows = ys.size - 1
-    bands = 1 if whole or rows < 4 else min(-(-rows // (2 * CELL_ROWS)) * 2, rows)
+    bands = 1 if whole else min(-(-rows // (2 * CELL_ROWS)) * 2, rows)
 
     def work(k: int) -> Certificate:
         first, last = rows * k // bands, rows * (k + 1) // bands
@@ -214,8 +244,9 @@ def each_band(
         )
         second = None
         if grid:
-            second = Band(above, coarse, coarse_anchors, coarse_boxes, coarse_edges)
-        use(Band(top, points, anchors, boxes, edges, second))
+            find = finder(plane, tolerance, (*grid.step, *grid.offset), grid.shape[0])
+            second = Band(above, coarse, coarse_anchors, coarse_boxes, coarse_edges, find)
+        use(Band(top, points, anchors, boxes, edges, finder(plane, tolerance, (1, 1, 0, 0), height), second))
         return Certificate(float(stats[WORST]) + rounding(float(stats[REACH])), float(stats[EVALUATIONS]))
 
     total = Certificate(0.0, plane.evaluations)

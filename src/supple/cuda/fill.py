@@ -33,7 +33,7 @@ from supple.cuda.lattice import (
     norm_of,
     slope_between,
 )
-from supple.cuda.newton import change, settle
+from supple.cuda.newton import bent, change, settle
 from supple.cuda.sample import Way
 
 # Of the planes that are made: their size, how many there are, which is the first, how many deformations there are, and
@@ -82,7 +82,8 @@ def kernels(way: Way) -> tuple[Any, Any]:
         p0, p1, p2, p3, q0, q1, q2, q3 = ZERO, ZERO, ZERO, ZERO, ZERO, ZERO, ZERO, ZERO
         r0, r1, r2, r3 = ZERO, ZERO, ZERO, ZERO
         if wide or average:
-            v, w, g, r = hermite_changes(s, ONE / h)
+            # Of a single column, or row, nothing is known across it: it is as if nothing moved.
+            v, w, g, r = hermite_changes(s, ONE / h) if planes[WIDTH] > 1 else (ZERO, ZERO, ZERO, ZERO)
             if wide:
                 p0, p1, p2, p3 = column(nodes, upper, lower, 0, h, v, w, g, r)
                 q0, q1, q2, q3 = column(nodes, upper, lower, 1, h, v, w, g, r)
@@ -105,7 +106,7 @@ def kernels(way: Way) -> tuple[Any, Any]:
             if deep:
                 uz = b * z0 + d * z1 + m * z2 + n * z3
             if wide or average:
-                v, w, g, r = hermite_changes(t, part)
+                v, w, g, r = hermite_changes(t, part) if planes[HEIGHT] > 1 else (ZERO, ZERO, ZERO, ZERO)
                 g, r = k * g, k * r
                 if wide:
                     xx = ONE + (b * p0 + d * p1 + m * p2 + n * p3)
@@ -163,11 +164,16 @@ def kernels(way: Way) -> tuple[Any, Any]:
                     cuda.atomic.max(told, WORST, _f4(error))
                 if wide or average:
                     # What the map is at the pixel says little of what it covers here.
-                    xx, yx, tx = change(known, at, first, last, qx, qy, qz, px, py, pz, a * sx, d * sy, g * sz,
-                                        sx, 0.0, x, planes[WIDTH], close)  # fmt: skip
-                    xy, yy, ty = change(known, at, first, last, qx, qy, qz, px, py, pz, b * sx, e * sy, m * sz,
-                                        0.0, sy, y, planes[HEIGHT], close)  # fmt: skip
-                    a, b, d, e, g, m = xx / sx, xy / sx, yx / sy, yy / sy, tx / sz, ty / sz
+                    xx, yx, tx, bx, by, bz = change(
+                        known, at, first, last, qx, qy, qz, px, py, pz, a * sx, d * sy, g * sz, sx, 0.0,
+                        x, planes[WIDTH], close,
+                    )  # fmt: skip
+                    xx, yx, tx = bent(xx, bx, sx), bent(yx, by, sy), bent(tx, bz, sz)
+                    xy, yy, ty, bx, by, bz = change(
+                        known, at, first, last, qx, qy, qz, px, py, pz, b * sx, e * sy, m * sz, 0.0, sy,
+                        y, planes[HEIGHT], close,
+                    )  # fmt: skip
+                    a, b, d, e, g, m = xx, bent(xy, bx, sx), yx, bent(yy, by, sy), tx, bent(ty, bz, sz)
                 ux, uy, uz = _f4((px - qx) / sx), _f4((py - qy) / sy), _f4((pz - qz) / sz)
                 begin, end = own, own + 1
                 if planes[SHARED] > 0:

@@ -9,6 +9,8 @@ import math
 
 from numba import cuda
 
+from supple.cpu.footprint import MOST_BEND
+from supple.cpu.kernel import lean
 from supple.cpu.point import SMALLEST_LENGTH, downhill, kept_inside, next_step
 from supple.cuda.field import DOMAIN, STROKE, moved, moved_with_matrix
 from supple.cuda.kernel import device, kernel
@@ -127,32 +129,42 @@ def settle(known, at, first, last, qx, qy, qz, x, y, z, tolerance, limit):
 
 @device
 def change(known, at, first, last, qx, qy, qz, px, py, pz, rise_x, rise_y, rise_z, sx, sy, k, count, tolerance):
-    """What T⁻¹ changes by from the k-th of so many pixels to the next, by central differences, as the CPU's.
+    """What T⁻¹ changes by from the k-th of so many pixels to the next, by differences, as the CPU's.
 
-    (sx, sy) leads to the next pixel, and (rise_x, rise_y, rise_z) is about what p changes by. At an end, the
-    difference is that of the cubic through its four pixels.
+    (sx, sy) leads to the next pixel, and (rise_x, rise_y, rise_z) is about what p changes by. At an end, it is the
+    difference that there is; and apart from it, what the cubic through four pixels adds to it.
     """
     if count == 1:
-        return sx, sy, 0.0
-    near, middle, far, own, one, two = -1, 1, 0, 0.0, -0.5, 0.5
-    three = 0.0
-    if k == 0 or k == count - 1:
-        near = 1 if k == 0 else -1
-        own, one, two = -1.0 * near, 1.0 * near, 0.0
-        if count > 3:
-            middle, far = 2 * near, 3 * near
-            own, one, two, three = -2.0 * near, 3.5 * near, -2.0 * near, 0.5 * near
-    cx, cy, cz = own * px, own * py, own * pz
-    for m in range(3):
-        step = near if m == 0 else (middle if m == 1 else far)
-        share = one if m == 0 else (two if m == 1 else three)
-        if share != 0.0:
-            x, y, z, _, _, _, _, _, _, _, _, _, _, _, _ = settle(
-                known, at, first, last, qx + step * sx, qy + step * sy, qz,
-                px + step * rise_x, py + step * rise_y, pz + step * rise_z, tolerance, 10,
-            )  # fmt: skip
-            cx, cy, cz = cx + share * x, cy + share * y, cz + share * z
-    return cx, cy, cz
+        return sx, sy, 0.0, 0.0, 0.0, 0.0
+    near, end = -1 if k == count - 1 else 1, k == 0 or k == count - 1
+    x, y, z, _, _, _, _, _, _, _, _, _, _, _, _ = settle(
+        known, at, first, last, qx + near * sx, qy + near * sy, qz,
+        px + near * rise_x, py + near * rise_y, pz + near * rise_z, tolerance, 10,
+    )  # fmt: skip
+    cx, cy, cz = near * (x - px), near * (y - py), near * (z - pz)
+    if end and count < 4:
+        return cx, cy, cz, 0.0, 0.0, 0.0
+    bx, by, bz = (cx, cy, cz) if end else (0.0, 0.0, 0.0)
+    for m in range(2, 4 if end else 3):
+        # Two pixels and three away from an end; elsewhere, the other neighbour.
+        step = m * near if end else -1
+        gx, gy, gz = x, y, z
+        x, y, z, _, _, _, _, _, _, _, _, _, _, _, _ = settle(
+            known, at, first, last, qx + step * sx, qy + step * sy, qz,
+            px + step * rise_x, py + step * rise_y, pz + step * rise_z, tolerance, 10,
+        )  # fmt: skip
+        if end:
+            share = near * (-1.5 if m == 2 else 0.5)
+            bx, by, bz = bx + share * (x - gx), by + share * (y - gy), bz + share * (z - gz)
+        else:
+            cx, cy, cz = 0.5 * (gx - x), 0.5 * (gy - y), 0.5 * (gz - z)
+    return cx, cy, cz, bx, by, bz
+
+
+@lean
+def bent(change, bend, unit):
+    """A change in pixels, with what is added to it at an end, as far as that may count."""
+    return (change + min(max(bend, -MOST_BEND * unit), MOST_BEND * unit)) / unit
 
 
 @kernel
