@@ -10,6 +10,7 @@ made of several such boxes along its major axis, taken from a pyramid where even
 from __future__ import annotations
 
 import functools
+import math
 
 import numpy as np
 
@@ -132,11 +133,18 @@ def slopes(points, beyond, anchors, run, c, row, left, n, across, down):
 
 
 @lean
-def _covariance(xx, xy, yx, yy):
+def covariance(xx, xy, yx, yy):
     """C = M Mᵀ, and its eigenvalues."""
     a, b, c = xx * xx + xy * xy, xx * yx + xy * yy, yx * yx + yy * yy
-    spread = np.sqrt((a - c) * (a - c) + np.float32(4.0) * b * b)
+    spread = math.sqrt((a - c) * (a - c) + np.float32(4.0) * b * b)
     return a, b, c, np.float32(0.5) * (a + c + spread), np.float32(0.5) * (a + c - spread)
+
+
+@lean
+def shrinking(most, fade):
+    """How much of the average is taken, from 0 to 1, where the larger eigenvalue of C is this."""
+    rise = np.float32(1.0 / (fade[1] - fade[0]))
+    return min(max((most - np.float32(fade[0])) * rise, np.float32(0.0)), np.float32(1.0))
 
 
 @lean
@@ -144,7 +152,7 @@ def _no_smaller_than_a_pixel(n, parts):
     """C' has the axes of C, and eigenvalues of 1 at least."""
     one, half = np.float32(1.0), np.float32(0.5)
     for i in range(n):
-        a, b, c, most, least = _covariance(parts[XX + i], parts[XY + i], parts[YX + i], parts[YY + i])
+        a, b, c, most, least = covariance(parts[XX + i], parts[XY + i], parts[YX + i], parts[YY + i])
         inverse = one / (most - least + np.float32(1e-6))
         # How much of the major axis lies along x, and the cosine times the sine.
         upright, mixed = half * (one + (a - c) * inverse), b * inverse
@@ -157,13 +165,11 @@ def _no_smaller_than_a_pixel(n, parts):
 @lean
 def _faded(n, fade, parts):
     """C' is C where the map shrinks, and fades to nothing where it does not."""
-    start, rise = np.float32(fade[0]), np.float32(1.0 / (fade[1] - fade[0]))
-    one, zero = np.float32(1.0), np.float32(0.0)
     for i in range(n):
-        a, b, c, most, least = _covariance(parts[XX + i], parts[XY + i], parts[YX + i], parts[YY + i])
-        shrinking = min(max((most - start) * rise, zero), one)
-        parts[XX + i], parts[XY + i], parts[YY + i] = a * shrinking, b * shrinking, c * shrinking
-        parts[MAJOR + i], parts[MINOR + i] = most * shrinking, max(least, zero) * shrinking
+        a, b, c, most, least = covariance(parts[XX + i], parts[XY + i], parts[YX + i], parts[YY + i])
+        share = shrinking(most, fade)
+        parts[XX + i], parts[XY + i], parts[YY + i] = a * share, b * share, c * share
+        parts[MAJOR + i], parts[MINOR + i] = most * share, max(least, np.float32(0.0)) * share
 
 
 @kernel

@@ -13,7 +13,20 @@ from typing import Any
 import numpy as np
 
 from supple.cpu.filters import MOST_TAPS
-from supple.cpu.footprint import ENTRY, FADE_ANTIALIAS, FADE_AUTO, FINEST, OBLIQUE, PADDED, PLACES, STEPS, TAPS, WIDEST
+from supple.cpu.footprint import (
+    ENTRY,
+    FADE_ANTIALIAS,
+    FADE_AUTO,
+    FINEST,
+    OBLIQUE,
+    PADDED,
+    PLACES,
+    STEPS,
+    TAPS,
+    WIDEST,
+    covariance,
+    shrinking,
+)
 from supple.cpu.kernel import lean
 from supple.cuda.kernel import device
 from supple.cuda.sample import HEIGHT, WIDTH, Way, mapper
@@ -22,7 +35,7 @@ FINEST_SIDE = 16
 POINT, BOX, LONG = 0, 1, 2
 
 _f4 = np.float32
-ZERO, HALF, ONE, FOUR = _f4(0.0), _f4(0.5), _f4(1.0), _f4(4.0)
+ZERO, HALF, ONE = _f4(0.0), _f4(0.5), _f4(1.0)
 _STEPS, _PLACES, _POINT, _MOST = _f4(STEPS), _f4(PLACES), _f4(FINEST * FINEST), _f4(WIDEST * WIDEST)
 
 
@@ -32,14 +45,10 @@ def footprint(xx, xy, yx, yy, antialias):
 
     Of ∂p/∂q, in the plane. It fades to a point where the map does not shrink.
     """
-    a, b, c = xx * xx + xy * xy, xx * yx + xy * yy, yx * yx + yy * yy
-    spread = math.sqrt((a - c) * (a - c) + FOUR * b * b)
-    major, minor = HALF * (a + c + spread), HALF * (a + c - spread)
-    start = _f4(FADE_ANTIALIAS[0]) if antialias else _f4(FADE_AUTO[0])
-    rise = _f4(1.0 / (FADE_ANTIALIAS[1] - FADE_ANTIALIAS[0])) if antialias else _f4(1.0 / (FADE_AUTO[1] - FADE_AUTO[0]))
-    shrinking = min(max((major - start) * rise, ZERO), ONE)
-    major, minor = major * shrinking, max(minor, ZERO) * shrinking
-    a, b, c = a * shrinking, b * shrinking, c * shrinking
+    a, b, c, major, minor = covariance(xx, xy, yx, yy)
+    share = shrinking(major, FADE_ANTIALIAS if antialias else FADE_AUTO)
+    major, minor = major * share, max(minor, ZERO) * share
+    a, b, c = a * share, b * share, c * share
     kind = LONG
     if major <= _MOST and abs(b) <= _f4(OBLIQUE):
         kind = POINT if a < _POINT and c < _POINT else BOX
