@@ -91,22 +91,49 @@ def _differ(before, after, scale, given):
 
 
 @lean
-def _bend(one, two, three, scale, given):
-    """The slope at an end, from the difference there: what is central of the cubic through it and the next three.
+def bent(one, two, three):
+    """The slope at an end, from the differences of the first four there: that of the cubic through them.
 
-    Of a map that varies within a pixel or two, these say little: they change it by so much at most.
+    Of a map that varies within a pixel or two, the others say little: they change the first by so much at most.
     """
-    half, more, most = np.float32(0.5 * scale), np.float32(1.5 * scale), np.float32(MOST_BEND)
-    for i in range(given.size):
-        bend = given[i] - more * (two[i] - one[i]) + half * (three[i] - two[i])
-        given[i] += min(max(bend, -most), most)
+    bend, most = one - np.float32(1.5) * two + np.float32(0.5) * three, np.float32(MOST_BEND)
+    return one + min(max(bend, -most), most)
+
+
+@lean
+def _at(points, anchors, run, c, row, x, left, right):
+    """A coordinate of a point of a run, or of one beside it, which has another anchor."""
+    # Of a part of the last run, a column to the right may be its own.
+    other = run - 1 if x < left else (min(run + 1, anchors.shape[0] - 1) if x >= right else run)
+    return points[c, row, x] + np.float32(anchors[other, c] - anchors[run, c])
+
+
+@lean
+def _across(points, anchors, run, c, row, x, left, right):
+    """What a coordinate changes by to the right, at the first or the last of a run's points."""
+    width = points.shape[2]
+    if width == 1:
+        return np.float32(1.0 if c == 0 else 0.0)
+    if 0 < x < width - 1:
+        before = _at(points, anchors, run, c, row, x - 1, left, right)
+        return np.float32(0.5) * (_at(points, anchors, run, c, row, x + 1, left, right) - before)
+    on = 1 if x == 0 else -1
+    here = _at(points, anchors, run, c, row, x, left, right)
+    first = _at(points, anchors, run, c, row, x + on, left, right)
+    if width < 4:
+        return np.float32(on) * (first - here)
+    second = _at(points, anchors, run, c, row, x + 2 * on, left, right)
+    third = _at(points, anchors, run, c, row, x + 3 * on, left, right)
+    return np.float32(on) * bent(first - here, second - first, third - second)
 
 
 @lean
 def slopes(points, beyond, anchors, run, c, row, left, n, across, down):
-    """What a coordinate of a row's points changes by to the right, and downwards, by central differences."""
-    rows, width, right = points.shape[1], points.shape[2], left + n
-    half = np.float32(0.5)
+    """What a coordinate of a row's points changes by to the right, and downwards.
+
+    These are central differences, at the picture's edges of what goes on as the cubic through four points does.
+    """
+    rows, right, half = points.shape[1], left + n, np.float32(0.5)
     above = points[c, row - 1, left:right] if row > 0 else beyond[0, c, left:right]
     below = points[c, row + 1, left:right] if row < rows - 1 else beyond[1, c, left:right]
     _differ(above, below, half, down[:n])
@@ -114,22 +141,8 @@ def slopes(points, beyond, anchors, run, c, row, left, n, across, down):
         return
     here = points[c, row, left:right]
     _differ(here[:-2], here[2:], half, across[1 : n - 1])
-    # Neighbours in other runs have other anchors.
-    before, after, spaces = here[0], here[n - 1], 0
-    if left > 0:
-        before, spaces = points[c, row, left - 1] + np.float32(anchors[run - 1, c] - anchors[run, c]), 1
-    if right < width:  # of the last run, a column that is not asked for
-        other = min(run + 1, anchors.shape[0] - 1)
-        after, spaces = points[c, row, right] + np.float32(anchors[other, c] - anchors[run, c]), spaces + 1
-    if n == 1:
-        across[0] = (after - before) / np.float32(spaces) if spaces else np.float32(1.0 if c == 0 else 0.0)
-        return
-    across[0] = half * (here[1] - before) if left > 0 else here[1] - here[0]
-    across[n - 1] = half * (after - here[n - 2]) if right < width else here[n - 1] - here[n - 2]
-    if n > 3 and left == 0:
-        _bend(here[1:2], here[2:3], here[3:4], 1, across[:1])
-    if n > 3 and right == width:
-        _bend(here[n - 2 : n - 1], here[n - 3 : n - 2], here[n - 4 : n - 3], -1, across[n - 1 : n])
+    across[0] = _across(points, anchors, run, c, row, left, left, right)
+    across[n - 1] = _across(points, anchors, run, c, row, right - 1, left, right)
 
 
 @lean

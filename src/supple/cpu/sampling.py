@@ -162,6 +162,8 @@ def sampler(
 
     def use(band: Band) -> None:
         rows = out[band.top : band.top + band.points.shape[1]]
+        if not rows.size:  # of chroma, a thin band may have no row
+            return
         target = np.empty(rows.shape, np.float32) if half else rows
         filters.filtered(
             source,
