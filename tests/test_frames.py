@@ -113,6 +113,18 @@ def test_interpolation_is_the_printed_one(dtype: str, rule: str) -> None:
             same(out[clear], expected[..., :channels][clear], span)
 
 
+@pytest.mark.parametrize(("dtype", "channels"), [("u1", 1), ("u1", 2), ("u2", 1), ("f4", 1), ("i2", 1)])
+def test_samples_that_lie_side_by_side_are_those_that_are_read_alone(dtype: str, channels: int) -> None:
+    # Of four channels, all are read alone.
+    rng = np.random.default_rng(6)
+    source = rng.integers(0, 256, (12, 90, 300, 4)).astype(dtype)
+    d = Deformation(source.shape[:3], border=None).grab((70, 40, 5), by=(9, 6, 2), radius=20)
+    options: dict[str, Any] = {"filter": "linear", "alpha": False}
+    wanted = d.warp(source, **options)[..., :channels]
+    assert (wanted != source[..., :channels]).mean() > 0.3
+    np.testing.assert_array_equal(d.warp(source[..., :channels].copy(), **options), wanted)
+
+
 @pytest.mark.parametrize("dtype", [">u2", ">i2", ">f2", ">f4", ">f8"])
 def test_the_order_of_bytes_makes_no_difference(dtype: str) -> None:
     source = noise(dtype, 3)

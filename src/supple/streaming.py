@@ -425,7 +425,7 @@ def _maker(
                 for use, g in zip(uses, layout.groups, strict=True):
                     use(part_of(band, g, grid))
 
-            share(fill_band, bands)
+            share(fill_band, bands, brief=True)
             return certificate
 
         return repeat

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from supple.cpu.adjacent import TOGETHER, adjacent, alike, join_bytes, join_pairs
 from supple.cpu.kernel import colour_kernel, inlined, kernel
 from supple.cpu.region import place
 from supple.cpu.sample import WIDE, nearest_to
@@ -70,6 +71,8 @@ def locate(points, row, left, n, anchor, width, height, first, last, most, where
 def _stretch(frame, i, n):
     """How far the pixels from ``i`` on are of the same two frames: as long, an address is one sum."""
     end = i + 1
+    while end + TOGETHER <= n and frame[end] == frame[i] and alike(frame, end):
+        end += TOGETHER
     while end < n and frame[end] == frame[i]:
         end += 1
     return end
@@ -89,10 +92,19 @@ def _gather_pairs(samples, starts, stride, n, where, frame, words):
             ahead = np.int64(places[k]) + AHEAD * stride
             prefetch(here, ahead)
             prefetch(there, ahead)
-        for k in range(end - i):
-            at = np.uint32(places[k])
-            first[k] = _read_two(here, at) | (_read_two(below_here, at) << np.uint32(16))
-            second[k] = _read_two(there, at) | (_read_two(below_there, at) << np.uint32(16))
+        k = 0
+        while k < end - i:
+            last = min(k + TOGETHER, end - i)
+            if last == k + TOGETHER and adjacent(places, k):
+                at = np.int64(places[k])
+                join_bytes(here, below_here, at, first, k)
+                join_bytes(there, below_there, at, second, k)
+            else:
+                for j in range(k, last):
+                    at = np.uint32(places[j])
+                    first[j] = _read_two(here, at) | (_read_two(below_here, at) << np.uint32(16))
+                    second[j] = _read_two(there, at) | (_read_two(below_there, at) << np.uint32(16))
+            k = last
         i = end
 
 
@@ -110,10 +122,21 @@ def _gather_words(samples, starts, stride, n, where, frame, scale, words):
             ahead = (np.int64(places[k]) + AHEAD * stride) * scale
             prefetch(here, ahead)
             prefetch(there, ahead)
-        for k in range(end - i):
-            at = np.uint32(places[k]) * np.uint32(scale)
-            first[k], second[k] = _read_four(here, at), _read_four(below_here, at)
-            third[k], fourth[k] = _read_four(there, at), _read_four(below_there, at)
+        k = 0
+        while k < end - i:
+            last = min(k + TOGETHER, end - i)
+            if last == k + TOGETHER and adjacent(places, k):
+                at = np.int64(places[k]) * scale
+                join_pairs(here, at, at + scale, first, k)
+                join_pairs(below_here, at, at + scale, second, k)
+                join_pairs(there, at, at + scale, third, k)
+                join_pairs(below_there, at, at + scale, fourth, k)
+            else:
+                for j in range(k, last):
+                    at = np.uint32(places[j]) * np.uint32(scale)
+                    first[j], second[j] = _read_four(here, at), _read_four(below_here, at)
+                    third[j], fourth[j] = _read_four(there, at), _read_four(below_there, at)
+            k = last
         i = end
 
 

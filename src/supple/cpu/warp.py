@@ -117,13 +117,15 @@ def solve_plane(table: npt.NDArray[np.void], axes: Floats, shape: tuple[int, int
     """
     xs, ys = positions(shape[1], axes[0]), positions(shape[0], axes[1])
     nodes = np.empty((ys.size, xs.size, NODE))
-    parts = min(threads(), max(1, xs.size * ys.size // 256))
+    # No part is so long that an interrupt would wait for it.
+    several, count = threads(), xs.size * ys.size
+    parts = max(1, min(several, count // 256)) * max(1, count // (several * 32768))
     edges = [ys.size * k // parts for k in range(parts + 1)]
 
     def solve(k: int) -> float:
         return float(solve_rows(table, axes, z, xs, ys, edges[k], edges[k + 1], nodes))
 
-    evaluations = sum(share(solve, range(parts)))
+    evaluations = sum(share(solve, range(parts), brief=True))
     set_twists(xs, ys, xs.size, ys.size, 0, ys.size, ndim, nodes)
     return Plane(table, axes, z, shape, ndim, xs, ys, nodes, evaluations)
 
@@ -250,7 +252,7 @@ def each_band(
         return Certificate(float(stats[WORST]) + rounding(float(stats[REACH])), float(stats[EVALUATIONS]))
 
     total = Certificate(0.0, plane.evaluations)
-    for certificate in share(work, range(bands)):
+    for certificate in share(work, range(bands), brief=True):
         total |= certificate
     return total
 
