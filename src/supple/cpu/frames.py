@@ -47,7 +47,10 @@ def nearest_frames(source, slots, first, points, anchors, edges, rule, fill, out
 
 @kernel
 def locate(points, row, left, n, anchor, width, height, first, last, most, where, frame, parts):
-    """The sample before each point, along every axis, and how far beyond that it is; within the source."""
+    """The sample before each point, along every axis, and how far beyond that it is; within the source.
+
+    ``where`` holds indices in a frame from 0 to 2³²; as int32, for which there are vector instructions.
+    """
     one = np.float32(1.0)
     xs, ys, ts = points[0, row, left : left + n], points[1, row, left : left + n], points[2, row, left : left + n]
     low_x, high_x = np.float32(-anchor[0]), np.float32(width - 1 - anchor[0])
@@ -96,7 +99,7 @@ def _gather_pairs(samples, starts, stride, n, where, frame, words):
         while k < end - i:
             last = min(k + TOGETHER, end - i)
             if last == k + TOGETHER and adjacent(places, k):
-                at = np.int64(places[k])
+                at = np.int64(np.uint32(places[k]))
                 join_bytes(here, below_here, at, first, k)
                 join_bytes(there, below_there, at, second, k)
             else:
@@ -126,7 +129,7 @@ def _gather_words(samples, starts, stride, n, where, frame, scale, words):
         while k < end - i:
             last = min(k + TOGETHER, end - i)
             if last == k + TOGETHER and adjacent(places, k):
-                at = np.int64(places[k]) * scale
+                at = np.int64(np.uint32(places[k])) * scale
                 join_pairs(here, at, at + scale, first, k)
                 join_pairs(below_here, at, at + scale, second, k)
                 join_pairs(there, at, at + scale, third, k)
@@ -353,7 +356,7 @@ def linear_plain(samples, slots, frames, first, height, width, points, anchors, 
             locate(points, row, left, n, anchors[run], width, height, first, frames - 1, most, where, frame, parts)
             pixels = out[row, left:right]
             for i in range(n):
-                at = np.int64(where[i]) * channels
+                at = np.int64(np.uint32(where[i])) * channels
                 here, there = starts[frame[i]] + at, starts[frame[i] + 1] + at
                 x, y, t = zero + parts[PART_X + i], zero + parts[PART_Y + i], zero + parts[PART_T + i]
                 below = width * channels

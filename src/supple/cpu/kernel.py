@@ -83,15 +83,17 @@ def share(work: Callable[[Any], Any], items: Iterable[Any], *, brief: bool = Fal
     # Each thread takes the next item when it is done with one: cheaper than a future for each.
     results: list[Any] = [None] * len(listed)
     left = iter(range(len(listed)))
+    job = [(work, listed, results)]
 
     def stop() -> None:
         for _ in left:  # nobody begins another
             pass
 
     def go() -> None:
+        do, given, found = job[0]
         try:
             for k in left:
-                results[k] = work(listed[k])
+                found[k] = do(given[k])
         except BaseException:
             stop()
             raise
@@ -112,6 +114,7 @@ def share(work: Callable[[Any], Any], items: Iterable[Any], *, brief: bool = Fal
         for task in tasks:
             task.cancel()
         raise
+    job.clear()  # the pool holds what was cancelled until it comes to it
     return results
 
 
