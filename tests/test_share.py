@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import gc
 import threading
 import time
-import weakref
 
 import pytest
 
@@ -66,33 +64,3 @@ def test_within_shared_work_all_is_done_there(brief: bool) -> None:
         return {thread for _, thread in share(_worker, range(3), brief=brief)} | {threading.get_ident()}
 
     assert all(len(threads) == 1 for threads in share(inner, range(6), brief=brief))
-
-
-class Number:
-    """What can be watched."""
-
-    def __init__(self, k: int) -> None:
-        self.k = k
-
-
-def test_brief_work_is_done_while_others_keep_the_pool_busy() -> None:
-    go, started = threading.Event(), threading.Barrier(3)
-
-    def held(k: int) -> None:
-        started.wait()
-        go.wait()
-
-    other = threading.Thread(target=share, args=(held, range(2)))
-    other.start()
-    started.wait()
-    try:
-        numbers = [Number(k) for k in range(4)]
-        watched = [weakref.ref(number) for number in numbers]
-        found = share(lambda number: _worker(number.k), numbers, brief=True)
-        assert {thread for _, thread in found} == {threading.get_ident()}
-        del numbers
-        gc.collect()
-        assert all(ref() is None for ref in watched)  # nothing is kept by what did not begin
-    finally:
-        go.set()
-        other.join()

@@ -83,17 +83,15 @@ def share(work: Callable[[Any], Any], items: Iterable[Any], *, brief: bool = Fal
     # Each thread takes the next item when it is done with one: cheaper than a future for each.
     results: list[Any] = [None] * len(listed)
     left = iter(range(len(listed)))
-    job = [(work, listed, results)]
 
     def stop() -> None:
         for _ in left:  # nobody begins another
             pass
 
     def go() -> None:
-        do, given, found = job[0]
         try:
             for k in left:
-                found[k] = do(given[k])
+                results[k] = work(listed[k])
         except BaseException:
             stop()
             raise
@@ -107,14 +105,12 @@ def share(work: Callable[[Any], Any], items: Iterable[Any], *, brief: bool = Fal
             finally:
                 _inside.yes = False
         for task in tasks:
-            if not (brief and task.cancel()):  # while others keep the pool busy, all may be done before it begins
-                task.result()
+            task.result()
     except BaseException:
         stop()
         for task in tasks:
             task.cancel()
         raise
-    job.clear()  # the pool holds what was cancelled until it comes to it
     return results
 
 
