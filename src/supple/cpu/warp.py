@@ -209,6 +209,9 @@ def each_band(
     rows = ys.size - 1
     bands = 1 if whole else min(-(-rows // (2 * CELL_ROWS)) * 2, rows)
 
+    find = finder(plane, tolerance, (1, 1, 0, 0), height)
+    find_coarse = finder(plane, tolerance, (*grid.step, *grid.offset), grid.shape[0]) if grid else find
+
     def work(k: int) -> Certificate:
         first, last = rows * k // bands, rows * (k + 1) // bands
         top, end = int(ys[first]), int(ys[last]) if last < ys.size - 1 else height
@@ -246,9 +249,8 @@ def each_band(
         )
         second = None
         if grid:
-            find = finder(plane, tolerance, (*grid.step, *grid.offset), grid.shape[0])
-            second = Band(above, coarse, coarse_anchors, coarse_boxes, coarse_edges, find)
-        use(Band(top, points, anchors, boxes, edges, finder(plane, tolerance, (1, 1, 0, 0), height), second))
+            second = Band(above, coarse, coarse_anchors, coarse_boxes, coarse_edges, find_coarse)
+        use(Band(top, points, anchors, boxes, edges, find, second))
         return Certificate(float(stats[WORST]) + rounding(float(stats[REACH])), float(stats[EVALUATIONS]))
 
     total = Certificate(0.0, plane.evaluations)
