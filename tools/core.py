@@ -7,6 +7,7 @@ Zig's (``ziglang`` on PyPI), which is installed if there is no other.
 from __future__ import annotations
 
 import argparse
+import importlib
 import json
 import os
 import platform
@@ -97,19 +98,21 @@ def machine_compiler() -> Compiler | None:
     return None
 
 
-def zig() -> Compiler | None:
-    """Return Zig's compiler, if it is installed for this Python."""
+def zig() -> Compiler:
+    """Return Zig's compiler, installed for this Python if it is not there."""
+    if find_spec("ziglang") is None:
+        print("No C++20 compiler is found: installing Zig's", flush=True)
+        command = [sys.executable, "-m", "pip", "install", "--quiet", "--disable-pip-version-check", ZIGLANG]
+        if subprocess.run(command, check=False).returncode:
+            raise BuildError(
+                "There is no C++20 compiler, and pip could not install Zig's: is there a network? "
+                "(Debian and Ubuntu have one: apt install g++)"
+            )
+        importlib.invalidate_caches()
     spec = find_spec("ziglang")
     if spec is None or not spec.submodule_search_locations:
-        return None
+        raise BuildError("There is no C++20 compiler: on Debian and Ubuntu, apt install g++.")
     return Compiler((str(Path(spec.submodule_search_locations[0], "zig")),), zig=True)
-
-
-def pip_install(*requirements: str) -> None:
-    """Install into the environment of this Python."""
-    command = [sys.executable, "-m", "pip", "install", "--quiet", "--disable-pip-version-check", *requirements]
-    if subprocess.run(command, check=False).returncode:
-        raise BuildError(f"pip could not install {' '.join(requirements)}: is there a network?")
 
 
 def need_headers() -> None:
@@ -166,15 +169,9 @@ def build(kind: str = "release", output: Path = CORE, *, folder: Path | None = N
         shutil.rmtree(where, ignore_errors=True)
         where.mkdir(parents=True)
         compiler = machine_compiler()
-        if kind == "sanitize" and compiler is None:
+        if compiler is None and kind == "sanitize":
             raise BuildError("The sanitizers need GCC or Clang: on Debian and Ubuntu, apt install g++.")
-        if compiler is None and zig() is None:
-            print("No C++20 compiler found: installing Zig's", flush=True)
-            pip_install(ZIGLANG)
-        chosen = compiler or zig()
-        if chosen is None:
-            raise BuildError("There is no C++20 compiler: on Debian and Ubuntu, apt install g++.")
-        environment |= chosen.environment(where / "zig")
+        environment |= (compiler or zig()).environment(where / "zig")
         command = [cmake, "-S", str(ROOT), "-B", str(where), "-G", "Ninja", "--log-level=WARNING"]
         options = {
             "CMAKE_MAKE_PROGRAM": ninja,
