@@ -53,7 +53,7 @@ def packed(tables: Sequence[npt.NDArray[np.void]], domains: Sequence[Floats]) ->
         reach2 = np.minimum(table["reach"] ** 2, UNLIMITED)
         out[:, REACH2], out[:, NEARNESS] = reach2, np.where(reach2 < UNLIMITED, 1.0 / reach2, 0.0)
         rows.append(out.ravel())
-    known = np.concatenate([*(np.asarray(d, np.float64).ravel() for d in domains), *rows])
+    known = np.concatenate([*(np.asarray(d, np.float64)[:, :3].ravel() for d in domains), *rows])
     return known, np.cumsum([0, *(t.size for t in tables)]).astype(np.int32)
 
 
