@@ -47,7 +47,7 @@ def check_sent(sampling: Sampling, dtype: np.dtype[Any]) -> None:
     open_card()
     from supple.cuda.warp import check_known
 
-    check_known(sampling, dtype)
+    check_known(dtype)
 
 
 def warp_sent(

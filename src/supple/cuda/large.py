@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from supple.cpu.warp import Certificate
+from supple.certificate import Certificate
 from supple.cuda.arrays import taken
 from supple.cuda.card import Card, failures
 from supple.cuda.lattice import LIST, MISSING, NODE
@@ -97,7 +97,7 @@ def warp_host(
     array, straight = checked_source(source, shape, alpha, sampling.light)
     channels = array.shape[-1] if array.ndim > len(shape) else 1
     colours = checked_fill(sampling.fill, channels, array.dtype)
-    check_known(sampling, array.dtype)
+    check_known(array.dtype)
     result = result_like(out, array)
     if space.table.size == 0:
         result[...] = array
