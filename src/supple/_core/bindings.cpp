@@ -14,6 +14,10 @@
 
 namespace nb = nanobind;
 
+namespace supple {
+void bind_render(nb::module_& m);
+}
+
 namespace {
 
 // How many processors this process may use.
@@ -55,6 +59,7 @@ private:
 }  // namespace
 
 NB_MODULE(SUPPLE_MODULE, m) {
+    supple::bind_render(m);
     m.def("threads", &threads, "Return how many threads work at once.");
     nb::class_<Polynomial>(m, "Polynomial", "A polynomial, by its coefficients from the constant one on.")
         .def(nb::init<std::vector<double>>(), nb::arg("coefficients"))
