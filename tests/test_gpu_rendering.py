@@ -16,7 +16,7 @@ import supple
 from supple import drawing
 from supple.camera import Camera
 from supple.cli import command
-from supple.cpu import solid as cpu_solid
+from supple import solid as lattices
 from supple.errors import DeviceWarning, SuppleError
 from supple.geometry import Geometry
 from supple.gpu import device as devices
@@ -160,7 +160,7 @@ def test_the_lattice_is_the_cpu_s(gpu: Gpu, bent: supple.Deformation) -> None:
     space = bent.space
     for step in (2, 4):
         _, nodes, error, smooth = solid.solve(gpu, space.table, space.axes, SHAPE, step)
-        ours, least = cpu_solid._solve(space.table, space.axes, SHAPE, step)
+        ours, least = lattices._solve(lattices.strokes_of(space.table, space.axes), SHAPE, step)
         assert nodes.shape == ours.nodes.shape
         np.testing.assert_allclose(nodes, ours.nodes, atol=2e-4)
         assert error == pytest.approx(ours.error, rel=0.02, abs=1e-4)
@@ -607,9 +607,9 @@ def test_a_lattice_is_as_fine_as_there_is_room_for(gpu: Gpu, monkeypatch: pytest
 
 def _of(scene: Scene, point: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """What a scene's lattice says of a point: u and the rows of ∂p/∂q."""
-    where = (scene._nodes, np.float32(scene._per_voxel), *point)
-    rows = [cpu_solid.transposed(*where, *axis) for axis in np.eye(3, dtype=np.float32)]
-    return np.array(cpu_solid.displacement(*where)), np.array(rows)
+    assert scene._solid is not None
+    (shift,), (rows,) = scene._solid.at(point[None])
+    return shift, rows
 
 
 @pytest.mark.parametrize(("radius", "by", "cells"), [(12, (4, -3, 2), 2), (10, (4, -3, 2), 1), (18, (6, -4, 3), 2)])
@@ -618,11 +618,12 @@ def test_the_error_is_that_along_rays(gpu: Gpu, radius: float, by: tuple[float, 
     d = supple.Deformation((n, n, n), border=None).grab((22, 24, 25), by=by, radius=radius)
     scene = Scene(np.zeros((n, n, n), np.float32), deformation=d, device="gpu")
     assert scene._held is not None
+    assert scene._solid is not None
     assert scene._held.lattice.cells == cells
     rng = np.random.default_rng(0)
     starts = rng.uniform(0, n - 1, (2000, 3)).astype(np.float32)
     ways = rng.normal(size=(2000, 3)).astype(np.float32)
-    ways *= min(cells / scene._per_voxel, 8.0) / np.linalg.norm(ways, axis=1)[:, None]
+    ways *= min(cells * scene._solid.step, 8.0) / np.linalg.norm(ways, axis=1)[:, None]
     points, sources = [], []
     for start, way in zip(starts, ways, strict=True):
         if not ((start + way >= 0) & (start + way <= n - 1)).all():
@@ -638,11 +639,10 @@ def test_the_error_is_that_along_rays(gpu: Gpu, radius: float, by: tuple[float, 
     assert 0.2 * scene.error < seen <= scene.error <= scene.tolerance
 
 
-def test_what_is_beyond_the_tolerance_is_said_so(gpu: Gpu, bent: supple.Deformation) -> None:
-    lattice = solid.hold_strokes(gpu, bent.space.table, bent.space.axes)
+def test_what_is_beyond_the_tolerance_is_said_so() -> None:
     for error, said in ((0.1, 0.125), (0.19, 0.2), (1.0, 1.25), (np.inf, np.inf)):
-        found = cpu_solid.Solid(cpu_solid.unmoved(), 2, error, 0.0)
-        assert drawing.along_rays(found, lattice, 0.2) == pytest.approx(said)
+        found = lattices.Solid(np.zeros((2, 2, 2, 16), np.float32), 2, error, 0.0)
+        assert lattices.along_rays(found, 1, 0.2) == pytest.approx(said)
 
 
 def test_textures_that_do_not_fit_are_refused(gpu: Gpu, cloud: np.ndarray) -> None:

@@ -189,7 +189,8 @@ private:
     }
 
     // How far, in voxels, the map stays as it is at p: a stroke varies over ρ, and its border over 2σ or twice the
-    // distance to the face, seen through the derivatives of the stroke's input along the axes of q.
+    // distance to the face, seen through the derivatives of the stroke's input by x and y of q. (Slices may be thicker
+    // than what the map varies over; across them, only the error that is seen counts.)
     static double smoothness(const Strokes& s, const Solution<3, Lanes>& found) {
         Jet<3, 3, false, Lanes> jet;
         Lanes shortest = splat<Lanes>(1e300);
@@ -199,13 +200,13 @@ private:
         }
         for (const Stroke& k : s.strokes) {
             Lanes longest{};
-            for (int d = 0; d < 3; d++) longest = most(longest, dot<3>(jet.t[d], jet.t[d]));
+            for (int d = 0; d < 2; d++) longest = most(longest, dot<3>(jet.t[d], jet.t[d]));
             shortest = least(shortest, Lanes((s.distance2(k, jet.x) + k.radius2[0]) / longest));
             for (int i = 0; i < 3; i++) {
                 const Axis& a = s.axes[i];
                 if (!(a.sigma > 0) || k.inner) continue;
                 Lanes along = magnitude(jet.t[0][i]);
-                for (int d = 1; d < 3; d++) along = most(along, magnitude(jet.t[d][i]));
+                along = most(along, magnitude(jet.t[1][i]));
                 Lanes way = 2.0 * most(splat<Lanes>(a.sigma), least(jet.x[i], Lanes(a.extent - jet.x[i])));
                 shortest = least(shortest, Lanes(way * way / most(along * along, splat<Lanes>(1e-24))));
             }
