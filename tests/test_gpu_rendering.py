@@ -14,9 +14,9 @@ from scipy import ndimage
 
 import supple
 from supple import drawing
+from supple import solid as lattices
 from supple.camera import Camera
 from supple.cli import command
-from supple import solid as lattices
 from supple.errors import DeviceWarning, SuppleError
 from supple.geometry import Geometry
 from supple.gpu import device as devices

@@ -61,9 +61,7 @@ def drawn(count: int = 4000) -> np.ndarray:
 
 def off(d: supple.Deformation, points: np.ndarray, found: np.ndarray) -> np.ndarray:
     """How far sources are from T⁻¹ of the points, to first order: |M (T(p) - q)|, M by central differences of T."""
-    e, columns = 1e-4, []
-    for axis in np.eye(3):
-        columns.append((forward(d, found + e * axis) - forward(d, found - e * axis)) / (2 * e))
+    columns = [(forward(d, found + e) - forward(d, found - e)) / 2e-4 for e in 1e-4 * np.eye(3)]
     residual = forward(d, found) - points
     return np.linalg.norm(np.linalg.solve(np.stack(columns, axis=-1), residual[..., None])[..., 0], axis=-1)
 

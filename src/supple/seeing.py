@@ -95,7 +95,7 @@ def brick_counts(shape: tuple[int, ...], brick: int) -> tuple[int, ...]:
     return tuple(-(-max(n - 1, 1) // brick) for n in shape)
 
 
-def triple(values: Floats) -> tuple[float, float, float]:
+def triple(values: npt.NDArray[np.floating]) -> tuple[float, float, float]:
     """Three numbers, of Python's."""
     x, y, z = (float(v) for v in values)
     return x, y, z
