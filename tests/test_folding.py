@@ -45,7 +45,7 @@ def kelvinlet(row: np.void, poisson: float, points: Floats) -> Floats:
 def displacement(row: np.void, poisson: float, axes: Floats, points: Floats) -> Floats:
     """K_β; past a face, as its smooth continuation."""
     k = kelvinlet(row, poisson, points)
-    for i, (extent, sigma, _) in enumerate(axes):
+    for i, (extent, sigma, _, _) in enumerate(axes):
         if sigma == 0:
             k[..., i] = 0
         elif sigma > 0:
