@@ -4,11 +4,10 @@
 
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
+#include <nanobind/stl/tuple.h>
 
 #include <cmath>
 #include <tuple>
-
-#include <nanobind/stl/tuple.h>
 
 namespace nb = nanobind;
 using namespace nb::literals;
@@ -28,16 +27,16 @@ folds::Stroke stroke_of(const Terms& terms, double reach, double& epsilon) {
     folds::Stroke stroke;
     stroke.terms = static_cast<int>(terms.shape(0));
     for (int i = 0; i < stroke.terms; ++i) {
-        stroke.term[i] = {terms(i, 0) / terms(0, 0), terms(i, 1) / epsilon,
-                          terms(i, 2) / epsilon / terms(0, 0), terms(i, 3) / epsilon};
+        stroke.term[i] = {terms(i, 0) / terms(0, 0), terms(i, 1) / epsilon, terms(i, 2) / epsilon / terms(0, 0),
+                          terms(i, 3) / epsilon};
     }
     stroke.reach = reach / epsilon;
     return stroke;
 }
 
-std::tuple<double, double, std::size_t> smallest_strain(const Terms& terms, const Vector& pivot, const Vector& direction,
-                                                        double reach, const Axes& domain, double free, double upper,
-                                                        double target, double gap) {
+std::tuple<double, double, std::size_t> smallest_strain(const Terms& terms, const Vector& pivot,
+                                                        const Vector& direction, double reach, const Axes& domain,
+                                                        double free, double upper, double target, double gap) {
     double epsilon;
     folds::Stroke stroke = stroke_of(terms, reach, epsilon);
     std::array<folds::Axis, 3> axes;
@@ -65,9 +64,10 @@ std::tuple<double, double, double, std::size_t> smallest_free_strain(const Terms
 }  // namespace
 
 void bind_folds(nb::module_& m) {
-    m.def("smallest_strain", &smallest_strain, "terms"_a, "pivot"_a, "direction"_a, "reach"_a, "axes"_a, "free"_a,
-          "upper"_a, "target"_a, "gap"_a,
-          "Bound μ of a unit force with a fixed border from below and above; return the bounds and the count of boxes.");
+    m.def(
+        "smallest_strain", &smallest_strain, "terms"_a, "pivot"_a, "direction"_a, "reach"_a, "axes"_a, "free"_a,
+        "upper"_a, "target"_a, "gap"_a,
+        "Bound μ of a unit force with a fixed border from below and above; return the bounds and the count of boxes.");
     m.def("smallest_free_strain", &smallest_free_strain, "terms"_a, "reach"_a, "gap"_a,
           "Bound μ of a unit force of finite reach in all of space; return the bounds, how far ahead of the pivot the "
           "upper one is reached, and the count of boxes.");

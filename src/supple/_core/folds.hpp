@@ -1,9 +1,9 @@
 // How close a stroke comes to folding: the minimum of a smallest eigenvalue over all points, bounded.
 //
-// Let S = sym(J_β), of a force of length 1, and μ the smallest eigenvalue of S over the domain. Branch and bound finds
-// it, the box with the lowest bound first. In a box of widths h whose axes are all either within the border or not,
-// the multilinear interpolant of S from the corners v is a mean of the S(v), and differs from S by Σ_k h_k²/8 |∂_kk S|
-// at most. As λ_min is concave,
+// Let S = sym(J_β), of a force of length 1, and μ the smallest eigenvalue of S over the domain. Branch and bound
+// finds it, the box with the lowest bound first. In a box of widths h, across which no end of the border goes, the
+// multilinear interpolant of S from the corners v is a mean of the S(v), and differs from S by Σ_k h_k²/8 |∂_kk S| at
+// most. As λ_min is concave,
 //
 //     λ_min(S(p)) ≥ min_v λ_min(S(v) - D),   D diagonal with  xᵀ D x ≥ Σ_k h_k²/8 |xᵀ ∂_kk S(p) x|.          (1)
 //
@@ -14,7 +14,8 @@
 //
 // where N_n bounds the n-th derivatives of K in the box, bⁿ_i those of β_i, and b⁰ is the largest of the b⁰_i.
 //
-// The grab. K of 1, 2 and 3 scales is a constant times the zeroth, first and second divided difference, in e = ε², of
+// The grab. K of 1, 2 and 3 scales is a constant times the zeroth, first and second divided difference, in e = ε²,
+// of
 //
 //     U = (1-ω) ρ^-1 f + e/2 ρ^-3 f + ω ρ^-3 (r·f) r,    ω = b/a, ρ² = |r|² + e,
 //
@@ -23,12 +24,12 @@
 //     ρ^-k f - q ρ^-(k+2) [ |r|² f - 2ω (r·f) r ]                                                           (4)
 //     = (1-q) ρ^-k f + q e ρ^-(k+2) f + 2ωq ρ^-(k+2) (r·f) r,    k = 1, 3, 5,                               (5)
 //
-// where little cancels any more: in (4) near the pivot, in (5) far from it. The n-th derivative of ρ^-k is a Gegenbauer
-// polynomial of a cosine times |r|/ρ, over ρ^(k+n). As 2ω ≤ 1, the bracket and its two derivatives are at most |r|²,
-// 2|r| and 2.
+// where little cancels any more: in (4) near the pivot, in (5) far from it. The n-th derivative of ρ^-k is a
+// Gegenbauer polynomial of a cosine times |r|/ρ, over ρ^(k+n). As 2ω ≤ 1, the bracket and its two derivatives are at
+// most |r|², 2|r| and 2.
 //
-// The reach. K_R = m(t) K with t = |r|/R and m = 1 - 10t³ + 15t⁴ - 6t⁵. With M_n a bound of the n-th derivatives of m in
-// the box, the N_n of K_R are Σ_j C(n,j) M_j N_(n-j). Along a unit vector at the cosine c to r,
+// The reach. K_R = m(t) K with t = |r|/R and m = 1 - 10t³ + 15t⁴ - 6t⁵. With M_n a bound of the n-th derivatives of
+// m in the box, the N_n of K_R are Σ_j C(n,j) M_j N_(n-j). Along a unit vector at the cosine c to r,
 //
 //     D m = m' c,   D²m = m'' c² + h (1-c²),   D³m = m''' c³ + 3h' c (1-c²),   h = m'/|r|,                  (6)
 //     R m' = -30 t² (1-t)²,  R² h = -30 t (1-t)²,  R² m'' = -60 t (1-t) (1-2t),
@@ -55,11 +56,12 @@ namespace supple::folds {
 
 using Three = std::array<double, 3>;
 
-inline constexpr double kInfinity = std::numeric_limits<double>::infinity();
-inline constexpr double kCubic = 1e-7;  // at a double root, the cosine formula for a cubic's roots loses half the digits
-inline constexpr double kTiny = 1e-150;
-inline constexpr double kHuge = 1e100;  // a bound as bad as none, of which the square is still a number
-inline constexpr std::size_t kMostBoxes = 100'000;
+inline constexpr double UNLIMITED = std::numeric_limits<double>::infinity();
+// At a double root, the cosine formula for a cubic's roots loses half of the digits.
+inline constexpr double CUBIC = 1e-7;
+inline constexpr double TINY = 1e-150;
+inline constexpr double HUGE_BOUND = 1e100;  // a bound as bad as none, of which the square is still a number
+inline constexpr std::size_t MOST_BOXES = 100'000;
 
 // A term (p/ρ + q/ρ³) f + (r/ρ³)(r·f) r of K, with ρ² = |r|² + e.
 struct Term {
@@ -71,7 +73,7 @@ struct Stroke {
     std::array<Term, 3> term{};
     Three pivot{};
     Three force{};  // a unit vector
-    double reach = kInfinity;
+    double reach = UNLIMITED;
 };
 
 enum class Profile { quartic, sine };
@@ -85,14 +87,14 @@ struct Axis {
 
 // The part of an axis that a box takes up.
 struct Side {
-    double near = 0.0;    // distance from the pivot of the end nearer to it
+    double distance = 0.0;  // distance from the pivot of the end nearer to it
     double width = 0.0;
     double away = 1.0;    // 1 or -1, which way along the axis leads away from the pivot
     double depth = 0.0;   // distance of the nearer end from the face
     double inward = 0.0;  // 1 or -1, how the depth changes on the way away from the pivot
     bool fading = false;  // whether it is within the border
 
-    double far() const { return near + width; }
+    double farthest() const { return distance + width; }
 };
 
 using Box = std::array<Side, 3>;
@@ -219,8 +221,8 @@ inline Derivatives reach_bounds(double reach, double from, double to) {
     const auto rounder = [](double t) { return 90.0 * (1.0 - t) * (1.0 - 3.0 * t); };  // 3h'
     constexpr double off = std::numbers::inv_sqrt3 / 2.0;
     const double m1 = largest(first, a, b, std::array{0.5});
-    const double m2 = std::max(largest(second, a, b, std::array{0.5 - off, 0.5 + off}),
-                               largest(round, a, b, std::array{1.0 / 3.0}));
+    const double m2 =
+        std::max(largest(second, a, b, std::array{0.5 - off, 0.5 + off}), largest(round, a, b, std::array{1.0 / 3.0}));
     // The largest p c³ + q c (1-c²) of 0 ≤ c ≤ 1.
     const double p = largest(third, a, b, std::array{0.5}), q = largest(rounder, a, b, std::array{2.0 / 3.0});
     const double m3 = q <= 1.5 * p ? p : 2.0 / 3.0 * q * std::sqrt(q / (3.0 * (q - p)));
@@ -254,7 +256,7 @@ inline double smallest_eigenvalue(const Symmetric& s, const Three& d, double sla
     if (xz == 0.0 && yz == 0.0) return std::min(c, 0.5 * (a + b) - std::sqrt(0.25 * (a - b) * (a - b) + xy * xy));
     const double mean = (a + b + c) / 3.0;
     a -= mean, b -= mean, c -= mean;
-    const double p = std::sqrt((a * a + b * b + c * c + 2.0 * (xy * xy + xz * xz + yz * yz)) / 6.0) + kTiny;
+    const double p = std::sqrt((a * a + b * b + c * c + 2.0 * (xy * xy + xz * xz + yz * yz)) / 6.0) + TINY;
     a /= p, b /= p, c /= p, xy /= p, xz /= p, yz /= p;
     const double half = 0.5 * (a * (b * c - yz * yz) - xy * (xy * c - xz * yz) + xz * (xy * yz - b * xz));
     const double angle = std::acos(std::clamp(half, -1.0, 1.0)) / 3.0;
@@ -311,7 +313,7 @@ inline Symmetric strain(const Stroke& stroke, const Three& r, const Three& beta,
 // Branch and bound
 
 class Search {
-  public:
+public:
     Search(const Stroke& stroke, const std::array<Axis, 3>& axes, const Question& question)
         : stroke_(stroke), axes_(axes), question_(question), lower_(0.0), upper_(question.upper) {
         for (int i = 0; i < stroke.terms; ++i) {
@@ -320,7 +322,7 @@ class Search {
         }
     }
 
-    void add(const Box& box) { push(box, -kHuge * kHuge * kHuge); }
+    void add(const Box& box) { push(box, -HUGE_BOUND * HUGE_BOUND * HUGE_BOUND); }
 
     Bounds run() {
         while (!heap_.empty()) {
@@ -328,7 +330,7 @@ class Search {
             const std::size_t item = heap_.back();
             heap_.pop_back();
             const double key = keys_[item];
-            if (question_.answered(key, upper_) || boxes_.size() >= kMostBoxes) {
+            if (question_.answered(key, upper_) || boxes_.size() >= MOST_BOXES) {
                 lower_ = std::min(lower_, key);
                 break;
             }
@@ -337,7 +339,7 @@ class Search {
         return {lower_, upper_, boxes_.size()};
     }
 
-  private:
+private:
     // What (1) needs to know of a box.
     struct Errors {
         Three all{};                 // D
@@ -364,18 +366,18 @@ class Search {
             lower_ = std::min(lower_, errors.simple);
             return;
         }
-        double worst = kInfinity;
+        double worst = UNLIMITED;
         Symmetric there{};
         std::array<std::array<Fade, 2>, 3> faded = faded_ends(box);
         for (unsigned v = 0; v < 8; ++v) {
             const std::array<unsigned, 3> end{v & 1u, (v >> 1) & 1u, v >> 2};
             if (repeats(box, end)) continue;
             const Symmetric s = strain_at(box, faded, end);
-            const double value = smallest_eigenvalue(s, errors.all, -kCubic);
+            const double value = smallest_eigenvalue(s, errors.all, -CUBIC);
             if (value < worst) worst = value, there = s;
         }
         key = std::max(key, worst - errors.rounding);
-        upper_ = std::min(upper_, smallest_eigenvalue(there, {}, kCubic) + errors.rounding);
+        upper_ = std::min(upper_, smallest_eigenvalue(there, {}, CUBIC) + errors.rounding);
 
         // The simple bound is no key: where it is the same for many boxes, it would not tell which one leads on.
         const double bound = std::max(key, errors.simple);
@@ -412,7 +414,7 @@ class Search {
                         const std::array<unsigned, 3>& end) const {
         Three r, beta, slope;
         for (std::size_t k = 0; k < 3; ++k) {
-            r[k] = box[k].away * (box[k].near + end[k] * box[k].width);
+            r[k] = box[k].away * (box[k].distance + end[k] * box[k].width);
             beta[k] = faded[k][end[k]].value;
             slope[k] = faded[k][end[k]].slope;
         }
@@ -427,8 +429,8 @@ class Search {
         double near2 = 0.0, far2 = 0.0, value = 0.0, steepest = 0.0;
         std::array<Derivatives, 3> b;
         for (std::size_t k = 0; k < 3; ++k) {
-            near2 += box[k].near * box[k].near;
-            far2 += box[k].far() * box[k].far();
+            near2 += box[k].distance * box[k].distance;
+            far2 += box[k].farthest() * box[k].farthest();
             b[k] = fade_bounds(axes_[k], box[k]);
             value = std::max(value, b[k][0]);
             steepest = std::max(steepest, b[k][1]);
@@ -443,7 +445,7 @@ class Search {
             const double own = mixed + 2.0 * b[k][2] * n[1] + b[k][3] * n[0];
             for (std::size_t i = 0; i < 3; ++i) {
                 const double part = value * n[3] + b[i][1] * n[2] + 0.25 * mixed + (i == k ? own : 0.0);
-                found.cut[k][i] = axes_[i].active ? std::min(share * part, kHuge) : 0.0;
+                found.cut[k][i] = axes_[i].active ? std::min(share * part, HUGE_BOUND) : 0.0;
                 found.all[i] += found.cut[k][i];
             }
         }
@@ -461,22 +463,22 @@ class Search {
     // The axis across which a cut raises the bound at a corner most.
     static std::size_t axis_to_cut(const Box& box, const Symmetric& s, const Errors& errors) {
         std::size_t best = 0;
-        double highest = -kInfinity;
+        double highest = -UNLIMITED;
         for (std::size_t k = 0; k < 3; ++k) {
             if (box[k].width == 0.0) continue;
-            const double value = smallest_eigenvalue(s, errors.cut[k], -kCubic);
+            const double value = smallest_eigenvalue(s, errors.cut[k], -CUBIC);
             if (value > highest) highest = value, best = k;
         }
         return best;
     }
 
     void split(std::size_t item, std::size_t k, double key) {
-        Side& near = boxes_[item][k];
-        near.width *= 0.5;
+        Side& inner = boxes_[item][k];
+        inner.width *= 0.5;
         Box other = boxes_[item];
-        Side& far = other[k];
-        far.near += far.width;
-        far.depth += far.inward * far.width;
+        Side& outer = other[k];
+        outer.distance += outer.width;
+        outer.depth += outer.inward * outer.width;
         keys_[item] = key;
         requeue(item);
         push(other, key);
@@ -500,7 +502,7 @@ class Search {
 
 // An axis cut at the pivot and where the border ends, as far as the stroke reaches.
 inline std::vector<Side> sides(const Axis& axis, double pivot, double reach) {
-    if (!axis.active) return {{.near = std::abs(pivot), .away = pivot > 0.0 ? -1.0 : 1.0}};
+    if (!axis.active) return {{.distance = std::abs(pivot), .away = pivot > 0.0 ? -1.0 : 1.0}};
     const double touched = reach * (1.0 + 1e-9);
     std::vector<Side> found;
     // Each side is measured from its own face, so that a border that is thin for the extent is still there.
@@ -546,21 +548,21 @@ inline FreeBounds smallest_free_strain(Stroke stroke, double gap) {
     const auto ahead = [&](double t) { return strain(stroke, {t, 0.0, 0.0}, {1.0, 1.0, 1.0}, {}).xx; };
     // From 0 to R, or to where nothing of interest happens any more.
     const double end = std::min(stroke.reach, 8.0);
-    constexpr int kSteps = 256;
+    constexpr int STEPS = 256;
     int best = 1;
-    for (int i = 2; i < kSteps; ++i) {
-        if (ahead(end * i / kSteps) < ahead(end * best / kSteps)) best = i;
+    for (int i = 2; i < STEPS; ++i) {
+        if (ahead(end * i / STEPS) < ahead(end * best / STEPS)) best = i;
     }
-    double low = end * (best - 1) / kSteps, high = end * (best + 1) / kSteps;
-    constexpr double kGolden = 1.0 / std::numbers::phi;
+    double low = end * (best - 1) / STEPS, high = end * (best + 1) / STEPS;
+    constexpr double GOLDEN = 1.0 / std::numbers::phi;
     for (int i = 0; i < 60; ++i) {
-        const double a = high - kGolden * (high - low), b = low + kGolden * (high - low);
+        const double a = high - GOLDEN * (high - low), b = low + GOLDEN * (high - low);
         (ahead(a) < ahead(b) ? high : low) = ahead(a) < ahead(b) ? b : a;
     }
     const double distance = 0.5 * (low + high);
     const double upper = ahead(distance) * (1.0 - 1e-12);
 
-    const Question question{-kInfinity, upper, 0.0, gap};
+    const Question question{-UNLIMITED, upper, 0.0, gap};
     const std::array<Axis, 3> axes{};
     Search search(stroke, axes, question);
     for (double away : {1.0, -1.0}) {
