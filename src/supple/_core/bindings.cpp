@@ -110,4 +110,5 @@ NB_MODULE(SUPPLE_MODULE, m) {
     m.def("threads", &supple::threads, "Return how many threads work at once.");
     supple::bind_points(m);
     supple::bind_plans(m);
+    supple::bind_folds(m);
 }
