@@ -20,7 +20,6 @@ is fixed, branch and bound finds μ (`supple.cpu.folds`).
 
 from __future__ import annotations
 
-import decimal
 import itertools
 import math
 from collections.abc import Iterable
@@ -209,6 +208,8 @@ def _shown(values: Iterable[float]) -> str:
 
 def _cut(x: float, digits: int) -> float:
     """Cut, not rounded: what may be done at most is not more than that."""
+    import decimal
+
     return float(decimal.Context(prec=digits, rounding=decimal.ROUND_DOWN).create_decimal_from_float(x))
 
 
