@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from supple.cpu.warp import Certificate
 from supple.domain import choice, refuse
-from supple.streaming import Sampling, Space, Tell
 from supple.workers import note
 
 if TYPE_CHECKING:
+    from supple.cpu.warp import Certificate
     from supple.cuda.card import Card
+    from supple.streaming import Sampling, Space, Tell
 
 __all__ = ["check_sent", "is_on_card", "open_card", "points_on_card", "warp_on_card", "warp_sent"]
 
