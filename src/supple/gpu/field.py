@@ -53,7 +53,7 @@ def domain(axes: Floats) -> npt.NDArray[np.float32]:
     a picture's plane nothing does, and its pixels are what counts.
     """
     out = np.zeros((3, 4), np.float32)
-    out[:, :3] = axes.T
+    out[:, :3] = axes[:, :3].T
     moving = (axes[:, 0] != 0.0) | (axes[:, 1] != 0.0)
     out[2, 3] = axes[moving if moving.any() else ..., 2].min()
     return out
