@@ -20,7 +20,6 @@ border is fixed, or the reach limited, branch and bound finds μ (`_core/folds.h
 
 from __future__ import annotations
 
-import decimal
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -207,6 +206,8 @@ def _shown(values: Iterable[float]) -> str:
 
 def _cut(x: float, digits: int) -> float:
     """Cut, not rounded: what may be done at most is not more than that."""
+    import decimal
+
     return float(decimal.Context(prec=digits, rounding=decimal.ROUND_DOWN).create_decimal_from_float(x))
 
 
