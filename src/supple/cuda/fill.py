@@ -24,7 +24,6 @@ from supple.cuda.lattice import (
     LOST,
     NODE,
     ROUGH,
-    STILL,
     WORST,
     Z,
     column,
