@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from supple.cpu.warp import Certificate
+from supple.certificate import Certificate
 from supple.cuda.arrays import is_on_card
 from supple.cuda.card import failures, open_card
 from supple.domain import choice, refuse
