@@ -66,13 +66,16 @@ def smoothstep(t):
 
 
 @lean
-def finest_level(major, minor):
-    """The level of the pyramid that a footprint needs, and how much of the next one is mixed in."""
+def finest_level(major, minor, side):
+    """The level of the pyramid that a footprint needs, and how much of the next one is mixed in.
+
+    The coarsest level of a picture, which is ``side`` samples long, is one sample.
+    """
     want, level = max(minor, major / _LONGEST), 0
-    while want >= _COARSE and level < LEVELS:
+    while want >= _COARSE and (1 << level) < side and level < LEVELS:
         want *= _QUARTER
         level += 1
-    mixed = smoothstep((want - _RISE) / (_COARSE - _RISE)) if level < LEVELS else ZERO
+    mixed = smoothstep((want - _RISE) / (_COARSE - _RISE)) if (1 << level) < side and level < LEVELS else ZERO
     return level, mixed
 
 
@@ -170,7 +173,7 @@ def averaged_at(way: Way, read: Callable[..., Any]) -> Callable[..., Any]:
 
     @device
     def averaged(samples, fills, source, how, limits, start, i, j, u, v, c, major, minor, ax, ay):
-        finest, coarser = finest_level(major, minor)
+        finest, coarser = finest_level(major, minor, max(source[WIDTH], source[HEIGHT]))
         total = number(0.0)
         for level in range(finest, finest + (2 if coarser > ZERO else 1)):
             of_level = ONE - coarser if level == finest else coarser
