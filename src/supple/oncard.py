@@ -13,7 +13,7 @@ from supple.domain import choice, refuse
 from supple.workers import note
 
 if TYPE_CHECKING:
-    from supple.cpu.warp import Certificate
+    from supple.certificate import Certificate
     from supple.cuda.card import Card
     from supple.streaming import Sampling, Space, Tell
 
@@ -62,7 +62,7 @@ def check_sent(sampling: Sampling, dtype: np.dtype[Any]) -> None:
     open_card()
     from supple.cuda.warp import check_known
 
-    check_known(sampling, dtype)
+    check_known(dtype)
 
 
 def warp_sent(
