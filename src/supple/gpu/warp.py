@@ -16,6 +16,7 @@ from supple.gpu.device import Gpu
 from supple.gpu.kernel import Array, download, owned, room
 from supple.gpu.lattice import NODE, SETTINGS, Lattice, Part, Range, Strokes, lattice_on, pitch_of, strokes_on
 from supple.gpu.planes import Held, colour, target_size, unpacked
+from supple.gpu.pyramid import pyramid, size_of
 from supple.gpu.reach import Reach, box_of, reach_of
 from supple.gpu.samples import LONGEST, Picture
 from supple.gpu.texels import MOST_LAYERS, SIDE, blocks_of, layers, texels_of
@@ -76,16 +77,23 @@ class _Work:
             self.box, self.held = None, None
             form, count = self.picture.format, frames[1] - frames[0]
             size = rows[1] - rows[0], self.picture.shape[1]
-            (samples,) = owned(self.of_source, layers(self.gpu, size, count, form.dtype, form.channels))
+            samples, levels = owned(
+                self.of_source,
+                layers(self.gpu, size, count, form.dtype, form.channels),
+                pyramid(self.gpu, self.picture, rows, count),
+            )
             for k, frame in enumerate(self.read(frames, rows)):
                 samples.put(self.gpu, k, form.packed(frame), wait=True)
-            self.box, self.held = (frames, rows), Held(samples, frames, rows, count, 0)
+                levels.build(samples, k)
+            self.box, self.held = (frames, rows), Held(samples, levels, frames, rows, count, 0)
         return self.held
 
     def fits(self, frames: Range, rows: Range) -> bool:
         """Whether some rows of some frames are no more than is held at once."""
         count, shape = frames[1] - frames[0], (rows[1] - rows[0], self.picture.shape[1])
         size = count * texels_of(shape) * self.picture.format.size
+        if count * size_of(self.picture, rows) > self.gpu.binding:
+            return False
         return size <= self.gpu.texture and count * math.prod(blocks_of(shape)) <= MOST_LAYERS
 
     def samples_read(self, part: Part, reach: Reach, at: tuple[slice, slice]) -> float:
