@@ -137,6 +137,24 @@ def test_what_is_asked_for_is_what_is_saved(run: Run, options: Sequence[str], st
     assert (recipe.border, recipe.on_fold) == (50, "damp")
 
 
+def test_reach_and_border_profile_are_saved(run: Run) -> None:
+    grabs = ["--grab", "1,2:3,4", "--grab", "5,6:7,8", "--radius", "9"]
+    for given, reaches in [
+        ([], [None, None]),
+        (["--reach", "4"], [4.0, 4.0]),
+        (["--reach", "none", "--reach", "2.5"], [None, 2.5]),
+    ]:
+        made = run("warp", "in.png", "out.png", *grabs, *given, "--save-recipe", "r.json", "--quiet", "--force")
+        assert made[0] == 0
+        recipe = supple.Recipe.from_json(Path("r.json").read_text())
+        assert [s.reach for s in recipe.strokes] == reaches
+        assert recipe.border_profile == "quartic"
+    more = ["--recipe", "r.json", "--border-profile", "sine", "--save-recipe", "s.json", "--quiet", "--force"]
+    assert run("warp", "in.png", "out.png", *more)[0] == 0
+    again = supple.Recipe.from_json(Path("s.json").read_text())
+    assert (again.border_profile, again.strokes) == ("sine", recipe.strokes)
+
+
 def test_a_recipe_makes_the_same_file_again(run: Run) -> None:
     options = ["--border", "none", "--on-fold", "flow", "--poisson", "0.25"]
     first = run("warp", "in.png", "out.png", *GRAB, *options, "--save-recipe", "r.json")
@@ -268,6 +286,11 @@ def test_options_of_devices_are_not_taken_for_others(run: Run, arguments: list[s
         ([*GRAB, "--poisson", "nan"], "nan"),
         ([*GRAB, "--scales", "4"], "1, 2 or 3"),
         ([*GRAB, "--scales", "1.5"], "1, 2 or 3"),
+        ([*GRAB, "--reach", "0.5"], "reach must be a number of radii from 1"),
+        ([*GRAB, "--reach", "nan"], "nan"),
+        ([*GRAB, "--reach", "far"], "--reach must be a number of radii from 1, or none, found 'far'"),
+        ([*GRAB, "--reach", "4", "--reach", "none"], "2 times"),
+        ([*GRAB, "--border-profile", "cubic"], "cubic"),
         ([*GRAB, "--border", "thin"], "thin"),
         ([*GRAB, "--border", "-1"], "border"),
         ([*GRAB, "--on-fold", "pray"], "pray"),
@@ -386,7 +409,7 @@ def test_a_picture_is_replaced_with_force_through_a_link_too(run: Run) -> None:
         ("", "JSON"),
         ("[]", "object"),
         ('{"strokes": []}', "supple"),
-        ('{"supple": 2, "strokes": []}', "version"),
+        ('{"supple": 3, "strokes": []}', "version"),
         ('{"supple": "1", "strokes": []}', "version"),
         ('{"supple": 1, "strokes": [], "boarder": 3}', "boarder"),
         ('{"supple": 1, "strokes": 7}', "strokes"),

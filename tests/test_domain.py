@@ -15,7 +15,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from supple.domain import Domain, choice, integer, items, length, number, point, shown
+from supple.domain import Domain, border_factor, choice, integer, items, length, number, point, shown
 from supple.errors import SuppleError
 
 HUGE = pytest.param(10**5000, id="huge")  # too long for Python to spell
@@ -36,6 +36,7 @@ def test_defaults() -> None:
     assert domain.shape == (512, 640)
     assert domain.spacing == (1.0, 1.0)
     assert domain.border == 50.0
+    assert domain.border_profile == "quartic"
     assert domain.ndim == 2
     assert domain.extent == (639.0, 511.0)
 
@@ -45,6 +46,7 @@ def test_is_a_value() -> None:
     assert domain == Domain((np.int32(3), 4, 5), (1.0, 2.0, 3.0), None)
     assert hash(domain) == hash(Domain((3, 4, 5), (1, 2, 3), None))
     assert domain != Domain((3, 4, 5), (1, 2, 3))
+    assert domain != Domain((3, 4, 5), (1, 2, 3), None, "sine")
     assert pickle.loads(pickle.dumps(domain)) == domain
     assert copy.deepcopy(domain) == domain
     assert all(type(n) is int for n in domain.shape)
@@ -69,23 +71,41 @@ def test_packed_image() -> None:
     packed = Domain((101, 401), (1, 2), border=60).packed()
     assert packed.dtype == np.float64
     assert packed.flags.c_contiguous
-    np.testing.assert_array_equal(packed, [[400, 60, 1], [200, 60, 2], [0, -1, 1]])
+    np.testing.assert_array_equal(packed, [[400, 60, 1, 0], [200, 60, 2, 0], [0, -1, 1, 0]])
 
 
 def test_packed_border_is_at_most_half_the_extent() -> None:
     packed = Domain((41, 61, 1001), (1, 1, 3), border=50).packed()
-    np.testing.assert_array_equal(packed, [[1000, 50, 1], [60, 30, 1], [120, 50, 3]])
+    np.testing.assert_array_equal(packed, [[1000, 50, 1, 0], [60, 30, 1, 0], [120, 50, 3, 0]])
 
 
 def test_packed_free_border() -> None:
     packed = Domain((4, 5, 6), 2, border=None).packed()
-    np.testing.assert_array_equal(packed, [[10, -1, 2], [8, -1, 2], [6, -1, 2]])
+    np.testing.assert_array_equal(packed, [[10, -1, 2, 0], [8, -1, 2, 0], [6, -1, 2, 0]])
 
 
 def test_an_axis_of_one_sample() -> None:
-    np.testing.assert_array_equal(Domain((1, 11)).packed(), [[10, 5, 1], [0, 0, 1], [0, -1, 1]])
-    np.testing.assert_array_equal(Domain((1, 1), border=None).packed(), [[0, -1, 1]] * 3)
-    np.testing.assert_array_equal(Domain((1, 1, 1)).packed(), [[0, 0, 1]] * 3)
+    np.testing.assert_array_equal(Domain((1, 11)).packed(), [[10, 5, 1, 0], [0, 0, 1, 0], [0, -1, 1, 0]])
+    np.testing.assert_array_equal(Domain((1, 1), border=None).packed(), [[0, -1, 1, 0]] * 3)
+    np.testing.assert_array_equal(Domain((1, 1, 1)).packed(), [[0, 0, 1, 0]] * 3)
+
+
+def test_packed_border_profile() -> None:
+    packed = Domain((101, 401), (1, 2), border=60, border_profile="sine").packed()
+    np.testing.assert_array_equal(packed, [[400, 60, 1, 1], [200, 60, 2, 1], [0, -1, 1, 1]])
+
+
+def test_border_factors() -> None:
+    t = np.array([-1, 0, 0.25, 0.5, 1, 7])
+    np.testing.assert_allclose(border_factor(t, 0.0), [0, 0, 0.5 - 1 / 32 + 1 / 256, 0.8125, 1, 1], atol=1e-15)
+    np.testing.assert_allclose(border_factor(t, 1.0)[1:5], np.sin([0, np.pi / 8, np.pi / 4, np.pi / 2]), atol=1e-15)
+    # The quartic has two continuous derivatives where the border ends, the sine only one.
+    h = 1e-4
+    for profile, curvature in ((0.0, 0.0), (1.0, -((np.pi / 2) ** 2))):
+        before, at, after = border_factor(np.array([1 - h, 1, 1 + h]), profile)
+        assert (after - before) / h == pytest.approx(0, abs=1e-3)
+        inner = border_factor(1 - 2 * h, profile)
+        assert (at - 2 * before + inner) / h**2 == pytest.approx(curvature, abs=5e-3)
 
 
 def test_packed_is_a_copy() -> None:
@@ -155,6 +175,13 @@ def test_refuses_borders(bad: Any) -> None:
     message = refusal(lambda: Domain((4, 4), border=bad))
     assert message.startswith("border must be a number above 0")
     assert "None" in message
+
+
+@pytest.mark.parametrize("bad", ["cubic", "", "Sine", None, 1, ["sine"]])
+def test_refuses_border_profiles(bad: Any) -> None:
+    assert refusal(lambda: Domain((4, 4), border_profile=bad)).startswith(
+        'border_profile must be "quartic" or "sine", found '
+    )
 
 
 def test_messages_show_what_was_found() -> None:

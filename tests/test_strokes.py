@@ -107,10 +107,12 @@ def recipes(draw: st.DrawFn) -> Recipe:
         radius=st.floats(1e-30, 1e30),
         poisson=ratios,
         scales=st.sampled_from([1, 2, 3]),
+        reach=st.none() | st.floats(1, 1e30),
         hidden=st.booleans(),
     )
     return Recipe(
         border=draw(st.none() | st.floats(1e-30, 1e30)),
+        border_profile=draw(st.sampled_from(["quartic", "sine"])),
         on_fold=draw(st.sampled_from(["damp", "flow", "error"])),
         strokes=tuple(draw(st.lists(strokes, max_size=5))),
     )
@@ -120,6 +122,7 @@ class TestStroke:
     def test_defaults(self) -> None:
         stroke = grab()
         assert (stroke.poisson, stroke.scales, stroke.brush, stroke.ndim) == (0.4, 1, "grab", 2)
+        assert stroke.reach is None
         assert grab(at=(1, 2, 3), by=(1, 2, 3)).ndim == 3
 
     def test_is_a_value(self) -> None:
@@ -137,8 +140,9 @@ class TestStroke:
         expected = Stroke(at=(256, 256), by=(0, 90), radius=100)
         assert Stroke.grab((256, 256), to=(256, 346), radius=100) == expected
         assert Stroke.grab([256, 256], by=np.array([0, 90]), radius=100) == expected
-        solid = Stroke.grab((1, 2, 3), to=(3, 2, 1), radius=4, poisson=-math.inf, scales=3)
-        assert solid == Stroke(at=(1, 2, 3), by=(2, 0, -2), radius=4, poisson=-math.inf, scales=3)
+        solid = Stroke.grab((1, 2, 3), to=(3, 2, 1), radius=4, poisson=-math.inf, scales=3, reach=5)
+        assert solid == Stroke(at=(1, 2, 3), by=(2, 0, -2), radius=4, poisson=-math.inf, scales=3, reach=5.0)
+        assert type(solid.reach) is float
 
     def test_grab_takes_one_of_to_and_by(self) -> None:
         both = refusal(lambda: Stroke.grab((1, 2), to=(1, 2), by=(1, 2), radius=1))
@@ -197,6 +201,11 @@ class TestStroke:
     def test_refuses_scales(self, bad: Any) -> None:
         assert refusal(lambda: grab(scales=bad)).startswith("scales must be 1, 2 or 3, found ")
 
+    @pytest.mark.parametrize("bad", [0, -4, 0.999, math.nan, math.inf, 1.1e30, True, "4", "none", [4], 10**400, HUGE])
+    def test_refuses_reaches(self, bad: Any) -> None:
+        wanted = "reach must be a number of radii from 1 to 1e+30, or None for no limit, found "
+        assert refusal(lambda: grab(reach=bad)).startswith(wanted)
+
     @pytest.mark.parametrize("bad", [0, 1, None, "true", np.True_, []])
     def test_refuses_what_is_neither_hidden_nor_not(self, bad: Any) -> None:
         assert refusal(lambda: grab(hidden=bad)).startswith("hidden must be true or false, found ")
@@ -208,7 +217,8 @@ class TestStroke:
 
 class TestRecipe:
     def test_defaults(self) -> None:
-        assert Recipe() == Recipe(border=50, on_fold="damp", strokes=())
+        assert Recipe() == Recipe(border=50, border_profile="quartic", on_fold="damp", strokes=())
+        assert Recipe() != Recipe(border_profile="sine")
         assert Recipe(strokes=[grab()]).strokes == (grab(),)  # type: ignore[arg-type]
         assert Recipe(strokes=(s for s in [grab()])).strokes == (grab(),)  # type: ignore[arg-type]
         assert hash(Recipe(border=None)) == hash(Recipe(border=None))
@@ -216,6 +226,11 @@ class TestRecipe:
     @pytest.mark.parametrize("bad", [0, -1, math.nan, math.inf, "none", True, [50]])
     def test_refuses_borders(self, bad: Any) -> None:
         assert refusal(lambda: Recipe(border=bad)).startswith("border must be ")
+
+    @pytest.mark.parametrize("bad", ["cubic", None, 1, "SINE", ["sine"]])
+    def test_refuses_border_profiles(self, bad: Any) -> None:
+        message = refusal(lambda: Recipe(border_profile=bad))
+        assert message.startswith('border_profile must be "quartic" or "sine", found ')
 
     @pytest.mark.parametrize("bad", ["stop", None, 1, "DAMP", ["damp"]])
     def test_refuses_fold_policies(self, bad: Any) -> None:
@@ -236,7 +251,7 @@ GRAB = '{"brush": "grab", "at": [256, 256], "by": [0, 90], "radius": 100, "poiss
 
 
 def with_stroke(entry: str) -> str:
-    return f'{{"supple": 1, "strokes": [{GRAB}, {entry}]}}'
+    return f'{{"supple": 2, "strokes": [{GRAB}, {entry}]}}'
 
 
 def with_field(name: str, value: str) -> str:
@@ -254,8 +269,9 @@ class TestJson:
         recipe = Recipe(strokes=(grab(), grab(at=(0.1, -0.0), radius=1e22, poisson=-math.inf, scales=3)))
         assert recipe.to_json() == (
             "{\n"
-            '  "supple": 1,\n'
+            '  "supple": 2,\n'
             '  "border": 50,\n'
+            '  "border_profile": "quartic",\n'
             '  "on_fold": "damp",\n'
             '  "strokes": [\n'
             f"    {GRAB},\n"
@@ -265,7 +281,7 @@ class TestJson:
             "}\n"
         )
         assert json.loads(Recipe(border=None).to_json()) == {
-            "supple": 1, "border": None, "on_fold": "damp", "strokes": [],
+            "supple": 2, "border": None, "border_profile": "quartic", "on_fold": "damp", "strokes": [],
         }  # fmt: skip
 
     @settings(deadline=None)
@@ -287,8 +303,32 @@ class TestJson:
         assert f'    {GRAB},\n    {GRAB[:-1]}, "hidden": true}}\n' in text
         assert Recipe.from_json(text.replace("true", "false")) == Recipe(strokes=(grab(), grab()))
 
+    def test_only_strokes_with_a_reach_say_so(self) -> None:
+        text = Recipe(strokes=(grab(), grab(reach=4), grab(reach=2.5, hidden=True))).to_json()
+        entries = text.splitlines()[-5:-2]
+        assert entries[0] == f"    {GRAB},"
+        assert entries[1] == f'    {GRAB[:-1]}, "reach": 4}},'
+        assert entries[2] == f'    {GRAB[:-1]}, "reach": 2.5, "hidden": true}}'
+        assert Recipe.from_json(text.replace('"reach": 4', '"reach": null')).strokes[1] == grab()
+
+    @pytest.mark.parametrize("border", [20.0, None])
+    def test_version_1_has_the_border_of_the_paper(self, border: float | None) -> None:
+        old = f'{{"supple": 1, "border": {json.dumps(border)}, "strokes": [{GRAB}]}}'
+        recipe = Recipe.from_json(old)
+        assert recipe == Recipe(border=border, border_profile="sine", strokes=(grab(),))
+        text = recipe.to_json()
+        assert json.loads(text)["supple"] == 2
+        assert Recipe.from_json(text) == recipe
+
+    def test_version_1_has_no_newer_keys(self) -> None:
+        old = f'{{"supple": 1, "border_profile": "sine", "strokes": [{GRAB}]}}'
+        hint = 'it is of version 2 ("supple": 2)'
+        assert read_refusal(old) == f"unknown key 'border_profile' in the recipe: {hint}"
+        old = f'{{"supple": 1, "strokes": [{GRAB[:-1]}, "reach": 4}}]}}'
+        assert read_refusal(old) == f"unknown key 'reach' in strokes[0]: {hint}"
+
     def test_what_may_be_left_out(self) -> None:
-        text = '{"strokes": [{"radius": 100, "by": [0, 90], "at": [256.0, 256], "brush": "grab"}], "supple": 1}'
+        text = '{"strokes": [{"radius": 100, "by": [0, 90], "at": [256.0, 256], "brush": "grab"}], "supple": 2}'
         assert Recipe.from_json(text) == Recipe(strokes=(grab(),))
         assert Recipe.from_json('{"supple": 1, "border": null, "strokes": []}').border is None
 
@@ -300,13 +340,13 @@ class TestJson:
 
     def test_missing_keys(self) -> None:
         assert read_refusal('{"supple": 1}') == 'the key "strokes" is missing in the recipe'
-        assert read_refusal('{"strokes": []}').startswith('the key "supple", a recipe\'s version (1), is missing')
+        assert read_refusal('{"strokes": []}').startswith('the key "supple", a recipe\'s version (2), is missing')
         assert read_refusal("{}").endswith("is missing in {}")
 
-    @pytest.mark.parametrize("version", ["2", "0", "-1", "1.0", "true", "null", '"1"', "[1]", "9" * 5000])
+    @pytest.mark.parametrize("version", ["3", "0", "-1", "1.0", "true", "null", '"1"', "[1]", "9" * 5000])
     def test_other_versions(self, version: str) -> None:
         message = read_refusal(f'{{"supple": {version}, "new": 1, "strokes": []}}')
-        assert message.startswith('"supple" must be 1 (the only version that this release reads), found ')
+        assert message.startswith('"supple" must be 1 or 2 (the versions that this release reads), found ')
 
     @pytest.mark.parametrize(
         ("key", "hint"),
@@ -416,8 +456,8 @@ class TestJson:
 class TestPack:
     def test_layout(self) -> None:
         assert STROKE_DTYPE.isalignedstruct
-        assert STROKE_DTYPE.itemsize == 29 * 8
-        assert STROKE_DTYPE.names == ("pivot", "force", "matrix", "radius2", "p", "q", "r", "terms", "kind")
+        assert STROKE_DTYPE.itemsize == 20 * 8
+        assert STROKE_DTYPE.names == ("pivot", "force", "radius2", "p", "q", "r", "terms", "reach")
         table = pack([grab(), grab()], (1, 1))
         assert table.dtype == STROKE_DTYPE
         assert table.shape == (2,)
@@ -432,8 +472,10 @@ class TestPack:
         volume = pack((s for s in [grab(at=(3, 5, 7), by=(-1, 0, 1))]), (1, 2, 0.5))[0]
         np.testing.assert_array_equal(volume["pivot"], [3, 10, 3.5])
         np.testing.assert_array_equal(volume["force"], [-1, 0, 0.5])
-        assert not volume["matrix"].any()
-        assert volume["kind"] == 0
+
+    def test_the_reach_is_in_physical_units(self) -> None:
+        table = pack([grab(), grab(reach=4), grab(radius=7, reach=1)], (2, 10))
+        assert table["reach"].tolist() == [math.inf, 400.0, 7.0]
 
     @pytest.mark.parametrize("scales", [1, 2, 3])
     def test_unused_terms(self, scales: int) -> None:
@@ -495,7 +537,7 @@ class TestPack:
         ndim = recipe.strokes[0].ndim if recipe.strokes else 2
         for spacing in ((1e-30,) * ndim, (1e30,) * ndim):
             table = pack(recipe.strokes, spacing)
-            for name in STROKE_DTYPE.names or ():
+            for name in set(STROKE_DTYPE.names or ()) - {"reach"}:
                 assert np.isfinite(table[name]).all()
             assert (table["radius2"] > 0).all()
 

@@ -20,6 +20,7 @@ from windows import Hand, opened, small_photo, viewing, wait_for
 
 import supple
 from supple.clips import ClipOptions
+from supple.domain import Domain
 from supple.gpu.device import Gpu
 from supple.media import image, video, volume
 from supple.media.volume import RawLayout
@@ -449,11 +450,13 @@ def test_the_panel_says_what_a_border_holds_back() -> None:
     from supple.viewer.panels import held_back
 
     stroke = Stroke.grab((40, 20, 0), by=(5, 0, 3), radius=9)
-    assert held_back(stroke, None, (9, 60, 90), (1.0, 1.0, 1.0)) == 1.0
-    assert held_back(stroke, 30.0, (9, 60, 90), (1.0, 1.0, 1.0)) == 0.0  # at the first frame
+    assert held_back(stroke, Domain((9, 60, 90), border=None)) == 1.0
+    assert held_back(stroke, Domain((9, 60, 90), border=30)) == 0.0  # at the first frame
     inner = Stroke.grab((15, 20, 4), by=(5, 0, 0), radius=9)
     d = supple.Deformation((9, 60, 90), border=30.0)
     moved = d.add(inner).forward((15, 20, 4))[0] - 15
-    part = held_back(inner, 30.0, (9, 60, 90), (1.0, 1.0, 1.0))
-    assert part == pytest.approx(np.sin(np.pi / 4))
+    part = held_back(inner, d.domain)
+    assert part == pytest.approx(1 - 1 / 4 + 1 / 16)
+    paper = Domain((9, 60, 90), border=30, border_profile="sine")
+    assert held_back(inner, paper) == pytest.approx(np.sin(np.pi / 4))
     assert moved == pytest.approx(5 * part * d.add(inner).resolution()["damping"][0])

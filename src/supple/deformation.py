@@ -14,7 +14,7 @@ from supple.cpu import field as forward_kernels
 from supple.cpu import newton
 from supple.cpu.kernel import share, threads
 from supple.cpu.warp import Band, Certificate, Plane, absolute, each_band, folds, measure, solve_plane
-from supple.domain import Domain, choice, integer, number, refuse
+from supple.domain import BorderProfile, Domain, choice, integer, number, refuse
 from supple.engines import check_device, warp_elsewhere
 from supple.errors import FoldWarning, SuppleError, ToleranceWarning
 from supple.folding import Resolved, resolve
@@ -104,6 +104,8 @@ class Deformation:
         The array's shape: ``(H, W)`` for an image, ``(T, H, W)`` or ``(Z, H, W)``.
     border : float or None
         The width, in physical units, over which strokes fade towards the fixed border; None frees it.
+    border_profile : str
+        How they fade: as a ``"quartic"``, smooth where the border ends, or as the paper's ``"sine"``.
     spacing : float or sequence of float
         Physical units per sample, x first.
     on_fold : str
@@ -136,11 +138,12 @@ class Deformation:
         shape: Sequence[int],
         *,
         border: float | None = 50.0,
+        border_profile: BorderProfile = "quartic",
         spacing: float | Sequence[float] = 1.0,
         on_fold: FoldPolicy = "damp",
     ) -> None:
         choice("on_fold", on_fold, ("damp", "flow", "error"))
-        domain = Domain(shape, spacing, border)
+        domain = Domain(shape, spacing, border, border_profile)
         axes = domain.packed()
         if domain.ndim == 2:
             axes[2, 1] = 0.0  # nothing leaves the plane, and how the field varies off it is no concern
@@ -160,7 +163,13 @@ class Deformation:
         """A recipe's strokes on a domain, without those that are hidden; its errors name the stroke."""
         if not isinstance(recipe, Recipe):
             refuse("a recipe", "a Recipe (Recipe.from_json reads one)", recipe)
-        made = cls(shape, border=recipe.border, spacing=spacing, on_fold=recipe.on_fold)
+        made = cls(
+            shape,
+            border=recipe.border,
+            border_profile=recipe.border_profile,
+            spacing=spacing,
+            on_fold=recipe.on_fold,
+        )
         for i, stroke in enumerate(recipe.strokes):
             if stroke.hidden:
                 continue
@@ -174,7 +183,12 @@ class Deformation:
     @property
     def recipe(self) -> Recipe:
         """What was asked for, apart from the domain; hidden strokes, which were left out, are not in it."""
-        return Recipe(border=self.domain.border, on_fold=self.on_fold, strokes=self.strokes)
+        return Recipe(
+            border=self.domain.border,
+            border_profile=self.domain.border_profile,
+            on_fold=self.on_fold,
+            strokes=self.strokes,
+        )
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -206,6 +220,7 @@ class Deformation:
         radius: float,
         poisson: float = 0.4,
         scales: int = 1,
+        reach: float | None = None,
     ) -> Self:
         """Grab the material at a point, and drag it.
 
@@ -222,6 +237,9 @@ class Deformation:
             Poisson's ratio ν of the material: 0.5 keeps areas and volumes, -inf does not care for them.
         scales : int
             1: felt far, as 1/r. 2 and 3: more local, as 1/r³ and 1/r⁵.
+        reach : float, optional
+            How far it is felt at all, in radii, from 1; 4 looks as natural as no limit. What lies beyond keeps every
+            bit. None: without limit.
 
         Raises
         ------
@@ -233,7 +251,8 @@ class Deformation:
         FoldWarning
             If it was damped, under ``on_fold="damp"``.
         """
-        return self.add(Stroke.grab(at, to=to, by=by, radius=radius, poisson=poisson, scales=scales))
+        stroke = Stroke.grab(at, to=to, by=by, radius=radius, poisson=poisson, scales=scales, reach=reach)
+        return self.add(stroke)
 
     def add(self, stroke: Stroke, *, warn: bool = True) -> Self:
         """Apply one more stroke on what the strokes so far show.

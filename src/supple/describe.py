@@ -191,11 +191,12 @@ def _listed(name: str, lines: Mapping[str, object]) -> str:
 
 
 def _recipe(name: str, recipe: Recipe) -> str:
-    border = "free" if recipe.border is None else f"fixed, {recipe.border:g} px wide"
+    border = "free" if recipe.border is None else f"fixed, {recipe.border:g} px wide, {recipe.border_profile}"
     lines = [f"{shown(name)}:", "  recipe", f"  border      {border}", f"  on fold     {recipe.on_fold}"]
     for i, s in enumerate(recipe.strokes):
         to = tuple(a + b for a, b in zip(s.at, s.by, strict=True))
         points = " to ".join("(" + ", ".join(f"{x:g}" for x in point) + ")" for point in (s.at, to))
-        kind = f"radius {s.radius:g}, poisson {s.poisson:g}, scales {s.scales}{', hidden' if s.hidden else ''}"
+        kind = f"radius {s.radius:g}, poisson {s.poisson:g}, scales {s.scales}"
+        kind += ("" if s.reach is None else f", reach {s.reach:g}") + (", hidden" if s.hidden else "")
         lines.append(f"  stroke {i + 1:<5}{s.brush} {points}, {kind}")
     return "\n".join(lines)

@@ -7,7 +7,7 @@ import reprlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from numbers import Real
-from typing import Any, NoReturn, SupportsIndex
+from typing import Any, Literal, NoReturn, SupportsIndex, get_args
 
 import numpy as np
 import numpy.typing as npt
@@ -19,6 +19,10 @@ SMALLEST = 1e-30
 LARGEST = 1e30
 LENGTH = f"a number above 0 (from {SMALLEST:g} to {LARGEST:g})"
 LONGEST_AXIS = 2**31 - 1
+
+BorderProfile = Literal["quartic", "sine"]
+PROFILE_CODES: dict[str, float] = {"quartic": 0.0, "sine": 1.0}
+"""How the packed domain names a profile of the fixed border."""
 
 
 class _Short(reprlib.Repr):
@@ -121,6 +125,17 @@ def checked_border(border: object) -> float | None:
     return number("border", border, f"{LENGTH}, or None for a free border", SMALLEST, LARGEST)
 
 
+def check_border_profile(profile: object) -> None:
+    """Raise SuppleError unless ``profile`` names a profile of the fixed border."""
+    choice("border_profile", profile, get_args(BorderProfile))
+
+
+def border_factor(t: npt.ArrayLike, profile: float) -> npt.NDArray[np.float64]:
+    """Return β at the distance ``t`` from a face, over the border's width; ``profile`` as in `PROFILE_CODES`."""
+    t = np.clip(t, 0.0, 1.0)
+    return np.asarray(np.sin(np.pi / 2 * t) if profile == PROFILE_CODES["sine"] else t * (2 - 2 * t**2 + t**3))
+
+
 def _checked_shape(shape: object) -> tuple[int, ...]:
     wanted = "two or three sizes, (H, W), (T, H, W) or (Z, H, W)"
     sizes = items("shape", shape, wanted, (2, 3))
@@ -148,23 +163,30 @@ class Domain:
         Physical units per pixel, frame or voxel; one for all axes, or one for each, in the order of a point:
         x first.
     border : float or None
-        The width, in physical units, over which movement across the border fades to nothing; None frees it.
+        The width σ, in physical units, over which movement across the border fades to nothing; None frees it.
+    border_profile : str
+        How it fades, at the distance tσ from a face: as 2t - 2t³ + t⁴ (``"quartic"``), which has two continuous
+        derivatives at t = 1, or as sin(πt/2) (``"sine"``, the paper's).
     """
 
     shape: tuple[int, ...]
     spacing: tuple[float, ...]
     border: float | None
+    border_profile: BorderProfile
 
     def __init__(
         self,
         shape: Sequence[SupportsIndex],
         spacing: float | Sequence[float] | npt.NDArray[Any] = 1.0,
         border: float | None = 50.0,
+        border_profile: BorderProfile = "quartic",
     ) -> None:
         sizes = _checked_shape(shape)
         object.__setattr__(self, "shape", sizes)
         object.__setattr__(self, "spacing", _checked_spacing(spacing, len(sizes)))
         object.__setattr__(self, "border", checked_border(border))
+        check_border_profile(border_profile)
+        object.__setattr__(self, "border_profile", border_profile)
 
     @property
     def ndim(self) -> int:
@@ -181,13 +203,14 @@ class Domain:
 
         Returns
         -------
-        ndarray of float64, shape (3, 3)
-            One row ``(extent, sigma, spacing)`` for each of x, y and z, in physical units. ``sigma`` is the
-            width of the fixed border, at most half the extent (0 for an axis of one sample, along which
+        ndarray of float64, shape (3, 4)
+            One row ``(extent, sigma, spacing, profile)`` for each of x, y and z, in physical units. ``sigma`` is
+            the width of the fixed border, at most half the extent (0 for an axis of one sample, along which
             nothing moves), and -1 where the axis is free. An image is free along z, and has no extent there.
+            ``profile`` is the border's: 0 for the quartic, 1 for the sine.
         """
-        rows = np.array([[0.0, -1.0, 1.0]] * 3)
+        rows = np.array([[0.0, -1.0, 1.0, PROFILE_CODES[self.border_profile]]] * 3)
         for row, extent, step in zip(rows, self.extent, self.spacing, strict=False):
             sigma = -1.0 if self.border is None else min(self.border, extent / 2)
-            row[:] = extent, sigma, step
+            row[:3] = extent, sigma, step
         return rows

@@ -287,7 +287,7 @@ def _fixed(
     n = int(row["terms"])
     terms = np.stack([row[name][:n] for name in ("radius2", "p", "q", "r")], axis=1)
     pivots = row["pivot"].tolist()
-    cells = [folds.cells(extent, sigma, p) for (extent, sigma, _), p in zip(axes.tolist(), pivots, strict=True)]
+    cells = [folds.cells(extent, sigma, p) for (extent, sigma, *_), p in zip(axes.tolist(), pivots, strict=True)]
     boxes, keys, heap = np.empty((_MOST_BOXES, 3, 6)), np.empty(_MOST_BOXES), np.empty(_MOST_BOXES, np.int64)
     count = math.prod(map(len, cells))
     boxes[:count] = list(itertools.product(*cells))

@@ -32,15 +32,20 @@ class StrokeOptions:
         Drag one point to another, in pixels from the top left one; in a video to another time as well, with a third
         number, the frame, counted from 0; in a volume in voxels, x, y and z. Several grabs are a sequence.
     radius
-        How far a grab is felt, in pixels, in volumes in millimetres. Like the next two: once for all, or once for each.
+        How far a grab is felt, in pixels, in volumes in millimetres. Like the next three: once for all, or for each.
     poisson
         The material (default 0.4): 0.5 keeps areas, lower ones down to -inf squeeze more.
     scales
         How local a grab is: 1 (default) is felt far, 2 and 3 less and less.
+    reach
+        How far a grab is felt at all, in radii, from 1 (4, say): what lies beyond keeps every bit. none (default): no
+        limit.
     recipe
         Strokes from a JSON file, which come before those of --grab.
     border
         Width in pixels or millimetres (default 50) of the border that stays in place; none: the edges move too.
+    border_profile
+        How grabs fade towards the border: quartic (default), or sine, the paper's.
     on_fold
         A grab that would fold the picture: damp it (default), let it flow there, or refuse it.
     """
@@ -51,8 +56,12 @@ class StrokeOptions:
     radius: Annotated[list[str], Parameter(allow_leading_hyphen=True, metavar="R", show_default=False)] = ()  # type: ignore[assignment]
     poisson: Annotated[list[str], Parameter(allow_leading_hyphen=True, metavar="N", show_default=False)] = ()  # type: ignore[assignment]
     scales: Annotated[list[str], Parameter(allow_leading_hyphen=True, metavar="1|2|3", show_default=False)] = ()  # type: ignore[assignment]
+    reach: Annotated[list[str], Parameter(allow_leading_hyphen=True, metavar="R|none", show_default=False)] = ()  # type: ignore[assignment]
     recipe: Annotated[str | None, Parameter(metavar="FILE")] = None
     border: Annotated[str | None, Parameter(allow_leading_hyphen=True, metavar="N|none")] = None
+    border_profile: Annotated[
+        Literal["quartic", "sine"] | None, Parameter(metavar="quartic|sine", show_choices=False)
+    ] = None
     on_fold: Annotated[
         Literal["damp", "flow", "error"] | None, Parameter(metavar="damp|flow|error", show_choices=False)
     ] = None
@@ -78,6 +87,8 @@ class StrokeOptions:
         if self.border is not None:
             free = self.border.strip().lower() == "none"
             made = replace(made, border=None if free else parse_number("--border", self.border, "a width, or none"))
+        if self.border_profile is not None:
+            made = replace(made, border_profile=self.border_profile)
         return made if self.on_fold is None else replace(made, on_fold=self.on_fold)
 
     def _strokes(self) -> list[Stroke]:
@@ -89,12 +100,18 @@ class StrokeOptions:
         radii = _spread("--radius", self.radius, count, "a number of pixels or millimetres above 0")
         ratios = _spread("--poisson", self.poisson, count, "a number up to 0.5, or -inf") or [0.4] * count
         scales = _spread("--scales", self.scales, count, "1, 2 or 3") or [1] * count
+        wanted = "a number of radii from 1, or none"
+        reaches: list[float | None] = [None] * count
+        if self.reach:
+            texts = ["inf" if x.strip().lower() == "none" else x for x in self.reach]
+            read = _spread("--reach", texts, count, wanted)
+            reaches = [None if x == math.inf else x for x in read]
         strokes = []
-        for text, radius, ratio, scale in zip(self.grab, radii, ratios, scales, strict=True):
+        for text, radius, ratio, scale, reach in zip(self.grab, radii, ratios, scales, reaches, strict=True):
             start, end = _grab(text)
             whole = int(scale) if float(scale).is_integer() else scale
             try:
-                strokes.append(Stroke.grab(start, to=end, radius=radius, poisson=ratio, scales=whole))  # type: ignore[arg-type]
+                strokes.append(Stroke.grab(start, to=end, radius=radius, poisson=ratio, scales=whole, reach=reach))  # type: ignore[arg-type]
             except SuppleError as error:
                 raise SuppleError(f"--grab {text}: {error}") from None
         return strokes

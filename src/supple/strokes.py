@@ -14,29 +14,42 @@ from typing import Any, Literal, NoReturn, Self, get_args
 import numpy as np
 import numpy.typing as npt
 
-from supple.domain import checked_border, choice, integer, length, number, point, refuse, shown
+from supple.domain import (
+    LARGEST,
+    BorderProfile,
+    check_border_profile,
+    checked_border,
+    choice,
+    integer,
+    length,
+    number,
+    point,
+    refuse,
+    shown,
+)
 from supple.errors import SuppleError
 
 Brush = Literal["grab"]
 FoldPolicy = Literal["damp", "flow", "error"]
 Point = Sequence[float] | npt.NDArray[Any]
 
-VERSION = 1
+VERSION = 2
 
 STROKE_DTYPE = np.dtype(
     [
         ("pivot", np.float64, (3,)),
         ("force", np.float64, (3,)),
-        ("matrix", np.float64, (3, 3)),
         ("radius2", np.float64, (3,)),
         ("p", np.float64, (3,)),
         ("q", np.float64, (3,)),
         ("r", np.float64, (3,)),
         ("terms", np.int64),
-        ("kind", np.int64),
+        ("reach", np.float64),
     ],
     align=True,
 )
+
+_NEW = ("border_profile", "reach")  # keys that version 1 has not
 
 # The radii are ε, 1.1ε and 1.21ε. The weights that cancel the far field, divided by what they leave at the
 # pivot, are exactly these fractions; worked out in floats they would lose digits.
@@ -59,7 +72,9 @@ class Stroke:
     poisson : float
         The material's Poisson ratio, at most 0.5 (incompressible); ``-inf`` is allowed.
     scales : int
-        1 reaches farthest (fading as 1/r), 2 fades as 1/r³, 3 as 1/r⁵.
+        1 is felt farthest (fading as 1/r), 2 fades as 1/r³, 3 as 1/r⁵.
+    reach : float or None
+        How far it is felt at all, in radii from 1: beyond, nothing moves, exactly. None: without limit.
     brush : str
         ``"grab"``.
     hidden : bool
@@ -71,6 +86,7 @@ class Stroke:
     radius: float
     poisson: float = 0.4
     scales: int = 1
+    reach: float | None = None
     brush: Brush = "grab"
     hidden: bool = False
 
@@ -85,6 +101,7 @@ class Stroke:
             "radius": length("radius", self.radius),
             "poisson": number("poisson", self.poisson, "a number up to 0.5, or -inf", -math.inf, 0.5),
             "scales": integer("scales", self.scales, "1, 2 or 3", 1, 3),
+            "reach": _checked_reach(self.reach),
         }
         for name, value in checked.items():
             object.__setattr__(self, name, value)
@@ -99,6 +116,7 @@ class Stroke:
         radius: float,
         poisson: float = 0.4,
         scales: int = 1,
+        reach: float | None = None,
     ) -> Self:
         """Grab what is ``at`` a point and drag it ``to`` another, or ``by`` a distance."""
         start = point("at", at)
@@ -109,12 +127,18 @@ class Stroke:
             drag = tuple(b - a for a, b in zip(start, end, strict=True))
         else:
             raise SuppleError(f"a grab takes one of to and by, found {'neither' if to is None else 'both'}")
-        return cls(at=start, by=drag, radius=radius, poisson=poisson, scales=scales)
+        return cls(at=start, by=drag, radius=radius, poisson=poisson, scales=scales, reach=reach)
 
     @property
     def ndim(self) -> int:
         """How many coordinates its points have: 2 or 3."""
         return len(self.at)
+
+
+def _checked_reach(reach: object) -> float | None:
+    if reach is None:
+        return None
+    return number("reach", reach, f"a number of radii from 1 to {LARGEST:g}, or None for no limit", 1.0, LARGEST)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -125,6 +149,8 @@ class Recipe:
     ----------
     border : float or None
         The width of the fixed border, in physical units; None frees it.
+    border_profile : str
+        How movement fades towards it: ``"quartic"``, or the paper's ``"sine"``.
     on_fold : str
         What is done with a stroke that would fold the picture: ``"damp"``, ``"flow"`` or ``"error"``.
     strokes : iterable of Stroke
@@ -132,11 +158,13 @@ class Recipe:
     """
 
     border: float | None = 50.0
+    border_profile: BorderProfile = "quartic"
     on_fold: FoldPolicy = "damp"
     strokes: tuple[Stroke, ...] = ()
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "border", checked_border(self.border))
+        check_border_profile(self.border_profile)
         choice("on_fold", self.on_fold, get_args(FoldPolicy))
         if not isinstance(self.strokes, Iterable):
             refuse("strokes", "a sequence of Stroke", self.strokes)
@@ -150,7 +178,12 @@ class Recipe:
 
     def to_json(self) -> str:
         """The recipe as strict JSON, one stroke a line, from which `from_json` makes an equal one."""
-        head = {"supple": VERSION, "border": _plain(self.border), "on_fold": self.on_fold}
+        head = {
+            "supple": VERSION,
+            "border": _plain(self.border),
+            "border_profile": self.border_profile,
+            "on_fold": self.on_fold,
+        }
         members = [f"  {_dump(key)}: {_dump(value)}" for key, value in head.items()]
         strokes = ",\n".join(f"    {_dump(_stroke_entry(stroke))}" for stroke in self.strokes)
         members.append(f'  "strokes": [\n{strokes}\n  ]' if strokes else '  "strokes": []')
@@ -163,7 +196,8 @@ class Recipe:
         Parameters
         ----------
         text : str
-            ``border``, ``on_fold``, ``poisson``, ``scales`` and ``hidden`` may be left out, for their defaults.
+            ``border``, ``border_profile``, ``on_fold``, ``poisson``, ``scales``, ``reach`` and ``hidden`` may be left
+            out, for their defaults. A recipe of version 1 has no ``reach``, and the border of the paper, ``"sine"``.
 
         Raises
         ------
@@ -175,12 +209,13 @@ class Recipe:
             refuse("a recipe", "a JSON object", data)
         if "supple" not in data:
             raise SuppleError(f'the key "supple", a recipe\'s version ({VERSION}), is missing in {shown(data)}')
-        wanted = f"{VERSION} (the only version that this release reads)"
-        integer('"supple"', data.pop("supple"), wanted, VERSION, VERSION)
-        _check_keys("the recipe", data, [field.name for field in fields(cls)], ["strokes"])
+        version = integer('"supple"', data.pop("supple"), "1 or 2 (the versions that this release reads)", 1, VERSION)
+        _check_keys("the recipe", data, _known(cls, version), ["strokes"])
+        if version == 1:
+            data["border_profile"] = "sine"
         if not isinstance(data["strokes"], list):
             refuse("strokes", "a list", data["strokes"])
-        data["strokes"] = [_stroke(f"strokes[{i}]", entry) for i, entry in enumerate(data["strokes"])]
+        data["strokes"] = [_stroke(f"strokes[{i}]", entry, version) for i, entry in enumerate(data["strokes"])]
         return cls(**data)
 
 
@@ -202,14 +237,21 @@ def _stroke_entry(stroke: Stroke) -> dict[str, object]:
         "radius": _plain(stroke.radius),
         "poisson": "-inf" if stroke.poisson == -math.inf else _plain(stroke.poisson),
         "scales": stroke.scales,
-        **({"hidden": True} if stroke.hidden else {}),  # others are written as they always were
+        # Only where they are not as by default: others are written as they always were.
+        **({} if stroke.reach is None else {"reach": _plain(stroke.reach)}),
+        **({"hidden": True} if stroke.hidden else {}),
     }
 
 
-def _stroke(where: str, entry: object) -> Stroke:
+def _known(made: type[Recipe | Stroke], version: int) -> list[str]:
+    """The keys of a version."""
+    return [field.name for field in fields(made) if version > 1 or field.name not in _NEW]
+
+
+def _stroke(where: str, entry: object, version: int) -> Stroke:
     if not isinstance(entry, dict):
         refuse(where, "a JSON object", entry)
-    _check_keys(where, entry, [field.name for field in fields(Stroke)], ["brush", "at", "by", "radius"])
+    _check_keys(where, entry, _known(Stroke, version), ["brush", "at", "by", "radius"])
     if entry.get("poisson") == "-inf":
         entry["poisson"] = -math.inf
     try:
@@ -221,8 +263,10 @@ def _stroke(where: str, entry: object) -> Stroke:
 def _check_keys(where: str, entry: dict[str, object], known: list[str], required: list[str]) -> None:
     for key in entry:
         if key not in known:
-            near = difflib.get_close_matches(key, known, n=1, cutoff=0.4)
+            near = difflib.get_close_matches(key, known, n=1, cutoff=0.5)
             hint = f'did you mean "{near[0]}"?' if near else f"known are {', '.join(known)}"
+            if key in _NEW:
+                hint = f'it is of version {VERSION} ("supple": {VERSION})'
             raise SuppleError(f"unknown key {shown(key)} in {where}: {hint}")
     for key in required:
         if key not in entry:
@@ -261,7 +305,8 @@ def pack(strokes: Iterable[Stroke], spacing: Sequence[float]) -> npt.NDArray[np.
     """The strokes as the table that the engines read.
 
     With ``d = point - pivot`` and ``rho_i² = |d|² + radius2_i``, a row stands for the displacement
-    ``sum_i (p_i / rho_i + q_i / rho_i³) force + (r_i / rho_i³) (d · force) d``: ``force`` at the pivot.
+    ``sum_i (p_i / rho_i + q_i / rho_i³) force + (r_i / rho_i³) (d · force) d``: ``force`` at the pivot. Where
+    ``reach`` is finite, that is multiplied by ``1 - 10t³ + 15t⁴ - 6t⁵``, ``t = |d| / reach``, and 0 beyond.
 
     Parameters
     ----------
@@ -284,6 +329,7 @@ def pack(strokes: Iterable[Stroke], spacing: Sequence[float]) -> npt.NDArray[np.
         row["force"][:n] = np.multiply(stroke.by, spacing)
         row["terms"] = stroke.scales
         row["radius2"], row["p"], row["q"], row["r"] = _terms(stroke.radius, stroke.poisson, stroke.scales)
+        row["reach"] = math.inf if stroke.reach is None else stroke.reach * stroke.radius
     return table
 
 

@@ -93,7 +93,7 @@ def positions(n: int, axis: Floats, size: int = SIZE) -> npt.NDArray[np.int64]:
     if n == 1:  # one sample alone still gets a cell, which reaches beyond the plane
         return np.array([0, 1], np.int64)
     # The border's influence has a kink where it ends. Few cells lie across it if they end there too.
-    extent, sigma, spacing = axis
+    extent, sigma, spacing = axis[:3]
     kinks = [round(k / spacing) for k in (sigma, extent - sigma)] if sigma > 0 else []
     ends = sorted({0, *(k for k in kinks if 0 < k < n - 1), n - 1})
     return np.concatenate([*(np.arange(a, b, size) for a, b in itertools.pairwise(ends)), [n - 1]]).astype(np.int64)
@@ -106,7 +106,7 @@ def solve_plane(table: npt.NDArray[np.void], axes: Floats, shape: tuple[int, int
     ----------
     table : ndarray of STROKE_DTYPE
         Strokes that are known to be one-to-one.
-    axes : float64 array, shape (3, 3)
+    axes : float64 array, shape (3, 4)
         The packed domain.
     shape : (int, int)
         Rows and columns of the plane.

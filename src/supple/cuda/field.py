@@ -42,7 +42,7 @@ def packed(tables: Sequence[npt.NDArray[np.void]], domains: Sequence[Floats]) ->
         for k, name in enumerate(("radius2", "p", "q", "r")):
             out[:, TERM + k :: 4] = table[name]
         rows.append(out.ravel())
-    known = np.concatenate([*(np.asarray(d, np.float64).ravel() for d in domains), *rows])
+    known = np.concatenate([*(np.asarray(d, np.float64)[:, :3].ravel() for d in domains), *rows])
     return known, np.cumsum([0, *(t.size for t in tables)]).astype(np.int32)
 
 

@@ -137,7 +137,13 @@ def _rebuilt(
         return d
     given = {"at": at, "by": by, "radius": radius}
     columns = {name: x.detach().to("cpu", torch.float64).tolist() for name, x in given.items() if x is not None}
-    made = Deformation(d.shape, border=d.domain.border, spacing=d.domain.spacing, on_fold=d.on_fold)
+    made = Deformation(
+        d.shape,
+        border=d.domain.border,
+        border_profile=d.domain.border_profile,
+        spacing=d.domain.spacing,
+        on_fold=d.on_fold,
+    )
     for i, stroke in enumerate(d.strokes):
         try:
             made = made.add(replace(stroke, **{name: rows[i] for name, rows in columns.items()}), warn=False)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 
 from imgui_bundle import imgui
 
+from supple.domain import Domain, border_factor
 from supple.gpu.plate import OVERLAYS
 from supple.strokes import FoldPolicy, Stroke
 from supple.transfer import PRESETS
@@ -165,7 +166,8 @@ def _selected(view: View) -> None:
             if imgui.small_button("flow: all of it"):
                 view.attempt(lambda: document.set_on_fold("flow"))
             hint("In smaller steps, none of which folds: for all strokes")
-        held = held_back(stroke, document.state.border, view.stage.shape, view.stage.spacing)
+        state = document.state
+        held = held_back(stroke, Domain(view.stage.shape, view.stage.spacing, state.border, state.border_profile))
         if held < 0.5:
             imgui.push_text_wrap_pos(0.0)
             imgui.text_disabled(
@@ -202,15 +204,15 @@ def _typed(view: View, label: str, value: float, form: str) -> tuple[bool, float
     return over, view.typed.pop(label) if over else value
 
 
-def held_back(stroke: Stroke, border: float | None, shape: tuple[int, ...], spacing: tuple[float, ...]) -> float:
+def held_back(stroke: Stroke, domain: Domain) -> float:
     """How much of a stroke a fixed border lets through where it takes hold: the least along any axis that it moves."""
-    if border is None or border <= 0:
+    if domain.border is None:
         return 1.0
     least = 1.0
-    for at, by, n, step in zip(stroke.at, stroke.by, reversed(shape), spacing, strict=True):
+    for at, by, (extent, _, step, profile) in zip(stroke.at, stroke.by, domain.packed(), strict=False):
         if by:
-            away = min(at, n - 1 - at) * step
-            least = min(least, math.sin(0.5 * math.pi * min(max(away / border, 0.0), 1.0)))
+            away = min(at * step, extent - at * step)
+            least = min(least, float(border_factor(away / domain.border, profile)))
     return least
 
 

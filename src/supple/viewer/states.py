@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Literal, Self
 
 from supple.deformation import Deformation
-from supple.domain import refuse
+from supple.domain import BorderProfile, refuse
 from supple.errors import SuppleError
 from supple.strokes import FoldPolicy, Recipe, Stroke
 
@@ -51,6 +51,7 @@ class State:
     items : tuple of Item
         In the order in which they are applied.
     border : float or None
+    border_profile : str
     on_fold : str
     selected : int or None
         Which item is selected.
@@ -58,18 +59,24 @@ class State:
 
     items: tuple[Item, ...] = ()
     border: float | None = 50.0
+    border_profile: BorderProfile = "quartic"
     on_fold: FoldPolicy = "damp"
     selected: int | None = None
 
     @classmethod
     def of(cls, recipe: Recipe) -> Self:
         """A recipe, with nothing selected."""
-        return cls(tuple(map(Item.of, recipe.strokes)), recipe.border, recipe.on_fold)
+        return cls(tuple(map(Item.of, recipe.strokes)), recipe.border, recipe.border_profile, recipe.on_fold)
 
     @property
     def recipe(self) -> Recipe:
         """What is kept of it in a file."""
-        return Recipe(border=self.border, on_fold=self.on_fold, strokes=tuple(item.kept for item in self.items))
+        return Recipe(
+            border=self.border,
+            border_profile=self.border_profile,
+            on_fold=self.on_fold,
+            strokes=tuple(item.kept for item in self.items),
+        )
 
     def with_item(self, i: int, item: Item) -> Self:
         """Another stroke in the place of one; or after the last."""
@@ -78,7 +85,7 @@ class State:
     @property
     def content(self) -> tuple[object, ...]:
         """All of it but what is selected."""
-        return self.items, self.border, self.on_fold
+        return self.items, self.border, self.border_profile, self.on_fold
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,8 +114,15 @@ class Medium:
 
     def solve(self, state: State, chain: tuple[Deformation, ...] = ()) -> Solved:
         """The deformation of a state; what it has in common with a chain that is known is not worked out again."""
-        if not chain or (chain[0].domain.border, chain[0].on_fold) != (state.border, state.on_fold):
-            chain = (Deformation(self.shape, border=state.border, spacing=self.spacing, on_fold=state.on_fold),)
+        empty = Deformation(
+            self.shape,
+            border=state.border,
+            border_profile=state.border_profile,
+            spacing=self.spacing,
+            on_fold=state.on_fold,
+        )
+        if not chain or (chain[0].domain, chain[0].on_fold) != (empty.domain, empty.on_fold):
+            chain = (empty,)
         visible = [(i, item.stroke) for i, item in enumerate(state.items) if not item.hidden]
         same = 0
         for (_, stroke), before in zip(visible, chain[-1].strokes, strict=False):
