@@ -39,7 +39,7 @@ fn finished(filtered: vec4f) -> vec4f {
         let last = settings.channels - 1u;
         let opacity = v[last];
         v *= select(0.0, settings.white / opacity, opacity > 0.0);
-        v[last] = opacity;
+        v[last] = clamp(opacity, 0.0, settings.white); // a cubic overshoots
     }
     if (LIGHT) {
         let kept = v;

@@ -84,8 +84,8 @@ def reach_of(nodes: npt.NDArray[np.float32], first: int, origin: int, step: tupl
     tall = np.abs(across[..., 1]) * step[0] + np.abs(down[..., 1]) * step[1]
     long = np.sqrt((across[..., 2] * step[0]) ** 2 + (down[..., 2] * step[1]) ** 2 + along[..., 2] ** 2)
     # The eigenvalues of M Mᵀ, in samples; see footprint.wgsl.
-    x, y = ((across[..., k] * step[0] / step[k], down[..., k] * step[1] / step[k]) for k in range(2))
-    xx, xy, yy = (np.sum(np.stack(a) * np.stack(b), axis=0) for a, b in ((x, x), (x, y), (y, y)))
+    mx, my = ((across[..., k] * step[0] / step[k], down[..., k] * step[1] / step[k]) for k in range(2))
+    xx, xy, yy = (np.sum(np.stack(a) * np.stack(b), axis=0) for a, b in ((mx, mx), (mx, my), (my, my)))
     half, apart = 0.5 * (xx + yy), np.hypot(0.5 * (xx - yy), xy)
     major, minor = half + apart, half - apart
     want = np.maximum(minor, major / LONG)
