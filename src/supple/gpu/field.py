@@ -52,6 +52,12 @@ def local(table: npt.NDArray[np.void]) -> bool:
     return bool(np.isfinite(table["reach"]).all())
 
 
+def reached(table: npt.NDArray[np.void], axes: Floats, planes: tuple[int, int]) -> npt.NDArray[np.bool_]:
+    """Return which planes, of a range of the third axis, the ball of any stroke touches."""
+    z = np.arange(*planes)[:, None] * axes[2, 2]
+    return np.asarray((np.abs(z - table["pivot"][:, 2]) < table["reach"]).any(axis=1))
+
+
 def domain(axes: Floats) -> npt.NDArray[np.float32]:
     """Return a packed domain (`Domain.packed`) as shaders read it.
 
