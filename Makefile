@@ -5,8 +5,12 @@ VENV := .venv
 BIN := $(VENV)/bin
 PYTHON ?=
 CUDA ?=
+DEBUG ?=
 
-.PHONY: help venv demo test test-cuda bench bench-gpu bench-cuda bench-window soak lint clean
+# An editable install is a path to src/; the core is compiled there by `make core`.
+PIP = $(BIN)/python -m pip install --quiet --disable-pip-version-check --config-settings core=later --editable
+
+.PHONY: help venv core demo test test-cuda sanitize bench bench-gpu bench-cuda bench-window soak lint wheel clean
 
 help:
 	@echo "make demo      a small gallery in demo/, to look at"
@@ -17,11 +21,18 @@ help:
 	@echo "make bench-cuda how fast CUDA is on an NVIDIA card, against others"
 	@echo "make bench-window  how fast the window follows a hand"
 	@echo "make soak      ten million points of random strokes"
+	@echo "make sanitize  tests of the native core, with memory and undefined behaviour watched"
 	@echo "make lint      style, types and the import rule"
-	@echo "make venv      only the virtual environment, in .venv"
+	@echo "make venv      only the virtual environment, in .venv, and the native core"
+	@echo "make core      only the native core: what changed is compiled again (DEBUG=1: for a debugger)"
+	@echo "make wheel     a wheel for other machines, in dist/"
 	@echo "make clean     remove all that these made"
 
-venv: $(VENV)/stamp
+venv: $(VENV)/stamp core
+
+# In place, into src/supple/_core; what did not change is not compiled again.
+core: $(VENV)/stamp
+	@$(BIN)/python tools/core.py $(if $(filter-out 0,$(DEBUG)),--debug)
 
 $(VENV)/stamp: pyproject.toml
 	@if $(BIN)/python -m pip --version >/dev/null 2>&1; then exit 0; fi; \
@@ -42,11 +53,11 @@ $(VENV)/stamp: pyproject.toml
 	fi; \
 	echo "Setting up $(VENV) with $$found"; \
 	"$$found" -m venv --clear $(VENV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
+	@$(PIP) '.[dev]' || { echo "make: pip could not install what Supple needs: is there a network?" >&2; exit 1; }
 	@touch $@
 
 $(VENV)/stamp-bench: $(VENV)/stamp
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[bench]'
+	$(PIP) '.[bench]'
 	@touch $@
 
 # The CUDA engine and the libraries whose arrays it takes, or is compared with. Drivers from 580 on know CUDA 13.
@@ -68,7 +79,7 @@ $(VENV)/stamp-cuda: $(VENV)/stamp
 	echo "Adding CUDA $$cuda, PyTorch, CuPy and kornia to $(VENV): some gigabytes"; \
 	pip="$(BIN)/python -m pip install --quiet --disable-pip-version-check"; \
 	index="$(if $(TORCH_INDEX),--index-url $(TORCH_INDEX))"; \
-	$$pip --editable ".[cuda$$cuda]" || exit 1; \
+	$(PIP) ".[cuda$$cuda]" || exit 1; \
 	$$pip $$index torch || echo "make: without PyTorch: its rows say so, and its tests are left out" >&2; \
 	for other in "cupy-cuda$${cuda}x[ctk]" kornia; do \
 	  $$pip "$$other" || echo "make: without $$other: its rows say so, and its tests are left out" >&2; \
@@ -96,6 +107,10 @@ test-cuda: venv $(VENV)/stamp-cuda
 	  echo "compute-sanitizer is not on the PATH (it comes with the CUDA toolkit): memory was not checked"; \
 	fi
 
+# A second build of the core, in build/. To choose tests: make sanitize TESTS=tests/core/test_isa.py
+sanitize: $(VENV)/stamp
+	@$(BIN)/python tools/core.py --sanitize $(TESTS)
+
 bench: venv $(VENV)/stamp-bench
 	$(BIN)/python benchmarks/run.py
 
@@ -111,12 +126,17 @@ bench-window: venv
 soak: venv
 	$(BIN)/python tests/soak.py
 
-lint: venv
+lint: $(VENV)/stamp
 	$(BIN)/ruff check
 	$(BIN)/ruff format --check
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+	$(BIN)/clang-format --dry-run --Werror $(wildcard src/supple/_core/*.[ch]pp)
+
+wheel: $(VENV)/stamp
+	@$(BIN)/python tools/wheel.py
 
 clean:
 	rm -rf $(VENV) build dist demo .hypothesis .import_linter_cache .mypy_cache .pytest_cache .ruff_cache
+	rm -f src/supple/_core/*.so src/supple/_core/*.pyd src/supple/_core/*.dylib
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -1,0 +1,7 @@
+"""The native core, as compiled for the best instruction set that this processor runs (see ``loading``)."""
+
+from supple._core.loading import load as _load
+
+_module = _load()
+isa = _module.__name__.rpartition(".")[2]
+globals().update({name: value for name, value in vars(_module).items() if not name.startswith("_")})

@@ -1,0 +1,229 @@
+// The field: one stroke's displacement, its derivatives, and the chain of strokes.
+//
+// With r = p - pivot and s = |r|², a stroke displaces by (MATH in the docs: docs/method.md)
+//
+//     K(p) = A(s) f + B(s) (r·f) r,     A = Σ p_i/ρ_i + q_i/ρ_i³,  B = Σ r_i/ρ_i³,  ρ_i² = s + e_i
+//     J(p) = 2A' f rᵀ + 2B' (r·f) r rᵀ + B [r fᵀ + (r·f) I]                                         (' = d/ds)
+//
+// With a reach R, A and B are multiplied by m(t) = (1-t)³ (1 + 3t + 6t²), t = √s / R: 0 beyond, and C². Where a
+// border is fixed, K_β = diag(β) K, J_β = diag(β) J + diag(β' ∘ K), and beyond a face the map goes on as it is at the
+// nearest point of the face: there, the derivatives across the face are 0.
+//
+// All is a template over the number V (`double`, or a vector of doubles) and the dimension D. No std::, allocation or
+// exceptions, so that compilers for GPUs take this file as it is.
+#pragma once
+#include "simd.hpp"
+
+namespace supple {
+
+// One row of the stroke table, in physical units, as `supple.strokes.STROKE_DTYPE` lays it out; and what is derived.
+struct Stroke {
+    double pivot[3], force[3], radius2[3], p[3], q[3], r[3];
+    int64_t terms;
+    double reach;     // R, or infinity
+    double per_reach; // 1/R, or 0
+    bool inner;       // the ball of its reach touches no fixed border: β is 1 in all of it
+};
+
+enum Profile : int64_t { QUARTIC = 0, SINE = 1 };
+
+// An axis of the domain, in physical units. `sigma` is the width of the fixed border: -1 where the axis is free, 0
+// where nothing moves along it.
+struct Axis {
+    double extent, sigma, spacing;
+    int64_t profile;
+    bool fixed() const { return sigma >= 0; }
+};
+
+// sin(x) on [0, π/2] by its Taylor series, to the last bit; it vectorizes, which the library's does not.
+template <class V> INLINE V sine(V x) {
+    V t = x * x, y = splat<V>(-1.9572941063391263e-20);
+    y = y * t + 8.2206352466243295e-18;
+    y = y * t - 2.8114572543455206e-15;
+    y = y * t + 7.6471637318198164e-13;
+    y = y * t - 1.6059043836821613e-10;
+    y = y * t + 2.5052108385441720e-08;
+    y = y * t - 2.7557319223985893e-06;
+    y = y * t + 1.9841269841269841e-04;
+    y = y * t - 8.3333333333333332e-03;
+    y = y * t + 1.6666666666666666e-01;
+    return x - x * t * y;
+}
+
+// β of a coordinate within the domain, and its first and second derivative, as far as ORDER asks.
+template <int ORDER, class V> INLINE void fade(V x, const Axis& a, V* b) {
+    const V one = splat<V>(1.0);
+    if (!(a.sigma > 0)) {
+        for (int i = 0; i <= ORDER; i++) b[i] = i == 0 && a.sigma < 0 ? one : V{};
+        return;
+    }
+    V depth = least(x, V(a.extent - x)), t = least(V(most(depth, V{}) / a.sigma), one);
+    V side = choose(x + x < a.extent, one, V(-one)) / a.sigma;  // dt/dx
+    if (a.profile == SINE) {
+        const double quarter = 1.57079632679489661923;
+        b[0] = sine(V(quarter * t));
+        if (ORDER > 0) b[1] = quarter * side * sine(V(quarter * (1.0 - t)));
+        if (ORDER > 1) b[2] = choose(t < 1.0, V(-(quarter / a.sigma) * (quarter / a.sigma) * b[0]), V{});
+    } else {  // 2t - 2t³ + t⁴
+        b[0] = t * (2.0 + t * t * (t - 2.0));
+        if (ORDER > 0) b[1] = side * (2.0 + t * t * (4.0 * t - 6.0));
+        if (ORDER > 1) b[2] = (-12.0 / (a.sigma * a.sigma)) * t * (1.0 - t);
+    }
+}
+
+template <int D, class V> INLINE V dot(const V* a, const V* b) {
+    V s = a[0] * b[0];
+    for (int i = 1; i < D; i++) s += a[i] * b[i];
+    return s;
+}
+
+// A, B and their derivatives: A[1] = 2A', A[2] = 4A''.
+template <class V> struct Radial {
+    V A[3], B[3];
+};
+
+// The radial profiles of a stroke at s = |r|².
+template <int ORDER, class V> INLINE Radial<V> radial(const Stroke& k, V s) {
+    Radial<V> f{};
+    for (int i = 0; i < k.terms; i++) {
+        V v = 1.0 / root(V(s + k.radius2[i])), v2 = v * v, v3 = v * v2;
+        f.A[0] += k.p[i] * v + k.q[i] * v3;
+        f.B[0] += k.r[i] * v3;
+        if (ORDER > 0) {
+            f.A[1] -= v3 * (k.p[i] + 3.0 * k.q[i] * v2);
+            f.B[1] -= 3.0 * k.r[i] * v3 * v2;
+        }
+        if (ORDER > 1) {
+            V v5 = v3 * v2;
+            f.A[2] += v5 * (3.0 * k.p[i] + 15.0 * k.q[i] * v2);
+            f.B[2] += 15.0 * k.r[i] * v5 * v2;
+        }
+    }
+    if (k.per_reach > 0) {  // the product rule with m, m1 = 2m' and m2 = 4m''
+        const double i2 = k.per_reach * k.per_reach;
+        V t = least(V(root(s) * k.per_reach), splat<V>(1.0)), w = 1.0 - t, w2 = w * w;
+        V m = w2 * w * (1.0 + t * (3.0 + 6.0 * t));
+        if (ORDER > 0) {
+            V m1 = -30.0 * i2 * t * w2;
+            if (ORDER > 1) {
+                V m2 = -30.0 * i2 * i2 * w * (1.0 - 3.0 * t) / most(t, splat<V>(1e-12));
+                f.A[2] = m * f.A[2] + 2.0 * m1 * f.A[1] + m2 * f.A[0];
+                f.B[2] = m * f.B[2] + 2.0 * m1 * f.B[1] + m2 * f.B[0];
+            }
+            f.A[1] = m * f.A[1] + m1 * f.A[0];
+            f.B[1] = m * f.B[1] + m1 * f.B[0];
+        }
+        f.A[0] *= m;
+        f.B[0] *= m;
+    }
+    return f;
+}
+
+// What a jet carries through the chain beside the point x: tangents t[j] = ∂x/∂u_j and, if MIXED, ∂²x/∂u₀∂u₁.
+template <int D, int TANGENTS, bool MIXED, class V> struct Jet {
+    V x[D];
+    V t[TANGENTS > 0 ? TANGENTS : 1][D];
+    V mixed[MIXED ? D : 1];
+};
+
+// Send a jet through one stroke: x ← T(x), t ← T'(x) t, mixed ← T'(x) mixed + T''(x)(t₀, t₁).
+//
+// Returns, if MIXED, the square of how far one may go in u before the map varies: ρ² / |t|², and 4σ² / |t|² of a
+// border.
+template <int D, int TANGENTS, bool MIXED, class V>
+INLINE V carry(const Stroke& k, const Axis* axes, Jet<D, TANGENTS, MIXED, V>& jet) {
+    constexpr int ORDER = MIXED ? 2 : TANGENTS > 0 ? 1 : 0;
+    constexpr int N = TANGENTS > 0 ? TANGENTS : 1;
+    V r[D], f[D], inside[D], beta[D][3], s = V{};
+    for (int i = 0; i < D; i++) {
+        V near = jet.x[i];
+        inside[i] = splat<V>(1.0);
+        bool fading = axes[i].fixed() && !k.inner;
+        if (fading) {
+            near = least(most(near, V{}), splat<V>(axes[i].extent));
+            inside[i] = choose(near == jet.x[i], inside[i], V{});
+            fade<ORDER>(near, axes[i], beta[i]);
+        } else {
+            beta[i][0] = splat<V>(1.0);
+            beta[i][1] = beta[i][2] = V{};
+        }
+        r[i] = near - k.pivot[i];
+        f[i] = splat<V>(k.force[i]);
+        s += r[i] * r[i];
+    }
+    Radial<V> g = radial<ORDER>(k, s);
+    V rf = dot<D>(r, f), K[D];
+    for (int i = 0; i < D; i++) K[i] = g.A[0] * f[i] + g.B[0] * rf * r[i];
+
+    V reach = splat<V>(1e300);
+    if constexpr (TANGENTS > 0) {
+        // J u = 2A' (r·u) f + (2B' (r·u)(r·f) + B (u·f)) r + B (r·f) u, of each tangent as it is at the nearest point
+        V u[N][D], ru[N], uf[N], h[N], Ju[N][D], longest = V{};
+        for (int j = 0; j < TANGENTS; j++) {
+            for (int i = 0; i < D; i++) u[j][i] = inside[i] * jet.t[j][i];
+            ru[j] = dot<D>(r, u[j]);
+            uf[j] = dot<D>(u[j], f);
+            h[j] = g.B[1] * ru[j] * rf + g.B[0] * uf[j];
+            for (int i = 0; i < D; i++) Ju[j][i] = g.A[1] * ru[j] * f[i] + h[j] * r[i] + g.B[0] * rf * u[j][i];
+            if (MIXED && j < 2) longest = most(longest, dot<D>(jet.t[j], jet.t[j]));
+        }
+        if constexpr (MIXED) {
+            V n[D];
+            for (int i = 0; i < D; i++) n[i] = inside[i] * jet.mixed[i];
+            V uv = dot<D>(u[0], u[1]), a = g.A[2] * ru[0] * ru[1] + g.A[1] * uv;
+            V b = g.B[2] * ru[0] * ru[1] * rf + g.B[1] * (uv * rf + ru[0] * uf[1] + ru[1] * uf[0]);
+            V rn = dot<D>(r, n), hn = g.B[1] * rn * rf + g.B[0] * dot<D>(n, f);
+            for (int i = 0; i < D; i++) {
+                V Jn = g.A[1] * rn * f[i] + hn * r[i] + g.B[0] * rf * n[i];
+                V second = a * f[i] + b * r[i] + h[0] * u[1][i] + h[1] * u[0][i] + Jn;
+                jet.mixed[i] += beta[i][0] * second +
+                                beta[i][1] * (u[0][i] * Ju[1][i] + u[1][i] * Ju[0][i] + n[i] * K[i]) +
+                                beta[i][2] * u[0][i] * u[1][i] * K[i];
+            }
+            reach = (s + k.radius2[0]) / longest;
+            for (int i = 0; i < D; i++)
+                if (axes[i].sigma > 0 && !k.inner)
+                    reach = least(reach, V(4.0 * axes[i].sigma * axes[i].sigma / longest));
+        }
+        for (int j = 0; j < TANGENTS; j++)
+            for (int i = 0; i < D; i++) jet.t[j][i] += beta[i][0] * Ju[j][i] + beta[i][1] * u[j][i] * K[i];
+    }
+    for (int i = 0; i < D; i++) jet.x[i] += beta[i][0] * K[i];
+    return reach;
+}
+
+// T of points alone.
+template <int D, class V> INLINE void move(const Stroke& k, const Axis* axes, V* x) {
+    Jet<D, 0, false, V> jet;
+    for (int i = 0; i < D; i++) jet.x[i] = x[i];
+    carry(k, axes, jet);
+    for (int i = 0; i < D; i++) x[i] = jet.x[i];
+}
+
+// The inverse of the matrix whose columns are t, as columns again.
+template <class V> INLINE void invert(const V (*t)[2], V (*m)[2]) {
+    V d = 1.0 / (t[0][0] * t[1][1] - t[1][0] * t[0][1]);
+    m[0][0] = t[1][1] * d;
+    m[0][1] = -t[0][1] * d;
+    m[1][0] = -t[1][0] * d;
+    m[1][1] = t[0][0] * d;
+}
+template <class V> INLINE void invert(const V (*t)[3], V (*m)[3]) {
+    V c[3][3];  // the adjugate
+    for (int i = 0; i < 3; i++)
+        for (int j = 0; j < 3; j++) {
+            int a = (i + 1) % 3, b = (i + 2) % 3, p = (j + 1) % 3, q = (j + 2) % 3;
+            c[j][i] = t[a][p] * t[b][q] - t[a][q] * t[b][p];
+        }
+    V d = 1.0 / (t[0][0] * c[0][0] + t[0][1] * c[1][0] + t[0][2] * c[2][0]);
+    for (int i = 0; i < 3; i++)
+        for (int j = 0; j < 3; j++) m[i][j] = c[i][j] * d;
+}
+// Component i of the matrix with the columns t, times x.
+template <int D, class V> INLINE V times(const V (*t)[D], const V* x, int i) {
+    V s = t[0][i] * x[0];
+    for (int j = 1; j < D; j++) s += t[j][i] * x[j];
+    return s;
+}
+
+}  // namespace supple

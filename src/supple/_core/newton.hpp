@@ -1,0 +1,188 @@
+// T⁻¹: Newton's method with backtracking on a chain of strokes, and a continuation where that struggles.
+//
+// Every stroke is one-to-one with a Jacobian that is nowhere singular (`supple.folding` sees to it), so T(p) = q has
+// one solution, and the step δ = -(I+J)⁻¹ ξ, ξ = T(p) - q, always leads downhill in |ξ|². From a good guess, the whole
+// chain is solved at once; without one, stroke after stroke is undone, the last one first, which cannot fail where
+// each is one-to-one.
+#pragma once
+#include "field.hpp"
+
+namespace supple {
+
+// Which strokes of a table apply, in their order.
+struct Chain {
+    const Stroke* strokes;
+    const int* list;
+    int count;
+    const Stroke& operator[](int i) const { return strokes[list[i]]; }
+    Chain only(int i) const { return {strokes, list + i, 1}; }
+};
+
+// A point p with T(p) = q, the columns of (∂T/∂p)⁻¹ there, how often T was evaluated with its Jacobian, and which
+// lanes converged.
+template <int D, class V> struct Solution {
+    V p[D];
+    V m[D][D];
+    V steps;
+    typename Masked<V>::type done;
+};
+
+// A coordinate where a face is fixed: the face maps to itself, and nothing crosses it.
+template <class V> INLINE V kept_inside(V x, V q, const Axis& a) {
+    if (!a.fixed()) return x;
+    V extent = splat<V>(a.extent);
+    V kept = choose(q <= 0.0, q, V(least(most(x, V{}), extent)));
+    return choose(q >= extent, q, kept);
+}
+
+template <int D, class V> INLINE void apply(const Chain& chain, const Axis* axes, V* x) {
+    for (int k = 0; k < chain.count; k++) move<D>(chain[k], axes, x);
+}
+// T and its Jacobian, as columns t.
+template <int D, class V> INLINE void apply(const Chain& chain, const Axis* axes, V* x, V (*t)[D]) {
+    Jet<D, D, false, V> jet;
+    for (int i = 0; i < D; i++) {
+        jet.x[i] = x[i];
+        for (int j = 0; j < D; j++) jet.t[j][i] = splat<V>(i == j);
+    }
+    for (int k = 0; k < chain.count; k++) carry(chain[k], axes, jet);
+    for (int i = 0; i < D; i++) {
+        x[i] = jet.x[i];
+        for (int j = 0; j < D; j++) t[j][i] = jet.t[j][i];
+    }
+}
+
+constexpr double SHORTEST = 0x1p-24;  // part of a step that is tried
+constexpr double DOWNHILL = 1e-4;     // part of the promised decrease that a step must keep
+
+// Solve T(p) = q from the guess in `found.p`, until a step is shorter than `tolerance`.
+template <int D, class V>
+INLINE void newton(const Chain& chain, const Axis* axes, const V* q, double tolerance, int limit,
+                   Solution<D, V>& found) {
+    typedef typename Masked<V>::type M;
+    V base[D], step[D], error = splat<V>(1e300), part = splat<V>(1.0);
+    M done = error < 0.0;
+    for (int i = 0; i < D; i++) {
+        base[i] = found.p[i];
+        step[i] = V{};
+    }
+    for (int round = 0; round < limit; round++) {
+        V tried[D], x[D], t[D][D], e2 = V{};
+        for (int i = 0; i < D; i++) x[i] = tried[i] = kept_inside(V(base[i] + part * step[i]), q[i], axes[i]);
+        apply<D>(chain, axes, x, t);
+        found.steps += choose(done, V{}, splat<V>(1.0));
+        for (int i = 0; i < D; i++) {
+            x[i] -= q[i];
+            e2 += x[i] * x[i];
+        }
+        M taken = without(e2 <= error * (1.0 - DOWNHILL * part), done);
+        V m[D][D], d[D], d2 = V{};
+        invert(t, m);
+        for (int i = 0; i < D; i++) {
+            d[i] = -times<D>(m, x, i);
+            d2 += d[i] * d[i];
+        }
+        for (int i = 0; i < D; i++) {
+            base[i] = choose(taken, tried[i], base[i]);
+            step[i] = choose(taken, d[i], step[i]);
+            for (int j = 0; j < D; j++) found.m[j][i] = choose(taken, m[j][i], found.m[j][i]);
+        }
+        error = choose(taken, e2, error);
+        part = choose(taken, splat<V>(1.0), V(0.5 * part));
+        done = either(done, both(taken, d2 <= tolerance * tolerance));
+        if (!any(without(part > SHORTEST, done))) break;
+    }
+    // The step that was short enough to end with is known, and taken.
+    for (int i = 0; i < D; i++)
+        found.p[i] = kept_inside(choose(done, V(base[i] + step[i]), base[i]), q[i], axes[i]);
+    found.done = done;
+}
+
+// Solve one stroke at one point by following T⁻¹ along the straight line from T(q) to q; false if it was lost.
+template <int D>
+NOINLINE bool follow(const Chain& one, const Axis* axes, const double* q, double tolerance, double* p,
+                     double& steps) {
+    double start[D], here[D];
+    for (int i = 0; i < D; i++) start[i] = here[i] = q[i];
+    apply<D>(one, axes, start);
+    double way = 0, stride = 0.5;
+    while (way < 1 && stride > 1e-9) {
+        double next = least(1.0, way + stride), target[D];
+        Solution<D, double> found{};
+        for (int i = 0; i < D; i++) {
+            target[i] = start[i] + next * (q[i] - start[i]);
+            found.p[i] = here[i];
+        }
+        newton<D>(one, axes, target, tolerance, 12, found);
+        steps += found.steps;
+        stride *= found.done ? 2 : 0.5;
+        if (!found.done) continue;
+        for (int i = 0; i < D; i++) here[i] = found.p[i];
+        way = next;
+    }
+    if (way < 1) return false;
+    for (int i = 0; i < D; i++) p[i] = here[i];
+    return true;
+}
+
+// Solve T(p) = q without a guess: undo stroke after stroke, then polish with the whole chain.
+template <int D, class V>
+NOINLINE void undo(const Chain& chain, const Axis* axes, const V* q, double tolerance, Solution<D, V>& found) {
+    V at[D];
+    for (int i = 0; i < D; i++) at[i] = q[i];
+    found = Solution<D, V>();
+    found.done = splat<V>(0.0) <= 0.0;
+    for (int i = 0; i < D; i++) {
+        found.p[i] = at[i];
+        for (int j = 0; j < D; j++) found.m[j][i] = splat<V>(i == j);
+    }
+    for (int k = chain.count - 1; k >= 0; k--) {
+        Chain one = chain.only(k);
+        for (int i = 0; i < D; i++) found.p[i] = at[i];
+        newton<D>(one, axes, at, tolerance, 40, found);
+        for (int l = 0; l < Masked<V>::lanes; l++)
+            if (!lane(found.done, l)) {
+                double target[D], p[D], steps = 0;
+                for (int i = 0; i < D; i++) target[i] = lane(at[i], l);
+                bool known = follow<D>(one, axes, target, tolerance, p, steps);
+                if constexpr (Masked<V>::lanes == 1) {
+                    for (int i = 0; i < D && known; i++) found.p[i] = p[i];
+                    found.steps += steps;
+                } else {
+                    for (int i = 0; i < D && known; i++) found.p[i][l] = p[i];
+                    found.steps[l] += steps;
+                }
+            }
+        for (int i = 0; i < D; i++) at[i] = found.p[i];
+    }
+    // Of one stroke, too, the matrix must be that at the solution.
+    newton<D>(chain, axes, q, tolerance, 8, found);
+}
+
+// Take one more Newton step from p with m ≈ (∂T/∂p)⁻¹ in `found`, which makes m exact to second order, and find
+// ∂²p/∂q₀∂q₁ = -m T''(m₀, m₁). Return the square of the length, in q, over which the map stays as it is here.
+template <int D, class V>
+INLINE V polish(const Chain& chain, const Axis* axes, const V* q, Solution<D, V>& found, V* mixed) {
+    Jet<D, D, true, V> jet;
+    for (int i = 0; i < D; i++) {
+        jet.x[i] = found.p[i];
+        jet.mixed[i] = V{};
+        for (int j = 0; j < D; j++) jet.t[j][i] = found.m[j][i];
+    }
+    V reach = splat<V>(1e300);
+    for (int k = 0; k < chain.count; k++) reach = least(reach, carry(chain[k], axes, jet));
+    // jet.t = (∂T/∂p) m ≈ I, so that its inverse is 2I - jet.t but for squares.
+    V better[D][D], e[D];
+    for (int j = 0; j < D; j++)
+        for (int i = 0; i < D; i++) better[j][i] = 2.0 * found.m[j][i] - times<D>(found.m, jet.t[j], i);
+    for (int i = 0; i < D; i++) e[i] = jet.x[i] - q[i];
+    for (int i = 0; i < D; i++) {
+        mixed[i] = -times<D>(better, jet.mixed, i);
+        found.p[i] = kept_inside(V(found.p[i] - times<D>(better, e, i)), q[i], axes[i]);
+    }
+    for (int i = 0; i < D; i++)
+        for (int j = 0; j < D; j++) found.m[j][i] = better[j][i];
+    return reach;
+}
+
+}  // namespace supple

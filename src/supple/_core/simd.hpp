@@ -1,0 +1,78 @@
+// Vectors as wide as this instruction set has them, and the few primitives that the kernels need of them.
+//
+// The whole module is compiled once for each instruction set, so nothing here chooses at run time. A vector wider
+// than a register is two halves (`Pair`). Code that is a template over its number (`double` or `Lanes`) uses only
+// the primitives `root`, `least`, `most`, `choose`, `any`, `both`, `without` and `splat`.
+#pragma once
+#include <stdint.h>
+#include <string.h>
+#if defined(__x86_64__) || defined(_M_X64)
+#include <immintrin.h>
+#endif
+
+#define INLINE inline __attribute__((always_inline))
+#define NOINLINE __attribute__((noinline))
+
+namespace supple {
+
+// ---- doubles: points and strokes ----------------------------------------------------------------------------------
+
+#if defined(__AVX512F__)
+constexpr int LANES = 8;
+#elif defined(__AVX__)
+constexpr int LANES = 4;
+#else
+constexpr int LANES = 2;
+#endif
+typedef double Lanes __attribute__((vector_size(8 * LANES)));
+typedef int64_t Mask __attribute__((vector_size(8 * LANES)));
+
+INLINE double root(double x) { return __builtin_sqrt(x); }
+INLINE Lanes root(Lanes x) {
+#if defined(__AVX512F__)
+    return (Lanes)_mm512_sqrt_pd((__m512d)x);
+#elif defined(__AVX__)
+    return (Lanes)_mm256_sqrt_pd((__m256d)x);
+#elif defined(__SSE2__)
+    return (Lanes)_mm_sqrt_pd((__m128d)x);
+#else
+    for (int i = 0; i < LANES; i++) x[i] = __builtin_sqrt(x[i]);
+    return x;
+#endif
+}
+INLINE double floored(double x) { return __builtin_floor(x); }
+
+template <class V> INLINE V splat(double x) { return V{} + x; }
+template <class V> INLINE V least(V a, V b) { return a < b ? a : b; }
+template <class V> INLINE V most(V a, V b) { return a > b ? a : b; }
+template <class V> INLINE V magnitude(V a) { return most(a, V(-a)); }
+INLINE double choose(bool m, double a, double b) { return m ? a : b; }
+INLINE Lanes choose(Mask m, Lanes a, Lanes b) { return m ? a : b; }
+INLINE bool any(bool m) { return m; }
+INLINE bool any(Mask m) {
+    int64_t r = 0;
+    for (int i = 0; i < LANES; i++) r |= m[i];
+    return r != 0;
+}
+INLINE bool both(bool a, bool b) { return a && b; }
+INLINE Mask both(Mask a, Mask b) { return a & b; }
+INLINE bool either(bool a, bool b) { return a || b; }
+INLINE Mask either(Mask a, Mask b) { return a | b; }
+INLINE bool without(bool a, bool b) { return a && !b; }
+INLINE Mask without(Mask a, Mask b) { return a & ~b; }
+
+template <class V> struct Masked;
+template <> struct Masked<double> {
+    typedef bool type;
+    static constexpr int lanes = 1;
+};
+template <> struct Masked<Lanes> {
+    typedef Mask type;
+    static constexpr int lanes = LANES;
+};
+INLINE double lane(double x, int) { return x; }
+INLINE double lane(Lanes x, int i) { return x[i]; }
+INLINE bool lane(bool x, int) { return x; }
+INLINE bool lane(Mask x, int i) { return x[i] != 0; }
+
+}  // namespace supple

@@ -1,0 +1,260 @@
+"""Build the native core in place, into src/supple/_core: ``python tools/core.py [--debug | --sanitize]``.
+
+It needs nanobind, CMake and Ninja (all from PyPI), Python's headers, and a C++20 compiler: that of the machine, or
+Zig's (``ziglang`` on PyPI), which is installed if there is no other.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import json
+import os
+import platform
+import shlex
+import shutil
+import subprocess
+import sys
+import sysconfig
+import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass
+from importlib.util import find_spec
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent.parent
+CORE = Path("src", "supple", "_core")
+ZIGLANG = "ziglang>=0.13"
+COMPILERS = ["clang-cl"] if sys.platform == "win32" else ["c++", "g++", "clang++"]
+GLIBC = "2.28"  # the oldest that what Zig builds runs with: RHEL 8, Debian 10, Ubuntu 18.10
+
+# What a compiler must be able to do.
+PROBE = """
+#include <bit>
+#include <concepts>
+#include <span>
+#include <vector>
+template <std::floating_point T> T sum(std::span<const T> s) { T t = 0; for (T x : s) t += x; return t; }
+int main() { std::vector<double> v{1, 2}; return std::popcount(3u) + int(sum<double>(v)); }
+"""
+
+
+class BuildError(Exception):
+    """The core cannot be built; the message says in one sentence why, and what to do."""
+
+
+@dataclass(frozen=True)
+class Compiler:
+    """A C++ compiler, as a command; Zig brings an archiver of its own."""
+
+    command: tuple[str, ...]
+    zig: bool = False
+
+    def environment(self, scripts: Path) -> dict[str, str]:
+        """Return what makes CMake use it; scripts for that are written to a folder that must outlive the build."""
+        if not self.zig:
+            return {"CXX": shlex.join(self.command)}
+        scripts.mkdir(parents=True, exist_ok=True)
+        target = ["-target", f"{platform.machine()}-linux-gnu.{GLIBC}"] if sys.platform == "linux" else []
+        tools = {"c++": ["c++", *target], "ar": ["ar"], "ranlib": ["ranlib"]}
+        for name, arguments in tools.items():
+            script = scripts / name
+            text = f'#!/bin/sh\nexec {shlex.join([*self.command, *arguments])} "$@"\n'
+            if not script.exists() or script.read_text() != text:
+                script.write_text(text)
+                script.chmod(0o755)
+        defined = f"-DCMAKE_AR={scripts / 'ar'} -DCMAKE_RANLIB={scripts / 'ranlib'}"
+        return {"CXX": str(scripts / "c++"), "CMAKE_ARGS": f"{os.environ.get('CMAKE_ARGS', '')} {defined}".strip()}
+
+
+def _compiles(command: Sequence[str]) -> bool:
+    with tempfile.TemporaryDirectory() as folder:
+        source = Path(folder, "probe.cpp")
+        source.write_text(PROBE)
+        level = ["-march=x86-64-v3"] if platform.machine() == "x86_64" else []
+        if Path(command[0]).stem.endswith("clang-cl"):
+            arguments = ["/std:c++20", "/EHsc", "probe.cpp"]
+        else:
+            arguments = ["-std=c++20", *level, "probe.cpp", "-o", "probe"]
+        try:
+            result = subprocess.run([*command, *arguments], cwd=folder, capture_output=True, check=False)
+        except OSError:
+            return False
+        return result.returncode == 0
+
+
+def machine_compiler() -> Compiler | None:
+    """Return the machine's own compiler: what CXX names, else the first that understands C++20."""
+    chosen = os.environ.get("CXX", "")
+    if chosen:
+        command = tuple(shlex.split(chosen))
+        if not _compiles(command):
+            raise BuildError(f"CXX={chosen} does not compile C++20: name another, or unset it.")
+        return Compiler(command)
+    for name in COMPILERS:
+        found = shutil.which(name)
+        if found and _compiles([found]):
+            return Compiler((found,))
+    return None
+
+
+def zig() -> Compiler:
+    """Return Zig's compiler, installed for this Python if it is not there."""
+    if find_spec("ziglang") is None:
+        print("No C++20 compiler is found: installing Zig's", flush=True)
+        command = [sys.executable, "-m", "pip", "install", "--quiet", "--disable-pip-version-check", ZIGLANG]
+        if subprocess.run(command, check=False).returncode:
+            raise BuildError(
+                "There is no C++20 compiler, and pip could not install Zig's: is there a network? "
+                "(Debian and Ubuntu have one: apt install g++)"
+            )
+        importlib.invalidate_caches()
+    spec = find_spec("ziglang")
+    if spec is None or not spec.submodule_search_locations:
+        raise BuildError("There is no C++20 compiler: on Debian and Ubuntu, apt install g++.")
+    return Compiler((str(Path(spec.submodule_search_locations[0], "zig")),), zig=True)
+
+
+def need_headers() -> None:
+    """Refuse a Python that no extension can be compiled for."""
+    folder = sysconfig.get_path("include")
+    if not Path(folder, "Python.h").exists():
+        raise BuildError(
+            f"Python's headers are missing ({folder}/Python.h): on Debian and Ubuntu, apt install python3-dev."
+        )
+
+
+def _tool(name: str) -> str:
+    """Return where CMake or Ninja is: beside this Python, or on the path."""
+    beside = shutil.which(name, path=sysconfig.get_path("scripts"))
+    found = beside or shutil.which(name)
+    if not found:
+        raise BuildError(f"{name} is missing: pip install {name}.")
+    return found
+
+
+def build(kind: str = "release", output: Path = CORE, *, folder: Path | None = None) -> None:
+    """Compile what changed, and put the modules into ``output``.
+
+    Parameters
+    ----------
+    kind
+        ``"release"``, ``"debug"`` (-O1 -g) or ``"sanitize"`` (debug, with address and undefined-behaviour sanitizers).
+    output
+        A folder, relative to the root.
+    folder
+        Where CMake works; by default one for each Python, in build/.
+    """
+    need_headers()
+    nanobind = find_spec("nanobind")
+    if nanobind is None:
+        raise BuildError("nanobind is missing: pip install nanobind.")
+    what = "sanitize" if kind == "sanitize" else "core"
+    where = folder or ROOT / "build" / f"{what}-{sys.implementation.cache_tag}"
+    cmake, ninja = _tool("cmake"), _tool("ninja")
+    # A configured folder is good for as long as all that it was configured with.
+    wanted = {
+        "kind": kind,
+        "output": str(ROOT / output),
+        "python": [sys.executable, sys.version],
+        "nanobind": str(nanobind.origin),
+        "tools": [cmake, ninja],
+        "compilers": [shutil.which(name) for name in COMPILERS],
+        "environment": {k: os.environ.get(k, "") for k in ("CXX", "CXXFLAGS", "LDFLAGS", "CMAKE_ARGS")},
+    }
+    stamp = where / "configured.json"
+    environment = dict(os.environ)
+    known = json.loads(stamp.read_text()) if stamp.exists() else {}
+    if known.get("wanted") != wanted or not (where / "build.ninja").exists():
+        shutil.rmtree(where, ignore_errors=True)
+        where.mkdir(parents=True)
+        compiler = machine_compiler()
+        if compiler is None and kind == "sanitize":
+            raise BuildError("The sanitizers need GCC or Clang: on Debian and Ubuntu, apt install g++.")
+        environment |= (compiler or zig()).environment(where / "zig")
+        command = [cmake, "-S", str(ROOT), "-B", str(where), "-G", "Ninja", "--log-level=WARNING"]
+        options = {
+            "CMAKE_MAKE_PROGRAM": ninja,
+            "CMAKE_BUILD_TYPE": "Release" if kind == "release" else "Debug",
+            "Python_EXECUTABLE": sys.executable,
+            "SUPPLE_OUTPUT": str(ROOT / output),
+            "SUPPLE_SANITIZE": "ON" if kind == "sanitize" else "OFF",
+        }
+        command += [f"-D{name}={value}" for name, value in options.items()]
+        command += shlex.split(environment.get("CMAKE_ARGS", ""))
+        # What goes well is not shown; errors go to standard error.
+        if subprocess.run(command, env=environment, stdout=subprocess.DEVNULL, check=False).returncode:
+            raise BuildError("CMake could not prepare the build of the core: what is missing is said above.")
+        stamp.write_text(json.dumps({"wanted": wanted}))
+    if subprocess.run([ninja, "-C", str(where), "--quiet"], env=environment, check=False).returncode:
+        raise BuildError("The core does not compile: the first error is above.")
+
+
+def shadow(folder: Path) -> None:
+    """Make a package in ``folder`` that is this one, but for the compiled modules in its core."""
+    package = folder / "supple"
+    core = package / "_core"
+    core.mkdir(parents=True, exist_ok=True)
+    for source, target in ((ROOT / "src" / "supple", package), (ROOT / CORE, core)):
+        for old in target.iterdir():
+            if old.is_symlink():
+                old.unlink()
+        for file in source.iterdir():
+            if file.name not in {"_core", "__pycache__"} and file.suffix not in {".so", ".pyd", ".cpp", ".hpp"}:
+                (target / file.name).symlink_to(file)
+
+
+def sanitize(tests: Sequence[str]) -> int:
+    """Build with sanitizers, and run the core's tests; return what pytest returns."""
+    folder = Path("build", "sanitized")
+    shadow(ROOT / folder)
+    build("sanitize", folder / "supple" / "_core")
+    compiler = machine_compiler()
+    assert compiler is not None
+    libraries = []
+    for name in ("libasan.so", "libubsan.so", f"libclang_rt.asan-{platform.machine()}.so", "libclang_rt.asan.so"):
+        result = subprocess.run(
+            [*compiler.command, f"-print-file-name={name}"], capture_output=True, encoding="utf-8", check=True
+        )
+        path = result.stdout.strip()
+        if Path(path).is_absolute() and Path(path).exists():
+            libraries.append(path)
+    if not libraries:
+        raise BuildError("The compiler's sanitizer libraries are missing: on Debian and Ubuntu, apt install libasan8.")
+    environment = {
+        **os.environ,
+        "LD_PRELOAD": " ".join(libraries),
+        "ASAN_OPTIONS": "detect_leaks=0:halt_on_error=1:abort_on_error=1:detect_stack_use_after_return=1",
+        "UBSAN_OPTIONS": "halt_on_error=1:abort_on_error=1:print_stacktrace=1",
+        "PYTHONMALLOC": "malloc",  # so that Python's objects are watched as well
+        "PYTHONPATH": str(ROOT / folder),
+        "PYTHONDONTWRITEBYTECODE": "1",
+        "SUPPLE_SANITIZED": "1",
+    }
+    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "-o", f"pythonpath={folder}"]
+    return subprocess.run([*command, *(tests or ["tests/core"])], cwd=ROOT, env=environment, check=False).returncode
+
+
+def main() -> int:
+    """Do what the command line says."""
+    parser = argparse.ArgumentParser(description="Build the native core in place.")
+    how = parser.add_mutually_exclusive_group()
+    how.add_argument("--debug", action="store_true", help="with -O1 -g and checks, for a debugger")
+    how.add_argument("--sanitize", action="store_true", help="with sanitizers, elsewhere, and run its tests")
+    parser.add_argument("tests", nargs="*", help="which tests, with --sanitize; by default tests/core")
+    options = parser.parse_args()
+    try:
+        if options.sanitize:
+            return sanitize(options.tests)
+        build("debug" if options.debug else "release")
+    except BuildError as error:
+        print(f"core: {error}", file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        print("core: interrupted; run it again to go on.", file=sys.stderr)
+        return 130
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
