@@ -279,7 +279,8 @@ def weakest(row: np.void, axes: Floats, target: float = CLEARLY_SAFE, gap: float
         worst = row["pivot"] + distance * radius * direction
         there = bool((in_plane & _unfaded(worst, 0.0, active, axes)).all())
         if not (there and _unfaded(row["pivot"], row["reach"], active, axes).all()):
-            lower, upper = _fixed(row, axes, direction, (lower, upper if there else 0.0), target / size, gap)
+            above = target / size * (1 - 1e-12)  # so that what comes back is not below it by rounding
+            lower, upper = _fixed(row, axes, direction, (lower, upper if there else 0.0), above, gap)
     return lower * size, upper * size
 
 

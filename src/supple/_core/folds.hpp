@@ -111,9 +111,8 @@ struct Question {
     double target;  // at most 0: a lower bound above it need not be close to the upper one
     double gap;     // how close the bounds must come, as a part of the upper one
 
-    bool answered(double lower, double known_upper) const {
-        return lower >= std::min(target, known_upper * (1.0 + gap));
-    }
+    // The lowest bound in a box that nothing more needs to be known of.
+    double enough(double known_upper) const { return std::min(target, known_upper * (1.0 + gap)); }
 };
 
 // ---------------------------------------------------------------------------------------------------------------------
@@ -200,7 +199,8 @@ inline Derivatives grab_bounds(const Stroke& stroke, double near2, double far2) 
     const double of_power = std::abs(1.0 - q);
     const double of_next = q * std::min(stroke.term[stroke.terms - 1].e / rho2, 1.0);
     const double of_bracket = 3.0 * q - k;  // 2ωq
-    double scale = amounts[stroke.terms - 1] * std::pow(first.e / rho2, 0.5 * k);
+    double scale = amounts[stroke.terms - 1] * std::sqrt(first.e / rho2);
+    for (int i = 1; i < stroke.terms; ++i) scale *= first.e / rho2;  // in all, (ε/ρ)^k
     Derivatives found;
     for (std::size_t n = 0; n < 4; ++n) {
         const double near_pivot = power[n] + q * bracket[n];
@@ -261,6 +261,17 @@ inline double smallest_eigenvalue(const Symmetric& s, const Three& d, double sla
     const double half = 0.5 * (a * (b * c - yz * yz) - xy * (xy * c - xz * yz) + xz * (xy * yz - b * xz));
     const double angle = std::acos(std::clamp(half, -1.0, 1.0)) / 3.0;
     return mean + p * (2.0 * std::cos(angle + 2.0 * std::numbers::pi / 3.0) + slack);
+}
+
+// Whether λ_min(S - diag(d)) ≥ level, or within rounding: by its Cholesky factors.
+inline bool is_at_least(const Symmetric& s, const Three& d, double level) {
+    const double a = s.xx - d[0] - level;
+    if (!(a > 0.0)) return false;
+    const double over = 1.0 / a;
+    const double b = s.yy - d[1] - level - s.xy * s.xy * over;
+    if (!(b > 0.0)) return false;
+    const double yz = s.yz - s.xy * s.xz * over;
+    return s.zz - d[2] - level - s.xz * s.xz * over - yz * yz / b >= 0.0;
 }
 
 // A, B, 2A' and 2B' of K_R, ' by |r|².
@@ -330,7 +341,7 @@ public:
             const std::size_t item = heap_.back();
             heap_.pop_back();
             const double key = keys_[item];
-            if (question_.answered(key, upper_) || boxes_.size() >= MOST_BOXES) {
+            if (key >= question_.enough(upper_) || boxes_.size() >= MOST_BOXES) {
                 lower_ = std::min(lower_, key);
                 break;
             }
@@ -362,27 +373,37 @@ private:
     void visit(std::size_t item, double key) {
         const Box box = boxes_[item];
         const Errors errors = errors_in(box);
-        if (question_.answered(errors.simple, upper_)) {
+        const double enough = question_.enough(upper_);
+        if (errors.simple >= enough) {
             lower_ = std::min(lower_, errors.simple);
             return;
         }
-        double worst = UNLIMITED;
+        // The worst corner, if one is too bad.
+        const double harmless = enough + errors.rounding;
+        double worst = harmless;
         Symmetric there{};
-        std::array<std::array<Fade, 2>, 3> faded = faded_ends(box);
+        const std::array<std::array<Fade, 2>, 3> faded = faded_ends(box);
         for (unsigned v = 0; v < 8; ++v) {
             const std::array<unsigned, 3> end{v & 1u, (v >> 1) & 1u, v >> 2};
             if (repeats(box, end)) continue;
             const Symmetric s = strain_at(box, faded, end);
+            if (is_at_least(s, errors.all, worst)) continue;
             const double value = smallest_eigenvalue(s, errors.all, -CUBIC);
             if (value < worst) worst = value, there = s;
         }
+        if (worst == harmless) {
+            lower_ = std::min(lower_, enough);
+            return;
+        }
         key = std::max(key, worst - errors.rounding);
-        upper_ = std::min(upper_, smallest_eigenvalue(there, {}, CUBIC) + errors.rounding);
+        if (!is_at_least(there, {}, upper_)) {
+            upper_ = std::min(upper_, smallest_eigenvalue(there, {}, CUBIC) + errors.rounding);
+        }
 
         // The simple bound is no key: where it is the same for many boxes, it would not tell which one leads on.
         const double bound = std::max(key, errors.simple);
         const double largest_error = errors.all[0] + errors.all[1] + errors.all[2];
-        if (question_.answered(bound, upper_) || errors.rounding > largest_error) {
+        if (bound >= question_.enough(upper_) || errors.rounding > largest_error) {
             lower_ = std::min(lower_, bound);
             return;
         }
