@@ -54,7 +54,12 @@ private:
 
 }  // namespace
 
+namespace supple {
+void bind_folds(nb::module_& m);
+}
+
 NB_MODULE(SUPPLE_MODULE, m) {
+    supple::bind_folds(m);
     m.def("threads", &threads, "Return how many threads work at once.");
     nb::class_<Polynomial>(m, "Polynomial", "A polynomial, by its coefficients from the constant one on.")
         .def(nb::init<std::vector<double>>(), nb::arg("coefficients"))
