@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from supple.cpu.warp import Certificate
+from supple.certificate import Certificate
 from supple.domain import choice, refuse
 from supple.errors import SuppleError
 from supple.gpu.device import Gpu, open_gpu
@@ -218,8 +218,6 @@ def _does(space: Space, layout: Layout, sampling: Sampling, must: bool) -> bool:
             reason = reason or f"samples of {layout.dtype} in {group.channels} channel{several}"
         elif not known_grid(group.step, group.offset, layout.dtype, group.channels):
             reason = reason or "samples that lie as these do"
-    if sampling.filter == "ewa":
-        reason = reason or 'filter="ewa"'
     if reason and must:
         refuse("device", f'"cpu" or "auto" for {reason}', "gpu")
     return not reason
