@@ -35,6 +35,7 @@ template <class F> auto unlocked(F&& work) {
 void bind_points(nb::module_& m);
 void bind_plans(nb::module_& m);
 void bind_folds(nb::module_& m);
+void bind_render(nb::module_& m);
 
 // Plane by plane, for images and for frames: each in a file of its own, which two compilers can work on at once.
 void sample_plane(const Plan<2>& plan, const Job& job);
