@@ -68,8 +68,9 @@ def build_wheel(wheel_directory: str, config_settings: Settings = None, metadata
 
 
 def prepare_metadata_for_build_editable(metadata_directory: str, config_settings: Settings = None) -> str:
-    """Prepare the metadata, which are those of the wheel."""
-    return scikit.prepare_metadata_for_build_wheel(metadata_directory, _ours(config_settings))
+    """Prepare the metadata, which are those of the wheel; they need no CMake."""
+    settings = {**(_ours(config_settings) or {}), "wheel.cmake": "false"}
+    return scikit.prepare_metadata_for_build_wheel(metadata_directory, settings)
 
 
 def build_editable(
