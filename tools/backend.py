@@ -69,7 +69,7 @@ def build_wheel(wheel_directory: str, config_settings: Settings = None, metadata
 
 def prepare_metadata_for_build_editable(metadata_directory: str, config_settings: Settings = None) -> str:
     """Prepare the metadata, which are those of the wheel; they need no CMake."""
-    settings = {**(_ours(config_settings) or {}), "wheel.cmake": "false"}
+    settings = {**(_ours(config_settings) or {}), "wheel.cmake": "false", "wheel.py-api": "py3"}
     return scikit.prepare_metadata_for_build_wheel(metadata_directory, settings)
 
 
