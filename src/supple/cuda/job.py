@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from supple.cpu.warp import Certificate
+from supple.certificate import Certificate
 from supple.cuda.arrays import OnCard, as_stream, is_on_card, made_like, stream_of, taken
 from supple.cuda.card import simulated
 from supple.cuda.sample import FRAMES
@@ -76,7 +76,7 @@ def checked(
     if batch and len(spaces) not in (1, given.shape[0] if given.ndim else 0):
         refuse("deformations", f"one, or one for each of the {given.shape[0] if given.ndim else 0} items", len(spaces))
     shape = space.whole
-    check_known(sampling, given.dtype)
+    check_known(given.dtype)
     items = given.shape[1:] if batch else given.shape
     straight = checked_kind(items, given.dtype, shape, alpha, sampling.light)
     channels = items[-1] if len(items) > len(shape) else 1
@@ -114,7 +114,6 @@ class _Round:
     out: Frames
     planes: int
     shared: int = 0
-    still: bool = False  # what nothing moves is copied bit for bit
 
 
 def hand_over(work: Work, stream: Any, slab: int | None = None, *, waited: bool = False) -> Pieces:
@@ -124,22 +123,16 @@ def hand_over(work: Work, stream: Any, slab: int | None = None, *, waited: bool 
     ``waited`` says that this thread waits for it next, on the stream of the source's library.
     """
     card, space, sampling = work.source.card, work.spaces[0], work.sampling
-    exact = replace(sampling, filter="nearest", between="nearest")
     with card.current():
         rounds = _rounds(work)
         fill = np.asarray(sampling.fill, np.float64)
         count, stack = rounds[0].source.places[FRAMES], space.ndim == 3
-        colours = {
-            still: colours_of(
-                card, work.source.dtype, fill, exact if still else sampling, alpha=work.alpha, count=count, stack=stack
-            )
-            for still in {r.still for r in rounds}
-        }
+        colours = colours_of(card, work.source.dtype, fill, sampling, alpha=work.alpha, count=count, stack=stack)
         planes = 1 if rounds[0].shared else rounds[0].planes
         pieces = (pieces_of if waited else Pieces)(work.out, [r.lattice for r in rounds], planes)
         for k, r in enumerate(rounds):
             make_planes(
-                card, stream, r.lattice, pieces, colours[r.still], space.shape, (0, r.planes), r.source, r.out,
+                card, stream, r.lattice, pieces, colours, space.shape, (0, r.planes), r.source, r.out,
                 tolerance=sampling.tolerance, shared=r.shared, fresh=k == 0, slab=slab,
             )  # fmt: skip
     return pieces
@@ -150,20 +143,9 @@ def _rounds(work: Work) -> list[_Round]:
     source, out = work.source.flat(), work.out.flat()
     if space.ndim == 2:
         count = work.source.shape[0] if work.batch else 1
-        lattice = lattice_of(card, work.spaces)
-        still = [k for k, s in enumerate(work.spaces) if s.table.size == 0]
         shared = count if work.batch and len(work.spaces) == 1 else 0
         whole = _frames(work, work.source, source), _frames(work, work.out, out)
-        if len(still) == len(work.spaces):
-            return [_Round(lattice, *whole, count, shared, still=True)]
-        alone = [lattice_of(card, work.spaces[k : k + 1]) for k in still]
-        return [
-            _Round(lattice, *whole, count, shared),
-            *(
-                _Round(own, _frames(work, work.source, source, k), _frames(work, work.out, out, k), 1, still=True)
-                for own, k in zip(alone, still, strict=True)
-            ),
-        ]
+        return [_Round(lattice_of(card, work.spaces), *whole, count, shared)]
     items = work.source.shape[0] if work.batch else 1
     lattices = [lattice_of(card, (s,)) for s in work.spaces]
     return [
@@ -172,7 +154,6 @@ def _rounds(work: Work) -> list[_Round]:
             _frames(work, work.source, source, k),
             _frames(work, work.out, out, k),
             space.count,
-            still=work.spaces[k % len(lattices)].table.size == 0,
         )
         for k in range(items)
     ]
@@ -187,7 +168,7 @@ def _frames(work: Work, array: OnCard, flat: Any, item: int | None = None) -> Fr
         count = array.shape[0]
     elif work.batch:
         start += (item or 0) * strides.pop(0)
-    if space.ndim == 2 and (not work.batch or item is not None):
+    if space.ndim == 2 and not work.batch:
         strides.insert(0, 0)
     if len(strides) == 3:
         strides.append(0)

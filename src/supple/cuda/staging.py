@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from supple.cpu.kernel import share, threads
+from supple.workers import share, threads
 
 Array = npt.NDArray[Any]
 Part = tuple[slice, slice]
