@@ -92,8 +92,7 @@ def fade(x: Floats, extent: float, border: float | None, profile: str) -> tuple[
 
 def radius_of_support(stroke: Stroke) -> float:
     """Return R in physical units, infinite without a limit."""
-    reach = getattr(stroke, "reach", None)
-    return math.inf if reach is None else reach * stroke.radius
+    return math.inf if stroke.reach is None else stroke.reach * stroke.radius
 
 
 def displacement(stroke: Stroke, domain: Domain, points: Floats) -> tuple[Floats, Floats]:
@@ -108,9 +107,8 @@ def displacement(stroke: Stroke, domain: Domain, points: Floats) -> tuple[Floats
     k, j = grab(force, stroke.radius, stroke.poisson, stroke.scales, r)
     m, slope = support(r, radius_of_support(stroke))
     k, j = m[..., None] * k, m[..., None, None] * j + k[..., :, None] * slope[..., None, :]
-    profile = getattr(domain, "border_profile", "sine")
     for i in range(domain.ndim):
-        beta, change = fade(near[..., i], extent[i], domain.border, profile)
+        beta, change = fade(near[..., i], extent[i], domain.border, domain.border_profile)
         j[..., i, :] *= beta[..., None]
         j[..., i, i] += change * k[..., i]
         k[..., i] *= beta
@@ -236,7 +234,7 @@ def _catmull_rom(t: Floats) -> Floats:
 
 
 def _linear(t: Floats) -> Floats:
-    return np.maximum(1 - np.abs(t), 0)
+    return np.asarray(np.maximum(1 - np.abs(t), 0))
 
 
 def _place(i: Integers, n: int, rule: str) -> Integers:
@@ -245,7 +243,7 @@ def _place(i: Integers, n: int, rule: str) -> Integers:
         return np.clip(i, 0, n - 1)
     if rule == "constant":
         return np.where((i >= 0) & (i < n), i, -1)
-    return np.array([*range(n), *range(n - 1, -1, -1)])[i % (2 * n)]
+    return np.asarray(np.array([*range(n), *range(n - 1, -1, -1)])[i % (2 * n)])
 
 
 def _at(source: Array, i: Integers, j: Integers, rule: str, fill: Array) -> Array:

@@ -8,11 +8,9 @@ import shutil
 import warnings
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from fractions import Fraction
 from pathlib import Path
-from typing import Any, cast
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
@@ -28,6 +26,10 @@ from supple.media.numbering import SUFFIXES_IN, has_number, is_sequence
 from supple.streaming import Array, Layout, Sampling, capacity_of, make_plan, stream
 from supple.strokes import Recipe
 from supple.warping import FILTERS, OUTSIDE, interpolated, warn_of
+
+if TYPE_CHECKING:
+    from concurrent.futures import Future
+    from fractions import Fraction
 
 PathLike = str | os.PathLike[str]
 Tell = Callable[[str, int, int], None]
@@ -407,6 +409,8 @@ def _writing(write: Callable[[Sequence[Array], int], None], aside: bool) -> Iter
     if not aside:
         yield write
         return
+    from concurrent.futures import ThreadPoolExecutor
+
     waiting: deque[Future[None]] = deque()
 
     def submit(arrays: Sequence[Array], k: int) -> None:

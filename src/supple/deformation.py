@@ -5,7 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -15,13 +15,14 @@ from supple.cpu import newton
 from supple.cpu.kernel import share, threads
 from supple.cpu.warp import Band, Certificate, Plane, absolute, each_band, folds, measure, solve_plane
 from supple.domain import BorderProfile, Domain, choice, integer, number, refuse
-from supple.engines import check_device, warp_elsewhere
 from supple.errors import FoldWarning, SuppleError, ToleranceWarning
 from supple.folding import Resolved, resolve
 from supple.oncard import is_on_card, points_on_card, warp_on_card
-from supple.streaming import Space
 from supple.strokes import STROKE_DTYPE, FoldPolicy, Point, Recipe, Stroke
-from supple.warping import Source, checked_sampling, warn_of, warp_array, warp_frames, warp_function
+
+if TYPE_CHECKING:
+    from supple.streaming import Space
+    from supple.warping import Source
 
 Floats = npt.NDArray[np.float64]
 
@@ -203,6 +204,8 @@ class Deformation:
     @property
     def space(self) -> Space:
         """The strokes on their domain, as frames stream through them."""
+        from supple.streaming import Space
+
         count = self.shape[0] if self.ndim == 3 else 1
         return Space(self._table, self._axes, self.ndim, count, (self.shape[-2], self.shape[-1]))
 
@@ -401,6 +404,8 @@ class Deformation:
         if like is not None:
             if not is_on_card(like):
                 refuse("like", "an array on a card, or left out", like)
+            from supple.warping import warn_of
+
             found, certificate = points_on_card().inverse_map(self.space, like, tolerance)
             warn_of(certificate, tolerance, 3)
             return found  # type: ignore[no-any-return]
@@ -483,6 +488,10 @@ class Deformation:
         DeviceWarning
             If the GPU or the card failed, so that the CPU did it.
         """
+        # What warps is imported when something is warped: `import supple` is to be quick.
+        from supple.engines import check_device, warp_elsewhere
+        from supple.warping import checked_sampling, warn_of, warp_array, warp_frames, warp_function
+
         sampling = checked_sampling(
             self.ndim, filter=filter, tolerance=tolerance, outside=outside, fill=fill, linear_light=linear_light,
             between=between, time_filter=time_filter,
@@ -570,6 +579,8 @@ class Deformation:
             yield solve_plane(self._table, self._axes, (self.shape[-2], self.shape[-1]), self.ndim, float(z))
 
     def _each_plane(self, tolerance: float, use: Callable[[int], Callable[[Band], None]]) -> None:
+        from supple.warping import warn_of
+
         certificate = Certificate(0.0, 0.0)
         for z, plane in enumerate(self._planes()):
             certificate |= each_band(plane, tolerance, use(z))

@@ -6,9 +6,8 @@ import contextlib
 import math
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -20,6 +19,9 @@ from supple.cpu.stack import SUPPORT, slots_of, stack_sampler, times_seen
 from supple.cpu.warp import Band, Certificate, Grid, Plane, bounds_of, each_band, solve_plane
 from supple.errors import SuppleError
 from supple.spill import room_for
+
+if TYPE_CHECKING:
+    from concurrent.futures import Future
 
 Array = npt.NDArray[Any]
 Tell = Callable[[int], None]
@@ -360,6 +362,8 @@ def _reading(
     if not aside:
         yield read
         return
+    from concurrent.futures import ThreadPoolExecutor
+
     ahead: Future[None] | None = None
 
     def fetch(k: int) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import json
 import math
 from collections import Counter
@@ -263,6 +262,8 @@ def _stroke(where: str, entry: object, version: int) -> Stroke:
 def _check_keys(where: str, entry: dict[str, object], known: list[str], required: list[str]) -> None:
     for key in entry:
         if key not in known:
+            import difflib
+
             near = difflib.get_close_matches(key, known, n=1, cutoff=0.5)
             hint = f'did you mean "{near[0]}"?' if near else f"known are {', '.join(known)}"
             if key in _NEW:

@@ -36,7 +36,7 @@ def places(domain: Domain, count: int = 300, beyond: float = 0.0, seed: int = 0)
 DOMAINS: list[Domain] = [
     Domain((40, 45), border=None),
     Domain((40, 45), border=12.0),
-    Domain((40, 45), spacing=(1.0, 1.7), border=100.0),
+    Domain((40, 45), spacing=(1.0, 1.7), border=100.0, border_profile="sine"),
     Domain((30, 40, 45), border=None),
     Domain((30, 40, 45), spacing=(0.8, 1.0, 1.3), border=9.0),
 ]
@@ -44,13 +44,17 @@ DOMAINS: list[Domain] = [
 
 @pytest.mark.parametrize("domain", DOMAINS, ids=str)
 def test_jacobian_is_what_differences_say(domain: Domain) -> None:
-    strokes = strokes_of(domain.ndim)
-    for beyond in (0.0, 8.0):
+    for beyond, reach in ((0.0, None), (8.0, None), (3.0, 1.3), (0.0, 2.5)):
+        strokes = strokes_of(domain.ndim, reach=reach)
+
+        def moved(p: Floats, strokes: list[Stroke] = strokes) -> Floats:
+            return reference.forward(strokes, domain, p)
+
         points = places(domain, beyond=beyond)
-        # Differences are none across a border's faces.
+        # There are none across a border's faces.
         clear = (np.abs(points) > 0.01).all(-1) & (np.abs(points - np.array(domain.shape[::-1]) + 1) > 0.01).all(-1)
         found = reference.jacobian(strokes, domain, points)
-        expected = reference.differences(lambda p: reference.forward(strokes, domain, p), points, 1e-3)
+        expected = reference.differences(moved, points, 1e-3)
         np.testing.assert_allclose(found[clear], expected[clear], rtol=0, atol=1e-8)
 
 
@@ -85,6 +89,25 @@ def test_far_away_it_fades_as_a_power(scales: int) -> None:
     assert near / farther == pytest.approx(2 ** (2 * scales - 1), rel=0.02)
 
 
+@pytest.mark.parametrize("reach", [1.0, 2.5, 4.0])
+def test_reach_ends_at_its_ball(reach: float) -> None:
+    domain = Domain((60, 60, 60), spacing=(1, 1, 2), border=None)
+    stroke = Stroke.grab((30, 30, 15), by=(1, -2, 0.5), radius=5, reach=reach)
+    free = Stroke.grab((30, 30, 15), by=(1, -2, 0.5), radius=5)
+    np.testing.assert_allclose(reference.forward([stroke], domain, (30, 30, 15)), (31, 28, 15.5), atol=1e-12)
+    points = places(domain, 4000)
+    distance = np.linalg.norm((points - stroke.at) * (1, 1, 2), axis=-1)
+    k = reference.forward([stroke], domain, points) - points
+    inside = reference.reached([stroke], domain, points)
+    np.testing.assert_array_equal(inside, distance < 5 * reach)
+    assert not k[~inside].any()
+    assert (k[distance < 4.9 * reach] != 0).any(axis=-1).all()
+    # The quintic that falls from 1 to 0 with two derivatives of 0 at both ends.
+    share = np.polyval([-6, 15, -10, 0, 0, 1], distance[inside] / (5 * reach))
+    whole = reference.forward([free], domain, points[inside]) - points[inside]
+    np.testing.assert_allclose(k[inside], share[:, None] * whole, atol=1e-12)
+
+
 @pytest.mark.parametrize("profile", ["sine", "quartic"])
 def test_the_border_fades_in_smoothly(profile: str) -> None:
     x = np.linspace(0, 30, 3001)
@@ -100,12 +123,12 @@ def test_the_border_fades_in_smoothly(profile: str) -> None:
 
 @pytest.mark.parametrize("domain", DOMAINS, ids=str)
 def test_inverse_undoes_forward(domain: Domain) -> None:
-    strokes = strokes_of(domain.ndim)
+    strokes = [*strokes_of(domain.ndim), *strokes_of(domain.ndim, reach=3.0)]
     points = places(domain, beyond=3.0)
     moved = reference.forward(strokes, domain, points)
     np.testing.assert_allclose(reference.inverse(strokes, domain, moved), points, rtol=0, atol=1e-11)
     # ∂p/∂q is the slope of the inverse itself.
-    inside = places(domain, 50, beyond=-1.0)
+    inside = places(domain, 50, beyond=-4.0)
     found = reference.matrices(strokes, domain, reference.inverse(strokes, domain, inside))
     expected = reference.differences(lambda q: reference.inverse(strokes, domain, q), inside, 1e-3)
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-7)
@@ -232,8 +255,8 @@ def test_keys_interpolates_with_continuous_slopes() -> None:
     np.testing.assert_allclose(right, 0.75 * (source[0, 4:28, 0] - source[0, 2:26, 0]), atol=1e-4)
 
 
-NEXT_SPOT = [1 + (1.7 * k) ** 2 for k in range(1, 17)]
-NEXT_SPOT_FADES_IN = [1 + (1.7 * (k + 0.75)) ** 2 for k in range(16)]
+NEXT_SPOT = [1 + (1.7 * k) ** 2 for k in (1, 2, 5, 15, 16)]
+NEXT_SPOT_FADES_IN = [1 + (1.7 * (k + 0.75)) ** 2 for k in (0, 1, 4, 14, 15)]
 
 
 @pytest.mark.parametrize(
@@ -432,6 +455,23 @@ def test_nothing_moves_without_drag(dtype: str) -> None:
     solid = Domain((5, 40, 45))
     still = [Stroke.grab((20, 20, 2), by=(0, 0, 0), radius=9)]
     np.testing.assert_array_equal(reference.warp_frames(frames, still, solid, time_filter=dtype != "?"), frames)
+
+
+@pytest.mark.parametrize("filter_name", ["nearest", "linear", "cubic", "auto"])
+def test_what_no_stroke_reaches_keeps_every_bit(filter_name: str) -> None:
+    rng = np.random.default_rng(10)
+    strokes = [
+        Stroke.grab((12, 12), by=(3, 2), radius=4, reach=2),
+        Stroke.grab((18, 14), by=(-2, 2), radius=4, reach=2),
+        Stroke.grab((30, 20), by=(0, 0), radius=9),
+    ]
+    source = rng.uniform(-1, 1, (40, 45, 2)).astype(np.float32)
+    source[30, 40] = np.nan, -0.0
+    out = reference.warp(source, strokes, DOMAIN, filter_name, alpha=False)
+    inside = reference.reached(strokes, DOMAIN, reference.grid(DOMAIN.shape))
+    assert out[~inside].tobytes() == source[~inside].tobytes()
+    assert (out[inside] != source[inside]).any(axis=-1).mean() > 0.3
+    assert 100 < inside.sum() < 400
 
 
 def test_frames_that_all_bend_alike_are_images() -> None:

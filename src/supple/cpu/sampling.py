@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from supple.colour import linear_light
 from supple.cpu import filters, footprint, region, sample
 from supple.cpu.warp import Band
 
@@ -22,13 +23,6 @@ FILTERS = {
 OUTSIDE = {"edge": region.EDGE, "constant": region.CONSTANT, "reflect": region.REFLECT}
 
 Array = npt.NDArray[Any]
-
-
-def linear_light(values: npt.NDArray[np.floating], white: float) -> npt.NDArray[np.floating]:
-    """Values on sRGB's curve as amounts of light; ``white`` stays ``white``."""
-    u = np.asarray(values) / white
-    with np.errstate(invalid="ignore"):
-        return np.asarray(white * np.where(u <= 0.04045, u / 12.92, ((u + 0.055) / 1.055) ** 2.4))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
