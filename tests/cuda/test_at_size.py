@@ -1,4 +1,4 @@
-"""A real card against the CPU, at size: every kind of array, every type, every filter (``make test-cuda``)."""
+"""A real GPU against the CPU, at size: every kind of array, every type, every filter (``make test-cuda``)."""
 
 from __future__ import annotations
 
