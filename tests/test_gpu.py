@@ -18,8 +18,8 @@ from supple.engines import gpu_of
 from supple.errors import DeviceWarning, FoldWarning, SuppleError
 from supple.gpu import device as devices
 from supple.gpu import field, kernel, pyramid, reach
-from supple.gpu import warp as warping
 from supple.gpu import raymarch as shading
+from supple.gpu import warp as warping
 from supple.gpu.device import Gpu
 from supple.gpu.fill import BLOCK
 from supple.gpu.samples import STEP, Picture, Wanted, format_of
@@ -94,7 +94,9 @@ def test_points_move_as_they_should(gpu: Gpu, shape: tuple[int, ...], spacing: A
     moved, jacobian = field.forward(gpu, d.space.table, d.space.axes, anchors, offsets)
     steps = np.array(d.domain.spacing)
     n = d.ndim
-    np.testing.assert_allclose((anchors + moved)[:, :n] / steps, reference.forward(strokes, d.domain, points), atol=1e-3)
+    np.testing.assert_allclose(
+        (anchors + moved)[:, :n] / steps, reference.forward(strokes, d.domain, points), atol=1e-3
+    )
     scaled = jacobian[:, :n, :n] * (steps[None, :] / steps[:, None])
     np.testing.assert_allclose(scaled, reference.jacobian(strokes, d.domain, points), atol=3e-4)
     # And the Jacobian is that of the shader's own T: central differences, but for kinks of the border.
@@ -152,7 +154,9 @@ def test_colours_of_all_types(gpu: Gpu, photo: np.ndarray, dtype: Any, channels:
     source = (deep * (257 if np.dtype(dtype).itemsize == 2 and scale >= 0.5 else 1)).astype(dtype)
     source = source[..., 0] if channels == 1 else source
     d = bent(source.shape[:2], 3)
-    apart = away(d.warp(source, filter="linear", alpha=False, device="gpu"), truth(d, source, filter="linear", alpha=False))
+    apart = away(
+        d.warp(source, filter="linear", alpha=False, device="gpu"), truth(d, source, filter="linear", alpha=False)
+    )
     # A hundredth of a pixel is what a source point may be off.
     assert apart.max() < 0.02 * max(1e-9, float(np.ptp(source)))
     assert apart.mean() < 1e-3 * max(1e-9, float(np.ptp(source)))
@@ -270,8 +274,9 @@ def test_light_and_opacity(gpu: Gpu, photo: np.ndarray, options: dict[str, Any])
     opacity = np.clip(255 - 2 * np.hypot(x - 80, y - 60), 20, 255).astype(np.uint8)
     source = np.dstack([photo, opacity])
     d = bent(photo.shape[:2], 5)
-    for filter in ("cubic", "auto"):
-        apart = away(d.warp(source, filter=filter, device="gpu", **options), truth(d, source, filter=filter, **options))
+    for name in ("cubic", "auto"):
+        way = {"filter": name, **options}
+        apart = away(d.warp(source, device="gpu", **way), truth(d, source, **way))
         assert (apart > 2).mean() < 1e-3
         assert np.quantile(apart, 0.99) <= 1
 
@@ -282,8 +287,8 @@ def test_frames_are_bent_in_time(gpu: Gpu, between: str, outside: str) -> None:
     rng = np.random.default_rng(6)
     clip = np.cumsum(rng.integers(0, 9, (9, 26, 34, 3)), axis=0).astype(np.uint8)
     d = supple.Deformation(clip.shape[:3], border=None).grab((17, 13, 4), by=(4, 2, 3), radius=11)
-    for filter, average in (("linear", False), ("auto", between != "nearest")):
-        options: dict[str, Any] = {"filter": filter, "between": between, "outside": outside, "fill": 77}
+    for name, average in (("linear", False), ("auto", between != "nearest")):
+        options: dict[str, Any] = {"filter": name, "between": between, "outside": outside, "fill": 77}
         options["time_filter"] = average
         apart = away(d.warp(clip, device="gpu", **options), truth(d, clip, **options))
         assert (apart > 1).mean() < 2e-3
