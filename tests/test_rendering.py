@@ -179,6 +179,35 @@ def test_a_picture_is_the_slow_one(where: str, transfer: TransferFunction, mode:
     assert np.quantile(away, 0.9) < scene.step / 50
 
 
+@pytest.mark.parametrize("mode", ["exact", "lattice"])
+def test_strokes_of_a_reach(mode: str) -> None:
+    """What rays outside their balls see is what they see without strokes, bit for bit, and costs no inversion."""
+    volume, geometry, camera = cloud(), GEOMETRIES["thick slices"], Camera(35, 20)
+    d = supple.Deformation(volume.shape, spacing=geometry.spacing, border=None)
+    d = d.grab((13, 15, 9), by=(3, -2, 1), radius=4, reach=2).grab((22, 6, 14), by=(-1, 1, 1), radius=3, reach=2)
+    scene = Scene(volume, geometry, deformation=d, transfer=SOFT, mode=mode)
+    picture, plain = scene.render(camera, SIZE), Scene(volume, geometry, transfer=SOFT).render(camera, SIZE)
+    colours, alpha, _ = reference(scene, camera, SIZE)
+    off = np.abs(picture.light[..., :3] - colours).max(axis=-1)
+    assert np.quantile(off, 0.97) < 0.01
+    assert np.abs(plain.light[..., :3] - colours).max() > 0.05
+    view = scene.view(camera, SIZE)
+    outside = np.ones(SIZE, np.bool_)
+    for stroke in d.space.table:
+        for y, x in np.ndindex(SIZE):
+            way = stroke["pivot"] - view.eye * view.spacing
+            direction = view.direction(x, y)
+            outside[y, x] &= np.linalg.norm(way - (way @ direction) * direction) > stroke["reach"] * 1.001
+    assert 0.1 < (outside & (alpha > 0)).sum() / (alpha > 0).sum() < 0.9
+    if mode == "exact":
+        np.testing.assert_array_equal(picture.light[outside], plain.light[outside])
+        np.testing.assert_array_equal(picture.samples[outside], plain.samples[outside])
+        assert not picture.evaluations[outside].any()
+        assert (picture.evaluations[~outside & (alpha > 0)] > 0).mean() > 0.9
+    else:
+        np.testing.assert_allclose(picture.light[outside], plain.light[outside], atol=0.02)
+
+
 @pytest.mark.parametrize("dtype", [np.uint8, np.int16, np.uint16, np.float32, np.float64, np.int32, np.bool_])
 def test_the_type_of_samples_does_not_matter(dtype: Any) -> None:
     volume = cloud() > 0.5

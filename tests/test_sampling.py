@@ -88,7 +88,7 @@ def same(out: Array, values: Floats, span: float, leeway: float = 2e-4) -> None:
 def test_interpolation_is_the_printed_one(dtype: str, rule: str) -> None:
     source, fill = noise(dtype, 9), fills(dtype, 9)
     span = 2 * float(np.abs(source.astype(np.float64)).max())
-    expected = {f: reference.sample(source, exact(bent()), f, rule, fill) for f in PRINTED}
+    expected = {f: reference.sample(source, exact(bent()), filter=f, outside=rule, fill=fill) for f in PRINTED}
     for channels in CHANNELS:
         part, colours = np.ascontiguousarray(source[..., :channels]), fill[:channels]
         how: dict[str, Any] = {"outside": rule, "fill": colours, "alpha": False, "tolerance": FINE}
@@ -105,7 +105,7 @@ def test_nearest_keeps_values_as_they_are(dtype: str) -> None:
     clear = (np.abs(points - np.floor(points) - 0.5) > 1e-4).all(axis=-1)
     for rule in RULES:
         fill = fills(dtype, 9)
-        expected = reference.sample(source, points, "nearest", rule, fill)
+        expected = reference.sample(source, points, filter="nearest", outside=rule, fill=fill)
         for channels in CHANNELS:
             how: dict[str, Any] = {"outside": rule, "fill": fill[:channels], "tolerance": FINE}
             out = bent().warp(source[..., :channels], filter="nearest", **how)
@@ -143,7 +143,7 @@ def test_opacity_weighs_the_colours(dtype: str, channels: int) -> None:
     for rule in RULES:
         for name in PRINTED:
             out = bent().warp(source, filter=name, outside=rule, fill=fill, alpha=True, tolerance=FINE)
-            values = reference.sample(premultiplied, exact(bent()), name, rule, inside)
+            values = reference.sample(premultiplied, exact(bent()), filter=name, outside=rule, fill=inside)
             opacity = np.clip(values[..., -1], 0, top)
             same(out[..., -1], opacity, top)
             seen = (values[..., -1] > 0.1 * top) & (values[..., -1] <= top)
@@ -366,7 +366,7 @@ def test_light_is_averaged_if_asked_for(dtype: str, channels: int) -> None:
         for name in PRINTED:
             how: dict[str, Any] = {"outside": rule, "fill": fill * top, "alpha": alpha, "tolerance": FINE}
             out = bent().warp(source, filter=name, linear_light=True, **how)
-            values = reference.sample(lit, exact(bent()), name, rule, inside)
+            values = reference.sample(lit, exact(bent()), filter=name, outside=rule, fill=inside)
             seen = (values[..., -1] > 0.3) & (values[..., -1] <= 1)
             found = curve(values[..., :-1] / values[..., -1:])
             same(out[..., :3][seen], found[seen] * top, 3 * top)
@@ -422,7 +422,12 @@ def test_very_far_outside(rule: str) -> None:
         if rule == "constant":
             assert (out == 50).mean() > 0.9
         if name in ("nearest", *PRINTED) and rule != "reflect":
-            same(out, reference.sample(source, exact(d), name, rule, 50).astype(np.float64), 255, 1e-2)
+            same(
+                out,
+                reference.sample(source, exact(d), filter=name, outside=rule, fill=50).astype(np.float64),
+                255,
+                1e-2,
+            )
 
 
 @pytest.mark.filterwarnings("ignore::supple.ToleranceWarning")  # float32 does not count so far
@@ -455,7 +460,9 @@ def test_sizes(shape: tuple[int, int], rule: str) -> None:
             out = d.warp(source, filter=name, outside=rule, fill=70, alpha=False, tolerance=FINE)
             assert out.shape == source.shape
             if name in PRINTED:
-                same(out, reference.sample(source, exact(d), name, rule, 70).astype(np.float64), 255)
+                same(
+                    out, reference.sample(source, exact(d), filter=name, outside=rule, fill=70).astype(np.float64), 255
+                )
             # Results do not depend on what is in the memory that they are written to.
             given = np.full_like(source, 77)
             d.warp(source, filter=name, outside=rule, fill=70, alpha=False, tolerance=FINE, out=given)
@@ -486,7 +493,9 @@ def _weights(t: Floats) -> list[Floats]:
 
 def test_the_fast_reference_is_the_reference() -> None:
     source, p = noise("f8", 1), exact(Deformation(SHAPE).grab((30, 20), by=(14, -9), radius=16))
-    np.testing.assert_allclose(catmull_rom(source[..., 0], p), reference.sample(source, p, "cubic")[..., 0], atol=1e-9)
+    np.testing.assert_allclose(
+        catmull_rom(source[..., 0], p), reference.sample(source, p, filter="cubic")[..., 0], atol=1e-9
+    )
 
 
 def supersampled(image: Array, d: Deformation, n: int, mirrored: bool = False) -> Floats:

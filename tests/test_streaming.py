@@ -439,7 +439,7 @@ def test_the_same_bend_in_every_frame(kind: str) -> None:
                         q = reference.grid(group.shape) * np.array(group.step) + np.array(group.offset)
                         points = (d.inverse(q).points - np.array(group.offset)) / np.array(group.step)
                         for frame, made in zip(source, out, strict=True):
-                            expected = reference.sample(frame, points, name, rule, 40)
+                            expected = reference.sample(frame, points, filter=name, outside=rule, fill=40)
                             same(made, expected.astype(np.float64), layout.white)
 
 

@@ -8,20 +8,18 @@ force, so
 
 decides: the part α of the force is safe if α |μ| ≤ 1 - m.
 
-Where the border is free, the worst point is on the axis through the pivot along the force. At the distance
-t from the pivot, with s_i = t² + ε_i², K = k f is there
+Where the border is free and the reach unlimited, the worst point is on the axis through the pivot along the
+force. At the distance t from the pivot, with s_i = t² + ε_i², K = k f is there
 
     k = Σ w_i [ s_i^(-1/2) + g ε_i² s_i^(-3/2) ],    g = 1/2 - b/a,
     dk/dt = -t Σ w_i [ s_i^(-3/2) + 3g ε_i² s_i^(-5/2) ],
 
-and μ = |f| dk/dt where d²k/dt² = 0; for a single scale, where 2s² + (12g - 3) ε² s - 15g ε⁴ = 0. Where it
-is fixed, branch and bound finds μ (`supple.cpu.folds`).
+and μ = |f| dk/dt where d²k/dt² = 0; for a single scale, where 2s² + (12g - 3) ε² s - 15g ε⁴ = 0. Where the
+border is fixed, or the reach limited, branch and bound finds μ (`_core/folds.hpp`).
 """
 
 from __future__ import annotations
 
-import decimal
-import itertools
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -30,10 +28,10 @@ from functools import lru_cache
 import numpy as np
 import numpy.typing as npt
 
-from supple.cpu import field, folds
-from supple.domain import Domain
+from supple import _core
+from supple.domain import Domain, border_factor
 from supple.errors import FoldError, SuppleError
-from supple.strokes import FoldPolicy, Stroke, pack
+from supple.strokes import FoldPolicy, Stroke, numbers, pack
 
 Floats = npt.NDArray[np.float64]
 Table = npt.NDArray[np.void]
@@ -46,9 +44,9 @@ CLEARLY_SAFE = -0.5 * (1 - MARGIN)
 
 MOST_SUBSTROKES = 10_000
 
-_MOST_BOXES = 100_000
 _SQUEEZED = 1e-5  # a sequence that leaves less of a length has lost too many digits to be undone
 _GAP = 0.002
+_FREE_GAP = 1e-9  # known once for all strokes of a kind
 _FLOW_GAP = 0.05
 _FLOW_MARGIN = 0.3  # substrokes are well-conditioned: Newton takes few steps, and errors grow little
 
@@ -144,9 +142,9 @@ def _flow(stroke: Stroke, row: np.void, axes: Floats) -> Resolved:
             "along it, and nothing else gets there; use border=None, or points further in"
         )
     # What is outside of a fixed border is held by nothing; a brush only passes there.
-    weights = axes if held else np.array([[0.0, -1.0, 1.0]] * 3)
-    reach = (1 - _FLOW_MARGIN) * limit(stroke.poisson, stroke.scales) * stroke.radius
-    refused = held and math.hypot(*drag.tolist()) > MOST_SUBSTROKES * reach
+    weights = axes if held else np.array([[0.0, -1.0, 1.0, 0.0]] * 3)
+    longest = (1 - _FLOW_MARGIN) * limit(stroke.poisson, stroke.scales, stroke.reach) * stroke.radius
+    refused = held and math.hypot(*drag.tolist()) > MOST_SUBSTROKES * longest
     rows: list[np.void] = []
     margin, pieces = 1.0, 2.0
     while pieces > 1 and not refused:
@@ -184,18 +182,17 @@ def _narrowest(table: Table, axes: Floats, start: Floats, drag: Floats) -> float
     around = np.where(extent[:, None] > 0, parts * extent[:, None], start[:, None])
     points = np.concatenate([ahead, around], axis=1)
     points = np.where((axes[:, 1] >= 0)[:, None], np.clip(points, 0, axes[:, :1]), points)
-    jacobian = np.empty((9, points.shape[1]))
-    field.forward(table, axes, np.ascontiguousarray(points), jacobian)
+    _, jacobian = _core.forward(numbers(table), axes, np.ascontiguousarray(points.T), True)
     if not np.isfinite(jacobian).all():
         return 0.0
     n = 2 if axes[2, 0] == 0 and axes[2, 1] < 0 else 3  # of an image, only the plane counts
-    return float(np.linalg.svd(jacobian.T.reshape(-1, 3, 3)[:, :n, :n], compute_uv=False).min())
+    return float(np.linalg.svd(jacobian[:, :n, :n], compute_uv=False).min())
 
 
 def _beta(position: Floats, axes: Floats) -> Floats:
-    extent, sigma = axes[:, 0], axes[:, 1]
-    depth = np.minimum(np.minimum(position, extent - position), sigma)
-    beta = np.sin(np.pi / 2 * np.divide(depth, sigma, out=np.zeros(3), where=sigma > 0))
+    extent, sigma, _, profile = axes.T
+    depth = np.minimum(position, extent - position)
+    beta = border_factor(np.divide(depth, sigma, out=np.zeros(3), where=sigma > 0), profile[0])
     return np.where(sigma < 0, 1.0, beta)
 
 
@@ -209,25 +206,32 @@ def _shown(values: Iterable[float]) -> str:
 
 def _cut(x: float, digits: int) -> float:
     """Cut, not rounded: what may be done at most is not more than that."""
+    import decimal
+
     return float(decimal.Context(prec=digits, rounding=decimal.ROUND_DOWN).create_decimal_from_float(x))
 
 
-def limit(poisson: float, scales: int) -> float:
-    """The largest |f|/ε of a stroke with a free border: there, λ_min(sym(I + J)) reaches 0.
+def limit(poisson: float, scales: int, reach: float | None = None) -> float:
+    """Return the largest |f|/ε of a stroke with a free border: there, λ_min(sym(I + J)) reaches 0.
 
     Parameters
     ----------
     poisson : float
     scales : int
+    reach : float or None
+        In radii. With one, a little less is returned, by a part of 10⁻⁹ at most.
     """
-    return _limit(poisson, scales)[0]
+    return -1 / _free(poisson, scales, math.inf if reach is None else reach)[0]
 
 
 @lru_cache(maxsize=1024)
-def _limit(poisson: float, scales: int) -> tuple[float, float]:
-    """The limit, and the worst point's distance from the pivot over ε."""
+def _free(poisson: float, scales: int, reach: float) -> tuple[float, float, float]:
+    """Bound μ with |f| = ε = 1 and a free border, and tell how far ahead of the pivot the upper bound is reached."""
     stroke = Stroke(at=(0.0, 0.0), by=(1.0, 0.0), radius=1.0, poisson=poisson, scales=scales)
     row = pack([stroke], (1.0, 1.0))[0]
+    if reach < math.inf:
+        lower, upper, distance, _ = _core.smallest_free_strain(_terms(row), reach, _FREE_GAP)
+        return lower, upper, distance
     e, a, g = row["radius2"], row["p"] + row["r"], row["q"] - row["r"] * row["radius2"]
 
     def slope(u: float) -> float:
@@ -245,7 +249,7 @@ def _limit(poisson: float, scales: int) -> tuple[float, float]:
         for _ in range(60):
             middle = (worst + high) / 2
             worst, high = (middle, high) if bend(middle) < 0 else (worst, middle)
-    return -1 / slope(worst), math.sqrt(worst)
+    return slope(worst) * (1 + 1e-12), slope(worst) * (1 - 1e-12), math.sqrt(worst)
 
 
 def weakest(row: np.void, axes: Floats, target: float = CLEARLY_SAFE, gap: float = _GAP) -> tuple[float, float]:
@@ -254,7 +258,7 @@ def weakest(row: np.void, axes: Floats, target: float = CLEARLY_SAFE, gap: float
     Parameters
     ----------
     row : void of STROKE_DTYPE
-    axes : ndarray, shape (3, 3)
+    axes : ndarray, shape (3, 4)
         The domain, packed. Where it is free, the bounds are those of all of space.
     target : float
         The lower bound need not be close to the upper one where it is above this; 0 for a close one always.
@@ -269,14 +273,15 @@ def weakest(row: np.void, axes: Floats, target: float = CLEARLY_SAFE, gap: float
     if size == 0 or not (active.any() or (axes[:, 1] < 0).all()):
         return 0.0, 0.0
     direction, radius = force / size, math.sqrt(row["radius2"][0])
-    strongest, distance = _limit(_poisson(row), int(row["terms"]))
-    free = -1 / (strongest * radius)
-    worst = row["pivot"] + distance * radius * direction
-    inside = (axes[:, 1] <= worst) & (worst <= axes[:, 0] - axes[:, 1])
-    lower, upper = free * (1 + 1e-12), free * (1 - 1e-12)
+    free_lower, free_upper, distance = _free(_poisson(row), int(row["terms"]), row["reach"] / radius)
+    lower, upper = free_lower / radius, free_upper / radius
     if active.any():
-        there = np.where(active, inside, (direction == 0) & (row["pivot"] == 0)).all()
-        lower, upper = _fixed(row, axes, direction, (lower, upper if there else 0.0), target / size, gap)
+        in_plane = active | ((direction == 0) & (row["pivot"] == 0))
+        worst = row["pivot"] + distance * radius * direction
+        there = bool((in_plane & _unfaded(worst, 0.0, active, axes)).all())
+        if not (there and _unfaded(row["pivot"], row["reach"], active, axes).all()):
+            above = target / size * (1 - 1e-12)  # so that what comes back is not below it by rounding
+            lower, upper = _fixed(row, axes, direction, (lower, upper if there else 0.0), above, gap)
     return lower * size, upper * size
 
 
@@ -284,29 +289,29 @@ def _fixed(
     row: np.void, axes: Floats, direction: Floats, known: tuple[float, float], target: float, gap: float
 ) -> tuple[float, float]:
     """Bounds of μ with a fixed border and a force of length 1, from a lower one with a free border."""
-    n = int(row["terms"])
-    terms = np.stack([row[name][:n] for name in ("radius2", "p", "q", "r")], axis=1)
-    pivots = row["pivot"].tolist()
-    cells = [folds.cells(extent, sigma, p) for (extent, sigma, *_), p in zip(axes.tolist(), pivots, strict=True)]
-    boxes, keys, heap = np.empty((_MOST_BOXES, 3, 6)), np.empty(_MOST_BOXES), np.empty(_MOST_BOXES, np.int64)
-    count = math.prod(map(len, cells))
-    boxes[:count] = list(itertools.product(*cells))
-    keys[:count] = -1e300
-    heap[:count] = range(count)
-    lower, upper, _ = folds.smallest_strain(
-        terms,
+    lower, upper, _ = _core.smallest_strain(
+        _terms(row),
+        np.array(row["pivot"]),
         direction,
-        ((axes[:, 0] > 0) & (axes[:, 1] > 0)).astype(np.float64),
-        boxes,
-        keys,
-        heap,
-        count,
-        folds.limits(terms, known[0]),
+        float(row["reach"]),
+        np.ascontiguousarray(axes),
+        known[0],
         known[1],
         max(target, -1e300),
         gap,
     )
     return lower, upper
+
+
+def _unfaded(point: Floats, around: float, active: npt.NDArray[np.bool_], axes: Floats) -> npt.NDArray[np.bool_]:
+    """Return along which axes a point, and what is around it, keeps off the fixed border."""
+    extent, sigma = axes[:, 0], axes[:, 1]
+    return np.asarray(~active | ((sigma <= point - around) & (point + around <= extent - sigma)))
+
+
+def _terms(row: np.void) -> Floats:
+    n = int(row["terms"])
+    return np.stack([row[name][:n] for name in ("radius2", "p", "q", "r")], axis=1)
 
 
 def _poisson(row: np.void) -> float:

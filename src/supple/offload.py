@@ -11,14 +11,13 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from supple.cpu.stack import times_seen
-from supple.cpu.warp import Certificate
+from supple.certificate import Certificate
 from supple.errors import DeviceWarning
 from supple.gpu.clip import Clip, clip_on
 from supple.gpu.device import Gpu
 from supple.gpu.kernel import failures, trouble, unsolved
 from supple.gpu.lattice import Range
-from supple.gpu.samples import Picture, Wanted
+from supple.gpu.samples import Picture, Wanted, times_seen
 from supple.gpu.warp import warp
 from supple.streaming import CPU, SLACK, Layout, Maker, Sampling, Space, fills_of, frames_needed, grid_of
 from supple.workers import CPU as CPU_NAME
@@ -31,7 +30,7 @@ LEAD = 1  # planes that are begun before the first of them is read back
 
 def pictures_of(space: Space, layout: Layout, sampling: Sampling) -> tuple[Picture, ...]:
     """What a frame is made of, as the GPU takes it."""
-    earliest, latest = times_seen(sampling.outside, space.count, sampling.time_filter)
+    times = times_seen(sampling.outside, space.count, sampling.time_filter)
     return tuple(
         Picture(
             group.shape,
@@ -47,7 +46,7 @@ def pictures_of(space: Space, layout: Layout, sampling: Sampling) -> tuple[Pictu
                 sampling.light,
                 layout.white,
                 sampling.tolerance,
-                (int(earliest), int(latest)),
+                times,
             ),
             group.step,
             group.offset,

@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from supple import _core
-from supple.strokes import STROKE_DTYPE
+from supple.strokes import numbers
 
 Floats = npt.NDArray[np.float64]
 
@@ -62,8 +62,7 @@ class Solid:
 
 def strokes_of(table: npt.NDArray[np.void], axes: Floats) -> _core.Strokes:
     """Return a table of strokes and the axes of their domain as the core takes them."""
-    rows = np.ascontiguousarray(table).view(np.float64).reshape(len(table), STROKE_DTYPE.itemsize // 8)
-    return _core.Strokes(rows, np.ascontiguousarray(axes))
+    return _core.Strokes(numbers(table), np.ascontiguousarray(axes))
 
 
 def solve_solid(

@@ -1,9 +1,11 @@
 # The types of what bindings.cpp defines.
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, Literal, overload
 
 import numpy as np
-from numpy.typing import NDArray
+import numpy.typing as npt
+
+Floats = npt.NDArray[np.float64]
 
 isa: str
 
@@ -13,47 +15,72 @@ class Polynomial:
     def __init__(self, coefficients: Sequence[float]) -> None: ...
     def at(self, x: float) -> float: ...
 
+def smallest_strain(
+    terms: Floats,
+    pivot: Floats,
+    direction: Floats,
+    reach: float,
+    axes: Floats,
+    free: float,
+    upper: float,
+    target: float,
+    gap: float,
+) -> tuple[float, float, int]: ...
+def smallest_free_strain(terms: Floats, reach: float, gap: float) -> tuple[float, float, float, int]: ...
+@overload
+def forward(
+    table: npt.NDArray[np.void], axes: Floats, points: Floats, jacobian: Literal[True]
+) -> tuple[Floats, Floats]: ...
+@overload
+def forward(
+    table: npt.NDArray[np.void], axes: Floats, points: Floats, jacobian: Literal[False]
+) -> tuple[Floats, None]: ...
+
 BRICK: int
 NODE: int
 
 class Strokes:
-    def __init__(self, rows: NDArray[np.float64], axes: NDArray[np.float64]) -> None: ...
+    def __init__(self, rows: npt.NDArray[np.float64], axes: npt.NDArray[np.float64]) -> None: ...
 
 class Lattice:
-    def __init__(self, nodes: NDArray[np.float32], step: int) -> None: ...
+    def __init__(self, nodes: npt.NDArray[np.float32], step: int) -> None: ...
     def solve(self, strokes: Strokes) -> tuple[float, float]: ...
     def error(self, strokes: Strokes) -> float: ...
-    def between(self, points: NDArray[np.float32], out: NDArray[np.float32]) -> None: ...
+    def between(self, points: npt.NDArray[np.float32], out: npt.NDArray[np.float32]) -> None: ...
 
 class Transfer:
     def __init__(
-        self, table: NDArray[np.float32], low: float, scale: float, threshold: float, bottom: float, top: float
+        self, table: npt.NDArray[np.float32], low: float, scale: float, threshold: float, bottom: float, top: float
     ) -> None: ...
 
 class View:
     def __init__(
         self,
-        packed: NDArray[np.float64],
+        packed: npt.NDArray[np.float64],
         step: float,
         lamp: tuple[float, float, float],
         shaded: bool,
-        skips: NDArray[np.uint8],
+        skips: npt.NDArray[np.uint8],
     ) -> None: ...
 
 def draw(
-    samples: NDArray[Any],
+    samples: npt.NDArray[Any],
     view: View,
     transfer: Transfer,
     lattice: Lattice | None,
     cells: int,
     strokes: Strokes | None,
-    columns: NDArray[np.float64],
-    rows: NDArray[np.float64],
-    light: NDArray[np.float32],
-    depth: NDArray[np.float64],
-    work: NDArray[np.int64],
+    columns: npt.NDArray[np.float64],
+    rows: npt.NDArray[np.float64],
+    light: npt.NDArray[np.float32],
+    depth: npt.NDArray[np.float64],
+    work: npt.NDArray[np.int64],
 ) -> None: ...
-def brick_ranges(samples: NDArray[Any], brick: int, lows: NDArray[np.float32], highs: NDArray[np.float32]) -> None: ...
-def brick_distances(seen: NDArray[np.bool_], out: NDArray[np.uint8]) -> None: ...
-def brick_moved(lattice: Lattice, seen: NDArray[np.bool_], fine: int, slack: float, out: NDArray[np.bool_]) -> None: ...
-def look_up(samples: NDArray[Any], points: NDArray[np.float32], out: NDArray[np.float32]) -> None: ...
+def brick_ranges(
+    samples: npt.NDArray[Any], brick: int, lows: npt.NDArray[np.float32], highs: npt.NDArray[np.float32]
+) -> None: ...
+def brick_distances(seen: npt.NDArray[np.bool_], out: npt.NDArray[np.uint8]) -> None: ...
+def brick_moved(
+    lattice: Lattice, seen: npt.NDArray[np.bool_], fine: int, slack: float, out: npt.NDArray[np.bool_]
+) -> None: ...
+def look_up(samples: npt.NDArray[Any], points: npt.NDArray[np.float32], out: npt.NDArray[np.float32]) -> None: ...

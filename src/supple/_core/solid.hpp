@@ -14,7 +14,7 @@ namespace supple {
 
 constexpr int NODE = 16;          // floats: u and the columns of M, each followed by a 0
 constexpr double SOLVED = 1e-3;   // the last Newton step at a node, in voxels
-constexpr double RESERVE = 2.0;   // the error is this times the largest that is seen
+constexpr double CHECKED = 2.0;   // the error is this times the largest that is seen
 
 // The strokes of a table, all of them, and the domain.
 struct Strokes {
@@ -22,9 +22,8 @@ struct Strokes {
     std::vector<Stroke> strokes;
     std::vector<int> list;
 
-    Strokes(const double* rows, size_t count, const double* packed) : axes(load_axes(packed)) {
-        strokes = load_strokes(rows, count, axes.data());
-        for (size_t i = 0; i < count; i++) list.push_back((int)i);
+    Strokes(const Axes& axes, std::vector<Stroke> table) : axes(axes), strokes(std::move(table)) {
+        for (size_t i = 0; i < strokes.size(); i++) list.push_back((int)i);
     }
     Chain chain() const { return {strokes.data(), list.data(), (int)list.size()}; }
     double finest() const { return least(axes[0].spacing, least(axes[1].spacing, axes[2].spacing)); }
@@ -171,7 +170,7 @@ struct Lattice {
             }
         double largest = 0;
         for (int l = 0; l < LANES; l++) largest = most(largest, double(worst[l]));
-        return RESERVE * std::sqrt(largest);
+        return CHECKED * std::sqrt(largest);
     }
 
 private:

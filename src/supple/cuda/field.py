@@ -1,7 +1,7 @@
 """T and its Jacobian at a point, computed by one thread: the strokes of a table, one after the other.
 
 A stroke moves the point p by β(p) K(p'), where p' is p, clamped to the domain along axes with a fixed border. With
-r = p' - pivot, K = A f + B (r·f) r, where A and B are functions of s = |r|², multiplied by m(√s / R) if the stroke has a
+r = p' - pivot, K = A f + B (r·f) r. A and B are functions of s = |r|², multiplied by m(√s / R) if the stroke has a
 reach R.
 
 Deformations are one flat array of float64: for each, the DOMAIN numbers of its domain; then all strokes, STROKE numbers
@@ -53,7 +53,7 @@ def packed(tables: Sequence[npt.NDArray[np.void]], domains: Sequence[Floats]) ->
         reach2 = np.minimum(table["reach"] ** 2, UNLIMITED)
         out[:, REACH2], out[:, NEARNESS] = reach2, np.where(reach2 < UNLIMITED, 1.0 / reach2, 0.0)
         rows.append(out.ravel())
-    known = np.concatenate([*(np.asarray(d, np.float64)[:, :3].ravel() for d in domains), *rows])
+    known = np.concatenate([*(np.asarray(d, np.float64).ravel() for d in domains), *rows])
     return known, np.cumsum([0, *(t.size for t in tables)]).astype(np.int32)
 
 

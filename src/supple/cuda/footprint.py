@@ -3,8 +3,8 @@
 With M = ∂p/∂q, an output pixel covers an ellipse whose axes are the singular values of M. A sample of the source is an
 average over one pixel already, so that boxes of the widths √(λ - 1) are left, where λ are the eigenvalues of S = M Mᵀ.
 The cubic interpolant is averaged over them by spots along the major axis, each of four points with the right second
-moments. Where even the minor axis is long, spots lie in a level of a pyramid, whose samples are averaged as they are read:
-of squares of more than FINEST_SIDE samples a side, as many of them evenly apart.
+moments. Where even the minor axis is long, spots lie in a level of a pyramid, whose samples are averaged as they are
+read: of squares of more than FINEST_SIDE samples a side, as many of them evenly apart.
 """
 
 from __future__ import annotations
@@ -29,13 +29,8 @@ FINEST_SIDE = 16
 
 _f4 = np.float32
 ZERO, HALF, ONE, TWO, THREE = _f4(0.0), _f4(0.5), _f4(1.0), _f4(2.0), _f4(3.0)
-_SOFT, _RAMP, _SPACING, _THICKEST, _WIDEST = (
-    _f4(SOFT),
-    _f4(FULL / (FULL - SOFT)),
-    _f4(SPACING),
-    _f4(THICKEST),
-    _f4(WIDEST),
-)
+_SOFT, _RAMP, _SPACING = _f4(SOFT), _f4(FULL / (FULL - SOFT)), _f4(SPACING)
+_THICKEST, _WIDEST = _f4(THICKEST), _f4(WIDEST)
 _COARSE, _LONGEST, _TWELFTH, _MOST_SIGMA = _f4(FINEST_LEVEL), _f4(LONGEST), _f4(1.0 / 12.0), _f4(0.4999)
 _QUARTER, _FOUR = _f4(0.25), _f4(4.0)
 _FADE, _RISE = _f4(0.75), _f4(3.2)  # of the next spot, and of the next level
@@ -71,13 +66,16 @@ def smoothstep(t):
 
 
 @lean
-def finest_level(major, minor):
-    """The level of the pyramid that a footprint needs, and how much of the next one is mixed in."""
+def finest_level(major, minor, side):
+    """The level of the pyramid that a footprint needs, and how much of the next one is mixed in.
+
+    The coarsest level of a picture, which is ``side`` samples long, is one sample.
+    """
     want, level = max(minor, major / _LONGEST), 0
-    while want >= _COARSE and level < LEVELS:
+    while want >= _COARSE and (1 << level) < side and level < LEVELS:
         want *= _QUARTER
         level += 1
-    mixed = smoothstep((want - _RISE) / (_COARSE - _RISE)) if level < LEVELS else ZERO
+    mixed = smoothstep((want - _RISE) / (_COARSE - _RISE)) if (1 << level) < side and level < LEVELS else ZERO
     return level, mixed
 
 
@@ -175,7 +173,7 @@ def averaged_at(way: Way, read: Callable[..., Any]) -> Callable[..., Any]:
 
     @device
     def averaged(samples, fills, source, how, limits, start, i, j, u, v, c, major, minor, ax, ay):
-        finest, coarser = finest_level(major, minor)
+        finest, coarser = finest_level(major, minor, max(source[WIDTH], source[HEIGHT]))
         total = number(0.0)
         for level in range(finest, finest + (2 if coarser > ZERO else 1)):
             of_level = ONE - coarser if level == finest else coarser

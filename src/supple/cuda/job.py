@@ -1,4 +1,4 @@
-"""Warps of arrays that live on a card: at once, or handed over to be waited for."""
+"""Warps of arrays that live on a GPU: at once, or handed over to be waited for."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def checked(
     Raises
     ------
     SuppleError
-        If an argument does not fit, or the card cannot be used.
+        If an argument does not fit, or the GPU cannot be used.
     """
     space = spaces[0]
     given = taken(source, "source")
@@ -90,12 +90,12 @@ def _like(given: OnCard) -> OnCard:
 
 
 def _checked_out(out: Any, source: OnCard) -> OnCard:
-    wanted = f"an array on the source's card, of {source.dtype} and shape {source.shape}, as the source is"
+    wanted = f"an array on the source's GPU, of {source.dtype} and shape {source.shape}, as the source is"
     if not is_on_card(out):
         refuse("out", wanted, out)
     target = taken(out, "out")
     if target.shape != source.shape or target.dtype != source.dtype or target.card.number != source.card.number:
-        refuse("out", wanted, f"{target.dtype} of shape {target.shape} on card {target.card.number}")
+        refuse("out", wanted, f"{target.dtype} of shape {target.shape} on GPU {target.card.number}")
     if not target.writable:
         raise SuppleError("out must be an array that can be written, found a read-only one")
     if 0 in (s for s, n in zip(target.strides, target.shape, strict=True) if n > 1):
@@ -119,7 +119,7 @@ class _Round:
 def hand_over(work: Work, stream: Any, slab: int | None = None, *, waited: bool = False) -> Pieces:
     """Hand all of it over to a stream, without waiting; what is told of it is there when that is done.
 
-    ``slab`` is how many planes are handed over at once, so that what else the card has to do comes in between;
+    ``slab`` is how many planes are handed over at once, so that what else the GPU has to do comes in between;
     ``waited`` says that this thread waits for it next, on the stream of the source's library.
     """
     card, space, sampling = work.source.card, work.spaces[0], work.sampling
@@ -181,7 +181,7 @@ _lock = threading.Lock()
 
 
 class Warping:
-    """A warp that goes on on a card while others work: what `start` returns.
+    """A warp that goes on on a GPU while others work: what `start` returns.
 
     Attributes
     ----------
@@ -264,7 +264,7 @@ def start(work: Work, *, slab: int | None, stream: Any = None) -> Warping:
 
 
 def _over(event: Any) -> bool:
-    """Whether nothing is going on any more: it is done, or its card has failed."""
+    """Whether nothing is going on any more: it is done, or its GPU has failed."""
     if simulated():
         return True
     try:

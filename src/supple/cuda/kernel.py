@@ -1,4 +1,4 @@
-"""How kernels for NVIDIA cards are compiled and launched, and how many threads take what."""
+"""How kernels for NVIDIA GPUs are compiled and launched, and how many threads take what."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def device(function: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def kernel(function: Callable[..., Any]) -> Any:
-    """Compile for a card, when it is first called with arguments of some types, and keep that on disk."""
+    """Compile for a GPU, when it is first called with arguments of some types, and keep that on disk."""
     try:
         return cuda.jit(function, cache=True)
     except RuntimeError:  # nothing can be written: compile at every start

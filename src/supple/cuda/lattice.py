@@ -1,10 +1,10 @@
 """T⁻¹ on planes: solved at the nodes of a lattice, filled in between, and certified.
 
-At a node, Newton's method gives the displacement u = T⁻¹(q) - q and, exactly, its derivatives ∂u/∂q = (I+J)⁻¹ - I. A
-cell between four nodes is filled by bicubic Hermite interpolation of values, slopes and twists. It is checked: T of nine
-of its points is compared with where they should be, and the residual, times ∂p/∂q, is the distance to T⁻¹(q).
+At a node, Newton's method gives the displacement u = T⁻¹(q) - q and, exactly, its derivatives ∂u/∂q = (I+J)⁻¹ - I.
+A cell between four nodes is filled by bicubic Hermite interpolation of values, slopes and twists. It is checked: T of
+nine of its points is compared with where they should be, and the residual, times ∂p/∂q, is the distance to T⁻¹(q).
 
-A thread solves a node from nothing, in float64; cards have so many threads that the cells can be small, and those that
+A thread solves a node from nothing, in float64; GPUs have so many threads that the cells can be small, and those that
 are not good enough, in which each pixel is solved by itself, are few. Cells are filled in float32: displacements are
 offsets from a whole pixel.
 
@@ -47,8 +47,8 @@ SIZE = 8  # pixels from node to node
 TOLERANCE, LEFT = 1e-3, 1e-5
 # The largest error of a cell is nearly that of the worst of its nine points; the rest is reserve.
 RESERVE = 2.0
-# A cell may be as large as this part of the length on which the map varies at its corners: beyond, nine points say little
-# about what lies between them.
+# A cell may be as large as this part of the length on which the map varies at its corners: beyond, nine points say
+# little about what lies between them.
 RESOLVED = 0.5
 # m(|r|/R) varies over this part of R, as by its largest fourth derivative, compared with that of 1/ρ.
 REACH_LENGTH = 0.4
@@ -118,8 +118,8 @@ def fade_length(x, extent, sigma, profile, u, v):
 def smoothness(known, at, first, last, x, y, z, a, b, d, e, g, h):
     """How far, in output pixels, the map stays as smooth as it is at a point, of which the columns of ∂p/∂q are known.
 
-    A stroke varies over ρ, its reach over a part of R within its ball, and its border, along each axis by itself, over σ
-    or the distance to it: all are seen through the derivative of the stroke's input by q.
+    A stroke varies over ρ, its reach over a part of R within its ball, and its border, along each axis by itself, over
+    σ or the distance to it: all are seen through the derivative of the stroke's input by q.
     """
     m00, m01, m02, m10, m11, m12, m20, m21, m22 = 1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0
     j, k = at + Y_AXIS, at + Z_AXIS

@@ -1,4 +1,4 @@
-"""Points on a card, through a deformation, and the map of all of them."""
+"""Points on a GPU, through a deformation, and the map of all of them."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def _columns(points: Any, ndim: int) -> OnCard:
     if given.ndim == 0 or given.shape[-1] != ndim:
         refuse("points", f"an array of shape (..., {ndim}), x first", f"shape {given.shape}")
     if given.dtype not in (np.float32, np.float64):
-        refuse("points", "an array on a card of float32 or float64", f"dtype {given.dtype}")
+        refuse("points", "an array on a GPU of float32 or float64", f"dtype {given.dtype}")
     return contiguous(given)
 
 

@@ -1,4 +1,4 @@
-"""Arrays on a card, warped there: what is prepared once for a deformation, and what is done for each array.
+"""Arrays on a GPU, warped there: what is prepared once for a deformation, and what is done for each array.
 
 Planes are made some at a time, so that what they need beside the arrays stays small: their lattice is solved, its
 cells are checked, the good ones are filled, and the pixels of the others are solved. Nothing is waited for until all
@@ -34,7 +34,7 @@ Floats = npt.NDArray[np.float64]
 
 SCRATCH = 256 << 20  # bytes, at most, beside the arrays
 _LONG = (1 << 31) - (1 << 24)  # samples, with room for sums
-_KEPT = 64  # small arrays that stay on the cards
+_KEPT = 64  # small arrays that stay on the GPUs
 _KEPT_LATTICES = 16
 _KEPT_PIECES = 32 << 20  # bytes, at most, of what a thread keeps beside its arrays
 
@@ -45,14 +45,14 @@ _lock = threading.Lock()
 
 
 def held(card: Card, array: Array) -> Any:
-    """A small array on a card; one with the same values that is there already is taken."""
+    """A small array on a GPU; one with the same values that is there already is taken."""
     from numba import cuda
 
     key = (card.number, array.dtype.str, array.shape, array.tobytes())
     with _lock:
         if key not in _held:
             with card.current():
-                # A stream of its own: what else the card has to do is not waited for.
+                # A stream of its own: what else the GPU has to do is not waited for.
                 stream = _uploads.get(card.number) or _uploads.setdefault(card.number, card.stream())
                 _held[key] = cuda.to_device(array, stream=stream)
                 stream.synchronize()
@@ -64,7 +64,7 @@ def held(card: Card, array: Array) -> Any:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Lattice:
-    """What kernels take of deformations of one shape, on a card.
+    """What kernels take of deformations of one shape, on a GPU.
 
     Parameters
     ----------
@@ -105,7 +105,7 @@ _lattices: OrderedDict[tuple[Any, ...], tuple[Lattice, tuple[Space, ...]]] = Ord
 
 
 def lattice_of(card: Card, spaces: Sequence[Space]) -> Lattice:
-    """Put deformations, all of one shape, on a card; those that were there last are taken as they are."""
+    """Put deformations, all of one shape, on a GPU; those that were there last are taken as they are."""
     # Their arrays never change, and are kept with what was made of them: they cannot become others.
     key = (card.number, spaces[0].shape, *((id(space.table), id(space.axes)) for space in spaces))
     with _lock:
@@ -194,7 +194,7 @@ def colours_of(
 
 @dataclass(frozen=True, slots=True)
 class Frames:
-    """Frames as they lie on a card: flat memory, and where in it; see `supple.cuda.sample.SOURCE`.
+    """Frames as they lie on a GPU: flat memory, and where in it; see `supple.cuda.sample.SOURCE`.
 
     Of a ``ring``, only some may be there; it is one even while all are, so that one kernel does for all of its planes.
     """
@@ -210,7 +210,7 @@ class Frames:
 
 
 class Pieces:
-    """What is needed beside the arrays, on a card: of a library's own memory, so that its streams know of it."""
+    """What is needed beside the arrays, on a GPU: of a library's own memory, so that its streams know of it."""
 
     def __init__(self, like: OnCard, lattices: Sequence[Lattice], planes: int) -> None:
         nodes, cells = max(known.nodes for known in lattices), max(known.cell_count for known in lattices)

@@ -16,6 +16,7 @@ from supple.gpu.device import LIMITS, Gpu
 from supple.gpu.kernel import Array, owned, room, unsolved
 from supple.gpu.lattice import NODE, SETTINGS, Lattice, Part, Strokes, lattice_on, pitch_of, strokes_on
 from supple.gpu.planes import Held, colour, target_size, unpacked
+from supple.gpu.pyramid import Pyramid, pyramid, size_of
 from supple.gpu.samples import Picture
 from supple.gpu.texels import MOST_LAYERS, SIDE, Layers, blocks_of, layers, texels_of
 from supple.gpu.warp import AT_FIRST, SECONDS
@@ -31,6 +32,7 @@ class Ring:
     picture: Picture
     window: Array
     samples: Layers
+    pyramid: Pyramid
     there: list[int]
 
     def take(self, frame: int) -> None:
@@ -39,6 +41,7 @@ class Ring:
         if self.there[slot] == frame:
             return
         self.samples.put(self.gpu, slot, self.picture.format.packed(self.window[slot]))
+        self.pyramid.build(self.samples, slot)
         self.there[slot] = frame
 
 
@@ -90,7 +93,7 @@ class Clip:
                 slots = len(ring.there)
                 seen, shift = ((low, high + 1), low % slots) if self.timed else ((0, 1), z % slots)
                 rows = (0, ring.picture.shape[0])
-                held = Held(ring.samples, seen, rows, slots, shift)
+                held = Held(ring.samples, ring.pyramid, seen, rows, slots, shift)
                 colour(use.lattice, ring.picture, self.frames if self.timed else 1, held, told, target, self.parts)
             encoder = gpu.device.create_command_encoder()
             at = 0
@@ -137,6 +140,7 @@ def fits_whole(gpu: Gpu, strokes: Strokes, pictures: Sequence[Picture], slots: i
     return all(
         slots * math.prod(blocks_of(picture.shape)) <= MOST_LAYERS
         and slots * texels_of(picture.shape) * picture.format.size <= gpu.texture
+        and slots * size_of(picture, (0, picture.shape[0])) <= gpu.binding
         for picture in pictures
     )
 
@@ -184,8 +188,12 @@ def clip_on(
         rings, rooms = [], []
         for picture, window in zip(pictures, windows, strict=True):
             form = picture.format
-            (samples,) = owned(stack, layers(gpu, picture.shape, slots, form.dtype, form.channels))
-            rings.append(Ring(gpu, picture, window, samples, [-1] * slots))
+            samples, levels = owned(
+                stack,
+                layers(gpu, picture.shape, slots, form.dtype, form.channels),
+                pyramid(gpu, picture, (0, picture.shape[0]), slots),
+            )
+            rings.append(Ring(gpu, picture, window, samples, levels, [-1] * slots))
         sizes = (*(target_size(picture, picture.shape[0]) for picture in pictures), 16)
         for _ in range(sets):
             told = owned(

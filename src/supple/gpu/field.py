@@ -28,11 +28,12 @@ _POINTS = ("field", "newton", "points", "turns")
 
 
 def packed(table: npt.NDArray[np.void]) -> npt.NDArray[np.void]:
-    """A table of strokes (`supple.strokes.pack`) in float32, each pivot as the sum of two numbers."""
+    """Return a table of strokes (`supple.strokes.pack`) in float32: each pivot as the sum of two numbers, and 1/R."""
     out = np.zeros(table.size, STROKE)
     with np.errstate(over="ignore"):  # `fits` tells
         out["pivot"] = table["pivot"]
         out["rest"][:, :3] = table["pivot"] - out["pivot"].astype(np.float64)
+        out["rest"][:, 3] = 1.0 / table["reach"]
         out["force"][:, :3] = table["force"]
         out["terms"] = table["terms"]
         for name in ("radius2", "p", "q", "r"):
@@ -46,14 +47,26 @@ def fits(table: npt.NDArray[np.void]) -> bool:
     return all(bool((np.abs(made[name]) < 1e18).all()) for name in ("pivot", "force", "radius2", "p", "q", "r"))
 
 
-def domain(axes: Floats) -> npt.NDArray[np.float32]:
-    """A packed domain (`Domain.packed`): extents, widths of the border and spacing, each of three axes.
+def local(table: npt.NDArray[np.void]) -> bool:
+    """Tell whether all strokes have a limited reach, so that there may be pixels that none of them reaches."""
+    return bool(np.isfinite(table["reach"]).all())
 
-    A fourth of the spacing is what errors are measured by: the smallest of the axes along which anything may move. Off
-    a picture's plane nothing does, and its pixels are what counts.
+
+def reached(table: npt.NDArray[np.void], axes: Floats, planes: tuple[int, int]) -> npt.NDArray[np.bool_]:
+    """Return which planes, of a range of the third axis, the ball of any stroke touches."""
+    z = np.arange(*planes)[:, None] * axes[2, 2]
+    return np.asarray((np.abs(z - table["pivot"][:, 2]) < table["reach"]).any(axis=1))
+
+
+def domain(axes: Floats) -> npt.NDArray[np.float32]:
+    """Return a packed domain (`Domain.packed`) as shaders read it.
+
+    Its rows are the extents, widths of the border, spacing and profiles of three axes. A fourth of the spacing is what
+    errors are measured by: the smallest of the axes along which anything may move. Off a picture's plane nothing does,
+    and its pixels are what counts.
     """
-    out = np.zeros((3, 4), np.float32)
-    out[:, :3] = axes[:, :3].T
+    out = np.zeros((4, 4), np.float32)
+    out[:, :3] = axes.T
     moving = (axes[:, 0] != 0.0) | (axes[:, 1] != 0.0)
     out[2, 3] = axes[moving if moving.any() else ..., 2].min()
     return out

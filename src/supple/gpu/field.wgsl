@@ -1,11 +1,14 @@
-// T and its Jacobian: every stroke of a table applied to a point; see supple/cpu/field.py for the equations.
+// T and its Jacobian: every stroke of a table applied to a point.
+//
+// With r = p' - pivot (p' is p, clamped to the domain along axes with a fixed border), s = |r|² and ρᵢ² = s + radius2ᵢ,
+//     K(p) = m [ Σᵢ (pᵢ/ρᵢ + qᵢ/ρᵢ³) f + (rᵢ/ρᵢ³)(r·f) r ],  m = (1-t)³(1+3t+6t²), t = √s/R, and 0 from t = 1 on.
 //
 // A point is an anchor q and an offset w from it, in physical units: what float32 keeps of w, and of distances to
 // pivots, does not depend on how far from the origin q lies. A pivot is the sum of two numbers for the same reason.
 
 struct Stroke {
     pivot: vec3f, terms: f32,
-    rest: vec4f,
+    rest: vec4f, // of the pivot, and 1/R, which is 0 where the reach is unlimited
     force: vec4f,
     radius2: vec4f,
     p: vec4f,
@@ -17,6 +20,7 @@ struct Domain {
     extent: vec4f,
     sigma: vec4f, // of the fixed border; below 0 where it is free, and 0 where nothing moves along an axis
     spacing: vec4f, // and the smallest that counts, see field.py
+    profile: vec4f, // of the fixed border along each axis: QUARTIC or SINE
 }
 
 struct Moved {
@@ -29,34 +33,64 @@ fn finest() -> f32 {
 }
 
 const HALF_PI = 1.5707963267948966;
+const QUARTIC = 0.0;
+const SINE = 1.0;
+// t² from which on a stroke moves nothing: m is below 1e-14 there, and float32 cannot tell the points from its rim.
+const RIM = 0.99999;
 
-// β, β', the offset of the nearest point of the domain, and 1 where that is the point itself.
-fn edge(q: f32, w: f32, extent: f32, sigma: f32) -> vec4f {
+// The offset from q of the nearest point of the domain.
+fn clamped(q: f32, w: f32, extent: f32, sigma: f32) -> f32 {
     if (sigma < 0.0) {
-        return vec4f(1.0, 0.0, w, 1.0);
+        return w;
+    }
+    return clamp(w, -q, extent - q);
+}
+
+fn clamped_to_domain(q: vec3f, w: vec3f) -> vec3f {
+    return vec3f(
+        clamped(q.x, w.x, domain.extent.x, domain.sigma.x),
+        clamped(q.y, w.y, domain.extent.y, domain.sigma.y),
+        clamped(q.z, w.z, domain.extent.z, domain.sigma.z),
+    );
+}
+
+// β, β', and 1 where the point q + w lies in the domain.
+fn edge(q: f32, w: f32, axis: u32) -> vec3f {
+    let extent = domain.extent[axis];
+    let sigma = domain.sigma[axis];
+    if (sigma < 0.0) {
+        return vec3f(1.0, 0.0, 1.0);
     }
     if (sigma == 0.0) {
-        return vec4f(0.0, 0.0, -q, 0.0);
+        return vec3f(0.0, 0.0, 1.0);
     }
     let left = q + w;
     let right = (extent - q) - w;
-    let near = clamp(w, -q, extent - q);
-    let scale = HALF_PI / sigma;
-    let angle = clamp(min(left, right), 0.0, sigma) * scale;
     let inside = select(0.0, 1.0, left >= 0.0 && right >= 0.0);
-    return vec4f(sin(angle), select(-scale, scale, left < right) * cos(angle), near, inside);
+    let side = select(-1.0, 1.0, left < right) / sigma;
+    let t = clamp(min(left, right) / sigma, 0.0, 1.0);
+    if (domain.profile[axis] == SINE) {
+        return vec3f(sin(HALF_PI * t), side * HALF_PI * cos(HALF_PI * t), inside);
+    }
+    return vec3f(t * (2.0 + t * t * (t - 2.0)), side * (2.0 + t * t * (4.0 * t - 6.0)), inside);
 }
 
 fn moved_by(k: u32, q: vec3f, at: Moved) -> Moved {
-    let x = edge(q.x, at.offset.x, domain.extent.x, domain.sigma.x);
-    let y = edge(q.y, at.offset.y, domain.extent.y, domain.sigma.y);
-    let z = edge(q.z, at.offset.z, domain.extent.z, domain.sigma.z);
+    let near = clamped_to_domain(q, at.offset);
+    let d = (q - strokes[k].pivot) + (near - strokes[k].rest.xyz);
+    let d2 = dot(d, d);
+    let over = strokes[k].rest.w; // 1/R
+    let t2 = d2 * over * over;
+    if (t2 >= RIM) {
+        return at;
+    }
+    let x = edge(q.x, at.offset.x, 0u);
+    let y = edge(q.y, at.offset.y, 1u);
+    let z = edge(q.z, at.offset.z, 2u);
     let beta = vec3f(x.x, y.x, z.x);
     let slope = vec3f(x.y, y.y, z.y);
-    let inside = vec3f(x.w, y.w, z.w);
-    let d = (q - strokes[k].pivot) + (vec3f(x.z, y.z, z.z) - strokes[k].rest.xyz);
+    let inside = vec3f(x.z, y.z, z.z);
     let f = strokes[k].force.xyz;
-    let d2 = dot(d, d);
     var a = 0.0;
     var b = 0.0;
     var da = 0.0;
@@ -73,6 +107,15 @@ fn moved_by(k: u32, q: vec3f, at: Moved) -> Moved {
         da -= v3 * (p + 3.0 * e * v2);
         db -= 3.0 * r * v3 * v2;
     }
+    // m, and 2 dm/ds = -30 t (1-t)² / R².
+    let t = sqrt(t2);
+    let left = 1.0 - t;
+    let m_ = left * left * left * (1.0 + t * (3.0 + 6.0 * t));
+    let dm = -30.0 * t * left * left * over * over;
+    da = m_ * da + dm * a;
+    db = m_ * db + dm * b;
+    a *= m_;
+    b *= m_;
     let rf = dot(d, f);
     let g = b * rf;
     let moving = a * f + g * d;
@@ -89,6 +132,19 @@ fn moved_by(k: u32, q: vec3f, at: Moved) -> Moved {
     m[1][1] += own.y;
     m[2][2] += own.z;
     return Moved(at.offset + beta * moving, m * at.jacobian);
+}
+
+// Whether all strokes leave a point where it is, as it lies outside every one's ball.
+fn unreached(q: vec3f) -> bool {
+    let near = clamped_to_domain(q, vec3f(0.0));
+    for (var k = 0u; k < settings.strokes; k++) {
+        let d = (q - strokes[k].pivot) + (near - strokes[k].rest.xyz);
+        let over = strokes[k].rest.w;
+        if (dot(d, d) * over * over < RIM) {
+            return false;
+        }
+    }
+    return true;
 }
 
 fn moved(first: u32, last: u32, q: vec3f, w: vec3f) -> Moved {

@@ -1,156 +1,149 @@
-// Averages over what a pixel covers of a picture; see supple/cpu/footprint.py and supple/cpu/filters.py.
+// The residual footprint: the cubic interpolant, averaged by what is missing of the average over an output pixel.
 //
-// A footprint is described by its covariance. One that is nearly upright is averaged exactly: the cubic interpolant,
-// integrated over a box, is a sum of samples. A long or an oblique one is made of several such boxes along its major
-// axis, of samples that are averages themselves where even the minor axis is long.
+// With M = ∂p/∂q, S = M Mᵀ = [[xx, xy], [xy, yy]], its eigenvalues λ± = h ± d, and α, β = max(λ± - 1, 0):
+//     12 Σ = ½(α+β) I + (α-β)/(2d) (S - hI)
+// is the covariance over which an average is missing, as a pixel of the input is one already.
 
-const WIDEST = 2.0;
-const OBLIQUE = 0.5; // an upright box stands for a footprint with less covariance than this
-const MOST_BOXES = 64.0;
-const FINEST = 1.0 / 64.0; // a box that is smaller is a point
-// Where the square of the larger singular value is from and to as the average fades in.
-const FADE_ANTIALIAS = vec2f(0.9409, 1.0);
-const FADE_AUTO = vec2f(1.0, 1.21);
-const COARSEST = 2u; // of an average, two to so many samples are read along each side
+const LOW = 0.05; // α up to which nothing is averaged
+const RISE = 0.2; // and from which on all of Σ is
+const NARROW = vec2f(1.62, 3.2); // α and λ- up to which one spot is enough
+const SPOT = 1.7; // how far apart spots are
+const MOST_SPOTS = 16.0;
+const WIDEST = 3.0; // 12 Σ of a spot along the major axis, and a little less along the minor one
+const LEVEL = 4.0; // λ- from which on a coarser level is read, which fades in from 3.2 on
+const LONG = 400.0; // λ+ / λ- from which on the level follows from the longer side
 
 struct Footprint {
-    kind: u32, // a point, a box, or several
-    box: vec2f, // how wide it is
-    covariance: vec3f, // xx, xy, yy
-    major: f32, // and its eigenvalues
+    covariance: vec3f, // of one spot: xx, xy and yy of Σ
+    wide: bool, // whether there are several, or coarser levels
+    major: f32, // λ+ and λ-
     minor: f32,
+    axis: vec2f, // of λ+
 }
 
-const POINT = 0u;
-const BOX = 1u;
-const LONG = 2u;
-
-// As large as the footprint where the map shrinks, and fading to a point where it does not.
 fn footprint_of(m: mat3x3f) -> Footprint {
     let x = vec2f(m[0].x, m[1].x);
     let y = vec2f(m[0].y, m[1].y);
-    let a = dot(x, x);
-    let b = dot(x, y);
-    let c = dot(y, y);
-    let spread = sqrt((a - c) * (a - c) + 4.0 * b * b);
-    var major = 0.5 * (a + c + spread);
-    var minor = 0.5 * (a + c - spread);
-    let fade = select(FADE_AUTO, FADE_ANTIALIAS, FILTER == ANTIALIAS);
-    let shrinking = clamp((major - fade.x) / (fade.y - fade.x), 0.0, 1.0);
-    major *= shrinking;
-    minor = max(minor, 0.0) * shrinking;
-    let xx = a * shrinking;
-    let xy = b * shrinking;
-    let yy = c * shrinking;
-    let box = sqrt(vec2f(xx, yy));
-    var kind = LONG;
-    if (major <= WIDEST * WIDEST && abs(xy) <= OBLIQUE) {
-        kind = select(BOX, POINT, all(box < vec2f(FINEST)));
+    let xy = dot(x, y);
+    let h = 0.5 * (dot(x, x) + dot(y, y));
+    let e = 0.5 * (dot(x, x) - dot(y, y));
+    let d = sqrt(e * e + xy * xy);
+    var out = Footprint(vec3f(0.0), false, h + d, max(h - d, 0.0), vec2f(1.0, 0.0));
+    let a = max(out.major - 1.0, 0.0);
+    let b = max(out.minor - 1.0, 0.0);
+    if (!(a > LOW)) {
+        return out;
     }
-    return Footprint(kind, box, vec3f(xx, xy, yy), major, minor);
-}
-
-// The integral of Catmull and Rom's kernel from 0 to t.
-fn cubic_integral(t: f32) -> f32 {
-    let x = min(abs(t), 2.0);
-    let inner = x * (1.0 + x * x * (-5.0 / 6.0 + 0.375 * x));
-    let outer = x * (2.0 + x * (-2.0 + x * (5.0 / 6.0 - 0.125 * x))) - 1.0 / 6.0;
-    return sign(t) * select(outer, inner, x <= 1.0);
-}
-
-// The weights of the samples -2 to 3 under a box.
-fn box_weights(part: f32, width: f32) -> array<f32, 6> {
-    if (width < FINEST) {
-        let w = cubic_weights(part);
-        return array<f32, 6>(0.0, w.x, w.y, w.z, w.w, 0.0);
+    if (a >= NARROW.x || out.minor >= NARROW.y) {
+        out.wide = true;
+        // The eigenvector of λ+, from the column of S - λ- I that is longer.
+        let along_x = vec2f(d + e, xy);
+        let along_y = vec2f(xy, d - e);
+        let axis = select(along_y, along_x, e >= 0.0);
+        out.axis = select(vec2f(1.0, 0.0), axis / length(axis), d > 0.0);
+        return out;
     }
-    var out: array<f32, 6>;
-    var total = 0.0;
-    for (var k = 0; k < 6; k++) {
-        let t = f32(k - 2) - part;
-        out[k] = cubic_integral(t + 0.5 * width) - cubic_integral(t - 0.5 * width);
-        total += out[k];
-    }
-    for (var k = 0; k < 6; k++) {
-        out[k] /= total;
-    }
+    let g = min(1.0, (RISE / (RISE - LOW)) * (a - LOW) / a);
+    let mean = 0.5 * (a + b);
+    let part = select(0.0, 0.5 * (a - b) / d, d > 0.0);
+    out.covariance = g / 12.0 * vec3f(mean + part * e, part * xy, mean - part * e);
     return out;
 }
 
-// The average of ``unit`` by ``unit`` samples; of many, of some of them.
-fn averaged(at: vec2i, unit: i32, frame: i32) -> vec4f {
-    let bits = min(firstTrailingBit(u32(unit)), COARSEST);
-    let count = 1u << bits;
-    let apart = unit >> bits;
-    var total = vec4f(0.0);
-    for (var k = 0u; k < count * count; k++) {
-        let i = vec2i(vec2u(k & (count - 1u), k >> bits));
-        let place = at * unit + i * apart + apart / 2;
-        total += texel(place.x, place.y, frame);
-    }
-    return total / f32(count * count);
+// Keys' kernel with a = -0.75.
+fn keys(t: f32) -> f32 {
+    let x = abs(t);
+    let inner = 1.0 + x * x * (-2.25 + 1.25 * x);
+    let outer = 3.0 + x * (-6.0 + x * (3.75 - 0.75 * x));
+    return select(select(outer, inner, x <= 1.0), 0.0, x >= 2.0);
 }
 
-// One of them: drivers that have no registers to count through read memory instead.
-fn pick(w: array<f32, 6>, k: i32) -> f32 {
-    return select(select(select(select(select(w[5], w[4], k == 4), w[3], k == 3), w[2], k == 2), w[1], k == 1), w[0], k == 0);
+// Half the sum and half the difference of a sample's weights at both points of an axis.
+fn both(t: f32, sigma: f32) -> vec2f {
+    let a = keys(t - sigma);
+    let b = keys(t + sigma);
+    return 0.5 * vec2f(a + b, a - b);
 }
 
-fn boxed(base: vec2i, part: vec2f, box: vec2f, unit: i32, frame: i32) -> vec4f {
-    let wx = box_weights(part.x, box.x);
-    let wy = box_weights(part.y, box.y);
+// Four cubic samples at (±√Σxx, ±√Σyy) around a point, with weights (1 ± ρ)/4: those of 5 by 5 samples, of which each
+// axis has its even and its odd part.
+fn spot(level: Level, base: vec2i, part: vec2f, covariance: vec3f, frame: i32) -> vec4f {
+    let sigma = sqrt(max(covariance.xz, vec2f(0.0)));
+    let product = sigma.x * sigma.y;
+    let rho = select(0.0, clamp(covariance.y / product, -1.0, 1.0), product > 0.0);
+    let apart = min(sigma, vec2f(0.4999));
+    let first = vec2i(floor(part - apart)) - 1;
+    let start = vec2f(first) - part;
     var total = vec4f(0.0);
-    for (var j = 0; j < 6; j++) {
-        let down = pick(wy, j);
-        if (down != 0.0) {
-            var row = vec4f(0.0);
-            for (var i = 0; i < 6; i++) {
-                let across = pick(wx, i);
-                if (across != 0.0) {
-                    row += across * averaged(base + vec2i(i - 2, j - 2), unit, frame);
-                }
+    for (var j = 0; j < 5; j++) {
+        let y = both(start.y + f32(j), apart.y);
+        if (all(y == vec2f(0.0))) {
+            continue;
+        }
+        for (var i = 0; i < 5; i++) {
+            let x = both(start.x + f32(i), apart.x);
+            let weight = x.x * y.x + rho * x.y * y.y;
+            if (weight != 0.0) {
+                total += weight * texel(level, base.x + first.x + i, base.y + first.y + j, frame);
             }
-            total += down * row;
         }
     }
     return total;
 }
 
-// One box, or several along the major axis.
-fn over_boxes(place: Place, over: Footprint, frame: i32) -> vec4f {
-    var unit = 1;
-    var count = 1.0;
-    var axis = vec2f(0.0);
-    var box = over.box;
-    var from_ = place.base.xy;
-    if (over.kind == LONG) {
-        while (unit < 4096 && over.minor > WIDEST * WIDEST * f32(unit * unit)) {
-            unit *= 2;
-        }
-        let c = over.covariance;
-        axis = select(vec2f(over.major - c.z, c.y), vec2f(c.y, over.major - c.x), c.x < c.z);
-        axis = select(vec2f(1.0, 0.0), normalize(axis), length(axis) > 1e-12) * sqrt(over.major);
-        count = clamp(ceil(sqrt(over.major) / (1.5 * f32(unit))), 2.0, MOST_BOXES);
-        // What the boxes' spread does not average, and the samples have not, is left to each box.
-        let spread = 1.0 - 1.0 / (count * count);
-        let had = f32(unit * unit) - 1.0;
-        box = min(sqrt(max(c.xz - spread * axis * axis - had, vec2f(0.0))) / f32(unit), vec2f(WIDEST));
-        // Averages lie at whole multiples of their size.
-        from_ = vec2i(floor(vec2f(place.base.xy) / f32(unit)));
-    }
-    let part = vec2f(place.base.xy - from_ * unit) + place.part.xy;
-    var total = vec4f(0.0);
-    for (var k = 0.0; k < count; k += 1.0) {
-        let at = (part + ((k + 0.5) / count - 0.5) * axis + 0.5) / f32(unit) - 0.5;
-        total += boxed(from_ + vec2i(floor(at)), fract(at), box, unit, frame);
-    }
-    return total / count;
+fn faded(f: f32) -> f32 {
+    let x = clamp(f, 0.0, 1.0);
+    return x * x * (3.0 - 2.0 * x);
 }
 
-fn in_picture(place: Place, over: Footprint, frame: i32) -> vec4f {
-    let averaging = FILTER == ANTIALIAS || FILTER == AUTO;
-    if (averaging && over.kind != POINT) {
-        return over_boxes(place, over, frame);
+// One spot; or several along the major axis, of one level or of two.
+fn averaged(place: Place, over: Footprint, frame: i32) -> vec4f {
+    var first = 0u;
+    var deeper = 0.0; // how much of the next level
+    if (over.wide) {
+        var want = max(over.minor, over.major / LONG);
+        while (want >= LEVEL && first < settings.levels) {
+            first += 1u;
+            want *= 0.25;
+        }
+        if (first < settings.levels) {
+            deeper = faded((want - NARROW.y) / (LEVEL - NARROW.y));
+        }
     }
-    return in_frame(place.base.xy, place.part.xy, frame, averaging || FILTER == CUBIC);
+    var total = vec4f(0.0);
+    for (var l = 0u; l < select(1u, 2u, deeper > 0.0); l++) {
+        let level = level_of(first + l);
+        let unit = 1 << level.number;
+        let base = place.base.xy >> vec2u(level.number);
+        let at = (vec2f(place.base.xy - base * unit) + place.part.xy + 0.5) / f32(unit) - 0.5;
+        var count = 1.0;
+        var more = 0.0; // how much of the next count
+        var reach = 0.0;
+        var minor = 0.0;
+        if (over.wide) {
+            let scale = 1.0 / f32(unit * unit);
+            minor = clamp(over.minor * scale - 1.0, 0.0, 2.99);
+            reach = sqrt(max(over.major * scale - 1.0, 0.0));
+            count = min(floor(reach / SPOT) + 1.0, MOST_SPOTS);
+            more = select(0.0, faded(4.0 * (reach / SPOT - (count - 1.0) - 0.75)), count < MOST_SPOTS);
+        }
+        for (var m = 0u; m < select(1u, 2u, more > 0.0); m++) {
+            let n = count + f32(m);
+            let share = select(1.0 - deeper, deeper, l == 1u) * select(1.0 - more, more, m == 1u) / n;
+            var covariance = over.covariance;
+            if (over.wide) {
+                let major = min(reach * reach / (n * n), WIDEST);
+                let u = over.axis;
+                covariance = vec3f(
+                    major * u.x * u.x + minor * u.y * u.y, (major - minor) * u.x * u.y, major * u.y * u.y + minor * u.x * u.x
+                ) / 12.0;
+            }
+            for (var k = 0.0; k < n; k += 1.0) {
+                let where_ = at + reach * ((k + 0.5) / n - 0.5) * over.axis;
+                let whole = floor(where_);
+                total += share * spot(level, base + vec2i(whole), where_ - whole, covariance, frame);
+            }
+        }
+    }
+    return total;
 }

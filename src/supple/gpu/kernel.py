@@ -96,12 +96,16 @@ def source(*names: str) -> str:
 
 
 def pipeline(
-    gpu: Gpu, names: Sequence[str], entry: str, kinds: Sequence[str], constants: Mapping[str, float] | None = None
+    gpu: Gpu,
+    names: Sequence[str],
+    entry: str,
+    kinds: Sequence[str | None],
+    constants: Mapping[str, float] | None = None,
 ) -> Any:
     """A compute shader's entry point, compiled; kept with the device.
 
     ``kinds`` are those of its bindings: UNIFORM, READ, WRITE, TEXTURE (rgba8unorm, written to), or what is read of an
-    array of layers or of a solid, as `_TEXTURES` has it.
+    array of layers or of a solid, as `_TEXTURES` has it; None for a number that it does not bind.
     """
     chosen = tuple(sorted((constants or {}).items()))
     key = (tuple(names), entry, tuple(kinds), chosen)
@@ -112,6 +116,7 @@ def pipeline(
         entries = [
             {"binding": k, "visibility": "COMPUTE"} | _TEXTURES.get(kind, {"buffer": {"type": kind}})
             for k, kind in enumerate(kinds)
+            if kind is not None
         ]
         layout = gpu.device.create_bind_group_layout(entries=entries)
         gpu.pipelines[key] = (
@@ -153,10 +158,11 @@ def owned(stack: contextlib.ExitStack, *buffers: Any) -> tuple[Any, ...]:
 
 
 def bound(gpu: Gpu, layout: Any, buffers: Sequence[Any]) -> Any:
-    """The bind group of buffers, and of views of textures."""
+    """Return the bind group of buffers, and of views of textures; None for a number that is not bound."""
     entries = [
         {"binding": k, "resource": buffer if hasattr(buffer, "texture") else {"buffer": buffer}}
         for k, buffer in enumerate(buffers)
+        if buffer is not None
     ]
     return gpu.device.create_bind_group(layout=layout, entries=entries)
 

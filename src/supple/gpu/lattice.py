@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from supple.gpu.device import Gpu
-from supple.gpu.field import domain, packed
+from supple.gpu.field import domain, local, packed
 from supple.gpu.kernel import LAYERS, READ, TURNS, UNIFORM, WRITE, download, owned, pipeline, room, run, upload
 from supple.gpu.samples import STEP
 from supple.gpu.texels import copy_in, plane_layers, view_of
@@ -19,7 +19,7 @@ Floats = npt.NDArray[np.float64]
 Range = tuple[int, int]
 
 NODE = 64  # bytes
-PARTS = ("warp", "field", "newton", "lattice", "smooth", "blend", "sample", "footprint", "turns")
+PARTS = ("warp", "field", "newton", "lattice", "smooth", "sample", "light", "levels", "footprint", "turns")
 _NAMES = (*PARTS, "texels_whole")
 _SOLVE = (UNIFORM, UNIFORM, READ, WRITE, WRITE, WRITE, WRITE)
 CHECK = (*_SOLVE, LAYERS)
@@ -49,7 +49,9 @@ SETTINGS = np.dtype(
         ("tolerance", "f4"),
         ("times", "i4", 2),
         ("turns", "u4"),
-        ("unused", "u4", 3),
+        ("limited", "u4"),
+        ("levels", "u4"),
+        ("stride", "u4"),
     ]
 )
 
@@ -58,7 +60,8 @@ SETTINGS = np.dtype(
 class Strokes:
     """Strokes on their domain, on the device.
 
-    ``cells`` is how many the lattice of a plane has, across and down.
+    ``cells`` is how many the lattice of a plane has, across and down; ``limited`` tells whether all strokes have a
+    limited reach.
     """
 
     gpu: Gpu
@@ -66,6 +69,7 @@ class Strokes:
     axes: Any
     count: int
     cells: tuple[int, int]
+    limited: bool
 
 
 def strokes_on(
@@ -79,7 +83,7 @@ def strokes_on(
     """Hand strokes over, until a stack is left; the lattice of a plane reaches as far as samples ``step`` apart may."""
     held, places = owned(stack, upload(gpu, packed(table)), upload(gpu, domain(axes), UNIFORM))
     height, width = (-(-n // k) * k for n, k in zip(shape, reversed(step), strict=True))
-    return Strokes(gpu, held, places, int(table.size), (_cells(width), _cells(height)))
+    return Strokes(gpu, held, places, int(table.size), (_cells(width), _cells(height)), local(table))
 
 
 def _cells(size: int) -> int:
@@ -148,7 +152,7 @@ class Lattice:
         self.solved = part
 
     def nodes(self) -> npt.NDArray[np.float32]:
-        """What the nodes know: planes, rows, columns, u and the columns of ∂p/∂q, each of 4 numbers."""
+        """Return the nodes: planes, rows, columns, u and the columns of ∂p/∂q, each of 4 numbers (lattice.wgsl)."""
         count, down, across = self.shape
         pitch = pitch_of(across)
         found = download(self.strokes.gpu, self.buffers[3], np.float32, count * down * pitch * 16)
@@ -191,5 +195,6 @@ def settings_of(lattice: Lattice, tolerance: float) -> npt.NDArray[np.void]:
     _, down, across = lattice.shape
     told["nodes"], told["strokes"], told["tolerance"] = (across, down), lattice.strokes.count, tolerance
     told["first"], told["origin"] = lattice.part.planes[0], lattice.part.cells[0]
+    told["limited"] = lattice.strokes.limited
     told["part"] = 0, 0xFFFFFFFF
     return told

@@ -1,19 +1,27 @@
-// T⁻¹ on planes: solved at nodes STEP pixels apart, and interpolated in between; see supple/cpu/solid.py.
+// T⁻¹ on planes: solved at nodes STEP pixels apart; between them, a bicubic Hermite patch of values, slopes and twists.
 //
-// A node is four vectors: the displacement u in pixels, with the node's own error, and the columns of ∂p/∂q, with the
-// length in pixels over which the map can be smooth there.
+// A node is four vectors: the displacement u in pixels, with the node's own error, and the columns of ∂p/∂q, whose fourth
+// components are the twist ∂²p/∂x∂y.
 
 struct Source {
     shift: vec3f, // u, in pixels
     matrix: mat3x3f, // ∂p/∂q, in pixels a pixel
 }
 
+struct Node {
+    shift: vec3f,
+    x: vec3f, // ∂u/∂x and ∂u/∂y
+    y: vec3f,
+    z: vec3f, // ∂p/∂z
+    twist: vec3f,
+}
+
 // The four nodes around a cell: above and below, each the left and the right one.
 struct Patch {
-    p: Source,
-    q: Source,
-    r: Source,
-    o: Source,
+    p: Node,
+    q: Node,
+    r: Node,
+    o: Node,
 }
 
 // Where one of the four vectors of a node is written: each has a layer, of rows of whole 256 bytes.
@@ -27,10 +35,13 @@ fn known_at(i: vec2u, plane: u32, k: u32) -> vec4f {
     return textureLoad(lattice, i, 4u * plane + k, 0);
 }
 
-fn node_at(i: vec2u, plane: u32) -> Source {
-    return Source(
-        known_at(i, plane, 0u).xyz,
-        mat3x3f(known_at(i, plane, 1u).xyz, known_at(i, plane, 2u).xyz, known_at(i, plane, 3u).xyz),
+fn node_at(i: vec2u, plane: u32) -> Node {
+    let x = known_at(i, plane, 1u);
+    let y = known_at(i, plane, 2u);
+    let z = known_at(i, plane, 3u);
+    return Node(
+        known_at(i, plane, 0u).xyz, x.xyz - vec3f(1.0, 0.0, 0.0), y.xyz - vec3f(0.0, 1.0, 0.0), z.xyz,
+        vec3f(x.w, y.w, z.w),
     );
 }
 
@@ -43,14 +54,58 @@ fn patch_at(i: vec2u, plane: u32) -> Patch {
     );
 }
 
-// At a place in the cell, from 0 to 1.
+// What Hermite's cubic takes of two values and their slopes, STEP apart: at a place from 0 to 1, and its derivative.
+struct Hermite {
+    value: vec4f, // of the first value and slope, and of the second ones
+    slope: vec4f,
+}
+
+fn hermite(s: f32) -> Hermite {
+    let h = f32(STEP);
+    let r = 1.0 - s;
+    let bow = 6.0 * s * r / h;
+    return Hermite(
+        vec4f(r * r * (1.0 + 2.0 * s), h * s * r * r, s * s * (3.0 - 2.0 * s), -h * s * s * r),
+        vec4f(-bow, r * (1.0 - 3.0 * s), bow, s * (3.0 * s - 2.0)),
+    );
+}
+
+fn along(weights: vec4f, a: vec3f, slope_a: vec3f, b: vec3f, slope_b: vec3f) -> vec3f {
+    return weights.x * a + weights.y * slope_a + weights.z * b + weights.w * slope_b;
+}
+
+// T⁻¹ and its derivative at a place in the cell, from 0 to 1.
 fn between_nodes(cell: Patch, at: vec2f) -> Source {
-    let s = at.x;
-    let upper = bent(cell.p.shift, cell.q.shift, cell.p.matrix[0], cell.q.matrix[0], s, f32(STEP));
-    let lower = bent(cell.r.shift, cell.o.shift, cell.r.matrix[0], cell.o.matrix[0], s, f32(STEP));
-    let above = cell.p.matrix + s * (cell.q.matrix - cell.p.matrix);
-    let below = cell.r.matrix + s * (cell.o.matrix - cell.r.matrix);
-    return Source(bent(upper, lower, above[1], below[1], at.y, f32(STEP)), above + at.y * (below - above));
+    let s = hermite(at.x);
+    let t = hermite(at.y);
+    let upper = along(s.value, cell.p.shift, cell.p.x, cell.q.shift, cell.q.x);
+    let lower = along(s.value, cell.r.shift, cell.r.x, cell.o.shift, cell.o.x);
+    let upper_y = along(s.value, cell.p.y, cell.p.twist, cell.q.y, cell.q.twist);
+    let lower_y = along(s.value, cell.r.y, cell.r.twist, cell.o.y, cell.o.twist);
+    let upper_x = along(s.slope, cell.p.shift, cell.p.x, cell.q.shift, cell.q.x);
+    let lower_x = along(s.slope, cell.r.shift, cell.r.x, cell.o.shift, cell.o.x);
+    let upper_xy = along(s.slope, cell.p.y, cell.p.twist, cell.q.y, cell.q.twist);
+    let lower_xy = along(s.slope, cell.r.y, cell.r.twist, cell.o.y, cell.o.twist);
+    return Source(
+        along(t.value, upper, upper_y, lower, lower_y),
+        mat3x3f(
+            along(t.value, upper_x, upper_xy, lower_x, lower_xy) + vec3f(1.0, 0.0, 0.0),
+            along(t.slope, upper, upper_y, lower, lower_y) + vec3f(0.0, 1.0, 0.0),
+            mix(mix(cell.p.z, cell.q.z, at.x), mix(cell.r.z, cell.o.z, at.x), at.y),
+        ),
+    );
+}
+
+// ∂²p/∂x∂y at a solved point, in pixels: T(p(q)) = q gives J ∂²p/∂x∂y = -(∂J/∂x) ∂p/∂y, by a central difference.
+fn twist_of(q: vec3f, found: Found) -> vec3f {
+    let x = found.matrix[0] * domain.spacing.x;
+    let y = found.matrix[1] * domain.spacing.y;
+    var bend = vec3f(0.0);
+    for (var k = 0; k < 2; k++) {
+        let way = f32(2 * k - 1);
+        bend += way * (moved(0u, settings.strokes, q, found.offset + 0.5 * way * x).jacobian * y);
+    }
+    return -(found.matrix * bend) / domain.spacing.xyz;
 }
 
 // How far from the true T⁻¹(q) a source point is, in pixels, to first order.
@@ -68,11 +123,34 @@ fn solve(@builtin(global_invocation_id) id: vec3u) {
     let q = vec3f(vec2f(pixel), f32(settings.first + id.z)) * domain.spacing.xyz;
     let found = undo(q, 1e-3 * finest());
     let m = in_pixels(found.matrix);
-    nodes[place_of_node(id.xy, id.z, 0u)] = vec4f(found.offset / domain.spacing.xyz, norm_of(m) * found.residual / finest());
-    let smooth_ = smoothness(q, found.offset, m);
+    let twist = twist_of(q, found);
+    // Where the map varies too much from node to node, its cells are not interpolated.
+    let resolved = f32(STEP) <= RESOLVED * smoothness(q, found.offset, m);
+    let error = select(COARSE, norm_of(m) * found.residual / finest(), resolved);
+    nodes[place_of_node(id.xy, id.z, 0u)] = vec4f(found.offset / domain.spacing.xyz, error);
     for (var c = 0u; c < 3u; c++) {
-        nodes[place_of_node(id.xy, id.z, 1u + c)] = vec4f(m[c], smooth_);
+        nodes[place_of_node(id.xy, id.z, 1u + c)] = vec4f(m[c], twist[c]);
     }
+}
+
+const COARSE = 1e30; // the error of what is not to be interpolated
+const UNMOVED = -1.0; // and of cells that no stroke reaches
+
+// Whether no stroke reaches a cell, whose first pixel this is.
+fn unreached_cell(first: vec3f) -> bool {
+    if (settings.limited == 0u) {
+        return false;
+    }
+    let size = vec3f(vec2f(f32(STEP)), 0.0) * domain.spacing.xyz;
+    for (var k = 0u; k < settings.strokes; k++) {
+        let c = (strokes[k].pivot - first) + strokes[k].rest.xyz; // of the ball, from the cell's corner
+        let d = c - clamp(c, vec3f(0.0), size);
+        let over = strokes[k].rest.w;
+        if (dot(d, d) * over * over < RIM) {
+            return false;
+        }
+    }
+    return true;
 }
 
 // Which cells interpolate well enough: their error, as far as it is seen, with a reserve.
@@ -80,6 +158,12 @@ fn solve(@builtin(global_invocation_id) id: vec3u) {
 fn check(@builtin(global_invocation_id) id: vec3u) {
     let cells = settings.nodes - 1u;
     if (id.x >= cells.x || id.y >= cells.y) {
+        return;
+    }
+    let cell = (id.z * cells.y + id.y) * cells.x + id.x;
+    let first = vec2f((id.xy + vec2u(0u, settings.origin)) * STEP);
+    if (unreached_cell(vec3f(first, f32(settings.first + id.z)) * domain.spacing.xyz)) {
+        errors[cell] = UNMOVED;
         return;
     }
     let patch_ = patch_at(id.xy, id.z);
@@ -90,7 +174,7 @@ fn check(@builtin(global_invocation_id) id: vec3u) {
         let node = id.xy + vec2u(k & 1u, k >> 1u);
         let error = known_at(node, id.z, 0u).w;
         found = max(found, error);
-        fine = fine && error <= settings.tolerance && f32(STEP) <= RESOLVED * known_at(node, id.z, 1u).w;
+        fine = fine && error <= settings.tolerance;
     }
     for (var k = 0u; k < 8u; k++) {
         let at = SEEN[k];
@@ -100,8 +184,7 @@ fn check(@builtin(global_invocation_id) id: vec3u) {
         found = max(found, error);
         fine = fine && error <= settings.tolerance; // and never so if it is not a number
     }
-    let cell = (id.z * cells.y + id.y) * cells.x + id.x;
-    errors[cell] = select(1e30, found, fine);
+    errors[cell] = select(COARSE, found, fine);
     if (!fine) {
         rough[4u + atomicAdd(&stats[2], 1u)] = cell;
     }

@@ -9,6 +9,7 @@ import numpy as np
 
 from supple.gpu.kernel import LAYERS, WHOLE_LAYERS, WRITE, Array, pipeline, run
 from supple.gpu.lattice import CHECK, PARTS, Lattice, Range, settings_of
+from supple.gpu.pyramid import Pyramid
 from supple.gpu.samples import STEP, Picture
 from supple.gpu.texels import Layers
 
@@ -20,6 +21,7 @@ class Held:
     Parameters
     ----------
     samples : Layers
+    pyramid : Pyramid
     frames, rows : (int, int)
         Which they are: from, to.
     slots : int
@@ -29,6 +31,7 @@ class Held:
     """
 
     samples: Layers
+    pyramid: Pyramid
     frames: Range
     rows: Range
     slots: int
@@ -89,14 +92,16 @@ def colour(
         "bounds": picture.bounds,
         "white": wanted.white,
         "times": wanted.times,
+        "levels": held.pyramid.count,
+        "stride": held.pyramid.stride,
     }.items():
         settings[name] = value
     settings["fill"][0, : picture.channels] = wanted.fill
-    buffers = (told, *lattice.buffers[1:], lattice.view, held.samples.view, target)
+    buffers = (told, *lattice.buffers[1:], lattice.view, held.samples.view, target, held.pyramid.buffer)
     constants = picture.constants() | {"FOLDED": int(held.samples.blocks != (1, 1))}
     whole = np.dtype(form.dtype).kind == "u"
     names = (*PARTS, "texels_whole" if whole else "texels_float")
-    kinds = (*CHECK, WHOLE_LAYERS if whole else LAYERS, WRITE)
+    kinds = (*CHECK, WHOLE_LAYERS if whole else LAYERS, WRITE, WRITE)
     known, rough = (pipeline(gpu, names, entry, kinds, constants) for entry in ("warp", "solve_and_warp"))
     across = -(-picture.shape[1] * picture.step[0] // STEP)
     down = -(-(end - top) // picture.rows)

@@ -13,6 +13,12 @@ from supple.gpu.samples import LONGEST, STEP, Picture
 
 Floats = npt.NDArray[np.float64]
 
+# As footprint.wgsl has them.
+LONG = 400.0
+FADED = 3.2
+SPOT = 1.7
+MOST_SPOTS = 16
+
 SUPPORT = {"nearest": 1, "linear": 1, "cubic": 2, "nothing": 1}
 
 
@@ -30,6 +36,8 @@ class Reach:
         How far any coordinate moves, in pixels.
     tall, long : array
         How many rows and frames a pixel covers, at most, in pixels.
+    coarse : array
+        How many samples a side are averaged in the coarsest level that its footprint reads, at most.
     work : array
         How many points a pixel averages in the picture, about.
     """
@@ -41,6 +49,7 @@ class Reach:
     moved: Floats
     tall: Floats
     long: Floats
+    coarse: Floats
     work: Floats
 
 
@@ -57,7 +66,7 @@ def reach_of(nodes: npt.NDArray[np.float32], first: int, origin: int, step: tupl
     known = nodes.astype(np.float64)
     planes, rows = known.shape[:2]
     u, across, down, along = (known[..., k, :3] for k in range(4))
-    # Between two nodes, the map is no farther from the line than slopes differ, times an eighth of what lies between.
+    # Between two nodes, the map is about as far from the line as slopes differ, times an eighth of what lies between.
     bend = np.zeros((planes, rows - 1, 3))
     for slopes, axis in ((across, 2), (down, 1)):
         apart = np.abs(np.diff(slopes, axis=axis)).max(axis=2) * (STEP / 8)
@@ -74,9 +83,14 @@ def reach_of(nodes: npt.NDArray[np.float32], first: int, origin: int, step: tupl
     # How large a footprint is: along y with all of its parallelogram, along t with the length of its row.
     tall = np.abs(across[..., 1]) * step[0] + np.abs(down[..., 1]) * step[1]
     long = np.sqrt((across[..., 2] * step[0]) ** 2 + (down[..., 2] * step[1]) ** 2 + along[..., 2] ** 2)
-    taps = np.clip(2 * np.linalg.norm(across[..., :2], axis=-1), 1, 16) * np.clip(
-        2 * np.linalg.norm(down[..., :2], axis=-1), 1, 16
-    )
+    # The eigenvalues of M Mᵀ, in samples; see footprint.wgsl.
+    mx, my = ((across[..., k] * step[0] / step[k], down[..., k] * step[1] / step[k]) for k in range(2))
+    xx, xy, yy = (np.sum(np.stack(a) * np.stack(b), axis=0) for a, b in ((mx, mx), (mx, my), (my, my)))
+    half, apart = 0.5 * (xx + yy), np.hypot(0.5 * (xx - yy), xy)
+    major, minor = half + apart, half - apart
+    want = np.maximum(minor, major / LONG)
+    coarse = np.where(want > 0.8 * FADED, 2 * np.sqrt(want), 1.0)
+    spots = np.clip(np.sqrt(major / np.maximum(want / 4, 1)) / SPOT, 1, MOST_SPOTS)
     return Reach(
         both(z + u[..., 2], -1) - bend[..., 2],
         both(z + u[..., 2], 1) + bend[..., 2],
@@ -85,7 +99,8 @@ def reach_of(nodes: npt.NDArray[np.float32], first: int, origin: int, step: tupl
         both(np.abs(u).max(axis=-1), 1) + bend.max(axis=-1),
         both(tall, 1),
         both(long, 1),
-        taps.mean(axis=2)[:, :-1],
+        both(coarse, 1),
+        spots.mean(axis=2)[:, :-1],
     )
 
 
@@ -110,12 +125,12 @@ def box_of(
     wanted, (_, step) = picture.wanted, picture.step
     part = planes, cells
     slack = more + 2 * wanted.tolerance + 1e-3
-    averaging = wanted.filter in ("antialias", "auto")
+    averaging = wanted.filter == "auto"
     tall = slack
     if averaging:
-        # A footprint of its own size, of samples that are averages where it is large.
-        covered = 1.5 * float(reach.tall[part].max()) / step
-        tall += 0.5 * covered + (3 * covered if covered > 2 else 0.0)
+        # Spots along the footprint; of coarser levels whole samples, as many around a point as of the frame itself.
+        unit = float(reach.coarse[part].max())
+        tall += 0.75 * float(reach.tall[part].max()) / step + (5 * unit if unit > 1 else 0.0)
     rows = held_of(
         (float(reach.above[part].min()) - picture.offset[1]) / step - tall,
         (float(reach.below[part].max()) - picture.offset[1]) / step + tall,

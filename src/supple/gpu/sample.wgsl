@@ -2,62 +2,47 @@
 //
 // Weights are float32; no sampler of the hardware's takes part.
 
-fn to_light(v: vec3f) -> vec3f {
-    let s = v / settings.white;
-    let bent_ = pow((max(s, vec3f(0.04045)) + 0.055) / 1.055, vec3f(2.4));
-    return settings.white * select(bent_, s / 12.92, s <= vec3f(0.04045));
-}
-
-fn from_light(v: vec3f) -> vec3f {
-    let s = v / settings.white;
-    let bent_ = 1.055 * pow(max(s, vec3f(0.0031308)), vec3f(1.0 / 2.4)) - 0.055;
-    return settings.white * select(bent_, s * 12.92, s <= vec3f(0.0031308));
-}
-
-// As it is filtered: light, if wanted, and weighted by opacity. Of two channels, the second is opacity.
-fn prepared(pixel: vec4f) -> vec4f {
-    var v = pixel;
-    if (LIGHT) {
-        v = vec4f(to_light(v.xyz), v.w);
-        if (ALPHA && settings.channels < 4u) {
-            v[settings.channels - 1u] = pixel[settings.channels - 1u];
-        }
-    }
-    if (ALPHA) {
-        let last = settings.channels - 1u;
-        let opacity = pixel[last];
-        v *= opacity / settings.white;
-        v[last] = opacity;
-    }
-    return v;
-}
-
-fn finished(filtered: vec4f) -> vec4f {
-    var v = filtered;
-    if (ALPHA) {
-        let last = settings.channels - 1u;
-        let opacity = v[last];
-        v *= select(0.0, settings.white / opacity, opacity > 0.0);
-        v[last] = opacity;
-    }
-    if (LIGHT) {
-        let kept = v;
-        v = vec4f(from_light(v.xyz), v.w);
-        if (ALPHA && settings.channels < 4u) {
-            v[settings.channels - 1u] = kept[settings.channels - 1u];
-        }
-    }
-    return v;
-}
-
 // Mirrored about the outer edges of the first and the last sample.
 fn reflected(i: i32, n: i32) -> i32 {
     let k = ((i % (2 * n)) + 2 * n) % (2 * n);
     return min(k, 2 * n - 1 - k);
 }
 
-fn texel(x: i32, y: i32, frame: i32) -> vec4f {
-    let size = vec3i(vec3u(settings.size, settings.frames));
+struct Level {
+    size: vec2i, // of the whole frame's level
+    number: u32,
+    start: u32, // in the levels of a slot, in samples
+}
+
+fn level_of(number: u32) -> Level {
+    var size = settings.size;
+    var held = settings.held.zw;
+    var start = 0u;
+    for (var k = 0u; k < number; k++) {
+        start += select(0u, size.x * (held.y - held.x), k > 0u);
+        size = (size + 1u) / 2u;
+        held = vec2u(held.x / 2u, (held.y + 1u) / 2u);
+    }
+    return Level(vec2i(size), number, start);
+}
+
+// What lies at a place of a level: as it is in the frame itself, and as it is filtered in coarser levels.
+fn stored(level: Level, at: vec2u, frame: u32) -> vec4f {
+    // Its rows of the frame: what comes of one that is not here is not used.
+    let rows = min(vec2u(at.y, at.y + 1u) << vec2u(level.number), settings.size.yy);
+    let held = settings.held;
+    missing += u32(frame < held.x || frame >= held.y || rows.x < held.z || rows.y > held.w);
+    var slot = frame - held.x + settings.shift;
+    slot -= select(0u, settings.slots, slot >= settings.slots);
+    if (level.number == 0u) {
+        return loaded_at(vec2u(at.x, at.y - held.z), slot);
+    }
+    let row = at.y - (held.z >> level.number);
+    return level_sample(slot * settings.stride + level.start + row * u32(level.size.x) + at.x);
+}
+
+fn texel(level: Level, x: i32, y: i32, frame: i32) -> vec4f {
+    let size = vec3i(level.size, i32(settings.frames));
     var at = vec3i(x, y, frame);
     if (OUTSIDE == CONSTANT) {
         if (any(at < vec3i(0)) || any(at >= size)) {
@@ -68,49 +53,20 @@ fn texel(x: i32, y: i32, frame: i32) -> vec4f {
     } else {
         at = clamp(at, vec3i(0), size - 1);
     }
-    let here = vec2u(at.zy);
-    // What comes of one that is not here is not used.
-    missing += u32(any(here < settings.held.xz) || any(here >= settings.held.yw));
-    var layer = here.x - settings.held.x + settings.shift;
-    layer -= select(0u, settings.slots, layer >= settings.slots);
-    var place = vec2u(u32(at.x), here.y - settings.held.z);
-    if (FOLDED) {
-        let block = place >> vec2u(SIDE);
-        layer = (layer * settings.blocks.y + block.y) * settings.blocks.x + block.x;
-        place &= vec2u((1u << SIDE) - 1u);
+    let v = stored(level, vec2u(at.xy), u32(at.z));
+    if (level.number > 0u) {
+        return v;
     }
-    return prepared(loaded(place, layer));
-}
-
-fn cubic_weights(t: f32) -> vec4f {
-    return vec4f(
-        t * (-0.5 + t * (1.0 - 0.5 * t)),
-        1.0 + t * t * (-2.5 + 1.5 * t),
-        t * (0.5 + t * (2.0 - 1.5 * t)),
-        t * t * (-0.5 + 0.5 * t),
-    );
+    return prepared(v);
 }
 
 fn linear_at(base: vec2i, part: vec2f, frame: i32) -> vec4f {
+    let level = level_of(0u);
     var total = vec4f(0.0);
     for (var k = 0; k < 4; k++) {
         let at = vec2i(k & 1, k >> 1);
         let weight = select(1.0 - part, part, at == vec2i(1));
-        total += weight.x * weight.y * texel(base.x + at.x, base.y + at.y, frame);
-    }
-    return total;
-}
-
-fn cubic_at(base: vec2i, part: vec2f, frame: i32) -> vec4f {
-    let wx = cubic_weights(part.x);
-    let wy = cubic_weights(part.y);
-    var total = vec4f(0.0);
-    for (var j = 0; j < 4; j++) {
-        var row = vec4f(0.0);
-        for (var i = 0; i < 4; i++) {
-            row += wx[i] * texel(base.x + i - 1, base.y + j - 1, frame);
-        }
-        total += wy[j] * row;
+        total += weight.x * weight.y * texel(level, base.x + at.x, base.y + at.y, frame);
     }
     return total;
 }
@@ -128,20 +84,37 @@ fn place_of(q: vec3i, shift: vec3f) -> Place {
     return Place(q + vec3i(whole), kept - whole);
 }
 
-fn in_frame(base: vec2i, part: vec2f, frame: i32, cubic: bool) -> vec4f {
+fn in_frame(place: Place, over: Footprint, frame: i32) -> vec4f {
     if (FILTER == NEAREST) {
-        return texel(base.x + i32(part.x >= 0.5), base.y + i32(part.y >= 0.5), frame);
+        let i = place.base.xy + vec2i(place.part.xy >= vec2f(0.5));
+        return texel(level_of(0u), i.x, i.y, frame);
     }
-    if (cubic) {
-        return cubic_at(base, part, frame);
+    if (FILTER == LINEAR) {
+        return linear_at(place.base.xy, place.part.xy, frame);
     }
-    return linear_at(base, part, frame);
+    if (FILTER == CUBIC) {
+        return spot(level_of(0u), place.base.xy, place.part.xy, vec3f(0.0), frame);
+    }
+    return averaged(place, over, frame);
+}
+
+// Catmull and Rom's weights of four frames.
+fn weights_in_time(t: f32) -> vec4f {
+    return vec4f(
+        t * (-0.5 + t * (1.0 - 0.5 * t)),
+        1.0 + t * t * (-2.5 + 1.5 * t),
+        t * (0.5 + t * (2.0 - 1.5 * t)),
+        t * t * (-0.5 + 0.5 * t),
+    );
 }
 
 // The integral of a kernel between frames, from 0 to t.
 fn integral(t: f32) -> f32 {
     if (BETWEEN == CUBIC) {
-        return cubic_integral(t);
+        let x = min(abs(t), 2.0);
+        let inner = x * (1.0 + x * x * (-5.0 / 6.0 + 0.375 * x));
+        let outer = x * (2.0 + x * (-2.0 + x * (5.0 / 6.0 - 0.125 * x))) - 1.0 / 6.0;
+        return sign(t) * select(outer, inner, x <= 1.0);
     }
     let x = min(abs(t), 1.0);
     return sign(t) * (x - 0.5 * x * x);
@@ -172,7 +145,7 @@ fn filtered(q: vec3i, source: Source) -> vec4f {
     }
     var total = vec4f(0.0);
     var weights = 0.0;
-    let cubic = cubic_weights(part);
+    let cubic = weights_in_time(part);
     for (var frame = first; frame <= last; frame++) {
         let t = f32(frame - kept) - part;
         var weight = 1.0;
@@ -186,7 +159,7 @@ fn filtered(q: vec3i, source: Source) -> vec4f {
             }
         }
         if (weight != 0.0) {
-            total += weight * in_picture(place, over, frame);
+            total += weight * in_frame(place, over, frame);
             weights += weight;
         }
     }

@@ -12,9 +12,18 @@ Array = npt.NDArray[Any]
 
 STEP = 16  # pixels from node to node, as warp.wgsl has it
 LONGEST = 64.0  # frames that a pixel is averaged over, at most
-FILTERS = {"nearest": 0, "linear": 1, "cubic": 2, "antialias": 3, "auto": 4}
+FILTERS = {"nearest": 0, "linear": 1, "cubic": 2, "auto": 3}
 BETWEEN = {"nearest": 0, "linear": 1, "cubic": 2, "nothing": 3}
 OUTSIDE = {"edge": 0, "constant": 1, "reflect": 2}
+_FARTHEST = 1 << 22  # frames from the first one
+
+
+def times_seen(outside: str, count: int, average: bool) -> tuple[int, int]:
+    """Return the times beyond which a clip of ``count`` frames does not change, as an edge or a constant goes on."""
+    beyond = 3 + (int(LONGEST) // 2 if average else 0)
+    if outside == "reflect":
+        return -_FARTHEST, _FARTHEST
+    return -beyond, count - 1 + beyond
 
 
 @dataclass(frozen=True, slots=True)
@@ -154,7 +163,7 @@ class Picture:
         wanted, form = self.wanted, self.format
         filtered = wanted.filter != "nearest"
         # Where a sample takes many turns of loops, each has a thread of its own.
-        averaging = wanted.average or wanted.filter in ("auto", "antialias")
+        averaging = wanted.average or wanted.filter == "auto"
         across = max(1, STEP // self.step[0] // form.pixels)
         return {
             "FORMAT": form.number,
@@ -164,6 +173,7 @@ class Picture:
             "ALPHA": int(wanted.alpha and filtered),
             "LIGHT": int(wanted.light and filtered),
             "AVERAGE": int(wanted.average),
+            "CHANNELS": self.channels,
             "ACROSS": across,
             "DOWN": min(self.rows, max(1, (256 if averaging else 32) // across)),
             "PIXELS": form.pixels,

@@ -13,9 +13,11 @@ import numpy as np
 import numpy.typing as npt
 
 from supple.gpu.device import Gpu
+from supple.gpu.field import reached
 from supple.gpu.kernel import Array, download, owned, room
 from supple.gpu.lattice import NODE, SETTINGS, Lattice, Part, Range, Strokes, lattice_on, pitch_of, strokes_on
 from supple.gpu.planes import Held, colour, target_size, unpacked
+from supple.gpu.pyramid import pyramid, size_of
 from supple.gpu.reach import Reach, box_of, reach_of
 from supple.gpu.samples import LONGEST, Picture
 from supple.gpu.texels import MOST_LAYERS, SIDE, blocks_of, layers, texels_of
@@ -76,16 +78,23 @@ class _Work:
             self.box, self.held = None, None
             form, count = self.picture.format, frames[1] - frames[0]
             size = rows[1] - rows[0], self.picture.shape[1]
-            (samples,) = owned(self.of_source, layers(self.gpu, size, count, form.dtype, form.channels))
+            samples, levels = owned(
+                self.of_source,
+                layers(self.gpu, size, count, form.dtype, form.channels),
+                pyramid(self.gpu, self.picture, rows, count),
+            )
             for k, frame in enumerate(self.read(frames, rows)):
                 samples.put(self.gpu, k, form.packed(frame), wait=True)
-            self.box, self.held = (frames, rows), Held(samples, frames, rows, count, 0)
+                levels.build(samples, k)
+            self.box, self.held = (frames, rows), Held(samples, levels, frames, rows, count, 0)
         return self.held
 
     def fits(self, frames: Range, rows: Range) -> bool:
         """Whether some rows of some frames are no more than is held at once."""
         count, shape = frames[1] - frames[0], (rows[1] - rows[0], self.picture.shape[1])
         size = count * texels_of(shape) * self.picture.format.size
+        if count * size_of(self.picture, rows) > self.gpu.binding:
+            return False
         return size <= self.gpu.texture and count * math.prod(blocks_of(shape)) <= MOST_LAYERS
 
     def samples_read(self, part: Part, reach: Reach, at: tuple[slice, slice]) -> float:
@@ -96,6 +105,28 @@ class _Work:
             each *= {"linear": 2.0, "cubic": 4.0}[wanted.between]
             each *= 1.0 + (min(float(reach.long[at].mean()), LONGEST) if wanted.average else 0.0)
         return (each + self.solving) * part.count * part.tall * self.picture.rows * self.picture.shape[1]
+
+    def copy(self, z: int) -> None:
+        """Pass a frame on as it is."""
+        rows = (0, self.picture.shape[0])
+        self.write((z, z + 1), rows, self.read((z, z + 1), rows))
+
+    def make_planes(self, part: Part) -> None:
+        """Solve the lattice of a part, and make all of it; whole frames in which nothing moves are passed on."""
+        wanted, (first, last) = self.picture.wanted, part.planes
+        lattice = self.solve(part)
+        reach = reach_of(lattice.nodes(), first, part.cells[0], self.picture.step)
+        rough = lattice.rough()
+        self.solving = EVALUATED * float(rough.mean()) * self.strokes.count
+        # Of what lies within a cell that is too coarse, nodes know nothing.
+        moves = (reach.moved.max(axis=1) * 3**0.5 > wanted.tolerance) | rough.any(axis=(1, 2))
+        still = np.flatnonzero(~moves) + first
+        if wanted.between == "nothing" or part.tall < self.strokes.cells[1]:
+            still = still[:0]
+        for z in still:
+            self.copy(int(z))
+        for planes in _stretches(first, last, still):
+            self.make(Part(planes, part.cells), reach, part)
 
     def make(self, part: Part, reach: Reach, known: Part) -> None:
         """Make a part of what ``reach`` is known of."""
@@ -210,7 +241,6 @@ def warp(
     ArithmeticError
         If points could not be solved, or lie in frames that cannot be read.
     """
-    wanted = picture.wanted
     with contextlib.ExitStack() as stack:
         strokes = strokes_on(stack, gpu, table, axes, shape, step)
         work = _Work(strokes, picture, frames, there or (0, frames), read, write)
@@ -222,25 +252,20 @@ def warp(
             raise MemoryError("a picture of this width is more than a shader takes")
         tall = min(down, most - 1, SIDE - 1)
         together = max(1, min(TOGETHER, most // (tall + 1)))
-        for first in range(*planes, together):
-            last = min(first + together, planes[1])
-            for top in range(0, down, tall):
-                part = Part((first, last), (top, min(top + tall, down)))
-                lattice = work.solve(part)
-                reach = reach_of(lattice.nodes(), first, top, picture.step)
-                rough = lattice.rough()
-                work.solving = EVALUATED * float(rough.mean()) * strokes.count
-                # Of what lies within a cell that is too coarse, nodes know nothing.
-                moves = (reach.moved.max(axis=1) * 3**0.5 > wanted.tolerance) | rough.any(axis=(1, 2))
-                still = np.flatnonzero(~moves)
-                if wanted.between == "nothing" or part.tall < down:
-                    still = still[:0]
-                for z in (int(k) + first for k in still):  # where nothing moves, a frame is as it was
-                    rows = (0, picture.shape[0])
-                    write((z, z + 1), rows, read((z, z + 1), rows))
-                for planes_ in _stretches(first, last, still + first):
-                    work.make(Part(planes_, part.cells), reach, part)
-            tell(last - planes[0])
+        done = planes[0]
+        passed = np.flatnonzero(~reached(table, axes, planes)) + planes[0]
+        if picture.wanted.between == "nothing":
+            passed = passed[:0]
+        for run in [*_stretches(*planes, passed), (planes[1], planes[1])]:
+            for z in range(done, run[0]):  # frames that no stroke reaches
+                work.copy(z)
+            tell(run[0] - planes[0])
+            for first in range(*run, together):
+                last = min(first + together, run[1])
+                for top in range(0, down, tall):
+                    work.make_planes(Part((first, last), (top, min(top + tall, down))))
+                tell(last - planes[0])
+            done = run[1]
     return work.worst, work.lost
 
 

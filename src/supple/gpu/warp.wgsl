@@ -24,6 +24,9 @@ struct Settings {
     tolerance: f32, // of source points, in pixels
     times: vec2i, // beyond which nothing changes
     turns: u32, // see turns.wgsl
+    limited: u32, // whether all strokes have a limited reach
+    levels: u32, // that frames have beside themselves
+    stride: u32, // samples from the levels of a slot to those of the next
 }
 
 @group(0) @binding(0) var<uniform> settings: Settings;
@@ -42,9 +45,6 @@ override FORMAT: u32 = 0u;
 override FILTER: u32 = 0u;
 override BETWEEN: u32 = 0u;
 override OUTSIDE: u32 = 0u;
-override ALPHA: bool = false;
-override LIGHT: bool = false;
-override FOLDED: bool = false; // whether frames have several layers
 override AVERAGE: bool = false; // over the time that a pixel covers
 
 const BYTE = 0u;
@@ -57,14 +57,12 @@ const FLOAT = 6u;
 const NEAREST = 0u;
 const LINEAR = 1u;
 const CUBIC = 2u;
-const ANTIALIAS = 3u;
-const AUTO = 4u;
+const AUTO = 3u;
 const NOTHING = 3u; // lies between the frames of a picture: there is one
 const EDGE = 0u;
 const CONSTANT = 1u;
 const REFLECT = 2u;
 const STEP = 16u;
-const SIDE = 13u; // bits of a place in a layer
 const LONGEST = 64.0; // frames that a pixel is averaged over, at most
 
 var<private> worst: f32 = 0.0;
@@ -75,7 +73,7 @@ var<private> missing: u32 = 0u;
 
 // A workgroup makes the pixels of one cell: what it reads of the lattice is the same for all of them.
 var<private> cell: vec2u;
-var<private> known: f32; // the error of what the cell interpolates
+var<private> known: f32 = 0.0; // the error of what the cell interpolates
 var<private> patch_: Patch;
 
 // T⁻¹ of a sample: from the lattice where that is good enough, and solved from there elsewhere.
@@ -116,7 +114,22 @@ fn in_samples(source: Source) -> Source {
     );
 }
 
+// Whether no stroke reaches a sample, so that it is copied as it is.
+fn passed(x: u32, y: u32, plane: u32) -> bool {
+    if (known == UNMOVED) {
+        return true;
+    }
+    if (settings.limited == 0u) {
+        return false;
+    }
+    let place = settings.pitch * vec2f(vec2u(x, y)) + settings.offset;
+    return unreached(vec3f(place, f32(settings.first + plane)) * domain.spacing.xyz);
+}
+
 fn colour(x: u32, y: u32, plane: u32, solving: bool) -> vec4f {
+    if (passed(x, y, plane)) {
+        return stored(level_of(0u), vec2u(x, y), select(settings.first + plane, 0u, BETWEEN == NOTHING));
+    }
     let source = in_samples(source_of(x, y, plane, solving));
     let v = filtered(vec3i(vec3u(x, y, settings.first + plane)), source);
     if (FORMAT < FLOAT) {

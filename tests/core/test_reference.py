@@ -1,0 +1,485 @@
+"""The slow reference itself, against mathematics: every other engine is compared with it."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+import reference
+
+from supple.domain import Domain
+from supple.strokes import Stroke
+
+Floats = npt.NDArray[np.float64]
+
+
+def strokes_of(ndim: int, **options: Any) -> list[Stroke]:
+    """Return strokes of one to three scales and materials of every kind, none of which folds."""
+    drags = np.array([[3.1, -2.7, 1.4], [-1.5, 1.73, -1.61], [0.7, 0.9, 1.3]])[:, :ndim]
+    places = np.array([[20.3, 17.7, 14.2], [31.3, 6.9, 9.4], [7.7, 29.5, 20.2]])[:, :ndim]
+    return [
+        Stroke.grab(at, by=by, radius=9.0 - i, scales=i + 1, poisson=(0.4, 0.5, -math.inf)[i], **options)
+        for i, (at, by) in enumerate(zip(places, drags, strict=True))
+    ]
+
+
+def places(domain: Domain, count: int = 300, beyond: float = 0.0, seed: int = 0) -> Floats:
+    size = np.array(domain.shape[::-1]) - 1
+    return np.random.default_rng(seed).uniform(-beyond, size + beyond, (count, domain.ndim))
+
+
+DOMAINS: list[Domain] = [
+    Domain((40, 45), border=None),
+    Domain((40, 45), border=12.0),
+    Domain((40, 45), spacing=(1.0, 1.7), border=100.0, border_profile="sine"),
+    Domain((30, 40, 45), border=None),
+    Domain((30, 40, 45), spacing=(0.8, 1.0, 1.3), border=9.0),
+]
+
+
+@pytest.mark.parametrize("domain", DOMAINS, ids=str)
+def test_jacobian_is_what_differences_say(domain: Domain) -> None:
+    for beyond, reach in ((0.0, None), (8.0, None), (3.0, 1.3), (0.0, 2.5)):
+        strokes = strokes_of(domain.ndim, reach=reach)
+
+        def moved(p: Floats, strokes: list[Stroke] = strokes) -> Floats:
+            return reference.forward(strokes, domain, p)
+
+        points = places(domain, beyond=beyond)
+        # There are none across a border's faces.
+        clear = (np.abs(points) > 0.01).all(-1) & (np.abs(points - np.array(domain.shape[::-1]) + 1) > 0.01).all(-1)
+        found = reference.jacobian(strokes, domain, points)
+        expected = reference.differences(moved, points, 1e-3)
+        np.testing.assert_allclose(found[clear], expected[clear], rtol=0, atol=1e-8)
+
+
+@pytest.mark.parametrize("scales", [1, 2, 3])
+@pytest.mark.parametrize("poisson", [0.5, 0.4, 0.0, -math.inf])
+def test_the_pivot_moves_by_the_drag_and_what_is_near_alike(scales: int, poisson: float) -> None:
+    domain = Domain((50, 60, 70), border=None)
+    stroke = Stroke.grab((30, 20, 10), by=(2, -3, 4), radius=20, scales=scales, poisson=poisson)
+    np.testing.assert_allclose(reference.forward([stroke], domain, (30, 20, 10)), (32, 17, 14), atol=1e-12)
+    np.testing.assert_allclose(reference.jacobian([stroke], domain, (30, 20, 10)), np.eye(3), atol=1e-12)
+
+
+def test_an_image_is_the_plane_z_0_of_a_volume() -> None:
+    flat, solid = Domain((40, 45), border=None), Domain((3, 40, 45), border=None)
+    points = places(flat)
+    lifted = np.column_stack([points, np.zeros(len(points))])
+    for stroke in strokes_of(2):
+        in_space = Stroke.grab(
+            (*stroke.at, 0.0), by=(*stroke.by, 0.0), radius=stroke.radius, scales=stroke.scales, poisson=stroke.poisson
+        )
+        moved = reference.forward([in_space], solid, lifted)
+        np.testing.assert_allclose(moved[:, :2], reference.forward([stroke], flat, points), atol=1e-12)
+        assert not moved[:, 2].any()
+
+
+@pytest.mark.parametrize("scales", [1, 2, 3])
+def test_far_away_it_fades_as_a_power(scales: int) -> None:
+    domain = Domain((50, 60), border=None)
+    stroke = Stroke.grab((0, 0), by=(1, 0), radius=1, scales=scales)
+    far = np.array([[30.0, 40.0], [60.0, 80.0]])
+    near, farther = np.linalg.norm(reference.forward([stroke], domain, far) - far, axis=-1)
+    assert near / farther == pytest.approx(2 ** (2 * scales - 1), rel=0.02)
+
+
+@pytest.mark.parametrize("reach", [1.0, 2.5, 4.0])
+def test_reach_ends_at_its_ball(reach: float) -> None:
+    domain = Domain((60, 60, 60), spacing=(1, 1, 2), border=None)
+    stroke = Stroke.grab((30, 30, 15), by=(1, -2, 0.5), radius=5, reach=reach)
+    free = Stroke.grab((30, 30, 15), by=(1, -2, 0.5), radius=5)
+    np.testing.assert_allclose(reference.forward([stroke], domain, (30, 30, 15)), (31, 28, 15.5), atol=1e-12)
+    points = places(domain, 4000)
+    distance = np.linalg.norm((points - stroke.at) * (1, 1, 2), axis=-1)
+    k = reference.forward([stroke], domain, points) - points
+    inside = reference.reached([stroke], domain, points)
+    np.testing.assert_array_equal(inside, distance < 5 * reach)
+    assert not k[~inside].any()
+    assert (k[distance < 4.9 * reach] != 0).any(axis=-1).all()
+    # The quintic that falls from 1 to 0 with two derivatives of 0 at both ends.
+    share = np.polyval([-6, 15, -10, 0, 0, 1], distance[inside] / (5 * reach))
+    whole = reference.forward([free], domain, points[inside]) - points[inside]
+    np.testing.assert_allclose(k[inside], share[:, None] * whole, atol=1e-12)
+
+
+@pytest.mark.parametrize("profile", ["sine", "quartic"])
+def test_the_border_fades_in_smoothly(profile: str) -> None:
+    x = np.linspace(0, 30, 3001)
+    beta, slope = reference.fade(x, 30.0, 8.0, profile)
+    assert beta[0] == 0 == beta[-1]
+    assert beta[800] == pytest.approx(1)
+    np.testing.assert_allclose(beta, beta[::-1], atol=1e-12)
+    expected = np.gradient(beta, x)
+    np.testing.assert_allclose(slope[1:-1], expected[1:-1], atol=1e-3)
+    bend = np.abs(np.diff(np.gradient(beta, x), 1)[780:820]).max() / (x[1] - x[0])
+    assert bend < 0.01 if profile == "quartic" else bend > 0.03  # of the sine, the second derivative jumps there
+
+
+@pytest.mark.parametrize("domain", DOMAINS, ids=str)
+def test_inverse_undoes_forward(domain: Domain) -> None:
+    strokes = [*strokes_of(domain.ndim), *strokes_of(domain.ndim, reach=3.0)]
+    points = places(domain, beyond=3.0)
+    moved = reference.forward(strokes, domain, points)
+    np.testing.assert_allclose(reference.inverse(strokes, domain, moved), points, rtol=0, atol=1e-11)
+    # ∂p/∂q is the slope of the inverse itself.
+    inside = places(domain, 50, beyond=-4.0)
+    found = reference.matrices(strokes, domain, reference.inverse(strokes, domain, inside))
+    expected = reference.differences(lambda q: reference.inverse(strokes, domain, q), inside, 1e-3)
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-7)
+
+
+def test_a_strong_stroke_has_an_inverse() -> None:
+    domain = Domain((90, 100), border=None)
+    stroke = Stroke.grab((40, 45), by=(17.9, 14), radius=9.8)  # 96 % of the fold limit
+    q = reference.grid(domain.shape)
+    p = reference.inverse([stroke], domain, q)
+    np.testing.assert_allclose(reference.forward([stroke], domain, p), q, rtol=0, atol=1e-11)
+    assert (np.linalg.det(reference.matrices([stroke], domain, p)) > 0).all()
+
+
+# ---------------------------------------------------------------- filters
+
+
+def symmetric(large: float, small: float, angle: float, turn: float = 0.3) -> Floats:
+    """Return M with the squared singular values λ±, whose larger left vector is at an angle."""
+
+    def rotation(t: float) -> Floats:
+        return np.array([[math.cos(t), -math.sin(t)], [math.sin(t), math.cos(t)]])
+
+    return rotation(angle) @ np.diag([math.sqrt(large), math.sqrt(small)]) @ rotation(turn)
+
+
+SHRINKAGES = [
+    (0.8, 0.5),
+    (1.0, 1.0),
+    (1.04, 0.7),
+    (1.1, 1.05),
+    (1.25, 0.3),
+    (2.0, 1.6),
+    (2.5, 2.4),
+    (3.0, 0.9),
+    (3.6, 3.4),
+    (9.0, 2.0),
+    (30.0, 3.9),
+    (60.0, 14.0),
+    (300.0, 0.5),
+    (700.0, 12.8),
+]
+
+
+@pytest.mark.parametrize("outside", ["edge", "constant", "reflect"])
+def test_weights_add_up_to_one(outside: str) -> None:
+    source = np.full((37, 41, 2), (7.0, -3.0))
+    points = np.random.default_rng(0).uniform(-9, 50, (200, 2))
+    for name in ("nearest", "linear", "cubic", "auto"):
+        for large, small in SHRINKAGES if name == "auto" else [(1.0, 1.0)]:
+            m = symmetric(large, small, 0.7)
+            found = reference.sample(source, points, m, filter=name, outside=outside, fill=(7.0, -3.0))
+            np.testing.assert_allclose(found, np.broadcast_to((7.0, -3.0), found.shape), rtol=1e-12)
+
+
+OWN = -1 / 15  # ∫ x² k(x) dx of Keys' kernel with a = -0.75
+
+
+def level_of(large: float, small: float) -> tuple[int, float]:
+    """Return the pyramid's level of a footprint, and how much of the next one is mixed in."""
+    want, k = max(small, large / 400), 0
+    while want / 4**k >= 4:
+        k += 1
+    f = min(max((want / 4**k - 3.2) / 0.8, 0), 1)
+    return k, f * f * (3 - 2 * f)
+
+
+@pytest.mark.parametrize(("large", "small"), SHRINKAGES)
+@pytest.mark.parametrize("angle", [0.0, 0.5, math.pi / 4, 2.0])
+def test_second_moments_are_those_of_the_residual_footprint(large: float, small: float, angle: float) -> None:
+    """Of the weights around each point, averaged over all places within a block of the pyramid."""
+    size, blocks = 160, 8
+    x, y = np.meshgrid(np.arange(size) - 80.0, np.arange(size) - 80.0)
+    source = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=-1)
+    within = (np.arange(4 * blocks) + 0.5) / 4 - blocks / 2
+    points = np.stack(np.meshgrid(within, within), axis=-1) - 0.5
+    found = reference.sample(source, points + 80, symmetric(large, small, angle))
+    one, mx, my, xx, xy, yy = np.moveaxis(found, -1, 0)
+    px, py = points[..., 0], points[..., 1]
+    second = np.array(
+        [
+            [np.mean(xx - 2 * px * mx + px * px * one), np.mean(xy - px * my - py * mx + px * py * one)],
+            [0.0, np.mean(yy - 2 * py * my + py * py * one)],
+        ]
+    )
+    second[1, 0] = second[0, 1]
+    assert abs(np.mean(mx - px)) < 1e-3
+    assert abs(np.mean(my - py)) < 1e-3
+
+    u, v = np.array([math.cos(angle), math.sin(angle)]), np.array([-math.sin(angle), math.cos(angle)])
+    alpha = max(large - 1, 0.0)
+    rise = 0.0 if alpha <= 0.05 else min(1, 0.2 / 0.15 * (alpha - 0.05) / alpha)
+    wanted = np.zeros((2, 2))
+    k, more = level_of(large, small)
+    for level, share in ((k, 1 - more), (k + 1, more)):
+        # A level's samples are averages over 2^k, so that nothing narrower is left.
+        along, across = (rise * (max(x, 4.0**level) - 1) / 12 for x in (large, small))
+        wanted += share * (along * np.outer(u, u) + across * np.outer(v, v) + 4.0**level * OWN * np.eye(2))
+    np.testing.assert_allclose(second, wanted, rtol=1e-3, atol=1e-3)
+
+
+def test_without_shrinking_it_is_the_cubic_interpolant() -> None:
+    rng = np.random.default_rng(0)
+    source = rng.normal(size=(30, 40, 3))
+    points = rng.uniform(-3, 42, (500, 2))
+    cubic = reference.sample(source, points, filter="cubic")
+    for large, small in ((0.1, 0.1), (0.9, 0.2), (1.0, 1.0), (1.0499, 1.0499)):
+        np.testing.assert_array_equal(reference.sample(source, points, symmetric(large, small, 1.0)), cubic)
+    grid = reference.grid((30, 40))
+    np.testing.assert_array_equal(reference.sample(source, grid, np.eye(2)), source)
+
+
+def test_keys_interpolates_with_continuous_slopes() -> None:
+    source = np.random.default_rng(1).normal(size=(1, 30, 1))
+
+    def at(x: Floats) -> Floats:
+        return reference.sample(source, np.stack([x, 0 * x], -1), filter="cubic")[:, 0]
+
+    inside = np.arange(3.0, 27.0)
+    np.testing.assert_allclose(at(inside), source[0, 3:27, 0], atol=1e-12)
+    left, right = (at(inside) - at(inside - 1e-6)) / 1e-6, (at(inside + 1e-6) - at(inside)) / 1e-6
+    np.testing.assert_allclose(left, right, atol=1e-4)
+    # The slope at a sample is -a times the central difference over two samples.
+    np.testing.assert_allclose(right, 0.75 * (source[0, 4:28, 0] - source[0, 2:26, 0]), atol=1e-4)
+
+
+NEXT_SPOT = [1 + (1.7 * k) ** 2 for k in (1, 2, 5, 15, 16)]
+NEXT_SPOT_FADES_IN = [1 + (1.7 * (k + 0.75)) ** 2 for k in (0, 1, 4, 14, 15)]
+
+
+@pytest.mark.parametrize(
+    ("large", "small", "thresholds"),
+    [
+        pytest.param(lambda t: t, lambda t: 0.5, [1.05], id="the interpolant ends"),
+        pytest.param(lambda t: t, lambda t: 1.1, [1.2], id="the ramp ends"),
+        pytest.param(lambda t: t, lambda t: 0.8, [2.62], id="the narrow case ends"),
+        pytest.param(lambda t: t, lambda t: t - 0.02, [2.62], id="the narrow case ends along both axes"),
+        pytest.param(lambda t: t, lambda t: 1.3, NEXT_SPOT, id="the next number of spots"),
+        pytest.param(lambda t: t, lambda t: 1.3, NEXT_SPOT_FADES_IN, id="the next number fades in"),
+        pytest.param(lambda t: 20.0, lambda t: t, [1.0], id="the minor axis starts"),
+        pytest.param(lambda t: 20 + t, lambda t: t, [3.2, 12.8, 51.2], id="the next level fades in"),
+        pytest.param(lambda t: 20 + t, lambda t: t, [4.0, 16.0, 64.0], id="the next level"),
+        pytest.param(lambda t: t, lambda t: 2.0, [400 * 3.2, 400 * 4.0], id="the level of a long footprint"),
+    ],
+)
+@pytest.mark.parametrize("angle", [0.0, 0.6])
+def test_nothing_steps_at_a_threshold(
+    large: Callable[[float], float], small: Callable[[float], float], thresholds: list[float], angle: float
+) -> None:
+    rng = np.random.default_rng(2)
+    source = rng.uniform(0, 255, (96, 96, 1))
+    points = rng.uniform(20, 75, (150, 2))
+
+    def at(t: float) -> Floats:
+        return np.asarray(reference.sample(source, points, symmetric(large(t), small(t), angle)))
+
+    for t in thresholds:
+        assert np.abs(at(t * (1 + 1e-9)) - at(t * (1 - 1e-9))).max() < 1e-4
+        # Farther on, the footprint does matter.
+        assert np.abs(at(t * 1.1) - at(t)).max() > 1e-4
+
+
+def test_smaller_steps_of_the_map_are_smaller_steps_of_the_result() -> None:
+    """Along lines through all cases: a jump would stay as large, however small the steps."""
+    rng = np.random.default_rng(3)
+    source = rng.uniform(0, 255, (64, 64, 1))
+    points = rng.uniform(10, 53, (20, 2))
+    for ratio, angle in ((1.15, 0.0), (2.0, 1.0), (6.0, 0.4)):
+        large = np.geomspace(0.9, 80, 2401)
+        m = np.stack([symmetric(t, t / ratio, angle) for t in large])[:, None]
+        found = reference.sample(source, np.broadcast_to(points, (len(m), *points.shape)), m)
+        coarse, fine = (np.abs(np.diff(found[::n], axis=0)).max() for n in (6, 1))
+        assert fine < coarse / 4
+
+
+def test_auto_is_near_the_mean_over_the_residual_box() -> None:
+    """Against 16 × 16 points of the interpolant in the box, on a picture whose finest waves are four samples long."""
+    x, y = np.meshgrid(np.arange(80.0), np.arange(80.0))
+    source = (np.cos(1.5 * x + 0.2 * y) + np.sin(0.9 * y - 0.8 * x))[..., None]
+    points = np.random.default_rng(4).uniform(25, 55, (200, 2))
+    for large, small, angle in ((1.5, 1.2, 0.4), (2.4, 1.0, 1.0), (3.5, 2.0, 2.0), (9.0, 1.5, 0.3), (20.0, 3.0, 0.8)):
+        u, v = np.array([math.cos(angle), math.sin(angle)]), np.array([-math.sin(angle), math.cos(angle)])
+        a, b = math.sqrt(large - 1), math.sqrt(small - 1)
+        within = (np.arange(16) + 0.5) / 16 - 0.5
+        truth = np.mean(
+            [
+                reference.sample(source, points + s * a * u + t * b * v, filter="cubic")
+                for s, t in itertools.product(within, within)
+            ],
+            axis=0,
+        )
+        found = reference.sample(source, points, symmetric(large, small, angle))
+        assert np.abs(found - truth).max() < 0.05
+        plain = reference.sample(source, points, filter="cubic")
+        assert np.abs(found - truth).max() < 0.3 * np.abs(plain - truth).max()
+
+
+def test_boundary_modes() -> None:
+    source = np.arange(5.0)[None, :, None]
+    x = np.arange(-7.0, 13.0)
+    points = np.stack([x, np.zeros(20)], -1)
+    expected = {
+        "edge": np.clip(x, 0, 4),
+        "constant": np.where((x >= 0) & (x < 5), x, 9),
+        "reflect": np.array([3, 4, 4, 3, 2, 1, 0, 0, 1, 2, 3, 4, 4, 3, 2, 1, 0, 0, 1, 2]),
+    }
+    for outside, wanted in expected.items():
+        for name in ("nearest", "linear", "cubic", "auto"):
+            found = reference.sample(source, points, np.eye(2), filter=name, outside=outside, fill=9)
+            np.testing.assert_array_equal(found[:, 0], wanted)
+    half = np.array([[-0.5, 0.0], [4.5, 0.0], [1.5, 0.0]])
+    assert reference.sample(source, half, filter="nearest")[:, 0].tolist() == [0, 4, 2]
+    found = reference.sample(source, half, filter="linear", outside="constant", fill=9)
+    np.testing.assert_allclose(found[:, 0], (4.5, 6.5, 1.5))
+
+
+# ---------------------------------------------------------------- frames
+
+
+def test_between_frames() -> None:
+    rng = np.random.default_rng(5)
+    frames = rng.uniform(size=(7, 12, 13, 2))
+    points = np.column_stack([rng.uniform(1, 11, (60, 2)), rng.uniform(2, 4, 60)])
+    t, x = points[:, 2], points[:, :2]
+    low = np.floor(t).astype(int)
+    parts = np.stack([reference.sample(frame, x, filter="cubic") for frame in frames])
+    pair = [parts[low + i, np.arange(60)] for i in range(-1, 3)]
+    f = (t - low)[:, None]
+    linear = (1 - f) * pair[1] + f * pair[2]
+    np.testing.assert_allclose(reference.sample_frames(frames, points, "cubic", "linear"), linear, atol=1e-12)
+    # Catmull and Rom: the cubic through both with the slopes of central differences.
+    slope, next_one = (pair[2] - pair[0]) / 2, (pair[3] - pair[1]) / 2
+    hermite = (
+        (2 * f**3 - 3 * f**2 + 1) * pair[1]
+        + (f**3 - 2 * f**2 + f) * slope
+        + (3 * f**2 - 2 * f**3) * pair[2]
+        + (f**3 - f**2) * next_one
+    )
+    np.testing.assert_allclose(reference.sample_frames(frames, points, "cubic", "cubic"), hermite, atol=1e-12)
+    nearest = parts[np.floor(t + 0.5).astype(int), np.arange(60)]
+    np.testing.assert_array_equal(reference.sample_frames(frames, points, "cubic", "nearest"), nearest)
+    plane = symmetric(3.0, 2.0, 0.4)
+    wide = reference.sample_frames(frames, points, "auto", "linear", matrices=plane)
+    each = np.stack([reference.sample(frame, x, plane) for frame in frames])
+    np.testing.assert_allclose(wide, (1 - f) * each[low, np.arange(60)] + f * each[low + 1, np.arange(60)], atol=1e-12)
+
+
+@pytest.mark.parametrize("between", ["linear", "cubic"])
+def test_time_is_averaged_over_a_box(between: str) -> None:
+    frames = np.random.default_rng(6).uniform(size=(30, 3, 3, 1))
+    for width in (0.4, 1.0, 3.3, 8.0):
+        ends = np.linspace(10.2, 18.3, 9)
+        points = np.column_stack([np.ones(9), np.ones(9), ends])
+        found = reference.sample_frames(frames, points, "linear", between, widths=width)
+        within = width * ((np.arange(2000) + 0.5) / 2000 - 0.5)
+        many = np.stack([np.ones((9, 2000)), np.ones((9, 2000)), ends[:, None] + within], -1)
+        truth = reference.sample_frames(frames, many, "linear", between).mean(axis=1)
+        np.testing.assert_allclose(found, truth, atol=1e-5)
+
+
+def test_beyond_the_clip() -> None:
+    frames = np.arange(4.0)[:, None, None, None] * np.ones((4, 3, 3, 1))
+    points = np.array([[1.0, 1.0, t] for t in (-2.0, -0.5, 3.5, 6.0)])
+    for outside, wanted in {"edge": (0, 0, 3, 3), "constant": (9, 4.5, 6, 9), "reflect": (1, 0, 3, 1)}.items():
+        found = reference.sample_frames(frames, points, "linear", "linear", outside, 9.0)
+        np.testing.assert_allclose(found[:, 0], wanted, atol=1e-12)
+
+
+# ---------------------------------------------------------------- whole warps
+
+
+def test_types_hold_what_is_rounded_half_up() -> None:
+    assert reference.rounded(np.array([-3.0, 0.5, 1.5, 254.49, 254.5, 300.0]), "u1").tolist() == [
+        0,
+        1,
+        2,
+        254,
+        255,
+        255,
+    ]
+    assert reference.rounded(np.array([-128.6, -0.5, -0.51]), "i1").tolist() == [-128, 0, -1]
+    assert reference.rounded(np.array([1e30, -1e30]), "i8").tolist() == [2**63 - 1024, -(2**63)]
+    assert reference.rounded(np.array([0.49, 0.5]), "?").tolist() == [False, True]
+    assert reference.rounded(np.array([0.1]), "f4").dtype == np.float32
+
+
+def test_light_and_back() -> None:
+    values = np.linspace(-0.1, 1.2, 500)
+    np.testing.assert_allclose(reference.curve_of(reference.light_of(values)), values, atol=1e-6)
+    assert reference.light_of(np.array(0.5)) == pytest.approx(0.21404114)
+    all_values = np.arange(256.0)[:, None]
+    back = reference.stored(reference.loaded(all_values, 255, alpha=False, linear_light=True), "u1", False, True)
+    np.testing.assert_array_equal(back, all_values)
+
+
+DOMAIN = Domain((40, 45), border=8.0)
+
+
+def test_opacity_weighs_the_colours() -> None:
+    rng = np.random.default_rng(7)
+    colours = rng.integers(0, 255, (40, 45, 3), np.uint8)
+    opaque = np.dstack([colours, np.full((40, 45), 255, np.uint8)])
+    for light in (False, True):
+        plain = reference.warp(colours, strokes_of(2), DOMAIN, linear_light=light)
+        weighed = reference.warp(opaque, strokes_of(2), DOMAIN, linear_light=light)
+        np.testing.assert_array_equal(weighed[..., :3], plain)
+        assert (weighed[..., 3] == 255).all()
+    half_seen = np.full((40, 45, 4), (0, 200, 0, 0), np.uint8)
+    half_seen[:, :20] = (150, 0, 0, 255)
+    out = reference.warp(half_seen, strokes_of(2), DOMAIN)
+    seen = out[..., 3] > 0
+    assert (out[seen][:, 1] == 0).all()
+    assert set(np.unique(out[seen][:, 0])) <= {149, 150}
+    assert (out[~seen] == 0)[..., 3].all()
+
+
+@pytest.mark.parametrize("dtype", ["?", "u1", "u2", "i2", "f4", "f8"])
+def test_nothing_moves_without_drag(dtype: str) -> None:
+    source = np.random.default_rng(8).uniform(0, 100, (40, 45, 4)).astype(dtype)
+    still = [Stroke.grab((20, 20), by=(0, 0), radius=9)]
+    for name in ("nearest", "linear", "cubic", "auto"):
+        np.testing.assert_array_equal(reference.warp(source, still, DOMAIN, name), source)
+    frames = np.stack([source[..., 0]] * 5)
+    solid = Domain((5, 40, 45))
+    still = [Stroke.grab((20, 20, 2), by=(0, 0, 0), radius=9)]
+    np.testing.assert_array_equal(reference.warp_frames(frames, still, solid, time_filter=dtype != "?"), frames)
+
+
+@pytest.mark.parametrize("filter_name", ["nearest", "linear", "cubic", "auto"])
+def test_what_no_stroke_reaches_keeps_every_bit(filter_name: str) -> None:
+    rng = np.random.default_rng(10)
+    strokes = [
+        Stroke.grab((12, 12), by=(3, 2), radius=4, reach=2),
+        Stroke.grab((18, 14), by=(-2, 2), radius=4, reach=2),
+        Stroke.grab((30, 20), by=(0, 0), radius=9),
+    ]
+    source = rng.uniform(-1, 1, (40, 45, 2)).astype(np.float32)
+    source[30, 40] = np.nan, -0.0
+    out = reference.warp(source, strokes, DOMAIN, filter_name, alpha=False)
+    inside = reference.reached(strokes, DOMAIN, reference.grid(DOMAIN.shape))
+    assert out[~inside].tobytes() == source[~inside].tobytes()
+    assert (out[inside] != source[inside]).any(axis=-1).mean() > 0.3
+    assert 100 < inside.sum() < 400
+
+
+def test_frames_that_all_bend_alike_are_images() -> None:
+    """A stroke far away in time, and as wide, moves all frames as an image's stroke does."""
+    rng = np.random.default_rng(9)
+    frames = np.broadcast_to(rng.uniform(size=(40, 45, 1)), (3, 40, 45, 1)).copy()
+    flat = Stroke.grab((20, 18), by=(4, -3), radius=9)
+    deep = Stroke.grab((20, 18, 1), by=(4, -3, 0), radius=9)
+    image = reference.warp(frames[1], [flat], Domain((40, 45), border=None))
+    bent = reference.warp_frames(frames, [deep], Domain((3, 40, 45), border=None))
+    np.testing.assert_allclose(bent[1], image, atol=1e-10)
