@@ -70,8 +70,6 @@ def command(arguments: Sequence[str]) -> int:
 
 def main() -> NoReturn:
     """Carry out the process's own command line, and end."""
-    # Where SciPy is installed, Numba would import its linear algebra, for kernels that we do not have: 0.2 s.
-    sys.modules.setdefault("scipy.linalg", None)  # type: ignore[arg-type]
     status = command(sys.argv[1:])
     for stream in (sys.stdout, sys.stderr):
         with contextlib.suppress(OSError, ValueError, AttributeError):

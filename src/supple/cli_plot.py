@@ -57,7 +57,6 @@ def plot(
     from supple.cli_warp import picture_facts
     from supple.plots import plot_file
 
-    console.tell_of_compiling()
     deformation = plot_file(
         source,
         target,
@@ -99,7 +98,6 @@ def demo(
 
     console.started(quiet=options.quiet, threads=options.threads)
     say_software = told_of_software(console, device)
-    console.tell_of_compiling()
     progress = console.say if console.terminal else None
     page = write_gallery(folder, force=options.force, device=device, progress=progress)
     say_software()

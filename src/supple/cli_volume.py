@@ -57,7 +57,6 @@ def render(
     render, reading = look.to_render(camera.to_camera()), volume.to_reading()
     if reading.world and recipe is None:
         raise SuppleError("--world is about the points of strokes, and there are none: leave it out")
-    console.tell_of_compiling()
     with counted(console.terminal) as tell, workers() as who:
         scene = render_file(source, target, recipe, options=render, volume=reading, force=options.force, tell=tell)
     say_software()
@@ -116,7 +115,6 @@ def points(
 
     console.started(quiet=options.quiet, threads=options.threads)
     deformation, geometry = _deformation(on, strokes.to_recipe(), volume.to_reading(), video)
-    console.tell_of_compiling()
     moved = move_points(
         source, target, deformation, geometry, inverse=inverse, convention=convention, force=options.force
     )

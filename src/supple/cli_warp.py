@@ -140,7 +140,6 @@ def warp(
 
     if not all(is_clip(*job, recipe) for job in jobs):  # of clips, it says that it does not do them
         check_device(device)
-    console.tell_of_compiling()
     if many:
         from supple.workers import threads
 

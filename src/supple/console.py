@@ -102,28 +102,6 @@ class Console:
                 raise SuppleError(f"--threads must be a number of threads from 1, found {threads}")
             os.environ["SUPPLE_THREADS"] = os.environ["VIPS_CONCURRENCY"] = str(threads)
 
-    def tell_of_compiling(self) -> None:
-        """Have the first wait explained: kernels are compiled where no cache holds them yet."""
-        if not self.terminal:
-            return
-        from numba.core import event
-
-        console = self
-
-        class Listener(event.Listener):
-            def __init__(self) -> None:
-                self.told = False
-
-            def on_start(self, event: Any) -> None:
-                if not self.told:
-                    self.told = True
-                    console.say("compiling for this machine, once: this can take a minute…")
-
-            def on_end(self, event: Any) -> None:
-                pass
-
-        event.register("numba:compile", Listener())  # type: ignore[no-untyped-call]
-
 
 _current: ContextVar[Console] = ContextVar("console")
 

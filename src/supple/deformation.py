@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from supple import _core
 from supple.certificate import Certificate
-from supple.domain import BorderProfile, Domain, choice, integer, number, refuse
+from supple.domain import BORDER, BorderProfile, Domain, choice, integer, number, refuse
 from supple.errors import FoldWarning, SuppleError, ToleranceWarning
 from supple.folding import Resolved, resolve
 from supple.native import certificate_of, measured, plan_of
@@ -137,7 +137,7 @@ class Deformation:
         self,
         shape: Sequence[int],
         *,
-        border: float | None = 50.0,
+        border: float | None = BORDER,
         border_profile: BorderProfile = "quartic",
         spacing: float | Sequence[float] = 1.0,
         on_fold: FoldPolicy = "damp",
@@ -426,9 +426,8 @@ class Deformation:
             ``__cuda_array_interface__``) is warped there, on its library's current stream. A function takes points
             (N, 2), x first, and returns (N,) or (N, C).
         filter : str
-            ``"auto"`` (averaged by as much as the map shrinks, cubic elsewhere), ``"antialias"`` (the average over
-            what each output pixel covers), ``"ewa"`` (the elliptical reference, slow), ``"cubic"`` (Catmull and
-            Rom's), ``"linear"`` or ``"nearest"`` (values as they are, for labels).
+            ``"auto"`` (cubic, averaged over what the map shrinks: the residual footprint), ``"cubic"`` (Keys' with
+            a = -0.75), ``"linear"`` or ``"nearest"`` (values as they are, for labels).
         tolerance : float
             How far a source point may be from the true T⁻¹(q), in pixels. Points are float32: below about 3e-4, it asks
             for more than they hold.

@@ -44,7 +44,7 @@ class StrokeOptions:
     recipe
         Strokes from a JSON file, which come before those of --grab.
     border
-        Width in pixels or millimetres (default 50) of the border that stays in place; none: the edges move too.
+        Width in pixels or millimetres (default 64) of the border that stays in place; none: the edges move too.
     border_profile
         How grabs fade towards the border: quartic (default), or sine, the paper's.
     on_fold

@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from supple.domain import (
+    BORDER,
     LARGEST,
     BorderProfile,
     check_border_profile,
@@ -156,7 +157,7 @@ class Recipe:
         In the order in which they are applied, all with as many coordinates. Hidden ones are kept, and not applied.
     """
 
-    border: float | None = 50.0
+    border: float | None = BORDER
     border_profile: BorderProfile = "quartic"
     on_fold: FoldPolicy = "damp"
     strokes: tuple[Stroke, ...] = ()
@@ -211,7 +212,7 @@ class Recipe:
         version = integer('"supple"', data.pop("supple"), "1 or 2 (the versions that this release reads)", 1, VERSION)
         _check_keys("the recipe", data, _known(cls, version), ["strokes"])
         if version == 1:
-            data["border_profile"] = "sine"
+            data = {"border": 50.0, **data, "border_profile": "sine"}
         if not isinstance(data["strokes"], list):
             refuse("strokes", "a list", data["strokes"])
         data["strokes"] = [_stroke(f"strokes[{i}]", entry, version) for i, entry in enumerate(data["strokes"])]

@@ -1,5 +1,6 @@
 // What Python sees of the core: the module, and points.
 #include "bindings.hpp"
+#include "paper.hpp"
 
 namespace supple {
 namespace {
@@ -94,6 +95,42 @@ nb::object inverse(const Doubles& table, const Doubles& rows, const Doubles& tar
     return made;
 }
 
+typedef nb::ndarray<float, nb::ndim<3>, nb::c_contig, nb::device::cpu> Map;
+typedef nb::ndarray<int64_t, nb::ndim<2>, nb::c_contig, nb::device::cpu> Counts;
+typedef nb::ndarray<double, nb::ndim<2>, nb::c_contig, nb::device::cpu> Residuals;
+
+template <int D>
+void invert_row(const std::vector<Stroke>& strokes, const Axis* axes, double z, int every, const Published& how, int y, int width, float* points,
+                int64_t* counts, double* residual) {
+    for (int x = 0; x < width; x++) {
+        double p[3] = {x * every * axes[0].spacing, y * every * axes[1].spacing, z * axes[2].spacing};
+        int count;
+        residual[x] = invert_as_published<D>(strokes, axes, how, p, count);
+        counts[x] = count;
+        for (int d = 0; d < D; d++) points[D * x + d] = (float)(p[d] / axes[d].spacing);
+    }
+}
+
+void published(const Doubles& table, const Doubles& rows, double z, int every, double mu, double tolerance, int limit, bool corrected, Map points,
+               Counts counts, Residuals residual) {
+    Axes axes = axes_of(rows);
+    std::vector<Stroke> strokes = strokes_of(table, axes.data());
+    Published how{mu, tolerance, limit, corrected};
+    int height = (int)points.shape(0), width = (int)points.shape(1), ndim = (int)points.shape(2);
+    if (counts.shape(0) != points.shape(0) || counts.shape(1) != points.shape(1) || residual.shape(0) != points.shape(0) ||
+        residual.shape(1) != points.shape(1) || ndim < 2 || ndim > 3)
+        throw nb::value_error("points, counts and residual must be of one shape");
+    float* to = points.data();
+    int64_t* n = counts.data();
+    double* r = residual.data();
+    unlocked([&] {
+        parallel(height, [&](int y, int) {
+            auto run = ndim == 2 ? invert_row<2> : invert_row<3>;
+            run(strokes, axes.data(), z, every, how, y, width, to + (size_t)y * width * ndim, n + (size_t)y * width, r + (size_t)y * width);
+        });
+    });
+}
+
 }  // namespace
 
 void bind_points(nb::module_& m) {
@@ -101,6 +138,8 @@ void bind_points(nb::module_& m) {
           "Return T of points (N, 3), in physical units, and ∂T/∂p (N, 3, 3) or None.");
     m.def("inverse", &inverse, "strokes"_a, "axes"_a, "targets"_a, "ndim"_a, "tolerance"_a,
           "Return T⁻¹ of points (N, 3), the residuals |T(p) - q| and the evaluations of T, in physical units.");
+    m.def("invert_as_published", &published, "strokes"_a, "axes"_a, "z"_a, "every"_a, "mu"_a, "tolerance"_a, "limit"_a, "corrected"_a,
+          "points"_a.noconvert(), "counts"_a.noconvert(), "residual"_a.noconvert(), "Invert every pixel by the published method.");
 }
 
 }  // namespace supple

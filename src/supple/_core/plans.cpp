@@ -83,23 +83,23 @@ template <int D> nb::tuple extent_of(const Plan<D>& plan) {
     return nb::make_tuple(nb::tuple(low), nb::tuple(high), e.moved, e.rate);
 }
 
-typedef nb::ndarray<float, nb::ndim<3>, nb::c_contig, nb::device::cpu> Points;
+template <class T> using Points = nb::ndarray<T, nb::ndim<3>, nb::c_contig, nb::device::cpu>;
 
-template <int D> void points_of(const Plan<D>& plan, Points& out) {
+template <class T, int D> void points_of(const Plan<D>& plan, Points<T>& out) {
     if ((int)out.shape(0) != plan.height || (int)out.shape(1) != plan.width || out.shape(2) != D)
         throw nb::value_error("points must have the plane's shape");
-    float* to = out.data();
+    T* to = out.data();
     Grid grid;
     grid.size[0] = plan.width;
     grid.size[1] = plan.height;
     unlocked([&] {
         parallel(plan.roots_down(), [&](int j, int) {
             plan.each_row(grid, j, {0, plan.width, 0, plan.height}, false, [&](const Row<D>& row, int x, int y, int n, int at) {
-                float* p = to + ((ptrdiff_t)y * plan.width + x) * D;
+                T* p = to + ((ptrdiff_t)y * plan.width + x) * D;
                 for (int i = 0; i < n; i++, p += D)
                     for (int d = 0; d < D; d++)
-                        p[d] = row.idle ? (float)(d == 0 ? x + i : d == 1 ? y : plan.z)
-                                        : (float)(row.whole[d][at + i] + (double)row.part[d][at + i]);
+                        p[d] = row.idle ? (T)(d == 0 ? x + i : d == 1 ? y : plan.z)
+                                        : (T)(row.whole[d][at + i] + (double)row.part[d][at + i]);
             });
         });
     });
@@ -120,10 +120,13 @@ nb::tuple warp_stack(const Doubles& table, const Doubles& rows, int height, int 
             Plan<3> plan(strokes, axes.data(), width, height, planes[i], tolerance);
             errors[i] = plan.error;
             evaluations[i] = plan.evaluations;
+            bool still = plan.identity || plan.extent().moved * sqrt(3.0) <= tolerance;
             for (const Sampling* s : all) {
                 Job job = s->job;
-                job.out += i * (ptrdiff_t)(job.grid.size[1] * (ptrdiff_t)job.grid.size[0]) * job.pixel_bytes();
-                sample_plane(plan, job);
+                size_t bytes = (size_t)job.grid.size[1] * job.grid.size[0] * job.pixel_bytes();
+                job.out += i * bytes;
+                if (still) memcpy(job.out, job.frame(planes[i]), bytes);
+                else sample_plane(plan, job);
             }
         });
     });
@@ -160,8 +163,9 @@ void bind_plans(nb::module_& m) {
         .def_prop_ro("identity", [](const AnyPlan& p) { return p.with([](auto& plan) { return plan.identity; }); })
         .def("extent", [](const AnyPlan& p) { return p.with([](auto& plan) { return extent_of(plan); }); },
              "Return the least and the largest coordinates of source points, how far any is from q, and the largest |∂p_z/∂q|.")
-        .def("points", [](const AnyPlan& p, Points out) { p.with([&](auto& plan) { points_of(plan, out); }); }, "out"_a,
-             "Write the source point of every pixel, float32 (h, w, D).")
+        .def("points", [](const AnyPlan& p, Points<float> out) { p.with([&](auto& plan) { points_of(plan, out); }); }, nb::arg("out").noconvert(),
+             "Write the source point of every pixel, (h, w, D), in float32 or float64.")
+        .def("points", [](const AnyPlan& p, Points<double> out) { p.with([&](auto& plan) { points_of(plan, out); }); }, nb::arg("out").noconvert())
         .def("measure",
              [](const AnyPlan& p, double finest) {
                  double worst;

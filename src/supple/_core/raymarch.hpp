@@ -39,7 +39,7 @@ struct Transfer {
 // A camera, in millimetres along the volume's axes but for the eye, in voxels; the light; and bricks.
 struct Look {
     Double4 eye, spacing, ahead, right, down;  // the ray of a pixel (x, y): ahead + x right + y down
-    double step;                               // millimetres from sample to sample
+    double step, per_step;                     // millimetres from sample to sample; 1 / that
     Float4 lamp, per_voxel;                    // where light comes from; 1 / spacing
     bool shaded;
     const uint8_t* skips;  // how many bricks away the next one is that anything is seen of
@@ -47,46 +47,38 @@ struct Look {
 };
 
 struct Ray {
-    Double4 origin, way, over;  // voxels; voxels a millimetre; and 1 / that, large where it is 0
-    Double4 along;              // millimetres a millimetre
-    Float4 half;                // between the lamp and the eye
-    double near, far;           // where it enters and leaves the box between the outermost voxels' centres
+    Double4 origin, way;  // voxels, and voxels a millimetre
+    Double4 along;        // millimetres a millimetre
+    Float4 half;          // between the lamp and the eye
+    double near, far;     // where it enters and leaves the box between the outermost voxels' centres
+    // It leaves the bricks up to `away` from a brick at the least of: leave + per_brick * brick + per_away * away.
+    Double4 leave, per_brick, per_away;
 
+    Ray(const Look& look, Int4 size, double x, double y) : origin(look.eye) {
+        along = look.ahead + x * look.right + y * look.down;
+        along *= 1.0 / __builtin_sqrt(along[0] * along[0] + along[1] * along[1] + along[2] * along[2]);
+        way = along / look.spacing;
+        half = look.lamp - floats(along);
+        half *= 1.0f / most(__builtin_sqrtf(dot3(half, half)), 1e-6f);
+        Double4 over = 1.0 / (magnitude(way) > 1e-12 ? way : Double4{} + 1e-12);
+        Double4 a = -origin * over, b = (doubles(size - 1) - origin) * over, low = least(a, b), high = most(a, b);
+        near = most(most(low[0], low[1]), most(low[2], 0.0));
+        far = least(least(high[0], high[1]), high[2]);
+        per_brick = double(BRICK) * over;
+        per_away = magnitude(per_brick);
+        leave = a + (over > 0 ? Double4{} : per_brick);
+    }
     INLINE Float4 at(double t) const { return floats(Double4(origin + t * way)); }
 };
 
-inline Ray ray_of(const Look& look, Int4 size, double x, double y) {
-    Ray r;
-    r.origin = look.eye;
-    r.along = look.ahead + x * look.right + y * look.down;
-    r.along /= std::sqrt(r.along[0] * r.along[0] + r.along[1] * r.along[1] + r.along[2] * r.along[2]);
-    r.way = r.along / look.spacing;
-    r.half = look.lamp - floats(r.along);
-    r.half /= most(std::sqrt(dot3(r.half, r.half)), 1e-6f);
-    r.near = 0;
-    r.far = 1e300;
-    r.over = Double4{};
-    for (int i = 0; i < 4; i++) {
-        r.over[i] = std::abs(r.way[i]) > 1e-12 ? 1.0 / r.way[i] : 1e12;
-        if (i == 3) break;
-        double n = size[i] - 1, o = r.origin[i];
-        if (r.way[i] == 0 && (o < 0 || o > n)) r.far = -1;
-        if (r.way[i] == 0) continue;
-        double a = -o / r.way[i], b = (n - o) / r.way[i];
-        r.near = most(r.near, least(a, b));
-        r.far = least(r.far, most(a, b));
-    }
-    return r;
-}
-
 // Ambient and diffuse light, and the highlight, of a surface with a gradient; both of its sides are lit.
 INLINE void light(const Look& look, Float4 half, Float4 gradient, float& lit, float& shine) {
-    float size = dot3(gradient, gradient);
+    float size = dot3(gradient, gradient), diffuse = dot3(gradient, look.lamp);
     lit = AMBIENT + DIFFUSE;
     if (!(size > 0)) return;
-    gradient *= 1.0f / __builtin_sqrtf(size);
-    lit = AMBIENT + DIFFUSE * __builtin_fabsf(dot3(gradient, look.lamp));
-    shine = dot3(gradient, half);
+    float over = 1.0f / __builtin_sqrtf(size);
+    lit = AMBIENT + DIFFUSE * __builtin_fabsf(diffuse * over);
+    shine = dot3(gradient, half) * over;
     for (int i = 0; i < 4; i++) shine *= shine;
     shine *= SPECULAR;
 }
@@ -113,17 +105,15 @@ struct March {
     // Go on to where the ray leaves the bricks around that nothing is seen of. False where something may be.
     INLINE bool hop(const Look& look) {
         if (within || phase == BISECT) return false;
-        Double4 q = ray.origin + t * ray.way;
         Int4 last = {int32_t(look.wide - 1), int32_t(look.high - 1), int32_t(look.deep - 1), 0};
-        Int4 brick = whole(most(floats(q), Float4{})) / BRICK;
+        Int4 brick = whole(most(ray.at(t), Float4{})) / BRICK;
         brick = brick < last ? brick : last;
         double away = look.skips[(brick[2] * look.high + brick[1]) * look.wide + brick[0]];
         if (away == 0) return false;
-        Double4 wall = double(BRICK) * (doubles(brick) + (ray.way > -1e-12 ? Double4{} + away : Double4{} + (1 - away)));
-        Double4 leaves = (wall - ray.origin) * ray.over;
+        Double4 leaves = ray.leave + ray.per_brick * doubles(brick) + ray.per_away * away;
         double leave = least(leaves[0], least(leaves[1], leaves[2]));
         if (t < from) leave = least(leave, from);
-        t += look.step * most(1.0, std::ceil((leave - t) / look.step - 1e-4));
+        t += look.step * most(1.0, __builtin_ceil((leave - t) * look.per_step - 1e-4));
         return true;
     }
 
@@ -206,8 +196,8 @@ public:
     // Mᵀ times the slopes.
     INLINE Float4 turned(double t, Float4 slopes) const {
         float s = float((t - start) * over);
-        Float4 g{};
-        for (int j = 0; j < 3; j++) g[j] = dot3(mix(s, first.m[j], last.m[j]), slopes);
+        Float4 g = slopes[0] * (row[0] + s * turn[0]);
+        for (int i = 1; i < 3; i++) g += slopes[i] * (row[i] + s * turn[i]);
         return g;
     }
 
@@ -216,6 +206,7 @@ private:
     double whole_length, start = NEVER, end = -NEVER, over = 0;
     Place first, last;
     Float4 rise, a, b;
+    Float4 row[3], turn[3];  // of M at the start, and how they change to the end
 
     NOINLINE void begin(const Ray& ray, double t) {
         double k = std::floor((t - ray.near) / whole_length), before = end;
@@ -223,6 +214,10 @@ private:
         end = ray.near + (k + 1) * whole_length;
         first = start == before ? last : lattice.at(ray.at(start));
         last = lattice.at(ray.at(least(end, ray.far)));
+        for (int i = 0; i < 3; i++) {
+            row[i] = Float4{first.m[0][i], first.m[1][i], first.m[2][i], 0};
+            turn[i] = Float4{last.m[0][i], last.m[1][i], last.m[2][i], 0} - row[i];
+        }
         double length = most(least(end, ray.far) - start, 1e-6 * whole_length);
         over = 1 / length;
         rise = last.u - first.u;

@@ -120,6 +120,7 @@ View* make_view(Array<const double, 2> packed, double step, std::array<float, 3>
     for (int k = 0; k < 5; k++)
         *rows[k] = Double4{packed(k, 0), packed(k, 1), packed(k, 2), k == 1 ? 1.0 : 0.0};
     v->step = step;
+    v->per_step = 1 / step;
     v->lamp = point_of(lamp.data());
     v->per_voxel = floats(Double4(1.0 / v->spacing));
     v->shaded = shaded;
@@ -135,6 +136,14 @@ struct Picture {
     Array<float, 3> light;    // (rows, columns, 4)
     Array<double, 3> depth;   // (rows, columns, 2): of the first surface, and where opacity passes 0.9; or infinity
     Array<int64_t, 3> work;   // (rows, columns, 2): samples, and evaluations of T
+
+    void write(int64_t y, int64_t x, const March& m) const {
+        for (int c = 0; c < 4; c++) light(y, x, c) = m.light[c];
+        depth(y, x, 0) = m.surface;
+        depth(y, x, 1) = m.opaque;
+        work(y, x, 0) = m.samples;
+        work(y, x, 1) = (int64_t)m.steps;
+    }
 };
 
 template <class T>
@@ -142,34 +151,34 @@ void draw_tile(const Voxels<T>& voxels, const View& look, const Transfer& transf
                int cells, const Strokes* strokes, const Picture& out, int64_t top, int64_t left) {
     const int64_t bottom = least(top + TILE, (int64_t)out.rows.size());
     const int64_t right = least(left + TILE, (int64_t)out.columns.size());
-    std::vector<March> rays;
-    rays.reserve(TILE * TILE);
-    for (int64_t y = top; y < bottom; y++)
-        for (int64_t x = left; x < right; x++)
-            rays.emplace_back(ray_of(look, voxels.last + 2, out.columns(x), out.rows(y)), transfer);
-    if (strokes)
+    auto begun = [&](int64_t y, int64_t x) {
+        return March(Ray(look, voxels.last + 2, out.columns(x), out.rows(y)), transfer);
+    };
+    auto each = [&](auto&& f) {
+        for (int64_t y = top; y < bottom; y++)
+            for (int64_t x = left; x < right; x++) f(y, x);
+    };
+    if (strokes) {
+        std::vector<March> rays;
+        each([&](int64_t y, int64_t x) { rays.push_back(begun(y, x)); });
         march_exactly(voxels, look, transfer, *strokes, rays);
-    else
-        for (March& given : rays) {
-            March m = given;  // in registers
-            if (lattice) {
-                Cubics source(*lattice, cells, m.ray);
-                march(voxels, look, transfer, m, source);
-            } else {
-                Still source;
-                march(voxels, look, transfer, m, source);
-            }
-            given = m;
-        }
-    const March* m = rays.data();
-    for (int64_t y = top; y < bottom; y++)
-        for (int64_t x = left; x < right; x++, m++) {
-            for (int c = 0; c < 4; c++) out.light(y, x, c) = m->light[c];
-            out.depth(y, x, 0) = m->surface;
-            out.depth(y, x, 1) = m->opaque;
-            out.work(y, x, 0) = m->samples;
-            out.work(y, x, 1) = (int64_t)m->steps;
-        }
+        const March* m = rays.data();
+        each([&](int64_t y, int64_t x) { out.write(y, x, *m++); });
+    } else if (lattice) {
+        each([&](int64_t y, int64_t x) {
+            March m = begun(y, x);
+            Cubics source(*lattice, cells, m.ray);
+            march(voxels, look, transfer, m, source);
+            out.write(y, x, m);
+        });
+    } else {
+        each([&](int64_t y, int64_t x) {
+            March m = begun(y, x);
+            Still source;
+            march(voxels, look, transfer, m, source);
+            out.write(y, x, m);
+        });
+    }
 }
 
 void draw(Samples samples, const View& look, const Transfer& transfer, const SolidLattice* lattice, int cells,

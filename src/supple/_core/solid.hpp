@@ -85,18 +85,18 @@ struct Lattice {
         q = least(most(Float4(q * over), Float4{}), floats(last + 1));
         Int4 cell = whole(q);
         cell = cell < last ? cell : last;
-        Float4 part = q - floats(cell), bend = (0.5f * h) * part * (1.0f - part), c[8][4];
+        Float4 part = q - floats(cell), bend = (0.5f * h) * part * (1.0f - part);
         const float* first = node(cell[2], cell[1], cell[0]);
-        for (int k = 0; k < 8; k++)
-            for (int f = 0; f < 4; f++)
-                c[k][f] = load4(first + ((k >> 2) * ny * nx + (k >> 1 & 1) * nx + (k & 1)) * NODE + 4 * f);
-        for (int axis = 0; axis < 3; axis++)
-            for (int k = 0; k < 4 >> axis; k++) {
-                Float4 turn = c[2 * k + 1][1 + axis] - c[2 * k][1 + axis];
-                for (int f = 0; f < 4; f++) c[k][f] = mix(part[axis], c[2 * k][f], c[2 * k + 1][f]);
-                c[k][0] -= bend[axis] * turn;
-            }
-        return {c[0][0], {c[0][1], c[0][2], c[0][3]}};
+        Float8 a[8], b[8];  // u beside ∂p/∂x, and ∂p/∂y beside ∂p/∂z
+        for (int k = 0; k < 8; k++) {
+            const float* at = first + ((k >> 2) * ny * nx + (k >> 1 & 1) * nx + (k & 1)) * NODE;
+            a[k] = load8(at);
+            b[k] = load8(at + 8);
+        }
+        fold<0, 4>(part[0], bend[0], a, b);
+        fold<1, 2>(part[1], bend[1], a, b);
+        fold<2, 1>(part[2], bend[2], a, b);
+        return {half<0>(a[0]), {half<1>(a[0]), half<0>(b[0]), half<1>(b[0])}};
     }
 
     // Solve the nodes of a layer, each row from the one before. Returns the evaluations of T, and the least length,
@@ -175,6 +175,19 @@ struct Lattice {
     }
 
 private:
+    // Between neighbours along an axis: of 2 COUNT, COUNT are left.
+    template <int AXIS, int COUNT> INLINE static void fold(float part, float bend, Float8* a, Float8* b) {
+        for (int k = 0; k < COUNT; k++) {
+            Float8 da = a[2 * k + 1] - a[2 * k], db = b[2 * k + 1] - b[2 * k], turn = AXIS == 0 ? da : db, none{};
+            a[k] = a[2 * k] + part * da;
+            b[k] = b[2 * k] + part * db;
+            // The change of the slopes along the axis, beside zeros.
+            if constexpr (AXIS == 1) turn = __builtin_shufflevector(turn, none, 0, 1, 2, 3, 8, 9, 10, 11);
+            else turn = __builtin_shufflevector(turn, none, 4, 5, 6, 7, 8, 9, 10, 11);
+            a[k] -= bend * turn;
+        }
+    }
+
     // How far, in voxels, the map stays as it is at p: a stroke varies over ρ, and its border over 2σ or twice the
     // distance to the face, seen through the derivatives of the stroke's input along the axes of q.
     static double smoothness(const Strokes& s, const Solution<3, Lanes>& found) {

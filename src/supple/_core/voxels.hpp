@@ -7,8 +7,9 @@
 namespace supple {
 
 typedef float Float4 __attribute__((vector_size(16)));
-typedef float Float8 __attribute__((vector_size(32)));
 typedef int32_t Int4 __attribute__((vector_size(16)));
+typedef float Float8 __attribute__((vector_size(32)));
+typedef double Double2 __attribute__((vector_size(16)));
 typedef double Double4 __attribute__((vector_size(32)));
 
 INLINE Int4 whole(Float4 x) { return __builtin_convertvector(x, Int4); }
@@ -20,12 +21,35 @@ INLINE Float4 load4(const float* at) {
     memcpy(&x, at, sizeof x);
     return x;
 }
+INLINE Float8 load8(const float* at) {
+    typedef float Anywhere __attribute__((vector_size(32), aligned(4), may_alias));
+    return *(const Anywhere*)at;
+}
+template <int K> INLINE Float4 half(Float8 x) {
+    return __builtin_shufflevector(x, x, 4 * K, 4 * K + 1, 4 * K + 2, 4 * K + 3);
+}
 INLINE float dot3(Float4 a, Float4 b) {
     Float4 c = a * b;
     return c[0] + c[1] + c[2];
 }
 // The point at `part` of the way from a to b: exactly a where both are the same.
 template <class V, class S> INLINE V mix(S part, V a, V b) { return a + part * (b - a); }
+
+// Four integers of type T, one after the other in `bits`. Compilers know how, but for GCC.
+template <class T, class B> INLINE Float4 numbers(B bits) {
+#if defined(__SSE4_1__)
+    __m128i x = sizeof(T) == 1 ? _mm_cvtsi32_si128((int)bits) : _mm_cvtsi64_si128((int64_t)bits);
+    if constexpr (sizeof(T) == 1)
+        return (Float4)_mm_cvtepi32_ps(std::is_signed_v<T> ? _mm_cvtepi8_epi32(x) : _mm_cvtepu8_epi32(x));
+    else
+        return (Float4)_mm_cvtepi32_ps(std::is_signed_v<T> ? _mm_cvtepi16_epi32(x) : _mm_cvtepu16_epi32(x));
+#else
+    typedef T Four __attribute__((vector_size(4 * sizeof(T))));
+    Four x;
+    memcpy(&x, &bits, sizeof x);
+    return __builtin_convertvector(x, Float4);
+#endif
+}
 
 // A volume of T, x fastest, of two voxels along each axis at least.
 template <class T> struct Voxels {
@@ -42,8 +66,9 @@ template <class T> struct Voxels {
         Int4 cell = whole(p);
         cell = cell < last ? cell : last;
         Float4 part = p - floats(cell);
-        Float8 c = corners(at(cell));
-        Float4 a = mix(part[2], __builtin_shufflevector(c, c, 0, 1, 2, 3), __builtin_shufflevector(c, c, 4, 5, 6, 7));
+        Float4 near, far;
+        corners(at(cell), near, far);
+        Float4 a = mix(part[2], near, far);
         Float4 b = mix(part[1], a, __builtin_shufflevector(a, a, 2, 3, 2, 3));
         return mix(part[0], b[0], b[1]);
     }
@@ -57,26 +82,30 @@ template <class T> struct Voxels {
 private:
     INLINE const T* at(Int4 cell) const { return data + (cell[2] * layer + cell[1] * row + cell[0]); }
 
-    // The voxels of a cell: x changes first, then y, then z.
-    INLINE static Float8 joined(const T* a, const T* b, const T* c, const T* d) {
-        typedef std::conditional_t<sizeof(T) == 1, uint16_t, std::conditional_t<sizeof(T) == 2, uint32_t, uint64_t>>
-            Pair;
-        typedef Pair Pairs __attribute__((vector_size(4 * sizeof(Pair))));
-        typedef T Eight __attribute__((vector_size(8 * sizeof(T))));
-        Pair two[4];
-        memcpy(&two[0], a, sizeof(Pair));
-        memcpy(&two[1], b, sizeof(Pair));
-        memcpy(&two[2], c, sizeof(Pair));
-        memcpy(&two[3], d, sizeof(Pair));
-        return __builtin_convertvector((Eight)Pairs{two[0], two[1], two[2], two[3]}, Float8);
+    // Two neighbours along x of a cell's four rows, as the numbers of its near and of its far layer.
+    INLINE void corners(const T* a, Float4& near, Float4& far) const {
+        typedef std::conditional_t<sizeof(T) == 1, uint16_t, std::conditional_t<sizeof(T) == 2, uint32_t, double>> Pair;
+        Pair p[4];
+        for (int k = 0; k < 4; k++) memcpy(p + k, a + (k & 1) * row + (k >> 1) * layer, sizeof(Pair));
+        if constexpr (sizeof(T) == 4) {
+            near = (Float4)Double2{p[0], p[1]};
+            far = (Float4)Double2{p[2], p[3]};
+        } else if constexpr (sizeof(T) == 2) {
+            near = numbers<T>(p[0] | (uint64_t)p[1] << 32);
+            far = numbers<T>(p[2] | (uint64_t)p[3] << 32);
+        } else {
+            near = numbers<T>(p[0] | (uint32_t)p[1] << 16);
+            far = numbers<T>(p[2] | (uint32_t)p[3] << 16);
+        }
     }
-    INLINE Float8 corners(const T* a) const { return joined(a, a + row, a + layer, a + row + layer); }
 
     INLINE static Float4 four(const T* a) {
-        typedef T Four __attribute__((vector_size(4 * sizeof(T))));
-        Four x;
-        memcpy(&x, a, sizeof x);
-        return __builtin_convertvector(x, Float4);
+        if constexpr (sizeof(T) == 4) return load4(a);
+        else {
+            std::conditional_t<sizeof(T) == 1, uint32_t, uint64_t> bits;
+            memcpy(&bits, a, sizeof bits);
+            return numbers<T>(bits);
+        }
     }
     // At `part` between the second and the third, what changes from each one's neighbour before to that after.
     template <class V> INLINE static V change(float part, V a, V b, V c, V d) {

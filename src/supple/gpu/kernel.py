@@ -96,7 +96,11 @@ def source(*names: str) -> str:
 
 
 def pipeline(
-    gpu: Gpu, names: Sequence[str], entry: str, kinds: Sequence[str | None], constants: Mapping[str, float] | None = None
+    gpu: Gpu,
+    names: Sequence[str],
+    entry: str,
+    kinds: Sequence[str | None],
+    constants: Mapping[str, float] | None = None,
 ) -> Any:
     """A compute shader's entry point, compiled; kept with the device.
 

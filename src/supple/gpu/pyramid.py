@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 from dataclasses import dataclass
 from typing import Any
 
@@ -109,7 +110,7 @@ class Pyramid:
         before = start
         passes = []
         with contextlib.ExitStack() as stack:
-            for number, (fine, coarse) in enumerate(zip(found, found[1:], strict=False), 1):
+            for number, (fine, coarse) in enumerate(itertools.pairwise(found), 1):
                 settings["number"], settings["start"] = number, (before, start)
                 settings["fine"], settings["coarse"] = (fine.width, fine.tall), (coarse.width, coarse.tall)
                 settings["first"] = fine.rows[0], coarse.rows[0]
