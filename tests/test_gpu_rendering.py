@@ -123,7 +123,7 @@ def test_without_strokes_and_thin(gpu: Gpu, cloud: np.ndarray) -> None:
 @pytest.mark.parametrize("mode", MODES)
 def test_one_slice_of_any_thickness_with_a_fixed_border(gpu: Gpu, cloud: np.ndarray, mode: str) -> None:
     for spacing in ((1.0, 1.0, 5.0), (1.0, 0.9, 0.3)):
-        d = supple.Deformation((1, *SHAPE[1:]), spacing=spacing).grab((13, 15, 0), by=(4, -3, 0), radius=8)
+        d = supple.Deformation((1, *SHAPE[1:]), spacing=spacing).grab((13, 15, 0), by=(3, -2, 0), radius=8)
         options: dict[str, Any] = {"deformation": d, "transfer": SOFT, "mode": mode}
         one, other = (
             Scene(cloud[10:11], Geometry(spacing=spacing), device=device, **options).render(
