@@ -28,9 +28,8 @@ def skipped(known: dict[str, Any]) -> npt.NDArray[np.uint8]:
     lows, highs = np.maximum(known["_lows"], np.float32(bottom)), np.minimum(known["_highs"], np.float32(top))
 
     def entry(values: Array) -> npt.NDArray[np.intp]:
-        return np.clip(np.rint((values - np.float32(low)) * np.float32(entries(low, high))), 0, ENTRIES - 1).astype(
-            np.intp
-        )
+        places = np.rint((values - np.float32(low)) * np.float32(entries(low, high)))
+        return np.asarray(np.clip(places, 0, ENTRIES - 1), np.intp)
 
     seen = (lows <= highs) & (visible[entry(highs) + 1] > visible[entry(lows)])
     if known["_solid"] is not None:
