@@ -29,7 +29,7 @@ from video import against_forward_mapping, certified, memory, one_frame, whole_c
 from volume import all_rows as volumes
 
 import supple
-from supple.cpu import paper
+from supple import paper
 
 cv2.setNumThreads(2)
 DATA = Path(supple.__file__).parent / "data"

@@ -12,7 +12,7 @@ from head import BACKGROUND, DRAGS, HEAD, bent, layers
 
 import supple
 from supple.camera import Camera
-from supple.cpu.solid import solve_solid
+from supple.solid import solve_solid
 from supple.diagnostics.rays import draw_inversions
 from supple.media import image
 from supple.rendering import MODES, Scene

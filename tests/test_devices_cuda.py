@@ -79,7 +79,7 @@ def test_it_says_what_to_install(without: None) -> None:
     ("said", "wanted"),
     [
         ("Error at driver init: \nCUDA driver library cannot be found.", "which is not installed; device cpu"),
-        ("Call to cuInit results in CUDA_ERROR_NO_DEVICE", "no NVIDIA card was found: the driver sees none"),
+        ("Call to cuInit results in CUDA_ERROR_NO_DEVICE", "no NVIDIA GPU was found: the driver sees none"),
         ("Call to cuInit results in\nCUDA_ERROR_UNKNOWN", "driver does not work .*results in CUDA_ERROR_UNKNOWN"),
     ],
 )

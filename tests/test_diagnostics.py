@@ -13,7 +13,7 @@ import numpy.typing as npt
 import pytest
 
 from supple import Deformation, SuppleError
-from supple.cpu import paper
+from supple import paper
 from supple.diagnostics import WHATS, figure, footprints, grid, iterations, plot, residual, sources, stretch
 from supple.diagnostics.background import background
 from supple.diagnostics.measure import spacing_of

@@ -1,4 +1,4 @@
-"""Every kernel of the CUDA engine compiles for a card, without one."""
+"""Every kernel of the CUDA engine compiles for a GPU, without one."""
 
 from __future__ import annotations
 
@@ -18,12 +18,11 @@ if os.environ.get("SUPPLE_TEST_CUDA_COMPILER") != "1":
 from numba import types
 from numba.np.numpy_support import from_dtype
 
-from supple.cpu.sampling import OUTSIDE
 from supple.cuda import field, fill, lattice, newton, reach
 from supple.cuda.colour import BETWEEN, FILTERS
-from supple.cuda.sample import Way
+from supple.cuda.sample import OUTSIDE, Way
 
-CAPABILITY = (8, 0)  # of cards that CUDA 12 and 13 both know
+CAPABILITY = (8, 0)  # of GPUs that CUDA 12 and 13 both know
 
 
 def flat(kind: Any) -> Any:
@@ -47,7 +46,7 @@ KERNELS = {
 
 @pytest.fixture(autouse=True)
 def _no_card_is_asked(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Parts of kernels are compiled for the card at hand: there is none."""
+    """Parts of kernels are compiled for the GPU at hand: there is none."""
     from numba.cuda import dispatcher
 
     class Device:
@@ -86,6 +85,8 @@ def ways() -> Iterator[tuple[str, Way, Any]]:
         yield f"nearest-{rule}", Way(FILTERS["nearest"], BETWEEN["nearest"], number), "u1"
     mixed = Way(FILTERS["auto"], BETWEEN["cubic"], 2, True, whole=True, alpha=True, light=True)
     yield "all of it", mixed, "u1"
+    yield "within reach", Way(FILTERS["auto"], BETWEEN["linear"], limited=True), "f4"
+    yield "a map within reach", Way(FILTERS["map"], BETWEEN["nothing"], limited=True), "f4"
     yield "in a ring", Way(FILTERS["cubic"], BETWEEN["linear"], ring=True), "f4"
     yield "a large one", Way(FILTERS["linear"], BETWEEN["linear"], index=np.int64), "f4"
     for kind in ("f2", "f4", "f8", "u1", "u2", "u4", "u8", "i1", "i2", "i4", "i8"):
@@ -108,10 +109,13 @@ def test_kernels_of_pixels(name: str) -> None:
     fills = samples if way.filter == FILTERS["nearest"] else flat(number)
     planes, source = types.UniTuple(N, len(fill.PLANES)), types.UniTuple(index, 13)
     how, limits, places = types.UniTuple(index, 3), types.UniTuple(number, 3), types.UniTuple(index, len(fill.TARGET))
-    common = (samples, fills, source, how, limits, F4, target, places)
+    common = (samples, fills, source, how, limits, target, places)
     good, rough = fill.kernels(way)
-    code = compiled(good, (I4, I4, I4, F4, F4, planes, *common, I4))
-    if name == "linear-linear-False":  # what most pixels take keeps clear of slow memory and of float64
+    code = compiled(good, (F8, I4, I4, I4, I4, F4, F4, planes, *common, I4))
+    if name in (
+        "linear-linear-False",
+        "auto-nothing-False",
+    ):  # what most pixels take keeps clear of slow memory and of float64
         assert ".local" not in code
         assert code.count("fma.rn.f64") == 0
     if " of " not in name:  # how pixels are solved knows nothing of their types

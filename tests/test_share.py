@@ -1,4 +1,4 @@
-"""How kernels share the cores."""
+"""How work is shared among threads."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import time
 
 import pytest
 
-from supple.cpu.kernel import share
+from supple.workers import share, threads
 
 
 @pytest.fixture(autouse=True)
@@ -20,17 +20,15 @@ def _worker(k: int) -> tuple[int, int]:
     return k, threading.get_ident()
 
 
-@pytest.mark.parametrize("brief", [False, True])
-def test_results_are_in_order_from_two_threads(brief: bool) -> None:
-    found = share(_worker, range(20), brief=brief)
+def test_results_are_in_order_from_two_threads() -> None:
+    found = share(_worker, range(20))
     assert [k for k, _ in found] == list(range(20))
     workers = {thread for _, thread in found}
     assert len(workers) == 2
-    assert (threading.get_ident() in workers) == brief
+    assert threading.get_ident() not in workers
 
 
-@pytest.mark.parametrize("brief", [False, True])
-def test_what_fails_ends_all_and_leaves_nothing_behind(brief: bool) -> None:
+def test_what_fails_ends_all_and_leaves_nothing_behind() -> None:
     begun = []
 
     def fail(k: int) -> None:
@@ -40,27 +38,22 @@ def test_what_fails_ends_all_and_leaves_nothing_behind(brief: bool) -> None:
             raise ValueError("the fourth")
 
     with pytest.raises(ValueError, match="the fourth"):
-        share(fail, range(100), brief=brief)
+        share(fail, range(100))
     assert len(begun) < 10
-    assert len({thread for _, thread in share(_worker, range(20), brief=brief)}) == 2
+    assert len({thread for _, thread in share(_worker, range(20))}) == 2
 
 
-def test_an_interrupt_of_the_caller_s_own_work_ends_it() -> None:
-    caller = threading.get_ident()
-
-    def interrupted(k: int) -> None:
-        time.sleep(0.005)
-        if threading.get_ident() == caller:
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        share(interrupted, range(100), brief=True)
-    assert caller in {thread for _, thread in share(_worker, range(20), brief=True)}
+@pytest.mark.parametrize(("asked", "wanted"), [("3", 3), ("0", None), ("-1", None), ("many", None), ("", None)])
+def test_how_many_threads_there_are(monkeypatch: pytest.MonkeyPatch, asked: str, wanted: int | None) -> None:
+    monkeypatch.delenv("SUPPLE_THREADS")
+    usual = threads()
+    assert usual >= 1
+    monkeypatch.setenv("SUPPLE_THREADS", asked)
+    assert threads() == (wanted or usual)
 
 
-@pytest.mark.parametrize("brief", [False, True])
-def test_within_shared_work_all_is_done_there(brief: bool) -> None:
+def test_within_shared_work_all_is_done_there() -> None:
     def inner(k: int) -> set[int]:
-        return {thread for _, thread in share(_worker, range(3), brief=brief)} | {threading.get_ident()}
+        return {thread for _, thread in share(_worker, range(3))} | {threading.get_ident()}
 
-    assert all(len(threads) == 1 for threads in share(inner, range(6), brief=brief))
+    assert all(len(found) == 1 for found in share(inner, range(6)))

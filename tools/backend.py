@@ -56,9 +56,7 @@ def get_requires_for_build_editable(config_settings: Settings = None) -> list[st
     return [] if _later(config_settings) else get_requires_for_build_wheel(config_settings)
 
 
-def build_wheel(
-    wheel_directory: str, config_settings: Settings = None, metadata_directory: str | None = None
-) -> str:
+def build_wheel(wheel_directory: str, config_settings: Settings = None, metadata_directory: str | None = None) -> str:
     """Build a wheel with the compiler that there is."""
     with _one_sentence(), tempfile.TemporaryDirectory() as scripts:
         core.need_headers()
@@ -70,8 +68,9 @@ def build_wheel(
 
 
 def prepare_metadata_for_build_editable(metadata_directory: str, config_settings: Settings = None) -> str:
-    """Prepare the metadata, which are those of the wheel."""
-    return scikit.prepare_metadata_for_build_wheel(metadata_directory, _ours(config_settings))
+    """Prepare the metadata, which are those of the wheel; they need no CMake."""
+    settings = {**(_ours(config_settings) or {}), "wheel.cmake": "false", "wheel.py-api": "py3"}
+    return scikit.prepare_metadata_for_build_wheel(metadata_directory, settings)
 
 
 def build_editable(
@@ -86,7 +85,9 @@ def build_editable(
         info = Path(folder, prepare_metadata_for_build_editable(folder, config_settings))
         name = f"{info.name.removesuffix('.dist-info')}-py3-none-any.whl"
         files = {path.relative_to(folder).as_posix(): path.read_bytes() for path in info.rglob("*") if path.is_file()}
-        files[f"{info.name}/WHEEL"] = b"Wheel-Version: 1.0\nGenerator: supple\nRoot-Is-Purelib: true\nTag: py3-none-any\n"
+        files[f"{info.name}/WHEEL"] = (
+            b"Wheel-Version: 1.0\nGenerator: supple\nRoot-Is-Purelib: true\nTag: py3-none-any\n"
+        )
         files["_supple_editable.pth"] = f"{core.ROOT / 'src'}\n".encode()
         record = []
         with zipfile.ZipFile(Path(wheel_directory, name), "w") as wheel:

@@ -70,7 +70,8 @@ class View:
     Parameters
     ----------
     packed : float64 array, shape (5, 3)
-        As the engine takes it (`supple.cpu.raymarch`).
+        The eye, in indices; the spacing; and, in millimetres along the volume's axes, where the camera looks, and a
+        pixel to the right and one down, a millimetre ahead.
     size : (int, int)
         Rows and columns of the picture.
     """

@@ -1,4 +1,4 @@
-"""What is known of a map after it was used: its error, and what it took."""
+"""What is known about the accuracy of a map."""
 
 from __future__ import annotations
 
@@ -7,18 +7,16 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class Certificate:
-    """The accuracy of a map that was used, and the work that it took.
-
-    Two of them are combined by ``|``: the larger error, and the sums of the rest.
+    """The accuracy of a map of source points, and what it cost to compute.
 
     Parameters
     ----------
     error : float
-        The largest distance of a source point from the true one, in pixels.
+        A bound on the distance of source points from T⁻¹(q), in pixels.
     evaluations : float
-        How many times a stroke was evaluated.
+        How often T was evaluated.
     unknown : int
-        How many points are not known to be accurate.
+        How many points could not be solved to the tolerance.
     """
 
     error: float
@@ -26,8 +24,7 @@ class Certificate:
     unknown: int = 0
 
     def __or__(self, other: Certificate) -> Certificate:
+        """Return the certificate of two maps together."""
         return Certificate(
-            max(self.error, other.error),
-            self.evaluations + other.evaluations,
-            self.unknown + other.unknown,
+            max(self.error, other.error), self.evaluations + other.evaluations, self.unknown + other.unknown
         )

@@ -6,76 +6,61 @@ from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
-from supple.console import Console
+from supple.console import current
 from supple.errors import SuppleError
 from supple.options import StrokeOptions, TimeOptions
 from supple.options_volume import VOLUME, VolumeOptions
 
-VIEW_EXAMPLES = """\
-Examples:
-
-  supple view photo.jpg
-  supple view clip.mp4 --recipe strokes.json
-  supple view head.nii.gz --serve
-  supple view ct.raw --shape 512,512,200 --dtype int16 --spacing 0.7,0.7,1.5
-"""
 _STROKES, _TIME, _VOLUME = StrokeOptions(), TimeOptions(), VolumeOptions()
 
 
-class ViewCommands:
-    """Windows, on the command line."""
+def view(
+    source: Annotated[str, Parameter(name="FILE")],
+    /,
+    *,
+    serve: bool = False,
+    port: Annotated[int, Parameter(metavar="N", allow_leading_hyphen=True)] = 0,
+    toolkit: Literal["glfw", "qt"] = "glfw",
+    strokes: StrokeOptions = _STROKES,
+    time: TimeOptions = _TIME,
+    labels: Annotated[bool, Parameter(group=VOLUME)] = False,
+    volume: VolumeOptions = _VOLUME,
+) -> None:
+    """Bend a photograph, a clip or a volume by hand, in a window.
 
-    def __init__(self, console: Console) -> None:
-        self.console = console
+    Parameters
+    ----------
+    source
+        What supple warp takes.
+    serve
+        Show it in a browser instead, on this machine or through a tunnel to it: it prints the address.
+    port
+        Of that; any that is free, by default.
+    toolkit
+        What makes the window.
+    labels
+        Values are names of things, which exports keep: each voxel takes that of the nearest.
+    """
+    from supple.viewer.launch import ViewOptions, show
+    from supple.viewer.launch import serve as serve_it
 
-    def view(
-        self,
-        source: Annotated[str, Parameter(name="FILE")],
-        /,
-        *,
-        serve: bool = False,
-        port: Annotated[int, Parameter(metavar="N", allow_leading_hyphen=True)] = 0,
-        toolkit: Literal["glfw", "qt"] = "glfw",
-        strokes: StrokeOptions = _STROKES,
-        time: TimeOptions = _TIME,
-        labels: Annotated[bool, Parameter(group=VOLUME)] = False,
-        volume: VolumeOptions = _VOLUME,
-    ) -> None:
-        """Bend a photograph, a clip or a volume by hand, in a window.
+    current().started(quiet=False, threads=None)
+    loose = [n for n in ("radius", "poisson", "scales") if getattr(strokes, n) and not strokes.any]
+    if loose:
+        raise SuppleError(f"--{loose[0]} is for a --grab: give one, or set the brush in the window")
+    recipe = strokes.to_recipe() if strokes.any else None
+    if volume.world and recipe is None:
+        raise SuppleError("--world is about the points of strokes, and there are none: leave it out")
+    options = ViewOptions(time_scale=time.to_scale(), volume=volume.to_reading(labels=labels))
+    if port and not serve:
+        raise SuppleError("--port is for --serve: leave it out, or serve")
+    if not 0 <= port <= 65535:
+        raise SuppleError(f"--port goes from 0 to 65535, found {port}")
 
-        Parameters
-        ----------
-        source
-            What supple warp takes.
-        serve
-            Show it in a browser instead, on this machine or through a tunnel to it: it prints the address.
-        port
-            Of that; any that is free, by default.
-        toolkit
-            What makes the window.
-        labels
-            Values are names of things, which exports keep: each voxel takes that of the nearest.
-        """
-        from supple.viewer.launch import ViewOptions, show
-        from supple.viewer.launch import serve as serve_it
+    def tell(address: str) -> None:
+        print(f"open {address}", flush=True)
 
-        self.console.started(quiet=False, threads=None)
-        loose = [n for n in ("radius", "poisson", "scales") if getattr(strokes, n) and not strokes.any]
-        if loose:
-            raise SuppleError(f"--{loose[0]} is for a --grab: give one, or set the brush in the window")
-        recipe = strokes.to_recipe() if strokes.any else None
-        if volume.world and recipe is None:
-            raise SuppleError("--world is about the points of strokes, and there are none: leave it out")
-        options = ViewOptions(time_scale=time.to_scale(), volume=volume.to_reading(labels=labels))
-        if port and not serve:
-            raise SuppleError("--port is for --serve: leave it out, or serve")
-        if not 0 <= port <= 65535:
-            raise SuppleError(f"--port goes from 0 to 65535, found {port}")
-
-        def tell(address: str) -> None:
-            print(f"open {address}", flush=True)
-
-        if serve:
-            serve_it(source, recipe, port=port, tell=tell, options=options)
-        else:
-            show(source, recipe, toolkit=toolkit, options=options)
+    if serve:
+        serve_it(source, recipe, port=port, tell=tell, options=options)
+    else:
+        show(source, recipe, toolkit=toolkit, options=options)

@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 from cyclopts import Parameter
 
-from supple.console import Console
+from supple.console import current, say_convention, told_of_software
 from supple.errors import SuppleError
 from supple.options import RunOptions, StrokeOptions, VideoOptions
-from supple.options_volume import CameraOptions, LookOptions, VolumeOptions
+from supple.options_render import CameraOptions, LookOptions
+from supple.options_volume import VolumeOptions
 from supple.workers import workers
 
 if TYPE_CHECKING:
@@ -23,160 +23,117 @@ if TYPE_CHECKING:
     from supple.strokes import Recipe
     from supple.volumes import VolumeOptions as Reading
 
-RENDER_EXAMPLES = """\
-Examples:
-
-  supple render head.nii.gz face.png --azimuth 30
-  supple render ct.nrrd skull.png --transfer ct-bone --grab 90,150,100:90,170,100 --radius 30
-  supple render head.nii.gz turn.mp4 --turntable 120
-"""
-POINTS_EXAMPLES = """\
-Examples:
-
-  supple points marks.fcsv moved.fcsv --on head.nii.gz --grab 90,150,100:90,170,100 --radius 30
-  supple points clicked.csv origin.csv --on photo.jpg --recipe strokes.json --inverse
-"""
 _STROKES, _RUN, _VOLUME, _VIDEO = StrokeOptions(), RunOptions(), VolumeOptions(), VideoOptions()
 _CAMERA, _LOOK = CameraOptions(), LookOptions()
 
 
-@dataclass(frozen=True, slots=True)
-class VolumeCommands:
-    """What the commands share: a console."""
+def render(
+    source: Annotated[str, Parameter(name="VOLUME")],
+    target: Annotated[str, Parameter(name="OUT")],
+    /,
+    *,
+    strokes: StrokeOptions = _STROKES,
+    camera: CameraOptions = _CAMERA,
+    look: LookOptions = _LOOK,
+    volume: VolumeOptions = _VOLUME,
+    options: RunOptions = _RUN,
+) -> None:
+    """Take a picture of a volume, as it is or with strokes.
 
-    console: Console
-
-    def render(
-        self,
-        source: Annotated[str, Parameter(name="VOLUME")],
-        target: Annotated[str, Parameter(name="OUT")],
-        /,
-        *,
-        strokes: StrokeOptions = _STROKES,
-        camera: CameraOptions = _CAMERA,
-        look: LookOptions = _LOOK,
-        volume: VolumeOptions = _VOLUME,
-        options: RunOptions = _RUN,
-    ) -> None:
-        """Take a picture of a volume, as it is or with strokes.
-
-        Parameters
-        ----------
-        source
-            NIfTI, NRRD, MetaImage, a DICOM folder, a TIFF stack, .dat, or voxels without a header.
-        target
-            A picture (PNG and TIFF keep what is transparent), or with --turntable a video or a pattern.
-        """
-        from supple.files import counted
-        from supple.views import render_file
-
-        self.console.started(quiet=options.quiet, threads=options.threads)
-        say_software = told_of_software(self.console, look.device)
-        recipe = strokes.to_recipe() if strokes.any else None
-        render, reading = look.to_render(camera.to_camera()), volume.to_reading()
-        if reading.world and recipe is None:
-            raise SuppleError("--world is about the points of strokes, and there are none: leave it out")
-        self.console.tell_of_compiling()
-        with counted(self.console.terminal) as tell, workers() as who:
-            scene = render_file(source, target, recipe, options=render, volume=reading, force=options.force, tell=tell)
-        say_software()
-        say_convention(self.console, reading.world, scene.geometry, source, options)
-        if options.json:
-            facts = scene.deformation.resolution() if scene.deformation else {}
-            low, high = scene.range
-            self.console.tell(
-                {
-                    "input": source,
-                    "output": target,
-                    "width": render.size[1],
-                    "height": render.size[0],
-                    "pictures": render.turntable or 1,
-                    "mode": scene.mode,
-                    "device": str(who),
-                    "step": scene.step,
-                    "minimum": low,
-                    "maximum": high,
-                    "error": scene.error if math.isfinite(scene.error) else None,
-                    **facts,
-                }
-            )
-
-    def points(
-        self,
-        source: Annotated[str, Parameter(name="IN")],
-        target: Annotated[str, Parameter(name="OUT")],
-        /,
-        *,
-        on: Annotated[str, Parameter(metavar="FILE")],
-        inverse: bool = False,
-        convention: Annotated[Literal["LPS", "RAS", "index"] | None, Parameter()] = None,
-        strokes: StrokeOptions = _STROKES,
-        volume: VolumeOptions = _VOLUME,
-        video: VideoOptions = _VIDEO,
-        options: RunOptions = _RUN,
-    ) -> None:
-        """Move landmarks as strokes move what they mark.
-
-        Parameters
-        ----------
-        source
-            Points: CSV, or 3D Slicer's .fcsv and .mrk.json.
-        target
-            A file of the same kind.
-        on
-            The volume, picture or video that the strokes are for.
-        inverse
-            Back: from the deformed volume to where it came from.
-        convention
-            What the numbers of a table are that does not say it: millimetres in LPS or RAS, or indices (default).
-        """
-        from supple.landmarks import move_points
-
-        self.console.started(quiet=options.quiet, threads=options.threads)
-        deformation, geometry = _deformation(on, strokes.to_recipe(), volume.to_reading(), video)
-        self.console.tell_of_compiling()
-        moved = move_points(
-            source, target, deformation, geometry, inverse=inverse, convention=convention, force=options.force
-        )
-        say_convention(self.console, volume.world, geometry, on, options)
-        worst = float(moved.residual.max(initial=0.0))
-        if options.json:
-            known = {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in asdict(moved).items()}
-            facts: dict[str, Any] = {**known, "source": str(moved.source), "target": str(moved.target)}
-            self.console.tell(facts)
-            return
-        unit = "px" if geometry is None else "mm"
-        furthest = float(moved.displaced.max(initial=0.0))
-        if moved.outside:
-            self.console.say(f"{moved.outside} of {moved.count} points lie outside {on}: they are moved all the same")
-        if moved.unconverged:
-            self.console.say(f"{moved.unconverged} of {moved.count} points did not converge: see their residuals")
-        if not options.quiet:
-            many = "1 point" if moved.count == 1 else f"{moved.count} points"
-            print(f"{many}, moved by up to {furthest:.3g} {unit}; residual up to {worst:.1g} {unit}")
-
-
-def told_of_software(console: Console, device: str) -> Callable[[], None]:
-    """What says, when the work is done, that the GPU that was asked for is none.
-
-    Raises
-    ------
-    SuppleError
-        If there is not even such a one.
+    Parameters
+    ----------
+    source
+        NIfTI, NRRD, MetaImage, a DICOM folder, a TIFF stack, .dat, or voxels without a header.
+    target
+        A picture (PNG and TIFF keep what is transparent), or with --turntable a video or a pattern.
     """
-    if device != "gpu":
-        return lambda: None
-    from supple.gpu.device import open_gpu
+    console = current()
+    from supple.files import counted
+    from supple.views import render_file
 
-    gpu = open_gpu()
-    text = f"{gpu.name} is a program that runs on the CPU: no graphics card was found"
-    return lambda: console.warn(text) if gpu.software else None
+    console.started(quiet=options.quiet, threads=options.threads)
+    say_software = told_of_software(console, look.device)
+    recipe = strokes.to_recipe() if strokes.any else None
+    render, reading = look.to_render(camera.to_camera()), volume.to_reading()
+    if reading.world and recipe is None:
+        raise SuppleError("--world is about the points of strokes, and there are none: leave it out")
+    with counted(console.terminal) as tell, workers() as who:
+        scene = render_file(source, target, recipe, options=render, volume=reading, force=options.force, tell=tell)
+    say_software()
+    say_convention(console, reading.world, scene.geometry, source)
+    if options.json:
+        facts = scene.deformation.resolution() if scene.deformation else {}
+        low, high = scene.range
+        console.tell(
+            {
+                "input": source,
+                "output": target,
+                "width": render.size[1],
+                "height": render.size[0],
+                "pictures": render.turntable or 1,
+                "mode": scene.mode,
+                "device": str(who),
+                "step": scene.step,
+                "minimum": low,
+                "maximum": high,
+                "error": scene.error if math.isfinite(scene.error) else None,
+                **facts,
+            }
+        )
 
 
-def say_convention(console: Console, world: bool, geometry: Geometry | None, name: object, options: RunOptions) -> None:
-    """Say in which coordinates points were taken, if they are places in space."""
-    if world and geometry and not options.quiet:
-        console.say(f"points are {geometry.convention} millimetres, as {name} has them")
+def points(
+    source: Annotated[str, Parameter(name="IN")],
+    target: Annotated[str, Parameter(name="OUT")],
+    /,
+    *,
+    on: Annotated[str, Parameter(metavar="FILE")],
+    inverse: bool = False,
+    convention: Annotated[Literal["LPS", "RAS", "index"] | None, Parameter()] = None,
+    strokes: StrokeOptions = _STROKES,
+    volume: VolumeOptions = _VOLUME,
+    video: VideoOptions = _VIDEO,
+    options: RunOptions = _RUN,
+) -> None:
+    """Move landmarks as strokes move what they mark.
+
+    Parameters
+    ----------
+    source
+        Points: CSV, or 3D Slicer's .fcsv and .mrk.json.
+    target
+        A file of the same kind.
+    on
+        The volume, picture or video that the strokes are for.
+    inverse
+        Back: from the deformed volume to where it came from.
+    convention
+        What the numbers of a table are that does not say it: millimetres in LPS or RAS, or indices (default).
+    """
+    console = current()
+    from supple.landmarks import move_points
+
+    console.started(quiet=options.quiet, threads=options.threads)
+    deformation, geometry = _deformation(on, strokes.to_recipe(), volume.to_reading(), video)
+    moved = move_points(
+        source, target, deformation, geometry, inverse=inverse, convention=convention, force=options.force
+    )
+    say_convention(console, volume.world, geometry, on)
+    worst = float(moved.residual.max(initial=0.0))
+    if options.json:
+        known = {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in asdict(moved).items()}
+        facts: dict[str, Any] = {**known, "source": str(moved.source), "target": str(moved.target)}
+        console.tell(facts)
+        return
+    unit = "px" if geometry is None else "mm"
+    furthest = float(moved.displaced.max(initial=0.0))
+    if moved.outside:
+        console.say(f"{moved.outside} of {moved.count} points lie outside {on}: they are moved all the same")
+    if moved.unconverged:
+        console.say(f"{moved.unconverged} of {moved.count} points did not converge: see their residuals")
+    if not options.quiet:
+        many = "1 point" if moved.count == 1 else f"{moved.count} points"
+        print(f"{many}, moved by up to {furthest:.3g} {unit}; residual up to {worst:.1g} {unit}")
 
 
 def _deformation(on: str, recipe: Recipe, reading: Reading, video: VideoOptions) -> tuple[Deformation, Geometry | None]:

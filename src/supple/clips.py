@@ -8,15 +8,13 @@ import shutil
 import warnings
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from fractions import Fraction
 from pathlib import Path
-from typing import Any, cast
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
-from supple.cpu.warp import Certificate
+from supple.certificate import Certificate
 from supple.deformation import Deformation, Report
 from supple.domain import choice, length, number, refuse
 from supple.engines import check_no_cuda, engine_of
@@ -27,7 +25,12 @@ from supple.media.image import check_target
 from supple.media.numbering import SUFFIXES_IN, has_number, is_sequence
 from supple.streaming import Array, Layout, Sampling, capacity_of, make_plan, stream
 from supple.strokes import Recipe
-from supple.warping import FILTERS, OUTSIDE, interpolated, warn_of
+from supple.native import OUTSIDE, check_filter
+from supple.warping import interpolated, warn_of
+
+if TYPE_CHECKING:
+    from concurrent.futures import Future
+    from fractions import Fraction
 
 PathLike = str | os.PathLike[str]
 Tell = Callable[[str, int, int], None]
@@ -227,7 +230,7 @@ def sampling_of(
     """How a clip's frames are sampled, checked."""
     layout: Layout = clip.layout
     name: str = clip.name
-    choice("filter", filter, ("nearest", *FILTERS))
+    check_filter(filter)
     choice("outside", outside, tuple(OUTSIDE))
     between = interpolated(filter, options.between)
     tolerance = number("tolerance", tolerance, "a number of pixels above 0", 1e-9, 1e9)
@@ -407,6 +410,8 @@ def _writing(write: Callable[[Sequence[Array], int], None], aside: bool) -> Iter
     if not aside:
         yield write
         return
+    from concurrent.futures import ThreadPoolExecutor
+
     waiting: deque[Future[None]] = deque()
 
     def submit(arrays: Sequence[Array], k: int) -> None:

@@ -12,10 +12,14 @@ import sys
 import threading
 import warnings
 from collections.abc import Callable, Iterator, Mapping
+from contextvars import ContextVar
 from types import FrameType
-from typing import Any, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn
 
 from supple.errors import SuppleError
+
+if TYPE_CHECKING:
+    from supple.geometry import Geometry
 
 DONE, FAULT, REFUSED = 0, 1, 2
 INTERRUPTED = 128 + signal.SIGINT
@@ -98,32 +102,42 @@ class Console:
                 raise SuppleError(f"--threads must be a number of threads from 1, found {threads}")
             os.environ["SUPPLE_THREADS"] = os.environ["VIPS_CONCURRENCY"] = str(threads)
 
-    def tell_of_compiling(self) -> None:
-        """Have the first wait explained: kernels are compiled where no cache holds them yet."""
-        if not self.terminal:
-            return
-        from numba.core import event
 
-        console = self
+_current: ContextVar[Console] = ContextVar("console")
 
-        class Listener(event.Listener):
-            def __init__(self) -> None:
-                self.told = False
 
-            def on_start(self, event: Any) -> None:
-                if not self.told:
-                    self.told = True
-                    console.say("compiling for this machine, once: this can take a minute…")
+def current() -> Console:
+    """Return the console of the command that runs."""
+    return _current.get()
 
-            def on_end(self, event: Any) -> None:
-                pass
 
-        event.register("numba:compile", Listener())  # type: ignore[no-untyped-call]
+def told_of_software(console: Console, device: str) -> Callable[[], None]:
+    """Return what says, when the work is done, that the GPU that was asked for is none.
+
+    Raises
+    ------
+    SuppleError
+        If there is not even such a one.
+    """
+    if device != "gpu":
+        return lambda: None
+    from supple.gpu.device import open_gpu
+
+    gpu = open_gpu()
+    text = f"{gpu.name} is a program that runs on the CPU: no graphics card was found"
+    return lambda: console.warn(text) if gpu.software else None
+
+
+def say_convention(console: Console, world: bool, geometry: Geometry | None, name: object) -> None:
+    """Say in which coordinates points were taken, if they are places in space."""
+    if world and geometry and not console.quiet:
+        console.say(f"points are {geometry.convention} millimetres, as {name} has them")
 
 
 def run(command: Callable[[Console], object]) -> int:
     """Run a command; turn however it ends into an exit status and at most one line."""
     console = Console()
+    token = _current.set(console)
     try:
         with _signals(), _insistent(), _warnings(console):
             command(console)
@@ -156,6 +170,8 @@ def run(command: Callable[[Console], object]) -> int:
             raise
         console.say(fault(error))
         return FAULT
+    finally:
+        _current.reset(token)
 
 
 def fault(error: BaseException) -> str:

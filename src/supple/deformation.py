@@ -5,23 +5,23 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 import numpy.typing as npt
 
-from supple.cpu import field as forward_kernels
-from supple.cpu import newton
-from supple.cpu.kernel import share, threads
-from supple.cpu.warp import Band, Certificate, Plane, absolute, each_band, folds, measure, solve_plane
-from supple.domain import BorderProfile, Domain, choice, integer, number, refuse
-from supple.engines import check_device, warp_elsewhere
+from supple import _core
+from supple.certificate import Certificate
+from supple.domain import BORDER, BorderProfile, Domain, choice, integer, number, refuse
 from supple.errors import FoldWarning, SuppleError, ToleranceWarning
 from supple.folding import Resolved, resolve
+from supple.native import certificate_of, measured, plan_of
 from supple.oncard import is_on_card, points_on_card, warp_on_card
-from supple.streaming import Space
-from supple.strokes import STROKE_DTYPE, FoldPolicy, Point, Recipe, Stroke
-from supple.warping import Source, checked_sampling, warn_of, warp_array, warp_frames, warp_function
+from supple.strokes import STROKE_DTYPE, FoldPolicy, Point, Recipe, Stroke, numbers
+
+if TYPE_CHECKING:
+    from supple.streaming import Space
+    from supple.warping import Source
 
 Floats = npt.NDArray[np.float64]
 
@@ -137,7 +137,7 @@ class Deformation:
         self,
         shape: Sequence[int],
         *,
-        border: float | None = 50.0,
+        border: float | None = BORDER,
         border_profile: BorderProfile = "quartic",
         spacing: float | Sequence[float] = 1.0,
         on_fold: FoldPolicy = "damp",
@@ -203,6 +203,8 @@ class Deformation:
     @property
     def space(self) -> Space:
         """The strokes on their domain, as frames stream through them."""
+        from supple.streaming import Space
+
         count = self.shape[0] if self.ndim == 3 else 1
         return Space(self._table, self._axes, self.ndim, count, (self.shape[-2], self.shape[-1]))
 
@@ -313,8 +315,8 @@ class Deformation:
         """
         if is_on_card(points):
             return points_on_card().forward(self.space, points, matrices=False)  # type: ignore[no-any-return]
-        moved, shape = self._columns(points)
-        forward_kernels.forward(self._table, self._axes, moved, np.empty((9, 0)))
+        given, shape = self._rows(points)
+        moved, _ = _core.forward(numbers(self._table), self._axes, given, False)
         return self._points(moved, shape)
 
     def jacobian(self, points: npt.ArrayLike) -> Floats:
@@ -332,12 +334,11 @@ class Deformation:
         """
         if is_on_card(points):
             return points_on_card().forward(self.space, points, matrices=True)  # type: ignore[no-any-return]
-        moved, shape = self._columns(points)
-        matrices = np.empty((9, moved.shape[1]))
-        forward_kernels.forward(self._table, self._axes, moved, matrices)
+        given, shape = self._rows(points)
+        _, matrices = _core.forward(numbers(self._table), self._axes, given, True)
         n, steps = self.ndim, np.array(self.domain.spacing)
-        full = matrices.reshape(3, 3, -1)[:n, :n] * (steps[None, :] / steps[:, None])[..., None]
-        return np.asarray(np.moveaxis(full, -1, 0).reshape(*shape[:-1], n, n), np.float64)
+        full = matrices[:, :n, :n] * (steps[None, :] / steps[:, None])
+        return np.ascontiguousarray(full.reshape(*shape[:-1], n, n))
 
     def inverse(self, points: npt.ArrayLike) -> Inverse:
         """T⁻¹: which points of the input are seen at points of the output; solved for each, not interpolated.
@@ -355,32 +356,15 @@ class Deformation:
         finest = min(self.domain.spacing)
         if is_on_card(points):
             return Inverse(*points_on_card().inverse(self.space, points, finest))
-        targets, shape = self._columns(points)
-        found, residual = np.empty_like(targets), np.empty(targets.shape[1])
-        steps = np.zeros(targets.shape[1], np.int64)
-        parts = max(1, min(threads() * 4, targets.shape[1] // 1024))
-        edges = [targets.shape[1] * k // parts for k in range(parts + 1)]
-
-        def solve(k: int) -> None:
-            a, b = edges[k], edges[k + 1]
-            newton.inverse(
-                self._table,
-                self._axes,
-                np.ascontiguousarray(targets[:, a:b]),
-                found[:, a:b],
-                residual[a:b],
-                steps[a:b],
-                1e-9 * finest,
-            )
-
-        share(solve, range(parts))
+        targets, shape = self._rows(points)
+        found, residual, steps = _core.inverse(numbers(self._table), self._axes, targets, self.ndim, 1e-9 * finest)
         solved = self._points(found, shape)
         if self.is_identity:
             solved = np.array(np.broadcast_to(np.asarray(points, np.float64), shape))
         # A bound on the residual in pixels, which for one spacing along all axes is the residual.
         off = residual.reshape(shape[:-1]) / finest
-        scale = np.abs(targets).max(axis=0, initial=0.0).reshape(shape[:-1]) / finest
-        return Inverse(solved, off, steps.reshape(shape[:-1]), off <= np.maximum(CONVERGED, 1e-14 * scale))
+        scale = np.abs(targets).max(axis=1, initial=0.0).reshape(shape[:-1]) / finest
+        return Inverse(solved, off, steps.astype(np.int64).reshape(shape[:-1]), off <= np.maximum(CONVERGED, 1e-14 * scale))
 
     def inverse_map(self, *, tolerance: float = 0.01, like: Any = None) -> npt.NDArray[np.float32]:
         """The source point of every output pixel.
@@ -401,11 +385,19 @@ class Deformation:
         if like is not None:
             if not is_on_card(like):
                 refuse("like", "an array on a card, or left out", like)
+            from supple.warping import warn_of
+
             found, certificate = points_on_card().inverse_map(self.space, like, tolerance)
             warn_of(certificate, tolerance, 3)
             return found  # type: ignore[no-any-return]
         out = np.empty((*self.shape, self.ndim), np.float32)
-        self._each_plane(tolerance, lambda z: lambda band: absolute(band, _rows(out, z, self.ndim, band)))
+        certificate = Certificate(0.0, 0.0)
+        for plan, plane in zip(self._plans(tolerance), out if self.ndim == 3 else [out], strict=True):
+            plan.points(plane)
+            certificate |= certificate_of(plan)
+        from supple.warping import warn_of
+
+        warn_of(certificate, tolerance, 3)
         return out
 
     def warp(
@@ -434,9 +426,8 @@ class Deformation:
             ``__cuda_array_interface__``) is warped there, on its library's current stream. A function takes points
             (N, 2), x first, and returns (N,) or (N, C).
         filter : str
-            ``"auto"`` (averaged by as much as the map shrinks, cubic elsewhere), ``"antialias"`` (the average over
-            what each output pixel covers), ``"ewa"`` (the elliptical reference, slow), ``"cubic"`` (Catmull and
-            Rom's), ``"linear"`` or ``"nearest"`` (values as they are, for labels).
+            ``"auto"`` (cubic, averaged over what the map shrinks: the residual footprint), ``"cubic"`` (Keys' with
+            a = -0.75), ``"linear"`` or ``"nearest"`` (values as they are, for labels).
         tolerance : float
             How far a source point may be from the true T⁻¹(q), in pixels. Points are float32: below about 3e-4, it asks
             for more than they hold.
@@ -483,6 +474,10 @@ class Deformation:
         DeviceWarning
             If the GPU or the card failed, so that the CPU did it.
         """
+        # What warps is imported when something is warped: `import supple` is to be quick.
+        from supple.engines import check_device, warp_elsewhere
+        from supple.warping import checked_sampling, warn_of, warp_array, warp_function
+
         sampling = checked_sampling(
             self.ndim, filter=filter, tolerance=tolerance, outside=outside, fill=fill, linear_light=linear_light,
             between=between, time_filter=time_filter,
@@ -499,27 +494,14 @@ class Deformation:
             if done is not None:
                 warn_of(done[1], sampling.tolerance, 3)
                 return done[0]
-        if self.ndim == 3:
-            if callable(source):
-                raise SuppleError(f"a function of points is warped as an image, and shape {self.shape} has three axes")
-            made, certificate = warp_frames(source, self.space, sampling, alpha=alpha, out=out)
-            warn_of(certificate, sampling.tolerance, 3)
-            return made
         if callable(source):
+            if self.ndim == 3:
+                raise SuppleError(f"a function of points is warped as an image, and shape {self.shape} has three axes")
             height, width = self.shape
             return warp_function(source, (height, width), self._sources, samples, out)
-        return warp_array(
-            source,
-            self.shape,
-            self.is_identity,
-            lambda use: self._each_plane(sampling.tolerance, lambda _: use),
-            filter=filter,
-            outside=outside,
-            fill=fill,
-            alpha=alpha,
-            light=linear_light,
-            out=out,
-        )
+        made, certificate = warp_array(source, self.space, sampling, alpha=alpha, out=out)
+        warn_of(certificate, sampling.tolerance, 3)
+        return made
 
     def report(self, *, tolerance: float = 0.01, plane: int | None = None) -> Report:
         """What was done with the strokes, and the certified error of the inverse map.
@@ -537,9 +519,9 @@ class Deformation:
         if plane is not None:
             which = range(k := integer("plane", plane, f"one of the {count} there are", 0, count - 1), k + 1)
         certificate, turned = Certificate(0.0, 0.0), 0
-        for solved in self._planes(which) if not self.is_identity else ():
-            certificate |= measure(solved, tolerance)
-            turned += folds(solved)
+        for plan in self._plans(tolerance, which) if not self.is_identity else ():
+            certificate |= measured(plan, tolerance)
+            turned += plan.folds
         size = float(np.prod(self.shape)) * len(which) / count
         return Report(
             **self.resolution(),
@@ -565,15 +547,11 @@ class Deformation:
         """For each stroke, what was warned of if it was damped."""
         return tuple(r.warning for r in self._resolved)
 
-    def _planes(self, which: range | None = None) -> Iterator[Plane]:
+    def _plans(self, tolerance: float, which: range | None = None) -> Iterator[_core.Plan]:
         for z in which if which is not None else range(self.shape[0] if self.ndim == 3 else 1):
-            yield solve_plane(self._table, self._axes, (self.shape[-2], self.shape[-1]), self.ndim, float(z))
-
-    def _each_plane(self, tolerance: float, use: Callable[[int], Callable[[Band], None]]) -> None:
-        certificate = Certificate(0.0, 0.0)
-        for z, plane in enumerate(self._planes()):
-            certificate |= each_band(plane, tolerance, use(z))
-        warn_of(certificate, tolerance, 5)
+            yield plan_of(
+                self._table, self._axes, self.ndim, (self.shape[-2], self.shape[-1]), float(z), tolerance
+            )
 
     def _sources(self, points: Floats) -> Floats:
         found = self.inverse(points)
@@ -586,8 +564,8 @@ class Deformation:
             )
         return found.points
 
-    def _columns(self, points: npt.ArrayLike) -> tuple[Floats, tuple[int, ...]]:
-        """Points as the kernels take them: (3, N), in physical units."""
+    def _rows(self, points: npt.ArrayLike) -> tuple[Floats, tuple[int, ...]]:
+        """Return points as the core takes them, (N, 3) in physical units, and their shape."""
         try:
             given = np.asarray(points, np.float64)
         except (TypeError, ValueError):
@@ -596,14 +574,9 @@ class Deformation:
             refuse("points", f"an array of shape (..., {self.ndim}), x first", f"shape {given.shape}")
         if not np.isfinite(given).all():
             raise SuppleError("points must be finite, found NaN or infinity among them")
-        columns = np.zeros((3, given.size // self.ndim))
-        columns[: self.ndim] = (given.reshape(-1, self.ndim) * self.domain.spacing).T
-        return columns, given.shape
+        rows = np.zeros((given.size // self.ndim, 3))
+        rows[:, : self.ndim] = given.reshape(-1, self.ndim) * self.domain.spacing
+        return rows, given.shape
 
-    def _points(self, columns: Floats, shape: tuple[int, ...]) -> Floats:
-        return np.ascontiguousarray((columns[: self.ndim].T / self.domain.spacing).reshape(shape))
-
-
-def _rows(out: npt.NDArray[Any], z: int, ndim: int, band: Band) -> npt.NDArray[Any]:
-    plane = out if ndim == 2 else out[z]
-    return plane[band.top : band.top + band.points.shape[1]]
+    def _points(self, rows: Floats, shape: tuple[int, ...]) -> Floats:
+        return np.ascontiguousarray((rows[:, : self.ndim] / self.domain.spacing).reshape(shape))

@@ -19,6 +19,7 @@ SMALLEST = 1e-30
 LARGEST = 1e30
 LENGTH = f"a number above 0 (from {SMALLEST:g} to {LARGEST:g})"
 LONGEST_AXIS = 2**31 - 1
+BORDER = 64.0  # the default: the quartic folds as late with it as the sine with 50
 
 BorderProfile = Literal["quartic", "sine"]
 PROFILE_CODES: dict[str, float] = {"quartic": 0.0, "sine": 1.0}
@@ -178,7 +179,7 @@ class Domain:
         self,
         shape: Sequence[SupportsIndex],
         spacing: float | Sequence[float] | npt.NDArray[Any] = 1.0,
-        border: float | None = 50.0,
+        border: float | None = BORDER,
         border_profile: BorderProfile = "quartic",
     ) -> None:
         sizes = _checked_shape(shape)

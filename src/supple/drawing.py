@@ -12,10 +12,8 @@ from typing import Any, TypeVar
 import numpy as np
 import numpy.typing as npt
 
+from supple import _core
 from supple.camera import View
-from supple.cpu.bricks import BRICK
-from supple.cpu.lattice import RESOLVED
-from supple.cpu.solid import FINEST, Solid, solve_solid
 from supple.errors import DeviceWarning
 from supple.gpu.device import Gpu
 from supple.gpu.field import fits
@@ -24,6 +22,7 @@ from supple.gpu.kernel import Pace, failures, trouble
 from supple.gpu.raymarch import EXACT, HYBRID, LATTICE, PLAIN, RAYS, Held, prepare
 from supple.gpu.solid import Lattice, hold_strokes, solve
 from supple.gpu.volume import Volume, beside, hold
+from supple.solid import FINEST, RESOLVED, Solid, cells_along_rays, solve_solid
 from supple.streaming import Space
 from supple.strokes import STROKE_DTYPE
 from supple.workers import CPU, note
@@ -31,7 +30,6 @@ from supple.workers import CPU, note
 Array = npt.NDArray[Any]
 Floats = npt.NDArray[np.float64]
 T = TypeVar("T")
-_TWICE, _ONCE = 3.0, 1.25  # times what a lattice is off, cubics over two of its cells and over one were not farther off
 
 
 def tried(gpu: Gpu, work: Callable[[], T], stacklevel: int, says: str = "the CPU does what {} cannot") -> T | None:
@@ -136,20 +134,12 @@ def lattice_of(gpu: Gpu, space: Space, tolerance: float) -> tuple[Solid, Lattice
         solid, smooth = tries[0]  # the finest that there is room for
         if solid.step > RESOLVED * smooth:
             solid = replace(solid, error=math.inf)
-    return solid, replace(made[0], cells=2 if _TWICE * solid.error <= tolerance else 1)
-
-
-def along_rays(solid: Solid, lattice: Lattice, tolerance: float) -> float:
-    """How far off source points are, in voxels, where rays go along cubics over cells of a lattice."""
-    if lattice.cells == 2:
-        return _TWICE * solid.error
-    # Where the lattice is good enough, the reserve that it was looked at with has room for the rest, too.
-    return min(_ONCE * solid.error, tolerance if solid.error <= tolerance else math.inf)
+    return solid, replace(made[0], cells=cells_along_rays(solid, tolerance))
 
 
 def unseen_blocks(shape: tuple[int, ...], skips: npt.NDArray[np.uint8]) -> npt.NDArray[np.bool_]:
     """Of which bricks of a buffer (z, y, x) nothing is seen."""
-    blocks, wide = tuple(-(-n // BLOCK) for n in shape), BLOCK // BRICK
+    blocks, wide = tuple(-(-n // BLOCK) for n in shape), BLOCK // _core.BRICK
     whole = [(0, wide * n - m) for n, m in zip(blocks, skips.shape, strict=True)]
     deep, high, across = blocks
     fine = np.pad(skips > 0, whole, constant_values=True).reshape(deep, wide, high, wide, across, wide)

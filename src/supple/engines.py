@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -13,16 +13,15 @@ from supple.certificate import Certificate
 from supple.domain import choice, refuse
 from supple.errors import SuppleError
 from supple.gpu.device import Gpu, open_gpu
-from supple.gpu.field import fits
-from supple.gpu.kernel import failures, let_through, passing, trouble, unsolved
-from supple.gpu.lattice import Range
-from supple.gpu.samples import format_of, known_grid
-from supple.gpu.warp import warp
-from supple.offload import OnGpu, pictures_of, warn
 from supple.oncard import check_sent, open_card, warp_sent
 from supple.streaming import CPU, Engine, Group, Layout, Sampling, Space, Tell
-from supple.warping import checked_fill, checked_source, result_like, warp_frames
+from supple.warping import checked_fill, checked_source, result_like, warp_array
 from supple.workers import note
+
+if TYPE_CHECKING:
+    from supple.gpu.lattice import Range
+
+# The modules of the GPU are imported once there is one to work: `import supple` is to be quick.
 
 Array = npt.NDArray[Any]
 
@@ -94,6 +93,10 @@ def warp_on_gpu(
     SuppleError
         If an argument does not fit, or the GPU must do what it does not.
     """
+    from supple.gpu.kernel import failures, let_through, passing, trouble, unsolved
+    from supple.gpu.warp import warp
+    from supple.offload import pictures_of, warn
+
     array, straight = checked_source(source, space.whole, alpha, sampling.light)
     channels = array.shape[-1] if array.ndim > space.ndim else 1
     colours = checked_fill(sampling.fill, channels, array.dtype)
@@ -180,11 +183,11 @@ def warp_frames_by(
     out: Array | None,
     tell: Tell = lambda done: None,
 ) -> tuple[Array, Certificate]:
-    """Sample an array of frames as `supple.warping.warp_frames` does, by any of DEVICES."""
+    """Sample an array of frames as `supple.warping.warp_array` does, by any of DEVICES."""
     done = warp_elsewhere(device, source, space, sampling, alpha=alpha, out=out, tell=tell)
     if done is not None:
         return done
-    return warp_frames(source, space, sampling, alpha=alpha, out=out, tell=tell)
+    return warp_array(source, space, sampling, alpha=alpha, out=out, tell=tell)
 
 
 def engine_of(device: str, space: Space, layout: Layout, sampling: Sampling) -> Engine:
@@ -198,11 +201,16 @@ def engine_of(device: str, space: Space, layout: Layout, sampling: Sampling) -> 
     gpu = gpu_of(device, "clips")
     if gpu is None or not _does(space, layout, sampling, device == "gpu") or space.table.size == 0:
         return CPU
+    from supple.offload import OnGpu
+
     return OnGpu(gpu, sampling.tolerance)
 
 
 def _does(space: Space, layout: Layout, sampling: Sampling, must: bool) -> bool:
     """Whether the GPU does this; SuppleError if not, and it must."""
+    from supple.gpu.field import fits
+    from supple.gpu.samples import format_of, known_grid
+
     reason = "" if fits(space.table) else "strokes of such sizes"
     for group in layout.groups:
         if format_of(layout.dtype, group.channels) is None:

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import os
-from functools import partial
 
 import numpy as np
 import numpy.typing as npt
 
-from supple.cpu.warp import Band, Certificate, absolute, each_band
+from supple.certificate import Certificate
 from supple.deformation import Deformation
 from supple.domain import number
 from supple.errors import SuppleError
 from supple.geometry import Geometry
+from supple.native import certificate_of
 from supple.media.files import check_output
 from supple.media.room import room
 from supple.media.transform import check_target, write_field
@@ -68,9 +68,15 @@ def displacement_of(
         made[...] = 0
         return made
     matrix, certificate = geometry.matrix[:3, :3], Certificate(0.0, 0.0)
+    # In float64: in float32 a difference of places would lose half its digits.
+    points, here = np.empty((*space.shape, 3)), np.zeros((*space.shape, 3))
+    here[..., 1], here[..., 0] = np.indices(space.shape)
     for z in range(space.count):
-        plane = space.solve(z)
-        certificate |= each_band(plane, tolerance, partial(_fill, made[z], z, matrix))
+        plan = space.plan(z, tolerance)
+        plan.points(points)
+        here[..., 2] = z
+        np.matmul(points - here, matrix.T, out=made[z], casting="same_kind")
+        certificate |= certificate_of(plan)
     warn_of(certificate, tolerance, 3)
     return made
 
@@ -105,13 +111,3 @@ def _check(deformation: Deformation) -> None:
     if deformation.ndim != 3:
         raise SuppleError(f"a displacement field is of a volume, and shape {deformation.shape} has two axes")
 
-
-def _fill(out: npt.NDArray[np.float32], z: int, matrix: Floats, band: Band) -> None:
-    """Write a band's displacements; in float64, as in float32 a difference of places would lose half its digits."""
-    rows, width = band.points.shape[1], out.shape[1]
-    step = np.empty((rows, width, 3))
-    absolute(band, step)
-    step[..., 0] -= np.arange(width)
-    step[..., 1] -= np.arange(band.top, band.top + rows)[:, None]
-    step[..., 2] -= z
-    np.matmul(step, matrix.T, out=out[band.top : band.top + rows], casting="same_kind")

@@ -20,7 +20,6 @@ border is fixed, or the reach limited, branch and bound finds μ (`_core/folds.h
 
 from __future__ import annotations
 
-import decimal
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -32,7 +31,7 @@ import numpy.typing as npt
 from supple import _core
 from supple.domain import Domain, border_factor
 from supple.errors import FoldError, SuppleError
-from supple.strokes import FoldPolicy, Stroke, pack
+from supple.strokes import FoldPolicy, Stroke, numbers, pack
 
 Floats = npt.NDArray[np.float64]
 Table = npt.NDArray[np.void]
@@ -183,7 +182,7 @@ def _narrowest(table: Table, axes: Floats, start: Floats, drag: Floats) -> float
     around = np.where(extent[:, None] > 0, parts * extent[:, None], start[:, None])
     points = np.concatenate([ahead, around], axis=1)
     points = np.where((axes[:, 1] >= 0)[:, None], np.clip(points, 0, axes[:, :1]), points)
-    _, jacobian = _core.forward(table, axes, np.ascontiguousarray(points.T), True)
+    _, jacobian = _core.forward(numbers(table), axes, np.ascontiguousarray(points.T), True)
     if not np.isfinite(jacobian).all():
         return 0.0
     n = 2 if axes[2, 0] == 0 and axes[2, 1] < 0 else 3  # of an image, only the plane counts
@@ -207,6 +206,8 @@ def _shown(values: Iterable[float]) -> str:
 
 def _cut(x: float, digits: int) -> float:
     """Cut, not rounded: what may be done at most is not more than that."""
+    import decimal
+
     return float(decimal.Context(prec=digits, rounding=decimal.ROUND_DOWN).create_decimal_from_float(x))
 
 

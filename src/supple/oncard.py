@@ -4,21 +4,36 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from types import ModuleType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
-from supple.cpu.warp import Certificate
-from supple.cuda.arrays import is_on_card
-from supple.cuda.card import failures, open_card
 from supple.domain import choice, refuse
-from supple.gpu.kernel import let_through, passing
-from supple.offload import warn
-from supple.streaming import Sampling, Space, Tell
 from supple.workers import note
 
+if TYPE_CHECKING:
+    from supple.certificate import Certificate
+    from supple.cuda.card import Card
+    from supple.streaming import Sampling, Space, Tell
+
 __all__ = ["check_sent", "is_on_card", "open_card", "points_on_card", "warp_on_card", "warp_sent"]
+
+
+def open_card(number: int = 0) -> Card:
+    """Return the CUDA device of a number, ready to work; SuppleError says why it cannot be used."""
+    from supple.cuda import card
+
+    return card.open_card(number)
+
+
+def is_on_card(value: object) -> bool:
+    """Return whether something is an array on a CUDA device; no library is imported to find out."""
+    if isinstance(value, np.ndarray):
+        return False
+    from supple.cuda import arrays
+
+    return arrays.is_on_card(value)
 
 
 def warp_on_card(
@@ -47,7 +62,7 @@ def check_sent(sampling: Sampling, dtype: np.dtype[Any]) -> None:
     open_card()
     from supple.cuda.warp import check_known
 
-    check_known(sampling, dtype)
+    check_known(dtype)
 
 
 def warp_sent(
@@ -77,7 +92,10 @@ def warp_sent(
         If there is no card that can be used, or an argument does not fit.
     """
     card = open_card()
+    from supple.cuda.card import failures
     from supple.cuda.large import warp_host
+    from supple.gpu.kernel import let_through, passing
+    from supple.offload import warn
 
     failed = ""
     with let_through():

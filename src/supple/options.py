@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from fractions import Fraction
 from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Group, Parameter
@@ -13,6 +12,8 @@ from cyclopts import Group, Parameter
 from supple.errors import SuppleError
 
 if TYPE_CHECKING:
+    from fractions import Fraction
+
     from supple.clips import ClipOptions
     from supple.strokes import Recipe, Stroke
 
@@ -43,7 +44,7 @@ class StrokeOptions:
     recipe
         Strokes from a JSON file, which come before those of --grab.
     border
-        Width in pixels or millimetres (default 50) of the border that stays in place; none: the edges move too.
+        Width in pixels or millimetres (default 64) of the border that stays in place; none: the edges move too.
     border_profile
         How grabs fade towards the border: quartic (default), or sine, the paper's.
     on_fold
@@ -242,6 +243,8 @@ def _rate(text: str) -> float | Fraction:
     """Read frames a second from the command line: a number, or a ratio of two."""
     if "/" not in text:
         return parse_number("--fps", text, "a number of frames a second")
+    from fractions import Fraction
+
     try:
         return Fraction(text)
     except (ValueError, ZeroDivisionError):

@@ -11,13 +11,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from supple import _core
 from supple.camera import Camera, View, camera_of, view_of
-from supple.cpu import bricks, raymarch
-from supple.cpu.kernel import share
-from supple.cpu.solid import solve_solid, unmoved
 from supple.deformation import Deformation
 from supple.domain import choice, integer, number, point, refuse
-from supple.drawing import along_rays, held_scene, order_of, tried, unseen_blocks
+from supple.drawing import held_scene, order_of, tried, unseen_blocks
 from supple.engines import check_no_cuda, gpu_of
 from supple.errors import SuppleError, ToleranceWarning
 from supple.geometry import Geometry
@@ -26,12 +24,13 @@ from supple.gpu.device import Gpu
 from supple.gpu.kernel import failures, let_through, passing, trouble
 from supple.gpu.volume import Volume
 from supple.picture import Array, Pick, Picture, light_of
-from supple.seeing import brick_counts, entries, lamp, prepared, seen_through, sizes, skipped, transfer_function, triple
+from supple.seeing import FINE, brick_counts, entries, lamp, prepared, seen_through, skipped, transfer_function, triple
+from supple.solid import Solid, along_rays, cells_along_rays, solve_solid, strokes_of
 from supple.transfer import TransferFunction
 
 MODES = ("lattice", "exact", "buffered", "hybrid")
 _STORAGE = 0x08  # wgpu.TextureUsage.STORAGE_BINDING
-_ROWS = 8  # of a picture, that a core takes at a time
+_ROWS = 64  # of a picture, between two reports of progress
 PICKED = 0.9
 """The opacity that a ray has gathered where something is picked."""
 
@@ -93,8 +92,7 @@ class Scene:
     """How far source points are from the true T⁻¹(q), in voxels, as far as the checks see."""
     range: tuple[float, float]
     """The smallest and the largest value."""
-    _nodes: npt.NDArray[np.float32]
-    _per_voxel: float
+    _solid: Solid | None
     _coarse: bool
     """Whether the lattice is not good enough for the CPU, where the GPU has a buffer."""
     _lows: npt.NDArray[np.float32]
@@ -239,18 +237,11 @@ class Scene:
         light, depth = np.empty((height, width, 4), np.float32), np.empty((height, width, 2))
         work = np.zeros((height, width, 2), np.int64)
         march = self._marcher(view)
-
-        def rows(top: int) -> None:
+        for top in range(0, height, _ROWS):
             below = min(top + _ROWS, height)
-            ys = (np.arange(top, below) + 0.5) / fine - 0.5
-            pixels = view.middle(*np.meshgrid(columns, ys)).reshape(-1, 2)
-            parts = (a[top:below].reshape(-1, a.shape[-1]) for a in (light, depth, work))
-            march(pixels, *parts)
-
-        starts = range(0, height, _ROWS)
-        for k in range(0, len(starts), 64):
-            share(rows, starts[k : k + 64])
-            tell(min(starts[min(k + 63, len(starts) - 1)] + _ROWS, height) // fine)
+            rows = (np.arange(top, below) + 0.5) / fine - 0.5
+            march(columns, rows, light[top:below], depth[top:below], work[top:below])
+            tell(below // fine)
 
         return _picture(smaller(light, np.mean), smaller(depth, np.min), smaller(work, np.sum))
 
@@ -380,29 +371,21 @@ class Scene:
         )
 
     def _marcher(self, view: View) -> Callable[..., None]:
-        """What marches along the rays of pixels, into colours, depths and work; see `supple.cpu.raymarch`."""
+        """Return what marches along the rays of columns and rows of pixels, into colours, depths and work."""
         low, high = self.range
-        common = (
-            self._table,
-            np.float32(low),
-            np.float32(entries(low, high)),
-            np.float32(self._threshold),
-            np.array(self.density, np.float32),
-            view.packed,
-        )
-        rest = (self.step, lamp(view), self.shaded)
-        flat, size = self.samples.reshape(-1), sizes(self.samples)
+        transfer = _core.Transfer(self._table, low, entries(low, high), self._threshold, *self.density)
+        strokes, lattice, cells, skips = None, None, 1, self._skips
         if self.deformation is not None and (self.mode == "exact" or self._coarse):
-            space, finest = self.deformation.space, 1e-3 * min(self.geometry.spacing)
-            return lambda pixels, *parts: raymarch.march_exactly(
-                flat, size, space.table, space.axes, finest, *common, pixels, *rest, *parts
-            )
-        lattice = (
-            self._nodes,
-            np.float32(self._per_voxel),
-            raymarch.LATTICE if self._per_voxel > 0 else raymarch.PLAIN,
-        )
-        return lambda pixels, *parts: raymarch.march(flat, size, *lattice, self._skips, *common, pixels, *rest, *parts)
+            strokes = strokes_of(self.deformation.space.table, self.deformation.space.axes)
+        elif self._solid is not None:
+            lattice, cells = self._solid.lattice, cells_along_rays(self._solid, self.tolerance)
+        seen = _core.View(np.ascontiguousarray(view.packed), self.step, lamp(view).tolist(), self.shaded, skips)
+
+        def march(columns: Array, rows: Array, light: Array, depth: Array, work: Array) -> None:
+            xs, ys = columns - (view.size[1] - 1) / 2, rows - (view.size[0] - 1) / 2  # from the middle
+            _core.draw(self.samples, seen, transfer, lattice, cells, strokes, xs, ys, light, depth, work)
+
+        return march
 
     def pick(self, camera: Camera, size: tuple[int, int], pixel: tuple[float, float]) -> Pick | None:
         """What a click at a pixel takes hold of.
@@ -422,13 +405,14 @@ class Scene:
         """
         x, y = point("pixel", pixel, (2,))
         view = self.view(camera, size)
-        out, depth, work = np.empty((1, 4), np.float32), np.empty((1, 2)), np.zeros((1, 2), np.int64)
-        self._marcher(view)(view.middle([x], [y]), out, depth, work)
-        if not np.isfinite(depth[0, 1]):
+        light, depth, work = np.empty((1, 1, 4), np.float32), np.empty((1, 1, 2)), np.empty((1, 1, 2), np.int64)
+        self._marcher(view)(np.array([x]), np.array([y]), light, depth, work)
+        away = float(depth[0, 0, 1])
+        if not math.isfinite(away):
             return None
-        at = view.eye + depth[0, 1] * view.direction(x, y) / view.spacing
+        at = view.eye + away * view.direction(x, y) / view.spacing
         source = at if self.deformation is None else self.deformation.inverse(at).points
-        return Pick(triple(at), triple(source), float(depth[0, 1]))
+        return Pick(triple(at), triple(source), away)
 
     def drag(
         self, camera: Camera, size: tuple[int, int], pick: Pick, to: tuple[float, float]
@@ -485,8 +469,9 @@ def _deformed(known: dict[str, Any], deformation: Deformation | None, volume: Vo
             refuse("the deformation", f"one of spacing {spacing}", deformation.domain.spacing)
         deformation = None if deformation.is_identity else deformation
     space = deformation.space if deformation is not None else None
-    nodes, per_voxel, error = unmoved(), 0.0, 0.0
-    held, solid = None, None
+    error = 0.0
+    held: shading.Held | None = None
+    solid: Solid | None = None
     if gpu is not None:
         done = tried(gpu, lambda: held_scene(gpu, ready, known["geometry"].spacing, space, mode, tolerance, volume), 4)
         held, solid = done or (None, None)
@@ -495,8 +480,7 @@ def _deformed(known: dict[str, Any], deformation: Deformation | None, volume: Vo
         ready = prepared(deformation.warp(part, filter="linear", tolerance=tolerance))
     elif space is not None and mode != "exact":
         solid = solid or solve_solid(space.table, space.axes, shape, tolerance)
-        nodes, per_voxel = solid.nodes, 1.0 / solid.step
-        error = along_rays(solid, held.lattice, tolerance) if held is not None else solid.error
+        error = along_rays(solid, cells_along_rays(solid, tolerance), tolerance)
         if mode != "buffered" and error > tolerance:
             off = f"by {error:.2g} voxels" if math.isfinite(error) else "by more than a voxel"
             warnings.warn(
@@ -507,18 +491,17 @@ def _deformed(known: dict[str, Any], deformation: Deformation | None, volume: Vo
             )
     if deformation is not None and mode == "buffered":
         error = tolerance
-    brick = bricks.FINE if per_voxel > 0 else bricks.BRICK
+    brick = _core.BRICK if solid is None else FINE
     ranges: dict[int, tuple[Array, Array]] = known["_ranges"] if ready is known["_original"] else {}
     if brick not in ranges:
         lows, highs = (np.empty(brick_counts(ready.shape, brick), np.float32) for _ in range(2))
-        bricks.ranges(ready.reshape(-1), sizes(ready), brick, lows, highs)
+        _core.brick_ranges(ready, brick, lows, highs)
         ranges[brick] = lows, highs
     values = {
         "deformation": deformation,
         "samples": ready,
         "error": error,
-        "_nodes": nodes,
-        "_per_voxel": per_voxel,
+        "_solid": solid,
         "_coarse": mode == "buffered" and solid is not None and solid.error > tolerance,
         "_lows": ranges[brick][0],
         "_highs": ranges[brick][1],

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from supple.domain import BORDER
 from supple.strokes import FoldPolicy, Recipe, Stroke
 
 DISTANCE = 480
@@ -40,7 +41,7 @@ class Shot:
     source: str
     grabs: tuple[tuple[int, ...], ...]
     scales: int = 1
-    border: float | None = 50
+    border: float | None = BORDER
     on_fold: FoldPolicy = "damp"
     outside: str = "edge"
     cut: int = 50
@@ -79,7 +80,7 @@ class Shot:
         found = []
         if self.scales != 1:
             found.append(f"--scales {self.scales}")
-        if self.border != 50:
+        if self.border != BORDER:
             found.append(f"--border {'none' if self.border is None else format(self.border, 'g')}")
         if self.on_fold != "damp":
             found.append(f"--on-fold {self.on_fold}")
@@ -224,7 +225,7 @@ SCENES = (
     ),
     Scene(
         "Edges that stay, edges that go",
-        "The edges of a picture stay where they are, and the strokes fade towards them over 50 pixels. With --border "
+        "The edges of a picture stay where they are, and the strokes fade towards them over 64 pixels. With --border "
         "none they move as well, and --outside says what appears from beyond: here the mirror image.",
         (
             Shot("table-fixed", "The border is fixed.", "coffee.jpg", ((290, 200, 370, 200, 120),), cut=6),

@@ -8,31 +8,40 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from supple import _core
 from supple.camera import View
-from supple.cpu import bricks
 from supple.domain import choice, point, refuse
 from supple.transfer import ENTRIES, PRESETS, TransferFunction
 
 Array = npt.NDArray[Any]
 Floats = npt.NDArray[np.float64]
 
-_LARGEST = float(np.finfo(np.float32).max)
+FINE = 2  # voxels of a brick of what is seen where a lattice moves it, into bricks of `_core.BRICK` voxels
 MOST = 1e18  # of samples: float32 holds the squares of their slopes
 _TYPES = (np.uint8, np.int8, np.uint16, np.int16, np.float32)
 
 
 def skipped(known: dict[str, Any]) -> npt.NDArray[np.uint8]:
     """How many bricks away the next one is that anything is seen of."""
-    table, (low, high) = known["_table"], known["range"]
-    window = np.clip(known["density"], -_LARGEST, _LARGEST).astype(np.float32)  # a kernel knows no infinities
-    scale = np.array([low, entries(low, high)], np.float32)
-    visible = np.concatenate([[0], np.cumsum(table[:, 3] > 0)]).astype(np.int64)
-    seen = bricks.seen(known["_lows"], known["_highs"], window, scale, visible)
-    if known["_per_voxel"] > 0:
-        moved = np.empty(brick_counts(known["samples"].shape, bricks.BRICK), np.bool_)
-        bricks.moved(seen, bricks.FINE, known["_nodes"], known["_per_voxel"], sizes(known["samples"]), moved)
+    table, (low, high), (bottom, top) = known["_table"], known["range"], known["density"]
+    visible = np.concatenate([[0], np.cumsum(table[:, 3] > 0)])  # entries before each that are seen
+    lows, highs = np.maximum(known["_lows"], np.float32(bottom)), np.minimum(known["_highs"], np.float32(top))
+
+    def entry(values: Array) -> npt.NDArray[np.intp]:
+        return np.clip(np.rint((values - np.float32(low)) * np.float32(entries(low, high))), 0, ENTRIES - 1).astype(
+            np.intp
+        )
+
+    seen = (lows <= highs) & (visible[entry(highs) + 1] > visible[entry(lows)])
+    if known["_solid"] is not None:
+        moved = np.empty(brick_counts(known["samples"].shape, _core.BRICK), np.bool_)
+        # Along rays, points are off the lattice by less than its error, in which there is a reserve.
+        slack = 0.01 + 0.5 * min(known["error"], 1.0)
+        _core.brick_moved(known["_solid"].lattice, seen, FINE, slack, moved)
         seen = moved
-    return np.asarray(bricks.distances(seen), np.uint8)
+    skips = np.empty(seen.shape, np.uint8)
+    _core.brick_distances(seen, skips)
+    return skips
 
 
 def transfer_function(given: TransferFunction | str) -> TransferFunction:
@@ -84,11 +93,6 @@ def lamp(view: View) -> npt.NDArray[np.float32]:
 def brick_counts(shape: tuple[int, ...], brick: int) -> tuple[int, ...]:
     """How many bricks lie along each axis."""
     return tuple(-(-max(n - 1, 1) // brick) for n in shape)
-
-
-def sizes(samples: Array) -> npt.NDArray[np.int64]:
-    """Voxels along x, y and z."""
-    return np.array(samples.shape[::-1], np.int64)
 
 
 def triple(values: Floats) -> tuple[float, float, float]:

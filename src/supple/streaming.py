@@ -6,20 +6,20 @@ import contextlib
 import math
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
 
-from supple.cpu.between import LONGEST
-from supple.cpu.kernel import share
-from supple.cpu.sampling import sampler
-from supple.cpu.stack import SUPPORT, slots_of, stack_sampler, times_seen
-from supple.cpu.warp import Band, Certificate, Grid, Plane, bounds_of, each_band, solve_plane
+from supple import _core
+from supple.certificate import Certificate
 from supple.errors import SuppleError
+from supple.native import LONGEST, SUPPORT, certificate_of, plan_of, sampling_of, slots_of, times_seen
 from supple.spill import room_for
+
+if TYPE_CHECKING:
+    from concurrent.futures import Future
 
 Array = npt.NDArray[Any]
 Tell = Callable[[int], None]
@@ -141,12 +141,16 @@ class Space:
         """The shape of the arrays: of an image, or of all frames."""
         return self.shape if self.ndim == 2 else (self.count, *self.shape)
 
-    def solve(self, z: int, step: tuple[int, int] = (1, 1)) -> Plane:
-        """The lattice of a plane. With a free border it reaches as far as samples ``step`` pixels apart may lie."""
+    def planned(self, step: tuple[int, int]) -> tuple[int, int]:
+        """Return rows and columns of a plan, which reaches as far as samples ``step`` pixels apart may lie."""
         height, width = self.shape
-        if self.axes[0, 1] < 0:  # beyond a fixed face, the map goes on as at the face
-            width, height = -(-width // step[0]) * step[0], -(-height // step[1]) * step[1]
-        return solve_plane(self.table, self.axes, (height, width), self.ndim, float(z))
+        if self.axes[0, 1] >= 0:  # beyond a fixed face, the map goes on as at the face
+            return height, width
+        return -(-height // step[1]) * step[1], -(-width // step[0]) * step[0]
+
+    def plan(self, z: int, tolerance: float, step: tuple[int, int] = (1, 1)) -> _core.Plan:
+        """Solve a plane whose samples are up to ``step`` pixels apart."""
+        return plan_of(self.table, self.axes, self.ndim, self.planned(step), float(z), tolerance)
 
 
 class Maker(Protocol):
@@ -224,25 +228,23 @@ def make_plan(
     if space.ndim == 3 and space.table.size:
         support = SUPPORT[sampling.between]
         earliest, latest = times_seen(sampling.outside, space.count, sampling.time_filter)
-        grid = grid_of(layout)
-        step = grid.step if grid else (1, 1)
+        step = step_of(layout)
 
-        def look(k: int) -> None:
-            bounds = bounds_of(space.solve(planes[k], step), sampling.tolerance)
-            still[k] = bounds.moved * 3**0.5 <= sampling.tolerance
+        for k, z in enumerate(planes):
+            plan = space.plan(z, sampling.tolerance, step)
+            low, high, moved, rate = plan.extent()
+            still[k] = plan.identity or moved * 3**0.5 <= sampling.tolerance
             if not still[k]:
                 # A sample of chroma covers several pixels; and rates between nodes may be larger.
-                wide = 1.5 * bounds.rate * math.hypot(*step, 1)
+                wide = 1.5 * rate * math.hypot(*step, 1)
                 beyond = min(wide, LONGEST) / 2 + 1 if sampling.time_filter else 0.0
                 # Points are of float32, and may lie a little outside the bounds.
-                seen = bounds.early - engine.slack, bounds.late + engine.slack
+                seen = low[2] - engine.slack, high[2] + engine.slack
                 early, late = (min(max(t, earliest), latest) for t in seen)
                 first[k] = math.floor(early - beyond) - support + 1
                 last[k] = math.floor(late + beyond) + support
-
-        for start in range(0, n, 64):
-            share(look, range(start, min(start + 64, n)))
-            tell(min(start + 64, n))
+            if k % 64 == 63 or k == n - 1:
+                tell(k + 1)
     needed = np.array([frames_needed(a, b, space.count, sampling.outside) for a, b in zip(first, last, strict=True)])
     keep = np.minimum.accumulate(needed[::-1, 0])[::-1]
     # A frame's own time is known when it has been read.
@@ -360,6 +362,8 @@ def _reading(
     if not aside:
         yield read
         return
+    from concurrent.futures import ThreadPoolExecutor
+
     ahead: Future[None] | None = None
 
     def fetch(k: int) -> None:
@@ -371,13 +375,9 @@ def _reading(
         yield fetch
 
 
-def grid_of(layout: Layout) -> Grid | None:
-    """The grid of the samples that are not one for each pixel, if there are such."""
-    grids = {(g.step, g.offset): g.shape for g in layout.groups}
-    coarse = [key for key in grids if key != ((1, 1), (0.0, 0.0))]
-    if len(coarse) > 1:
-        raise SuppleError("frames with more than two grids of samples cannot be warped: convert them first")
-    return Grid(*coarse[0], grids[coarse[0]]) if coarse else None
+def step_of(layout: Layout) -> tuple[int, int]:
+    """Return how many pixels apart the samples lie that lie farthest apart."""
+    return max(g.step[0] for g in layout.groups), max(g.step[1] for g in layout.groups)
 
 
 def fills_of(layout: Layout, sampling: Sampling) -> list[npt.NDArray[np.float64]]:
@@ -387,69 +387,45 @@ def fills_of(layout: Layout, sampling: Sampling) -> list[npt.NDArray[np.float64]
     return np.split(values, np.cumsum(channels)[:-1])
 
 
-def part_of(band: Band, group: Group, grid: Grid | None) -> Band:
-    """The source points of a group's samples."""
-    if grid and group.step == grid.step and group.offset == grid.offset:
-        assert band.coarse is not None
-        return band.coarse
-    return band
+def samplings_of(
+    space: Space, layout: Layout, sampling: Sampling, frames: Sequence[Array], outs: Sequence[Array], count: int
+) -> list[_core.Sampling]:
+    """Return what the core does to some frames, (slots, h, w, channels) of each group."""
+    return [
+        sampling_of(
+            held,
+            out,
+            count,
+            filter=sampling.filter,
+            between=sampling.between,
+            outside=sampling.outside,
+            average=sampling.time_filter and sampling.between != "nearest",
+            fill=fill,
+            alpha=group.alpha,
+            light=sampling.light,
+            white=layout.white,
+            step=group.step,
+            offset=group.offset,
+        )
+        for group, held, fill, out in zip(layout.groups, frames, fills_of(layout, sampling), outs, strict=True)
+    ]
 
 
 def _maker(
     space: Space, layout: Layout, sampling: Sampling, window: Sequence[Array]
 ) -> Callable[[int, int, int, Sequence[Array]], Certificate]:
-    """What fills the arrays of a plane from the frames in a window."""
-    grid = grid_of(layout)
-    step = grid.step if grid else (1, 1)
-    capacity = len(window[0])
-    common: dict[str, Any] = {
-        "filter": sampling.filter,
-        "outside": sampling.outside,
-        "light": sampling.light,
-        "white": layout.white,
-    }
-    parts = list(zip(layout.groups, window, fills_of(layout, sampling), strict=True))
-
-    if space.ndim == 2:
-        plane = space.solve(0, step)
-        bands: list[Band] = []
-        certificate = each_band(plane, sampling.tolerance, bands.append, grid)
-
-        def repeat(z: int, first: int, last: int, outs: Sequence[Array]) -> Certificate:
-            uses = [
-                sampler(held[z % capacity], out, fill=fill, alpha=g.alpha, **common)
-                for (g, held, fill), out in zip(parts, outs, strict=True)
-            ]
-
-            def fill_band(band: Band) -> None:
-                for use, g in zip(uses, layout.groups, strict=True):
-                    use(part_of(band, g, grid))
-
-            share(fill_band, bands, brief=True)
-            return certificate
-
-        return repeat
-
-    samplers = [
-        stack_sampler(
-            held,
-            space.count,
-            fill=fill,
-            alpha=g.alpha,
-            between_frames=sampling.between,
-            average=sampling.time_filter,
-            **common,
-        )
-        for g, held, fill in parts
-    ]
+    """Return what fills the arrays of a plane from the frames in a window."""
+    step = step_of(layout)
+    every = space.plan(0, sampling.tolerance, step) if space.ndim == 2 else None
 
     def make(z: int, first: int, last: int, outs: Sequence[Array]) -> Certificate:
-        slots = slots_of(first, last, space.count, sampling.outside, capacity)
-
-        def fill_band(band: Band) -> None:
-            for use, g, out in zip(samplers, layout.groups, outs, strict=True):
-                use(part_of(band, g, grid), out, first, slots)
-
-        return each_band(space.solve(z, step), sampling.tolerance, fill_band, grid, rates=sampling.time_filter)
+        plan = every or space.plan(z, sampling.tolerance, step)
+        frames, count = window, space.count
+        if every:  # each frame is an image of its own
+            slot = z % len(window[0])
+            frames, count = [held[slot : slot + 1] for held in window], 1
+        for each in samplings_of(space, layout, sampling, frames, outs, count):
+            plan.sample(each)
+        return certificate_of(plan)
 
     return make

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import json
 import math
 from collections import Counter
@@ -15,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from supple.domain import (
+    BORDER,
     LARGEST,
     BorderProfile,
     check_border_profile,
@@ -157,7 +157,7 @@ class Recipe:
         In the order in which they are applied, all with as many coordinates. Hidden ones are kept, and not applied.
     """
 
-    border: float | None = 50.0
+    border: float | None = BORDER
     border_profile: BorderProfile = "quartic"
     on_fold: FoldPolicy = "damp"
     strokes: tuple[Stroke, ...] = ()
@@ -212,7 +212,7 @@ class Recipe:
         version = integer('"supple"', data.pop("supple"), "1 or 2 (the versions that this release reads)", 1, VERSION)
         _check_keys("the recipe", data, _known(cls, version), ["strokes"])
         if version == 1:
-            data["border_profile"] = "sine"
+            data = {"border": 50.0, **data, "border_profile": "sine"}
         if not isinstance(data["strokes"], list):
             refuse("strokes", "a list", data["strokes"])
         data["strokes"] = [_stroke(f"strokes[{i}]", entry, version) for i, entry in enumerate(data["strokes"])]
@@ -263,6 +263,8 @@ def _stroke(where: str, entry: object, version: int) -> Stroke:
 def _check_keys(where: str, entry: dict[str, object], known: list[str], required: list[str]) -> None:
     for key in entry:
         if key not in known:
+            import difflib
+
             near = difflib.get_close_matches(key, known, n=1, cutoff=0.5)
             hint = f'did you mean "{near[0]}"?' if near else f"known are {', '.join(known)}"
             if key in _NEW:
@@ -353,3 +355,8 @@ def _terms(radius: float, poisson: float, scales: int) -> npt.NDArray[np.float64
         r[m - 1] = -r[: m - 1].sum()
     made.flags.writeable = False
     return made
+
+
+def numbers(table: npt.NDArray[np.void]) -> npt.NDArray[np.float64]:
+    """Return a table's rows as the native core takes them: float64 (n, 20), the terms' count as its bits."""
+    return np.ascontiguousarray(table).view(np.float64).reshape(len(table), STROKE_DTYPE.itemsize // 8)

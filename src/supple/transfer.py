@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from supple.cpu.sampling import linear_light
+from supple.colour import linear_light
 from supple.domain import items, number, refuse
 from supple.errors import SuppleError
 

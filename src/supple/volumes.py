@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from supple.cpu.warp import Certificate
+from supple.certificate import Certificate
 from supple.deformation import Deformation, Report
 from supple.domain import choice, number
 from supple.engines import check_device, check_frames, warp_frames_by
@@ -38,7 +38,8 @@ from supple.media.volume import (
 )
 from supple.streaming import Sampling
 from supple.strokes import Recipe, Stroke
-from supple.warping import FILTERS, OUTSIDE, warn_of
+from supple.native import OUTSIDE, check_filter
+from supple.warping import warn_of
 
 Array = npt.NDArray[Any]
 PathLike = str | os.PathLike[str]
@@ -204,11 +205,11 @@ def sampling_of(
     tolerance: float = 0.01,
 ) -> Sampling:
     """How a volume is sampled: alike along all three axes."""
-    choice("filter", filter, ("nearest", *FILTERS))
+    check_filter(filter)
     choice("outside", outside, tuple(OUTSIDE))
     tolerance = number("tolerance", tolerance, "a number of voxels above 0", 1e-9, 1e9)
     between = {"nearest": "nearest", "auto": "cubic", "cubic": "cubic"}.get(filter, "linear")
-    averaged = filter in ("auto", "antialias", "ewa")
+    averaged = filter == "auto"
     return Sampling(filter, between, averaged, outside, fill, False, tolerance)  # type: ignore[arg-type]
 
 

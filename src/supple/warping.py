@@ -11,15 +11,14 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from supple.cpu.sampling import FILTERS, OUTSIDE, linear_light, sampler
-from supple.cpu.stack import BETWEEN
-from supple.cpu.warp import Band, Certificate
+from supple.certificate import Certificate
 from supple.domain import choice, integer, number, refuse
 from supple.errors import SuppleError, ToleranceWarning
+from supple.native import BETWEEN, FILTERS, OUTSIDE, certificate_of, check_filter
 from supple.stacks import warp_stack
-from supple.streaming import Group, Layout, Sampling, Space, Tell, make_plan, stream
+from supple.streaming import Group, Layout, Sampling, Space, Tell, make_plan, samplings_of, stream
 
-__all__ = ["FILTERS", "OUTSIDE", "Source", "interpolated", "warp_array", "warp_frames", "warp_function"]
+__all__ = ["FILTERS", "OUTSIDE", "Source", "interpolated", "warp_array", "warp_function"]
 
 Array = npt.NDArray[Any]
 Source = Array | Callable[[npt.NDArray[np.float64]], npt.ArrayLike]
@@ -49,7 +48,7 @@ def checked_sampling(
     time_filter: bool,
 ) -> Sampling:
     """How samples are made, as `supple.Deformation.warp` is asked; SuppleError if something is not known."""
-    choice("filter", filter, ("nearest", *FILTERS))
+    check_filter(filter)
     choice("outside", outside, tuple(OUTSIDE))
     tolerance = number("tolerance", tolerance, "a number of pixels above 0", 1e-9, 1e9)
     if between is not None and ndim == 2:
@@ -85,48 +84,6 @@ def one_or_each(deformations: Any) -> tuple[Space, ...]:
 
 def warp_array(
     source: Array,
-    shape: tuple[int, ...],
-    untouched: bool,
-    each: Callable[[Callable[[Band], None]], object],
-    *,
-    filter: str,
-    outside: str,
-    fill: float | Sequence[float],
-    alpha: bool | None,
-    light: bool,
-    out: Array | None,
-) -> Array:
-    """Sample an array at the source points of every band that ``each`` calls its argument with."""
-    array, straight = checked_source(source, shape, alpha, light)
-    colours = checked_fill(fill, array.shape[2] if array.ndim == 3 else 1, array.dtype)
-    result = result_like(out, array)
-    if untouched:
-        result[...] = array
-        return result
-    native = np.ascontiguousarray(array, array.dtype.newbyteorder("="))
-    deep = native if native.ndim == 3 else native[..., None]
-    target = result
-    if not result.flags.c_contiguous or result.dtype != native.dtype or not result.dtype.isnative:
-        target = np.empty(native.shape, native.dtype)
-    each(
-        sampler(
-            deep,
-            target if target.ndim == 3 else target[..., None],
-            filter=filter,
-            outside=outside,
-            fill=colours,
-            alpha=straight,
-            light=light,
-            white=None,
-        )
-    )
-    if target is not result:
-        result[...] = target
-    return result
-
-
-def warp_frames(
-    source: Array,
     space: Space,
     sampling: Sampling,
     *,
@@ -134,57 +91,72 @@ def warp_frames(
     out: Array | None,
     tell: Tell = lambda done: None,
 ) -> tuple[Array, Certificate]:
-    """Sample an array of frames, plane by plane, so that neither it nor ``out`` has to be in memory as a whole.
+    """Sample an image, or an array of frames, plane by plane, so that neither it nor ``out`` need be in memory.
 
     ``tell`` is called with the number of planes done, now and then.
     """
-    array, straight = checked_source(source, (space.count, *space.shape), alpha, sampling.light)
-    channels = array.shape[3] if array.ndim == 4 else 1
+    array, straight = checked_source(source, space.whole, alpha, sampling.light)
+    axes = len(space.whole)
+    channels = array.shape[axes] if array.ndim > axes else 1
     colours = checked_fill(sampling.fill, channels, array.dtype)
     result = result_like(out, array)
     if space.table.size == 0:
         result[...] = array
         return result, Certificate(0.0, 0.0)
-    deep, target = (a if a.ndim == 4 else a[..., None] for a in (array, result))
     kind = array.dtype.newbyteorder("=")
-    if kind in (np.bool_, np.float16):  # which kernels do not know
-        kind = np.dtype(np.uint8 if kind == np.bool_ else np.float32)
+    kind = np.dtype(np.float32) if kind == np.float16 else np.dtype(np.uint8) if kind == np.bool_ else kind
     white = 1.0 if kind.kind == "f" or array.dtype.kind == "b" else float(np.iinfo(kind).max)
-    bent = sampling.light and kind.kind == "f" and sampling.filter != "nearest"
     layout = Layout((Group(space.shape, channels, alpha=straight),), kind, white)
     sampling = replace(sampling, fill=tuple(colours))
+    ready = all(_as_kind(a, kind) is not None for a in (array, result))
+    if space.ndim == 2:
+        held = array if ready else np.ascontiguousarray(array, kind)
+        made = result if ready else np.empty(array.shape, kind)
+        frames, image = (_as_kind(a, kind) for a in (held, made))
+        assert frames is not None and image is not None
+        plan = space.plan(0, sampling.tolerance)
+        (job,) = samplings_of(
+            space, layout, sampling, [frames.reshape(1, *space.shape, channels)], [image.reshape(*space.shape, channels)], 1
+        )
+        plan.sample(job)
+        if made is not result:
+            with np.errstate(over="ignore"):
+                result[...] = made
+        return result, certificate_of(plan)
+    whole = (*space.whole, channels)
     certificate = Certificate(0.0, 0.0)
-    if not bent and all(a.dtype == kind and a.flags.c_contiguous for a in (deep, target)):
-        for done, known in warp_stack(space, layout, sampling, range(space.count), [deep], [np.asarray(target)]):
+    if ready:
+        both = [np.asarray(a.reshape(whole)).view(kind) for a in (array, result)]
+        for done, known in warp_stack(space, layout, sampling, range(space.count), both[:1], both[1:]):
             certificate |= known
             tell(done)
         return result, certificate
-    plan = make_plan(space, layout, sampling, range(space.count))
-    frames = (_ArrayFrame(deep[z], straight, bent) for z in range(space.count))
-    for z, planes, known in stream(space, layout, sampling, plan, frames):
+    deep, target = (a[..., None] if a.ndim == 3 else a for a in (array, result))
+    plan_ = make_plan(space, layout, sampling, range(space.count))
+    slices = (_ArrayFrame(deep[z]) for z in range(space.count))
+    for z, planes, known in stream(space, layout, sampling, plan_, slices):
         with np.errstate(over="ignore"):
             target[z] = planes[0]
-            if bent and plan.still[z]:
-                target[z] = deep[z]  # and not light, back on its curve
         certificate |= known
         tell(z + 1)
     return result, certificate
 
 
+def _as_kind(array: Array, kind: np.dtype[Any]) -> Array | None:
+    """Return an array as one of a kind that shares its memory; None if it cannot."""
+    if not array.flags.c_contiguous or not array.dtype.isnative:
+        return None
+    return array.view(kind) if array.dtype in (kind, np.bool_) else None
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class _ArrayFrame:
-    """A frame of an array that kernels do not take as it is."""
+    """A frame of an array that the core does not take as it is."""
 
     samples: Array
-    alpha: bool
-    bent: bool
 
     def copy_to(self, arrays: Sequence[Array]) -> None:
-        held = arrays[0]
-        held[...] = self.samples
-        if self.bent:
-            colours = slice(0, -1 if self.alpha else None)
-            held[..., colours] = linear_light(held[..., colours], 1.0)
+        arrays[0][...] = self.samples
 
 
 def checked_source(source: object, shape: tuple[int, ...], alpha: bool | None, light: bool) -> tuple[Array, bool]:

@@ -105,6 +105,8 @@ def test_threads_are_asked_for_at_each_call(monkeypatch: pytest.MonkeyPatch) -> 
 def test_every_name_has_a_type() -> None:
     stub = ast.parse((Path(__file__).parents[2] / "src" / "supple" / "_core" / "__init__.pyi").read_text("utf-8"))
     typed = {node.name for node in stub.body if isinstance(node, ast.FunctionDef | ast.ClassDef)}
-    typed |= {node.target.id for node in stub.body if isinstance(node, ast.AnnAssign) and isinstance(node.target, ast.Name)}
+    typed |= {
+        node.target.id for node in stub.body if isinstance(node, ast.AnnAssign) and isinstance(node.target, ast.Name)
+    }
     # submodules of the package aside
     assert typed == {name for name in vars(_core) if not name.startswith("_")} - {"loading", "cpu", *isas()}

@@ -1,4 +1,4 @@
-"""What the tests share that need a real card: large smooth arrays, strokes, and how far results may be apart.
+"""What the tests share that need a real GPU: large smooth arrays, strokes, and how far results may be apart.
 
 ``SUPPLE_TEST_CUDA_SCALE`` divides all sides: for small cards, or to go through it all in the simulator.
 """
@@ -20,7 +20,7 @@ TIGHT = 1e-4  # pixels: so that what differs is not where points are
 CLOSE = 1e-3  # of the range
 
 only_on_a_card = pytest.mark.skipif(
-    os.environ.get("SUPPLE_TEST_CUDA") != "1", reason="needs an NVIDIA card: make test-cuda"
+    os.environ.get("SUPPLE_TEST_CUDA") != "1", reason="needs an NVIDIA GPU: make test-cuda"
 )
 
 
@@ -86,7 +86,7 @@ def host(array: Any) -> np.ndarray:
 
 
 def both(there: Any, source: np.ndarray, d: Any, **options: Any) -> tuple[np.ndarray, np.ndarray]:
-    """What the card and the CPU make of an array, or of a batch with a deformation each, as exactly as they can."""
+    """What the GPU and the CPU make of an array, or of a batch with a deformation each, as exactly as they can."""
     options = {"tolerance": TIGHT, **options}
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ToleranceWarning)  # finer than float32 holds points, on either of them

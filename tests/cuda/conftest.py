@@ -1,4 +1,4 @@
-"""Tests on a card or, where ``NUMBA_ENABLE_CUDASIM`` is 1, on one that Numba plays: then arrays are tiny."""
+"""Tests on a GPU or, where ``NUMBA_ENABLE_CUDASIM`` is 1, on one that Numba plays: then arrays are tiny."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from supple.errors import SuppleError
 
 @pytest.fixture(scope="session")
 def card() -> Card:
-    """The card, or the simulator."""
+    """The GPU, or the simulator."""
     _there()
     return open_card()
 
@@ -27,7 +27,7 @@ def _there() -> None:
 
 @pytest.fixture
 def numba_cuda() -> Any:
-    """Numba's CUDA, whose arrays live on the card."""
+    """Numba's CUDA, whose arrays live on the GPU."""
     _there()
     open_card()
     from numba import cuda

@@ -1,4 +1,4 @@
-"""A real card: arrays of each library as they come, on their streams and cards, and warps that nobody waits for."""
+"""A real GPU: arrays of each library as they come, on their streams and GPUs, and warps that nobody waits for."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ OPTIONS: dict[str, Any] = {"filter": "linear", "tolerance": TIGHT}
 def torch_() -> Any:
     torch = pytest.importorskip("torch")
     if not torch.cuda.is_available():
-        pytest.skip(f"torch {torch.__version__} sees no card")
+        pytest.skip(f"torch {torch.__version__} sees no GPU")
     return torch
 
 
@@ -47,7 +47,7 @@ PUT: dict[str, Callable[[np.ndarray], Any]] = {
 
 @pytest.fixture(params=PUT)
 def put(request: pytest.FixtureRequest, numba_cuda: Any) -> Callable[[np.ndarray], Any]:
-    """What sends an array to the card, as one library has it."""
+    """What sends an array to the GPU, as one library has it."""
     chosen = PUT[request.param]
     chosen(np.zeros(1, np.float32))  # leaves the test out where there is no such library
     return chosen
@@ -155,7 +155,7 @@ def test_cupy_s_stream_of_the_moment(numba_cuda: Any) -> None:
 
 def test_the_second_card_keeps_what_is_its_own(numba_cuda: Any) -> None:
     if len(numba_cuda.gpus) < 2:
-        pytest.skip("there is one card")
+        pytest.skip("there is one GPU")
     torch = torch_()
     source = waves(SHAPE)
     d = bent(SHAPE)
@@ -163,7 +163,7 @@ def test_the_second_card_keeps_what_is_its_own(numba_cuda: Any) -> None:
     assert [x.device.index for x in made] == [1, 0, 1]
     for x in made:
         assert apart(host(x), d.warp(source, **OPTIONS), source).max() <= CLOSE
-    with pytest.raises(supple.SuppleError, match="out must be an array on the source's card"):
+    with pytest.raises(supple.SuppleError, match="out must be an array on the source's GPU"):
         d.warp(torch.as_tensor(source, device="cuda:1"), out=made[1], **OPTIONS)
 
 

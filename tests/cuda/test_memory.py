@@ -18,7 +18,7 @@ SHAPES = [(37, 71), (5, 19, 33)]
 
 
 @pytest.mark.parametrize("outside", ["edge", "constant", "reflect"])
-@pytest.mark.parametrize("filter", ["nearest", "linear", "cubic", "antialias"])
+@pytest.mark.parametrize("filter", ["nearest", "linear", "cubic", "auto"])
 @pytest.mark.parametrize("shape", SHAPES)
 def test_warps(numba_cuda: Any, shape: tuple[int, ...], filter: str, outside: str) -> None:
     d = bent(shape, 1)
@@ -43,6 +43,17 @@ def test_rough_cells_batches_and_slabs(numba_cuda: Any) -> None:
     warping = supple.cuda.start(numba_cuda.to_device(stack), d, filter="linear", tolerance=1e-3, slab=2)
     wanted = d.warp(stack, filter="linear", tolerance=1e-3)
     assert apart(host(warping.wait()), wanted, stack).max() <= 1e-3
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_reach(numba_cuda: Any, shape: tuple[int, ...]) -> None:
+    d = supple.Deformation(shape).grab([4.0, 5.0, 2.0][: len(shape)], by=[1.0] * len(shape), radius=2, reach=3)
+    source = waves(shape, 3)
+    out = numba_cuda.to_device(np.full_like(source, np.nan))
+    d.warp(numba_cuda.to_device(source), out=out)
+    made = host(out)
+    assert np.isfinite(made).all()
+    np.testing.assert_array_equal(made[..., 12:, :], source[..., 12:, :])
 
 
 @pytest.mark.parametrize("shape", SHAPES)

@@ -1,67 +1,154 @@
-// What Python sees of the core.
-#include <nanobind/nanobind.h>
-#include <nanobind/stl/vector.h>
+// What Python sees of the core: the module, and points.
+#include "bindings.hpp"
+#include "paper.hpp"
 
-#include <charconv>
-#include <cstdlib>
-#include <string_view>
-#include <thread>
-#include <vector>
-
-#if defined(__linux__)
-#include <sched.h>
-#endif
-
-namespace nb = nanobind;
-
+namespace supple {
 namespace {
 
-// How many processors this process may use.
-int processors() {
-#if defined(__linux__)
-    cpu_set_t set;
-    if (sched_getaffinity(0, sizeof set, &set) == 0) return CPU_COUNT(&set);
-#endif
-    const unsigned n = std::thread::hardware_concurrency();
-    return n ? static_cast<int>(n) : 1;
+bool python_interrupts() {
+    nb::gil_scoped_acquire acquire;
+    return PyErr_CheckSignals() != 0;
 }
 
-// SUPPLE_THREADS if that is a positive number, else one for each processor; read at each call.
-int threads() {
-    if (const char* text = std::getenv("SUPPLE_THREADS")) {
-        const std::string_view asked(text);
-        int n = 0;
-        const auto [end, error] = std::from_chars(asked.data(), asked.data() + asked.size(), n);
-        if (error == std::errc() && end == asked.data() + asked.size() && n > 0) return n;
-    }
-    return processors();
+nb::object owned(std::vector<double>* made, std::initializer_list<size_t> shape) {
+    nb::capsule owner(made, [](void* p) noexcept { delete (std::vector<double>*)p; });
+    return nb::cast(nb::ndarray<nb::numpy, double>(made->data(), shape, owner));
 }
 
-// A polynomial c0 + c1 x + c2 x² + ...
-class Polynomial {
-public:
-    explicit Polynomial(std::vector<double> coefficients) : coefficients_(std::move(coefficients)) {}
+constexpr size_t TOGETHER = 1024; // points that a thread takes at once
 
-    double at(double x) const {
-        double sum = 0;
-        for (auto c = coefficients_.rbegin(); c != coefficients_.rend(); ++c) sum = sum * x + *c;
-        return sum;
+template <class F> void each_batch(size_t count, F body) {
+    parallel((int)((count + TOGETHER - 1) / TOGETHER), [&](int item, int) {
+        size_t first = (size_t)item * TOGETHER, end = std::min(first + TOGETHER, count);
+        for (size_t i = first; i < end; i += LANES) body(i, (int)std::min<size_t>(LANES, end - i));
+    });
+}
+
+nb::object forward(const Doubles& table, const Doubles& rows, const Doubles& points, bool jacobian) {
+    Axes axes = axes_of(rows);
+    std::vector<Stroke> strokes = strokes_of(table, axes.data());
+    if (points.shape(1) != 3) throw nb::value_error("points must have the shape (N, 3)");
+    size_t count = points.shape(0);
+    auto* moved = new std::vector<double>(count * 3);
+    nb::object first = owned(moved, {count, 3}), second = nb::none();
+    std::vector<double>* matrices = nullptr;
+    if (jacobian) second = owned(matrices = new std::vector<double>(count * 9), {count, 3, 3});
+    const double* from = points.data();
+    unlocked([&] {
+        std::vector<int> all(strokes.size());
+        for (size_t i = 0; i < all.size(); i++) all[i] = (int)i;
+        Chain chain{strokes.data(), all.data(), (int)all.size()};
+        each_batch(count, [&](size_t start, int n) {
+            Lanes x[3], t[3][3];
+            for (int l = 0; l < LANES; l++)
+                for (int d = 0; d < 3; d++) x[d][l] = from[3 * (start + std::min(l, n - 1)) + d];
+            if (jacobian) apply<3>(chain, axes.data(), x, t);
+            else apply<3>(chain, axes.data(), x);
+            for (int l = 0; l < n; l++)
+                for (int d = 0; d < 3; d++) {
+                    (*moved)[3 * (start + l) + d] = x[d][l];
+                    for (int e = 0; jacobian && e < 3; e++) (*matrices)[9 * (start + l) + 3 * d + e] = t[e][d][l];
+                }
+        });
+    });
+    return nb::make_tuple(first, second);
+}
+
+template <int D>
+void invert_points(const std::vector<Stroke>& strokes, const Axis* axes, const double* targets, size_t count,
+                   double tolerance, double* points, double* residual, double* steps) {
+    std::vector<int> all(strokes.size());
+    for (size_t i = 0; i < all.size(); i++) all[i] = (int)i;
+    Chain chain{strokes.data(), all.data(), (int)all.size()};
+    each_batch(count, [&](size_t start, int n) {
+        Lanes q[D], x[D], e2{};
+        for (int l = 0; l < LANES; l++)
+            for (int d = 0; d < D; d++) q[d][l] = targets[3 * (start + std::min(l, n - 1)) + d];
+        Solution<D, Lanes> found;
+        undo<D>(chain, axes, q, tolerance, found);
+        // The residual is measured once more, at the point that is handed out.
+        for (int d = 0; d < D; d++) x[d] = found.p[d];
+        apply<D>(chain, axes, x);
+        for (int d = 0; d < D; d++) e2 += (x[d] - q[d]) * (x[d] - q[d]);
+        Lanes r = root(e2);
+        for (int l = 0; l < n; l++) {
+            for (int d = 0; d < D; d++) points[3 * (start + l) + d] = found.p[d][l];
+            residual[start + l] = r[l];
+            steps[start + l] = found.steps[l];
+        }
+    });
+}
+
+nb::object inverse(const Doubles& table, const Doubles& rows, const Doubles& targets, int ndim, double tolerance) {
+    Axes axes = axes_of(rows);
+    std::vector<Stroke> strokes = strokes_of(table, axes.data());
+    if (targets.shape(1) != 3) throw nb::value_error("targets must have the shape (N, 3)");
+    size_t count = targets.shape(0);
+    auto *points = new std::vector<double>(targets.data(), targets.data() + 3 * count), *residual = new std::vector<double>(count),
+         *steps = new std::vector<double>(count);
+    nb::object made = nb::make_tuple(owned(points, {count, 3}), owned(residual, {count}), owned(steps, {count}));
+    const double* from = targets.data();
+    unlocked([&] {
+        auto run = ndim == 2 ? invert_points<2> : invert_points<3>;
+        run(strokes, axes.data(), from, count, tolerance, points->data(), residual->data(), steps->data());
+    });
+    return made;
+}
+
+typedef nb::ndarray<float, nb::ndim<3>, nb::c_contig, nb::device::cpu> Map;
+typedef nb::ndarray<int64_t, nb::ndim<2>, nb::c_contig, nb::device::cpu> Counts;
+typedef nb::ndarray<double, nb::ndim<2>, nb::c_contig, nb::device::cpu> Residuals;
+
+template <int D>
+void invert_row(const std::vector<Stroke>& strokes, const Axis* axes, double z, int every, const Published& how, int y, int width, float* points,
+                int64_t* counts, double* residual) {
+    for (int x = 0; x < width; x++) {
+        double p[3] = {x * every * axes[0].spacing, y * every * axes[1].spacing, z * axes[2].spacing};
+        int count;
+        residual[x] = invert_as_published<D>(strokes, axes, how, p, count);
+        counts[x] = count;
+        for (int d = 0; d < D; d++) points[D * x + d] = (float)(p[d] / axes[d].spacing);
     }
+}
 
-private:
-    std::vector<double> coefficients_;
-};
+void published(const Doubles& table, const Doubles& rows, double z, int every, double mu, double tolerance, int limit, bool corrected, Map points,
+               Counts counts, Residuals residual) {
+    Axes axes = axes_of(rows);
+    std::vector<Stroke> strokes = strokes_of(table, axes.data());
+    Published how{mu, tolerance, limit, corrected};
+    int height = (int)points.shape(0), width = (int)points.shape(1), ndim = (int)points.shape(2);
+    if (counts.shape(0) != points.shape(0) || counts.shape(1) != points.shape(1) || residual.shape(0) != points.shape(0) ||
+        residual.shape(1) != points.shape(1) || ndim < 2 || ndim > 3)
+        throw nb::value_error("points, counts and residual must be of one shape");
+    float* to = points.data();
+    int64_t* n = counts.data();
+    double* r = residual.data();
+    unlocked([&] {
+        parallel(height, [&](int y, int) {
+            auto run = ndim == 2 ? invert_row<2> : invert_row<3>;
+            run(strokes, axes.data(), z, every, how, y, width, to + (size_t)y * width * ndim, n + (size_t)y * width, r + (size_t)y * width);
+        });
+    });
+}
 
 }  // namespace
 
-namespace supple {
-void bind_folds(nb::module_& m);
+void bind_points(nb::module_& m) {
+    m.def("forward", &forward, "strokes"_a, "axes"_a, "points"_a, "jacobian"_a,
+          "Return T of points (N, 3), in physical units, and ∂T/∂p (N, 3, 3) or None.");
+    m.def("inverse", &inverse, "strokes"_a, "axes"_a, "targets"_a, "ndim"_a, "tolerance"_a,
+          "Return T⁻¹ of points (N, 3), the residuals |T(p) - q| and the evaluations of T, in physical units.");
+    m.def("invert_as_published", &published, "strokes"_a, "axes"_a, "z"_a, "every"_a, "mu"_a, "tolerance"_a, "limit"_a, "corrected"_a,
+          "points"_a.noconvert(), "counts"_a.noconvert(), "residual"_a.noconvert(), "Invert every pixel by the published method.");
 }
 
+}  // namespace supple
+
 NB_MODULE(SUPPLE_MODULE, m) {
+    supple::interrupted = supple::python_interrupts;
+    m.def("threads", &supple::threads, "Return how many threads work at once.");
+    supple::bind_points(m);
+    supple::bind_plans(m);
     supple::bind_folds(m);
-    m.def("threads", &threads, "Return how many threads work at once.");
-    nb::class_<Polynomial>(m, "Polynomial", "A polynomial, by its coefficients from the constant one on.")
-        .def(nb::init<std::vector<double>>(), nb::arg("coefficients"))
-        .def("at", &Polynomial::at, nb::arg("x"), "Return its value at ``x``.");
+    supple::bind_render(m);
 }

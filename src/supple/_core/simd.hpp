@@ -12,6 +12,7 @@
 
 #define INLINE inline __attribute__((always_inline))
 #define NOINLINE __attribute__((noinline))
+#define INLINE_LAMBDA __attribute__((always_inline))
 
 namespace supple {
 
@@ -41,6 +42,7 @@ INLINE Lanes root(Lanes x) {
 #endif
 }
 INLINE double floored(double x) { return __builtin_floor(x); }
+INLINE float floored(float x) { return __builtin_floorf(x); }
 
 template <class V> INLINE V splat(double x) { return V{} + x; }
 template <class V> INLINE V least(V a, V b) { return a < b ? a : b; }

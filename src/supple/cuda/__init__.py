@@ -1,6 +1,6 @@
-"""The engine for arrays that live on an NVIDIA card, in Numba: the CPU's arithmetic, a thread for each point.
+"""The engine for arrays that live on an NVIDIA GPU: kernels in Python, compiled by Numba, a thread for each point.
 
-`supple.Deformation` calls it for such arrays by itself. What it does not wait for is here: `start`.
+`supple.Deformation` calls it for such arrays by itself. Warps that nobody waits for begin with `start`.
 """
 
 from importlib import import_module

@@ -1,4 +1,4 @@
-"""Arrays that live on a card, of whatever library: as kernels take them, and made as they came."""
+"""Arrays that live on a GPU, of whatever library: as kernels take them, and made as they came."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from supple.domain import refuse
 from supple.errors import SuppleError
 from supple.warping import check_gradients
 
-_CUDA = (2, 13)  # of DLPack's kinds of device: a card's memory, and that which it shares with the host
+_CUDA = (2, 13)  # of DLPack's kinds of device: a GPU's memory, and that which it shares with the host
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OnCard:
-    """An array on a card.
+    """An array on a GPU.
 
     Parameters
     ----------
@@ -92,7 +92,7 @@ class OnCard:
 
 
 def is_on_card(value: object) -> bool:
-    """Whether something is an array on a card, or may be one; no library is imported to find out."""
+    """Whether something is an array on a GPU, or may be one; no library is imported to find out."""
     if isinstance(value, np.ndarray) or callable(value):
         return False
     if _is_tensor(value):
@@ -120,15 +120,15 @@ def _is_cupy(value: object) -> bool:
 
 
 def taken(value: Any, name: str) -> OnCard:
-    """An array on a card, whatever made it.
+    """An array on a GPU, whatever made it.
 
     Raises
     ------
     SuppleError
-        If CUDA cannot be used, or the array is not on a card, or of a kind that cannot be taken.
+        If CUDA cannot be used, or the array is not on a GPU, or of a kind that cannot be taken.
     """
     if not is_on_card(value):
-        refuse(name, "an array on a card", value)
+        refuse(name, "an array on a GPU", value)
     check_gradients(value, name)
     if simulated():
         open_card()
@@ -143,12 +143,12 @@ def taken(value: Any, name: str) -> OnCard:
             view = StridedMemoryView.from_any_interface(value, stream_ptr=-1 if own else 1)
         # Of what is known, all goes on in the order of its stream; of another library, the default stream waits.
         if not view.is_device_accessible:
-            raise BufferError("its memory is not a card's")
+            raise BufferError("its memory is not a GPU's")
         shape = tuple(int(n) for n in view.shape)
         dtype = np.dtype(view.dtype)
     except Exception as error:  # whoever made it has errors of its own
         refuse(
-            name, "an array on a card, of bool, integers or floats of 16 to 64 bits", " ".join(str(error).split())[:80]
+            name, "an array on a GPU, of bool, integers or floats of 16 to 64 bits", " ".join(str(error).split())[:80]
         )
     strides = tuple(view.strides) if view.strides is not None else _dense(shape)
     if int(view.device_id) != card.number:
@@ -158,14 +158,14 @@ def taken(value: Any, name: str) -> OnCard:
 
 
 def plain(value: Any) -> Any:
-    """Something of the same library and on the same card, of whatever type."""
+    """Something of the same library and on the same GPU, of whatever type."""
     if _is_tensor(value):
         return sys.modules["torch"].empty(1, device=value.device)
     return value
 
 
 def _card_of(value: Any, kind: str) -> int:
-    """The number of the card that an array is on, as far as its library tells."""
+    """The number of the GPU that an array is on, as far as its library tells."""
     if kind == "torch":
         return int(value.device.index or 0)
     return int(value.device.id) if kind == "cupy" else 0
@@ -221,7 +221,7 @@ def as_stream(value: Any, card: Card) -> Any:
 
 
 def made_like(source: OnCard, shape: Sequence[int], dtype: npt.DTypeLike, *, as_it_lies: bool = False) -> OnCard:
-    """A new array of the same library, on the same card; ``as_it_lies`` in memory, if it has the same shape."""
+    """A new array of the same library, on the same GPU; ``as_it_lies`` in memory, if it has the same shape."""
     with source.card.current():
         return _made_like(source, shape, np.dtype(dtype), as_it_lies)
 

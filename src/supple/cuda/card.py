@@ -1,4 +1,4 @@
-"""Which NVIDIA card works, and what to say where there is none."""
+"""Which NVIDIA GPU works, and what to say where there is none."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ OLDEST = ((6, 0), (7, 5))  # compute capability, for CUDA 12 and 13: what kernel
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Card:
-    """A card that is ready.
+    """A GPU that is ready.
 
     Parameters
     ----------
@@ -66,7 +66,7 @@ class Card:
 
 
 def simulated() -> bool:
-    """Whether Numba only plays a card, as tests have it do."""
+    """Whether Numba only plays a GPU, as tests have it do."""
     from numba.core import config
 
     return bool(getattr(config, "ENABLE_CUDASIM", 0))
@@ -82,12 +82,12 @@ def _numba() -> Any:
 
 
 def open_card(number: int = 0) -> Card:
-    """The card of a number, ready to work.
+    """The GPU of a number, ready to work.
 
     Raises
     ------
     SuppleError
-        If Numba's package for CUDA, the driver or the card is missing, or too old; the sentence says what would do.
+        If Numba's package for CUDA, the driver or the GPU is missing, or too old; the sentence says what would do.
     """
     cuda = _numba()
     if simulated():
@@ -103,14 +103,14 @@ def _opened(number: int) -> Card:
         raise SuppleError(reason)
     count = len(cuda.gpus)
     if number >= count:
-        raise SuppleError(f"card {number} is not there: CUDA sees {count} of them, counted from 0")
+        raise SuppleError(f"GPU {number} is not there: CUDA sees {count} of them, counted from 0")
     device = cuda.gpus[number]._device if hasattr(cuda.gpus[number], "_device") else cuda.gpus[number]
     name = device.name.decode() if isinstance(device.name, bytes) else str(device.name)
     found, oldest = tuple(device.compute_capability), OLDEST[toolkit() >= 13]
     if found < oldest:
         raise SuppleError(
             f"{name} is too old: its compute capability is {found[0]}.{found[1]}, and {oldest[0]}.{oldest[1]} is needed"
-            "; device cpu needs no card"
+            "; device cpu needs no GPU"
         )
     try:
         from numba.cuda.cudadrv import nvvm
@@ -123,12 +123,12 @@ def _opened(number: int) -> Card:
         try:
             cuda.current_context().get_memory_info()
         except Exception as error:  # drivers fail in many ways
-            raise SuppleError(f"{name} cannot be opened ({_short(error)}); device cpu needs no card") from None
+            raise SuppleError(f"{name} cannot be opened ({_short(error)}); device cpu needs no GPU") from None
     return Card(number, name, int(device.MULTIPROCESSOR_COUNT), context)
 
 
 def failures() -> tuple[type[Exception], ...]:
-    """What is raised where a card fails, its memory is full, or a kernel cannot be made for it."""
+    """What is raised where a GPU fails, its memory is full, or a kernel cannot be made for it."""
     from numba.cuda.cudadrv import error
 
     kinds: list[type[Exception]] = [RuntimeError, MemoryError, ArithmeticError, ImportError, OSError]
@@ -155,7 +155,7 @@ def _broken(cuda: Any) -> str:
         if "cannot be found" in said or "not found" in said:
             return "CUDA needs NVIDIA's driver, which is not installed; device cpu needs none"
         if "NO_DEVICE" in said or "no CUDA-capable device" in said:
-            return "no NVIDIA card was found: the driver sees none; device cpu needs none"
+            return "no NVIDIA GPU was found: the driver sees none; device cpu needs none"
         return f"NVIDIA's driver does not work ({said}); device cpu needs none"
     needed = toolkit()
     older = ', or pip install "supple[cuda12]"' if version[0] == 12 else ""
@@ -167,8 +167,8 @@ def _broken(cuda: Any) -> str:
     try:
         count = len(cuda.gpus)
     except Exception as error:
-        return f"no NVIDIA card can be used ({_short(error)}); device cpu needs none"
-    return "" if count else "no NVIDIA card was found: the driver sees none; device cpu needs none"
+        return f"no NVIDIA GPU can be used ({_short(error)}); device cpu needs none"
+    return "" if count else "no NVIDIA GPU was found: the driver sees none; device cpu needs none"
 
 
 def toolkit() -> int:

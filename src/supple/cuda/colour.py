@@ -1,8 +1,8 @@
 """The colour of a pixel whose source point is known: a device function for each way of filtering.
 
 All of them take the same, so that kernels need not know which one they call: samples, the constant outside, where
-samples lie and how they are worked with (`supple.cuda.sample`), the table of box weights, which frame is the picture,
-where none is interpolated, the pixel (x, y, z) and its displacement, ∂p/∂q as far as it is needed, and where the result
+samples lie and how they are worked with (`supple.cuda.sample`), which frame is the picture, where none is interpolated,
+ the pixel (x, y, z) and its displacement, ∂p/∂q as far as it is needed, and where the result
 goes. A kernel made for one of them has no registers that the others would need.
 """
 
@@ -15,16 +15,14 @@ from typing import Any
 
 import numpy as np
 
-from supple.cpu.between import LONGEST
-from supple.cpu.kernel import lean
-from supple.cpu.region import CONSTANT
-from supple.cuda.footprint import POINT, averaged_at, footprint
-from supple.cuda.kernel import device
+from supple.cuda.footprint import averaged_at, footprint
+from supple.cuda.kernel import device, lean
 from supple.cuda.sample import (
     ALPHA,
     CHANNEL,
     CHANNELS,
     COLUMN,
+    CONSTANT,
     EARLY,
     HEIGHT,
     HIGH,
@@ -44,11 +42,13 @@ from supple.cuda.sample import (
 )
 
 # The last two are no filters: source points themselves are written, as float32, x first, or how far they are off.
-FILTERS = {"nearest": 0, "linear": 1, "cubic": 2, "auto": 3, "antialias": 4, "map": 5, "offsets": 6}
-NEAREST, LINEAR, CUBIC, AUTO, ANTIALIAS, MAP, OFFSETS = range(7)
+FILTERS = {"nearest": 0, "linear": 1, "cubic": 2, "auto": 3, "map": 4, "offsets": 5}
+NEAREST, LINEAR, CUBIC, AUTO, MAP, OFFSETS = range(6)
 # Between frames that are pictures by themselves, nothing is interpolated.
 BETWEEN = {"nearest": 0, "linear": 1, "cubic": 2, "nothing": 3}
 NOTHING = 3
+SUPPORT = {"nearest": 1, "linear": 1, "cubic": 2}  # frames on either side of a time that count
+LONGEST = 64.0  # frames that a pixel is averaged over, at most
 
 _f4 = np.float32
 ZERO, HALF, ONE, TWO, TEN = _f4(0.0), _f4(0.5), _f4(1.0), _f4(2.0), _f4(10.0)
@@ -94,7 +94,7 @@ def _map(way: Way) -> Callable[..., Any]:
     index, unsigned, absolute = way.index, way.unsigned, way.filter == MAP
 
     @device
-    def point(samples, fills, source, how, limits, table, picture, x, y, z, ux, uy, uz,
+    def point(samples, fills, source, how, limits, picture, x, y, z, ux, uy, uz,
               xx, xy, yx, yy, tx, ty, tt, out, at, channel, counts):  # fmt: skip
         if absolute:
             ux, uy, uz = _f4(x + ux), _f4(y + uy), _f4(z + uz)
@@ -112,7 +112,7 @@ def _nearest(way: Way) -> Callable[..., Any]:
     index, unsigned, stack, constant = way.index, way.unsigned, way.between != NOTHING, way.rule == CONSTANT
 
     @device
-    def nearest(samples, fills, source, how, limits, table, picture, x, y, z, ux, uy, uz,
+    def nearest(samples, fills, source, how, limits, picture, x, y, z, ux, uy, uz,
                 xx, xy, yx, yy, tx, ty, tt, out, at, channel, counts):  # fmt: skip
         i, u = place(x, ux)
         j, v = place(y, uy)
@@ -140,21 +140,16 @@ def _in_frame(way: Way) -> Callable[..., Any]:
         pointed = linear if way.filter == LINEAR else cubic
 
         @device
-        def at_point(samples, fills, source, how, limits, table, start, i, j, u, v, c,
-                     kind, xx, xy, yy, major, minor):  # fmt: skip
+        def at_point(samples, fills, source, how, limits, start, i, j, u, v, c, major, minor, ax, ay):
             return pointed(samples, fills, source, how, limits, start, i, j, u, v, c)
 
         return at_point
 
     @device
-    def over_footprint(samples, fills, source, how, limits, table, start, i, j, u, v, c,
-                       kind, xx, xy, yy, major, minor):  # fmt: skip
-        if kind == POINT:
-            return cubic(samples, fills, source, how, limits, start, i, j, u, v, c)
-        return averaged(
-            samples, fills, source, how, limits, table, start, i, j, u, v, c,
-            kind, xx, xy, yy, major, minor,
-        )  # fmt: skip
+    def over_footprint(samples, fills, source, how, limits, start, i, j, u, v, c, major, minor, ax, ay):
+        if major > ONE:
+            return averaged(samples, fills, source, how, limits, start, i, j, u, v, c, major, minor, ax, ay)
+        return cubic(samples, fills, source, how, limits, start, i, j, u, v, c)
 
     return over_footprint
 
@@ -196,28 +191,28 @@ def _between(way: Way) -> Callable[..., Any]:
     radius = _f4(2.0 if smooth else 1.0)
 
     @device
-    def single(samples, fills, source, how, limits, table, picture, i, j, k, u, v, w, width, c,
-               kind, xx, xy, yy, major, minor, counts):  # fmt: skip
+    def single(samples, fills, source, how, limits, picture, i, j, k, u, v, w, width, c,
+               major, minor, ax, ay, counts):  # fmt: skip
         f = picture
         if way_nearest:
             f = index(k + int(w >= HALF))
-        return in_frame(samples, fills, source, how, limits, table, frame_at(source, f, counts), i, j, u, v, c,
-                        kind, xx, xy, yy, major, minor)  # fmt: skip
+        return in_frame(samples, fills, source, how, limits, frame_at(source, f, counts), i, j, u, v, c,
+                        major, minor, ax, ay)  # fmt: skip
 
     @device
-    def linear(samples, fills, source, how, limits, table, picture, i, j, k, u, v, w, width, c,
-               kind, xx, xy, yy, major, minor, counts):  # fmt: skip
-        a = in_frame(samples, fills, source, how, limits, table, frame_at(source, k, counts), i, j, u, v, c,
-                     kind, xx, xy, yy, major, minor)  # fmt: skip
+    def linear(samples, fills, source, how, limits, picture, i, j, k, u, v, w, width, c,
+               major, minor, ax, ay, counts):  # fmt: skip
+        a = in_frame(samples, fills, source, how, limits, frame_at(source, k, counts), i, j, u, v, c,
+                     major, minor, ax, ay)  # fmt: skip
         if counted and w == ZERO:  # the next one may be out of reach
             return a
-        b = in_frame(samples, fills, source, how, limits, table, frame_at(source, index(k + one), counts), i, j, u, v,
-                     c, kind, xx, xy, yy, major, minor)  # fmt: skip
+        b = in_frame(samples, fills, source, how, limits, frame_at(source, index(k + one), counts), i, j, u, v,
+                     c, major, minor, ax, ay)  # fmt: skip
         return (ONE - w) * a + w * b
 
     @device
-    def several(samples, fills, source, how, limits, table, picture, i, j, k, u, v, w, width, c,
-                kind, xx, xy, yy, major, minor, counts):  # fmt: skip
+    def several(samples, fills, source, how, limits, picture, i, j, k, u, v, w, width, c,
+                major, minor, ax, ay, counts):  # fmt: skip
         first, last = index(k - one), index(k + two)
         if average:
             reach = radius + HALF * width
@@ -227,8 +222,8 @@ def _between(way: Way) -> Callable[..., Any]:
             weight = time_weight(_f4(f - k) - w, width, smooth)
             if weight != ZERO:
                 start = frame_at(source, index(f), counts)
-                total += weight * in_frame(samples, fills, source, how, limits, table, start, i, j, u, v, c,
-                                           kind, xx, xy, yy, major, minor)  # fmt: skip
+                total += weight * in_frame(samples, fills, source, how, limits, start, i, j, u, v, c,
+                                           major, minor, ax, ay)  # fmt: skip
                 weights += weight
         return total / weights
 
@@ -241,10 +236,10 @@ def _between(way: Way) -> Callable[..., Any]:
 def _filtered(way: Way) -> Callable[..., Any]:
     between_frames, finished, place = _between(way), _finisher(way), placer(way.index)
     number, index, unsigned, stack = way.number, way.index, way.unsigned, way.between != NOTHING
-    over, antialias, average, alpha = way.filter in (AUTO, ANTIALIAS), way.filter == ANTIALIAS, way.average, way.alpha
+    over, average, alpha = way.filter == AUTO, way.average, way.alpha
 
     @device
-    def filtered(samples, fills, source, how, limits, table, picture, x, y, z, ux, uy, uz,
+    def filtered(samples, fills, source, how, limits, picture, x, y, z, ux, uy, uz,
                  xx, xy, yx, yy, tx, ty, tt, out, at, channel, counts):  # fmt: skip
         i, u = place(x, ux)
         j, v = place(y, uy)
@@ -256,22 +251,39 @@ def _filtered(way: Way) -> Callable[..., Any]:
                 k, w = index(min(max(k, how[EARLY]), how[LATE])), ZERO
             if average:
                 width = width_in_time(tx, ty, tt)
-        kind, major, minor = POINT, ONE, ONE
-        cxx, cxy, cyy = ONE, ZERO, ONE
+        major, minor, ax, ay = ONE, ONE, ONE, ZERO
         if over:
-            kind, cxx, cxy, cyy, major, minor = footprint(xx, xy, yx, yy, antialias)
+            major, minor, ax, ay = footprint(xx, xy, yx, yy)
         opacity = number(1.0)
         if alpha:
-            opacity = between_frames(samples, fills, source, how, limits, table, picture, i, j, k, u, v, w, width,
-                                     how[ALPHA], kind, cxx, cxy, cyy, major, minor, counts)  # fmt: skip
+            opacity = between_frames(samples, fills, source, how, limits, picture, i, j, k, u, v, w, width,
+                                     how[ALPHA], major, minor, ax, ay, counts)  # fmt: skip
         for c in range(source[CHANNELS]):
             value = opacity
             if not alpha or c != how[ALPHA]:
-                value = between_frames(samples, fills, source, how, limits, table, picture, i, j, k, u, v, w, width,
-                                       index(c), kind, cxx, cxy, cyy, major, minor, counts)  # fmt: skip
+                value = between_frames(samples, fills, source, how, limits, picture, i, j, k, u, v, w, width,
+                                       index(c), major, minor, ax, ay, counts)  # fmt: skip
             out[unsigned(index(at + index(c * channel)))] = finished(value, opacity, c, how, limits)
 
     return filtered
+
+
+@functools.cache
+def keeper(way: Way) -> Callable[..., Any]:
+    """Return the device function that copies a pixel that nothing moves, bit for bit, and takes what `colour` does."""
+    if way.filter in (MAP, OFFSETS):
+        return _map(way)
+    frame_at, index, unsigned = frame_finder(way), way.index, way.unsigned
+
+    @device
+    def keep(samples, fills, source, how, limits, picture, x, y, z, ux, uy, uz,
+             xx, xy, yx, yy, tx, ty, tt, out, at, channel, counts):  # fmt: skip
+        first = index(index(frame_at(source, picture, counts) + index(y * source[ROW])) + index(x * source[COLUMN]))
+        for c in range(source[CHANNELS]):
+            sample = samples[unsigned(index(first + index(c * source[CHANNEL])))]
+            out[unsigned(index(at + index(c * channel)))] = sample
+
+    return keep
 
 
 @functools.cache

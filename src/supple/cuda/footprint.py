@@ -1,7 +1,10 @@
-"""Averages over what a pixel covers of a frame; see `supple.cpu.footprint` and `supple.cpu.filters`.
+"""Averages over the residual footprint of a pixel: what a sample of the source has not averaged already.
 
-What the CPU takes from a pyramid, a thread here averages as it goes: of squares of more than FINEST_SIDE samples a
-side, as many of them evenly apart.
+With M = ∂p/∂q, an output pixel covers an ellipse whose axes are the singular values of M. A sample of the source is an
+average over one pixel already, so that boxes of the widths √(λ - 1) are left, where λ are the eigenvalues of S = M Mᵀ.
+The cubic interpolant is averaged over them by spots along the major axis, each of four points with the right second
+moments. Where even the minor axis is long, spots lie in a level of a pyramid, whose samples are averaged as they are
+read: of squares of more than FINEST_SIDE samples a side, as many of them evenly apart.
 """
 
 from __future__ import annotations
@@ -12,157 +15,184 @@ from typing import Any
 
 import numpy as np
 
-from supple.cpu.filters import MOST_TAPS
-from supple.cpu.footprint import (
-    ENTRY,
-    FADE_ANTIALIAS,
-    FADE_AUTO,
-    FINEST,
-    OBLIQUE,
-    PADDED,
-    PLACES,
-    STEPS,
-    TAPS,
-    WIDEST,
-    covariance,
-    shrinking,
-)
-from supple.cpu.kernel import lean
-from supple.cuda.kernel import device
-from supple.cuda.sample import HEIGHT, WIDTH, Way, mapper
+from supple.cuda.kernel import device, lean
+from supple.cuda.sample import CONSTANT, HEIGHT, WIDTH, Way, keys, mapper
 
+SOFT, FULL = 0.05, 0.2  # λ₊ - 1 up to which a pixel is a point, and from which its footprint is not softened
+SPACING = 1.7  # between spots, at most
+MOST_SPOTS = 16
+THICKEST, WIDEST = 3.0, 2.99  # squared widths of a spot, along the major axis and across it, at most
+FINEST_LEVEL = 4.0  # λ₋ from which a level of the pyramid is too fine
+LONGEST = 400.0  # λ₊ of a spot's level, at most, as MOST_SPOTS allow
+LEVELS = 12
 FINEST_SIDE = 16
-POINT, BOX, LONG = 0, 1, 2
 
 _f4 = np.float32
-ZERO, HALF, ONE = _f4(0.0), _f4(0.5), _f4(1.0)
-_STEPS, _PLACES, _POINT, _MOST = _f4(STEPS), _f4(PLACES), _f4(FINEST * FINEST), _f4(WIDEST * WIDEST)
+ZERO, HALF, ONE, TWO, THREE = _f4(0.0), _f4(0.5), _f4(1.0), _f4(2.0), _f4(3.0)
+_SOFT, _RAMP, _SPACING = _f4(SOFT), _f4(FULL / (FULL - SOFT)), _f4(SPACING)
+_THICKEST, _WIDEST = _f4(THICKEST), _f4(WIDEST)
+_COARSE, _LONGEST, _TWELFTH, _MOST_SIGMA = _f4(FINEST_LEVEL), _f4(LONGEST), _f4(1.0 / 12.0), _f4(0.4999)
+_QUARTER, _FOUR = _f4(0.25), _f4(4.0)
+_FADE, _RISE = _f4(0.75), _f4(3.2)  # of the next spot, and of the next level
 
 
 @lean
-def footprint(xx, xy, yx, yy, antialias):
-    """How a pixel is filtered, and its footprint: covariance and its eigenvalues.
-
-    Of ∂p/∂q, in the plane. It fades to a point where the map does not shrink.
-    """
-    a, b, c, major, minor = covariance(xx, xy, yx, yy)
-    share = shrinking(major, FADE_ANTIALIAS if antialias else FADE_AUTO)
-    major, minor = major * share, max(minor, ZERO) * share
-    a, b, c = a * share, b * share, c * share
-    kind = LONG
-    if major <= _MOST and abs(b) <= _f4(OBLIQUE):
-        kind = POINT if a < _POINT and c < _POINT else BOX
-    return kind, a, b, c, major, minor
-
-
-@lean
-def long_boxes(xx, xy, yy, major, minor):
-    """Of a long footprint: how many samples its squares have a side, its boxes, its axis, and their squared widths."""
-    unit = 1
-    while unit < 4096 and minor > _f4(WIDEST * WIDEST) * _f4(unit) * _f4(unit):
-        unit *= 2
-    ax, ay = major - yy, xy
-    if xx < yy:
-        ax, ay = xy, major - xx
-    size = math.sqrt(ax * ax + ay * ay)
-    root = math.sqrt(major)
-    if size > _f4(1e-12):
-        ax, ay = ax / size * root, ay / size * root
+def footprint(xx, xy, yx, yy):
+    """λ₊ and λ₋, softened and 1 at least, and the direction of the major axis, of ∂p/∂q in the plane."""
+    a, b, c = xx * xx + xy * xy, xx * yx + xy * yy, yx * yx + yy * yy
+    mean, e = HALF * (a + c), HALF * (a - c)
+    d = math.sqrt(e * e + b * b)
+    major, minor = mean + d, max(mean - d, ONE)
+    extra = major - ONE
+    if extra <= _SOFT:
+        return ONE, ONE, ONE, ZERO
+    soft = min(_RAMP * (extra - _SOFT) / extra, ONE)
+    # The double of the axis's angle has the cosine e / d and the sine b / d.
+    cos2, sin2 = (e / d, b / d) if d > ZERO else (ONE, ZERO)
+    if cos2 >= ZERO:
+        ax = math.sqrt(HALF * (ONE + cos2))
+        ay = HALF * sin2 / ax
     else:
-        ax, ay = root, ZERO
-    count = min(max(2, int(math.ceil(min(root, _f4(1e6)) / (_f4(1.5) * _f4(unit))))), MOST_TAPS)
-    # What the boxes' spread does not average, and the squares have not, is left to each box.
-    spread = ONE - ONE / _f4(count * count)
-    had = _f4(unit) * _f4(unit) - ONE
-    box_x = min(max(xx - spread * ax * ax - had, ZERO) / (_f4(unit) * _f4(unit)), _MOST)
-    box_y = min(max(yy - spread * ay * ay - had, ZERO) / (_f4(unit) * _f4(unit)), _MOST)
-    return unit, count, ax, ay, box_x, box_y
+        ay = math.sqrt(HALF * (ONE - cos2))
+        ax = HALF * sin2 / ay
+    return ONE + soft * extra, ONE + soft * (minor - ONE), ax, ay
 
 
 @lean
-def entry(place, squared):
-    """Where the entry of the table that is nearest is, and how many steps away, by place and by squared width."""
-    p, v = place * _PLACES, squared * _STEPS
-    i, j = min(max(int(p + HALF), 0), PLACES), int(v + HALF)
-    return (j * (PLACES + 1) + i) * ENTRY, p - _f4(i), v - _f4(j)
+def smoothstep(t):
+    """From 0 to 1, for t from 0 to 1; 0 and 1 beyond."""
+    t = min(max(t, ZERO), ONE)
+    return t * t * (THREE - TWO * t)
 
 
-@device
-def weight(table, at, by_place, by_width):
-    """What a sample weighs."""
-    return table[at] + by_place * table[at + PADDED] + by_width * table[at + 2 * PADDED]
+@lean
+def finest_level(major, minor, side):
+    """The level of the pyramid that a footprint needs, and how much of the next one is mixed in.
+
+    The coarsest level of a picture, which is ``side`` samples long, is one sample.
+    """
+    want, level = max(minor, major / _LONGEST), 0
+    while want >= _COARSE and (1 << level) < side and level < LEVELS:
+        want *= _QUARTER
+        level += 1
+    mixed = smoothstep((want - _RISE) / (_COARSE - _RISE)) if (1 << level) < side and level < LEVELS else ZERO
+    return level, mixed
+
+
+@lean
+def spots_along(major):
+    """How long a footprint is in its level, how many spots that takes, and how much of one more is mixed in."""
+    long = math.sqrt(max(major - ONE, ZERO))
+    v = min(long / _SPACING, _f4(MOST_SPOTS))
+    count = min(int(v) + 1, MOST_SPOTS)
+    mixed = smoothstep(_FOUR * (v - _f4(count - 1) - _FADE)) if count < MOST_SPOTS else ZERO
+    return long, count, mixed
+
+
+@lean
+def spot_moments(long, count, minor, ax, ay):
+    """σx, σy and their correlation, of each of so many spots along an axis."""
+    along = min(long * long / _f4(count * count), _THICKEST)
+    wide = min(max(minor - ONE, ZERO), _WIDEST)
+    sx = min(math.sqrt(max(_TWELFTH * (along * ax * ax + wide * ay * ay), ZERO)), _MOST_SIGMA)
+    sy = min(math.sqrt(max(_TWELFTH * (along * ay * ay + wide * ax * ax), ZERO)), _MOST_SIGMA)
+    both = sx * sy
+    return sx, sy, _TWELFTH * (along - wide) * ax * ay / both if both > ZERO else ZERO
+
+
+@lean
+def even(t, sigma):
+    """Half the sum of the weights of a sample at the points ``sigma`` before and after one at a distance ``t``."""
+    return HALF * (keys(t + sigma) + keys(t - sigma))
+
+
+@lean
+def odd(t, sigma):
+    """Half their difference."""
+    return HALF * (keys(t - sigma) - keys(t + sigma))
 
 
 def averaged_at(way: Way, read: Callable[..., Any]) -> Callable[..., Any]:
-    """The average over a footprint that is no point, in a frame."""
+    """Return the device function that averages a frame over a footprint that is no point."""
     mapped, number, index = mapper(way), way.number, way.index
+    constant, one = way.rule == CONSTANT, index(1)
 
     @device
-    def square(samples, fills, source, how, limits, start, i, j, unit, c):
-        """The average of ``unit`` by ``unit`` samples."""
-        side = min(unit, FINEST_SIDE)
-        apart = unit // side
-        total = number(0.0)
-        for k in range(side):
-            y = mapped(index(j * unit + k * apart + apart // 2), source[HEIGHT])
-            for m in range(side):
-                x = mapped(index(i * unit + m * apart + apart // 2), source[WIDTH])
+    def sides(n, level):
+        """How many samples a row of a level has, whose finest has ``n``."""
+        return index((n + (1 << level) - 1) >> level)
+
+    @device
+    def member(i, k, level, n):
+        """The k-th of the samples in a row that a sample of a level averages; an odd row's last one stands for two."""
+        for finer in range(level - 1, -1, -1):
+            i = min(index(2 * i + ((k >> finer) & 1)), index(sides(n, finer) - one))
+        return i
+
+    @device
+    def pixel(samples, fills, source, how, limits, start, j, i, level, c):
+        """A sample of a level of the pyramid, at places that `mapper` made."""
+        if level == 0 or (constant and (start < 0 or i < 0 or j < 0)):
+            return read(samples, fills, source, how, limits, start, j, i, c)
+        side = 1 << level
+        apart = max(1, side // FINEST_SIDE)
+        total, many = number(0.0), side // apart
+        for m in range(many):
+            y = member(j, m * apart + apart // 2, level, source[HEIGHT])
+            for k in range(many):
+                x = member(i, k * apart + apart // 2, level, source[WIDTH])
                 total += read(samples, fills, source, how, limits, start, y, x, c)
-        return total / number(side * side)
+        return total / number(many * many)
 
     @device
-    def row(samples, fills, source, how, limits, start, i, j, unit, c, p, q, r, s, t, w):
-        if unit > 1:
-            return (
-                p * square(samples, fills, source, how, limits, start, i - 2, j, unit, c)
-                + q * square(samples, fills, source, how, limits, start, i - 1, j, unit, c)
-                + r * square(samples, fills, source, how, limits, start, i, j, unit, c)
-                + s * square(samples, fills, source, how, limits, start, i + 1, j, unit, c)
-                + t * square(samples, fills, source, how, limits, start, i + 2, j, unit, c)
-                + w * square(samples, fills, source, how, limits, start, i + 3, j, unit, c)
-            )
-        y, n = mapped(index(j), source[HEIGHT]), source[WIDTH]
-        total = p * read(samples, fills, source, how, limits, start, y, mapped(index(i - 2), n), c)
-        total += q * read(samples, fills, source, how, limits, start, y, mapped(index(i - 1), n), c)
-        total += r * read(samples, fills, source, how, limits, start, y, mapped(index(i), n), c)
-        total += s * read(samples, fills, source, how, limits, start, y, mapped(index(i + 1), n), c)
-        total += t * read(samples, fills, source, how, limits, start, y, mapped(index(i + 2), n), c)
-        return total + w * read(samples, fills, source, how, limits, start, y, mapped(index(i + 3), n), c)
+    def spot(samples, fills, source, how, limits, start, i, j, u, v, level, sx, sy, correlation, c):
+        """The mean of the cubic interpolant at four points around (i + u, j + v) in a level.
 
-    @device
-    def boxed(samples, fills, source, how, limits, table, start, i, j, u, v, box_x, box_y, unit, c):
-        """The cubic interpolant, integrated over a box around a point: a sum of samples, by the CPU's table."""
-        at, by_place, by_width = entry(u, box_x)
-        p, q = weight(table, at, by_place, by_width), weight(table, at + 1, by_place, by_width)
-        r, s = weight(table, at + 2, by_place, by_width), weight(table, at + 3, by_place, by_width)
-        t, w = weight(table, at + 4, by_place, by_width), weight(table, at + 5, by_place, by_width)
-        at, by_place, by_width = entry(v, box_y)
+        With even and odd parts of the weights along each axis, it is even(x) even(y) + ρ odd(x) odd(y).
+        """
+        n, rows = sides(source[WIDTH], level), sides(source[HEIGHT], level)
+        x0, x1, x2 = mapped(index(i - 2), n), mapped(index(i - 1), n), mapped(index(i), n)
+        x3, x4, x5 = mapped(index(i + 1), n), mapped(index(i + 2), n), mapped(index(i + 3), n)
+        p0, p1, p2 = even(u + TWO, sx), even(u + ONE, sx), even(u, sx)
+        p3, p4, p5 = even(u - ONE, sx), even(u - TWO, sx), even(u - THREE, sx)
+        q0, q1, q2 = odd(u + TWO, sx), odd(u + ONE, sx), odd(u, sx)
+        q3, q4, q5 = odd(u - ONE, sx), odd(u - TWO, sx), odd(u - THREE, sx)
         total = number(0.0)
-        for k in range(TAPS):
-            share = weight(table, at + k, by_place, by_width)
-            total += share * row(samples, fills, source, how, limits, start, i, j + k - 2, unit, c, p, q, r, s, t, w)
+        for k in range(6):
+            y = mapped(index(j + k - 2), rows)
+            t = v - _f4(k - 2)
+            a = pixel(samples, fills, source, how, limits, start, y, x0, level, c)
+            b = pixel(samples, fills, source, how, limits, start, y, x1, level, c)
+            d = pixel(samples, fills, source, how, limits, start, y, x2, level, c)
+            e = pixel(samples, fills, source, how, limits, start, y, x3, level, c)
+            f = pixel(samples, fills, source, how, limits, start, y, x4, level, c)
+            g = pixel(samples, fills, source, how, limits, start, y, x5, level, c)
+            total += even(t, sy) * (p0 * a + p1 * b + p2 * d + p3 * e + p4 * f + p5 * g)
+            total += correlation * odd(t, sy) * (q0 * a + q1 * b + q2 * d + q3 * e + q4 * f + q5 * g)
         return total
 
     @device
-    def averaged(
-        samples, fills, source, how, limits, table, start, i, j, u, v, c,
-        kind, xx, xy, yy, major, minor,
-    ):  # fmt: skip
-        if kind == BOX:
-            return boxed(samples, fills, source, how, limits, table, start, i, j, u, v, xx, yy, 1, c)
-        unit, count, ax, ay, box_x, box_y = long_boxes(xx, xy, yy, major, minor)
-        # Squares lie at whole multiples of their size.
-        i0, j0 = i // unit, j // unit
-        u0, v0 = _f4(i - i0 * unit) + u, _f4(j - j0 * unit) + v
+    def averaged(samples, fills, source, how, limits, start, i, j, u, v, c, major, minor, ax, ay):
+        finest, coarser = finest_level(major, minor, max(source[WIDTH], source[HEIGHT]))
         total = number(0.0)
-        for k in range(count):
-            t = (_f4(k) + HALF) / _f4(count) - HALF
-            x, y = (u0 + t * ax + HALF) / _f4(unit) - HALF, (v0 + t * ay + HALF) / _f4(unit) - HALF
-            m, n = int(math.floor(x)), int(math.floor(y))
-            total += boxed(
-                samples, fills, source, how, limits, table, start,
-                i0 + m, j0 + n, x - _f4(m), y - _f4(n), box_x, box_y, unit, c,
-            )  # fmt: skip
-        return total / number(count)
+        for level in range(finest, finest + (2 if coarser > ZERO else 1)):
+            of_level = ONE - coarser if level == finest else coarser
+            unit = _f4(1 << level)
+            long, least, more = spots_along(major / (unit * unit))
+            # Whole parts and the rest are kept apart: float32 does not hold both of a large picture.
+            i0, j0 = i >> level, j >> level
+            u0, v0 = (_f4(i - (i0 << level)) + u + HALF) / unit, (_f4(j - (j0 << level)) + v + HALF) / unit
+            for count in range(least, least + (2 if more > ZERO else 1)):
+                weight = of_level * (ONE - more if count == least else more) / _f4(count)
+                sx, sy, correlation = spot_moments(long, count, minor / (unit * unit), ax, ay)
+                for k in range(count):
+                    t = long * ((_f4(k) + HALF) / _f4(count) - HALF)
+                    x, y = u0 + t * ax - HALF, v0 + t * ay - HALF
+                    m, n = int(math.floor(x)), int(math.floor(y))
+                    total += weight * spot(
+                        samples, fills, source, how, limits, start, index(i0 + m), index(j0 + n),
+                        x - _f4(m), y - _f4(n), level, sx, sy, correlation, c,
+                    )  # fmt: skip
+        return total
 
     return averaged

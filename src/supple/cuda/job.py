@@ -1,4 +1,4 @@
-"""Warps of arrays that live on a card: at once, or handed over to be waited for."""
+"""Warps of arrays that live on a GPU: at once, or handed over to be waited for."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from supple.cpu.warp import Certificate
+from supple.certificate import Certificate
 from supple.cuda.arrays import OnCard, as_stream, is_on_card, made_like, stream_of, taken
 from supple.cuda.card import simulated
 from supple.cuda.sample import FRAMES
@@ -69,14 +69,14 @@ def checked(
     Raises
     ------
     SuppleError
-        If an argument does not fit, or the card cannot be used.
+        If an argument does not fit, or the GPU cannot be used.
     """
     space = spaces[0]
     given = taken(source, "source")
     if batch and len(spaces) not in (1, given.shape[0] if given.ndim else 0):
         refuse("deformations", f"one, or one for each of the {given.shape[0] if given.ndim else 0} items", len(spaces))
     shape = space.whole
-    check_known(sampling, given.dtype)
+    check_known(given.dtype)
     items = given.shape[1:] if batch else given.shape
     straight = checked_kind(items, given.dtype, shape, alpha, sampling.light)
     channels = items[-1] if len(items) > len(shape) else 1
@@ -90,12 +90,12 @@ def _like(given: OnCard) -> OnCard:
 
 
 def _checked_out(out: Any, source: OnCard) -> OnCard:
-    wanted = f"an array on the source's card, of {source.dtype} and shape {source.shape}, as the source is"
+    wanted = f"an array on the source's GPU, of {source.dtype} and shape {source.shape}, as the source is"
     if not is_on_card(out):
         refuse("out", wanted, out)
     target = taken(out, "out")
     if target.shape != source.shape or target.dtype != source.dtype or target.card.number != source.card.number:
-        refuse("out", wanted, f"{target.dtype} of shape {target.shape} on card {target.card.number}")
+        refuse("out", wanted, f"{target.dtype} of shape {target.shape} on GPU {target.card.number}")
     if not target.writable:
         raise SuppleError("out must be an array that can be written, found a read-only one")
     if 0 in (s for s, n in zip(target.strides, target.shape, strict=True) if n > 1):
@@ -114,32 +114,25 @@ class _Round:
     out: Frames
     planes: int
     shared: int = 0
-    still: bool = False  # what nothing moves is copied bit for bit
 
 
 def hand_over(work: Work, stream: Any, slab: int | None = None, *, waited: bool = False) -> Pieces:
     """Hand all of it over to a stream, without waiting; what is told of it is there when that is done.
 
-    ``slab`` is how many planes are handed over at once, so that what else the card has to do comes in between;
+    ``slab`` is how many planes are handed over at once, so that what else the GPU has to do comes in between;
     ``waited`` says that this thread waits for it next, on the stream of the source's library.
     """
     card, space, sampling = work.source.card, work.spaces[0], work.sampling
-    exact = replace(sampling, filter="nearest", between="nearest")
     with card.current():
         rounds = _rounds(work)
         fill = np.asarray(sampling.fill, np.float64)
         count, stack = rounds[0].source.places[FRAMES], space.ndim == 3
-        colours = {
-            still: colours_of(
-                card, work.source.dtype, fill, exact if still else sampling, alpha=work.alpha, count=count, stack=stack
-            )
-            for still in {r.still for r in rounds}
-        }
+        colours = colours_of(card, work.source.dtype, fill, sampling, alpha=work.alpha, count=count, stack=stack)
         planes = 1 if rounds[0].shared else rounds[0].planes
         pieces = (pieces_of if waited else Pieces)(work.out, [r.lattice for r in rounds], planes)
         for k, r in enumerate(rounds):
             make_planes(
-                card, stream, r.lattice, pieces, colours[r.still], space.shape, (0, r.planes), r.source, r.out,
+                card, stream, r.lattice, pieces, colours, space.shape, (0, r.planes), r.source, r.out,
                 tolerance=sampling.tolerance, shared=r.shared, fresh=k == 0, slab=slab,
             )  # fmt: skip
     return pieces
@@ -150,20 +143,9 @@ def _rounds(work: Work) -> list[_Round]:
     source, out = work.source.flat(), work.out.flat()
     if space.ndim == 2:
         count = work.source.shape[0] if work.batch else 1
-        lattice = lattice_of(card, work.spaces)
-        still = [k for k, s in enumerate(work.spaces) if s.table.size == 0]
         shared = count if work.batch and len(work.spaces) == 1 else 0
         whole = _frames(work, work.source, source), _frames(work, work.out, out)
-        if len(still) == len(work.spaces):
-            return [_Round(lattice, *whole, count, shared, still=True)]
-        alone = [lattice_of(card, work.spaces[k : k + 1]) for k in still]
-        return [
-            _Round(lattice, *whole, count, shared),
-            *(
-                _Round(own, _frames(work, work.source, source, k), _frames(work, work.out, out, k), 1, still=True)
-                for own, k in zip(alone, still, strict=True)
-            ),
-        ]
+        return [_Round(lattice_of(card, work.spaces), *whole, count, shared)]
     items = work.source.shape[0] if work.batch else 1
     lattices = [lattice_of(card, (s,)) for s in work.spaces]
     return [
@@ -172,7 +154,6 @@ def _rounds(work: Work) -> list[_Round]:
             _frames(work, work.source, source, k),
             _frames(work, work.out, out, k),
             space.count,
-            still=work.spaces[k % len(lattices)].table.size == 0,
         )
         for k in range(items)
     ]
@@ -187,7 +168,7 @@ def _frames(work: Work, array: OnCard, flat: Any, item: int | None = None) -> Fr
         count = array.shape[0]
     elif work.batch:
         start += (item or 0) * strides.pop(0)
-    if space.ndim == 2 and (not work.batch or item is not None):
+    if space.ndim == 2 and not work.batch:
         strides.insert(0, 0)
     if len(strides) == 3:
         strides.append(0)
@@ -200,7 +181,7 @@ _lock = threading.Lock()
 
 
 class Warping:
-    """A warp that goes on on a card while others work: what `start` returns.
+    """A warp that goes on on a GPU while others work: what `start` returns.
 
     Attributes
     ----------
@@ -283,7 +264,7 @@ def start(work: Work, *, slab: int | None, stream: Any = None) -> Warping:
 
 
 def _over(event: Any) -> bool:
-    """Whether nothing is going on any more: it is done, or its card has failed."""
+    """Whether nothing is going on any more: it is done, or its GPU has failed."""
     if simulated():
         return True
     try:

@@ -1,4 +1,4 @@
-"""How kernels for NVIDIA cards are compiled and launched, and how many threads take what."""
+"""How kernels for NVIDIA GPUs are compiled and launched, and how many threads take what."""
 
 from __future__ import annotations
 
@@ -6,21 +6,30 @@ import threading
 from collections.abc import Callable
 from typing import Any
 
-from numba import cuda
+from numba import cuda, njit
 from numba.cuda.core import config
 
 THREADS = 128  # of a block
+# Inputs are checked to be finite outside the kernels, so that these may assume it.
+FAST = {"nnan", "ninf", "nsz", "arcp", "contract", "reassoc"}
 _lock = threading.Lock()
 
 
+def lean(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Compile plain arithmetic, which reads no array, as a part of kernels; in Numba's simulator it runs compiled."""
+    options: dict[str, Any] = {"nogil": True, "fastmath": FAST, "forceinline": True, "_nrt": False}
+    made: Callable[..., Any] = njit(error_model="numpy", **options)(function)
+    return made
+
+
 def device(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Compile as a part of kernels: what reads arrays. What does not is `supple.cpu.kernel.lean`."""
+    """Compile as a part of kernels what reads arrays."""
     made: Callable[..., Any] = cuda.jit(function, device=True)
     return made
 
 
 def kernel(function: Callable[..., Any]) -> Any:
-    """Compile for a card, when it is first called with arguments of some types, and keep that on disk."""
+    """Compile for a GPU, when it is first called with arguments of some types, and keep that on disk."""
     try:
         return cuda.jit(function, cache=True)
     except RuntimeError:  # nothing can be written: compile at every start

@@ -1,4 +1,4 @@
-"""Arrays of the host, warped on a card that need not hold them: slab by slab, through a ring of frames.
+"""Arrays of the host, warped on a GPU that need not hold them: slab by slab, through a ring of frames.
 
 A slab is some planes of the result. The frames that it may need, as the nodes of its lattice tell, are sent into the
 ring, where they replace those that no slab needs any more; while its kernels run, the slab before is brought back, and
@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from supple.cpu.warp import Certificate
+from supple.certificate import Certificate
 from supple.cuda.arrays import taken
 from supple.cuda.card import Card, failures
 from supple.cuda.lattice import LIST, MISSING, NODE
@@ -79,7 +79,7 @@ def warp_host(
     tell : function
         Called with the number of planes done.
     room : int, optional
-        How many bytes of the card's memory may be taken; by default, most of what is free.
+        How many bytes of the GPU's memory may be taken; by default, most of what is free.
 
     Returns
     -------
@@ -97,25 +97,42 @@ def warp_host(
     array, straight = checked_source(source, shape, alpha, sampling.light)
     channels = array.shape[-1] if array.ndim > len(shape) else 1
     colours = checked_fill(sampling.fill, channels, array.dtype)
-    check_known(sampling, array.dtype)
+    check_known(array.dtype)
     result = result_like(out, array)
-    if space.table.size == 0:
-        result[...] = array
-        tell(1 if space.ndim == 2 else space.count)
-        return result, Certificate(0.0, 0.0)
     # Where the last axis is missing, or the first, a view has it: what is written to it is in the result.
     deep, target = (a[None] if space.ndim == 2 else a for a in (array, result))
     deep, target = (a if a.ndim == 4 else a[..., None] for a in (deep, target))
+    moved = reached(space)
+    for z in np.flatnonzero(~moved):
+        target[z] = deep[z]
+    if not moved.all():
+        tell(int((~moved).sum()))
+    if not moved.any():
+        return result, Certificate(0.0, 0.0)
     with _working, card.current():
         most = int(ROOM * card.free) if room is None else room
         with _opened(card, deep, target, space, replace(sampling, fill=tuple(colours.tolist())), straight, most) as job:
-            job.run(tell)
+            job.run(moved, tell)
     return result, job.certificate
+
+
+def reached(space: Space) -> npt.NDArray[np.bool_]:
+    """Return for each plane whether it meets the ball of a stroke: the others are not moved at all."""
+    z = np.arange(space.count) * space.axes[2, 2]
+    apart = np.abs(z[:, None] - space.table["pivot"][:, 2])
+    return np.asarray((apart < space.table["reach"]).any(axis=1))
+
+
+def slabs_of(planes: npt.NDArray[np.bool_], most: int) -> Iterator[Range]:
+    """Yield the stretches of planes that are marked, from and to, no longer than ``most``."""
+    edges = np.flatnonzero(np.diff(planes, prepend=False, append=False))
+    for first, last in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
+        yield from itertools.pairwise([*range(first, last, most), last])
 
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """How a card's memory is shared out.
+    """How a GPU's memory is shared out.
 
     Parameters
     ----------
@@ -173,7 +190,7 @@ class _Slab:
 
 @dataclass(slots=True, eq=False)
 class _Job:
-    """A warp, and what it has on the card."""
+    """A warp, and what it has on the GPU."""
 
     card: Card
     target: Array
@@ -191,15 +208,14 @@ class _Job:
     begun: int = 0
     certificate: Certificate = field(default_factory=lambda: Certificate(0.0, 0.0))
 
-    def run(self, tell: Tell) -> None:
-        """Make all planes."""
+    def run(self, planes: npt.NDArray[np.bool_], tell: Tell) -> None:
+        """Make the planes that are marked."""
         count = len(self.target)
         if count > 1:
             self.needs = needs_of(self.stream, self.lattice, self.pieces, count, self.sampling, self.colours.how)
-        edges = [*range(0, count, self.plan.planes), count]
-        todo = deque(itertools.pairwise(edges))
+        todo = deque(slabs_of(planes, self.plan.planes))
         before: _Slab | None = None
-        done = 0
+        done = int((~planes).sum())
         while todo or before:
             slab = self._begin(todo) if todo else None
             if before and self._finished(before):
@@ -264,7 +280,7 @@ class _Job:
 def _opened(
     card: Card, source: Array, target: Array, space: Space, sampling: Sampling, alpha: bool, room: int
 ) -> Iterator[_Job]:
-    """What a warp has on the card; nothing of it goes on when that is left."""
+    """What a warp has on the GPU; nothing of it goes on when that is left."""
     from numba import cuda
 
     count, height, width, channels = source.shape

@@ -1,37 +1,97 @@
-"""T⁻¹ on planes: solved at the nodes of a lattice, filled in between, and certified; see `supple.cpu.lattice`.
+"""T⁻¹ on planes: solved at the nodes of a lattice, filled in between, and certified.
 
-A thread solves a node from nothing, in float64; cards have so many threads that the cells can be small, and those that
+At a node, Newton's method gives the displacement u = T⁻¹(q) - q and, exactly, its derivatives ∂u/∂q = (I+J)⁻¹ - I.
+A cell between four nodes is filled by bicubic Hermite interpolation of values, slopes and twists. It is checked: T of
+nine of its points is compared with where they should be, and the residual, times ∂p/∂q, is the distance to T⁻¹(q).
+
+A thread solves a node from nothing, in float64; GPUs have so many threads that the cells can be small, and those that
 are not good enough, in which each pixel is solved by itself, are few. Cells are filled in float32: displacements are
 offsets from a whole pixel.
 
 A node is NODE numbers of float32, in pixels: u, the columns of ∂u/∂q, the twist ∂²u/∂x∂y, and its own error, which is
-ROUGH where the map varies over less than cells can follow.
+ROUGH where the map varies over less than cells can follow. A cell's error is STILL where no stroke reaches it.
 """
 
 from __future__ import annotations
 
+import itertools
 import math
 
 import numpy as np
+import numpy.typing as npt
 from numba import cuda
 
-from supple.cpu.kernel import lean
-from supple.cpu.lattice import AT_X, AT_Y, LEFT, RESERVE, RESOLVED, SEEN, TOLERANCE, slope_weights
-from supple.cpu.point import inverted
-from supple.cuda.field import DOMAIN, STROKE, carried, moved, product
-from supple.cuda.kernel import device, kernel
+from supple.cuda.field import (
+    DOMAIN,
+    EXTENT,
+    NEARNESS,
+    PROFILE,
+    SIGMA,
+    SPACING,
+    STROKE,
+    TERM,
+    Y_AXIS,
+    Z_AXIS,
+    carried,
+    inverted,
+    moved,
+    product,
+    still,
+)
+from supple.cuda.kernel import device, kernel, lean
 from supple.cuda.newton import undo
 
 SIZE = 8  # pixels from node to node
+# A node is done when Newton's next step is shorter than TOLERANCE, in pixels; that step is then taken, and leaves about
+# its square over the length on which the map varies: less than LEFT.
+TOLERANCE, LEFT = 1e-3, 1e-5
+# The largest error of a cell is nearly that of the worst of its nine points; the rest is reserve.
+RESERVE = 2.0
+# A cell may be as large as this part of the length on which the map varies at its corners: beyond, nine points say
+# little about what lies between them.
+RESOLVED = 0.5
+# m(|r|/R) varies over this part of R, as by its largest fourth derivative, compared with that of 1/ρ.
+REACH_LENGTH = 0.4
 U, X, Y, Z, TWIST, ERROR, NODE = 0, 3, 6, 9, 12, 15, 16
-ROUGH = 1e30
+ROUGH, STILL = 1e30, -1.0
 WORST = 0  # of the numbers that are told of a warp
 # Of its counts: rough cells, points that could not be solved, and samples that were not there; then, those cells.
 CELLS, LOST, MISSING, LIST = 0, 1, 2, 4
 
 _f4, _u = np.float32, np.uintp
-_SEEN_X, _SEEN_Y = AT_X.astype(_f4), AT_Y.astype(_f4)  # where cells are looked at
+# The points at which cells are checked.
+AT_X = np.array([0.5, 0.5, 0.0, 1.0, 0.5, 0.25, 0.75, 0.25, 0.75], _f4)
+AT_Y = np.array([0.0, 1.0, 0.5, 0.5, 0.5, 0.25, 0.25, 0.75, 0.75], _f4)
+SEEN = 9
 ZERO, ONE, TWO, THREE = _f4(0.0), _f4(1.0), _f4(2.0), _f4(3.0)
+
+
+def positions(n: int, axis: npt.NDArray[np.float64], size: int = SIZE) -> npt.NDArray[np.int32]:
+    """Return where the lattice has its nodes along an axis of ``n`` samples, no more than ``size`` apart.
+
+    Parameters
+    ----------
+    n, size : int
+    axis : float64 array
+        The row of the packed domain.
+    """
+    if n == 1:  # one sample alone still gets a cell, which reaches beyond the plane
+        return np.array([0, 1], np.int32)
+    # The border's influence has a kink where it ends. Few cells lie across it if they end there too.
+    extent, sigma, spacing = axis[[EXTENT, SIGMA, SPACING]]
+    kinks = [round(k / spacing) for k in (sigma, extent - sigma)] if sigma > 0 else []
+    ends = sorted({0, *(k for k in kinks if 0 < k < n - 1), n - 1})
+    return np.concatenate([*(np.arange(a, b, size) for a, b in itertools.pairwise(ends)), [n - 1]]).astype(np.int32)
+
+
+@lean
+def slope_weights(x0, x1, x2, x):
+    """The weights of three values in the derivative at x of the parabola through them, or of the line through two."""
+    if x2 == x1:
+        w = 1.0 / (x1 - x0)
+        return -w, w, 0.0
+    a, b, c = 1.0 / (x1 - x0), 1.0 / (x2 - x0), 1.0 / (x2 - x1)
+    return (2.0 * x - x1 - x2) * a * b, -(2.0 * x - x0 - x2) * a * c, (2.0 * x - x0 - x1) * b * c
 
 
 @lean
@@ -46,33 +106,40 @@ def in_pixels(a, b, c, d, e, f, g, h, k, sx, sy, sz):
     return a, b * sy / sx, c * sz / sx, d * sx / sy, e, f * sz / sy, g * sx / sz, h * sy / sz, k
 
 
+@lean
+def fade_length(x, extent, sigma, profile, u, v):
+    """The length over which a fixed border varies at a coordinate, whose derivatives by q are u and v."""
+    # The quartic's fourth derivative is four times the sine's; the kinks of both, no length resolves.
+    far = (2.0 if profile > 0.0 else 1.4) * max(sigma, min(x, extent - x))
+    return far / max(max(abs(u), abs(v)), 1e-12) if sigma > 0.0 else 1e300
+
+
 @device
 def smoothness(known, at, first, last, x, y, z, a, b, d, e, g, h):
     """How far, in output pixels, the map stays as smooth as it is at a point, of which the columns of ∂p/∂q are known.
 
-    A stroke varies over ρ, and its border, along each axis by itself, over σ or the distance to it: both are seen
-    through the derivative of the stroke's input by q.
+    A stroke varies over ρ, its reach over a part of R within its ball, and its border, along each axis by itself, over
+    σ or the distance to it: all are seen through the derivative of the stroke's input by q.
     """
     m00, m01, m02, m10, m11, m12, m20, m21, m22 = 1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0
-    u0, u1, u2 = a * known[at + 2], d * known[at + 5], g * known[at + 8]
-    v0, v1, v2 = b * known[at + 2], e * known[at + 5], h * known[at + 8]
+    j, k = at + Y_AXIS, at + Z_AXIS
+    u0, u1, u2 = a * known[at + SPACING], d * known[j + SPACING], g * known[k + SPACING]
+    v0, v1, v2 = b * known[at + SPACING], e * known[j + SPACING], h * known[k + SPACING]
     least = 1e300
     for s in range(first, last, STROKE):
         ux, uy, uz = m00 * u0 + m01 * u1 + m02 * u2, m10 * u0 + m11 * u1 + m12 * u2, m20 * u0 + m21 * u1 + m22 * u2
         vx, vy, vz = m00 * v0 + m01 * v1 + m02 * v2, m10 * v0 + m11 * v1 + m12 * v2, m20 * v0 + m21 * v1 + m22 * v2
-        size = max(ux * ux + uy * uy + uz * uz, vx * vx + vy * vy + vz * vz)
+        size = math.sqrt(max(ux * ux + uy * uy + uz * uz, vx * vx + vy * vy + vz * vz))
         rx, ry, rz = x - known[s], y - known[s + 1], z - known[s + 2]
-        least = min(least, math.sqrt((rx * rx + ry * ry + rz * rz + known[s + 7]) / size))
-        if known[at + 1] > 0.0:
-            # A quarter of a sine is smoother than a Kelvinlet; its kinks, no length resolves.
-            far = 2.0 * max(known[at + 1], min(x, known[at] - x))
-            least = min(least, far / max(max(abs(ux), abs(vx)), 1e-12))
-        if known[at + 4] > 0.0:
-            far = 2.0 * max(known[at + 4], min(y, known[at + 3] - y))
-            least = min(least, far / max(max(abs(uy), abs(vy)), 1e-12))
-        if known[at + 7] > 0.0:
-            far = 2.0 * max(known[at + 7], min(z, known[at + 6] - z))
-            least = min(least, far / max(max(abs(uz), abs(vz)), 1e-12))
+        r2 = rx * rx + ry * ry + rz * rz
+        length = math.sqrt(r2 + known[s + TERM])
+        if known[s + NEARNESS] > 0.0:
+            reach = 1.0 / math.sqrt(known[s + NEARNESS])
+            length = max(min(length, REACH_LENGTH * reach), math.sqrt(r2) - reach)
+        least = min(least, length / size)
+        least = min(least, fade_length(x, known[at + EXTENT], known[at + SIGMA], known[at + PROFILE], ux, vx))
+        least = min(least, fade_length(y, known[j + EXTENT], known[j + SIGMA], known[j + PROFILE], uy, vy))
+        least = min(least, fade_length(z, known[k + EXTENT], known[k + SIGMA], known[k + PROFILE], uz, vz))
         x, y, z, p, q, r, t, u, v, w, m, n = carried(known, at, s, x, y, z)
         m00, m01, m02, m10, m11, m12, m20, m21, m22 = product(
             p, q, r, t, u, v, w, m, n, m00, m01, m02, m10, m11, m12, m20, m21, m22
@@ -86,6 +153,12 @@ def deformation_of(spans, deformations, plane):
     which = plane if deformations > 1 else 0
     start = DOMAIN * deformations
     return DOMAIN * which, start + STROKE * spans[which], start + STROKE * spans[which + 1]
+
+
+@device
+def depth_of(known, at, plane):
+    """The coordinate z of a plane, in samples: 0 of an image, across which nothing moves."""
+    return 0.0 if known[at + Z_AXIS + SIGMA] == 0.0 else float(plane)
 
 
 @kernel
@@ -105,8 +178,8 @@ def solve(known, spans, deformations, xs, ys, planes, z0, fresh, nodes, told, co
         return
     plane, j, k = i // (ny * nx), i // nx % ny, i % nx
     at, first, last = deformation_of(spans, deformations, z0 + plane)
-    sx, sy, sz = known[at + 2], known[at + 5], known[at + 8]
-    depth = 0.0 if deformations > 1 else float(z0 + plane)
+    sx, sy, sz = known[at + SPACING], known[at + Y_AXIS + SPACING], known[at + Z_AXIS + SPACING]
+    depth = depth_of(known, at, z0 + plane)
     qx, qy, qz = xs[k] * sx, ys[j] * sy, depth * sz
     finest = min(sx, min(sy, sz))
     x, y, z, norm, done, _, a, b, c, d, e, f, g, h, m = undo(known, at, first, last, qx, qy, qz, TOLERANCE * finest)
@@ -160,11 +233,10 @@ def hermite(t):
 
 
 @lean
-def hermite_changes(t, step):
-    """The weights of half of what a cubic changes from ``t - step`` to ``t + step``: its central difference."""
-    r, more = ONE - t, step * step * step
-    rise = _f4(6.0) * t * r * step - (more + more)
-    return -rise, rise, r * (ONE - THREE * t) * step + more, t * (THREE * t - TWO) * step + more
+def hermite_slopes(t):
+    """The derivatives by t of those weights."""
+    rise = _f4(6.0) * t * (ONE - t)
+    return -rise, rise, (ONE - t) * (ONE - THREE * t), t * (THREE * t - TWO)
 
 
 @lean
@@ -213,7 +285,7 @@ def cell_error(known, at, first, last, nodes, upper, lower, x0, y0, z, h, k, s, 
     dy = across(ux0, uy0, ux1, uy1, ky, b, d, m, n)
     ux0, ux1, uy0, uy1 = column(nodes, upper, lower, 2, hx, v, w, g, r)
     dz = across(ux0, uy0, ux1, uy1, ky, b, d, m, n)
-    sx, sy, sz = known[at + 2], known[at + 5], known[at + 8]
+    sx, sy, sz = known[at + SPACING], known[at + Y_AXIS + SPACING], known[at + Z_AXIS + SPACING]
     qx, qy, qz = (x0 + s * h) * sx, (y0 + t * k) * sy, z * sz
     x, y, z = moved(known, at, first, last, qx + dx * sx, qy + dy * sy, qz + dz * sz)
     ex, ey, ez = (x - qx) / sx, (y - qy) / sy, (z - qz) / sz
@@ -237,18 +309,22 @@ def check(known, spans, deformations, xs, ys, planes, z0, tolerance, nodes, erro
         return
     plane, j, k = i // (tall * wide), i // wide % tall, i % wide
     at, first, last = deformation_of(spans, deformations, z0 + plane)
-    depth = 0.0 if deformations > 1 else float(z0 + plane)
+    depth = depth_of(known, at, z0 + plane)
     upper = ((plane * ny + j) * nx + k) * NODE
     lower = upper + nx * NODE
     x0, y0 = float(xs[k]), float(ys[j])
     h, v = float(xs[k + 1] - xs[k]), float(ys[j + 1] - ys[j])
+    sx, sy, sz = known[at + SPACING], known[at + Y_AXIS + SPACING], known[at + Z_AXIS + SPACING]
+    if still(known, first, last, x0 * sx, y0 * sy, (x0 + h) * sx, (y0 + v) * sy, depth * sz):
+        errors[i] = STILL
+        return
     own = max(
         max(nodes[upper + ERROR], nodes[upper + NODE + ERROR]),
         max(nodes[lower + ERROR], nodes[lower + NODE + ERROR]),
     )
     worst = 0.0
     if own < ROUGH:
-        seen_x, seen_y = cuda.const.array_like(_SEEN_X), cuda.const.array_like(_SEEN_Y)
+        seen_x, seen_y = cuda.const.array_like(AT_X), cuda.const.array_like(AT_Y)
         for m in range(SEEN):
             error = cell_error(known, at, first, last, nodes, upper, lower, x0, y0, depth, h, v, seen_x[m], seen_y[m])
             worst = max(worst, error)

@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from supple.cpu.between import LONGEST
-from supple.cpu.stack import SUPPORT
+from supple.cuda.colour import LONGEST, SUPPORT
 from supple.cuda.kernel import THREADS, blocks, launched
 from supple.cuda.lattice import solve
 from supple.cuda.reach import COVERED, FAR, FOUND, LEAST, MOST, bound

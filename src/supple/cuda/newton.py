@@ -1,6 +1,6 @@
 """T⁻¹ at a point, by one thread: Newton's method with backtracking, and a continuation where that struggles.
 
-The method is that of `supple.cpu.newton`, and so is the arithmetic (`supple.cpu.point`).
+Newton's step is δ = -(I+J)⁻¹ ξ for the residual ξ = T(p) - q. It is halved until it leads downhill.
 """
 
 from __future__ import annotations
@@ -9,25 +9,49 @@ import math
 
 from numba import cuda
 
-from supple.cpu.footprint import MOST_BEND
-from supple.cpu.kernel import lean
-from supple.cpu.point import SMALLEST_LENGTH, downhill, kept_inside, next_step
-from supple.cuda.field import DOMAIN, STROKE, moved, moved_with_matrix
-from supple.cuda.kernel import device, kernel
+from supple.cuda.field import DOMAIN, EXTENT, SIGMA, SPACING, STROKE, Y_AXIS, Z_AXIS, moved, moved_with_matrix
+from supple.cuda.kernel import device, kernel, lean
+
+SMALLEST_LENGTH = 2.0**-24  # of a step: halved as often, it leads nowhere
+DOWNHILL = 1e-4  # the part of its promised decrease by which a step must reduce a residual
 
 EXACT = 1e-9  # pixels: how long Newton's last step may be, for points
-CONVERGED = 1e-6  # pixels: what the residual of one that has converged is at most, as `supple.Inverse` says
+CONVERGED = 1e-6  # pixels: the largest residual of a point that has converged (`supple.Inverse`)
+
+
+@lean
+def kept_inside(x, q, extent, sigma):
+    """A coordinate, where a face is fixed, on its target's side of it: a face maps to itself."""
+    if sigma < 0.0:
+        return x
+    return q if q <= 0.0 or q >= extent else min(max(x, 0.0), extent)
+
+
+@lean
+def next_step(a, b, c, d, e, f, g, h, k, ex, ey, ez):
+    """Newton's step, of the matrix I+J, row by row, and the residual ξ."""
+    ca, cb, cc = e * k - f * h, f * g - d * k, d * h - e * g
+    scale = -1.0 / (a * ca + b * cb + c * cc)
+    return (
+        scale * (ca * ex + (c * h - b * k) * ey + (b * f - c * e) * ez),
+        scale * (cb * ex + (a * k - c * g) * ey + (c * d - a * f) * ez),
+        scale * (cc * ex + (b * g - a * h) * ey + (a * e - b * d) * ez),
+    )
+
+
+@lean
+def downhill(error, before, length):
+    """Whether a part of Newton's step led far enough down, by the squares of the residuals."""
+    return error <= before * (1.0 - DOWNHILL * length)
 
 
 @device
 def inside(known, at, x, y, z, qx, qy, qz):
     """A point, where faces are fixed, on its target's side of them."""
-    if known[at + 1] >= 0.0:
-        x = kept_inside(x, qx, known[at])
-    if known[at + 4] >= 0.0:
-        y = kept_inside(y, qy, known[at + 3])
-    if known[at + 7] >= 0.0:
-        z = kept_inside(z, qz, known[at + 6])
+    j, k = at + Y_AXIS, at + Z_AXIS
+    x = kept_inside(x, qx, known[at + EXTENT], known[at + SIGMA])
+    y = kept_inside(y, qy, known[j + EXTENT], known[j + SIGMA])
+    z = kept_inside(z, qz, known[k + EXTENT], known[k + SIGMA])
     return x, y, z
 
 
@@ -127,46 +151,6 @@ def settle(known, at, first, last, qx, qy, qz, x, y, z, tolerance, limit):
     return undo(known, at, first, last, qx, qy, qz, tolerance)
 
 
-@device
-def change(known, at, first, last, qx, qy, qz, px, py, pz, rise_x, rise_y, rise_z, sx, sy, k, count, tolerance):
-    """What T⁻¹ changes by from the k-th of so many pixels to the next, by differences, as the CPU's.
-
-    (sx, sy) leads to the next pixel, and (rise_x, rise_y, rise_z) is about what p changes by. At an end, it is the
-    difference that there is; and apart from it, what the cubic through four pixels adds to it.
-    """
-    if count == 1:
-        return sx, sy, 0.0, 0.0, 0.0, 0.0
-    near, end = -1 if k == count - 1 else 1, k == 0 or k == count - 1
-    x, y, z, _, _, _, _, _, _, _, _, _, _, _, _ = settle(
-        known, at, first, last, qx + near * sx, qy + near * sy, qz,
-        px + near * rise_x, py + near * rise_y, pz + near * rise_z, tolerance, 10,
-    )  # fmt: skip
-    cx, cy, cz = near * (x - px), near * (y - py), near * (z - pz)
-    if end and count < 4:
-        return cx, cy, cz, 0.0, 0.0, 0.0
-    bx, by, bz = (cx, cy, cz) if end else (0.0, 0.0, 0.0)
-    for m in range(2, 4 if end else 3):
-        # Two pixels and three away from an end; elsewhere, the other neighbour.
-        step = m * near if end else -1
-        gx, gy, gz = x, y, z
-        x, y, z, _, _, _, _, _, _, _, _, _, _, _, _ = settle(
-            known, at, first, last, qx + step * sx, qy + step * sy, qz,
-            px + step * rise_x, py + step * rise_y, pz + step * rise_z, tolerance, 10,
-        )  # fmt: skip
-        if end:
-            share = near * (-1.5 if m == 2 else 0.5)
-            bx, by, bz = bx + share * (x - gx), by + share * (y - gy), bz + share * (z - gz)
-        else:
-            cx, cy, cz = 0.5 * (gx - x), 0.5 * (gy - y), 0.5 * (gz - z)
-    return cx, cy, cz, bx, by, bz
-
-
-@lean
-def bent(change, bend, unit):
-    """A change in pixels, with what is added to it at an end, as far as that may count."""
-    return (change + min(max(bend, -MOST_BEND * unit), MOST_BEND * unit)) / unit
-
-
 @kernel
 def inverse(known, spans, ndim, targets, finest, points, residual, steps, converged):
     """T⁻¹ of points (N * ndim numbers, in pixels), with |T(p) - q| in pixels, the evaluations, and whether it is small.
@@ -177,7 +161,7 @@ def inverse(known, spans, ndim, targets, finest, points, residual, steps, conver
     o = i * ndim
     if o >= targets.size:
         return
-    sx, sy, sz = known[2], known[5], known[8]
+    sx, sy, sz = known[SPACING], known[Y_AXIS + SPACING], known[Z_AXIS + SPACING]
     first, last = DOMAIN + STROKE * spans[0], DOMAIN + STROKE * spans[1]
     qx, qy, qz = float(targets[o]) * sx, float(targets[o + 1]) * sy, 0.0
     if ndim == 3:

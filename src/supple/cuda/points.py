@@ -1,4 +1,4 @@
-"""Points on a card, through a deformation, and the map of all of them."""
+"""Points on a GPU, through a deformation, and the map of all of them."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from supple.cpu.warp import Certificate
+from supple.certificate import Certificate
 from supple.cuda import field, newton
 from supple.cuda.arrays import OnCard, contiguous, made_like, plain, taken
 from supple.cuda.colour import FILTERS, NOTHING
@@ -22,7 +22,7 @@ def _columns(points: Any, ndim: int) -> OnCard:
     if given.ndim == 0 or given.shape[-1] != ndim:
         refuse("points", f"an array of shape (..., {ndim}), x first", f"shape {given.shape}")
     if given.dtype not in (np.float32, np.float64):
-        refuse("points", "an array on a card of float32 or float64", f"dtype {given.dtype}")
+        refuse("points", "an array on a GPU of float32 or float64", f"dtype {given.dtype}")
     return contiguous(given)
 
 
@@ -86,7 +86,7 @@ def inverse_map(space: Space, like: Any, tolerance: float, *, offsets: bool = Fa
         pieces = Pieces(out, [lattice], space.count)
         nothing = held(card, np.zeros(1, np.float32))
         way = Way(FILTERS["offsets" if offsets else "map"], NOTHING)
-        colours = Colours(way, nothing, (-1, 0, 0), (0.0, 0.0, 1.0), nothing)
+        colours = Colours(way, nothing, (-1, 0, 0), (0.0, 0.0, 1.0))
         source = Frames(nothing, (space.count, *space.shape, space.ndim, 0, 0, 0, 0, 0, 0, space.count, 0, space.count))
         into = Frames(out.flat(), (space.count, *space.shape, space.ndim, *strides, 0, 0, space.count, 0, space.count))
         make_planes(

@@ -7,8 +7,7 @@ import math
 import numpy as np
 from numba import cuda
 
-from supple.cpu.kernel import lean
-from supple.cuda.kernel import kernel
+from supple.cuda.kernel import kernel, lean
 from supple.cuda.lattice import NODE, U, X, Y, Z
 
 # Of a plane: the least and the largest displacement in time, and how many frames a pixel covers at most.

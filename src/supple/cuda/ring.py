@@ -1,4 +1,4 @@
-"""Frames of the host on a card: as many as there is room for, those that are needed next in the place of older ones."""
+"""Frames of the host on a GPU: as many as there is room for, those that are needed next in the place of older ones."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class Ring:
         self._waited = -1
 
     def send(self, low: int, high: int, stream: Any) -> Frames:
-        """Have frames on the card before what is handed over to a stream next.
+        """Have frames on the GPU before what is handed over to a stream next.
 
         Parameters
         ----------

@@ -16,9 +16,7 @@ from typing import Any
 import numpy as np
 from numba import cuda
 
-from supple.cpu.kernel import lean
-from supple.cpu.region import CONSTANT, EDGE
-from supple.cuda.kernel import device
+from supple.cuda.kernel import device, lean
 from supple.cuda.lattice import MISSING
 
 # How many frames the clip has, and its size; strides, and the first sample, in samples; which frames are here, from and
@@ -27,12 +25,16 @@ SOURCE = ("frames", "height", "width", "channels", "frame", "row", "column", "ch
           "first", "last", "shift", "slots")  # fmt: skip
 FRAMES, HEIGHT, WIDTH, CHANNELS, FRAME, ROW, COLUMN, CHANNEL, START, FIRST, LAST, SHIFT, SLOTS = range(len(SOURCE))
 # How they are worked with: which channel is opacity, if any; beyond which times nothing changes any more. The bounds of
-# the type, and what opaque and white are: see `supple.cpu.region.store`.
+# the type, and what opaque and white are.
 ALPHA, EARLY, LATE = range(3)
 LOW, HIGH, WHITE = range(3)
+EDGE, CONSTANT, REFLECT = range(3)
+OUTSIDE = {"edge": EDGE, "constant": CONSTANT, "reflect": REFLECT}
+SHARPNESS = -0.75  # Keys's a: the slope of his cubic at a distance of 1
 
 _f4 = np.float32
-HALF, ONE, TWO, THREE, FOUR, FIVE = _f4(0.5), _f4(1.0), _f4(2.0), _f4(3.0), _f4(4.0), _f4(5.0)
+ZERO, ONE, TWO = _f4(0.0), _f4(1.0), _f4(2.0)
+_A, _A2, _A3 = _f4(SHARPNESS), _f4(SHARPNESS + 2.0), _f4(SHARPNESS + 3.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,7 +46,7 @@ class Way:
     filter, between : int
         One of `supple.cuda.colour.FILTERS`, and of BETWEEN.
     rule : int
-        What lies outside: one of `supple.cpu.sampling.OUTSIDE`.
+        What lies outside: one of OUTSIDE.
     average : bool
         Whether pixels are averaged over the time that they cover.
     number : type
@@ -57,6 +59,8 @@ class Way:
         Whether a channel is opacity, and whether light is averaged.
     ring : bool
         Whether only some frames are here.
+    limited : bool
+        Whether there may be pixels that no stroke reaches, which are copied.
     """
 
     filter: int
@@ -69,6 +73,7 @@ class Way:
     alpha: bool = False
     light: bool = False
     ring: bool = False
+    limited: bool = False
 
     @property
     def unsigned(self) -> Any:
@@ -115,14 +120,12 @@ def placer(index: Any) -> Callable[..., Any]:
 
 
 @lean
-def cubic_weights(t):
-    """Catmull and Rom's, of the four samples around a point."""
-    return (
-        HALF * t * ((TWO - t) * t - ONE),
-        HALF * t * t * (THREE * t - FIVE) + ONE,
-        HALF * t * ((FOUR - THREE * t) * t + ONE),
-        HALF * t * t * (t - ONE),
-    )
+def keys(t):
+    """Keys's cubic at a distance from a sample."""
+    x = abs(t)
+    near = (_A2 * x - _A3) * x * x + ONE
+    far = _A * (x - ONE) * (TWO - x) * (TWO - x)
+    return near if x <= ONE else (far if x < TWO else ZERO)
 
 
 @lean
@@ -236,8 +239,8 @@ def cubic_at(way: Way, read: Callable[..., Any]) -> Callable[..., Any]:
         x2, x3 = mapped(index(i + one), n), mapped(index(i + two), n)
         y0, y1 = mapped(index(j - one), m), mapped(j, m)
         y2, y3 = mapped(index(j + one), m), mapped(index(j + two), m)
-        p, q, r, s = cubic_weights(u)
-        a, b, d, e = cubic_weights(v)
+        p, q, r, s = keys(u + ONE), keys(u), keys(ONE - u), keys(TWO - u)
+        a, b, d, e = keys(v + ONE), keys(v), keys(ONE - v), keys(TWO - v)
         return (
             a * row(samples, fills, source, how, limits, start, y0, x0, x1, x2, x3, c, p, q, r, s)
             + b * row(samples, fills, source, how, limits, start, y1, x0, x1, x2, x3, c, p, q, r, s)

@@ -1,6 +1,6 @@
-"""Copies between arrays of any kind on the host and a card, through memory that is pinned, so that nobody waits.
+"""Copies between arrays of any kind on the host and a GPU, through memory that is pinned, so that nobody waits.
 
-Copies go in pieces through two buffers each way: while the card copies one, the host's cores fill or empty the other.
+Copies go in pieces through two buffers each way: while the GPU copies one, the host's cores fill or empty the other.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from supple.cpu.kernel import share, threads
+from supple.workers import share, threads
 
 Array = npt.NDArray[Any]
 Part = tuple[slice, slice]
@@ -60,12 +60,12 @@ def copied(source: Array, target: Array) -> None:
 
 
 class Lane:
-    """One way between the host and a card: a stream, and two buffers that take turns.
+    """One way between the host and a GPU: a stream, and two buffers that take turns.
 
     Parameters
     ----------
     dtype : numpy.dtype
-        Of the host's samples, in native byte order; a card has those of bool as bytes.
+        Of the host's samples, in native byte order; a GPU has those of bool as bytes.
     shape : (int, int)
         Rows of a frame, and samples in a row.
     piece : int
@@ -99,7 +99,7 @@ class Lane:
             Of one axis, as long as ``source``.
         """
         buffer, event = self._next()
-        event.synchronize()  # what it held is on the card
+        event.synchronize()  # what it held is on the GPU
         held = buffer[: source.size]
         copied(source, held.view(self.dtype).reshape(source.shape))
         to.copy_to_device(held, stream=self.stream)

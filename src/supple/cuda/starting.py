@@ -35,13 +35,13 @@ def start(
     stream: Any = None,
     out: Any = None,
 ) -> job.Warping:
-    """Hand a warp over to a card, and go on at once.
+    """Hand a warp over to a GPU, and go on at once.
 
     It begins when what was handed over to the source's stream before is done, and goes on beside what comes after.
 
     Parameters
     ----------
-    source : array on a card
+    source : array on a GPU
         As `supple.Deformation.warp` takes it; or a batch (N, …).
     deformations : Deformation or sequence of Deformation
         One; or a sequence for a batch, of one for all, or of N.
@@ -52,7 +52,7 @@ def start(
         By default, as many as need 256 MB beside the arrays.
     stream : stream of PyTorch, CuPy or Numba, optional
         Where it goes on, if not on a stream of its own.
-    out : array on the same card, optional
+    out : array on the same GPU, optional
         Where to put the result.
 
     Returns
@@ -64,7 +64,7 @@ def start(
     Raises
     ------
     SuppleError
-        If an argument does not fit, or the card cannot be used.
+        If an argument does not fit, or the GPU cannot be used.
     """
     batch = isinstance(deformations, Sequence)
     spaces = one_or_each(deformations)

@@ -1,4 +1,4 @@
-"""Arrays on a card, warped there: what is prepared once for a deformation, and what is done for each array.
+"""Arrays on a GPU, warped there: what is prepared once for a deformation, and what is done for each array.
 
 Planes are made some at a time, so that what they need beside the arrays stays small: their lattice is solved, its
 cells are checked, the good ones are filled, and the pixels of the others are solved. Nothing is waited for until all
@@ -16,18 +16,16 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from supple.cpu import footprint as footprints
-from supple.cpu.sampling import OUTSIDE, numbers_of
-from supple.cpu.stack import times_seen
-from supple.cpu.warp import Certificate, positions
+from supple.certificate import Certificate
 from supple.cuda.arrays import OnCard, made_like
 from supple.cuda.card import Card, simulated
 from supple.cuda.colour import BETWEEN, FILTERS, NOTHING
 from supple.cuda.field import packed
 from supple.cuda.fill import PIXELS, kernels
 from supple.cuda.kernel import THREADS, blocks, launched
-from supple.cuda.lattice import LIST, LOST, NODE, SIZE, WORST, check, solve, twist
-from supple.cuda.sample import FIRST, FRAME, FRAMES, LAST, START, Way
+from supple.cuda.lattice import LIST, LOST, NODE, WORST, check, positions, solve, twist
+from supple.cuda.numbers import numbers_of, times_seen
+from supple.cuda.sample import FIRST, FRAME, FRAMES, LAST, OUTSIDE, START, Way
 from supple.domain import refuse
 from supple.streaming import Sampling, Space
 
@@ -36,7 +34,7 @@ Floats = npt.NDArray[np.float64]
 
 SCRATCH = 256 << 20  # bytes, at most, beside the arrays
 _LONG = (1 << 31) - (1 << 24)  # samples, with room for sums
-_KEPT = 64  # small arrays that stay on the cards
+_KEPT = 64  # small arrays that stay on the GPUs
 _KEPT_LATTICES = 16
 _KEPT_PIECES = 32 << 20  # bytes, at most, of what a thread keeps beside its arrays
 
@@ -47,14 +45,14 @@ _lock = threading.Lock()
 
 
 def held(card: Card, array: Array) -> Any:
-    """A small array on a card; one with the same values that is there already is taken."""
+    """A small array on a GPU; one with the same values that is there already is taken."""
     from numba import cuda
 
     key = (card.number, array.dtype.str, array.shape, array.tobytes())
     with _lock:
         if key not in _held:
             with card.current():
-                # A stream of its own: what else the card has to do is not waited for.
+                # A stream of its own: what else the GPU has to do is not waited for.
                 stream = _uploads.get(card.number) or _uploads.setdefault(card.number, card.stream())
                 _held[key] = cuda.to_device(array, stream=stream)
                 stream.synchronize()
@@ -66,7 +64,7 @@ def held(card: Card, array: Array) -> Any:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Lattice:
-    """What kernels take of deformations of one shape, on a card.
+    """What kernels take of deformations of one shape, on a GPU.
 
     Parameters
     ----------
@@ -79,6 +77,8 @@ class Lattice:
     size : (int, int)
         Nodes: rows, and in a row.
     deformations : int
+    limited : bool
+        Whether there may be pixels that no stroke reaches.
     """
 
     known: Any
@@ -88,6 +88,7 @@ class Lattice:
     cells: Any
     size: tuple[int, int]
     deformations: int
+    limited: bool
 
     @property
     def nodes(self) -> int:
@@ -104,7 +105,7 @@ _lattices: OrderedDict[tuple[Any, ...], tuple[Lattice, tuple[Space, ...]]] = Ord
 
 
 def lattice_of(card: Card, spaces: Sequence[Space]) -> Lattice:
-    """Put deformations, all of one shape, on a card; those that were there last are taken as they are."""
+    """Put deformations, all of one shape, on a GPU; those that were there last are taken as they are."""
     # Their arrays never change, and are kept with what was made of them: they cannot become others.
     key = (card.number, spaces[0].shape, *((id(space.table), id(space.axes)) for space in spaces))
     with _lock:
@@ -122,19 +123,18 @@ def _new_lattice(card: Card, spaces: Sequence[Space]) -> Lattice:
     domains = [space.axes for space in spaces]
     axes = domains[0]
     if any(not np.array_equal(axes, other) for other in domains[1:]):
-        axes = np.array([[0.0, -1.0, 1.0]] * 3)  # no nodes where one of several borders ends: its cells are rough
+        axes = np.array([[0.0, -1.0, 1.0, 0.0]] * 3)  # no nodes where one of several borders ends: its cells are rough
     height, width = spaces[0].shape
-    xs, ys = (positions(n, axes[k], SIZE).astype(np.int32) for k, n in enumerate((width, height)))
+    xs, ys = (positions(n, axes[k]) for k, n in enumerate((width, height)))
     cells = np.clip(np.searchsorted(xs, np.arange(width), "right") - 1, 0, xs.size - 2).astype(np.int32)
     known, spans = packed([space.table for space in spaces], domains)
     there = [held(card, array) for array in (known, spans, xs, ys, cells)]
-    return Lattice(there[0], there[1], there[2], there[3], there[4], (ys.size, xs.size), len(spaces))
+    limited = any(np.isfinite(space.table["reach"]).all() for space in spaces)
+    return Lattice(there[0], there[1], there[2], there[3], there[4], (ys.size, xs.size), len(spaces), limited)
 
 
-def check_known(sampling: Sampling, dtype: np.dtype[Any]) -> None:
-    """Refuse what the card does not do; SuppleError says what it does."""
-    if sampling.filter == "ewa":
-        refuse("filter", '"antialias" or "auto" on a card ("ewa" is the CPU\'s reference)', "ewa")
+def check_known(dtype: np.dtype[Any]) -> None:
+    """Refuse types that kernels do not take; SuppleError says which they take."""
     if dtype.kind == "f" and dtype.itemsize not in (2, 4, 8):
         refuse("source", "an array of bool, integers or floats of 16, 32 or 64 bits", f"dtype {dtype}")
 
@@ -147,7 +147,6 @@ class Colours:
     fills: Any
     how: tuple[int, ...]
     limits: tuple[float, ...]
-    table: Any
 
 
 def colours_of(
@@ -175,8 +174,6 @@ def colours_of(
     numbers = numbers_of(kind, fill, alpha=opaque, light=light, white=1.0 if dtype == np.bool_ else None)
     early, late = times_seen(sampling.outside, count, sampling.time_filter)
     number = np.float64 if numbers.dtype == np.float64 else np.float32
-    wide = sampling.filter in ("auto", "antialias")
-    table = footprints.weights(np.dtype(np.float32)) if wide else np.zeros(1, np.float32)
     way = Way(
         FILTERS[sampling.filter],
         BETWEEN[sampling.between] if stack else NOTHING,
@@ -189,16 +186,15 @@ def colours_of(
     )
     return Colours(
         way,
-        held(card, fill.astype(kind) if nearest else numbers.inside),
+        held(card, fill.astype(kind) if nearest else numbers.fills),
         (numbers.alpha, int(early), int(late)),
-        (float(numbers.low), float(numbers.high), float(numbers.top)),
-        held(card, table),
+        (numbers.low, numbers.high, numbers.white),
     )
 
 
 @dataclass(frozen=True, slots=True)
 class Frames:
-    """Frames as they lie on a card: flat memory, and where in it; see `supple.cuda.sample.SOURCE`.
+    """Frames as they lie on a GPU: flat memory, and where in it; see `supple.cuda.sample.SOURCE`.
 
     Of a ``ring``, only some may be there; it is one even while all are, so that one kernel does for all of its planes.
     """
@@ -214,7 +210,7 @@ class Frames:
 
 
 class Pieces:
-    """What is needed beside the arrays, on a card: of a library's own memory, so that its streams know of it."""
+    """What is needed beside the arrays, on a GPU: of a library's own memory, so that its streams know of it."""
 
     def __init__(self, like: OnCard, lattices: Sequence[Lattice], planes: int) -> None:
         nodes, cells = max(known.nodes for known in lattices), max(known.cell_count for known in lattices)
@@ -271,10 +267,10 @@ def make_planes(
     rows, _ = lattice.size
     ring = source.ring or source.places[FIRST : LAST + 1] != (0, source.places[FRAMES])
     index = np.int64 if source.long or out.long else np.int32
-    fill, rough = kernels(replace(colours.way, index=index, ring=ring))
+    fill, rough = kernels(replace(colours.way, index=index, ring=ring, limited=lattice.limited))
     limits = tuple(map(colours.way.number, colours.limits))
     places, how = (tuple(map(index, numbers)) for numbers in (source.places, colours.how))
-    read = (source.samples, colours.fills, places, how, limits, colours.table)
+    read = (source.samples, colours.fills, places, how, limits)
     threads = min(THREADS, -(-width // 32) * 32)
     together = min(slab or pieces.together, pieces.together)
     if shared:
@@ -297,8 +293,9 @@ def make_planes(
         )  # fmt: skip
         common = (*read, out.samples, tuple(map(index, target)))
         launched(fill, (-(-width // threads), rows - 1, count), threads, stream)(
-            lattice.xs, lattice.ys, lattice.cells, pieces.nodes, pieces.errors, described, *common, pieces.counts
-        )
+            lattice.known, lattice.spans, lattice.xs, lattice.ys, lattice.cells, pieces.nodes, pieces.errors, described,
+            *common, pieces.counts,
+        )  # fmt: skip
         launched(rough, min(grid, cells), PIXELS, stream)(
             lattice.known, lattice.spans, lattice.xs, lattice.ys, pieces.nodes, described, tolerance, *common,
             pieces.told, pieces.counts,

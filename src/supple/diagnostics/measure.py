@@ -11,11 +11,12 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from supple.cpu import paper
-from supple.cpu.warp import Band, Certificate, Plane, absolute, each_band, measure, solve_plane
+from supple import _core, paper
+from supple.certificate import Certificate
 from supple.deformation import Deformation
 from supple.domain import integer, number
 from supple.errors import SuppleError
+from supple.native import measured
 
 Floats = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
@@ -133,10 +134,8 @@ def _pixels(deformation: Deformation, frame: int | None) -> tuple[int, Floats]:
     return every, q.reshape(*q.shape[:2], deformation.ndim)
 
 
-def _plane(deformation: Deformation, frame: int | None) -> Plane:
-    height, width = deformation.shape[-2:]
-    z = float(require_plane(deformation, frame))
-    return solve_plane(deformation._table, deformation._axes, (height, width), deformation.ndim, z)
+def _plan(deformation: Deformation, frame: int | None, tolerance: float) -> _core.Plan:
+    return deformation.space.plan(require_plane(deformation, frame), tolerance)
 
 
 def iterations(deformation: Deformation, frame: int | None = None) -> Iterations:
@@ -149,7 +148,7 @@ def iterations(deformation: Deformation, frame: int | None = None) -> Iterations
     exact = deformation.inverse(q)
     used = 0.0
     if not deformation.is_identity:
-        used = each_band(_plane(deformation, frame), 0.01, lambda band: None).evaluations
+        used = _plan(deformation, frame, 0.01).evaluations
     return Iterations(
         every=every,
         published=counts,
@@ -165,19 +164,11 @@ def residual(deformation: Deformation, frame: int | None = None, *, tolerance: f
     """The errors of the lattice map at a tolerance, in pixels, and what it certifies."""
     every, q = _pixels(deformation, frame)
     tolerance = number("tolerance", tolerance, "a number of pixels above 0", 1e-9, 1e9)
-    points = np.empty_like(q)
-
-    def keep(band: Band) -> None:
-        rows = np.empty((*band.points.shape[1:], deformation.ndim))
-        absolute(band, rows)
-        first = -band.top % every
-        taken = rows[first::every, ::every]
-        start = (band.top + first) // every
-        points[start : start + len(taken)] = taken
-
-    plane = _plane(deformation, frame)
-    each_band(plane, tolerance, keep)
-    certificate = Certificate(0.0, 0.0) if deformation.is_identity else measure(plane, tolerance)
+    plan = _plan(deformation, frame, tolerance)
+    whole = np.empty((*deformation.shape[-2:], deformation.ndim))
+    plan.points(whole)
+    points = whole[::every, ::every]
+    certificate = Certificate(0.0, 0.0) if deformation.is_identity else measured(plan, tolerance)
     return Errors(
         every=every,
         residual=np.asarray(np.linalg.norm(deformation.forward(points) - q, axis=-1)),

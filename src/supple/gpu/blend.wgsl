@@ -1,4 +1,4 @@
-// Between nodes, h apart, that know their values and slopes; see supple/cpu/blend.py.
+// Between nodes, h apart, that know their values and slopes; see _core/solid.hpp.
 
 // Along an axis, the line between two values is off by half of s (1 - s) h times what the slopes differ by.
 fn bent(a: vec3f, b: vec3f, slope_a: vec3f, slope_b: vec3f, s: f32, h: f32) -> vec3f {

@@ -1,4 +1,4 @@
-// T⁻¹ at a point: Newton's method with backtracking; see supple/cpu/newton.py.
+// T⁻¹ at a point: Newton's method with backtracking; see _core/newton.hpp.
 
 struct Found {
     offset: vec3f, // of the source point from q

@@ -1,4 +1,4 @@
-// The lattice of a volume: T⁻¹ solved at its nodes, and its cells looked at; see supple/cpu/solid.py.
+// The lattice of a volume: T⁻¹ solved at its nodes, and its cells looked at; see _core/solid.hpp.
 
 struct Settings {
     nodes: vec3u,

@@ -105,7 +105,7 @@ class Held:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Look:
-    """How a volume is seen: the arguments of `supple.cpu.raymarch.march` of the same names."""
+    """How a volume is seen: as ``_core/raymarch.hpp`` takes it."""
 
     skips: npt.NDArray[np.uint8]
     table: npt.NDArray[np.float32]

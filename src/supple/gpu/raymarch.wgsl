@@ -1,4 +1,4 @@
-// A volume seen through a camera, a ray for each thread; see supple/cpu/raymarch.py.
+// A volume seen through a camera, a ray for each thread; see _core/raymarch.hpp.
 
 struct Settings {
     size: vec3u, // voxels

@@ -1,4 +1,4 @@
-// What lattices are judged by; see supple/cpu/lattice.py.
+// What lattices are judged by; see _core/plan.hpp.
 
 const RESERVE = 2.0;
 const RESOLVED = 0.5;

@@ -1,4 +1,4 @@
-// T⁻¹ in a volume: solved at the nodes of a cubic lattice, and interpolated in between; see supple/cpu/solid.py.
+// T⁻¹ in a volume: solved at the nodes of a cubic lattice, and interpolated in between; see _core/solid.hpp.
 //
 // A node is four vectors: the displacement u in voxels, and the columns of ∂p/∂q. They lie two by two: no side of a
 // texture is much longer than there are nodes along it.

@@ -1,4 +1,4 @@
-// Samples of a volume between its voxels, and their slopes; see supple/cpu/voxels.py.
+// Samples of a volume between its voxels, and their slopes; see _core/voxels.hpp.
 
 @group(0) @binding(5) var warped: texture_3d<f32>; // the buffer of a deformed one
 

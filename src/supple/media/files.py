@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import errno
 import os
-import secrets
 import stat
 from collections.abc import Iterator
 from pathlib import Path
@@ -100,7 +99,7 @@ def replacing(path: str | os.PathLike[str], *, force: bool = False) -> Iterator[
     """
     target = check_output(path, force=force)
     # the end of the name keeps the suffixes, and a long name within what the file system takes
-    temporary = target.with_name(f".{secrets.token_hex(6)}-{target.name[-40:]}")
+    temporary = target.with_name(f".{os.urandom(6).hex()}-{target.name[-40:]}")
     try:
         # created here: this tests the right to write, and takes the permission bits from the umask
         os.close(os.open(temporary, _NEW, 0o666))

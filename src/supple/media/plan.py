@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import av
 import numpy as np
 
-from supple.cpu.kernel import threads as all_threads
+from supple.workers import threads as all_threads
 from supple.errors import SuppleError
 from supple.media.codecs import Encoder, container_of, named, options, pixel_formats, read_as, usual
 from supple.media.colour import Colour, Grading, sited

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from supple.errors import SuppleError
-from supple.media import dicom, itk, nifti, raw, stack
+from supple.media import raw, stack
 from supple.media.files import check_output, shown
 from supple.media.stack import has_pages
 from supple.media.volume_data import (
@@ -68,13 +68,19 @@ def is_volume(path: PathLike) -> bool:
     """
     suffix = suffix_of(path)
     if os.path.isdir(path):
+        from supple.media import dicom
+
         return dicom.in_folder(path)
     if suffix == ".hdr":
         try:
             return not head_of(path, 2).startswith(b"#?")
         except SuppleError:
             return True
-    return suffix in SUFFIXES or ((not suffix or suffix[1:].isdigit()) and dicom.is_slice(path))
+    if suffix in SUFFIXES or (suffix and not suffix[1:].isdigit()):
+        return suffix in SUFFIXES
+    from supple.media import dicom
+
+    return dicom.is_slice(path)
 
 
 def read(path: PathLike, *, raw: RawLayout | None = None, series: str | None = None) -> Volume:
@@ -104,13 +110,19 @@ def read(path: PathLike, *, raw: RawLayout | None = None, series: str | None = N
         return _raw(path, raw)
     form = _format(path)
     if form == "NIfTI":
+        from supple.media import nifti
+
         return nifti.read(path)
     if form == "DICOM":
+        from supple.media import dicom
+
         return dicom.read(path, series)
     if form == "TIFF":
         return stack.read(path)
     if form == "raw":
         return _raw(path, None)
+    from supple.media import itk
+
     return itk.read(path, form)
 
 
@@ -214,10 +226,17 @@ def write(path: PathLike, samples: Array, like: Volume, *, force: bool = False) 
         raise SuppleError(f"cannot write {shown(path)}: {what}: make them alike")
     suffix = suffix_of(path)
     if suffix.startswith(".nii"):
+        from supple.media import nifti
+
         nifti.write(path, samples, like, force=force)
         return
     meant = rescaled(samples, like.scaling)
-    (stack if suffix in stack.SUFFIXES else itk).write(path, meant, like, force=force)
+    if suffix in stack.SUFFIXES:
+        stack.write(path, meant, like, force=force)
+        return
+    from supple.media import itk
+
+    itk.write(path, meant, like, force=force)
 
 
 def info(path: PathLike, *, raw: RawLayout | None = None, series: str | None = None) -> dict[str, object]:
@@ -238,12 +257,16 @@ def info(path: PathLike, *, raw: RawLayout | None = None, series: str | None = N
     SuppleError
         As `read` does.
     """
-    if raw is None and series is None and os.path.isdir(path) and len(found := dicom.listed(path)) > 1:
-        kinds = [
-            {"number": k, "uid": one.uid, "description": one.description, "slices": len(one.paths)}
-            for k, one in enumerate(found, 1)
-        ]
-        return {"format": "DICOM", "series": kinds}
+    if raw is None and series is None and os.path.isdir(path):
+        from supple.media import dicom
+
+        found = dicom.listed(path)
+        if len(found) > 1:
+            kinds = [
+                {"number": k, "uid": one.uid, "description": one.description, "slices": len(one.paths)}
+                for k, one in enumerate(found, 1)
+            ]
+            return {"format": "DICOM", "series": kinds}
     volume = read(path, raw=raw, series=series)
     samples, geometry = volume.samples, volume.geometry
     low, high, nans = _range(samples) if samples.nbytes <= _QUICK else (None, None, None)

@@ -1,6 +1,6 @@
 """T in differentiable operations, and the gradients of T⁻¹ by the implicit function theorem.
 
-It is `supple.cpu.field`'s T, stroke by stroke, in physical units; there, the equations are written down. An image is
+It is the T of ``_core/field.hpp``, stroke by stroke, in physical units; there, the equations are written down. An image is
 a volume's plane z = 0, on which nothing has a third coordinate.
 
 Of a loss L of the points p(θ) = T⁻¹(q; θ), T(p; θ) = q gives

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 
 from imgui_bundle import imgui
 
-from supple.domain import Domain, border_factor
+from supple.domain import BORDER, Domain, border_factor
 from supple.gpu.plate import OVERLAYS
 from supple.strokes import FoldPolicy, Stroke
 from supple.transfer import PRESETS
@@ -188,7 +188,7 @@ def _selected(view: View) -> None:
     border = document.state.border
     changed, fixed = imgui.checkbox("fixed border", border is not None)
     if changed:
-        view.attempt(lambda: document.set_border(50.0 if fixed else None))
+        view.attempt(lambda: document.set_border(BORDER if fixed else None))
     if border is not None:
         entered, value = _typed(view, "its width", border, "%.1f")
         if entered:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Literal, Self
 
 from supple.deformation import Deformation
-from supple.domain import BorderProfile, refuse
+from supple.domain import BORDER, BorderProfile, refuse
 from supple.errors import SuppleError
 from supple.strokes import FoldPolicy, Recipe, Stroke
 
@@ -58,7 +58,7 @@ class State:
     """
 
     items: tuple[Item, ...] = ()
-    border: float | None = 50.0
+    border: float | None = BORDER
     border_profile: BorderProfile = "quartic"
     on_fold: FoldPolicy = "damp"
     selected: int | None = None

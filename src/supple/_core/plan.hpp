@@ -1,0 +1,800 @@
+// T⁻¹ on one plane: solved at the nodes of a lattice, filled in between by patches, and certified.
+//
+// At a node, Newton's method gives p = T⁻¹(q), its derivatives ∂p/∂q = (I+J)⁻¹ and, by second-order jets, the twist
+// ∂²p/∂x∂y: all that a bicubic Hermite patch needs, exactly, so that a cell depends on its own four nodes alone. A
+// cell is checked against T itself at nine points: |M (T(p) - q)| is the distance to the true T⁻¹(q). Where it is
+// too large, or the map varies too fast for nine points to tell, the cell is split, down to single pixels, which are
+// nodes themselves. A root cell that no stroke can reach is the identity and costs nothing.
+//
+// All is in pixels but for what `Stroke` and `Axis` hold.
+#pragma once
+#include <math.h>
+
+#include <algorithm>
+#include <limits>
+#include <vector>
+
+#include "newton.hpp"
+#include "threads.hpp"
+
+namespace supple {
+
+constexpr int ROOT = 32;        // pixels along the side of a root cell
+constexpr int SMALL = 4;        // a cell of so many pixels is not split, but solved pixel by pixel
+constexpr int BAND = 4;         // rows of roots that are solved one after the other, each from the last
+constexpr double RESERVE = 1.5; // nine points do not see quite the worst of a cell
+constexpr int STRIDE = 48;      // pixels of a row of a root, and room for whole vectors
+
+// Samples that lie `step` pixels apart, the first at `offset`; `size` of them: the pixels themselves, or chroma.
+struct Grid {
+    int step[2] = {1, 1};
+    double offset[2] = {0, 0};
+    int size[2];
+    // The first sample at or after a pixel.
+    int from(int axis, int pixel) const {
+        int i = (int)ceil((pixel - offset[axis]) / step[axis]);
+        return std::clamp(i, 0, size[axis]);
+    }
+};
+
+// The source points of some samples side by side: whole numbers and fractions, in samples; the columns of ∂p/∂q.
+template <int D> struct Row {
+    alignas(64) int whole[D][STRIDE];
+    float part[D][STRIDE];
+    float across[2][STRIDE], down[2][STRIDE]; // ∂p/∂x, ∂p/∂y in the plane
+    float depth2[STRIDE];                     // |∂p_z/∂q|²
+    bool same[STRIDE];                        // outside the ball of every stroke
+    bool some_same, idle;                     // whether any is; whether nothing is known, as all are
+};
+
+// A bicubic patch: coordinate k at (s, t) from (x, y) is anchor[k] + Σ c[k][4j + i] sⁱ tʲ.
+template <int D> struct Leaf {
+    int x, y, w, h;
+    int anchor[D];
+    float c[D][16];
+    float depth[4]; // ∂p_z/∂z = depth[0] + depth[1] s + depth[2] t + depth[3] st
+};
+
+// Bounds of source points: coordinate by coordinate; how far any is from q; |∂p/∂x|² + |∂p/∂y|² in the plane; |∂p_z/∂q|.
+template <int D> struct Extent {
+    double low[D], high[D], moved = 0, spread = 2, rate = 1;
+    Extent() {
+        std::fill(low, low + D, 1e300);
+        std::fill(high, high + D, -1e300);
+    }
+    Extent& operator|=(const Extent& o) {
+        for (int d = 0; d < D; d++) {
+            low[d] = std::min(low[d], o.low[d]);
+            high[d] = std::max(high[d], o.high[d]);
+        }
+        moved = std::max(moved, o.moved);
+        spread = std::max(spread, o.spread);
+        rate = std::max(rate, o.rate);
+        return *this;
+    }
+};
+
+template <int D> class Plan {
+public:
+    Plan(std::vector<Stroke> strokes, const Axis* axes, int width, int height, double z, double tolerance);
+
+    const int width, height;
+    const double z, tolerance;
+    double error = 0;       // how far a source point is from T⁻¹(q), as far as the checks see, with their reserve
+    double evaluations = 0; // of T with its Jacobian
+    long unsolved = 0, folds = 0;
+    double widest = 1; // the largest max(λ₋, λ₊/400) of MMᵀ at a node: how deep a pyramid is wanted
+    bool identity = true;
+
+    int roots_down() const { return down; }
+    bool is_still(int root) const { return roots[root].leaves == 0; }
+    // Call use(row, x, y, n) for the samples x to x + n - 1 of row y, for all that lie in a row of roots and in
+    // [x0, x1) × [y0, y1).
+    template <class Use> void each_row(const Grid& grid, int root_row, const int (&box)[4], bool slopes, Use use) const;
+    // Where the source points of a root, or of all, may lie.
+    Extent<D> extent(int root) const;
+    Extent<D> extent() const;
+    int roots_across() const { return across; }
+    // The samples x0 to x1 - 1 of a grid that lie in a column of roots.
+    void columns_of(const Grid& grid, int i, int& x0, int& x1) const {
+        x0 = i == 0 ? 0 : grid.from(0, column(i));
+        x1 = i == across - 1 ? grid.size[0] : grid.from(0, column(i + 1));
+    }
+    // The largest distance to the true T⁻¹(q), measured at every pixel; and of how many it could not be measured.
+    void measure(double finest, double& worst, long& unknown) const;
+
+private:
+    struct Node {
+        double p[D], m[D][D], mixed[D];
+        double reach; // the square of the length over which the map stays as it is
+    };
+    struct Cell {
+        int root, x0, y0, x1, y1;
+        int corner[4];
+    };
+    struct Ask { // a node that is wanted, and a guess
+        double q[2], guess[D];
+        int node, root;
+    };
+    struct Root {
+        int band = 0, first = -1, leaves = 0;
+        bool rim = false; // some of its pixels lie outside every ball
+    };
+    struct Band {
+        std::vector<Leaf<D>> leaves;
+        std::vector<int> next; // the next leaf of the same root
+        double worst = 0, evaluations = 0, widest = 1;
+        long unsolved = 0, folds = 0;
+    };
+    struct Work { // what a band needs while it is solved
+        Band* band;
+        std::vector<Node> nodes;
+        std::vector<Cell> cells, split;
+        std::vector<Ask> asks;
+        std::vector<int> list;
+    };
+
+    int column(int i) const { return i < across ? i * ROOT : last[0]; }
+    int line(int j) const { return j < down ? j * ROOT : last[1]; }
+    int past(int axis, int pixel) const { return pixel == last[axis] ? size[axis] : pixel; }
+    template <class RootOf> Chain chain_of(Work& w, RootOf root_of) const;
+    void find_reaching(int root_row);
+    void solve_band(int index);
+    void solve(Work& w, bool guessed);
+    void check(Work& w);
+    void split(Work& w, const Cell& cell, const double (&c)[D][16], std::vector<std::pair<int, Cell>>& pixels);
+    void emit(Work& w, int root, int x, int y, int width, int height, const double (*c)[16], const double* depth);
+    void fill(const Leaf<D>& leaf, const Grid& grid, int y, int from, int to, int left, bool slopes, Row<D>& row) const;
+    void widen(const Leaf<D>& leaf, Extent<D>& e) const;
+    void mark(const Root& root, int index, const Grid& grid, int x, int y, int n, Row<D>& row) const;
+
+    std::vector<Stroke> strokes;
+    std::vector<double> bends; // a bound of |J| of each stroke
+    Axis axes[3];
+    int size[2], last[2], across, down;
+    size_t words;
+    int first_limited = 0; // the first stroke with a reach: balls need not be carried back beyond it
+    std::vector<uint64_t> reaching; // for each root, a set of strokes
+    std::vector<Root> roots;
+    std::vector<Band> bands;
+};
+
+// ---- which strokes reach which cells ------------------------------------------------------------------------------
+
+// A bound of |J_β| = |f| (|2A'| r + |2B'| r³ + 2|B| r), and of what a border's slope adds.
+inline double bend_of(const Stroke& k, const Axis* axes, int dimensions) {
+    double force = 0, most_bend = 0, radius = sqrt(k.radius2[0]);
+    for (double f : k.force) force += f * f;
+    force = sqrt(force);
+    double farthest = std::min(k.reach, 8 * radius);
+    for (int i = 0; i <= 64; i++) {
+        double r = farthest * i / 64;
+        Radial<double> g = radial<1>(k, r * r);
+        most_bend = std::max(most_bend, fabs(g.A[1]) * r + fabs(g.B[1]) * r * r * r + 2 * fabs(g.B[0]) * r);
+    }
+    most_bend *= 1.05 * force;
+    for (int i = 0; i < dimensions; i++)
+        if (axes[i].sigma > 0 && !k.inner) most_bend += 2 * force / axes[i].sigma;
+    return most_bend;
+}
+
+template <int D>
+Plan<D>::Plan(std::vector<Stroke> table, const Axis* given, int width, int height, double z, double tolerance)
+    : width(width), height(height), z(z), tolerance(tolerance), strokes(std::move(table)), size{width, height},
+      last{std::max(width - 1, 1), std::max(height - 1, 1)}, across((last[0] - 1) / ROOT + 1),
+      down((last[1] - 1) / ROOT + 1), words((strokes.size() + 63) / 64) {
+    std::copy(given, given + 3, axes);
+    while (first_limited < (int)strokes.size() && !(strokes[first_limited].per_reach > 0)) first_limited++;
+    for (int i = 0; i < (int)strokes.size(); i++) bends.push_back(i > first_limited ? bend_of(strokes[i], axes, D) : 0);
+    roots.resize((size_t)across * down);
+    reaching.assign(roots.size() * words, 0);
+    bands.resize((down + BAND - 1) / BAND);
+    parallel((int)bands.size(), [this](int i, int) { solve_band(i); });
+    for (const Band& b : bands) {
+        error = std::max(error, RESERVE * sqrt(b.worst));
+        evaluations += b.evaluations;
+        unsolved += b.unsolved;
+        folds += b.folds;
+        widest = std::max(widest, b.widest);
+        identity = identity && b.leaves.empty();
+    }
+    if (unsolved) error = std::numeric_limits<double>::infinity();
+}
+
+// The strokes that reach any of some roots, in order.
+template <int D> template <class RootOf> Chain Plan<D>::chain_of(Work& w, RootOf root_of) const {
+    w.list.clear();
+    for (size_t word = 0; word < words; word++) {
+        uint64_t set = 0;
+        for (int i = 0; i < LANES; i++) set |= reaching[(size_t)root_of(i) * words + word];
+        for (; set; set &= set - 1) w.list.push_back((int)(64 * word) + __builtin_ctzll(set));
+    }
+    return {strokes.data(), w.list.data(), (int)w.list.size()};
+}
+
+// A ball around each root of a row is carried back through the chain: its centre by a fixed point of each stroke that
+// it touches, its radius by a bound of that inverse's slope, or of the displacement.
+template <int D> void Plan<D>::find_reaching(int j) {
+    for (int i = 0; i < across; i++) {
+        int index = j * across + i;
+        uint64_t* set = &reaching[(size_t)index * words];
+        double box[D][2] = {{column(i) * axes[0].spacing, column(i + 1) * axes[0].spacing},
+                            {line(j) * axes[1].spacing, line(j + 1) * axes[1].spacing}};
+        if constexpr (D == 3) box[2][0] = box[2][1] = z * axes[2].spacing;
+        double centre[D], radius = 0;
+        for (int d = 0; d < D; d++) {
+            centre[d] = (box[d][0] + box[d][1]) / 2;
+            radius += (box[d][1] - centre[d]) * (box[d][1] - centre[d]);
+        }
+        radius = sqrt(radius) * (1 + 1e-9);
+        bool rim = true;
+        for (int n = (int)strokes.size() - 1; n >= 0; n--) {
+            const Stroke& k = strokes[n];
+            double distance = 0, far = 0;
+            for (int d = 0; d < D; d++) {
+                double off = centre[d] - k.pivot[d];
+                distance += off * off;
+                double corner = std::max(fabs(box[d][0] - k.pivot[d]), fabs(box[d][1] - k.pivot[d]));
+                far += corner * corner;
+            }
+            distance = sqrt(distance);
+            if (distance >= k.reach + radius) continue; // not where the one is infinite, or the other
+            set[n / 64] |= 1ull << (n % 64);
+            if (far < k.reach * k.reach) rim = false;
+            if (n <= first_limited) continue;
+            double x[D], off2 = 0, force = 0;
+            for (int d = 0; d < D; d++) x[d] = centre[d];
+            for (int round = 0; round < 5; round++) {
+                double y[D];
+                for (int d = 0; d < D; d++) y[d] = x[d];
+                move<D>(k, axes, y);
+                off2 = 0;
+                for (int d = 0; d < D; d++) {
+                    double e = centre[d] - y[d];
+                    off2 += e * e;
+                    if (round < 4) x[d] += e;
+                }
+            }
+            for (int d = 0; d < D; d++) force += k.force[d] * k.force[d];
+            force = sqrt(force);
+            // No displacement within the ball's preimage is longer than that at its point nearest to the pivot.
+            double t = std::clamp((distance - radius - force) * k.per_reach, 0.0, 1.0), w = 1 - t;
+            double longest = force * w * w * w * (1 + t * (3 + 6 * t)), off = sqrt(off2);
+            double grown = radius + off + 2 * longest;
+            if (bends[n] < 0.9) grown = std::min(grown, (radius + off) / (1 - bends[n]));
+            for (int d = 0; d < D; d++) centre[d] = x[d];
+            radius = grown;
+        }
+        roots[index].rim = rim;
+    }
+}
+
+// ---- nodes ----------------------------------------------------------------------------------------------------------
+
+template <int D> void Plan<D>::solve(Work& w, bool guessed) {
+    double finest = std::min(axes[0].spacing, axes[1].spacing), coarsest = std::max(axes[0].spacing, axes[1].spacing);
+    if (D == 3) finest = std::min(finest, axes[2].spacing);
+    // A step that short is taken, and another after it: what is left is of the order of its fourth power.
+    double enough = finest * std::min(0.05, 0.5 * sqrt(tolerance));
+    int count = (int)w.asks.size();
+    for (int start = 0; start < count; start += LANES) {
+        auto ask = [&](int i) -> Ask& { return w.asks[std::min(start + i, count - 1)]; };
+        Lanes q[D], mixed[D];
+        Solution<D, Lanes> found{};
+        for (int i = 0; i < LANES; i++) {
+            const Ask& a = ask(i);
+            for (int d = 0; d < D; d++) {
+                q[d][i] = (d < 2 ? a.q[d] : z) * axes[d].spacing;
+                found.p[d][i] = guessed ? a.guess[d] * axes[d].spacing : q[d][i];
+            }
+        }
+        Chain chain = chain_of(w, [&](int i) { return ask(i).root; });
+        found.done = found.p[0] != found.p[0];
+        if (guessed) newton<D>(chain, axes, q, enough, 12, found);
+        if (any(without(Mask{} == 0, found.done))) {
+            Solution<D, Lanes> again;
+            undo<D>(chain, axes, q, enough, again);
+            again.steps += found.steps;
+            // Lanes that were done stay as they are, whatever their neighbours needed.
+            for (int d = 0; d < D; d++) {
+                found.p[d] = choose(found.done, found.p[d], again.p[d]);
+                for (int e = 0; e < D; e++) found.m[e][d] = choose(found.done, found.m[e][d], again.m[e][d]);
+            }
+            found.steps = choose(found.done, found.steps, again.steps);
+            found.done = either(found.done, again.done);
+        }
+        Lanes reach = polish<D>(chain, axes, q, found, mixed);
+        for (int i = 0; i < LANES && start + i < count; i++) {
+            Node& node = w.nodes[w.asks[start + i].node];
+            double plane[2][2];
+            for (int d = 0; d < D; d++) {
+                node.p[d] = found.p[d][i] / axes[d].spacing;
+                node.mixed[d] = mixed[d][i] * axes[0].spacing * axes[1].spacing / axes[d].spacing;
+                for (int e = 0; e < D; e++) node.m[e][d] = found.m[e][d][i] * axes[e].spacing / axes[d].spacing;
+            }
+            node.reach = reach[i] / (coarsest * coarsest);
+            w.band->evaluations += found.steps[i] + 1;
+            w.band->unsolved += !found.done[i];
+            for (int d = 0; d < 2; d++)
+                for (int e = 0; e < 2; e++) plane[d][e] = node.m[e][d];
+            double determinant = plane[0][0] * plane[1][1] - plane[0][1] * plane[1][0];
+            if constexpr (D == 3) {
+                const double(*m)[3] = node.m;
+                determinant = m[0][0] * (m[1][1] * m[2][2] - m[1][2] * m[2][1]) -
+                              m[0][1] * (m[1][0] * m[2][2] - m[1][2] * m[2][0]) +
+                              m[0][2] * (m[1][0] * m[2][1] - m[1][1] * m[2][0]);
+            }
+            w.band->folds += !(determinant > 0);
+            double xx = plane[0][0] * plane[0][0] + plane[0][1] * plane[0][1];
+            double yy = plane[1][0] * plane[1][0] + plane[1][1] * plane[1][1];
+            double xy = plane[0][0] * plane[1][0] + plane[0][1] * plane[1][1];
+            double h = (xx + yy) / 2, d = sqrt((xx - yy) * (xx - yy) / 4 + xy * xy);
+            w.band->widest = std::max({w.band->widest, h - d, (h + d) / 400});
+        }
+    }
+    w.asks.clear();
+}
+
+// ---- cells ----------------------------------------------------------------------------------------------------------
+
+// The cubic with the values v0, v1 and the slopes d0, d1 at the ends of [0, 1/inverse], as powers, `step` apart.
+template <class V> INLINE void hermite(V v0, V d0, V v1, V d1, V inverse, V* c, int step) {
+    V rise = (v1 - v0) * inverse;
+    c[0] = v0;
+    c[step] = d0;
+    c[2 * step] = (3.0 * rise - 2.0 * d0 - d1) * inverse;
+    c[3 * step] = (d0 + d1 - 2.0 * rise) * inverse * inverse;
+}
+
+// A patch and its slopes at (s, t).
+template <class V> INLINE V at(const V* c, V s, V t, V& ds, V& dt) {
+    V r[4], rt[4];
+    for (int i = 0; i < 4; i++) {
+        const V *b = c + i;
+        r[i] = b[0] + t * (b[4] + t * (b[8] + t * b[12]));
+        rt[i] = b[4] + t * (2.0 * b[8] + 3.0 * t * b[12]);
+    }
+    ds = r[1] + s * (2.0 * r[2] + 3.0 * s * r[3]);
+    dt = rt[0] + s * (rt[1] + s * (rt[2] + s * rt[3]));
+    return r[0] + s * (r[1] + s * (r[2] + s * r[3]));
+}
+
+template <int D>
+void Plan<D>::emit(Work& w, int root, int x, int y, int wide, int high, const double (*c)[16], const double* depth) {
+    Leaf<D> leaf{};
+    leaf.x = x;
+    leaf.y = y;
+    leaf.w = wide;
+    leaf.h = high;
+    for (int d = 0; d < D; d++) {
+        double base = floor(c[d][0]);
+        leaf.anchor[d] = (int)std::clamp(base, -1e9, 1e9);
+        leaf.c[d][0] = (float)std::clamp(c[d][0] - leaf.anchor[d], -1e9, 1e9);
+        for (int i = 1; i < 16; i++) leaf.c[d][i] = (float)c[d][i];
+    }
+    for (int i = 0; i < 4; i++) leaf.depth[i] = (float)depth[i];
+    Root& r = roots[root];
+    w.band->leaves.push_back(leaf);
+    w.band->next.push_back(r.first);
+    r.first = (int)w.band->leaves.size() - 1;
+    r.leaves++;
+}
+
+template <int D> void Plan<D>::solve_band(int index) {
+    int first = index * BAND, end = std::min(first + BAND, down);
+    Work w;
+    w.band = &bands[index];
+    for (int j = first; j < end; j++) {
+        find_reaching(j);
+        for (int i = 0; i < across; i++) roots[j * across + i].band = index;
+    }
+    w.nodes.resize((size_t)(end - first + 1) * (across + 1));
+    // Row after row, each from the one above.
+    for (int j = first; j <= end; j++) {
+        for (int i = 0; i <= across; i++) {
+            Ask a;
+            a.q[0] = column(i);
+            a.q[1] = line(j);
+            a.node = (j - first) * (across + 1) + i;
+            a.root = std::min(j, end - 1) * across + std::min(i, across - 1);
+            if (j > first) {
+                const Node& above = w.nodes[a.node - across - 1];
+                double h = line(j) - line(j - 1);
+                for (int d = 0; d < D; d++) a.guess[d] = above.p[d] + h * above.m[1][d];
+                if (j > first + 1) {
+                    const Node& before = w.nodes[a.node - 2 * (across + 1)];
+                    for (int d = 0; d < D; d++) a.guess[d] += 0.5 * h * (above.m[1][d] - before.m[1][d]);
+                }
+            }
+            w.asks.push_back(a);
+        }
+        solve(w, j > first);
+    }
+    for (int j = first; j < end; j++)
+        for (int i = 0; i < across; i++) {
+            int root = j * across + i, node = (j - first) * (across + 1) + i;
+            const uint64_t* set = &reaching[(size_t)root * words];
+            if (std::all_of(set, set + words, [](uint64_t s) { return s == 0; })) continue;
+            w.cells.push_back({root, column(i), line(j), column(i + 1), line(j + 1),
+                               {node, node + 1, node + across + 1, node + across + 2}});
+        }
+    while (!w.cells.empty()) {
+        check(w);
+        w.cells.swap(w.split);
+        w.split.clear();
+    }
+}
+
+// Keep the cells that are good enough, split the others.
+template <int D> void Plan<D>::check(Work& w) {
+    static constexpr double AT[9][2] = {{.5, .5}, {.5, 0}, {.5, 1}, {0, .5}, {1, .5}, {.25, .25}, {.75, .25}, {.25, .75}, {.75, .75}};
+    double allowed = tolerance * tolerance / (RESERVE * RESERVE);
+    std::vector<std::pair<int, Cell>> pixels;
+    int count = (int)w.cells.size();
+    for (int start = 0; start < count; start += LANES) {
+        auto cell = [&](int i) -> const Cell& { return w.cells[std::min(start + i, count - 1)]; };
+        Chain chain = chain_of(w, [&](int i) { return cell(i).root; });
+        // Of each corner: p, ∂p/∂x, ∂p/∂y, the twist; and the mean of ∂p/∂z.
+        Lanes x0, y0, h, k, value[4][D], slope[4][2][D], twist[4][D], across_plane[D] = {};
+        Lanes reach = splat<Lanes>(1e300), c[D][16], worst{};
+        for (int i = 0; i < LANES; i++) {
+            const Cell& e = cell(i);
+            x0[i] = e.x0;
+            y0[i] = e.y0;
+            h[i] = e.x1 - e.x0;
+            k[i] = e.y1 - e.y0;
+            for (int v = 0; v < 4; v++) {
+                const Node& node = w.nodes[e.corner[v]];
+                for (int d = 0; d < D; d++) {
+                    value[v][d][i] = node.p[d];
+                    slope[v][0][d][i] = node.m[0][d];
+                    slope[v][1][d][i] = node.m[1][d];
+                    twist[v][d][i] = node.mixed[d];
+                    if constexpr (D == 3) across_plane[d][i] += 0.25 * node.m[2][d];
+                }
+                reach[i] = std::min(reach[i], node.reach);
+            }
+        }
+        Lanes per_h = 1.0 / h, per_k = 1.0 / k;
+        for (int d = 0; d < D; d++) {
+            Lanes left[4], left_x[4], right[4], right_x[4];
+            hermite(value[0][d], slope[0][1][d], value[2][d], slope[2][1][d], per_k, left, 1);
+            hermite(slope[0][0][d], twist[0][d], slope[2][0][d], twist[2][d], per_k, left_x, 1);
+            hermite(value[1][d], slope[1][1][d], value[3][d], slope[3][1][d], per_k, right, 1);
+            hermite(slope[1][0][d], twist[1][d], slope[3][0][d], twist[3][d], per_k, right_x, 1);
+            for (int j = 0; j < 4; j++) hermite(left[j], left_x[j], right[j], right_x[j], per_h, c[d] + 4 * j, 1);
+        }
+        Lanes longer = most(h, k);
+        Mask coarse = longer * longer > 0.25 * reach;
+        for (const auto& place : AT) {
+            Lanes s = place[0] * h, t = place[1] * k, x[D], ds[D], dt[D], e[D], off{};
+            for (int d = 0; d < D; d++) x[d] = at(c[d], s, t, ds[d], dt[d]) * axes[d].spacing;
+            apply<D>(chain, axes, x);
+            e[0] = x[0] / axes[0].spacing - (x0 + s);
+            e[1] = x[1] / axes[1].spacing - (y0 + t);
+            if constexpr (D == 3) e[2] = x[2] / axes[2].spacing - z;
+            for (int d = 0; d < D; d++) {
+                Lanes g = ds[d] * e[0] + dt[d] * e[1];
+                if constexpr (D == 3) g += across_plane[d] * e[2];
+                off += g * g;
+            }
+            worst = most(worst, choose(off == off, off, splat<Lanes>(1e300)));
+        }
+        for (int i = 0; i < LANES && start + i < count; i++) {
+            const Cell e = cell(i);
+            double own[D][16];
+            for (int d = 0; d < D; d++)
+                for (int n = 0; n < 16; n++) own[d][n] = c[d][n][i];
+            if (!(worst[i] <= allowed) || coarse[i]) {
+                split(w, e, own, pixels);
+                continue;
+            }
+            double depth[4] = {1, 0, 0, 0};
+            if constexpr (D == 3) { // bilinear
+                double v[4];
+                for (int n = 0; n < 4; n++) v[n] = w.nodes[e.corner[n]].m[2][2];
+                depth[0] = v[0];
+                depth[1] = (v[1] - v[0]) / (e.x1 - e.x0);
+                depth[2] = (v[2] - v[0]) / (e.y1 - e.y0);
+                depth[3] = (v[3] - v[2] - v[1] + v[0]) / ((double)(e.x1 - e.x0) * (e.y1 - e.y0));
+            }
+            emit(w, e.root, e.x0, e.y0, past(0, e.x1) - e.x0, past(1, e.y1) - e.y0, own, depth);
+            w.band->worst = std::max(w.band->worst, worst[i]);
+        }
+    }
+    solve(w, true);
+    for (const auto& [node, cell] : pixels) {
+        const Node& n = w.nodes[node];
+        double c[D][16] = {}, depth[4] = {1, 0, 0, 0};
+        for (int d = 0; d < D; d++) {
+            c[d][0] = n.p[d];
+            c[d][1] = n.m[0][d];
+            c[d][4] = n.m[1][d];
+        }
+        if constexpr (D == 3) depth[0] = n.m[2][2];
+        emit(w, cell.root, cell.x0, cell.y0, 1, 1, c, depth);
+    }
+}
+
+template <int D>
+void Plan<D>::split(Work& w, const Cell& e, const double (&c)[D][16], std::vector<std::pair<int, Cell>>& pixels) {
+    auto ask = [&](int x, int y) {
+        Ask a;
+        a.q[0] = x;
+        a.q[1] = y;
+        a.root = e.root;
+        a.node = (int)w.nodes.size();
+        w.nodes.emplace_back();
+        for (int d = 0; d < D; d++) {
+            double ds, dt;
+            a.guess[d] = at<double>(c[d], x - e.x0, y - e.y0, ds, dt);
+        }
+        w.asks.push_back(a);
+        return a.node;
+    };
+    int wide = e.x1 - e.x0, high = e.y1 - e.y0;
+    if (wide <= SMALL && high <= SMALL) {
+        for (int y = e.y0; y < past(1, e.y1); y++)
+            for (int x = e.x0; x < past(0, e.x1); x++) pixels.push_back({ask(x, y), {e.root, x, y, x + 1, y + 1, {}}});
+        return;
+    }
+    // In halves along each side that is long enough.
+    int xs[3] = {e.x0, (e.x0 + e.x1) / 2, e.x1}, ys[3] = {e.y0, (e.y0 + e.y1) / 2, e.y1}, nx = 3, ny = 3, node[9];
+    if (wide <= SMALL) xs[1] = e.x1, nx = 2;
+    if (high <= SMALL) ys[1] = e.y1, ny = 2;
+    for (int v = 0; v < ny; v++)
+        for (int u = 0; u < nx; u++) {
+            bool corner = (u == 0 || u == nx - 1) && (v == 0 || v == ny - 1);
+            node[3 * v + u] = corner ? e.corner[(u ? 1 : 0) + (v ? 2 : 0)] : ask(xs[u], ys[v]);
+        }
+    for (int v = 0; v + 1 < ny; v++)
+        for (int u = 0; u + 1 < nx; u++)
+            w.split.push_back({e.root, xs[u], ys[v], xs[u + 1], ys[v + 1],
+                               {node[3 * v + u], node[3 * v + u + 1], node[3 * v + u + 3], node[3 * v + u + 4]}});
+}
+
+// ---- filling --------------------------------------------------------------------------------------------------------
+
+// The samples `from` to `to` - 1 of the grid's row y, all within a leaf; `left` is the first of the row's.
+template <int D>
+INLINE void Plan<D>::fill(const Leaf<D>& leaf, const Grid& grid, int y, int from, int to, int left, bool slopes,
+                   Row<D>& row) const {
+    float t = (float)(y * grid.step[1] + grid.offset[1] - leaf.y);
+    float start = (float)(from * grid.step[0] + grid.offset[0] - leaf.x), stride = (float)grid.step[0];
+    float along[D][4], rise[D][4];
+    for (int d = 0; d < D; d++)
+        for (int i = 0; i < 4; i++) {
+            const float* b = leaf.c[d] + i;
+            along[d][i] = b[0] + t * (b[4] + t * (b[8] + t * b[12]));
+            rise[d][i] = b[4] + t * (2 * b[8] + 3 * t * b[12]);
+        }
+    int n = to - from, at = from - left;
+    for (int d = 0; d < D; d++) {
+        // In samples of the grid: (p - offset) / step.
+        int anchor = leaf.anchor[d];
+        float scale = 1, shift = 0;
+        if (d < 2 && grid.step[d] > 1) {
+            double base = (leaf.anchor[d] - grid.offset[d]) / grid.step[d];
+            anchor = (int)floor(base);
+            scale = 1.0f / grid.step[d];
+            shift = (float)(base - anchor);
+        }
+        const float *a = along[d];
+        for (int i = 0; i < n; i++) {
+            float s = start + stride * (float)i;
+            float x = (a[0] + s * (a[1] + s * (a[2] + s * a[3]))) * scale + shift;
+            x = std::min(std::max(x, -1e9f), 1e9f); // a sample so far away is beyond any edge
+            int whole = (int)x;
+            whole -= (float)whole > x;
+            row.whole[d][at + i] = whole + anchor;
+            row.part[d][at + i] = x - (float)whole;
+        }
+    }
+    if (!slopes) return;
+    for (int d = 0; d < 2; d++) {
+        const float *a = along[d], *b = rise[d], to_down = (float)grid.step[1] / grid.step[d], to_across = stride / grid.step[d];
+        for (int i = 0; i < n; i++) {
+            float s = start + stride * (float)i;
+            row.across[d][at + i] = (a[1] + s * (2 * a[2] + 3 * s * a[3])) * to_across;
+            row.down[d][at + i] = (b[0] + s * (b[1] + s * (b[2] + s * b[3]))) * to_down;
+        }
+    }
+    if constexpr (D == 3) {
+        const float *a = along[2], *b = rise[2], *r = leaf.depth, down = (float)grid.step[1];
+        for (int i = 0; i < n; i++) {
+            float s = start + stride * (float)i;
+            float across = (a[1] + s * (2 * a[2] + 3 * s * a[3])) * stride;
+            float dt = (b[0] + s * (b[1] + s * (b[2] + s * b[3]))) * down;
+            float own = r[0] + s * r[1] + t * (r[2] + s * r[3]);
+            row.depth2[at + i] = across * across + dt * dt + own * own;
+        }
+    }
+}
+
+// Find the samples that lie outside the ball of every stroke, and set them to the identity.
+template <int D>
+void Plan<D>::mark(const Root& root, int index, const Grid& grid, int x, int y, int n, Row<D>& row) const {
+    row.some_same = false;
+    if (!root.rim) return;
+    std::fill(row.same, row.same + n, true);
+    double py = (y * grid.step[1] + grid.offset[1]) * axes[1].spacing, sx = axes[0].spacing;
+    for (size_t word = 0; word < words; word++)
+        for (uint64_t set = reaching[(size_t)index * words + word]; set; set &= set - 1) {
+            const Stroke& k = strokes[64 * word + __builtin_ctzll(set)];
+            double chord = k.reach * k.reach - (py - k.pivot[1]) * (py - k.pivot[1]);
+            if (D == 3) chord -= (z * axes[2].spacing - k.pivot[2]) * (z * axes[2].spacing - k.pivot[2]);
+            if (chord < 0) continue;
+            chord = sqrt(chord);
+            // In samples from x on; on the rim itself, nothing moves.
+            double first = ((k.pivot[0] - chord) / sx - grid.offset[0]) / grid.step[0] - x;
+            double final = ((k.pivot[0] + chord) / sx - grid.offset[0]) / grid.step[0] - x;
+            int from = (int)std::clamp(ceil(first - 1e-9), 0.0, (double)n);
+            int to = (int)std::clamp(floor(final + 1e-9) + 1, 0.0, (double)n);
+            for (int i = from; i < to; i++) row.same[i] = false;
+        }
+    for (int i = 0; i < n; i++) {
+        if (!row.same[i]) continue;
+        row.some_same = true;
+        row.whole[0][i] = x + i;
+        row.whole[1][i] = y;
+        row.part[0][i] = row.part[1][i] = 0;
+        row.across[0][i] = row.down[1][i] = row.depth2[i] = 1;
+        row.across[1][i] = row.down[0][i] = 0;
+        if constexpr (D == 3) {
+            row.whole[2][i] = (int)z;
+            row.part[2][i] = 0;
+        }
+    }
+}
+
+template <int D>
+template <class Use>
+void Plan<D>::each_row(const Grid& grid, int root_row, const int (&box)[4], bool slopes, Use use) const {
+    Row<D> row;
+    int top = root_row == 0 ? 0 : grid.from(1, line(root_row));
+    int bottom = root_row == down - 1 ? grid.size[1] : grid.from(1, line(root_row + 1));
+    for (int i = 0; i < across; i++) {
+        int left, right, index = root_row * across + i;
+        columns_of(grid, i, left, right);
+        int a = std::max(left, box[0]), b = std::min(right, box[1]);
+        if (a >= b) continue;
+        const Root& root = roots[index];
+        const Band& band = bands[root.band];
+        for (int y = std::max(top, box[2]); y < std::min(bottom, box[3]); y++) {
+            if (root.leaves == 0) {
+                row.idle = true;
+                use(row, a, y, b - a, 0);
+                continue;
+            }
+            double at = y * grid.step[1] + grid.offset[1];
+            for (int l = root.first; l >= 0; l = band.next[l]) {
+                const Leaf<D>& leaf = band.leaves[l];
+                bool lowest = leaf.y + leaf.h >= size[1], rightmost = leaf.x + leaf.w >= size[0];
+                if (at < leaf.y ? leaf.y > 0 : !lowest && at >= leaf.y + leaf.h) continue;
+                int from = leaf.x == 0 ? 0 : grid.from(0, leaf.x);
+                int to = rightmost ? grid.size[0] : grid.from(0, leaf.x + leaf.w);
+                if (from < to) fill(leaf, grid, y, from, to, left, slopes, row);
+            }
+            row.idle = false;
+            mark(root, index, grid, left, y, right - left, row);
+            use(row, a, y, b - a, a - left);
+        }
+    }
+}
+
+// ---- what is known of the whole -------------------------------------------------------------------------------------
+
+template <int D> void Plan<D>::widen(const Leaf<D>& leaf, Extent<D>& e) const {
+    // The patch's Bézier points, whose hull neither it nor, of their differences, its slopes leave; one sample more
+    // than its own, for chroma.
+    const double side[2] = {leaf.w + 1.0, leaf.h + 1.0};
+    auto controls = [](double* c, int step, double h) {
+        double c0 = c[0], c1 = c[step] * h, c2 = c[2 * step] * h * h, c3 = c[3 * step] * h * h * h;
+        c[step] = c0 + c1 / 3;
+        c[2 * step] = c0 + 2 * c1 / 3 + c2 / 3;
+        c[3 * step] = c0 + c1 + c2 + c3;
+    };
+    double spread = 0, rate = 0;
+    for (int d = 0; d < D; d++) {
+        double b[16], slope[2] = {0, 0};
+        for (int i = 0; i < 16; i++) b[i] = leaf.c[d][i];
+        for (int j = 0; j < 4; j++) controls(b + 4 * j, 1, side[0]);
+        for (int i = 0; i < 4; i++) controls(b + i, 4, side[1]);
+        for (int j = 0; j < 4; j++)
+            for (int i = 0; i < 4; i++) {
+                double p = b[4 * j + i] + leaf.anchor[d];
+                double q = d == 0 ? leaf.x + side[0] * i / 3 : d == 1 ? leaf.y + side[1] * j / 3 : z;
+                e.low[d] = std::min(e.low[d], p);
+                e.high[d] = std::max(e.high[d], p);
+                e.moved = std::max(e.moved, fabs(p - q));
+                if (i < 3) slope[0] = std::max(slope[0], fabs(b[4 * j + i + 1] - b[4 * j + i]) * 3 / side[0]);
+                if (j < 3) slope[1] = std::max(slope[1], fabs(b[4 * j + i + 4] - b[4 * j + i]) * 3 / side[1]);
+            }
+        (d < 2 ? spread : rate) += slope[0] * slope[0] + slope[1] * slope[1];
+    }
+    if constexpr (D == 3) {
+        const float* r = leaf.depth;
+        double own = 0;
+        for (double s : {0.0, (double)leaf.w})
+            for (double t : {0.0, (double)leaf.h}) own = std::max(own, fabs(r[0] + s * r[1] + t * (r[2] + s * r[3])));
+        e.rate = std::max(e.rate, sqrt(rate + own * own));
+    }
+    e.spread = std::max(e.spread, spread);
+}
+
+template <int D> Extent<D> Plan<D>::extent(int index) const {
+    Extent<D> e;
+    const Root& root = roots[index];
+    if (root.leaves == 0 || root.rim) { // the identity is among it
+        int i = index % across, j = index / across;
+        double low[3] = {(double)column(i), (double)line(j), z}, high[3] = {column(i + 1) + 1.0, line(j + 1) + 1.0, z};
+        for (int d = 0; d < D; d++) {
+            e.low[d] = std::min(e.low[d], low[d]);
+            e.high[d] = std::max(e.high[d], high[d]);
+        }
+    }
+    for (int l = root.first; l >= 0; l = bands[root.band].next[l]) widen(bands[root.band].leaves[l], e);
+    return e;
+}
+
+template <int D> Extent<D> Plan<D>::extent() const {
+    Extent<D> all;
+    for (int i = 0; i < (int)roots.size(); i++) all |= extent(i);
+    return all;
+}
+
+template <int D> void Plan<D>::measure(double finest, double& worst, long& unknown) const {
+    struct Found {
+        double worst = 0;
+        long unknown = 0;
+    };
+    std::vector<Found> found(down);
+    std::vector<int> all(strokes.size());
+    for (size_t i = 0; i < all.size(); i++) all[i] = (int)i;
+    Chain chain{strokes.data(), all.data(), (int)all.size()};
+    double spacing = std::min(axes[0].spacing, axes[1].spacing);
+    if (D == 3) spacing = std::min(spacing, axes[2].spacing);
+    Grid grid;
+    grid.size[0] = width;
+    grid.size[1] = height;
+    parallel(down, [&](int j, int) {
+        each_row(grid, j, {0, width, 0, height}, false, [&](const Row<D>& row, int x, int y, int n, int at) {
+            if (row.idle) return;
+            for (int start = 0; start < n; start += LANES) {
+                Lanes q[D], given[D], off{};
+                Solution<D, Lanes> exact{};
+                for (int i = 0; i < LANES; i++) {
+                    int k = std::min(start + i, n - 1);
+                    for (int d = 0; d < D; d++) {
+                        given[d][i] = row.whole[d][at + k] + (double)row.part[d][at + k];
+                        exact.p[d][i] = given[d][i] * axes[d].spacing;
+                        q[d][i] = (d == 0 ? x + k : d == 1 ? y : z) * axes[d].spacing;
+                    }
+                }
+                newton<D>(chain, axes, q, finest * spacing, 8, exact);
+                if (any(without(Mask{} == 0, exact.done))) {
+                    Solution<D, Lanes> again;
+                    undo<D>(chain, axes, q, finest * spacing, again);
+                    for (int d = 0; d < D; d++) exact.p[d] = choose(exact.done, exact.p[d], again.p[d]);
+                    exact.done = either(exact.done, again.done);
+                }
+                for (int d = 0; d < D; d++) {
+                    Lanes e = exact.p[d] / axes[d].spacing - given[d];
+                    off += e * e;
+                }
+                for (int i = 0; i < LANES && start + i < n; i++) {
+                    found[j].unknown += !exact.done[i];
+                    found[j].worst = std::max(found[j].worst, off[i]);
+                }
+            }
+        });
+    });
+    worst = 0;
+    unknown = 0;
+    for (const Found& f : found) {
+        worst = std::max(worst, sqrt(f.worst) + finest);
+        unknown += f.unknown;
+    }
+}
+
+}  // namespace supple

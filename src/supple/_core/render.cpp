@@ -1,0 +1,251 @@
+// What Python sees of the rendering of volumes.
+#include <nanobind/nanobind.h>
+#include <nanobind/ndarray.h>
+#include <nanobind/stl/array.h>
+#include <nanobind/stl/pair.h>
+#include <nanobind/stl/vector.h>
+
+#include "raymarch.hpp"
+#include "threads.hpp"
+
+namespace nb = nanobind;
+using namespace nb::literals;
+
+namespace supple {
+namespace {
+
+template <class T, int N> using Array = nb::ndarray<T, nb::ndim<N>, nb::c_contig, nb::device::cpu>;
+typedef nb::ndarray<nb::ro, nb::ndim<3>, nb::c_contig, nb::device::cpu> Samples;
+
+// Call `f` with the samples of a volume as what they are.
+template <class F> void with_samples(const Samples& samples, F&& f) {
+    auto is = [&](auto zero) { return samples.dtype() == nb::dtype<decltype(zero)>(); };
+    auto go = [&](auto zero) { f((const decltype(zero)*)samples.data()); };
+    if (is(uint8_t())) return go(uint8_t());
+    if (is(int8_t())) return go(int8_t());
+    if (is(uint16_t())) return go(uint16_t());
+    if (is(int16_t())) return go(int16_t());
+    if (is(float())) return go(float());
+    throw nb::type_error("samples must be uint8, int8, uint16, int16 or float32");
+}
+template <class F> void with_voxels(const Samples& samples, F&& f) {
+    for (int i = 0; i < 3; i++)
+        if (samples.shape(i) < 2) throw nb::value_error("a volume must have two voxels along each axis");
+    with_samples(samples, [&](auto* data) { f(Voxels(data, samples.shape(2), samples.shape(1), samples.shape(0))); });
+}
+// The shape of an array (Z, Y, X) as (x, y, z).
+template <class A> std::array<int64_t, 3> sizes(const A& a) {
+    return {(int64_t)a.shape(2), (int64_t)a.shape(1), (int64_t)a.shape(0)};
+}
+
+Strokes* make_strokes(Array<const double, 2> rows, Array<const double, 2> axes) {
+    if (rows.shape(1) != STROKE_NUMBERS || axes.shape(0) != 3 || axes.shape(1) != AXIS_NUMBERS)
+        throw nb::value_error("strokes must be rows of 20 numbers, and axes three of 4");
+    return new Strokes(rows.data(), rows.shape(0), axes.data());
+}
+
+// A lattice in an array of Python's, (nz, ny, nx, NODE).
+struct SolidLattice : Lattice {
+    Array<float, 4> kept;
+    SolidLattice(Array<float, 4> nodes, int step)
+        : Lattice{nodes.data(), (int64_t)nodes.shape(2), (int64_t)nodes.shape(1), (int64_t)nodes.shape(0), step},
+          kept(nodes) {
+        if (nodes.shape(3) != NODE || least(nx, least(ny, nz)) < 2 || step < 1)
+            throw nb::value_error("a lattice must be two nodes of 16 numbers along each axis at least");
+    }
+};
+
+std::pair<double, double> solve(SolidLattice& lattice, const Strokes& strokes) {
+    std::vector<std::array<double, 2>> layers(lattice.nz);
+    {
+        nb::gil_scoped_release release;
+        parallel((int)lattice.nz, [&](int k, int) { layers[k] = lattice.solve(strokes, k); });
+    }
+    std::pair<double, double> all{0, 1e300};
+    for (auto [steps, smooth] : layers) all = {all.first + steps, least(all.second, smooth)};
+    return all;
+}
+
+double error(SolidLattice& lattice, const Strokes& strokes) {
+    std::vector<double> layers(lattice.nz - 1);
+    nb::gil_scoped_release release;
+    parallel((int)layers.size(), [&](int k, int) { layers[k] = lattice.error(strokes, k); });
+    double worst = 0;
+    for (double e : layers) worst = most(worst, e);
+    return worst;
+}
+
+Float4 point_of(const float* at) { return Float4{at[0], at[1], at[2], 0}; }
+
+void between(SolidLattice& lattice, Array<const float, 2> points, Array<float, 3> out) {
+    if (points.shape(1) != 3 || out.shape(0) != points.shape(0) || out.shape(1) != 4 || out.shape(2) != 3)
+        throw nb::value_error("points must be (N, 3), and out (N, 4, 3)");
+    for (size_t i = 0; i < points.shape(0); i++) {
+        Place place = lattice.at(point_of(points.data() + 3 * i));
+        for (int c = 0; c < 3; c++) {
+            out(i, 0, c) = place.u[c];
+            for (int d = 0; d < 3; d++) out(i, 1 + d, c) = place.m[d][c];
+        }
+    }
+}
+
+void look_up(Samples samples, Array<const float, 2> points, Array<float, 2> out) {
+    if (points.shape(1) != 3 || out.shape(0) != points.shape(0) || out.shape(1) != 4)
+        throw nb::value_error("points must be (N, 3), and out (N, 4)");
+    with_voxels(samples, [&](auto voxels) {
+        for (size_t i = 0; i < points.shape(0); i++) {
+            Float4 p = point_of(points.data() + 3 * i), g = voxels.slopes(p);
+            out(i, 0) = voxels.sample(p);
+            for (int c = 0; c < 3; c++) out(i, 1 + c) = g[c];
+        }
+    });
+}
+
+Transfer* make_transfer(Array<const float, 2> table, float low, float scale, float threshold, float bottom, float top) {
+    if (table.shape(0) < 1 || table.shape(1) != 4) throw nb::value_error("a table must be rows of 4 numbers");
+    auto* made = new Transfer{std::vector<Float4>(table.shape(0)), low, scale, threshold, bottom, top};
+    for (size_t i = 0; i < table.shape(0); i++) made->table[i] = load4(table.data() + 4 * i);
+    return made;
+}
+
+struct View : Look {
+    Array<const uint8_t, 3> kept;
+};
+
+View* make_view(Array<const double, 2> packed, double step, std::array<float, 3> lamp, bool shaded,
+                Array<const uint8_t, 3> skips) {
+    if (packed.shape(0) != 5 || packed.shape(1) != 3) throw nb::value_error("a view must be 5 rows of 3 numbers");
+    auto* v = new View{{}, skips};
+    Double4* rows[] = {&v->eye, &v->spacing, &v->ahead, &v->right, &v->down};
+    for (int k = 0; k < 5; k++)
+        *rows[k] = Double4{packed(k, 0), packed(k, 1), packed(k, 2), k == 1 ? 1.0 : 0.0};
+    v->step = step;
+    v->per_step = 1 / step;
+    v->lamp = point_of(lamp.data());
+    v->per_voxel = floats(Double4(1.0 / v->spacing));
+    v->shaded = shaded;
+    v->skips = skips.data();
+    auto [x, y, z] = sizes(skips);
+    v->wide = x, v->high = y, v->deep = z;
+    return v;
+}
+
+// A picture: rays of `columns` by `rows`, pixels from its middle.
+struct Picture {
+    Array<const double, 1> columns, rows;
+    Array<float, 3> light;    // (rows, columns, 4)
+    Array<double, 3> depth;   // (rows, columns, 2): of the first surface, and where opacity passes 0.9; or infinity
+    Array<int64_t, 3> work;   // (rows, columns, 2): samples, and evaluations of T
+
+    void write(int64_t y, int64_t x, const March& m) const {
+        for (int c = 0; c < 4; c++) light(y, x, c) = m.light[c];
+        depth(y, x, 0) = m.surface;
+        depth(y, x, 1) = m.opaque;
+        work(y, x, 0) = m.samples;
+        work(y, x, 1) = (int64_t)m.steps;
+    }
+};
+
+template <class T>
+void draw_tile(const Voxels<T>& voxels, const View& look, const Transfer& transfer, const SolidLattice* lattice,
+               int cells, const Strokes* strokes, const Picture& out, int64_t top, int64_t left) {
+    const int64_t bottom = least(top + TILE, (int64_t)out.rows.size());
+    const int64_t right = least(left + TILE, (int64_t)out.columns.size());
+    auto begun = [&](int64_t y, int64_t x) {
+        return March(Ray(look, voxels.last + 2, out.columns(x), out.rows(y)), transfer);
+    };
+    auto each = [&](auto&& f) {
+        for (int64_t y = top; y < bottom; y++)
+            for (int64_t x = left; x < right; x++) f(y, x);
+    };
+    if (strokes) {
+        std::vector<March> rays;
+        each([&](int64_t y, int64_t x) { rays.push_back(begun(y, x)); });
+        march_exactly(voxels, look, transfer, *strokes, rays);
+        const March* m = rays.data();
+        each([&](int64_t y, int64_t x) { out.write(y, x, *m++); });
+    } else if (lattice) {
+        each([&](int64_t y, int64_t x) {
+            March m = begun(y, x);
+            Cubics source(*lattice, cells, m.ray);
+            march(voxels, look, transfer, m, source);
+            out.write(y, x, m);
+        });
+    } else {
+        each([&](int64_t y, int64_t x) {
+            March m = begun(y, x);
+            Still source;
+            march(voxels, look, transfer, m, source);
+            out.write(y, x, m);
+        });
+    }
+}
+
+void draw(Samples samples, const View& look, const Transfer& transfer, const SolidLattice* lattice, int cells,
+          const Strokes* strokes, Array<const double, 1> columns, Array<const double, 1> rows, Array<float, 3> light,
+          Array<double, 3> depth, Array<int64_t, 3> work) {
+    const Picture out{columns, rows, light, depth, work};
+    const size_t height = out.rows.size(), width = out.columns.size();
+    auto fits = [&](auto& a, size_t n) { return a.shape(0) == height && a.shape(1) == width && a.shape(2) == n; };
+    if (!fits(out.light, 4) || !fits(out.depth, 2) || !fits(out.work, 2))
+        throw nb::value_error("a picture must have its rows and columns");
+    const int across = int(width + TILE - 1) / TILE, down = int(height + TILE - 1) / TILE;
+    with_voxels(samples, [&](auto voxels) {
+        nb::gil_scoped_release release;
+        parallel(across * down, [&](int tile, int) {
+            draw_tile(voxels, look, transfer, lattice, cells, strokes, out, tile / across * TILE, tile % across * TILE);
+        });
+    });
+}
+
+void brick_ranges(Samples samples, int brick, Array<float, 3> lows, Array<float, 3> highs) {
+    const auto n = sizes(samples), bricks = sizes(lows);
+    for (int i = 0; i < 3; i++)
+        if (brick < 1 || bricks[i] != most((n[i] - 1 + brick - 1) / brick, int64_t(1)) || sizes(highs)[i] != bricks[i])
+            throw nb::value_error("lows and highs must be as many as there are bricks");
+    const int64_t layer = bricks[0] * bricks[1];
+    with_samples(samples, [&](auto* data) {
+        nb::gil_scoped_release release;
+        parallel((int)bricks[2], [&](int c, int) {
+            ranges(data, n.data(), brick, bricks[0], bricks[1], c, lows.data() + c * layer, highs.data() + c * layer);
+        });
+    });
+}
+
+void brick_distances(Array<const bool, 3> seen, Array<uint8_t, 3> out) {
+    if (sizes(seen) != sizes(out)) throw nb::value_error("out must be of the shape of seen");
+    distances(seen.data(), sizes(seen).data(), out.data());
+}
+
+void brick_moved(SolidLattice& lattice, Array<const bool, 3> seen, int fine, double slack, Array<bool, 3> out) {
+    moved(lattice, seen.data(), sizes(seen).data(), fine, slack, sizes(out).data(), out.data());
+}
+
+}  // namespace
+
+void bind_render(nb::module_& m) {
+    m.attr("BRICK") = BRICK;
+    m.attr("NODE") = NODE;
+    nb::class_<Strokes>(m, "Strokes", "The strokes of a deformation and its domain, for volumes.")
+        .def(nb::new_(&make_strokes), "rows"_a, "axes"_a);
+    nb::class_<SolidLattice>(m, "Lattice", "The inverse displacements of a volume at the nodes of a lattice.")
+        .def(nb::init<Array<float, 4>, int>(), "nodes"_a, "step"_a)
+        .def("solve", &solve, "strokes"_a, "Solve the nodes; return the evaluations and the shortest length.")
+        .def("error", &error, "strokes"_a, "Return the largest error, in voxels, that is seen between nodes.")
+        .def("between", &between, "points"_a, "out"_a, "Interpolate the displacement and the columns of ∂p/∂q.");
+    nb::class_<Transfer>(m, "Transfer", "A transfer function as a table, and the values that are seen.")
+        .def(nb::new_(&make_transfer), "table"_a, "low"_a, "scale"_a, "threshold"_a, "bottom"_a, "top"_a);
+    nb::class_<View>(m, "View", "A camera and a lamp before a volume, and what rays may skip of it.")
+        .def(nb::new_(&make_view), "packed"_a, "step"_a, "lamp"_a, "shaded"_a, "skips"_a);
+    m.def("draw", &draw, "samples"_a, "view"_a, "transfer"_a, "lattice"_a.none(), "cells"_a, "strokes"_a.none(),
+          "columns"_a, "rows"_a, "light"_a, "depth"_a, "work"_a,
+          "See a volume along the rays of pixels: as it is, through a lattice, or through strokes.");
+    m.def("brick_ranges", &brick_ranges, "samples"_a, "brick"_a, "lows"_a, "highs"_a,
+          "Find the smallest and the largest sample of bricks.");
+    m.def("brick_distances", &brick_distances, "seen"_a, "out"_a, "Find how many bricks away the next seen one is.");
+    m.def("brick_moved", &brick_moved, "lattice"_a, "seen"_a, "fine"_a, "slack"_a, "out"_a,
+          "Find the bricks of a deformed volume that show what is seen of the volume.");
+    m.def("look_up", &look_up, "samples"_a, "points"_a, "out"_a, "Sample a volume and its gradient at points.");
+}
+
+}  // namespace supple

@@ -1,0 +1,405 @@
+// Colours at source points: linear, cubic, and the residual footprint, of one frame or of several that are mixed.
+//
+// The footprint (docs/sampling.md). A sample is already an average over one sample. With M = ∂p/∂q, S = MMᵀ and its
+// eigenvalues λ±, what is missing is an average of the cubic interpolant over a box of variance Σ,
+//
+//     12 Σ = ½(α + β) I + (α - β)/(λ₊ - λ₋) (S - ½(λ₊ + λ₋) I),     α, β = g max(λ± - 1, 0),
+//
+// whose second moments four cubic samples at (±√Σxx, ±√Σyy), weighted (1 ± ρ)/4, have exactly: a `spot`. As products
+// along the axes that is one window of 5 × 5. A larger footprint is a row of spots along its major axis, in the level
+// of a pyramid that its minor axis asks for; the next number of spots, and the next level, fade in.
+#pragma once
+#include "plan.hpp"
+#include "vectors.hpp"
+
+namespace supple {
+
+enum Filter { NEAREST, LINEAR, CUBIC, AUTO };
+enum Rule { EDGE, CONSTANT, REFLECT };
+
+constexpr float KEYS = -0.75f;            // of the cubic in space
+constexpr float LOW = 0.05f, RISE = 0.2f; // of α: no average below, all of it from there on
+constexpr float NARROW = 1.62f, SQUARE = 3.2f;
+constexpr float WIDEST_SPOT = 0.4999f; // its half sides: two points of a spot are less than a sample apart
+constexpr float PER_SPOT = 1.7f;
+constexpr int MOST_SPOTS = 16;
+constexpr int LEVELS = 12;
+constexpr int WINDOW = 5, PATCH = 32; // samples of a window along a side; numbers from one row of a patch to the next
+
+// Where sample i of n lies under a boundary mode; -1 for a constant.
+INLINE int placed(int i, int n, int rule) {
+    if ((unsigned)i < (unsigned)n) return i;
+    if (rule == CONSTANT) return -1;
+    if (rule == EDGE) return i < 0 ? 0 : n - 1;
+    int64_t m = 2 * (int64_t)n, k = ((i % m) + m) % m;
+    return (int)(k < n ? k : m - 1 - k);
+}
+
+// ---- weights --------------------------------------------------------------------------------------------------------
+
+// Keys' cubic at the four samples around a fraction f is Σ KEYS_POWERS[d][i] f^d.
+constexpr float KEYS_POWERS[4][4] = {{0, 1, 0, 0},
+                                     {KEYS, 0, -KEYS, 0},
+                                     {-2 * KEYS, -KEYS - 3, 2 * KEYS + 3, KEYS},
+                                     {KEYS, KEYS + 2, -KEYS - 2, -KEYS}};
+
+// The weights of columns, each C times, as many as fit; from column FIRST on, times SCALE.
+template <class N, int C, int L> struct Powers {
+    alignas(64) N c[4][L];
+    constexpr Powers(int first, N scale) : c{} {
+        for (int d = 0; d < 4; d++)
+            for (int i = 0; i < L; i++) {
+                int tap = i / C - first;
+                c[d][i] = tap >= 0 && tap < 4 ? scale * N(KEYS_POWERS[d][tap]) : 0;
+            }
+    }
+    INLINE Pack<N, L> operator()(N f) const {
+        return load<N, L>(c[0]) + f * (load<N, L>(c[1]) + f * (load<N, L>(c[2]) + f * load<N, L>(c[3])));
+    }
+};
+template <class N, int C, int L> inline constexpr Powers<N, C, L> weights{0, 1};
+// Halves, since two are added: of a spot's first and second column.
+template <class N, int C, int L> inline constexpr Powers<N, C, L> halves[2] = {{0, N(0.5)}, {1, N(0.5)}};
+
+// What rows of spots count: of each row of a window the sum of both points' weights, and ρ times their difference.
+template <class N> struct Across { // the same along x, as fractions
+    N first, second;
+    int shift; // whether the second point is a column further
+};
+
+// ---- samples of one place, and kernels over them --------------------------------------------------------------------
+
+template <class T> struct One {
+    const T* p;
+    template <class N, int L> INLINE Pack<N, L> at(ptrdiff_t o) const { return load<N, L>(p + o); }
+};
+template <class N, class T> struct Two {
+    const T *p, *q;
+    N a, b;
+    template <class, int L> INLINE Pack<N, L> at(ptrdiff_t o) const { return a * load<N, L>(p + o) + b * load<N, L>(q + o); }
+};
+template <class N, class T> struct Many {
+    const T* const* frames;
+    const N* weight;
+    int n;
+    ptrdiff_t place;
+    template <class, int L> INLINE Pack<N, L> at(ptrdiff_t o) const {
+        Pack<N, L> v = weight[0] * load<N, L>(frames[0] + place + o);
+        for (int k = 1; k < n; k++) v += weight[k] * load<N, L>(frames[k] + place + o);
+        return v;
+    }
+};
+
+template <class N, int C, class Taps> INLINE Pixel<N> linear_at(Taps taps, ptrdiff_t row, N fx, N fy) {
+    constexpr int L = lanes_for(2 * C);
+    Pack<N, L> u = taps.template at<N, L>(0), v = taps.template at<N, L>(row);
+    v = u + fy * (v - u);
+    Pixel<N> a = part<N, 0>(v), b;
+    if constexpr (C == 4) b = part<N, 1>(v);
+    else if constexpr (C == 3) b = straddle<N, 3>(a, part<N, 1>(v));
+    else b = straddle<N, C>(a, a);
+    return a + fx * (b - a);
+}
+
+template <class N, int C, class Taps> INLINE Pixel<N> cubic_at(Taps taps, ptrdiff_t row, N fx, N fy) {
+    constexpr int L = lanes_for(4 * C);
+    Pixel<N> w = weights<N, 1, 4>(fy);
+    ptrdiff_t o = -row - C;
+    Pack<N, L> v = w[0] * taps.template at<N, L>(o);
+    for (int j = 1; j < 4; j++) v += w[j] * taps.template at<N, L>(o + j * row);
+    return sum_of<N, C, 4>(v * weights<N, C, L>(fx));
+}
+
+// even, odd: of each row of the window, ES apart.
+template <class N, int C, int ES, class Taps>
+INLINE Pixel<N> spot_at(Taps taps, ptrdiff_t row, Across<N> x, const N* even, const N* odd) {
+    constexpr int L = lanes_for(5 * C > 16 ? 16 : 5 * C);
+    ptrdiff_t o = -row - C;
+    Pack<N, L> r = taps.template at<N, L>(o), e = r * even[0], d = r * odd[0];
+    for (int j = 1; j < WINDOW; j++) {
+        r = taps.template at<N, L>(o + j * row);
+        e += r * even[j * ES];
+        d += r * odd[j * ES];
+    }
+    Pack<N, L> a = halves<N, C, L>[0](x.first), b = halves<N, C, L>[x.shift](x.second);
+    Pack<N, L> v = e * (a + b) + d * (b - a);
+    Pixel<N> s = sum_of<N, C, 4>(v);
+    if constexpr (C == 4) { // the fifth column did not fit
+        Pixel<N> q = taps.template at<N, 4>(o + 16), e4 = q * even[0], d4 = q * odd[0];
+        for (int j = 1; j < WINDOW; j++) {
+            q = taps.template at<N, 4>(o + 16 + j * row);
+            e4 += q * even[j * ES];
+            d4 += q * odd[j * ES];
+        }
+        N f = x.second, last = x.shift ? N(0.5) * N(KEYS) * f * f * (1 - f) : 0;
+        return s + last * (e4 + d4);
+    } else if constexpr (C == 3)
+        return s + part<N, 3>(v);
+    else if constexpr (C == 2)
+        return s + part<N, 2>(v);
+    else
+        return s + part<N, 1>(v);
+}
+
+// ---- frames, and how they are mixed at a pixel ------------------------------------------------------------------------
+
+// Frames of one kind, with C interleaved channels, `row` numbers from one row to the next.
+template <class T> struct Frames {
+    const T* const* at;
+    int w, h;
+    ptrdiff_t row;
+    ptrdiff_t limit; // numbers that may be read from a frame's first on
+    int rule;
+    const double* fill;
+};
+
+// Frames `first` to `first + n - 1`, each with a weight; and what the constant beyond a clip's ends counts.
+template <class N> struct Mix {
+    int first, n;
+    const N* weight;
+    N constant;
+};
+
+// Call use(taps, row) with the samples around (x, y), of which it needs LEFT before it and RIGHT after it on each axis.
+template <class N, int C, int LEFT, int RIGHT, bool SEVERAL, class T, class Use>
+INLINE Pixel<N> around(const Frames<T>& f, const Mix<N>& mix, int x, int y, Use use) {
+    constexpr int reading = lanes_for((LEFT + 1 + RIGHT) * C > 16 ? 16 : (LEFT + 1 + RIGHT) * C) + (C == 4 && RIGHT == 3 ? 4 : 0);
+    ptrdiff_t place = (ptrdiff_t)y * f.row + (ptrdiff_t)x * C;
+    bool inside = x >= LEFT && x < f.w - RIGHT && y >= LEFT && y < f.h - RIGHT &&
+                  place + RIGHT * f.row - LEFT * C + reading <= f.limit;
+    if (__builtin_expect(inside && mix.n > 0, 1)) {
+        Pixel<N> v;
+        if (!SEVERAL || mix.n == 1) {
+            v = use(One<T>{f.at[mix.first] + place}, f.row);
+            if (!SEVERAL) return v;
+            if (mix.constant == 0) return v;
+            v = v * mix.weight[0];
+        } else if (mix.n == 2)
+            v = use(Two<N, T>{f.at[mix.first] + place, f.at[mix.first + 1] + place, mix.weight[0], mix.weight[1]}, f.row);
+        else
+            v = use(Many<N, T>{f.at + mix.first, mix.weight, mix.n, place}, f.row);
+        if (mix.constant != 0) {
+            N all[4] = {};
+            for (int c = 0; c < C; c++) all[c] = mix.constant * (N)f.fill[c];
+            v += load<N, 4>(all);
+        }
+        return v;
+    }
+    N own[PATCH * (WINDOW + 1)] = {};
+    gather<N, C>(f, mix, x, y, own);
+    return use(One<N>{own + PATCH + C}, (ptrdiff_t)PATCH);
+}
+// A window of samples where some lie beyond the edge, mixed.
+template <class N, int C, class T>
+NOINLINE void gather(const Frames<T>& f, const Mix<N>& mix, int x, int y, N* own) {
+    for (int j = 0; j < WINDOW; j++)
+        for (int i = 0; i < WINDOW; i++) {
+            int u = placed(x - 1 + i, f.w, f.rule), v = placed(y - 1 + j, f.h, f.rule);
+            for (int c = 0; c < C; c++) {
+                N sum = mix.constant * (N)f.fill[c];
+                for (int k = 0; k < mix.n; k++) {
+                    N s = u < 0 || v < 0 ? (N)f.fill[c] : (N)f.at[mix.first + k][v * f.row + (ptrdiff_t)u * C + c];
+                    sum += (mix.n == 1 && mix.constant == 0 ? 1 : mix.weight[k]) * s;
+                }
+                own[j * PATCH + i * C + c] = sum;
+            }
+        }
+}
+
+// ---- footprints -----------------------------------------------------------------------------------------------------
+
+template <class N> INLINE N smooth(N f) { return f * f * (3 - 2 * f); }
+
+// The footprints of a row's samples: S, and the spot of those that one suffices for.
+struct Prints {
+    enum Kind { PLAIN, SPOT, WIDE };
+    alignas(64) int kind[STRIDE];
+    float xx[STRIDE], xy[STRIDE], yy[STRIDE];
+    int x[STRIDE], y[STRIDE], shift[STRIDE]; // a spot's first point, and whether the second is a column further
+    float first[STRIDE], second[STRIDE];     // their fractions along x
+    float even[WINDOW][STRIDE], odd[WINDOW][STRIDE];
+    bool any;
+
+    template <int D> void find(const Row<D>& row, int at, int n);
+};
+
+template <int D> inline void Prints::find(const Row<D>& row, int from, int n) {
+    int some = 0;
+    const float *ax = row.across[0] + from, *ay = row.across[1] + from, *dx = row.down[0] + from, *dy = row.down[1] + from;
+    for (int i = 0; i < n; i++) {
+        float sxx = ax[i] * ax[i] + dx[i] * dx[i], sxy = ax[i] * ay[i] + dx[i] * dy[i];
+        float syy = ay[i] * ay[i] + dy[i] * dy[i];
+        float h = 0.5f * (sxx + syy), e = 0.5f * (sxx - syy);
+        xx[i] = sxx;
+        xy[i] = sxy;
+        yy[i] = syy;
+        some |= h + __builtin_sqrtf(e * e + sxy * sxy) > 1 + LOW;
+    }
+    any = some;
+    if (!some) return;
+    const float *part_x = row.part[0] + from, *part_y = row.part[1] + from;
+    const int *whole_x = row.whole[0] + from, *whole_y = row.whole[1] + from;
+    for (int i = 0; i < n; i++) {
+        float h = 0.5f * (xx[i] + yy[i]), e = 0.5f * (xx[i] - yy[i]), d = __builtin_sqrtf(e * e + xy[i] * xy[i]);
+        float alpha = h + d - 1, beta = h - d - 1;
+        kind[i] = alpha <= LOW ? PLAIN : (alpha < NARROW) & (h - d < SQUARE) ? SPOT : WIDE;
+        // 12 Σ with its soft start
+        float g = (RISE / (RISE - LOW)) * (alpha - LOW) / (alpha > LOW ? alpha : LOW);
+        g = g > 1 ? 1 : g > 0 ? g : 0;
+        alpha = g * (alpha > 0 ? alpha : 0);
+        beta = g * (beta > 0 ? beta : 0);
+        float half = 0.5f * (alpha + beta), f = 0.5f * (alpha - beta) / (d + 1e-12f);
+        float var_x = (half + f * e) * (1 / 12.f), var_y = (half - f * e) * (1 / 12.f), cov = f * xy[i] * (1 / 12.f);
+        float sx = __builtin_sqrtf(var_x > 0 ? var_x : 0), sy = __builtin_sqrtf(var_y > 0 ? var_y : 0);
+        sx = sx < WIDEST_SPOT ? sx : WIDEST_SPOT;
+        sy = sy < WIDEST_SPOT ? sy : WIDEST_SPOT;
+        float rho = cov / (sx * sy + 1e-12f);
+        // Both points lie in a window of 5 × 5 from the first one's.
+        float x0 = part_x[i] - sx, x1 = part_x[i] + sx, y0 = part_y[i] - sy, y1 = part_y[i] + sy;
+        int before_x = x0 < 0, after_x = x1 >= 1, before_y = y0 < 0, after_y = y1 >= 1;
+        x[i] = whole_x[i] - before_x;
+        y[i] = whole_y[i] - before_y;
+        shift[i] = before_x + after_x;
+        first[i] = x0 + (float)before_x;
+        second[i] = x1 - (float)after_x;
+        float u = y0 + (float)before_y, v = y1 - (float)after_y;
+        bool lower = before_y + after_y;
+        auto outer = [](float t) { return 0.5f * KEYS * t * (1 - t) * (1 - t); };
+        auto inner = [](float t) { return 0.5f + 0.5f * t * t * ((KEYS + 2) * t - (KEYS + 3)); };
+        float p0 = outer(u), p1 = inner(u), p2 = inner(1 - u), p3 = outer(1 - u);
+        float r0 = outer(v), r1 = inner(v), r2 = inner(1 - v), r3 = outer(1 - v);
+        float q0 = lower ? 0 : r0, q1 = lower ? r0 : r1, q2 = lower ? r1 : r2, q3 = lower ? r2 : r3, q4 = lower ? r3 : 0;
+        even[0][i] = p0 + q0;
+        even[1][i] = p1 + q1;
+        even[2][i] = p2 + q2;
+        even[3][i] = p3 + q3;
+        even[4][i] = q4;
+        odd[0][i] = rho * (q0 - p0);
+        odd[1][i] = rho * (q1 - p1);
+        odd[2][i] = rho * (q2 - p2);
+        odd[3][i] = rho * (q3 - p3);
+        odd[4][i] = rho * q4;
+    }
+}
+
+// Averages of 2 × 2, 4 × 4, … samples, of every frame; an odd edge repeats its last sample.
+template <class N> struct Pyramid {
+    int levels = 0;
+    Frames<N> level[LEVELS];
+};
+
+// A spot of the variance 12 Σ = (xx, xy; xy, yy) at (x, y).
+template <class N, int C, bool SEVERAL, class T>
+INLINE Pixel<N> spot(const Frames<T>& f, const Mix<N>& mix, N x, N y, N xx, N xy, N yy) {
+    N sx = std::min(N(sqrt(xx / 12)), N(WIDEST_SPOT)), sy = std::min(N(sqrt(yy / 12)), N(WIDEST_SPOT));
+    N rho = xy / 12 / (sx * sy + N(1e-12));
+    N x0 = floored(x - sx), x1 = floored(x + sx), y0 = floored(y - sy), y1 = floored(y + sy);
+    N even[WINDOW] = {}, odd[WINDOW] = {};
+    for (int point = 0; point < 2; point++) {
+        N t = point ? y + sy - y1 : y - sy - y0;
+        int lower = point ? (int)(y1 - y0) : 0;
+        for (int j = 0; j < 4; j++) {
+            N w = N(KEYS_POWERS[0][j]) + t * (N(KEYS_POWERS[1][j]) + t * (N(KEYS_POWERS[2][j]) + t * N(KEYS_POWERS[3][j])));
+            even[j + lower] += w / 2;
+            odd[j + lower] += (point ? rho : -rho) * w / 2;
+        }
+    }
+    Across<N> across{x - sx - x0, x + sx - x1, (int)(x1 - x0)};
+    return around<N, C, 1, 3, SEVERAL>(f, mix, (int)x0, (int)y0,
+                                       [&](auto taps, ptrdiff_t row) INLINE_LAMBDA { return spot_at<N, C, 1>(taps, row, across, even, odd); });
+}
+
+// n spots along the major axis u of a footprint `length` long and √w2 wide.
+template <class N, int C, bool SEVERAL, class T>
+NOINLINE Pixel<N> spots(const Frames<T>& f, const Mix<N>& mix, int n, N x, N y, N ux, N uy, N length, N w2) {
+    N l2 = std::min(length * length / (n * n), N(3));
+    N xx = l2 * ux * ux + w2 * uy * uy, yy = l2 * uy * uy + w2 * ux * ux, xy = (l2 - w2) * ux * uy;
+    Pixel<N> sum{};
+    for (int i = 0; i < n; i++) {
+        N along = length * ((i + N(0.5)) / n - N(0.5));
+        sum += spot<N, C, SEVERAL>(f, mix, x + along * ux, y + along * uy, xx, xy, yy);
+    }
+    return sum * (N(1) / n);
+}
+
+// The footprint with the eigenvalues `large` and `small`, in samples of this level.
+template <class N, int C, bool SEVERAL, class T>
+INLINE Pixel<N> in_level(const Frames<T>& f, const Mix<N>& mix, N x, N y, N ux, N uy, N large, N small) {
+    N length = sqrt(std::max(large - 1, N(0))), w2 = std::clamp(small - 1, N(0), N(2.99));
+    N v = length / N(PER_SPOT);
+    int n = std::min((int)v + 1, MOST_SPOTS);
+    Pixel<N> mean = spots<N, C, SEVERAL>(f, mix, n, x, y, ux, uy, length, w2);
+    N fade = 4 * (v - (n - 1) - N(0.75));
+    if (fade > 0 && n < MOST_SPOTS)
+        mean += smooth(fade) * (spots<N, C, SEVERAL>(f, mix, n + 1, x, y, ux, uy, length, w2) - mean);
+    return mean;
+}
+
+// Any footprint, of S = (xx, xy; xy, yy).
+template <class N, int C, bool SEVERAL, class T>
+NOINLINE Pixel<N> wide(const Frames<T>& f, const Pyramid<N>& pyramid, const Mix<N>& mix, N x, N y, N xx, N xy, N yy) {
+    N h = (xx + yy) / 2, e = (xx - yy) / 2, d = sqrt(e * e + xy * xy) + N(1e-12), large = h + d, small = h - d;
+    N cosine = std::clamp(e / d, N(-1), N(1)), ux = sqrt((1 + cosine) / 2), uy = sqrt((1 - cosine) / 2);
+    if (xy < 0) uy = -uy;
+    N want = std::max(small, large / 400);
+    int k = 0;
+    while (k < pyramid.levels && want >= 4) want /= 4, k++;
+    constexpr int LEVEL_C = C == 1 ? 1 : 4; // channels of a level
+    auto level = [&](int k) {
+        if (k == 0) return in_level<N, C, SEVERAL>(f, mix, x, y, ux, uy, large, small);
+        N scale = N(1) / (1 << k), area = scale * scale;
+        return in_level<N, LEVEL_C, SEVERAL>(pyramid.level[k - 1], mix, (x + N(0.5)) * scale - N(0.5), (y + N(0.5)) * scale - N(0.5),
+                                       ux, uy, large * area, small * area);
+    };
+    Pixel<N> v = level(k);
+    N fade = std::min((want - N(3.2)) / N(0.8), N(1));
+    if (fade > 0 && k < pyramid.levels) v += smooth(fade) * (level(k + 1) - v);
+    return v;
+}
+
+// ---- rows -----------------------------------------------------------------------------------------------------------
+
+// Sample n source points of a row, from `from` on, into `out`. mix_of(i) says how frames are mixed at one of them.
+template <class N, int C, bool SEVERAL, class T, int D, class MixOf>
+INLINE void sample_row(const Frames<T>& f, const Pyramid<N>& pyramid, int filter, const Row<D>& row, const Prints& prints,
+                int from, int n, MixOf mix_of, Pixel<N>* out) {
+    const int *x = row.whole[0] + from, *y = row.whole[1] + from;
+    const float *fx = row.part[0] + from, *fy = row.part[1] + from;
+    if (filter == LINEAR) {
+        for (int i = 0; i < n; i++)
+            out[i] = around<N, C, 0, 1, SEVERAL>(f, mix_of(i), x[i], y[i], [&](auto taps, ptrdiff_t r) INLINE_LAMBDA {
+                return linear_at<N, C>(taps, r, (N)fx[i], (N)fy[i]);
+            });
+        return;
+    }
+    if (filter == CUBIC || !prints.any) {
+        for (int i = 0; i < n; i++)
+            out[i] = around<N, C, 1, 2, SEVERAL>(f, mix_of(i), x[i], y[i], [&](auto taps, ptrdiff_t r) INLINE_LAMBDA {
+                return cubic_at<N, C>(taps, r, (N)fx[i], (N)fy[i]);
+            });
+        return;
+    }
+    for (int i = 0; i < n; i++) {
+        Mix<N> mix = mix_of(i);
+        if (prints.kind[i] == Prints::PLAIN)
+            out[i] = around<N, C, 1, 2, SEVERAL>(f, mix, x[i], y[i], [&](auto taps, ptrdiff_t r) INLINE_LAMBDA {
+                return cubic_at<N, C>(taps, r, (N)fx[i], (N)fy[i]);
+            });
+        else if (prints.kind[i] == Prints::SPOT && sizeof(N) == sizeof(float))
+            out[i] = around<N, C, 1, 3, SEVERAL>(f, mix, prints.x[i], prints.y[i], [&](auto taps, ptrdiff_t r) INLINE_LAMBDA {
+                return spot_at<N, C, STRIDE>(taps, r, Across<N>{(N)prints.first[i], (N)prints.second[i], prints.shift[i]},
+                                             (const N*)&prints.even[0][i], (const N*)&prints.odd[0][i]);
+            });
+        else if (prints.kind[i] == Prints::SPOT) {
+            N even[WINDOW], odd[WINDOW];
+            for (int j = 0; j < WINDOW; j++) even[j] = prints.even[j][i], odd[j] = prints.odd[j][i];
+            out[i] = around<N, C, 1, 3, SEVERAL>(f, mix, prints.x[i], prints.y[i], [&](auto taps, ptrdiff_t r) INLINE_LAMBDA {
+                return spot_at<N, C, 1>(taps, r, Across<N>{(N)prints.first[i], (N)prints.second[i], prints.shift[i]}, even, odd);
+            });
+        } else
+            out[i] = wide<N, C, SEVERAL>(f, pyramid, mix, (N)x[i] + (N)fx[i], (N)y[i] + (N)fy[i], (N)prints.xx[i],
+                                         (N)prints.xy[i], (N)prints.yy[i]);
+    }
+}
+
+}  // namespace supple

@@ -1,0 +1,543 @@
+// A plane of the output from frames of any type: which kernel, in which numbers, from which frames.
+//
+// What the kernels know (8 and 16 bit integers, float32, up to four channels) is read where it lies. All else - other
+// types, opacity, light instead of values on sRGB's curve, more channels - is converted first, as much of a frame as a
+// root cell can see at a time, to numbers of four channels, or one.
+#pragma once
+#include <memory>
+
+#include "sample.hpp"
+
+namespace supple {
+
+enum Type { U8, U16, I16, F32, F64, I8, I32, U32, I64, U64 };
+enum Between { BETWEEN_NEAREST, BETWEEN_LINEAR, BETWEEN_CUBIC };
+constexpr double LONGEST = 64; // frames that a pixel is averaged over, at most
+
+inline int bytes_of(int type) {
+    static const int bytes[] = {1, 2, 2, 4, 8, 1, 4, 4, 8, 8};
+    return bytes[type];
+}
+
+// What is sampled, how, and into what.
+struct Job {
+    // Frames of `count` in a window: frame k is the slot k modulo `capacity`.
+    const char* frames;
+    ptrdiff_t frame_bytes;
+    int count, capacity;
+    int type, channels, w, h; // contiguous rows of w * channels samples
+    char* out;                // likewise, of grid.size
+    Grid grid;
+    int box[4];               // x0, x1, y0, y1 of what is wanted of it
+    int filter, between, rule;
+    bool average;             // whether a pixel is averaged over the frames that it covers
+    const double* fill;       // for each channel
+    int alpha;                // the channel by which the others are weighted, or -1
+    bool light;               // whether light is averaged, and not values on sRGB's curve
+    double white;             // the largest value, and that of opaque
+
+    ptrdiff_t pixel_bytes() const { return (ptrdiff_t)bytes_of(type) * channels; }
+    const char* frame(int k) const { // or null, of a constant
+        k = placed(k, count, rule);
+        return k < 0 ? nullptr : frames + (k % capacity) * frame_bytes;
+    }
+    bool direct() const {
+        bool known = type == U8 || type == U16 || type == F32 || (type == I16 && channels == 1);
+        return known && channels <= 4 && alpha < 0 && !light;
+    }
+};
+
+// ---- time -------------------------------------------------------------------------------------------------------------
+
+// The integral of the tent, or of Catmull and Rom's cubic, from 0 to t.
+inline double integral(int between, double t) {
+    double x = std::min(fabs(t), 2.0), value;
+    if (between == BETWEEN_CUBIC)
+        value = x <= 1 ? x - 5.0 / 6 * x * x * x + 3.0 / 8 * x * x * x * x
+                       : 2 * x - 2 * x * x + 5.0 / 6 * x * x * x - x * x * x * x / 8 - 1.0 / 6;
+    else {
+        x = std::min(x, 1.0);
+        value = x - 0.5 * x * x;
+    }
+    return t > 0 ? value : -value;
+}
+// What the frames first, first + 1, … count at a time, for a pixel that covers `width` frames more than its own.
+template <class N> inline int time_weights(int between, double t, double width, int& first, N* weight) {
+    double base = floor(t), f = t - base;
+    if (between == BETWEEN_NEAREST) {
+        first = (int)floor(t + 0.5);
+        weight[0] = 1;
+        return 1;
+    }
+    if (width > 1e-3) {
+        double radius = (between == BETWEEN_CUBIC ? 2 : 1) + width / 2;
+        first = (int)floor(t - radius) + 1;
+        int n = std::min((int)ceil(t + radius) - first, (int)LONGEST + 6);
+        for (int k = 0; k < n; k++) {
+            double d = first + k - t;
+            weight[k] = (N)((integral(between, d + width / 2) - integral(between, d - width / 2)) / width);
+        }
+        return n;
+    }
+    first = (int)base;
+    weight[0] = 1;
+    if (f == 0) return 1;
+    if (between == BETWEEN_LINEAR) {
+        weight[0] = (N)(1 - f);
+        weight[1] = (N)f;
+        return 2;
+    }
+    first -= 1;
+    weight[0] = (N)(0.5 * f * (f * (2 - f) - 1));
+    weight[1] = (N)(0.5 * (f * f * (3 * f - 5) + 2));
+    weight[2] = (N)(0.5 * f * (f * (4 - 3 * f) + 1));
+    weight[3] = (N)(0.5 * f * f * (f - 1));
+    return 4;
+}
+
+// The frames that samples of a plane may need, from bounds of where they lie in time. Beyond a clip's ends, all that a
+// constant or an edge leaves to know is known a few frames out.
+struct Span {
+    int first, last;
+};
+inline Span frames_of(const Job& job, double low, double high, double rate) {
+    double support = job.between == BETWEEN_CUBIC ? 2 : 1, width = 0;
+    if (job.average) width = std::min(rate * std::max(job.grid.step[0], job.grid.step[1]), LONGEST) / 2 + 1;
+    double out = 3 + LONGEST / 2, slack = 1e-3;
+    if (job.rule != REFLECT) {
+        low = std::clamp(low, -out, job.count - 1 + out);
+        high = std::clamp(high, -out, job.count - 1 + out);
+    }
+    return {(int)floor(low - slack - width - support), (int)ceil(high + slack + width + support)};
+}
+
+// ---- numbers ------------------------------------------------------------------------------------------------------------
+
+inline double to_light(double u) { return u <= 0.04045 ? u / 12.92 : pow((u + 0.055) / 1.055, 2.4); }
+inline double from_light(double u) { return u <= 0.0031308 ? 12.92 * u : 1.055 * pow(u, 1 / 2.4) - 0.055; }
+
+// Samples as numbers, in groups of LANES_ channels: colours weighted by opacity, which comes last; light.
+template <class N> struct Numbers {
+    const Job& job;
+    int lanes, colours; // numbers a pixel, and how many of a group are colours
+    std::vector<N> table;
+
+    explicit Numbers(const Job& job) : job(job), lanes(job.channels == 1 ? 1 : 4), colours(job.alpha < 0 ? lanes : 3) {
+        if (!job.light || bytes_of(job.type) > 2 || job.type == I8 || job.type == I16) return;
+        table.resize(job.type == U8 ? 256 : 65536);
+        for (size_t i = 0; i < table.size(); i++) table[i] = (N)(job.white * to_light(i / job.white));
+    }
+    int groups() const {
+        int all = job.alpha < 0 ? job.channels : job.channels - 1;
+        return (all + colours - 1) / colours;
+    }
+    int count(int group) const {
+        int all = job.alpha < 0 ? job.channels : job.channels - 1;
+        return std::min(colours, all - group * colours);
+    }
+    template <class T> N number(T v) const {
+        if (!job.light) return (N)v;
+        if constexpr (sizeof(T) <= 2)
+            if (!table.empty()) return table[v];
+        return (N)(job.white * to_light((double)v / job.white));
+    }
+    template <class T> void convert(const T* p, int n, int group, N* out) const {
+        int some = count(group), first = group * colours;
+        for (int i = 0; i < n; i++, p += job.channels, out += lanes) {
+            N weight = job.alpha < 0 ? 1 : (N)((double)p[job.alpha] / job.white);
+            for (int c = 0; c < some; c++) out[c] = number(p[first + c]) * weight;
+            for (int c = some; c < lanes; c++) out[c] = 0;
+            if (job.alpha >= 0) out[lanes - 1] = (N)p[job.alpha];
+        }
+    }
+    void convert(const char* frame, int x, int y, int n, int group, N* out) const {
+        const char* p = frame + ((ptrdiff_t)y * job.w + x) * job.pixel_bytes();
+        switch (job.type) {
+        case U8: return convert((const uint8_t*)p, n, group, out);
+        case U16: return convert((const uint16_t*)p, n, group, out);
+        case I16: return convert((const int16_t*)p, n, group, out);
+        case F32: return convert((const float*)p, n, group, out);
+        case F64: return convert((const double*)p, n, group, out);
+        case I8: return convert((const int8_t*)p, n, group, out);
+        case I32: return convert((const int32_t*)p, n, group, out);
+        case U32: return convert((const uint32_t*)p, n, group, out);
+        case I64: return convert((const int64_t*)p, n, group, out);
+        default: return convert((const uint64_t*)p, n, group, out);
+        }
+    }
+    // The fill value as such numbers.
+    void constant(int group, double* out) const {
+        int some = count(group), first = group * colours;
+        double weight = job.alpha < 0 ? 1 : job.fill[job.alpha] / job.white;
+        for (int c = 0; c < 4; c++) out[c] = 0;
+        for (int c = 0; c < some; c++)
+            out[c] = weight * (job.light ? job.white * to_light(job.fill[first + c] / job.white) : job.fill[first + c]);
+        if (job.alpha >= 0) out[lanes - 1] = job.fill[job.alpha];
+    }
+    template <class T> void store(const Pixel<N>* from, int n, int group, T* p) const {
+        constexpr bool whole = std::numeric_limits<T>::is_integer;
+        int some = count(group), first = group * colours;
+        double low = whole ? (double)std::numeric_limits<T>::lowest() : 0;
+        double high = whole ? std::min((double)std::numeric_limits<T>::max(), job.white) : 0;
+        auto put = [&](double v) {
+            if constexpr (whole) {
+                v = floor(v + 0.5);
+                if (!(v > low)) return v == v ? (T)low : T(0);
+                return v >= high ? limit_of<T>(high) : (T)v;
+            } else
+                return (T)v;
+        };
+        for (int i = 0; i < n; i++, p += job.channels) {
+            double opacity = 0;
+            if (job.alpha >= 0) {
+                // A cubic overshoots: more than opaque, or less than clear, there is nothing to show. The colours
+                // overshoot with it, and are divided by it as it is.
+                opacity = from[i][lanes - 1];
+                p[job.alpha] = put(std::clamp(opacity, 0.0, job.white));
+            }
+            for (int c = 0; c < some; c++) {
+                double v = from[i][c];
+                if (job.alpha >= 0) v = opacity > 0 ? v * job.white / opacity : 0;
+                if (job.light) v = job.white * from_light(v / job.white);
+                p[first + c] = put(v);
+            }
+        }
+    }
+    template <class T> static T limit_of(double high) {
+        return high >= (double)std::numeric_limits<T>::max() ? std::numeric_limits<T>::max() : (T)high;
+    }
+    void store(const Pixel<N>* from, int n, int group, char* p) const {
+        switch (job.type) {
+        case U8: return store(from, n, group, (uint8_t*)p);
+        case U16: return store(from, n, group, (uint16_t*)p);
+        case I16: return store(from, n, group, (int16_t*)p);
+        case F32: return store(from, n, group, (float*)p);
+        case F64: return store(from, n, group, (double*)p);
+        case I8: return store(from, n, group, (int8_t*)p);
+        case I32: return store(from, n, group, (int32_t*)p);
+        case U32: return store(from, n, group, (uint32_t*)p);
+        case I64: return store(from, n, group, (int64_t*)p);
+        default: return store(from, n, group, (uint64_t*)p);
+        }
+    }
+};
+
+// A row of pixels of a type that kernels read directly, rounded to the nearest and kept within the type. Lanes beyond
+// the C-th are overwritten by the next pixel.
+template <int C, class T> INLINE void put_row(const Pixel<float>* from, int n, double white, T* out) {
+    if constexpr (sizeof(T) == 4) {
+        for (int i = 0; i < n; i++)
+            if (C == 4 || i + 4 / C < n) memcpy(out + i * C, &from[i], 16);
+            else for (int c = 0; c < C; c++) out[i * C + c] = from[i][c];
+    } else {
+        const float low = std::numeric_limits<T>::lowest(), high = std::min((float)std::numeric_limits<T>::max(), (float)white);
+        for (int i = 0; i < n; i++) {
+            T four[4];
+#if defined(__SSE4_1__)
+            __m128 v = _mm_min_ps(_mm_max_ps((__m128)from[i], _mm_set1_ps(low)), _mm_set1_ps(high));
+            __m128i s = _mm_cvtps_epi32(v);
+            if constexpr (std::numeric_limits<T>::is_signed) s = _mm_packs_epi32(s, s);
+            else s = _mm_packus_epi32(s, s);
+            if constexpr (sizeof(T) == 1) s = _mm_packus_epi16(s, s);
+            memcpy(four, &s, sizeof four);
+#else
+            for (int c = 0; c < 4; c++) four[c] = (T)__builtin_rintf(from[i][c] > low ? from[i][c] < high ? from[i][c] : high : low);
+#endif
+            if (C == 4 || i + 4 / C < n) memcpy(out + i * C, four, sizeof four);
+            else memcpy(out + i * C, four, sizeof(T) * C);
+        }
+    }
+}
+
+// ---- pyramids -----------------------------------------------------------------------------------------------------------
+
+// Averages of the frames in `span`, as deep as a map's smallest singular values ask for.
+template <class N> struct Averages {
+    Pyramid<N> pyramid;
+    std::vector<std::vector<N>> samples;
+    std::vector<std::vector<const N*>> frames;
+    double fill[4];
+
+    void build(const Job& job, const Numbers<N>& numbers, int group, Span span, double widest) {
+        pyramid.levels = 0;
+        samples.clear();
+        frames.clear();
+        numbers.constant(group, fill);
+        int w = job.w, h = job.h, lanes = numbers.lanes;
+        for (double want = widest * 1.2; want >= 3.2 && std::max(w, h) > 1 && pyramid.levels < LEVELS; want /= 4) {
+            int half_w = (w + 1) / 2, half_h = (h + 1) / 2;
+            std::vector<const N*> level;
+            for (int k = span.first; k <= span.last; k++) {
+                const char* frame = job.frame(k);
+                const N* above = pyramid.levels ? frames.back()[k - span.first] : nullptr;
+                if (!frame) {
+                    level.push_back(nullptr);
+                    continue;
+                }
+                std::vector<N> made((size_t)half_w * half_h * lanes + 32), rows((size_t)2 * w * lanes);
+                for (int y = 0; y < half_h; y++) {
+                    for (int r = 0; r < 2; r++) {
+                        int line = std::min(2 * y + r, h - 1);
+                        N* row = rows.data() + (size_t)r * w * lanes;
+                        if (above) memcpy(row, above + (size_t)line * w * lanes, sizeof(N) * w * lanes);
+                        else numbers.convert(frame, 0, line, w, group, row);
+                    }
+                    for (int x = 0; x < half_w; x++)
+                        for (int c = 0; c < lanes; c++) {
+                            int i = 2 * x * lanes + c, j = std::min(2 * x + 1, w - 1) * lanes + c;
+                            const N *a = rows.data(), *b = a + (size_t)w * lanes;
+                            made[((size_t)y * half_w + x) * lanes + c] = (a[i] + a[j] + b[i] + b[j]) / 4;
+                        }
+                }
+                samples.push_back(std::move(made));
+                level.push_back(samples.back().data());
+            }
+            frames.push_back(std::move(level));
+            w = half_w;
+            h = half_h;
+            ptrdiff_t row = (ptrdiff_t)w * lanes;
+            pyramid.level[pyramid.levels++] = {frames.back().data(), w, h, row, row * h, job.rule, fill};
+        }
+    }
+};
+
+// ---- a plane --------------------------------------------------------------------------------------------------------------
+
+// How frames are mixed at the samples of a row. The constant beyond a clip's ends is told by its weight alone.
+template <class N, int D> struct Mixing {
+    const Job& job;
+    Span span;
+    const Row<D>& row;
+    int from;
+    N* weight;
+    const void* const* frames; // of the span; null: constant
+    INLINE Mix<N> operator()(int i) const {
+        if constexpr (D == 2) return {0, 1, weight, 0};
+        else {
+            double t = row.whole[2][from + i] + (double)row.part[2][from + i], width = 0;
+            if (job.average) {
+                double d2 = row.depth2[from + i] - 1.0;
+                width = d2 > 0 ? std::min(sqrt(d2), LONGEST) : 0;
+            }
+            if (job.rule != REFLECT) t = std::clamp(t, -3.0 - LONGEST / 2, job.count + 2.0 + LONGEST / 2);
+            int first, n = time_weights(job.between, t, width, first, weight);
+            first -= span.first;
+            if (first < 0 || first + n > span.last - span.first + 1) { // rounding at the ends of a span
+                first = std::clamp(first, 0, std::max(span.last - span.first + 1 - n, 0));
+                n = std::min(n, span.last - span.first + 1);
+            }
+            N constant = 0;
+            const N* w = weight;
+            while (n > 0 && !frames[first]) constant += *w++, first++, n--;
+            while (n > 0 && !frames[first + n - 1]) constant += w[--n];
+            return {first, n, w, constant};
+        }
+    }
+};
+
+INLINE void copy_same(const Job& job, const char* frame, int x, int y, int n, const bool* same) {
+    ptrdiff_t size = job.pixel_bytes(), at = ((ptrdiff_t)y * job.w + x) * size, to = ((ptrdiff_t)y * job.grid.size[0] + x) * size;
+    for (int i = 0; i < n;) {
+        int end = i;
+        while (end < n && (!same || same[end])) end++;
+        if (end > i) memcpy(job.out + to + i * size, frame + at + i * size, (size_t)(end - i) * size);
+        i = end + 1;
+    }
+}
+
+// The frame that a plane shows where nothing moves.
+template <int D> inline const char* own_frame(const Plan<D>& plan, const Job& job) {
+    return D == 2 ? job.frames : job.frame((int)plan.z);
+}
+
+template <int D> void sample_nearest(const Plan<D>& plan, const Job& job) {
+    ptrdiff_t size = job.pixel_bytes();
+    std::vector<char> fill(size);
+    const Job filling = job;
+    Numbers<double> numbers(filling);
+    for (int c = 0; c < job.channels; c++) { // in the samples' own type
+        double v = job.fill[c];
+        char* p = fill.data() + c * bytes_of(job.type);
+        auto put = [&](auto kind) {
+            kind = std::numeric_limits<decltype(kind)>::is_integer ? numbers.limit_of<decltype(kind)>(floor(v + 0.5)) : (decltype(kind))v;
+            memcpy(p, &kind, sizeof kind);
+        };
+        switch (job.type) {
+        case U8: put(uint8_t()); break;
+        case U16: put(uint16_t()); break;
+        case I16: put(int16_t()); break;
+        case F32: put(float()); break;
+        case F64: put(double()); break;
+        case I8: put(int8_t()); break;
+        case I32: put(int32_t()); break;
+        case U32: put(uint32_t()); break;
+        case I64: put(int64_t()); break;
+        default: put(uint64_t());
+        }
+    }
+    parallel(plan.roots_down(), [&](int j, int) {
+        plan.each_row(job.grid, j, job.box, false, [&](const Row<D>& row, int x, int y, int n, int at) {
+            const char* own = own_frame(plan, job);
+            if (row.idle) return copy_same(job, own, x, y, n, nullptr);
+            char* to = job.out + ((ptrdiff_t)y * job.grid.size[0] + x) * size;
+            for (int i = 0; i < n; i++, to += size) {
+                int u = placed(row.whole[0][at + i] + (row.part[0][at + i] >= 0.5f), job.w, job.rule);
+                int v = placed(row.whole[1][at + i] + (row.part[1][at + i] >= 0.5f), job.h, job.rule);
+                const char* frame = own;
+                if constexpr (D == 3) frame = job.frame(row.whole[2][at + i] + (row.part[2][at + i] >= 0.5f));
+                const char* from = u < 0 || v < 0 || !frame ? fill.data() : frame + ((ptrdiff_t)v * job.w + u) * size;
+                memcpy(to, from, size);
+            }
+        });
+    });
+}
+
+// Sample what kernels read as it lies.
+template <class T, int C, int D> void sample_direct(const Plan<D>& plan, const Job& job) {
+    Numbers<float> numbers(job);
+    Averages<float> averages;
+    Span span{0, 0};
+    if (D == 3) {
+        Extent<D> e = plan.extent();
+        span = frames_of(job, e.low[D - 1], e.high[D - 1], e.rate);
+    }
+    std::vector<const T*> frames;
+    for (int k = span.first; k <= span.last; k++) frames.push_back((const T*)job.frame(k));
+    // A pyramid's groups have one channel or four; what has two or three goes with a fourth that counts for nothing.
+    if (job.filter == AUTO && plan.widest * 1.2 >= 3.2) averages.build(job, numbers, 0, span, plan.widest);
+    ptrdiff_t line = (ptrdiff_t)job.w * C;
+    Frames<T> source{frames.data(), job.w, job.h, line, line * job.h, job.rule, job.fill};
+    parallel(plan.roots_down(), [&](int j, int) {
+        Prints prints;
+        prints.any = false;
+        Pixel<float> values[STRIDE];
+        float weight[(int)LONGEST + 8] = {1};
+        plan.each_row(job.grid, j, job.box, job.filter == AUTO || job.average, [&](const Row<D>& row, int x, int y, int n, int at) {
+            const char* own = own_frame(plan, job);
+            if (row.idle) return copy_same(job, own, x, y, n, nullptr);
+            if (job.filter == AUTO) prints.find(row, at, n);
+            Mixing<float, D> mixing{job, span, row, at, weight, (const void* const*)frames.data()};
+            sample_row<float, C, D == 3>(source, averages.pyramid, job.filter, row, prints, at, n, mixing, values);
+            put_row<C>(values, n, job.white, (T*)job.out + ((ptrdiff_t)y * job.grid.size[0] + x) * C);
+            if (row.some_same) copy_same(job, own, x, y, n, row.same + at);
+        });
+    });
+}
+
+// Sample anything, root by root, from what each can see, as numbers.
+template <class N, int C, int D> void sample_converted(const Plan<D>& plan, const Job& job) {
+    Numbers<N> numbers(job);
+    Averages<N> averages;
+    for (int group = 0; group < numbers.groups(); group++) {
+        double fill[4];
+        numbers.constant(group, fill);
+        Span whole{0, 0};
+        if (D == 3) {
+            Extent<D> e = plan.extent();
+            whole = frames_of(job, e.low[D - 1], e.high[D - 1], e.rate);
+        }
+        averages.pyramid.levels = 0;
+        if (job.filter == AUTO && plan.widest * 1.2 >= 3.2) averages.build(job, numbers, group, whole, plan.widest);
+        parallel(plan.roots_down(), [&](int j, int) {
+            Prints prints;
+            prints.any = false;
+            Pixel<N> values[STRIDE];
+            N weight[(int)LONGEST + 8] = {1};
+            std::vector<N> tile;
+            std::vector<const N*> frames(whole.last - whole.first + 1);
+            for (int i = 0; i < plan.roots_across(); i++) {
+                int index = j * plan.roots_across() + i, box[4], wanted[4];
+                plan.columns_of(job.grid, i, wanted[0], wanted[1]);
+                wanted[0] = std::max(wanted[0], job.box[0]);
+                wanted[1] = std::min(wanted[1], job.box[1]);
+                wanted[2] = job.box[2];
+                wanted[3] = job.box[3];
+                if (wanted[0] >= wanted[1]) continue;
+                Span span = whole;
+                if (!plan.is_still(index)) {
+                    Extent<D> e = plan.extent(index);
+                    if (D == 3) span = frames_of(job, e.low[D - 1], e.high[D - 1], e.rate);
+                    seen(job, e, box);
+                    int across = box[1] - box[0], tall = box[3] - box[2];
+                    ptrdiff_t line = (ptrdiff_t)across * C, size = line * tall;
+                    tile.resize((size_t)size * (span.last - span.first + 1) + 64);
+                    for (int k = span.first; k <= span.last; k++) {
+                        const char* frame = job.frame(k);
+                        N* at = tile.data() + (k - span.first) * size;
+                        // As if it were the whole frame: its first sample is that at (0, 0).
+                        frames[k - span.first] = frame ? at - (box[2] * line + (ptrdiff_t)box[0] * C) : nullptr;
+                        for (int y = box[2]; frame && y < box[3]; y++)
+                            numbers.convert(frame, box[0], y, across, group, at + (y - box[2]) * line);
+                    }
+                    Frames<N> source{frames.data(), job.w, job.h, line, std::numeric_limits<ptrdiff_t>::max(), job.rule, fill};
+                    Span frame_span = span;
+                    Averages<N>* levels = &averages;
+                    plan.each_row(job.grid, j, wanted, job.filter == AUTO || job.average, [&](const Row<D>& row, int x, int y, int n, int at) {
+                        if (job.filter == AUTO) prints.find(row, at, n);
+                        Mixing<N, D> mixing{job, frame_span, row, at, weight, (const void* const*)frames.data()};
+                        Pyramid<N> pyramid = shifted(levels->pyramid, frame_span.first - whole.first);
+                        sample_row<N, C, D == 3>(source, pyramid, job.filter, row, prints, at, n, mixing, values);
+                        char* to = job.out + ((ptrdiff_t)y * job.grid.size[0] + x) * job.pixel_bytes();
+                        numbers.store(values, n, group, to);
+                        if (row.some_same) copy_same(job, own_frame(plan, job), x, y, n, row.same + at);
+                    });
+                } else
+                    plan.each_row(job.grid, j, wanted, false, [&](const Row<D>&, int x, int y, int n, int) {
+                        copy_same(job, own_frame(plan, job), x, y, n, nullptr);
+                    });
+            }
+        });
+    }
+}
+// The same pyramid, from a later frame on.
+template <class N> INLINE Pyramid<N> shifted(const Pyramid<N>& p, int by) {
+    Pyramid<N> made = p;
+    for (int k = 0; k < p.levels; k++) made.level[k].at += by;
+    return made;
+}
+// The samples of a frame that a root may need: its source points, their footprints, and what stands for those beyond
+// an edge.
+template <int D> inline void seen(const Job& job, const Extent<D>& e, int (&box)[4]) {
+    int size[2] = {job.w, job.h};
+    double ratio = (double)std::max(job.grid.step[0], job.grid.step[1]) / std::min(job.grid.step[0], job.grid.step[1]);
+    double margin = 4 + (job.filter == AUTO ? 0.5 * sqrt(std::min(e.spread * ratio * ratio, 1600.0)) : 0);
+    for (int d = 0; d < 2; d++) {
+        double low = (e.low[d] - job.grid.offset[d]) / job.grid.step[d] - margin;
+        double high = (e.high[d] - job.grid.offset[d]) / job.grid.step[d] + margin;
+        int n = size[d], first = (int)std::clamp(low, 0.0, n - 1.0), last = (int)std::clamp(high, 0.0, n - 1.0);
+        if (job.rule == REFLECT) { // the mirror images of what lies beyond, which may be all
+            if (low < 0) last = (int)std::max((double)last, std::min(-low, n - 1.0));
+            if (high > n - 1) first = (int)std::min((double)first, std::max(2 * n - 2 - high, 0.0));
+            if (low < -n || high > 2 * n - 1) first = 0, last = n - 1;
+        }
+        box[2 * d] = first;
+        box[2 * d + 1] = last + 1;
+    }
+}
+
+// Fill job.out by sampling at the source points of a plan's grid.
+template <int D> void sample(const Plan<D>& plan, const Job& job) {
+    if (job.filter == NEAREST) return sample_nearest(plan, job);
+    if (job.direct()) {
+        switch (job.type * 8 + job.channels) {
+        case U8 * 8 + 1: return sample_direct<uint8_t, 1>(plan, job);
+        case U8 * 8 + 2: return sample_direct<uint8_t, 2>(plan, job);
+        case U8 * 8 + 3: return sample_direct<uint8_t, 3>(plan, job);
+        case U8 * 8 + 4: return sample_direct<uint8_t, 4>(plan, job);
+        case U16 * 8 + 1: return sample_direct<uint16_t, 1>(plan, job);
+        case U16 * 8 + 2: return sample_direct<uint16_t, 2>(plan, job);
+        case U16 * 8 + 3: return sample_direct<uint16_t, 3>(plan, job);
+        case U16 * 8 + 4: return sample_direct<uint16_t, 4>(plan, job);
+        case F32 * 8 + 1: return sample_direct<float, 1>(plan, job);
+        case F32 * 8 + 2: return sample_direct<float, 2>(plan, job);
+        case F32 * 8 + 3: return sample_direct<float, 3>(plan, job);
+        case F32 * 8 + 4: return sample_direct<float, 4>(plan, job);
+        default: return sample_direct<int16_t, 1>(plan, job);
+        }
+    }
+    bool exact = job.type == F64 || bytes_of(job.type) > 4 || job.type == I32 || job.type == U32;
+    if (exact) return job.channels == 1 ? sample_converted<double, 1>(plan, job) : sample_converted<double, 4>(plan, job);
+    return job.channels == 1 ? sample_converted<float, 1>(plan, job) : sample_converted<float, 4>(plan, job);
+}
+
+}  // namespace supple

@@ -1,0 +1,107 @@
+"""The commands that draw: plot, and the gallery of demo."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+from cyclopts import Group, Parameter
+
+from supple.console import current, told_of_software
+from supple.options import RUNNING, RunOptions, StrokeOptions, VideoOptions, parse_integer
+
+What = Literal["grid", "stretch", "axes", "residual", "iterations", "slice", "sheet"]
+Device = Literal["auto", "cpu", "gpu"]
+
+WRITING = Group("Writing", sort_key=3)
+
+_RUN = RunOptions()
+_STROKES = StrokeOptions()
+_VIDEO = VideoOptions()
+
+
+def plot(
+    source: Annotated[str, Parameter(name="IN")],
+    target: Annotated[str, Parameter(name="OUT")],
+    /,
+    *,
+    what: Annotated[What, Parameter(group=WRITING)] = "grid",
+    frame: Annotated[str | None, Parameter(group=WRITING, metavar="K", allow_leading_hyphen=True)] = None,
+    x: Annotated[str | None, Parameter(group=WRITING, metavar="X", allow_leading_hyphen=True)] = None,
+    y: Annotated[str | None, Parameter(group=WRITING, metavar="Y", allow_leading_hyphen=True)] = None,
+    strokes: StrokeOptions = _STROKES,
+    video: VideoOptions = _VIDEO,
+    options: RunOptions = _RUN,
+) -> None:
+    """Draw what strokes do to a picture or a video.
+
+    Parameters
+    ----------
+    source
+        The picture or video.
+    target
+        A PNG, SVG or PDF file.
+    what
+        Bent lines, growth and shrinking, its direction, the inverse's error, or the work for it. Of a video also a
+        cut along time (slice), or frames before and after (sheet).
+    frame
+        Which frame of a video, counted from 0.
+    x
+        Which column a slice shows over time.
+    y
+        Which row a slice shows over time.
+    """
+    console = current()
+    console.started(quiet=options.quiet, threads=options.threads)
+    recipe = strokes.to_recipe()
+    from supple.cli_warp import picture_facts
+    from supple.plots import plot_file
+
+    deformation = plot_file(
+        source,
+        target,
+        recipe,
+        what,
+        frame=None if frame is None else parse_integer("--frame", frame, "a whole number, counted from 0"),
+        x=None if x is None else parse_integer("--x", x, "a whole number of pixels"),
+        y=None if y is None else parse_integer("--y", y, "a whole number of pixels"),
+        clip=video.to_clip(),
+        force=options.force,
+        progress=console.terminal,
+    )
+    if options.json:
+        job = (Path(source), Path(target))
+        facts = (
+            picture_facts(job, deformation, deformation.report()) if deformation.ndim == 2 else deformation.resolution()
+        )
+        console.tell({**facts, "input": source, "output": target, "what": what})
+
+
+def demo(
+    folder: Annotated[str, Parameter(name="DIR")] = "supple-demo",
+    /,
+    *,
+    device: Annotated[Device, Parameter(group=RUNNING)] = "cpu",
+    options: RunOptions = _RUN,
+) -> None:
+    """Write a small gallery, with an index.html to look at.
+
+    Parameters
+    ----------
+    folder
+        Where to.
+    device
+        Who makes it: the CPU, the GPU, or auto: a graphics card, where there is one.
+    """
+    console = current()
+    from supple.gallery import write_gallery
+
+    console.started(quiet=options.quiet, threads=options.threads)
+    say_software = told_of_software(console, device)
+    progress = console.say if console.terminal else None
+    page = write_gallery(folder, force=options.force, device=device, progress=progress)
+    say_software()
+    if options.json:
+        console.tell({"output": str(page)})
+    elif not options.quiet:
+        print(f"open {page}")

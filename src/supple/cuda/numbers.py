@@ -1,0 +1,95 @@
+"""The numbers that kernels take for samples of a type: their limits, what lies outside, and the times that are seen."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from supple.cuda.colour import LONGEST
+
+Array = npt.NDArray[Any]
+
+FAR = 2.0**22  # frames: under "reflect", no time is farther from the first frame
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Numbers:
+    """How samples of a type are computed with.
+
+    Parameters
+    ----------
+    alpha : int
+        Which channel is opacity, or -1.
+    white : float
+        The largest value, and that of opaque.
+    low, high : float
+        The limits of whole numbers.
+    whole : bool
+        Whether they are whole numbers.
+    fills : array, shape (channels,)
+        The constant outside, as it is filtered, of the type that colours are computed in.
+    """
+
+    alpha: int
+    white: float
+    low: float
+    high: float
+    whole: bool
+    fills: Array
+
+    @property
+    def dtype(self) -> np.dtype[Any]:
+        """The type that colours are computed in."""
+        return self.fills.dtype
+
+
+def numbers_of(dtype: np.dtype[Any], fill: Array, *, alpha: bool, light: bool, white: float | None = None) -> Numbers:
+    """Choose the numbers for samples of a type.
+
+    Parameters
+    ----------
+    dtype : numpy.dtype
+        Bool, as bytes, has ``white`` 1.
+    fill : array, shape (channels,)
+        The constant outside, in the samples' values.
+    alpha, light : bool
+        Whether the last channel is opacity, and whether colours are averaged as amounts of light.
+    white : float, optional
+        The largest value, and that of opaque; by default, the largest of an integer type, and 1 of floats.
+    """
+    limits = np.iinfo(dtype) if dtype.kind in "iu" else None
+    top = float(limits.max) if limits else 1.0
+    top = top if white is None else white
+    number = np.dtype(np.float64 if dtype.itemsize > 2 and dtype != np.float32 else np.float32)
+    fills = fill.astype(number)
+    if light:
+        colours = slice(0, -1 if alpha else None)
+        fills[colours] = _linear(fills[colours], top)
+    if alpha:
+        fills[:-1] *= fills[-1] / top
+    low, high = (float(limits.min), _below(limits.max, number)) if limits else (0.0, 0.0)
+    if limits and white is not None:
+        high = min(high, white)
+    return Numbers(len(fill) - 1 if alpha else -1, top, low, high, limits is not None, fills)
+
+
+def times_seen(outside: str, count: int, average: bool) -> tuple[float, float]:
+    """Return the times beyond which nothing changes any more, as an edge or a constant goes on."""
+    beyond = 3.0 + (LONGEST / 2 if average else 0.0)
+    return (-FAR, FAR) if outside == "reflect" else (-beyond, count - 1.0 + beyond)
+
+
+def _linear(values: Array, white: float) -> Array:
+    """Return values on sRGB's curve as amounts of light; ``white`` stays ``white``."""
+    u = values / white
+    with np.errstate(invalid="ignore"):
+        return np.asarray(white * np.where(u <= 0.04045, u / 12.92, ((u + 0.055) / 1.055) ** 2.4))
+
+
+def _below(most: int, number: np.dtype[Any]) -> float:
+    """Return the largest number of a type that is no more than ``most``, so that it converts back."""
+    nearest = number.type(most)
+    return float(np.nextafter(nearest, number.type(0)) if int(nearest) > most else nearest)

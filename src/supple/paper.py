@@ -1,0 +1,72 @@
+"""T⁻¹ by the published iteration: a baseline to measure against, not what users run (see ``_core/paper.hpp``)."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from supple import _core
+from supple.strokes import numbers
+
+Floats = npt.NDArray[np.float64]
+
+
+def inverse_map(
+    table: npt.NDArray[np.void],
+    axes: Floats,
+    shape: tuple[int, int],
+    *,
+    z: float | None = None,
+    mu: float = 0.5,
+    tolerance: float = 0.1,
+    limit: int = 200,
+    corrected: bool = False,
+    every: int = 1,
+) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.int64], Floats]:
+    """Return the source points of an image's pixels by the published method.
+
+    Parameters
+    ----------
+    table : ndarray of STROKE_DTYPE
+        Each stroke is inverted by itself, the last one first.
+    axes : float64 array, shape (3, 4)
+        The packed domain.
+    shape : (int, int)
+        Rows and columns of the image, or of a plane.
+    z : float, optional
+        Which plane of a video or a volume, in samples.
+    mu : float
+        The part of each step that is taken.
+    tolerance : float
+        Iterations end where |T(p) - q| is below this, in pixels.
+    limit : int
+        The most iterations for one stroke.
+    corrected : bool
+        Whether A is the Gauss–Newton matrix.
+    every : int
+        Only every so many-th row and column, from the first on.
+
+    Returns
+    -------
+    points : float32 array, shape (H, W, 2), or (H, W, 3) of a plane
+        In pixels, x first.
+    iterations : int64 array, shape (H, W)
+        Of all strokes together.
+    residual : float64 array, shape (H, W)
+        |T(p) - q| of all strokes together, in pixels. Where it is not below the tolerance, the method has not
+        converged, or the strokes' errors have added up.
+    """
+    ndim = 2 if z is None else 3
+    height, width = -(-shape[0] // every), -(-shape[1] // every)
+    points = np.empty((height, width, ndim), np.float32)
+    counts, residual = np.empty((height, width), np.int64), np.empty((height, width))
+    rows = numbers(table)
+    _core.invert_as_published(rows, axes, z or 0.0, every, mu, tolerance, limit, corrected, points, counts, residual)
+    if table.size > 1:
+        given = np.zeros((points[..., 0].size, 3))
+        given[:, :ndim] = points.reshape(-1, ndim) * axes[:ndim, 2]
+        moved, _ = _core.forward(rows, axes, given, False)
+        x, y = np.meshgrid(np.arange(0, shape[1], every), np.arange(0, shape[0], every))
+        target = np.stack([x, y, np.full(x.shape, z or 0.0)], axis=-1).reshape(-1, 3)
+        residual = np.linalg.norm((moved / axes[:, 2] - target)[:, :ndim], axis=1).reshape(residual.shape)
+    return points, counts, residual
