@@ -86,6 +86,22 @@ def test_a_picture_is_the_cpu_s(gpu: Gpu, cloud: np.ndarray, bent: supple.Deform
         assert (one.evaluations.sum() > 0) == (other.evaluations.sum() > 0) == (mode == "exact")
 
 
+@pytest.mark.parametrize("mode", ["exact", "buffered"])
+@pytest.mark.parametrize("profile", ["quartic", "sine"])
+def test_strokes_with_a_reach_are_seen(gpu: Gpu, cloud: np.ndarray, mode: str, profile: str) -> None:
+    made = [
+        supple.Deformation(SHAPE, spacing=GEOMETRY.spacing, border=6, border_profile=profile).grab(
+            (13, 14, 11), by=(2, -1, 1), radius=6, reach=reach
+        )
+        for reach in (1.6, None)
+    ]
+    options: dict[str, Any] = {"transfer": SOFT, "mode": mode, "tolerance": 0.05}
+    camera = Camera(azimuth=25, elevation=20)
+    near, far = (Scene(cloud, GEOMETRY, deformation=d, device="gpu", **options).render(camera, SIZE) for d in made)
+    assert apart(near, Scene(cloud, GEOMETRY, deformation=made[0], **options).render(camera, SIZE)) > 50
+    assert apart(near, far) < 45
+
+
 @pytest.mark.parametrize("dtype", [np.uint8, np.int8, np.uint16, np.int16, np.float32, np.float64, np.bool_])
 def test_any_type_of_samples(gpu: Gpu, cloud: np.ndarray, dtype: Any) -> None:
     given = (
@@ -644,6 +660,7 @@ def test_the_error_is_that_along_rays(gpu: Gpu, radius: float, by: tuple[float, 
     d = supple.Deformation((n, n, n), border=None).grab((22, 24, 25), by=by, radius=radius)
     scene = Scene(np.zeros((n, n, n), np.float32), deformation=d, device="gpu")
     assert scene._held is not None
+    assert scene._solid is not None
     assert scene._held.lattice.cells == cells
     assert scene._solid is not None
     rng = np.random.default_rng(0)

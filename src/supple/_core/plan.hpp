@@ -32,6 +32,7 @@ struct Grid {
     int size[2];
     // The first sample at or after a pixel.
     int from(int axis, int pixel) const {
+        if (step[axis] == 1 && offset[axis] == 0) return std::min(pixel, size[axis]);
         int i = (int)ceil((pixel - offset[axis]) / step[axis]);
         return std::clamp(i, 0, size[axis]);
     }
@@ -653,20 +654,21 @@ void Plan<D>::each_row(const Grid& grid, int root_row, const int (&box)[4], bool
     Row<D> row;
     int top = root_row == 0 ? 0 : grid.from(1, line(root_row));
     int bottom = root_row == down - 1 ? grid.size[1] : grid.from(1, line(root_row + 1));
-    for (int i = 0; i < across; i++) {
-        int left, right, index = root_row * across + i;
-        columns_of(grid, i, left, right);
-        int a = std::max(left, box[0]), b = std::min(right, box[1]);
-        if (a >= b) continue;
-        const Root& root = roots[index];
-        const Band& band = bands[root.band];
-        for (int y = std::max(top, box[2]); y < std::min(bottom, box[3]); y++) {
-            if (root.leaves == 0) {
-                row.idle = true;
+    // Whole rows, so that frames are read, and results written, in order.
+    for (int y = std::max(top, box[2]); y < std::min(bottom, box[3]); y++) {
+        const double at = y * grid.step[1] + grid.offset[1];
+        for (int i = 0; i < across; i++) {
+            int left, right, index = root_row * across + i;
+            columns_of(grid, i, left, right);
+            int a = std::max(left, box[0]), b = std::min(right, box[1]);
+            if (a >= b) continue;
+            const Root& root = roots[index];
+            const Band& band = bands[root.band];
+            row.idle = root.leaves == 0;
+            if (row.idle) {
                 use(row, a, y, b - a, 0);
                 continue;
             }
-            double at = y * grid.step[1] + grid.offset[1];
             for (int l = root.first; l >= 0; l = band.next[l]) {
                 const Leaf<D>& leaf = band.leaves[l];
                 bool lowest = leaf.y + leaf.h >= size[1], rightmost = leaf.x + leaf.w >= size[0];
@@ -675,7 +677,6 @@ void Plan<D>::each_row(const Grid& grid, int root_row, const int (&box)[4], bool
                 int to = rightmost ? grid.size[0] : grid.from(0, leaf.x + leaf.w);
                 if (from < to) fill(leaf, grid, y, from, to, left, slopes, row);
             }
-            row.idle = false;
             mark(root, index, grid, left, y, right - left, row);
             use(row, a, y, b - a, a - left);
         }
