@@ -95,8 +95,8 @@ def whole_warps(runs: int) -> Iterator[Row]:
         ("default filter, border=None, reach=None", None, None, None, (3.0, 2.0, 1.8), ("5.5", "3.0", "2.6")),
         (f"linear, {FIXED}, reach=None", "linear", BORDER, None, (1.25, 1.0, 0.8), ("2.8", "1.9", "1.4")),
     )
-    for how, filter, border, reach, bars, before in cases:
-        yield from one_warp(how, filter, border, reach, runs, bars, before)
+    for how, kind, border, reach, bars, before in cases:
+        yield from one_warp(how, kind, border, reach, runs, bars, before)
 
 
 def more_warps(runs: int) -> Iterator[Row]:

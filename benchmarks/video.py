@@ -102,14 +102,14 @@ def plain_resampling(luma: Array, chroma: Array, points: Array) -> Callable[[], 
 
 def frame_row(runs: int, filter: str | None, border: float | None, bar: float | None, before: str) -> Row:
     """Compare a frame of 4:2:0 at 1080p, bent in time, with plain resampling."""
-    count, height, width, z = 60, 1080, 1920, 30
+    count, height, width, z = 132, 1080, 1920, 66  # far enough from both ends
     rng = np.random.default_rng(0)
     luma = rng.integers(0, 256, (count, height, width, 1), dtype=np.uint8)
     chroma = rng.integers(0, 256, (count, height // 2, width // 2, 2), dtype=np.uint8)
     groups = (Group((height, width), 1), Group((height // 2, width // 2), 2, (2, 2), (0.0, 0.5)))
     layout = Layout(groups, np.dtype(np.uint8), 255.0)
     d = supple.Deformation((count, height, width), border=border, on_fold="error")
-    d = d.grab((width / 2, height / 2, 30), by=(0, 0, 20), radius=300 if border is None else 60)
+    d = d.grab((width / 2, height / 2, z), by=(0, 0, 20), radius=300 if border is None else 60)
     grid = np.stack(np.meshgrid(np.arange(width), np.arange(height)), axis=-1).astype(float)
     points = d.inverse(np.concatenate([grid, np.full((height, width, 1), float(z))], axis=-1)).points
     sampling = Sampling() if filter is None else Sampling(filter)
