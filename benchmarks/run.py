@@ -28,7 +28,7 @@ import supple
 Part = Callable[[], Iterable[Row]]
 
 PAGE = Path(__file__).parent.parent / "docs" / "benchmarks.md"
-PEERS = ("numpy", "opencv-python-headless", "scikit-image", "pyvips", "av", "scipy", "simpleitk", "vtk")
+PEERS = ("numpy", "numba", "opencv-python-headless", "scikit-image", "pyvips", "av", "scipy", "simpleitk", "vtk")
 BEGIN, END = "<!-- measured: {} -->", "<!-- end -->"
 
 
