@@ -511,11 +511,14 @@ template <int D> void Plan<D>::check(Work& w) {
 template <int D> void Plan<D>::split(Work& w, const Cell& e, const double (&c)[D][16]) {
     int wide = e.x1 - e.x0, high = e.y1 - e.y0;
     bool finest = wide <= SMALL && high <= SMALL;
-    int xs[SMALL + 1], ys[SMALL + 1], nx = 0, ny = 0, node[SMALL + 1][SMALL + 1];
-    for (int x = e.x0; x < e.x1; x += finest ? 1 : wide <= SMALL ? wide : nx ? e.x1 - x : wide / 2) xs[nx++] = x;
-    for (int y = e.y0; y < e.y1; y += finest ? 1 : high <= SMALL ? high : ny ? e.y1 - y : high / 2) ys[ny++] = y;
-    xs[nx] = e.x1;
-    ys[ny] = e.y1;
+    int xs[SMALL + 1], ys[SMALL + 1], nx, ny, node[SMALL + 1][SMALL + 1];
+    auto cuts = [&](int from, int to, int* at) {
+        int n = finest ? to - from : to - from <= SMALL ? 1 : 2;
+        for (int i = 0; i <= n; i++) at[i] = from + (to - from) * i / n;
+        return n;
+    };
+    nx = cuts(e.x0, e.x1, xs);
+    ny = cuts(e.y0, e.y1, ys);
     for (int v = 0; v <= ny; v++)
         for (int u = 0; u <= nx; u++) {
             if ((u == 0 || u == nx) && (v == 0 || v == ny)) {
