@@ -233,7 +233,7 @@ def test_what_a_sampling_is_given_is_checked() -> None:
         with pytest.raises(ValueError, match="out must have the frames' type"):
             sampling(source, wrong)
     with pytest.raises(ValueError, match="frames must be"):
-        sampling(source[0][..., None, None][0], out)
+        sampling(source[0], out)
     with pytest.raises(TypeError):
         sampling(source.astype(np.float16), out.astype(np.float16))
     frozen = out.copy()
