@@ -625,11 +625,11 @@ void Plan<D>::mark(const Root& root, int index, const Grid& grid, int x, int y, 
             if (D == 3) chord -= (z * axes[2].spacing - k.pivot[2]) * (z * axes[2].spacing - k.pivot[2]);
             if (chord < 0) continue;
             chord = sqrt(chord);
-            // In samples from x on; on the rim itself, nothing moves.
+            // In samples from x on; on the rim itself, nothing moves, and it is left out, however it is rounded.
             double first = ((k.pivot[0] - chord) / sx - grid.offset[0]) / grid.step[0] - x;
             double final = ((k.pivot[0] + chord) / sx - grid.offset[0]) / grid.step[0] - x;
-            int from = (int)std::clamp(ceil(first - 1e-9), 0.0, (double)n);
-            int to = (int)std::clamp(floor(final + 1e-9) + 1, 0.0, (double)n);
+            int from = (int)std::clamp(floor(first + 1e-9) + 1, 0.0, (double)n);
+            int to = (int)std::clamp(ceil(final - 1e-9), 0.0, (double)n);
             for (int i = from; i < to; i++) row.same[i] = false;
         }
     for (int i = 0; i < n; i++) {
