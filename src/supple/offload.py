@@ -19,7 +19,7 @@ from supple.gpu.kernel import failures, trouble, unsolved
 from supple.gpu.lattice import Range
 from supple.gpu.samples import Picture, Wanted, times_seen
 from supple.gpu.warp import warp
-from supple.streaming import CPU, SLACK, Layout, Maker, Sampling, Space, fills_of, frames_needed, grid_of
+from supple.streaming import CPU, SLACK, Layout, Maker, Sampling, Space, fills_of, frames_needed, step_of
 from supple.workers import CPU as CPU_NAME
 from supple.workers import note
 
@@ -77,8 +77,7 @@ class OnGpu:
     @contextlib.contextmanager
     def opened(self, space: Space, layout: Layout, sampling: Sampling, window: Sequence[Array]) -> Iterator[Maker]:
         """See `supple.streaming.Engine`."""
-        grid = grid_of(layout)
-        step = grid.step if grid else (1, 1)
+        step = step_of(layout)
         pictures = pictures_of(space, layout, sampling)
         with contextlib.ExitStack() as stack:
             sure = _Sure(self.gpu, space, layout, sampling, window, step, pictures, stack)
