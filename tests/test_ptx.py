@@ -20,7 +20,8 @@ from numba.np.numpy_support import from_dtype
 
 from supple.cuda import field, fill, lattice, newton, reach
 from supple.cuda.colour import BETWEEN, FILTERS
-from supple.cuda.sample import OUTSIDE, Way
+from supple.cuda.sample import Way
+from supple.native import OUTSIDE
 
 CAPABILITY = (8, 0)  # of GPUs that CUDA 12 and 13 both know
 

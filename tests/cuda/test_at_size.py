@@ -78,7 +78,8 @@ def test_averages(numba_cuda: Any, room: str, dtype: str) -> None:
     _, shape, channels = ROOMS[room]
     source = typed(waves(shape, channels), dtype)
     made, wanted = both(numba_cuda.to_device(source), source, bent(shape, 1), time_filter=room == "frames")
-    assert apart(made, wanted, source).max() <= CLOSE
+    # How far a pixel reaches in time is known at nodes, and interpolated linearly between them.
+    assert apart(made, wanted, source).max() <= (2 * CLOSE if room == "frames" else CLOSE)
 
 
 @pytest.mark.parametrize("room", ["picture", "volume", "frames"])

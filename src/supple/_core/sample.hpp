@@ -192,17 +192,22 @@ INLINE Pixel<N> around(const Frames<T>& f, const Mix<N>& mix, int x, int y, Use 
 // A window of samples where some lie beyond the edge, mixed.
 template <class N, int C, class T>
 NOINLINE void gather(const Frames<T>& f, const Mix<N>& mix, int x, int y, N* own) {
+    int columns[WINDOW], rows[WINDOW];
+    for (int i = 0; i < WINDOW; i++) {
+        columns[i] = placed(x - 1 + i, f.w, f.rule);
+        rows[i] = placed(y - 1 + i, f.h, f.rule);
+    }
+    const N one = 1, *weight = mix.n == 1 && mix.constant == 0 ? &one : mix.weight;
     for (int j = 0; j < WINDOW; j++)
         for (int i = 0; i < WINDOW; i++) {
-            int u = placed(x - 1 + i, f.w, f.rule), v = placed(y - 1 + j, f.h, f.rule);
-            for (int c = 0; c < C; c++) {
-                N sum = mix.constant * (N)f.fill[c];
-                for (int k = 0; k < mix.n; k++) {
-                    N s = u < 0 || v < 0 ? (N)f.fill[c] : (N)f.at[mix.first + k][v * f.row + (ptrdiff_t)u * C + c];
-                    sum += (mix.n == 1 && mix.constant == 0 ? 1 : mix.weight[k]) * s;
-                }
-                own[j * PATCH + i * C + c] = sum;
+            bool beyond = columns[i] < 0 || rows[j] < 0;
+            N sum[C];
+            for (int c = 0; c < C; c++) sum[c] = mix.constant * (N)f.fill[c];
+            for (int k = 0; k < mix.n; k++) {
+                const T* p = f.at[mix.first + k] + rows[j] * f.row + (ptrdiff_t)columns[i] * C;
+                for (int c = 0; c < C; c++) sum[c] += weight[k] * (beyond ? (N)f.fill[c] : (N)p[c]);
             }
+            for (int c = 0; c < C; c++) own[j * PATCH + i * C + c] = sum[c];
         }
 }
 
@@ -359,47 +364,101 @@ NOINLINE Pixel<N> wide(const Frames<T>& f, const Pyramid<N>& pyramid, const Mix<
 
 // ---- rows -----------------------------------------------------------------------------------------------------------
 
-// Sample n source points of a row, from `from` on, into `out`. mix_of(i) says how frames are mixed at one of them.
-template <class N, int C, bool SEVERAL, class T, int D, class MixOf>
-INLINE void sample_row(const Frames<T>& f, const Pyramid<N>& pyramid, int filter, const Row<D>& row, const Prints& prints,
-                int from, int n, MixOf mix_of, Pixel<N>* out) {
+// Where the samples of a row are read: if `inside`, all that any needs lies within the frames.
+struct Places {
+    ptrdiff_t at[STRIDE];
+    bool inside;
+
+    template <int LEFT, int RIGHT, int C, class T> INLINE void find(const Frames<T>& f, const int* x, const int* y, int n) {
+        int least_x = x[0], most_x = x[0], least_y = y[0], most_y = y[0];
+        const ptrdiff_t row = f.row;
+        for (int i = 0; i < n; i++) {
+            at[i] = y[i] * row + x[i] * C;
+            least_x = std::min(least_x, x[i]);
+            most_x = std::max(most_x, x[i]);
+            least_y = std::min(least_y, y[i]);
+            most_y = std::max(most_y, y[i]);
+        }
+        inside = least_x >= LEFT && most_x < f.w - RIGHT && least_y >= LEFT && most_y < f.h - RIGHT &&
+                 most_y * row + most_x * C + RIGHT * row - LEFT * C + 20 <= f.limit;
+        // What a row four further down will read, of one frame.
+        if constexpr (sizeof(T) <= 4)
+            if (inside && most_y + 4 < f.h) {
+                const T *from = f.at[0] + at[0] + 4 * row;
+                if (from)
+                    for (int o = 0; o < n * C; o += 64 / (int)sizeof(T)) __builtin_prefetch(from + o);
+            }
+    }
+};
+
+// Sample n source points of a row by one kernel, `LEFT` and `RIGHT` samples wide on either side.
+template <class N, int C, int LEFT, int RIGHT, bool SEVERAL, class T, class MixOf, class Kernel, class Put>
+INLINE void each_place(const Frames<T>& given, const int* x, const int* y, int n, MixOf mix_of, Kernel kernel, Put put) {
+    const Frames<T> f = given;
+    Places places;
+    places.find<LEFT, RIGHT, C>(f, x, y, n);
+    if (!SEVERAL && places.inside) {
+        const T* at = f.at[0];
+        const ptrdiff_t row = f.row;
+        for (int i = 0; i < n; i++) put(i, kernel(One<T>{at + places.at[i]}, row, i));
+        return;
+    }
+    for (int i = 0; i < n; i++)
+        put(i, around<N, C, LEFT, RIGHT, SEVERAL>(f, mix_of(i), x[i], y[i], [&](auto taps, ptrdiff_t row) INLINE_LAMBDA { return kernel(taps, row, i); }));
+}
+
+template <class N, int C, bool SEVERAL, class T, int D, class MixOf, class Put>
+NOINLINE void linear_row(const Frames<T>& f, const Row<D>& row, int from, int n, MixOf mix_of, Put put) {
+    const float *fx = row.part[0] + from, *fy = row.part[1] + from;
+    each_place<N, C, 0, 1, SEVERAL>(f, row.whole[0] + from, row.whole[1] + from, n, mix_of, [&](auto taps, ptrdiff_t r, int i) INLINE_LAMBDA {
+        return linear_at<N, C>(taps, r, (N)fx[i], (N)fy[i]);
+    }, put);
+}
+template <class N, int C, bool SEVERAL, class T, int D, class MixOf, class Put>
+NOINLINE void cubic_row(const Frames<T>& f, const Row<D>& row, int from, int n, MixOf mix_of, Put put) {
+    const float *fx = row.part[0] + from, *fy = row.part[1] + from;
+    each_place<N, C, 1, 2, SEVERAL>(f, row.whole[0] + from, row.whole[1] + from, n, mix_of, [&](auto taps, ptrdiff_t r, int i) INLINE_LAMBDA {
+        return cubic_at<N, C>(taps, r, (N)fx[i], (N)fy[i]);
+    }, put);
+}
+template <class N, int C, bool SEVERAL, class T, int D, class MixOf, class Put>
+NOINLINE void spots_row(const Frames<T>& given, const Pyramid<N>& pyramid, const Row<D>& row, const Prints& prints, int from, int n, MixOf mix_of, Put put) {
+    const Frames<T> f = given;
     const int *x = row.whole[0] + from, *y = row.whole[1] + from;
     const float *fx = row.part[0] + from, *fy = row.part[1] + from;
-    if (filter == LINEAR) {
-        for (int i = 0; i < n; i++)
-            out[i] = around<N, C, 0, 1, SEVERAL>(f, mix_of(i), x[i], y[i], [&](auto taps, ptrdiff_t r) INLINE_LAMBDA {
-                return linear_at<N, C>(taps, r, (N)fx[i], (N)fy[i]);
-            });
-        return;
-    }
-    if (filter == CUBIC || !prints.any) {
-        for (int i = 0; i < n; i++)
-            out[i] = around<N, C, 1, 2, SEVERAL>(f, mix_of(i), x[i], y[i], [&](auto taps, ptrdiff_t r) INLINE_LAMBDA {
-                return cubic_at<N, C>(taps, r, (N)fx[i], (N)fy[i]);
-            });
-        return;
-    }
+    Places places;
+    places.find<2, 3, C>(f, x, y, n);
+    const bool inside = !SEVERAL && places.inside;
     for (int i = 0; i < n; i++) {
-        Mix<N> mix = mix_of(i);
+        auto cubic = [&](auto taps, ptrdiff_t r) INLINE_LAMBDA { return cubic_at<N, C>(taps, r, (N)fx[i], (N)fy[i]); };
+        auto spot = [&](auto taps, ptrdiff_t r) INLINE_LAMBDA {
+            Across<N> across{(N)prints.first[i], (N)prints.second[i], prints.shift[i]};
+            if constexpr (sizeof(N) == sizeof(float))
+                return spot_at<N, C, STRIDE>(taps, r, across, &prints.even[0][i], &prints.odd[0][i]);
+            else {
+                N even[WINDOW], odd[WINDOW];
+                for (int j = 0; j < WINDOW; j++) even[j] = prints.even[j][i], odd[j] = prints.odd[j][i];
+                return spot_at<N, C, 1>(taps, r, across, even, odd);
+            }
+        };
         if (prints.kind[i] == Prints::PLAIN)
-            out[i] = around<N, C, 1, 2, SEVERAL>(f, mix, x[i], y[i], [&](auto taps, ptrdiff_t r) INLINE_LAMBDA {
-                return cubic_at<N, C>(taps, r, (N)fx[i], (N)fy[i]);
-            });
-        else if (prints.kind[i] == Prints::SPOT && sizeof(N) == sizeof(float))
-            out[i] = around<N, C, 1, 3, SEVERAL>(f, mix, prints.x[i], prints.y[i], [&](auto taps, ptrdiff_t r) INLINE_LAMBDA {
-                return spot_at<N, C, STRIDE>(taps, r, Across<N>{(N)prints.first[i], (N)prints.second[i], prints.shift[i]},
-                                             (const N*)&prints.even[0][i], (const N*)&prints.odd[0][i]);
-            });
-        else if (prints.kind[i] == Prints::SPOT) {
-            N even[WINDOW], odd[WINDOW];
-            for (int j = 0; j < WINDOW; j++) even[j] = prints.even[j][i], odd[j] = prints.odd[j][i];
-            out[i] = around<N, C, 1, 3, SEVERAL>(f, mix, prints.x[i], prints.y[i], [&](auto taps, ptrdiff_t r) INLINE_LAMBDA {
-                return spot_at<N, C, 1>(taps, r, Across<N>{(N)prints.first[i], (N)prints.second[i], prints.shift[i]}, even, odd);
-            });
-        } else
-            out[i] = wide<N, C, SEVERAL>(f, pyramid, mix, (N)x[i] + (N)fx[i], (N)y[i] + (N)fy[i], (N)prints.xx[i],
-                                         (N)prints.xy[i], (N)prints.yy[i]);
+            put(i, inside ? cubic(One<T>{f.at[0] + places.at[i]}, f.row) : around<N, C, 1, 2, SEVERAL>(f, mix_of(i), x[i], y[i], cubic));
+        else if (prints.kind[i] == Prints::SPOT)
+            put(i, inside ? spot(One<T>{f.at[0] + prints.y[i] * f.row + prints.x[i] * C}, f.row)
+                          : around<N, C, 1, 3, SEVERAL>(f, mix_of(i), prints.x[i], prints.y[i], spot));
+        else
+            put(i, wide<N, C, SEVERAL>(f, pyramid, mix_of(i), (N)x[i] + (N)fx[i], (N)y[i] + (N)fy[i], (N)prints.xx[i],
+                                       (N)prints.xy[i], (N)prints.yy[i]));
     }
+}
+
+// Sample n source points of a row, from `from` on: put(i, pixel). mix_of(i) says how frames are mixed at one of them.
+template <class N, int C, bool SEVERAL, class T, int D, class MixOf, class Put>
+INLINE void sample_row(const Frames<T>& f, const Pyramid<N>& pyramid, int filter, const Row<D>& row, const Prints& prints,
+                       int from, int n, MixOf mix_of, Put put) {
+    if (filter == LINEAR) linear_row<N, C, SEVERAL>(f, row, from, n, mix_of, put);
+    else if (filter == CUBIC || !prints.any) cubic_row<N, C, SEVERAL>(f, row, from, n, mix_of, put);
+    else spots_row<N, C, SEVERAL>(f, pyramid, row, prints, from, n, mix_of, put);
 }
 
 }  // namespace supple

@@ -222,32 +222,37 @@ template <class N> struct Numbers {
     }
 };
 
-// A row of pixels of a type that kernels read directly, rounded to the nearest and kept within the type. Lanes beyond
-// the C-th are overwritten by the next pixel.
-template <int C, class T> INLINE void put_row(const Pixel<float>* from, int n, double white, T* out) {
-    if constexpr (sizeof(T) == 4) {
-        for (int i = 0; i < n; i++)
-            if (C == 4 || i + 4 / C < n) memcpy(out + i * C, &from[i], 16);
-            else for (int c = 0; c < C; c++) out[i * C + c] = from[i][c];
-    } else {
-        const float low = std::numeric_limits<T>::lowest(), high = std::min((float)std::numeric_limits<T>::max(), (float)white);
-        for (int i = 0; i < n; i++) {
+// Put pixel i of n of a type that kernels read directly: rounded to the nearest, and kept within the type. Where
+// there is room, lanes beyond the C-th are overwritten by the next pixel.
+template <int C, class T> struct Putting {
+    T* out;
+    int n;
+    float high; // the largest value
+    INLINE void operator()(int i, Pixel<float> v) const {
+        T* p = out + i * C;
+        const bool room = C == 4 || i + 4 / C < n;
+        if constexpr (sizeof(T) == 4) {
+            if (room) memcpy(p, &v, 16);
+            else
+                for (int c = 0; c < C; c++) p[c] = v[c];
+        } else {
             T four[4];
 #if defined(__SSE4_1__)
-            __m128 v = _mm_min_ps(_mm_max_ps((__m128)from[i], _mm_set1_ps(low)), _mm_set1_ps(high));
-            __m128i s = _mm_cvtps_epi32(v);
+            if constexpr (sizeof(T) == 2) v = (Pixel<float>)_mm_min_ps((__m128)v, _mm_set1_ps(high));
+            __m128i s = _mm_cvtps_epi32((__m128)v); // no sum of weights makes so much of 16 bits that 32 do not hold it
             if constexpr (std::numeric_limits<T>::is_signed) s = _mm_packs_epi32(s, s);
             else s = _mm_packus_epi32(s, s);
             if constexpr (sizeof(T) == 1) s = _mm_packus_epi16(s, s);
             memcpy(four, &s, sizeof four);
 #else
-            for (int c = 0; c < 4; c++) four[c] = (T)__builtin_rintf(from[i][c] > low ? from[i][c] < high ? from[i][c] : high : low);
+            const float low = std::numeric_limits<T>::lowest();
+            for (int c = 0; c < 4; c++) four[c] = (T)__builtin_rintf(v[c] > low ? v[c] < high ? v[c] : high : low);
 #endif
-            if (C == 4 || i + 4 / C < n) memcpy(out + i * C, four, sizeof four);
-            else memcpy(out + i * C, four, sizeof(T) * C);
+            if (room) memcpy(p, four, sizeof four);
+            else memcpy(p, four, sizeof(T) * C);
         }
     }
-}
+};
 
 // ---- pyramids -----------------------------------------------------------------------------------------------------------
 
@@ -407,18 +412,18 @@ template <class T, int C, int D> void sample_direct(const Plan<D>& plan, const J
     if (job.filter == AUTO && plan.widest * 1.2 >= 3.2) averages.build(job, numbers, 0, span, plan.widest);
     ptrdiff_t line = (ptrdiff_t)job.w * C;
     Frames<T> source{frames.data(), job.w, job.h, line, line * job.h, job.rule, job.fill};
+    const float high = (float)std::min((double)std::numeric_limits<T>::max(), job.white);
     parallel(plan.roots_down(), [&](int j, int) {
         Prints prints;
         prints.any = false;
-        Pixel<float> values[STRIDE];
         float weight[(int)LONGEST + 8] = {1};
         plan.each_row(job.grid, j, job.box, job.filter == AUTO || job.average, [&](const Row<D>& row, int x, int y, int n, int at) {
             const char* own = own_frame(plan, job);
             if (row.idle) return copy_same(job, own, x, y, n, nullptr);
             if (job.filter == AUTO) prints.find(row, at, n);
             Mixing<float, D> mixing{job, span, row, at, weight, (const void* const*)frames.data()};
-            sample_row<float, C, D == 3>(source, averages.pyramid, job.filter, row, prints, at, n, mixing, values);
-            put_row<C>(values, n, job.white, (T*)job.out + ((ptrdiff_t)y * job.grid.size[0] + x) * C);
+            Putting<C, T> put{(T*)job.out + ((ptrdiff_t)y * job.grid.size[0] + x) * C, n, high};
+            sample_row<float, C, D == 3>(source, averages.pyramid, job.filter, row, prints, at, n, mixing, put);
             if (row.some_same) copy_same(job, own, x, y, n, row.same + at);
         });
     });
@@ -476,7 +481,7 @@ template <class N, int C, int D> void sample_converted(const Plan<D>& plan, cons
                         if (job.filter == AUTO) prints.find(row, at, n);
                         Mixing<N, D> mixing{job, frame_span, row, at, weight, (const void* const*)frames.data()};
                         Pyramid<N> pyramid = shifted(levels->pyramid, frame_span.first - whole.first);
-                        sample_row<N, C, D == 3>(source, pyramid, job.filter, row, prints, at, n, mixing, values);
+                        sample_row<N, C, D == 3>(source, pyramid, job.filter, row, prints, at, n, mixing, [&](int i, Pixel<N> v) INLINE_LAMBDA { values[i] = v; });
                         char* to = job.out + ((ptrdiff_t)y * job.grid.size[0] + x) * job.pixel_bytes();
                         numbers.store(values, n, group, to);
                         if (row.some_same) copy_same(job, own_frame(plan, job), x, y, n, row.same + at);

@@ -40,6 +40,7 @@ from supple.cuda.sample import (
     placer,
     reader,
 )
+from supple.native import LONGEST
 
 # The last two are no filters: source points themselves are written, as float32, x first, or how far they are off.
 FILTERS = {"nearest": 0, "linear": 1, "cubic": 2, "auto": 3, "map": 4, "offsets": 5}
@@ -47,8 +48,6 @@ NEAREST, LINEAR, CUBIC, AUTO, MAP, OFFSETS = range(6)
 # Between frames that are pictures by themselves, nothing is interpolated.
 BETWEEN = {"nearest": 0, "linear": 1, "cubic": 2, "nothing": 3}
 NOTHING = 3
-SUPPORT = {"nearest": 1, "linear": 1, "cubic": 2}  # frames on either side of a time that count
-LONGEST = 64.0  # frames that a pixel is averaged over, at most
 
 _f4 = np.float32
 ZERO, HALF, ONE, TWO, TEN = _f4(0.0), _f4(0.5), _f4(1.0), _f4(2.0), _f4(10.0)

@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from supple.cuda.colour import LONGEST, SUPPORT
 from supple.cuda.kernel import THREADS, blocks, launched
 from supple.cuda.lattice import solve
 from supple.cuda.reach import COVERED, FAR, FOUND, LEAST, MOST, bound
 from supple.cuda.sample import EARLY, LATE
 from supple.cuda.warp import Lattice, Pieces
+from supple.native import LONGEST, SUPPORT
 from supple.streaming import SLACK, Sampling, frames_needed
 
 Floats = npt.NDArray[np.float64]

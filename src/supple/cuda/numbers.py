@@ -1,4 +1,4 @@
-"""The numbers that kernels take for samples of a type: their limits, what lies outside, and the times that are seen."""
+"""The numbers that kernels take for samples of a type: their limits, and what lies outside."""
 
 from __future__ import annotations
 
@@ -8,11 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from supple.cuda.colour import LONGEST
-
 Array = npt.NDArray[Any]
-
-FAR = 2.0**22  # frames: under "reflect", no time is farther from the first frame
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -74,12 +70,6 @@ def numbers_of(dtype: np.dtype[Any], fill: Array, *, alpha: bool, light: bool, w
     if limits and white is not None:
         high = min(high, white)
     return Numbers(len(fill) - 1 if alpha else -1, top, low, high, limits is not None, fills)
-
-
-def times_seen(outside: str, count: int, average: bool) -> tuple[float, float]:
-    """Return the times beyond which nothing changes any more, as an edge or a constant goes on."""
-    beyond = 3.0 + (LONGEST / 2 if average else 0.0)
-    return (-FAR, FAR) if outside == "reflect" else (-beyond, count - 1.0 + beyond)
 
 
 def _linear(values: Array, white: float) -> Array:

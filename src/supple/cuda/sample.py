@@ -18,6 +18,7 @@ from numba import cuda
 
 from supple.cuda.kernel import device, lean
 from supple.cuda.lattice import MISSING
+from supple.native import OUTSIDE
 
 # How many frames the clip has, and its size; strides, and the first sample, in samples; which frames are here, from and
 # to, in which slot the first of them is, and how many slots there are, one after the other and round again.
@@ -28,8 +29,7 @@ FRAMES, HEIGHT, WIDTH, CHANNELS, FRAME, ROW, COLUMN, CHANNEL, START, FIRST, LAST
 # the type, and what opaque and white are.
 ALPHA, EARLY, LATE = range(3)
 LOW, HIGH, WHITE = range(3)
-EDGE, CONSTANT, REFLECT = range(3)
-OUTSIDE = {"edge": EDGE, "constant": CONSTANT, "reflect": REFLECT}
+EDGE, CONSTANT = OUTSIDE["edge"], OUTSIDE["constant"]  # the third is "reflect"
 SHARPNESS = -0.75  # Keys's a: the slope of his cubic at a distance of 1
 
 _f4 = np.float32
@@ -46,7 +46,7 @@ class Way:
     filter, between : int
         One of `supple.cuda.colour.FILTERS`, and of BETWEEN.
     rule : int
-        What lies outside: one of OUTSIDE.
+        What lies outside: one of `supple.native.OUTSIDE`.
     average : bool
         Whether pixels are averaged over the time that they cover.
     number : type

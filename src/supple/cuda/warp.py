@@ -24,9 +24,10 @@ from supple.cuda.field import packed
 from supple.cuda.fill import PIXELS, kernels
 from supple.cuda.kernel import THREADS, blocks, launched
 from supple.cuda.lattice import LIST, LOST, NODE, WORST, check, positions, solve, twist
-from supple.cuda.numbers import numbers_of, times_seen
-from supple.cuda.sample import FIRST, FRAME, FRAMES, LAST, OUTSIDE, START, Way
+from supple.cuda.numbers import numbers_of
+from supple.cuda.sample import FIRST, FRAME, FRAMES, LAST, START, Way
 from supple.domain import refuse
+from supple.native import OUTSIDE, times_seen
 from supple.streaming import Sampling, Space
 
 Array = npt.NDArray[Any]
