@@ -12,10 +12,10 @@ from head import BACKGROUND, DRAGS, HEAD, bent, layers
 
 import supple
 from supple.camera import Camera
-from supple.solid import solve_solid
 from supple.diagnostics.rays import draw_inversions
 from supple.media import image
 from supple.rendering import MODES, Scene
+from supple.solid import solve_solid
 
 CAMERA, SIZE, TOLERANCE = Camera(azimuth=38, elevation=12, distance=480), (500, 500), 0.05
 

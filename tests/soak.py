@@ -12,14 +12,13 @@ from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
 if __name__ == "__main__":
     sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "src"))
 
 from supple import Deformation, FoldWarning, SuppleError, ToleranceWarning
 from supple.cpu import field as kernels
-from supple.cpu.solid import displacement, solve_solid
+from supple.solid import solve_solid
 from supple.streaming import Array, Group, Layout, Sampling, make_plan, stream
 
 Floats = npt.NDArray[np.float64]
@@ -281,16 +280,6 @@ def look_at_clip(d: Deformation, rng: np.random.Generator, tally: Tally) -> list
     return wrong
 
 
-@njit
-def between_nodes(nodes, per_voxel, points):  # type: ignore[no-untyped-def]
-    """The displacements at points, by the lattice of a volume."""
-    out = np.empty((len(points), 3))
-    for i in range(len(points)):
-        x, y, z = np.float32(points[i, 0]), np.float32(points[i, 1]), np.float32(points[i, 2])
-        out[i, 0], out[i, 1], out[i, 2] = displacement(nodes, per_voxel, x, y, z)
-    return out
-
-
 def look_at_solid(d: Deformation, rng: np.random.Generator, tally: Tally) -> list[str]:
     """Whether the lattice of a volume, by which it is seen, is as exact as is said."""
     tolerance = float(rng.choice([0.5, 0.1, 0.02]))
@@ -302,7 +291,7 @@ def look_at_solid(d: Deformation, rng: np.random.Generator, tally: Tally) -> lis
         near = np.add(stroke.at, stroke.by) + rng.normal(size=part.shape) * stroke.radius / d.domain.spacing
         part[...] = np.clip(near, 0, np.array(d.shape[::-1]) - 1.0)
     true = d.inverse(q)
-    found = between_nodes(solid.nodes, np.float32(1 / solid.step), q)
+    found = solid.at(q)[0]
     off = np.linalg.norm(q + found - true.points, axis=-1)[true.converged]
     worst = float(off.max(initial=0.0))
     tally.solids += 1

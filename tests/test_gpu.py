@@ -139,7 +139,7 @@ def test_far_from_the_origin_the_residual_is_still_small(gpu: Gpu) -> None:
     targets = np.rint(rng.uniform(15500, 16383, (4000, 2)))
     anchors, _ = columns(d, targets)
     shift, _, _ = field.inverse(gpu, d.space.table, d.space.axes, anchors, 1e-3)
-    off = d.forward((anchors + shift.astype(np.float64))[:, :2]) - targets
+    off = reference.forward(d.strokes, d.domain, (anchors + shift.astype(np.float64))[:, :2]) - targets
     assert np.linalg.norm(off, axis=1).max() < 0.01
 
 
@@ -235,7 +235,7 @@ def test_pixels_outside_every_ball_are_copied(gpu: Gpu, dtype: Any, filter: str)
     inside = reference.reached(reference.carried_out(d), d.domain, reference.grid((75, 110)))
     assert 0.1 < inside.mean() < 0.4
     np.testing.assert_array_equal(made[~inside], source[~inside])
-    assert (made[inside] != source[inside]).any(axis=-1).mean() > 0.5
+    assert (made[inside] != source[inside]).any(axis=-1).mean() > (0.2 if filter == "nearest" else 0.5)
     # One stroke without a limit reaches all of them.
     moved = d.grab((20, 20), by=(1, 1), radius=9).warp(source, filter="cubic", device="gpu")
     assert (moved != source).any(axis=-1).mean() > 0.9
@@ -341,21 +341,22 @@ def test_odd_sizes(gpu: Gpu, shape: tuple[int, ...], outside: str) -> None:
     centre = [(n - 1) / 2 for n in shape[::-1]]
     d = supple.Deformation(shape, border=None).grab(centre, by=[0.4] * len(shape), radius=5)
     options: dict[str, Any] = {"filter": "linear", "outside": outside, "fill": 99}
-    apart = np.abs(d.warp(source, device="gpu", **options).astype(int) - d.warp(source, **options))
-    assert apart.max() <= 4
+    assert away(d.warp(source, device="gpu", **options), truth(d, source, **options)).max() <= 4
 
 
-@pytest.mark.parametrize("seed", range(6))
-def test_small_strokes_are_not_lost_between_nodes(gpu: Gpu, seed: int) -> None:
+@pytest.mark.parametrize("limited", [False, True])
+@pytest.mark.parametrize("seed", range(4))
+def test_small_strokes_are_not_lost_between_nodes(gpu: Gpu, seed: int, limited: bool) -> None:
     rng = np.random.default_rng(seed)
-    radius = float(0.6 * 1.7**seed)
-    d = supple.Deformation((96, 96), border=None, on_fold="flow")
-    at = rng.uniform(32, 64, 2)
-    d = d.grab(at, by=rng.normal(0, 0.7 * radius, 2), radius=radius, scales=1 + seed % 3)
-    ramps = np.stack(np.meshgrid(*[np.arange(96.0)] * 2), axis=-1).astype(np.float32)
-    ours, theirs = (d.warp(ramps, filter="linear", device=device) for device in ("cpu", "gpu"))
-    assert np.abs(ours - ramps).max() > 0.2 * radius
-    assert np.abs(theirs - ours).max() < 0.021
+    radius = float(0.6 * 2.2**seed)
+    d = supple.Deformation((64, 64), border=None)
+    by = rng.normal(size=2)
+    by *= 0.6 * radius / np.linalg.norm(by)
+    d = d.grab(rng.uniform(16, 48, 2), by=by, radius=radius, scales=1 + seed % 3, reach=2.0 if limited else None)
+    ramps = np.stack(np.meshgrid(*[np.arange(64.0)] * 2), axis=-1).astype(np.float32)
+    ours, theirs = truth(d, ramps, filter="linear"), d.warp(ramps, filter="linear", device="gpu")
+    assert np.abs(ours - ramps).max() > 0.1 * radius
+    assert np.abs(theirs - ours).max() < 0.011
 
 
 def test_numbers_that_float32_does_not_hold_are_left_to_the_cpu(gpu: Gpu) -> None:
@@ -365,20 +366,17 @@ def test_numbers_that_float32_does_not_hold_are_left_to_the_cpu(gpu: Gpu) -> Non
         d.warp(source, device="gpu")
     # But large spacings do no harm by themselves.
     d = supple.Deformation(source.shape, spacing=1e4, border=None).grab((25, 20), by=(4, 2), radius=12e4)
-    apart = np.abs(d.warp(source, filter="linear", device="gpu").astype(int) - d.warp(source, filter="linear"))
-    assert apart.max() <= 3
+    assert away(d.warp(source, filter="linear", device="gpu"), truth(d, source, filter="linear")).max() <= 3
 
 
 def test_many_strokes_and_strong_ones(gpu: Gpu, photo: np.ndarray) -> None:
-    d = supple.Deformation(photo.shape[:2], border=None, on_fold="flow")
+    d = supple.Deformation(photo.shape[:2], border=None)
     rng = np.random.default_rng(9)
-    for _ in range(12):
-        d = d.grab(rng.uniform(60, 180, 2), by=rng.normal(0, 40, 2), radius=35)
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", supple.ToleranceWarning)
-        apart = np.abs(
-            d.warp(photo, filter="linear", device="gpu").astype(int) - d.warp(photo, filter="linear").astype(int)
-        )
+        warnings.simplefilter("ignore", FoldWarning)
+        for _ in range(12):
+            d = d.grab(rng.uniform(30, 90, 2), by=rng.normal(0, 15, 2), radius=18)
+    apart = away(d.warp(photo, filter="linear", device="gpu"), truth(d, photo, filter="linear"))
     assert (apart > 4).mean() < 2e-3
 
 
@@ -386,7 +384,7 @@ def test_no_force_is_a_copy_and_out_is_filled(gpu: Gpu, photo: np.ndarray) -> No
     still = supple.Deformation(photo.shape[:2])
     np.testing.assert_array_equal(still.warp(photo, device="gpu"), photo)
     d = bent(photo.shape[:2], 3)
-    out = np.empty((330, 240, 3), np.uint8).transpose(1, 0, 2)
+    out = np.empty((165, 120, 3), np.uint8).transpose(1, 0, 2)
     assert d.warp(photo, device="gpu", out=out) is out
     np.testing.assert_array_equal(out, d.warp(photo, device="gpu"))
 
@@ -425,7 +423,7 @@ def test_a_device_that_is_lost_is_opened_anew(gpu: Gpu, photo: np.ndarray) -> No
     with pytest.warns(DeviceWarning, match="the CPU did what"):
         d.warp(photo, device="gpu")
     assert devices.open_gpu() is not before
-    assert np.abs(d.warp(photo, filter="linear", device="gpu").astype(int) - d.warp(photo, filter="linear")).max() < 8
+    assert away(d.warp(photo, filter="linear", device="gpu"), truth(d, photo, filter="linear")).max() <= 1
 
 
 def test_drivers_that_fail_are_said_in_a_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -451,7 +449,7 @@ def test_functions_are_refused_and_bytes_stay_in_their_order(gpu: Gpu, photo: np
     swapped = photo.astype(">u2")
     made = d.warp(swapped, filter="linear", device="gpu", out=np.empty_like(swapped))
     assert made.dtype == swapped.dtype
-    assert np.abs(made.astype(int) - d.warp(swapped, filter="linear")).max() <= 8
+    assert np.abs(made.astype(int) - truth(d, photo.astype(np.uint16), filter="linear")).max() <= 1
 
 
 def test_shaders_have_the_numbers_of_the_host() -> None:
@@ -488,7 +486,7 @@ def test_auto_never_takes_a_program(gpu: Gpu) -> None:
 
 def test_the_command_line(gpu: Gpu, photo: np.ndarray, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     image.write(tmp_path / "in.png", photo)
-    stroke = ["--grab", "100,100:130,110", "--radius", "40"]
+    stroke = ["--grab", "80,60:95,65", "--radius", "20", "--border", "none", "--filter", "linear"]
     for device in ("cpu", "gpu"):
         target = str(tmp_path / f"{device}.png")
         assert command(["warp", str(tmp_path / "in.png"), target, *stroke, "--device", device]) == 0

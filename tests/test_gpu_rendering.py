@@ -26,6 +26,7 @@ from supple.gpu.texels import put_solid
 from supple.media import image
 from supple.picture import Picture
 from supple.rendering import MODES, Scene
+from supple.solid import Solid, along_rays
 from supple.transfer import TransferFunction
 from supple.volumes import open_volume
 
@@ -85,6 +86,22 @@ def test_a_picture_is_the_cpu_s(gpu: Gpu, cloud: np.ndarray, bent: supple.Deform
         assert (one.evaluations.sum() > 0) == (other.evaluations.sum() > 0) == (mode == "exact")
 
 
+@pytest.mark.parametrize("mode", ["exact", "buffered"])
+@pytest.mark.parametrize("profile", ["quartic", "sine"])
+def test_strokes_with_a_reach_are_seen(gpu: Gpu, cloud: np.ndarray, mode: str, profile: str) -> None:
+    made = [
+        supple.Deformation(SHAPE, spacing=GEOMETRY.spacing, border=6, border_profile=profile).grab(
+            (13, 14, 11), by=(2, -1, 1), radius=6, reach=reach
+        )
+        for reach in (1.6, None)
+    ]
+    options: dict[str, Any] = {"transfer": SOFT, "mode": mode, "tolerance": 0.05}
+    camera = Camera(azimuth=25, elevation=20)
+    near, far = (Scene(cloud, GEOMETRY, deformation=d, device="gpu", **options).render(camera, SIZE) for d in made)
+    assert apart(near, Scene(cloud, GEOMETRY, deformation=made[0], **options).render(camera, SIZE)) > 50
+    assert apart(near, far) < 45
+
+
 @pytest.mark.parametrize("dtype", [np.uint8, np.int8, np.uint16, np.int16, np.float32, np.float64, np.bool_])
 def test_any_type_of_samples(gpu: Gpu, cloud: np.ndarray, dtype: Any) -> None:
     given = (
@@ -122,7 +139,7 @@ def test_without_strokes_and_thin(gpu: Gpu, cloud: np.ndarray) -> None:
 @pytest.mark.parametrize("mode", MODES)
 def test_one_slice_of_any_thickness_with_a_fixed_border(gpu: Gpu, cloud: np.ndarray, mode: str) -> None:
     for spacing in ((1.0, 1.0, 5.0), (1.0, 0.9, 0.3)):
-        d = supple.Deformation((1, *SHAPE[1:]), spacing=spacing).grab((13, 15, 0), by=(4, -3, 0), radius=8)
+        d = supple.Deformation((1, *SHAPE[1:]), spacing=spacing).grab((13, 15, 0), by=(3, -2, 0), radius=8)
         options: dict[str, Any] = {"deformation": d, "transfer": SOFT, "mode": mode}
         one, other = (
             Scene(cloud[10:11], Geometry(spacing=spacing), device=device, **options).render(
@@ -633,7 +650,8 @@ def test_a_lattice_is_as_fine_as_there_is_room_for(gpu: Gpu, monkeypatch: pytest
 
 def _of(scene: Scene, point: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """What a scene's lattice says of a point: u and ∂p/∂q."""
-    return displaced(scene._nodes, 1 / scene._per_voxel, point)
+    assert scene._solid is not None
+    return displaced(scene._solid.nodes, scene._solid.step, point)
 
 
 @pytest.mark.parametrize(("radius", "by", "cells"), [(12, (4, -3, 2), 2), (10, (4, -3, 2), 1), (18, (6, -4, 3), 2)])
@@ -642,11 +660,13 @@ def test_the_error_is_that_along_rays(gpu: Gpu, radius: float, by: tuple[float, 
     d = supple.Deformation((n, n, n), border=None).grab((22, 24, 25), by=by, radius=radius)
     scene = Scene(np.zeros((n, n, n), np.float32), deformation=d, device="gpu")
     assert scene._held is not None
+    assert scene._solid is not None
     assert scene._held.lattice.cells == cells
+    assert scene._solid is not None
     rng = np.random.default_rng(0)
     starts = rng.uniform(0, n - 1, (2000, 3)).astype(np.float32)
     ways = rng.normal(size=(2000, 3)).astype(np.float32)
-    ways *= min(cells / scene._per_voxel, 8.0) / np.linalg.norm(ways, axis=1)[:, None]
+    ways *= min(cells * scene._solid.step, 8.0) / np.linalg.norm(ways, axis=1)[:, None]
     points, sources = [], []
     for start, way in zip(starts, ways, strict=True):
         if not ((start + way >= 0) & (start + way <= n - 1)).all():
@@ -662,11 +682,10 @@ def test_the_error_is_that_along_rays(gpu: Gpu, radius: float, by: tuple[float, 
     assert 0.2 * scene.error < seen <= scene.error <= scene.tolerance
 
 
-def test_what_is_beyond_the_tolerance_is_said_so(gpu: Gpu, bent: supple.Deformation) -> None:
-    lattice = solid.hold_strokes(gpu, bent.space.table, bent.space.axes)
+def test_what_is_beyond_the_tolerance_is_said_so() -> None:
     for error, said in ((0.1, 0.125), (0.19, 0.2), (1.0, 1.25), (np.inf, np.inf)):
-        found = drawing.Solid(np.zeros((2, 2, 2, 16), np.float32), 2, error, 0.0)
-        assert drawing.along_rays(found, lattice, 0.2) == pytest.approx(said)
+        found = Solid(np.zeros((2, 2, 2, 16), np.float32), 2, error, 0.0)
+        assert along_rays(found, 1, 0.2) == pytest.approx(said)
 
 
 def test_textures_that_do_not_fit_are_refused(gpu: Gpu, cloud: np.ndarray) -> None:

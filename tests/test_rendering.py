@@ -11,16 +11,18 @@ import pytest
 from scipy import ndimage
 
 import supple
+from supple import _core
 from supple.camera import Camera
-from supple.cpu import bricks, raymarch
 from supple.geometry import Geometry
 from supple.picture import Picture
 from supple.rendering import MODES, Scene
+from supple.seeing import brick_counts
 from supple.transfer import ENTRIES, TransferFunction
 
 Floats = npt.NDArray[np.float64]
 
 SIZE = (30, 36)
+AMBIENT, DIFFUSE, SPECULAR = 0.15, 0.8, 0.2  # of light; the highlight is the cosine to the power of 16
 SOFT = TransferFunction(((0.2, 1.0, 0.2, 0.1, 0.0), (0.5, 0.9, 0.5, 0.3, 0.2), (1.0, 1.0, 1.0, 1.0, 0.6)))
 HARD = TransferFunction(((0.49, 1.0, 0.8, 0.6, 0.0), (0.5, 1.0, 0.8, 0.6, 1.0), (1.0, 1.0, 0.8, 0.6, 1.0)))
 
@@ -119,8 +121,8 @@ def reference(scene: Scene, camera: Camera, size: tuple[int, int]) -> tuple[Floa
                 normals = slopes / np.maximum(size_, 1e-12)[:, None]
                 half = light - direction
                 half /= np.linalg.norm(half)
-                lit = raymarch.AMBIENT + raymarch.DIFFUSE * np.where(size_ > 0, abs(normals @ light), 1)
-                shine = raymarch.SPECULAR * np.where(size_ > 0, abs(normals @ half), 0) ** 16
+                lit = AMBIENT + DIFFUSE * np.where(size_ > 0, abs(normals @ light), 1)
+                shine = SPECULAR * np.where(size_ > 0, abs(normals @ half), 0) ** 16
             total = np.zeros(3)
             for k in range(len(ts) - 1, -1, -1):
                 alpha = colours[k, 3]
@@ -177,6 +179,35 @@ def test_a_picture_is_the_slow_one(where: str, transfer: TransferFunction, mode:
     assert np.quantile(away, 0.9) < scene.step / 50
 
 
+@pytest.mark.parametrize("mode", ["exact", "lattice"])
+def test_strokes_of_a_reach(mode: str) -> None:
+    """What rays outside their balls see is what they see without strokes, bit for bit, and costs no inversion."""
+    volume, geometry, camera = cloud(), Geometry((1.0, 0.9, 1.1)), Camera(35, 20)
+    d = supple.Deformation(volume.shape, spacing=geometry.spacing, border=None)
+    d = d.grab((12, 14, 9), by=(2, -1.5, 1), radius=7, reach=1.5)
+    scene = Scene(volume, geometry, deformation=d, transfer=HARD, mode=mode)
+    picture, plain = scene.render(camera, SIZE), Scene(volume, geometry, transfer=HARD).render(camera, SIZE)
+    colours, alpha, _ = reference(scene, camera, SIZE)
+    off = np.abs(picture.light[..., :3] - colours).max(axis=-1)
+    assert np.quantile(off, 0.97) < 0.01
+    assert np.abs(plain.light[..., :3] - colours).max() > 0.05
+    view = scene.view(camera, SIZE)
+    outside = np.ones(SIZE, np.bool_)
+    for stroke in d.space.table:
+        for y, x in np.ndindex(SIZE):
+            way = stroke["pivot"] - view.eye * view.spacing
+            direction = view.direction(x, y)
+            outside[y, x] &= np.linalg.norm(way - (way @ direction) * direction) > stroke["reach"] * 1.001
+    assert 0.1 < (outside & (alpha > 0)).sum() / (alpha > 0).sum() < 0.9
+    if mode == "exact":
+        np.testing.assert_array_equal(picture.light[outside], plain.light[outside])
+        np.testing.assert_array_equal(picture.samples[outside], plain.samples[outside])
+        assert not picture.evaluations[outside].any()
+        assert picture.evaluations[~outside].any()
+    else:
+        np.testing.assert_allclose(picture.light[outside], plain.light[outside], atol=0.02)
+
+
 @pytest.mark.parametrize("dtype", [np.uint8, np.int16, np.uint16, np.float32, np.float64, np.int32, np.bool_])
 def test_the_type_of_samples_does_not_matter(dtype: Any) -> None:
     volume = cloud() > 0.5
@@ -205,18 +236,22 @@ def test_skipping_empty_bricks_changes_nothing(monkeypatch: pytest.MonkeyPatch) 
 
 def test_bricks_know_their_range_and_their_distance() -> None:
     volume = cloud((9, 14, 22))
-    counts = tuple(-(-(n - 1) // bricks.BRICK) for n in volume.shape)
-    lows, highs = np.empty(counts, np.float32), np.empty(counts, np.float32)
-    bricks.ranges(volume.reshape(-1), np.array(volume.shape[::-1]), bricks.BRICK, lows, highs)
-    for c, b, a in np.ndindex(counts):
-        part = volume[tuple(slice(k * bricks.BRICK, k * bricks.BRICK + bricks.BRICK + 1) for k in (c, b, a))]
-        assert (lows[c, b, a], highs[c, b, a]) == (part.min(), part.max())
+    for brick in (2, _core.BRICK):
+        counts = brick_counts(volume.shape, brick)
+        lows, highs = np.empty(counts, np.float32), np.empty(counts, np.float32)
+        _core.brick_ranges(volume, brick, lows, highs)
+        for at in np.ndindex(counts):
+            part = volume[tuple(slice(k * brick, k * brick + brick + 1) for k in at)]
+            assert (lows[at], highs[at]) == (part.min(), part.max())
     seen = np.random.default_rng(1).random((7, 9, 8)) > 0.985
-    found = bricks.distances(seen)
+    found = np.empty(seen.shape, np.uint8)
+    _core.brick_distances(seen, found)
     places = np.argwhere(seen)
     for at in np.ndindex(seen.shape):
         assert found[at] == np.abs(places - at).max(axis=1).min()
-    assert (bricks.distances(np.zeros((3, 3, 300), np.bool_)) == bricks.FARTHEST).all()
+    nothing = np.empty((3, 3, 300), np.uint8)
+    _core.brick_distances(np.zeros(nothing.shape, np.bool_), nothing)
+    assert (nothing == 255).all()
 
 
 def test_the_three_ways_show_the_same() -> None:

@@ -6,26 +6,16 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numba import njit
 from scipy.ndimage import map_coordinates
 
-from supple.cpu.voxels import sample_at, slopes_at
+from supple import _core
 
 SHAPE = (7, 9, 8)
 
 
-@njit
-def seen(samples, size, points, out):  # type: ignore[no-untyped-def]
-    nx, ny, nz = size
-    for i in range(len(points)):
-        x, y, z = points[i]
-        out[i, 0] = sample_at(samples, nx, ny, nz, x, y, z)
-        out[i, 1], out[i, 2], out[i, 3] = slopes_at(samples, nx, ny, nz, x, y, z)
-
-
 def looked_at(volume: np.ndarray, points: np.ndarray) -> np.ndarray:
     out = np.empty((len(points), 4), np.float32)
-    seen(volume.reshape(-1), np.array(volume.shape[::-1]), points.astype(np.float32), out)
+    _core.look_up(volume, points.astype(np.float32), out)
     return out
 
 
@@ -52,9 +42,24 @@ def test_samples_and_slopes_are_those_of_central_differences_between_voxels(dtyp
         np.testing.assert_allclose(found[:, 1 + axis], 0.5 * (values[0] - values[1]), atol=1e-5 * scale)
 
 
+def test_outside_a_volume_the_nearest_sample_of_it_counts() -> None:
+    volume = np.random.default_rng(4).normal(size=SHAPE).astype(np.float32)
+    points = np.random.default_rng(5).uniform(-3, 12, (2000, 3))
+    inside = np.clip(points, 0, np.array(SHAPE[::-1]) - 1)
+    np.testing.assert_array_equal(looked_at(volume, points)[:, 0], looked_at(volume, inside)[:, 0])
+
+
 def test_where_all_voxels_are_the_same_there_is_no_slope_at_all() -> None:
     # Else shading would show the direction of rounding.
     points = np.random.default_rng(5).uniform(0, 1, (2000, 3)) * (np.array(SHAPE[::-1]) - 1)
     found = looked_at(np.full(SHAPE, 0.7, np.float32), points)
     assert not found[:, 1:].any()
     assert np.ptp(found[:, 0]) == 0
+
+
+def test_what_is_no_volume_of_such_numbers_is_refused() -> None:
+    points, out = np.zeros((1, 3), np.float32), np.empty((1, 4), np.float32)
+    with pytest.raises(TypeError, match="samples must be uint8, int8, uint16, int16 or float32"):
+        _core.look_up(np.zeros(SHAPE), points, out)
+    with pytest.raises(ValueError, match="two voxels along each axis"):
+        _core.look_up(np.zeros((1, 4, 4), np.uint8), points, out)

@@ -374,12 +374,12 @@ class Scene:
         """Return what marches along the rays of columns and rows of pixels, into colours, depths and work."""
         low, high = self.range
         transfer = _core.Transfer(self._table, low, entries(low, high), self._threshold, *self.density)
-        strokes, lattice, cells, skips = None, None, 1, self._skips
+        strokes, lattice, cells = None, None, 1
         if self.deformation is not None and (self.mode == "exact" or self._coarse):
             strokes = strokes_of(self.deformation.space.table, self.deformation.space.axes)
         elif self._solid is not None:
             lattice, cells = self._solid.lattice, cells_along_rays(self._solid, self.tolerance)
-        seen = _core.View(np.ascontiguousarray(view.packed), self.step, lamp(view).tolist(), self.shaded, skips)
+        seen = _core.View(np.ascontiguousarray(view.packed), self.step, triple(lamp(view)), self.shaded, self._skips)
 
         def march(columns: Array, rows: Array, light: Array, depth: Array, work: Array) -> None:
             xs, ys = columns - (view.size[1] - 1) / 2, rows - (view.size[0] - 1) / 2  # from the middle

@@ -28,9 +28,8 @@ def skipped(known: dict[str, Any]) -> npt.NDArray[np.uint8]:
     lows, highs = np.maximum(known["_lows"], np.float32(bottom)), np.minimum(known["_highs"], np.float32(top))
 
     def entry(values: Array) -> npt.NDArray[np.intp]:
-        return np.clip(np.rint((values - np.float32(low)) * np.float32(entries(low, high))), 0, ENTRIES - 1).astype(
-            np.intp
-        )
+        places = np.rint((values - np.float32(low)) * np.float32(entries(low, high)))
+        return np.asarray(np.clip(places, 0, ENTRIES - 1), np.intp)
 
     seen = (lows <= highs) & (visible[entry(highs) + 1] > visible[entry(lows)])
     if known["_solid"] is not None:
@@ -95,7 +94,7 @@ def brick_counts(shape: tuple[int, ...], brick: int) -> tuple[int, ...]:
     return tuple(-(-max(n - 1, 1) // brick) for n in shape)
 
 
-def triple(values: Floats) -> tuple[float, float, float]:
+def triple(values: npt.NDArray[np.floating]) -> tuple[float, float, float]:
     """Three numbers, of Python's."""
     x, y, z = (float(v) for v in values)
     return x, y, z

@@ -3,8 +3,8 @@
 // At a node, Newton's method gives p = T⁻¹(q), its derivatives ∂p/∂q = (I+J)⁻¹ and, by second-order jets, the twist
 // ∂²p/∂x∂y: all that a bicubic Hermite patch needs, exactly, so that a cell depends on its own four nodes alone. A
 // cell is checked against T itself at nine points: |M (T(p) - q)| is the distance to the true T⁻¹(q). Where it is
-// too large, or the map varies too fast for nine points to tell, the cell is split, down to single pixels, which are
-// nodes themselves. A root cell that no stroke can reach is the identity and costs nothing.
+// too large, or the map varies too fast for nine points to tell, the cell is split, down to single pixels, whose
+// corners are nodes. A root cell that no stroke can reach is the identity and costs nothing.
 //
 // All is in pixels but for what `Stroke` and `Axis` hold.
 #pragma once
@@ -20,9 +20,9 @@
 namespace supple {
 
 constexpr int ROOT = 32;        // pixels along the side of a root cell
-constexpr int SMALL = 4;        // a cell of so many pixels is not split, but solved pixel by pixel
+constexpr int SMALL = 4;        // a cell of so many pixels is split into single ones at once
 constexpr int BAND = 4;         // rows of roots that are solved one after the other, each from the last
-constexpr double RESERVE = 1.5; // nine points do not see quite the worst of a cell
+constexpr double RESERVE = 1.75; // nine points do not see quite the worst of a cell
 constexpr int STRIDE = 48;      // pixels of a row of a root, and room for whole vectors
 
 // Samples that lie `step` pixels apart, the first at `offset`; `size` of them: the pixels themselves, or chroma.
@@ -32,6 +32,7 @@ struct Grid {
     int size[2];
     // The first sample at or after a pixel.
     int from(int axis, int pixel) const {
+        if (step[axis] == 1 && offset[axis] == 0) return std::min(pixel, size[axis]);
         int i = (int)ceil((pixel - offset[axis]) / step[axis]);
         return std::clamp(i, 0, size[axis]);
     }
@@ -142,7 +143,7 @@ private:
     void solve_band(int index);
     void solve(Work& w, bool guessed);
     void check(Work& w);
-    void split(Work& w, const Cell& cell, const double (&c)[D][16], std::vector<std::pair<int, Cell>>& pixels);
+    void split(Work& w, const Cell& cell, const double (&c)[D][16]);
     void emit(Work& w, int root, int x, int y, int width, int height, const double (*c)[16], const double* depth);
     void fill(const Leaf<D>& leaf, const Grid& grid, int y, int from, int to, int left, bool slopes, Row<D>& row) const;
     void widen(const Leaf<D>& leaf, Extent<D>& e) const;
@@ -429,7 +430,6 @@ template <int D> void Plan<D>::solve_band(int index) {
 template <int D> void Plan<D>::check(Work& w) {
     static constexpr double AT[9][2] = {{.5, .5}, {.5, 0}, {.5, 1}, {0, .5}, {1, .5}, {.25, .25}, {.75, .25}, {.25, .75}, {.75, .75}};
     double allowed = tolerance * tolerance / (RESERVE * RESERVE);
-    std::vector<std::pair<int, Cell>> pixels;
     int count = (int)w.cells.size();
     for (int start = 0; start < count; start += LANES) {
         auto cell = [&](int i) -> const Cell& { return w.cells[std::min(start + i, count - 1)]; };
@@ -465,8 +465,10 @@ template <int D> void Plan<D>::check(Work& w) {
             for (int j = 0; j < 4; j++) hermite(left[j], left_x[j], right[j], right_x[j], per_h, c[d] + 4 * j, 1);
         }
         Lanes longer = most(h, k);
-        Mask coarse = longer * longer > 0.25 * reach;
+        Mask coarse = longer * longer > 0.25 * reach, unit = longer <= 1.0;
         for (const auto& place : AT) {
+            if (!any(without(Mask{} == 0, unit))) break; // single pixels are exact
+
             Lanes s = place[0] * h, t = place[1] * k, x[D], ds[D], dt[D], e[D], off{};
             for (int d = 0; d < D; d++) x[d] = at(c[d], s, t, ds[d], dt[d]) * axes[d].spacing;
             apply<D>(chain, axes, x);
@@ -485,8 +487,8 @@ template <int D> void Plan<D>::check(Work& w) {
             double own[D][16];
             for (int d = 0; d < D; d++)
                 for (int n = 0; n < 16; n++) own[d][n] = c[d][n][i];
-            if (!(worst[i] <= allowed) || coarse[i]) {
-                split(w, e, own, pixels);
+            if (!unit[i] && (!(worst[i] <= allowed) || coarse[i])) {
+                split(w, e, own);
                 continue;
             }
             double depth[4] = {1, 0, 0, 0};
@@ -499,58 +501,43 @@ template <int D> void Plan<D>::check(Work& w) {
                 depth[3] = (v[3] - v[2] - v[1] + v[0]) / ((double)(e.x1 - e.x0) * (e.y1 - e.y0));
             }
             emit(w, e.root, e.x0, e.y0, past(0, e.x1) - e.x0, past(1, e.y1) - e.y0, own, depth);
-            w.band->worst = std::max(w.band->worst, worst[i]);
+            if (!unit[i]) w.band->worst = std::max(w.band->worst, worst[i]);
         }
     }
     solve(w, true);
-    for (const auto& [node, cell] : pixels) {
-        const Node& n = w.nodes[node];
-        double c[D][16] = {}, depth[4] = {1, 0, 0, 0};
-        for (int d = 0; d < D; d++) {
-            c[d][0] = n.p[d];
-            c[d][1] = n.m[0][d];
-            c[d][4] = n.m[1][d];
-        }
-        if constexpr (D == 3) depth[0] = n.m[2][2];
-        emit(w, cell.root, cell.x0, cell.y0, 1, 1, c, depth);
-    }
 }
 
-template <int D>
-void Plan<D>::split(Work& w, const Cell& e, const double (&c)[D][16], std::vector<std::pair<int, Cell>>& pixels) {
-    auto ask = [&](int x, int y) {
-        Ask a;
-        a.q[0] = x;
-        a.q[1] = y;
-        a.root = e.root;
-        a.node = (int)w.nodes.size();
-        w.nodes.emplace_back();
-        for (int d = 0; d < D; d++) {
-            double ds, dt;
-            a.guess[d] = at<double>(c[d], x - e.x0, y - e.y0, ds, dt);
-        }
-        w.asks.push_back(a);
-        return a.node;
-    };
+// Split a cell in halves along each side that is long enough, or into single pixels; the new nodes start from its patch.
+template <int D> void Plan<D>::split(Work& w, const Cell& e, const double (&c)[D][16]) {
     int wide = e.x1 - e.x0, high = e.y1 - e.y0;
-    if (wide <= SMALL && high <= SMALL) {
-        for (int y = e.y0; y < past(1, e.y1); y++)
-            for (int x = e.x0; x < past(0, e.x1); x++) pixels.push_back({ask(x, y), {e.root, x, y, x + 1, y + 1, {}}});
-        return;
-    }
-    // In halves along each side that is long enough.
-    int xs[3] = {e.x0, (e.x0 + e.x1) / 2, e.x1}, ys[3] = {e.y0, (e.y0 + e.y1) / 2, e.y1}, nx = 3, ny = 3, node[9];
-    if (wide <= SMALL) xs[1] = e.x1, nx = 2;
-    if (high <= SMALL) ys[1] = e.y1, ny = 2;
-    for (int v = 0; v < ny; v++)
-        for (int u = 0; u < nx; u++) {
-            bool corner = (u == 0 || u == nx - 1) && (v == 0 || v == ny - 1);
-            node[3 * v + u] = corner ? e.corner[(u ? 1 : 0) + (v ? 2 : 0)] : ask(xs[u], ys[v]);
+    bool finest = wide <= SMALL && high <= SMALL;
+    int xs[SMALL + 1], ys[SMALL + 1], nx = 0, ny = 0, node[SMALL + 1][SMALL + 1];
+    for (int x = e.x0; x < e.x1; x += finest ? 1 : wide <= SMALL ? wide : nx ? e.x1 - x : wide / 2) xs[nx++] = x;
+    for (int y = e.y0; y < e.y1; y += finest ? 1 : high <= SMALL ? high : ny ? e.y1 - y : high / 2) ys[ny++] = y;
+    xs[nx] = e.x1;
+    ys[ny] = e.y1;
+    for (int v = 0; v <= ny; v++)
+        for (int u = 0; u <= nx; u++) {
+            if ((u == 0 || u == nx) && (v == 0 || v == ny)) {
+                node[v][u] = e.corner[(u ? 1 : 0) + (v ? 2 : 0)];
+                continue;
+            }
+            Ask a;
+            a.q[0] = xs[u];
+            a.q[1] = ys[v];
+            a.root = e.root;
+            a.node = node[v][u] = (int)w.nodes.size();
+            w.nodes.emplace_back();
+            for (int d = 0; d < D; d++) {
+                double ds, dt;
+                a.guess[d] = at<double>(c[d], xs[u] - e.x0, ys[v] - e.y0, ds, dt);
+            }
+            w.asks.push_back(a);
         }
-    for (int v = 0; v + 1 < ny; v++)
-        for (int u = 0; u + 1 < nx; u++)
+    for (int v = 0; v < ny; v++)
+        for (int u = 0; u < nx; u++)
             w.split.push_back({e.root, xs[u], ys[v], xs[u + 1], ys[v + 1],
-                               {node[3 * v + u], node[3 * v + u + 1], node[3 * v + u + 3], node[3 * v + u + 4]}});
+                               {node[v][u], node[v][u + 1], node[v + 1][u], node[v + 1][u + 1]}});
 }
 
 // ---- filling --------------------------------------------------------------------------------------------------------
@@ -559,8 +546,13 @@ void Plan<D>::split(Work& w, const Cell& e, const double (&c)[D][16], std::vecto
 template <int D>
 INLINE void Plan<D>::fill(const Leaf<D>& leaf, const Grid& grid, int y, int from, int to, int left, bool slopes,
                    Row<D>& row) const {
-    float t = (float)(y * grid.step[1] + grid.offset[1] - leaf.y);
-    float start = (float)(from * grid.step[0] + grid.offset[0] - leaf.x), stride = (float)grid.step[0];
+    // Beyond a fixed face, where the chroma of a last pixel may lie, the map goes on as at the face.
+    double below = y * grid.step[1] + grid.offset[1], face = axes[1].fixed() ? size[1] - 1.0 : below;
+    const float t = (float)(std::min(below, face) - leaf.y), over_y = (float)std::max(below - face, 0.0);
+    const float start = (float)(from * grid.step[0] + grid.offset[0] - leaf.x), stride = (float)grid.step[0];
+    const int n = to - from, at = from - left;
+    int inner = n; // samples before the face
+    if (axes[0].fixed()) inner = std::clamp((int)floor((size[0] - 1.0 - grid.offset[0]) / grid.step[0]) + 1 - from, 0, n);
     float along[D][4], rise[D][4];
     for (int d = 0; d < D; d++)
         for (int i = 0; i < 4; i++) {
@@ -568,46 +560,51 @@ INLINE void Plan<D>::fill(const Leaf<D>& leaf, const Grid& grid, int y, int from
             along[d][i] = b[0] + t * (b[4] + t * (b[8] + t * b[12]));
             rise[d][i] = b[4] + t * (2 * b[8] + 3 * t * b[12]);
         }
-    int n = to - from, at = from - left;
+    const float edge = (float)(size[0] - 1 - leaf.x);
+    auto each = [&](auto f) INLINE_LAMBDA {
+        for (int i = 0; i < inner; i++) f(i, start + stride * (float)i);
+        for (int i = inner; i < n; i++) f(i, edge);
+    };
     for (int d = 0; d < D; d++) {
         // In samples of the grid: (p - offset) / step.
         int anchor = leaf.anchor[d];
-        float scale = 1, shift = 0;
-        if (d < 2 && grid.step[d] > 1) {
-            double base = (leaf.anchor[d] - grid.offset[d]) / grid.step[d];
+        float scale = 1, shift = d == 1 ? over_y : 0; // beyond the lower face, too
+        if (d < 2 && (grid.step[d] > 1 || grid.offset[d] != 0)) {
+            double base = (leaf.anchor[d] - grid.offset[d] + shift) / grid.step[d];
             anchor = (int)floor(base);
             scale = 1.0f / grid.step[d];
             shift = (float)(base - anchor);
         }
-        const float *a = along[d];
-        for (int i = 0; i < n; i++) {
-            float s = start + stride * (float)i;
+        const float* a = along[d];
+        each([&](int i, float s) INLINE_LAMBDA {
             float x = (a[0] + s * (a[1] + s * (a[2] + s * a[3]))) * scale + shift;
             x = std::min(std::max(x, -1e9f), 1e9f); // a sample so far away is beyond any edge
             int whole = (int)x;
             whole -= (float)whole > x;
             row.whole[d][at + i] = whole + anchor;
             row.part[d][at + i] = x - (float)whole;
-        }
+        });
+    }
+    for (int i = inner; i < n; i++) { // nothing moves across a face
+        row.whole[0][at + i] = from + i;
+        row.part[0][at + i] = 0;
     }
     if (!slopes) return;
     for (int d = 0; d < 2; d++) {
         const float *a = along[d], *b = rise[d], to_down = (float)grid.step[1] / grid.step[d], to_across = stride / grid.step[d];
-        for (int i = 0; i < n; i++) {
-            float s = start + stride * (float)i;
+        each([&](int i, float s) INLINE_LAMBDA {
             row.across[d][at + i] = (a[1] + s * (2 * a[2] + 3 * s * a[3])) * to_across;
             row.down[d][at + i] = (b[0] + s * (b[1] + s * (b[2] + s * b[3]))) * to_down;
-        }
+        });
     }
     if constexpr (D == 3) {
         const float *a = along[2], *b = rise[2], *r = leaf.depth, down = (float)grid.step[1];
-        for (int i = 0; i < n; i++) {
-            float s = start + stride * (float)i;
+        each([&](int i, float s) INLINE_LAMBDA {
             float across = (a[1] + s * (2 * a[2] + 3 * s * a[3])) * stride;
             float dt = (b[0] + s * (b[1] + s * (b[2] + s * b[3]))) * down;
             float own = r[0] + s * r[1] + t * (r[2] + s * r[3]);
             row.depth2[at + i] = across * across + dt * dt + own * own;
-        }
+        });
     }
 }
 
@@ -653,20 +650,21 @@ void Plan<D>::each_row(const Grid& grid, int root_row, const int (&box)[4], bool
     Row<D> row;
     int top = root_row == 0 ? 0 : grid.from(1, line(root_row));
     int bottom = root_row == down - 1 ? grid.size[1] : grid.from(1, line(root_row + 1));
-    for (int i = 0; i < across; i++) {
-        int left, right, index = root_row * across + i;
-        columns_of(grid, i, left, right);
-        int a = std::max(left, box[0]), b = std::min(right, box[1]);
-        if (a >= b) continue;
-        const Root& root = roots[index];
-        const Band& band = bands[root.band];
-        for (int y = std::max(top, box[2]); y < std::min(bottom, box[3]); y++) {
-            if (root.leaves == 0) {
-                row.idle = true;
+    // Whole rows, so that frames are read, and results written, in order.
+    for (int y = std::max(top, box[2]); y < std::min(bottom, box[3]); y++) {
+        const double at = y * grid.step[1] + grid.offset[1];
+        for (int i = 0; i < across; i++) {
+            int left, right, index = root_row * across + i;
+            columns_of(grid, i, left, right);
+            int a = std::max(left, box[0]), b = std::min(right, box[1]);
+            if (a >= b) continue;
+            const Root& root = roots[index];
+            const Band& band = bands[root.band];
+            row.idle = root.leaves == 0;
+            if (row.idle) {
                 use(row, a, y, b - a, 0);
                 continue;
             }
-            double at = y * grid.step[1] + grid.offset[1];
             for (int l = root.first; l >= 0; l = band.next[l]) {
                 const Leaf<D>& leaf = band.leaves[l];
                 bool lowest = leaf.y + leaf.h >= size[1], rightmost = leaf.x + leaf.w >= size[0];
@@ -675,7 +673,6 @@ void Plan<D>::each_row(const Grid& grid, int root_row, const int (&box)[4], bool
                 int to = rightmost ? grid.size[0] : grid.from(0, leaf.x + leaf.w);
                 if (from < to) fill(leaf, grid, y, from, to, left, slopes, row);
             }
-            row.idle = false;
             mark(root, index, grid, left, y, right - left, row);
             use(row, a, y, b - a, a - left);
         }

@@ -1,15 +1,9 @@
 // What Python sees of the rendering of volumes.
-#include <nanobind/nanobind.h>
-#include <nanobind/ndarray.h>
 #include <nanobind/stl/array.h>
 #include <nanobind/stl/pair.h>
-#include <nanobind/stl/vector.h>
 
+#include "bindings.hpp"
 #include "raymarch.hpp"
-#include "threads.hpp"
-
-namespace nb = nanobind;
-using namespace nb::literals;
 
 namespace supple {
 namespace {
@@ -38,10 +32,9 @@ template <class A> std::array<int64_t, 3> sizes(const A& a) {
     return {(int64_t)a.shape(2), (int64_t)a.shape(1), (int64_t)a.shape(0)};
 }
 
-Strokes* make_strokes(Array<const double, 2> rows, Array<const double, 2> axes) {
-    if (rows.shape(1) != STROKE_NUMBERS || axes.shape(0) != 3 || axes.shape(1) != AXIS_NUMBERS)
-        throw nb::value_error("strokes must be rows of 20 numbers, and axes three of 4");
-    return new Strokes(rows.data(), rows.shape(0), axes.data());
+Strokes* make_strokes(const Doubles& rows, const Doubles& axes) {
+    const Axes domain = axes_of(axes);
+    return new Strokes(domain, strokes_of(rows, domain.data()));
 }
 
 // A lattice in an array of Python's, (nz, ny, nx, NODE).
@@ -57,10 +50,7 @@ struct SolidLattice : Lattice {
 
 std::pair<double, double> solve(SolidLattice& lattice, const Strokes& strokes) {
     std::vector<std::array<double, 2>> layers(lattice.nz);
-    {
-        nb::gil_scoped_release release;
-        parallel((int)lattice.nz, [&](int k, int) { layers[k] = lattice.solve(strokes, k); });
-    }
+    unlocked([&] { parallel((int)lattice.nz, [&](int k, int) { layers[k] = lattice.solve(strokes, k); }); });
     std::pair<double, double> all{0, 1e300};
     for (auto [steps, smooth] : layers) all = {all.first + steps, least(all.second, smooth)};
     return all;
@@ -68,8 +58,7 @@ std::pair<double, double> solve(SolidLattice& lattice, const Strokes& strokes) {
 
 double error(SolidLattice& lattice, const Strokes& strokes) {
     std::vector<double> layers(lattice.nz - 1);
-    nb::gil_scoped_release release;
-    parallel((int)layers.size(), [&](int k, int) { layers[k] = lattice.error(strokes, k); });
+    unlocked([&] { parallel((int)layers.size(), [&](int k, int) { layers[k] = lattice.error(strokes, k); }); });
     double worst = 0;
     for (double e : layers) worst = most(worst, e);
     return worst;
@@ -191,9 +180,11 @@ void draw(Samples samples, const View& look, const Transfer& transfer, const Sol
         throw nb::value_error("a picture must have its rows and columns");
     const int across = int(width + TILE - 1) / TILE, down = int(height + TILE - 1) / TILE;
     with_voxels(samples, [&](auto voxels) {
-        nb::gil_scoped_release release;
-        parallel(across * down, [&](int tile, int) {
-            draw_tile(voxels, look, transfer, lattice, cells, strokes, out, tile / across * TILE, tile % across * TILE);
+        unlocked([&] {
+            parallel(across * down, [&](int tile, int) {
+                draw_tile(voxels, look, transfer, lattice, cells, strokes, out, tile / across * TILE,
+                          tile % across * TILE);
+            });
         });
     });
 }
@@ -205,9 +196,10 @@ void brick_ranges(Samples samples, int brick, Array<float, 3> lows, Array<float,
             throw nb::value_error("lows and highs must be as many as there are bricks");
     const int64_t layer = bricks[0] * bricks[1];
     with_samples(samples, [&](auto* data) {
-        nb::gil_scoped_release release;
-        parallel((int)bricks[2], [&](int c, int) {
-            ranges(data, n.data(), brick, bricks[0], bricks[1], c, lows.data() + c * layer, highs.data() + c * layer);
+        unlocked([&] {
+            parallel((int)bricks[2], [&](int c, int) {
+                ranges(data, n.data(), brick, bricks[0], bricks[1], c, lows.data() + c * layer, highs.data() + c * layer);
+            });
         });
     });
 }

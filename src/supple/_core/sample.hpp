@@ -61,10 +61,10 @@ template <class N, int C, int L> inline constexpr Powers<N, C, L> weights{0, 1};
 // Halves, since two are added: of a spot's first and second column.
 template <class N, int C, int L> inline constexpr Powers<N, C, L> halves[2] = {{0, N(0.5)}, {1, N(0.5)}};
 
-// What rows of spots count: of each row of a window the sum of both points' weights, and ρ times their difference.
-template <class N> struct Across { // the same along x, as fractions
-    N first, second;
-    int shift; // whether the second point is a column further
+// Where a spot's left and right points lie along x.
+template <class N> struct Across {
+    N first, second; // their fractions
+    int shift;       // whether the right one is a column further
 };
 
 // ---- samples of one place, and kernels over them --------------------------------------------------------------------
@@ -110,29 +110,24 @@ template <class N, int C, class Taps> INLINE Pixel<N> cubic_at(Taps taps, ptrdif
     return sum_of<N, C, 4>(v * weights<N, C, L>(fx));
 }
 
-// even, odd: of each row of the window, ES apart.
+// left, right: what each row of the window counts for the spot's left and right points, ES apart.
 template <class N, int C, int ES, class Taps>
-INLINE Pixel<N> spot_at(Taps taps, ptrdiff_t row, Across<N> x, const N* even, const N* odd) {
+INLINE Pixel<N> spot_at(Taps taps, ptrdiff_t row, Across<N> x, const N* left, const N* right) {
     constexpr int L = lanes_for(5 * C > 16 ? 16 : 5 * C);
     ptrdiff_t o = -row - C;
-    Pack<N, L> r = taps.template at<N, L>(o), e = r * even[0], d = r * odd[0];
+    Pack<N, L> r = taps.template at<N, L>(o), a = r * left[0], b = r * right[0];
     for (int j = 1; j < WINDOW; j++) {
         r = taps.template at<N, L>(o + j * row);
-        e += r * even[j * ES];
-        d += r * odd[j * ES];
+        a += r * left[j * ES];
+        b += r * right[j * ES];
     }
-    Pack<N, L> a = halves<N, C, L>[0](x.first), b = halves<N, C, L>[x.shift](x.second);
-    Pack<N, L> v = e * (a + b) + d * (b - a);
+    Pack<N, L> v = a * halves<N, C, L>[0](x.first) + b * halves<N, C, L>[x.shift](x.second);
     Pixel<N> s = sum_of<N, C, 4>(v);
     if constexpr (C == 4) { // the fifth column did not fit
-        Pixel<N> q = taps.template at<N, 4>(o + 16), e4 = q * even[0], d4 = q * odd[0];
-        for (int j = 1; j < WINDOW; j++) {
-            q = taps.template at<N, 4>(o + 16 + j * row);
-            e4 += q * even[j * ES];
-            d4 += q * odd[j * ES];
-        }
+        Pixel<N> b4 = right[0] * taps.template at<N, 4>(o + 16);
+        for (int j = 1; j < WINDOW; j++) b4 += right[j * ES] * taps.template at<N, 4>(o + 16 + j * row);
         N f = x.second, last = x.shift ? N(0.5) * N(KEYS) * f * f * (1 - f) : 0;
-        return s + last * (e4 + d4);
+        return s + last * b4;
     } else if constexpr (C == 3)
         return s + part<N, 3>(v);
     else if constexpr (C == 2)
@@ -222,7 +217,7 @@ struct Prints {
     float xx[STRIDE], xy[STRIDE], yy[STRIDE];
     int x[STRIDE], y[STRIDE], shift[STRIDE]; // a spot's first point, and whether the second is a column further
     float first[STRIDE], second[STRIDE];     // their fractions along x
-    float even[WINDOW][STRIDE], odd[WINDOW][STRIDE];
+    float left[WINDOW][STRIDE], right[WINDOW][STRIDE]; // weights of rows for the left and the right points
     bool any;
 
     template <int D> void find(const Row<D>& row, int at, int n);
@@ -274,16 +269,18 @@ template <int D> inline void Prints::find(const Row<D>& row, int from, int n) {
         float p0 = outer(u), p1 = inner(u), p2 = inner(1 - u), p3 = outer(1 - u);
         float r0 = outer(v), r1 = inner(v), r2 = inner(1 - v), r3 = outer(1 - v);
         float q0 = lower ? 0 : r0, q1 = lower ? r0 : r1, q2 = lower ? r1 : r2, q3 = lower ? r2 : r3, q4 = lower ? r3 : 0;
-        even[0][i] = p0 + q0;
-        even[1][i] = p1 + q1;
-        even[2][i] = p2 + q2;
-        even[3][i] = p3 + q3;
-        even[4][i] = q4;
-        odd[0][i] = rho * (q0 - p0);
-        odd[1][i] = rho * (q1 - p1);
-        odd[2][i] = rho * (q2 - p2);
-        odd[3][i] = rho * (q3 - p3);
-        odd[4][i] = rho * q4;
+        // (1 ± ρ)/4: of the upper points (p) and the lower ones (q), as halves, since columns are halves too.
+        float same = 1 + rho, other = 1 - rho;
+        left[0][i] = same * p0 + other * q0;
+        left[1][i] = same * p1 + other * q1;
+        left[2][i] = same * p2 + other * q2;
+        left[3][i] = same * p3 + other * q3;
+        left[4][i] = other * q4;
+        right[0][i] = other * p0 + same * q0;
+        right[1][i] = other * p1 + same * q1;
+        right[2][i] = other * p2 + same * q2;
+        right[3][i] = other * p3 + same * q3;
+        right[4][i] = same * q4;
     }
 }
 
@@ -299,19 +296,19 @@ INLINE Pixel<N> spot(const Frames<T>& f, const Mix<N>& mix, N x, N y, N xx, N xy
     N sx = std::min(N(sqrt(xx / 12)), N(WIDEST_SPOT)), sy = std::min(N(sqrt(yy / 12)), N(WIDEST_SPOT));
     N rho = xy / 12 / (sx * sy + N(1e-12));
     N x0 = floored(x - sx), x1 = floored(x + sx), y0 = floored(y - sy), y1 = floored(y + sy);
-    N even[WINDOW] = {}, odd[WINDOW] = {};
+    N left[WINDOW] = {}, right[WINDOW] = {};
     for (int point = 0; point < 2; point++) {
         N t = point ? y + sy - y1 : y - sy - y0;
         int lower = point ? (int)(y1 - y0) : 0;
         for (int j = 0; j < 4; j++) {
             N w = N(KEYS_POWERS[0][j]) + t * (N(KEYS_POWERS[1][j]) + t * (N(KEYS_POWERS[2][j]) + t * N(KEYS_POWERS[3][j])));
-            even[j + lower] += w / 2;
-            odd[j + lower] += (point ? rho : -rho) * w / 2;
+            left[j + lower] += (point ? 1 - rho : 1 + rho) * w / 2;
+            right[j + lower] += (point ? 1 + rho : 1 - rho) * w / 2;
         }
     }
     Across<N> across{x - sx - x0, x + sx - x1, (int)(x1 - x0)};
     return around<N, C, 1, 3, SEVERAL>(f, mix, (int)x0, (int)y0,
-                                       [&](auto taps, ptrdiff_t row) INLINE_LAMBDA { return spot_at<N, C, 1>(taps, row, across, even, odd); });
+                                       [&](auto taps, ptrdiff_t row) INLINE_LAMBDA { return spot_at<N, C, 1>(taps, row, across, left, right); });
 }
 
 // n spots along the major axis u of a footprint `length` long and √w2 wide.
@@ -364,23 +361,24 @@ NOINLINE Pixel<N> wide(const Frames<T>& f, const Pyramid<N>& pyramid, const Mix<
 
 // ---- rows -----------------------------------------------------------------------------------------------------------
 
-// Where the samples of a row are read: if `inside`, all that any needs lies within the frames.
+// Where the samples of a row are read: if `inside`, all that any needs lies within the frames, and 32 bits count them.
 struct Places {
-    ptrdiff_t at[STRIDE];
+    alignas(64) int at[STRIDE];
     bool inside;
 
     template <int LEFT, int RIGHT, int C, class T> INLINE void find(const Frames<T>& f, const int* x, const int* y, int n) {
         int least_x = x[0], most_x = x[0], least_y = y[0], most_y = y[0];
-        const ptrdiff_t row = f.row;
+        const unsigned stride = (unsigned)f.row;
         for (int i = 0; i < n; i++) {
-            at[i] = y[i] * row + x[i] * C;
+            at[i] = (int)((unsigned)y[i] * stride + (unsigned)x[i] * C);
             least_x = std::min(least_x, x[i]);
             most_x = std::max(most_x, x[i]);
             least_y = std::min(least_y, y[i]);
             most_y = std::max(most_y, y[i]);
         }
+        const ptrdiff_t row = f.row;
         inside = least_x >= LEFT && most_x < f.w - RIGHT && least_y >= LEFT && most_y < f.h - RIGHT &&
-                 most_y * row + most_x * C + RIGHT * row - LEFT * C + 20 <= f.limit;
+                 (most_y + RIGHT) * row + (most_x - LEFT) * C + 20 <= f.limit && f.limit <= INT32_MAX;
         // What a row four further down will read, of one frame.
         if constexpr (sizeof(T) <= 4)
             if (inside && most_y + 4 < f.h) {
@@ -434,11 +432,11 @@ NOINLINE void spots_row(const Frames<T>& given, const Pyramid<N>& pyramid, const
         auto spot = [&](auto taps, ptrdiff_t r) INLINE_LAMBDA {
             Across<N> across{(N)prints.first[i], (N)prints.second[i], prints.shift[i]};
             if constexpr (sizeof(N) == sizeof(float))
-                return spot_at<N, C, STRIDE>(taps, r, across, &prints.even[0][i], &prints.odd[0][i]);
+                return spot_at<N, C, STRIDE>(taps, r, across, &prints.left[0][i], &prints.right[0][i]);
             else {
-                N even[WINDOW], odd[WINDOW];
-                for (int j = 0; j < WINDOW; j++) even[j] = prints.even[j][i], odd[j] = prints.odd[j][i];
-                return spot_at<N, C, 1>(taps, r, across, even, odd);
+                N left[WINDOW], right[WINDOW];
+                for (int j = 0; j < WINDOW; j++) left[j] = prints.left[j][i], right[j] = prints.right[j][i];
+                return spot_at<N, C, 1>(taps, r, across, left, right);
             }
         };
         if (prints.kind[i] == Prints::PLAIN)

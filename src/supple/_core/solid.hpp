@@ -14,7 +14,7 @@ namespace supple {
 
 constexpr int NODE = 16;          // floats: u and the columns of M, each followed by a 0
 constexpr double SOLVED = 1e-3;   // the last Newton step at a node, in voxels
-constexpr double RESERVE = 2.0;   // the error is this times the largest that is seen
+constexpr double CHECKED = 2.0;   // the error is this times the largest that is seen
 
 // The strokes of a table, all of them, and the domain.
 struct Strokes {
@@ -22,9 +22,8 @@ struct Strokes {
     std::vector<Stroke> strokes;
     std::vector<int> list;
 
-    Strokes(const double* rows, size_t count, const double* packed) : axes(load_axes(packed)) {
-        strokes = load_strokes(rows, count, axes.data());
-        for (size_t i = 0; i < count; i++) list.push_back((int)i);
+    Strokes(const Axes& axes, std::vector<Stroke> table) : axes(axes), strokes(std::move(table)) {
+        for (size_t i = 0; i < strokes.size(); i++) list.push_back((int)i);
     }
     Chain chain() const { return {strokes.data(), list.data(), (int)list.size()}; }
     double finest() const { return least(axes[0].spacing, least(axes[1].spacing, axes[2].spacing)); }
@@ -171,7 +170,7 @@ struct Lattice {
             }
         double largest = 0;
         for (int l = 0; l < LANES; l++) largest = most(largest, double(worst[l]));
-        return RESERVE * std::sqrt(largest);
+        return CHECKED * std::sqrt(largest);
     }
 
 private:
@@ -189,7 +188,8 @@ private:
     }
 
     // How far, in voxels, the map stays as it is at p: a stroke varies over ρ, and its border over 2σ or twice the
-    // distance to the face, seen through the derivatives of the stroke's input along the axes of q.
+    // distance to the face, seen through the derivatives of the stroke's input by x and y of q. (Slices may be thicker
+    // than what the map varies over; across them, only the error that is seen counts.)
     static double smoothness(const Strokes& s, const Solution<3, Lanes>& found) {
         Jet<3, 3, false, Lanes> jet;
         Lanes shortest = splat<Lanes>(1e300);
@@ -199,13 +199,13 @@ private:
         }
         for (const Stroke& k : s.strokes) {
             Lanes longest{};
-            for (int d = 0; d < 3; d++) longest = most(longest, dot<3>(jet.t[d], jet.t[d]));
+            for (int d = 0; d < 2; d++) longest = most(longest, dot<3>(jet.t[d], jet.t[d]));
             shortest = least(shortest, Lanes((s.distance2(k, jet.x) + k.radius2[0]) / longest));
             for (int i = 0; i < 3; i++) {
                 const Axis& a = s.axes[i];
                 if (!(a.sigma > 0) || k.inner) continue;
                 Lanes along = magnitude(jet.t[0][i]);
-                for (int d = 1; d < 3; d++) along = most(along, magnitude(jet.t[d][i]));
+                along = most(along, magnitude(jet.t[1][i]));
                 Lanes way = 2.0 * most(splat<Lanes>(a.sigma), least(jet.x[i], Lanes(a.extent - jet.x[i])));
                 shortest = least(shortest, Lanes(way * way / most(along * along, splat<Lanes>(1e-24))));
             }

@@ -50,7 +50,7 @@ BETWEEN = {"nearest": 0, "linear": 1, "cubic": 2, "nothing": 3}
 NOTHING = 3
 
 _f4 = np.float32
-ZERO, HALF, ONE, TWO, TEN = _f4(0.0), _f4(0.5), _f4(1.0), _f4(2.0), _f4(10.0)
+ZERO, HALF, ONE, TWO = _f4(0.0), _f4(0.5), _f4(1.0), _f4(2.0)
 
 
 @lean
@@ -69,9 +69,8 @@ def integral(t, cubic):
 
 @lean
 def width_in_time(a, b, c):
-    """How many frames a pixel covers, by the row ∂p_t/∂q; the average fades in."""
-    along = math.sqrt(a * a + b * b + c * c)
-    return min(along * min(max((along - ONE) * TEN, ZERO), ONE), _f4(LONGEST))
+    """Return how many frames a pixel covers beyond its own, by the row ∂p_t/∂q: the residual footprint along time."""
+    return min(math.sqrt(max(a * a + b * b + c * c - ONE, ZERO)), _f4(LONGEST))
 
 
 @lean

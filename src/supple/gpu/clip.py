@@ -164,7 +164,7 @@ def clip_on(
     ----------
     gpu : Gpu
     table, axes
-        The strokes and the domain, as the CPU's kernels take them.
+        The packed strokes (`supple.strokes.pack`) and domain (`Domain.packed`).
     shape, step
         Rows and columns of a frame, in pixels, and how many there are from one of its coarsest samples to the next.
     pictures : sequence of Picture

@@ -156,7 +156,7 @@ class Plate:
         ----------
         sight : Sight
         table, axes
-            The strokes and the domain, as the CPU's kernels take them.
+            The packed strokes (`supple.strokes.pack`) and domain (`Domain.packed`).
         texture : wgpu.GPUTexture
         encoder : wgpu.GPUCommandEncoder, optional
             Whose commands are to do it; by default, it is done at once.

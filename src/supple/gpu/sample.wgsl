@@ -120,10 +120,10 @@ fn integral(t: f32) -> f32 {
     return sign(t) * (x - 0.5 * x * x);
 }
 
-// How many frames a pixel covers; the average fades in.
+// How many frames a pixel covers beyond its own: the residual footprint along time.
 fn width_in_time(m: mat3x3f) -> f32 {
-    let along = length(vec3f(m[0].z, m[1].z, m[2].z));
-    return min(along * clamp((along - 1.0) * 10.0, 0.0, 1.0), LONGEST);
+    let along = vec3f(m[0].z, m[1].z, m[2].z);
+    return min(sqrt(max(dot(along, along) - 1.0, 0.0)), LONGEST);
 }
 
 fn filtered(q: vec3i, source: Source) -> vec4f {

@@ -209,7 +209,7 @@ def warp(
     ----------
     gpu : Gpu
     table, axes
-        The strokes and the domain, as the CPU's kernels take them.
+        The packed strokes (`supple.strokes.pack`) and domain (`Domain.packed`).
     picture : Picture
         The samples that are made; each plane's are a part of what ``shape`` says.
     shape : (int, int)

@@ -12,7 +12,6 @@ import numpy as np
 import numpy.typing as npt
 import torch
 
-from supple.cpu.warp import Band, absolute, each_band
 from supple.deformation import Deformation
 from supple.errors import ToleranceWarning
 from supple.oncard import points_on_card
@@ -21,6 +20,7 @@ from supple.torch.sample import Filter
 from supple.warping import warn_of
 
 _SOLVED = 1 << 18  # points that are solved at once
+_NEAR = 1 << 12  # pixels along an axis of which a coordinate in float32 is off by 0.0001 at most
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -37,7 +37,8 @@ class Job:
 
     def how(self, dtype: torch.dtype, device: torch.device) -> Filter:
         """The filter that has gradients."""
-        kinds = [self.filter, self.filter, self.between][: self.deformation.ndim]
+        between = "catmull-rom" if self.between == "cubic" else self.between
+        kinds = [self.filter, self.filter, between][: self.deformation.ndim]
         fill = torch.tensor(self.fill, dtype=dtype, device=device)
         return Filter(self.deformation.shape[::-1], kinds, self.outside, fill[:, None])
 
@@ -74,39 +75,20 @@ def offsets_of(like: torch.Tensor, job: Job) -> torch.Tensor:
         found, certificate = points_on_card().inverse_map(deformation.space, detached, job.tolerance, offsets=True)
         warn_of(certificate, job.tolerance, 3)
         return torch.as_tensor(found).reshape(made.shape)
-    if dtype == torch.float32:
-        _interpolated(made.numpy().reshape(*deformation.shape, len(sizes)), deformation, job.tolerance)
-        return made.to(like.device)
+    if dtype == torch.float32 and max(sizes) <= _NEAR:
+        sources = torch.from_numpy(deformation.inverse_map(tolerance=job.tolerance)).reshape(made.shape)
+        return (sources - torch.stack(grid(torch.arange(len(made)), sizes), -1)).to(like.device)
     lost = 0
     for start in range(0, len(made), _SOLVED):
         index = torch.arange(start, min(start + _SOLVED, len(made)), device=where)
-        points: Any = torch.stack(grid(index, sizes), -1).to(dtype)
+        points: Any = torch.stack(grid(index, sizes), -1).double()
         solved = deformation.inverse(points if like.is_cuda else points.numpy())
-        made[index] = torch.as_tensor(solved.points) - points
+        made[start : start + len(index)] = torch.as_tensor(solved.points) - points
         lost += len(index) - int(torch.as_tensor(solved.converged).sum())
     if lost:
         text = f"{lost} of {len(made)} source points did not converge: what is shown there is a guess"
         warnings.warn(text, ToleranceWarning, stacklevel=2)
     return made.to(like.device)
-
-
-def _interpolated(out: npt.NDArray[np.float32], deformation: Deformation, tolerance: float) -> None:
-    space, ndim = deformation.space, deformation.ndim
-    width = out.shape[-2]
-    for z in range(space.count):
-        plane = out if ndim == 2 else out[z]
-
-        def fill(band: Band, plane: Any = plane, z: int = z) -> None:
-            rows = band.points.shape[1]
-            points = np.empty((rows, width, ndim))
-            absolute(band, points)
-            points[..., 0] -= np.arange(width)
-            points[..., 1] -= np.arange(band.top, band.top + rows)[:, None]
-            if ndim == 3:
-                points[..., 2] -= z
-            plane[band.top : band.top + rows] = points
-
-        each_band(space.solve(z), tolerance, fill)
 
 
 def grid(index: torch.Tensor, sizes: Sequence[int]) -> Columns:

@@ -1,7 +1,10 @@
 """T in differentiable operations, and the gradients of T⁻¹ by the implicit function theorem.
 
-It is the T of ``_core/field.hpp``, stroke by stroke, in physical units; there, the equations are written down. An image is
-a volume's plane z = 0, on which nothing has a third coordinate.
+Of one stroke, in physical units, with r = p - pivot, s = |r|² and p taken into the domain where its border is fixed,
+
+    K(p) = diag(β) m(√s/R) [A(s) f + B(s) (r·f) r],    m(t) = (1-t)³ (1 + 3t + 6t²) for t < 1, 0 beyond.
+
+An image is a volume's plane z = 0, on which nothing has a third coordinate.
 
 Of a loss L of the points p(θ) = T⁻¹(q; θ), T(p; θ) = q gives
 
@@ -18,11 +21,15 @@ from dataclasses import dataclass, replace
 
 import torch
 
+from supple.domain import PROFILE_CODES
+
 # Of one, two and three scales: what a stroke's terms weigh, and their radii over ε.
 _WEIGHTS = {1: (1.0,), 2: (11.0, -11.0), 3: (14641 / 331, -26741 / 331, 12100 / 331)}
 _RADII = (1.0, 1.1, 1.21)
 
-Axis = tuple[float, float, float]  # extent, sigma and spacing, in physical units
+_SINE = PROFILE_CODES["sine"]
+
+Axis = tuple[float, float, float, float]  # extent, sigma and spacing in physical units, and the border's profile
 Columns = list[torch.Tensor]  # for each coordinate, x first
 
 
@@ -36,10 +43,12 @@ class Strokes:
         In pixels, x first.
     radius : tensor of floats, shape (n,)
         In physical units.
-    kinds : sequence of (float, float, int)
-        Of each stroke, what part of its force is carried out, its material's b/a, and its scales.
-    axes : sequence of (float, float, float)
-        Extent, width of the fixed border (-1 where it is free) and spacing along each axis, as in `Domain.packed`.
+    kinds : sequence of (float, float, int, float)
+        Of each stroke, what part of its force is carried out, its material's b/a, its scales, and its reach in radii,
+        infinite without a limit.
+    axes : sequence of (float, float, float, float)
+        Extent, width of the fixed border (-1 where it is free), spacing and the border's profile along each axis, as
+        in `Domain.packed`.
     flows : bool
         Whether strokes arrive where they should in spite of a fixed border.
     """
@@ -47,21 +56,25 @@ class Strokes:
     at: torch.Tensor
     by: torch.Tensor
     radius: torch.Tensor
-    kinds: Sequence[tuple[float, float, int]]
+    kinds: Sequence[tuple[float, float, int, float]]
     axes: Sequence[Axis]
     flows: bool = False
 
 
 def moved(points: Columns, strokes: Strokes) -> Columns:
     """T of points, both in physical units: D tensors of one shape."""
-    for k, (part, ratio, scales) in enumerate(strokes.kinds):
+    for k, (part, ratio, scales, reach) in enumerate(strokes.kinds):
         pivot = [x * axis[2] for x, axis in zip(strokes.at[k], strokes.axes, strict=True)]
         force = [x * (axis[2] * part) for x, axis in zip(strokes.by[k], strokes.axes, strict=True)]
         if strokes.flows:
             force = _arriving(pivot, force, strokes.axes)
         near, beta = _edges(points, strokes.axes)
         r = [x - p for x, p in zip(near, pivot, strict=True)]
-        a, b = _profiles(_dot(r, r), strokes.radius[k], ratio, scales)
+        s = _dot(r, r)
+        a, b = _profiles(s, strokes.radius[k], ratio, scales)
+        if reach < math.inf:
+            m = _support(s / (strokes.radius[k] * reach) ** 2)
+            a, b = m * a, m * b
         b = b * _dot(r, force)
         columns = zip(points, beta, force, r, strict=True)
         points = [x + weight * (a * f + b * d) for x, weight, f, d in columns]
@@ -126,10 +139,17 @@ def _profiles(
     return a, b
 
 
+def _support(share2: torch.Tensor) -> torch.Tensor:
+    """Return m(t) of t²."""
+    # The root has no slope at 0, where m needs none.
+    t = share2.clamp(1e-30, 1).sqrt()
+    return (1 - t) ** 3 * (1 + (3 + 6 * t) * t)
+
+
 def _edges(points: Columns, axes: Sequence[Axis]) -> tuple[Columns, Columns]:
     """The nearest coordinates in the domain, and β there."""
     near, beta = [], []
-    for x, (extent, sigma, _) in zip(points, axes, strict=True):
+    for x, (extent, sigma, _, profile) in zip(points, axes, strict=True):
         if sigma < 0:
             near.append(x)
             beta.append(torch.ones_like(x))
@@ -139,14 +159,15 @@ def _edges(points: Columns, axes: Sequence[Axis]) -> tuple[Columns, Columns]:
         else:
             v = x.clamp(0, extent)
             near.append(v)
-            beta.append(torch.sin(torch.minimum(v, extent - v).clamp(max=sigma) * (math.pi / 2 / sigma)))
+            t = torch.minimum(v, extent - v).clamp(max=sigma) / sigma
+            beta.append(torch.sin(t * (math.pi / 2)) if profile == _SINE else t * (2 - t * t * (2 - t)))
     return near, beta
 
 
 def _arriving(pivot: Columns, force: Columns, axes: Sequence[Axis]) -> Columns:
     """The force that makes up for β at its pivot, unless that is outside of a fixed border."""
     places = [float(x.detach()) for x in pivot]
-    if any(sigma >= 0 and not 0 <= x <= extent for x, (extent, sigma, _) in zip(places, axes, strict=True)):
+    if any(sigma >= 0 and not 0 <= x <= extent for x, (extent, sigma, _, _) in zip(places, axes, strict=True)):
         return force
     _, beta = _edges(pivot, axes)
     return [f / b if b > 0 else f * 0 for f, b in zip(force, beta, strict=True)]

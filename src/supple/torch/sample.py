@@ -14,7 +14,8 @@ import torch
 
 from supple.torch.field import Columns
 
-_SUPPORT = {"nearest": (0, 1), "linear": (0, 2), "cubic": (-1, 3)}
+_SUPPORT = {"nearest": (0, 1), "linear": (0, 2), "cubic": (-1, 3), "catmull-rom": (-1, 3)}
+_KEYS = {"cubic": -0.75, "catmull-rom": -0.5}  # the slope of the kernel at 1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -26,7 +27,8 @@ class Filter:
     sizes : sequence of int
         Of the array's axes, x first.
     kinds : sequence of str
-        For each axis, ``"nearest"``, ``"linear"`` or ``"cubic"``.
+        For each axis, ``"nearest"``, ``"linear"``, ``"cubic"`` or ``"catmull-rom"``: Keys' kernel with a = -0.75, and
+        with -0.5, which is that between frames.
     outside : str
         ``"edge"``, ``"constant"`` or ``"reflect"``.
     fill : tensor of floats, shape (K, 1)
@@ -151,14 +153,15 @@ def _weights(t: torch.Tensor, kind: str) -> tuple[Columns, Columns]:
         return [one], [torch.zeros_like(t)]
     if kind == "linear":
         return [1 - t, t], [-one, one]
+    a, u = _KEYS[kind], 1 - t
     return [
-        0.5 * t * ((2 - t) * t - 1),
-        0.5 * t * t * (3 * t - 5) + 1,
-        0.5 * t * ((4 - 3 * t) * t + 1),
-        0.5 * t * t * (t - 1),
+        a * t * u * u,
+        ((a + 2) * t - (a + 3)) * t * t + 1,
+        ((a + 2) * u - (a + 3)) * u * u + 1,
+        a * u * t * t,
     ], [
-        0.5 * ((4 - 3 * t) * t - 1),
-        0.5 * t * (9 * t - 10),
-        0.5 * ((8 - 9 * t) * t + 1),
-        0.5 * t * (3 * t - 2),
+        a * u * (1 - 3 * t),
+        (3 * (a + 2) * t - 2 * (a + 3)) * t,
+        (2 * (a + 3) - 3 * (a + 2) * u) * u,
+        a * t * (2 - 3 * t),
     ]

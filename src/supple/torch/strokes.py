@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -11,7 +12,7 @@ import torch
 from supple.deformation import Deformation
 from supple.domain import refuse
 from supple.errors import FoldWarning, SuppleError
-from supple.torch.field import Strokes
+from supple.torch.field import Axis, Strokes
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -46,7 +47,7 @@ class Item:
             If they do, and a stroke has become several.
         """
         d = self.deformation
-        axes = [(row[0], row[1], row[2]) for row in d.space.axes[: d.ndim].tolist()]
+        axes = [(row[0], row[1], row[2], row[3]) for row in d.space.axes[: d.ndim].tolist()]
         if not self.differentiable:
             return _carried_out(d, axes, dtype, device)
         flows = d.on_fold == "flow"
@@ -61,7 +62,7 @@ class Item:
             for given, known in zip((self.at, self.by, self.radius), numbers, strict=True)
         )
         kinds = [
-            (part, 1 / (4 * (1 - stroke.poisson)), stroke.scales)
+            (part, 1 / (4 * (1 - stroke.poisson)), stroke.scales, math.inf if stroke.reach is None else stroke.reach)
             for part, stroke in zip(d.resolution()["damping"], d.strokes, strict=True)
         ]
         return Strokes(at, by, radius, kinds, axes, flows)
@@ -154,13 +155,14 @@ def _rebuilt(
     return made
 
 
-def _carried_out(
-    d: Deformation, axes: list[tuple[float, float, float]], dtype: torch.dtype, device: torch.device
-) -> Strokes:
+def _carried_out(d: Deformation, axes: list[Axis], dtype: torch.dtype, device: torch.device) -> Strokes:
     """What the engines carry out, row by row."""
     table, n = d.space.table, d.ndim
     columns = [table[name][:, :n] / d.domain.spacing for name in ("pivot", "force")] + [table["radius2"][:, 0] ** 0.5]
     at, by, radius = (torch.tensor(x, dtype=dtype, device=device) for x in columns)
     ratios = (table["r"][:, 0] / (table["p"][:, 0] + table["r"][:, 0])).tolist()
-    kinds = [(1.0, ratio, terms) for ratio, terms in zip(ratios, table["terms"].tolist(), strict=True)]
+    reaches = (table["reach"] / table["radius2"][:, 0] ** 0.5).tolist()
+    kinds = [
+        (1.0, ratio, terms, reach) for ratio, terms, reach in zip(ratios, table["terms"].tolist(), reaches, strict=True)
+    ]
     return Strokes(at, by, radius, kinds, axes)

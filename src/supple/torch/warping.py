@@ -52,8 +52,8 @@ def warp(
     radius : tensor of shape (n,), or (N, n), optional
         In place of their radii, in physical units.
     filter : str
-        ``"linear"``, ``"cubic"`` (Catmull and Rom's) or ``"nearest"``; without gradients, also ``"auto"``,
-        ``"antialias"`` and ``"ewa"``, as in `Deformation.warp`.
+        ``"linear"``, ``"cubic"`` (Keys' with a = -0.75) or ``"nearest"``; without gradients, also ``"auto"``, as in
+        `Deformation.warp`.
     outside : str
         What lies outside the tensor: its ``"edge"``, a ``"constant"``, or its mirror image (``"reflect"``).
     fill : float or sequence of float
@@ -227,7 +227,8 @@ class _Warp(torch.autograd.Function):
             offsets = offsets_of(tensor, job)
             how, source = job.how(tensor.dtype, tensor.device), tensor.reshape(len(tensor), -1)
             parts = [read(source, *_places(offsets, *ends, how), how) for ends in _chunks(offsets, job)]
-            made = torch.cat(parts, 1).reshape(tensor.shape)
+            # What no stroke reaches is copied, and no neighbour that is not a number spoils it.
+            made = torch.where(offsets.any(1), torch.cat(parts, 1), source).reshape(tensor.shape)
         ctx.job = job
         ctx.save_for_backward(tensor if at is not None else None, at, by, radius, offsets)
         return made
