@@ -16,6 +16,7 @@ from supple.cli import command
 from supple.gallery import SCENES, write_gallery
 from supple.media import image, video, volume
 from supple.scenes import Look, Take
+from supple.views import RenderOptions
 
 SHOTS = [shot for scene in SCENES for shot in scene.shots]
 STILLS = [shot for shot in SHOTS if not isinstance(shot, Take | Look)]
