@@ -89,8 +89,8 @@ $(VENV)/stamp-cuda: $(VENV)/stamp
 demo: venv
 	$(BIN)/supple demo demo --force
 
-# A worker for each core; a file's tests stay together, so that a kernel is compiled by few of them. What CUDA does is
-# tested on a card that Numba plays.
+# A worker for each core; a file's tests stay together, as they share what is made once. What CUDA does is tested on a
+# card that Numba plays.
 test: venv
 	$(BIN)/python -m pytest -q -n auto --dist loadfile
 	NUMBA_ENABLE_CUDASIM=1 $(BIN)/python -m pytest -q -n auto tests/cuda

@@ -31,8 +31,8 @@ def read() -> np.ndarray:
 def main(folder: Path) -> None:
     clip = read()
     for name, by, options in (
-        ("border 50, damped", BY, {}),  # the default: what would fold is held back, with a warning
-        ("border 50, flowing", (100, 100, 40), {"on_fold": "flow"}),  # frame 135 is beyond the clip's fixed end
+        ("border 64, damped", BY, {}),  # the default: what would fold is held back, with a warning
+        ("border 64, flowing", (100, 100, 40), {"on_fold": "flow"}),  # frame 135 is beyond the clip's fixed end
         ("free border", BY, {"border": None}),  # the ends of the clip may move as well
     ):
         with warnings.catch_warnings(record=True) as said:

@@ -12,15 +12,14 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from supple import Deformation, SuppleError
-from supple import paper
+from supple import Deformation, SuppleError, paper
 from supple.diagnostics import WHATS, figure, footprints, grid, iterations, plot, residual, sources, stretch
 from supple.diagnostics.background import background
 from supple.diagnostics.measure import spacing_of
 
 FIG_6_1B = Deformation((512, 512), border=None).grab((256, 256), by=(0, 90), radius=100)
-VIDEO = Deformation((30, 48, 64), border=8, spacing=(1.0, 1.0, 1.5)).grab((30, 20, 14), by=(4, 3, 5), radius=15)
-SMALL = Deformation((60, 80), border=12).grab((30, 25), by=(9, 12), radius=20).grab((50, 30), by=(-8, 3), radius=15)
+VIDEO = Deformation((30, 48, 64), border=8, spacing=(1.0, 1.0, 1.5)).grab((30, 20, 14), by=(4, 3, 4.5), radius=15)
+SMALL = Deformation((60, 80), border=12).grab((30, 25), by=(9, 11), radius=20).grab((50, 30), by=(-8, 3), radius=15)
 
 
 def pixels(shape: tuple[int, ...]) -> npt.NDArray[np.float64]:
@@ -43,18 +42,19 @@ def test_the_published_method_does_as_published() -> None:
     assert (counts >= 9).mean() > 0.8
 
 
-def test_its_matrix_and_step_are_as_written_there() -> None:
-    q = np.array([285.0, 301.0])
-    for corrected in (False, True):
-        p, steps = q.copy(), 0
-        while np.linalg.norm(FIG_6_1B.forward(p) - q) >= 0.1:
-            J = FIG_6_1B.jacobian(p) - np.eye(2)
-            A = J.T @ J + (J.T + J if corrected else 2 * J.T) + np.eye(2)
-            b = -(J.T + np.eye(2)) @ (FIG_6_1B.forward(p) - q)
-            p, steps = p + 0.5 * np.linalg.solve(A, b), steps + 1
-        points, counts, _ = published(FIG_6_1B, corrected=corrected)
-        assert counts[301, 285] == steps
-        np.testing.assert_allclose(points[301, 285], p, atol=1e-4)
+@pytest.mark.parametrize("corrected", [False, True])
+@pytest.mark.parametrize("q", [(285.0, 301.0), (256.0, 256.0), (240.0, 400.0), (330.0, 200.0), (0.0, 0.0)])
+def test_its_matrix_and_step_are_as_written_there(q: tuple[float, float], corrected: bool) -> None:
+    p, steps = np.array(q), 0
+    while np.linalg.norm(FIG_6_1B.forward(p) - q) >= 0.1:
+        J = FIG_6_1B.jacobian(p) - np.eye(2)
+        A = J.T @ J + (J.T + J if corrected else 2 * J.T) + np.eye(2)
+        b = -(J.T + np.eye(2)) @ (FIG_6_1B.forward(p) - q)
+        p, steps = p + 0.5 * np.linalg.solve(A, b), steps + 1
+    points, counts, _ = published(FIG_6_1B, corrected=corrected)
+    x, y = map(int, q)
+    assert counts[y, x] == steps > 3
+    np.testing.assert_allclose(points[y, x], p, atol=1e-4)
 
 
 def test_it_undoes_a_sequence_with_a_fixed_border_and_any_spacing() -> None:
@@ -81,23 +81,20 @@ def test_every_so_many_pixels_are_those_of_all() -> None:
         np.testing.assert_array_equal(a[::7, ::7], b)
 
 
-def test_its_kernel_computes_as_plain_python_does() -> None:
-    table, axes, xs, ys = SMALL._table, SMALL._axes, np.arange(0.0, 80, 20), np.arange(0.0, 60, 20)
-    results = []
-    for function in (paper.invert_rows, paper.invert_rows.py_func):
-        made = np.zeros((3, 4, 2), np.float32), np.zeros((3, 4), np.int64), np.zeros((3, 4))
-        function(table, axes, xs, ys, 0, 3, 0.5, 0.1, 200, 2.0, 0.0, *made)
-        results.append(made)
-    for a, b in zip(*results, strict=True):
-        np.testing.assert_allclose(a, b, atol=1e-6)
-
-
 def test_iterations_compare_both() -> None:
     found = iterations(FIG_6_1B)
     assert found.every == 1
     assert found.unconverged == 0
     assert found.published_error.max() == pytest.approx(0.155, abs=0.001)
-    assert found.ours.mean() < 5 < found.published.mean()
+    # Hardly more evaluations than Newton's method has steps from q: it looks at where it arrives, too.
+    p = q = pixels((512, 512))[::8, ::8]
+    steps = np.zeros(q.shape[:2])
+    while (going := np.linalg.norm(off := FIG_6_1B.forward(p) - q, axis=-1) >= 1e-9).any():
+        p = np.where(going[..., None], p - np.linalg.solve(FIG_6_1B.jacobian(p), off[..., None])[..., 0], p)
+        steps += going
+    more = found.ours[::8, ::8] - steps
+    assert 1 <= more.min() <= more.mean() <= 2.05
+    assert found.ours.mean() < 0.6 * found.published.mean()
     assert found.residual.max() < 1e-6
 
 
@@ -246,17 +243,6 @@ def test_its_step_in_time_is_as_written_there() -> None:
         points, counts, _ = paper.inverse_map(VIDEO._table, VIDEO._axes, (48, 64), z=17.0, corrected=corrected)
         assert counts[22, 31] == steps > 3
         np.testing.assert_allclose(points[22, 31], p, atol=1e-4)
-
-
-def test_its_kernel_for_planes_computes_as_plain_python_does() -> None:
-    table, axes, xs, ys = VIDEO._table, VIDEO._axes, np.arange(0.0, 64, 20), np.arange(0.0, 48, 20)
-    results = []
-    for function in (paper.invert_rows_3d, paper.invert_rows_3d.py_func):
-        made = np.zeros((3, 4, 3), np.float32), np.zeros((3, 4), np.int64), np.zeros((3, 4))
-        function(table, axes, 12.0, xs, ys, 0, 3, 0.5, 0.1, 200, 2.0, 0.0, *made)
-        results.append(made)
-    for a, b in zip(*results, strict=True):
-        np.testing.assert_allclose(a, b, atol=1e-6)
 
 
 def test_a_frame_is_measured_as_a_plane_of_the_video() -> None:

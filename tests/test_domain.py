@@ -35,7 +35,7 @@ def test_defaults() -> None:
     domain = Domain((512, 640))
     assert domain.shape == (512, 640)
     assert domain.spacing == (1.0, 1.0)
-    assert domain.border == 50.0
+    assert domain.border == 64.0
     assert domain.border_profile == "quartic"
     assert domain.ndim == 2
     assert domain.extent == (639.0, 511.0)

@@ -95,7 +95,7 @@ def test_damping_warns_whoever_calls(tmp_path: Path) -> None:
 
 
 def test_progress_names_the_steps_and_may_end_the_work(tmp_path: Path) -> None:
-    image.write(tmp_path / "in.png", noise(20, 20, 3))
+    image.write(tmp_path / "in.png", noise(50, 60, 3))
     steps: list[str] = []
     warp_file(tmp_path / "in.png", tmp_path / "out.png", RECIPE, progress=steps.append)
     assert steps == ["read", "warp", "write"]
@@ -110,7 +110,7 @@ def test_progress_names_the_steps_and_may_end_the_work(tmp_path: Path) -> None:
 
 
 def test_progress_on_no_terminal_is_silent(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    image.write(tmp_path / "in.png", noise(20, 20, 3))
+    image.write(tmp_path / "in.png", noise(50, 60, 3))
     warp_file(tmp_path / "in.png", tmp_path / "out.png", RECIPE, progress=True)
     assert capsys.readouterr() == ("", "")
 

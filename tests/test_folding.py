@@ -17,7 +17,7 @@ from supple import _core
 from supple.domain import BorderProfile, Domain
 from supple.errors import FoldError, SuppleError
 from supple.folding import CLEARLY_SAFE, MARGIN, Resolved, limit, resolve, weakest
-from supple.strokes import STROKE_DTYPE, FoldPolicy, Stroke, pack
+from supple.strokes import STROKE_DTYPE, FoldPolicy, Stroke, numbers, pack
 
 Floats = npt.NDArray[np.float64]
 
@@ -99,7 +99,7 @@ def moved(resolved: Resolved, domain: Domain, points: npt.ArrayLike) -> tuple[Fl
     """T and λ_min(sym(∂T/∂p)) of points in samples, by the engine; of the last stroke where there are more."""
     p = np.zeros((np.atleast_2d(points).shape[0], 3))
     p[:, : domain.ndim] = np.atleast_2d(points) * domain.spacing
-    there, jacobian = _core.forward(resolved.rows, domain.packed(), p, True)
+    there, jacobian = _core.forward(numbers(resolved.rows), domain.packed(), p, True)
     used = [i for i in range(3) if domain.packed()[i, 0] > 0]
     matrices = jacobian[:, used][:, :, used]
     values = np.asarray(np.linalg.eigvalsh((matrices + np.swapaxes(matrices, 1, 2)) / 2)[:, 0], np.float64)

@@ -33,7 +33,7 @@ def lint_imports(root: Path) -> subprocess.CompletedProcess[str]:
 @pytest.fixture
 def copied(tmp_path: Path) -> Path:
     shutil.copy(ROOT / "pyproject.toml", tmp_path)
-    shutil.copytree(ROOT / "src", tmp_path / "src", ignore=shutil.ignore_patterns("__pycache__"))
+    shutil.copytree(ROOT / "src", tmp_path / "src", ignore=shutil.ignore_patterns("__pycache__", "*.so"))
     return tmp_path
 
 
@@ -48,14 +48,15 @@ def test_data_flows_one_way() -> None:
         ("errors.py", "import supple.domain\n"),
         ("strokes.py", "from supple import cli\n"),
         ("domain.py", "def late() -> None:\n    import supple.deformation\n"),
-        ("cpu/bad.py", "import supple.media\n"),
+        ("_core/bad.py", "import supple.media\n"),
+        ("native.py", "import supple.streaming\n"),
     ],
 )
 def test_an_import_against_the_rule_is_found(copied: Path, module: str, line: str) -> None:
     source = copied / "src" / "supple"
     for name in ("cli", "deformation"):
         (source / f"{name}.py").touch()
-    for name in ("cpu", "media"):
+    for name in ("_core", "media"):
         (source / name).mkdir(exist_ok=True)
         (source / name / "__init__.py").touch()
     with (source / module).open("a") as file:

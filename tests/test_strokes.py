@@ -217,7 +217,7 @@ class TestStroke:
 
 class TestRecipe:
     def test_defaults(self) -> None:
-        assert Recipe() == Recipe(border=50, border_profile="quartic", on_fold="damp", strokes=())
+        assert Recipe() == Recipe(border=64, border_profile="quartic", on_fold="damp", strokes=())
         assert Recipe() != Recipe(border_profile="sine")
         assert Recipe(strokes=[grab()]).strokes == (grab(),)  # type: ignore[arg-type]
         assert Recipe(strokes=(s for s in [grab()])).strokes == (grab(),)  # type: ignore[arg-type]
@@ -270,7 +270,7 @@ class TestJson:
         assert recipe.to_json() == (
             "{\n"
             '  "supple": 2,\n'
-            '  "border": 50,\n'
+            '  "border": 64,\n'
             '  "border_profile": "quartic",\n'
             '  "on_fold": "damp",\n'
             '  "strokes": [\n'

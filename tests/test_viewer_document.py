@@ -136,7 +136,7 @@ class TestEdits:
         d.replace(0, stroke())
         d.move(0, 0)
         d.hide(0, False)
-        d.set_border(50)
+        d.set_border(64)
         d.set_on_fold("damp")
         d.load(d.recipe)
         assert (d.can_undo, d.revision) == (False, 0)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import threading
 import time
 from pathlib import Path
 
@@ -167,30 +166,6 @@ def test_all_of_a_stroke_is_said() -> None:
     said = described(Stroke(at=(1, 2), by=(3, 4), radius=5, poisson=0.3, scales=2), 0.5)
     for word in ("grab", "(1.0, 2.0)", "(3.0, 4.0)", "radius 5", "Poisson ratio 0.3", "1/r3", "damped to 50%"):
         assert word in said
-
-
-def test_what_is_compiled_is_told_when_it_takes_long(gpu: Gpu, monkeypatch: pytest.MonkeyPatch) -> None:
-    from supple.viewer import compiling
-    from supple.viewer.overlay import status
-
-    going_on, axes = threading.Event(), []
-
-    def slow(count: int) -> None:
-        axes.append(count)
-        going_on.wait(60)
-
-    monkeypatch.setattr(compiling, "stroke", slow)
-    monkeypatch.setattr(compiling, "TOLD", 0.2)
-    view, hand = opened(np.zeros((40, 50, 3), np.uint8))
-    assert "compiling" not in status(view)
-    time.sleep(0.3)
-    assert "compiling, this once" in status(view)
-    going_on.set()
-    view.compiling._thread.join(60)
-    hand.canvas.draw()
-    assert axes == [2]
-    assert view.compiling.done
-    assert "compiling" not in status(view)
 
 
 def test_a_drag_says_how_far_it_goes_and_frames_are_counted_while_they_matter(gpu: Gpu) -> None:

@@ -116,9 +116,8 @@ def close_all() -> None:
     while _opened:
         view = _opened.pop()
         view.close()
-        for thread in (view.certifier._thread, view.compiling._thread):
-            if thread is not None:
-                thread.join(120)
+        if view.certifier._thread is not None:
+            view.certifier._thread.join(120)
 
 
 def small_photo(folder: Path) -> Path:

@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from supple.files import Warped
     from supple.volumes import WarpedVolume
 
-Filter = Literal["auto", "antialias", "ewa", "cubic", "linear", "nearest"]
 Outside = Literal["edge", "constant", "reflect"]
 Warper = Literal["auto", "cpu", "gpu", "cuda"]
 Tell = Callable[[str], None]
@@ -40,7 +39,7 @@ _VOLUME = VolumeOptions()
 def warp(
     *paths: Annotated[str, Parameter(name="IN... OUT", required=True)],
     strokes: StrokeOptions = _STROKES,
-    filter: Annotated[Filter, Parameter(group=SAMPLING)] = "auto",
+    filter: Annotated[str, Parameter(group=SAMPLING, metavar="auto|cubic|linear|nearest")] = "auto",
     outside: Annotated[Outside, Parameter(group=SAMPLING)] = "edge",
     fill: Annotated[str, Parameter(group=SAMPLING, metavar="V|V,V,V", allow_leading_hyphen=True)] = "0",
     tolerance: Annotated[str, Parameter(group=SAMPLING, metavar="PX", allow_leading_hyphen=True)] = "0.01",
@@ -66,7 +65,7 @@ def warp(
         Files to read, and last the one to write (by suffix: PNG, JPEG, TIFF, WebP, AVIF; MP4, MOV, MKV, WebM,
         AVI, GIF; NIfTI, NRRD, MHA) or a folder.
     filter
-        Colours between pixels: auto averages where the picture shrinks, and is cubic elsewhere.
+        Colours between pixels: auto is cubic, and averages just what the map shrinks.
     outside
         What is seen beyond the edges: these go on, a constant (--fill), or the mirror image.
     fill
@@ -94,11 +93,13 @@ def warp(
     from supple.clips import is_clip
     from supple.engines import check_device
     from supple.files import warp_file, write_recipe
+    from supple.native import check_filter
     from supple.volumes import holds_volumes, is_volume_job
 
     if len(paths) < 2:
         raise SuppleError("give a file to read and a name to write to: supple warp IN OUT --grab …")
     console.started(quiet=options.quiet, threads=options.threads)
+    check_filter(filter)
     recipe = strokes.to_recipe()
     say_software = told_of_software(console, device)
     sampling: dict[str, Any] = {

@@ -23,9 +23,9 @@ from supple.media.files import check_output, replacing, shown
 from supple.media.formats import SUFFIXES_OUT as PICTURES_OUT
 from supple.media.image import check_target
 from supple.media.numbering import SUFFIXES_IN, has_number, is_sequence
+from supple.native import OUTSIDE, check_filter
 from supple.streaming import Array, Layout, Sampling, capacity_of, make_plan, stream
 from supple.strokes import Recipe
-from supple.native import OUTSIDE, check_filter
 from supple.warping import interpolated, warn_of
 
 if TYPE_CHECKING:

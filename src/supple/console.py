@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import _thread
 import contextlib
 import json
 import os
@@ -55,6 +54,7 @@ def one_line(text: object) -> str:
 def as_options(text: str) -> str:
     """Name options as the command line does, where a message of the library names arguments."""
     text = _ARGUMENT.sub(lambda found: "--" + found[1].replace("_", "-"), text)
+    text = re.sub(r'^filter="(\w+)"', r"--filter \1", text)
     return re.sub(r"\bon_fold='(\w+)'", r"--on-fold \1", text).replace("border=None", "--border none")
 
 
@@ -139,7 +139,7 @@ def run(command: Callable[[Console], object]) -> int:
     console = Console()
     token = _current.set(console)
     try:
-        with _signals(), _insistent(), _warnings(console):
+        with _signals(), _warnings(console):
             command(console)
             if sys.stdout is not None:
                 sys.stdout.flush()
@@ -205,41 +205,6 @@ def _signals() -> Iterator[None]:
 
 def _terminate(number: int, frame: FrameType | None) -> NoReturn:
     raise Terminated
-
-
-def _interrupt(number: signal.Signals) -> None:
-    """Interrupt the main thread, also one that waits for another: it must be woken."""
-    main = threading.main_thread().ident
-    if hasattr(signal, "pthread_kill") and main is not None:
-        signal.pthread_kill(main, number)
-    else:
-        _thread.interrupt_main(number)
-
-
-@contextlib.contextmanager
-def _insistent() -> Iterator[None]:
-    """Have an interrupt come again that nobody could hear.
-
-    LLVM calls back into Python while kernels are loaded, and what is raised there goes no further.
-    """
-    before = sys.unraisablehook
-    timers: list[threading.Timer] = []
-
-    def again(lost: sys.UnraisableHookArgs) -> None:
-        number = {KeyboardInterrupt: signal.SIGINT, Terminated: signal.SIGTERM}.get(lost.exc_type)
-        if number is None:
-            before(lost)
-            return
-        timers.append(threading.Timer(0.02, _interrupt, (number,)))
-        timers[-1].start()
-
-    sys.unraisablehook = again
-    try:
-        yield
-    finally:
-        sys.unraisablehook = before
-        for timer in timers:
-            timer.cancel()
 
 
 @contextlib.contextmanager

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Self
 
@@ -364,7 +364,9 @@ class Deformation:
         # A bound on the residual in pixels, which for one spacing along all axes is the residual.
         off = residual.reshape(shape[:-1]) / finest
         scale = np.abs(targets).max(axis=1, initial=0.0).reshape(shape[:-1]) / finest
-        return Inverse(solved, off, steps.astype(np.int64).reshape(shape[:-1]), off <= np.maximum(CONVERGED, 1e-14 * scale))
+        return Inverse(
+            solved, off, steps.astype(np.int64).reshape(shape[:-1]), off <= np.maximum(CONVERGED, 1e-14 * scale)
+        )
 
     def inverse_map(self, *, tolerance: float = 0.01, like: Any = None) -> npt.NDArray[np.float32]:
         """The source point of every output pixel.
@@ -549,9 +551,7 @@ class Deformation:
 
     def _plans(self, tolerance: float, which: range | None = None) -> Iterator[_core.Plan]:
         for z in which if which is not None else range(self.shape[0] if self.ndim == 3 else 1):
-            yield plan_of(
-                self._table, self._axes, self.ndim, (self.shape[-2], self.shape[-1]), float(z), tolerance
-            )
+            yield plan_of(self._table, self._axes, self.ndim, (self.shape[-2], self.shape[-1]), float(z), tolerance)
 
     def _sources(self, points: Floats) -> Floats:
         found = self.inverse(points)

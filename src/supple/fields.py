@@ -12,10 +12,10 @@ from supple.deformation import Deformation
 from supple.domain import number
 from supple.errors import SuppleError
 from supple.geometry import Geometry
-from supple.native import certificate_of
 from supple.media.files import check_output
 from supple.media.room import room
 from supple.media.transform import check_target, write_field
+from supple.native import certificate_of
 from supple.warping import warn_of
 
 Floats = npt.NDArray[np.float64]
@@ -110,4 +110,3 @@ def write_transform(
 def _check(deformation: Deformation) -> None:
     if deformation.ndim != 3:
         raise SuppleError(f"a displacement field is of a volume, and shape {deformation.shape} has two axes")
-

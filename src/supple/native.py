@@ -138,7 +138,7 @@ def times_seen(outside: str, count: int, average: bool) -> tuple[float, float]:
 
 
 def slots_of(first: int, last: int, count: int, outside: str, capacity: int) -> npt.NDArray[np.int64]:
-    """Return where the frames ``first`` to ``last`` are in a window that holds frame k in the slot k modulo its capacity.
+    """Return where the frames ``first`` to ``last`` are in a window whose slot k modulo its capacity holds frame k.
 
     Frames outside the clip are those that stand for them; -1 for a constant.
     """

@@ -56,7 +56,5 @@ def warp_stack(
         parts = [np.asarray(out[start : start + len(some)]) for out in outs]
         height, width = space.planned(step)
         given = samplings_of(space, layout, sampling, frames, parts, space.count)
-        error, evaluations = _core.warp_stack(
-            table, space.axes, height, width, list(some), sampling.tolerance, given
-        )
+        error, evaluations = _core.warp_stack(table, space.axes, height, width, list(some), sampling.tolerance, given)
         yield start + len(some), Certificate(error, evaluations)

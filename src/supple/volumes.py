@@ -36,9 +36,9 @@ from supple.media.volume import (
     suffix_of,
     write,
 )
+from supple.native import OUTSIDE, check_filter
 from supple.streaming import Sampling
 from supple.strokes import Recipe, Stroke
-from supple.native import OUTSIDE, check_filter
 from supple.warping import warn_of
 
 Array = npt.NDArray[Any]

@@ -113,10 +113,16 @@ def warp_array(
         held = array if ready else np.ascontiguousarray(array, kind)
         made = result if ready else np.empty(array.shape, kind)
         frames, image = (_as_kind(a, kind) for a in (held, made))
-        assert frames is not None and image is not None
+        assert frames is not None
+        assert image is not None
         plan = space.plan(0, sampling.tolerance)
         (job,) = samplings_of(
-            space, layout, sampling, [frames.reshape(1, *space.shape, channels)], [image.reshape(*space.shape, channels)], 1
+            space,
+            layout,
+            sampling,
+            [frames.reshape(1, *space.shape, channels)],
+            [image.reshape(*space.shape, channels)],
+            1,
         )
         plan.sample(job)
         if made is not result:

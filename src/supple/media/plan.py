@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING
 import av
 import numpy as np
 
-from supple.workers import threads as all_threads
 from supple.errors import SuppleError
 from supple.media.codecs import Encoder, container_of, named, options, pixel_formats, read_as, usual
 from supple.media.colour import Colour, Grading, sited
@@ -21,6 +20,7 @@ from supple.media.files import shown
 from supple.media.matching import Match, Wish, finer, match
 from supple.media.pixels import Form, Kind, form
 from supple.media.troubles import ClipWarning, unwritable
+from supple.workers import threads as all_threads
 
 if TYPE_CHECKING:
     from supple.media.film import Reel

@@ -204,8 +204,6 @@ def status(view: View) -> str:
         parts.append(f"{view.rate:.0f} frames a second")
     if view.painter.coarse > 1 and view.tools.dragging:
         parts.append(f"drawn at 1/{view.painter.coarse} while you drag: {why(view)}")
-    if view.compiling.busy:
-        parts.append("compiling, this once: strokes may wait for it")
     return "   |   ".join(p for p in parts if p)
 
 

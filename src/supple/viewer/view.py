@@ -16,9 +16,8 @@ from supple.gpu.device import Gpu
 from supple.gpu.screen import Screen, composed, pixels_of
 from supple.media import image
 from supple.strokes import Recipe
-from supple.viewer import compiling, overlay, panels
+from supple.viewer import overlay, panels
 from supple.viewer.certify import Certifier
-from supple.viewer.compiling import Compiling
 from supple.viewer.desk import Desk
 from supple.viewer.document import Document
 from supple.viewer.gui import Gui
@@ -73,10 +72,6 @@ class View:
         self._waking = Waking(canvas, call_later)
         self.desk = Desk(document, source, self.write, self._leave, "auto", export)
         self.certifier = Certifier(self._waking.now)
-        works = [lambda: compiling.stroke(len(document.shape))]
-        if isinstance(stage, VolumeStage):
-            works.append(lambda: compiling.ray(stage.scene.samples.dtype))
-        self.compiling = Compiling(*works)
         self._closed = False
         self._pressed = 0.0
         self._call_later = call_later
@@ -278,9 +273,6 @@ class View:
 
     def _go_on(self, shot: Shot) -> None:
         """See that what is not done yet goes on."""
-        self.compiling.begin()  # now that there is something to see
-        if not self.compiling.done:
-            self._waking.later(0.25)
         if self._playing or not self.painter.ready:
             self._waking.now()
         elif self._lately:
@@ -383,7 +375,6 @@ class View:
             return
         self._closed = True
         self.certifier.close()
-        self.compiling.close()
         self.desk.end()
         if isinstance(self.stage, VideoStage):
             self.stage.film.close()
