@@ -20,7 +20,7 @@ help:
 	@echo "make bench-gpu how fast the GPU is, in its own time"
 	@echo "make bench-cuda how fast CUDA is on an NVIDIA card, against others"
 	@echo "make bench-window  how fast the window follows a hand"
-	@echo "make soak      ten million points of random strokes"
+	@echo "make soak      a billion points of random strokes"
 	@echo "make sanitize  tests of the native core, with memory and undefined behaviour watched"
 	@echo "make lint      style, types and the import rule"
 	@echo "make venv      only the virtual environment, in .venv, and the native core"

@@ -8,28 +8,40 @@ import statistics
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
+
+HEAD = "| what | ours | peer | ratio | bar | | before | runs |\n|---|---|---|---|---|---|---|---|"
+BY_HAND = "by hand"
 
 
 @dataclass(frozen=True)
 class Row:
-    """A line of the table."""
+    """A line of the table; ``before`` is what the engine before the native core reached."""
 
     what: str
-    ours: str
-    peer: str
-    value: str
-    bar: str
-    holds: bool | None
-    runs: int
+    ours: str = ""
+    peer: str = ""
+    value: str = ""
+    bar: str = ""
+    holds: bool | None = None
+    runs: int | str = 1
+    before: str = ""
+
+    def __str__(self) -> str:
+        mark = "" if self.holds is None else ("holds" if self.holds else "**missed**")
+        cells = (self.what, self.ours, self.peer, self.value, self.bar, mark, self.before, self.runs)
+        return "| " + " | ".join(map(str, cells)) + " |"
 
 
-def pair(ours: Callable[[], object], peer: Callable[[], object], runs: int) -> tuple[float, float, float]:
-    """Median seconds of each, and the median of the ratios, of runs that alternate."""
-    ours()
-    peer()
+def pair(
+    ours: Callable[[], object], peer: Callable[[], object], runs: int, *, warm: bool = True
+) -> tuple[float, float, float]:
+    """Return the median seconds of each, and the median of the ratios, of runs that alternate."""
+    if warm:
+        ours()
+        peer()
     a, b = [], []
     for _ in range(runs):
         start = time.perf_counter()
@@ -46,18 +58,38 @@ def pair(ours: Callable[[], object], peer: Callable[[], object], runs: int) -> t
     )
 
 
-def timed(what: str, ours: Callable[[], object], peer: Callable[[], object], runs: int, bar: float | None) -> Row:
-    """A row that compares times; the bar is the largest ratio that will do."""
-    a, b, ratio = pair(ours, peer, runs)
-    return Row(
-        what,
-        milliseconds(a),
-        milliseconds(b),
-        f"{ratio:.2f}",
-        "" if bar is None else f"≤ {bar:g}",
-        None if bar is None else ratio <= bar,
-        runs,
-    )
+def timed(
+    what: str,
+    ours: Callable[[], object],
+    peer: Callable[[], object],
+    runs: int,
+    bar: float | None = None,
+    *,
+    before: str = "",
+    warm: bool = True,
+) -> Row:
+    """Return a row that compares times; the bar is the largest ratio that will do."""
+    a, b, ratio = pair(ours, peer, runs, warm=warm)
+    limit, holds = ("", None) if bar is None else (f"≤ {bar:g}", ratio <= bar)
+    return Row(what, milliseconds(a), milliseconds(b), f"{ratio:.2f}", limit, holds, runs, before)
+
+
+def faster(
+    what: str,
+    ours: Callable[[], object],
+    peer: Callable[[], object],
+    runs: int,
+    bar: float | None = None,
+    *,
+    before: str = "",
+    warm: bool = True,
+) -> Row:
+    """Return a row that says how many times as long the peer takes; the bar is the smallest that will do."""
+    a, b, ratio = pair(ours, peer, runs, warm=warm)
+    times = 1 / ratio
+    limit, holds = ("", None) if bar is None else (f"≥ {bar:g}×", times >= bar)
+    shown = f"{times:.1f}×" if times < 10 else f"{times:.0f}×"
+    return Row(what, milliseconds(a), milliseconds(b), shown, limit, holds, runs, before)
 
 
 def milliseconds(seconds: float) -> str:
@@ -65,7 +97,7 @@ def milliseconds(seconds: float) -> str:
 
 
 def run(arguments: list[str]) -> tuple[float, float]:
-    """Seconds and peak resident megabytes of a process, which must succeed."""
+    """Return the seconds and the peak resident megabytes of a process, which must succeed."""
     script = (
         "import os, resource, subprocess, sys, time; t = time.perf_counter();"
         "code = subprocess.run(sys.argv[1:], stdout=subprocess.DEVNULL).returncode;"
@@ -77,8 +109,17 @@ def run(arguments: list[str]) -> tuple[float, float]:
     return float(seconds), float(peak) * unit / 1e6
 
 
+def shown(rows: Iterable[Row]) -> list[Row]:
+    """Print rows as they are measured; return them."""
+    kept = []
+    for row in rows:
+        kept.append(row)
+        print(row, flush=True)
+    return kept
+
+
 def machine() -> str:
-    """What this machine is, in a line."""
+    """Return what this machine is, in a line."""
     model = platform.processor() or platform.machine()
     info = Path("/proc/cpuinfo")
     if info.exists():
@@ -90,4 +131,4 @@ def machine() -> str:
     return f"{model}, {cores} cores, {platform.system()}, Python {platform.python_version()}"
 
 
-__all__ = ["Row", "machine", "milliseconds", "pair", "run", "timed"]
+__all__ = ["BY_HAND", "HEAD", "Row", "faster", "machine", "milliseconds", "pair", "run", "shown", "timed"]

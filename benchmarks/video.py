@@ -7,11 +7,9 @@ from __future__ import annotations
 
 import math
 import shutil
-import statistics
 import sys
-import time
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from fractions import Fraction
 from importlib.metadata import PackageNotFoundError, files
 from pathlib import Path
@@ -22,16 +20,18 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 from forward import forward_warp
-from measure import Row, milliseconds, pair, run, timed
+from measure import Row, faster, run, timed
 from reference import psnr, reference_frame
 
 import supple
 from supple.clips import warp_clip
+from supple.domain import BORDER
 from supple.stacks import warp_stack
-from supple.streaming import Group, Layout, Sampling, Space
+from supple.streaming import Group, Layout, Sampling
 
 Array = npt.NDArray[Any]
 DATA = Path(supple.__file__).parent / "data"
+EVERY = 6  # frames, whose maps are kept: each stands for as many
 
 
 def footage() -> Path:
@@ -100,71 +100,75 @@ def plain_resampling(luma: Array, chroma: Array, points: Array) -> Callable[[], 
     return resample
 
 
-def one_frame(runs: int) -> list[Row]:
-    """A frame of 4:2:0 at 1080p, warped in time."""
-    count, height, width, z = 60, 1080, 1920, 30
+def frame_row(runs: int, filter: str | None, border: float | None, bar: float | None, before: str) -> Row:
+    """Compare a frame of 4:2:0 at 1080p, bent in time, with plain resampling."""
+    count, height, width, z = 132, 1080, 1920, 66  # far enough from both ends
     rng = np.random.default_rng(0)
     luma = rng.integers(0, 256, (count, height, width, 1), dtype=np.uint8)
     chroma = rng.integers(0, 256, (count, height // 2, width // 2, 2), dtype=np.uint8)
     groups = (Group((height, width), 1), Group((height // 2, width // 2), 2, (2, 2), (0.0, 0.5)))
     layout = Layout(groups, np.dtype(np.uint8), 255.0)
-    rows = []
-    for border in (None, 50.0):
-        d = supple.Deformation((count, height, width), border=border, on_fold="error")
-        d = d.grab((width / 2, height / 2, 30), by=(0, 0, 20), radius=300 if border is None else 60)
-        grid = np.stack(np.meshgrid(np.arange(width), np.arange(height)), axis=-1).astype(float)
-        points = d.inverse(np.concatenate([grid, np.full((height, width, 1), float(z))], axis=-1)).points
-        theirs = plain_resampling(luma[..., 0], chroma, points)
+    d = supple.Deformation((count, height, width), border=border, on_fold="error")
+    d = d.grab((width / 2, height / 2, z), by=(0, 0, 20), radius=300 if border is None else 60)
+    grid = np.stack(np.meshgrid(np.arange(width), np.arange(height)), axis=-1).astype(float)
+    points = d.inverse(np.concatenate([grid, np.full((height, width, 1), float(z))], axis=-1)).points
+    sampling = Sampling() if filter is None else Sampling(filter)
+    outs = [np.empty((1, *a.shape[1:]), a.dtype) for a in (luma, chroma)]
 
-        for kind, bar in (("linear", 1.0 if border is None else None), ("auto", None)):
-            outs = [np.empty((1, *a.shape[1:]), a.dtype) for a in (luma, chroma)]
+    def ours() -> None:
+        for _ in warp_stack(d.space, layout, sampling, [z], [luma, chroma], outs):
+            pass
 
-            def ours(space: Space = d.space, kind: str = kind, outs: list[Array] = outs) -> None:
-                list(warp_stack(space, layout, Sampling(kind), [z], [luma, chroma], outs))
-
-            name = "free border" if border is None else "fixed border of 50"
-            rows.append(
-                timed(
-                    f"one frame of 1080p 4:2:0 warped in time, {kind}, {name}: ours / cv2.remap of two frames, "
-                    "maps made, blended",
-                    ours,
-                    theirs,
-                    runs,
-                    bar,
-                )
-            )
-    return rows
+    how = f"{filter or 'default'} filter, {'free border' if border is None else f'fixed border of {border:g}'}"
+    return timed(
+        f"one frame of 1080p 4:2:0 bent in time, {how}: ours / `cv2.remap` of the planes of two frames, maps in hand, "
+        "blended",
+        ours,
+        plain_resampling(luma[..., 0], chroma, points),
+        runs,
+        bar,
+        before=before,
+    )
 
 
-def whole_clips(here: Path, runs: int, count: int) -> list[Row]:
-    """From file to file, every frame deformed."""
-    source = here / "clip.mp4"
-    enlarged(source, count, 1920, 1080)
-    middle = (count - 1) / 2
-    made = recipe(1920, 1080, middle, (40.0, 0.0, count / 6), 120)
-    rows = []
-    for kind, bar in (("linear", 1.5), ("auto", None)):
-        a, b, ratio = pair(
-            lambda kind=kind: warp_clip(source, here / "ours.mp4", made, filter=kind, force=True),
-            lambda: transcode(source, here / "theirs.mp4"),
-            runs,
-        )
-        name = f"1080p 4:2:0, H.264 medium, {count} frames, file to file, filter {kind}: ours / decoding and encoding"
-        rows.append(
-            Row(
-                name,
-                milliseconds(a),
-                milliseconds(b),
-                f"{ratio:.2f}",
-                "≤ 1.5" if bar else "",
-                ratio <= bar if bar else None,
-                runs,
-            )
-        )
-    return rows
+def one_frame(runs: int) -> Iterator[Row]:
+    """Default settings."""
+    yield frame_row(runs, None, BORDER, 1.7, "3.2")
 
 
-def memory(here: Path) -> list[Row]:
+def more_frames(runs: int) -> Iterator[Row]:
+    yield frame_row(runs, None, None, None, "4.3")
+    yield frame_row(runs, "linear", BORDER, None, "0.86")
+    yield frame_row(runs, "linear", None, 1.0, "0.92")
+
+
+def clip_row(here: Path, runs: int, count: int, options: dict[str, Any], bar: float | None, before: str) -> Row:
+    """Compare a clip from file to file, every frame deformed, with decoding and encoding alone."""
+    source = here / f"clip{count}.mp4"
+    if not source.exists():
+        enlarged(source, count, 1920, 1080)
+    made = recipe(1920, 1080, (count - 1) / 2, (40.0, 0.0, count / 6), 120)
+    how = ", ".join(f"{name} {value}" for name, value in options.items()) or "default options"
+    return timed(
+        f"1080p 4:2:0, H.264, {count} frames, file to file, {how}: ours / decoding and encoding",
+        lambda: warp_clip(source, here / "ours.mp4", made, force=True, **options),
+        lambda: transcode(source, here / "theirs.mp4"),
+        runs,
+        bar,
+        before=before,
+        warm=False,
+    )
+
+
+def whole_clip(here: Path, runs: int, count: int) -> Iterator[Row]:
+    yield clip_row(here, runs, count, {}, 1.35, "1.8–2.6")
+
+
+def more_clips(here: Path, runs: int, count: int) -> Iterator[Row]:
+    yield clip_row(here, runs, count, {"filter": "linear"}, None, "1.25")
+
+
+def memory(here: Path) -> Iterator[Row]:
     """Ten times the length."""
     command = [shutil.which("supple", path=str(Path(sys.executable).parent)) or "supple", "warp"]
     peaks = []
@@ -174,20 +178,19 @@ def memory(here: Path) -> list[Row]:
         stroke = ["--grab", "320,180,60:340,180,80", "--radius", "60", "--preset", "veryfast", "--force", "--quiet"]
         peaks.append(min(run([*command, str(source), str(here / "o.mp4"), *stroke])[1] for _ in range(2)))
     ratio = peaks[1] / peaks[0]
-    return [
-        Row(
-            "peak memory of `supple warp`, 640×360: 1500 frames / 150 frames",
-            f"{peaks[1]:.0f} MB",
-            f"{peaks[0]:.0f} MB",
-            f"{ratio:.3f}",
-            "≤ 1.05",
-            ratio <= 1.05,
-            2,
-        )
-    ]
+    yield Row(
+        "peak memory of `supple warp`, 640×360: 1500 frames / 150 frames",
+        f"{peaks[1]:.0f} MB",
+        f"{peaks[0]:.0f} MB",
+        f"{ratio:.3f}",
+        "≤ 1.05",
+        ratio <= 1.05,
+        2,
+        "1.005",
+    )
 
 
-def against_forward_mapping(runs: int, quick: bool) -> list[Row]:
+def against_forward_mapping(runs: int, quick: bool) -> Iterator[Row]:
     """Appendix A's method on 640 x 368, in time and in quality."""
     with av.open(str(footage())) as source:
         decoded = [f.reformat(640, 368, "yuv420p") for f in source.decode(video=0)]
@@ -210,86 +213,73 @@ def against_forward_mapping(runs: int, quick: bool) -> list[Row]:
         list(warp_stack(d.space, layout, Sampling("linear"), range(count), [luma, chroma], kept))
 
     as_stored()
-    rows, literally = [], 0.0
     shown = [round(k) for k in np.linspace(count * 0.2, count * 0.85, 1 if quick else 2)]
     truth = [reference_frame(frames, d, z, 4) for z in shown]
     naive = forward_warp(frames, d)
-    for literal, bar in ((True, 50.0), (False, None)):
-        ours, theirs = [], []
-        for _ in range(max(1, runs)):
-            start = time.perf_counter()
-            forward_warp(frames, d, literal=literal)
-            middle = time.perf_counter()
-            as_stored()
-            ours.append(time.perf_counter() - middle)
-            theirs.append(middle - start)
-        ratio = float(np.median([b / a for a, b in zip(ours, theirs, strict=True)]))
-        literally = float(np.median(theirs)) if literal else literally
-        how = "as written, each vertex searched for" if literal else "with a search that goes on from frame to frame"
-        rows.append(
-            Row(
-                f"a clip of 640×368×{count} bent in x, y and t: forward mapping of RGB ({how}) / "
-                "ours, linear, 4:2:0 as stored",
-                milliseconds(float(np.median(ours))),
-                milliseconds(float(np.median(theirs))),
-                f"{ratio:.0f}×",
-                "≥ 50×" if bar else "",
-                ratio >= bar if bar else None,
-                max(1, runs),
-            )
-        )
-    points = d.inverse_map()
-    plain = [plain_resampling(luma[..., 0], chroma, points[z]) for z in range(0, count, 6)]
-    floor = statistics.median(pair(resample, resample, 3)[0] for resample in plain) * count
-    rows.append(
-        Row(
-            "the same method as written / cv2.remap of two frames of the planes, maps made, blended, for all frames",
-            milliseconds(floor),
-            rows[0].peer,
-            f"{literally / floor:.0f}×",
-            "",
-            None,
-            3,
-        )
+    words = f"a clip of 640×368×{count} bent in x, y and t: forward mapping of RGB"
+    yield faster(
+        f"{words} (as written, each vertex searched for) / ours, linear, 4:2:0 as stored",
+        as_stored,
+        lambda: forward_warp(frames, d, literal=True),
+        runs,
+        50.0,
+        before="17×",
+        warm=False,
     )
-    for kind in ("linear", "auto"):
+    yield faster(
+        f"{words} (with a search that goes on from frame to frame) / ours, linear, 4:2:0 as stored",
+        as_stored,
+        lambda: forward_warp(frames, d),
+        runs,
+        before="6×",
+        warm=False,
+    )
+    points = d.inverse_map()
+    plain = [plain_resampling(luma[..., 0], chroma, points[z]) for z in range(0, count, EVERY)]
+    yield timed(
+        "the same clip: ours, linear, 4:2:0 as stored / `cv2.remap` of two frames of the planes, maps in hand, blended",
+        as_stored,
+        lambda: [resample() for resample in plain for _ in range(EVERY)],
+        runs,
+        before="2.9",
+    )
+    for kind, before in (("auto", "-0.8 dB"), ("linear", "+2.2 dB")):
         d.warp(frames, filter=kind, out=out)
         a, b = (
             math.fsum(psnr(got[z], t) for z, t in zip(shown, truth, strict=True)) / len(shown) for got in (out, naive)
         )
-        rows.append(
-            Row(
-                f"the same against 4×4 subsamples at {len(shown)} frames, {kind}; peer: forward mapping",
-                f"{a:.1f} dB",
-                f"{b:.1f} dB",
-                f"{a - b:+.1f} dB",
-                "> 0 dB" if kind == "linear" else "",
-                a > b if kind == "linear" else None,
-                1,
-            )
+        yield Row(
+            f"the same against 4×4 subsamples at {len(shown)} frames, {kind}; peer: forward mapping",
+            f"{a:.1f} dB",
+            f"{b:.1f} dB",
+            f"{a - b:+.1f} dB",
+            "> 0 dB" if kind == "linear" else "",
+            a > b if kind == "linear" else None,
+            before=before,
         )
-    return rows
 
 
-def certified() -> list[Row]:
+def certified() -> Iterator[Row]:
     """The error of the map, measured at every pixel of every frame."""
-    rows = []
-    for border in (None, 50.0):
+    for border, before in ((BORDER, "0.0058"), (None, "0.0053")):
         d = supple.Deformation((60, 270, 480), border=border).grab((240, 135, 30), by=(20, 10, 15), radius=60)
         report = d.report()
-        name = "free border" if border is None else "fixed border of 50"
-        rows.append(
-            Row(
-                f"certified error of the map, 480×270×60, bent in x, y and t, {name} (pixels and frames)",
-                f"{report.error:.4f}",
-                "",
-                "",
-                "≤ 0.01",
-                report.within,
-                1,
-            )
+        name = "free border" if border is None else f"fixed border of {border:g}"
+        yield Row(
+            f"certified error of the map, 480×270×60, bent in x, y and t, {name} (pixels and frames)",
+            f"{report.error:.4f}",
+            bar="≤ 0.01",
+            holds=report.within,
+            before=before,
         )
-    return rows
 
 
-__all__ = ["against_forward_mapping", "certified", "memory", "one_frame", "whole_clips"]
+__all__ = [
+    "against_forward_mapping",
+    "certified",
+    "memory",
+    "more_clips",
+    "more_frames",
+    "one_frame",
+    "whole_clip",
+]

@@ -5,23 +5,23 @@ from __future__ import annotations
 import shutil
 import sys
 import time
-import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import SimpleITK as sitk  # noqa: N813
-from measure import Row, milliseconds, pair, run, timed
+from measure import Row, faster, milliseconds, run, timed
 from reference import psnr
 from scipy import ndimage
 
 import supple
 from supple.camera import Camera
+from supple.domain import BORDER
 from supple.geometry import Geometry
 from supple.media import volume as media
-from supple.rendering import MODES, Scene
+from supple.rendering import Scene
 from supple.transfer import PRESETS
 
 Array = npt.NDArray[Any]
@@ -47,55 +47,76 @@ def bent(n: int, border: float | None) -> supple.Deformation:
     return d.grab((n / 2, n / 2, n / 2), by=(0.08 * n, 0.04 * n, -0.03 * n), radius=0.24 * n)
 
 
+def named(border: float | None) -> str:
+    return "free border" if border is None else f"fixed border of {border:g}"
+
+
+def grid_of(shape: tuple[int, ...]) -> Array:
+    """Return the points of all voxels, x first."""
+    return np.stack(np.meshgrid(*(np.arange(float(n)) for n in shape), indexing="ij")[::-1], axis=-1)
+
+
 def field_of(d: supple.Deformation, sources: Array) -> Any:
-    """A transform by a displacement field, of float64 as SimpleITK has them."""
-    grid = np.stack(np.meshgrid(*(np.arange(n) for n in d.shape), indexing="ij")[::-1], axis=-1)
-    return sitk.DisplacementFieldTransform(sitk.GetImageFromArray((sources - grid).astype(np.float64), isVector=True))
+    """Return a transform by a displacement field, of float64 as SimpleITK has them."""
+    return sitk.DisplacementFieldTransform(sitk.GetImageFromArray(sources - grid_of(d.shape), isVector=True))
 
 
-def whole_warps(runs: int, quick: bool) -> list[Row]:
-    """Deforming a volume of float32, against resampling it with the map made."""
+def against_scipy(runs: int, n: int, border: float | None, bar: float, before: str) -> Row:
+    """Deform float32, linear, against sampling with the map in hand; both write to arrays that are there."""
+    volume, d = noise(n), bent(n, border)
+    out, theirs = np.empty_like(volume), np.empty_like(volume)
+    places = np.ascontiguousarray(np.moveaxis(d.inverse_map(), -1, 0)[::-1])
+    return timed(
+        f"{n}³ float32, one stroke, linear, {named(border)}, reach=None: ours / `scipy` map_coordinates, map in hand, "
+        "its one thread",
+        lambda: d.warp(volume, filter="linear", out=out),
+        lambda: ndimage.map_coordinates(volume, places, output=theirs, order=1, mode="nearest"),
+        runs,
+        bar,
+        before=before,
+    )
+
+
+def against_itk(
+    runs: int, n: int, kind: type, filter: str | None, border: float | None, bar: float | None, before: str
+) -> Row:
+    """Deform a volume against SimpleITK's linear resampling with the field made, two threads each."""
     sitk.ProcessObject.SetGlobalDefaultNumberOfThreads(2)
-    rows = []
-    sizes = (128,) if quick else (128, 256)
+    volume, d = (noise(n) * (1000 if kind is np.int16 else 1)).astype(kind), bent(n, border)
+    image, transform = sitk.GetImageFromArray(volume), field_of(d, d.inverse_map())
+    asked = {} if filter is None else {"filter": filter}
+    return timed(
+        f"{n}³ {np.dtype(kind)}, one stroke, {filter or 'default'} filter, {named(border)}, reach=None: "
+        "ours / SimpleITK Resample, linear, field made",
+        lambda: d.warp(volume, **asked),
+        lambda: sitk.Resample(image, image, transform, sitk.sitkLinear, 0.0),
+        runs,
+        bar,
+        before=before,
+    )
+
+
+def whole_warps(runs: int, n: int) -> Iterator[Row]:
+    """Deforming a volume, map and all."""
+    yield against_itk(runs, n, np.int16, None, BORDER, 0.5, "0.6")
+    yield against_scipy(runs, n, BORDER, 0.1, "0.16")
+
+
+def more_warps(runs: int, sizes: tuple[int, ...]) -> Iterator[Row]:
+    """Free borders, and float32 against SimpleITK."""
+    yield against_scipy(runs, sizes[-1], None, 0.1, "0.09")
+    figures = {(128, BORDER): "0.36", (128, None): "0.28", (256, BORDER): "0.18", (256, None): "0.10"}
     for n in sizes:
-        volume = noise(n)
-        image = sitk.GetImageFromArray(volume)
-        for border in (None, 50.0):
-            d, out = bent(n, border), np.empty_like(volume)
-            sources = d.inverse_map()
-            places = np.ascontiguousarray(np.moveaxis(sources, -1, 0)[::-1])
-            transform = field_of(d, sources)
-            name = f"{n}³ float32, one stroke, linear, {'free border' if border is None else 'fixed border of 50'}"
-
-            def ours(d: supple.Deformation = d, volume: Array = volume, out: Array = out) -> None:
-                d.warp(volume, filter="linear", out=out)
-
-            def scipy(volume: Array = volume, places: Array = places) -> None:
-                ndimage.map_coordinates(volume, places, order=1, mode="nearest")
-
-            def itk(image: Any = image, transform: Any = transform) -> None:
-                sitk.Resample(image, image, transform, sitk.sitkLinear, 0.0)
-
-            free = border is None
-            if n == sizes[-1]:
-                bar = 0.10 if free else None
-                rows.append(
-                    timed(f"{name}: ours / scipy map_coordinates, map made, one thread", ours, scipy, runs, bar)
-                )
-            rows.append(
-                timed(f"{name}: ours / SimpleITK Resample, field made", ours, itk, runs, 0.40 if free else None)
-            )
-    return rows
+        for border in (BORDER, None):
+            bar = 0.4 if border is None else None
+            yield against_itk(runs, n, np.float32, "linear", border, bar, figures[n, border])
 
 
-def inverted_fields(runs: int, quick: bool) -> list[Row]:
+def inverted_fields(runs: int, n: int) -> Iterator[Row]:
     """Against inverting a displacement field and resampling by it."""
-    n = 64 if quick else 128
-    volume = noise(n)
-    image = sitk.GetImageFromArray(volume)
-    d = bent(n, 50.0)
-    grid = np.stack(np.meshgrid(*(np.arange(n) for n in d.shape), indexing="ij")[::-1], axis=-1).astype(np.float64)
+    sitk.ProcessObject.SetGlobalDefaultNumberOfThreads(2)
+    volume, d = noise(n), bent(n, BORDER)
+    image, grid = sitk.GetImageFromArray(volume), grid_of(d.shape)
     forward = sitk.GetImageFromArray(d.forward(grid) - grid, isVector=True)
     found: list[Any] = []
 
@@ -105,32 +126,27 @@ def inverted_fields(runs: int, quick: bool) -> list[Row]:
         found[:] = [sitk.GetArrayFromImage(inverse)]
         sitk.Resample(image, image, sitk.DisplacementFieldTransform(inverse), sitk.sitkLinear, 0.0)
 
-    out = np.empty_like(volume)
-    a, b, ratio = pair(lambda: d.warp(volume, filter="linear", out=out), theirs, runs)
+    yield faster(
+        f"{n}³ float32, one stroke, linear, {named(BORDER)}: SimpleITK InvertDisplacementField + Resample / ours",
+        lambda: d.warp(volume, filter="linear"),
+        theirs,
+        runs,
+        250.0,
+        before="707×",
+        warm=False,
+    )
     truth = d.inverse(grid).points
     off = float(np.linalg.norm(found[0] + grid - truth, axis=-1).max())
     own = d.report().error
-    what = f"{n}³ float32, one stroke, linear, fixed border of 50"
-    return [
-        Row(
-            f"{what}: SimpleITK InvertDisplacementField + Resample / ours",
-            milliseconds(a),
-            milliseconds(b),
-            f"{1 / ratio:.0f}×",
-            "≥ 250×",
-            1 / ratio >= 250,
-            runs,
-        ),
-        Row(
-            "the same, worst error of the inverse: SimpleITK's / ours, in voxels",
-            f"{own:.4f}",
-            f"{off:.2f}",
-            f"{off / own:.0f}×",
-            "≥ 100×",
-            off / own >= 100,
-            1,
-        ),
-    ]
+    yield Row(
+        "the same, worst error of the inverse: SimpleITK's / ours, in voxels",
+        f"{own:.4f}",
+        f"{off:.2f}",
+        f"{off / own:.0f}×",
+        "≥ 100×",
+        off / own >= 100,
+        before="518×",
+    )
 
 
 def vtk_picture(volume: Array, scene: Scene) -> Callable[[], None]:
@@ -187,60 +203,59 @@ def vtk_picture(volume: Array, scene: Scene) -> Callable[[], None]:
     return draw
 
 
-def pictures(runs: int) -> list[Row]:
-    """Pictures of 512² of the head."""
+def pictures(runs: int) -> Iterator[Row]:
+    """Pictures of 512² of the head, as it is and bent."""
     volume = head()
     scene = Scene(volume, FACE, transfer=PRESETS["mr-head"], step=1.0)
-    rows = [
-        timed(
-            "picture of 512² of the 181×217×181 head, step of a voxel, shaded: ours / VTK's fixed point ray caster",
-            lambda: scene.render(CAMERA),
-            vtk_picture(volume, scene),
-            runs,
-            1.0,
-        )
-    ]
+    yield timed(
+        "picture of 512² of the 181×217×181 head, step of a voxel, shaded: ours / VTK's fixed point ray caster",
+        lambda: scene.render(CAMERA),
+        vtk_picture(volume, scene),
+        runs,
+        0.6,
+        before="0.69",
+    )
+    yield from against_exact(runs, volume, "lattice", 5.0, 45.0, ("4.9×", "65.2 dB"))
+
+
+def buffered(runs: int) -> Iterator[Row]:
+    yield from against_exact(runs, head(), "buffered", None, None, ("8.5×", "44.5 dB"))
+
+
+def against_exact(
+    runs: int,
+    volume: Array,
+    mode: str,
+    least: float | None,
+    wanted: float | None,
+    before: tuple[str, str],
+) -> Iterator[Row]:
+    """Compare a way of drawing the bent head with inverting every sample: in time, and in what is seen."""
     d = supple.Deformation(volume.shape).grab((90, 190, 70), by=(25, 20, 0), radius=35)
-    scenes, taken, made = {}, {}, {}
-    for mode in MODES[:3]:
-        made[mode] = 0.0
-        for _ in range(2):  # the first one compiles
-            start = time.perf_counter()
-            scenes[mode] = Scene(volume, FACE, deformation=d, transfer=PRESETS["mr-head"], mode=mode)
-            made[mode] = time.perf_counter() - start
-        taken[mode] = scenes[mode].render(CAMERA)
-    seen = {mode: picture.pixels((0.1, 0.1, 0.1)).astype(np.float64) for mode, picture in taken.items()}
-    for mode, bar in (("lattice", 5.0), ("buffered", None)):
-        a, b, ratio = pair(lambda mode=mode: scenes[mode].render(CAMERA), lambda: scenes["exact"].render(CAMERA), runs)
-        rows.append(
-            Row(
-                f"the same head with a stroke: exact, every sample inverted / {mode} (made before, in "
-                f"{milliseconds(made[mode])})",
-                milliseconds(a),
-                milliseconds(b),
-                f"{1 / ratio:.1f}×",
-                f"≥ {bar:g}×" if bar else "",
-                1 / ratio >= bar if bar else None,
-                runs,
-            )
-        )
-        quality = psnr(seen[mode], seen["exact"])
-        wanted = 45.0 if mode == "lattice" else None
-        rows.append(
-            Row(
-                f"the same, {mode} against exact",
-                f"{quality:.1f} dB",
-                "",
-                "",
-                f"≥ {wanted:g} dB" if wanted else "",
-                quality >= wanted if wanted else None,
-                1,
-            )
-        )
-    return rows
+    exact = Scene(volume, FACE, deformation=d, transfer=PRESETS["mr-head"], mode="exact")
+    start = time.perf_counter()
+    scene = Scene(volume, FACE, deformation=d, transfer=PRESETS["mr-head"], mode=mode)
+    made = milliseconds(time.perf_counter() - start)
+    yield faster(
+        f"the same head with a stroke: exact, every sample inverted / {mode} (made before, in {made})",
+        lambda: scene.render(CAMERA),
+        lambda: exact.render(CAMERA),
+        runs,
+        least,
+        before=before[0],
+    )
+    seen, true = (s.render(CAMERA).pixels((0.1, 0.1, 0.1)).astype(np.float64) for s in (scene, exact))
+    quality = psnr(seen, true)
+    yield Row(
+        f"the same, {mode} against exact",
+        f"{quality:.1f} dB",
+        bar=f"≥ {wanted:g} dB" if wanted else "",
+        holds=quality >= wanted if wanted else None,
+        before=before[1],
+    )
 
 
-def memory(here: Path, quick: bool) -> list[Row]:
+def memory(here: Path, quick: bool) -> Iterator[Row]:
     """The peak of a whole command on a large volume, above that of one on a small volume."""
     command = [shutil.which("supple", path=str(Path(sys.executable).parent)) or "supple", "warp"]
     peaks, sizes = [], ((32, 32, 32), (200, 256, 256) if quick else (500, 512, 512))
@@ -260,28 +275,16 @@ def memory(here: Path, quick: bool) -> list[Row]:
         source.unlink()
     data = 2 * int(np.prod(sizes[1])) * 2 / 1e6
     more = peaks[1] - peaks[0]
-    return [
-        Row(
-            f"peak memory of `supple warp`, {'×'.join(map(str, sizes[1]))} int16, "
-            f"above one of 32³ (input and output: {data:.0f} MB)",
-            f"{more:.0f} MB",
-            "",
-            f"data {more - data:+.0f} MB",
-            f"≤ {data + 200:.0f} MB",
-            more <= data + 200,
-            2,
-        )
-    ]
+    yield Row(
+        f"peak memory of `supple warp`, {'×'.join(map(str, sizes[1]))} int16, "
+        f"above one of 32³ (input and output: {data:.0f} MB)",
+        f"{more:.0f} MB",
+        value=f"data {more - data:+.0f} MB",
+        bar=f"≤ {data + 200:.0f} MB",
+        holds=more <= data + 200,
+        runs=2,
+        before="" if quick else "530 MB",
+    )
 
 
-def all_rows(here: Path, runs: int, quick: bool) -> list[Callable[[], list[Row]]]:
-    warnings.simplefilter("ignore", DeprecationWarning)  # VTK's own
-    return [
-        lambda: whole_warps(max(5, runs // 3), quick),
-        lambda: inverted_fields(1 if quick else 3, quick),
-        lambda: pictures(max(5, runs // 3)),
-        lambda: memory(here, quick),
-    ]
-
-
-__all__ = ["all_rows"]
+__all__ = ["buffered", "inverted_fields", "memory", "more_warps", "pictures", "whole_warps"]

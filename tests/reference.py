@@ -495,8 +495,8 @@ def durations(d: Deformation, points: Floats) -> Floats:
 
 
 def faded(length: Floats) -> Floats:
-    """Return the box that stands for an extent in time: none up to one frame, all of it from 1.1, at most 64."""
-    return np.minimum(length * np.clip((length - 1) * 10, 0, 1), 64.0)
+    """Return the box that is missing to an extent in time: a frame stands for one already; at most 64."""
+    return np.minimum(np.sqrt(np.maximum(length**2 - 1, 0)), 64.0)
 
 
 # ---------------------------------------------------------------- types, opacity and light

@@ -16,20 +16,27 @@ import numpy.typing as npt
 if __name__ == "__main__":
     sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "src"))
 
-from supple import Deformation, FoldWarning, SuppleError, ToleranceWarning
-from supple.cpu import field as kernels
+from supple import Deformation, FoldWarning, SuppleError, ToleranceWarning, _core
 from supple.solid import solve_solid
 from supple.streaming import Array, Group, Layout, Sampling, make_plan, stream
+from supple.strokes import numbers
 
 Floats = npt.NDArray[np.float64]
 
 POISSONS = (-math.inf, -20.0, -5.0, -1.0, 0.0, 0.25, 0.3, 0.4, 0.45, 0.5)
 BORDERS = (None, 1.0, 50.0, 200.0)
+REACHES = (None, None, 1.0, 1.5, 4.0, 10.0)
 STROKES = (1, 1, 1, 2, 3, 5, 10, 20, 50)
 WORK = 1_500_000
 """About how many points times strokes a recipe gets, ..."""
 MOST, LEAST = 20_000, 1_000
-"""... and how many points at most and at least."""
+"""... and how many points at most and at least that are looked at in every way."""
+RECIPES = 400
+"""About how many recipes share all points; ..."""
+PER_STROKE = 0.5
+"""... the more strokes, the fewer points: this is the mean of 1/strokes."""
+CHUNK = 1 << 17
+"""Points that are solved at once, of many."""
 MOST_ROWS = 1_500
 """No stroke is added to more substrokes than that, so that no recipe takes minutes."""
 MOST_PIXELS = 20_000
@@ -86,6 +93,7 @@ def drawn(rng: np.random.Generator) -> tuple[Deformation, int]:
     d = Deformation(
         shape.tolist(),
         border=BORDERS[rng.integers(len(BORDERS))],
+        border_profile="quartic" if rng.uniform() < 0.7 else "sine",
         spacing=spacing.tolist(),
         on_fold="flow" if rng.uniform() < 0.35 else "damp",
     )
@@ -112,6 +120,7 @@ def drawn(rng: np.random.Generator) -> tuple[Deformation, int]:
                 radius=radius,
                 poisson=float(rng.choice(POISSONS)),
                 scales=int(rng.integers(1, 4)),
+                reach=REACHES[rng.integers(len(REACHES))],
             )
         except SuppleError:
             refused += 1
@@ -139,15 +148,15 @@ def targets(d: Deformation, rng: np.random.Generator, many: int) -> Floats:
 def attainable(d: Deformation, points: Floats) -> Floats:
     """About how close to T(p), in pixels, rounding lets one come: what each stroke's input cannot tell apart is
     enlarged by all strokes that follow."""
-    w = np.zeros((3, len(points)))
-    w[: d.ndim] = (points * d.domain.spacing).T
+    w = np.zeros((len(points), 3))
+    w[:, : d.ndim] = points * d.domain.spacing
     left = np.zeros(len(points))
-    for k in range(len(d._table)):
-        tail, jacobian = w.copy(), np.empty((9, len(points)))
-        kernels.forward(d._table[k:], d._axes, tail, jacobian)
-        matrices = np.nan_to_num(jacobian.T.reshape(-1, 3, 3), nan=1e300, posinf=1e300, neginf=-1e300)
-        left += np.linalg.norm(matrices, axis=(1, 2)) * np.linalg.norm(w, axis=0) * ROUNDING
-        kernels.forward(d._table[k : k + 1], d._axes, w, np.empty((9, 0)))
+    rows = numbers(d._table)
+    for k in range(len(rows)):
+        _, matrices = _core.forward(rows[k:], d._axes, w, True)
+        matrices = np.nan_to_num(matrices, nan=1e300, posinf=1e300, neginf=-1e300)
+        left += np.linalg.norm(matrices, axis=(1, 2)) * np.linalg.norm(w, axis=1) * ROUNDING
+        w, _ = _core.forward(rows[k : k + 1], d._axes, w, False)
     return np.asarray(left / min(d.domain.spacing))
 
 
@@ -195,6 +204,56 @@ def look_at_points(d: Deformation, rng: np.random.Generator, tally: Tally) -> li
     if (other := good[many:] & ~(away <= 2 * ratio * allowed[many:] * (1 + inverse))).any():
         wrong.append(f"T⁻¹(T(p)) is not p at {other.sum()} points, by up to {away[other].max():.3g} px")
     return wrong
+
+
+def determinants(m: Floats) -> Floats:
+    """Of matrices (N, 3, 3), without the checks and copies of NumPy's."""
+    a, b, c = m[:, 0], m[:, 1], m[:, 2]
+    one = a[:, 0] * (b[:, 1] * c[:, 2] - b[:, 2] * c[:, 1])
+    return np.asarray(
+        one - a[:, 1] * (b[:, 0] * c[:, 2] - b[:, 2] * c[:, 0]) + a[:, 2] * (b[:, 0] * c[:, 1] - b[:, 1] * c[:, 0])
+    )
+
+
+def look_at_many(d: Deformation, rng: np.random.Generator, tally: Tally, many: int) -> list[str]:
+    """Solve for so many random points at once: each is solved or reported, and none is folded."""
+    lost_points = passed_off = turned = 0
+    worst = 0.0
+    rows, flows, finest = numbers(d._table), d.on_fold == "flow", min(d.domain.spacing)
+    extent = np.zeros(3)
+    extent[: d.ndim] = d.domain.extent
+    for start in range(0, many, CHUNK):
+        q = rng.random((min(CHUNK, many - start), 3))
+        q *= 1.2 * extent
+        q -= 0.1 * extent
+        p, residual, _ = _core.inverse(rows, d._axes, q, d.ndim, 1e-9 * finest)
+        moved, jacobian = _core.forward(rows, d._axes, p, True)
+        moved -= q
+        off = np.sqrt(np.einsum("ij,ij->i", moved, moved)) / finest
+        allowed = np.maximum(CONVERGED, 1e-14 / finest * np.abs(q).max(axis=1))
+        good = residual / finest <= allowed
+        bad = good & ~(off <= 1.1 * allowed)
+        lost = ~good
+        folded = ~(determinants(jacobian) > 0)
+        tally.points += len(q)
+        tally.reported += int(lost.sum())
+        tally.worst_residual = max(tally.worst_residual, float((off / allowed)[good].max(initial=0)) * CONVERGED)
+        if flows:
+            folded &= good
+            doubtful = np.flatnonzero(bad | lost)
+            room = FAIR * attainable(d, p[doubtful, : d.ndim] / d.domain.spacing)
+            bad[doubtful] &= ~(off[doubtful] <= allowed[doubtful] + room)
+            lost[doubtful] &= ~(room > allowed[doubtful])
+        passed_off += int(bad.sum())
+        lost_points += int(lost.sum())
+        turned += int(folded.sum())
+        worst = max(worst, float(off[bad | lost].max(initial=0)))
+    found = {
+        f"{passed_off} residuals, up to {worst:.3g} px, have been passed off": passed_off,
+        f"{lost_points} points did not converge (residual up to {worst:.3g} px)": lost_points,
+        f"det ∂T/∂p ≤ 0 at {turned} points": turned,
+    }
+    return [f"of {many} at once: {line}" for line, count in found.items() if count]
 
 
 def look_at_map(d: Deformation, rng: np.random.Generator, tally: Tally) -> list[str]:
@@ -291,7 +350,7 @@ def look_at_solid(d: Deformation, rng: np.random.Generator, tally: Tally) -> lis
         near = np.add(stroke.at, stroke.by) + rng.normal(size=part.shape) * stroke.radius / d.domain.spacing
         part[...] = np.clip(near, 0, np.array(d.shape[::-1]) - 1.0)
     true = d.inverse(q)
-    found = solid.at(q)[0]
+    found, _ = solid.at(q)
     off = np.linalg.norm(q + found - true.points, axis=-1)[true.converged]
     worst = float(off.max(initial=0.0))
     tally.solids += 1
@@ -303,8 +362,8 @@ def look_at_solid(d: Deformation, rng: np.random.Generator, tally: Tally) -> lis
     return []
 
 
-def look_at_recipe(rng: np.random.Generator, tally: Tally) -> list[str]:
-    """What is wrong with the next recipe."""
+def look_at_recipe(rng: np.random.Generator, tally: Tally, work: float) -> list[str]:
+    """What is wrong with the next recipe, which gets about ``work`` points times strokes."""
     tally.recipes += 1
     d, refused = drawn(rng)
     tally.strokes += len(d.strokes)
@@ -317,19 +376,20 @@ def look_at_recipe(rng: np.random.Generator, tally: Tally) -> list[str]:
         wrong += look_at_clip(d, rng, tally)
     if d.ndim == 3 and math.prod(d.shape) * len(d._table) <= 100 * MOST_PIXELS:
         wrong += look_at_solid(d, rng, tally)
+    wrong += look_at_many(d, rng, tally, int(work / max(len(d._table), 1)))
     return [f"{line} ({d.on_fold}, {len(d.strokes)} strokes)" for line in wrong]
 
 
 def soak(points: int, seed: int = 1, seconds: float = math.inf, show: bool = False) -> Tally:
     """Look at recipe after recipe, each drawn from its own seed, until there were so many points."""
-    tally, start = Tally(), time.monotonic()
+    tally, start, work = Tally(), time.monotonic(), points / (RECIPES * PER_STROKE)
     shown = start
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", FoldWarning)
         warnings.simplefilter("ignore", ToleranceWarning)
         while tally.points < points and time.monotonic() - start < seconds:
             try:
-                wrong = look_at_recipe(np.random.default_rng(seed), tally)
+                wrong = look_at_recipe(np.random.default_rng(seed), tally, work)
             except Exception as error:  # of no kind are there any to be
                 wrong = [f"{type(error).__name__}: {error}"]
             tally.violations += [f"seed {seed}: {line}" for line in wrong]
@@ -344,12 +404,15 @@ def soak(points: int, seed: int = 1, seconds: float = math.inf, show: bool = Fal
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--points", type=int, default=10_000_000, help="how many points at least")
+    parser.add_argument("--points", type=int, default=1_000_000_000, help="how many points at least")
     parser.add_argument("--seed", type=int, default=1, help="of the first recipe; the next ones' follow")
     parser.add_argument("--seconds", type=float, default=math.inf, help="when to stop, done or not")
     args = parser.parse_args()
+    began = time.monotonic()
     tally = soak(args.points, args.seed, args.seconds, show=True)
+    took = time.monotonic() - began
     print("\n".join(tally.lines()))
+    print(f"{took:.0f} s: {tally.points / max(took, 1e-3) / 1e6:.2f} million points a second")
     print(f"{len(tally.violations)} violations" if tally.violations else "no violations")
     if tally.violations:
         print("look at one recipe again: python tests/soak.py --points 1 --seed N")

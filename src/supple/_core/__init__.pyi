@@ -1,32 +1,21 @@
-# The types of what bindings.cpp defines.
+# The types of what the core's modules define.
 from collections.abc import Sequence
 from typing import Any, Literal, overload
 
 import numpy as np
 import numpy.typing as npt
 
+Array = npt.NDArray[Any]
 Floats = npt.NDArray[np.float64]
+Singles = npt.NDArray[np.float32]
+Integers = npt.NDArray[np.int64]
 
 isa: str
 
 def threads() -> int: ...
 
-class Polynomial:
-    def __init__(self, coefficients: Sequence[float]) -> None: ...
-    def at(self, x: float) -> float: ...
+# ---- points
 
-def smallest_strain(
-    terms: Floats,
-    pivot: Floats,
-    direction: Floats,
-    reach: float,
-    axes: Floats,
-    free: float,
-    upper: float,
-    target: float,
-    gap: float,
-) -> tuple[float, float, int]: ...
-def smallest_free_strain(terms: Floats, reach: float, gap: float) -> tuple[float, float, float, int]: ...
 @overload
 def forward(strokes: Floats, axes: Floats, points: Floats, jacobian: Literal[True]) -> tuple[Floats, Floats]: ...
 @overload
@@ -43,16 +32,18 @@ def invert_as_published(
     tolerance: float,
     limit: int,
     corrected: bool,
-    points: npt.NDArray[np.float32],
-    counts: npt.NDArray[np.int64],
+    points: Singles,
+    counts: Integers,
     residual: Floats,
 ) -> None: ...
+
+# ---- planes
 
 class Sampling:
     def __init__(
         self,
-        frames: npt.NDArray[Any],
-        out: npt.NDArray[Any],
+        frames: Array,
+        out: Array,
         count: int,
         step: tuple[int, int],
         offset: tuple[float, float],
@@ -67,6 +58,16 @@ class Sampling:
     ) -> None: ...
 
 class Plan:
+    def __init__(
+        self,
+        strokes: Floats,
+        axes: Floats,
+        ndim: int,
+        height: int,
+        width: int,
+        z: float,
+        tolerance: float,
+    ) -> None: ...
     @property
     def error(self) -> float: ...
     @property
@@ -77,11 +78,8 @@ class Plan:
     def folds(self) -> int: ...
     @property
     def identity(self) -> bool: ...
-    def __init__(
-        self, strokes: Floats, axes: Floats, ndim: int, height: int, width: int, z: float, tolerance: float
-    ) -> None: ...
     def extent(self) -> tuple[tuple[float, ...], tuple[float, ...], float, float]: ...
-    def points(self, out: npt.NDArray[np.float32] | Floats) -> None: ...
+    def points(self, out: Singles | Floats) -> None: ...
     def measure(self, finest: float) -> tuple[float, int]: ...
     def sample(self, sampling: Sampling, box: tuple[int, int, int, int] | None = None) -> None: ...
 
@@ -92,54 +90,64 @@ def warp_stack(
     width: int,
     planes: Sequence[int],
     tolerance: float,
-    samplings: Sequence[Sampling],
+    samplings: list[Sampling],
 ) -> tuple[float, float]: ...
+
+# ---- folding
+
+def smallest_strain(
+    terms: Floats,
+    pivot: Floats,
+    direction: Floats,
+    reach: float,
+    axes: Floats,
+    free: float,
+    upper: float,
+    target: float,
+    gap: float,
+) -> tuple[float, float, int]: ...
+def smallest_free_strain(terms: Floats, reach: float, gap: float) -> tuple[float, float, float, int]: ...
+
+# ---- volumes
 
 BRICK: int
 NODE: int
 
 class Strokes:
-    def __init__(self, rows: npt.NDArray[np.float64], axes: npt.NDArray[np.float64]) -> None: ...
+    def __init__(self, rows: Floats, axes: Floats) -> None: ...
 
 class Lattice:
-    def __init__(self, nodes: npt.NDArray[np.float32], step: int) -> None: ...
+    def __init__(self, nodes: Singles, step: int) -> None: ...
     def solve(self, strokes: Strokes) -> tuple[float, float]: ...
     def error(self, strokes: Strokes) -> float: ...
-    def between(self, points: npt.NDArray[np.float32], out: npt.NDArray[np.float32]) -> None: ...
+    def between(self, points: Singles, out: Singles) -> None: ...
 
 class Transfer:
     def __init__(
-        self, table: npt.NDArray[np.float32], low: float, scale: float, threshold: float, bottom: float, top: float
+        self, table: Singles, low: float, scale: float, threshold: float, bottom: float, top: float
     ) -> None: ...
 
 class View:
     def __init__(
-        self,
-        packed: npt.NDArray[np.float64],
-        step: float,
-        lamp: tuple[float, float, float],
-        shaded: bool,
-        skips: npt.NDArray[np.uint8],
+        self, packed: Floats, step: float, lamp: Sequence[float], shaded: bool, skips: npt.NDArray[np.uint8]
     ) -> None: ...
 
 def draw(
-    samples: npt.NDArray[Any],
+    samples: Array,
     view: View,
     transfer: Transfer,
     lattice: Lattice | None,
     cells: int,
     strokes: Strokes | None,
-    columns: npt.NDArray[np.float64],
-    rows: npt.NDArray[np.float64],
-    light: npt.NDArray[np.float32],
-    depth: npt.NDArray[np.float64],
-    work: npt.NDArray[np.int64],
+    columns: Floats,
+    rows: Floats,
+    light: Singles,
+    depth: Floats,
+    work: Integers,
 ) -> None: ...
-def brick_ranges(
-    samples: npt.NDArray[Any], brick: int, lows: npt.NDArray[np.float32], highs: npt.NDArray[np.float32]
-) -> None: ...
+def brick_ranges(samples: Array, brick: int, lows: Singles, highs: Singles) -> None: ...
 def brick_distances(seen: npt.NDArray[np.bool_], out: npt.NDArray[np.uint8]) -> None: ...
 def brick_moved(
     lattice: Lattice, seen: npt.NDArray[np.bool_], fine: int, slack: float, out: npt.NDArray[np.bool_]
 ) -> None: ...
-def look_up(samples: npt.NDArray[Any], points: npt.NDArray[np.float32], out: npt.NDArray[np.float32]) -> None: ...
+def look_up(samples: Array, points: Singles, out: Singles) -> None: ...

@@ -138,7 +138,8 @@ INLINE V carry(const Stroke& k, const Axis* axes, Jet<D, TANGENTS, MIXED, V>& je
     for (int i = 0; i < D; i++) {
         V near = jet.x[i];
         inside[i] = splat<V>(1.0);
-        bool fading = axes[i].fixed() && !k.inner;
+        // Off the only plane of an axis without extent, the map is as it is on the plane, for inner strokes, too.
+        bool fading = axes[i].fixed() && (!k.inner || axes[i].extent == 0);
         if (fading) {
             near = least(most(near, V{}), splat<V>(axes[i].extent));
             inside[i] = choose(near == jet.x[i], inside[i], V{});

@@ -22,7 +22,7 @@ namespace supple {
 constexpr int ROOT = 32;        // pixels along the side of a root cell
 constexpr int SMALL = 4;        // a cell of so many pixels is split into single ones at once
 constexpr int BAND = 4;         // rows of roots that are solved one after the other, each from the last
-constexpr double RESERVE = 1.75; // nine points do not see quite the worst of a cell
+constexpr double RESERVE = 1.5; // nine points do not see quite the worst of a cell
 constexpr int STRIDE = 48;      // pixels of a row of a root, and room for whole vectors
 
 // Samples that lie `step` pixels apart, the first at `offset`; `size` of them: the pixels themselves, or chroma.
@@ -511,11 +511,14 @@ template <int D> void Plan<D>::check(Work& w) {
 template <int D> void Plan<D>::split(Work& w, const Cell& e, const double (&c)[D][16]) {
     int wide = e.x1 - e.x0, high = e.y1 - e.y0;
     bool finest = wide <= SMALL && high <= SMALL;
-    int xs[SMALL + 1], ys[SMALL + 1], nx = 0, ny = 0, node[SMALL + 1][SMALL + 1];
-    for (int x = e.x0; x < e.x1; x += finest ? 1 : wide <= SMALL ? wide : nx ? e.x1 - x : wide / 2) xs[nx++] = x;
-    for (int y = e.y0; y < e.y1; y += finest ? 1 : high <= SMALL ? high : ny ? e.y1 - y : high / 2) ys[ny++] = y;
-    xs[nx] = e.x1;
-    ys[ny] = e.y1;
+    int xs[SMALL + 1], ys[SMALL + 1], nx, ny, node[SMALL + 1][SMALL + 1];
+    auto cuts = [&](int from, int to, int* at) {
+        int n = finest ? to - from : to - from <= SMALL ? 1 : 2;
+        for (int i = 0; i <= n; i++) at[i] = from + (to - from) * i / n;
+        return n;
+    };
+    nx = cuts(e.x0, e.x1, xs);
+    ny = cuts(e.y0, e.y1, ys);
     for (int v = 0; v <= ny; v++)
         for (int u = 0; u <= nx; u++) {
             if ((u == 0 || u == nx) && (v == 0 || v == ny)) {
@@ -622,11 +625,11 @@ void Plan<D>::mark(const Root& root, int index, const Grid& grid, int x, int y, 
             if (D == 3) chord -= (z * axes[2].spacing - k.pivot[2]) * (z * axes[2].spacing - k.pivot[2]);
             if (chord < 0) continue;
             chord = sqrt(chord);
-            // In samples from x on; on the rim itself, nothing moves.
+            // In samples from x on; on the rim itself, nothing moves, and it is left out, however it is rounded.
             double first = ((k.pivot[0] - chord) / sx - grid.offset[0]) / grid.step[0] - x;
             double final = ((k.pivot[0] + chord) / sx - grid.offset[0]) / grid.step[0] - x;
-            int from = (int)std::clamp(ceil(first - 1e-9), 0.0, (double)n);
-            int to = (int)std::clamp(floor(final + 1e-9) + 1, 0.0, (double)n);
+            int from = (int)std::clamp(floor(first + 1e-9) + 1, 0.0, (double)n);
+            int to = (int)std::clamp(ceil(final - 1e-9), 0.0, (double)n);
             for (int i = from; i < to; i++) row.same[i] = false;
         }
     for (int i = 0; i < n; i++) {

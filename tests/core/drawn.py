@@ -1,0 +1,116 @@
+"""Deformations drawn at random, and the core as tests call it."""
+
+from __future__ import annotations
+
+import math
+import os
+import subprocess
+import sys
+import warnings
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from hypothesis import strategies as st
+
+from supple import Deformation, FoldWarning, _core
+from supple.native import plan_of, sampling_of
+from supple.strokes import numbers
+
+Floats = npt.NDArray[np.float64]
+Array = npt.NDArray[Any]
+
+POISSONS = (-math.inf, -5.0, 0.0, 0.4, 0.5)
+BORDERS = (None, 1.0, 7.0, 40.0, 500.0)
+REACHES = (None, None, 1.0, 2.5, 4.0)
+
+
+def deformation(rng: np.random.Generator, shape: tuple[int, ...], strokes: int, **domain: Any) -> Deformation:
+    """Return strokes of every kind, weak and damped to the fold limit, in the domain and beside it."""
+    made = {"border": BORDERS[rng.integers(5)], "border_profile": ("quartic", "sine")[rng.integers(2)], **domain}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", FoldWarning)
+        d = Deformation(shape, **made)
+        size, n = np.array(shape[::-1]) - 1.0, len(shape)
+        for _ in range(strokes):
+            radius = float(np.exp(rng.uniform(math.log(2), math.log(0.5 * max(shape) + 3)))) * min(d.domain.spacing)
+            by = rng.normal(size=n)
+            by *= radius * np.exp(rng.uniform(math.log(0.05), math.log(5))) / np.linalg.norm(by)
+            d = d.grab(
+                rng.uniform(-0.1, 1.1, n) * size,
+                by=by / d.domain.spacing,
+                radius=radius,
+                poisson=float(rng.choice(POISSONS)),
+                scales=int(rng.integers(1, 4)),
+                reach=REACHES[rng.integers(5)],
+            )
+    return d
+
+
+@st.composite
+def deformations(draw: st.DrawFn, ndim: int | None = None, most: int = 48, strokes: int = 3) -> Deformation:
+    """Draw a deformation of any small shape."""
+    n = draw(st.integers(2, 3)) if ndim is None else ndim
+    shape = tuple(draw(st.integers(1, most if axis >= n - 2 else 9)) for axis in range(n))
+    spacing = draw(st.sampled_from([1.0, 1.0, (0.4, 1.7, 3.0)[:n], 1e-6]))
+    rng = np.random.default_rng(draw(st.integers(0, 2**32)))
+    border = draw(st.sampled_from(BORDERS))
+    if border is not None:
+        border *= float(np.min(spacing))
+    return deformation(rng, shape, draw(st.integers(1, strokes)), spacing=spacing, border=border)
+
+
+def places(d: Deformation, count: int, seed: int = 0) -> Floats:
+    """Return points in the domain, beside it, and on its faces, in samples."""
+    rng, size = np.random.default_rng(seed), np.array(d.shape[::-1]) - 1.0
+    points = rng.uniform(0, 1, (count, d.ndim)) * size
+    beside, faces = slice(0, count // 4), slice(count // 4, count // 2)
+    points[beside] = rng.uniform(-0.5, 1.5, points[beside].shape) * (size + 1)
+    points[faces] = np.where(rng.uniform(size=points[faces].shape) < 0.4, np.rint(points[faces] / size.clip(1)) * size, points[faces])
+    return points
+
+
+def lifted(d: Deformation, points: Floats) -> Floats:
+    """Return points as the core takes them: (N, 3), in physical units."""
+    made = np.zeros((len(points), 3))
+    made[:, : d.ndim] = points * d.domain.spacing
+    return made
+
+
+def plan(d: Deformation, tolerance: float = 0.01, z: float = 0.0, shape: tuple[int, int] | None = None) -> _core.Plan:
+    return plan_of(d._table, d._axes, d.ndim, shape or d.shape[-2:], z, tolerance)  # type: ignore[arg-type]
+
+
+def sampling(frames: Array, out: Array, **how: Any) -> _core.Sampling:
+    """Return a sampling of frames (slots, h, w, C) into (h, w, C), plain but for what is said."""
+    options: dict[str, Any] = {
+        "filter": "auto",
+        "between": "linear",
+        "outside": "edge",
+        "average": False,
+        "fill": [0.0] * frames.shape[-1],
+        "alpha": False,
+        "light": False,
+        "white": None,
+    }
+    return sampling_of(frames, out, len(frames), **{**options, **how})
+
+
+def in_a_process(
+    program: str, *, timeout: float = 120, **environment: str
+) -> subprocess.CompletedProcess[str]:
+    """Run a program, to which this package and these tests are known."""
+    here = Path(__file__).parent
+    path = os.pathsep.join([str(Path(_core.__path__[0]).parent.parent), str(here.parent), str(here)])
+    return subprocess.run(
+        [sys.executable, "-c", program],
+        env={**os.environ, "PYTHONPATH": path, **environment},
+        capture_output=True,
+        encoding="utf-8",
+        timeout=timeout,
+        check=False,
+    )
+
+
+__all__ = ["deformation", "deformations", "in_a_process", "lifted", "numbers", "places", "plan", "sampling"]

@@ -1,0 +1,394 @@
+"""What is sampled: every type, filter, boundary mode and kind of colour, against slow float64; regions; bits kept."""
+
+from __future__ import annotations
+
+import functools
+import itertools
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+import reference
+from drawn import deformations, plan, sampling
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from supple import Deformation, _core
+from supple.strokes import numbers
+
+pytestmark = pytest.mark.filterwarnings("ignore::supple.FoldWarning")
+
+Array = npt.NDArray[Any]
+
+SHAPE, CLIP = (36, 45), (6, 24, 30)
+DTYPES = ["bool", "u1", "i1", "u2", "i2", "u4", "i4", "u8", "i8", "f2", "f4", "f8"]
+FILTERS = ["nearest", "linear", "cubic", "auto"]
+RULES = ["edge", "constant", "reflect"]
+FINE = 1e-5
+
+
+@functools.cache
+def bent(kind: str) -> Deformation:
+    """Shrinks and enlarges; what "strong" does asks for the pyramid, "local" leaves a part alone."""
+    d = Deformation(SHAPE, border=None if kind != "local" else 10)
+    if kind == "gentle":
+        return d.grab((22, 18), by=(5, 6), radius=12).grab((8, 30), by=(-4, 3), radius=7, scales=2)
+    if kind == "strong":
+        return Deformation(SHAPE, border=None, on_fold="flow").grab((15, 18), by=(22, 3), radius=4)
+    return d.grab((24, 17), by=(2.5, 3), radius=4, reach=2.5)
+
+
+@functools.cache
+def clip(kind: str) -> Deformation:
+    if kind == "hurried":
+        return Deformation(CLIP, border=None, on_fold="flow").grab((14, 12, 1), by=(4, -3, 4), radius=8)
+    if kind == "bent":
+        return Deformation(CLIP, border=None).grab((14, 12, 3), by=(5, -4, 1.5), radius=9)
+    return Deformation(CLIP, border=6.0).grab((15, 12, 3), by=(2, -1, 0.6), radius=3, reach=2.0)
+
+
+@functools.cache
+def slow(d: Deformation) -> Any:
+    """Return strokes as they are applied, also those that flow: as many as the table has rows."""
+    if d.on_fold == "damp":
+        return reference.carried_out(d)
+    made = []
+    for stroke, resolved in zip(d.strokes, d._resolved, strict=True):
+        for row in resolved.rows:
+            n = d.ndim
+            made.append(
+                type(stroke)(
+                    at=tuple(row["pivot"][:n]), by=tuple(row["force"][:n]), radius=stroke.radius,
+                    poisson=stroke.poisson, scales=stroke.scales, reach=stroke.reach,
+                )
+            )  # fmt: skip
+    return made
+
+
+def noise(dtype: str, shape: tuple[int, ...], seed: int = 0) -> Array:
+    rng, kind = np.random.default_rng(seed), np.dtype(dtype)
+    if kind == np.bool_:
+        return rng.random(shape) < 0.5
+    if kind.kind == "f":
+        return rng.random(shape).astype(kind)
+    limits = np.iinfo(kind)
+    return rng.integers(limits.min, limits.max, shape, kind.newbyteorder("="), endpoint=True).astype(kind)
+
+
+def close(found: Array, expected: Array, *, most: float = 3e-3, mean: float = 5e-5, odd: float = 0.0) -> None:
+    """Compare in parts of a type's range; a part may be odd, such as what is nearest where two are as near."""
+    assert found.dtype == expected.dtype
+    assert found.shape == expected.shape
+    kind = found.dtype
+    top = float(np.iinfo(kind).max) if kind.kind in "iu" else 1.0
+    off = np.abs(found.astype(np.float64) - expected.astype(np.float64)) / top
+    rounding = 1.001 / top if kind.kind in "iu" and top < 1e6 else 2e-3 if kind == np.float16 else 0.0
+    if kind == np.bool_:
+        assert off.mean() <= 2e-3
+        return
+    off = np.maximum(off - rounding, 0)
+    assert (off > most).mean() <= odd, f"{(off > most).sum()} of {off.size} are off, by up to {off.max()}"
+    assert np.mean(np.minimum(off, most)) <= mean
+
+
+def image(d: Deformation, source: Array, **how: Any) -> None:
+    found = d.warp(source, tolerance=FINE, **how)
+    expected = reference.warp(source, slow(d), d.domain, **how)
+    close(found, expected, odd=2e-3 if how.get("filter") == "nearest" else 0.0)
+
+
+@pytest.mark.parametrize("kind", ["gentle", "strong", "local"])
+@pytest.mark.parametrize("dtype", DTYPES)
+def test_types(dtype: str, kind: str) -> None:
+    for channels in ((), (1,), (3,), (4,), (5,)):
+        if dtype not in ("u1", "f4") and channels not in ((), (3,)):
+            continue
+        image(bent(kind), noise(dtype, (*SHAPE, *channels)), alpha=False)
+
+
+@pytest.mark.parametrize("kind", ["gentle", "strong", "local"])
+@pytest.mark.parametrize("filter", FILTERS)
+@pytest.mark.parametrize("outside", RULES)
+def test_filters_and_what_lies_outside(filter: str, outside: str, kind: str) -> None:
+    for dtype, channels in (("f4", (3,)), ("u1", ()), ("u1", (2,)), ("u2", (3,)), ("f8", (2,)), ("i2", ())):
+        fill = [40.0, 70.0, 20.0][: channels[0] if channels else 1]
+        scaled = [x / 100 for x in fill] if dtype[0] == "f" else fill
+        image(bent(kind), noise(dtype, (*SHAPE, *channels)), filter=filter, outside=outside, fill=scaled)
+
+
+@pytest.mark.parametrize("kind", ["gentle", "strong", "local"])
+@pytest.mark.parametrize("dtype", ["u1", "u2", "f4", "f8"])
+@pytest.mark.parametrize("light", [False, True])
+def test_opacity_and_light(dtype: str, light: bool, kind: str) -> None:
+    top = reference.opaque(dtype)
+    for channels in (2, 4, 5):
+        # Nowhere so clear that what it is divided by is lost in rounding.
+        source = noise(dtype, (*SHAPE, channels))
+        source[..., -1] = (top * (0.5 + 0.5 * np.random.default_rng(1).random(SHAPE))).astype(dtype)
+        for outside in ("edge", "constant"):
+            how: dict[str, Any] = {"outside": outside, "fill": 0.6 * top, "alpha": True, "linear_light": light}
+            image(bent(kind), source, **how)
+    if light:
+        image(bent(kind), noise(dtype, (*SHAPE, 3)), linear_light=True, alpha=False)
+
+
+def frames(d: Deformation, source: Array, **how: Any) -> None:
+    found = d.warp(source, tolerance=FINE, **how)
+    expected = reference.warp_frames(source, slow(d), d.domain, **how)
+    nearest = how.get("filter") == "nearest" or how.get("between") == "nearest"
+    # Rates are interpolated between nodes, bilinearly.
+    rough: dict[str, float] = {"most": 0.05, "mean": 3e-3} if how.get("time_filter") else {}
+    close(found, expected, odd=3e-3 if nearest else 0.0, **rough)
+
+
+@pytest.mark.parametrize("kind", ["bent", "hurried", "local"])
+@pytest.mark.parametrize("between", ["nearest", "linear", "cubic"])
+@pytest.mark.parametrize("averaged", [False, True])
+def test_frames(kind: str, between: str, averaged: bool) -> None:
+    for (name, dtype, channels), outside in zip(
+        [("auto", "u1", (3,)), ("cubic", "f4", ()), ("linear", "u2", (1,)), ("auto", "f8", (2,)), ("linear", "f4", (5,))],
+        itertools.cycle(RULES),
+    ):
+        how: dict[str, Any] = {"filter": name, "between": between, "outside": outside, "time_filter": averaged}
+        frames(clip(kind), noise(dtype, (*CLIP, *channels)), fill=0.3 * reference.opaque(dtype), **how)
+
+
+@pytest.mark.parametrize("kind", ["bent", "hurried", "local"])
+@pytest.mark.parametrize("dtype", DTYPES)
+def test_types_of_frames(kind: str, dtype: str) -> None:
+    frames(clip(kind), noise(dtype, (*CLIP, 3)))
+    frames(clip(kind), noise(dtype, CLIP), filter="nearest")
+
+
+@pytest.mark.parametrize("outside", RULES)
+def test_opacity_and_light_of_frames(outside: str) -> None:
+    for dtype in ("u1", "f4"):
+        top = reference.opaque(dtype)
+        source = noise(dtype, (*CLIP, 4))
+        source[..., -1] = (top * (0.5 + 0.5 * np.random.default_rng(1).random(CLIP))).astype(dtype)
+        frames(clip("bent"), source, alpha=True, linear_light=True, outside=outside, fill=0.6 * top)
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    deformations(2, 36, 2),
+    st.sampled_from(["u1", "u2", "f4", "f8"]),
+    st.integers(1, 5),
+    st.sampled_from(FILTERS),
+    st.sampled_from(RULES),
+)
+def test_any_strokes_and_shapes(d: Deformation, dtype: str, channels: int, filter: str, outside: str) -> None:
+    """Of smooth pictures: what is near fold limits is too steep for noise to be told apart."""
+    y, x = np.indices(d.shape)
+    wave = 0.5 + 0.4 * np.sin(x / 5 + 1)[..., None] * np.cos(y / 4 + np.arange(channels)[:, None, None]).transpose(1, 2, 0)
+    source = (wave * reference.opaque(dtype)).astype(dtype)
+    found = d.warp(source, filter=filter, outside=outside, alpha=False, tolerance=1e-4)
+    expected = reference.warp(source, slow(d), d.domain, filter=filter, outside=outside, alpha=False)
+    close(found, expected, most=5e-3, mean=1e-3, odd=0.02 if filter == "nearest" or outside == "constant" else 0.005)
+
+
+# ---------------------------------------------------------------- memory
+
+
+@pytest.mark.parametrize("filter", ["nearest", "auto"])
+def test_arrays_of_any_layout(filter: str, tmp_path: Path) -> None:
+    for d, shape in ((bent("gentle"), SHAPE), (clip("bent"), CLIP)):
+        n = len(shape)
+        wide = noise("f4", (*(2 * k for k in shape), 6))
+        base = np.ascontiguousarray(wide[(slice(None, None, 2),) * (n + 1)])
+        expected = d.warp(base, filter=filter)
+        frozen = base.copy()
+        frozen.flags.writeable = False
+        mapped = np.memmap(tmp_path / f"source{n}", np.float32, "w+", shape=base.shape)
+        mapped[:] = base
+        unaligned = np.frombuffer(b"?" + base.tobytes(), np.uint8)[1:].view(np.float32)
+        for source in (
+            wide[(slice(None, None, 2),) * (n + 1)],
+            np.ascontiguousarray(base[::-1, ::-1])[::-1, ::-1],
+            np.asfortranarray(base),
+            base.astype(">f4"),
+            frozen,
+            mapped,
+            unaligned.reshape(base.shape),
+        ):
+            before = source.tobytes()
+            np.testing.assert_array_equal(d.warp(source, filter=filter), expected)
+            assert source.tobytes() == before
+            for order in ("C", "F"):
+                out = np.full(source.shape, 7, source.dtype, order=order)  # type: ignore[call-overload]
+                assert d.warp(source, filter=filter, out=out) is out
+                np.testing.assert_array_equal(out, expected)
+        whole = np.full((*(2 * k for k in shape), 6), 7, np.float32)
+        d.warp(base, filter=filter, out=whole[(slice(None, None, 2),) * (n + 1)])
+        np.testing.assert_array_equal(whole[(slice(None, None, 2),) * (n + 1)], expected)
+        assert (whole[1::2] == 7).all()
+
+
+def test_what_a_sampling_is_given_is_checked() -> None:
+    source, out = np.zeros((1, 9, 9, 3), np.uint8), np.zeros((9, 9, 3), np.uint8)
+    sampling(source, out)
+    for wrong in (np.zeros((9, 8, 3), np.uint8), np.zeros((9, 9, 4), np.uint8), np.zeros((9, 9, 3), np.uint16)):
+        with pytest.raises(ValueError, match="out must have the frames' type"):
+            sampling(source, wrong)
+    with pytest.raises(ValueError, match="frames must be"):
+        sampling(source[0], out)
+    with pytest.raises(TypeError):
+        sampling(source.astype(np.float16), out.astype(np.float16))
+    frozen = out.copy()
+    frozen.flags.writeable = False
+    with pytest.raises((TypeError, ValueError)):
+        sampling(source, frozen)
+    job, p = sampling(source, out), plan(Deformation((9, 9)).grab((4, 4), by=(1, 1), radius=3))
+    for box in ((-1, 4, 0, 4), (0, 10, 0, 4), (0, 4, -1, 4), (0, 4, 0, 10)):
+        with pytest.raises(ValueError, match="box must lie in the plane"):
+            p.sample(job, box)
+
+
+# ---------------------------------------------------------------- regions
+
+
+def boxes(shape: tuple[int, int], seed: int, count: int = 6) -> list[tuple[int, int, int, int]]:
+    rng, (height, width) = np.random.default_rng(seed), shape
+    made = [(0, width, 0, height), (0, 1, 0, 1), (width - 1, width, height - 1, height), (0, width, height // 2, height // 2 + 1)]
+    for _ in range(count):
+        x, y = sorted(rng.integers(0, width + 1, 2).tolist()), sorted(rng.integers(0, height + 1, 2).tolist())
+        made.append((x[0], x[1], y[0], y[1]))
+    return made
+
+
+@pytest.mark.parametrize("filter", FILTERS)
+@pytest.mark.parametrize(("dtype", "channels", "how"), [
+    ("u1", 3, {}), ("u1", 4, {"alpha": True}), ("f4", 1, {}), ("f8", 3, {}), ("u2", 3, {"light": True}), ("f4", 6, {}),
+])  # fmt: skip
+def test_a_box_is_a_crop(filter: str, dtype: str, channels: int, how: dict[str, Any]) -> None:
+    """Bit for bit, of images and of frames; the rest stays as it was."""
+    d = Deformation((70, 90), border=None, on_fold="flow").grab((30, 35), by=(35, 4), radius=8)
+    d = d.grab((70, 50), by=(4, -3), radius=6, reach=2.0)
+    deep = Deformation((5, 50, 70), border=None).grab((30, 25, 2), by=(9, -4, 1), radius=11)
+    for p, source in (
+        (plan(d), noise(dtype, (1, 70, 90, channels))),
+        (plan(deep, z=2.0), noise(dtype, (5, 50, 70, channels))),
+    ):
+        whole = np.empty(source.shape[1:], source.dtype)
+        p.sample(sampling(source, whole, filter=filter, **how))
+        for x0, x1, y0, y1 in boxes(source.shape[1:3], len(source)):
+            before = noise(dtype, source.shape[1:], 9)
+            part = before.copy()
+            p.sample(sampling(source, part, filter=filter, **how), (x0, x1, y0, y1))
+            expected = before.copy()
+            expected[y0:y1, x0:x1] = whole[y0:y1, x0:x1]
+            assert part.tobytes() == expected.tobytes()
+
+
+@settings(max_examples=30, deadline=None)
+@given(deformations(2, 80, 3), st.integers(0, 2**20), st.sampled_from(FILTERS), st.sampled_from(RULES))
+def test_any_box_is_a_crop(d: Deformation, seed: int, filter: str, outside: str) -> None:
+    source, p = noise("u1", (1, *d.shape, 3)), plan(d)
+    whole = np.empty(source.shape[1:], np.uint8)
+    how: dict[str, Any] = {"filter": filter, "outside": outside, "fill": [9.0, 99.0, 199.0]}
+    p.sample(sampling(source, whole, **how))
+    for x0, x1, y0, y1 in boxes(d.shape, seed, 2):  # type: ignore[arg-type]
+        part = np.zeros_like(whole)
+        p.sample(sampling(source, part, **how), (x0, x1, y0, y1))
+        np.testing.assert_array_equal(part[y0:y1, x0:x1], whole[y0:y1, x0:x1])
+        part[y0:y1, x0:x1] = 0
+        assert not part.any()
+
+
+def test_boxes_of_chroma_are_crops() -> None:
+    d = Deformation((71, 93), border=None).grab((40, 30), by=(12, -7), radius=14)
+    p = d.space.plan(0, 0.01, (2, 2))
+    source = noise("u1", (1, 36, 47, 2))
+    how: dict[str, Any] = {"step": (2, 2), "offset": (0.0, 0.5)}
+    whole = np.empty((36, 47, 2), np.uint8)
+    p.sample(sampling(source, whole, **how))
+    for x0, x1, y0, y1 in boxes((36, 47), 3, 20):
+        part = np.zeros_like(whole)
+        p.sample(sampling(source, part, **how), (x0, x1, y0, y1))
+        np.testing.assert_array_equal(part[y0:y1, x0:x1], whole[y0:y1, x0:x1])
+
+
+@pytest.mark.parametrize("filter", FILTERS)
+def test_threads_leave_no_trace(filter: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    d = Deformation((150, 200), border=20).grab((100, 70), by=(40, 30), radius=30)
+    d = d.grab((40, 40), by=(9, 3), radius=9, reach=2.0)
+    source, deep = noise("u1", (150, 200, 3)), noise("f4", (*CLIP, 2))
+    made = []
+    for n in ("1", "2", "3", "7"):
+        monkeypatch.setenv("SUPPLE_THREADS", n)
+        assert _core.threads() == int(n)
+        how: dict[str, Any] = {"filter": filter}
+        made.append(
+            (
+                d.warp(source, **how).tobytes(),
+                d.warp(source.astype(np.float64), **how).tobytes(),
+                clip("hurried").warp(deep, time_filter=True, **how).tobytes(),
+            )
+        )
+    assert all(one == made[0] for one in made)
+
+
+@pytest.mark.parametrize("filter", FILTERS)
+def test_planes_one_at_a_time_are_the_stack(filter: str) -> None:
+    for kind in ("bent", "hurried", "local"):
+        d = clip(kind)
+        source = noise("u2", (*CLIP, 3))
+        between = "nearest" if filter == "nearest" else "cubic"
+        stack = np.empty_like(source)
+        how: dict[str, Any] = {"filter": filter, "between": between, "average": between == "cubic"}
+        job = sampling(source, stack, **how)
+        error, evaluations = _core.warp_stack(numbers(d._table), d._axes, *CLIP[1:], list(range(CLIP[0])), 0.01, [job])
+        plans = [plan(d, z=float(z)) for z in range(CLIP[0])]
+        for z, p in enumerate(plans):
+            alone = np.empty(source.shape[1:], np.uint16)
+            p.sample(sampling(source, alone, **how))
+            assert alone.tobytes() == stack[z].tobytes()
+        assert error == max(p.error for p in plans)
+        assert evaluations == sum(p.evaluations for p in plans)
+        some = np.empty_like(source[:2])
+        job = sampling(source, some, **how)
+        _core.warp_stack(numbers(d._table), d._axes, *CLIP[1:], [4, 1], 0.01, [job])
+        np.testing.assert_array_equal(some, stack[[4, 1]])
+
+
+# ---------------------------------------------------------------- bits
+
+
+def strange(dtype: str, shape: tuple[int, ...]) -> Array:
+    """Return any bits at all: NaNs of every payload, infinities, zeros of both signs."""
+    kind = np.dtype(dtype)
+    raw = np.random.default_rng(2).integers(0, 256, int(np.prod(shape)) * kind.itemsize, np.uint8)
+    made = (raw & 1 if kind == np.bool_ else raw).view(kind).reshape(shape)
+    if kind.kind == "f":
+        made[..., ::5] = np.array(["nan", "-inf", "inf", "-0.0"], kind)[np.random.default_rng(3).integers(0, 4, made[..., ::5].shape)]
+    return made
+
+
+@pytest.mark.parametrize("dtype", [*DTYPES, ">u2", ">f4"])
+@pytest.mark.parametrize("filter", FILTERS)
+def test_what_no_stroke_reaches_keeps_every_bit(dtype: str, filter: str) -> None:
+    for d in (bent("local"), clip("local"), Deformation(SHAPE, border=None).grab((3, 33), by=(1, 1), radius=2, reach=3.0)):
+        away = ~reference.reached(d.strokes, d.domain, reference.grid(d.shape))
+        assert 0.1 < away.mean() < 0.99
+        for channels, alpha in ((1, False), (3, False), (4, True), (6, False)):
+            source = strange(dtype, (*d.shape, channels))
+            lights = [False, True] if dtype in ("u1", "u2", "f4", "f8") else [False]
+            for light in lights:
+                with np.errstate(all="ignore"):
+                    out = d.warp(source, filter=filter, alpha=alpha, linear_light=light)
+                assert out[away].tobytes() == source[away].tobytes()
+                inside = out[~away].tobytes() != source[~away].tobytes()
+                assert inside
+
+
+def test_reach_keeps_bits_of_chroma() -> None:
+    d = Deformation((61, 83)).grab((40, 30), by=(3, -2), radius=5, reach=3.0)
+    source = strange("f4", (1, 31, 42, 2))
+    out = np.empty(source.shape[1:], np.float32)
+    d.space.plan(0, 0.01, (2, 2)).sample(sampling(source, out, step=(2, 2), offset=(0.0, 0.5)))
+    q = reference.grid((31, 42)) * 2 + (0.0, 0.5)
+    away = np.linalg.norm(q - (40, 30), axis=-1) >= 15
+    assert out[away].tobytes() == source[0][away].tobytes()
+    assert out[~away].tobytes() != source[0][~away].tobytes()
