@@ -45,6 +45,7 @@ template <int D> struct Row {
     float depth2[STRIDE];                     // |∂p_z/∂q|²
     bool same[STRIDE];                        // outside the ball of every stroke
     bool some_same, idle;                     // whether any is; whether nothing is known, as all are
+    int count;                                // of all samples of the root's row, whichever of them are wanted
 };
 
 // A bicubic patch: coordinate k at (s, t) from (x, y) is anchor[k] + Σ c[k][4j + i] sⁱ tʲ.
@@ -676,6 +677,7 @@ void Plan<D>::each_row(const Grid& grid, int root_row, const int (&box)[4], bool
                 if (from < to) fill(leaf, grid, y, from, to, left, slopes, row);
             }
             row.idle = false;
+            row.count = right - left;
             mark(root, index, grid, left, y, right - left, row);
             use(row, a, y, b - a, a - left);
         }

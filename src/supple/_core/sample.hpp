@@ -220,12 +220,13 @@ struct Prints {
     float even[WINDOW][STRIDE], odd[WINDOW][STRIDE];
     bool any;
 
-    template <int D> void find(const Row<D>& row, int at, int n);
+    // All of a root's row, of whatever box: loops of other lengths may round otherwise.
+    template <int D> void find(const Row<D>& row);
 };
 
-template <int D> inline void Prints::find(const Row<D>& row, int from, int n) {
-    int some = 0;
-    const float *ax = row.across[0] + from, *ay = row.across[1] + from, *dx = row.down[0] + from, *dy = row.down[1] + from;
+template <int D> inline void Prints::find(const Row<D>& row) {
+    int some = 0, n = row.count;
+    const float *ax = row.across[0], *ay = row.across[1], *dx = row.down[0], *dy = row.down[1];
     for (int i = 0; i < n; i++) {
         float sxx = ax[i] * ax[i] + dx[i] * dx[i], sxy = ax[i] * ay[i] + dx[i] * dy[i];
         float syy = ay[i] * ay[i] + dy[i] * dy[i];
@@ -237,8 +238,8 @@ template <int D> inline void Prints::find(const Row<D>& row, int from, int n) {
     }
     any = some;
     if (!some) return;
-    const float *part_x = row.part[0] + from, *part_y = row.part[1] + from;
-    const int *whole_x = row.whole[0] + from, *whole_y = row.whole[1] + from;
+    const float *part_x = row.part[0], *part_y = row.part[1];
+    const int *whole_x = row.whole[0], *whole_y = row.whole[1];
     for (int i = 0; i < n; i++) {
         float h = 0.5f * (xx[i] + yy[i]), e = 0.5f * (xx[i] - yy[i]), d = __builtin_sqrtf(e * e + xy[i] * xy[i]);
         float alpha = h + d - 1, beta = h - d - 1;
@@ -381,24 +382,24 @@ INLINE void sample_row(const Frames<T>& f, const Pyramid<N>& pyramid, int filter
     }
     for (int i = 0; i < n; i++) {
         Mix<N> mix = mix_of(i);
-        if (prints.kind[i] == Prints::PLAIN)
+        if (prints.kind[from + i] == Prints::PLAIN)
             out[i] = around<N, C, 1, 2, SEVERAL>(f, mix, x[i], y[i], [&](auto taps, ptrdiff_t r) INLINE_LAMBDA {
                 return cubic_at<N, C>(taps, r, (N)fx[i], (N)fy[i]);
             });
-        else if (prints.kind[i] == Prints::SPOT && sizeof(N) == sizeof(float))
-            out[i] = around<N, C, 1, 3, SEVERAL>(f, mix, prints.x[i], prints.y[i], [&](auto taps, ptrdiff_t r) INLINE_LAMBDA {
-                return spot_at<N, C, STRIDE>(taps, r, Across<N>{(N)prints.first[i], (N)prints.second[i], prints.shift[i]},
-                                             (const N*)&prints.even[0][i], (const N*)&prints.odd[0][i]);
+        else if (prints.kind[from + i] == Prints::SPOT && sizeof(N) == sizeof(float))
+            out[i] = around<N, C, 1, 3, SEVERAL>(f, mix, prints.x[from + i], prints.y[from + i], [&](auto taps, ptrdiff_t r) INLINE_LAMBDA {
+                return spot_at<N, C, STRIDE>(taps, r, Across<N>{(N)prints.first[from + i], (N)prints.second[from + i], prints.shift[from + i]},
+                                             (const N*)&prints.even[0][from + i], (const N*)&prints.odd[0][from + i]);
             });
-        else if (prints.kind[i] == Prints::SPOT) {
+        else if (prints.kind[from + i] == Prints::SPOT) {
             N even[WINDOW], odd[WINDOW];
-            for (int j = 0; j < WINDOW; j++) even[j] = prints.even[j][i], odd[j] = prints.odd[j][i];
-            out[i] = around<N, C, 1, 3, SEVERAL>(f, mix, prints.x[i], prints.y[i], [&](auto taps, ptrdiff_t r) INLINE_LAMBDA {
-                return spot_at<N, C, 1>(taps, r, Across<N>{(N)prints.first[i], (N)prints.second[i], prints.shift[i]}, even, odd);
+            for (int j = 0; j < WINDOW; j++) even[j] = prints.even[j][from + i], odd[j] = prints.odd[j][from + i];
+            out[i] = around<N, C, 1, 3, SEVERAL>(f, mix, prints.x[from + i], prints.y[from + i], [&](auto taps, ptrdiff_t r) INLINE_LAMBDA {
+                return spot_at<N, C, 1>(taps, r, Across<N>{(N)prints.first[from + i], (N)prints.second[from + i], prints.shift[from + i]}, even, odd);
             });
         } else
-            out[i] = wide<N, C, SEVERAL>(f, pyramid, mix, (N)x[i] + (N)fx[i], (N)y[i] + (N)fy[i], (N)prints.xx[i],
-                                         (N)prints.xy[i], (N)prints.yy[i]);
+            out[i] = wide<N, C, SEVERAL>(f, pyramid, mix, (N)x[i] + (N)fx[i], (N)y[i] + (N)fy[i], (N)prints.xx[from + i],
+                                         (N)prints.xy[from + i], (N)prints.yy[from + i]);
     }
 }
 

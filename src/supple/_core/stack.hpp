@@ -415,7 +415,7 @@ template <class T, int C, int D> void sample_direct(const Plan<D>& plan, const J
         plan.each_row(job.grid, j, job.box, job.filter == AUTO || job.average, [&](const Row<D>& row, int x, int y, int n, int at) {
             const char* own = own_frame(plan, job);
             if (row.idle) return copy_same(job, own, x, y, n, nullptr);
-            if (job.filter == AUTO) prints.find(row, at, n);
+            if (job.filter == AUTO) prints.find(row);
             Mixing<float, D> mixing{job, span, row, at, weight, (const void* const*)frames.data()};
             sample_row<float, C, D == 3>(source, averages.pyramid, job.filter, row, prints, at, n, mixing, values);
             put_row<C>(values, n, job.white, (T*)job.out + ((ptrdiff_t)y * job.grid.size[0] + x) * C);
@@ -473,7 +473,7 @@ template <class N, int C, int D> void sample_converted(const Plan<D>& plan, cons
                     Span frame_span = span;
                     Averages<N>* levels = &averages;
                     plan.each_row(job.grid, j, wanted, job.filter == AUTO || job.average, [&](const Row<D>& row, int x, int y, int n, int at) {
-                        if (job.filter == AUTO) prints.find(row, at, n);
+                        if (job.filter == AUTO) prints.find(row);
                         Mixing<N, D> mixing{job, frame_span, row, at, weight, (const void* const*)frames.data()};
                         Pyramid<N> pyramid = shifted(levels->pyramid, frame_span.first - whole.first);
                         sample_row<N, C, D == 3>(source, pyramid, job.filter, row, prints, at, n, mixing, values);
