@@ -582,7 +582,7 @@ def test_what_is_much_smaller_has_no_holes() -> None:
         given = np.full((200, 260), np.nan)
         d.warp(np.full((200, 260), 0.25), filter=name, out=given)
         np.testing.assert_allclose(given, 0.25, rtol=1e-6)  # weights are of float32
-        found = scores(255 * fine, d, expected, name, "linear", "cubic")
+        found = {f: reference.psnr(255 * d.warp(fine, filter=f)[hard], expected[hard]) for f in (name, "linear", "cubic")}
         assert found[name] > max(found["linear"], found["cubic"]) + 5
 
 

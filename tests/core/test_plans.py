@@ -336,7 +336,7 @@ STEEP: dict[str, Callable[[], Deformation]] = {
 
 @pytest.mark.xfail(reason="the map is linear about a single pixel, and off the pixels the certificate does not look", strict=True)
 @pytest.mark.parametrize("kind", STEEP)
-@pytest.mark.parametrize(("step", "offset"), [((2, 2), (0.5, 0.5)), ((2, 1), (0.5, 0.0))])
+@pytest.mark.parametrize(("step", "offset"), [((2, 2), (0.5, 0.5)), ((2, 2), (0.0, 0.5))])
 def test_chroma_is_no_farther_off_than_said(kind: str, step: tuple[int, int], offset: tuple[float, float]) -> None:
     off, said = chroma(STEEP[kind](), step, offset, 0, 0.01)
     assert off <= max(0.01, said) + 1e-4
