@@ -499,9 +499,7 @@ def _weights(t: Floats) -> list[Floats]:
 
 def test_the_fast_reference_is_the_reference() -> None:
     source, p = noise("f8", 1), exact(Deformation(SHAPE).grab((30, 20), by=(14, -9), radius=16))
-    np.testing.assert_allclose(
-        keys(source[..., 0], p), reference.sample(source, p, filter="cubic")[..., 0], atol=1e-9
-    )
+    np.testing.assert_allclose(keys(source[..., 0], p), reference.sample(source, p, filter="cubic")[..., 0], atol=1e-9)
 
 
 def supersampled(image: Array, d: Deformation, n: int, mirrored: bool = False) -> Floats:
@@ -582,7 +580,9 @@ def test_what_is_much_smaller_has_no_holes() -> None:
         given = np.full((200, 260), np.nan)
         d.warp(np.full((200, 260), 0.25), filter=name, out=given)
         np.testing.assert_allclose(given, 0.25, rtol=1e-6)  # weights are of float32
-        found = {f: reference.psnr(255 * d.warp(fine, filter=f)[hard], expected[hard]) for f in (name, "linear", "cubic")}
+        found = {
+            f: reference.psnr(255 * d.warp(fine, filter=f)[hard], expected[hard]) for f in (name, "linear", "cubic")
+        }
         assert found[name] > max(found["linear"], found["cubic"]) + 5
 
 

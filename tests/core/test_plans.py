@@ -334,7 +334,9 @@ STEEP: dict[str, Callable[[], Deformation]] = {
 }
 
 
-@pytest.mark.xfail(reason="the map is linear about a single pixel, and off the pixels the certificate does not look", strict=True)
+@pytest.mark.xfail(
+    reason="the map is linear about a single pixel, and off the pixels the certificate does not look", strict=True
+)
 @pytest.mark.parametrize("kind", STEEP)
 @pytest.mark.parametrize(("step", "offset"), [((2, 2), (0.5, 0.5)), ((2, 2), (0.0, 0.5))])
 def test_chroma_is_no_farther_off_than_said(kind: str, step: tuple[int, int], offset: tuple[float, float]) -> None:
@@ -392,5 +394,3 @@ def test_an_impossible_tolerance_is_not_claimed() -> None:
     report = d.report(tolerance=1e-9)
     assert not report.within
     assert 1e-9 < report.error < 1e-3
-
-
