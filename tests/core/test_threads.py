@@ -60,7 +60,7 @@ def test_two_threads_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
         start.wait()
         for _ in range(6):
             if not np.array_equal(d.warp(source), expected) or not np.array_equal(d.inverse(q).points, solved):
-                wrong.append(threading.get_ident())
+                wrong.append(threading.get_ident())  # noqa: PERF401
 
     several = [threading.Thread(target=again) for _ in range(4)]
     for thread in several:
