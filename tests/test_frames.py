@@ -122,7 +122,11 @@ def test_samples_that_lie_side_by_side_are_those_that_are_read_alone(dtype: str,
     options: dict[str, Any] = {"filter": "linear", "alpha": False}
     wanted = d.warp(source, **options)[..., :channels]
     assert (wanted != source[..., :channels]).mean() > 0.3
-    np.testing.assert_array_equal(d.warp(source[..., :channels].copy(), **options), wanted)
+    found = d.warp(source[..., :channels].copy(), **options)
+    if np.dtype(dtype).kind == "f":  # beside the edges, sums are in another order
+        np.testing.assert_allclose(found, wanted, rtol=1e-6)
+    else:
+        np.testing.assert_array_equal(found, wanted)
 
 
 @pytest.mark.parametrize("dtype", [">u2", ">i2", ">f2", ">f4", ">f8"])
