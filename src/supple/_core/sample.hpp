@@ -224,12 +224,13 @@ struct Prints {
     float left[WINDOW][STRIDE], right[WINDOW][STRIDE]; // weights of rows for the left and the right points
     bool any;
 
-    template <int D> void find(const Row<D>& row, int at, int n);
+    // Of all of a root's row, whatever box is wanted of it: loops of other lengths may round otherwise.
+    template <int D> void find(const Row<D>& row);
 };
 
-template <int D> inline void Prints::find(const Row<D>& row, int from, int n) {
-    int some = 0;
-    const float *ax = row.across[0] + from, *ay = row.across[1] + from, *dx = row.down[0] + from, *dy = row.down[1] + from;
+template <int D> inline void Prints::find(const Row<D>& row) {
+    int some = 0, n = row.count;
+    const float *ax = row.across[0], *ay = row.across[1], *dx = row.down[0], *dy = row.down[1];
     for (int i = 0; i < n; i++) {
         float sxx = ax[i] * ax[i] + dx[i] * dx[i], sxy = ax[i] * ay[i] + dx[i] * dy[i];
         float syy = ay[i] * ay[i] + dy[i] * dy[i];
@@ -241,8 +242,8 @@ template <int D> inline void Prints::find(const Row<D>& row, int from, int n) {
     }
     any = some;
     if (!some) return;
-    const float *part_x = row.part[0] + from, *part_y = row.part[1] + from;
-    const int *whole_x = row.whole[0] + from, *whole_y = row.whole[1] + from;
+    const float *part_x = row.part[0], *part_y = row.part[1];
+    const int *whole_x = row.whole[0], *whole_y = row.whole[1];
     for (int i = 0; i < n; i++) {
         float h = 0.5f * (xx[i] + yy[i]), e = 0.5f * (xx[i] - yy[i]), d = __builtin_sqrtf(e * e + xy[i] * xy[i]);
         float alpha = h + d - 1, beta = h - d - 1;
@@ -432,27 +433,28 @@ NOINLINE void spots_row(const Frames<T>& given, const Pyramid<N>& pyramid, const
     Places places;
     places.find<2, 3, C>(f, x, y, n);
     for (int i = 0; i < n; i++) {
+        const int k = from + i; // of its footprint
         const Mix<N> mix = mix_of(i);
         const bool inside = places.inside && (!SEVERAL || mix.n > 0);
         auto cubic = [&](auto taps, ptrdiff_t r) INLINE_LAMBDA { return cubic_at<N, C>(taps, r, (N)fx[i], (N)fy[i]); };
         auto spot = [&](auto taps, ptrdiff_t r) INLINE_LAMBDA {
-            Across<N> across{(N)prints.first[i], (N)prints.second[i], prints.shift[i]};
+            Across<N> across{(N)prints.first[k], (N)prints.second[k], prints.shift[k]};
             if constexpr (sizeof(N) == sizeof(float))
-                return spot_at<N, C, STRIDE>(taps, r, across, &prints.left[0][i], &prints.right[0][i]);
+                return spot_at<N, C, STRIDE>(taps, r, across, &prints.left[0][k], &prints.right[0][k]);
             else {
                 N left[WINDOW], right[WINDOW];
-                for (int j = 0; j < WINDOW; j++) left[j] = prints.left[j][i], right[j] = prints.right[j][i];
+                for (int j = 0; j < WINDOW; j++) left[j] = prints.left[j][k], right[j] = prints.right[j][k];
                 return spot_at<N, C, 1>(taps, r, across, left, right);
             }
         };
-        if (prints.kind[i] == Prints::PLAIN)
+        if (prints.kind[k] == Prints::PLAIN)
             put(i, inside ? within<N, C, SEVERAL>(f, mix, places.at[i], cubic) : around<N, C, 1, 2, SEVERAL>(f, mix, x[i], y[i], cubic));
-        else if (prints.kind[i] == Prints::SPOT)
-            put(i, inside ? within<N, C, SEVERAL>(f, mix, prints.y[i] * f.row + prints.x[i] * C, spot)
-                          : around<N, C, 1, 3, SEVERAL>(f, mix, prints.x[i], prints.y[i], spot));
+        else if (prints.kind[k] == Prints::SPOT)
+            put(i, inside ? within<N, C, SEVERAL>(f, mix, prints.y[k] * f.row + prints.x[k] * C, spot)
+                          : around<N, C, 1, 3, SEVERAL>(f, mix, prints.x[k], prints.y[k], spot));
         else
-            put(i, wide<N, C, SEVERAL>(f, pyramid, mix, (N)x[i] + (N)fx[i], (N)y[i] + (N)fy[i], (N)prints.xx[i],
-                                       (N)prints.xy[i], (N)prints.yy[i]));
+            put(i, wide<N, C, SEVERAL>(f, pyramid, mix, (N)x[i] + (N)fx[i], (N)y[i] + (N)fy[i], (N)prints.xx[k],
+                                       (N)prints.xy[k], (N)prints.yy[k]));
     }
 }
 

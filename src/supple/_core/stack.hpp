@@ -444,7 +444,7 @@ template <class T, int C, int D> void sample_direct(const Plan<D>& plan, const J
         plan.each_row(job.grid, j, job.box, job.filter == AUTO || job.average, [&](const Row<D>& row, int x, int y, int n, int at) {
             const char* own = own_frame(plan, job);
             if (row.idle) return copy_same(job, own, x, y, n, nullptr);
-            if (job.filter == AUTO) prints.find(row, at, n);
+            if (job.filter == AUTO) prints.find(row);
             const void* const* all = (const void* const*)frames.data();
             Mixing<float, D> mixing{job, span, row, at, weight, all, takes_pairs(job, span, row, at, n, all)};
             Putting<C, T> put{(T*)job.out + ((ptrdiff_t)y * job.grid.size[0] + x) * C, n, high};
@@ -503,7 +503,7 @@ template <class N, int C, int D> void sample_converted(const Plan<D>& plan, cons
                     Span frame_span = span;
                     Averages<N>* levels = &averages;
                     plan.each_row(job.grid, j, wanted, job.filter == AUTO || job.average, [&](const Row<D>& row, int x, int y, int n, int at) {
-                        if (job.filter == AUTO) prints.find(row, at, n);
+                        if (job.filter == AUTO) prints.find(row);
                         const void* const* all = (const void* const*)frames.data();
                         Mixing<N, D> mixing{job, frame_span, row, at, weight, all, takes_pairs(job, frame_span, row, at, n, all)};
                         Pyramid<N> pyramid = shifted(levels->pyramid, frame_span.first - whole.first);
