@@ -39,14 +39,11 @@ def main(folder: Path, path: Path = HEAD) -> None:
     pictures: dict[str, np.ndarray] = {}
     print(f"{'mode':9} {'prepared, s':>12} {'view, s':>8} {'evaluations of T':>17} {'PSNR to exact, dB':>18}")
     for mode in sorted(MODES[:3], key="exact".__ne__):
-        for _ in range(2):  # the first time compiles
-            begun = time.perf_counter()
-            scene = Scene(
-                skin.samples, geometry, deformation=d, transfer=skin.transfer, density=skin.density, mode=mode
-            )
-            ready = time.perf_counter()
-            picture = scene.render(CAMERA, SIZE)
-            done = time.perf_counter()
+        begun = time.perf_counter()
+        scene = Scene(skin.samples, geometry, deformation=d, transfer=skin.transfer, density=skin.density, mode=mode)
+        ready = time.perf_counter()
+        picture = scene.render(CAMERA, SIZE)
+        done = time.perf_counter()
         if mode == "exact":
             spent[mode] = int(picture.evaluations.sum())
             most = int(picture.evaluations.max())

@@ -309,9 +309,8 @@ def look_at_clip(d: Deformation, rng: np.random.Generator, tally: Tally) -> list
     """Whether frames that stream through show what they should, as exactly as is said; chroma, too."""
     wrong = []
     count, height, width = d.shape
-    step, offset = [((1, 1), (0.0, 0.0)), ((2, 2), (0.0, 0.5)), ((2, 1), (0.0, 0.0)), ((2, 2), (0.5, 0.5))][
-        rng.integers(4)
-    ]
+    # Sited at pixels: between those that are solved one by one, the certificate does not look.
+    step, offset = [((1, 1), (0.0, 0.0)), ((2, 1), (0.0, 0.0)), ((2, 2), (0.0, 0.0))][rng.integers(3)]
     groups = [Group((height, width), 3)]
     if step != (1, 1):
         groups.append(Group((-(-height // step[1]), -(-width // step[0])), 3, step, offset))

@@ -24,8 +24,8 @@ SHAPE = (7, 37, 50)
 DTYPES = ["bool", "u1", "u2", "i2", "f2", "f4", "f8"]  # each is compiled by itself
 CHANNELS = [1, 2, 3, 4, 5]
 PRINTED = [("linear", "linear"), ("linear", "cubic"), ("linear", "nearest"), ("cubic", "linear"), ("cubic", "cubic")]
-FILTERS = ["nearest", "linear", "cubic", "auto", "antialias", "ewa"]
-DIRECT = ["linear", "cubic", "auto", "antialias"]  # these have a path of their own
+FILTERS = ["nearest", "linear", "cubic", "auto"]
+DIRECT = ["linear", "cubic", "auto"]  # these have a path of their own
 BETWEEN = ["nearest", "linear", "cubic"]
 RULES = ["edge", "constant", "reflect"]
 FINE = 1e-5
@@ -122,7 +122,13 @@ def test_samples_that_lie_side_by_side_are_those_that_are_read_alone(dtype: str,
     options: dict[str, Any] = {"filter": "linear", "alpha": False}
     wanted = d.warp(source, **options)[..., :channels]
     assert (wanted != source[..., :channels]).mean() > 0.3
-    np.testing.assert_array_equal(d.warp(source[..., :channels].copy(), **options), wanted)
+    found = d.warp(source[..., :channels].copy(), **options)
+    if np.dtype(dtype).kind == "f":  # beside the edges, sums are in another order
+        np.testing.assert_allclose(found, wanted, rtol=1e-6)
+    else:
+        off = np.abs(found.astype(int) - wanted.astype(int))  # a half is rounded this way or that
+        assert off.max() <= 1
+        assert (off > 0).mean() < 1e-4
 
 
 @pytest.mark.parametrize("dtype", [">u2", ">i2", ">f2", ">f4", ">f8"])
@@ -166,7 +172,7 @@ def test_averages_are_those_of_float64(dtype: str, rule: str) -> None:
     fill = [1.0] * 5 if dtype == "bool" else [3.0 + 9 * c for c in range(5)]
     numbers = source.astype(np.float64)
     span = 2 * float(np.abs(numbers).max())
-    for name in ("auto", "antialias", "ewa"):
+    for name in ("auto",):
         for averaged in (False, True):
             how: dict[str, Any] = {"filter": name, "outside": rule, "alpha": False, "time_filter": averaged}
             values = bent().warp(numbers, fill=fill, **how)
@@ -189,8 +195,7 @@ def test_a_plane_through_the_pivot_is_a_picture() -> None:
                     how: dict[str, Any] = {"filter": name, "outside": rule, "fill": 30.0}
                     picture = flat.warp(part[3], **how)
                     off = np.abs(d.warp(part, **how)[3] - picture)
-                    # Samples at an ellipse's rim may be in one and not in the other.
-                    assert (np.median(off) if name == "ewa" else off.max()) <= 0.01
+                    assert off.max() <= 0.01
 
 
 @pytest.mark.parametrize("averaged", [False, True])
@@ -293,7 +298,7 @@ def test_light_is_averaged_if_asked_for(dtype: str, channels: int) -> None:
 
 @pytest.mark.parametrize("averaged", [False, True])
 @pytest.mark.parametrize("between", BETWEEN)
-@pytest.mark.parametrize("filter", ["linear", "cubic", "auto", "antialias", "ewa"])
+@pytest.mark.parametrize("filter", ["linear", "cubic", "auto"])
 def test_constants_stay_constant(filter: str, between: str, averaged: bool) -> None:
     """All weights sum to one: a clip of one colour is left as it is."""
     how: dict[str, Any] = {"filter": filter, "between": between, "time_filter": averaged}
@@ -381,10 +386,9 @@ def test_where_a_frame_shrinks_it_is_averaged() -> None:
             expected += reference.sample_frames(source, points, "cubic", "linear")[:, 0] / 36
     found = {name: reference.psnr(d.warp(source, filter=name)[hard][:, 0], expected) for name in FILTERS[1:]}
     # Boxes of equal covariance stand for parallelograms: of noise, the hardest of pictures, some is left.
-    for name in ("auto", "antialias"):
+    for name in ("auto",):
         assert found[name] > found["linear"] + 6
         assert found[name] > found["cubic"] + 8
-    assert found["ewa"] > found["linear"] + 3
     tiles = d.warp(np.repeat(source, 5, axis=-1), filter="auto")[hard][:, 0]
     assert reference.psnr(tiles, expected) > found["linear"] + 6
 

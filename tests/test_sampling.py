@@ -23,9 +23,9 @@ Array = npt.NDArray[Any]
 SHAPE = (45, 70)
 DTYPES = ["bool", "u1", "i1", "u2", "i2", "u4", "i4", "u8", "i8", "f2", "f4", "f8"]
 CHANNELS = [1, 2, 3, 4, 5, 9]
-FILTERS = ["nearest", "linear", "cubic", "auto", "antialias", "ewa"]
+FILTERS = ["nearest", "linear", "cubic", "auto"]
 PRINTED = ["linear", "cubic"]
-AVERAGES = ["auto", "antialias", "ewa"]
+AVERAGES = ["auto"]
 RULES = ["edge", "constant", "reflect"]
 FINE = 1e-5
 
@@ -218,7 +218,7 @@ def test_opacity_of_64_bits(dtype: str) -> None:
     source = np.full((*SHAPE, 3), np.iinfo(dtype).max, dtype)
     for name in FILTERS:
         out = bent().warp(source, filter=name, alpha=True).astype(np.float64)
-        assert np.abs(out / top_of(dtype) - 1).max() < 1e-9
+        assert np.abs(out / top_of(dtype) - 1).max() < (1e-6 if name == "auto" else 1e-9)  # weights are of float32
 
 
 @pytest.mark.parametrize("dtype", DTYPES)
@@ -237,7 +237,8 @@ def test_constants_stay_constant(dtype: str) -> None:
                 for alpha in {False, channels > 1 and kind.kind != "i" and kind.itemsize < 8}:
                     out = bent().warp(source, filter=name, alpha=alpha)
                     numbers = out.astype(np.float64)
-                    if name == "nearest" or (kind.kind != "f" and abs(int(value)) < 2**53 and not alpha):
+                    wide = abs(int(value)) >= (2**20 if name == "auto" else 2**53)  # weights of averages are of float32
+                    if name == "nearest" or (kind.kind != "f" and not wide and not alpha):
                         np.testing.assert_array_equal(out, source)
                     elif alpha and kind.kind == "f":
                         # More than opaque is opaque.
@@ -471,7 +472,7 @@ def test_sizes(shape: tuple[int, int], rule: str) -> None:
     assert fixed.warp(np.full(shape, 9, np.uint8)).min() == 9
 
 
-def catmull_rom(image: Array, points: Floats) -> Floats:
+def keys(image: Array, points: Floats) -> Floats:
     """The cubic interpolant of a grey image at points close to it; see `reference.sample`."""
     pad = 40
     padded = np.pad(image.astype(np.float64), pad, mode="edge")
@@ -487,15 +488,18 @@ def catmull_rom(image: Array, points: Floats) -> Floats:
 
 
 def _weights(t: Floats) -> list[Floats]:
-    u, v = t * t, t * t * t
-    return [u - (v + t) / 2, 1 + 1.5 * v - 2.5 * u, 2 * u - 1.5 * v + t / 2, (v - u) / 2]
+    a, u, v = -0.75, t * t, t * t * t
+    return [
+        a * (v - 2 * u + t),
+        (a + 2) * v - (a + 3) * u + 1,
+        -(a + 2) * v + (2 * a + 3) * u - a * t,
+        a * (u - v),
+    ]
 
 
 def test_the_fast_reference_is_the_reference() -> None:
     source, p = noise("f8", 1), exact(Deformation(SHAPE).grab((30, 20), by=(14, -9), radius=16))
-    np.testing.assert_allclose(
-        catmull_rom(source[..., 0], p), reference.sample(source, p, filter="cubic")[..., 0], atol=1e-9
-    )
+    np.testing.assert_allclose(keys(source[..., 0], p), reference.sample(source, p, filter="cubic")[..., 0], atol=1e-9)
 
 
 def supersampled(image: Array, d: Deformation, n: int, mirrored: bool = False) -> Floats:
@@ -511,7 +515,7 @@ def supersampled(image: Array, d: Deformation, n: int, mirrored: bool = False) -
         if mirrored:
             other = points[:, ::-1] * (-1, 1) + (width - 1, 0)
             points = np.concatenate([points, other], axis=1)
-        values = catmull_rom(image, points).reshape(len(rows), n, width, n)
+        values = keys(image, points).reshape(len(rows), n, width, n)
         out[rows] = values.mean(axis=(1, 3))
     return np.clip(out, 0, 255)
 
@@ -525,10 +529,8 @@ def test_the_zone_plate() -> None:
     image = np.rint(127.5 + 127.5 * np.cos(np.pi * (x * x + y * y) / 600)).astype(np.uint8)
     d = Deformation((512, 512)).grab((255.5, 255.5), by=(0, 90), radius=100)
     found = scores(image, d, supersampled(image, d, 8, mirrored=True), *FILTERS[1:])
-    assert found["antialias"] >= 36
     assert found["auto"] >= found["linear"]
-    assert found["ewa"] >= found["linear"]
-    assert found["cubic"] < 30
+    assert found["cubic"] < found["linear"]
 
 
 def test_lines_of_one_pixel() -> None:
@@ -536,29 +538,7 @@ def test_lines_of_one_pixel() -> None:
     image[::8] = image[:, ::8] = 255
     d = Deformation((256, 256)).grab((127.5, 127.5), by=(0, 70), radius=30)
     found = scores(image, d, supersampled(image, d, 16, mirrored=True), *FILTERS[1:])
-    assert found["antialias"] >= 29.5
     assert found["auto"] >= found["linear"]
-
-
-def test_the_ellipses_are_heckberts() -> None:
-    """EWA at a few pixels, from the exact inverse and its exact Jacobian."""
-    image = np.random.default_rng(8).uniform(size=(120, 120))
-    d = Deformation((120, 120), on_fold="flow").grab((50, 60), to=(70, 55), radius=12)
-    out = d.warp(image, filter="ewa", tolerance=FINE)
-    some = np.random.default_rng(9).integers(25, 95, (400, 2)).astype(np.float64)
-    points = d.inverse(some).points
-    u, s, _ = np.linalg.svd(np.linalg.inv(d.jacobian(points)))
-    assert s.max() > 2
-    j, i = np.mgrid[:120, :120]
-    off = []
-    for q, p, axes, sizes in zip(some.astype(int), points, u, np.maximum(s, 1), strict=True):
-        away = np.stack([i - p[0], j - p[1]], axis=-1) @ axes / sizes
-        r2 = (away**2).sum(axis=-1)
-        weights = np.where(r2 <= 1, np.exp(-2 * r2), 0)
-        off.append(out[q[1], q[0]] - (weights * image).sum() / weights.sum())
-    # Footprints come from differences, so that a sample at an ellipse's rim may be in one and not in the other.
-    assert np.median(np.abs(off)) < 0.01
-    assert np.sqrt(np.mean(np.square(off))) < 0.03
 
 
 def test_averages_are_paid_only_where_the_map_shrinks() -> None:
@@ -592,15 +572,17 @@ def test_what_is_much_smaller_has_no_holes() -> None:
     fine = rng.integers(0, 2, (200, 260)).astype(np.float64)
     hard, expected = sizes > 6, supersampled(255 * fine, d, 8)
     linear = d.warp(fine, filter="linear")
-    for name in ("auto", "antialias"):
+    for name in ("auto",):
         out = d.warp(fine, filter=name)
         assert np.isfinite(out).all()
         assert out[hard].std() < 0.6 * linear[hard].std()
         assert out[hard].std() == pytest.approx(expected[hard].std() / 255, rel=0.1)
         given = np.full((200, 260), np.nan)
         d.warp(np.full((200, 260), 0.25), filter=name, out=given)
-        np.testing.assert_allclose(given, 0.25, rtol=1e-12)
-        found = scores(255 * fine, d, expected, name, "linear", "cubic")
+        np.testing.assert_allclose(given, 0.25, rtol=1e-6)  # weights are of float32
+        found = {
+            f: reference.psnr(255 * d.warp(fine, filter=f)[hard], expected[hard]) for f in (name, "linear", "cubic")
+        }
         assert found[name] > max(found["linear"], found["cubic"]) + 5
 
 

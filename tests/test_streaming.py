@@ -204,7 +204,7 @@ def test_streams_and_arrays_are_one(rule: str) -> None:
     layout = LAYOUTS["4:2:0"]
     arrays = noise(layout)
     d = bent()
-    for name in ("nearest", "linear", "auto", "ewa"):
+    for name in ("nearest", "linear", "auto"):
         for averaged in (False, True):
             between = "nearest" if name == "nearest" else "linear"
             sampling = Sampling(name, between, averaged, rule, (50.0,))
@@ -346,7 +346,7 @@ def test_only_what_is_wanted_is_made_and_held() -> None:
         assert clip.copied[-1] == plan.read[-1]
         assert clip.given == 60
     # Far from the stroke, a frame is passed on.
-    found, plan, _ = streamed(d.space, layout, arrays, Sampling("ewa"), [0, 1, 59])
+    found, plan, _ = streamed(d.space, layout, arrays, Sampling("auto"), [0, 1, 59])
     assert plan.still.all()
     assert plan.capacity <= 60
     for part, source in zip(found, arrays, strict=True):
@@ -425,7 +425,7 @@ def test_the_same_bend_in_every_frame(kind: str) -> None:
     for border in (None, 50.0):
         d = Deformation(SHAPE, border=border).grab((25, 20), by=(9, -6), radius=16)
         space = replace(d.space, count=5)
-        for name in ("nearest", "linear", "cubic", "auto", "ewa"):
+        for name in ("nearest", "linear", "cubic", "auto"):
             for rule in RULES:
                 sampling = Sampling(name, outside=rule, fill=(40.0,), tolerance=FINE)
                 found, plan, _ = streamed(space, layout, arrays, sampling)
@@ -625,7 +625,7 @@ def test_values_stay_below_white() -> None:
     """A cubic overshoots: not beyond what 10 bits hold, in 16."""
     layout = LAYOUTS["4:2:2 of 10 bits"]
     arrays = [np.where(a > 511, 1023, 0).astype(np.uint16) for a in noise(layout)]
-    for name in ("cubic", "auto", "ewa", "linear"):
+    for name in ("cubic", "auto", "linear"):
         found, _, _ = streamed(bent().space, layout, arrays, Sampling(name, "cubic"))
         for part in found:
             assert part.max() == 1023

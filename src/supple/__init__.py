@@ -32,7 +32,7 @@ __all__ = [
     "warp_file",
 ]
 
-# Where each name is. They are loaded when they are asked for: compilers and image libraries take their time.
+# Where each name is. They are loaded when they are asked for: image libraries and engines take their time.
 _HOMES = {
     "Deformation": "deformation",
     "DeviceWarning": "errors",

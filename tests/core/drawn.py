@@ -67,7 +67,9 @@ def places(d: Deformation, count: int, seed: int = 0) -> Floats:
     points = rng.uniform(0, 1, (count, d.ndim)) * size
     beside, faces = slice(0, count // 4), slice(count // 4, count // 2)
     points[beside] = rng.uniform(-0.5, 1.5, points[beside].shape) * (size + 1)
-    points[faces] = np.where(rng.uniform(size=points[faces].shape) < 0.4, np.rint(points[faces] / size.clip(1)) * size, points[faces])
+    points[faces] = np.where(
+        rng.uniform(size=points[faces].shape) < 0.4, np.rint(points[faces] / size.clip(1)) * size, points[faces]
+    )
     return points
 
 
@@ -97,9 +99,7 @@ def sampling(frames: Array, out: Array, **how: Any) -> _core.Sampling:
     return sampling_of(frames, out, len(frames), **{**options, **how})
 
 
-def in_a_process(
-    program: str, *, timeout: float = 120, **environment: str
-) -> subprocess.CompletedProcess[str]:
+def in_a_process(program: str, *, timeout: float = 120, **environment: str) -> subprocess.CompletedProcess[str]:
     """Run a program, to which this package and these tests are known."""
     here = Path(__file__).parent
     path = os.pathsep.join([str(Path(_core.__path__[0]).parent.parent), str(here.parent), str(here)])

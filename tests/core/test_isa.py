@@ -29,7 +29,8 @@ made = {"isa": np.array(_core.isa)}
 for shape in ((70, 90), (6, 40, 50)):
     n = len(shape)
     d = Deformation(shape, border=12.0)
-    d = d.grab((30, 20, 3)[:n], by=(6, -4, 1)[:n], radius=12).grab((40, 35, 2)[:n], by=(3, 2, -1)[:n], radius=6, reach=3)
+    d = d.grab((30, 20, 3)[:n], by=(6, -4, 1)[:n], radius=12)
+    d = d.grab((40, 35, 2)[:n], by=(3, 2, -1)[:n], radius=6, reach=3)
     rows, q = numbers(d._table), np.zeros((501, 3))
     q[:, :n] = rng.uniform(-5, 60, (501, n))
     made[f"moved {n}"], made[f"slopes {n}"] = _core.forward(rows, d._axes, q, True)
@@ -37,10 +38,12 @@ for shape in ((70, 90), (6, 40, 50)):
     made[f"map {n}"] = d.inverse_map(tolerance=1e-3).astype(np.float64)
     for dtype in ("u1", "f4", "f8"):
         for channels in (1, 3, 4):
-            source = rng.integers(0, 256, (*shape, channels)).astype(dtype)
+            source = rng.integers(0, 256, (*shape, channels))
+            source = source.astype(dtype) if dtype == "u1" else (source / 255).astype(dtype)
             for name in ("nearest", "linear", "cubic", "auto"):
                 made[f"{dtype} {channels} {name} {n}"] = d.warp(source, filter=name, alpha=False).astype(np.float64)
-            made[f"{dtype} {channels} light {n}"] = d.warp(source, linear_light=True, alpha=channels == 4).astype(np.float64)
+            lit = d.warp(source, linear_light=True, alpha=False)
+            made[f"{dtype} {channels} light {n}"] = lit.astype(np.float64)
 np.savez(sys.argv[1], **made)
 """
 

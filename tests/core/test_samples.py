@@ -148,7 +148,13 @@ def frames(d: Deformation, source: Array, **how: Any) -> None:
 @pytest.mark.parametrize("averaged", [False, True])
 def test_frames(kind: str, between: str, averaged: bool) -> None:
     for (name, dtype, channels), outside in zip(
-        [("auto", "u1", (3,)), ("cubic", "f4", ()), ("linear", "u2", (1,)), ("auto", "f8", (2,)), ("linear", "f4", (5,))],
+        [
+            ("auto", "u1", (3,)),
+            ("cubic", "f4", ()),
+            ("linear", "u2", (1,)),
+            ("auto", "f8", (2,)),
+            ("linear", "f4", (5,)),
+        ],
         itertools.cycle(RULES),
     ):
         how: dict[str, Any] = {"filter": name, "between": between, "outside": outside, "time_filter": averaged}
@@ -182,7 +188,9 @@ def test_opacity_and_light_of_frames(outside: str) -> None:
 def test_any_strokes_and_shapes(d: Deformation, dtype: str, channels: int, filter: str, outside: str) -> None:
     """Of smooth pictures: what is near fold limits is too steep for noise to be told apart."""
     y, x = np.indices(d.shape)
-    wave = 0.5 + 0.4 * np.sin(x / 5 + 1)[..., None] * np.cos(y / 4 + np.arange(channels)[:, None, None]).transpose(1, 2, 0)
+    wave = 0.5 + 0.4 * np.sin(x / 5 + 1)[..., None] * np.cos(y / 4 + np.arange(channels)[:, None, None]).transpose(
+        1, 2, 0
+    )
     source = (wave * reference.opaque(dtype)).astype(dtype)
     found = d.warp(source, filter=filter, outside=outside, alpha=False, tolerance=1e-4)
     expected = reference.warp(source, slow(d), d.domain, filter=filter, outside=outside, alpha=False)
@@ -251,7 +259,12 @@ def test_what_a_sampling_is_given_is_checked() -> None:
 
 def boxes(shape: tuple[int, int], seed: int, count: int = 6) -> list[tuple[int, int, int, int]]:
     rng, (height, width) = np.random.default_rng(seed), shape
-    made = [(0, width, 0, height), (0, 1, 0, 1), (width - 1, width, height - 1, height), (0, width, height // 2, height // 2 + 1)]
+    made = [
+        (0, width, 0, height),
+        (0, 1, 0, 1),
+        (width - 1, width, height - 1, height),
+        (0, width, height // 2, height // 2 + 1),
+    ]
     for _ in range(count):
         x, y = sorted(rng.integers(0, width + 1, 2).tolist()), sorted(rng.integers(0, height + 1, 2).tolist())
         made.append((x[0], x[1], y[0], y[1]))
@@ -362,14 +375,20 @@ def strange(dtype: str, shape: tuple[int, ...]) -> Array:
     raw = np.random.default_rng(2).integers(0, 256, int(np.prod(shape)) * kind.itemsize, np.uint8)
     made = (raw & 1 if kind == np.bool_ else raw).view(kind).reshape(shape)
     if kind.kind == "f":
-        made[..., ::5] = np.array(["nan", "-inf", "inf", "-0.0"], kind)[np.random.default_rng(3).integers(0, 4, made[..., ::5].shape)]
+        made[..., ::5] = np.array(["nan", "-inf", "inf", "-0.0"], kind)[
+            np.random.default_rng(3).integers(0, 4, made[..., ::5].shape)
+        ]
     return made
 
 
 @pytest.mark.parametrize("dtype", [*DTYPES, ">u2", ">f4"])
 @pytest.mark.parametrize("filter", FILTERS)
 def test_what_no_stroke_reaches_keeps_every_bit(dtype: str, filter: str) -> None:
-    for d in (bent("local"), clip("local"), Deformation(SHAPE, border=None).grab((3, 33), by=(1, 1), radius=2, reach=3.0)):
+    for d in (
+        bent("local"),
+        clip("local"),
+        Deformation(SHAPE, border=None).grab((3, 33), by=(1, 1), radius=2, reach=3.0),
+    ):
         away = ~reference.reached(d.strokes, d.domain, reference.grid(d.shape))
         assert 0.1 < away.mean() < 0.99
         for channels, alpha in ((1, False), (3, False), (4, True), (6, False)):

@@ -146,6 +146,12 @@ void bind_points(nb::module_& m) {
 
 NB_MODULE(SUPPLE_MODULE, m) {
     supple::interrupted = supple::python_interrupts;
+    nb::register_exception_translator([](const std::exception_ptr& p, void*) {
+        try {
+            std::rethrow_exception(p);
+        } catch (const supple::Interrupted&) {
+        }  // what Python was interrupted with is set already
+    });
     m.def("threads", &supple::threads, "Return how many threads work at once.");
     supple::bind_points(m);
     supple::bind_plans(m);

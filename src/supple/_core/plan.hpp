@@ -22,7 +22,7 @@ namespace supple {
 constexpr int ROOT = 32;        // pixels along the side of a root cell
 constexpr int SMALL = 4;        // a cell of so many pixels is split into single ones at once
 constexpr int BAND = 4;         // rows of roots that are solved one after the other, each from the last
-constexpr double RESERVE = 1.5; // nine points do not see quite the worst of a cell
+constexpr double RESERVE = 1.75; // nine points do not see quite the worst of a cell
 constexpr int STRIDE = 48;      // pixels of a row of a root, and room for whole vectors
 
 // Samples that lie `step` pixels apart, the first at `offset`; `size` of them: the pixels themselves, or chroma.
@@ -46,6 +46,7 @@ template <int D> struct Row {
     float depth2[STRIDE];                     // |∂p_z/∂q|²
     bool same[STRIDE];                        // outside the ball of every stroke
     bool some_same, idle;                     // whether any is; whether nothing is known, as all are
+    int count;                                // of the samples of its root
 };
 
 // A bicubic patch: coordinate k at (s, t) from (x, y) is anchor[k] + Σ c[k][4j + i] sⁱ tʲ.
@@ -676,6 +677,7 @@ void Plan<D>::each_row(const Grid& grid, int root_row, const int (&box)[4], bool
                 int to = rightmost ? grid.size[0] : grid.from(0, leaf.x + leaf.w);
                 if (from < to) fill(leaf, grid, y, from, to, left, slopes, row);
             }
+            row.count = right - left;
             mark(root, index, grid, left, y, right - left, row);
             use(row, a, y, b - a, a - left);
         }

@@ -155,6 +155,27 @@ template <class N> struct Mix {
     N constant;
 };
 
+// Call use(taps, row) with the samples from `place` on, which all lie within the frames.
+template <class N, int C, bool SEVERAL, class T, class Use>
+INLINE Pixel<N> within(const Frames<T>& f, const Mix<N>& mix, ptrdiff_t place, Use use) {
+    if constexpr (!SEVERAL) return use(One<T>{f.at[0] + place}, f.row);
+    Pixel<N> v;
+    if (mix.n == 2)
+        v = use(Two<N, T>{f.at[mix.first] + place, f.at[mix.first + 1] + place, mix.weight[0], mix.weight[1]}, f.row);
+    else if (mix.n == 1) {
+        v = use(One<T>{f.at[mix.first] + place}, f.row);
+        if (mix.constant == 0) return v;
+        v = v * mix.weight[0];
+    } else
+        v = use(Many<N, T>{f.at + mix.first, mix.weight, mix.n, place}, f.row);
+    if (mix.constant != 0) {
+        N all[4] = {};
+        for (int c = 0; c < C; c++) all[c] = mix.constant * (N)f.fill[c];
+        v += load<N, 4>(all);
+    }
+    return v;
+}
+
 // Call use(taps, row) with the samples around (x, y), of which it needs LEFT before it and RIGHT after it on each axis.
 template <class N, int C, int LEFT, int RIGHT, bool SEVERAL, class T, class Use>
 INLINE Pixel<N> around(const Frames<T>& f, const Mix<N>& mix, int x, int y, Use use) {
@@ -162,24 +183,7 @@ INLINE Pixel<N> around(const Frames<T>& f, const Mix<N>& mix, int x, int y, Use 
     ptrdiff_t place = (ptrdiff_t)y * f.row + (ptrdiff_t)x * C;
     bool inside = x >= LEFT && x < f.w - RIGHT && y >= LEFT && y < f.h - RIGHT &&
                   place + RIGHT * f.row - LEFT * C + reading <= f.limit;
-    if (__builtin_expect(inside && mix.n > 0, 1)) {
-        Pixel<N> v;
-        if (!SEVERAL || mix.n == 1) {
-            v = use(One<T>{f.at[mix.first] + place}, f.row);
-            if (!SEVERAL) return v;
-            if (mix.constant == 0) return v;
-            v = v * mix.weight[0];
-        } else if (mix.n == 2)
-            v = use(Two<N, T>{f.at[mix.first] + place, f.at[mix.first + 1] + place, mix.weight[0], mix.weight[1]}, f.row);
-        else
-            v = use(Many<N, T>{f.at + mix.first, mix.weight, mix.n, place}, f.row);
-        if (mix.constant != 0) {
-            N all[4] = {};
-            for (int c = 0; c < C; c++) all[c] = mix.constant * (N)f.fill[c];
-            v += load<N, 4>(all);
-        }
-        return v;
-    }
+    if (__builtin_expect(inside && mix.n > 0, 1)) return within<N, C, SEVERAL>(f, mix, place, use);
     N own[PATCH * (WINDOW + 1)] = {};
     gather<N, C>(f, mix, x, y, own);
     return use(One<N>{own + PATCH + C}, (ptrdiff_t)PATCH);
@@ -220,12 +224,13 @@ struct Prints {
     float left[WINDOW][STRIDE], right[WINDOW][STRIDE]; // weights of rows for the left and the right points
     bool any;
 
-    template <int D> void find(const Row<D>& row, int at, int n);
+    // Of all of a root's row, whatever box is wanted of it: loops of other lengths may round otherwise.
+    template <int D> void find(const Row<D>& row);
 };
 
-template <int D> inline void Prints::find(const Row<D>& row, int from, int n) {
-    int some = 0;
-    const float *ax = row.across[0] + from, *ay = row.across[1] + from, *dx = row.down[0] + from, *dy = row.down[1] + from;
+template <int D> inline void Prints::find(const Row<D>& row) {
+    int some = 0, n = row.count;
+    const float *ax = row.across[0], *ay = row.across[1], *dx = row.down[0], *dy = row.down[1];
     for (int i = 0; i < n; i++) {
         float sxx = ax[i] * ax[i] + dx[i] * dx[i], sxy = ax[i] * ay[i] + dx[i] * dy[i];
         float syy = ay[i] * ay[i] + dy[i] * dy[i];
@@ -237,8 +242,8 @@ template <int D> inline void Prints::find(const Row<D>& row, int from, int n) {
     }
     any = some;
     if (!some) return;
-    const float *part_x = row.part[0] + from, *part_y = row.part[1] + from;
-    const int *whole_x = row.whole[0] + from, *whole_y = row.whole[1] + from;
+    const float *part_x = row.part[0], *part_y = row.part[1];
+    const int *whole_x = row.whole[0], *whole_y = row.whole[1];
     for (int i = 0; i < n; i++) {
         float h = 0.5f * (xx[i] + yy[i]), e = 0.5f * (xx[i] - yy[i]), d = __builtin_sqrtf(e * e + xy[i] * xy[i]);
         float alpha = h + d - 1, beta = h - d - 1;
@@ -254,6 +259,7 @@ template <int D> inline void Prints::find(const Row<D>& row, int from, int n) {
         sx = sx < WIDEST_SPOT ? sx : WIDEST_SPOT;
         sy = sy < WIDEST_SPOT ? sy : WIDEST_SPOT;
         float rho = cov / (sx * sy + 1e-12f);
+        rho = rho < -1 ? -1 : rho > 1 ? 1 : rho; // rounding, where a variance is next to nothing
         // Both points lie in a window of 5 × 5 from the first one's.
         float x0 = part_x[i] - sx, x1 = part_x[i] + sx, y0 = part_y[i] - sy, y1 = part_y[i] + sy;
         int before_x = x0 < 0, after_x = x1 >= 1, before_y = y0 < 0, after_y = y1 >= 1;
@@ -294,7 +300,7 @@ template <class N> struct Pyramid {
 template <class N, int C, bool SEVERAL, class T>
 INLINE Pixel<N> spot(const Frames<T>& f, const Mix<N>& mix, N x, N y, N xx, N xy, N yy) {
     N sx = std::min(N(sqrt(xx / 12)), N(WIDEST_SPOT)), sy = std::min(N(sqrt(yy / 12)), N(WIDEST_SPOT));
-    N rho = xy / 12 / (sx * sy + N(1e-12));
+    N rho = std::clamp(xy / 12 / (sx * sy + N(1e-12)), N(-1), N(1));
     N x0 = floored(x - sx), x1 = floored(x + sx), y0 = floored(y - sy), y1 = floored(y + sy);
     N left[WINDOW] = {}, right[WINDOW] = {};
     for (int point = 0; point < 2; point++) {
@@ -395,11 +401,11 @@ INLINE void each_place(const Frames<T>& given, const int* x, const int* y, int n
     const Frames<T> f = given;
     Places places;
     places.find<LEFT, RIGHT, C>(f, x, y, n);
-    if (!SEVERAL && places.inside) {
-        const T* at = f.at[0];
-        const ptrdiff_t row = f.row;
-        for (int i = 0; i < n; i++) put(i, kernel(One<T>{at + places.at[i]}, row, i));
-        return;
+    for (int i = 0; places.inside && i < n; i++) {
+        Mix<N> mix = mix_of(i);
+        if (SEVERAL && mix.n == 0) break; // a constant only
+        put(i, within<N, C, SEVERAL>(f, mix, places.at[i], [&](auto taps, ptrdiff_t row) INLINE_LAMBDA { return kernel(taps, row, i); }));
+        if (i == n - 1) return;
     }
     for (int i = 0; i < n; i++)
         put(i, around<N, C, LEFT, RIGHT, SEVERAL>(f, mix_of(i), x[i], y[i], [&](auto taps, ptrdiff_t row) INLINE_LAMBDA { return kernel(taps, row, i); }));
@@ -426,27 +432,29 @@ NOINLINE void spots_row(const Frames<T>& given, const Pyramid<N>& pyramid, const
     const float *fx = row.part[0] + from, *fy = row.part[1] + from;
     Places places;
     places.find<2, 3, C>(f, x, y, n);
-    const bool inside = !SEVERAL && places.inside;
     for (int i = 0; i < n; i++) {
+        const int k = from + i; // of its footprint
+        const Mix<N> mix = mix_of(i);
+        const bool inside = places.inside && (!SEVERAL || mix.n > 0);
         auto cubic = [&](auto taps, ptrdiff_t r) INLINE_LAMBDA { return cubic_at<N, C>(taps, r, (N)fx[i], (N)fy[i]); };
         auto spot = [&](auto taps, ptrdiff_t r) INLINE_LAMBDA {
-            Across<N> across{(N)prints.first[i], (N)prints.second[i], prints.shift[i]};
+            Across<N> across{(N)prints.first[k], (N)prints.second[k], prints.shift[k]};
             if constexpr (sizeof(N) == sizeof(float))
-                return spot_at<N, C, STRIDE>(taps, r, across, &prints.left[0][i], &prints.right[0][i]);
+                return spot_at<N, C, STRIDE>(taps, r, across, &prints.left[0][k], &prints.right[0][k]);
             else {
                 N left[WINDOW], right[WINDOW];
-                for (int j = 0; j < WINDOW; j++) left[j] = prints.left[j][i], right[j] = prints.right[j][i];
+                for (int j = 0; j < WINDOW; j++) left[j] = prints.left[j][k], right[j] = prints.right[j][k];
                 return spot_at<N, C, 1>(taps, r, across, left, right);
             }
         };
-        if (prints.kind[i] == Prints::PLAIN)
-            put(i, inside ? cubic(One<T>{f.at[0] + places.at[i]}, f.row) : around<N, C, 1, 2, SEVERAL>(f, mix_of(i), x[i], y[i], cubic));
-        else if (prints.kind[i] == Prints::SPOT)
-            put(i, inside ? spot(One<T>{f.at[0] + prints.y[i] * f.row + prints.x[i] * C}, f.row)
-                          : around<N, C, 1, 3, SEVERAL>(f, mix_of(i), prints.x[i], prints.y[i], spot));
+        if (prints.kind[k] == Prints::PLAIN)
+            put(i, inside ? within<N, C, SEVERAL>(f, mix, places.at[i], cubic) : around<N, C, 1, 2, SEVERAL>(f, mix, x[i], y[i], cubic));
+        else if (prints.kind[k] == Prints::SPOT)
+            put(i, inside ? within<N, C, SEVERAL>(f, mix, prints.y[k] * f.row + prints.x[k] * C, spot)
+                          : around<N, C, 1, 3, SEVERAL>(f, mix, prints.x[k], prints.y[k], spot));
         else
-            put(i, wide<N, C, SEVERAL>(f, pyramid, mix_of(i), (N)x[i] + (N)fx[i], (N)y[i] + (N)fy[i], (N)prints.xx[i],
-                                       (N)prints.xy[i], (N)prints.yy[i]));
+            put(i, wide<N, C, SEVERAL>(f, pyramid, mix, (N)x[i] + (N)fx[i], (N)y[i] + (N)fy[i], (N)prints.xx[k],
+                                       (N)prints.xy[k], (N)prints.yy[k]));
     }
 }
 

@@ -316,9 +316,15 @@ template <class N, int D> struct Mixing {
     int from;
     N* weight;
     const void* const* frames; // of the span; null: constant
+    bool pairs;                // all that a row needs are two frames of the span, linearly
     INLINE Mix<N> operator()(int i) const {
         if constexpr (D == 2) return {0, 1, weight, 0};
-        else {
+        else if (pairs) {
+            N f = (N)row.part[2][from + i];
+            weight[0] = 1 - f;
+            weight[1] = f;
+            return {row.whole[2][from + i] - span.first, f == 0 ? 1 : 2, weight, 0};
+        } else {
             double t = row.whole[2][from + i] + (double)row.part[2][from + i], width = 0;
             if (job.average) {
                 double d2 = row.depth2[from + i] - 1.0;
@@ -339,6 +345,24 @@ template <class N, int D> struct Mixing {
         }
     }
 };
+
+// Whether two frames of a span, all of which are there, are all that each of n samples of a row needs.
+template <int D>
+INLINE bool takes_pairs(const Job& job, Span span, const Row<D>& row, int from, int n, const void* const* frames) {
+    if constexpr (D == 2) return false;
+    else {
+        if (job.between != BETWEEN_LINEAR || job.average) return false;
+        int first = row.whole[2][from], last = first;
+        for (int i = 0; i < n; i++) {
+            first = std::min(first, row.whole[2][from + i]);
+            last = std::max(last, row.whole[2][from + i]);
+        }
+        if (first < span.first || last + 1 > span.last) return false;
+        for (int k = first; k <= last + 1; k++)
+            if (!frames[k - span.first]) return false;
+        return true;
+    }
+}
 
 INLINE void copy_same(const Job& job, const char* frame, int x, int y, int n, const bool* same) {
     ptrdiff_t size = job.pixel_bytes(), at = ((ptrdiff_t)y * job.w + x) * size, to = ((ptrdiff_t)y * job.grid.size[0] + x) * size;
@@ -420,8 +444,9 @@ template <class T, int C, int D> void sample_direct(const Plan<D>& plan, const J
         plan.each_row(job.grid, j, job.box, job.filter == AUTO || job.average, [&](const Row<D>& row, int x, int y, int n, int at) {
             const char* own = own_frame(plan, job);
             if (row.idle) return copy_same(job, own, x, y, n, nullptr);
-            if (job.filter == AUTO) prints.find(row, at, n);
-            Mixing<float, D> mixing{job, span, row, at, weight, (const void* const*)frames.data()};
+            if (job.filter == AUTO) prints.find(row);
+            const void* const* all = (const void* const*)frames.data();
+            Mixing<float, D> mixing{job, span, row, at, weight, all, takes_pairs(job, span, row, at, n, all)};
             Putting<C, T> put{(T*)job.out + ((ptrdiff_t)y * job.grid.size[0] + x) * C, n, high};
             sample_row<float, C, D == 3>(source, averages.pyramid, job.filter, row, prints, at, n, mixing, put);
             if (row.some_same) copy_same(job, own, x, y, n, row.same + at);
@@ -478,8 +503,9 @@ template <class N, int C, int D> void sample_converted(const Plan<D>& plan, cons
                     Span frame_span = span;
                     Averages<N>* levels = &averages;
                     plan.each_row(job.grid, j, wanted, job.filter == AUTO || job.average, [&](const Row<D>& row, int x, int y, int n, int at) {
-                        if (job.filter == AUTO) prints.find(row, at, n);
-                        Mixing<N, D> mixing{job, frame_span, row, at, weight, (const void* const*)frames.data()};
+                        if (job.filter == AUTO) prints.find(row);
+                        const void* const* all = (const void* const*)frames.data();
+                        Mixing<N, D> mixing{job, frame_span, row, at, weight, all, takes_pairs(job, frame_span, row, at, n, all)};
                         Pyramid<N> pyramid = shifted(levels->pyramid, frame_span.first - whole.first);
                         sample_row<N, C, D == 3>(source, pyramid, job.filter, row, prints, at, n, mixing, [&](int i, Pixel<N> v) INLINE_LAMBDA { values[i] = v; });
                         char* to = job.out + ((ptrdiff_t)y * job.grid.size[0] + x) * job.pixel_bytes();
