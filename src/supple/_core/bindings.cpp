@@ -1,5 +1,6 @@
 // What Python sees of the core: the module, and points.
 #include "bindings.hpp"
+
 #include "paper.hpp"
 
 namespace supple {
@@ -15,9 +16,10 @@ nb::object owned(std::vector<double>* made, std::initializer_list<size_t> shape)
     return nb::cast(nb::ndarray<nb::numpy, double>(made->data(), shape, owner));
 }
 
-constexpr size_t TOGETHER = 1024; // points that a thread takes at once
+constexpr size_t TOGETHER = 1024;  // points that a thread takes at once
 
-template <class F> void each_batch(size_t count, F body) {
+template <class F>
+void each_batch(size_t count, F body) {
     parallel((int)((count + TOGETHER - 1) / TOGETHER), [&](int item, int) {
         size_t first = (size_t)item * TOGETHER, end = std::min(first + TOGETHER, count);
         for (size_t i = first; i < end; i += LANES) body(i, (int)std::min<size_t>(LANES, end - i));
@@ -42,8 +44,10 @@ nb::object forward(const Doubles& table, const Doubles& rows, const Doubles& poi
             Lanes x[3], t[3][3];
             for (int l = 0; l < LANES; l++)
                 for (int d = 0; d < 3; d++) x[d][l] = from[3 * (start + std::min(l, n - 1)) + d];
-            if (jacobian) apply<3>(chain, axes.data(), x, t);
-            else apply<3>(chain, axes.data(), x);
+            if (jacobian)
+                apply<3>(chain, axes.data(), x, t);
+            else
+                apply<3>(chain, axes.data(), x);
             for (int l = 0; l < n; l++)
                 for (int d = 0; d < 3; d++) {
                     (*moved)[3 * (start + l) + d] = x[d][l];
@@ -84,8 +88,8 @@ nb::object inverse(const Doubles& table, const Doubles& rows, const Doubles& tar
     std::vector<Stroke> strokes = strokes_of(table, axes.data());
     if (targets.shape(1) != 3) throw nb::value_error("targets must have the shape (N, 3)");
     size_t count = targets.shape(0);
-    auto *points = new std::vector<double>(targets.data(), targets.data() + 3 * count), *residual = new std::vector<double>(count),
-         *steps = new std::vector<double>(count);
+    auto *points = new std::vector<double>(targets.data(), targets.data() + 3 * count),
+         *residual = new std::vector<double>(count), *steps = new std::vector<double>(count);
     nb::object made = nb::make_tuple(owned(points, {count, 3}), owned(residual, {count}), owned(steps, {count}));
     const double* from = targets.data();
     unlocked([&] {
@@ -100,8 +104,8 @@ typedef nb::ndarray<int64_t, nb::ndim<2>, nb::c_contig, nb::device::cpu> Counts;
 typedef nb::ndarray<double, nb::ndim<2>, nb::c_contig, nb::device::cpu> Residuals;
 
 template <int D>
-void invert_row(const std::vector<Stroke>& strokes, const Axis* axes, double z, int every, const Published& how, int y, int width, float* points,
-                int64_t* counts, double* residual) {
+void invert_row(const std::vector<Stroke>& strokes, const Axis* axes, double z, int every, const Published& how, int y,
+                int width, float* points, int64_t* counts, double* residual) {
     for (int x = 0; x < width; x++) {
         double p[3] = {x * every * axes[0].spacing, y * every * axes[1].spacing, z * axes[2].spacing};
         int count;
@@ -111,14 +115,14 @@ void invert_row(const std::vector<Stroke>& strokes, const Axis* axes, double z, 
     }
 }
 
-void published(const Doubles& table, const Doubles& rows, double z, int every, double mu, double tolerance, int limit, bool corrected, Map points,
-               Counts counts, Residuals residual) {
+void published(const Doubles& table, const Doubles& rows, double z, int every, double mu, double tolerance, int limit,
+               bool corrected, Map points, Counts counts, Residuals residual) {
     Axes axes = axes_of(rows);
     std::vector<Stroke> strokes = strokes_of(table, axes.data());
     Published how{mu, tolerance, limit, corrected};
     int height = (int)points.shape(0), width = (int)points.shape(1), ndim = (int)points.shape(2);
-    if (counts.shape(0) != points.shape(0) || counts.shape(1) != points.shape(1) || residual.shape(0) != points.shape(0) ||
-        residual.shape(1) != points.shape(1) || ndim < 2 || ndim > 3)
+    if (counts.shape(0) != points.shape(0) || counts.shape(1) != points.shape(1) ||
+        residual.shape(0) != points.shape(0) || residual.shape(1) != points.shape(1) || ndim < 2 || ndim > 3)
         throw nb::value_error("points, counts and residual must be of one shape");
     float* to = points.data();
     int64_t* n = counts.data();
@@ -126,7 +130,8 @@ void published(const Doubles& table, const Doubles& rows, double z, int every, d
     unlocked([&] {
         parallel(height, [&](int y, int) {
             auto run = ndim == 2 ? invert_row<2> : invert_row<3>;
-            run(strokes, axes.data(), z, every, how, y, width, to + (size_t)y * width * ndim, n + (size_t)y * width, r + (size_t)y * width);
+            run(strokes, axes.data(), z, every, how, y, width, to + (size_t)y * width * ndim, n + (size_t)y * width,
+                r + (size_t)y * width);
         });
     });
 }
@@ -138,8 +143,9 @@ void bind_points(nb::module_& m) {
           "Return T of points (N, 3), in physical units, and ∂T/∂p (N, 3, 3) or None.");
     m.def("inverse", &inverse, "strokes"_a, "axes"_a, "targets"_a, "ndim"_a, "tolerance"_a,
           "Return T⁻¹ of points (N, 3), the residuals |T(p) - q| and the evaluations of T, in physical units.");
-    m.def("invert_as_published", &published, "strokes"_a, "axes"_a, "z"_a, "every"_a, "mu"_a, "tolerance"_a, "limit"_a, "corrected"_a,
-          "points"_a.noconvert(), "counts"_a.noconvert(), "residual"_a.noconvert(), "Invert every pixel by the published method.");
+    m.def("invert_as_published", &published, "strokes"_a, "axes"_a, "z"_a, "every"_a, "mu"_a, "tolerance"_a, "limit"_a,
+          "corrected"_a, "points"_a.noconvert(), "counts"_a.noconvert(), "residual"_a.noconvert(),
+          "Invert every pixel by the published method.");
 }
 
 }  // namespace supple

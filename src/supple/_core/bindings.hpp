@@ -23,7 +23,8 @@ inline std::vector<Stroke> strokes_of(const Doubles& rows, const Axis* axes) {
 }
 
 // Do work without Python's lock; what Python was interrupted with goes on.
-template <class F> auto unlocked(F&& work) {
+template <class F>
+auto unlocked(F&& work) {
     try {
         nb::gil_scoped_release release;
         return work();

@@ -20,9 +20,9 @@ namespace supple {
 struct Stroke {
     double pivot[3], force[3], radius2[3], p[3], q[3], r[3];
     int64_t terms;
-    double reach;     // R, or infinity
-    double per_reach; // 1/R, or 0
-    bool inner;       // the ball of its reach touches no fixed border: β is 1 in all of it
+    double reach;      // R, or infinity
+    double per_reach;  // 1/R, or 0
+    bool inner;        // the ball of its reach touches no fixed border: β is 1 in all of it
 };
 
 enum Profile : int64_t { QUARTIC = 0, SINE = 1 };
@@ -36,7 +36,8 @@ struct Axis {
 };
 
 // sin(x) on [0, π/2] by its Taylor series, to the last bit; it vectorizes, which the library's does not.
-template <class V> INLINE V sine(V x) {
+template <class V>
+INLINE V sine(V x) {
     V t = x * x, y = splat<V>(-1.9572941063391263e-20);
     y = y * t + 8.2206352466243295e-18;
     y = y * t - 2.8114572543455206e-15;
@@ -51,7 +52,8 @@ template <class V> INLINE V sine(V x) {
 }
 
 // β of a coordinate within the domain, and its first and second derivative, as far as ORDER asks.
-template <int ORDER, class V> INLINE void fade(V x, const Axis& a, V* b) {
+template <int ORDER, class V>
+INLINE void fade(V x, const Axis& a, V* b) {
     const V one = splat<V>(1.0);
     if (!(a.sigma > 0)) {
         for (int i = 0; i <= ORDER; i++) b[i] = i == 0 && a.sigma < 0 ? one : V{};
@@ -71,19 +73,22 @@ template <int ORDER, class V> INLINE void fade(V x, const Axis& a, V* b) {
     }
 }
 
-template <int D, class V> INLINE V dot(const V* a, const V* b) {
+template <int D, class V>
+INLINE V dot(const V* a, const V* b) {
     V s = a[0] * b[0];
     for (int i = 1; i < D; i++) s += a[i] * b[i];
     return s;
 }
 
 // A, B and their derivatives: A[1] = 2A', A[2] = 4A''.
-template <class V> struct Radial {
+template <class V>
+struct Radial {
     V A[3], B[3];
 };
 
 // The radial profiles of a stroke at s = |r|².
-template <int ORDER, class V> INLINE Radial<V> radial(const Stroke& k, V s) {
+template <int ORDER, class V>
+INLINE Radial<V> radial(const Stroke& k, V s) {
     Radial<V> f{};
     for (int i = 0; i < k.terms; i++) {
         V v = 1.0 / root(V(s + k.radius2[i])), v2 = v * v, v3 = v * v2;
@@ -120,7 +125,8 @@ template <int ORDER, class V> INLINE Radial<V> radial(const Stroke& k, V s) {
 }
 
 // What a jet carries through the chain beside the point x: tangents t[j] = ∂x/∂u_j and, if MIXED, ∂²x/∂u₀∂u₁.
-template <int D, int TANGENTS, bool MIXED, class V> struct Jet {
+template <int D, int TANGENTS, bool MIXED, class V>
+struct Jet {
     V x[D];
     V t[TANGENTS > 0 ? TANGENTS : 1][D];
     V mixed[MIXED ? D : 1];
@@ -194,7 +200,8 @@ INLINE V carry(const Stroke& k, const Axis* axes, Jet<D, TANGENTS, MIXED, V>& je
 }
 
 // T of points alone.
-template <int D, class V> INLINE void move(const Stroke& k, const Axis* axes, V* x) {
+template <int D, class V>
+INLINE void move(const Stroke& k, const Axis* axes, V* x) {
     Jet<D, 0, false, V> jet;
     for (int i = 0; i < D; i++) jet.x[i] = x[i];
     carry(k, axes, jet);
@@ -202,14 +209,16 @@ template <int D, class V> INLINE void move(const Stroke& k, const Axis* axes, V*
 }
 
 // The inverse of the matrix whose columns are t, as columns again.
-template <class V> INLINE void invert(const V (*t)[2], V (*m)[2]) {
+template <class V>
+INLINE void invert(const V (*t)[2], V (*m)[2]) {
     V d = 1.0 / (t[0][0] * t[1][1] - t[1][0] * t[0][1]);
     m[0][0] = t[1][1] * d;
     m[0][1] = -t[0][1] * d;
     m[1][0] = -t[1][0] * d;
     m[1][1] = t[0][0] * d;
 }
-template <class V> INLINE void invert(const V (*t)[3], V (*m)[3]) {
+template <class V>
+INLINE void invert(const V (*t)[3], V (*m)[3]) {
     V c[3][3];  // the adjugate
     for (int i = 0; i < 3; i++)
         for (int j = 0; j < 3; j++) {
@@ -221,7 +230,8 @@ template <class V> INLINE void invert(const V (*t)[3], V (*m)[3]) {
         for (int j = 0; j < 3; j++) m[i][j] = c[i][j] * d;
 }
 // Component i of the matrix with the columns t, times x.
-template <int D, class V> INLINE V times(const V (*t)[D], const V* x, int i) {
+template <int D, class V>
+INLINE V times(const V (*t)[D], const V* x, int i) {
     V s = t[0][i] * x[0];
     for (int j = 1; j < D; j++) s += t[j][i] * x[j];
     return s;

@@ -20,7 +20,8 @@ struct Chain {
 
 // A point p with T(p) = q, the columns of (∂T/∂p)⁻¹ there, how often T was evaluated with its Jacobian, and which
 // lanes converged.
-template <int D, class V> struct Solution {
+template <int D, class V>
+struct Solution {
     V p[D];
     V m[D][D];
     V steps;
@@ -28,18 +29,21 @@ template <int D, class V> struct Solution {
 };
 
 // A coordinate where a face is fixed: the face maps to itself, and nothing crosses it.
-template <class V> INLINE V kept_inside(V x, V q, const Axis& a) {
+template <class V>
+INLINE V kept_inside(V x, V q, const Axis& a) {
     if (!a.fixed()) return x;
     V extent = splat<V>(a.extent);
     V kept = choose(q <= 0.0, q, V(least(most(x, V{}), extent)));
     return choose(q >= extent, q, kept);
 }
 
-template <int D, class V> INLINE void apply(const Chain& chain, const Axis* axes, V* x) {
+template <int D, class V>
+INLINE void apply(const Chain& chain, const Axis* axes, V* x) {
     for (int k = 0; k < chain.count; k++) move<D>(chain[k], axes, x);
 }
 // T and its Jacobian, as columns t.
-template <int D, class V> INLINE void apply(const Chain& chain, const Axis* axes, V* x, V (*t)[D]) {
+template <int D, class V>
+INLINE void apply(const Chain& chain, const Axis* axes, V* x, V (*t)[D]) {
     Jet<D, D, false, V> jet;
     for (int i = 0; i < D; i++) {
         jet.x[i] = x[i];
@@ -93,15 +97,13 @@ INLINE void newton(const Chain& chain, const Axis* axes, const V* q, double tole
         if (!any(without(part > SHORTEST, done))) break;
     }
     // The step that was short enough to end with is known, and taken.
-    for (int i = 0; i < D; i++)
-        found.p[i] = kept_inside(choose(done, V(base[i] + step[i]), base[i]), q[i], axes[i]);
+    for (int i = 0; i < D; i++) found.p[i] = kept_inside(choose(done, V(base[i] + step[i]), base[i]), q[i], axes[i]);
     found.done = done;
 }
 
 // Solve one stroke at one point by following T⁻¹ along the straight line from T(q) to q; false if it was lost.
 template <int D>
-NOINLINE bool follow(const Chain& one, const Axis* axes, const double* q, double tolerance, double* p,
-                     double& steps) {
+NOINLINE bool follow(const Chain& one, const Axis* axes, const double* q, double tolerance, double* p, double& steps) {
     double start[D], here[D];
     for (int i = 0; i < D; i++) start[i] = here[i] = q[i];
     apply<D>(one, axes, start);

@@ -24,7 +24,8 @@ struct Published {
 
 // Invert all strokes at one point q, in physical units; returns |T(p) - q| of the first stroke, in pixels.
 template <int D>
-double invert_as_published(const std::vector<Stroke>& strokes, const Axis* axes, const Published& how, double* p, int& count) {
+double invert_as_published(const std::vector<Stroke>& strokes, const Axis* axes, const Published& how, double* p,
+                           int& count) {
     double error = 0;
     count = 0;
     for (int k = (int)strokes.size() - 1; k >= 0; k--) {
@@ -44,7 +45,7 @@ double invert_as_published(const std::vector<Stroke>& strokes, const Axis* axes,
             }
             error = sqrt(off);
             if (error < how.tolerance || turn == how.limit) break;
-            double A[D][D], inverse[D][D], b[D]; // A by columns
+            double A[D][D], inverse[D][D], b[D];  // A by columns
             auto J = [&](int i, int j) { return jet.t[j][i] - (i == j); };
             for (int i = 0; i < D; i++) {
                 b[i] = -xi[i];
@@ -61,7 +62,7 @@ double invert_as_published(const std::vector<Stroke>& strokes, const Axis* axes,
                 step[d] = times<D>(inverse, b, d);
                 finite = finite && isfinite(step[d]);
             }
-            if (!finite) break; // A is singular
+            if (!finite) break;  // A is singular
             for (int d = 0; d < D; d++) p[d] += how.mu * step[d];
             count++;
         }

@@ -19,11 +19,11 @@
 
 namespace supple {
 
-constexpr int ROOT = 32;        // pixels along the side of a root cell
-constexpr int SMALL = 4;        // a cell of so many pixels is split into single ones at once
-constexpr int BAND = 4;         // rows of roots that are solved one after the other, each from the last
-constexpr double RESERVE = 1.75; // nine points do not see quite the worst of a cell
-constexpr int STRIDE = 48;      // pixels of a row of a root, and room for whole vectors
+constexpr int ROOT = 32;          // pixels along the side of a root cell
+constexpr int SMALL = 4;          // a cell of so many pixels is split into single ones at once
+constexpr int BAND = 4;           // rows of roots that are solved one after the other, each from the last
+constexpr double RESERVE = 1.75;  // nine points do not see quite the worst of a cell
+constexpr int STRIDE = 48;        // pixels of a row of a root, and room for whole vectors
 
 // Samples that lie `step` pixels apart, the first at `offset`; `size` of them: the pixels themselves, or chroma.
 struct Grid {
@@ -39,26 +39,30 @@ struct Grid {
 };
 
 // The source points of some samples side by side: whole numbers and fractions, in samples; the columns of ∂p/∂q.
-template <int D> struct Row {
+template <int D>
+struct Row {
     alignas(64) int whole[D][STRIDE];
     float part[D][STRIDE];
-    float across[2][STRIDE], down[2][STRIDE]; // ∂p/∂x, ∂p/∂y in the plane
-    float depth2[STRIDE];                     // |∂p_z/∂q|²
-    bool same[STRIDE];                        // outside the ball of every stroke
-    bool some_same, idle;                     // whether any is; whether nothing is known, as all are
-    int count;                                // of the samples of its root
+    float across[2][STRIDE], down[2][STRIDE];  // ∂p/∂x, ∂p/∂y in the plane
+    float depth2[STRIDE];                      // |∂p_z/∂q|²
+    bool same[STRIDE];                         // outside the ball of every stroke
+    bool some_same, idle;                      // whether any is; whether nothing is known, as all are
+    int count;                                 // of the samples of its root
 };
 
 // A bicubic patch: coordinate k at (s, t) from (x, y) is anchor[k] + Σ c[k][4j + i] sⁱ tʲ.
-template <int D> struct Leaf {
+template <int D>
+struct Leaf {
     int x, y, w, h;
     int anchor[D];
     float c[D][16];
-    float depth[4]; // ∂p_z/∂z = depth[0] + depth[1] s + depth[2] t + depth[3] st
+    float depth[4];  // ∂p_z/∂z = depth[0] + depth[1] s + depth[2] t + depth[3] st
 };
 
-// Bounds of source points: coordinate by coordinate; how far any is from q; |∂p/∂x|² + |∂p/∂y|² in the plane; |∂p_z/∂q|.
-template <int D> struct Extent {
+// Bounds of source points: coordinate by coordinate; how far any is from q; |∂p/∂x|² + |∂p/∂y|² in the plane;
+// |∂p_z/∂q|.
+template <int D>
+struct Extent {
     double low[D], high[D], moved = 0, spread = 2, rate = 1;
     Extent() {
         std::fill(low, low + D, 1e300);
@@ -76,23 +80,25 @@ template <int D> struct Extent {
     }
 };
 
-template <int D> class Plan {
+template <int D>
+class Plan {
 public:
     Plan(std::vector<Stroke> strokes, const Axis* axes, int width, int height, double z, double tolerance);
 
     const int width, height;
     const double z, tolerance;
-    double error = 0;       // how far a source point is from T⁻¹(q), as far as the checks see, with their reserve
-    double evaluations = 0; // of T with its Jacobian
+    double error = 0;        // how far a source point is from T⁻¹(q), as far as the checks see, with their reserve
+    double evaluations = 0;  // of T with its Jacobian
     long unsolved = 0, folds = 0;
-    double widest = 1; // the largest max(λ₋, λ₊/400) of MMᵀ at a node: how deep a pyramid is wanted
+    double widest = 1;  // the largest max(λ₋, λ₊/400) of MMᵀ at a node: how deep a pyramid is wanted
     bool identity = true;
 
     int roots_down() const { return down; }
     bool is_still(int root) const { return roots[root].leaves == 0; }
     // Call use(row, x, y, n) for the samples x to x + n - 1 of row y, for all that lie in a row of roots and in
     // [x0, x1) × [y0, y1).
-    template <class Use> void each_row(const Grid& grid, int root_row, const int (&box)[4], bool slopes, Use use) const;
+    template <class Use>
+    void each_row(const Grid& grid, int root_row, const int (&box)[4], bool slopes, Use use) const;
     // Where the source points of a root, or of all, may lie.
     Extent<D> extent(int root) const;
     Extent<D> extent() const;
@@ -108,27 +114,27 @@ public:
 private:
     struct Node {
         double p[D], m[D][D], mixed[D];
-        double reach; // the square of the length over which the map stays as it is
+        double reach;  // the square of the length over which the map stays as it is
     };
     struct Cell {
         int root, x0, y0, x1, y1;
         int corner[4];
     };
-    struct Ask { // a node that is wanted, and a guess
+    struct Ask {  // a node that is wanted, and a guess
         double q[2], guess[D];
         int node, root;
     };
     struct Root {
         int band = 0, first = -1, leaves = 0;
-        bool rim = false; // some of its pixels lie outside every ball
+        bool rim = false;  // some of its pixels lie outside every ball
     };
     struct Band {
         std::vector<Leaf<D>> leaves;
-        std::vector<int> next; // the next leaf of the same root
+        std::vector<int> next;  // the next leaf of the same root
         double worst = 0, evaluations = 0, widest = 1;
         long unsolved = 0, folds = 0;
     };
-    struct Work { // what a band needs while it is solved
+    struct Work {  // what a band needs while it is solved
         Band* band;
         std::vector<Node> nodes;
         std::vector<Cell> cells, split;
@@ -139,7 +145,8 @@ private:
     int column(int i) const { return i < across ? i * ROOT : last[0]; }
     int line(int j) const { return j < down ? j * ROOT : last[1]; }
     int past(int axis, int pixel) const { return pixel == last[axis] ? size[axis] : pixel; }
-    template <class RootOf> Chain chain_of(Work& w, RootOf root_of) const;
+    template <class RootOf>
+    Chain chain_of(Work& w, RootOf root_of) const;
     void find_reaching(int root_row);
     void solve_band(int index);
     void solve(Work& w, bool guessed);
@@ -151,12 +158,12 @@ private:
     void mark(const Root& root, int index, const Grid& grid, int x, int y, int n, Row<D>& row) const;
 
     std::vector<Stroke> strokes;
-    std::vector<double> bends; // a bound of |J| of each stroke
+    std::vector<double> bends;  // a bound of |J| of each stroke
     Axis axes[3];
     int size[2], last[2], across, down;
     size_t words;
-    int first_limited = 0; // the first stroke with a reach: balls need not be carried back beyond it
-    std::vector<uint64_t> reaching; // for each root, a set of strokes
+    int first_limited = 0;           // the first stroke with a reach: balls need not be carried back beyond it
+    std::vector<uint64_t> reaching;  // for each root, a set of strokes
     std::vector<Root> roots;
     std::vector<Band> bands;
 };
@@ -182,9 +189,16 @@ inline double bend_of(const Stroke& k, const Axis* axes, int dimensions) {
 
 template <int D>
 Plan<D>::Plan(std::vector<Stroke> table, const Axis* given, int width, int height, double z, double tolerance)
-    : width(width), height(height), z(z), tolerance(tolerance), strokes(std::move(table)), size{width, height},
-      last{std::max(width - 1, 1), std::max(height - 1, 1)}, across((last[0] - 1) / ROOT + 1),
-      down((last[1] - 1) / ROOT + 1), words((strokes.size() + 63) / 64) {
+    : width(width),
+      height(height),
+      z(z),
+      tolerance(tolerance),
+      strokes(std::move(table)),
+      size{width, height},
+      last{std::max(width - 1, 1), std::max(height - 1, 1)},
+      across((last[0] - 1) / ROOT + 1),
+      down((last[1] - 1) / ROOT + 1),
+      words((strokes.size() + 63) / 64) {
     std::copy(given, given + 3, axes);
     while (first_limited < (int)strokes.size() && !(strokes[first_limited].per_reach > 0)) first_limited++;
     for (int i = 0; i < (int)strokes.size(); i++) bends.push_back(i > first_limited ? bend_of(strokes[i], axes, D) : 0);
@@ -204,7 +218,9 @@ Plan<D>::Plan(std::vector<Stroke> table, const Axis* given, int width, int heigh
 }
 
 // The strokes that reach any of some roots, in order.
-template <int D> template <class RootOf> Chain Plan<D>::chain_of(Work& w, RootOf root_of) const {
+template <int D>
+template <class RootOf>
+Chain Plan<D>::chain_of(Work& w, RootOf root_of) const {
     w.list.clear();
     for (size_t word = 0; word < words; word++) {
         uint64_t set = 0;
@@ -216,7 +232,8 @@ template <int D> template <class RootOf> Chain Plan<D>::chain_of(Work& w, RootOf
 
 // A ball around each root of a row is carried back through the chain: its centre by a fixed point of each stroke that
 // it touches, its radius by a bound of that inverse's slope, or of the displacement.
-template <int D> void Plan<D>::find_reaching(int j) {
+template <int D>
+void Plan<D>::find_reaching(int j) {
     for (int i = 0; i < across; i++) {
         int index = j * across + i;
         uint64_t* set = &reaching[(size_t)index * words];
@@ -240,7 +257,7 @@ template <int D> void Plan<D>::find_reaching(int j) {
                 far += corner * corner;
             }
             distance = sqrt(distance);
-            if (distance >= k.reach + radius) continue; // not where the one is infinite, or the other
+            if (distance >= k.reach + radius) continue;  // not where the one is infinite, or the other
             set[n / 64] |= 1ull << (n % 64);
             if (far < k.reach * k.reach) rim = false;
             if (n <= first_limited) continue;
@@ -273,7 +290,8 @@ template <int D> void Plan<D>::find_reaching(int j) {
 
 // ---- nodes ----------------------------------------------------------------------------------------------------------
 
-template <int D> void Plan<D>::solve(Work& w, bool guessed) {
+template <int D>
+void Plan<D>::solve(Work& w, bool guessed) {
     double finest = std::min(axes[0].spacing, axes[1].spacing), coarsest = std::max(axes[0].spacing, axes[1].spacing);
     if (D == 3) finest = std::min(finest, axes[2].spacing);
     // A step that short is taken, and another after it: what is left is of the order of its fourth power.
@@ -321,7 +339,7 @@ template <int D> void Plan<D>::solve(Work& w, bool guessed) {
                 for (int e = 0; e < 2; e++) plane[d][e] = node.m[e][d];
             double determinant = plane[0][0] * plane[1][1] - plane[0][1] * plane[1][0];
             if constexpr (D == 3) {
-                const double(*m)[3] = node.m;
+                const double (*m)[3] = node.m;
                 determinant = m[0][0] * (m[1][1] * m[2][2] - m[1][2] * m[2][1]) -
                               m[0][1] * (m[1][0] * m[2][2] - m[1][2] * m[2][0]) +
                               m[0][2] * (m[1][0] * m[2][1] - m[1][1] * m[2][0]);
@@ -340,7 +358,8 @@ template <int D> void Plan<D>::solve(Work& w, bool guessed) {
 // ---- cells ----------------------------------------------------------------------------------------------------------
 
 // The cubic with the values v0, v1 and the slopes d0, d1 at the ends of [0, 1/inverse], as powers, `step` apart.
-template <class V> INLINE void hermite(V v0, V d0, V v1, V d1, V inverse, V* c, int step) {
+template <class V>
+INLINE void hermite(V v0, V d0, V v1, V d1, V inverse, V* c, int step) {
     V rise = (v1 - v0) * inverse;
     c[0] = v0;
     c[step] = d0;
@@ -349,10 +368,11 @@ template <class V> INLINE void hermite(V v0, V d0, V v1, V d1, V inverse, V* c, 
 }
 
 // A patch and its slopes at (s, t).
-template <class V> INLINE V at(const V* c, V s, V t, V& ds, V& dt) {
+template <class V>
+INLINE V at(const V* c, V s, V t, V& ds, V& dt) {
     V r[4], rt[4];
     for (int i = 0; i < 4; i++) {
-        const V *b = c + i;
+        const V* b = c + i;
         r[i] = b[0] + t * (b[4] + t * (b[8] + t * b[12]));
         rt[i] = b[4] + t * (2.0 * b[8] + 3.0 * t * b[12]);
     }
@@ -382,7 +402,8 @@ void Plan<D>::emit(Work& w, int root, int x, int y, int wide, int high, const do
     r.leaves++;
 }
 
-template <int D> void Plan<D>::solve_band(int index) {
+template <int D>
+void Plan<D>::solve_band(int index) {
     int first = index * BAND, end = std::min(first + BAND, down);
     Work w;
     w.band = &bands[index];
@@ -417,7 +438,11 @@ template <int D> void Plan<D>::solve_band(int index) {
             int root = j * across + i, node = (j - first) * (across + 1) + i;
             const uint64_t* set = &reaching[(size_t)root * words];
             if (std::all_of(set, set + words, [](uint64_t s) { return s == 0; })) continue;
-            w.cells.push_back({root, column(i), line(j), column(i + 1), line(j + 1),
+            w.cells.push_back({root,
+                               column(i),
+                               line(j),
+                               column(i + 1),
+                               line(j + 1),
                                {node, node + 1, node + across + 1, node + across + 2}});
         }
     while (!w.cells.empty()) {
@@ -428,8 +453,10 @@ template <int D> void Plan<D>::solve_band(int index) {
 }
 
 // Keep the cells that are good enough, split the others.
-template <int D> void Plan<D>::check(Work& w) {
-    static constexpr double AT[9][2] = {{.5, .5}, {.5, 0}, {.5, 1}, {0, .5}, {1, .5}, {.25, .25}, {.75, .25}, {.25, .75}, {.75, .75}};
+template <int D>
+void Plan<D>::check(Work& w) {
+    static constexpr double AT[9][2] = {{.5, .5},   {.5, 0},    {.5, 1},    {0, .5},   {1, .5},
+                                        {.25, .25}, {.75, .25}, {.25, .75}, {.75, .75}};
     double allowed = tolerance * tolerance / (RESERVE * RESERVE);
     int count = (int)w.cells.size();
     for (int start = 0; start < count; start += LANES) {
@@ -468,7 +495,7 @@ template <int D> void Plan<D>::check(Work& w) {
         Lanes longer = most(h, k);
         Mask coarse = longer * longer > 0.25 * reach, unit = longer <= 1.0;
         for (const auto& place : AT) {
-            if (!any(without(Mask{} == 0, unit))) break; // single pixels are exact
+            if (!any(without(Mask{} == 0, unit))) break;  // single pixels are exact
 
             Lanes s = place[0] * h, t = place[1] * k, x[D], ds[D], dt[D], e[D], off{};
             for (int d = 0; d < D; d++) x[d] = at(c[d], s, t, ds[d], dt[d]) * axes[d].spacing;
@@ -493,7 +520,7 @@ template <int D> void Plan<D>::check(Work& w) {
                 continue;
             }
             double depth[4] = {1, 0, 0, 0};
-            if constexpr (D == 3) { // bilinear
+            if constexpr (D == 3) {  // bilinear
                 double v[4];
                 for (int n = 0; n < 4; n++) v[n] = w.nodes[e.corner[n]].m[2][2];
                 depth[0] = v[0];
@@ -508,8 +535,10 @@ template <int D> void Plan<D>::check(Work& w) {
     solve(w, true);
 }
 
-// Split a cell in halves along each side that is long enough, or into single pixels; the new nodes start from its patch.
-template <int D> void Plan<D>::split(Work& w, const Cell& e, const double (&c)[D][16]) {
+// Split a cell in halves along each side that is long enough, or into single pixels; the new nodes start from its
+// patch.
+template <int D>
+void Plan<D>::split(Work& w, const Cell& e, const double (&c)[D][16]) {
     int wide = e.x1 - e.x0, high = e.y1 - e.y0;
     bool finest = wide <= SMALL && high <= SMALL;
     int xs[SMALL + 1], ys[SMALL + 1], nx, ny, node[SMALL + 1][SMALL + 1];
@@ -540,7 +569,11 @@ template <int D> void Plan<D>::split(Work& w, const Cell& e, const double (&c)[D
         }
     for (int v = 0; v < ny; v++)
         for (int u = 0; u < nx; u++)
-            w.split.push_back({e.root, xs[u], ys[v], xs[u + 1], ys[v + 1],
+            w.split.push_back({e.root,
+                               xs[u],
+                               ys[v],
+                               xs[u + 1],
+                               ys[v + 1],
                                {node[v][u], node[v][u + 1], node[v + 1][u], node[v + 1][u + 1]}});
 }
 
@@ -549,14 +582,15 @@ template <int D> void Plan<D>::split(Work& w, const Cell& e, const double (&c)[D
 // The samples `from` to `to` - 1 of the grid's row y, all within a leaf; `left` is the first of the row's.
 template <int D>
 INLINE void Plan<D>::fill(const Leaf<D>& leaf, const Grid& grid, int y, int from, int to, int left, bool slopes,
-                   Row<D>& row) const {
+                          Row<D>& row) const {
     // Beyond a fixed face, where the chroma of a last pixel may lie, the map goes on as at the face.
     double below = y * grid.step[1] + grid.offset[1], face = axes[1].fixed() ? size[1] - 1.0 : below;
     const float t = (float)(std::min(below, face) - leaf.y), over_y = (float)std::max(below - face, 0.0);
     const float start = (float)(from * grid.step[0] + grid.offset[0] - leaf.x), stride = (float)grid.step[0];
     const int n = to - from, at = from - left;
-    int inner = n; // samples before the face
-    if (axes[0].fixed()) inner = std::clamp((int)floor((size[0] - 1.0 - grid.offset[0]) / grid.step[0]) + 1 - from, 0, n);
+    int inner = n;  // samples before the face
+    if (axes[0].fixed())
+        inner = std::clamp((int)floor((size[0] - 1.0 - grid.offset[0]) / grid.step[0]) + 1 - from, 0, n);
     float along[D][4], rise[D][4];
     for (int d = 0; d < D; d++)
         for (int i = 0; i < 4; i++) {
@@ -572,7 +606,7 @@ INLINE void Plan<D>::fill(const Leaf<D>& leaf, const Grid& grid, int y, int from
     for (int d = 0; d < D; d++) {
         // In samples of the grid: (p - offset) / step.
         int anchor = leaf.anchor[d];
-        float scale = 1, shift = d == 1 ? over_y : 0; // beyond the lower face, too
+        float scale = 1, shift = d == 1 ? over_y : 0;  // beyond the lower face, too
         if (d < 2 && (grid.step[d] > 1 || grid.offset[d] != 0)) {
             double base = (leaf.anchor[d] - grid.offset[d] + shift) / grid.step[d];
             anchor = (int)floor(base);
@@ -582,20 +616,21 @@ INLINE void Plan<D>::fill(const Leaf<D>& leaf, const Grid& grid, int y, int from
         const float* a = along[d];
         each([&](int i, float s) INLINE_LAMBDA {
             float x = (a[0] + s * (a[1] + s * (a[2] + s * a[3]))) * scale + shift;
-            x = std::min(std::max(x, -1e9f), 1e9f); // a sample so far away is beyond any edge
+            x = std::min(std::max(x, -1e9f), 1e9f);  // a sample so far away is beyond any edge
             int whole = (int)x;
             whole -= (float)whole > x;
             row.whole[d][at + i] = whole + anchor;
             row.part[d][at + i] = x - (float)whole;
         });
     }
-    for (int i = inner; i < n; i++) { // nothing moves across a face
+    for (int i = inner; i < n; i++) {  // nothing moves across a face
         row.whole[0][at + i] = from + i;
         row.part[0][at + i] = 0;
     }
     if (!slopes) return;
     for (int d = 0; d < 2; d++) {
-        const float *a = along[d], *b = rise[d], to_down = (float)grid.step[1] / grid.step[d], to_across = stride / grid.step[d];
+        const float *a = along[d], *b = rise[d], to_down = (float)grid.step[1] / grid.step[d],
+                    to_across = stride / grid.step[d];
         each([&](int i, float s) INLINE_LAMBDA {
             row.across[d][at + i] = (a[1] + s * (2 * a[2] + 3 * s * a[3])) * to_across;
             row.down[d][at + i] = (b[0] + s * (b[1] + s * (b[2] + s * b[3]))) * to_down;
@@ -686,7 +721,8 @@ void Plan<D>::each_row(const Grid& grid, int root_row, const int (&box)[4], bool
 
 // ---- what is known of the whole -------------------------------------------------------------------------------------
 
-template <int D> void Plan<D>::widen(const Leaf<D>& leaf, Extent<D>& e) const {
+template <int D>
+void Plan<D>::widen(const Leaf<D>& leaf, Extent<D>& e) const {
     // The patch's Bézier points, whose hull neither it nor, of their differences, its slopes leave; one sample more
     // than its own, for chroma.
     const double side[2] = {leaf.w + 1.0, leaf.h + 1.0};
@@ -724,10 +760,11 @@ template <int D> void Plan<D>::widen(const Leaf<D>& leaf, Extent<D>& e) const {
     e.spread = std::max(e.spread, spread);
 }
 
-template <int D> Extent<D> Plan<D>::extent(int index) const {
+template <int D>
+Extent<D> Plan<D>::extent(int index) const {
     Extent<D> e;
     const Root& root = roots[index];
-    if (root.leaves == 0 || root.rim) { // the identity is among it
+    if (root.leaves == 0 || root.rim) {  // the identity is among it
         int i = index % across, j = index / across;
         double low[3] = {(double)column(i), (double)line(j), z}, high[3] = {column(i + 1) + 1.0, line(j + 1) + 1.0, z};
         for (int d = 0; d < D; d++) {
@@ -739,13 +776,15 @@ template <int D> Extent<D> Plan<D>::extent(int index) const {
     return e;
 }
 
-template <int D> Extent<D> Plan<D>::extent() const {
+template <int D>
+Extent<D> Plan<D>::extent() const {
     Extent<D> all;
     for (int i = 0; i < (int)roots.size(); i++) all |= extent(i);
     return all;
 }
 
-template <int D> void Plan<D>::measure(double finest, double& worst, long& unknown) const {
+template <int D>
+void Plan<D>::measure(double finest, double& worst, long& unknown) const {
     struct Found {
         double worst = 0;
         long unknown = 0;

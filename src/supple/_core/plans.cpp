@@ -16,8 +16,10 @@ typedef nb::ndarray<nb::ro, nb::c_contig, nb::device::cpu> Source;
 typedef nb::ndarray<nb::c_contig, nb::device::cpu> Target;
 
 int type_of(nb::dlpack::dtype d) {
-    const nb::dlpack::dtype known[] = {nb::dtype<uint8_t>(), nb::dtype<uint16_t>(), nb::dtype<int16_t>(), nb::dtype<float>(), nb::dtype<double>(),
-                                       nb::dtype<int8_t>(), nb::dtype<int32_t>(), nb::dtype<uint32_t>(), nb::dtype<int64_t>(), nb::dtype<uint64_t>()};
+    const nb::dlpack::dtype known[] = {nb::dtype<uint8_t>(), nb::dtype<uint16_t>(), nb::dtype<int16_t>(),
+                                       nb::dtype<float>(),   nb::dtype<double>(),   nb::dtype<int8_t>(),
+                                       nb::dtype<int32_t>(), nb::dtype<uint32_t>(), nb::dtype<int64_t>(),
+                                       nb::dtype<uint64_t>()};
     for (int i = 0; i < 10; i++)
         if (d == known[i]) return i;
     throw nb::type_error("samples must be integers, or floats of 32 or 64 bits");
@@ -26,19 +28,22 @@ int type_of(nb::dlpack::dtype d) {
 // A job, and the arrays that it reads and writes.
 struct Sampling {
     Source frames;
-    Target out; // (h, w, C); or (planes, h, w, C)
+    Target out;  // (h, w, C); or (planes, h, w, C)
     std::vector<double> fill;
     Job job{};
 
-    Sampling(Source frames, Target out, int count, std::tuple<int, int> step, std::tuple<double, double> offset, int filter, int between,
-             int rule, bool average, std::vector<double> fill_, int alpha, bool light, double white)
+    Sampling(Source frames, Target out, int count, std::tuple<int, int> step, std::tuple<double, double> offset,
+             int filter, int between, int rule, bool average, std::vector<double> fill_, int alpha, bool light,
+             double white)
         : frames(frames), out(out), fill(std::move(fill_)) {
-        if (frames.ndim() != 4 || out.ndim() < 3 || out.ndim() > 4) throw nb::value_error("frames must be (slots, h, w, C), out (h, w, C)");
+        if (frames.ndim() != 4 || out.ndim() < 3 || out.ndim() > 4)
+            throw nb::value_error("frames must be (slots, h, w, C), out (h, w, C)");
         job.type = type_of(frames.dtype());
         size_t height = out.shape(out.ndim() - 3), width = out.shape(out.ndim() - 2);
         job.channels = (int)frames.shape(3);
-        if (type_of(out.dtype()) != job.type || out.shape(out.ndim() - 1) != frames.shape(3) || height != frames.shape(1) ||
-            width != frames.shape(2) || (int)fill.size() != job.channels || alpha >= job.channels)
+        if (type_of(out.dtype()) != job.type || out.shape(out.ndim() - 1) != frames.shape(3) ||
+            height != frames.shape(1) || width != frames.shape(2) || (int)fill.size() != job.channels ||
+            alpha >= job.channels)
             throw nb::value_error("out must have the frames' type, size and channels, and fill a value for each");
         job.frames = (const char*)frames.data();
         job.frame_bytes = (ptrdiff_t)(frames.shape(1) * frames.shape(2) * frames.shape(3) * frames.itemsize());
@@ -70,10 +75,14 @@ struct Sampling {
 struct AnyPlan {
     std::variant<Plan<2>, Plan<3>> plan;
 
-    template <class F> auto with(F f) const { return std::visit(f, plan); }
+    template <class F>
+    auto with(F f) const {
+        return std::visit(f, plan);
+    }
 };
 
-template <int D> nb::tuple extent_of(const Plan<D>& plan) {
+template <int D>
+nb::tuple extent_of(const Plan<D>& plan) {
     Extent<D> e = unlocked([&] { return plan.extent(); });
     nb::list low, high;
     for (int d = 0; d < D; d++) {
@@ -83,9 +92,11 @@ template <int D> nb::tuple extent_of(const Plan<D>& plan) {
     return nb::make_tuple(nb::tuple(low), nb::tuple(high), e.moved, e.rate);
 }
 
-template <class T> using Points = nb::ndarray<T, nb::ndim<3>, nb::c_contig, nb::device::cpu>;
+template <class T>
+using Points = nb::ndarray<T, nb::ndim<3>, nb::c_contig, nb::device::cpu>;
 
-template <class T, int D> void points_of(const Plan<D>& plan, Points<T>& out) {
+template <class T, int D>
+void points_of(const Plan<D>& plan, Points<T>& out) {
     if ((int)out.shape(0) != plan.height || (int)out.shape(1) != plan.width || out.shape(2) != D)
         throw nb::value_error("points must have the plane's shape");
     T* to = out.data();
@@ -94,26 +105,30 @@ template <class T, int D> void points_of(const Plan<D>& plan, Points<T>& out) {
     grid.size[1] = plan.height;
     unlocked([&] {
         parallel(plan.roots_down(), [&](int j, int) {
-            plan.each_row(grid, j, {0, plan.width, 0, plan.height}, false, [&](const Row<D>& row, int x, int y, int n, int at) {
-                T* p = to + ((ptrdiff_t)y * plan.width + x) * D;
-                for (int i = 0; i < n; i++, p += D)
-                    for (int d = 0; d < D; d++)
-                        p[d] = row.idle ? (T)(d == 0 ? x + i : d == 1 ? y : plan.z)
-                                        : (T)(row.whole[d][at + i] + (double)row.part[d][at + i]);
-            });
+            plan.each_row(grid, j, {0, plan.width, 0, plan.height}, false,
+                          [&](const Row<D>& row, int x, int y, int n, int at) {
+                              T* p = to + ((ptrdiff_t)y * plan.width + x) * D;
+                              for (int i = 0; i < n; i++, p += D)
+                                  for (int d = 0; d < D; d++)
+                                      p[d] = row.idle ? (T)(d == 0   ? x + i
+                                                            : d == 1 ? y
+                                                                     : plan.z)
+                                                      : (T)(row.whole[d][at + i] + (double)row.part[d][at + i]);
+                          });
         });
     });
 }
 
 // Sample planes of a stack, each by one thread. Returns how exact the map is, and the evaluations.
-nb::tuple warp_stack(const Doubles& table, const Doubles& rows, int height, int width, std::vector<int> planes, double tolerance,
-                     nb::list samplings) {
+nb::tuple warp_stack(const Doubles& table, const Doubles& rows, int height, int width, std::vector<int> planes,
+                     double tolerance, nb::list samplings) {
     Axes axes = axes_of(rows);
     std::vector<Stroke> strokes = strokes_of(table, axes.data());
     std::vector<const Sampling*> all;
     for (nb::handle h : samplings) all.push_back(nb::cast<const Sampling*>(h));
     for (const Sampling* s : all)
-        if (s->out.ndim() != 4 || s->out.shape(0) != planes.size()) throw nb::value_error("out must have an image for each plane");
+        if (s->out.ndim() != 4 || s->out.shape(0) != planes.size())
+            throw nb::value_error("out must have an image for each plane");
     std::vector<double> errors(planes.size()), evaluations(planes.size());
     unlocked([&] {
         parallel((int)planes.size(), [&](int i, int) {
@@ -125,8 +140,10 @@ nb::tuple warp_stack(const Doubles& table, const Doubles& rows, int height, int 
                 Job job = s->job;
                 size_t bytes = (size_t)job.grid.size[1] * job.grid.size[0] * job.pixel_bytes();
                 job.out += i * bytes;
-                if (still) memcpy(job.out, job.frame(planes[i]), bytes);
-                else sample_plane(plan, job);
+                if (still)
+                    memcpy(job.out, job.frame(planes[i]), bytes);
+                else
+                    sample_plane(plan, job);
             }
         });
     });
@@ -139,54 +156,70 @@ nb::tuple warp_stack(const Doubles& table, const Doubles& rows, int height, int 
 
 void bind_plans(nb::module_& m) {
     nb::class_<Sampling>(m, "Sampling", "What is sampled, how, and into what.")
-        .def(nb::init<Source, Target, int, std::tuple<int, int>, std::tuple<double, double>, int, int, int, bool, std::vector<double>, int, bool, double>(),
-             "frames"_a, "out"_a, "count"_a, "step"_a, "offset"_a, "filter"_a, "between"_a, "rule"_a, "average"_a, "fill"_a, "alpha"_a,
-             "light"_a, "white"_a);
+        .def(nb::init<Source, Target, int, std::tuple<int, int>, std::tuple<double, double>, int, int, int, bool,
+                      std::vector<double>, int, bool, double>(),
+             "frames"_a, "out"_a, "count"_a, "step"_a, "offset"_a, "filter"_a, "between"_a, "rule"_a, "average"_a,
+             "fill"_a, "alpha"_a, "light"_a, "white"_a);
     nb::class_<AnyPlan>(m, "Plan", "T⁻¹ on one plane, ready to be filled in.")
-        .def("__init__",
-             [](AnyPlan* self, const Doubles& table, const Doubles& rows, int ndim, int height, int width, double z, double tolerance) {
-                 Axes axes = axes_of(rows);
-                 std::vector<Stroke> strokes = strokes_of(table, axes.data());
-                 if (height < 1 || width < 1) throw nb::value_error("a plane has at least one pixel");
-                 unlocked([&] {
-                     if (ndim == 2)
-                         new (self) AnyPlan{std::variant<Plan<2>, Plan<3>>(std::in_place_index<0>, std::move(strokes), axes.data(), width, height, z, tolerance)};
-                     else
-                         new (self) AnyPlan{std::variant<Plan<2>, Plan<3>>(std::in_place_index<1>, std::move(strokes), axes.data(), width, height, z, tolerance)};
-                 });
-             },
-             "strokes"_a, "axes"_a, "ndim"_a, "height"_a, "width"_a, "z"_a, "tolerance"_a)
+        .def(
+            "__init__",
+            [](AnyPlan* self, const Doubles& table, const Doubles& rows, int ndim, int height, int width, double z,
+               double tolerance) {
+                Axes axes = axes_of(rows);
+                std::vector<Stroke> strokes = strokes_of(table, axes.data());
+                if (height < 1 || width < 1) throw nb::value_error("a plane has at least one pixel");
+                unlocked([&] {
+                    if (ndim == 2)
+                        new (self) AnyPlan{std::variant<Plan<2>, Plan<3>>(std::in_place_index<0>, std::move(strokes),
+                                                                          axes.data(), width, height, z, tolerance)};
+                    else
+                        new (self) AnyPlan{std::variant<Plan<2>, Plan<3>>(std::in_place_index<1>, std::move(strokes),
+                                                                          axes.data(), width, height, z, tolerance)};
+                });
+            },
+            "strokes"_a, "axes"_a, "ndim"_a, "height"_a, "width"_a, "z"_a, "tolerance"_a)
         .def_prop_ro("error", [](const AnyPlan& p) { return p.with([](auto& plan) { return plan.error; }); })
-        .def_prop_ro("evaluations", [](const AnyPlan& p) { return p.with([](auto& plan) { return plan.evaluations; }); })
+        .def_prop_ro("evaluations",
+                     [](const AnyPlan& p) { return p.with([](auto& plan) { return plan.evaluations; }); })
         .def_prop_ro("unsolved", [](const AnyPlan& p) { return p.with([](auto& plan) { return plan.unsolved; }); })
         .def_prop_ro("folds", [](const AnyPlan& p) { return p.with([](auto& plan) { return plan.folds; }); })
         .def_prop_ro("identity", [](const AnyPlan& p) { return p.with([](auto& plan) { return plan.identity; }); })
-        .def("extent", [](const AnyPlan& p) { return p.with([](auto& plan) { return extent_of(plan); }); },
-             "Return the least and the largest coordinates of source points, how far any is from q, and the largest |∂p_z/∂q|.")
-        .def("points", [](const AnyPlan& p, Points<float> out) { p.with([&](auto& plan) { points_of(plan, out); }); }, nb::arg("out").noconvert(),
-             "Write the source point of every pixel, (h, w, D), in float32 or float64.")
-        .def("points", [](const AnyPlan& p, Points<double> out) { p.with([&](auto& plan) { points_of(plan, out); }); }, nb::arg("out").noconvert())
-        .def("measure",
-             [](const AnyPlan& p, double finest) {
-                 double worst;
-                 long unknown;
-                 p.with([&](auto& plan) { unlocked([&] { plan.measure(finest, worst, unknown); }); });
-                 return nb::make_tuple(worst, unknown);
-             },
-             "finest"_a, "Return the largest distance of a source point to the true T⁻¹(q), and of how many it is not known.")
-        .def("sample",
-             [](const AnyPlan& p, const Sampling& s, std::optional<std::tuple<int, int, int, int>> box) {
-                 Job job = s.job;
-                 if (box) {
-                     auto [x0, x1, y0, y1] = *box;
-                     if (x0 < 0 || y0 < 0 || x1 > job.grid.size[0] || y1 > job.grid.size[1]) throw nb::value_error("the box must lie in the plane");
-                     job.box[0] = x0, job.box[1] = x1, job.box[2] = y0, job.box[3] = y1;
-                 }
-                 p.with([&](auto& plan) { unlocked([&] { sample_plane(plan, job); }); });
-             },
-             "sampling"_a, "box"_a = nb::none(), "Fill what a box (x0, x1, y0, y1) holds of a sampling's output, or all of it.");
-    m.def("warp_stack", &warp_stack, "strokes"_a, "axes"_a, "height"_a, "width"_a, "planes"_a, "tolerance"_a, "samplings"_a,
-          "Sample planes of a stack, each by one thread; return the largest error and the evaluations.");
+        .def(
+            "extent", [](const AnyPlan& p) { return p.with([](auto& plan) { return extent_of(plan); }); },
+            "Return the least and the largest coordinates of source points, how far any is from q, and the largest "
+            "|∂p_z/∂q|.")
+        .def(
+            "points", [](const AnyPlan& p, Points<float> out) { p.with([&](auto& plan) { points_of(plan, out); }); },
+            nb::arg("out").noconvert(), "Write the source point of every pixel, (h, w, D), in float32 or float64.")
+        .def(
+            "points", [](const AnyPlan& p, Points<double> out) { p.with([&](auto& plan) { points_of(plan, out); }); },
+            nb::arg("out").noconvert())
+        .def(
+            "measure",
+            [](const AnyPlan& p, double finest) {
+                double worst;
+                long unknown;
+                p.with([&](auto& plan) { unlocked([&] { plan.measure(finest, worst, unknown); }); });
+                return nb::make_tuple(worst, unknown);
+            },
+            "finest"_a,
+            "Return the largest distance of a source point to the true T⁻¹(q), and of how many it is not known.")
+        .def(
+            "sample",
+            [](const AnyPlan& p, const Sampling& s, std::optional<std::tuple<int, int, int, int>> box) {
+                Job job = s.job;
+                if (box) {
+                    auto [x0, x1, y0, y1] = *box;
+                    if (x0 < 0 || y0 < 0 || x1 > job.grid.size[0] || y1 > job.grid.size[1])
+                        throw nb::value_error("the box must lie in the plane");
+                    job.box[0] = x0, job.box[1] = x1, job.box[2] = y0, job.box[3] = y1;
+                }
+                p.with([&](auto& plan) { unlocked([&] { sample_plane(plan, job); }); });
+            },
+            "sampling"_a, "box"_a = nb::none(),
+            "Fill what a box (x0, x1, y0, y1) holds of a sampling's output, or all of it.");
+    m.def("warp_stack", &warp_stack, "strokes"_a, "axes"_a, "height"_a, "width"_a, "planes"_a, "tolerance"_a,
+          "samplings"_a, "Sample planes of a stack, each by one thread; return the largest error and the evaluations.");
 }
 
 }  // namespace supple

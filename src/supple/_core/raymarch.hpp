@@ -13,12 +13,12 @@
 
 namespace supple {
 
-constexpr int BRICK = 4;         // voxels; a brick holds one more along each axis, its neighbour's first
-constexpr int BISECTIONS = 2;    // before the surface is found by a straight line between two values
-constexpr float OPAQUE = 0.995f; // where a ray ends
-constexpr float FAINT = 4e-3f;   // what a sample adds at most, where nobody sees its shading: a step of 8 bits
+constexpr int BRICK = 4;          // voxels; a brick holds one more along each axis, its neighbour's first
+constexpr int BISECTIONS = 2;     // before the surface is found by a straight line between two values
+constexpr float OPAQUE = 0.995f;  // where a ray ends
+constexpr float FAINT = 4e-3f;    // what a sample adds at most, where nobody sees its shading: a step of 8 bits
 constexpr float AMBIENT = 0.15f, DIFFUSE = 0.8f, SPECULAR = 0.2f;  // and the highlight's power is 16
-constexpr int TILE = 8;          // pixels along a tile's side
+constexpr int TILE = 8;                                            // pixels along a tile's side
 constexpr double NEVER = std::numeric_limits<double>::infinity();
 
 // Which colour and opacity a value has, and which values are seen at all.
@@ -86,12 +86,12 @@ INLINE void light(const Look& look, Float4 half, Float4 gradient, float& lit, fl
 // A ray on its way: where it wants the next sample, and what it gathered.
 struct March {
     Ray ray;
-    double t;                            // where the next sample is wanted; beyond ray.far when it has ended
-    double from = NEVER, to = -NEVER;    // strokes reach it between these only
+    double t;                                // where the next sample is wanted; beyond ray.far when it has ended
+    double from = NEVER, to = -NEVER;        // strokes reach it between these only
     double surface = NEVER, opaque = NEVER;  // where it meets the first surface, and where opacity passes 0.9
-    Float4 light{};                      // premultiplied linear colour, and opacity
+    Float4 light{};                          // premultiplied linear colour, and opacity
     int64_t samples = 0;
-    double steps = 0;                    // of Newton's method
+    double steps = 0;  // of Newton's method
 
     March(const Ray& ray, const Transfer& transfer) : ray(ray), t(ray.near) {
         if (transfer.threshold != -std::numeric_limits<float>::infinity()) return;
@@ -118,7 +118,8 @@ struct March {
     }
 
     // Take in the value at t, and choose the next t. `gradient` is called for that of what is seen there.
-    template <class G> INLINE void take(const Look& look, const Transfer& transfer, float value, G&& gradient) {
+    template <class G>
+    INLINE void take(const Look& look, const Transfer& transfer, float value, G&& gradient) {
         samples++;
         if (phase == BEFORE) {
             if (!transfer.solid(value)) {
@@ -186,7 +187,8 @@ class Cubics {
 public:
     Cubics(const Lattice& lattice, int cells, const Ray& ray)
         : lattice(lattice),
-          whole_length(cells * lattice.step / std::sqrt(ray.way[0] * ray.way[0] + ray.way[1] * ray.way[1] + ray.way[2] * ray.way[2])) {}
+          whole_length(cells * lattice.step /
+                       std::sqrt(ray.way[0] * ray.way[0] + ray.way[1] * ray.way[1] + ray.way[2] * ray.way[2])) {}
 
     INLINE Float4 source(const Ray& ray, double t, Float4 q) {
         if (!(t >= start && t <= end)) begin(ray, t);
@@ -237,8 +239,7 @@ template <class T, class Source>
 INLINE void see(const Voxels<T>& voxels, const Look& look, const Transfer& transfer, March& m, Source& source) {
     Float4 p = source.source(m.ray, m.t, m.ray.at(m.t));
     double t = m.t;
-    m.take(look, transfer, voxels.sample(p),
-           [&] { return source.turned(t, voxels.slopes(p)) * look.per_voxel; });
+    m.take(look, transfer, voxels.sample(p), [&] { return source.turned(t, voxels.slopes(p)) * look.per_voxel; });
 }
 
 // March along a ray to its end, or to where strokes begin to reach it.
@@ -351,8 +352,10 @@ inline void distances(const bool* seen, const int64_t* n, uint8_t* out) {
             int64_t at = way > 0 ? e : total - 1 - e, a = at % n[0], b = at / n[0] % n[1], c = at / (n[0] * n[1]);
             int nearest = out[at];
             for (int other = 1; other <= 13 && nearest > 1; other++) {  // of 27, in the order of memory
-                int dc = way * ((13 - other) / 9 - 1), db = way * ((13 - other) / 3 % 3 - 1), da = way * ((13 - other) % 3 - 1);
-                bool there = a + da >= 0 && a + da < n[0] && b + db >= 0 && b + db < n[1] && c + dc >= 0 && c + dc < n[2];
+                int dc = way * ((13 - other) / 9 - 1), db = way * ((13 - other) / 3 % 3 - 1),
+                    da = way * ((13 - other) % 3 - 1);
+                bool there =
+                    a + da >= 0 && a + da < n[0] && b + db >= 0 && b + db < n[1] && c + dc >= 0 && c + dc < n[2];
                 if (there) nearest = least(nearest, out[at + (dc * n[1] + db) * n[0] + da] + 1);
             }
             out[at] = uint8_t(nearest);
@@ -362,8 +365,8 @@ inline void distances(const bool* seen, const int64_t* n, uint8_t* out) {
 // Which bricks of the deformed volume show any that is seen of the volume's own, by bounds of their displacement. Those
 // are `fine` voxels wide: narrower ones tell better, as a moved brick lies across several. `slack` is how far points
 // are off the lattice's bounds, in voxels.
-inline void moved(const Lattice& lattice, const bool* seen, const int64_t* n, int fine, double slack, const int64_t* bricks,
-                  bool* out) {
+inline void moved(const Lattice& lattice, const bool* seen, const int64_t* n, int fine, double slack,
+                  const int64_t* bricks, bool* out) {
     // Sums over all bricks before, so that any box of them is eight numbers.
     const int64_t row = n[0] + 1, layer = row * (n[1] + 1), nodes[3] = {lattice.nx, lattice.ny, lattice.nz};
     std::vector<int64_t> sums(layer * (n[2] + 1));
@@ -396,13 +399,15 @@ inline void moved(const Lattice& lattice, const bool* seen, const int64_t* n, in
             // What the slopes add to the lines between nodes.
             double bent = slack;
             for (int f = 4 + i; f < NODE; f += 4) bent += 0.125 * lattice.step * (high[f] - low[f]);
-            double p = (brick[i] * BRICK + low[i] - bent) / fine, q = (brick[i] * BRICK + BRICK + high[i] + bent) / fine;
+            double p = (brick[i] * BRICK + low[i] - bent) / fine,
+                   q = (brick[i] * BRICK + BRICK + high[i] + bent) / fine;
             first[i] = int64_t(least(most(std::floor(p), 0.0), double(n[i] - 1)));
             last[i] = int64_t(least(most(std::floor(q), 0.0), double(n[i] - 1))) + 1;
         }
         auto sum = [&](int64_t z, int64_t y, int64_t x) { return sums[z * layer + y * row + x]; };
         auto slab = [&](int64_t z) {
-            return sum(z, last[1], last[0]) - sum(z, first[1], last[0]) - sum(z, last[1], first[0]) + sum(z, first[1], first[0]);
+            return sum(z, last[1], last[0]) - sum(z, first[1], last[0]) - sum(z, last[1], first[0]) +
+                   sum(z, first[1], first[0]);
         };
         out[e] = slab(last[2]) > slab(first[2]);
     }

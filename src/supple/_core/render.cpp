@@ -8,11 +8,13 @@
 namespace supple {
 namespace {
 
-template <class T, int N> using Array = nb::ndarray<T, nb::ndim<N>, nb::c_contig, nb::device::cpu>;
+template <class T, int N>
+using Array = nb::ndarray<T, nb::ndim<N>, nb::c_contig, nb::device::cpu>;
 typedef nb::ndarray<nb::ro, nb::ndim<3>, nb::c_contig, nb::device::cpu> Samples;
 
 // Call `f` with the samples of a volume as what they are.
-template <class F> void with_samples(const Samples& samples, F&& f) {
+template <class F>
+void with_samples(const Samples& samples, F&& f) {
     auto is = [&](auto zero) { return samples.dtype() == nb::dtype<decltype(zero)>(); };
     auto go = [&](auto zero) { f((const decltype(zero)*)samples.data()); };
     if (is(uint8_t())) return go(uint8_t());
@@ -22,13 +24,15 @@ template <class F> void with_samples(const Samples& samples, F&& f) {
     if (is(float())) return go(float());
     throw nb::type_error("samples must be uint8, int8, uint16, int16 or float32");
 }
-template <class F> void with_voxels(const Samples& samples, F&& f) {
+template <class F>
+void with_voxels(const Samples& samples, F&& f) {
     for (int i = 0; i < 3; i++)
         if (samples.shape(i) < 2) throw nb::value_error("a volume must have two voxels along each axis");
     with_samples(samples, [&](auto* data) { f(Voxels(data, samples.shape(2), samples.shape(1), samples.shape(0))); });
 }
 // The shape of an array (Z, Y, X) as (x, y, z).
-template <class A> std::array<int64_t, 3> sizes(const A& a) {
+template <class A>
+std::array<int64_t, 3> sizes(const A& a) {
     return {(int64_t)a.shape(2), (int64_t)a.shape(1), (int64_t)a.shape(0)};
 }
 
@@ -106,8 +110,7 @@ View* make_view(Array<const double, 2> packed, double step, std::array<float, 3>
     if (packed.shape(0) != 5 || packed.shape(1) != 3) throw nb::value_error("a view must be 5 rows of 3 numbers");
     auto* v = new View{{}, skips};
     Double4* rows[] = {&v->eye, &v->spacing, &v->ahead, &v->right, &v->down};
-    for (int k = 0; k < 5; k++)
-        *rows[k] = Double4{packed(k, 0), packed(k, 1), packed(k, 2), k == 1 ? 1.0 : 0.0};
+    for (int k = 0; k < 5; k++) *rows[k] = Double4{packed(k, 0), packed(k, 1), packed(k, 2), k == 1 ? 1.0 : 0.0};
     v->step = step;
     v->per_step = 1 / step;
     v->lamp = point_of(lamp.data());
@@ -122,9 +125,9 @@ View* make_view(Array<const double, 2> packed, double step, std::array<float, 3>
 // A picture: rays of `columns` by `rows`, pixels from its middle.
 struct Picture {
     Array<const double, 1> columns, rows;
-    Array<float, 3> light;    // (rows, columns, 4)
-    Array<double, 3> depth;   // (rows, columns, 2): of the first surface, and where opacity passes 0.9; or infinity
-    Array<int64_t, 3> work;   // (rows, columns, 2): samples, and evaluations of T
+    Array<float, 3> light;   // (rows, columns, 4)
+    Array<double, 3> depth;  // (rows, columns, 2): of the first surface, and where opacity passes 0.9; or infinity
+    Array<int64_t, 3> work;  // (rows, columns, 2): samples, and evaluations of T
 
     void write(int64_t y, int64_t x, const March& m) const {
         for (int c = 0; c < 4; c++) light(y, x, c) = m.light[c];
@@ -198,7 +201,8 @@ void brick_ranges(Samples samples, int brick, Array<float, 3> lows, Array<float,
     with_samples(samples, [&](auto* data) {
         unlocked([&] {
             parallel((int)bricks[2], [&](int c, int) {
-                ranges(data, n.data(), brick, bricks[0], bricks[1], c, lows.data() + c * layer, highs.data() + c * layer);
+                ranges(data, n.data(), brick, bricks[0], bricks[1], c, lows.data() + c * layer,
+                       highs.data() + c * layer);
             });
         });
     });

@@ -17,14 +17,14 @@ namespace supple {
 enum Filter { NEAREST, LINEAR, CUBIC, AUTO };
 enum Rule { EDGE, CONSTANT, REFLECT };
 
-constexpr float KEYS = -0.75f;            // of the cubic in space
-constexpr float LOW = 0.05f, RISE = 0.2f; // of α: no average below, all of it from there on
+constexpr float KEYS = -0.75f;             // of the cubic in space
+constexpr float LOW = 0.05f, RISE = 0.2f;  // of α: no average below, all of it from there on
 constexpr float NARROW = 1.62f, SQUARE = 3.2f;
-constexpr float WIDEST_SPOT = 0.4999f; // its half sides: two points of a spot are less than a sample apart
+constexpr float WIDEST_SPOT = 0.4999f;  // its half sides: two points of a spot are less than a sample apart
 constexpr float PER_SPOT = 1.7f;
 constexpr int MOST_SPOTS = 16;
 constexpr int LEVELS = 12;
-constexpr int WINDOW = 5, PATCH = 32; // samples of a window along a side; numbers from one row of a patch to the next
+constexpr int WINDOW = 5, PATCH = 32;  // samples of a window along a side; numbers from one row of a patch to the next
 
 // Where sample i of n lies under a boundary mode; -1 for a constant.
 INLINE int placed(int i, int n, int rule) {
@@ -38,13 +38,12 @@ INLINE int placed(int i, int n, int rule) {
 // ---- weights --------------------------------------------------------------------------------------------------------
 
 // Keys' cubic at the four samples around a fraction f is Σ KEYS_POWERS[d][i] f^d.
-constexpr float KEYS_POWERS[4][4] = {{0, 1, 0, 0},
-                                     {KEYS, 0, -KEYS, 0},
-                                     {-2 * KEYS, -KEYS - 3, 2 * KEYS + 3, KEYS},
-                                     {KEYS, KEYS + 2, -KEYS - 2, -KEYS}};
+constexpr float KEYS_POWERS[4][4] = {
+    {0, 1, 0, 0}, {KEYS, 0, -KEYS, 0}, {-2 * KEYS, -KEYS - 3, 2 * KEYS + 3, KEYS}, {KEYS, KEYS + 2, -KEYS - 2, -KEYS}};
 
 // The weights of columns, each C times, as many as fit; from column FIRST on, times SCALE.
-template <class N, int C, int L> struct Powers {
+template <class N, int C, int L>
+struct Powers {
     alignas(64) N c[4][L];
     constexpr Powers(int first, N scale) : c{} {
         for (int d = 0; d < 4; d++)
@@ -57,51 +56,69 @@ template <class N, int C, int L> struct Powers {
         return load<N, L>(c[0]) + f * (load<N, L>(c[1]) + f * (load<N, L>(c[2]) + f * load<N, L>(c[3])));
     }
 };
-template <class N, int C, int L> inline constexpr Powers<N, C, L> weights{0, 1};
+template <class N, int C, int L>
+inline constexpr Powers<N, C, L> weights{0, 1};
 // Halves, since two are added: of a spot's first and second column.
-template <class N, int C, int L> inline constexpr Powers<N, C, L> halves[2] = {{0, N(0.5)}, {1, N(0.5)}};
+template <class N, int C, int L>
+inline constexpr Powers<N, C, L> halves[2] = {{0, N(0.5)}, {1, N(0.5)}};
 
 // Where a spot's left and right points lie along x.
-template <class N> struct Across {
-    N first, second; // their fractions
-    int shift;       // whether the right one is a column further
+template <class N>
+struct Across {
+    N first, second;  // their fractions
+    int shift;        // whether the right one is a column further
 };
 
 // ---- samples of one place, and kernels over them --------------------------------------------------------------------
 
-template <class T> struct One {
+template <class T>
+struct One {
     const T* p;
-    template <class N, int L> INLINE Pack<N, L> at(ptrdiff_t o) const { return load<N, L>(p + o); }
+    template <class N, int L>
+    INLINE Pack<N, L> at(ptrdiff_t o) const {
+        return load<N, L>(p + o);
+    }
 };
-template <class N, class T> struct Two {
+template <class N, class T>
+struct Two {
     const T *p, *q;
     N a, b;
-    template <class, int L> INLINE Pack<N, L> at(ptrdiff_t o) const { return a * load<N, L>(p + o) + b * load<N, L>(q + o); }
+    template <class, int L>
+    INLINE Pack<N, L> at(ptrdiff_t o) const {
+        return a * load<N, L>(p + o) + b * load<N, L>(q + o);
+    }
 };
-template <class N, class T> struct Many {
+template <class N, class T>
+struct Many {
     const T* const* frames;
     const N* weight;
     int n;
     ptrdiff_t place;
-    template <class, int L> INLINE Pack<N, L> at(ptrdiff_t o) const {
+    template <class, int L>
+    INLINE Pack<N, L> at(ptrdiff_t o) const {
         Pack<N, L> v = weight[0] * load<N, L>(frames[0] + place + o);
         for (int k = 1; k < n; k++) v += weight[k] * load<N, L>(frames[k] + place + o);
         return v;
     }
 };
 
-template <class N, int C, class Taps> INLINE Pixel<N> linear_at(Taps taps, ptrdiff_t row, N fx, N fy) {
+template <class N, int C, class Taps>
+INLINE Pixel<N> linear_at(Taps taps, ptrdiff_t row, N fx, N fy) {
     constexpr int L = lanes_for(2 * C);
     Pack<N, L> u = taps.template at<N, L>(0), v = taps.template at<N, L>(row);
     v = u + fy * (v - u);
     Pixel<N> a = part<N, 0>(v), b;
-    if constexpr (C == 4) b = part<N, 1>(v);
-    else if constexpr (C == 3) b = straddle<N, 3>(a, part<N, 1>(v));
-    else b = straddle<N, C>(a, a);
+    if constexpr (C == 4)
+        b = part<N, 1>(v);
+    else if constexpr (C == 3)
+        b = straddle<N, 3>(a, part<N, 1>(v));
+    else
+        b = straddle<N, C>(a, a);
     return a + fx * (b - a);
 }
 
-template <class N, int C, class Taps> INLINE Pixel<N> cubic_at(Taps taps, ptrdiff_t row, N fx, N fy) {
+template <class N, int C, class Taps>
+INLINE Pixel<N> cubic_at(Taps taps, ptrdiff_t row, N fx, N fy) {
     constexpr int L = lanes_for(4 * C);
     Pixel<N> w = weights<N, 1, 4>(fy);
     ptrdiff_t o = -row - C;
@@ -123,7 +140,7 @@ INLINE Pixel<N> spot_at(Taps taps, ptrdiff_t row, Across<N> x, const N* left, co
     }
     Pack<N, L> v = a * halves<N, C, L>[0](x.first) + b * halves<N, C, L>[x.shift](x.second);
     Pixel<N> s = sum_of<N, C, 4>(v);
-    if constexpr (C == 4) { // the fifth column did not fit
+    if constexpr (C == 4) {  // the fifth column did not fit
         Pixel<N> b4 = right[0] * taps.template at<N, 4>(o + 16);
         for (int j = 1; j < WINDOW; j++) b4 += right[j * ES] * taps.template at<N, 4>(o + 16 + j * row);
         N f = x.second, last = x.shift ? N(0.5) * N(KEYS) * f * f * (1 - f) : 0;
@@ -136,20 +153,23 @@ INLINE Pixel<N> spot_at(Taps taps, ptrdiff_t row, Across<N> x, const N* left, co
         return s + part<N, 1>(v);
 }
 
-// ---- frames, and how they are mixed at a pixel ------------------------------------------------------------------------
+// ---- frames, and how they are mixed at a pixel
+// ------------------------------------------------------------------------
 
 // Frames of one kind, with C interleaved channels, `row` numbers from one row to the next.
-template <class T> struct Frames {
+template <class T>
+struct Frames {
     const T* const* at;
     int w, h;
     ptrdiff_t row;
-    ptrdiff_t limit; // numbers that may be read from a frame's first on
+    ptrdiff_t limit;  // numbers that may be read from a frame's first on
     int rule;
     const double* fill;
 };
 
 // Frames `first` to `first + n - 1`, each with a weight; and what the constant beyond a clip's ends counts.
-template <class N> struct Mix {
+template <class N>
+struct Mix {
     int first, n;
     const N* weight;
     N constant;
@@ -179,7 +199,8 @@ INLINE Pixel<N> within(const Frames<T>& f, const Mix<N>& mix, ptrdiff_t place, U
 // Call use(taps, row) with the samples around (x, y), of which it needs LEFT before it and RIGHT after it on each axis.
 template <class N, int C, int LEFT, int RIGHT, bool SEVERAL, class T, class Use>
 INLINE Pixel<N> around(const Frames<T>& f, const Mix<N>& mix, int x, int y, Use use) {
-    constexpr int reading = lanes_for((LEFT + 1 + RIGHT) * C > 16 ? 16 : (LEFT + 1 + RIGHT) * C) + (C == 4 && RIGHT == 3 ? 4 : 0);
+    constexpr int reading =
+        lanes_for((LEFT + 1 + RIGHT) * C > 16 ? 16 : (LEFT + 1 + RIGHT) * C) + (C == 4 && RIGHT == 3 ? 4 : 0);
     ptrdiff_t place = (ptrdiff_t)y * f.row + (ptrdiff_t)x * C;
     bool inside = x >= LEFT && x < f.w - RIGHT && y >= LEFT && y < f.h - RIGHT &&
                   place + RIGHT * f.row - LEFT * C + reading <= f.limit;
@@ -212,23 +233,28 @@ NOINLINE void gather(const Frames<T>& f, const Mix<N>& mix, int x, int y, N* own
 
 // ---- footprints -----------------------------------------------------------------------------------------------------
 
-template <class N> INLINE N smooth(N f) { return f * f * (3 - 2 * f); }
+template <class N>
+INLINE N smooth(N f) {
+    return f * f * (3 - 2 * f);
+}
 
 // The footprints of a row's samples: S, and the spot of those that one suffices for.
 struct Prints {
     enum Kind { PLAIN, SPOT, WIDE };
     alignas(64) int kind[STRIDE];
     float xx[STRIDE], xy[STRIDE], yy[STRIDE];
-    int x[STRIDE], y[STRIDE], shift[STRIDE]; // a spot's first point, and whether the second is a column further
-    float first[STRIDE], second[STRIDE];     // their fractions along x
-    float left[WINDOW][STRIDE], right[WINDOW][STRIDE]; // weights of rows for the left and the right points
+    int x[STRIDE], y[STRIDE], shift[STRIDE];  // a spot's first point, and whether the second is a column further
+    float first[STRIDE], second[STRIDE];      // their fractions along x
+    float left[WINDOW][STRIDE], right[WINDOW][STRIDE];  // weights of rows for the left and the right points
     bool any;
 
     // Of all of a root's row, whatever box is wanted of it: loops of other lengths may round otherwise.
-    template <int D> void find(const Row<D>& row);
+    template <int D>
+    void find(const Row<D>& row);
 };
 
-template <int D> inline void Prints::find(const Row<D>& row) {
+template <int D>
+inline void Prints::find(const Row<D>& row) {
     int some = 0, n = row.count;
     const float *ax = row.across[0], *ay = row.across[1], *dx = row.down[0], *dy = row.down[1];
     for (int i = 0; i < n; i++) {
@@ -259,7 +285,7 @@ template <int D> inline void Prints::find(const Row<D>& row) {
         sx = sx < WIDEST_SPOT ? sx : WIDEST_SPOT;
         sy = sy < WIDEST_SPOT ? sy : WIDEST_SPOT;
         float rho = cov / (sx * sy + 1e-12f);
-        rho = rho < -1 ? -1 : rho > 1 ? 1 : rho; // rounding, where a variance is next to nothing
+        rho = rho < -1 ? -1 : rho > 1 ? 1 : rho;  // rounding, where a variance is next to nothing
         // Both points lie in a window of 5 × 5 from the first one's.
         float x0 = part_x[i] - sx, x1 = part_x[i] + sx, y0 = part_y[i] - sy, y1 = part_y[i] + sy;
         int before_x = x0 < 0, after_x = x1 >= 1, before_y = y0 < 0, after_y = y1 >= 1;
@@ -274,7 +300,8 @@ template <int D> inline void Prints::find(const Row<D>& row) {
         auto inner = [](float t) { return 0.5f + 0.5f * t * t * ((KEYS + 2) * t - (KEYS + 3)); };
         float p0 = outer(u), p1 = inner(u), p2 = inner(1 - u), p3 = outer(1 - u);
         float r0 = outer(v), r1 = inner(v), r2 = inner(1 - v), r3 = outer(1 - v);
-        float q0 = lower ? 0 : r0, q1 = lower ? r0 : r1, q2 = lower ? r1 : r2, q3 = lower ? r2 : r3, q4 = lower ? r3 : 0;
+        float q0 = lower ? 0 : r0, q1 = lower ? r0 : r1, q2 = lower ? r1 : r2, q3 = lower ? r2 : r3,
+              q4 = lower ? r3 : 0;
         // (1 ± ρ)/4: of the upper points (p) and the lower ones (q), as halves, since columns are halves too.
         float same = 1 + rho, other = 1 - rho;
         left[0][i] = same * p0 + other * q0;
@@ -291,7 +318,8 @@ template <int D> inline void Prints::find(const Row<D>& row) {
 }
 
 // Averages of 2 × 2, 4 × 4, … samples, of every frame; an odd edge repeats its last sample.
-template <class N> struct Pyramid {
+template <class N>
+struct Pyramid {
     int levels = 0;
     Frames<N> level[LEVELS];
 };
@@ -307,14 +335,16 @@ INLINE Pixel<N> spot(const Frames<T>& f, const Mix<N>& mix, N x, N y, N xx, N xy
         N t = point ? y + sy - y1 : y - sy - y0;
         int lower = point ? (int)(y1 - y0) : 0;
         for (int j = 0; j < 4; j++) {
-            N w = N(KEYS_POWERS[0][j]) + t * (N(KEYS_POWERS[1][j]) + t * (N(KEYS_POWERS[2][j]) + t * N(KEYS_POWERS[3][j])));
+            N w = N(KEYS_POWERS[0][j]) +
+                  t * (N(KEYS_POWERS[1][j]) + t * (N(KEYS_POWERS[2][j]) + t * N(KEYS_POWERS[3][j])));
             left[j + lower] += (point ? 1 - rho : 1 + rho) * w / 2;
             right[j + lower] += (point ? 1 + rho : 1 - rho) * w / 2;
         }
     }
     Across<N> across{x - sx - x0, x + sx - x1, (int)(x1 - x0)};
-    return around<N, C, 1, 3, SEVERAL>(f, mix, (int)x0, (int)y0,
-                                       [&](auto taps, ptrdiff_t row) INLINE_LAMBDA { return spot_at<N, C, 1>(taps, row, across, left, right); });
+    return around<N, C, 1, 3, SEVERAL>(f, mix, (int)x0, (int)y0, [&](auto taps, ptrdiff_t row) INLINE_LAMBDA {
+        return spot_at<N, C, 1>(taps, row, across, left, right);
+    });
 }
 
 // n spots along the major axis u of a footprint `length` long and √w2 wide.
@@ -352,12 +382,12 @@ NOINLINE Pixel<N> wide(const Frames<T>& f, const Pyramid<N>& pyramid, const Mix<
     N want = std::max(small, large / 400);
     int k = 0;
     while (k < pyramid.levels && want >= 4) want /= 4, k++;
-    constexpr int LEVEL_C = C == 1 ? 1 : 4; // channels of a level
+    constexpr int LEVEL_C = C == 1 ? 1 : 4;  // channels of a level
     auto level = [&](int k) {
         if (k == 0) return in_level<N, C, SEVERAL>(f, mix, x, y, ux, uy, large, small);
         N scale = N(1) / (1 << k), area = scale * scale;
-        return in_level<N, LEVEL_C, SEVERAL>(pyramid.level[k - 1], mix, (x + N(0.5)) * scale - N(0.5), (y + N(0.5)) * scale - N(0.5),
-                                       ux, uy, large * area, small * area);
+        return in_level<N, LEVEL_C, SEVERAL>(pyramid.level[k - 1], mix, (x + N(0.5)) * scale - N(0.5),
+                                             (y + N(0.5)) * scale - N(0.5), ux, uy, large * area, small * area);
     };
     Pixel<N> v = level(k);
     N fade = std::min((want - N(3.2)) / N(0.8), N(1));
@@ -372,7 +402,8 @@ struct Places {
     alignas(64) int at[STRIDE];
     bool inside;
 
-    template <int LEFT, int RIGHT, int C, class T> INLINE void find(const Frames<T>& f, const int* x, const int* y, int n) {
+    template <int LEFT, int RIGHT, int C, class T>
+    INLINE void find(const Frames<T>& f, const int* x, const int* y, int n) {
         int least_x = x[0], most_x = x[0], least_y = y[0], most_y = y[0];
         const unsigned stride = (unsigned)f.row;
         for (int i = 0; i < n; i++) {
@@ -388,7 +419,7 @@ struct Places {
         // What a row four further down will read, of one frame.
         if constexpr (sizeof(T) <= 4)
             if (inside && most_y + 4 < f.h) {
-                const T *from = f.at[0] + at[0] + 4 * row;
+                const T* from = f.at[0] + at[0] + 4 * row;
                 if (from)
                     for (int o = 0; o < n * C; o += 64 / (int)sizeof(T)) __builtin_prefetch(from + o);
             }
@@ -397,43 +428,48 @@ struct Places {
 
 // Sample n source points of a row by one kernel, `LEFT` and `RIGHT` samples wide on either side.
 template <class N, int C, int LEFT, int RIGHT, bool SEVERAL, class T, class MixOf, class Kernel, class Put>
-INLINE void each_place(const Frames<T>& given, const int* x, const int* y, int n, MixOf mix_of, Kernel kernel, Put put) {
+INLINE void each_place(const Frames<T>& given, const int* x, const int* y, int n, MixOf mix_of, Kernel kernel,
+                       Put put) {
     const Frames<T> f = given;
     Places places;
     places.find<LEFT, RIGHT, C>(f, x, y, n);
     for (int i = 0; places.inside && i < n; i++) {
         Mix<N> mix = mix_of(i);
-        if (SEVERAL && mix.n == 0) break; // a constant only
-        put(i, within<N, C, SEVERAL>(f, mix, places.at[i], [&](auto taps, ptrdiff_t row) INLINE_LAMBDA { return kernel(taps, row, i); }));
+        if (SEVERAL && mix.n == 0) break;  // a constant only
+        put(i, within<N, C, SEVERAL>(f, mix, places.at[i],
+                                     [&](auto taps, ptrdiff_t row) INLINE_LAMBDA { return kernel(taps, row, i); }));
         if (i == n - 1) return;
     }
     for (int i = 0; i < n; i++)
-        put(i, around<N, C, LEFT, RIGHT, SEVERAL>(f, mix_of(i), x[i], y[i], [&](auto taps, ptrdiff_t row) INLINE_LAMBDA { return kernel(taps, row, i); }));
+        put(i, around<N, C, LEFT, RIGHT, SEVERAL>(f, mix_of(i), x[i], y[i],
+                                                  [&](auto taps, ptrdiff_t row)
+                                                      INLINE_LAMBDA { return kernel(taps, row, i); }));
 }
 
 template <class N, int C, bool SEVERAL, class T, int D, class MixOf, class Put>
 NOINLINE void linear_row(const Frames<T>& f, const Row<D>& row, int from, int n, MixOf mix_of, Put put) {
     const float *fx = row.part[0] + from, *fy = row.part[1] + from;
-    each_place<N, C, 0, 1, SEVERAL>(f, row.whole[0] + from, row.whole[1] + from, n, mix_of, [&](auto taps, ptrdiff_t r, int i) INLINE_LAMBDA {
-        return linear_at<N, C>(taps, r, (N)fx[i], (N)fy[i]);
-    }, put);
+    each_place<N, C, 0, 1, SEVERAL>(
+        f, row.whole[0] + from, row.whole[1] + from, n, mix_of,
+        [&](auto taps, ptrdiff_t r, int i) INLINE_LAMBDA { return linear_at<N, C>(taps, r, (N)fx[i], (N)fy[i]); }, put);
 }
 template <class N, int C, bool SEVERAL, class T, int D, class MixOf, class Put>
 NOINLINE void cubic_row(const Frames<T>& f, const Row<D>& row, int from, int n, MixOf mix_of, Put put) {
     const float *fx = row.part[0] + from, *fy = row.part[1] + from;
-    each_place<N, C, 1, 2, SEVERAL>(f, row.whole[0] + from, row.whole[1] + from, n, mix_of, [&](auto taps, ptrdiff_t r, int i) INLINE_LAMBDA {
-        return cubic_at<N, C>(taps, r, (N)fx[i], (N)fy[i]);
-    }, put);
+    each_place<N, C, 1, 2, SEVERAL>(
+        f, row.whole[0] + from, row.whole[1] + from, n, mix_of,
+        [&](auto taps, ptrdiff_t r, int i) INLINE_LAMBDA { return cubic_at<N, C>(taps, r, (N)fx[i], (N)fy[i]); }, put);
 }
 template <class N, int C, bool SEVERAL, class T, int D, class MixOf, class Put>
-NOINLINE void spots_row(const Frames<T>& given, const Pyramid<N>& pyramid, const Row<D>& row, const Prints& prints, int from, int n, MixOf mix_of, Put put) {
+NOINLINE void spots_row(const Frames<T>& given, const Pyramid<N>& pyramid, const Row<D>& row, const Prints& prints,
+                        int from, int n, MixOf mix_of, Put put) {
     const Frames<T> f = given;
     const int *x = row.whole[0] + from, *y = row.whole[1] + from;
     const float *fx = row.part[0] + from, *fy = row.part[1] + from;
     Places places;
     places.find<2, 3, C>(f, x, y, n);
     for (int i = 0; i < n; i++) {
-        const int k = from + i; // of its footprint
+        const int k = from + i;  // of its footprint
         const Mix<N> mix = mix_of(i);
         const bool inside = places.inside && (!SEVERAL || mix.n > 0);
         auto cubic = [&](auto taps, ptrdiff_t r) INLINE_LAMBDA { return cubic_at<N, C>(taps, r, (N)fx[i], (N)fy[i]); };
@@ -448,7 +484,8 @@ NOINLINE void spots_row(const Frames<T>& given, const Pyramid<N>& pyramid, const
             }
         };
         if (prints.kind[k] == Prints::PLAIN)
-            put(i, inside ? within<N, C, SEVERAL>(f, mix, places.at[i], cubic) : around<N, C, 1, 2, SEVERAL>(f, mix, x[i], y[i], cubic));
+            put(i, inside ? within<N, C, SEVERAL>(f, mix, places.at[i], cubic)
+                          : around<N, C, 1, 2, SEVERAL>(f, mix, x[i], y[i], cubic));
         else if (prints.kind[k] == Prints::SPOT)
             put(i, inside ? within<N, C, SEVERAL>(f, mix, prints.y[k] * f.row + prints.x[k] * C, spot)
                           : around<N, C, 1, 3, SEVERAL>(f, mix, prints.x[k], prints.y[k], spot));
@@ -460,11 +497,14 @@ NOINLINE void spots_row(const Frames<T>& given, const Pyramid<N>& pyramid, const
 
 // Sample n source points of a row, from `from` on: put(i, pixel). mix_of(i) says how frames are mixed at one of them.
 template <class N, int C, bool SEVERAL, class T, int D, class MixOf, class Put>
-INLINE void sample_row(const Frames<T>& f, const Pyramid<N>& pyramid, int filter, const Row<D>& row, const Prints& prints,
-                       int from, int n, MixOf mix_of, Put put) {
-    if (filter == LINEAR) linear_row<N, C, SEVERAL>(f, row, from, n, mix_of, put);
-    else if (filter == CUBIC || !prints.any) cubic_row<N, C, SEVERAL>(f, row, from, n, mix_of, put);
-    else spots_row<N, C, SEVERAL>(f, pyramid, row, prints, from, n, mix_of, put);
+INLINE void sample_row(const Frames<T>& f, const Pyramid<N>& pyramid, int filter, const Row<D>& row,
+                       const Prints& prints, int from, int n, MixOf mix_of, Put put) {
+    if (filter == LINEAR)
+        linear_row<N, C, SEVERAL>(f, row, from, n, mix_of, put);
+    else if (filter == CUBIC || !prints.any)
+        cubic_row<N, C, SEVERAL>(f, row, from, n, mix_of, put);
+    else
+        spots_row<N, C, SEVERAL>(f, pyramid, row, prints, from, n, mix_of, put);
 }
 
 }  // namespace supple

@@ -44,10 +44,22 @@ INLINE Lanes root(Lanes x) {
 INLINE double floored(double x) { return __builtin_floor(x); }
 INLINE float floored(float x) { return __builtin_floorf(x); }
 
-template <class V> INLINE V splat(double x) { return V{} + x; }
-template <class V> INLINE V least(V a, V b) { return a < b ? a : b; }
-template <class V> INLINE V most(V a, V b) { return a > b ? a : b; }
-template <class V> INLINE V magnitude(V a) { return most(a, V(-a)); }
+template <class V>
+INLINE V splat(double x) {
+    return V{} + x;
+}
+template <class V>
+INLINE V least(V a, V b) {
+    return a < b ? a : b;
+}
+template <class V>
+INLINE V most(V a, V b) {
+    return a > b ? a : b;
+}
+template <class V>
+INLINE V magnitude(V a) {
+    return most(a, V(-a));
+}
 INLINE double choose(bool m, double a, double b) { return m ? a : b; }
 INLINE Lanes choose(Mask m, Lanes a, Lanes b) { return m ? a : b; }
 INLINE bool any(bool m) { return m; }
@@ -63,12 +75,15 @@ INLINE Mask either(Mask a, Mask b) { return a | b; }
 INLINE bool without(bool a, bool b) { return a && !b; }
 INLINE Mask without(Mask a, Mask b) { return a & ~b; }
 
-template <class V> struct Masked;
-template <> struct Masked<double> {
+template <class V>
+struct Masked;
+template <>
+struct Masked<double> {
     typedef bool type;
     static constexpr int lanes = 1;
 };
-template <> struct Masked<Lanes> {
+template <>
+struct Masked<Lanes> {
     typedef Mask type;
     static constexpr int lanes = LANES;
 };

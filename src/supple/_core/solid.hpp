@@ -12,9 +12,9 @@
 
 namespace supple {
 
-constexpr int NODE = 16;          // floats: u and the columns of M, each followed by a 0
-constexpr double SOLVED = 1e-3;   // the last Newton step at a node, in voxels
-constexpr double CHECKED = 2.0;   // the error is this times the largest that is seen
+constexpr int NODE = 16;         // floats: u and the columns of M, each followed by a 0
+constexpr double SOLVED = 1e-3;  // the last Newton step at a node, in voxels
+constexpr double CHECKED = 2.0;  // the error is this times the largest that is seen
 
 // The strokes of a table, all of them, and the domain.
 struct Strokes {
@@ -30,7 +30,8 @@ struct Strokes {
     double coarsest() const { return most(axes[0].spacing, most(axes[1].spacing, axes[2].spacing)); }
 
     // |r|² of a stroke at x, which counts as the nearest point of the domain where a border is fixed.
-    template <class V> INLINE V distance2(const Stroke& k, const V* x) const {
+    template <class V>
+    INLINE V distance2(const Stroke& k, const V* x) const {
         V s = V{};
         for (int i = 0; i < 3; i++) {
             V near = x[i];
@@ -40,7 +41,8 @@ struct Strokes {
         return s;
     }
     // Does x lie in any stroke's ball? Elsewhere T(x) = x.
-    template <class V> INLINE bool reaches(const V* x) const {
+    template <class V>
+    INLINE bool reaches(const V* x) const {
         for (const Stroke& k : strokes)
             if (k.per_reach == 0 || any(distance2(k, x) < k.reach * k.reach)) return true;
         return false;
@@ -49,7 +51,8 @@ struct Strokes {
 
 // T⁻¹ of q from the guess in `found.p`; without it, where it was not good enough for all lanes. Outside every ball, q
 // is its own source.
-template <class V> INLINE void settle(const Strokes& s, const V* q, double tolerance, Solution<3, V>& found) {
+template <class V>
+INLINE void settle(const Strokes& s, const V* q, double tolerance, Solution<3, V>& found) {
     if (!s.reaches(q)) {
         for (int i = 0; i < 3; i++) {
             found.p[i] = q[i];
@@ -135,10 +138,10 @@ struct Lattice {
     // The worst error, in voxels, that is seen in a layer of cells: |M (T(p) - q)| at fifteen points of each.
     double error(const Strokes& s, int64_t k) const {
         // The middle of the cell, of its faces and edges at one corner, and of its eighths.
-        static const float seen[16][3] = {
-            {.5, .5, .5}, {.5, .5, 0}, {.5, 0, .5}, {.5, 0, 0}, {0, .5, .5}, {0, .5, 0}, {0, 0, .5}, {.5, .5, .5},
-            {.25, .25, .25}, {.25, .25, .75}, {.25, .75, .25}, {.25, .75, .75},
-            {.75, .25, .25}, {.75, .25, .75}, {.75, .75, .25}, {.75, .75, .75}};
+        static const float seen[16][3] = {{.5, .5, .5},    {.5, .5, 0},     {.5, 0, .5},     {.5, 0, 0},
+                                          {0, .5, .5},     {0, .5, 0},      {0, 0, .5},      {.5, .5, .5},
+                                          {.25, .25, .25}, {.25, .25, .75}, {.25, .75, .25}, {.25, .75, .75},
+                                          {.75, .25, .25}, {.75, .25, .75}, {.75, .75, .25}, {.75, .75, .75}};
         Lanes worst{}, spacing[3];
         for (int c = 0; c < 3; c++) spacing[c] = splat<Lanes>(s.axes[c].spacing);
         for (int64_t j = 0; j + 1 < ny; j++)
@@ -150,7 +153,8 @@ struct Lattice {
                     Lanes q[3], x[3], e[3];
                     for (int l = 0; l < LANES; l++) {
                         Float4 point{};
-                        for (int c = 0; c < 3; c++) point[c] = ((c == 0 ? i : c == 1 ? j : k) + seen[first + l][c]) * step;
+                        for (int c = 0; c < 3; c++)
+                            point[c] = ((c == 0 ? i : c == 1 ? j : k) + seen[first + l][c]) * step;
                         Float4 u = at(point).u;
                         for (int c = 0; c < 3; c++) {
                             q[c][l] = point[c];
@@ -175,14 +179,17 @@ struct Lattice {
 
 private:
     // Between neighbours along an axis: of 2 COUNT, COUNT are left.
-    template <int AXIS, int COUNT> INLINE static void fold(float part, float bend, Float8* a, Float8* b) {
+    template <int AXIS, int COUNT>
+    INLINE static void fold(float part, float bend, Float8* a, Float8* b) {
         for (int k = 0; k < COUNT; k++) {
             Float8 da = a[2 * k + 1] - a[2 * k], db = b[2 * k + 1] - b[2 * k], turn = AXIS == 0 ? da : db, none{};
             a[k] = a[2 * k] + part * da;
             b[k] = b[2 * k] + part * db;
             // The change of the slopes along the axis, beside zeros.
-            if constexpr (AXIS == 1) turn = __builtin_shufflevector(turn, none, 0, 1, 2, 3, 8, 9, 10, 11);
-            else turn = __builtin_shufflevector(turn, none, 4, 5, 6, 7, 8, 9, 10, 11);
+            if constexpr (AXIS == 1)
+                turn = __builtin_shufflevector(turn, none, 0, 1, 2, 3, 8, 9, 10, 11);
+            else
+                turn = __builtin_shufflevector(turn, none, 4, 5, 6, 7, 8, 9, 10, 11);
             a[k] -= bend * turn;
         }
     }

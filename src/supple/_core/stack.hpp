@@ -12,7 +12,7 @@ namespace supple {
 
 enum Type { U8, U16, I16, F32, F64, I8, I32, U32, I64, U64 };
 enum Between { BETWEEN_NEAREST, BETWEEN_LINEAR, BETWEEN_CUBIC };
-constexpr double LONGEST = 64; // frames that a pixel is averaged over, at most
+constexpr double LONGEST = 64;  // frames that a pixel is averaged over, at most
 
 inline int bytes_of(int type) {
     static const int bytes[] = {1, 2, 2, 4, 8, 1, 4, 4, 8, 8};
@@ -25,19 +25,19 @@ struct Job {
     const char* frames;
     ptrdiff_t frame_bytes;
     int count, capacity;
-    int type, channels, w, h; // contiguous rows of w * channels samples
-    char* out;                // likewise, of grid.size
+    int type, channels, w, h;  // contiguous rows of w * channels samples
+    char* out;                 // likewise, of grid.size
     Grid grid;
-    int box[4];               // x0, x1, y0, y1 of what is wanted of it
+    int box[4];  // x0, x1, y0, y1 of what is wanted of it
     int filter, between, rule;
-    bool average;             // whether a pixel is averaged over the frames that it covers
-    const double* fill;       // for each channel
-    int alpha;                // the channel by which the others are weighted, or -1
-    bool light;               // whether light is averaged, and not values on sRGB's curve
-    double white;             // the largest value, and that of opaque
+    bool average;        // whether a pixel is averaged over the frames that it covers
+    const double* fill;  // for each channel
+    int alpha;           // the channel by which the others are weighted, or -1
+    bool light;          // whether light is averaged, and not values on sRGB's curve
+    double white;        // the largest value, and that of opaque
 
     ptrdiff_t pixel_bytes() const { return (ptrdiff_t)bytes_of(type) * channels; }
-    const char* frame(int k) const { // or null, of a constant
+    const char* frame(int k) const {  // or null, of a constant
         k = placed(k, count, rule);
         return k < 0 ? nullptr : frames + (k % capacity) * frame_bytes;
     }
@@ -47,7 +47,8 @@ struct Job {
     }
 };
 
-// ---- time -------------------------------------------------------------------------------------------------------------
+// ---- time
+// -------------------------------------------------------------------------------------------------------------
 
 // The integral of the tent, or of Catmull and Rom's cubic, from 0 to t.
 inline double integral(int between, double t) {
@@ -62,7 +63,8 @@ inline double integral(int between, double t) {
     return t > 0 ? value : -value;
 }
 // What the frames first, first + 1, … count at a time, for a pixel that covers `width` frames more than its own.
-template <class N> inline int time_weights(int between, double t, double width, int& first, N* weight) {
+template <class N>
+inline int time_weights(int between, double t, double width, int& first, N* weight) {
     double base = floor(t), f = t - base;
     if (between == BETWEEN_NEAREST) {
         first = (int)floor(t + 0.5);
@@ -111,15 +113,17 @@ inline Span frames_of(const Job& job, double low, double high, double rate) {
     return {(int)floor(low - slack - width - support), (int)ceil(high + slack + width + support)};
 }
 
-// ---- numbers ------------------------------------------------------------------------------------------------------------
+// ---- numbers
+// ------------------------------------------------------------------------------------------------------------
 
 inline double to_light(double u) { return u <= 0.04045 ? u / 12.92 : pow((u + 0.055) / 1.055, 2.4); }
 inline double from_light(double u) { return u <= 0.0031308 ? 12.92 * u : 1.055 * pow(u, 1 / 2.4) - 0.055; }
 
 // Samples as numbers, in groups of LANES_ channels: colours weighted by opacity, which comes last; light.
-template <class N> struct Numbers {
+template <class N>
+struct Numbers {
     const Job& job;
-    int lanes, colours; // numbers a pixel, and how many of a group are colours
+    int lanes, colours;  // numbers a pixel, and how many of a group are colours
     std::vector<N> table;
 
     explicit Numbers(const Job& job) : job(job), lanes(job.channels == 1 ? 1 : 4), colours(job.alpha < 0 ? lanes : 3) {
@@ -135,13 +139,15 @@ template <class N> struct Numbers {
         int all = job.alpha < 0 ? job.channels : job.channels - 1;
         return std::min(colours, all - group * colours);
     }
-    template <class T> N number(T v) const {
+    template <class T>
+    N number(T v) const {
         if (!job.light) return (N)v;
         if constexpr (sizeof(T) <= 2)
             if (!table.empty()) return table[v];
         return (N)(job.white * to_light((double)v / job.white));
     }
-    template <class T> void convert(const T* p, int n, int group, N* out) const {
+    template <class T>
+    void convert(const T* p, int n, int group, N* out) const {
         int some = count(group), first = group * colours;
         for (int i = 0; i < n; i++, p += job.channels, out += lanes) {
             N weight = job.alpha < 0 ? 1 : (N)((double)p[job.alpha] / job.white);
@@ -153,16 +159,16 @@ template <class N> struct Numbers {
     void convert(const char* frame, int x, int y, int n, int group, N* out) const {
         const char* p = frame + ((ptrdiff_t)y * job.w + x) * job.pixel_bytes();
         switch (job.type) {
-        case U8: return convert((const uint8_t*)p, n, group, out);
-        case U16: return convert((const uint16_t*)p, n, group, out);
-        case I16: return convert((const int16_t*)p, n, group, out);
-        case F32: return convert((const float*)p, n, group, out);
-        case F64: return convert((const double*)p, n, group, out);
-        case I8: return convert((const int8_t*)p, n, group, out);
-        case I32: return convert((const int32_t*)p, n, group, out);
-        case U32: return convert((const uint32_t*)p, n, group, out);
-        case I64: return convert((const int64_t*)p, n, group, out);
-        default: return convert((const uint64_t*)p, n, group, out);
+            case U8: return convert((const uint8_t*)p, n, group, out);
+            case U16: return convert((const uint16_t*)p, n, group, out);
+            case I16: return convert((const int16_t*)p, n, group, out);
+            case F32: return convert((const float*)p, n, group, out);
+            case F64: return convert((const double*)p, n, group, out);
+            case I8: return convert((const int8_t*)p, n, group, out);
+            case I32: return convert((const int32_t*)p, n, group, out);
+            case U32: return convert((const uint32_t*)p, n, group, out);
+            case I64: return convert((const int64_t*)p, n, group, out);
+            default: return convert((const uint64_t*)p, n, group, out);
         }
     }
     // The fill value as such numbers.
@@ -174,7 +180,8 @@ template <class N> struct Numbers {
             out[c] = weight * (job.light ? job.white * to_light(job.fill[first + c] / job.white) : job.fill[first + c]);
         if (job.alpha >= 0) out[lanes - 1] = job.fill[job.alpha];
     }
-    template <class T> void store(const Pixel<N>* from, int n, int group, T* p) const {
+    template <class T>
+    void store(const Pixel<N>* from, int n, int group, T* p) const {
         constexpr bool whole = std::numeric_limits<T>::is_integer;
         int some = count(group), first = group * colours;
         double low = whole ? (double)std::numeric_limits<T>::lowest() : 0;
@@ -203,61 +210,71 @@ template <class N> struct Numbers {
             }
         }
     }
-    template <class T> static T limit_of(double high) {
+    template <class T>
+    static T limit_of(double high) {
         return high >= (double)std::numeric_limits<T>::max() ? std::numeric_limits<T>::max() : (T)high;
     }
     void store(const Pixel<N>* from, int n, int group, char* p) const {
         switch (job.type) {
-        case U8: return store(from, n, group, (uint8_t*)p);
-        case U16: return store(from, n, group, (uint16_t*)p);
-        case I16: return store(from, n, group, (int16_t*)p);
-        case F32: return store(from, n, group, (float*)p);
-        case F64: return store(from, n, group, (double*)p);
-        case I8: return store(from, n, group, (int8_t*)p);
-        case I32: return store(from, n, group, (int32_t*)p);
-        case U32: return store(from, n, group, (uint32_t*)p);
-        case I64: return store(from, n, group, (int64_t*)p);
-        default: return store(from, n, group, (uint64_t*)p);
+            case U8: return store(from, n, group, (uint8_t*)p);
+            case U16: return store(from, n, group, (uint16_t*)p);
+            case I16: return store(from, n, group, (int16_t*)p);
+            case F32: return store(from, n, group, (float*)p);
+            case F64: return store(from, n, group, (double*)p);
+            case I8: return store(from, n, group, (int8_t*)p);
+            case I32: return store(from, n, group, (int32_t*)p);
+            case U32: return store(from, n, group, (uint32_t*)p);
+            case I64: return store(from, n, group, (int64_t*)p);
+            default: return store(from, n, group, (uint64_t*)p);
         }
     }
 };
 
 // Put pixel i of n of a type that kernels read directly: rounded to the nearest, and kept within the type. Where
 // there is room, lanes beyond the C-th are overwritten by the next pixel.
-template <int C, class T> struct Putting {
+template <int C, class T>
+struct Putting {
     T* out;
     int n;
-    float high; // the largest value
+    float high;  // the largest value
     INLINE void operator()(int i, Pixel<float> v) const {
         T* p = out + i * C;
         const bool room = C == 4 || i + 4 / C < n;
         if constexpr (sizeof(T) == 4) {
-            if (room) memcpy(p, &v, 16);
+            if (room)
+                memcpy(p, &v, 16);
             else
                 for (int c = 0; c < C; c++) p[c] = v[c];
         } else {
             T four[4];
 #if defined(__SSE4_1__)
             if constexpr (sizeof(T) == 2) v = (Pixel<float>)_mm_min_ps((__m128)v, _mm_set1_ps(high));
-            __m128i s = _mm_cvtps_epi32((__m128)v); // no sum of weights makes so much of 16 bits that 32 do not hold it
-            if constexpr (std::numeric_limits<T>::is_signed) s = _mm_packs_epi32(s, s);
-            else s = _mm_packus_epi32(s, s);
+            __m128i s =
+                _mm_cvtps_epi32((__m128)v);  // no sum of weights makes so much of 16 bits that 32 do not hold it
+            if constexpr (std::numeric_limits<T>::is_signed)
+                s = _mm_packs_epi32(s, s);
+            else
+                s = _mm_packus_epi32(s, s);
             if constexpr (sizeof(T) == 1) s = _mm_packus_epi16(s, s);
             memcpy(four, &s, sizeof four);
 #else
             const float low = std::numeric_limits<T>::lowest();
             for (int c = 0; c < 4; c++) four[c] = (T)__builtin_rintf(v[c] > low ? v[c] < high ? v[c] : high : low);
 #endif
-            if (room) memcpy(p, four, sizeof four);
-            else memcpy(p, four, sizeof(T) * C);
+            if (room)
+                memcpy(p, four, sizeof four);
+            else
+                memcpy(p, four, sizeof(T) * C);
         }
     }
 };
 
-// ---- pyramids -----------------------------------------------------------------------------------------------------------
+// ---- pyramids
+// -----------------------------------------------------------------------------------------------------------
 
 // Averages of the frames in `span`, as deep as a map's smallest singular values ask for.
-template <class N> struct Averages {
+template <class N>
+struct Averages {
     Pyramid<N> pyramid;
     std::vector<std::vector<N>> samples;
     std::vector<std::vector<const N*>> frames;
@@ -284,8 +301,10 @@ template <class N> struct Averages {
                     for (int r = 0; r < 2; r++) {
                         int line = std::min(2 * y + r, h - 1);
                         N* row = rows.data() + (size_t)r * w * lanes;
-                        if (above) memcpy(row, above + (size_t)line * w * lanes, sizeof(N) * w * lanes);
-                        else numbers.convert(frame, 0, line, w, group, row);
+                        if (above)
+                            memcpy(row, above + (size_t)line * w * lanes, sizeof(N) * w * lanes);
+                        else
+                            numbers.convert(frame, 0, line, w, group, row);
                     }
                     for (int x = 0; x < half_w; x++)
                         for (int c = 0; c < lanes; c++) {
@@ -306,19 +325,22 @@ template <class N> struct Averages {
     }
 };
 
-// ---- a plane --------------------------------------------------------------------------------------------------------------
+// ---- a plane
+// --------------------------------------------------------------------------------------------------------------
 
 // How frames are mixed at the samples of a row. The constant beyond a clip's ends is told by its weight alone.
-template <class N, int D> struct Mixing {
+template <class N, int D>
+struct Mixing {
     const Job& job;
     Span span;
     const Row<D>& row;
     int from;
     N* weight;
-    const void* const* frames; // of the span; null: constant
-    bool pairs;                // all that a row needs are two frames of the span, linearly
+    const void* const* frames;  // of the span; null: constant
+    bool pairs;                 // all that a row needs are two frames of the span, linearly
     INLINE Mix<N> operator()(int i) const {
-        if constexpr (D == 2) return {0, 1, weight, 0};
+        if constexpr (D == 2)
+            return {0, 1, weight, 0};
         else if (pairs) {
             N f = (N)row.part[2][from + i];
             weight[0] = 1 - f;
@@ -333,7 +355,7 @@ template <class N, int D> struct Mixing {
             if (job.rule != REFLECT) t = std::clamp(t, -3.0 - LONGEST / 2, job.count + 2.0 + LONGEST / 2);
             int first, n = time_weights(job.between, t, width, first, weight);
             first -= span.first;
-            if (first < 0 || first + n > span.last - span.first + 1) { // rounding at the ends of a span
+            if (first < 0 || first + n > span.last - span.first + 1) {  // rounding at the ends of a span
                 first = std::clamp(first, 0, std::max(span.last - span.first + 1 - n, 0));
                 n = std::min(n, span.last - span.first + 1);
             }
@@ -349,7 +371,8 @@ template <class N, int D> struct Mixing {
 // Whether two frames of a span, all of which are there, are all that each of n samples of a row needs.
 template <int D>
 INLINE bool takes_pairs(const Job& job, Span span, const Row<D>& row, int from, int n, const void* const* frames) {
-    if constexpr (D == 2) return false;
+    if constexpr (D == 2)
+        return false;
     else {
         if (job.between != BETWEEN_LINEAR || job.average) return false;
         int first = row.whole[2][from], last = first;
@@ -365,7 +388,8 @@ INLINE bool takes_pairs(const Job& job, Span span, const Row<D>& row, int from, 
 }
 
 INLINE void copy_same(const Job& job, const char* frame, int x, int y, int n, const bool* same) {
-    ptrdiff_t size = job.pixel_bytes(), at = ((ptrdiff_t)y * job.w + x) * size, to = ((ptrdiff_t)y * job.grid.size[0] + x) * size;
+    ptrdiff_t size = job.pixel_bytes(), at = ((ptrdiff_t)y * job.w + x) * size,
+              to = ((ptrdiff_t)y * job.grid.size[0] + x) * size;
     for (int i = 0; i < n;) {
         int end = i;
         while (end < n && (!same || same[end])) end++;
@@ -375,33 +399,36 @@ INLINE void copy_same(const Job& job, const char* frame, int x, int y, int n, co
 }
 
 // The frame that a plane shows where nothing moves.
-template <int D> inline const char* own_frame(const Plan<D>& plan, const Job& job) {
+template <int D>
+inline const char* own_frame(const Plan<D>& plan, const Job& job) {
     return D == 2 ? job.frames : job.frame((int)plan.z);
 }
 
-template <int D> void sample_nearest(const Plan<D>& plan, const Job& job) {
+template <int D>
+void sample_nearest(const Plan<D>& plan, const Job& job) {
     ptrdiff_t size = job.pixel_bytes();
     std::vector<char> fill(size);
     const Job filling = job;
     Numbers<double> numbers(filling);
-    for (int c = 0; c < job.channels; c++) { // in the samples' own type
+    for (int c = 0; c < job.channels; c++) {  // in the samples' own type
         double v = job.fill[c];
         char* p = fill.data() + c * bytes_of(job.type);
         auto put = [&](auto kind) {
-            kind = std::numeric_limits<decltype(kind)>::is_integer ? numbers.limit_of<decltype(kind)>(floor(v + 0.5)) : (decltype(kind))v;
+            kind = std::numeric_limits<decltype(kind)>::is_integer ? numbers.limit_of<decltype(kind)>(floor(v + 0.5))
+                                                                   : (decltype(kind))v;
             memcpy(p, &kind, sizeof kind);
         };
         switch (job.type) {
-        case U8: put(uint8_t()); break;
-        case U16: put(uint16_t()); break;
-        case I16: put(int16_t()); break;
-        case F32: put(float()); break;
-        case F64: put(double()); break;
-        case I8: put(int8_t()); break;
-        case I32: put(int32_t()); break;
-        case U32: put(uint32_t()); break;
-        case I64: put(int64_t()); break;
-        default: put(uint64_t());
+            case U8: put(uint8_t()); break;
+            case U16: put(uint16_t()); break;
+            case I16: put(int16_t()); break;
+            case F32: put(float()); break;
+            case F64: put(double()); break;
+            case I8: put(int8_t()); break;
+            case I32: put(int32_t()); break;
+            case U32: put(uint32_t()); break;
+            case I64: put(int64_t()); break;
+            default: put(uint64_t());
         }
     }
     parallel(plan.roots_down(), [&](int j, int) {
@@ -422,7 +449,8 @@ template <int D> void sample_nearest(const Plan<D>& plan, const Job& job) {
 }
 
 // Sample what kernels read as it lies.
-template <class T, int C, int D> void sample_direct(const Plan<D>& plan, const Job& job) {
+template <class T, int C, int D>
+void sample_direct(const Plan<D>& plan, const Job& job) {
     Numbers<float> numbers(job);
     Averages<float> averages;
     Span span{0, 0};
@@ -441,21 +469,24 @@ template <class T, int C, int D> void sample_direct(const Plan<D>& plan, const J
         Prints prints;
         prints.any = false;
         float weight[(int)LONGEST + 8] = {1};
-        plan.each_row(job.grid, j, job.box, job.filter == AUTO || job.average, [&](const Row<D>& row, int x, int y, int n, int at) {
-            const char* own = own_frame(plan, job);
-            if (row.idle) return copy_same(job, own, x, y, n, nullptr);
-            if (job.filter == AUTO) prints.find(row);
-            const void* const* all = (const void* const*)frames.data();
-            Mixing<float, D> mixing{job, span, row, at, weight, all, takes_pairs(job, span, row, at, n, all)};
-            Putting<C, T> put{(T*)job.out + ((ptrdiff_t)y * job.grid.size[0] + x) * C, n, high};
-            sample_row<float, C, D == 3>(source, averages.pyramid, job.filter, row, prints, at, n, mixing, put);
-            if (row.some_same) copy_same(job, own, x, y, n, row.same + at);
-        });
+        plan.each_row(
+            job.grid, j, job.box, job.filter == AUTO || job.average,
+            [&](const Row<D>& row, int x, int y, int n, int at) {
+                const char* own = own_frame(plan, job);
+                if (row.idle) return copy_same(job, own, x, y, n, nullptr);
+                if (job.filter == AUTO) prints.find(row);
+                const void* const* all = (const void* const*)frames.data();
+                Mixing<float, D> mixing{job, span, row, at, weight, all, takes_pairs(job, span, row, at, n, all)};
+                Putting<C, T> put{(T*)job.out + ((ptrdiff_t)y * job.grid.size[0] + x) * C, n, high};
+                sample_row<float, C, D == 3>(source, averages.pyramid, job.filter, row, prints, at, n, mixing, put);
+                if (row.some_same) copy_same(job, own, x, y, n, row.same + at);
+            });
     });
 }
 
 // Sample anything, root by root, from what each can see, as numbers.
-template <class N, int C, int D> void sample_converted(const Plan<D>& plan, const Job& job) {
+template <class N, int C, int D>
+void sample_converted(const Plan<D>& plan, const Job& job) {
     Numbers<N> numbers(job);
     Averages<N> averages;
     for (int group = 0; group < numbers.groups(); group++) {
@@ -499,19 +530,24 @@ template <class N, int C, int D> void sample_converted(const Plan<D>& plan, cons
                         for (int y = box[2]; frame && y < box[3]; y++)
                             numbers.convert(frame, box[0], y, across, group, at + (y - box[2]) * line);
                     }
-                    Frames<N> source{frames.data(), job.w, job.h, line, std::numeric_limits<ptrdiff_t>::max(), job.rule, fill};
+                    Frames<N> source{frames.data(), job.w, job.h, line, std::numeric_limits<ptrdiff_t>::max(),
+                                     job.rule,      fill};
                     Span frame_span = span;
                     Averages<N>* levels = &averages;
-                    plan.each_row(job.grid, j, wanted, job.filter == AUTO || job.average, [&](const Row<D>& row, int x, int y, int n, int at) {
-                        if (job.filter == AUTO) prints.find(row);
-                        const void* const* all = (const void* const*)frames.data();
-                        Mixing<N, D> mixing{job, frame_span, row, at, weight, all, takes_pairs(job, frame_span, row, at, n, all)};
-                        Pyramid<N> pyramid = shifted(levels->pyramid, frame_span.first - whole.first);
-                        sample_row<N, C, D == 3>(source, pyramid, job.filter, row, prints, at, n, mixing, [&](int i, Pixel<N> v) INLINE_LAMBDA { values[i] = v; });
-                        char* to = job.out + ((ptrdiff_t)y * job.grid.size[0] + x) * job.pixel_bytes();
-                        numbers.store(values, n, group, to);
-                        if (row.some_same) copy_same(job, own_frame(plan, job), x, y, n, row.same + at);
-                    });
+                    plan.each_row(
+                        job.grid, j, wanted, job.filter == AUTO || job.average,
+                        [&](const Row<D>& row, int x, int y, int n, int at) {
+                            if (job.filter == AUTO) prints.find(row);
+                            const void* const* all = (const void* const*)frames.data();
+                            Mixing<N, D> mixing{
+                                job, frame_span, row, at, weight, all, takes_pairs(job, frame_span, row, at, n, all)};
+                            Pyramid<N> pyramid = shifted(levels->pyramid, frame_span.first - whole.first);
+                            sample_row<N, C, D == 3>(source, pyramid, job.filter, row, prints, at, n, mixing,
+                                                     [&](int i, Pixel<N> v) INLINE_LAMBDA { values[i] = v; });
+                            char* to = job.out + ((ptrdiff_t)y * job.grid.size[0] + x) * job.pixel_bytes();
+                            numbers.store(values, n, group, to);
+                            if (row.some_same) copy_same(job, own_frame(plan, job), x, y, n, row.same + at);
+                        });
                 } else
                     plan.each_row(job.grid, j, wanted, false, [&](const Row<D>&, int x, int y, int n, int) {
                         copy_same(job, own_frame(plan, job), x, y, n, nullptr);
@@ -521,14 +557,16 @@ template <class N, int C, int D> void sample_converted(const Plan<D>& plan, cons
     }
 }
 // The same pyramid, from a later frame on.
-template <class N> INLINE Pyramid<N> shifted(const Pyramid<N>& p, int by) {
+template <class N>
+INLINE Pyramid<N> shifted(const Pyramid<N>& p, int by) {
     Pyramid<N> made = p;
     for (int k = 0; k < p.levels; k++) made.level[k].at += by;
     return made;
 }
 // The samples of a frame that a root may need: its source points, their footprints, and what stands for those beyond
 // an edge.
-template <int D> inline void seen(const Job& job, const Extent<D>& e, int (&box)[4]) {
+template <int D>
+inline void seen(const Job& job, const Extent<D>& e, int (&box)[4]) {
     int size[2] = {job.w, job.h};
     double ratio = (double)std::max(job.grid.step[0], job.grid.step[1]) / std::min(job.grid.step[0], job.grid.step[1]);
     double margin = 4 + (job.filter == AUTO ? 0.5 * sqrt(std::min(e.spread * ratio * ratio, 1600.0)) : 0);
@@ -536,7 +574,7 @@ template <int D> inline void seen(const Job& job, const Extent<D>& e, int (&box)
         double low = (e.low[d] - job.grid.offset[d]) / job.grid.step[d] - margin;
         double high = (e.high[d] - job.grid.offset[d]) / job.grid.step[d] + margin;
         int n = size[d], first = (int)std::clamp(low, 0.0, n - 1.0), last = (int)std::clamp(high, 0.0, n - 1.0);
-        if (job.rule == REFLECT) { // the mirror images of what lies beyond, which may be all
+        if (job.rule == REFLECT) {  // the mirror images of what lies beyond, which may be all
             if (low < 0) last = (int)std::max((double)last, std::min(-low, n - 1.0));
             if (high > n - 1) first = (int)std::min((double)first, std::max(2 * n - 2 - high, 0.0));
             if (low < -n || high > 2 * n - 1) first = 0, last = n - 1;
@@ -547,27 +585,29 @@ template <int D> inline void seen(const Job& job, const Extent<D>& e, int (&box)
 }
 
 // Fill job.out by sampling at the source points of a plan's grid.
-template <int D> void sample(const Plan<D>& plan, const Job& job) {
+template <int D>
+void sample(const Plan<D>& plan, const Job& job) {
     if (job.filter == NEAREST) return sample_nearest(plan, job);
     if (job.direct()) {
         switch (job.type * 8 + job.channels) {
-        case U8 * 8 + 1: return sample_direct<uint8_t, 1>(plan, job);
-        case U8 * 8 + 2: return sample_direct<uint8_t, 2>(plan, job);
-        case U8 * 8 + 3: return sample_direct<uint8_t, 3>(plan, job);
-        case U8 * 8 + 4: return sample_direct<uint8_t, 4>(plan, job);
-        case U16 * 8 + 1: return sample_direct<uint16_t, 1>(plan, job);
-        case U16 * 8 + 2: return sample_direct<uint16_t, 2>(plan, job);
-        case U16 * 8 + 3: return sample_direct<uint16_t, 3>(plan, job);
-        case U16 * 8 + 4: return sample_direct<uint16_t, 4>(plan, job);
-        case F32 * 8 + 1: return sample_direct<float, 1>(plan, job);
-        case F32 * 8 + 2: return sample_direct<float, 2>(plan, job);
-        case F32 * 8 + 3: return sample_direct<float, 3>(plan, job);
-        case F32 * 8 + 4: return sample_direct<float, 4>(plan, job);
-        default: return sample_direct<int16_t, 1>(plan, job);
+            case U8 * 8 + 1: return sample_direct<uint8_t, 1>(plan, job);
+            case U8 * 8 + 2: return sample_direct<uint8_t, 2>(plan, job);
+            case U8 * 8 + 3: return sample_direct<uint8_t, 3>(plan, job);
+            case U8 * 8 + 4: return sample_direct<uint8_t, 4>(plan, job);
+            case U16 * 8 + 1: return sample_direct<uint16_t, 1>(plan, job);
+            case U16 * 8 + 2: return sample_direct<uint16_t, 2>(plan, job);
+            case U16 * 8 + 3: return sample_direct<uint16_t, 3>(plan, job);
+            case U16 * 8 + 4: return sample_direct<uint16_t, 4>(plan, job);
+            case F32 * 8 + 1: return sample_direct<float, 1>(plan, job);
+            case F32 * 8 + 2: return sample_direct<float, 2>(plan, job);
+            case F32 * 8 + 3: return sample_direct<float, 3>(plan, job);
+            case F32 * 8 + 4: return sample_direct<float, 4>(plan, job);
+            default: return sample_direct<int16_t, 1>(plan, job);
         }
     }
     bool exact = job.type == F64 || bytes_of(job.type) > 4 || job.type == I32 || job.type == U32;
-    if (exact) return job.channels == 1 ? sample_converted<double, 1>(plan, job) : sample_converted<double, 4>(plan, job);
+    if (exact)
+        return job.channels == 1 ? sample_converted<double, 1>(plan, job) : sample_converted<double, 4>(plan, job);
     return job.channels == 1 ? sample_converted<float, 1>(plan, job) : sample_converted<float, 4>(plan, job);
 }
 

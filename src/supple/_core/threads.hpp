@@ -76,7 +76,8 @@ public:
     std::mutex taken;
 
 private:
-    template <class F> void work(int worker, F&& between) {
+    template <class F>
+    void work(int worker, F&& between) {
         for (int i; !stop && (i = next++) < total;) {
             try {
                 (*job)(i, worker);

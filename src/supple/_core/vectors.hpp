@@ -12,31 +12,47 @@ constexpr int REGISTER = 32;
 constexpr int REGISTER = 16;
 #endif
 
-template <class H> struct Pair {
+template <class H>
+struct Pair {
     H a, b;
     static constexpr int half = sizeof(H) / sizeof(decltype(H{}[0] + 0));
-#define EACH(op)                                                                                                       \
-    friend INLINE Pair operator op(Pair x, Pair y) { return {x.a op y.a, x.b op y.b}; }                                \
-    template <class S> friend INLINE Pair operator op(Pair x, S y) { return {x.a op y, x.b op y}; }                    \
-    template <class S> friend INLINE Pair operator op(S x, Pair y) { return {x op y.a, x op y.b}; }
-    EACH(+) EACH(-) EACH(*)
+#define EACH(op)                                                                        \
+    friend INLINE Pair operator op(Pair x, Pair y) { return {x.a op y.a, x.b op y.b}; } \
+    template <class S>                                                                  \
+    friend INLINE Pair operator op(Pair x, S y) {                                       \
+        return {x.a op y, x.b op y};                                                    \
+    }                                                                                   \
+    template <class S>                                                                  \
+    friend INLINE Pair operator op(S x, Pair y) {                                       \
+        return {x op y.a, x op y.b};                                                    \
+    }
+    EACH(+)
+    EACH(-) EACH(*)
 #undef EACH
-    INLINE Pair& operator+=(Pair y) { return *this = *this + y; }
+        INLINE Pair& operator+=(Pair y) {
+        return *this = *this + y;
+    }
     INLINE auto operator[](int i) const { return i < half ? a[i] : b[i - half]; }
 };
 
-template <class N, int L, bool NATIVE = (sizeof(N) * L <= REGISTER)> struct PackOf;
-template <class N, int L> struct PackOf<N, L, true> {
+template <class N, int L, bool NATIVE = (sizeof(N) * L <= REGISTER)>
+struct PackOf;
+template <class N, int L>
+struct PackOf<N, L, true> {
     typedef N type __attribute__((vector_size(sizeof(N) * L)));
 };
-template <class N, int L> struct PackOf<N, L, false> {
+template <class N, int L>
+struct PackOf<N, L, false> {
     typedef Pair<typename PackOf<N, L / 2>::type> type;
 };
-template <class N, int L> using Pack = typename PackOf<N, L>::type;
-template <class N> using Pixel = Pack<N, 4>;  // up to four channels
+template <class N, int L>
+using Pack = typename PackOf<N, L>::type;
+template <class N>
+using Pixel = Pack<N, 4>;  // up to four channels
 
 // Lanes of two pixels one after the other: those from `BY` on.
-template <class N, int BY> INLINE Pixel<N> straddle(Pixel<N> a, Pixel<N> b) {
+template <class N, int BY>
+INLINE Pixel<N> straddle(Pixel<N> a, Pixel<N> b) {
     if constexpr (sizeof(Pixel<N>) <= REGISTER)
         return __builtin_shufflevector(a, b, BY, BY + 1, BY + 2, BY + 3);
     else {
@@ -50,19 +66,23 @@ template <class N, int BY> INLINE Pixel<N> straddle(Pixel<N> a, Pixel<N> b) {
     }
 }
 // Quarter (or half) K of a pack: its lanes 4K to 4K + 3.
-template <class N, int K, class V> INLINE Pixel<N> part(V v) {
+template <class N, int K, class V>
+INLINE Pixel<N> part(V v) {
     if constexpr (sizeof(V) == 4 * sizeof(N))
         return v;
     else if constexpr (sizeof(V) > REGISTER) {
         constexpr int half = (int)(sizeof(V) / sizeof(N) / 8);
-        if constexpr (K < half) return part<N, K>(v.a);
-        else return part<N, K - half>(v.b);
+        if constexpr (K < half)
+            return part<N, K>(v.a);
+        else
+            return part<N, K - half>(v.b);
     } else
         return __builtin_shufflevector(v, v, 4 * K, 4 * K + 1, 4 * K + 2, 4 * K + 3);
 }
 
 // L consecutive samples as numbers.
-template <class N, int L, class T> struct Loader {
+template <class N, int L, class T>
+struct Loader {
     static INLINE Pack<N, L> at(const T* p) {
         if constexpr (sizeof(N) * L > REGISTER)
             return {Loader<N, L / 2, T>::at(p), Loader<N, L / 2, T>::at(p + L / 2)};
@@ -73,16 +93,22 @@ template <class N, int L, class T> struct Loader {
         } else {
 #if defined(__AVX512F__)
             if constexpr (L == 16) {
-                if constexpr (sizeof(T) == 1) return (Pack<N, L>)_mm512_cvtepi32_ps(_mm512_cvtepu8_epi32(_mm_loadu_si128((const __m128i*)p)));
-                else if constexpr (T(-1) > T(0)) return (Pack<N, L>)_mm512_cvtepi32_ps(_mm512_cvtepu16_epi32(_mm256_loadu_si256((const __m256i*)p)));
-                else return (Pack<N, L>)_mm512_cvtepi32_ps(_mm512_cvtepi16_epi32(_mm256_loadu_si256((const __m256i*)p)));
+                if constexpr (sizeof(T) == 1)
+                    return (Pack<N, L>)_mm512_cvtepi32_ps(_mm512_cvtepu8_epi32(_mm_loadu_si128((const __m128i*)p)));
+                else if constexpr (T(-1) > T(0))
+                    return (Pack<N, L>)_mm512_cvtepi32_ps(_mm512_cvtepu16_epi32(_mm256_loadu_si256((const __m256i*)p)));
+                else
+                    return (Pack<N, L>)_mm512_cvtepi32_ps(_mm512_cvtepi16_epi32(_mm256_loadu_si256((const __m256i*)p)));
             } else
 #endif
 #if defined(__AVX2__)
-            if constexpr (L == 8) {
-                if constexpr (sizeof(T) == 1) return (Pack<N, L>)_mm256_cvtepi32_ps(_mm256_cvtepu8_epi32(_mm_loadl_epi64((const __m128i*)p)));
-                else if constexpr (T(-1) > T(0)) return (Pack<N, L>)_mm256_cvtepi32_ps(_mm256_cvtepu16_epi32(_mm_loadu_si128((const __m128i*)p)));
-                else return (Pack<N, L>)_mm256_cvtepi32_ps(_mm256_cvtepi16_epi32(_mm_loadu_si128((const __m128i*)p)));
+                if constexpr (L == 8) {
+                if constexpr (sizeof(T) == 1)
+                    return (Pack<N, L>)_mm256_cvtepi32_ps(_mm256_cvtepu8_epi32(_mm_loadl_epi64((const __m128i*)p)));
+                else if constexpr (T(-1) > T(0))
+                    return (Pack<N, L>)_mm256_cvtepi32_ps(_mm256_cvtepu16_epi32(_mm_loadu_si128((const __m128i*)p)));
+                else
+                    return (Pack<N, L>)_mm256_cvtepi32_ps(_mm256_cvtepi16_epi32(_mm_loadu_si128((const __m128i*)p)));
             } else
 #endif
             {
@@ -91,8 +117,10 @@ template <class N, int L, class T> struct Loader {
                 if constexpr (sizeof(T) == 1) {
                     memcpy(&word, p, 4);
                     return (Pack<N, L>)_mm_cvtepi32_ps(_mm_cvtepu8_epi32(_mm_cvtsi32_si128(word)));
-                } else if constexpr (T(-1) > T(0)) return (Pack<N, L>)_mm_cvtepi32_ps(_mm_cvtepu16_epi32(_mm_loadl_epi64((const __m128i*)p)));
-                else return (Pack<N, L>)_mm_cvtepi32_ps(_mm_cvtepi16_epi32(_mm_loadl_epi64((const __m128i*)p)));
+                } else if constexpr (T(-1) > T(0))
+                    return (Pack<N, L>)_mm_cvtepi32_ps(_mm_cvtepu16_epi32(_mm_loadl_epi64((const __m128i*)p)));
+                else
+                    return (Pack<N, L>)_mm_cvtepi32_ps(_mm_cvtepi16_epi32(_mm_loadl_epi64((const __m128i*)p)));
 #else
                 Pack<N, L> r;
                 for (int i = 0; i < L; i++) r[i] = (N)p[i];
@@ -102,13 +130,17 @@ template <class N, int L, class T> struct Loader {
         }
     }
 };
-template <class N, int L, class T> INLINE Pack<N, L> load(const T* p) { return Loader<N, L, T>::at(p); }
+template <class N, int L, class T>
+INLINE Pack<N, L> load(const T* p) {
+    return Loader<N, L, T>::at(p);
+}
 
 // How many lanes hold n numbers.
 constexpr int lanes_for(int n) { return n <= 4 ? 4 : n <= 8 ? 8 : 16; }
 
 // The sums over K pixels of C channels each, which lie one after the other in a pack.
-template <class N, int C, int K, class V> INLINE Pixel<N> sum_of(V v) {
+template <class N, int C, int K, class V>
+INLINE Pixel<N> sum_of(V v) {
     Pixel<N> a = part<N, 0>(v);
     if constexpr (C == 4) {
         Pixel<N> s = a + part<N, 1>(v);

@@ -25,7 +25,8 @@ INLINE Float8 load8(const float* at) {
     typedef float Anywhere __attribute__((vector_size(32), aligned(4), may_alias));
     return *(const Anywhere*)at;
 }
-template <int K> INLINE Float4 half(Float8 x) {
+template <int K>
+INLINE Float4 half(Float8 x) {
     return __builtin_shufflevector(x, x, 4 * K, 4 * K + 1, 4 * K + 2, 4 * K + 3);
 }
 INLINE float dot3(Float4 a, Float4 b) {
@@ -33,10 +34,14 @@ INLINE float dot3(Float4 a, Float4 b) {
     return c[0] + c[1] + c[2];
 }
 // The point at `part` of the way from a to b: exactly a where both are the same.
-template <class V, class S> INLINE V mix(S part, V a, V b) { return a + part * (b - a); }
+template <class V, class S>
+INLINE V mix(S part, V a, V b) {
+    return a + part * (b - a);
+}
 
 // Four integers of type T, one after the other in `bits`. Compilers know how, but for GCC.
-template <class T, class B> INLINE Float4 numbers(B bits) {
+template <class T, class B>
+INLINE Float4 numbers(B bits) {
 #if defined(__SSE4_1__)
     __m128i x = sizeof(T) == 1 ? _mm_cvtsi32_si128((int)bits) : _mm_cvtsi64_si128((int64_t)bits);
     if constexpr (sizeof(T) == 1)
@@ -52,7 +57,8 @@ template <class T, class B> INLINE Float4 numbers(B bits) {
 }
 
 // A volume of T, x fastest, of two voxels along each axis at least.
-template <class T> struct Voxels {
+template <class T>
+struct Voxels {
     const T* data;
     int64_t row, layer;
     Int4 last;  // the last cell along each axis: n - 2
@@ -100,7 +106,8 @@ private:
     }
 
     INLINE static Float4 four(const T* a) {
-        if constexpr (sizeof(T) == 4) return load4(a);
+        if constexpr (sizeof(T) == 4)
+            return load4(a);
         else {
             std::conditional_t<sizeof(T) == 1, uint32_t, uint64_t> bits;
             memcpy(&bits, a, sizeof bits);
@@ -108,7 +115,8 @@ private:
         }
     }
     // At `part` between the second and the third, what changes from each one's neighbour before to that after.
-    template <class V> INLINE static V change(float part, V a, V b, V c, V d) {
+    template <class V>
+    INLINE static V change(float part, V a, V b, V c, V d) {
         return mix(part, V(c - a), V(d - b));
     }
 
@@ -124,7 +132,8 @@ private:
             side[k] = mix(v, y1, y2);
             if (k == 1 || k == 2) down[k - 1] = change(v, four(a), y1, y2, four(a + 3 * row));
         }
-        Float4 x = mix(w, side[1], side[2]), y = mix(w, down[0], down[1]), z = change(w, side[0], side[1], side[2], side[3]);
+        Float4 x = mix(w, side[1], side[2]), y = mix(w, down[0], down[1]),
+               z = change(w, side[0], side[1], side[2], side[3]);
         return Float4{change(u, x[0], x[1], x[2], x[3]), mix(u, y[1], y[2]), mix(u, z[1], z[2]), 0};
     }
 
