@@ -163,7 +163,6 @@ except KeyboardInterrupt:
     assert result.stdout.startswith("interrupted")
 
 
-@pytest.mark.xfail(reason="a thread that asks for Python's lock as Python ends is ended within the core", strict=False)
 @pytest.mark.parametrize("wait", [0.0, 0.11])
 def test_the_process_ends_while_a_thread_works(wait: float) -> None:
     """A daemon's work is dropped; nothing hangs, and nothing aborts."""

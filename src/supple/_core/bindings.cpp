@@ -7,6 +7,7 @@ namespace supple {
 namespace {
 
 bool python_interrupts() {
+    if (ending.keeps_out()) return false;
     nb::gil_scoped_acquire acquire;
     return PyErr_CheckSignals() != 0;
 }
@@ -158,6 +159,10 @@ NB_MODULE(SUPPLE_MODULE, m) {
         } catch (const supple::Interrupted&) {
         }  // what Python was interrupted with is set already
     });
+    nb::module_::import_("atexit").attr("register")(nb::cpp_function([] {
+        supple::ending.main = std::this_thread::get_id();
+        supple::ending.begun = true;
+    }));
     m.def("threads", &supple::threads, "Return how many threads work at once.");
     supple::bind_points(m);
     supple::bind_plans(m);

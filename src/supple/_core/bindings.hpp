@@ -22,11 +22,27 @@ inline std::vector<Stroke> strokes_of(const Doubles& rows, const Axis* axes) {
     return load_strokes(rows.data(), rows.shape(0), axes);
 }
 
+// When Python ends, it ends each daemon thread that asks for its lock, in the midst of C++ that does not expect that.
+// So such a thread stays out, until the process is gone.
+struct Ending {
+    std::atomic<bool> begun{false};
+    std::thread::id main;
+    bool keeps_out() const { return begun && std::this_thread::get_id() != main; }
+    void stay_out() const {
+        while (keeps_out()) std::this_thread::sleep_for(std::chrono::hours(1));
+    }
+};
+inline Ending ending;
+
 // Do work without Python's lock; what Python was interrupted with goes on.
 template <class F>
 auto unlocked(F&& work) {
+    struct Leaving {
+        ~Leaving() { ending.stay_out(); }
+    };
     try {
         nb::gil_scoped_release release;
+        Leaving leaving;
         return work();
     } catch (const Interrupted&) {
         throw nb::python_error();

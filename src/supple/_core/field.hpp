@@ -134,8 +134,8 @@ struct Jet {
 
 // Send a jet through one stroke: x ← T(x), t ← T'(x) t, mixed ← T'(x) mixed + T''(x)(t₀, t₁).
 //
-// Returns, if MIXED, the square of how far one may go in u before the map varies: ρ² / |t|², and 4σ² / |t|² of a
-// border.
+// Returns, if MIXED, the square of how far one may go in u before the map varies: ρ² / |t|², and 4 max(D, σ)² / |t|²
+// at the distance D from a fixed face.
 template <int D, int TANGENTS, bool MIXED, class V>
 INLINE V carry(const Stroke& k, const Axis* axes, Jet<D, TANGENTS, MIXED, V>& jet) {
     constexpr int ORDER = MIXED ? 2 : TANGENTS > 0 ? 1 : 0;
@@ -189,8 +189,12 @@ INLINE V carry(const Stroke& k, const Axis* axes, Jet<D, TANGENTS, MIXED, V>& je
             }
             reach = (s + k.radius2[0]) / longest;
             for (int i = 0; i < D; i++)
-                if (axes[i].sigma > 0 && !k.inner)
-                    reach = least(reach, V(4.0 * axes[i].sigma * axes[i].sigma / longest));
+                if (axes[i].sigma > 0 && !k.inner) {
+                    // β varies over σ at a face, and not at all farther in.
+                    V depth = least(jet.x[i], V(axes[i].extent - jet.x[i]));
+                    V scale = most(depth, splat<V>(axes[i].sigma));
+                    reach = least(reach, V(4.0 * scale * scale / longest));
+                }
         }
         for (int j = 0; j < TANGENTS; j++)
             for (int i = 0; i < D; i++) jet.t[j][i] += beta[i][0] * Ju[j][i] + beta[i][1] * u[j][i] * K[i];

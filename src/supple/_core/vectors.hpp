@@ -27,7 +27,8 @@ struct Pair {
         return {x op y.a, x op y.b};                                                    \
     }
     EACH(+)
-    EACH(-) EACH(*)
+    EACH(-)
+    EACH(*)
 #undef EACH
         INLINE Pair& operator+=(Pair y) {
         return *this = *this + y;
