@@ -26,10 +26,10 @@ struct Pair {
     friend INLINE Pair operator op(S x, Pair y) {                                       \
         return {x op y.a, x op y.b};                                                    \
     }
-    EACH(+)
-    EACH(-)
-    EACH(*)
+    // clang-format off
+    EACH(+) EACH(-) EACH(*)
 #undef EACH
+        // clang-format on
         INLINE Pair& operator+=(Pair y) {
         return *this = *this + y;
     }
