@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import shlex
 from html.parser import HTMLParser
+from inspect import signature
 from pathlib import Path
 
 import numpy as np
@@ -15,8 +16,8 @@ from supple import SuppleError
 from supple.cli import command
 from supple.gallery import SCENES, write_gallery
 from supple.media import image, video, volume
+from supple.rendering import Scene
 from supple.scenes import Look, Take
-from supple.views import RenderOptions
 
 SHOTS = [shot for scene in SCENES for shot in scene.shots]
 STILLS = [shot for shot in SHOTS if not isinstance(shot, Take | Look)]
@@ -116,7 +117,7 @@ def test_the_head_is_seen_outside_and_inside_and_from_all_sides(gallery: Path) -
     text, links = read_page(gallery)
     errors = [float(found) for found in re.findall(r"Source points within ([\d.]+) voxels", text)]
     assert len(errors) == len(LOOKS)
-    assert all(0 < error <= RenderOptions().tolerance for error in errors)
+    assert all(0 < error <= signature(Scene).parameters["tolerance"].default for error in errors)
     *stills, turn = LOOKS
     for look in stills:
         assert {f"{look.name}.jpg", f"{look.name}-before.jpg"} <= set(links.links)

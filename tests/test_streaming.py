@@ -270,8 +270,9 @@ def test_a_plan_holds_all_that_is_needed_and_little_more(seed: int) -> None:
             else:
                 assert plan.first[k] <= math.floor(a + 0.01) - support + 1
                 assert plan.last[k] >= math.floor(b - 0.01) + support
-                assert plan.first[k] >= math.floor(a - 0.5) - support - 1
-                assert plan.last[k] <= math.floor(b + 0.5) + support + 2
+                # Bounds are hulls of patches, which a steep map leaves wide.
+                assert plan.first[k] >= math.floor(a - 0.5) - support - 4
+                assert plan.last[k] <= math.floor(b + 0.5) + support + 5
             frames = np.arange(plan.first[k], plan.last[k] + 1)
             if rule == "reflect":
                 frames = frames % (2 * count)
@@ -612,13 +613,6 @@ def test_a_reader_that_fails() -> None:
 
     with pytest.raises(KeyboardInterrupt):
         list(stream(d.space, layout, Sampling(), plan, frames()))
-
-
-def test_more_than_two_grids() -> None:
-    groups = (Group(SHAPE, 1), Group((21, 34), 1, (2, 2), (0.0, 0.5)), Group((41, 34), 1, (2, 1)))
-    layout = Layout(groups, np.dtype(np.uint8), 255)
-    with pytest.raises(SuppleError, match="two grids"):
-        make_plan(bent().space, layout, Sampling(), range(COUNT))
 
 
 def test_values_stay_below_white() -> None:

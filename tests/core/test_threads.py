@@ -93,8 +93,8 @@ call = lambda: _core.inverse(rows, d._axes, targets, 2, 1e-9)
 """,
     "a plan": """
 d = Deformation((9000, 200), border=1.0)
-for k in range(12): d = d.grab((100, 4500 + k), by=(2, 1.5), radius=150)
-call = lambda: d.inverse_map(tolerance=1e-6)
+d = d.grab((100, 4500), by=(0.2, 1.5), radius=150)
+call = lambda: [d.inverse_map(tolerance=1e-6) for _ in range(1000)]
 """,
     "a warp": """
 d = Deformation((60, 700, 700)).grab((350, 350, 30), by=(40, 5, 4), radius=90)

@@ -295,7 +295,7 @@ void Plan<D>::solve(Work& w, bool guessed) {
     double finest = std::min(axes[0].spacing, axes[1].spacing), coarsest = std::max(axes[0].spacing, axes[1].spacing);
     if (D == 3) finest = std::min(finest, axes[2].spacing);
     // A step that short is taken, and another after it: what is left is of the order of its fourth power.
-    double enough = finest * std::min(0.05, 0.5 * sqrt(tolerance));
+    double enough = finest * std::min(0.02, 0.2 * sqrt(tolerance));
     int count = (int)w.asks.size();
     for (int start = 0; start < count; start += LANES) {
         auto ask = [&](int i) -> Ask& { return w.asks[std::min(start + i, count - 1)]; };
@@ -723,9 +723,10 @@ void Plan<D>::each_row(const Grid& grid, int root_row, const int (&box)[4], bool
 
 template <int D>
 void Plan<D>::widen(const Leaf<D>& leaf, Extent<D>& e) const {
-    // The patch's Bézier points, whose hull neither it nor, of their differences, its slopes leave; one sample more
-    // than its own, for chroma.
-    const double side[2] = {leaf.w + 1.0, leaf.h + 1.0};
+    // The patch's Bézier points, whose hull neither it nor, of their differences, its slopes leave. Samples lie up to
+    // the next leaf, or the last pixel.
+    auto reached = [](int pixels, bool last) { return last ? std::max(pixels - 1.0, 1e-3) : pixels; };
+    const double side[2] = {reached(leaf.w, leaf.x + leaf.w >= size[0]), reached(leaf.h, leaf.y + leaf.h >= size[1])};
     auto controls = [](double* c, int step, double h) {
         double c0 = c[0], c1 = c[step] * h, c2 = c[2 * step] * h * h, c3 = c[3 * step] * h * h * h;
         c[step] = c0 + c1 / 3;
@@ -802,7 +803,7 @@ void Plan<D>::measure(double finest, double& worst, long& unknown) const {
         each_row(grid, j, {0, width, 0, height}, false, [&](const Row<D>& row, int x, int y, int n, int at) {
             if (row.idle) return;
             for (int start = 0; start < n; start += LANES) {
-                Lanes q[D], given[D], off{};
+                Lanes q[D], given[D] = {}, off{};
                 Solution<D, Lanes> exact{};
                 for (int i = 0; i < LANES; i++) {
                     int k = std::min(start + i, n - 1);
