@@ -22,7 +22,7 @@ pytestmark = pytest.mark.filterwarnings("ignore::supple.FoldWarning")
 Floats = npt.NDArray[np.float64]
 ROUNDING = 2e-6
 """Of points in float32, which are kept relative to whole numbers."""
-SOLVED = 1e-2
+SOLVED = 2e-2
 """Part of the tolerance that is left of it at a node, which is not checked."""
 UNSEEN = 1.05
 """Nine points of a cell do not see quite its worst."""
