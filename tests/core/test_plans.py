@@ -48,7 +48,11 @@ def off_by(d: Deformation, p: _core.Plan, z: float = 0.0) -> float:
     return float(np.linalg.norm(points_of(p, shape, d.ndim) - true.points, axis=-1).max())  # type: ignore[arg-type]
 
 
-def promised(d: Deformation, tolerance: float, z: float = 0.0) -> None:
+# What float32 leaves of a patch that is as steep as damped strokes allow, one after the other, at its far end.
+STEEP_ROUNDING = 2e-3
+
+
+def promised(d: Deformation, tolerance: float, z: float = 0.0, rounding: float = 2e-5) -> None:
     """Check a plan's certificate and its measure against the truth, and the truth against the tolerance."""
     p = plan(d, tolerance, z)
     worst = off_by(d, p, z)
@@ -56,7 +60,7 @@ def promised(d: Deformation, tolerance: float, z: float = 0.0) -> None:
     assert unknown == p.unsolved == p.folds == 0
     assert worst <= measured + 1e-6
     assert measured <= worst + 2e-5
-    assert measured <= UNSEEN * p.error + SOLVED * tolerance + 2e-5
+    assert measured <= UNSEEN * p.error + SOLVED * tolerance + rounding
     assert p.error <= tolerance
     assert worst <= UNSEEN * tolerance + ROUNDING
     assert not p.identity or p.error == worst == 0
@@ -76,13 +80,13 @@ def test_one_stroke(seed: int) -> None:
 @settings(max_examples=40, deadline=None)
 @given(deformations(2, 90, 6), st.sampled_from(TOLERANCES))
 def test_any_strokes(d: Deformation, tolerance: float) -> None:
-    promised(d, tolerance)
+    promised(d, tolerance, rounding=STEEP_ROUNDING)
 
 
 @settings(max_examples=25, deadline=None)
 @given(deformations(3, 60, 3), st.sampled_from(TOLERANCES), st.floats(0, 1))
 def test_any_plane(d: Deformation, tolerance: float, where: float) -> None:
-    promised(d, tolerance, float(round(where * (d.shape[0] - 1))))
+    promised(d, tolerance, float(round(where * (d.shape[0] - 1))), rounding=STEEP_ROUNDING)
 
 
 def dabs(shape: tuple[int, int], count: int, seed: int) -> Deformation:
