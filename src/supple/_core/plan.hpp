@@ -44,7 +44,7 @@ struct Row {
     alignas(64) int whole[D][STRIDE];
     float part[D][STRIDE];
     float across[2][STRIDE], down[2][STRIDE];  // ∂p/∂x, ∂p/∂y in the plane
-    float depth2[STRIDE];                      // |∂p_z/∂q|²
+    float depth2[STRIDE];                      // |∂p_z/∂q|², in a stack
     bool same[STRIDE];                         // outside the ball of every stroke
     bool some_same, idle;                      // whether any is; whether nothing is known, as all are
     int count;                                 // of the samples of its root
@@ -133,6 +133,7 @@ private:
         std::vector<int> next;  // the next leaf of the same root
         double worst = 0, evaluations = 0, widest = 1;
         long unsolved = 0, folds = 0;
+        Extent<D> extent;  // of a plane in a stack, whose frames are found by it
     };
     struct Work {  // what a band needs while it is solved
         Band* band;
@@ -450,6 +451,8 @@ void Plan<D>::solve_band(int index) {
         w.cells.swap(w.split);
         w.split.clear();
     }
+    if (D == 3)
+        for (int root = first * across; root < end * across; root++) w.band->extent |= extent(root);
 }
 
 // Keep the cells that are good enough, split the others.
@@ -780,7 +783,10 @@ Extent<D> Plan<D>::extent(int index) const {
 template <int D>
 Extent<D> Plan<D>::extent() const {
     Extent<D> all;
-    for (int i = 0; i < (int)roots.size(); i++) all |= extent(i);
+    if (D == 3)
+        for (const Band& b : bands) all |= b.extent;
+    else
+        for (int i = 0; i < (int)roots.size(); i++) all |= extent(i);
     return all;
 }
 

@@ -6,7 +6,7 @@
 #pragma once
 #include <memory>
 
-#include "sample.hpp"
+#include "rows.hpp"
 
 namespace supple {
 
@@ -230,16 +230,23 @@ struct Numbers {
     }
 };
 
-// Put pixel i of n of a type that kernels read directly: rounded to the nearest, and kept within the type. Where
-// there is room, lanes beyond the C-th are overwritten by the next pixel.
+// Put pixels of a row, which ends at `end`, in a type that kernels read directly: rounded to the nearest, and kept
+// within the type. Where there is room, lanes beyond the C-th are overwritten by the next pixel.
 template <int C, class T>
 struct Putting {
-    T* out;
-    int n;
+    T* out;  // of pixel 0
+    int end;
     float high;  // the largest value
-    INLINE void operator()(int i, Pixel<float> v) const {
-        T* p = out + i * C;
-        const bool room = C == 4 || i + 4 / C < n;
+#if defined(__SSE4_1__)
+    // No sum of weights makes so much of 16 bits that 32 do not hold it.
+    static INLINE __m128i narrowed(__m128i a, __m128i b) {
+        __m128i s = std::numeric_limits<T>::is_signed ? _mm_packs_epi32(a, b) : _mm_packus_epi32(a, b);
+        return sizeof(T) == 1 ? _mm_packus_epi16(s, s) : s;
+    }
+#endif
+    INLINE void operator()(int k, Pixel<float> v) const {
+        T* p = out + k * C;
+        const bool room = C == 4 || k + 4 / C < end;
         if constexpr (sizeof(T) == 4) {
             if (room)
                 memcpy(p, &v, 16);
@@ -249,13 +256,8 @@ struct Putting {
             T four[4];
 #if defined(__SSE4_1__)
             if constexpr (sizeof(T) == 2) v = (Pixel<float>)_mm_min_ps((__m128)v, _mm_set1_ps(high));
-            __m128i s =
-                _mm_cvtps_epi32((__m128)v);  // no sum of weights makes so much of 16 bits that 32 do not hold it
-            if constexpr (std::numeric_limits<T>::is_signed)
-                s = _mm_packs_epi32(s, s);
-            else
-                s = _mm_packus_epi32(s, s);
-            if constexpr (sizeof(T) == 1) s = _mm_packus_epi16(s, s);
+            __m128i s = _mm_cvtps_epi32((__m128)v);
+            s = narrowed(s, s);
             memcpy(four, &s, sizeof four);
 #else
             const float low = std::numeric_limits<T>::lowest();
@@ -267,6 +269,35 @@ struct Putting {
                 memcpy(p, four, sizeof(T) * C);
         }
     }
+#if defined(__AVX2__)
+    // Pixels `from` to `to` - 1 of a block that begins at k.
+    INLINE void operator()(int k, int from, int to, const Eight* v) const {
+        T all[BLOCK * C];
+        if constexpr (sizeof(T) == 4)
+            for (int l = 0; l < BLOCK; l++)
+                for (int c = 0; c < C; c++) all[C * l + c] = v[c][l];
+        else {
+            __m128i s = integers(v[0]), t = C > 1 ? integers(v[C - 1]) : s;
+            if constexpr (C == 1)
+                memcpy(all, &s, sizeof all);
+            else if constexpr (sizeof(T) == 1)
+                _mm_storeu_si128((__m128i*)all, _mm_unpacklo_epi8(s, t));
+            else {
+                _mm_storeu_si128((__m128i*)all, _mm_unpacklo_epi16(s, t));
+                _mm_storeu_si128((__m128i*)all + 1, _mm_unpackhi_epi16(s, t));
+            }
+        }
+        if (to - from == BLOCK)
+            memcpy(out + k * C, all, sizeof all);
+        else
+            memcpy(out + from * C, all + (from - k) * C, (to - from) * C * sizeof(T));
+    }
+    INLINE __m128i integers(Eight v) const {
+        if constexpr (sizeof(T) == 2) v = least(v, Eight{} + high);
+        __m256i s = _mm256_cvtps_epi32((__m256)v);
+        return narrowed(_mm256_castsi256_si128(s), _mm256_extracti128_si256(s, 1));
+    }
+#endif
 };
 
 // ---- pyramids
@@ -279,11 +310,17 @@ struct Averages {
     std::vector<std::vector<N>> samples;
     std::vector<std::vector<const N*>> frames;
     double fill[4];
+    int first;
 
-    void build(const Job& job, const Numbers<N>& numbers, int group, Span span, double widest) {
-        pyramid.levels = 0;
-        samples.clear();
-        frames.clear();
+    // The pyramid of frames from a later one on.
+    Pyramid<N> from(int frame) const {
+        Pyramid<N> made = pyramid;
+        for (int k = 0; k < made.levels; k++) made.level[k].at += frame - first;
+        return made;
+    }
+
+    Averages(const Job& job, const Numbers<N>& numbers, int group, Span span, double widest) : first(span.first) {
+        if (job.filter != AUTO) return;
         numbers.constant(group, fill);
         int w = job.w, h = job.h, lanes = numbers.lanes;
         for (double want = widest * 1.2; want >= 3.2 && std::max(w, h) > 1 && pyramid.levels < LEVELS; want /= 4) {
@@ -328,28 +365,41 @@ struct Averages {
 // ---- a plane
 // --------------------------------------------------------------------------------------------------------------
 
-// How frames are mixed at the samples of a row. The constant beyond a clip's ends is told by its weight alone.
+// How frames are mixed at the samples of a row. The constant beyond a clip's ends is known by its weight alone.
 template <class N, int D>
 struct Mixing {
     const Job& job;
     Span span;
     const Row<D>& row;
-    int from;
     N* weight;
     const void* const* frames;  // of the span; null: constant
-    bool pairs;                 // all that a row needs are two frames of the span, linearly
-    INLINE Mix<N> operator()(int i) const {
+    bool pairs;                 // whether two frames of the span, all of which are there, are all that any needs
+
+    Mixing(const Job& job, Span span, const Row<D>& row, N* weight, const void* const* frames)
+        : job(job), span(span), row(row), weight(weight), frames(frames), pairs(false) {
+        if constexpr (D == 3) {
+            if (job.between != BETWEEN_LINEAR || job.average) return;
+            int first = row.whole[2][0], last = first;
+            for (int k = 0; k < row.count; k++) {
+                first = std::min(first, row.whole[2][k]);
+                last = std::max(last, row.whole[2][k]);
+            }
+            pairs = first >= span.first && last < span.last;
+            for (int k = first; pairs && k <= last + 1; k++) pairs = frames[k - span.first] != nullptr;
+        }
+    }
+    INLINE Mix<N> operator()(int k) const {
         if constexpr (D == 2)
             return {0, 1, weight, 0};
         else if (pairs) {
-            N f = (N)row.part[2][from + i];
+            N f = (N)row.part[2][k];
             weight[0] = 1 - f;
             weight[1] = f;
-            return {row.whole[2][from + i] - span.first, f == 0 ? 1 : 2, weight, 0};
+            return {row.whole[2][k] - span.first, f == 0 ? 1 : 2, weight, 0};
         } else {
-            double t = row.whole[2][from + i] + (double)row.part[2][from + i], width = 0;
+            double t = row.whole[2][k] + (double)row.part[2][k], width = 0;
             if (job.average) {
-                double d2 = row.depth2[from + i] - 1.0;
+                double d2 = row.depth2[k] - 1.0;
                 width = d2 > 0 ? std::min(sqrt(d2), LONGEST) : 0;
             }
             if (job.rule != REFLECT) t = std::clamp(t, -3.0 - LONGEST / 2, job.count + 2.0 + LONGEST / 2);
@@ -366,26 +416,40 @@ struct Mixing {
             return {first, n, w, constant};
         }
     }
-};
-
-// Whether two frames of a span, all of which are there, are all that each of n samples of a row needs.
-template <int D>
-INLINE bool takes_pairs(const Job& job, Span span, const Row<D>& row, int from, int n, const void* const* frames) {
-    if constexpr (D == 2)
-        return false;
-    else {
-        if (job.between != BETWEEN_LINEAR || job.average) return false;
-        int first = row.whole[2][from], last = first;
-        for (int i = 0; i < n; i++) {
-            first = std::min(first, row.whole[2][from + i]);
-            last = std::max(last, row.whole[2][from + i]);
+#if defined(__AVX2__)
+    // Of n samples from k on. False where they need too many frames.
+    INLINE bool operator()(int k, int n, Times& times) const {
+        if constexpr (D == 2) return true;
+        int end = 0;
+        times.first = std::numeric_limits<int>::max();
+        if (pairs) {
+            Eights whole = first_of(row.whole[2] + k, n) - span.first;
+            Eight part = load<float, BLOCK>(row.part[2] + k);
+            times.first = least_of(whole);
+            times.count = most_of(whole) - times.first + 2;
+            if (times.count > Times::MOST) return false;
+            for (int i = 0; i < times.count; i++)
+                times.weight[i] = whole == times.first + i ? 1 - part : whole == times.first + i - 1 ? part : Eight{};
+            return true;
         }
-        if (first < span.first || last + 1 > span.last) return false;
-        for (int k = first; k <= last + 1; k++)
-            if (!frames[k - span.first]) return false;
+        std::fill(times.weight, times.weight + Times::MOST, Eight{});
+        for (int pass = 0; pass < 2; pass++)
+            for (int l = 0; l < n; l++) {
+                Mix<N> mix = (*this)(k + l);
+                if (pass == 0 && mix.n > 0) {
+                    times.first = std::min(times.first, mix.first);
+                    end = std::max(end, mix.first + mix.n);
+                    if (end - times.first > Times::MOST) return false;
+                }
+                times.constant[l] = mix.constant;
+                for (int i = 0; pass == 1 && i < mix.n; i++)
+                    times.weight[mix.first + i - times.first][l] = mix.weight[i];
+            }
+        times.count = std::max(end - times.first, 0);
         return true;
     }
-}
+#endif
+};
 
 INLINE void copy_same(const Job& job, const char* frame, int x, int y, int n, const bool* same) {
     ptrdiff_t size = job.pixel_bytes(), at = ((ptrdiff_t)y * job.w + x) * size,
@@ -448,20 +512,23 @@ void sample_nearest(const Plan<D>& plan, const Job& job) {
     });
 }
 
+// The frames that a plane's samples may need, and averages of them as deep as the map asks for.
+template <int D>
+Span frames_of(const Plan<D>& plan, const Job& job) {
+    if constexpr (D == 2) return {0, 0};
+    Extent<D> e = plan.extent();
+    return frames_of(job, e.low[D - 1], e.high[D - 1], e.rate);
+}
+
 // Sample what kernels read as it lies.
 template <class T, int C, int D>
 void sample_direct(const Plan<D>& plan, const Job& job) {
     Numbers<float> numbers(job);
-    Averages<float> averages;
-    Span span{0, 0};
-    if (D == 3) {
-        Extent<D> e = plan.extent();
-        span = frames_of(job, e.low[D - 1], e.high[D - 1], e.rate);
-    }
+    const Span span = frames_of(plan, job);
     std::vector<const T*> frames;
     for (int k = span.first; k <= span.last; k++) frames.push_back((const T*)job.frame(k));
     // A pyramid's groups have one channel or four; what has two or three goes with a fourth that counts for nothing.
-    if (job.filter == AUTO && plan.widest * 1.2 >= 3.2) averages.build(job, numbers, 0, span, plan.widest);
+    Averages<float> averages(job, numbers, 0, span, plan.widest);
     ptrdiff_t line = (ptrdiff_t)job.w * C;
     Frames<T> source{frames.data(), job.w, job.h, line, line * job.h, job.rule, job.fill};
     const float high = (float)std::min((double)std::numeric_limits<T>::max(), job.white);
@@ -469,36 +536,42 @@ void sample_direct(const Plan<D>& plan, const Job& job) {
         Prints prints;
         prints.any = false;
         float weight[(int)LONGEST + 8] = {1};
-        plan.each_row(
-            job.grid, j, job.box, job.filter == AUTO || job.average,
-            [&](const Row<D>& row, int x, int y, int n, int at) {
-                const char* own = own_frame(plan, job);
-                if (row.idle) return copy_same(job, own, x, y, n, nullptr);
-                if (job.filter == AUTO) prints.find(row);
-                const void* const* all = (const void* const*)frames.data();
-                Mixing<float, D> mixing{job, span, row, at, weight, all, takes_pairs(job, span, row, at, n, all)};
-                Putting<C, T> put{(T*)job.out + ((ptrdiff_t)y * job.grid.size[0] + x) * C, n, high};
-                sample_row<float, C, D == 3>(source, averages.pyramid, job.filter, row, prints, at, n, mixing, put);
-                if (row.some_same) copy_same(job, own, x, y, n, row.same + at);
-            });
+        plan.each_row(job.grid, j, job.box, job.filter == AUTO || job.average,
+                      [&](const Row<D>& row, int x, int y, int n, int at) {
+                          const char* own = own_frame(plan, job);
+                          if (row.idle) return copy_same(job, own, x, y, n, nullptr);
+                          if (job.filter == AUTO) prints.find(row);
+                          Mixing<float, D> mixing(job, span, row, weight, (const void* const*)frames.data());
+                          Putting<C, T> put{(T*)job.out + ((ptrdiff_t)y * job.grid.size[0] + x - at) * C, at + n, high};
+                          sample_row<float, C, D == 3>(source, averages.pyramid, job.filter, row, prints, at, at + n,
+                                                       mixing, put);
+                          if (row.some_same) copy_same(job, own, x, y, n, row.same + at);
+                      });
     });
 }
+
+// Keep pixels of a row, as numbers.
+template <class N, int C>
+struct Keeping {
+    Pixel<N>* values;
+    INLINE void operator()(int k, Pixel<N> v) const { values[k] = v; }
+#if defined(__AVX2__)
+    INLINE void operator()(int k, int from, int to, const Eight* v) const {
+        for (int i = from; i < to; i++)
+            for (int c = 0; c < C; c++) values[i][c] = v[c][i - k];
+    }
+#endif
+};
 
 // Sample anything, root by root, from what each can see, as numbers.
 template <class N, int C, int D>
 void sample_converted(const Plan<D>& plan, const Job& job) {
     Numbers<N> numbers(job);
-    Averages<N> averages;
+    const Span whole = frames_of(plan, job);
     for (int group = 0; group < numbers.groups(); group++) {
         double fill[4];
         numbers.constant(group, fill);
-        Span whole{0, 0};
-        if (D == 3) {
-            Extent<D> e = plan.extent();
-            whole = frames_of(job, e.low[D - 1], e.high[D - 1], e.rate);
-        }
-        averages.pyramid.levels = 0;
-        if (job.filter == AUTO && plan.widest * 1.2 >= 3.2) averages.build(job, numbers, group, whole, plan.widest);
+        Averages<N> averages(job, numbers, group, whole, plan.widest);
         parallel(plan.roots_down(), [&](int j, int) {
             Prints prints;
             prints.any = false;
@@ -507,61 +580,48 @@ void sample_converted(const Plan<D>& plan, const Job& job) {
             std::vector<N> tile;
             std::vector<const N*> frames(whole.last - whole.first + 1);
             for (int i = 0; i < plan.roots_across(); i++) {
-                int index = j * plan.roots_across() + i, box[4], wanted[4];
+                int index = j * plan.roots_across() + i, box[4], wanted[4] = {0, 0, job.box[2], job.box[3]};
                 plan.columns_of(job.grid, i, wanted[0], wanted[1]);
                 wanted[0] = std::max(wanted[0], job.box[0]);
                 wanted[1] = std::min(wanted[1], job.box[1]);
-                wanted[2] = job.box[2];
-                wanted[3] = job.box[3];
                 if (wanted[0] >= wanted[1]) continue;
-                Span span = whole;
-                if (!plan.is_still(index)) {
-                    Extent<D> e = plan.extent(index);
-                    if (D == 3) span = frames_of(job, e.low[D - 1], e.high[D - 1], e.rate);
-                    seen(job, e, box);
-                    int across = box[1] - box[0], tall = box[3] - box[2];
-                    ptrdiff_t line = (ptrdiff_t)across * C, size = line * tall;
-                    tile.resize((size_t)size * (span.last - span.first + 1) + 64);
-                    for (int k = span.first; k <= span.last; k++) {
-                        const char* frame = job.frame(k);
-                        N* at = tile.data() + (k - span.first) * size;
-                        // As if it were the whole frame: its first sample is that at (0, 0).
-                        frames[k - span.first] = frame ? at - (box[2] * line + (ptrdiff_t)box[0] * C) : nullptr;
-                        for (int y = box[2]; frame && y < box[3]; y++)
-                            numbers.convert(frame, box[0], y, across, group, at + (y - box[2]) * line);
-                    }
-                    Frames<N> source{frames.data(), job.w, job.h, line, std::numeric_limits<ptrdiff_t>::max(),
-                                     job.rule,      fill};
-                    Span frame_span = span;
-                    Averages<N>* levels = &averages;
-                    plan.each_row(
-                        job.grid, j, wanted, job.filter == AUTO || job.average,
-                        [&](const Row<D>& row, int x, int y, int n, int at) {
-                            if (job.filter == AUTO) prints.find(row);
-                            const void* const* all = (const void* const*)frames.data();
-                            Mixing<N, D> mixing{
-                                job, frame_span, row, at, weight, all, takes_pairs(job, frame_span, row, at, n, all)};
-                            Pyramid<N> pyramid = shifted(levels->pyramid, frame_span.first - whole.first);
-                            sample_row<N, C, D == 3>(source, pyramid, job.filter, row, prints, at, n, mixing,
-                                                     [&](int i, Pixel<N> v) INLINE_LAMBDA { values[i] = v; });
-                            char* to = job.out + ((ptrdiff_t)y * job.grid.size[0] + x) * job.pixel_bytes();
-                            numbers.store(values, n, group, to);
-                            if (row.some_same) copy_same(job, own_frame(plan, job), x, y, n, row.same + at);
-                        });
-                } else
+                if (plan.is_still(index)) {
                     plan.each_row(job.grid, j, wanted, false, [&](const Row<D>&, int x, int y, int n, int) {
                         copy_same(job, own_frame(plan, job), x, y, n, nullptr);
                     });
+                    continue;
+                }
+                Extent<D> e = plan.extent(index);
+                Span span = whole;
+                if (D == 3) span = frames_of(job, e.low[D - 1], e.high[D - 1], e.rate);
+                seen(job, e, box);
+                int across = box[1] - box[0], tall = box[3] - box[2];
+                ptrdiff_t line = (ptrdiff_t)across * C, size = line * tall;
+                tile.resize((size_t)size * (span.last - span.first + 1) + 64);
+                for (int k = span.first; k <= span.last; k++) {
+                    const char* frame = job.frame(k);
+                    N* at = tile.data() + (k - span.first) * size;
+                    // As if it were the whole frame: its first sample is that at (0, 0).
+                    frames[k - span.first] = frame ? at - (box[2] * line + (ptrdiff_t)box[0] * C) : nullptr;
+                    for (int y = box[2]; frame && y < box[3]; y++)
+                        numbers.convert(frame, box[0], y, across, group, at + (y - box[2]) * line);
+                }
+                Frames<N> source{frames.data(), job.w, job.h, line, std::numeric_limits<ptrdiff_t>::max(),
+                                 job.rule,      fill};
+                Pyramid<N> pyramid = averages.from(span.first);
+                plan.each_row(job.grid, j, wanted, job.filter == AUTO || job.average,
+                              [&](const Row<D>& row, int x, int y, int n, int at) {
+                                  if (job.filter == AUTO) prints.find(row);
+                                  Mixing<N, D> mixing(job, span, row, weight, (const void* const*)frames.data());
+                                  sample_row<N, C, D == 3>(source, pyramid, job.filter, row, prints, at, at + n, mixing,
+                                                           Keeping<N, C>{values});
+                                  char* to = job.out + ((ptrdiff_t)y * job.grid.size[0] + x) * job.pixel_bytes();
+                                  numbers.store(values + at, n, group, to);
+                                  if (row.some_same) copy_same(job, own_frame(plan, job), x, y, n, row.same + at);
+                              });
             }
         });
     }
-}
-// The same pyramid, from a later frame on.
-template <class N>
-INLINE Pyramid<N> shifted(const Pyramid<N>& p, int by) {
-    Pyramid<N> made = p;
-    for (int k = 0; k < p.levels; k++) made.level[k].at += by;
-    return made;
 }
 // The samples of a frame that a root may need: its source points, their footprints, and what stands for those beyond
 // an edge.

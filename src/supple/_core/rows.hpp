@@ -1,0 +1,303 @@
+// Rows of samples: eight at a time where they have one or two channels and lie close to each other, else one by one.
+//
+// Source points of neighbours are neighbours: the windows of eight lie in a few rows of samples. From each of these,
+// vectors are read, of which every lane picks its own sample, and all kernels are separable,
+//
+//     v = Σ_r Σ_j d_rj Σ_i a_ri f(x + i, y + j),
+//
+// with one product (r) for linear and cubic samples, and two for a spot: its left and its right points.
+#pragma once
+#include "sample.hpp"
+
+namespace supple {
+
+// Put pixel k of a row: put(k, pixel), or put(k, end, first, pixels) of a block whose lane 0 is pixel `first`.
+// How frames are mixed at pixel k: mix_of(k), or mix_of(k, n, times) of a block.
+
+#if defined(__AVX2__)
+constexpr int BLOCK = 8;
+typedef Pack<float, BLOCK> Eight;
+typedef Pack<int32_t, BLOCK> Eights;
+
+// In a block, frame `first + i` counts weight[i], and the constant beyond a clip's ends `constant`.
+struct Times {
+    static constexpr int MOST = 6;
+    int first = 0, count = 1;
+    Eight weight[MOST], constant{};
+};
+
+// The samples at p + at of each lane; `at` is less than 16, or than 8 where not FAR.
+template <bool FAR, class T>
+INLINE Eight pick(const T* p, Eights at) {
+    Eight v = (Eight)_mm256_permutevar8x32_ps((__m256)load<float, BLOCK>(p), (__m256i)at);
+    if constexpr (FAR) {
+        Eight w = (Eight)_mm256_permutevar8x32_ps((__m256)load<float, BLOCK>(p + BLOCK), (__m256i)at);
+        v = at >= BLOCK ? w : v;
+    }
+    return v;
+}
+
+// What the columns and rows of each lane's window count.
+template <int RANK, int TAPS>
+struct Weights {
+    Eight across[RANK][TAPS], down[RANK][TAPS + 1];
+};
+
+INLINE void linear_weights(Eight f, Eight* w) {
+    w[0] = 1 - f;
+    w[1] = f;
+}
+INLINE void cubic_weights(Eight f, Eight* w) {
+    for (int i = 0; i < 4; i++)
+        w[i] = KEYS_POWERS[0][i] + f * (KEYS_POWERS[1][i] + f * (KEYS_POWERS[2][i] + f * KEYS_POWERS[3][i]));
+}
+// Those of a spot: its left points by its first column on, its right ones by the next where they are `shift`ed.
+INLINE void spot_weights(const Prints& prints, int k, Weights<2, WINDOW>& w) {
+    Eight second[4];
+    cubic_weights(load<float, BLOCK>(prints.first + k), w.across[0]);
+    cubic_weights(load<float, BLOCK>(prints.second + k), second);
+    w.across[0][4] = Eight{};
+    Eights shifted = load<int32_t, BLOCK>(prints.shift + k) > 0;
+    for (int i = 0; i < WINDOW; i++) {
+        w.across[0][i] *= 0.5f;
+        w.across[1][i] = 0.5f * (shifted ? (i > 0 ? second[i - 1] : Eight{}) : (i < 4 ? second[i] : Eight{}));
+        w.down[0][i] = load<float, BLOCK>(prints.left[i] + k);
+        w.down[1][i] = load<float, BLOCK>(prints.right[i] + k);
+    }
+}
+
+// The least and the largest of eight.
+INLINE int least_of(Eights v) {
+    v = least(v, Eights(__builtin_shufflevector(v, v, 4, 5, 6, 7, 0, 1, 2, 3)));
+    v = least(v, Eights(__builtin_shufflevector(v, v, 2, 3, 0, 1, 6, 7, 4, 5)));
+    return v[0] < v[1] ? v[0] : v[1];
+}
+INLINE int most_of(Eights v) { return -least_of(-v); }
+// The first n of eight; the others are as the first.
+INLINE Eights first_of(const int* v, int n) {
+    constexpr Eights lane = {0, 1, 2, 3, 4, 5, 6, 7};
+    return lane < n ? load<int32_t, BLOCK>(v) : v[0];
+}
+
+// How the windows of a block lie to each other.
+struct Windows {
+    int x, y;       // the first sample of the leftmost, and of the uppermost
+    int wide, low;  // how far the others go on: to the right, and down
+    Eights across, lower;
+
+    INLINE Windows(const int* xs, const int* ys, int n) {
+        across = first_of(xs, n);
+        lower = first_of(ys, n);
+        x = least_of(across);
+        y = least_of(lower);
+        wide = most_of(across) - x;
+        low = most_of(lower) - y;
+        across -= x;
+        lower -= y;
+    }
+    // Whether samples `before` and `after` them are all within the frames, and vectors can hold a row.
+    template <int C, class T>
+    INLINE bool readable(const Frames<T>& f, int before, int after) const {
+        return low <= 1 && wide * C + C <= 2 * BLOCK && x >= before && x + wide + after < f.w && y >= before &&
+               y + low + after < f.h && (y + low + after) * f.row + (x + after) * C + 2 * BLOCK <= f.limit;
+    }
+};
+
+// What a row or frame adds: nothing where a lane does not need it, whatever is there.
+template <class T>
+INLINE Eight counted(Eight weight, Eight v) {
+    if constexpr (std::numeric_limits<T>::is_integer)
+        return weight * v;
+    else
+        return weight != 0 ? weight * v : Eight{};
+}
+
+// Sum a kernel over windows whose first sample is p.
+template <bool FAR, int C, int RANK, int TAPS, class T>
+INLINE void sum_windows(const T* p, ptrdiff_t row, const Windows& at, const Weights<RANK, TAPS>& w, Eight* sum) {
+    for (int c = 0; c < C; c++) sum[c] = Eight{};
+    for (int j = 0; j < TAPS + at.low; j++, p += row) {
+        Eight along[RANK][C] = {};
+        for (int i = 0; i < TAPS; i++)
+            for (int c = 0; c < C; c++) {
+                Eight v = pick<FAR>(p + C * i, at.across * C + c);
+                for (int r = 0; r < RANK; r++) along[r][c] += w.across[r][i] * v;
+            }
+        for (int r = 0; r < RANK; r++)
+            for (int c = 0; c < C; c++) sum[c] += counted<T>(w.down[r][j], along[r][c]);
+    }
+}
+
+// Sample a block by a kernel whose window begins `before` samples from `at`.
+template <int C, bool SEVERAL, int RANK, int TAPS, class T>
+INLINE void sum_frames(const Frames<T>& f, const Windows& at, int before, Weights<RANK, TAPS>& w, const Times& times,
+                       Eight* sum) {
+    for (int r = 0; r < RANK; r++) {
+        w.down[r][TAPS] = Eight{};
+        if (at.low)
+            for (int j = TAPS; j >= 0; j--) w.down[r][j] = at.lower ? (j ? w.down[r][j - 1] : Eight{}) : w.down[r][j];
+    }
+    ptrdiff_t place = (at.y - before) * f.row + (at.x - before) * C;
+    auto one = [&](const T* frame, Eight* v) INLINE_LAMBDA {
+        if (C > 1 || at.wide >= BLOCK)
+            sum_windows<true, C>(frame + place, f.row, at, w, v);
+        else
+            sum_windows<false, C>(frame + place, f.row, at, w, v);
+    };
+    if constexpr (!SEVERAL) return one(f.at[0], sum);
+    for (int c = 0; c < C; c++) sum[c] = times.constant * (float)f.fill[c];
+    for (int k = 0; k < times.count; k++) {
+        Eight v[C];
+        one(f.at[times.first + k], v);
+        for (int c = 0; c < C; c++) sum[c] += counted<T>(times.weight[k], v[c]);
+    }
+}
+
+// Sample pixels k to k + n - 1 of a row: as linear or cubic samples, or spots where FILTER is AUTO. False where their
+// windows lie too far apart, or go beyond an edge.
+template <Filter FILTER, int C, bool SEVERAL, class T, int D, class MixOf>
+NOINLINE bool sample_block(const Frames<T>& f, const Row<D>& row, const Prints& prints, int k, int n, MixOf mix_of,
+                           Eight* sum) {
+    constexpr bool spots = FILTER == AUTO;
+    constexpr int before = FILTER == LINEAR ? 0 : 1, taps = FILTER == LINEAR ? 2 : spots ? WINDOW : 4;
+    Windows at((spots ? prints.x : row.whole[0]) + k, (spots ? prints.y : row.whole[1]) + k, n);
+    Times times;
+    if (!at.template readable<C>(f, before, taps - 1 - before) || !mix_of(k, n, times)) return false;
+    Weights<spots ? 2 : 1, taps> w;
+    if constexpr (spots)
+        spot_weights(prints, k, w);
+    else
+        for (int d = 0; d < 2; d++) {
+            Eight part = load<float, BLOCK>(row.part[d] + k), *to = d ? w.down[0] : w.across[0];
+            FILTER == LINEAR ? linear_weights(part, to) : cubic_weights(part, to);
+        }
+    sum_frames<C, SEVERAL>(f, at, before, w, times, sum);
+    return true;
+}
+#endif
+
+// ---- one by one -----------------------------------------------------------------------------------------------------
+
+// Where the samples of a row are read: if `inside`, all that any needs lies within the frames, and 32 bits count them.
+struct Places {
+    alignas(64) int at[STRIDE];
+    bool inside;
+
+    template <int LEFT, int RIGHT, int C, class T>
+    INLINE void find(const Frames<T>& f, const int* x, const int* y, int from, int end) {
+        int least_x = x[from], most_x = x[from], least_y = y[from], most_y = y[from];
+        const unsigned stride = (unsigned)f.row;
+        for (int k = from; k < end; k++) {
+            at[k] = (int)((unsigned)y[k] * stride + (unsigned)x[k] * C);
+            least_x = std::min(least_x, x[k]);
+            most_x = std::max(most_x, x[k]);
+            least_y = std::min(least_y, y[k]);
+            most_y = std::max(most_y, y[k]);
+        }
+        const ptrdiff_t row = f.row;
+        inside = least_x >= LEFT && most_x < f.w - RIGHT && least_y >= LEFT && most_y < f.h - RIGHT &&
+                 (most_y + RIGHT) * row + (most_x - LEFT) * C + 20 <= f.limit && f.limit <= INT32_MAX;
+        // What a row four further down will read, of one frame.
+        if constexpr (sizeof(T) <= 4)
+            if (inside && most_y + 4 < f.h) {
+                const T* next = f.at[0] + at[from] + 4 * row;
+                if (next)
+                    for (int o = 0; o < (end - from) * C; o += 64 / (int)sizeof(T)) __builtin_prefetch(next + o);
+            }
+    }
+};
+
+template <Filter FILTER, class N, int C, bool SEVERAL, class T, int D, class MixOf, class Put>
+NOINLINE void sample_each(const Frames<T>& given, const Row<D>& row, int from, int end, MixOf mix_of, Put put) {
+    constexpr int left = FILTER == LINEAR ? 0 : 1, right = FILTER == LINEAR ? 1 : 2;
+    const Frames<T> f = given;
+    const int *x = row.whole[0], *y = row.whole[1];
+    Places places;
+    places.find<left, right, C>(f, x, y, from, end);
+    for (int k = from; k < end; k++) {
+        const Mix<N> mix = mix_of(k);
+        auto kernel = [&](auto taps, ptrdiff_t r) INLINE_LAMBDA {
+            N fx = (N)row.part[0][k], fy = (N)row.part[1][k];
+            if constexpr (FILTER == LINEAR)
+                return linear_at<N, C>(taps, r, fx, fy);
+            else
+                return cubic_at<N, C>(taps, r, fx, fy);
+        };
+        put(k, places.inside && (!SEVERAL || mix.n > 0)
+                   ? within<N, C, SEVERAL>(f, mix, places.at[k], kernel)
+                   : around<N, C, left, right, SEVERAL>(f, mix, x[k], y[k], kernel));
+    }
+}
+
+template <class N, int C, bool SEVERAL, class T, int D, class MixOf, class Put>
+NOINLINE void sample_footprints(const Frames<T>& given, const Pyramid<N>& pyramid, const Row<D>& row,
+                                const Prints& prints, int from, int end, MixOf mix_of, Put put) {
+    const Frames<T> f = given;
+    const int *x = row.whole[0], *y = row.whole[1];
+    Places places;
+    places.find<2, 3, C>(f, x, y, from, end);
+    for (int k = from; k < end; k++) {
+        const N fx = (N)row.part[0][k], fy = (N)row.part[1][k];
+        const Mix<N> mix = mix_of(k);
+        const bool inside = places.inside && (!SEVERAL || mix.n > 0);
+        auto cubic = [&](auto taps, ptrdiff_t r) INLINE_LAMBDA { return cubic_at<N, C>(taps, r, fx, fy); };
+        auto spot = [&](auto taps, ptrdiff_t r) INLINE_LAMBDA {
+            Across<N> across{(N)prints.first[k], (N)prints.second[k], prints.shift[k]};
+            if constexpr (sizeof(N) == sizeof(float))
+                return spot_at<N, C, STRIDE>(taps, r, across, &prints.left[0][k], &prints.right[0][k]);
+            else {
+                N left[WINDOW], right[WINDOW];
+                for (int j = 0; j < WINDOW; j++) left[j] = prints.left[j][k], right[j] = prints.right[j][k];
+                return spot_at<N, C, 1>(taps, r, across, left, right);
+            }
+        };
+        if (prints.kind[k] == Prints::PLAIN)
+            put(k, inside ? within<N, C, SEVERAL>(f, mix, places.at[k], cubic)
+                          : around<N, C, 1, 2, SEVERAL>(f, mix, x[k], y[k], cubic));
+        else if (prints.kind[k] == Prints::SPOT)
+            put(k, inside ? within<N, C, SEVERAL>(f, mix, prints.y[k] * f.row + prints.x[k] * C, spot)
+                          : around<N, C, 1, 3, SEVERAL>(f, mix, prints.x[k], prints.y[k], spot));
+        else
+            put(k, wide<N, C, SEVERAL>(f, pyramid, mix, (N)x[k] + fx, (N)y[k] + fy, (N)prints.xx[k], (N)prints.xy[k],
+                                       (N)prints.yy[k]));
+    }
+}
+
+// ---- rows -----------------------------------------------------------------------------------------------------------
+
+// Sample the source points `from` to `end` - 1 of a row: put(k, pixel). mix_of(k) says how frames are mixed at one.
+template <class N, int C, bool SEVERAL, class T, int D, class MixOf, class Put>
+INLINE void sample_row(const Frames<T>& f, const Pyramid<N>& pyramid, int filter, const Row<D>& row,
+                       const Prints& prints, int from, int end, MixOf mix_of, Put put) {
+    auto one_by_one = [&](int from, int end) {
+        if (filter == LINEAR)
+            sample_each<LINEAR, N, C, SEVERAL>(f, row, from, end, mix_of, put);
+        else if (filter == CUBIC || !prints.any)
+            sample_each<CUBIC, N, C, SEVERAL>(f, row, from, end, mix_of, put);
+        else
+            sample_footprints<N, C, SEVERAL>(f, pyramid, row, prints, from, end, mix_of, put);
+    };
+#if defined(__AVX2__)
+    if constexpr (sizeof(N) == sizeof(float) && C <= 2) {
+        // Blocks lie where they lie in a root, whatever part of it is wanted.
+        for (int k = from & -BLOCK; k < end; k += BLOCK) {
+            int n = std::min(BLOCK, row.count - k);
+            int kind = prints.any && filter == AUTO ? most_of(first_of(prints.kind + k, n)) : Prints::PLAIN;
+            Eight v[C];
+            bool done = kind == Prints::WIDE   ? false
+                        : kind == Prints::SPOT ? sample_block<AUTO, C, SEVERAL>(f, row, prints, k, n, mix_of, v)
+                        : filter == LINEAR     ? sample_block<LINEAR, C, SEVERAL>(f, row, prints, k, n, mix_of, v)
+                                               : sample_block<CUBIC, C, SEVERAL>(f, row, prints, k, n, mix_of, v);
+            int first = std::max(k, from), last = std::min(k + BLOCK, end);
+            if (done)
+                put(k, first, last, v);
+            else
+                one_by_one(first, last);
+        }
+        return;
+    }
+#endif
+    one_by_one(from, end);
+}
+
+}  // namespace supple
