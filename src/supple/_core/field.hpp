@@ -124,20 +124,20 @@ INLINE Radial<V> radial(const Stroke& k, V s) {
     return f;
 }
 
-// What a jet carries through the chain beside the point x: tangents t[j] = ∂x/∂u_j and, if MIXED, ∂²x/∂u₀∂u₁.
+// What a jet carries through the chain beside the point x: tangents t[j] = ∂x/∂u_j and, if MIXED, ∂²x/∂u₀∂u₁; and the
+// squares of how far one may go in u₀ and u₁ before the map varies: ρ² / |t|², and 4 max(D, σ)² / |t|² at the distance
+// D from a fixed face.
 template <int D, int TANGENTS, bool MIXED, class V>
 struct Jet {
     V x[D];
     V t[TANGENTS > 0 ? TANGENTS : 1][D];
     V mixed[MIXED ? D : 1];
+    V smooth2[MIXED ? 2 : 1];
 };
 
 // Send a jet through one stroke: x ← T(x), t ← T'(x) t, mixed ← T'(x) mixed + T''(x)(t₀, t₁).
-//
-// Returns, if MIXED, the square of how far one may go in u before the map varies: ρ² / |t|², and 4 max(D, σ)² / |t|²
-// at the distance D from a fixed face.
 template <int D, int TANGENTS, bool MIXED, class V>
-INLINE V carry(const Stroke& k, const Axis* axes, Jet<D, TANGENTS, MIXED, V>& jet) {
+INLINE void carry(const Stroke& k, const Axis* axes, Jet<D, TANGENTS, MIXED, V>& jet) {
     constexpr int ORDER = MIXED ? 2 : TANGENTS > 0 ? 1 : 0;
     constexpr int N = TANGENTS > 0 ? TANGENTS : 1;
     V r[D], f[D], inside[D], beta[D][3], s = V{};
@@ -162,17 +162,15 @@ INLINE V carry(const Stroke& k, const Axis* axes, Jet<D, TANGENTS, MIXED, V>& je
     V rf = dot<D>(r, f), K[D];
     for (int i = 0; i < D; i++) K[i] = g.A[0] * f[i] + g.B[0] * rf * r[i];
 
-    V reach = splat<V>(1e300);
     if constexpr (TANGENTS > 0) {
         // J u = 2A' (r·u) f + (2B' (r·u)(r·f) + B (u·f)) r + B (r·f) u, of each tangent as it is at the nearest point
-        V u[N][D], ru[N], uf[N], h[N], Ju[N][D], longest = V{};
+        V u[N][D], ru[N], uf[N], h[N], Ju[N][D];
         for (int j = 0; j < TANGENTS; j++) {
             for (int i = 0; i < D; i++) u[j][i] = inside[i] * jet.t[j][i];
             ru[j] = dot<D>(r, u[j]);
             uf[j] = dot<D>(u[j], f);
             h[j] = g.B[1] * ru[j] * rf + g.B[0] * uf[j];
             for (int i = 0; i < D; i++) Ju[j][i] = g.A[1] * ru[j] * f[i] + h[j] * r[i] + g.B[0] * rf * u[j][i];
-            if (MIXED && j < 2) longest = most(longest, dot<D>(jet.t[j], jet.t[j]));
         }
         if constexpr (MIXED) {
             V n[D];
@@ -187,20 +185,20 @@ INLINE V carry(const Stroke& k, const Axis* axes, Jet<D, TANGENTS, MIXED, V>& je
                                 beta[i][1] * (u[0][i] * Ju[1][i] + u[1][i] * Ju[0][i] + n[i] * K[i]) +
                                 beta[i][2] * u[0][i] * u[1][i] * K[i];
             }
-            reach = (s + k.radius2[0]) / longest;
+            V scale2 = s + k.radius2[0];
             for (int i = 0; i < D; i++)
                 if (axes[i].sigma > 0 && !k.inner) {
                     // β varies over σ at a face, and not at all farther in.
                     V depth = least(jet.x[i], V(axes[i].extent - jet.x[i]));
-                    V scale = most(depth, splat<V>(axes[i].sigma));
-                    reach = least(reach, V(4.0 * scale * scale / longest));
+                    V scale = 2.0 * most(depth, splat<V>(axes[i].sigma));
+                    scale2 = least(scale2, V(scale * scale));
                 }
+            for (int j = 0; j < 2; j++) jet.smooth2[j] = least(jet.smooth2[j], V(scale2 / dot<D>(jet.t[j], jet.t[j])));
         }
         for (int j = 0; j < TANGENTS; j++)
             for (int i = 0; i < D; i++) jet.t[j][i] += beta[i][0] * Ju[j][i] + beta[i][1] * u[j][i] * K[i];
     }
     for (int i = 0; i < D; i++) jet.x[i] += beta[i][0] * K[i];
-    return reach;
 }
 
 // T of points alone.

@@ -28,6 +28,19 @@ struct Solution {
     typename Masked<V>::type done;
 };
 
+// Lanes that were done stay as they are, whatever their neighbours needed.
+template <int D, class V>
+INLINE Solution<D, V> choose(typename Masked<V>::type first, const Solution<D, V>& a, const Solution<D, V>& b) {
+    Solution<D, V> c = b;
+    for (int i = 0; i < D; i++) {
+        c.p[i] = choose(first, a.p[i], b.p[i]);
+        for (int j = 0; j < D; j++) c.m[j][i] = choose(first, a.m[j][i], b.m[j][i]);
+    }
+    c.steps = choose(first, a.steps, b.steps);
+    c.done = either(both(first, a.done), without(b.done, first));
+    return c;
+}
+
 // A coordinate where a face is fixed: the face maps to itself, and nothing crosses it.
 template <class V>
 INLINE V kept_inside(V x, V q, const Axis& a) {
@@ -58,6 +71,7 @@ INLINE void apply(const Chain& chain, const Axis* axes, V* x, V (*t)[D]) {
 
 constexpr double SHORTEST = 0x1p-24;  // part of a step that is tried
 constexpr double DOWNHILL = 1e-4;     // part of the promised decrease that a step must keep
+constexpr double CLOSE = 0.03;        // |(∂T/∂p) m - I| of an m whose square is good enough
 
 // Solve T(p) = q from the guess in `found.p`, until a step is shorter than `tolerance`.
 template <int D, class V>
@@ -157,34 +171,43 @@ NOINLINE void undo(const Chain& chain, const Axis* axes, const V* q, double tole
             }
         for (int i = 0; i < D; i++) at[i] = found.p[i];
     }
+    found.steps *= 1.0 / most(chain.count, 1);
     // Of one stroke, too, the matrix must be that at the solution.
     newton<D>(chain, axes, q, tolerance, 8, found);
 }
 
 // Take one more Newton step from p with m ≈ (∂T/∂p)⁻¹ in `found`, which makes m exact to second order, and find
-// ∂²p/∂q₀∂q₁ = -m T''(m₀, m₁). Return the square of the length, in q, over which the map stays as it is here.
+// ∂²p/∂q₀∂q₁ = -m T''(m₀, m₁); it is done if that step is shorter than `tolerance`, and m was close. `smooth2`: how far
+// the map stays as it is here along q₀ and q₁, squared.
 template <int D, class V>
-INLINE V polish(const Chain& chain, const Axis* axes, const V* q, Solution<D, V>& found, V* mixed) {
+INLINE void polish(const Chain& chain, const Axis* axes, const V* q, double tolerance, Solution<D, V>& found, V* mixed,
+                   V* smooth2) {
     Jet<D, D, true, V> jet;
     for (int i = 0; i < D; i++) {
         jet.x[i] = found.p[i];
         jet.mixed[i] = V{};
         for (int j = 0; j < D; j++) jet.t[j][i] = found.m[j][i];
     }
-    V reach = splat<V>(1e300);
-    for (int k = 0; k < chain.count; k++) reach = least(reach, carry(chain[k], axes, jet));
+    jet.smooth2[0] = jet.smooth2[1] = splat<V>(1e300);
+    for (int k = 0; k < chain.count; k++) carry(chain[k], axes, jet);
+    for (int j = 0; j < 2; j++) smooth2[j] = jet.smooth2[j];
     // jet.t = (∂T/∂p) m ≈ I, so that its inverse is 2I - jet.t but for squares.
     V better[D][D], e[D];
     for (int j = 0; j < D; j++)
         for (int i = 0; i < D; i++) better[j][i] = 2.0 * found.m[j][i] - times<D>(found.m, jet.t[j], i);
     for (int i = 0; i < D; i++) e[i] = jet.x[i] - q[i];
+    V step2 = V{}, off2 = V{};
     for (int i = 0; i < D; i++) {
+        for (int j = 0; j < D; j++) off2 += (jet.t[j][i] - double(i == j)) * (jet.t[j][i] - double(i == j));
         mixed[i] = -times<D>(better, jet.mixed, i);
-        found.p[i] = kept_inside(V(found.p[i] - times<D>(better, e, i)), q[i], axes[i]);
+        V step = times<D>(better, e, i);
+        step2 += step * step;
+        found.p[i] = kept_inside(V(found.p[i] - step), q[i], axes[i]);
     }
+    found.done = both(step2 <= tolerance * tolerance, off2 <= CLOSE * CLOSE);
+    found.steps += 1.0;
     for (int i = 0; i < D; i++)
         for (int j = 0; j < D; j++) found.m[j][i] = better[j][i];
-    return reach;
 }
 
 }  // namespace supple

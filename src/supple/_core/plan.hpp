@@ -20,7 +20,7 @@
 namespace supple {
 
 constexpr int ROOT = 32;          // pixels along the side of a root cell
-constexpr int SMALL = 4;          // a cell of so many pixels is split into single ones at once
+constexpr int SMALL = 4;          // a side of so many pixels is split into single ones at once
 constexpr int BAND = 4;           // rows of roots that are solved one after the other, each from the last
 constexpr double RESERVE = 1.75;  // nine points do not see quite the worst of a cell
 constexpr int STRIDE = 48;        // pixels of a row of a root, and room for whole vectors
@@ -114,15 +114,21 @@ public:
 private:
     struct Node {
         double p[D], m[D][D], mixed[D];
-        double reach;  // the square of the length over which the map stays as it is
+        double smooth[2];  // how far along x and y the map stays as it is
     };
     struct Cell {
         int root, x0, y0, x1, y1;
         int corner[4];
     };
-    struct Ask {  // a node that is wanted, and a guess
-        double q[2], guess[D];
+    enum Guess { NONE, POINT, PATCH };  // of a node: nothing; p; p and its derivatives, from the cell that is split
+    struct Ask {                        // a node that is wanted, and guesses
+        double q[2], p[D], m[D][D];
         int node, root;
+    };
+    struct Checked {  // of a cell
+        double c[D][16], across_plane[D];
+        double step[5][D];  // at its middle and those of its sides: from T⁻¹(q) to the patch, by a step of Newton's
+        bool too_wide, too_high;
     };
     struct Root {
         int band = 0, first = -1, leaves = 0;
@@ -150,9 +156,9 @@ private:
     Chain chain_of(Work& w, RootOf root_of) const;
     void find_reaching(int root_row);
     void solve_band(int index);
-    void solve(Work& w, bool guessed);
+    void solve(Work& w, Guess guess);
     void check(Work& w);
-    void split(Work& w, const Cell& cell, const double (&c)[D][16]);
+    void split(Work& w, const Cell& cell, const Checked& found);
     void emit(Work& w, int root, int x, int y, int width, int height, const double (*c)[16], const double* depth);
     void fill(const Leaf<D>& leaf, const Grid& grid, int y, int from, int to, int left, bool slopes, Row<D>& row) const;
     void widen(const Leaf<D>& leaf, Extent<D>& e) const;
@@ -235,96 +241,108 @@ Chain Plan<D>::chain_of(Work& w, RootOf root_of) const {
 // it touches, its radius by a bound of that inverse's slope, or of the displacement.
 template <int D>
 void Plan<D>::find_reaching(int j) {
-    for (int i = 0; i < across; i++) {
-        int index = j * across + i;
-        uint64_t* set = &reaching[(size_t)index * words];
-        double box[D][2] = {{column(i) * axes[0].spacing, column(i + 1) * axes[0].spacing},
-                            {line(j) * axes[1].spacing, line(j + 1) * axes[1].spacing}};
-        if constexpr (D == 3) box[2][0] = box[2][1] = z * axes[2].spacing;
-        double centre[D], radius = 0;
-        for (int d = 0; d < D; d++) {
-            centre[d] = (box[d][0] + box[d][1]) / 2;
-            radius += (box[d][1] - centre[d]) * (box[d][1] - centre[d]);
+    for (int first = 0; first < across; first += LANES) {
+        Lanes low[D], high[D], centre[D], radius2{};
+        for (int l = 0; l < LANES; l++) {
+            int i = std::min(first + l, across - 1);
+            low[0][l] = column(i) * axes[0].spacing;
+            high[0][l] = column(i + 1) * axes[0].spacing;
         }
-        radius = sqrt(radius) * (1 + 1e-9);
-        bool rim = true;
+        low[1] = splat<Lanes>(line(j) * axes[1].spacing);
+        high[1] = splat<Lanes>(line(j + 1) * axes[1].spacing);
+        if constexpr (D == 3) low[2] = high[2] = splat<Lanes>(z * axes[2].spacing);
+        for (int d = 0; d < D; d++) {
+            centre[d] = 0.5 * (low[d] + high[d]);
+            radius2 += (high[d] - centre[d]) * (high[d] - centre[d]);
+        }
+        Lanes radius = root(radius2) * (1 + 1e-9);
+        Mask rim = radius == radius;
         for (int n = (int)strokes.size() - 1; n >= 0; n--) {
             const Stroke& k = strokes[n];
-            double distance = 0, far = 0;
+            Lanes distance2{}, far2{};
             for (int d = 0; d < D; d++) {
-                double off = centre[d] - k.pivot[d];
-                distance += off * off;
-                double corner = std::max(fabs(box[d][0] - k.pivot[d]), fabs(box[d][1] - k.pivot[d]));
-                far += corner * corner;
+                Lanes off = centre[d] - k.pivot[d];
+                distance2 += off * off;
+                Lanes corner = most(magnitude(Lanes(low[d] - k.pivot[d])), magnitude(Lanes(high[d] - k.pivot[d])));
+                far2 += corner * corner;
             }
-            distance = sqrt(distance);
-            if (distance >= k.reach + radius) continue;  // not where the one is infinite, or the other
-            set[n / 64] |= 1ull << (n % 64);
-            if (far < k.reach * k.reach) rim = false;
-            if (n <= first_limited) continue;
-            double x[D], off2 = 0, force = 0;
+            Lanes distance = root(distance2);
+            Mask touched = distance < k.reach + radius;  // even where the one is infinite, or the other
+            for (int l = 0; l < LANES && first + l < across; l++)
+                if (touched[l]) reaching[((size_t)j * across + first + l) * words + n / 64] |= 1ull << (n % 64);
+            rim = without(rim, both(touched, far2 < k.reach * k.reach));
+            if (n <= first_limited || !any(touched)) continue;
+            Lanes x[D], off2{};
             for (int d = 0; d < D; d++) x[d] = centre[d];
-            for (int round = 0; round < 5; round++) {
-                double y[D];
+            for (int round = 0; round < 3; round++) {
+                Lanes y[D];
                 for (int d = 0; d < D; d++) y[d] = x[d];
                 move<D>(k, axes, y);
-                off2 = 0;
+                off2 = Lanes{};
                 for (int d = 0; d < D; d++) {
-                    double e = centre[d] - y[d];
+                    Lanes e = centre[d] - y[d];
                     off2 += e * e;
-                    if (round < 4) x[d] += e;
+                    if (round < 2) x[d] += e;
                 }
             }
-            for (int d = 0; d < D; d++) force += k.force[d] * k.force[d];
-            force = sqrt(force);
             // No displacement within the ball's preimage is longer than that at its point nearest to the pivot.
-            double t = std::clamp((distance - radius - force) * k.per_reach, 0.0, 1.0), w = 1 - t;
-            double longest = force * w * w * w * (1 + t * (3 + 6 * t)), off = sqrt(off2);
-            double grown = radius + off + 2 * longest;
-            if (bends[n] < 0.9) grown = std::min(grown, (radius + off) / (1 - bends[n]));
-            for (int d = 0; d < D; d++) centre[d] = x[d];
-            radius = grown;
+            double force2 = 0;
+            for (int d = 0; d < D; d++) force2 += k.force[d] * k.force[d];
+            Lanes zero{}, one = splat<Lanes>(1.0), off = root(off2);
+            Lanes t = least(most(Lanes((distance - radius - sqrt(force2)) * k.per_reach), zero), one), v = one - t;
+            Lanes grown = radius + off + 2.0 * sqrt(force2) * v * v * v * (1.0 + t * (3.0 + 6.0 * t));
+            if (bends[n] < 0.9) grown = least(grown, Lanes((radius + off) * (1 / (1 - bends[n]))));
+            radius = choose(touched, grown, radius);
+            for (int d = 0; d < D; d++) centre[d] = choose(touched, x[d], centre[d]);
         }
-        roots[index].rim = rim;
+        for (int l = 0; l < LANES && first + l < across; l++) roots[j * across + first + l].rim = rim[l];
     }
 }
 
 // ---- nodes ----------------------------------------------------------------------------------------------------------
 
 template <int D>
-void Plan<D>::solve(Work& w, bool guessed) {
-    double finest = std::min(axes[0].spacing, axes[1].spacing), coarsest = std::max(axes[0].spacing, axes[1].spacing);
+void Plan<D>::solve(Work& w, Guess guess) {
+    double finest = std::min(axes[0].spacing, axes[1].spacing);
     if (D == 3) finest = std::min(finest, axes[2].spacing);
     // A step that short is taken, and another after it: what is left is of the order of its fourth power.
-    double enough = finest * std::min(0.02, 0.2 * sqrt(tolerance));
+    const double enough = finest * std::min(0.02, 0.2 * sqrt(tolerance));
     int count = (int)w.asks.size();
     for (int start = 0; start < count; start += LANES) {
         auto ask = [&](int i) -> Ask& { return w.asks[std::min(start + i, count - 1)]; };
-        Lanes q[D], mixed[D];
+        Lanes q[D], mixed[D], smooth2[2] = {};
         Solution<D, Lanes> found{};
         for (int i = 0; i < LANES; i++) {
             const Ask& a = ask(i);
             for (int d = 0; d < D; d++) {
                 q[d][i] = (d < 2 ? a.q[d] : z) * axes[d].spacing;
-                found.p[d][i] = guessed ? a.guess[d] * axes[d].spacing : q[d][i];
+                found.p[d][i] = guess == NONE ? q[d][i] : a.p[d] * axes[d].spacing;
+                for (int e = 0; e < D; e++) found.m[e][d][i] = a.m[e][d] * axes[d].spacing / axes[e].spacing;
             }
         }
         Chain chain = chain_of(w, [&](int i) { return ask(i).root; });
-        found.done = found.p[0] != found.p[0];
-        if (guessed) newton<D>(chain, axes, q, enough, 12, found);
-        if (any(without(Mask{} == 0, found.done))) {
-            Solution<D, Lanes> again;
-            undo<D>(chain, axes, q, enough, again);
-            again.steps += found.steps;
-            // Lanes that were done stay as they are, whatever their neighbours needed.
-            for (int d = 0; d < D; d++) {
-                found.p[d] = choose(found.done, found.p[d], again.p[d]);
-                for (int e = 0; e < D; e++) found.m[e][d] = choose(found.done, found.m[e][d], again.m[e][d]);
+        const Solution<D, Lanes> guessed = found;
+        // Of a step that is a fourth as long, the square is left.
+        if (guess == PATCH) polish<D>(chain, axes, q, enough / 4, found, mixed, smooth2);
+        if (guess != PATCH || any(without(Mask{} == 0, found.done))) {
+            Lanes again_mixed[D], again_smooth2[2];
+            Solution<D, Lanes> again = guessed;
+            again.done = again.p[0] != again.p[0];
+            if (guess != NONE) newton<D>(chain, axes, q, enough, 12, again);
+            if (any(without(Mask{} == 0, again.done))) {
+                Solution<D, Lanes> anew;
+                undo<D>(chain, axes, q, enough, anew);
+                anew.steps += again.steps;
+                again = choose(again.done, again, anew);
             }
-            found.steps = choose(found.done, found.steps, again.steps);
-            found.done = either(found.done, again.done);
+            const Mask solved = again.done, kept = found.done;
+            polish<D>(chain, axes, q, enough, again, again_mixed, again_smooth2);
+            again.done = solved;
+            again.steps += found.steps;
+            for (int j = 0; j < 2; j++) smooth2[j] = choose(kept, smooth2[j], again_smooth2[j]);
+            for (int d = 0; d < D; d++) mixed[d] = choose(kept, mixed[d], again_mixed[d]);
+            found = choose(kept, found, again);
         }
-        Lanes reach = polish<D>(chain, axes, q, found, mixed);
         for (int i = 0; i < LANES && start + i < count; i++) {
             Node& node = w.nodes[w.asks[start + i].node];
             double plane[2][2];
@@ -333,8 +351,8 @@ void Plan<D>::solve(Work& w, bool guessed) {
                 node.mixed[d] = mixed[d][i] * axes[0].spacing * axes[1].spacing / axes[d].spacing;
                 for (int e = 0; e < D; e++) node.m[e][d] = found.m[e][d][i] * axes[e].spacing / axes[d].spacing;
             }
-            node.reach = reach[i] / (coarsest * coarsest);
-            w.band->evaluations += found.steps[i] + 1;
+            for (int j = 0; j < 2; j++) node.smooth[j] = sqrt(smooth2[j][i]) / axes[j].spacing;
+            w.band->evaluations += found.steps[i];
             w.band->unsolved += !found.done[i];
             for (int d = 0; d < 2; d++)
                 for (int e = 0; e < 2; e++) plane[d][e] = node.m[e][d];
@@ -416,7 +434,7 @@ void Plan<D>::solve_band(int index) {
     // Row after row, each from the one above.
     for (int j = first; j <= end; j++) {
         for (int i = 0; i <= across; i++) {
-            Ask a;
+            Ask a{};
             a.q[0] = column(i);
             a.q[1] = line(j);
             a.node = (j - first) * (across + 1) + i;
@@ -424,15 +442,15 @@ void Plan<D>::solve_band(int index) {
             if (j > first) {
                 const Node& above = w.nodes[a.node - across - 1];
                 double h = line(j) - line(j - 1);
-                for (int d = 0; d < D; d++) a.guess[d] = above.p[d] + h * above.m[1][d];
+                for (int d = 0; d < D; d++) a.p[d] = above.p[d] + h * above.m[1][d];
                 if (j > first + 1) {
                     const Node& before = w.nodes[a.node - 2 * (across + 1)];
-                    for (int d = 0; d < D; d++) a.guess[d] += 0.5 * h * (above.m[1][d] - before.m[1][d]);
+                    for (int d = 0; d < D; d++) a.p[d] += 0.5 * h * (above.m[1][d] - before.m[1][d]);
                 }
             }
             w.asks.push_back(a);
         }
-        solve(w, j > first);
+        solve(w, j > first ? POINT : NONE);
     }
     for (int j = first; j < end; j++)
         for (int i = 0; i < across; i++) {
@@ -467,7 +485,7 @@ void Plan<D>::check(Work& w) {
         Chain chain = chain_of(w, [&](int i) { return cell(i).root; });
         // Of each corner: p, ∂p/∂x, ∂p/∂y, the twist; and the mean of ∂p/∂z.
         Lanes x0, y0, h, k, value[4][D], slope[4][2][D], twist[4][D], across_plane[D] = {};
-        Lanes reach = splat<Lanes>(1e300), c[D][16], worst{};
+        Lanes smooth[2] = {splat<Lanes>(1e300), splat<Lanes>(1e300)}, c[D][16], worst{};
         for (int i = 0; i < LANES; i++) {
             const Cell& e = cell(i);
             x0[i] = e.x0;
@@ -483,7 +501,7 @@ void Plan<D>::check(Work& w) {
                     twist[v][d][i] = node.mixed[d];
                     if constexpr (D == 3) across_plane[d][i] += 0.25 * node.m[2][d];
                 }
-                reach[i] = std::min(reach[i], node.reach);
+                for (int j = 0; j < 2; j++) smooth[j][i] = std::min(smooth[j][i], node.smooth[j]);
             }
         }
         Lanes per_h = 1.0 / h, per_k = 1.0 / k;
@@ -495,12 +513,17 @@ void Plan<D>::check(Work& w) {
             hermite(slope[1][0][d], twist[1][d], slope[3][0][d], twist[3][d], per_k, right_x, 1);
             for (int j = 0; j < 4; j++) hermite(left[j], left_x[j], right[j], right_x[j], per_h, c[d] + 4 * j, 1);
         }
-        Lanes longer = most(h, k);
-        Mask coarse = longer * longer > 0.25 * reach, unit = longer <= 1.0;
-        for (const auto& place : AT) {
-            if (!any(without(Mask{} == 0, unit))) break;  // single pixels are exact
+        // Of a cell a pixel wide or high, only the sides are sampled.
+        Lanes step[5][D], side[2] = {};
+        Mask thin[2] = {h <= 1.0, k <= 1.0}, single = both(thin[0], thin[1]);
+        Mask coarse[2] = {without(h > 0.5 * smooth[0], thin[0]), without(k > 0.5 * smooth[1], thin[1])};
+        for (int n = 0; n < 9; n++) {
+            if (!any(without(Mask{} == 0, single))) break;  // single pixels are exact
+            if (n == 5 && !any(without(worst <= allowed, either(coarse[0], coarse[1])))) break;  // all are split
 
-            Lanes s = place[0] * h, t = place[1] * k, x[D], ds[D], dt[D], e[D], off{};
+            Lanes x[D], ds[D], dt[D], e[D], off{};
+            Lanes s = choose(thin[0], splat<Lanes>(AT[n][0] > 0.5), AT[n][0] * h);
+            Lanes t = choose(thin[1], splat<Lanes>(AT[n][1] > 0.5), AT[n][1] * k);
             for (int d = 0; d < D; d++) x[d] = at(c[d], s, t, ds[d], dt[d]) * axes[d].spacing;
             apply<D>(chain, axes, x);
             e[0] = x[0] / axes[0].spacing - (x0 + s);
@@ -509,19 +532,32 @@ void Plan<D>::check(Work& w) {
             for (int d = 0; d < D; d++) {
                 Lanes g = ds[d] * e[0] + dt[d] * e[1];
                 if constexpr (D == 3) g += across_plane[d] * e[2];
+                if (n < 5) step[n][d] = g;
                 off += g * g;
             }
-            worst = most(worst, choose(off == off, off, splat<Lanes>(1e300)));
+            off = choose(off == off, off, splat<Lanes>(1e300));
+            worst = most(worst, off);
+            // Along an edge of the cell, only its length counts.
+            if (n > 0 && n < 5) side[n > 2] = most(side[n > 2], off);
         }
         for (int i = 0; i < LANES && start + i < count; i++) {
             const Cell e = cell(i);
+            if (!single[i] && (!(worst[i] <= allowed) || coarse[0][i] || coarse[1][i])) {
+                Checked found;
+                for (int d = 0; d < D; d++) {
+                    for (int n = 0; n < 16; n++) found.c[d][n] = c[d][n][i];
+                    for (int n = 0; n < 5; n++) found.step[n][d] = step[n][d][i];
+                    found.across_plane[d] = across_plane[d][i];
+                }
+                // A side that costs little is left as long as it is.
+                found.too_wide = coarse[0][i] || !(4 * side[0][i] <= allowed);
+                found.too_high = coarse[1][i] || !(4 * side[1][i] <= allowed);
+                split(w, e, found);
+                continue;
+            }
             double own[D][16];
             for (int d = 0; d < D; d++)
                 for (int n = 0; n < 16; n++) own[d][n] = c[d][n][i];
-            if (!unit[i] && (!(worst[i] <= allowed) || coarse[i])) {
-                split(w, e, own);
-                continue;
-            }
             double depth[4] = {1, 0, 0, 0};
             if constexpr (D == 3) {  // bilinear
                 double v[4];
@@ -532,41 +568,44 @@ void Plan<D>::check(Work& w) {
                 depth[3] = (v[3] - v[2] - v[1] + v[0]) / ((double)(e.x1 - e.x0) * (e.y1 - e.y0));
             }
             emit(w, e.root, e.x0, e.y0, past(0, e.x1) - e.x0, past(1, e.y1) - e.y0, own, depth);
-            if (!unit[i]) w.band->worst = std::max(w.band->worst, worst[i]);
+            if (!single[i]) w.band->worst = std::max(w.band->worst, worst[i]);
         }
     }
-    solve(w, true);
+    solve(w, PATCH);
 }
 
-// Split a cell in halves along each side that is long enough, or into single pixels; the new nodes start from its
-// patch.
+// Split a cell along each side that is too long, in halves or into single pixels; the new nodes start from its patch,
+// and from how far that was off.
 template <int D>
-void Plan<D>::split(Work& w, const Cell& e, const double (&c)[D][16]) {
-    int wide = e.x1 - e.x0, high = e.y1 - e.y0;
-    bool finest = wide <= SMALL && high <= SMALL;
-    int xs[SMALL + 1], ys[SMALL + 1], nx, ny, node[SMALL + 1][SMALL + 1];
-    auto cuts = [&](int from, int to, int* at) {
-        int n = finest ? to - from : to - from <= SMALL ? 1 : 2;
+void Plan<D>::split(Work& w, const Cell& e, const Checked& found) {
+    const int wide = e.x1 - e.x0, high = e.y1 - e.y0;
+    // A good side is left as long as it is, unless both are.
+    const bool across = wide > 1 && (found.too_wide || !(found.too_high && high > 1));
+    const bool down = high > 1 && (found.too_high || !(found.too_wide && wide > 1));
+    int xs[SMALL + 1], ys[SMALL + 1], node[SMALL + 1][SMALL + 1];
+    auto cuts = [&](int from, int to, bool cut, int* at) {
+        int n = !cut ? 1 : to - from <= SMALL ? to - from : 2;
         for (int i = 0; i <= n; i++) at[i] = from + (to - from) * i / n;
         return n;
     };
-    nx = cuts(e.x0, e.x1, xs);
-    ny = cuts(e.y0, e.y1, ys);
+    const int nx = cuts(e.x0, e.x1, across, xs), ny = cuts(e.y0, e.y1, down, ys);
     for (int v = 0; v <= ny; v++)
         for (int u = 0; u <= nx; u++) {
             if ((u == 0 || u == nx) && (v == 0 || v == ny)) {
                 node[v][u] = e.corner[(u ? 1 : 0) + (v ? 2 : 0)];
                 continue;
             }
-            Ask a;
+            Ask a{};
             a.q[0] = xs[u];
             a.q[1] = ys[v];
             a.root = e.root;
             a.node = node[v][u] = (int)w.nodes.size();
             w.nodes.emplace_back();
+            // The checked point that is nearest.
+            int near = v == 0 ? 1 : v == ny ? 2 : u == 0 ? 3 : u == nx ? 4 : 0;
             for (int d = 0; d < D; d++) {
-                double ds, dt;
-                a.guess[d] = at<double>(c[d], xs[u] - e.x0, ys[v] - e.y0, ds, dt);
+                a.p[d] = at<double>(found.c[d], xs[u] - e.x0, ys[v] - e.y0, a.m[0][d], a.m[1][d]) - found.step[near][d];
+                if (D == 3) a.m[D - 1][d] = found.across_plane[d];
             }
             w.asks.push_back(a);
         }
