@@ -48,7 +48,7 @@ constexpr double INFINITE = std::numeric_limits<double>::infinity();
 constexpr double CUBIC = 1e-7;
 constexpr double TINY = 1e-150;
 constexpr double HUGE_BOUND = 1e100;  // a bound as bad as none, of which the square is still a number
-constexpr int MOST_BOXES = 200'000;
+constexpr int MOST_BOXES = 200'000;   // that are looked at
 
 struct Box {
     double low[3], high[3];
@@ -229,9 +229,9 @@ public:
                 for (int l = 0; l < LANES; l++) x[i][l] = (v + l) >> i & 1 ? box.high[i] : box.low[i];
             const Symmetric<Lanes> s = strain(stroke, axes, x);
             for (int l = 0; l < LANES; l++) {
-                const Symmetric<double> bound = less(s, l, errors.all);
-                if (is_at_least(bound, worst + errors.rounding)) continue;
-                worst = std::min(worst, smallest_eigenvalue(bound, -CUBIC) - errors.rounding);
+                const Symmetric<double> lowered = less(s, l, errors.all);
+                if (is_at_least(lowered, worst + errors.rounding)) continue;
+                worst = std::min(worst, smallest_eigenvalue(lowered, -CUBIC) - errors.rounding);
                 const double none[3] = {}, found = smallest_eigenvalue(less(s, l, none), CUBIC) + errors.rounding;
                 if (found >= known.upper) continue;
                 known.upper = found;
