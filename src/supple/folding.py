@@ -230,8 +230,8 @@ def _free(poisson: float, scales: int, reach: float) -> tuple[float, float, floa
     stroke = Stroke(at=(0.0, 0.0), by=(1.0, 0.0), radius=1.0, poisson=poisson, scales=scales)
     row = pack([stroke], (1.0, 1.0))[0]
     if reach < math.inf:
-        lower, upper, distance, _ = _core.smallest_free_strain(_terms(row), reach, _FREE_GAP)
-        return lower, upper, distance
+        row["reach"] = reach
+        return _core.smallest_free_strain(_numbers(row), _FREE_GAP)
     e, a, g = row["radius2"], row["p"] + row["r"], row["q"] - row["r"] * row["radius2"]
 
     def slope(u: float) -> float:
@@ -272,46 +272,18 @@ def weakest(row: np.void, axes: Floats, target: float = CLEARLY_SAFE, gap: float
     size = math.hypot(*force.tolist())
     if size == 0 or not (active.any() or (axes[:, 1] < 0).all()):
         return 0.0, 0.0
-    direction, radius = force / size, math.sqrt(row["radius2"][0])
-    free_lower, free_upper, distance = _free(_poisson(row), int(row["terms"]), row["reach"] / radius)
-    lower, upper = free_lower / radius, free_upper / radius
+    unit, radius = row.copy(), math.sqrt(row["radius2"][0])
+    unit["force"] = force / size
+    lower, upper, distance = _free(_poisson(row), int(row["terms"]), row["reach"] / radius)
+    lower, upper, distance = lower / radius, upper / radius, distance * radius
     if active.any():
-        in_plane = active | ((direction == 0) & (row["pivot"] == 0))
-        worst = row["pivot"] + distance * radius * direction
-        there = bool((in_plane & _unfaded(worst, 0.0, active, axes)).all())
-        if not (there and _unfaded(row["pivot"], row["reach"], active, axes).all()):
-            above = target / size * (1 - 1e-12)  # so that what comes back is not below it by rounding
-            lower, upper = _fixed(row, axes, direction, (lower, upper if there else 0.0), above, gap)
+        above = target / size * (1 - 1e-12)  # so that what comes back is not below it by rounding
+        lower, upper = _core.smallest_strain(_numbers(unit), axes, lower, distance, above, gap)
     return lower * size, upper * size
 
 
-def _fixed(
-    row: np.void, axes: Floats, direction: Floats, known: tuple[float, float], target: float, gap: float
-) -> tuple[float, float]:
-    """Bounds of μ with a fixed border and a force of length 1, from a lower one with a free border."""
-    lower, upper, _ = _core.smallest_strain(
-        _terms(row),
-        np.array(row["pivot"]),
-        direction,
-        float(row["reach"]),
-        np.ascontiguousarray(axes),
-        known[0],
-        known[1],
-        max(target, -1e300),
-        gap,
-    )
-    return lower, upper
-
-
-def _unfaded(point: Floats, around: float, active: npt.NDArray[np.bool_], axes: Floats) -> npt.NDArray[np.bool_]:
-    """Return along which axes a point, and what is around it, keeps off the fixed border."""
-    extent, sigma = axes[:, 0], axes[:, 1]
-    return np.asarray(~active | ((sigma <= point - around) & (point + around <= extent - sigma)))
-
-
-def _terms(row: np.void) -> Floats:
-    n = int(row["terms"])
-    return np.stack([row[name][:n] for name in ("radius2", "p", "q", "r")], axis=1)
+def _numbers(row: np.void) -> Floats:
+    return numbers(np.array([row]))
 
 
 def _poisson(row: np.void) -> float:

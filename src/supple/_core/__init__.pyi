@@ -96,17 +96,9 @@ def warp_stack(
 # ---- folding
 
 def smallest_strain(
-    terms: Floats,
-    pivot: Floats,
-    direction: Floats,
-    reach: float,
-    axes: Floats,
-    free: float,
-    upper: float,
-    target: float,
-    gap: float,
-) -> tuple[float, float, int]: ...
-def smallest_free_strain(terms: Floats, reach: float, gap: float) -> tuple[float, float, float, int]: ...
+    stroke: Floats, axes: Floats, free: float, distance: float, target: float, gap: float
+) -> tuple[float, float]: ...
+def smallest_free_strain(stroke: Floats, gap: float) -> tuple[float, float, float]: ...
 
 # ---- volumes
 
