@@ -171,7 +171,6 @@ NOINLINE void undo(const Chain& chain, const Axis* axes, const V* q, double tole
             }
         for (int i = 0; i < D; i++) at[i] = found.p[i];
     }
-    found.steps *= 1.0 / most(chain.count, 1);
     // Of one stroke, too, the matrix must be that at the solution.
     newton<D>(chain, axes, q, tolerance, 8, found);
 }
