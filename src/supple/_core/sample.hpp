@@ -251,26 +251,40 @@ struct Prints {
     // Of all of a root's row, whatever box is wanted of it: loops of other lengths may round otherwise.
     template <int D>
     void find(const Row<D>& row);
+
+private:
+    template <int D>
+    void find_spots(const Row<D>& row, int from, int end);
 };
 
 template <int D>
 inline void Prints::find(const Row<D>& row) {
-    int some = 0, n = row.count;
-    const float *ax = row.across[0], *ay = row.across[1], *dx = row.down[0], *dy = row.down[1];
-    for (int i = 0; i < n; i++) {
-        float sxx = ax[i] * ax[i] + dx[i] * dx[i], sxy = ax[i] * ay[i] + dx[i] * dy[i];
-        float syy = ay[i] * ay[i] + dy[i] * dy[i];
-        float h = 0.5f * (sxx + syy), e = 0.5f * (sxx - syy);
-        xx[i] = sxx;
-        xy[i] = sxy;
-        yy[i] = syy;
-        some |= h + __builtin_sqrtf(e * e + sxy * sxy) > 1 + LOW;
+    constexpr int some = 8;  // are found at once
+    int n = row.count;
+    any = false;
+    for (int from = 0; from < n; from += some) {
+        const float *ax = row.across[0] + from, *ay = row.across[1] + from, *dx = row.down[0] + from,
+                    *dy = row.down[1] + from;
+        int shrinks = 0;
+        for (int i = 0; i < some; i++) {
+            float sxx = ax[i] * ax[i] + dx[i] * dx[i], sxy = ax[i] * ay[i] + dx[i] * dy[i];
+            float syy = ay[i] * ay[i] + dy[i] * dy[i], room = 2 * (1 + LOW) - (sxx + syy), e = sxx - syy;
+            xx[from + i] = sxx;
+            xy[from + i] = sxy;
+            yy[from + i] = syy;
+            kind[from + i] = PLAIN;
+            // λ₊ > 1 + LOW
+            shrinks |= (from + i < n) & ((room < 0) | (e * e + 4 * sxy * sxy > room * room));
+        }
+        if (shrinks) find_spots(row, from, from + some);
+        any |= shrinks;
     }
-    any = some;
-    if (!some) return;
+}
+template <int D>
+inline void Prints::find_spots(const Row<D>& row, int from, int end) {
     const float *part_x = row.part[0], *part_y = row.part[1];
     const int *whole_x = row.whole[0], *whole_y = row.whole[1];
-    for (int i = 0; i < n; i++) {
+    for (int i = from; i < end; i++) {
         float h = 0.5f * (xx[i] + yy[i]), e = 0.5f * (xx[i] - yy[i]), d = __builtin_sqrtf(e * e + xy[i] * xy[i]);
         float alpha = h + d - 1, beta = h - d - 1;
         kind[i] = alpha <= LOW ? PLAIN : (alpha < NARROW) & (h - d < SQUARE) ? SPOT : WIDE;
