@@ -53,8 +53,9 @@ struct Ray {
     double surface = NEVER, opaque = NEVER;  // where it meets the first surface, and where opacity passes 0.9
     Float4 light{};                          // premultiplied linear colour, and opacity
     int64_t samples = 0;
-    double steps = 0;     // of Newton's method
-    bool within = false;  // where something is seen: of the next sample, the gradient counts too
+    double steps = 0;      // of Newton's method
+    double shift[3] = {};  // millimetres from the last sample to its source
+    bool within = false;   // where something is seen: of the next sample, the gradient counts too
 
     Ray(const Look& look, Int4 last, double x, double y) : origin(look.eye) {
         along = look.ahead + x * look.right + y * look.down;
@@ -262,19 +263,15 @@ inline void find_reached(const Strokes& s, const Look& look, Ray& ray) {
 // displacement of the ray's sample before.
 template <class T>
 void march_exactly(const Voxels<T>& voxels, const Look& look, const Strokes& s, std::vector<Ray>& rays) {
-    struct State {
-        Ray* ray;
-        double shift[3];
-    };
-    std::vector<State> left;
+    std::vector<Ray*> left;
     for (Ray& ray : rays) {
         find_reached(s, look, ray);
-        left.push_back({&ray, {0, 0, 0}});
+        left.push_back(&ray);
     }
     while (true) {
-        std::erase_if(left, [&](State& state) {
-            march(voxels, look, *state.ray, Still());
-            return !state.ray->live();
+        std::erase_if(left, [&](Ray* ray) {
+            march(voxels, look, *ray, Still());
+            return !ray->live();
         });
         const size_t count = left.size();
         if (count == 0) return;
@@ -282,31 +279,31 @@ void march_exactly(const Voxels<T>& voxels, const Look& look, const Strokes& s, 
             Lanes q[3];
             Solution<3, Lanes> found{};
             for (int l = 0; l < LANES; l++) {
-                const State& state = left[least(i + l, count - 1)];
-                Double4 at = (state.ray->origin + state.ray->t * state.ray->way) * look.spacing;
+                const Ray& ray = *left[least(i + l, count - 1)];
+                Double4 at = (ray.origin + ray.t * ray.way) * look.spacing;
                 for (int c = 0; c < 3; c++) {
                     q[c][l] = at[c];
-                    found.p[c][l] = at[c] + state.shift[c];
+                    found.p[c][l] = at[c] + ray.shift[c];
                 }
             }
             s.settle(q, EXACT * s.finest(), found);
             for (int l = 0; l < LANES && i + l < count; l++) {
-                auto& [ray, shift] = left[i + l];
+                Ray& ray = *left[i + l];
                 Float4 p{};
                 for (int c = 0; c < 3; c++) {
-                    shift[c] = found.p[c][l] - q[c][l];
+                    ray.shift[c] = found.p[c][l] - q[c][l];
                     p[c] = float(found.p[c][l] / look.spacing[c]);
                 }
-                ray->steps += found.steps[l];
+                ray.steps += found.steps[l];
                 Float4 sample = {0, 0, 0, 0};
-                if (ray->within && look.shaded) {
+                if (ray.within && look.shaded) {
                     Float4 f = voxels.slopes(p) * look.per_voxel;
                     for (int j = 0; j < 3; j++)
                         for (int c = 0; c < 3; c++) sample[j] += float(found.m[j][c][l]) * f[c];
                     sample[3] = f[3];
                 } else
                     sample[3] = voxels.sample(p);
-                ray->take(look, sample);
+                ray.take(look, sample);
             }
         }
     }
@@ -314,24 +311,23 @@ void march_exactly(const Voxels<T>& voxels, const Look& look, const Strokes& s, 
 
 // ---- where a volume can be seen at all -----------------------------------------------------------------------------
 
-// The smallest and the largest sample of a layer of bricks, `wide` by `high` of them, each `brick` voxels wide.
+// The smallest and the largest sample of each brick in layer c, of bricks that are `brick` voxels wide.
 template <class T>
-void ranges(const T* samples, const int64_t* size, int brick, int64_t wide, int64_t high, int64_t layer, float* lows,
+void ranges(const T* samples, const int64_t* n, int brick, const int64_t* bricks, int64_t c, float* lows,
             float* highs) {
-    const int64_t most_k = least(layer * brick + brick + 1, size[2]);
-    for (int64_t b = 0; b < high; b++)
-        for (int64_t a = 0; a < wide; a++) {
-            T low = std::numeric_limits<T>::max(), top = std::numeric_limits<T>::lowest();
-            for (int64_t k = layer * brick; k < most_k; k++)
-                for (int64_t j = b * brick; j < least(b * brick + brick + 1, size[1]); j++) {
-                    const T* row = samples + (k * size[1] + j) * size[0];
-                    for (int64_t i = a * brick; i < least(a * brick + brick + 1, size[0]); i++) {
-                        low = least(low, row[i]);
-                        top = most(top, row[i]);
+    auto end = [&](int64_t at, int axis) { return least(at * brick + brick + 1, n[axis]); };
+    for (int64_t b = 0; b < bricks[1]; b++)
+        for (int64_t a = 0; a < bricks[0]; a++) {
+            T low = std::numeric_limits<T>::max(), high = std::numeric_limits<T>::lowest();
+            for (int64_t z = c * brick; z < end(c, 2); z++)
+                for (int64_t y = b * brick; y < end(b, 1); y++)
+                    for (int64_t x = a * brick; x < end(a, 0); x++) {
+                        T value = samples[(z * n[1] + y) * n[0] + x];
+                        low = least(low, value);
+                        high = most(high, value);
                     }
-                }
             *lows++ = float(low);
-            *highs++ = float(top);
+            *highs++ = float(high);
         }
 }
 
@@ -340,28 +336,24 @@ void ranges(const T* samples, const int64_t* size, int brick, int64_t wide, int6
 inline void distances(const bool* seen, const int64_t* n, uint8_t* out) {
     const int64_t total = n[0] * n[1] * n[2];
     for (int64_t i = 0; i < total; i++) out[i] = seen[i] ? 0 : 255;
-    for (int way = 1; way >= -1; way -= 2)
-        for (int64_t e = 0; e < total; e++) {
-            int64_t at = way > 0 ? e : total - 1 - e, a = at % n[0], b = at / n[0] % n[1], c = at / (n[0] * n[1]);
-            int nearest = out[at];
-            for (int other = 1; other <= 13 && nearest > 1; other++) {  // of 27, in the order of memory
-                int dc = way * ((13 - other) / 9 - 1), db = way * ((13 - other) / 3 % 3 - 1),
-                    da = way * ((13 - other) % 3 - 1);
-                bool there =
-                    a + da >= 0 && a + da < n[0] && b + db >= 0 && b + db < n[1] && c + dc >= 0 && c + dc < n[2];
-                if (there) nearest = least(nearest, out[at + (dc * n[1] + db) * n[0] + da] + 1);
+    for (int way : {1, -1})
+        for (int64_t i = 0; i < total; i++) {
+            int64_t at = way > 0 ? i : total - 1 - i, a = at % n[0], b = at / n[0] % n[1], c = at / (n[0] * n[1]);
+            for (int other = 0; other < 13 && out[at] > 1; other++) {  // of 27, in the order of memory
+                int64_t x = a + way * (other % 3 - 1), y = b + way * (other / 3 % 3 - 1), z = c + way * (other / 9 - 1);
+                if (x < 0 || x >= n[0] || y < 0 || y >= n[1] || z < 0 || z >= n[2]) continue;
+                out[at] = uint8_t(least(int(out[at]), out[(z * n[1] + y) * n[0] + x] + 1));
             }
-            out[at] = uint8_t(nearest);
         }
 }
 
 // Which bricks of the deformed volume show any that is seen of the volume's own, by bounds of their displacement. Those
 // are `fine` voxels wide: narrower ones tell better, as a moved brick lies across several. `slack` is how far points
 // are off the lattice's bounds, in voxels.
-inline void moved(const Lattice& lattice, const bool* seen, const int64_t* n, int fine, double slack,
+inline void moved(const Lattice& lattice, const bool* seen, const int64_t* n, int fine, float slack,
                   const int64_t* bricks, bool* out) {
     // Sums over all bricks before, so that any box of them is eight numbers.
-    const int64_t row = n[0] + 1, layer = row * (n[1] + 1), nodes[3] = {lattice.nx, lattice.ny, lattice.nz};
+    const int64_t row = n[0] + 1, layer = row * (n[1] + 1);
     std::vector<int64_t> sums(layer * (n[2] + 1));
     for (int64_t c = 0; c < n[2]; c++)
         for (int64_t b = 0; b < n[1]; b++) {
@@ -371,38 +363,37 @@ inline void moved(const Lattice& lattice, const bool* seen, const int64_t* n, in
                 *s = line + s[-row] + s[-layer] - s[-layer - row];
             }
         }
+    const int64_t nodes[3] = {lattice.nx, lattice.ny, lattice.nz};
+    const Float4 last_brick = {float(n[0] - 1), float(n[1] - 1), float(n[2] - 1), 0};
     for (int64_t e = 0; e < bricks[0] * bricks[1] * bricks[2]; e++) {
         const int64_t brick[3] = {e % bricks[0], e / bricks[0] % bricks[1], e / (bricks[0] * bricks[1])};
-        int64_t first[3], last[3];
+        int64_t first[3], last[3];  // of the nodes around it
         for (int i = 0; i < 3; i++) {
             first[i] = least(brick[i] * BRICK / lattice.step, nodes[i] - 1);
             last[i] = least((brick[i] * BRICK + BRICK + lattice.step - 1) / lattice.step, nodes[i] - 1);
         }
-        float low[NODE], high[NODE];
-        std::fill(low, low + NODE, 1e30f);
-        std::fill(high, high + NODE, -1e30f);
+        Float4 low[4], high[4];  // of u and the columns of M
+        for (int v = 0; v < 4; v++) low[v] = Float4{} + 1e30f, high[v] = Float4{} - 1e30f;
         for (int64_t k = first[2]; k <= last[2]; k++)
             for (int64_t j = first[1]; j <= last[1]; j++)
                 for (int64_t i = first[0]; i <= last[0]; i++)
-                    for (int f = 0; f < NODE; f++) {
-                        low[f] = least(low[f], lattice.node(k, j, i)[f]);
-                        high[f] = most(high[f], lattice.node(k, j, i)[f]);
+                    for (int v = 0; v < 4; v++) {
+                        Float4 value = load<float, 4>(lattice.node(k, j, i) + 4 * v);
+                        low[v] = least(low[v], value);
+                        high[v] = most(high[v], value);
                     }
-        for (int i = 0; i < 3; i++) {
-            // What the slopes add to the lines between nodes.
-            double bent = slack;
-            for (int f = 4 + i; f < NODE; f += 4) bent += 0.125 * lattice.step * (high[f] - low[f]);
-            double p = (brick[i] * BRICK + low[i] - bent) / fine,
-                   q = (brick[i] * BRICK + BRICK + high[i] + bent) / fine;
-            first[i] = int64_t(least(most(std::floor(p), 0.0), double(n[i] - 1)));
-            last[i] = int64_t(least(most(std::floor(q), 0.0), double(n[i] - 1))) + 1;
-        }
-        auto sum = [&](int64_t z, int64_t y, int64_t x) { return sums[z * layer + y * row + x]; };
-        auto slab = [&](int64_t z) {
-            return sum(z, last[1], last[0]) - sum(z, first[1], last[0]) - sum(z, last[1], first[0]) +
-                   sum(z, first[1], first[0]);
+        // The slopes add to the lines between nodes.
+        Float4 bent = Float4{} + slack, corner = {float(brick[0]), float(brick[1]), float(brick[2]), 0};
+        for (int v = 1; v < 4; v++) bent += 0.125f * lattice.step * (high[v] - low[v]);
+        auto brick_at = [&](Float4 p) { return whole(least(most(p / float(fine), Float4{}), last_brick)); };
+        Int4 from = brick_at(corner * BRICK + low[0] - bent),
+             to = brick_at(corner * BRICK + BRICK + high[0] + bent) + 1;
+        auto sum = [&](int z) {
+            const int64_t* s = &sums[z * layer];
+            return s[to[1] * row + to[0]] - s[from[1] * row + to[0]] - s[to[1] * row + from[0]] +
+                   s[from[1] * row + from[0]];
         };
-        out[e] = slab(last[2]) > slab(first[2]);
+        out[e] = sum(to[2]) > sum(from[2]);
     }
 }
 

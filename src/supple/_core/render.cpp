@@ -121,31 +121,17 @@ Look* make_look(Array<const double, 2> camera, Array<const uint8_t, 3> skips, Ar
     return look;
 }
 
-// A picture: rays of `columns` by `rows`, pixels from its middle.
-struct Picture {
-    Array<const double, 1> columns, rows;
-    Array<float, 3> light;   // (rows, columns, 4)
-    Array<double, 3> depth;  // (rows, columns, 2): of the first surface, and where opacity passes 0.9; or infinity
-    Array<int64_t, 3> work;  // (rows, columns, 2): samples, and evaluations of T
-
-    void write(int64_t y, int64_t x, const Ray& ray) const {
-        for (int c = 0; c < 4; c++) light(y, x, c) = ray.light[c];
-        depth(y, x, 0) = ray.surface;
-        depth(y, x, 1) = ray.opaque;
-        work(y, x, 0) = ray.samples;
-        work(y, x, 1) = (int64_t)ray.steps;
-    }
-};
-
+// Of the rays of `columns` by `rows`, pixels from the picture's middle: light (rows, columns, 4); depth (rows, columns,
+// 2) of the first surface and where opacity passes 0.9, or infinity; and work (rows, columns, 2), samples and
+// evaluations.
 void draw(Samples samples, const Look& look, const SolidLattice* lattice, int cells, const Strokes* strokes,
           Array<const double, 1> columns, Array<const double, 1> rows, Array<float, 3> light, Array<double, 3> depth,
           Array<int64_t, 3> work) {
-    const Picture out{columns, rows, light, depth, work};
-    const int height = (int)out.rows.size(), width = (int)out.columns.size();
+    const int height = (int)rows.size(), width = (int)columns.size();
     auto fits = [&](auto& a, size_t n) {
         return (int)a.shape(0) == height && (int)a.shape(1) == width && a.shape(2) == n;
     };
-    if (!fits(out.light, 4) || !fits(out.depth, 2) || !fits(out.work, 2))
+    if (!fits(light, 4) || !fits(depth, 2) || !fits(work, 2))
         throw nb::value_error("a picture must have its rows and columns");
     const int across = (width + TILE - 1) / TILE, down = (height + TILE - 1) / TILE;
     with_voxels(samples, [&](auto voxels) {
@@ -155,8 +141,7 @@ void draw(Samples samples, const Look& look, const SolidLattice* lattice, int ce
             std::vector<Ray> rays;
             rays.reserve(TILE * TILE);
             for (int y = top; y < bottom; y++)
-                for (int x = left; x < right; x++)
-                    rays.emplace_back(look, voxels.last + 1, out.columns(x), out.rows(y));
+                for (int x = left; x < right; x++) rays.emplace_back(look, voxels.last + 1, columns(x), rows(y));
             if (strokes)
                 march_exactly(voxels, look, *strokes, rays);
             else if (lattice)
@@ -165,7 +150,13 @@ void draw(Samples samples, const Look& look, const SolidLattice* lattice, int ce
                 march_all(voxels, look, rays, [](const Ray&) { return Still(); });
             const Ray* ray = rays.data();
             for (int y = top; y < bottom; y++)
-                for (int x = left; x < right; x++) out.write(y, x, *ray++);
+                for (int x = left; x < right; x++, ray++) {
+                    for (int c = 0; c < 4; c++) light(y, x, c) = ray->light[c];
+                    depth(y, x, 0) = ray->surface;
+                    depth(y, x, 1) = ray->opaque;
+                    work(y, x, 0) = ray->samples;
+                    work(y, x, 1) = (int64_t)ray->steps;
+                }
         };
         unlocked([&] { parallel(across * down, draw_tile); });
     });
@@ -180,8 +171,7 @@ void brick_ranges(Samples samples, int brick, Array<float, 3> lows, Array<float,
     with_samples(samples, [&](auto* data) {
         unlocked([&] {
             parallel((int)bricks[2], [&](int c, int) {
-                ranges(data, n.data(), brick, bricks[0], bricks[1], c, lows.data() + c * layer,
-                       highs.data() + c * layer);
+                ranges(data, n.data(), brick, bricks.data(), c, lows.data() + c * layer, highs.data() + c * layer);
             });
         });
     });
@@ -192,7 +182,7 @@ void brick_distances(Array<const bool, 3> seen, Array<uint8_t, 3> out) {
     distances(seen.data(), sizes(seen).data(), out.data());
 }
 
-void brick_moved(SolidLattice& lattice, Array<const bool, 3> seen, int fine, double slack, Array<bool, 3> out) {
+void brick_moved(SolidLattice& lattice, Array<const bool, 3> seen, int fine, float slack, Array<bool, 3> out) {
     moved(lattice, seen.data(), sizes(seen).data(), fine, slack, sizes(out).data(), out.data());
 }
 
