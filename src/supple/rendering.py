@@ -30,7 +30,7 @@ from supple.transfer import TransferFunction
 
 MODES = ("lattice", "exact", "buffered", "hybrid")
 _STORAGE = 0x08  # wgpu.TextureUsage.STORAGE_BINDING
-_ROWS = 64  # of a picture, between two reports of progress
+_ROWS = 256  # of a picture, between two reports of progress
 PICKED = 0.9
 """The opacity that a ray has gathered where something is picked."""
 

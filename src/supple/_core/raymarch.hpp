@@ -32,11 +32,12 @@ struct Look {
     Int4 last_brick;
     std::vector<Float4> table;  // linear red, green and blue, and the opacity of a step
     float low, scale;           // the first entry's value, and entries for each unit
-    float threshold;            // below it, nothing is seen before the first surface
-    float bottom, top;          // nothing else is seen
+    float last_entry;
+    float threshold;    // below it, nothing is seen before the first surface
+    float bottom, top;  // nothing else is seen
 
     Float4 colour(float value) const {
-        float entry = least(most((value - low) * scale, 0.0f), float(table.size() - 1));
+        float entry = least(most((value - low) * scale, 0.0f), last_entry);
         return table[int32_t(entry + 0.5f)];
     }
     bool solid(float value) const { return value >= threshold && value <= top; }
@@ -61,19 +62,19 @@ struct Ray {
         along = look.ahead + x * look.right + y * look.down;
         along *= 1.0 / root(along[0] * along[0] + along[1] * along[1] + along[2] * along[2]);
         way = along / look.spacing;
-        half = look.lamp - floats(along);
-        half *= 1.0f / most(__builtin_sqrtf(dot3(half, half)), 1e-6f);
         Double4 over = 1.0 / (magnitude(way) > 1e-12 ? way : Double4{} + 1e-12);
         Double4 a = -origin * over, b = (doubles(last) - origin) * over, low = least(a, b), high = most(a, b);
-        near = most(most(low[0], low[1]), most(low[2], 0.0));
+        t = near = most(most(low[0], low[1]), most(low[2], 0.0));
         far = least(least(high[0], high[1]), high[2]);
-        t = near;
+        if (!live()) return;
+        half = look.lamp - floats(along);
+        half *= 1.0f / most(__builtin_sqrtf(dot3(half, half)), 1e-6f);
         per_voxel = floats(over);
         sides = per_voxel > 0 ? Float4{} + BRICK : Float4{} - BRICK;
         back = per_voxel > 0 ? Float4{} : Float4{} + BRICK;
         if (look.threshold != -std::numeric_limits<float>::infinity()) return;
         phase = BEHIND;
-        if (live()) surface = t;
+        surface = t;
     }
 
     bool live() const { return t <= far; }
@@ -227,20 +228,17 @@ INLINE void see(const Voxels<T>& voxels, const Look& look, Ray& ray, Source& sou
         ray.take(look, Float4{0, 0, 0, voxels.sample(p)});
 }
 
-// March along a ray to its end, or to where strokes begin to reach it.
-template <class T, class Source>
-INLINE void march(const Voxels<T>& voxels, const Look& look, Ray& ray, Source&& source) {
-    while (ray.live() && !ray.moved())
-        if (!ray.hop(look)) see(voxels, look, ray, source);
-}
-
 // March along some rays, from what `source_of` gives each. First hops are in turn, as each waits for the one before it.
 template <class T, class F>
-INLINE void march_all(const Voxels<T>& voxels, const Look& look, std::vector<Ray>& rays, F&& source_of) {
+INLINE void march(const Voxels<T>& voxels, const Look& look, std::vector<Ray>& rays, F&& source_of) {
     std::vector<Ray*> left;
     for (Ray& ray : rays) left.push_back(&ray);
     while (!left.empty()) std::erase_if(left, [&](Ray* ray) { return !ray->live() || !ray->hop(look); });
-    for (Ray& ray : rays) march(voxels, look, ray, source_of(ray));
+    for (Ray& ray : rays) {
+        auto source = source_of(ray);
+        while (ray.live())
+            if (!ray.hop(look)) see(voxels, look, ray, source);
+    }
 }
 
 // Where strokes reach a ray: within millimetres of the eye from `from` to `to`.
@@ -270,7 +268,9 @@ void march_exactly(const Voxels<T>& voxels, const Look& look, const Strokes& s, 
     }
     while (true) {
         std::erase_if(left, [&](Ray* ray) {
-            march(voxels, look, *ray, Still());
+            Still still;
+            while (ray->live() && !ray->moved())
+                if (!ray->hop(look)) see(voxels, look, *ray, still);
             return !ray->live();
         });
         const size_t count = left.size();

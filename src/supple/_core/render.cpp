@@ -113,6 +113,7 @@ Look* make_look(Array<const double, 2> camera, Array<const uint8_t, 3> skips, Ar
     look->layer = int(x * y);
     look->last_brick = Int4{int32_t(x - 1), int32_t(y - 1), int32_t(z - 1), 0};
     for (size_t i = 0; i < table.shape(0); i++) look->table.push_back(load<float, 4>(table.data() + 4 * i));
+    look->last_entry = float(table.shape(0) - 1);
     look->low = low;
     look->scale = scale;
     look->threshold = threshold;
@@ -145,9 +146,9 @@ void draw(Samples samples, const Look& look, const SolidLattice* lattice, int ce
             if (strokes)
                 march_exactly(voxels, look, *strokes, rays);
             else if (lattice)
-                march_all(voxels, look, rays, [&](const Ray& ray) { return Cubics(*lattice, cells, ray); });
+                march(voxels, look, rays, [&](const Ray& ray) { return Cubics(*lattice, cells, ray); });
             else
-                march_all(voxels, look, rays, [](const Ray&) { return Still(); });
+                march(voxels, look, rays, [](const Ray&) { return Still(); });
             const Ray* ray = rays.data();
             for (int y = top; y < bottom; y++)
                 for (int x = left; x < right; x++, ray++) {
