@@ -30,7 +30,7 @@ from supple.transfer import TransferFunction
 
 MODES = ("lattice", "exact", "buffered", "hybrid")
 _STORAGE = 0x08  # wgpu.TextureUsage.STORAGE_BINDING
-_ROWS = 64  # of a picture, between two reports of progress
+_ROWS = 256  # of a picture, between two reports of progress
 PICKED = 0.9
 """The opacity that a ray has gathered where something is picked."""
 
@@ -372,18 +372,28 @@ class Scene:
 
     def _marcher(self, view: View) -> Callable[..., None]:
         """Return what marches along the rays of columns and rows of pixels, into colours, depths and work."""
-        low, high = self.range
-        transfer = _core.Transfer(self._table, low, entries(low, high), self._threshold, *self.density)
         strokes, lattice, cells = None, None, 1
         if self.deformation is not None and (self.mode == "exact" or self._coarse):
             strokes = strokes_of(self.deformation.space.table, self.deformation.space.axes)
         elif self._solid is not None:
             lattice, cells = self._solid.lattice, cells_along_rays(self._solid, self.tolerance)
-        seen = _core.View(np.ascontiguousarray(view.packed), self.step, triple(lamp(view)), self.shaded, self._skips)
+        look = self._look(view)
+        seen = _core.Look(
+            np.ascontiguousarray(view.packed),
+            look.skips,
+            look.table,
+            look.low,
+            look.scale,
+            look.threshold,
+            look.window,
+            look.step,
+            triple(look.light),
+            look.shaded,
+        )
 
         def march(columns: Array, rows: Array, light: Array, depth: Array, work: Array) -> None:
             xs, ys = columns - (view.size[1] - 1) / 2, rows - (view.size[0] - 1) / 2  # from the middle
-            _core.draw(self.samples, seen, transfer, lattice, cells, strokes, xs, ys, light, depth, work)
+            _core.draw(self.samples, seen, lattice, cells, strokes, xs, ys, light, depth, work)
 
         return march
 

@@ -114,20 +114,24 @@ class Lattice:
     def error(self, strokes: Strokes) -> float: ...
     def between(self, points: Singles, out: Singles) -> None: ...
 
-class Transfer:
+class Look:
     def __init__(
-        self, table: Singles, low: float, scale: float, threshold: float, bottom: float, top: float
-    ) -> None: ...
-
-class View:
-    def __init__(
-        self, packed: Floats, step: float, lamp: Sequence[float], shaded: bool, skips: npt.NDArray[np.uint8]
+        self,
+        camera: Floats,
+        skips: npt.NDArray[np.uint8],
+        table: Singles,
+        low: float,
+        scale: float,
+        threshold: float,
+        window: tuple[float, float],
+        step: float,
+        light: Sequence[float],
+        shaded: bool,
     ) -> None: ...
 
 def draw(
     samples: Array,
-    view: View,
-    transfer: Transfer,
+    look: Look,
     lattice: Lattice | None,
     cells: int,
     strokes: Strokes | None,

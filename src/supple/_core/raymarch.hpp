@@ -9,170 +9,158 @@
 #include <limits>
 
 #include "solid.hpp"
-#include "voxels.hpp"
 
 namespace supple {
 
 constexpr int BRICK = 4;          // voxels; a brick holds one more along each axis, its neighbour's first
 constexpr int BISECTIONS = 2;     // before the surface is found by a straight line between two values
+constexpr double EXACT = 1e-3;    // the last Newton step at a sample that is inverted, in voxels
 constexpr float OPAQUE = 0.995f;  // where a ray ends
-constexpr float FAINT = 4e-3f;    // what a sample adds at most, where nobody sees its shading: a step of 8 bits
 constexpr float AMBIENT = 0.15f, DIFFUSE = 0.8f, SPECULAR = 0.2f;  // and the highlight's power is 16
 constexpr int TILE = 8;                                            // pixels along a tile's side
 constexpr double NEVER = std::numeric_limits<double>::infinity();
 
-// Which colour and opacity a value has, and which values are seen at all.
-struct Transfer {
+// How a volume is seen: a camera, the light, and a transfer function. In millimetres along the volume's axes, but for
+// the eye, in voxels.
+struct Look {
+    Double4 eye, spacing, ahead, right, down;  // the ray of a pixel (x, y): ahead + x right + y down
+    double step, per_step;                     // millimetres from sample to sample; 1 / that
+    Float4 lamp, per_voxel;                    // where light comes from; 1 / spacing, and 1
+    bool shaded;
+    std::vector<uint8_t> skips;  // how many bricks away the next one is that anything is seen of
+    int row, layer;              // of bricks
+    Int4 last_brick;
     std::vector<Float4> table;  // linear red, green and blue, and the opacity of a step
     float low, scale;           // the first entry's value, and entries for each unit
-    float threshold;            // below it, nothing is seen before the first surface
-    float bottom, top;
+    float last_entry;
+    float threshold;    // below it, nothing is seen before the first surface
+    float bottom, top;  // nothing else is seen
 
-    Float4 operator[](float value) const {
-        float entry = least(most((value - low) * scale, 0.0f), float(table.size() - 1));
+    Float4 colour(float value) const {
+        float entry = least(most((value - low) * scale, 0.0f), last_entry);
         return table[int32_t(entry + 0.5f)];
     }
     bool solid(float value) const { return value >= threshold && value <= top; }
     bool seen(float value) const { return value >= bottom && value <= top; }
 };
 
-// A camera, in millimetres along the volume's axes but for the eye, in voxels; the light; and bricks.
-struct Look {
-    Double4 eye, spacing, ahead, right, down;  // the ray of a pixel (x, y): ahead + x right + y down
-    double step, per_step;                     // millimetres from sample to sample; 1 / that
-    Float4 lamp, per_voxel;                    // where light comes from; 1 / spacing
-    bool shaded;
-    const uint8_t* skips;  // how many bricks away the next one is that anything is seen of
-    int64_t wide, high, deep;
-};
-
+// A ray on its way: where the next sample is wanted, and what was gathered.
 struct Ray {
-    Double4 origin, way;  // voxels, and voxels a millimetre
-    Double4 along;        // millimetres a millimetre
-    Float4 half;          // between the lamp and the eye
-    double near, far;     // where it enters and leaves the box between the outermost voxels' centres
-    // It leaves the bricks up to `away` from a brick at the least of: leave + per_brick * brick + per_away * away.
-    Double4 leave, per_brick, per_away;
-
-    Ray(const Look& look, Int4 size, double x, double y) : origin(look.eye) {
-        along = look.ahead + x * look.right + y * look.down;
-        along *= 1.0 / __builtin_sqrt(along[0] * along[0] + along[1] * along[1] + along[2] * along[2]);
-        way = along / look.spacing;
-        half = look.lamp - floats(along);
-        half *= 1.0f / most(__builtin_sqrtf(dot3(half, half)), 1e-6f);
-        Double4 over = 1.0 / (magnitude(way) > 1e-12 ? way : Double4{} + 1e-12);
-        Double4 a = -origin * over, b = (doubles(size - 1) - origin) * over, low = least(a, b), high = most(a, b);
-        near = most(most(low[0], low[1]), most(low[2], 0.0));
-        far = least(least(high[0], high[1]), high[2]);
-        per_brick = double(BRICK) * over;
-        per_away = magnitude(per_brick);
-        leave = a + (over > 0 ? Double4{} : per_brick);
-    }
-    INLINE Float4 at(double t) const { return floats(Double4(origin + t * way)); }
-};
-
-// Ambient and diffuse light, and the highlight, of a surface with a gradient; both of its sides are lit.
-INLINE void light(const Look& look, Float4 half, Float4 gradient, float& lit, float& shine) {
-    float size = dot3(gradient, gradient), diffuse = dot3(gradient, look.lamp);
-    lit = AMBIENT + DIFFUSE;
-    if (!(size > 0)) return;
-    float over = 1.0f / __builtin_sqrtf(size);
-    lit = AMBIENT + DIFFUSE * __builtin_fabsf(diffuse * over);
-    shine = dot3(gradient, half) * over;
-    for (int i = 0; i < 4; i++) shine *= shine;
-    shine *= SPECULAR;
-}
-
-// A ray on its way: where it wants the next sample, and what it gathered.
-struct March {
-    Ray ray;
-    double t;                                // where the next sample is wanted; beyond ray.far when it has ended
+    Double4 origin, way;                     // voxels, and voxels a millimetre
+    Double4 along;                           // millimetres a millimetre
+    double near, far;                        // where it enters and leaves the box between the outermost voxels' centres
+    double t;                                // where the next sample is wanted; beyond `far` when it has ended
     double from = NEVER, to = -NEVER;        // strokes reach it between these only
     double surface = NEVER, opaque = NEVER;  // where it meets the first surface, and where opacity passes 0.9
     Float4 light{};                          // premultiplied linear colour, and opacity
     int64_t samples = 0;
-    double steps = 0;  // of Newton's method
+    double steps = 0;      // of Newton's method
+    double shift[3] = {};  // millimetres from the last sample to its source
+    bool within = false;   // where something is seen: of the next sample, the gradient counts too
 
-    March(const Ray& ray, const Transfer& transfer) : ray(ray), t(ray.near) {
-        if (transfer.threshold != -std::numeric_limits<float>::infinity()) return;
+    Ray(const Look& look, Int4 last, double x, double y) : origin(look.eye) {
+        along = look.ahead + x * look.right + y * look.down;
+        along *= 1.0 / root(along[0] * along[0] + along[1] * along[1] + along[2] * along[2]);
+        way = along / look.spacing;
+        Double4 over = 1.0 / (magnitude(way) > 1e-12 ? way : Double4{} + 1e-12);
+        Double4 a = -origin * over, b = (doubles(last) - origin) * over, low = least(a, b), high = most(a, b);
+        t = near = most(most(low[0], low[1]), most(low[2], 0.0));
+        far = least(least(high[0], high[1]), high[2]);
+        if (!live()) return;
+        half = look.lamp - floats(along);
+        half *= 1.0f / most(__builtin_sqrtf(dot3(half, half)), 1e-6f);
+        per_voxel = floats(over);
+        sides = per_voxel > 0 ? Float4{} + BRICK : Float4{} - BRICK;
+        back = per_voxel > 0 ? Float4{} : Float4{} + BRICK;
+        if (look.threshold != -std::numeric_limits<float>::infinity()) return;
         phase = BEHIND;
-        if (live()) surface = t;
+        surface = t;
     }
 
-    bool live() const { return t <= ray.far; }
+    bool live() const { return t <= far; }
     bool moved() const { return t >= from && t <= to; }
+    INLINE Float4 at(double t) const { return floats(Double4(origin + t * way)); }
 
     // Go on to where the ray leaves the bricks around that nothing is seen of. False where something may be.
     INLINE bool hop(const Look& look) {
         if (within || phase == BISECT) return false;
-        Int4 last = {int32_t(look.wide - 1), int32_t(look.high - 1), int32_t(look.deep - 1), 0};
-        Int4 brick = whole(most(ray.at(t), Float4{})) / BRICK;
-        brick = brick < last ? brick : last;
-        double away = look.skips[(brick[2] * look.high + brick[1]) * look.wide + brick[0]];
+        Float4 q = at(t);
+        Int4 brick = least(whole(q * (1.0f / BRICK)), look.last_brick);
+        float away = look.skips[brick[2] * look.layer + brick[1] * look.row + brick[0]];
         if (away == 0) return false;
-        Double4 leaves = ray.leave + ray.per_brick * doubles(brick) + ray.per_away * away;
-        double leave = least(leaves[0], least(leaves[1], leaves[2]));
-        if (t < from) leave = least(leave, from);
-        t += look.step * most(1.0, __builtin_ceil((leave - t) * look.per_step - 1e-4));
+        Float4 left = (float(BRICK) * floats(brick) + back + away * sides - q) * per_voxel;  // to each side of these
+        double leave = least(left[0], least(left[1], left[2]));
+        if (t < from) leave = least(leave, from - t);
+        t += look.step * most(1.0, __builtin_ceil(leave * look.per_step - 1e-3));
         return true;
     }
 
-    // Take in the value at t, and choose the next t. `gradient` is called for that of what is seen there.
-    template <class G>
-    INLINE void take(const Look& look, const Transfer& transfer, float value, G&& gradient) {
+    // Take in the sample at t (the gradient, and the value last), and choose the next t.
+    INLINE void take(const Look& look, Float4 sample) {
+        float value = sample[3];
         samples++;
         if (phase == BEFORE) {
-            if (!transfer.solid(value)) {
+            if (!look.solid(value)) {
                 t += look.step;
                 return;
             }
             // The surface lies within the last step.
-            low = most(ray.near, t - look.step);
+            low = most(near, t - look.step);
             high = t;
             before = -std::numeric_limits<float>::infinity();
             above = value;
             turn = 0;
             phase = BISECT;
             t = 0.5 * (low + high);
-            return;
-        }
-        if (phase == BISECT) {
-            if (turn < BISECTIONS) {
-                bool inner = transfer.solid(value);
-                (inner ? high : low) = t;
-                (inner ? above : before) = value;
-                t = 0.5 * (low + high);
-                if (++turn < BISECTIONS) return;
-                bool known = std::isfinite(before) && before < transfer.threshold;
-                t = low + (high - low) * (known ? (transfer.threshold - before) / (above - before) : 1.0f);
+        } else if (phase == BISECT) {
+            bool inner = look.solid(value);
+            (inner ? high : low) = t;
+            (inner ? above : before) = value;
+            t = 0.5 * (low + high);
+            if (++turn < BISECTIONS) return;
+            bool known = std::isfinite(before) && before < look.threshold;
+            surface = t = low + (high - low) * (known ? (look.threshold - before) / (above - before) : 1.0f);
+            phase = BEHIND;
+            within = true;
+        } else {
+            Float4 colour = look.colour(value);
+            bool seen = look.seen(value) && colour[3] > 0;
+            if (seen && !within) {
+                within = true;  // once more, with its gradient
                 return;
             }
-            surface = t;
-            phase = BEHIND;
+            within = seen;
+            if (seen) gather(look, colour, sample);
+            t += look.step;
         }
-        within = false;
-        if (transfer.seen(value)) {
-            Float4 colour = transfer[value];
-            if (colour[3] > 0) {
-                within = true;  // where something is seen, the next sample is most likely too
-                float part = (1 - light[3]) * colour[3], lit = 1, shine = 0;
-                if (look.shaded && part > FAINT) supple::light(look, ray.half, gradient(), lit, shine);
-                colour = colour * lit + shine;
-                colour[3] = 1;
-                light += part * colour;
-                if (opaque == NEVER && light[3] >= 0.9f) opaque = t;
-                if (light[3] > OPAQUE) t = NEVER;
-            }
-        }
-        t += look.step;
     }
 
 private:
     enum { BEFORE, BISECT, BEHIND } phase = BEFORE;
-    bool within = false;
     int turn;
     double low, high;
     float before, above;
+    Float4 half;                    // between the lamp and the eye
+    Float4 per_voxel, back, sides;  // to leave bricks
+
+    // Ambient and diffuse light, and the highlight, of a surface with a gradient; both of its sides are lit.
+    INLINE void gather(const Look& look, Float4 colour, Float4 gradient) {
+        float part = (1 - light[3]) * colour[3], size = dot3(gradient, gradient);
+        if (look.shaded) {
+            float lit = AMBIENT + DIFFUSE, shine = 0;
+            if (size > 0) {
+                float over = 1.0f / __builtin_sqrtf(size);
+                lit = AMBIENT + DIFFUSE * __builtin_fabsf(dot3(gradient, look.lamp) * over);
+                shine = dot3(gradient, half) * over;
+                for (int i = 0; i < 4; i++) shine *= shine;
+            }
+            colour = colour * lit + SPECULAR * shine;
+        }
+        colour[3] = 1;
+        light += part * colour;
+        if (opaque == NEVER && light[3] >= 0.9f) opaque = t;
+        if (light[3] > OPAQUE) t = NEVER;
+    }
 };
 
 // Where points come from: from themselves ...
@@ -187,8 +175,9 @@ class Cubics {
 public:
     Cubics(const Lattice& lattice, int cells, const Ray& ray)
         : lattice(lattice),
-          whole_length(cells * lattice.step /
-                       std::sqrt(ray.way[0] * ray.way[0] + ray.way[1] * ray.way[1] + ray.way[2] * ray.way[2])) {}
+          length(cells * lattice.step /
+                 root(ray.way[0] * ray.way[0] + ray.way[1] * ray.way[1] + ray.way[2] * ray.way[2])),
+          per_length(1 / length) {}
 
     INLINE Float4 source(const Ray& ray, double t, Float4 q) {
         if (!(t >= start && t <= end)) begin(ray, t);
@@ -198,122 +187,123 @@ public:
     // Mᵀ times the slopes.
     INLINE Float4 turned(double t, Float4 slopes) const {
         float s = float((t - start) * over);
-        Float4 g = slopes[0] * (row[0] + s * turn[0]);
-        for (int i = 1; i < 3; i++) g += slopes[i] * (row[i] + s * turn[i]);
+        Float4 g = slopes;
+        for (int j = 0; j < 3; j++) g[j] = dot3(first.m[j] + s * turn[j], slopes);
         return g;
     }
 
 private:
     const Lattice& lattice;
-    double whole_length, start = NEVER, end = -NEVER, over = 0;
+    double length, per_length, start = NEVER, end = -NEVER, over = 0;
     Place first, last;
     Float4 rise, a, b;
-    Float4 row[3], turn[3];  // of M at the start, and how they change to the end
+    Float4 turn[3];  // how M changes to the end
 
     NOINLINE void begin(const Ray& ray, double t) {
-        double k = std::floor((t - ray.near) / whole_length), before = end;
-        start = ray.near + k * whole_length;
-        end = ray.near + (k + 1) * whole_length;
+        double k = floored((t - ray.near) * per_length), before = end;
+        start = ray.near + k * length;
+        end = ray.near + (k + 1) * length;
         first = start == before ? last : lattice.at(ray.at(start));
         last = lattice.at(ray.at(least(end, ray.far)));
-        for (int i = 0; i < 3; i++) {
-            row[i] = Float4{first.m[0][i], first.m[1][i], first.m[2][i], 0};
-            turn[i] = Float4{last.m[0][i], last.m[1][i], last.m[2][i], 0} - row[i];
-        }
-        double length = most(least(end, ray.far) - start, 1e-6 * whole_length);
-        over = 1 / length;
+        over = end <= ray.far ? per_length : 1 / most(ray.far - start, 1e-6 * length);
+        Float4 way = floats(Double4(least(end - start, ray.far - start) * ray.way));
         rise = last.u - first.u;
-        Float4 way = floats(Double4(length * ray.way));
-        Float4 rise0 = -way, rise1 = -way;  // (M - I) way
+        a = -way - rise;  // (M - I) way - rise
+        b = way + rise;
         for (int j = 0; j < 3; j++) {
-            rise0 += first.m[j] * way[j];
-            rise1 += last.m[j] * way[j];
+            turn[j] = last.m[j] - first.m[j];
+            a += first.m[j] * way[j];
+            b -= last.m[j] * way[j];
         }
-        a = rise0 - rise;
-        b = rise - rise1;
     }
 };
 
 // See one sample of a volume.
 template <class T, class Source>
-INLINE void see(const Voxels<T>& voxels, const Look& look, const Transfer& transfer, March& m, Source& source) {
-    Float4 p = source.source(m.ray, m.t, m.ray.at(m.t));
-    double t = m.t;
-    m.take(look, transfer, voxels.sample(p), [&] { return source.turned(t, voxels.slopes(p)) * look.per_voxel; });
+INLINE void see(const Voxels<T>& voxels, const Look& look, Ray& ray, Source& source) {
+    Float4 p = source.source(ray, ray.t, ray.at(ray.t));
+    if (ray.within && look.shaded)
+        ray.take(look, source.turned(ray.t, voxels.slopes(p)) * look.per_voxel);
+    else
+        ray.take(look, Float4{0, 0, 0, voxels.sample(p)});
 }
 
-// March along a ray to its end, or to where strokes begin to reach it.
-template <class T, class Source>
-INLINE void march(const Voxels<T>& voxels, const Look& look, const Transfer& transfer, March& m, Source& source) {
-    while (m.live() && !m.moved())
-        if (!m.hop(look)) see(voxels, look, transfer, m, source);
+// March along some rays, from what `source_of` gives each. First hops are in turn, as each waits for the one before it.
+template <class T, class F>
+INLINE void march(const Voxels<T>& voxels, const Look& look, std::vector<Ray>& rays, F&& source_of) {
+    std::vector<Ray*> left;
+    for (Ray& ray : rays) left.push_back(&ray);
+    while (!left.empty()) std::erase_if(left, [&](Ray* ray) { return !ray->live() || !ray->hop(look); });
+    for (Ray& ray : rays) {
+        auto source = source_of(ray);
+        while (ray.live())
+            if (!ray.hop(look)) see(voxels, look, ray, source);
+    }
 }
 
-// Where strokes reach a ray: within millimetres of the eye from `m.from` to `m.to`.
-inline void reached(const Strokes& s, const Look& look, March& m) {
+// Where strokes reach a ray: within millimetres of the eye from `from` to `to`.
+inline void find_reached(const Strokes& s, const Look& look, Ray& ray) {
     for (const Stroke& k : s.strokes) {
         double b = 0, d2 = 0;  // the way to the nearest point, and the pivot's distance from the eye
         for (int i = 0; i < 3; i++) {
             double r = k.pivot[i] - look.eye[i] * look.spacing[i];
-            b += r * m.ray.along[i];
+            b += r * ray.along[i];
             d2 += r * r;
         }
         double half2 = k.reach * k.reach - (d2 - b * b);
         if (!(half2 > 0)) continue;
-        m.from = least(m.from, b - std::sqrt(half2));
-        m.to = most(m.to, b + std::sqrt(half2));
+        ray.from = least(ray.from, b - root(half2));
+        ray.to = most(ray.to, b + root(half2));
     }
 }
 
 // March along some rays at once, and invert the map at every sample that strokes reach: in lanes, each from the
 // displacement of the ray's sample before.
 template <class T>
-void march_exactly(const Voxels<T>& voxels, const Look& look, const Transfer& transfer, const Strokes& s,
-                   std::vector<March>& rays) {
-    struct State {
-        March* m;
-        double shift[3];
-    };
-    std::vector<State> left;
-    for (March& m : rays) {
-        reached(s, look, m);
-        left.push_back({&m, {0, 0, 0}});
+void march_exactly(const Voxels<T>& voxels, const Look& look, const Strokes& s, std::vector<Ray>& rays) {
+    std::vector<Ray*> left;
+    for (Ray& ray : rays) {
+        find_reached(s, look, ray);
+        left.push_back(&ray);
     }
-    Still still;
     while (true) {
-        size_t count = 0;
-        for (State& state : left) {
-            march(voxels, look, transfer, *state.m, still);
-            if (state.m->live()) left[count++] = state;
-        }
-        left.resize(count);
+        std::erase_if(left, [&](Ray* ray) {
+            Still still;
+            while (ray->live() && !ray->moved())
+                if (!ray->hop(look)) see(voxels, look, *ray, still);
+            return !ray->live();
+        });
+        const size_t count = left.size();
         if (count == 0) return;
         for (size_t i = 0; i < count; i += LANES) {
             Lanes q[3];
             Solution<3, Lanes> found{};
             for (int l = 0; l < LANES; l++) {
-                const State& state = left[least(i + l, count - 1)];
-                Double4 at = (state.m->ray.origin + state.m->t * state.m->ray.way) * look.spacing;
+                const Ray& ray = *left[least(i + l, count - 1)];
+                Double4 at = (ray.origin + ray.t * ray.way) * look.spacing;
                 for (int c = 0; c < 3; c++) {
                     q[c][l] = at[c];
-                    found.p[c][l] = at[c] + state.shift[c];
+                    found.p[c][l] = at[c] + ray.shift[c];
                 }
             }
-            settle(s, q, SOLVED * s.finest(), found);
+            s.settle(q, EXACT * s.finest(), found);
             for (int l = 0; l < LANES && i + l < count; l++) {
-                State& state = left[i + l];
+                Ray& ray = *left[i + l];
                 Float4 p{};
                 for (int c = 0; c < 3; c++) {
-                    state.shift[c] = found.p[c][l] - q[c][l];
+                    ray.shift[c] = found.p[c][l] - q[c][l];
                     p[c] = float(found.p[c][l] / look.spacing[c]);
                 }
-                state.m->steps += found.steps[l];
-                state.m->take(look, transfer, voxels.sample(p), [&] {
-                    Float4 f = voxels.slopes(p) * look.per_voxel, g{};
+                ray.steps += found.steps[l];
+                Float4 sample = {0, 0, 0, 0};
+                if (ray.within && look.shaded) {
+                    Float4 f = voxels.slopes(p) * look.per_voxel;
                     for (int j = 0; j < 3; j++)
-                        for (int c = 0; c < 3; c++) g[j] += float(found.m[j][c][l]) * f[c];
-                    return g;
-                });
+                        for (int c = 0; c < 3; c++) sample[j] += float(found.m[j][c][l]) * f[c];
+                    sample[3] = f[3];
+                } else
+                    sample[3] = voxels.sample(p);
+                ray.take(look, sample);
             }
         }
     }
@@ -321,24 +311,23 @@ void march_exactly(const Voxels<T>& voxels, const Look& look, const Transfer& tr
 
 // ---- where a volume can be seen at all -----------------------------------------------------------------------------
 
-// The smallest and the largest sample of a layer of bricks, `wide` by `high` of them, each `brick` voxels wide.
+// The smallest and the largest sample of each brick in layer c, of bricks that are `brick` voxels wide.
 template <class T>
-void ranges(const T* samples, const int64_t* size, int brick, int64_t wide, int64_t high, int64_t layer, float* lows,
+void ranges(const T* samples, const int64_t* n, int brick, const int64_t* bricks, int64_t c, float* lows,
             float* highs) {
-    const int64_t most_k = least(layer * brick + brick + 1, size[2]);
-    for (int64_t b = 0; b < high; b++)
-        for (int64_t a = 0; a < wide; a++) {
-            T low = std::numeric_limits<T>::max(), top = std::numeric_limits<T>::lowest();
-            for (int64_t k = layer * brick; k < most_k; k++)
-                for (int64_t j = b * brick; j < least(b * brick + brick + 1, size[1]); j++) {
-                    const T* row = samples + (k * size[1] + j) * size[0];
-                    for (int64_t i = a * brick; i < least(a * brick + brick + 1, size[0]); i++) {
-                        low = least(low, row[i]);
-                        top = most(top, row[i]);
+    auto end = [&](int64_t at, int axis) { return least(at * brick + brick + 1, n[axis]); };
+    for (int64_t b = 0; b < bricks[1]; b++)
+        for (int64_t a = 0; a < bricks[0]; a++) {
+            T low = std::numeric_limits<T>::max(), high = std::numeric_limits<T>::lowest();
+            for (int64_t z = c * brick; z < end(c, 2); z++)
+                for (int64_t y = b * brick; y < end(b, 1); y++)
+                    for (int64_t x = a * brick; x < end(a, 0); x++) {
+                        T value = samples[(z * n[1] + y) * n[0] + x];
+                        low = least(low, value);
+                        high = most(high, value);
                     }
-                }
             *lows++ = float(low);
-            *highs++ = float(top);
+            *highs++ = float(high);
         }
 }
 
@@ -347,28 +336,24 @@ void ranges(const T* samples, const int64_t* size, int brick, int64_t wide, int6
 inline void distances(const bool* seen, const int64_t* n, uint8_t* out) {
     const int64_t total = n[0] * n[1] * n[2];
     for (int64_t i = 0; i < total; i++) out[i] = seen[i] ? 0 : 255;
-    for (int way = 1; way >= -1; way -= 2)
-        for (int64_t e = 0; e < total; e++) {
-            int64_t at = way > 0 ? e : total - 1 - e, a = at % n[0], b = at / n[0] % n[1], c = at / (n[0] * n[1]);
-            int nearest = out[at];
-            for (int other = 1; other <= 13 && nearest > 1; other++) {  // of 27, in the order of memory
-                int dc = way * ((13 - other) / 9 - 1), db = way * ((13 - other) / 3 % 3 - 1),
-                    da = way * ((13 - other) % 3 - 1);
-                bool there =
-                    a + da >= 0 && a + da < n[0] && b + db >= 0 && b + db < n[1] && c + dc >= 0 && c + dc < n[2];
-                if (there) nearest = least(nearest, out[at + (dc * n[1] + db) * n[0] + da] + 1);
+    for (int way : {1, -1})
+        for (int64_t i = 0; i < total; i++) {
+            int64_t at = way > 0 ? i : total - 1 - i, a = at % n[0], b = at / n[0] % n[1], c = at / (n[0] * n[1]);
+            for (int other = 0; other < 13 && out[at] > 1; other++) {  // of 27, in the order of memory
+                int64_t x = a + way * (other % 3 - 1), y = b + way * (other / 3 % 3 - 1), z = c + way * (other / 9 - 1);
+                if (x < 0 || x >= n[0] || y < 0 || y >= n[1] || z < 0 || z >= n[2]) continue;
+                out[at] = uint8_t(least(int(out[at]), out[(z * n[1] + y) * n[0] + x] + 1));
             }
-            out[at] = uint8_t(nearest);
         }
 }
 
 // Which bricks of the deformed volume show any that is seen of the volume's own, by bounds of their displacement. Those
 // are `fine` voxels wide: narrower ones tell better, as a moved brick lies across several. `slack` is how far points
 // are off the lattice's bounds, in voxels.
-inline void moved(const Lattice& lattice, const bool* seen, const int64_t* n, int fine, double slack,
+inline void moved(const Lattice& lattice, const bool* seen, const int64_t* n, int fine, float slack,
                   const int64_t* bricks, bool* out) {
     // Sums over all bricks before, so that any box of them is eight numbers.
-    const int64_t row = n[0] + 1, layer = row * (n[1] + 1), nodes[3] = {lattice.nx, lattice.ny, lattice.nz};
+    const int64_t row = n[0] + 1, layer = row * (n[1] + 1);
     std::vector<int64_t> sums(layer * (n[2] + 1));
     for (int64_t c = 0; c < n[2]; c++)
         for (int64_t b = 0; b < n[1]; b++) {
@@ -378,38 +363,37 @@ inline void moved(const Lattice& lattice, const bool* seen, const int64_t* n, in
                 *s = line + s[-row] + s[-layer] - s[-layer - row];
             }
         }
+    const int64_t nodes[3] = {lattice.nx, lattice.ny, lattice.nz};
+    const Float4 last_brick = {float(n[0] - 1), float(n[1] - 1), float(n[2] - 1), 0};
     for (int64_t e = 0; e < bricks[0] * bricks[1] * bricks[2]; e++) {
         const int64_t brick[3] = {e % bricks[0], e / bricks[0] % bricks[1], e / (bricks[0] * bricks[1])};
-        int64_t first[3], last[3];
+        int64_t first[3], last[3];  // of the nodes around it
         for (int i = 0; i < 3; i++) {
             first[i] = least(brick[i] * BRICK / lattice.step, nodes[i] - 1);
             last[i] = least((brick[i] * BRICK + BRICK + lattice.step - 1) / lattice.step, nodes[i] - 1);
         }
-        float low[NODE], high[NODE];
-        std::fill(low, low + NODE, 1e30f);
-        std::fill(high, high + NODE, -1e30f);
+        Float4 low[4], high[4];  // of u and the columns of M
+        for (int v = 0; v < 4; v++) low[v] = Float4{} + 1e30f, high[v] = Float4{} - 1e30f;
         for (int64_t k = first[2]; k <= last[2]; k++)
             for (int64_t j = first[1]; j <= last[1]; j++)
                 for (int64_t i = first[0]; i <= last[0]; i++)
-                    for (int f = 0; f < NODE; f++) {
-                        low[f] = least(low[f], lattice.node(k, j, i)[f]);
-                        high[f] = most(high[f], lattice.node(k, j, i)[f]);
+                    for (int v = 0; v < 4; v++) {
+                        Float4 value = load<float, 4>(lattice.node(k, j, i) + 4 * v);
+                        low[v] = least(low[v], value);
+                        high[v] = most(high[v], value);
                     }
-        for (int i = 0; i < 3; i++) {
-            // What the slopes add to the lines between nodes.
-            double bent = slack;
-            for (int f = 4 + i; f < NODE; f += 4) bent += 0.125 * lattice.step * (high[f] - low[f]);
-            double p = (brick[i] * BRICK + low[i] - bent) / fine,
-                   q = (brick[i] * BRICK + BRICK + high[i] + bent) / fine;
-            first[i] = int64_t(least(most(std::floor(p), 0.0), double(n[i] - 1)));
-            last[i] = int64_t(least(most(std::floor(q), 0.0), double(n[i] - 1))) + 1;
-        }
-        auto sum = [&](int64_t z, int64_t y, int64_t x) { return sums[z * layer + y * row + x]; };
-        auto slab = [&](int64_t z) {
-            return sum(z, last[1], last[0]) - sum(z, first[1], last[0]) - sum(z, last[1], first[0]) +
-                   sum(z, first[1], first[0]);
+        // The slopes add to the lines between nodes.
+        Float4 bent = Float4{} + slack, corner = {float(brick[0]), float(brick[1]), float(brick[2]), 0};
+        for (int v = 1; v < 4; v++) bent += 0.125f * lattice.step * (high[v] - low[v]);
+        auto brick_at = [&](Float4 p) { return whole(least(most(p / float(fine), Float4{}), last_brick)); };
+        Int4 from = brick_at(corner * BRICK + low[0] - bent),
+             to = brick_at(corner * BRICK + BRICK + high[0] + bent) + 1;
+        auto sum = [&](int z) {
+            const int64_t* s = &sums[z * layer];
+            return s[to[1] * row + to[0]] - s[from[1] * row + to[0]] - s[to[1] * row + from[0]] +
+                   s[from[1] * row + from[0]];
         };
-        out[e] = slab(last[2]) > slab(first[2]);
+        out[e] = sum(to[2]) > sum(from[2]);
     }
 }
 

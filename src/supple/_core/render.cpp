@@ -94,101 +94,72 @@ void look_up(Samples samples, Array<const float, 2> points, Array<float, 2> out)
     });
 }
 
-Transfer* make_transfer(Array<const float, 2> table, float low, float scale, float threshold, float bottom, float top) {
+Look* make_look(Array<const double, 2> camera, Array<const uint8_t, 3> skips, Array<const float, 2> table, float low,
+                float scale, float threshold, std::pair<float, float> window, double step, std::array<float, 3> lamp,
+                bool shaded) {
+    if (camera.shape(0) != 5 || camera.shape(1) != 3) throw nb::value_error("a camera must be 5 rows of 3 numbers");
     if (table.shape(0) < 1 || table.shape(1) != 4) throw nb::value_error("a table must be rows of 4 numbers");
-    auto* made = new Transfer{std::vector<Float4>(table.shape(0)), low, scale, threshold, bottom, top};
-    for (size_t i = 0; i < table.shape(0); i++) made->table[i] = load4(table.data() + 4 * i);
-    return made;
-}
-
-struct View : Look {
-    Array<const uint8_t, 3> kept;
-};
-
-View* make_view(Array<const double, 2> packed, double step, std::array<float, 3> lamp, bool shaded,
-                Array<const uint8_t, 3> skips) {
-    if (packed.shape(0) != 5 || packed.shape(1) != 3) throw nb::value_error("a view must be 5 rows of 3 numbers");
-    auto* v = new View{{}, skips};
-    Double4* rows[] = {&v->eye, &v->spacing, &v->ahead, &v->right, &v->down};
-    for (int k = 0; k < 5; k++) *rows[k] = Double4{packed(k, 0), packed(k, 1), packed(k, 2), k == 1 ? 1.0 : 0.0};
-    v->step = step;
-    v->per_step = 1 / step;
-    v->lamp = point_of(lamp.data());
-    v->per_voxel = floats(Double4(1.0 / v->spacing));
-    v->shaded = shaded;
-    v->skips = skips.data();
+    auto* look = new Look;
+    Double4* rows[] = {&look->eye, &look->spacing, &look->ahead, &look->right, &look->down};
+    for (int k = 0; k < 5; k++) *rows[k] = Double4{camera(k, 0), camera(k, 1), camera(k, 2), k == 1 ? 1.0 : 0.0};
+    look->per_voxel = floats(Double4(1.0 / look->spacing));
+    look->step = step;
+    look->per_step = 1 / step;
+    look->lamp = point_of(lamp.data());
+    look->shaded = shaded;
     auto [x, y, z] = sizes(skips);
-    v->wide = x, v->high = y, v->deep = z;
-    return v;
+    look->skips.assign(skips.data(), skips.data() + skips.size());
+    look->row = int(x);
+    look->layer = int(x * y);
+    look->last_brick = Int4{int32_t(x - 1), int32_t(y - 1), int32_t(z - 1), 0};
+    for (size_t i = 0; i < table.shape(0); i++) look->table.push_back(load<float, 4>(table.data() + 4 * i));
+    look->last_entry = float(table.shape(0) - 1);
+    look->low = low;
+    look->scale = scale;
+    look->threshold = threshold;
+    look->bottom = window.first;
+    look->top = window.second;
+    return look;
 }
 
-// A picture: rays of `columns` by `rows`, pixels from its middle.
-struct Picture {
-    Array<const double, 1> columns, rows;
-    Array<float, 3> light;   // (rows, columns, 4)
-    Array<double, 3> depth;  // (rows, columns, 2): of the first surface, and where opacity passes 0.9; or infinity
-    Array<int64_t, 3> work;  // (rows, columns, 2): samples, and evaluations of T
-
-    void write(int64_t y, int64_t x, const March& m) const {
-        for (int c = 0; c < 4; c++) light(y, x, c) = m.light[c];
-        depth(y, x, 0) = m.surface;
-        depth(y, x, 1) = m.opaque;
-        work(y, x, 0) = m.samples;
-        work(y, x, 1) = (int64_t)m.steps;
-    }
-};
-
-template <class T>
-void draw_tile(const Voxels<T>& voxels, const View& look, const Transfer& transfer, const SolidLattice* lattice,
-               int cells, const Strokes* strokes, const Picture& out, int64_t top, int64_t left) {
-    const int64_t bottom = least(top + TILE, (int64_t)out.rows.size());
-    const int64_t right = least(left + TILE, (int64_t)out.columns.size());
-    auto begun = [&](int64_t y, int64_t x) {
-        return March(Ray(look, voxels.last + 2, out.columns(x), out.rows(y)), transfer);
+// Of the rays of `columns` by `rows`, pixels from the picture's middle: light (rows, columns, 4); depth (rows, columns,
+// 2) of the first surface and where opacity passes 0.9, or infinity; and work (rows, columns, 2), samples and
+// evaluations.
+void draw(Samples samples, const Look& look, const SolidLattice* lattice, int cells, const Strokes* strokes,
+          Array<const double, 1> columns, Array<const double, 1> rows, Array<float, 3> light, Array<double, 3> depth,
+          Array<int64_t, 3> work) {
+    const int height = (int)rows.size(), width = (int)columns.size();
+    auto fits = [&](auto& a, size_t n) {
+        return (int)a.shape(0) == height && (int)a.shape(1) == width && a.shape(2) == n;
     };
-    auto each = [&](auto&& f) {
-        for (int64_t y = top; y < bottom; y++)
-            for (int64_t x = left; x < right; x++) f(y, x);
-    };
-    if (strokes) {
-        std::vector<March> rays;
-        each([&](int64_t y, int64_t x) { rays.push_back(begun(y, x)); });
-        march_exactly(voxels, look, transfer, *strokes, rays);
-        const March* m = rays.data();
-        each([&](int64_t y, int64_t x) { out.write(y, x, *m++); });
-    } else if (lattice) {
-        each([&](int64_t y, int64_t x) {
-            March m = begun(y, x);
-            Cubics source(*lattice, cells, m.ray);
-            march(voxels, look, transfer, m, source);
-            out.write(y, x, m);
-        });
-    } else {
-        each([&](int64_t y, int64_t x) {
-            March m = begun(y, x);
-            Still source;
-            march(voxels, look, transfer, m, source);
-            out.write(y, x, m);
-        });
-    }
-}
-
-void draw(Samples samples, const View& look, const Transfer& transfer, const SolidLattice* lattice, int cells,
-          const Strokes* strokes, Array<const double, 1> columns, Array<const double, 1> rows, Array<float, 3> light,
-          Array<double, 3> depth, Array<int64_t, 3> work) {
-    const Picture out{columns, rows, light, depth, work};
-    const size_t height = out.rows.size(), width = out.columns.size();
-    auto fits = [&](auto& a, size_t n) { return a.shape(0) == height && a.shape(1) == width && a.shape(2) == n; };
-    if (!fits(out.light, 4) || !fits(out.depth, 2) || !fits(out.work, 2))
+    if (!fits(light, 4) || !fits(depth, 2) || !fits(work, 2))
         throw nb::value_error("a picture must have its rows and columns");
-    const int across = int(width + TILE - 1) / TILE, down = int(height + TILE - 1) / TILE;
+    const int across = (width + TILE - 1) / TILE, down = (height + TILE - 1) / TILE;
     with_voxels(samples, [&](auto voxels) {
-        unlocked([&] {
-            parallel(across * down, [&](int tile, int) {
-                draw_tile(voxels, look, transfer, lattice, cells, strokes, out, tile / across * TILE,
-                          tile % across * TILE);
-            });
-        });
+        auto draw_tile = [&](int tile, int) {
+            const int top = tile / across * TILE, left = tile % across * TILE;
+            const int bottom = least(top + TILE, height), right = least(left + TILE, width);
+            std::vector<Ray> rays;
+            rays.reserve(TILE * TILE);
+            for (int y = top; y < bottom; y++)
+                for (int x = left; x < right; x++) rays.emplace_back(look, voxels.last + 1, columns(x), rows(y));
+            if (strokes)
+                march_exactly(voxels, look, *strokes, rays);
+            else if (lattice)
+                march(voxels, look, rays, [&](const Ray& ray) { return Cubics(*lattice, cells, ray); });
+            else
+                march(voxels, look, rays, [](const Ray&) { return Still(); });
+            const Ray* ray = rays.data();
+            for (int y = top; y < bottom; y++)
+                for (int x = left; x < right; x++, ray++) {
+                    for (int c = 0; c < 4; c++) light(y, x, c) = ray->light[c];
+                    depth(y, x, 0) = ray->surface;
+                    depth(y, x, 1) = ray->opaque;
+                    work(y, x, 0) = ray->samples;
+                    work(y, x, 1) = (int64_t)ray->steps;
+                }
+        };
+        unlocked([&] { parallel(across * down, draw_tile); });
     });
 }
 
@@ -201,8 +172,7 @@ void brick_ranges(Samples samples, int brick, Array<float, 3> lows, Array<float,
     with_samples(samples, [&](auto* data) {
         unlocked([&] {
             parallel((int)bricks[2], [&](int c, int) {
-                ranges(data, n.data(), brick, bricks[0], bricks[1], c, lows.data() + c * layer,
-                       highs.data() + c * layer);
+                ranges(data, n.data(), brick, bricks.data(), c, lows.data() + c * layer, highs.data() + c * layer);
             });
         });
     });
@@ -213,7 +183,7 @@ void brick_distances(Array<const bool, 3> seen, Array<uint8_t, 3> out) {
     distances(seen.data(), sizes(seen).data(), out.data());
 }
 
-void brick_moved(SolidLattice& lattice, Array<const bool, 3> seen, int fine, double slack, Array<bool, 3> out) {
+void brick_moved(SolidLattice& lattice, Array<const bool, 3> seen, int fine, float slack, Array<bool, 3> out) {
     moved(lattice, seen.data(), sizes(seen).data(), fine, slack, sizes(out).data(), out.data());
 }
 
@@ -229,12 +199,11 @@ void bind_render(nb::module_& m) {
         .def("solve", &solve, "strokes"_a, "Solve the nodes; return the evaluations and the shortest length.")
         .def("error", &error, "strokes"_a, "Return the largest error, in voxels, that is seen between nodes.")
         .def("between", &between, "points"_a, "out"_a, "Interpolate the displacement and the columns of ∂p/∂q.");
-    nb::class_<Transfer>(m, "Transfer", "A transfer function as a table, and the values that are seen.")
-        .def(nb::new_(&make_transfer), "table"_a, "low"_a, "scale"_a, "threshold"_a, "bottom"_a, "top"_a);
-    nb::class_<View>(m, "View", "A camera and a lamp before a volume, and what rays may skip of it.")
-        .def(nb::new_(&make_view), "packed"_a, "step"_a, "lamp"_a, "shaded"_a, "skips"_a);
-    m.def("draw", &draw, "samples"_a, "view"_a, "transfer"_a, "lattice"_a.none(), "cells"_a, "strokes"_a.none(),
-          "columns"_a, "rows"_a, "light"_a, "depth"_a, "work"_a,
+    nb::class_<Look>(m, "Look", "How a volume is seen: a camera, what its rays may skip, a transfer function, a lamp.")
+        .def(nb::new_(&make_look), "camera"_a, "skips"_a, "table"_a, "low"_a, "scale"_a, "threshold"_a, "window"_a,
+             "step"_a, "light"_a, "shaded"_a);
+    m.def("draw", &draw, "samples"_a, "look"_a, "lattice"_a.none(), "cells"_a, "strokes"_a.none(), "columns"_a,
+          "rows"_a, "light"_a, "depth"_a, "work"_a,
           "See a volume along the rays of pixels: as it is, through a lattice, or through strokes.");
     m.def("brick_ranges", &brick_ranges, "samples"_a, "brick"_a, "lows"_a, "highs"_a,
           "Find the smallest and the largest sample of bricks.");

@@ -117,7 +117,8 @@ struct Loader {
                 int32_t word;
                 if constexpr (sizeof(T) == 1) {
                     memcpy(&word, p, 4);
-                    return (Pack<N, L>)_mm_cvtepi32_ps(_mm_cvtepu8_epi32(_mm_cvtsi32_si128(word)));
+                    __m128i x = _mm_cvtsi32_si128(word);
+                    return (Pack<N, L>)_mm_cvtepi32_ps(T(-1) > T(0) ? _mm_cvtepu8_epi32(x) : _mm_cvtepi8_epi32(x));
                 } else if constexpr (T(-1) > T(0))
                     return (Pack<N, L>)_mm_cvtepi32_ps(_mm_cvtepu16_epi32(_mm_loadl_epi64((const __m128i*)p)));
                 else
