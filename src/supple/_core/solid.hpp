@@ -137,17 +137,21 @@ struct Lattice {
                     found.p[c] = j == 0 ? q[c] : Lanes(before[e].p[c] + step * s.axes[1].spacing * slope);
                 }
                 s.settle(q, SOLVED * s.finest(), found);
-                Lanes mixed[3];
-                shortest = least(shortest, polish<3>(s.chain(), s.axes.data(), q, found, mixed));
+                Lanes mixed[3], smooth2[2];
+                polish<3>(s.chain(), s.axes.data(), q, SOLVED * s.finest(), found, mixed, smooth2);
+                for (int d = 0; d < 2; d++) {
+                    double spacing = s.axes[d].spacing;
+                    shortest = least(shortest, Lanes(smooth2[d] * (1 / (spacing * spacing))));
+                }
                 for (int l = 0; l < LANES && i + l < nx; l++) {
-                    if (found.steps[l] > 0) steps += found.steps[l] + 1;
+                    if (found.steps[l] > 1) steps += found.steps[l];  // but where no stroke is
                     write(s, q, found, l, node(k, j, i + l));
                 }
                 last[e] = found;
             }
         double smooth = 1e300;
         for (int l = 0; l < LANES; l++) smooth = least(smooth, double(shortest[l]));
-        return {steps, root(smooth) / most(s.axes[0].spacing, s.axes[1].spacing)};
+        return {steps, root(smooth)};
     }
 
     // The worst error, in voxels, that is seen in a layer of cells: |M (T(p) - q)| at fifteen points of each.
