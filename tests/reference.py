@@ -158,7 +158,7 @@ def _undone(stroke: Stroke, domain: Domain, q: Floats) -> Floats:
     gap, whole, error = missed(p, q)
     away = error.copy()
     for _ in range(200):
-        unsolved = error >= 1e-13 * size
+        unsolved = error >= 1e-14 * size
         left, gap, whole, error = (a[unsolved] for a in (left, gap, whole, error))
         if not len(left):
             break
