@@ -236,7 +236,7 @@ template <int D>
 void Plan<D>::find_reaching(int j) {
     for (int i = 0; i < across; i++) {
         int index = j * across + i;
-        uint64_t* set = &reaching[(size_t)index * words];
+        uint64_t* set = reaching.data() + (size_t)index * words;
         double box[D][2] = {{column(i) * axes[0].spacing, column(i + 1) * axes[0].spacing},
                             {line(j) * axes[1].spacing, line(j + 1) * axes[1].spacing}};
         if constexpr (D == 3) box[2][0] = box[2][1] = z * axes[2].spacing;
@@ -436,7 +436,7 @@ void Plan<D>::solve_band(int index) {
     for (int j = first; j < end; j++)
         for (int i = 0; i < across; i++) {
             int root = j * across + i, node = (j - first) * (across + 1) + i;
-            const uint64_t* set = &reaching[(size_t)root * words];
+            const uint64_t* set = reaching.data() + (size_t)root * words;
             if (std::all_of(set, set + words, [](uint64_t s) { return s == 0; })) continue;
             w.cells.push_back({root,
                                column(i),
