@@ -107,7 +107,7 @@ test-cuda: venv $(VENV)/stamp-cuda
 	  echo "compute-sanitizer is not on the PATH (it comes with the CUDA toolkit): memory was not checked"; \
 	fi
 
-# A second build of the core, in build/. To choose tests: make sanitize TESTS=tests/core/test_isa.py
+# A second build of the core, in build/. To choose tests: make sanitize TESTS=tests/core/test_plans.py
 sanitize: $(VENV)/stamp
 	@$(BIN)/python tools/core.py --sanitize $(TESTS)
 
