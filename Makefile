@@ -89,10 +89,10 @@ $(VENV)/stamp-cuda: $(VENV)/stamp
 demo: venv
 	$(BIN)/supple demo demo --force
 
-# A worker for each core; a file's tests stay together, as they share what is made once. What CUDA does is tested on a
-# card that Numba plays.
+# A worker for each core; a file's tests stay together, as they share what is made once. Not the files with the most
+# tests first: those with the slowest would be last. What CUDA does is tested on a card that Numba plays.
 test: venv
-	$(BIN)/python -m pytest -q -n auto --dist loadfile
+	$(BIN)/python -m pytest -q -n auto --dist loadfile --no-loadscope-reorder
 	NUMBA_ENABLE_CUDASIM=1 $(BIN)/python -m pytest -q -n auto tests/cuda
 
 # On a real card, one after the other: each test fails where there is none. The last are few, and watched.
@@ -107,7 +107,7 @@ test-cuda: venv $(VENV)/stamp-cuda
 	  echo "compute-sanitizer is not on the PATH (it comes with the CUDA toolkit): memory was not checked"; \
 	fi
 
-# A second build of the core, in build/. To choose tests: make sanitize TESTS=tests/core/test_isa.py
+# A second build of the core, in build/. To choose tests: make sanitize TESTS=tests/core/test_plans.py
 sanitize: $(VENV)/stamp
 	@$(BIN)/python tools/core.py --sanitize $(TESTS)
 

@@ -141,35 +141,43 @@ def inverse(strokes: Sequence[Stroke], domain: Domain, points: npt.ArrayLike) ->
     """Return T⁻¹ in samples: each stroke is undone on its own, by damped Newton steps to rounding."""
     steps = np.array(domain.spacing)
     q = np.asarray(points, np.float64) * steps
-    smallest = 1e-13 * (1 + np.abs(q).max(initial=0))
+    p = q.reshape(-1, domain.ndim)
     for stroke in reversed(strokes):
+        p = _undone(stroke, domain, p)
+    return np.asarray(p.reshape(q.shape) / steps)
 
-        def missed(p: Floats, stroke: Stroke = stroke, q: Floats = q) -> tuple[Floats, Floats, Floats]:
-            k, j = displacement(stroke, domain, p)
-            gap = q - p - k
-            return gap, j + np.eye(domain.ndim), np.linalg.norm(gap, axis=-1)
 
-        p = q.copy()
-        gap, whole, error = missed(p)
-        for _ in range(200):
-            if error.max(initial=0) < smallest:
+def _undone(stroke: Stroke, domain: Domain, q: Floats) -> Floats:
+    def missed(p: Floats, q: Floats) -> tuple[Floats, Floats, Floats]:
+        k, j = displacement(stroke, domain, p)
+        gap = q - p - k
+        return gap, j + np.eye(domain.ndim), np.linalg.norm(gap, axis=-1)
+
+    size = 1 + np.abs(q).max(initial=0)
+    p, left = q.copy(), np.arange(len(q))
+    gap, whole, error = missed(p, q)
+    away = error.copy()
+    for _ in range(200):
+        unsolved = error >= 1e-14 * size
+        left, gap, whole, error = (a[unsolved] for a in (left, gap, whole, error))
+        if not len(left):
+            break
+        step, part = np.linalg.solve(whole, gap[..., None])[..., 0], np.ones(error.shape)
+        tried = p[left] + step
+        found = missed(tried, q[left])
+        for _ in range(40):
+            worse = np.flatnonzero(found[2] > error * (1 - 1e-4 * part))
+            if not len(worse):
                 break
-            step = np.linalg.solve(whole, gap[..., None])[..., 0]
-            part = np.ones(error.shape)
-            for _ in range(40):
-                tried = missed(p + part[..., None] * step)[2]
-                worse = tried > error * (1 - 1e-4 * part)
-                if not worse.any():
-                    break
-                part = np.where(worse, part / 2, part)
-            better = tried < error
-            if not better.any():
-                break
-            p = np.where(better[..., None], p + part[..., None] * step, p)
-            gap, whole, error = missed(p)
-        assert error.max(initial=0) < 1e-9 * (1 + np.abs(q).max(initial=0)), "the oracle found no inverse"
-        q = p
-    return np.asarray(q / steps)
+            part[worse] /= 2
+            tried[worse] = p[left[worse]] + part[worse, None] * step[worse]
+            for values, new in zip(found, missed(tried[worse], q[left[worse]]), strict=True):
+                values[worse] = new
+        better = found[2] < error  # the others are as near as rounding lets them be
+        left, (gap, whole, error) = left[better], (a[better] for a in found)
+        p[left], away[left] = tried[better], error
+    assert away.max(initial=0) < 1e-9 * size, "the oracle found no inverse"
+    return p
 
 
 def matrices(strokes: Sequence[Stroke], domain: Domain, sources: npt.ArrayLike) -> Floats:

@@ -21,7 +21,7 @@ Floats = npt.NDArray[np.float64]
 Array = npt.NDArray[Any]
 
 SHAPE = (7, 37, 50)
-DTYPES = ["bool", "u1", "u2", "i2", "f2", "f4", "f8"]  # each is compiled by itself
+DTYPES = ["bool", "u1", "u2", "i2", "f2", "f4", "f8"]
 CHANNELS = [1, 2, 3, 4, 5]
 PRINTED = [("linear", "linear"), ("linear", "cubic"), ("linear", "nearest"), ("cubic", "linear"), ("cubic", "cubic")]
 FILTERS = ["nearest", "linear", "cubic", "auto"]
@@ -446,8 +446,8 @@ def test_time_is_left_alone_where_it_is_not_compressed(between: str) -> None:
 @pytest.mark.filterwarnings("ignore::supple.ToleranceWarning")  # float32 does not count so far
 @pytest.mark.parametrize("size", [1e9, 1e20, 1e30])
 def test_as_far_outside_as_numbers_go(size: float) -> None:
-    source = noise("f4", 1, SHAPE)
-    d = Deformation(SHAPE, border=None).grab((20, 18, 3), by=(size, size / 3, -size / 5), radius=size / 2)
+    source = noise("f4", 1, (3, 5, 50))
+    d = Deformation(source.shape[:3], border=None).grab((20, 2, 1), by=(size, size / 3, -size / 5), radius=size / 2)
     for name in ("nearest", "linear", "auto"):
         how: dict[str, Any] = {"filter": name, "time_filter": name == "auto"}
         made = d.warp(source, outside="edge", **how)
@@ -469,7 +469,7 @@ def test_no_column_is_averaged_for_its_place() -> None:
 @pytest.mark.parametrize("filter", ["linear", "cubic"])
 def test_the_average_over_time_is_the_integral(filter: str, between: str) -> None:
     d, points = hurried(), exact(hurried())
-    some = (slice(0, 60, 4), slice(None), slice(None))
+    some = (slice(0, 60, 4), slice(0, 40, 2), slice(None))
     widths = reference.faded(durations())[some]
     assert widths.max() > 4
     source = noise("f8", 5, d.shape)

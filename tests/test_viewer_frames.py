@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import time
 from pathlib import Path
 from typing import Any
@@ -46,9 +47,15 @@ def bent_half(view: Any) -> np.ndarray:
     return pixels_of(view.gpu, view._textures[0])[..., :3].astype(int)
 
 
+@pytest.fixture(scope="module")
+def encoded(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    target = tmp_path_factory.mktemp("frames") / "long.mp4"
+    return Path(make(target, count=900, size=(320, 240), smooth=True, options={"g": "50", "bf": "2"}))
+
+
 @pytest.fixture
-def long(tmp_path: Path) -> Path:
-    return Path(make(tmp_path / "long.mp4", count=900, size=(320, 240), smooth=True, options={"g": "50", "bf": "2"}))
+def long(encoded: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copy(encoded, tmp_path / "long.mp4"))
 
 
 def test_both_halves_of_a_split_clip_are_whole(gpu: Gpu, long: Path) -> None:

@@ -141,7 +141,8 @@ def build(kind: str = "release", output: Path = CORE, *, folder: Path | None = N
     Parameters
     ----------
     kind
-        ``"release"``, ``"debug"`` (-O1 -g) or ``"sanitize"`` (debug, with address and undefined-behaviour sanitizers).
+        ``"release"``, ``"debug"`` (-O1 -g) or ``"sanitize"`` (for one instruction set, -O1, with address and
+        undefined-behaviour sanitizers).
     output
         A folder, relative to the root.
     folder
@@ -235,7 +236,7 @@ def sanitize(tests: Sequence[str]) -> int:
     }
     # Reports are written by C, past what Python's sys.stderr is: of a test that they end, pytest would keep them.
     command = [sys.executable, "-m", "pytest", "-q", "--capture=sys", "-p", "no:cacheprovider"]
-    command += ["-o", f"pythonpath={folder}"]
+    command += ["-n", "auto", "-o", f"pythonpath={folder}"]
     if subprocess.run([*command, *(tests or ["tests/core"])], cwd=ROOT, env=environment, check=False).returncode:
         raise BuildError("A test failed, or the sanitizers found an error, which is above.")
     return 0

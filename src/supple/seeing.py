@@ -117,7 +117,7 @@ def prepared(given: Array) -> Array:
     if given.dtype.newbyteorder("=") not in _TYPES:
         with np.errstate(over="ignore"):
             given = given.astype(np.float32)
-    ready = np.ascontiguousarray(given, given.dtype.newbyteorder("="))
+    ready = np.require(given, given.dtype.newbyteorder("="), ["C", "ALIGNED"])
     if ready.dtype.kind == "f" and not np.isfinite(ready).all():
         finite = ready[np.isfinite(ready)]
         bottom, top = (finite.min(), finite.max()) if finite.size else (0.0, 0.0)

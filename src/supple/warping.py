@@ -110,7 +110,7 @@ def warp_array(
     sampling = replace(sampling, fill=tuple(colours))
     ready = all(_as_kind(a, kind) is not None for a in (array, result))
     if space.ndim == 2:
-        held = array if ready else np.ascontiguousarray(array, kind)
+        held = array if ready else np.require(array, kind, ["C", "ALIGNED"])
         made = result if ready else np.empty(array.shape, kind)
         frames, image = (_as_kind(a, kind) for a in (held, made))
         assert frames is not None
@@ -150,7 +150,7 @@ def warp_array(
 
 def _as_kind(array: Array, kind: np.dtype[Any]) -> Array | None:
     """Return an array as one of a kind that shares its memory; None if it cannot."""
-    if not array.flags.c_contiguous or not array.dtype.isnative:
+    if not (array.flags.c_contiguous and array.flags.aligned and array.dtype.isnative):
         return None
     return array.view(kind) if array.dtype in (kind, np.bool_) else None
 

@@ -267,7 +267,7 @@ void Plan<D>::find_reaching(int j) {
                 far2 += corner * corner;
             }
             Lanes distance = root(distance2);
-            Mask touched = distance < k.reach + radius;  // even where the one is infinite, or the other
+            Mask touched = without(Mask{} == 0, distance >= k.reach + radius);  // even where neither is a number
             for (int l = 0; l < LANES && first + l < across; l++)
                 if (touched[l]) reaching[((size_t)j * across + first + l) * words + n / 64] |= 1ull << (n % 64);
             rim = without(rim, both(touched, far2 < k.reach * k.reach));
@@ -455,7 +455,7 @@ void Plan<D>::solve_band(int index) {
     for (int j = first; j < end; j++)
         for (int i = 0; i < across; i++) {
             int root = j * across + i, node = (j - first) * (across + 1) + i;
-            const uint64_t* set = &reaching[(size_t)root * words];
+            const uint64_t* set = reaching.data() + (size_t)root * words;
             if (std::all_of(set, set + words, [](uint64_t s) { return s == 0; })) continue;
             w.cells.push_back({root,
                                column(i),
