@@ -7,8 +7,9 @@ namespace supple {
 namespace {
 
 bool python_interrupts() {
-    if (ending.keeps_out()) return false;
+    if (!ending.try_enter()) return false;
     nb::gil_scoped_acquire acquire;
+    ending.entered();
     return PyErr_CheckSignals() != 0;
 }
 
@@ -159,10 +160,7 @@ NB_MODULE(SUPPLE_MODULE, m) {
         } catch (const supple::Interrupted&) {
         }  // what Python was interrupted with is set already
     });
-    nb::module_::import_("atexit").attr("register")(nb::cpp_function([] {
-        supple::ending.main = std::this_thread::get_id();
-        supple::ending.begun = true;
-    }));
+    nb::module_::import_("atexit").attr("register")(nb::cpp_function([] { supple::ending.begin(); }));
     m.def("threads", &supple::threads, "Return how many threads work at once.");
     supple::bind_points(m);
     supple::bind_plans(m);

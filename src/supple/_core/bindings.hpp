@@ -23,26 +23,47 @@ inline std::vector<Stroke> strokes_of(const Doubles& rows, const Axis* axes) {
 }
 
 // When Python ends, it ends each daemon thread that asks for its lock, in the midst of C++ that does not expect that.
-// So such a thread stays out, until the process is gone.
-struct Ending {
-    std::atomic<bool> begun{false};
-    std::thread::id main;
-    bool keeps_out() const { return begun && std::this_thread::get_id() != main; }
-    void stay_out() const {
-        while (keeps_out()) std::this_thread::sleep_for(std::chrono::hours(1));
+// So such a thread stays out until the process is gone, and those that ask already are waited for.
+class Ending {
+public:
+    // Before and after a thread takes Python's lock again.
+    bool try_enter() {
+        asking++;
+        if (!begun || std::this_thread::get_id() == main) return true;
+        asking--;
+        return false;
     }
+    void enter() {
+        while (!try_enter()) std::this_thread::sleep_for(std::chrono::hours(1));
+    }
+    void entered() { asking--; }
+    void begin() {
+        main = std::this_thread::get_id();
+        begun = true;
+        nb::gil_scoped_release release;
+        while (asking > 0) std::this_thread::sleep_for(std::chrono::milliseconds(1));
+    }
+
+private:
+    std::atomic<bool> begun{false};
+    std::atomic<int> asking{0};
+    std::thread::id main;
 };
 inline Ending ending;
 
 // Do work without Python's lock; what Python was interrupted with goes on.
 template <class F>
 auto unlocked(F&& work) {
-    struct Leaving {
-        ~Leaving() { ending.stay_out(); }
+    struct Entered {
+        ~Entered() { ending.entered(); }
+    };
+    struct Entering {
+        ~Entering() { ending.enter(); }
     };
     try {
+        Entered entered;
         nb::gil_scoped_release release;
-        Leaving leaving;
+        Entering entering;
         return work();
     } catch (const Interrupted&) {
         throw nb::python_error();
