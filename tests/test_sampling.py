@@ -642,6 +642,26 @@ def test_functions_are_asked_for_some_points_at_once() -> None:
     assert max(asked) <= 1 << 18
 
 
+@pytest.mark.parametrize(
+    ("asked", "message"),
+    [
+        ({"linear_light": 1}, "linear_light must be True or False, found 1"),
+        ({"time_filter": True}, "time_filter must be left out for an image"),
+        ({"between": "linear"}, "between must be left out for an image"),
+    ],
+)
+def test_what_an_image_does_not_take(asked: dict[str, Any], message: str) -> None:
+    image = np.zeros((20, 20, 3), np.uint8)
+    with pytest.raises(SuppleError, match=message):
+        bent().warp(image, **asked)
+
+
+def test_a_bool_of_numpy_is_one() -> None:
+    image = np.random.default_rng(0).integers(0, 256, (*bent().shape, 3), dtype=np.uint8)
+    light = np.array([True])[0]
+    np.testing.assert_array_equal(bent().warp(image, linear_light=light), bent().warp(image, linear_light=True))
+
+
 WRONG: list[tuple[Callable[[Floats], Any], str]] = [
     (lambda p: p[:5, 0], "function's values"),
     (lambda p: 3.0, "function's values"),

@@ -185,6 +185,7 @@ def build(kind: str = "release", output: Path = CORE, *, folder: Path | None = N
         }
         command += [f"-D{name}={value}" for name, value in options.items()]
         command += shlex.split(environment.get("CMAKE_ARGS", ""))
+        print("Compiling the native core, which takes some minutes", flush=True)
         # What goes well is not shown; errors go to standard error.
         if subprocess.run(command, env=environment, stdout=subprocess.DEVNULL, check=False).returncode:
             raise BuildError("CMake could not prepare the build of the core: what is missing is said above.")

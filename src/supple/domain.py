@@ -119,6 +119,13 @@ def choice(name: str, value: object, choices: tuple[str, ...]) -> None:
         refuse(name, " or ".join(f'"{known}"' for known in choices), value)
 
 
+def flag(name: str, value: object) -> bool:
+    """``value`` as a bool, NumPy's too; SuppleError if it is none."""
+    if not isinstance(value, bool | np.bool_):
+        refuse(name, "True or False", value)
+    return bool(value)
+
+
 def checked_border(border: object) -> float | None:
     """``border`` as a width, or None where the border is free; SuppleError if it is neither."""
     if border is None:

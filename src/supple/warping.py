@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from supple.certificate import Certificate
-from supple.domain import choice, integer, number, refuse
+from supple.domain import choice, flag, integer, number, refuse
 from supple.errors import SuppleError, ToleranceWarning
 from supple.native import BETWEEN, FILTERS, OUTSIDE, certificate_of, check_filter
 from supple.stacks import warp_stack
@@ -53,7 +53,10 @@ def checked_sampling(
     tolerance = number("tolerance", tolerance, "a number of pixels above 0", 1e-9, 1e9)
     if between is not None and ndim == 2:
         refuse("between", "left out for an image, which is one frame", between)
-    return Sampling(filter, interpolated(filter, between), time_filter, outside, fill, linear_light, tolerance)  # type: ignore[arg-type]
+    if time_filter and ndim == 2:
+        refuse("time_filter", "left out for an image, which is one frame", time_filter)
+    light, averaged = flag("linear_light", linear_light), flag("time_filter", time_filter)
+    return Sampling(filter, interpolated(filter, between), averaged, outside, fill, light, tolerance)  # type: ignore[arg-type]
 
 
 def warn_of(certificate: Certificate, tolerance: float, stacklevel: int) -> None:
