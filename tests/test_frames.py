@@ -721,3 +721,15 @@ def test_one_frame_is_reported_by_itself():
     for wrong in (5, -1, 0.5):
         with pytest.raises(SuppleError, match="plane must be one of the 5 there are"):
             d.report(plane=wrong)
+
+
+@pytest.mark.parametrize("channels", [1, 3])
+def test_a_bool_is_0_or_1(channels: int) -> None:
+    """Cubic samples overshoot, along three axes by enough for 2."""
+    ends = np.array([1, -1, -1, 1])
+    block = np.multiply.outer(np.multiply.outer(ends, ends), ends) < 0
+    source = np.zeros((8, 16, 16, channels), bool)
+    source[2:6, 6:10, 6:10] = block[..., None]
+    d = Deformation(source.shape[:3], border=None).grab((8, 8, 4), by=(0.5, 0.5, 0.5), radius=1e4)
+    for name in ("auto", "cubic"):
+        assert set(np.unique(d.warp(source, filter=name, between="cubic").view(np.uint8))) == {0, 1}

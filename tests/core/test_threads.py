@@ -48,6 +48,36 @@ print("done")
     assert (result.returncode, result.stdout.strip()) == (0, "done"), result.stderr
 
 
+def test_a_fork_while_threads_work_ends() -> None:
+    """Threads of the parent that are on their way back to Python are not waited for in the child."""
+    result = in_a_process(
+        WORK
+        + """
+import warnings
+warnings.simplefilter("ignore", DeprecationWarning)
+d = Deformation((64, 64)).grab((32, 32), by=(5, 3), radius=9)
+image = np.zeros((64, 64), np.uint8)
+def work():
+    while True:
+        d.warp(image)
+for _ in range(2):
+    threading.Thread(target=work, daemon=True).start()
+for _ in range(25):
+    child = os.fork()
+    if child == 0:
+        sys.exit(0)
+    deadline = time.monotonic() + 30
+    while os.waitpid(child, os.WNOHANG)[0] == 0:
+        if time.monotonic() > deadline:
+            os.kill(child, signal.SIGKILL)
+            sys.exit("a child hangs")
+        time.sleep(0.002)
+print("done", flush=True)
+"""
+    )
+    assert (result.returncode, result.stdout.strip()) == (0, "done"), result.stderr
+
+
 def test_two_threads_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("SUPPLE_THREADS", "3")
     d = Deformation((200, 240), border=20).grab((120, 90), by=(20, 9), radius=40)

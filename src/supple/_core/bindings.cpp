@@ -153,6 +153,7 @@ void bind_points(nb::module_& m) {
 }  // namespace supple
 
 NB_MODULE(SUPPLE_MODULE, m) {
+    nb::set_leak_warnings(false);  // a forked child leaves while its parent's threads hold what they hold
     supple::interrupted = supple::python_interrupts;
     nb::register_exception_translator([](const std::exception_ptr& p, void*) {
         try {
@@ -160,6 +161,7 @@ NB_MODULE(SUPPLE_MODULE, m) {
         } catch (const supple::Interrupted&) {
         }  // what Python was interrupted with is set already
     });
+    supple::after_fork([] { supple::ending.forked(); });
     nb::module_::import_("atexit").attr("register")(nb::cpp_function([] { supple::ending.begin(); }));
     m.def("threads", &supple::threads, "Return how many threads work at once.");
     supple::bind_points(m);

@@ -37,6 +37,7 @@ public:
         while (!try_enter()) std::this_thread::sleep_for(std::chrono::hours(1));
     }
     void entered() { asking--; }
+    void forked() { asking = 0; }  // no thread of the parent's is in its child
     void begin() {
         main = std::this_thread::get_id();
         begun = true;

@@ -19,11 +19,12 @@
 
 namespace supple {
 
-constexpr int ROOT = 32;          // pixels along the side of a root cell
-constexpr int SMALL = 4;          // a side of so many pixels is split into single ones at once
-constexpr int BAND = 4;           // rows of roots that are solved one after the other, each from the last
-constexpr double RESERVE = 1.75;  // nine points do not see quite the worst of a cell
-constexpr int STRIDE = 48;        // pixels of a row of a root, and room for whole vectors
+constexpr int ROOT = 32;           // pixels along the side of a root cell
+constexpr int SMALL = 4;           // a side of so many pixels is split into single ones at once
+constexpr int BAND = 4;            // rows of roots that are solved one after the other, each from the last
+constexpr double RESERVE = 1.75;   // nine points do not see quite the worst of a cell
+constexpr double COARSEST = 0.25;  // of tolerances: farther off, a patch's slopes tell less of the distance
+constexpr int STRIDE = 48;         // pixels of a row of a root, and room for whole vectors
 
 // Samples that lie `step` pixels apart, the first at `offset`; `size` of them: the pixels themselves, or chroma.
 struct Grid {
@@ -137,7 +138,7 @@ private:
     struct Band {
         std::vector<Leaf<D>> leaves;
         std::vector<int> next;  // the next leaf of the same root
-        double worst = 0, evaluations = 0, widest = 1;
+        double worst = 0, rounding = 0, evaluations = 0, widest = 1;
         long unsolved = 0, folds = 0;
         Extent<D> extent;  // of a plane in a stack, whose frames are found by it
     };
@@ -214,7 +215,7 @@ Plan<D>::Plan(std::vector<Stroke> table, const Axis* given, int width, int heigh
     bands.resize((down + BAND - 1) / BAND);
     parallel((int)bands.size(), [this](int i, int) { solve_band(i); });
     for (const Band& b : bands) {
-        error = std::max(error, RESERVE * sqrt(b.worst));
+        error = std::max({error, RESERVE * sqrt(b.worst), b.rounding});
         evaluations += b.evaluations;
         unsolved += b.unsolved;
         folds += b.folds;
@@ -310,7 +311,7 @@ void Plan<D>::solve(Work& w, Guess guess) {
     int count = (int)w.asks.size();
     for (int start = 0; start < count; start += LANES) {
         auto ask = [&](int i) -> Ask& { return w.asks[std::min(start + i, count - 1)]; };
-        Lanes q[D], mixed[D], smooth2[2] = {};
+        Lanes q[D];
         Solution<D, Lanes> found{};
         for (int i = 0; i < LANES; i++) {
             const Ask& a = ask(i);
@@ -321,39 +322,57 @@ void Plan<D>::solve(Work& w, Guess guess) {
             }
         }
         Chain chain = chain_of(w, [&](int i) { return ask(i).root; });
-        const Solution<D, Lanes> guessed = found;
+        const Mask all = Mask{} == 0;
+        struct Solved {
+            Solution<D, Lanes> at;
+            Lanes mixed[D], smooth2[2];
+        };
+        auto polished = [&](const Solution<D, Lanes>& s, double tolerance) {
+            Solved made{s, {}, {}};
+            polish<D>(chain, axes, q, tolerance, made.at, made.mixed, made.smooth2);
+            return made;
+        };
+        auto merged = [&](const Solved& a, const Solved& b) {
+            Solved made{choose(a.at.done, a.at, b.at), {}, {}};
+            for (int d = 0; d < D; d++) made.mixed[d] = choose(a.at.done, a.mixed[d], b.mixed[d]);
+            for (int d = 0; d < 2; d++) made.smooth2[d] = choose(a.at.done, a.smooth2[d], b.smooth2[d]);
+            return made;
+        };
+        found.done = without(all, all);
+        Solved known{found, {}, {}};
         // Of a step that is a fourth as long, the square is left.
-        if (guess == PATCH) polish<D>(chain, axes, q, enough / 4, found, mixed, smooth2);
-        if (guess != PATCH || any(without(Mask{} == 0, found.done))) {
-            Lanes again_mixed[D], again_smooth2[2];
-            Solution<D, Lanes> again = guessed;
-            again.done = again.p[0] != again.p[0];
-            if (guess != NONE) newton<D>(chain, axes, q, enough, 12, again);
-            if (any(without(Mask{} == 0, again.done))) {
+        if (guess == PATCH) known = polished(found, enough / 4);
+        if (any(without(all, known.at.done))) {
+            if (guess != NONE) newton<D>(chain, axes, q, enough, 12, found);
+            if (any(without(all, found.done))) {
                 Solution<D, Lanes> anew;
                 undo<D>(chain, axes, q, enough, anew);
-                anew.steps += again.steps;
-                again = choose(again.done, again, anew);
+                anew.steps += found.steps;
+                found = choose(found.done, found, anew);
             }
-            const Mask solved = again.done, kept = found.done;
-            polish<D>(chain, axes, q, enough, again, again_mixed, again_smooth2);
-            again.done = solved;
-            again.steps += found.steps;
-            for (int j = 0; j < 2; j++) smooth2[j] = choose(kept, smooth2[j], again_smooth2[j]);
-            for (int d = 0; d < D; d++) mixed[d] = choose(kept, mixed[d], again_mixed[d]);
-            found = choose(kept, found, again);
+            Solved more = polished(found, enough);
+            more.at.done = both(more.at.done, found.done);
+            if (any(without(all, either(known.at.done, more.at.done)))) {
+                // The map varies over the last step: Newton's method goes on to the end.
+                newton<D>(chain, axes, q, finest * std::min(1e-6, 1e-4 * tolerance), 20, found);
+                Solved last = polished(found, enough);
+                last.at.done = found.done;
+                more = merged(more, last);
+            }
+            more.at.steps += known.at.steps;
+            known = merged(known, more);
         }
         for (int i = 0; i < LANES && start + i < count; i++) {
             Node& node = w.nodes[w.asks[start + i].node];
             double plane[2][2];
             for (int d = 0; d < D; d++) {
-                node.p[d] = found.p[d][i] / axes[d].spacing;
-                node.mixed[d] = mixed[d][i] * axes[0].spacing * axes[1].spacing / axes[d].spacing;
-                for (int e = 0; e < D; e++) node.m[e][d] = found.m[e][d][i] * axes[e].spacing / axes[d].spacing;
+                node.p[d] = known.at.p[d][i] / axes[d].spacing;
+                node.mixed[d] = known.mixed[d][i] * axes[0].spacing * axes[1].spacing / axes[d].spacing;
+                for (int e = 0; e < D; e++) node.m[e][d] = known.at.m[e][d][i] * axes[e].spacing / axes[d].spacing;
             }
-            for (int j = 0; j < 2; j++) node.smooth[j] = sqrt(smooth2[j][i]) / axes[j].spacing;
-            w.band->evaluations += found.steps[i];
-            w.band->unsolved += !found.done[i];
+            for (int j = 0; j < 2; j++) node.smooth[j] = sqrt(known.smooth2[j][i]) / axes[j].spacing;
+            w.band->evaluations += known.at.steps[i];
+            w.band->unsolved += !known.at.done[i];
             for (int d = 0; d < 2; d++)
                 for (int e = 0; e < 2; e++) plane[d][e] = node.m[e][d];
             double determinant = plane[0][0] * plane[1][1] - plane[0][1] * plane[1][0];
@@ -414,6 +433,13 @@ void Plan<D>::emit(Work& w, int root, int x, int y, int wide, int high, const do
         for (int i = 1; i < 16; i++) leaf.c[d][i] = (float)c[d][i];
     }
     for (int i = 0; i < 4; i++) leaf.depth[i] = (float)depth[i];
+    // What float32 rounds off where steep powers cancel, at the far ends of the patch.
+    for (int d = 0; d < D; d++)
+        for (int n = 1; n < 4; n++) {
+            float s = n & 1 ? wide - (x + wide == size[0]) : 0, t = n & 2 ? high - (y + high == size[1]) : 0, fs, ft;
+            double ds, dt, off = leaf.anchor[d] + (double)at(leaf.c[d], s, t, fs, ft) - at<double>(c[d], s, t, ds, dt);
+            w.band->rounding = std::max(w.band->rounding, fabs(off));
+        }
     Root& r = roots[root];
     w.band->leaves.push_back(leaf);
     w.band->next.push_back(r.first);
@@ -478,7 +504,7 @@ template <int D>
 void Plan<D>::check(Work& w) {
     static constexpr double AT[9][2] = {{.5, .5},   {.5, 0},    {.5, 1},    {0, .5},   {1, .5},
                                         {.25, .25}, {.75, .25}, {.25, .75}, {.75, .75}};
-    double allowed = tolerance * tolerance / (RESERVE * RESERVE);
+    const double allowed = pow(std::min(tolerance, COARSEST) / RESERVE, 2);
     int count = (int)w.cells.size();
     for (int start = 0; start < count; start += LANES) {
         auto cell = [&](int i) -> const Cell& { return w.cells[std::min(start + i, count - 1)]; };

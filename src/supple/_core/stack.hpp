@@ -255,7 +255,7 @@ struct Putting {
         } else {
             T four[4];
 #if defined(__SSE4_1__)
-            if constexpr (sizeof(T) == 2) v = (Pixel<float>)_mm_min_ps((__m128)v, _mm_set1_ps(high));
+            v = (Pixel<float>)_mm_min_ps((__m128)v, _mm_set1_ps(high));
             __m128i s = _mm_cvtps_epi32((__m128)v);
             s = narrowed(s, s);
             memcpy(four, &s, sizeof four);
@@ -293,8 +293,7 @@ struct Putting {
             memcpy(out + from * C, all + (from - k) * C, (to - from) * C * sizeof(T));
     }
     INLINE __m128i integers(Eight v) const {
-        if constexpr (sizeof(T) == 2) v = least(v, Eight{} + high);
-        __m256i s = _mm256_cvtps_epi32((__m256)v);
+        __m256i s = _mm256_cvtps_epi32(_mm256_min_ps((__m256)v, _mm256_set1_ps(high)));
         return narrowed(_mm256_castsi256_si128(s), _mm256_extracti128_si256(s, 1));
     }
 #endif

@@ -6,7 +6,7 @@
 #include <sched.h>
 #endif
 #if !defined(_WIN32)
-#include <unistd.h>
+#include <pthread.h>
 #endif
 #include <atomic>
 #include <chrono>
@@ -121,31 +121,41 @@ public:
 // Set by the bindings: whether Python wants the work to end.
 inline bool (*interrupted)() = nullptr;
 
+// Call `child` in every process that is forked from this one.
+inline void after_fork(void (*child)()) {
+#if !defined(_WIN32)
+    pthread_atfork(nullptr, nullptr, child);
+#endif
+}
+
+// Never destroyed: threads of a pool end with the process. A forked child has none of them.
+struct Shared {
+    std::mutex making;
+    Pool* pool = nullptr;
+};
+inline Shared*& shared() {
+    static Shared* all = [] {
+        after_fork([] { shared() = new Shared; });
+        return new Shared;
+    }();
+    return all;
+}
+
 // Call body(item, worker) for the items 0 to count - 1, where worker counts from 0 to threads() - 1.
 //
 // Raises Interrupted if Python was interrupted, and what a body raised.
 inline void parallel(int count, const Pool::Body& body) {
-    // Neither is ever destroyed: threads of a pool end with the process, and a forked child has none of them.
-    static Pool* pool = nullptr;
-    static std::mutex* making = new std::mutex;
-#if !defined(_WIN32)
-    static pid_t owner = 0;
-    if (owner != getpid()) {
-        pool = nullptr;
-        making = new std::mutex;
-        owner = getpid();
-    }
-#endif
+    Shared*& all = shared();
     int n = threads();
     if (n > 1 && count > 1 && !Pool::inside()) {
         Pool* own;
         {
-            std::lock_guard guard(*making);
-            if (!pool || (pool->size != n && pool->taken.try_lock())) {
-                if (pool) pool->taken.unlock();  // its threads sleep on; a process changes their number seldom
-                pool = new Pool(n);
+            std::lock_guard guard(all->making);
+            if (!all->pool || (all->pool->size != n && all->pool->taken.try_lock())) {
+                if (all->pool) all->pool->taken.unlock();  // its threads sleep on; their number changes seldom
+                all->pool = new Pool(n);
             }
-            own = pool;
+            own = all->pool;
         }
         if (own->taken.try_lock()) {
             std::lock_guard guard(own->taken, std::adopt_lock);
