@@ -86,7 +86,9 @@ $(VENV)/stamp-cuda: $(VENV)/stamp
 	done
 	@touch $@
 
-demo: venv
+# Of the core, what this processor runs best is all that a first look needs.
+demo: $(VENV)/stamp
+	@$(BIN)/python tools/core.py --best
 	$(BIN)/supple demo demo --force
 
 # A worker for each core; a file's tests stay together, as they share what is made once. Not the files with the most

@@ -1,4 +1,4 @@
-"""Build the native core in place, into src/supple/_core: ``python tools/core.py [--debug | --sanitize]``.
+"""Build the native core in place, into src/supple/_core: ``python tools/core.py [--best | --debug | --sanitize]``.
 
 It needs nanobind, CMake and Ninja (all from PyPI), Python's headers, and a C++20 compiler: that of the machine, or
 Zig's (``ziglang`` on PyPI), which is installed if there is no other.
@@ -19,7 +19,7 @@ import sysconfig
 import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
-from importlib.util import find_spec
+from importlib.util import find_spec, module_from_spec, spec_from_file_location
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -135,7 +135,22 @@ def _tool(name: str) -> str:
     return found
 
 
-def build(kind: str = "release", output: Path = CORE, *, folder: Path | None = None) -> None:
+def _best(ninja: str, where: Path, output: Path) -> str:
+    """Return the target of the best instruction set that this processor runs; what tells that is built for it."""
+    if subprocess.run([ninja, "-C", str(where), "--quiet", "cpu"], check=False).returncode:
+        raise BuildError("The core does not compile: the first error is above.")
+    built = next((ROOT / output).glob("cpu*.pyd" if sys.platform == "win32" else "cpu*.so"))
+    spec = spec_from_file_location("cpu", built)
+    assert spec is not None
+    assert spec.loader is not None
+    cpu = module_from_spec(spec)
+    spec.loader.exec_module(cpu)
+    listed = subprocess.run([ninja, "-C", str(where), "-t", "targets", "all"], capture_output=True, check=True).stdout
+    targets = {line.partition(":")[0] for line in listed.decode().splitlines()}
+    return next((f"core_{isa}" for isa in cpu.isas() if f"core_{isa}" in targets), "all")
+
+
+def build(kind: str = "release", output: Path = CORE, *, folder: Path | None = None, best: bool = False) -> None:
     """Compile what changed, and put the modules into ``output``.
 
     Parameters
@@ -147,6 +162,8 @@ def build(kind: str = "release", output: Path = CORE, *, folder: Path | None = N
         A folder, relative to the root.
     folder
         Where CMake works; by default one for each Python, in build/.
+    best
+        Whether to compile for the best instruction set of this processor alone.
     """
     need_headers()
     nanobind = find_spec("nanobind")
@@ -190,7 +207,8 @@ def build(kind: str = "release", output: Path = CORE, *, folder: Path | None = N
         if subprocess.run(command, env=environment, stdout=subprocess.DEVNULL, check=False).returncode:
             raise BuildError("CMake could not prepare the build of the core: what is missing is said above.")
         stamp.write_text(json.dumps({"wanted": wanted}))
-    if subprocess.run([ninja, "-C", str(where), "--quiet"], env=environment, check=False).returncode:
+    target = _best(ninja, where, output) if best else "all"
+    if subprocess.run([ninja, "-C", str(where), "--quiet", target], env=environment, check=False).returncode:
         raise BuildError("The core does not compile: the first error is above.")
 
 
@@ -247,6 +265,7 @@ def main() -> int:
     """Do what the command line says."""
     parser = argparse.ArgumentParser(description="Build the native core in place.")
     how = parser.add_mutually_exclusive_group()
+    how.add_argument("--best", action="store_true", help="for the best instruction set of this processor alone")
     how.add_argument("--debug", action="store_true", help="with -O1 -g and checks, for a debugger")
     how.add_argument("--sanitize", action="store_true", help="with sanitizers, elsewhere, and run its tests")
     parser.add_argument("tests", nargs="*", help="which tests, with --sanitize; by default tests/core")
@@ -254,7 +273,7 @@ def main() -> int:
     try:
         if options.sanitize:
             return sanitize(options.tests)
-        build("debug" if options.debug else "release")
+        build("debug" if options.debug else "release", best=options.best)
     except BuildError as error:
         print(f"core: {error}", file=sys.stderr)
         return 1
