@@ -71,12 +71,14 @@ INLINE void apply(const Chain& chain, const Axis* axes, V* x, V (*t)[D]) {
 
 constexpr double SHORTEST = 0x1p-24;  // part of a step that is tried
 constexpr double DOWNHILL = 1e-4;     // part of the promised decrease that a step must keep
+constexpr double STEEP = 10;          // of residuals, and of distances, that Newton's steps are trusted for
 constexpr double CLOSE = 0.03;        // |(∂T/∂p) m - I| of an m whose square is good enough
 
-// Solve T(p) = q from the guess in `found.p`, until a step is shorter than `tolerance`.
+// Solve T(p) = q from the guess in `found.p`, until a step is shorter than `tolerance`, from a residual of at most
+// `residual`: where T is very steep, short steps alone tell nothing.
 template <int D, class V>
-INLINE void newton(const Chain& chain, const Axis* axes, const V* q, double tolerance, int limit,
-                   Solution<D, V>& found) {
+INLINE void newton(const Chain& chain, const Axis* axes, const V* q, double tolerance, int limit, Solution<D, V>& found,
+                   double residual = 1e150) {
     typedef typename Masked<V>::type M;
     V base[D], step[D], error = splat<V>(1e300), part = splat<V>(1.0);
     M done = error < 0.0;
@@ -107,7 +109,7 @@ INLINE void newton(const Chain& chain, const Axis* axes, const V* q, double tole
         }
         error = choose(taken, e2, error);
         part = choose(taken, splat<V>(1.0), V(0.5 * part));
-        done = either(done, both(taken, d2 <= tolerance * tolerance));
+        done = either(done, both(taken, both(d2 <= tolerance * tolerance, e2 <= residual * residual)));
         if (!any(without(part > SHORTEST, done))) break;
     }
     // The step that was short enough to end with is known, and taken.
@@ -176,7 +178,8 @@ NOINLINE void undo(const Chain& chain, const Axis* axes, const V* q, double tole
 }
 
 // Take one more Newton step from p with m ≈ (∂T/∂p)⁻¹ in `found`, which makes m exact to second order, and find
-// ∂²p/∂q₀∂q₁ = -m T''(m₀, m₁); it is done if that step is shorter than `tolerance`, and m was close. `smooth2`: how far
+// ∂²p/∂q₀∂q₁ = -m T''(m₀, m₁); it is done if that step is shorter than `tolerance`, the residual
+// than STEEP times that, and m was close. `smooth2`: how far
 // the map stays as it is here along q₀ and q₁, squared.
 template <int D, class V>
 INLINE void polish(const Chain& chain, const Axis* axes, const V* q, double tolerance, Solution<D, V>& found, V* mixed,
@@ -195,7 +198,7 @@ INLINE void polish(const Chain& chain, const Axis* axes, const V* q, double tole
     for (int j = 0; j < D; j++)
         for (int i = 0; i < D; i++) better[j][i] = 2.0 * found.m[j][i] - times<D>(found.m, jet.t[j], i);
     for (int i = 0; i < D; i++) e[i] = jet.x[i] - q[i];
-    V step2 = V{}, off2 = V{};
+    V step2 = V{}, off2 = V{}, e2 = dot<D>(e, e);
     for (int i = 0; i < D; i++) {
         for (int j = 0; j < D; j++) off2 += (jet.t[j][i] - double(i == j)) * (jet.t[j][i] - double(i == j));
         mixed[i] = -times<D>(better, jet.mixed, i);
@@ -203,7 +206,8 @@ INLINE void polish(const Chain& chain, const Axis* axes, const V* q, double tole
         step2 += step * step;
         found.p[i] = kept_inside(V(found.p[i] - step), q[i], axes[i]);
     }
-    found.done = both(step2 <= tolerance * tolerance, off2 <= CLOSE * CLOSE);
+    const double residual = STEEP * tolerance;
+    found.done = both(both(step2 <= tolerance * tolerance, e2 <= residual * residual), off2 <= CLOSE * CLOSE);
     found.steps += 1.0;
     for (int i = 0; i < D; i++)
         for (int j = 0; j < D; j++) found.m[j][i] = better[j][i];

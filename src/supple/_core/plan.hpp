@@ -343,7 +343,7 @@ void Plan<D>::solve(Work& w, Guess guess) {
         // Of a step that is a fourth as long, the square is left.
         if (guess == PATCH) known = polished(found, enough / 4);
         if (any(without(all, known.at.done))) {
-            if (guess != NONE) newton<D>(chain, axes, q, enough, 12, found);
+            if (guess != NONE) newton<D>(chain, axes, q, enough, 12, found, STEEP * enough);
             if (any(without(all, found.done))) {
                 Solution<D, Lanes> anew;
                 undo<D>(chain, axes, q, enough, anew);
@@ -354,7 +354,7 @@ void Plan<D>::solve(Work& w, Guess guess) {
             more.at.done = both(more.at.done, found.done);
             if (any(without(all, either(known.at.done, more.at.done)))) {
                 // The map varies over the last step: Newton's method goes on to the end.
-                newton<D>(chain, axes, q, finest * std::min(1e-6, 1e-4 * tolerance), 20, found);
+                newton<D>(chain, axes, q, finest * std::min(1e-6, 1e-4 * tolerance), 20, found, STEEP * enough);
                 Solved last = polished(found, enough);
                 last.at.done = found.done;
                 more = merged(more, last);
@@ -884,7 +884,7 @@ void Plan<D>::measure(double finest, double& worst, long& unknown) const {
                         q[d][i] = (d == 0 ? x + k : d == 1 ? y : z) * axes[d].spacing;
                     }
                 }
-                newton<D>(chain, axes, q, finest * spacing, 8, exact);
+                newton<D>(chain, axes, q, finest * spacing, 8, exact, 1e-3 * spacing);
                 if (any(without(Mask{} == 0, exact.done))) {
                     Solution<D, Lanes> again;
                     undo<D>(chain, axes, q, finest * spacing, again);
