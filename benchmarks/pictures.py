@@ -251,7 +251,7 @@ def against_truth() -> Iterator[Row]:
         yield decibels(what, *(values[name] for name in names), least, before)
     plate = quality.zone_plate(filters)
     what = "zone plate as a function against truth, both averaged over pixels, default filter; peer: `cv2.remap`, cubic"
-    yield decibels(what, *([plate[name]] for name in names), (36.0,), "27.6 dB")
+    yield decibels(what, *(plate[name] for name in names), (36.0,), "27.6 dB")
 
 
 def starting(here: Path, runs: int) -> Iterator[Row]:

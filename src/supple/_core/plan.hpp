@@ -754,7 +754,7 @@ void Plan<D>::mark(const Root& root, int index, const Grid& grid, int x, int y, 
 template <int D>
 template <class Use>
 void Plan<D>::each_row(const Grid& grid, int root_row, const int (&box)[4], bool slopes, Use use) const {
-    Row<D> row;
+    Row<D> row{};  // what is found eight at a time reads past a row's end
     int top = root_row == 0 ? 0 : grid.from(1, line(root_row));
     int bottom = root_row == down - 1 ? grid.size[1] : grid.from(1, line(root_row + 1));
     // Whole rows, so that frames are read, and results written, in order.
