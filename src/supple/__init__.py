@@ -5,9 +5,17 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from supple.batches import warp_batch
-    from supple.deformation import Deformation, Inverse, Report
+    from supple.deformation import Arrival, Deformation, Inverse, Report
     from supple.domain import Domain
-    from supple.errors import DeviceWarning, FoldError, FoldWarning, OutsideWarning, SuppleError, ToleranceWarning
+    from supple.errors import (
+        DeviceWarning,
+        FoldError,
+        FoldWarning,
+        MissWarning,
+        OutsideWarning,
+        SuppleError,
+        ToleranceWarning,
+    )
     from supple.files import warp_file
     from supple.strokes import Recipe, Stroke
     from supple.viewer.launch import view
@@ -15,12 +23,14 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 
 __all__ = [
+    "Arrival",
     "Deformation",
     "DeviceWarning",
     "Domain",
     "FoldError",
     "FoldWarning",
     "Inverse",
+    "MissWarning",
     "OutsideWarning",
     "Recipe",
     "Report",
@@ -34,11 +44,13 @@ __all__ = [
 
 # Where each name is. They are loaded when they are asked for: image libraries and engines take their time.
 _HOMES = {
+    "Arrival": "deformation",
     "Deformation": "deformation",
     "DeviceWarning": "errors",
     "Domain": "domain",
     "FoldError": "errors",
     "FoldWarning": "errors",
+    "MissWarning": "errors",
     "Inverse": "deformation",
     "OutsideWarning": "errors",
     "Recipe": "strokes",

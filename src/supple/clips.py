@@ -214,7 +214,7 @@ def deformation_of(recipe: Recipe, count: int, shape: tuple[int, int], time_scal
             which = f"stroke {i + 1}: " if len(recipe.strokes) > 1 else ""
             has = "one frame: t is 0" if count == 1 else f"{count} frames: t goes from 0 to {count - 1}"
             raise SuppleError(f"{which}there is no frame {stroke.at[2]:g} in {name}, which has {has}")
-    return Deformation.from_recipe(recipe, (count, *shape), spacing=(1.0, 1.0, time_scale))
+    return Deformation.from_recipe(recipe, (count, *shape), spacing=(1.0, 1.0, time_scale), time=True)
 
 
 def sampling_of(

@@ -2,22 +2,23 @@
 
 from __future__ import annotations
 
+import math
 import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any, Literal, Self
 
 import numpy as np
 import numpy.typing as npt
 
 from supple import _core
 from supple.certificate import Certificate
-from supple.domain import BORDER, BorderProfile, Domain, choice, integer, number, refuse
-from supple.errors import FoldWarning, SuppleError, ToleranceWarning
+from supple.domain import BorderProfile, Domain, choice, integer, number, refuse
+from supple.errors import FoldWarning, MissWarning, SuppleError, ToleranceWarning
 from supple.folding import Resolved, resolve
 from supple.native import certificate_of, measured, plan_of
 from supple.oncard import is_on_card, points_on_card, warp_on_card
-from supple.strokes import STROKE_DTYPE, FoldPolicy, Point, Recipe, Stroke, numbers
+from supple.strokes import REACH, STROKE_DTYPE, FoldPolicy, Point, Recipe, Stroke, numbers
 
 if TYPE_CHECKING:
     from supple.streaming import Space
@@ -52,6 +53,34 @@ class Inverse:
 
 
 @dataclass(frozen=True, slots=True)
+class Arrival:
+    """Where a stroke's point was to go, and where it is. All points are in samples, x first.
+
+    Parameters
+    ----------
+    target : tuple of float
+        ``at + by``.
+    arrived : tuple of float
+        Where the point is after the stroke.
+    final : tuple of float
+        Where it is after all later strokes too.
+    miss : float
+        The distance from ``arrived`` to ``target``.
+    moved : float
+        The distance from ``final`` to ``arrived``: what later strokes did to it.
+    cause : str or None
+        Of a miss: ``"fold"``, ``"border"`` or ``"fold and border"``.
+    """
+
+    target: tuple[float, ...]
+    arrived: tuple[float, ...]
+    final: tuple[float, ...]
+    miss: float
+    moved: float
+    cause: str | None
+
+
+@dataclass(frozen=True, slots=True)
 class Report:
     """What was done with the strokes, and how exact the inverse map is.
 
@@ -63,6 +92,8 @@ class Report:
         How many are carried out: a stroke that flows becomes several.
     damping : tuple of float
         For each stroke asked for, the part of it that is applied: 1 unless it was damped.
+    arrivals : tuple of Arrival
+        For each stroke asked for, where its point was to go, and where it is.
     margin : float
         A lower bound, at every point, of the smallest eigenvalue of the symmetric part of each stroke's I + J. It
         is above 0: nothing folds.
@@ -82,6 +113,7 @@ class Report:
     strokes: int
     applied: int
     damping: tuple[float, ...]
+    arrivals: tuple[Arrival, ...]
     margin: float
     folds: int
     tolerance: float
@@ -102,15 +134,20 @@ class Deformation:
     ----------
     shape : sequence of int
         The array's shape: ``(H, W)`` for an image, ``(T, H, W)`` or ``(Z, H, W)``.
-    border : float or None
-        The width, in physical units, over which strokes fade towards the fixed border; None frees it.
+    border : "auto", float, sequence of float or None
+        The width over which strokes fade towards the fixed border: in physical units, one for all axes or one for
+        each, x first; ``"auto"``: a tenth of each axis' extent; None: the border is free.
     border_profile : str
         How they fade: as a ``"quartic"``, smooth where the border ends, or as the paper's ``"sine"``.
     spacing : float or sequence of float
         Physical units per sample, x first.
+    time : bool
+        Whether the first of three axes is time: a drag along it alone then moves nothing sideways, unless the stroke
+        has a Poisson ratio of its own.
     on_fold : str
-        What is done with a stroke that would fold the picture over itself: ``"damp"`` it to what is safe, with a
-        `FoldWarning`; let it ``"flow"`` to its target in smaller steps; or raise a `FoldError` (``"error"``).
+        What is done with a stroke that would fold the picture over itself, or that the border holds back: let it
+        ``"flow"`` to its target in smaller steps; ``"damp"`` it to what is safe, with a warning; or raise a `FoldError`
+        (``"error"``).
 
     Raises
     ------
@@ -137,13 +174,14 @@ class Deformation:
         self,
         shape: Sequence[int],
         *,
-        border: float | None = BORDER,
+        border: float | Sequence[float] | Literal["auto"] | None = "auto",
         border_profile: BorderProfile = "quartic",
         spacing: float | Sequence[float] = 1.0,
-        on_fold: FoldPolicy = "damp",
+        time: bool = False,
+        on_fold: FoldPolicy = "flow",
     ) -> None:
         choice("on_fold", on_fold, ("damp", "flow", "error"))
-        domain = Domain(shape, spacing, border, border_profile)
+        domain = Domain(shape, spacing, border, border_profile, time)
         axes = domain.packed()
         if domain.ndim == 2:
             axes[2, 1] = 0.0  # nothing leaves the plane, and how the field varies off it is no concern
@@ -159,8 +197,10 @@ class Deformation:
             object.__setattr__(self, name, value)
 
     @classmethod
-    def from_recipe(cls, recipe: Recipe, shape: Sequence[int], *, spacing: float | Sequence[float] = 1.0) -> Self:
-        """A recipe's strokes on a domain, without those that are hidden; its errors name the stroke."""
+    def from_recipe(
+        cls, recipe: Recipe, shape: Sequence[int], *, spacing: float | Sequence[float] = 1.0, time: bool = False
+    ) -> Self:
+        """A recipe's strokes on a domain, without those that are hidden; errors and warnings name the stroke."""
         if not isinstance(recipe, Recipe):
             refuse("a recipe", "a Recipe (Recipe.from_json reads one)", recipe)
         made = cls(
@@ -168,17 +208,31 @@ class Deformation:
             border=recipe.border,
             border_profile=recipe.border_profile,
             spacing=spacing,
+            time=time,
             on_fold=recipe.on_fold,
         )
         for i, stroke in enumerate(recipe.strokes):
             if stroke.hidden:
                 continue
+            which = f"stroke {i + 1} of {len(recipe.strokes)}: " if len(recipe.strokes) > 1 else ""
             try:
-                made = made.add(stroke)
+                made = made.add(stroke, warn=False)
             except SuppleError as error:
-                many = len(recipe.strokes) > 1
-                raise type(error)(f"stroke {i + 1} of {len(recipe.strokes)}: {error}" if many else str(error)) from None
+                raise type(error)(f"{which}{error}") from None
+            _warn(made._resolved[-1], which)
         return made
+
+    def without_strokes(self) -> Self:
+        """The identity on the same domain, under the same fold policy."""
+        domain = self.domain
+        return type(self)(
+            domain.shape,
+            border=domain.border,
+            border_profile=domain.border_profile,
+            spacing=domain.spacing,
+            time=domain.time,
+            on_fold=self.on_fold,
+        )
 
     @property
     def recipe(self) -> Recipe:
@@ -220,9 +274,9 @@ class Deformation:
         to: Point | None = None,
         by: Point | None = None,
         radius: float,
-        poisson: float = 0.4,
+        poisson: float | None = None,
         scales: int = 1,
-        reach: float | None = None,
+        reach: float | None = REACH,
     ) -> Self:
         """Grab the material at a point, and drag it.
 
@@ -231,27 +285,31 @@ class Deformation:
         at : sequence of float
             Where, in pixels, x first.
         to, by : sequence of float
-            Where to, or how far; one of the two. Near a fixed border, a stroke is held back, and falls short, by the
-            border's factor β there, unless it flows.
+            Where to, or how far; one of the two. Near a fixed border, a stroke that does not flow is held back, and
+            falls short, by the border's factor β there.
         radius : float
             How far the drag is felt, in physical units (ε of the regularized Kelvinlet).
-        poisson : float
-            Poisson's ratio ν of the material: 0.5 keeps areas and volumes, -inf does not care for them.
+        poisson : float, optional
+            Poisson's ratio ν of the material: 0.5 keeps volumes, -inf moves nothing sideways. By default 0.4; but -inf
+            for a drag along time alone.
         scales : int
             1: felt far, as 1/r. 2 and 3: more local, as 1/r³ and 1/r⁵.
-        reach : float, optional
-            How far it is felt at all, in radii, from 1; 4 looks as natural as no limit. What lies beyond keeps every
-            bit. None: without limit.
+        reach : float or None
+            How far it is felt at all, in radii, from 1; the default of 4 looks as natural as no limit. What lies beyond
+            keeps every bit. None: without limit, as in the paper.
 
         Raises
         ------
         SuppleError
-            If an argument is not of that kind; `FoldError` if it would fold, under ``on_fold="error"``.
+            If an argument is not of that kind; `FoldError` if it would fold, or be held back, under
+            ``on_fold="error"``; or if nothing can reach its target.
 
         Warns
         -----
         FoldWarning
             If it was damped, under ``on_fold="damp"``.
+        MissWarning
+            If the border keeps it more than half a pixel from its target, under ``on_fold="damp"``.
         """
         stroke = Stroke.grab(at, to=to, by=by, radius=radius, poisson=poisson, scales=scales, reach=reach)
         return self.add(stroke)
@@ -264,7 +322,7 @@ class Deformation:
         stroke : Stroke
             A hidden one changes nothing, and is not kept: this deformation itself comes back.
         warn : bool
-            Whether to warn if it was damped; `fold_warnings` tells it too.
+            Whether to warn if it misses its target; `warnings` tells it too.
 
         Raises
         ------
@@ -273,8 +331,8 @@ class Deformation:
 
         Warns
         -----
-        FoldWarning
-            If it was damped, under ``on_fold="damp"``.
+        FoldWarning, MissWarning
+            As `grab` does.
         """
         if not isinstance(stroke, Stroke):
             refuse("a stroke", "a Stroke", stroke)
@@ -283,8 +341,8 @@ class Deformation:
         if stroke.hidden:
             return self
         resolved = resolve(stroke, self.domain, self.on_fold)
-        if resolved.warning and warn:
-            warnings.warn(resolved.warning, FoldWarning, stacklevel=3)
+        if warn:
+            _warn(resolved)
         count = self._table.size
         table = np.empty(count + resolved.substrokes, STROKE_DTYPE)
         table[:count], table[count:] = self._table, resolved.rows
@@ -541,13 +599,42 @@ class Deformation:
             "strokes": len(self.strokes),
             "applied": len(self._table),
             "damping": tuple(r.alpha for r in self._resolved),
+            "arrivals": self.arrivals,
             "margin": min((r.margin for r in self._resolved), default=1.0),
         }
 
     @property
-    def fold_warnings(self) -> tuple[str | None, ...]:
-        """For each stroke, what was warned of if it was damped."""
+    def arrivals(self) -> tuple[Arrival, ...]:
+        """For each stroke, where its point was to go, and where it is."""
+        steps = np.array(self.domain.spacing)
+        final = np.zeros((len(self.strokes), 3))  # in physical units
+        row = 0
+        for i, resolved in enumerate(self._resolved):
+            rows = self._table[row : row + resolved.substrokes]
+            row += resolved.substrokes
+            if i and len(rows):
+                final[:i], _ = _core.forward(numbers(rows), self._axes, final[:i], False)
+            final[i, : self.ndim] = resolved.arrived * steps
+        found = []
+        for stroke, resolved, where in zip(self.strokes, self._resolved, final, strict=True):
+            target = tuple(a + b for a, b in zip(stroke.at, stroke.by, strict=True))
+            end = tuple((where[: self.ndim] / steps).tolist())
+            miss, moved = math.dist(resolved.arrived, target), math.dist(end, resolved.arrived)
+            found.append(Arrival(target, resolved.arrived, end, miss, moved, resolved.cause))
+        return tuple(found)
+
+    @property
+    def warnings(self) -> tuple[str | None, ...]:
+        """For each stroke, what was warned of if it misses its target."""
         return tuple(r.warning for r in self._resolved)
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, Deformation):
+            return NotImplemented
+        return (self.domain, self.on_fold, self.strokes) == (other.domain, other.on_fold, other.strokes)
+
+    def __hash__(self) -> int:
+        return hash((self.domain, self.on_fold, self.strokes))
 
     def _plans(self, tolerance: float, which: range | None = None) -> Iterator[_core.Plan]:
         for z in which if which is not None else range(self.shape[0] if self.ndim == 3 else 1):
@@ -580,3 +667,9 @@ class Deformation:
 
     def _points(self, rows: Floats, shape: tuple[int, ...]) -> Floats:
         return np.ascontiguousarray((rows[:, : self.ndim] / self.domain.spacing).reshape(shape))
+
+
+def _warn(resolved: Resolved, which: str = "") -> None:
+    if resolved.warning:
+        category = FoldWarning if resolved.alpha < 1 else MissWarning
+        warnings.warn(f"{which}{resolved.warning}", category, stacklevel=4)

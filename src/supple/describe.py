@@ -191,12 +191,18 @@ def _listed(name: str, lines: Mapping[str, object]) -> str:
 
 
 def _recipe(name: str, recipe: Recipe) -> str:
-    border = "free" if recipe.border is None else f"fixed, {recipe.border:g} px wide, {recipe.border_profile}"
+    widths = recipe.border if isinstance(recipe.border, tuple) else (recipe.border,)
+    if recipe.border is None:
+        border = "free"
+    elif recipe.border == "auto":
+        border = f"fixed, a tenth of each side wide, {recipe.border_profile}"
+    else:
+        border = f"fixed, {', '.join(f'{width:g}' for width in widths)} wide, {recipe.border_profile}"
     lines = [f"{shown(name)}:", "  recipe", f"  border      {border}", f"  on fold     {recipe.on_fold}"]
     for i, s in enumerate(recipe.strokes):
         to = tuple(a + b for a, b in zip(s.at, s.by, strict=True))
         points = " to ".join("(" + ", ".join(f"{x:g}" for x in point) + ")" for point in (s.at, to))
-        kind = f"radius {s.radius:g}, poisson {s.poisson:g}, scales {s.scales}"
-        kind += ("" if s.reach is None else f", reach {s.reach:g}") + (", hidden" if s.hidden else "")
+        kind = f"radius {s.radius:g}, scales {s.scales}, reach {'none' if s.reach is None else format(s.reach, 'g')}"
+        kind += ("" if s.poisson is None else f", poisson {s.poisson:g}") + (", hidden" if s.hidden else "")
         lines.append(f"  stroke {i + 1:<5}{s.brush} {points}, {kind}")
     return "\n".join(lines)

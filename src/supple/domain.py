@@ -19,8 +19,9 @@ SMALLEST = 1e-30
 LARGEST = 1e30
 LENGTH = f"a number above 0 (from {SMALLEST:g} to {LARGEST:g})"
 LONGEST_AXIS = 2**31 - 1
-BORDER = 64.0  # the default: the quartic folds as late with it as the sine with 50
+AUTO = 0.1  # of each axis' extent is what border="auto" fixes
 
+Border = Literal["auto"] | float | tuple[float, ...] | None
 BorderProfile = Literal["quartic", "sine"]
 PROFILE_CODES: dict[str, float] = {"quartic": 0.0, "sine": 1.0}
 """How the packed domain names a profile of the fixed border."""
@@ -126,11 +127,17 @@ def flag(name: str, value: object) -> bool:
     return bool(value)
 
 
-def checked_border(border: object) -> float | None:
-    """``border`` as a width, or None where the border is free; SuppleError if it is neither."""
+def checked_border(border: object) -> Border:
+    """Return ``border`` as "auto", a width, one for each axis, or None where it is free; SuppleError if it is none."""
     if border is None:
         return None
-    return number("border", border, f"{LENGTH}, or None for a free border", SMALLEST, LARGEST)
+    if isinstance(border, str) and border == "auto":
+        return "auto"
+    if isinstance(border, Sequence | np.ndarray) and not isinstance(border, str | bytes):
+        widths = items("border", border, "one width, or one for each axis, x first", (2, 3))
+        return tuple(length(f"border[{i}]", width) for i, width in enumerate(widths))
+    wanted = f'"auto", {LENGTH}, one for each axis, or None for a free border'
+    return number("border", border, wanted, SMALLEST, LARGEST)
 
 
 def check_border_profile(profile: object) -> None:
@@ -170,29 +177,41 @@ class Domain:
     spacing : float or sequence of float
         Physical units per pixel, frame or voxel; one for all axes, or one for each, in the order of a point:
         x first.
-    border : float or None
-        The width σ, in physical units, over which movement across the border fades to nothing; None frees it.
+    border : "auto", float, sequence of float or None
+        The width σ over which movement across the border fades to nothing: in physical units, one for all axes or one
+        for each, x first; ``"auto"``: a tenth of each axis' extent; None: the border is free.
     border_profile : str
         How it fades, at the distance tσ from a face: as 2t - 2t³ + t⁴ (``"quartic"``), which has two continuous
         derivatives at t = 1, or as sin(πt/2) (``"sine"``, the paper's).
+    time : bool
+        Whether the first of three axes is time. A stroke without a Poisson ratio that is dragged along it alone then
+        moves nothing sideways.
     """
 
     shape: tuple[int, ...]
     spacing: tuple[float, ...]
-    border: float | None
+    border: Border
     border_profile: BorderProfile
+    time: bool
 
     def __init__(
         self,
         shape: Sequence[SupportsIndex],
         spacing: float | Sequence[float] | npt.NDArray[Any] = 1.0,
-        border: float | None = BORDER,
+        border: float | Sequence[float] | Literal["auto"] | None = "auto",
         border_profile: BorderProfile = "quartic",
+        time: bool = False,
     ) -> None:
         sizes = _checked_shape(shape)
         object.__setattr__(self, "shape", sizes)
         object.__setattr__(self, "spacing", _checked_spacing(spacing, len(sizes)))
-        object.__setattr__(self, "border", checked_border(border))
+        checked = checked_border(border)
+        if isinstance(checked, tuple) and len(checked) != len(sizes):
+            refuse("border", f"one width, or {len(sizes)} of them (x first) for a shape of {len(sizes)} axes", border)
+        object.__setattr__(self, "border", checked)
+        if flag("time", time) and len(sizes) == 2:
+            refuse("time", "False for a shape of two axes, which is an image", time)
+        object.__setattr__(self, "time", bool(time))
         check_border_profile(border_profile)
         object.__setattr__(self, "border_profile", border_profile)
 
@@ -206,6 +225,16 @@ class Domain:
         """From the first sample's centre to the last one's, in physical units, x first."""
         return tuple((n - 1) * step for n, step in zip(reversed(self.shape), self.spacing, strict=True))
 
+    @property
+    def border_widths(self) -> tuple[float, ...] | None:
+        """The width of the fixed border along each axis, in physical units, x first; None where it is free."""
+        if self.border is None:
+            return None
+        if self.border == "auto":
+            return tuple(AUTO * extent for extent in self.extent)
+        wanted = self.border if isinstance(self.border, tuple) else (self.border,) * self.ndim
+        return tuple(min(width, extent / 2) for width, extent in zip(wanted, self.extent, strict=True))
+
     def packed(self) -> npt.NDArray[np.float64]:
         """The domain as the engines take it.
 
@@ -218,7 +247,7 @@ class Domain:
             ``profile`` is the border's: 0 for the quartic, 1 for the sine.
         """
         rows = np.array([[0.0, -1.0, 1.0, PROFILE_CODES[self.border_profile]]] * 3)
-        for row, extent, step in zip(rows, self.extent, self.spacing, strict=False):
-            sigma = -1.0 if self.border is None else min(self.border, extent / 2)
+        widths = self.border_widths or (-1.0,) * self.ndim
+        for row, extent, sigma, step in zip(rows, self.extent, widths, self.spacing, strict=False):
             row[:3] = extent, sigma, step
         return rows

@@ -11,7 +11,11 @@ class FoldError(SuppleError):
     """A stroke is strong enough to fold the picture over itself, and the fold policy is ``"error"``."""
 
 
-class FoldWarning(UserWarning):
+class MissWarning(UserWarning):
+    """A stroke's point ends more than half a pixel from its target."""
+
+
+class FoldWarning(MissWarning):
     """A stroke was too strong, and was damped so that nothing folds."""
 
 

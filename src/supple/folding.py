@@ -44,6 +44,9 @@ CLEARLY_SAFE = -0.5 * (1 - MARGIN)
 
 MOST_SUBSTROKES = 10_000
 
+NEAR = 0.5
+"""A stroke has arrived where its point is within so many samples of its target."""
+
 _SQUEEZED = 1e-5  # a sequence that leaves less of a length has lost too many digits to be undone
 _GAP = 0.002
 _FREE_GAP = 1e-9  # known once for all strokes of a kind
@@ -63,13 +66,19 @@ class Resolved:
         The part of the drag that was kept: 1, unless it was damped.
     margin : float
         A proven lower bound of λ_min(sym(I + J_β)), for every row and at every point.
+    arrived : tuple of float
+        Where the stroke's point is after it, in samples.
+    cause : str or None
+        What keeps it from its target: ``"fold"``, ``"border"``, both as ``"fold and border"``, or None.
     warning : str or None
-        What to warn with, if it was damped.
+        What to warn with, if it was damped, or if its point ends more than half a sample from its target.
     """
 
     rows: Table
+    arrived: tuple[float, ...]
     alpha: float = 1.0
     margin: float = 1.0
+    cause: str | None = None
     warning: str | None = None
 
     @property
@@ -86,14 +95,14 @@ def resolve(stroke: Stroke, domain: Domain, on_fold: FoldPolicy) -> Resolved:
     stroke : Stroke
     domain : Domain
     on_fold : str
-        ``"damp"`` scales a drag that folds to the largest that does not, within 0.2 %; ``"error"`` refuses
-        it. ``"flow"`` carries out any drag, as a sequence of strokes whose pivots move along with what is
-        held, until that is just where it should be: a fixed border does not hold it back either.
+        ``"flow"`` carries out any drag, as a sequence of strokes whose pivots move along with what is
+        held, until that is just where it should be: a fixed border does not hold it back either. ``"damp"`` scales a
+        drag that folds to the largest that does not, within 0.2 %; ``"error"`` refuses it.
 
     Raises
     ------
     FoldError
-        If it folds, and ``on_fold`` is ``"error"``.
+        If it folds, or the border holds it back by more than half a sample, and ``on_fold`` is ``"error"``.
     SuppleError
         If the stroke does not fit the domain; or, with ``"flow"``, if the fixed border keeps what is held
         from its target, or it would take more than `MOST_SUBSTROKES` strokes.
@@ -110,30 +119,47 @@ def _resolved(stroke: Stroke, domain: Domain, on_fold: FoldPolicy) -> Resolved:
 
 
 def _resolve(stroke: Stroke, domain: Domain, on_fold: FoldPolicy) -> Resolved:
-    table = pack([stroke], domain.spacing)
+    table = pack([stroke], domain.spacing, time=domain.time)
     axes = domain.packed()
+    target = tuple(a + b for a, b in zip(stroke.at, stroke.by, strict=True))
     if not table["force"].any():
-        return Resolved(table[:0])
+        return Resolved(table[:0], target)
     if on_fold == "flow":
-        return _flow(stroke, table[0], axes)
+        return _flow(stroke, stroke.material(time=domain.time), table[0], axes, target)
     lower, _ = weakest(table[0], axes)
-    if lower >= MARGIN - 1:
-        return Resolved(table, margin=1 + lower)
-    alpha = (1 - MARGIN) / -lower * (1 - 1e-14)
-    folds = f"{_described(stroke)} folds"
-    if on_fold == "error":
+    alpha = 1.0 if lower >= MARGIN - 1 else (1 - MARGIN) / -lower * (1 - 1e-14)
+    folds = alpha < 1
+    if folds and on_fold == "error":
         most = _shown(_cut(0.999 * alpha * x, 5) for x in stroke.by)
-        raise FoldError(f"{folds}: at most {most} does not (on_fold='flow' goes all the way)")
+        raise FoldError(f"{_described(stroke)} folds: at most {most} does not (on_fold='flow' goes all the way)")
     table["force"] *= alpha
-    warning = f"{folds}: damped to {_cut(alpha, 2):g} of it (use on_fold='flow' to go all the way)"
-    return Resolved(table, alpha, 1 + alpha * lower, warning)
+    # What is outside of a fixed border is no part of the picture: a brush only passes there.
+    beta = _beta(table[0]["pivot"], axes) if _held(table[0]["pivot"], axes) else np.ones(3)
+    parts = (alpha * beta).tolist()
+    arrived = tuple(a + part * b for a, b, part in zip(stroke.at, stroke.by, parts, strict=False))
+    short = math.dist(arrived, target)
+    held_back = any(b and part < alpha for b, part in zip(stroke.by, parts, strict=False))
+    cause = " and ".join(["fold"] * folds + ["border"] * held_back) or None
+    warning = None
+    if folds or short > NEAR:
+        distance = f"{short:.3g} {'pixels' if domain.ndim == 2 else 'samples'}"
+        border = "the fixed border holds it back" if held_back else ""
+        if folds:
+            why = f"folds: damped to {_cut(alpha, 2):g} of it{', and ' * held_back}{border}, it ends {distance} short"
+        else:
+            why = f"ends {distance} short: {border}"
+        helps = "on_fold='flow' goes all the way" + (", border=None frees the border" if held_back else "")
+        warning = f"{_described(stroke)} {why} ({helps})"
+        if on_fold == "error":
+            raise FoldError(warning)
+    return Resolved(table, arrived, alpha, 1 + alpha * lower, cause, warning)
 
 
-def _flow(stroke: Stroke, row: np.void, axes: Floats) -> Resolved:
+def _flow(stroke: Stroke, poisson: float, row: np.void, axes: Floats, arrived: tuple[float, ...]) -> Resolved:
     position, drag = row["pivot"].copy(), row["force"].copy()
     target = position + drag
     fixed = axes[:, 1] >= 0
-    held = bool(np.all(~fixed | ((position >= 0) & (position <= axes[:, 0]))))
+    held = _held(position, axes)
     if held and np.any(
         (drag != 0) & fixed & ((_beta(position, axes) < 1e-100) | (target <= 0) | (target >= axes[:, 0]))
     ):
@@ -143,7 +169,7 @@ def _flow(stroke: Stroke, row: np.void, axes: Floats) -> Resolved:
         )
     # What is outside of a fixed border is held by nothing; a brush only passes there.
     weights = axes if held else np.array([[0.0, -1.0, 1.0, 0.0]] * 3)
-    longest = (1 - _FLOW_MARGIN) * limit(stroke.poisson, stroke.scales, stroke.reach) * stroke.radius
+    longest = (1 - _FLOW_MARGIN) * limit(poisson, stroke.scales, stroke.reach) * stroke.radius
     refused = held and math.hypot(*drag.tolist()) > MOST_SUBSTROKES * longest
     rows: list[np.void] = []
     margin, pieces = 1.0, 2.0
@@ -171,7 +197,7 @@ def _flow(stroke: Stroke, row: np.void, axes: Floats) -> Resolved:
             f"{_described(stroke)} squeezes what lies before it more than {1 / _SQUEEZED:g} times, which could not be "
             "undone; use a larger radius, a target farther from a fixed border, or on_fold='damp'"
         )
-    return Resolved(table, margin=margin)
+    return Resolved(table, arrived, margin=margin)
 
 
 def _narrowest(table: Table, axes: Floats, start: Floats, drag: Floats) -> float:
@@ -187,6 +213,11 @@ def _narrowest(table: Table, axes: Floats, start: Floats, drag: Floats) -> float
         return 0.0
     n = 2 if axes[2, 0] == 0 and axes[2, 1] < 0 else 3  # of an image, only the plane counts
     return float(np.linalg.svd(jacobian[:, :n, :n], compute_uv=False).min())
+
+
+def _held(position: Floats, axes: Floats) -> bool:
+    """Whether a point is within the fixed faces, so that something is held there."""
+    return bool(np.all((axes[:, 1] < 0) | ((position >= 0) & (position <= axes[:, 0]))))
 
 
 def _beta(position: Floats, axes: Floats) -> Floats:

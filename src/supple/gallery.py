@@ -19,7 +19,7 @@ from supple.clips import ClipOptions, WarpedClip, open_clip
 from supple.console import as_options
 from supple.diagnostics import draw_sheet, draw_slice, plot
 from supple.engines import gpu_of
-from supple.errors import FoldWarning, SuppleError
+from supple.errors import MissWarning, SuppleError
 from supple.files import Warped, warp_file
 from supple.media.files import replacing, shown
 from supple.media.image import info, read, write
@@ -127,12 +127,12 @@ def _made(place: Path, shot: Shot, device: str, tell: Callable[[str], None]) -> 
 
 def _shot(place: Path, shot: Shot, device: str) -> str:
     with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always", FoldWarning)
+        warnings.simplefilter("always", MissWarning)
         made = warp_file(
             place / shot.source, place / shot.target, shot.recipe, outside=shot.outside, device=device, force=True
         )
     assert isinstance(made, Warped)
-    said = [as_options(str(w.message)) for w in caught if issubclass(w.category, FoldWarning)]
+    said = [as_options(str(w.message)) for w in caught if issubclass(w.category, MissWarning)]
     image = read(place / shot.source).pixels
     plots = []
     for what, text in _PLOTS.items():

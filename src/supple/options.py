@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from fractions import Fraction
 
     from supple.clips import ClipOptions
+    from supple.domain import Border
     from supple.strokes import Recipe, Stroke
 
 STROKES = Group("Strokes", sort_key=1)
@@ -35,20 +36,22 @@ class StrokeOptions:
     radius
         How far a grab is felt, in pixels, in volumes in millimetres. Like the next three: once for all, or for each.
     poisson
-        The material (default 0.4): 0.5 keeps areas, lower ones down to -inf squeeze more.
+        Poisson's ratio of the material (default 0.4): up to 0.5, which keeps volumes; -inf moves nothing sideways, and
+        is the default for a drag in time alone.
     scales
         How local a grab is: 1 (default) is felt far, 2 and 3 less and less.
     reach
-        How far a grab is felt at all, in radii, from 1 (4, say): what lies beyond keeps every bit. none (default): no
-        limit.
+        How far a grab is felt at all, in radii, from 1 (default 4): what lies beyond keeps every bit. none: no limit.
     recipe
         Strokes from a JSON file, which come before those of --grab.
     border
-        Width in pixels or millimetres (default 64) of the border that stays in place; none: the edges move too.
+        Width of the border in which movement fades, so that the edges stay in place: auto (default), a tenth of each
+        side; N or N,N in pixels, N,N,N with frames or in millimetres; none: the edges move too.
     border_profile
         How grabs fade towards the border: quartic (default), or sine, the paper's.
     on_fold
-        A grab that would fold the picture: damp it (default), let it flow there, or refuse it.
+        A grab that would fold the picture, or that the border holds back: flow to its target in smaller steps
+        (default), damp it, or refuse it (error).
     """
 
     grab: Annotated[
@@ -59,12 +62,12 @@ class StrokeOptions:
     scales: Annotated[list[str], Parameter(allow_leading_hyphen=True, metavar="1|2|3", show_default=False)] = ()  # type: ignore[assignment]
     reach: Annotated[list[str], Parameter(allow_leading_hyphen=True, metavar="R|none", show_default=False)] = ()  # type: ignore[assignment]
     recipe: Annotated[str | None, Parameter(metavar="FILE")] = None
-    border: Annotated[str | None, Parameter(allow_leading_hyphen=True, metavar="N|none")] = None
+    border: Annotated[str | None, Parameter(allow_leading_hyphen=True, metavar="auto|none|N|N,N")] = None
     border_profile: Annotated[
         Literal["quartic", "sine"] | None, Parameter(metavar="quartic|sine", show_choices=False)
     ] = None
     on_fold: Annotated[
-        Literal["damp", "flow", "error"] | None, Parameter(metavar="damp|flow|error", show_choices=False)
+        Literal["damp", "flow", "error"] | None, Parameter(metavar="flow|damp|error", show_choices=False)
     ] = None
 
     @property
@@ -86,23 +89,24 @@ class StrokeOptions:
             made = read_recipe(self.recipe)
         made = replace(made, strokes=(*made.strokes, *self._strokes()))
         if self.border is not None:
-            free = self.border.strip().lower() == "none"
-            made = replace(made, border=None if free else parse_number("--border", self.border, "a width, or none"))
+            made = replace(made, border=_border(self.border))
         if self.border_profile is not None:
             made = replace(made, border_profile=self.border_profile)
         return made if self.on_fold is None else replace(made, on_fold=self.on_fold)
 
     def _strokes(self) -> list[Stroke]:
-        from supple.strokes import Stroke
+        from supple.strokes import REACH, Stroke
 
         count = len(self.grab)
         if count and not self.radius:
             raise SuppleError("--grab needs a --radius: how far it is felt, in pixels or millimetres")
         radii = _spread("--radius", self.radius, count, "a number of pixels or millimetres above 0")
-        ratios = _spread("--poisson", self.poisson, count, "a number up to 0.5, or -inf") or [0.4] * count
+        ratios: list[float | None] = [None] * count
+        if self.poisson:
+            ratios = [*_spread("--poisson", self.poisson, count, "a number up to 0.5, or -inf")]
         scales = _spread("--scales", self.scales, count, "1, 2 or 3") or [1] * count
         wanted = "a number of radii from 1, or none"
-        reaches: list[float | None] = [None] * count
+        reaches: list[float | None] = [REACH] * count
         if self.reach:
             texts = ["inf" if x.strip().lower() == "none" else x for x in self.reach]
             read = _spread("--reach", texts, count, wanted)
@@ -237,6 +241,17 @@ def parse_integer(name: str, text: str, wanted: str) -> int:
         return int(text)
     except ValueError:
         raise SuppleError(f"{name} must be {wanted}, found {text!r}") from None
+
+
+def _border(text: str) -> Border:
+    """Read the border's width from the command line."""
+    word = text.strip().lower()
+    if word in ("auto", "none"):
+        return "auto" if word == "auto" else None
+    widths = tuple(
+        parse_number("--border", part, "auto, none, a width, or one for each axis") for part in text.split(",")
+    )
+    return widths[0] if len(widths) == 1 else widths
 
 
 def _rate(text: str) -> float | Fraction:

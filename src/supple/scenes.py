@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from supple.domain import BORDER
+from supple.domain import Border
 from supple.strokes import FoldPolicy, Recipe, Stroke
 
 DISTANCE = 480
@@ -29,7 +29,7 @@ class Shot:
         The photograph, the clip, or the volume.
     grabs : tuple of (x, y, x, y, radius), or (x, y, t, x, y, t, radius), or with z for t
     scales : int
-    border : float or None
+    border : "auto", float, sequence of float or None
     on_fold : str
     outside : str
     cut : int
@@ -41,8 +41,8 @@ class Shot:
     source: str
     grabs: tuple[tuple[int, ...], ...]
     scales: int = 1
-    border: float | None = BORDER
-    on_fold: FoldPolicy = "damp"
+    border: Border = "auto"
+    on_fold: FoldPolicy = "flow"
     outside: str = "edge"
     cut: int = 50
 
@@ -80,9 +80,9 @@ class Shot:
         found = []
         if self.scales != 1:
             found.append(f"--scales {self.scales}")
-        if self.border != BORDER:
-            found.append(f"--border {'none' if self.border is None else format(self.border, 'g')}")
-        if self.on_fold != "damp":
+        if self.border != "auto":
+            found.append(f"--border {'none' if self.border is None else self.border}")
+        if self.on_fold != "flow":
             found.append(f"--on-fold {self.on_fold}")
         if self.outside != "edge":
             found.append(f"--outside {self.outside}")

@@ -14,8 +14,8 @@ import numpy as np
 import numpy.typing as npt
 
 from supple.domain import (
-    BORDER,
     LARGEST,
+    Border,
     BorderProfile,
     check_border_profile,
     checked_border,
@@ -34,6 +34,8 @@ FoldPolicy = Literal["damp", "flow", "error"]
 Point = Sequence[float] | npt.NDArray[Any]
 
 VERSION = 2
+REACH = 4.0  # looks as natural as no limit, and leaves all beyond it alone
+POISSON = 0.4
 
 STROKE_DTYPE = np.dtype(
     [
@@ -69,12 +71,14 @@ class Stroke:
         How far it is dragged, in samples; as many numbers.
     radius : float
         The brush's radius, in physical units.
-    poisson : float
-        The material's Poisson ratio, at most 0.5 (incompressible); ``-inf`` is allowed.
+    poisson : float or None
+        The material's Poisson ratio, at most 0.5 (incompressible); ``-inf`` is allowed. None: 0.4; but ``-inf``, which
+        moves nothing sideways, for a drag along time alone.
     scales : int
         1 is felt farthest (fading as 1/r), 2 fades as 1/r³, 3 as 1/r⁵.
     reach : float or None
-        How far it is felt at all, in radii from 1: beyond, nothing moves, exactly. None: without limit.
+        How far it is felt at all, in radii from 1: beyond, nothing moves, exactly. None: without limit, as the
+        paper has it.
     brush : str
         ``"grab"``.
     hidden : bool
@@ -84,9 +88,9 @@ class Stroke:
     at: tuple[float, ...]
     by: tuple[float, ...]
     radius: float
-    poisson: float = 0.4
+    poisson: float | None = None
     scales: int = 1
-    reach: float | None = None
+    reach: float | None = REACH
     brush: Brush = "grab"
     hidden: bool = False
 
@@ -99,7 +103,9 @@ class Stroke:
             "at": at,
             "by": point("by", self.by, (len(at),)),
             "radius": length("radius", self.radius),
-            "poisson": number("poisson", self.poisson, "a number up to 0.5, or -inf", -math.inf, 0.5),
+            "poisson": None
+            if self.poisson is None
+            else number("poisson", self.poisson, "a number up to 0.5, or -inf", -math.inf, 0.5),
             "scales": integer("scales", self.scales, "1, 2 or 3", 1, 3),
             "reach": _checked_reach(self.reach),
         }
@@ -114,9 +120,9 @@ class Stroke:
         to: Point | None = None,
         by: Point | None = None,
         radius: float,
-        poisson: float = 0.4,
+        poisson: float | None = None,
         scales: int = 1,
-        reach: float | None = None,
+        reach: float | None = REACH,
     ) -> Self:
         """Grab what is ``at`` a point and drag it ``to`` another, or ``by`` a distance."""
         start = point("at", at)
@@ -134,6 +140,12 @@ class Stroke:
         """How many coordinates its points have: 2 or 3."""
         return len(self.at)
 
+    def material(self, *, time: bool = False) -> float:
+        """Return the Poisson ratio that is carried out, where the third axis is ``time`` or is not."""
+        if self.poisson is not None:
+            return self.poisson
+        return -math.inf if time and not any(self.by[:2]) else POISSON
+
 
 def _checked_reach(reach: object) -> float | None:
     if reach is None:
@@ -147,19 +159,20 @@ class Recipe:
 
     Parameters
     ----------
-    border : float or None
-        The width of the fixed border, in physical units; None frees it.
+    border : "auto", float, sequence of float or None
+        The width of the fixed border, as `Domain` takes it.
     border_profile : str
         How movement fades towards it: ``"quartic"``, or the paper's ``"sine"``.
     on_fold : str
-        What is done with a stroke that would fold the picture: ``"damp"``, ``"flow"`` or ``"error"``.
+        What is done with a stroke that would fold the picture, or that the border holds back: ``"flow"``, ``"damp"``
+        or ``"error"``.
     strokes : iterable of Stroke
         In the order in which they are applied, all with as many coordinates. Hidden ones are kept, and not applied.
     """
 
-    border: float | None = BORDER
+    border: Border = "auto"
     border_profile: BorderProfile = "quartic"
-    on_fold: FoldPolicy = "damp"
+    on_fold: FoldPolicy = "flow"
     strokes: tuple[Stroke, ...] = ()
 
     def __post_init__(self) -> None:
@@ -180,7 +193,7 @@ class Recipe:
         """The recipe as strict JSON, one stroke a line, from which `from_json` makes an equal one."""
         head = {
             "supple": VERSION,
-            "border": _plain(self.border),
+            "border": list(map(_plain, self.border)) if isinstance(self.border, tuple) else _plain(self.border),
             "border_profile": self.border_profile,
             "on_fold": self.on_fold,
         }
@@ -212,15 +225,15 @@ class Recipe:
         version = integer('"supple"', data.pop("supple"), "1 or 2 (the versions that this release reads)", 1, VERSION)
         _check_keys("the recipe", data, _known(cls, version), ["strokes"])
         if version == 1:
-            data = {"border": 50.0, **data, "border_profile": "sine"}
+            data = {"border": 50.0, "on_fold": "damp", **data, "border_profile": "sine"}
         if not isinstance(data["strokes"], list):
             refuse("strokes", "a list", data["strokes"])
         data["strokes"] = [_stroke(f"strokes[{i}]", entry, version) for i, entry in enumerate(data["strokes"])]
         return cls(**data)
 
 
-def _plain(x: float | None) -> float | None:
-    if x is None or not x.is_integer() or abs(x) >= 2**53 or (x == 0 and math.copysign(1, x) < 0):
+def _plain(x: float | str | None) -> float | str | None:
+    if not isinstance(x, float) or not x.is_integer() or abs(x) >= 2**53 or (x == 0 and math.copysign(1, x) < 0):
         return x
     return int(x)
 
@@ -230,17 +243,19 @@ def _dump(value: object) -> str:
 
 
 def _stroke_entry(stroke: Stroke) -> dict[str, object]:
-    return {
+    entry: dict[str, object] = {
         "brush": stroke.brush,
         "at": [_plain(x) for x in stroke.at],
         "by": [_plain(x) for x in stroke.by],
         "radius": _plain(stroke.radius),
-        "poisson": "-inf" if stroke.poisson == -math.inf else _plain(stroke.poisson),
         "scales": stroke.scales,
-        # Only where they are not as by default: others are written as they always were.
-        **({} if stroke.reach is None else {"reach": _plain(stroke.reach)}),
-        **({"hidden": True} if stroke.hidden else {}),
+        "reach": _plain(stroke.reach),
     }
+    if stroke.poisson is not None:
+        entry["poisson"] = "-inf" if stroke.poisson == -math.inf else _plain(stroke.poisson)
+    if stroke.hidden:
+        entry["hidden"] = True
+    return entry
 
 
 def _known(made: type[Recipe | Stroke], version: int) -> list[str]:
@@ -252,6 +267,8 @@ def _stroke(where: str, entry: object, version: int) -> Stroke:
     if not isinstance(entry, dict):
         refuse(where, "a JSON object", entry)
     _check_keys(where, entry, _known(Stroke, version), ["brush", "at", "by", "radius"])
+    if version == 1:
+        entry = {"poisson": POISSON, **entry, "reach": None}
     if entry.get("poisson") == "-inf":
         entry["poisson"] = -math.inf
     try:
@@ -303,7 +320,7 @@ def _parse_int(digits: str) -> float:
     return int(digits) if len(digits) < 100 else float(digits)
 
 
-def pack(strokes: Iterable[Stroke], spacing: Sequence[float]) -> npt.NDArray[np.void]:
+def pack(strokes: Iterable[Stroke], spacing: Sequence[float], *, time: bool = False) -> npt.NDArray[np.void]:
     """The strokes as the table that the engines read.
 
     With ``d = point - pivot`` and ``rho_i² = |d|² + radius2_i``, a row stands for the displacement
@@ -315,6 +332,8 @@ def pack(strokes: Iterable[Stroke], spacing: Sequence[float]) -> npt.NDArray[np.
     strokes : iterable of Stroke
     spacing : sequence of float
         Physical units per sample, x first; as many as the strokes have coordinates.
+    time : bool
+        Whether the third axis is time.
 
     Returns
     -------
@@ -330,7 +349,7 @@ def pack(strokes: Iterable[Stroke], spacing: Sequence[float]) -> npt.NDArray[np.
         row["pivot"][:n] = np.multiply(stroke.at, spacing)
         row["force"][:n] = np.multiply(stroke.by, spacing)
         row["terms"] = stroke.scales
-        row["radius2"], row["p"], row["q"], row["r"] = _terms(stroke.radius, stroke.poisson, stroke.scales)
+        row["radius2"], row["p"], row["q"], row["r"] = _terms(stroke.radius, stroke.material(time=time), stroke.scales)
         row["reach"] = math.inf if stroke.reach is None else stroke.reach * stroke.radius
     return table
 

@@ -239,7 +239,7 @@ def _grid(deformation: Deformation, below: Background) -> Figure:
         bent = LineCollection(lines, colors="white", linewidths=0.8, alpha=0.9)
         bent.set_path_effects([withStroke(linewidth=1.8, foreground=(0, 0, 0, 0.45))])
     else:
-        still = measure.grid(Deformation(deformation.shape, spacing=deformation.domain.spacing))
+        still = measure.grid(deformation.without_strokes())
         axes.add_collection(LineCollection([x[[0, -1]] for x in still], colors="#d9d9d9", linewidths=0.6))
         bent = LineCollection(lines, colors=_BLUE, linewidths=0.9)
     axes.add_collection(bent)

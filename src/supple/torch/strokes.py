@@ -11,7 +11,8 @@ import torch
 
 from supple.deformation import Deformation
 from supple.domain import refuse
-from supple.errors import FoldWarning, SuppleError
+from supple.errors import FoldWarning, MissWarning, SuppleError
+from supple.strokes import Stroke
 from supple.torch.field import Axis, Strokes
 
 
@@ -62,10 +63,15 @@ class Item:
             for given, known in zip((self.at, self.by, self.radius), numbers, strict=True)
         )
         kinds = [
-            (part, 1 / (4 * (1 - stroke.poisson)), stroke.scales, math.inf if stroke.reach is None else stroke.reach)
+            (part, _ratio(stroke, d), stroke.scales, math.inf if stroke.reach is None else stroke.reach)
             for part, stroke in zip(d.resolution()["damping"], d.strokes, strict=True)
         ]
         return Strokes(at, by, radius, kinds, axes, flows)
+
+
+def _ratio(stroke: Stroke, d: Deformation) -> float:
+    """b/a of a stroke's kelvinlet."""
+    return 1 / (4 * (1 - stroke.material(time=d.domain.time)))
 
 
 def items(
@@ -138,20 +144,15 @@ def _rebuilt(
         return d
     given = {"at": at, "by": by, "radius": radius}
     columns = {name: x.detach().to("cpu", torch.float64).tolist() for name, x in given.items() if x is not None}
-    made = Deformation(
-        d.shape,
-        border=d.domain.border,
-        border_profile=d.domain.border_profile,
-        spacing=d.domain.spacing,
-        on_fold=d.on_fold,
-    )
+    made = d.without_strokes()
     for i, stroke in enumerate(d.strokes):
         try:
             made = made.add(replace(stroke, **{name: rows[i] for name, rows in columns.items()}), warn=False)
         except SuppleError as error:
             raise type(error)(f"stroke {i + 1} of {len(d.strokes)}: {error}") from None
-    for text in filter(None, made.fold_warnings):
-        warnings.warn(text, FoldWarning, stacklevel=4)
+    for text, part in zip(made.warnings, made.resolution()["damping"], strict=True):
+        if text:
+            warnings.warn(text, FoldWarning if part < 1 else MissWarning, stacklevel=4)
     return made
 
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
-from supple.deformation import Deformation
-from supple.domain import integer, refuse
+from supple.deformation import Arrival, Deformation
+from supple.domain import Border, integer, refuse
 from supple.errors import SuppleError
 from supple.strokes import FoldPolicy, Recipe, Stroke
 from supple.viewer.history import History
@@ -56,7 +56,7 @@ class Document:
         self._now = self._medium.solve(State.of(self._fitting(recipe or Recipe())))
         self._history = History(self._now.state)
         self._saved = self._now.state.content
-        self._parts: tuple[Solved | None, tuple[float, ...]] = (None, ())
+        self._arrivals: tuple[Solved | None, tuple[Arrival | None, ...]] = (None, ())
 
     @property
     def state(self) -> State:
@@ -84,26 +84,26 @@ class Document:
         return self._now.state.recipe
 
     @property
-    def dampings(self) -> tuple[float, ...]:
-        """The part of each stroke that is applied: 1 unless it is damped, or hidden."""
-        if self._parts[0] is not self._now:
-            parts = iter(self.deformation.resolution()["damping"])
-            self._parts = self._now, tuple(1.0 if item.hidden else float(next(parts)) for item in self.items)
-        return self._parts[1]
+    def arrivals(self) -> tuple[Arrival | None, ...]:
+        """Where each stroke's point was to go, and where it is; None for hidden ones."""
+        if self._arrivals[0] is not self._now:
+            known = iter(self.deformation.arrivals)
+            self._arrivals = self._now, tuple(None if item.hidden else next(known) for item in self.items)
+        return self._arrivals[1]
 
-    def damping(self, i: int) -> float:
-        """The part of a stroke that is applied."""
-        return self.dampings[self._checked(i)]
+    def arrival(self, i: int) -> Arrival | None:
+        """Where a stroke's point was to go, and where it is; None if the stroke is hidden."""
+        return self.arrivals[self._checked(i)]
 
     def warning(self, i: int) -> str | None:
-        """What there is to say of a stroke that is damped."""
+        """What there is to say of a stroke that misses its target."""
         known = self._nth(i)
-        return None if known is None else self.deformation.fold_warnings[known]
+        return None if known is None else self.deformation.warnings[known]
 
     def handles(self, i: int) -> tuple[tuple[float, ...], tuple[float, ...]]:
-        """Where a stroke takes hold, and where it is dragged to as far as it is applied: at and at + by·damping."""
-        part, stroke = self.damping(i), self.items[i].stroke
-        return stroke.at, tuple(a + part * b for a, b in zip(stroke.at, stroke.by, strict=True))
+        """Where a stroke takes hold, and where its point arrives; of a hidden one, where it was to go."""
+        found, stroke = self.arrival(i), self.items[i].stroke
+        return stroke.at, found.arrived if found else tuple(a + b for a, b in zip(stroke.at, stroke.by, strict=True))
 
     def add(self, stroke: Stroke) -> int:
         """Apply one more stroke on what is seen, and select it; return its number."""
@@ -135,8 +135,8 @@ class Document:
         item = replace(self.items[i], hidden=bool(hidden))
         self._edit(self.state.with_item(i, item))
 
-    def set_border(self, border: float | None) -> None:
-        """Give the fixed border another width, in physical units; None frees it."""
+    def set_border(self, border: Border) -> None:
+        """Give the fixed border another width, as `Domain` takes it."""
         self._edit(replace(self.state, border=Recipe(border=border).border))
 
     def set_on_fold(self, on_fold: FoldPolicy) -> None:

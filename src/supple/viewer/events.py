@@ -10,7 +10,7 @@ from typing import Any, Generic
 
 from supple.errors import SuppleError
 from supple.picture import Pick
-from supple.strokes import Stroke
+from supple.strokes import REACH, Stroke
 from supple.viewer.document import Document
 from supple.viewer.gestures import Handle, Held, Lead, Pair, V, handles, nearest, radii
 
@@ -46,8 +46,9 @@ class Tools(ABC, Generic[V]):
         self.view = view
         low, self._radius, high = radii(document)
         self.radius_limits = (low, high)
-        self.poisson = 0.4
+        self.poisson: float | None = None
         self.scales = 1
+        self.reach: float | None = REACH
         self.original = False
         """Whether what is shown is the original, without strokes."""
         self.split: float | None = None
@@ -185,7 +186,9 @@ class Tools(ABC, Generic[V]):
             return None
         point, pick = under
         still = (0.0,) * len(point)
-        stroke = Stroke(at=point, by=still, radius=self.radius, poisson=self.poisson, scales=self.scales)
+        stroke = Stroke(
+            at=point, by=still, radius=self.radius, poisson=self.poisson, scales=self.scales, reach=self.reach
+        )
         return Held(stroke, stroke.at, (x, y), (x, y), pick=pick)
 
     def handles(self, among: Iterable[int] | None = None) -> list[Handle]:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 from imgui_bundle import imgui
 
+from supple.folding import NEAR
 from supple.viewer.panels import BAR, LINE, hint
 from supple.viewer.playback import Playback
 from supple.viewer.stages import VideoStage, VolumeStage
@@ -70,18 +71,17 @@ def _handles(view: View, lines: imgui.ImDrawList) -> None:
     assert isinstance(tools, ImageTools)
     document, zoom = view.document, tools.viewport.zoom
     left, top = tools.viewport.to_canvas(0.0, 0.0)
-    for i, (item, part) in enumerate(zip(document.items, document.dampings, strict=True)):
+    for i, (item, arrival) in enumerate(zip(document.items, document.arrivals, strict=True)):
         selected = document.selected == i
-        if item.hidden or (not selected and len(document.items) > 60):
+        if arrival is None or (not selected and len(document.items) > 60):
             continue
         stroke = item.stroke
         start = left + zoom * stroke.at[0], top + zoom * stroke.at[1]
-        way = zoom * stroke.by[0], zoom * stroke.by[1]
-        end = start[0] + part * way[0], start[1] + part * way[1]
+        end = left + zoom * arrival.arrived[0], top + zoom * arrival.arrived[1]
         colour = _BLUE if selected else 0x90FFFFFF
         if isinstance(view.stage, VideoStage):
             # Of another frame, they are faint, and cannot be taken.
-            there = [abs(t - view.frame) <= 0.5 for t in (stroke.at[2], stroke.at[2] + part * stroke.by[2])]
+            there = [abs(t - view.frame) <= 0.5 for t in (stroke.at[2], arrival.arrived[2])]
             if not all(there):
                 for place, seen in zip((start, end), there, strict=True):
                     if seen or selected:
@@ -91,9 +91,8 @@ def _handles(view: View, lines: imgui.ImDrawList) -> None:
         lines.add_line(start, end, colour, 1.5)
         lines.add_circle_filled(start, 3.0, colour)
         lines.add_circle(end, 5.0, colour, 0, 2.0)
-        if part < 0.995:
-            # As far as was wanted, and is not reached.
-            wanted = start[0] + way[0], start[1] + way[1]
+        if arrival.miss > NEAR:
+            wanted = left + zoom * arrival.target[0], top + zoom * arrival.target[1]
             lines.add_line(end, wanted, _RED, 1.5)
             lines.add_circle(wanted, 4.0, _RED, 0, 1.5)
         if selected:
@@ -116,9 +115,9 @@ def _marks(view: View, lines: imgui.ImDrawList) -> None:
         colour = _BLUE if view.document.selected == handle.item else 0x90FFFFFF
         if handle.part == "end":
             lines.add_circle(handle.seen, 5.0, colour, 0, 2.0)
-            stroke = document.items[handle.item].stroke
-            wanted = tools.stage.project(tools.view, tuple(map(sum, zip(stroke.at, stroke.by, strict=True))))
-            if wanted is not None and document.damping(handle.item) < 0.995:
+            arrival = document.arrival(handle.item)
+            wanted = tools.stage.project(tools.view, arrival.target) if arrival and arrival.miss > NEAR else None
+            if wanted is not None:
                 lines.add_line(handle.seen, wanted[:2], _RED, 1.5)
                 lines.add_circle(wanted[:2], 4.0, _RED, 0, 1.5)
         else:

@@ -146,10 +146,7 @@ class Painter:
 
     def _plain(self, deformation: Deformation) -> Deformation:
         if self._untouched is None:
-            domain = deformation.domain
-            self._untouched = Deformation(
-                domain.shape, border=domain.border, border_profile=domain.border_profile, spacing=domain.spacing
-            )
+            self._untouched = deformation.without_strokes()
         return self._untouched
 
     def _texture(self, name: str, size: tuple[int, int]) -> Any:

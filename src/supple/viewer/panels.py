@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
 from imgui_bundle import imgui
 
-from supple.domain import BORDER, Domain, border_factor
+from supple.deformation import Arrival
+from supple.folding import NEAR
 from supple.gpu.plate import OVERLAYS
-from supple.strokes import FoldPolicy, Stroke
+from supple.strokes import POISSON, REACH, FoldPolicy, Stroke
 from supple.transfer import PRESETS
 from supple.viewer.stages import VolumeStage
 
@@ -21,9 +22,11 @@ if TYPE_CHECKING:
 
 WIDE = 300  # logical pixels
 BAR, LINE = 44, 24  # and of the timeline and the status line below
-REACHES = ("far, as 1/r", "nearer, as 1/r3", "near, as 1/r5")
+CAUSES = {"fold": "all of it would fold", "border": "the fixed border holds it back"}
+CAUSES["fold and border"] = f"{CAUSES['fold']}, and {CAUSES['border']}"
+FALLOFFS = ("far, as 1/r", "nearer, as 1/r3", "near, as 1/r5")
 _POLICIES = get_args(FoldPolicy)
-_SAYS = {"damp": "damp what would fold", "flow": "flow, in smaller steps", "error": "refuse"}
+_SAYS = {"damp": "damp what would fold", "flow": "arrive, in smaller steps", "error": "refuse"}
 
 
 def panel(view: View) -> None:
@@ -60,13 +63,30 @@ def _brush(view: View) -> None:
     if changed:
         tools.radius = value
     hint("How far a drag is felt (wheel, or [ and ])")
-    changed, value = imgui.slider_float("Poisson", max(tools.poisson, -1.0), -1.0, 0.5, "%.2f")
+    changed, value = imgui.slider_float(
+        "Poisson", POISSON if tools.poisson is None else max(tools.poisson, -1.0), -1.0, 0.5, "%.2f"
+    )
     if changed:
         tools.poisson = value
-    hint("0.5 keeps areas and volumes; less lets them shrink and grow")
-    changed, index = imgui.combo("reach", tools.scales - 1, list(REACHES))
+    hint("0.5 keeps volumes; less lets them shrink and grow")
+    changed, index = imgui.combo("falloff", tools.scales - 1, list(FALLOFFS))
     if changed:
         tools.scales = index + 1
+    changed, tools.reach = _reach(tools.reach, "")
+
+
+def _reach(reach: float | None, of: str) -> tuple[bool, float | None]:
+    """Whether a reach is limited, and how far it goes; and whether that was changed."""
+    changed, limited = imgui.checkbox(f"limited{of}", reach is not None)
+    hint("Beyond its reach, nothing moves at all")
+    if changed:
+        return True, REACH if limited else None
+    if reach is None:
+        return False, None
+    imgui.same_line()
+    imgui.set_next_item_width(WIDE - 110 - 110)
+    changed, value = imgui.slider_float(f"reach{of}", reach, 1.0, 10.0, "%.1f radii")
+    return changed, max(float(value), 1.0) if changed else reach
 
 
 def _strokes(view: View) -> None:
@@ -106,21 +126,32 @@ def _row(view: View, i: int, item: Item, selected: bool) -> None:
     if changed:
         view.attempt(lambda: document.hide(i, not seen))
     imgui.same_line()
-    damping = document.dampings[i]
-    text = _said(item.stroke) + (f"  {damping:.0%}" if damping < 0.995 else "")
+    arrival = document.arrivals[i]
+    text = _said(item.stroke) + (f"  {arrival.miss:.3g} short" if arrival and arrival.miss > NEAR else "")
     if imgui.selectable(text, selected)[0]:
         view.attempt(lambda: document.select(None if selected else i))
-    hint(lambda: described(item.stroke, damping))
+    hint(lambda: described(item.stroke, arrival))
     imgui.pop_id()
 
 
-def described(stroke: Stroke, damping: float) -> str:
-    """All that a stroke is, in a few lines."""
-    at, by = (", ".join(f"{v:.1f}" for v in values) for values in (stroke.at, stroke.by))
-    said = f"{stroke.brush} at ({at})\nby ({by})\nradius {stroke.radius:.4g}, Poisson ratio {stroke.poisson:.3g}"
-    said += f"\nreach: {REACHES[stroke.scales - 1]}"
-    if damping < 0.995:
-        said += f"\ndamped to {damping:.0%}, so that nothing folds: flow below carries it out whole"
+def described(stroke: Stroke, arrival: Arrival | None) -> str:
+    """All that a stroke is, and where its point arrives, in a few lines."""
+
+    def place(values: Iterable[float]) -> str:
+        return f"({', '.join(f'{v:.1f}' for v in values)})"
+
+    said = f"{stroke.brush} at {place(stroke.at)}\nby {place(stroke.by)}\nradius {stroke.radius:.4g}"
+    if stroke.poisson is not None:
+        said += f", Poisson ratio {stroke.poisson:.3g}"
+    said += f"\nfalloff: {FALLOFFS[stroke.scales - 1]}"
+    said += "\nreach: no limit" if stroke.reach is None else f"\nreach: {stroke.reach:.3g} radii"
+    if arrival is None:
+        return said
+    said += f"\narrives at {place(arrival.arrived)}"
+    if arrival.miss > NEAR:
+        said += f", {arrival.miss:.3g} short: {CAUSES[arrival.cause or 'border']}"
+    if arrival.moved > NEAR:
+        said += f"\nlater strokes move it by {arrival.moved:.3g}, to {place(arrival.final)}"
     return said
 
 
@@ -151,29 +182,27 @@ def _selected(view: View) -> None:
         entered, value = _typed(view, "radius##own", stroke.radius, "%.2f")
         if entered:
             made["radius"] = value
-        entered, value = _typed(view, "Poisson##own", stroke.poisson, "%.3f")
+        entered, value = _typed(view, "Poisson##own", POISSON if stroke.poisson is None else stroke.poisson, "%.3f")
         if entered:
             made["poisson"] = value
-        changed, index = imgui.combo("reach##own", stroke.scales - 1, ["far", "nearer", "near"])
+        changed, index = imgui.combo("falloff##own", stroke.scales - 1, ["far", "nearer", "near"])
         if changed:
             made["scales"] = index + 1
+        changed, reach = _reach(stroke.reach, "##own")
+        if changed:
+            made["reach"] = reach
         if made:
             view.attempt(lambda: document.replace(i, replace(stroke, **made)))
-        damping = document.dampings[i]
-        if damping < 0.995:
-            imgui.text_disabled(f"Damped to {damping:.0%} of it.")
-            imgui.same_line()
-            if imgui.small_button("flow: all of it"):
-                view.attempt(lambda: document.set_on_fold("flow"))
-            hint("In smaller steps, none of which folds: for all strokes")
-        state = document.state
-        held = held_back(stroke, Domain(view.stage.shape, view.stage.spacing, state.border, state.border_profile))
-        if held < 0.5:
+        arrival = document.arrivals[i]
+        if arrival is not None and arrival.miss > NEAR:
             imgui.push_text_wrap_pos(0.0)
-            imgui.text_disabled(
-                f"The fixed border lets {held:.0%} of it through: begin further in, or free the border."
-            )
+            imgui.text_disabled(f"It ends {arrival.miss:.3g} short: {CAUSES[arrival.cause or 'border']}.")
             imgui.pop_text_wrap_pos()
+            if imgui.small_button("arrive, in smaller steps"):
+                view.attempt(lambda: document.set_on_fold("flow"))
+            hint("None of them folds: for all strokes")
+        if arrival is not None and arrival.moved > NEAR:
+            imgui.text_disabled(f"Later strokes move it by {arrival.moved:.3g}.")
         for label, step in (("earlier", -1), ("later", 1)):
             if imgui.small_button(label) and 0 <= i + step < len(document.state.items):
                 view.attempt(lambda step=step: document.move(i, i + step))  # type: ignore[misc]
@@ -188,8 +217,13 @@ def _selected(view: View) -> None:
     border = document.state.border
     changed, fixed = imgui.checkbox("fixed border", border is not None)
     if changed:
-        view.attempt(lambda: document.set_border(BORDER if fixed else None))
+        view.attempt(lambda: document.set_border("auto" if fixed else None))
     if border is not None:
+        changed, tenth = imgui.checkbox("a tenth of each side", border == "auto")
+        if changed:
+            widths = document.deformation.domain.border_widths or (1.0,)
+            view.attempt(lambda: document.set_border("auto" if tenth else max(min(widths), 1.0)))
+    if isinstance(border, float):
         entered, value = _typed(view, "its width", border, "%.1f")
         if entered:
             view.attempt(lambda: document.set_border(value))
@@ -202,18 +236,6 @@ def _typed(view: View, label: str, value: float, form: str) -> tuple[bool, float
         view.typed[label] = now
     over = imgui.is_item_deactivated_after_edit() and label in view.typed
     return over, view.typed.pop(label) if over else value
-
-
-def held_back(stroke: Stroke, domain: Domain) -> float:
-    """How much of a stroke a fixed border lets through where it takes hold: the least along any axis that it moves."""
-    if domain.border is None:
-        return 1.0
-    least = 1.0
-    for at, by, (extent, _, step, profile) in zip(stroke.at, stroke.by, domain.packed(), strict=False):
-        if by:
-            away = min(at * step, extent - at * step)
-            least = min(least, float(border_factor(away / domain.border, profile)))
-    return least
 
 
 _ENTER = imgui.InputTextFlags_.enter_returns_true

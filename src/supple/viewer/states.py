@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Literal, Self
 
 from supple.deformation import Deformation
-from supple.domain import BORDER, BorderProfile, refuse
+from supple.domain import Border, BorderProfile, refuse
 from supple.errors import SuppleError
 from supple.strokes import FoldPolicy, Recipe, Stroke
 
@@ -50,7 +50,7 @@ class State:
     ----------
     items : tuple of Item
         In the order in which they are applied.
-    border : float or None
+    border : "auto", float, sequence of float or None
     border_profile : str
     on_fold : str
     selected : int or None
@@ -58,9 +58,9 @@ class State:
     """
 
     items: tuple[Item, ...] = ()
-    border: float | None = BORDER
+    border: Border = "auto"
     border_profile: BorderProfile = "quartic"
-    on_fold: FoldPolicy = "damp"
+    on_fold: FoldPolicy = "flow"
     selected: int | None = None
 
     @classmethod
@@ -119,6 +119,7 @@ class Medium:
             border=state.border,
             border_profile=state.border_profile,
             spacing=self.spacing,
+            time=self.kind == "video" and len(self.shape) == 3,
             on_fold=state.on_fold,
         )
         if not chain or (chain[0].domain, chain[0].on_fold) != (empty.domain, empty.on_fold):
