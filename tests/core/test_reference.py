@@ -36,6 +36,8 @@ def places(domain: Domain, count: int = 300, beyond: float = 0.0, seed: int = 0)
 DOMAINS: list[Domain] = [
     Domain((40, 45), border=None),
     Domain((40, 45), border=12.0),
+    Domain((40, 45)),
+    Domain((30, 40, 45), border=(4.0, 15.0, 9.0)),
     Domain((40, 45), spacing=(1.0, 1.7), border=100.0, border_profile="sine"),
     Domain((30, 40, 45), border=None),
     Domain((30, 40, 45), spacing=(0.8, 1.0, 1.3), border=9.0),
