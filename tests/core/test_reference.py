@@ -23,7 +23,9 @@ def strokes_of(ndim: int, **options: Any) -> list[Stroke]:
     drags = np.array([[3.1, -2.7, 1.4], [-1.5, 1.73, -1.61], [0.7, 0.9, 1.3]])[:, :ndim]
     places = np.array([[20.3, 17.7, 14.2], [31.3, 6.9, 9.4], [7.7, 29.5, 20.2]])[:, :ndim]
     return [
-        Stroke.grab(at, by=by, radius=9.0 - i, scales=i + 1, poisson=(0.4, 0.5, -math.inf)[i], **options)
+        Stroke.grab(
+            at, by=by, radius=9.0 - i, scales=i + 1, poisson=(0.4, 0.5, -math.inf)[i], **{"reach": None, **options}
+        )
         for i, (at, by) in enumerate(zip(places, drags, strict=True))
     ]
 
