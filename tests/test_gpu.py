@@ -39,7 +39,7 @@ def bent(
     rng = np.random.default_rng(seed)
     size = np.array(shape[::-1]) - 1.0
     reach = rest.pop("reach", None)
-    d = supple.Deformation(shape, border=border, spacing=spacing, **rest)
+    d = supple.Deformation(shape, border=border, spacing=spacing, **{"on_fold": "damp", **rest})
     for _ in range(count):
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", FoldWarning)
