@@ -203,6 +203,16 @@ def into_tiff(path: str | os.PathLike[str], block: bytes, width: int, height: in
         file.write(form.bytes(place, form.word))
 
 
+def tag_of(path: str | os.PathLike[str], tag: int) -> int:
+    """Return a small number that the first folder of a TIFF holds; 0 where it does not."""
+    with open(path, "rb") as file:
+        reader = _Reader(file)
+        for entry in reader.entries(reader.first)[0]:
+            if reader.form.number(entry[:2]) == tag and (value := reader.value(entry)) is not None:
+                return reader.form.number(value.data[:2])
+    return 0
+
+
 def _parsed(block: bytes) -> tuple[_Folder, _Form, bool]:
     reader = _Reader(io.BytesIO(block.removeprefix(_PREFIX)))
     return reader.folder(reader.first), reader.form, reader.whole

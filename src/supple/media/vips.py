@@ -15,8 +15,9 @@ import numpy as np
 import pyvips
 
 from supple.errors import SuppleError
+from supple.media.exif import tag_of
 from supple.media.files import shown
-from supple.media.formats import DTYPES, Array
+from supple.media.formats import DTYPES, Array, wrapped
 
 T = TypeVar("T")
 PathLike = str | os.PathLike[str]
@@ -36,6 +37,8 @@ _LOADERS = {
     "ppm": "PNM",
     "openexr": "OpenEXR",
 }
+_COMPRESSION, _PHOTOMETRIC = 259, 262  # tags of TIFF
+_YCBCR, _JPEGS = 6, (6, 7)
 _MAGIC = (b"\x89PNG", b"\xff\xd8", b"II*\0", b"MM\0*", b"II+\0", b"MM\0+", b"RIFF", b"GIF8")
 
 
@@ -62,6 +65,8 @@ def opened(path: PathLike) -> tuple[Any, str]:
         form = _LOADERS.get(str(image.get("vips-loader")).partition("load")[0])
         if form == "HEIF" and image.get("heif-compression") == "av1":
             form = "AVIF"
+        if form == "TIFF" and tag_of(path, _PHOTOMETRIC) == _YCBCR and tag_of(path, _COMPRESSION) not in _JPEGS:
+            image = _in_rgb(path, image)
     except (pyvips.Error, UnicodeError) as error:
         if known:
             raise _damaged(path, error) from error
@@ -69,6 +74,18 @@ def opened(path: PathLike) -> tuple[Any, str]:
     if form is None or image.format not in DTYPES or image.coding != "none":
         raise SuppleError(f"cannot read {name}: it is no image of a known kind: {kinds}")
     return image, form
+
+
+def _in_rgb(path: PathLike, image: Any) -> Any:
+    """Decode a TIFF in YCbCr by FFmpeg, since libvips takes it for RGB; keep its header."""
+    from supple.media import ffmpeg
+
+    with ffmpeg.reading(path):
+        made = wrapped(ffmpeg.decoded(path, "tiff")[0], "srgb", 8).copy(xres=image.xres, yres=image.yres)
+    for name in image.get_fields():
+        if made.get_typeof(name) == 0:
+            made.set_type(image.get_typeof(name), name, image.get(name))
+    return made
 
 
 def _sequential(path: PathLike) -> Any:
