@@ -420,10 +420,36 @@ class TestHeaders:
         header = loaded(tmp_path / "out.tif")[1]
         assert (header["xres"], header["yres"]) == pytest.approx((6, 12), rel=1e-3)
 
-    @pytest.mark.parametrize("suffix", [".png", ".jpg", ".tif"])
-    def test_without_a_resolution_there_are_72_dots_an_inch(self, tmp_path, suffix):
-        write(tmp_path / f"out{suffix}", smooth(20, 30))
-        assert loaded(tmp_path / f"out{suffix}")[1]["xres"] == pytest.approx(72 / 25.4, rel=1e-3)
+    @pytest.mark.parametrize("source", [".png", ".jpg", ".tif", ".webp", None])
+    @pytest.mark.parametrize("suffix", FORMATS)
+    def test_nothing_is_invented(self, tmp_path, source, suffix):
+        picture = None
+        if source is not None:  # by Pillow, which writes no more than it is told
+            Image.fromarray(smooth(20, 30)).save(tmp_path / f"in{source}")
+            picture = read(tmp_path / f"in{source}")
+        write(tmp_path / f"out{suffix}", smooth(20, 30), like=picture)
+        with Image.open(tmp_path / f"out{suffix}") as image:
+            assert not {"dpi", "exif", "jfif_density"} & set(image.info)
+            assert suffix == ".tif" or not image.getexif()
+            assert image.tag_v2.get(296, 1) == 1 if suffix == ".tif" else True
+            image.load()
+        again = read(tmp_path / f"out{suffix}")
+        assert "xres" not in again._header
+        assert "exif-data" not in again._header
+
+    @pytest.mark.parametrize("dots", [(300, 300), (118.11, 118.11), (72, 96)])
+    def test_a_resolution_without_exif_comes_through(self, tmp_path, dots):
+        Image.fromarray(smooth(20, 30)).save(tmp_path / "in.png", dpi=dots)
+        picture = read(tmp_path / "in.png")
+        for suffix in (".png", ".jpg", ".tif"):
+            write(tmp_path / f"out{suffix}", picture.pixels, like=picture)
+            with Image.open(tmp_path / f"out{suffix}") as image:
+                assert image.info["dpi"] == pytest.approx(dots, rel=0.005)
+                assert "exif" not in image.info
+        for suffix in (".webp", ".avif"):  # which have no other place for it
+            write(tmp_path / f"out{suffix}", picture.pixels, like=picture)
+            with Image.open(tmp_path / f"out{suffix}") as image:
+                assert float(image.getexif()[282]) == pytest.approx(dots[0], rel=0.005)
 
     def test_broken_exif_does_no_harm(self, tmp_path):
         save(tmp_path / "in.jpg", smooth(20, 30), EXIF)

@@ -213,6 +213,17 @@ def tag_of(path: str | os.PathLike[str], tag: int) -> int:
     return 0
 
 
+def set_tag(path: str | os.PathLike[str], tag: int, value: int) -> None:
+    """Change a number of 16 bits that the first folder of a TIFF holds, where it stands."""
+    with open(path, "rb+") as file:
+        reader = _Reader(file)
+        form = reader.form
+        for k, entry in enumerate(reader.entries(reader.first)[0]):
+            if form.number(entry[:2]) == tag:
+                file.seek(reader.first + form.count + form.step * (k + 1) - form.word)
+                file.write(form.bytes(value, 2))
+
+
 def _parsed(block: bytes) -> tuple[_Folder, _Form, bool]:
     reader = _Reader(io.BytesIO(block.removeprefix(_PREFIX)))
     return reader.folder(reader.first), reader.form, reader.whole

@@ -15,7 +15,7 @@ from supple.errors import SuppleError
 from supple.media import exif
 from supple.media.files import replacing, shown
 from supple.media.formats import AVIF, DTYPES, JPEG, OUT, SUFFIXES_OUT, TIFF, Array, check, meant, settings, wrapped
-from supple.media.headers import collected, dressed, facts, has_alpha, profile_name
+from supple.media.headers import collected, dressed, facts, finish, has_alpha, kept, profile_name
 from supple.media.vips import PathLike, apart, decoded, opened, reading, widen, writing
 
 __all__ = [
@@ -234,8 +234,9 @@ def write(
     if lost:
         text = f"{name}: {form.name} cannot take over {' and '.join(lost)}"
         warnings.warn(text, MetadataWarning, stacklevel=2)
-    options = settings(form, array, bits, quality, lossless)
+    options = settings(form, array, bits, quality, lossless) | kept(image, form)
     with replacing(path, force=force) as temporary, writing(path):
         apart(lambda: getattr(image, form.save)(os.fsencode(temporary), **options), image)
         if form is TIFF and (block := header.get("exif-data")):
             exif.into_tiff(temporary, block, array.shape[1], array.shape[0])
+        finish(temporary, image, form)
