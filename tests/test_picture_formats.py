@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,11 @@ import numpy.typing as npt
 import pytest
 from PIL import Image
 
-from supple.media.image import read
+import supple
+from supple.errors import SuppleError
+from supple.files import warp_file
+from supple.media.ffmpeg import encoded
+from supple.media.image import DepthWarning, MetadataWarning, info, read, write
 
 Array = npt.NDArray[Any]
 
@@ -66,3 +71,141 @@ def test_a_tiff_in_ycbcr_that_pillow_wrote(tmp_path: Path) -> None:
     image.save(tmp_path / "jpeg.tif", compression="jpeg", quality=98)
     for name in ("plain.tif", "jpeg.tif"):
         assert np.abs(read(tmp_path / name).pixels.astype(int) - pixels).mean() < 3
+
+
+def noise(dtype: str, *shape: int) -> Array:
+    random = np.random.default_rng(sum(shape))
+    if dtype == "f4":
+        return random.uniform(0, 20, shape).astype("f4")
+    return random.integers(0, np.iinfo(dtype).max, shape, dtype, endpoint=True)
+
+
+@pytest.mark.parametrize(
+    ("suffix", "dtype", "channels"),
+    [
+        *[(".exr", "f4", channels) for channels in ((), (3,), (4,))],
+        *[(".pfm", "f4", channels) for channels in ((), (3,))],
+        *[(suffix, "u1", channels) for suffix in (".bmp", ".tga") for channels in ((), (3,), (4,))],
+        *[(".pgm", dtype, ()) for dtype in ("u1", "u2")],
+        *[(".ppm", dtype, (3,)) for dtype in ("u1", "u2")],
+        *[(".jp2", dtype, channels) for dtype in ("u1", "u2") for channels in ((), (3,))],
+    ],
+)
+def test_bit_for_bit(tmp_path: Path, suffix: str, dtype: str, channels: tuple[int, ...]) -> None:
+    pixels = noise(dtype, 19, 23, *channels)
+    path = tmp_path / f"out{suffix}"
+    write(path, pixels, alpha=channels == (4,) and suffix != ".exr")
+    picture = read(path)
+    assert (picture.pixels.dtype, picture.bits) == (pixels.dtype, pixels.dtype.itemsize * 8)
+    np.testing.assert_array_equal(picture.pixels, pixels)
+    assert picture.alpha == (channels == (4,) and suffix != ".exr")
+    assert info(path)["width"] == 23
+
+
+def test_radiance(tmp_path: Path) -> None:
+    pixels = noise("f4", 19, 23, 3)
+    write(tmp_path / "out.hdr", pixels)
+    picture = read(tmp_path / "out.hdr")
+    assert picture.format == "Radiance"
+    assert np.abs(picture.pixels - pixels).max() <= 20 / 128  # eight bits, and one exponent for three of them
+
+
+@pytest.mark.parametrize("half", [False, True])
+def test_openexr_keeps_half_and_float(tmp_path: Path, half: bool) -> None:
+    pixels = noise("f4", 40, 60, 3)
+    path = tmp_path / "in.exr"
+    path.write_bytes(encoded(pixels, "exr", "gbrpf32le", half=half))
+    picture = read(path)
+    assert (picture.format, picture.bits, picture.pixels.dtype) == ("OpenEXR", 16 if half else 32, np.float32)
+    np.testing.assert_array_equal(picture.pixels, pixels.astype("f2").astype("f4") if half else pixels)
+    recipe = supple.Recipe(strokes=[supple.Stroke.grab((20, 20), to=(24, 20), radius=6)])
+    warp_file(path, tmp_path / "out.exr", recipe)
+    bent = read(tmp_path / "out.exr")
+    assert bent.bits == picture.bits
+    true = supple.Deformation.from_recipe(recipe, (40, 60)).warp(picture.pixels)
+    np.testing.assert_array_equal(bent.pixels, true.astype("f2").astype("f4") if half else true)
+
+
+def test_openexr_as_a_sequence(tmp_path: Path) -> None:
+    for k in range(3):
+        write(tmp_path / f"in-{k:05d}.exr", noise("f4", 40, 60, 3) + k)
+    recipe = supple.Recipe(strokes=[supple.Stroke.grab((20, 20), to=(24, 20), radius=6)])
+    warp_file(tmp_path / "in-%05d.exr", tmp_path / "out-%05d.exr", recipe)
+    map_ = supple.Deformation.from_recipe(recipe, (40, 60))
+    for k in range(3):
+        true = map_.warp(noise("f4", 40, 60, 3) + k)
+        np.testing.assert_allclose(read(tmp_path / f"out-{k:05d}.exr").pixels, true, atol=1e-5)
+
+
+def test_opacity_is_multiplied_in_openexr(tmp_path: Path) -> None:
+    pixels = np.dstack([noise("f4", 9, 9, 3), np.full((9, 9), 0.5, "f4")])
+    write(tmp_path / "out.exr", pixels, alpha=True)
+    np.testing.assert_array_equal(read(tmp_path / "out.exr").pixels[..., :3], pixels[..., :3] / 2)
+
+
+@pytest.mark.parametrize(
+    "name", ["grey.pgm", "plain.pgm", "bits.pbm", "palette.bmp", "rle.tga", "lossy.jp2", "rgba.jp2"]
+)
+def test_what_pillow_writes(tmp_path: Path, name: str) -> None:
+    pixels = smooth(20, 30)
+    image = Image.fromarray(pixels)
+    path = tmp_path / name
+    if name == "plain.pgm":
+        image = image.convert("L")
+        path.write_text("P2\n30 20\n255\n" + " ".join(map(str, np.asarray(image).ravel())))
+    elif name == "grey.pgm":
+        image = image.convert("L")
+        image.save(path)
+    elif name == "bits.pbm":
+        image = image.convert("1")
+        image.save(path)
+        image = image.convert("L")
+    elif name == "palette.bmp":
+        image.quantize(20).save(path)
+        image = image.quantize(20).convert("RGB")
+    elif name == "rle.tga":
+        image.save(path, compression="tga_rle")
+    elif name == "rgba.jp2":
+        image = image.convert("RGBA")
+        image.putalpha(77)
+        image.save(path, irreversible=False)
+    else:
+        image.save(path, irreversible=True, quality_mode="dB", quality_layers=[60])
+    picture = read(path)
+    assert np.abs(picture.pixels.astype(int) - np.asarray(image)).max() <= 2 * (name == "lossy.jp2")
+    assert picture.alpha == (name == "rgba.jp2")
+
+
+@pytest.mark.parametrize(
+    ("suffix", "pixels", "message"),
+    [
+        (".exr", noise("u1", 9, 9, 3), "OpenEXR takes no uint8 values: write a TIFF"),
+        (".hdr", noise("f4", 9, 9), "Radiance holds 3 channels, and not 1: write a TIFF"),
+        (".pgm", noise("u1", 9, 9, 3), "PGM holds 1 channels, and not 3: write a TIFF"),
+        (".bmp", noise("f4", 9, 9, 3), "BMP takes no float32 values: write TIFF or OpenEXR"),
+        (".jp2", noise("u1", 9, 9, 4), "JPEG 2000 holds no transparency: write PNG or TIFF"),
+    ],
+)
+def test_more_than_a_format_holds(tmp_path: Path, suffix: str, pixels: Array, message: str) -> None:
+    with pytest.raises(SuppleError) as caught:
+        write(tmp_path / f"out{suffix}", pixels)
+    assert str(caught.value) == f"cannot write {tmp_path / f'out{suffix}'}: {message}"
+    assert not list(tmp_path.iterdir())
+
+
+def test_what_does_not_come_along_is_told(tmp_path: Path) -> None:
+    Image.fromarray(smooth(20, 30)).save(tmp_path / "in.jpg", exif=b"Exif\0\0II*\0\x08\0\0\0\0\0\0\0\0\0")
+    picture = replace(read(tmp_path / "in.jpg"), icc=b"profile")
+    with pytest.warns(MetadataWarning, match=r"out\.bmp: BMP cannot take over EXIF and the colour profile$"):
+        write(tmp_path / "out.bmp", picture.pixels, like=picture)
+    with pytest.warns(DepthWarning, match=r"BMP holds 8 bits a channel, and the 16 of the pixels are rounded$"):
+        write(tmp_path / "deep.bmp", noise("u2", 9, 9, 3))
+
+
+@pytest.mark.parametrize("suffix", [".exr", ".bmp", ".tga", ".jp2", ".ppm"])
+def test_what_is_cut_short(tmp_path: Path, suffix: str) -> None:
+    write(tmp_path / f"in{suffix}", noise("f4" if suffix == ".exr" else "u1", 64, 64, 3))
+    path = tmp_path / f"cut{suffix}"
+    path.write_bytes((tmp_path / f"in{suffix}").read_bytes()[:40])
+    with pytest.raises(SuppleError, match=r"cut short or of a kind that is not supported"):
+        read(path)

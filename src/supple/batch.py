@@ -15,14 +15,9 @@ from supple.console import FAULT, REFUSED, Console, deaf, fault
 from supple.errors import SuppleError
 from supple.files import check_recipe_name, is_media_name
 from supple.media.files import check_output, shown
+from supple.media.numbering import SUFFIXES_IN
 from supple.media.volume import suffix_of
 from supple.volumes import ONE_FILE
-
-# Of a folder, everything that somebody may take for a picture: what cannot be done is then named.
-_PICTURES = frozenset(
-    {".avif", ".bmp", ".exr", ".gif", ".hdr", ".heic", ".heif", ".jp2", ".jpeg", ".jpg", ".jxl", ".png", ".ppm", ".svg"}
-    | {".tif", ".tiff", ".webp"}
-)
 
 Job = tuple[Path, Path]
 
@@ -93,7 +88,7 @@ def _pictures_in(folder: Path) -> list[Path]:
     except OSError as error:
         raise SuppleError(f"cannot read the folder {shown(folder)}: {error.strerror}: check its rights") from error
     seen = [folder / name for name in names if not name.startswith(".")]
-    known = _PICTURES | SUFFIXES | ONE_FILE
+    known = SUFFIXES_IN | SUFFIXES | ONE_FILE
     return [path for path in seen if suffix_of(path) in known and os.path.isfile(path)]
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from supple.media.colour import FULL, Colour, to_rgb
 from supple.media.formats import Array
 from supple.media.pixels import form, pack, palette, unpack, wider
-from supple.media.troubles import said, unreadable
+from supple.media.troubles import said, unreadable, unwritable
 
 _MAGIC = (
     (rb"v/1\x01", "exr", "OpenEXR"),
@@ -100,6 +100,9 @@ def encoded(pixels: Array, codec: str, pixel_format: str, *, half: bool = False)
     context.width, context.height, context.pix_fmt = width, height, pixel_format
     context.time_base = Fraction(1)
     context.options = {**_OPTIONS.get(codec, {}), **({"format": "half"} if half else {})}
+    if half:  # rounded here, since FFmpeg drops the low bits
+        with np.errstate(over="ignore"):
+            pixels = pixels.astype(np.float16).astype(np.float32)
     frame = pack([pixels.reshape(height, width, -1)], known, width, height)
     return b"".join(bytes(packet) for packet in (*context.encode(frame), *context.encode(None)))
 
@@ -112,3 +115,12 @@ def reading(path: str | os.PathLike[str]) -> Iterator[None]:
     except av.FFmpegError as error:
         what = f"it is damaged, cut short or of a kind that is not supported ({said(error)})"
         raise unreadable(path, what, "give a whole copy of it, or convert it to PNG or TIFF") from error
+
+
+@contextlib.contextmanager
+def writing(path: str | os.PathLike[str]) -> Iterator[None]:
+    """Make of a codec's failure one sentence; what the system refuses stays an `OSError`."""
+    try:
+        yield
+    except av.FFmpegError as error:
+        raise unwritable(path, f"FFmpeg fails ({said(error)})", "try another format") from error

@@ -14,7 +14,20 @@ import numpy as np
 from supple.errors import SuppleError
 from supple.media import exif
 from supple.media.files import replacing, shown
-from supple.media.formats import AVIF, DTYPES, JPEG, OUT, SUFFIXES_OUT, TIFF, Array, check, meant, settings, wrapped
+from supple.media.formats import (
+    AVIF,
+    DTYPES,
+    EXR,
+    JPEG,
+    OUT,
+    SUFFIXES_OUT,
+    TIFF,
+    Array,
+    check,
+    meant,
+    settings,
+    wrapped,
+)
 from supple.media.headers import collected, dressed, facts, finish, has_alpha, kept, profile_name
 from supple.media.vips import PathLike, apart, decoded, opened, reading, widen, writing
 
@@ -31,6 +44,9 @@ __all__ = [
     "read",
     "write",
 ]
+
+
+_BESIDE = {"exif-data": "EXIF", "xmp-data": "XMP", "iptc-data": "IPTC"}
 
 
 class ImageWarning(UserWarning):
@@ -230,6 +246,20 @@ def write(
         warnings.warn(text, DepthWarning, stacklevel=2)
     image = wrapped(array, meaning, bits)
     header, icc = (like._header, like.icc) if like is not None else ({}, None)
+    if form.pixel_formats:
+        if taken := [what for key, what in _BESIDE.items() if key in header] + ["the colour profile"] * bool(icc):
+            text = f"{name}: {form.name} cannot take over {' and '.join(taken)}"
+            warnings.warn(text, MetadataWarning, stacklevel=2)
+        from supple.media import ffmpeg
+
+        if alpha and form is EXR:  # whose colours are multiplied by it
+            array = np.concatenate([array[..., :3] * array[..., 3:], array[..., 3:]], axis=2)
+        elif bits < array.dtype.itemsize * 8:
+            array = decoded(image, 1)
+        with replacing(path, force=force) as temporary, ffmpeg.writing(path):
+            kinds = form.pixel_formats[array.dtype.str[1:]]
+            temporary.write_bytes(ffmpeg.encoded(array, form.save, kinds[channels], half=have == 16 and form is EXR))
+        return
     image, lost = dressed(image, header, icc, form, channels - alpha)
     if lost:
         text = f"{name}: {form.name} cannot take over {' and '.join(lost)}"

@@ -17,7 +17,7 @@ import pyvips
 from supple.errors import SuppleError
 from supple.media.exif import tag_of
 from supple.media.files import shown
-from supple.media.formats import DTYPES, Array, wrapped
+from supple.media.formats import DTYPES, Array, meant, wrapped
 
 T = TypeVar("T")
 PathLike = str | os.PathLike[str]
@@ -70,9 +70,27 @@ def opened(path: PathLike) -> tuple[Any, str]:
     except (pyvips.Error, UnicodeError) as error:
         if known:
             raise _damaged(path, error) from error
+        from supple.media import ffmpeg
+
+        if (found := ffmpeg.codec_of(path, head)) is not None:
+            return _by_ffmpeg(path, *found)
         form = None
     if form is None or image.format not in DTYPES or image.coding != "none":
         raise SuppleError(f"cannot read {name}: it is no image of a known kind: {kinds}")
+    return image, form
+
+
+def _by_ffmpeg(path: PathLike, codec: str, form: str) -> tuple[Any, str]:
+    """Decode a picture that libvips does not know."""
+    from supple.media import ffmpeg
+
+    with ffmpeg.reading(path):
+        pixels, bits = ffmpeg.decoded(path, codec)
+    channels = pixels.shape[2] if pixels.ndim == 3 else 1
+    # in OpenEXR, colours are multiplied by opacity, which is then averaged as they are
+    colours = channels if form == "OpenEXR" else channels - (channels in (2, 4))
+    image = wrapped(np.ascontiguousarray(pixels), meant(pixels.dtype, colours, ""), 32)
+    image.set_type(pyvips.GValue.gint_type, "bits-per-sample", bits)
     return image, form
 
 
