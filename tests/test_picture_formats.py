@@ -2,21 +2,25 @@
 
 from __future__ import annotations
 
+import shutil
 import struct
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import pytest
+import pyvips
 from PIL import Image
 
 import supple
 from supple.errors import SuppleError
 from supple.files import warp_file
 from supple.media.ffmpeg import encoded
-from supple.media.image import DepthWarning, MetadataWarning, info, read, write
+from supple.media.image import DepthWarning, MetadataWarning, PageWarning, info, read, write
+from supple.media.video import open_video
 
 Array = npt.NDArray[Any]
 
@@ -209,3 +213,86 @@ def test_what_is_cut_short(tmp_path: Path, suffix: str) -> None:
     path.write_bytes((tmp_path / f"in{suffix}").read_bytes()[:40])
     with pytest.raises(SuppleError, match=r"cut short or of a kind that is not supported"):
         read(path)
+
+
+def animation(path: Path) -> list[Array]:
+    """Five frames of a square that walks, of 100, 100, 200, 100 and 50 milliseconds."""
+    frames = []
+    for k in range(5):
+        frame = np.full((40, 60, 3), 30 * k, np.uint8)
+        frame[10:20, 5 + 8 * k : 15 + 8 * k] = (255, 40, 10)
+        frames.append(frame)
+    first, *others = map(Image.fromarray, frames)
+    options = {"lossless": True} if path.suffix == ".webp" else {}
+    first.save(path, save_all=True, append_images=others, duration=[100, 100, 200, 100, 50], **options)
+    return frames
+
+
+@pytest.mark.parametrize("suffix", [".png", ".webp", ".gif"])
+def test_an_animation_is_no_picture_without_a_word(tmp_path: Path, suffix: str) -> None:
+    frames = animation(tmp_path / f"in{suffix}")
+    what = r"holds 5 frames, and only the first is read: name a video or a GIF, out\.mp4 or out\.gif, to keep them all$"
+    with pytest.warns(PageWarning, match=what):
+        picture = read(tmp_path / f"in{suffix}")
+    np.testing.assert_array_equal(picture.pixels[..., :3], frames[0])
+    assert info(tmp_path / f"in{suffix}")["pages"] == 5
+
+
+@pytest.mark.parametrize("suffix", [".png", ".webp"])
+@pytest.mark.parametrize("target", ["out.mkv", "out.gif", "out-%02d.png", "out/"])
+def test_an_animation_is_a_clip(tmp_path: Path, suffix: str, target: str) -> None:
+    frames = animation(tmp_path / f"in{suffix}")
+    strokes = [supple.Stroke.grab((30, 30, 2), to=(33, 30, 2), radius=3)]
+    recipe, exact = supple.Recipe(strokes=strokes), "gif" not in target
+    made = warp_file(tmp_path / f"in{suffix}", f"{tmp_path}/{target}", recipe, lossless=exact)
+    assert made.frames == 5
+    if "mkv" in target:
+        with open_video(tmp_path / "out.mkv") as clip:
+            arrays = [np.empty((40, 60, clip.layout.groups[0].channels), np.uint8)]
+            for frame, true in zip(clip.frames(), frames, strict=True):
+                frame.copy_to(arrays)
+                np.testing.assert_array_equal(arrays[0][:20, ..., :3], true[:20])
+            assert clip.survey.duration == pytest.approx(0.55, abs=0.06)
+    elif target == "out.gif":
+        with Image.open(tmp_path / "out.gif") as image:
+            assert image.n_frames == 5
+    else:
+        names = sorted(path.name for path in tmp_path.glob("out*/*" if "/" in target else "out-*"))
+        assert names == [f"{k:05d}.png" if "/" in target else f"out-{k:02d}.png" for k in range(1, 6)]
+
+
+@pytest.mark.parametrize(
+    ("name", "head", "what"),
+    [
+        ("in.heic", b"\0\0\0\x18ftypheic\0\0\0\0mif1heic", "it is HEIC, which is not supported here: convert it, to "),
+        ("in.jxl", b"\0\0\0\x0cJXL \r\n\x87\n", "it is JPEG XL, which is not supported here: convert it, to "),
+    ],
+)
+def test_what_is_not_supported_is_not_called_damaged(tmp_path: Path, name: str, head: bytes, what: str) -> None:
+    (tmp_path / name).write_bytes(head + bytes(100))
+    with pytest.raises(SuppleError, match=what):
+        read(tmp_path / name)
+
+
+def test_a_tiff_that_libvips_does_not_support_is_not_called_damaged(tmp_path: Path) -> None:
+    size = {256: (4,), 257: (4,), 258: (64,), 259: (1,), 262: (1,), 277: (1,), 278: (4,)}
+    (tmp_path / "in.tif").write_bytes(tiff(size, bytes(16)))
+    with pytest.raises(SuppleError, match="it is of a kind that is not supported") as caught:
+        read(tmp_path / "in.tif")
+    assert "damaged" not in str(caught.value)
+
+
+@pytest.mark.parametrize("told", ["system error: Unknown error -1", "write failed"])
+def test_a_full_disk_is_called_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, told: str) -> None:
+    def fail(*_given: object, **_options: object) -> None:
+        raise pyvips.Error("no", f"target: {told}\n")
+
+    monkeypatch.setattr(pyvips.Image, "pngsave", fail, raising=False)
+    with pytest.raises(SuppleError) as caught:
+        write(tmp_path / "out.png", smooth(20, 30))
+    assert "space" not in str(caught.value)
+    monkeypatch.setattr(shutil, "disk_usage", lambda _path: SimpleNamespace(free=4096))
+    with pytest.raises(SuppleError) as caught:
+        write(tmp_path / "out.png", smooth(20, 30))
+    reason = "No space left on device: make room or choose another place"
+    assert str(caught.value) == f"cannot write {tmp_path / 'out.png'}: {reason}"

@@ -123,7 +123,15 @@ def is_clip(source: PathLike, target: PathLike, recipe: Recipe) -> bool:
     if os.path.isdir(source):
         return timed and not _holds_videos_alone(source)
     still = suffix not in (".gif", ".webp", ".png", ".apng", "")
-    return (timed and not still) or (suffix == ".gif" and (goal == ".gif" or has_number(target)))
+    many = goal == ".gif" or has_number(target)
+    return (timed and not still) or (many and (suffix == ".gif" or (not still and _is_animated(source))))
+
+
+def _is_animated(path: PathLike) -> bool:
+    """Whether a picture holds several frames."""
+    from supple.media.sequence import is_animated
+
+    return os.path.isfile(path) and is_animated(path)
 
 
 def _holds_videos_alone(folder: PathLike) -> bool:
@@ -144,6 +152,11 @@ def open_clip(source: PathLike, *, rate: float | Fraction | None = None, count: 
         with open_sequence(source, rate=24 if rate is None else rate) as pictures:
             yield pictures
         return
+    if rate is None and _suffix(source) == ".webp" and _is_animated(source):
+        from supple.media.sequence import Animation
+
+        yield Animation(source)
+        return
     from supple.media.video import open_video
 
     if rate is not None:
@@ -154,7 +167,7 @@ def open_clip(source: PathLike, *, rate: float | Fraction | None = None, count: 
 
 def refuse_picture(path: PathLike) -> None:
     """Refuse a file of a single picture, which FFmpeg would take for a short video."""
-    if _suffix(path) not in SUFFIXES_IN or not os.path.isfile(path):
+    if _suffix(path) not in SUFFIXES_IN or not os.path.isfile(path) or _is_animated(path):
         return
     from supple.media.demux import opened
 

@@ -8,12 +8,13 @@ import re
 import struct
 import zlib
 from collections.abc import Mapping
-from typing import Any, BinaryIO
+from typing import Any
 
 import numpy as np
 import pyvips
 
 from supple.media import exif
+from supple.media.chunks import found
 from supple.media.formats import COLOURS, DTYPES, JPEG, PNG, TIFF, Format
 
 PathLike = str | os.PathLike[str]
@@ -75,7 +76,7 @@ def _tells_size(path: PathLike, image: Any, form: str) -> bool:
     if form == "JPEG":
         return False
     with open(path, "rb") as file:
-        return bool(_found(file, b"pHYs"))
+        return bool(found(file, b"pHYs"))
 
 
 def dressed(
@@ -136,7 +137,7 @@ def finish(path: PathLike, image: Any, form: Format) -> None:
             file.write(_jfif(image.xres, image.yres) + data[2:])
     elif form is PNG and not sized:
         with open(path, "rb+") as file:
-            if _found(file, b"pHYs"):
+            if found(file, b"pHYs"):
                 chunk = b"pHYs" + struct.pack(">IIB", 1, 1, 0)
                 file.seek(-4, os.SEEK_CUR)
                 file.write(chunk + struct.pack(">I", zlib.crc32(chunk)))
@@ -146,18 +147,6 @@ def finish(path: PathLike, image: Any, form: Format) -> None:
 
 def _is_sized(image: Any) -> bool:
     return bool(image.xres != _UNKNOWN)
-
-
-def _found(file: BinaryIO, name: bytes) -> bytes:
-    """Go to the data of a chunk of a PNG that stands before the pixels; return its length, or nothing."""
-    at, kind = 8, b""
-    while kind not in (name, b"IDAT"):
-        file.seek(at)
-        head = file.read(8)
-        if len(head) < 8:
-            return b""
-        at, kind = at + 12 + int.from_bytes(head[:4]), head[4:]
-    return head[:4] if kind == name else b""
 
 
 def _jfif(xres: float, yres: float) -> bytes:

@@ -135,8 +135,7 @@ def read(path: PathLike) -> Picture:
     name = shown(path)
     pages, orientation, bits = facts(image)
     if pages > 1:
-        text = f"{name} holds {pages} pages or frames, and only one of them is read"
-        warnings.warn(text, PageWarning, stacklevel=2)
+        warnings.warn(f"{name} holds {pages} {_pages(form)}", PageWarning, stacklevel=2)
     with reading(path):
         pixels = apart(lambda: decoded(image, orientation), image)
         header, lost = collected(path, image, form, orientation >= 5)
@@ -146,6 +145,13 @@ def read(path: PathLike) -> Picture:
         widen(pixels, bits)
     icc = header.pop("icc-profile-data", None)
     return Picture(pixels, has_alpha(image), icc, bits, form, image.interpretation, header)
+
+
+def _pages(form: str) -> str:
+    """Say which of several pages or frames is read, and what reads the others."""
+    if form in ("PNG", "GIF", "WebP"):
+        return "frames, and only the first is read: name a video or a GIF, out.mp4 or out.gif, to keep them all"
+    return "pages or frames, and only one of them is read"
 
 
 def info(path: PathLike) -> dict[str, object]:

@@ -15,6 +15,7 @@ import numpy as np
 import pyvips
 
 from supple.errors import SuppleError
+from supple.media.chunks import png_frames
 from supple.media.exif import tag_of
 from supple.media.files import shown
 from supple.media.formats import DTYPES, Array, meant, wrapped
@@ -37,6 +38,11 @@ _LOADERS = {
     "ppm": "PNM",
     "openexr": "OpenEXR",
 }
+_UNSUPPORTED = re.compile(
+    "(?i)unsupported|not supported|not implemented|not configured|unknown compression|out of range"
+)
+_JXL = (b"\xff\x0a", b"\0\0\0\x0cJXL ")
+_HEIC = re.compile(rb"(?s)....ftyp(hei[cxms]|hev[cxms])")
 _COMPRESSION, _PHOTOMETRIC = 259, 262  # tags of TIFF
 _YCBCR, _JPEGS = 6, (6, 7)
 _MAGIC = (b"\x89PNG", b"\xff\xd8", b"II*\0", b"MM\0*", b"II+\0", b"MM\0+", b"RIFF", b"GIF8")
@@ -61,13 +67,22 @@ def opened(path: PathLike) -> tuple[Any, str]:
         raise SuppleError(f"cannot read {name}: {what}: {kinds}")
     known = head.startswith(_MAGIC) or head[4:8] == b"ftyp"
     try:
-        image = apart(lambda: _sequential(path))
+        image = apart(lambda: sequential(path))
         form = _LOADERS.get(str(image.get("vips-loader")).partition("load")[0])
         if form == "HEIF" and image.get("heif-compression") == "av1":
             form = "AVIF"
+        if form == "PNG" and (frames := png_frames(path)) > 1:  # libvips knows of the first alone
+            image = image.copy()
+            image.set_type(pyvips.GValue.gint_type, "n-pages", frames)
         if form == "TIFF" and tag_of(path, _PHOTOMETRIC) == _YCBCR and tag_of(path, _COMPRESSION) not in _JPEGS:
             image = _in_rgb(path, image)
     except (pyvips.Error, UnicodeError) as error:
+        if _HEIC.match(head):
+            what = "it is HEIC, which is not supported here: convert it, to AVIF or JPEG for instance"
+            raise SuppleError(f"cannot read {name}: {what}") from error
+        if head.startswith(_JXL):
+            what = "it is JPEG XL, which is not supported here: convert it, to PNG or AVIF for instance"
+            raise SuppleError(f"cannot read {name}: {what}") from error
         if known:
             raise _damaged(path, error) from error
         from supple.media import ffmpeg
@@ -106,10 +121,11 @@ def _in_rgb(path: PathLike, image: Any) -> Any:
     return made
 
 
-def _sequential(path: PathLike) -> Any:
+def sequential(path: PathLike, **options: Any) -> Any:
+    """Open a file by libvips alone."""
     # a source, since libvips would take "[...]" in a file's name for options, and cache what it read
     source = pyvips.Source.new_from_file(os.fsencode(path))
-    return pyvips.Image.new_from_source(source, "", access="sequential", fail_on="truncated")
+    return pyvips.Image.new_from_source(source, "", access="sequential", fail_on="truncated", **options)
 
 
 def apart(work: Callable[[], T], image: Any = None) -> T:
@@ -141,7 +157,7 @@ def writing(path: PathLike) -> Iterator[None]:
     except (pyvips.Error, UnicodeError) as error:
         text = getattr(error, "detail", "")
         if found := re.search("system error: (.+)", text):
-            code = next((code for code in errno.errorcode if os.strerror(code) == found[1]), errno.EIO)
+            code = next((code for code in errno.errorcode if os.strerror(code) == found[1]), -1)
             raise OSError(code, found[1]) from error
         raise SuppleError(f"cannot write {shown(path)}: libvips fails{_reason(text)}: try another format") from error
 
@@ -151,6 +167,9 @@ def _damaged(path: PathLike, error: Exception) -> SuppleError:
     text = getattr(error, "detail", "")
     if isinstance(error, MemoryError) or "out of memory" in text:
         return SuppleError(f"cannot read {shown(path)}: it is too large for the memory: cut it into parts")
+    if _UNSUPPORTED.search(text):
+        what = f"it is of a kind that is not supported{_reason(text)}"
+        return SuppleError(f"cannot read {shown(path)}: {what}: convert it, to PNG or TIFF for instance")
     what = f"it is damaged, cut short or of an unknown kind{_reason(text)}"
     return SuppleError(f"cannot read {shown(path)}: {what}: give a whole copy of it")
 
