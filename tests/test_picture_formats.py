@@ -296,3 +296,24 @@ def test_a_full_disk_is_called_one(tmp_path: Path, monkeypatch: pytest.MonkeyPat
         write(tmp_path / "out.png", smooth(20, 30))
     reason = "No space left on device: make room or choose another place"
     assert str(caught.value) == f"cannot write {tmp_path / 'out.png'}: {reason}"
+
+
+def test_all_pages_of_a_tiff_are_bent_alike(tmp_path: Path) -> None:
+    pages = [smooth(40, 60) + np.uint8(20 * k) for k in range(3)]
+    first, *others = map(Image.fromarray, pages)
+    first.save(tmp_path / "in.tif", save_all=True, append_images=others)
+    recipe = supple.Recipe(strokes=[supple.Stroke.grab((20, 20), to=(24, 20), radius=6)])
+    warp_file(tmp_path / "in.tif", tmp_path / "out.tif", recipe)
+    map_ = supple.Deformation.from_recipe(recipe, (40, 60))
+    with Image.open(tmp_path / "out.tif") as image:
+        assert image.n_frames == 3
+        for k, page in enumerate(pages):
+            image.seek(k)
+            np.testing.assert_array_equal(np.asarray(image), map_.warp(page))
+            assert image.tag_v2.get(296, 1) == 1
+    what = r"holds 3 pages, and only one of them is read: name a TIFF, out\.tif, to keep all that are of one size"
+    with pytest.warns(PageWarning, match=what):
+        warp_file(tmp_path / "in.tif", tmp_path / "out.png", recipe)
+    Image.fromarray(pages[0]).save(tmp_path / "odd.tif", save_all=True, append_images=[Image.fromarray(pages[0][:9])])
+    with pytest.warns(PageWarning, match="holds 2 pages, and only one"):
+        warp_file(tmp_path / "odd.tif", tmp_path / "one.tif", recipe)

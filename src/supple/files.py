@@ -93,7 +93,8 @@ def warp_file(
         pattern or a folder for pictures; for volumes, NIfTI, NRRD, MetaImage or TIFF.
     recipe : Recipe
         The strokes, the border and the fold policy. Strokes with a time, x, y and t in frames, bend the clip; of
-        those without one, each frame is bent alike. In volumes, points are voxels, x, y and z, and lengths millimetres.
+        those without one, each frame is bent alike, and so is each page of a TIFF. In volumes, points are voxels,
+        x, y and z, and lengths millimetres.
     filter, tolerance, outside, fill, linear_light
         As `Deformation.warp` takes them.
     quality : int, optional
@@ -186,9 +187,10 @@ def warp_file(
                 tell(part, _PARTS.index(part), len(_PARTS))
 
         begin("read")
-        picture = read(source)
+        picture = read(source, pages=_suffix(target) == ".tiff")
         begin("warp")
-        deformation = Deformation.from_recipe(recipe, picture.pixels.shape[:2])
+        height = len(picture.pixels) // picture.pages
+        deformation = Deformation.from_recipe(recipe, (height, picture.pixels.shape[1]))
         warn_of_misses(deformation, source)
         if deformation.is_identity and quality is None and not lossless and _suffix(source) == _suffix(target):
             # Encoded anew, a lossy picture would not be what it was.
@@ -196,16 +198,19 @@ def warp_file(
             with replacing(target, force=force) as place:
                 shutil.copyfile(source, place)
             return Warped(Path(source), Path(target), deformation, tolerance)
-        pixels = deformation.warp(
-            picture.pixels,
-            filter=filter,
-            tolerance=tolerance,
-            outside=outside,
-            fill=fill,
-            alpha=picture.alpha,
-            linear_light=linear_light,
-            device=device,
-        )
+        pixels = np.empty_like(picture.pixels)
+        for top in range(0, len(pixels), height):  # each page alike
+            deformation.warp(
+                picture.pixels[top : top + height],
+                filter=filter,
+                tolerance=tolerance,
+                outside=outside,
+                fill=fill,
+                alpha=picture.alpha,
+                linear_light=linear_light,
+                device=device,
+                out=pixels[top : top + height],
+            )
         # Of the input, only the header is needed now: the encoder may have its memory.
         like = replace(picture, pixels=np.empty((0, *picture.pixels.shape[1:]), picture.pixels.dtype))
         del picture

@@ -214,14 +214,17 @@ def tag_of(path: str | os.PathLike[str], tag: int) -> int:
 
 
 def set_tag(path: str | os.PathLike[str], tag: int, value: int) -> None:
-    """Change a number of 16 bits that the first folder of a TIFF holds, where it stands."""
+    """Change a number of 16 bits that the folders of a TIFF, one for each page, hold, where it stands."""
     with open(path, "rb+") as file:
         reader = _Reader(file)
-        form = reader.form
-        for k, entry in enumerate(reader.entries(reader.first)[0]):
-            if form.number(entry[:2]) == tag:
-                file.seek(reader.first + form.count + form.step * (k + 1) - form.word)
-                file.write(form.bytes(value, 2))
+        form, at = reader.form, reader.first
+        while 0 < at < reader.size:
+            entries, following = reader.entries(at)
+            for k, entry in enumerate(entries):
+                if form.number(entry[:2]) == tag:
+                    file.seek(at + form.count + form.step * (k + 1) - form.word)
+                    file.write(form.bytes(value, 2))
+            at = form.number(following)
 
 
 def _parsed(block: bytes) -> tuple[_Folder, _Form, bool]:

@@ -6,6 +6,7 @@ import os
 import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -29,7 +30,7 @@ from supple.media.formats import (
     wrapped,
 )
 from supple.media.headers import collected, dressed, facts, finish, has_alpha, kept, profile_name
-from supple.media.vips import PathLike, apart, decoded, opened, reading, widen, writing
+from supple.media.vips import PathLike, apart, decoded, is_ycbcr, opened, reading, sequential, widen, writing
 
 __all__ = [
     "SUFFIXES_OUT",
@@ -83,6 +84,8 @@ class Picture:
         ``"PNG"``, ``"JPEG"``, ``"TIFF"``, ``"WebP"``, ``"AVIF"``, ``"GIF"``, ...
     interpretation : str
         What the channels mean, in libvips' words: ``"b-w"``, ``"srgb"``, ``"rgb16"``, ``"cmyk"``, ...
+    pages : int
+        How many pages of one size `pixels` holds, one below the other.
     """
 
     pixels: Array
@@ -91,6 +94,7 @@ class Picture:
     bits: int = 8
     format: str = ""
     interpretation: str = ""
+    pages: int = 1
     _header: Mapping[str, Any] = field(default_factory=dict, repr=False)
 
 
@@ -108,8 +112,10 @@ def check_target(path: PathLike) -> None:
         raise SuppleError(f"cannot write {shown(path)}: {found} is no image format: use {', '.join(OUT)}")
 
 
-def read(path: PathLike) -> Picture:
+def read(path: PathLike, *, pages: bool = False) -> Picture:
     """Read an image, upright: an orientation in its header is applied, once.
+
+    With ``pages``, all pages of a TIFF are read, if they are of one size and type.
 
     Colours are not converted. A palette becomes RGB or RGBA; fewer than 8 bits become 8; 10 or 12 bits become
     16, with white at 65535.
@@ -133,24 +139,45 @@ def read(path: PathLike) -> Picture:
     """
     image, form = opened(path)
     name = shown(path)
-    pages, orientation, bits = facts(image)
-    if pages > 1:
-        warnings.warn(f"{name} holds {pages} {_pages(form)}", PageWarning, stacklevel=2)
+    count, orientation, bits = facts(image)
+    tall = _all_pages(path, count) if pages and count > 1 and form == "TIFF" and not is_ycbcr(path) else None
+    if count > 1 and tall is None:
+        warnings.warn(f"{name} holds {count} {_pages(form)}", PageWarning, stacklevel=2)
     with reading(path):
-        pixels = apart(lambda: decoded(image, orientation), image)
+        pixels = tall if tall is not None else apart(lambda: decoded(image, orientation), image)
         header, lost = collected(path, image, form, orientation >= 5)
     if lost:
         warnings.warn(f"{name}: {' and '.join(lost)} cannot be carried over", MetadataWarning, stacklevel=2)
     if form in ("AVIF", "HEIF") and 8 < bits < 16:
         widen(pixels, bits)
     icc = header.pop("icc-profile-data", None)
-    return Picture(pixels, has_alpha(image), icc, bits, form, image.interpretation, header)
+    held = count if tall is not None else 1
+    return Picture(pixels, has_alpha(image), icc, bits, form, image.interpretation, held, header)
+
+
+def _all_pages(path: PathLike, count: int) -> Array | None:
+    """Decode all pages of a TIFF into one array, one below the other; None if they are not alike."""
+    tall: Array | None = None
+    with reading(path):
+        for k in range(count):
+            page = apart(partial(sequential, path, page=k))
+            pixels = apart(partial(decoded, page, facts(page)[1]), page)
+            height = len(pixels)
+            if tall is None:
+                tall = np.empty((count * height, *pixels.shape[1:]), pixels.dtype)
+            rows = tall[k * height : (k + 1) * height]
+            if count * height != len(tall) or (rows.shape, rows.dtype) != (pixels.shape, pixels.dtype):
+                return None
+            rows[:] = pixels
+    return tall
 
 
 def _pages(form: str) -> str:
     """Say which of several pages or frames is read, and what reads the others."""
     if form in ("PNG", "GIF", "WebP"):
         return "frames, and only the first is read: name a video or a GIF, out.mp4 or out.gif, to keep them all"
+    if form == "TIFF":
+        return "pages, and only one of them is read: name a TIFF, out.tif, to keep all that are of one size and type"
     return "pages or frames, and only one of them is read"
 
 
@@ -209,7 +236,7 @@ def write(
         Shape (H, W) or (H, W, C): uint8, uint16, and for TIFF also float32 and integers up to 32 bits. Used
         as it is when contiguous, without a copy.
     like : Picture, optional
-        Whose profile, EXIF, XMP and resolution to write, and whose channels `pixels` has.
+        Whose profile, EXIF, XMP and resolution to write, and whose channels and pages `pixels` has.
     alpha : bool, optional
         Whether the last channel is opacity. Without it: as in `like`; otherwise two or four channels have it.
     quality : int, optional
@@ -271,6 +298,8 @@ def write(
         text = f"{name}: {form.name} cannot take over {' and '.join(lost)}"
         warnings.warn(text, MetadataWarning, stacklevel=2)
     options = settings(form, array, bits, quality, lossless) | kept(image, form)
+    if form is TIFF and like is not None and like.pages > 1:
+        options["page_height"] = len(array) // like.pages
     with replacing(path, force=force) as temporary, writing(path):
         apart(lambda: getattr(image, form.save)(os.fsencode(temporary), **options), image)
         if form is TIFF and (block := header.get("exif-data")):

@@ -113,7 +113,7 @@ class Pictures:
         icc = header.pop("icc-profile-data", None)
         channels = (group.channels,) if group.channels > 1 else ()
         empty = np.empty((0, group.shape[1], *channels), self.layout.dtype)
-        return Picture(empty, group.alpha, icc, bits, form, image.interpretation, header), lost
+        return Picture(empty, group.alpha, icc, bits, form, image.interpretation, 1, header), lost
 
     def info(self) -> dict[str, object]:
         """What `supple info` tells."""

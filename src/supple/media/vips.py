@@ -74,7 +74,7 @@ def opened(path: PathLike) -> tuple[Any, str]:
         if form == "PNG" and (frames := png_frames(path)) > 1:  # libvips knows of the first alone
             image = image.copy()
             image.set_type(pyvips.GValue.gint_type, "n-pages", frames)
-        if form == "TIFF" and tag_of(path, _PHOTOMETRIC) == _YCBCR and tag_of(path, _COMPRESSION) not in _JPEGS:
+        if form == "TIFF" and is_ycbcr(path):
             image = _in_rgb(path, image)
     except (pyvips.Error, UnicodeError) as error:
         if _HEIC.match(head):
@@ -107,6 +107,11 @@ def _by_ffmpeg(path: PathLike, codec: str, form: str) -> tuple[Any, str]:
     image = wrapped(np.ascontiguousarray(pixels), meant(pixels.dtype, colours, ""), 32)
     image.set_type(pyvips.GValue.gint_type, "bits-per-sample", bits)
     return image, form
+
+
+def is_ycbcr(path: PathLike) -> bool:
+    """Whether a TIFF holds YCbCr, which libvips takes for RGB unless it is compressed as JPEG."""
+    return tag_of(path, _PHOTOMETRIC) == _YCBCR and tag_of(path, _COMPRESSION) not in _JPEGS
 
 
 def _in_rgb(path: PathLike, image: Any) -> Any:
