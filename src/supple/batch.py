@@ -30,7 +30,7 @@ def pair(given: Sequence[str], target: str) -> tuple[list[Job], bool]:
     given : sequence of str
         Files, folders and patterns.
     target : str
-        A file; or a folder, if it is one or there may be several pictures.
+        A file; or a folder, if it is one, ends in a slash, or there may be several pictures.
 
     Returns
     -------
@@ -58,7 +58,7 @@ def pair(given: Sequence[str], target: str) -> tuple[list[Job], bool]:
             found += [(p, p.relative_to(base)) for p in matching]
         else:
             found.append((path, Path(path.name)))
-    if not several and not os.path.isdir(target):
+    if not several and not os.path.isdir(target) and not target.endswith(("/", os.sep)):
         return [(found[0][0], Path(target))], False
     if not target:
         raise SuppleError("several pictures need a folder to go into: name one, last")

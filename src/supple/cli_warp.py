@@ -41,7 +41,7 @@ def warp(
     strokes: StrokeOptions = _STROKES,
     filter: Annotated[str, Parameter(group=SAMPLING, metavar="auto|cubic|linear|nearest")] = "auto",
     outside: Annotated[Outside, Parameter(group=SAMPLING)] = "edge",
-    fill: Annotated[str, Parameter(group=SAMPLING, metavar="V|V,V,V", allow_leading_hyphen=True)] = "0",
+    fill: Annotated[str | None, Parameter(group=SAMPLING, metavar="V|V,V,V", allow_leading_hyphen=True)] = None,
     tolerance: Annotated[str, Parameter(group=SAMPLING, metavar="PX", allow_leading_hyphen=True)] = "0.01",
     linear_light: Annotated[bool, Parameter(group=SAMPLING)] = False,
     quality: Annotated[int | None, Parameter(group=WRITING, metavar="1..100", allow_leading_hyphen=True)] = None,
@@ -69,7 +69,7 @@ def warp(
     outside
         What is seen beyond the edges: these go on, a constant (--fill), or the mirror image.
     fill
-        The constant, in the picture's own values: one for all channels, or one for each.
+        The constant of --outside constant, in the picture's own values (0): one for all channels, or one for each.
     tolerance
         How far from its exact place a colour may be taken, in pixels; this is certified.
     linear_light
@@ -105,7 +105,7 @@ def warp(
     sampling: dict[str, Any] = {
         "filter": filter,
         "outside": outside,
-        "fill": parse_fill(fill),
+        "fill": parse_fill("0" if fill is None else fill),
         "tolerance": parse_number("--tolerance", tolerance, "a number of pixels above 0"),
         "linear_light": linear_light,
         "quality": quality,
@@ -115,6 +115,8 @@ def warp(
         "clip": video.to_clip(),
         "volume": volume.to_reading(labels=labels, save_field=save_field),
     }
+    if fill is not None and outside != "constant":
+        raise SuppleError(f"--fill is the constant of --outside constant, and --outside is {outside}: give both")
     if not paths[-1]:
         raise SuppleError("cannot write '': name a file, or a folder, last")
     reading = sampling["volume"]

@@ -21,7 +21,7 @@ from supple.engines import check_no_cuda, engine_of
 from supple.errors import OutsideWarning, SuppleError
 from supple.media.files import check_output, replacing, shown
 from supple.media.formats import SUFFIXES_OUT as PICTURES_OUT
-from supple.media.image import check_target
+from supple.media.image import check_quality, check_target
 from supple.media.numbering import SUFFIXES_IN, has_number, is_sequence
 from supple.native import OUTSIDE, check_filter
 from supple.streaming import Array, Layout, Sampling, capacity_of, make_plan, stream
@@ -413,8 +413,7 @@ def check_clip_target(
     for option in ("codec", "crf", "preset", "pixel_format"):
         if getattr(options, option) is not None:
             raise SuppleError(f"{option} is for videos, and {name} is pictures: leave it out")
-    if quality is not None and not 1 <= quality <= 100:
-        raise SuppleError(f"cannot write {name} with quality {quality}: quality goes from 1 to 100")
+    check_quality(target, quality)
 
 
 @contextlib.contextmanager

@@ -23,6 +23,7 @@ from supple.media.formats import (
     OUT,
     SUFFIXES_OUT,
     TIFF,
+    WEBP,
     Array,
     check,
     meant,
@@ -40,6 +41,7 @@ __all__ = [
     "PageWarning",
     "PathLike",
     "Picture",
+    "check_quality",
     "check_target",
     "info",
     "read",
@@ -110,6 +112,24 @@ def check_target(path: PathLike) -> None:
     if suffix.lower() not in OUT:
         found = f"the suffix {shown(suffix)}" if suffix else "a name without suffix"
         raise SuppleError(f"cannot write {shown(path)}: {found} is no image format: use {', '.join(OUT)}")
+
+
+def check_quality(path: PathLike, quality: int | None) -> None:
+    """Refuse a quality that there is not; warn where the format of a picture has none.
+
+    Warns
+    -----
+    ImageWarning
+        The format keeps all values, whatever the quality.
+    """
+    if quality is None:
+        return
+    name, form = shown(path), OUT.get(Path(path).suffix.lower())
+    if not 1 <= quality <= 100:
+        raise SuppleError(f"cannot write {name} with quality {quality}: quality goes from 1 to 100")
+    if form is not None and form not in (JPEG, WEBP, AVIF):
+        text = f"{name}: quality {quality} changes nothing in {form.name}: it is for JPEG, WebP and AVIF"
+        warnings.warn(text, ImageWarning, stacklevel=3)
 
 
 def read(path: PathLike, *, pages: bool = False) -> Picture:
