@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -77,3 +80,39 @@ def test_what_an_array_does_not_take_is_refused(option: dict[str, object]) -> No
     (name,) = option
     with pytest.raises(supple.SuppleError, match=rf"^{name} must be left out for an"):
         supple.Deformation((40, 60)).warp(np.zeros((40, 60)), **option)  # type: ignore[arg-type]
+
+
+def run(*arguments: str, given: bytes = b"") -> tuple[int, bytes, str]:
+    source = str(Path(__file__).parents[1] / "src")
+    done = subprocess.run(
+        [sys.executable, "-m", "supple", *arguments],
+        input=given,
+        capture_output=True,
+        env={**os.environ, "PYTHONPATH": source},
+    )
+    return done.returncode, done.stdout, done.stderr.decode()
+
+
+def test_standard_input_and_output(picture: Path) -> None:
+    true = supple.Deformation((40, 60)).grab((20, 20), to=(23, 20), radius=6).warp(read(picture).pixels)
+    out = picture.with_name("out.png")
+    assert run("warp", "-", str(out), *GRAB, given=picture.read_bytes()) == (0, b"", "")
+    np.testing.assert_array_equal(read(out).pixels, true)
+    assert run("warp", "-", str(out), *GRAB, "--force", given=picture.read_bytes()) == (0, b"", "")
+    assert run("warp", str(picture), "-", *GRAB) == (0, out.read_bytes(), "")
+    assert run("warp", "-", "-", *GRAB, given=picture.read_bytes()) == (0, out.read_bytes(), "")
+    assert sorted(path.name for path in picture.parent.iterdir()) == ["in.png", "out.png"]
+
+
+def test_what_standard_input_and_output_cannot_be(picture: Path) -> None:
+    status, out, told = run("warp", str(picture), "-", *GRAB, "--json")
+    assert (status, out) == (2, b"")
+    assert told == (
+        "supple: --json and the picture cannot both go to standard output: leave --json out, or name a file\n"
+    )
+    status, out, told = run("warp", "-", "-", *GRAB, given=b"hello")
+    assert (status, out) == (2, b"")
+    assert told.startswith("supple: cannot read standard input: it is no image of a known kind")
+    status, out, told = run("warp", "-", str(picture), "-", *GRAB, given=b"hello")
+    assert (status, out) == (2, b"")
+    assert "- stands for one file" in told

@@ -5,13 +5,16 @@ from __future__ import annotations
 import contextlib
 import glob
 import os
+import shutil
+import sys
+import tempfile
 import threading
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from pathlib import Path
 
 from supple.clips import SUFFIXES
-from supple.console import FAULT, REFUSED, Console, deaf, fault
+from supple.console import FAULT, REFUSED, STREAM, Console, deaf, fault
 from supple.errors import SuppleError
 from supple.files import check_recipe_name, is_media_name
 from supple.media.files import check_output, shown
@@ -68,6 +71,8 @@ def pair(given: Sequence[str], target: str) -> tuple[list[Job], bool]:
             f"{shown(target)} is the name of one file, and several, a folder or a pattern become a folder: name one, "
             f"such as {shown('bent' if '%' in stem else stem)}/"
         )
+    if STREAM in (*given, target):
+        raise SuppleError("- stands for one file on standard input or output: give one to read, and one to write")
     jobs = [(source, Path(target) / name) for source, name in found]
     taken: dict[Path, Path] = {}
     for source, goal in jobs:
@@ -101,6 +106,46 @@ def make_folders(jobs: Sequence[Job]) -> None:
             raise SuppleError(
                 f"cannot make the folder {shown(folder)}: {error.strerror}: choose another place"
             ) from error
+
+
+@contextlib.contextmanager
+def piped(job: Job, console: Console) -> Iterator[Job]:
+    """Put files in the place of standard input and output, which are named by a dash.
+
+    What is written to standard output is of the source's format, and comes when it is whole.
+    """
+    source, target = job
+    if STREAM not in (str(source), str(target)):
+        yield job
+        return
+    with tempfile.TemporaryDirectory(prefix="supple-") as folder:
+        place = Path(folder)
+        if str(source) == STREAM:
+            source = place / "input"
+            console.names[str(source)] = "standard input"
+            with open(source, "wb") as file:
+                shutil.copyfileobj(sys.stdin.buffer, file)
+        if str(target) == STREAM:
+            target = place / f"output{_suffix_like(source)}"
+            console.names[str(target)] = "standard output"
+        yield source, target
+        if target.parent == place:
+            with open(target, "rb") as file:
+                shutil.copyfileobj(file, sys.stdout.buffer)
+            sys.stdout.buffer.flush()
+
+
+def _suffix_like(source: Path) -> str:
+    """The suffix of a file; of one without a name, that of its format."""
+    if source.suffix:
+        return source.suffix
+    from supple.media.formats import OUT
+    from supple.media.image import info
+
+    found = info(source)["format"]
+    if suffix := next((suffix for suffix, form in OUT.items() if form.name == found), ""):
+        return suffix
+    raise SuppleError(f"cannot write standard output: {found} is not written: name a file, out.png for instance")
 
 
 def check_recipe_file(name: str, jobs: Sequence[Job], force: bool) -> None:

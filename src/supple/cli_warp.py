@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Group, Parameter
 
-from supple.console import Console, SomeFailedError, current, say_convention, told_of_software
+from supple.console import STREAM, Console, SomeFailedError, current, say_convention, told_of_software
 from supple.errors import SuppleError
 from supple.options import RUNNING, RunOptions, StrokeOptions, VideoOptions, parse_fill, parse_number
 from supple.options_volume import VOLUME, VolumeOptions
@@ -63,7 +63,7 @@ def warp(
     ----------
     paths
         Files to read, and last the one to write (by suffix: PNG, JPEG, TIFF, WebP, AVIF; MP4, MOV, MKV, WebM,
-        AVI, GIF; NIfTI, NRRD, MHA) or a folder.
+        AVI, GIF; NIfTI, NRRD, MHA) or a folder. A dash, -, is standard input or output, in the input's format.
     filter
         Colours between pixels: auto is cubic, and averages just what the map shrinks.
     outside
@@ -89,7 +89,7 @@ def warp(
         pictures and volumes.
     """
     console = current()
-    from supple.batch import Crew, check_recipe_file, make_folders, pair
+    from supple.batch import Crew, check_recipe_file, make_folders, pair, piped
     from supple.clips import is_clip
     from supple.engines import check_device
     from supple.files import warp_file, write_recipe
@@ -117,6 +117,8 @@ def warp(
     }
     if fill is not None and outside != "constant":
         raise SuppleError(f"--fill is the constant of --outside constant, and --outside is {outside}: give both")
+    if options.json and paths[-1] == STREAM:
+        raise SuppleError("--json and the picture cannot both go to standard output: leave --json out, or name a file")
     if not paths[-1]:
         raise SuppleError("cannot write '': name a file, or a folder, last")
     reading = sampling["volume"]
@@ -131,10 +133,11 @@ def warp(
         check_recipe_file(save_recipe, jobs, options.force)
 
     def do(job: Job, tell: bool | Tell) -> None:
-        with workers() as who:
-            made = warp_file(job[0], job[1], recipe, progress=tell, **sampling)
+        with workers() as who, piped(job, console) as (source, target):
+            made = warp_file(source, target, recipe, progress=tell, **sampling)
         if options.json:
-            console.tell({**_facts_of(job, made), "device": str(who)})
+            known = {"input": "-"} if str(job[0]) == STREAM else {}
+            console.tell({**_facts_of(job, made), **known, "device": str(who)})
         say_convention(console, reading.world, getattr(made, "geometry", None), job[0])
 
     def failed(job: Job, message: str) -> None:

@@ -1,4 +1,4 @@
-"""Images as files: PNG, JPEG, TIFF, WebP and AVIF, with 8 or 16 bits, alpha and what their headers say."""
+"""Images as files: PNG, JPEG, TIFF, OpenEXR and others, with their depth, alpha and what their headers say."""
 
 from __future__ import annotations
 
