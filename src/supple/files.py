@@ -86,11 +86,11 @@ def warp_file(
     Parameters
     ----------
     source : str or os.PathLike
-        A picture (PNG, JPEG, TIFF, WebP, AVIF, GIF, OpenEXR, Radiance, JPEG 2000, BMP, TGA, PNM); a video; a pattern such as ``frames/%05d.png``, or a folder of
-        pictures; a volume in NIfTI, NRRD, MetaImage, a stack of TIFF pages, ``.dat``, or a folder of DICOM slices.
+        A picture (PNG, JPEG, TIFF, WebP, AVIF, GIF, OpenEXR, Radiance, JPEG 2000, BMP, TGA, PNM); a video; a pattern
+        such as ``frames/%05d.png``, or a folder of pictures; a volume in NIfTI, NRRD, MetaImage, a stack of TIFF pages, ``.dat``, or a folder of DICOM slices.
     target : str or os.PathLike
-        Its suffix names the format: one of those of pictures, but for GIF; for clips, MP4, MOV, MKV, WebM, AVI or GIF, or a
-        pattern or a folder for pictures; for volumes, NIfTI, NRRD, MetaImage or TIFF.
+        Its suffix names the format: one of those of pictures, but for GIF; for clips, MP4, MOV, MKV, WebM, AVI or
+        GIF, or a pattern or a folder for pictures; for volumes, NIfTI, NRRD, MetaImage or TIFF.
     recipe : Recipe
         The strokes, the border and the fold policy. Strokes with a time, x, y and t in frames, bend the clip; of
         those without one, each frame is bent alike, and so is each page of a TIFF. In volumes, points are voxels,
