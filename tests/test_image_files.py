@@ -963,8 +963,8 @@ class TestWhatCannotBeWritten:
             (".avif", noise("i2", 9, 9, 3), "AVIF takes no int16 values: write a TIFF"),
             (
                 ".tif",
-                noise("f8", 9, 9),
-                "TIFF takes no float64 values: convert to uint8, uint16 or, for TIFF, float32",
+                noise("u8", 9, 9),
+                "TIFF takes no uint64 values: convert to uint8, uint16 or, for TIFF, float32",
             ),
             (
                 ".png",

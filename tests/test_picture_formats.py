@@ -317,3 +317,21 @@ def test_all_pages_of_a_tiff_are_bent_alike(tmp_path: Path) -> None:
     Image.fromarray(pages[0]).save(tmp_path / "odd.tif", save_all=True, append_images=[Image.fromarray(pages[0][:9])])
     with pytest.warns(PageWarning, match="holds 2 pages, and only one"):
         warp_file(tmp_path / "odd.tif", tmp_path / "one.tif", recipe)
+
+
+@pytest.mark.parametrize("order", ["<", ">"])
+@pytest.mark.parametrize("channels", [(), (3,), (4,)])
+def test_tiff_of_doubles(tmp_path: Path, order: str, channels: tuple[int, ...]) -> None:
+    tifffile = pytest.importorskip("tifffile")
+    pixels = np.random.default_rng(0).normal(size=(40, 60, *channels))
+    photometric = "rgb" if channels else "minisblack"
+    options = {"compression": "deflate"} if order == "<" else {"tile": (16, 16)}
+    tifffile.imwrite(tmp_path / "in.tif", pixels, byteorder=order, photometric=photometric, **options)
+    picture = read(tmp_path / "in.tif")
+    assert (picture.pixels.dtype, picture.bits, picture.alpha) == (np.float64, 64, channels == (4,))
+    np.testing.assert_array_equal(picture.pixels, pixels)
+    recipe = supple.Recipe(strokes=[supple.Stroke.grab((20, 20), to=(24, 20), radius=6)])
+    warp_file(tmp_path / "in.tif", tmp_path / "out.tif", recipe)
+    true = supple.Deformation.from_recipe(recipe, (40, 60)).warp(pixels, alpha=picture.alpha)
+    np.testing.assert_array_equal(tifffile.imread(tmp_path / "out.tif"), true)
+    np.testing.assert_array_equal(read(tmp_path / "out.tif").pixels, true)

@@ -87,7 +87,8 @@ def warp_file(
     ----------
     source : str or os.PathLike
         A picture (PNG, JPEG, TIFF, WebP, AVIF, GIF, OpenEXR, Radiance, JPEG 2000, BMP, TGA, PNM); a video; a pattern
-        such as ``frames/%05d.png``, or a folder of pictures; a volume in NIfTI, NRRD, MetaImage, a stack of TIFF pages, ``.dat``, or a folder of DICOM slices.
+        such as ``frames/%05d.png``, or a folder of pictures; a volume
+        in NIfTI, NRRD, MetaImage, a stack of TIFF pages, ``.dat``, or a folder of DICOM slices.
     target : str or os.PathLike
         Its suffix names the format: one of those of pictures, but for GIF; for clips, MP4, MOV, MKV, WebM, AVI or
         GIF, or a pattern or a folder for pictures; for volumes, NIfTI, NRRD, MetaImage or TIFF.

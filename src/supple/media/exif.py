@@ -213,6 +213,21 @@ def tag_of(path: str | os.PathLike[str], tag: int) -> int:
     return 0
 
 
+def retagged(path: str | os.PathLike[str], values: dict[int, int]) -> tuple[bytes, Literal["little", "big"]]:
+    """Return a TIFF with one number of 16 bits in each of these tags of its first folder, and its byte order."""
+    with open(path, "rb") as file:
+        data = bytearray(file.read())
+        reader = _Reader(file)
+        form = reader.form
+        for k, entry in enumerate(reader.entries(reader.first)[0]):
+            tag = form.number(entry[:2])
+            if tag in values:
+                at = reader.first + form.count + form.step * k
+                head = form.bytes(tag, 2) + form.bytes(3, 2) + form.bytes(1, form.word)
+                data[at : at + form.step] = (head + form.bytes(values[tag], 2)).ljust(form.step, b"\0")
+    return bytes(data), form.order
+
+
 def set_tag(path: str | os.PathLike[str], tag: int, value: int) -> None:
     """Change a number of 16 bits that the folders of a TIFF, one for each page, hold, where it stands."""
     with open(path, "rb+") as file:

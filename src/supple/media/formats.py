@@ -34,7 +34,7 @@ class Format:
 
 PNG = Format("PNG", "pngsave", 10_000_000, 16)
 JPEG = Format("JPEG", "jpegsave", 65_500, 8, alpha=False, cmyk=True)
-TIFF = Format("TIFF", "tiffsave", 10_000_000, 32, cmyk=True)
+TIFF = Format("TIFF", "tiffsave", 10_000_000, 64, cmyk=True)
 WEBP = Format("WebP", "webpsave", 16_383, 8, grey=False)
 AVIF = Format("AVIF", "heifsave", 16_384, 12, grey=False)
 _REAL = {1: "grayf32le", 3: "gbrpf32le"}
@@ -75,6 +75,7 @@ DTYPES = {
     "uint": "u4",
     "int": "i4",
     "float": "f4",
+    "double": "f8",
 }
 _VIPS = {np.dtype(dtype): name for name, dtype in DTYPES.items()}
 COLOURS = {"b-w": 1, "grey16": 1, "cmyk": 4, "multiband": 0}  # all others have three
@@ -86,7 +87,7 @@ def meant(dtype: np.dtype[Any], colours: int, like: str) -> str:
         return like
     if colours not in (1, 3):
         return "multiband"
-    names = ("grey16", "rgb16") if dtype == np.uint16 else ("b-w", "scrgb" if dtype == np.float32 else "srgb")
+    names = ("grey16", "rgb16") if dtype == np.uint16 else ("b-w", "scrgb" if dtype.kind == "f" else "srgb")
     return names[colours == 3]
 
 
@@ -153,7 +154,7 @@ def settings(form: Format, array: Array, bits: int, quality: int | None, lossles
     if form is JPEG:
         return {"Q": quality or 95, "subsample_mode": "off"}
     if form is TIFF:
-        predictor = "float" if array.dtype.kind == "f" else "horizontal"
+        predictor = "none" if array.dtype.itemsize == 8 else "float" if array.dtype.kind == "f" else "horizontal"
         return {"compression": "deflate", "predictor": predictor, "bigtiff": array.nbytes >= 4_000_000_000}
     if form is WEBP:
         return {"Q": quality or 90, "lossless": lossless, "exact": lossless, "smart_subsample": True}

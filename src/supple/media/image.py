@@ -160,7 +160,8 @@ def read(path: PathLike, *, pages: bool = False) -> Picture:
     image, form = opened(path)
     name = shown(path)
     count, orientation, bits = facts(image)
-    tall = _all_pages(path, count) if pages and count > 1 and form == "TIFF" and not is_ycbcr(path) else None
+    plain = form == "TIFF" and image.format != "double" and not is_ycbcr(path)
+    tall = _all_pages(path, count) if pages and count > 1 and plain else None
     if count > 1 and tall is None:
         warnings.warn(f"{name} holds {count} {_pages(form)}", PageWarning, stacklevel=2)
     with reading(path):
@@ -253,7 +254,7 @@ def write(
     path : str or os.PathLike
         One of `SUFFIXES_OUT`.
     pixels : ndarray
-        Shape (H, W) or (H, W, C): uint8, uint16, and for TIFF also float32 and integers up to 32 bits. Used
+        Shape (H, W) or (H, W, C): uint8, uint16, and for TIFF also floats and integers up to 32 bits. Used
         as it is when contiguous, without a copy.
     like : Picture, optional
         Whose profile, EXIF, XMP and resolution to write, and whose channels and pages `pixels` has.

@@ -16,7 +16,7 @@ import pyvips
 
 from supple.errors import SuppleError
 from supple.media.chunks import png_frames
-from supple.media.exif import tag_of
+from supple.media.exif import retagged, tag_of
 from supple.media.files import shown
 from supple.media.formats import DTYPES, Array, meant, wrapped
 
@@ -43,9 +43,10 @@ _UNSUPPORTED = re.compile(
 )
 _JXL = (b"\xff\x0a", b"\0\0\0\x0cJXL ")
 _HEIC = re.compile(rb"(?s)....ftyp(hei[cxms]|hev[cxms])")
-_COMPRESSION, _PHOTOMETRIC = 259, 262  # tags of TIFF
+_BITS, _COMPRESSION, _PHOTOMETRIC, _SAMPLES, _PLANAR, _PREDICTOR, _SAMPLE_FORMAT = 258, 259, 262, 277, 284, 317, 339
+_TIFF = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 _YCBCR, _JPEGS = 6, (6, 7)
-_MAGIC = (b"\x89PNG", b"\xff\xd8", b"II*\0", b"MM\0*", b"II+\0", b"MM\0+", b"RIFF", b"GIF8")
+_MAGIC = (b"\x89PNG", b"\xff\xd8", *_TIFF, b"RIFF", b"GIF8")
 
 
 def opened(path: PathLike) -> tuple[Any, str]:
@@ -67,7 +68,9 @@ def opened(path: PathLike) -> tuple[Any, str]:
         raise SuppleError(f"cannot read {name}: {what}: {kinds}")
     known = head.startswith(_MAGIC) or head[4:8] == b"ftyp"
     try:
-        image = apart(lambda: sequential(path))
+        image = (
+            _of_doubles(path) if head.startswith(_TIFF) and _holds_doubles(path) else apart(lambda: sequential(path))
+        )
         form = _LOADERS.get(str(image.get("vips-loader")).partition("load")[0])
         if form == "HEIF" and image.get("heif-compression") == "av1":
             form = "AVIF"
@@ -120,9 +123,34 @@ def _in_rgb(path: PathLike, image: Any) -> Any:
 
     with ffmpeg.reading(path):
         made = wrapped(ffmpeg.decoded(path, "tiff")[0], "srgb", 8).copy(xres=image.xres, yres=image.yres)
+    return _with_header(made, image)
+
+
+def _with_header(made: Any, image: Any) -> Any:
     for name in image.get_fields():
         if made.get_typeof(name) == 0:
             made.set_type(image.get_typeof(name), name, image.get(name))
+    return made
+
+
+def _holds_doubles(path: PathLike) -> bool:
+    """Whether a TIFF holds floats of 64 bits, which libvips writes, but does not read."""
+    usual = tag_of(path, _PREDICTOR) in (0, 1) and tag_of(path, _PLANAR) in (0, 1)
+    return usual and tag_of(path, _BITS) == 64 and tag_of(path, _SAMPLE_FORMAT) == 3
+
+
+def _of_doubles(path: PathLike) -> Any:
+    """Decode a TIFF of doubles as one of eight times as many bytes."""
+    channels = tag_of(path, _SAMPLES) or 1
+    values = {_BITS: 8, _SAMPLES: 8 * channels, _SAMPLE_FORMAT: 1, _PHOTOMETRIC: 1}
+    data, order = retagged(path, values)
+    image = apart(lambda: pyvips.Image.new_from_buffer(data, "", fail_on="truncated"))
+    shape = (image.height, image.width, channels) if channels > 1 else (image.height, image.width)
+    pixels = np.frombuffer(apart(image.write_to_memory), "<f8" if order == "little" else ">f8").reshape(shape)
+    colours = channels - (channels in (2, 4))
+    made = wrapped(np.ascontiguousarray(pixels, np.float64), meant(pixels.dtype, colours, ""), 64)
+    made = _with_header(made.copy(xres=image.xres, yres=image.yres), image)
+    made.set_type(pyvips.GValue.gint_type, "bits-per-sample", 64)
     return made
 
 
