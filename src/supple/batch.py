@@ -5,24 +5,22 @@ from __future__ import annotations
 import contextlib
 import glob
 import os
+import shutil
+import sys
+import tempfile
 import threading
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from pathlib import Path
 
 from supple.clips import SUFFIXES
-from supple.console import FAULT, REFUSED, Console, deaf, fault
+from supple.console import FAULT, REFUSED, STREAM, Console, deaf, fault
 from supple.errors import SuppleError
 from supple.files import check_recipe_name, is_media_name
 from supple.media.files import check_output, shown
+from supple.media.numbering import SUFFIXES_IN
 from supple.media.volume import suffix_of
 from supple.volumes import ONE_FILE
-
-# Of a folder, everything that somebody may take for a picture: what cannot be done is then named.
-_PICTURES = frozenset(
-    {".avif", ".bmp", ".exr", ".gif", ".hdr", ".heic", ".heif", ".jp2", ".jpeg", ".jpg", ".jxl", ".png", ".ppm", ".svg"}
-    | {".tif", ".tiff", ".webp"}
-)
 
 Job = tuple[Path, Path]
 
@@ -35,7 +33,7 @@ def pair(given: Sequence[str], target: str) -> tuple[list[Job], bool]:
     given : sequence of str
         Files, folders and patterns.
     target : str
-        A file; or a folder, if it is one or there may be several pictures.
+        A file; or a folder, if it is one, ends in a slash, or there may be several pictures.
 
     Returns
     -------
@@ -63,7 +61,7 @@ def pair(given: Sequence[str], target: str) -> tuple[list[Job], bool]:
             found += [(p, p.relative_to(base)) for p in matching]
         else:
             found.append((path, Path(path.name)))
-    if not several and not os.path.isdir(target):
+    if not several and not os.path.isdir(target) and not target.endswith(("/", os.sep)):
         return [(found[0][0], Path(target))], False
     if not target:
         raise SuppleError("several pictures need a folder to go into: name one, last")
@@ -73,6 +71,8 @@ def pair(given: Sequence[str], target: str) -> tuple[list[Job], bool]:
             f"{shown(target)} is the name of one file, and several, a folder or a pattern become a folder: name one, "
             f"such as {shown('bent' if '%' in stem else stem)}/"
         )
+    if STREAM in (*given, target):
+        raise SuppleError("- stands for one file on standard input or output: give one to read, and one to write")
     jobs = [(source, Path(target) / name) for source, name in found]
     taken: dict[Path, Path] = {}
     for source, goal in jobs:
@@ -93,7 +93,7 @@ def _pictures_in(folder: Path) -> list[Path]:
     except OSError as error:
         raise SuppleError(f"cannot read the folder {shown(folder)}: {error.strerror}: check its rights") from error
     seen = [folder / name for name in names if not name.startswith(".")]
-    known = _PICTURES | SUFFIXES | ONE_FILE
+    known = SUFFIXES_IN | SUFFIXES | ONE_FILE
     return [path for path in seen if suffix_of(path) in known and os.path.isfile(path)]
 
 
@@ -106,6 +106,46 @@ def make_folders(jobs: Sequence[Job]) -> None:
             raise SuppleError(
                 f"cannot make the folder {shown(folder)}: {error.strerror}: choose another place"
             ) from error
+
+
+@contextlib.contextmanager
+def piped(job: Job, console: Console) -> Iterator[Job]:
+    """Put files in the place of standard input and output, which are named by a dash.
+
+    What is written to standard output is of the source's format, and comes when it is whole.
+    """
+    source, target = job
+    if STREAM not in (str(source), str(target)):
+        yield job
+        return
+    with tempfile.TemporaryDirectory(prefix="supple-") as folder:
+        place = Path(folder)
+        if str(source) == STREAM:
+            source = place / "input"
+            console.names[str(source)] = "standard input"
+            with open(source, "wb") as file:
+                shutil.copyfileobj(sys.stdin.buffer, file)
+        if str(target) == STREAM:
+            target = place / f"output{_suffix_like(source)}"
+            console.names[str(target)] = "standard output"
+        yield source, target
+        if target.parent == place:
+            with open(target, "rb") as file:
+                shutil.copyfileobj(file, sys.stdout.buffer)
+            sys.stdout.buffer.flush()
+
+
+def _suffix_like(source: Path) -> str:
+    """The suffix of a file; of one without a name, that of its format."""
+    if source.suffix:
+        return source.suffix
+    from supple.media.formats import OUT
+    from supple.media.image import info
+
+    found = info(source)["format"]
+    if suffix := next((suffix for suffix, form in OUT.items() if form.name == found), ""):
+        return suffix
+    raise SuppleError(f"cannot write standard output: {found} is not written: name a file, out.png for instance")
 
 
 def check_recipe_file(name: str, jobs: Sequence[Job], force: bool) -> None:

@@ -10,7 +10,7 @@ from typing import NoReturn
 
 from cyclopts import App, CycloptsError, Parameter
 
-from supple.console import run
+from supple.console import STREAM, run
 from supple.errors import SuppleError
 
 _GRAB = "--grab X,Y[,T|Z]:X,Y[,T|Z] --radius R [OPTIONS]"
@@ -94,6 +94,8 @@ def _dispatch(arguments: Sequence[str]) -> None:
         app.command(f"supple.{where}", usage=f"Usage: supple {usage}", help_epilogue=examples)
     if not arguments or arguments[0] in app.help_flags:
         app.resolved_commands()  # or their first lines would be missing
+    if arguments and arguments[0] == "warp":  # a dash alone would be taken for an option
+        arguments = [STREAM if argument == "-" else argument for argument in arguments]
     try:
         app(list(arguments), exit_on_error=False, print_error=False, verbose=False)
     except CycloptsError as error:

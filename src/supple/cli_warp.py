@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Group, Parameter
 
-from supple.console import Console, SomeFailedError, current, say_convention, told_of_software
+from supple.console import STREAM, Console, SomeFailedError, current, say_convention, told_of_software
 from supple.errors import SuppleError
 from supple.options import RUNNING, RunOptions, StrokeOptions, VideoOptions, parse_fill, parse_number
 from supple.options_volume import VOLUME, VolumeOptions
@@ -41,7 +41,7 @@ def warp(
     strokes: StrokeOptions = _STROKES,
     filter: Annotated[str, Parameter(group=SAMPLING, metavar="auto|cubic|linear|nearest")] = "auto",
     outside: Annotated[Outside, Parameter(group=SAMPLING)] = "edge",
-    fill: Annotated[str, Parameter(group=SAMPLING, metavar="V|V,V,V", allow_leading_hyphen=True)] = "0",
+    fill: Annotated[str | None, Parameter(group=SAMPLING, metavar="V|V,V,V", allow_leading_hyphen=True)] = None,
     tolerance: Annotated[str, Parameter(group=SAMPLING, metavar="PX", allow_leading_hyphen=True)] = "0.01",
     linear_light: Annotated[bool, Parameter(group=SAMPLING)] = False,
     quality: Annotated[int | None, Parameter(group=WRITING, metavar="1..100", allow_leading_hyphen=True)] = None,
@@ -63,13 +63,13 @@ def warp(
     ----------
     paths
         Files to read, and last the one to write (by suffix: PNG, JPEG, TIFF, WebP, AVIF; MP4, MOV, MKV, WebM,
-        AVI, GIF; NIfTI, NRRD, MHA) or a folder.
+        AVI, GIF; NIfTI, NRRD, MHA) or a folder. A dash, -, is standard input or output, in the input's format.
     filter
         Colours between pixels: auto is cubic, and averages just what the map shrinks.
     outside
         What is seen beyond the edges: these go on, a constant (--fill), or the mirror image.
     fill
-        The constant, in the picture's own values: one for all channels, or one for each.
+        The constant of --outside constant, in the picture's own values (0): one for all channels, or one for each.
     tolerance
         How far from its exact place a colour may be taken, in pixels; this is certified.
     linear_light
@@ -89,7 +89,7 @@ def warp(
         pictures and volumes.
     """
     console = current()
-    from supple.batch import Crew, check_recipe_file, make_folders, pair
+    from supple.batch import Crew, check_recipe_file, make_folders, pair, piped
     from supple.clips import is_clip
     from supple.engines import check_device
     from supple.files import warp_file, write_recipe
@@ -105,7 +105,7 @@ def warp(
     sampling: dict[str, Any] = {
         "filter": filter,
         "outside": outside,
-        "fill": parse_fill(fill),
+        "fill": parse_fill("0" if fill is None else fill),
         "tolerance": parse_number("--tolerance", tolerance, "a number of pixels above 0"),
         "linear_light": linear_light,
         "quality": quality,
@@ -115,6 +115,10 @@ def warp(
         "clip": video.to_clip(),
         "volume": volume.to_reading(labels=labels, save_field=save_field),
     }
+    if fill is not None and outside != "constant":
+        raise SuppleError(f"--fill is the constant of --outside constant, and --outside is {outside}: give both")
+    if options.json and paths[-1] == STREAM:
+        raise SuppleError("--json and the picture cannot both go to standard output: leave --json out, or name a file")
     if not paths[-1]:
         raise SuppleError("cannot write '': name a file, or a folder, last")
     reading = sampling["volume"]
@@ -129,10 +133,11 @@ def warp(
         check_recipe_file(save_recipe, jobs, options.force)
 
     def do(job: Job, tell: bool | Tell) -> None:
-        with workers() as who:
-            made = warp_file(job[0], job[1], recipe, progress=tell, **sampling)
+        with workers() as who, piped(job, console) as (source, target):
+            made = warp_file(source, target, recipe, progress=tell, **sampling)
         if options.json:
-            console.tell({**_facts_of(job, made), "device": str(who)})
+            known = {"input": "-"} if str(job[0]) == STREAM else {}
+            console.tell({**_facts_of(job, made), **known, "device": str(who)})
         say_convention(console, reading.world, getattr(made, "geometry", None), job[0])
 
     def failed(job: Job, message: str) -> None:

@@ -21,7 +21,7 @@ from supple.engines import check_no_cuda, engine_of
 from supple.errors import OutsideWarning, SuppleError
 from supple.media.files import check_output, replacing, shown
 from supple.media.formats import SUFFIXES_OUT as PICTURES_OUT
-from supple.media.image import check_target
+from supple.media.image import check_quality, check_target
 from supple.media.numbering import SUFFIXES_IN, has_number, is_sequence
 from supple.native import OUTSIDE, check_filter
 from supple.streaming import Array, Layout, Sampling, capacity_of, make_plan, stream
@@ -123,7 +123,15 @@ def is_clip(source: PathLike, target: PathLike, recipe: Recipe) -> bool:
     if os.path.isdir(source):
         return timed and not _holds_videos_alone(source)
     still = suffix not in (".gif", ".webp", ".png", ".apng", "")
-    return (timed and not still) or (suffix == ".gif" and (goal == ".gif" or has_number(target)))
+    many = goal == ".gif" or has_number(target)
+    return (timed and not still) or (many and (suffix == ".gif" or (not still and _is_animated(source))))
+
+
+def _is_animated(path: PathLike) -> bool:
+    """Whether a picture holds several frames."""
+    from supple.media.sequence import is_animated
+
+    return os.path.isfile(path) and is_animated(path)
 
 
 def _holds_videos_alone(folder: PathLike) -> bool:
@@ -144,6 +152,11 @@ def open_clip(source: PathLike, *, rate: float | Fraction | None = None, count: 
         with open_sequence(source, rate=24 if rate is None else rate) as pictures:
             yield pictures
         return
+    if rate is None and _suffix(source) == ".webp" and _is_animated(source):
+        from supple.media.sequence import Animation
+
+        yield Animation(source)
+        return
     from supple.media.video import open_video
 
     if rate is not None:
@@ -154,7 +167,7 @@ def open_clip(source: PathLike, *, rate: float | Fraction | None = None, count: 
 
 def refuse_picture(path: PathLike) -> None:
     """Refuse a file of a single picture, which FFmpeg would take for a short video."""
-    if _suffix(path) not in SUFFIXES_IN or not os.path.isfile(path):
+    if _suffix(path) not in SUFFIXES_IN or not os.path.isfile(path) or _is_animated(path):
         return
     from supple.media.demux import opened
 
@@ -400,8 +413,7 @@ def check_clip_target(
     for option in ("codec", "crf", "preset", "pixel_format"):
         if getattr(options, option) is not None:
             raise SuppleError(f"{option} is for videos, and {name} is pictures: leave it out")
-    if quality is not None and not 1 <= quality <= 100:
-        raise SuppleError(f"cannot write {name} with quality {quality}: quality goes from 1 to 100")
+    check_quality(target, quality)
 
 
 @contextlib.contextmanager

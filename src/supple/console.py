@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 DONE, FAULT, REFUSED = 0, 1, 2
 INTERRUPTED = 128 + signal.SIGINT
 TERMINATED = 128 + signal.SIGTERM
+STREAM = "(standard)"  # a dash among files: standard input or output
 PIPE_CLOSED = 141  # 128 + SIGPIPE, which Windows does not name
 
 
@@ -64,6 +65,7 @@ class Console:
     def __init__(self) -> None:
         self.quiet = False
         self.bar: Any = None
+        self.names: dict[str, str] = {}  # of temporary files, as people know them
         self._said: set[str] = set()
         self._lock = threading.Lock()
 
@@ -75,6 +77,8 @@ class Console:
     def say(self, text: object) -> None:
         """Write a line to standard error."""
         line = f"supple: {as_options(one_line(text))}"
+        for path, name in self.names.items():
+            line = line.replace(path, name)
         with self._lock, contextlib.suppress(OSError, ValueError):
             if self.bar is not None:
                 self.bar.console.print(line, markup=False, highlight=False, soft_wrap=True)

@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from supple import _core
 from supple.certificate import Certificate
-from supple.domain import BorderProfile, Domain, choice, integer, number, refuse
+from supple.domain import BorderProfile, Domain, choice, colours_hint, integer, number, refuse
 from supple.errors import FoldWarning, MissWarning, SuppleError, ToleranceWarning
 from supple.folding import Resolved, resolve
 from supple.native import certificate_of, measured, plan_of
@@ -337,7 +337,8 @@ class Deformation:
         if not isinstance(stroke, Stroke):
             refuse("a stroke", "a Stroke", stroke)
         if stroke.ndim != self.ndim:
-            refuse("a stroke's point", f"{self.ndim} numbers, as the shape has {self.ndim} axes", stroke.at)
+            wanted = f"{self.ndim} numbers, as the shape has {self.ndim} axes{colours_hint(self.shape)}"
+            refuse("a stroke's point", wanted, stroke.at)
         if stroke.hidden:
             return self
         resolved = resolve(stroke, self.domain, self.on_fold)
@@ -542,6 +543,8 @@ class Deformation:
             self.ndim, filter=filter, tolerance=tolerance, outside=outside, fill=fill, linear_light=linear_light,
             between=between, time_filter=time_filter,
         )  # fmt: skip
+        if samples != 1 and not callable(source):
+            refuse("samples", "left out for an array: it is for a function of points", samples)
         if is_on_card(source):
             result, certificate = warp_on_card(source, (self.space,), sampling, alpha=alpha, out=out, device=device)
             warn_of(certificate, sampling.tolerance, 3)

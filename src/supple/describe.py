@@ -81,7 +81,7 @@ def describe(name: str, *, layout: RawLayout | None = None, series: str | None =
             what = "it is no picture, video, volume or recipe of a known kind"
             raise SuppleError(f"cannot read {shown(name)}: {what}: give one of these") from None
         raise
-    if suffix == ".gif" and facts["pages"] != 1:
+    if facts["format"] in ("GIF", "PNG") and facts["pages"] != 1:
         return _described_video(name)
     return {"file": name, "kind": "image", **facts}, _picture(name, facts)
 

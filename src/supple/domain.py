@@ -151,6 +151,13 @@ def border_factor(t: npt.ArrayLike, profile: float) -> npt.NDArray[np.float64]:
     return np.asarray(np.sin(np.pi / 2 * t) if profile == PROFILE_CODES["sine"] else t * (2 - 2 * t**2 + t**3))
 
 
+def colours_hint(shape: tuple[int, ...]) -> str:
+    """What to say where something does not fit a shape of three axes, of which the last may be colours."""
+    if len(shape) != 3 or shape[2] not in (3, 4):
+        return ""
+    return f" (if the last axis of {shape} is colours, make the deformation with shape[:2])"
+
+
 def _checked_shape(shape: object) -> tuple[int, ...]:
     wanted = "two or three sizes, (H, W), (T, H, W) or (Z, H, W)"
     sizes = items("shape", shape, wanted, (2, 3))

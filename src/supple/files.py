@@ -7,7 +7,7 @@ import os
 import shutil
 import sys
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -21,7 +21,7 @@ from supple.domain import choice
 from supple.engines import DEVICES, check_device, check_no_cuda
 from supple.errors import SuppleError
 from supple.media.files import check_output, replacing, same_file, shown
-from supple.media.image import check_target, read, write
+from supple.media.image import check_quality, check_target, read, write
 from supple.media.numbering import SUFFIXES_IN
 from supple.media.volume import SUFFIXES as VOLUMES
 from supple.media.volume import SUFFIXES_OUT as VOLUMES_OUT
@@ -86,14 +86,16 @@ def warp_file(
     Parameters
     ----------
     source : str or os.PathLike
-        A PNG, JPEG, TIFF, WebP, AVIF or GIF file; a video; a pattern such as ``frames/%05d.png``, or a folder of
-        pictures; a volume in NIfTI, NRRD, MetaImage, a stack of TIFF pages, ``.dat``, or a folder of DICOM slices.
+        A picture (PNG, JPEG, TIFF, WebP, AVIF, GIF, OpenEXR, Radiance, JPEG 2000, BMP, TGA, PNM); a video; a pattern
+        such as ``frames/%05d.png``, or a folder of pictures; a volume
+        in NIfTI, NRRD, MetaImage, a stack of TIFF pages, ``.dat``, or a folder of DICOM slices.
     target : str or os.PathLike
-        Its suffix names the format: PNG, JPEG, TIFF, WebP or AVIF; for clips, MP4, MOV, MKV, WebM, AVI or GIF, or a
-        pattern or a folder for pictures; for volumes, NIfTI, NRRD, MetaImage or TIFF.
+        Its suffix names the format: one of those of pictures, but for GIF; for clips, MP4, MOV, MKV, WebM, AVI or
+        GIF, or a pattern or a folder for pictures; for volumes, NIfTI, NRRD, MetaImage or TIFF.
     recipe : Recipe
         The strokes, the border and the fold policy. Strokes with a time, x, y and t in frames, bend the clip; of
-        those without one, each frame is bent alike. In volumes, points are voxels, x, y and z, and lengths millimetres.
+        those without one, each frame is bent alike, and so is each page of a TIFF. In volumes, points are voxels,
+        x, y and z, and lengths millimetres.
     filter, tolerance, outside, fill, linear_light
         As `Deformation.warp` takes them.
     quality : int, optional
@@ -186,9 +188,10 @@ def warp_file(
                 tell(part, _PARTS.index(part), len(_PARTS))
 
         begin("read")
-        picture = read(source)
+        picture = read(source, pages=_suffix(target) == ".tiff")
         begin("warp")
-        deformation = Deformation.from_recipe(recipe, picture.pixels.shape[:2])
+        height = len(picture.pixels) // picture.pages
+        deformation = Deformation.from_recipe(recipe, (height, picture.pixels.shape[1]))
         warn_of_misses(deformation, source)
         if deformation.is_identity and quality is None and not lossless and _suffix(source) == _suffix(target):
             # Encoded anew, a lossy picture would not be what it was.
@@ -196,16 +199,19 @@ def warp_file(
             with replacing(target, force=force) as place:
                 shutil.copyfile(source, place)
             return Warped(Path(source), Path(target), deformation, tolerance)
-        pixels = deformation.warp(
-            picture.pixels,
-            filter=filter,
-            tolerance=tolerance,
-            outside=outside,
-            fill=fill,
-            alpha=picture.alpha,
-            linear_light=linear_light,
-            device=device,
-        )
+        pixels = np.empty_like(picture.pixels)
+        for top in range(0, len(pixels), height):  # each page alike
+            deformation.warp(
+                picture.pixels[top : top + height],
+                filter=filter,
+                tolerance=tolerance,
+                outside=outside,
+                fill=fill,
+                alpha=picture.alpha,
+                linear_light=linear_light,
+                device=device,
+                out=pixels[top : top + height],
+            )
         # Of the input, only the header is needed now: the encoder may have its memory.
         like = replace(picture, pixels=np.empty((0, *picture.pixels.shape[1:]), picture.pixels.dtype))
         del picture
@@ -245,20 +251,24 @@ def check_job(
         for another kind.
     """
     if is_volume_job(source, target, recipe, volume):
-        if quality is not None or lossless or linear_light or not _only_memory(clip):
-            raise SuppleError(f"{shown(source)} is a volume, and what was asked of it is for pictures or videos")
+        if quality is not None or lossless or linear_light or clip not in (None, ClipOptions()):
+            flags = {"quality": quality is not None, "lossless": lossless, "linear_light": linear_light}
+            given = [name for name, asked in flags.items() if asked]
+            asked = _named(given) if given else _asked(clip, ClipOptions())
+            raise SuppleError(f"{shown(source)} is a volume, and {asked} for pictures or videos: leave that out")
         _spare(source, target, "volume", force)
         check_volume_target(source, target, volume or VolumeOptions(), force=force)
         return "volume"
     if volume is not None and volume != VolumeOptions():
-        raise SuppleError(f"{shown(source)} is no volume, and what was asked of it is for volumes: leave that out")
+        asked = _asked(volume, VolumeOptions())
+        raise SuppleError(f"{shown(source)} is no volume, and {asked} for volumes: leave that out")
     if is_clip(source, target, recipe):
         _spare(source, target, "clip", force)
         check_clip_target(source, target, clip or ClipOptions(), quality=quality, force=force)
         return "clip"
-    if not _only_memory(clip):
+    if clip not in (None, ClipOptions()):
         raise SuppleError(
-            f"{shown(source)} is taken for a picture, and what was asked of it is for clips: leave that out"
+            f"{shown(source)} is taken for a picture, and {_asked(clip, ClipOptions())} for clips: leave that out"
         )
     check_target(target)
     _check_options(target, quality, lossless)
@@ -273,8 +283,16 @@ def _spare(source: PathLike, target: PathLike, kind: str, force: bool) -> None:
         raise SuppleError(f"{shown(target)} is the {kind} itself: pass --force (force=True) to replace it")
 
 
-def _only_memory(clip: ClipOptions | None) -> bool:
-    return clip is None or clip == ClipOptions(memory=clip.memory)
+def _asked(options: ClipOptions | VolumeOptions | None, usual: ClipOptions | VolumeOptions) -> str:
+    """Name the options that are not as usual, as the command line does."""
+    assert options is not None
+    named = [each.name for each in fields(options) if getattr(options, each.name) != getattr(usual, each.name)]
+    return _named(named)
+
+
+def _named(names: Sequence[str]) -> str:
+    options = ["--" + {"rate": "fps", "layout": "shape"}.get(name, name).replace("_", "-") for name in names]
+    return f"{' and '.join(options)} {'are' if len(options) > 1 else 'is'}"
 
 
 @contextlib.contextmanager
@@ -392,8 +410,7 @@ def write_recipe(path: PathLike, recipe: Recipe, *, force: bool = False) -> None
 
 def _check_options(target: PathLike, quality: int | None, lossless: bool) -> None:
     name = shown(target)
-    if quality is not None and not 1 <= quality <= 100:
-        raise SuppleError(f"cannot write {name} with quality {quality}: quality goes from 1 to 100")
+    check_quality(target, quality)
     if lossless and Path(target).suffix.lower() in (".jpg", ".jpeg"):
         raise SuppleError(f"cannot write {name} without loss: JPEG always loses: write PNG, TIFF, WebP or AVIF")
 

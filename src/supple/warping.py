@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from supple.certificate import Certificate
-from supple.domain import choice, flag, integer, number, refuse
+from supple.domain import choice, colours_hint, flag, integer, number, refuse
 from supple.errors import SuppleError, ToleranceWarning
 from supple.native import BETWEEN, FILTERS, OUTSIDE, certificate_of, check_filter
 from supple.stacks import warp_stack
@@ -201,7 +201,8 @@ def checked_kind(
     axes = len(shape)
     if found[:axes] != shape or len(found) not in (axes, axes + 1) or 0 in found:
         sizes = ", ".join(map(str, shape))
-        refuse("source", f"of shape ({sizes}) or ({sizes}, channels), as the deformation is", f"shape {found}")
+        wanted = f"of shape ({sizes}) or ({sizes}, channels), as the deformation is{colours_hint(shape)}"
+        refuse("source", wanted, f"shape {found}")
     channels = found[axes] if len(found) > axes else 1
     if alpha is not None and not isinstance(alpha, bool | np.bool_):
         refuse("alpha", "True or False, or None to have it guessed", alpha)

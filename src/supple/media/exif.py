@@ -203,6 +203,45 @@ def into_tiff(path: str | os.PathLike[str], block: bytes, width: int, height: in
         file.write(form.bytes(place, form.word))
 
 
+def tag_of(path: str | os.PathLike[str], tag: int) -> int:
+    """Return a small number that the first folder of a TIFF holds; 0 where it does not."""
+    with open(path, "rb") as file:
+        reader = _Reader(file)
+        for entry in reader.entries(reader.first)[0]:
+            if reader.form.number(entry[:2]) == tag and (value := reader.value(entry)) is not None:
+                return reader.form.number(value.data[:2])
+    return 0
+
+
+def retagged(path: str | os.PathLike[str], values: dict[int, int]) -> tuple[bytes, Literal["little", "big"]]:
+    """Return a TIFF with one number of 16 bits in each of these tags of its first folder, and its byte order."""
+    with open(path, "rb") as file:
+        data = bytearray(file.read())
+        reader = _Reader(file)
+        form = reader.form
+        for k, entry in enumerate(reader.entries(reader.first)[0]):
+            tag = form.number(entry[:2])
+            if tag in values:
+                at = reader.first + form.count + form.step * k
+                head = form.bytes(tag, 2) + form.bytes(3, 2) + form.bytes(1, form.word)
+                data[at : at + form.step] = (head + form.bytes(values[tag], 2)).ljust(form.step, b"\0")
+    return bytes(data), form.order
+
+
+def set_tag(path: str | os.PathLike[str], tag: int, value: int) -> None:
+    """Change a number of 16 bits that the folders of a TIFF, one for each page, hold, where it stands."""
+    with open(path, "rb+") as file:
+        reader = _Reader(file)
+        form, at = reader.form, reader.first
+        while 0 < at < reader.size:
+            entries, following = reader.entries(at)
+            for k, entry in enumerate(entries):
+                if form.number(entry[:2]) == tag:
+                    file.seek(at + form.count + form.step * (k + 1) - form.word)
+                    file.write(form.bytes(value, 2))
+            at = form.number(following)
+
+
 def _parsed(block: bytes) -> tuple[_Folder, _Form, bool]:
     reader = _Reader(io.BytesIO(block.removeprefix(_PREFIX)))
     return reader.folder(reader.first), reader.form, reader.whole

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import errno
 import os
+import shutil
 import stat
 from collections.abc import Iterator
 from pathlib import Path
@@ -12,6 +13,7 @@ from pathlib import Path
 from supple.errors import SuppleError
 
 _NEW = os.O_CREAT | os.O_EXCL | os.O_WRONLY
+_SPARE = 65_536  # bytes: with less, a disk is full
 _NO_ROOM = "make room or choose another place"
 _NO_RIGHT = "choose a place where writing is allowed"
 _ADVICE = {
@@ -109,10 +111,27 @@ def replacing(path: str | os.PathLike[str], *, force: bool = False) -> Iterator[
         if not _publish(temporary, target, force):
             raise _exists(path)
     except OSError as error:
-        raise _unwritable(path, error, temporary) from error
+        known = error.errno in errno.errorcode or not _is_full(temporary.parent)
+        raise _unwritable(path, error if known else _full(), temporary) from error
+    except SuppleError as error:
+        if str(error).startswith("cannot write") and _is_full(temporary.parent):  # whatever a library calls that
+            raise _unwritable(path, _full()) from error
+        raise
     finally:
         with contextlib.suppress(OSError):
             temporary.unlink()
+
+
+def _is_full(folder: Path) -> bool:
+    """Whether there is no space left on a disk, while what was written in vain is still there."""
+    try:
+        return shutil.disk_usage(folder).free < _SPARE
+    except OSError:
+        return False
+
+
+def _full() -> OSError:
+    return OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
 
 def _mode(path: Path) -> int | None:

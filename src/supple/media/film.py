@@ -144,9 +144,16 @@ class Stills(Reel):
         found = form(known[count - 1])
         assert found is not None
         self.form, self.colour = found, Colour(FULL, BT709, BT709, RGB)
+        self._starts: list[int] | None = getattr(pictures, "starts", None)
+        if self._starts:
+            self.base = Fraction(1, 1000)
         profile = pictures.picture(0)[0].icc
         if profile and b"sRGB" not in profile and "sRGB".encode("utf-16-be") not in profile:
             self.unheld = ("the colour profile of the pictures",)
+
+    def time(self, k: int) -> tuple[int, int]:
+        """Return the start and the duration of frame `k` in ticks of `base`."""
+        return (self._starts[k], self._starts[k + 1] - self._starts[k]) if self._starts else (k, 1)
 
 
 class Film(Reel):

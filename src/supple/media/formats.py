@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -16,7 +17,10 @@ Array = npt.NDArray[Any]
 
 @dataclass(frozen=True, slots=True)
 class Format:
-    """A format's libvips saver, its pixels on a side, its bits a channel, and the channels that it knows."""
+    """A format's libvips saver, its pixels on a side, its bits a channel, and the channels that it knows.
+
+    What FFmpeg writes names a codec instead, and its pixel format for each type and number of channels.
+    """
 
     name: str
     save: str
@@ -25,13 +29,26 @@ class Format:
     grey: bool = True
     alpha: bool = True
     cmyk: bool = False
+    pixel_formats: Mapping[str, Mapping[int, str]] = field(default_factory=dict)
 
 
 PNG = Format("PNG", "pngsave", 10_000_000, 16)
 JPEG = Format("JPEG", "jpegsave", 65_500, 8, alpha=False, cmyk=True)
-TIFF = Format("TIFF", "tiffsave", 10_000_000, 32, cmyk=True)
+TIFF = Format("TIFF", "tiffsave", 10_000_000, 64, cmyk=True)
 WEBP = Format("WebP", "webpsave", 16_383, 8, grey=False)
 AVIF = Format("AVIF", "heifsave", 16_384, 12, grey=False)
+_REAL = {1: "grayf32le", 3: "gbrpf32le"}
+_BGR = {"u1": {1: "gray", 3: "bgr24", 4: "bgra"}}
+EXR = Format("OpenEXR", "exr", 30_000, 32, pixel_formats={"f4": {**_REAL, 4: "gbrapf32le"}})
+HDR = Format("Radiance", "hdr", 30_000, 32, grey=False, alpha=False, pixel_formats={"f4": {3: "gbrpf32le"}})
+PFM = Format("PFM", "pfm", 30_000, 32, alpha=False, pixel_formats={"f4": _REAL})
+PGM = Format("PGM", "pgm", 30_000, 16, alpha=False, pixel_formats={"u1": {1: "gray"}, "u2": {1: "gray16be"}})
+PPM = Format("PPM", "ppm", 30_000, 16, alpha=False, pixel_formats={"u1": {3: "rgb24"}, "u2": {3: "rgb48be"}})
+BMP = Format("BMP", "bmp", 30_000, 8, pixel_formats=_BGR)
+TGA = Format("TGA", "targa", 30_000, 8, pixel_formats=_BGR)
+JP2 = Format("JPEG 2000", "jpeg2000", 30_000, 16, alpha=False, pixel_formats={
+    "u1": {1: "gray", 3: "rgb24"}, "u2": {1: "gray16le", 3: "rgb48le"},
+})  # fmt: skip
 OUT = {
     ".png": PNG,
     ".jpg": JPEG,
@@ -40,6 +57,14 @@ OUT = {
     ".tiff": TIFF,
     ".webp": WEBP,
     ".avif": AVIF,
+    ".exr": EXR,
+    ".hdr": HDR,
+    ".pfm": PFM,
+    ".pgm": PGM,
+    ".ppm": PPM,
+    ".bmp": BMP,
+    ".tga": TGA,
+    ".jp2": JP2,
 }
 SUFFIXES_OUT = tuple(OUT)
 DTYPES = {
@@ -50,6 +75,7 @@ DTYPES = {
     "uint": "u4",
     "int": "i4",
     "float": "f4",
+    "double": "f8",
 }
 _VIPS = {np.dtype(dtype): name for name, dtype in DTYPES.items()}
 COLOURS = {"b-w": 1, "grey16": 1, "cmyk": 4, "multiband": 0}  # all others have three
@@ -61,7 +87,7 @@ def meant(dtype: np.dtype[Any], colours: int, like: str) -> str:
         return like
     if colours not in (1, 3):
         return "multiband"
-    names = ("grey16", "rgb16") if dtype == np.uint16 else ("b-w", "scrgb" if dtype == np.float32 else "srgb")
+    names = ("grey16", "rgb16") if dtype == np.uint16 else ("b-w", "scrgb" if dtype.kind == "f" else "srgb")
     return names[colours == 3]
 
 
@@ -69,6 +95,9 @@ def check(name: str, form: Format, array: Array, meaning: str, alpha: bool) -> N
     """Refuse what the format cannot hold."""
     if array.ndim not in (2, 3) or 0 in array.shape:
         raise SuppleError(f"cannot write {name}: an image has shape (H, W) or (H, W, C), and not {array.shape}")
+    if form.pixel_formats and array.dtype in _VIPS:
+        _check_codec(name, form, array, alpha)
+        return
     if array.dtype not in _VIPS or (form is not TIFF and array.dtype not in (np.uint8, np.uint16)):
         advice = "write a TIFF" if array.dtype in _VIPS else "convert to uint8, uint16 or, for TIFF, float32"
         raise SuppleError(f"cannot write {name}: {form.name} takes no {array.dtype} values: {advice}")
@@ -84,6 +113,25 @@ def check(name: str, form: Format, array: Array, meaning: str, alpha: bool) -> N
         advice = "write PNG or TIFF" if form.limit < PNG.limit else "cut it into parts"
         limit = f"{form.name} ends at {form.limit} pixels on a side"
         raise SuppleError(f"cannot write {name}: {limit}, and the image has {size}: {advice}")
+
+
+def _check_codec(name: str, form: Format, array: Array, alpha: bool) -> None:
+    """Refuse what a format that FFmpeg writes cannot hold."""
+    channels = array.shape[2] if array.ndim == 3 else 1
+    types = set(form.pixel_formats)
+    if array.dtype.str[1:] not in types | ({"u2"} if "u1" in types else set()):
+        advice = "write a TIFF" if "f4" in types or array.dtype.kind != "f" else "write TIFF or OpenEXR"
+        raise SuppleError(f"cannot write {name}: {form.name} takes no {array.dtype} values: {advice}")
+    if alpha and not form.alpha:
+        raise SuppleError(f"cannot write {name}: {form.name} holds no transparency: write PNG or TIFF")
+    known = next(iter(form.pixel_formats.values()))
+    if channels not in known or (alpha and channels == 2):
+        held = " or ".join(map(str, known))
+        raise SuppleError(f"cannot write {name}: {form.name} holds {held} channels, and not {channels}: write a TIFF")
+    if max(array.shape[:2]) > form.limit:
+        size = f"{array.shape[1]} x {array.shape[0]}"
+        what = f"{form.name} ends at {form.limit} pixels on a side, and the image has {size}"
+        raise SuppleError(f"cannot write {name}: {what}: write a TIFF")
 
 
 def wrapped(array: Array, meaning: str, bits: int) -> Any:
@@ -106,7 +154,7 @@ def settings(form: Format, array: Array, bits: int, quality: int | None, lossles
     if form is JPEG:
         return {"Q": quality or 95, "subsample_mode": "off"}
     if form is TIFF:
-        predictor = "float" if array.dtype.kind == "f" else "horizontal"
+        predictor = "none" if array.dtype.itemsize == 8 else "float" if array.dtype.kind == "f" else "horizontal"
         return {"compression": "deflate", "predictor": predictor, "bigtiff": array.nbytes >= 4_000_000_000}
     if form is WEBP:
         return {"Q": quality or 90, "lossless": lossless, "exact": lossless, "smart_subsample": True}

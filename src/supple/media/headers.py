@@ -6,6 +6,7 @@ import contextlib
 import os
 import re
 import struct
+import zlib
 from collections.abc import Mapping
 from typing import Any
 
@@ -13,13 +14,17 @@ import numpy as np
 import pyvips
 
 from supple.media import exif
-from supple.media.formats import COLOURS, DTYPES, JPEG, TIFF, Format
+from supple.media.chunks import found
+from supple.media.formats import COLOURS, DTYPES, JPEG, PNG, TIFF, Format
 
 PathLike = str | os.PathLike[str]
 
 _ICC_COLOURS = {b"GRAY": 1, b"RGB ": 3, b"Lab ": 3, b"CMYK": 4}
 _KEPT = ("icc-profile-data", "exif-data", "xmp-data", "iptc-data", "image-description", "png-comment-")
 _THUMBNAIL = ("exif-ifd1-", "jpeg-thumbnail-data")
+_ALL, _EXIF = 63, 1  # of what libvips may write of a header
+_UNKNOWN = 0.1  # a pixel a centimetre, which `finish` takes away
+_UNIT = 296  # of the resolution in a TIFF
 _EXIF_MOST = 65_000  # libvips reads no more than fits into a JPEG, and adds a few tags
 
 
@@ -48,7 +53,7 @@ def collected(path: PathLike, image: Any, form: str, turned: bool) -> tuple[dict
         pattern = rb"(tiff:Orientation(?:=[\"']|>)\s*)[2-8]"
         header["xmp-data"] = re.sub(pattern, rb"\g<1>1", header["xmp-data"])
     sizes = (image.yres, image.xres) if turned else (image.xres, image.yres)
-    if min(sizes) > 0 and sizes != (1, 1):  # libvips' way to say unknown
+    if min(sizes) > 0 and sizes != (1, 1) and _tells_size(path, image, form):  # libvips' way to say unknown
         header["xres"], header["yres"] = sizes
     lost = []
     if form == "TIFF":
@@ -62,6 +67,16 @@ def collected(path: PathLike, image: Any, form: str, turned: bool) -> tuple[dict
     if image.get_typeof("gainmap-data"):
         lost.append("its HDR gain map")
     return header, lost
+
+
+def _tells_size(path: PathLike, image: Any, form: str) -> bool:
+    """Tell whether a resolution is the file's: libvips makes one up for JPEG and PNG."""
+    if image.get_typeof("resolution-unit") or form not in ("JPEG", "PNG"):
+        return True
+    if form == "JPEG":
+        return False
+    with open(path, "rb") as file:
+        return bool(found(file, b"pHYs"))
 
 
 def dressed(
@@ -94,9 +109,56 @@ def dressed(
         if name.startswith(_THUMBNAIL):  # it shows what was
             image.remove(name)
     image.set_type(pyvips.GValue.gint_type, "orientation", 1)
-    if sizes[0] is None:
-        sizes = (72 / 25.4, 72 / 25.4) if (image.xres, image.yres) == (1, 1) else (image.xres, image.yres)
-    return image.copy(xres=sizes[0], yres=sizes[1]), lost
+    if sizes[0] is None and (image.xres, image.yres) != (1, 1):
+        sizes = image.xres, image.yres
+    usual = 72 / 25.4 if image.get_typeof("exif-data") else _UNKNOWN  # which EXIF means by saying nothing
+    return image.copy(xres=sizes[0] or usual, yres=sizes[1] or usual), lost
+
+
+def kept(image: Any, form: Format) -> dict[str, Any]:
+    """Choose the settings of a libvips saver that keep it from making EXIF, which it does unasked.
+
+    WebP and AVIF have no other place for a resolution that is known.
+    """
+    if form is TIFF:
+        return {} if _is_sized(image) else {"resunit": "cm"}
+    if image.get_typeof("exif-data") or (form not in (PNG, JPEG) and _is_sized(image)):
+        return {}
+    return {"keep": _ALL & ~_EXIF}
+
+
+def finish(path: PathLike, image: Any, form: Format) -> None:
+    """Put right what a written file says of its resolution: nothing, where that is not known."""
+    sized = _is_sized(image)
+    if form is JPEG and sized and not image.get_typeof("exif-data"):
+        with open(path, "rb+") as file:
+            data = file.read()
+            file.seek(2)
+            file.write(_jfif(image.xres, image.yres) + data[2:])
+    elif form is PNG and not sized:
+        with open(path, "rb+") as file:
+            if found(file, b"pHYs"):
+                chunk = b"pHYs" + struct.pack(">IIB", 1, 1, 0)
+                file.seek(-4, os.SEEK_CUR)
+                file.write(chunk + struct.pack(">I", zlib.crc32(chunk)))
+    elif form is TIFF and not sized:
+        exif.set_tag(path, _UNIT, 1)
+
+
+def _is_sized(image: Any) -> bool:
+    return bool(image.xres != _UNKNOWN)
+
+
+def _jfif(xres: float, yres: float) -> bytes:
+    """Lay out JFIF's marker, with dots an inch or a centimetre, whichever is nearer to whole numbers."""
+
+    def rounded(step: float) -> tuple[float, list[int]]:
+        dots = (xres * step, yres * step)
+        whole = [min(max(round(x), 1), 65535) for x in dots]
+        return max(abs(x - n) / n for x, n in zip(dots, whole, strict=True)), whole
+
+    unit, dots = min((1, rounded(25.4)), (2, rounded(10.0)), key=lambda found: found[1][0])
+    return struct.pack(">HH5sHBHHBB", 0xFFE0, 16, b"JFIF\0", 0x0102, unit, *dots[1], 0, 0)
 
 
 def profile_name(icc: bytes) -> str | None:

@@ -1,4 +1,4 @@
-"""Images as files: PNG, JPEG, TIFF, WebP and AVIF, with 8 or 16 bits, alpha and what their headers say."""
+"""Images as files: PNG, JPEG, TIFF, OpenEXR and others, with their depth, alpha and what their headers say."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import os
 import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -14,9 +15,23 @@ import numpy as np
 from supple.errors import SuppleError
 from supple.media import exif
 from supple.media.files import replacing, shown
-from supple.media.formats import AVIF, DTYPES, JPEG, OUT, SUFFIXES_OUT, TIFF, Array, check, meant, settings, wrapped
-from supple.media.headers import collected, dressed, facts, has_alpha, profile_name
-from supple.media.vips import PathLike, apart, decoded, opened, reading, widen, writing
+from supple.media.formats import (
+    AVIF,
+    DTYPES,
+    EXR,
+    JPEG,
+    OUT,
+    SUFFIXES_OUT,
+    TIFF,
+    WEBP,
+    Array,
+    check,
+    meant,
+    settings,
+    wrapped,
+)
+from supple.media.headers import collected, dressed, facts, finish, has_alpha, kept, profile_name
+from supple.media.vips import PathLike, apart, decoded, is_ycbcr, opened, reading, sequential, widen, writing
 
 __all__ = [
     "SUFFIXES_OUT",
@@ -26,11 +41,15 @@ __all__ = [
     "PageWarning",
     "PathLike",
     "Picture",
+    "check_quality",
     "check_target",
     "info",
     "read",
     "write",
 ]
+
+
+_BESIDE = {"exif-data": "EXIF", "xmp-data": "XMP", "iptc-data": "IPTC"}
 
 
 class ImageWarning(UserWarning):
@@ -67,6 +86,8 @@ class Picture:
         ``"PNG"``, ``"JPEG"``, ``"TIFF"``, ``"WebP"``, ``"AVIF"``, ``"GIF"``, ...
     interpretation : str
         What the channels mean, in libvips' words: ``"b-w"``, ``"srgb"``, ``"rgb16"``, ``"cmyk"``, ...
+    pages : int
+        How many pages of one size `pixels` holds, one below the other.
     """
 
     pixels: Array
@@ -75,6 +96,7 @@ class Picture:
     bits: int = 8
     format: str = ""
     interpretation: str = ""
+    pages: int = 1
     _header: Mapping[str, Any] = field(default_factory=dict, repr=False)
 
 
@@ -92,8 +114,28 @@ def check_target(path: PathLike) -> None:
         raise SuppleError(f"cannot write {shown(path)}: {found} is no image format: use {', '.join(OUT)}")
 
 
-def read(path: PathLike) -> Picture:
+def check_quality(path: PathLike, quality: int | None) -> None:
+    """Refuse a quality that there is not; warn where the format of a picture has none.
+
+    Warns
+    -----
+    ImageWarning
+        The format keeps all values, whatever the quality.
+    """
+    if quality is None:
+        return
+    name, form = shown(path), OUT.get(Path(path).suffix.lower())
+    if not 1 <= quality <= 100:
+        raise SuppleError(f"cannot write {name} with quality {quality}: quality goes from 1 to 100")
+    if form is not None and form not in (JPEG, WEBP, AVIF):
+        text = f"{name}: quality {quality} changes nothing in {form.name}: it is for JPEG, WebP and AVIF"
+        warnings.warn(text, ImageWarning, stacklevel=3)
+
+
+def read(path: PathLike, *, pages: bool = False) -> Picture:
     """Read an image, upright: an orientation in its header is applied, once.
+
+    With ``pages``, all pages of a TIFF are read, if they are of one size and type.
 
     Colours are not converted. A palette becomes RGB or RGBA; fewer than 8 bits become 8; 10 or 12 bits become
     16, with white at 65535.
@@ -117,19 +159,47 @@ def read(path: PathLike) -> Picture:
     """
     image, form = opened(path)
     name = shown(path)
-    pages, orientation, bits = facts(image)
-    if pages > 1:
-        text = f"{name} holds {pages} pages or frames, and only one of them is read"
-        warnings.warn(text, PageWarning, stacklevel=2)
+    count, orientation, bits = facts(image)
+    plain = form == "TIFF" and image.format != "double" and not is_ycbcr(path)
+    tall = _all_pages(path, count) if pages and count > 1 and plain else None
+    if count > 1 and tall is None:
+        warnings.warn(f"{name} holds {count} {_pages(form)}", PageWarning, stacklevel=2)
     with reading(path):
-        pixels = apart(lambda: decoded(image, orientation), image)
+        pixels = tall if tall is not None else apart(lambda: decoded(image, orientation), image)
         header, lost = collected(path, image, form, orientation >= 5)
     if lost:
         warnings.warn(f"{name}: {' and '.join(lost)} cannot be carried over", MetadataWarning, stacklevel=2)
     if form in ("AVIF", "HEIF") and 8 < bits < 16:
         widen(pixels, bits)
     icc = header.pop("icc-profile-data", None)
-    return Picture(pixels, has_alpha(image), icc, bits, form, image.interpretation, header)
+    held = count if tall is not None else 1
+    return Picture(pixels, has_alpha(image), icc, bits, form, image.interpretation, held, header)
+
+
+def _all_pages(path: PathLike, count: int) -> Array | None:
+    """Decode all pages of a TIFF into one array, one below the other; None if they are not alike."""
+    tall: Array | None = None
+    with reading(path):
+        for k in range(count):
+            page = apart(partial(sequential, path, page=k))
+            pixels = apart(partial(decoded, page, facts(page)[1]), page)
+            height = len(pixels)
+            if tall is None:
+                tall = np.empty((count * height, *pixels.shape[1:]), pixels.dtype)
+            rows = tall[k * height : (k + 1) * height]
+            if count * height != len(tall) or (rows.shape, rows.dtype) != (pixels.shape, pixels.dtype):
+                return None
+            rows[:] = pixels
+    return tall
+
+
+def _pages(form: str) -> str:
+    """Say which of several pages or frames is read, and what reads the others."""
+    if form in ("PNG", "GIF", "WebP"):
+        return "frames, and only the first is read: name a video or a GIF, out.mp4 or out.gif, to keep them all"
+    if form == "TIFF":
+        return "pages, and only one of them is read: name a TIFF, out.tif, to keep all that are of one size and type"
+    return "pages or frames, and only one of them is read"
 
 
 def info(path: PathLike) -> dict[str, object]:
@@ -184,10 +254,10 @@ def write(
     path : str or os.PathLike
         One of `SUFFIXES_OUT`.
     pixels : ndarray
-        Shape (H, W) or (H, W, C): uint8, uint16, and for TIFF also float32 and integers up to 32 bits. Used
+        Shape (H, W) or (H, W, C): uint8, uint16, and for TIFF also floats and integers up to 32 bits. Used
         as it is when contiguous, without a copy.
     like : Picture, optional
-        Whose profile, EXIF, XMP and resolution to write, and whose channels `pixels` has.
+        Whose profile, EXIF, XMP and resolution to write, and whose channels and pages `pixels` has.
     alpha : bool, optional
         Whether the last channel is opacity. Without it: as in `like`; otherwise two or four channels have it.
     quality : int, optional
@@ -230,12 +300,29 @@ def write(
         warnings.warn(text, DepthWarning, stacklevel=2)
     image = wrapped(array, meaning, bits)
     header, icc = (like._header, like.icc) if like is not None else ({}, None)
+    if form.pixel_formats:
+        if taken := [what for key, what in _BESIDE.items() if key in header] + ["the colour profile"] * bool(icc):
+            text = f"{name}: {form.name} cannot take over {' and '.join(taken)}"
+            warnings.warn(text, MetadataWarning, stacklevel=2)
+        from supple.media import ffmpeg
+
+        if alpha and form is EXR:  # whose colours are multiplied by it
+            array = np.concatenate([array[..., :3] * array[..., 3:], array[..., 3:]], axis=2)
+        elif bits < array.dtype.itemsize * 8:
+            array = decoded(image, 1)
+        with replacing(path, force=force) as temporary, ffmpeg.writing(path):
+            kinds = form.pixel_formats[array.dtype.str[1:]]
+            temporary.write_bytes(ffmpeg.encoded(array, form.save, kinds[channels], half=have == 16 and form is EXR))
+        return
     image, lost = dressed(image, header, icc, form, channels - alpha)
     if lost:
         text = f"{name}: {form.name} cannot take over {' and '.join(lost)}"
         warnings.warn(text, MetadataWarning, stacklevel=2)
-    options = settings(form, array, bits, quality, lossless)
+    options = settings(form, array, bits, quality, lossless) | kept(image, form)
+    if form is TIFF and like is not None and like.pages > 1:
+        options["page_height"] = len(array) // like.pages
     with replacing(path, force=force) as temporary, writing(path):
         apart(lambda: getattr(image, form.save)(os.fsencode(temporary), **options), image)
         if form is TIFF and (block := header.get("exif-data")):
             exif.into_tiff(temporary, block, array.shape[1], array.shape[0])
+        finish(temporary, image, form)

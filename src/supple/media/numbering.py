@@ -13,9 +13,7 @@ from supple.media.formats import SUFFIXES_OUT
 from supple.media.vips import PathLike
 
 # Of a folder, everything that somebody may take for a picture: what cannot be read is then named.
-SUFFIXES_IN = frozenset(
-    {*SUFFIXES_OUT, ".bmp", ".exr", ".gif", ".hdr", ".heic", ".heif", ".jp2", ".jxl", ".pgm", ".ppm", ".svg"}
-)
+SUFFIXES_IN = frozenset({*SUFFIXES_OUT, ".gif", ".heic", ".heif", ".jxl", ".pam", ".pbm", ".pnm", ".svg"})
 _NUMBER = re.compile("%(?:0[1-9][0-9]?)?d")
 
 

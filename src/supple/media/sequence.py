@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 import os
 import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+import pyvips
 
 from supple.errors import SuppleError
 from supple.media.files import shown
@@ -20,7 +23,7 @@ from supple.media.formats import DTYPES
 from supple.media.headers import collected, facts, has_alpha
 from supple.media.image import PageWarning, Picture
 from supple.media.numbering import first_number, has_number, is_sequence, numbered, pictures_in
-from supple.media.vips import PathLike, apart, decoded, opened, reading, widen
+from supple.media.vips import PathLike, apart, decoded, opened, reading, sequential, widen
 from supple.streaming import Frame, Group, Layout
 
 __all__ = ["Pictures", "is_sequence", "open_sequence"]
@@ -110,7 +113,7 @@ class Pictures:
         icc = header.pop("icc-profile-data", None)
         channels = (group.channels,) if group.channels > 1 else ()
         empty = np.empty((0, group.shape[1], *channels), self.layout.dtype)
-        return Picture(empty, group.alpha, icc, bits, form, image.interpretation, header), lost
+        return Picture(empty, group.alpha, icc, bits, form, image.interpretation, 1, header), lost
 
     def info(self) -> dict[str, object]:
         """What `supple info` tells."""
@@ -127,6 +130,67 @@ class Pictures:
             "first": str(self.paths[0]),
             "last": str(self.paths[-1]),
         }
+
+
+@dataclass(frozen=True, slots=True)
+class _Page:
+    """A decoded frame of an animation."""
+
+    samples: Array
+
+    def copy_to(self, arrays: Sequence[Array]) -> None:
+        np.copyto(arrays[0], self.samples)
+
+
+class Animation(Pictures):
+    """An animated WebP, which FFmpeg does not decode, as the frames of a clip.
+
+    Attributes
+    ----------
+    starts : list of int
+        When each frame begins, in milliseconds, and when the last one ends.
+    """
+
+    def __init__(self, path: PathLike) -> None:
+        image, self.format = opened(path)
+        self._path = Path(path)
+        pages = facts(image)[0]
+        delays = image.get("delay") if image.get_typeof("delay") else []
+        self.starts = list(itertools.accumulate((max(1, delay) for delay in delays), initial=0))
+        if len(self.starts) != pages + 1:
+            self.starts = [100 * k for k in range(pages + 1)]
+        self.name, self.first, self.interpretation = shown(path), None, image.interpretation
+        self.paths = [self._path.with_name(f"{k + 1:05d}.png") for k in range(pages)]  # what they would become
+        self.rate = Fraction(1000 * pages, self.starts[-1])
+        self.layout = _layout(self._path, image)
+
+    def frames(self) -> Iterator[Frame]:
+        """The frames in order, decoded one after the other."""
+        height, width = self.layout.shape
+        shape = (height, width, self.layout.groups[0].channels)
+        with reading(self._path):
+            tall = apart(lambda: sequential(self._path, n=-1))
+            region = pyvips.Region.new(tall)
+            for k in range(self.count):
+                data = apart(partial(region.fetch, 0, k * height, width, height), tall)
+                yield _Page(np.frombuffer(data, np.uint8).reshape(shape))
+
+    def picture(self, k: int) -> tuple[Picture, list[str]]:
+        """Frame ``k``'s picture without its pixels: only the profile is the file's."""
+        image, form = opened(self._path)
+        icc = image.get("icc-profile-data") if image.get_typeof("icc-profile-data") else None
+        group = self.layout.groups[0]
+        empty = np.empty((0, group.shape[1], group.channels), self.layout.dtype)
+        return Picture(empty, group.alpha, icc, 8, form, image.interpretation), []
+
+
+def is_animated(path: PathLike) -> bool:
+    """Whether a picture holds several frames; what cannot be read does not."""
+    try:
+        image, form = opened(path)
+    except SuppleError:
+        return False
+    return form in ("GIF", "PNG", "WebP") and facts(image)[0] > 1
 
 
 @contextlib.contextmanager

@@ -138,7 +138,7 @@ def check(path: PathLike, like: Volume, dtype: np.dtype[Any]) -> None:
     name = shown(path)
     if like.series:
         raise SuppleError(f"cannot write {name}: a TIFF holds one volume, and this is a series: write NIfTI or NRRD")
-    if dtype.name not in {np.dtype(known).name for known in DTYPES.values()}:
+    if dtype.name not in {np.dtype(known).name for known in DTYPES.values()} - {"float64"}:
         raise SuppleError(f"cannot write {name}: TIFF takes no {dtype} values: write NIfTI or NRRD, or use float32")
     width, height, depth = like.sizes
     if max(width, height * depth) > TIFF.limit:

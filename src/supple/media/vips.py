@@ -15,8 +15,10 @@ import numpy as np
 import pyvips
 
 from supple.errors import SuppleError
+from supple.media.chunks import png_frames
+from supple.media.exif import retagged, tag_of
 from supple.media.files import shown
-from supple.media.formats import DTYPES, Array
+from supple.media.formats import DTYPES, Array, meant, wrapped
 
 T = TypeVar("T")
 PathLike = str | os.PathLike[str]
@@ -36,7 +38,15 @@ _LOADERS = {
     "ppm": "PNM",
     "openexr": "OpenEXR",
 }
-_MAGIC = (b"\x89PNG", b"\xff\xd8", b"II*\0", b"MM\0*", b"II+\0", b"MM\0+", b"RIFF", b"GIF8")
+_UNSUPPORTED = re.compile(
+    "(?i)unsupported|not supported|not implemented|not configured|unknown compression|out of range"
+)
+_JXL = (b"\xff\x0a", b"\0\0\0\x0cJXL ")
+_HEIC = re.compile(rb"(?s)....ftyp(hei[cxms]|hev[cxms])")
+_BITS, _COMPRESSION, _PHOTOMETRIC, _SAMPLES, _PLANAR, _PREDICTOR, _SAMPLE_FORMAT = 258, 259, 262, 277, 284, 317, 339
+_TIFF = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
+_YCBCR, _JPEGS = 6, (6, 7)
+_MAGIC = (b"\x89PNG", b"\xff\xd8", *_TIFF, b"RIFF", b"GIF8")
 
 
 def opened(path: PathLike) -> tuple[Any, str]:
@@ -58,23 +68,97 @@ def opened(path: PathLike) -> tuple[Any, str]:
         raise SuppleError(f"cannot read {name}: {what}: {kinds}")
     known = head.startswith(_MAGIC) or head[4:8] == b"ftyp"
     try:
-        image = apart(lambda: _sequential(path))
+        image = (
+            _of_doubles(path) if head.startswith(_TIFF) and _holds_doubles(path) else apart(lambda: sequential(path))
+        )
         form = _LOADERS.get(str(image.get("vips-loader")).partition("load")[0])
         if form == "HEIF" and image.get("heif-compression") == "av1":
             form = "AVIF"
+        if form == "PNG" and (frames := png_frames(path)) > 1:  # libvips knows of the first alone
+            image = image.copy()
+            image.set_type(pyvips.GValue.gint_type, "n-pages", frames)
+        if form == "TIFF" and is_ycbcr(path):
+            image = _in_rgb(path, image)
     except (pyvips.Error, UnicodeError) as error:
+        if _HEIC.match(head):
+            what = "it is HEIC, which is not supported here: convert it, to AVIF or JPEG for instance"
+            raise SuppleError(f"cannot read {name}: {what}") from error
+        if head.startswith(_JXL):
+            what = "it is JPEG XL, which is not supported here: convert it, to PNG or AVIF for instance"
+            raise SuppleError(f"cannot read {name}: {what}") from error
         if known:
             raise _damaged(path, error) from error
+        from supple.media import ffmpeg
+
+        if (found := ffmpeg.codec_of(path, head)) is not None:
+            return _by_ffmpeg(path, *found)
         form = None
     if form is None or image.format not in DTYPES or image.coding != "none":
         raise SuppleError(f"cannot read {name}: it is no image of a known kind: {kinds}")
     return image, form
 
 
-def _sequential(path: PathLike) -> Any:
+def _by_ffmpeg(path: PathLike, codec: str, form: str) -> tuple[Any, str]:
+    """Decode a picture that libvips does not know."""
+    from supple.media import ffmpeg
+
+    with ffmpeg.reading(path):
+        pixels, bits = ffmpeg.decoded(path, codec)
+    channels = pixels.shape[2] if pixels.ndim == 3 else 1
+    # in OpenEXR, colours are multiplied by opacity, which is then averaged as they are
+    colours = channels if form == "OpenEXR" else channels - (channels in (2, 4))
+    image = wrapped(np.ascontiguousarray(pixels), meant(pixels.dtype, colours, ""), 32)
+    image.set_type(pyvips.GValue.gint_type, "bits-per-sample", bits)
+    return image, form
+
+
+def is_ycbcr(path: PathLike) -> bool:
+    """Whether a TIFF holds YCbCr, which libvips takes for RGB unless it is compressed as JPEG."""
+    return tag_of(path, _PHOTOMETRIC) == _YCBCR and tag_of(path, _COMPRESSION) not in _JPEGS
+
+
+def _in_rgb(path: PathLike, image: Any) -> Any:
+    """Decode a TIFF in YCbCr by FFmpeg, since libvips takes it for RGB; keep its header."""
+    from supple.media import ffmpeg
+
+    with ffmpeg.reading(path):
+        made = wrapped(ffmpeg.decoded(path, "tiff")[0], "srgb", 8).copy(xres=image.xres, yres=image.yres)
+    return _with_header(made, image)
+
+
+def _with_header(made: Any, image: Any) -> Any:
+    for name in image.get_fields():
+        if made.get_typeof(name) == 0:
+            made.set_type(image.get_typeof(name), name, image.get(name))
+    return made
+
+
+def _holds_doubles(path: PathLike) -> bool:
+    """Whether a TIFF holds floats of 64 bits, which libvips writes, but does not read."""
+    usual = tag_of(path, _PREDICTOR) in (0, 1) and tag_of(path, _PLANAR) in (0, 1)
+    return usual and tag_of(path, _BITS) == 64 and tag_of(path, _SAMPLE_FORMAT) == 3
+
+
+def _of_doubles(path: PathLike) -> Any:
+    """Decode a TIFF of doubles as one of eight times as many bytes."""
+    channels = tag_of(path, _SAMPLES) or 1
+    values = {_BITS: 8, _SAMPLES: 8 * channels, _SAMPLE_FORMAT: 1, _PHOTOMETRIC: 1}
+    data, order = retagged(path, values)
+    image = apart(lambda: pyvips.Image.new_from_buffer(data, "", fail_on="truncated"))
+    shape = (image.height, image.width, channels) if channels > 1 else (image.height, image.width)
+    pixels = np.frombuffer(apart(image.write_to_memory), "<f8" if order == "little" else ">f8").reshape(shape)
+    colours = channels - (channels in (2, 4))
+    made = wrapped(np.ascontiguousarray(pixels, np.float64), meant(pixels.dtype, colours, ""), 64)
+    made = _with_header(made.copy(xres=image.xres, yres=image.yres), image)
+    made.set_type(pyvips.GValue.gint_type, "bits-per-sample", 64)
+    return made
+
+
+def sequential(path: PathLike, **options: Any) -> Any:
+    """Open a file by libvips alone."""
     # a source, since libvips would take "[...]" in a file's name for options, and cache what it read
     source = pyvips.Source.new_from_file(os.fsencode(path))
-    return pyvips.Image.new_from_source(source, "", access="sequential", fail_on="truncated")
+    return pyvips.Image.new_from_source(source, "", access="sequential", fail_on="truncated", **options)
 
 
 def apart(work: Callable[[], T], image: Any = None) -> T:
@@ -106,7 +190,7 @@ def writing(path: PathLike) -> Iterator[None]:
     except (pyvips.Error, UnicodeError) as error:
         text = getattr(error, "detail", "")
         if found := re.search("system error: (.+)", text):
-            code = next((code for code in errno.errorcode if os.strerror(code) == found[1]), errno.EIO)
+            code = next((code for code in errno.errorcode if os.strerror(code) == found[1]), -1)
             raise OSError(code, found[1]) from error
         raise SuppleError(f"cannot write {shown(path)}: libvips fails{_reason(text)}: try another format") from error
 
@@ -116,6 +200,9 @@ def _damaged(path: PathLike, error: Exception) -> SuppleError:
     text = getattr(error, "detail", "")
     if isinstance(error, MemoryError) or "out of memory" in text:
         return SuppleError(f"cannot read {shown(path)}: it is too large for the memory: cut it into parts")
+    if _UNSUPPORTED.search(text):
+        what = f"it is of a kind that is not supported{_reason(text)}"
+        return SuppleError(f"cannot read {shown(path)}: {what}: convert it, to PNG or TIFF for instance")
     what = f"it is damaged, cut short or of an unknown kind{_reason(text)}"
     return SuppleError(f"cannot read {shown(path)}: {what}: give a whole copy of it")
 

@@ -1,0 +1,126 @@
+"""Pictures that libvips lacks, through FFmpeg's codecs: OpenEXR, Radiance, JPEG 2000, BMP, TGA and PNM."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import re
+from collections.abc import Iterator
+from fractions import Fraction
+from typing import Any
+
+import av
+import numpy as np
+
+from supple.media.colour import FULL, Colour, to_rgb
+from supple.media.formats import Array
+from supple.media.pixels import form, pack, palette, unpack, wider
+from supple.media.troubles import said, unreadable, unwritable
+
+_MAGIC = (
+    (rb"v/1\x01", "exr", "OpenEXR"),
+    (rb"#\?(RADIANCE|RGBE)", "hdr", "Radiance"),
+    (rb"\0\0\0\x0cjP  |\xff\x4f\xff\x51", "jpeg2000", "JPEG 2000"),
+    (rb"BM", "bmp", "BMP"),
+    (rb"P[14]\s", "pbm", "PNM"),
+    (rb"P[25]\s", "pgm", "PNM"),
+    (rb"P[36]\s", "ppm", "PNM"),
+    (rb"P7\s", "pam", "PNM"),
+    (rb"P[Ff]\s", "pfm", "PNM"),
+    (rb"P[Hh]\s", "phm", "PNM"),
+)
+_OPTIONS = {"exr": {"compression": "zip16"}, "jpeg2000": {"format": "jp2", "pred": "dwt53"}}  # which keep every value
+
+
+def codec_of(path: str | os.PathLike[str], head: bytes) -> tuple[str, str] | None:
+    """Tell the codec and the format of a picture by its first bytes; of TGA, which has none, by the name."""
+    for pattern, codec, name in _MAGIC:
+        if re.match(pattern, head):
+            return codec, name
+    return ("targa", "TGA") if os.fspath(path).lower().endswith(".tga") else None
+
+
+def decoded(path: str | os.PathLike[str], codec: str) -> tuple[Array, int]:
+    """Decode a picture: shape (H, W) or (H, W, C), in grey or RGB; tell how many bits a channel it has.
+
+    Raises
+    ------
+    av.FFmpegError
+        The codec fails.
+    """
+    with open(path, "rb") as file:
+        data = file.read()
+    context: Any = av.CodecContext.create(codec, "r")
+    frames = [*context.decode(av.Packet(data)), *context.decode(None)]
+    if not frames:
+        raise av.error.InvalidDataError(0, "no picture in it")
+    frame: av.VideoFrame = frames[0]
+    if frame.format.has_palette:
+        return _least(palette(frame)), 8
+    own = form(frame.format.name)
+    if own is None:
+        frame = frame.reformat(format=wider(frame.format.name))
+        own = form(frame.format.name)
+        assert own is not None
+    kind = own.kind
+    shape = (frame.height, frame.width)
+    layout = kind.layout(frame.width, frame.height, (0.0, 0.0))
+    arrays = [np.empty((*group.shape, group.channels), kind.dtype) for group in layout.groups]
+    unpack(frame, own, arrays)
+    if kind.family in ("yuv", "xyz"):
+        # as JPEG and TIFF have it: BT.601 in the full range, chroma in the middle of its pixels
+        colour = Colour(FULL, matrix=5, site="center") if kind.family == "yuv" else Colour(FULL)
+        return to_rgb(arrays, own, colour, shape, kind.bits > 8), 8 if kind.bits <= 8 else 16
+    pixels = arrays[0][..., 0] if layout.groups[0].channels == 1 else arrays[0]
+    if not kind.real and 8 < kind.bits < 16:
+        pixels = pixels << (16 - kind.bits) | pixels >> (2 * kind.bits - 16)
+    return pixels, kind.bits
+
+
+def _least(pixels: Array) -> Array:
+    """Drop opacity where all is opaque, and colours where all are grey."""
+    if (pixels[..., 3] == 255).all():
+        grey = (pixels[..., :1] == pixels[..., 1:3]).all()
+        pixels = pixels[..., 0] if grey else pixels[..., :3]
+    return np.ascontiguousarray(pixels)
+
+
+def encoded(pixels: Array, codec: str, pixel_format: str, *, half: bool = False) -> bytes:
+    """Encode a picture without loss, but for what the format cannot hold.
+
+    Raises
+    ------
+    av.FFmpegError
+        The codec fails.
+    """
+    height, width = pixels.shape[:2]
+    known = form(pixel_format)
+    assert known is not None
+    context: Any = av.CodecContext.create(codec, "w")
+    context.width, context.height, context.pix_fmt = width, height, pixel_format
+    context.time_base = Fraction(1)
+    context.options = {**_OPTIONS.get(codec, {}), **({"format": "half"} if half else {})}
+    if half:  # rounded here, since FFmpeg drops the low bits
+        with np.errstate(over="ignore"):
+            pixels = pixels.astype(np.float16).astype(np.float32)
+    frame = pack([pixels.reshape(height, width, -1)], known, width, height)
+    return b"".join(bytes(packet) for packet in (*context.encode(frame), *context.encode(None)))
+
+
+@contextlib.contextmanager
+def reading(path: str | os.PathLike[str]) -> Iterator[None]:
+    """Make of a codec's failure one sentence."""
+    try:
+        yield
+    except av.FFmpegError as error:
+        what = f"it is damaged, cut short or of a kind that is not supported ({said(error)})"
+        raise unreadable(path, what, "give a whole copy of it, or convert it to PNG or TIFF") from error
+
+
+@contextlib.contextmanager
+def writing(path: str | os.PathLike[str]) -> Iterator[None]:
+    """Make of a codec's failure one sentence; what the system refuses stays an `OSError`."""
+    try:
+        yield
+    except av.FFmpegError as error:
+        raise unwritable(path, f"FFmpeg fails ({said(error)})", "try another format") from error

@@ -1,0 +1,337 @@
+"""Picture formats beyond the usual ones: what is in them comes out, and goes back in."""
+
+from __future__ import annotations
+
+import shutil
+import struct
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+import pyvips
+from PIL import Image
+
+import supple
+from supple.errors import SuppleError
+from supple.files import warp_file
+from supple.media.ffmpeg import encoded
+from supple.media.image import DepthWarning, MetadataWarning, PageWarning, info, read, write
+from supple.media.video import open_video
+
+Array = npt.NDArray[Any]
+
+
+def smooth(height: int, width: int) -> Array:
+    y, x = np.mgrid[:height, :width]
+    return np.stack([3 * x, 4 * y, 255 - 2 * x], axis=-1).astype(np.uint8)
+
+
+def tiff(entries: dict[int, tuple[int, ...]], data: bytes) -> bytes:
+    """A TIFF of one strip, with these tags of 16 bits."""
+    tags = {**entries, 273: (512,), 279: (len(data),)}
+    table, behind = struct.pack("<H", len(tags)), b""
+    for tag, values in sorted(tags.items()):
+        kind, text = (4, "<I") if tag in (273, 279) else (3, f"<{len(values)}H")
+        value = struct.pack(text, *values)
+        if len(value) > 4:
+            value, behind = struct.pack("<I", 256 + len(behind)), behind + value
+        table += struct.pack("<HHI", tag, kind, len(values)) + value.ljust(4, b"\0")
+    head = b"II*\0" + struct.pack("<I", 8) + table + bytes(4)
+    return (head.ljust(256, b"\0") + behind).ljust(512, b"\0") + data
+
+
+def ycbcr(rgb: Array, step: int) -> bytes:
+    """A TIFF in YCbCr without compression, with chroma of every pixel, or of every second one."""
+    height, width = rgb.shape[:2]
+    luma = rgb @ [0.299, 0.587, 0.114]
+    chroma = np.stack([(rgb[..., 2] - luma) / 1.772 + 128, (rgb[..., 0] - luma) / 1.402 + 128], axis=-1)
+    blocks = (height // step, step, width // step, step)
+    luma = luma.reshape(blocks).swapaxes(1, 2).reshape(height // step, width // step, step * step)
+    chroma = chroma.reshape(*blocks, 2).mean(axis=(1, 3))
+    data = np.rint(np.concatenate([luma, chroma], axis=-1)).clip(0, 255).astype(np.uint8).tobytes()
+    size = {256: (width,), 257: (height,), 258: (8, 8, 8), 259: (1,), 262: (6,), 277: (3,), 278: (height,)}
+    return tiff({**size, 274: (6,), 530: (step, step)}, data)
+
+
+@pytest.mark.parametrize(("step", "most"), [(1, 2), (2, 4)])
+def test_a_tiff_in_ycbcr_has_its_colours(tmp_path: Path, step: int, most: int) -> None:
+    pixels = smooth(60, 80)
+    (tmp_path / "in.tif").write_bytes(ycbcr(pixels, step))
+    picture = read(tmp_path / "in.tif")
+    assert (picture.format, picture.bits, picture.alpha) == ("TIFF", 8, False)
+    upright = np.rot90(pixels, -1)  # as its orientation says
+    assert picture.pixels.shape == upright.shape
+    assert np.abs(picture.pixels.astype(int) - upright).max() <= most
+
+
+def test_a_tiff_in_ycbcr_that_pillow_wrote(tmp_path: Path) -> None:
+    pixels = smooth(60, 80)
+    image = Image.fromarray(pixels)
+    image.convert("YCbCr").save(tmp_path / "plain.tif")
+    image.save(tmp_path / "jpeg.tif", compression="jpeg", quality=98)
+    for name in ("plain.tif", "jpeg.tif"):
+        assert np.abs(read(tmp_path / name).pixels.astype(int) - pixels).mean() < 3
+
+
+def noise(dtype: str, *shape: int) -> Array:
+    random = np.random.default_rng(sum(shape))
+    if dtype == "f4":
+        return random.uniform(0, 20, shape).astype("f4")
+    return random.integers(0, np.iinfo(dtype).max, shape, dtype, endpoint=True)
+
+
+@pytest.mark.parametrize(
+    ("suffix", "dtype", "channels"),
+    [
+        *[(".exr", "f4", channels) for channels in ((), (3,), (4,))],
+        *[(".pfm", "f4", channels) for channels in ((), (3,))],
+        *[(suffix, "u1", channels) for suffix in (".bmp", ".tga") for channels in ((), (3,), (4,))],
+        *[(".pgm", dtype, ()) for dtype in ("u1", "u2")],
+        *[(".ppm", dtype, (3,)) for dtype in ("u1", "u2")],
+        *[(".jp2", dtype, channels) for dtype in ("u1", "u2") for channels in ((), (3,))],
+    ],
+)
+def test_bit_for_bit(tmp_path: Path, suffix: str, dtype: str, channels: tuple[int, ...]) -> None:
+    pixels = noise(dtype, 19, 23, *channels)
+    path = tmp_path / f"out{suffix}"
+    write(path, pixels, alpha=channels == (4,) and suffix != ".exr")
+    picture = read(path)
+    assert (picture.pixels.dtype, picture.bits) == (pixels.dtype, pixels.dtype.itemsize * 8)
+    np.testing.assert_array_equal(picture.pixels, pixels)
+    assert picture.alpha == (channels == (4,) and suffix != ".exr")
+    assert info(path)["width"] == 23
+
+
+def test_radiance(tmp_path: Path) -> None:
+    pixels = noise("f4", 19, 23, 3)
+    write(tmp_path / "out.hdr", pixels)
+    picture = read(tmp_path / "out.hdr")
+    assert picture.format == "Radiance"
+    assert np.abs(picture.pixels - pixels).max() <= 20 / 128  # eight bits, and one exponent for three of them
+
+
+@pytest.mark.parametrize("half", [False, True])
+def test_openexr_keeps_half_and_float(tmp_path: Path, half: bool) -> None:
+    pixels = noise("f4", 40, 60, 3)
+    path = tmp_path / "in.exr"
+    path.write_bytes(encoded(pixels, "exr", "gbrpf32le", half=half))
+    picture = read(path)
+    assert (picture.format, picture.bits, picture.pixels.dtype) == ("OpenEXR", 16 if half else 32, np.float32)
+    np.testing.assert_array_equal(picture.pixels, pixels.astype("f2").astype("f4") if half else pixels)
+    recipe = supple.Recipe(strokes=[supple.Stroke.grab((20, 20), to=(24, 20), radius=6)])
+    warp_file(path, tmp_path / "out.exr", recipe)
+    bent = read(tmp_path / "out.exr")
+    assert bent.bits == picture.bits
+    true = supple.Deformation.from_recipe(recipe, (40, 60)).warp(picture.pixels)
+    np.testing.assert_array_equal(bent.pixels, true.astype("f2").astype("f4") if half else true)
+
+
+def test_openexr_as_a_sequence(tmp_path: Path) -> None:
+    for k in range(3):
+        write(tmp_path / f"in-{k:05d}.exr", noise("f4", 40, 60, 3) + k)
+    recipe = supple.Recipe(strokes=[supple.Stroke.grab((20, 20), to=(24, 20), radius=6)])
+    warp_file(tmp_path / "in-%05d.exr", tmp_path / "out-%05d.exr", recipe)
+    map_ = supple.Deformation.from_recipe(recipe, (40, 60))
+    for k in range(3):
+        true = map_.warp(noise("f4", 40, 60, 3) + k)
+        np.testing.assert_allclose(read(tmp_path / f"out-{k:05d}.exr").pixels, true, atol=1e-5)
+
+
+def test_opacity_is_multiplied_in_openexr(tmp_path: Path) -> None:
+    pixels = np.dstack([noise("f4", 9, 9, 3), np.full((9, 9), 0.5, "f4")])
+    write(tmp_path / "out.exr", pixels, alpha=True)
+    np.testing.assert_array_equal(read(tmp_path / "out.exr").pixels[..., :3], pixels[..., :3] / 2)
+
+
+@pytest.mark.parametrize(
+    "name", ["grey.pgm", "plain.pgm", "bits.pbm", "palette.bmp", "rle.tga", "lossy.jp2", "rgba.jp2"]
+)
+def test_what_pillow_writes(tmp_path: Path, name: str) -> None:
+    pixels = smooth(20, 30)
+    image = Image.fromarray(pixels)
+    path = tmp_path / name
+    if name == "plain.pgm":
+        image = image.convert("L")
+        path.write_text("P2\n30 20\n255\n" + " ".join(map(str, np.asarray(image).ravel())))
+    elif name == "grey.pgm":
+        image = image.convert("L")
+        image.save(path)
+    elif name == "bits.pbm":
+        image = image.convert("1")
+        image.save(path)
+        image = image.convert("L")
+    elif name == "palette.bmp":
+        image.quantize(20).save(path)
+        image = image.quantize(20).convert("RGB")
+    elif name == "rle.tga":
+        image.save(path, compression="tga_rle")
+    elif name == "rgba.jp2":
+        image = image.convert("RGBA")
+        image.putalpha(77)
+        image.save(path, irreversible=False)
+    else:
+        image.save(path, irreversible=True, quality_mode="dB", quality_layers=[60])
+    picture = read(path)
+    assert np.abs(picture.pixels.astype(int) - np.asarray(image)).max() <= 2 * (name == "lossy.jp2")
+    assert picture.alpha == (name == "rgba.jp2")
+
+
+@pytest.mark.parametrize(
+    ("suffix", "pixels", "message"),
+    [
+        (".exr", noise("u1", 9, 9, 3), "OpenEXR takes no uint8 values: write a TIFF"),
+        (".hdr", noise("f4", 9, 9), "Radiance holds 3 channels, and not 1: write a TIFF"),
+        (".pgm", noise("u1", 9, 9, 3), "PGM holds 1 channels, and not 3: write a TIFF"),
+        (".bmp", noise("f4", 9, 9, 3), "BMP takes no float32 values: write TIFF or OpenEXR"),
+        (".jp2", noise("u1", 9, 9, 4), "JPEG 2000 holds no transparency: write PNG or TIFF"),
+    ],
+)
+def test_more_than_a_format_holds(tmp_path: Path, suffix: str, pixels: Array, message: str) -> None:
+    with pytest.raises(SuppleError) as caught:
+        write(tmp_path / f"out{suffix}", pixels)
+    assert str(caught.value) == f"cannot write {tmp_path / f'out{suffix}'}: {message}"
+    assert not list(tmp_path.iterdir())
+
+
+def test_what_does_not_come_along_is_told(tmp_path: Path) -> None:
+    Image.fromarray(smooth(20, 30)).save(tmp_path / "in.jpg", exif=b"Exif\0\0II*\0\x08\0\0\0\0\0\0\0\0\0")
+    picture = replace(read(tmp_path / "in.jpg"), icc=b"profile")
+    with pytest.warns(MetadataWarning, match=r"out\.bmp: BMP cannot take over EXIF and the colour profile$"):
+        write(tmp_path / "out.bmp", picture.pixels, like=picture)
+    with pytest.warns(DepthWarning, match=r"BMP holds 8 bits a channel, and the 16 of the pixels are rounded$"):
+        write(tmp_path / "deep.bmp", noise("u2", 9, 9, 3))
+
+
+@pytest.mark.parametrize("suffix", [".exr", ".bmp", ".tga", ".jp2", ".ppm"])
+def test_what_is_cut_short(tmp_path: Path, suffix: str) -> None:
+    write(tmp_path / f"in{suffix}", noise("f4" if suffix == ".exr" else "u1", 64, 64, 3))
+    path = tmp_path / f"cut{suffix}"
+    path.write_bytes((tmp_path / f"in{suffix}").read_bytes()[:40])
+    with pytest.raises(SuppleError, match=r"cut short or of a kind that is not supported"):
+        read(path)
+
+
+def animation(path: Path) -> list[Array]:
+    """Five frames of a square that walks, of 100, 100, 200, 100 and 50 milliseconds."""
+    frames = []
+    for k in range(5):
+        frame = np.full((40, 60, 3), 30 * k, np.uint8)
+        frame[10:20, 5 + 8 * k : 15 + 8 * k] = (255, 40, 10)
+        frames.append(frame)
+    first, *others = map(Image.fromarray, frames)
+    options = {"lossless": True} if path.suffix == ".webp" else {}
+    first.save(path, save_all=True, append_images=others, duration=[100, 100, 200, 100, 50], **options)
+    return frames
+
+
+@pytest.mark.parametrize("suffix", [".png", ".webp", ".gif"])
+def test_an_animation_is_no_picture_without_a_word(tmp_path: Path, suffix: str) -> None:
+    frames = animation(tmp_path / f"in{suffix}")
+    what = r"holds 5 frames, and only the first is read: name a video or a GIF, out\.mp4 or out\.gif, to keep them all$"
+    with pytest.warns(PageWarning, match=what):
+        picture = read(tmp_path / f"in{suffix}")
+    np.testing.assert_array_equal(picture.pixels[..., :3], frames[0])
+    assert info(tmp_path / f"in{suffix}")["pages"] == 5
+
+
+@pytest.mark.parametrize("suffix", [".png", ".webp"])
+@pytest.mark.parametrize("target", ["out.mkv", "out.gif", "out-%02d.png", "out/"])
+def test_an_animation_is_a_clip(tmp_path: Path, suffix: str, target: str) -> None:
+    frames = animation(tmp_path / f"in{suffix}")
+    strokes = [supple.Stroke.grab((30, 30, 2), to=(33, 30, 2), radius=3)]
+    recipe, exact = supple.Recipe(strokes=strokes), "gif" not in target
+    made = warp_file(tmp_path / f"in{suffix}", f"{tmp_path}/{target}", recipe, lossless=exact)
+    assert made.frames == 5
+    if "mkv" in target:
+        with open_video(tmp_path / "out.mkv") as clip:
+            arrays = [np.empty((40, 60, clip.layout.groups[0].channels), np.uint8)]
+            for frame, true in zip(clip.frames(), frames, strict=True):
+                frame.copy_to(arrays)
+                np.testing.assert_array_equal(arrays[0][:20, ..., :3], true[:20])
+            assert clip.survey.duration == pytest.approx(0.55, abs=0.06)
+    elif target == "out.gif":
+        with Image.open(tmp_path / "out.gif") as image:
+            assert image.n_frames == 5
+    else:
+        names = sorted(path.name for path in tmp_path.glob("out*/*" if "/" in target else "out-*"))
+        assert names == [f"{k:05d}.png" if "/" in target else f"out-{k:02d}.png" for k in range(1, 6)]
+
+
+@pytest.mark.parametrize(
+    ("name", "head", "what"),
+    [
+        ("in.heic", b"\0\0\0\x18ftypheic\0\0\0\0mif1heic", "it is HEIC, which is not supported here: convert it, to "),
+        ("in.jxl", b"\0\0\0\x0cJXL \r\n\x87\n", "it is JPEG XL, which is not supported here: convert it, to "),
+    ],
+)
+def test_what_is_not_supported_is_not_called_damaged(tmp_path: Path, name: str, head: bytes, what: str) -> None:
+    (tmp_path / name).write_bytes(head + bytes(100))
+    with pytest.raises(SuppleError, match=what):
+        read(tmp_path / name)
+
+
+def test_a_tiff_that_libvips_does_not_support_is_not_called_damaged(tmp_path: Path) -> None:
+    size = {256: (4,), 257: (4,), 258: (64,), 259: (1,), 262: (1,), 277: (1,), 278: (4,)}
+    (tmp_path / "in.tif").write_bytes(tiff(size, bytes(16)))
+    with pytest.raises(SuppleError, match="it is of a kind that is not supported") as caught:
+        read(tmp_path / "in.tif")
+    assert "damaged" not in str(caught.value)
+
+
+@pytest.mark.parametrize("told", ["system error: Unknown error -1", "write failed"])
+def test_a_full_disk_is_called_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, told: str) -> None:
+    def fail(*_given: object, **_options: object) -> None:
+        raise pyvips.Error("no", f"target: {told}\n")
+
+    monkeypatch.setattr(pyvips.Image, "pngsave", fail, raising=False)
+    with pytest.raises(SuppleError) as caught:
+        write(tmp_path / "out.png", smooth(20, 30))
+    assert "space" not in str(caught.value)
+    monkeypatch.setattr(shutil, "disk_usage", lambda _path: SimpleNamespace(free=4096))
+    with pytest.raises(SuppleError) as caught:
+        write(tmp_path / "out.png", smooth(20, 30))
+    reason = "No space left on device: make room or choose another place"
+    assert str(caught.value) == f"cannot write {tmp_path / 'out.png'}: {reason}"
+
+
+def test_all_pages_of_a_tiff_are_bent_alike(tmp_path: Path) -> None:
+    pages = [smooth(40, 60) + np.uint8(20 * k) for k in range(3)]
+    first, *others = map(Image.fromarray, pages)
+    first.save(tmp_path / "in.tif", save_all=True, append_images=others)
+    recipe = supple.Recipe(strokes=[supple.Stroke.grab((20, 20), to=(24, 20), radius=6)])
+    warp_file(tmp_path / "in.tif", tmp_path / "out.tif", recipe)
+    map_ = supple.Deformation.from_recipe(recipe, (40, 60))
+    with Image.open(tmp_path / "out.tif") as image:
+        assert image.n_frames == 3
+        for k, page in enumerate(pages):
+            image.seek(k)
+            np.testing.assert_array_equal(np.asarray(image), map_.warp(page))
+            assert image.tag_v2.get(296, 1) == 1
+    what = r"holds 3 pages, and only one of them is read: name a TIFF, out\.tif, to keep all that are of one size"
+    with pytest.warns(PageWarning, match=what):
+        warp_file(tmp_path / "in.tif", tmp_path / "out.png", recipe)
+    Image.fromarray(pages[0]).save(tmp_path / "odd.tif", save_all=True, append_images=[Image.fromarray(pages[0][:9])])
+    with pytest.warns(PageWarning, match="holds 2 pages, and only one"):
+        warp_file(tmp_path / "odd.tif", tmp_path / "one.tif", recipe)
+
+
+@pytest.mark.parametrize("order", ["<", ">"])
+@pytest.mark.parametrize("channels", [(), (3,), (4,)])
+def test_tiff_of_doubles(tmp_path: Path, order: str, channels: tuple[int, ...]) -> None:
+    tifffile = pytest.importorskip("tifffile")
+    pixels = np.random.default_rng(0).normal(size=(40, 60, *channels))
+    photometric = "rgb" if channels else "minisblack"
+    options = {"compression": "deflate"} if order == "<" else {"tile": (16, 16)}
+    tifffile.imwrite(tmp_path / "in.tif", pixels, byteorder=order, photometric=photometric, **options)
+    picture = read(tmp_path / "in.tif")
+    assert (picture.pixels.dtype, picture.bits, picture.alpha) == (np.float64, 64, channels == (4,))
+    np.testing.assert_array_equal(picture.pixels, pixels)
+    recipe = supple.Recipe(strokes=[supple.Stroke.grab((20, 20), to=(24, 20), radius=6)])
+    warp_file(tmp_path / "in.tif", tmp_path / "out.tif", recipe)
+    true = supple.Deformation.from_recipe(recipe, (40, 60)).warp(pixels, alpha=picture.alpha)
+    np.testing.assert_array_equal(tifffile.imread(tmp_path / "out.tif"), true)
+    np.testing.assert_array_equal(read(tmp_path / "out.tif").pixels, true)
