@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import warnings
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields, replace
@@ -29,8 +30,8 @@ from supple.domain import (
     refuse,
     shown,
 )
-from supple.errors import SuppleError
-from supple.scaling import Fit, scaling_of
+from supple.errors import ScaleWarning, SuppleError
+from supple.scaling import Fit, scaling_of, spoken
 
 Brush = Literal["grab"]
 FoldPolicy = Literal["damp", "flow", "error"]
@@ -324,6 +325,31 @@ class Recipe:
             refuse("strokes", "a list", data["strokes"])
         data["strokes"] = [_stroke(f"strokes[{i}]", entry, version) for i, entry in enumerate(data["strokes"])]
         return cls(**data)
+
+
+def fit_recipe(recipe: Recipe, size: Sequence[int], how: Fit | None, name: str, *, time: bool = False) -> Recipe:
+    """Return a recipe for a file of some size, as `Recipe.fitted` does, and warn if it is scaled without being asked.
+
+    Parameters
+    ----------
+    recipe : Recipe
+    size : sequence of int
+        Samples along each axis, x first.
+    how : str or None
+        As `Recipe.fitted` takes it.
+    name : str
+        The file's, for messages.
+    time : bool
+        Whether a third axis is time.
+    """
+    made = recipe.fitted(size, how, time=time, name=name)
+    if how is None and recipe.size is not None and made.strokes != recipe.strokes:
+        warnings.warn(
+            f"the recipe was made for {spoken(recipe.size)}, and is scaled for {name}, which is {spoken(size)}",
+            ScaleWarning,
+            stacklevel=4,
+        )
+    return made
 
 
 def _plain(x: float | str | None) -> float | str | None:
