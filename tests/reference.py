@@ -104,7 +104,7 @@ def displacement(stroke: Stroke, domain: Domain, points: Floats) -> tuple[Floats
     near = points if domain.border is None else np.clip(points, 0, extent)
     pivot, force = np.array(stroke.at) * steps, np.array(stroke.by) * steps
     r = near - pivot
-    k, j = grab(force, stroke.radius, stroke.poisson, stroke.scales, r)
+    k, j = grab(force, stroke.radius, stroke.material(), stroke.scales, r)
     m, slope = support(r, radius_of_support(stroke))
     k, j = m[..., None] * k, m[..., None, None] * j + k[..., :, None] * slope[..., None, :]
     for i in range(domain.ndim):
