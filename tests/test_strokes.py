@@ -128,8 +128,8 @@ def recipes(draw: st.DrawFn) -> Recipe:
 class TestStroke:
     def test_defaults(self) -> None:
         stroke = grab()
-        assert (stroke.poisson, stroke.scales, stroke.brush, stroke.ndim) == (0.4, 1, "grab", 2)
-        assert stroke.reach is None
+        assert (stroke.poisson, stroke.scales, stroke.brush, stroke.ndim) == (None, 1, "grab", 2)
+        assert (stroke.reach, stroke.material()) == (4, 0.4)
         assert grab(at=(1, 2, 3), by=(1, 2, 3)).ndim == 3
 
     def test_is_a_value(self) -> None:
@@ -200,7 +200,7 @@ class TestStroke:
     def test_refuses_radii(self, bad: Any) -> None:
         assert refusal(lambda: grab(radius=bad)).startswith("radius must be a number above 0 (from ")
 
-    @pytest.mark.parametrize("bad", [0.6, math.nextafter(0.5, 1), math.nan, math.inf, True, "-inf", None, -(10**400)])
+    @pytest.mark.parametrize("bad", [0.6, math.nextafter(0.5, 1), math.nan, math.inf, True, "-inf", -(10**400)])
     def test_refuses_poisson_ratios(self, bad: Any) -> None:
         assert refusal(lambda: grab(poisson=bad)).startswith("poisson must be a number up to 0.5, or -inf, found ")
 
@@ -224,7 +224,7 @@ class TestStroke:
 
 class TestRecipe:
     def test_defaults(self) -> None:
-        assert Recipe() == Recipe(border=64, border_profile="quartic", on_fold="damp", strokes=())
+        assert Recipe() == Recipe(border="auto", border_profile="quartic", on_fold="flow", strokes=())
         assert Recipe() != Recipe(border_profile="sine")
         assert Recipe(strokes=[grab()]).strokes == (grab(),)  # type: ignore[arg-type]
         assert Recipe(strokes=(s for s in [grab()])).strokes == (grab(),)  # type: ignore[arg-type]
@@ -317,7 +317,9 @@ class TestJson:
     def test_version_1_has_the_border_of_the_paper(self, border: float | None) -> None:
         old = f'{{"supple": 1, "border": {json.dumps(border)}, "strokes": [{GRAB}]}}'
         recipe = Recipe.from_json(old)
-        assert recipe == Recipe(border=border, border_profile="sine", strokes=(grab(),))
+        assert recipe == Recipe(
+            border=border, border_profile="sine", on_fold="damp", strokes=(grab(poisson=0.4, reach=None),)
+        )
         text = recipe.to_json()
         assert json.loads(text)["supple"] == 2
         assert Recipe.from_json(text) == recipe
@@ -380,7 +382,7 @@ class TestJson:
             *[("by", v) for v in ("[1, 2, 3]", "[true, 1]", "[[1, 2]]", "{}")],
             *[("radius", v) for v in ("0", "-1", "true", '"100"', "null", "[1]", "{}", "1e999", "1e-400")],
             ("radius", "9" * 401),
-            *[("poisson", v) for v in ("0.51", '"inf"', '"0.4"', "true", "null", "[0]")],
+            *[("poisson", v) for v in ("0.51", '"inf"', '"0.4"', "true", "[0]")],
             *[("scales", v) for v in ("0", "4", "1.0", "true", '"1"', "null", "9" * 5000)],
             *[("hidden", v) for v in ("0", "1", "null", '"true"', "[]")],
             *[("brush", v) for v in ('"twist"', "1", "null", "[]", '"' + "x" * 10_000 + '"')],
@@ -678,7 +680,7 @@ class TestPack:
         np.testing.assert_array_equal(volume["force"], [-1, 0, 0.5])
 
     def test_the_reach_is_in_physical_units(self) -> None:
-        table = pack([grab(), grab(reach=4), grab(radius=7, reach=1)], (2, 10))
+        table = pack([grab(reach=None), grab(), grab(radius=7, reach=1)], (2, 10))
         assert table["reach"].tolist() == [math.inf, 400.0, 7.0]
 
     @pytest.mark.parametrize("scales", [1, 2, 3])

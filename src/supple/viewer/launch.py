@@ -21,7 +21,7 @@ from supple.media.files import shown
 from supple.media.image import read
 from supple.media.volume import Volume
 from supple.scaling import Fit
-from supple.strokes import Recipe
+from supple.strokes import Recipe, fit_recipe
 from supple.viewer import qt
 from supple.viewer.document import Document
 from supple.viewer.film import Film
@@ -196,7 +196,8 @@ def opened(
     if isinstance(stage, VolumeStage):
         geometry = stage.volume.geometry
         recipe = in_space(recipe, geometry, stage.name, options.volume.world)
-    recipe = recipe.fitted(stage.shape[::-1], options.fit, time=stage.kind == "video", name=stage.name)
+    if stage.kind != "video" or options.fit == "pixels":  # what a frame is worth would have to grow along
+        recipe = fit_recipe(recipe, stage.shape[::-1], options.fit, stage.name)
     document = Document(stage.shape, stage.spacing, recipe, kind=stage.kind, geometry=geometry)
     tools = tools_of(stage, document, canvas.get_logical_size())
     path = Path(source) if isinstance(source, str | os.PathLike) else None
