@@ -23,7 +23,9 @@ def strokes_of(ndim: int, **options: Any) -> list[Stroke]:
     drags = np.array([[3.1, -2.7, 1.4], [-1.5, 1.73, -1.61], [0.7, 0.9, 1.3]])[:, :ndim]
     places = np.array([[20.3, 17.7, 14.2], [31.3, 6.9, 9.4], [7.7, 29.5, 20.2]])[:, :ndim]
     return [
-        Stroke.grab(at, by=by, radius=9.0 - i, scales=i + 1, poisson=(0.4, 0.5, -math.inf)[i], **options)
+        Stroke.grab(
+            at, by=by, radius=9.0 - i, scales=i + 1, poisson=(0.4, 0.5, -math.inf)[i], **{"reach": None, **options}
+        )
         for i, (at, by) in enumerate(zip(places, drags, strict=True))
     ]
 
@@ -36,6 +38,8 @@ def places(domain: Domain, count: int = 300, beyond: float = 0.0, seed: int = 0)
 DOMAINS: list[Domain] = [
     Domain((40, 45), border=None),
     Domain((40, 45), border=12.0),
+    Domain((40, 45)),
+    Domain((30, 40, 45), border=(4.0, 15.0, 9.0)),
     Domain((40, 45), spacing=(1.0, 1.7), border=100.0, border_profile="sine"),
     Domain((30, 40, 45), border=None),
     Domain((30, 40, 45), spacing=(0.8, 1.0, 1.3), border=9.0),
