@@ -27,7 +27,8 @@ import pytest
 import supple
 import supple.media.video
 from supple.cli import command
-from supple.clips import ClipOptions, WarpedClip
+from supple.clips import ClipOptions, WarpedClip, deformation_of
+from supple.errors import ScaleWarning
 from supple.files import warp_file
 from supple.media import image
 from supple.media.troubles import ClipWarning, CountError
@@ -252,6 +253,28 @@ def test_time_scale_is_the_spacing_of_the_domain(here: Path) -> None:
     assert made.deformation.shape == frames.shape[:3]
     np.testing.assert_array_equal(stack("b.mkv"), d.warp(frames))
     assert (stack("a.mkv") != stack("b.mkv")).any()
+
+
+def test_a_recipe_scales_on_a_larger_clip_and_so_does_what_a_frame_is_worth() -> None:
+    recipe = replace(TIMED, size=(64, 48, 12))
+    small = deformation_of(recipe, 12, (48, 64), 3.0, "small.mkv")
+    with pytest.warns(ScaleWarning, match="made for 64 x 48 x 12, and is scaled for big.mkv, which is 128 x 96 x 12"):
+        big = deformation_of(recipe, 12, (96, 128), 3.0, "big.mkv")
+    points = np.random.default_rng(0).uniform((0, 0, 0), (64, 48, 12), (500, 3))
+    scale = np.array([2.0, 2.0, 1.0])
+    there = (points + 0.5) * scale - 0.5
+    for moved, wanted in (
+        (big.forward(there), small.forward(points)),
+        (big.inverse(there).points, small.inverse(points).points),
+    ):
+        assert np.abs((moved + 0.5) / scale - 0.5 - wanted).max() < 0.01
+        assert np.abs(wanted - points).max() > 2
+    with pytest.raises(supple.SuppleError, match=r"and long\.mkv is 64 x 48 x 24: fit='stretch' scales time too"):
+        deformation_of(recipe, 24, (48, 64), 3.0, "long.mkv")
+    slow = deformation_of(recipe, 24, (48, 64), 3.0, "long.mkv", "stretch")
+    scale = np.array([1.0, 1.0, 2.0])
+    found = (slow.forward((points + 0.5) * scale - 0.5) + 0.5) / scale - 0.5
+    assert np.abs(found - small.forward(points)).max() < 0.01
 
 
 def test_a_window_on_disk_gives_the_same(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -480,7 +503,7 @@ def test_recipes_with_times_are_saved_and_carried_out(run: Run) -> None:
     noisy("in.mkv", "yuv420p")
     assert run("warp", "in.mkv", "a.mkv", *GRAB, "--save-recipe", "r.json") == (0, "", "")
     recipe = supple.Recipe.from_json(Path("r.json").read_text())
-    assert recipe == TIMED
+    assert recipe == replace(TIMED, size=(64, 48, 12), space="pixels")
     assert run("warp", "in.mkv", "b.mkv", "--recipe", "r.json") == (0, "", "")
     same_frames("a.mkv", "b.mkv")
     status, out, err = run("info", "r.json")

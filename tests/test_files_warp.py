@@ -6,6 +6,7 @@ import os
 import subprocess
 import sys
 import warnings
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,7 @@ import pytest
 import pyvips
 
 import supple
+from supple.errors import ScaleWarning
 from supple.files import check_job, read_recipe, warp_file, write_recipe
 from supple.media import image
 
@@ -41,6 +43,25 @@ def test_a_file_is_what_warp_makes(tmp_path: Path, suffix: str, shape: tuple[int
     report = made.report()
     assert report == made.deformation.report(tolerance=0.01)
     assert report.within
+
+
+def test_a_recipe_for_another_size(tmp_path: Path) -> None:
+    pixels = noise(100, 120, 3)
+    image.write(tmp_path / "in.png", pixels)
+    recipe = replace(RECIPE, size=(60, 50))
+    with pytest.warns(ScaleWarning, match="made for 60 x 50, and is scaled for .*in.png, which is 120 x 100"):
+        made = warp_file(tmp_path / "in.png", tmp_path / "out.png", recipe)
+    expected = supple.Deformation((100, 120), border=20).grab((60.5, 40.5), by=(12, 8), radius=30)
+    assert made.deformation == expected
+    np.testing.assert_array_equal(image.read(tmp_path / "out.png").pixels, expected.warp(pixels))
+    made = warp_file(tmp_path / "in.png", tmp_path / "same.png", recipe, fit="pixels")
+    assert made.deformation.strokes == RECIPE.strokes
+    other = replace(RECIPE, size=(60, 51))
+    with pytest.raises(supple.SuppleError, match=r"60 x 51, and .*in\.png is 120 x 100, of other proportions"):
+        warp_file(tmp_path / "in.png", tmp_path / "no.png", other)
+    assert not (tmp_path / "no.png").exists()
+    with pytest.raises(supple.SuppleError, match=r"^fit must be .pixels. or .stretch. or .inside., found 'crop'"):
+        warp_file(tmp_path / "in.png", tmp_path / "no.png", other, fit="crop")  # type: ignore[arg-type]
 
 
 def test_options_reach_the_sampler(tmp_path: Path) -> None:

@@ -18,6 +18,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from supple.deformation import Deformation
 from supple.errors import SuppleError
 from supple.strokes import STROKE_DTYPE, Recipe, Stroke, pack
 
@@ -105,13 +106,19 @@ def recipes(draw: st.DrawFn) -> Recipe:
         at=points,
         by=points,
         radius=st.floats(1e-30, 1e30),
-        poisson=ratios,
+        poisson=st.none() | ratios,
         scales=st.sampled_from([1, 2, 3]),
         reach=st.none() | st.floats(1, 1e30),
         hidden=st.booleans(),
+        name=st.none() | st.text(),
+        strength=st.floats(0, 1),
     )
+    space: Any = draw(st.sampled_from([None, "pixels", "LPS", "RAS"] if ndim == 3 else [None, "pixels"]))
     return Recipe(
-        border=draw(st.none() | st.floats(1e-30, 1e30)),
+        border=draw(st.none() | st.just("auto") | st.floats(1e-30, 1e30)),
+        size=draw(st.none() | st.tuples(*[st.integers(1, 2**31 - 1)] * ndim)),
+        space=space,
+        amount=draw(st.floats(0, 1)),
         border_profile=draw(st.sampled_from(["quartic", "sine"])),
         on_fold=draw(st.sampled_from(["damp", "flow", "error"])),
         strokes=tuple(draw(st.lists(strokes, max_size=5))),
@@ -121,8 +128,8 @@ def recipes(draw: st.DrawFn) -> Recipe:
 class TestStroke:
     def test_defaults(self) -> None:
         stroke = grab()
-        assert (stroke.poisson, stroke.scales, stroke.brush, stroke.ndim) == (0.4, 1, "grab", 2)
-        assert stroke.reach is None
+        assert (stroke.poisson, stroke.scales, stroke.brush, stroke.ndim) == (None, 1, "grab", 2)
+        assert (stroke.reach, stroke.material()) == (4, 0.4)
         assert grab(at=(1, 2, 3), by=(1, 2, 3)).ndim == 3
 
     def test_is_a_value(self) -> None:
@@ -193,7 +200,7 @@ class TestStroke:
     def test_refuses_radii(self, bad: Any) -> None:
         assert refusal(lambda: grab(radius=bad)).startswith("radius must be a number above 0 (from ")
 
-    @pytest.mark.parametrize("bad", [0.6, math.nextafter(0.5, 1), math.nan, math.inf, True, "-inf", None, -(10**400)])
+    @pytest.mark.parametrize("bad", [0.6, math.nextafter(0.5, 1), math.nan, math.inf, True, "-inf", -(10**400)])
     def test_refuses_poisson_ratios(self, bad: Any) -> None:
         assert refusal(lambda: grab(poisson=bad)).startswith("poisson must be a number up to 0.5, or -inf, found ")
 
@@ -217,7 +224,7 @@ class TestStroke:
 
 class TestRecipe:
     def test_defaults(self) -> None:
-        assert Recipe() == Recipe(border=64, border_profile="quartic", on_fold="damp", strokes=())
+        assert Recipe() == Recipe(border="auto", border_profile="quartic", on_fold="flow", strokes=())
         assert Recipe() != Recipe(border_profile="sine")
         assert Recipe(strokes=[grab()]).strokes == (grab(),)  # type: ignore[arg-type]
         assert Recipe(strokes=(s for s in [grab()])).strokes == (grab(),)  # type: ignore[arg-type]
@@ -266,22 +273,24 @@ def read_refusal(text: Any) -> str:
 
 class TestJson:
     def test_what_is_written(self) -> None:
-        recipe = Recipe(strokes=(grab(), grab(at=(0.1, -0.0), radius=1e22, poisson=-math.inf, scales=3)))
-        assert recipe.to_json() == (
+        strokes = (grab(), grab(at=(0.1, -0.0), radius=1e22, reach=None, poisson=-math.inf, scales=3))
+        assert Recipe(strokes=strokes).to_json() == (
             "{\n"
             '  "supple": 2,\n'
-            '  "border": 64,\n'
+            '  "border": "auto",\n'
             '  "border_profile": "quartic",\n'
-            '  "on_fold": "damp",\n'
+            '  "on_fold": "flow",\n'
+            '  "amount": 1,\n'
             '  "strokes": [\n'
-            f"    {GRAB},\n"
-            '    {"brush": "grab", "at": [0.1, -0.0], "by": [0, 90], "radius": 1e+22, '
-            '"poisson": "-inf", "scales": 3}\n'
+            '    {"brush": "grab", "at": [256, 256], "by": [0, 90], "radius": 100, "scales": 1, "reach": 4, '
+            '"poisson": null, "strength": 1},\n'
+            '    {"brush": "grab", "at": [0.1, -0.0], "by": [0, 90], "radius": 1e+22, "scales": 3, "reach": null, '
+            '"poisson": "-inf", "strength": 1}\n'
             "  ]\n"
             "}\n"
         )
         assert json.loads(Recipe(border=None).to_json()) == {
-            "supple": 2, "border": None, "border_profile": "quartic", "on_fold": "damp", "strokes": [],
+            "supple": 2, "border": None, "border_profile": "quartic", "on_fold": "flow", "amount": 1, "strokes": [],
         }  # fmt: skip
 
     @settings(deadline=None)
@@ -300,22 +309,17 @@ class TestJson:
 
     def test_only_hidden_strokes_say_so(self) -> None:
         text = Recipe(strokes=(grab(), grab(hidden=True))).to_json()
-        assert f'    {GRAB},\n    {GRAB[:-1]}, "hidden": true}}\n' in text
+        shown, hidden = text.splitlines()[-4:-2]
+        assert hidden == shown.replace("},", ', "hidden": true}')
         assert Recipe.from_json(text.replace("true", "false")) == Recipe(strokes=(grab(), grab()))
-
-    def test_only_strokes_with_a_reach_say_so(self) -> None:
-        text = Recipe(strokes=(grab(), grab(reach=4), grab(reach=2.5, hidden=True))).to_json()
-        entries = text.splitlines()[-5:-2]
-        assert entries[0] == f"    {GRAB},"
-        assert entries[1] == f'    {GRAB[:-1]}, "reach": 4}},'
-        assert entries[2] == f'    {GRAB[:-1]}, "reach": 2.5, "hidden": true}}'
-        assert Recipe.from_json(text.replace('"reach": 4', '"reach": null')).strokes[1] == grab()
 
     @pytest.mark.parametrize("border", [20.0, None])
     def test_version_1_has_the_border_of_the_paper(self, border: float | None) -> None:
         old = f'{{"supple": 1, "border": {json.dumps(border)}, "strokes": [{GRAB}]}}'
         recipe = Recipe.from_json(old)
-        assert recipe == Recipe(border=border, border_profile="sine", strokes=(grab(),))
+        assert recipe == Recipe(
+            border=border, border_profile="sine", on_fold="damp", strokes=(grab(poisson=0.4, reach=None),)
+        )
         text = recipe.to_json()
         assert json.loads(text)["supple"] == 2
         assert Recipe.from_json(text) == recipe
@@ -378,7 +382,7 @@ class TestJson:
             *[("by", v) for v in ("[1, 2, 3]", "[true, 1]", "[[1, 2]]", "{}")],
             *[("radius", v) for v in ("0", "-1", "true", '"100"', "null", "[1]", "{}", "1e999", "1e-400")],
             ("radius", "9" * 401),
-            *[("poisson", v) for v in ("0.51", '"inf"', '"0.4"', "true", "null", "[0]")],
+            *[("poisson", v) for v in ("0.51", '"inf"', '"0.4"', "true", "[0]")],
             *[("scales", v) for v in ("0", "4", "1.0", "true", '"1"', "null", "9" * 5000)],
             *[("hidden", v) for v in ("0", "1", "null", '"true"', "[]")],
             *[("brush", v) for v in ('"twist"', "1", "null", "[]", '"' + "x" * 10_000 + '"')],
@@ -453,6 +457,208 @@ class TestJson:
         read_refusal(text[: data.draw(st.integers(0, len(text) - 3))])
 
 
+class TestVersion2:
+    """What a recipe of version 2 says besides its strokes."""
+
+    def test_everything_that_matters_is_written(self) -> None:
+        stroke = grab(at=(1, 2, 3), by=(4, 5, 6), name="left cheek", strength=0.5)
+        recipe = Recipe(strokes=(stroke,), size=(64, 48, 32), space="RAS", amount=0.3)
+        assert json.loads(recipe.to_json()) == {
+            "supple": 2, "border": "auto", "border_profile": "quartic", "on_fold": "flow", "amount": 0.3,
+            "space": "RAS", "size": [64, 48, 32],
+            "strokes": [{"brush": "grab", "at": [1, 2, 3], "by": [4, 5, 6], "radius": 100, "scales": 1, "reach": 4,
+                         "poisson": None, "strength": 0.5, "name": "left cheek"}],
+        }  # fmt: skip
+
+    def test_to_in_the_place_of_by(self) -> None:
+        entry = GRAB.replace('"by": [0, 90]', '"to": [256, 346]')
+        assert Recipe.from_json(with_stroke(entry)).strokes[1] == grab(poisson=0.4)
+        both = '"to": [256, 346], "by": [0, 90]'
+        assert read_refusal(with_stroke(GRAB.replace('"by": [0, 90]', both))) == (
+            'strokes[1] takes one of "to" and "by", found both'
+        )
+        assert read_refusal(with_stroke(entry.replace("346]", "346, 1]"))).startswith(
+            "strokes[1]: to must be 2 numbers"
+        )
+        assert read_refusal(f'{{"supple": 1, "strokes": [{entry}]}}').startswith(
+            "unknown key 'to' in strokes[0]: it is"
+        )
+
+    @pytest.mark.parametrize(
+        ("name", "value"),
+        [*[("strength", v) for v in ("1.01", "-0.1", "true", "null", '"1"')],
+         *[("name", v) for v in ("1", "true", "[]")]],
+    )  # fmt: skip
+    def test_wrong_values_of_strokes(self, name: str, value: str) -> None:
+        assert read_refusal(with_field(name, value)).startswith(f"strokes[1]: {name} must be ")
+
+    @pytest.mark.parametrize(
+        ("name", "value", "message"),
+        [
+            ("amount", "1.5", "amount must be a number from 0 to 1, found 1.5"),
+            ("amount", "true", "amount must be a number from 0 to 1, found True"),
+            ("space", '"mm"', 'space must be "pixels" or "LPS" or "RAS", found '),
+            ("space", '"RAS"', 'space must be "pixels" where points have 2 numbers, found '),
+            ("size", "[640]", "size must be 2 numbers of samples, x first, found [640]"),
+            ("size", "[640, 480, 9]", "size must be 2 numbers of samples"),
+            ("size", "[640, 0]", "size[1] must be a whole number from 1 to "),
+            ("size", "[640, 480.5]", "size[1] must be a whole number from 1 to "),
+        ],
+    )
+    def test_wrong_values(self, name: str, value: str, message: str) -> None:
+        assert read_refusal(f'{{"supple": 2, "{name}": {value}, "strokes": [{GRAB}]}}').startswith(message)
+        old = f'{{"supple": 1, "{name}": {value}, "strokes": [{GRAB}]}}'
+        assert read_refusal(old).endswith('in the recipe: it is of version 2 ("supple": 2)')
+
+    def test_version_1_is_what_it_was(self) -> None:
+        recipe = Recipe.from_json(f'{{"supple": 1, "strokes": [{GRAB}]}}')
+        stroke = grab(poisson=0.4, reach=None)
+        assert recipe == Recipe(border=50, border_profile="sine", on_fold="damp", strokes=(stroke,))
+        assert (recipe.size, recipe.space, recipe.amount) == (None, None, 1.0)
+
+
+CHEEKS = Recipe(
+    size=(340, 390),
+    strokes=(
+        Stroke.grab((150, 180), to=(190, 185), radius=20),
+        Stroke.grab((188, 186), to=(170, 230), radius=25),
+    ),
+)
+
+
+class TestFitted:
+    @pytest.mark.parametrize("border", ["auto", 40.0, (30.0, 40.0), None])
+    @pytest.mark.parametrize("factor", [6.0, 3.0, 0.5])
+    def test_the_result_is_the_same_at_another_size(self, border: Any, factor: float) -> None:
+        recipe = replace(CHEEKS, border=border)
+        size = (round(340 * factor), round(390 * factor))
+        fitted = recipe.fitted(size)
+        small = Deformation.from_recipe(recipe, (390, 340))
+        big = Deformation.from_recipe(fitted, size[::-1])
+        points = np.stack(np.meshgrid(np.arange(0, 340, 6.5), np.arange(0, 390, 6.5)), axis=-1)
+        assert np.abs(small.forward(points) - points).max() > 20
+        for found, wanted in (
+            (big.forward((points + 0.5) * factor - 0.5), small.forward(points)),
+            (big.inverse((points + 0.5) * factor - 0.5).points, small.inverse(points).points),
+        ):
+            assert np.abs((found + 0.5) / factor - 0.5 - wanted).max() < 0.01
+        assert fitted.size == size
+        assert [s.radius for s in fitted.strokes] == [20 * factor, 25 * factor]
+
+    def test_within_half_a_pixel_of_the_same_proportions(self) -> None:
+        assert CHEEKS.fitted((170, 195)).strokes[0].radius == 10
+        assert CHEEKS.fitted((101, 116)).strokes[0].radius == pytest.approx(20 * 101 / 340, rel=2e-3)
+        assert refusal(lambda: CHEEKS.fitted((101, 118))).startswith(
+            "the recipe was made for 340 x 390, and this is 101 x 118, of other proportions: say how it fits"
+        )
+
+    def test_how(self) -> None:
+        assert CHEEKS.fitted((680, 390), "pixels") == replace(CHEEKS, size=(680, 390))
+        stretched = replace(CHEEKS, border=30).fitted((680, 390), "stretch")
+        assert stretched.strokes[0].at == (300.5, 180.0)
+        assert stretched.strokes[0].by == (80.0, 5.0)
+        assert stretched.strokes[0].radius == pytest.approx(20 * math.sqrt(2))
+        assert stretched.border == (60.0, 30.0)
+        inside = replace(CHEEKS, border=30).fitted((1000, 780), "inside")
+        assert inside.strokes[0] == Stroke(at=(300.5 + 160, 360.5), by=(80, 10), radius=40)
+        assert inside.border == 60
+        assert refusal(lambda: CHEEKS.fitted((680, 390), "crop")).startswith('fit must be "pixels" or ')  # type: ignore[arg-type]
+
+    def test_time(self) -> None:
+        clip = Recipe(size=(64, 48, 20), strokes=(Stroke.grab((30, 20, 9), to=(40, 20, 9), radius=8),))
+        fitted = clip.fitted((128, 96, 20), time=True)
+        assert fitted.strokes[0] == Stroke(at=(60.5, 40.5, 9), by=(20, 0, 0), radius=16)
+        assert "fit='stretch' scales time too" in refusal(lambda: clip.fitted((64, 48, 40), time=True))
+        assert "fit='stretch' scales time too" in refusal(lambda: clip.fitted((64, 48, 40), "inside", time=True))
+        assert clip.fitted((64, 48, 40), "stretch", time=True).strokes[0].at == (30, 20, 18.5)
+        assert "voxels are not scaled" in refusal(lambda: clip.fitted((128, 96, 40)))
+        assert clip.fitted((128, 96, 40), "pixels").strokes == clip.strokes
+
+    def test_what_has_no_size_is_taken_as_it_is(self) -> None:
+        loose = replace(CHEEKS, size=None)
+        assert loose.fitted((999, 100)).strokes == loose.strokes
+        assert refusal(lambda: loose.fitted((999, 100), "inside")).startswith("fit needs the size")
+        world = Recipe(space="LPS", size=(9, 9, 9), strokes=(grab(at=(1, 2, 3), by=(1, 0, 0)),))
+        assert world.fitted((5, 6, 7)).strokes == world.strokes
+        assert "LPS millimetres" in refusal(lambda: world.fitted((5, 6, 7), "pixels"))
+
+    def test_a_deformation_knows_its_size_and_refuses_another(self) -> None:
+        d = Deformation((390, 340)).grab((150, 180), by=(9, 0), radius=20)
+        assert d.recipe.size == (340, 390)
+        assert Deformation.from_recipe(d.recipe, d.shape) == d
+        assert "made for 340 x 390, and the shape is of 680 x 780" in refusal(
+            lambda: Deformation.from_recipe(d.recipe, (780, 680))
+        )
+
+
+LATER = Recipe(
+    border=None,
+    strokes=(
+        Stroke.grab((200, 200), to=(260, 200), radius=50),
+        Stroke.grab((260, 200), to=(260, 330), radius=40),
+        Stroke.grab((260, 320), to=(340, 320), radius=40),
+    ),
+)
+
+
+class TestAmount:
+    def test_in_full_it_is_what_it_was_bit_for_bit(self) -> None:
+        steps = Deformation((512, 512), border=None)
+        for stroke in LATER.strokes:
+            steps = steps.add(stroke)
+        full = Deformation.from_recipe(replace(LATER, amount=1.0), (512, 512))
+        assert full == steps
+        assert full._table.tobytes() == steps._table.tobytes()
+
+    @pytest.mark.parametrize("part", [0.3, 0.7])
+    def test_later_pivots_follow_the_material(self, part: float) -> None:
+        d = Deformation.from_recipe(replace(LATER, amount=part), (512, 512))
+        first, second, _ = d.strokes
+        assert first == Stroke(at=(200, 200), by=(60 * part, 0), radius=50)
+        # The second takes hold of what the first one held, which is at 200 + 60 part now.
+        np.testing.assert_allclose(second.at, (200 + 60 * part, 200), atol=1e-6)
+        assert second.by == (0, 130 * part)
+        report = d.report()
+        assert report.folds == 0
+        assert report.margin > 0
+        points = np.random.default_rng(1).uniform(0, 512, (2000, 2))
+        assert np.linalg.det(d.jacobian(points)).min() > 0
+        assert Deformation.from_recipe(d.recipe, d.shape) == d
+
+    def test_a_point_of_the_material_goes_a_part_of_its_way(self) -> None:
+        full, less, none = (
+            Deformation.from_recipe(replace(LATER, amount=part), (512, 512)) for part in (1.0, 0.3, 0.0)
+        )
+        np.testing.assert_allclose(full.forward((200, 200))[:2], (340, 320), atol=25)
+        np.testing.assert_allclose(less.forward((200, 200)), (200 + 0.3 * 60 + 0.3 * 80, 200 + 0.3 * 130), atol=8)
+        points = np.random.default_rng(1).uniform(0, 512, (100, 2))
+        np.testing.assert_array_equal(none.forward(points), points)
+
+    def test_the_strength_of_a_stroke_carries_later_ones(self) -> None:
+        strokes = (replace(LATER.strokes[0], strength=0.5), *LATER.strokes[1:])
+        d = Deformation.from_recipe(replace(LATER, strokes=strokes), (512, 512))
+        assert d.strokes[0].by == (30, 0)
+        np.testing.assert_allclose(d.strokes[1].at, (230, 200), atol=1e-6)
+        assert d.strokes[1].by == LATER.strokes[1].by
+        last = replace(LATER, strokes=(*LATER.strokes[:2], replace(LATER.strokes[2], strength=0.5)))
+        known = Deformation.from_recipe(last, (512, 512)).strokes
+        assert known[:2] == LATER.strokes[:2]
+        assert (known[2].at, known[2].by) == (LATER.strokes[2].at, (40, 0))
+        half = replace(LATER.strokes[0], strength=0.5)
+        assert Deformation((512, 512), border=None).add(half).strokes[0].by == (30, 0)
+
+    def test_hidden_strokes_carry_nothing(self) -> None:
+        hidden = (replace(LATER.strokes[0], hidden=True), *LATER.strokes[1:])
+        d = Deformation.from_recipe(replace(LATER, strokes=hidden, amount=0.5), (512, 512))
+        assert d.strokes[0].at == (260, 200)
+
+    def test_errors_name_the_stroke(self) -> None:
+        folding = replace(LATER, on_fold="error", amount=0.3)
+        assert Deformation.from_recipe(replace(folding, strokes=LATER.strokes[1:2]), (512, 512)).strokes
+        message = refusal(lambda: Deformation.from_recipe(folding, (512, 512)))
+        assert message.startswith("stroke 2 of 3: ")  # in full it folds, and the third is placed on that
+
+
 class TestPack:
     def test_layout(self) -> None:
         assert STROKE_DTYPE.isalignedstruct
@@ -474,7 +680,7 @@ class TestPack:
         np.testing.assert_array_equal(volume["force"], [-1, 0, 0.5])
 
     def test_the_reach_is_in_physical_units(self) -> None:
-        table = pack([grab(), grab(reach=4), grab(radius=7, reach=1)], (2, 10))
+        table = pack([grab(reach=None), grab(), grab(radius=7, reach=1)], (2, 10))
         assert table["reach"].tolist() == [math.inf, 400.0, 7.0]
 
     @pytest.mark.parametrize("scales", [1, 2, 3])

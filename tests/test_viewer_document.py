@@ -18,6 +18,7 @@ from supple.clips import deformation_of as on_clip
 from supple.deformation import Deformation
 from supple.errors import FoldError, FoldWarning, SuppleError
 from supple.files import read_recipe, warp_file, write_recipe
+from supple.geometry import Geometry
 from supple.media.image import read, write
 from supple.strokes import Recipe, Stroke
 from supple.viewer.document import Document, Item, State
@@ -290,7 +291,7 @@ class TestHiddenStrokes:
     def test_a_deformation_leaves_them_out(self) -> None:
         recipe = Recipe(strokes=(self.HIDDEN, stroke(), self.HIDDEN))
         d = Deformation.from_recipe(recipe, SHAPE)
-        assert d.recipe == Recipe(strokes=(stroke(),))
+        assert d.recipe == Recipe(strokes=(stroke(),), size=SHAPE[::-1])
         assert d._table.tobytes() == Deformation(SHAPE).add(stroke())._table.tobytes()
         assert d.report().strokes == 1
         assert d.add(self.HIDDEN) is d
@@ -434,7 +435,82 @@ class TestRecipes:
     def test_states_are_recipes(self) -> None:
         recipe = Recipe(border=None, on_fold="flow", strokes=(stroke(), replace(stroke(), hidden=True)))
         assert State.of(recipe).recipe == recipe
-        assert Document(SHAPE, recipe=recipe).recipe == recipe
+        assert Document(SHAPE, recipe=recipe).recipe == replace(recipe, size=SHAPE[::-1], space="pixels")
+
+    def test_nothing_that_a_recipe_says_is_lost(self) -> None:
+        recipe = Recipe(
+            amount=0.3,
+            size=SHAPE[::-1],
+            space="pixels",
+            strokes=(stroke(name="cheek", strength=0.5), stroke(90, 70, 20, 0, hidden=True, name="eye")),
+        )
+        d = Document(SHAPE, recipe=recipe)
+        assert d.recipe == recipe
+        d.hide(1, False)
+        d.replace(0, replace(d.items[0].stroke, radius=20))
+        assert [(s.name, s.strength) for s in d.recipe.strokes] == [("cheek", 0.5), ("eye", 1.0)]
+        assert d.recipe.amount == 0.3
+        d.undo()
+        d.undo()
+        assert d.recipe == recipe
+
+    def test_a_recipe_of_a_smaller_picture_is_scaled(self) -> None:
+        small = Recipe(size=(80, 60), strokes=(stroke(30, 25),))
+        d = Document(SHAPE, recipe=small)
+        assert d.recipe == replace(small.fitted((160, 120)), space="pixels")
+        assert d.items[0].stroke.at == (60.5, 50.5)
+        with pytest.raises(SuppleError, match="made for 90 x 60, and this is 160 x 120, of other proportions"):
+            d.load(replace(small, size=(90, 60)))
+        clip = Recipe(size=(80, 60, 9), strokes=(Stroke(at=(9, 9, 4), by=(2, 0, 0), radius=5),))
+        with pytest.raises(SuppleError, match="supple warp scales it, and the window does not"):
+            Document((9, 120, 160), recipe=clip, kind="video")
+
+    @pytest.mark.parametrize("space", ["LPS", "RAS"])
+    def test_millimetres_are_edited_as_voxels_and_kept(self, space: Any) -> None:
+        geometry = Geometry((2, 1, 3), (-10, 20, 30), convention="LPS")
+        place = tuple(geometry.to_world((10, 12, 5), space).tolist())
+        recipe = Recipe(size=(30, 24, 12), space=space, strokes=(Stroke(at=place, by=(4, 2, 3), radius=9),))
+        d = Document((12, 24, 30), geometry.spacing, recipe, kind="volume", geometry=geometry)
+        sign = -1 if space == "RAS" else 1
+        np.testing.assert_allclose(d.items[0].stroke.at, (10, 12, 5))
+        np.testing.assert_allclose(d.items[0].stroke.by, (2 * sign, 2 * sign, 1))
+        assert (d.recipe.space, d.recipe.size) == (space, (30, 24, 12))
+        np.testing.assert_allclose(d.recipe.strokes[0].at, place)
+        np.testing.assert_allclose(d.recipe.strokes[0].by, (4, 2, 3))
+        with pytest.raises(SuppleError, match=f"in {space} millimetres, and this is no volume"):
+            Document((12, 24, 30), recipe=recipe)
+
+    def test_a_part_of_a_recipe_is_drawn_on_as_it_is_seen(self) -> None:
+        recipe = Recipe(
+            border=None,
+            amount=0.5,
+            strokes=(stroke(60, 50, 20, 0, strength=0.5), stroke(82, 50, 0, 16), stroke(90, 70)),
+        )
+        d = Document(SHAPE, recipe=recipe)
+        same(d)
+        assert d.deformation.strokes[0].by == (5, 0)
+        assert d.handles(1)[0] == d.deformation.strokes[1].at != (82, 50)
+        drawn = stroke(70, 66, 6, 3)
+        d.begin_drag()
+        assert d.preview(drawn)
+        d.commit()
+        same(d)
+        np.testing.assert_allclose(d.deformation.strokes[3].at, drawn.at, atol=1e-6)
+        np.testing.assert_allclose(d.deformation.strokes[3].by, drawn.by, atol=1e-9)
+        held = replace(d.seen(1), by=(1.0, 5.0))
+        d.begin_drag(1)
+        assert d.preview(held)
+        d.commit()
+        same(d)
+        np.testing.assert_allclose(d.deformation.strokes[1].at, held.at, atol=1e-6)
+        np.testing.assert_allclose(d.deformation.strokes[1].by, held.by, atol=1e-9)
+        np.testing.assert_allclose(d.recipe.strokes[1].at, (82, 50), atol=1e-6)
+        np.testing.assert_allclose(d.recipe.strokes[1].by, (2, 10), atol=1e-9)
+        d.undo()
+        d.hide(0)
+        same(d)
+        d.hide(0, False)
+        same(d)
 
 
 def random_edit(d: Document, rng: random.Random) -> None:

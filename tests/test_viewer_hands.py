@@ -83,7 +83,7 @@ def test_a_recipe_that_is_dropped_is_opened_in_place(view: tuple[Any, Hand], tmp
     recipe = Recipe(strokes=(Stroke.grab((200, 150), by=(20, 5), radius=40),))
     (tmp_path / "strokes.JSON").write_text(recipe.to_json(), encoding="utf-8")
     window.drop([str(tmp_path / "strokes.JSON")])
-    assert window.recipe == recipe
+    assert window.recipe.strokes == recipe.strokes
     assert "opened" in window.desk.message
     # It is that file's: nothing is lost if the window is closed, and saved to it.
     assert not window.document.dirty
@@ -127,7 +127,7 @@ def test_what_the_system_says_is_dropped_comes_to_the_window(
     recipe = Recipe(strokes=(Stroke.grab((200, 150), by=(20, 5), radius=40),))
     (tmp_path / "a.json").write_text(recipe.to_json(), encoding="utf-8")
     set_by["drop"](None, [str(tmp_path / "a.json"), "another"])
-    assert window.recipe == recipe
+    assert window.recipe.strokes == recipe.strokes
     window.document.undo()
     set_by["close"](None)
     assert set_by["stays"]

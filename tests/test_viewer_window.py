@@ -20,6 +20,7 @@ from windows import Hand, opened, small_photo, viewing, wait_for
 
 import supple
 from supple.clips import ClipOptions
+from supple.errors import ScaleWarning
 from supple.gpu.device import Gpu
 from supple.media import image, video, volume
 from supple.media.volume import RawLayout
@@ -308,10 +309,26 @@ def test_the_first_strokes_may_be_places_in_space(gpu: Gpu, state: Path) -> None
     at = head.geometry.to_world(np.array([45.0, 60, 50]))
     recipe = Recipe(border=None, strokes=(Stroke.grab(tuple(at), by=(4, 0, 2), radius=20),))
     view, _ = opened(DATA / "head.nii.gz", recipe, volume=VolumeOptions(world=True))
-    (stroke,) = view.recipe.strokes
-    np.testing.assert_allclose(stroke.at, (45, 60, 50), atol=1e-6)
+    np.testing.assert_allclose(view.document.items[0].stroke.at, (45, 60, 50), atol=1e-6)
+    assert (view.recipe.space, view.recipe.size) == ("RAS", head.sizes)
+    np.testing.assert_allclose(view.recipe.strokes[0].at, at, atol=1e-9)
     wanted = deformation_of(recipe, head, world=True)
     assert view.document.deformation.strokes == wanted.strokes
+    view.close()
+
+
+def test_a_recipe_for_another_size_is_scaled_and_told(gpu: Gpu, state: Path) -> None:
+    ramp = np.linspace(0, 1, 300, dtype=np.float32) * np.ones((200, 1), np.float32)
+    recipe = Recipe(size=(150, 100), strokes=(Stroke.grab((75, 50), by=(10, 0), radius=20),))
+    with pytest.warns(ScaleWarning, match="made for 150 x 100, and is scaled for the array, which is 300 x 200"):
+        view, _ = opened(ramp, recipe)
+    assert view.recipe.strokes == (Stroke(at=(150.5, 100.5), by=(20, 0), radius=40),)
+    (state / "small.json").write_text(recipe.to_json(), encoding="utf-8")
+    view.desk.open(state / "small.json", sure=True)
+    assert view.desk.message.endswith("small.json, scaled to 300 x 200")
+    view.close()
+    view, _ = opened(ramp, recipe, fit="pixels")
+    assert view.recipe.strokes == recipe.strokes
     view.close()
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import warnings
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -124,6 +125,57 @@ def test_places_in_space(here: Path) -> None:
         a, b = (media.read(kind + name[2:]).samples for kind in ("world", "index"))
         assert np.abs(a.astype(int) - b).max() <= 1
         assert np.abs(a.astype(int) - samples).max() > 50
+
+
+@pytest.mark.parametrize("name", ["in.nii", "in.nrrd"])
+@pytest.mark.parametrize("space", ["LPS", "RAS"])
+def test_a_recipe_that_says_its_space_needs_no_world(here: Path, name: str, space: Any) -> None:
+    samples = stored("in.nii", made())
+    media.write("in.nrrd", samples, media.Volume(samples, OBLIQUE))
+    start, end = (OBLIQUE.to_world(p, space) for p in ((11.0, 13.0, 9.0), (14.0, 11.0, 10.5)))
+    recipe = supple.Recipe(strokes=[supple.Stroke.grab(start, to=end, radius=9)], border=8.0, space=space)
+    Path("r.json").write_text(recipe.to_json())
+    assert command(["warp", name, "out" + name[2:], "--recipe", "r.json"]) == 0
+    warp_volume(name, "index" + name[2:], RECIPE)
+    a, b = (media.read(kind + name[2:]).samples for kind in ("out", "index"))
+    assert np.abs(a.astype(int) - b).max() <= 1
+    assert np.abs(a.astype(int) - samples).max() > 50
+
+
+def test_spaces_that_do_not_fit_are_refused(here: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    samples = stored("in.nii", made())
+    stored("in.tif", made())
+    media.write("in.nrrd", samples, media.Volume(samples, OBLIQUE))
+    place = ",".join(f"{x:.3f}" for x in OBLIQUE.to_world((11.0, 13.0, 9.0), "RAS"))
+    grab = ["--grab", f"{place}:{place}", "--radius", "9"]
+    assert command(["warp", "in.nii", "a.nii", *grab, "--world", "--save-recipe", "ras.json"]) == 0
+    kept = supple.Recipe.from_json(Path("ras.json").read_text())
+    assert (kept.space, kept.size) == ("RAS", SHAPE[::-1])
+    assert command(["warp", "in.nii", "b.nii", *GRAB, "--save-recipe", "px.json"]) == 0
+    assert supple.Recipe.from_json(Path("px.json").read_text()).space == "pixels"
+    assert command(["warp", "in.nrrd", "c.nrrd", "--recipe", "ras.json"]) == 0  # the same place, in its own numbers
+    capfd.readouterr()
+    for given, wanted in (
+        (["in.nii", "out.nii", "--recipe", "px.json", "--world"], "px.json is in pixels: leave it out"),
+        (["in.nii", "out.nii", "--recipe", "px.json", *grab, "--world"], "px.json is in pixels: leave it out"),
+        (["in.nii", "out.nii", "--recipe", "ras.json", *GRAB], "ras.json is in RAS millimetres, and --grab in voxels"),
+        (["in.nrrd", "out.nrrd", "--recipe", "ras.json", "--world"], "--world means LPS, as in.nrrd has them"),
+        (["in.tif", "out.tif", "--recipe", "ras.json"], "in.tif does not know where it lies in space"),
+        (["in.nii", "out.nii", "--recipe", "ras.json", "--fit", "pixels"], "--fit is for recipes in pixels"),
+    ):
+        assert command(["warp", *given]) == 2
+        err = capfd.readouterr().err
+        assert err.count("\n") == 1
+        assert wanted in err
+    assert not Path("out.nii").exists()
+
+
+def test_voxels_of_another_size_are_not_scaled(here: Path) -> None:
+    stored("in.nii", made())
+    recipe = replace(RECIPE, size=(48, 52, 40))
+    with pytest.raises(supple.SuppleError, match=r"in\.nii is 24 x 26 x 20: voxels are not scaled"):
+        warp_volume("in.nii", "out.nii", recipe)
+    assert warp_volume("in.nii", "out.nii", recipe, fit="pixels").deformation.strokes == RECIPE.strokes
 
 
 def test_strokes_must_start_in_the_volume(here: Path) -> None:
@@ -389,7 +441,7 @@ def test_a_recipe_on_a_volume() -> None:
     volume = media.Volume(made(), OBLIQUE, name="it")
     d = deformation_of(RECIPE, volume)
     assert d.shape == SHAPE
-    assert d.recipe == RECIPE
+    assert d.recipe == replace(RECIPE, size=SHAPE[::-1])
     # The radius is in millimetres: as far in space, a point moves as much along any axis.
     free = deformation_of(supple.Recipe(strokes=RECIPE.strokes, border=None), volume)
     at, by = np.array(RECIPE.strokes[0].at), np.array(RECIPE.strokes[0].by)

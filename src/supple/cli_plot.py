@@ -68,6 +68,7 @@ def plot(
         clip=video.to_clip(),
         force=options.force,
         progress=console.terminal,
+        fit=strokes.to_fit(),
     )
     if options.json:
         job = (Path(source), Path(target))

@@ -48,10 +48,10 @@ def view(
     loose = [n for n in ("radius", "poisson", "scales") if getattr(strokes, n) and not strokes.any]
     if loose:
         raise SuppleError(f"--{loose[0]} is for a --grab: give one, or set the brush in the window")
-    recipe = strokes.to_recipe() if strokes.any else None
+    recipe = strokes.to_recipe(world=volume.world) if strokes.any else None
     if volume.world and recipe is None:
         raise SuppleError("--world is about the points of strokes, and there are none: leave it out")
-    options = ViewOptions(time_scale=time.to_scale(), volume=volume.to_reading(labels=labels))
+    options = ViewOptions(time_scale=time.to_scale(), volume=volume.to_reading(labels=labels), fit=strokes.to_fit())
     if port and not serve:
         raise SuppleError("--port is for --serve: leave it out, or serve")
     if not 0 <= port <= 65535:

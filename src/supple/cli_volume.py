@@ -20,6 +20,7 @@ from supple.workers import workers
 if TYPE_CHECKING:
     from supple.deformation import Deformation
     from supple.geometry import Geometry
+    from supple.scaling import Fit
     from supple.strokes import Recipe
     from supple.volumes import VolumeOptions as Reading
 
@@ -53,12 +54,14 @@ def render(
 
     console.started(quiet=options.quiet, threads=options.threads)
     say_software = told_of_software(console, look.device)
-    recipe = strokes.to_recipe() if strokes.any else None
+    recipe, fit = strokes.to_recipe(world=volume.world) if strokes.any else None, strokes.to_fit()
     render, reading = look.to_render(camera.to_camera()), volume.to_reading()
     if reading.world and recipe is None:
         raise SuppleError("--world is about the points of strokes, and there are none: leave it out")
     with counted(console.terminal) as tell, workers() as who:
-        scene = render_file(source, target, recipe, options=render, volume=reading, force=options.force, tell=tell)
+        scene = render_file(
+            source, target, recipe, options=render, volume=reading, force=options.force, tell=tell, fit=fit
+        )
     say_software()
     say_convention(console, reading.world, scene.geometry, source)
     if options.json:
@@ -114,7 +117,8 @@ def points(
     from supple.landmarks import move_points
 
     console.started(quiet=options.quiet, threads=options.threads)
-    deformation, geometry = _deformation(on, strokes.to_recipe(), volume.to_reading(), video)
+    recipe = strokes.to_recipe(world=volume.world)
+    deformation, geometry = _deformation(on, recipe, volume.to_reading(), video, strokes.to_fit())
     moved = move_points(
         source, target, deformation, geometry, inverse=inverse, convention=convention, force=options.force
     )
@@ -136,24 +140,29 @@ def points(
         print(f"{many}, moved by up to {furthest:.3g} {unit}; residual up to {worst:.1g} {unit}")
 
 
-def _deformation(on: str, recipe: Recipe, reading: Reading, video: VideoOptions) -> tuple[Deformation, Geometry | None]:
+def _deformation(
+    on: str, recipe: Recipe, reading: Reading, video: VideoOptions, fit: Fit | None
+) -> tuple[Deformation, Geometry | None]:
     """The strokes on a volume, a picture or a clip; and where a volume's voxels lie."""
     from supple.clips import deformation_of as on_clip
-    from supple.clips import is_clip, open_clip
+    from supple.clips import is_clip, open_clip, refuse_places
     from supple.deformation import Deformation
+    from supple.strokes import fit_recipe
     from supple.volumes import deformation_of as on_volume
     from supple.volumes import is_volume_job, open_volume
 
     if is_volume_job(on, "", recipe, reading):
         volume = open_volume(on, reading)
-        return on_volume(recipe, volume, world=reading.world), volume.geometry
+        return on_volume(recipe, volume, world=reading.world, fit=fit), volume.geometry
     if reading.world:
         raise SuppleError(f"--world is for volumes, and {on} is none: leave it out")
+    refuse_places(recipe, on)
     if is_clip(on, Path(on).with_suffix(".mp4") if recipe.strokes and recipe.strokes[0].ndim == 3 else on, recipe):
         known = video.to_clip()
         with open_clip(on, rate=known.rate) as clip:
-            return on_clip(recipe, clip.count, clip.layout.shape, known.time_scale, clip.name), None
+            return on_clip(recipe, clip.count, clip.layout.shape, known.time_scale, clip.name, fit), None
     from supple.media.image import info
 
     facts = info(on)
-    return Deformation.from_recipe(recipe, (int(str(facts["height"])), int(str(facts["width"])))), None
+    height, width = int(str(facts["height"])), int(str(facts["width"]))
+    return Deformation.from_recipe(fit_recipe(recipe, (width, height), fit, on), (height, width)), None

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import glob
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Collection
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
     from supple.clips import WarpedClip
     from supple.deformation import Deformation, Report
     from supple.files import Warped
+    from supple.strokes import Recipe
     from supple.volumes import WarpedVolume
 
 Outside = Literal["edge", "constant", "reflect"]
@@ -100,7 +102,7 @@ def warp(
         raise SuppleError("give a file to read and a name to write to: supple warp IN OUT --grab …")
     console.started(quiet=options.quiet, threads=options.threads)
     check_filter(filter)
-    recipe = strokes.to_recipe()
+    recipe = strokes.to_recipe(world=volume.world)
     say_software = told_of_software(console, device)
     sampling: dict[str, Any] = {
         "filter": filter,
@@ -114,6 +116,7 @@ def warp(
         "force": options.force,
         "clip": video.to_clip(),
         "volume": volume.to_reading(labels=labels, save_field=save_field),
+        "fit": strokes.to_fit(),
     }
     if fill is not None and outside != "constant":
         raise SuppleError(f"--fill is the constant of --outside constant, and --outside is {outside}: give both")
@@ -132,9 +135,12 @@ def warp(
             raise SuppleError(f"{save_recipe} cannot be both the recipe and the field: give one another name")
         check_recipe_file(save_recipe, jobs, options.force)
 
+    kept: set[Recipe] = set()
+
     def do(job: Job, tell: bool | Tell) -> None:
         with workers() as who, piped(job, console) as (source, target):
             made = warp_file(source, target, recipe, progress=tell, **sampling)
+        kept.add(_kept(recipe, made, reading.world))
         if options.json:
             known = {"input": "-"} if str(job[0]) == STREAM else {}
             console.tell({**_facts_of(job, made), **known, "device": str(who)})
@@ -159,7 +165,7 @@ def warp(
         _alone(console, jobs[0], do, failed)
     say_software()
     if save_recipe is not None:
-        write_recipe(save_recipe, recipe, force=options.force)
+        write_recipe(save_recipe, _shared(recipe, kept), force=options.force)
     if failures:
         raise SomeFailedError(failures)
 
@@ -170,6 +176,22 @@ def _alone(console: Console, job: Job, do: Callable[[Job, bool], None], failed: 
     except SuppleError as error:
         failed(job, str(error))
         raise
+
+
+def _kept(recipe: Recipe, made: Warped | WarpedClip | WarpedVolume, world: bool) -> Recipe:
+    """Return a recipe as it is saved: with the size that it is for, and what its points are."""
+    size, space = recipe.size or made.deformation.shape[::-1], recipe.space or "pixels"
+    if world:
+        space = getattr(made, "geometry").convention  # noqa: B009
+    return replace(recipe, size=size if recipe.strokes else None, space=space)
+
+
+def _shared(recipe: Recipe, kept: Collection[Recipe]) -> Recipe:
+    """Return what is saved of one recipe on several files: what holds for all of them."""
+    for known in (kept, {replace(one, size=recipe.size) for one in kept}):
+        if len(known) == 1:
+            return next(iter(known))
+    return recipe
 
 
 def _stands_for_several(source: str) -> bool:

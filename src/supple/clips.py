@@ -24,8 +24,9 @@ from supple.media.formats import SUFFIXES_OUT as PICTURES_OUT
 from supple.media.image import check_quality, check_target
 from supple.media.numbering import SUFFIXES_IN, has_number, is_sequence
 from supple.native import OUTSIDE, check_filter
+from supple.scaling import Fit, scaling_of
 from supple.streaming import Array, Layout, Sampling, capacity_of, make_plan, stream
-from supple.strokes import Recipe
+from supple.strokes import Recipe, fit_recipe
 from supple.warping import interpolated, warn_of
 
 if TYPE_CHECKING:
@@ -217,11 +218,32 @@ def warn_of_misses(deformation: Deformation, name: PathLike) -> None:
             return
 
 
-def deformation_of(recipe: Recipe, count: int, shape: tuple[int, int], time_scale: float, name: str) -> Deformation:
+def refuse_places(recipe: Recipe, source: PathLike) -> None:
+    """Refuse a recipe in millimetres for what is no volume."""
+    if recipe.is_world:
+        raise SuppleError(
+            f"the recipe is in {recipe.space} millimetres, and {shown(source)} is no volume: give a recipe in pixels"
+        )
+
+
+def deformation_of(
+    recipe: Recipe,
+    count: int,
+    shape: tuple[int, int],
+    time_scale: float,
+    name: str,
+    fit: Fit | None = None,
+) -> Deformation:
     """A recipe on a clip: strokes with a time bend the clip, those without one bend each of its frames."""
     length("time_scale", time_scale)
+    height, width = shape
     if not recipe.strokes or recipe.strokes[0].ndim == 2:
-        return Deformation.from_recipe(recipe, shape)
+        return Deformation.from_recipe(fit_recipe(recipe, (width, height), fit, name), shape)
+    size = (width, height, count)
+    scaling = None if recipe.size is None else scaling_of(recipe.size, size, fit, time=True, name=name)
+    if scaling is not None:
+        time_scale *= scaling.frame  # so that the brush covers the same part of the clip
+    recipe = fit_recipe(recipe, size, fit, name, time=True)
     for i, stroke in enumerate(recipe.strokes):
         if not stroke.hidden and not 0 <= stroke.at[2] <= count - 1:
             which = f"stroke {i + 1}: " if len(recipe.strokes) > 1 else ""
@@ -295,6 +317,7 @@ def warp_clip(
     force: bool = False,
     options: ClipOptions | None = None,
     tell: Tell = lambda step, done, total: None,
+    fit: Fit | None = None,
 ) -> WarpedClip:
     """Deform a video or an image sequence, frame by frame, as `supple.warp_file` does.
 
@@ -311,7 +334,7 @@ def warp_clip(
     while True:
         try:
             with open_clip(source, rate=known.rate, count=count) as clip:
-                deformation = deformation_of(recipe, clip.count, clip.layout.shape, known.time_scale, clip.name)
+                deformation = deformation_of(recipe, clip.count, clip.layout.shape, known.time_scale, clip.name, fit)
                 if count is None:
                     warn_of_rotation(clip, deformation)
                     warn_of_misses(deformation, source)

@@ -29,7 +29,7 @@ PIPE_CLOSED = 141  # 128 + SIGPIPE, which Windows does not name
 
 # An argument of the library that a message begins with, and says what it must be.
 _ARGUMENT = re.compile(
-    r"^(between|codec|device|crf|fill|filter|frame|linear_light|memory|outside|pixel_format|preset|quality|time_scale|tolerance)"
+    r"^(between|codec|device|crf|fill|filter|fit|frame|linear_light|memory|outside|pixel_format|preset|quality|time_scale|tolerance)"
     r"(?= is for | must be | needs )"
 )
 
@@ -56,7 +56,8 @@ def as_options(text: str) -> str:
     """Name options as the command line does, where a message of the library names arguments."""
     text = _ARGUMENT.sub(lambda found: "--" + found[1].replace("_", "-"), text)
     text = re.sub(r'^filter="(\w+)"', r"--filter \1", text)
-    return re.sub(r"\bon_fold='(\w+)'", r"--on-fold \1", text).replace("border=None", "--border none")
+    text = re.sub(r"\bon_fold='(\w+)'", r"--on-fold \1", text).replace("border=None", "--border none")
+    return re.sub(r"\bfit='(\w+)'", r"--fit \1", text)
 
 
 class Console:

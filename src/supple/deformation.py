@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Literal, Self
 
 import numpy as np
@@ -18,6 +18,7 @@ from supple.errors import FoldWarning, MissWarning, SuppleError, ToleranceWarnin
 from supple.folding import Resolved, resolve
 from supple.native import certificate_of, measured, plan_of
 from supple.oncard import is_on_card, points_on_card, warp_on_card
+from supple.scaling import spoken
 from supple.strokes import REACH, STROKE_DTYPE, FoldPolicy, Point, Recipe, Stroke, numbers
 
 if TYPE_CHECKING:
@@ -200,9 +201,23 @@ class Deformation:
     def from_recipe(
         cls, recipe: Recipe, shape: Sequence[int], *, spacing: float | Sequence[float] = 1.0, time: bool = False
     ) -> Self:
-        """A recipe's strokes on a domain, without those that are hidden; errors and warnings name the stroke."""
+        """Return a recipe's strokes on a domain, without those that are hidden; errors and warnings name the stroke.
+
+        Where the recipe has an amount, or a stroke a strength, below 1, the stroke has that part of its drag. The point
+        at which a later stroke begins is on material that has moved less then, and is carried along: it is taken back
+        through the earlier strokes as they are in full, and forward through them as they are applied. ``strokes`` of
+        what is returned are those that are applied.
+
+        Raises
+        ------
+        SuppleError
+            As `grab` does; or if the recipe was made for another size (`Recipe.fitted` makes it fit), or is in
+            millimetres (`supple.warp_file` takes it).
+        """
         if not isinstance(recipe, Recipe):
             refuse("a recipe", "a Recipe (Recipe.from_json reads one)", recipe)
+        if recipe.is_world:
+            raise SuppleError(f"the recipe is in {recipe.space} millimetres, which only files of volumes have")
         made = cls(
             shape,
             border=recipe.border,
@@ -211,12 +226,20 @@ class Deformation:
             time=time,
             on_fold=recipe.on_fold,
         )
-        for i, stroke in enumerate(recipe.strokes):
-            if stroke.hidden:
-                continue
+        size = made.shape[::-1]
+        if recipe.strokes and recipe.size is not None and len(recipe.size) == len(size) and recipe.size != size:
+            raise SuppleError(
+                f"the recipe was made for {spoken(recipe.size)}, and the shape is of {spoken(size)}: "
+                "Recipe.fitted makes it fit"
+            )
+        visible = [(i, stroke) for i, stroke in enumerate(recipe.strokes) if not stroke.hidden]
+        whole: Deformation = made  # as it is at full strength; the same object as long as that is what is applied
+        for k, (i, stroke) in enumerate(visible):
             which = f"stroke {i + 1} of {len(recipe.strokes)}: " if len(recipe.strokes) > 1 else ""
             try:
-                made = made.add(stroke, warn=False)
+                before, made = made, made.add(reduced(stroke, recipe.amount, whole, made), warn=False)
+                if k < len(visible) - 1:
+                    whole = after(stroke, recipe.amount, whole, before, made)
             except SuppleError as error:
                 raise type(error)(f"{which}{error}") from None
             _warn(made._resolved[-1], which)
@@ -236,12 +259,13 @@ class Deformation:
 
     @property
     def recipe(self) -> Recipe:
-        """What was asked for, apart from the domain; hidden strokes, which were left out, are not in it."""
+        """What is applied, with the size; hidden strokes, which were left out, are not in it."""
         return Recipe(
             border=self.domain.border,
             border_profile=self.domain.border_profile,
             on_fold=self.on_fold,
             strokes=self.strokes,
+            size=self.shape[::-1],
         )
 
     @property
@@ -320,7 +344,8 @@ class Deformation:
         Parameters
         ----------
         stroke : Stroke
-            A hidden one changes nothing, and is not kept: this deformation itself comes back.
+            A hidden one changes nothing, and is not kept: this deformation itself comes back. Of one with a strength
+            below 1, that part of the drag is applied, and kept.
         warn : bool
             Whether to warn if it misses its target; `warnings` tells it too.
 
@@ -341,6 +366,7 @@ class Deformation:
             refuse("a stroke's point", wanted, stroke.at)
         if stroke.hidden:
             return self
+        stroke = reduced(stroke, 1.0, self, self)
         resolved = resolve(stroke, self.domain, self.on_fold)
         if warn:
             _warn(resolved)
@@ -670,6 +696,31 @@ class Deformation:
 
     def _points(self, rows: Floats, shape: tuple[int, ...]) -> Floats:
         return np.ascontiguousarray((rows[:, : self.ndim] / self.domain.spacing).reshape(shape))
+
+
+def reduced(stroke: Stroke, amount: float, whole: Deformation, now: Deformation) -> Stroke:
+    """Return what is applied of a stroke of a recipe.
+
+    Parameters
+    ----------
+    stroke : Stroke
+    amount : float
+        The recipe's; the stroke's strength is a factor, too.
+    whole, now : Deformation
+        The strokes before it, in full and as they are applied; the same object where these do not differ.
+    """
+    part = amount * stroke.strength
+    if part == 1 and whole is now:
+        return stroke
+    at = stroke.at if whole is now else tuple(now.forward(whole.inverse(stroke.at).points).tolist())
+    return replace(stroke, at=at, by=tuple(part * x for x in stroke.by), strength=1.0)
+
+
+def after(stroke: Stroke, amount: float, whole: Deformation, before: Deformation, now: Deformation) -> Deformation:
+    """Return ``whole`` with one more stroke; it is ``now`` itself, what is applied, as long as these do not differ."""
+    if whole is before and amount * stroke.strength == 1:
+        return now
+    return whole.add(replace(stroke, strength=1.0), warn=False)
 
 
 def _warn(resolved: Resolved, which: str = "") -> None:

@@ -14,6 +14,7 @@ from supple.errors import SuppleError
 from supple.media.files import shown
 from supple.media.numbering import is_sequence
 from supple.media.volume import RawLayout
+from supple.scaling import spoken
 from supple.strokes import Recipe
 
 # What ITU-T H.273 calls the numbers of colours.
@@ -198,11 +199,16 @@ def _recipe(name: str, recipe: Recipe) -> str:
         border = f"fixed, a tenth of each side wide, {recipe.border_profile}"
     else:
         border = f"fixed, {', '.join(f'{width:g}' for width in widths)} wide, {recipe.border_profile}"
-    lines = [f"{shown(name)}:", "  recipe", f"  border      {border}", f"  on fold     {recipe.on_fold}"]
+    points = f"millimetres in {recipe.space}" if recipe.is_world else recipe.space or "not said: pixels, usually"
+    lines = [f"{shown(name)}:", "  recipe"]
+    lines += [f"  made for    {'any size' if recipe.size is None else spoken(recipe.size)}", f"  points      {points}"]
+    lines += [f"  border      {border}", f"  on fold     {recipe.on_fold}", f"  amount      {100 * recipe.amount:g}%"]
     for i, s in enumerate(recipe.strokes):
         to = tuple(a + b for a, b in zip(s.at, s.by, strict=True))
-        points = " to ".join("(" + ", ".join(f"{x:g}" for x in point) + ")" for point in (s.at, to))
+        path = " to ".join("(" + ", ".join(f"{x:g}" for x in point) + ")" for point in (s.at, to))
         kind = f"radius {s.radius:g}, scales {s.scales}, reach {'none' if s.reach is None else format(s.reach, 'g')}"
         kind += ("" if s.poisson is None else f", poisson {s.poisson:g}") + (", hidden" if s.hidden else "")
-        lines.append(f"  stroke {i + 1:<5}{s.brush} {points}, {kind}")
+        kind += "" if s.strength == 1 else f", strength {100 * s.strength:g}%"
+        kind += "" if s.name is None else f", named {shown(s.name)}"
+        lines.append(f"  stroke {i + 1:<5}{s.brush} {path}, {kind}")
     return "\n".join(lines)

@@ -27,6 +27,10 @@ class OutsideWarning(UserWarning):
     """A stroke begins so far outside the picture that it is hardly felt."""
 
 
+class ScaleWarning(UserWarning):
+    """A recipe was made for another size of the same proportions, and was scaled."""
+
+
 class ToleranceWarning(UserWarning):
     """The inverse map is not as exact everywhere as was asked."""
 

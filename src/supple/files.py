@@ -15,7 +15,7 @@ import numpy as np
 
 from supple.clips import SUFFIXES as CLIPS
 from supple.clips import SUFFIXES_OUT as CLIPS_OUT
-from supple.clips import ClipOptions, WarpedClip, check_clip_target, is_clip, warn_of_misses, warp_clip
+from supple.clips import ClipOptions, WarpedClip, check_clip_target, is_clip, refuse_places, warn_of_misses, warp_clip
 from supple.deformation import Deformation, Report
 from supple.domain import choice
 from supple.engines import DEVICES, check_device, check_no_cuda
@@ -26,7 +26,8 @@ from supple.media.numbering import SUFFIXES_IN
 from supple.media.volume import SUFFIXES as VOLUMES
 from supple.media.volume import SUFFIXES_OUT as VOLUMES_OUT
 from supple.media.volume import suffix_of
-from supple.strokes import Recipe
+from supple.scaling import Fit
+from supple.strokes import Recipe, fit_recipe
 from supple.volumes import VolumeOptions, WarpedVolume, check_volume_target, is_volume_job, warp_volume
 
 PathLike = str | os.PathLike[str]
@@ -76,6 +77,7 @@ def warp_file(
     tell: Callable[[str, int, int], None] | None = None,
     clip: ClipOptions | None = None,
     volume: VolumeOptions | None = None,
+    fit: Fit | None = None,
 ) -> Warped | WarpedClip | WarpedVolume:
     """Deform a picture file, a video, an image sequence, or a volume.
 
@@ -117,6 +119,9 @@ def warp_file(
         What is particular to clips.
     volume : VolumeOptions, optional
         What is particular to volumes.
+    fit : str, optional
+        How a recipe that was made for another size fits, as `Recipe.fitted` takes it: ``"pixels"``, ``"stretch"`` or
+        ``"inside"``. Without it, it is scaled where the proportions are the same, and refused otherwise.
 
     Returns
     -------
@@ -163,6 +168,7 @@ def warp_file(
                 force=force,
                 options=volume,
                 tell=counts,
+                fit=fit,
             )
     if kind == "clip":
         sampling = {"filter": filter, "tolerance": tolerance, "outside": outside, "fill": fill}
@@ -179,6 +185,7 @@ def warp_file(
                 force=force,
                 options=clip,
                 tell=counts,
+                fit=fit,
             )
     with contextlib.nullcontext(progress) if callable(progress) else _told(source, progress) as show:
 
@@ -190,8 +197,9 @@ def warp_file(
         begin("read")
         picture = read(source, pages=_suffix(target) == ".tiff")
         begin("warp")
-        height = len(picture.pixels) // picture.pages
-        deformation = Deformation.from_recipe(recipe, (height, picture.pixels.shape[1]))
+        height, width = len(picture.pixels) // picture.pages, picture.pixels.shape[1]
+        fitted = fit_recipe(recipe, (width, height), fit, shown(source))
+        deformation = Deformation.from_recipe(fitted, (height, width))
         warn_of_misses(deformation, source)
         if deformation.is_identity and quality is None and not lossless and _suffix(source) == _suffix(target):
             # Encoded anew, a lossy picture would not be what it was.
@@ -259,6 +267,7 @@ def check_job(
         _spare(source, target, "volume", force)
         check_volume_target(source, target, volume or VolumeOptions(), force=force)
         return "volume"
+    refuse_places(recipe, source)
     if volume is not None and volume != VolumeOptions():
         asked = _asked(volume, VolumeOptions())
         raise SuppleError(f"{shown(source)} is no volume, and {asked} for volumes: leave that out")

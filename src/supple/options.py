@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 
     from supple.clips import ClipOptions
     from supple.domain import Border
+    from supple.scaling import Fit
     from supple.strokes import Recipe, Stroke
 
 STROKES = Group("Strokes", sort_key=1)
@@ -43,7 +44,8 @@ class StrokeOptions:
     reach
         How far a grab is felt at all, in radii, from 1 (default 4): what lies beyond keeps every bit. none: no limit.
     recipe
-        Strokes from a JSON file, which come before those of --grab.
+        Strokes from a JSON file, which come before those of --grab; these are in pixels of the size that the
+        file names, if it names one.
     border
         Width of the border in which movement fades, so that the edges stay in place: auto (default), a tenth of each
         side; N or N,N in pixels, N,N,N with frames or in millimetres; none: the edges move too.
@@ -52,6 +54,12 @@ class StrokeOptions:
     on_fold
         A grab that would fold the picture, or that the border holds back: flow to its target in smaller steps
         (default), damp it, or refuse it (error).
+    amount
+        How much of each drag is carried out: 30%, or 0.3. Later grabs stay on what they take hold of.
+    fit
+        How a recipe that was made for another size fits: pixels takes its numbers as they are; stretch scales width
+        and height by factors of their own; inside keeps proportions, centred. One of the same proportions is scaled
+        without asking.
     """
 
     grab: Annotated[
@@ -69,14 +77,26 @@ class StrokeOptions:
     on_fold: Annotated[
         Literal["damp", "flow", "error"] | None, Parameter(metavar="flow|damp|error", show_choices=False)
     ] = None
+    amount: Annotated[str | None, Parameter(allow_leading_hyphen=True, metavar="PART")] = None
+    fit: Annotated[
+        Literal["pixels", "stretch", "inside"] | None, Parameter(metavar="pixels|stretch|inside", show_choices=False)
+    ] = None
 
     @property
     def any(self) -> bool:
         """Whether there is anything to do."""
         return bool(self.grab) or self.recipe is not None
 
-    def to_recipe(self) -> Recipe:
-        """Read the recipe file, if one is given, and add the grabs."""
+    def to_fit(self) -> Fit | None:
+        """How a recipe fits another size; refuse what is said of a recipe where there is none."""
+        if self.fit is not None and self.recipe is None:
+            raise SuppleError("--fit is for a recipe that was made for another size: give a --recipe, or leave it out")
+        if self.amount is not None and not self.any:
+            raise SuppleError("--amount is for strokes, and there are none: give --recipe or --grab, or leave it out")
+        return self.fit
+
+    def to_recipe(self, *, world: bool = False) -> Recipe:
+        """Read the recipe file, if one is given, and add the grabs; ``world`` says that these are in millimetres."""
         from supple.strokes import Recipe
 
         if not self.grab and self.recipe is None:
@@ -87,9 +107,18 @@ class StrokeOptions:
             from supple.files import read_recipe
 
             made = read_recipe(self.recipe)
+            if self.grab and made.is_world and not world:
+                raise SuppleError(
+                    f"{self.recipe} is in {made.space} millimetres, and --grab in voxels: give --world if it is in "
+                    "millimetres too"
+                )
+            if world and made.space == "pixels":
+                raise SuppleError(f"--world is for points in millimetres, and {self.recipe} is in pixels: leave it out")
         made = replace(made, strokes=(*made.strokes, *self._strokes()))
         if self.border is not None:
             made = replace(made, border=_border(self.border))
+        if self.amount is not None:
+            made = replace(made, amount=_amount(self.amount))
         if self.border_profile is not None:
             made = replace(made, border_profile=self.border_profile)
         return made if self.on_fold is None else replace(made, on_fold=self.on_fold)
@@ -252,6 +281,16 @@ def _border(text: str) -> Border:
         parse_number("--border", part, "auto, none, a width, or one for each axis") for part in text.split(",")
     )
     return widths[0] if len(widths) == 1 else widths
+
+
+def _amount(text: str) -> float:
+    """Read a part from the command line, in percent or as a number."""
+    wanted = "a part of the strokes, from 0% to 100%, or from 0 to 1"
+    percent = text.strip().endswith("%")
+    part = parse_number("--amount", text.strip().removesuffix("%"), wanted) / (100 if percent else 1)
+    if not 0 <= part <= 1:
+        raise SuppleError(f"--amount must be {wanted}, found {text!r}")
+    return part
 
 
 def _rate(text: str) -> float | Fraction:

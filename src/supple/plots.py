@@ -18,6 +18,7 @@ from supple.clips import (
     is_clip,
     open_clip,
     refuse_picture,
+    refuse_places,
     sampling_of,
     warn_of_misses,
     warn_of_rotation,
@@ -29,8 +30,9 @@ from supple.errors import SuppleError
 from supple.files import counted
 from supple.media.files import check_output, shown
 from supple.media.volume import is_volume
+from supple.scaling import Fit
 from supple.streaming import Array, Sampling, make_plan
-from supple.strokes import Recipe
+from supple.strokes import Recipe, fit_recipe
 
 Colours = npt.NDArray[np.uint8]
 Tell = Callable[[str, int, int], None]
@@ -51,6 +53,7 @@ def plot_file(
     clip: ClipOptions | None = None,
     force: bool = False,
     progress: bool = False,
+    fit: Fit | None = None,
 ) -> Deformation:
     """Draw what strokes do to a file.
 
@@ -75,6 +78,8 @@ def plot_file(
         Whether a file that exists may be replaced.
     progress : bool
         Whether to show on a terminal how far a clip is.
+    fit : str, optional
+        As `supple.warp_file` takes it.
 
     Returns
     -------
@@ -97,11 +102,12 @@ def plot_file(
     check_plot(target, force=force)
     if is_volume(source):
         raise SuppleError(f"plots are of pictures and videos, and {shown(source)} is a volume: supple render shows it")
+    refuse_places(recipe, source)
     if is_clip(source, "", recipe):
         from supple.media.troubles import CountError
 
         refuse_picture(source)
-        asked = (source, target, recipe, what, frame, x, y, options, force)
+        asked = (source, target, recipe, what, frame, x, y, options, force, fit)
         with counted(progress) as tell:
             try:
                 return _plot_clip(*asked, tell)
@@ -117,7 +123,9 @@ def plot_file(
     from supple.media.image import read
 
     pixels = read(source).pixels
-    deformation = Deformation.from_recipe(recipe, pixels.shape[:2])
+    height, width = pixels.shape[:2]
+    fitted = fit_recipe(recipe, (width, height), fit, shown(source))
+    deformation = Deformation.from_recipe(fitted, (height, width))
     warn_of_misses(deformation, source)
     plot(deformation, what, target, image=pixels, force=force)
     return deformation
@@ -133,12 +141,13 @@ def _plot_clip(
     y: int | None,
     options: ClipOptions,
     force: bool,
+    fit: Fit | None,
     tell: Tell,
     count: int | None = None,
 ) -> Deformation:
     with open_clip(source, rate=options.rate, count=count) as clip:
         height, width = clip.layout.shape
-        deformation = deformation_of(recipe, clip.count, clip.layout.shape, options.time_scale, clip.name)
+        deformation = deformation_of(recipe, clip.count, clip.layout.shape, options.time_scale, clip.name, fit)
         if count is None:
             warn_of_rotation(clip, deformation)
             warn_of_misses(deformation, source)

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import json
 import math
+import warnings
 from collections import Counter
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import lru_cache
 from typing import Any, Literal, NoReturn, Self, get_args
 
@@ -15,22 +16,26 @@ import numpy.typing as npt
 
 from supple.domain import (
     LARGEST,
+    LONGEST_AXIS,
     Border,
     BorderProfile,
     check_border_profile,
     checked_border,
     choice,
     integer,
+    items,
     length,
     number,
     point,
     refuse,
     shown,
 )
-from supple.errors import SuppleError
+from supple.errors import ScaleWarning, SuppleError
+from supple.scaling import Fit, scaling_of, spoken
 
 Brush = Literal["grab"]
 FoldPolicy = Literal["damp", "flow", "error"]
+Space = Literal["pixels", "LPS", "RAS"]
 Point = Sequence[float] | npt.NDArray[Any]
 
 VERSION = 2
@@ -51,7 +56,9 @@ STROKE_DTYPE = np.dtype(
     align=True,
 )
 
-_NEW = ("border_profile", "reach")  # keys that version 1 has not
+# Keys that version 1 has not.
+_NEW = ("border_profile", "reach", "size", "space", "amount", "name", "strength", "to")
+_PART = "a number from 0 to 1"
 
 # The radii are ε, 1.1ε and 1.21ε. The weights that cancel the far field, divided by what they leave at the
 # pivot, are exactly these fractions; worked out in floats they would lose digits.
@@ -83,6 +90,10 @@ class Stroke:
         ``"grab"``.
     hidden : bool
         Whether it is only kept, and not applied.
+    name : str or None
+        What a person calls it.
+    strength : float
+        The part of the drag that is carried out, from 0 to 1; `Deformation.from_recipe` says how.
     """
 
     at: tuple[float, ...]
@@ -93,11 +104,15 @@ class Stroke:
     reach: float | None = REACH
     brush: Brush = "grab"
     hidden: bool = False
+    name: str | None = None
+    strength: float = 1.0
 
     def __post_init__(self) -> None:
         choice("brush", self.brush, get_args(Brush))
         if not isinstance(self.hidden, bool):
             refuse("hidden", "true or false", self.hidden)
+        if not isinstance(self.name, str | None):
+            refuse("name", "a text, or None", self.name)
         at = point("at", self.at)
         checked = {
             "at": at,
@@ -108,6 +123,7 @@ class Stroke:
             else number("poisson", self.poisson, "a number up to 0.5, or -inf", -math.inf, 0.5),
             "scales": integer("scales", self.scales, "1, 2 or 3", 1, 3),
             "reach": _checked_reach(self.reach),
+            "strength": number("strength", self.strength, _PART, 0.0, 1.0),
         }
         for name, value in checked.items():
             object.__setattr__(self, name, value)
@@ -168,12 +184,22 @@ class Recipe:
         or ``"error"``.
     strokes : iterable of Stroke
         In the order in which they are applied, all with as many coordinates. Hidden ones are kept, and not applied.
+    size : sequence of int or None
+        The samples along each axis, x first, of the medium that it was made for; as many numbers as points have.
+    space : str or None
+        What points are: ``"pixels"`` (indices, in volumes); or, in volumes, millimetres in ``"LPS"`` or ``"RAS"``.
+        None: not said, which means pixels, unless what reads the volume says otherwise.
+    amount : float
+        The part of it that is carried out, from 0 to 1: of every stroke's drag.
     """
 
     border: Border = "auto"
     border_profile: BorderProfile = "quartic"
     on_fold: FoldPolicy = "flow"
     strokes: tuple[Stroke, ...] = ()
+    size: tuple[int, ...] | None = None
+    space: Space | None = None
+    amount: float = 1.0
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "border", checked_border(self.border))
@@ -188,15 +214,83 @@ class Recipe:
             if (n := strokes[0].ndim) != stroke.ndim:
                 refuse(f"strokes[{i}].at", f"a point of {n} numbers, as in strokes[0]", stroke.at)
         object.__setattr__(self, "strokes", strokes)
+        ndim = strokes[0].ndim if strokes else None
+        if self.size is not None:
+            object.__setattr__(self, "size", _checked_size(self.size, ndim))
+        if self.space is not None:
+            choice("space", self.space, get_args(Space))
+            if self.is_world and ndim == 2:
+                refuse("space", '"pixels" where points have 2 numbers', self.space)
+        object.__setattr__(self, "amount", number("amount", self.amount, _PART, 0.0, 1.0))
+
+    @property
+    def is_world(self) -> bool:
+        """Whether points are places in space, in millimetres."""
+        return self.space in ("LPS", "RAS")
+
+    def fitted(self, size: Sequence[int], how: Fit | None = None, *, time: bool = False, name: str = "this") -> Self:
+        """Return the recipe for a medium of another size, which it then has.
+
+        The centre p of a pixel goes to (p + 0.5) s - 0.5, where s is the factor from the old size to the new one; radii
+        and borders are scaled, too. Of a clip, what a frame is worth must grow by `Scaling.frame`.
+
+        Parameters
+        ----------
+        size : sequence of int
+            Samples along each axis, x first.
+        how : str, optional
+            Without it, only a size of the same proportions fits, within half a pixel. ``"pixels"``: coordinates stay as
+            they are; ``"stretch"``: each axis has a factor of its own, and the radius has their geometric mean;
+            ``"inside"``: x and y have the same factor, the largest that fits, and the result is centred.
+        time : bool
+            Whether a third axis is time. Only ``"stretch"`` scales it.
+        name : str
+            What the size is of, for messages.
+
+        Raises
+        ------
+        SuppleError
+            If it does not fit, or ``how`` is given and the recipe has no size, or is in millimetres.
+        """
+        size = _checked_size(size, None)
+        if how is not None and self.is_world:
+            raise SuppleError(
+                f"fit is for recipes in pixels, and this one is in {self.space} millimetres: leave it out"
+            )
+        if how is not None and self.size is None:
+            raise SuppleError("fit needs the size that the recipe was made for, and it has none: leave it out")
+        if self.strokes and self.strokes[0].ndim != len(size):
+            return self  # whoever carries it out says what is wrong with it
+        if self.size is None or self.is_world or not self.strokes:
+            return replace(self, size=size)
+        scaling = scaling_of(self.size, size, how, time=time, name=name)
+        if scaling is None:
+            return replace(self, size=size)
+        strokes = [
+            replace(s, at=scaling.point(s.at), by=scaling.drag(s.by), radius=s.radius * scaling.length)
+            for s in self.strokes
+        ]
+        border = self.border
+        if isinstance(border, float | tuple):
+            given = border if isinstance(border, tuple) else (border,) * len(size)
+            if len(given) == len(size):  # or whoever carries it out says what is wrong with it
+                widths = tuple(width * s for width, s in zip(given, scaling.widths, strict=True))
+                border = widths[0] if isinstance(border, float) and len(set(widths)) == 1 else widths
+        return replace(self, size=size, strokes=tuple(strokes), border=border)
 
     def to_json(self) -> str:
         """The recipe as strict JSON, one stroke a line, from which `from_json` makes an equal one."""
-        head = {
+        head: dict[str, object] = {
             "supple": VERSION,
             "border": list(map(_plain, self.border)) if isinstance(self.border, tuple) else _plain(self.border),
             "border_profile": self.border_profile,
             "on_fold": self.on_fold,
+            "amount": _plain(self.amount),
         }
+        if self.space is not None:
+            head["space"] = self.space
+        if self.size is not None:
+            head["size"] = list(self.size)
         members = [f"  {_dump(key)}: {_dump(value)}" for key, value in head.items()]
         strokes = ",\n".join(f"    {_dump(_stroke_entry(stroke))}" for stroke in self.strokes)
         members.append(f'  "strokes": [\n{strokes}\n  ]' if strokes else '  "strokes": []')
@@ -209,8 +303,9 @@ class Recipe:
         Parameters
         ----------
         text : str
-            ``border``, ``border_profile``, ``on_fold``, ``poisson``, ``scales``, ``reach`` and ``hidden`` may be left
-            out, for their defaults. A recipe of version 1 has no ``reach``, and the border of the paper, ``"sine"``.
+            All but ``supple`` and ``strokes``, and of a stroke ``brush``, ``at``, ``radius`` and ``by`` (or ``to``),
+            may be left out, for their defaults. A recipe of version 1 has no ``reach``, and the border of the paper,
+            ``"sine"``.
 
         Raises
         ------
@@ -232,6 +327,31 @@ class Recipe:
         return cls(**data)
 
 
+def fit_recipe(recipe: Recipe, size: Sequence[int], how: Fit | None, name: str, *, time: bool = False) -> Recipe:
+    """Return a recipe for a file of some size, as `Recipe.fitted` does, and warn if it is scaled without being asked.
+
+    Parameters
+    ----------
+    recipe : Recipe
+    size : sequence of int
+        Samples along each axis, x first.
+    how : str or None
+        As `Recipe.fitted` takes it.
+    name : str
+        The file's, for messages.
+    time : bool
+        Whether a third axis is time.
+    """
+    made = recipe.fitted(size, how, time=time, name=name)
+    if how is None and recipe.size is not None and made.strokes != recipe.strokes:
+        warnings.warn(
+            f"the recipe was made for {spoken(recipe.size)}, and is scaled for {name}, which is {spoken(size)}",
+            ScaleWarning,
+            stacklevel=4,
+        )
+    return made
+
+
 def _plain(x: float | str | None) -> float | str | None:
     if not isinstance(x, float) or not x.is_integer() or abs(x) >= 2**53 or (x == 0 and math.copysign(1, x) < 0):
         return x
@@ -250,11 +370,13 @@ def _stroke_entry(stroke: Stroke) -> dict[str, object]:
         "radius": _plain(stroke.radius),
         "scales": stroke.scales,
         "reach": _plain(stroke.reach),
+        "poisson": "-inf" if stroke.poisson == -math.inf else _plain(stroke.poisson),
+        "strength": _plain(stroke.strength),
     }
-    if stroke.poisson is not None:
-        entry["poisson"] = "-inf" if stroke.poisson == -math.inf else _plain(stroke.poisson)
     if stroke.hidden:
         entry["hidden"] = True
+    if stroke.name is not None:
+        entry["name"] = stroke.name
     return entry
 
 
@@ -266,7 +388,13 @@ def _known(made: type[Recipe | Stroke], version: int) -> list[str]:
 def _stroke(where: str, entry: object, version: int) -> Stroke:
     if not isinstance(entry, dict):
         refuse(where, "a JSON object", entry)
-    _check_keys(where, entry, _known(Stroke, version), ["brush", "at", "by", "radius"])
+    known, end = _known(Stroke, version), "to" if "to" in entry and version > 1 else "by"
+    _check_keys(where, entry, [*known, "to"] if version > 1 else known, ["brush", "at", end, "radius"])
+    if end == "to":
+        if "by" in entry:
+            raise SuppleError(f'{where} takes one of "to" and "by", found both')
+        entry = {**entry, "by": _drag(where, entry["at"], entry["to"])}
+        del entry["to"]
     if version == 1:
         entry = {"poisson": POISSON, **entry, "reach": None}
     if entry.get("poisson") == "-inf":
@@ -275,6 +403,21 @@ def _stroke(where: str, entry: object, version: int) -> Stroke:
         return Stroke(**entry)
     except SuppleError as error:
         raise SuppleError(f"{where}: {error}") from None
+
+
+def _drag(where: str, at: object, to: object) -> tuple[float, ...]:
+    try:
+        start = point("at", at)
+        return tuple(b - a for a, b in zip(start, point("to", to, (len(start),)), strict=True))
+    except SuppleError as error:
+        raise SuppleError(f"{where}: {error}") from None
+
+
+def _checked_size(size: object, ndim: int | None) -> tuple[int, ...]:
+    lengths = (2, 3) if ndim is None else (ndim,)
+    sizes = items("size", size, f"{' or '.join(map(str, lengths))} numbers of samples, x first", lengths)
+    wanted = f"a whole number from 1 to {LONGEST_AXIS}"
+    return tuple(integer(f"size[{i}]", n, wanted, 1, LONGEST_AXIS) for i, n in enumerate(sizes))
 
 
 def _check_keys(where: str, entry: dict[str, object], known: list[str], required: list[str]) -> None:

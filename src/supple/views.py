@@ -21,6 +21,7 @@ from supple.media.folder import check_outputs, replacing_all
 from supple.media.numbering import has_number, spelling
 from supple.media.volume import Volume
 from supple.rendering import MODES, Scene
+from supple.scaling import Fit
 from supple.strokes import Recipe
 from supple.transfer import TransferFunction, transfer_of
 from supple.volumes import VolumeOptions, deformation_of, open_volume
@@ -113,7 +114,12 @@ def default_transfer(volume: Volume) -> str:
 
 
 def scene_of(
-    volume: Volume, recipe: Recipe | None = None, options: RenderOptions | None = None, *, world: bool = False
+    volume: Volume,
+    recipe: Recipe | None = None,
+    options: RenderOptions | None = None,
+    *,
+    world: bool = False,
+    fit: Fit | None = None,
 ) -> Scene:
     """A volume as a scene, perhaps with strokes.
 
@@ -135,7 +141,7 @@ def scene_of(
         raise SuppleError(
             f"{volume.name} has {samples.shape[3]} components, and pictures are of one: take one out of it"
         )
-    deformation = None if recipe is None else deformation_of(recipe, volume, world=world)
+    deformation = None if recipe is None else deformation_of(recipe, volume, world=world, fit=fit)
     given = known.transfer if known.transfer is not None else default_transfer(volume)
     transfer = given if isinstance(given, TransferFunction) else transfer_of(given)
     return Scene(
@@ -160,6 +166,7 @@ def render_file(
     volume: VolumeOptions | None = None,
     force: bool = False,
     tell: Tell = lambda step, done, total: None,
+    fit: Fit | None = None,
 ) -> Scene:
     """Take a picture of a volume file, or turn around it.
 
@@ -177,6 +184,8 @@ def render_file(
         Whether to replace a file that exists.
     tell : function
         Called with ``"render"``, what is done of it, and of how much.
+    fit : str, optional
+        As `supple.warp_file` takes it.
 
     Returns
     -------
@@ -193,7 +202,7 @@ def render_file(
     many = known.turntable is not None
     _check_target(target, suffix, many, known.what, force)
     given = open_volume(source, reading)
-    scene = scene_of(given, recipe, known, world=reading.world)
+    scene = scene_of(given, recipe, known, world=reading.world, fit=fit)
     if given.samples.dtype.kind == "f" and not np.isfinite(given.samples).any():
         raise SuppleError(f"nothing is seen of {given.name}: none of its values is a finite number")
     if scene.is_empty:

@@ -37,8 +37,9 @@ from supple.media.volume import (
     write,
 )
 from supple.native import OUTSIDE, check_filter
+from supple.scaling import Fit
 from supple.streaming import Sampling
-from supple.strokes import Recipe, Stroke
+from supple.strokes import Recipe, Space, Stroke, fit_recipe
 from supple.warping import warn_of
 
 Array = npt.NDArray[Any]
@@ -137,64 +138,102 @@ def open_volume(source: PathLike, options: VolumeOptions | None = None) -> Volum
     return volume
 
 
-def deformation_of(recipe: Recipe, volume: Volume, *, world: bool = False) -> Deformation:
+def deformation_of(recipe: Recipe, volume: Volume, *, world: bool = False, fit: Fit | None = None) -> Deformation:
     """A recipe on a volume: radius and border in millimetres, points as indices or as places in space.
 
     Raises
     ------
     SuppleError
         If a stroke has no third coordinate, or starts outside the volume; if places are asked for, and the volume
-        knows of none.
+        knows of none; or if the recipe was made for another size, and ``fit`` does not say how it fits.
     """
     sizes = volume.sizes
-    strokes = []
-    places = indexed(recipe, volume).strokes if world else recipe.strokes
     for i, stroke in enumerate(recipe.strokes):
-        if stroke.hidden:
-            continue
-        which = f"stroke {i + 1}: " if len(recipe.strokes) > 1 else ""
-        if stroke.ndim != 3:
+        if stroke.ndim != 3 and not stroke.hidden:
+            which = _which(i, recipe)
             raise SuppleError(f"{which}a volume's points have three numbers, x, y and z, and {stroke.at} has two")
-        made = places[i]
-        if not all(-0.5 <= x <= n - 0.5 for x, n in zip(made.at, sizes, strict=True)):
-            raise SuppleError(f"{which}{_spoken(stroke.at)} is not in {volume.name}: {_extent(volume, world)}")
-        strokes.append(made)
+    known = fit_recipe(in_space(recipe, volume.geometry, volume.name, world), sizes, fit, volume.name)
+    made = indexed(known, volume.geometry, volume.name)
+    strokes = [stroke for stroke in made.strokes if not stroke.hidden]
+    for i, stroke in enumerate(made.strokes):
+        if not stroke.hidden and not all(-0.5 <= x <= n - 0.5 for x, n in zip(stroke.at, sizes, strict=True)):
+            place = _spoken(known.strokes[i].at)
+            raise SuppleError(f"{_which(i, recipe)}{place} is not in {volume.name}: {_extent(volume, known)}")
     shape = tuple(reversed(sizes))
-    return Deformation.from_recipe(replace(recipe, strokes=tuple(strokes)), shape, spacing=volume.geometry.spacing)
+    return Deformation.from_recipe(replace(made, strokes=tuple(strokes)), shape, spacing=volume.geometry.spacing)
 
 
-def indexed(recipe: Recipe, volume: Volume) -> Recipe:
-    """A recipe whose points are places in space, in millimetres, as one of indices.
+def in_space(recipe: Recipe, geometry: Geometry, name: str, world: bool) -> Recipe:
+    """A recipe that says what its points are, where the caller knows that they are places in space.
 
     Raises
     ------
     SuppleError
-        If the volume does not know where it lies.
+        If the recipe says otherwise, or the volume of that name does not know where it lies.
     """
-    geometry = volume.geometry
+    if not world:
+        return recipe
+    convention = geometry.convention
+    if recipe.space == "pixels":
+        raise SuppleError("--world is for points in millimetres, and the recipe is in pixels: leave it out")
+    if convention == "array":
+        raise SuppleError(f"{name} does not know where it lies in space: leave --world out, and give indices")
+    if recipe.is_world and recipe.space != convention:
+        raise SuppleError(
+            f"the recipe is in {recipe.space} millimetres, and --world means {convention}, as {name} has them: "
+            "leave --world out"
+        )
+    return replace(recipe, space=convention)  # type: ignore[arg-type]
+
+
+def indexed(recipe: Recipe, geometry: Geometry, name: str) -> Recipe:
+    """A recipe whose points are places in space, in millimetres, as one of indices; another one as it is.
+
+    Raises
+    ------
+    SuppleError
+        If the volume of that name does not know where it lies.
+    """
+    if not recipe.is_world:
+        return recipe
     if geometry.convention == "array":
-        raise SuppleError(f"{volume.name} does not know where it lies in space: leave --world out, and give indices")
+        raise SuppleError(
+            f"the recipe is in {recipe.space} millimetres, and {name} does not know where it lies in space: "
+            "give a recipe in pixels"
+        )
 
     def moved(stroke: Stroke) -> Stroke:
-        if stroke.ndim != 3:  # whoever carries it out says what is wrong with it
-            return stroke
-        start, end = (geometry.from_world(p) for p in (stroke.at, np.add(stroke.at, stroke.by)))
+        start, end = (geometry.from_world(p, recipe.space) for p in (stroke.at, np.add(stroke.at, stroke.by)))
         return replace(stroke, at=tuple(start.tolist()), by=tuple((end - start).tolist()))
 
-    return replace(recipe, strokes=tuple(map(moved, recipe.strokes)))
+    return replace(recipe, strokes=tuple(map(moved, recipe.strokes)), space="pixels")
+
+
+def placed(recipe: Recipe, geometry: Geometry, space: Space) -> Recipe:
+    """A recipe whose points are indices as one of places in space, in millimetres; what `indexed` undoes."""
+
+    def moved(stroke: Stroke) -> Stroke:
+        start, end = (geometry.to_world(p, space) for p in (stroke.at, np.add(stroke.at, stroke.by)))
+        return replace(stroke, at=tuple(start.tolist()), by=tuple((end - start).tolist()))
+
+    return replace(recipe, strokes=tuple(map(moved, recipe.strokes)), space=space)
+
+
+def _which(i: int, recipe: Recipe) -> str:
+    return f"stroke {i + 1}: " if len(recipe.strokes) > 1 else ""
 
 
 def _spoken(point: npt.ArrayLike) -> str:
     return "(" + ", ".join(f"{x:g}" for x in np.asarray(point)) + ")"
 
 
-def _extent(volume: Volume, world: bool) -> str:
+def _extent(volume: Volume, recipe: Recipe) -> str:
     last = np.array(volume.sizes) - 1.0
-    if not world:
+    if not recipe.is_world:
         return f"its indices go from (0, 0, 0) to {_spoken(last)} (places in space need --world)"
-    corners = np.array([volume.geometry.to_world(np.array(c) * last) for c in np.ndindex(2, 2, 2)])
+    corners = np.array([volume.geometry.to_world(np.array(c) * last, recipe.space) for c in np.ndindex(2, 2, 2)])
     low, high = (_spoken(np.round(c, 1)) for c in (corners.min(axis=0), corners.max(axis=0)))
-    return f"its {volume.geometry.convention} coordinates go from {low} to {high}"
+    return f"its {recipe.space} coordinates go from {low} to {high}"
 
 
 def sampling_of(
@@ -226,6 +265,7 @@ def warp_volume(
     force: bool = False,
     options: VolumeOptions | None = None,
     tell: Tell = lambda step, done, total: None,
+    fit: Fit | None = None,
 ) -> WarpedVolume:
     """Deform a volume, slab by slab, as `supple.warp_file` does.
 
@@ -247,7 +287,7 @@ def warp_volume(
         raise SuppleError(
             f"labels are whole numbers, and {volume.name} holds {volume.samples.dtype}: leave --labels out"
         )
-    deformation = deformation_of(recipe, volume, world=known.world)
+    deformation = deformation_of(recipe, volume, world=known.world, fit=fit)
     check_frames(device, volume.samples[0] if volume.series else volume.samples, deformation.space, sampling)
     _warn_of_gaps(volume, sampling.filter)
     with contextlib.ExitStack() as stack:

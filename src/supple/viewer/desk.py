@@ -19,6 +19,7 @@ from supple.media.image import SUFFIXES_OUT as PICTURES_OUT
 from supple.media.image import check_target
 from supple.media.volume import SUFFIXES_OUT as VOLUMES_OUT
 from supple.media.volume import suffix_of
+from supple.scaling import spoken
 from supple.strokes import Recipe
 from supple.viewer import autosave
 from supple.viewer.autosave import Autosave, Found
@@ -257,7 +258,9 @@ class Desk:
         self.document.load(recipe)
         self.recipe_path = Path(path)
         self.document.mark_saved()
-        self.message = f"opened {shown(path)}"
+        size = self.document.shape[::-1]
+        scaled = recipe.size not in (None, size) and recipe.strokes and not recipe.is_world
+        self.message = f"opened {shown(path)}" + (f", scaled to {spoken(size)}" if scaled else "")
 
     def open_beside(self, path: PathLike) -> None:
         """Open another medium in a window of its own; nothing is lost here.

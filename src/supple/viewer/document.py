@@ -8,9 +8,12 @@ from dataclasses import replace
 from supple.deformation import Arrival, Deformation
 from supple.domain import Border, integer, refuse
 from supple.errors import SuppleError
+from supple.geometry import Geometry
+from supple.scaling import spoken
 from supple.strokes import FoldPolicy, Recipe, Stroke
 from supple.viewer.history import History
 from supple.viewer.states import Item, Kind, Medium, Solved, State
+from supple.volumes import indexed, placed
 
 __all__ = ["Document", "Item", "Kind", "State"]
 
@@ -29,6 +32,8 @@ class Document:
         Physical units per sample, x first.
     recipe : Recipe, optional
         What there is at first.
+    geometry : Geometry, optional
+        Where a volume's voxels lie, for recipes in millimetres.
     kind : str, optional
         ``"image"``, ``"video"`` or ``"volume"``. Of videos and volumes, strokes that `supple.warp_file` would refuse,
         since they start before or after it, are refused here too.
@@ -41,10 +46,12 @@ class Document:
         recipe: Recipe | None = None,
         *,
         kind: Kind | None = None,
+        geometry: Geometry | None = None,
     ) -> None:
         self.shape = tuple(shape)
         self.spacing = spacing
         self.kind = kind
+        self.geometry = geometry
         self.revision = 0
         """How many changes there were, of any kind."""
         self.on_change: list[Callable[[], None]] = []
@@ -53,7 +60,7 @@ class Document:
         """Why the drag that is under way does not go on: for the status line."""
         self._drag: tuple[Solved, int | None] | None = None
         self._medium = Medium(self.shape, spacing, kind)
-        self._now = self._medium.solve(State.of(self._fitting(recipe or Recipe())))
+        self._now = self._medium.solve(self._state(recipe or Recipe()))
         self._history = History(self._now.state)
         self._saved = self._now.state.content
         self._arrivals: tuple[Solved | None, tuple[Arrival | None, ...]] = (None, ())
@@ -81,7 +88,9 @@ class Document:
     @property
     def recipe(self) -> Recipe:
         """What `supple.warp_file` takes to make what is seen, and what is saved: with the hidden strokes."""
-        return self._now.state.recipe
+        made = replace(self.state.recipe, size=self.shape[::-1], space="pixels")
+        space = self.state.space
+        return made if space is None or self.geometry is None else placed(made, self.geometry, space)
 
     @property
     def arrivals(self) -> tuple[Arrival | None, ...]:
@@ -102,8 +111,16 @@ class Document:
 
     def handles(self, i: int) -> tuple[tuple[float, ...], tuple[float, ...]]:
         """Where a stroke takes hold, and where its point arrives; of a hidden one, where it was to go."""
-        found, stroke = self.arrival(i), self.items[i].stroke
+        found, stroke = self.arrival(i), self.seen(i)
         return stroke.at, found.arrived if found else tuple(a + b for a, b in zip(stroke.at, stroke.by, strict=True))
+
+    def seen(self, i: int) -> Stroke:
+        """A stroke as it is applied on what is seen, where its recipe has it at a part of its drag."""
+        known, stroke = self._nth(i), self.items[i].stroke
+        if known is None:
+            return stroke
+        applied = self.deformation.strokes[known]
+        return replace(stroke, at=applied.at, by=applied.by)
 
     def add(self, stroke: Stroke) -> int:
         """Apply one more stroke on what is seen, and select it; return its number."""
@@ -149,10 +166,14 @@ class Document:
 
     def load(self, recipe: Recipe) -> None:
         """Put a recipe in the place of all there is, as one step."""
-        self._edit(State.of(self._fitting(recipe)))
+        self._edit(self._state(recipe))
+
+    def _state(self, recipe: Recipe) -> State:
+        """A recipe as it is edited here."""
+        return replace(State.of(self._fitting(recipe)), space=recipe.space if recipe.is_world else None)
 
     def _fitting(self, recipe: Recipe) -> Recipe:
-        """A recipe, if its strokes are of a medium like this one."""
+        """A recipe in samples of this medium, if its strokes are of one like it; it is scaled if its size differs."""
         count = len(self.shape)
         for k, stroke in enumerate(_recipe(recipe).strokes, 1):
             if len(stroke.at) != count:
@@ -163,7 +184,16 @@ class Document:
                     f"stroke {k} of the recipe has points of {len(stroke.at)} numbers, and this is {what}: "
                     "open one of its kind"
                 )
-        return recipe
+        size = self.shape[::-1]
+        fitted, time = recipe.fitted(size, time=self.kind == "video"), self.kind == "video" and count == 3
+        if time and fitted.strokes != recipe.strokes:
+            raise SuppleError(
+                f"the recipe was made for {spoken(recipe.size or size)}, and this clip is {spoken(size)}: "
+                "supple warp scales it, and the window does not"
+            )
+        if recipe.is_world and self.geometry is None:
+            raise SuppleError(f"the recipe is in {recipe.space} millimetres, and this is no volume: open one in pixels")
+        return fitted if self.geometry is None else indexed(fitted, self.geometry, "the volume")
 
     def select(self, i: int | None) -> None:
         """Select a stroke, or none; this is no step."""
@@ -171,7 +201,7 @@ class Document:
         state = replace(self.state, selected=None if i is None else self._checked(i))
         if state != self.state:
             self._history.amend(state)
-            self._show(Solved(state, self._now.chain))
+            self._show(replace(self._now, state=state))
 
     @property
     def can_undo(self) -> bool:
@@ -188,12 +218,12 @@ class Document:
         if self.dragging:
             self.abandon()
         elif self._history.can_undo:
-            self._show(self._medium.solve(self._history.undo(), self._now.chain))
+            self._show(self._medium.solve(self._history.undo(), self._now))
 
     def redo(self) -> None:
         """Do once more what was undone last."""
         if self.can_redo:
-            self._show(self._medium.solve(self._history.redo(), self._now.chain))
+            self._show(self._medium.solve(self._history.redo(), self._now))
 
     @property
     def dragging(self) -> bool:
@@ -207,7 +237,7 @@ class Document:
         self.trouble = None
 
     def preview(self, stroke: Stroke) -> bool:
-        """Show what the drag does so far.
+        """Show what the drag does so far; the stroke is as it is seen.
 
         Returns
         -------
@@ -217,11 +247,13 @@ class Document:
         before, i = self._dragged()
         state, had = before.state, self.trouble
         if i is None:
+            stroke = before.kept(stroke, len(before.visible))
             state = replace(state, items=(*state.items, Item.of(stroke)), selected=len(state.items))
         else:
+            stroke = before.kept(stroke, sum(not item.hidden for item in state.items[:i]))
             state = replace(self._replaced(state, i, stroke), selected=i)
         try:
-            made = self._medium.solve(state, self._now.chain)
+            made = self._medium.solve(state, self._now)
         except SuppleError as error:
             self.trouble = str(error)
         else:
@@ -263,7 +295,7 @@ class Document:
         self._rest()
         if state.content == self.state.content:
             return
-        made = self._medium.solve(state, self._now.chain)
+        made = self._medium.solve(state, self._now)
         self._history.push(state)
         self._show(made)
 

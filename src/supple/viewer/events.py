@@ -179,7 +179,7 @@ class Tools(ABC, Generic[V]):
         chosen = self.document.selected
         found = None if chosen is None else nearest(self.handles([chosen]), (x, y))
         if found is not None:
-            (hx, hy), stroke = found.seen, self.document.items[found.item].stroke
+            (hx, hy), stroke = found.seen, self.document.seen(found.item)
             return Held(stroke, found.point, (x, y), (x, y), (x - hx, y - hy), found.item, found.part)
         under = self._grab(x, y)
         if under is None:

@@ -20,7 +20,8 @@ from supple.gpu.device import Gpu, open_gpu
 from supple.media.files import shown
 from supple.media.image import read
 from supple.media.volume import Volume
-from supple.strokes import Recipe
+from supple.scaling import Fit
+from supple.strokes import Recipe, fit_recipe
 from supple.viewer import qt
 from supple.viewer.document import Document
 from supple.viewer.film import Film
@@ -30,7 +31,7 @@ from supple.viewer.playback import Playback
 from supple.viewer.stages import ImageStage, VideoStage, VolumeStage
 from supple.viewer.tools import ImageTools, VideoTools, VolumeTools
 from supple.views import default_transfer
-from supple.volumes import VolumeOptions, indexed, is_volume_job, open_volume
+from supple.volumes import VolumeOptions, in_space, is_volume_job, open_volume
 
 if TYPE_CHECKING:
     from supple.viewer.view import View
@@ -58,11 +59,14 @@ class ViewOptions:
     volume : VolumeOptions
         What is particular to volumes: what a file without a header holds, which series of a folder is meant, and
         whether the first strokes are in places in space.
+    fit : str, optional
+        How the first strokes fit, if they were made for another size, as `supple.warp_file` takes it.
     """
 
     spacing: Spacing = _EVEN
     time_scale: float = 1.0
     volume: VolumeOptions = _PLAIN
+    fit: Fit | None = None
 
     def __post_init__(self) -> None:
         length("time_scale", self.time_scale)
@@ -188,9 +192,13 @@ def opened(
         raise missing(error) from None
     gpu = gpu or _gpu()
     stage = stage_of(gpu, source, options)
-    if options.volume.world and isinstance(stage, VolumeStage):
-        recipe = indexed(recipe or Recipe(), stage.volume)
-    document = Document(stage.shape, stage.spacing, recipe, kind=stage.kind)
+    recipe, geometry = recipe or Recipe(), None
+    if isinstance(stage, VolumeStage):
+        geometry = stage.volume.geometry
+        recipe = in_space(recipe, geometry, stage.name, options.volume.world)
+    if stage.kind != "video" or options.fit == "pixels":  # what a frame is worth would have to grow along
+        recipe = fit_recipe(recipe, stage.shape[::-1], options.fit, stage.name)
+    document = Document(stage.shape, stage.spacing, recipe, kind=stage.kind, geometry=geometry)
     tools = tools_of(stage, document, canvas.get_logical_size())
     path = Path(source) if isinstance(source, str | os.PathLike) else None
     later = loop.call_later

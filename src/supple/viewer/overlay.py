@@ -71,11 +71,11 @@ def _handles(view: View, lines: imgui.ImDrawList) -> None:
     assert isinstance(tools, ImageTools)
     document, zoom = view.document, tools.viewport.zoom
     left, top = tools.viewport.to_canvas(0.0, 0.0)
-    for i, (item, arrival) in enumerate(zip(document.items, document.arrivals, strict=True)):
+    for i, arrival in enumerate(document.arrivals):
         selected = document.selected == i
         if arrival is None or (not selected and len(document.items) > 60):
             continue
-        stroke = item.stroke
+        stroke = document.seen(i)
         start = left + zoom * stroke.at[0], top + zoom * stroke.at[1]
         end = left + zoom * arrival.arrived[0], top + zoom * arrival.arrived[1]
         colour = _BLUE if selected else 0x90FFFFFF
@@ -187,7 +187,7 @@ def status(view: View) -> str:
         parts.append("  ".join(f"{name} {v:.1f}" for name, v in zip(names, hover, strict=False)))
         document = view.document
         if document.dragging and document.selected is not None:  # what is held stays under the pointer
-            by = document.items[document.selected].stroke.by
+            by = document.seen(document.selected).by
             parts.append("by " + " ".join(f"{v:+.1f}" for v in by))
         elif not isinstance(view.stage, VolumeStage):
             bent = None if _as_it_was(view) else view.document.deformation

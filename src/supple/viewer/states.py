@@ -6,10 +6,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal, Self
 
-from supple.deformation import Deformation
+from supple.deformation import Deformation, after, reduced
 from supple.domain import Border, BorderProfile, refuse
 from supple.errors import SuppleError
-from supple.strokes import FoldPolicy, Recipe, Stroke
+from supple.strokes import FoldPolicy, Recipe, Space, Stroke
 
 Kind = Literal["image", "video", "volume"]
 
@@ -55,6 +55,10 @@ class State:
     on_fold : str
     selected : int or None
         Which item is selected.
+    amount : float
+        The part of the drags that is carried out.
+    space : str or None
+        What points are in the file, if not samples, as which they are edited.
     """
 
     items: tuple[Item, ...] = ()
@@ -62,20 +66,30 @@ class State:
     border_profile: BorderProfile = "quartic"
     on_fold: FoldPolicy = "flow"
     selected: int | None = None
+    amount: float = 1.0
+    space: Space | None = None
 
     @classmethod
     def of(cls, recipe: Recipe) -> Self:
-        """A recipe, with nothing selected."""
-        return cls(tuple(map(Item.of, recipe.strokes)), recipe.border, recipe.border_profile, recipe.on_fold)
+        """A recipe of samples, with nothing selected."""
+        return cls(
+            tuple(map(Item.of, recipe.strokes)),
+            recipe.border,
+            recipe.border_profile,
+            recipe.on_fold,
+            amount=recipe.amount,
+            space=recipe.space,
+        )
 
     @property
     def recipe(self) -> Recipe:
-        """What is kept of it in a file."""
+        """What is kept of it in a file, but for the space: points are samples."""
         return Recipe(
             border=self.border,
             border_profile=self.border_profile,
             on_fold=self.on_fold,
             strokes=tuple(item.kept for item in self.items),
+            amount=self.amount,
         )
 
     def with_item(self, i: int, item: Item) -> Self:
@@ -85,15 +99,47 @@ class State:
     @property
     def content(self) -> tuple[object, ...]:
         """All of it but what is selected."""
-        return self.items, self.border, self.border_profile, self.on_fold
+        return self.items, self.border, self.border_profile, self.on_fold, self.amount, self.space
 
 
 @dataclass(frozen=True, slots=True)
 class Solved:
-    """A state, and the deformation after none, one, two, … of its visible strokes."""
+    """A state, and the deformation after none, one, two, … of its visible strokes.
+
+    Parameters
+    ----------
+    state : State
+    chain : tuple of Deformation
+    wholes : tuple of Deformation
+        Before each visible stroke, what those before it do in full; that of the chain itself where it is the same.
+    """
 
     state: State
     chain: tuple[Deformation, ...]
+    wholes: tuple[Deformation, ...] = ()
+
+    @property
+    def visible(self) -> list[tuple[int, Stroke]]:
+        """The strokes that are applied, with their numbers."""
+        return [(i, item.stroke) for i, item in enumerate(self.state.items) if not item.hidden]
+
+    def before(self, k: int) -> tuple[Deformation, Deformation]:
+        """What the visible strokes before one, or before the next one, do: in full, and as they are applied."""
+        if k < len(self.wholes):
+            return self.wholes[k], self.chain[k]
+        if k == 0:
+            return self.chain[0], self.chain[0]
+        stroke = self.visible[k - 1][1]
+        whole = after(stroke, self.state.amount, self.wholes[k - 1], self.chain[k - 1], self.chain[k])
+        return whole, self.chain[k]
+
+    def kept(self, stroke: Stroke, k: int) -> Stroke:
+        """A stroke that is drawn on what is seen, before visible stroke number ``k``, as a recipe has it."""
+        whole, now = self.before(k)
+        part = self.state.amount * stroke.strength
+        if whole is not now:
+            stroke = replace(stroke, at=tuple(whole.forward(now.inverse(stroke.at).points).tolist()))
+        return replace(stroke, by=tuple(x / part for x in stroke.by)) if 0 < part < 1 else stroke
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,8 +158,8 @@ class Medium:
     spacing: float | Sequence[float]
     kind: Kind | None = None
 
-    def solve(self, state: State, chain: tuple[Deformation, ...] = ()) -> Solved:
-        """The deformation of a state; what it has in common with a chain that is known is not worked out again."""
+    def solve(self, state: State, known: Solved | None = None) -> Solved:
+        """The deformation of a state; what it has in common with one that is known is not worked out again."""
         empty = Deformation(
             self.shape,
             border=state.border,
@@ -122,23 +168,24 @@ class Medium:
             time=self.kind == "video" and len(self.shape) == 3,
             on_fold=state.on_fold,
         )
-        if not chain or (chain[0].domain, chain[0].on_fold) != (empty.domain, empty.on_fold):
-            chain = (empty,)
-        visible = [(i, item.stroke) for i, item in enumerate(state.items) if not item.hidden]
-        same = 0
-        for (_, stroke), before in zip(visible, chain[-1].strokes, strict=False):
-            if stroke is not before and stroke != before:
-                break
-            same += 1
-        made = list(chain[: same + 1])
-        for i, stroke in visible[same:]:
+        made = Solved(state, (empty,))
+        visible, same = made.visible, 0
+        if known is not None and known.chain[0] == empty and known.state.amount == state.amount:
+            for (_, stroke), (_, before) in zip(visible, known.visible, strict=False):
+                if stroke is not before and stroke != before:
+                    break
+                same += 1
+            made = Solved(state, known.chain[: same + 1], known.wholes[:same])
+        for k, (i, stroke) in enumerate(visible[same:], same):
             try:
                 self._check(stroke)
-                made.append(made[-1].add(stroke, warn=False))
+                whole, now = made.before(k)
+                applied = now.add(reduced(stroke, state.amount, whole, now), warn=False)
+                made = Solved(state, (*made.chain, applied), (*made.wholes, whole))
             except SuppleError as error:
                 many = len(state.items) > 1
                 raise type(error)(f"stroke {i + 1}: {error}" if many else str(error)) from None
-        return Solved(state, tuple(made))
+        return made
 
     def _check(self, stroke: Stroke) -> None:
         """Refuse what cannot be carried out on a file."""
