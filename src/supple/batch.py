@@ -229,6 +229,8 @@ def _outcome(future: Future[None]) -> tuple[str, int]:
         return str(error), REFUSED
     except MemoryError:
         return "this takes more memory than there is: cut the picture into parts", REFUSED
+    except BrokenPipeError:  # nobody reads what is told of the files: there is no use in going on
+        raise
     except Exception as error:
         return fault(error), FAULT
     return "", 0

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 from cyclopts import Group, Parameter
 
-from supple.console import current, told_of_software
+from supple.console import current, told, warn_of_software
 from supple.options import RUNNING, RunOptions, StrokeOptions, VideoOptions, parse_integer
 
 What = Literal["grid", "stretch", "axes", "residual", "iterations", "slice", "sheet"]
@@ -52,7 +52,7 @@ def plot(
         Which row a slice shows over time.
     """
     console = current()
-    console.started(quiet=options.quiet, threads=options.threads)
+    console.started(**options.asked(), file=source)
     recipe = strokes.to_recipe()
     from supple.cli_warp import picture_facts
     from supple.plots import plot_file
@@ -71,9 +71,7 @@ def plot(
     )
     if options.json:
         job = (Path(source), Path(target))
-        facts = (
-            picture_facts(job, deformation, deformation.report()) if deformation.ndim == 2 else deformation.resolution()
-        )
+        facts = picture_facts(job, deformation, deformation.report()) if deformation.ndim == 2 else told(deformation)
         console.tell({**facts, "input": source, "output": target, "what": what})
 
 
@@ -96,11 +94,10 @@ def demo(
     console = current()
     from supple.gallery import write_gallery
 
-    console.started(quiet=options.quiet, threads=options.threads)
-    say_software = told_of_software(console, device)
+    console.started(**options.asked())
+    warn_of_software(console, device)
     progress = console.say if console.terminal else None
     page = write_gallery(folder, force=options.force, device=device, progress=progress)
-    say_software()
     if options.json:
         console.tell({"output": str(page)})
     elif not options.quiet:

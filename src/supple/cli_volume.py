@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import numpy as np
 from cyclopts import Parameter
 
-from supple.console import current, say_convention, told_of_software
+from supple.console import current, say_convention, told, warn_of_software
 from supple.errors import SuppleError
 from supple.options import RunOptions, StrokeOptions, VideoOptions
 from supple.options_render import CameraOptions, LookOptions
@@ -51,18 +51,17 @@ def render(
     from supple.files import counted
     from supple.views import render_file
 
-    console.started(quiet=options.quiet, threads=options.threads)
-    say_software = told_of_software(console, look.device)
+    console.started(**options.asked(), file=source)
+    warn_of_software(console, look.device)
     recipe = strokes.to_recipe() if strokes.any else None
     render, reading = look.to_render(camera.to_camera()), volume.to_reading()
     if reading.world and recipe is None:
         raise SuppleError("--world is about the points of strokes, and there are none: leave it out")
     with counted(console.terminal) as tell, workers() as who:
         scene = render_file(source, target, recipe, options=render, volume=reading, force=options.force, tell=tell)
-    say_software()
     say_convention(console, reading.world, scene.geometry, source)
     if options.json:
-        facts = scene.deformation.resolution() if scene.deformation else {}
+        facts = told(scene.deformation) if scene.deformation else {}
         low, high = scene.range
         console.tell(
             {
@@ -113,7 +112,7 @@ def points(
     console = current()
     from supple.landmarks import move_points
 
-    console.started(quiet=options.quiet, threads=options.threads)
+    console.started(**options.asked(), file=source)
     deformation, geometry = _deformation(on, strokes.to_recipe(), volume.to_reading(), video)
     moved = move_points(
         source, target, deformation, geometry, inverse=inverse, convention=convention, force=options.force

@@ -10,7 +10,18 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Group, Parameter
 
-from supple.console import Console, SomeFailedError, current, say_convention, told_of_software
+from supple.console import (
+    Console,
+    File,
+    SomeFailedError,
+    about,
+    as_options,
+    current,
+    one_line,
+    say_convention,
+    told,
+    warn_of_software,
+)
 from supple.errors import SuppleError
 from supple.options import RUNNING, RunOptions, StrokeOptions, VideoOptions, parse_fill, parse_number
 from supple.options_volume import VOLUME, VolumeOptions
@@ -93,15 +104,16 @@ def warp(
     from supple.clips import is_clip
     from supple.engines import check_device
     from supple.files import warp_file, write_recipe
+    from supple.media.files import shown
     from supple.native import check_filter
     from supple.volumes import holds_volumes, is_volume_job
 
     if len(paths) < 2:
         raise SuppleError("give a file to read and a name to write to: supple warp IN OUT --grab …")
-    console.started(quiet=options.quiet, threads=options.threads)
+    console.started(**options.asked(), file=paths[0] if len(paths) == 2 else "")
     check_filter(filter)
     recipe = strokes.to_recipe()
-    say_software = told_of_software(console, device)
+    warn_of_software(console, device)
     sampling: dict[str, Any] = {
         "filter": filter,
         "outside": outside,
@@ -128,16 +140,21 @@ def warp(
             raise SuppleError(f"{save_recipe} cannot be both the recipe and the field: give one another name")
         check_recipe_file(save_recipe, jobs, options.force)
 
+    files = {job: File(shown(job[0]), shown(job[1]), many) for job in jobs}
+
     def do(job: Job, tell: bool | Tell) -> None:
-        with workers() as who:
-            made = warp_file(job[0], job[1], recipe, progress=tell, **sampling)
-        if options.json:
-            console.tell({**_facts_of(job, made), "device": str(who)})
-        say_convention(console, reading.world, getattr(made, "geometry", None), job[0])
+        with about(files[job]):
+            with workers() as who:
+                made = warp_file(job[0], job[1], recipe, progress=tell, **sampling)
+            if options.json:
+                console.tell({**_facts_of(job, made), "device": str(who)})
+            say_convention(console, reading.world, getattr(made, "geometry", None), job[0])
 
     def failed(job: Job, message: str) -> None:
         if options.json:
-            console.tell({"input": str(job[0]), "output": str(job[1]), "error": message})
+            with about(files[job]):
+                error = as_options(one_line(message))
+                console.tell({"input": str(job[0]), "output": str(job[1]), "error": error})
 
     if not all(is_clip(*job, recipe) for job in jobs):  # of clips, it says that it does not do them
         check_device(device)
@@ -152,7 +169,6 @@ def warp(
     else:
         failures = 0
         _alone(console, jobs[0], do, failed)
-    say_software()
     if save_recipe is not None:
         write_recipe(save_recipe, recipe, force=options.force)
     if failures:
@@ -198,7 +214,7 @@ def _volume_facts(made: WarpedVolume) -> dict[str, Any]:
         "convention": made.geometry.convention,
         "tolerance": made.tolerance,
         "error": made.error,
-        **made.deformation.resolution(),
+        **told(made.deformation),
     }
 
 
@@ -215,7 +231,7 @@ def _clip_facts(made: WarpedClip) -> dict[str, Any]:
         "held": made.held,
         "tolerance": made.tolerance,
         "error": made.error,
-        **deformation.resolution(),
+        **told(deformation),
     }
 
 

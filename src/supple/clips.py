@@ -8,6 +8,7 @@ import shutil
 import warnings
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
+from contextvars import copy_context
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
@@ -323,7 +324,6 @@ def warp_clip(
                     known_error, held, still = _through(
                         clip, deformation, sampling, writer, known.memory, not is_picture_target(target), device, tell
                     )
-                warn_of(Certificate(known_error, 0.0), tolerance, 3)
                 return WarpedClip(
                     Path(source), Path(target), deformation, tolerance, clip.count, still, held, known_error
                 )
@@ -364,6 +364,7 @@ def _through(
                 write(arrays, z)
                 error = max(error, certificate.error)
                 tell("warp", z + 1, n)
+        warn_of(Certificate(error, 0.0), sampling.tolerance, 4)  # before the target has its name
     return error, capacity_of(plan, engine), int(plan.still.sum())
 
 
@@ -417,7 +418,7 @@ def _writing(write: Callable[[Sequence[Array], int], None], aside: bool) -> Iter
     def submit(arrays: Sequence[Array], k: int) -> None:
         while len(waiting) >= _AHEAD:
             waiting.popleft().result()
-        waiting.append(pool.submit(write, arrays, k))
+        waiting.append(pool.submit(copy_context().run, write, arrays, k))
 
     with ThreadPoolExecutor(1, "supple-encode") as pool:
         try:

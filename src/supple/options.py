@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Group, Parameter
 
@@ -135,14 +135,21 @@ class RunOptions:
         No warnings, no progress.
     json
         Tell on standard output what was done, as one JSON object for each file.
+    strict
+        Take warnings for errors: nothing is written of a file with one.
     threads
         How many threads work at once; all cores by default.
     """
 
     force: bool = False
     quiet: bool = False
+    strict: bool = False
     json: bool = False
     threads: Annotated[int | None, Parameter(metavar="N", allow_leading_hyphen=True)] = None
+
+    def asked(self) -> dict[str, Any]:
+        """Return what the console is to know of them."""
+        return {"quiet": self.quiet, "strict": self.strict, "threads": self.threads}
 
 
 @Parameter(name="*", group=VIDEO)

@@ -256,7 +256,6 @@ def warp_volume(
             place = stack.enter_context(replacing(known.save_field, force=force))
             write_transform(place, deformation, volume.geometry, tolerance=tolerance, force=True)
         error, count = _written(volume, source, target, deformation, sampling, device, force, tell)
-    warn_of(Certificate(error, 0.0), tolerance, 3)
     return WarpedVolume(Path(source), Path(target), deformation, volume.geometry, tolerance, error, count)
 
 
@@ -325,6 +324,7 @@ def _written(
                     tell=lambda done, begun=begun: tell("warp", begun + done, total),  # type: ignore[misc]
                 )
                 error = max(error, certificate.error)
+            warn_of(Certificate(error, 0.0), sampling.tolerance, 4)  # before the target has its name
             tell("write", 0, 1)
             write(target, out if volume.series else out[0], volume, force=force)
     return error, count
