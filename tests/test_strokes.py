@@ -18,7 +18,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from supple.errors import SuppleError
+from supple.deformation import Deformation
+from supple.errors import OutsideWarning, SuppleError
 from supple.strokes import STROKE_DTYPE, Recipe, Stroke, pack
 
 HUGE = pytest.param(10**5000, id="huge")  # too long for Python to spell
@@ -545,3 +546,23 @@ class TestPack:
         assert refusal(lambda: pack([grab()], (1, 1, 1))) == (
             "strokes[0].at must be a point of 3 numbers, as the medium has 3 axes, found (256.0, 256.0)"
         )
+
+
+def test_a_stroke_outside_is_judged_by_its_reach_in_physical_units() -> None:
+    def at(x: float, reach: float | None = 4.0, to: float = 1.0) -> Recipe:
+        stroke = Stroke(at=(x, 5.0), by=(to, 0.0), radius=3.0, reach=reach)
+        return Recipe(strokes=[stroke], border=None)
+
+    def made(recipe: Recipe) -> Deformation:
+        return Deformation.from_recipe(recipe, (10, 20), spacing=(2.0, 1.0))
+
+    made(at(-0.5))
+    made(at(19.5))
+    with pytest.warns(OutsideWarning, match="starts outside the picture, which has 20 x 10 pixels"):
+        made(at(-6.4))
+    with pytest.raises(SuppleError, match="reaches nothing of it"):
+        made(at(-6.6))
+    with pytest.warns(OutsideWarning):
+        made(at(-600.0, None))
+    with pytest.warns(OutsideWarning):
+        made(at(-6.6, to=20.0))  # a flow goes on from where it is

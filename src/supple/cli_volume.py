@@ -151,7 +151,7 @@ def _deformation(on: str, recipe: Recipe, reading: Reading, video: VideoOptions)
     if is_clip(on, Path(on).with_suffix(".mp4") if recipe.strokes and recipe.strokes[0].ndim == 3 else on, recipe):
         known = video.to_clip()
         with open_clip(on, rate=known.rate) as clip:
-            return on_clip(recipe, clip.count, clip.layout.shape, known.time_scale, clip.name), None
+            return on_clip(recipe, clip.count, clip.layout.shape, known.time_scale), None
     from supple.media.image import info
 
     facts = info(on)

@@ -19,7 +19,7 @@ from supple.certificate import Certificate
 from supple.deformation import Deformation, Report
 from supple.domain import choice, length, number, refuse
 from supple.engines import check_no_cuda, engine_of
-from supple.errors import OutsideWarning, SuppleError
+from supple.errors import SuppleError
 from supple.media.files import check_output, replacing, shown
 from supple.media.formats import SUFFIXES_OUT as PICTURES_OUT
 from supple.media.image import check_target
@@ -188,33 +188,11 @@ def warn_of_rotation(clip: Any, deformation: Deformation) -> None:
         )
 
 
-def warn_of_misses(deformation: Deformation, name: PathLike) -> None:
-    """Say which stroke begins farther outside the picture than it reaches, which is most often a slip."""
-    height, width = deformation.shape[-2:]
-    for i, stroke in enumerate(deformation.strokes):
-        beyond = max(max(-p, p - (n - 1)) for p, n in zip(stroke.at[:2], (width, height), strict=True))
-        if beyond > stroke.radius:
-            which = f"stroke {i + 1}" if len(deformation.strokes) > 1 else "the stroke"
-            place = ", ".join(f"{x:g}" for x in stroke.at[:2])
-            warnings.warn(
-                f"{which} begins at ({place}), farther outside {shown(name)}, which is {width} x {height}, "
-                f"than its radius of {stroke.radius:g}",
-                OutsideWarning,
-                stacklevel=4,
-            )
-            return
-
-
-def deformation_of(recipe: Recipe, count: int, shape: tuple[int, int], time_scale: float, name: str) -> Deformation:
+def deformation_of(recipe: Recipe, count: int, shape: tuple[int, int], time_scale: float) -> Deformation:
     """A recipe on a clip: strokes with a time bend the clip, those without one bend each of its frames."""
     length("time_scale", time_scale)
     if not recipe.strokes or recipe.strokes[0].ndim == 2:
         return Deformation.from_recipe(recipe, shape)
-    for i, stroke in enumerate(recipe.strokes):
-        if not stroke.hidden and not 0 <= stroke.at[2] <= count - 1:
-            which = f"stroke {i + 1}: " if len(recipe.strokes) > 1 else ""
-            has = "one frame: t is 0" if count == 1 else f"{count} frames: t goes from 0 to {count - 1}"
-            raise SuppleError(f"{which}there is no frame {stroke.at[2]:g} in {name}, which has {has}")
     return Deformation.from_recipe(recipe, (count, *shape), spacing=(1.0, 1.0, time_scale), time=True)
 
 
@@ -299,10 +277,9 @@ def warp_clip(
     while True:
         try:
             with open_clip(source, rate=known.rate, count=count) as clip:
-                deformation = deformation_of(recipe, clip.count, clip.layout.shape, known.time_scale, clip.name)
+                deformation = deformation_of(recipe, clip.count, clip.layout.shape, known.time_scale)
                 if count is None:
                     warn_of_rotation(clip, deformation)
-                    warn_of_misses(deformation, source)
                 sampling = sampling_of(
                     clip,
                     filter=filter,

@@ -14,8 +14,8 @@ import numpy.typing as npt
 from supple import _core
 from supple.certificate import Certificate
 from supple.domain import BorderProfile, Domain, choice, integer, number, refuse
-from supple.errors import FoldWarning, MissWarning, SuppleError, ToleranceWarning
-from supple.folding import Resolved, resolve
+from supple.errors import FoldWarning, MissWarning, OutsideWarning, SuppleError, ToleranceWarning
+from supple.folding import Resolved, described, resolve
 from supple.native import certificate_of, measured, plan_of
 from supple.oncard import is_on_card, points_on_card, warp_on_card
 from supple.strokes import REACH, STROKE_DTYPE, FoldPolicy, Point, Recipe, Stroke, numbers
@@ -200,7 +200,20 @@ class Deformation:
     def from_recipe(
         cls, recipe: Recipe, shape: Sequence[int], *, spacing: float | Sequence[float] = 1.0, time: bool = False
     ) -> Self:
-        """A recipe's strokes on a domain, without those that are hidden; errors and warnings name the stroke."""
+        """A recipe's strokes on a domain, without those that are hidden; errors and warnings name the stroke.
+
+        Raises
+        ------
+        SuppleError
+            As `add` does; or if a stroke starts outside the domain, and nothing of it reaches a sample.
+
+        Warns
+        -----
+        OutsideWarning
+            If a stroke starts outside the domain.
+        FoldWarning, MissWarning
+            As `grab` does.
+        """
         if not isinstance(recipe, Recipe):
             refuse("a recipe", "a Recipe (Recipe.from_json reads one)", recipe)
         made = cls(
@@ -217,8 +230,11 @@ class Deformation:
             which = f"stroke {i + 1} of {len(recipe.strokes)}: " if len(recipe.strokes) > 1 else ""
             try:
                 made = made.add(stroke, warn=False)
+                outside = last_outside(made)
             except SuppleError as error:
                 raise type(error)(f"{which}{error}") from None
+            if outside:
+                warnings.warn(f"{which}{outside}", OutsideWarning, stacklevel=3)
             _warn(made._resolved[-1], which)
         return made
 
@@ -667,6 +683,32 @@ class Deformation:
 
     def _points(self, rows: Floats, shape: tuple[int, ...]) -> Floats:
         return np.ascontiguousarray((rows[:, : self.ndim] / self.domain.spacing).reshape(shape))
+
+
+def last_outside(made: Deformation) -> str | None:
+    """Return what to warn with if the last stroke starts outside the samples.
+
+    Raises
+    ------
+    SuppleError
+        If nothing of it reaches a sample.
+    """
+    stroke, rows, domain = made.strokes[-1], made._resolved[-1].rows, made.domain
+    sizes = np.array(made.shape[::-1])
+    if np.all((np.array(stroke.at) >= -0.5) & (np.array(stroke.at) <= sizes - 0.5)):
+        return None
+    if made.ndim == 2:
+        extent = f"the picture, which has {sizes[0]} x {sizes[1]} pixels"
+    elif domain.time:
+        extent = f"the clip, which has {sizes[0]} x {sizes[1]} pixels and {sizes[2]} frames (from 0)"
+    else:
+        extent = f"the volume, which has {sizes[0]} x {sizes[1]} x {sizes[2]} voxels"
+    pivots, spacing = rows["pivot"][:, : made.ndim], np.array(domain.spacing)
+    beyond = np.maximum(np.maximum(-0.5 * spacing - pivots, pivots - (sizes - 0.5) * spacing), 0.0)
+    text = f"{described(stroke)} starts outside {extent}"
+    if len(rows) and np.all(np.linalg.norm(beyond, axis=1) >= rows["reach"]):
+        raise SuppleError(f"{text}, and reaches nothing of it: use a point inside, a larger radius or a longer reach")
+    return text
 
 
 def _warn(resolved: Resolved, which: str = "") -> None:

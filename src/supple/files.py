@@ -15,7 +15,7 @@ import numpy as np
 
 from supple.clips import SUFFIXES as CLIPS
 from supple.clips import SUFFIXES_OUT as CLIPS_OUT
-from supple.clips import ClipOptions, WarpedClip, check_clip_target, is_clip, warn_of_misses, warp_clip
+from supple.clips import ClipOptions, WarpedClip, check_clip_target, is_clip, warp_clip
 from supple.deformation import Deformation, Report
 from supple.domain import choice
 from supple.engines import DEVICES, check_device, check_no_cuda
@@ -189,7 +189,6 @@ def warp_file(
         picture = read(source)
         begin("warp")
         deformation = Deformation.from_recipe(recipe, picture.pixels.shape[:2])
-        warn_of_misses(deformation, source)
         if deformation.is_identity and quality is None and not lossless and _suffix(source) == _suffix(target):
             # Encoded anew, a lossy picture would not be what it was.
             begin("write")

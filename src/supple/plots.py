@@ -19,7 +19,6 @@ from supple.clips import (
     open_clip,
     refuse_picture,
     sampling_of,
-    warn_of_misses,
     warn_of_rotation,
 )
 from supple.deformation import Deformation
@@ -118,7 +117,6 @@ def plot_file(
 
     pixels = read(source).pixels
     deformation = Deformation.from_recipe(recipe, pixels.shape[:2])
-    warn_of_misses(deformation, source)
     plot(deformation, what, target, image=pixels, force=force)
     return deformation
 
@@ -138,10 +136,9 @@ def _plot_clip(
 ) -> Deformation:
     with open_clip(source, rate=options.rate, count=count) as clip:
         height, width = clip.layout.shape
-        deformation = deformation_of(recipe, clip.count, clip.layout.shape, options.time_scale, clip.name)
+        deformation = deformation_of(recipe, clip.count, clip.layout.shape, options.time_scale)
         if count is None:
             warn_of_rotation(clip, deformation)
-            warn_of_misses(deformation, source)
         if what == "slice":
             if (x is None) == (y is None):
                 raise SuppleError("a slice shows one column or one row over time: give --x or --y")

@@ -143,24 +143,18 @@ def deformation_of(recipe: Recipe, volume: Volume, *, world: bool = False) -> De
     Raises
     ------
     SuppleError
-        If a stroke has no third coordinate, or starts outside the volume; if places are asked for, and the volume
-        knows of none.
+        If a stroke has no third coordinate; if places are asked for, and the volume knows of none; or as
+        `Deformation.from_recipe` does.
     """
-    sizes = volume.sizes
-    strokes = []
     places = indexed(recipe, volume).strokes if world else recipe.strokes
     for i, stroke in enumerate(recipe.strokes):
         if stroke.hidden:
             continue
-        which = f"stroke {i + 1}: " if len(recipe.strokes) > 1 else ""
+        which = f"stroke {i + 1} of {len(recipe.strokes)}: " if len(recipe.strokes) > 1 else ""
         if stroke.ndim != 3:
             raise SuppleError(f"{which}a volume's points have three numbers, x, y and z, and {stroke.at} has two")
-        made = places[i]
-        if not all(-0.5 <= x <= n - 0.5 for x, n in zip(made.at, sizes, strict=True)):
-            raise SuppleError(f"{which}{_spoken(stroke.at)} is not in {volume.name}: {_extent(volume, world)}")
-        strokes.append(made)
-    shape = tuple(reversed(sizes))
-    return Deformation.from_recipe(replace(recipe, strokes=tuple(strokes)), shape, spacing=volume.geometry.spacing)
+    shape = tuple(reversed(volume.sizes))
+    return Deformation.from_recipe(replace(recipe, strokes=places), shape, spacing=volume.geometry.spacing)
 
 
 def indexed(recipe: Recipe, volume: Volume) -> Recipe:
@@ -182,19 +176,6 @@ def indexed(recipe: Recipe, volume: Volume) -> Recipe:
         return replace(stroke, at=tuple(start.tolist()), by=tuple((end - start).tolist()))
 
     return replace(recipe, strokes=tuple(map(moved, recipe.strokes)))
-
-
-def _spoken(point: npt.ArrayLike) -> str:
-    return "(" + ", ".join(f"{x:g}" for x in np.asarray(point)) + ")"
-
-
-def _extent(volume: Volume, world: bool) -> str:
-    last = np.array(volume.sizes) - 1.0
-    if not world:
-        return f"its indices go from (0, 0, 0) to {_spoken(last)} (places in space need --world)"
-    corners = np.array([volume.geometry.to_world(np.array(c) * last) for c in np.ndindex(2, 2, 2)])
-    low, high = (_spoken(np.round(c, 1)) for c in (corners.min(axis=0), corners.max(axis=0)))
-    return f"its {volume.geometry.convention} coordinates go from {low} to {high}"
 
 
 def sampling_of(

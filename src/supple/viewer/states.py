@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal, Self
 
-from supple.deformation import Deformation
+from supple.deformation import Deformation, last_outside
 from supple.domain import Border, BorderProfile, refuse
 from supple.errors import SuppleError
 from supple.strokes import FoldPolicy, Recipe, Stroke
@@ -133,20 +133,9 @@ class Medium:
         made = list(chain[: same + 1])
         for i, stroke in visible[same:]:
             try:
-                self._check(stroke)
                 made.append(made[-1].add(stroke, warn=False))
+                last_outside(made[-1])
             except SuppleError as error:
                 many = len(state.items) > 1
                 raise type(error)(f"stroke {i + 1}: {error}" if many else str(error)) from None
         return Solved(state, tuple(made))
-
-    def _check(self, stroke: Stroke) -> None:
-        """Refuse what cannot be carried out on a file."""
-        if stroke.ndim != len(self.shape):
-            return  # a deformation says it better
-        sizes = self.shape[::-1]
-        if self.kind == "video" and len(sizes) == 3 and not 0 <= stroke.at[2] <= sizes[2] - 1:
-            raise SuppleError(f"there is no frame {stroke.at[2]:g}: frames go from 0 to {sizes[2] - 1}")
-        if self.kind == "volume" and not all(-0.5 <= x <= n - 0.5 for x, n in zip(stroke.at, sizes, strict=True)):
-            place, last = ", ".join(f"{x:g}" for x in stroke.at), ", ".join(str(n - 1) for n in sizes)
-            raise SuppleError(f"({place}) is not in the volume: its indices go from (0, 0, 0) to ({last})")
