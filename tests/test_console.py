@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import ast
 import json
 import os
+import re
 import subprocess
 import sys
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import ModuleType
 
@@ -19,6 +21,7 @@ import pytest
 import supple.clips
 import supple.volumes
 from supple.cli import command
+from supple.console import as_options
 from supple.errors import ToleranceWarning
 from supple.media import image
 
@@ -206,3 +209,129 @@ def test_a_batch_ends_quietly_when_nobody_reads(run: Run) -> None:
     )
     os.close(write)
     assert (made.returncode, made.stderr) == (141, "")
+
+
+@pytest.mark.parametrize("value", ["abc", "0", "-2", "2x", "²"])
+def test_a_number_of_threads_that_is_none_is_one_line(run: Run, monkeypatch: pytest.MonkeyPatch, value: str) -> None:
+    grab = ("--grab", "20,16:22,16", "--radius", "12")
+    monkeypatch.setenv("SUPPLE_THREADS", value)
+    status, _, err = run("warp", "in.png", "out.png", *grab)
+    assert status == 2
+    wanted = "the environment variable SUPPLE_THREADS must be a number of threads from 1, found"
+    assert err == f"supple: {wanted} {value!r}\n"
+    monkeypatch.setenv("VIPS_CONCURRENCY", "1")  # which the option sets
+    assert run("warp", "in.png", "out.png", *grab, "--threads", "2") == (0, "", "")
+
+
+@pytest.mark.parametrize("option", ["--border", "--on-fold", "--tolerance", "--quality", "--save-recipe", "--threads"])
+def test_options_that_are_meant_once_are_not_given_twice(run: Run, option: str) -> None:
+    value = "damp" if option == "--on-fold" else "3"
+    grab = ("--grab", "20,16:22,16", "--radius", "12")
+    status, _, err = run("warp", "in.png", "out.png", *grab, option, value, option, value)
+    assert status == 2
+    assert f"{option} specified multiple times" in err
+
+
+def test_a_tolerance_that_float32_does_not_hold_is_told(run: Run) -> None:
+    grab = ("--grab", "20,16:22,16", "--radius", "12")
+    status, out, err = run("warp", "in.png", "out.png", *grab, "--tolerance", "1e-9", "--json")
+    assert status == 0
+    [text] = json.loads(out)["warnings"]
+    assert err == f"supple: warning: {text}\n"
+    assert text.startswith("--tolerance 1e-9 is not reached everywhere: source points are float32")
+    assert run("warp", "in.png", "b.png", *grab, "--tolerance", "1e-9", "--strict")[0] == 2
+    assert not os.path.exists("b.png")
+    assert run("warp", "in.png", "c.png", *grab, "--tolerance", "0.0003") == (0, "", "")
+
+
+# What only Python asks for, and says: the command has none of it.
+FOR_PYTHON = (
+    "a Recipe (Recipe.from_json reads one)",
+    "a Recipe, as Recipe.from_json reads one",
+    "requires_grad=True",
+    "True or False",
+    "alpha=True needs",
+    "False for a shape of two axes",
+    "on_change: ",
+)
+PYTHON = re.compile(r"\bNone\b|\bTrue\b|\bFalse\b|(?<![\w-])[a-z]+_\w+|\b[a-z_]+=|\w\(\)|\(\.\.\.\)")
+NUMBERED = ("number", "integer", "length", "point", "refuse", "choice")
+
+
+def messages(path: Path) -> Iterator[str]:
+    """What the calls in a module raise or warn with, as far as it stands there; values are left out."""
+
+    def text(node: ast.AST) -> str:
+        if isinstance(node, ast.JoinedStr):
+            return "".join(text(value) for value in node.values)
+        if isinstance(node, ast.Constant) and isinstance(node.value, str):
+            return node.value
+        return "X" if isinstance(node, ast.FormattedValue) else ""
+
+    for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+        if isinstance(node, ast.Call):
+            name = node.func.id if isinstance(node.func, ast.Name) else getattr(node.func, "attr", "")
+            given = [text(argument) for argument in node.args]
+            if name in NUMBERED and given and given[0]:
+                yield f"{given[0]} must be {' '.join(filter(None, given[1:]))}, found X"
+            elif name.endswith("Error") or name in ("warn", "_warn", "say", "unreadable", "unwritable"):
+                yield from filter(None, given)
+        elif isinstance(node, ast.Assign):
+            yield from (said for part in ast.walk(node.value) if " " in (said := text(part)) and "\n" not in said)
+
+
+def test_the_messages_of_the_library_are_found() -> None:
+    found = [text for path in (Path(SOURCE) / "supple").rglob("*.py") for text in messages(path)]
+    assert len(found) > 400
+    assert any("(on_fold='flow' goes all the way)" in text for text in found)
+    assert any("pass --force (force=True) to replace it" in text for text in found)
+    assert "tolerance must be a number of pixels above 0, found X" in found
+
+
+def test_the_command_speaks_of_options() -> None:
+    left = {}
+    for path in (Path(SOURCE) / "supple").rglob("*.py"):
+        if path.parent.name in ("cuda", "torch") or path.name in ("console.py", "gallery.py"):
+            continue  # called from Python alone; regular expressions; HTML
+        for text in messages(path):
+            if PYTHON.search(as_options(text)) and not any(known in text for known in FOR_PYTHON):
+                left[as_options(text)] = path.name
+    assert left == {}
+
+
+@pytest.mark.parametrize(
+    ("python", "options"),
+    [
+        ("x exists: pass --force (force=True) to replace it", "x exists: pass --force to replace it"),
+        ("(on_fold='flow' goes there, border=None too)", "(--on-fold flow goes there, --border none too)"),
+        ("give --shape, --dtype and --spacing (raw=RawLayout(...))", "give --shape, --dtype and --spacing"),
+        ('say which one by --series (series="1")', "say which one by --series"),
+        ("reach must be 1, or None for no limit, found 0", "--reach must be 1, or none for no limit, found 0"),
+        ("--grab 1,2:3,4: radius must be above 0", "--grab 1,2:3,4: --radius must be above 0"),
+        ("r.json: strokes[0]: reach must be 1", "r.json: strokes[0]: reach must be 1"),
+        ("linear_light needs frames of RGB", "--linear-light needs frames of RGB"),
+        ("cannot read time_scale.png: it is damaged", "cannot read time_scale.png: it is damaged"),
+    ],
+)  # fmt: skip
+def test_messages_of_the_library_as_options(python: str, options: str) -> None:
+    assert as_options(python) == options
+
+
+def test_no_python_in_what_is_said(run: Run) -> None:
+    grab = ("--grab", "20,16:22,16", "--radius", "12")
+    Path("r.json").write_text(
+        '{"supple": 2, "strokes": [{"brush": "grab", "at": [1, 2], "by": [1, 1], "radius": 5, "reach": 0}]}'
+    )
+    Path("out.png").write_bytes(b"mine")
+    for arguments in (
+        ("warp", "in.png", "out.png", *grab),
+        ("warp", "in.png", "b.png", *grab, "--reach", "0.5"),
+        ("warp", "in.png", "b.png", *grab, "--border", "-1"),
+        ("warp", "in.png", "b.png", "--recipe", "r.json"),
+        ("warp", "in.png", "b.png", "--grab", "20,16:60,16", "--radius", "3", "--on-fold", "error"),
+        ("warp", "in.mkv", "b.mkv", *grab, "--linear-light"),
+        ("plot", "in.mkv", "b.png", *grab),
+    ):
+        status, _, err = run(*arguments)
+        assert status == 2, arguments
+        assert not PYTHON.search(err), err

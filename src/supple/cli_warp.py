@@ -107,6 +107,7 @@ def warp(
     from supple.media.files import shown
     from supple.native import check_filter
     from supple.volumes import holds_volumes, is_volume_job
+    from supple.warping import FINEST
 
     if len(paths) < 2:
         raise SuppleError("give a file to read and a name to write to: supple warp IN OUT --grab …")
@@ -114,11 +115,17 @@ def warp(
     check_filter(filter)
     recipe = strokes.to_recipe()
     warn_of_software(console, device)
+    exact = parse_number("--tolerance", tolerance, "a number of pixels above 0")
+    if 1e-9 <= exact < FINEST:
+        console.warn(
+            f"--tolerance {tolerance} is not reached everywhere: source points are float32, and exact to about "
+            f"{FINEST:g} pixels"
+        )
     sampling: dict[str, Any] = {
         "filter": filter,
         "outside": outside,
         "fill": parse_fill(fill),
-        "tolerance": parse_number("--tolerance", tolerance, "a number of pixels above 0"),
+        "tolerance": exact,
         "linear_light": linear_light,
         "quality": quality,
         "lossless": lossless,

@@ -28,11 +28,19 @@ TERMINATED = 128 + signal.SIGTERM
 PIPE_CLOSED = 141  # 128 + SIGPIPE, which Windows does not name
 
 
-# An argument of the library that a message begins with, and says what it must be.
-_ARGUMENT = re.compile(
-    r"^(between|codec|device|crf|fill|filter|frame|linear_light|memory|outside|pixel_format|preset|quality|time_scale|tolerance)"
-    r"(?= is for | must be | needs )"
+# Arguments of the library that are options of the command; those with an underscore are nothing else.
+_NAMES = (
+    "between|border|border_profile|codec|crf|device|field_of_view|fill|filter|force|frame|labels|linear_light|lossless|"
+    "memory|mode|on_fold|outside|pixel_format|poisson|preset|quality|radius|rate|raw|reach|save_field|scales|series|"
+    "spacing|time_filter|time_scale|tolerance|world"
 )
+_UNDERSCORED = "|".join(name for name in _NAMES.split("|") if "_" in name)
+_VALUE = r"""(?:'([^']*)'|"([^"]*)"|(None|True|False|[\w.]+(?:\(\.\.\.\))?))"""
+_ASIDE = re.compile(rf" \((?:{_NAMES})={_VALUE}\)")  # --force (force=True)
+_GIVEN = re.compile(rf"(?<![\w-])({_NAMES})={_VALUE}")  # on_fold='flow'
+_FIRST = re.compile(rf"^((?:--grab \S+: )?)({_NAMES})(?= is for | must be | needs )")
+_WORD = re.compile(rf"(?<![\w/.-])({_UNDERSCORED})(?![\w/.-])")
+_SPELT = {"rate": "fps"}
 
 
 class Terminated(BaseException):
@@ -54,10 +62,19 @@ def one_line(text: object) -> str:
 
 
 def as_options(text: str) -> str:
-    """Name options as the command line does, where a message of the library names arguments."""
-    text = _ARGUMENT.sub(lambda found: "--" + found[1].replace("_", "-"), text)
-    text = re.sub(r'^filter="(\w+)"', r"--filter \1", text)
-    return re.sub(r"\bon_fold='(\w+)'", r"--on-fold \1", text).replace("border=None", "--border none")
+    """Say in options what a message of the library says in Python: ``--on-fold flow`` for ``on_fold='flow'``."""
+
+    def option(name: str) -> str:
+        return "--" + _SPELT.get(name, name).replace("_", "-")
+
+    def given(found: re.Match[str]) -> str:
+        name, *values = found.groups()
+        value = next(value for value in values if value is not None)
+        return option(name) if value == "True" else f"{option(name)} {'none' if value == 'None' else value}"
+
+    text = _GIVEN.sub(given, _ASIDE.sub("", text))
+    text = _FIRST.sub(lambda found: found[1] + option(found[2]), text)
+    return _WORD.sub(lambda found: option(found[1]), text).replace(", or None ", ", or none ")
 
 
 @dataclass(slots=True, eq=False)
@@ -159,6 +176,11 @@ class Console:
             if threads < 1:
                 raise SuppleError(f"--threads must be a number of threads from 1, found {threads}")
             os.environ["SUPPLE_THREADS"] = os.environ["VIPS_CONCURRENCY"] = str(threads)
+        named = os.environ.get("SUPPLE_THREADS", "")
+        if named and not (named.isascii() and named.isdecimal() and int(named) > 0):
+            raise SuppleError(
+                f"the environment variable SUPPLE_THREADS must be a number of threads from 1, found {named!r}"
+            )
 
 
 _current: ContextVar[Console] = ContextVar("console")

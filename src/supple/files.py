@@ -358,7 +358,7 @@ def read_recipe(path: PathLike) -> Recipe:
     try:
         return Recipe.from_json(text)
     except SuppleError as error:
-        raise SuppleError(f"{name}: {error}") from None
+        raise SuppleError(f"{name}: {str(error).replace('None', 'null')}") from None
 
 
 def check_recipe_name(path: PathLike, *, force: bool = False) -> None:
