@@ -335,3 +335,19 @@ def test_no_python_in_what_is_said(run: Run) -> None:
         status, _, err = run(*arguments)
         assert status == 2, arguments
         assert not PYTHON.search(err), err
+
+
+@pytest.mark.parametrize("name", ["warp", "plot", "render", "points", "info", "view", "demo"])
+def test_help_has_none_of_the_words_that_were_not_understood(run: Run, name: str) -> None:
+    status, out, _ = run(name, "--help")
+    assert status == 0
+    said = " ".join(out.replace("│", " ").split())
+    for word in (
+        r"\bcards?\b",
+        "keeps areas",
+        "keeps volumes",
+        "[Ww]ho (does|makes|takes)",
+        "is worth to",
+        r"\btells?\b",
+    ):
+        assert not re.search(word, said), word

@@ -566,3 +566,20 @@ def test_a_stroke_outside_is_judged_by_its_reach_in_physical_units() -> None:
         made(at(-600.0, None))
     with pytest.warns(OutsideWarning):
         made(at(-6.6, to=20.0))  # a flow goes on from where it is
+
+
+def test_what_poissons_ratio_keeps() -> None:
+    """At 0.5, short drags keep volumes, without a reach; they never keep areas, and lower ratios keep less."""
+
+    def change(ndim: int, poisson: float, reach: float | None = None) -> float:
+        made = Deformation((41,) * ndim, border=None).add(
+            Stroke(at=(20.0,) * ndim, by=(1.0,) + (0.0,) * (ndim - 1), radius=10, poisson=poisson, reach=reach)
+        )
+        points = np.stack(np.meshgrid(*[np.arange(0.0, 41.0, 2.0)] * ndim), axis=-1)
+        return float(np.abs(np.linalg.det(made.jacobian(points)) - 1).max())
+
+    assert change(3, 0.5) < 0.002
+    assert change(2, 0.5) > 0.01
+    assert change(3, 0.5, 4.0) > 0.01
+    for ndim in (2, 3):
+        assert change(ndim, 0.5) < change(ndim, 0.3) < change(ndim, -1.0)

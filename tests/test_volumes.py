@@ -205,7 +205,7 @@ def test_what_is_not_a_number_stays_where_it_is(here: Path) -> None:
     samples = made(dtype=np.float32)
     samples[3, 4:6, 5] = np.nan
     stored("in.nii", samples)
-    with pytest.warns(supple.errors.GapWarning, match="2 voxels of in.nii are not finite"):
+    with pytest.warns(supple.errors.GapWarning, match="2 voxels of in.nii are NaN or infinite"):
         warp_volume("in.nii", "out.nii", RECIPE, filter="linear")
     with warnings.catch_warnings():
         warnings.simplefilter("error")

@@ -19,16 +19,16 @@ def info(
     json: Annotated[bool, Parameter(negative=())] = False,
     volume: VolumeOptions = _VOLUME,
 ) -> None:
-    """Tell what pictures, videos, volumes and recipes hold, or which GPUs there are.
+    """Describe pictures, videos, volumes and recipes, or list the GPUs.
 
     Parameters
     ----------
     files
-        Pictures, videos, patterns or folders of frames, volumes, or recipes in JSON.
+        Pictures, videos, image sequences (a pattern or a folder), volumes, or recipes in JSON.
     gpu
-        Which graphics cards there are, and programs that stand in for them; the first one is used.
+        List the GPUs, software ones too. The first is the one that is used.
     json
-        As one JSON object for each file.
+        Print one JSON object for each file.
     """
     console = current()
     from supple.describe import describe

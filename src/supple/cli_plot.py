@@ -33,7 +33,7 @@ def plot(
     video: VideoOptions = _VIDEO,
     options: RunOptions = _RUN,
 ) -> None:
-    """Draw what strokes do to a picture or a video.
+    """Plot the deformation of a picture or a video.
 
     Parameters
     ----------
@@ -42,14 +42,14 @@ def plot(
     target
         A PNG, SVG or PDF file.
     what
-        Bent lines, growth and shrinking, its direction, the inverse's error, or the work for it. Of a video also a
-        cut along time (slice), or frames before and after (sheet).
+        Deformed grid lines, stretch, its principal axes, residual of the inverse map, or its iterations. For a
+        video also a slice along time, or a sheet of frames before and after.
     frame
-        Which frame of a video, counted from 0.
+        Frame of a video, counted from 0.
     x
-        Which column a slice shows over time.
+        Column that a slice shows over time.
     y
-        Which row a slice shows over time.
+        Row that a slice shows over time.
     """
     console = current()
     console.started(**options.asked(), file=source)
@@ -82,14 +82,14 @@ def demo(
     device: Annotated[Device, Parameter(group=RUNNING)] = "cpu",
     options: RunOptions = _RUN,
 ) -> None:
-    """Write a small gallery, with an index.html to look at.
+    """Write a gallery of examples, with a page to open in a browser.
 
     Parameters
     ----------
     folder
-        Where to.
+        Folder to write the gallery to.
     device
-        Who makes it: the CPU, the GPU, or auto: a graphics card, where there is one.
+        Where to compute: cpu, gpu, or auto (the GPU if there is one).
     """
     console = current()
     from supple.gallery import write_gallery

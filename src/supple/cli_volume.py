@@ -38,14 +38,14 @@ def render(
     volume: VolumeOptions = _VOLUME,
     options: RunOptions = _RUN,
 ) -> None:
-    """Take a picture of a volume, as it is or with strokes.
+    """Render a picture of a volume, original or deformed.
 
     Parameters
     ----------
     source
-        NIfTI, NRRD, MetaImage, a DICOM folder, a TIFF stack, .dat, or voxels without a header.
+        A volume: NIfTI, NRRD, MetaImage, a DICOM folder, a TIFF stack, .dat, or a file without a header.
     target
-        A picture (PNG and TIFF keep what is transparent), or with --turntable a video or a pattern.
+        A picture (PNG and TIFF keep opacity); with --turntable, a video or a name with a number.
     """
     console = current()
     from supple.files import counted
@@ -94,20 +94,20 @@ def points(
     video: VideoOptions = _VIDEO,
     options: RunOptions = _RUN,
 ) -> None:
-    """Move landmarks as strokes move what they mark.
+    """Move landmarks by the deformation of the strokes.
 
     Parameters
     ----------
     source
-        Points: CSV, or 3D Slicer's .fcsv and .mrk.json.
+        Points to read: CSV, or 3D Slicer's .fcsv and .mrk.json.
     target
-        A file of the same kind.
+        File to write, of the same kind.
     on
         The volume, picture or video that the strokes are for.
     inverse
-        Back: from the deformed volume to where it came from.
+        Apply the inverse: from the deformed volume back to the original.
     convention
-        What the numbers of a table are that does not say it: millimetres in LPS or RAS, or indices (default).
+        Coordinates of a table that does not name them: LPS or RAS in millimetres, or index (default).
     """
     console = current()
     from supple.landmarks import move_points

@@ -67,37 +67,39 @@ def warp(
 ) -> None:
     """Bend pictures, videos and volumes.
 
-    Several files, a folder or a pattern in quotes go into a folder, under the same names. Numbered pictures,
-    frames/%05d.png, or with a time a folder of them, are a video; a folder of DICOM slices is a volume.
+    Several files, a folder or a pattern in quotes are written to a folder under the same names. Numbered pictures
+    (frames/%05d.png) are a video, and so is a folder of pictures if the strokes have a time. A folder of DICOM
+    slices is a volume.
 
     Parameters
     ----------
     paths
-        Files to read, and last the one to write (by suffix: PNG, JPEG, TIFF, WebP, AVIF; MP4, MOV, MKV, WebM,
-        AVI, GIF; NIfTI, NRRD, MHA) or a folder.
+        Files to read, and last the file or folder to write. The suffix of OUT is its format: PNG, JPEG, TIFF,
+        WebP, AVIF; MP4, MOV, MKV, WebM, AVI, GIF; NIfTI, NRRD, MHA.
     filter
-        Colours between pixels: auto is cubic, and averages just what the map shrinks.
+        Interpolation: auto (cubic, averaged where the picture shrinks), cubic, linear or nearest.
     outside
-        What is seen beyond the edges: these go on, a constant (--fill), or the mirror image.
+        What to show beyond the edges of the input: its edge pixels, a constant (--fill), or its mirror image.
     fill
-        The constant, in the picture's own values: one for all channels, or one for each.
+        Fill value of --outside constant, in the picture's own values: one for all channels, or one for each.
     tolerance
-        How far from its exact place a colour may be taken, in pixels; this is certified.
+        Largest allowed error of the inverse map, in pixels.
     linear_light
-        Average light rather than sRGB values, which darken fine detail.
+        Average in linear light instead of sRGB values, so that fine detail does not darken.
     quality
-        For JPEG (default 95), WebP and AVIF (90).
+        Quality of JPEG (default 95), WebP and AVIF (90), from 1 to 100.
     lossless
-        Keep every value in WebP and AVIF, and of a video, by FFV1 or the --codec; PNG and TIFF always do.
+        Write WebP and AVIF without loss, and videos with FFV1 or --codec. PNG and TIFF are always lossless.
     save_recipe
-        Write the strokes, to be carried out again with --recipe.
+        Write the strokes to a recipe (JSON), for --recipe.
     labels
-        Values are names of things, and are kept: each voxel takes that of the nearest.
+        The volume is a label map: each voxel takes the label of the nearest one, and labels are not mixed.
     save_field
-        Write the inverse displacements too, for SimpleITK, ANTs and 3D Slicer: NIfTI, NRRD, MHA or .h5.
+        Also write the displacement field of the inverse map, for SimpleITK, ANTs and 3D Slicer: NIfTI, NRRD,
+        MHA or .h5.
     device
-        Who does it: the CPU, the GPU, or auto: a graphics card, where there is one; or cuda, an NVIDIA card, of
-        pictures and volumes.
+        Where to compute: cpu, gpu, auto (the GPU if there is one), or cuda (an NVIDIA GPU, for pictures and
+        volumes).
     """
     console = current()
     from supple.batch import Crew, check_recipe_file, make_folders, pair

@@ -306,8 +306,9 @@ class Deformation:
         radius : float
             How far the drag is felt, in physical units (ε of the regularized Kelvinlet).
         poisson : float, optional
-            Poisson's ratio ν of the material: 0.5 keeps volumes, -inf moves nothing sideways. By default 0.4; but -inf
-            for a drag along time alone.
+            Poisson's ratio ν of the material, at most 0.5. At higher values, 3-D volumes change less; areas of an image
+            change at any value. 0.5 is incompressible: without reach and border, a short drag keeps 3-D volumes. -inf
+            moves nothing sideways. By default 0.4; but -inf for a drag along time alone.
         scales : int
             1: felt far, as 1/r. 2 and 3: more local, as 1/r³ and 1/r⁵.
         reach : float or None
@@ -527,9 +528,9 @@ class Deformation:
         samples : int
             For a function: samples along each side of an output pixel, which are averaged.
         device : str
-            Who does it: the ``"cpu"``; the ``"gpu"``, also one that is a program for the CPU; or ``"auto"``: a graphics
-            card, where there is one and it does what is asked, and the CPU otherwise. ``"cuda"`` sends the array to an
-            NVIDIA card in slabs, so that it need not fit there.
+            Where to compute: on the ``"cpu"``; on the ``"gpu"``, which may be software; or ``"auto"``: on the GPU if
+            there is one and it can do what is asked, and on the CPU otherwise. ``"cuda"`` sends the array to an NVIDIA
+            GPU in slabs, so that it need not fit there.
         out : array, optional
             Where to put the result; of its shape and type, and not overlapping ``source``.
 

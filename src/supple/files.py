@@ -101,7 +101,7 @@ def warp_file(
     lossless : bool
         Keep every value, in WebP and AVIF too; of a video, with FFV1 or the codec that is named.
     device : str
-        Who does it, as `Deformation.warp` takes it.
+        Where to compute, as `Deformation.warp` takes it.
     force : bool
         Whether a file that exists may be replaced, even the source.
     progress : bool or function

@@ -264,7 +264,7 @@ def _warn_of_gaps(volume: Volume, filter: str) -> None:
     gaps = sum(int(np.count_nonzero(~np.isfinite(slab))) for slab in volume.samples)
     if gaps:
         warnings.warn(
-            f"{gaps} voxels of {volume.name} are not finite numbers, and what is averaged with them is none either: "
+            f"{gaps} voxels of {volume.name} are NaN or infinite, and so is each voxel that is interpolated from them: "
             'filter "nearest" keeps them as they are, and "linear" spreads them least',
             GapWarning,
             stacklevel=4,
