@@ -351,3 +351,32 @@ def test_help_has_none_of_the_words_that_were_not_understood(run: Run, name: str
         r"\btells?\b",
     ):
         assert not re.search(word, said), word
+
+
+@pytest.mark.skipif(not os.path.exists("/dev/full"), reason="no device that is always full")
+def test_a_batch_whose_output_is_full_is_no_fault_of_ours(run: Run) -> None:
+    with open("/dev/full", "w") as full:
+        made = subprocess.run(
+            [
+                sys.executable,
+                "-m",
+                "supple",
+                "warp",
+                "many",
+                "bent",
+                "--grab",
+                "20,16:22,16",
+                "--radius",
+                "9",
+                "--json",
+            ],
+            env={**os.environ, "PYTHONPATH": SOURCE},
+            stdout=full,
+            stderr=subprocess.PIPE,
+            encoding="utf-8",
+            timeout=300,
+            check=False,
+        )
+    assert made.returncode == 2
+    assert "the system refuses: No space left on device" in made.stderr
+    assert "fault" not in made.stderr

@@ -461,7 +461,7 @@ class Deformation:
         tolerance = number("tolerance", tolerance, "a number of pixels above 0", 1e-9, 1e9)
         if like is not None:
             if not is_on_card(like):
-                refuse("like", "an array on a card, or left out", like)
+                refuse("like", "an array on a CUDA device, or left out", like)
             from supple.warping import warn_of
 
             found, certificate = points_on_card().inverse_map(self.space, like, tolerance)
