@@ -63,7 +63,9 @@ class Stroke:
         """Return the deformation of a picture of this size; its border is free."""
         drag = (self.by[0] * height, self.by[1] * height)
         middle = ((width - 1) / 2, (height - 1) / 2)
-        return supple.Deformation((height, width), border=None).grab(middle, by=drag, radius=self.radius * height)
+        return supple.Deformation((height, width), border=None).grab(
+            middle, by=drag, radius=self.radius * height, reach=None
+        )
 
 
 MODERATE = Stroke("moderate", (0.11, 0.17), 0.2)
@@ -161,7 +163,7 @@ def rings(points: Floats) -> Floats:
 
 def zone_plate(filters: dict[str, Warp]) -> dict[str, list[float]]:
     """Return each filter's dB on a zone plate of 512², under the stroke of the paper's figure 6.1b."""
-    d = supple.Deformation((512, 512), border=None).grab((256, 256), by=(0, 90), radius=100)
+    d = supple.Deformation((512, 512), border=None).grab((256, 256), by=(0, 90), radius=100, reach=None)
     q = pixels(512, 512)
     image = np.rint(np.mean([rings(q + place) for place in places(WITHIN)], axis=0)).astype(np.uint8)
     wanted = np.mean([rings(d.inverse(q + place).points) for place in places(WITHIN)], axis=0)

@@ -18,7 +18,7 @@ from scipy import ndimage
 
 import supple
 from supple.camera import Camera
-from supple.domain import BORDER
+from supple.domain import Border
 from supple.geometry import Geometry
 from supple.media import volume as media
 from supple.rendering import Scene
@@ -42,13 +42,13 @@ def noise(n: int) -> npt.NDArray[np.float32]:
     return ndimage.gaussian_filter(rng.random((n, n, n), np.float32), 1.5)
 
 
-def bent(n: int, border: float | None) -> supple.Deformation:
+def bent(n: int, border: Border) -> supple.Deformation:
     d = supple.Deformation((n, n, n), border=border)
-    return d.grab((n / 2, n / 2, n / 2), by=(0.08 * n, 0.04 * n, -0.03 * n), radius=0.24 * n)
+    return d.grab((n / 2, n / 2, n / 2), by=(0.08 * n, 0.04 * n, -0.03 * n), radius=0.24 * n, reach=None)
 
 
-def named(border: float | None) -> str:
-    return "free border" if border is None else f"fixed border of {border:g}"
+def named(border: Border) -> str:
+    return "free border" if border is None else "default border"
 
 
 def grid_of(shape: tuple[int, ...]) -> Array:
@@ -61,7 +61,7 @@ def field_of(d: supple.Deformation, sources: Array) -> Any:
     return sitk.DisplacementFieldTransform(sitk.GetImageFromArray(sources - grid_of(d.shape), isVector=True))
 
 
-def against_scipy(runs: int, n: int, border: float | None, bar: float, before: str) -> Row:
+def against_scipy(runs: int, n: int, border: Border, bar: float, before: str) -> Row:
     """Deform float32, linear, against sampling with the map in hand; both write to arrays that are there."""
     volume, d = noise(n), bent(n, border)
     out, theirs = np.empty_like(volume), np.empty_like(volume)
@@ -78,7 +78,7 @@ def against_scipy(runs: int, n: int, border: float | None, bar: float, before: s
 
 
 def against_itk(
-    runs: int, n: int, kind: type, filter: str | None, border: float | None, bar: float | None, before: str
+    runs: int, n: int, kind: type, filter: str | None, border: Border, bar: float | None, before: str
 ) -> Row:
     """Deform a volume against SimpleITK's linear resampling with the field made, two threads each."""
     sitk.ProcessObject.SetGlobalDefaultNumberOfThreads(2)
@@ -98,16 +98,16 @@ def against_itk(
 
 def whole_warps(runs: int, n: int) -> Iterator[Row]:
     """Deforming a volume, map and all."""
-    yield against_itk(runs, n, np.int16, None, BORDER, 0.5, "0.6")
-    yield against_scipy(runs, n, BORDER, 0.1, "0.16")
+    yield against_itk(runs, n, np.int16, None, "auto", 0.5, "0.6")
+    yield against_scipy(runs, n, "auto", 0.1, "0.16")
 
 
 def more_warps(runs: int, sizes: tuple[int, ...]) -> Iterator[Row]:
     """Free borders, and float32 against SimpleITK."""
     yield against_scipy(runs, sizes[-1], None, 0.1, "0.09")
-    figures = {(128, BORDER): "0.36", (128, None): "0.28", (256, BORDER): "0.18", (256, None): "0.10"}
+    figures = {(128, "auto"): "0.36", (128, None): "0.28", (256, "auto"): "0.18", (256, None): "0.10"}
     for n in sizes:
-        for border in (BORDER, None):
+        for border in ("auto", None):
             bar = 0.4 if border is None else None
             yield against_itk(runs, n, np.float32, "linear", border, bar, figures[n, border])
 
@@ -115,7 +115,7 @@ def more_warps(runs: int, sizes: tuple[int, ...]) -> Iterator[Row]:
 def inverted_fields(runs: int, n: int) -> Iterator[Row]:
     """Against inverting a displacement field and resampling by it."""
     sitk.ProcessObject.SetGlobalDefaultNumberOfThreads(2)
-    volume, d = noise(n), bent(n, BORDER)
+    volume, d = noise(n), bent(n, "auto")
     image, grid = sitk.GetImageFromArray(volume), grid_of(d.shape)
     forward = sitk.GetImageFromArray(d.forward(grid) - grid, isVector=True)
     found: list[Any] = []
@@ -127,7 +127,7 @@ def inverted_fields(runs: int, n: int) -> Iterator[Row]:
         sitk.Resample(image, image, sitk.DisplacementFieldTransform(inverse), sitk.sitkLinear, 0.0)
 
     yield faster(
-        f"{n}³ float32, one stroke, linear, {named(BORDER)}: SimpleITK InvertDisplacementField + Resample / ours",
+        f"{n}³ float32, one stroke, linear, {named('auto')}: SimpleITK InvertDisplacementField + Resample / ours",
         lambda: d.warp(volume, filter="linear"),
         theirs,
         runs,

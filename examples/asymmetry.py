@@ -75,7 +75,7 @@ def main(folder: Path, path: Path = HEAD) -> None:
         camera = Camera(azimuth=azimuth, elevation=elevation, target=middle)
         return geometry.to_lps(scene(solid, d).pick(camera, SIZE, CENTRE).index)
 
-    head = Deformation(mask.shape, spacing=geometry.spacing, border=30, on_fold="flow")
+    head = Deformation(mask.shape, spacing=geometry.spacing, border=30)
     start = held(head, *FLAT)
     flat = head.grab(geometry.from_lps(start), to=geometry.from_lps(start + PUSH), radius=RADIUS)
     mended = flat

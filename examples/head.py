@@ -71,7 +71,7 @@ def bent(shape: tuple[int, ...], geometry: Geometry, by: tuple[float, ...]) -> s
     """One stroke, whichever way the volume's axes go."""
     middle = (np.array(shape[::-1]) - 1) / 2
     at = middle * (1 + 2 * (geometry.direction.T @ (np.array(AT) - 0.5)))
-    d = supple.Deformation(shape, spacing=geometry.spacing, border=30, on_fold="flow")
+    d = supple.Deformation(shape, spacing=geometry.spacing, border=30)
     return d.grab(at, by=geometry.direction.T @ np.array(by) / geometry.spacing, radius=RADIUS)
 
 

@@ -31,13 +31,13 @@ def read() -> np.ndarray:
 def main(folder: Path) -> None:
     clip = read()
     for name, by, options in (
-        ("border 64, damped", BY, {}),  # the default: what would fold is held back, with a warning
-        ("border 64, flowing", (100, 100, 40), {"on_fold": "flow"}),  # frame 135 is beyond the clip's fixed end
+        ("border 64, damped", BY, {"border": 64, "on_fold": "damp"}),  # what would fold is held back, with a warning
+        ("border 64, flowing", (100, 100, 40), {"border": 64}),  # frame 135 is beyond the clip's fixed end
         ("free border", BY, {"border": None}),  # the ends of the clip may move as well
     ):
         with warnings.catch_warnings(record=True) as said:
             warnings.simplefilter("always", supple.FoldWarning)
-            d = supple.Deformation(clip.shape[:3], **options).grab(AT, by=by, radius=RADIUS)
+            d = supple.Deformation(clip.shape[:3], **options).grab(AT, by=by, radius=RADIUS, reach=None)
         x, y, t = d.forward(AT)
         print(f"{name}: {AT} is seen at ({x:.1f}, {y:.1f}), t = {t:.1f}", *(f"\n  {w.message}" for w in said))
 

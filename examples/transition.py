@@ -22,7 +22,8 @@ def first(redness: np.ndarray, part: float) -> int:
 def main(folder: Path) -> None:
     clip = np.zeros((100, SIZE, SIZE, 3), np.uint8)
     clip[TURNS:, ..., 0] = 255
-    d = supple.Deformation(clip.shape[:3]).grab((49, 49, 49), by=(0, 0, -30), radius=50)
+    d = supple.Deformation(clip.shape[:3], border=64, on_fold="damp")
+    d = d.grab((49, 49, 49), by=(0, 0, -30), radius=50, reach=None)
     bent = d.warp(clip)
 
     red = bent[..., 0] / 255

@@ -75,6 +75,13 @@ def support(r: Floats, reach: float) -> tuple[Floats, Floats]:
     return m, (np.where(inside, -30 * t * (1 - t) ** 2, 0.0) / reach**2)[..., None] * r
 
 
+def width(domain: Domain, i: int) -> float | None:
+    """Return the width of the border along an axis."""
+    if domain.border == "auto":
+        return 0.1 * (domain.shape[::-1][i] - 1) * domain.spacing[i]
+    return domain.border[i] if isinstance(domain.border, tuple) else domain.border
+
+
 def fade(x: Floats, extent: float, border: float | None, profile: str) -> tuple[Floats, Floats]:
     """Return β, how much of the movement across the border is left at a coordinate in the domain, and its slope."""
     if border is None:
@@ -104,11 +111,11 @@ def displacement(stroke: Stroke, domain: Domain, points: Floats) -> tuple[Floats
     near = points if domain.border is None else np.clip(points, 0, extent)
     pivot, force = np.array(stroke.at) * steps, np.array(stroke.by) * steps
     r = near - pivot
-    k, j = grab(force, stroke.radius, stroke.poisson, stroke.scales, r)
+    k, j = grab(force, stroke.radius, stroke.material(), stroke.scales, r)
     m, slope = support(r, radius_of_support(stroke))
     k, j = m[..., None] * k, m[..., None, None] * j + k[..., :, None] * slope[..., None, :]
     for i in range(domain.ndim):
-        beta, change = fade(near[..., i], extent[i], domain.border, domain.border_profile)
+        beta, change = fade(near[..., i], extent[i], width(domain, i), domain.border_profile)
         j[..., i, :] *= beta[..., None]
         j[..., i, i] += change * k[..., i]
         k[..., i] *= beta

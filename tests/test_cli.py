@@ -100,7 +100,7 @@ def test_it_does_what_the_library_does(run: Run) -> None:
     [
         (
             ["--grab", "-3,4.5:10,20", "--radius", "30"],
-            [((-3, 4.5), (13, 15.5), 30.0, 0.4, 1)],
+            [((-3, 4.5), (13, 15.5), 30.0, None, 1)],
         ),
         (
             ["--grab=-3,-4:1e1,2", "--radius=30", "--poisson", "-inf"],
@@ -125,7 +125,7 @@ def test_it_does_what_the_library_does(run: Run) -> None:
                 "--scales",
                 "2",
             ],
-            [((1, 2), (2, 2), 9.0, 0.4, 1), ((5, 6), (2, 2), 8.0, 0.4, 2)],
+            [((1, 2), (2, 2), 9.0, None, 1), ((5, 6), (2, 2), 8.0, None, 2)],
         ),
     ],
 )
@@ -133,14 +133,14 @@ def test_what_is_asked_for_is_what_is_saved(run: Run, options: Sequence[str], st
     assert run("warp", "in.png", "out.png", *options, "--save-recipe", "r.json", "--quiet")[0] == 0
     recipe = supple.Recipe.from_json(Path("r.json").read_text())
     assert [(s.at, s.by, s.radius, s.poisson, s.scales) for s in recipe.strokes] == strokes
-    assert (recipe.border, recipe.on_fold) == (64, "damp")
+    assert (recipe.border, recipe.on_fold) == ("auto", "flow")
 
 
 def test_reach_and_border_profile_are_saved(run: Run) -> None:
     grabs = ["--grab", "1,2:3,4", "--grab", "5,6:7,8", "--radius", "9"]
     for given, reaches in [
-        ([], [None, None]),
-        (["--reach", "4"], [4.0, 4.0]),
+        ([], [4.0, 4.0]),
+        (["--reach", "2"], [2.0, 2.0]),
         (["--reach", "none", "--reach", "2.5"], [None, 2.5]),
     ]:
         made = run("warp", "in.png", "out.png", *grabs, *given, "--save-recipe", "r.json", "--quiet", "--force")
@@ -188,7 +188,7 @@ def test_without_force_no_bit_changes(run: Run, channels: int, dtype: type) -> N
 @pytest.mark.parametrize("border", ["none", "50"])
 def test_the_smallest_pictures(run: Run, size: tuple[int, int], border: str) -> None:
     image.write("small.png", noise(*size))
-    drag = ["--grab", "0,0:3,2", "--radius", "10", "--quiet"]
+    drag = ["--grab", "0,0:3,2", "--radius", "10", "--quiet", "--on-fold", "damp"]
     assert run("warp", "small.png", "o.png", *drag, "--border", border) == (0, "", "")
     assert image.read("o.png").pixels.shape == (*size, 3)
 
@@ -207,13 +207,13 @@ def test_a_stroke_far_outside(run: Run) -> None:
 
 
 def test_damping_is_one_line_unless_quiet(run: Run) -> None:
-    options = ["--grab", "20,16:40,16", "--radius", "3", "--force"]
+    options = ["--grab", "20,16:40,16", "--radius", "3", "--force", "--on-fold", "damp"]
     status, out, err = run("warp", "in.png", "out.png", *options)
     assert (status, out) == (0, "")
     assert one_line(err).startswith("supple: warning: ")
     assert "--on-fold flow" in err
     assert run("warp", "in.png", "out.png", *options, "--quiet") == (0, "", "")
-    status, _, err = run("warp", "in.png", "out.png", *options, "--on-fold", "error")
+    status, _, err = run("warp", "in.png", "out.png", *options[:-1], "error")
     assert status == 2
     assert "folds" in one_line(err)
 

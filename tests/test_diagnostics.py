@@ -17,9 +17,15 @@ from supple.diagnostics import WHATS, figure, footprints, grid, iterations, plot
 from supple.diagnostics.background import background
 from supple.diagnostics.measure import spacing_of
 
-FIG_6_1B = Deformation((512, 512), border=None).grab((256, 256), by=(0, 90), radius=100)
-VIDEO = Deformation((30, 48, 64), border=8, spacing=(1.0, 1.0, 1.5)).grab((30, 20, 14), by=(4, 3, 4.5), radius=15)
-SMALL = Deformation((60, 80), border=12).grab((30, 25), by=(9, 11), radius=20).grab((50, 30), by=(-8, 3), radius=15)
+FIG_6_1B = Deformation((512, 512), border=None, on_fold="damp").grab((256, 256), by=(0, 90), radius=100, reach=None)
+VIDEO = Deformation((30, 48, 64), border=8, spacing=(1.0, 1.0, 1.5), on_fold="damp").grab(
+    (30, 20, 14), by=(4, 3, 4.5), radius=15, reach=None
+)
+SMALL = (
+    Deformation((60, 80), border=12, on_fold="damp")
+    .grab((30, 25), by=(9, 11), radius=20, reach=None)
+    .grab((50, 30), by=(-8, 3), radius=15, reach=None)
+)
 
 
 def pixels(shape: tuple[int, ...]) -> npt.NDArray[np.float64]:
@@ -58,8 +64,10 @@ def test_its_matrix_and_step_are_as_written_there(q: tuple[float, float], correc
 
 
 def test_it_undoes_a_sequence_with_a_fixed_border_and_any_spacing() -> None:
-    d = Deformation((60, 80), border=12, spacing=(1.0, 1.5)).grab((30, 25), by=(6, 4), radius=20)
-    d = d.grab((50, 30), by=(-5, 3), radius=15, scales=3)
+    d = Deformation((60, 80), border=12, spacing=(1.0, 1.5), on_fold="damp").grab(
+        (30, 25), by=(6, 4), radius=20, reach=None
+    )
+    d = d.grab((50, 30), by=(-5, 3), radius=15, scales=3, reach=None)
     points, counts, residuals = published(d, tolerance=1e-7, limit=2000)
     q = pixels((60, 80))
     np.testing.assert_allclose(points, d.inverse(q).points, atol=2e-5)
@@ -98,7 +106,7 @@ def test_iterations_compare_both() -> None:
     assert found.residual.max() < 1e-6
 
 
-@pytest.mark.parametrize("deformation", [FIG_6_1B, SMALL, Deformation((60, 80))])
+@pytest.mark.parametrize("deformation", [FIG_6_1B, SMALL, Deformation((60, 80), border=64, on_fold="damp")])
 def test_the_residual_is_that_of_the_map_and_within_its_bound(deformation: Deformation) -> None:
     found = residual(deformation, tolerance=0.003)
     assert found.distance.max() <= found.bound <= found.tolerance == 0.003
@@ -143,9 +151,9 @@ def test_a_large_image_is_looked_at_here_and_there() -> None:
     for shape in ((1025, 1024), (8192, 8192), (1, 5_000_000), (40_000, 30_001)):
         every = spacing_of(shape)
         assert np.prod([-(-n // every) for n in shape]) <= 1 << 20 < np.prod([-(-n // (every - 1)) for n in shape])
-    d = Deformation((3000, 40)).grab((20, 1500), by=(0, 60), radius=80)
+    d = Deformation((3000, 40), border=64, on_fold="damp").grab((20, 1500), by=(0, 60), radius=80, reach=None)
     assert stretch(d)[0].shape == (3000, 40)
-    large = Deformation((2000, 1500)).grab((700, 900), by=(40, 30), radius=200)
+    large = Deformation((2000, 1500), border=64, on_fold="damp").grab((700, 900), by=(40, 30), radius=200, reach=None)
     found = residual(large)
     assert found.every == 2
     assert found.distance.shape == (1000, 750)
@@ -162,14 +170,14 @@ def test_every_plot_is_written(what: str, tmp_path: Path) -> None:
     assert (tmp_path / "a.png").read_bytes().startswith(b"\x89PNG")
     with pytest.raises(SuppleError, match="exists"):
         plot(SMALL, what, tmp_path / "a.png")
-    plot(Deformation((60, 80)), what, tmp_path / "a.png", force=True)
+    plot(Deformation((60, 80), border=64, on_fold="damp"), what, tmp_path / "a.png", force=True)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a.png", "b.svg", "c.PDF"]
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (1, 30), (30, 1), (2, 400)])
 @pytest.mark.parametrize("what", WHATS)
 def test_odd_shapes_are_drawn(what: str, shape: tuple[int, int], tmp_path: Path) -> None:
-    d = Deformation(shape, border=None).grab((3, 0), by=(2, 1), radius=10)
+    d = Deformation(shape, border=None, on_fold="damp").grab((3, 0), by=(2, 1), radius=10, reach=None)
     plot(d, what, tmp_path / "a.png", image=np.ones(shape))
 
 
@@ -186,14 +194,14 @@ def test_odd_shapes_are_drawn(what: str, shape: tuple[int, int], tmp_path: Path)
     ],
 )
 def test_any_image_can_lie_below(image: npt.NDArray[Any], expected: float) -> None:
-    shown = background(Deformation((60, 80)), image)
+    shown = background(Deformation((60, 80), border=64, on_fold="damp"), image)
     assert shown.shape == (60, 80, 3)
     np.testing.assert_allclose(shown, expected, atol=1e-6)
 
 
 def test_values_beyond_a_unit_are_spread() -> None:
     image = np.linspace(-1000, 3000, 4800).reshape(60, 80)
-    shown = background(Deformation((60, 80)), image)
+    shown = background(Deformation((60, 80), border=64, on_fold="damp"), image)
     np.testing.assert_allclose(shown[..., 0], (image + 1000) / 4000, atol=1e-6)
 
 
@@ -201,7 +209,7 @@ def test_what_cannot_be_drawn_is_refused(tmp_path: Path) -> None:
     with pytest.raises(SuppleError, match=r'what must be "iterations" or .*, found \'heat\''):
         plot(SMALL, "heat", tmp_path / "a.png")
     with pytest.raises(SuppleError, match="three axes"):
-        plot(Deformation((5, 60, 80)), "grid", tmp_path / "a.png")
+        plot(Deformation((5, 60, 80), border=64, on_fold="damp"), "grid", tmp_path / "a.png")
     with pytest.raises(SuppleError, match=r"must end in \.png, \.svg, \.pdf"):
         plot(SMALL, "grid", tmp_path / "a.gif")
     with pytest.raises(SuppleError, match="folder"):
@@ -219,7 +227,7 @@ def plane(k: float) -> npt.NDArray[np.float64]:
 
 
 def test_the_published_method_goes_through_time_as_well() -> None:
-    two = VIDEO.grab((40, 30, 10), by=(-5, 3, -4), radius=12, scales=2)
+    two = VIDEO.grab((40, 30, 10), by=(-5, 3, -4), radius=12, scales=2, reach=None)
     options: dict[str, Any] = {"z": 17.0, "tolerance": 1e-7, "limit": 3000}
     for corrected in (False, True):
         points, counts, residuals = paper.inverse_map(two._table, two._axes, (48, 64), corrected=corrected, **options)
@@ -250,7 +258,7 @@ def test_a_frame_is_measured_as_a_plane_of_the_video() -> None:
     assert 0 < found.distance.max() <= found.bound <= found.tolerance == 0.003
     shown = np.linalg.norm(VIDEO.inverse_map(tolerance=0.003)[16] - VIDEO.inverse(plane(16)).points, axis=-1)
     np.testing.assert_allclose(found.distance, shown, atol=1e-4)
-    assert residual(Deformation((4, 20, 30)), 2).bound == 0
+    assert residual(Deformation((4, 20, 30), border=64, on_fold="damp"), 2).bound == 0
     work = iterations(VIDEO, 16)
     assert work.unconverged == 0
     assert work.published_error.max() < 0.3
@@ -284,9 +292,9 @@ def test_every_plot_of_a_frame_is_written(what: str, tmp_path: Path) -> None:
     image = np.random.default_rng(0).integers(0, 255, (48, 64, 3), np.uint8)
     for k, below in ((0, None), (16, image), (29, image[..., 0])):
         plot(VIDEO, what, tmp_path / "a.png", image=below, frame=k, force=True)
-    plot(Deformation((3, 48, 64)), what, tmp_path / "still.png", frame=1)
+    plot(Deformation((3, 48, 64), border=64, on_fold="damp"), what, tmp_path / "still.png", frame=1)
     for shape in ((1, 1, 1), (4, 1, 30), (4, 30, 1)):
-        free = Deformation(shape, border=None).grab((3, 0, 0), by=(0, 0, 2), radius=10)
+        free = Deformation(shape, border=None, on_fold="damp").grab((3, 0, 0), by=(0, 0, 2), radius=10, reach=None)
         plot(free, what, tmp_path / "odd.png", frame=0, force=True)
     panels = {"iterations": 6, "residual": 3, "stretch": 4, "axes": 3, "grid": 2}
     assert len(figure(VIDEO, what, frame=16).axes) == panels[what]

@@ -35,7 +35,9 @@ def test_defaults() -> None:
     domain = Domain((512, 640))
     assert domain.shape == (512, 640)
     assert domain.spacing == (1.0, 1.0)
-    assert domain.border == 64.0
+    assert domain.border == "auto"
+    assert domain.border_widths == pytest.approx((63.9, 51.1))
+    assert not domain.time
     assert domain.border_profile == "quartic"
     assert domain.ndim == 2
     assert domain.extent == (639.0, 511.0)
@@ -85,7 +87,7 @@ def test_packed_free_border() -> None:
 
 
 def test_an_axis_of_one_sample() -> None:
-    np.testing.assert_array_equal(Domain((1, 11)).packed(), [[10, 5, 1, 0], [0, 0, 1, 0], [0, -1, 1, 0]])
+    np.testing.assert_array_equal(Domain((1, 11)).packed(), [[10, 1, 1, 0], [0, 0, 1, 0], [0, -1, 1, 0]])
     np.testing.assert_array_equal(Domain((1, 1), border=None).packed(), [[0, -1, 1, 0]] * 3)
     np.testing.assert_array_equal(Domain((1, 1, 1)).packed(), [[0, 0, 1, 0]] * 3)
 
@@ -170,11 +172,34 @@ def test_refuses_spacings_of_another_length(spacing: Any) -> None:
     )
 
 
-@pytest.mark.parametrize("bad", [*BAD_LENGTHS, [50], (50, 50), "none"])
+@pytest.mark.parametrize("bad", [*BAD_LENGTHS, "none"])
 def test_refuses_borders(bad: Any) -> None:
     message = refusal(lambda: Domain((4, 4), border=bad))
-    assert message.startswith("border must be a number above 0")
+    assert message.startswith('border must be "auto", a number above 0')
     assert "None" in message
+
+
+@pytest.mark.parametrize("bad", [[50], (50, 0), (50, None), (1, 2, 3, 4), [[1, 2]], (50, "auto"), np.eye(2)])
+def test_refuses_borders_of_axes(bad: Any) -> None:
+    assert refusal(lambda: Domain((4, 4), border=bad)).startswith("border")
+
+
+def test_borders_of_axes() -> None:
+    domain = Domain((41, 81, 101), (1, 1, 2), border=np.array([30, 50, 4]))
+    assert domain.border == (30.0, 50.0, 4.0)
+    assert domain.border_widths == (30.0, 40.0, 4.0)  # at most half of an axis
+    np.testing.assert_array_equal(domain.packed()[:, 1], [30, 40, 4])
+    assert hash(domain) == hash(Domain((41, 81, 101), (1, 1, 2), border=(30, 50, 4)))
+    assert refusal(lambda: Domain((4, 4), border=(1, 2, 3))) == (
+        "border must be one width, or 2 of them (x first) for a shape of 2 axes, found (1, 2, 3)"
+    )
+
+
+def test_time() -> None:
+    assert Domain((4, 5, 6), time=True).time
+    assert Domain((4, 5, 6), time=True) != Domain((4, 5, 6))
+    assert refusal(lambda: Domain((5, 6), time=True)).startswith("time must be False for a shape of two axes")
+    assert refusal(lambda: Domain((4, 5, 6), time=1)).startswith("time must be True or False")  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("bad", ["cubic", "", "Sine", None, 1, ["sine"]])

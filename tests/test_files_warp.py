@@ -89,7 +89,7 @@ def test_a_stroke_in_space_is_refused(tmp_path: Path) -> None:
 
 def test_damping_warns_whoever_calls(tmp_path: Path) -> None:
     image.write(tmp_path / "in.png", noise(20, 20, 3))
-    strong = supple.Recipe(strokes=(supple.Stroke.grab((10, 10), by=(9, 0), radius=1),))
+    strong = supple.Recipe(on_fold="damp", strokes=(supple.Stroke.grab((10, 10), by=(9, 0), radius=1),))
     with pytest.warns(supple.FoldWarning, match="damped"):
         warp_file(tmp_path / "in.png", tmp_path / "out.png", strong)
 

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from supple import _core
 from supple.domain import BorderProfile, Domain
 from supple.errors import FoldError, SuppleError
-from supple.folding import CLEARLY_SAFE, MARGIN, Resolved, limit, resolve, weakest
+from supple.folding import CLEARLY_SAFE, MARGIN, NEAR, Resolved, limit, resolve, weakest
 from supple.strokes import STROKE_DTYPE, FoldPolicy, Stroke, numbers, pack
 
 Floats = npt.NDArray[np.float64]
@@ -254,7 +254,7 @@ def test_mu_is_bounded_on_both_sides(case: tuple[Stroke, Domain], seed: int) -> 
     stroke, domain = case
     row, axes = pack([stroke], domain.spacing)[0], domain.packed()
     lower, upper = weakest(row, axes, target=-0.01)
-    found, _ = searched(np.random.default_rng(seed), row, stroke.poisson, axes)
+    found, _ = searched(np.random.default_rng(seed), row, stroke.material(), axes)
     assert lower <= upper <= 0
     assert lower <= found + 1e-6 * max(abs(found), 1)
     if lower < -0.01:
@@ -267,15 +267,18 @@ def test_mu_is_bounded_on_both_sides(case: tuple[Stroke, Domain], seed: int) -> 
 def test_damped_strokes_do_not_fold_and_are_as_strong_as_can_be(case: tuple[Stroke, Domain], seed: int) -> None:
     (stroke, domain), rng = case, np.random.default_rng(seed)
     resolved, axes = resolve(stroke, domain, "damp"), domain.packed()
-    found, worst = searched(rng, resolved.rows[0], stroke.poisson, axes)
+    found, worst = searched(rng, resolved.rows[0], stroke.material(), axes)
     assert 1 + found >= resolved.margin - 1e-6 >= MARGIN - 1e-6
-    assert (resolved.alpha < 1) == (resolved.warning is not None)
+    target = np.add(stroke.at, stroke.by)
+    assert (resolved.warning is not None) == (resolved.alpha < 1 or math.dist(resolved.arrived, target) > NEAR)
+    if np.all((np.array(stroke.at) >= 0) & (np.multiply(stroke.at, domain.spacing) <= domain.extent)):
+        np.testing.assert_allclose(moved(resolved, domain, stroke.at)[0][0], resolved.arrived, atol=1e-9)
     if resolved.alpha < 1:
         assert resolved.margin == pytest.approx(MARGIN, abs=1e-12)
         assert found < -(1 - MARGIN) / 1.005
     points = np.concatenate([[worst], rng.uniform(size=(2000, 3)) * axes[:, 0]])
     ours = moved(resolved, domain, points[:, : domain.ndim] / domain.spacing)[1]
-    theirs = 1 + strains(resolved.rows[0], stroke.poisson, axes, points)
+    theirs = 1 + strains(resolved.rows[0], stroke.material(), axes, points)
     np.testing.assert_allclose(ours, theirs, rtol=0, atol=1e-5)
     assert ours.min() >= MARGIN - 1e-9
 
@@ -320,7 +323,7 @@ def test_no_policy_lets_anything_fold(
         least = 0.3 if policy == "flow" else MARGIN
         assert resolved.margin >= least - 1e-8
         for row in resolved.rows:
-            assert moved(Resolved(np.array([row])), domain, points)[1].min() >= resolved.margin - 1e-9
+            assert moved(Resolved(np.array([row]), stroke.at), domain, points)[1].min() >= resolved.margin - 1e-9
 
 
 FLOWS = [
@@ -363,14 +366,14 @@ def test_flow_arrives(
     rng = np.random.default_rng(0)
     for row in resolved.rows[:: max(len(resolved.rows) // 4, 1)]:
         if border is not None:
-            found, _ = searched(rng, row, stroke.poisson, domain.packed(), 1000)
+            found, _ = searched(rng, row, stroke.material(), domain.packed(), 1000)
             assert 1 + found >= resolved.margin - 1e-6
 
 
 def test_flow_with_a_free_border_takes_equal_steps() -> None:
     stroke = Stroke(at=(10, 20), by=(300, 400), radius=50)
     resolved = resolve(stroke, Domain((64, 64), border=None), "flow")
-    assert resolved.substrokes == math.ceil(500 / (0.7 * limit(0.4, 1) * 50))
+    assert resolved.substrokes == math.ceil(500 / (0.7 * limit(0.4, 1, 4.0) * 50))
     steps = resolved.rows["force"][:, :2]
     np.testing.assert_allclose(steps, [np.array([300, 400]) / len(steps)] * len(steps))
     np.testing.assert_allclose(resolved.rows["pivot"][1:, :2], np.add((10, 20), np.cumsum(steps, axis=0))[:-1])
@@ -420,15 +423,40 @@ def test_flow_has_an_end(border: float | None) -> None:
 def test_damping_says_what_it_does() -> None:
     stroke = Stroke(at=(256, 256), by=(0, 500), radius=100)
     resolved = resolve(stroke, Domain((512, 512), border=None), "damp")
-    assert resolved.alpha == pytest.approx(0.99 * limit(0.4, 1) / 5)
+    assert resolved.alpha == pytest.approx(0.99 * limit(0.4, 1, 4.0) / 5)
     assert resolved.rows["force"][0] == pytest.approx([0, 500 * resolved.alpha, 0])
     assert resolved.warning == (
-        "a drag by (0, 500) at (256, 256) with radius 100 folds: damped to 0.47 of it "
-        "(use on_fold='flow' to go all the way)"
+        "a drag by (0, 500) at (256, 256) with radius 100 folds: damped to 0.37 of it, "
+        "it ends 312 pixels short (on_fold='flow' goes all the way)"
     )
+    assert resolved.cause == "fold"
 
 
-@pytest.mark.parametrize("border", [None, 50.0, 1e3])
+@pytest.mark.parametrize(
+    ("policy", "by", "said"),
+    [
+        ("damp", (10, 0), "ends 6.22 pixels short: the fixed border holds it back"),
+        ("damp", (0, 900), r"folds: damped to 0\.\d+ of it, it ends \d+ pixels short"),
+        ("damp", (400, 900), r"folds: damped to 0\.\d+ of it, and the fixed border holds it back, it ends"),
+        ("error", (10, 0), "ends 6.22 pixels short: the fixed border holds it back"),
+    ],
+)
+def test_a_miss_says_why(policy: FoldPolicy, by: tuple[float, float], said: str) -> None:
+    domain, stroke = Domain((512, 512)), Stroke(at=(10, 256), by=by, radius=60)
+    helps = r".* \(on_fold='flow' goes all the way.*\)$"
+    if policy == "error":
+        with pytest.raises(FoldError, match=said + helps):
+            resolve(stroke, domain, policy)
+        return
+    resolved = resolve(stroke, domain, policy)
+    assert resolved.warning is not None
+    assert re.search(said + helps, resolved.warning)
+    causes = ["fold"] * ("folds" in said) + ["border"] * ("border" in said)
+    assert resolved.cause == " and ".join(causes)
+    assert resolve(stroke, Domain((512, 512), border=None), "flow").warning is None
+
+
+@pytest.mark.parametrize("border", [None, 50.0])
 def test_error_says_what_is_possible(border: float | None) -> None:
     domain = Domain((512, 512), border=border)
     stroke = Stroke(at=(256.5, 200), by=(-300, 500), radius=100)
@@ -465,7 +493,7 @@ def test_what_has_no_extent_does_not_fold() -> None:
 @pytest.mark.parametrize("scales", [1, 2, 3])
 def test_radii_without_measure(radius: float, scales: int) -> None:
     domain = Domain((64, 64), border=20)
-    stroke = Stroke(at=(30.3, 20.1), by=(100, 30), radius=radius, scales=scales)
+    stroke = Stroke(at=(30.3, 20.1), by=(100, 30), radius=radius, scales=scales, reach=None)
     resolved = resolve(stroke, domain, "damp")
     assert 0 < resolved.alpha < 1
     if radius < 1:

@@ -34,14 +34,14 @@ FINE = 1e-5
 @functools.cache
 def bent() -> Deformation:
     """It shrinks and magnifies, and reaches beyond the clip along every axis, and at both of its ends."""
-    d = Deformation(SHAPE, border=None).grab((20, 18, 3), by=(10, -7, 3), radius=14)
-    return d.grab((45, 30, 5), by=(-5, 6, -2.5), radius=9, scales=2)
+    d = Deformation(SHAPE, border=None, on_fold="damp").grab((20, 18, 3), by=(10, -7, 3), radius=14, reach=None)
+    return d.grab((45, 30, 5), by=(-5, 6, -2.5), radius=9, scales=2, reach=None)
 
 
 @functools.cache
 def held() -> Deformation:
     """As strong, but no point comes from outside."""
-    return Deformation(SHAPE).grab((20, 18, 3), by=(9, -6, 1.5), radius=14)
+    return Deformation(SHAPE, border=64, on_fold="damp").grab((20, 18, 3), by=(9, -6, 1.5), radius=14, reach=None)
 
 
 @functools.cache
@@ -118,7 +118,9 @@ def test_samples_that_lie_side_by_side_are_those_that_are_read_alone(dtype: str,
     # Of four channels, all are read alone.
     rng = np.random.default_rng(6)
     source = rng.integers(0, 256, (12, 90, 300, 4)).astype(dtype)
-    d = Deformation(source.shape[:3], border=None).grab((70, 40, 5), by=(9, 6, 2), radius=20)
+    d = Deformation(source.shape[:3], border=None, on_fold="damp").grab(
+        (70, 40, 5), by=(9, 6, 2), radius=20, reach=None
+    )
     options: dict[str, Any] = {"filter": "linear", "alpha": False}
     wanted = d.warp(source, **options)[..., :channels]
     assert (wanted != source[..., :channels]).mean() > 0.3
@@ -186,8 +188,8 @@ def test_a_plane_through_the_pivot_is_a_picture() -> None:
     """Where a stroke does not act along time, a frame is deformed as a picture is, by every filter."""
     source = noise("f8", 4)
     for border in (None, 50.0):
-        d = Deformation(SHAPE, border=border).grab((20, 18, 3), by=(10, -7, 0), radius=14)
-        flat = Deformation(SHAPE[1:], border=border).grab((20, 18), by=(10, -7), radius=14)
+        d = Deformation(SHAPE, border=border, on_fold="damp").grab((20, 18, 3), by=(10, -7, 0), radius=14, reach=None)
+        flat = Deformation(SHAPE[1:], border=border, on_fold="damp").grab((20, 18), by=(10, -7), radius=14, reach=None)
         for name in FILTERS:
             for rule in RULES:
                 for channels in (1, 3):
@@ -302,7 +304,9 @@ def test_light_is_averaged_if_asked_for(dtype: str, channels: int) -> None:
 def test_constants_stay_constant(filter: str, between: str, averaged: bool) -> None:
     """All weights sum to one: a clip of one colour is left as it is."""
     how: dict[str, Any] = {"filter": filter, "between": between, "time_filter": averaged}
-    strong = Deformation((20, 37, 50), border=None, on_fold="flow").grab((20, 18, 4), by=(0, 0, 30), radius=18)
+    strong = Deformation((20, 37, 50), border=None, on_fold="flow").grab(
+        (20, 18, 4), by=(0, 0, 30), radius=18, reach=None
+    )
     for d in (bent(), strong):
         for dtype, values in (("u1", (0, 77, 255)), ("i2", (-32768, 32767)), ("f4", (0.3,)), ("f8", (1e6 / 3,))):
             for value in values:
@@ -324,7 +328,9 @@ def test_constants_stay_constant(filter: str, between: str, averaged: bool) -> N
 def test_all_of_a_clip_outside_itself(shift: int, rule: str) -> None:
     """By whole frames, so that every filter but an average shows just one of them; far beyond the clip as well."""
     count = 9
-    d = Deformation((count, 20, 40), border=None).grab((20, 10, 4), by=(0, 0, shift), radius=1e7)
+    d = Deformation((count, 20, 40), border=None, on_fold="damp").grab(
+        (20, 10, 4), by=(0, 0, shift), radius=1e7, reach=None
+    )
     t = np.arange(count) - shift
     folded = t % (2 * count)
     shown = {
@@ -347,7 +353,9 @@ def test_all_of_a_clip_outside_itself(shift: int, rule: str) -> None:
 @pytest.mark.parametrize("shape", [(1, 1, 1), (1, 37, 50), (2, 2, 2), (5, 1, 40), (5, 40, 1), (3, 33, 33), (2, 3, 300)])
 @pytest.mark.parametrize("rule", RULES)
 def test_sizes(shape: tuple[int, int, int], rule: str) -> None:
-    d = Deformation(shape, border=None).grab(np.array(shape[::-1]) * 0.4, by=(2.3, -1.2, 0.8), radius=9)
+    d = Deformation(shape, border=None, on_fold="damp").grab(
+        np.array(shape[::-1]) * 0.4, by=(2.3, -1.2, 0.8), radius=9, reach=None
+    )
     for channels in (1, 3, 5):
         source = noise("u1", channels, shape)
         for name in FILTERS:
@@ -365,7 +373,9 @@ def test_sizes(shape: tuple[int, int, int], rule: str) -> None:
 
 @functools.cache
 def shrinking() -> Deformation:
-    return Deformation((8, 90, 120), border=None, on_fold="flow").grab((45, 45, 4), by=(40, 8, 2), radius=20)
+    return Deformation((8, 90, 120), border=None, on_fold="flow").grab(
+        (45, 45, 4), by=(40, 8, 2), radius=20, reach=None
+    )
 
 
 def test_where_a_frame_shrinks_it_is_averaged() -> None:
@@ -396,7 +406,7 @@ def test_where_a_frame_shrinks_it_is_averaged() -> None:
 @functools.cache
 def hurried() -> Deformation:
     """Time runs several times as fast behind a drag."""
-    return Deformation((60, 40, 70), on_fold="flow").grab((35, 20, 15), by=(4, 2, 28), radius=25)
+    return Deformation((60, 40, 70), on_fold="flow", border=64).grab((35, 20, 15), by=(4, 2, 28), radius=25, reach=None)
 
 
 @functools.cache
@@ -447,7 +457,9 @@ def test_time_is_left_alone_where_it_is_not_compressed(between: str) -> None:
 @pytest.mark.parametrize("size", [1e9, 1e20, 1e30])
 def test_as_far_outside_as_numbers_go(size: float) -> None:
     source = noise("f4", 1, (3, 5, 50))
-    d = Deformation(source.shape[:3], border=None).grab((20, 2, 1), by=(size, size / 3, -size / 5), radius=size / 2)
+    d = Deformation(source.shape[:3], border=None, on_fold="damp").grab(
+        (20, 2, 1), by=(size, size / 3, -size / 5), radius=size / 2, reach=None
+    )
     for name in ("nearest", "linear", "auto"):
         how: dict[str, Any] = {"filter": name, "time_filter": name == "auto"}
         made = d.warp(source, outside="edge", **how)
@@ -460,7 +472,9 @@ def test_as_far_outside_as_numbers_go(size: float) -> None:
 def test_no_column_is_averaged_for_its_place() -> None:
     # Source points of columns 255 and 256 are kept relative to two frames, which is no difference in time.
     source = np.random.default_rng(0).random((12, 24, 520)).astype(np.float32)
-    d = Deformation(source.shape, border=None, spacing=(60.0, 1, 1)).grab((256, 12, 6), by=(0, 0, 2.2), radius=300)
+    d = Deformation(source.shape, border=None, spacing=(60.0, 1, 1), on_fold="damp").grab(
+        (256, 12, 6), by=(0, 0, 2.2), radius=300, reach=None
+    )
     apart = np.abs(d.warp(source, filter="linear", time_filter=True) - d.warp(source, filter="linear"))
     assert apart[..., 240:272].max() < 0.03
 
@@ -495,7 +509,7 @@ def test_the_reference_average_is_one() -> None:
 
 def test_averages_over_time_beyond_the_clip() -> None:
     """A box around a time outside is as long as one inside."""
-    d = Deformation((30, 40, 50), border=None, on_fold="flow").grab((25, 20, -10), by=(0, 0, 25), radius=12)
+    d = Deformation((30, 40, 50), border=None, on_fold="flow").grab((25, 20, -10), by=(0, 0, 25), radius=12, reach=None)
     points = exact(d)
     widths = reference.faded(reference.durations(d, points))
     seen = (widths > 1.5) & ((points[..., 2] < -0.5) | (points[..., 2] > 29.5))
@@ -579,7 +593,10 @@ def test_without_a_stroke_or_force_no_bit_changes(dtype: str) -> None:
     kind = np.dtype(dtype)
     raw = np.random.default_rng(7).integers(0, 256, math.prod(SHAPE) * 4 * kind.itemsize, np.uint8)
     source = (raw & 1 if kind == np.bool_ else raw).view(kind).reshape(*SHAPE, 4)
-    still = [Deformation(SHAPE), Deformation(SHAPE, border=None).grab((3, 3, 3), by=(0, 0, 0), radius=5)]
+    still = [
+        Deformation(SHAPE, border=64, on_fold="damp"),
+        Deformation(SHAPE, border=None, on_fold="damp").grab((3, 3, 3), by=(0, 0, 0), radius=5, reach=None),
+    ]
     for d in still:
         for name in FILTERS:
             for averaged in (False, True):
@@ -591,7 +608,9 @@ def test_without_a_stroke_or_force_no_bit_changes(dtype: str) -> None:
 
 @pytest.mark.parametrize("dtype", ["bool", "u1", "i2", "f2", "f4", ">u2", ">f4"])
 def test_planes_where_nothing_moves_are_left_as_they_are(dtype: str) -> None:
-    d = Deformation((40, 37, 50), border=None).grab((25, 18, 6), by=(3, 2, 2), radius=4, scales=3)
+    d = Deformation((40, 37, 50), border=None, on_fold="damp").grab(
+        (25, 18, 6), by=(3, 2, 2), radius=4, scales=3, reach=None
+    )
     source = noise(dtype, 3, d.shape)
     if np.dtype(dtype).kind == "f":
         source[30, 5, 5], source[30, 6, 6] = np.inf, -0.0
@@ -650,7 +669,7 @@ REFUSED: list[tuple[dict[str, Any], str]] = [
 
 @pytest.mark.parametrize(("how", "message"), REFUSED)
 def test_refusals(how: dict[str, Any], message: str) -> None:
-    for d in (bent(), Deformation(SHAPE)):
+    for d in (bent(), Deformation(SHAPE, border=64, on_fold="damp")):
         with pytest.raises(SuppleError, match=message):
             d.warp(**{"source": GOOD, **how})
     assert not GOOD.any()
@@ -662,7 +681,7 @@ def test_more_refusals() -> None:
     with pytest.raises(SuppleError, match="read-only"):
         bent().warp(GOOD, out=frozen)
     with pytest.raises(SuppleError, match="between"):
-        Deformation((5, 5)).warp(np.zeros((5, 5)), between="linear")
+        Deformation((5, 5), border=64, on_fold="damp").warp(np.zeros((5, 5)), between="linear")
     np.testing.assert_array_equal(bent().warp(GOOD.tolist()), 0)
 
 
@@ -672,7 +691,9 @@ FIRST_RED = 51
 
 @functools.cache
 def figure_6_4() -> Deformation:
-    return Deformation((100, 50, 50), border=None).grab((49, 49, 49), by=(0, 0, -30), radius=50)
+    return Deformation((100, 50, 50), border=None, on_fold="damp").grab(
+        (49, 49, 49), by=(0, 0, -30), radius=50, reach=None
+    )
 
 
 def test_figure_6_4() -> None:
@@ -712,7 +733,7 @@ def test_figure_6_4() -> None:
 
 
 def test_one_frame_is_reported_by_itself():
-    d = Deformation((5, 30, 40), border=None).grab((20, 15, 2), by=(4, 2, 1), radius=8)
+    d = Deformation((5, 30, 40), border=None, on_fold="damp").grab((20, 15, 2), by=(4, 2, 1), radius=8, reach=None)
     each = [d.report(plane=k) for k in range(5)]
     whole = d.report()
     assert max(report.error for report in each) == whole.error
@@ -730,6 +751,8 @@ def test_a_bool_is_0_or_1(channels: int) -> None:
     block = np.multiply.outer(np.multiply.outer(ends, ends), ends) < 0
     source = np.zeros((8, 16, 16, channels), bool)
     source[2:6, 6:10, 6:10] = block[..., None]
-    d = Deformation(source.shape[:3], border=None).grab((8, 8, 4), by=(0.5, 0.5, 0.5), radius=1e4)
+    d = Deformation(source.shape[:3], border=None, on_fold="damp").grab(
+        (8, 8, 4), by=(0.5, 0.5, 0.5), radius=1e4, reach=None
+    )
     for name in ("auto", "cubic"):
         assert set(np.unique(d.warp(source, filter=name, between="cubic").view(np.uint8))) == {0, 1}

@@ -134,7 +134,9 @@ def test_points_are_sent_back(gpu: Gpu, flat: bool, way: dict[str, Any]) -> None
 
 def test_far_from_the_origin_the_residual_is_still_small(gpu: Gpu) -> None:
     # A picture of 16k pixels a side, where float32 holds coordinates to a thousandth of a pixel only.
-    d = supple.Deformation((16384, 16384)).grab((15900.3, 16001.7), by=(60.5, -40.25), radius=120)
+    d = supple.Deformation((16384, 16384), border=64, on_fold="damp").grab(
+        (15900.3, 16001.7), by=(60.5, -40.25), radius=120, reach=None
+    )
     rng = np.random.default_rng(0)
     targets = np.rint(rng.uniform(15500, 16383, (4000, 2)))
     anchors, _ = columns(d, targets)
@@ -165,7 +167,9 @@ def test_colours_of_all_types(gpu: Gpu, photo: np.ndarray, dtype: Any, channels:
 @pytest.mark.parametrize("outside", ["edge", "constant", "reflect"])
 @pytest.mark.parametrize("filter", ["nearest", "linear", "cubic", "auto"])
 def test_filters_and_boundary_modes(gpu: Gpu, photo: np.ndarray, filter: str, outside: str) -> None:
-    d = supple.Deformation(photo.shape[:2], border=None).grab((30, 30), by=(45, 35), radius=45)
+    d = supple.Deformation(photo.shape[:2], border=None, on_fold="damp").grab(
+        (30, 30), by=(45, 35), radius=45, reach=None
+    )
     options: dict[str, Any] = {"filter": filter, "outside": outside, "fill": (10, 200, 30)}
     apart = away(d.warp(photo, device="gpu", **options), truth(d, photo, **options))
     # Labels may change where a source point lies within its tolerance of the line between two.
@@ -174,13 +178,13 @@ def test_filters_and_boundary_modes(gpu: Gpu, photo: np.ndarray, filter: str, ou
 
 def squeezed(n: int, turns: int, radius: float) -> supple.Deformation:
     """Return strokes from all sides towards the middle, which shrink what lies there along both axes."""
-    d = supple.Deformation((n, n), border=None)
+    d = supple.Deformation((n, n), border=None, on_fold="damp")
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", FoldWarning)
         for _ in range(turns):
             for way in ((1, 0), (-1, 0), (0, 1), (0, -1)):
                 at = n / 2 - 0.8 * radius * np.array(way)
-                d = d.grab(at, by=0.6 * radius * np.array(way), radius=radius)
+                d = d.grab(at, by=0.6 * radius * np.array(way), radius=radius, reach=None)
     return d
 
 
@@ -229,7 +233,7 @@ def test_levels_average_two_by_two(gpu: Gpu, channels: int, rows: tuple[int, int
 def test_pixels_outside_every_ball_are_copied(gpu: Gpu, dtype: Any, filter: str) -> None:
     rng = np.random.default_rng(4)
     source = (rng.normal(size=(75, 110, 4)) * 2e4).astype(dtype)
-    d = supple.Deformation((75, 110), border=30).grab((80.3, 40), by=(4, -3), radius=7, reach=2.5)
+    d = supple.Deformation((75, 110), border=30, on_fold="damp").grab((80.3, 40), by=(4, -3), radius=7, reach=2.5)
     d = d.grab((70, 44), by=(-3, 5), radius=9, reach=2)
     made = d.warp(source, filter=filter, alpha=True, linear_light=np.dtype(dtype).kind == "u", device="gpu")
     inside = reference.reached(reference.carried_out(d), d.domain, reference.grid((75, 110)))
@@ -237,13 +241,13 @@ def test_pixels_outside_every_ball_are_copied(gpu: Gpu, dtype: Any, filter: str)
     np.testing.assert_array_equal(made[~inside], source[~inside])
     assert (made[inside] != source[inside]).any(axis=-1).mean() > (0.2 if filter == "nearest" else 0.5)
     # One stroke without a limit reaches all of them.
-    moved = d.grab((20, 20), by=(1, 1), radius=9).warp(source, filter="cubic", device="gpu")
+    moved = d.grab((20, 20), by=(1, 1), radius=9, reach=None).warp(source, filter="cubic", device="gpu")
     assert (moved != source).any(axis=-1).mean() > 0.9
 
 
 def test_frames_that_no_stroke_reaches_are_passed_on(gpu: Gpu, monkeypatch: pytest.MonkeyPatch) -> None:
     clip = np.random.default_rng(4).integers(0, 255, (30, 32, 40)).astype(np.uint8)
-    d = supple.Deformation(clip.shape, border=8).grab((20, 16, 9), by=(2, 1, 1), radius=4, reach=1.5)
+    d = supple.Deformation(clip.shape, border=8, on_fold="damp").grab((20, 16, 9), by=(2, 1, 1), radius=4, reach=1.5)
     solved: list[Any] = []
     solve = warping._Work.solve
     monkeypatch.setattr(warping._Work, "solve", lambda self, part: solved.append(part.planes) or solve(self, part))
@@ -286,7 +290,9 @@ def test_light_and_opacity(gpu: Gpu, photo: np.ndarray, options: dict[str, Any])
 def test_frames_are_bent_in_time(gpu: Gpu, between: str, outside: str) -> None:
     rng = np.random.default_rng(6)
     clip = np.cumsum(rng.integers(0, 9, (9, 26, 34, 3)), axis=0).astype(np.uint8)
-    d = supple.Deformation(clip.shape[:3], border=None).grab((17, 13, 4), by=(4, 2, 3), radius=11)
+    d = supple.Deformation(clip.shape[:3], border=None, on_fold="damp").grab(
+        (17, 13, 4), by=(4, 2, 3), radius=11, reach=None
+    )
     for name, average in (("linear", False), ("auto", between != "nearest")):
         options: dict[str, Any] = {"filter": name, "between": between, "outside": outside, "fill": 77}
         options["time_filter"] = average
@@ -296,7 +302,9 @@ def test_frames_are_bent_in_time(gpu: Gpu, between: str, outside: str) -> None:
 
 def test_long_stacks_go_through_a_window(gpu: Gpu, monkeypatch: pytest.MonkeyPatch) -> None:
     clip = np.random.default_rng(7).integers(0, 255, (40, 32, 48)).astype(np.uint8)
-    d = supple.Deformation(clip.shape, border=None).grab((24, 16, 20), by=(3, 2, 3), radius=6, scales=3)
+    d = supple.Deformation(clip.shape, border=None, on_fold="damp").grab(
+        (24, 16, 20), by=(3, 2, 3), radius=6, scales=3, reach=None
+    )
     ways: list[dict[str, Any]] = [
         {"filter": "linear"},
         {"filter": "cubic", "between": "cubic", "outside": "reflect"},
@@ -320,14 +328,14 @@ def test_long_stacks_go_through_a_window(gpu: Gpu, monkeypatch: pytest.MonkeyPat
 )
 def test_more_than_a_layer_and_more_layers_than_a_texture_has(gpu: Gpu, shape: tuple[int, ...], dtype: Any) -> None:
     source = np.random.default_rng(9).integers(0, 255, shape).astype(dtype)
-    d = supple.Deformation(shape, border=None)
+    d = supple.Deformation(shape, border=None, on_fold="damp")
     for corner in (
         ([8190.0, 20.0], [32990.0, 9.0], [16.0, 8190.0], [4.0, 8190.0], [4.0, 131990.0])
         if len(shape) == 2
         else ([16.0, 12.0, 150.0],)
     ):
         if all(c < n for c, n in zip(corner, shape[::-1], strict=True)):
-            d = d.grab(corner, by=[5.3, 4.2, 90.0][: len(shape)], radius=9 if len(shape) == 2 else 90)
+            d = d.grab(corner, by=[5.3, 4.2, 90.0][: len(shape)], radius=9 if len(shape) == 2 else 90, reach=None)
     options: dict[str, Any] = {"filter": "linear", "outside": "reflect"}
     ours, theirs = d.warp(source, **options), d.warp(source, device="gpu", **options)
     assert (ours != source).any()
@@ -339,7 +347,7 @@ def test_more_than_a_layer_and_more_layers_than_a_texture_has(gpu: Gpu, shape: t
 def test_odd_sizes(gpu: Gpu, shape: tuple[int, ...], outside: str) -> None:
     source = np.random.default_rng(8).integers(0, 255, shape).astype(np.uint8)
     centre = [(n - 1) / 2 for n in shape[::-1]]
-    d = supple.Deformation(shape, border=None).grab(centre, by=[0.4] * len(shape), radius=5)
+    d = supple.Deformation(shape, border=None, on_fold="damp").grab(centre, by=[0.4] * len(shape), radius=5, reach=None)
     options: dict[str, Any] = {"filter": "linear", "outside": outside, "fill": 99}
     assert away(d.warp(source, device="gpu", **options), truth(d, source, **options)).max() <= 4
 
@@ -349,7 +357,7 @@ def test_odd_sizes(gpu: Gpu, shape: tuple[int, ...], outside: str) -> None:
 def test_small_strokes_are_not_lost_between_nodes(gpu: Gpu, seed: int, limited: bool) -> None:
     rng = np.random.default_rng(seed)
     radius = float(0.6 * 2.2**seed)
-    d = supple.Deformation((64, 64), border=None)
+    d = supple.Deformation((64, 64), border=None, on_fold="damp")
     by = rng.normal(size=2)
     by *= 0.6 * radius / np.linalg.norm(by)
     d = d.grab(rng.uniform(16, 48, 2), by=by, radius=radius, scales=1 + seed % 3, reach=2.0 if limited else None)
@@ -361,27 +369,31 @@ def test_small_strokes_are_not_lost_between_nodes(gpu: Gpu, seed: int, limited: 
 
 def test_numbers_that_float32_does_not_hold_are_left_to_the_cpu(gpu: Gpu) -> None:
     source = np.random.default_rng(1).integers(0, 255, (40, 50)).astype(np.uint8)
-    d = supple.Deformation(source.shape, spacing=1e13, border=None).grab((25, 20), by=(4, 2), radius=12e13)
+    d = supple.Deformation(source.shape, spacing=1e13, border=None, on_fold="damp").grab(
+        (25, 20), by=(4, 2), radius=12e13, reach=None
+    )
     with pytest.raises(SuppleError, match="strokes of such sizes"):
         d.warp(source, device="gpu")
     # But large spacings do no harm by themselves.
-    d = supple.Deformation(source.shape, spacing=1e4, border=None).grab((25, 20), by=(4, 2), radius=12e4)
+    d = supple.Deformation(source.shape, spacing=1e4, border=None, on_fold="damp").grab(
+        (25, 20), by=(4, 2), radius=12e4, reach=None
+    )
     assert away(d.warp(source, filter="linear", device="gpu"), truth(d, source, filter="linear")).max() <= 3
 
 
 def test_many_strokes_and_strong_ones(gpu: Gpu, photo: np.ndarray) -> None:
-    d = supple.Deformation(photo.shape[:2], border=None)
+    d = supple.Deformation(photo.shape[:2], border=None, on_fold="damp")
     rng = np.random.default_rng(9)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", FoldWarning)
         for _ in range(12):
-            d = d.grab(rng.uniform(30, 90, 2), by=rng.normal(0, 15, 2), radius=18)
+            d = d.grab(rng.uniform(30, 90, 2), by=rng.normal(0, 15, 2), radius=18, reach=None)
     apart = away(d.warp(photo, filter="linear", device="gpu"), truth(d, photo, filter="linear"))
     assert (apart > 4).mean() < 2e-3
 
 
 def test_no_force_is_a_copy_and_out_is_filled(gpu: Gpu, photo: np.ndarray) -> None:
-    still = supple.Deformation(photo.shape[:2])
+    still = supple.Deformation(photo.shape[:2], border=64, on_fold="damp")
     np.testing.assert_array_equal(still.warp(photo, device="gpu"), photo)
     d = bent(photo.shape[:2], 3)
     out = np.empty((165, 120, 3), np.uint8).transpose(1, 0, 2)

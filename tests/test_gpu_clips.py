@@ -39,7 +39,7 @@ pytestmark = pytest.mark.filterwarnings("ignore::supple.FoldWarning")
 Array = npt.NDArray[Any]
 
 DATA = Path(supple.__file__).parent / "data"
-STILL = Deformation(SHAPE, border=None).grab((25, 20), by=(9, -6), radius=16)
+STILL = Deformation(SHAPE, border=None, on_fold="damp").grab((25, 20), by=(9, -6), radius=16, reach=None)
 LINEAR = Sampling("linear")
 
 
@@ -106,7 +106,9 @@ def test_every_frame_is_bent_alike(gpu: Gpu, kind: str, monkeypatch: pytest.Monk
 @pytest.mark.parametrize("offset", [(0.5, 0.5), (1.0, 0.0), (0.0, 1.0)])
 def test_chroma_lies_where_it_is_sited(gpu: Gpu, offset: tuple[float, float], border: float | None) -> None:
     layout = layout_of(offset=offset)
-    d = Deformation(SHAPE, border=border, border_profile="sine").grab((60, 36), by=(9, -6), radius=16)
+    d = Deformation(SHAPE, border=border, border_profile="sine", on_fold="damp").grab(
+        (60, 36), by=(9, -6), radius=16, reach=None
+    )
     made = agree(of_frames(d), layout, noise(layout))
     # And half a pixel is seen: elsewhere, other colours come out.
     other = layout_of(offset=(0.0, 0.5))
@@ -126,14 +128,18 @@ def test_opacity_of_planes(gpu: Gpu) -> None:
 @pytest.mark.parametrize("outside", ["constant", "reflect"])
 def test_beyond_a_clip_s_ends_and_edges(gpu: Gpu, outside: str) -> None:
     layout = LAYOUTS["4:2:0"]
-    d = Deformation((8, *SHAPE), border=None).grab((60, 36, 5), by=(-15, -10, -4), radius=25)
+    d = Deformation((8, *SHAPE), border=None, on_fold="damp").grab(
+        (60, 36, 5), by=(-15, -10, -4), radius=25, reach=None
+    )
     agree(d.space, layout, noise(layout, 8), Sampling("linear", outside=outside, fill=(40.0, 128.0, 90.0)))
 
 
 def test_what_is_still_passes_as_it_is(gpu: Gpu) -> None:
     layout = LAYOUTS["4:2:0"]
     arrays = noise(layout, 30)
-    d = Deformation((30, *SHAPE)).grab((30, 20, 20), by=(5, 3, 2), radius=4, scales=3)
+    d = Deformation((30, *SHAPE), border=64, on_fold="damp").grab(
+        (30, 20, 20), by=(5, 3, 2), radius=4, scales=3, reach=None
+    )
     found, plan = streamed("gpu", d.space, layout, arrays)
     assert plan.still[:5].all()
     assert not plan.still[18:23].any()
@@ -143,7 +149,9 @@ def test_what_is_still_passes_as_it_is(gpu: Gpu) -> None:
 
 def test_a_small_stroke_between_nodes_is_not_still(gpu: Gpu) -> None:
     stack = np.random.default_rng(5).integers(0, 255, (9, 48, 64)).astype(np.uint8)
-    d = Deformation(stack.shape, border=None, on_fold="flow").grab((24, 24, 4), by=(0.8, 0.5, 0), radius=1.5, scales=3)
+    d = Deformation(stack.shape, border=None, on_fold="flow").grab(
+        (24, 24, 4), by=(0.8, 0.5, 0), radius=1.5, scales=3, reach=None
+    )
     ours, theirs = (d.warp(stack, filter="linear", device=device) for device in ("cpu", "gpu"))
     assert (ours != stack).any()
     assert apart(ours, theirs, 255).max() <= 2.1
@@ -186,7 +194,7 @@ def test_averages_over_time_and_place(gpu: Gpu) -> None:
     pattern = 128 + 60 * np.sin(x / 3.0 + t) + 60 * np.cos(y / 4.0 - 0.7 * t)
     layout = Layout((replace(LAYOUTS["grey of floats"].groups[0], shape=(48, 64)),), np.dtype(np.uint8), 255)
     arrays = [pattern.astype(np.uint8)[..., None]]
-    d = Deformation(arrays[0].shape[:3], border=8).grab((32, 24, 9), by=(3, 2, 5), radius=9)
+    d = Deformation(arrays[0].shape[:3], border=8, on_fold="damp").grab((32, 24, 9), by=(3, 2, 5), radius=9, reach=None)
     for between_frames in ("linear", "cubic"):
         sampling = Sampling("auto", between_frames, time_filter=True)
         made, plain = (
@@ -269,7 +277,9 @@ def test_a_real_clip(gpu: Gpu) -> None:
         arrays = [np.empty((5, *g.shape, g.channels), layout.dtype) for g in layout.groups]
         for k, frame in zip(range(5), opened.frames(), strict=False):
             frame.copy_to([a[k] for a in arrays])
-    d = Deformation((5, *layout.shape), border=None).grab((320, 180, 2), by=(60, 20, 1.5), radius=120)
+    d = Deformation((5, *layout.shape), border=None, on_fold="damp").grab(
+        (320, 180, 2), by=(60, 20, 1.5), radius=120, reach=None
+    )
     ours, theirs = (streamed(device, d.space, layout, arrays)[0] for device in ("cpu", "gpu"))
     for one, other in zip(ours, theirs, strict=True):
         found = apart(one, other, 255)
@@ -281,7 +291,7 @@ def test_a_card_does_what_it_knows(gpu: Gpu, monkeypatch: pytest.MonkeyPatch) ->
     monkeypatch.setattr("supple.engines.open_gpu", lambda software=True: gpu)
     space, layout = bent().space, LAYOUTS["4:2:0"]
     assert engine_of("auto", space, layout, LINEAR) is not CPU
-    assert engine_of("auto", Deformation((12, *SHAPE)).space, layout, LINEAR) is CPU
+    assert engine_of("auto", Deformation((12, *SHAPE), border=64, on_fold="damp").space, layout, LINEAR) is CPU
     wide = replace(layout, dtype=np.dtype(np.float64))
     assert engine_of("auto", space, wide, LINEAR) is CPU
     with pytest.raises(SuppleError, match='"auto" for samples of float64 in 1 channel'):
@@ -313,7 +323,9 @@ def test_image_sequences(gpu: Gpu, tmp_path: Path, depth: int) -> None:
     (tmp_path / "in").mkdir()
     for k in range(4):
         image.write(tmp_path / "in" / f"{k:03}.png", rng.integers(0, 2**depth, (40, 50, 3)).astype(kind))
-    recipe = Recipe(strokes=[Stroke.grab((25, 20, 2), to=(31, 22, 3), radius=9)], border=None)
+    recipe = Recipe(
+        strokes=[Stroke.grab((25, 20, 2), to=(31, 22, 3), radius=9, reach=None)], border=None, on_fold="damp"
+    )
     for device in ("cpu", "gpu"):
         supple.warp_file(tmp_path / "in", tmp_path / device, recipe, filter="linear", device=device)
     for k in range(4):
@@ -327,7 +339,9 @@ def written(path: Path, samples: Array) -> Path:
     return path
 
 
-RECIPE = Recipe(strokes=[Stroke.grab((22, 20, 15), to=(27, 22, 12), radius=12)], border=None)
+RECIPE = Recipe(
+    strokes=[Stroke.grab((22, 20, 15), to=(27, 22, 12), radius=12, reach=None)], border=None, on_fold="damp"
+)
 
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.int16, np.uint16, np.float32])
@@ -368,7 +382,7 @@ def test_labels_of_volumes_and_types_that_are_refused(
 def test_volumes_that_are_larger_than_a_shader_takes(gpu: Gpu, monkeypatch: pytest.MonkeyPatch) -> None:
     # Samples that lie in a file, in the other order of bytes.
     samples = np.random.default_rng(3).integers(-90, 90, (30, 70, 44)).astype(">i2")
-    d = Deformation(samples.shape, border=None).grab((22, 30, 15), by=(5, 9, -3), radius=14)
+    d = Deformation(samples.shape, border=None, on_fold="damp").grab((22, 30, 15), by=(5, 9, -3), radius=14, reach=None)
     options: dict[str, Any] = {"filter": "linear", "device": "gpu"}
     whole = d.warp(samples, **options)
     assert apart(whole, d.warp(samples, filter="linear"), 180).max() < 2.5
@@ -386,7 +400,7 @@ def photo() -> Array:
 def test_large_pictures_are_made_in_bands(
     gpu: Gpu, photo: Array, monkeypatch: pytest.MonkeyPatch, way: dict[str, Any]
 ) -> None:
-    d = Deformation(photo.shape[:2], border=None, on_fold="flow").grab((160, 90), by=(20, 60), radius=50)
+    d = Deformation(photo.shape[:2], border=None, on_fold="flow").grab((160, 90), by=(20, 60), radius=50, reach=None)
     whole = d.warp(photo, device="gpu", **way)
     pieces: list[Any] = []
     colour = warping.colour
@@ -409,7 +423,7 @@ def test_large_pictures_are_made_in_bands(
 
 
 def test_rows_that_were_not_foreseen_are_fetched(gpu: Gpu, photo: Array, monkeypatch: pytest.MonkeyPatch) -> None:
-    d = Deformation(photo.shape[:2], border=None, on_fold="flow").grab((160, 90), by=(20, 60), radius=50)
+    d = Deformation(photo.shape[:2], border=None, on_fold="flow").grab((160, 90), by=(20, 60), radius=50, reach=None)
     whole = d.warp(photo, filter="linear", device="gpu")
     monkeypatch.setattr(gpu, "binding", 330 * 4 * 150)
     monkeypatch.setattr(gpu, "texture", 330 * 4 * 150)
@@ -428,7 +442,7 @@ def test_rows_that_were_not_foreseen_are_fetched(gpu: Gpu, photo: Array, monkeyp
 
 
 def test_long_work_is_done_in_pieces(gpu: Gpu, photo: Array, monkeypatch: pytest.MonkeyPatch) -> None:
-    d = Deformation(photo.shape[:2], border=None, on_fold="flow").grab((160, 90), by=(20, 60), radius=50)
+    d = Deformation(photo.shape[:2], border=None, on_fold="flow").grab((160, 90), by=(20, 60), radius=50, reach=None)
     whole = d.warp(photo, filter="linear", device="gpu")
     layout = LAYOUTS["4:2:0"]
     arrays = noise(layout)
@@ -491,14 +505,18 @@ def test_what_shrinks_beyond_measure_at_a_border_is_no_hole(gpu: Gpu) -> None:
     """Drivers in software end loops of too many turns, and say nothing."""
     y, x = np.mgrid[:160, :80]
     picture = np.repeat((127 + 100 * np.sin(x / 40) * np.cos(y / 50)).astype(np.uint8)[..., None], 3, 2)
-    d = supple.Deformation(picture.shape[:2], border=5).grab((30, 80), by=(50, 5), radius=75)
+    d = supple.Deformation(picture.shape[:2], border=5, on_fold="damp").grab(
+        (30, 80), by=(50, 5), radius=75, reach=None
+    )
     wanted = reference.warp(picture, reference.carried_out(d), d.domain)
     assert np.abs(d.warp(picture, device="gpu").astype(int) - wanted).max() <= 8
 
 
 def test_loops_that_are_ended_are_noticed(gpu: Gpu, monkeypatch: pytest.MonkeyPatch) -> None:
     picture = np.full((64, 64, 3), 99, np.uint8)
-    d = supple.Deformation(picture.shape[:2], border=None).grab((32, 32), by=(4, 0), radius=12)
+    d = supple.Deformation(picture.shape[:2], border=None, on_fold="damp").grab(
+        (32, 32), by=(4, 0), radius=12, reach=None
+    )
     monkeypatch.setattr("supple.gpu.lattice.TURNS", 1 << 20)  # more than software carries out
     if not gpu.software:
         pytest.skip("a card carries out all of them")

@@ -60,8 +60,10 @@ def cloud() -> np.ndarray:
 
 @pytest.fixture(scope="module")
 def bent() -> supple.Deformation:
-    d = supple.Deformation(SHAPE, spacing=GEOMETRY.spacing, border=None)
-    return d.grab((13, 14, 11), by=(3, -2, 2), radius=9).grab((6, 20, 8), by=(-1, 2, 1), radius=8)
+    d = supple.Deformation(SHAPE, spacing=GEOMETRY.spacing, border=None, on_fold="damp")
+    return d.grab((13, 14, 11), by=(3, -2, 2), radius=9, reach=None).grab(
+        (6, 20, 8), by=(-1, 2, 1), radius=8, reach=None
+    )
 
 
 def apart(one: Picture, other: Picture) -> float:
@@ -90,7 +92,7 @@ def test_a_picture_is_the_cpu_s(gpu: Gpu, cloud: np.ndarray, bent: supple.Deform
 @pytest.mark.parametrize("profile", ["quartic", "sine"])
 def test_strokes_with_a_reach_are_seen(gpu: Gpu, cloud: np.ndarray, mode: str, profile: str) -> None:
     made = [
-        supple.Deformation(SHAPE, spacing=GEOMETRY.spacing, border=6, border_profile=profile).grab(
+        supple.Deformation(SHAPE, spacing=GEOMETRY.spacing, border=6, border_profile=profile, on_fold="damp").grab(
             (13, 14, 11), by=(2, -1, 1), radius=6, reach=reach
         )
         for reach in (1.6, None)
@@ -139,7 +141,9 @@ def test_without_strokes_and_thin(gpu: Gpu, cloud: np.ndarray) -> None:
 @pytest.mark.parametrize("mode", MODES)
 def test_one_slice_of_any_thickness_with_a_fixed_border(gpu: Gpu, cloud: np.ndarray, mode: str) -> None:
     for spacing in ((1.0, 1.0, 5.0), (1.0, 0.9, 0.3)):
-        d = supple.Deformation((1, *SHAPE[1:]), spacing=spacing).grab((13, 15, 0), by=(3, -2, 0), radius=8)
+        d = supple.Deformation((1, *SHAPE[1:]), spacing=spacing, border=64, on_fold="damp").grab(
+            (13, 15, 0), by=(3, -2, 0), radius=8, reach=None
+        )
         options: dict[str, Any] = {"deformation": d, "transfer": SOFT, "mode": mode}
         one, other = (
             Scene(cloud[10:11], Geometry(spacing=spacing), device=device, **options).render(
@@ -247,7 +251,9 @@ def test_hybrid_fills_its_buffer_bit_by_bit(gpu: Gpu, monkeypatch: pytest.Monkey
     rng = np.random.default_rng(3)
     given = ndimage.gaussian_filter(rng.normal(size=(70, 60, 66)), 3, mode="constant").astype(np.float32)
     given = (given - given.min()) / np.ptp(given)
-    d = supple.Deformation(given.shape, border=None).grab((30, 30, 35), by=(6, -3, 4), radius=16)
+    d = supple.Deformation(given.shape, border=None, on_fold="damp").grab(
+        (30, 30, 35), by=(6, -3, 4), radius=16, reach=None
+    )
     camera = Camera(azimuth=40, elevation=15)
     exact, hybrid = (
         Scene(given, deformation=d, transfer=SOFT, mode=mode, device="gpu") for mode in ("exact", "hybrid")
@@ -324,7 +330,7 @@ def test_only_what_is_finished_is_read_of_the_buffer(
 
 def test_scenes_of_one_volume_take_turns_with_its_buffer(gpu: Gpu, cloud: np.ndarray, bent: supple.Deformation) -> None:
     one = Scene(cloud, GEOMETRY, deformation=bent, transfer=SOFT, mode="hybrid", device="gpu")
-    more = bent.grab((10, 10, 10), by=(0, 3, 0), radius=7)
+    more = bent.grab((10, 10, 10), by=(0, 3, 0), radius=7, reach=None)
     other = one.deformed(more)
     assert other._held is not None
     assert one._held is not None
@@ -340,7 +346,7 @@ def test_scenes_of_one_volume_take_turns_with_its_buffer(gpu: Gpu, cloud: np.nda
     plain = one.deformed(None)
     assert apart(plain.render(size=SIZE), Scene(cloud, GEOMETRY, transfer=SOFT).render(size=SIZE)) > 50
     with pytest.raises(SuppleError, match="the deformation must be one of shape"):
-        one.deformed(supple.Deformation((5, 6, 7)))
+        one.deformed(supple.Deformation((5, 6, 7), border=64, on_fold="damp"))
 
 
 def test_the_cpu_has_the_same_verbs(cloud: np.ndarray, bent: supple.Deformation) -> None:
@@ -426,8 +432,8 @@ def test_parts_of_work_take_about_as_long(monkeypatch: pytest.MonkeyPatch) -> No
 @pytest.mark.parametrize("mode", MODES)
 def test_the_head(gpu: Gpu, mode: str) -> None:
     head = open_volume(Path(supple.__file__).parent / "data" / "head.nii.gz")
-    d = supple.Deformation(head.samples.shape, spacing=head.geometry.spacing, border=30)
-    d = d.grab((40, 86, 65), to=(44, 63, 53), radius=36)
+    d = supple.Deformation(head.samples.shape, spacing=head.geometry.spacing, border=30, on_fold="damp")
+    d = d.grab((40, 86, 65), to=(44, 63, 53), radius=36, reach=None)
     camera, size = Camera(azimuth=38, elevation=12, distance=480), (96, 96)
     one, other = (
         Scene(head.samples, head.geometry, deformation=d, transfer="mr-head", mode=mode, step=1.0, device=device)
@@ -445,10 +451,15 @@ def test_what_scenes_hold_is_freed(gpu: Gpu) -> None:
     given = np.zeros((128, 128, 128), np.float32)  # 16 MB, with its buffer
     given[40:90, 40:90, 40:90] = 1.0
     scene = Scene(given, mode="hybrid", device="gpu")
-    d = supple.Deformation(given.shape, border=None)
+    d = supple.Deformation(given.shape, border=None, on_fold="damp")
 
     def work(k: int) -> None:
-        other = Scene(given, deformation=d.grab((64, 64, 64), by=(k % 3, 1, 2), radius=40), mode="hybrid", device="gpu")
+        other = Scene(
+            given,
+            deformation=d.grab((64, 64, 64), by=(k % 3, 1, 2), radius=40, reach=None),
+            mode="hybrid",
+            device="gpu",
+        )
         other.fill(seconds=0.0)
         other.render(size=SIZE)
         scene.deformed(other.deformation).render(size=SIZE)
@@ -464,7 +475,9 @@ def test_what_scenes_hold_is_freed(gpu: Gpu) -> None:
 @pytest.fixture
 def rough() -> supple.Deformation:
     """A stroke that is too small for any lattice."""
-    return supple.Deformation((30, 30, 30), border=8).grab((15, 15, 15), by=(4, 0, 0), radius=2.5)
+    return supple.Deformation((30, 30, 30), border=8, on_fold="damp").grab(
+        (15, 15, 15), by=(4, 0, 0), radius=2.5, reach=None
+    )
 
 
 @pytest.fixture
@@ -480,7 +493,7 @@ def test_a_buffered_scene_keeps_its_word_beside_others(gpu: Gpu, ball: np.ndarra
     assert theirs._coarse  # or this proves nothing
     wanted = ours.render(size=SIZE)
     assert apart(theirs.render(size=SIZE), wanted) > 45
-    other = theirs.deformed(rough.grab((15, 8, 15), by=(-6, 3, 5), radius=7))
+    other = theirs.deformed(rough.grab((15, 8, 15), by=(-6, 3, 5), radius=7, reach=None))
     assert apart(other.render(size=SIZE), wanted) < 40
     assert apart(theirs.render(size=SIZE), wanted) > 45
 
@@ -490,7 +503,7 @@ def test_a_buffered_scene_that_cannot_be_filled_again_is_the_cpu_s(
 ) -> None:
     options: dict[str, Any] = {"transfer": SOFT, "tolerance": 0.02}
     theirs = Scene(ball, deformation=rough, mode="buffered", device="gpu", **options)
-    other = theirs.deformed(rough.grab((15, 8, 15), by=(-6, 3, 5), radius=7))  # takes the buffer
+    other = theirs.deformed(rough.grab((15, 8, 15), by=(-6, 3, 5), radius=7, reach=None))  # takes the buffer
 
     def failing(self: fill.Filling, seconds: float = 0.0, order: Any = None) -> float:
         raise MemoryError
@@ -536,7 +549,7 @@ def test_a_fill_that_is_interrupted_leaves_no_wrong_map(
     one = Scene(cloud, GEOMETRY, deformation=bent, transfer=SOFT, mode="hybrid", device="gpu")
     wanted = one.render(size=SIZE)
     assert one.fill(seconds=60.0) == 1.0
-    other = one.deformed(bent.grab((13, 15, 11), by=(0, -6, 3), radius=8))
+    other = one.deformed(bent.grab((13, 15, 11), by=(0, -6, 3), radius=8, reach=None))
     assert other.fill(seconds=60.0) == 1.0
     made = fill.Filling._make
     calls = []
@@ -599,8 +612,8 @@ def test_a_fill_that_fails_leaves_the_lattice(
 def test_what_does_not_fit_twice_is_a_lattice(
     gpu: Gpu, cloud: np.ndarray, bent: supple.Deformation, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    gentle = supple.Deformation(SHAPE, spacing=GEOMETRY.spacing, border=None).grab(
-        (13, 14, 11), by=(2, 1, 0), radius=40
+    gentle = supple.Deformation(SHAPE, spacing=GEOMETRY.spacing, border=None, on_fold="damp").grab(
+        (13, 14, 11), by=(2, 1, 0), radius=40, reach=None
     )
     solids = volume.solid
 
@@ -632,7 +645,9 @@ def test_what_does_not_fit_twice_is_a_lattice(
 
 
 def test_a_lattice_is_as_fine_as_there_is_room_for(gpu: Gpu, monkeypatch: pytest.MonkeyPatch) -> None:
-    d = supple.Deformation((40, 40, 40), border=None).grab((20, 20, 20), by=(4, -3, 2), radius=9)
+    d = supple.Deformation((40, 40, 40), border=None, on_fold="damp").grab(
+        (20, 20, 20), by=(4, -3, 2), radius=9, reach=None
+    )
     solve, asked = solid.solve, []
 
     def no_finer(gpu: Gpu, table: Any, axes: Any, shape: Any, step: int) -> Any:
@@ -657,7 +672,7 @@ def _of(scene: Scene, point: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 @pytest.mark.parametrize(("radius", "by", "cells"), [(12, (4, -3, 2), 2), (10, (4, -3, 2), 1), (18, (6, -4, 3), 2)])
 def test_the_error_is_that_along_rays(gpu: Gpu, radius: float, by: tuple[float, ...], cells: int) -> None:
     n = 48
-    d = supple.Deformation((n, n, n), border=None).grab((22, 24, 25), by=by, radius=radius)
+    d = supple.Deformation((n, n, n), border=None, on_fold="damp").grab((22, 24, 25), by=by, radius=radius, reach=None)
     scene = Scene(np.zeros((n, n, n), np.float32), deformation=d, device="gpu")
     assert scene._held is not None
     assert scene._solid is not None
@@ -720,7 +735,9 @@ def test_textures_that_do_not_fit_are_refused(gpu: Gpu, cloud: np.ndarray) -> No
 
 def test_what_a_caller_raises_passes_through_a_warp(gpu: Gpu, tmp_path: Path) -> None:
     head = Path(supple.__file__).parent / "data" / "head.nii.gz"
-    recipe = supple.Recipe(border=30, strokes=(supple.Stroke.grab((40, 86, 65), by=(4, -9, 0), radius=36),))
+    recipe = supple.Recipe(
+        border=30, strokes=(supple.Stroke.grab((40, 86, 65), by=(4, -9, 0), radius=36, reach=None),), on_fold="damp"
+    )
 
     def stop(text: str) -> None:
         raise RuntimeError("the user's own")
@@ -736,7 +753,9 @@ def test_a_lattice_that_it_cannot_solve_is_the_cpu_s(
     gpu: Gpu, cloud: np.ndarray, bent: supple.Deformation, monkeypatch: pytest.MonkeyPatch, mode: str
 ) -> None:
     tiny = 1e-11  # squares of such lengths are lost in float32
-    d = supple.Deformation(SHAPE, spacing=tiny, border=None).grab((13, 14, 11), by=(3, -2, 2), radius=9 * tiny)
+    d = supple.Deformation(SHAPE, spacing=tiny, border=None, on_fold="damp").grab(
+        (13, 14, 11), by=(3, -2, 2), radius=9 * tiny, reach=None
+    )
     options: dict[str, Any] = {"deformation": d, "transfer": SOFT, "mode": mode}
     wanted = Scene(cloud, Geometry(spacing=(tiny,) * 3), **options)
     with pytest.warns(DeviceWarning, match="nodes of the lattice could not be solved in its numbers"):

@@ -27,16 +27,18 @@ IMAGE = {"at": (50.5, 30.0), "by": (9.0, -17.0), "radius": 30.0}
 
 
 def twenty_radii(**how: Any) -> Deformation:
-    return Deformation((300, 300), **how).grab((150, 150), by=(200, 0), radius=10, scales=2)
+    return Deformation((300, 300), **{"border": 64, "on_fold": "damp", **how}).grab(
+        (150, 150), by=(200, 0), radius=10, scales=2, reach=None
+    )
 
 
 def deep_sequence(**how: Any) -> Deformation:
     rng = np.random.default_rng(1)
-    d = Deformation(SHAPE, **how)
+    d = Deformation(SHAPE, **{"border": 64, "on_fold": "damp", **how})
     for _ in range(30):
         radius = float(np.exp(rng.uniform(0.5, 5)))
         by = rng.normal(size=2) * radius
-        d = d.grab(rng.uniform(0, 1, 2) * (119, 89), by=by, radius=radius, scales=int(rng.integers(1, 4)))
+        d = d.grab(rng.uniform(0, 1, 2) * (119, 89), by=by, radius=radius, scales=int(rng.integers(1, 4)), reach=None)
     return d
 
 
@@ -47,34 +49,50 @@ def several(d: Deformation, *strokes: dict[str, Any]) -> Deformation:
 
 
 PROBLEMS: dict[str, Callable[[], Deformation]] = {
-    "nothing": lambda: Deformation(SHAPE),
-    "one grab": lambda: Deformation(SHAPE).grab(**IMAGE),
-    "a free border": lambda: Deformation(SHAPE, border=None).grab(**IMAGE),
-    "a border of one pixel": lambda: Deformation(SHAPE, border=1.0).grab(**IMAGE),
-    "a border wider than all": lambda: Deformation(SHAPE, border=1e6).grab(**IMAGE),
-    "ν = 0.5": lambda: Deformation(SHAPE).grab(**IMAGE, poisson=0.5),
-    "ν = -∞": lambda: Deformation(SHAPE).grab(**IMAGE, poisson=-math.inf),
-    "two scales": lambda: Deformation(SHAPE).grab(**IMAGE, scales=2),
-    "three scales": lambda: Deformation(SHAPE).grab(**IMAGE, scales=3),
+    "nothing": lambda: Deformation(SHAPE, border=64, on_fold="damp"),
+    "one grab": lambda: Deformation(SHAPE, border=64, on_fold="damp").grab(**IMAGE),
+    "a free border": lambda: Deformation(SHAPE, border=None, on_fold="damp").grab(**IMAGE),
+    "a border of one pixel": lambda: Deformation(SHAPE, border=1.0, on_fold="damp").grab(**IMAGE),
+    "a border wider than all": lambda: Deformation(SHAPE, border=1e6, on_fold="damp").grab(**IMAGE),
+    "ν = 0.5": lambda: Deformation(SHAPE, border=64, on_fold="damp").grab(**IMAGE, poisson=0.5),
+    "ν = -∞": lambda: Deformation(SHAPE, border=64, on_fold="damp").grab(**IMAGE, poisson=-math.inf),
+    "two scales": lambda: Deformation(SHAPE, border=64, on_fold="damp").grab(**IMAGE, scales=2),
+    "three scales": lambda: Deformation(SHAPE, border=64, on_fold="damp").grab(**IMAGE, scales=3),
     "20 radii, damped": lambda: twenty_radii(),
     "20 radii, damped, free": lambda: twenty_radii(border=None),
     "20 radii, flowing": lambda: twenty_radii(on_fold="flow", border=None),
-    "20 radii, flowing, a border": lambda: Deformation((300, 400), on_fold="flow").grab(
-        (100, 150), by=(200, 0), radius=10, scales=2
+    "20 radii, flowing, a border": lambda: Deformation((300, 400), on_fold="flow", border=64).grab(
+        (100, 150), by=(200, 0), radius=10, scales=2, reach=None
     ),
-    "just below the limit": lambda: Deformation(SHAPE, border=None).grab(
-        (60, 40), by=(0.985 * 20 * limit(0.4, 1), 0), radius=20
+    "just below the limit": lambda: Deformation(SHAPE, border=None, on_fold="damp").grab(
+        (60, 40), by=(0.985 * 20 * limit(0.4, 1), 0), radius=20, reach=None
     ),
-    "a corner": lambda: Deformation(SHAPE).grab((0, 0), by=(30, 40), radius=30),
-    "the other corner": lambda: Deformation(SHAPE, border=5).grab((119, 89), by=(-30, -40), radius=30, scales=2),
-    "a free corner": lambda: Deformation(SHAPE, border=None).grab((119, 0), by=(-30, 40), radius=30),
-    "a face": lambda: Deformation(SHAPE, border=3).grab((60, 0), by=(4, 40), radius=30),
-    "far outside": lambda: Deformation(SHAPE).grab((-300, 500), by=(400, 90), radius=200),
-    "just outside": lambda: Deformation(SHAPE, border=None).grab((-3, 92), by=(20, -30), radius=15, scales=3),
-    "a pixel's radius": lambda: Deformation(SHAPE).grab((60.3, 40.9), by=(1, -0.7), radius=1, scales=3),
-    "a radius of many images": lambda: Deformation(SHAPE).grab((60, 40), by=(900, 500), radius=5000),
-    "flat pixels": lambda: Deformation(SHAPE, spacing=(0.2, 3.0)).grab((50, 30), by=(40, -2), radius=12),
-    "tiny units": lambda: Deformation(SHAPE, spacing=1e-9, border=1e-8).grab((50, 30), by=(9, -17), radius=3e-8),
+    "a corner": lambda: Deformation(SHAPE, border=64, on_fold="damp").grab((0, 0), by=(30, 40), radius=30, reach=None),
+    "the other corner": lambda: Deformation(SHAPE, border=5, on_fold="damp").grab(
+        (119, 89), by=(-30, -40), radius=30, scales=2, reach=None
+    ),
+    "a free corner": lambda: Deformation(SHAPE, border=None, on_fold="damp").grab(
+        (119, 0), by=(-30, 40), radius=30, reach=None
+    ),
+    "a face": lambda: Deformation(SHAPE, border=3, on_fold="damp").grab((60, 0), by=(4, 40), radius=30, reach=None),
+    "far outside": lambda: Deformation(SHAPE, border=64, on_fold="damp").grab(
+        (-300, 500), by=(400, 90), radius=200, reach=None
+    ),
+    "just outside": lambda: Deformation(SHAPE, border=None, on_fold="damp").grab(
+        (-3, 92), by=(20, -30), radius=15, scales=3, reach=None
+    ),
+    "a pixel's radius": lambda: Deformation(SHAPE, border=64, on_fold="damp").grab(
+        (60.3, 40.9), by=(1, -0.7), radius=1, scales=3, reach=None
+    ),
+    "a radius of many images": lambda: Deformation(SHAPE, border=64, on_fold="damp").grab(
+        (60, 40), by=(900, 500), radius=5000, reach=None
+    ),
+    "flat pixels": lambda: Deformation(SHAPE, spacing=(0.2, 3.0), border=64, on_fold="damp").grab(
+        (50, 30), by=(40, -2), radius=12, reach=None
+    ),
+    "tiny units": lambda: Deformation(SHAPE, spacing=1e-9, border=1e-8, on_fold="damp").grab(
+        (50, 30), by=(9, -17), radius=3e-8, reach=None
+    ),
     "thirty strokes": lambda: deep_sequence(),
     "thirty strokes, free": lambda: deep_sequence(border=None),
     "there and back": lambda: several(
@@ -82,17 +100,21 @@ PROBLEMS: dict[str, Callable[[], Deformation]] = {
         {"at": (60, 100), "to": (140, 105), "radius": 20},
         {"at": (140, 105), "to": (60, 100), "radius": 20},
     ),
-    "a volume": lambda: Deformation(VOLUME, border=8).grab((25, 20, 15), by=(9, -7, 4), radius=12),
+    "a volume": lambda: Deformation(VOLUME, border=8, on_fold="damp").grab(
+        (25, 20, 15), by=(9, -7, 4), radius=12, reach=None
+    ),
     "thick slices": lambda: several(
-        Deformation(VOLUME, border=10, spacing=(0.7, 0.7, 3.0)),
+        Deformation(VOLUME, border=10, spacing=(0.7, 0.7, 3.0), on_fold="damp"),
         {"at": (25, 20, 15), "by": (9, -7, 1), "radius": 12, "scales": 2},
         {"at": (5, 39, 0), "by": (-9, -7, 30), "radius": 40, "poisson": -2},
     ),
     "a volume, flowing": lambda: Deformation(VOLUME, border=None, on_fold="flow").grab(
-        (10, 20, 15), to=(40, 12, 20), radius=5
+        (10, 20, 15), to=(40, 12, 20), radius=5, reach=None
     ),
-    "one row": lambda: Deformation((1, 120)).grab((50, 0), by=(30, 0), radius=20),
-    "one pixel": lambda: Deformation((1, 1), border=None).grab((0, 0), by=(3, 1), radius=4),
+    "one row": lambda: Deformation((1, 120), border=64, on_fold="damp").grab(
+        (50, 0), by=(30, 0), radius=20, reach=None
+    ),
+    "one pixel": lambda: Deformation((1, 1), border=None, on_fold="damp").grab((0, 0), by=(3, 1), radius=4, reach=None),
 }
 
 
@@ -152,7 +174,7 @@ def test_an_independent_solver_finds_the_same(problem: str) -> None:
 
 @pytest.mark.parametrize("border", [None, 20.0])
 def test_what_flows_arrives(border: float | None) -> None:
-    d = Deformation((200, 260), border=border, on_fold="flow").grab((60, 100), to=(200, 110), radius=15)
+    d = Deformation((200, 260), border=border, on_fold="flow").grab((60, 100), to=(200, 110), radius=15, reach=None)
     assert d.report().applied > 1
     np.testing.assert_allclose(d.inverse((200, 110)).points, (60, 100), rtol=0, atol=1e-6)
 
@@ -175,7 +197,7 @@ def test_faces_and_corners_stay_where_they_are() -> None:
 
 def test_far_from_the_domain() -> None:
     for border in (None, 20.0):
-        d = Deformation(SHAPE, border=border).grab(**IMAGE)
+        d = Deformation(SHAPE, border=border, on_fold="damp").grab(**IMAGE)
         for distance in (1e3, 1e6, 1e9, 1e12):
             q = np.array([[distance, 3.0], [-distance, -distance], [40.0, distance]])
             found = d.inverse(q)
@@ -185,7 +207,10 @@ def test_far_from_the_domain() -> None:
 
 def test_the_identity_is_exact() -> None:
     q = np.random.default_rng(4).normal(size=(50, 2)) * 1e3
-    for d in (Deformation(SHAPE), Deformation(SHAPE, spacing=(0.3, 0.7)).grab((5, 5), by=(0, 0), radius=4)):
+    for d in (
+        Deformation(SHAPE, border=64, on_fold="damp"),
+        Deformation(SHAPE, spacing=(0.3, 0.7), border=64, on_fold="damp").grab((5, 5), by=(0, 0), radius=4, reach=None),
+    ):
         found = d.inverse(q)
         np.testing.assert_array_equal(found.points, q)
         assert found.converged.all()
@@ -195,7 +220,7 @@ def test_the_identity_is_exact() -> None:
 
 def test_few_steps() -> None:
     """Newton's method: a handful of evaluations, even at the very limit."""
-    gentle = Deformation((512, 512)).grab((256, 256), by=(0, 90), radius=100)
+    gentle = Deformation((512, 512), border=64, on_fold="damp").grab((256, 256), by=(0, 90), radius=100, reach=None)
     q = reference.grid((512, 512))[::16, ::16]
     assert gentle.inverse(q).steps.mean() < 6
     assert gentle.inverse(q).steps.max() < 12
@@ -207,9 +232,9 @@ def test_what_cannot_be_undone_is_reported() -> None:
     """Each of these drags can be undone alone; together they lose more digits than float64 has."""
     d = Deformation((100, 100), border=5, border_profile="sine", on_fold="flow")
     for _ in range(5):
-        d = d.grab((30, 50), to=(98.5, 50), radius=8)
+        d = d.grab((30, 50), to=(98.5, 50), radius=8, reach=None)
     for _ in range(5):
-        d = d.grab((98.5, 50), to=(30, 50), radius=8)
+        d = d.grab((98.5, 50), to=(30, 50), radius=8, reach=None)
     q = reference.grid(d.shape)
     found = d.inverse(q)
     lost = ~found.converged
@@ -231,9 +256,9 @@ def test_what_cannot_be_undone_is_reported() -> None:
 @pytest.mark.parametrize("ndim", [2, 3])
 @pytest.mark.parametrize("moved", [False, True])
 def test_shapes_are_kept(shape: tuple[int, ...], ndim: int, moved: bool) -> None:
-    d = Deformation((SHAPE, VOLUME)[ndim - 2])
+    d = Deformation((SHAPE, VOLUME)[ndim - 2], border=64, on_fold="damp")
     if moved:
-        d = d.grab((20, 15, 12)[:ndim], by=(3, 2, 1)[:ndim], radius=10)
+        d = d.grab((20, 15, 12)[:ndim], by=(3, 2, 1)[:ndim], radius=10, reach=None)
     points = np.full((*shape, ndim), 12.0)
     found = d.inverse(points)
     assert found.points.shape == points.shape
@@ -256,7 +281,7 @@ def test_many_points_are_as_few() -> None:
 
 
 def test_points_of_any_kind() -> None:
-    d = Deformation(SHAPE).grab(**IMAGE)
+    d = Deformation(SHAPE, border=64, on_fold="damp").grab(**IMAGE)
     expected = d.inverse(np.array([[12.0, 40.0], [7.0, 3.0]])).points
     columns = np.array([[12.0, 7.0], [40.0, 3.0]])
     wide = np.zeros((4, 4))
@@ -295,16 +320,26 @@ BAD = [
 @pytest.mark.parametrize(("points", "message"), BAD)
 @pytest.mark.parametrize("method", ["inverse", "forward", "jacobian"])
 def test_bad_points_are_refused(points: Any, message: str, method: str) -> None:
-    for d in (Deformation(SHAPE), Deformation(SHAPE).grab(**IMAGE)):
+    for d in (
+        Deformation(SHAPE, border=64, on_fold="damp"),
+        Deformation(SHAPE, border=64, on_fold="damp").grab(**IMAGE),
+    ):
         with pytest.raises(SuppleError, match=message):
             getattr(d, method)(points)
 
 
 def test_strokes_in_the_order_in_which_they_are_made() -> None:
-    a, b = Stroke.grab((50, 30), by=(9, -7), radius=20), Stroke.grab((60, 35), by=(-4, 12), radius=15)
-    both = Deformation(SHAPE).add(a).add(b)
+    a, b = (
+        Stroke.grab((50, 30), by=(9, -7), radius=20, reach=None),
+        Stroke.grab((60, 35), by=(-4, 12), radius=15, reach=None),
+    )
+    both = Deformation(SHAPE, border=64, on_fold="damp").add(a).add(b)
     q = np.random.default_rng(5).uniform(0, 80, (50, 2))
-    one_by_one = Deformation(SHAPE).add(a).inverse(Deformation(SHAPE).add(b).inverse(q).points)
+    one_by_one = (
+        Deformation(SHAPE, border=64, on_fold="damp")
+        .add(a)
+        .inverse(Deformation(SHAPE, border=64, on_fold="damp").add(b).inverse(q).points)
+    )
     np.testing.assert_allclose(both.inverse(q).points, one_by_one.points, rtol=0, atol=1e-9)
-    other = Deformation(SHAPE).add(b).add(a).inverse(q).points
+    other = Deformation(SHAPE, border=64, on_fold="damp").add(b).add(a).inverse(q).points
     assert np.abs(other - one_by_one.points).max() > 0.1

@@ -32,9 +32,9 @@ def drawn(gpu: Gpu, photo: np.ndarray, d: supple.Deformation, sight: Sight) -> n
 @pytest.mark.parametrize("solved", [True, False])
 def test_pixel_for_pixel_it_is_the_warp(gpu: Gpu, photo: np.ndarray, border: float | None, solved: bool) -> None:
     d = (
-        supple.Deformation(SHAPE, border=border)
-        .grab((60, 45), by=(9, -6), radius=20)
-        .grab((40, 30), by=(-4, 3), radius=15)
+        supple.Deformation(SHAPE, border=border, on_fold="damp")
+        .grab((60, 45), by=(9, -6), radius=20, reach=None)
+        .grab((40, 30), by=(-4, 3), radius=15, reach=None)
     )
     seen = drawn(gpu, photo, d, Sight((0.0, 0.0), 1.0, SHAPE[::-1], solved=solved))
     wanted = d.warp(photo[..., :3], filter="linear").astype(int)
@@ -45,7 +45,7 @@ def test_pixel_for_pixel_it_is_the_warp(gpu: Gpu, photo: np.ndarray, border: flo
 
 @pytest.mark.parametrize(("origin", "scale"), [((10.5, 7.25), 0.25), ((-20.0, -8.0), 1.7), ((0.5, 0.5), 2.0)])
 def test_parts_enlarged_and_reduced(gpu: Gpu, photo: np.ndarray, origin: tuple[float, float], scale: float) -> None:
-    d = supple.Deformation(SHAPE, border=None).grab((60, 45), by=(9, -6), radius=20)
+    d = supple.Deformation(SHAPE, border=None, on_fold="damp").grab((60, 45), by=(9, -6), radius=20, reach=None)
     seen = drawn(gpu, photo, d, Sight(origin, scale, (48, 40)))
     # The mean of the warp over what each pixel of the window covers.
     fine = 8
@@ -78,14 +78,14 @@ def test_what_is_transparent_lies_on_a_ground(gpu: Gpu, photo: np.ndarray) -> No
     clear = photo.copy()
     clear[:, 60:, 3] = 0
     clear[:, 60:, :3] = 255  # which is not seen
-    seen = drawn(gpu, clear, supple.Deformation(SHAPE), Sight((0.0, 0.0), 1.0, SHAPE[::-1]))
+    seen = drawn(gpu, clear, supple.Deformation(SHAPE, border=64, on_fold="damp"), Sight((0.0, 0.0), 1.0, SHAPE[::-1]))
     assert set(np.unique(seen[8:80, 64:110, :3])) <= {107, 148}
     assert (seen[..., 3] == 255).all()
 
 
 @pytest.mark.parametrize("overlay", [name for name in OVERLAYS if name])
 def test_overlays_show_what_the_map_does(gpu: Gpu, photo: np.ndarray, overlay: str) -> None:
-    d = supple.Deformation(SHAPE, border=None).grab((60, 45), by=(14, 0), radius=20)
+    d = supple.Deformation(SHAPE, border=None, on_fold="damp").grab((60, 45), by=(14, 0), radius=20, reach=None)
     plain, over = (
         drawn(gpu, photo, d, Sight((0.0, 0.0), 1.0, SHAPE[::-1], overlay=name))[..., :3] for name in ("", overlay)
     )
@@ -96,7 +96,7 @@ def test_a_ring_of_frames(gpu: Gpu, photo: np.ndarray) -> None:
     frames = [np.roll(photo, 5 * k, axis=1) for k in range(9)]
     plate = Plate(gpu, SHAPE[::-1], 9, 3)
     texture = canvas_texture(gpu, SHAPE[::-1])
-    d = supple.Deformation((9, *SHAPE))
+    d = supple.Deformation((9, *SHAPE), border=64, on_fold="damp")
 
     def seen(time: float) -> np.ndarray:
         plate.draw(Sight((0.0, 0.0), 1.0, SHAPE[::-1], time), d.space.table, d.space.axes, texture)

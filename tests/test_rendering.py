@@ -43,8 +43,10 @@ def ball(shape: tuple[int, int, int], geometry: Geometry, centre: Floats, radius
 
 def bent(shape: tuple[int, ...], geometry: Geometry = Geometry()) -> supple.Deformation:  # noqa: B008
     middle = [(n - 1) / 2 for n in reversed(shape)]
-    d = supple.Deformation(shape, spacing=geometry.spacing, border=None)
-    return d.grab(middle, by=(4, -2, 3), radius=9).grab([0.3 * m for m in middle], by=(-1, 2, 2), radius=7)
+    d = supple.Deformation(shape, spacing=geometry.spacing, border=None, on_fold="damp")
+    return d.grab(middle, by=(4, -2, 3), radius=9, reach=None).grab(
+        [0.3 * m for m in middle], by=(-1, 2, 2), radius=7, reach=None
+    )
 
 
 def reference(scene: Scene, camera: Camera, size: tuple[int, int]) -> tuple[Floats, Floats, Floats]:
@@ -183,7 +185,7 @@ def test_a_picture_is_the_slow_one(where: str, transfer: TransferFunction, mode:
 def test_strokes_of_a_reach(mode: str) -> None:
     """What rays outside their balls see is what they see without strokes, bit for bit, and costs no inversion."""
     volume, geometry, camera = cloud(), Geometry((1.0, 0.9, 1.1)), Camera(35, 20)
-    d = supple.Deformation(volume.shape, spacing=geometry.spacing, border=None)
+    d = supple.Deformation(volume.shape, spacing=geometry.spacing, border=None, on_fold="damp")
     d = d.grab((12, 14, 9), by=(2, -1.5, 1), radius=7, reach=1.5)
     scene = Scene(volume, geometry, deformation=d, transfer=HARD, mode=mode)
     picture, plain = scene.render(camera, SIZE), Scene(volume, geometry, transfer=HARD).render(camera, SIZE)
@@ -258,7 +260,9 @@ def test_the_three_ways_show_the_same() -> None:
     shape = (48, 52, 50)
     geometry = Geometry((1.0, 1.0, 1.2))
     volume = ball(shape, geometry, np.array([25.0, 25.0, 28.0]), 16)
-    d = supple.Deformation(shape, spacing=geometry.spacing, border=None).grab((25, 12, 24), by=(8, -9, 5), radius=14)
+    d = supple.Deformation(shape, spacing=geometry.spacing, border=None, on_fold="damp").grab(
+        (25, 12, 24), by=(8, -9, 5), radius=14, reach=None
+    )
     pictures = {
         mode: Scene(volume, geometry, deformation=d, transfer=HARD, mode=mode).render(Camera(30, 15), (96, 96))
         for mode in MODES
@@ -366,7 +370,9 @@ def test_pick_and_drag() -> None:
     middle = geometry.to_lps(np.full(3, 24.5))
     volume = ball(shape, geometry, middle, 14)
     camera, size = Camera(30, 20), (120, 160)
-    d = supple.Deformation(shape, spacing=geometry.spacing).grab((24, 20, 24), by=(2, -2, 1), radius=12)
+    d = supple.Deformation(shape, spacing=geometry.spacing, border=64, on_fold="damp").grab(
+        (24, 20, 24), by=(2, -2, 1), radius=12, reach=None
+    )
     for mode, deformation in (("lattice", None), ("lattice", d), ("exact", d)):
         scene = Scene(volume, geometry, deformation=deformation, transfer=HARD, mode=mode)
         assert scene.pick(camera, size, (0, 0)) is None
@@ -396,7 +402,7 @@ def test_a_drag_moves_what_was_picked_to_the_pixel() -> None:
     pick = scene.pick(camera, size, (60, 60))
     assert pick is not None
     by = scene.drag(camera, size, pick, (72, 52))
-    d = supple.Deformation(shape, border=None).grab(pick.index, by=by, radius=20)
+    d = supple.Deformation(shape, border=None, on_fold="damp").grab(pick.index, by=by, radius=20, reach=None)
     moved = Scene(volume, deformation=d, transfer=HARD).pick(camera, size, (72, 52))
     assert moved is not None
     np.testing.assert_allclose(moved.source, pick.index, atol=0.3)
@@ -404,7 +410,7 @@ def test_a_drag_moves_what_was_picked_to_the_pixel() -> None:
 
 def test_a_lattice_that_is_not_good_enough_says_so() -> None:
     shape = (30, 30, 30)
-    d = supple.Deformation(shape, border=3.0, on_fold="flow").grab((14, 14, 14), by=(6, 5, -6), radius=6)
+    d = supple.Deformation(shape, border=3.0, on_fold="flow").grab((14, 14, 14), by=(6, 5, -6), radius=6, reach=None)
     with pytest.warns(supple.ToleranceWarning, match='mode "exact"'):
         scene = Scene(cloud(shape), deformation=d, transfer=HARD, tolerance=1e-4)
     assert scene.error > 1e-4
@@ -488,8 +494,8 @@ def test_a_camera_inside() -> None:
         ({"tolerance": -1}, "tolerance"),
         ({"geometry": 3}, "geometry must be a Geometry, found 3"),
         ({"deformation": "x"}, "deformation must be a Deformation, found 'x'"),
-        ({"deformation": supple.Deformation((4, 4, 4))}, "as the volume"),
-        ({"deformation": supple.Deformation((8, 8, 8), spacing=2.0)}, "of spacing"),
+        ({"deformation": supple.Deformation((4, 4, 4), border=64, on_fold="damp")}, "as the volume"),
+        ({"deformation": supple.Deformation((8, 8, 8), spacing=2.0, border=64, on_fold="damp")}, "of spacing"),
     ],
 )
 def test_bad_scenes(given: dict[str, Any], text: str) -> None:

@@ -33,8 +33,8 @@ FINE = 1e-5
 @functools.cache
 def bent() -> Deformation:
     """It shrinks and magnifies, and reaches beyond the image on two sides."""
-    d = Deformation(SHAPE, border=None).grab((30, 20), by=(14, -9), radius=16)
-    return d.grab((8, 30), by=(-6, 5), radius=9, scales=2)
+    d = Deformation(SHAPE, border=None, on_fold="damp").grab((30, 20), by=(14, -9), radius=16, reach=None)
+    return d.grab((8, 30), by=(-6, 5), radius=9, scales=2, reach=None)
 
 
 @functools.cache
@@ -265,9 +265,11 @@ def strange(dtype: str, channels: int) -> Array:
 @pytest.mark.parametrize("dtype", [*DTYPES, ">u2", ">i4", ">f4", ">f8"])
 def test_without_a_stroke_or_force_no_bit_changes(dtype: str) -> None:
     still = [
-        Deformation(SHAPE),
-        Deformation(SHAPE, border=None).grab((3, 3), by=(0, 0), radius=5),
-        Deformation(SHAPE, on_fold="flow").grab((3, 3), to=(3, 3), radius=5).grab((9, 9), by=(-0.0, 0), radius=1),
+        Deformation(SHAPE, border=64, on_fold="damp"),
+        Deformation(SHAPE, border=None, on_fold="damp").grab((3, 3), by=(0, 0), radius=5, reach=None),
+        Deformation(SHAPE, on_fold="flow", border=64)
+        .grab((3, 3), to=(3, 3), radius=5, reach=None)
+        .grab((9, 9), by=(-0.0, 0), radius=1, reach=None),
     ]
     for channels in (1, 4):
         source = strange(dtype, channels)
@@ -378,7 +380,7 @@ def test_light_is_averaged_if_asked_for(dtype: str, channels: int) -> None:
 @pytest.mark.parametrize("filter", FILTERS)
 def test_light_of_one_colour_is_that_colour(filter: str) -> None:
     ramp = np.broadcast_to(np.arange(256, dtype=np.uint8)[:, None, None], (256, 20, 3))
-    d = Deformation((256, 20)).grab((10, 128), by=(3, 0), radius=40)
+    d = Deformation((256, 20), border=64, on_fold="damp").grab((10, 128), by=(3, 0), radius=40, reach=None)
     for value in (0, 1, 10, 100, 254, 255):
         flat = np.full((*SHAPE, 3), value, np.uint8)
         np.testing.assert_array_equal(bent().warp(flat, filter=filter, linear_light=True), flat)
@@ -386,7 +388,7 @@ def test_light_of_one_colour_is_that_colour(filter: str) -> None:
     # Fine black and white lines are as bright as half their light, not as half their values.
     lines = np.zeros((64, 256), np.uint8)
     lines[:, ::2] = 255
-    squeezed = Deformation((64, 256), border=None, on_fold="flow").grab((40, 32), to=(150, 32), radius=25)
+    squeezed = Deformation((64, 256), border=None, on_fold="flow").grab((40, 32), to=(150, 32), radius=25, reach=None)
     if filter in AVERAGES:
         where = (30, slice(155, 165))
         dark, bright = (squeezed.warp(lines, filter=filter, linear_light=lit)[where].mean() for lit in (False, True))
@@ -396,7 +398,9 @@ def test_light_of_one_colour_is_that_colour(filter: str) -> None:
 
 @pytest.mark.parametrize("filter", FILTERS)
 def test_what_lies_outside(filter: str) -> None:
-    away = Deformation((40, 50), border=None).grab((25, 20), by=(30, 0), radius=1e7)  # all of it, 30 to the right
+    away = Deformation((40, 50), border=None, on_fold="damp").grab(
+        (25, 20), by=(30, 0), radius=1e7, reach=None
+    )  # all of it, 30 to the right
     source = np.random.default_rng(6).integers(1, 255, (40, 50, 3), np.uint8)
     edge = away.warp(source, filter=filter, outside="edge")
     np.testing.assert_array_equal(edge[:, :27], np.broadcast_to(edge[:, :1], (40, 27, 3)))
@@ -416,7 +420,7 @@ def test_what_lies_outside(filter: str) -> None:
 
 @pytest.mark.parametrize("rule", RULES)
 def test_very_far_outside(rule: str) -> None:
-    d = Deformation((30, 30), border=None, on_fold="flow").grab((15, 15), by=(900, -700), radius=400)
+    d = Deformation((30, 30), border=None, on_fold="flow").grab((15, 15), by=(900, -700), radius=400, reach=None)
     source = np.random.default_rng(7).integers(0, 255, (30, 30, 3), np.uint8)
     for name in FILTERS:
         out = d.warp(source, filter=name, outside=rule, fill=50, tolerance=1e-4)
@@ -434,7 +438,9 @@ def test_very_far_outside(rule: str) -> None:
 @pytest.mark.filterwarnings("ignore::supple.ToleranceWarning")  # float32 does not count so far
 @pytest.mark.parametrize("size", [1e9, 1e20, 1e30])
 def test_as_far_outside_as_numbers_go(size: float) -> None:
-    d = Deformation((3, 280), border=None).grab((150, 1), by=(size, size / 3), radius=size / 2)
+    d = Deformation((3, 280), border=None, on_fold="damp").grab(
+        (150, 1), by=(size, size / 3), radius=size / 2, reach=None
+    )
     for channels in (1, 3):
         for dtype in ("u1", "f4"):
             source = noise(dtype, channels, d.shape)
@@ -454,7 +460,9 @@ SIZES = [(1, 1), (1, 2), (1, 50), (50, 1), (2, 2), (3, 33), (32, 32), (33, 33), 
 @pytest.mark.parametrize("shape", SIZES)
 @pytest.mark.parametrize("rule", RULES)
 def test_sizes(shape: tuple[int, int], rule: str) -> None:
-    d = Deformation(shape, border=None).grab(np.array(shape[::-1]) * 0.4, by=(2.3, -1.2), radius=9)
+    d = Deformation(shape, border=None, on_fold="damp").grab(
+        np.array(shape[::-1]) * 0.4, by=(2.3, -1.2), radius=9, reach=None
+    )
     for channels in (1, 3, 4):
         source = noise("u1", channels, shape)
         for name in FILTERS:
@@ -468,7 +476,7 @@ def test_sizes(shape: tuple[int, int], rule: str) -> None:
             given = np.full_like(source, 77)
             d.warp(source, filter=name, outside=rule, fill=70, alpha=False, tolerance=FINE, out=given)
             np.testing.assert_array_equal(given, out)
-    fixed = Deformation(shape).grab((0, 0), by=(2, 1), radius=3)
+    fixed = Deformation(shape, border=64, on_fold="damp").grab((0, 0), by=(2, 1), radius=3, reach=None)
     assert fixed.warp(np.full(shape, 9, np.uint8)).min() == 9
 
 
@@ -498,7 +506,10 @@ def _weights(t: Floats) -> list[Floats]:
 
 
 def test_the_fast_reference_is_the_reference() -> None:
-    source, p = noise("f8", 1), exact(Deformation(SHAPE).grab((30, 20), by=(14, -9), radius=16))
+    source, p = (
+        noise("f8", 1),
+        exact(Deformation(SHAPE, border=64, on_fold="damp").grab((30, 20), by=(14, -9), radius=16, reach=None)),
+    )
     np.testing.assert_allclose(keys(source[..., 0], p), reference.sample(source, p, filter="cubic")[..., 0], atol=1e-9)
 
 
@@ -527,7 +538,7 @@ def scores(image: Array, d: Deformation, expected: Floats, *filters: str) -> dic
 def test_the_zone_plate() -> None:
     y, x = np.mgrid[:512, :512] - 255.5
     image = np.rint(127.5 + 127.5 * np.cos(np.pi * (x * x + y * y) / 600)).astype(np.uint8)
-    d = Deformation((512, 512)).grab((255.5, 255.5), by=(0, 90), radius=100)
+    d = Deformation((512, 512), border=64, on_fold="damp").grab((255.5, 255.5), by=(0, 90), radius=100, reach=None)
     found = scores(image, d, supersampled(image, d, 8, mirrored=True), *FILTERS[1:])
     assert found["auto"] >= found["linear"]
     assert found["cubic"] < found["linear"]
@@ -536,7 +547,7 @@ def test_the_zone_plate() -> None:
 def test_lines_of_one_pixel() -> None:
     image = np.zeros((256, 256), np.uint8)
     image[::8] = image[:, ::8] = 255
-    d = Deformation((256, 256)).grab((127.5, 127.5), by=(0, 70), radius=30)
+    d = Deformation((256, 256), border=64, on_fold="damp").grab((127.5, 127.5), by=(0, 70), radius=30, reach=None)
     found = scores(image, d, supersampled(image, d, 16, mirrored=True), *FILTERS[1:])
     assert found["auto"] >= found["linear"]
 
@@ -544,8 +555,8 @@ def test_lines_of_one_pixel() -> None:
 def test_averages_are_paid_only_where_the_map_shrinks() -> None:
     """Where it only translates or magnifies, ``auto`` is ``cubic``, up to float32's rounding of points."""
     source = np.random.default_rng(10).uniform(size=(90, 120, 3)).astype(np.float32)
-    still = Deformation((90, 120), border=None).grab((60, 40), by=(3.3, 2.7), radius=1e7)
-    rough = Deformation((90, 120), on_fold="flow").grab((60, 45), to=(75, 50), radius=20)
+    still = Deformation((90, 120), border=None, on_fold="damp").grab((60, 40), by=(3.3, 2.7), radius=1e7, reach=None)
+    rough = Deformation((90, 120), on_fold="flow", border=64).grab((60, 45), to=(75, 50), radius=20, reach=None)
     for d in (still, rough, bent()):
         image = source[: d.shape[0], : d.shape[1]]
         auto, cubic = (d.warp(image, filter=f) for f in ("auto", "cubic"))
@@ -565,7 +576,7 @@ def test_averages_are_paid_only_where_the_map_shrinks() -> None:
 
 
 def test_what_is_much_smaller_has_no_holes() -> None:
-    d = Deformation((200, 260), border=None, on_fold="flow").grab((60, 100), by=(150, 10), radius=15)
+    d = Deformation((200, 260), border=None, on_fold="flow").grab((60, 100), by=(150, 10), radius=15, reach=None)
     sizes = np.linalg.svd(np.linalg.inv(d.jacobian(exact(d))), compute_uv=False)[..., 0]
     assert sizes.max() > 8
     rng = np.random.default_rng(11)
@@ -588,7 +599,7 @@ def test_what_is_much_smaller_has_no_holes() -> None:
 
 def test_a_tolerance_is_kept_to_when_sampling() -> None:
     y, x = np.mgrid[:200, :200].astype(np.float64)
-    d = Deformation((200, 200)).grab((90, 110), by=(30, -20), radius=40)
+    d = Deformation((200, 200), border=64, on_fold="damp").grab((90, 110), by=(30, -20), radius=40, reach=None)
     for tolerance in (1.0, 0.1, 0.01, 1e-3):
         seen = np.stack([d.warp(v, filter="linear", tolerance=tolerance) for v in (x, y)], axis=-1)
         off = np.linalg.norm(seen - exact(d), axis=-1)[1:-1, 1:-1]
@@ -610,13 +621,13 @@ def test_functions_are_evaluated_at_the_exact_inverse() -> None:
     assert colours.dtype == np.float32
     np.testing.assert_allclose(colours[..., 0], expected, atol=1e-6)
     assert (d.warp(lambda p: p[:, 0] > 20) == (exact(d)[..., 0] > 20)).mean() > 0.999
-    still = Deformation(SHAPE)
+    still = Deformation(SHAPE, border=64, on_fold="damp")
     np.testing.assert_array_equal(still.warp(lambda p: p), reference.grid(SHAPE))
 
 
 @pytest.mark.parametrize("samples", [1, 2, 3, 8])
 def test_functions_are_averaged_over_each_pixel(samples: int) -> None:
-    d = Deformation((30, 40)).grab((20, 15), by=(3, 4), radius=10)
+    d = Deformation((30, 40), border=64, on_fold="damp").grab((20, 15), by=(3, 4), radius=10, reach=None)
     within = (np.arange(samples) + 0.5) / samples - 0.5
     expected = np.zeros((30, 40))
     for v in within:
@@ -636,7 +647,7 @@ def test_functions_are_asked_for_some_points_at_once() -> None:
         asked.append(len(points))
         return points[:, 0]
 
-    d = Deformation((100, 300)).grab((150, 50), by=(9, 5), radius=40)
+    d = Deformation((100, 300), border=64, on_fold="damp").grab((150, 50), by=(9, 5), radius=40, reach=None)
     d.warp(count, samples=5)
     assert sum(asked) == 100 * 300 * 25
     assert max(asked) <= 1 << 18
@@ -729,7 +740,7 @@ REFUSED: list[tuple[dict[str, Any], str]] = [
 
 @pytest.mark.parametrize(("how", "message"), REFUSED)
 def test_refusals(how: dict[str, Any], message: str) -> None:
-    for d in (bent(), Deformation(SHAPE)):
+    for d in (bent(), Deformation(SHAPE, border=64, on_fold="damp")):
         with pytest.raises(SuppleError, match=message):
             d.warp(**{"source": GOOD, **how})
     assert not GOOD.any()
@@ -741,12 +752,12 @@ def test_more_refusals() -> None:
     with pytest.raises(SuppleError, match="read-only"):
         bent().warp(GOOD, out=frozen)
     with pytest.raises(SuppleError, match="three axes"):
-        Deformation((3, *SHAPE)).warp(lambda points: points[:, 0])
+        Deformation((3, *SHAPE), border=64, on_fold="damp").warp(lambda points: points[:, 0])
     np.testing.assert_array_equal(bent().warp(GOOD.tolist()), 0)  # what NumPy makes an array of will do
 
 
 def test_threads_make_no_difference(monkeypatch: pytest.MonkeyPatch) -> None:
-    d = Deformation((150, 600)).grab((300, 70), by=(40, 30), radius=60)
+    d = Deformation((150, 600), border=64, on_fold="damp").grab((300, 70), by=(40, 30), radius=60, reach=None)
     source = np.random.default_rng(12).integers(0, 255, (150, 600, 3), np.uint8)
     for name in FILTERS:
         results = []

@@ -122,14 +122,14 @@ def test_a_finer_lattice_is_more_exact_with_the_cube() -> None:
 
 
 def test_nothing_moves_without_strokes() -> None:
-    d = supple.Deformation(SHAPE)
+    d = supple.Deformation(SHAPE, border=64, on_fold="damp")
     solid = solve_solid(d.space.table, d.space.axes, SHAPE, 0.01)
     assert solid.step == COARSEST
     assert np.abs(sources(solid, drawn()) - drawn()).max() == 0
 
 
 def test_nothing_is_solved_where_no_stroke_reaches() -> None:
-    d = supple.Deformation(SHAPE, border=None).grab((10, 12, 9), by=(2, 1, 0), radius=4, reach=2)
+    d = supple.Deformation(SHAPE, border=None, on_fold="damp").grab((10, 12, 9), by=(2, 1, 0), radius=4, reach=2)
     nodes = np.empty((20, 26, 23, _core.NODE), np.float32)
     evaluations, smooth = _core.Lattice(nodes, 2).solve(strokes_of(d.space.table, d.space.axes))
     index = np.stack(np.meshgrid(*(np.arange(n) for n in nodes.shape[:3]), indexing="ij")[::-1], axis=-1)

@@ -131,8 +131,10 @@ def streamed(
 
 
 def bent(count: int = COUNT, shape: tuple[int, int] = SHAPE, border: float | None = None) -> Deformation:
-    d = Deformation((count, *shape), border=border).grab((25, 20, 0.4 * count), by=(9, -6, 3), radius=16)
-    return d.grab((shape[1] - 2, shape[0] - 3, 0.7 * count), by=(4, 5, -2.5), radius=11)
+    d = Deformation((count, *shape), border=border, on_fold="damp").grab(
+        (25, 20, 0.4 * count), by=(9, -6, 3), radius=16, reach=None
+    )
+    return d.grab((shape[1] - 2, shape[0] - 3, 0.7 * count), by=(4, 5, -2.5), radius=11, reach=None)
 
 
 def source_points(d: Deformation, group: Group, planes: Sequence[int]) -> Floats:
@@ -234,13 +236,13 @@ def exact_times(d: Deformation, layout: Layout, planes: Sequence[int]) -> tuple[
 def drawn(seed: int) -> Deformation:
     rng = np.random.default_rng(seed)
     shape = (int(rng.integers(1, 30)), int(rng.integers(2, 50)), int(rng.integers(2, 80)))
-    d = Deformation(shape, border=[None, 50.0][seed % 2])
+    d = Deformation(shape, border=[None, 50.0][seed % 2], on_fold="damp")
     size = np.array(shape[::-1]) - 1.0
     for _ in range(int(rng.integers(1, 4))):
         radius = float(np.exp(rng.uniform(math.log(2), math.log(30))))
         by = rng.normal(size=3) * radius * rng.uniform(0.1, 1.0)
         at = rng.uniform(-0.05, 1.05, 3) * size
-        d = d.grab(at, by=by, radius=radius, scales=int(rng.integers(1, 4)))
+        d = d.grab(at, by=by, radius=radius, scales=int(rng.integers(1, 4)), reach=None)
     return d
 
 
@@ -289,7 +291,7 @@ def test_a_plan_holds_all_that_is_needed_and_little_more(seed: int) -> None:
 
 def test_a_time_filter_needs_more_frames() -> None:
     """All that any sample of chroma or brightness is averaged over."""
-    d = Deformation((60, 40, 70), border=None, on_fold="flow").grab((35, 20, 15), by=(4, 2, 28), radius=12)
+    d = Deformation((60, 40, 70), border=None, on_fold="flow").grab((35, 20, 15), by=(4, 2, 28), radius=12, reach=None)
     layout = layout_of(shape=(40, 70))
     plain = make_plan(d.space, layout, Sampling("linear"), range(60))
     plan = make_plan(d.space, layout, Sampling("linear", time_filter=True), range(60))
@@ -311,7 +313,7 @@ def test_a_time_filter_needs_more_frames() -> None:
 @pytest.mark.parametrize("between", ["linear", "cubic"])
 def test_what_flickers_becomes_grey_in_every_plane(between: str) -> None:
     layout = layout_of(shape=(40, 70))
-    d = Deformation((60, 40, 70), on_fold="flow").grab((35, 20, 15), by=(4, 2, 28), radius=25)
+    d = Deformation((60, 40, 70), on_fold="flow", border=64).grab((35, 20, 15), by=(4, 2, 28), radius=25, reach=None)
     arrays = [np.zeros((60, *g.shape, g.channels), np.uint8) for g in layout.groups]
     for array in arrays:
         array[::2] = 255
@@ -335,7 +337,9 @@ def test_what_flickers_becomes_grey_in_every_plane(between: str) -> None:
 def test_only_what_is_wanted_is_made_and_held() -> None:
     layout = LAYOUTS["4:2:0"]
     arrays = noise(layout, 60)
-    d = Deformation((60, *SHAPE), border=None).grab((30, 20, 30), by=(8, 5, 4), radius=6, scales=3)
+    d = Deformation((60, *SHAPE), border=None, on_fold="damp").grab(
+        (30, 20, 30), by=(8, 5, 4), radius=6, scales=3, reach=None
+    )
     everything, plan, clip = streamed(d.space, layout, arrays, Sampling("linear"))
     assert plan.capacity < 15
     assert clip.copied == list(range(60))
@@ -361,8 +365,13 @@ def test_still_planes_are_passed_on_bit_for_bit(layout: Layout) -> None:
         raw = np.random.default_rng(1).integers(0, 256, array.nbytes, np.uint8)
         array.reshape(-1).view(np.uint8)[:] = raw
         array[14:26] = 0 if array.dtype.kind == "f" else 500
-    d = Deformation((30, *SHAPE), border=None).grab((30, 20, 20), by=(5, 3, 2), radius=4, scales=3)
-    none = [Deformation((30, *SHAPE)), Deformation((30, *SHAPE)).grab((3, 3, 3), by=(0, 0, 0), radius=9)]
+    d = Deformation((30, *SHAPE), border=None, on_fold="damp").grab(
+        (30, 20, 20), by=(5, 3, 2), radius=4, scales=3, reach=None
+    )
+    none = [
+        Deformation((30, *SHAPE), border=64, on_fold="damp"),
+        Deformation((30, *SHAPE), border=64, on_fold="damp").grab((3, 3, 3), by=(0, 0, 0), radius=9, reach=None),
+    ]
     for light in (False, layout.dtype.kind == "u"):
         for averaged in (False, True):
             sampling = Sampling("auto", time_filter=averaged, light=light)
@@ -384,7 +393,9 @@ def test_still_planes_are_passed_on_bit_for_bit(layout: Layout) -> None:
 def test_all_of_a_clip_outside_itself(shift: int, rule: str) -> None:
     layout = LAYOUTS["4:2:0"]
     arrays = noise(layout)
-    d = Deformation((COUNT, *SHAPE), border=None).grab((30, 20, 5), by=(0, 0, shift), radius=1e7)
+    d = Deformation((COUNT, *SHAPE), border=None, on_fold="damp").grab(
+        (30, 20, 5), by=(0, 0, shift), radius=1e7, reach=None
+    )
     t = np.arange(COUNT) - shift
     mirrored = t % (2 * COUNT)
     shown = {
@@ -406,7 +417,7 @@ def test_all_of_a_clip_outside_itself(shift: int, rule: str) -> None:
 def test_reflected_through_several_lengths_of_the_clip() -> None:
     layout = LAYOUTS["4:2:0"]
     arrays = noise(layout, 4)
-    d = Deformation((4, *SHAPE), border=None, on_fold="flow").grab((30, 20, 2), by=(2, 1, 25), radius=30)
+    d = Deformation((4, *SHAPE), border=None, on_fold="flow").grab((30, 20, 2), by=(2, 1, 25), radius=30, reach=None)
     early, late = exact_times(d, layout, range(4))
     assert late.max() - early.min() > 12
     for between in ("linear", "cubic"):
@@ -424,7 +435,7 @@ def test_the_same_bend_in_every_frame(kind: str) -> None:
     layout = LAYOUTS[kind]
     arrays = noise(layout, 5)
     for border in (None, 50.0):
-        d = Deformation(SHAPE, border=border).grab((25, 20), by=(9, -6), radius=16)
+        d = Deformation(SHAPE, border=border, on_fold="damp").grab((25, 20), by=(9, -6), radius=16, reach=None)
         space = replace(d.space, count=5)
         for name in ("nearest", "linear", "cubic", "auto"):
             for rule in RULES:
@@ -649,7 +660,9 @@ def peak(count: int) -> tuple[int, int]:
     """The most memory that is taken while a clip streams, and the frames of its window."""
     shape = (64, 96)
     layout = layout_of(shape=shape)
-    d = Deformation((count, *shape), border=None).grab((40, 30, 50), by=(5, 4, 20), radius=25)
+    d = Deformation((count, *shape), border=None, on_fold="damp").grab(
+        (40, 30, 50), by=(5, 4, 20), radius=25, reach=None
+    )
     gc.collect()
     tracemalloc.start()
     try:
@@ -674,7 +687,9 @@ def test_the_window_is_as_long_as_the_strokes_reach() -> None:
     for by in (2, 8, 20):
         sizes = []
         for count in (100, 400):
-            d = Deformation((count, 40, 60), border=None).grab((30, 20, 50), by=(0, 0, by), radius=40)
+            d = Deformation((count, 40, 60), border=None, on_fold="damp").grab(
+                (30, 20, 50), by=(0, 0, by), radius=40, reach=None
+            )
             plan = make_plan(d.space, layout_of(shape=(40, 60)), Sampling("linear"), range(count))
             sizes.append(plan.capacity)
         assert sizes[0] == sizes[1]

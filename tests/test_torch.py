@@ -243,7 +243,7 @@ def test_values_are_the_engines_in_every_layout(dtype: Any, shape: tuple[int, ..
 @pytest.mark.parametrize("shape", [(16, 19), (5, 8, 9)])
 def test_what_has_gradients_is_what_the_engine_makes(filter: str, outside: str, shape: tuple[int, ...]) -> None:
     d = bent(shape, border=None)
-    d = d.grab(np.array(shape[::-1]) - 1.5, by=(2.3, 1.9, 1.2)[: len(shape)], radius=6.0)
+    d = d.grab(np.array(shape[::-1]) - 1.5, by=(2.3, 1.9, 1.2)[: len(shape)], radius=6.0, reach=None)
     tensor = smooth(2, *shape)
     options: Any = {"filter": filter, "outside": outside, "fill": (0.5, 2.0)}
     if len(shape) == 3 and filter == "cubic":
@@ -258,7 +258,7 @@ def test_what_has_gradients_is_what_the_engine_makes(filter: str, outside: str, 
 
 @pytest.mark.parametrize(("dtype", "near"), [(torch.float32, 0.02), (torch.float16, 0.03), (torch.bfloat16, 0.05)])
 def test_gradients_in_shorter_types(dtype: Any, near: float) -> None:
-    d = bent((40, 50), border=6.0).grab((23.2, 19.1), by=(4.0, -3.0), radius=8.0)
+    d = bent((40, 50), border=6.0).grab((23.2, 19.1), by=(4.0, -3.0), radius=8.0, reach=None)
     tensor = smooth(2, 3, 40, 50)
     weights = smooth(2, 3, 50, 40).transpose(-1, -2)
     found = {}
@@ -288,7 +288,9 @@ def test_parts_at_a_time_make_no_difference(monkeypatch: pytest.MonkeyPatch) -> 
 
 
 def test_far_pixels_of_a_wide_picture_lose_nothing() -> None:
-    d = supple.Deformation((3, 200_000), border=None).grab((199_950.0, 1.0), by=(3.3, 0.1), radius=40)
+    d = supple.Deformation((3, 200_000), border=None, on_fold="damp").grab(
+        (199_950.0, 1.0), by=(3.3, 0.1), radius=40, reach=None
+    )
     found = offsets_of(torch.zeros(3, 200_000), Job(d, "linear", "linear", "edge", np.zeros(1), 1e-4))
     columns = np.arange(199_900, 200_000)
     grid = np.stack([columns, np.ones(100)], -1)
@@ -297,9 +299,9 @@ def test_far_pixels_of_a_wide_picture_lose_nothing() -> None:
 
 
 def test_damping_is_constant_in_the_gradient() -> None:
-    d = supple.Deformation((30, 30), border=None)
+    d = supple.Deformation((30, 30), border=None, on_fold="damp")
     with pytest.warns(FoldWarning):
-        strong = d.grab((14.2, 15.1), by=(40.0, 3.0), radius=5.0)
+        strong = d.grab((14.2, 15.1), by=(40.0, 3.0), radius=5.0, reach=None)
     (alpha,) = strong.resolution()["damping"]
     given = numbers(strong)
     image = smooth(30, 30)
@@ -307,7 +309,7 @@ def test_damping_is_constant_in_the_gradient() -> None:
         made = bending.warp(image, strong, **given, filter="cubic")
     assert [w.filename for w in caught] == [__file__]
     made.square().sum().backward()
-    weak = d.grab((14.2, 15.1), by=np.multiply(alpha, (40.0, 3.0)), radius=5.0)
+    weak = d.grab((14.2, 15.1), by=np.multiply(alpha, (40.0, 3.0)), radius=5.0, reach=None)
     plain = numbers(weak)
     same = bending.warp(image, weak, **plain, filter="cubic")
     same.square().sum().backward()
@@ -318,7 +320,9 @@ def test_damping_is_constant_in_the_gradient() -> None:
 
 
 def test_strokes_that_flow() -> None:
-    d = supple.Deformation((20, 24), border=8.0, on_fold="flow").grab((3.3, 5.2), by=(0.8, -0.6), radius=6.0)
+    d = supple.Deformation((20, 24), border=8.0, on_fold="flow").grab(
+        (3.3, 5.2), by=(0.8, -0.6), radius=6.0, reach=None
+    )
     assert d.resolution()["applied"] == 1
     given = numbers(d)
     points = (picture(5, 2) * 15).requires_grad_()
@@ -327,10 +331,14 @@ def test_strokes_that_flow() -> None:
     check(lambda points, at, by: bending.forward(points, d, at=at, by=by), points, given["at"], given["by"])
     image = smooth(20, 24)
     check(lambda at, by, radius: bending.warp(image, d, at=at, by=by, radius=radius, filter="cubic"), *given.values())
-    outside = supple.Deformation((20, 24), border=8.0, on_fold="flow").grab((-2.0, 5.2), by=(0.8, -0.6), radius=6.0)
+    outside = supple.Deformation((20, 24), border=8.0, on_fold="flow").grab(
+        (-2.0, 5.2), by=(0.8, -0.6), radius=6.0, reach=None
+    )
     made = bending.forward(points, outside, **numbers(outside))
     assert np.allclose(made.detach().numpy(), outside.forward(points.detach().numpy()), atol=1e-10)
-    several = supple.Deformation((20, 24), border=None, on_fold="flow").grab((12, 9), by=(9.0, 3.0), radius=4.0)
+    several = supple.Deformation((20, 24), border=None, on_fold="flow").grab(
+        (12, 9), by=(9.0, 3.0), radius=4.0, reach=None
+    )
     assert np.allclose(bending.forward(points, several).detach().numpy(), several.forward(points.detach().numpy()))
     warped = bending.warp(image.clone().requires_grad_(), several, by=torch.tensor([[9.0, 3.0]]))
     assert warped.requires_grad
@@ -339,7 +347,9 @@ def test_strokes_that_flow() -> None:
 
 
 def test_a_stroke_is_found_from_pictures() -> None:
-    true = supple.Deformation((40, 44), border=8.0).grab((20.0, 18.0), by=(3.2, -2.4), radius=9.0)
+    true = supple.Deformation((40, 44), border=8.0, on_fold="damp").grab(
+        (20.0, 18.0), by=(3.2, -2.4), radius=9.0, reach=None
+    )
     image = smooth(40, 44).float()
     target = bending.warp(image, true)
     at, by, radius = torch.tensor([[22.0, 17.0]]), torch.zeros(1, 2), torch.tensor([8.0])
@@ -367,7 +377,7 @@ def test_nothing_is_kept_that_needs_no_gradient() -> None:
         made = bending.warp(image.requires_grad_(), d, **given, filter="auto")
         assert not made.requires_grad
         assert bending.warp((image > 0.5), d, **given, filter="nearest").dtype == torch.bool
-    still = supple.Deformation((9, 11))
+    still = supple.Deformation((9, 11), border=64, on_fold="damp")
     image = torch.tensor([[np.nan, 1.0, np.inf]]).expand(9, 3).repeat(1, 4)[:, :11].contiguous()
     for tensor in (image, image.double(), image.double().requires_grad_()):
         assert np.array_equal(bending.warp(tensor, still).detach().numpy(), tensor.detach().numpy(), equal_nan=True)
@@ -428,7 +438,9 @@ PLAIN = bent()
             "a batch takes as many of each, one for each item, found 2 of at, 4 of by",
         ),
         (
-            lambda: bending.warp(IMAGE, [PLAIN, supple.Deformation((9, 11))], at=torch.zeros(3, 2)),
+            lambda: bending.warp(
+                IMAGE, [PLAIN, supple.Deformation((9, 11), border=64, on_fold="damp")], at=torch.zeros(3, 2)
+            ),
             "at needs deformations of as many strokes each, found 3, 0",
         ),
         (lambda: bending.warp(IMAGE, PLAIN, filter="lanczos"), 'filter must be "'),
@@ -460,13 +472,17 @@ def test_what_cannot_be_done_is_said(call: Callable[[], object], text: str) -> N
 
 
 def test_damped_numbers_warn_once_and_as_deformations_do() -> None:
-    d = supple.Deformation((30, 30), on_fold="error").grab((15, 15), by=(1, 1), radius=5)
+    d = supple.Deformation((30, 30), on_fold="error", border=64).grab((15, 15), by=(1, 1), radius=5, reach=None)
     far = torch.tensor([[25.0, 0.0]])
     with pytest.raises(supple.FoldError, match="stroke 1 of 1: a drag by"):
         bending.warp(torch.zeros(30, 30), d, by=far)
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
-        bending.warp(torch.zeros(30, 30), supple.Deformation((30, 30)).grab((15, 15), by=(1, 1), radius=5), by=far)
+        bending.warp(
+            torch.zeros(30, 30),
+            supple.Deformation((30, 30), border=64, on_fold="damp").grab((15, 15), by=(1, 1), radius=5, reach=None),
+            by=far,
+        )
     assert [w.category for w in caught] == [FoldWarning]
 
 

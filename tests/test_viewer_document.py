@@ -83,7 +83,7 @@ class TestEdits:
             (d.hide, 1),
             (d.hide, 1, False),
             (d.set_border, None),
-            (d.set_on_fold, "flow"),
+            (d.set_on_fold, "damp"),
             (d.remove, 0),
             (d.load, Recipe(strokes=(b, replace(a, hidden=True)))),
         ]
@@ -136,8 +136,8 @@ class TestEdits:
         d.replace(0, stroke())
         d.move(0, 0)
         d.hide(0, False)
-        d.set_border(64)
-        d.set_on_fold("damp")
+        d.set_border("auto")
+        d.set_on_fold("flow")
         d.load(d.recipe)
         assert (d.can_undo, d.revision) == (False, 0)
 
@@ -206,7 +206,7 @@ class TestRefusals:
             lambda: d.hide(True),
             lambda: d.move(0, 1),
             lambda: d.select(7),
-            lambda: d.damping(1),
+            lambda: d.arrival(1),
             lambda: d.set_border(-1),
             lambda: d.set_on_fold("tear"),  # type: ignore[arg-type]
             lambda: d.add(solid),
@@ -232,7 +232,7 @@ class TestRefusals:
         with pytest.raises(FoldError, match=r"^stroke 2: a drag by"):
             d.add(STRONG)
         assert (d.state, d.revision, d.can_undo) == (before, 0, False)
-        d = Document(SHAPE, recipe=Recipe(strokes=(STRONG,)))
+        d = Document(SHAPE, recipe=Recipe(on_fold="damp", strokes=(STRONG,)))
         with pytest.raises(FoldError):
             d.set_on_fold("error")
         assert d.state.on_fold == "damp"
@@ -264,18 +264,26 @@ class TestRefusals:
 
 
 class TestFolds:
-    def test_each_stroke_knows_its_damping(self, recwarn: pytest.WarningsRecorder) -> None:
-        d = Document(SHAPE, recipe=Recipe(strokes=(stroke(), replace(STRONG, hidden=True), STRONG)))
-        assert [d.damping(i) for i in range(2)] == [1.0, 1.0]
-        part = d.damping(2)
-        assert 0 < part < 0.9
+    def test_each_stroke_knows_where_it_arrives(self, recwarn: pytest.WarningsRecorder) -> None:
+        strokes = (stroke(), replace(STRONG, hidden=True), STRONG)
+        d = Document(SHAPE, recipe=Recipe(on_fold="damp", strokes=strokes))
+        first, second, third = d.arrivals
+        assert first is not None
+        assert (first.miss, first.cause) == (0, None)
+        assert second is None
+        assert third is not None
+        assert third.cause == "fold"
+        assert third.target == (260, 46)
+        assert 60 < third.arrived[0] < 240
         assert [d.warning(i) for i in range(2)] == [None, None]
         assert "damped to" in (d.warning(2) or "")
-        assert d.handles(2) == ((60, 50), (60 + 200 * part, 50 - 4 * part))
+        assert d.handles(2) == ((60, 50), third.arrived)
         assert d.handles(1) == ((60, 50), (260, 46))
         assert not recwarn.list
         d.hide(1, False)
-        assert d.damping(1) == part
+        assert d.arrivals[1] is not None
+        assert d.arrivals[1].arrived == third.arrived
+        assert d.arrivals[1].moved > 1  # by the third, which begins there too
 
 
 class TestHiddenStrokes:
@@ -302,11 +310,11 @@ class TestHiddenStrokes:
             on_clip(Recipe(strokes=(replace(late, hidden=False),)), 5, (40, 60), 1.0)
 
     def test_a_deformation_need_not_warn(self) -> None:
-        d = Deformation(SHAPE).add(stroke()).add(STRONG, warn=False)
-        first, second = d.fold_warnings
+        d = Deformation(SHAPE, on_fold="damp").add(stroke()).add(STRONG, warn=False)
+        first, second = d.warnings
         assert first is None
         with pytest.warns(FoldWarning) as caught:
-            Deformation(SHAPE).add(STRONG)
+            Deformation(SHAPE, on_fold="damp").add(STRONG)
         assert str(caught[0].message) == second
 
 

@@ -278,7 +278,7 @@ def finished(export: Export) -> Export:
 class TestExport:
     def test_a_picture(self, source: Path, tmp_path: Path) -> None:
         strong = Stroke(at=(30, 20), by=(40, 0), radius=5)
-        recipe = Recipe(border=None, strokes=(ONE, TWO, strong))
+        recipe = Recipe(border=None, on_fold="damp", strokes=(ONE, TWO, strong))
         export = finished(Export(source, tmp_path / "b.png", recipe))
         assert (export.error, export.progress, export.text, export.cancelled) == (None, 1, "done", False)
         assert len(export.warnings) == 1

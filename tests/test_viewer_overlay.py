@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -60,18 +61,24 @@ def test_a_volume_tells_millimetres_and_values_and_shows_the_brush(gpu: Gpu) -> 
     view.close()
 
 
+def missed(view: Any) -> float:
+    arrival = view.document.arrival(0)
+    assert arrival is not None
+    return float(arrival.miss)
+
+
 def test_a_damped_stroke_of_a_volume_shows_how_far_it_was_to_go(gpu: Gpu) -> None:
     from supple.viewer.overlay import status
 
     stroke = Stroke.grab((36, 54, 60), by=(0, 0, -30), radius=12)
-    view, hand = opened(DATA / "head.nii.gz", Recipe(border=None, strokes=(stroke,)))
-    assert view.document.damping(0) < 0.9
+    view, hand = opened(DATA / "head.nii.gz", Recipe(border=None, on_fold="damp", strokes=(stroke,)))
+    assert missed(view) > 3
     # And nobody is warned elsewhere.
     assert "the lattice is off by more than a voxel: mode exact is not" in status(view)
     damped = red(hand.canvas.draw())
     assert damped > 20
     view.document.set_on_fold("flow")
-    assert view.document.damping(0) == 1
+    assert missed(view) == 0
     assert red(hand.canvas.draw()) < damped / 4
     view.document.mark_saved()
     view.close()
@@ -163,8 +170,11 @@ def test_an_array_of_a_volume(gpu: Gpu) -> None:
 def test_all_of_a_stroke_is_said() -> None:
     from supple.viewer.panels import described
 
-    said = described(Stroke(at=(1, 2), by=(3, 4), radius=5, poisson=0.3, scales=2), 0.5)
-    for word in ("grab", "(1.0, 2.0)", "(3.0, 4.0)", "radius 5", "Poisson ratio 0.3", "1/r3", "damped to 50%"):
+    stroke = Stroke(at=(31, 22), by=(30, 40), radius=5, poisson=0.3, scales=2)
+    (arrival,) = supple.Deformation((80, 90), on_fold="damp", border=None).add(stroke, warn=False).arrivals
+    said = described(stroke, arrival)
+    short = f"{arrival.miss:.3g} short: all of it would fold"
+    for word in ("grab", "(31.0, 22.0)", "(30.0, 40.0)", "radius 5", "Poisson ratio 0.3", "1/r3", "4 radii", short):
         assert word in said
 
 

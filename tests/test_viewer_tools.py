@@ -187,10 +187,11 @@ class TestImages:
     def test_clicks_select(self) -> None:
         strong = Stroke(at=(200, 100), by=(300, 0), radius=30)
         tools = image(Stroke(at=(50, 50), by=(20, 0), radius=30), strong)
-        part = tools.document.damping(1)
-        assert part < 0.5
+        tools.document.set_on_fold("damp")
+        end = arrived(tools, 1)
+        assert end[0] < 350
         for point, chosen in [
-            ((50, 50), 0), ((70, 50), 0), ((90, 90), None), ((200, 100), 1), ((200 + 300 * part, 100), 1),
+            ((50, 50), 0), ((70, 50), 0), ((90, 90), None), ((200, 100), 1), (end, 1),
             ((20, 20), None),
         ]:  # fmt: skip
             x, y = tools.viewport.to_canvas(*point)
@@ -215,11 +216,12 @@ class TestImages:
         assert tools.document.items[0].stroke.by == pytest.approx((30, 5))
         assert len(tools.document.items) == 2
         tools.document.select(1)
-        part = tools.document.damping(1)
-        x, y = tools.viewport.to_canvas(200 + 300 * part, 100)
+        tools.document.set_on_fold("damp")
+        end = arrived(tools, 1)
+        x, y = tools.viewport.to_canvas(*end)
         drag(tools, (x, y), (x - 4, y))
-        assert tools.document.items[1].stroke.by == pytest.approx((300 * part - 2, 0))
-        assert tools.document.damping(1) == 1
+        assert tools.document.items[1].stroke.by == pytest.approx((end[0] - 202, 0))
+        assert arrived(tools, 1) == pytest.approx((end[0] - 2, 100))
         tools.document.undo()
         assert tools.document.items[1].stroke.by == (300, 0)
 
@@ -344,8 +346,14 @@ class TestImages:
         assert tools.document.items[0].hidden
 
 
+def arrived(tools: Tools[Any], i: int) -> tuple[float, ...]:
+    arrival = tools.document.arrival(i)
+    assert arrival is not None
+    return arrival.arrived
+
+
 def clip(*strokes: Stroke, count: int = 20) -> VideoTools:
-    document = Document((count, 200, 300), recipe=Recipe(strokes=strokes), kind="video")
+    document = Document((count, 200, 300), recipe=Recipe(border=None, strokes=strokes), kind="video")
     return VideoTools(document, Playback(count, 10), (600, 400))
 
 
@@ -436,7 +444,7 @@ class TestVideos:
     def test_handles_are_where_they_are_in_time(self) -> None:
         tools = clip(Stroke(at=(50, 50, 3), by=(20, 0, 4), radius=60))
         tools.document.set_border(None)
-        assert tools.document.damping(0) == 1
+        assert arrived(tools, 0) == (70, 50, 7)
         for frame, x, chosen in [(3, 50, 0), (3, 70, None), (7, 70, 0), (7, 50, None), (5, 60, None)]:
             tools.playback.seek(frame)
             click(tools, *tools.viewport.to_canvas(x, 50))

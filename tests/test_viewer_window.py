@@ -20,7 +20,6 @@ from windows import Hand, opened, small_photo, viewing, wait_for
 
 import supple
 from supple.clips import ClipOptions
-from supple.domain import Domain
 from supple.gpu.device import Gpu
 from supple.media import image, video, volume
 from supple.media.volume import RawLayout
@@ -448,17 +447,20 @@ def test_an_interrupt_waits_for_what_is_being_done(
         signal.signal(signal.SIGINT, before)
 
 
-def test_the_panel_says_what_a_border_holds_back() -> None:
-    from supple.viewer.panels import held_back
+def test_the_panel_says_where_a_stroke_arrives() -> None:
+    from supple.viewer.panels import described
 
-    stroke = Stroke.grab((40, 20, 0), by=(5, 0, 3), radius=9)
-    assert held_back(stroke, Domain((9, 60, 90), border=None)) == 1.0
-    assert held_back(stroke, Domain((9, 60, 90), border=30)) == 0.0  # at the first frame
-    inner = Stroke.grab((15, 20, 4), by=(5, 0, 0), radius=9)
-    d = supple.Deformation((9, 60, 90), border=30.0)
-    moved = d.add(inner).forward((15, 20, 4))[0] - 15
-    part = held_back(inner, d.domain)
-    assert part == pytest.approx(1 - 1 / 4 + 1 / 16)
-    paper = Domain((9, 60, 90), border=30, border_profile="sine")
-    assert held_back(inner, paper) == pytest.approx(np.sin(np.pi / 4))
-    assert moved == pytest.approx(5 * part * d.add(inner).resolution()["damping"][0])
+    held = Stroke.grab((15, 20, 4), by=(5, 0, 0), radius=9)
+    d = supple.Deformation((9, 60, 90), border=30.0, on_fold="damp").add(held, warn=False)
+    d = d.add(Stroke.grab((20, 20, 4), by=(0, 8, 0), radius=9, poisson=0.3, reach=None), warn=False)
+    first, second = d.arrivals
+    short = 5 * (1 - (1 - 1 / 4 + 1 / 16))
+    text = described(held, first)
+    assert f"arrives at ({20 - short:.1f}, 20.0, 4.0), {short:.3g} short: the fixed border holds it back" in text
+    assert f"later strokes move it by {first.moved:.3g}, to (" in text
+    assert "Poisson" not in text
+    text = described(d.strokes[1], second)
+    assert "Poisson ratio 0.3" in text
+    assert "reach: no limit" in text
+    assert "later" not in text
+    assert "arrives" not in described(held, None)

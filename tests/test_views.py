@@ -24,7 +24,9 @@ from supple.volumes import VolumeOptions
 
 SHAPE = (24, 30, 28)
 GRAB = ["--grab", "13,14,11:17,14,11", "--radius", "9"]
-RECIPE = supple.Recipe(strokes=[supple.Stroke.grab((13, 14, 11), to=(17, 14, 11), radius=9)])
+RECIPE = supple.Recipe(
+    strokes=[supple.Stroke.grab((13, 14, 11), to=(17, 14, 11), radius=9, reach=None)], border=64, on_fold="damp"
+)
 
 
 @pytest.fixture

@@ -24,7 +24,7 @@ from supple.volumes import VolumeOptions, deformation_of, is_volume_job, samplin
 SHAPE = (20, 26, 24)
 DIRECTION = np.array([[0.0, -0.8, 0.6], [1.0, 0.0, 0.0], [0.0, 0.6, 0.8]]) @ np.diag([1.0, -1.0, 1.0])
 OBLIQUE = Geometry((0.9, 1.1, 2.0), (10.0, -20.0, 30.0), DIRECTION, "LPS")
-OFF = 0.8  # what 0.01 voxels are worth, where values rise by 80 from voxel to voxel
+OFF = 0.9  # what 0.01 voxels are worth, where values rise by 90 from voxel to voxel
 RECIPE = supple.Recipe(strokes=[supple.Stroke.grab((11, 13, 9), by=(3, -2, 1.5), radius=9)], border=8.0)
 GRAB = ["--grab", "11,13,9:14,11,10.5", "--radius", "9", "--border", "8"]
 

@@ -195,7 +195,7 @@ def _flow(stroke: Stroke, poisson: float, row: np.void, axes: Floats, arrived: t
     if _narrowest(table, axes, table[0]["pivot"], drag) < _SQUEEZED:
         raise SuppleError(
             f"{described(stroke)} squeezes what lies before it more than {1 / _SQUEEZED:g} times, which could not be "
-            "undone; use a larger radius, a target farther from a fixed border, or on_fold='damp'"
+            "undone; use a target farther from the fixed border, a wider border or border=None, or on_fold='damp'"
         )
     return Resolved(table, arrived, margin=margin)
 

@@ -201,11 +201,11 @@ SCENES = (
     ),
     Scene(
         "Stronger than the material",
-        "A drag of 135 pixels with a brush of 28 would fold the picture over itself. By default it is damped to what "
-        "is safe, with a warning. With --on-fold flow it arrives, in smaller steps, and nothing folds either.",
+        "A drag of 135 pixels with a brush of 28 would fold the picture over itself. By default it arrives in smaller "
+        "steps, none of which folds. With --on-fold damp it goes as far as one step may, and a warning says how far.",
         (
-            Shot("cup-damp", "Damped to what is safe.", "coffee.jpg", ((215, 285, 90, 335, 28),), cut=10),
-            Shot("cup-flow", "All the way.", "coffee.jpg", ((215, 285, 90, 335, 28),), on_fold="flow", cut=10),
+            Shot("cup-flow", "All the way.", "coffee.jpg", ((215, 285, 90, 335, 28),), cut=10),
+            Shot("cup-damp", "One step.", "coffee.jpg", ((215, 285, 90, 335, 28),), on_fold="damp", cut=10),
         ),
     ),
     Scene(
@@ -219,14 +219,13 @@ SCENES = (
                 ((417, 25, 345, 60, 60), (415, 130, 450, 120, 60), (385, 60, 352, 45, 40)),
                 scales=2,
                 border=10,
-                on_fold="flow",
             ),
         ),
     ),
     Scene(
         "Edges that stay, edges that go",
-        "The edges of a picture stay where they are, and the strokes fade towards them over 64 pixels. With --border "
-        "none they move as well, and --outside says what appears from beyond: here the mirror image.",
+        "The edges of a picture stay where they are, and the strokes fade towards them over a tenth of each side. With "
+        "--border none they move as well, and --outside says what appears from beyond: here the mirror image.",
         (
             Shot("table-fixed", "The border is fixed.", "coffee.jpg", ((290, 200, 370, 200, 120),), cut=6),
             Shot(
@@ -286,9 +285,9 @@ SCENES = (
         "up where each of their points came from, on a certified lattice, so that nothing is warped beforehand. Of the "
         "brain, a density window shows what is brighter than the fluid around it.",
         (
-            Look("head", "One stroke of 52 mm.", HEAD, _DENT, border=30, on_fold="flow"),
-            Look("brain", "The same, inside.", INSIDE, _DENT, border=30, on_fold="flow", cut=10, density=(45, 254)),
-            Look("turn", "Once around", HEAD, _DENT, border=30, on_fold="flow", size=360, smooth=1, turntable=60),
+            Look("head", "One stroke of 52 mm.", HEAD, _DENT, border=30),
+            Look("brain", "The same, inside.", INSIDE, _DENT, border=30, cut=10, density=(45, 254)),
+            Look("turn", "Once around", HEAD, _DENT, border=30, size=360, smooth=1, turntable=60),
         ),
     ),
 )

@@ -28,7 +28,8 @@ REACHES = (None, None, 1.0, 2.5, 4.0)
 
 def deformation(rng: np.random.Generator, shape: tuple[int, ...], strokes: int, **domain: Any) -> Deformation:
     """Return strokes of every kind, weak and damped to the fold limit, in the domain and beside it."""
-    made = {"border": BORDERS[rng.integers(5)], "border_profile": ("quartic", "sine")[rng.integers(2)], **domain}
+    made = {"border": BORDERS[rng.integers(5)], "border_profile": ("quartic", "sine")[rng.integers(2)]}
+    made |= {"on_fold": "damp", **domain}
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", FoldWarning)
         d = Deformation(shape, **made)

@@ -92,7 +92,7 @@ def test_any_plane(d: Deformation, tolerance: float, where: float) -> None:
 def dabs(shape: tuple[int, int], count: int, seed: int) -> Deformation:
     """Return small strokes that end after four radii, wherever a hand dabs."""
     rng = np.random.default_rng(seed)
-    d = Deformation(shape)
+    d = Deformation(shape, border=64, on_fold="damp")
     for _ in range(count):
         radius = float(rng.uniform(2, 10))
         by = rng.normal(size=2)
@@ -126,7 +126,9 @@ def test_many_small_dabs(count: int, tolerance: float) -> None:
 def test_spikes_between_the_nodes(at: tuple[float, float], radius: float) -> None:
     """A tri-scale brush of a few pixels is felt at no node around it."""
     for reach in (None, 2.0):
-        d = Deformation((97, 97)).grab(at, by=(0.9 * radius, -0.5 * radius), radius=radius, scales=3, reach=reach)
+        d = Deformation((97, 97), border=64, on_fold="damp").grab(
+            at, by=(0.9 * radius, -0.5 * radius), radius=radius, scales=3, reach=reach
+        )
         promised(d, 0.01)
         moved = np.linalg.norm(points_of(plan(d), (97, 97), 2) - reference.grid((97, 97)), axis=-1)
         assert moved.max() > 0.3 * radius
@@ -139,10 +141,10 @@ SIZES = [(1, 1), (1, 2), (2, 1), (1, 50), (50, 1), (2, 2), (3, 40), (31, 31), (3
 @pytest.mark.parametrize("border", [None, 1.0, 50.0])
 def test_sizes(shape: tuple[int, int], border: float | None) -> None:
     at = np.array(shape[::-1]) * (0.4, 0.6)
-    d = Deformation(shape, border=border).grab(at, by=(3, -2), radius=9)
+    d = Deformation(shape, border=border, on_fold="damp").grab(at, by=(3, -2), radius=9, reach=None)
     for tolerance in (0.1, 1e-3):
         promised(d, tolerance)
-    deep = Deformation((3, *shape), border=border).grab((*at, 1), by=(3, -2, 0.5), radius=9, reach=2.0)
+    deep = Deformation((3, *shape), border=border, on_fold="damp").grab((*at, 1), by=(3, -2, 0.5), radius=9, reach=2.0)
     promised(deep, 0.01, 1.0)
 
 
@@ -160,22 +162,22 @@ def test_points_in_float32_are_those_in_float64_rounded() -> None:
 
 
 def test_where_nothing_reaches_nothing_is_solved() -> None:
-    d = Deformation((400, 600)).grab((100, 100), by=(4, 3), radius=10, reach=3.0)
+    d = Deformation((400, 600), border=64, on_fold="damp").grab((100, 100), by=(4, 3), radius=10, reach=3.0)
     p = plan(d)
     assert not p.identity
     assert p.evaluations < 0.02 * 400 * 600
     points, q = points_of(p, (400, 600), 2), reference.grid((400, 600))
     outside = np.linalg.norm(q - (100, 100), axis=-1) >= 30
     np.testing.assert_array_equal(points[outside], q[outside])
-    far = Deformation((60, 40, 50), border=None).grab((20, 20, 1), by=(1, 1, 1), radius=1, reach=3.0)
+    far = Deformation((60, 40, 50), border=None, on_fold="damp").grab((20, 20, 1), by=(1, 1, 1), radius=1, reach=3.0)
     still = plan(far, z=50.0)
     assert still.identity
     assert still.error == 0
-    assert plan(Deformation((70, 50))).identity
+    assert plan(Deformation((70, 50), border=64, on_fold="damp")).identity
 
 
 def test_a_tolerance_buys_less_work() -> None:
-    d = Deformation((512, 512)).grab((256, 256), by=(0, 90), radius=100)
+    d = Deformation((512, 512), border=64, on_fold="damp").grab((256, 256), by=(0, 90), radius=100, reach=None)
     many = [plan(d, tolerance).evaluations / 512**2 for tolerance in (1.0, 0.1, 0.01, 1e-3)]
     assert many == sorted(many)
     assert many[2] < 0.1
@@ -223,12 +225,12 @@ def test_bounds_are_close(seed: int) -> None:
     """A Bézier patch comes near its control points: no frame too many is read."""
     rng = np.random.default_rng(seed)
     shape = (9, int(rng.integers(20, 80)), int(rng.integers(20, 120)))
-    d = Deformation(shape, border=None)
+    d = Deformation(shape, border=None, on_fold="damp")
     for _ in range(int(rng.integers(1, 4))):
         radius = float(rng.uniform(4, 40))
         by = rng.normal(size=3)
         by *= radius * rng.uniform(0.1, 0.4) / np.linalg.norm(by)
-        d = d.grab(rng.uniform(0, 1, 3) * (np.array(shape[::-1]) - 1), by=by, radius=radius)
+        d = d.grab(rng.uniform(0, 1, 3) * (np.array(shape[::-1]) - 1), by=by, radius=radius, reach=None)
     z = int(rng.integers(9))
     low, high, moved, _, points = bounded(d, z)
     times = points[..., 2]
@@ -240,7 +242,9 @@ def test_bounds_are_close(seed: int) -> None:
 
 @pytest.mark.parametrize("border", [None, 50.0])
 def test_rates_are_how_many_frames_a_pixel_covers(border: float | None) -> None:
-    d = Deformation((60, 50, 90), border=border, on_fold="flow").grab((40, 20, 20), by=(5, 3, 30), radius=40)
+    d = Deformation((60, 50, 90), border=border, on_fold="flow").grab(
+        (40, 20, 20), by=(5, 3, 30), radius=40, reach=None
+    )
     for z in (0, 20, 45, 59):
         rate = plan(d, z=z).extent()[3]
         longest = reference.durations(d, d.inverse(targets((50, 90), z, 3)).points).max()
@@ -297,12 +301,12 @@ def test_chroma_lies_where_it_should(step: tuple[int, int], offset: tuple[float,
     rng = np.random.default_rng(int(100 * offset[0] + 10 * step[0] + step[1]))
     for shape in [(64, 96), (33, 65), (41, 70), (3, 67, 35), (5, 40, 97)]:
         border = (None, 50.0)[rng.integers(2)]
-        d = Deformation(shape, border=border)
+        d = Deformation(shape, border=border, on_fold="damp")
         for _ in range(int(rng.integers(1, 4))):
             radius = float(rng.uniform(20, 40))
             by = rng.normal(size=len(shape))
             by *= radius * rng.uniform(0.02, 0.08) / np.linalg.norm(by)
-            d = d.grab(rng.uniform(0, 1, len(shape)) * (np.array(shape[::-1]) - 1), by=by, radius=radius)
+            d = d.grab(rng.uniform(0, 1, len(shape)) * (np.array(shape[::-1]) - 1), by=by, radius=radius, reach=None)
         for tolerance in (0.1, 0.01):
             off, said = chroma(d, step, offset, int(rng.integers(shape[0])) if len(shape) == 3 else 0, tolerance)
             assert said <= tolerance
@@ -313,27 +317,35 @@ def test_chroma_lies_where_it_should(step: tuple[int, int], offset: tuple[float,
 def test_chroma_of_small_planes(shape: tuple[int, int]) -> None:
     height, width = shape
     for border in (None, 50.0):
-        d = Deformation((9, *shape), border=border).grab((0.4 * width, 0.5 * height, 4), by=(0.1, 0.1, 2), radius=30)
+        d = Deformation((9, *shape), border=border, on_fold="damp").grab(
+            (0.4 * width, 0.5 * height, 4), by=(0.1, 0.1, 2), radius=30, reach=None
+        )
         for step, offset in SITINGS:
             assert chroma(d, step, offset, 3, 0.01)[0] <= 0.0105
 
 
 def test_chroma_of_pixels_that_are_not_square() -> None:
-    d = Deformation((9, 45, 71), spacing=(1.0, 2.5, 6.0), border=None).grab((40, 20, 4), by=(5, 1, 0.5), radius=60)
+    d = Deformation((9, 45, 71), spacing=(1.0, 2.5, 6.0), border=None, on_fold="damp").grab(
+        (40, 20, 4), by=(5, 1, 0.5), radius=60, reach=None
+    )
     for step, offset in SITINGS:
         assert chroma(d, step, offset, 5, 0.01)[0] <= 0.0101
 
 
 def test_chroma_beyond_the_last_pixel_of_a_fixed_border() -> None:
     """There, the map goes on as at the face: 4:2:0 of an odd size has such samples."""
-    d = Deformation((33, 65), border=20).grab((30, 26), by=(5, 4), radius=12)
+    d = Deformation((33, 65), border=20, on_fold="damp").grab((30, 26), by=(5, 4), radius=12, reach=None)
     assert chroma(d, (2, 2), (0.5, 0.5), 0, 0.01, beyond=True)[0] <= 0.0101
 
 
 # Small strokes, and pixels that are not square: the map is solved pixel by pixel.
 STEEP: dict[str, Callable[[], Deformation]] = {
-    "small": lambda: Deformation((60, 60), border=None).grab((30.3, 30.2), by=(0.9, 0.5), radius=1.3),
-    "flat": lambda: Deformation((45, 71), spacing=(1.0, 2.5), border=None).grab((40, 20), by=(9, 3), radius=25),
+    "small": lambda: Deformation((60, 60), border=None, on_fold="damp").grab(
+        (30.3, 30.2), by=(0.9, 0.5), radius=1.3, reach=None
+    ),
+    "flat": lambda: Deformation((45, 71), spacing=(1.0, 2.5), border=None, on_fold="damp").grab(
+        (40, 20), by=(9, 3), radius=25, reach=None
+    ),
 }
 
 
@@ -364,14 +376,14 @@ FOUND = [
 @pytest.mark.parametrize("case", FOUND)
 def test_where_bounds_have_failed(case: tuple[Any, ...]) -> None:
     shape, border, at, by, radius, scales = case
-    d = Deformation(shape, border=border).grab(at, by=by, radius=radius, scales=scales)
+    d = Deformation(shape, border=border, on_fold="damp").grab(at, by=by, radius=radius, scales=scales, reach=None)
     for tolerance in (0.1, 0.001):
         promised(d, tolerance)
 
 
 def test_far_from_the_origin() -> None:
     """Points are kept relative to where they are, so that size costs no precision."""
-    d = Deformation((40, 20_000), border=None).grab((19_900, 20), by=(6.3, 3.1), radius=20, reach=9.0)
+    d = Deformation((40, 20_000), border=None, on_fold="damp").grab((19_900, 20), by=(6.3, 3.1), radius=20, reach=9.0)
     p = plan(d)
     points = points_of(p, (40, 20_000), 2)[:, 19_700:]
     true = d.inverse(reference.grid((40, 20_000))[:, 19_700:]).points
@@ -379,7 +391,7 @@ def test_far_from_the_origin() -> None:
 
 
 def test_what_a_plan_is_given_is_checked() -> None:
-    d = Deformation((20, 30)).grab((9, 9), by=(2, 1), radius=5)
+    d = Deformation((20, 30), border=64, on_fold="damp").grab((9, 9), by=(2, 1), radius=5, reach=None)
     rows = numbers(d._table)
     with pytest.raises(ValueError, match="at least one pixel"):
         _core.Plan(rows, d._axes, 2, 0, 30, 0.0, 0.01)
@@ -390,7 +402,7 @@ def test_what_a_plan_is_given_is_checked() -> None:
 
 
 def test_an_impossible_tolerance_is_not_claimed() -> None:
-    d = Deformation((90, 90)).grab((40, 40), by=(20, 9), radius=30)
+    d = Deformation((90, 90), border=64, on_fold="damp").grab((40, 40), by=(20, 9), radius=30, reach=None)
     report = d.report(tolerance=1e-9)
     assert not report.within
     assert 1e-9 < report.error < 1e-3
@@ -403,7 +415,7 @@ def test_an_error_is_no_less_than_it_is() -> None:
     for tolerance in (1.0, 0.3):
         promised(wide, tolerance)
     spacing = (0.2701175492089795, 0.522386155985064)
-    steep = Deformation((2, 5), spacing=spacing, border_profile="sine", on_fold="damp")
+    steep = Deformation((2, 5), spacing=spacing, border_profile="sine", on_fold="damp", border=64)
     for at, by, radius, reach, poisson, scales in (
         ((3.1404386232727353, 2.335173304807218), (10.437156376566374, 1.0373795499636718), 2.0468, None, 0.45, 2),
         ((1.6938206078169786, 1.6423860660782619), (8.36970935468613, 0.0), 1.57829, 8.0, 0.5, 2),

@@ -61,7 +61,7 @@ def test_every_option_of_a_stroke(shape: tuple[int, ...], profile: Any, border: 
     n = len(shape)
     domain = Domain(shape, (0.8, 1.5, 2.5)[:n], border, profile)
     at, by = np.array([20.3, 17.7, 6.2])[:n], np.array([1.1, -0.7, 0.4])[:n]
-    points = places(Deformation(shape), 100)
+    points = places(Deformation(shape, border=64, on_fold="damp"), 100)
     for scales in (1, 2, 3):
         for poisson in POISSONS:
             stroke = Stroke.grab(at, by=by, radius=7, scales=scales, poisson=poisson, reach=reach)
@@ -91,7 +91,7 @@ def test_the_jacobian_is_the_slope(shape: tuple[int, ...], seed: int) -> None:
 
 
 def test_only_what_is_asked_for_is_made() -> None:
-    d = Deformation((20, 30)).grab((9, 9), by=(2, 1), radius=5)
+    d = Deformation((20, 30), border=64, on_fold="damp").grab((9, 9), by=(2, 1), radius=5, reach=None)
     points = lifted(d, places(d, 7))
     moved, none = _core.forward(numbers(d._table), d._axes, points, False)
     assert none is None
@@ -101,7 +101,7 @@ def test_only_what_is_asked_for_is_made() -> None:
 @pytest.mark.parametrize("count", [0, 1, 3, 4, 5, 1023, 1024, 1025, 2050])
 def test_any_number_of_points(count: int) -> None:
     """Batches and vectors leave no trace."""
-    d = Deformation((20, 30)).grab((9, 9), by=(2, 1), radius=5)
+    d = Deformation((20, 30), border=64, on_fold="damp").grab((9, 9), by=(2, 1), radius=5, reach=None)
     rows, points = numbers(d._table), lifted(d, places(d, 2050))
     moved, slopes = _core.forward(rows, d._axes, points[:count], True)
     whole = _core.forward(rows, d._axes, points, True)
@@ -145,7 +145,7 @@ def test_an_independent_solver_finds_the_same(seed: int) -> None:
 
 
 def test_few_steps_are_needed() -> None:
-    d = Deformation((200, 200)).grab((100, 100), by=(0, 35), radius=40)
+    d = Deformation((200, 200), border=64, on_fold="damp").grab((100, 100), by=(0, 35), radius=40, reach=None)
     steps = d.inverse(reference.grid((200, 200))[::8, ::8]).steps
     assert steps.mean() < 6
     assert steps.max() < 12
@@ -159,7 +159,7 @@ ALONE = 40 + 8 + 2  # evaluations of Newton's method from where one looks, and o
 def test_the_continuation_takes_over_just_below_the_fold_limit(scales: int, below: float) -> None:
     """Where the map all but stands still, Newton's method creeps, and gives up; along a path it gets there."""
     domain = Domain((90, 120), 1.0, None)
-    stroke = Stroke.grab((50, 40), by=((1 - below) * 20 * limit(0.4, scales), 0), radius=20, scales=scales)
+    stroke = Stroke.grab((50, 40), by=((1 - below) * 20 * limit(0.4, scales), 0), radius=20, scales=scales, reach=None)
     rows, axes = numbers(pack([stroke], domain.spacing)), packed(domain)
 
     def on_the_line(x: Floats) -> tuple[Floats, Floats]:
@@ -183,7 +183,7 @@ def test_the_continuation_takes_over_just_below_the_fold_limit(scales: int, belo
 
 
 def test_beyond_a_fixed_face_the_map_goes_on_as_on_the_face() -> None:
-    d = Deformation((90, 120), border=20).grab((50, 30), by=(9, -17), radius=30)
+    d = Deformation((90, 120), border=20, on_fold="damp").grab((50, 30), by=(9, -17), radius=30, reach=None)
     on = np.array([[40.0, 0.0], [119.0, 44.0], [0.0, 89.0]])
     beyond = on + np.array([[0.0, -35.0], [1e4, 0.0], [-3.0, 8.0]])
     np.testing.assert_allclose(d.forward(beyond) - beyond, d.forward(on) - on, atol=1e-8)
@@ -200,7 +200,9 @@ def test_off_the_only_plane_of_an_axis_the_map_is_as_on_it(shape: tuple[int, ...
     n = len(shape)
     alone = np.array(shape[::-1]) == 1
     at = np.where(alone, 0.0, (np.array(shape[::-1]) - 1) / 2.0)
-    d = Deformation(shape, border=1.0).grab(at, by=np.where(alone, 0.0, 0.9), radius=2.5, scales=2, reach=reach)
+    d = Deformation(shape, border=1.0, on_fold="damp").grab(
+        at, by=np.where(alone, 0.0, 0.9), radius=2.5, scales=2, reach=reach
+    )
     p = at + np.random.default_rng(1).uniform(-3, 3, (300, n))
     flat = np.where(alone, 0.0, p)
     strokes = reference.carried_out(d)
@@ -213,7 +215,7 @@ def test_off_the_only_plane_of_an_axis_the_map_is_as_on_it(shape: tuple[int, ...
 
 @pytest.mark.parametrize("reach", [1.0, 2.5, 4.0])
 def test_outside_the_ball_points_keep_every_bit(reach: float) -> None:
-    d = Deformation((60, 80), border=None).grab((40, 30), by=(1.5, -2.5), radius=6, reach=reach)
+    d = Deformation((60, 80), border=None, on_fold="damp").grab((40, 30), by=(1.5, -2.5), radius=6, reach=reach)
     q = np.random.default_rng(3).uniform(0, 80, (4000, 2))
     outside = np.linalg.norm(q - (40, 30), axis=1) >= 6 * reach
     assert 0.2 < outside.mean() < 1
@@ -224,7 +226,7 @@ def test_outside_the_ball_points_keep_every_bit(reach: float) -> None:
 
 
 def test_what_the_core_is_given_is_checked() -> None:
-    d = Deformation((20, 30)).grab((9, 9), by=(2, 1), radius=5)
+    d = Deformation((20, 30), border=64, on_fold="damp").grab((9, 9), by=(2, 1), radius=5, reach=None)
     rows, points = numbers(d._table), np.zeros((4, 3))
     with pytest.raises(ValueError, match="points must have the shape"):
         _core.forward(rows, d._axes, np.zeros((4, 2)), False)
@@ -239,8 +241,10 @@ def test_what_the_core_is_given_is_checked() -> None:
 
 def test_tiny_and_vast_units() -> None:
     for unit in (1e-25, 1e25):
-        d = Deformation((40, 50), spacing=unit, border=9 * unit).grab((20, 15), by=(4, -3), radius=9 * unit)
-        same = Deformation((40, 50), border=9).grab((20, 15), by=(4, -3), radius=9)
+        d = Deformation((40, 50), spacing=unit, border=9 * unit, on_fold="damp").grab(
+            (20, 15), by=(4, -3), radius=9 * unit, reach=None
+        )
+        same = Deformation((40, 50), border=9, on_fold="damp").grab((20, 15), by=(4, -3), radius=9, reach=None)
         p = places(d, 200)
         np.testing.assert_allclose(d.forward(p), same.forward(p), rtol=1e-12, atol=1e-12)
         np.testing.assert_allclose(d.inverse(p).points, same.inverse(p).points, rtol=0, atol=1e-9)

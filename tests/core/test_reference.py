@@ -23,7 +23,9 @@ def strokes_of(ndim: int, **options: Any) -> list[Stroke]:
     drags = np.array([[3.1, -2.7, 1.4], [-1.5, 1.73, -1.61], [0.7, 0.9, 1.3]])[:, :ndim]
     places = np.array([[20.3, 17.7, 14.2], [31.3, 6.9, 9.4], [7.7, 29.5, 20.2]])[:, :ndim]
     return [
-        Stroke.grab(at, by=by, radius=9.0 - i, scales=i + 1, poisson=(0.4, 0.5, -math.inf)[i], **options)
+        Stroke.grab(
+            at, by=by, radius=9.0 - i, scales=i + 1, poisson=(0.4, 0.5, -math.inf)[i], **{"reach": None, **options}
+        )
         for i, (at, by) in enumerate(zip(places, drags, strict=True))
     ]
 
@@ -36,6 +38,8 @@ def places(domain: Domain, count: int = 300, beyond: float = 0.0, seed: int = 0)
 DOMAINS: list[Domain] = [
     Domain((40, 45), border=None),
     Domain((40, 45), border=12.0),
+    Domain((40, 45)),
+    Domain((30, 40, 45), border=(4.0, 15.0, 9.0)),
     Domain((40, 45), spacing=(1.0, 1.7), border=100.0, border_profile="sine"),
     Domain((30, 40, 45), border=None),
     Domain((30, 40, 45), spacing=(0.8, 1.0, 1.3), border=9.0),
@@ -62,7 +66,7 @@ def test_jacobian_is_what_differences_say(domain: Domain) -> None:
 @pytest.mark.parametrize("poisson", [0.5, 0.4, 0.0, -math.inf])
 def test_the_pivot_moves_by_the_drag_and_what_is_near_alike(scales: int, poisson: float) -> None:
     domain = Domain((50, 60, 70), border=None)
-    stroke = Stroke.grab((30, 20, 10), by=(2, -3, 4), radius=20, scales=scales, poisson=poisson)
+    stroke = Stroke.grab((30, 20, 10), by=(2, -3, 4), radius=20, scales=scales, poisson=poisson, reach=None)
     np.testing.assert_allclose(reference.forward([stroke], domain, (30, 20, 10)), (32, 17, 14), atol=1e-12)
     np.testing.assert_allclose(reference.jacobian([stroke], domain, (30, 20, 10)), np.eye(3), atol=1e-12)
 
@@ -73,7 +77,12 @@ def test_an_image_is_the_plane_z_0_of_a_volume() -> None:
     lifted = np.column_stack([points, np.zeros(len(points))])
     for stroke in strokes_of(2):
         in_space = Stroke.grab(
-            (*stroke.at, 0.0), by=(*stroke.by, 0.0), radius=stroke.radius, scales=stroke.scales, poisson=stroke.poisson
+            (*stroke.at, 0.0),
+            by=(*stroke.by, 0.0),
+            radius=stroke.radius,
+            scales=stroke.scales,
+            poisson=stroke.poisson,
+            reach=None,
         )
         moved = reference.forward([in_space], solid, lifted)
         np.testing.assert_allclose(moved[:, :2], reference.forward([stroke], flat, points), atol=1e-12)
@@ -83,7 +92,7 @@ def test_an_image_is_the_plane_z_0_of_a_volume() -> None:
 @pytest.mark.parametrize("scales", [1, 2, 3])
 def test_far_away_it_fades_as_a_power(scales: int) -> None:
     domain = Domain((50, 60), border=None)
-    stroke = Stroke.grab((0, 0), by=(1, 0), radius=1, scales=scales)
+    stroke = Stroke.grab((0, 0), by=(1, 0), radius=1, scales=scales, reach=None)
     far = np.array([[30.0, 40.0], [60.0, 80.0]])
     near, farther = np.linalg.norm(reference.forward([stroke], domain, far) - far, axis=-1)
     assert near / farther == pytest.approx(2 ** (2 * scales - 1), rel=0.02)
@@ -93,7 +102,7 @@ def test_far_away_it_fades_as_a_power(scales: int) -> None:
 def test_reach_ends_at_its_ball(reach: float) -> None:
     domain = Domain((60, 60, 60), spacing=(1, 1, 2), border=None)
     stroke = Stroke.grab((30, 30, 15), by=(1, -2, 0.5), radius=5, reach=reach)
-    free = Stroke.grab((30, 30, 15), by=(1, -2, 0.5), radius=5)
+    free = Stroke.grab((30, 30, 15), by=(1, -2, 0.5), radius=5, reach=None)
     np.testing.assert_allclose(reference.forward([stroke], domain, (30, 30, 15)), (31, 28, 15.5), atol=1e-12)
     points = places(domain, 4000)
     distance = np.linalg.norm((points - stroke.at) * (1, 1, 2), axis=-1)
@@ -136,7 +145,7 @@ def test_inverse_undoes_forward(domain: Domain) -> None:
 
 def test_a_strong_stroke_has_an_inverse() -> None:
     domain = Domain((90, 100), border=None)
-    stroke = Stroke.grab((40, 45), by=(17.9, 14), radius=9.8)  # 96 % of the fold limit
+    stroke = Stroke.grab((40, 45), by=(17.9, 14), radius=9.8, reach=None)  # 96 % of the fold limit
     q = reference.grid(domain.shape)
     p = reference.inverse([stroke], domain, q)
     np.testing.assert_allclose(reference.forward([stroke], domain, p), q, rtol=0, atol=1e-11)
@@ -448,12 +457,12 @@ def test_opacity_weighs_the_colours() -> None:
 @pytest.mark.parametrize("dtype", ["?", "u1", "u2", "i2", "f4", "f8"])
 def test_nothing_moves_without_drag(dtype: str) -> None:
     source = np.random.default_rng(8).uniform(0, 100, (40, 45, 4)).astype(dtype)
-    still = [Stroke.grab((20, 20), by=(0, 0), radius=9)]
+    still = [Stroke.grab((20, 20), by=(0, 0), radius=9, reach=None)]
     for name in ("nearest", "linear", "cubic", "auto"):
         np.testing.assert_array_equal(reference.warp(source, still, DOMAIN, name), source)
     frames = np.stack([source[..., 0]] * 5)
     solid = Domain((5, 40, 45))
-    still = [Stroke.grab((20, 20, 2), by=(0, 0, 0), radius=9)]
+    still = [Stroke.grab((20, 20, 2), by=(0, 0, 0), radius=9, reach=None)]
     np.testing.assert_array_equal(reference.warp_frames(frames, still, solid, time_filter=dtype != "?"), frames)
 
 
@@ -463,7 +472,7 @@ def test_what_no_stroke_reaches_keeps_every_bit(filter_name: str) -> None:
     strokes = [
         Stroke.grab((12, 12), by=(3, 2), radius=4, reach=2),
         Stroke.grab((18, 14), by=(-2, 2), radius=4, reach=2),
-        Stroke.grab((30, 20), by=(0, 0), radius=9),
+        Stroke.grab((30, 20), by=(0, 0), radius=9, reach=None),
     ]
     source = rng.uniform(-1, 1, (40, 45, 2)).astype(np.float32)
     source[30, 40] = np.nan, -0.0
@@ -478,8 +487,8 @@ def test_frames_that_all_bend_alike_are_images() -> None:
     """A stroke far away in time, and as wide, moves all frames as an image's stroke does."""
     rng = np.random.default_rng(9)
     frames = np.broadcast_to(rng.uniform(size=(40, 45, 1)), (3, 40, 45, 1)).copy()
-    flat = Stroke.grab((20, 18), by=(4, -3), radius=9)
-    deep = Stroke.grab((20, 18, 1), by=(4, -3, 0), radius=9)
+    flat = Stroke.grab((20, 18), by=(4, -3), radius=9, reach=None)
+    deep = Stroke.grab((20, 18, 1), by=(4, -3, 0), radius=9, reach=None)
     image = reference.warp(frames[1], [flat], Domain((40, 45), border=None))
     bent = reference.warp_frames(frames, [deep], Domain((3, 40, 45), border=None))
     np.testing.assert_allclose(bent[1], image, atol=1e-10)

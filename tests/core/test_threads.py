@@ -84,7 +84,7 @@ print("done", flush=True)
 
 def test_two_threads_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("SUPPLE_THREADS", "3")
-    d = Deformation((200, 240), border=20).grab((120, 90), by=(20, 9), radius=40)
+    d = Deformation((200, 240), border=20, on_fold="damp").grab((120, 90), by=(20, 9), radius=40, reach=None)
     source = np.random.default_rng(0).integers(0, 256, (200, 240, 3)).astype(np.uint8)
     expected, q = d.warp(source), np.random.default_rng(1).uniform(0, 200, (5000, 2))
     solved, wrong = d.inverse(q).points, []
@@ -106,7 +106,7 @@ def test_two_threads_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_another_number_of_threads_at_each_call(monkeypatch: pytest.MonkeyPatch) -> None:
-    d = Deformation((100, 120)).grab((60, 45), by=(10, 9), radius=30)
+    d = Deformation((100, 120), border=64, on_fold="damp").grab((60, 45), by=(10, 9), radius=30, reach=None)
     source = np.random.default_rng(0).random((100, 120, 3))
     made = set()
     for n in (2, 5, 1, 3, 2, 8):

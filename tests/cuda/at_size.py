@@ -43,6 +43,7 @@ def bent(shape: tuple[int, ...], seed: int = 0, count: int = 3, **options: Any) 
                 radius=float(rng.uniform(0.2, 0.5) * size.max()),
                 scales=1 + k % 3,
                 poisson=(0.4, 0.5, 0.1)[k % 3],
+                reach=None,
             )
     return d
 

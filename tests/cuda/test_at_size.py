@@ -86,7 +86,7 @@ def test_averages(numba_cuda: Any, room: str, dtype: str) -> None:
 def test_what_no_stroke_reaches_keeps_every_bit(numba_cuda: Any, room: str) -> None:
     _, shape, channels = ROOMS[room]
     size, radius = np.array(shape[::-1]), min(shape) / 8
-    d = supple.Deformation(shape)
+    d = supple.Deformation(shape, border=64, on_fold="damp")
     for part in (0.3, 0.6):
         d = d.grab(part * size, by=np.full(len(shape), 0.3 * radius), radius=radius, reach=3)
     source = labels(shape, channels, "f4").astype(np.float32)
@@ -110,7 +110,7 @@ def test_averages_are_near_those_of_many_samples(numba_cuda: Any) -> None:
         return np.asarray(0.5 + 0.5 * np.cos((x**2 + y**2) * (np.pi / (2.5 * n))))
 
     d = supple.Deformation((n, n), border=n / 12, on_fold="flow").grab(
-        (n / 2, 0.3 * n), by=(0, 0.36 * n), radius=n / 4.8
+        (n / 2, 0.3 * n), by=(0, 0.36 * n), radius=n / 4.8, reach=None
     )
     truth = d.warp(drawn, samples=8)
     grid = np.stack(np.meshgrid(np.arange(n), np.arange(n))[:2], -1).reshape(-1, 2)
@@ -130,8 +130,8 @@ def test_averages_are_near_those_of_many_samples(numba_cuda: Any) -> None:
 def test_frames_bent_in_time(numba_cuda: Any, between: str, average: bool) -> None:
     _, shape, channels = ROOMS["frames"]
     count, height, width = shape
-    d = supple.Deformation(shape, border=None).grab(
-        (width / 2, height / 2, count / 2), by=(width / 12, 0, count / 8), radius=width / 6
+    d = supple.Deformation(shape, border=None, on_fold="damp").grab(
+        (width / 2, height / 2, count / 2), by=(width / 12, 0, count / 8), radius=width / 6, reach=None
     )
     source = waves(shape, channels)
     options: dict[str, Any] = {"filter": "linear", "between": between, "time_filter": average, "outside": "reflect"}
@@ -197,7 +197,9 @@ def test_more_samples_than_32_bits_count(numba_cuda: Any, card: Card) -> None:
     source = np.empty(shape, np.uint8)
     for z in range(n):
         source[z] = ramp[z] + ramp[None, :] + ramp[:, None]
-    d = supple.Deformation(shape, border=None).grab((n / 2, n / 2, 0.9 * n), by=(n / 20, n / 30, -n / 25), radius=n / 5)
+    d = supple.Deformation(shape, border=None, on_fold="damp").grab(
+        (n / 2, n / 2, 0.9 * n), by=(n / 20, n / 30, -n / 25), radius=n / 5, reach=None
+    )
     made = host(d.warp(numba_cuda.to_device(source), filter="linear"))
     index = tuple(np.random.default_rng(2).integers(0, n, 20_000) for _ in shape)
     index = tuple(np.append(i, [0, n - 1]) for i in index)

@@ -42,12 +42,14 @@ def bent(shape: tuple[int, ...] = STACK, by: float = 1.6, border: float | None =
     """A grab that moves things along the last axis of points most, and in space so evenly that cells are exact."""
     middle = (np.array(shape[::-1]) - 1) / 2
     drag = np.array([0.8, -0.6, by])[: len(shape)]
-    return supple.Deformation(shape, border=border).grab(middle, by=drag, radius=30.0 if border is None else 8.0)
+    return supple.Deformation(shape, border=border, on_fold="damp").grab(
+        middle, by=drag, radius=30.0 if border is None else 8.0, reach=None
+    )
 
 
 def local(shape: tuple[int, ...] = STACK) -> supple.Deformation:
     """Two grabs, each of which reaches a few planes."""
-    d = supple.Deformation(shape, border=None)
+    d = supple.Deformation(shape, border=None, on_fold="damp")
     return d.grab((3, 3, 2), by=(0.4, 0.2, 0.3), radius=1, reach=2.5).grab(
         (3, 2, 9), by=(0.3, 0.1, 0), radius=1, reach=1.5
     )
@@ -174,7 +176,7 @@ def test_planes_that_no_stroke_reaches_stay_here(card: Card, monkeypatch: pytest
     assert sum(sent) <= source[:6].size + source[7:].size
     assert told == [4, 6, 8, 9, 11, 12]
     sent.clear()
-    beyond = supple.Deformation(STACK, border=None).grab((3, 3, 20), by=(1, 1, 1), radius=2, reach=2)
+    beyond = supple.Deformation(STACK, border=None, on_fold="damp").grab((3, 3, 20), by=(1, 1, 1), radius=2, reach=2)
     np.testing.assert_array_equal(by_card(card, beyond, source)[0], source)
     assert not sent
 
@@ -326,7 +328,7 @@ def test_deformations_send_arrays(card: Card) -> None:
         made = d.warp(source, filter="linear", tolerance=TIGHT, device="cuda")
     assert apart(made, expected(d, source, filter="linear")) < 1e-3
     assert str(who) == card.name
-    still = supple.Deformation(STACK)
+    still = supple.Deformation(STACK, border=64, on_fold="damp")
     np.testing.assert_array_equal(still.warp(source, device="cuda"), source)
     with pytest.raises(SuppleError, match="filter must be"):
         d.warp(source, filter="lanczos", device="cuda")
@@ -352,7 +354,9 @@ def test_volumes_and_pictures_from_file_to_file(card: Card, folder: Path, capfd:
     common = ["--grab", "3,2,6:3.8,1.4,7.4", "--radius", "30", "--border", "none", "--filter", "linear", "--quiet"]
     assert command(["warp", "in.nrrd", "cuda.nrrd", *common, "--device", "cuda", "--json"]) == 0
     made = np.asarray(media.read("cuda.nrrd").samples)
-    wanted = supple.Deformation(STACK, border=None).grab((3, 2, 6), to=(3.8, 1.4, 7.4), radius=30)
+    wanted = supple.Deformation(STACK, border=None, on_fold="damp").grab(
+        (3, 2, 6), to=(3.8, 1.4, 7.4), radius=30, reach=None
+    )
     assert apart(made, expected(wanted, source, filter="linear")) < 3e-3  # it is within 0.01 voxels
     told = json.loads(capfd.readouterr().out)
     assert told["device"] == card.name

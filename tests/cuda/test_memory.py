@@ -47,7 +47,9 @@ def test_rough_cells_batches_and_slabs(numba_cuda: Any) -> None:
 
 @pytest.mark.parametrize("shape", SHAPES)
 def test_reach(numba_cuda: Any, shape: tuple[int, ...]) -> None:
-    d = supple.Deformation(shape).grab([4.0, 5.0, 2.0][: len(shape)], by=[1.0] * len(shape), radius=2, reach=3)
+    d = supple.Deformation(shape, border=64, on_fold="damp").grab(
+        [4.0, 5.0, 2.0][: len(shape)], by=[1.0] * len(shape), radius=2, reach=3
+    )
     source = waves(shape, 3)
     out = numba_cuda.to_device(np.full_like(source, np.nan))
     d.warp(numba_cuda.to_device(source), out=out)

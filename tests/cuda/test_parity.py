@@ -33,6 +33,7 @@ def bent(shape: tuple[int, ...], seed: int = 0, count: int = 2, **options: Any) 
                 radius=float(0.8 * size.max() / (k + 1)),
                 scales=1 + k % 3,
                 poisson=(0.4, 0.5, 0.1)[k % 3],
+                reach=None,
             )
     return d
 
@@ -41,17 +42,17 @@ def gentle(shape: tuple[int, ...]) -> supple.Deformation:
     """A grab so wide that the cells of its lattice are exact."""
     by = np.array([2.3, 1.6, 1.3])[: len(shape)]
     middle = (np.array(shape[::-1]) - 1.0) / 3
-    return supple.Deformation(shape, border=None).grab(middle, by=by, radius=60.0)
+    return supple.Deformation(shape, border=None, on_fold="damp").grab(middle, by=by, radius=60.0, reach=None)
 
 
 def squeezed(shape: tuple[int, int], times: int) -> supple.Deformation:
     """Strokes from all sides that shrink what lies between them, by more in one direction than in the other."""
     x, y = (shape[1] - 1) / 2, (shape[0] - 1) / 2
-    d = supple.Deformation(shape, border=None)
+    d = supple.Deformation(shape, border=None, on_fold="damp")
     for _ in range(times):
         for side in (1, -1):
-            d = d.grab((x + side * 40, y), by=(-side * 35, 0), radius=40)
-            d = d.grab((x, y + side * 40), by=(0, -side * 30), radius=40)
+            d = d.grab((x + side * 40, y), by=(-side * 35, 0), radius=40, reach=None)
+            d = d.grab((x, y + side * 40), by=(0, -side * 30), radius=40, reach=None)
     return d
 
 
@@ -109,8 +110,14 @@ def test_filters_and_boundary_modes(numba_cuda: Any, filter: str, outside: str) 
 
 
 FOOTPRINTS: dict[str, tuple[supple.Deformation, float]] = {
-    "narrow and wide, solved": (supple.Deformation((18, 22), border=None).grab((11, 9), by=(4, 2.5), radius=7), 1.5),
-    "narrow and wide, in cells": (supple.Deformation((40, 48)).grab((22, 18), by=(14, 9), radius=30), 1.2),
+    "narrow and wide, solved": (
+        supple.Deformation((18, 22), border=None, on_fold="damp").grab((11, 9), by=(4, 2.5), radius=7, reach=None),
+        1.5,
+    ),
+    "narrow and wide, in cells": (
+        supple.Deformation((40, 48), border=64, on_fold="damp").grab((22, 18), by=(14, 9), radius=30, reach=None),
+        1.2,
+    ),
     "along any axis": (squeezed((12, 13), 1), 3.0),
     "from a pyramid": (squeezed((13, 12), 3), 15.0),
 }
@@ -142,11 +149,11 @@ def test_averages_beyond_the_edges(numba_cuda: Any, outside: str) -> None:
 @pytest.mark.parametrize("shape", [(1, 20), (20, 1), (2, 20), (20, 3)])
 def test_averages_of_thin_pictures(numba_cuda: Any, shape: tuple[int, int]) -> None:
     source = np.random.default_rng(2).random(shape).astype(np.float32)
-    d = supple.Deformation(shape, border=None)
+    d = supple.Deformation(shape, border=None, on_fold="damp")
     along = np.array([1.0, 0.0] if shape[1] == 20 else [0.0, 1.0])
     across = along[::-1]
     for side in (1, -1, 1, -1):  # squeezed from both sides
-        d = d.grab(9.5 * along + 80 * side * across, by=60 * side * along, radius=80)
+        d = d.grab(9.5 * along + 80 * side * across, by=60 * side * along, radius=80, reach=None)
     made = d.warp(on_card(numba_cuda, source), tolerance=TIGHT).copy_to_host()
     assert np.abs(made - expected(d, source)).max() < 1e-3
 
@@ -212,7 +219,7 @@ def test_stacks(numba_cuda: Any, filter: str, between: str, average: bool) -> No
 
 @pytest.mark.parametrize("outside", ["constant", "reflect"])
 def test_what_lies_beyond_a_stack(numba_cuda: Any, outside: str) -> None:
-    d = supple.Deformation(STACK, border=None).grab((5, 4, 2), by=(4, 2, 2.5), radius=30)
+    d = supple.Deformation(STACK, border=None, on_fold="damp").grab((5, 4, 2), by=(4, 2, 2.5), radius=30, reach=None)
     source = typed(waves(STACK, 2), "u2")
     options: dict[str, Any] = {"filter": "linear", "outside": outside, "fill": (100, 60000), "tolerance": TIGHT}
     close(d.warp(on_card(numba_cuda, source), **options).copy_to_host(), expected(d, source, **options), source)
@@ -230,15 +237,17 @@ def test_strokes_and_borders(numba_cuda: Any, border: float | None, profile: str
 
 
 REACHES: dict[str, supple.Deformation] = {
-    "small": supple.Deformation((20, 23), border=5).grab((12, 9), by=(1.2, 0.8), radius=3, reach=2),
-    "across the border": supple.Deformation((20, 23), border=5).grab((3, 16), by=(0.6, -0.5), radius=3, reach=2.5),
-    "in cells": supple.Deformation((30, 64), border=None).grab((3, 12), by=(9, 4), radius=14, reach=3),
-    "two": supple.Deformation((20, 40), border=None, border_profile="sine")
+    "small": supple.Deformation((20, 23), border=5, on_fold="damp").grab((12, 9), by=(1.2, 0.8), radius=3, reach=2),
+    "across the border": supple.Deformation((20, 23), border=5, on_fold="damp").grab(
+        (3, 16), by=(0.6, -0.5), radius=3, reach=2.5
+    ),
+    "in cells": supple.Deformation((30, 64), border=None, on_fold="damp").grab((3, 12), by=(9, 4), radius=14, reach=3),
+    "two": supple.Deformation((20, 40), border=None, border_profile="sine", on_fold="damp")
     .grab((10, 9), by=(1, 0.5), radius=3, reach=2)
     .grab((30, 9), by=(1, 0.5), radius=2, reach=3),
-    "one without a limit": supple.Deformation((12, 20), border=None)
+    "one without a limit": supple.Deformation((12, 20), border=None, on_fold="damp")
     .grab((6, 6), by=(1, 0.5), radius=3, reach=2)
-    .grab((14, 5), by=(1, 0.5), radius=30),
+    .grab((14, 5), by=(1, 0.5), radius=30, reach=None),
 }
 
 
@@ -259,7 +268,7 @@ def test_reach(numba_cuda: Any, name: str) -> None:
 
 @pytest.mark.parametrize("dtype", ["f2", "i8"])
 def test_reach_in_a_stack(numba_cuda: Any, dtype: str) -> None:
-    d = supple.Deformation((9, 9, 10), border=None, spacing=(1, 1, 2)).grab(
+    d = supple.Deformation((9, 9, 10), border=None, spacing=(1, 1, 2), on_fold="damp").grab(
         (4, 4, 3), by=(0.8, 1, 1), radius=3, reach=2
     )
     source = typed(waves(d.shape), dtype)
@@ -337,7 +346,11 @@ def test_points_and_the_map(numba_cuda: Any, shape: tuple[int, ...]) -> None:
 
 def test_the_certificate_holds(numba_cuda: Any) -> None:
     """Good cells and solved ones, and the error of both is what is told of them."""
-    d = supple.Deformation((22, 40), border=9).grab((12, 11), by=(4, 3), radius=14).grab((33, 14), by=(2, 1), radius=6)
+    d = (
+        supple.Deformation((22, 40), border=9, on_fold="damp")
+        .grab((12, 11), by=(4, 3), radius=14, reach=None)
+        .grab((33, 14), by=(2, 1), radius=6, reach=None)
+    )
     exact = sources(d)
     for tolerance in (0.1, 1e-2):
         warping = supple.cuda.start(
@@ -346,7 +359,7 @@ def test_the_certificate_holds(numba_cuda: Any) -> None:
         assert warping.error <= tolerance
         made = d.inverse_map(like=warping.array, tolerance=tolerance).copy_to_host()
         assert np.linalg.norm(made - exact, axis=-1).max() <= warping.error + 2e-5
-    far = supple.Deformation((9, 9), border=None).grab((4, 4), by=(1e9, 0), radius=1e9)
+    far = supple.Deformation((9, 9), border=None, on_fold="damp").grab((4, 4), by=(1e9, 0), radius=1e9, reach=None)
     with pytest.warns(ToleranceWarning, match="more than the tolerance 1e-09"):
         far.warp(on_card(numba_cuda, np.zeros((9, 9), np.float32)), tolerance=1e-9)
 
