@@ -443,19 +443,28 @@ def test_a_fill_is_a_colour_in_any_planes(run: Run, name: str, fill: str) -> Non
 
 
 @pytest.mark.parametrize(("source", "target"), [("in.mkv", "out.mkv"), ("in.png", "out.png")])
-def test_a_stroke_that_begins_far_outside_is_told(run: Run, source: str, target: str) -> None:
+def test_a_stroke_that_starts_outside_is_told(run: Run, source: str, target: str) -> None:
     noisy("in.mkv")
     image.write("in.png", np.zeros((48, 64, 3), np.uint8))
-    for at, told in (("75,20", False), ("85,20", True), ("20,-21", True), ("20,-19", False)):
-        status, _, err = run("warp", source, target, "--grab", f"{at}:20,20", "--radius", "20", "--quiet", "--force")
-        assert (status, err) == (0, "")
-        status, _, err = run("warp", source, target, "--grab", f"{at}:{at}", "--radius", "20", "--force")
+    to = ("--radius", "5", "--force")
+    for at, told in (("63.4,20", False), ("64,20", True), ("20,-19", True), ("20,-0.4", False)):
+        status, _, err = run("warp", source, target, "--grab", f"{at}:{at}", *to)
         assert status == 0
-        assert told == ("farther outside" in err), at
-    assert (
-        f"the stroke begins at (20, -21), farther outside {source}"
-        in run("warp", source, target, "--grab", "20,-21:20,-21", "--radius", "20", "--force")[2]
-    )
+        assert told == ("starts outside the picture, which has 64 x 48 pixels" in err), at
+        assert run("warp", source, target, "--grab", f"{at}:{at}", *to, "--quiet") == (0, "", "")
+    far = ("--grab", "20,-21:20,-20", *to)
+    refused(run("warp", source, target, *far), "a drag by (0, 1) at (20, -21) with radius 5 starts outside the picture")
+    assert run("warp", source, target, *far, "--reach", "6", "--quiet") == (0, "", "")
+    both = ("--grab", "20,20:21,20", *far)
+    refused(run("warp", source, target, *both), "supple: stroke 2 of 2: a drag by (0, 1) at (20, -21)")
+
+
+@pytest.mark.parametrize("frame", ["12", "-1", "11.6"])
+def test_a_stroke_that_starts_in_a_frame_that_is_none_is_told(run: Run, frame: str) -> None:
+    noisy("in.mkv", "yuv420p")
+    status, _, err = run("warp", "in.mkv", "out.mkv", "--grab", f"30,20,{frame}:30,20,8", "--radius", "5")
+    assert status == 0
+    assert "starts outside the clip, which has 64 x 48 pixels and 12 frames (from 0)" in err
 
 
 def test_a_sheet_shows_where_strokes_act(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -516,10 +525,8 @@ def test_recipes_with_times_are_saved_and_carried_out(run: Run) -> None:
 @pytest.mark.parametrize(
     ("grab", "wanted"),
     [
-        ("30,20,12:30,20,8", "there is no frame 12 in in.mkv, which has 12 frames: t goes from 0 to 11"),
-        ("30,20,-1:30,20,8", "there is no frame -1"),
-        ("30,20,11.5:30,20,8", "there is no frame 11.5"),
-        ("30,20,1e30:30,20,8", "there is no frame 1e+30"),
+        ("30,20,32:30,20,36", "starts outside the clip, which has 64 x 48 pixels and 12 frames (from 0), and reaches"),
+        ("30,20,-21:30,20,-25", "reaches nothing of it: use a point inside, a larger radius or a longer reach"),
         ("30,20,nan:30,20,8", "nan"),
         ("30,20,inf:30,20,8", "inf"),
         ("30,20,3:30,20", "X,Y,T:X,Y,T"),

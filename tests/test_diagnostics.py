@@ -304,7 +304,7 @@ def test_frames_that_are_not_there_are_refused(tmp_path: Path) -> None:
     for k in (-1, 30, 1.5, "1", True):
         with pytest.raises(SuppleError, match="frame must be a frame from 0 to 29, found"):
             plot(VIDEO, "grid", tmp_path / "a.png", frame=k)  # type: ignore[arg-type]
-    with pytest.raises(SuppleError, match=r"three axes: say which frame \(--frame"):
+    with pytest.raises(SuppleError, match=r"three axes: say which by --frame K \(frame=K\)"):
         plot(VIDEO, "grid", tmp_path / "a.png")
     with pytest.raises(SuppleError, match="frame is for videos"):
         plot(SMALL, "grid", tmp_path / "a.png", frame=0)

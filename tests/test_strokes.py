@@ -19,7 +19,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from supple.deformation import Deformation
-from supple.errors import SuppleError
+from supple.errors import OutsideWarning, SuppleError
 from supple.strokes import STROKE_DTYPE, Recipe, Stroke, pack
 
 HUGE = pytest.param(10**5000, id="huge")  # too long for Python to spell
@@ -751,3 +751,40 @@ class TestPack:
         assert refusal(lambda: pack([grab()], (1, 1, 1))) == (
             "strokes[0].at must be a point of 3 numbers, as the medium has 3 axes, found (256.0, 256.0)"
         )
+
+
+def test_a_stroke_outside_is_judged_by_its_reach_in_physical_units() -> None:
+    def at(x: float, reach: float | None = 4.0, to: float = 1.0) -> Recipe:
+        stroke = Stroke(at=(x, 5.0), by=(to, 0.0), radius=3.0, reach=reach)
+        return Recipe(strokes=[stroke], border=None)
+
+    def made(recipe: Recipe) -> Deformation:
+        return Deformation.from_recipe(recipe, (10, 20), spacing=(2.0, 1.0))
+
+    made(at(-0.5))
+    made(at(19.5))
+    with pytest.warns(OutsideWarning, match="starts outside the picture, which has 20 x 10 pixels"):
+        made(at(-6.4))
+    with pytest.raises(SuppleError, match="reaches nothing of it"):
+        made(at(-6.6))
+    with pytest.warns(OutsideWarning):
+        made(at(-600.0, None))
+    with pytest.warns(OutsideWarning):
+        made(at(-6.6, to=20.0))  # a flow goes on from where it is
+
+
+def test_what_poissons_ratio_keeps() -> None:
+    """At 0.5, short drags keep volumes, without a reach; they never keep areas, and lower ratios keep less."""
+
+    def change(ndim: int, poisson: float, reach: float | None = None) -> float:
+        made = Deformation((41,) * ndim, border=None).add(
+            Stroke(at=(20.0,) * ndim, by=(1.0,) + (0.0,) * (ndim - 1), radius=10, poisson=poisson, reach=reach)
+        )
+        points = np.stack(np.meshgrid(*[np.arange(0.0, 41.0, 2.0)] * ndim), axis=-1)
+        return float(np.abs(np.linalg.det(made.jacobian(points)) - 1).max())
+
+    assert change(3, 0.5) < 0.002
+    assert change(2, 0.5) > 0.01
+    assert change(3, 0.5, 4.0) > 0.01
+    for ndim in (2, 3):
+        assert change(ndim, 0.5) < change(ndim, 0.3) < change(ndim, -1.0)

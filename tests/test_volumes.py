@@ -178,24 +178,25 @@ def test_voxels_of_another_size_are_not_scaled(here: Path) -> None:
     assert warp_volume("in.nii", "out.nii", recipe, fit="pixels").deformation.strokes == RECIPE.strokes
 
 
-def test_strokes_must_start_in_the_volume(here: Path) -> None:
+def test_strokes_outside_the_volume(here: Path) -> None:
     stored("in.nii", made())
     plain = stored("in.tif", made())
     assert plain.shape == SHAPE
+    outside = "outside the volume, which has 24 x 26 x 20 voxels"
     cases: list[tuple[str, Any, bool, str]] = [
-        (
-            "in.nii",
-            (100, 5, 5),
-            False,
-            r"\(100, 5, 5\) is not in in.nii: its indices go from \(0, 0, 0\) to \(23, 25, 19\)",
-        ),
-        ("in.nii", (500, 5, 5), True, "its RAS coordinates go from"),
+        ("in.nii", (200, 5, 5), False, rf"at \(200, 5, 5\) with radius 5 starts {outside}, and reaches nothing of it"),
+        ("in.nii", (500, 5, 5), True, f"starts {outside}, and reaches nothing of it"),
         ("in.tif", (5, 5, 5), True, "does not know where it lies in space"),
     ]
     for name, at, world, text in cases:
         recipe = supple.Recipe(strokes=[supple.Stroke.grab(at, by=(1, 0, 0), radius=5)])
         with pytest.raises(supple.SuppleError, match=text):
             warp_volume(name, "out.nii", recipe, options=VolumeOptions(world=world))
+    assert not Path("out.nii").exists()
+    near = supple.Recipe(strokes=[supple.Stroke.grab((24, 5, 5), by=(-1, 0, 0), radius=5)])
+    with pytest.warns(supple.OutsideWarning, match=outside):
+        warp_volume("in.nii", "out.nii", near)
+    Path("out.nii").unlink()
     flat = supple.Recipe(strokes=[supple.Stroke.grab((5, 5), by=(1, 0), radius=5)])
     with pytest.raises(supple.SuppleError, match="three numbers"):
         warp_volume("in.nii", "out.nii", flat)
@@ -256,7 +257,7 @@ def test_what_is_not_a_number_stays_where_it_is(here: Path) -> None:
     samples = made(dtype=np.float32)
     samples[3, 4:6, 5] = np.nan
     stored("in.nii", samples)
-    with pytest.warns(supple.errors.GapWarning, match="2 voxels of in.nii are not finite"):
+    with pytest.warns(supple.errors.GapWarning, match="2 voxels of in.nii are NaN or infinite"):
         warp_volume("in.nii", "out.nii", RECIPE, filter="linear")
     with warnings.catch_warnings():
         warnings.simplefilter("error")

@@ -269,6 +269,10 @@ def _outcome(future: Future[None]) -> tuple[str, int]:
         return str(error), REFUSED
     except MemoryError:
         return "this takes more memory than there is: cut the picture into parts", REFUSED
+    except BrokenPipeError:  # nobody reads what is told of the files: there is no use in going on
+        raise
+    except OSError as error:
+        return f"the system refuses: {error.strerror or error}", REFUSED
     except Exception as error:
         return fault(error), FAULT
     return "", 0

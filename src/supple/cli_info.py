@@ -6,7 +6,7 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from supple.console import REFUSED, SomeFailedError, current
+from supple.console import REFUSED, File, SomeFailedError, about, as_options, current, one_line
 from supple.errors import SuppleError
 from supple.options_volume import VolumeOptions
 
@@ -19,16 +19,16 @@ def info(
     json: Annotated[bool, Parameter(negative=())] = False,
     volume: VolumeOptions = _VOLUME,
 ) -> None:
-    """Tell what pictures, videos, volumes and recipes hold, or which GPUs there are.
+    """Describe pictures, videos, volumes and recipes, or list the GPUs.
 
     Parameters
     ----------
     files
-        Pictures, videos, patterns or folders of frames, volumes, or recipes in JSON.
+        Pictures, videos, image sequences (a pattern or a folder), volumes, or recipes in JSON.
     gpu
-        Which graphics cards there are, and programs that stand in for them; the first one is used.
+        List the GPUs, software ones too. The first is the one that is used.
     json
-        As one JSON object for each file.
+        Print one JSON object for each file.
     """
     console = current()
     from supple.describe import describe
@@ -45,15 +45,16 @@ def info(
                 print(f"{found['name']}: {found['kind']}, {found['backend']}, {found['driver']}")
     failures, reading = 0, volume.to_reading()
     for name in files:
-        try:
-            facts, text = describe(name, layout=reading.layout, series=reading.series)
-        except SuppleError as error:
-            failures = REFUSED
-            console.say(error)
-            facts, text = {"file": name, "error": str(error)}, ""
-        if json:
-            console.tell(facts)
-        elif text:
+        with about(File(name, named=len(files) > 1)):
+            try:
+                facts, text = describe(name, layout=reading.layout, series=reading.series)
+            except SuppleError as error:
+                failures = REFUSED
+                console.say(error)
+                facts, text = {"file": name, "error": as_options(one_line(error))}, ""
+            if json:
+                console.tell(facts)
+        if text and not json:
             print(text)
     if failures:
         raise SomeFailedError(failures)

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 from cyclopts import Group, Parameter
 
-from supple.console import current, told_of_software
+from supple.console import current, told, warn_of_software
 from supple.options import RUNNING, RunOptions, StrokeOptions, VideoOptions, parse_integer
 
 What = Literal["grid", "stretch", "axes", "residual", "iterations", "slice", "sheet"]
@@ -33,7 +33,7 @@ def plot(
     video: VideoOptions = _VIDEO,
     options: RunOptions = _RUN,
 ) -> None:
-    """Draw what strokes do to a picture or a video.
+    """Plot the deformation of a picture or a video.
 
     Parameters
     ----------
@@ -42,17 +42,17 @@ def plot(
     target
         A PNG, SVG or PDF file.
     what
-        Bent lines, growth and shrinking, its direction, the inverse's error, or the work for it. Of a video also a
-        cut along time (slice), or frames before and after (sheet).
+        Deformed grid lines, stretch, its principal axes, residual of the inverse map, or its iterations. For a
+        video also a slice along time, or a sheet of frames before and after.
     frame
-        Which frame of a video, counted from 0.
+        Frame of a video, counted from 0.
     x
-        Which column a slice shows over time.
+        Column that a slice shows over time.
     y
-        Which row a slice shows over time.
+        Row that a slice shows over time.
     """
     console = current()
-    console.started(quiet=options.quiet, threads=options.threads)
+    console.started(**options.asked(), file=source)
     recipe = strokes.to_recipe()
     from supple.cli_warp import picture_facts
     from supple.plots import plot_file
@@ -72,9 +72,7 @@ def plot(
     )
     if options.json:
         job = (Path(source), Path(target))
-        facts = (
-            picture_facts(job, deformation, deformation.report()) if deformation.ndim == 2 else deformation.resolution()
-        )
+        facts = picture_facts(job, deformation, deformation.report()) if deformation.ndim == 2 else told(deformation)
         console.tell({**facts, "input": source, "output": target, "what": what})
 
 
@@ -85,23 +83,22 @@ def demo(
     device: Annotated[Device, Parameter(group=RUNNING)] = "cpu",
     options: RunOptions = _RUN,
 ) -> None:
-    """Write a small gallery, with an index.html to look at.
+    """Write a gallery of examples, with a page to open in a browser.
 
     Parameters
     ----------
     folder
-        Where to.
+        Folder to write the gallery to.
     device
-        Who makes it: the CPU, the GPU, or auto: a graphics card, where there is one.
+        Where to compute: cpu, gpu, or auto (the GPU if there is one).
     """
     console = current()
     from supple.gallery import write_gallery
 
-    console.started(quiet=options.quiet, threads=options.threads)
-    say_software = told_of_software(console, device)
+    console.started(**options.asked())
+    warn_of_software(console, device)
     progress = console.say if console.terminal else None
     page = write_gallery(folder, force=options.force, device=device, progress=progress)
-    say_software()
     if options.json:
         console.tell({"output": str(page)})
     elif not options.quiet:

@@ -26,20 +26,20 @@ def view(
     labels: Annotated[bool, Parameter(group=VOLUME)] = False,
     volume: VolumeOptions = _VOLUME,
 ) -> None:
-    """Bend a photograph, a clip or a volume by hand, in a window.
+    """Open a window to bend a picture, video or volume by hand.
 
     Parameters
     ----------
     source
-        What supple warp takes.
+        A picture, video, image sequence or volume, as for supple warp.
     serve
-        Show it in a browser instead, on this machine or through a tunnel to it: it prints the address.
+        Show the window in a web browser, on this machine or through a tunnel: the address is printed.
     port
-        Of that; any that is free, by default.
+        Port for --serve (default: any free port).
     toolkit
-        What makes the window.
+        Window toolkit: glfw, or qt (needs PySide6 or PyQt6).
     labels
-        Values are names of things, which exports keep: each voxel takes that of the nearest.
+        The volume is a label map: exports take the label of the nearest voxel, and labels are not mixed.
     """
     from supple.viewer.launch import ViewOptions, show
     from supple.viewer.launch import serve as serve_it

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import numpy as np
 from cyclopts import Parameter
 
-from supple.console import current, say_convention, told_of_software
+from supple.console import current, say_convention, told, warn_of_software
 from supple.errors import SuppleError
 from supple.options import RunOptions, StrokeOptions, VideoOptions
 from supple.options_render import CameraOptions, LookOptions
@@ -39,21 +39,21 @@ def render(
     volume: VolumeOptions = _VOLUME,
     options: RunOptions = _RUN,
 ) -> None:
-    """Take a picture of a volume, as it is or with strokes.
+    """Render a picture of a volume, original or deformed.
 
     Parameters
     ----------
     source
-        NIfTI, NRRD, MetaImage, a DICOM folder, a TIFF stack, .dat, or voxels without a header.
+        A volume: NIfTI, NRRD, MetaImage, a DICOM folder, a TIFF stack, .dat, or a file without a header.
     target
-        A picture (PNG and TIFF keep what is transparent), or with --turntable a video or a pattern.
+        A picture (PNG and TIFF keep opacity); with --turntable, a video or a name with a number.
     """
     console = current()
     from supple.files import counted
     from supple.views import render_file
 
-    console.started(quiet=options.quiet, threads=options.threads)
-    say_software = told_of_software(console, look.device)
+    console.started(**options.asked(), file=source)
+    warn_of_software(console, look.device)
     recipe, fit = strokes.to_recipe(world=volume.world) if strokes.any else None, strokes.to_fit()
     render, reading = look.to_render(camera.to_camera()), volume.to_reading()
     if reading.world and recipe is None:
@@ -62,10 +62,9 @@ def render(
         scene = render_file(
             source, target, recipe, options=render, volume=reading, force=options.force, tell=tell, fit=fit
         )
-    say_software()
     say_convention(console, reading.world, scene.geometry, source)
     if options.json:
-        facts = scene.deformation.resolution() if scene.deformation else {}
+        facts = told(scene.deformation) if scene.deformation else {}
         low, high = scene.range
         console.tell(
             {
@@ -98,25 +97,25 @@ def points(
     video: VideoOptions = _VIDEO,
     options: RunOptions = _RUN,
 ) -> None:
-    """Move landmarks as strokes move what they mark.
+    """Move landmarks by the deformation of the strokes.
 
     Parameters
     ----------
     source
-        Points: CSV, or 3D Slicer's .fcsv and .mrk.json.
+        Points to read: CSV, or 3D Slicer's .fcsv and .mrk.json.
     target
-        A file of the same kind.
+        File to write, of the same kind.
     on
         The volume, picture or video that the strokes are for.
     inverse
-        Back: from the deformed volume to where it came from.
+        Apply the inverse: from the deformed volume back to the original.
     convention
-        What the numbers of a table are that does not say it: millimetres in LPS or RAS, or indices (default).
+        Coordinates of a table that does not name them: LPS or RAS in millimetres, or index (default).
     """
     console = current()
     from supple.landmarks import move_points
 
-    console.started(quiet=options.quiet, threads=options.threads)
+    console.started(**options.asked(), file=source)
     recipe = strokes.to_recipe(world=volume.world)
     deformation, geometry = _deformation(on, recipe, volume.to_reading(), video, strokes.to_fit())
     moved = move_points(

@@ -11,7 +11,19 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Group, Parameter
 
-from supple.console import STREAM, Console, SomeFailedError, current, say_convention, told_of_software
+from supple.console import (
+    STREAM,
+    Console,
+    File,
+    SomeFailedError,
+    about,
+    as_options,
+    current,
+    one_line,
+    say_convention,
+    told,
+    warn_of_software,
+)
 from supple.errors import SuppleError
 from supple.options import RUNNING, RunOptions, StrokeOptions, VideoOptions, parse_fill, parse_number
 from supple.options_volume import VOLUME, VolumeOptions
@@ -58,57 +70,68 @@ def warp(
 ) -> None:
     """Bend pictures, videos and volumes.
 
-    Several files, a folder or a pattern in quotes go into a folder, under the same names. Numbered pictures,
-    frames/%05d.png, or with a time a folder of them, are a video; a folder of DICOM slices is a volume.
+    Several files, a folder or a pattern in quotes are written to a folder under the same names. Numbered pictures
+    (frames/%05d.png) are a video, and so is a folder of pictures if the strokes have a time. A folder of DICOM
+    slices is a volume.
 
     Parameters
     ----------
     paths
-        Files to read, and last the one to write (by suffix: PNG, JPEG, TIFF, WebP, AVIF; MP4, MOV, MKV, WebM,
-        AVI, GIF; NIfTI, NRRD, MHA) or a folder. A dash, -, is standard input or output, in the input's format.
+        Files to read, and last the file or folder to write. The suffix of OUT is its format: PNG, JPEG, TIFF,
+        WebP, AVIF; MP4, MOV, MKV, WebM, AVI, GIF; NIfTI, NRRD, MHA. A dash, -, is standard input or output, in the
+        input's format.
     filter
-        Colours between pixels: auto is cubic, and averages just what the map shrinks.
+        Interpolation: auto (cubic, averaged where the picture shrinks), cubic, linear or nearest.
     outside
-        What is seen beyond the edges: these go on, a constant (--fill), or the mirror image.
+        What to show beyond the edges of the input: its edge pixels, a constant (--fill), or its mirror image.
     fill
-        The constant of --outside constant, in the picture's own values (0): one for all channels, or one for each.
+        Fill value of --outside constant, in the picture's own values (0): one for all channels, or one for each.
     tolerance
-        How far from its exact place a colour may be taken, in pixels; this is certified.
+        Largest allowed error of the inverse map, in pixels.
     linear_light
-        Average light rather than sRGB values, which darken fine detail.
+        Average in linear light instead of sRGB values, so that fine detail does not darken.
     quality
-        For JPEG (default 95), WebP and AVIF (90).
+        Quality of JPEG (default 95), WebP and AVIF (90), from 1 to 100.
     lossless
-        Keep every value in WebP and AVIF, and of a video, by FFV1 or the --codec; PNG and TIFF always do.
+        Write WebP and AVIF without loss, and videos with FFV1 or --codec. PNG and TIFF are always lossless.
     save_recipe
-        Write the strokes, to be carried out again with --recipe.
+        Write the strokes to a recipe (JSON), for --recipe.
     labels
-        Values are names of things, and are kept: each voxel takes that of the nearest.
+        The volume is a label map: each voxel takes the label of the nearest one, and labels are not mixed.
     save_field
-        Write the inverse displacements too, for SimpleITK, ANTs and 3D Slicer: NIfTI, NRRD, MHA or .h5.
+        Also write the displacement field of the inverse map, for SimpleITK, ANTs and 3D Slicer: NIfTI, NRRD,
+        MHA or .h5.
     device
-        Who does it: the CPU, the GPU, or auto: a graphics card, where there is one; or cuda, an NVIDIA card, of
-        pictures and volumes.
+        Where to compute: cpu, gpu, auto (the GPU if there is one), or cuda (an NVIDIA GPU, for pictures and
+        volumes).
     """
     console = current()
     from supple.batch import Crew, check_recipe_file, make_folders, pair, piped
     from supple.clips import is_clip
     from supple.engines import check_device
     from supple.files import warp_file, write_recipe
+    from supple.media.files import shown
     from supple.native import check_filter
     from supple.volumes import holds_volumes, is_volume_job
+    from supple.warping import FINEST
 
     if len(paths) < 2:
         raise SuppleError("give a file to read and a name to write to: supple warp IN OUT --grab …")
-    console.started(quiet=options.quiet, threads=options.threads)
+    console.started(**options.asked(), file=paths[0] if len(paths) == 2 else "")
     check_filter(filter)
     recipe = strokes.to_recipe(world=volume.world)
-    say_software = told_of_software(console, device)
+    warn_of_software(console, device)
+    exact = parse_number("--tolerance", tolerance, "a number of pixels above 0")
+    if 1e-9 <= exact < FINEST:
+        console.warn(
+            f"--tolerance {tolerance} is not reached everywhere: source points are float32, and exact to about "
+            f"{FINEST:g} pixels"
+        )
     sampling: dict[str, Any] = {
         "filter": filter,
         "outside": outside,
         "fill": parse_fill("0" if fill is None else fill),
-        "tolerance": parse_number("--tolerance", tolerance, "a number of pixels above 0"),
+        "tolerance": exact,
         "linear_light": linear_light,
         "quality": quality,
         "lossless": lossless,
@@ -136,19 +159,23 @@ def warp(
         check_recipe_file(save_recipe, jobs, options.force)
 
     kept: set[Recipe] = set()
+    files = {job: File(shown(job[0]), shown(job[1]), many) for job in jobs}
 
     def do(job: Job, tell: bool | Tell) -> None:
-        with workers() as who, piped(job, console) as (source, target):
-            made = warp_file(source, target, recipe, progress=tell, **sampling)
-        kept.add(_kept(recipe, made, reading.world))
-        if options.json:
-            known = {"input": "-"} if str(job[0]) == STREAM else {}
-            console.tell({**_facts_of(job, made), **known, "device": str(who)})
-        say_convention(console, reading.world, getattr(made, "geometry", None), job[0])
+        with about(files[job]):
+            with workers() as who, piped(job, console) as (source, target):
+                made = warp_file(source, target, recipe, progress=tell, **sampling)
+            kept.add(_kept(recipe, made, reading.world))
+            if options.json:
+                known = {"input": "-"} if str(job[0]) == STREAM else {}
+                console.tell({**_facts_of(job, made), **known, "device": str(who)})
+            say_convention(console, reading.world, getattr(made, "geometry", None), job[0])
 
     def failed(job: Job, message: str) -> None:
         if options.json:
-            console.tell({"input": str(job[0]), "output": str(job[1]), "error": message})
+            with about(files[job]):
+                error = as_options(one_line(message))
+                console.tell({"input": str(job[0]), "output": str(job[1]), "error": error})
 
     if not all(is_clip(*job, recipe) for job in jobs):  # of clips, it says that it does not do them
         check_device(device)
@@ -163,7 +190,6 @@ def warp(
     else:
         failures = 0
         _alone(console, jobs[0], do, failed)
-    say_software()
     if save_recipe is not None:
         write_recipe(save_recipe, _shared(recipe, kept), force=options.force)
     if failures:
@@ -225,7 +251,7 @@ def _volume_facts(made: WarpedVolume) -> dict[str, Any]:
         "convention": made.geometry.convention,
         "tolerance": made.tolerance,
         "error": made.error,
-        **made.deformation.resolution(),
+        **told(made.deformation),
     }
 
 
@@ -242,7 +268,7 @@ def _clip_facts(made: WarpedClip) -> dict[str, Any]:
         "held": made.held,
         "tolerance": made.tolerance,
         "error": made.error,
-        **deformation.resolution(),
+        **told(deformation),
     }
 
 

@@ -8,6 +8,7 @@ import shutil
 import warnings
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
+from contextvars import copy_context
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
@@ -18,7 +19,7 @@ from supple.certificate import Certificate
 from supple.deformation import Deformation, Report
 from supple.domain import choice, length, number, refuse
 from supple.engines import check_no_cuda, engine_of
-from supple.errors import OutsideWarning, SuppleError
+from supple.errors import SuppleError
 from supple.media.files import check_output, replacing, shown
 from supple.media.formats import SUFFIXES_OUT as PICTURES_OUT
 from supple.media.image import check_quality, check_target
@@ -201,23 +202,6 @@ def warn_of_rotation(clip: Any, deformation: Deformation) -> None:
         )
 
 
-def warn_of_misses(deformation: Deformation, name: PathLike) -> None:
-    """Say which stroke begins farther outside the picture than it reaches, which is most often a slip."""
-    height, width = deformation.shape[-2:]
-    for i, stroke in enumerate(deformation.strokes):
-        beyond = max(max(-p, p - (n - 1)) for p, n in zip(stroke.at[:2], (width, height), strict=True))
-        if beyond > stroke.radius:
-            which = f"stroke {i + 1}" if len(deformation.strokes) > 1 else "the stroke"
-            place = ", ".join(f"{x:g}" for x in stroke.at[:2])
-            warnings.warn(
-                f"{which} begins at ({place}), farther outside {shown(name)}, which is {width} x {height}, "
-                f"than its radius of {stroke.radius:g}",
-                OutsideWarning,
-                stacklevel=4,
-            )
-            return
-
-
 def refuse_places(recipe: Recipe, source: PathLike) -> None:
     """Refuse a recipe in millimetres for what is no volume."""
     if recipe.is_world:
@@ -244,11 +228,6 @@ def deformation_of(
     if scaling is not None:
         time_scale *= scaling.frame  # so that the brush covers the same part of the clip
     recipe = fit_recipe(recipe, size, fit, name, time=True)
-    for i, stroke in enumerate(recipe.strokes):
-        if not stroke.hidden and not 0 <= stroke.at[2] <= count - 1:
-            which = f"stroke {i + 1}: " if len(recipe.strokes) > 1 else ""
-            has = "one frame: t is 0" if count == 1 else f"{count} frames: t goes from 0 to {count - 1}"
-            raise SuppleError(f"{which}there is no frame {stroke.at[2]:g} in {name}, which has {has}")
     return Deformation.from_recipe(recipe, (count, *shape), spacing=(1.0, 1.0, time_scale), time=True)
 
 
@@ -337,7 +316,6 @@ def warp_clip(
                 deformation = deformation_of(recipe, clip.count, clip.layout.shape, known.time_scale, clip.name, fit)
                 if count is None:
                     warn_of_rotation(clip, deformation)
-                    warn_of_misses(deformation, source)
                 sampling = sampling_of(
                     clip,
                     filter=filter,
@@ -359,7 +337,6 @@ def warp_clip(
                     known_error, held, still = _through(
                         clip, deformation, sampling, writer, known.memory, not is_picture_target(target), device, tell
                     )
-                warn_of(Certificate(known_error, 0.0), tolerance, 3)
                 return WarpedClip(
                     Path(source), Path(target), deformation, tolerance, clip.count, still, held, known_error
                 )
@@ -400,6 +377,7 @@ def _through(
                 write(arrays, z)
                 error = max(error, certificate.error)
                 tell("warp", z + 1, n)
+        warn_of(Certificate(error, 0.0), sampling.tolerance, 4)  # before the target has its name
     return error, capacity_of(plan, engine), int(plan.still.sum())
 
 
@@ -452,7 +430,7 @@ def _writing(write: Callable[[Sequence[Array], int], None], aside: bool) -> Iter
     def submit(arrays: Sequence[Array], k: int) -> None:
         while len(waiting) >= _AHEAD:
             waiting.popleft().result()
-        waiting.append(pool.submit(write, arrays, k))
+        waiting.append(pool.submit(copy_context().run, write, arrays, k))
 
     with ThreadPoolExecutor(1, "supple-encode") as pool:
         try:

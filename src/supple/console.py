@@ -12,12 +12,14 @@ import threading
 import warnings
 from collections.abc import Callable, Iterator, Mapping
 from contextvars import ContextVar
+from dataclasses import asdict, dataclass, field
 from types import FrameType
 from typing import TYPE_CHECKING, Any, NoReturn
 
 from supple.errors import SuppleError
 
 if TYPE_CHECKING:
+    from supple.deformation import Deformation
     from supple.geometry import Geometry
 
 DONE, FAULT, REFUSED = 0, 1, 2
@@ -27,11 +29,19 @@ STREAM = "(standard)"  # a dash among files: standard input or output
 PIPE_CLOSED = 141  # 128 + SIGPIPE, which Windows does not name
 
 
-# An argument of the library that a message begins with, and says what it must be.
-_ARGUMENT = re.compile(
-    r"^(between|codec|device|crf|fill|filter|fit|frame|linear_light|memory|outside|pixel_format|preset|quality|time_scale|tolerance)"
-    r"(?= is for | must be | needs )"
+# Arguments of the library that are options of the command; those with an underscore are nothing else.
+_NAMES = (
+    "between|border|border_profile|codec|crf|device|field_of_view|fill|filter|fit|force|frame|labels|linear_light|lossless|"
+    "memory|mode|on_fold|outside|pixel_format|poisson|preset|quality|radius|rate|raw|reach|save_field|scales|series|"
+    "spacing|time_filter|time_scale|tolerance|world"
 )
+_UNDERSCORED = "|".join(name for name in _NAMES.split("|") if "_" in name)
+_VALUE = r"""(?:'([^']*)'|"([^"]*)"|(None|True|False|[\w.]+(?:\(\.\.\.\))?))"""
+_ASIDE = re.compile(rf" \((?:{_NAMES})={_VALUE}\)")  # --force (force=True)
+_GIVEN = re.compile(rf"(?<![\w-])({_NAMES})={_VALUE}")  # on_fold='flow'
+_FIRST = re.compile(rf"^((?:--grab \S+: )?)({_NAMES})(?= is for | must be | needs )")
+_WORD = re.compile(rf"(?<![\w/.-])({_UNDERSCORED})(?![\w/.-])")
+_SPELT = {"rate": "fps"}
 
 
 class Terminated(BaseException):
@@ -53,22 +63,69 @@ def one_line(text: object) -> str:
 
 
 def as_options(text: str) -> str:
-    """Name options as the command line does, where a message of the library names arguments."""
-    text = _ARGUMENT.sub(lambda found: "--" + found[1].replace("_", "-"), text)
-    text = re.sub(r'^filter="(\w+)"', r"--filter \1", text)
-    text = re.sub(r"\bon_fold='(\w+)'", r"--on-fold \1", text).replace("border=None", "--border none")
-    return re.sub(r"\bfit='(\w+)'", r"--fit \1", text)
+    """Say in options what a message of the library says in Python: ``--on-fold flow`` for ``on_fold='flow'``."""
+
+    def option(name: str) -> str:
+        return "--" + _SPELT.get(name, name).replace("_", "-")
+
+    def given(found: re.Match[str]) -> str:
+        name, *values = found.groups()
+        value = next(value for value in values if value is not None)
+        return option(name) if value == "True" else f"{option(name)} {'none' if value == 'None' else value}"
+
+    text = _GIVEN.sub(given, _ASIDE.sub("", text))
+    text = _FIRST.sub(lambda found: found[1] + option(found[2]), text)
+    return _WORD.sub(lambda found: option(found[1]), text).replace(", or None ", ", or none ")
+
+
+@dataclass(slots=True, eq=False)
+class File:
+    """A file that is worked on, and the warnings about it.
+
+    Parameters
+    ----------
+    source, target : str
+        What is read, and what is written.
+    named : bool
+        Whether each warning begins with the file's name, as one of several.
+    warnings : list of str
+        The warnings so far, as on standard error.
+    """
+
+    source: str = ""
+    target: str = ""
+    named: bool = False
+    warnings: list[str] = field(default_factory=list)
+
+
+_file: ContextVar[File | None] = ContextVar("file", default=None)
+
+
+@contextlib.contextmanager
+def about(file: File) -> Iterator[None]:
+    """Collect the warnings of this context in a file; threads that work for it run in a copy of the context."""
+    token = _file.set(file)
+    try:
+        yield
+    finally:
+        _file.reset(token)
 
 
 class Console:
     """Where messages go. Line by line to standard error, above a progress bar if there is one."""
 
     def __init__(self) -> None:
-        self.quiet = False
+        self.quiet = self.strict = False
+        self.all = File()  # warnings about no file of several, or about the one there is
         self.bar: Any = None
         self.names: dict[str, str] = {}  # of temporary files, as people know them
         self._said: set[str] = set()
         self._lock = threading.Lock()
+
+    @property
+    def file(self) -> File:
+        """The file that is worked on in this context."""
+        return _file.get() or self.all
 
     @property
     def terminal(self) -> bool:
@@ -87,25 +144,47 @@ class Console:
                 print(line, file=sys.stderr, flush=True)
 
     def tell(self, facts: Mapping[str, object]) -> None:
-        """Write one JSON object, a line, to standard output."""
+        """Write one JSON object, a line, to standard output; the warnings about the file are added."""
+        line = json.dumps({**facts, "warnings": list(dict.fromkeys(self.all.warnings + self.file.warnings))})
         with self._lock:  # one line at a time, though many threads have something to tell
-            sys.stdout.write(json.dumps(facts) + "\n")
+            sys.stdout.write(line + "\n")
             sys.stdout.flush()
 
     def warn(self, text: object) -> None:
-        """Write a warning, unless it has been written before or nobody wants to hear."""
-        line = one_line(text)
-        if not self.quiet and line not in self._said:
+        """Write a warning, unless it has been written before or is unwanted; with --strict, raise it as an error.
+
+        Raises
+        ------
+        SuppleError
+            If warnings are errors. Files that are being written are removed, as after every error.
+        """
+        file, line = self.file, as_options(one_line(text))
+        names = tuple(one_line(name) for name in (file.source, file.target) if name)
+        if names and (file.named or self.strict) and not line.startswith(names):
+            line = f"{names[0]}: {line}"
+        with self._lock:
+            fresh = line not in self._said
             self._said.add(line)
+            if line not in file.warnings:
+                file.warnings.append(line)
+        if self.strict:
+            raise SuppleError(f"{line} (--strict: warnings are errors)")
+        if fresh and not self.quiet:
             self.say(f"warning: {line}")
 
-    def started(self, *, quiet: bool, threads: int | None) -> None:
-        """Take the options that every command has."""
-        self.quiet = quiet
+    def started(self, *, quiet: bool, threads: int | None, strict: bool = False, file: str = "") -> None:
+        """Take the options that every command has, and the name of the file that it reads."""
+        self.quiet, self.strict = quiet, strict
+        self.all.source = file
         if threads is not None:
             if threads < 1:
                 raise SuppleError(f"--threads must be a number of threads from 1, found {threads}")
             os.environ["SUPPLE_THREADS"] = os.environ["VIPS_CONCURRENCY"] = str(threads)
+        named = os.environ.get("SUPPLE_THREADS", "")
+        if named and not (named.isascii() and named.isdecimal() and int(named) > 0):
+            raise SuppleError(
+                f"the environment variable SUPPLE_THREADS must be a number of threads from 1, found {named!r}"
+            )
 
 
 _current: ContextVar[Console] = ContextVar("console")
@@ -116,8 +195,8 @@ def current() -> Console:
     return _current.get()
 
 
-def told_of_software(console: Console, device: str) -> Callable[[], None]:
-    """Return what says, when the work is done, that the GPU that was asked for is none.
+def warn_of_software(console: Console, device: str) -> None:
+    """Warn that the GPU that was asked for is a program.
 
     Raises
     ------
@@ -125,18 +204,24 @@ def told_of_software(console: Console, device: str) -> Callable[[], None]:
         If there is not even such a one.
     """
     if device != "gpu":
-        return lambda: None
+        return
     from supple.gpu.device import open_gpu
 
     gpu = open_gpu()
-    text = f"{gpu.name} is a program that runs on the CPU: no graphics card was found"
-    return lambda: console.warn(text) if gpu.software else None
+    if gpu.software:
+        console.warn(f"{gpu.name} is a program that runs on the CPU: no GPU was found")
 
 
 def say_convention(console: Console, world: bool, geometry: Geometry | None, name: object) -> None:
     """Say in which coordinates points were taken, if they are places in space."""
     if world and geometry and not console.quiet:
         console.say(f"points are {geometry.convention} millimetres, as {name} has them")
+
+
+def told(deformation: Deformation) -> dict[str, Any]:
+    """Return what became of the strokes, as JSON holds it."""
+    made = deformation.resolution()
+    return {**made, "arrivals": [asdict(arrival) for arrival in made["arrivals"]]}
 
 
 def run(command: Callable[[Console], object]) -> int:

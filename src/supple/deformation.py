@@ -14,8 +14,8 @@ import numpy.typing as npt
 from supple import _core
 from supple.certificate import Certificate
 from supple.domain import BorderProfile, Domain, choice, colours_hint, integer, number, refuse
-from supple.errors import FoldWarning, MissWarning, SuppleError, ToleranceWarning
-from supple.folding import Resolved, resolve
+from supple.errors import FoldWarning, MissWarning, OutsideWarning, SuppleError, ToleranceWarning
+from supple.folding import Resolved, described, resolve
 from supple.native import certificate_of, measured, plan_of
 from supple.oncard import is_on_card, points_on_card, warp_on_card
 from supple.scaling import spoken
@@ -211,8 +211,16 @@ class Deformation:
         Raises
         ------
         SuppleError
-            As `grab` does; or if the recipe was made for another size (`Recipe.fitted` makes it fit), or is in
-            millimetres (`supple.warp_file` takes it).
+            As `grab` does; if a stroke starts outside the domain, and nothing of it reaches a sample; or if the recipe
+            was made for another size (`Recipe.fitted` makes it fit), or is in millimetres (`supple.warp_file` takes
+            it).
+
+        Warns
+        -----
+        OutsideWarning
+            If a stroke starts outside the domain.
+        FoldWarning, MissWarning
+            As `grab` does.
         """
         if not isinstance(recipe, Recipe):
             refuse("a recipe", "a Recipe (Recipe.from_json reads one)", recipe)
@@ -240,8 +248,11 @@ class Deformation:
                 before, made = made, made.add(reduced(stroke, recipe.amount, whole, made), warn=False)
                 if k < len(visible) - 1:
                     whole = after(stroke, recipe.amount, whole, before, made)
+                outside = last_outside(made)
             except SuppleError as error:
                 raise type(error)(f"{which}{error}") from None
+            if outside:
+                warnings.warn(f"{which}{outside}", OutsideWarning, stacklevel=3)
             _warn(made._resolved[-1], which)
         return made
 
@@ -314,8 +325,9 @@ class Deformation:
         radius : float
             How far the drag is felt, in physical units (ε of the regularized Kelvinlet).
         poisson : float, optional
-            Poisson's ratio ν of the material: 0.5 keeps volumes, -inf moves nothing sideways. By default 0.4; but -inf
-            for a drag along time alone.
+            Poisson's ratio ν of the material, at most 0.5. At higher values, 3-D volumes change less; areas of an image
+            change at any value. 0.5 is incompressible: without reach and border, a short drag keeps 3-D volumes. -inf
+            moves nothing sideways. By default 0.4; but -inf for a drag along time alone.
         scales : int
             1: felt far, as 1/r. 2 and 3: more local, as 1/r³ and 1/r⁵.
         reach : float or None
@@ -471,7 +483,7 @@ class Deformation:
         tolerance = number("tolerance", tolerance, "a number of pixels above 0", 1e-9, 1e9)
         if like is not None:
             if not is_on_card(like):
-                refuse("like", "an array on a card, or left out", like)
+                refuse("like", "an array on a CUDA device, or left out", like)
             from supple.warping import warn_of
 
             found, certificate = points_on_card().inverse_map(self.space, like, tolerance)
@@ -538,9 +550,9 @@ class Deformation:
         samples : int
             For a function: samples along each side of an output pixel, which are averaged.
         device : str
-            Who does it: the ``"cpu"``; the ``"gpu"``, also one that is a program for the CPU; or ``"auto"``: a graphics
-            card, where there is one and it does what is asked, and the CPU otherwise. ``"cuda"`` sends the array to an
-            NVIDIA card in slabs, so that it need not fit there.
+            Where to compute: on the ``"cpu"``; on the ``"gpu"``, which may be software; or ``"auto"``: on the GPU if
+            there is one and it can do what is asked, and on the CPU otherwise. ``"cuda"`` sends the array to an NVIDIA
+            GPU in slabs, so that it need not fit there.
         out : array, optional
             Where to put the result; of its shape and type, and not overlapping ``source``.
 
@@ -721,6 +733,32 @@ def after(stroke: Stroke, amount: float, whole: Deformation, before: Deformation
     if whole is before and amount * stroke.strength == 1:
         return now
     return whole.add(replace(stroke, strength=1.0), warn=False)
+
+
+def last_outside(made: Deformation) -> str | None:
+    """Return what to warn with if the last stroke starts outside the samples.
+
+    Raises
+    ------
+    SuppleError
+        If nothing of it reaches a sample.
+    """
+    stroke, rows, domain = made.strokes[-1], made._resolved[-1].rows, made.domain
+    sizes = np.array(made.shape[::-1])
+    if np.all((np.array(stroke.at) >= -0.5) & (np.array(stroke.at) <= sizes - 0.5)):
+        return None
+    if made.ndim == 2:
+        extent = f"the picture, which has {sizes[0]} x {sizes[1]} pixels"
+    elif domain.time:
+        extent = f"the clip, which has {sizes[0]} x {sizes[1]} pixels and {sizes[2]} frames (from 0)"
+    else:
+        extent = f"the volume, which has {sizes[0]} x {sizes[1]} x {sizes[2]} voxels"
+    pivots, spacing = rows["pivot"][:, : made.ndim], np.array(domain.spacing)
+    beyond = np.maximum(np.maximum(-0.5 * spacing - pivots, pivots - (sizes - 0.5) * spacing), 0.0)
+    text = f"{described(stroke)} starts outside {extent}"
+    if len(rows) and np.all(np.linalg.norm(beyond, axis=1) >= rows["reach"]):
+        raise SuppleError(f"{text}, and reaches nothing of it: use a point inside, a larger radius or a longer reach")
+    return text
 
 
 def _warn(resolved: Resolved, which: str = "") -> None:

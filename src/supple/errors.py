@@ -24,7 +24,7 @@ class DeviceWarning(UserWarning):
 
 
 class OutsideWarning(UserWarning):
-    """A stroke begins so far outside the picture that it is hardly felt."""
+    """A stroke starts outside the picture, the clip or the volume."""
 
 
 class ScaleWarning(UserWarning):

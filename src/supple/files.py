@@ -15,7 +15,7 @@ import numpy as np
 
 from supple.clips import SUFFIXES as CLIPS
 from supple.clips import SUFFIXES_OUT as CLIPS_OUT
-from supple.clips import ClipOptions, WarpedClip, check_clip_target, is_clip, refuse_places, warn_of_misses, warp_clip
+from supple.clips import ClipOptions, WarpedClip, check_clip_target, is_clip, refuse_places, warp_clip
 from supple.deformation import Deformation, Report
 from supple.domain import choice
 from supple.engines import DEVICES, check_device, check_no_cuda
@@ -105,7 +105,7 @@ def warp_file(
     lossless : bool
         Keep every value, in WebP and AVIF too; of a video, with FFV1 or the codec that is named.
     device : str
-        Who does it, as `Deformation.warp` takes it.
+        Where to compute, as `Deformation.warp` takes it.
     force : bool
         Whether a file that exists may be replaced, even the source.
     progress : bool or function
@@ -200,7 +200,6 @@ def warp_file(
         height, width = len(picture.pixels) // picture.pages, picture.pixels.shape[1]
         fitted = fit_recipe(recipe, (width, height), fit, shown(source))
         deformation = Deformation.from_recipe(fitted, (height, width))
-        warn_of_misses(deformation, source)
         if deformation.is_identity and quality is None and not lossless and _suffix(source) == _suffix(target):
             # Encoded anew, a lossy picture would not be what it was.
             begin("write")
@@ -386,7 +385,7 @@ def read_recipe(path: PathLike) -> Recipe:
     try:
         return Recipe.from_json(text)
     except SuppleError as error:
-        raise SuppleError(f"{name}: {error}") from None
+        raise SuppleError(f"{name}: {str(error).replace('None', 'null')}") from None
 
 
 def check_recipe_name(path: PathLike, *, force: bool = False) -> None:

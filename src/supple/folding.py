@@ -131,7 +131,7 @@ def _resolve(stroke: Stroke, domain: Domain, on_fold: FoldPolicy) -> Resolved:
     folds = alpha < 1
     if folds and on_fold == "error":
         most = _shown(_cut(0.999 * alpha * x, 5) for x in stroke.by)
-        raise FoldError(f"{_described(stroke)} folds: at most {most} does not (on_fold='flow' goes all the way)")
+        raise FoldError(f"{described(stroke)} folds: at most {most} does not (on_fold='flow' goes all the way)")
     table["force"] *= alpha
     # What is outside of a fixed border is no part of the picture: a brush only passes there.
     beta = _beta(table[0]["pivot"], axes) if _held(table[0]["pivot"], axes) else np.ones(3)
@@ -149,7 +149,7 @@ def _resolve(stroke: Stroke, domain: Domain, on_fold: FoldPolicy) -> Resolved:
         else:
             why = f"ends {distance} short: {border}"
         helps = "on_fold='flow' goes all the way" + (", border=None frees the border" if held_back else "")
-        warning = f"{_described(stroke)} {why} ({helps})"
+        warning = f"{described(stroke)} {why} ({helps})"
         if on_fold == "error":
             raise FoldError(warning)
     return Resolved(table, arrived, alpha, 1 + alpha * lower, cause, warning)
@@ -164,7 +164,7 @@ def _flow(stroke: Stroke, poisson: float, row: np.void, axes: Floats, arrived: t
         (drag != 0) & fixed & ((_beta(position, axes) < 1e-100) | (target <= 0) | (target >= axes[:, 0]))
     ):
         raise SuppleError(
-            f"{_described(stroke)} cannot arrive: the border is fixed, so that what is on it only slides "
+            f"{described(stroke)} cannot arrive: the border is fixed, so that what is on it only slides "
             "along it, and nothing else gets there; use border=None, or points further in"
         )
     # What is outside of a fixed border is held by nothing; a brush only passes there.
@@ -188,13 +188,13 @@ def _flow(stroke: Stroke, poisson: float, row: np.void, axes: Floats, arrived: t
         rows.append(row.copy())
     if refused:
         raise SuppleError(
-            f"{_described(stroke)} would take more than {MOST_SUBSTROKES} strokes to arrive without a fold; "
+            f"{described(stroke)} would take more than {MOST_SUBSTROKES} strokes to arrive without a fold; "
             "use a larger radius, or on_fold='damp'"
         )
     table = np.array(rows)
     if _narrowest(table, axes, table[0]["pivot"], drag) < _SQUEEZED:
         raise SuppleError(
-            f"{_described(stroke)} squeezes what lies before it more than {1 / _SQUEEZED:g} times, which could not be "
+            f"{described(stroke)} squeezes what lies before it more than {1 / _SQUEEZED:g} times, which could not be "
             "undone; use a target farther from the fixed border, a wider border or border=None, or on_fold='damp'"
         )
     return Resolved(table, arrived, margin=margin)
@@ -227,7 +227,8 @@ def _beta(position: Floats, axes: Floats) -> Floats:
     return np.where(sigma < 0, 1.0, beta)
 
 
-def _described(stroke: Stroke) -> str:
+def described(stroke: Stroke) -> str:
+    """Name a stroke in a message."""
     return f"a drag by {_shown(stroke.by)} at {_shown(stroke.at)} with radius {stroke.radius:g}"
 
 

@@ -49,7 +49,7 @@ def warp_on_card(
     """Warp an array on a card, or a batch of them, and wait for it; SuppleError if that cannot be done."""
     choice("device", device, ("auto", "cpu", "gpu", "cuda"))
     if device == "gpu":
-        refuse("device", "left out for an array on a card, which is warped there", device)
+        refuse("device", "left out for an array on a CUDA device, which is warped there", device)
     open_card()
     from supple.cuda import job
 

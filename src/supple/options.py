@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Group, Parameter
 
@@ -32,28 +32,33 @@ class StrokeOptions:
     Parameters
     ----------
     grab
-        Drag one point to another, in pixels from the top left one; in a video to another time as well, with a third
-        number, the frame, counted from 0; in a volume in voxels, x, y and z. Several grabs are a sequence.
+        Drag the first point to the second. Pixels are counted from the top left one, which is 0,0. In a video,
+        a third number is the frame, counted from 0; in a volume, points are voxels x,y,z. Give it several times
+        for several strokes, which are applied in order.
     radius
-        How far a grab is felt, in pixels, in volumes in millimetres. Like the next three: once for all, or for each.
+        Radius of the brush: in pixels, in volumes in millimetres. Give --radius, --poisson, --scales and
+        --reach once for all grabs, or once for each.
     poisson
-        Poisson's ratio of the material (default 0.4): up to 0.5, which keeps volumes; -inf moves nothing sideways, and
-        is the default for a drag in time alone.
+        Poisson's ratio of the material, at most 0.5 (default 0.4). At higher values, 3-D volumes change less;
+        areas in a picture change at any value. -inf moves nothing sideways, and is the default for a drag in
+        time only.
     scales
-        How local a grab is: 1 (default) is felt far, 2 and 3 less and less.
+        How fast the movement fades with distance r: 1 as 1/r (default), 2 as 1/r³, 3 as 1/r⁵.
     reach
-        How far a grab is felt at all, in radii, from 1 (default 4): what lies beyond keeps every bit. none: no limit.
+        Distance from the grab, in radii, beyond which nothing moves and values stay as they are: at least 1
+        (default 4), or none for no limit.
     recipe
-        Strokes from a JSON file, which come before those of --grab; these are in pixels of the size that the
-        file names, if it names one.
+        Read strokes from a recipe (JSON). They are applied before those of --grab, which are in pixels of the size
+        that the recipe names, if it names one.
     border
-        Width of the border in which movement fades, so that the edges stay in place: auto (default), a tenth of each
-        side; N or N,N in pixels, N,N,N with frames or in millimetres; none: the edges move too.
+        Width of the band along the edges in which movement fades to 0, so that the edges stay in place. auto
+        (default): a tenth of each side. N or N,N: in pixels; N,N,N: in a video with frames, in a volume in
+        millimetres. none: the edges move too.
     border_profile
-        How grabs fade towards the border: quartic (default), or sine, the paper's.
+        How movement fades towards the border: quartic (default), or sine as in the paper.
     on_fold
-        A grab that would fold the picture, or that the border holds back: flow to its target in smaller steps
-        (default), damp it, or refuse it (error).
+        What to do with a grab that would fold the picture or that the border holds back. flow (default): reach
+        the target in smaller steps. damp: shorten the grab. error: stop.
     amount
         How much of each drag is carried out: 30%, or 0.3. Later grabs stay on what they take hold of.
     fit
@@ -159,19 +164,26 @@ class RunOptions:
     Parameters
     ----------
     force
-        Replace files that exist, even the input.
+        Overwrite files that exist, even the input.
     quiet
-        No warnings, no progress.
+        Print no warnings and no progress bar.
     json
-        Tell on standard output what was done, as one JSON object for each file.
+        Print one JSON object for each file to standard output, with results and warnings.
+    strict
+        Treat each warning as an error: a file with a warning is not written, and the exit status is 2.
     threads
-        How many threads work at once; all cores by default.
+        Number of threads (default: all cores).
     """
 
     force: bool = False
     quiet: bool = False
+    strict: bool = False
     json: bool = False
     threads: Annotated[int | None, Parameter(metavar="N", allow_leading_hyphen=True)] = None
+
+    def asked(self) -> dict[str, Any]:
+        """Return what the console is to know of them."""
+        return {"quiet": self.quiet, "strict": self.strict, "threads": self.threads}
 
 
 @Parameter(name="*", group=VIDEO)
@@ -182,7 +194,7 @@ class TimeOptions:
     Parameters
     ----------
     time_scale
-        How many pixels a frame is worth to the brush.
+        How many pixels one frame counts as, for radius and border (default 1).
     """
 
     time_scale: Annotated[str | None, Parameter(metavar="PX", allow_leading_hyphen=True)] = None
@@ -204,21 +216,21 @@ class VideoOptions(TimeOptions):
     Parameters
     ----------
     between
-        What is seen between two frames: a mixture (linear, the default), a smoother one (cubic), or the nearest.
+        Interpolation between frames: linear (default), cubic or nearest.
     time_filter
-        Average pixels over the frames that they cover, where time is compressed: motion blur for jagged edges.
+        Average over several frames where the deformation speeds time up: motion blur instead of jagged edges.
     codec
-        h264, hevc, vp9, av1, ffv1, prores, …: by default that of the input.
+        Video codec: h264, hevc, vp9, av1, ffv1, prores, … (default: that of the input).
     crf
-        Constant rate factor: less is better (18 for H.264).
+        Constant rate factor of the encoder: lower values give better quality and larger files (18 for H.264).
     preset
-        How much work the encoder does: medium, slow, …
+        Speed preset of the encoder: slower presets give smaller files (medium, slow, …).
     pixel_format
-        By default that of the input: yuv420p, yuv444p10le, …
+        Pixel format: yuv420p, yuv444p10le, … (default: that of the input).
     fps
-        Frames a second of an image sequence (24): 25, 29.97 or 24000/1001, say.
+        Frames per second when an image sequence becomes a video: 25, 29.97 or 24000/1001 (default 24).
     memory
-        How many gigabytes the frames may take that are held at once (2); beyond, they go to a temporary file.
+        Memory for frames, in gigabytes (default 2). What does not fit is kept in a temporary file.
     """
 
     between: Annotated[Literal["linear", "cubic", "nearest"] | None, Parameter()] = None

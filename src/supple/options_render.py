@@ -27,19 +27,19 @@ class CameraOptions:
     Parameters
     ----------
     azimuth
-        Degrees around the head: 0 sees the face, 90 the patient's left, 180 the back.
+        Angle around the head, in degrees: 0 faces the patient, 90 sees the patient's left, 180 the back.
     elevation
-        Degrees above the horizon, from -90 to 90.
+        Angle above the horizon in degrees, from -90 to 90.
     distance
-        Millimetres from the middle; by default, all of the volume fits.
+        Distance from the target in millimetres (default: the whole volume is in view).
     field_of_view
-        Degrees across the shorter side of the picture (30).
+        Angle of view across the shorter side of the picture, in degrees.
     roll
-        Degrees that the camera is turned clockwise.
+        Turn the camera clockwise, in degrees.
     target
-        The voxel that it looks at, instead of the middle.
+        Voxel at which the camera looks (default: the centre of the volume).
     up
-        Where above is, in LPS; 0,0,1 is the head, and the default.
+        Direction that is up in the picture, in LPS coordinates; 0,0,1 points to the head.
     """
 
     azimuth: Annotated[str, Parameter(metavar="DEG", allow_leading_hyphen=True)] = "0"
@@ -76,32 +76,35 @@ class LookOptions:
     Parameters
     ----------
     transfer
-        Colours and opacity: ct-bone, ct-skin, mr-head, grey, or a JSON file; by default what fits the values.
+        Transfer function (colours and opacity): ct-bone, ct-skin, mr-head, grey, or a JSON file (default:
+        chosen by the values).
     density
-        Only values from LO to HI are seen: hard structures inside, say.
+        Show only values from LO to HI.
     size
-        Of the picture, in pixels (512x512).
+        Width and height of the picture in pixels.
     step
-        Millimetres from sample to sample along a ray; the smallest spacing by default.
+        Distance between samples along a ray, in millimetres (default: the smallest spacing).
     mode
-        How strokes are seen: by a certified lattice (default), exact at every sample, warped first (buffered), or the
-        lattice while the GPU warps (hybrid).
+        How the deformed volume is sampled. lattice (default): inverse map interpolated from a lattice, with an
+        error bound. exact: inverse solved at each sample. buffered: the volume is warped first. hybrid: lattice
+        until the GPU has warped the volume.
     flat
-        No shading.
+        Render without shading.
     background
-        A colour, #RRGGBB; without it, pictures are transparent where there is nothing.
+        Background colour (default: transparent; black in formats and videos without opacity).
     smooth
-        Rays along each side of a pixel, for smoother outlines (1).
+        Antialiasing: rays along each side of a pixel.
     turntable
-        So many pictures around the volume: OUT is a video, or has a number in it (turn-%03d.png).
+        Number of pictures on a circle around the volume. OUT is then a video, or a name with a number such as
+        turn-%03d.png.
     rate
-        Pictures a second of that video (24).
+        Frames per second of a turntable video.
     what
-        The picture, or how many inversions each ray needed.
+        Render the picture, or plot how many inversions each ray needed.
     time
-        Which volume of a series in time, from 0.
+        Which volume of a time series to show, counted from 0.
     device
-        Who takes the pictures: the CPU, the GPU, or auto: a graphics card, where there is one.
+        Where to render: cpu, gpu, or auto (the GPU if there is one).
     """
 
     transfer: Annotated[str | None, Parameter(metavar="NAME|FILE")] = None

@@ -24,15 +24,16 @@ class VolumeOptions:
     Parameters
     ----------
     world
-        Points are places in space, in millimetres, as the file has them: RAS for NIfTI, LPS for DICOM, NRRD, MetaImage.
+        Points of --grab are in millimetres in the file's coordinate system (NIfTI: RAS; DICOM, NRRD and
+        MetaImage: LPS) instead of voxels.
     series
-        Which DICOM series of a folder with several: its number in the list, or its UID.
+        Which series to read from a DICOM folder with several: its number in the list, or its UID.
     shape
-        Voxels along x, y and z of a file without a header; with --dtype, and perhaps --spacing.
+        Number of voxels along x, y and z, for a file without a header; needs --dtype.
     dtype
-        Its type: uint8, int16, <i2 (little-endian), >f4, …
+        Data type of a file without a header: uint8, int16, <i2 (little-endian), >f4 (big-endian), …
     spacing
-        Millimetres from voxel to voxel along x, y and z (1).
+        Distance between voxels along x, y and z in millimetres, for a file without a header (default 1,1,1).
     """
 
     world: bool = False

@@ -20,7 +20,6 @@ from supple.clips import (
     refuse_picture,
     refuse_places,
     sampling_of,
-    warn_of_misses,
     warn_of_rotation,
 )
 from supple.deformation import Deformation
@@ -126,7 +125,6 @@ def plot_file(
     height, width = pixels.shape[:2]
     fitted = fit_recipe(recipe, (width, height), fit, shown(source))
     deformation = Deformation.from_recipe(fitted, (height, width))
-    warn_of_misses(deformation, source)
     plot(deformation, what, target, image=pixels, force=force)
     return deformation
 
@@ -150,7 +148,6 @@ def _plot_clip(
         deformation = deformation_of(recipe, clip.count, clip.layout.shape, options.time_scale, clip.name, fit)
         if count is None:
             warn_of_rotation(clip, deformation)
-            warn_of_misses(deformation, source)
         if what == "slice":
             if (x is None) == (y is None):
                 raise SuppleError("a slice shows one column or one row over time: give --x or --y")

@@ -6,6 +6,7 @@ import contextlib
 import math
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextvars import copy_context
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -368,8 +369,11 @@ def _reading(
 
     def fetch(k: int) -> None:
         nonlocal ahead
-        (ahead or pool.submit(read, k)).result()
-        ahead = pool.submit(read, k + 1) if k + 1 < len(plan.planes) else None
+        (ahead or begun(k)).result()
+        ahead = begun(k + 1) if k + 1 < len(plan.planes) else None
+
+    def begun(k: int) -> Future[None]:
+        return pool.submit(copy_context().run, read, k)
 
     with ThreadPoolExecutor(1, "supple-read") as pool:
         yield fetch

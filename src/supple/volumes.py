@@ -144,23 +144,17 @@ def deformation_of(recipe: Recipe, volume: Volume, *, world: bool = False, fit: 
     Raises
     ------
     SuppleError
-        If a stroke has no third coordinate, or starts outside the volume; if places are asked for, and the volume
-        knows of none; or if the recipe was made for another size, and ``fit`` does not say how it fits.
+        If a stroke has no third coordinate; if places are asked for, and the volume knows of none; if the recipe was
+        made for another size, and ``fit`` does not say how it fits; or as `Deformation.from_recipe` does.
     """
-    sizes = volume.sizes
     for i, stroke in enumerate(recipe.strokes):
         if stroke.ndim != 3 and not stroke.hidden:
-            which = _which(i, recipe)
+            which = f"stroke {i + 1} of {len(recipe.strokes)}: " if len(recipe.strokes) > 1 else ""
             raise SuppleError(f"{which}a volume's points have three numbers, x, y and z, and {stroke.at} has two")
-    known = fit_recipe(in_space(recipe, volume.geometry, volume.name, world), sizes, fit, volume.name)
+    known = fit_recipe(in_space(recipe, volume.geometry, volume.name, world), volume.sizes, fit, volume.name)
     made = indexed(known, volume.geometry, volume.name)
-    strokes = [stroke for stroke in made.strokes if not stroke.hidden]
-    for i, stroke in enumerate(made.strokes):
-        if not stroke.hidden and not all(-0.5 <= x <= n - 0.5 for x, n in zip(stroke.at, sizes, strict=True)):
-            place = _spoken(known.strokes[i].at)
-            raise SuppleError(f"{_which(i, recipe)}{place} is not in {volume.name}: {_extent(volume, known)}")
-    shape = tuple(reversed(sizes))
-    return Deformation.from_recipe(replace(made, strokes=tuple(strokes)), shape, spacing=volume.geometry.spacing)
+    shape = tuple(reversed(volume.sizes))
+    return Deformation.from_recipe(made, shape, spacing=volume.geometry.spacing)
 
 
 def in_space(recipe: Recipe, geometry: Geometry, name: str, world: bool) -> Recipe:
@@ -217,23 +211,6 @@ def placed(recipe: Recipe, geometry: Geometry, space: Space) -> Recipe:
         return replace(stroke, at=tuple(start.tolist()), by=tuple((end - start).tolist()))
 
     return replace(recipe, strokes=tuple(map(moved, recipe.strokes)), space=space)
-
-
-def _which(i: int, recipe: Recipe) -> str:
-    return f"stroke {i + 1}: " if len(recipe.strokes) > 1 else ""
-
-
-def _spoken(point: npt.ArrayLike) -> str:
-    return "(" + ", ".join(f"{x:g}" for x in np.asarray(point)) + ")"
-
-
-def _extent(volume: Volume, recipe: Recipe) -> str:
-    last = np.array(volume.sizes) - 1.0
-    if not recipe.is_world:
-        return f"its indices go from (0, 0, 0) to {_spoken(last)} (places in space need --world)"
-    corners = np.array([volume.geometry.to_world(np.array(c) * last, recipe.space) for c in np.ndindex(2, 2, 2)])
-    low, high = (_spoken(np.round(c, 1)) for c in (corners.min(axis=0), corners.max(axis=0)))
-    return f"its {recipe.space} coordinates go from {low} to {high}"
 
 
 def sampling_of(
@@ -296,7 +273,6 @@ def warp_volume(
             place = stack.enter_context(replacing(known.save_field, force=force))
             write_transform(place, deformation, volume.geometry, tolerance=tolerance, force=True)
         error, count = _written(volume, source, target, deformation, sampling, device, force, tell)
-    warn_of(Certificate(error, 0.0), tolerance, 3)
     return WarpedVolume(Path(source), Path(target), deformation, volume.geometry, tolerance, error, count)
 
 
@@ -324,7 +300,7 @@ def _warn_of_gaps(volume: Volume, filter: str) -> None:
     gaps = sum(int(np.count_nonzero(~np.isfinite(slab))) for slab in volume.samples)
     if gaps:
         warnings.warn(
-            f"{gaps} voxels of {volume.name} are not finite numbers, and what is averaged with them is none either: "
+            f"{gaps} voxels of {volume.name} are NaN or infinite, and so is each voxel that is interpolated from them: "
             'filter "nearest" keeps them as they are, and "linear" spreads them least',
             GapWarning,
             stacklevel=4,
@@ -365,6 +341,7 @@ def _written(
                     tell=lambda done, begun=begun: tell("warp", begun + done, total),  # type: ignore[misc]
                 )
                 error = max(error, certificate.error)
+            warn_of(Certificate(error, 0.0), sampling.tolerance, 4)  # before the target has its name
             tell("write", 0, 1)
             write(target, out if volume.series else out[0], volume, force=force)
     return error, count

@@ -23,6 +23,9 @@ __all__ = ["FILTERS", "OUTSIDE", "Source", "interpolated", "warp_array", "warp_f
 Array = npt.NDArray[Any]
 Source = Array | Callable[[npt.NDArray[np.float64]], npt.ArrayLike]
 
+FINEST = 3e-4
+"""About how exact a source point is that is stored in float32, in pixels."""
+
 _MOST_POINTS = 1 << 18  # of a function, asked for at once
 
 
@@ -61,11 +64,9 @@ def checked_sampling(
 
 def warn_of(certificate: Certificate, tolerance: float, stacklevel: int) -> None:
     """Warn if a map may be less exact than was asked."""
-    # Float32 has its limits, which `tolerance` names.
-    if not certificate.error <= 1.01 * tolerance + 3e-4:
+    if not certificate.error <= 1.01 * tolerance + FINEST:
         warnings.warn(
-            f"the map may be off by {certificate.error:.2g} px somewhere, more than the tolerance {tolerance:g}; "
-            "report() tells",
+            f"the map may be off by {certificate.error:.2g} px somewhere, more than the tolerance {tolerance:g}",
             ToleranceWarning,
             stacklevel=stacklevel,
         )

@@ -111,7 +111,7 @@ def require_plane(deformation: Deformation, frame: int | None) -> int:
         return 0
     if frame is None:
         raise SuppleError(
-            f"a plot shows one plane, and shape {deformation.shape} has three axes: say which frame (--frame, frame=)"
+            f"a plot shows one plane, and shape {deformation.shape} has three axes: say which by --frame K (frame=K)"
         )
     last = deformation.shape[0] - 1
     return integer("frame", frame, f"a frame from 0 to {last}", 0, last)

@@ -114,9 +114,9 @@ def missing() -> str:
     if sys.platform == "darwin":
         return "macOS 10.13 or later with Metal is needed"
     if sys.platform == "win32":
-        return "a driver with Direct3D 12 or Vulkan is needed, from the maker of the graphics card"
+        return "a driver with Direct3D 12 or Vulkan is needed, from the maker of the GPU"
     return (
-        "a Vulkan driver is needed: that of the graphics card, or Mesa's, also for running on the CPU "
+        "a Vulkan driver is needed: that of the GPU, or Mesa's, also for running on the CPU "
         "(Debian and Ubuntu: apt install mesa-vulkan-drivers; Fedora: dnf install mesa-vulkan-drivers)"
     )
 
@@ -178,7 +178,7 @@ def describe() -> list[dict[str, str]]:
     """The adapters of this machine, for people; SuppleError if there are none."""
     if not adapters():
         raise SuppleError(f"no GPU was found: {missing()}")
-    kinds = {"DiscreteGPU": "a graphics card", "IntegratedGPU": "in the processor", "VirtualGPU": "a part of another's"}
+    kinds = {"DiscreteGPU": "a discrete GPU", "IntegratedGPU": "in the processor", "VirtualGPU": "a part of another's"}
     kinds["CPU"] = "a program that runs on the CPU"
     return [
         {

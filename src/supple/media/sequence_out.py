@@ -134,10 +134,10 @@ def sequence_writer(
     _tell_of_streams(clip, folder)
     with replacing_all(folder, force=force) as temporary:
         yield Sink(clip, folder, temporary, name, options)
-    left = len(set(_others(folder, text)) - set(listed))
-    if left:
-        text = f"{shown(folder)} also holds {left} other pictures, which are left as they were"
-        warnings.warn(text, ImageWarning, stacklevel=3)
+        left = len(set(_others(folder, text)) - set(listed))
+        if left:
+            text = f"{shown(folder)} also holds {left} other pictures, which are left as they were"
+            warnings.warn(text, ImageWarning, stacklevel=3)
 
 
 def _tell_of_streams(clip: Clip, folder: Path) -> None:

@@ -1,4 +1,4 @@
-"""What was done to a file, kept beside a crash."""
+"""Autosave files: unsaved strokes survive a crash."""
 
 from __future__ import annotations
 

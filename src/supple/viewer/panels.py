@@ -68,7 +68,7 @@ def _brush(view: View) -> None:
     )
     if changed:
         tools.poisson = value
-    hint("0.5 keeps volumes; less lets them shrink and grow")
+    hint("at higher values, 3-D volumes change less; areas in a picture change at any value")
     changed, index = imgui.combo("falloff", tools.scales - 1, list(FALLOFFS))
     if changed:
         tools.scales = index + 1

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal, Self
 
-from supple.deformation import Deformation, after, reduced
+from supple.deformation import Deformation, after, last_outside, reduced
 from supple.domain import Border, BorderProfile, refuse
 from supple.errors import SuppleError
 from supple.strokes import FoldPolicy, Recipe, Space, Stroke
@@ -178,22 +178,11 @@ class Medium:
             made = Solved(state, known.chain[: same + 1], known.wholes[:same])
         for k, (i, stroke) in enumerate(visible[same:], same):
             try:
-                self._check(stroke)
                 whole, now = made.before(k)
                 applied = now.add(reduced(stroke, state.amount, whole, now), warn=False)
+                last_outside(applied)
                 made = Solved(state, (*made.chain, applied), (*made.wholes, whole))
             except SuppleError as error:
                 many = len(state.items) > 1
                 raise type(error)(f"stroke {i + 1}: {error}" if many else str(error)) from None
         return made
-
-    def _check(self, stroke: Stroke) -> None:
-        """Refuse what cannot be carried out on a file."""
-        if stroke.ndim != len(self.shape):
-            return  # a deformation says it better
-        sizes = self.shape[::-1]
-        if self.kind == "video" and len(sizes) == 3 and not 0 <= stroke.at[2] <= sizes[2] - 1:
-            raise SuppleError(f"there is no frame {stroke.at[2]:g}: frames go from 0 to {sizes[2] - 1}")
-        if self.kind == "volume" and not all(-0.5 <= x <= n - 0.5 for x, n in zip(stroke.at, sizes, strict=True)):
-            place, last = ", ".join(f"{x:g}" for x in stroke.at), ", ".join(str(n - 1) for n in sizes)
-            raise SuppleError(f"({place}) is not in the volume: its indices go from (0, 0, 0) to ({last})")
