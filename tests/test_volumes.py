@@ -169,6 +169,81 @@ def test_labels_keep_their_values(here: Path, dtype: Any) -> None:
         warp_volume("f.nii.gz", "x.nii.gz", RECIPE, options=VolumeOptions(labels=True))
 
 
+def blocks_of(dtype: Any) -> npt.NDArray[Any]:
+    """Blocks with sharp edges, beside which cubics overshoot."""
+    return np.where(np.indices(SHAPE).sum(axis=0) // 4 % 2, -1024, 1500).astype(dtype)
+
+
+@pytest.mark.parametrize("device", ["cpu", "gpu"])
+@pytest.mark.parametrize("dtype", [np.int16, np.float32])
+def test_values_stay_within_their_range(here: Path, dtype: Any, device: str) -> None:
+    if device == "gpu":
+        pytest.importorskip("wgpu")
+    stored("in.nii", blocks_of(dtype))
+    options: dict[str, Any] = {"filter": "cubic", "device": device, "force": True}
+    warp_volume("in.nii", "out.nii", RECIPE, clamp=False, **options)
+    free = np.array(media.read("out.nii").samples)
+    assert free.min() < -1100
+    assert free.max() > 1600
+    supple.warp_file("in.nii", "out.nii", RECIPE, **options)
+    kept = media.read("out.nii").samples
+    np.testing.assert_array_equal(kept, free.clip(-1024, 1500))
+
+
+def test_what_is_seen_outside_is_within_the_range(here: Path) -> None:
+    stored("in.nii", blocks_of(np.int16))
+    loose = supple.Recipe(strokes=[supple.Stroke.grab((1, 13, 9), by=(6, 0, 0), radius=9)], border=None)
+    warp_volume("in.nii", "out.nii", loose, outside="constant", fill=-3000.4)
+    kept = media.read("out.nii").samples
+    assert (kept.min(), kept.max()) == (-3000, 1500)
+    assert (kept == -3000).any()
+
+
+def test_values_that_are_not_finite_are_not_clamped() -> None:
+    samples = blocks_of(np.float32)
+    samples[1, 1, 1:4] = np.nan, np.inf, -np.inf
+    samples[-2, -2, -2] = -0.0
+    d = supple.Deformation(SHAPE, border=None).grab((11, 13, 9), by=(3, -2, 1.5), radius=3, reach=2)
+    kept = d.warp(samples, filter="cubic", clamp=True)
+    finite = kept[np.isfinite(kept)]
+    assert (finite.min(), finite.max()) == (-1024, 1500)
+    free = d.warp(samples, filter="cubic")
+    inside = (free >= -1024) & (free <= 1500) | ~np.isfinite(free)
+    np.testing.assert_array_equal(kept.view(np.uint32)[inside], free.view(np.uint32)[inside])
+    assert not inside.all()
+    assert np.isinf(kept[1, 1, 2:4]).all()
+    image = supple.Deformation((9, 9)).grab((4, 4), by=(1, 0), radius=3)
+    empty = np.full((9, 9), np.nan)
+    assert np.isnan(image.warp(empty, clamp=True)).all()
+    with pytest.raises(supple.SuppleError, match="clamp must be False for a function"):
+        image.warp(lambda p: p[:, 0], clamp=True)
+    with pytest.raises(supple.SuppleError, match="clamp must be True or False"):
+        image.warp(empty, clamp="yes")  # type: ignore[arg-type]
+
+
+def test_pictures_of_floats_stay_within_their_range(here: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    from supple.media import image
+
+    pixels = (np.indices((40, 50)).sum(axis=0) // 4 % 2).astype(np.float32)
+    image.write("in.tif", pixels)
+    image.write("in8.png", (pixels * 99 + 100).astype(np.uint8))
+    grab = ["--grab", "20,20:24,18", "--radius", "8"]
+    low = {}
+    for name, more in (("a.tif", []), ("b.tif", ["--no-clamp"]), ("c.png", []), ("d.png", ["--clamp"])):
+        assert command(["warp", "in8.png" if name.endswith("png") else "in.tif", name, *grab, *more]) == 0
+        low[name] = float(image.read(name).pixels.min())
+    assert low["a.tif"] == 0
+    assert low["b.tif"] < -0.05
+    assert low["c.png"] < 95
+    assert low["d.png"] == 100
+    capfd.readouterr()
+    Path("frames").mkdir()
+    image.write("frames/001.png", np.zeros((9, 9), np.uint8))
+    image.write("frames/002.png", np.zeros((9, 9), np.uint8))
+    assert command(["warp", "frames/%03d.png", "o/%03d.png", "--grab", "3,3:4,4", "--radius", "3", "--clamp"]) == 2
+    assert "--clamp is for pictures and volumes" in capfd.readouterr().err
+
+
 def test_vectors_and_series(here: Path) -> None:
     vectors = np.stack([made(seed=k, dtype=np.float32) for k in range(3)], axis=-1)
     stored("v.nrrd", vectors)

@@ -44,6 +44,7 @@ def warp(
     fill: Annotated[str, Parameter(group=SAMPLING, metavar="V|V,V,V", allow_leading_hyphen=True)] = "0",
     tolerance: Annotated[str, Parameter(group=SAMPLING, metavar="PX", allow_leading_hyphen=True)] = "0.01",
     linear_light: Annotated[bool, Parameter(group=SAMPLING)] = False,
+    clamp: Annotated[bool | None, Parameter(group=SAMPLING, negative="--no-clamp")] = None,
     quality: Annotated[int | None, Parameter(group=WRITING, metavar="1..100", allow_leading_hyphen=True)] = None,
     lossless: Annotated[bool, Parameter(group=WRITING)] = False,
     save_recipe: Annotated[str | None, Parameter(group=WRITING, metavar="FILE")] = None,
@@ -74,6 +75,9 @@ def warp(
         How far from its exact place a colour may be taken, in pixels; this is certified.
     linear_light
         Average light rather than sRGB values, which darken fine detail.
+    clamp
+        Keep values within the range of the input, beyond which cubic filters go beside sharp edges: the default for
+        volumes and pictures of floats.
     quality
         For JPEG (default 95), WebP and AVIF (90).
     lossless
@@ -108,6 +112,7 @@ def warp(
         "fill": parse_fill(fill),
         "tolerance": parse_number("--tolerance", tolerance, "a number of pixels above 0"),
         "linear_light": linear_light,
+        "clamp": clamp,
         "quality": quality,
         "lossless": lossless,
         "device": device,

@@ -28,7 +28,7 @@ PIPE_CLOSED = 141  # 128 + SIGPIPE, which Windows does not name
 
 # An argument of the library that a message begins with, and says what it must be.
 _ARGUMENT = re.compile(
-    r"^(between|codec|device|crf|fill|filter|frame|linear_light|memory|outside|pixel_format|preset|quality|time_scale|tolerance)"
+    r"^(between|clamp|codec|device|crf|fill|filter|frame|linear_light|memory|outside|pixel_format|preset|quality|time_scale|tolerance)"
     r"(?= is for | must be | needs )"
 )
 

@@ -68,6 +68,7 @@ def warp_file(
     outside: str = "edge",
     fill: float | Sequence[float] = 0.0,
     linear_light: bool = False,
+    clamp: bool | None = None,
     quality: int | None = None,
     lossless: bool = False,
     device: str = "cpu",
@@ -96,6 +97,8 @@ def warp_file(
         those without one, each frame is bent alike. In volumes, points are voxels, x, y and z, and lengths millimetres.
     filter, tolerance, outside, fill, linear_light
         As `Deformation.warp` takes them.
+    clamp : bool, optional
+        Keep a picture or a volume within the range of its values; by default, volumes and pictures of floats are.
     quality : int, optional
         From 1 to 100, for JPEG, WebP and AVIF.
     lossless : bool
@@ -137,6 +140,7 @@ def warp_file(
         target,
         recipe,
         linear_light=linear_light,
+        clamp=clamp,
         quality=quality,
         lossless=lossless,
         force=force,
@@ -157,6 +161,7 @@ def warp_file(
                 tolerance=tolerance,
                 outside=outside,
                 fill=fill,
+                clamp=clamp is not False,
                 device=device,
                 force=force,
                 options=volume,
@@ -204,6 +209,7 @@ def warp_file(
             fill=fill,
             alpha=picture.alpha,
             linear_light=linear_light,
+            clamp=picture.pixels.dtype.kind == "f" if clamp is None else clamp,
             device=device,
         )
         # Of the input, only the header is needed now: the encoder may have its memory.
@@ -220,6 +226,7 @@ def check_job(
     recipe: Recipe,
     *,
     linear_light: bool = False,
+    clamp: bool | None = None,
     quality: int | None = None,
     lossless: bool = False,
     force: bool = False,
@@ -230,7 +237,7 @@ def check_job(
 
     Parameters
     ----------
-    source, target, recipe, linear_light, quality, lossless, force, clip, volume
+    source, target, recipe, linear_light, clamp, quality, lossless, force, clip, volume
         As `warp_file` takes them.
 
     Returns
@@ -253,6 +260,8 @@ def check_job(
     if volume is not None and volume != VolumeOptions():
         raise SuppleError(f"{shown(source)} is no volume, and what was asked of it is for volumes: leave that out")
     if is_clip(source, target, recipe):
+        if clamp is not None:
+            raise SuppleError(f"clamp is for pictures and volumes, and {shown(source)} is a clip: leave it out")
         _spare(source, target, "clip", force)
         check_clip_target(source, target, clip or ClipOptions(), quality=quality, force=force)
         return "clip"

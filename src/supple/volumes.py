@@ -39,7 +39,7 @@ from supple.media.volume import (
 from supple.native import OUTSIDE, check_filter
 from supple.streaming import Sampling
 from supple.strokes import Recipe, Stroke
-from supple.warping import warn_of
+from supple.warping import clamp_to, warn_of
 
 Array = npt.NDArray[Any]
 PathLike = str | os.PathLike[str]
@@ -222,6 +222,7 @@ def warp_volume(
     tolerance: float = 0.01,
     outside: str = "edge",
     fill: float | Sequence[float] = 0.0,
+    clamp: bool = True,
     device: str = "cpu",
     force: bool = False,
     options: VolumeOptions | None = None,
@@ -255,7 +256,7 @@ def warp_volume(
             # It gets its name when the volume has its own: if either cannot be written, neither is.
             place = stack.enter_context(replacing(known.save_field, force=force))
             write_transform(place, deformation, volume.geometry, tolerance=tolerance, force=True)
-        error, count = _written(volume, source, target, deformation, sampling, device, force, tell)
+        error, count = _written(volume, source, target, deformation, sampling, clamp, device, force, tell)
     warn_of(Certificate(error, 0.0), tolerance, 3)
     return WarpedVolume(Path(source), Path(target), deformation, volume.geometry, tolerance, error, count)
 
@@ -297,6 +298,7 @@ def _written(
     target: PathLike,
     deformation: Deformation,
     sampling: Sampling,
+    clamp: bool,
     device: str,
     force: bool,
     tell: Tell,
@@ -325,6 +327,8 @@ def _written(
                     tell=lambda done, begun=begun: tell("warp", begun + done, total),  # type: ignore[misc]
                 )
                 error = max(error, certificate.error)
+            if clamp and not deformation.is_identity:
+                clamp_to(series, out, sampling)
             tell("write", 0, 1)
             write(target, out if volume.series else out[0], volume, force=force)
     return error, count
