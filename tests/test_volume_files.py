@@ -4,6 +4,7 @@ import struct
 import subprocess
 import sys
 import textwrap
+import warnings
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,7 +14,7 @@ import pytest
 import pyvips
 import SimpleITK as sitk  # noqa: N813
 
-from supple.errors import SuppleError
+from supple.errors import SuppleError, VolumeWarning
 from supple.geometry import Geometry
 from supple.media.volume import (
     SUFFIXES,
@@ -316,8 +317,8 @@ class TestNIfTI:
             by_us(tmp_path / f"out{suffix}"),
         )
 
-    @pytest.mark.parametrize(("sform", "qform", "scale"), [(1, 1, 3), (0, 1, 2), (2, 0, 3)])
-    def test_the_sform_comes_first_then_the_qform(self, tmp_path, sform, qform, scale):
+    @pytest.mark.parametrize(("sform", "qform", "scale"), [(0, 1, 2), (2, 0, 3)])
+    def test_the_sform_counts_or_else_the_qform(self, tmp_path, sform, qform, scale):
         made = nibabel.Nifti1Image(noise("i2", *SHAPE).T, None)
         made.header.set_sform(np.diag([3, 3, 3, 1.0]), sform)
         made.header.set_qform(np.diag([2, 2, 2, 1.0]), qform)
@@ -332,8 +333,29 @@ class TestNIfTI:
         data = bytearray((tmp_path / "in.nii").read_bytes())
         struct.pack_into("<hh", data, 252, 0, 0)
         (tmp_path / "in.nii").write_bytes(data)
-        assert read(tmp_path / "in.nii").geometry.spacing == (2, 3, 4)
-        agree(by_us(tmp_path / "in.nii"), by_nibabel(tmp_path / "in.nii"))
+        geometry = read(tmp_path / "in.nii").geometry
+        assert (geometry.spacing, geometry.convention) == ((2, 3, 4), "array")
+        agree(by_us(tmp_path / "in.nii"), by_itk(tmp_path / "in.nii"))
+
+    @pytest.mark.parametrize("form", ["in.nii", "in.nii.gz", "in.img"])
+    @pytest.mark.parametrize(("sform", "qform", "used"), [(1, 1, "sform"), (2, 1, "qform"), (4, 2, "qform")])
+    def test_forms_that_disagree_are_taken_as_itk_takes_them(self, tmp_path, form, sform, qform, used):
+        kind = nibabel.Nifti1Pair if form.endswith("img") else nibabel.Nifti1Image
+        made = kind(noise("i2", *SHAPE).T, None)
+        affine = np.diag([-1, -1, 1, 1.0]) @ np.array(volume(noise("i2", *SHAPE)).geometry.matrix)
+        made.header.set_qform(affine, qform)
+        affine[0, 3] += 5
+        made.header.set_sform(affine, sform)
+        made.to_filename(tmp_path / form)
+        told = f"^the qform and the sform of .*{form} disagree, by up to 5 mm: the {used} is used, as by SimpleITK"
+        with pytest.warns(VolumeWarning, match=told):
+            read(tmp_path / form)
+        with warnings.catch_warnings(action="ignore"):
+            agree(by_us(tmp_path / form), by_itk(tmp_path / form))
+        affine[0, 3] -= 4.999
+        made.header.set_sform(affine, sform)
+        made.to_filename(tmp_path / form)
+        read(tmp_path / form)
 
     @pytest.mark.parametrize(("unit", "factor"), [(0, 1), (1, 1000), (2, 1), (3, 0.001)])
     def test_units_become_millimetres_and_come_back(self, tmp_path, unit, factor):
