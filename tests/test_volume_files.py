@@ -1203,6 +1203,7 @@ class TestInfo:
             "interval": None,
             "convention": "RAS",
             "orientation": letters,
+            "oblique": pytest.approx(read(tmp_path / "in.nii.gz").geometry.oblique),
             "scaling": [1, 0],
             "minimum": float(np.nanmin(samples)),
             "maximum": float(np.nanmax(samples)),

@@ -128,6 +128,7 @@ def test_places_in_space(here: Path) -> None:
 
 def test_strokes_must_start_in_the_volume(here: Path) -> None:
     stored("in.nii", made())
+    stored("straight.nii", made(), Geometry(OBLIQUE.spacing, (10, 0, 0)))
     plain = stored("in.tif", made())
     assert plain.shape == SHAPE
     cases: list[tuple[str, Any, bool, str]] = [
@@ -137,7 +138,8 @@ def test_strokes_must_start_in_the_volume(here: Path) -> None:
             False,
             r"\(100, 5, 5\) is not in in.nii: its indices go from \(0, 0, 0\) to \(23, 25, 19\)",
         ),
-        ("in.nii", (500, 5, 5), True, "its RAS coordinates go from"),
+        ("in.nii", (500, 5, 5), True, "it is oblique, the point's index would be .*, and its indices go from"),
+        ("straight.nii", (500, 5, 5), True, r"its RAS coordinates go from \(-30.7, -27.5, 0\) to \(-10, 0, 38\)"),
         ("in.tif", (5, 5, 5), True, "does not know where it lies in space"),
     ]
     for name, at, world, text in cases:
@@ -164,9 +166,46 @@ def test_labels_keep_their_values(here: Path, dtype: Any) -> None:
     for name in ("linear", "cubic"):
         with pytest.raises(supple.SuppleError, match="labels"):
             warp_volume("in.nii.gz", "x.nii.gz", RECIPE, filter=name, options=VolumeOptions(labels=True))
-    stored("f.nii.gz", samples.astype(np.float32))
-    with pytest.raises(supple.SuppleError, match="labels are whole numbers"):
-        warp_volume("f.nii.gz", "x.nii.gz", RECIPE, options=VolumeOptions(labels=True))
+
+
+def test_labels_may_be_stored_as_floats(here: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    samples = np.round(made(dtype=np.float32) / 200).astype(np.float32) * 7
+    stored("in.nii.gz", samples)
+    warp_volume("in.nii.gz", "out.nii.gz", RECIPE, options=VolumeOptions(labels=True))
+    out = media.read("out.nii.gz").samples
+    assert out.dtype == np.float32
+    assert set(np.unique(out)) == set(np.unique(samples))
+    assert (out != samples).mean() > 0.01
+    samples[3, 4, 5] = 1.5
+    stored("f.nii.gz", samples)
+    for more, told in (
+        (["f.nii.gz", "x.nii.gz", "--labels"], "--labels is for whole numbers, and f.nii.gz holds 1.5: leave it out"),
+        (["in.nii.gz", "x.nii.gz", "--labels", "--filter", "cubic"], '--labels needs filter "nearest"'),
+    ):
+        assert command(["warp", *more, *GRAB]) == 2
+        assert told in capfd.readouterr().err
+    assert not Path("x.nii.gz").exists()
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.int16, np.float32])
+def test_what_looks_like_labels_is_said(here: Path, dtype: Any) -> None:
+    """Few whole numbers in large areas; neither noise, nor smooth pictures of few values, nor a head on black."""
+    grid = np.indices((40, 40, 40))
+    regions = (((grid // 10).sum(axis=0) * 37) % 200).astype(dtype)
+    mask = (np.square(grid - 20).sum(axis=0) < 200).astype(dtype)
+    noise = np.random.default_rng(0).integers(0, 4, (40, 40, 40)).astype(dtype)
+    smooth = np.round(100 + 60 * np.sin(grid / 25).sum(axis=0)).astype(dtype)
+    recipe = supple.Recipe(strokes=[supple.Stroke.grab((20, 20, 20), by=(2, 0, 1), radius=6)])
+    for samples, said in ((regions, True), (mask, True), (noise, False), (smooth, False), (mask * noise * 9, False)):
+        media.write("in.nii", samples, media.Volume(samples, OBLIQUE), force=True)
+        with warnings.catch_warnings(record=True) as told:
+            warnings.simplefilter("always")
+            warp_volume("in.nii", "out.nii", recipe, force=True, filter="linear")
+        count = len(np.unique(samples))
+        wanted = f"in.nii looks like a label map, of {count} values, and its labels are mixed where they meet: "
+        wanted += "--labels or --filter nearest keeps them"
+        assert [str(one.message) for one in told] == [wanted] * said
+        warp_volume("in.nii", "out.nii", recipe, force=True, options=VolumeOptions(labels=True))
 
 
 def blocks_of(dtype: Any) -> npt.NDArray[Any]:
@@ -370,6 +409,15 @@ def test_the_command_line(here: Path, capfd: pytest.CaptureFixture[str]) -> None
     assert "RAS millimetres" in capfd.readouterr().err
 
 
+def test_what_is_oblique_is_said(here: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    stored("in.nii.gz", made())
+    stored("straight.nrrd", made(), Geometry(OBLIQUE.spacing, (10, 0, 0), np.eye(3)[[1, 2, 0]], "LPS"))
+    assert command(["info", "in.nii.gz", "straight.nrrd"]) == 0
+    oblique, straight = capfd.readouterr().out.split("straight.nrrd")
+    assert ", oblique by up to 36.9°\n" in oblique
+    assert "oblique" not in straight
+
+
 def test_a_folder_of_volumes(here: Path) -> None:
     Path("scans").mkdir()
     for k in range(2):
@@ -400,7 +448,7 @@ def test_a_field_is_left_only_with_its_volume(here: Path, monkeypatch: pytest.Mo
 
 BAD: list[tuple[list[str], str]] = [
     (["warp", "in.nii", "out.jpg", *GRAB], "no format that volumes are written in"),
-    (["warp", "in.nii", "in.nii", *GRAB], "is the volume itself"),
+    (["warp", "in.nii", "in.nii", *GRAB], "is the volume itself: pass --force to replace it"),
     (["warp", "in.nii", "there.nii", *GRAB], "exists already"),
     (["warp", "in.nii", "out.nii", *GRAB, "--quality", "9"], "is for pictures or videos"),
     (["warp", "in.nii", "out.nii", *GRAB, "--codec", "h264"], "is for pictures or videos"),
@@ -414,7 +462,10 @@ BAD: list[tuple[list[str], str]] = [
     (["warp", "in.raw", "out.nii", *GRAB], "--shape"),
     (["warp", "missing.nii", "out.nii", *GRAB], "missing.nii"),
     (["warp", "text.nii.gz", "out.nii", *GRAB], "text.nii.gz"),
-    (["warp", "photo.png", "out.png", "--grab", "1,1:2,2", "--radius", "3", "--labels"], "is no volume"),
+    *(
+        (["warp", "photo.png", "out.png", "--grab", "1,1:2,2", "--radius", "3", *more], f"{more[0]} is for volumes")
+        for more in (["--labels"], ["--save-field", "f.nii"], ["--world"])
+    ),
     (["warp", "in.nii", "out.nii", "--grab", "1,1:2,2", "--radius", "3"], "three numbers"),
     (["plot", "in.nii", "out.png", *GRAB], "supple render shows it"),
     (["warp", "in.nii", "out.nii", *GRAB, "--series", "1"], "--series is for DICOM"),

@@ -28,7 +28,7 @@ PIPE_CLOSED = 141  # 128 + SIGPIPE, which Windows does not name
 
 # An argument of the library that a message begins with, and says what it must be.
 _ARGUMENT = re.compile(
-    r"^(between|clamp|codec|device|crf|fill|filter|frame|linear_light|memory|outside|pixel_format|preset|quality|time_scale|tolerance)"
+    r"^(between|clamp|codec|device|crf|fill|filter|frame|labels|linear_light|memory|outside|pixel_format|preset|quality|save_field|series|shape|time_scale|tolerance|world)"
     r"(?= is for | must be | needs )"
 )
 
@@ -55,6 +55,7 @@ def as_options(text: str) -> str:
     """Name options as the command line does, where a message of the library names arguments."""
     text = _ARGUMENT.sub(lambda found: "--" + found[1].replace("_", "-"), text)
     text = re.sub(r'^filter="(\w+)"', r"--filter \1", text)
+    text = re.sub(r' \((?:force|series)=(?:True|"1")\)', "", text)  # beside the option that does the same
     return re.sub(r"\bon_fold='(\w+)'", r"--on-fold \1", text).replace("border=None", "--border none")
 
 

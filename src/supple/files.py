@@ -7,7 +7,7 @@ import os
 import shutil
 import sys
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -258,7 +258,9 @@ def check_job(
         check_volume_target(source, target, volume or VolumeOptions(), force=force)
         return "volume"
     if volume is not None and volume != VolumeOptions():
-        raise SuppleError(f"{shown(source)} is no volume, and what was asked of it is for volumes: leave that out")
+        names = {"layout": "shape"}
+        asked = next(f.name for f in fields(volume) if getattr(volume, f.name) != f.default)
+        raise SuppleError(f"{names.get(asked, asked)} is for volumes, and {shown(source)} is none: leave it out")
     if is_clip(source, target, recipe):
         if clamp is not None:
             raise SuppleError(f"clamp is for pictures and volumes, and {shown(source)} is a clip: leave it out")

@@ -18,7 +18,7 @@ from supple.certificate import Certificate
 from supple.deformation import Deformation, Report
 from supple.domain import choice, number
 from supple.engines import check_device, check_frames, warp_frames_by
-from supple.errors import GapWarning, SuppleError
+from supple.errors import GapWarning, SuppleError, VolumeWarning
 from supple.fields import write_transform
 from supple.geometry import Geometry
 from supple.media import transform
@@ -48,6 +48,8 @@ Tell = Callable[[str, int, int], None]
 ONE_FILE = frozenset({".nii", ".nii.gz", ".nrrd", ".mha"})
 """Suffixes of files that are volumes, whatever lies beside them."""
 _TIFF = (".tif", ".tiff")
+# What looks like a label map: so many slices are looked at; of neighbours beside the background, such a part is equal.
+_LOOKED_AT, _AREAS, _MOST_LABELS, _FEW = 16, 0.7, 1024, 8
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,7 +62,8 @@ class VolumeOptions:
         Whether the strokes' points are places in space, in millimetres, in the file's own convention, rather than
         indices.
     labels : bool
-        Whether values are names of things, which are kept as they are: every voxel takes that of the nearest.
+        Whether values are names of things, which are kept as they are: every voxel takes that of the nearest. Whole
+        numbers only, which may be stored as floats.
     save_field : str or os.PathLike, optional
         Where to write the inverse displacements too, for SimpleITK, ANTs and 3D Slicer.
     layout : RawLayout, optional
@@ -157,7 +160,8 @@ def deformation_of(recipe: Recipe, volume: Volume, *, world: bool = False) -> De
             raise SuppleError(f"{which}a volume's points have three numbers, x, y and z, and {stroke.at} has two")
         made = places[i]
         if not all(-0.5 <= x <= n - 0.5 for x, n in zip(made.at, sizes, strict=True)):
-            raise SuppleError(f"{which}{_spoken(stroke.at)} is not in {volume.name}: {_extent(volume, world)}")
+            extent = _extent(volume, np.array(made.at), world)
+            raise SuppleError(f"{which}{_spoken(stroke.at)} is not in {volume.name}: {extent}")
         strokes.append(made)
     shape = tuple(reversed(sizes))
     return Deformation.from_recipe(replace(recipe, strokes=tuple(strokes)), shape, spacing=volume.geometry.spacing)
@@ -185,13 +189,16 @@ def indexed(recipe: Recipe, volume: Volume) -> Recipe:
 
 
 def _spoken(point: npt.ArrayLike) -> str:
-    return "(" + ", ".join(f"{x:g}" for x in np.asarray(point)) + ")"
+    return "(" + ", ".join(f"{x:g}" for x in np.asarray(point) + 0.0) + ")"
 
 
-def _extent(volume: Volume, world: bool) -> str:
+def _extent(volume: Volume, voxel: npt.NDArray[np.float64], world: bool) -> str:
     last = np.array(volume.sizes) - 1.0
+    indices = f"its indices go from (0, 0, 0) to {_spoken(last)}"
     if not world:
-        return f"its indices go from (0, 0, 0) to {_spoken(last)} (places in space need --world)"
+        return f"{indices} (places in space need --world)"
+    if volume.geometry.oblique:  # a box around it holds more than it
+        return f"it is oblique, the point's index would be {_spoken(np.round(voxel, 1))}, and {indices}"
     corners = np.array([volume.geometry.to_world(np.array(c) * last) for c in np.ndindex(2, 2, 2)])
     low, high = (_spoken(np.round(c, 1)) for c in (corners.min(axis=0), corners.max(axis=0)))
     return f"its {volume.geometry.convention} coordinates go from {low} to {high}"
@@ -239,18 +246,18 @@ def warp_volume(
         "nearest" if known.labels and filter == "auto" else filter, outside=outside, fill=fill, tolerance=tolerance
     )
     if known.labels and sampling.filter != "nearest":
-        raise SuppleError(f"labels are kept as they are, which filter {filter!r} does not: leave one of the two out")
+        raise SuppleError(f'labels needs filter "nearest", which keeps values as they are, found "{filter}"')
     check_volume_target(source, target, known, force=force)
     tell("read", 0, 1)
     volume = open_volume(source, known)
     check_target(target, volume, force=force)
-    if known.labels and volume.samples.dtype.kind == "f":
-        raise SuppleError(
-            f"labels are whole numbers, and {volume.name} holds {volume.samples.dtype}: leave --labels out"
-        )
+    if known.labels and (broken := _first_fraction(volume.samples)) is not None:
+        raise SuppleError(f"labels is for whole numbers, and {volume.name} holds {broken:g}: leave it out")
     deformation = deformation_of(recipe, volume, world=known.world)
     check_frames(device, volume.samples[0] if volume.series else volume.samples, deformation.space, sampling)
     _warn_of_gaps(volume, sampling.filter)
+    if sampling.filter != "nearest" and not deformation.is_identity:
+        _warn_of_labels(volume)
     with contextlib.ExitStack() as stack:
         if known.save_field is not None:
             # It gets its name when the volume has its own: if either cannot be written, neither is.
@@ -290,6 +297,39 @@ def _warn_of_gaps(volume: Volume, filter: str) -> None:
             GapWarning,
             stacklevel=4,
         )
+
+
+def _first_fraction(samples: Array) -> float | None:
+    """The first value that is finite and no whole number; None if there is none."""
+    if samples.dtype.kind == "f":
+        for slab in samples:
+            broken = slab[np.isfinite(slab) & (slab != np.rint(slab))]
+            if broken.size:
+                return float(broken[0])
+    return None
+
+
+def _warn_of_labels(volume: Volume) -> None:
+    """Say that labels would be mixed, where a volume looks like a map of them: few whole numbers in large areas."""
+    samples = volume.samples[0] if volume.series else volume.samples
+    if volume.components > 1:
+        return
+    some = np.asarray(samples[:: -(-len(samples) // _LOOKED_AT)])
+    left, right = some[..., :-1], some[..., 1:]
+    seen = (left != some.flat[0]) | (right != some.flat[0])  # the first voxel is of the background
+    same = left == right
+    if np.count_nonzero(same & seen) < _AREAS * max(np.count_nonzero(seen), 1) or _first_fraction(some) is not None:
+        return
+    count = len(np.unique(some))
+    # In a smooth picture of few values, those beside each other differ by 1.
+    if count > _MOST_LABELS or (count > _FEW and np.median(np.abs(np.subtract(left, right, dtype=float)[~same])) <= 1):
+        return
+    warnings.warn(
+        f"{volume.name} looks like a label map, of {count} values, and its labels are mixed where they meet: "
+        "--labels or --filter nearest keeps them",
+        VolumeWarning,
+        stacklevel=4,
+    )
 
 
 def _written(
