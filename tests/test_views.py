@@ -199,6 +199,10 @@ BAD: list[tuple[list[str], str]] = [
     (["in.nii", "out.png", "--smooth", "99"], "from 1 to 8"),
     (["in.nii", "out.png", "--up", "0,0,0"], "a direction"),
     (["in.nii", "out.png", "--target", "1,2"], "three numbers"),
+    (
+        ["in.nii", "out.png", "--target", "13,14,99"],
+        "--target must be a voxel of in.nii, from (0, 0, 0) to (27, 29, 23)",
+    ),
     (["in.nii", "out.png", "--world"], "there are none"),
     (["in.nii", "out.png", "--what", "inversions", "--turntable", "4"], "leave the turntable out"),
     (["in.nii", "out.png", "--what", "inversions", "--background", "#ffffff"], "leave the background out"),

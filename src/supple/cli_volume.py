@@ -108,7 +108,8 @@ def points(
     inverse
         Back: from the deformed volume to where it came from.
     convention
-        What the numbers of a table are that does not say it: millimetres in LPS or RAS, or indices (default).
+        What the numbers of a table are that does not say it: millimetres in LPS or RAS, or indices. A table without
+        a header needs it, for a volume with a place in space.
     """
     console = current()
     from supple.landmarks import move_points
@@ -128,7 +129,11 @@ def points(
     unit = "px" if geometry is None else "mm"
     furthest = float(moved.displaced.max(initial=0.0))
     if moved.outside:
-        console.say(f"{moved.outside} of {moved.count} points lie outside {on}: they are moved all the same")
+        lie = "lies" if moved.outside == 1 else "lie"
+        which = f"{moved.first_outside}{', for one' if moved.outside > 1 else ''}"
+        console.say(
+            f"{moved.outside} of {moved.count} points {lie} outside {on} ({which}): they are moved all the same"
+        )
     if moved.unconverged:
         console.say(f"{moved.unconverged} of {moved.count} points did not converge: see their residuals")
     if not options.quiet:

@@ -135,6 +135,10 @@ def scene_of(
         raise SuppleError(
             f"{volume.name} has {samples.shape[3]} components, and pictures are of one: take one out of it"
         )
+    aim = known.camera.target
+    if aim is not None and not all(-0.5 <= x <= n - 0.5 for x, n in zip(aim, volume.sizes, strict=True)):
+        spoken, end = (", ".join(f"{x:g}" for x in given) for given in (aim, (n - 1 for n in volume.sizes)))
+        raise SuppleError(f"target must be a voxel of {volume.name}, from (0, 0, 0) to ({end}), found ({spoken})")
     deformation = None if recipe is None else deformation_of(recipe, volume, world=world)
     given = known.transfer if known.transfer is not None else default_transfer(volume)
     transfer = given if isinstance(given, TransferFunction) else transfer_of(given)

@@ -318,7 +318,10 @@ def _warn_of_labels(volume: Volume) -> None:
     left, right = some[..., :-1], some[..., 1:]
     seen = (left != some.flat[0]) | (right != some.flat[0])  # the first voxel is of the background
     same = left == right
-    if np.count_nonzero(same & seen) < _AREAS * max(np.count_nonzero(seen), 1) or _first_fraction(some) is not None:
+    if (
+        np.count_nonzero(same & seen) < _AREAS * max(int(np.count_nonzero(seen)), 1)
+        or _first_fraction(some) is not None
+    ):
         return
     count = len(np.unique(some))
     # In a smooth picture of few values, those beside each other differ by 1.
