@@ -99,7 +99,8 @@ def test_world_points(here: Path) -> None:
 
 def test_a_turn_as_a_video(here: Path) -> None:
     stored("in.nii", head())
-    render_file("in.nii", "turn.mp4", options=RenderOptions(turntable=8, size=(41, 51), rate=12.5))
+    even = RenderOptions(turntable=8, size=(42, 52), rate=12.5)
+    render_file("in.nii", "turn.mp4", options=even)
     with av.open("turn.mp4") as clip:
         frames = [f.to_ndarray(format="rgb24") for f in clip.decode(video=0)]
         assert clip.streams.video[0].average_rate == 12.5
@@ -107,6 +108,25 @@ def test_a_turn_as_a_video(here: Path) -> None:
     assert frames[0].shape == (42, 52, 3)
     # The nose is in the middle from the front, and beside from the left.
     assert np.abs(frames[0].astype(int) - frames[4]).mean() > 1
+
+
+@pytest.mark.parametrize("suffix", [".webm", ".gif"])
+def test_a_turn_as_a_video_of_any_size(here: Path, suffix: str) -> None:
+    stored("in.nii", head())
+    known = RenderOptions(turntable=6, size=(41, 51), rate=12, background=(0.2, 0.4, 0.6))
+    render_file("in.nii", "turn/%d.png", options=known)
+    render_file("in.nii", f"turn{suffix}", options=known)
+    with av.open(f"turn{suffix}") as clip:
+        decoded = list(clip.decode(video=0))
+    times = np.array([float(f.pts * f.time_base) for f in decoded])
+    np.testing.assert_allclose(times, np.arange(6) / 12, atol=0.006)
+    for k, frame in enumerate(decoded):
+        seen = frame.to_ndarray(format="rgb24")
+        wanted = image.read(f"turn/{k}.png").pixels
+        assert seen.shape == wanted.shape == (41, 51, 3)
+        assert np.abs(seen.astype(int) - wanted).mean() < 3
+    if suffix == ".gif":
+        assert b"NETSCAPE2.0" in Path("turn.gif").read_bytes()  # it goes round
 
 
 def test_a_turn_as_pictures(here: Path) -> None:
@@ -185,6 +205,10 @@ BAD: list[tuple[list[str], str]] = [
     (["in.nii", "out.mp4"], "--turntable"),
     (["in.nii", "out.png", "--turntable", "5"], "is one"),
     (["in.nii", "out.mp4", "--turntable", "1"], "from 2 to"),
+    (["in.nii", "out.mp4", "--turntable", "4", "--size", "51x40"], "--size must be even"),
+    (["in.nii", "out.mp4", "--turntable", "4", "--size", "51x40"], "found 51x40: give 52x40, or write .webm or .gif"),
+    (["in.nii", "out.gif", "--turntable", "4", "--rate", "60"], "--rate must be at most 50"),
+    (["in.nii", "out.gif"], "give --turntable"),
     (["in.nii", "out.png", "--transfer", "skull"], "ct-bone"),
     (["in.nii", "out.png", "--transfer", "none.json"], "none.json"),
     (["in.nii", "out.png", "--density", "3"], "LO,HI"),

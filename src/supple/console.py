@@ -28,7 +28,7 @@ PIPE_CLOSED = 141  # 128 + SIGPIPE, which Windows does not name
 
 # An argument of the library that a message begins with, and says what it must be.
 _ARGUMENT = re.compile(
-    r"^(between|clamp|codec|device|crf|fill|filter|frame|labels|linear_light|memory|outside|pixel_format|preset|quality|save_field|series|shape|target|time_scale|tolerance|world)"
+    r"^(between|clamp|codec|device|crf|fill|filter|frame|labels|linear_light|memory|outside|pixel_format|preset|quality|rate|save_field|series|shape|size|target|time_scale|tolerance|world)"
     r"(?= is for | must be | needs )"
 )
 

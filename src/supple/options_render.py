@@ -93,7 +93,8 @@ class LookOptions:
     smooth
         Rays along each side of a pixel, for smoother outlines (1).
     turntable
-        So many pictures around the volume: OUT is a video, or has a number in it (turn-%03d.png).
+        So many pictures around the volume: OUT is a video (MP4, MOV, MKV, WebM, GIF), or has a number in it
+        (turn-%03d.png).
     rate
         Pictures a second of that video (24).
     what

@@ -172,7 +172,8 @@ def render_file(
     source : str or os.PathLike
         As `supple.warp_file` takes volumes.
     target : str or os.PathLike
-        A picture; for a turntable, a video (MP4, MOV, MKV), or a name with a number in it, such as ``%03d.png``.
+        A picture; for a turntable, a video (MP4, MOV, MKV, WebM, GIF), or a name with a number in it, such as
+        ``%03d.png``.
     recipe : Recipe, optional
         Strokes, through which the volume is seen.
     options, volume
@@ -195,7 +196,7 @@ def render_file(
     known, reading = options or RenderOptions(), volume or VolumeOptions()
     suffix = Path(target).suffix.lower()
     many = known.turntable is not None
-    _check_target(target, suffix, many, known.what, force)
+    _check_target(target, suffix, known, force)
     given = open_volume(source, reading)
     scene = scene_of(given, recipe, known, world=reading.world)
     if given.samples.dtype.kind == "f" and not np.isfinite(given.samples).any():
@@ -245,9 +246,10 @@ def render_file(
     return scene
 
 
-def _check_target(target: PathLike, suffix: str, many: bool, what: str, force: bool) -> None:
-    name = shown(target)
+def _check_target(target: PathLike, suffix: str, known: RenderOptions, force: bool) -> None:
+    name, many = shown(target), known.turntable is not None
     if many and suffix in reel.SUFFIXES:
+        reel.check_reel(target, known.size, known.rate)
         check_output(target, force=force)
         return
     if many and not has_number(target):
@@ -257,7 +259,7 @@ def _check_target(target: PathLike, suffix: str, many: bool, what: str, force: b
         )
     if not many and suffix in reel.SUFFIXES:
         raise SuppleError(f"{name} is a video: give --turntable with the number of its pictures")
-    if what == "inversions":
+    if known.what == "inversions":
         from supple.diagnostics.frame import check_plot
 
         check_plot(target, force=force)
