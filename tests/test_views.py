@@ -97,6 +97,24 @@ def test_world_points(here: Path) -> None:
     assert np.abs(image.read("a.png").pixels.astype(int) - image.read("b.png").pixels).max() <= 2
 
 
+@pytest.mark.parametrize("suffix", [".nii", ".nrrd"])
+def test_colours_are_seen_by_their_luminance(here: Path, suffix: str) -> None:
+    grey = head().astype(np.uint8)
+    stored("grey.nii", np.rint(grey * 0.7152).astype(np.uint8))
+    none = np.zeros_like(grey)
+    stored(f"green{suffix}", np.stack([none, grey, none], axis=-1))
+    half = np.where(np.arange(SHAPE[2]) < 14, 255, 0) * np.ones_like(grey)
+    stored(f"clear{suffix}", np.stack([none, grey, none, half.astype(np.uint8)], axis=-1))
+    options = RenderOptions(size=(40, 40), transfer="grey", camera=Camera(20, 10))
+    seen = {}
+    for name in ("grey.nii", f"green{suffix}", f"clear{suffix}"):
+        render_file(name, "out.png", supple.Recipe(strokes=RECIPE.strokes, border=6.0), options=options, force=True)
+        seen[name[:5]] = image.read("out.png").pixels.astype(int)
+    np.testing.assert_array_equal(seen["green"], seen["grey."])
+    assert seen["clear"][..., 3].sum() < 0.7 * seen["grey."][..., 3].sum()
+    assert seen["clear"][..., 3].max() > 100
+
+
 def test_a_turn_as_a_video(here: Path) -> None:
     stored("in.nii", head())
     even = RenderOptions(turntable=8, size=(42, 52), rate=12.5)
@@ -232,7 +250,7 @@ BAD: list[tuple[list[str], str]] = [
     (["in.nii", "out.png", "--what", "inversions", "--background", "#ffffff"], "leave the background out"),
     (["in.nii", "out.txt", "--what", "inversions"], "out.txt"),
     (["in.nii", "there.png"], "exists already"),
-    (["rgb.nrrd", "out.png"], "3 components"),
+    (["vectors.nrrd", "out.png"], "3 components of float32, and pictures are of one value or of colours"),
     (["t.nii", "out.png", "--time", "2"], "from 0 to 1"),
     (["photo.png", "out.png"], "photo.png"),
     (["missing.nii", "out.png"], "missing.nii"),
@@ -245,7 +263,7 @@ BAD: list[tuple[list[str], str]] = [
 def test_bad_input(here: Path, capfd: pytest.CaptureFixture[str], given: list[str], text: str) -> None:
     stored("in.nii", head())
     stored("t.nii", np.stack([head(), head()]), series=True)
-    stored("rgb.nrrd", np.stack([head()] * 3, axis=-1).astype(np.uint8))
+    stored("vectors.nrrd", np.stack([head()] * 3, axis=-1).astype(np.float32))
     image.write("photo.png", np.zeros((9, 9), np.uint8))
     image.write("there.png", np.zeros((9, 9), np.uint8))
     before = {p.name: p.read_bytes() for p in here.iterdir()}

@@ -115,12 +115,12 @@ def default_transfer(volume: Volume) -> str:
 def scene_of(
     volume: Volume, recipe: Recipe | None = None, options: RenderOptions | None = None, *, world: bool = False
 ) -> Scene:
-    """A volume as a scene, perhaps with strokes.
+    """A volume as a scene, perhaps with strokes; one of colours by its luminance.
 
     Raises
     ------
     SuppleError
-        If it has several components, or something does not fit.
+        If it has several components that are no colours, or something does not fit.
     """
     known = options or RenderOptions()
     samples = volume.rescaled()
@@ -132,9 +132,13 @@ def scene_of(
     elif known.time:
         raise SuppleError(f"{volume.name} is one volume, and --time is for series: leave it out")
     elif samples.ndim > 3:
-        raise SuppleError(
-            f"{volume.name} has {samples.shape[3]} components, and pictures are of one: take one out of it"
-        )
+        if samples.shape[3] not in (3, 4) or samples.dtype.kind != "u":
+            held = f"{samples.shape[3]} components of {samples.dtype}"
+            raise SuppleError(
+                f"{volume.name} has {held}, and pictures are of one value or of colours in unsigned integers, RGB or "
+                "RGBA: take one component out of it"
+            )
+        samples = _luminance(samples)
     aim = known.camera.target
     if aim is not None and not all(-0.5 <= x <= n - 0.5 for x, n in zip(aim, volume.sizes, strict=True)):
         spoken, end = (", ".join(f"{x:g}" for x in given) for given in (aim, (n - 1 for n in volume.sizes)))
@@ -153,6 +157,17 @@ def scene_of(
         shaded=known.shaded,
         device=known.device,
     )
+
+
+def _luminance(colours: Array) -> Array:
+    """The luminance of colours (Z, H, W, 3 or 4), by the weights of BT.709; what is transparent is dark."""
+    made = np.empty(colours.shape[:3], colours.dtype)
+    for slab, colour in zip(made, colours, strict=True):
+        light = colour[..., :3] @ np.array([0.2126, 0.7152, 0.0722])
+        if colour.shape[-1] == 4:
+            light *= colour[..., 3] / np.iinfo(colours.dtype).max
+        slab[...] = np.rint(light)
+    return made
 
 
 def render_file(
