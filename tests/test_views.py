@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ import numpy.typing as npt
 import pytest
 
 import supple
+from supple import cli
 from supple.camera import Camera
 from supple.cli import command
 from supple.geometry import Geometry
@@ -105,7 +107,7 @@ def test_colours_are_seen_by_their_luminance(here: Path, suffix: str) -> None:
     stored(f"green{suffix}", np.stack([none, grey, none], axis=-1))
     half = np.where(np.arange(SHAPE[2]) < 14, 255, 0) * np.ones_like(grey)
     stored(f"clear{suffix}", np.stack([none, grey, none, half.astype(np.uint8)], axis=-1))
-    options = RenderOptions(size=(40, 40), transfer="grey", camera=Camera(20, 10))
+    options = RenderOptions(size=(40, 40), transfer="grey", mode="exact", camera=Camera(20, 10))
     seen = {}
     for name in ("grey.nii", f"green{suffix}", f"clear{suffix}"):
         render_file(name, "out.png", supple.Recipe(strokes=RECIPE.strokes, border=6.0), options=options, force=True)
@@ -113,6 +115,26 @@ def test_colours_are_seen_by_their_luminance(here: Path, suffix: str) -> None:
     np.testing.assert_array_equal(seen["green"], seen["grey."])
     assert seen["clear"][..., 3].sum() < 0.7 * seen["grey."][..., 3].sum()
     assert seen["clear"][..., 3].max() > 100
+
+
+def test_the_examples_of_the_help_bend_the_head_that_comes_along(here: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    shutil.copy(Path(supple.__file__).parent / "data" / "head.nii.gz", "head.nii.gz")
+    head = media.read("head.nii.gz").samples
+    Path("marks.fcsv").write_text("# CoordinateSystem = RAS\nF1,0,51,53,1,1\n", encoding="utf-8")
+    texts = cli._WARP_EXAMPLES + cli._RENDER_EXAMPLES + cli._POINTS_EXAMPLES
+    lines = [line.split() for line in texts.splitlines() if "head.nii.gz" in line]
+    assert len(lines) == 5
+    for line in lines:
+        more = ["--size", "40x40"] if line[1] == "render" else []
+        given = ["12" if part == "120" else part for part in line[1:]]
+        assert command([*given, *more, "--force"]) == 0, capfd.readouterr().err
+        if "--grab" in line:  # in the head, near the skin, where it is seen
+            x, y, z = (int(n) for n in line[line.index("--grab") + 1].split(":")[0].split(","))
+            assert head[z, y, x] > 30
+            assert head[z, y : y + 15, x].min() < 10
+    assert (media.read("bent.nii.gz").samples != head).mean() > 0.01
+    assert Path("moved.fcsv").read_text(encoding="utf-8") != Path("marks.fcsv").read_text(encoding="utf-8")
+    assert capfd.readouterr().err == ""
 
 
 def test_a_turn_as_a_video(here: Path) -> None:
