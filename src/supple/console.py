@@ -28,7 +28,9 @@ PIPE_CLOSED = 141  # 128 + SIGPIPE, which Windows does not name
 
 # An argument of the library that a message begins with, and says what it must be.
 _ARGUMENT = re.compile(
-    r"^(between|clamp|codec|device|crf|fill|filter|frame|labels|linear_light|memory|outside|pixel_format|preset|quality|rate|save_field|series|shape|size|target|time_scale|tolerance|world)"
+    r"^(between|clamp|codec|crf|density|device|distance|elevation|field_of_view|fill|filter|frame|labels"
+    r"|linear_light|memory|outside|pixel_format|preset|quality|rate|roll|save_field|series|shape|size"
+    r"|step|target|time_scale|tolerance|transfer|turntable|up|world)"
     r"(?= is for | must be | needs )"
 )
 
@@ -55,6 +57,7 @@ def as_options(text: str) -> str:
     """Name options as the command line does, where a message of the library names arguments."""
     text = _ARGUMENT.sub(lambda found: "--" + found[1].replace("_", "-"), text)
     text = re.sub(r'^filter="(\w+)"', r"--filter \1", text)
+    text = re.sub("^supersampling(?= must be )", "--smooth", text)
     text = re.sub(r' \((?:force|series)=(?:True|"1")\)', "", text)  # beside the option that does the same
     return re.sub(r"\bon_fold='(\w+)'", r"--on-fold \1", text).replace("border=None", "--border none")
 
