@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 from collections.abc import Callable
@@ -13,6 +14,7 @@ import numpy.typing as npt
 import pytest
 
 from supple import Deformation, SuppleError
+from supple.errors import VolumeWarning
 from supple.geometry import Geometry
 from supple.landmarks import move_points
 from supple.media.points import PointFile, check_target, read_points, write_points
@@ -122,6 +124,8 @@ class TestPointsTravel:
         deformation = Deformation(SHAPE, border=None).grab((26, 15, 11), by=(4, 0, 0), radius=9)
         (tmp_path / "in.csv").write_text("x,y,z\n26,15,11\n27.4,15,11\n27.6,15,11\n26,-0.6,11\n26,15,99\n")
         assert move_points(tmp_path / "in.csv", tmp_path / "out.csv", deformation).outside == 3
+        again = move_points(tmp_path / "in.csv", tmp_path / "again.csv", deformation)
+        assert again.first_outside == "point 3 at (27.6, 15, 11)"
         assert read_points(tmp_path / "out.csv").points[0, 0] == pytest.approx(30)
 
     def test_a_table_gets_the_residual(self, tmp_path: Path) -> None:
@@ -144,7 +148,9 @@ class TestPointsTravel:
             return found
 
         monkeypatch.setattr(Deformation, "inverse", poor)
-        moved = move_points(tmp_path / "in.csv", tmp_path / "out.csv", bent(), tilted(), inverse=True)
+        moved = move_points(
+            tmp_path / "in.csv", tmp_path / "out.csv", bent(), tilted(), inverse=True, convention="index"
+        )
         assert moved.unconverged == 1
         assert moved.residual[0] > 0.1 > 1e-6 > moved.residual[1]
 
@@ -153,11 +159,33 @@ class TestPointsTravel:
         geometry, deformation, index = tilted(), bent(), np.array([13.0, 15.0, 11.0])
         place = index if convention in (None, "index") else geometry.to_world(index, convention)
         (tmp_path / "in.csv").write_text("x,y,z\n{!r},{!r},{!r}\n".format(*place.tolist()))
-        move_points(tmp_path / "in.csv", tmp_path / "out.csv", deformation, geometry, convention=convention)
+        with contextlib.nullcontext() if convention else pytest.warns(VolumeWarning):
+            move_points(tmp_path / "in.csv", tmp_path / "out.csv", deformation, geometry, convention=convention)
         found = read_points(tmp_path / "out.csv").points[0]
         end = deformation.forward(index)
         expected = end if convention in (None, "index") else geometry.to_world(end, convention)
         np.testing.assert_allclose(found, expected, atol=1e-9)
+
+    @pytest.mark.parametrize("head", ["", "# my clicks\n", "who,x (mm),y (mm),z (mm)\n", "who,x_mm,y_mm,z_mm\n"])
+    def test_what_a_table_does_not_say_is_not_guessed(self, tmp_path: Path, head: str) -> None:
+        (tmp_path / "in.csv").write_text(head + "nose,13,15,11\n")
+        source, out = tmp_path / "in.csv", tmp_path / "out.csv"
+        message = refused(move_points, source, out, bent(), tilted())
+        columns = "columns are in mm, but not said to be LPS or RAS: give --convention LPS or RAS"
+        assert (columns if "mm" in head else "no header says what its numbers are: give --convention index") in message
+        assert not out.exists()
+        move_points(source, out, bent(), tilted(), convention="index")
+        move_points(source, out, bent(), Geometry(SPACING), force=True)  # which has no place in space
+
+    def test_names_without_a_unit_are_voxels_with_a_warning(self, tmp_path: Path) -> None:
+        (tmp_path / "in.csv").write_text("x,y,z\n13,15,11\n")
+        with pytest.warns(
+            VolumeWarning, match=r"x, y and z of .*in.csv are taken for voxels.* --convention LPS or RAS"
+        ):
+            move_points(tmp_path / "in.csv", tmp_path / "out.csv", bent(), tilted())
+        for head in ("i,j,k", "x (voxel),y (voxel),z (voxel)", "x_px,y_px,z_px", "# CoordinateSystem = LPS\nx,y,z"):
+            (tmp_path / "in.csv").write_text(f"{head}\n13,15,11\n")
+            move_points(tmp_path / "in.csv", tmp_path / "out.csv", bent(), tilted(), force=True)
 
     def test_in_pictures_only_x_and_y_move(self, tmp_path: Path) -> None:
         deformation = Deformation((60, 80), border=None).grab((30, 30), by=(6, 3), radius=15)

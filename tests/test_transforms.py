@@ -6,6 +6,7 @@ import os
 import subprocess
 import sys
 import textwrap
+import warnings
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -16,10 +17,11 @@ import numpy.typing as npt
 import pytest
 import SimpleITK as sitk  # noqa: N813
 
-from supple import Deformation, SuppleError
+from supple import Deformation, Recipe, Stroke, SuppleError
 from supple.fields import displacement_of, write_transform
 from supple.geometry import Geometry
 from supple.media.transform import SUFFIXES_OUT, check_target, write_field
+from supple.volumes import VolumeOptions, warp_volume
 
 Array = npt.NDArray[Any]
 
@@ -86,6 +88,44 @@ def test_itk_resamples_to_what_supple_shows(tmp_path: Path, where: str, suffix: 
     assert inside.mean() > 0.5
     np.testing.assert_allclose(theirs[inside], ours[inside], atol=1e-3 * np.ptp(volume))
     assert np.abs(ours - volume)[inside].max() > 0.1 * np.ptp(volume)  # or a field of zeros would pass
+
+
+@pytest.mark.parametrize(("sform", "qform"), [(1, 1), (2, 1), (0, 1), (2, 0), (0, 0)])
+def test_itk_applies_the_field_of_a_nifti_to_the_volume_as_it_reads_it(tmp_path: Path, sform: int, qform: int) -> None:
+    """Though its qform and its sform are turned against each other, or neither has a code."""
+    made = nibabel.Nifti1Image(smooth().T, None)
+    for code, angle, form in ((qform, 0.3, made.header.set_qform), (sform, -0.4, made.header.set_sform)):
+        affine = np.diag([0.0, 0, 0, 1])
+        affine[:3, :3] = rotation(0.1, angle, 0.2) * SPACING
+        affine[:3, 3] = 30 * angle, -20, 10
+        form(affine, code)
+    made.to_filename(tmp_path / "in.nii")
+    grab = [Stroke.grab((12, 14, 9), to=(16, 17, 11), radius=8)]
+    options = VolumeOptions(save_field=tmp_path / "field.nii")
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        warp_volume(
+            tmp_path / "in.nii", tmp_path / "out.nii", Recipe(strokes=grab), filter="linear", options=options,
+            tolerance=1e-4,
+        )  # fmt: skip
+    assert [one.category.__name__ for one in told] == ["VolumeWarning"] * (sform > 0 < qform)
+    moving = sitk.ReadImage(str(tmp_path / "in.nii"))
+    transform = transform_from(tmp_path / "field.nii")
+    theirs = sitk.GetArrayFromImage(sitk.Resample(moving, moving, transform, sitk.sitkLinear, -1e6))
+    ours = np.asarray(nibabel.load(tmp_path / "out.nii").dataobj).T
+    inside = (slice(2, -2),) * 3
+    np.testing.assert_allclose(theirs[inside], ours[inside], atol=0.5)
+    assert np.abs(ours - smooth())[inside].max() > 50
+
+
+def test_a_nifti_without_a_place_has_none_in_the_world(tmp_path: Path) -> None:
+    made = nibabel.Nifti1Image(smooth().T, None)
+    made.header.set_zooms(SPACING)
+    made.header["sform_code"] = made.header["qform_code"] = 0
+    made.to_filename(tmp_path / "in.nii")
+    grab = [Stroke.grab((12, 14, 9), to=(16, 17, 11), radius=8)]
+    with pytest.raises(SuppleError, match=r"in.nii does not know where it lies in space: leave --world out"):
+        warp_volume(tmp_path / "in.nii", tmp_path / "out.nii", Recipe(strokes=grab), options=VolumeOptions(world=True))
 
 
 @pytest.mark.parametrize("suffix", SUFFIXES_OUT)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ import numpy.typing as npt
 import pytest
 
 import supple
+from supple import cli
 from supple.camera import Camera
 from supple.cli import command
 from supple.geometry import Geometry
@@ -99,9 +101,48 @@ def test_world_points(here: Path) -> None:
     assert np.abs(image.read("a.png").pixels.astype(int) - image.read("b.png").pixels).max() <= 2
 
 
+@pytest.mark.parametrize("suffix", [".nii", ".nrrd"])
+def test_colours_are_seen_by_their_luminance(here: Path, suffix: str) -> None:
+    grey = head().astype(np.uint8)
+    stored("grey.nii", np.rint(grey * 0.7152).astype(np.uint8))
+    none = np.zeros_like(grey)
+    stored(f"green{suffix}", np.stack([none, grey, none], axis=-1))
+    half = np.where(np.arange(SHAPE[2]) < 14, 255, 0) * np.ones_like(grey)
+    stored(f"clear{suffix}", np.stack([none, grey, none, half.astype(np.uint8)], axis=-1))
+    options = RenderOptions(size=(40, 40), transfer="grey", mode="exact", camera=Camera(20, 10))
+    seen = {}
+    for name in ("grey.nii", f"green{suffix}", f"clear{suffix}"):
+        render_file(name, "out.png", supple.Recipe(strokes=RECIPE.strokes, border=6.0), options=options, force=True)
+        seen[name[:5]] = image.read("out.png").pixels.astype(int)
+    np.testing.assert_array_equal(seen["green"], seen["grey."])
+    assert seen["clear"][..., 3].sum() < 0.7 * seen["grey."][..., 3].sum()
+    assert seen["clear"][..., 3].max() > 100
+
+
+def test_the_examples_of_the_help_bend_the_head_that_comes_along(here: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    shutil.copy(Path(supple.__file__).parent / "data" / "head.nii.gz", "head.nii.gz")
+    head = media.read("head.nii.gz").samples
+    Path("marks.fcsv").write_text("# CoordinateSystem = RAS\nF1,0,51,53,1,1\n", encoding="utf-8")
+    texts = cli._WARP_EXAMPLES + cli._RENDER_EXAMPLES + cli._POINTS_EXAMPLES
+    lines = [line.split() for line in texts.splitlines() if "head.nii.gz" in line]
+    assert len(lines) == 5
+    for line in lines:
+        more = ["--size", "40x40"] if line[1] == "render" else []
+        given = ["12" if part == "120" else part for part in line[1:]]
+        assert command([*given, *more, "--force"]) == 0, capfd.readouterr().err
+        if "--grab" in line:  # in the head, near the skin, where it is seen
+            x, y, z = (int(n) for n in line[line.index("--grab") + 1].split(":")[0].split(","))
+            assert head[z, y, x] > 30
+            assert head[z, y : y + 15, x].min() < 10
+    assert (media.read("bent.nii.gz").samples != head).mean() > 0.01
+    assert Path("moved.fcsv").read_text(encoding="utf-8") != Path("marks.fcsv").read_text(encoding="utf-8")
+    assert capfd.readouterr().err == ""
+
+
 def test_a_turn_as_a_video(here: Path) -> None:
     stored("in.nii", head())
-    render_file("in.nii", "turn.mp4", options=RenderOptions(turntable=8, size=(41, 51), rate=12.5))
+    even = RenderOptions(turntable=8, size=(42, 52), rate=12.5)
+    render_file("in.nii", "turn.mp4", options=even)
     with av.open("turn.mp4") as clip:
         frames = [f.to_ndarray(format="rgb24") for f in clip.decode(video=0)]
         assert clip.streams.video[0].average_rate == 12.5
@@ -109,6 +150,25 @@ def test_a_turn_as_a_video(here: Path) -> None:
     assert frames[0].shape == (42, 52, 3)
     # The nose is in the middle from the front, and beside from the left.
     assert np.abs(frames[0].astype(int) - frames[4]).mean() > 1
+
+
+@pytest.mark.parametrize("suffix", [".webm", ".gif"])
+def test_a_turn_as_a_video_of_any_size(here: Path, suffix: str) -> None:
+    stored("in.nii", head())
+    known = RenderOptions(turntable=6, size=(41, 51), rate=12, background=(0.2, 0.4, 0.6))
+    render_file("in.nii", "turn/%d.png", options=known)
+    render_file("in.nii", f"turn{suffix}", options=known)
+    with av.open(f"turn{suffix}") as clip:
+        decoded = list(clip.decode(video=0))
+    times = np.array([float(f.pts * f.time_base) for f in decoded])
+    np.testing.assert_allclose(times, np.arange(6) / 12, atol=0.006)
+    for k, frame in enumerate(decoded):
+        seen = frame.to_ndarray(format="rgb24")
+        wanted = image.read(f"turn/{k}.png").pixels
+        assert seen.shape == wanted.shape == (41, 51, 3)
+        assert np.abs(seen.astype(int) - wanted).mean() < 3
+    if suffix == ".gif":
+        assert b"NETSCAPE2.0" in Path("turn.gif").read_bytes()  # it goes round
 
 
 def test_a_turn_as_pictures(here: Path) -> None:
@@ -186,7 +246,11 @@ BAD: list[tuple[list[str], str]] = [
     (["in.nii", "out.txt"], "out.txt"),
     (["in.nii", "out.mp4"], "--turntable"),
     (["in.nii", "out.png", "--turntable", "5"], "is one"),
-    (["in.nii", "out.mp4", "--turntable", "1"], "from 2 to"),
+    (["in.nii", "out.mp4", "--turntable", "1"], "--turntable must be a number of pictures from 2 to"),
+    (["in.nii", "out.mp4", "--turntable", "4", "--size", "51x40"], "--size must be even"),
+    (["in.nii", "out.mp4", "--turntable", "4", "--size", "51x40"], "found 51x40: give 52x40, or write .webm or .gif"),
+    (["in.nii", "out.gif", "--turntable", "4", "--rate", "60"], "--rate must be at most 50"),
+    (["in.nii", "out.gif"], "give --turntable"),
     (["in.nii", "out.png", "--transfer", "skull"], "ct-bone"),
     (["in.nii", "out.png", "--transfer", "none.json"], "none.json"),
     (["in.nii", "out.png", "--density", "3"], "LO,HI"),
@@ -195,18 +259,22 @@ BAD: list[tuple[list[str], str]] = [
     (["in.nii", "out.png", "--size", "big"], "--size"),
     (["in.nii", "out.png", "--size", "0x5"], "from 1 to"),
     (["in.nii", "out.png", "--background", "red"], "#1a1a1e"),
-    (["in.nii", "out.png", "--elevation", "91"], "from -90 to 90"),
+    (["in.nii", "out.png", "--elevation", "91"], "--elevation must be a number of degrees from -90 to 90"),
     (["in.nii", "out.png", "--azimuth", "left"], "--azimuth"),
-    (["in.nii", "out.png", "--step", "0"], "at least 0.001"),
-    (["in.nii", "out.png", "--smooth", "99"], "from 1 to 8"),
+    (["in.nii", "out.png", "--step", "0"], "--step must be millimetres, at least 0.001"),
+    (["in.nii", "out.png", "--smooth", "99"], "--smooth must be a number of rays along a pixel's side, from 1 to 8"),
     (["in.nii", "out.png", "--up", "0,0,0"], "a direction"),
     (["in.nii", "out.png", "--target", "1,2"], "three numbers"),
+    (
+        ["in.nii", "out.png", "--target", "13,14,99"],
+        "--target must be a voxel of in.nii, from (0, 0, 0) to (27, 29, 23)",
+    ),
     (["in.nii", "out.png", "--world"], "there are none"),
     (["in.nii", "out.png", "--what", "inversions", "--turntable", "4"], "leave the turntable out"),
     (["in.nii", "out.png", "--what", "inversions", "--background", "#ffffff"], "leave the background out"),
     (["in.nii", "out.txt", "--what", "inversions"], "out.txt"),
-    (["in.nii", "there.png"], "exists already"),
-    (["rgb.nrrd", "out.png"], "3 components"),
+    (["in.nii", "there.png"], "there.png exists already: pass --force to replace it"),
+    (["vectors.nrrd", "out.png"], "3 components of float32, and pictures are of one value or of colours"),
     (["t.nii", "out.png", "--time", "2"], "from 0 to 1"),
     (["photo.png", "out.png"], "photo.png"),
     (["missing.nii", "out.png"], "missing.nii"),
@@ -219,7 +287,7 @@ BAD: list[tuple[list[str], str]] = [
 def test_bad_input(here: Path, capfd: pytest.CaptureFixture[str], given: list[str], text: str) -> None:
     stored("in.nii", head())
     stored("t.nii", np.stack([head(), head()]), series=True)
-    stored("rgb.nrrd", np.stack([head()] * 3, axis=-1).astype(np.uint8))
+    stored("vectors.nrrd", np.stack([head()] * 3, axis=-1).astype(np.float32))
     image.write("photo.png", np.zeros((9, 9), np.uint8))
     image.write("there.png", np.zeros((9, 9), np.uint8))
     before = {p.name: p.read_bytes() for p in here.iterdir()}

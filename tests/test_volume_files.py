@@ -4,6 +4,7 @@ import struct
 import subprocess
 import sys
 import textwrap
+import warnings
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,7 +14,7 @@ import pytest
 import pyvips
 import SimpleITK as sitk  # noqa: N813
 
-from supple.errors import SuppleError
+from supple.errors import SuppleError, VolumeWarning
 from supple.geometry import Geometry
 from supple.media.volume import (
     SUFFIXES,
@@ -316,8 +317,8 @@ class TestNIfTI:
             by_us(tmp_path / f"out{suffix}"),
         )
 
-    @pytest.mark.parametrize(("sform", "qform", "scale"), [(1, 1, 3), (0, 1, 2), (2, 0, 3)])
-    def test_the_sform_comes_first_then_the_qform(self, tmp_path, sform, qform, scale):
+    @pytest.mark.parametrize(("sform", "qform", "scale"), [(0, 1, 2), (2, 0, 3)])
+    def test_the_sform_counts_or_else_the_qform(self, tmp_path, sform, qform, scale):
         made = nibabel.Nifti1Image(noise("i2", *SHAPE).T, None)
         made.header.set_sform(np.diag([3, 3, 3, 1.0]), sform)
         made.header.set_qform(np.diag([2, 2, 2, 1.0]), qform)
@@ -332,8 +333,29 @@ class TestNIfTI:
         data = bytearray((tmp_path / "in.nii").read_bytes())
         struct.pack_into("<hh", data, 252, 0, 0)
         (tmp_path / "in.nii").write_bytes(data)
-        assert read(tmp_path / "in.nii").geometry.spacing == (2, 3, 4)
-        agree(by_us(tmp_path / "in.nii"), by_nibabel(tmp_path / "in.nii"))
+        geometry = read(tmp_path / "in.nii").geometry
+        assert (geometry.spacing, geometry.convention) == ((2, 3, 4), "array")
+        agree(by_us(tmp_path / "in.nii"), by_itk(tmp_path / "in.nii"))
+
+    @pytest.mark.parametrize("form", ["in.nii", "in.nii.gz", "in.img"])
+    @pytest.mark.parametrize(("sform", "qform", "used"), [(1, 1, "sform"), (2, 1, "qform"), (4, 2, "qform")])
+    def test_forms_that_disagree_are_taken_as_itk_takes_them(self, tmp_path, form, sform, qform, used):
+        kind = nibabel.Nifti1Pair if form.endswith("img") else nibabel.Nifti1Image
+        made = kind(noise("i2", *SHAPE).T, None)
+        affine = np.diag([-1, -1, 1, 1.0]) @ np.array(volume(noise("i2", *SHAPE)).geometry.matrix)
+        made.header.set_qform(affine, qform)
+        affine[0, 3] += 5
+        made.header.set_sform(affine, sform)
+        made.to_filename(tmp_path / form)
+        told = f"^the qform and the sform of .*{form} disagree, by up to 5 mm: the {used} is used, as by SimpleITK"
+        with pytest.warns(VolumeWarning, match=told):
+            read(tmp_path / form)
+        with warnings.catch_warnings(action="ignore"):
+            agree(by_us(tmp_path / form), by_itk(tmp_path / form))
+        affine[0, 3] -= 4.999
+        made.header.set_sform(affine, sform)
+        made.to_filename(tmp_path / form)
+        read(tmp_path / form)
 
     @pytest.mark.parametrize(("unit", "factor"), [(0, 1), (1, 1000), (2, 1), (3, 0.001)])
     def test_units_become_millimetres_and_come_back(self, tmp_path, unit, factor):
@@ -685,7 +707,87 @@ def slices(folder, samples, *, places=None, uid="1.2.3.4", number=1, text="head"
     return folder
 
 
+def element(group, number, kind, data):
+    """One element of a DICOM file."""
+    data = data.encode() if isinstance(data, str) else data
+    data += (b"\0" if kind in ("UI", "OB") else b" ") * (len(data) % 2)
+    long = struct.pack("<HI", 0, len(data)) if kind == "OB" else struct.pack("<H", len(data))
+    return struct.pack("<HH2s", group, number, kind.encode()) + long + data
+
+
+def no_image(path, end, modality):
+    """Write a DICOM file without voxels, of a class of storage that ends so."""
+    uid, known = "1.2.840.10008.5.1.4.1.1." + end, "1.2.9." + end
+    meta = element(2, 1, "OB", b"\0\1") + element(2, 2, "UI", uid) + element(2, 3, "UI", known)
+    meta += element(2, 0x10, "UI", "1.2.840.10008.1.2.1")
+    body = element(8, 0x16, "UI", uid) + element(8, 0x18, "UI", known) + element(8, 0x60, "CS", modality)
+    body += element(0x20, 0xD, "UI", "1.2.3") + element(0x20, 0xE, "UI", known)
+    path.write_bytes(bytes(128) + b"DICM" + element(2, 0, "UL", struct.pack("<I", len(meta))) + meta + body)
+
+
 class TestDICOM:
+    def test_what_is_no_image_is_left_out_and_named(self, tmp_path):
+        samples = noise("i2", *SHAPE)
+        folder = slices(tmp_path / "in", samples)
+        no_image(folder / "rs.dcm", "481.3", "RTSTRUCT")
+        no_image(folder / "report", "88.11", "SR")
+        with pytest.warns(VolumeWarning) as told:
+            np.testing.assert_array_equal(read(folder).samples, samples)
+        assert [str(one.message) for one in told] == [
+            f"report (SR), rs.dcm (RTSTRUCT) in {folder}: no images of a series, and left out"
+        ]
+        derived = {"dose.dcm": ("481.2", "RTDOSE"), "seg.dcm": ("66.4", "SEG")}
+        for k, (name, (end, modality)) in enumerate(derived.items()):
+            tags = {"0008|0016": f"1.2.840.10008.5.1.4.1.1.{end}", "0008|0060": modality}
+            slices(folder, noise("u2", 1, 5, 6), uid=f"1.2.{k}", names=[name], change=[(0, tags)])
+        with pytest.warns(
+            VolumeWarning, match=r"dose.dcm \(RTDOSE\), report \(SR\), rs.dcm \(RTSTRUCT\) and 1 more in"
+        ):
+            np.testing.assert_array_equal(read(folder).samples, samples)
+        for path in (folder / "report", folder / "rs.dcm"):
+            path.unlink()
+        with pytest.warns(VolumeWarning, match=r"dose.dcm \(RTDOSE\), seg.dcm \(SEG\) in"):
+            assert info(folder)["shape"] == [6, 5, 4]
+        for path in folder.glob("1.2.3.4-*"):
+            path.unlink()
+        with pytest.warns(VolumeWarning, match="^dose.dcm"):  # without its grid, nothing can be read of it
+            assert read(folder).samples.shape == (1, 5, 6)
+        (folder / "seg.dcm").unlink()
+        assert "no DICOM images" in refused(read, folder)
+
+    @pytest.mark.parametrize("split", [False, True])
+    def test_slices_in_subfolders(self, tmp_path, split):
+        samples = noise("i2", *SHAPE)
+        slices(tmp_path / "in", samples)
+        for k, path in enumerate(sorted((tmp_path / "in").iterdir())):
+            inner = tmp_path / "study" / "a" / (f"part{k // 2}" if split else "series")
+            inner.mkdir(parents=True, exist_ok=True)
+            path.rename(inner / path.name)
+        no_image(tmp_path / "study" / "DICOMDIR", "1", "")
+        (tmp_path / "study" / "README.TXT").write_text("hello")
+        assert is_volume(tmp_path / "study")
+        np.testing.assert_array_equal(read(tmp_path / "study").samples, samples)
+        slices(tmp_path / "study" / "b", samples[:2], uid="1.2.5")
+        assert "it holds 2 series" in refused(read, tmp_path / "study")
+        (tmp_path / "study" / "DICOMDIR").unlink()
+        (tmp_path / "study" / "photo.jpg").write_bytes(b"no matter")
+        assert not is_volume(tmp_path / "study")
+
+    @pytest.mark.parametrize(("most", "dtype"), [(3071, "i2"), (32768, "i4")])
+    @pytest.mark.parametrize("stored", ["i2", "u2"])
+    def test_values_stay_in_16_bits_if_they_fit(self, tmp_path, most, dtype, stored):
+        samples = (noise("u2", *SHAPE) % 4000).astype(stored)
+        samples[1, 2, 3] = min(most + 1024, np.iinfo(stored).max)
+        folder = slices(tmp_path / "in", samples)
+        for path in folder.iterdir():
+            data, intercept = path.read_bytes(), b"\x28\x00\x52\x10\x02\x00\x00\x000 "
+            assert data.count(intercept) == 1
+            path.write_bytes(data.replace(intercept, b"\x28\x00\x52\x10\x06\x00\x00\x00-1024 "))
+        known = read(folder).samples
+        assert known.dtype == (dtype if stored == "u2" else "i2")
+        np.testing.assert_array_equal(known, samples.astype(int) - 1024)
+        np.testing.assert_array_equal(read(next(folder.iterdir())).samples, known)
+
     def test_a_series(self, tmp_path):
         samples = noise("i2", *SHAPE)
         known = read(slices(tmp_path / "in", samples))
@@ -1101,6 +1203,7 @@ class TestInfo:
             "interval": None,
             "convention": "RAS",
             "orientation": letters,
+            "oblique": pytest.approx(read(tmp_path / "in.nii.gz").geometry.oblique),
             "scaling": [1, 0],
             "minimum": float(np.nanmin(samples)),
             "maximum": float(np.nanmax(samples)),

@@ -180,6 +180,7 @@ def test_voxels_of_another_size_are_not_scaled(here: Path) -> None:
 
 def test_strokes_outside_the_volume(here: Path) -> None:
     stored("in.nii", made())
+    stored("straight.nii", made(), Geometry(OBLIQUE.spacing, (10, 0, 0)))
     plain = stored("in.tif", made())
     assert plain.shape == SHAPE
     outside = "outside the volume, which has 24 x 26 x 20 voxels"
@@ -217,9 +218,121 @@ def test_labels_keep_their_values(here: Path, dtype: Any) -> None:
     for name in ("linear", "cubic"):
         with pytest.raises(supple.SuppleError, match="labels"):
             warp_volume("in.nii.gz", "x.nii.gz", RECIPE, filter=name, options=VolumeOptions(labels=True))
-    stored("f.nii.gz", samples.astype(np.float32))
-    with pytest.raises(supple.SuppleError, match="labels are whole numbers"):
-        warp_volume("f.nii.gz", "x.nii.gz", RECIPE, options=VolumeOptions(labels=True))
+
+
+def test_labels_may_be_stored_as_floats(here: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    samples = np.round(made(dtype=np.float32) / 200).astype(np.float32) * 7
+    stored("in.nii.gz", samples)
+    warp_volume("in.nii.gz", "out.nii.gz", RECIPE, options=VolumeOptions(labels=True))
+    out = media.read("out.nii.gz").samples
+    assert out.dtype == np.float32
+    assert set(np.unique(out)) == set(np.unique(samples))
+    assert (out != samples).mean() > 0.01
+    samples[3, 4, 5] = 1.5
+    stored("f.nii.gz", samples)
+    for more, told in (
+        (["f.nii.gz", "x.nii.gz", "--labels"], "--labels is for whole numbers, and f.nii.gz holds 1.5: leave it out"),
+        (["in.nii.gz", "x.nii.gz", "--labels", "--filter", "cubic"], '--labels needs filter "nearest"'),
+    ):
+        assert command(["warp", *more, *GRAB]) == 2
+        assert told in capfd.readouterr().err
+    assert not Path("x.nii.gz").exists()
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.int16, np.float32])
+def test_what_looks_like_labels_is_said(here: Path, dtype: Any) -> None:
+    """Few whole numbers in large areas; neither noise, nor smooth pictures of few values, nor a head on black."""
+    grid = np.indices((40, 40, 40))
+    regions = (((grid // 10).sum(axis=0) * 37) % 200).astype(dtype)
+    mask = (np.square(grid - 20).sum(axis=0) < 200).astype(dtype)
+    noise = np.random.default_rng(0).integers(0, 4, (40, 40, 40)).astype(dtype)
+    smooth = np.round(100 + 60 * np.sin(grid / 25).sum(axis=0)).astype(dtype)
+    recipe = supple.Recipe(strokes=[supple.Stroke.grab((20, 20, 20), by=(2, 0, 1), radius=6)])
+    for samples, said in ((regions, True), (mask, True), (noise, False), (smooth, False), (mask * noise * 9, False)):
+        media.write("in.nii", samples, media.Volume(samples, OBLIQUE), force=True)
+        with warnings.catch_warnings(record=True) as told:
+            warnings.simplefilter("always")
+            warp_volume("in.nii", "out.nii", recipe, force=True, filter="linear")
+        count = len(np.unique(samples))
+        wanted = f"in.nii looks like a label map, of {count} values, and its labels are mixed where they meet: "
+        wanted += "--labels or --filter nearest keeps them"
+        assert [str(one.message) for one in told] == [wanted] * said
+        warp_volume("in.nii", "out.nii", recipe, force=True, options=VolumeOptions(labels=True))
+
+
+def blocks_of(dtype: Any) -> npt.NDArray[Any]:
+    """Blocks with sharp edges, beside which cubics overshoot."""
+    return np.where(np.indices(SHAPE).sum(axis=0) // 4 % 2, -1024, 1500).astype(dtype)
+
+
+@pytest.mark.parametrize("device", ["cpu", "gpu"])
+@pytest.mark.parametrize("dtype", [np.int16, np.float32])
+def test_values_stay_within_their_range(here: Path, dtype: Any, device: str) -> None:
+    if device == "gpu":
+        pytest.importorskip("wgpu")
+    stored("in.nii", blocks_of(dtype))
+    options: dict[str, Any] = {"filter": "cubic", "device": device, "force": True}
+    warp_volume("in.nii", "out.nii", RECIPE, clamp=False, **options)
+    free = np.array(media.read("out.nii").samples)
+    assert free.min() < -1100
+    assert free.max() > 1600
+    supple.warp_file("in.nii", "out.nii", RECIPE, **options)
+    kept = media.read("out.nii").samples
+    np.testing.assert_array_equal(kept, free.clip(-1024, 1500))
+
+
+def test_what_is_seen_outside_is_within_the_range(here: Path) -> None:
+    stored("in.nii", blocks_of(np.int16))
+    loose = supple.Recipe(strokes=[supple.Stroke.grab((1, 13, 9), by=(6, 0, 0), radius=9)], border=None)
+    warp_volume("in.nii", "out.nii", loose, outside="constant", fill=-3000.4)
+    kept = media.read("out.nii").samples
+    assert (kept.min(), kept.max()) == (-3000, 1500)
+    assert (kept == -3000).any()
+
+
+def test_values_that_are_not_finite_are_not_clamped() -> None:
+    samples = blocks_of(np.float32)
+    samples[1, 1, 1:4] = np.nan, np.inf, -np.inf
+    samples[-2, -2, -2] = -0.0
+    d = supple.Deformation(SHAPE, border=None).grab((11, 13, 9), by=(3, -2, 1.5), radius=3, reach=2)
+    kept = d.warp(samples, filter="cubic", clamp=True)
+    finite = kept[np.isfinite(kept)]
+    assert (finite.min(), finite.max()) == (-1024, 1500)
+    free = d.warp(samples, filter="cubic")
+    inside = (free >= -1024) & (free <= 1500) | ~np.isfinite(free)
+    np.testing.assert_array_equal(kept.view(np.uint32)[inside], free.view(np.uint32)[inside])
+    assert not inside.all()
+    assert np.isinf(kept[1, 1, 2:4]).all()
+    image = supple.Deformation((9, 9)).grab((4, 4), by=(1, 0), radius=3)
+    empty = np.full((9, 9), np.nan)
+    assert np.isnan(image.warp(empty, clamp=True)).all()
+    with pytest.raises(supple.SuppleError, match="clamp must be False for a function"):
+        image.warp(lambda p: p[:, 0], clamp=True)
+    with pytest.raises(supple.SuppleError, match="clamp must be True or False"):
+        image.warp(empty, clamp="yes")  # type: ignore[arg-type]
+
+
+def test_pictures_of_floats_stay_within_their_range(here: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    from supple.media import image
+
+    pixels = (np.indices((40, 50)).sum(axis=0) // 4 % 2).astype(np.float32)
+    image.write("in.tif", pixels)
+    image.write("in8.png", (pixels * 99 + 100).astype(np.uint8))
+    grab = ["--grab", "20,20:24,18", "--radius", "8"]
+    low = {}
+    for name, more in (("a.tif", []), ("b.tif", ["--no-clamp"]), ("c.png", []), ("d.png", ["--clamp"])):
+        assert command(["warp", "in8.png" if name.endswith("png") else "in.tif", name, *grab, *more]) == 0
+        low[name] = float(image.read(name).pixels.min())
+    assert low["a.tif"] == 0
+    assert low["b.tif"] < -0.05
+    assert low["c.png"] < 95
+    assert low["d.png"] == 100
+    capfd.readouterr()
+    Path("frames").mkdir()
+    image.write("frames/001.png", np.zeros((9, 9), np.uint8))
+    image.write("frames/002.png", np.zeros((9, 9), np.uint8))
+    assert command(["warp", "frames/%03d.png", "o/%03d.png", "--grab", "3,3:4,4", "--radius", "3", "--clamp"]) == 2
+    assert "--clamp is for pictures and volumes" in capfd.readouterr().err
 
 
 def test_vectors_and_series(here: Path) -> None:
@@ -348,6 +461,15 @@ def test_the_command_line(here: Path, capfd: pytest.CaptureFixture[str]) -> None
     assert "RAS millimetres" in capfd.readouterr().err
 
 
+def test_what_is_oblique_is_said(here: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    stored("in.nii.gz", made())
+    stored("straight.nrrd", made(), Geometry(OBLIQUE.spacing, (10, 0, 0), np.eye(3)[[1, 2, 0]], "LPS"))
+    assert command(["info", "in.nii.gz", "straight.nrrd"]) == 0
+    oblique, straight = capfd.readouterr().out.split("straight.nrrd")
+    assert ", oblique by up to 36.9°\n" in oblique
+    assert "oblique" not in straight
+
+
 def test_a_folder_of_volumes(here: Path) -> None:
     Path("scans").mkdir()
     for k in range(2):
@@ -378,7 +500,7 @@ def test_a_field_is_left_only_with_its_volume(here: Path, monkeypatch: pytest.Mo
 
 BAD: list[tuple[list[str], str]] = [
     (["warp", "in.nii", "out.jpg", *GRAB], "no format that volumes are written in"),
-    (["warp", "in.nii", "in.nii", *GRAB], "is the volume itself"),
+    (["warp", "in.nii", "in.nii", *GRAB], "is the volume itself: pass --force to replace it"),
     (["warp", "in.nii", "there.nii", *GRAB], "exists already"),
     (["warp", "in.nii", "out.nii", *GRAB, "--quality", "9"], "is for pictures or videos"),
     (["warp", "in.nii", "out.nii", *GRAB, "--codec", "h264"], "is for pictures or videos"),
@@ -392,7 +514,10 @@ BAD: list[tuple[list[str], str]] = [
     (["warp", "in.raw", "out.nii", *GRAB], "--shape"),
     (["warp", "missing.nii", "out.nii", *GRAB], "missing.nii"),
     (["warp", "text.nii.gz", "out.nii", *GRAB], "text.nii.gz"),
-    (["warp", "photo.png", "out.png", "--grab", "1,1:2,2", "--radius", "3", "--labels"], "is no volume"),
+    *(
+        (["warp", "photo.png", "out.png", "--grab", "1,1:2,2", "--radius", "3", *more], f"{more[0]} is for volumes")
+        for more in (["--labels"], ["--save-field", "f.nii"], ["--world"])
+    ),
     (["warp", "in.nii", "out.nii", "--grab", "1,1:2,2", "--radius", "3"], "three numbers"),
     (["plot", "in.nii", "out.png", *GRAB], "supple render shows it"),
     (["warp", "in.nii", "out.nii", *GRAB, "--series", "1"], "--series is for DICOM"),

@@ -27,19 +27,20 @@ Examples:
   supple warp photos/ bent/ --recipe strokes.json
   supple warp clip.mp4 late.mp4 --grab 350,120,38:350,120,52 --radius 60
   supple warp frames/%05d.png bent/%05d.png --recipe strokes.json
-  supple warp head.nii.gz bent.nii.gz --grab 45,60,50:45,70,50 --radius 30
+  supple warp head.nii.gz bent.nii.gz --grab 45,88,62:45,76,58 --radius 40
 """
 _RENDER_EXAMPLES = """\
 Examples:
 
   supple render head.nii.gz face.png --azimuth 30
-  supple render ct.nrrd skull.png --transfer ct-bone --grab 45,60,50:45,70,50 --radius 30
+  supple render head.nii.gz bent.png --grab 45,88,62:45,76,58 --radius 40 --azimuth 38
+  supple render ct/ skull.png --transfer ct-bone
   supple render head.nii.gz turn.mp4 --turntable 120
 """
 _POINTS_EXAMPLES = """\
 Examples:
 
-  supple points marks.fcsv moved.fcsv --on head.nii.gz --grab 45,60,50:45,70,50 --radius 30
+  supple points marks.fcsv moved.fcsv --on head.nii.gz --grab 45,88,62:45,76,58 --radius 40
   supple points clicked.csv origin.csv --on photo.jpg --recipe strokes.json --inverse
 """
 _VIEW_EXAMPLES = """\

@@ -110,7 +110,8 @@ def points(
     inverse
         Apply the inverse: from the deformed volume back to the original.
     convention
-        Coordinates of a table that does not name them: LPS or RAS in millimetres, or index (default).
+        Coordinates of a table that does not name them: LPS or RAS in millimetres, or index. A table without a header
+        needs it, for a volume with a place in space.
     """
     console = current()
     from supple.landmarks import move_points
@@ -131,7 +132,11 @@ def points(
     unit = "px" if geometry is None else "mm"
     furthest = float(moved.displaced.max(initial=0.0))
     if moved.outside:
-        console.say(f"{moved.outside} of {moved.count} points lie outside {on}: they are moved all the same")
+        lie = "lies" if moved.outside == 1 else "lie"
+        which = f"{moved.first_outside}{', for one' if moved.outside > 1 else ''}"
+        console.say(
+            f"{moved.outside} of {moved.count} points {lie} outside {on} ({which}): they are moved all the same"
+        )
     if moved.unconverged:
         console.say(f"{moved.unconverged} of {moved.count} points did not converge: see their residuals")
     if not options.quiet:

@@ -58,6 +58,7 @@ def warp(
     fill: Annotated[str | None, Parameter(group=SAMPLING, metavar="V|V,V,V", allow_leading_hyphen=True)] = None,
     tolerance: Annotated[str, Parameter(group=SAMPLING, metavar="PX", allow_leading_hyphen=True)] = "0.01",
     linear_light: Annotated[bool, Parameter(group=SAMPLING)] = False,
+    clamp: Annotated[bool | None, Parameter(group=SAMPLING, negative="--no-clamp")] = None,
     quality: Annotated[int | None, Parameter(group=WRITING, metavar="1..100", allow_leading_hyphen=True)] = None,
     lossless: Annotated[bool, Parameter(group=WRITING)] = False,
     save_recipe: Annotated[str | None, Parameter(group=WRITING, metavar="FILE")] = None,
@@ -90,6 +91,9 @@ def warp(
         Largest allowed error of the inverse map, in pixels.
     linear_light
         Average in linear light instead of sRGB values, so that fine detail does not darken.
+    clamp
+        Keep values within the range of the input, which cubic filters leave beside sharp edges (default for volumes
+        and pictures of floats).
     quality
         Quality of JPEG (default 95), WebP and AVIF (90), from 1 to 100.
     lossless
@@ -133,6 +137,7 @@ def warp(
         "fill": parse_fill("0" if fill is None else fill),
         "tolerance": exact,
         "linear_light": linear_light,
+        "clamp": clamp,
         "quality": quality,
         "lossless": lossless,
         "device": device,

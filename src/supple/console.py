@@ -39,9 +39,11 @@ _UNDERSCORED = "|".join(name for name in _NAMES.split("|") if "_" in name)
 _VALUE = r"""(?:'([^']*)'|"([^"]*)"|(None|True|False|[\w.]+(?:\(\.\.\.\))?))"""
 _ASIDE = re.compile(rf" \((?:{_NAMES})={_VALUE}\)")  # --force (force=True)
 _GIVEN = re.compile(rf"(?<![\w-])({_NAMES})={_VALUE}")  # on_fold='flow'
-_FIRST = re.compile(rf"^((?:--grab \S+: )?)({_NAMES})(?= is for | must be | needs )")
+# These are words as well, and are options only where a message begins with them.
+_WORDS = "clamp|density|distance|elevation|roll|shape|size|step|supersampling|target|transfer|turntable|up"
+_FIRST = re.compile(rf"^((?:--grab \S+: )?)({_NAMES}|{_WORDS})(?= is for | must be | needs )")
 _WORD = re.compile(rf"(?<![\w/.-])({_UNDERSCORED})(?![\w/.-])")
-_SPELT = {"rate": "fps"}
+_SPELT = {"supersampling": "smooth"}
 
 
 class Terminated(BaseException):

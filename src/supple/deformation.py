@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from supple import _core
 from supple.certificate import Certificate
-from supple.domain import BorderProfile, Domain, choice, colours_hint, integer, number, refuse
+from supple.domain import BorderProfile, Domain, choice, colours_hint, flag, integer, number, refuse
 from supple.errors import FoldWarning, MissWarning, OutsideWarning, SuppleError, ToleranceWarning
 from supple.folding import Resolved, described, resolve
 from supple.native import certificate_of, measured, plan_of
@@ -512,6 +512,7 @@ class Deformation:
         between: str | None = None,
         time_filter: bool = False,
         samples: int = 1,
+        clamp: bool = False,
         device: str = "cpu",
         out: npt.NDArray[Any] | None = None,
     ) -> npt.NDArray[Any]:
@@ -549,6 +550,9 @@ class Deformation:
             become motion blur.
         samples : int
             For a function: samples along each side of an output pixel, which are averaged.
+        clamp : bool
+            Keep the result within the finite minimum and maximum of the source (and ``fill``, if it is seen), which
+            cubic filters overshoot beside sharp edges. Of arrays in the computer's memory, not on a card.
         device : str
             Where to compute: on the ``"cpu"``; on the ``"gpu"``, which may be software; or ``"auto"``: on the GPU if
             there is one and it can do what is asked, and on the CPU otherwise. ``"cuda"`` sends the array to an NVIDIA
@@ -575,7 +579,7 @@ class Deformation:
         """
         # What warps is imported when something is warped: `import supple` is to be quick.
         from supple.engines import check_device, warp_elsewhere
-        from supple.warping import checked_sampling, warn_of, warp_array, warp_function
+        from supple.warping import as_array, checked_sampling, clamp_to, warn_of, warp_array, warp_function
 
         sampling = checked_sampling(
             self.ndim, filter=filter, tolerance=tolerance, outside=outside, fill=fill, linear_light=linear_light,
@@ -583,16 +587,23 @@ class Deformation:
         )  # fmt: skip
         if samples != 1 and not callable(source):
             refuse("samples", "left out for an array: it is for a function of points", samples)
+        clamped = flag("clamp", clamp)
         if is_on_card(source):
+            if clamped:
+                refuse("clamp", "False for an array on a card: clip the result there", clamp)
             result, certificate = warp_on_card(source, (self.space,), sampling, alpha=alpha, out=out, device=device)
             warn_of(certificate, sampling.tolerance, 3)
             return result  # type: ignore[no-any-return]
+        if clamped and callable(source):
+            refuse("clamp", "False for a function of points, which is not interpolated", clamp)
         if device in ("gpu", "cuda") and callable(source):
             refuse("device", '"cpu" for a function of points, which Python evaluates', device)
         check_device(device)
         if not callable(source):
             done = warp_elsewhere(device, source, self.space, sampling, alpha=alpha, out=out)
             if done is not None:
+                if clamped:
+                    clamp_to(as_array(source, "source"), done[0], sampling)
                 warn_of(done[1], sampling.tolerance, 3)
                 return done[0]
         if callable(source):
@@ -601,6 +612,8 @@ class Deformation:
             height, width = self.shape
             return warp_function(source, (height, width), self._sources, samples, out)
         made, certificate = warp_array(source, self.space, sampling, alpha=alpha, out=out)
+        if clamped:
+            clamp_to(as_array(source, "source"), made, sampling)
         warn_of(certificate, sampling.tolerance, 3)
         return made
 

@@ -35,5 +35,9 @@ class ToleranceWarning(UserWarning):
     """The inverse map is not as exact everywhere as was asked."""
 
 
+class VolumeWarning(UserWarning):
+    """A volume's files say two things, or hold what is no image; the message says how they were read."""
+
+
 class GapWarning(UserWarning):
     """Voxels are not finite numbers, and spread to those beside them."""

@@ -69,6 +69,7 @@ def warp_file(
     outside: str = "edge",
     fill: float | Sequence[float] = 0.0,
     linear_light: bool = False,
+    clamp: bool | None = None,
     quality: int | None = None,
     lossless: bool = False,
     device: str = "cpu",
@@ -100,6 +101,8 @@ def warp_file(
         x, y and z, and lengths millimetres.
     filter, tolerance, outside, fill, linear_light
         As `Deformation.warp` takes them.
+    clamp : bool, optional
+        Keep a picture or a volume within the range of its values; by default, volumes and pictures of floats are.
     quality : int, optional
         From 1 to 100, for JPEG, WebP and AVIF.
     lossless : bool
@@ -144,6 +147,7 @@ def warp_file(
         target,
         recipe,
         linear_light=linear_light,
+        clamp=clamp,
         quality=quality,
         lossless=lossless,
         force=force,
@@ -164,6 +168,7 @@ def warp_file(
                 tolerance=tolerance,
                 outside=outside,
                 fill=fill,
+                clamp=clamp is not False,
                 device=device,
                 force=force,
                 options=volume,
@@ -216,6 +221,7 @@ def warp_file(
                 fill=fill,
                 alpha=picture.alpha,
                 linear_light=linear_light,
+                clamp=pixels.dtype.kind == "f" if clamp is None else clamp,
                 device=device,
                 out=pixels[top : top + height],
             )
@@ -233,6 +239,7 @@ def check_job(
     recipe: Recipe,
     *,
     linear_light: bool = False,
+    clamp: bool | None = None,
     quality: int | None = None,
     lossless: bool = False,
     force: bool = False,
@@ -243,7 +250,7 @@ def check_job(
 
     Parameters
     ----------
-    source, target, recipe, linear_light, quality, lossless, force, clip, volume
+    source, target, recipe, linear_light, clamp, quality, lossless, force, clip, volume
         As `warp_file` takes them.
 
     Returns
@@ -271,6 +278,8 @@ def check_job(
         asked = _asked(volume, VolumeOptions())
         raise SuppleError(f"{shown(source)} is no volume, and {asked} for volumes: leave that out")
     if is_clip(source, target, recipe):
+        if clamp is not None:
+            raise SuppleError(f"clamp is for pictures and volumes, and {shown(source)} is a clip: leave it out")
         _spare(source, target, "clip", force)
         check_clip_target(source, target, clip or ClipOptions(), quality=quality, force=force)
         return "clip"

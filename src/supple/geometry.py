@@ -65,6 +65,13 @@ class Geometry:
         made[:3, 3] = self.origin
         return made
 
+    @property
+    def oblique(self) -> float:
+        """Degrees by which the axis that leans most is off its nearest axis of the patient; 0 below a twentieth."""
+        nearest = np.abs(self.direction).max(axis=0).min()
+        degrees = float(np.degrees(np.arccos(min(nearest, 1.0))))
+        return degrees if degrees > 0.05 else 0.0
+
     def to_lps(self, indices: npt.ArrayLike) -> Floats:
         """Indices (..., 3), x first, as places in LPS, in millimetres."""
         scaled = np.asarray(indices, np.float64) * self.spacing

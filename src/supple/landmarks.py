@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import warnings
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,9 +12,9 @@ import numpy.typing as npt
 
 from supple.deformation import Deformation
 from supple.domain import choice
-from supple.errors import SuppleError
+from supple.errors import SuppleError, VolumeWarning
 from supple.geometry import Geometry
-from supple.media.files import check_output
+from supple.media.files import check_output, shown
 from supple.media.points import PointFile, check_target, read_points, write_points
 
 Floats = npt.NDArray[np.float64]
@@ -41,6 +42,8 @@ class Moved:
     outside : int
         How many points of the source lay beyond the outer faces of the voxels. They are moved too, as T is defined
         there, but there is nothing to see.
+    first_outside : str
+        The first of these, as the file has it: its label, or its number from 1, and its coordinates.
     unconverged : int
         For how many points that equation was not solved to 1e-6 voxels.
     """
@@ -51,6 +54,7 @@ class Moved:
     displaced: Floats
     residual: Floats
     outside: int
+    first_outside: str
     unconverged: int
 
 
@@ -78,8 +82,9 @@ def move_points(
     inverse : bool
         False: by T, from the input to where it is seen in the output. True: by T⁻¹, from the output back.
     convention : str, optional
-        What the numbers of a table mean that does not say it: ``"LPS"`` or ``"RAS"``, in millimetres, or ``"index"``
-        (the default), in pixels, frames or voxels from 0. A file that does say it must agree.
+        What the numbers of a table mean that does not say it: ``"LPS"`` or ``"RAS"``, in millimetres, or ``"index"``,
+        in pixels, frames or voxels from 0. A file that does say it must agree. By default, they are indices; with a
+        ``geometry`` that has a place in space, a table without a header needs it.
     force : bool
         Whether to replace a file that exists.
 
@@ -122,15 +127,42 @@ def move_points(
     residual = np.linalg.norm((deformation.forward(solved.points) - seen) * steps, axis=1)
     write_points(target, made, read, residual=residual, force=force)
     last = np.array(deformation.shape[::-1]) - 0.5
+    beyond = np.flatnonzero(((start < -0.5) | (start > last)).any(axis=1))
     return Moved(
         Path(source),
         Path(target),
         len(made),
         np.asarray(np.linalg.norm((end - start) * steps, axis=1)),
         np.asarray(residual),
-        int(np.count_nonzero(((start < -0.5) | (start > last)).any(axis=1))),
+        len(beyond),
+        _spoken(read, int(beyond[0])) if len(beyond) else "",
         int(np.count_nonzero(~solved.converged)),
     )
+
+
+def _spoken(read: PointFile, k: int) -> str:
+    name = shown(read.labels[k]) if read.labels[k] else f"point {k + 1}"
+    return f"{name} at ({', '.join(f'{x:g}' for x in read.points[k])})"
+
+
+def _check_told(read: PointFile) -> None:
+    """Refuse or warn of numbers that may be voxels or places in space."""
+    if read.told == "names":
+        warnings.warn(
+            f"x, y and z of {read.name} are taken for voxels, counted from 0: --convention LPS or RAS takes them for "
+            "millimetres",
+            VolumeWarning,
+            stacklevel=5,
+        )
+    elif read.told != "said":
+        found = (
+            "its columns are in mm, but not said to be LPS or RAS"
+            if read.told
+            else "no header says what its numbers are"
+        )
+        choices = "LPS or RAS" if read.told else "index (voxels from 0), LPS or RAS (millimetres)"
+        names = "l,p,s or r,a,s" if read.told else "i,j,k, l,p,s or r,a,s"
+        raise SuppleError(f"cannot move {read.name}: {found}: give --convention {choices}, or name its columns {names}")
 
 
 def _convention(read: PointFile, asked: str | None, geometry: Geometry | None) -> str:
@@ -140,6 +172,8 @@ def _convention(read: PointFile, asked: str | None, geometry: Geometry | None) -
             "leave that out"
         )
     known = asked or read.convention
+    if asked is None and geometry is not None and geometry.convention != "array":
+        _check_told(read)
     if known != "index" and geometry is None:
         raise SuppleError(
             f"cannot move {read.name}: it is in {known}, and only volumes have a place in space: "

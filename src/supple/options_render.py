@@ -95,8 +95,8 @@ class LookOptions:
     smooth
         Antialiasing: rays along each side of a pixel.
     turntable
-        Number of pictures on a circle around the volume. OUT is then a video, or a name with a number such as
-        turn-%03d.png.
+        Number of pictures on a circle around the volume. OUT is then a video (MP4, MOV, MKV, WebM, GIF), or a name
+        with a number such as turn-%03d.png.
     rate
         Frames per second of a turntable video.
     what

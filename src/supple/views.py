@@ -121,12 +121,12 @@ def scene_of(
     world: bool = False,
     fit: Fit | None = None,
 ) -> Scene:
-    """A volume as a scene, perhaps with strokes.
+    """A volume as a scene, perhaps with strokes; one of colours by its luminance.
 
     Raises
     ------
     SuppleError
-        If it has several components, or something does not fit.
+        If it has several components that are no colours, or something does not fit.
     """
     known = options or RenderOptions()
     samples = volume.rescaled()
@@ -138,9 +138,17 @@ def scene_of(
     elif known.time:
         raise SuppleError(f"{volume.name} is one volume, and --time is for series: leave it out")
     elif samples.ndim > 3:
-        raise SuppleError(
-            f"{volume.name} has {samples.shape[3]} components, and pictures are of one: take one out of it"
-        )
+        if samples.shape[3] not in (3, 4) or samples.dtype.kind != "u":
+            held = f"{samples.shape[3]} components of {samples.dtype}"
+            raise SuppleError(
+                f"{volume.name} has {held}, and pictures are of one value or of colours in unsigned integers, RGB or "
+                "RGBA: take one component out of it"
+            )
+        samples = _luminance(samples)
+    aim = known.camera.target
+    if aim is not None and not all(-0.5 <= x <= n - 0.5 for x, n in zip(aim, volume.sizes, strict=True)):
+        spoken, end = (", ".join(f"{x:g}" for x in given) for given in (aim, (n - 1 for n in volume.sizes)))
+        raise SuppleError(f"target must be a voxel of {volume.name}, from (0, 0, 0) to ({end}), found ({spoken})")
     deformation = None if recipe is None else deformation_of(recipe, volume, world=world, fit=fit)
     given = known.transfer if known.transfer is not None else default_transfer(volume)
     transfer = given if isinstance(given, TransferFunction) else transfer_of(given)
@@ -155,6 +163,17 @@ def scene_of(
         shaded=known.shaded,
         device=known.device,
     )
+
+
+def _luminance(colours: Array) -> Array:
+    """The luminance of colours (Z, H, W, 3 or 4), by the weights of BT.709; what is transparent is dark."""
+    made = np.empty(colours.shape[:3], colours.dtype)
+    for slab, colour in zip(made, colours, strict=True):
+        light = colour[..., :3] @ np.array([0.2126, 0.7152, 0.0722])
+        if colour.shape[-1] == 4:
+            light *= colour[..., 3] / np.iinfo(colours.dtype).max
+        slab[...] = np.rint(light)
+    return made
 
 
 def render_file(
@@ -175,7 +194,8 @@ def render_file(
     source : str or os.PathLike
         As `supple.warp_file` takes volumes.
     target : str or os.PathLike
-        A picture; for a turntable, a video (MP4, MOV, MKV), or a name with a number in it, such as ``%03d.png``.
+        A picture; for a turntable, a video (MP4, MOV, MKV, WebM, GIF), or a name with a number in it, such as
+        ``%03d.png``.
     recipe : Recipe, optional
         Strokes, through which the volume is seen.
     options, volume
@@ -200,7 +220,7 @@ def render_file(
     known, reading = options or RenderOptions(), volume or VolumeOptions()
     suffix = Path(target).suffix.lower()
     many = known.turntable is not None
-    _check_target(target, suffix, many, known.what, force)
+    _check_target(target, suffix, known, force)
     given = open_volume(source, reading)
     scene = scene_of(given, recipe, known, world=reading.world, fit=fit)
     if given.samples.dtype.kind == "f" and not np.isfinite(given.samples).any():
@@ -250,9 +270,10 @@ def render_file(
     return scene
 
 
-def _check_target(target: PathLike, suffix: str, many: bool, what: str, force: bool) -> None:
-    name = shown(target)
+def _check_target(target: PathLike, suffix: str, known: RenderOptions, force: bool) -> None:
+    name, many = shown(target), known.turntable is not None
     if many and suffix in reel.SUFFIXES:
+        reel.check_reel(target, known.size, known.rate)
         check_output(target, force=force)
         return
     if many and not has_number(target):
@@ -262,7 +283,7 @@ def _check_target(target: PathLike, suffix: str, many: bool, what: str, force: b
         )
     if not many and suffix in reel.SUFFIXES:
         raise SuppleError(f"{name} is a video: give --turntable with the number of its pictures")
-    if what == "inversions":
+    if known.what == "inversions":
         from supple.diagnostics.frame import check_plot
 
         check_plot(target, force=force)

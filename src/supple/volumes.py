@@ -18,7 +18,7 @@ from supple.certificate import Certificate
 from supple.deformation import Deformation, Report
 from supple.domain import choice, number
 from supple.engines import check_device, check_frames, warp_frames_by
-from supple.errors import GapWarning, SuppleError
+from supple.errors import GapWarning, SuppleError, VolumeWarning
 from supple.fields import write_transform
 from supple.geometry import Geometry
 from supple.media import transform
@@ -40,7 +40,7 @@ from supple.native import OUTSIDE, check_filter
 from supple.scaling import Fit
 from supple.streaming import Sampling
 from supple.strokes import Recipe, Space, Stroke, fit_recipe
-from supple.warping import warn_of
+from supple.warping import clamp_to, warn_of
 
 Array = npt.NDArray[Any]
 PathLike = str | os.PathLike[str]
@@ -49,6 +49,8 @@ Tell = Callable[[str, int, int], None]
 ONE_FILE = frozenset({".nii", ".nii.gz", ".nrrd", ".mha"})
 """Suffixes of files that are volumes, whatever lies beside them."""
 _TIFF = (".tif", ".tiff")
+# What looks like a label map: so many slices are looked at; of neighbours beside the background, such a part is equal.
+_LOOKED_AT, _AREAS, _MOST_LABELS, _FEW = 16, 0.7, 1024, 8
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,7 +63,8 @@ class VolumeOptions:
         Whether the strokes' points are places in space, in millimetres, in the file's own convention, rather than
         indices.
     labels : bool
-        Whether values are names of things, which are kept as they are: every voxel takes that of the nearest.
+        Whether values are names of things, which are kept as they are: every voxel takes that of the nearest. Whole
+        numbers only, which may be stored as floats.
     save_field : str or os.PathLike, optional
         Where to write the inverse displacements too, for SimpleITK, ANTs and 3D Slicer.
     layout : RawLayout, optional
@@ -238,6 +241,7 @@ def warp_volume(
     tolerance: float = 0.01,
     outside: str = "edge",
     fill: float | Sequence[float] = 0.0,
+    clamp: bool = True,
     device: str = "cpu",
     force: bool = False,
     options: VolumeOptions | None = None,
@@ -255,24 +259,24 @@ def warp_volume(
         "nearest" if known.labels and filter == "auto" else filter, outside=outside, fill=fill, tolerance=tolerance
     )
     if known.labels and sampling.filter != "nearest":
-        raise SuppleError(f"labels are kept as they are, which filter {filter!r} does not: leave one of the two out")
+        raise SuppleError(f'labels needs filter "nearest", which keeps values as they are, found "{filter}"')
     check_volume_target(source, target, known, force=force)
     tell("read", 0, 1)
     volume = open_volume(source, known)
     check_target(target, volume, force=force)
-    if known.labels and volume.samples.dtype.kind == "f":
-        raise SuppleError(
-            f"labels are whole numbers, and {volume.name} holds {volume.samples.dtype}: leave --labels out"
-        )
+    if known.labels and (broken := _first_fraction(volume.samples)) is not None:
+        raise SuppleError(f"labels is for whole numbers, and {volume.name} holds {broken:g}: leave it out")
     deformation = deformation_of(recipe, volume, world=known.world, fit=fit)
     check_frames(device, volume.samples[0] if volume.series else volume.samples, deformation.space, sampling)
     _warn_of_gaps(volume, sampling.filter)
+    if sampling.filter != "nearest" and not deformation.is_identity:
+        _warn_of_labels(volume)
     with contextlib.ExitStack() as stack:
         if known.save_field is not None:
             # It gets its name when the volume has its own: if either cannot be written, neither is.
             place = stack.enter_context(replacing(known.save_field, force=force))
             write_transform(place, deformation, volume.geometry, tolerance=tolerance, force=True)
-        error, count = _written(volume, source, target, deformation, sampling, device, force, tell)
+        error, count = _written(volume, source, target, deformation, sampling, clamp, device, force, tell)
     return WarpedVolume(Path(source), Path(target), deformation, volume.geometry, tolerance, error, count)
 
 
@@ -307,12 +311,49 @@ def _warn_of_gaps(volume: Volume, filter: str) -> None:
         )
 
 
+def _first_fraction(samples: Array) -> float | None:
+    """The first value that is finite and no whole number; None if there is none."""
+    if samples.dtype.kind == "f":
+        for slab in samples:
+            broken = slab[np.isfinite(slab) & (slab != np.rint(slab))]
+            if broken.size:
+                return float(broken[0])
+    return None
+
+
+def _warn_of_labels(volume: Volume) -> None:
+    """Say that labels would be mixed, where a volume looks like a map of them: few whole numbers in large areas."""
+    samples = volume.samples[0] if volume.series else volume.samples
+    if volume.components > 1:
+        return
+    some = np.asarray(samples[:: -(-len(samples) // _LOOKED_AT)])
+    left, right = some[..., :-1], some[..., 1:]
+    seen = (left != some.flat[0]) | (right != some.flat[0])  # the first voxel is of the background
+    same = left == right
+    if (
+        np.count_nonzero(same & seen) < _AREAS * max(int(np.count_nonzero(seen)), 1)
+        or _first_fraction(some) is not None
+    ):
+        return
+    count = len(np.unique(some))
+    # In a smooth picture of few values, those beside each other differ by 1.
+    if count > _MOST_LABELS or (count > _FEW and np.median(np.abs(np.subtract(left, right, dtype=float)[~same])) <= 1):
+        return
+    warnings.warn(
+        f"{volume.name} looks like a label map, of {count} values, and its labels are mixed where they meet: "
+        "--labels or --filter nearest keeps them",
+        VolumeWarning,
+        stacklevel=4,
+    )
+
+
 def _written(
     volume: Volume,
     source: PathLike,
     target: PathLike,
     deformation: Deformation,
     sampling: Sampling,
+    clamp: bool,
     device: str,
     force: bool,
     tell: Tell,
@@ -341,6 +382,8 @@ def _written(
                     tell=lambda done, begun=begun: tell("warp", begun + done, total),  # type: ignore[misc]
                 )
                 error = max(error, certificate.error)
+            if clamp and not deformation.is_identity:
+                clamp_to(series, out, sampling)
             warn_of(Certificate(error, 0.0), sampling.tolerance, 4)  # before the target has its name
             tell("write", 0, 1)
             write(target, out if volume.series else out[0], volume, force=force)

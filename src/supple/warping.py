@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -27,6 +27,7 @@ FINEST = 3e-4
 """About how exact a source point is that is stored in float32, in pixels."""
 
 _MOST_POINTS = 1 << 18  # of a function, asked for at once
+_SLAB = 1 << 20  # bytes whose range is looked at, or kept, at once
 
 
 def interpolated(filter: str, between: str | None) -> str:
@@ -84,6 +85,50 @@ def one_or_each(deformations: Any) -> tuple[Space, ...]:
         other = next(shape for shape in shapes if shape != shapes[0])
         refuse("deformations", wanted, f"shapes {shapes[0]} and {other}")
     return spaces
+
+
+def clamp_to(source: Array, result: Array, sampling: Sampling) -> None:
+    """Keep a result within the finite values of its source, and the constant around it: cubics go beyond.
+
+    NaN and infinities stay where they are.
+    """
+    if result.dtype.kind not in "iuf" or "cubic" not in (sampling.filter.replace("auto", "cubic"), sampling.between):
+        return
+    low, high, infinite = _finite_range(source)
+    if low > high:  # there is no finite value
+        return
+    if sampling.outside == "constant":
+        fill = np.asarray(sampling.fill, np.float64)
+        if result.dtype.kind in "iu":
+            fill = np.rint(np.clip(fill, np.iinfo(result.dtype).min, np.iinfo(result.dtype).max))
+        low, high = min(low, result.dtype.type(fill.min())), max(high, result.dtype.type(fill.max()))
+    for part in _slabs(result):  # only what is beyond is touched: all else keeps every bit, the sign of a zero too
+        for beyond, bound in ((part < low, low), (part > high, high)):
+            if infinite:
+                beyond &= np.isfinite(part)
+            np.copyto(part, bound, where=beyond)
+
+
+def _finite_range(source: Array) -> tuple[Any, Any, bool]:
+    """The least and the greatest finite value, and whether there are infinities; the greatest first if none is."""
+    kind, infinite = source.dtype.newbyteorder("="), False
+    low, high = (np.inf, -np.inf) if kind.kind == "f" else (np.iinfo(kind).max, np.iinfo(kind).min)
+    for part in _slabs(source):
+        least, most = np.fmin.reduce(part, axis=None), np.fmax.reduce(part, axis=None)
+        if np.isinf(least) or np.isinf(most):
+            infinite, part = True, part[np.isfinite(part)]
+            if not part.size:
+                continue
+            least, most = part.min(), part.max()
+        low, high = min(low, least), max(high, most)
+    return kind.type(low), kind.type(high), infinite
+
+
+def _slabs(array: Array) -> Iterator[Array]:
+    """Parts of an array along its first axis, which a processor's cache can hold."""
+    rows = max(1, _SLAB * len(array) // max(array.nbytes, 1))
+    for start in range(0, len(array), rows):
+        yield array[start : start + rows]
 
 
 def warp_array(

@@ -3,22 +3,39 @@
 from __future__ import annotations
 
 import contextlib
+import mimetypes
 import os
+import re
+import warnings
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from supple.errors import VolumeWarning
 from supple.media.files import shown
 from supple.media.itk import check_voxels, failing, geometry_of, library, silence
 from supple.media.volume_data import Array, PathLike, Volume, check_spacing, head_of, located, unreadable
 
 _UID, _NUMBER, _TEXT, _PIXEL_SPACING = "0020|000e", "0020|0011", "0008|103e", "0028|0030"
-_THICKNESS, _BETWEEN = "0018|0050", "0018|0088"
+_THICKNESS, _BETWEEN, _BITS = "0018|0050", "0018|0088", "0028|0100"
 _SUFFIXES = {".dcm", ".dicom", ".ima"}
 _ASIDE = 0.25  # of a pixel: how far slices may lie beside their common axis
 _ALONG = 0.1  # of a step: how far they may lie off even steps
+# What is stored in DICOM beside images: the ends of SOP class UIDs, after that of storage.
+_STORAGE = "1.2.840.10008.5.1.4.1.1."
+_BESIDE = {
+    "481.3": "RTSTRUCT",
+    "481.5": "RTPLAN",
+    "481.2": "RTDOSE",
+    "481": "RT",
+    "88": "SR",
+    "11": "PR",
+    "9": "waveform",
+}
+_BESIDE |= {"66.1": "REG", "66.3": "REG", "66.4": "SEG", "66": "raw data", "104": "document", "79": "measurements"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,53 +58,97 @@ def is_slice(path: PathLike) -> bool:
 
 
 def in_folder(path: PathLike) -> bool:
-    """Tell whether a folder holds a DICOM file: by its suffix, or, if it has none but a number, by its first bytes."""
-    try:
-        with os.scandir(path) as entries:
-            for entry in entries:
-                suffix = os.path.splitext(entry.name)[1].lower()
-                named = suffix in _SUFFIXES
-                if entry.is_file() and (named or ((not suffix or suffix[1:].isdigit()) and is_slice(entry.path))):
-                    return True
-    except (OSError, ValueError):
-        pass
+    """Tell whether a folder holds a DICOM file: by its suffix, or, if it has none but a number, by its first bytes.
+
+    Its subfolders count too, unless it holds pictures or videos.
+    """
+    for folder in _folders(path):
+        for name in _names(folder):
+            suffix, file = os.path.splitext(name)[1].lower(), os.path.join(folder, name)
+            unnamed = not suffix or suffix[1:].isdigit()
+            if (suffix in _SUFFIXES or (unnamed and is_slice(file))) and os.path.isfile(file):
+                return True
     return False
 
 
-def listed(path: PathLike) -> list[Series]:
-    """Find the series of images in a folder, in the order of their numbers.
+def _names(folder: str) -> list[str]:
+    try:
+        return sorted(os.listdir(folder))
+    except (OSError, ValueError):
+        return []
+
+
+def _folders(path: PathLike) -> Iterator[str]:
+    """A folder, and those in it whose slices are read with its own."""
+    for folder, inner, files in os.walk(path):
+        yield folder
+        if any((mimetypes.guess_type(name)[0] or "").startswith(("image/", "video/")) for name in files):
+            inner.clear()
+        inner[:] = sorted(name for name in inner if not name.startswith("."))
+
+
+def listed(path: PathLike, *, nested: bool = True) -> list[Series]:
+    """Find the series of images in a folder, and in its subfolders, in the order of their numbers.
+
+    What is no image, or is derived from the images that it lies beside (a dose, a segmentation), is left out, and a
+    warning names it.
 
     Raises
     ------
     SuppleError
         There is none.
     """
-    sitk, found = library(), []
-    folder = os.fspath(path)
-    with failing(path, "DICOM"):
-        uids = sitk.ImageSeriesReader.GetGDCMSeriesIDs(folder)
-        files = {uid: sitk.ImageSeriesReader.GetGDCMSeriesFileNames(folder, uid) for uid in uids}
-    for uid, paths in files.items():
-        reader = _reader(sitk, paths[0])
-        if reader is not None:  # else a report, a plan, ...
-            number = _tag(reader, _NUMBER)
-            known = int(number) if number.lstrip("+-").isdigit() else 0
-            found.append(Series(_tag(reader, _UID) or uid, known, _tag(reader, _TEXT), tuple(paths)))
-    _check_left(folder, {os.path.basename(name) for names in files.values() for name in names})
-    if not found:
+    sitk, beside = library(), []
+    images: list[tuple[str, Any]] = []
+    derived: list[tuple[str, Any]] = []
+    for file in (
+        os.path.join(f, name) for f in (_folders(path) if nested else [os.fspath(path)]) for name in _names(f)
+    ):
+        named = os.path.splitext(file)[1].lower() in _SUFFIXES
+        if os.path.basename(file).upper() == "DICOMDIR" or not os.path.isfile(file) or not (named or is_slice(file)):
+            continue
+        reader, kind = _reader(sitk, file), _kind_beside(file)
+        if reader is None and not kind:  # nobody would miss the last slice
+            advice = "give a whole copy of it, or take it out"
+            raise unreadable(file, "it is damaged, or no slice of any series", advice)
+        if kind:
+            beside.append((file, kind))
+        if reader is not None:
+            (derived if kind else images).append((file, reader))
+    if not images:
+        images, beside = derived, [(file, kind) for file, kind in beside if file not in dict(derived)]
+    if not images:
         raise unreadable(path, "there are no DICOM images in that folder", "give the folder that holds the slices")
+    if beside:
+        told = ", ".join(f"{shown(Path(name).name)} ({kind})" for name, kind in beside[:3])
+        more = f" and {len(beside) - 3} more" if len(beside) > 3 else ""
+        text = f"{told}{more} in {shown(path)}: no images of a series, and left out"
+        warnings.warn(text, VolumeWarning, stacklevel=6)
+    series: dict[str, list[tuple[str, Any]]] = {}
+    for file, reader in images:
+        series.setdefault(_tag(reader, _UID), []).append((file, reader))
+    found = []
+    for uid, slices in series.items():
+        reader = slices[0][1]
+        number = _tag(reader, _NUMBER)
+        known = int(number) if number.lstrip("+-").isdigit() else 0
+        found.append(Series(uid, known, _tag(reader, _TEXT), tuple(file for file, _ in slices)))
     return sorted(found, key=lambda one: (one.number, one.uid))
 
 
-def _check_left(folder: str, known: set[str]) -> None:
-    """Refuse a slice that belongs to no series: GDCM passes over damaged ones, and nobody would miss the last."""
-    for name in sorted(set(os.listdir(folder)) - known):
-        path = os.path.join(folder, name)
-        named = os.path.splitext(name)[1].lower() in _SUFFIXES
-        if name.upper() != "DICOMDIR" and os.path.isfile(path) and (named or is_slice(path)):
-            raise unreadable(
-                path, "it is damaged, or no slice of any series", "give a whole copy of it, or take it out"
-            )
+def _kind_beside(path: str) -> str:
+    """What a file holds that is no image, or is derived from one: by the SOP class that its first bytes name."""
+    try:
+        with open(path, "rb") as file:
+            head = file.read(1024)
+    except OSError:
+        return ""
+    named = re.search(rb"\x02\x00\x02\x00UI..([0-9.]+)", head, re.DOTALL)
+    uid = named[1].decode() if named else ""
+    if not uid.startswith(_STORAGE):
+        return ""
+    parts = uid.removeprefix(_STORAGE).split(".")
+    return _BESIDE.get(".".join(parts[:2])) or _BESIDE.get(parts[0], "")
 
 
 def described(found: list[Series]) -> str:
@@ -106,7 +167,7 @@ def read(path: PathLike, series: str | None = None) -> Volume:
     Parameters
     ----------
     path : str or os.PathLike
-        The folder that holds the slices, or one of them.
+        The folder that holds the slices, itself or in subfolders, or one of them.
     series : str, optional
         Which series of the folder: its SeriesInstanceUID, or its place in the list, from 1.
 
@@ -128,12 +189,12 @@ def read(path: PathLike, series: str | None = None) -> Volume:
             reader = _informed(sitk, os.fspath(path))
         if reader.GetSize()[2:3] > (1,):
             return _frames(path, sitk, reader)
-        return _stacked(path, sitk, _chosen(file.parent, path, series or _tag(reader, _UID)))
-    return _stacked(path, sitk, _chosen(file, path, series))
+        found = listed(file.parent, nested=False)
+        return _stacked(path, sitk, _chosen(found, path, series or _tag(reader, _UID)))
+    return _stacked(path, sitk, _chosen(listed(file), path, series))
 
 
-def _chosen(folder: Path, path: PathLike, series: str | None) -> Series:
-    found = listed(folder)
+def _chosen(found: list[Series], path: PathLike, series: str | None) -> Series:
     if series is None and len(found) == 1:
         return found[0]
     for k, one in enumerate(found, 1):
@@ -188,7 +249,15 @@ def _frames(path: PathLike, sitk: Any, reader: Any) -> Volume:
     geometry = geometry_of(path, reader)
     with failing(path, "DICOM", tuple(reader.GetSize())):
         samples = sitk.GetArrayFromImage(reader.Execute())
-    return Volume(samples, geometry, shown(path), "DICOM")
+    return Volume(_narrowed(samples, [reader]), geometry, shown(path), "DICOM")
+
+
+def _narrowed(samples: Array, readers: list[Any]) -> Array:
+    """Values of 16 bits in 16 bits: GDCM makes 32 of them where there is an intercept, such as CT's -1024."""
+    if samples.dtype != np.int32 or not all(_tag(reader, _BITS) in ("8", "12", "16") for reader in readers):
+        return samples
+    known = np.iinfo(np.int16)
+    return samples.astype(np.int16) if known.min <= samples.min() and samples.max() <= known.max else samples
 
 
 def _stacked(path: PathLike, sitk: Any, series: Series) -> Volume:
@@ -223,7 +292,7 @@ def _stacked(path: PathLike, sitk: Any, series: Series) -> Volume:
         reader.SetOutputPixelType(sitk.sitkFloat64 if floats else sitk.sitkInt32)
     with failing(path, "DICOM", (*first.GetSize()[:2], len(names))):
         samples = sitk.GetArrayFromImage(reader.Execute())
-    return Volume(samples, geometry, shown(path), "DICOM")
+    return Volume(_narrowed(samples, readers), geometry, shown(path), "DICOM")
 
 
 def _require_alike(path: PathLike, first: tuple[str, Any], other: tuple[str, Any]) -> None:

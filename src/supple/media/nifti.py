@@ -13,6 +13,8 @@ from typing import IO, Any, Literal, cast
 
 import numpy as np
 
+from supple.errors import VolumeWarning
+from supple.geometry import Geometry
 from supple.media.files import replacing, shown
 from supple.media.volume_data import (
     DTYPES,
@@ -21,6 +23,7 @@ from supple.media.volume_data import (
     Volume,
     check_spacing,
     head_of,
+    located,
     native,
     placed,
     reading,
@@ -34,13 +37,15 @@ _SECONDS = {16: 1e-3, 24: 1e-6}
 _COLOURS = {128: 3, 2304: 4}  # RGB24, RGBA32
 _LONGEST = 32_767  # an axis in the first version of the format
 _CHUNK = 1 << 22
+_SAME = 0.01  # of a voxel: how far a qform may lie from its sform, by rounding
 _ORDERS: tuple[Literal["little", "big"], ...] = ("little", "big")
 
 
 def read(path: PathLike) -> Volume:
     """Read a NIfTI file, or a pair of .hdr and .img; what is not compressed is mapped.
 
-    The place of the voxels is that of the sform if it has a code, else of the qform, else of the spacing alone.
+    The place of the voxels is that of the sform if it has a code, else of the qform; where the two disagree, a warning
+    says which is used: the one that ITK takes. Without a code, only the spacing is known, and no place in space.
 
     Raises
     ------
@@ -69,7 +74,7 @@ def read(path: PathLike) -> Volume:
     units = int(header["xyzt_units"])
     return Volume(
         samples,
-        placed(path, _affine(path, header, _MILLIMETRES.get(units & 7, 1.0)), "RAS"),
+        _geometry(path, first, header, sizes[:3], _MILLIMETRES.get(units & 7, 1.0)),
         shown(path),
         "NIfTI",
         series,
@@ -186,21 +191,60 @@ def _check_rest(path: PathLike, wanted: int, rest: int, row: int) -> None:
         raise unreadable(path, told, "correct the sizes in its header")
 
 
-def _affine(path: PathLike, header: Any, unit: float) -> Array:
-    """From indices to places in RAS, in millimetres."""
+def _geometry(path: PathLike, first: Path, header: Any, sizes: tuple[int, ...], unit: float) -> Geometry:
+    """Where the voxels lie: by the sform or the qform, or by the spacing alone."""
+    sform = np.array(header.get_sform(), np.float64) if header["sform_code"] > 0 else None
+    qform = _qform(path, header, needed=sform is None) if header["qform_code"] > 0 else None
+    steps = [unit * float(x) for x in header["pixdim"][1:4]]
+    if sform is None and qform is None:
+        check_spacing(path, steps)
+        return located(path, steps, [0.0] * 3, np.eye(3), "array")
+    known = sform if sform is not None else qform
+    assert known is not None
+    known[:3] *= unit
+    if sform is None or qform is None:
+        return placed(path, known, "RAS")
+    qform[:3] *= unit
+    corners = np.array([(*corner, 1.0) for corner in np.ndindex(2, 2, 2)]) * [*(np.array(sizes) - 1), 1]
+
+    def apart(a: Array, b: Array) -> float:
+        return float(np.linalg.norm(corners @ (a - b).T, axis=1).max())
+
+    far = apart(sform, qform)
+    if not far > _SAME * min(steps):
+        return placed(path, sform, "RAS")
+    # The programs that fields and landmarks are exchanged with read it by ITK, whose choice depends on the codes.
+    from supple.media.itk import failing, geometry_of, library
+
+    reader = library().ImageFileReader()
+    reader.SetImageIO("NiftiImageIO")
+    reader.SetFileName(os.fspath(first))
+    with failing(path, "NIfTI"):
+        reader.ReadImageInformation()
+    geometry = geometry_of(path, reader, "RAS")
+    by_itk = np.diag([-1.0, -1.0, 1.0, 1.0]) @ geometry.matrix
+    to_sform, to_qform = apart(by_itk, sform), apart(by_itk, qform)
+    used = "sform" if to_sform <= to_qform else "qform"
+    warnings.warn(
+        f"the qform and the sform of {shown(path)} disagree, by up to {far:.3g} mm: the {used} is used, as by "
+        "SimpleITK, ANTs and 3D Slicer",
+        VolumeWarning,
+        stacklevel=5,
+    )
+    return geometry
+
+
+def _qform(path: PathLike, header: Any, *, needed: bool) -> Array | None:
     from nibabel.spatialimages import HeaderDataError
 
-    if header["sform_code"] > 0:
-        affine = np.array(header.get_sform(), np.float64)
-    else:
+    if needed:
         check_spacing(path, [float(x) for x in header["pixdim"][1:4]])
-        oriented = header["qform_code"] > 0
-        try:
-            affine = np.array(header.get_qform() if oriented else header.get_base_affine(), np.float64)
-        except (HeaderDataError, ValueError) as error:
+    try:
+        return np.array(header.get_qform(), np.float64)
+    except (HeaderDataError, ValueError) as error:
+        if needed:
             raise unreadable(path, f"its qform is damaged ({error})", "correct its header") from error
-    affine[:3] *= unit
-    return affine
+        return None
 
 
 def _scaling(path: PathLike, header: Any) -> tuple[float, float]:

@@ -45,6 +45,9 @@ class PointFile:
         As messages show it.
     kind : str
         ``"CSV"``, ``"fcsv"`` or ``"JSON"``.
+    told : str
+        What tells the convention: ``"said"`` (the file does), ``"mm"`` or ``"names"`` (columns x, y and z, with that
+        unit or without one), or ``""``.
     """
 
     points: Floats
@@ -53,6 +56,7 @@ class PointFile:
     name: str
     kind: str
     _as_read: Any = field(repr=False)
+    told: str = "said"
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,8 +111,8 @@ def read_points(path: PathLike) -> PointFile:
     text = _text(path)
     if kind == "JSON":
         return _from_json(name, text)
-    table, points, convention, labels = parsed(name, text, fcsv=kind == "fcsv")
-    return PointFile(points, convention, labels, name, kind, table)
+    table, points, convention, labels, told = parsed(name, text, fcsv=kind == "fcsv")
+    return PointFile(points, convention, labels, name, kind, table, told)
 
 
 def write_points(

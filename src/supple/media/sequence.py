@@ -231,7 +231,7 @@ def _rate(rate: float | Fraction) -> Fraction:
     except (TypeError, ValueError, OverflowError):
         known = Fraction(0)
     if not Fraction(1, 10_000) <= known <= 100_000:
-        raise SuppleError(f"rate must be a number of frames a second, from 0.0001 to 100000, found {rate!r}")
+        raise SuppleError(f"frames a second (--fps) must be a number from 0.0001 to 100000, found {rate!r}")
     ntsc = Fraction(round(known * 1001 / 1000) * 1000, 1001)
     if known > 1 and known.denominator > 2 and abs(known - ntsc) < Fraction(1, 200):
         return ntsc

@@ -66,8 +66,12 @@ class Table:
         return self.mark + "".join(self.delimiter.join(cells) + end for cells, end in zip(records, ends, strict=True))
 
 
-def parsed(name: str, text: str, *, fcsv: bool) -> tuple[Table, Floats, str, tuple[str, ...]]:
-    """A table, its points (N, 2) or (N, 3), their convention and labels; SuppleError names the line at fault."""
+def parsed(name: str, text: str, *, fcsv: bool) -> tuple[Table, Floats, str, tuple[str, ...], str]:
+    """A table, its points (N, 2) or (N, 3), their convention and labels, and what tells the convention.
+
+    That is "said", "mm" or "names" (x, y and z with that unit, or without any), or nothing; SuppleError names the line
+    at fault.
+    """
     plain = text.removeprefix(_MARK)
     lines = _lines(name, plain)
     data = [k for k, (_, line, _) in enumerate(lines) if line.strip() and not _is_comment(line)]
@@ -76,17 +80,21 @@ def parsed(name: str, text: str, *, fcsv: bool) -> tuple[Table, Floats, str, tup
         _refuse(name, None, "it holds no points", "give one in each line, x first")
     delimiter = "," if fcsv else _delimiter(lines[data[0]][1])
     records = [_Record(number, split(line, delimiter), end) for number, line, end in lines]
+    told = "said" if fcsv else ""
     stated = "RAS" if fcsv else "index"  # what Slicer takes for granted, and what a table without a word means
     for k in comments:
         if statement := _STATEMENT.fullmatch(lines[k][1]):
             said = bare(statement[1].rstrip(", \t")).upper()
             if said not in _SYSTEMS:
                 _refuse(name, records[k], f"the coordinate system {value_shown(said)} is unknown", "give LPS or RAS")
-            stated = _SYSTEMS[said]
+            stated, told = _SYSTEMS[said], "said"
     if fcsv:
         header, columns, convention = _slicers(name, records, comments, lines)
     else:
         header, columns, convention = _headed(name, records, comments, data)
+    if not told and header is not None:
+        units = {_unit(records[header].cells[c]) for c in columns}
+        told = "said" if convention else "mm" if "mm" in units else "names" if units == {""} else "said"
     rows = [k for k in data if k != header]
     if not rows:
         _refuse(name, None, "it holds no points", "give one in each line, below the header")
@@ -98,7 +106,13 @@ def parsed(name: str, text: str, *, fcsv: bool) -> tuple[Table, Floats, str, tup
             _refuse(name, records[row], found, f"give {max(columns) + 1 if fcsv else wide}")
     points = np.array([[_coordinate(name, records[row], c) for c in columns] for row in rows])
     table = Table(text[: len(text) - len(plain)], records, delimiter, header, rows, columns)
-    return table, points, convention or stated, _labels(table, fcsv)
+    return table, points, convention or stated, _labels(table, fcsv), told
+
+
+def _unit(cell: str) -> str:
+    """The unit that a column's name tells: "mm", "px" for any that is counted, or nothing."""
+    words = re.findall("[a-z]+", bare(cell).lower())
+    return "mm" if "mm" in words else "px" if {"px", "pixel", "voxel", "index", "i", "j", "k"} & set(words) else ""
 
 
 def bare(cell: str) -> str:

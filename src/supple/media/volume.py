@@ -247,10 +247,10 @@ def info(path: PathLike, *, raw: RawLayout | None = None, series: str | None = N
     dict
         ``format``, ``shape`` (x, y, z), ``dtype``, ``components``, ``times``, ``interval`` (s), ``spacing`` (mm),
         ``origin`` and ``direction`` (rows; in the file's own ``convention``), ``orientation`` (where each axis goes:
-        Right or Left, Anterior or Posterior, Superior or Inferior), ``scaling`` (slope and intercept), ``minimum``,
-        ``maximum`` and ``nan`` (of the samples as stored; None if there are more than 2 GiB), and ``bytes`` (of the
-        samples). Of a folder with several series, if none is named: ``format`` and ``series``, each with ``number``,
-        ``uid``, ``description`` and ``slices``.
+        Right or Left, Anterior or Posterior, Superior or Inferior), ``oblique`` (degrees off that), ``scaling`` (slope
+        and intercept), ``minimum``, ``maximum`` and ``nan`` (of the samples as stored; None if there are more than
+        2 GiB), and ``bytes`` (of the samples). Of a folder with several series, if none is named: ``format`` and
+        ``series``, each with ``number``, ``uid``, ``description`` and ``slices``.
 
     Raises
     ------
@@ -283,6 +283,7 @@ def info(path: PathLike, *, raw: RawLayout | None = None, series: str | None = N
         "direction": (flip[:, None] * geometry.direction + 0.0).tolist(),
         "convention": geometry.convention,
         "orientation": _orientation(geometry.direction) if geometry.convention != "array" else None,
+        "oblique": geometry.oblique,
         "scaling": list(volume.scaling),
         "minimum": low,
         "maximum": high,
