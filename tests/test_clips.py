@@ -175,6 +175,79 @@ def test_where_nothing_moves_frames_are_passed_on(here: Path) -> None:
     assert not all(same)
 
 
+def test_a_stroke_in_the_middle_leaves_the_frames_out_of_its_reach_alone(here: Path) -> None:
+    noisy("in.mkv", "yuv420p", 120)
+    stroke = supple.Stroke.grab((30, 20, 60), to=(33, 22, 64), radius=5)
+    made = warp_file("in.mkv", "out.mkv", supple.Recipe(strokes=(stroke,)))
+    assert isinstance(made, WarpedClip)
+    before, after = clips.decoded("in.mkv"), clips.decoded("out.mkv")
+    same = [clips.rows(a) == clips.rows(b) for a, b in zip(before, after, strict=True)]
+    reach = 4 * 5  # radii, of as many frames
+    assert all(same[: 60 - reach])
+    assert all(same[64 + reach + 1 :])
+    assert not any(same[55:70])
+    assert made.still >= 120 - (2 * reach + 4 + 1)
+
+
+@pytest.mark.parametrize(
+    ("codec", "pixel_format", "suffix", "options"),
+    [
+        ("ffv1", "yuv420p", "mkv", {"g": "1"}),
+        ("ffv1", "yuv444p10le", "avi", {"g": "1", "level": "3"}),
+        ("prores_ks", "yuv422p10le", "mov", {}),
+        ("prores_ks", "yuv422p10le", "mkv", {"profile": "lt"}),
+        ("mjpeg", "yuvj420p", "avi", {}),
+        ("mjpeg", "yuvj422p", "mov", {}),
+    ],
+)
+def test_packets_of_still_frames_are_copied(
+    here: Path, codec: str, pixel_format: str, suffix: str, options: dict[str, str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    times = None if suffix == "avi" else [k + (k > 3) * 2 for k in range(60)]
+    source = clips.make(
+        f"in.{suffix}", codec, pixel_format, count=60, smooth=False, options=options, times=times, audio="pcm_s16le"
+    )
+    local = supple.Recipe(strokes=(supple.Stroke.grab((30, 20, 30), to=(33, 22, 32), radius=3),))
+    made = warp_file(source, f"out.{suffix}", local)
+    assert isinstance(made, WarpedClip)
+    assert made.copied == made.still >= 30
+    before, after = (clips.parcels(f"{name}.{suffix}", "video") for name in ("in", "out"))
+    assert [when for _, *when in before] == [when for _, *when in after]
+    copies = [a == b for (a, *_), (b, *_) in zip(before, after, strict=True)]
+    assert copies[:17] == [True] * 17
+    assert copies[46:] == [True] * 14
+    assert not any(copies[28:34])
+    # What is encoded is what it is without copies, and of the still frames of FFV1 all are.
+    monkeypatch.setattr("supple.media.encode._ALONE", ())
+    anew = warp_file(source, f"anew.{suffix}", local)
+    assert isinstance(anew, WarpedClip)
+    assert (anew.copied, anew.still) == (0, made.still)
+    frames, others = clips.decoded(f"out.{suffix}"), clips.decoded(f"anew.{suffix}")
+    assert len(frames) == len(others) == 60
+    for k, (one, other) in enumerate(zip(frames, others, strict=True)):
+        if codec == "ffv1" or not copies[k]:
+            assert clips.rows(one) == clips.rows(other)
+
+
+@pytest.mark.parametrize(
+    ("codec", "target", "options"),
+    [
+        ("ffv1", "out.mkv", ClipOptions()),  # its key frames are 12 apart, as the header says
+        ("mjpeg", "out.mkv", ClipOptions(codec="ffv1")),
+        ("mjpeg", "out.avi", ClipOptions(pixel_format="yuvj444p")),
+        ("libx264", "out.mkv", ClipOptions()),
+    ],
+)
+def test_packets_that_do_not_fit_are_not_copied(here: Path, codec: str, target: str, options: ClipOptions) -> None:
+    form = "yuvj420p" if codec == "mjpeg" else "yuv420p"
+    source = clips.make("in.mkv", codec, form, count=60, options={"g": "12"})
+    local = supple.Recipe(strokes=(supple.Stroke.grab((30, 20, 30), to=(33, 22, 32), radius=3),))
+    made = warp_file(source, target, local, clip=options)
+    assert isinstance(made, WarpedClip)
+    assert made.still > 0 == made.copied
+    assert len(clips.decoded(target)) == 60
+
+
 def test_sound_times_and_frames_come_through(here: Path) -> None:
     times = [0, 40, 90, 120, 200, 210, 260, 300, 333, 360, 400, 450]
     clips.make("in.mp4", count=12, audio="aac", times=times, base=Fraction(1, 1000))
@@ -788,6 +861,7 @@ def test_json_tells_what_was_done(run: Run) -> None:
     assert (status, err) == (0, "")
     facts = json.loads(out)
     expected = {"input": "in.mkv", "output": "out.mkv", "width": 64, "height": 48, "frames": 12, "still": 0}
+    expected["copied"] = 0
     assert expected.items() <= facts.items()
     assert 0 < facts["error"] <= facts["tolerance"] == 0.01
     assert (facts["strokes"], facts["applied"], facts["damping"]) == (1, 1, [1.0])

@@ -335,7 +335,7 @@ def test_a_pause_is_kept_in_avi(tmp_path):
     source = clips.make(tmp_path / "a.mp4", times=times)
     copy(source, tmp_path / "b.avi")
     with open_video(tmp_path / "b.avi") as clip:
-        clip.sink = types.SimpleNamespace(indices=[], take=None)
+        clip.sink = types.SimpleNamespace(copies=False, indices=[], take=None)
         assert [clip.time(k)[0] * clip.base for k, _ in enumerate(clip.frames())] == [Fraction(t, 25) for t in times]
 
 
@@ -624,7 +624,7 @@ def flash_and_click(path):
 def seen_and_heard(path):
     """The seconds at which the frame is white, as `Clip` tells times, and the click begins."""
     with open_video(path) as clip:
-        clip.sink = types.SimpleNamespace(indices=[], take=None)
+        clip.sink = types.SimpleNamespace(copies=False, indices=[], take=None)
         light = []
         for k, frame in enumerate(clip.frames()):
             arrays = [np.empty((*g.shape, g.channels), clip.layout.dtype) for g in clip.layout.groups]
