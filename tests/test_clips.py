@@ -23,6 +23,7 @@ import clips
 import numpy as np
 import numpy.typing as npt
 import pytest
+from children import HEARING
 
 import supple
 import supple.media.video
@@ -1027,6 +1028,7 @@ def start(*arguments: str, **options: Any) -> subprocess.Popen[str]:
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         encoding="utf-8",
+        preexec_fn=options.pop("preexec_fn", HEARING),
         **options,
     )
 
