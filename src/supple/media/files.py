@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import errno
 import os
+import shutil
 import stat
 from collections.abc import Iterator
 from pathlib import Path
@@ -12,6 +13,7 @@ from pathlib import Path
 from supple.errors import SuppleError
 
 _NEW = os.O_CREAT | os.O_EXCL | os.O_WRONLY
+_FULL = 1 << 14  # bytes: with less, a disk is full
 _NO_ROOM = "make room or choose another place"
 _NO_RIGHT = "choose a place where writing is allowed"
 _ADVICE = {
@@ -109,7 +111,7 @@ def replacing(path: str | os.PathLike[str], *, force: bool = False) -> Iterator[
         if not _publish(temporary, target, force):
             raise _exists(path)
     except OSError as error:
-        raise _unwritable(path, error, temporary) from error
+        raise _unwritable(path, cause_of(error, target.parent), temporary) from error
     finally:
         with contextlib.suppress(OSError):
             temporary.unlink()
@@ -148,6 +150,14 @@ def _publish(temporary: Path, target: Path, force: bool) -> bool:
 
 def _exists(path: str | os.PathLike[str]) -> SuppleError:
     return SuppleError(f"{shown(path)} exists already: pass --force (force=True) to replace it")
+
+
+def cause_of(error: OSError, folder: Path) -> OSError:
+    """Return the error, or that there is no space left in the folder: libraries have other words for it."""
+    with contextlib.suppress(OSError):
+        if error.errno not in (errno.EFBIG, errno.EDQUOT) and shutil.disk_usage(folder).free < _FULL:
+            return OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+    return error
 
 
 def _unwritable(path: str | os.PathLike[str], error: OSError, temporary: Path | None = None) -> SuppleError:
