@@ -190,6 +190,32 @@ def test_a_stroke_in_the_middle_leaves_the_frames_out_of_its_reach_alone(here: P
     assert made.still >= 120 - (2 * reach + 4 + 1)
 
 
+@pytest.mark.parametrize("ratio", [None, 0.4])
+def test_an_event_in_a_short_clip_arrives_and_moves_sideways_only_on_request(
+    here: Path, run: Run, ratio: float | None
+) -> None:
+    with av.open("in.mkv", "w") as out:
+        stream: Any = out.add_stream("ffv1", rate=25)
+        stream.width, stream.height, stream.pix_fmt = 96, 80, "gray"
+        for k in range(50):
+            picture = np.full((80, 96), 40, np.uint8)
+            picture[36:45, 44:53] = 200 if k == 10 else 40
+            out.mux(stream.encode(av.VideoFrame.from_ndarray(picture, "gray")))
+        out.mux(stream.encode(None))
+    drag = supple.Stroke.grab((48, 40, 10), to=(48, 40, 25), radius=20, poisson=ratio)
+    made = warp_file("in.mkv", "out.mkv", supple.Recipe(strokes=(drag,)))
+    assert isinstance(made, WarpedClip)
+    frames = stack("out.mkv")
+    assert frames[:, 40, 48].argmax() == 25
+    assert frames[25, 40, 48] > 190
+    lattice = np.stack(np.meshgrid(np.arange(20, 80, 9), np.arange(20, 60, 9), np.arange(2, 48, 5)), -1).reshape(-1, 3)
+    sideways = np.abs(made.deformation.forward(lattice.astype(float)) - lattice)[:, :2].max()
+    assert (sideways == 0) if ratio is None else (sideways > 0.3)
+    options = [] if ratio is None else ["--poisson", f"{ratio}"]
+    assert run("warp", "in.mkv", "same.mkv", "--grab", "48,40,10:48,40,25", "--radius", "20", *options) == (0, "", "")
+    same_frames("out.mkv", "same.mkv")
+
+
 @pytest.mark.parametrize(
     ("codec", "pixel_format", "suffix", "options"),
     [

@@ -1101,6 +1101,32 @@ def test_a_cut_clip_is_used_with_a_warning(tmp_path):
 
 
 @pytest.mark.parametrize(
+    ("suffix", "codec", "options"),
+    [("mkv", "libx264", {}), ("mov", "prores_ks", {"movflags": "faststart"}), ("avi", "mpeg4", {})],
+)
+def test_a_warning_says_how_much_of_a_cut_clip_is_lost(tmp_path, suffix, codec, options):
+    name = "yuv422p10le" if suffix == "mov" else "yuv420p"
+    with av.open(str(tmp_path / f"a.{suffix}"), "w", container_options=options) as out:
+        stream = out.add_stream(codec, rate=25)
+        stream.width, stream.height, stream.pix_fmt = 64, 48, name
+        for k in range(90):
+            out.mux(stream.encode(clips.noise(name, (64, 48), k)))
+        out.mux(stream.encode(None))
+    data = (tmp_path / f"a.{suffix}").read_bytes()
+    (tmp_path / f"part.{suffix}").write_bytes(data[: len(data) // 3])
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        count = copy(tmp_path / f"part.{suffix}", tmp_path / "b.mkv")
+    assert 20 <= count <= 35
+    lost = f"{90 - count} of its 90 frames ({(90 - count) / 25:.2f} of 3.60 s) are lost"
+    assert lost in str(caught[-1].message)
+    assert all("damaged" in str(each.message) for each in caught)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert copy(tmp_path / f"a.{suffix}", tmp_path / "c.mkv") == 90
+
+
+@pytest.mark.parametrize(
     ("name", "content", "message"),
     [
         ("a.mp4", b"", "it is empty"),

@@ -78,7 +78,8 @@ class Clip(Film):
             source.close()
             raise
         if self.survey.damaged and count is None:
-            what = "is damaged or cut short: what can be decoded of it is used"
+            how_much = f"{self._lost(self.survey.count)}: " if self.survey.missing else ""
+            what = f"is damaged or cut short: {how_much}what can be decoded of it is used"
             warnings.warn(f"{self.name} {what}", ClipWarning, stacklevel=4)
 
     def _first(self) -> av.VideoFrame:
@@ -102,6 +103,13 @@ class Clip(Film):
         # frames decoded at once are lost together where one is damaged
         context.thread_type = "SLICE" if self._sturdy else "AUTO"
         return context
+
+    def _lost(self, found: int) -> str:
+        """Say how much of what the container promises is lost."""
+        promised = self.survey.count + self.survey.missing
+        lost, whole = (float(number / self.rate) for number in (promised - found, promised))
+        be = "is" if promised - found == 1 else "are"
+        return f"{promised - found} of its {promised} frames ({lost:.2f} of {whole:.2f} s) {be} lost"
 
     def time(self, k: int) -> tuple[int, int]:
         """Return the start and the duration of frame `k` in ticks of `base`, once, in order."""
@@ -175,8 +183,10 @@ class Clip(Film):
             raise unreadable(self.path, "no frame of it can be decoded", _COPY)
         if found != self.count:
             raise CountError(found)
-        if bad and not self.survey.damaged:
-            what = f"has {bad} damaged frame{'s' * (bad > 1)}: what can be decoded is used"
+        lost = found < self.survey.count
+        if bad and (lost or not self.survey.damaged):
+            how_much = f"{self._lost(found)}: " if lost else ""
+            what = f"has {bad} damaged frame{'s' * (bad > 1)}: {how_much}what can be decoded is used"
             warnings.warn(f"{self.name} {what}", ClipWarning, stacklevel=2)
 
     def key_before(self, k: int) -> int:
