@@ -190,6 +190,16 @@ def test_a_stroke_in_the_middle_leaves_the_frames_out_of_its_reach_alone(here: P
     assert made.still >= 120 - (2 * reach + 4 + 1)
 
 
+@pytest.mark.parametrize("suffix", [".png", ".apng"])
+def test_an_animated_png_is_a_clip_if_strokes_have_a_time(here: Path, run: Run, suffix: str) -> None:
+    clips.make("in.apng", "apng", "rgb24", count=8)
+    os.rename("in.apng", f"moving{suffix}")
+    assert run("warp", f"moving{suffix}", "bent/%03d.png", "--grab", "30,20,3:33,22,5", "--radius", "3")[0] == 0
+    assert len(os.listdir("bent")) == 8
+    image.write("still.png", np.zeros((48, 64, 3), np.uint8))
+    refused(run("warp", "still.png", "other.png", "--grab", "30,20,3:33,22,5", "--radius", "3"), "")
+
+
 @pytest.mark.parametrize("ratio", [None, 0.4])
 def test_an_event_in_a_short_clip_arrives_and_moves_sideways_only_on_request(
     here: Path, run: Run, ratio: float | None

@@ -125,8 +125,21 @@ def is_clip(source: PathLike, target: PathLike, recipe: Recipe) -> bool:
         return True
     if os.path.isdir(source):
         return timed and not _holds_videos_alone(source)
+    if timed and suffix in (".png", ".apng") and os.path.isfile(source):
+        return _is_animated(source)
     still = suffix not in (".gif", ".webp", ".png", ".apng", "")
     return (timed and not still) or (suffix == ".gif" and (goal == ".gif" or has_number(target)))
+
+
+def _is_animated(source: PathLike) -> bool:
+    """Whether a PNG has frames."""
+    from supple.media.demux import opened
+
+    try:
+        with opened(source) as container:
+            return str(container.format.name) == "apng"
+    except SuppleError:
+        return False
 
 
 def _holds_videos_alone(folder: PathLike) -> bool:
