@@ -20,6 +20,7 @@ import clips
 import numpy as np
 import numpy.typing as npt
 import pytest
+from children import HEARING
 
 import supple
 from supple import console
@@ -70,6 +71,7 @@ def start(*arguments: str, **options: object) -> subprocess.Popen[str]:
         stdout=options.pop("stdout", subprocess.PIPE),
         stderr=subprocess.PIPE,
         encoding="utf-8",
+        preexec_fn=options.pop("preexec_fn", HEARING),
         **options,
     )
 

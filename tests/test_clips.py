@@ -23,6 +23,7 @@ import clips
 import numpy as np
 import numpy.typing as npt
 import pytest
+from children import HEARING
 
 import supple
 import supple.media.video
@@ -174,6 +175,115 @@ def test_where_nothing_moves_frames_are_passed_on(here: Path) -> None:
     same = [clips.rows(a) == clips.rows(b) for a, b in zip(before, after, strict=True)]
     assert sum(same) >= made.still
     assert not all(same)
+
+
+def test_a_stroke_in_the_middle_leaves_the_frames_out_of_its_reach_alone(here: Path) -> None:
+    noisy("in.mkv", "yuv420p", 120)
+    stroke = supple.Stroke.grab((30, 20, 60), to=(33, 22, 64), radius=5)
+    made = warp_file("in.mkv", "out.mkv", supple.Recipe(strokes=(stroke,)))
+    assert isinstance(made, WarpedClip)
+    before, after = clips.decoded("in.mkv"), clips.decoded("out.mkv")
+    same = [clips.rows(a) == clips.rows(b) for a, b in zip(before, after, strict=True)]
+    reach = 4 * 5  # radii, of as many frames
+    assert all(same[: 60 - reach])
+    assert all(same[64 + reach + 1 :])
+    assert not any(same[55:70])
+    assert made.still >= 120 - (2 * reach + 4 + 1)
+
+
+@pytest.mark.parametrize("suffix", [".png", ".apng"])
+def test_an_animated_png_is_a_clip_if_strokes_have_a_time(here: Path, run: Run, suffix: str) -> None:
+    clips.make("in.apng", "apng", "rgb24", count=8)
+    os.rename("in.apng", f"moving{suffix}")
+    assert run("warp", f"moving{suffix}", "bent/%03d.png", "--grab", "30,20,3:33,22,5", "--radius", "3")[0] == 0
+    assert len(os.listdir("bent")) == 8
+    image.write("still.png", np.zeros((48, 64, 3), np.uint8))
+    refused(run("warp", "still.png", "other.png", "--grab", "30,20,3:33,22,5", "--radius", "3"), "")
+
+
+@pytest.mark.parametrize("ratio", [None, 0.4])
+def test_an_event_in_a_short_clip_arrives_and_moves_sideways_only_on_request(
+    here: Path, run: Run, ratio: float | None
+) -> None:
+    with av.open("in.mkv", "w") as out:
+        stream: Any = out.add_stream("ffv1", rate=25)
+        stream.width, stream.height, stream.pix_fmt = 96, 80, "gray"
+        for k in range(50):
+            picture = np.full((80, 96), 40, np.uint8)
+            picture[36:45, 44:53] = 200 if k == 10 else 40
+            out.mux(stream.encode(av.VideoFrame.from_ndarray(picture, "gray")))
+        out.mux(stream.encode(None))
+    drag = supple.Stroke.grab((48, 40, 10), to=(48, 40, 25), radius=20, poisson=ratio)
+    made = warp_file("in.mkv", "out.mkv", supple.Recipe(strokes=(drag,)))
+    assert isinstance(made, WarpedClip)
+    frames = stack("out.mkv")
+    assert frames[:, 40, 48].argmax() == 25
+    assert frames[25, 40, 48] > 190
+    lattice = np.stack(np.meshgrid(np.arange(20, 80, 9), np.arange(20, 60, 9), np.arange(2, 48, 5)), -1).reshape(-1, 3)
+    sideways = np.abs(made.deformation.forward(lattice.astype(float)) - lattice)[:, :2].max()
+    assert (sideways == 0) if ratio is None else (sideways > 0.3)
+    options = [] if ratio is None else ["--poisson", f"{ratio}"]
+    assert run("warp", "in.mkv", "same.mkv", "--grab", "48,40,10:48,40,25", "--radius", "20", *options) == (0, "", "")
+    same_frames("out.mkv", "same.mkv")
+
+
+@pytest.mark.parametrize(
+    ("codec", "pixel_format", "suffix", "options"),
+    [
+        ("ffv1", "yuv420p", "mkv", {"g": "1"}),
+        ("ffv1", "yuv444p10le", "avi", {"g": "1", "level": "3"}),
+        ("prores_ks", "yuv422p10le", "mov", {}),
+        ("prores_ks", "yuv422p10le", "mkv", {"profile": "lt"}),
+        ("mjpeg", "yuvj420p", "avi", {}),
+        ("mjpeg", "yuvj422p", "mov", {}),
+    ],
+)
+def test_packets_of_still_frames_are_copied(
+    here: Path, codec: str, pixel_format: str, suffix: str, options: dict[str, str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    times = None if suffix == "avi" else [k + (k > 3) * 2 for k in range(60)]
+    source = clips.make(
+        f"in.{suffix}", codec, pixel_format, count=60, smooth=False, options=options, times=times, audio="pcm_s16le"
+    )
+    local = supple.Recipe(strokes=(supple.Stroke.grab((30, 20, 30), to=(33, 22, 32), radius=3),))
+    made = warp_file(source, f"out.{suffix}", local)
+    assert isinstance(made, WarpedClip)
+    assert made.copied == made.still >= 30
+    before, after = (clips.parcels(f"{name}.{suffix}", "video") for name in ("in", "out"))
+    assert [when for _, *when in before] == [when for _, *when in after]
+    copies = [a == b for (a, *_), (b, *_) in zip(before, after, strict=True)]
+    assert copies[:17] == [True] * 17
+    assert copies[46:] == [True] * 14
+    assert not any(copies[28:34])
+    # What is encoded is what it is without copies, and of the still frames of FFV1 all are.
+    monkeypatch.setattr("supple.media.encode._ALONE", ())
+    anew = warp_file(source, f"anew.{suffix}", local)
+    assert isinstance(anew, WarpedClip)
+    assert (anew.copied, anew.still) == (0, made.still)
+    frames, others = clips.decoded(f"out.{suffix}"), clips.decoded(f"anew.{suffix}")
+    assert len(frames) == len(others) == 60
+    for k, (one, other) in enumerate(zip(frames, others, strict=True)):
+        if codec == "ffv1" or not copies[k]:
+            assert clips.rows(one) == clips.rows(other)
+
+
+@pytest.mark.parametrize(
+    ("codec", "target", "options"),
+    [
+        ("ffv1", "out.mkv", ClipOptions()),  # its key frames are 12 apart, as the header says
+        ("mjpeg", "out.mkv", ClipOptions(codec="ffv1")),
+        ("mjpeg", "out.avi", ClipOptions(pixel_format="yuvj444p")),
+        ("libx264", "out.mkv", ClipOptions()),
+    ],
+)
+def test_packets_that_do_not_fit_are_not_copied(here: Path, codec: str, target: str, options: ClipOptions) -> None:
+    form = "yuvj420p" if codec == "mjpeg" else "yuv420p"
+    source = clips.make("in.mkv", codec, form, count=60, options={"g": "12"})
+    local = supple.Recipe(strokes=(supple.Stroke.grab((30, 20, 30), to=(33, 22, 32), radius=3),))
+    made = warp_file(source, target, local, clip=options)
+    assert isinstance(made, WarpedClip)
+    assert made.still > 0 == made.copied
+    assert len(clips.decoded(target)) == 60
 
 
 def test_sound_times_and_frames_come_through(here: Path) -> None:
@@ -818,6 +928,7 @@ def test_json_tells_what_was_done(run: Run) -> None:
     assert (status, err) == (0, "")
     facts = json.loads(out)
     expected = {"input": "in.mkv", "output": "out.mkv", "width": 64, "height": 48, "frames": 12, "still": 0}
+    expected["copied"] = 0
     assert expected.items() <= facts.items()
     assert 0 < facts["error"] <= facts["tolerance"] == 0.01
     assert (facts["strokes"], facts["applied"], facts["damping"]) == (1, 1, [1.0])
@@ -983,6 +1094,7 @@ def start(*arguments: str, **options: Any) -> subprocess.Popen[str]:
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         encoding="utf-8",
+        preexec_fn=options.pop("preexec_fn", HEARING),
         **options,
     )
 

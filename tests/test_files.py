@@ -7,6 +7,7 @@ import sys
 import tempfile
 import textwrap
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -279,3 +280,16 @@ def test_a_full_disk_leaves_what_was_there(tmp_path):
 )
 def test_names_are_shown_in_one_line(name, text):
     assert shown(name) == text
+
+
+@pytest.mark.parametrize("code", [-1, errno.EIO, errno.EPERM])
+def test_a_full_disk_is_said_whatever_a_library_says(tmp_path, monkeypatch, code):
+    def fail(free):
+        monkeypatch.setattr("shutil.disk_usage", lambda folder: SimpleNamespace(free=free))
+        with pytest.raises(SuppleError) as caught, replacing(tmp_path / "out.mp4"):
+            raise OSError(code, os.strerror(code))
+        assert os.listdir(tmp_path) == []
+        return str(caught.value)
+
+    assert fail(0).endswith("out.mp4: No space left on device: make room or choose another place")
+    assert os.strerror(code) in fail(1 << 30)

@@ -335,7 +335,7 @@ def test_a_pause_is_kept_in_avi(tmp_path):
     source = clips.make(tmp_path / "a.mp4", times=times)
     copy(source, tmp_path / "b.avi")
     with open_video(tmp_path / "b.avi") as clip:
-        clip.sink = types.SimpleNamespace(indices=[], take=None)
+        clip.sink = types.SimpleNamespace(copies=False, indices=[], take=None)
         assert [clip.time(k)[0] * clip.base for k, _ in enumerate(clip.frames())] == [Fraction(t, 25) for t in times]
 
 
@@ -624,7 +624,7 @@ def flash_and_click(path):
 def seen_and_heard(path):
     """The seconds at which the frame is white, as `Clip` tells times, and the click begins."""
     with open_video(path) as clip:
-        clip.sink = types.SimpleNamespace(indices=[], take=None)
+        clip.sink = types.SimpleNamespace(copies=False, indices=[], take=None)
         light = []
         for k, frame in enumerate(clip.frames()):
             arrays = [np.empty((*g.shape, g.channels), clip.layout.dtype) for g in clip.layout.groups]
@@ -1098,6 +1098,32 @@ def test_a_cut_clip_is_used_with_a_warning(tmp_path):
     with pytest.warns(ClipWarning, match="damaged"):
         count = copy(tmp_path / "part.mkv", tmp_path / "b.mkv")
     assert 4 <= count <= 6
+
+
+@pytest.mark.parametrize(
+    ("suffix", "codec", "options"),
+    [("mkv", "libx264", {}), ("mov", "prores_ks", {"movflags": "faststart"}), ("avi", "mpeg4", {})],
+)
+def test_a_warning_says_how_much_of_a_cut_clip_is_lost(tmp_path, suffix, codec, options):
+    name = "yuv422p10le" if suffix == "mov" else "yuv420p"
+    with av.open(str(tmp_path / f"a.{suffix}"), "w", container_options=options) as out:
+        stream = out.add_stream(codec, rate=25)
+        stream.width, stream.height, stream.pix_fmt = 64, 48, name
+        for k in range(90):
+            out.mux(stream.encode(clips.noise(name, (64, 48), k)))
+        out.mux(stream.encode(None))
+    data = (tmp_path / f"a.{suffix}").read_bytes()
+    (tmp_path / f"part.{suffix}").write_bytes(data[: len(data) // 3])
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        count = copy(tmp_path / f"part.{suffix}", tmp_path / "b.mkv")
+    assert 20 <= count <= 35
+    lost = f"{90 - count} of its 90 frames ({(90 - count) / 25:.2f} of 3.60 s) are lost"
+    assert lost in str(caught[-1].message)
+    assert all("damaged" in str(each.message) for each in caught)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert copy(tmp_path / f"a.{suffix}", tmp_path / "c.mkv") == 90
 
 
 @pytest.mark.parametrize(

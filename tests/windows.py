@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 import pytest
 import pyvips
+from children import HEARING
 
 import supple
 from supple.media import image
@@ -141,6 +142,7 @@ def viewing(*arguments: str, folder: Path, display: str = "") -> Iterator[subpro
         text=True,
         encoding="utf-8",
         start_new_session=True,
+        preexec_fn=HEARING,
     )
     deaf = False
     try:

@@ -270,6 +270,7 @@ def _clip_facts(made: WarpedClip) -> dict[str, Any]:
         "height": height,
         "frames": made.frames,
         "still": made.still,
+        "copied": made.copied,
         "held": made.held,
         "tolerance": made.tolerance,
         "error": made.error,

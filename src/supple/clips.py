@@ -100,6 +100,8 @@ class WarpedClip:
         How many were held at once.
     error : float
         What the checks of the map let expect, in pixels and frames; `report` measures it.
+    copied : int
+        How many of the still ones were not encoded anew either: their packets are those of the source.
     """
 
     source: Path
@@ -110,6 +112,7 @@ class WarpedClip:
     still: int
     held: int
     error: float
+    copied: int = 0
 
     def report(self) -> Report:
         """What was done with the strokes, and the certified error of the map, measured at every pixel; this is slow."""
@@ -124,6 +127,8 @@ def is_clip(source: PathLike, target: PathLike, recipe: Recipe) -> bool:
         return True
     if os.path.isdir(source):
         return timed and not _holds_videos_alone(source)
+    if timed and suffix in (".png", ".apng") and os.path.isfile(source):
+        return _is_animated(source)
     still = suffix not in (".gif", ".webp", ".png", ".apng", "")
     many = goal == ".gif" or has_number(target)
     return (timed and not still) or (many and (suffix == ".gif" or (not still and _is_animated(source))))
@@ -331,14 +336,14 @@ def warp_clip(
                     check_output(target, force=force)
                     with replacing(target, force=force) as place:
                         shutil.copyfile(source, place)
-                    known_error, held, still = 0.0, 0, clip.count
+                    known_error, held, still, copied = 0.0, 0, clip.count, clip.count
                 else:
                     writer = _writer(clip, target, known, quality, lossless, force)
-                    known_error, held, still = _through(
+                    known_error, held, still, copied = _through(
                         clip, deformation, sampling, writer, known.memory, not is_picture_target(target), device, tell
                     )
                 return WarpedClip(
-                    Path(source), Path(target), deformation, tolerance, clip.count, still, held, known_error
+                    Path(source), Path(target), deformation, tolerance, clip.count, still, held, known_error, copied
                 )
         except CountError as miscounted:
             if count is not None:
@@ -360,8 +365,8 @@ def _through(
     aside: bool,
     device: str,
     tell: Tell,
-) -> tuple[float, int, int]:
-    """Send all frames through a deformation; return the error, the frames held at once, and those left as they were."""
+) -> tuple[float, int, int, int]:
+    """Send all frames through a deformation; return the error, and how many were held at once, still, and copied."""
     n = clip.count
     space = replace(deformation.space, count=n)
     engine = engine_of(device, space, clip.layout, sampling)
@@ -374,11 +379,11 @@ def _through(
         made = stream(space, clip.layout, sampling, plan, frames, memory=memory, buffers=_AHEAD + 1, engine=engine)
         with contextlib.closing(cast(Any, made)), _writing(sink.write, aside) as write:
             for z, arrays, certificate in made:
-                write(arrays, z)
+                write(arrays, z, **({"still": bool(plan.still[z])} if aside else {}))
                 error = max(error, certificate.error)
                 tell("warp", z + 1, n)
         warn_of(Certificate(error, 0.0), sampling.tolerance, 4)  # before the target has its name
-    return error, capacity_of(plan, engine), int(plan.still.sum())
+    return error, capacity_of(plan, engine), int(plan.still.sum()), getattr(sink, "copied", 0)
 
 
 def check_clip_target(
@@ -427,10 +432,10 @@ def _writing(write: Callable[[Sequence[Array], int], None], aside: bool) -> Iter
 
     waiting: deque[Future[None]] = deque()
 
-    def submit(arrays: Sequence[Array], k: int) -> None:
+    def submit(arrays: Sequence[Array], k: int, **more: bool) -> None:
         while len(waiting) >= _AHEAD:
             waiting.popleft().result()
-        waiting.append(pool.submit(copy_context().run, write, arrays, k))
+        waiting.append(pool.submit(copy_context().run, lambda: write(arrays, k, **more)))
 
     with ThreadPoolExecutor(1, "supple-encode") as pool:
         try:

@@ -23,6 +23,7 @@ _ADVICE = "give a whole video file, such as MP4, MOV, MKV, WebM or AVI"
 _TEXT = frozenset(("ansi", "bintext", "xbin", "idf"))  # text that FFmpeg would show as a film of a terminal
 _LISTS = frozenset(("concat", "hls", "dash", "imf"))  # text that names other files, or addresses
 _DISCONTINUOUS: int = getattr(FormatFlags.ts_discont, "value", 0)
+_SLOPPY = 3  # frames that a healthy file may promise too many
 _JUMP = 10  # seconds: what no gap in healthy sound or picture exceeds
 _BACK = Fraction(1, 10)
 _PICTURES = av.stream.Disposition.attached_pic | av.stream.Disposition.timed_thumbnails
@@ -108,6 +109,8 @@ class Survey:
         Whether frames are not evenly spaced in time.
     starts : tuple of float
         Seconds from the first of them to each, if they are not.
+    missing : int
+        How many more frames the container promises, where it breaks off.
     """
 
     packets: int
@@ -117,6 +120,7 @@ class Survey:
     suspect: bool
     variable: bool = False
     starts: tuple[float, ...] = ()
+    missing: int = 0
 
 
 def survey(container: av.container.InputContainer, film: av.VideoStream) -> Survey:
@@ -155,11 +159,17 @@ def survey(container: av.container.InputContainer, film: av.VideoStream) -> Surv
         span = total * base
     told = _told(film)
     end = span if last is None else max(span, last * base)  # what it says may count from zero
-    cut = told is not None and packets > 0 and told > end + 3 * span / packets
+    reached = last if container.format.name == "avi" and last is not None else packets  # AVI counts pauses as frames
+    missing = film.frames - max(reached, packets) if film.frames else 0
+    if told is not None and packets > 0 and span > 0:
+        missing = round((told - end) * packets / span)
+    # Samples that an edit list leaves out of an MP4 are not missing: there, a packet that breaks off must show it.
+    cut = missing > _SLOPPY and (suspect or damaged or not sums_up(container))
     starts.sort()
     varies = _varies(starts)
     seconds = tuple(float((start - starts[0]) * base) for start in starts) if varies else ()
-    return Survey(packets, count, span, damaged or cut, suspect or damaged or cut, varies, seconds)
+    broken = damaged or cut
+    return Survey(packets, count, span, broken, suspect or broken, varies, seconds, max(0, missing) if broken else 0)
 
 
 def _varies(starts: list[int]) -> bool:

@@ -31,6 +31,8 @@ if TYPE_CHECKING:
 
 PathLike = str | os.PathLike[str]
 _FELT = Fraction(1, 4)  # of a frame: further from its time, it is told
+# Codecs whose key frames stand alone, and need nothing but the stream header.
+_ALONE = frozenset(("ffv1", "prores", "mjpeg"))
 _LONGEST = {"mp4": 2**31 - 1, "mov": 2**31 - 1, "gif": 65535}  # ticks that a frame may last
 
 
@@ -42,6 +44,8 @@ class Sink:
         self._colour = replace(reel.colour, site=sited(reel.colour, reel.codec, reel.form.kind))
         self._times: dict[int, tuple[int, int]] = {}
         self._written = 0
+        self.copied = 0  # frames whose packets were taken from the source
+        self._due: dict[int, av.Packet[Any] | None] = {}  # packets in order; None while a frame is encoded
         self._halved = False  # whether half opacity has been met
         self._drift, self._origin = Fraction(0), Fraction(0)  # seconds that a frame is off at most, and the first is
         self._tick: int | None = None
@@ -58,6 +62,7 @@ class Sink:
         )
         try:
             self._stream = self._film()
+            self.copies = self._may_copy()
             self._passage = Passage(reel.source, reel.index, self._output, plan.container, plan.target)
             self._output.metadata.update(kept_tags(reel.source.metadata if reel.source else {}))
             chapters = reel.chapters()
@@ -86,6 +91,18 @@ class Sink:
         stream.codec_context.open()
         return stream
 
+    def _may_copy(self) -> bool:
+        """Tell whether packets of the source and of the encoder may follow each other in one stream."""
+        reel, codec, context = self._reel, self._plan.encoder.codec, self._stream.codec_context
+        return (
+            codec in _ALONE
+            and codec == reel.codec
+            and self._plan.match.same
+            and context.pix_fmt == reel.form.name
+            and (context.extradata or b"") == reel.header
+            and (codec != "prores" or context.profile == reel.profile)
+        )
+
     @property
     def indices(self) -> list[int]:
         """Of the source's streams that go along."""
@@ -95,8 +112,8 @@ class Sink:
         """Take a packet of another stream, from the thread that reads."""
         self._passage.take(packet)
 
-    def write(self, arrays: Sequence[Array], k: int) -> None:
-        """Encode a frame.
+    def write(self, arrays: Sequence[Array], k: int, *, still: bool = False) -> None:
+        """Encode a frame, or copy its packet where that may be.
 
         Parameters
         ----------
@@ -104,14 +121,27 @@ class Sink:
             Its samples, as the clip's layout says. They are copied.
         k : int
             Its number: 0, 1, 2, …, in order.
+        still : bool
+            Whether it is the source's frame, unchanged.
         """
         if k != self._written:
             raise ValueError(f"frame {k} comes after {self._written} frames")
         pts, duration = self._reel.time(k)
+        packet = self._reel.packet(k)
         self._written += 1
+        stamp = self._stamp(k, pts, duration)
+        if self.copies:
+            busy = None in self._due.values()
+            self._due[stamp] = packet if still else None
+            if still and packet is not None:
+                self.copied += 1
+                if not busy:
+                    self._pass_on()
+                    return
+                # Else it is encoded too, to push out the frames that the encoder holds back.
         frame = self._frame(arrays)
         frame.time_base = self._stream.codec_context.time_base
-        frame.pts = self._stamp(k, pts, duration)
+        frame.pts = stamp
         for made in self._palettes.add(frame) if self._palettes else [frame]:
             self._encode(made)
 
@@ -172,7 +202,28 @@ class Sink:
             what = f"frame {k} comes {float(seconds):.0f} s after the one before, which is longer than it can say"
             raise unwritable(self._plan.target, what, "choose another container, such as .mkv")
 
+    def _pass_on(self, made: Sequence[av.Packet[Any]] = (), last: bool = False) -> None:
+        """Write packets in the order of their frames: those of the encoder, and those of the source."""
+        for packet in made:
+            stamp = packet.pts
+            if stamp is not None and self._due.get(stamp, packet) is None:
+                self._due[stamp] = packet
+        ready: list[av.Packet[Any]] = []
+        for stamp, due in list(self._due.items()):
+            if due is None:
+                break
+            del self._due[stamp]
+            due.pts = due.dts = stamp
+            ready.append(due)
+        self._write(ready, last)
+
     def _mux(self, packets: list[av.Packet[Any]], last: bool = False) -> None:
+        if self.copies:
+            self._pass_on(packets, last)
+        else:
+            self._write(packets, last)
+
+    def _write(self, packets: list[av.Packet[Any]], last: bool) -> None:
         plan = self._plan
         for packet in packets:
             stamp, decoded = packet.pts, packet.dts

@@ -111,10 +111,11 @@ def replacing(path: str | os.PathLike[str], *, force: bool = False) -> Iterator[
         if not _publish(temporary, target, force):
             raise _exists(path)
     except OSError as error:
-        known = error.errno in errno.errorcode or not _is_full(temporary.parent)
-        raise _unwritable(path, error if known else _full(), temporary) from error
+        # Libraries have other words for a full disk.
+        limit = error.errno in (errno.EFBIG, errno.EDQUOT)
+        raise _unwritable(path, _full() if not limit and _is_full(temporary.parent) else error, temporary) from error
     except SuppleError as error:
-        if str(error).startswith("cannot write") and _is_full(temporary.parent):  # whatever a library calls that
+        if str(error).startswith("cannot write") and _is_full(temporary.parent):
             raise _unwritable(path, _full()) from error
         raise
     finally:

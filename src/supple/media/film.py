@@ -72,6 +72,8 @@ class Reel:
         The ticks a second in which all times of frames are whole numbers, as far as the file lets guess; 0 if not.
     profile : str
         Of the codec, as FFmpeg names it.
+    header : bytes
+        The stream header (extradata) that a decoder needs; empty where the codec has none.
     stills : bool
         Whether it is made of pictures, so that any film of them is one that players are used to.
     unheld : tuple of str
@@ -85,6 +87,7 @@ class Reel:
     stills = False
     unheld: tuple[str, ...] = ()
     codec, profile, lossless, field_order, index = "", "", False, 0, -1
+    header = b""
     pace = Fraction(0)
     aspect: Fraction | None = None
     grading = Grading()
@@ -110,6 +113,10 @@ class Reel:
     def time(self, k: int) -> tuple[int, int]:
         """Return the start and the duration of frame `k` in ticks of `base`, once, in order."""
         return k, 1
+
+    def packet(self, k: int) -> av.Packet[Any] | None:
+        """Return the packet that frame `k` alone was decoded from, once, in order; None where there is none."""
+        return None
 
     def chapters(self) -> list[Any]:
         """Return the chapters of the file."""
@@ -182,6 +189,8 @@ class Film(Reel):
         self.codec, self.lossless = context.codec.canonical_name, context.codec.lossless and not context.codec.lossy
         self.tags, self.disposition = dict(film.metadata), film.disposition
         self.field_order, self.profile = context.field_order, context.profile or ""
+        header = context.extradata or b""
+        self.header = b"" if header == context.codec_tag.encode("latin-1", "replace") else header  # ProRes in Matroska
         self.pace = Fraction(film.base_rate or 0)
         aspect = film.sample_aspect_ratio
         self.aspect = aspect if aspect and aspect > 0 else None

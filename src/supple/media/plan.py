@@ -36,6 +36,7 @@ _USUAL = 10  # bits, the most that players are used to
 # Codecs that say themselves how wide a pixel is; Matroska and AVI cannot be told through PyAV.
 _ASPECT = frozenset(("h264", "hevc", "mpeg4", "mpeg2video", "mpeg1video", "mjpeg"))
 _GRADED = {"libx264": "x264-params", "libx265": "x265-params", "libsvtav1": "svtav1-params"}
+_PRORES = {"Proxy": "proxy", "LT": "lt", "Standard": "standard", "HQ": "hq", "4444": "4444", "XQ": "4444xq"}
 _PACES = 8  # times as many ticks as frames that AVI is given, so that frames keep their times
 UPRIGHT_ONLY = frozenset(("avi", "gif"))
 os.environ.setdefault("SVT_LOG", "0")  # it writes to the terminal otherwise
@@ -200,6 +201,8 @@ class Plan:
             settings["x265-params"] += ":bframes=0"
         if self.encoder.name == "dnxhd":
             settings["profile"] = _dnxhr(reel.profile, chosen.form.kind)
+        if self.encoder.name == "prores_ks" and reel.codec == "prores" and chosen.same:
+            settings["profile"] = _PRORES.get(reel.profile, "auto")
         key = _GRADED.get(self.encoder.name)
         if key:
             extra = reel.grading.svt() if key == "svtav1-params" else reel.grading.x265()

@@ -64,6 +64,7 @@ class Clip(Film):
         self._threads = workers(threads)
         self._pump: Iterator[av.Packet[Any]] | None = None
         self._times: Times | None = None
+        self._packets: deque[av.Packet[Any] | None] = deque()
         self._fresh = True
         self._index: tuple[Index | None] | None = None
         with opened(path) as container:
@@ -77,7 +78,8 @@ class Clip(Film):
             source.close()
             raise
         if self.survey.damaged and count is None:
-            what = "is damaged or cut short: what can be decoded of it is used"
+            how_much = f"{self._lost(self.survey.count)}: " if self.survey.missing else ""
+            what = f"is damaged or cut short: {how_much}what can be decoded of it is used"
             warnings.warn(f"{self.name} {what}", ClipWarning, stacklevel=4)
 
     def _first(self) -> av.VideoFrame:
@@ -102,12 +104,23 @@ class Clip(Film):
         context.thread_type = "SLICE" if self._sturdy else "AUTO"
         return context
 
+    def _lost(self, found: int) -> str:
+        """Say how much of what the container promises is lost."""
+        promised = self.survey.count + self.survey.missing
+        lost, whole = (float(number / self.rate) for number in (promised - found, promised))
+        be = "is" if promised - found == 1 else "are"
+        return f"{promised - found} of its {promised} frames ({lost:.2f} of {whole:.2f} s) {be} lost"
+
     def time(self, k: int) -> tuple[int, int]:
         """Return the start and the duration of frame `k` in ticks of `base`, once, in order."""
         kept = self._times.kept if self._times else None
         if not kept:
             raise ValueError(f"frame {k} has not been read")
         return kept.popleft()
+
+    def packet(self, k: int) -> av.Packet[Any] | None:
+        """Return the packet that frame `k` alone was decoded from, once, in order; None where there is none."""
+        return self._packets.popleft() if self._packets else None
 
     def frames(self) -> Iterator[Picture]:
         """Decode all frames in the order in which they are shown, once.
@@ -133,6 +146,9 @@ class Clip(Film):
         counted = self.source.format.name == "avi"  # its frames have places, not times
         shown_at: deque[int] = deque()
         keys: deque[tuple[int | None, int]] = deque(maxlen=64)
+        copies = self.sink is not None and self.sink.copies
+        sent: dict[int | None, av.Packet[Any] | None] = {}  # packets on their way through the decoder, by their time
+        self._packets.clear()
         fed_so_far = 0
         found = bad = 0
         self._pump = packets(self.source, [film, *others])
@@ -143,6 +159,8 @@ class Clip(Film):
             if packet is not None:
                 if packet.is_keyframe:
                     keys.append((packet.pts, fed_so_far))
+                    if copies and packet.pts is not None and not packet.is_corrupt:
+                        sent[packet.pts] = None if packet.pts in sent else packet  # of two, either may be meant
                 fed_so_far += 1
             decoded = decoded_by(decoder, packet)
             if decoded is None:
@@ -157,13 +175,18 @@ class Clip(Film):
                     if found == self.count and sums_up(self.source):
                         lasts = times.left(frame.pts, round(self.survey.duration / self.base)) or lasts
                     times.add(shown_at.popleft() if shown_at else frame.pts, lasts)
+                    if copies:
+                        made_of = sent.pop(frame.pts, None)
+                        self._packets.append(None if frame.is_corrupt else made_of)
                     yield Picture(self._readable(frame), self.form)
         if found == 0:
             raise unreadable(self.path, "no frame of it can be decoded", _COPY)
         if found != self.count:
             raise CountError(found)
-        if bad and not self.survey.damaged:
-            what = f"has {bad} damaged frame{'s' * (bad > 1)}: what can be decoded is used"
+        lost = found < self.survey.count
+        if bad and (lost or not self.survey.damaged):
+            how_much = f"{self._lost(found)}: " if lost else ""
+            what = f"has {bad} damaged frame{'s' * (bad > 1)}: {how_much}what can be decoded is used"
             warnings.warn(f"{self.name} {what}", ClipWarning, stacklevel=2)
 
     def key_before(self, k: int) -> int:

@@ -1,0 +1,14 @@
+"""Child processes of tests."""
+
+from __future__ import annotations
+
+import signal
+import sys
+
+
+def _hear() -> None:
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+
+# For preexec_fn: what a shell starts in the background ignores SIGINT, and so would every child of it.
+HEARING = None if sys.platform == "win32" else _hear
