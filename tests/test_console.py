@@ -253,6 +253,7 @@ FOR_PYTHON = (
     "alpha=True needs",
     "False for a shape of two axes",
     "on_change: ",
+    "clamp must be False for",
 )
 PYTHON = re.compile(r"\bNone\b|\bTrue\b|\bFalse\b|(?<![\w-])[a-z]+_\w+|\b[a-z_]+=|\w\(\)|\(\.\.\.\)")
 NUMBERED = ("number", "integer", "length", "point", "refuse", "choice")

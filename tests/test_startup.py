@@ -79,10 +79,10 @@ def test_help_says_what_every_command_does(arguments: list[str], capsys: pytest.
     for line in (
         "warp",
         "Bend pictures, videos",
-        "Draw what strokes do",
-        "Take a picture of a volume",
+        "Plot the deformation",
+        "Render a picture of a volume",
         "Move landmarks",
     ):
         assert line in said
-    for line in ("Tell what pictures", "Bend a photograph", "Write a small gallery"):
+    for line in ("Describe pictures", "Open a window", "Write a gallery"):
         assert line in said

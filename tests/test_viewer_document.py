@@ -306,9 +306,9 @@ class TestHiddenStrokes:
 
     def test_they_may_lie_outside_of_a_clip(self) -> None:
         late = Stroke(at=(9, 9, 99), by=(1, 1, 1), radius=9, hidden=True)
-        assert on_clip(Recipe(strokes=(late,)), 5, (40, 60), 1.0).is_identity
+        assert on_clip(Recipe(strokes=(late,)), 5, (40, 60), 1.0, "a.mp4").is_identity
         with pytest.raises(SuppleError, match="reaches nothing of it"):
-            on_clip(Recipe(strokes=(replace(late, hidden=False),)), 5, (40, 60), 1.0)
+            on_clip(Recipe(strokes=(replace(late, hidden=False),)), 5, (40, 60), 1.0, "a.mp4")
 
     def test_a_deformation_need_not_warn(self) -> None:
         d = Deformation(SHAPE, on_fold="damp").add(stroke()).add(STRONG, warn=False)

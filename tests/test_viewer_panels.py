@@ -209,7 +209,7 @@ def test_what_nothing_can_write_is_refused_in_the_question(
 
 def test_formats_that_are_only_read_are_exported_as_others(tmp_path: Path) -> None:
     for name, kind, usual in (
-        ("a.bmp", "image", "a-bent.png"),
+        ("a.bmp", "image", "a-bent.bmp"),
         ("a.mpg", "video", "a-bent.mp4"),
         ("frames-%05d.bmp", "video", "frames-%05d-bent.bmp"),
         ("a.raw", "volume", "a-bent.nii.gz"),

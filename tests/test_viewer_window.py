@@ -204,7 +204,7 @@ def test_a_clip_plays_and_is_bent_in_time(gpu: Gpu, state: Path) -> None:
     with video.open_video(DATA / "bunny.mp4") as clip:
         from supple.clips import ClipOptions, deformation_of, frames_of, sampling_of
 
-        d = deformation_of(view.recipe, clip.count, clip.layout.shape, 1.0)
+        d = deformation_of(view.recipe, clip.count, clip.layout.shape, 1.0, clip.name)
         common: dict[str, Any] = {"outside": "edge", "fill": 0.0, "tolerance": 0.01, "light": False}
         sampling = sampling_of(clip, filter="auto", options=ClipOptions(), **common)
         ((_, arrays),) = frames_of(clip, d, sampling, [5])

@@ -112,7 +112,7 @@ class Stroke:
         if not isinstance(self.hidden, bool):
             refuse("hidden", "true or false", self.hidden)
         if not isinstance(self.name, str | None):
-            refuse("name", "a text, or None", self.name)
+            refuse("name", "text", self.name)
         at = point("at", self.at)
         checked = {
             "at": at,
