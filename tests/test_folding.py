@@ -270,7 +270,9 @@ def test_damped_strokes_do_not_fold_and_are_as_strong_as_can_be(case: tuple[Stro
     found, worst = searched(rng, resolved.rows[0], stroke.material(), axes)
     assert 1 + found >= resolved.margin - 1e-6 >= MARGIN - 1e-6
     target = np.add(stroke.at, stroke.by)
-    assert (resolved.warning is not None) == (resolved.alpha < 1 or math.dist(resolved.arrived, target) > NEAR)
+    assert (resolved.warning is not None) == (
+        resolved.alpha < 1 or (math.dist(resolved.arrived, target) > NEAR and resolved.cause != "outside")
+    )
     if np.all((np.array(stroke.at) >= 0) & (np.multiply(stroke.at, domain.spacing) <= domain.extent)):
         np.testing.assert_allclose(moved(resolved, domain, stroke.at)[0][0], resolved.arrived, atol=1e-9)
     if resolved.alpha < 1:
@@ -388,9 +390,9 @@ def test_a_safe_stroke_flows_as_one() -> None:
 @pytest.mark.parametrize(
     ("at", "by"),
     [
-        ((256, 256), (0, 255)),
+        ((256, 256), (0, 255.5)),
         ((256, 256), (0, 400)),
-        ((256, 256), (-256, 0)),
+        ((256, 256), (-256.4, 0)),
         ((0, 256), (5, 0)),
         ((0, 256), (5, 50)),
         ((511, 511), (-1, -1)),
@@ -403,6 +405,37 @@ def test_flow_refuses_what_a_fixed_border_forbids(at: tuple[float, float], by: t
         resolve(stroke, Domain((512, 512)), "flow")
     assert resolve(stroke, Domain((512, 512), border=None), "flow").substrokes >= 1
     assert resolve(stroke, Domain((512, 512)), "damp").substrokes == 1
+
+
+@pytest.mark.parametrize(
+    ("at", "by", "arrived"),
+    [
+        ((256, 256), (0, 255), (256, 510.75)),  # within half a pixel of its target, and not on the face
+        ((256, 256), (0, 255.2), (256, 510.75)),
+        ((0, 250), (1e-9, 30), (0, 280)),  # slides along the face
+        ((0, 250), (0.3, 30), (0, 280)),
+        ((0.1, 250), (-0.1, 0), (0.1, 250)),
+        ((-0.4, 250), (0, 30), (-0.4, 280)),  # in the outer half of a pixel
+    ],
+)
+def test_what_ends_within_half_a_pixel_has_arrived(
+    at: tuple[float, float], by: tuple[float, float], arrived: tuple[float, float]
+) -> None:
+    stroke = Stroke(at=at, by=by, radius=30)
+    resolved = resolve(stroke, Domain((512, 512)), "flow")
+    assert resolved.arrived == pytest.approx(arrived, abs=1e-6)
+    assert math.dist(resolved.arrived, np.add(at, by)) <= NEAR
+    if resolved.substrokes:
+        assert moved(resolved, Domain((512, 512)), at)[0][0] == pytest.approx(arrived, abs=1e-6)
+
+
+@pytest.mark.parametrize("policy", ["flow", "damp"])
+def test_what_starts_outside_says_that_it_stays_there(policy: FoldPolicy) -> None:
+    resolved = resolve(Stroke(at=(-20, 300), by=(30, 0), radius=60), Domain((512, 512)), policy)
+    assert (resolved.cause, resolved.warning) == ("outside", None)
+    assert resolved.arrived == pytest.approx((-20, 300))
+    with pytest.raises(SuppleError, match="cannot arrive"):
+        resolve(Stroke(at=(-0.4, 300), by=(30, 0), radius=60), Domain((512, 512)), "flow")
 
 
 def test_a_pivot_outside_holds_nothing() -> None:

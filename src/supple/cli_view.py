@@ -51,7 +51,8 @@ def view(
     recipe = strokes.to_recipe(world=volume.world) if strokes.any else None
     if volume.world and recipe is None:
         raise SuppleError("--world is about the points of strokes, and there are none: leave it out")
-    options = ViewOptions(time_scale=time.to_scale(), volume=volume.to_reading(labels=labels), fit=strokes.to_fit())
+    scale = time.to_scale() or (recipe and recipe.time_scale) or 1.0
+    options = ViewOptions(time_scale=scale, volume=volume.to_reading(labels=labels), fit=strokes.to_fit())
     if port and not serve:
         raise SuppleError("--port is for --serve: leave it out, or serve")
     if not 0 <= port <= 65535:

@@ -214,7 +214,10 @@ def _kept(recipe: Recipe, made: Warped | WarpedClip | WarpedVolume, world: bool)
     size, space = recipe.size or made.deformation.shape[::-1], recipe.space or "pixels"
     if world:
         space = getattr(made, "geometry").convention  # noqa: B009
-    return replace(recipe, size=size if recipe.strokes else None, space=space)
+    scale, shape = recipe.time_scale, made.deformation.shape
+    if made.deformation.domain.time and (recipe.size is None or recipe.size == shape[::-1]):
+        scale = made.deformation.domain.spacing[2]
+    return replace(recipe, size=size if recipe.strokes else None, space=space, time_scale=scale)
 
 
 def _shared(recipe: Recipe, kept: Collection[Recipe]) -> Recipe:

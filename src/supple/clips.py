@@ -57,8 +57,8 @@ class ClipOptions:
         How frames are interpolated, as `Deformation.warp` takes it.
     time_filter : bool
         Whether pixels are averaged over the frames that they cover.
-    time_scale : float
-        How many pixels a frame is worth to the brush.
+    time_scale : float, optional
+        How many pixels a frame is worth to the brush: by default what the recipe says, or 1.
     rate : float or Fraction, optional
         Frames a second of an image sequence, which does not know; 24 without it.
     codec, preset, pixel_format : str, optional
@@ -71,7 +71,7 @@ class ClipOptions:
 
     between: str | None = None
     time_filter: bool = False
-    time_scale: float = 1.0
+    time_scale: float | None = None
     rate: float | Fraction | None = None
     codec: str | None = None
     crf: float | None = None
@@ -219,21 +219,22 @@ def deformation_of(
     recipe: Recipe,
     count: int,
     shape: tuple[int, int],
-    time_scale: float,
+    time_scale: float | None,
     name: str,
     fit: Fit | None = None,
 ) -> Deformation:
     """A recipe on a clip: strokes with a time bend the clip, those without one bend each of its frames."""
-    length("time_scale", time_scale)
+    known = recipe.time_scale if time_scale is None else length("time_scale", time_scale)
+    worth = 1.0 if known is None else known
     height, width = shape
     if not recipe.strokes or recipe.strokes[0].ndim == 2:
         return Deformation.from_recipe(fit_recipe(recipe, (width, height), fit, name), shape)
     size = (width, height, count)
     scaling = None if recipe.size is None else scaling_of(recipe.size, size, fit, time=True, name=name)
     if scaling is not None:
-        time_scale *= scaling.frame  # so that the brush covers the same part of the clip
+        worth *= scaling.frame  # so that the brush covers the same part of the clip
     recipe = fit_recipe(recipe, size, fit, name, time=True)
-    return Deformation.from_recipe(recipe, (count, *shape), spacing=(1.0, 1.0, time_scale), time=True)
+    return Deformation.from_recipe(recipe, (count, *shape), spacing=(1.0, 1.0, worth), time=True)
 
 
 def sampling_of(

@@ -70,7 +70,8 @@ class Arrival:
     moved : float
         The distance from ``final`` to ``arrived``: what later strokes did to it.
     cause : str or None
-        Of a miss: ``"fold"``, ``"border"`` or ``"fold and border"``.
+        Of a miss: ``"fold"``, ``"border"``, ``"fold and border"``, or ``"outside"`` where the stroke starts outside a
+        fixed border, and holds nothing of the picture.
     """
 
     target: tuple[float, ...]

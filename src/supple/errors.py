@@ -8,7 +8,7 @@ class SuppleError(ValueError):
 
 
 class FoldError(SuppleError):
-    """A stroke is strong enough to fold the picture over itself, and the fold policy is ``"error"``."""
+    """A stroke would fold the picture over itself, or be held back by the border, and the policy is ``"error"``."""
 
 
 class MissWarning(UserWarning):

@@ -69,7 +69,8 @@ class Resolved:
     arrived : tuple of float
         Where the stroke's point is after it, in samples.
     cause : str or None
-        What keeps it from its target: ``"fold"``, ``"border"``, both as ``"fold and border"``, or None.
+        What keeps it from its target: ``"fold"``, ``"border"``, both as ``"fold and border"``; ``"outside"`` where it
+        starts outside a fixed border, and holds nothing of the picture; or None.
     warning : str or None
         What to warn with, if it was damped, or if its point ends more than half a sample from its target.
     """
@@ -111,7 +112,7 @@ def resolve(stroke: Stroke, domain: Domain, on_fold: FoldPolicy) -> Resolved:
 
 
 # A stroke does not depend on those before it: where one of many is edited, the others are known.
-@lru_cache(maxsize=256)
+@lru_cache(maxsize=4096)
 def _resolved(stroke: Stroke, domain: Domain, on_fold: FoldPolicy) -> Resolved:
     made = _resolve(stroke, domain, on_fold)
     made.rows.flags.writeable = False
@@ -125,7 +126,7 @@ def _resolve(stroke: Stroke, domain: Domain, on_fold: FoldPolicy) -> Resolved:
     if not table["force"].any():
         return Resolved(table[:0], target)
     if on_fold == "flow":
-        return _flow(stroke, stroke.material(time=domain.time), table[0], axes, target)
+        return _flow(stroke, domain, table[0])
     lower, _ = weakest(table[0], axes)
     alpha = 1.0 if lower >= MARGIN - 1 else (1 - MARGIN) / -lower * (1 - 1e-14)
     folds = alpha < 1
@@ -133,15 +134,14 @@ def _resolve(stroke: Stroke, domain: Domain, on_fold: FoldPolicy) -> Resolved:
         most = _shown(_cut(0.999 * alpha * x, 5) for x in stroke.by)
         raise FoldError(f"{described(stroke)} folds: at most {most} does not (on_fold='flow' goes all the way)")
     table["force"] *= alpha
-    # What is outside of a fixed border is no part of the picture: a brush only passes there.
-    beta = _beta(table[0]["pivot"], axes) if _held(table[0]["pivot"], axes) else np.ones(3)
-    parts = (alpha * beta).tolist()
-    arrived = tuple(a + part * b for a, b, part in zip(stroke.at, stroke.by, parts, strict=False))
+    arrived, held = _arrived(stroke, table, domain), _held(table[0]["pivot"], axes)
     short = math.dist(arrived, target)
-    held_back = any(b and part < alpha for b, part in zip(stroke.by, parts, strict=False))
+    held_back = math.dist(arrived, [a + alpha * b for a, b in zip(stroke.at, stroke.by, strict=True)]) > 1e-9
     cause = " and ".join(["fold"] * folds + ["border"] * held_back) or None
+    if not held:
+        held_back, cause = False, "outside"
     warning = None
-    if folds or short > NEAR:
+    if folds or (short > NEAR and held):
         distance = f"{short:.3g} {'pixels' if domain.ndim == 2 else 'samples'}"
         border = "the fixed border holds it back" if held_back else ""
         if folds:
@@ -155,11 +155,29 @@ def _resolve(stroke: Stroke, domain: Domain, on_fold: FoldPolicy) -> Resolved:
     return Resolved(table, arrived, alpha, 1 + alpha * lower, cause, warning)
 
 
-def _flow(stroke: Stroke, poisson: float, row: np.void, axes: Floats, arrived: tuple[float, ...]) -> Resolved:
-    position, drag = row["pivot"].copy(), row["force"].copy()
-    target = position + drag
-    fixed = axes[:, 1] >= 0
+def _arrived(stroke: Stroke, table: Table, domain: Domain) -> tuple[float, ...]:
+    """Return where the stroke's point is after these rows, in samples."""
+    point = np.zeros((1, 3))
+    point[0, : domain.ndim] = np.multiply(stroke.at, domain.spacing)
+    moved, _ = _core.forward(numbers(table), domain.packed(), point, False)
+    return tuple((moved[0, : domain.ndim] / domain.spacing).tolist())
+
+
+def _flow(stroke: Stroke, domain: Domain, row: np.void) -> Resolved:
+    axes, poisson = domain.packed(), stroke.material(time=domain.time)
+    position, target = row["pivot"].copy(), row["pivot"] + row["force"]
+    fixed, half, extent = axes[:, 1] >= 0, NEAR * axes[:, 2], axes[:, 0]
+    # A pixel's area is half a pixel more than the faces, which are at the centres of the outermost.
+    inside = fixed & (np.maximum(-position, position - extent) <= half)
+    position = np.where(inside, np.clip(position, 0, extent), position)
     held = _held(position, axes)
+    if held:  # what ends within half a sample has arrived
+        near = np.minimum(0.5 * half, np.minimum(position, extent - position))
+        beside = fixed & (np.maximum(-target, target - extent) <= 0.5 * half) & (_beta(position, axes) > 1e-100)
+        target = np.where(beside, np.clip(target, near, extent - near), target)
+        slides = fixed & (_beta(position, axes) <= 1e-100) & (np.abs(target - position) <= half)
+        target = np.where(slides, position, target)
+    drag = target - position
     if held and np.any(
         (drag != 0) & fixed & ((_beta(position, axes) < 1e-100) | (target <= 0) | (target >= axes[:, 0]))
     ):
@@ -167,6 +185,8 @@ def _flow(stroke: Stroke, poisson: float, row: np.void, axes: Floats, arrived: t
             f"{described(stroke)} cannot arrive: the border is fixed, so that what is on it only slides "
             "along it, and nothing else gets there; use border=None, or points further in"
         )
+    if not drag.any():
+        return Resolved(np.zeros(0, row.dtype), stroke.at)
     # What is outside of a fixed border is held by nothing; a brush only passes there.
     weights = axes if held else np.array([[0.0, -1.0, 1.0, 0.0]] * 3)
     longest = (1 - _FLOW_MARGIN) * limit(poisson, stroke.scales, stroke.reach) * stroke.radius
@@ -197,7 +217,8 @@ def _flow(stroke: Stroke, poisson: float, row: np.void, axes: Floats, arrived: t
             f"{described(stroke)} squeezes what lies before it more than {1 / _SQUEEZED:g} times, which could not be "
             "undone; use a target farther from the fixed border, a wider border or border=None, or on_fold='damp'"
         )
-    return Resolved(table, arrived, margin=margin)
+    arrived = _arrived(stroke, table, domain)
+    return Resolved(table, arrived, margin=margin, cause=None if held else "outside")
 
 
 def _narrowest(table: Table, axes: Floats, start: Floats, drag: Floats) -> float:

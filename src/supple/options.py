@@ -194,15 +194,17 @@ class TimeOptions:
     Parameters
     ----------
     time_scale
-        How many pixels one frame counts as, for radius and border (default 1).
+        How many pixels one frame counts as, for radius and border (default: what the recipe says, or 1).
     """
 
     time_scale: Annotated[str | None, Parameter(metavar="PX", allow_leading_hyphen=True)] = None
 
-    def to_scale(self) -> float:
+    def to_scale(self) -> float | None:
         """The same for the library."""
+        if self.time_scale is None:
+            return None
         wanted = "a number of pixels above 0"
-        scale = 1.0 if self.time_scale is None else parse_number("--time-scale", self.time_scale, wanted)
+        scale = parse_number("--time-scale", self.time_scale, wanted)
         if not 0 < scale < math.inf:
             raise SuppleError(f"--time-scale must be {wanted}, found {self.time_scale!r}")
         return scale

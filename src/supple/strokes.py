@@ -57,7 +57,7 @@ STROKE_DTYPE = np.dtype(
 )
 
 # Keys that version 1 has not.
-_NEW = ("border_profile", "reach", "size", "space", "amount", "name", "strength", "to")
+_NEW = ("border_profile", "reach", "size", "space", "amount", "time_scale", "name", "strength", "to")
 _PART = "a number from 0 to 1"
 
 # The radii are ε, 1.1ε and 1.21ε. The weights that cancel the far field, divided by what they leave at the
@@ -191,6 +191,9 @@ class Recipe:
         None: not said, which means pixels, unless what reads the volume says otherwise.
     amount : float
         The part of it that is carried out, from 0 to 1: of every stroke's drag.
+    time_scale : float or None
+        Of a recipe with times: how many pixels a frame is worth to the brush. None: not said, which means 1, unless
+        what reads the clip says otherwise.
     """
 
     border: Border = "auto"
@@ -200,6 +203,7 @@ class Recipe:
     size: tuple[int, ...] | None = None
     space: Space | None = None
     amount: float = 1.0
+    time_scale: float | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "border", checked_border(self.border))
@@ -222,6 +226,8 @@ class Recipe:
             if self.is_world and ndim == 2:
                 refuse("space", '"pixels" where points have 2 numbers', self.space)
         object.__setattr__(self, "amount", number("amount", self.amount, _PART, 0.0, 1.0))
+        if self.time_scale is not None:
+            object.__setattr__(self, "time_scale", length("time_scale", self.time_scale))
 
     @property
     def is_world(self) -> bool:
@@ -291,6 +297,8 @@ class Recipe:
             head["space"] = self.space
         if self.size is not None:
             head["size"] = list(self.size)
+        if self.time_scale is not None:
+            head["time_scale"] = _plain(self.time_scale)
         members = [f"  {_dump(key)}: {_dump(value)}" for key, value in head.items()]
         strokes = ",\n".join(f"    {_dump(_stroke_entry(stroke))}" for stroke in self.strokes)
         members.append(f'  "strokes": [\n{strokes}\n  ]' if strokes else '  "strokes": []')

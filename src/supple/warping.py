@@ -98,10 +98,11 @@ def clamp_to(source: Array, result: Array, sampling: Sampling) -> None:
     if low > high:  # there is no finite value
         return
     if sampling.outside == "constant":
-        fill = np.asarray(sampling.fill, np.float64)
+        fill = [float(value) for value in np.ravel(sampling.fill)]
         if result.dtype.kind in "iu":
-            fill = np.rint(np.clip(fill, np.iinfo(result.dtype).min, np.iinfo(result.dtype).max))
-        low, high = min(low, result.dtype.type(fill.min())), max(high, result.dtype.type(fill.max()))
+            least, most = np.iinfo(result.dtype).min, np.iinfo(result.dtype).max
+            fill = [min(max(round(value), least), most) for value in fill]
+        low, high = min(low, result.dtype.type(min(fill))), max(high, result.dtype.type(max(fill)))
     for part in _slabs(result):  # only what is beyond is touched: all else keeps every bit, the sign of a zero too
         for beyond, bound in ((part < low, low), (part > high, high)):
             if infinite:

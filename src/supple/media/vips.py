@@ -79,7 +79,9 @@ def opened(path: PathLike) -> tuple[Any, str]:
             image.set_type(pyvips.GValue.gint_type, "n-pages", frames)
         if form == "TIFF" and is_ycbcr(path):
             image = _in_rgb(path, image)
-    except (pyvips.Error, UnicodeError) as error:
+    except SuppleError:
+        raise
+    except (pyvips.Error, ArithmeticError, ValueError) as error:
         if _HEIC.match(head):
             what = "it is HEIC, which is not supported here: convert it, to AVIF or JPEG for instance"
             raise SuppleError(f"cannot read {name}: {what}") from error
@@ -178,7 +180,9 @@ def reading(path: PathLike) -> Iterator[None]:
     """Make of every failure one sentence."""
     try:
         yield
-    except (pyvips.Error, OSError, UnicodeError, MemoryError) as error:
+    except SuppleError:
+        raise
+    except (pyvips.Error, OSError, ArithmeticError, ValueError, MemoryError) as error:
         raise _damaged(path, error) from error
 
 

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 from supple.deformation import Arrival, Deformation
-from supple.domain import Border, integer, refuse
+from supple.domain import Border, Domain, integer, refuse
 from supple.errors import SuppleError
 from supple.geometry import Geometry
 from supple.scaling import spoken
@@ -88,7 +88,7 @@ class Document:
     @property
     def recipe(self) -> Recipe:
         """What `supple.warp_file` takes to make what is seen, and what is saved: with the hidden strokes."""
-        made = replace(self.state.recipe, size=self.shape[::-1], space="pixels")
+        made = replace(self.state.recipe, size=self.shape[::-1], space="pixels", time_scale=self._time_scale)
         space = self.state.space
         return made if space is None or self.geometry is None else placed(made, self.geometry, space)
 
@@ -172,6 +172,11 @@ class Document:
         """A recipe as it is edited here."""
         return replace(State.of(self._fitting(recipe)), space=recipe.space if recipe.is_world else None)
 
+    @property
+    def _time_scale(self) -> float | None:
+        timed = self.kind == "video" and len(self.shape) == 3
+        return self.deformation.domain.spacing[2] if timed else None
+
     def _fitting(self, recipe: Recipe) -> Recipe:
         """A recipe in samples of this medium, if its strokes are of one like it; it is scaled if its size differs."""
         count = len(self.shape)
@@ -190,6 +195,12 @@ class Document:
             raise SuppleError(
                 f"the recipe was made for {spoken(recipe.size or size)}, and this clip is {spoken(size)}: "
                 "supple warp scales it, and the window does not"
+            )
+        worth = Domain(self.shape, self.spacing).spacing[-1]
+        if time and recipe.time_scale not in (None, worth):
+            raise SuppleError(
+                f"in the recipe, a frame is worth {recipe.time_scale:g} pixels, and here {worth:g}: open the clip with "
+                f"--time-scale {recipe.time_scale:g}"
             )
         if recipe.is_world and self.geometry is None:
             raise SuppleError(f"the recipe is in {recipe.space} millimetres, and this is no volume: open one in pixels")

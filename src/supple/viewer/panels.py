@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 WIDE = 300  # logical pixels
 BAR, LINE = 44, 24  # and of the timeline and the status line below
-CAUSES = {"fold": "all of it would fold", "border": "the fixed border holds it back"}
+CAUSES = {"fold": "all of it would fold", "border": "the fixed border holds it back", "outside": "it starts outside"}
 CAUSES["fold and border"] = f"{CAUSES['fold']}, and {CAUSES['border']}"
 FALLOFFS = ("far, as 1/r", "nearer, as 1/r3", "near, as 1/r5")
 _POLICIES = get_args(FoldPolicy)
