@@ -1,16 +1,27 @@
-"""Make the pictures of the README and the documentation, in docs/images."""
+"""Make the pictures of the README and the documentation, in docs/images.
 
+python docs/make_images.py [how-to]     all, or those of how-to.md; that of the wall needs scikit-image
+"""
+
+import contextlib
 import io
+import re
+import shlex
+import shutil
+import subprocess
 import sys
 import tempfile
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pyvips
+import SimpleITK as sitk  # noqa: N813
 
 import supple
 from supple.diagnostics import figure
 from supple.media import image
+from supple.volumes import open_volume
 
 HERE = Path(__file__).resolve().parent
 sys.path.insert(0, str(HERE.parent / "examples"))
@@ -20,7 +31,8 @@ import heart  # noqa: E402
 import modes  # noqa: E402
 import smile  # noqa: E402
 
-WHITE = [255] * 3
+WHITE, RED = [255] * 3, (230, 50, 40)
+DATA = Path(supple.__file__).parent / "data"
 
 
 def rendered(deformation: supple.Deformation, what: str, photo: image.Array | None = None) -> pyvips.Image:
@@ -74,10 +86,118 @@ def volumes_bent(folder: Path) -> None:
             picture.resize(scale).jpegsave(folder / f"{what}.jpg", Q=80, keep="none")
 
 
+def shown(pixels: image.Array, scale: float, kernel: str = "cubic") -> pyvips.Image:
+    """An array as a picture, enlarged."""
+    return pyvips.Image.new_from_array(np.ascontiguousarray(pixels)).resize(scale, kernel=kernel)
+
+
+def side_by_side(path: Path, pictures: list[pyvips.Image], across: int = 0) -> None:
+    """Write pictures in rows of `across`, or in one row."""
+    joined = pyvips.Image.arrayjoin(pictures, across=across or len(pictures), shim=8, background=WHITE)
+    joined.webpsave(path, Q=80, effort=6, keep="none")
+
+
+def bowed_wall() -> pyvips.Image:
+    """Bricks as a wide lens shows them: the photograph of scikit-image (CC0), with a barrel distortion."""
+    import skimage.data
+
+    bricks = pyvips.Image.new_from_array(skimage.data.brick()).colourspace("srgb")
+    places = pyvips.Image.xyz(400, 400) - 199.5
+    wider = (places[0] ** 2 + places[1] ** 2) * 3e-6 + 1
+    return bricks.mapim(places * wider + 255.5, interpolate=pyvips.Interpolate.new("bicubic"))
+
+
+def ruled(pixels: image.Array, top: float, bottom: float) -> pyvips.Image:
+    """A part of the wall, enlarged, with a straight line in it, dashed, from `x = top` to `x = bottom`."""
+    ends = (f"{2 * x - 19} {y}" for x, y in ((top, 0), (bottom, 720)))
+    style = 'stroke="#ff2d20" stroke-width="2.5" stroke-dasharray="16 26"'
+    line = f'<svg width="440" height="720"><path d="M{next(ends)} L{next(ends)}" {style}/></svg>'
+    part = shown(pixels[20:380, 10:230], 2)
+    return part.composite2(pyvips.Image.svgload_buffer(line.encode()), "over").flatten().resize(0.75)
+
+
+def outlined(head: image.Array, mask: image.Array) -> pyvips.Image:
+    """A slice, the front above, with the outline of a mask in red."""
+    grey = shown(head[::-1], 4).numpy().astype(np.float64)
+    pixels = np.repeat(np.clip(1.4 * grey, 0, 255).astype(np.uint8)[..., None], 3, axis=2)
+    inside = mask[::-1].repeat(4, axis=0).repeat(4, axis=1) > 0
+    inner = inside & np.roll(inside, 2, 0) & np.roll(inside, -2, 0) & np.roll(inside, 2, 1) & np.roll(inside, -2, 1)
+    pixels[inside & ~inner] = RED
+    return pyvips.Image.new_from_array(pixels)
+
+
+def coloured(values: image.Array) -> pyvips.Image:
+    """A slice of the label map, in greys; what is no label in red."""
+    pixels = np.empty((*values.shape, 3), np.uint8)
+    pixels[:] = RED
+    for label, grey in LABELS.items():
+        pixels[values == label] = grey
+    return shown(pixels[::-1], 4, kernel="nearest")
+
+
+LABELS = {0: 0, 10: 90, 40: 160, 90: 235}  # background, fluid, grey matter, white matter
+
+
+def inputs(folder: Path) -> None:
+    """What the commands of how-to.md start from."""
+    for source, name in (("astronaut.jpg", "portrait.jpg"), ("bunny.mp4", "clip.mp4"), ("coffee.jpg", "photo.jpg")):
+        shutil.copy(DATA / source, folder / name)
+    bowed_wall().pngsave(folder / "wall.png")
+    head, brain = (sitk.ReadImage(str(DATA / f"{name}.nii.gz")) for name in ("head", "brain"))
+    values, mask = sitk.GetArrayFromImage(head), sitk.GetArrayFromImage(brain)
+    off = supple.Deformation(mask.shape, spacing=(2, 2, 2)).grab((17, 89, 40), by=(4, -5, 0), radius=30, scales=2)
+    tissue = np.digitize(values, (60, 95)).astype(np.uint8)
+    labels = np.where(mask > 0, np.array([10, 40, 90], np.uint8)[tissue], 0).astype(np.uint8)
+    for name, array in (("atlas", off.warp(mask, filter="nearest")), ("labels", labels)):
+        made = sitk.GetImageFromArray(array)
+        made.CopyInformation(brain)
+        sitk.WriteImage(made, str(folder / f"{name}.nii.gz"))
+
+
+def how_to(folder: Path) -> None:
+    """What the commands of how-to.md make."""
+    page = (HERE / "how-to.md").read_text(encoding="utf-8").replace("\\\n", " ")
+    with tempfile.TemporaryDirectory() as name:
+        made = Path(name)
+        inputs(made)
+        shutil.copytree(made, made / "python")
+        here: dict[str, Any] = {}
+        with contextlib.chdir(made / "python"):
+            exec("\n".join(re.findall(r"^```python\n(.*?)^```$", page, re.MULTILINE | re.DOTALL)), here)
+        for command in re.findall(r"^supple (.*)$", page, re.MULTILINE):
+            subprocess.run([sys.executable, "-m", "supple", *shlex.split(command)], cwd=made, check=True)
+        mixing = "warp labels.nii.gz mixed.nii.gz --grab 45,98,40:45,91,40 --radius 30 --quiet"
+        subprocess.run([sys.executable, "-m", "supple", *mixing.split()], cwd=made, check=True)
+
+        portrait, slim, wide = (image.read(made / f"{n}.jpg").pixels for n in ("portrait", "slim", "open"))
+        face, eyes = np.s_[40:205, 150:295], np.s_[82:124, 183:267]
+        side_by_side(folder / "how-to-cheek.webp", [shown(pixels[face], 2.6) for pixels in (portrait, slim)])
+        side_by_side(folder / "how-to-eye.webp", [shown(pixels[eyes], 4.8) for pixels in (portrait, wide)])
+        lines = (("wall", 110.7, 94.7), ("straight", 113.7, 97.9))
+        walls = [ruled(image.read(made / f"{n}.png").pixels, top, bottom) for n, top, bottom in lines]
+        side_by_side(folder / "how-to-line.webp", walls)
+
+        clips = [smile.frames_of(made / f"{n}.mp4", (34, 41, 50)) for n in ("clip", "late")]
+        side_by_side(folder / "how-to-clip.webp", [shown(p, 0.45) for clip in clips for _, p in clip], across=3)
+
+        head = open_volume(DATA / "head.nii.gz").samples[40]
+        masks = [open_volume(made / f"{n}.nii.gz").samples[40] for n in ("atlas", "corrected")]
+        side_by_side(folder / "how-to-atlas.webp", [outlined(head, mask) for mask in masks])
+        maps = [open_volume(made / f"{n}.nii.gz").samples[40] for n in ("labels", "mixed", "bent-labels")]
+        side_by_side(folder / "how-to-labels.webp", [coloured(values) for values in maps])
+
+    photos, masks = ([here[one], *here[many]] for one, many in (("photo", "images"), ("mask", "masks")))
+    rows = [*(shown(p, 0.36) for p in photos), *(shown(255 * m, 0.36).colourspace("srgb") for m in masks)]
+    side_by_side(folder / "how-to-training.webp", rows, across=4)
+
+
 def main() -> None:
     """Make all pictures."""
     folder = HERE / "images"
     folder.mkdir(exist_ok=True)
+    how_to(folder)
+    if sys.argv[1:] == ["how-to"]:
+        return
     photo = image.read(heart.PHOTO).pixels
     d = heart.heart(photo.shape[:2])
     pair = pyvips.Image.arrayjoin(

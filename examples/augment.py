@@ -14,7 +14,7 @@ STROKES, VARIANTS = 5, 4
 
 def random_deformation(shape: tuple[int, int], rng: np.random.Generator) -> supple.Deformation:
     size = np.array([shape[1] - 1, shape[0] - 1])
-    d = supple.Deformation(shape, border=40)  # a drag too strong for one stroke takes several
+    d = supple.Deformation(shape)  # a drag too strong for one stroke takes several
     for _ in range(STROKES):
         radius = rng.uniform(0.1, 0.35) * size.min()
         at = rng.uniform(0.15, 0.85, 2) * size
