@@ -401,7 +401,7 @@ def test_a_safe_stroke_flows_as_one() -> None:
 )
 def test_flow_refuses_what_a_fixed_border_forbids(at: tuple[float, float], by: tuple[float, float]) -> None:
     stroke = Stroke(at=at, by=by, radius=100)
-    with pytest.raises(SuppleError, match=r"^a drag by .* at .* cannot arrive: the border is fixed.*border=None"):
+    with pytest.raises(SuppleError, match=r"^a drag by .* at .* cannot arrive: it.* the border is fixed.*border=None"):
         resolve(stroke, Domain((512, 512)), "flow")
     assert resolve(stroke, Domain((512, 512), border=None), "flow").substrokes >= 1
     assert resolve(stroke, Domain((512, 512)), "damp").substrokes == 1

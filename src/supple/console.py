@@ -16,7 +16,7 @@ from dataclasses import asdict, dataclass, field
 from types import FrameType
 from typing import TYPE_CHECKING, Any, NoReturn
 
-from supple.errors import SuppleError
+from supple.errors import ScaleWarning, SuppleError
 
 if TYPE_CHECKING:
     from supple.deformation import Deformation
@@ -152,8 +152,14 @@ class Console:
             sys.stdout.write(line + "\n")
             sys.stdout.flush()
 
-    def warn(self, text: object) -> None:
+    def warn(self, text: object, *, meant: bool = False) -> None:
         """Write a warning, unless it has been written before or is unwanted; with --strict, raise it as an error.
+
+        Parameters
+        ----------
+        text : object
+        meant : bool
+            Whether what it says is what was asked for, and no error with --strict either.
 
         Raises
         ------
@@ -169,7 +175,7 @@ class Console:
             self._said.add(line)
             if line not in file.warnings:
                 file.warnings.append(line)
-        if self.strict:
+        if self.strict and not meant:
             raise SuppleError(f"{line} (--strict: warnings are errors)")
         if fresh and not self.quiet:
             self.say(f"warning: {line}")
@@ -319,7 +325,7 @@ def _warnings(console: Console) -> Iterator[None]:
 
     def show(message: Warning | str, category: type[Warning], *rest: object, **named: object) -> None:
         if category.__module__.startswith("supple."):
-            console.warn(message)
+            console.warn(message, meant=issubclass(category, ScaleWarning))
 
     with warnings.catch_warnings():
         if os.environ.get("SUPPLE_DEBUG") != "1":

@@ -181,9 +181,11 @@ def _flow(stroke: Stroke, domain: Domain, row: np.void) -> Resolved:
     if held and np.any(
         (drag != 0) & fixed & ((_beta(position, axes) < 1e-100) | (target <= 0) | (target >= axes[:, 0]))
     ):
+        beyond = bool(np.any(fixed & (drag != 0) & ((target <= 0) | (target >= extent))))
+        where = "its target is on the edge or outside, and" if beyond else "it starts on the edge, and"
         raise SuppleError(
-            f"{described(stroke)} cannot arrive: the border is fixed, so that what is on it only slides "
-            "along it, and nothing else gets there; use border=None, or points further in"
+            f"{described(stroke)} cannot arrive: {where} the border is fixed, so that what is on it only slides along "
+            "it, and nothing else gets there; use border=None, or points further in"
         )
     if not drag.any():
         return Resolved(np.zeros(0, row.dtype), stroke.at)

@@ -67,7 +67,8 @@ def warn_of(certificate: Certificate, tolerance: float, stacklevel: int) -> None
     """Warn if a map may be less exact than was asked."""
     if not certificate.error <= 1.01 * tolerance + FINEST:
         warnings.warn(
-            f"the map may be off by {certificate.error:.2g} px somewhere, more than the tolerance {tolerance:g}",
+            f"the map may be off by {certificate.error:.2g} px somewhere, more than the tolerance {tolerance:g}: "
+            "use a larger radius, a shorter drag or a larger tolerance; report() measures every pixel",
             ToleranceWarning,
             stacklevel=stacklevel,
         )
