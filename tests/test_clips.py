@@ -365,6 +365,19 @@ def test_time_scale_is_the_spacing_of_the_domain(here: Path) -> None:
     assert (stack("a.mkv") != stack("b.mkv")).any()
 
 
+def test_a_saved_recipe_holds_what_a_frame_is_worth(run: Run) -> None:
+    noisy("in.mkv", "yuv444p")
+    drag = ["--grab", "30,20,5:33,20,5", "--radius", "9"]
+    assert run("warp", "in.mkv", "a.mkv", *drag, "--time-scale", "3", "--save-recipe", "r.json")[0] == 0
+    assert supple.Recipe.from_json(Path("r.json").read_text()).time_scale == 3
+    assert run("warp", "in.mkv", "b.mkv", "--recipe", "r.json")[0] == 0
+    same_frames("a.mkv", "b.mkv")
+    assert run("warp", "in.mkv", "c.mkv", "--recipe", "r.json", "--time-scale", "1")[0] == 0
+    assert (stack("a.mkv") != stack("c.mkv")).any()
+    assert run("warp", "in.mkv", "d.mkv", "--grab", "30,20:33,20", "--radius", "9", "--save-recipe", "s.json")[0] == 0
+    assert supple.Recipe.from_json(Path("s.json").read_text()).time_scale is None
+
+
 def test_a_recipe_scales_on_a_larger_clip_and_so_does_what_a_frame_is_worth() -> None:
     recipe = replace(TIMED, size=(64, 48, 12))
     small = deformation_of(recipe, 12, (48, 64), 3.0, "small.mkv")
@@ -622,7 +635,7 @@ def test_recipes_with_times_are_saved_and_carried_out(run: Run) -> None:
     noisy("in.mkv", "yuv420p")
     assert run("warp", "in.mkv", "a.mkv", *GRAB, "--save-recipe", "r.json") == (0, "", "")
     recipe = supple.Recipe.from_json(Path("r.json").read_text())
-    assert recipe == replace(TIMED, size=(64, 48, 12), space="pixels")
+    assert recipe == replace(TIMED, size=(64, 48, 12), space="pixels", time_scale=1.0)
     assert run("warp", "in.mkv", "b.mkv", "--recipe", "r.json") == (0, "", "")
     same_frames("a.mkv", "b.mkv")
     status, out, err = run("info", "r.json")

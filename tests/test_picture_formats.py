@@ -311,7 +311,7 @@ def test_all_pages_of_a_tiff_are_bent_alike(tmp_path: Path) -> None:
             image.seek(k)
             np.testing.assert_array_equal(np.asarray(image), map_.warp(page))
             assert image.tag_v2.get(296, 1) == 1
-    what = r"holds 3 pages, and only one of them is read: name a TIFF, out\.tif, to keep all that are of one size"
+    what = r"holds 3 pages, and only one is read: all are kept if they are of one size"
     with pytest.warns(PageWarning, match=what):
         warp_file(tmp_path / "in.tif", tmp_path / "out.png", recipe)
     Image.fromarray(pages[0]).save(tmp_path / "odd.tif", save_all=True, append_images=[Image.fromarray(pages[0][:9])])

@@ -545,6 +545,7 @@ def random_edit(d: Document, rng: random.Random) -> None:
         rng.choice([d.commit, d.abandon, d.undo])()
 
 
+@pytest.mark.filterwarnings("ignore::supple.errors.OutsideWarning")
 @pytest.mark.parametrize("seed", [0, 1])
 def test_soak(seed: int) -> None:
     rng = random.Random(seed)
@@ -583,3 +584,12 @@ def test_soak(seed: int) -> None:
         d.redo()
     assert d.state.content == last.content
     same(d)
+
+
+def test_a_clip_knows_what_a_frame_is_worth() -> None:
+    late = Stroke(at=(30, 20, 3), by=(4, 0, 0), radius=9)
+    d = Document((9, 40, 60), (1.0, 1.0, 2.5), Recipe(strokes=(late,), time_scale=2.5), kind="video")
+    assert d.recipe.time_scale == 2.5
+    with pytest.raises(SuppleError, match=r"frame is worth 4 pixels, and here 2\.5: open .* --time-scale 4"):
+        d.load(Recipe(strokes=(late,), time_scale=4))
+    assert Document(SHAPE).recipe.time_scale is None

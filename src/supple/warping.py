@@ -68,7 +68,7 @@ def warn_of(certificate: Certificate, tolerance: float, stacklevel: int) -> None
     if not certificate.error <= 1.01 * tolerance + FINEST:
         warnings.warn(
             f"the map may be off by {certificate.error:.2g} px somewhere, more than the tolerance {tolerance:g}: "
-            "use a larger radius, a shorter drag or a larger tolerance; report() measures every pixel",
+            "use a larger radius, a shorter drag or a larger tolerance",
             ToleranceWarning,
             stacklevel=stacklevel,
         )

@@ -198,7 +198,7 @@ def _pages(form: str) -> str:
     if form in ("PNG", "GIF", "WebP"):
         return "frames, and only the first is read: name a video or a GIF, out.mp4 or out.gif, to keep them all"
     if form == "TIFF":
-        return "pages, and only one of them is read: all are kept where they are of one size and type, and the output is a TIFF"
+        return "pages, and only one is read: all are kept if they are of one size and type, and the output is a TIFF"
     return "pages or frames, and only one of them is read"
 
 
