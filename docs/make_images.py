@@ -205,7 +205,7 @@ def main() -> None:
     )
     pair.jpegsave(folder / "heart.jpg", Q=84, keep="none")
     rendered(d, "stretch", photo).jpegsave(folder / "stretch.jpg", Q=82, keep="none")
-    paper = supple.Deformation((512, 512)).grab((256, 256), by=(0, 90), radius=100)
+    paper = supple.Deformation((512, 512)).grab((256, 256), by=(0, 90), radius=100, reach=None)
     bunny_smiles(folder)
     time_filtered(folder)
     volumes_bent(folder)

@@ -31,7 +31,7 @@ def mandelbrot(points: np.ndarray) -> np.ndarray:
 
 def main(folder: Path) -> None:
     still = supple.Deformation((SIZE, SIZE), border=None)
-    bent = still.grab((200, 400), by=(200, 100), radius=100)
+    bent = still.grab((200, 400), by=(200, 100), radius=100, reach=None)
     for name, d in (("fractal", still), ("fractal_bent", bent)):
         colours = d.warp(mandelbrot, samples=2)
         image.write(folder / f"{name}.png", np.rint(255 * colours).astype(np.uint8), force=True)
