@@ -30,7 +30,7 @@ DOUBLE = torch.float64
 def bent(shape: tuple[int, ...] = (9, 11), reach: float | None = None, **options: Any) -> supple.Deformation:
     """Three strokes of one to three scales, none of which lies on a pixel."""
     options = {"border": 4.0, **options}
-    d = supple.Deformation(shape, **options)
+    d = supple.Deformation(shape, **{"on_fold": "damp", **options})
     middle = (np.array(shape[::-1]) - 1) / 2
     drags = np.array([[1.1, -0.7, 0.4], [-0.5, 0.73, -0.61], [0.37, 0.41, 0.53]])[:, : len(shape)]
     places = np.array([[-0.63, 0.71, 0.29], [1.27, -1.13, 0.37], [-1.31, -0.57, -0.21]])[:, : len(shape)]

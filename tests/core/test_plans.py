@@ -63,7 +63,7 @@ def promised(d: Deformation, tolerance: float, z: float = 0.0) -> None:
     assert measured <= UNSEEN * p.error + SOLVED * tolerance + rounding
     assert p.error <= max(tolerance, rounding)
     assert worst <= UNSEEN * tolerance + rounding
-    assert not p.identity or p.error == worst == 0
+    assert not p.identity or max(p.error, worst) < 1e-12  # where nothing moves, but for rounding
 
 
 TOLERANCES = (1e-1, 1e-2, 1e-3, 1e-4)

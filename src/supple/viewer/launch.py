@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from supple.clips import ClipOptions, is_clip, open_clip
+from supple.clips import is_clip, open_clip
 from supple.domain import choice, length, point
 from supple.errors import SuppleError
 from supple.geometry import Geometry
@@ -75,7 +75,7 @@ class ViewOptions:
     def export(self) -> dict[str, Any]:
         """What `supple.warp_file` takes to make what is seen."""
         # Strokes are indices here, whatever the first ones were.
-        return {"clip": ClipOptions(time_scale=self.time_scale), "volume": replace(self.volume, world=False)}
+        return {"volume": replace(self.volume, world=False)}
 
 
 _USUAL = ViewOptions()
