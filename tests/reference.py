@@ -75,10 +75,18 @@ def support(r: Floats, reach: float) -> tuple[Floats, Floats]:
     return m, (np.where(inside, -30 * t * (1 - t) ** 2, 0.0) / reach**2)[..., None] * r
 
 
+def faces(domain: Domain) -> tuple[Floats, Floats]:
+    """Return the faces in physical units, x first: the outer edges of the samples, or the centres, the paper's."""
+    n = np.array(domain.shape[::-1])
+    edge = np.where(n > 1, 0.0 if domain.border_profile == "sine" else 0.5, 0.0)
+    return -edge * domain.spacing, (n - 1 + edge) * domain.spacing
+
+
 def width(domain: Domain, i: int) -> float | None:
     """Return the width of the border along an axis."""
     if domain.border == "auto":
-        return 0.1 * (domain.shape[::-1][i] - 1) * domain.spacing[i]
+        first, last = faces(domain)
+        return 0.1 * float(last[i] - first[i])
     return domain.border[i] if isinstance(domain.border, tuple) else domain.border
 
 
@@ -107,15 +115,15 @@ def displacement(stroke: Stroke, domain: Domain, points: Floats) -> tuple[Floats
 
     Beyond a fixed face, the displacement is that of the nearest point of the face.
     """
-    steps, extent = np.array(domain.spacing), np.array(domain.extent)
-    near = points if domain.border is None else np.clip(points, 0, extent)
+    steps, (first, last) = np.array(domain.spacing), faces(domain)
+    near = points if domain.border is None else np.clip(points, first, last)
     pivot, force = np.array(stroke.at) * steps, np.array(stroke.by) * steps
     r = near - pivot
     k, j = grab(force, stroke.radius, stroke.material(), stroke.scales, r)
     m, slope = support(r, radius_of_support(stroke))
     k, j = m[..., None] * k, m[..., None, None] * j + k[..., :, None] * slope[..., None, :]
     for i in range(domain.ndim):
-        beta, change = fade(near[..., i], extent[i], width(domain, i), domain.border_profile)
+        beta, change = fade(near[..., i] - first[i], last[i] - first[i], width(domain, i), domain.border_profile)
         j[..., i, :] *= beta[..., None]
         j[..., i, i] += change * k[..., i]
         k[..., i] *= beta
@@ -197,7 +205,7 @@ def reached(strokes: Iterable[Stroke], domain: Domain, points: Floats) -> npt.ND
     steps = np.array(domain.spacing)
     near = points * steps
     if domain.border is not None:
-        near = np.clip(near, 0, domain.extent)
+        near = np.clip(near, *faces(domain))
     found = np.zeros(points.shape[:-1], np.bool_)
     for stroke in strokes:
         if any(stroke.by):

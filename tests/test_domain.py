@@ -36,11 +36,12 @@ def test_defaults() -> None:
     assert domain.shape == (512, 640)
     assert domain.spacing == (1.0, 1.0)
     assert domain.border == "auto"
-    assert domain.border_widths == pytest.approx((63.9, 51.1))
+    assert domain.border_widths == pytest.approx((64.0, 51.2))
     assert not domain.time
     assert domain.border_profile == "quartic"
     assert domain.ndim == 2
-    assert domain.extent == (639.0, 511.0)
+    assert domain.extent == (640.0, 512.0)
+    assert domain.faces == ((-0.5, 639.5), (-0.5, 511.5))
 
 
 def test_is_a_value() -> None:
@@ -59,42 +60,45 @@ def test_is_a_value() -> None:
 
 def test_points_are_x_first() -> None:
     domain = Domain((3, 5, 9), (1, 10, 100))
-    assert domain.extent == (8.0, 40.0, 200.0)
+    assert domain.extent == (9.0, 50.0, 300.0)
+    assert domain.faces == ((-0.5, 8.5), (-5.0, 45.0), (-50.0, 250.0))
     assert domain.ndim == 3
 
 
 def test_a_scalar_spacing_is_for_all_axes() -> None:
     assert Domain((3, 5, 9), np.float64(0.5)).spacing == (0.5, 0.5, 0.5)
     assert Domain((3, 5), Fraction(1, 4)).spacing == (0.25, 0.25)  # type: ignore[arg-type]
-    assert Domain((3, 5), 2).extent == (8.0, 4.0)
+    assert Domain((3, 5), 2).extent == (10.0, 6.0)
 
 
 def test_packed_image() -> None:
     packed = Domain((101, 401), (1, 2), border=60).packed()
     assert packed.dtype == np.float64
     assert packed.flags.c_contiguous
-    np.testing.assert_array_equal(packed, [[400, 60, 1, 0], [200, 60, 2, 0], [0, -1, 1, 0]])
+    expected = [[-0.5, 400.5, 60, 1, 0], [-1, 201, 60, 2, 0], [0, 0, -1, 1, 0]]
+    np.testing.assert_array_equal(packed, expected)
 
 
 def test_packed_border_is_at_most_half_the_extent() -> None:
     packed = Domain((41, 61, 1001), (1, 1, 3), border=50).packed()
-    np.testing.assert_array_equal(packed, [[1000, 50, 1, 0], [60, 30, 1, 0], [120, 50, 3, 0]])
+    np.testing.assert_array_equal(packed, [[-0.5, 1000.5, 50, 1, 0], [-0.5, 60.5, 30.5, 1, 0], [-1.5, 121.5, 50, 3, 0]])
 
 
 def test_packed_free_border() -> None:
     packed = Domain((4, 5, 6), 2, border=None).packed()
-    np.testing.assert_array_equal(packed, [[10, -1, 2, 0], [8, -1, 2, 0], [6, -1, 2, 0]])
+    np.testing.assert_array_equal(packed, [[-1, 11, -1, 2, 0], [-1, 9, -1, 2, 0], [-1, 7, -1, 2, 0]])
 
 
 def test_an_axis_of_one_sample() -> None:
-    np.testing.assert_array_equal(Domain((1, 11)).packed(), [[10, 1, 1, 0], [0, 0, 1, 0], [0, -1, 1, 0]])
-    np.testing.assert_array_equal(Domain((1, 1), border=None).packed(), [[0, -1, 1, 0]] * 3)
-    np.testing.assert_array_equal(Domain((1, 1, 1)).packed(), [[0, 0, 1, 0]] * 3)
+    packed = Domain((1, 10)).packed()
+    np.testing.assert_array_equal(packed, [[-0.5, 9.5, 1, 1, 0], [0, 0, 0, 1, 0], [0, 0, -1, 1, 0]])
+    np.testing.assert_array_equal(Domain((1, 1), border=None).packed(), [[0, 0, -1, 1, 0]] * 3)
+    np.testing.assert_array_equal(Domain((1, 1, 1)).packed(), [[0, 0, 0, 1, 0]] * 3)
 
 
-def test_packed_border_profile() -> None:
+def test_the_papers_border_ends_at_the_centres_of_the_outermost_samples() -> None:
     packed = Domain((101, 401), (1, 2), border=60, border_profile="sine").packed()
-    np.testing.assert_array_equal(packed, [[400, 60, 1, 1], [200, 60, 2, 1], [0, -1, 1, 1]])
+    np.testing.assert_array_equal(packed, [[0, 400, 60, 1, 1], [0, 200, 60, 2, 1], [0, 0, -1, 1, 1]])
 
 
 def test_border_factors() -> None:
@@ -113,7 +117,7 @@ def test_border_factors() -> None:
 def test_packed_is_a_copy() -> None:
     domain = Domain((4, 5))
     domain.packed()[:] = 7
-    assert domain.packed()[0, 0] == 4
+    assert domain.packed()[0, 0] == -0.5
 
 
 @settings(deadline=None)
@@ -125,13 +129,13 @@ def test_packed_is_a_copy() -> None:
 def test_packed_agrees_with_the_properties(shape: list[int], step: float, border: float | None) -> None:
     domain = Domain(shape, step, border)
     packed = domain.packed()
-    assert tuple(packed[: domain.ndim, 0]) == domain.extent
-    assert tuple(packed[: domain.ndim, 2]) == domain.spacing
-    sigma = packed[: domain.ndim, 1]
+    assert tuple(map(tuple, packed[: domain.ndim, :2])) == domain.faces
+    assert tuple(packed[: domain.ndim, 3]) == domain.spacing
+    sigma = packed[: domain.ndim, 2]
     if border is None:
         assert (sigma == -1).all()
     else:
-        assert ((sigma >= 0) & (sigma <= border) & (2 * sigma <= packed[: domain.ndim, 0])).all()
+        assert ((sigma >= 0) & (sigma <= border) & (2 * sigma <= domain.extent)).all()
 
 
 @pytest.mark.parametrize(
@@ -187,8 +191,8 @@ def test_refuses_borders_of_axes(bad: Any) -> None:
 def test_borders_of_axes() -> None:
     domain = Domain((41, 81, 101), (1, 1, 2), border=np.array([30, 50, 4]))
     assert domain.border == (30.0, 50.0, 4.0)
-    assert domain.border_widths == (30.0, 40.0, 4.0)  # at most half of an axis
-    np.testing.assert_array_equal(domain.packed()[:, 1], [30, 40, 4])
+    assert domain.border_widths == (30.0, 40.5, 4.0)  # at most half of an axis
+    np.testing.assert_array_equal(domain.packed()[:, 2], [30, 40.5, 4])
     assert hash(domain) == hash(Domain((41, 81, 101), (1, 1, 2), border=(30, 50, 4)))
     assert refusal(lambda: Domain((4, 4), border=(1, 2, 3))) == (
         "border must be one width, or 2 of them (x first) for a shape of 2 axes, found (1, 2, 3)"

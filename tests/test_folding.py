@@ -48,21 +48,21 @@ def kelvinlet(row: np.void, poisson: float, points: Floats) -> Floats:
 def displacement(row: np.void, poisson: float, axes: Floats, points: Floats) -> Floats:
     """K_β; past a face, as its smooth continuation."""
     k = kelvinlet(row, poisson, points)
-    for i, (extent, sigma, _, profile) in enumerate(axes):
+    for i, (first, last, sigma, _, profile) in enumerate(axes):
         if sigma == 0:
             k[..., i] = 0
         elif sigma > 0:
-            t = np.minimum(np.minimum(points[..., i], extent - points[..., i]) / sigma, 1)
+            t = np.minimum(np.minimum(points[..., i] - first, last - points[..., i]) / sigma, 1)
             k[..., i] *= np.sin(np.pi / 2 * t) if profile else 2 * t - 2 * t**3 + t**4
     return k
 
 
 def strains(row: np.void, poisson: float, axes: Floats, points: Floats) -> Floats:
     """λ_min of sym(J_β) by central differences, over the axes along which there are points."""
-    used = [i for i in range(3) if axes[i, 0] > 0]
+    used = [i for i in range(3) if axes[i, 1] > axes[i, 0]]
     columns = []
     for j in used:
-        h = 1e-5 * min(math.sqrt(row["radius2"][0]), axes[j, 1] if axes[j, 1] > 0 else math.inf)
+        h = 1e-5 * min(math.sqrt(row["radius2"][0]), axes[j, 2] if axes[j, 2] > 0 else math.inf)
         step = h * np.eye(3)[j]
         ahead, behind = (displacement(row, poisson, axes, points + x) for x in (step, -step))
         columns.append((ahead - behind)[..., used] / (2 * h))
@@ -74,21 +74,20 @@ def searched(
     rng: np.random.Generator, row: np.void, poisson: float, axes: Floats, many: int = 4000
 ) -> tuple[float, Floats]:
     """μ by a dense random search that closes in on the best points, and the worst point."""
-    extent, size = axes[:, 0], math.sqrt(row["radius2"][0])
+    (first, last, sigma), size = axes[:, :3].T, math.sqrt(row["radius2"][0])
     away = np.exp(rng.uniform(-3, 6, (many, 1))) * size * rng.normal(size=(many, 3))
     u = rng.uniform(size=(many, 3))
-    ends = np.stack([0 * extent, axes[:, 1], extent - axes[:, 1], extent])  # of the border: at the faces and within
-    at_ends = np.where(
-        rng.uniform(size=(many, 3)) < 0.5, ends[rng.integers(4, size=(many, 3)), np.arange(3)], u * extent
-    )
-    start = [rng.uniform(size=(many, 3)) * extent, row["pivot"] + away, at_ends]
-    points = np.clip(np.concatenate(start), 0, extent)
+    ends = np.stack([first, first + sigma, last - sigma, last])  # of the border: at the faces and within
+    inner = first + u * (last - first)
+    at_ends = np.where(rng.uniform(size=(many, 3)) < 0.5, ends[rng.integers(4, size=(many, 3)), np.arange(3)], inner)
+    start = [rng.uniform(first, last, (many, 3)), row["pivot"] + away, at_ends]
+    points = np.clip(np.concatenate(start), first, last)
     values = strains(row, poisson, axes, points)
     best = np.argsort(values)[:16]
     points, values = points[best], values[best]
-    spread = 0.2 * np.minimum(size, np.where(extent > 0, extent, 0))
+    spread = 0.2 * np.minimum(size, last - first)
     for _ in range(25):
-        tried = np.clip(points[:, None] + spread * rng.normal(size=(len(points), 24, 3)), 0, extent)
+        tried = np.clip(points[:, None] + spread * rng.normal(size=(len(points), 24, 3)), first, last)
         tried = np.concatenate([tried, points[:, None]], axis=1)
         found = strains(row, poisson, axes, tried)
         pick = np.argmin(found, axis=1)
@@ -103,7 +102,7 @@ def moved(resolved: Resolved, domain: Domain, points: npt.ArrayLike) -> tuple[Fl
     p = np.zeros((np.atleast_2d(points).shape[0], 3))
     p[:, : domain.ndim] = np.atleast_2d(points) * domain.spacing
     there, jacobian = _core.forward(numbers(resolved.rows), domain.packed(), p, True)
-    used = [i for i in range(3) if domain.packed()[i, 0] > 0]
+    used = [i for i in range(3) if domain.packed()[i, 1] > domain.packed()[i, 0]]
     matrices = jacobian[:, used][:, :, used]
     values = np.asarray(np.linalg.eigvalsh((matrices + np.swapaxes(matrices, 1, 2)) / 2)[:, 0], np.float64)
     return there[:, : domain.ndim] / domain.spacing, values
@@ -129,7 +128,8 @@ def cases(draw: st.DrawFn) -> tuple[Stroke, Domain]:
         way = np.eye(ndim)[draw(st.integers(0, ndim - 1))]
     by = way * radius * math.exp(draw(st.floats(-2, 3))) / spacing
     near_a_face = st.sampled_from([0.0, 1.0, 0.01, 0.99, -0.05])
-    at = [draw(st.floats(-0.2, 1.2) | near_a_face) * e / s for e, s in zip(domain.extent, spacing, strict=True)]
+    places = draw(st.tuples(*[st.floats(-0.2, 1.2) | near_a_face] * ndim))
+    at = [(a + t * (b - a)) / s for t, (a, b), s in zip(places, domain.faces, spacing, strict=True)]
     stroke = Stroke.grab(
         at,
         by=by,
@@ -175,7 +175,7 @@ def test_far_reaches_have_the_limit_of_none() -> None:
 def test_the_limit_is_of_all_of_space(poisson: float, scales: int, reach: float | None) -> None:
     stroke = Stroke(at=(0, 0, 0), by=(2, -1, 2), radius=1, poisson=poisson, scales=scales, reach=reach)
     row = pack([stroke], (1.0, 1.0, 1.0))[0]
-    everywhere = np.array([[1.0, -1.0, 1.0, 0.0]] * 3)
+    everywhere = np.array([[0.0, 1.0, -1.0, 1.0, 0.0]] * 3)
     size = 3 / limit(poisson, scales, reach)
     axis, across = np.array([2, -1, 2]) / 3, np.array([1, 2, 0]) / math.sqrt(5)
     far = np.concatenate([np.linspace(0.02, 3, 100), np.geomspace(3, 100, 20)])
@@ -216,7 +216,7 @@ def test_the_free_bound_holds_everywhere(
 ) -> None:
     way = np.array([math.cos(turn) * math.sin(tilt), math.sin(turn) * math.sin(tilt), math.cos(tilt)])
     stroke = Stroke.grab((1, 2, 3), by=way * radius, radius=radius, poisson=poisson, scales=scales, reach=reach)
-    row, everywhere = pack([stroke], (1.0, 1.0, 1.0))[0], np.array([[1.0, -1.0, 1.0, 0.0]] * 3)
+    row, everywhere = pack([stroke], (1.0, 1.0, 1.0))[0], np.array([[0.0, 1.0, -1.0, 1.0, 0.0]] * 3)
     rng = np.random.default_rng(0)
     around = rng.normal(size=(4000, 3))
     around *= (rng.uniform(size=(4000, 1)) * min(1.1 * reach, 4) * radius) / np.linalg.norm(around, axis=1)[:, None]
@@ -273,12 +273,14 @@ def test_damped_strokes_do_not_fold_and_are_as_strong_as_can_be(case: tuple[Stro
     assert (resolved.warning is not None) == (
         resolved.alpha < 1 or (math.dist(resolved.arrived, target) > NEAR and resolved.cause != "outside")
     )
-    if np.all((np.array(stroke.at) >= 0) & (np.multiply(stroke.at, domain.spacing) <= domain.extent)):
+    first, last = np.transpose(domain.faces)
+    position = np.multiply(stroke.at, domain.spacing)
+    if np.all((position >= first) & (position <= last)):
         np.testing.assert_allclose(moved(resolved, domain, stroke.at)[0][0], resolved.arrived, atol=1e-9)
     if resolved.alpha < 1:
         assert resolved.margin == pytest.approx(MARGIN, abs=1e-12)
         assert found < -(1 - MARGIN) / 1.005
-    points = np.concatenate([[worst], rng.uniform(size=(2000, 3)) * axes[:, 0]])
+    points = np.concatenate([[worst], rng.uniform(*axes[:, :2].T, (2000, 3))])
     ours = moved(resolved, domain, points[:, : domain.ndim] / domain.spacing)[1]
     theirs = 1 + strains(resolved.rows[0], stroke.material(), axes, points)
     np.testing.assert_allclose(ours, theirs, rtol=0, atol=1e-5)
@@ -314,7 +316,7 @@ def test_no_policy_lets_anything_fold(
     at = np.array(place)[: domain.ndim] * np.maximum(domain.extent, 1)
     by = np.array(way)[: domain.ndim] * strength * radius
     stroke = Stroke.grab(at, by=by, radius=radius, poisson=poisson, scales=scales, reach=reach)
-    points = np.random.default_rng(0).uniform(size=(500, domain.ndim)) * domain.extent / 0.7
+    points = np.random.default_rng(0).uniform(*np.transpose(domain.faces), (500, domain.ndim)) / 0.7
     refusals: dict[FoldPolicy, tuple[type[SuppleError], ...]]
     refusals = {"damp": (), "flow": (SuppleError,), "error": (FoldError,)}
     for policy, refused in refusals.items():
@@ -390,12 +392,12 @@ def test_a_safe_stroke_flows_as_one() -> None:
 @pytest.mark.parametrize(
     ("at", "by"),
     [
-        ((256, 256), (0, 255.5)),
+        ((256, 256), (0, 255.8)),
         ((256, 256), (0, 400)),
-        ((256, 256), (-256.4, 0)),
-        ((0, 256), (5, 0)),
-        ((0, 256), (5, 50)),
-        ((511, 511), (-1, -1)),
+        ((256, 256), (-256.8, 0)),
+        ((-0.5, 256), (5, 0)),
+        ((-0.5, 256), (5, 50)),
+        ((511.5, 511.5), (-1, -1)),
         ((256, 0), (0, -5)),
     ],
 )
@@ -410,12 +412,14 @@ def test_flow_refuses_what_a_fixed_border_forbids(at: tuple[float, float], by: t
 @pytest.mark.parametrize(
     ("at", "by", "arrived"),
     [
-        ((256, 256), (0, 255), (256, 510.75)),  # within half a pixel of its target, and not on the face
-        ((256, 256), (0, 255.2), (256, 510.75)),
-        ((0, 250), (1e-9, 30), (0, 280)),  # slides along the face
-        ((0, 250), (0.3, 30), (0, 280)),
-        ((0.1, 250), (-0.1, 0), (0.1, 250)),
-        ((-0.4, 250), (0, 30), (-0.4, 280)),  # in the outer half of a pixel
+        ((256, 256), (0, 255), (256, 511)),  # the last pixel's middle
+        ((256, 256), (0, 255.5), (256, 511.25)),  # within half a pixel of its target, and not on the face
+        ((256, 256), (0, 255.7), (256, 511.25)),
+        ((-0.5, 250), (1e-9, 30), (-0.5, 280)),  # slides along the face
+        ((-0.5, 250), (0.3, 30), (-0.5, 280)),
+        ((-0.4, 250), (-0.1, 0), (-0.4, 250)),
+        ((0, 250), (5, 30), (5, 280)),  # in the outer half of a pixel
+        ((-0.4, 250), (0, 30), (-0.4, 280)),
     ],
 )
 def test_what_ends_within_half_a_pixel_has_arrived(
@@ -435,7 +439,7 @@ def test_what_starts_outside_says_that_it_stays_there(policy: FoldPolicy) -> Non
     assert (resolved.cause, resolved.warning) == ("outside", None)
     assert resolved.arrived == pytest.approx((-20, 300))
     with pytest.raises(SuppleError, match="cannot arrive"):
-        resolve(Stroke(at=(-0.4, 300), by=(30, 0), radius=60), Domain((512, 512)), "flow")
+        resolve(Stroke(at=(-0.5, 300), by=(30, 0), radius=60), Domain((512, 512)), "flow")
 
 
 def test_a_pivot_outside_holds_nothing() -> None:
@@ -468,10 +472,10 @@ def test_damping_says_what_it_does() -> None:
 @pytest.mark.parametrize(
     ("policy", "by", "said"),
     [
-        ("damp", (10, 0), "ends 6.22 pixels short: the fixed border holds it back"),
+        ("damp", (10, 0), "ends 6.05 pixels short: the fixed border holds it back"),
         ("damp", (0, 900), r"folds: damped to 0\.\d+ of it, it ends \d+ pixels short"),
         ("damp", (400, 900), r"folds: damped to 0\.\d+ of it, and the fixed border holds it back, it ends"),
-        ("error", (10, 0), "ends 6.22 pixels short: the fixed border holds it back"),
+        ("error", (10, 0), "ends 6.05 pixels short: the fixed border holds it back"),
     ],
 )
 def test_a_miss_says_why(policy: FoldPolicy, by: tuple[float, float], said: str) -> None:

@@ -20,8 +20,8 @@ def forward(d: supple.Deformation, points: np.ndarray) -> np.ndarray:
     """T at points in voxels, written out stroke by stroke from the equations."""
     x = points * d.domain.spacing
     for stroke in d.space.table:
-        extent, sigma, _, profile = d.space.axes.T
-        near = np.where(sigma >= 0, np.clip(x, 0, extent), x)
+        first, last, sigma, _, profile = d.space.axes.T
+        near = np.where(sigma >= 0, np.clip(x, first, last), x)
         r = near - stroke["pivot"]
         s = (r**2).sum(axis=-1)[:, None]
         along = (r @ stroke["force"])[:, None]
@@ -35,7 +35,7 @@ def forward(d: supple.Deformation, points: np.ndarray) -> np.ndarray:
         for axis in range(3):
             if sigma[axis] < 0:
                 continue
-            depth = np.minimum(near[:, axis], extent[axis] - near[:, axis])
+            depth = np.minimum(near[:, axis] - first[axis], last[axis] - near[:, axis])
             u = np.clip(depth / sigma[axis], 0, 1) if sigma[axis] else np.zeros(len(x))
             moved[:, axis] *= np.sin(np.pi / 2 * u) if profile[axis] else 2 * u - 2 * u**3 + u**4
         x = x + moved

@@ -186,7 +186,7 @@ class Deformation:
         domain = Domain(shape, spacing, border, border_profile, time)
         axes = domain.packed()
         if domain.ndim == 2:
-            axes[2, 1] = 0.0  # nothing leaves the plane, and how the field varies off it is no concern
+            axes[2, 2] = 0.0  # nothing leaves the plane, and how the field varies off it is no concern
         values = {
             "domain": domain,
             "on_fold": on_fold,

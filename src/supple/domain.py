@@ -189,7 +189,9 @@ class Domain:
         for each, x first; ``"auto"``: a tenth of each axis' extent; None: the border is free.
     border_profile : str
         How it fades, at the distance tσ from a face: as 2t - 2t³ + t⁴ (``"quartic"``), which has two continuous
-        derivatives at t = 1, or as sin(πt/2) (``"sine"``, the paper's).
+        derivatives at t = 1, or as sin(πt/2) (``"sine"``, the paper's). The quartic's faces are the outer edges of the
+        samples, -½ and n - ½, so that it is the same on a picture of any resolution; the sine's are the centres of the
+        outermost samples, as in the paper.
     time : bool
         Whether the first of three axes is time. A stroke without a Poisson ratio that is dragged along it alone then
         moves nothing sideways.
@@ -228,9 +230,21 @@ class Domain:
         return len(self.shape)
 
     @property
+    def faces(self) -> tuple[tuple[float, float], ...]:
+        """The coordinates of the two faces along each axis, in physical units, x first.
+
+        An axis of one sample has no extent: both its faces are at the sample.
+        """
+        out = 0.0 if self.border_profile == "sine" else 0.5  # of a sample, beyond the centres of the outermost
+        return tuple(
+            (-out * step, (n - 1 + out) * step) if n > 1 else (0.0, 0.0)
+            for n, step in zip(reversed(self.shape), self.spacing, strict=True)
+        )
+
+    @property
     def extent(self) -> tuple[float, ...]:
-        """From the first sample's centre to the last one's, in physical units, x first."""
-        return tuple((n - 1) * step for n, step in zip(reversed(self.shape), self.spacing, strict=True))
+        """From face to face, in physical units, x first."""
+        return tuple(last - first for first, last in self.faces)
 
     @property
     def border_widths(self) -> tuple[float, ...] | None:
@@ -247,14 +261,14 @@ class Domain:
 
         Returns
         -------
-        ndarray of float64, shape (3, 4)
-            One row ``(extent, sigma, spacing, profile)`` for each of x, y and z, in physical units. ``sigma`` is
-            the width of the fixed border, at most half the extent (0 for an axis of one sample, along which
-            nothing moves), and -1 where the axis is free. An image is free along z, and has no extent there.
-            ``profile`` is the border's: 0 for the quartic, 1 for the sine.
+        ndarray of float64, shape (3, 5)
+            One row ``(first, last, sigma, spacing, profile)`` for each of x, y and z, in physical units. ``first`` and
+            ``last`` are the faces. ``sigma`` is the width of the fixed border, at most half the extent (0 for an axis
+            of one sample, along which nothing moves), and -1 where the axis is free. An image is free along z, and has
+            no extent there. ``profile`` is the border's: 0 for the quartic, 1 for the sine.
         """
-        rows = np.array([[0.0, -1.0, 1.0, PROFILE_CODES[self.border_profile]]] * 3)
+        rows = np.array([[0.0, 0.0, -1.0, 1.0, PROFILE_CODES[self.border_profile]]] * 3)
         widths = self.border_widths or (-1.0,) * self.ndim
-        for row, extent, sigma, step in zip(rows, self.extent, widths, self.spacing, strict=False):
-            row[:3] = extent, sigma, step
+        for row, faces, sigma, step in zip(rows, self.faces, widths, self.spacing, strict=False):
+            row[:4] = *faces, sigma, step
         return rows

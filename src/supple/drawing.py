@@ -169,6 +169,6 @@ def order_of(view: View, unseen: npt.NDArray[np.bool_]) -> npt.NDArray[np.intp]:
 
 def _still(spacing: tuple[float, ...]) -> Floats:
     """A domain in which nothing moves."""
-    axes = np.zeros((3, 4))
-    axes[:, 0], axes[:, 2] = 1.0, spacing
+    axes = np.zeros((3, 5))
+    axes[:, 1], axes[:, 3] = 1.0, spacing
     return axes

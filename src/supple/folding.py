@@ -166,22 +166,21 @@ def _arrived(stroke: Stroke, table: Table, domain: Domain) -> tuple[float, ...]:
 def _flow(stroke: Stroke, domain: Domain, row: np.void) -> Resolved:
     axes, poisson = domain.packed(), stroke.material(time=domain.time)
     position, target = row["pivot"].copy(), row["pivot"] + row["force"]
-    fixed, half, extent = axes[:, 1] >= 0, NEAR * axes[:, 2], axes[:, 0]
-    # A pixel's area is half a pixel more than the faces, which are at the centres of the outermost.
-    inside = fixed & (np.maximum(-position, position - extent) <= half)
-    position = np.where(inside, np.clip(position, 0, extent), position)
+    first, last, sigma, spacing, _ = axes.T
+    fixed, half = sigma >= 0, NEAR * spacing
+    # A pixel's area is half a pixel more than faces at the centres of the outermost.
+    inside = fixed & (np.maximum(first - position, position - last) <= half + first)
+    position = np.where(inside, np.clip(position, first, last), position)
     held = _held(position, axes)
     if held:  # what ends within half a sample has arrived
-        near = np.minimum(0.5 * half, np.minimum(position, extent - position))
-        beside = fixed & (np.maximum(-target, target - extent) <= 0.5 * half) & (_beta(position, axes) > 1e-100)
-        target = np.where(beside, np.clip(target, near, extent - near), target)
+        near = np.minimum(0.5 * half, np.minimum(position - first, last - position))
+        beside = fixed & (np.maximum(first - target, target - last) <= 0.5 * half) & (_beta(position, axes) > 1e-100)
+        target = np.where(beside, np.clip(target, first + near, last - near), target)
         slides = fixed & (_beta(position, axes) <= 1e-100) & (np.abs(target - position) <= half)
         target = np.where(slides, position, target)
     drag = target - position
-    if held and np.any(
-        (drag != 0) & fixed & ((_beta(position, axes) < 1e-100) | (target <= 0) | (target >= axes[:, 0]))
-    ):
-        beyond = bool(np.any(fixed & (drag != 0) & ((target <= 0) | (target >= extent))))
+    if held and np.any((drag != 0) & fixed & ((_beta(position, axes) < 1e-100) | (target <= first) | (target >= last))):
+        beyond = bool(np.any(fixed & (drag != 0) & ((target <= first) | (target >= last))))
         where = "its target is on the edge or outside, and" if beyond else "it starts on the edge, and"
         raise SuppleError(
             f"{described(stroke)} cannot arrive: {where} the border is fixed, so that what is on it only slides along "
@@ -190,7 +189,7 @@ def _flow(stroke: Stroke, domain: Domain, row: np.void) -> Resolved:
     if not drag.any():
         return Resolved(np.zeros(0, row.dtype), stroke.at)
     # What is outside of a fixed border is held by nothing; a brush only passes there.
-    weights = axes if held else np.array([[0.0, -1.0, 1.0, 0.0]] * 3)
+    weights = axes if held else np.array([[0.0, 0.0, -1.0, 1.0, 0.0]] * 3)
     longest = (1 - _FLOW_MARGIN) * limit(poisson, stroke.scales, stroke.reach) * stroke.radius
     refused = held and math.hypot(*drag.tolist()) > MOST_SUBSTROKES * longest
     rows: list[np.void] = []
@@ -226,26 +225,28 @@ def _flow(stroke: Stroke, domain: Domain, row: np.void) -> Resolved:
 def _narrowest(table: Table, axes: Floats, start: Floats, drag: Floats) -> float:
     """The smallest singular value of the whole sequence's Jacobian that is found along its way and around."""
     ahead = start[:, None] + drag[:, None] * np.linspace(-1.0, 4.0, 401)
-    extent = np.where(axes[:, 1] >= 0, axes[:, 0], 0.0)
+    first, last, sigma = axes[:, 0], axes[:, 1], axes[:, 2]
+    extent = np.where(sigma >= 0, last - first, 0.0)
     parts = np.stack(np.meshgrid(*[np.linspace(0, 1, 17 if e > 0 else 1) for e in extent]), axis=0).reshape(3, -1)
-    around = np.where(extent[:, None] > 0, parts * extent[:, None], start[:, None])
+    around = np.where(extent[:, None] > 0, first[:, None] + parts * extent[:, None], start[:, None])
     points = np.concatenate([ahead, around], axis=1)
-    points = np.where((axes[:, 1] >= 0)[:, None], np.clip(points, 0, axes[:, :1]), points)
+    points = np.where((sigma >= 0)[:, None], np.clip(points, first[:, None], last[:, None]), points)
     _, jacobian = _core.forward(numbers(table), axes, np.ascontiguousarray(points.T), True)
     if not np.isfinite(jacobian).all():
         return 0.0
-    n = 2 if axes[2, 0] == 0 and axes[2, 1] < 0 else 3  # of an image, only the plane counts
+    n = 2 if axes[2, 1] == axes[2, 0] and axes[2, 2] < 0 else 3  # of an image, only the plane counts
     return float(np.linalg.svd(jacobian[:, :n, :n], compute_uv=False).min())
 
 
 def _held(position: Floats, axes: Floats) -> bool:
     """Whether a point is within the fixed faces, so that something is held there."""
-    return bool(np.all((axes[:, 1] < 0) | ((position >= 0) & (position <= axes[:, 0]))))
+    first, last, sigma = axes[:, 0], axes[:, 1], axes[:, 2]
+    return bool(np.all((sigma < 0) | ((position >= first) & (position <= last))))
 
 
 def _beta(position: Floats, axes: Floats) -> Floats:
-    extent, sigma, _, profile = axes.T
-    depth = np.minimum(position, extent - position)
+    first, last, sigma, _, profile = axes.T
+    depth = np.minimum(position - first, last - position)
     beta = border_factor(np.divide(depth, sigma, out=np.zeros(3), where=sigma > 0), profile[0])
     return np.where(sigma < 0, 1.0, beta)
 
@@ -313,7 +314,7 @@ def weakest(row: np.void, axes: Floats, target: float = CLEARLY_SAFE, gap: float
     Parameters
     ----------
     row : void of STROKE_DTYPE
-    axes : ndarray, shape (3, 4)
+    axes : ndarray, shape (3, 5)
         The domain, packed. Where it is free, the bounds are those of all of space.
     target : float
         The lower bound need not be close to the upper one where it is above this; 0 for a close one always.
@@ -321,11 +322,11 @@ def weakest(row: np.void, axes: Floats, target: float = CLEARLY_SAFE, gap: float
         How close they must come, as a part of the upper one. Rounding and a limited number of boxes can keep
         them further apart, where |μ| is next to nothing or in the strangest of volumes.
     """
-    active = (axes[:, 0] > 0) & (axes[:, 1] > 0)
+    free, active = axes[:, 2] < 0, (axes[:, 1] > axes[:, 0]) & (axes[:, 2] > 0)
     # In a plane through the pivot, the force across it moves nothing within it.
-    force = np.where((axes[:, 1] >= 0) & ~active & (row["pivot"] == 0), 0.0, row["force"])
+    force = np.where(~free & ~active & (row["pivot"] == axes[:, 0]), 0.0, row["force"])
     size = math.hypot(*force.tolist())
-    if size == 0 or not (active.any() or (axes[:, 1] < 0).all()):
+    if size == 0 or not (active.any() or free.all()):
         return 0.0, 0.0
     unit, radius = row.copy(), math.sqrt(row["radius2"][0])
     unit["force"] = force / size

@@ -64,9 +64,9 @@ def inverse_map(
     _core.invert_as_published(rows, axes, z or 0.0, every, mu, tolerance, limit, corrected, points, counts, residual)
     if table.size > 1:
         given = np.zeros((points[..., 0].size, 3))
-        given[:, :ndim] = points.reshape(-1, ndim) * axes[:ndim, 2]
+        given[:, :ndim] = points.reshape(-1, ndim) * axes[:ndim, 3]
         moved, _ = _core.forward(rows, axes, given, False)
         x, y = np.meshgrid(np.arange(0, shape[1], every), np.arange(0, shape[0], every))
         target = np.stack([x, y, np.full(x.shape, z or 0.0)], axis=-1).reshape(-1, 3)
-        residual = np.linalg.norm((moved / axes[:, 2] - target)[:, :ndim], axis=1).reshape(residual.shape)
+        residual = np.linalg.norm((moved / axes[:, 3] - target)[:, :ndim], axis=1).reshape(residual.shape)
     return points, counts, residual

@@ -145,7 +145,7 @@ class Space:
     def planned(self, step: tuple[int, int]) -> tuple[int, int]:
         """Return rows and columns of a plan, which reaches as far as samples ``step`` pixels apart may lie."""
         height, width = self.shape
-        if self.axes[0, 1] >= 0:  # beyond a fixed face, the map goes on as at the face
+        if self.axes[0, 2] >= 0:  # beyond a fixed face, the map goes on as at the face
             return height, width
         return -(-height // step[1]) * step[1], -(-width // step[0]) * step[0]
 

@@ -14,7 +14,7 @@ namespace supple {
 typedef nb::ndarray<const double, nb::ndim<2>, nb::c_contig, nb::device::cpu> Doubles;
 
 inline Axes axes_of(const Doubles& rows) {
-    if (rows.shape(0) != 3 || rows.shape(1) != AXIS_NUMBERS) throw nb::value_error("axes must have the shape (3, 4)");
+    if (rows.shape(0) != 3 || rows.shape(1) != AXIS_NUMBERS) throw nb::value_error("axes must have the shape (3, 5)");
     return load_axes(rows.data());
 }
 inline std::vector<Stroke> strokes_of(const Doubles& rows, const Axis* axes) {

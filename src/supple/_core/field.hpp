@@ -27,13 +27,26 @@ struct Stroke {
 
 enum Profile : int64_t { QUARTIC = 0, SINE = 1 };
 
-// An axis of the domain, in physical units. `sigma` is the width of the fixed border: -1 where the axis is free, 0
-// where nothing moves along it.
+// An axis of the domain, in physical units, between its two faces. `sigma` is the width of the fixed border: -1 where
+// the axis is free, 0 where nothing moves along it.
 struct Axis {
-    double extent, sigma, spacing;
+    double first, last, sigma, spacing;
     int64_t profile;
     bool fixed() const { return sigma >= 0; }
+    double extent() const { return last - first; }
 };
+
+// The nearest coordinate in the domain, along an axis with a fixed border.
+template <class V>
+INLINE V nearest(V x, const Axis& a) {
+    return least(most(x, splat<V>(a.first)), splat<V>(a.last));
+}
+
+// How deep a coordinate lies within the faces.
+template <class V>
+INLINE V depth(V x, const Axis& a) {
+    return least(V(x - a.first), V(a.last - x));
+}
 
 // sin(x) on [0, π/2] by its Taylor series, to the last bit; it vectorizes, which the library's does not.
 template <class V>
@@ -59,8 +72,8 @@ INLINE void fade(V x, const Axis& a, V* b) {
         for (int i = 0; i <= ORDER; i++) b[i] = i == 0 && a.sigma < 0 ? one : V{};
         return;
     }
-    V depth = least(x, V(a.extent - x)), t = least(V(most(depth, V{}) / a.sigma), one);
-    V side = choose(x + x < a.extent, one, V(-one)) / a.sigma;  // dt/dx
+    V t = least(V(most(depth(x, a), V{}) / a.sigma), one);
+    V side = choose(x + x < a.first + a.last, one, V(-one)) / a.sigma;  // dt/dx
     if (a.profile == SINE) {
         const double quarter = 1.57079632679489661923;
         b[0] = sine(V(quarter * t));
@@ -145,9 +158,9 @@ INLINE void carry(const Stroke& k, const Axis* axes, Jet<D, TANGENTS, MIXED, V>&
         V near = jet.x[i];
         inside[i] = splat<V>(1.0);
         // Off the only plane of an axis without extent, the map is as it is on the plane, for inner strokes, too.
-        bool fading = axes[i].fixed() && (!k.inner || axes[i].extent == 0);
+        bool fading = axes[i].fixed() && (!k.inner || axes[i].extent() == 0);
         if (fading) {
-            near = least(most(near, V{}), splat<V>(axes[i].extent));
+            near = nearest(near, axes[i]);
             inside[i] = choose(near == jet.x[i], inside[i], V{});
             fade<ORDER>(near, axes[i], beta[i]);
         } else {
@@ -189,8 +202,7 @@ INLINE void carry(const Stroke& k, const Axis* axes, Jet<D, TANGENTS, MIXED, V>&
             for (int i = 0; i < D; i++)
                 if (axes[i].sigma > 0 && !k.inner) {
                     // β varies over σ at a face, and not at all farther in.
-                    V depth = least(jet.x[i], V(axes[i].extent - jet.x[i]));
-                    V scale = 2.0 * most(depth, splat<V>(axes[i].sigma));
+                    V scale = 2.0 * most(depth(jet.x[i], axes[i]), splat<V>(axes[i].sigma));
                     scale2 = least(scale2, V(scale * scale));
                 }
             for (int j = 0; j < 2; j++) jet.smooth2[j] = least(jet.smooth2[j], V(scale2 / dot<D>(jet.t[j], jet.t[j])));

@@ -67,13 +67,12 @@ typedef std::array<double, 4> Derivatives;
 
 // Of β between two points of an axis, both in the border or both not.
 inline Derivatives fade_bounds(const Axis& axis, double low, double high) {
-    if (axis.extent == 0) return {};  // there are no points along it that could fold
-    const auto depth = [&](double x) { return std::min(x, axis.extent - x); };
-    const double shallow = std::min(depth(low), depth(high)), deep = std::max(depth(low), depth(high));
+    if (axis.extent() == 0) return {};  // there are no points along it that could fold
+    const auto [shallow, deep] = std::minmax({depth(low, axis), depth(high, axis)});
     if (!(axis.sigma > 0) || shallow >= axis.sigma) return {1, 0, 0, 0};
     double most[1], steepest[2];  // β grows with the depth, β' falls
-    fade<0>(deep, axis, most);
-    fade<1>(shallow, axis, steepest);
+    fade<0>(axis.first + deep, axis, most);
+    fade<1>(axis.first + shallow, axis, steepest);
     const double value = most[0], slope = std::abs(steepest[1]), sigma2 = axis.sigma * axis.sigma;
     if (axis.profile == SINE) {
         const double k2 = 0.25 * std::numbers::pi * std::numbers::pi / sigma2;  // β'' = -k² β
@@ -156,7 +155,7 @@ inline Symmetric<Lanes> strain(const Stroke& k, const Axis* axes, const Lanes* x
     }
     // Where an axis has no extent, there are no points along it that could fold.
     const auto s = [&](int i, int j) {
-        return axes[i].extent > 0 && axes[j].extent > 0 ? 0.5 * (J[i][j] + J[j][i]) : Lanes{};
+        return axes[i].extent() > 0 && axes[j].extent() > 0 ? 0.5 * (J[i][j] + J[j][i]) : Lanes{};
     };
     return {s(0, 0), s(1, 1), s(2, 2), s(0, 1), s(0, 2), s(1, 2)};
 }
@@ -283,7 +282,7 @@ private:
             const double own = mixed + 2 * b[k][2] * n[1] + b[k][3] * n[0];
             double added = 0;
             for (int i = 0; i < 3; i++) {
-                if (axes[i].extent == 0) continue;
+                if (axes[i].extent() == 0) continue;
                 const double part = value * n[3] + b[i][1] * n[2] + 0.25 * mixed + (i == k ? own : 0);
                 const double d = std::min(share * part * (1 + 1e-14), HUGE_BOUND);
                 found.all[i] += d;
@@ -319,15 +318,17 @@ inline Bounds smallest_strain(const Stroke& stroke, const Axis* axes, double fre
     std::vector<double> cuts[3];  // where the border ends, as far as the stroke reaches
     for (int i = 0; i < 3; i++) {
         const Axis& a = axes[i];
-        ahead.low[i] = ahead.high[i] = std::clamp(stroke.pivot[i] + distance * stroke.force[i], 0.0, a.extent);
-        double end = a.extent - a.sigma;
-        if (a.extent - end < a.sigma) end = std::nextafter(end, 0.0);  // its depth is σ at least, rounded, too
-        const double low = std::max(0.0, stroke.pivot[i] - stroke.reach);
-        const double high = std::min(a.extent, stroke.pivot[i] + stroke.reach);
+        ahead.low[i] = ahead.high[i] = std::clamp(stroke.pivot[i] + distance * stroke.force[i], a.first, a.last);
+        // Their depth is σ at least, rounded, too.
+        double begin = a.first + a.sigma, end = a.last - a.sigma;
+        if (begin - a.first < a.sigma) begin = std::nextafter(begin, a.last);
+        if (a.last - end < a.sigma) end = std::nextafter(end, a.first);
+        const double low = std::max(a.first, stroke.pivot[i] - stroke.reach);
+        const double high = std::min(a.last, stroke.pivot[i] + stroke.reach);
         cuts[i] = {low};
-        for (double x : {a.sigma, end, high})
+        for (double x : {begin, end, high})
             if (cuts[i].back() < x && x <= high) cuts[i].push_back(x);
-        if (a.extent == 0) cuts[i] = {0, 0};
+        if (a.extent() == 0) cuts[i] = {a.first, a.first};
     }
     search.visit(ahead);
     for (size_t i = 1; i < cuts[0].size(); i++)
@@ -341,7 +342,7 @@ inline Bounds smallest_strain(const Stroke& stroke, const Axis* axes, double fre
 // Bound μ in all of space, of a stroke with a finite reach from 0 along x. S is the same all around that axis, so that
 // a half-plane stands for space.
 inline Bounds smallest_free_strain(const Stroke& stroke, double gap) {
-    const Axis axes[] = {{1, -1, 1, QUARTIC}, {1, -1, 1, QUARTIC}, {1, -1, 1, QUARTIC}};
+    const Axis axes[] = {{0, 1, -1, 1, QUARTIC}, {0, 1, -1, 1, QUARTIC}, {0, 1, -1, 1, QUARTIC}};
     Search search(stroke, axes, -INFINITE, 0, gap);
     search.add({{-stroke.reach, 0, 0}, {stroke.reach, stroke.reach, 0}});
     search.run();

@@ -45,9 +45,8 @@ INLINE Solution<D, V> choose(typename Masked<V>::type first, const Solution<D, V
 template <class V>
 INLINE V kept_inside(V x, V q, const Axis& a) {
     if (!a.fixed()) return x;
-    V extent = splat<V>(a.extent);
-    V kept = choose(q <= 0.0, q, V(least(most(x, V{}), extent)));
-    return choose(q >= extent, q, kept);
+    V kept = choose(q <= a.first, q, nearest(x, a));
+    return choose(q >= a.last, q, kept);
 }
 
 template <int D, class V>

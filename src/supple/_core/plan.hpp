@@ -647,18 +647,22 @@ void Plan<D>::split(Work& w, const Cell& e, const Checked& found) {
 
 // ---- filling --------------------------------------------------------------------------------------------------------
 
+// The place of the upper face, in pixels.
+inline double face_of(const Axis& a) { return a.last / a.spacing; }
+
 // The samples `from` to `to` - 1 of the grid's row y, all within a leaf; `left` is the first of the row's.
 template <int D>
 INLINE void Plan<D>::fill(const Leaf<D>& leaf, const Grid& grid, int y, int from, int to, int left, bool slopes,
                           Row<D>& row) const {
-    // Beyond a fixed face, where the chroma of a last pixel may lie, the map goes on as at the face.
-    double below = y * grid.step[1] + grid.offset[1], face = axes[1].fixed() ? size[1] - 1.0 : below;
+    // Beyond a fixed face, where the chroma of a last pixel may lie, the map goes on as at the face. Between the last
+    // pixel's middle and the face, the patch of the last cell goes on.
+    double below = y * grid.step[1] + grid.offset[1], face = axes[1].fixed() ? face_of(axes[1]) : below;
     const float t = (float)(std::min(below, face) - leaf.y), over_y = (float)std::max(below - face, 0.0);
     const float start = (float)(from * grid.step[0] + grid.offset[0] - leaf.x), stride = (float)grid.step[0];
     const int n = to - from, at = from - left;
     int inner = n;  // samples before the face
     if (axes[0].fixed())
-        inner = std::clamp((int)floor((size[0] - 1.0 - grid.offset[0]) / grid.step[0]) + 1 - from, 0, n);
+        inner = std::clamp((int)floor((face_of(axes[0]) - grid.offset[0]) / grid.step[0]) + 1 - from, 0, n);
     float along[D][4], rise[D][4];
     for (int d = 0; d < D; d++)
         for (int i = 0; i < 4; i++) {
@@ -666,7 +670,7 @@ INLINE void Plan<D>::fill(const Leaf<D>& leaf, const Grid& grid, int y, int from
             along[d][i] = b[0] + t * (b[4] + t * (b[8] + t * b[12]));
             rise[d][i] = b[4] + t * (2 * b[8] + 3 * t * b[12]);
         }
-    const float edge = (float)(size[0] - 1 - leaf.x);
+    const float edge = (float)(face_of(axes[0]) - leaf.x);
     auto each = [&](auto f) INLINE_LAMBDA {
         for (int i = 0; i < inner; i++) f(i, start + stride * (float)i);
         for (int i = inner; i < n; i++) f(i, edge);
@@ -792,9 +796,12 @@ void Plan<D>::each_row(const Grid& grid, int root_row, const int (&box)[4], bool
 template <int D>
 void Plan<D>::widen(const Leaf<D>& leaf, Extent<D>& e) const {
     // The patch's Bézier points, whose hull neither it nor, of their differences, its slopes leave. Samples lie up to
-    // the next leaf, or the last pixel.
-    auto reached = [](int pixels, bool last) { return last ? std::max(pixels - 1.0, 1e-3) : pixels; };
-    const double side[2] = {reached(leaf.w, leaf.x + leaf.w >= size[0]), reached(leaf.h, leaf.y + leaf.h >= size[1])};
+    // the next leaf, or the last pixel, or a fixed face.
+    auto reached = [this](int axis, double from, double to) {
+        if (to >= size[axis]) to = axes[axis].fixed() ? face_of(axes[axis]) : size[axis] - 1.0;
+        return std::max(to - from, 1e-3);
+    };
+    const double side[2] = {reached(0, leaf.x, leaf.x + leaf.w), reached(1, leaf.y, leaf.y + leaf.h)};
     auto controls = [](double* c, int step, double h) {
         double c0 = c[0], c1 = c[step] * h, c2 = c[2 * step] * h * h, c3 = c[3 * step] * h * h * h;
         c[step] = c0 + c1 / 3;

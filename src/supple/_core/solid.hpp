@@ -33,7 +33,7 @@ struct Strokes {
             V s = V{};
             for (int i = 0; i < 3; i++) {
                 V near = x[i];
-                if (axes[i].fixed()) near = least(most(near, V{}), splat<V>(axes[i].extent));
+                if (axes[i].fixed()) near = nearest(near, axes[i]);
                 s += (near - k.pivot[i]) * (near - k.pivot[i]);
             }
             if (k.per_reach == 0 || any(s < k.reach * k.reach)) return true;

@@ -9,14 +9,14 @@
 namespace supple {
 
 constexpr int STROKE_NUMBERS = 20;  // pivot, force, radius2, p, q, r: three each; terms, of int64; and the reach
-constexpr int AXIS_NUMBERS = 4;     // extent, sigma, spacing, profile
+constexpr int AXIS_NUMBERS = 5;     // first, last, sigma, spacing, profile
 
 typedef std::array<Axis, 3> Axes;
 
-// Read three rows of (extent, sigma, spacing, profile).
+// Read three rows of (first, last, sigma, spacing, profile).
 inline Axes load_axes(const double* rows) {
     Axes axes;
-    for (int i = 0; i < 3; i++, rows += AXIS_NUMBERS) axes[i] = {rows[0], rows[1], rows[2], (int64_t)rows[3]};
+    for (int i = 0; i < 3; i++, rows += AXIS_NUMBERS) axes[i] = {rows[0], rows[1], rows[2], rows[3], (int64_t)rows[4]};
     return axes;
 }
 
@@ -25,8 +25,8 @@ inline Axes load_axes(const double* rows) {
 inline bool is_inner(const Stroke& k, const Axis* axes) {
     for (int i = 0; i < 3; i++) {
         const Axis& a = axes[i];
-        bool flat = a.extent == 0 && k.pivot[i] == 0 && k.force[i] == 0;
-        bool clear = a.sigma > 0 && k.pivot[i] - k.reach >= a.sigma && k.pivot[i] + k.reach <= a.extent - a.sigma;
+        bool flat = a.extent() == 0 && k.pivot[i] == a.first && k.force[i] == 0;
+        bool clear = a.sigma > 0 && depth(k.pivot[i], a) - k.reach >= a.sigma;
         if (a.fixed() && !flat && !clear) return false;
     }
     return true;

@@ -19,8 +19,8 @@ from numba import cuda
 
 from supple.cuda.kernel import device, kernel, lean
 
-# Of each axis of a domain: extent, sigma, spacing and profile (0 for the quartic, 1 for the sine).
-EXTENT, SIGMA, SPACING, PROFILE, AXIS = 0, 1, 2, 3, 4
+# Of each axis of a domain: its faces, sigma, spacing and profile (0 for the quartic, 1 for the sine).
+FIRST_FACE, LAST_FACE, SIGMA, SPACING, PROFILE, AXIS = 0, 1, 2, 3, 4, 5
 DOMAIN = 3 * AXIS
 Y_AXIS, Z_AXIS = AXIS, 2 * AXIS
 # Of a stroke: its pivot, its force, how many terms it has, radius², p, q and r of each, and its reach: R² and 1 / R².
@@ -75,19 +75,19 @@ def sine(x):
 
 
 @lean
-def edge(x, extent, sigma, profile):
+def edge(x, first, last, sigma, profile):
     """β and β' of a coordinate, the nearest one in the domain, and 1 where that is the coordinate itself."""
     if sigma < 0.0:
         return 1.0, 0.0, x, 1.0
     if sigma == 0.0:
         return 0.0, 0.0, 0.0, 0.0
-    v = min(max(x, 0.0), extent)
-    t = min(min(v, extent - v) / sigma, 1.0)
+    v = min(max(x, first), last)
+    t = min(min(v - first, last - v) / sigma, 1.0)
     if profile == 0.0:
         beta, slope = t * (2.0 + t * t * (t - 2.0)), (2.0 + t * t * (4.0 * t - 6.0)) / sigma
     else:
         beta, slope = sine(HALF_PI * t), sine(HALF_PI * (1.0 - t)) * HALF_PI / sigma
-    return beta, slope if v + v < extent else -slope, v, 1.0 if v == x else 0.0
+    return beta, slope if v + v < first + last else -slope, v, 1.0 if v == x else 0.0
 
 
 @lean
@@ -189,10 +189,10 @@ def profiles(known, s, r2):
 @device
 def edges(known, at, x, y, z):
     """`edge` of each coordinate, in the domain at ``at``."""
-    bx, slope_x, nx, ox = edge(x, known[at + EXTENT], known[at + SIGMA], known[at + PROFILE])
-    j, k = at + Y_AXIS, at + Z_AXIS
-    by, slope_y, ny, oy = edge(y, known[j + EXTENT], known[j + SIGMA], known[j + PROFILE])
-    bz, slope_z, nz, oz = edge(z, known[k + EXTENT], known[k + SIGMA], known[k + PROFILE])
+    i, j, k = at, at + Y_AXIS, at + Z_AXIS
+    bx, slope_x, nx, ox = edge(x, known[i + FIRST_FACE], known[i + LAST_FACE], known[i + SIGMA], known[i + PROFILE])
+    by, slope_y, ny, oy = edge(y, known[j + FIRST_FACE], known[j + LAST_FACE], known[j + SIGMA], known[j + PROFILE])
+    bz, slope_z, nz, oz = edge(z, known[k + FIRST_FACE], known[k + LAST_FACE], known[k + SIGMA], known[k + PROFILE])
     return bx, by, bz, slope_x, slope_y, slope_z, nx, ny, nz, ox, oy, oz
 
 

@@ -118,7 +118,7 @@ def warp_host(
 
 def reached(space: Space) -> npt.NDArray[np.bool_]:
     """Return for each plane whether it meets the ball of a stroke: the others are not moved at all."""
-    z = np.arange(space.count) * space.axes[2, 2]
+    z = np.arange(space.count) * space.axes[2, 3]
     apart = np.abs(z[:, None] - space.table["pivot"][:, 2])
     return np.asarray((apart < space.table["reach"]).any(axis=1))
 

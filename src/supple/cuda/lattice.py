@@ -23,7 +23,8 @@ from numba import cuda
 
 from supple.cuda.field import (
     DOMAIN,
-    EXTENT,
+    FIRST_FACE,
+    LAST_FACE,
     NEARNESS,
     PROFILE,
     SIGMA,
@@ -78,8 +79,8 @@ def positions(n: int, axis: npt.NDArray[np.float64], size: int = SIZE) -> npt.ND
     if n == 1:  # one sample alone still gets a cell, which reaches beyond the plane
         return np.array([0, 1], np.int32)
     # The border's influence has a kink where it ends. Few cells lie across it if they end there too.
-    extent, sigma, spacing = axis[[EXTENT, SIGMA, SPACING]]
-    kinks = [round(k / spacing) for k in (sigma, extent - sigma)] if sigma > 0 else []
+    first, last, sigma, spacing = axis[[FIRST_FACE, LAST_FACE, SIGMA, SPACING]]
+    kinks = [round(k / spacing) for k in (first + sigma, last - sigma)] if sigma > 0 else []
     ends = sorted({0, *(k for k in kinks if 0 < k < n - 1), n - 1})
     return np.concatenate([*(np.arange(a, b, size) for a, b in itertools.pairwise(ends)), [n - 1]]).astype(np.int32)
 
@@ -107,10 +108,10 @@ def in_pixels(a, b, c, d, e, f, g, h, k, sx, sy, sz):
 
 
 @lean
-def fade_length(x, extent, sigma, profile, u, v):
+def fade_length(x, first, last, sigma, profile, u, v):
     """The length over which a fixed border varies at a coordinate, whose derivatives by q are u and v."""
     # The quartic's fourth derivative is four times the sine's; the kinks of both, no length resolves.
-    far = (2.0 if profile > 0.0 else 1.4) * max(sigma, min(x, extent - x))
+    far = (2.0 if profile > 0.0 else 1.4) * max(sigma, min(x - first, last - x))
     return far / max(max(abs(u), abs(v)), 1e-12) if sigma > 0.0 else 1e300
 
 
@@ -137,9 +138,20 @@ def smoothness(known, at, first, last, x, y, z, a, b, d, e, g, h):
             reach = 1.0 / math.sqrt(known[s + NEARNESS])
             length = max(min(length, REACH_LENGTH * reach), math.sqrt(r2) - reach)
         least = min(least, length / size)
-        least = min(least, fade_length(x, known[at + EXTENT], known[at + SIGMA], known[at + PROFILE], ux, vx))
-        least = min(least, fade_length(y, known[j + EXTENT], known[j + SIGMA], known[j + PROFILE], uy, vy))
-        least = min(least, fade_length(z, known[k + EXTENT], known[k + SIGMA], known[k + PROFILE], uz, vz))
+        least = min(
+            least,
+            fade_length(
+                x, known[at + FIRST_FACE], known[at + LAST_FACE], known[at + SIGMA], known[at + PROFILE], ux, vx
+            ),
+        )
+        least = min(
+            least,
+            fade_length(y, known[j + FIRST_FACE], known[j + LAST_FACE], known[j + SIGMA], known[j + PROFILE], uy, vy),
+        )
+        least = min(
+            least,
+            fade_length(z, known[k + FIRST_FACE], known[k + LAST_FACE], known[k + SIGMA], known[k + PROFILE], uz, vz),
+        )
         x, y, z, p, q, r, t, u, v, w, m, n = carried(known, at, s, x, y, z)
         m00, m01, m02, m10, m11, m12, m20, m21, m22 = product(
             p, q, r, t, u, v, w, m, n, m00, m01, m02, m10, m11, m12, m20, m21, m22

@@ -9,7 +9,18 @@ import math
 
 from numba import cuda
 
-from supple.cuda.field import DOMAIN, EXTENT, SIGMA, SPACING, STROKE, Y_AXIS, Z_AXIS, moved, moved_with_matrix
+from supple.cuda.field import (
+    DOMAIN,
+    FIRST_FACE,
+    LAST_FACE,
+    SIGMA,
+    SPACING,
+    STROKE,
+    Y_AXIS,
+    Z_AXIS,
+    moved,
+    moved_with_matrix,
+)
 from supple.cuda.kernel import device, kernel, lean
 
 SMALLEST_LENGTH = 2.0**-24  # of a step: halved as often, it leads nowhere
@@ -20,11 +31,11 @@ CONVERGED = 1e-6  # pixels: the largest residual of a point that has converged (
 
 
 @lean
-def kept_inside(x, q, extent, sigma):
+def kept_inside(x, q, first, last, sigma):
     """A coordinate, where a face is fixed, on its target's side of it: a face maps to itself."""
     if sigma < 0.0:
         return x
-    return q if q <= 0.0 or q >= extent else min(max(x, 0.0), extent)
+    return q if q <= first or q >= last else min(max(x, first), last)
 
 
 @lean
@@ -49,9 +60,9 @@ def downhill(error, before, length):
 def inside(known, at, x, y, z, qx, qy, qz):
     """A point, where faces are fixed, on its target's side of them."""
     j, k = at + Y_AXIS, at + Z_AXIS
-    x = kept_inside(x, qx, known[at + EXTENT], known[at + SIGMA])
-    y = kept_inside(y, qy, known[j + EXTENT], known[j + SIGMA])
-    z = kept_inside(z, qz, known[k + EXTENT], known[k + SIGMA])
+    x = kept_inside(x, qx, known[at + FIRST_FACE], known[at + LAST_FACE], known[at + SIGMA])
+    y = kept_inside(y, qy, known[j + FIRST_FACE], known[j + LAST_FACE], known[j + SIGMA])
+    z = kept_inside(z, qz, known[k + FIRST_FACE], known[k + LAST_FACE], known[k + SIGMA])
     return x, y, z
 
 

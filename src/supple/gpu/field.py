@@ -54,21 +54,21 @@ def local(table: npt.NDArray[np.void]) -> bool:
 
 def reached(table: npt.NDArray[np.void], axes: Floats, planes: tuple[int, int]) -> npt.NDArray[np.bool_]:
     """Return which planes, of a range of the third axis, the ball of any stroke touches."""
-    z = np.arange(*planes)[:, None] * axes[2, 2]
+    z = np.arange(*planes)[:, None] * axes[2, 3]
     return np.asarray((np.abs(z - table["pivot"][:, 2]) < table["reach"]).any(axis=1))
 
 
 def domain(axes: Floats) -> npt.NDArray[np.float32]:
     """Return a packed domain (`Domain.packed`) as shaders read it.
 
-    Its rows are the extents, widths of the border, spacing and profiles of three axes. A fourth of the spacing is what
-    errors are measured by: the smallest of the axes along which anything may move. Off a picture's plane nothing does,
-    and its pixels are what counts.
+    Its rows are the first faces of three axes, the last ones, the widths of the border, the spacing and the profiles. A
+    fourth of the spacing is what errors are measured by: the smallest of the axes along which anything may move. Off a
+    picture's plane nothing does, and its pixels are what counts.
     """
-    out = np.zeros((4, 4), np.float32)
+    out = np.zeros((5, 4), np.float32)
     out[:, :3] = axes.T
-    moving = (axes[:, 0] != 0.0) | (axes[:, 1] != 0.0)
-    out[2, 3] = axes[moving if moving.any() else ..., 2].min()
+    moving = (axes[:, 1] != axes[:, 0]) | (axes[:, 2] != 0.0)
+    out[3, 3] = axes[moving if moving.any() else ..., 3].min()
     return out
 
 

@@ -17,7 +17,8 @@ struct Stroke {
 }
 
 struct Domain {
-    extent: vec4f,
+    first: vec4f, // the faces
+    last: vec4f,
     sigma: vec4f, // of the fixed border; below 0 where it is free, and 0 where nothing moves along an axis
     spacing: vec4f, // and the smallest that counts, see field.py
     profile: vec4f, // of the fixed border along each axis: QUARTIC or SINE
@@ -39,24 +40,19 @@ const SINE = 1.0;
 const RIM = 0.99999;
 
 // The offset from q of the nearest point of the domain.
-fn clamped(q: f32, w: f32, extent: f32, sigma: f32) -> f32 {
-    if (sigma < 0.0) {
+fn clamped(q: f32, w: f32, axis: u32) -> f32 {
+    if (domain.sigma[axis] < 0.0) {
         return w;
     }
-    return clamp(w, -q, extent - q);
+    return clamp(w, domain.first[axis] - q, domain.last[axis] - q);
 }
 
 fn clamped_to_domain(q: vec3f, w: vec3f) -> vec3f {
-    return vec3f(
-        clamped(q.x, w.x, domain.extent.x, domain.sigma.x),
-        clamped(q.y, w.y, domain.extent.y, domain.sigma.y),
-        clamped(q.z, w.z, domain.extent.z, domain.sigma.z),
-    );
+    return vec3f(clamped(q.x, w.x, 0u), clamped(q.y, w.y, 1u), clamped(q.z, w.z, 2u));
 }
 
 // β, β', and 1 where the point q + w lies in the domain.
 fn edge(q: f32, w: f32, axis: u32) -> vec3f {
-    let extent = domain.extent[axis];
     let sigma = domain.sigma[axis];
     if (sigma < 0.0) {
         return vec3f(1.0, 0.0, 1.0);
@@ -64,8 +60,8 @@ fn edge(q: f32, w: f32, axis: u32) -> vec3f {
     if (sigma == 0.0) {
         return vec3f(0.0, 0.0, 1.0);
     }
-    let left = q + w;
-    let right = (extent - q) - w;
+    let left = (q - domain.first[axis]) + w;
+    let right = (domain.last[axis] - q) - w;
     let inside = select(0.0, 1.0, left >= 0.0 && right >= 0.0);
     let side = select(-1.0, 1.0, left < right) / sigma;
     let t = clamp(min(left, right) / sigma, 0.0, 1.0);

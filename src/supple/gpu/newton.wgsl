@@ -20,8 +20,8 @@ fn kept_inside(q: vec3f, goal: vec3f, w: vec3f) -> vec3f {
     for (var axis = 0u; axis < 3u; axis++) {
         if (domain.sigma[axis] >= 0.0) {
             let target_ = q[axis] + goal[axis];
-            let beyond = target_ <= 0.0 || target_ >= domain.extent[axis];
-            out[axis] = select(clamp(w[axis], -q[axis], domain.extent[axis] - q[axis]), goal[axis], beyond);
+            let beyond = target_ <= domain.first[axis] || target_ >= domain.last[axis];
+            out[axis] = select(clamped(q[axis], w[axis], axis), goal[axis], beyond);
         }
     }
     return out;

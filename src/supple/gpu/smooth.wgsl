@@ -30,7 +30,8 @@ fn smoothness(q: vec3f, w: vec3f, m: mat3x3f) -> f32 {
         let place = q + at.offset;
         for (var axis = 0u; axis < 3u; axis++) {
             if (domain.sigma[axis] > 0.0) {
-                let distance_ = max(domain.sigma[axis], min(place[axis], domain.extent[axis] - place[axis]));
+                let depth = min(place[axis] - domain.first[axis], domain.last[axis] - place[axis]);
+                let distance_ = max(domain.sigma[axis], depth);
                 least = min(least, 2.0 * distance_ / max(along[axis], 1e-12));
             }
         }

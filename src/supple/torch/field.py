@@ -29,7 +29,7 @@ _RADII = (1.0, 1.1, 1.21)
 
 _SINE = PROFILE_CODES["sine"]
 
-Axis = tuple[float, float, float, float]  # extent, sigma and spacing in physical units, and the border's profile
+Axis = tuple[float, float, float, float, float]  # first, last, sigma and spacing in physical units, and the profile
 Columns = list[torch.Tensor]  # for each coordinate, x first
 
 
@@ -64,8 +64,8 @@ class Strokes:
 def moved(points: Columns, strokes: Strokes) -> Columns:
     """T of points, both in physical units: D tensors of one shape."""
     for k, (part, ratio, scales, reach) in enumerate(strokes.kinds):
-        pivot = [x * axis[2] for x, axis in zip(strokes.at[k], strokes.axes, strict=True)]
-        force = [x * (axis[2] * part) for x, axis in zip(strokes.by[k], strokes.axes, strict=True)]
+        pivot = [x * axis[3] for x, axis in zip(strokes.at[k], strokes.axes, strict=True)]
+        force = [x * (axis[3] * part) for x, axis in zip(strokes.by[k], strokes.axes, strict=True)]
         if strokes.flows:
             force = _arriving(pivot, force, strokes.axes)
         near, beta = _edges(points, strokes.axes)
@@ -93,7 +93,7 @@ def strokes_gradients(points: Columns, slopes: Columns, strokes: Strokes) -> lis
     with torch.enable_grad():
         leaves = [x.detach().requires_grad_() for x in (strokes.at, strokes.by, strokes.radius)]
         given = replace(strokes, at=leaves[0], by=leaves[1], radius=leaves[2])
-        steps = [axis[2] for axis in strokes.axes]
+        steps = [axis[3] for axis in strokes.axes]
         p = [(x * step).detach().requires_grad_() for x, step in zip(points, steps, strict=True)]
         seen = moved(p, given)
         ones = torch.ones_like(seen[0])
@@ -149,7 +149,7 @@ def _support(share2: torch.Tensor) -> torch.Tensor:
 def _edges(points: Columns, axes: Sequence[Axis]) -> tuple[Columns, Columns]:
     """The nearest coordinates in the domain, and β there."""
     near, beta = [], []
-    for x, (extent, sigma, _, profile) in zip(points, axes, strict=True):
+    for x, (first, last, sigma, _, profile) in zip(points, axes, strict=True):
         if sigma < 0:
             near.append(x)
             beta.append(torch.ones_like(x))
@@ -157,9 +157,9 @@ def _edges(points: Columns, axes: Sequence[Axis]) -> tuple[Columns, Columns]:
             near.append(torch.zeros_like(x))
             beta.append(torch.zeros_like(x))
         else:
-            v = x.clamp(0, extent)
+            v = x.clamp(first, last)
             near.append(v)
-            t = torch.minimum(v, extent - v).clamp(max=sigma) / sigma
+            t = torch.minimum(v - first, last - v).clamp(max=sigma) / sigma
             beta.append(torch.sin(t * (math.pi / 2)) if profile == _SINE else t * (2 - t * t * (2 - t)))
     return near, beta
 
@@ -167,7 +167,8 @@ def _edges(points: Columns, axes: Sequence[Axis]) -> tuple[Columns, Columns]:
 def _arriving(pivot: Columns, force: Columns, axes: Sequence[Axis]) -> Columns:
     """The force that makes up for β at its pivot, unless that is outside of a fixed border."""
     places = [float(x.detach()) for x in pivot]
-    if any(sigma >= 0 and not 0 <= x <= extent for x, (extent, sigma, _, _) in zip(places, axes, strict=True)):
+    outside = (sigma >= 0 and not a <= x <= b for x, (a, b, sigma, _, _) in zip(places, axes, strict=True))
+    if any(outside):
         return force
     _, beta = _edges(pivot, axes)
     return [f / b if b > 0 else f * 0 for f, b in zip(force, beta, strict=True)]

@@ -48,7 +48,7 @@ class Item:
             If they do, and a stroke has become several.
         """
         d = self.deformation
-        axes = [(row[0], row[1], row[2], row[3]) for row in d.space.axes[: d.ndim].tolist()]
+        axes = [(row[0], row[1], row[2], row[3], row[4]) for row in d.space.axes[: d.ndim].tolist()]
         if not self.differentiable:
             return _carried_out(d, axes, dtype, device)
         flows = d.on_fold == "flow"

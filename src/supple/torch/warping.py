@@ -167,8 +167,8 @@ def forward(
     made = []
     for part, item in zip(points if batch else [points], given, strict=True):
         strokes = item.strokes(working(points), points.device)
-        columns = [x.to(strokes.at.dtype) * axis[2] for x, axis in zip(part.unbind(-1), strokes.axes, strict=True)]
-        seen = [x / axis[2] for x, axis in zip(moved(columns, strokes), strokes.axes, strict=True)]
+        columns = [x.to(strokes.at.dtype) * axis[3] for x, axis in zip(part.unbind(-1), strokes.axes, strict=True)]
+        seen = [x / axis[3] for x, axis in zip(moved(columns, strokes), strokes.axes, strict=True)]
         made.append(torch.stack(seen, -1).to(points.dtype))
     return torch.stack(made) if batch else made[0]
 
