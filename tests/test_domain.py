@@ -194,6 +194,7 @@ def test_borders_of_axes() -> None:
     assert domain.border_widths == (30.0, 40.5, 4.0)  # at most half of an axis
     np.testing.assert_array_equal(domain.packed()[:, 2], [30, 40.5, 4])
     assert hash(domain) == hash(Domain((41, 81, 101), (1, 1, 2), border=(30, 50, 4)))
+    assert Domain((41, 81), border=(5, 5)) == Domain((41, 81), border=5)
     assert refusal(lambda: Domain((4, 4), border=(1, 2, 3))) == (
         "border must be one width, or 2 of them (x first) for a shape of 2 axes, found (1, 2, 3)"
     )

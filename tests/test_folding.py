@@ -493,6 +493,14 @@ def test_a_miss_says_why(policy: FoldPolicy, by: tuple[float, float], said: str)
     assert resolve(stroke, Domain((512, 512), border=None), "flow").warning is None
 
 
+def test_the_papers_border_holds_back_with_a_warning_alone() -> None:
+    """As in recipes of version 1, which give what they gave."""
+    domain, stroke = Domain((512, 512), border=50, border_profile="sine"), Stroke(at=(10, 256), by=(10, 0), radius=60)
+    resolved = resolve(stroke, domain, "error")
+    assert resolved.cause == "border"
+    assert "the fixed border holds it back" in str(resolved.warning)
+
+
 @pytest.mark.parametrize("border", [None, 50.0])
 def test_error_says_what_is_possible(border: float | None) -> None:
     domain = Domain((512, 512), border=border)

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import json
 import os
 import subprocess
 import sys
+from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
@@ -102,6 +104,32 @@ def test_standard_input_and_output(picture: Path) -> None:
     assert run("warp", str(picture), "-", *GRAB) == (0, out.read_bytes(), "")
     assert run("warp", "-", "-", *GRAB, given=picture.read_bytes()) == (0, out.read_bytes(), "")
     assert sorted(path.name for path in picture.parent.iterdir()) == ["in.png", "out.png"]
+
+
+@pytest.mark.parametrize("name", ["bunny.mp4", "head.nii.gz"])
+def test_clips_and_volumes_through_standard_input_and_output(tmp_path: Path, name: str) -> None:
+    source = files("supple") / "data" / name
+    strokes = ["--grab", "100,60:110,60" if name == "bunny.mp4" else "50,50,50:54,50,50", "--radius", "20"]
+    wanted = tmp_path / name
+    assert run("warp", str(source), str(wanted), *strokes)[0] == 0
+    status, out, told = run("warp", "-", "-", *strokes, given=source.read_bytes())
+    assert (status, told) == (0, "")
+    (streamed := tmp_path / f"streamed-{name}").write_bytes(out)
+    known = [run("info", str(path), "--json") for path in (wanted, streamed)]
+    facts = [{**json.loads(found[1]), "file": "", "bytes": 0} for found in known]
+    assert facts[0] == facts[1]
+
+
+def test_points_and_info_of_standard_input(picture: Path) -> None:
+    status, out, told = run("points", "-", "-", "--on", str(picture), *GRAB, given=b"x,y\n20,20\n")
+    assert (status, told) == (0, "")
+    assert [float(x) for x in out.splitlines()[1].split(b",")] == pytest.approx([23, 20, 0], abs=1e-6)
+    status, out, told = run("info", "-", "--json", given=picture.read_bytes())
+    assert (status, told) == (0, "")
+    assert {"file": "-", "width": 60, "height": 40}.items() <= json.loads(out).items()
+    status, out, told = run("plot", "-", "x.png", *GRAB)
+    assert (status, out) == (2, b"")
+    assert told == "supple: - for standard input or output is for warp, info and points: give the name of a file\n"
 
 
 def test_what_standard_input_and_output_cannot_be(picture: Path) -> None:

@@ -524,26 +524,35 @@ CHEEKS = Recipe(
         Stroke.grab((188, 186), to=(170, 230), radius=25),
     ),
 )
+BESIDE_EDGES = replace(  # from the edge, to it, and along it
+    CHEEKS,
+    strokes=(
+        Stroke.grab((0, 60), to=(31, 72), radius=20),
+        Stroke.grab((40, 350), to=(47, 389), radius=25),
+        Stroke.grab((338.5, 100), to=(339, 160), radius=25, reach=None),
+    ),
+)
 
 
 class TestFitted:
     @pytest.mark.parametrize("border", ["auto", 40.0, (30.0, 40.0), None])
     @pytest.mark.parametrize("factor", [6.0, 3.0, 0.5])
-    def test_the_result_is_the_same_at_another_size(self, border: Any, factor: float) -> None:
-        recipe = replace(CHEEKS, border=border)
+    @pytest.mark.parametrize("recipe", [CHEEKS, BESIDE_EDGES], ids=["middle", "edges"])
+    def test_the_result_is_the_same_at_another_size(self, recipe: Recipe, border: Any, factor: float) -> None:
+        recipe = replace(recipe, border=border)
         size = (round(340 * factor), round(390 * factor))
         fitted = recipe.fitted(size)
         small = Deformation.from_recipe(recipe, (390, 340))
         big = Deformation.from_recipe(fitted, size[::-1])
-        points = np.stack(np.meshgrid(np.arange(0, 340, 6.5), np.arange(0, 390, 6.5)), axis=-1)
+        points = np.stack(np.meshgrid(np.linspace(-0.5, 339.5, 53), np.linspace(-0.5, 389.5, 61)), axis=-1)
         assert np.abs(small.forward(points) - points).max() > 20
         for found, wanted in (
             (big.forward((points + 0.5) * factor - 0.5), small.forward(points)),
             (big.inverse((points + 0.5) * factor - 0.5).points, small.inverse(points).points),
         ):
-            assert np.abs((found + 0.5) / factor - 0.5 - wanted).max() < 0.01
+            assert np.abs((found + 0.5) / factor - 0.5 - wanted).max() < 1e-6
         assert fitted.size == size
-        assert [s.radius for s in fitted.strokes] == [20 * factor, 25 * factor]
+        assert [s.radius for s in fitted.strokes] == [s.radius * factor for s in recipe.strokes]
 
     def test_within_half_a_pixel_of_the_same_proportions(self) -> None:
         assert CHEEKS.fitted((170, 195)).strokes[0].radius == 10

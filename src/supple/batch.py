@@ -121,9 +121,11 @@ def piped(job: Job, console: Console) -> Iterator[Job]:
     with tempfile.TemporaryDirectory(prefix="supple-") as folder:
         place = Path(folder)
         if str(source) == STREAM:
-            source = place / "input"
+            begin = sys.stdin.buffer.read(512)
+            source = place / f"input{_suffix_of(begin)}"
             console.names[str(source)] = "standard input"
             with open(source, "wb") as file:
+                file.write(begin)
                 shutil.copyfileobj(sys.stdin.buffer, file)
         if str(target) == STREAM:
             target = place / f"output{_suffix_like(source)}"
@@ -135,10 +137,37 @@ def piped(job: Job, console: Console) -> Iterator[Job]:
             sys.stdout.buffer.flush()
 
 
+def _suffix_of(begin: bytes) -> str:
+    """The suffix of a file that begins so, where its reader goes by the name; none of a picture."""
+    brand = begin[8:12]
+    if begin[4:8] == b"ftyp" and brand not in (b"avif", b"avis", b"heic", b"heix", b"mif1", b"msf1"):
+        return ".mov" if brand == b"qt  " else ".mp4"
+    known = {
+        b"\x1a\x45\xdf\xa3": ".webm" if b"webm" in begin else ".mkv",
+        b"\x1f\x8b": ".nii.gz",
+        b"NRRD": ".nrrd",
+        b"ObjectType": ".mha",
+        b"# Markups": ".fcsv",
+        b"{": ".mrk.json",
+    }
+    for magic, suffix in known.items():
+        if begin.startswith(magic):
+            return suffix
+    if begin[344:348] == b"n+1\0":
+        return ".nii"
+    if begin[:4] == b"RIFF" and begin[8:12] == b"AVI ":
+        return ".avi"
+    try:
+        text = begin.decode("ascii")
+    except UnicodeDecodeError:
+        return ""
+    return ".csv" if "," in text and all(c.isprintable() or c in "\r\n\t" for c in text) else ""
+
+
 def _suffix_like(source: Path) -> str:
     """The suffix of a file; of one without a name, that of its format."""
     if source.suffix:
-        return source.suffix
+        return suffix_of(source)
     from supple.media.formats import OUT
     from supple.media.image import info
 

@@ -95,8 +95,10 @@ def _dispatch(arguments: Sequence[str]) -> None:
         app.command(f"supple.{where}", usage=f"Usage: supple {usage}", help_epilogue=examples)
     if not arguments or arguments[0] in app.help_flags:
         app.resolved_commands()  # or their first lines would be missing
-    if arguments and arguments[0] == "warp":  # a dash alone would be taken for an option
-        arguments = [STREAM if argument == "-" else argument for argument in arguments]
+    # A dash alone would be taken for an option.
+    arguments = [STREAM if argument == "-" else argument for argument in arguments]
+    if STREAM in arguments and arguments[0] not in ("warp", "info", "points"):
+        raise SuppleError("- for standard input or output is for warp, info and points: give the name of a file")
     try:
         app(list(arguments), exit_on_error=False, print_error=False, verbose=False)
     except CycloptsError as error:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Annotated
 
 from cyclopts import Parameter
 
-from supple.console import REFUSED, File, SomeFailedError, about, as_options, current, one_line
+from supple.console import REFUSED, STREAM, File, SomeFailedError, about, as_options, current, one_line
 from supple.errors import SuppleError
 from supple.options_volume import VolumeOptions
 
@@ -31,6 +32,7 @@ def info(
         Print one JSON object for each file.
     """
     console = current()
+    from supple.batch import piped
     from supple.describe import describe
 
     if not gpu and not files:
@@ -47,7 +49,10 @@ def info(
     for name in files:
         with about(File(name, named=len(files) > 1)):
             try:
-                facts, text = describe(name, layout=reading.layout, series=reading.series)
+                with piped((Path(name), Path()), console) as (path, _):
+                    facts, text = describe(str(path), layout=reading.layout, series=reading.series)
+                if name == STREAM:
+                    facts, text = {**facts, "file": "-"}, text.replace(str(path), "standard input")
             except SuppleError as error:
                 failures = REFUSED
                 console.say(error)

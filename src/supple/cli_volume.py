@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import numpy as np
 from cyclopts import Parameter
 
-from supple.console import current, say_convention, told, warn_of_software
+from supple.console import STREAM, current, say_convention, told, warn_of_software
 from supple.errors import SuppleError
 from supple.options import RunOptions, StrokeOptions, VideoOptions
 from supple.options_render import CameraOptions, LookOptions
@@ -114,19 +114,23 @@ def points(
         needs it, for a volume with a place in space.
     """
     console = current()
+    from supple.batch import piped
     from supple.landmarks import move_points
 
     console.started(**options.asked(), file=source)
     recipe = strokes.to_recipe(world=volume.world)
     deformation, geometry = _deformation(on, recipe, volume.to_reading(), video, strokes.to_fit())
-    moved = move_points(
-        source, target, deformation, geometry, inverse=inverse, convention=convention, force=options.force
-    )
+    if options.json and target == STREAM:
+        raise SuppleError("--json writes to standard output, and so does -: leave one out")
+    with piped((Path(source), Path(target)), console) as (read, written):
+        moved = move_points(
+            str(read), str(written), deformation, geometry, inverse=inverse, convention=convention, force=options.force
+        )
     say_convention(console, volume.world, geometry, on)
     worst = float(moved.residual.max(initial=0.0))
     if options.json:
         known = {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in asdict(moved).items()}
-        facts: dict[str, Any] = {**known, "source": str(moved.source), "target": str(moved.target)}
+        facts: dict[str, Any] = {**known, "source": "-" if source == STREAM else source, "target": target}
         console.tell(facts)
         return
     unit = "px" if geometry is None else "mm"
@@ -139,7 +143,7 @@ def points(
         )
     if moved.unconverged:
         console.say(f"{moved.unconverged} of {moved.count} points did not converge: see their residuals")
-    if not options.quiet:
+    if not options.quiet and target != STREAM:
         many = "1 point" if moved.count == 1 else f"{moved.count} points"
         print(f"{many}, moved by up to {furthest:.3g} {unit}; residual up to {worst:.1g} {unit}")
 

@@ -217,6 +217,8 @@ class Domain:
         checked = checked_border(border)
         if isinstance(checked, tuple) and len(checked) != len(sizes):
             refuse("border", f"one width, or {len(sizes)} of them (x first) for a shape of {len(sizes)} axes", border)
+        if isinstance(checked, tuple) and len(set(checked)) == 1:  # equal domains compare equal
+            checked = checked[0]
         object.__setattr__(self, "border", checked)
         if flag("time", time) and len(sizes) == 2:
             refuse("time", "False for a shape of two axes, which is an image", time)
