@@ -1,0 +1,228 @@
+"""Outputs of every kind, as hashes: pictures, clips, volumes, renders, points, JSON and errors.
+
+A change of the inner structure leaves all of them as they are, bit for bit: `python tests/corpus.py` says which differ
+from those in `corpus.json`, and `--write` puts these in their place. Decoded samples are hashed, not files, whose
+bytes depend on their writers.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import io
+import json
+import re
+import shutil
+import sys
+import tempfile
+import warnings
+from collections.abc import Callable, Iterator
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import av
+import numpy as np
+import numpy.typing as npt
+import pyvips
+import SimpleITK as sitk  # noqa: N813
+
+import supple
+from supple.cli import command
+
+Array = npt.NDArray[Any]
+KNOWN = Path(__file__).with_suffix(".json")
+DATA = Path(str(files("supple") / "data"))
+DRAG = ("--grab", "200,120:214,131", "--radius", "40")
+
+
+def noise(*shape: int, dtype: str = "uint8") -> Array:
+    """Return smooth noise over most of a type's range."""
+    x = np.random.default_rng(shape[0]).random(shape)
+    for axis in range(2):
+        x = 0.5 * x + 0.25 * (np.roll(x, 1, axis) + np.roll(x, -1, axis))
+    if dtype == "bool":
+        return x > 0.5
+    return ((x - 0.5) * 2).astype(dtype) if dtype[0] == "f" else (x * np.iinfo(dtype).max).astype(dtype)
+
+
+def bent(*shape: int, **how: Any) -> supple.Deformation:
+    """Return a deformation of a few strokes, some beside the edge."""
+    d = supple.Deformation(shape, **how)
+    n, size = len(shape), np.array(shape[::-1], float)
+    for at, by, radius in (((0.4, 0.5, 0.5), (0.2, 0.1, 0.1), 0.2), ((0.05, 0.9, 0.3), (0.05, -0.2, 0.1), 0.3)):
+        d = d.grab(at[:n] * size, by=by[:n] * size, radius=radius * size[0])
+    return d
+
+
+def arrays() -> Iterator[tuple[str, Callable[[], Any]]]:
+    """Yield what `Deformation` gives of arrays and points."""
+    kinds = {"uint8": 3, "uint16": 4, "int16": 1, "uint32": 2, "float32": 3, "float64": 1, "float16": 4, "bool": 1}
+    for dtype, channels in kinds.items():
+        source = noise(60, 83, channels, dtype=dtype)
+        for name in ("auto", "cubic", "linear", "nearest"):
+            if name != "nearest" or channels != 2:
+                yield f"image {dtype} {name}", lambda s=source, f=name: bent(60, 83).warp(s, filter=f)  # type: ignore[misc]
+    photo = noise(60, 83, 4)
+    for outside in ("edge", "constant", "reflect"):
+        yield (
+            f"image {outside}",
+            lambda o=outside: bent(60, 83, border=None).warp(photo, outside=o, fill=(9, 8, 7, 6)),  # type: ignore[misc]
+        )
+    yield "image linear light", lambda: bent(60, 83).warp(photo, linear_light=True)
+    yield "image without alpha", lambda: bent(60, 83).warp(photo, alpha=False)
+    yield "image clamp", lambda: bent(60, 83).warp(noise(60, 83, dtype="float32"), clamp=True)
+    yield "image sine", lambda: bent(60, 83, border=12, border_profile="sine", on_fold="damp").warp(photo)
+    yield "function", lambda: bent(60, 83).warp(lambda p: 0.01 * p * p, samples=2)
+    yield "batch", lambda: np.stack(supple.warp_batch([photo, photo[::-1]], [bent(60, 83), bent(60, 83, border=9)]))
+    clip = noise(7, 40, 50, 3)
+    for between in ("linear", "cubic", "nearest"):
+        how: dict[str, Any] = {"between": between, "filter": "nearest" if between == "nearest" else "auto"}
+        yield f"frames {between}", lambda h=how: bent(7, 40, 50, time=True).warp(clip, **h)  # type: ignore[misc]
+    yield "frames time filter", lambda: bent(7, 40, 50).warp(clip, time_filter=True)
+    volume = noise(20, 30, 40, dtype="int16")
+    yield "volume", lambda: bent(20, 30, 40, spacing=(1, 1, 2.5)).warp(volume, between="cubic", time_filter=True)
+    points = np.random.default_rng(1).uniform(-5, 70, (200, 2))
+    for name in ("forward", "jacobian"):
+        yield name, lambda n=name: getattr(bent(60, 83), n)(points)  # type: ignore[misc]
+    yield "inverse", lambda: np.column_stack([(f := bent(60, 83).inverse(points)).points, f.converged])
+    yield "inverse map", lambda: bent(60, 83).inverse_map()
+    yield "recipe", lambda: bent(60, 83).recipe.to_json()
+    yield "report", lambda: repr(bent(60, 83).report())
+    yield "arrivals", lambda: repr(bent(60, 83, on_fold="damp").arrivals)
+
+
+PICTURES: dict[str, tuple[str, ...]] = {
+    "astronaut.png": (),
+    "linear.jpg": ("--filter", "linear", "--quality", "91"),
+    "fill.png": ("--outside", "constant", "--fill", "9", "--border", "none"),
+    "flow.webp": ("--lossless", "--reach", "none"),
+    "light.tif": ("--linear-light",),
+}
+CLIPS: dict[str, tuple[str, ...]] = {
+    "space.mkv": DRAG,
+    "time.mkv": ("--grab", "320,180,20:320,180,26", "--radius", "90", "--time-scale", "4"),
+    "frames%03d.png": ("--grab", "320,180,20:330,180,26", "--radius", "60"),
+    "small.gif": DRAG,
+}
+VOLUMES: dict[str, tuple[str, ...]] = {
+    "voxels.nii.gz": ("--grab", "60,60,60:66,60,63", "--radius", "30"),
+    "world.nrrd": ("--grab", "0,0,0:8,0,6", "--radius", "40", "--world"),
+    "labels.nii.gz": ("--grab", "60,60,60:66,60,63", "--radius", "30", "--labels"),
+}
+ERRORS: dict[str, tuple[str, ...]] = {
+    "no file": ("warp", "missing.png", "out.png", *DRAG),
+    "no stroke": ("warp", "in.jpg", "out.png"),
+    "no radius": ("warp", "in.jpg", "out.png", "--grab", "1,2:3,4"),
+    "bad option": ("warp", "in.jpg", "out.png", *DRAG, "--fliter", "auto"),
+    "bad value": ("warp", "in.jpg", "out.png", *DRAG, "--tolerance", "-1"),
+    "bad format": ("warp", "in.jpg", "out.xyz", *DRAG),
+    "outside": ("warp", "in.jpg", "out.png", "--grab", "2000,20:2010,20", "--radius", "20"),
+    "folds": ("warp", "in.jpg", "out.png", "--grab", "200,200:400,200", "--radius", "40", "--on-fold", "error"),
+    "old filter": ("warp", "in.jpg", "out.png", *DRAG, "--filter", "ewa"),
+    "exists": ("warp", "in.jpg", "in.jpg", *DRAG),
+    "fill": ("warp", "in.jpg", "out.png", *DRAG, "--fill", "3"),
+    "world": ("warp", "in.jpg", "out.png", *DRAG, "--world"),
+    "no command": ("bend", "in.jpg"),
+    "empty recipe": ("warp", "in.jpg", "out.png", "--recipe", "empty.json"),
+}
+TOLD: dict[str, tuple[str, ...]] = {
+    "info picture": ("info", "in.jpg", "--json"),
+    "info volume": ("info", "head.nii.gz", "--json"),
+    "info clip": ("info", "bunny.mp4"),
+    "json": ("warp", "in.jpg", "told.png", *DRAG, "--json"),
+    "damped": ("warp", "in.jpg", "told.png", "--grab", "200,200:400,200", "--radius", "40", "--on-fold", "damp"),
+    "help": ("warp", "--help"),
+}
+
+
+def decoded(path: Path) -> list[Array]:
+    """Return what a file holds, by its library."""
+    name = path.name
+    if name.endswith((".nii.gz", ".nrrd")):
+        image = sitk.ReadImage(str(path))
+        geometry = [*image.GetOrigin(), *image.GetSpacing(), *image.GetDirection()]
+        return [np.round(geometry, 9), sitk.GetArrayFromImage(image)]
+    if name.endswith((".mkv", ".gif")):
+        with av.open(str(path)) as container:
+            return [frame.to_ndarray() for frame in container.decode(video=0)]
+    return [pyvips.Image.new_from_file(str(path)).numpy()]
+
+
+def hashed(*parts: Any) -> str:
+    """Return a short hash of arrays, with their types and shapes, and of texts."""
+    made = hashlib.sha256()
+    for part in parts:
+        if isinstance(part, np.ndarray):
+            made.update(f"{part.dtype.str} {part.shape}".encode())
+            made.update(np.ascontiguousarray(part).tobytes())
+        else:
+            made.update(str(part).encode())
+    return made.hexdigest()[:16]
+
+
+def said(arguments: tuple[str, ...]) -> str:
+    """Return a command's status and what it says, without times and versions."""
+    out, err = io.StringIO(), io.StringIO()
+    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+        status = command(arguments)
+    text = f"{status}\n{out.getvalue()}\n{err.getvalue()}"
+    return re.sub(r'("seconds": |took )[\d.e-]+', r"\1…", text)
+
+
+def commands() -> Iterator[tuple[str, Callable[[], Any]]]:
+    """Yield what the command makes and says, in a folder with the files that it takes."""
+
+    def made(source: str, target: str, *options: str) -> Any:
+        text = said(("warp", source, target, *options))
+        assert text.startswith("0\n"), text
+        paths = sorted(Path().glob(target.replace("%03d", "*")))
+        return [text, *(part for path in paths for part in decoded(path))]
+
+    for target, options in PICTURES.items():
+        yield f"warp {target}", lambda t=target, o=options: made("in.jpg", t, *DRAG, *o)  # type: ignore[misc]
+    for target, options in CLIPS.items():
+        codec = ("--codec", "ffv1") if target.endswith(".mkv") else ()
+        yield f"warp {target}", lambda t=target, o=options + codec: made("bunny.mp4", t, *o)  # type: ignore[misc]
+    for target, options in VOLUMES.items():
+        source = "few.nii.gz" if "--labels" in options else "head.nii.gz"
+        yield f"warp {target}", lambda s=source, t=target, o=options: made(s, t, *o)  # type: ignore[misc]
+    render = ("render", "head.nii.gz", "head.png", "--size", "120x100", "--azimuth", "30")
+    yield "render", lambda: [said(render), *decoded(Path("head.png"))]
+    field = ("--grab", "60,60,60:66,60,63", "--radius", "30", "--save-field", "field.nii.gz")
+    yield "field", lambda: [said(("warp", "head.nii.gz", "t.nii.gz", *field)), *decoded(Path("field.nii.gz"))]
+    points = ("points", "points.csv", "moved.csv", "--on", "in.jpg", *DRAG)
+    yield "points", lambda: [said(points), Path("moved.csv").read_text()]
+    recipe = ("warp", "in.jpg", "with.png", *DRAG, "--save-recipe", "recipe.json")
+    yield "recipe file", lambda: [said(recipe), Path("recipe.json").read_text()]
+    for name, arguments in {**ERRORS, **TOLD}.items():
+        yield f"says {name}", lambda a=arguments: said(a)  # type: ignore[misc]
+
+
+def found(only: str = "") -> dict[str, str]:
+    """Return the hash of every output whose name contains a text."""
+    made = {}
+    with tempfile.TemporaryDirectory() as folder, contextlib.chdir(folder), warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        shutil.copy(DATA / "astronaut.jpg", "in.jpg")
+        for name in ("bunny.mp4", "head.nii.gz"):
+            shutil.copy(DATA / name, name)
+        head = sitk.ReadImage("head.nii.gz")
+        sitk.WriteImage(sitk.Cast(sitk.Cast(head, sitk.sitkInt32) / 60, sitk.sitkUInt8), "few.nii.gz")
+        Path("points.csv").write_text("x,y\n200,120\n20.5,300\n")
+        Path("empty.json").write_text("{}")
+        for name, make in (*arrays(), *commands()):
+            if only in name:
+                value = make()
+                made[name] = hashed(*value) if isinstance(value, list) else hashed(value)
+    return made
+
+
+if __name__ == "__main__":
+    now = found()
+    if "--write" in sys.argv:
+        KNOWN.write_text(json.dumps(now, indent=1) + "\n")
+    known = json.loads(KNOWN.read_text())
+    wrong = sorted(name for name in now.keys() | known.keys() if now.get(name) != known.get(name))
+    print(f"{len(now)} outputs, {len(wrong)} of them differ from those known")
+    sys.exit("\n".join(wrong) or 0)
