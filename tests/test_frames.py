@@ -83,14 +83,14 @@ def same(out: Array, values: Floats, span: float, leeway: float = 3e-4) -> None:
 
 
 def test_the_deformations_are_what_they_should_be() -> None:
-    size = np.array(SHAPE[::-1]) - 1
+    size = np.array(SHAPE[::-1])
     points = exact(bent())
-    low, high = points.min(axis=(0, 1, 2)), points.max(axis=(0, 1, 2)) - size
+    low, high = points.min(axis=(0, 1, 2)), points.max(axis=(0, 1, 2)) - size + 1
     assert (np.maximum(-low, high) > 1).all()
     assert low[2] < -1 < 1 < high[2]
     points = exact(held())
-    assert points.min() > -1e-9
-    assert (points <= size + 1e-9).all()
+    assert points.min() > -0.5 - 1e-9
+    assert (points <= size - 0.5 + 1e-9).all()
 
 
 @pytest.mark.parametrize("rule", RULES)

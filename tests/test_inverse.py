@@ -181,18 +181,18 @@ def test_what_flows_arrives(border: float | None) -> None:
 
 def test_faces_and_corners_stay_where_they_are() -> None:
     d = deep_sequence(border=7.0)
-    x, y = np.linspace(0, 119, 50), np.linspace(0, 89, 50)
-    for axis, side, along in ((1, 0.0, x), (1, 89.0, x), (0, 0.0, y), (0, 119.0, y)):
+    x, y = np.linspace(-0.5, 119.5, 50), np.linspace(-0.5, 89.5, 50)
+    for axis, side, along in ((1, -0.5, x), (1, 89.5, x), (0, -0.5, y), (0, 119.5, y)):
         q = np.empty((50, 2))
         q[:, axis], q[:, 1 - axis] = side, along
         found = d.inverse(q)
         assert found.converged.all()
         np.testing.assert_array_equal(found.points[:, axis], q[:, axis])
-    corners = np.array(list(itertools.product((0.0, 119.0), (0.0, 89.0))))
+    corners = np.array(list(itertools.product((-0.5, 119.5), (-0.5, 89.5))))
     np.testing.assert_array_equal(d.inverse(corners).points, corners)
     # What is within stays within.
     inside = d.inverse(reference.grid(SHAPE)).points
-    assert ((inside >= 0) & (inside <= (119, 89))).all()
+    assert ((inside >= -0.5) & (inside <= (119.5, 89.5))).all()
 
 
 def test_far_from_the_domain() -> None:
