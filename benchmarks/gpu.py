@@ -18,18 +18,18 @@ import numpy as np
 from measure import milliseconds
 
 import supple
-from supple.camera import Camera
-from supple.drawing import lattice_of
 from supple.gpu import kernel
 from supple.gpu.device import open_gpu
 from supple.gpu.fill import Filling
 from supple.gpu.volume import beside, hold
 from supple.media import image
 from supple.media.volume import Volume
-from supple.rendering import MODES, Scene
+from supple.render.camera import Camera
+from supple.render.device import lattice_of
+from supple.render.scene import MODES, Scene
 from supple.volumes import open_volume
 
-DATA = Path(supple.__file__).parent / "data"
+DATA = Path(supple.__file__).parent / "examples" / "data"
 
 
 def timed(work: Callable[[], object], runs: int) -> tuple[float, float | None]:

@@ -31,7 +31,7 @@ SMALLER = 4  # how many times each side of a photograph is averaged down
 WITHIN = 8  # places along each side of an output pixel
 MARGIN = 4  # pixels of the border that do not count: filters and truth see other things beyond it
 
-OURS = Path(supple.__file__).parent / "data"
+OURS = Path(supple.__file__).parent / "examples" / "data"
 THEIRS = Path(skimage.__file__).parent / "data"
 PHOTOGRAPHS = (
     OURS / "astronaut.jpg",

@@ -21,7 +21,7 @@ from measure import Row, machine, timed
 
 import supple
 
-DATA = Path(supple.__file__).parent / "data"
+DATA = Path(supple.__file__).parent / "examples" / "data"
 STROKE = ["--grab", "256,256:256,346", "--radius", "100"]
 
 

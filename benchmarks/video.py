@@ -30,7 +30,7 @@ from supple.stacks import warp_stack
 from supple.streaming import Group, Layout, Sampling
 
 Array = npt.NDArray[Any]
-DATA = Path(supple.__file__).parent / "data"
+DATA = Path(supple.__file__).parent / "examples" / "data"
 EVERY = 6  # frames, whose maps are kept: each stands for as many
 
 

@@ -17,16 +17,16 @@ from reference import psnr
 from scipy import ndimage
 
 import supple
-from supple.camera import Camera
 from supple.domain import Border
 from supple.geometry import Geometry
 from supple.media import volume as media
-from supple.rendering import Scene
-from supple.transfer import PRESETS
+from supple.render.camera import Camera
+from supple.render.scene import Scene
+from supple.render.transfer import PRESETS
 
 Array = npt.NDArray[Any]
 
-DATA = Path(supple.__file__).parent / "data"
+DATA = Path(supple.__file__).parent / "examples" / "data"
 FACE = Geometry(direction=np.diag([-1.0, -1.0, 1.0]), convention="RAS")
 CAMERA = Camera(30, 10)
 

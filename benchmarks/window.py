@@ -33,7 +33,7 @@ from supple.media import image
 from supple.strokes import Recipe, Stroke
 from supple.viewer import panels
 
-DATA = Path(supple.__file__).parent / "data"
+DATA = Path(supple.__file__).parent / "examples" / "data"
 _EMPTY = """
 import time
 begun = time.perf_counter()

@@ -19,8 +19,8 @@ import pyvips
 import SimpleITK as sitk  # noqa: N813
 
 import supple
-from supple.diagnostics import figure
 from supple.media import image
+from supple.plot import figure
 from supple.volumes import open_volume
 
 HERE = Path(__file__).resolve().parent
@@ -32,7 +32,7 @@ import modes  # noqa: E402
 import smile  # noqa: E402
 
 WHITE, RED = [255] * 3, (230, 50, 40)
-DATA = Path(supple.__file__).parent / "data"
+DATA = Path(supple.__file__).parent / "examples" / "data"
 
 
 def rendered(deformation: supple.Deformation, what: str, photo: image.Array | None = None) -> pyvips.Image:

@@ -21,7 +21,7 @@ from supple.viewer import view as windows
 from supple.viewer.launch import opened
 
 HERE = Path(__file__).resolve().parent
-DATA = Path(supple.__file__).parent / "data"
+DATA = Path(supple.__file__).parent / "examples" / "data"
 SIZE, RATE = (900, 540), 12
 LEFT, RIGHT = 1, 2
 POINTER = """<svg xmlns="http://www.w3.org/2000/svg" width="64" height="64"><circle cx="24" cy="24" r="{halo}"

@@ -8,7 +8,7 @@ import numpy as np
 import supple
 from supple.media import image
 
-PHOTO = Path(supple.__file__).parent / "data" / "coffee.jpg"
+PHOTO = Path(supple.__file__).parent / "examples" / "data" / "coffee.jpg"
 STROKES, VARIANTS = 5, 4
 
 

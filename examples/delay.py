@@ -12,8 +12,8 @@ from smile import CLIP, frames_of
 
 import supple
 from supple.clips import ClipOptions
-from supple.diagnostics import draw_sheet
 from supple.files import warp_file
+from supple.plot import draw_sheet
 
 GRABS = {  # a clip, where and when, by how many frames, radius, and how many pixels a frame is worth
     "head_late": (CLIP, (350, 125, 38), 14, 90, 1.5),

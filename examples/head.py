@@ -11,14 +11,14 @@ import numpy as np
 import SimpleITK as sitk  # noqa: N813
 
 import supple
-from supple.camera import Camera
 from supple.geometry import Geometry
 from supple.media import image
-from supple.rendering import Scene
-from supple.views import default_transfer
+from supple.render.camera import Camera
+from supple.render.files import default_transfer
+from supple.render.scene import Scene
 from supple.volumes import open_volume
 
-DATA = Path(supple.__file__).parent / "data"
+DATA = Path(supple.__file__).parent / "examples" / "data"
 HEAD, BRAIN = DATA / "head.nii.gz", DATA / "brain.nii.gz"
 SIZE, BACKGROUND = (360, 360), (0.1, 0.1, 0.12)
 # A place as parts of the volume from its right, front and lower faces on, and drags in millimetres, all along LPS.

@@ -8,7 +8,7 @@ import numpy as np
 import supple
 from supple.media import image
 
-PHOTO = Path(supple.__file__).parent / "data" / "chelsea.jpg"
+PHOTO = Path(supple.__file__).parent / "examples" / "data" / "chelsea.jpg"
 POINTS = {"left eye": (172, 116), "right eye": (318, 136), "nose": (266, 243)}
 
 

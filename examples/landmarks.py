@@ -11,10 +11,10 @@ import SimpleITK as sitk  # noqa: N813
 from head import BACKGROUND, HEAD
 
 import supple
-from supple.camera import Camera
 from supple.landmarks import move_points
 from supple.media import image, points
-from supple.rendering import Scene
+from supple.render.camera import Camera
+from supple.render.scene import Scene
 from supple.volumes import VolumeOptions, open_volume, warp_volume
 
 # Places in the file's own coordinates, RAS, in millimetres.

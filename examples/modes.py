@@ -11,11 +11,11 @@ import numpy as np
 from head import BACKGROUND, DRAGS, HEAD, bent, layers
 
 import supple
-from supple.camera import Camera
-from supple.diagnostics.rays import draw_inversions
 from supple.media import image
-from supple.rendering import MODES, Scene
-from supple.solid import solve_solid
+from supple.plot.rays import draw_inversions
+from supple.render.camera import Camera
+from supple.render.scene import MODES, Scene
+from supple.render.solid import solve_solid
 
 CAMERA, SIZE, TOLERANCE = Camera(azimuth=38, elevation=12, distance=480), (500, 500), 0.05
 

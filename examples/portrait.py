@@ -8,7 +8,7 @@ import numpy as np
 import supple
 from supple.media import image
 
-PHOTO = Path(supple.__file__).parent / "data" / "astronaut.jpg"
+PHOTO = Path(supple.__file__).parent / "examples" / "data" / "astronaut.jpg"
 
 # Three scales fade as 1/r⁵: the mouth moves, and the chin stays.
 STROKES = [

@@ -8,7 +8,7 @@ import numpy as np
 import supple
 from supple.media import image
 
-PHOTO = Path(supple.__file__).parent / "data" / "chelsea.jpg"
+PHOTO = Path(supple.__file__).parent / "examples" / "data" / "chelsea.jpg"
 
 
 def remap(pixels: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:

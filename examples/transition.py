@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 import supple
-from supple.diagnostics import draw_sheet
+from supple.plot import draw_sheet
 
 TURNS, SIZE = 51, 50
 

@@ -32,7 +32,7 @@ from supple.cli import command
 
 Array = npt.NDArray[Any]
 KNOWN = Path(__file__).with_suffix(".json")
-DATA = Path(str(files("supple") / "data"))
+DATA = Path(str(files("supple.examples") / "data"))
 DRAG = ("--grab", "200,120:214,131", "--radius", "40")
 
 

@@ -17,7 +17,7 @@ if __name__ == "__main__":
     sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "src"))
 
 from supple import Deformation, FoldWarning, SuppleError, ToleranceWarning, _core
-from supple.solid import solve_solid
+from supple.render.solid import solve_solid
 from supple.streaming import Array, Group, Layout, Sampling, make_plan, stream
 from supple.strokes import numbers
 

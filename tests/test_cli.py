@@ -23,10 +23,9 @@ import pytest
 from children import HEARING
 
 import supple
-from supple import console
-from supple.batch import Crew, Job
-from supple.cli import command
-from supple.console import Console
+from supple.cli import command, console
+from supple.cli.console import Console
+from supple.cli.jobs import Crew, Job
 from supple.gpu.device import Gpu
 from supple.media import image
 
@@ -66,7 +65,7 @@ def run(here: Path, capsys: pytest.CaptureFixture[str]) -> Run:
 
 def start(*arguments: str, **options: object) -> subprocess.Popen[str]:
     return subprocess.Popen(
-        [sys.executable, "-m", "supple.cli", *arguments],
+        [sys.executable, "-m", "supple", *arguments],
         env={**os.environ, "PYTHONPATH": SOURCE},
         stdout=options.pop("stdout", subprocess.PIPE),
         stderr=subprocess.PIPE,
@@ -820,7 +819,7 @@ def test_output_that_finds_no_room_is_one_line(here: Path) -> None:
 def test_progress_is_for_terminals(here: Path) -> None:
     pictures("in")
     terminal, inside = pty.openpty()
-    command_line = [sys.executable, "-m", "supple.cli", "warp", "in", "out", *GRAB]
+    command_line = [sys.executable, "-m", "supple", "warp", "in", "out", *GRAB]
     environment = {**os.environ, "PYTHONPATH": SOURCE, "TERM": "xterm", "COLUMNS": "90"}
     process = subprocess.Popen(command_line, env=environment, stdout=subprocess.DEVNULL, stderr=inside)
     os.close(inside)

@@ -10,7 +10,7 @@ import numpy.typing as npt
 import pytest
 
 from supple import Deformation, SuppleError
-from supple.diagnostics import check_plot, clip_sheet, clip_slice, draw_sheet, draw_slice, evenly, figure
+from supple.plot import check_plot, clip_sheet, clip_slice, draw_sheet, draw_slice, evenly, figure
 
 Array = npt.NDArray[Any]
 

@@ -34,7 +34,7 @@ from supple.files import warp_file
 from supple.media import image
 from supple.media.troubles import ClipWarning, CountError
 from supple.media.video import info, open_video
-from supple.plots import plot_file
+from supple.plot.files import plot_file
 
 SOURCE = str(Path(__file__).resolve().parent.parent / "src")
 TIMED = supple.Recipe(border=None, strokes=(supple.Stroke.grab((30, 20, 3), to=(33, 22, 8), radius=10),))
@@ -593,7 +593,9 @@ def test_a_stroke_that_starts_in_a_frame_that_is_none_is_told(run: Run, frame: s
 def test_a_sheet_shows_where_strokes_act(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     noisy("in.mkv", count=80)
     seen: list[list[int]] = []
-    monkeypatch.setattr("supple.plots.draw_sheet", lambda before, *rest, **named: seen.append([k for k, _ in before]))
+    monkeypatch.setattr(
+        "supple.plot.files.draw_sheet", lambda before, *rest, **named: seen.append([k for k, _ in before])
+    )
     local = supple.Recipe(strokes=[supple.Stroke.grab((30, 20, 40), by=(4, 0, 0), radius=6, scales=3)], border=None)
     everywhere = supple.Recipe(strokes=[supple.Stroke.grab((30, 20), by=(4, 0), radius=6)])
     still = supple.Recipe(strokes=[supple.Stroke.grab((30, 20, 40), by=(0, 0, 0), radius=6)])
@@ -972,7 +974,7 @@ def watched(*arguments: str) -> tuple[int, str]:
     """Run a command whose messages go to a terminal."""
     terminal, inside = pty.openpty()
     process = subprocess.Popen(
-        [sys.executable, "-m", "supple.cli", *arguments],
+        [sys.executable, "-m", "supple", *arguments],
         env=environment(TERM="xterm", COLUMNS="100"),
         stdout=subprocess.DEVNULL,
         stderr=inside,
@@ -1022,7 +1024,7 @@ def test_plots_show_what_warp_makes(here: Path, monkeypatch: pytest.MonkeyPatch)
     bent = supple.Deformation.from_recipe(TIMED, frames.shape[:3]).warp(frames)
     shown: list[Any] = []
     for name in ("draw_slice", "draw_sheet"):
-        monkeypatch.setattr(f"supple.plots.{name}", lambda *given, **options: shown.append((given, options)))
+        monkeypatch.setattr(f"supple.plot.files.{name}", lambda *given, **options: shown.append((given, options)))
     plot_file("in", "out.png", TIMED, "slice", x=20)
     plot_file("in", "out.png", TIMED, "slice", y=47)
     plot_file("in", "out.png", TIMED, "sheet")
@@ -1102,7 +1104,7 @@ def test_a_plot_that_cannot_be_written_is_one_line(run: Run, target: str) -> Non
 
 def start(*arguments: str, **options: Any) -> subprocess.Popen[str]:
     return subprocess.Popen(
-        [sys.executable, "-m", "supple.cli", *arguments],
+        [sys.executable, "-m", "supple", *arguments],
         env=environment(TMPDIR=os.path.abspath("tmp")),
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,

@@ -21,12 +21,12 @@ import pytest
 import supple.clips
 import supple.volumes
 from supple.cli import command
-from supple.console import as_options
+from supple.cli.console import as_options
 from supple.errors import ToleranceWarning
 from supple.media import image
 
 SOURCE = str(Path(__file__).resolve().parent.parent / "src")
-HEAD = Path(SOURCE) / "supple" / "data" / "head.nii.gz"
+HEAD = Path(SOURCE) / "supple" / "examples" / "data" / "head.nii.gz"
 FOLDS = ("--radius", "6", "--on-fold", "damp")
 MEDIA = {
     "picture": ("in.png", "out.png", ("--grab", "20,16:36,16", *FOLDS)),

@@ -14,13 +14,13 @@ from supple.cli import command
 from supple.clips import warp_clip
 from supple.cuda import card
 from supple.errors import SuppleError
-from supple.gallery import write_gallery
+from supple.examples.gallery import write_gallery
 from supple.geometry import Geometry
 from supple.media import image
 from supple.media import volume as media
-from supple.rendering import Scene
+from supple.render.files import RenderOptions
+from supple.render.scene import Scene
 from supple.strokes import Recipe, Stroke
-from supple.views import RenderOptions
 from supple.volumes import warp_volume
 
 MISSING = "CUDA needs the package numba-cuda, which is not installed"

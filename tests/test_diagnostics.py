@@ -13,9 +13,9 @@ import numpy.typing as npt
 import pytest
 
 from supple import Deformation, SuppleError, paper
-from supple.diagnostics import WHATS, figure, footprints, grid, iterations, plot, residual, sources, stretch
-from supple.diagnostics.background import background
-from supple.diagnostics.measure import spacing_of
+from supple.plot import WHATS, figure, footprints, grid, iterations, plot, residual, sources, stretch
+from supple.plot.background import background
+from supple.plot.measure import spacing_of
 
 FIG_6_1B = Deformation((512, 512), border=None, on_fold="damp").grab((256, 256), by=(0, 90), radius=100, reach=None)
 VIDEO = Deformation((30, 48, 64), border=8, spacing=(1.0, 1.0, 1.5), on_fold="damp").grab(
@@ -315,7 +315,7 @@ def test_frames_that_are_not_there_are_refused(tmp_path: Path) -> None:
 
 def test_pyplot_stays_out_of_it() -> None:
     code = (
-        "import sys; from supple.diagnostics import figure; from supple import Deformation\n"
+        "import sys; from supple.plot import figure; from supple import Deformation\n"
         "assert 'matplotlib' not in sys.modules\n"
         "figure(Deformation((20, 20)), 'grid')\n"
         "assert 'matplotlib.pyplot' not in sys.modules"

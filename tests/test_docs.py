@@ -13,11 +13,11 @@ from pathlib import Path
 import pytest
 
 import supple
-from supple.transfer import PRESETS, TransferFunction
+from supple.render.transfer import PRESETS, TransferFunction
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
-DATA = Path(supple.__file__).parent / "data"
+DATA = Path(supple.__file__).parent / "examples" / "data"
 OPTION = r"(?<![\w-])--[a-z][a-z-]*"
 
 
@@ -92,7 +92,7 @@ def test_every_option_that_is_named_exists_and_every_one_that_exists_is_named() 
     helps = {}
     for command in ("", "warp", "render", "points", "plot", "info", "demo", "view"):
         result = subprocess.run(
-            [sys.executable, "-m", "supple.cli", *command.split(), "--help"],
+            [sys.executable, "-m", "supple", *command.split(), "--help"],
             env={**os.environ, "PYTHONPATH": str(ROOT / "src"), "COLUMNS": "200"},
             capture_output=True,
             encoding="utf-8",

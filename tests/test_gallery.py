@@ -14,10 +14,10 @@ import pytest
 import supple
 from supple import SuppleError
 from supple.cli import command
-from supple.gallery import SCENES, write_gallery
+from supple.examples.gallery import SCENES, write_gallery
+from supple.examples.scenes import Look, Take
 from supple.media import image, video, volume
-from supple.rendering import Scene
-from supple.scenes import Look, Take
+from supple.render.scene import Scene
 
 SHOTS = [shot for scene in SCENES for shot in scene.shots]
 STILLS = [shot for shot in SHOTS if not isinstance(shot, Take | Look)]
@@ -132,7 +132,7 @@ def test_the_head_is_seen_outside_and_inside_and_from_all_sides(gallery: Path) -
 
 
 def test_the_head_lies_where_it_did() -> None:
-    data = Path(supple.__file__).parent / "data"
+    data = Path(supple.__file__).parent / "examples" / "data"
     assert (data / "head.nii.gz").stat().st_size < 500_000
     head, brain = (volume.read(data / f"{name}.nii.gz") for name in ("head", "brain"))
     for known in (head, brain):
@@ -169,7 +169,7 @@ def test_the_commands_make_the_pictures(gallery: Path, number: int, monkeypatch:
 def test_a_gallery_is_written_anew_and_nothing_else_is_touched(
     gallery: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("supple.gallery.SCENES", SCENES[:1])
+    monkeypatch.setattr("supple.examples.gallery.SCENES", SCENES[:1])
     (gallery / "mine.txt").write_text("precious")
     (gallery / "cat.jpg").write_bytes(b"broken")
     try:

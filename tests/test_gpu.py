@@ -29,7 +29,7 @@ from supple.media import image
 
 @pytest.fixture(scope="module")
 def photo() -> np.ndarray:
-    return image.read(Path(supple.__file__).parent / "data" / "coffee.jpg").pixels[:120, :165]
+    return image.read(Path(supple.__file__).parent / "examples" / "data" / "coffee.jpg").pixels[:120, :165]
 
 
 def bent(

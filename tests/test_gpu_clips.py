@@ -38,7 +38,7 @@ pytestmark = pytest.mark.filterwarnings("ignore::supple.FoldWarning")
 
 Array = npt.NDArray[Any]
 
-DATA = Path(supple.__file__).parent / "data"
+DATA = Path(supple.__file__).parent / "examples" / "data"
 STILL = Deformation(SHAPE, border=None, on_fold="damp").grab((25, 20), by=(9, -6), radius=16, reach=None)
 LINEAR = Sampling("linear")
 

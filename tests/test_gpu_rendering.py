@@ -14,8 +14,6 @@ import reference
 from scipy import ndimage
 
 import supple
-from supple import drawing
-from supple.camera import Camera
 from supple.cli import command
 from supple.errors import DeviceWarning, SuppleError
 from supple.geometry import Geometry
@@ -24,10 +22,12 @@ from supple.gpu import fill, kernel, solid, volume
 from supple.gpu.device import Gpu
 from supple.gpu.texels import put_solid
 from supple.media import image
-from supple.picture import Picture
-from supple.rendering import MODES, Scene
-from supple.solid import Solid, along_rays
-from supple.transfer import TransferFunction
+from supple.render import device as drawing
+from supple.render.camera import Camera
+from supple.render.picture import Picture
+from supple.render.scene import MODES, Scene
+from supple.render.solid import Solid, along_rays
+from supple.render.transfer import TransferFunction
 from supple.volumes import open_volume
 
 SHAPE, SIZE = (22, 30, 26), (40, 52)
@@ -182,7 +182,7 @@ def test_what_does_not_fit_is_done_by_the_cpu(gpu: Gpu, cloud: np.ndarray, monke
 
 
 def test_the_command_line(gpu: Gpu, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    head = str(Path(supple.__file__).parent / "data" / "head.nii.gz")
+    head = str(Path(supple.__file__).parent / "examples" / "data" / "head.nii.gz")
     options = ["--grab", "40,86,65:44,63,53", "--radius", "36", "--border", "30", "--size", "48x40"]
     for device in ("cpu", "gpu"):
         assert command(["render", head, str(tmp_path / f"{device}.png"), *options, "--device", device]) == 0
@@ -431,7 +431,7 @@ def test_parts_of_work_take_about_as_long(monkeypatch: pytest.MonkeyPatch) -> No
 
 @pytest.mark.parametrize("mode", MODES)
 def test_the_head(gpu: Gpu, mode: str) -> None:
-    head = open_volume(Path(supple.__file__).parent / "data" / "head.nii.gz")
+    head = open_volume(Path(supple.__file__).parent / "examples" / "data" / "head.nii.gz")
     d = supple.Deformation(head.samples.shape, spacing=head.geometry.spacing, border=30, on_fold="damp")
     d = d.grab((40, 86, 65), to=(44, 63, 53), radius=36, reach=None)
     camera, size = Camera(azimuth=38, elevation=12, distance=480), (96, 96)
@@ -734,7 +734,7 @@ def test_textures_that_do_not_fit_are_refused(gpu: Gpu, cloud: np.ndarray) -> No
 
 
 def test_what_a_caller_raises_passes_through_a_warp(gpu: Gpu, tmp_path: Path) -> None:
-    head = Path(supple.__file__).parent / "data" / "head.nii.gz"
+    head = Path(supple.__file__).parent / "examples" / "data" / "head.nii.gz"
     recipe = supple.Recipe(
         border=30, strokes=(supple.Stroke.grab((40, 86, 65), by=(4, -9, 0), radius=36, reach=None),), on_fold="damp"
     )

@@ -108,7 +108,7 @@ def test_standard_input_and_output(picture: Path) -> None:
 
 @pytest.mark.parametrize("name", ["bunny.mp4", "head.nii.gz"])
 def test_clips_and_volumes_through_standard_input_and_output(tmp_path: Path, name: str) -> None:
-    source = files("supple") / "data" / name
+    source = files("supple.examples") / "data" / name
     strokes = ["--grab", "100,60:110,60" if name == "bunny.mp4" else "50,50,50:54,50,50", "--radius", "20"]
     wanted = tmp_path / name
     assert run("warp", str(source), str(wanted), *strokes)[0] == 0

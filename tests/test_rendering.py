@@ -12,12 +12,12 @@ from scipy import ndimage
 
 import supple
 from supple import _core
-from supple.camera import Camera
 from supple.geometry import Geometry
-from supple.picture import Picture
-from supple.rendering import MODES, Scene
-from supple.seeing import brick_counts
-from supple.transfer import ENTRIES, TransferFunction
+from supple.render.appearance import brick_counts
+from supple.render.camera import Camera
+from supple.render.picture import Picture
+from supple.render.scene import MODES, Scene
+from supple.render.transfer import ENTRIES, TransferFunction
 
 Floats = npt.NDArray[np.float64]
 

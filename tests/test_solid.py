@@ -8,8 +8,8 @@ import pytest
 import supple
 from supple import _core
 from supple.domain import BorderProfile
-from supple.seeing import FINE, brick_counts
-from supple.solid import COARSEST, FINEST, Solid, solve_solid, strokes_of
+from supple.render.appearance import FINE, brick_counts
+from supple.render.solid import COARSEST, FINEST, Solid, solve_solid, strokes_of
 
 SHAPE = (37, 50, 43)
 SIZE = np.array(SHAPE[::-1])

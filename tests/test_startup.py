@@ -15,7 +15,7 @@ from supple.media import image
 
 SOURCE = str(Path(__file__).resolve().parent.parent / "src")
 ENGINES = ("numba", "llvmlite", "scipy", "torch", "wgpu", "supple.gpu.warp", "supple.offload", "supple.cuda")
-LIBRARIES = ("matplotlib", "av", "SimpleITK", "nibabel", "rich", "supple.viewer", "supple.diagnostics")
+LIBRARIES = ("matplotlib", "av", "SimpleITK", "nibabel", "rich", "supple.viewer", "supple.plot")
 
 
 def imported(program: str, here: Path) -> set[str]:
@@ -59,15 +59,18 @@ def test_importing_supple_imports_nothing_heavy(named: set[str], module: str) ->
 
 @pytest.mark.parametrize("module", [*ENGINES, *LIBRARIES])
 def test_warping_a_picture_imports_no_more_than_it_needs(warped: set[str], module: str) -> None:
-    assert {"cyclopts", "pyvips", "supple.cli_warp"} <= warped
+    assert {"cyclopts", "pyvips", "supple.cli.warp"} <= warped
     assert module not in warped
+
+
+COMMANDS = {f"supple.cli.{name}" for name in ("warp", "plot", "volume", "info", "view")}
 
 
 def test_a_command_imports_its_own_module_alone(tmp_path: Path) -> None:
     image.write(tmp_path / "in.png", np.zeros((4, 5), np.uint8))
     program = "from supple.cli import command; assert command(['info', 'in.png', '--json']) == 0"
-    commands = {name for name in imported(program, tmp_path) if name.startswith("supple.cli_")}
-    assert commands == {"supple.cli_info"}
+    commands = {name for name in imported(program, tmp_path) if name in COMMANDS}
+    assert commands == {"supple.cli.info"}
 
 
 @pytest.mark.parametrize("arguments", [[], ["--help"], ["-h"]])

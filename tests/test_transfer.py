@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from supple import SuppleError
-from supple.transfer import ENTRIES, PRESETS, TransferFunction, transfer_of
+from supple.render.transfer import ENTRIES, PRESETS, TransferFunction, transfer_of
 
 POINTS = ((0.0, 0.0, 0.5, 1.0, 0.0), (10.0, 1.0, 0.5, 0.0, 0.5), (30.0, 1.0, 1.0, 1.0, 1.0))
 

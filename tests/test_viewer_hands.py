@@ -18,7 +18,7 @@ from supple.strokes import Recipe, Stroke
 pytest.importorskip("rendercanvas")
 pytest.importorskip("imgui_bundle")
 
-DATA = Path(supple.__file__).parent / "data"
+DATA = Path(supple.__file__).parent / "examples" / "data"
 
 
 @pytest.fixture

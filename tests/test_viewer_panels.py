@@ -20,7 +20,7 @@ from supple.viewer.document import Document
 imgui = pytest.importorskip("imgui_bundle").imgui
 pytest.importorskip("rendercanvas")
 
-DATA = Path(supple.__file__).parent / "data"
+DATA = Path(supple.__file__).parent / "examples" / "data"
 FLAT = (Stroke(at=(200, 120), by=(20, 10), radius=40), Stroke(at=(100, 90), by=(-10, 10), radius=30))
 DEEP = (Stroke(at=(20, 60, 60), by=(3, 0, 1), radius=20),)
 

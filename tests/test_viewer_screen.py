@@ -29,7 +29,7 @@ pytest.importorskip("rendercanvas")
 pytest.importorskip("imgui_bundle")
 pytest.importorskip("glfw")
 
-DATA = Path(supple.__file__).parent / "data"
+DATA = Path(supple.__file__).parent / "examples" / "data"
 AREA = (SIZE[0] - WIDE, SIZE[1] - LINE)
 
 

@@ -23,7 +23,7 @@ from supple.strokes import Recipe
 pytest.importorskip("rendercanvas")
 pytest.importorskip("imgui_bundle")
 
-DATA = Path(supple.__file__).parent / "data"
+DATA = Path(supple.__file__).parent / "examples" / "data"
 QT = next((name for name in ("PySide6", "PyQt6") if find_spec(name) is not None), None)
 
 # A drag, a wheel, and a close that asks; what is asked is answered by the key that Qt calls Return.

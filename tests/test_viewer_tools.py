@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from supple.camera import Camera
 from supple.geometry import Geometry
-from supple.picture import Pick
+from supple.render.camera import Camera
+from supple.render.picture import Pick
 from supple.strokes import Recipe, Stroke
 from supple.viewer.document import Document
 from supple.viewer.playback import Playback

@@ -7,8 +7,8 @@ import random
 import numpy as np
 import pytest
 
-from supple.camera import Camera
 from supple.geometry import Geometry
+from supple.render.camera import Camera
 from supple.viewer import orbit
 from supple.viewer.orbit import Stage
 from supple.viewer.playback import Playback

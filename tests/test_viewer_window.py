@@ -30,7 +30,7 @@ from supple.volumes import VolumeOptions, deformation_of
 pytest.importorskip("rendercanvas")
 pytest.importorskip("imgui_bundle")
 
-DATA = Path(supple.__file__).parent / "data"
+DATA = Path(supple.__file__).parent / "examples" / "data"
 
 
 @pytest.fixture

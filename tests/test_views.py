@@ -14,14 +14,14 @@ import pytest
 
 import supple
 from supple import cli
-from supple.camera import Camera
 from supple.cli import command
 from supple.geometry import Geometry
 from supple.gpu.device import Gpu
 from supple.media import image
 from supple.media import volume as media
-from supple.transfer import PRESETS
-from supple.views import RenderOptions, default_transfer, render_file
+from supple.render.camera import Camera
+from supple.render.files import RenderOptions, default_transfer, render_file
+from supple.render.transfer import PRESETS
 from supple.volumes import VolumeOptions
 
 SHAPE = (24, 30, 28)
@@ -120,7 +120,7 @@ def test_colours_are_seen_by_their_luminance(here: Path, suffix: str) -> None:
 
 
 def test_the_examples_of_the_help_bend_the_head_that_comes_along(here: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    shutil.copy(Path(supple.__file__).parent / "data" / "head.nii.gz", "head.nii.gz")
+    shutil.copy(Path(supple.__file__).parent / "examples" / "data" / "head.nii.gz", "head.nii.gz")
     head = media.read("head.nii.gz").samples
     Path("marks.fcsv").write_text("# CoordinateSystem = RAS\nF1,0,51,53,1,1\n", encoding="utf-8")
     texts = cli._WARP_EXAMPLES + cli._RENDER_EXAMPLES + cli._POINTS_EXAMPLES

@@ -123,7 +123,7 @@ def close_all() -> None:
 
 def small_photo(folder: Path) -> Path:
     """A photograph whose pixels are those of the canvas, at 100 %."""
-    pixels = image.read(Path(supple.__file__).parent / "data" / "coffee.jpg").pixels[:380, :560]
+    pixels = image.read(Path(supple.__file__).parent / "examples" / "data" / "coffee.jpg").pixels[:380, :560]
     image.write(folder / "photo.png", pixels)
     return folder / "photo.png"
 

@@ -9,7 +9,7 @@ import sys
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
@@ -29,6 +29,7 @@ from supple.media.volume import suffix_of
 from supple.scaling import Fit
 from supple.strokes import Recipe, fit_recipe
 from supple.volumes import VolumeOptions, WarpedVolume, check_volume_target, is_volume_job, warp_volume
+from supple.workers import counted
 
 PathLike = str | os.PathLike[str]
 _MEDIA = frozenset({*SUFFIXES_IN, *CLIPS, *CLIPS_OUT, *VOLUMES, *VOLUMES_OUT})
@@ -310,58 +311,6 @@ def _asked(options: ClipOptions | VolumeOptions | None, usual: ClipOptions | Vol
 def _named(names: Sequence[str]) -> str:
     options = ["--" + {"rate": "fps", "layout": "shape"}.get(name, name).replace("_", "-") for name in names]
     return f"{' and '.join(options)} {'are' if len(options) > 1 else 'is'}"
-
-
-@contextlib.contextmanager
-def counted(
-    progress: bool | Callable[[str], None],
-    unit: str = "frames",
-    also: Callable[[str, int, int], None] | None = None,
-) -> Iterator[Callable[[str, int, int], None]]:
-    """Show how far a clip or a volume is: frames or slices, their rate, and the time left; and tell somebody else."""
-    if also is not None:
-        with counted(progress, unit) as counts:
-
-            def both(step: str, done: int, total: int) -> None:
-                counts(step, done, total)
-                also(step, done, total)
-
-            yield both
-        return
-    if callable(progress):
-        yield lambda step, done, total: progress(step)
-        return
-    if not progress or sys.stderr is None or not sys.stderr.isatty():
-        yield lambda step, done, total: None
-        return
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, Task, TextColumn, TimeRemainingColumn
-    from rich.text import Text
-
-    class Rate(TextColumn):
-        def render(self, task: Task) -> Text:
-            speed = task.finished_speed or task.speed
-            return Text(f"{speed:.1f} {unit}/s" if speed else "")
-
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        Rate(""),
-        TimeRemainingColumn(),
-    )
-    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
-        tasks: dict[str, Any] = {}
-
-        def show(step: str, done: int, total: int) -> None:
-            if step in ("read", "write"):
-                return
-            if step not in tasks:
-                names = {"plan": "planning", "warp": unit, "render": "rendering"}
-                tasks[step] = bar.add_task(names[step], total=total)
-            bar.update(tasks[step], completed=done)
-
-        yield show
 
 
 def _suffix(path: PathLike) -> str:

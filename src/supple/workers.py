@@ -1,9 +1,10 @@
-"""Who does the work: the threads that share it, and the devices that did some of it."""
+"""Who does the work: the threads that share it, the devices that did some of it, and how far it is."""
 
 from __future__ import annotations
 
 import contextlib
 import os
+import sys
 import threading
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -103,3 +104,55 @@ def workers() -> Iterator[Workers]:
         yield Workers(noted)
     finally:
         _noted.reset(token)
+
+
+@contextlib.contextmanager
+def counted(
+    progress: bool | Callable[[str], None],
+    unit: str = "frames",
+    also: Callable[[str, int, int], None] | None = None,
+) -> Iterator[Callable[[str, int, int], None]]:
+    """Show how far a clip or a volume is: frames or slices, their rate, and the time left; and tell somebody else."""
+    if also is not None:
+        with counted(progress, unit) as counts:
+
+            def both(step: str, done: int, total: int) -> None:
+                counts(step, done, total)
+                also(step, done, total)
+
+            yield both
+        return
+    if callable(progress):
+        yield lambda step, done, total: progress(step)
+        return
+    if not progress or sys.stderr is None or not sys.stderr.isatty():
+        yield lambda step, done, total: None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, Task, TextColumn, TimeRemainingColumn
+    from rich.text import Text
+
+    class Rate(TextColumn):
+        def render(self, task: Task) -> Text:
+            speed = task.finished_speed or task.speed
+            return Text(f"{speed:.1f} {unit}/s" if speed else "")
+
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        Rate(""),
+        TimeRemainingColumn(),
+    )
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        tasks: dict[str, Any] = {}
+
+        def show(step: str, done: int, total: int) -> None:
+            if step in ("read", "write"):
+                return
+            if step not in tasks:
+                names = {"plan": "planning", "warp": unit, "render": "rendering"}
+                tasks[step] = bar.add_task(names[step], total=total)
+            bar.update(tasks[step], completed=done)
+
+        yield show

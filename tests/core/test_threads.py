@@ -176,7 +176,7 @@ def test_an_interrupt_of_a_picture_of_a_volume() -> None:
         WORK
         + """
 from supple import _core
-from supple.solid import strokes_of
+from supple.render.solid import strokes_of
 shape = (90, 90, 90)
 d = Deformation(shape, border=None)
 for k in range(20): d = d.grab((45, 45 + k, 45), by=(2, 1, 1), radius=20)

@@ -96,7 +96,7 @@ def solve(
     -------
     Lattice
     float32 array (nz, ny, nx, 16)
-        Its nodes, as `supple.solid` has them.
+        Its nodes, as `supple.render.solid` has them.
     float
         The worst error that is seen, in voxels, with its reserve.
     float

@@ -9,7 +9,7 @@ from dataclasses import replace
 from typing import Any, Generic
 
 from supple.errors import SuppleError
-from supple.picture import Pick
+from supple.render.picture import Pick
 from supple.strokes import REACH, Stroke
 from supple.viewer.document import Document
 from supple.viewer.gestures import Handle, Held, Lead, Pair, V, handles, nearest, radii

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from typing import Generic, Literal, TypeVar
 
 from supple.domain import Domain
-from supple.picture import Pick
+from supple.render.picture import Pick
 from supple.strokes import Stroke
 from supple.viewer.document import Document
 

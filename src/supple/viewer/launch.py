@@ -20,6 +20,7 @@ from supple.gpu.device import Gpu, open_gpu
 from supple.media.files import shown
 from supple.media.image import read
 from supple.media.volume import Volume
+from supple.render.files import default_transfer
 from supple.scaling import Fit
 from supple.strokes import Recipe, fit_recipe
 from supple.viewer import qt
@@ -30,7 +31,6 @@ from supple.viewer.pixels import shown as as_pixels
 from supple.viewer.playback import Playback
 from supple.viewer.stages import ImageStage, VideoStage, VolumeStage
 from supple.viewer.tools import ImageTools, VideoTools, VolumeTools
-from supple.views import default_transfer
 from supple.volumes import VolumeOptions, in_space, is_volume_job, open_volume
 
 if TYPE_CHECKING:

@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from supple.camera import Camera, View, view_of
 from supple.domain import SMALLEST
 from supple.geometry import Geometry
+from supple.render.camera import Camera, View, view_of
 
 TURN = 180.0
 """Degrees for a drag across the shorter side of the canvas."""

@@ -6,12 +6,12 @@ import time
 from dataclasses import dataclass
 from typing import Any
 
-from supple.camera import Camera
 from supple.deformation import Deformation
 from supple.gpu.device import Gpu
 from supple.gpu.kernel import wait
 from supple.gpu.plate import Sight
 from supple.gpu.screen import ALL, Part, canvas_texture
+from supple.render.camera import Camera
 from supple.viewer.stages import ImageStage, VideoStage, VolumeStage
 
 FRAME = 0.05  # seconds that a frame may take while a hand moves

@@ -12,8 +12,8 @@ from imgui_bundle import imgui
 from supple.deformation import Arrival
 from supple.folding import NEAR
 from supple.gpu.plate import OVERLAYS
+from supple.render.transfer import PRESETS
 from supple.strokes import POISSON, REACH, FoldPolicy, Stroke
-from supple.transfer import PRESETS
 from supple.viewer.stages import VolumeStage
 
 if TYPE_CHECKING:

@@ -7,15 +7,15 @@ from typing import Any
 
 import numpy as np
 
-from supple.camera import Camera
 from supple.deformation import Deformation
 from supple.errors import SuppleError
 from supple.gpu.device import Gpu
 from supple.gpu.plate import BACK, Plate, Sight
 from supple.media.volume import Volume
-from supple.picture import Pick
-from supple.rendering import Scene
-from supple.transfer import TransferFunction
+from supple.render.camera import Camera
+from supple.render.picture import Pick
+from supple.render.scene import Scene
+from supple.render.transfer import TransferFunction
 from supple.viewer.document import Kind
 from supple.viewer.film import Film
 from supple.viewer.heard import heard

@@ -8,9 +8,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from supple.camera import Camera
 from supple.geometry import Geometry
-from supple.picture import Pick
+from supple.render.camera import Camera
+from supple.render.picture import Pick
 from supple.viewer import orbit
 from supple.viewer.document import Document
 from supple.viewer.events import GROWTH, Event, Tools
@@ -201,9 +201,9 @@ class VolumeTools(Tools[Camera]):
     canvas_size : (float, float)
         Width and height, in logical pixels.
     pick : function of float and float
-        What is seen at a point of the canvas, as `supple.rendering.Scene.pick` tells it; None if nothing is.
+        What is seen at a point of the canvas, as `supple.render.scene.Scene.pick` tells it; None if nothing is.
     drag : function of Pick and (float, float)
-        How far that goes if it is dragged to another point, as `supple.rendering.Scene.drag` tells it.
+        How far that goes if it is dragged to another point, as `supple.render.scene.Scene.drag` tells it.
     camera : Camera, optional
         Where the camera is at first.
     """

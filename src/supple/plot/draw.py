@@ -13,9 +13,10 @@ import numpy as np
 import numpy.typing as npt
 
 from supple.deformation import Deformation
-from supple.diagnostics import measure
-from supple.diagnostics.background import background
-from supple.diagnostics.frame import (
+from supple.domain import choice
+from supple.plot import measure
+from supple.plot.background import background
+from supple.plot.frame import (
     Background,
     Extend,
     arrows,
@@ -29,7 +30,6 @@ from supple.diagnostics.frame import (
     title,
     under,
 )
-from supple.domain import choice
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -1,9 +1,9 @@
 """Pictures of a deformation, to judge it by, and the numbers behind them."""
 
-from supple.diagnostics.clip import clip_sheet, clip_slice, draw_sheet, draw_slice, evenly
-from supple.diagnostics.draw import WHATS, figure, plot
-from supple.diagnostics.frame import check_plot
-from supple.diagnostics.measure import (
+from supple.plot.clip import clip_sheet, clip_slice, draw_sheet, draw_slice, evenly
+from supple.plot.draw import WHATS, figure, plot
+from supple.plot.frame import check_plot
+from supple.plot.measure import (
     Errors,
     Footprints,
     Iterations,

@@ -6,10 +6,10 @@ from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
-from supple.console import current
+from supple.cli.console import current
+from supple.cli.options import StrokeOptions, TimeOptions
+from supple.cli.options_volume import VOLUME, VolumeOptions
 from supple.errors import SuppleError
-from supple.options import StrokeOptions, TimeOptions
-from supple.options_volume import VOLUME, VolumeOptions
 
 _STROKES, _TIME, _VOLUME = StrokeOptions(), TimeOptions(), VolumeOptions()
 

@@ -7,9 +7,9 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from supple.console import REFUSED, STREAM, File, SomeFailedError, about, as_options, current, one_line
+from supple.cli.console import REFUSED, STREAM, File, SomeFailedError, about, as_options, current, one_line
+from supple.cli.options_volume import VolumeOptions
 from supple.errors import SuppleError
-from supple.options_volume import VolumeOptions
 
 _VOLUME = VolumeOptions()
 
@@ -32,8 +32,8 @@ def info(
         Print one JSON object for each file.
     """
     console = current()
-    from supple.batch import piped
-    from supple.describe import describe
+    from supple.cli.describe import describe
+    from supple.cli.jobs import piped
 
     if not gpu and not files:
         raise SuppleError("give a file to tell about: supple info FILE, or supple info --gpu")

@@ -7,7 +7,7 @@ import os
 import numpy as np
 import numpy.typing as npt
 
-from supple.diagnostics.frame import bar, check_plot, save, sheet, title
+from supple.plot.frame import bar, check_plot, save, sheet, title
 
 
 def draw_inversions(

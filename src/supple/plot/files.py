@@ -23,15 +23,15 @@ from supple.clips import (
     warn_of_rotation,
 )
 from supple.deformation import Deformation
-from supple.diagnostics import WHATS, check_plot, draw_sheet, draw_slice, evenly, plot
 from supple.domain import choice, integer
 from supple.errors import SuppleError
-from supple.files import counted
 from supple.media.files import check_output, shown
 from supple.media.volume import is_volume
+from supple.plot import WHATS, check_plot, draw_sheet, draw_slice, evenly, plot
 from supple.scaling import Fit
 from supple.streaming import Array, Sampling, make_plan
 from supple.strokes import Recipe, fit_recipe
+from supple.workers import counted
 
 Colours = npt.NDArray[np.uint8]
 Tell = Callable[[str, int, int], None]
@@ -65,7 +65,7 @@ def plot_file(
     recipe : Recipe
         The strokes.
     what : str
-        One of `supple.diagnostics.WHATS`; of a clip also ``"slice"``, a column or a row over time, and ``"sheet"``,
+        One of `supple.plot.WHATS`; of a clip also ``"slice"``, a column or a row over time, and ``"sheet"``,
         some frames before and after, of those in which anything moves by half a pixel.
     frame : int, optional
         Which frame of a clip is drawn.

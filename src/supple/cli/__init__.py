@@ -10,7 +10,7 @@ from typing import NoReturn
 
 from cyclopts import App, CycloptsError, Parameter
 
-from supple.console import STREAM, run
+from supple.cli.console import STREAM, run
 from supple.errors import SuppleError
 
 _GRAB = "--grab X,Y[,T|Z]:X,Y[,T|Z] --radius R [OPTIONS]"
@@ -54,13 +54,13 @@ Examples:
 
 # Where each command is, how it is used, and examples. Only the module of the one that is given is imported.
 _COMMANDS = (
-    ("cli_warp:warp", f"warp IN... OUT {_GRAB}", _WARP_EXAMPLES),
-    ("cli_plot:plot", f"plot IN OUT.png {_GRAB}", ""),
-    ("cli_volume:render", f"render VOLUME OUT [{_GRAB}]", _RENDER_EXAMPLES),
-    ("cli_volume:points", f"points IN OUT --on FILE {_GRAB}", _POINTS_EXAMPLES),
-    ("cli_info:info", "info FILE... [--gpu] [--json]", ""),
-    ("cli_view:view", "view FILE [--serve] [OPTIONS]", _VIEW_EXAMPLES),
-    ("cli_plot:demo", "demo [DIR] [OPTIONS]", ""),
+    ("cli.warp:warp", f"warp IN... OUT {_GRAB}", _WARP_EXAMPLES),
+    ("cli.plot:plot", f"plot IN OUT.png {_GRAB}", ""),
+    ("cli.volume:render", f"render VOLUME OUT [{_GRAB}]", _RENDER_EXAMPLES),
+    ("cli.volume:points", f"points IN OUT --on FILE {_GRAB}", _POINTS_EXAMPLES),
+    ("cli.info:info", "info FILE... [--gpu] [--json]", ""),
+    ("cli.view:view", "view FILE [--serve] [OPTIONS]", _VIEW_EXAMPLES),
+    ("cli.plot:demo", "demo [DIR] [OPTIONS]", ""),
 )
 
 
@@ -125,7 +125,3 @@ def _version() -> str:
     from supple import __version__
 
     return f"supple {__version__}"
-
-
-if __name__ == "__main__":
-    main()

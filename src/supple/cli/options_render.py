@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Group, Parameter
 
+from supple.cli.options import parse_number
+from supple.cli.options_volume import parse_numbers, parse_three
 from supple.errors import SuppleError
-from supple.options import parse_number
-from supple.options_volume import parse_numbers, parse_three
 
 if TYPE_CHECKING:
-    from supple.camera import Camera
-    from supple.views import RenderOptions
+    from supple.render.camera import Camera
+    from supple.render.files import RenderOptions
 
 CAMERA = Group("Camera", sort_key=2)
 LOOK = Group("Look", sort_key=3)
@@ -52,7 +52,7 @@ class CameraOptions:
 
     def to_camera(self) -> Camera:
         """The same for the library."""
-        from supple.camera import Camera
+        from supple.render.camera import Camera
 
         degrees = "a number of degrees"
         return Camera(
@@ -123,7 +123,7 @@ class LookOptions:
 
     def to_render(self, camera: Camera) -> RenderOptions:
         """The same for the library."""
-        from supple.views import RenderOptions
+        from supple.render.files import RenderOptions
 
         return RenderOptions(
             transfer=self.transfer,

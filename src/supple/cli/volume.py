@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import numpy as np
 from cyclopts import Parameter
 
-from supple.console import STREAM, current, say_convention, told, warn_of_software
+from supple.cli.console import STREAM, current, say_convention, told, warn_of_software
+from supple.cli.options import RunOptions, StrokeOptions, VideoOptions
+from supple.cli.options_render import CameraOptions, LookOptions
+from supple.cli.options_volume import VolumeOptions
 from supple.errors import SuppleError
-from supple.options import RunOptions, StrokeOptions, VideoOptions
-from supple.options_render import CameraOptions, LookOptions
-from supple.options_volume import VolumeOptions
 from supple.workers import workers
 
 if TYPE_CHECKING:
@@ -49,8 +49,8 @@ def render(
         A picture (PNG and TIFF keep opacity); with --turntable, a video or a name with a number.
     """
     console = current()
-    from supple.files import counted
-    from supple.views import render_file
+    from supple.render.files import render_file
+    from supple.workers import counted
 
     console.started(**options.asked(), file=source)
     warn_of_software(console, look.device)
@@ -114,7 +114,7 @@ def points(
         needs it, for a volume with a place in space.
     """
     console = current()
-    from supple.batch import piped
+    from supple.cli.jobs import piped
     from supple.landmarks import move_points
 
     console.started(**options.asked(), file=source)

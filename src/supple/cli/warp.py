@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Group, Parameter
 
-from supple.console import (
+from supple.cli.console import (
     STREAM,
     Console,
     File,
@@ -24,13 +24,13 @@ from supple.console import (
     told,
     warn_of_software,
 )
+from supple.cli.options import RUNNING, RunOptions, StrokeOptions, VideoOptions, parse_fill, parse_number
+from supple.cli.options_volume import VOLUME, VolumeOptions
 from supple.errors import SuppleError
-from supple.options import RUNNING, RunOptions, StrokeOptions, VideoOptions, parse_fill, parse_number
-from supple.options_volume import VOLUME, VolumeOptions
 from supple.workers import workers
 
 if TYPE_CHECKING:
-    from supple.batch import Job
+    from supple.cli.jobs import Job
     from supple.clips import WarpedClip
     from supple.deformation import Deformation, Report
     from supple.files import Warped
@@ -110,7 +110,7 @@ def warp(
         volumes).
     """
     console = current()
-    from supple.batch import Crew, check_recipe_file, make_folders, pair, piped
+    from supple.cli.jobs import Crew, check_recipe_file, make_folders, pair, piped
     from supple.clips import is_clip
     from supple.engines import check_device
     from supple.files import warp_file, write_recipe

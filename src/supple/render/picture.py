@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from supple.colour import linear_light
+from supple.render.colour import linear_light
 
 Array = npt.NDArray[Any]
 Floats = npt.NDArray[np.float64]

@@ -12,10 +12,8 @@ import numpy as np
 import numpy.typing as npt
 
 from supple import _core
-from supple.camera import Camera, View, camera_of, view_of
 from supple.deformation import Deformation
 from supple.domain import choice, integer, number, point, refuse
-from supple.drawing import held_scene, order_of, tried, unseen_blocks
 from supple.engines import check_no_cuda, gpu_of
 from supple.errors import SuppleError, ToleranceWarning
 from supple.geometry import Geometry
@@ -23,10 +21,22 @@ from supple.gpu import raymarch as shading
 from supple.gpu.device import Gpu
 from supple.gpu.kernel import failures, let_through, passing, trouble
 from supple.gpu.volume import Volume
-from supple.picture import Array, Pick, Picture, light_of
-from supple.seeing import FINE, brick_counts, entries, lamp, prepared, seen_through, skipped, transfer_function, triple
-from supple.solid import Solid, along_rays, cells_along_rays, solve_solid, strokes_of
-from supple.transfer import TransferFunction
+from supple.render.appearance import (
+    FINE,
+    brick_counts,
+    entries,
+    lamp,
+    prepared,
+    seen_through,
+    skipped,
+    transfer_function,
+    triple,
+)
+from supple.render.camera import Camera, View, camera_of, view_of
+from supple.render.device import held_scene, order_of, tried, unseen_blocks
+from supple.render.picture import Array, Pick, Picture, light_of
+from supple.render.solid import Solid, along_rays, cells_along_rays, solve_solid, strokes_of
+from supple.render.transfer import TransferFunction
 
 MODES = ("lattice", "exact", "buffered", "hybrid")
 _STORAGE = 0x08  # wgpu.TextureUsage.STORAGE_BINDING

@@ -8,8 +8,8 @@ import numpy as np
 import numpy.typing as npt
 
 from supple.deformation import Deformation
-from supple.diagnostics.measure import spacing_of
 from supple.errors import SuppleError
+from supple.plot.measure import spacing_of
 
 _MOST_PIXELS = 1 << 21  # a plot shows no more
 

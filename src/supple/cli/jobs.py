@@ -13,8 +13,8 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from pathlib import Path
 
+from supple.cli.console import FAULT, REFUSED, STREAM, Console, deaf, fault
 from supple.clips import SUFFIXES
-from supple.console import FAULT, REFUSED, STREAM, Console, deaf, fault
 from supple.errors import SuppleError
 from supple.files import check_recipe_name, is_media_name
 from supple.media.files import check_output, shown

@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from supple.camera import Camera
 from supple.domain import choice, integer, number, point
 from supple.engines import check_no_cuda
 from supple.errors import SuppleError
@@ -20,10 +19,11 @@ from supple.media.files import check_output, shown
 from supple.media.folder import check_outputs, replacing_all
 from supple.media.numbering import has_number, spelling
 from supple.media.volume import Volume
-from supple.rendering import MODES, Scene
+from supple.render.camera import Camera
+from supple.render.scene import MODES, Scene
+from supple.render.transfer import TransferFunction, transfer_of
 from supple.scaling import Fit
 from supple.strokes import Recipe
-from supple.transfer import TransferFunction, transfer_of
 from supple.volumes import VolumeOptions, deformation_of, open_volume
 
 Array = npt.NDArray[Any]
@@ -50,7 +50,7 @@ class RenderOptions:
     step : float, optional
         Millimetres from sample to sample; the smallest spacing by default.
     mode : str
-        ``"lattice"``, ``"exact"``, ``"buffered"`` or ``"hybrid"``: how strokes are seen; see `supple.rendering.Scene`.
+        ``"lattice"``, ``"exact"``, ``"buffered"`` or ``"hybrid"``: how strokes are seen; see `supple.render.scene`.
     shaded : bool
     background : (float, float, float), optional
         sRGB from 0 to 1; without it, pictures are transparent where there is nothing, and videos black.
@@ -65,7 +65,7 @@ class RenderOptions:
     time : int
         Which volume of a series, from 0.
     device : str
-        ``"cpu"``, ``"gpu"`` or ``"auto"``; see `supple.rendering.Scene`.
+        ``"cpu"``, ``"gpu"`` or ``"auto"``; see `supple.render.scene.Scene`.
     """
 
     transfer: TransferFunction | PathLike | None = None
@@ -239,7 +239,7 @@ def render_file(
             tell=lambda rows: tell("render", rows, known.size[0]),
         )
         if known.what == "inversions":
-            from supple.diagnostics.rays import draw_inversions
+            from supple.plot.rays import draw_inversions
 
             inverted = recipe is not None and known.mode == "exact"
             draw_inversions(picture.samples, target, what="inversions" if inverted else "samples", force=force)
@@ -284,7 +284,7 @@ def _check_target(target: PathLike, suffix: str, known: RenderOptions, force: bo
     if not many and suffix in reel.SUFFIXES:
         raise SuppleError(f"{name} is a video: give --turntable with the number of its pictures")
     if known.what == "inversions":
-        from supple.diagnostics.frame import check_plot
+        from supple.plot.frame import check_plot
 
         check_plot(target, force=force)
         return

@@ -13,7 +13,6 @@ import numpy as np
 import numpy.typing as npt
 
 from supple import _core
-from supple.camera import View
 from supple.errors import DeviceWarning
 from supple.gpu.device import Gpu
 from supple.gpu.field import fits
@@ -22,7 +21,8 @@ from supple.gpu.kernel import Pace, failures, trouble
 from supple.gpu.raymarch import EXACT, HYBRID, LATTICE, PLAIN, RAYS, Held, prepare
 from supple.gpu.solid import Lattice, hold_strokes, solve
 from supple.gpu.volume import Volume, beside, hold
-from supple.solid import FINEST, RESOLVED, Solid, cells_along_rays, solve_solid
+from supple.render.camera import View
+from supple.render.solid import FINEST, RESOLVED, Solid, cells_along_rays, solve_solid
 from supple.streaming import Space
 from supple.strokes import STROKE_DTYPE
 from supple.workers import CPU, note
@@ -61,13 +61,13 @@ def held_scene(
     ----------
     gpu : Gpu
     samples : array (Z, H, W)
-        As `supple.seeing.prepared` makes them.
+        As `supple.render.appearance.prepared` makes them.
     spacing : tuple of float
         Millimetres from voxel to voxel, x first.
     space : Space or None
         The strokes, if there are any.
     mode : str
-        Of `supple.rendering.MODES`.
+        Of `supple.render.scene.MODES`.
     tolerance : float
         Of source points, in voxels.
     volume : Volume, optional

@@ -9,9 +9,9 @@ import numpy as np
 import numpy.typing as npt
 
 from supple import _core
-from supple.camera import View
 from supple.domain import choice, point, refuse
-from supple.transfer import ENTRIES, PRESETS, TransferFunction
+from supple.render.camera import View
+from supple.render.transfer import ENTRIES, PRESETS, TransferFunction
 
 Array = npt.NDArray[Any]
 Floats = npt.NDArray[np.float64]

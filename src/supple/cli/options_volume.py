@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Group, Parameter
 
+from supple.cli.options import parse_number
 from supple.errors import SuppleError
-from supple.options import parse_number
 
 if TYPE_CHECKING:
     from supple.volumes import VolumeOptions as Reading

@@ -7,8 +7,8 @@ from typing import Annotated, Literal
 
 from cyclopts import Group, Parameter
 
-from supple.console import current, told, warn_of_software
-from supple.options import RUNNING, RunOptions, StrokeOptions, VideoOptions, parse_integer
+from supple.cli.console import current, told, warn_of_software
+from supple.cli.options import RUNNING, RunOptions, StrokeOptions, VideoOptions, parse_integer
 
 What = Literal["grid", "stretch", "axes", "residual", "iterations", "slice", "sheet"]
 Device = Literal["auto", "cpu", "gpu"]
@@ -54,8 +54,8 @@ def plot(
     console = current()
     console.started(**options.asked(), file=source)
     recipe = strokes.to_recipe()
-    from supple.cli_warp import picture_facts
-    from supple.plots import plot_file
+    from supple.cli.warp import picture_facts
+    from supple.plot.files import plot_file
 
     deformation = plot_file(
         source,
@@ -93,7 +93,7 @@ def demo(
         Where to compute: cpu, gpu, or auto (the GPU if there is one).
     """
     console = current()
-    from supple.gallery import write_gallery
+    from supple.examples.gallery import write_gallery
 
     console.started(**options.asked())
     warn_of_software(console, device)

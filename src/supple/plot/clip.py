@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from supple.diagnostics.frame import DPI, save, sheet, title
 from supple.errors import SuppleError
+from supple.plot.frame import DPI, save, sheet, title
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

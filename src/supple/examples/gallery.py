@@ -14,20 +14,19 @@ from string import Template
 import numpy as np
 import numpy.typing as npt
 
-from supple.camera import Camera
 from supple.clips import ClipOptions, WarpedClip, open_clip
-from supple.console import as_options
-from supple.diagnostics import draw_sheet, draw_slice, plot
 from supple.engines import gpu_of
 from supple.errors import MissWarning, SuppleError
+from supple.examples.scenes import BACKGROUND, DISTANCE, HEAD, INSIDE, SCENES, Look, Scene, Shot, Take
 from supple.files import Warped, warp_file
 from supple.media.files import replacing, shown
 from supple.media.image import info, read, write
 from supple.media.volume import read as read_volume
 from supple.media.volume import write as write_volume
-from supple.rendering import Scene as Solid
-from supple.scenes import BACKGROUND, DISTANCE, HEAD, INSIDE, SCENES, Look, Scene, Shot, Take
-from supple.views import RenderOptions, render_file
+from supple.plot import draw_sheet, draw_slice, plot
+from supple.render.camera import Camera
+from supple.render.files import RenderOptions, render_file
+from supple.render.scene import Scene as Solid
 
 PAGE = "index.html"
 _CREDITS = (
@@ -84,10 +83,10 @@ def write_gallery(
             _write_inside(place / name)
             continue
         with replacing(place / name, force=True) as temporary:
-            temporary.write_bytes((files("supple") / "data" / name).read_bytes())
+            temporary.write_bytes((files("supple.examples") / "data" / name).read_bytes())
     tell = progress or (lambda name: None)
     sections = [_section(place, scene, device, tell) for scene in SCENES]
-    template = (files("supple") / "data" / "gallery.html").read_text(encoding="utf-8")
+    template = (files("supple.examples") / "data" / "gallery.html").read_text(encoding="utf-8")
     page = Template(template).substitute(sections="\n".join(sections), credits=escape(_CREDITS), maker=escape(maker))
     with replacing(place / PAGE, force=True) as temporary:
         temporary.write_text(page, encoding="utf-8")
@@ -132,7 +131,7 @@ def _shot(place: Path, shot: Shot, device: str) -> str:
             place / shot.source, place / shot.target, shot.recipe, outside=shot.outside, device=device, force=True
         )
     assert isinstance(made, Warped)
-    said = [as_options(str(w.message)) for w in caught if issubclass(w.category, MissWarning)]
+    said = [str(w.message).partition(" (on_fold")[0] for w in caught if issubclass(w.category, MissWarning)]
     image = read(place / shot.source).pixels
     plots = []
     for what, text in _PLOTS.items():
@@ -215,7 +214,7 @@ def _facts(made: Solid) -> str:
 
 def _write_inside(target: Path) -> None:
     """Write the head without what is not marked as brain."""
-    data = files("supple") / "data"
+    data = files("supple.examples") / "data"
     with as_file(data / HEAD) as head, as_file(data / "brain.nii.gz") as marks:
         volume = read_volume(head)
         alone = np.where(read_volume(marks).samples > 0, volume.samples, 0).astype(volume.samples.dtype)
