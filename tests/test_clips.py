@@ -32,8 +32,8 @@ from supple.clips import ClipOptions, WarpedClip, deformation_of
 from supple.errors import ScaleWarning
 from supple.files import warp_file
 from supple.media import image
-from supple.media.troubles import ClipWarning, CountError
 from supple.media.video import info, open_video
+from supple.media.video.errors import ClipWarning, CountError
 from supple.plot.files import plot_file
 
 SOURCE = str(Path(__file__).resolve().parent.parent / "src")
@@ -256,7 +256,7 @@ def test_packets_of_still_frames_are_copied(
     assert copies[46:] == [True] * 14
     assert not any(copies[28:34])
     # What is encoded is what it is without copies, and of the still frames of FFV1 all are.
-    monkeypatch.setattr("supple.media.encode._ALONE", ())
+    monkeypatch.setattr("supple.media.video.encode._ALONE", ())
     anew = warp_file(source, f"anew.{suffix}", local)
     assert isinstance(anew, WarpedClip)
     assert (anew.copied, anew.still) == (0, made.still)
@@ -855,7 +855,7 @@ def test_odd_sizes(run: Run, size: tuple[int, int], border: str) -> None:
 def test_a_miscounted_clip_is_read_once_more(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     """Clips whose packets promise other numbers of frames than decoding gives."""
     frames = stack(noisy("in.mkv", "yuv444p"))
-    true = supple.media.video.survey
+    true = supple.media.video.probe
 
     def survey(container: Any, film: Any) -> Any:
         found = true(container, film)

@@ -31,7 +31,7 @@ from supple.gpu.samples import LONGEST
 from supple.media import image
 from supple.media.volume import read as read_volume
 from supple.media.volume import write
-from supple.media.volume_data import Volume
+from supple.media.volume.data import Volume
 from supple.streaming import CPU, Layout, Plan, Sampling, Space, make_plan, slots_of, stream
 
 pytestmark = pytest.mark.filterwarnings("ignore::supple.FoldWarning")

@@ -21,9 +21,6 @@ from hypothesis.extra import numpy as hnp
 from PIL import Image
 
 from supple.errors import SuppleError
-from supple.media.exif import from_tiff, into_tiff, is_whole
-from supple.media.formats import TIFF
-from supple.media.formats import settings as saver_settings
 from supple.media.image import (
     SUFFIXES_OUT,
     DepthWarning,
@@ -35,6 +32,9 @@ from supple.media.image import (
     read,
     write,
 )
+from supple.media.image.exif import from_tiff, into_tiff, is_whole
+from supple.media.image.formats import TIFF
+from supple.media.image.formats import settings as saver_settings
 
 FORMATS = (".png", ".jpg", ".tif", ".webp", ".avif")
 SAVERS = {".png": "pngsave", ".jpg": "jpegsave", ".tif": "tiffsave", ".webp": "webpsave", ".avif": "heifsave"}

@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
+from supple.gpu.buffers import Bound, Kept
 from supple.gpu.device import Gpu
-from supple.gpu.kept import Bound, Kept
 from supple.gpu.kernel import READ, WRITE, bound, download, pipeline, room, run, upload
 
 

@@ -18,8 +18,8 @@ from PIL import Image
 import supple
 from supple.errors import SuppleError
 from supple.files import warp_file
-from supple.media.ffmpeg import encoded
 from supple.media.image import DepthWarning, MetadataWarning, PageWarning, info, read, write
+from supple.media.image.ffmpeg import encoded
 from supple.media.video import open_video
 
 Array = npt.NDArray[Any]

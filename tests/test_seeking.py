@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from clips import make
 
-from supple.media.seeking import index_of
 from supple.media.video import Clip, open_video
-from supple.viewer.film import Film
+from supple.media.video.seeking import index_of
+from supple.viewer.frame_cache import Film
 
 COUNT = 40
 GOPS: dict[str, dict[str, Any]] = {

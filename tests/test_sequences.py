@@ -19,15 +19,15 @@ import pyvips
 from supple import SuppleError
 from supple.media import folder as folders
 from supple.media.image import DepthWarning, ImageWarning, PageWarning, Picture, read, write
-from supple.media.sequence import Pictures, is_sequence, open_sequence
-from supple.media.sequence_out import sequence_writer
 from supple.media.video import ClipWarning, info, open_video, writer_of
+from supple.media.video.sequence import Pictures, is_sequence, open_sequence
+from supple.media.video.sequence_out import sequence_writer
 from supple.streaming import Group, Layout
 
 Array = npt.NDArray[Any]
 SRGB = bytes(pyvips.Operation.call("profile_load", "srgb"))
 # what every film of RGB pictures says that is as players want it; `test_what_a_sequence_loses_is_said` hears it
-pytestmark = pytest.mark.filterwarnings("ignore:.* loses detail of colours:supple.media.troubles.ClipWarning")
+pytestmark = pytest.mark.filterwarnings("ignore:.* loses detail of colours:supple.media.video.errors.ClipWarning")
 
 
 def picture(k: int, shape: tuple[int, ...] = (6, 8, 3), dtype: str = "u1") -> Array:

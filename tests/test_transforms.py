@@ -20,7 +20,7 @@ import SimpleITK as sitk  # noqa: N813
 from supple import Deformation, Recipe, Stroke, SuppleError
 from supple.fields import displacement_of, write_transform
 from supple.geometry import Geometry
-from supple.media.transform import SUFFIXES_OUT, check_target, write_field
+from supple.media.transforms import SUFFIXES_OUT, check_target, write_field
 from supple.volumes import VolumeOptions, warp_volume
 
 Array = npt.NDArray[Any]
@@ -265,7 +265,7 @@ def test_a_full_disk_leaves_what_was_there_and_no_word_of_itks(tmp_path: Path) -
         import numpy as np
         from supple.errors import SuppleError
         from supple.geometry import Geometry
-        from supple.media.transform import SUFFIXES_OUT, write_field
+        from supple.media.transforms import SUFFIXES_OUT, write_field
         field = np.random.default_rng(0).normal(size=(9, 20, 30, 3))
         for suffix in SUFFIXES_OUT:
             path = f"{sys.argv[1]}/out{suffix}"

@@ -15,9 +15,9 @@ import numpy as np
 import pytest
 
 from supple.errors import SuppleError
-from supple.media import colour, demux, pixels, plan
-from supple.media import film as movie
-from supple.media.video import ClipWarning, CountError, info, open_video
+from supple.media.video import ClipWarning, CountError, colour, demux, info, open_video, plan
+from supple.media.video import planes as video_planes
+from supple.media.video import probe as movie
 
 FORMATS = (  # of FFV1
     "yuv420p,yuva420p,yuva422p,yuv444p,yuva444p,yuv440p,yuv422p,yuv411p,yuv410p,bgr0,bgra,yuv420p16le,yuv422p16le,"
@@ -126,7 +126,7 @@ def test_forms_agree_with_swscale():
         "xv36le",
         "y210le",
     ):
-        found = pixels.form(name)
+        found = video_planes.form(name)
         planar = {"rgb": "gbr", "yuv": "yuv"}[found.kind.family] + ("ap" if found.kind.alpha else "p")
         if found.kind.family == "yuv":
             chroma = {(1, 1): "444", (2, 1): "422", (2, 2): "420"}[found.kind.step]
@@ -135,9 +135,9 @@ def test_forms_agree_with_swscale():
         frame = clips.noise(name, (32, 16), 1)
         one = [np.empty((*g.shape, g.channels), layout.dtype) for g in layout.groups]
         two = [a.copy() for a in one]
-        pixels.unpack(frame, found, one)
+        video_planes.unpack(frame, found, one)
         other = frame.reformat(format=planar, src_color_range=2, dst_color_range=2)
-        pixels.unpack(other, pixels.form(other.format.name), two)
+        video_planes.unpack(other, video_planes.form(other.format.name), two)
         for a, b in zip(one, two, strict=True):
             np.testing.assert_array_equal(a, b, err_msg=name)
 
@@ -243,7 +243,7 @@ LIMITED = {
 @pytest.mark.parametrize("name", LIMITED)
 @pytest.mark.parametrize("full", [False, True])
 def test_black_is_what_it_is_in_range_and_depth(name, full):
-    found = pixels.form(name)
+    found = video_planes.form(name)
     values = colour.black(found, colour.Colour(colour.FULL if full else colour.LIMITED))
     want = LIMITED[name]
     if full:
@@ -267,7 +267,7 @@ def test_black_is_what_it_is_in_range_and_depth(name, full):
 @pytest.mark.parametrize("full", [0, 1, 2])
 def test_colours_that_are_painted_are_seen(name, matrix, full):
     """Against libswscale."""
-    found = pixels.form(name)
+    found = video_planes.form(name)
     meant, white = colour.Colour(full, matrix=matrix), found.kind.white
     grey = found.kind.family == "gray"
     wanted = np.array([0.4, 0.4, 0.4] if grey else [0.9, 0.3, 0.15])

@@ -24,7 +24,7 @@ from supple.strokes import Recipe, Stroke
 from supple.viewer.autosave import Autosave, found
 from supple.viewer.document import Document
 from supple.viewer.exporting import Export
-from supple.viewer.heard import heard
+from supple.viewer.warning_log import heard
 
 ONE = Stroke(at=(20, 20), by=(3, 0.1), radius=9)
 TWO = Stroke(at=(30, 20), by=(0, 1 / 3), radius=9, hidden=True)

@@ -14,8 +14,8 @@ from windows import SIZE, Hand, opened
 import supple
 from supple.gpu.device import Gpu
 from supple.strokes import Recipe, Stroke
-from supple.viewer.desk import Desk
 from supple.viewer.document import Document
+from supple.viewer.files import Desk
 
 imgui = pytest.importorskip("imgui_bundle").imgui
 pytest.importorskip("rendercanvas")

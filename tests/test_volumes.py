@@ -399,7 +399,7 @@ def test_results_too_large_for_memory_go_through_a_file(here: Path, monkeypatch:
     monkeypatch.setattr(volumes, "memory", lambda: samples.nbytes * 2.0)
     warp_volume("in.nii", "b.nii", RECIPE, filter="linear")
     assert Path("a.nii").read_bytes() == Path("b.nii").read_bytes()
-    monkeypatch.setattr("supple.media.room.reserve", _full)
+    monkeypatch.setattr("supple.media.buffers.reserve", _full)
     with pytest.raises(supple.SuppleError, match=r"no room for it beside c.nii \(No space left on device\)"):
         warp_volume("in.nii", "c.nii", RECIPE, filter="linear")
     assert sorted(p.name for p in here.iterdir()) == ["a.nii", "b.nii", "in.nii"]

@@ -21,8 +21,8 @@ from supple.domain import choice, length, number, refuse
 from supple.engines import check_no_cuda, engine_of
 from supple.errors import SuppleError
 from supple.media.files import check_output, replacing, shown
-from supple.media.formats import SUFFIXES_OUT as PICTURES_OUT
 from supple.media.image import check_quality, check_target
+from supple.media.image.formats import SUFFIXES_OUT as PICTURES_OUT
 from supple.media.numbering import SUFFIXES_IN, has_number, is_sequence
 from supple.native import OUTSIDE, check_filter
 from supple.scaling import Fit, scaling_of
@@ -136,7 +136,7 @@ def is_clip(source: PathLike, target: PathLike, recipe: Recipe) -> bool:
 
 def _is_animated(path: PathLike) -> bool:
     """Whether a picture holds several frames."""
-    from supple.media.sequence import is_animated
+    from supple.media.video.sequence import is_animated
 
     return os.path.isfile(path) and is_animated(path)
 
@@ -154,13 +154,13 @@ def _holds_videos_alone(folder: PathLike) -> bool:
 def open_clip(source: PathLike, *, rate: float | Fraction | None = None, count: int | None = None) -> Iterator[Any]:
     """Open a video file, or an image sequence by its pattern or folder."""
     if is_sequence(source) and not os.path.isfile(source):
-        from supple.media.sequence import open_sequence
+        from supple.media.video.sequence import open_sequence
 
         with open_sequence(source, rate=24 if rate is None else rate) as pictures:
             yield pictures
         return
     if rate is None and _suffix(source) == ".webp" and _is_animated(source):
-        from supple.media.sequence import Animation
+        from supple.media.video.sequence import Animation
 
         yield Animation(source)
         return
@@ -176,7 +176,7 @@ def refuse_picture(path: PathLike) -> None:
     """Refuse a file of a single picture, which FFmpeg would take for a short video."""
     if _suffix(path) not in SUFFIXES_IN or not os.path.isfile(path) or _is_animated(path):
         return
-    from supple.media.demux import opened
+    from supple.media.video.demux import opened
 
     with opened(path) as container:
         kind = container.format.name
@@ -196,7 +196,7 @@ def warn_of_rotation(clip: Any, deformation: Deformation) -> None:
     """Say that points are those of frames as they are stored, where players show them otherwise."""
     rotation = getattr(clip, "rotation", 0)
     if rotation and not deformation.is_identity:
-        from supple.media.troubles import ClipWarning
+        from supple.media.video.errors import ClipWarning
 
         height, width = clip.layout.shape
         warnings.warn(
@@ -314,7 +314,7 @@ def warp_clip(
     check_clip_target(source, target, known, quality=quality, force=force)
     number("memory", known.memory, "a number of bytes from 0", 0.0, 1e30)
     count: int | None = None
-    from supple.media.troubles import CountError
+    from supple.media.video.errors import CountError
 
     while True:
         try:
@@ -410,7 +410,7 @@ def check_clip_target(
             )
         if quality is not None:
             raise SuppleError(f"quality is for pictures, and {name} is a video: give a crf")
-        from supple.media.codecs import container_of
+        from supple.media.video.codecs import container_of
 
         container_of(target)
         check_output(target, force=force)
@@ -453,7 +453,7 @@ def _writer(
 ) -> contextlib.AbstractContextManager[Any]:
     """What writes to a target: a video file, or pictures."""
     if is_picture_target(target):
-        from supple.media.sequence_out import sequence_writer
+        from supple.media.video.sequence_out import sequence_writer
 
         return sequence_writer(target, clip, force=force, quality=quality, lossless=lossless)
     from supple.media.video import writer_of

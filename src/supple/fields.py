@@ -12,9 +12,9 @@ from supple.deformation import Deformation
 from supple.domain import number
 from supple.errors import SuppleError
 from supple.geometry import Geometry
+from supple.media.buffers import room
 from supple.media.files import check_output
-from supple.media.room import room
-from supple.media.transform import check_target, write_field
+from supple.media.transforms import check_target, write_field
 from supple.native import certificate_of
 from supple.warping import warn_of
 
@@ -89,7 +89,7 @@ def write_transform(
     Parameters
     ----------
     target : str or os.PathLike
-        ``.nii``, ``.nii.gz``, ``.nrrd``, ``.mha`` or ``.h5``; see `supple.media.transform.write_field`.
+        ``.nii``, ``.nii.gz``, ``.nrrd``, ``.mha`` or ``.h5``; see `supple.media.transforms.write_field`.
     deformation, geometry, tolerance
         As `displacement_of` takes them.
     force : bool

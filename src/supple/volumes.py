@@ -21,9 +21,9 @@ from supple.engines import check_device, check_frames, warp_frames_by
 from supple.errors import GapWarning, SuppleError, VolumeWarning
 from supple.fields import write_transform
 from supple.geometry import Geometry
-from supple.media import transform
+from supple.media import transforms
+from supple.media.buffers import memory, room
 from supple.media.files import check_output, replacing, shown
-from supple.media.room import memory, room
 from supple.media.volume import (
     SUFFIXES_OUT,
     RawLayout,
@@ -291,7 +291,7 @@ def check_volume_target(source: PathLike, target: PathLike, options: VolumeOptio
     check_output(target, force=force)
     check_name(target, force=force)
     if options.save_field is not None:
-        transform.check_target(options.save_field)
+        transforms.check_target(options.save_field)
         check_output(options.save_field, force=force)
         if os.path.realpath(options.save_field) in (os.path.realpath(target), os.path.realpath(source)):
             raise SuppleError(f"{shown(options.save_field)} cannot be the field and a volume too: give it another name")

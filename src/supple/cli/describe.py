@@ -61,7 +61,7 @@ def describe(name: str, *, layout: RawLayout | None = None, series: str | None =
         facts = volume.info(name, raw=layout, series=series)
         return {"file": name, "kind": "volume", **facts}, _volume(name, facts)
     if is_sequence(name) and not os.path.isfile(name):
-        from supple.media.sequence import open_sequence
+        from supple.media.video.sequence import open_sequence
 
         with open_sequence(name) as pictures:
             facts = pictures.info()

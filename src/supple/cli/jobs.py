@@ -168,8 +168,8 @@ def _suffix_like(source: Path) -> str:
     """The suffix of a file; of one without a name, that of its format."""
     if source.suffix:
         return suffix_of(source)
-    from supple.media.formats import OUT
     from supple.media.image import info
+    from supple.media.image.formats import OUT
 
     found = info(source)["format"]
     if suffix := next((suffix for suffix, form in OUT.items() if form.name == found), ""):

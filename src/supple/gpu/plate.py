@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from supple.gpu.buffers import Bound, Kept
 from supple.gpu.device import Gpu
 from supple.gpu.field import domain, packed
-from supple.gpu.kept import Bound, Kept
 from supple.gpu.kernel import READ, TEXTURE, UNIFORM, WRITE, bound, pipeline, room
 
 Floats = npt.NDArray[np.float64]

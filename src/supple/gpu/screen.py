@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
+from supple.gpu.buffers import Bound, Kept
 from supple.gpu.device import Gpu
-from supple.gpu.kept import Bound, Kept
 from supple.gpu.kernel import UNIFORM, source
 
 Part = tuple[float, float, float, float]

@@ -9,8 +9,8 @@ from pathlib import Path
 
 from supple.errors import SuppleError
 from supple.media.files import shown
-from supple.media.formats import SUFFIXES_OUT
-from supple.media.vips import PathLike
+from supple.media.image.formats import SUFFIXES_OUT
+from supple.media.image.vips import PathLike
 
 # Of a folder, everything that somebody may take for a picture: what cannot be read is then named.
 SUFFIXES_IN = frozenset({*SUFFIXES_OUT, ".gif", ".heic", ".heif", ".jxl", ".pam", ".pbm", ".pnm", ".svg"})

@@ -103,7 +103,7 @@ def plot_file(
         raise SuppleError(f"plots are of pictures and videos, and {shown(source)} is a volume: supple render shows it")
     refuse_places(recipe, source)
     if is_clip(source, "", recipe):
-        from supple.media.troubles import CountError
+        from supple.media.video.errors import CountError
 
         refuse_picture(source)
         asked = (source, target, recipe, what, frame, x, y, options, force, fit)

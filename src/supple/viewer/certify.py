@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 from supple.deformation import Deformation, Report
 from supple.errors import SuppleError
-from supple.viewer.heard import heard
+from supple.viewer.warning_log import heard
 
 _Asked = tuple[Deformation, int | None] | None
 

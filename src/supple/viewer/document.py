@@ -12,7 +12,7 @@ from supple.geometry import Geometry
 from supple.scaling import spoken
 from supple.strokes import FoldPolicy, Recipe, Stroke
 from supple.viewer.history import History
-from supple.viewer.states import Item, Kind, Medium, Solved, State
+from supple.viewer.state import Item, Kind, Medium, Solved, State
 from supple.volumes import indexed, placed
 
 __all__ = ["Document", "Item", "Kind", "State"]

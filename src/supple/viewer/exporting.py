@@ -11,7 +11,7 @@ from typing import Any
 from supple.errors import SuppleError
 from supple.files import PathLike, warp_file
 from supple.strokes import Recipe
-from supple.viewer.heard import heard
+from supple.viewer.warning_log import heard
 
 # Where each part of the work begins, and how much of the whole it is. Of a clip, writing begins first, and is over
 # with the last frame.

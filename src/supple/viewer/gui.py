@@ -10,7 +10,7 @@ from imgui_bundle import imgui
 from wgpu.utils.imgui import ImguiRenderer
 
 from supple.gpu.device import Gpu
-from supple.viewer.ink import Ink
+from supple.viewer.imgui_renderer import Ink
 
 
 class Gui:

@@ -25,7 +25,7 @@ from supple.scaling import Fit
 from supple.strokes import Recipe, fit_recipe
 from supple.viewer import qt
 from supple.viewer.document import Document
-from supple.viewer.film import Film
+from supple.viewer.frame_cache import Film
 from supple.viewer.pixels import on_screen
 from supple.viewer.pixels import shown as as_pixels
 from supple.viewer.playback import Playback

@@ -17,7 +17,7 @@ from supple.strokes import POISSON, REACH, FoldPolicy, Stroke
 from supple.viewer.stages import VolumeStage
 
 if TYPE_CHECKING:
-    from supple.viewer.states import Item
+    from supple.viewer.state import Item
     from supple.viewer.view import View
 
 WIDE = 300  # logical pixels

@@ -17,9 +17,9 @@ from supple.render.picture import Pick
 from supple.render.scene import Scene
 from supple.render.transfer import TransferFunction
 from supple.viewer.document import Kind
-from supple.viewer.film import Film
-from supple.viewer.heard import heard
+from supple.viewer.frame_cache import Film
 from supple.viewer.pixels import Pixels
+from supple.viewer.warning_log import heard
 
 Point = tuple[float, ...]
 Span = tuple[int, int]

@@ -18,14 +18,14 @@ from supple.media import image
 from supple.strokes import Recipe
 from supple.viewer import overlay, panels
 from supple.viewer.certify import Certifier
-from supple.viewer.desk import Desk
 from supple.viewer.document import Document
+from supple.viewer.files import Desk
 from supple.viewer.gui import Gui
 from supple.viewer.interrupts import unbroken
 from supple.viewer.painter import Painter, Shot
+from supple.viewer.redraw import Waking
 from supple.viewer.stages import ImageStage, VideoStage, VolumeStage
 from supple.viewer.tools import ImageTools, VideoTools, VolumeTools
-from supple.viewer.waking import Waking
 
 SETTLED = 0.15  # seconds without a change, after which a picture is drawn in full
 FILLING = 0.004

@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 
 from supple.errors import SuppleError
-from supple.media import exif
 from supple.media.files import replacing, shown
-from supple.media.formats import (
+from supple.media.image import exif
+from supple.media.image.formats import (
     AVIF,
     DTYPES,
     EXR,
@@ -30,8 +30,8 @@ from supple.media.formats import (
     settings,
     wrapped,
 )
-from supple.media.headers import collected, dressed, facts, finish, has_alpha, kept, profile_name
-from supple.media.vips import PathLike, apart, decoded, is_ycbcr, opened, reading, sequential, widen, writing
+from supple.media.image.headers import collected, dressed, facts, finish, has_alpha, kept, profile_name
+from supple.media.image.vips import PathLike, apart, decoded, is_ycbcr, opened, reading, sequential, widen, writing
 
 __all__ = [
     "SUFFIXES_OUT",
@@ -304,7 +304,7 @@ def write(
         if taken := [what for key, what in _BESIDE.items() if key in header] + ["the colour profile"] * bool(icc):
             text = f"{name}: {form.name} cannot take over {' and '.join(taken)}"
             warnings.warn(text, MetadataWarning, stacklevel=2)
-        from supple.media import ffmpeg
+        from supple.media.image import ffmpeg
 
         if alpha and form is EXR:  # whose colours are multiplied by it
             array = np.concatenate([array[..., :3] * array[..., 3:], array[..., 3:]], axis=2)

@@ -12,7 +12,7 @@ import numpy as np
 from supple.errors import SuppleError
 from supple.geometry import Geometry
 from supple.media.files import replacing, shown
-from supple.media.volume_data import Array, PathLike, Volume, native, unreadable
+from supple.media.volume.data import Array, PathLike, Volume, native, unreadable
 
 SUFFIXES = (".tif", ".tiff")
 _MILLIMETRES = {
@@ -27,8 +27,8 @@ _MILLIMETRES = {
 
 def has_pages(path: PathLike) -> bool:
     """Tell whether a file is a TIFF of several pages; what cannot be read has none."""
-    from supple.media.headers import facts
-    from supple.media.vips import opened
+    from supple.media.image.headers import facts
+    from supple.media.image.vips import opened
 
     if Path(path).suffix.lower() not in SUFFIXES:
         return False
@@ -49,8 +49,8 @@ def read(path: PathLike) -> Volume:
     """
     import pyvips
 
-    from supple.media.headers import facts
-    from supple.media.vips import apart, decoded, opened, reading
+    from supple.media.image.headers import facts
+    from supple.media.image.vips import apart, decoded, opened, reading
 
     image, form = opened(path)
     if form != "TIFF":
@@ -133,7 +133,7 @@ def _spacing(image: Any, told: dict[str, float]) -> tuple[float, float, float]:
 
 def check(path: PathLike, like: Volume, dtype: np.dtype[Any]) -> None:
     """Refuse what the format cannot hold."""
-    from supple.media.formats import DTYPES, TIFF
+    from supple.media.image.formats import DTYPES, TIFF
 
     name = shown(path)
     if like.series:
@@ -156,8 +156,8 @@ def write(path: PathLike, samples: Array, like: Volume, *, force: bool = False) 
     """
     import pyvips
 
-    from supple.media.formats import TIFF, meant, settings, wrapped
-    from supple.media.vips import apart, writing
+    from supple.media.image.formats import TIFF, meant, settings, wrapped
+    from supple.media.image.vips import apart, writing
 
     array = native(samples)
     depth, height, width = array.shape[:3]

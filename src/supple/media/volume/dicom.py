@@ -16,8 +16,8 @@ import numpy as np
 
 from supple.errors import VolumeWarning
 from supple.media.files import shown
-from supple.media.itk import check_voxels, failing, geometry_of, library, silence
-from supple.media.volume_data import Array, PathLike, Volume, check_spacing, head_of, located, unreadable
+from supple.media.volume.data import Array, PathLike, Volume, check_spacing, head_of, located, unreadable
+from supple.media.volume.itk import check_voxels, failing, geometry_of, library, silence
 
 _UID, _NUMBER, _TEXT, _PIXEL_SPACING = "0020|000e", "0020|0011", "0008|103e", "0028|0030"
 _THICKNESS, _BETWEEN, _BITS = "0018|0050", "0018|0088", "0028|0100"

@@ -18,8 +18,7 @@ import numpy as np
 from supple.errors import SuppleError
 from supple.geometry import Geometry
 from supple.media.files import check_output, replacing, shown
-from supple.media.raw import count_bytes
-from supple.media.volume_data import (
+from supple.media.volume.data import (
     DTYPES,
     Array,
     PathLike,
@@ -32,6 +31,7 @@ from supple.media.volume_data import (
     too_large,
     unreadable,
 )
+from supple.media.volume.raw import count_bytes
 
 _LOADERS = {"NRRD": "NrrdImageIO", "MetaImage": "MetaImageIO"}
 _MILLIMETRES = {"", "???", "mm", "millimeter", "millimeters", "millimetre", "millimetres"}

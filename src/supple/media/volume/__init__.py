@@ -9,10 +9,10 @@ import numpy as np
 import numpy.typing as npt
 
 from supple.errors import SuppleError
-from supple.media import raw, stack
 from supple.media.files import check_output, shown
-from supple.media.stack import has_pages
-from supple.media.volume_data import (
+from supple.media.volume import pages as stack
+from supple.media.volume import raw
+from supple.media.volume.data import (
     DTYPES,
     Array,
     PathLike,
@@ -23,6 +23,7 @@ from supple.media.volume_data import (
     rescaled_dtype,
     unreadable,
 )
+from supple.media.volume.pages import has_pages
 
 __all__ = [
     "SUFFIXES",
@@ -68,7 +69,7 @@ def is_volume(path: PathLike) -> bool:
     """
     suffix = suffix_of(path)
     if os.path.isdir(path):
-        from supple.media import dicom
+        from supple.media.volume import dicom
 
         return dicom.in_folder(path)
     if suffix == ".hdr":
@@ -78,7 +79,7 @@ def is_volume(path: PathLike) -> bool:
             return True
     if suffix in SUFFIXES or (suffix and not suffix[1:].isdigit()):
         return suffix in SUFFIXES
-    from supple.media import dicom
+    from supple.media.volume import dicom
 
     return dicom.is_slice(path)
 
@@ -110,18 +111,18 @@ def read(path: PathLike, *, raw: RawLayout | None = None, series: str | None = N
         return _raw(path, raw)
     form = _format(path)
     if form == "NIfTI":
-        from supple.media import nifti
+        from supple.media.volume import nifti
 
         return nifti.read(path)
     if form == "DICOM":
-        from supple.media import dicom
+        from supple.media.volume import dicom
 
         return dicom.read(path, series)
     if form == "TIFF":
         return stack.read(path)
     if form == "raw":
         return _raw(path, None)
-    from supple.media import itk
+    from supple.media.volume import itk
 
     return itk.read(path, form)
 
@@ -226,7 +227,7 @@ def write(path: PathLike, samples: Array, like: Volume, *, force: bool = False) 
         raise SuppleError(f"cannot write {shown(path)}: {what}: make them alike")
     suffix = suffix_of(path)
     if suffix.startswith(".nii"):
-        from supple.media import nifti
+        from supple.media.volume import nifti
 
         nifti.write(path, samples, like, force=force)
         return
@@ -234,7 +235,7 @@ def write(path: PathLike, samples: Array, like: Volume, *, force: bool = False) 
     if suffix in stack.SUFFIXES:
         stack.write(path, meant, like, force=force)
         return
-    from supple.media import itk
+    from supple.media.volume import itk
 
     itk.write(path, meant, like, force=force)
 
@@ -258,7 +259,7 @@ def info(path: PathLike, *, raw: RawLayout | None = None, series: str | None = N
         As `read` does.
     """
     if raw is None and series is None and os.path.isdir(path):
-        from supple.media import dicom
+        from supple.media.volume import dicom
 
         found = dicom.listed(path)
         if len(found) > 1:

@@ -18,7 +18,7 @@ from supple.media.files import shown
 from supple.media.folder import check_outputs, replacing_all
 from supple.media.image import SUFFIXES_OUT, ImageWarning, MetadataWarning, PathLike, check_target, write
 from supple.media.numbering import has_number, matching, pictures_in, spelling
-from supple.media.sequence import Pictures
+from supple.media.video.sequence import Pictures
 from supple.streaming import Layout
 
 Array = npt.NDArray[Any]
@@ -146,7 +146,7 @@ def _tell_of_streams(clip: Clip, folder: Path) -> None:
     sorts = {"audio": "sound", "subtitle": "subtitles"}
     lost = [sorts[kind] for kind in sorts if source and any(stream.type == kind for stream in source.streams)]
     if lost:
-        from supple.media.troubles import ClipWarning  # which imports PyAV: a video has done so already
+        from supple.media.video.errors import ClipWarning  # which imports PyAV: a video has done so already
 
         name = getattr(clip, "name", "the video")
         text = f"{shown(folder)} gets pictures alone, without the {' and the '.join(lost)} of {name}"

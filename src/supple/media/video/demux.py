@@ -16,7 +16,7 @@ from typing import Any
 import av
 from av.format import Flags as FormatFlags
 
-from supple.media.troubles import said, unreadable
+from supple.media.video.errors import said, unreadable
 
 PathLike = str | os.PathLike[str]
 _ADVICE = "give a whole video file, such as MP4, MOV, MKV, WebM or AVI"

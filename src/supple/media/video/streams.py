@@ -13,7 +13,7 @@ from typing import Any
 import av
 
 from supple.media.files import shown
-from supple.media.troubles import ClipWarning
+from supple.media.video.errors import ClipWarning
 
 PathLike = str | os.PathLike[str]
 _HELD = 64 << 20  # bytes of packets that wait for the film before they go first

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import av
 from av.format import Flags as FormatFlags
 
-from supple.media.demux import chosen, opened
+from supple.media.video.demux import chosen, opened
 
 PathLike = str | os.PathLike[str]
 _BROADCAST: int = getattr(FormatFlags.ts_discont, "value", 0)

@@ -16,7 +16,7 @@ import numpy as np
 from supple.errors import VolumeWarning
 from supple.geometry import Geometry
 from supple.media.files import replacing, shown
-from supple.media.volume_data import (
+from supple.media.volume.data import (
     DTYPES,
     Array,
     PathLike,
@@ -214,7 +214,7 @@ def _geometry(path: PathLike, first: Path, header: Any, sizes: tuple[int, ...], 
     if not far > _SAME * min(steps):
         return placed(path, sform, "RAS")
     # The programs that fields and landmarks are exchanged with read it by ITK, whose choice depends on the codes.
-    from supple.media.itk import failing, geometry_of, library
+    from supple.media.volume.itk import failing, geometry_of, library
 
     reader = library().ImageFileReader()
     reader.SetImageIO("NiftiImageIO")

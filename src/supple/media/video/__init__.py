@@ -12,16 +12,16 @@ from typing import Any
 
 import av
 
-from supple.media.codecs import SUFFIXES_OUT, container_of
-from supple.media.colour import sited, to_rgb
-from supple.media.demux import chosen, decoded_by, fed, opened, packets, sums_up, survey
-from supple.media.encode import writer_of
-from supple.media.film import Film, said_of
-from supple.media.pixels import Form, palette, unpack
-from supple.media.plan import workers
-from supple.media.seeking import Index, index_of
-from supple.media.timing import Times, usual_step
-from supple.media.troubles import ClipWarning, CountError, unreadable
+from supple.media.video.codecs import SUFFIXES_OUT, container_of
+from supple.media.video.colour import sited, to_rgb
+from supple.media.video.demux import chosen, decoded_by, fed, opened, packets, sums_up, survey
+from supple.media.video.encode import writer_of
+from supple.media.video.errors import ClipWarning, CountError, unreadable
+from supple.media.video.plan import workers
+from supple.media.video.planes import Form, palette, unpack
+from supple.media.video.probe import Film, said_of
+from supple.media.video.seeking import Index, index_of
+from supple.media.video.timing import Times, usual_step
 from supple.streaming import Array
 
 __all__ = [

@@ -15,10 +15,10 @@ import numpy as np
 import pyvips
 
 from supple.errors import SuppleError
-from supple.media.chunks import png_frames
-from supple.media.exif import retagged, tag_of
 from supple.media.files import shown
-from supple.media.formats import DTYPES, Array, meant, wrapped
+from supple.media.image.chunks import png_frames
+from supple.media.image.exif import retagged, tag_of
+from supple.media.image.formats import DTYPES, Array, meant, wrapped
 
 T = TypeVar("T")
 PathLike = str | os.PathLike[str]
@@ -90,7 +90,7 @@ def opened(path: PathLike) -> tuple[Any, str]:
             raise SuppleError(f"cannot read {name}: {what}") from error
         if known:
             raise _damaged(path, error) from error
-        from supple.media import ffmpeg
+        from supple.media.image import ffmpeg
 
         if (found := ffmpeg.codec_of(path, head)) is not None:
             return _by_ffmpeg(path, *found)
@@ -102,7 +102,7 @@ def opened(path: PathLike) -> tuple[Any, str]:
 
 def _by_ffmpeg(path: PathLike, codec: str, form: str) -> tuple[Any, str]:
     """Decode a picture that libvips does not know."""
-    from supple.media import ffmpeg
+    from supple.media.image import ffmpeg
 
     with ffmpeg.reading(path):
         pixels, bits = ffmpeg.decoded(path, codec)
@@ -121,7 +121,7 @@ def is_ycbcr(path: PathLike) -> bool:
 
 def _in_rgb(path: PathLike, image: Any) -> Any:
     """Decode a TIFF in YCbCr by FFmpeg, since libvips takes it for RGB; keep its header."""
-    from supple.media import ffmpeg
+    from supple.media.image import ffmpeg
 
     with ffmpeg.reading(path):
         made = wrapped(ffmpeg.decoded(path, "tiff")[0], "srgb", 8).copy(xres=image.xres, yres=image.yres)

@@ -6,9 +6,9 @@ import os
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
-from supple.media.colour import BT601, BT709, FULL, LIMITED, RGB, UNKNOWN, Colour
-from supple.media.pixels import Form, Kind, form
-from supple.media.troubles import unwritable
+from supple.media.video.colour import BT601, BT709, FULL, LIMITED, RGB, UNKNOWN, Colour
+from supple.media.video.errors import unwritable
+from supple.media.video.planes import Form, Kind, form
 
 PathLike = str | os.PathLike[str]
 _CHROMA = {(1, 1): "4:4:4", (2, 1): "4:2:2", (2, 2): "4:2:0", (4, 1): "4:1:1", (4, 4): "4:1:0", (1, 2): "4:4:0"}

@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 import pyvips
 
-from supple.media import exif
-from supple.media.chunks import found
-from supple.media.formats import COLOURS, DTYPES, JPEG, PNG, TIFF, Format
+from supple.media.image import exif
+from supple.media.image.chunks import found
+from supple.media.image.formats import COLOURS, DTYPES, JPEG, PNG, TIFF, Format
 
 PathLike = str | os.PathLike[str]
 

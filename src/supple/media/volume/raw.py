@@ -10,7 +10,7 @@ import numpy as np
 
 from supple.geometry import Geometry
 from supple.media.files import shown
-from supple.media.volume_data import PathLike, RawLayout, Volume, head_of, native, reading, unreadable
+from supple.media.volume.data import PathLike, RawLayout, Volume, head_of, native, reading, unreadable
 
 _HEAD = 6  # three sizes of 16 bits
 _CHUNK = 1 << 22

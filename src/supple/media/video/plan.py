@@ -14,16 +14,16 @@ import av
 import numpy as np
 
 from supple.errors import SuppleError
-from supple.media.codecs import Encoder, container_of, named, options, pixel_formats, read_as, usual
-from supple.media.colour import Colour, Grading, sited
 from supple.media.files import shown
-from supple.media.matching import Match, Wish, finer, match
-from supple.media.pixels import Form, Kind, form
-from supple.media.troubles import ClipWarning, unwritable
+from supple.media.video.codecs import Encoder, container_of, named, options, pixel_formats, read_as, usual
+from supple.media.video.colour import Colour, Grading, sited
+from supple.media.video.errors import ClipWarning, unwritable
+from supple.media.video.pixel_format import Match, Wish, finer, match
+from supple.media.video.planes import Form, Kind, form
 from supple.workers import threads as all_threads
 
 if TYPE_CHECKING:
-    from supple.media.film import Reel
+    from supple.media.video.probe import Reel
 
 PathLike = str | os.PathLike[str]
 # Encoders that take any times. The others count frames, and their packets are given the times afterwards.

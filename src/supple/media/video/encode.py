@@ -13,21 +13,21 @@ from typing import TYPE_CHECKING, Any
 
 import av
 
-from supple.media.codecs import container_of
-from supple.media.colour import Colour, recast, sited
 from supple.media.files import check_output, replacing
-from supple.media.film import Reel, Stills
-from supple.media.gif import Palettes
-from supple.media.matching import Match
-from supple.media.passing import Passage, kept_tags, titled
-from supple.media.pixels import form, pack
-from supple.media.plan import UPRIGHT_ONLY, Plan, timescale, workers
-from supple.media.timing import usual_step
-from supple.media.troubles import raised, unwritable
+from supple.media.video.codecs import container_of
+from supple.media.video.colour import Colour, recast, sited
+from supple.media.video.errors import raised, unwritable
+from supple.media.video.gif import Palettes
+from supple.media.video.pixel_format import Match
+from supple.media.video.plan import UPRIGHT_ONLY, Plan, timescale, workers
+from supple.media.video.planes import form, pack
+from supple.media.video.probe import Reel, Stills
+from supple.media.video.streams import Passage, kept_tags, titled
+from supple.media.video.timing import usual_step
 from supple.streaming import Array
 
 if TYPE_CHECKING:
-    from supple.media.sequence import Pictures
+    from supple.media.video.sequence import Pictures
 
 PathLike = str | os.PathLike[str]
 _FELT = Fraction(1, 4)  # of a frame: further from its time, it is told

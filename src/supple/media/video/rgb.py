@@ -98,7 +98,7 @@ def _palettes(made: Any, stream: Any, pictures: Iterable[npt.NDArray[np.uint8]],
     """Encode pictures as a GIF that goes round, each with a palette of its own, at times in hundredths."""
     import av
 
-    from supple.media.gif import Palettes
+    from supple.media.video.gif import Palettes
 
     palettes, stream.time_base = Palettes(stream.width, stream.height), Fraction(1, 100)
     for k, picture in enumerate(pictures):

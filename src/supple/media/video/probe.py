@@ -12,7 +12,8 @@ import av
 import numpy as np
 
 from supple.errors import SuppleError
-from supple.media.colour import (
+from supple.media.files import shown
+from supple.media.video.colour import (
     BT709,
     FULL,
     RGB,
@@ -27,15 +28,14 @@ from supple.media.colour import (
     sited,
     siting,
 )
-from supple.media.demux import Survey, chosen
-from supple.media.files import shown
-from supple.media.passing import name_of
-from supple.media.pixels import Form, form, palette, wider
+from supple.media.video.demux import Survey, chosen
+from supple.media.video.planes import Form, form, palette, wider
+from supple.media.video.streams import name_of
 from supple.streaming import Layout
 
 if TYPE_CHECKING:
-    from supple.media.encode import Sink
-    from supple.media.sequence import Pictures
+    from supple.media.video.encode import Sink
+    from supple.media.video.sequence import Pictures
 
 PathLike = str | os.PathLike[str]
 _LEAST, _UTMOST = Fraction(1, 10_000), Fraction(100_000)
@@ -59,7 +59,7 @@ class Reel:
     count : int
         How many frames there are.
     layout : Layout
-        What a frame is made of. Where chroma lies is told by `supple.media.colour.siting`.
+        What a frame is made of. Where chroma lies is told by `supple.media.video.colour.siting`.
     form : Form
         The pixel format of frames that are arrays of that layout.
     colour : Colour

@@ -19,11 +19,11 @@ import pyvips
 
 from supple.errors import SuppleError
 from supple.media.files import shown
-from supple.media.formats import DTYPES
-from supple.media.headers import collected, facts, has_alpha
 from supple.media.image import PageWarning, Picture
+from supple.media.image.formats import DTYPES
+from supple.media.image.headers import collected, facts, has_alpha
+from supple.media.image.vips import PathLike, apart, decoded, opened, reading, sequential, widen
 from supple.media.numbering import first_number, has_number, is_sequence, numbered, pictures_in
-from supple.media.vips import PathLike, apart, decoded, opened, reading, sequential, widen
 from supple.streaming import Frame, Group, Layout
 
 __all__ = ["Pictures", "is_sequence", "open_sequence"]

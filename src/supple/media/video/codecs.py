@@ -10,9 +10,9 @@ from pathlib import Path
 
 import av
 
-from supple.media.colour import BT601, BT709, LIMITED, UNKNOWN, Colour
 from supple.media.files import shown
-from supple.media.troubles import unwritable
+from supple.media.video.colour import BT601, BT709, LIMITED, UNKNOWN, Colour
+from supple.media.video.errors import unwritable
 
 PathLike = str | os.PathLike[str]
 SUFFIXES = {

@@ -12,10 +12,10 @@ from typing import Any
 import av
 import numpy as np
 
-from supple.media.colour import FULL, Colour, to_rgb
-from supple.media.formats import Array
-from supple.media.pixels import form, pack, palette, unpack, wider
-from supple.media.troubles import said, unreadable, unwritable
+from supple.media.image.formats import Array
+from supple.media.video.colour import FULL, Colour, to_rgb
+from supple.media.video.errors import said, unreadable, unwritable
+from supple.media.video.planes import form, pack, palette, unpack, wider
 
 _MAGIC = (
     (rb"v/1\x01", "exr", "OpenEXR"),

@@ -14,7 +14,7 @@ import av.logging
 import numpy as np
 from av.filter import Graph
 
-from supple.media.pixels import Form, Kind, form, pack
+from supple.media.video.planes import Form, Kind, form, pack
 from supple.streaming import Array
 
 LIMITED, FULL = 1, 2  # AVCOL_RANGE_MPEG, AVCOL_RANGE_JPEG

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from imgui_bundle import imgui
 
+from supple.gpu.buffers import Kept
 from supple.gpu.device import Gpu
-from supple.gpu.kept import Kept
 from supple.gpu.kernel import UNIFORM
 
 _SETTINGS = np.dtype([("origin", "f4", 2), ("size", "f4", 2), ("gamma", "f4"), ("unused", "f4", 3)])
