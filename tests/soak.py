@@ -134,7 +134,8 @@ def targets(d: Deformation, rng: np.random.Generator, many: int) -> Floats:
     part = many // 5
     points[:part] = rng.uniform(-1, 2, (part, d.ndim)) * (size + 1)
     rows, axes = np.arange(part, 2 * part), rng.integers(0, d.ndim, part)
-    points[rows, axes] = rng.integers(0, 2, part) * size[axes]
+    faces = np.array(d.domain.faces) / np.array(d.domain.spacing)[:, None]
+    points[rows, axes] = faces[axes, rng.integers(0, 2, part)]
     points[rows, axes] += rng.choice([0.0, 1e-9, -1e-9, 0.3, -0.3], part)
     if d.strokes:
         held = np.array([s.at for s in d.strokes]), np.array([s.by for s in d.strokes])

@@ -186,7 +186,7 @@ def test_a_saved_recipe_knows_its_size_and_fits_others_of_the_same_proportions(r
     image.write("big.png", noise(120, 144))
     status, out, err = run("warp", "big.png", "b.png", "--recipe", "r.json", "--save-recipe", "again.json")
     assert (status, out) == (0, "")
-    assert err == "supple: warning: the recipe was made for 48 x 40, and is scaled for big.png, which is 144 x 120\n"
+    assert err == "supple: the recipe was made for 48 x 40, and is scaled for big.png, which is 144 x 120\n"
     wanted = supple.Deformation.from_recipe(saved().fitted((144, 120)), (120, 144)).warp(noise(120, 144))
     np.testing.assert_array_equal(image.read("b.png").pixels, wanted)
     assert saved("again.json") == saved()

@@ -855,7 +855,7 @@ def test_odd_sizes(run: Run, size: tuple[int, int], border: str) -> None:
 def test_a_miscounted_clip_is_read_once_more(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     """Clips whose packets promise other numbers of frames than decoding gives."""
     frames = stack(noisy("in.mkv", "yuv444p"))
-    true = supple.media.video.probe
+    true = supple.media.video.survey
 
     def survey(container: Any, film: Any) -> Any:
         found = true(container, film)

@@ -143,7 +143,7 @@ def test_grid_lines_are_the_inputs_lines() -> None:
     for line in lines:
         back = SMALL.inverse(line).points
         assert np.ptp(back, axis=0).min() < 1e-6
-    np.testing.assert_allclose(SMALL.inverse(lines[0]).points[[0, -1]], [[0, 0], [0, 59]], atol=1e-6)
+    np.testing.assert_allclose(SMALL.inverse(lines[0]).points[[0, -1]], [[-0.5, -0.5], [-0.5, 59.5]], atol=1e-6)
 
 
 def test_a_large_image_is_looked_at_here_and_there() -> None:

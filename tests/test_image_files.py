@@ -24,6 +24,7 @@ from supple.errors import SuppleError
 from supple.media.image import (
     SUFFIXES_OUT,
     DepthWarning,
+    ImageWarning,
     MetadataWarning,
     PageWarning,
     Picture,
@@ -871,6 +872,30 @@ class TestWhatCannotBeRead:
         path.write_bytes(data[:20] + bytes(len(data) - 20))
         refused(read, path)
         assert capfd.readouterr() == ("", "")
+
+    def test_holes_in_the_data(self, tmp_path):
+        image = pyvips.Image.new_from_array(noise("u1", 400, 300, 3), interpretation="srgb")
+        image.tiffsave(str(tmp_path / "in.tif"), compression="lzw")
+        data = (tmp_path / "in.tif").read_bytes()
+        (tmp_path / "in.tif").write_bytes(data[: len(data) // 2] + bytes(200) + data[len(data) // 2 + 200 :])
+        assert "it is damaged" in refused(read, tmp_path / "in.tif")
+        image.jpegsave(str(tmp_path / "in.jpg"))
+        data = (tmp_path / "in.jpg").read_bytes()
+        middle = len(data) // 2
+        for hole in (b"\xff\xd3", b"\xff\xc4\x00", bytes([255, 1, 255, 9] * 50)):
+            (tmp_path / "hole.jpg").write_bytes(data[:middle] + hole + data[middle + len(hole) :])
+            with pytest.warns(ImageWarning, match=r"hole.jpg is damaged \(Corrupt JPEG data.*parts of it may be wrong"):
+                read(tmp_path / "hole.jpg")
+        assert read(tmp_path / "in.jpg").pixels.shape == (400, 300, 3)
+
+    def test_a_tiff_whose_last_pages_are_cut(self, tmp_path):
+        page = pyvips.Image.new_from_array(noise("u1", 40, 60), interpretation="b-w")
+        tall = pyvips.Image.arrayjoin([page] * 4, across=1)
+        tall.set_type(pyvips.GValue.gint_type, "page-height", 40)
+        tall.tiffsave(str(tmp_path / "in.tif"))
+        data = (tmp_path / "in.tif").read_bytes()
+        (tmp_path / "in.tif").write_bytes(data[: len(data) * 7 // 10])
+        assert "it is damaged" in refused(lambda path: read(path, pages=True), tmp_path / "in.tif")
 
     @pytest.mark.parametrize(
         "data",

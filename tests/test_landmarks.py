@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
+import supple
 from supple import Deformation, SuppleError
 from supple.errors import VolumeWarning
 from supple.geometry import Geometry
@@ -79,6 +80,7 @@ def written(kind: str, points: Floats, system: str) -> str:
     return f"{head}\n" + "".join(f"F-{k},{x!r},{y!r},{z!r}\n" for k, (x, y, z) in enumerate(points.tolist()))
 
 
+@pytest.mark.filterwarnings("ignore::supple.OutsideWarning")
 class TestPointsTravel:
     @pytest.mark.parametrize("system", ["LPS", "RAS"])
     @pytest.mark.parametrize("kind", ["csv", "fcsv", "mrk.json"])
@@ -123,7 +125,10 @@ class TestPointsTravel:
     def test_outside_is_where_they_come_from(self, tmp_path: Path) -> None:
         deformation = Deformation(SHAPE, border=None).grab((26, 15, 11), by=(4, 0, 0), radius=9)
         (tmp_path / "in.csv").write_text("x,y,z\n26,15,11\n27.4,15,11\n27.6,15,11\n26,-0.6,11\n26,15,99\n")
-        assert move_points(tmp_path / "in.csv", tmp_path / "out.csv", deformation).outside == 3
+        with pytest.warns(
+            supple.OutsideWarning, match=r"^3 of 5 points lie outside \(point 3 at \(27.6,"
+        ):
+            assert move_points(tmp_path / "in.csv", tmp_path / "out.csv", deformation).outside == 3
         again = move_points(tmp_path / "in.csv", tmp_path / "again.csv", deformation)
         assert again.first_outside == "point 3 at (27.6, 15, 11)"
         assert read_points(tmp_path / "out.csv").points[0, 0] == pytest.approx(30)
@@ -148,9 +153,9 @@ class TestPointsTravel:
             return found
 
         monkeypatch.setattr(Deformation, "inverse", poor)
-        moved = move_points(
-            tmp_path / "in.csv", tmp_path / "out.csv", bent(), tilted(), inverse=True, convention="index"
-        )
+        to = tmp_path / "out.csv"
+        with pytest.warns(supple.ToleranceWarning, match="1 of 2 points did not converge"):
+            moved = move_points(tmp_path / "in.csv", to, bent(), tilted(), inverse=True, convention="index")
         assert moved.unconverged == 1
         assert moved.residual[0] > 0.1 > 1e-6 > moved.residual[1]
 

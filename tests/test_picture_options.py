@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shlex
 import subprocess
 import sys
 from importlib.resources import files
@@ -118,6 +119,31 @@ def test_clips_and_volumes_through_standard_input_and_output(tmp_path: Path, nam
     known = [run("info", str(path), "--json") for path in (wanted, streamed)]
     facts = [{**json.loads(found[1]), "file": "", "bytes": 0} for found in known]
     assert facts[0] == facts[1]
+
+
+@pytest.mark.parametrize("table", ["x;y\n20;20\n", "\ufeffx,y\n20,20\n", "name\tx\ty\nÜber\t20\t20\n"])
+def test_any_table_comes_by_standard_input(picture: Path, table: str) -> None:
+    status, out, told = run("points", "-", "-", "--on", str(picture), *GRAB, given=table.encode())
+    assert (status, told) == (0, "")
+    assert b"23" in out
+
+
+@pytest.mark.parametrize("option", ["--recipe", "--save-recipe", "--save-field"])
+def test_options_name_files(picture: Path, option: str) -> None:
+    status, _, told = run("warp", str(picture), str(picture.with_name("out.png")), *GRAB, option, "-")
+    assert status == 2
+    assert told == f"supple: {option} - is not possible: - is for the files IN and OUT; name a file\n"
+    assert [path.name for path in picture.parent.iterdir()] == ["in.png"]
+
+
+def test_closed_streams(picture: Path) -> None:
+    for arguments, closed in ((("-", "out.png"), "<&-"), (("in.png", "-"), ">&-")):
+        command = shlex.join([sys.executable, "-m", "supple", "warp", *arguments, *GRAB])
+        source = str(Path(supple.__file__).parent.parent)
+        env = {**os.environ, "PYTHONPATH": source}
+        done = subprocess.run(["sh", "-c", f"{command} {closed}"], cwd=picture.parent, env=env, capture_output=True)
+        assert (done.returncode, done.stderr.count(b"\n")) == (2, 1)
+        assert b"is closed: name a file" in done.stderr
 
 
 def test_points_and_info_of_standard_input(picture: Path) -> None:

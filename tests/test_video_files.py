@@ -1100,6 +1100,17 @@ def test_a_cut_clip_is_used_with_a_warning(tmp_path):
     assert 4 <= count <= 6
 
 
+def test_a_cut_gif_is_used_with_a_warning(tmp_path):
+    whole = clips.make(tmp_path / "a.mkv", "ffv1", count=10, smooth=False)
+    copy(whole, tmp_path / "a.gif")
+    data = (tmp_path / "a.gif").read_bytes()
+    (tmp_path / "part.gif").write_bytes(data[: len(data) * 6 // 10])
+    with pytest.warns(ClipWarning, match="part.gif is damaged or cut short"):
+        assert 4 <= copy(tmp_path / "part.gif", tmp_path / "b.mkv") <= 6
+    (tmp_path / "padded.gif").write_bytes(data + bytes(100))
+    assert copy(tmp_path / "padded.gif", tmp_path / "c.mkv") == 10
+
+
 @pytest.mark.parametrize(
     ("suffix", "codec", "options"),
     [("mkv", "libx264", {}), ("mov", "prores_ks", {"movflags": "faststart"}), ("avi", "mpeg4", {})],

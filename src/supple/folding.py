@@ -48,6 +48,7 @@ NEAR = 0.5
 """A stroke has arrived where its point is within so many samples of its target."""
 
 _SQUEEZED = 1e-5  # a sequence that leaves less of a length has lost too many digits to be undone
+_ALONG = 1e-9  # of the radius: what is rounding in a drag along a face
 _GAP = 0.002
 _FREE_GAP = 1e-9  # known once for all strokes of a kind
 _FLOW_GAP = 0.05
@@ -168,17 +169,10 @@ def _arrived(stroke: Stroke, table: Table, domain: Domain) -> tuple[float, ...]:
 def _flow(stroke: Stroke, domain: Domain, row: np.void) -> Resolved:
     axes, poisson = domain.packed(), stroke.material(time=domain.time)
     position, target = row["pivot"].copy(), row["pivot"] + row["force"]
-    first, last, sigma, spacing, _ = axes.T
-    fixed, half = sigma >= 0, NEAR * spacing
-    # A pixel's area is half a pixel more than faces at the centres of the outermost.
-    inside = fixed & (np.maximum(first - position, position - last) <= half + first)
-    position = np.where(inside, np.clip(position, first, last), position)
-    held = _held(position, axes)
-    if held:  # what ends within half a sample has arrived
-        near = np.minimum(0.5 * half, np.minimum(position - first, last - position))
-        beside = fixed & (np.maximum(first - target, target - last) <= 0.5 * half) & (_beta(position, axes) > 1e-100)
-        target = np.where(beside, np.clip(target, first + near, last - near), target)
-        slides = fixed & (_beta(position, axes) <= 1e-100) & (np.abs(target - position) <= half)
+    first, last, sigma, _, _ = axes.T
+    fixed, held = sigma >= 0, _held(position, axes)
+    if held:  # what is on a face only slides along it
+        slides = fixed & (_beta(position, axes) < 1e-100) & (np.abs(target - position) <= _ALONG * stroke.radius)
         target = np.where(slides, position, target)
     drag = target - position
     if held and np.any((drag != 0) & fixed & ((_beta(position, axes) < 1e-100) | (target <= first) | (target >= last))):
@@ -216,6 +210,11 @@ def _flow(stroke: Stroke, domain: Domain, row: np.void) -> Resolved:
         )
     table = np.array(rows)
     if _narrowest(table, axes, table[0]["pivot"], drag) < _SQUEEZED:
+        if not held:
+            raise SuppleError(
+                f"{described(stroke)} starts outside, where nothing is held, and squeezes what lies on its way against "
+                "the fixed border; use a point inside, border=None, or on_fold='damp'"
+            )
         raise SuppleError(
             f"{described(stroke)} squeezes what lies before it more than {1 / _SQUEEZED:g} times, which could not be "
             "undone; use a target farther from the fixed border, a wider border or border=None, or on_fold='damp'"

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from supple.deformation import Deformation
 from supple.domain import choice
-from supple.errors import SuppleError, VolumeWarning
+from supple.errors import OutsideWarning, SuppleError, ToleranceWarning, VolumeWarning
 from supple.geometry import Geometry
 from supple.media.files import check_output, shown
 from supple.media.points import PointFile, check_target, read_points, write_points
@@ -125,19 +125,19 @@ def move_points(
         made += geometry.to_world(end, known) - geometry.to_world(start, known)
     steps = np.array(deformation.domain.spacing if geometry is None else geometry.spacing)
     residual = np.linalg.norm((deformation.forward(solved.points) - seen) * steps, axis=1)
-    write_points(target, made, read, residual=residual, force=force)
     last = np.array(deformation.shape[::-1]) - 0.5
     beyond = np.flatnonzero(((start < -0.5) | (start > last)).any(axis=1))
-    return Moved(
-        Path(source),
-        Path(target),
-        len(made),
-        np.asarray(np.linalg.norm((end - start) * steps, axis=1)),
-        np.asarray(residual),
-        len(beyond),
-        _spoken(read, int(beyond[0])) if len(beyond) else "",
-        int(np.count_nonzero(~solved.converged)),
-    )
+    first, lost = _spoken(read, int(beyond[0])) if len(beyond) else "", int(np.count_nonzero(~solved.converged))
+    if len(beyond):
+        text = f"{len(beyond)} of {len(made)} points {'lies' if len(beyond) == 1 else 'lie'} outside"
+        which = f" ({first}{', for one' if len(beyond) > 1 else ''})"
+        warnings.warn(f"{text}{which}: they are moved all the same", OutsideWarning, stacklevel=2)
+    if lost:
+        text = f"{lost} of {len(made)} points did not converge: see their residuals"
+        warnings.warn(text, ToleranceWarning, stacklevel=2)
+    write_points(target, made, read, residual=residual, force=force)
+    moved_by = np.asarray(np.linalg.norm((end - start) * steps, axis=1))
+    return Moved(Path(source), Path(target), len(made), moved_by, np.asarray(residual), len(beyond), first, lost)
 
 
 def _spoken(read: PointFile, k: int) -> str:

@@ -647,22 +647,26 @@ void Plan<D>::split(Work& w, const Cell& e, const Checked& found) {
 
 // ---- filling --------------------------------------------------------------------------------------------------------
 
-// The place of the upper face, in pixels.
+// The place of the upper face, in pixels; where samples are on it, nothing moves across it.
 inline double face_of(const Axis& a) { return a.last / a.spacing; }
+constexpr double ON_FACE = 1e-6;
 
 // The samples `from` to `to` - 1 of the grid's row y, all within a leaf; `left` is the first of the row's.
 template <int D>
 INLINE void Plan<D>::fill(const Leaf<D>& leaf, const Grid& grid, int y, int from, int to, int left, bool slopes,
                           Row<D>& row) const {
-    // Beyond a fixed face, where the chroma of a last pixel may lie, the map goes on as at the face. Between the last
-    // pixel's middle and the face, the patch of the last cell goes on.
-    double below = y * grid.step[1] + grid.offset[1], face = axes[1].fixed() ? face_of(axes[1]) : below;
-    const float t = (float)(std::min(below, face) - leaf.y), over_y = (float)std::max(below - face, 0.0);
+    // On a fixed face and beyond, where the chroma of a last pixel may lie, the map along it is that on the face: the
+    // patch of the last cell goes on from the last pixel's middle to there.
+    const double below = y * grid.step[1] + grid.offset[1];
+    const bool on_face = axes[1].fixed() && below > face_of(axes[1]) - ON_FACE;
+    const float t = (float)((on_face ? face_of(axes[1]) : below) - leaf.y);
     const float start = (float)(from * grid.step[0] + grid.offset[0] - leaf.x), stride = (float)grid.step[0];
     const int n = to - from, at = from - left;
     int inner = n;  // samples before the face
-    if (axes[0].fixed())
-        inner = std::clamp((int)floor((face_of(axes[0]) - grid.offset[0]) / grid.step[0]) + 1 - from, 0, n);
+    if (axes[0].fixed()) {
+        const double face = face_of(axes[0]) - ON_FACE;
+        inner = std::clamp((int)floor((face - grid.offset[0]) / grid.step[0]) + 1 - from, 0, n);
+    }
     float along[D][4], rise[D][4];
     for (int d = 0; d < D; d++)
         for (int i = 0; i < 4; i++) {
@@ -678,9 +682,9 @@ INLINE void Plan<D>::fill(const Leaf<D>& leaf, const Grid& grid, int y, int from
     for (int d = 0; d < D; d++) {
         // In samples of the grid: (p - offset) / step.
         int anchor = leaf.anchor[d];
-        float scale = 1, shift = d == 1 ? over_y : 0;  // beyond the lower face, too
+        float scale = 1, shift = 0;
         if (d < 2 && (grid.step[d] > 1 || grid.offset[d] != 0)) {
-            double base = (leaf.anchor[d] - grid.offset[d] + shift) / grid.step[d];
+            double base = (leaf.anchor[d] - grid.offset[d]) / grid.step[d];
             anchor = (int)floor(base);
             scale = 1.0f / grid.step[d];
             shift = (float)(base - anchor);
@@ -698,6 +702,10 @@ INLINE void Plan<D>::fill(const Leaf<D>& leaf, const Grid& grid, int y, int from
     for (int i = inner; i < n; i++) {  // nothing moves across a face
         row.whole[0][at + i] = from + i;
         row.part[0][at + i] = 0;
+    }
+    for (int i = 0; on_face && i < n; i++) {
+        row.whole[1][at + i] = y;
+        row.part[1][at + i] = 0;
     }
     if (!slopes) return;
     for (int d = 0; d < 2; d++) {

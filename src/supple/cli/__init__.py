@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 import os
 import sys
 from collections.abc import Sequence
@@ -64,6 +65,9 @@ _COMMANDS = (
 )
 
 
+_OF_FILES = ("--recipe", "--save-recipe", "--save-field", "--on")
+
+
 def command(arguments: Sequence[str]) -> int:
     """Carry out a command line; return the exit status."""
     return run(lambda console: _dispatch(arguments))
@@ -96,6 +100,9 @@ def _dispatch(arguments: Sequence[str]) -> None:
     if not arguments or arguments[0] in app.help_flags:
         app.resolved_commands()  # or their first lines would be missing
     # A dash alone would be taken for an option.
+    for option, value in itertools.pairwise(arguments):
+        if value == "-" and option in _OF_FILES:
+            raise SuppleError(f"{option} - is not possible: - is for the files IN and OUT; name a file")
     arguments = [STREAM if argument == "-" else argument for argument in arguments]
     if STREAM in arguments and arguments[0] not in ("warp", "info", "points"):
         raise SuppleError("- for standard input or output is for warp, info and points: give the name of a file")

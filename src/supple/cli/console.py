@@ -178,7 +178,7 @@ class Console:
         if self.strict and not meant:
             raise SuppleError(f"{line} (--strict: warnings are errors)")
         if fresh and not self.quiet:
-            self.say(f"warning: {line}")
+            self.say(line if meant else f"warning: {line}")
 
     def started(self, *, quiet: bool, threads: int | None, strict: bool = False, file: str = "") -> None:
         """Take the options that every command has, and the name of the file that it reads."""

@@ -111,7 +111,7 @@ def _picture(name: str, facts: Mapping[str, Any]) -> str:
     if facts["orientation"] != 1:
         lines["orientation"] = f"{facts['orientation']}, applied when it is read"
     if facts["pages"] != 1:
-        lines["pages"] = f"{facts['pages']}, of which one is read"
+        lines["pages"] = str(facts["pages"])
     return _listed(name, lines)
 
 

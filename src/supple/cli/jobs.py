@@ -109,10 +109,11 @@ def make_folders(jobs: Sequence[Job]) -> None:
 
 
 @contextlib.contextmanager
-def piped(job: Job, console: Console) -> Iterator[Job]:
+def piped(job: Job, console: Console, otherwise: str = "") -> Iterator[Job]:
     """Put files in the place of standard input and output, which are named by a dash.
 
-    What is written to standard output is of the source's format, and comes when it is whole.
+    What is written to standard output is of the source's format, and comes when it is whole. Input that does not say of
+    what format it is gets the suffix ``otherwise``.
     """
     source, target = job
     if STREAM not in (str(source), str(target)):
@@ -121,13 +122,17 @@ def piped(job: Job, console: Console) -> Iterator[Job]:
     with tempfile.TemporaryDirectory(prefix="supple-") as folder:
         place = Path(folder)
         if str(source) == STREAM:
+            if sys.stdin is None:
+                raise SuppleError("standard input is closed: name a file to read")
             begin = sys.stdin.buffer.read(512)
-            source = place / f"input{_suffix_of(begin)}"
+            source = place / f"input{_suffix_of(begin) or otherwise}"
             console.names[str(source)] = "standard input"
             with open(source, "wb") as file:
                 file.write(begin)
                 shutil.copyfileobj(sys.stdin.buffer, file)
         if str(target) == STREAM:
+            if sys.stdout is None:
+                raise SuppleError("standard output is closed: name a file to write")
             target = place / f"output{_suffix_like(source)}"
             console.names[str(target)] = "standard output"
         yield source, target
@@ -155,13 +160,7 @@ def _suffix_of(begin: bytes) -> str:
             return suffix
     if begin[344:348] == b"n+1\0":
         return ".nii"
-    if begin[:4] == b"RIFF" and begin[8:12] == b"AVI ":
-        return ".avi"
-    try:
-        text = begin.decode("ascii")
-    except UnicodeDecodeError:
-        return ""
-    return ".csv" if "," in text and all(c.isprintable() or c in "\r\n\t" for c in text) else ""
+    return ".avi" if begin[:4] == b"RIFF" and begin[8:12] == b"AVI " else ""
 
 
 def _suffix_like(source: Path) -> str:

@@ -39,9 +39,9 @@ class StrokeOptions:
         Radius of the brush: in pixels, in volumes in millimetres. Give --radius, --poisson, --scales and
         --reach once for all grabs, or once for each.
     poisson
-        Poisson's ratio of the material, at most 0.5 (default 0.4). At higher values, 3-D volumes change less;
-        areas in a picture change at any value. -inf moves nothing sideways, and is the default for a drag in
-        time only.
+        Poisson's ratio of the material, at most 0.5 (default 0.4). The higher it is, the more the material gives
+        way sideways, which keeps volume in 3-D, but not area in a picture. -inf moves nothing sideways, and is
+        the default for a drag in time only.
     scales
         How fast the movement fades with distance r: 1 as 1/r (default), 2 as 1/r³, 3 as 1/r⁵.
     reach
@@ -60,7 +60,7 @@ class StrokeOptions:
         What to do with a grab that would fold the picture or that the border holds back. flow (default): reach
         the target in smaller steps. damp: shorten the grab. error: stop.
     amount
-        How much of each drag is carried out: 30%, or 0.3. Later grabs stay on what they take hold of.
+        How much of each drag is carried out: 30%, or 0.3. A later grab moves with what an earlier one moved less.
     fit
         How a recipe that was made for another size fits: pixels takes its numbers as they are; stretch scales width
         and height by factors of their own; inside keeps proportions, centred. One of the same proportions is scaled

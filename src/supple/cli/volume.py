@@ -122,7 +122,7 @@ def points(
     deformation, geometry = _deformation(on, recipe, volume.to_reading(), video, strokes.to_fit())
     if options.json and target == STREAM:
         raise SuppleError("--json writes to standard output, and so does -: leave one out")
-    with piped((Path(source), Path(target)), console) as (read, written):
+    with piped((Path(source), Path(target)), console, ".csv") as (read, written):
         moved = move_points(
             str(read), str(written), deformation, geometry, inverse=inverse, convention=convention, force=options.force
         )
@@ -135,14 +135,6 @@ def points(
         return
     unit = "px" if geometry is None else "mm"
     furthest = float(moved.displaced.max(initial=0.0))
-    if moved.outside:
-        lie = "lies" if moved.outside == 1 else "lie"
-        which = f"{moved.first_outside}{', for one' if moved.outside > 1 else ''}"
-        console.say(
-            f"{moved.outside} of {moved.count} points {lie} outside {on} ({which}): they are moved all the same"
-        )
-    if moved.unconverged:
-        console.say(f"{moved.unconverged} of {moved.count} points did not converge: see their residuals")
     if not options.quiet and target != STREAM:
         many = "1 point" if moved.count == 1 else f"{moved.count} points"
         print(f"{many}, moved by up to {furthest:.3g} {unit}; residual up to {worst:.1g} {unit}")

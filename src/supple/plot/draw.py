@@ -260,9 +260,9 @@ def _time_grid(deformation: Deformation, frame: int, below: Background) -> Figur
     drawn = show(axes, ahead, every, norm, "PuOr_r", None if below is None else 0.55)
     if min(ahead.shape) > 1:
         x, y = (np.arange(n) * float(every) for n in reversed(ahead.shape))
-        inside = 1e-6  # the border's own lines
+        inside = 1e-6  # the edges' own lines
         for c, places in enumerate(measure.ticks(deformation, 24)):
-            places = np.clip(places, inside, max(places[-1] - inside, inside))
+            places = np.clip(places, places[0] + inside, places[-1] - inside)
             axes.contour(x, y, points[..., c], np.unique(places), colors="black", linewidths=0.7)
     map_axes(axes, deformation, f"Frame {frame} of the output: straight lines of the input")
     arrows(axes, deformation)

@@ -216,11 +216,14 @@ def footprints(deformation: Deformation, frame: int | None = None) -> Footprints
 
 
 def ticks(deformation: Deformation, lines: int) -> list[Floats]:
-    """Where the lines of a grid cross the axes x and y, in pixels; its cells are square in physical units."""
-    size = np.array([n - 1.0 for n in reversed(deformation.shape[-2:])])
+    """Return where the lines of a grid cross the axes x and y, in pixels, from edge to edge of the picture.
+
+    Its cells are square in physical units.
+    """
+    size = np.array(deformation.shape[-2:][::-1], float)
     physical = size * deformation.domain.spacing[:2]
     cells = np.maximum(1, np.rint(lines * physical / max(physical.max(), 1e-300))).astype(int)
-    return [np.linspace(0, size[axis], cells[axis] + 1) for axis in range(2)]
+    return [np.linspace(-0.5, size[axis] - 0.5, cells[axis] + 1) for axis in range(2)]
 
 
 def grid(deformation: Deformation, *, lines: int = 24) -> list[Floats]:
@@ -239,10 +242,10 @@ def grid(deformation: Deformation, *, lines: int = 24) -> list[Floats]:
         Points along each line, in pixels, x first.
     """
     require_plane(deformation, None)
-    size = [n - 1.0 for n in reversed(deformation.shape)]
+    size = [float(n) for n in reversed(deformation.shape)]
     found = []
     for axis, places in enumerate(ticks(deformation, lines)):
-        along = np.linspace(0, size[1 - axis], 1 + int(min(max(64, size[1 - axis]), 1024)))
+        along = np.linspace(-0.5, size[1 - axis] - 0.5, 1 + int(min(max(64, size[1 - axis]), 1024)))
         for place in places:
             line = np.empty((along.size, 2))
             line[:, axis], line[:, 1 - axis] = place, along

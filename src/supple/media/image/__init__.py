@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyvips
 
 from supple.errors import SuppleError
 from supple.media.files import replacing, shown
@@ -165,7 +166,7 @@ def read(path: PathLike, *, pages: bool = False) -> Picture:
     if count > 1 and tall is None:
         warnings.warn(f"{name} holds {count} {_pages(form)}", PageWarning, stacklevel=2)
     with reading(path):
-        pixels = tall if tall is not None else apart(lambda: decoded(image, orientation), image)
+        pixels = tall if tall is not None else _decoded(path, image, form, orientation)
         header, lost = collected(path, image, form, orientation >= 5)
     if lost:
         warnings.warn(f"{name}: {' and '.join(lost)} cannot be carried over", MetadataWarning, stacklevel=2)
@@ -174,6 +175,21 @@ def read(path: PathLike, *, pages: bool = False) -> Picture:
     icc = header.pop("icc-profile-data", None)
     held = count if tall is not None else 1
     return Picture(pixels, has_alpha(image), icc, bits, form, image.interpretation, held, header)
+
+
+def _decoded(path: PathLike, image: Any, form: str, orientation: int) -> Array:
+    """Decode an image; of a damaged JPEG, which may still be good for much, warn."""
+    if form != "JPEG":
+        return apart(lambda: decoded(image, orientation), image)
+    try:
+        careful = apart(lambda: sequential(path, fail_on="warning"))
+        return apart(lambda: decoded(careful, orientation), careful)
+    except pyvips.Error as error:
+        pixels = apart(lambda: decoded(image, orientation), image)
+        said = next((line.strip() for line in error.detail.splitlines() if "JPEG" in line), "")
+        why = f" ({said.partition('VipsJpeg: ')[2] or said})" if said else ""
+        warnings.warn(f"{shown(path)} is damaged{why}: parts of it may be wrong", ImageWarning, stacklevel=4)
+        return pixels
 
 
 def _all_pages(path: PathLike, count: int) -> Array | None:

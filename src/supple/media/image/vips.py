@@ -146,7 +146,7 @@ def _of_doubles(path: PathLike) -> Any:
     channels = tag_of(path, _SAMPLES) or 1
     values = {_BITS: 8, _SAMPLES: 8 * channels, _SAMPLE_FORMAT: 1, _PHOTOMETRIC: 1}
     data, order = retagged(path, values)
-    image = apart(lambda: pyvips.Image.new_from_buffer(data, "", fail_on="truncated"))
+    image = apart(lambda: pyvips.Image.new_from_buffer(data, "", fail_on="error"))
     shape = (image.height, image.width, channels) if channels > 1 else (image.height, image.width)
     pixels = np.frombuffer(apart(image.write_to_memory), "<f8" if order == "little" else ">f8").reshape(shape)
     colours = channels - (channels in (2, 4))
@@ -156,11 +156,11 @@ def _of_doubles(path: PathLike) -> Any:
     return made
 
 
-def sequential(path: PathLike, **options: Any) -> Any:
-    """Open a file by libvips alone."""
+def sequential(path: PathLike, *, fail_on: str = "error", **options: Any) -> Any:
+    """Open a file by libvips alone, which fails on what is damaged or cut short; or on "warning", too."""
     # a source, since libvips would take "[...]" in a file's name for options, and cache what it read
     source = pyvips.Source.new_from_file(os.fsencode(path))
-    return pyvips.Image.new_from_source(source, "", access="sequential", fail_on="truncated", **options)
+    return pyvips.Image.new_from_source(source, "", access="sequential", fail_on=fail_on, **options)
 
 
 def apart(work: Callable[[], T], image: Any = None) -> T:

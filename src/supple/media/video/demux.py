@@ -123,6 +123,14 @@ class Survey:
     missing: int = 0
 
 
+def _ends(path: str) -> bool:
+    """Tell whether a GIF has its end."""
+    with open(path, "rb") as file:
+        file.seek(0, os.SEEK_END)
+        file.seek(max(0, file.tell() - 512))
+        return file.read().rstrip(b"\0").endswith(b";")
+
+
 def survey(container: av.container.InputContainer, film: av.VideoStream) -> Survey:
     """Count the frames of a film by its packets."""
     for other in container.streams:
@@ -153,6 +161,7 @@ def survey(container: av.container.InputContainer, film: av.VideoStream) -> Surv
                 last = start + step if last is None else max(last, start + step)
     except av.FFmpegError:
         damaged = True
+    damaged |= container.format.name == "gif" and not _ends(container.name)
     base = film.time_base or Fraction(1)
     span = Fraction(last - first) * base if first is not None and last is not None else Fraction(0)
     if total and sums_up(container):

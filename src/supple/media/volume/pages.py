@@ -60,7 +60,7 @@ def read(path: PathLike) -> Volume:
         if _linked(path) != pages:  # libvips takes what it finds
             raise unreadable(path, f"it is cut short: {pages} of its pages are whole")
         source = pyvips.Source.new_from_file(os.fsencode(path))
-        options = {"access": "sequential", "fail_on": "truncated"}
+        options = {"access": "sequential", "fail_on": "error"}
         tall = apart(lambda: pyvips.Image.new_from_source(source, "", n=-1, **options))
         samples = apart(lambda: decoded(tall, 1), tall)
     told = _description(image)
