@@ -125,9 +125,7 @@ class TestPointsTravel:
     def test_outside_is_where_they_come_from(self, tmp_path: Path) -> None:
         deformation = Deformation(SHAPE, border=None).grab((26, 15, 11), by=(4, 0, 0), radius=9)
         (tmp_path / "in.csv").write_text("x,y,z\n26,15,11\n27.4,15,11\n27.6,15,11\n26,-0.6,11\n26,15,99\n")
-        with pytest.warns(
-            supple.OutsideWarning, match=r"^3 of 5 points lie outside \(point 3 at \(27.6,"
-        ):
+        with pytest.warns(supple.OutsideWarning, match=r"^3 of 5 points lie outside \(point 3 at \(27.6,"):
             assert move_points(tmp_path / "in.csv", tmp_path / "out.csv", deformation).outside == 3
         again = move_points(tmp_path / "in.csv", tmp_path / "again.csv", deformation)
         assert again.first_outside == "point 3 at (27.6, 15, 11)"

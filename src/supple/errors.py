@@ -2,9 +2,18 @@
 
 from __future__ import annotations
 
+from importlib.util import find_spec
+
 
 class SuppleError(ValueError):
     """What was asked cannot be done; the message says in one sentence what was given and what is possible."""
+
+
+def need(extra: str, what: str, *modules: str) -> None:
+    """Raise SuppleError, with the command that installs them, unless modules of an optional extra are there."""
+    for module in modules:
+        if find_spec(module) is None:
+            raise SuppleError(f"{what} need {module}, which is not installed: pip install 'supple[{extra}]'")
 
 
 class FoldError(SuppleError):

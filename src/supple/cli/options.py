@@ -60,7 +60,7 @@ class StrokeOptions:
         What to do with a grab that would fold the picture or that the border holds back. flow (default): reach
         the target in smaller steps. damp: shorten the grab. error: stop.
     amount
-        How much of each drag is carried out: 30%, or 0.3. A later grab moves with what an earlier one moved less.
+        How much of each drag is carried out: 30%, or 0.3. Each grab holds the same part of the picture as at 100%.
     fit
         How a recipe that was made for another size fits: pixels takes its numbers as they are; stretch scales width
         and height by factors of their own; inside keeps proportions, centred. One of the same proportions is scaled

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from supple.errors import SuppleError
+from supple.errors import SuppleError, need
 from supple.geometry import Geometry
 from supple.media.files import replacing, shown
 
@@ -100,6 +100,7 @@ def _suffix(path: PathLike) -> str | None:
 
 
 def _write_nifti(file: IOBase, field: Field, geometry: Geometry) -> None:
+    need("volume", "displacement fields in NIfTI", "nibabel")
     import nibabel
 
     kind: Any = nibabel.Nifti1Image
@@ -157,6 +158,7 @@ def _spelled(numbers: npt.ArrayLike) -> list[str]:
 
 
 def _write_transform(name: str, path: Path, field: Field, geometry: Geometry) -> None:
+    need("volume", "transforms", "SimpleITK")
     import SimpleITK
 
     sitk: Any = SimpleITK

@@ -1,5 +1,9 @@
 """Pictures of a deformation, to judge it by, and the numbers behind them."""
 
+from supple.errors import need
+
+need("plot", "plots", "matplotlib")
+
 from supple.plot.clip import clip_sheet, clip_slice, draw_sheet, draw_slice, evenly
 from supple.plot.draw import WHATS, figure, plot
 from supple.plot.frame import check_plot

@@ -14,11 +14,10 @@ import numpy.typing as npt
 from supple.domain import choice, integer, number, point
 from supple.engines import check_no_cuda
 from supple.errors import SuppleError
-from supple.media import image
+from supple.media import image, turntable
 from supple.media.files import check_output, shown
 from supple.media.folder import check_outputs, replacing_all
 from supple.media.numbering import has_number, spelling
-from supple.media.video import rgb
 from supple.media.volume import Volume
 from supple.render.camera import Camera
 from supple.render.scene import MODES, Scene
@@ -259,8 +258,8 @@ def render_file(
             yield picture.pixels(behind)
             tell("render", k + 1, count)
 
-    if suffix in rgb.SUFFIXES:
-        rgb.write_reel(target, pictures(True), known.size, rate=known.rate, force=force)
+    if suffix in turntable.SUFFIXES:
+        turntable.write_turntable(target, pictures(True), known.size, rate=known.rate, force=force)
         return scene
     path = Path(target)
     spell = spelling(path.name, os.fspath(target))
@@ -273,16 +272,16 @@ def render_file(
 
 def _check_target(target: PathLike, suffix: str, known: RenderOptions, force: bool) -> None:
     name, many = shown(target), known.turntable is not None
-    if many and suffix in rgb.SUFFIXES:
-        rgb.check_reel(target, known.size, known.rate)
+    if many and suffix in turntable.SUFFIXES:
+        turntable.check_turntable(target, known.size, known.rate)
         check_output(target, force=force)
         return
     if many and not has_number(target):
         raise SuppleError(
-            f"a turntable is many pictures, and {name} is one: name a video ({', '.join(rgb.SUFFIXES)}) "
+            f"a turntable is many pictures, and {name} is one: name a video ({', '.join(turntable.SUFFIXES)}) "
             "or a pattern, such as turn-%03d.png"
         )
-    if not many and suffix in rgb.SUFFIXES:
+    if not many and suffix in turntable.SUFFIXES:
         raise SuppleError(f"{name} is a video: give --turntable with the number of its pictures")
     if known.what == "inversions":
         from supple.plot.frame import check_plot

@@ -9,6 +9,10 @@ from collections.abc import Iterator
 from fractions import Fraction
 from typing import Any
 
+from supple.errors import need
+
+need("video", "OpenEXR, Radiance, JPEG 2000, BMP, TGA and PNM pictures", "av")
+
 import av
 import numpy as np
 

@@ -10,6 +10,10 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from typing import Any
 
+from supple.errors import need
+
+need("video", "videos and image sequences", "av")
+
 import av
 
 from supple.media.video.codecs import SUFFIXES_OUT, container_of

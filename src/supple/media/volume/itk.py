@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from supple.errors import SuppleError
+from supple.errors import SuppleError, need
 from supple.geometry import Geometry
 from supple.media.files import check_output, replacing, shown
 from supple.media.volume.data import (
@@ -42,6 +42,7 @@ _SILENCE = threading.Lock()
 
 def library() -> Any:
     """SimpleITK, which is loaded here: whoever reads no such file need not wait for it."""
+    need("volume", "NRRD, MetaImage and DICOM files", "SimpleITK")
     import SimpleITK
 
     SimpleITK.ProcessObject.SetGlobalWarningDisplay(False)  # type: ignore[no-untyped-call]

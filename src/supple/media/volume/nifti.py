@@ -13,7 +13,7 @@ from typing import IO, Any, Literal, cast
 
 import numpy as np
 
-from supple.errors import VolumeWarning
+from supple.errors import VolumeWarning, need
 from supple.geometry import Geometry
 from supple.media.files import replacing, shown
 from supple.media.volume.data import (
@@ -101,6 +101,7 @@ def _opened(path: PathLike) -> IO[bytes]:
 
 def _header(path: Path) -> tuple[Any, bool]:
     """A header of one file, whatever it came from; and whether the voxels are in the same file."""
+    need("volume", "NIfTI files", "nibabel")
     import nibabel
     from nibabel.spatialimages import HeaderDataError
     from nibabel.wrapstruct import WrapStructError
@@ -308,6 +309,7 @@ def _copied(known: Any, samples: Array) -> Any:
 
 
 def _made(samples: Array, like: Volume) -> Any:
+    need("volume", "NIfTI files", "nibabel")
     import nibabel
 
     long = max(samples.shape) > _LONGEST

@@ -1,4 +1,4 @@
-"""Pictures of 8-bit RGB, written one after the other as a video."""
+"""Turntables: pictures of 8-bit RGB, written one after the other as a video."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from supple.errors import SuppleError
+from supple.errors import SuppleError, need
 from supple.media.files import check_output, replacing, shown
 
 _CODECS = {".mp4": "libx264", ".mov": "libx264", ".mkv": "libx264", ".webm": "libvpx-vp9", ".gif": "gif"}
@@ -24,7 +24,7 @@ SUFFIXES = tuple(_CODECS)
 _FASTEST = 50  # pictures a second of a GIF: it counts hundredths, and players slow down what is shorter than two
 
 
-def check_reel(path: str | os.PathLike[str], size: tuple[int, int], rate: float) -> None:
+def check_turntable(path: str | os.PathLike[str], size: tuple[int, int], rate: float) -> None:
     """Refuse a size or a rate that the format of ``path`` does not have; SuppleError says what would do."""
     suffix, (height, width) = Path(path).suffix.lower(), size
     if _CODECS[suffix] == "libx264" and (height % 2 or width % 2):
@@ -37,7 +37,7 @@ def check_reel(path: str | os.PathLike[str], size: tuple[int, int], rate: float)
         raise SuppleError(f"rate must be at most {_FASTEST} pictures a second for a GIF, found {rate:g}")
 
 
-def write_reel(
+def write_turntable(
     path: str | os.PathLike[str],
     pictures: Iterable[npt.NDArray[np.uint8]],
     size: tuple[int, int],
@@ -65,10 +65,11 @@ def write_reel(
     SuppleError
         If the file cannot be written, or not with that size or rate.
     """
+    need("video", "videos", "av")
     import av
 
     check_output(path, force=force)
-    check_reel(path, size, rate)
+    check_turntable(path, size, rate)
     height, width = size
     codec = _CODECS[Path(path).suffix.lower()]
     exact = Fraction(rate).limit_denominator(1001)
