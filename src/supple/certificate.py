@@ -1,4 +1,4 @@
-"""What is known about the accuracy of a map."""
+"""The accuracy of an inverse map."""
 
 from __future__ import annotations
 

@@ -49,7 +49,7 @@ _AHEAD = 2  # frames that wait to be encoded
 
 @dataclass(frozen=True, slots=True)
 class ClipOptions:
-    """What is particular to clips.
+    """Options for clips.
 
     Parameters
     ----------
@@ -115,12 +115,12 @@ class WarpedClip:
     copied: int = 0
 
     def report(self) -> Report:
-        """What was done with the strokes, and the certified error of the map, measured at every pixel; this is slow."""
+        """Report on the strokes and the certified error of the map, measured at every pixel; this is slow."""
         return self.deformation.report(tolerance=self.tolerance)
 
 
 def is_clip(source: PathLike, target: PathLike, recipe: Recipe) -> bool:
-    """Whether a file, a pattern or a folder is to be warped as a clip."""
+    """Return whether a file, a pattern or a folder is to be warped as a clip."""
     suffix, goal = (Path(path).suffix.lower() for path in (source, target))
     timed = bool(recipe.strokes) and recipe.strokes[0].ndim == 3
     if suffix in SUFFIXES or goal in SUFFIXES_OUT or (has_number(source) and not os.path.isfile(source)):
@@ -135,14 +135,14 @@ def is_clip(source: PathLike, target: PathLike, recipe: Recipe) -> bool:
 
 
 def _is_animated(path: PathLike) -> bool:
-    """Whether a picture holds several frames."""
+    """Return whether a picture holds several frames."""
     from supple.media.video.sequence import is_animated
 
     return os.path.isfile(path) and is_animated(path)
 
 
 def _holds_videos_alone(folder: PathLike) -> bool:
-    """Whether a folder is one of videos, not of frames."""
+    """Return whether a folder is one of videos, not of frames."""
     try:
         suffixes = {_suffix(name) for name in os.listdir(folder) if not name.startswith(".")}
     except OSError:
@@ -451,7 +451,7 @@ def _writing(write: Callable[[Sequence[Array], int], None], aside: bool) -> Iter
 def _writer(
     clip: Any, target: PathLike, options: ClipOptions, quality: int | None, lossless: bool, force: bool
 ) -> contextlib.AbstractContextManager[Any]:
-    """What writes to a target: a video file, or pictures."""
+    """Return the writer for a target: a video file, or pictures."""
     if is_picture_target(target):
         from supple.media.video.sequence_out import sequence_writer
 
@@ -471,7 +471,7 @@ def _writer(
 
 
 def is_picture_target(target: PathLike) -> bool:
-    """Whether a name stands for a sequence: a pattern, a folder, or a name without a suffix."""
+    """Return whether a name stands for a sequence: a pattern, a folder, or a name without a suffix."""
     suffix = _suffix(target)
     return not suffix or (is_sequence(target) and not (has_number(target) and suffix in SUFFIXES_OUT))
 

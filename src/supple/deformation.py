@@ -84,7 +84,7 @@ class Arrival:
 
 @dataclass(frozen=True, slots=True)
 class Report:
-    """What was done with the strokes, and how exact the inverse map is.
+    """The effect of the strokes, and the accuracy of the inverse map.
 
     Parameters
     ----------
@@ -271,7 +271,7 @@ class Deformation:
 
     @property
     def recipe(self) -> Recipe:
-        """What is applied, with the size; hidden strokes, which were left out, are not in it."""
+        """The recipe that is applied, with the size; hidden strokes, which were left out, are not in it."""
         return Recipe(
             border=self.domain.border,
             border_profile=self.domain.border_profile,
@@ -300,7 +300,7 @@ class Deformation:
 
     @property
     def is_identity(self) -> bool:
-        """Whether there is nothing to do: no strokes, or none with any force."""
+        """Return whether there is nothing to do: no strokes, or none with any force."""
         return self._table.size == 0
 
     def grab(
@@ -619,7 +619,7 @@ class Deformation:
         return made
 
     def report(self, *, tolerance: float = 0.01, plane: int | None = None) -> Report:
-        """What was done with the strokes, and the certified error of the inverse map.
+        """Report on the strokes and the certified error of the inverse map.
 
         Parameters
         ----------
@@ -649,7 +649,7 @@ class Deformation:
         )
 
     def resolution(self) -> dict[str, Any]:
-        """What became of the strokes, as in `Report`, without looking at the map."""
+        """Return the effect of the strokes, as in `Report`, without measuring the map."""
         return {
             "strokes": len(self.strokes),
             "applied": len(self._table),

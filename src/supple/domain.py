@@ -152,7 +152,7 @@ def border_factor(t: npt.ArrayLike, profile: float) -> npt.NDArray[np.float64]:
 
 
 def colours_hint(shape: tuple[int, ...]) -> str:
-    """What to say where something does not fit a shape of three axes, of which the last may be colours."""
+    """Return a hint for the message where the last of three axes may be colours."""
     if len(shape) != 3 or shape[2] not in (3, 4):
         return ""
     return f" (if the last axis of {shape} is colours, make the deformation with shape[:2])"

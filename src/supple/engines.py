@@ -207,7 +207,7 @@ def engine_of(device: str, space: Space, layout: Layout, sampling: Sampling) -> 
 
 
 def _does(space: Space, layout: Layout, sampling: Sampling, must: bool) -> bool:
-    """Whether the GPU does this; SuppleError if not, and it must."""
+    """Return whether the GPU does this; SuppleError if not, and it must."""
     from supple.gpu.field import fits
     from supple.gpu.samples import format_of, known_grid
 

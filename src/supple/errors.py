@@ -1,4 +1,4 @@
-"""What Supple raises and warns with."""
+"""Exceptions and warnings."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from importlib.util import find_spec
 
 
 class SuppleError(ValueError):
-    """What was asked cannot be done; the message says in one sentence what was given and what is possible."""
+    """The request cannot be carried out; the message says in one sentence what was given and what is possible."""
 
 
 def need(extra: str, what: str, *modules: str) -> None:

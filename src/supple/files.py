@@ -56,7 +56,7 @@ class Warped:
     tolerance: float
 
     def report(self) -> Report:
-        """What was done with the strokes, and the certified error of the map; it is solved once more for this."""
+        """Report on the strokes and the certified error of the map; it is solved once more for this."""
         return self.deformation.report(tolerance=self.tolerance)
 
 
@@ -319,7 +319,7 @@ def _suffix(path: PathLike) -> str:
 
 
 def is_media_name(path: PathLike) -> bool:
-    """Whether a name is that of a picture, a video or a volume, by its suffix; with a slash behind, of a folder."""
+    """Return whether a name has the suffix of a picture, a video or a volume; with a slash behind, it is a folder."""
     return not os.fspath(path).endswith(("/", os.sep)) and suffix_of(path) in _MEDIA
 
 

@@ -57,7 +57,7 @@ _FLOW_MARGIN = 0.3  # substrokes are well-conditioned: Newton takes few steps, a
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Resolved:
-    """What a stroke becomes, so that nothing folds.
+    """The rows of a stroke, chosen so that nothing folds.
 
     Parameters
     ----------
@@ -240,7 +240,7 @@ def _narrowest(table: Table, axes: Floats, start: Floats, drag: Floats) -> float
 
 
 def _held(position: Floats, axes: Floats) -> bool:
-    """Whether a point is within the fixed faces, so that something is held there."""
+    """Return whether a point is within the fixed faces, so that something is held there."""
     first, last, sigma = axes[:, 0], axes[:, 1], axes[:, 2]
     return bool(np.all((sigma < 0) | ((position >= first) & (position <= last))))
 

@@ -29,7 +29,7 @@ LEAD = 1  # planes that are begun before the first of them is read back
 
 
 def pictures_of(space: Space, layout: Layout, sampling: Sampling) -> tuple[Picture, ...]:
-    """What a frame is made of, as the GPU takes it."""
+    """Return the parts of a frame, as the GPU takes them."""
     times = times_seen(sampling.outside, space.count, sampling.time_filter)
     return tuple(
         Picture(

@@ -114,7 +114,7 @@ def warp_sent(
 
 
 def points_on_card() -> ModuleType:
-    """What carries points there (`supple.cuda.points`); SuppleError if CUDA cannot be used."""
+    """Return the module that moves points on the GPU (`supple.cuda.points`); SuppleError if CUDA cannot be used."""
     open_card()
     from supple.cuda import points
 

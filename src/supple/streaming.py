@@ -55,7 +55,7 @@ class Group:
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """What a frame is made of.
+    """The layout of a frame.
 
     Parameters
     ----------
@@ -102,7 +102,7 @@ class Sampling:
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """What frames each plane of the output needs, before any is read.
+    """The frames that each plane of the output needs, known before any is read.
 
     Parameters
     ----------
@@ -155,7 +155,7 @@ class Space:
 
 
 class Maker(Protocol):
-    """What makes planes from the frames in a window, which holds frame k in the slot k modulo its capacity."""
+    """A maker of planes from the frames in a window, which holds frame k in the slot k modulo its capacity."""
 
     def begin(self, z: int, first: int, last: int) -> object:
         """Begin a plane that samples the frames ``first`` to ``last``, which are in the window."""
@@ -347,7 +347,7 @@ def capacity_of(plan: Plan, engine: Engine) -> int:
 def _reading(
     source: Iterator[Frame], count: int, plan: Plan, window: Sequence[Array], *, aside: bool
 ) -> Iterator[Callable[[int], None]]:
-    """What reads the frames that a plane needs into their slots; aside, those of the next plane meanwhile."""
+    """Return a function that reads the frames of a plane into their slots; aside, those of the next plane meanwhile."""
     have = 0
 
     def read(k: int) -> None:
@@ -385,7 +385,7 @@ def step_of(layout: Layout) -> tuple[int, int]:
 
 
 def fills_of(layout: Layout, sampling: Sampling) -> list[npt.NDArray[np.float64]]:
-    """What lies outside, for each group."""
+    """Return the fill values of each group."""
     channels = [g.channels for g in layout.groups]
     values = np.broadcast_to(np.asarray(sampling.fill, np.float64), sum(channels))
     return np.split(values, np.cumsum(channels)[:-1])

@@ -1,4 +1,4 @@
-"""What a person did: strokes and recipes as immutable values, as JSON, and as the engines' table."""
+"""User input: strokes and recipes as immutable values, as JSON, and as the engines' table."""
 
 from __future__ import annotations
 
@@ -231,7 +231,7 @@ class Recipe:
 
     @property
     def is_world(self) -> bool:
-        """Whether points are places in space, in millimetres."""
+        """Return whether points are places in space, in millimetres."""
         return self.space in ("LPS", "RAS")
 
     def fitted(self, size: Sequence[int], how: Fit | None = None, *, time: bool = False, name: str = "this") -> Self:

@@ -55,7 +55,7 @@ _LOOKED_AT, _AREAS, _MOST_LABELS, _FEW = 16, 0.7, 1024, 8
 
 @dataclass(frozen=True, slots=True)
 class VolumeOptions:
-    """What is particular to volumes.
+    """Options for volumes.
 
     Parameters
     ----------
@@ -109,12 +109,12 @@ class WarpedVolume:
     volumes: int = 1
 
     def report(self) -> Report:
-        """What was done with the strokes, and the certified error of the map, measured at every voxel; this is slow."""
+        """Report on the strokes and the certified error of the map, measured at every voxel; this is slow."""
         return self.deformation.report(tolerance=self.tolerance)
 
 
 def is_volume_job(source: PathLike, target: PathLike, recipe: Recipe, options: VolumeOptions | None = None) -> bool:
-    """Whether a file or a folder is to be warped as a volume."""
+    """Return whether a file or a folder is to be warped as a volume."""
     known = options or VolumeOptions()
     if known.layout is not None or known.series is not None:
         return True
@@ -125,7 +125,7 @@ def is_volume_job(source: PathLike, target: PathLike, recipe: Recipe, options: V
 
 
 def holds_volumes(path: PathLike) -> bool:
-    """Whether a folder is one of volumes: of files, each of which is one."""
+    """Return whether a folder is one of volumes: of files, each of which is one."""
     try:
         return os.path.isdir(path) and any(suffix_of(name) in ONE_FILE for name in os.listdir(path))
     except OSError:
@@ -391,6 +391,6 @@ def _written(
 
 
 def _alone(source: PathLike, target: PathLike) -> bool:
-    """Whether a copy of one file is what is asked for."""
+    """Return whether a copy of one file is what is asked for."""
     suffix = suffix_of(source)
     return suffix == suffix_of(target) and suffix not in (".mhd", ".nhdr", ".hdr", ".img")

@@ -243,7 +243,7 @@ def as_array(value: object, name: str) -> Array:
 def checked_kind(
     found: tuple[int, ...], dtype: np.dtype[Any], shape: tuple[int, ...], alpha: bool | None, light: bool
 ) -> bool:
-    """Whether the last channel of an array of some shape and type is opacity; SuppleError if it does not fit."""
+    """Return whether the last channel of an array of some shape and type is opacity; SuppleError if it does not fit."""
     if dtype.kind not in "biuf" or dtype.itemsize > 8:
         refuse("source", "an array of bool, integers or floats of up to 64 bits", f"dtype {dtype}")
     axes = len(shape)
@@ -293,7 +293,7 @@ def result_like(out: Array | None, like: Array) -> Array:
 
 
 def _same_bytes(out: Array, source: Array) -> bool:
-    """Whether two arrays are mapped from overlapping parts of one file."""
+    """Return whether two arrays are mapped from overlapping parts of one file."""
     one, two = _mapped(out), _mapped(source)
     if one is None or two is None or not (one[1] < two[2] and two[1] < one[2]):
         return False

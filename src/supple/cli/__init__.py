@@ -113,7 +113,7 @@ def _dispatch(arguments: Sequence[str]) -> None:
 
 
 def _advised(text: str) -> str:
-    """What is wrong with the options; where one that only looks alike would be advised, the one that is meant."""
+    """Return the text of an option error; where one that only looks alike would be advised, the one that is meant."""
     wrong, _, _ = text.partition(" Did you mean")
     if "option: --gpu" in wrong:
         return f"{wrong} --device gpu is for warp, render and demo, and info --gpu tells what there is"

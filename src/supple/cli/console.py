@@ -1,4 +1,4 @@
-"""What the command line says, and how it ends: one line for all that goes wrong, and an exit status."""
+"""Messages and exit statuses of the command line: one line for all that goes wrong, and an exit status."""
 
 from __future__ import annotations
 
@@ -131,7 +131,7 @@ class Console:
 
     @property
     def terminal(self) -> bool:
-        """Whether a person watches."""
+        """Return whether a person watches."""
         return not self.quiet and sys.stderr is not None and sys.stderr.isatty()
 
     def say(self, text: object) -> None:

@@ -1,4 +1,4 @@
-"""What a file holds, in words."""
+"""The content of a file, in words."""
 
 from __future__ import annotations
 

@@ -27,7 +27,7 @@ RUNNING = Group("Running", sort_key=5)
 @Parameter(name="*", group=STROKES)
 @dataclass(frozen=True, kw_only=True)
 class StrokeOptions:
-    """What is grabbed, where it goes, and what it is made of.
+    """Options for strokes: points, drags and materials.
 
     Parameters
     ----------
@@ -89,7 +89,7 @@ class StrokeOptions:
 
     @property
     def any(self) -> bool:
-        """Whether there is anything to do."""
+        """Return whether there is anything to do."""
         return bool(self.grab) or self.recipe is not None
 
     def to_fit(self) -> Fit | None:
@@ -200,7 +200,7 @@ class TimeOptions:
     time_scale: Annotated[str | None, Parameter(metavar="PX", allow_leading_hyphen=True)] = None
 
     def to_scale(self) -> float | None:
-        """The same for the library."""
+        """Return the options as the library takes them."""
         if self.time_scale is None:
             return None
         wanted = "a number of pixels above 0"
@@ -213,7 +213,7 @@ class TimeOptions:
 @Parameter(name="*", group=VIDEO)
 @dataclass(frozen=True, kw_only=True)
 class VideoOptions(TimeOptions):
-    """What is particular to videos and image sequences.
+    """Options for videos and image sequences.
 
     Parameters
     ----------
@@ -245,7 +245,7 @@ class VideoOptions(TimeOptions):
     memory: Annotated[str | None, Parameter(metavar="GB", allow_leading_hyphen=True)] = None
 
     def to_clip(self) -> ClipOptions:
-        """The same for the library."""
+        """Return the options as the library takes them."""
         from supple.clips import GB, ClipOptions
 
         def read(name: str, text: str | None, wanted: str) -> float | None:

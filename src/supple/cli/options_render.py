@@ -51,7 +51,7 @@ class CameraOptions:
     up: Annotated[str, Parameter(metavar="X,Y,Z", allow_leading_hyphen=True)] = "0,0,1"
 
     def to_camera(self) -> Camera:
-        """The same for the library."""
+        """Return the options as the library takes them."""
         from supple.render.camera import Camera
 
         degrees = "a number of degrees"
@@ -71,7 +71,7 @@ class CameraOptions:
 @Parameter(name="*", group=LOOK)
 @dataclass(frozen=True, kw_only=True)
 class LookOptions:
-    """What is seen, and how.
+    """Options for the look of the volume.
 
     Parameters
     ----------
@@ -122,7 +122,7 @@ class LookOptions:
     device: Literal["auto", "cpu", "gpu"] = "cpu"
 
     def to_render(self, camera: Camera) -> RenderOptions:
-        """The same for the library."""
+        """Return the options as the library takes them."""
         from supple.render.files import RenderOptions
 
         return RenderOptions(

@@ -19,7 +19,7 @@ VOLUME = Group("Volumes", sort_key=5)
 @Parameter(name="*", group=VOLUME)
 @dataclass(frozen=True, kw_only=True)
 class VolumeOptions:
-    """What is particular to volumes.
+    """Options for volumes.
 
     Parameters
     ----------
@@ -43,7 +43,7 @@ class VolumeOptions:
     spacing: Annotated[str | None, Parameter(metavar="X,Y,Z", allow_leading_hyphen=True)] = None
 
     def to_reading(self, *, labels: bool = False, save_field: str | None = None) -> Reading:
-        """The same for the library."""
+        """Return the options as the library takes them."""
         from supple.media.volume import RawLayout
         from supple.volumes import VolumeOptions as Reading
 

@@ -229,7 +229,7 @@ def _shared(recipe: Recipe, kept: Collection[Recipe]) -> Recipe:
 
 
 def _stands_for_several(source: str) -> bool:
-    """Whether several videos go into a folder, which a pattern stands for; of one, a folder takes the pictures."""
+    """Return whether several videos go into a folder; of one alone, a folder takes the pictures."""
     from supple.media.numbering import has_number
 
     return glob.has_magic(source) and not has_number(source) and not os.path.exists(source)

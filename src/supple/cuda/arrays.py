@@ -83,7 +83,7 @@ class OnCard:
         return cuda.from_cuda_array_interface(described, owner=self.given, sync=False)
 
     def overlaps(self, other: OnCard) -> bool:
-        """Whether two arrays may share memory."""
+        """Return whether two arrays may share memory."""
         first, second = (
             (a.pointer - a.below * a.dtype.itemsize, a.pointer + (a.span - a.below) * a.dtype.itemsize)
             for a in (self, other)
@@ -92,7 +92,7 @@ class OnCard:
 
 
 def is_on_card(value: object) -> bool:
-    """Whether something is an array on a GPU, or may be one; no library is imported to find out."""
+    """Return whether something is an array on a GPU, or may be one; no library is imported to find out."""
     if isinstance(value, np.ndarray) or callable(value):
         return False
     if _is_tensor(value):
@@ -247,7 +247,7 @@ def _made_like(source: OnCard, shape: Sequence[int], kind: np.dtype[Any], as_it_
 
 
 def contiguous(source: OnCard) -> OnCard:
-    """The same values one after the other; SuppleError where its library does not do that."""
+    """Return a contiguous copy; SuppleError where its library does not do that."""
     if source.strides == _dense(source.shape) or source.span <= 1:
         return source
     if source.kind == "torch":

@@ -66,7 +66,7 @@ class Card:
 
 
 def simulated() -> bool:
-    """Whether Numba only plays a GPU, as tests have it do."""
+    """Return whether Numba only plays a GPU, as tests have it do."""
     from numba.core import config
 
     return bool(getattr(config, "ENABLE_CUDASIM", 0))
@@ -128,7 +128,7 @@ def _opened(number: int) -> Card:
 
 
 def failures() -> tuple[type[Exception], ...]:
-    """What is raised where a GPU fails, its memory is full, or a kernel cannot be made for it."""
+    """Return the exceptions of a GPU that fails, is full, or has no kernel made for it."""
     from numba.cuda.cudadrv import error
 
     kinds: list[type[Exception]] = [RuntimeError, MemoryError, ArithmeticError, ImportError, OSError]

@@ -75,7 +75,7 @@ def width_in_time(a, b, c):
 
 @lean
 def time_weight(t, width, cubic):
-    """What a frame at a distance ``t`` counts, for a pixel that covers ``width`` frames."""
+    """Return the weight of a frame at a distance ``t``, for a pixel that covers ``width`` frames."""
     x = abs(t)
     if width > _f4(1e-3):
         weight = (integral(t + HALF * width, cubic) - integral(t - HALF * width, cubic)) / width
@@ -182,7 +182,7 @@ def _finisher(way: Way) -> Callable[..., Any]:
 
 
 def _between(way: Way) -> Callable[..., Any]:
-    """What is between frames, or in one."""
+    """Return the value between frames, or in one."""
     in_frame, frame_at = _in_frame(way), frame_finder(way)
     number, index, average = way.number, way.index, way.average
     smooth, one, two = way.between == BETWEEN["cubic"], index(1), index(2)

@@ -107,7 +107,7 @@ def _checked_out(out: Any, source: OnCard) -> OnCard:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Round:
-    """What one call of the kernels is for: a stack, or pictures."""
+    """The work of one call of the kernels: a stack, or pictures."""
 
     lattice: Lattice
     source: Frames
@@ -176,7 +176,7 @@ def _frames(work: Work, array: OnCard, flat: Any, item: int | None = None) -> Fr
 
 
 _going: dict[int, tuple[Any, ...]] = {}
-"""What nobody may hold any more, and whose memory must not be given to others before it is done; and its event."""
+"""Work whose memory must not be reused before its event."""
 _lock = threading.Lock()
 
 
@@ -198,7 +198,7 @@ class Warping:
         self._certificate: Certificate | None = None
 
     def done(self) -> bool:
-        """Whether it is whole; it does not wait."""
+        """Return whether it is whole; it does not wait."""
         return bool(simulated() or self._event.query())
 
     def wait(self) -> Any:
@@ -264,7 +264,7 @@ def start(work: Work, *, slab: int | None, stream: Any = None) -> Warping:
 
 
 def _over(event: Any) -> bool:
-    """Whether nothing is going on any more: it is done, or its GPU has failed."""
+    """Return whether nothing is going on any more: it is done, or its GPU has failed."""
     if simulated():
         return True
     try:

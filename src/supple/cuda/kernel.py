@@ -37,7 +37,7 @@ def kernel(function: Callable[..., Any]) -> Any:
 
 
 def made_kernel(function: Callable[..., Any]) -> Any:
-    """The same for one that other functions are put into, which Numba does not find again on disk."""
+    """Compile a function that other functions are put into, which Numba does not find again on disk."""
     return cuda.jit(function)
 
 

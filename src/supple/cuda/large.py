@@ -280,7 +280,7 @@ class _Job:
 def _opened(
     card: Card, source: Array, target: Array, space: Space, sampling: Sampling, alpha: bool, room: int
 ) -> Iterator[_Job]:
-    """What a warp has on the GPU; nothing of it goes on when that is left."""
+    """The resources of a warp on the GPU; all work has ended when it is left."""
     from numba import cuda
 
     count, height, width, channels = source.shape

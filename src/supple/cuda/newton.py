@@ -52,7 +52,7 @@ def next_step(a, b, c, d, e, f, g, h, k, ex, ey, ez):
 
 @lean
 def downhill(error, before, length):
-    """Whether a part of Newton's step led far enough down, by the squares of the residuals."""
+    """Return whether a part of Newton's step led far enough down, by the squares of the residuals."""
     return error <= before * (1.0 - DOWNHILL * length)
 
 

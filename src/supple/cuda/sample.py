@@ -164,7 +164,7 @@ def frame_finder(way: Way) -> Callable[..., Any]:
 
 
 def reader(way: Way) -> Callable[..., Any]:
-    """What reads a sample as a number, as it is filtered: light, if wanted, and weighted by opacity.
+    """Return a kernel that reads a sample as a number, as it is filtered: light, if wanted, and weighted by opacity.
 
     Of places that `mapper` made; ``fills`` is the constant, as it is filtered.
     """

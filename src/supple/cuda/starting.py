@@ -12,7 +12,7 @@ from supple.warping import checked_sampling, one_or_each
 
 
 class Deforming(Protocol):
-    """What deforms: a `supple.Deformation`."""
+    """Anything with a space: a `supple.Deformation`."""
 
     @property
     def space(self) -> Space:

@@ -65,7 +65,7 @@ def held(card: Card, array: Array) -> Any:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Lattice:
-    """What kernels take of deformations of one shape, on a GPU.
+    """The strokes and domains of deformations of one shape, on a GPU.
 
     Parameters
     ----------
@@ -206,12 +206,12 @@ class Frames:
 
     @property
     def long(self) -> bool:
-        """Whether it takes more than 32 bits to count its samples."""
+        """Return whether it takes more than 32 bits to count its samples."""
         return bool(self.samples.size > _LONG)
 
 
 class Pieces:
-    """What is needed beside the arrays, on a GPU: of a library's own memory, so that its streams know of it."""
+    """Work arrays on a GPU, in a library's own memory, so that its streams know of them."""
 
     def __init__(self, like: OnCard, lattices: Sequence[Lattice], planes: int) -> None:
         nodes, cells = max(known.nodes for known in lattices), max(known.cell_count for known in lattices)
@@ -323,7 +323,7 @@ def pieces_of(like: OnCard, lattices: Sequence[Lattice], planes: int) -> Pieces:
 
 
 def told_of(pieces: Pieces, stream: Any) -> Certificate:
-    """What is known of the map; it waits for the stream."""
+    """Return the certificate of the map; it waits for the stream."""
     told = pieces.told.copy_to_host(stream=stream)
     counts = pieces.counted.copy_to_host(stream=stream)
     if stream:
@@ -332,6 +332,6 @@ def told_of(pieces: Pieces, stream: Any) -> Certificate:
 
 
 def certificate_of(told: Array, counts: Array) -> Certificate:
-    """What is known of a map, of what kernels told of it."""
+    """Return the certificate of a map from the results of its kernels."""
     lost = int(counts[LOST])
     return Certificate(np.inf if lost else float(told[WORST]), 0.0, lost)

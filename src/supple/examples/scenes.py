@@ -1,4 +1,4 @@
-"""What the gallery shows: scenes of pictures, clips and volumes, each made by one command."""
+"""Scenes of the gallery: pictures, clips and volumes, each made by one command."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ DISTANCE = 480
 BACKGROUND = "1a1a1e"
 HEAD = "head.nii.gz"
 INSIDE = "inside.nii.gz"
-"""What of the head is marked as brain."""
+"""The region of the head that is marked as brain."""
 _DENT = ((40, 86, 65, 44, 63, 53, 36),)
 
 
@@ -91,7 +91,7 @@ class Shot:
 
 @dataclass(frozen=True, slots=True)
 class Take(Shot):
-    """The same for a clip.
+    """A scene of a clip.
 
     Parameters
     ----------
@@ -171,7 +171,7 @@ def _split(grab: tuple[int, ...]) -> tuple[tuple[int, ...], tuple[int, ...], int
 
 @dataclass(frozen=True, slots=True)
 class Scene:
-    """What one or two shots show."""
+    """A scene of one or two shots."""
 
     title: str
     text: str

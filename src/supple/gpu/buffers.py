@@ -1,4 +1,4 @@
-"""What stays on the device from frame to frame: bytes that are written only when they change, and what is bound."""
+"""Buffers that stay on the device from frame to frame: bytes that are written only when they change, and bindings."""
 
 from __future__ import annotations
 

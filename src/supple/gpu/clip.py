@@ -47,7 +47,7 @@ class Ring:
 
 @dataclass(slots=True, eq=False)
 class _Set:
-    """What one plane needs while it is made: its lattice, and room for its samples here and there."""
+    """The working set of one plane: its lattice, and room for its samples here and there."""
 
     lattice: Lattice
     told: tuple[Any, ...]
@@ -67,7 +67,7 @@ class _Begun:
 
 @dataclass(slots=True, eq=False)
 class Clip:
-    """What makes the planes of a clip, up to as many at once as there are sets."""
+    """A maker of the planes of a clip, up to as many at once as there are sets."""
 
     strokes: Strokes
     rings: tuple[Ring, ...]
@@ -129,7 +129,7 @@ class Clip:
 
 
 def fits_whole(gpu: Gpu, strokes: Strokes, pictures: Sequence[Picture], slots: int) -> bool:
-    """Whether a window, the lattice of a plane and its samples are no more than a shader takes each."""
+    """Return whether a window, the lattice of a plane and its samples are no more than a shader takes each."""
     nodes = NODE * pitch_of(strokes.cells[0] + 1) * (strokes.cells[1] + 1)
     made = [target_size(picture, picture.shape[0]) for picture in pictures]
     # What is copied back is one array, however many pictures there are.

@@ -31,7 +31,7 @@ LIMITS: dict[str, int] = {
     "max-uniform-buffer-binding-size": 64 << 10,
 }
 _BINDINGS = (1 << 30, 512 << 20, 256 << 20, LIMITS["max-storage-buffer-binding-size"])
-"""What is asked for as the largest array of a shader, in bytes: the first of these that is granted."""
+"""The sizes, in bytes, that are asked for as the largest array of a shader: the first that is granted is used."""
 
 TEXTURE = 512 << 20  # bytes of a texture, if an array may not be larger
 
@@ -110,7 +110,7 @@ def adapters() -> tuple[Any, ...]:
 
 
 def missing() -> str:
-    """What to install on this system."""
+    """Return the packages to install on this system."""
     if sys.platform == "darwin":
         return "macOS 10.13 or later with Metal is needed"
     if sys.platform == "win32":

@@ -42,7 +42,7 @@ def packed(table: npt.NDArray[np.void]) -> npt.NDArray[np.void]:
 
 
 def fits(table: npt.NDArray[np.void]) -> bool:
-    """Whether float32 holds all numbers of a table, with room for their products."""
+    """Return whether float32 holds all numbers of a table, with room for their products."""
     made = packed(table)
     return all(bool((np.abs(made[name]) < 1e18).all()) for name in ("pivot", "force", "radius2", "p", "q", "r"))
 

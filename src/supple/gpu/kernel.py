@@ -39,7 +39,7 @@ _LOST = re.compile(r"\blost\b|\bdevice\b.*\bdestroyed\b", re.IGNORECASE)  # a te
 
 
 class InterruptionError(Exception):
-    """What a caller's own function raised, which is no fault of the GPU's; the cause is what it raised."""
+    """An exception of a caller's own function, which is no fault of the GPU's; the cause is what it raised."""
 
 
 def passing(call: Callable[..., T]) -> Callable[..., T]:
@@ -64,7 +64,7 @@ def let_through() -> Iterator[None]:
 
 
 def trouble(gpu: Gpu, error: Exception) -> str:
-    """What failed, in one short line; a device that is lost is opened anew next time."""
+    """Return the failure in one short line; a device that is lost is opened anew next time."""
     from wgpu import GPUValidationError
 
     text = " ".join(str(error).split())
@@ -76,14 +76,14 @@ def trouble(gpu: Gpu, error: Exception) -> str:
 
 
 def unsolved(lost: int) -> str:
-    """What to say of points that are not known to be good enough, if there are any."""
+    """Return the message on points that are not known to be good enough, if there are any."""
     if lost >= CUT:
         return "its driver ends loops of many turns"
     return f"{lost} points could not be solved to the tolerance in its numbers" if lost else ""
 
 
 def failures() -> tuple[type[Exception], ...]:
-    """What it raises when a device is lost, or its memory is full, or a driver does not compile a shader."""
+    """Return the exceptions of a device that is lost or full, or of a driver that does not compile a shader."""
     from wgpu import GPUError
 
     return (GPUError, MemoryError, RuntimeError, ArithmeticError)
@@ -198,7 +198,7 @@ def wait(gpu: Gpu) -> None:
 
 
 class Clock:
-    """What the passes take that are run while it is running, by the GPU's own clock."""
+    """Measure the passes that are run while it is running, by the GPU's own clock."""
 
     def __init__(self, gpu: Gpu, most: int = 2048) -> None:
         self._gpu, self._most, self._passes = gpu, most, 0

@@ -189,7 +189,7 @@ def lattice_on(stack: contextlib.ExitStack, strokes: Strokes, part: Part) -> Lat
 
 
 def settings_of(lattice: Lattice, tolerance: float) -> npt.NDArray[np.void]:
-    """What a shader is told of a lattice."""
+    """Return the settings of a lattice for a shader."""
     told = np.zeros(1, SETTINGS)
     told["turns"] = TURNS
     _, down, across = lattice.shape

@@ -121,7 +121,7 @@ def colour(
 
 
 def unpacked(picture: Picture, words: Array, planes: int, rows: int) -> Array:
-    """What the shader wrote, as samples (planes, rows, samples, channels)."""
+    """Return the output of the shader, as samples (planes, rows, samples, channels)."""
     form = picture.format
     found = np.frombuffer(words, form.dtype, planes * target_size(picture, rows) // np.dtype(form.dtype).itemsize)
     return found.reshape(planes, rows, -1, form.channels)[:, :, : picture.shape[1]]

@@ -46,7 +46,7 @@ _SETTINGS = np.dtype(
 
 @dataclass(frozen=True, slots=True)
 class Sight:
-    """What a window shows of a picture.
+    """The visible part of a picture in a window.
 
     Parameters
     ----------
@@ -82,7 +82,7 @@ class Sight:
 
 
 class _Sheet:
-    """What stays on the device to draw into one texture."""
+    """The buffers on the device for drawing into one texture."""
 
     def __init__(self, gpu: Gpu, texture: Any) -> None:
         self.texture, self.view = texture, texture.create_view()

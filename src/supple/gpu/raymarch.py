@@ -79,7 +79,7 @@ _LARGEST = float(np.finfo(np.float32).max)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Held:
-    """What a device holds of a scene.
+    """The part of a scene on a device.
 
     Parameters
     ----------
@@ -266,7 +266,7 @@ def _rays(held: Held, look: Look, view: Floats, size: tuple[int, int], fine: int
 
 
 def _read(held: Held, skips: Any, colours: Any) -> list[Any]:
-    """What rays read, from the second binding on; where there is no buffer, any other texture stands in its place."""
+    """Return the bindings that rays read, from the second on; any texture stands in the place of a missing buffer."""
     volume, lattice = held.volume, held.lattice
     warped = volume.warped.create_view() if volume.warped is not None else lattice.nodes
     return [lattice.domain, lattice.strokes, lattice.nodes, volume.view, warped, skips, colours]

@@ -159,7 +159,7 @@ class Picture:
         return float(np.iinfo(kind).min), min(float(np.iinfo(kind).max), self.wanted.white)
 
     def constants(self) -> dict[str, float]:
-        """What shaders are compiled for."""
+        """The constants that shaders are compiled for."""
         wanted, form = self.wanted, self.format
         filtered = wanted.filter != "nearest"
         # Where a sample takes many turns of loops, each has a thread of its own.
@@ -195,7 +195,7 @@ class Picture:
 
 
 def known_grid(step: tuple[int, int], offset: tuple[float, float], dtype: Any, channels: int) -> bool:
-    """Whether samples lie so that each cell of the lattice has whole words of its own."""
+    """Return whether samples lie so that each cell of the lattice has whole words of its own."""
     form = format_of(dtype, channels)
     if form is None:
         return False

@@ -24,7 +24,7 @@ def canvas_texture(gpu: Gpu, size: tuple[int, int]) -> Any:
 
 
 def pixels_of(gpu: Gpu, texture: Any) -> np.ndarray[Any, np.dtype[np.uint8]]:
-    """What a texture holds, (rows, columns, 4)."""
+    """Return the values of a texture, (rows, columns, 4)."""
     width, height = texture.size[:2]
     data = gpu.device.queue.read_texture(
         {"texture": texture}, {"bytes_per_row": 4 * width, "rows_per_image": height}, (width, height, 1)

@@ -68,7 +68,7 @@ def hold(gpu: Gpu, samples: Array) -> Volume:
 
 
 def beside(volume: Volume) -> bool:
-    """Whether there is room for a deformed volume, too; the first time, it is asked for."""
+    """Return whether there is room for a deformed volume, too; the first time, it is asked for."""
     if volume.warped is None and not volume.full:
         wide, high, deep = volume.size
         usage = "STORAGE_BINDING|COPY_SRC|COPY_DST"

@@ -34,7 +34,7 @@ SECONDS = 0.5  # that one piece of work should take
 
 @dataclass(slots=True, eq=False)
 class _Work:
-    """What is on the device while a picture, or many of them, are made."""
+    """The buffers on the device while pictures are made."""
 
     strokes: Strokes
     picture: Picture
@@ -90,7 +90,7 @@ class _Work:
         return self.held
 
     def fits(self, frames: Range, rows: Range) -> bool:
-        """Whether some rows of some frames are no more than is held at once."""
+        """Return whether some rows of some frames are no more than is held at once."""
         count, shape = frames[1] - frames[0], (rows[1] - rows[0], self.picture.shape[1])
         size = count * texels_of(shape) * self.picture.format.size
         if count * size_of(self.picture, rows) > self.gpu.binding:

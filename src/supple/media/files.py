@@ -124,7 +124,7 @@ def replacing(path: str | os.PathLike[str], *, force: bool = False) -> Iterator[
 
 
 def _is_full(folder: Path) -> bool:
-    """Whether there is no space left on a disk, while what was written in vain is still there."""
+    """Return whether there is no space left on a disk, while what was written in vain is still there."""
     try:
         return shutil.disk_usage(folder).free < _SPARE
     except OSError:
@@ -180,7 +180,7 @@ def _unwritable(path: str | os.PathLike[str], error: OSError, temporary: Path | 
 
 
 def same_file(one: str | os.PathLike[str], other: str | os.PathLike[str]) -> bool:
-    """Whether two names are of one file that is there."""
+    """Return whether two names are of one file that is there."""
     try:
         return os.path.samefile(one, other)
     except (OSError, ValueError):

@@ -18,13 +18,13 @@ _NUMBER = re.compile("%(?:0[1-9][0-9]?)?d")
 
 
 def is_sequence(path: PathLike) -> bool:
-    """Whether a name is that of a sequence: a folder, or a pattern with a number in it, such as ``frames/%05d.png``."""
+    """Return whether a name is of a sequence: a folder, or a pattern with a number, such as ``frames/%05d.png``."""
     text = os.fspath(path)
     return text.endswith(("/", os.sep)) or has_number(text) or os.path.isdir(text)
 
 
 def has_number(path: PathLike) -> bool:
-    """Whether a name is a pattern."""
+    """Return whether a name is a pattern."""
     return bool(_NUMBER.search(Path(path).name)) and not os.path.isdir(path)
 
 

@@ -116,7 +116,7 @@ def _unit(cell: str) -> str:
 
 
 def bare(cell: str) -> str:
-    """What a cell says, without the quotes and spaces around it."""
+    """Return the text of a cell without the quotes and spaces around it."""
     return cell.strip().strip('"').strip()
 
 

@@ -1,4 +1,4 @@
-"""What the plots are made of: panels, maps, colour bars, the strokes as arrows, and the file."""
+"""Parts of plots: panels, maps, colour bars, the strokes as arrows, and the file."""
 
 from __future__ import annotations
 

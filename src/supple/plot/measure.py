@@ -1,4 +1,4 @@
-"""What the pictures show, as numbers: at every pixel of the output, or at every so many-th of a large one.
+"""The numbers behind the plots: at every pixel of the output, or at every so many-th of a large one.
 
 Of a video, they are those of one frame of the output.
 """
@@ -83,7 +83,7 @@ class Errors:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Footprints:
-    """What the output's pixels cover of the input: ellipses, the images of unit circles under M = (I+J)⁻¹.
+    """The footprints of the output's pixels in the input: ellipses, the images of unit circles under M = (I+J)⁻¹.
 
     Of a video, what they cover within the picture: M without its row and column of time.
 
@@ -199,7 +199,7 @@ def stretch(deformation: Deformation, frame: int | None = None) -> tuple[Floats,
 
 
 def footprints(deformation: Deformation, frame: int | None = None) -> Footprints:
-    """What each pixel of the output covers of the input."""
+    """Return the footprint of each pixel of the output in the input."""
     every, points = sources(deformation, frame)
     inverted = np.linalg.inv(deformation.jacobian(points))
     a, b, c, d = (inverted[..., i, j] for i in range(2) for j in range(2))

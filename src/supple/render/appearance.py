@@ -54,7 +54,7 @@ def transfer_function(given: TransferFunction | str) -> TransferFunction:
 def seen_through(
     transfer: TransferFunction, density: tuple[float, float] | None, values: tuple[float, float], step: float
 ) -> dict[str, Any]:
-    """What a scene has of a transfer function and a window of values, for samples of some range."""
+    """Return the colours and opacities of a transfer function and a window of values, for samples of some range."""
     low, high = values
     if density is None:
         window = (-math.inf, math.inf)

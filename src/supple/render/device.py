@@ -1,4 +1,4 @@
-"""What a GPU holds of a scene: its volume, the lattice of T⁻¹, and the buffer of the deformed volume."""
+"""The part of a scene on a GPU: its volume, the lattice of T⁻¹, and the buffer of the deformed volume."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ T = TypeVar("T")
 
 
 def tried(gpu: Gpu, work: Callable[[], T], stacklevel: int, says: str = "the CPU does what {} cannot") -> T | None:
-    """What some work on a GPU gives; None, and a DeviceWarning, where that fails."""
+    """Return the result of some work on a GPU; None, and a DeviceWarning, where that fails."""
     try:
         with gpu.lock:
             done = work()

@@ -1,4 +1,4 @@
-"""What is seen of a volume: a picture, and what lies under one of its pixels."""
+"""A rendered picture of a volume, and the voxel under one of its pixels."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ def light_of(colour: tuple[float, float, float]) -> Floats:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Pick:
-    """What lies under a pixel.
+    """The voxel under a pixel.
 
     Parameters
     ----------

@@ -89,7 +89,7 @@ class Scene:
     shape: tuple[int, ...]
     """Of the volume that was given."""
     samples: Array
-    """What the CPU samples: the volume as it was given, or warped where it is buffered there."""
+    """The volume that the CPU samples: as it was given, or warped where it is buffered there."""
     geometry: Geometry
     deformation: Deformation | None
     transfer: TransferFunction
@@ -104,7 +104,7 @@ class Scene:
     """The smallest and the largest value."""
     _solid: Solid | None
     _coarse: bool
-    """Whether the lattice is not good enough for the CPU, where the GPU has a buffer."""
+    """Return whether the lattice is not good enough for the CPU, where the GPU has a buffer."""
     _lows: npt.NDArray[np.float32]
     _highs: npt.NDArray[np.float32]
     _skips: npt.NDArray[np.uint8]
@@ -180,14 +180,14 @@ class Scene:
         return {name: getattr(self, name) for name in self.__slots__}
 
     def deformed(self, deformation: Deformation | None) -> Scene:
-        """The same scene with other strokes. The volume stays on the GPU, where it is there."""
+        """Return this scene with other strokes. The volume stays on the GPU, where it is there."""
         made = object.__new__(type(self))
         values = self._known()
         made._set(values | _deformed(values, deformation, self._held.volume if self._held else None))
         return made
 
     def seen_through(self, transfer: TransferFunction | str, density: tuple[float, float] | None = None) -> Scene:
-        """The same scene through another transfer function; nothing is inverted or warped anew."""
+        """Return this scene with another transfer function; nothing is inverted or warped anew."""
         made = object.__new__(type(self))
         values, known = self._known(), transfer_function(transfer)
         values |= {"transfer": known, **seen_through(known, density, self.range, self.step)}
@@ -196,7 +196,7 @@ class Scene:
 
     @property
     def is_empty(self) -> bool:
-        """Whether no value is seen at all."""
+        """Return whether no value is seen at all."""
         return self._threshold == math.inf
 
     def view(self, camera: Camera | None, size: tuple[int, int]) -> View:
@@ -408,7 +408,7 @@ class Scene:
         return march
 
     def pick(self, camera: Camera, size: tuple[int, int], pixel: tuple[float, float]) -> Pick | None:
-        """What a click at a pixel takes hold of.
+        """Return the voxel that a click at a pixel takes hold of.
 
         Parameters
         ----------
@@ -473,7 +473,7 @@ def _picture(light: Array, depth: Array, work: Array) -> Picture:
 
 
 def _deformed(known: dict[str, Any], deformation: Deformation | None, volume: Volume | None) -> dict[str, Any]:
-    """What strokes make of a scene: ``known`` is what it has without them."""
+    """Return the parts of a scene that depend on strokes; ``known`` are those without them."""
     shape, ready, mode, tolerance = (known[name] for name in ("shape", "_original", "mode", "tolerance"))
     gpu = gpu_of(known["device"])
     if volume is not None and volume.gpu is not gpu:
@@ -532,6 +532,6 @@ def _deformed(known: dict[str, Any], deformation: Deformation | None, volume: Vo
 
 
 def _skipping(known: dict[str, Any]) -> dict[str, Any]:
-    """What nothing is seen of: to rays, and for the buffer."""
+    """Return the invisible parts: for rays, and for the buffer."""
     skips = skipped(known)
     return {"_skips": skips, "_unseen": unseen_blocks(known["samples"].shape, skips)}

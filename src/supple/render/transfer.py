@@ -57,7 +57,7 @@ class TransferFunction:
         number("unit", self.unit, "a number of millimetres above 0", 1e-6, 1e6)
 
     def table(self, low: float, high: float, step: float) -> npt.NDArray[np.float32]:
-        """What values from ``low`` to ``high`` look like.
+        """Return the colours and opacities of values from ``low`` to ``high``.
 
         Parameters
         ----------

@@ -25,7 +25,7 @@ _NEAR = 1 << 12  # pixels along an axis of which a coordinate in float32 is off 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Job:
-    """What is done with a tensor of K channels; the strokes are there if they need gradients."""
+    """The work on a tensor of K channels; the strokes are there if they need gradients."""
 
     deformation: Deformation
     filter: str

@@ -82,7 +82,7 @@ def moved(points: Columns, strokes: Strokes) -> Columns:
 
 
 def strokes_gradients(points: Columns, slopes: Columns, strokes: Strokes) -> list[torch.Tensor]:
-    """What points p = T⁻¹(q), at which a loss has the slopes ∂L/∂p, add to ∂L/∂at, ∂L/∂by and ∂L/∂radius.
+    """Return the parts of ∂L/∂at, ∂L/∂by and ∂L/∂radius by points p = T⁻¹(q) with the gradients ∂L/∂p.
 
     Parameters
     ----------

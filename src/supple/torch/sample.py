@@ -42,7 +42,7 @@ class Filter:
 
     @property
     def smooth(self) -> bool:
-        """Whether what is read depends on where in a pixel a point lies."""
+        """Return whether what is read depends on where in a pixel a point lies."""
         return any(kind != "nearest" for kind in self.kinds)
 
 

@@ -35,7 +35,7 @@ class Item:
 
     @property
     def differentiable(self) -> bool:
-        """Whether a stroke needs a gradient."""
+        """Return whether a stroke needs a gradient."""
         given = (self.at, self.by, self.radius)
         return torch.is_grad_enabled() and any(x is not None and x.requires_grad and x.numel() for x in given)
 
@@ -80,7 +80,7 @@ def items(
     by: torch.Tensor | None,
     radius: torch.Tensor | None,
 ) -> tuple[list[Item], bool]:
-    """What bends a tensor: one item for all of it, or, if it is True, one for each item of the batch.
+    """Return the items that bend a tensor: one item for all of it, or, if it is True, one for each item of the batch.
 
     Raises
     ------
@@ -157,7 +157,7 @@ def _rebuilt(
 
 
 def _carried_out(d: Deformation, axes: list[Axis], dtype: torch.dtype, device: torch.device) -> Strokes:
-    """What the engines carry out, row by row."""
+    """Return the strokes as the engines carry them out, row by row."""
     table, n = d.space.table, d.ndim
     columns = [table[name][:, :n] / d.domain.spacing for name in ("pivot", "force")] + [table["radius2"][:, 0] ** 0.5]
     at, by, radius = (torch.tensor(x, dtype=dtype, device=device) for x in columns)

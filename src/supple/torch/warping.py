@@ -116,7 +116,7 @@ def warp(
 
 
 def _nothing(tensor: torch.Tensor, name: str) -> torch.Tensor:
-    """What becomes of a batch without items."""
+    """Return the result of a batch without items."""
     if not isinstance(tensor, torch.Tensor) or tensor.ndim == 0 or len(tensor):
         refuse(name, "a tensor of no items, as the strokes are", tensor)
     return tensor.clone()

@@ -31,7 +31,7 @@ _VERSION = 1
 
 @dataclass(frozen=True, slots=True)
 class Found:
-    """What a window left behind that did not end well.
+    """The autosave file of a window that did not end well.
 
     Parameters
     ----------
@@ -53,7 +53,7 @@ class Found:
     medium: object = None
 
     def read_alike(self, document: Document) -> bool:
-        """Whether a document is of the same shape and spacing, as far as that is known."""
+        """Return whether a document is of the same shape and spacing, as far as that is known."""
         return self.medium is None or self.medium == _medium(document)
 
     def set_aside(self) -> Path:
@@ -174,7 +174,7 @@ class Autosave:
 
 
 def found(source: PathLike, folder: PathLike | None = None) -> Found | None:
-    """What was done to a source last, and neither saved nor ended well; None if there is nothing.
+    """Return the latest unsaved edits of a source from an autosave file; None if there are none.
 
     Files of windows that still live are left alone. One that can't be read is set aside, under another name.
 
@@ -244,7 +244,7 @@ def _described(source: PathLike) -> dict[str, object]:
 
 
 def _medium(document: Document) -> list[list[float]]:
-    """What JSON keeps of how a source is read; a time scale is a spacing."""
+    """Return the JSON form of the options by which a source is read; a time scale is a spacing."""
     return [[float(n) for n in np.ravel(values)] for values in (document.shape, document.spacing)]
 
 

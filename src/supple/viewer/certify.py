@@ -35,7 +35,7 @@ class Certifier:
         self._thread: threading.Thread | None = None
 
     def report(self, deformation: Deformation, plane: int | None = None) -> Report | None:
-        """What is known of a deformation, or of one plane of it; None while it is being measured."""
+        """Return the certified error of a deformation, or of one plane of it; None while it is being measured."""
         asked = deformation, plane
         with self._news:
             if self._known is not None and _same(self._known[0], asked):

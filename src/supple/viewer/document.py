@@ -1,4 +1,4 @@
-"""What is edited: a list of strokes on a medium, each edit a step that can be undone."""
+"""The document: a list of strokes on a medium, each edit a step that can be undone."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ class Document:
         self.revision = 0
         """How many changes there were, of any kind."""
         self.on_change: list[Callable[[], None]] = []
-        """What is called after each change."""
+        """Functions that are called after each change."""
         self.trouble: str | None = None
         """Why the drag that is under way does not go on: for the status line."""
         self._drag: tuple[Solved, int | None] | None = None
@@ -82,12 +82,12 @@ class Document:
 
     @property
     def deformation(self) -> Deformation:
-        """What the visible strokes do. As long as they are the same, it is the same object."""
+        """The deformation of the visible strokes. As long as they are the same, it is the same object."""
         return self._now.chain[-1]
 
     @property
     def recipe(self) -> Recipe:
-        """What `supple.warp_file` takes to make what is seen, and what is saved: with the hidden strokes."""
+        """The recipe that `supple.warp_file` takes and that is saved, with the hidden strokes."""
         made = replace(self.state.recipe, size=self.shape[::-1], space="pixels", time_scale=self._time_scale)
         space = self.state.space
         return made if space is None or self.geometry is None else placed(made, self.geometry, space)
@@ -105,7 +105,7 @@ class Document:
         return self.arrivals[self._checked(i)]
 
     def warning(self, i: int) -> str | None:
-        """What there is to say of a stroke that misses its target."""
+        """Return a sentence on a stroke that misses its target."""
         known = self._nth(i)
         return None if known is None else self.deformation.warnings[known]
 
@@ -216,12 +216,12 @@ class Document:
 
     @property
     def can_undo(self) -> bool:
-        """Whether there is anything to undo."""
+        """Return whether there is anything to undo."""
         return self.dragging or self._history.can_undo
 
     @property
     def can_redo(self) -> bool:
-        """Whether there is anything to redo."""
+        """Return whether there is anything to redo."""
         return not self.dragging and self._history.can_redo
 
     def undo(self) -> None:
@@ -238,7 +238,7 @@ class Document:
 
     @property
     def dragging(self) -> bool:
-        """Whether a drag is under way."""
+        """Return whether a drag is under way."""
         return self._drag is not None
 
     def begin_drag(self, i: int | None = None) -> None:
@@ -294,7 +294,7 @@ class Document:
 
     @property
     def dirty(self) -> bool:
-        """Whether there is something that was not saved."""
+        """Return whether there is something that was not saved."""
         return self.state.content != self._saved
 
     def mark_saved(self) -> None:

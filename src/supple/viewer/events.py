@@ -1,4 +1,4 @@
-"""What the events of a window do, whatever is seen in it: strokes are drawn and edited, the view is led."""
+"""Event handlers of a window: strokes are drawn and edited, the view is moved."""
 
 from __future__ import annotations
 
@@ -50,11 +50,11 @@ class Tools(ABC, Generic[V]):
         self.scales = 1
         self.reach: float | None = REACH
         self.original = False
-        """Whether what is shown is the original, without strokes."""
+        """Return whether what is shown is the original, without strokes."""
         self.split: float | None = None
         """Where the original is shown beside what is made of it: a part of the width; None shows no original."""
         self.requests: list[str] = []
-        """What the window is asked for: ``"save"``, ``"save as"``, ``"open"``, ``"export"``. It takes them out."""
+        """Return, and clear, the requests to the window: ``"save"``, ``"save as"``, ``"open"``, ``"export"``."""
         self.pointer: Pair | None = None
         """Where the pointer is on the canvas."""
         self._gesture: Held | Lead[V] | None = None
@@ -80,7 +80,7 @@ class Tools(ABC, Generic[V]):
 
     @property
     def dragging(self) -> bool:
-        """Whether a stroke is being dragged."""
+        """Return whether a stroke is being dragged."""
         return self.held is not None and self.document.dragging
 
     @property
@@ -125,7 +125,7 @@ class Tools(ABC, Generic[V]):
 
     @abstractmethod
     def _grab(self, x: float, y: float) -> tuple[tuple[float, ...], Pick | None] | None:
-        """What is under a point of the canvas; None if nothing is."""
+        """Return the stroke under a point of the canvas; None if there is none."""
 
     @abstractmethod
     def _seen(self, point: tuple[float, ...]) -> Pair | None:

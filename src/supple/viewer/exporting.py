@@ -54,11 +54,11 @@ class Export:
         self.progress = 0.0
         """How much is done, from 0 to 1; it never goes back."""
         self.text = _BEGUN
-        """What is being done, or what came of it."""
+        """The text of the progress, or of the result."""
         self.error: str | None = None
         """Why it failed, in one line."""
         self.result: Any = None
-        """What the function returned, once it is done."""
+        """Return the result of the function, once it is done."""
         self._warnings: list[str] = []
         self._stop = threading.Event()
         self._cancelled = False
@@ -68,17 +68,17 @@ class Export:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What was warned of, each only once."""
+        """The warnings, each only once."""
         return tuple(dict.fromkeys(self._warnings))
 
     @property
     def done(self) -> bool:
-        """Whether it has ended, in whatever way."""
+        """Return whether it has ended, in whatever way."""
         return not self._thread.is_alive()
 
     @property
     def cancelled(self) -> bool:
-        """Whether it ended as it was cancelled; there is no new file then."""
+        """Return whether it ended as it was cancelled; there is no new file then."""
         return self._cancelled
 
     def cancel(self) -> None:

@@ -1,4 +1,4 @@
-"""What a window does with files: it saves and opens recipes, exports, and asks before anything is lost."""
+"""The file commands of a window: it saves and opens recipes, exports, and asks before anything is lost."""
 
 from __future__ import annotations
 
@@ -50,10 +50,10 @@ class Question:
     choices: tuple[str, ...]
     path: str | None = None
     opens: PathLike = ""
-    """What it is about, where that is not to be edited."""
+    """The subject of the question, which is not to be edited."""
     problem: str = ""
     fresh: bool = True
-    """Whether it was not drawn yet."""
+    """Return whether it was not drawn yet."""
 
 
 class Desk:
@@ -85,7 +85,7 @@ class Desk:
     ) -> None:
         self.document, self.source = document, source
         self.message = ""
-        """What is said in the status line, until something else happens."""
+        """The text of the status line, until something else happens."""
         self.asked: Question | None = None
         self.export: Export | None = None
         self.recipe_path: Path | None = None
@@ -153,7 +153,7 @@ class Desk:
             self.asked = Question("close", "Close?", _CLOSE, _WAYS_OUT, recipe)
 
     def may_close(self) -> bool:
-        """Whether nothing would be lost; otherwise, the question is asked."""
+        """Return whether nothing would be lost; otherwise, the question is asked."""
         if self.document.dirty:
             self.ask("close")
             return False
@@ -317,7 +317,7 @@ class Desk:
 
 
 def _in_a_window(error: SuppleError) -> str:
-    """What is wrong, without the command line's advice."""
+    """Return the text of an error without the command line's advice."""
     return str(error).replace("pass --force (force=True) to replace it", "choose another name, or Replace")
 
 

@@ -1,4 +1,4 @@
-"""What the pointer does while a button is down: it holds a stroke, or leads the view."""
+"""Gestures of the pointer with a button down: it holds a stroke, or moves the view."""
 
 from __future__ import annotations
 
@@ -119,12 +119,12 @@ class Held:
 
     @property
     def moved(self) -> bool:
-        """Whether it is a drag; otherwise it is a click."""
+        """Return whether it is a drag; otherwise it is a click."""
         return math.dist(self.start, self.now) >= CLICK or self.time != 0
 
     @property
     def changed(self) -> bool:
-        """Whether there is anything to keep of it."""
+        """Return whether there is anything to keep of it."""
         return self.moved or self.grown
 
     def drawn(self, carried: Callable[[Held, float, float], tuple[float, ...]]) -> Stroke:
@@ -161,7 +161,7 @@ class Lead(Generic[V]):
 
     @property
     def moved(self) -> bool:
-        """Whether it is a drag; otherwise it is a click."""
+        """Return whether it is a drag; otherwise it is a click."""
         return self.travelled or math.dist(self.start, self.now) >= CLICK
 
     def rebase(self, view: V) -> None:

@@ -32,7 +32,7 @@ class Gui:
         self._renderer = ImguiRenderer(gpu.device, canvas, format)
         self._ink = Ink(gpu, format)
         self.trouble = ""
-        """What went wrong when it was laid out the last time."""
+        """The error of the last layout, if there was one."""
         io = self._renderer.backend.io
         # What was not ended, as something went wrong, is ended for us, and the window lives.
         io.config_error_recovery_enable_assert = False

@@ -30,12 +30,12 @@ class History(Generic[S]):
 
     @property
     def can_undo(self) -> bool:
-        """Whether there is a state before this one."""
+        """Return whether there is a state before this one."""
         return bool(self._past)
 
     @property
     def can_redo(self) -> bool:
-        """Whether a state was undone, and nothing was pushed since."""
+        """Return whether a state was undone, and nothing was pushed since."""
         return bool(self._future)
 
     def push(self, state: S) -> None:

@@ -73,7 +73,7 @@ class ViewOptions:
 
     @property
     def export(self) -> dict[str, Any]:
-        """What `supple.warp_file` takes to make what is seen."""
+        """The arguments with which `supple.warp_file` makes the picture that is seen."""
         # Strokes are indices here, whatever the first ones were.
         return {"volume": replace(self.volume, world=False)}
 
@@ -82,7 +82,7 @@ _USUAL = ViewOptions()
 
 
 def stage_of(gpu: Gpu, source: Source, options: ViewOptions = _USUAL) -> ImageStage | VideoStage | VolumeStage:
-    """What a file, or an array of a picture (H, W[, C]) or of a volume (Z, H, W), more than 4 voxels wide, is shown as.
+    """Open the stage of a file, or of an array: a picture (H, W[, C]) or a volume (Z, H, W) more than 4 voxels wide.
 
     Raises
     ------
@@ -122,7 +122,7 @@ def stage_of(gpu: Gpu, source: Source, options: ViewOptions = _USUAL) -> ImageSt
 
 
 def _moves(source: str | os.PathLike[str]) -> bool:
-    """Whether a file, a folder or a pattern is a clip; a GIF is one where it has several frames."""
+    """Return whether a file, a folder or a pattern is a clip; a GIF is one where it has several frames."""
     if Path(source).suffix.lower() == ".gif" and os.path.isfile(source):
         with contextlib.suppress(SuppleError), open_clip(source) as clip:
             return bool(clip.count > 1)
@@ -151,7 +151,7 @@ def _held(gpu: Gpu, name: str, pixels: npt.NDArray[np.uint8]) -> ImageStage:
 def tools_of(
     stage: ImageStage | VideoStage | VolumeStage, document: Document, size: tuple[float, float]
 ) -> ImageTools | VideoTools | VolumeTools:
-    """What a hand does with a stage."""
+    """Return the tools for a stage."""
     if isinstance(stage, VideoStage):
         return VideoTools(document, Playback(stage.film.count, stage.rate, stage.film.starts), size)
     if isinstance(stage, ImageStage):
@@ -216,7 +216,7 @@ def _gpu() -> Gpu:
 
 
 def missing(error: ImportError) -> SuppleError:
-    """What to say where a part of the window is not installed."""
+    """Return the error for a part of the window that is not installed."""
     return SuppleError(f"the window needs {error.name or error}, which is not installed: {_EXTRA}")
 
 
@@ -308,7 +308,7 @@ def _ask_before_closing(canvas: Any, view: View) -> None:
 
 
 def in_notebook() -> bool:
-    """Whether this is a notebook."""
+    """Return whether this is a notebook."""
     try:
         from IPython import get_ipython
     except ImportError:

@@ -21,7 +21,7 @@ STEP = 1.1
 
 @dataclass(frozen=True, slots=True)
 class Stage:
-    """What a camera looks at, and the canvas on which that is seen.
+    """The volume before a camera, and the canvas that shows it.
 
     Parameters
     ----------
@@ -41,7 +41,7 @@ class Stage:
         return view_of(camera, self.shape, self.geometry, self.size)
 
     def target(self, camera: Camera) -> tuple[float, ...]:
-        """What a camera looks at, in indices, x first."""
+        """The target of the camera, in indices, x first."""
         return camera.target or tuple((n - 1) / 2 for n in reversed(self.shape))
 
     def distance(self, camera: Camera) -> float:

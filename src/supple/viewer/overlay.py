@@ -1,4 +1,4 @@
-"""What lies over the picture: the brush's ring, the strokes' handles, the timeline, and the status line."""
+"""Overlays on the picture: the brush's ring, the strokes' handles, the timeline, and the status line."""
 
 from __future__ import annotations
 
@@ -207,7 +207,7 @@ def status(view: View) -> str:
 
 
 def _as_it_was(view: View) -> bool:
-    """Whether what is under the pointer is shown without strokes."""
+    """Return whether what is under the pointer is shown without strokes."""
     tools = view.tools
     left = tools.pointer is not None and tools.pointer[0] < (tools.split or 0.0) * view.area[0]
     return tools.original or (tools.split is not None and left)
@@ -219,7 +219,7 @@ def why(view: View) -> str:
 
 
 def certified(view: View) -> str:
-    """What is known of the error of what is seen."""
+    """Return the text of the certified error."""
     deformation = view.document.deformation
     if isinstance(view.stage, VolumeStage):
         error = view.stage.scene.error

@@ -20,7 +20,7 @@ _HOME = Camera()
 
 
 def _about_the_middle(seen: tuple[int, int], drawn: tuple[int, int]) -> Part:
-    """What of a volume's picture is seen: a camera looks at its middle, and fits the shorter side."""
+    """The visible part of a volume's picture: a camera looks at its middle, and fits the shorter side."""
     pixel = min(seen) / min(drawn)
     width, height = (n / (m * pixel) for n, m in zip(seen, drawn, strict=True))
     return 0.5 - 0.5 * width, 0.5 - 0.5 * height, width, height
@@ -28,7 +28,7 @@ def _about_the_middle(seen: tuple[int, int], drawn: tuple[int, int]) -> Part:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Shot:
-    """What is to be seen.
+    """A request for a picture.
 
     Parameters
     ----------
@@ -80,9 +80,9 @@ class Painter:
         self.coarse = 4 if gpu.software else 1
         """How many pixels of the canvas one that is drawn covers, along each side, while a hand moves."""
         self.ready = True
-        """Whether nothing is still to come that the last picture needs."""
+        """Return whether nothing is still to come that the last picture needs."""
         self.part: Part = ALL
-        """What of the textures is seen."""
+        """The visible part of the textures."""
         self._textures: dict[tuple[str, tuple[int, int]], Any] = {}
         self._untouched: Deformation | None = None
 

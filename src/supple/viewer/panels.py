@@ -76,7 +76,7 @@ def _brush(view: View) -> None:
 
 
 def _reach(reach: float | None, of: str) -> tuple[bool, float | None]:
-    """Whether a reach is limited, and how far it goes; and whether that was changed."""
+    """Return whether a reach is limited, and how far it goes; and whether that was changed."""
     changed, limited = imgui.checkbox(f"limited{of}", reach is not None)
     hint("Beyond its reach, nothing moves at all")
     if changed:
@@ -373,7 +373,7 @@ _FILES = (
 
 
 def question(view: View) -> None:
-    """What is asked, over all else."""
+    """Draw the open question over all else."""
     asked = view.desk.asked
     if asked is None:
         return

@@ -19,7 +19,7 @@ _NOTCH = 100 / 120  # of the wheel: as others count it, and as Qt does
 
 
 def has_screen() -> bool:
-    """Whether Qt finds a screen; where it finds none, it ends the process."""
+    """Return whether Qt finds a screen; where it finds none, it ends the process."""
     names = ("DISPLAY", "WAYLAND_DISPLAY", "QT_QPA_PLATFORM")
     return not sys.platform.startswith("linux") or any(os.environ.get(name) for name in names)
 

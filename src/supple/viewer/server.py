@@ -125,7 +125,7 @@ def _cookies(scope: Scope, name: bytes) -> list[bytes]:
 
 
 def _from_here(scope: Scope) -> bool:
-    """Whether it is our own page that asks: cookies go along from pages of any port of a host."""
+    """Return whether it is our own page that asks: cookies go along from pages of any port of a host."""
     hosts = [host.decode("latin-1").lower() for host in _headers(scope, b"host")]
     return all(_place(origin) in hosts for origin in _headers(scope, b"origin"))
 

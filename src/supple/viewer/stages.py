@@ -1,4 +1,4 @@
-"""What a window shows, by medium: each draws itself, through strokes, into a texture."""
+"""The stages that a window shows, one for each medium: each draws itself, through strokes, into a texture."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ class ImageStage:
         return True
 
     def value(self, point: tuple[float, float], time: float, deformation: Deformation | None = None) -> str:
-        """What lies at a point of the picture, through strokes if they are given."""
+        """Return the point of the source that is seen at a point of the picture, through strokes if they are given."""
         x, y, *_ = self._under.find(deformation, point)
         return said(self.pixels, (x, y))
 
@@ -151,7 +151,7 @@ class VideoStage:
         return min(max(math.floor(low), 0), last), min(max(math.floor(high) + 1, 0), last)
 
     def value(self, point: tuple[float, float], time: float, deformation: Deformation | None = None) -> str:
-        """What lies at a point of a frame, through strokes if they are given."""
+        """Return the point of the source that is seen at a point of a frame, through strokes if they are given."""
         x, y, frame = self._under.find(deformation, (*point, time))
         pixels = self.film.get(min(max(round(frame), 0), self.film.count - 1))
         return "" if pixels is None else said(pixels, (x, y))
@@ -186,7 +186,7 @@ class VolumeStage:
         self._plain = self.scene
         self._deformation: Deformation | None = None
         self.warned = ""
-        """What there is to say against what is shown."""
+        """Return a remark on the picture that is shown, if there is one."""
 
     def _made(self, transfer: TransferFunction | str) -> Scene:
         device = "gpu" if self._gpu.software else "auto"

@@ -1,4 +1,4 @@
-"""What a document is at one time, and the deformation of that."""
+"""The state of a document at one time, and its deformation."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ class State:
 
     @property
     def recipe(self) -> Recipe:
-        """What is kept of it in a file, but for the space: points are samples."""
+        """The recipe of this state, without its space: points are samples."""
         return Recipe(
             border=self.border,
             border_profile=self.border_profile,
@@ -124,7 +124,7 @@ class Solved:
         return [(i, item.stroke) for i, item in enumerate(self.state.items) if not item.hidden]
 
     def before(self, k: int) -> tuple[Deformation, Deformation]:
-        """What the visible strokes before one, or before the next one, do: in full, and as they are applied."""
+        """Return the deformation of the visible strokes before one, or the next one: in full, and as it is applied."""
         if k < len(self.wholes):
             return self.wholes[k], self.chain[k]
         if k == 0:
@@ -144,7 +144,7 @@ class Solved:
 
 @dataclass(frozen=True, slots=True)
 class Medium:
-    """What is deformed.
+    """The medium that is deformed.
 
     Parameters
     ----------

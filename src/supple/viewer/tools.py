@@ -1,4 +1,4 @@
-"""What is particular to the tools of pictures, of videos and of volumes."""
+"""Tools for pictures, for videos and for volumes."""
 
 from __future__ import annotations
 
@@ -240,7 +240,7 @@ class VolumeTools(Tools[Camera]):
 
     @property
     def under(self) -> Pick | None:
-        """What is seen under the pointer; a ray is sent for it when that, the camera or the strokes have changed."""
+        """Return the point under the pointer; a ray is sent for it when pointer, camera or strokes have changed."""
         key = (self.pointer, self.view, self.stage.size, self.document.revision)
         if self._under is None or self._under[0] != key:
             self._under = key, None if self.pointer is None else self.pick(*self.pointer)

@@ -94,7 +94,7 @@ class View:
 
     @property
     def recipe(self) -> Recipe:
-        """What was done."""
+        """The edit history."""
         return self.document.recipe
 
     def on_change(self, call: Callable[[Recipe], None]) -> Callable[[Recipe], None]:
@@ -157,7 +157,7 @@ class View:
         self._waking.stir()
 
     def _inside(self, event: dict[str, Any]) -> bool:
-        """Whether it is on the picture."""
+        """Return whether it is on the picture."""
         return bool(event.get("x", 0) < self.area[0] and event.get("y", 0) < self.area[1])
 
     @unbroken()
@@ -265,7 +265,7 @@ class View:
 
     @property
     def _filling(self) -> bool:
-        """Whether a volume's buffer is worth waiting for before it is drawn in full, which takes seconds without it."""
+        """Return whether to wait for a volume's buffer before it is drawn in full, which takes seconds without it."""
         stage = self.stage
         if not (isinstance(stage, VolumeStage) and stage.mode == "hybrid" and self.gpu.software):
             return False
@@ -300,12 +300,12 @@ class View:
 
     @property
     def busy(self) -> bool:
-        """Whether frames are drawn one after the other, so that it matters how many."""
+        """Return whether frames are drawn one after the other, so that it matters how many."""
         return self.rate >= 1.5 and (self.tools.dragging or self._playing or self._filling or self._lately)
 
     @property
     def _lately(self) -> bool:
-        """Whether there was a change just now."""
+        """Return whether there was a change just now."""
         return time.perf_counter() - self._changed_at < SETTLED
 
     @property
@@ -324,7 +324,7 @@ class View:
         image.write(path, self.pixels(), force=force)
 
     def pixels(self) -> np.ndarray[Any, np.dtype[np.uint8]]:
-        """What is seen, drawn in full: (rows, columns, 3) of sRGB.
+        """Return the picture that is seen, drawn in full: (rows, columns, 3) of sRGB.
 
         Raises
         ------

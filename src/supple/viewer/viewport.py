@@ -87,7 +87,7 @@ class Viewport:
         return width / 2 + (x - cx) * zoom, height / 2 + (y - cy) * zoom
 
     def holds(self, x: float, y: float) -> bool:
-        """Whether a point of the picture's plane lies within the picture."""
+        """Return whether a point of the picture's plane lies within the picture."""
         return all(-0.5 <= p <= n - 0.5 for p, n in zip((x, y), self.image_size, strict=True))
 
     def fit(self) -> Self:

@@ -1,4 +1,4 @@
-"""What the headers of images say beside the pixels, and how it gets from one file into another."""
+"""Metadata in the headers of images, and how they get from one file into another."""
 
 from __future__ import annotations
 

@@ -115,7 +115,7 @@ def _by_ffmpeg(path: PathLike, codec: str, form: str) -> tuple[Any, str]:
 
 
 def is_ycbcr(path: PathLike) -> bool:
-    """Whether a TIFF holds YCbCr, which libvips takes for RGB unless it is compressed as JPEG."""
+    """Return whether a TIFF holds YCbCr, which libvips takes for RGB unless it is compressed as JPEG."""
     return tag_of(path, _PHOTOMETRIC) == _YCBCR and tag_of(path, _COMPRESSION) not in _JPEGS
 
 
@@ -136,7 +136,7 @@ def _with_header(made: Any, image: Any) -> Any:
 
 
 def _holds_doubles(path: PathLike) -> bool:
-    """Whether a TIFF holds floats of 64 bits, which libvips writes, but does not read."""
+    """Return whether a TIFF holds floats of 64 bits, which libvips writes, but does not read."""
     usual = tag_of(path, _PREDICTOR) in (0, 1) and tag_of(path, _PLANAR) in (0, 1)
     return usual and tag_of(path, _BITS) == 64 and tag_of(path, _SAMPLE_FORMAT) == 3
 

@@ -1,4 +1,4 @@
-"""What the numbers of a clip mean: colours, the siting of chroma, the way up, the light that it was graded for."""
+"""The meaning of the numbers in a clip: colours, the siting of chroma, the way up, the light that it was graded for."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ _lock = threading.Lock()
 
 @dataclass(frozen=True, slots=True)
 class Colour:
-    """What the samples of a clip mean, in the numbers that FFmpeg shares with ITU-T H.273.
+    """The colours of a clip, in the numbers that FFmpeg shares with ITU-T H.273.
 
     Parameters
     ----------

@@ -91,7 +91,7 @@ def chosen(container: av.container.InputContainer, path: PathLike) -> av.VideoSt
 
 @dataclass(frozen=True, slots=True)
 class Survey:
-    """What the packets of a film say of it before it is decoded.
+    """The count, duration and damage of a video stream, by its packets alone.
 
     Parameters
     ----------

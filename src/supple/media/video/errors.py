@@ -1,4 +1,4 @@
-"""What goes wrong with video, said in one sentence."""
+"""Errors and warnings of video, each one sentence."""
 
 from __future__ import annotations
 

@@ -41,7 +41,7 @@ class Match:
 
 @dataclass(frozen=True, slots=True)
 class Wish:
-    """What a pixel format is looked for.
+    """The requirements by which a pixel format is chosen.
 
     Parameters
     ----------

@@ -163,13 +163,13 @@ class Plan:
 
     @property
     def colour(self) -> Colour:
-        """What the samples that are encoded mean, with the place of chroma, which the file need not say."""
+        """The colours of the encoded samples, with the place of chroma, which the file need not say."""
         chosen = self.match
         return replace(chosen.colour, site=sited(chosen.colour, self.encoder.codec, chosen.form.kind))
 
     @property
     def timed(self) -> bool:
-        """Whether the encoder is given the times of frames, and not their numbers."""
+        """Return whether the encoder is given the times of frames, and not their numbers."""
         return self.encoder.name in _TIMED and self.container != "avi" and self.base.denominator <= _FINEST
 
     def warn(self, what: str) -> None:
@@ -231,7 +231,7 @@ class Plan:
             raise unwritable(self.target, f"{self.encoder.codec} loses {lost}", advice)
 
     def _starts(self) -> bool:
-        """Whether the encoder opens at all."""
+        """Return whether the encoder opens at all."""
         context = av.CodecContext.create(self.encoder.name, "w")
         assert isinstance(context, av.VideoCodecContext)
         context.width, context.height, context.time_base = 1280, 720, Fraction(1, 25)
@@ -243,7 +243,7 @@ class Plan:
         return False
 
     def _takes(self, own: Form, colour: Colour) -> bool:
-        """Whether the encoder opens for the pixel format that there is."""
+        """Return whether the encoder opens for the pixel format that there is."""
         return self._opens(Match(own, colour, True, "", False))
 
     def _opens(self, chosen: Match) -> bool:

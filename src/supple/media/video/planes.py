@@ -33,7 +33,7 @@ _WIDER = {
 
 @dataclass(frozen=True, slots=True)
 class Kind:
-    """What a pixel format can say, wherever its bytes lie.
+    """The kind of values of a pixel format, wherever its bytes lie.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""What is known of a film before it is decoded, and of pictures that are to become one."""
+"""The properties of a video before it is decoded, and of pictures that are to become one."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ _STILLS = {
 
 
 class Reel:
-    """What there is to write as a film. All that pictures do not have is empty here.
+    """The source of a video to be written. All that pictures do not have is empty here.
 
     Attributes
     ----------

@@ -116,7 +116,7 @@ class Pictures:
         return Picture(empty, group.alpha, icc, bits, form, image.interpretation, 1, header), lost
 
     def info(self) -> dict[str, object]:
-        """What `supple info` tells."""
+        """Return the facts for `supple info`."""
         (height, width), group = self.layout.shape, self.layout.groups[0]
         return {
             "width": width,
@@ -185,7 +185,7 @@ class Animation(Pictures):
 
 
 def is_animated(path: PathLike) -> bool:
-    """Whether a picture holds several frames; what cannot be read does not."""
+    """Return whether a picture holds several frames; what cannot be read does not."""
     try:
         image, form = opened(path)
     except SuppleError:

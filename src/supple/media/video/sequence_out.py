@@ -25,11 +25,11 @@ Array = npt.NDArray[Any]
 
 
 class Clip(Protocol):
-    """What a writer of pictures needs to know of a clip, of whatever kind."""
+    """A clip of any kind, as a writer of pictures sees it."""
 
     @property
     def layout(self) -> Layout:
-        """What its frames are made of."""
+        """The layout of its frames."""
 
     @property
     def count(self) -> int:

@@ -79,7 +79,7 @@ class Volume:
 
 @dataclass(frozen=True, slots=True)
 class RawLayout:
-    """What a file without a header holds.
+    """The layout of a file without a header.
 
     Parameters
     ----------

@@ -137,7 +137,7 @@ def listed(path: PathLike, *, nested: bool = True) -> list[Series]:
 
 
 def _kind_beside(path: str) -> str:
-    """What a file holds that is no image, or is derived from one: by the SOP class that its first bytes name."""
+    """Name the content of a file that is no image, or is derived from one, by its SOP class."""
     try:
         with open(path, "rb") as file:
             head = file.read(1024)
@@ -235,7 +235,7 @@ def _check_pixels(path: PathLike, reader: Any) -> None:
 
 
 def _thickness(reader: Any) -> float:
-    """What one slice alone has for a spacing: GDCM knows that between slices only."""
+    """Return the spacing of one slice alone: GDCM knows only that between slices."""
     with contextlib.suppress(ValueError):
         if not _tag(reader, _BETWEEN) and (known := float(_tag(reader, _THICKNESS))) > 0:
             return known

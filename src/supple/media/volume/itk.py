@@ -127,7 +127,7 @@ def _kind(sitk: Any, reader: Any) -> str:
 
 
 def _fields(path: PathLike, form: str) -> tuple[dict[str, str], int]:
-    """What a header says, by its words in small letters and without spaces, and where the data after it begins."""
+    """Return the fields of a header, by their names in small letters without spaces, and where the data begins."""
     head = head_of(path, 1 << 20)
     stop = rb"\r?\n\r?\n" if form == "NRRD" else rb"(?m)^\s*ElementDataFile\s*[=:][^\n]*\n?"
     found = re.search(stop, head)
