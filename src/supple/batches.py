@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+from supple.cuda_arrays import is_on_card, warp_on_card
 from supple.deformation import Deformation
 from supple.domain import refuse
 from supple.errors import SuppleError
-from supple.oncard import is_on_card, warp_on_card
 from supple.warping import as_array, checked_sampling, one_or_each, result_like, warn_of
 
 
@@ -32,7 +32,7 @@ def warp_batch(
     Parameters
     ----------
     sources : array of shape (N, H, W[, C]) or (N, T, H, W[, C])
-        NumPy's, or on an NVIDIA card, where a batch of images is warped at once.
+        NumPy's, or on an NVIDIA GPU, where a batch of images is warped at once.
     deformations : Deformation or sequence of Deformation
         One for all items, or one for each, all of one shape.
     filter, tolerance, outside, fill, alpha, linear_light, between, time_filter, device

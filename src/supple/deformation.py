@@ -13,11 +13,11 @@ import numpy.typing as npt
 
 from supple import _core
 from supple.certificate import Certificate
+from supple.cuda_arrays import is_on_card, points_on_card, warp_on_card
 from supple.domain import BorderProfile, Domain, choice, colours_hint, flag, integer, number, refuse
 from supple.errors import FoldWarning, MissWarning, OutsideWarning, SuppleError, ToleranceWarning
 from supple.folding import Resolved, described, resolve
 from supple.native import certificate_of, measured, plan_of
-from supple.oncard import is_on_card, points_on_card, warp_on_card
 from supple.scaling import spoken
 from supple.strokes import REACH, STROKE_DTYPE, FoldPolicy, Point, Recipe, Stroke, numbers
 
@@ -405,7 +405,7 @@ class Deformation:
         Parameters
         ----------
         points : array_like, shape (..., D)
-            In pixels, x first; on a card, of float32 or float64, and the result is there too.
+            In pixels, x first; on a CUDA device, of float32 or float64, and the result is there too.
 
         Returns
         -------
@@ -423,7 +423,7 @@ class Deformation:
         Parameters
         ----------
         points : array_like, shape (..., D)
-            In pixels, x first; on a card, of float32 or float64, and the result is there too.
+            In pixels, x first; on a CUDA device, of float32 or float64, and the result is there too.
 
         Returns
         -------
@@ -444,8 +444,8 @@ class Deformation:
         Parameters
         ----------
         points : array_like, shape (..., D)
-            In pixels, x first. They may lie outside the domain. On a card, of float32 or float64, and the results are
-            there too.
+            In pixels, x first. They may lie outside the domain. On a CUDA device, they are of float32 or float64, and
+            so are the results.
 
         Returns
         -------
@@ -473,8 +473,8 @@ class Deformation:
         ----------
         tolerance : float
             How far one may be from the true T⁻¹(q), in pixels, before it is rounded to float32.
-        like : array on a card, optional
-            Of which library, and on which card, the map is to be: by default it is NumPy's.
+        like : array on a CUDA device, optional
+            Of which library, and on which device, the map is to be: by default it is NumPy's.
 
         Returns
         -------
@@ -523,7 +523,7 @@ class Deformation:
         ----------
         source : array of shape (H, W[, C]) or (T, H, W[, C]), or function
             Of bool, integers or floats. Frames are read, and their results written, a few at a time, so that both
-            may be memory-mapped. An array on an NVIDIA card (PyTorch's, CuPy's, Numba's, or any with DLPack or
+            may be memory-mapped. An array on an NVIDIA GPU (PyTorch's, CuPy's, Numba's, or any with DLPack or
             ``__cuda_array_interface__``) is warped there, on its library's current stream. A function takes points
             (N, 2), x first, and returns (N,) or (N, C).
         filter : str
@@ -553,7 +553,7 @@ class Deformation:
             For a function: samples along each side of an output pixel, which are averaged.
         clamp : bool
             Keep the result within the finite minimum and maximum of the source (and ``fill``, if it is seen), which
-            cubic filters overshoot beside sharp edges. Of arrays in the computer's memory, not on a card.
+            cubic filters overshoot beside sharp edges. Of arrays in the computer's memory, not on a CUDA device.
         device : str
             Where to compute: on the ``"cpu"``; on the ``"gpu"``, which may be software; or ``"auto"``: on the GPU if
             there is one and it can do what is asked, and on the CPU otherwise. ``"cuda"`` sends the array to an NVIDIA
@@ -576,7 +576,7 @@ class Deformation:
         ToleranceWarning
             If the checks of the map's cells do not promise the tolerance everywhere.
         DeviceWarning
-            If the GPU or the card failed, so that the CPU did it.
+            If the GPU failed, so that the CPU did it.
         """
         # What warps is imported when something is warped: `import supple` is to be quick.
         from supple.engines import check_device, warp_elsewhere
@@ -591,7 +591,7 @@ class Deformation:
         clamped = flag("clamp", clamp)
         if is_on_card(source):
             if clamped:
-                refuse("clamp", "False for an array on a card: clip the result there", clamp)
+                refuse("clamp", "False for an array on a CUDA device: clip the result there", clamp)
             result, certificate = warp_on_card(source, (self.space,), sampling, alpha=alpha, out=out, device=device)
             warn_of(certificate, sampling.tolerance, 3)
             return result  # type: ignore[no-any-return]

@@ -1,4 +1,4 @@
-"""Which engine does the work: the CPU, or a GPU or a card where there is one and it does work of that kind."""
+"""The choice of an engine: the CPU, or a GPU or CUDA device where there is one and it does work of that kind."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ import numpy as np
 import numpy.typing as npt
 
 from supple.certificate import Certificate
+from supple.cuda_arrays import check_sent, open_card, warp_sent
 from supple.domain import choice, refuse
 from supple.errors import SuppleError
 from supple.gpu.device import Gpu, open_gpu
-from supple.oncard import check_sent, open_card, warp_sent
 from supple.streaming import CPU, Engine, Group, Layout, Sampling, Space, Tell
 from supple.warping import checked_fill, checked_source, result_like, warp_array
 from supple.workers import note
@@ -45,7 +45,7 @@ def check_no_cuda(device: str, what: str) -> None:
 def gpu_of(device: str, what: str = "this") -> Gpu | None:
     """The GPU that is to do some kind of work, or None for the CPU.
 
-    ``"auto"`` takes a graphics card where there is one, and never a program that plays one; ``"gpu"`` takes either.
+    ``"auto"`` takes a hardware GPU where there is one, never a software one; ``"gpu"`` takes either.
 
     Raises
     ------
@@ -95,7 +95,7 @@ def warp_on_gpu(
     """
     from supple.gpu.kernel import failures, let_through, passing, trouble, unsolved
     from supple.gpu.warp import warp
-    from supple.offload import pictures_of, warn
+    from supple.gpu_clips import pictures_of, warn
 
     array, straight = checked_source(source, space.whole, alpha, sampling.light)
     channels = array.shape[-1] if array.ndim > space.ndim else 1
@@ -201,7 +201,7 @@ def engine_of(device: str, space: Space, layout: Layout, sampling: Sampling) -> 
     gpu = gpu_of(device, "clips")
     if gpu is None or not _does(space, layout, sampling, device == "gpu") or space.table.size == 0:
         return CPU
-    from supple.offload import OnGpu
+    from supple.gpu_clips import OnGpu
 
     return OnGpu(gpu, sampling.tolerance)
 

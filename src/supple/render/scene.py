@@ -73,7 +73,7 @@ class Scene:
         How far source points may be from the true T⁻¹(q), in voxels.
     device : str
         Who marches along the rays: the ``"cpu"``; the ``"gpu"``, also one that is a program for the CPU; or ``"auto"``:
-        a graphics card, where there is one. What it cannot hold, the CPU does.
+        a hardware GPU, where there is one. What it cannot hold, the CPU does.
 
     Raises
     ------

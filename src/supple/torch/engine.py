@@ -12,9 +12,9 @@ import numpy as np
 import numpy.typing as npt
 import torch
 
+from supple.cuda_arrays import points_on_card
 from supple.deformation import Deformation
 from supple.errors import ToleranceWarning
-from supple.oncard import points_on_card
 from supple.torch.field import Columns, Strokes
 from supple.torch.sample import Filter
 from supple.warping import warn_of

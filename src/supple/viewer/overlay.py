@@ -215,7 +215,7 @@ def _as_it_was(view: View) -> bool:
 
 def why(view: View) -> str:
     """Why pictures are smaller while a hand moves."""
-    return "no graphics card" if view.gpu.software else "the card is slow"
+    return "no hardware GPU" if view.gpu.software else "the GPU is slow"
 
 
 def certified(view: View) -> str:

@@ -1,4 +1,4 @@
-"""Arrays that live on a card, or are sent there: what is done with them. CUDA is imported when there is a card."""
+"""Arrays that live on a CUDA device, or are sent there. CUDA is imported when there is a device."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def warp_on_card(
     device: str,
     batch: bool = False,
 ) -> tuple[Any, Certificate]:
-    """Warp an array on a card, or a batch of them, and wait for it; SuppleError if that cannot be done."""
+    """Warp an array on a CUDA device, or a batch of them, and wait for it; SuppleError if that cannot be done."""
     choice("device", device, ("auto", "cpu", "gpu", "cuda"))
     if device == "gpu":
         refuse("device", "left out for an array on a CUDA device, which is warped there", device)
@@ -58,7 +58,7 @@ def warp_on_card(
 
 
 def check_sent(sampling: Sampling, dtype: np.dtype[Any]) -> None:
-    """Refuse what no card does, and that there is none, before any work; SuppleError says why."""
+    """Refuse what no CUDA device does, and that there is none, before any work; SuppleError says why."""
     open_card()
     from supple.cuda.warp import check_known
 
@@ -74,7 +74,7 @@ def warp_sent(
     out: npt.NDArray[Any] | None,
     tell: Tell = lambda done: None,
 ) -> tuple[npt.NDArray[Any], Certificate] | None:
-    """Warp an array of the host on a card.
+    """Warp an array of the host on a CUDA device.
 
     Parameters
     ----------
@@ -84,18 +84,18 @@ def warp_sent(
     Returns
     -------
     array and Certificate, or None
-        None where the card failed, and the CPU should do it.
+        None where the device failed, and the CPU should do it.
 
     Raises
     ------
     SuppleError
-        If there is no card that can be used, or an argument does not fit.
+        If there is no CUDA device that can be used, or an argument does not fit.
     """
     card = open_card()
     from supple.cuda.card import failures
     from supple.cuda.large import warp_host
     from supple.gpu.kernel import let_through, passing
-    from supple.offload import warn
+    from supple.gpu_clips import warn
 
     failed = ""
     with let_through():
