@@ -22,7 +22,7 @@ from supple.gpu import raymarch as shading
 from supple.gpu import warp as warping
 from supple.gpu.device import Gpu
 from supple.gpu.fill import BLOCK
-from supple.gpu.samples import STEP, Picture, Wanted, format_of
+from supple.gpu.samples import STEP, GpuGroup, Wanted, format_of
 from supple.gpu.texels import layers
 from supple.media import image
 
@@ -208,7 +208,7 @@ def test_residual_footprints_of_noise(gpu: Gpu, turns: int, outside: str) -> Non
 def test_levels_average_two_by_two(gpu: Gpu, channels: int, rows: tuple[int, int]) -> None:
     source = np.random.default_rng(1).random((37, 22, channels)).astype(np.float32)
     wanted = Wanted("auto", "nothing", "edge", False, (0.0,) * channels, False, False, 1.0, 0.01, (0, 0))
-    picture = Picture((37, 22), channels, np.dtype(np.float32), wanted)
+    picture = GpuGroup((37, 22), channels, np.dtype(np.float32), wanted)
     form = picture.format
     held = layers(gpu, (rows[1] - rows[0], 22), 2, form.dtype, form.channels)
     held.put(gpu, 1, form.packed(source[slice(*rows)]))

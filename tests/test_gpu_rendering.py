@@ -24,7 +24,7 @@ from supple.gpu.texels import put_solid
 from supple.media import image
 from supple.render import device as drawing
 from supple.render.camera import Camera
-from supple.render.picture import Picture
+from supple.render.picture import Rendering
 from supple.render.scene import MODES, Scene
 from supple.render.solid import Solid, along_rays
 from supple.render.transfer import TransferFunction
@@ -66,7 +66,7 @@ def bent() -> supple.Deformation:
     )
 
 
-def apart(one: Picture, other: Picture) -> float:
+def apart(one: Rendering, other: Rendering) -> float:
     """How far two pictures are from one another, in decibels."""
     a, b = (p.pixels((0.1, 0.2, 0.3)).astype(float) for p in (one, other))
     return float(20 * np.log10(255 / max(1e-3, np.sqrt(np.mean((a - b) ** 2)))))

@@ -15,7 +15,7 @@ from supple import _core
 from supple.geometry import Geometry
 from supple.render.appearance import brick_counts
 from supple.render.camera import Camera
-from supple.render.picture import Picture
+from supple.render.picture import Rendering
 from supple.render.scene import MODES, Scene
 from supple.render.transfer import ENTRIES, TransferFunction
 
@@ -137,7 +137,7 @@ def reference(scene: Scene, camera: Camera, size: tuple[int, int]) -> tuple[Floa
     return out[..., :3], out[..., 3], depth
 
 
-def psnr(a: Picture, b: Picture) -> float:
+def psnr(a: Rendering, b: Rendering) -> float:
     first, second = (p.pixels((0.1, 0.1, 0.1)).astype(np.float64) for p in (a, b))
     return float(10 * np.log10(255**2 / max(np.mean((first - second) ** 2), 1e-9)))
 
@@ -275,7 +275,7 @@ def test_the_three_ways_show_the_same() -> None:
     assert psnr(undone, pictures["exact"]) < 28
 
 
-def centre_of(picture: Picture) -> tuple[float, float]:
+def centre_of(picture: Rendering) -> tuple[float, float]:
     """Where what is seen is, from the middle of the picture: to the right, and up, in parts of its size."""
     alpha = picture.light[..., 3]
     height, width = alpha.shape
@@ -430,7 +430,7 @@ def test_pixels() -> None:
     light = np.zeros((1, 3, 4), np.float32)
     light[0, 1] = 0.5, 0.25, 0.0, 0.5
     light[0, 2] = 1.2, 1.0, 1.0, 1.0
-    picture = Picture(light, np.zeros((1, 3)), np.zeros((1, 3), np.int64), np.zeros((1, 3), np.int64))
+    picture = Rendering(light, np.zeros((1, 3)), np.zeros((1, 3), np.int64), np.zeros((1, 3), np.int64))
     np.testing.assert_array_equal(picture.pixels()[0], [[0, 0, 0, 0], [255, 188, 0, 128], [255, 255, 255, 255]])
     np.testing.assert_array_equal(picture.pixels((1.0, 1.0, 1.0))[0, 0], [255, 255, 255])
     # Half of a background of 0.5 in linear light, which is 188 in sRGB.

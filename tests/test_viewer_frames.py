@@ -148,9 +148,9 @@ def test_a_clip_that_stops_says_so_and_goes_on_elsewhere(gpu: Gpu, long: Path, m
 
 
 def test_a_clip_that_ends_too_soon_says_so(gpu: Gpu, long: Path) -> None:
-    from supple.viewer.frame_cache import Film
+    from supple.viewer.frame_cache import FrameCache
 
-    film = Film(long)
+    film = FrameCache(long)
     try:
         film.count = 950
         assert film.wait(920, 921, 30.0)

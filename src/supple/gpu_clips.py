@@ -17,7 +17,7 @@ from supple.gpu.clip import Clip, clip_on
 from supple.gpu.device import Gpu
 from supple.gpu.kernel import failures, trouble, unsolved
 from supple.gpu.lattice import Range
-from supple.gpu.samples import Picture, Wanted, times_seen
+from supple.gpu.samples import GpuGroup, Wanted, times_seen
 from supple.gpu.warp import warp
 from supple.streaming import CPU, SLACK, Layout, Maker, Sampling, Space, fills_of, frames_needed, step_of
 from supple.workers import CPU as CPU_NAME
@@ -28,11 +28,11 @@ Array = npt.NDArray[Any]
 LEAD = 1  # planes that are begun before the first of them is read back
 
 
-def pictures_of(space: Space, layout: Layout, sampling: Sampling) -> tuple[Picture, ...]:
+def pictures_of(space: Space, layout: Layout, sampling: Sampling) -> tuple[GpuGroup, ...]:
     """Return the parts of a frame, as the GPU takes them."""
     times = times_seen(sampling.outside, space.count, sampling.time_filter)
     return tuple(
-        Picture(
+        GpuGroup(
             group.shape,
             group.channels,
             layout.dtype,
@@ -115,7 +115,7 @@ class _Sure:
     sampling: Sampling
     window: Sequence[Array]
     step: tuple[int, int]
-    pictures: tuple[Picture, ...]
+    pictures: tuple[GpuGroup, ...]
     stack: contextlib.ExitStack
     clip: Clip | None = None
     lost: bool = False
@@ -174,7 +174,7 @@ class _Sure:
                     return held[z % len(held), slice(*rows)][None]
                 return np.stack([held[k % len(held), slice(*rows)] for k in range(*frames)])
 
-            def write(planes: Range, rows: Range, pixels: Array, picture: Picture = picture, out: Array = out) -> None:
+            def write(planes: Range, rows: Range, pixels: Array, picture: GpuGroup = picture, out: Array = out) -> None:
                 picture.store(pixels[0], out[slice(*rows)])
 
             count, planes = (self.space.count, (z, z + 1)) if timed else (1, (0, 1))

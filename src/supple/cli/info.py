@@ -8,17 +8,17 @@ from typing import Annotated
 from cyclopts import Parameter
 
 from supple.cli.console import REFUSED, STREAM, File, SomeFailedError, about, as_options, current, one_line
-from supple.cli.options_volume import VolumeOptions
+from supple.cli.options_volume import VolumeArguments
 from supple.errors import SuppleError
 
-_VOLUME = VolumeOptions()
+_VOLUME = VolumeArguments()
 
 
 def info(
     *files: Annotated[str, Parameter(name="FILE")],
     gpu: Annotated[bool, Parameter(negative=())] = False,
     json: Annotated[bool, Parameter(negative=())] = False,
-    volume: VolumeOptions = _VOLUME,
+    volume: VolumeArguments = _VOLUME,
 ) -> None:
     """Describe pictures, videos, volumes and recipes, or list the GPUs.
 

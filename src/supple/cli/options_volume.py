@@ -18,7 +18,7 @@ VOLUME = Group("Volumes", sort_key=5)
 
 @Parameter(name="*", group=VOLUME)
 @dataclass(frozen=True, kw_only=True)
-class VolumeOptions:
+class VolumeArguments:
     """Options for volumes.
 
     Parameters

@@ -8,10 +8,10 @@ from cyclopts import Parameter
 
 from supple.cli.console import current
 from supple.cli.options import StrokeOptions, TimeOptions
-from supple.cli.options_volume import VOLUME, VolumeOptions
+from supple.cli.options_volume import VOLUME, VolumeArguments
 from supple.errors import SuppleError
 
-_STROKES, _TIME, _VOLUME = StrokeOptions(), TimeOptions(), VolumeOptions()
+_STROKES, _TIME, _VOLUME = StrokeOptions(), TimeOptions(), VolumeArguments()
 
 
 def view(
@@ -24,7 +24,7 @@ def view(
     strokes: StrokeOptions = _STROKES,
     time: TimeOptions = _TIME,
     labels: Annotated[bool, Parameter(group=VOLUME)] = False,
-    volume: VolumeOptions = _VOLUME,
+    volume: VolumeArguments = _VOLUME,
 ) -> None:
     """Open a window to bend a picture, video or volume by hand.
 

@@ -13,7 +13,7 @@ from cyclopts import Parameter
 from supple.cli.console import STREAM, current, say_convention, told, warn_of_software
 from supple.cli.options import RunOptions, StrokeOptions, VideoOptions
 from supple.cli.options_render import CameraOptions, LookOptions
-from supple.cli.options_volume import VolumeOptions
+from supple.cli.options_volume import VolumeArguments
 from supple.errors import SuppleError
 from supple.workers import workers
 
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from supple.strokes import Recipe
     from supple.volumes import VolumeOptions as Reading
 
-_STROKES, _RUN, _VOLUME, _VIDEO = StrokeOptions(), RunOptions(), VolumeOptions(), VideoOptions()
+_STROKES, _RUN, _VOLUME, _VIDEO = StrokeOptions(), RunOptions(), VolumeArguments(), VideoOptions()
 _CAMERA, _LOOK = CameraOptions(), LookOptions()
 
 
@@ -36,7 +36,7 @@ def render(
     strokes: StrokeOptions = _STROKES,
     camera: CameraOptions = _CAMERA,
     look: LookOptions = _LOOK,
-    volume: VolumeOptions = _VOLUME,
+    volume: VolumeArguments = _VOLUME,
     options: RunOptions = _RUN,
 ) -> None:
     """Render a picture of a volume, original or deformed.
@@ -93,7 +93,7 @@ def points(
     inverse: bool = False,
     convention: Annotated[Literal["LPS", "RAS", "index"] | None, Parameter()] = None,
     strokes: StrokeOptions = _STROKES,
-    volume: VolumeOptions = _VOLUME,
+    volume: VolumeArguments = _VOLUME,
     video: VideoOptions = _VIDEO,
     options: RunOptions = _RUN,
 ) -> None:

@@ -25,7 +25,7 @@ from supple.cli.console import (
     warn_of_software,
 )
 from supple.cli.options import RUNNING, RunOptions, StrokeOptions, VideoOptions, parse_fill, parse_number
-from supple.cli.options_volume import VOLUME, VolumeOptions
+from supple.cli.options_volume import VOLUME, VolumeArguments
 from supple.errors import SuppleError
 from supple.workers import workers
 
@@ -47,7 +47,7 @@ WRITING = Group("Writing", sort_key=3)
 _RUN = RunOptions()
 _STROKES = StrokeOptions()
 _VIDEO = VideoOptions()
-_VOLUME = VolumeOptions()
+_VOLUME = VolumeArguments()
 
 
 def warp(
@@ -65,7 +65,7 @@ def warp(
     video: VideoOptions = _VIDEO,
     labels: Annotated[bool, Parameter(group=VOLUME)] = False,
     save_field: Annotated[str | None, Parameter(group=VOLUME, metavar="FILE")] = None,
-    volume: VolumeOptions = _VOLUME,
+    volume: VolumeArguments = _VOLUME,
     device: Annotated[Warper, Parameter(group=RUNNING)] = "cpu",
     options: RunOptions = _RUN,
 ) -> None:

@@ -17,7 +17,7 @@ from supple.gpu.kernel import Array, owned, room, unsolved
 from supple.gpu.lattice import NODE, SETTINGS, Lattice, Part, Strokes, lattice_on, pitch_of, strokes_on
 from supple.gpu.planes import Held, colour, target_size, unpacked
 from supple.gpu.pyramid import Pyramid, pyramid, size_of
-from supple.gpu.samples import Picture
+from supple.gpu.samples import GpuGroup
 from supple.gpu.texels import MOST_LAYERS, SIDE, Layers, blocks_of, layers, texels_of
 from supple.gpu.warp import AT_FIRST, SECONDS
 
@@ -29,7 +29,7 @@ class Ring:
     """Frames of one of a clip's pictures, in the slots that they have in the window."""
 
     gpu: Gpu
-    picture: Picture
+    picture: GpuGroup
     window: Array
     samples: Layers
     pyramid: Pyramid
@@ -128,7 +128,7 @@ class Clip:
         )
 
 
-def fits_whole(gpu: Gpu, strokes: Strokes, pictures: Sequence[Picture], slots: int) -> bool:
+def fits_whole(gpu: Gpu, strokes: Strokes, pictures: Sequence[GpuGroup], slots: int) -> bool:
     """Return whether a window, the lattice of a plane and its samples are no more than a shader takes each."""
     nodes = NODE * pitch_of(strokes.cells[0] + 1) * (strokes.cells[1] + 1)
     made = [target_size(picture, picture.shape[0]) for picture in pictures]
@@ -152,7 +152,7 @@ def clip_on(
     axes: Floats,
     shape: tuple[int, int],
     step: tuple[int, int],
-    pictures: Sequence[Picture],
+    pictures: Sequence[GpuGroup],
     windows: Sequence[Array],
     frames: int,
     timed: bool,
@@ -167,7 +167,7 @@ def clip_on(
         The packed strokes (`supple.strokes.pack`) and domain (`Domain.packed`).
     shape, step
         Rows and columns of a frame, in pixels, and how many there are from one of its coarsest samples to the next.
-    pictures : sequence of Picture
+    pictures : sequence of GpuGroup
         What a frame is made of.
     windows : sequence of arrays
         Where frame k is in the slot k modulo their number: (slots, rows, samples, channels) for each picture.
@@ -205,7 +205,7 @@ def clip_on(
         yield Clip(strokes, tuple(rings), tuple(rooms), frames, timed, _parts(pictures))
 
 
-def _parts(pictures: Sequence[Picture]) -> int:
+def _parts(pictures: Sequence[GpuGroup]) -> int:
     """In how many pieces a plane is made, before it is known how long that takes."""
     texels = 0.0
     for picture in pictures:

@@ -10,7 +10,7 @@ import numpy as np
 from supple.gpu.kernel import LAYERS, WHOLE_LAYERS, WRITE, Array, pipeline, run
 from supple.gpu.lattice import CHECK, PARTS, Lattice, Range, settings_of
 from supple.gpu.pyramid import Pyramid
-from supple.gpu.samples import STEP, Picture
+from supple.gpu.samples import STEP, GpuGroup
 from supple.gpu.texels import Layers
 
 
@@ -38,19 +38,19 @@ class Held:
     shift: int
 
 
-def rows_of(picture: Picture, lattice: Lattice) -> Range:
+def rows_of(picture: GpuGroup, lattice: Lattice) -> Range:
     """Which rows of samples lie in a lattice's cells."""
     top, end = (picture.rows * k for k in lattice.part.cells)
     return top, picture.shape[0] if lattice.part.cells[1] == lattice.strokes.cells[1] else min(end, picture.shape[0])
 
 
-def target_size(picture: Picture, rows: int) -> int:
+def target_size(picture: GpuGroup, rows: int) -> int:
     """Bytes of some rows of samples, as the shader writes them."""
     return rows * picture.format.words(picture.shape[1]) * 4
 
 
 def colour(
-    lattice: Lattice, picture: Picture, frames: int, held: Held, told: Any, target: Any, parts: int = 1
+    lattice: Lattice, picture: GpuGroup, frames: int, held: Held, told: Any, target: Any, parts: int = 1
 ) -> tuple[int, int]:
     """Begin to make the samples of a lattice's part.
 
@@ -58,7 +58,7 @@ def colour(
     ----------
     lattice : Lattice
         Solved.
-    picture : Picture
+    picture : GpuGroup
     frames : int
         How many the whole source has.
     held : Held
@@ -120,7 +120,7 @@ def colour(
     return top, end
 
 
-def unpacked(picture: Picture, words: Array, planes: int, rows: int) -> Array:
+def unpacked(picture: GpuGroup, words: Array, planes: int, rows: int) -> Array:
     """Return the output of the shader, as samples (planes, rows, samples, channels)."""
     form = picture.format
     found = np.frombuffer(words, form.dtype, planes * target_size(picture, rows) // np.dtype(form.dtype).itemsize)

@@ -11,7 +11,7 @@ import numpy as np
 
 from supple.gpu.device import Gpu
 from supple.gpu.kernel import LAYERS, UNIFORM, WHOLE_LAYERS, WRITE, owned, pipeline, room, run, upload
-from supple.gpu.samples import Picture
+from supple.gpu.samples import GpuGroup
 from supple.gpu.texels import Layers
 
 Range = tuple[int, int]
@@ -45,7 +45,7 @@ class _Level:
         return self.rows[1] - self.rows[0]
 
 
-def _levels(picture: Picture, rows: Range) -> list[_Level]:
+def _levels(picture: GpuGroup, rows: Range) -> list[_Level]:
     """Return the frame itself and its levels, of what some of its rows are enough for; the last is a single sample."""
     found = [_Level(picture.shape[1], rows)]
     if picture.wanted.filter != "auto":
@@ -58,7 +58,7 @@ def _levels(picture: Picture, rows: Range) -> list[_Level]:
     return found
 
 
-def size_of(picture: Picture, rows: Range) -> int:
+def size_of(picture: GpuGroup, rows: Range) -> int:
     """Return the bytes that the coarser levels of some rows of a frame take."""
     return 4 * picture.channels * sum(level.width * level.tall for level in _levels(picture, rows)[1:])
 
@@ -70,14 +70,14 @@ class Pyramid:
     Parameters
     ----------
     gpu : Gpu
-    picture : Picture
+    picture : GpuGroup
     rows : (int, int)
         The rows of the frames that are on the device: from, to.
     buffer : wgpu.GPUBuffer
     """
 
     gpu: Gpu
-    picture: Picture
+    picture: GpuGroup
     rows: Range
     buffer: Any
 
@@ -125,6 +125,6 @@ class Pyramid:
         self.buffer.destroy()
 
 
-def pyramid(gpu: Gpu, picture: Picture, rows: Range, slots: int) -> Pyramid:
+def pyramid(gpu: Gpu, picture: GpuGroup, rows: Range, slots: int) -> Pyramid:
     """Return room for the coarser levels of so many frames, of which some rows are on the device."""
     return Pyramid(gpu, picture, rows, room(gpu, slots * size_of(picture, rows)))

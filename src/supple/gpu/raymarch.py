@@ -133,7 +133,7 @@ def march(
     held : Held
     look : Look
     view : float64 array (5, 3)
-        A packed camera (`supple.render.camera.View`).
+        A packed camera (`supple.render.camera.Projection`).
     size : (int, int)
         Rows and columns of rays.
     fine : int

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from supple.gpu.lattice import Range
-from supple.gpu.samples import LONGEST, STEP, Picture
+from supple.gpu.samples import LONGEST, STEP, GpuGroup
 
 Floats = npt.NDArray[np.float64]
 
@@ -119,7 +119,7 @@ def held_of(low: float, high: float, support: int, n: int, outside: str) -> Rang
 
 
 def box_of(
-    reach: Reach, planes: slice, cells: slice, picture: Picture, frames: int, more: float
+    reach: Reach, planes: slice, cells: slice, picture: GpuGroup, frames: int, more: float
 ) -> tuple[Range, Range]:
     """The frames and the rows of samples that a part of a picture may ask for, with ``more`` of both."""
     wanted, (_, step) = picture.wanted, picture.step

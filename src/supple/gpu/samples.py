@@ -115,7 +115,7 @@ class Wanted:
 
 
 @dataclass(frozen=True, slots=True)
-class Picture:
+class GpuGroup:
     """Samples on a grid, of each frame alike, and how they are made.
 
     Parameters

@@ -19,7 +19,7 @@ from supple.gpu.lattice import NODE, SETTINGS, Lattice, Part, Range, Strokes, la
 from supple.gpu.planes import Held, colour, target_size, unpacked
 from supple.gpu.pyramid import pyramid, size_of
 from supple.gpu.reach import Reach, box_of, reach_of
-from supple.gpu.samples import LONGEST, Picture
+from supple.gpu.samples import LONGEST, GpuGroup
 from supple.gpu.texels import MOST_LAYERS, SIDE, blocks_of, layers, texels_of
 
 Floats = npt.NDArray[np.float64]
@@ -37,7 +37,7 @@ class _Work:
     """The buffers on the device while pictures are made."""
 
     strokes: Strokes
-    picture: Picture
+    picture: GpuGroup
     frames: int
     there: Range
     read: Read
@@ -192,7 +192,7 @@ def warp(
     gpu: Gpu,
     table: npt.NDArray[np.void],
     axes: Floats,
-    picture: Picture,
+    picture: GpuGroup,
     shape: tuple[int, int],
     frames: int,
     planes: Range,
@@ -210,7 +210,7 @@ def warp(
     gpu : Gpu
     table, axes
         The packed strokes (`supple.strokes.pack`) and domain (`Domain.packed`).
-    picture : Picture
+    picture : GpuGroup
         The samples that are made; each plane's are a part of what ``shape`` says.
     shape : (int, int)
         Rows and columns of a frame, in pixels.

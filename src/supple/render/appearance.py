@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from supple import _core
 from supple.domain import choice, point, refuse
-from supple.render.camera import View
+from supple.render.camera import Projection
 from supple.render.transfer import ENTRIES, PRESETS, TransferFunction
 
 Array = npt.NDArray[Any]
@@ -82,7 +82,7 @@ def entries(low: float, high: float) -> float:
     return (ENTRIES - 1) / (high - low) if high > low else 0.0
 
 
-def lamp(view: View) -> npt.NDArray[np.float32]:
+def lamp(view: Projection) -> npt.NDArray[np.float32]:
     """A lamp beside the camera, above and to the left."""
     right, down = (axis / np.linalg.norm(axis) for axis in view.packed[3:])
     towards = -view.ahead - 0.35 * right - 0.45 * down

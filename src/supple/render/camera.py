@@ -64,7 +64,7 @@ class Camera:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class View:
+class Projection:
     """A camera before a volume, and the size of the picture.
 
     Parameters
@@ -116,7 +116,7 @@ def camera_of(given: object) -> Camera:
     return given
 
 
-def view_of(camera: Camera, shape: tuple[int, ...], geometry: Geometry, size: tuple[int, int]) -> View:
+def view_of(camera: Camera, shape: tuple[int, ...], geometry: Geometry, size: tuple[int, int]) -> Projection:
     """Set up a camera before a volume of ``shape`` (Z, H, W), for a picture of ``size`` (rows, columns)."""
     given: object = size  # it may be anything
     if not isinstance(given, Sequence) or isinstance(given, str) or len(given) != 2:
@@ -162,4 +162,4 @@ def view_of(camera: Camera, shape: tuple[int, ...], geometry: Geometry, size: tu
             distance = max(distance, float((sides + towards).max()))
     eye = target + outward * distance / spacing
     pixel = 2 * math.tan(half) / min(height, width)
-    return View(np.stack([eye, spacing, -outward, pixel * right, -pixel * above]), (height, width))
+    return Projection(np.stack([eye, spacing, -outward, pixel * right, -pixel * above]), (height, width))

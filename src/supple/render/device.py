@@ -21,7 +21,7 @@ from supple.gpu.kernel import Pace, failures, trouble
 from supple.gpu.raymarch import EXACT, HYBRID, LATTICE, PLAIN, RAYS, Held, prepare
 from supple.gpu.solid import Lattice, hold_strokes, solve
 from supple.gpu.volume import Volume, beside, hold
-from supple.render.camera import View
+from supple.render.camera import Projection
 from supple.render.solid import FINEST, RESOLVED, Solid, cells_along_rays, solve_solid
 from supple.streaming import Space
 from supple.strokes import STROKE_DTYPE
@@ -146,7 +146,7 @@ def unseen_blocks(shape: tuple[int, ...], skips: npt.NDArray[np.uint8]) -> npt.N
     return np.asarray(fine.all(axis=(1, 3, 5)), np.bool_)
 
 
-def order_of(view: View, unseen: npt.NDArray[np.bool_]) -> npt.NDArray[np.intp]:
+def order_of(view: Projection, unseen: npt.NDArray[np.bool_]) -> npt.NDArray[np.intp]:
     """In which order bricks of the buffer are made: those in view and seen first, of these the nearest first."""
     away = [
         ((np.arange(n) + 0.5) * BLOCK - eye) * spacing

@@ -15,7 +15,7 @@ Floats = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
-class Picture:
+class Rendering:
     """A volume, seen.
 
     Parameters
@@ -35,7 +35,7 @@ class Picture:
 
     def __repr__(self) -> str:
         rows, columns = self.depth.shape
-        return f"<Picture of {columns} x {rows}>"
+        return f"<Rendering of {columns} x {rows}>"
 
     def pixels(self, background: tuple[float, float, float] | None = None) -> npt.NDArray[np.uint8]:
         """As sRGB of 8 bits.

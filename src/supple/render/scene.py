@@ -32,9 +32,9 @@ from supple.render.appearance import (
     transfer_function,
     triple,
 )
-from supple.render.camera import Camera, View, camera_of, view_of
+from supple.render.camera import Camera, Projection, camera_of, view_of
 from supple.render.device import held_scene, order_of, tried, unseen_blocks
-from supple.render.picture import Array, Pick, Picture, light_of
+from supple.render.picture import Array, Pick, Rendering, light_of
 from supple.render.solid import Solid, along_rays, cells_along_rays, solve_solid, strokes_of
 from supple.render.transfer import TransferFunction
 
@@ -199,7 +199,7 @@ class Scene:
         """Return whether no value is seen at all."""
         return self._threshold == math.inf
 
-    def view(self, camera: Camera | None, size: tuple[int, int]) -> View:
+    def view(self, camera: Camera | None, size: tuple[int, int]) -> Projection:
         """The camera before this scene, for a picture of ``size`` (rows, columns)."""
         return view_of(camera_of(camera), self.samples.shape, self.geometry, size)
 
@@ -210,7 +210,7 @@ class Scene:
         *,
         supersampling: int = 1,
         tell: Callable[[int], None] = lambda rows: None,
-    ) -> Picture:
+    ) -> Rendering:
         """Take a picture.
 
         Parameters
@@ -366,7 +366,7 @@ class Scene:
             return 1.0
         return done
 
-    def _look(self, view: View) -> shading.Look:
+    def _look(self, view: Projection) -> shading.Look:
         low, high = self.range
         return shading.Look(
             self._skips,
@@ -380,7 +380,7 @@ class Scene:
             self.shaded,
         )
 
-    def _marcher(self, view: View) -> Callable[..., None]:
+    def _marcher(self, view: Projection) -> Callable[..., None]:
         """Return what marches along the rays of columns and rows of pixels, into colours, depths and work."""
         strokes, lattice, cells = None, None, 1
         if self.deformation is not None and (self.mode == "exact" or self._coarse):
@@ -468,8 +468,8 @@ class Scene:
         return replace(camera, azimuth=camera.azimuth + 360.0 * k / count)
 
 
-def _picture(light: Array, depth: Array, work: Array) -> Picture:
-    return Picture(light, depth[..., 0], work[..., 0], work[..., 1])
+def _picture(light: Array, depth: Array, work: Array) -> Rendering:
+    return Rendering(light, depth[..., 0], work[..., 0], work[..., 1])
 
 
 def _deformed(known: dict[str, Any], deformation: Deformation | None, volume: Volume | None) -> dict[str, Any]:

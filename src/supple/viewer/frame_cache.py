@@ -22,7 +22,7 @@ Span = tuple[int, int]
 ROOM = 512 << 20  # bytes of frames that are kept
 
 
-class Film:
+class FrameCache:
     """A clip's frames as (rows, columns, 4) of sRGB, each there some time after it is asked for.
 
     Parameters

@@ -25,7 +25,7 @@ from supple.scaling import Fit
 from supple.strokes import Recipe, fit_recipe
 from supple.viewer import qt
 from supple.viewer.document import Document
-from supple.viewer.frame_cache import Film
+from supple.viewer.frame_cache import FrameCache
 from supple.viewer.pixels import on_screen
 from supple.viewer.pixels import shown as as_pixels
 from supple.viewer.playback import Playback
@@ -116,7 +116,7 @@ def stage_of(gpu: Gpu, source: Source, options: ViewOptions = _USUAL) -> ImageSt
         return VolumeStage(gpu, volume, default_transfer(volume), samples)
     _flat(shown(source), options)
     if _moves(source):
-        return VideoStage(gpu, Film(source), options.time_scale)
+        return VideoStage(gpu, FrameCache(source), options.time_scale)
     _timeless(shown(source), options)
     return _held(gpu, shown(source), on_screen(read(source)))
 

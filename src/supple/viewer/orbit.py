@@ -9,7 +9,7 @@ import numpy as np
 
 from supple.domain import SMALLEST
 from supple.geometry import Geometry
-from supple.render.camera import Camera, View, view_of
+from supple.render.camera import Camera, Projection, view_of
 
 TURN = 180.0
 """Degrees for a drag across the shorter side of the canvas."""
@@ -36,7 +36,7 @@ class Stage:
     geometry: Geometry
     size: tuple[int, int]
 
-    def view(self, camera: Camera) -> View:
+    def view(self, camera: Camera) -> Projection:
         """The camera, set up."""
         return view_of(camera, self.shape, self.geometry, self.size)
 

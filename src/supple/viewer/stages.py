@@ -17,7 +17,7 @@ from supple.render.picture import Pick
 from supple.render.scene import Scene
 from supple.render.transfer import TransferFunction
 from supple.viewer.document import Kind
-from supple.viewer.frame_cache import Film
+from supple.viewer.frame_cache import FrameCache
 from supple.viewer.pixels import Pixels
 from supple.viewer.warning_log import heard
 
@@ -78,7 +78,7 @@ class VideoStage:
 
     kind: Kind = "video"
 
-    def __init__(self, gpu: Gpu, film: Film, time_scale: float = 1.0) -> None:
+    def __init__(self, gpu: Gpu, film: FrameCache, time_scale: float = 1.0) -> None:
         self.film, self.name = film, film.name
         width, height = film.size
         self.shape, self.spacing = (film.count, height, width), (1.0, 1.0, time_scale)

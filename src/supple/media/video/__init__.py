@@ -33,7 +33,7 @@ __all__ = [
     "Clip",
     "ClipWarning",
     "CountError",
-    "Picture",
+    "DecodedFrame",
     "container_of",
     "info",
     "open_video",
@@ -45,7 +45,7 @@ _COPY = "give a whole copy of it"
 _ALPHA = {"vp8": "libvpx", "vp9": "libvpx-vp9"}  # FFmpeg's own decoders leave the opacity of WebM out
 
 
-class Picture:
+class DecodedFrame:
     """A decoded frame, as its clip hands it out."""
 
     __slots__ = ("_form", "_frame")
@@ -126,14 +126,14 @@ class Clip(Film):
         """Return the packet that frame `k` alone was decoded from, once, in order; None where there is none."""
         return self._packets.popleft() if self._packets else None
 
-    def frames(self) -> Iterator[Picture]:
+    def frames(self) -> Iterator[DecodedFrame]:
         """Decode all frames in the order in which they are shown, once.
 
         While a writer is open, the other streams of the file go to it on the way.
 
         Yields
         ------
-        Picture
+        DecodedFrame
             The next frame.
 
         Raises
@@ -182,7 +182,7 @@ class Clip(Film):
                     if copies:
                         made_of = sent.pop(frame.pts, None)
                         self._packets.append(None if frame.is_corrupt else made_of)
-                    yield Picture(self._readable(frame), self.form)
+                    yield DecodedFrame(self._readable(frame), self.form)
         if found == 0:
             raise unreadable(self.path, "no frame of it can be decoded", _COPY)
         if found != self.count:
@@ -200,7 +200,7 @@ class Clip(Film):
         known = self._index[0]
         return 0 if known is None else known.before(k)
 
-    def frames_from(self, k: int) -> Iterator[tuple[int, Picture]]:
+    def frames_from(self, k: int) -> Iterator[tuple[int, DecodedFrame]]:
         """Decode from frame `k` on, beginning at the key frame before it; each comes with its number.
 
         Where that does not give just the frames that there should be, it goes on as if from the start.
@@ -223,7 +223,7 @@ class Clip(Film):
             if number >= due:
                 yield number, picture
 
-    def _sought(self, start: int) -> Iterator[tuple[int | None, Picture]]:
+    def _sought(self, start: int) -> Iterator[tuple[int | None, DecodedFrame]]:
         """Decode from a key frame on, in a container of its own; nothing, where the file has it elsewhere."""
         with opened(self.path) as container, contextlib.suppress(av.FFmpegError):
             film = chosen(container, self.path)
@@ -238,7 +238,7 @@ class Clip(Film):
                     return
                 for frame in decoded:
                     self._check(frame, 0, ())
-                    yield frame.pts, Picture(self._readable(frame), self.form)
+                    yield frame.pts, DecodedFrame(self._readable(frame), self.form)
 
     def _rewind(self) -> av.VideoStream:
         if not self._fresh:

@@ -19,7 +19,7 @@ from supple.media.video.colour import Colour, recast, sited
 from supple.media.video.errors import raised, unwritable
 from supple.media.video.gif import Palettes
 from supple.media.video.pixel_format import Match
-from supple.media.video.plan import UPRIGHT_ONLY, Plan, timescale, workers
+from supple.media.video.plan import UPRIGHT_ONLY, WritePlan, timescale, workers
 from supple.media.video.planes import form, pack
 from supple.media.video.probe import Reel, Stills
 from supple.media.video.streams import Passage, kept_tags, titled
@@ -39,7 +39,7 @@ _LONGEST = {"mp4": 2**31 - 1, "mov": 2**31 - 1, "gif": 65535}  # ticks that a fr
 class Sink:
     """A film that is being written; see `writer_of`."""
 
-    def __init__(self, reel: Reel, plan: Plan, temporary: Path) -> None:
+    def __init__(self, reel: Reel, plan: WritePlan, temporary: Path) -> None:
         self._plan, self._reel = plan, reel
         self._colour = replace(reel.colour, site=sited(reel.colour, reel.codec, reel.form.kind))
         self._times: dict[int, tuple[int, int]] = {}
@@ -273,7 +273,7 @@ class Sink:
 
 
 @contextlib.contextmanager
-def sinking(reel: Reel, plan: Plan, temporary: Path) -> Iterator[Sink]:
+def sinking(reel: Reel, plan: WritePlan, temporary: Path) -> Iterator[Sink]:
     """Write a film into a file that is there already, and close it."""
     sink = None
     try:
@@ -346,6 +346,6 @@ def writer_of(
     container_of(target)
     check_output(target, force=force)
     reel = clip if isinstance(clip, Reel) else Stills(clip)
-    plan = Plan(reel, target, codec, crf, preset, pixel_format, workers(threads), lossless)
+    plan = WritePlan(reel, target, codec, crf, preset, pixel_format, workers(threads), lossless)
     with replacing(target, force=force) as temporary, sinking(reel, plan, temporary) as sink:
         yield sink

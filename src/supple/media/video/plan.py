@@ -42,7 +42,7 @@ UPRIGHT_ONLY = frozenset(("avi", "gif"))
 os.environ.setdefault("SVT_LOG", "0")  # it writes to the terminal otherwise
 
 
-class Plan:
+class WritePlan:
     """How a clip will be written, with all that can be refused refused.
 
     Parameters
