@@ -25,6 +25,8 @@ Border = Literal["auto"] | float | tuple[float, ...] | None
 BorderProfile = Literal["quartic", "sine"]
 PROFILE_CODES: dict[str, float] = {"quartic": 0.0, "sine": 1.0}
 """How the packed domain names a profile of the fixed border."""
+FREE = (0.0, 0.0, -1.0, 1.0, 0.0)
+"""An axis without a border, as `Domain.packed` has it."""
 
 
 class _Short(reprlib.Repr):

@@ -29,7 +29,7 @@ import numpy as np
 import numpy.typing as npt
 
 from supple import _core
-from supple.domain import Domain, border_factor
+from supple.domain import FREE, Domain, border_factor
 from supple.errors import FoldError, SuppleError
 from supple.strokes import FoldPolicy, Stroke, numbers, pack
 
@@ -185,7 +185,7 @@ def _flow(stroke: Stroke, domain: Domain, row: np.void) -> Resolved:
     if not drag.any():
         return Resolved(np.zeros(0, row.dtype), stroke.at)
     # What is outside of a fixed border is held by nothing; a brush only passes there.
-    weights = axes if held else np.array([[0.0, 0.0, -1.0, 1.0, 0.0]] * 3)
+    weights = axes if held else np.array([FREE] * 3)
     longest = (1 - _FLOW_MARGIN) * limit(poisson, stroke.scales, stroke.reach) * stroke.radius
     refused = held and math.hypot(*drag.tolist()) > MOST_SUBSTROKES * longest
     rows: list[np.void] = []

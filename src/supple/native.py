@@ -48,7 +48,7 @@ def plan_of(
     ----------
     table : ndarray of STROKE_DTYPE
         Strokes that are known to be one-to-one.
-    axes : float64 array, shape (3, 4)
+    axes : float64 array, shape (3, 5)
         The packed domain.
     ndim : int
         2 for an image, 3 for a plane of a video or a volume.

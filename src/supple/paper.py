@@ -29,7 +29,7 @@ def inverse_map(
     ----------
     table : ndarray of STROKE_DTYPE
         Each stroke is inverted by itself, the last one first.
-    axes : float64 array, shape (3, 4)
+    axes : float64 array, shape (3, 5)
         The packed domain.
     shape : (int, int)
         Rows and columns of the image, or of a plane.

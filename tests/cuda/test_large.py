@@ -191,7 +191,7 @@ def test_what_was_missing_is_made_again(card: Card, monkeypatch: pytest.MonkeyPa
         return made_of[-1]
 
     monkeypatch.setattr(large, "needs_of", too_few)
-    d, source = bent(border=3.0), waves()
+    d, source = bent(by=1.2, border=3.0), waves()
     told: list[int] = []
     made, certificate = by_card(card, d, source, tell=told.append)
     assert made_of[0].more > 0

@@ -22,7 +22,7 @@ def bent(shape: tuple[int, ...], seed: int = 0, count: int = 2, **options: Any) 
     """Some strokes of all kinds."""
     rng = np.random.default_rng(seed)
     size = np.array(shape[::-1]) - 1.0
-    options = {"border": 4.0, **options}
+    options = {"border": 4.0, "on_fold": "damp", **options}
     d = supple.Deformation(shape, **options)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", FoldWarning)

@@ -38,7 +38,7 @@ def packed(tables: Sequence[npt.NDArray[np.void]], domains: Sequence[Floats]) ->
     Parameters
     ----------
     tables : sequence of arrays of STROKE_DTYPE
-    domains : sequence of float64 arrays, shape (3, 4)
+    domains : sequence of float64 arrays, shape (3, 5)
     """
     rows = []
     for table in tables:

@@ -26,7 +26,7 @@ from supple.cuda.kernel import THREADS, blocks, launched
 from supple.cuda.lattice import LIST, LOST, NODE, WORST, check, positions, solve, twist
 from supple.cuda.numbers import numbers_of
 from supple.cuda.sample import FIRST, FRAME, FRAMES, LAST, START, Way
-from supple.domain import refuse
+from supple.domain import FREE, refuse
 from supple.native import OUTSIDE, times_seen
 from supple.streaming import Sampling, Space
 
@@ -124,7 +124,7 @@ def _new_lattice(card: Card, spaces: Sequence[Space]) -> Lattice:
     domains = [space.axes for space in spaces]
     axes = domains[0]
     if any(not np.array_equal(axes, other) for other in domains[1:]):
-        axes = np.array([[0.0, -1.0, 1.0, 0.0]] * 3)  # no nodes where one of several borders ends: its cells are rough
+        axes = np.array([FREE] * 3)  # no nodes where one of several borders ends: its cells are rough
     height, width = spaces[0].shape
     xs, ys = (positions(n, axes[k]) for k, n in enumerate((width, height)))
     cells = np.clip(np.searchsorted(xs, np.arange(width), "right") - 1, 0, xs.size - 2).astype(np.int32)
