@@ -108,7 +108,7 @@ def frame_row(runs: int, filter: str | None, border: Border, bar: float | None, 
     chroma = rng.integers(0, 256, (count, height // 2, width // 2, 2), dtype=np.uint8)
     groups = (Group((height, width), 1), Group((height // 2, width // 2), 2, (2, 2), (0.0, 0.5)))
     layout = Layout(groups, np.dtype(np.uint8), 255.0)
-    d = supple.Deformation((count, height, width), border=border, on_fold="error")
+    d = supple.Deformation((count, height, width), border=border)
     d = d.grab((width / 2, height / 2, z), by=(0, 0, 20), radius=300 if border is None else 60, reach=None)
     grid = np.stack(np.meshgrid(np.arange(width), np.arange(height)), axis=-1).astype(float)
     points = d.inverse(np.concatenate([grid, np.full((height, width, 1), float(z))], axis=-1)).points

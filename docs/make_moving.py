@@ -1,6 +1,6 @@
 """Make the moving pictures of the window in docs/images: a real window without a screen, and a hand that is drawn.
 
-python docs/make_moving.py [photo] [clip] [volume]      all three, by default; a graphics card helps, and is not needed
+python docs/make_moving.py [photo] [clip] [volume]      all three, by default; a hardware GPU helps, and is not needed
 """
 
 import os
@@ -61,7 +61,7 @@ class Hand:
         self.frames: list[np.ndarray] = []
         self.canvas.draw()  # which lays the picture out
         paint = self.view.painter.paint
-        # All is drawn in full, as a graphics card does.
+        # All is drawn in full, as a hardware GPU does.
         self.view.painter.paint = lambda shot, *more: paint(replace(shot, moving=False), *more)
 
     def send(self, kind: str, **event: Any) -> None:
