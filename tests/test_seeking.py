@@ -11,7 +11,7 @@ from clips import make
 
 from supple.media.video import Clip, open_video
 from supple.media.video.seeking import index_of
-from supple.viewer.frame_cache import Film
+from supple.viewer.frame_cache import FrameCache
 
 COUNT = 40
 GOPS: dict[str, dict[str, Any]] = {
@@ -71,7 +71,7 @@ def test_a_film_goes_back_without_the_start(tmp_path: Path, monkeypatch: pytest.
         for picture in clip.frames():
             picture.copy_to(arrays)
             wanted.append(clip.to_rgb(arrays))
-    film = Film(path, room=8 * 4 * 64 * 48)  # eight frames
+    film = FrameCache(path, room=8 * 4 * 64 * 48)  # eight frames
     begun: list[int] = []
     sought = Clip._sought
 
