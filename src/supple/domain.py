@@ -271,7 +271,8 @@ class Domain:
             of one sample, along which nothing moves), and -1 where the axis is free. An image is free along z, and has
             no extent there. ``profile`` is the border's: 0 for the quartic, 1 for the sine.
         """
-        rows = np.array([[0.0, 0.0, -1.0, 1.0, PROFILE_CODES[self.border_profile]]] * 3)
+        rows = np.array([FREE] * 3)
+        rows[:, 4] = PROFILE_CODES[self.border_profile]
         widths = self.border_widths or (-1.0,) * self.ndim
         for row, faces, sigma, step in zip(rows, self.faces, widths, self.spacing, strict=False):
             row[:4] = *faces, sigma, step

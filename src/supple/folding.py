@@ -175,9 +175,10 @@ def _flow(stroke: Stroke, domain: Domain, row: np.void) -> Resolved:
         slides = fixed & (_beta(position, axes) < 1e-100) & (np.abs(target - position) <= _ALONG * stroke.radius)
         target = np.where(slides, position, target)
     drag = target - position
-    if held and np.any((drag != 0) & fixed & ((_beta(position, axes) < 1e-100) | (target <= first) | (target >= last))):
-        beyond = bool(np.any(fixed & (drag != 0) & ((target <= first) | (target >= last))))
-        where = "its target is on the edge or outside, and" if beyond else "it starts on the edge, and"
+    across = held & fixed & (drag != 0)  # the axes along which it has to leave where it is
+    beyond = across & ((target <= first) | (target >= last))
+    if beyond.any() or np.any(across & (_beta(position, axes) < 1e-100)):
+        where = "its target is on the edge or outside, and" if beyond.any() else "it starts on the edge, and"
         raise SuppleError(
             f"{described(stroke)} cannot arrive: {where} the border is fixed, so that what is on it only slides along "
             "it, and nothing else gets there; use border=None, or points further in"
@@ -226,7 +227,7 @@ def _flow(stroke: Stroke, domain: Domain, row: np.void) -> Resolved:
 def _narrowest(table: Table, axes: Floats, start: Floats, drag: Floats) -> float:
     """The smallest singular value of the whole sequence's Jacobian that is found along its way and around."""
     ahead = start[:, None] + drag[:, None] * np.linspace(-1.0, 4.0, 401)
-    first, last, sigma = axes[:, 0], axes[:, 1], axes[:, 2]
+    first, last, sigma = axes[:, :3].T
     extent = np.where(sigma >= 0, last - first, 0.0)
     parts = np.stack(np.meshgrid(*[np.linspace(0, 1, 17 if e > 0 else 1) for e in extent]), axis=0).reshape(3, -1)
     around = np.where(extent[:, None] > 0, first[:, None] + parts * extent[:, None], start[:, None])
@@ -241,7 +242,7 @@ def _narrowest(table: Table, axes: Floats, start: Floats, drag: Floats) -> float
 
 def _held(position: Floats, axes: Floats) -> bool:
     """Return whether a point is within the fixed faces, so that something is held there."""
-    first, last, sigma = axes[:, 0], axes[:, 1], axes[:, 2]
+    first, last, sigma = axes[:, :3].T
     return bool(np.all((sigma < 0) | ((position >= first) & (position <= last))))
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Annotated
 
 from cyclopts import Parameter
@@ -49,14 +48,14 @@ def info(
     for name in files:
         with about(File(name, named=len(files) > 1)):
             try:
-                with piped((Path(name), Path()), console) as (path, _):
+                with piped((name, ""), console) as (path, _):
                     facts, text = describe(str(path), layout=reading.layout, series=reading.series)
                 if name == STREAM:
                     facts, text = {**facts, "file": "-"}, text.replace(str(path), "standard input")
             except SuppleError as error:
                 failures = REFUSED
                 console.say(error)
-                facts, text = {"file": name, "error": as_options(one_line(error))}, ""
+                facts, text = {"file": "-" if name == STREAM else name, "error": as_options(one_line(error))}, ""
             if json:
                 console.tell(facts)
         if text and not json:

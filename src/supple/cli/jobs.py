@@ -23,6 +23,7 @@ from supple.media.volume import suffix_of
 from supple.volumes import ONE_FILE
 
 Job = tuple[Path, Path]
+PathLike = str | os.PathLike[str]
 
 
 def pair(given: Sequence[str], target: str) -> tuple[list[Job], bool]:
@@ -109,7 +110,7 @@ def make_folders(jobs: Sequence[Job]) -> None:
 
 
 @contextlib.contextmanager
-def piped(job: Job, console: Console, otherwise: str = "") -> Iterator[Job]:
+def piped(job: tuple[PathLike, PathLike], console: Console, otherwise: str = "") -> Iterator[tuple[PathLike, PathLike]]:
     """Put files in the place of standard input and output, which are named by a dash.
 
     What is written to standard output is of the source's format, and comes when it is whole. Input that does not say of
@@ -125,7 +126,7 @@ def piped(job: Job, console: Console, otherwise: str = "") -> Iterator[Job]:
             if sys.stdin is None:
                 raise SuppleError("standard input is closed: name a file to read")
             begin = sys.stdin.buffer.read(512)
-            source = place / f"input{_suffix_of(begin) or otherwise}"
+            source = place / f"input{_suffix_by_content(begin) or otherwise}"
             console.names[str(source)] = "standard input"
             with open(source, "wb") as file:
                 file.write(begin)
@@ -133,16 +134,16 @@ def piped(job: Job, console: Console, otherwise: str = "") -> Iterator[Job]:
         if str(target) == STREAM:
             if sys.stdout is None:
                 raise SuppleError("standard output is closed: name a file to write")
-            target = place / f"output{_suffix_like(source)}"
+            target = place / f"output{_suffix_like(Path(source))}"
             console.names[str(target)] = "standard output"
         yield source, target
-        if target.parent == place:
+        if str(job[1]) == STREAM:
             with open(target, "rb") as file:
                 shutil.copyfileobj(file, sys.stdout.buffer)
             sys.stdout.buffer.flush()
 
 
-def _suffix_of(begin: bytes) -> str:
+def _suffix_by_content(begin: bytes) -> str:
     """The suffix of a file that begins so, where its reader goes by the name; none of a picture."""
     brand = begin[8:12]
     if begin[4:8] == b"ftyp" and brand not in (b"avif", b"avis", b"heic", b"heix", b"mif1", b"msf1"):

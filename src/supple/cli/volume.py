@@ -118,13 +118,13 @@ def points(
     from supple.landmarks import move_points
 
     console.started(**options.asked(), file=source)
-    recipe = strokes.to_recipe(world=volume.world)
-    deformation, geometry = _deformation(on, recipe, volume.to_reading(), video, strokes.to_fit())
     if options.json and target == STREAM:
         raise SuppleError("--json writes to standard output, and so does -: leave one out")
-    with piped((Path(source), Path(target)), console, ".csv") as (read, written):
+    recipe = strokes.to_recipe(world=volume.world)
+    deformation, geometry = _deformation(on, recipe, volume.to_reading(), video, strokes.to_fit())
+    with piped((source, target), console, ".csv") as (read, written):
         moved = move_points(
-            str(read), str(written), deformation, geometry, inverse=inverse, convention=convention, force=options.force
+            read, written, deformation, geometry, inverse=inverse, convention=convention, force=options.force
         )
     say_convention(console, volume.world, geometry, on)
     worst = float(moved.residual.max(initial=0.0))

@@ -11,9 +11,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from supple.errors import SuppleError, need
+from supple.errors import SuppleError
 from supple.geometry import Geometry
 from supple.media.files import replacing, shown
+from supple.media.volume import itk, nifti
 
 Field = npt.NDArray[np.floating[Any]]
 PathLike = str | os.PathLike[str]
@@ -100,12 +101,9 @@ def _suffix(path: PathLike) -> str | None:
 
 
 def _write_nifti(file: IOBase, field: Field, geometry: Geometry) -> None:
-    need("volume", "displacement fields in NIfTI", "nibabel")
-    import nibabel
-
-    kind: Any = nibabel.Nifti1Image
+    nibabel = nifti.library()
     affine = np.diag([-1.0, -1.0, 1.0, 1.0]) @ geometry.matrix  # the grid in RAS; the vectors stay in LPS, as ITK's do
-    image = kind(field.transpose(2, 1, 0, 3)[:, :, :, None], affine)
+    image = nibabel.Nifti1Image(field.transpose(2, 1, 0, 3)[:, :, :, None], affine)
     image.set_sform(affine, code=1)
     image.set_qform(affine, code=1)
     image.header.set_intent("vector")
@@ -158,10 +156,7 @@ def _spelled(numbers: npt.ArrayLike) -> list[str]:
 
 
 def _write_transform(name: str, path: Path, field: Field, geometry: Geometry) -> None:
-    need("volume", "transforms", "SimpleITK")
-    import SimpleITK
-
-    sitk: Any = SimpleITK
+    sitk = itk.library()
     with open(path, "wb") as file:  # for HDF5 crashes where the disk is full
         for _ in range(0, 8 * field.size + _OVERHEAD, _CHUNK):
             file.write(bytes(_CHUNK))

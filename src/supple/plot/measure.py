@@ -242,7 +242,7 @@ def grid(deformation: Deformation, *, lines: int = 24) -> list[Floats]:
         Points along each line, in pixels, x first.
     """
     require_plane(deformation, None)
-    size = [float(n) for n in reversed(deformation.shape)]
+    size = deformation.shape[::-1]
     found = []
     for axis, places in enumerate(ticks(deformation, lines)):
         along = np.linspace(-0.5, size[1 - axis] - 0.5, 1 + int(min(max(64, size[1 - axis]), 1024)))

@@ -41,8 +41,8 @@ _SILENCE = threading.Lock()
 
 
 def library() -> Any:
-    """SimpleITK, which is loaded here: whoever reads no such file need not wait for it."""
-    need("volume", "NRRD, MetaImage and DICOM files", "SimpleITK")
+    """Return SimpleITK, imported at the first use."""
+    need("volume", "NRRD, MetaImage and DICOM files and transforms", "SimpleITK")
     import SimpleITK
 
     SimpleITK.ProcessObject.SetGlobalWarningDisplay(False)  # type: ignore[no-untyped-call]

@@ -41,6 +41,14 @@ _SAME = 0.01  # of a voxel: how far a qform may lie from its sform, by rounding
 _ORDERS: tuple[Literal["little", "big"], ...] = ("little", "big")
 
 
+def library() -> Any:
+    """Return nibabel, imported at the first use."""
+    need("volume", "NIfTI files", "nibabel")
+    import nibabel
+
+    return nibabel
+
+
 def read(path: PathLike) -> Volume:
     """Read a NIfTI file, or a pair of .hdr and .img; what is not compressed is mapped.
 
@@ -101,8 +109,7 @@ def _opened(path: PathLike) -> IO[bytes]:
 
 def _header(path: Path) -> tuple[Any, bool]:
     """A header of one file, whatever it came from; and whether the voxels are in the same file."""
-    need("volume", "NIfTI files", "nibabel")
-    import nibabel
+    nibabel = library()
     from nibabel.spatialimages import HeaderDataError
     from nibabel.wrapstruct import WrapStructError
 
@@ -215,14 +222,14 @@ def _geometry(path: PathLike, first: Path, header: Any, sizes: tuple[int, ...], 
     if not far > _SAME * min(steps):
         return placed(path, sform, "RAS")
     # The programs that fields and landmarks are exchanged with read it by ITK, whose choice depends on the codes.
-    from supple.media.volume.itk import failing, geometry_of, library
+    from supple.media.volume import itk
 
-    reader = library().ImageFileReader()
+    reader = itk.library().ImageFileReader()
     reader.SetImageIO("NiftiImageIO")
     reader.SetFileName(os.fspath(first))
-    with failing(path, "NIfTI"):
+    with itk.failing(path, "NIfTI"):
         reader.ReadImageInformation()
-    geometry = geometry_of(path, reader, "RAS")
+    geometry = itk.geometry_of(path, reader, "RAS")
     by_itk = np.diag([-1.0, -1.0, 1.0, 1.0]) @ geometry.matrix
     to_sform, to_qform = apart(by_itk, sform), apart(by_itk, qform)
     used = "sform" if to_sform <= to_qform else "qform"
@@ -309,8 +316,7 @@ def _copied(known: Any, samples: Array) -> Any:
 
 
 def _made(samples: Array, like: Volume) -> Any:
-    need("volume", "NIfTI files", "nibabel")
-    import nibabel
+    nibabel = library()
 
     long = max(samples.shape) > _LONGEST
     kind: Any = nibabel.Nifti2Header if long else nibabel.Nifti1Header
