@@ -255,7 +255,7 @@ def main() -> int:
     if asked.dry:
         os.environ["NUMBA_ENABLE_CUDASIM"] = "1"  # before Numba is imported
     import supple
-    from supple.cuda.card import open_card
+    from supple.engines.cuda.card import open_card
 
     warnings.simplefilter("ignore", supple.FoldWarning)
     try:

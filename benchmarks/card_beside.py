@@ -25,7 +25,7 @@ def handed_over(b: Bench) -> Iterator[Line]:
     from numba import cuda
 
     import supple.cuda
-    from supple.cuda.kernel import launched
+    from supple.engines.cuda.kernel import launched
 
     place, shape = b.place, (b.side,) * 3
     d = stroke(*shape)

@@ -18,16 +18,16 @@ import numpy as np
 from measure import milliseconds
 
 import supple
-from supple.gpu import kernel
-from supple.gpu.device import open_gpu
-from supple.gpu.fill import Filling
-from supple.gpu.volume import beside, hold
+from supple.engines.wgpu import kernel
+from supple.engines.wgpu.device import open_gpu
+from supple.engines.wgpu.fill import Filling
+from supple.engines.wgpu.volume import beside, hold
+from supple.files.volumes import open_volume
 from supple.media import image
 from supple.media.volume import Volume
 from supple.render.camera import Camera
 from supple.render.device import lattice_of
 from supple.render.scene import MODES, Scene
-from supple.volumes import open_volume
 
 DATA = Path(supple.__file__).parent / "examples" / "data"
 

@@ -23,8 +23,8 @@ from measure import Row, faster, milliseconds, run, timed
 from mesh import rasterize
 
 import supple
-from supple import paper
 from supple.domain import Border
+from supple.engines import paper
 
 Array = npt.NDArray[Any]
 

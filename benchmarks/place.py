@@ -116,7 +116,7 @@ class Place:
 
     def about(self) -> dict[str, str]:
         """What all this is: the card, its driver, the CUDA that it knows, and the libraries."""
-        from supple.cuda.card import open_card
+        from supple.engines.cuda.card import open_card
 
         libraries = ("supple", "numba", "numba-cuda", "torch", "cupy-cuda12x", "cupy-cuda13x", "kornia")
         told = {"card": open_card().name}

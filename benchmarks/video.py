@@ -24,10 +24,10 @@ from measure import Row, faster, run, timed
 from reference import psnr, reference_frame
 
 import supple
-from supple.clips import warp_clip
 from supple.domain import Border
-from supple.stacks import warp_stack
-from supple.streaming import Group, Layout, Sampling
+from supple.engines.base import Group, Layout, Sampling, Work
+from supple.engines.native import NATIVE
+from supple.files.clips import warp_clip
 
 Array = npt.NDArray[Any]
 DATA = Path(supple.__file__).parent / "examples" / "data"
@@ -116,7 +116,7 @@ def frame_row(runs: int, filter: str | None, border: Border, bar: float | None, 
     outs = [np.empty((1, *a.shape[1:]), a.dtype) for a in (luma, chroma)]
 
     def ours() -> None:
-        for _ in warp_stack(d.space, layout, sampling, [z], [luma, chroma], outs):
+        for _ in NATIVE.warp(Work(d.space, layout, sampling), [luma, chroma], outs, [z]):
             pass
 
     how = f"{filter or 'default'} filter, {'free border' if border is None else 'default border'}, reach=None"
@@ -210,7 +210,7 @@ def against_forward_mapping(runs: int, quick: bool) -> Iterator[Row]:
     kept = [np.empty_like(luma), np.empty_like(chroma)]
 
     def as_stored() -> None:
-        list(warp_stack(d.space, layout, Sampling("linear"), range(count), [luma, chroma], kept))
+        list(NATIVE.warp(Work(d.space, layout, Sampling("linear")), [luma, chroma], kept))
 
     as_stored()
     shown = [round(k) for k in np.linspace(count * 0.2, count * 0.85, 1 if quick else 2)]

@@ -28,7 +28,7 @@ from measure import milliseconds
 from wgpu.backends.wgpu_native import _api, _ffi, _helpers
 
 import supple
-from supple.gpu.device import open_gpu
+from supple.engines.wgpu.device import open_gpu
 from supple.media import image
 from supple.strokes import Recipe, Stroke
 from supple.viewer import panels

@@ -19,9 +19,9 @@ import pyvips
 import SimpleITK as sitk  # noqa: N813
 
 import supple
+from supple.files.volumes import open_volume
 from supple.media import image
 from supple.plot import figure
-from supple.volumes import open_volume
 
 HERE = Path(__file__).resolve().parent
 sys.path.insert(0, str(HERE.parent / "examples"))

@@ -11,8 +11,8 @@ from pathlib import Path
 from smile import CLIP, frames_of
 
 import supple
-from supple.clips import ClipOptions
 from supple.files import warp_file
+from supple.files.clips import ClipOptions
 from supple.plot import draw_sheet
 
 GRABS = {  # a clip, where and when, by how many frames, radius, and how many pixels a frame is worth

@@ -11,12 +11,12 @@ import numpy as np
 import SimpleITK as sitk  # noqa: N813
 
 import supple
+from supple.files.volumes import open_volume
 from supple.geometry import Geometry
 from supple.media import image
 from supple.render.camera import Camera
 from supple.render.files import default_transfer
 from supple.render.scene import Scene
-from supple.volumes import open_volume
 
 DATA = Path(supple.__file__).parent / "examples" / "data"
 HEAD, BRAIN = DATA / "head.nii.gz", DATA / "brain.nii.gz"

@@ -11,11 +11,11 @@ import SimpleITK as sitk  # noqa: N813
 from head import BACKGROUND, HEAD
 
 import supple
-from supple.landmarks import move_points
+from supple.files.landmarks import move_points
+from supple.files.volumes import VolumeOptions, open_volume, warp_volume
 from supple.media import image, points
 from supple.render.camera import Camera
 from supple.render.scene import Scene
-from supple.volumes import VolumeOptions, open_volume, warp_volume
 
 # Places in the file's own coordinates, RAS, in millimetres.
 MARKS = {"forehead": (-8, 76, 38), "brow": (-30, 73, 4), "crown": (-14, 10, 102), "temple": (-72, 30, 14)}

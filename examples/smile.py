@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 
 import supple
-from supple.clips import ClipOptions, open_clip
 from supple.files import warp_file
+from supple.files.clips import ClipOptions, open_clip
 from supple.media import image
 from supple.plot import draw_sheet
 

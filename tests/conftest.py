@@ -8,8 +8,8 @@ from collections.abc import Iterator
 import pytest
 from windows import close_all
 
+from supple.engines.wgpu.device import Gpu, open_gpu
 from supple.errors import SuppleError
-from supple.gpu.device import Gpu, open_gpu
 
 # Numba's simulator takes the place of CUDA from its import on: those tests are run by themselves.
 collect_ignore = [] if {"1"} & {os.environ.get(k) for k in ("NUMBA_ENABLE_CUDASIM", "SUPPLE_TEST_CUDA")} else ["cuda"]

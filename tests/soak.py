@@ -17,8 +17,9 @@ if __name__ == "__main__":
     sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "src"))
 
 from supple import Deformation, FoldWarning, SuppleError, ToleranceWarning, _core
+from supple.engines.base import Array, Group, Layout, Sampling, Work
+from supple.pipeline import make_plan, stream
 from supple.render.solid import solve_solid
-from supple.streaming import Array, Group, Layout, Sampling, make_plan, stream
 from supple.strokes import numbers
 
 Floats = npt.NDArray[np.float64]
@@ -318,9 +319,9 @@ def look_at_clip(d: Deformation, rng: np.random.Generator, tally: Tally) -> list
     layout = Layout(tuple(groups), np.dtype(np.float64), 1.0)
     sampling = Sampling("linear", tolerance=float(rng.choice([0.1, 0.01])))
     planes = sorted(rng.choice(count, min(count, 5), replace=False).tolist())
-    plan = make_plan(d.space, layout, sampling, planes)
+    plan = make_plan(Work(d.space, layout, sampling), planes)
     frames = (Coordinates(layout, k) for k in range(count))
-    for z, arrays, certificate in stream(d.space, layout, sampling, plan, frames):
+    for z, arrays, certificate in stream(Work(d.space, layout, sampling), plan, frames):
         tally.frames += 1
         for group, seen in zip(groups, arrays, strict=True):
             start, steps = np.array([*group.offset, 0.0]), np.array([*group.step, 1.0])

@@ -26,7 +26,7 @@ import supple
 from supple.cli import command, console
 from supple.cli.console import Console
 from supple.cli.jobs import Crew, Job
-from supple.gpu.device import Gpu
+from supple.engines.wgpu.device import Gpu
 from supple.media import image
 
 SOURCE = str(Path(__file__).resolve().parent.parent / "src")

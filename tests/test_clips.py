@@ -28,9 +28,9 @@ from children import HEARING
 import supple
 import supple.media.video
 from supple.cli import command
-from supple.clips import ClipOptions, WarpedClip, deformation_of
 from supple.errors import ScaleWarning
 from supple.files import warp_file
+from supple.files.clips import ClipOptions, WarpedClip, deformation_of
 from supple.media import image
 from supple.media.video import info, open_video
 from supple.media.video.errors import ClipWarning, CountError
@@ -405,10 +405,10 @@ def test_a_window_on_disk_gives_the_same(here: Path, monkeypatch: pytest.MonkeyP
     Path("tmp").mkdir()
     monkeypatch.setattr("tempfile.tempdir", str(here / "tmp"))
     used: list[int] = []
-    from supple import spill
+    from supple import buffers
 
-    reserve = spill.reserve
-    monkeypatch.setattr(spill, "reserve", lambda file, size: (used.append(size), reserve(file, size)))
+    reserve = buffers.reserve
+    monkeypatch.setattr(buffers, "reserve", lambda file, size: (used.append(size), reserve(file, size)))
     warp_file("in.mkv", "a.mkv", TIMED)
     assert used == []
     made = warp_file("in.mkv", "b.mkv", TIMED, clip=ClipOptions(memory=0))

@@ -18,8 +18,8 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-import supple.clips
-import supple.volumes
+import supple.files.clips
+import supple.files.volumes
 from supple.cli import command
 from supple.cli.console import as_options
 from supple.errors import ToleranceWarning
@@ -148,7 +148,7 @@ def test_strict_makes_warnings_errors(run: Run, medium: str) -> None:
     assert sorted(os.listdir()) == ["in.mkv", "in.png", "many"]
 
 
-@pytest.mark.parametrize(("medium", "module"), [("clip", supple.clips), ("volume", supple.volumes)])
+@pytest.mark.parametrize(("medium", "module"), [("clip", supple.files.clips), ("volume", supple.files.volumes)])
 def test_strict_holds_for_warnings_after_the_last_frame(
     run: Run, monkeypatch: pytest.MonkeyPatch, medium: str, module: ModuleType
 ) -> None:

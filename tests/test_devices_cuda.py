@@ -11,17 +11,17 @@ import pytest
 
 import supple
 from supple.cli import command
-from supple.clips import warp_clip
-from supple.cuda import card
+from supple.engines.cuda import card
 from supple.errors import SuppleError
 from supple.examples.gallery import write_gallery
+from supple.files.clips import warp_clip
+from supple.files.volumes import warp_volume
 from supple.geometry import Geometry
 from supple.media import image
 from supple.media import volume as media
 from supple.render.files import RenderOptions
 from supple.render.scene import Scene
 from supple.strokes import Recipe, Stroke
-from supple.volumes import warp_volume
 
 MISSING = "CUDA needs the package numba-cuda, which is not installed"
 GRAB = ("--grab", "4,4:5,4", "--radius", "3")

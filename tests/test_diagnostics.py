@@ -12,7 +12,8 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from supple import Deformation, SuppleError, paper
+from supple import Deformation, SuppleError
+from supple.engines import paper
 from supple.plot import WHATS, figure, footprints, grid, iterations, plot, residual, sources, stretch
 from supple.plot.background import background
 from supple.plot.measure import spacing_of

@@ -11,8 +11,8 @@ from types import SimpleNamespace
 
 import pytest
 
-from supple.errors import SuppleError
-from supple.media.files import check_output, replacing, shown
+from supple.errors import SuppleError, shown
+from supple.media.files import check_output, replacing
 
 posix = pytest.mark.skipif(os.name != "posix", reason="permission bits are POSIX's")
 

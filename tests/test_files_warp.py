@@ -151,7 +151,7 @@ def test_what_nothing_can_write_is_refused_before_it_is_read(
     def never(*given: object, **options: object) -> None:
         raise AssertionError("it is read")
 
-    for name in ("supple.files.read", "supple.clips.open_clip", "supple.volumes.open_volume"):
+    for name in ("supple.files.read", "supple.files.clips.open_clip", "supple.files.volumes.open_volume"):
         monkeypatch.setattr(name, never)
     for attempt in (warp_file, check_job):
         with pytest.raises(supple.SuppleError, match=text):

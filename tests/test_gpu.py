@@ -14,16 +14,16 @@ import reference
 import supple
 from supple.cli import command
 from supple.domain import Domain
-from supple.engines import gpu_of
+from supple.engines.choice import gpu_of
+from supple.engines.wgpu import device as devices
+from supple.engines.wgpu import field, kernel, pyramid, reach
+from supple.engines.wgpu import raymarch as shading
+from supple.engines.wgpu import warp as warping
+from supple.engines.wgpu.device import Gpu
+from supple.engines.wgpu.fill import BLOCK
+from supple.engines.wgpu.samples import STEP, GpuGroup, Wanted, format_of
+from supple.engines.wgpu.texels import layers
 from supple.errors import DeviceWarning, FoldWarning, SuppleError
-from supple.gpu import device as devices
-from supple.gpu import field, kernel, pyramid, reach
-from supple.gpu import raymarch as shading
-from supple.gpu import warp as warping
-from supple.gpu.device import Gpu
-from supple.gpu.fill import BLOCK
-from supple.gpu.samples import STEP, GpuGroup, Wanted, format_of
-from supple.gpu.texels import layers
 from supple.media import image
 
 
@@ -405,7 +405,7 @@ def test_what_the_gpu_does_not_do_is_refused_or_left_to_the_cpu(
     gpu: Gpu, photo: np.ndarray, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     d = bent(photo.shape[:2], 3)
-    monkeypatch.setattr("supple.engines.open_gpu", lambda software=True: gpu)
+    monkeypatch.setattr("supple.engines.choice.open_gpu", lambda software=True: gpu)
     for source, options, named in (
         (photo.astype(np.float64), {}, "samples of float64 in 3 channels"),
         (np.dstack([photo, photo]), {}, "samples of uint8 in 6 channels"),
@@ -421,7 +421,7 @@ def test_a_lost_device_ends_in_the_cpu_s_result(gpu: Gpu, photo: np.ndarray, mon
     def lost(*rest: object) -> None:
         raise RuntimeError("Parent device is lost")
 
-    monkeypatch.setattr("supple.gpu.lattice.run", lost)
+    monkeypatch.setattr("supple.engines.wgpu.lattice.run", lost)
     d = bent(photo.shape[:2], 3)
     with pytest.warns(DeviceWarning, match="device is lost"):
         made = d.warp(photo, device="gpu")

@@ -19,20 +19,21 @@ from test_streaming import LAYOUTS, SHAPE, Clip, bent, layout_of, noise
 import supple
 from supple import Deformation, Recipe, Stroke
 from supple.cli import command
-from supple.engines import engine_of
+from supple.engines.base import LONGEST, Layout, Sampling, Space, Work, slots_of
+from supple.engines.choice import engine_for
+from supple.engines.native import NATIVE
+from supple.engines.wgpu import kernel, planes
+from supple.engines.wgpu import warp as warping
+from supple.engines.wgpu.device import Gpu
+from supple.engines.wgpu.lattice import SETTINGS
+from supple.engines.wgpu.reach import held_of
 from supple.errors import DeviceWarning, SuppleError
 from supple.geometry import Geometry
-from supple.gpu import kernel, planes
-from supple.gpu import warp as warping
-from supple.gpu.device import Gpu
-from supple.gpu.lattice import SETTINGS
-from supple.gpu.reach import held_of
-from supple.gpu.samples import LONGEST
 from supple.media import image
 from supple.media.volume import read as read_volume
 from supple.media.volume import write
 from supple.media.volume.data import Volume
-from supple.streaming import CPU, Layout, Plan, Sampling, Space, make_plan, slots_of, stream
+from supple.pipeline import Plan, make_plan, stream
 
 pytestmark = pytest.mark.filterwarnings("ignore::supple.FoldWarning")
 
@@ -52,11 +53,11 @@ def streamed(
     memory: float = math.inf,
 ) -> tuple[list[Array], Plan]:
     """All planes of the output, for each group."""
-    engine = engine_of(device, space, layout, sampling)
-    plan = make_plan(space, layout, sampling, range(space.count), engine=engine)
+    engine = engine_for(device, Work(space, layout, sampling))
+    plan = make_plan(Work(space, layout, sampling), range(space.count), engine=engine)
     clip = Clip(arrays)
     found: list[list[Array]] = [[] for _ in layout.groups]
-    for _, parts, certificate in stream(space, layout, sampling, plan, clip, memory=memory, engine=engine):
+    for _, parts, certificate in stream(Work(space, layout, sampling), plan, clip, memory=memory, engine=engine):
         assert certificate.error <= max(sampling.tolerance, 0.01)
         for part, out in zip(parts, found, strict=True):
             out.append(part.copy())
@@ -241,36 +242,36 @@ def test_points_that_float32_cannot_solve_are_the_cpu_s(gpu: Gpu) -> None:
     arrays = noise(layout)
     fine = replace(LINEAR, tolerance=1e-7)
     space = of_frames(STILL)
-    engine = engine_of("gpu", space, layout, fine)
-    plan = make_plan(space, layout, fine, range(12), engine=engine)
+    engine = engine_for("gpu", Work(space, layout, fine))
+    plan = make_plan(Work(space, layout, fine), range(12), engine=engine)
     made: list[Array] = []
-    running = stream(space, layout, fine, plan, Clip(arrays), engine=engine)
+    running = stream(Work(space, layout, fine), plan, Clip(arrays), engine=engine)
     with pytest.warns(DeviceWarning, match="points could not be solved to the tolerance") as told:
         made.extend(parts[0].copy() for _, parts, _ in running)
     assert len(told) == 1
-    plan = make_plan(space, layout, fine, range(12))
-    ours = [p[0].copy() for _, p, _ in stream(space, layout, fine, plan, Clip(arrays))]
+    plan = make_plan(Work(space, layout, fine), range(12))
+    ours = [p[0].copy() for _, p, _ in stream(Work(space, layout, fine), plan, Clip(arrays))]
     np.testing.assert_array_equal(np.stack(made), np.stack(ours))
 
 
 def test_readers_that_fail_in_their_thread(gpu: Gpu) -> None:
     layout = LAYOUTS["4:2:0"]
     space = bent().space
-    engine = engine_of("gpu", space, layout, LINEAR)
-    plan = make_plan(space, layout, LINEAR, range(12), engine=engine)
+    engine = engine_for("gpu", Work(space, layout, LINEAR))
+    plan = make_plan(Work(space, layout, LINEAR), range(12), engine=engine)
     clip = Clip(noise(layout), 5)
     with pytest.raises(SuppleError, match="after 5 frames, where 12 were expected"):
-        list(stream(space, layout, LINEAR, plan, clip, engine=engine))
+        list(stream(Work(space, layout, LINEAR), plan, clip, engine=engine))
     # Left early, it reads no farther, and leaves no thread behind.
     clip = Clip(noise(layout))
-    running = stream(space, layout, LINEAR, plan, clip, engine=engine)
+    running = stream(Work(space, layout, LINEAR), plan, clip, engine=engine)
     next(running)
     running.close()
     assert clip.given < 12
 
 
 def test_a_real_clip(gpu: Gpu) -> None:
-    from supple.clips import open_clip
+    from supple.files.clips import open_clip
 
     with open_clip(DATA / "bunny.mp4") as opened:
         layout = opened.layout
@@ -288,16 +289,18 @@ def test_a_real_clip(gpu: Gpu) -> None:
 
 
 def test_a_card_does_what_it_knows(gpu: Gpu, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("supple.engines.open_gpu", lambda software=True: gpu)
+    monkeypatch.setattr("supple.engines.choice.open_gpu", lambda software=True: gpu)
     space, layout = bent().space, LAYOUTS["4:2:0"]
-    assert engine_of("auto", space, layout, LINEAR) is not CPU
-    assert engine_of("auto", Deformation((12, *SHAPE), border=64, on_fold="damp").space, layout, LINEAR) is CPU
+    assert engine_for("auto", Work(space, layout, LINEAR)) is not NATIVE
+    assert (
+        engine_for("auto", Work(Deformation((12, *SHAPE), border=64, on_fold="damp").space, layout, LINEAR)) is NATIVE
+    )
     wide = replace(layout, dtype=np.dtype(np.float64))
-    assert engine_of("auto", space, wide, LINEAR) is CPU
+    assert engine_for("auto", Work(space, wide, LINEAR)) is NATIVE
     with pytest.raises(SuppleError, match='"auto" for samples of float64 in 1 channel'):
-        engine_of("gpu", space, wide, LINEAR)
+        engine_for("gpu", Work(space, wide, LINEAR))
     with pytest.raises(SuppleError, match='"auto" for samples that lie as these do'):
-        engine_of("gpu", space, layout_of((3, 3)), LINEAR)
+        engine_for("gpu", Work(space, layout_of((3, 3)), LINEAR))
 
 
 def test_video_files(gpu: Gpu, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -450,7 +453,7 @@ def test_long_work_is_done_in_pieces(gpu: Gpu, photo: Array, monkeypatch: pytest
     submitted: list[int] = []
     run = planes.run
     monkeypatch.setattr(planes, "run", lambda *rest: submitted.append(1) or run(*rest))
-    monkeypatch.setattr("supple.gpu.clip.AT_FIRST", 8e3)
+    monkeypatch.setattr("supple.engines.wgpu.clip.AT_FIRST", 8e3)
     pieces, _ = streamed("gpu", bent().space, layout, arrays)
     assert len(submitted) > 5 * 12
     for one, other in zip(pieces, clip, strict=True):
@@ -486,11 +489,11 @@ def test_a_device_that_is_lost_in_the_middle(gpu: Gpu) -> None:
     arrays = noise(layout)
     space = bent().space
     ours, _ = streamed("cpu", space, layout, arrays)
-    engine = engine_of("gpu", space, layout, LINEAR)
-    plan = make_plan(space, layout, LINEAR, range(12), engine=engine)
+    engine = engine_for("gpu", Work(space, layout, LINEAR))
+    plan = make_plan(Work(space, layout, LINEAR), range(12), engine=engine)
 
     def follow() -> None:
-        for z, parts, _ in stream(space, layout, LINEAR, plan, Clip(arrays), engine=engine):
+        for z, parts, _ in stream(Work(space, layout, LINEAR), plan, Clip(arrays), engine=engine):
             if z == 3:
                 engine.gpu.device.destroy()  # type: ignore[attr-defined]
             for part, one in zip(parts, ours, strict=True):
@@ -517,7 +520,7 @@ def test_loops_that_are_ended_are_noticed(gpu: Gpu, monkeypatch: pytest.MonkeyPa
     d = supple.Deformation(picture.shape[:2], border=None, on_fold="damp").grab(
         (32, 32), by=(4, 0), radius=12, reach=None
     )
-    monkeypatch.setattr("supple.gpu.lattice.TURNS", 1 << 20)  # more than software carries out
+    monkeypatch.setattr("supple.engines.wgpu.lattice.TURNS", 1 << 20)  # more than software carries out
     if not gpu.software:
         pytest.skip("a card carries out all of them")
     with pytest.warns(DeviceWarning, match="ends loops of many turns"):

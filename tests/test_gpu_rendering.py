@@ -15,12 +15,13 @@ from scipy import ndimage
 
 import supple
 from supple.cli import command
+from supple.engines.wgpu import device as devices
+from supple.engines.wgpu import fill, kernel, solid, volume
+from supple.engines.wgpu.device import Gpu
+from supple.engines.wgpu.texels import put_solid
 from supple.errors import DeviceWarning, SuppleError
+from supple.files.volumes import open_volume
 from supple.geometry import Geometry
-from supple.gpu import device as devices
-from supple.gpu import fill, kernel, solid, volume
-from supple.gpu.device import Gpu
-from supple.gpu.texels import put_solid
 from supple.media import image
 from supple.render import device as drawing
 from supple.render.camera import Camera
@@ -28,7 +29,6 @@ from supple.render.picture import Rendering
 from supple.render.scene import MODES, Scene
 from supple.render.solid import Solid, along_rays
 from supple.render.transfer import TransferFunction
-from supple.volumes import open_volume
 
 SHAPE, SIZE = (22, 30, 26), (40, 52)
 GEOMETRY = Geometry(spacing=(0.9, 1.1, 1.8))
@@ -171,11 +171,11 @@ def test_what_does_not_fit_is_done_by_the_cpu(gpu: Gpu, cloud: np.ndarray, monke
     def lost(*rest: object) -> None:
         raise RuntimeError("Parent device is lost")
 
-    monkeypatch.setattr("supple.gpu.raymarch.run", lost)
+    monkeypatch.setattr("supple.engines.wgpu.raymarch.run", lost)
     with pytest.warns(DeviceWarning, match="device is lost"):
         np.testing.assert_array_equal(held.render(size=SIZE).light, wanted.light)
     monkeypatch.undo()
-    monkeypatch.setattr("supple.gpu.texels.DEEP", 29)
+    monkeypatch.setattr("supple.engines.wgpu.texels.DEEP", 29)
     with pytest.warns(DeviceWarning, match="30 samples along a side are more than a texture holds"):
         scene = Scene(cloud, GEOMETRY, transfer=SOFT, device="gpu")
     np.testing.assert_array_equal(scene.render(size=SIZE).light, wanted.light)
@@ -413,7 +413,7 @@ def test_what_a_caller_raises_is_no_fault_of_the_gpu(gpu: Gpu, cloud: np.ndarray
 
 def test_parts_of_work_take_about_as_long(monkeypatch: pytest.MonkeyPatch) -> None:
     clock = [0.0]
-    monkeypatch.setattr("supple.gpu.kernel.time.perf_counter", lambda: clock[0])
+    monkeypatch.setattr("supple.engines.wgpu.kernel.time.perf_counter", lambda: clock[0])
     pace, counts = kernel.Pace(1), []
     for first, count in pace.parts(1000, 0.25):
         assert first == sum(counts)
@@ -532,7 +532,7 @@ def test_the_cpu_sees_what_a_buffer_shows(
     def lost(*rest: object) -> None:
         raise RuntimeError("Parent device is lost")
 
-    monkeypatch.setattr("supple.gpu.raymarch.run", lost)
+    monkeypatch.setattr("supple.engines.wgpu.raymarch.run", lost)
     with pytest.warns(DeviceWarning, match="device is lost"):
         made = theirs.render(size=SIZE)
     assert apart(made, exact.render(size=SIZE)) > 45
@@ -575,7 +575,7 @@ def test_a_fill_that_is_interrupted_leaves_no_wrong_map(
 
 def test_a_fill_takes_no_longer_than_it_may(gpu: Gpu, monkeypatch: pytest.MonkeyPatch) -> None:
     clock = [0.0]
-    monkeypatch.setattr("supple.gpu.kernel.time.perf_counter", lambda: clock[0])
+    monkeypatch.setattr("supple.engines.wgpu.kernel.time.perf_counter", lambda: clock[0])
     pace = kernel.Pace(1)
 
     def spent(limit: float) -> float:
@@ -626,7 +626,7 @@ def test_what_does_not_fit_twice_is_a_lattice(
         return solids(gpu, shape, *rest)
 
     monkeypatch.setattr(volume, "solid", one)
-    monkeypatch.setattr("supple.gpu.texels.DEEP", 30)
+    monkeypatch.setattr("supple.engines.wgpu.texels.DEEP", 30)
     scene = Scene(cloud, GEOMETRY, deformation=gentle, transfer=SOFT, mode="hybrid", device="gpu")
     assert scene.gpu is gpu
     assert scene.fill() == 1.0

@@ -49,7 +49,7 @@ def test_data_flows_one_way() -> None:
         ("strokes.py", "from supple import cli\n"),
         ("domain.py", "def late() -> None:\n    import supple.deformation\n"),
         ("_core/bad.py", "import supple.media\n"),
-        ("native.py", "import supple.streaming\n"),
+        ("engines/native.py", "import supple.pipeline\n"),
     ],
 )
 def test_an_import_against_the_rule_is_found(copied: Path, module: str, line: str) -> None:

@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from supple.gpu.buffers import Bound, Kept
-from supple.gpu.device import Gpu
-from supple.gpu.kernel import READ, WRITE, bound, download, pipeline, room, run, upload
+from supple.engines.wgpu.buffers import Bound, Kept
+from supple.engines.wgpu.device import Gpu
+from supple.engines.wgpu.kernel import READ, WRITE, bound, download, pipeline, room, run, upload
 
 
 def test_what_changes_is_written_and_only_that(gpu: Gpu, monkeypatch: Any) -> None:

@@ -16,8 +16,8 @@ import pytest
 import supple
 from supple import Deformation, SuppleError
 from supple.errors import VolumeWarning
+from supple.files.landmarks import move_points
 from supple.geometry import Geometry
-from supple.landmarks import move_points
 from supple.media.points import PointFile, check_target, read_points, write_points
 
 Floats = npt.NDArray[np.float64]

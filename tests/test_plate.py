@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 import supple
-from supple.gpu.device import Gpu
-from supple.gpu.plate import OVERLAYS, Plate, Sight
-from supple.gpu.screen import canvas_texture, pixels_of
+from supple.engines.wgpu.device import Gpu
+from supple.engines.wgpu.plate import OVERLAYS, Plate, Sight
+from supple.engines.wgpu.screen import canvas_texture, pixels_of
 
 SHAPE = (90, 120)
 

@@ -18,10 +18,10 @@ if os.environ.get("SUPPLE_TEST_CUDA_COMPILER") != "1":
 from numba import types
 from numba.np.numpy_support import from_dtype
 
-from supple.cuda import field, fill, lattice, newton, reach
-from supple.cuda.colour import BETWEEN, FILTERS
-from supple.cuda.sample import Way
-from supple.native import OUTSIDE
+from supple.engines.base import OUTSIDE
+from supple.engines.cuda import field, fill, lattice, newton, reach
+from supple.engines.cuda.colour import BETWEEN, FILTERS
+from supple.engines.cuda.sample import Way
 
 CAPABILITY = (8, 0)  # of GPUs that CUDA 12 and 13 both know
 

@@ -17,12 +17,12 @@ import pytest
 import pyvips
 
 from supple import SuppleError
+from supple.engines.base import Group, Layout
 from supple.media import folder as folders
 from supple.media.image import DepthWarning, ImageWarning, PageWarning, Picture, read, write
 from supple.media.video import ClipWarning, info, open_video, writer_of
 from supple.media.video.sequence import Pictures, is_sequence, open_sequence
 from supple.media.video.sequence_out import sequence_writer
-from supple.streaming import Group, Layout
 
 Array = npt.NDArray[Any]
 SRGB = bytes(pyvips.Operation.call("profile_load", "srgb"))

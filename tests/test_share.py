@@ -7,7 +7,7 @@ import time
 
 import pytest
 
-from supple.workers import share, threads
+from supple.engines.workers import share, threads
 
 
 @pytest.fixture(autouse=True)

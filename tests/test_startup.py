@@ -14,7 +14,16 @@ import pytest
 from supple.media import image
 
 SOURCE = str(Path(__file__).resolve().parent.parent / "src")
-ENGINES = ("numba", "llvmlite", "scipy", "torch", "wgpu", "supple.gpu.warp", "supple.gpu_clips", "supple.cuda")
+ENGINES = (
+    "numba",
+    "llvmlite",
+    "scipy",
+    "torch",
+    "wgpu",
+    "supple.engines.wgpu.warp",
+    "supple.engines.wgpu.engine",
+    "supple.cuda",
+)
 LIBRARIES = ("matplotlib", "av", "SimpleITK", "nibabel", "rich", "supple.viewer", "supple.plot")
 
 

@@ -20,8 +20,9 @@ import pytest
 import reference
 
 from supple import Deformation, SuppleError
-from supple.stacks import warp_stack
-from supple.streaming import Group, Layout, Plan, Sampling, Space, make_plan, stream
+from supple.engines.base import Group, Layout, Sampling, Space, Work
+from supple.engines.native import NATIVE
+from supple.pipeline import Plan, make_plan, stream
 
 pytestmark = pytest.mark.filterwarnings("ignore::supple.FoldWarning")
 
@@ -111,11 +112,11 @@ def streamed(
 ) -> tuple[list[Array], Plan, Clip]:
     """All planes of the output, for each group; with what is true of any stream."""
     planes = range(space.count) if planes is None else planes
-    plan = make_plan(space, layout, sampling, planes)
+    plan = make_plan(Work(space, layout, sampling), planes)
     clip = Clip(arrays)
     found: list[list[Array]] = [[] for _ in layout.groups]
     seen = []
-    for z, parts, certificate in stream(space, layout, sampling, plan, clip, memory=memory):
+    for z, parts, certificate in stream(Work(space, layout, sampling), plan, clip, memory=memory):
         seen.append(z)
         assert certificate.error <= max(sampling.tolerance, 0.01)
         assert clip.given <= plan.read[len(seen) - 1] + 1
@@ -213,7 +214,7 @@ def test_streams_and_arrays_are_one(rule: str) -> None:
             found, _, _ = streamed(d.space, layout, arrays, sampling)
             for planes in (range(COUNT), [5]):
                 outs = [np.empty((len(planes), *a.shape[1:]), a.dtype) for a in arrays]
-                *_, (done, known) = warp_stack(d.space, layout, sampling, planes, arrays, outs)
+                *_, (done, known) = NATIVE.warp(Work(d.space, layout, sampling), arrays, outs, planes)
                 assert done == len(planes)
                 assert 0 < known.error <= 0.01
                 for out, part in zip(outs, found, strict=True):
@@ -258,7 +259,7 @@ def test_a_plan_holds_all_that_is_needed_and_little_more(seed: int) -> None:
     for between, support in (("linear", 1), ("cubic", 2)):
         sampling = Sampling("linear", between, outside=rule)
         told: list[int] = []
-        plan = make_plan(d.space, layout, sampling, planes, told.append)
+        plan = make_plan(Work(d.space, layout, sampling), planes, told.append)
         assert told == sorted(told)
         assert told[-1:] == [len(planes)]
         assert plan.planes == tuple(planes)
@@ -293,8 +294,8 @@ def test_a_time_filter_needs_more_frames() -> None:
     """All that any sample of chroma or brightness is averaged over."""
     d = Deformation((60, 40, 70), border=None, on_fold="flow").grab((35, 20, 15), by=(4, 2, 28), radius=12, reach=None)
     layout = layout_of(shape=(40, 70))
-    plain = make_plan(d.space, layout, Sampling("linear"), range(60))
-    plan = make_plan(d.space, layout, Sampling("linear", time_filter=True), range(60))
+    plain = make_plan(Work(d.space, layout, Sampling("linear")), range(60))
+    plan = make_plan(Work(d.space, layout, Sampling("linear", time_filter=True)), range(60))
     assert (plan.first <= plain.first).all()
     assert (plan.last >= plain.last).all()
     for group in layout.groups:
@@ -501,8 +502,8 @@ def test_the_file_has_its_size_before_it_is_used(
     layout = LAYOUTS["4:2:0"]
     arrays = noise(layout)
     d = bent()
-    plan = make_plan(d.space, layout, Sampling(), range(COUNT))
-    running = stream(d.space, layout, Sampling(), plan, Clip(arrays), memory=0)
+    plan = make_plan(Work(d.space, layout, Sampling()), range(COUNT))
+    running = stream(Work(d.space, layout, Sampling()), plan, Clip(arrays), memory=0)
     next(running)
     found = os.fstat(made[0].fileno())
     assert found.st_size == plan.capacity * (41 * 67 + 21 * 34 * 2)
@@ -543,10 +544,10 @@ def test_a_full_disk(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, kind: str)
         monkeypatch.setattr(tempfile, "TemporaryFile", lambda **options: Full(create(**options)))
     layout = LAYOUTS["4:2:0"]
     d = bent()
-    plan = make_plan(d.space, layout, Sampling(), range(COUNT))
+    plan = make_plan(Work(d.space, layout, Sampling()), range(COUNT))
     clip = Clip(noise(layout))
     with pytest.raises(SuppleError, match="No space left on device") as caught:
-        list(stream(d.space, layout, Sampling(), plan, clip, memory=0))
+        list(stream(Work(d.space, layout, Sampling()), plan, clip, memory=0))
     assert "TMPDIR" in str(caught.value)
     assert "\n" not in str(caught.value)
     assert all(file.closed for file in made)
@@ -557,9 +558,9 @@ def test_a_full_disk(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, kind: str)
 def test_no_folder_for_the_file(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "nowhere"))
     layout = LAYOUTS["4:2:0"]
-    plan = make_plan(bent().space, layout, Sampling(), range(COUNT))
+    plan = make_plan(Work(bent().space, layout, Sampling()), range(COUNT))
     with pytest.raises(SuppleError, match="TMPDIR"):
-        list(stream(bent().space, layout, Sampling(), plan, Clip(noise(layout)), memory=0))
+        list(stream(Work(bent().space, layout, Sampling()), plan, Clip(noise(layout)), memory=0))
 
 
 @pytest.mark.parametrize("memory", [math.inf, 0])
@@ -570,9 +571,9 @@ def test_a_stream_that_is_left_early_leaves_nothing(
     layout = LAYOUTS["4:2:0"]
     d = bent()
     arrays = noise(layout)
-    plan = make_plan(d.space, layout, Sampling(), range(COUNT))
+    plan = make_plan(Work(d.space, layout, Sampling()), range(COUNT))
     clip = Clip(arrays)
-    running = stream(d.space, layout, Sampling(), plan, clip, memory=memory)
+    running = stream(Work(d.space, layout, Sampling()), plan, clip, memory=memory)
     assert not made
     assert clip.given == 0  # nothing happens before it is asked for
     z, parts, _ = next(running)
@@ -601,7 +602,7 @@ def test_a_clip_that_ends_early(monkeypatch: pytest.MonkeyPatch, tmp_path: Path,
     seen = []
 
     def follow() -> None:
-        for z, parts, _ in stream(d.space, layout, Sampling(), plan, Clip(arrays, have), memory=memory):
+        for z, parts, _ in stream(Work(d.space, layout, Sampling()), plan, Clip(arrays, have), memory=memory):
             np.testing.assert_array_equal(parts[0], whole[0][z])
             seen.append(z)
 
@@ -616,14 +617,14 @@ def test_a_reader_that_fails() -> None:
     """Its error comes through as it is."""
     layout = LAYOUTS["4:2:0"]
     d = bent()
-    plan = make_plan(d.space, layout, Sampling(), range(COUNT))
+    plan = make_plan(Work(d.space, layout, Sampling()), range(COUNT))
 
     def frames() -> Iterator[Frame]:
         yield from list(Clip(noise(layout)))[:0]
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        list(stream(d.space, layout, Sampling(), plan, frames()))
+        list(stream(Work(d.space, layout, Sampling()), plan, frames()))
 
 
 def test_values_stay_below_white() -> None:
@@ -666,8 +667,8 @@ def peak(count: int) -> tuple[int, int]:
     gc.collect()
     tracemalloc.start()
     try:
-        plan = make_plan(d.space, layout, Sampling("linear"), range(count))
-        for z, parts, _ in stream(d.space, layout, Sampling("linear"), plan, Endless(count, layout)):
+        plan = make_plan(Work(d.space, layout, Sampling("linear")), range(count))
+        for z, parts, _ in stream(Work(d.space, layout, Sampling("linear")), plan, Endless(count, layout)):
             assert parts[0].dtype == np.uint8, z
         return tracemalloc.get_traced_memory()[1], plan.capacity
     finally:
@@ -690,7 +691,7 @@ def test_the_window_is_as_long_as_the_strokes_reach() -> None:
             d = Deformation((count, 40, 60), border=None, on_fold="damp").grab(
                 (30, 20, 50), by=(0, 0, by), radius=40, reach=None
             )
-            plan = make_plan(d.space, layout_of(shape=(40, 60)), Sampling("linear"), range(count))
+            plan = make_plan(Work(d.space, layout_of(shape=(40, 60)), Sampling("linear")), range(count))
             sizes.append(plan.capacity)
         assert sizes[0] == sizes[1]
         assert by <= sizes[0] <= by + 4

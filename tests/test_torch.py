@@ -21,8 +21,9 @@ else:
     torch = pytest.importorskip("torch")
 
 import supple.torch as bending
-from supple.torch import engine, warping
-from supple.torch.engine import Job, offsets_of
+from supple.engines.torch import engine
+from supple.engines.torch.engine import offsets_of
+from supple.torch import warping
 
 DOUBLE = torch.float64
 
@@ -291,7 +292,7 @@ def test_far_pixels_of_a_wide_picture_lose_nothing() -> None:
     d = supple.Deformation((3, 200_000), border=None, on_fold="damp").grab(
         (199_950.0, 1.0), by=(3.3, 0.1), radius=40, reach=None
     )
-    found = offsets_of(torch.zeros(3, 200_000), Job(d, "linear", "linear", "edge", np.zeros(1), 1e-4))
+    found = offsets_of(torch.zeros(3, 200_000), d.space, 1e-4)
     columns = np.arange(199_900, 200_000)
     grid = np.stack([columns, np.ones(100)], -1)
     exact = d.inverse(grid).points - grid

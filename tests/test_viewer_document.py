@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from supple.clips import deformation_of as on_clip
 from supple.deformation import Deformation
 from supple.errors import FoldError, FoldWarning, SuppleError
 from supple.files import read_recipe, warp_file, write_recipe
+from supple.files.clips import deformation_of as on_clip
 from supple.geometry import Geometry
 from supple.media.image import read, write
 from supple.strokes import Recipe, Stroke

@@ -13,8 +13,8 @@ import pyvips
 from clips import make
 from windows import Hand, opened, wait_for
 
+from supple.engines.wgpu.device import Gpu
 from supple.errors import SuppleError
-from supple.gpu.device import Gpu
 from supple.media import image
 from supple.strokes import Recipe, Stroke
 
@@ -42,7 +42,7 @@ def settled(view: Any, hand: Hand) -> np.ndarray:
 
 
 def bent_half(view: Any) -> np.ndarray:
-    from supple.gpu.screen import pixels_of
+    from supple.engines.wgpu.screen import pixels_of
 
     return pixels_of(view.gpu, view._textures[0])[..., :3].astype(int)
 
@@ -231,7 +231,7 @@ def test_the_value_of_a_clip_is_that_of_the_frame_it_comes_from(gpu: Gpu, long: 
 @pytest.mark.parametrize("coarse", [4, 7, 8])
 def test_coarse_pixels_lie_where_fine_ones_do(gpu: Gpu, coarse: int) -> None:
     from supple.deformation import Deformation
-    from supple.gpu.screen import Screen, pixels_of
+    from supple.engines.wgpu.screen import Screen, pixels_of
     from supple.viewer.painter import Painter, Shot
     from supple.viewer.stages import ImageStage
 

@@ -11,7 +11,7 @@ import pytest
 from windows import SIZE, Hand, Pixels, opened
 
 import supple
-from supple.gpu.device import Gpu
+from supple.engines.wgpu.device import Gpu
 from supple.media import image
 from supple.strokes import Recipe, Stroke
 

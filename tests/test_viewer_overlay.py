@@ -12,8 +12,8 @@ import pytest
 from windows import SIZE, opened
 
 import supple
+from supple.engines.wgpu.device import Gpu
 from supple.errors import SuppleError
-from supple.gpu.device import Gpu
 from supple.media import volume as volumes
 from supple.strokes import Recipe, Stroke
 

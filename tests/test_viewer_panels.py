@@ -12,7 +12,7 @@ import pytest
 from windows import SIZE, Hand, opened
 
 import supple
-from supple.gpu.device import Gpu
+from supple.engines.wgpu.device import Gpu
 from supple.strokes import Recipe, Stroke
 from supple.viewer.document import Document
 from supple.viewer.files import Desk

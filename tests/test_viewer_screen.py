@@ -18,7 +18,7 @@ from windows import Browser, Mouse, Pixels, a_screen, needs, small_photo, viewin
 
 import supple
 from supple.cli import command
-from supple.gpu.device import Gpu
+from supple.engines.wgpu.device import Gpu
 from supple.media import image
 from supple.strokes import Recipe, Stroke
 from supple.viewer.launch import SIZE

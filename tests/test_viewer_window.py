@@ -19,13 +19,13 @@ from clips import decoded, make, rows
 from windows import Hand, opened, small_photo, viewing, wait_for
 
 import supple
-from supple.clips import ClipOptions
+from supple.engines.wgpu.device import Gpu
 from supple.errors import ScaleWarning
-from supple.gpu.device import Gpu
+from supple.files.clips import ClipOptions
+from supple.files.volumes import VolumeOptions, deformation_of
 from supple.media import image, video, volume
 from supple.media.volume import RawLayout
 from supple.strokes import Recipe, Stroke
-from supple.volumes import VolumeOptions, deformation_of
 
 pytest.importorskip("rendercanvas")
 pytest.importorskip("imgui_bundle")
@@ -202,7 +202,7 @@ def test_a_clip_plays_and_is_bent_in_time(gpu: Gpu, state: Path) -> None:
     seen = view.pixels()
     left, top = (round(v) for v in view.tools.viewport.to_canvas(0, 0))
     with video.open_video(DATA / "bunny.mp4") as clip:
-        from supple.clips import ClipOptions, deformation_of, frames_of, sampling_of
+        from supple.files.clips import ClipOptions, deformation_of, frames_of, sampling_of
 
         d = deformation_of(view.recipe, clip.count, clip.layout.shape, 1.0, clip.name)
         common: dict[str, Any] = {"outside": "edge", "fill": 0.0, "tolerance": 0.01, "light": False}

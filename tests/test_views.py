@@ -15,14 +15,14 @@ import pytest
 import supple
 from supple import cli
 from supple.cli import command
+from supple.engines.wgpu.device import Gpu
+from supple.files.volumes import VolumeOptions
 from supple.geometry import Geometry
-from supple.gpu.device import Gpu
 from supple.media import image
 from supple.media import volume as media
 from supple.render.camera import Camera
 from supple.render.files import RenderOptions, default_transfer, render_file
 from supple.render.transfer import PRESETS
-from supple.volumes import VolumeOptions
 
 SHAPE = (24, 30, 28)
 GRAB = ["--grab", "13,14,11:17,14,11", "--radius", "9"]

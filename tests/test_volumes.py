@@ -16,11 +16,11 @@ import reference
 from scipy import ndimage
 
 import supple
-from supple import volumes
 from supple.cli import command
+from supple.files import volumes
+from supple.files.volumes import VolumeOptions, deformation_of, is_volume_job, sampling_of, warp_volume
 from supple.geometry import Geometry
 from supple.media import volume as media
-from supple.volumes import VolumeOptions, deformation_of, is_volume_job, sampling_of, warp_volume
 
 SHAPE = (20, 26, 24)
 DIRECTION = np.array([[0.0, -0.8, 0.6], [1.0, 0.0, 0.0], [0.0, 0.6, 0.8]]) @ np.diag([1.0, -1.0, 1.0])
@@ -396,10 +396,10 @@ def test_nothing_to_do_is_a_copy(here: Path) -> None:
 def test_results_too_large_for_memory_go_through_a_file(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     samples = stored("in.nii", made())
     warp_volume("in.nii", "a.nii", RECIPE, filter="linear")
-    monkeypatch.setattr(volumes, "memory", lambda: samples.nbytes * 2.0)
+    monkeypatch.setattr(volumes, "machine_memory", lambda: samples.nbytes * 2.0)
     warp_volume("in.nii", "b.nii", RECIPE, filter="linear")
     assert Path("a.nii").read_bytes() == Path("b.nii").read_bytes()
-    monkeypatch.setattr("supple.media.buffers.reserve", _full)
+    monkeypatch.setattr("supple.buffers.reserve", _full)
     with pytest.raises(supple.SuppleError, match=r"no room for it beside c.nii \(No space left on device\)"):
         warp_volume("in.nii", "c.nii", RECIPE, filter="linear")
     assert sorted(p.name for p in here.iterdir()) == ["a.nii", "b.nii", "in.nii"]

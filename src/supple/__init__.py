@@ -4,7 +4,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from supple.batches import warp_batch
+    from supple.arrays import warp_batch
     from supple.deformation import Arrival, Deformation, Inverse, Report
     from supple.domain import Domain
     from supple.errors import (
@@ -59,7 +59,7 @@ _HOMES = {
     "SuppleError": "errors",
     "ToleranceWarning": "errors",
     "view": "viewer.launch",
-    "warp_batch": "batches",
+    "warp_batch": "arrays",
     "warp_file": "files",
 }
 

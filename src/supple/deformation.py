@@ -4,31 +4,25 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any, Literal, Self
+from typing import Any, Literal, Self
 
 import numpy as np
 import numpy.typing as npt
 
 from supple import _core
-from supple.certificate import Certificate
-from supple.cuda_arrays import is_on_card, points_on_card, warp_on_card
 from supple.domain import BorderProfile, Domain, choice, colours_hint, flag, integer, number, refuse
-from supple.errors import FoldWarning, MissWarning, OutsideWarning, SuppleError, ToleranceWarning
+from supple.engines.base import Certificate, Sampling, Space, warn_of
+from supple.engines.choice import engine_at
+from supple.engines.native import NATIVE, measured, plan_of
+from supple.errors import FoldWarning, MissWarning, OutsideWarning, SuppleError
 from supple.folding import Resolved, described, resolve
-from supple.native import certificate_of, measured, plan_of
 from supple.scaling import spoken
 from supple.strokes import REACH, STROKE_DTYPE, FoldPolicy, Point, Recipe, Stroke, numbers
 
-if TYPE_CHECKING:
-    from supple.streaming import Space
-    from supple.warping import Source
-
 Floats = npt.NDArray[np.float64]
-
-CONVERGED = 1e-6
-"""A point has converged where T(p) is within this many pixels of q."""
+Source = npt.NDArray[Any] | Callable[[Floats], npt.ArrayLike]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -293,8 +287,6 @@ class Deformation:
     @property
     def space(self) -> Space:
         """The strokes on their domain, as frames stream through them."""
-        from supple.streaming import Space
-
         count = self.shape[0] if self.ndim == 3 else 1
         return Space(self._table, self._axes, self.ndim, count, (self.shape[-2], self.shape[-1]))
 
@@ -411,11 +403,7 @@ class Deformation:
         -------
         float64 array, shape (..., D)
         """
-        if is_on_card(points):
-            return points_on_card().forward(self.space, points, matrices=False)  # type: ignore[no-any-return]
-        given, shape = self._rows(points)
-        moved, _ = _core.forward(numbers(self._table), self._axes, given, False)
-        return self._points(moved, shape)
+        return engine_at(points).forward(self.space, points)  # type: ignore[no-any-return]
 
     def jacobian(self, points: npt.ArrayLike) -> Floats:
         """∂T/∂p = I + J of all strokes together.
@@ -430,13 +418,7 @@ class Deformation:
         float64 array, shape (..., D, D)
             Row i, column j is ∂T_i/∂x_j, in pixels per pixel.
         """
-        if is_on_card(points):
-            return points_on_card().forward(self.space, points, matrices=True)  # type: ignore[no-any-return]
-        given, shape = self._rows(points)
-        _, matrices = _core.forward(numbers(self._table), self._axes, given, True)
-        n, steps = self.ndim, np.array(self.domain.spacing)
-        full = matrices[:, :n, :n] * (steps[None, :] / steps[:, None])
-        return np.ascontiguousarray(full.reshape(*shape[:-1], n, n))
+        return engine_at(points).forward(self.space, points, matrices=True)  # type: ignore[no-any-return]
 
     def inverse(self, points: npt.ArrayLike) -> Inverse:
         """T⁻¹: which points of the input are seen at points of the output; solved for each, not interpolated.
@@ -451,20 +433,7 @@ class Deformation:
         -------
         Inverse
         """
-        finest = min(self.domain.spacing)
-        if is_on_card(points):
-            return Inverse(*points_on_card().inverse(self.space, points, finest))
-        targets, shape = self._rows(points)
-        found, residual, steps = _core.inverse(numbers(self._table), self._axes, targets, self.ndim, 1e-9 * finest)
-        solved = self._points(found, shape)
-        if self.is_identity:
-            solved = np.array(np.broadcast_to(np.asarray(points, np.float64), shape))
-        # A bound on the residual in pixels, which for one spacing along all axes is the residual.
-        off = residual.reshape(shape[:-1]) / finest
-        scale = np.abs(targets).max(axis=1, initial=0.0).reshape(shape[:-1]) / finest
-        return Inverse(
-            solved, off, steps.astype(np.int64).reshape(shape[:-1]), off <= np.maximum(CONVERGED, 1e-14 * scale)
-        )
+        return Inverse(*engine_at(points).inverse(self.space, points))
 
     def inverse_map(self, *, tolerance: float = 0.01, like: Any = None) -> npt.NDArray[np.float32]:
         """The source point of every output pixel.
@@ -482,23 +451,12 @@ class Deformation:
             In pixels, x first: ``cv2.remap`` takes ``map[..., 0]`` and ``map[..., 1]``.
         """
         tolerance = number("tolerance", tolerance, "a number of pixels above 0", 1e-9, 1e9)
-        if like is not None:
-            if not is_on_card(like):
-                refuse("like", "an array on a CUDA device, or left out", like)
-            from supple.warping import warn_of
-
-            found, certificate = points_on_card().inverse_map(self.space, like, tolerance)
-            warn_of(certificate, tolerance, 3)
-            return found  # type: ignore[no-any-return]
-        out = np.empty((*self.shape, self.ndim), np.float32)
-        certificate = Certificate(0.0, 0.0)
-        for plan, plane in zip(self._plans(tolerance), out if self.ndim == 3 else [out], strict=True):
-            plan.points(plane)
-            certificate |= certificate_of(plan)
-        from supple.warping import warn_of
-
+        engine = engine_at(like)
+        if like is not None and engine is NATIVE:
+            refuse("like", "an array on a CUDA device, or left out", like)
+        found, certificate = engine.inverse_map(self.space, tolerance, like)
         warn_of(certificate, tolerance, 3)
-        return out
+        return found  # type: ignore[no-any-return]
 
     def warp(
         self,
@@ -579,44 +537,27 @@ class Deformation:
             If the GPU failed, so that the CPU did it.
         """
         # What warps is imported when something is warped: `import supple` is to be quick.
-        from supple.engines import check_device, warp_elsewhere
-        from supple.warping import as_array, checked_sampling, clamp_to, warn_of, warp_array, warp_function
+        from supple.arrays import warp_array, warp_function
 
-        sampling = checked_sampling(
+        sampling = Sampling.checked(
             self.ndim, filter=filter, tolerance=tolerance, outside=outside, fill=fill, linear_light=linear_light,
             between=between, time_filter=time_filter,
         )  # fmt: skip
-        if samples != 1 and not callable(source):
-            refuse("samples", "left out for an array: it is for a function of points", samples)
-        clamped = flag("clamp", clamp)
-        if is_on_card(source):
-            if clamped:
-                refuse("clamp", "False for an array on a CUDA device: clip the result there", clamp)
-            result, certificate = warp_on_card(source, (self.space,), sampling, alpha=alpha, out=out, device=device)
-            warn_of(certificate, sampling.tolerance, 3)
-            return result  # type: ignore[no-any-return]
-        if clamped and callable(source):
-            refuse("clamp", "False for a function of points, which is not interpolated", clamp)
-        if device in ("gpu", "cuda") and callable(source):
-            refuse("device", '"cpu" for a function of points, which Python evaluates', device)
-        check_device(device)
-        if not callable(source):
-            done = warp_elsewhere(device, source, self.space, sampling, alpha=alpha, out=out)
-            if done is not None:
-                if clamped:
-                    clamp_to(as_array(source, "source"), done[0], sampling)
-                warn_of(done[1], sampling.tolerance, 3)
-                return done[0]
+        clamp = flag("clamp", clamp)
         if callable(source):
+            if clamp:
+                refuse("clamp", "False for a function of points, which is not interpolated", clamp)
+            if device in ("gpu", "cuda"):
+                refuse("device", '"cpu" for a function of points, which Python evaluates', device)
+            choice("device", device, ("auto", "cpu"))
             if self.ndim == 3:
                 raise SuppleError(f"a function of points is warped as an image, and shape {self.shape} has three axes")
-            height, width = self.shape
-            return warp_function(source, (height, width), self._sources, samples, out)
-        made, certificate = warp_array(source, self.space, sampling, alpha=alpha, out=out)
-        if clamped:
-            clamp_to(as_array(source, "source"), made, sampling)
+            return warp_function(source, self.space, samples, out)
+        if samples != 1:
+            refuse("samples", "left out for an array: it is for a function of points", samples)
+        made, certificate = warp_array(source, self.space, sampling, alpha=alpha, clamp=clamp, device=device, out=out)
         warn_of(certificate, sampling.tolerance, 3)
-        return made
+        return made  # type: ignore[no-any-return]
 
     def report(self, *, tolerance: float = 0.01, plane: int | None = None) -> Report:
         """Report on the strokes and the certified error of the inverse map.
@@ -634,7 +575,8 @@ class Deformation:
         if plane is not None:
             which = range(k := integer("plane", plane, f"one of the {count} there are", 0, count - 1), k + 1)
         certificate, turned = Certificate(0.0, 0.0), 0
-        for plan in self._plans(tolerance, which) if not self.is_identity else ():
+        for z in which if not self.is_identity else ():
+            plan = plan_of(self.space, z, tolerance)
             certificate |= measured(plan, tolerance)
             turned += plan.folds
         size = float(np.prod(self.shape)) * len(which) / count
@@ -690,38 +632,6 @@ class Deformation:
 
     def __hash__(self) -> int:
         return hash((self.domain, self.on_fold, self.strokes))
-
-    def _plans(self, tolerance: float, which: range | None = None) -> Iterator[_core.Plan]:
-        for z in which if which is not None else range(self.shape[0] if self.ndim == 3 else 1):
-            yield plan_of(self._table, self._axes, self.ndim, (self.shape[-2], self.shape[-1]), float(z), tolerance)
-
-    def _sources(self, points: Floats) -> Floats:
-        found = self.inverse(points)
-        if not found.converged.all():
-            lost = int(np.count_nonzero(~found.converged))
-            warnings.warn(
-                f"{lost} of {found.converged.size} source points did not converge: what is shown there is a guess",
-                ToleranceWarning,
-                stacklevel=5,
-            )
-        return found.points
-
-    def _rows(self, points: npt.ArrayLike) -> tuple[Floats, tuple[int, ...]]:
-        """Return points as the core takes them, (N, 3) in physical units, and their shape."""
-        try:
-            given = np.asarray(points, np.float64)
-        except (TypeError, ValueError):
-            refuse("points", f"numbers in an array of shape (..., {self.ndim})", points)
-        if given.ndim == 0 or given.shape[-1] != self.ndim:
-            refuse("points", f"an array of shape (..., {self.ndim}), x first", f"shape {given.shape}")
-        if not np.isfinite(given).all():
-            raise SuppleError("points must be finite, found NaN or infinity among them")
-        rows = np.zeros((given.size // self.ndim, 3))
-        rows[:, : self.ndim] = given.reshape(-1, self.ndim) * self.domain.spacing
-        return rows, given.shape
-
-    def _points(self, rows: Floats, shape: tuple[int, ...]) -> Floats:
-        return np.ascontiguousarray((rows[:, : self.ndim] / self.domain.spacing).reshape(shape))
 
 
 def reduced(stroke: Stroke, amount: float, whole: Deformation, now: Deformation) -> Stroke:

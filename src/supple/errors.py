@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from importlib.util import find_spec
 
 
@@ -50,3 +51,9 @@ class VolumeWarning(UserWarning):
 
 class GapWarning(UserWarning):
     """Voxels are not finite numbers, and spread to those beside them."""
+
+
+def shown(path: str | os.PathLike[str]) -> str:
+    """Return a path as it can stand in one line of text: quoted where it is empty or holds odd characters."""
+    text = os.fspath(path)
+    return text if text and text.isprintable() else ascii(text)

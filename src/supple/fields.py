@@ -7,16 +7,15 @@ import os
 import numpy as np
 import numpy.typing as npt
 
-from supple.certificate import Certificate
+from supple.buffers import beside
 from supple.deformation import Deformation
 from supple.domain import number
+from supple.engines.base import Certificate, warn_of
+from supple.engines.native import certificate_of, plan_of
 from supple.errors import SuppleError
 from supple.geometry import Geometry
-from supple.media.buffers import room
 from supple.media.files import check_output
 from supple.media.transforms import check_target, write_field
-from supple.native import certificate_of
-from supple.warping import warn_of
 
 Floats = npt.NDArray[np.float64]
 PathLike = str | os.PathLike[str]
@@ -72,7 +71,7 @@ def displacement_of(
     points, here = np.empty((*space.shape, 3)), np.zeros((*space.shape, 3))
     here[..., 1], here[..., 0] = np.indices(space.shape)
     for z in range(space.count):
-        plan = space.plan(z, tolerance)
+        plan = plan_of(space, z, tolerance)
         plan.points(points)
         here[..., 2] = z
         np.matmul(points - here, matrix.T, out=made[z], casting="same_kind")
@@ -103,7 +102,7 @@ def write_transform(
     check_target(target)
     check_output(target, force=force)
     _check(deformation)
-    with room((*deformation.shape, 3), np.float32, target, MOST) as out:
+    with beside(target, (*deformation.shape, 3), np.float32, MOST) as out:
         write_field(target, displacement_of(deformation, geometry, tolerance=tolerance, out=out), geometry, force=force)
 
 

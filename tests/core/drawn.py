@@ -7,6 +7,7 @@ import os
 import subprocess
 import sys
 import warnings
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,8 +16,9 @@ import numpy.typing as npt
 from hypothesis import strategies as st
 
 from supple import Deformation, FoldWarning, _core
-from supple.native import plan_of, sampling_of
-from supple.strokes import numbers
+from supple.engines.base import Group, Layout, Sampling, Space, Work
+from supple.engines.native import plan_of, samplings_of
+from supple.strokes import STROKE_DTYPE, numbers
 
 Floats = npt.NDArray[np.float64]
 Array = npt.NDArray[Any]
@@ -82,22 +84,25 @@ def lifted(d: Deformation, points: Floats) -> Floats:
 
 
 def plan(d: Deformation, tolerance: float = 0.01, z: float = 0.0, shape: tuple[int, int] | None = None) -> _core.Plan:
-    return plan_of(d._table, d._axes, d.ndim, shape or d.shape[-2:], z, tolerance)  # type: ignore[arg-type]
+    space = d.space if shape is None else replace(d.space, shape=shape)
+    return plan_of(space, z, tolerance)
 
 
 def sampling(frames: Array, out: Array, **how: Any) -> _core.Sampling:
     """Return a sampling of frames (slots, h, w, C) into (h, w, C), plain but for what is said."""
-    options: dict[str, Any] = {
-        "filter": "auto",
-        "between": "linear",
-        "outside": "edge",
-        "average": False,
-        "fill": [0.0] * frames.shape[-1],
-        "alpha": False,
-        "light": False,
-        "white": None,
-    }
-    return sampling_of(frames, out, len(frames), **{**options, **how})
+    options = {"filter": "auto", "between": "linear", "outside": "edge", "average": False, "light": False}
+    options |= {"fill": [0.0] * frames.shape[-1], "alpha": False, "step": (1, 1), "offset": (0.0, 0.0)} | how
+    if frames.dtype == np.bool_:
+        frames, out = frames.view(np.uint8), out.view(np.uint8)
+        options["white"] = 1.0
+    white = options.get("white", np.iinfo(frames.dtype).max if frames.dtype.kind in "iu" else 1.0)
+    group = Group(frames.shape[1:3], frames.shape[-1], options["step"], options["offset"], alpha=options["alpha"])
+    known = Sampling(
+        options["filter"], options["between"], options["average"], options["outside"], options["fill"], options["light"]
+    )
+    space = Space(np.zeros(0, STROKE_DTYPE), np.zeros((3, 5)), 3, len(frames), group.shape)
+    work = Work(space, Layout((group,), frames.dtype, float(white)), known)
+    return samplings_of(work, [frames], [out], len(frames))[0]
 
 
 def in_a_process(program: str, *, timeout: float = 120, **environment: str) -> subprocess.CompletedProcess[str]:

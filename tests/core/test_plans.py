@@ -14,7 +14,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from supple import Deformation, _core
-from supple.streaming import Space
+from supple.engines.base import Space
+from supple.engines.native import plan_of
 from supple.strokes import numbers
 
 pytestmark = pytest.mark.filterwarnings("ignore::supple.FoldWarning")
@@ -285,7 +286,7 @@ def chroma(
     frames[..., 2] = np.arange(count)[:, None, None]
     out = np.empty((*shape, 3))
     space: Space = d.space
-    p = space.plan(z, tolerance, step)
+    p = plan_of(space, z, tolerance, step)
     p.sample(sampling(frames, out, filter="linear", step=step, offset=offset))
     true = d.inverse(q).points
     last = np.array([*where[-1, -1], count - 1.0][: d.ndim])

@@ -16,6 +16,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from supple import Deformation, _core
+from supple.engines.native import plan_of
 from supple.strokes import numbers
 
 pytestmark = pytest.mark.filterwarnings("ignore::supple.FoldWarning")
@@ -318,7 +319,7 @@ def test_any_box_is_a_crop(d: Deformation, seed: int, filter: str, outside: str)
 
 def test_boxes_of_chroma_are_crops() -> None:
     d = Deformation((71, 93), border=None, on_fold="damp").grab((40, 30), by=(12, -7), radius=14, reach=None)
-    p = d.space.plan(0, 0.01, (2, 2))
+    p = plan_of(d.space, 0, 0.01, (2, 2))
     source = noise("u1", (1, 36, 47, 2))
     how: dict[str, Any] = {"step": (2, 2), "offset": (0.0, 0.5)}
     whole = np.empty((36, 47, 2), np.uint8)
@@ -412,7 +413,7 @@ def test_reach_keeps_bits_of_chroma() -> None:
     d = Deformation((61, 83), border=64, on_fold="damp").grab((40, 30), by=(3, -2), radius=5, reach=3.0)
     source = strange("f4", (1, 31, 42, 2))
     out = np.empty(source.shape[1:], np.float32)
-    d.space.plan(0, 0.01, (2, 2)).sample(sampling(source, out, step=(2, 2), offset=(0.0, 0.5)))
+    plan_of(d.space, 0, 0.01, (2, 2)).sample(sampling(source, out, step=(2, 2), offset=(0.0, 0.5)))
     q = reference.grid((31, 42)) * 2 + (0.0, 0.5)
     away = np.linalg.norm(q - (40, 30), axis=-1) >= 15
     assert out[away].tobytes() == source[0][away].tobytes()

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from supple.cuda.card import Card, open_card, simulated
+from supple.engines.cuda.card import Card, open_card, simulated
 from supple.errors import SuppleError
 
 

@@ -11,7 +11,7 @@ import pytest
 from at_size import CLOSE, SCALE, apart, bent, both, host, labels, near_a_boundary, only_on_a_card, sized, typed, waves
 
 import supple
-from supple.cuda.card import Card
+from supple.engines.cuda.card import Card
 from supple.errors import ToleranceWarning
 
 pytestmark = only_on_a_card

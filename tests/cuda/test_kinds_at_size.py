@@ -13,7 +13,7 @@ from at_size import CLOSE, TIGHT, apart, bent, host, only_on_a_card, sized, wave
 
 import supple
 import supple.cuda
-from supple.cuda.card import simulated
+from supple.engines.cuda.card import simulated
 
 pytestmark = only_on_a_card
 

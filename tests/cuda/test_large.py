@@ -15,19 +15,19 @@ import pytest
 from expected import expected, surely_nearest
 
 import supple
-from supple.certificate import Certificate
+from supple.arrays import work_of
 from supple.cli import command
-from supple.cuda import large
-from supple.cuda.card import Card, failures
-from supple.cuda.large import Plan, planned, warp_host
-from supple.cuda.needs import Needs
-from supple.cuda.ring import Ring
-from supple.cuda.sample import FIRST, LAST, SHIFT, SLOTS
-from supple.cuda.staging import Lane, copied, pieces
+from supple.engines.base import Certificate, Sampling
+from supple.engines.cuda import large
+from supple.engines.cuda.card import Card, failures
+from supple.engines.cuda.large import Plan, planned, warp_host
+from supple.engines.cuda.needs import Needs
+from supple.engines.cuda.ring import Ring
+from supple.engines.cuda.sample import FIRST, LAST, SHIFT, SLOTS
+from supple.engines.cuda.staging import Lane, copied, pieces
+from supple.engines.workers import workers
 from supple.errors import DeviceWarning, SuppleError
 from supple.media import volume as media
-from supple.warping import checked_sampling
-from supple.workers import workers
 
 TIGHT = 1e-4
 STACK = (12, 6, 7)
@@ -76,12 +76,19 @@ def by_card(card: Card, d: supple.Deformation, source: Any, **options: Any) -> t
         "time_filter": False,
         "alpha": None,
         "out": None,
-        "tell": lambda done: None,
         "room": None,
+        "tell": lambda done: None,
+        **options,
     }
-    known |= options
-    there = {name: known.pop(name) for name in ("alpha", "out", "tell", "room")}
-    return warp_host(card, source, d.space, checked_sampling(d.ndim, **known), **there)
+    alpha, out, room, tell = (known.pop(name) for name in ("alpha", "out", "room", "tell"))
+    work = work_of(source, d.space, Sampling.checked(d.ndim, **known), alpha)
+    made = np.empty_like(source, order="C") if out is None else out
+    axes, certificate = len(d.shape), Certificate(0.0, 0.0)
+    frames = [a if a.ndim > axes else a[..., None] for a in (source, made)]
+    for done, part in warp_host(card, *(a if axes == 3 else a[None] for a in frames), work, room=room):
+        tell(done)
+        certificate |= part
+    return made, certificate
 
 
 def apart(made: np.ndarray, wanted: np.ndarray) -> float:

@@ -11,7 +11,7 @@ import reference
 from expected import expected, sources, surely_nearest, untouched
 
 import supple
-from supple.cuda import warp
+from supple.engines.cuda import warp
 from supple.errors import FoldWarning, SuppleError, ToleranceWarning
 
 TIGHT = 1e-4  # pixels: so that what differs is not where points are

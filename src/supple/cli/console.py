@@ -213,7 +213,7 @@ def warn_of_software(console: Console, device: str) -> None:
     """
     if device != "gpu":
         return
-    from supple.gpu.device import open_gpu
+    from supple.engines.wgpu.device import open_gpu
 
     gpu = open_gpu()
     if gpu.software:

@@ -9,9 +9,8 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
-from supple.clips import SUFFIXES, turned
-from supple.errors import SuppleError
-from supple.media.files import shown
+from supple.errors import SuppleError, shown
+from supple.files.clips import SUFFIXES, turned
 from supple.media.numbering import is_sequence
 from supple.media.volume import RawLayout
 from supple.scaling import spoken

@@ -14,13 +14,13 @@ from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from pathlib import Path
 
 from supple.cli.console import FAULT, REFUSED, STREAM, Console, deaf, fault
-from supple.clips import SUFFIXES
-from supple.errors import SuppleError
+from supple.errors import SuppleError, shown
 from supple.files import check_recipe_name, is_media_name
-from supple.media.files import check_output, shown
+from supple.files.clips import SUFFIXES
+from supple.files.volumes import ONE_FILE
+from supple.media.files import check_output
 from supple.media.numbering import SUFFIXES_IN
 from supple.media.volume import suffix_of
-from supple.volumes import ONE_FILE
 
 Job = tuple[Path, Path]
 PathLike = str | os.PathLike[str]

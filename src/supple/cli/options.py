@@ -14,8 +14,8 @@ from supple.errors import SuppleError
 if TYPE_CHECKING:
     from fractions import Fraction
 
-    from supple.clips import ClipOptions
     from supple.domain import Border
+    from supple.files.clips import ClipOptions
     from supple.scaling import Fit
     from supple.strokes import Recipe, Stroke
 
@@ -246,7 +246,7 @@ class VideoOptions(TimeOptions):
 
     def to_clip(self) -> ClipOptions:
         """Return the options as the library takes them."""
-        from supple.clips import GB, ClipOptions
+        from supple.files.clips import GB, ClipOptions
 
         def read(name: str, text: str | None, wanted: str) -> float | None:
             return None if text is None else parse_number(name, text, wanted)

@@ -11,7 +11,7 @@ from supple.cli.options import parse_number
 from supple.errors import SuppleError
 
 if TYPE_CHECKING:
-    from supple.volumes import VolumeOptions as Reading
+    from supple.files.volumes import VolumeOptions as Reading
 
 VOLUME = Group("Volumes", sort_key=5)
 
@@ -44,8 +44,8 @@ class VolumeArguments:
 
     def to_reading(self, *, labels: bool = False, save_field: str | None = None) -> Reading:
         """Return the options as the library takes them."""
+        from supple.files.volumes import VolumeOptions as Reading
         from supple.media.volume import RawLayout
-        from supple.volumes import VolumeOptions as Reading
 
         layout = None
         if self.shape is not None or self.dtype is not None or self.spacing is not None:

@@ -14,15 +14,15 @@ from supple.cli.console import STREAM, current, say_convention, told, warn_of_so
 from supple.cli.options import RunOptions, StrokeOptions, VideoOptions
 from supple.cli.options_render import CameraOptions, LookOptions
 from supple.cli.options_volume import VolumeArguments
+from supple.engines.workers import workers
 from supple.errors import SuppleError
-from supple.workers import workers
 
 if TYPE_CHECKING:
     from supple.deformation import Deformation
+    from supple.files.volumes import VolumeOptions as Reading
     from supple.geometry import Geometry
     from supple.scaling import Fit
     from supple.strokes import Recipe
-    from supple.volumes import VolumeOptions as Reading
 
 _STROKES, _RUN, _VOLUME, _VIDEO = StrokeOptions(), RunOptions(), VolumeArguments(), VideoOptions()
 _CAMERA, _LOOK = CameraOptions(), LookOptions()
@@ -49,8 +49,8 @@ def render(
         A picture (PNG and TIFF keep opacity); with --turntable, a video or a name with a number.
     """
     console = current()
+    from supple.progress import counted
     from supple.render.files import render_file
-    from supple.workers import counted
 
     console.started(**options.asked(), file=source)
     warn_of_software(console, look.device)
@@ -115,7 +115,7 @@ def points(
     """
     console = current()
     from supple.cli.jobs import piped
-    from supple.landmarks import move_points
+    from supple.files.landmarks import move_points
 
     console.started(**options.asked(), file=source)
     if options.json and target == STREAM:
@@ -144,12 +144,12 @@ def _deformation(
     on: str, recipe: Recipe, reading: Reading, video: VideoOptions, fit: Fit | None
 ) -> tuple[Deformation, Geometry | None]:
     """The strokes on a volume, a picture or a clip; and where a volume's voxels lie."""
-    from supple.clips import deformation_of as on_clip
-    from supple.clips import is_clip, open_clip, refuse_places
     from supple.deformation import Deformation
+    from supple.files.clips import deformation_of as on_clip
+    from supple.files.clips import is_clip, open_clip, refuse_places
+    from supple.files.volumes import deformation_of as on_volume
+    from supple.files.volumes import is_volume_job, open_volume
     from supple.strokes import fit_recipe
-    from supple.volumes import deformation_of as on_volume
-    from supple.volumes import is_volume_job, open_volume
 
     if is_volume_job(on, "", recipe, reading):
         volume = open_volume(on, reading)

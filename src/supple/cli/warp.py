@@ -26,16 +26,16 @@ from supple.cli.console import (
 )
 from supple.cli.options import RUNNING, RunOptions, StrokeOptions, VideoOptions, parse_fill, parse_number
 from supple.cli.options_volume import VOLUME, VolumeArguments
+from supple.engines.workers import workers
 from supple.errors import SuppleError
-from supple.workers import workers
 
 if TYPE_CHECKING:
     from supple.cli.jobs import Job
-    from supple.clips import WarpedClip
     from supple.deformation import Deformation, Report
     from supple.files import Warped
+    from supple.files.clips import WarpedClip
+    from supple.files.volumes import WarpedVolume
     from supple.strokes import Recipe
-    from supple.volumes import WarpedVolume
 
 Outside = Literal["edge", "constant", "reflect"]
 Warper = Literal["auto", "cpu", "gpu", "cuda"]
@@ -111,13 +111,12 @@ def warp(
     """
     console = current()
     from supple.cli.jobs import Crew, check_recipe_file, make_folders, pair, piped
-    from supple.clips import is_clip
-    from supple.engines import check_device
+    from supple.engines.base import FINEST, check_filter
+    from supple.engines.choice import check_device
+    from supple.errors import shown
     from supple.files import warp_file, write_recipe
-    from supple.media.files import shown
-    from supple.native import check_filter
-    from supple.volumes import holds_volumes, is_volume_job
-    from supple.warping import FINEST
+    from supple.files.clips import is_clip
+    from supple.files.volumes import holds_volumes, is_volume_job
 
     if len(paths) < 2:
         raise SuppleError("give a file to read and a name to write to: supple warp IN OUT --grab …")
@@ -185,7 +184,7 @@ def warp(
     if not all(is_clip(*job, recipe) for job in jobs):  # of clips, it says that it does not do them
         check_device(device)
     if many:
-        from supple.workers import threads
+        from supple.engines.workers import threads
 
         make_folders(jobs)
         # Of clips and volumes one at a time: each has work for all cores.
@@ -236,8 +235,8 @@ def _stands_for_several(source: str) -> bool:
 
 
 def _facts_of(job: Job, made: Warped | WarpedClip | WarpedVolume) -> dict[str, Any]:
-    from supple.clips import WarpedClip
-    from supple.volumes import WarpedVolume
+    from supple.files.clips import WarpedClip
+    from supple.files.volumes import WarpedVolume
 
     if isinstance(made, WarpedClip):
         return _clip_facts(made)

@@ -10,7 +10,7 @@ import stat
 from collections.abc import Iterator
 from pathlib import Path
 
-from supple.errors import SuppleError
+from supple.errors import SuppleError, shown
 
 _NEW = os.O_CREAT | os.O_EXCL | os.O_WRONLY
 _SPARE = 65_536  # bytes: with less, a disk is full
@@ -25,12 +25,6 @@ _ADVICE = {
     errno.EROFS: _NO_RIGHT,
     errno.ENAMETOOLONG: "choose a shorter name",
 }
-
-
-def shown(path: str | os.PathLike[str]) -> str:
-    """Return a path as it can stand in one line of text: quoted where it is empty or holds odd characters."""
-    text = os.fspath(path)
-    return text if text and text.isprintable() else ascii(text)
 
 
 def check_output(path: str | os.PathLike[str], *, force: bool = False) -> Path:

@@ -11,8 +11,8 @@ import stat
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
-from supple.errors import SuppleError
-from supple.media.files import check_output, shown
+from supple.errors import SuppleError, shown
+from supple.media.files import check_output
 
 
 def check_outputs(paths: Iterable[Path], *, force: bool = False) -> None:

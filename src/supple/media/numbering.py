@@ -7,8 +7,7 @@ import re
 from collections.abc import Callable
 from pathlib import Path
 
-from supple.errors import SuppleError
-from supple.media.files import shown
+from supple.errors import SuppleError, shown
 from supple.media.image.formats import SUFFIXES_OUT
 from supple.media.image.vips import PathLike
 

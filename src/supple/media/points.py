@@ -16,8 +16,8 @@ import numpy.typing as npt
 
 from supple.domain import LARGEST
 from supple.domain import shown as value_shown
-from supple.errors import SuppleError
-from supple.media.files import replacing, shown
+from supple.errors import SuppleError, shown
+from supple.media.files import replacing
 from supple.media.tables import Table, parsed
 
 Floats = npt.NDArray[np.float64]

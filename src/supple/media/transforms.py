@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from supple.errors import SuppleError
+from supple.errors import SuppleError, shown
 from supple.geometry import Geometry
-from supple.media.files import replacing, shown
+from supple.media.files import replacing
 from supple.media.volume import itk, nifti
 
 Field = npt.NDArray[np.floating[Any]]

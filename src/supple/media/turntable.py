@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from supple.errors import SuppleError, need
-from supple.media.files import check_output, replacing, shown
+from supple.errors import SuppleError, need, shown
+from supple.media.files import check_output, replacing
 
 _CODECS = {".mp4": "libx264", ".mov": "libx264", ".mkv": "libx264", ".webm": "libvpx-vp9", ".gif": "gif"}
 _OPTIONS = {

@@ -9,7 +9,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from supple.clips import (
+from supple.deformation import Deformation
+from supple.domain import choice, integer
+from supple.engines.base import Array, Sampling
+from supple.errors import SuppleError, shown
+from supple.files.clips import (
     ClipOptions,
     PathLike,
     deformation_of,
@@ -21,17 +25,15 @@ from supple.clips import (
     refuse_places,
     sampling_of,
     warn_of_rotation,
+    work_on,
 )
-from supple.deformation import Deformation
-from supple.domain import choice, integer
-from supple.errors import SuppleError
-from supple.media.files import check_output, shown
+from supple.media.files import check_output
 from supple.media.volume import is_volume
+from supple.pipeline import make_plan
 from supple.plot import WHATS, check_plot, draw_sheet, draw_slice, evenly, plot
+from supple.progress import counted
 from supple.scaling import Fit
-from supple.streaming import Array, Sampling, make_plan
 from supple.strokes import Recipe, fit_recipe
-from supple.workers import counted
 
 Colours = npt.NDArray[np.uint8]
 Tell = Callable[[str, int, int], None]
@@ -190,9 +192,8 @@ def _sampling(clip: Any, options: ClipOptions) -> Sampling:
 
 def _seen_best(clip: Any, deformation: Deformation, options: ClipOptions) -> list[int]:
     """The frames of a sheet: evenly spaced over those in which something moves that can be seen."""
-    space = replace(deformation.space, count=clip.count)
-    sampling = replace(_sampling(clip, options), tolerance=_SEEN)
-    moving = np.flatnonzero(~make_plan(space, clip.layout, sampling, range(clip.count)).still)
+    work = work_on(clip, deformation, replace(_sampling(clip, options), tolerance=_SEEN))
+    moving = np.flatnonzero(~make_plan(work, range(clip.count)).still)
     first, last = (int(moving[0]), int(moving[-1])) if moving.size else (0, clip.count - 1)
     return [first + k for k in evenly(last - first + 1, _COLUMNS)]
 

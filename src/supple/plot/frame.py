@@ -11,8 +11,8 @@ import numpy as np
 import numpy.typing as npt
 
 from supple.deformation import Deformation
-from supple.errors import SuppleError
-from supple.media.files import check_output, replacing, shown
+from supple.errors import SuppleError, shown
+from supple.media.files import check_output, replacing
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -11,12 +11,13 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from supple import _core, paper
-from supple.certificate import Certificate
+from supple import _core
 from supple.deformation import Deformation
 from supple.domain import integer, number
+from supple.engines import paper
+from supple.engines.base import Certificate
+from supple.engines.native import measured, plan_of
 from supple.errors import SuppleError
-from supple.native import measured
 
 Floats = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
@@ -135,7 +136,7 @@ def _pixels(deformation: Deformation, frame: int | None) -> tuple[int, Floats]:
 
 
 def _plan(deformation: Deformation, frame: int | None, tolerance: float) -> _core.Plan:
-    return deformation.space.plan(require_plane(deformation, frame), tolerance)
+    return plan_of(deformation.space, require_plane(deformation, frame), tolerance)
 
 
 def iterations(deformation: Deformation, frame: int | None = None) -> Iterations:

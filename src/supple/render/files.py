@@ -12,10 +12,11 @@ import numpy as np
 import numpy.typing as npt
 
 from supple.domain import choice, integer, number, point
-from supple.engines import check_no_cuda
-from supple.errors import SuppleError
+from supple.engines.choice import check_device
+from supple.errors import SuppleError, shown
+from supple.files.volumes import VolumeOptions, deformation_of, open_volume
 from supple.media import image, turntable
-from supple.media.files import check_output, shown
+from supple.media.files import check_output
 from supple.media.folder import check_outputs, replacing_all
 from supple.media.numbering import has_number, spelling
 from supple.media.volume import Volume
@@ -24,7 +25,6 @@ from supple.render.scene import MODES, Scene
 from supple.render.transfer import TransferFunction, transfer_of
 from supple.scaling import Fit
 from supple.strokes import Recipe
-from supple.volumes import VolumeOptions, deformation_of, open_volume
 
 Array = npt.NDArray[Any]
 PathLike = str | os.PathLike[str]
@@ -84,7 +84,7 @@ class RenderOptions:
     device: str = "cpu"
 
     def __post_init__(self) -> None:
-        check_no_cuda(self.device, "a volume that is seen")
+        check_device(self.device, "a volume that is seen")
         choice("mode", self.mode, MODES)
         choice("what", self.what, WHATS)
         for name, pixels in zip(("height", "width"), self.size, strict=True):

@@ -14,13 +14,13 @@ import numpy.typing as npt
 from supple import _core
 from supple.deformation import Deformation
 from supple.domain import choice, integer, number, point, refuse
-from supple.engines import check_no_cuda, gpu_of
+from supple.engines.choice import check_device, gpu_of
+from supple.engines.wgpu import raymarch as shading
+from supple.engines.wgpu.device import Gpu
+from supple.engines.wgpu.kernel import failures, let_through, passing, trouble
+from supple.engines.wgpu.volume import Volume
 from supple.errors import SuppleError, ToleranceWarning
 from supple.geometry import Geometry
-from supple.gpu import raymarch as shading
-from supple.gpu.device import Gpu
-from supple.gpu.kernel import failures, let_through, passing, trouble
-from supple.gpu.volume import Volume
 from supple.render.appearance import (
     FINE,
     brick_counts,
@@ -134,7 +134,7 @@ class Scene:
         device: str = "cpu",
     ) -> None:
         choice("mode", mode, MODES)
-        check_no_cuda(device, "a volume that is seen")
+        check_device(device, "a volume that is seen")
         places: object = Geometry() if geometry is None else geometry
         if not isinstance(places, Geometry):
             refuse("geometry", "a Geometry", geometry)

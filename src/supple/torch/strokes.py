@@ -11,9 +11,9 @@ import torch
 
 from supple.deformation import Deformation
 from supple.domain import refuse
+from supple.engines.torch.field import Strokes, axes_of
 from supple.errors import FoldWarning, MissWarning, SuppleError
 from supple.strokes import Stroke
-from supple.torch.field import Axis, Strokes
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -48,9 +48,8 @@ class Item:
             If they do, and a stroke has become several.
         """
         d = self.deformation
-        axes = [(row[0], row[1], row[2], row[3], row[4]) for row in d.space.axes[: d.ndim].tolist()]
         if not self.differentiable:
-            return _carried_out(d, axes, dtype, device)
+            return Strokes.of(d.space, dtype, device)
         flows = d.on_fold == "flow"
         if flows and len(d.space.table) > sum(any(stroke.by) for stroke in d.strokes):
             raise SuppleError(
@@ -66,7 +65,7 @@ class Item:
             (part, _ratio(stroke, d), stroke.scales, math.inf if stroke.reach is None else stroke.reach)
             for part, stroke in zip(d.resolution()["damping"], d.strokes, strict=True)
         ]
-        return Strokes(at, by, radius, kinds, axes, flows)
+        return Strokes(at, by, radius, kinds, axes_of(d.space), flows)
 
 
 def _ratio(stroke: Stroke, d: Deformation) -> float:
@@ -154,16 +153,3 @@ def _rebuilt(
         if text:
             warnings.warn(text, FoldWarning if part < 1 else MissWarning, stacklevel=4)
     return made
-
-
-def _carried_out(d: Deformation, axes: list[Axis], dtype: torch.dtype, device: torch.device) -> Strokes:
-    """Return the strokes as the engines carry them out, row by row."""
-    table, n = d.space.table, d.ndim
-    columns = [table[name][:, :n] / d.domain.spacing for name in ("pivot", "force")] + [table["radius2"][:, 0] ** 0.5]
-    at, by, radius = (torch.tensor(x, dtype=dtype, device=device) for x in columns)
-    ratios = (table["r"][:, 0] / (table["p"][:, 0] + table["r"][:, 0])).tolist()
-    reaches = (table["reach"] / table["radius2"][:, 0] ** 0.5).tolist()
-    kinds = [
-        (1.0, ratio, terms, reach) for ratio, terms, reach in zip(ratios, table["terms"].tolist(), reaches, strict=True)
-    ]
-    return Strokes(at, by, radius, kinds, axes)

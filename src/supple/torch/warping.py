@@ -6,7 +6,7 @@ The values are the engines'. What a loss says of them goes back through the same
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -15,13 +15,31 @@ from torch.autograd.function import once_differentiable
 
 from supple.deformation import Deformation
 from supple.domain import refuse
-from supple.torch.engine import Job, grid, offsets_of, values, working
-from supple.torch.field import Columns, moved, strokes_gradients
-from supple.torch.sample import Filter, read, spread
+from supple.engines.base import Group, Layout, Sampling, Work, warn_of
+from supple.engines.torch.engine import TORCH, grid, offsets_of, shown, working
+from supple.engines.torch.field import Columns, Strokes, strokes_gradients
+from supple.engines.torch.sample import Filter, read, spread
+from supple.pipeline import sampled
 from supple.torch.strokes import Item, items
-from supple.warping import checked_fill, checked_sampling
 
 SMOOTH = ("nearest", "linear", "cubic")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Job:
+    """The work on a tensor of K channels; the strokes are there if they need gradients."""
+
+    work: Work
+    strokes: Strokes | None = None
+
+    def how(self, dtype: torch.dtype, device: torch.device) -> Filter:
+        """Return the filter that has gradients."""
+        space, sampling = self.work.space, self.work.sampling
+        between = "catmull-rom" if sampling.between == "cubic" else sampling.between
+        kinds = [sampling.filter, sampling.filter, between][: space.ndim]
+        fill = torch.tensor(self.work.fills[0], dtype=dtype, device=device)
+        return Filter(space.whole[::-1], kinds, sampling.outside, fill[:, None])
+
 
 _ROOM = 1 << 23  # numbers for the points that are worked on at once: what T takes for its gradients, mostly
 
@@ -92,7 +110,7 @@ def warp(
     shape = given[0].deformation.shape
     _check(tensor, shape, len(given) if batch else None)
     axes = len(shape)
-    sampling = checked_sampling(
+    sampling = Sampling.checked(
         axes, filter=filter, tolerance=tolerance, outside=outside, fill=fill, linear_light=False, between=between,
         time_filter=False,
     )  # fmt: skip
@@ -103,13 +121,16 @@ def warp(
     if strokes_wanted and not tensor.is_floating_point():
         refuse("tensor", "of floats where strokes need gradients", str(tensor.dtype))
     channels = tensor.shape[-axes - 1] if tensor.ndim > axes else 1
-    colours = checked_fill(fill, channels, np.dtype(np.float64))
+    colours = np.asarray(sampling.filled(channels, np.dtype(np.float64)).fill)
     if tensor.numel() == 0:
         return tensor.clone()
     parts = tensor.reshape(len(given), -1, *shape)
-    colours = np.tile(colours, parts.shape[1] // channels)
+    sampling = replace(sampling, fill=tuple(np.tile(colours, parts.shape[1] // channels).tolist()))
+    layout = Layout(
+        (Group((shape[-2], shape[-1]), parts.shape[1]),), np.dtype(np.float32), 1.0
+    )  # its engine knows the type
     made = [
-        _warped(part, item, Job(item.deformation, filter, sampling.between, outside, colours, sampling.tolerance))
+        _warped(part, item, Job(Work(item.deformation.space, layout, sampling)))
         for part, item in zip(parts, given, strict=True)
     ]
     return (torch.stack(made) if batch else made[0]).reshape(tensor.shape)
@@ -167,9 +188,7 @@ def forward(
     made = []
     for part, item in zip(points if batch else [points], given, strict=True):
         strokes = item.strokes(working(points), points.device)
-        columns = [x.to(strokes.at.dtype) * axis[3] for x, axis in zip(part.unbind(-1), strokes.axes, strict=True)]
-        seen = [x / axis[3] for x, axis in zip(moved(columns, strokes), strokes.axes, strict=True)]
-        made.append(torch.stack(seen, -1).to(points.dtype))
+        made.append(shown(part, strokes))
     return torch.stack(made) if batch else made[0]
 
 
@@ -199,11 +218,19 @@ def _warped(tensor: torch.Tensor, item: Item, job: Job) -> torch.Tensor:
         held = replace(strokes, at=strokes.at.detach(), by=strokes.by.detach(), radius=strokes.radius.detach())
         job = replace(job, strokes=held)
         return _Warp.apply(tensor, strokes.at, strokes.by, strokes.radius, job)
-    if job.deformation.is_identity:
+    if job.work.space.is_identity:
         return tensor.clone()
     if torch.is_grad_enabled() and tensor.requires_grad:
         return _Warp.apply(tensor, None, None, None, job)
-    return values(tensor, job)
+    return _values(tensor, job.work)
+
+
+def _values(tensor: torch.Tensor, work: Work) -> torch.Tensor:
+    held = TORCH.taken(tensor, "tensor")
+    made = TORCH.result(None, held)
+    certificate = sampled(TORCH, work, [held], [made])
+    warn_of(certificate, work.sampling.tolerance, 5)
+    return made
 
 
 class _Warp(torch.autograd.Function):
@@ -219,12 +246,12 @@ class _Warp(torch.autograd.Function):
         job: Job,
     ) -> torch.Tensor:
         offsets = None
-        if job.deformation.is_identity:
+        if job.work.space.is_identity:
             made = tensor.clone()
         elif tensor.dtype != torch.float64:
-            made = values(tensor, job)
+            made = _values(tensor, job.work)
         else:
-            offsets = offsets_of(tensor, job)
+            offsets = offsets_of(tensor, job.work.space, job.work.sampling.tolerance)
             how, source = job.how(tensor.dtype, tensor.device), tensor.reshape(len(tensor), -1)
             parts = [read(source, *_places(offsets, *ends, how), how) for ends in _chunks(offsets, job)]
             # What no stroke reaches is copied, and no neighbour that is not a number spoils it.
@@ -238,7 +265,7 @@ class _Warp(torch.autograd.Function):
     def backward(ctx: Any, gradient: torch.Tensor) -> tuple[Any, ...]:
         tensor, at, by, radius, offsets = ctx.saved_tensors
         job, dtype = ctx.job, working(gradient)
-        offsets = offsets_of(gradient, job) if offsets is None else offsets
+        offsets = offsets_of(gradient, job.work.space, job.work.sampling.tolerance) if offsets is None else offsets
         how, flat = job.how(dtype, gradient.device), gradient.reshape(len(gradient), -1)
         into = torch.zeros_like(flat, dtype=dtype) if ctx.needs_input_grad[0] else None
         found, strokes, source = None, None, None
@@ -269,5 +296,5 @@ def _places(offsets: torch.Tensor, start: int, stop: int, how: Filter) -> tuple[
 
 def _chunks(offsets: torch.Tensor, job: Job) -> list[tuple[int, int]]:
     terms = sum(kind[2] for kind in job.strokes.kinds) if job.strokes is not None else 0
-    size, total = max(1, _ROOM // (len(job.fill) + 16 * (terms + 1))), len(offsets)
+    size, total = max(1, _ROOM // (len(job.work.fills[0]) + 16 * (terms + 1))), len(offsets)
     return [(start, min(start + size, total)) for start in range(0, total, size)]

@@ -8,12 +8,12 @@ from dataclasses import replace
 from supple.deformation import Arrival, Deformation
 from supple.domain import Border, Domain, integer, refuse
 from supple.errors import SuppleError
+from supple.files.volumes import indexed, placed
 from supple.geometry import Geometry
 from supple.scaling import spoken
 from supple.strokes import FoldPolicy, Recipe, Stroke
 from supple.viewer.history import History
 from supple.viewer.state import Item, Kind, Medium, Solved, State
-from supple.volumes import indexed, placed
 
 __all__ = ["Document", "Item", "Kind", "State"]
 

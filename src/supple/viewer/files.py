@@ -10,11 +10,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from supple.clips import SUFFIXES_OUT as CLIPS_OUT
-from supple.clips import is_picture_target
-from supple.errors import SuppleError
+from supple.errors import SuppleError, shown
 from supple.files import check_job, write_recipe
-from supple.media.files import check_output, same_file, shown
+from supple.files.clips import SUFFIXES_OUT as CLIPS_OUT
+from supple.files.clips import is_picture_target
+from supple.media.files import check_output, same_file
 from supple.media.image import SUFFIXES_OUT as PICTURES_OUT
 from supple.media.image import check_target
 from supple.media.volume import SUFFIXES_OUT as VOLUMES_OUT

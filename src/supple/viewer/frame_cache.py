@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from supple.clips import open_clip
 from supple.errors import SuppleError
+from supple.files.clips import open_clip
 
 Pixels = npt.NDArray[np.uint8]
 PathLike = str | os.PathLike[str]

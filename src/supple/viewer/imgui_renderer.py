@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from imgui_bundle import imgui
 
-from supple.gpu.buffers import Kept
-from supple.gpu.device import Gpu
-from supple.gpu.kernel import UNIFORM
+from supple.engines.wgpu.buffers import Kept
+from supple.engines.wgpu.device import Gpu
+from supple.engines.wgpu.kernel import UNIFORM
 
 _SETTINGS = np.dtype([("origin", "f4", 2), ("size", "f4", 2), ("gamma", "f4"), ("unused", "f4", 3)])
 _SHADER = """

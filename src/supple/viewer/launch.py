@@ -12,12 +12,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from supple.clips import is_clip, open_clip
 from supple.domain import choice, length, point
-from supple.errors import SuppleError
+from supple.engines.wgpu.device import Gpu, open_gpu
+from supple.errors import SuppleError, shown
+from supple.files.clips import is_clip, open_clip
+from supple.files.volumes import VolumeOptions, in_space, is_volume_job, open_volume
 from supple.geometry import Geometry
-from supple.gpu.device import Gpu, open_gpu
-from supple.media.files import shown
 from supple.media.image import read
 from supple.media.volume import Volume
 from supple.render.files import default_transfer
@@ -31,7 +31,6 @@ from supple.viewer.pixels import shown as as_pixels
 from supple.viewer.playback import Playback
 from supple.viewer.stages import ImageStage, VideoStage, VolumeStage
 from supple.viewer.tools import ImageTools, VideoTools, VolumeTools
-from supple.volumes import VolumeOptions, in_space, is_volume_job, open_volume
 
 if TYPE_CHECKING:
     from supple.viewer.view import View

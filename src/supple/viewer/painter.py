@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from typing import Any
 
 from supple.deformation import Deformation
-from supple.gpu.device import Gpu
-from supple.gpu.kernel import wait
-from supple.gpu.plate import Sight
-from supple.gpu.screen import ALL, Part, canvas_texture
+from supple.engines.wgpu.device import Gpu
+from supple.engines.wgpu.kernel import wait
+from supple.engines.wgpu.plate import Sight
+from supple.engines.wgpu.screen import ALL, Part, canvas_texture
 from supple.render.camera import Camera
 from supple.viewer.stages import ImageStage, VideoStage, VolumeStage
 
@@ -44,7 +44,7 @@ class Shot:
     camera : Camera
         Of a volume.
     overlay : str
-        One of `supple.gpu.plate.OVERLAYS`.
+        One of `supple.engines.wgpu.plate.OVERLAYS`.
     original : bool
         Whether to show what it was.
     split : bool

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 from imgui_bundle import imgui
 
 from supple.deformation import Arrival
+from supple.engines.wgpu.plate import OVERLAYS
 from supple.folding import NEAR
-from supple.gpu.plate import OVERLAYS
 from supple.render.transfer import PRESETS
 from supple.strokes import POISSON, REACH, FoldPolicy, Stroke
 from supple.viewer.stages import VolumeStage

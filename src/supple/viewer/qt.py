@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from supple.errors import SuppleError
 
 if TYPE_CHECKING:
-    from supple.gpu.device import Gpu
+    from supple.engines.wgpu.device import Gpu
     from supple.viewer.view import View
 
 BINDINGS = ("PySide6", "PyQt6")

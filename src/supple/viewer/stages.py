@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 
 from supple.deformation import Deformation
+from supple.engines.wgpu.device import Gpu
+from supple.engines.wgpu.plate import BACK, Plate, Sight
 from supple.errors import SuppleError
-from supple.gpu.device import Gpu
-from supple.gpu.plate import BACK, Plate, Sight
 from supple.media.volume import Volume
 from supple.render.camera import Camera
 from supple.render.picture import Pick

@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 
+from supple.engines.wgpu.device import Gpu
+from supple.engines.wgpu.screen import Screen, composed, pixels_of
 from supple.errors import SuppleError
-from supple.gpu.device import Gpu
-from supple.gpu.screen import Screen, composed, pixels_of
 from supple.media import image
 from supple.strokes import Recipe
 from supple.viewer import overlay, panels

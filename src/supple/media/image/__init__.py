@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 import pyvips
 
-from supple.errors import SuppleError
-from supple.media.files import replacing, shown
+from supple.errors import SuppleError, shown
+from supple.media.files import replacing
 from supple.media.image import exif
 from supple.media.image.formats import (
     AVIF,

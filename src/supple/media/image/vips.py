@@ -14,8 +14,7 @@ from typing import Any, TypeVar
 import numpy as np
 import pyvips
 
-from supple.errors import SuppleError
-from supple.media.files import shown
+from supple.errors import SuppleError, shown
 from supple.media.image.chunks import png_frames
 from supple.media.image.exif import retagged, tag_of
 from supple.media.image.formats import DTYPES, Array, meant, wrapped

@@ -16,6 +16,7 @@ need("video", "videos and image sequences", "av")
 
 import av
 
+from supple.engines.base import Array
 from supple.media.video.codecs import SUFFIXES_OUT, container_of
 from supple.media.video.colour import sited, to_rgb
 from supple.media.video.demux import chosen, decoded_by, fed, opened, packets, sums_up, survey
@@ -26,7 +27,6 @@ from supple.media.video.planes import Form, palette, unpack
 from supple.media.video.probe import Film, said_of
 from supple.media.video.seeking import Index, index_of
 from supple.media.video.timing import Times, usual_step
-from supple.streaming import Array
 
 __all__ = [
     "SUFFIXES_OUT",

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import av
 
-from supple.media.files import shown
+from supple.errors import shown
 from supple.media.video.colour import BT601, BT709, LIMITED, UNKNOWN, Colour
 from supple.media.video.errors import unwritable
 

@@ -14,8 +14,8 @@ import av.logging
 import numpy as np
 from av.filter import Graph
 
+from supple.engines.base import Array
 from supple.media.video.planes import Form, Kind, form, pack
-from supple.streaming import Array
 
 LIMITED, FULL = 1, 2  # AVCOL_RANGE_MPEG, AVCOL_RANGE_JPEG
 RGB, BT709, UNKNOWN, BT601, BT2020 = 0, 1, 2, 6, 9  # AVColorSpace

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import av
 
+from supple.engines.base import Array
 from supple.media.files import check_output, replacing
 from supple.media.video.codecs import container_of
 from supple.media.video.colour import Colour, recast, sited
@@ -24,7 +25,6 @@ from supple.media.video.planes import form, pack
 from supple.media.video.probe import Reel, Stills
 from supple.media.video.streams import Passage, kept_tags, titled
 from supple.media.video.timing import usual_step
-from supple.streaming import Array
 
 if TYPE_CHECKING:
     from supple.media.video.sequence import Pictures
@@ -44,6 +44,7 @@ class Sink:
         self._colour = replace(reel.colour, site=sited(reel.colour, reel.codec, reel.form.kind))
         self._times: dict[int, tuple[int, int]] = {}
         self._written = 0
+        self.aside = True
         self.copied = 0  # frames whose packets were taken from the source
         self._due: dict[int, av.Packet[Any] | None] = {}  # packets in order; None while a frame is encoded
         self._halved = False  # whether half opacity has been met

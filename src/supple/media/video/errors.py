@@ -7,8 +7,7 @@ import re
 
 import av
 
-from supple.errors import SuppleError
-from supple.media.files import shown
+from supple.errors import SuppleError, shown
 
 
 class ClipWarning(UserWarning):

@@ -13,14 +13,13 @@ from typing import TYPE_CHECKING
 import av
 import numpy as np
 
-from supple.errors import SuppleError
-from supple.media.files import shown
+from supple.engines.workers import threads as all_threads
+from supple.errors import SuppleError, shown
 from supple.media.video.codecs import Encoder, container_of, named, options, pixel_formats, read_as, usual
 from supple.media.video.colour import Colour, Grading, sited
 from supple.media.video.errors import ClipWarning, unwritable
 from supple.media.video.pixel_format import Match, Wish, finer, match
 from supple.media.video.planes import Form, Kind, form
-from supple.workers import threads as all_threads
 
 if TYPE_CHECKING:
     from supple.media.video.probe import Reel

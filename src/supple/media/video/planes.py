@@ -11,7 +11,7 @@ from typing import Any
 import av
 import numpy as np
 
-from supple.streaming import Array, Group, Layout
+from supple.engines.base import Array, Group, Layout
 
 # what is packed in an order that its name does not tell
 _ORDER = {"xv36": "uyvx", "xv48": "uyvx", "yuyv422": "yuyv", "uyvy422": "uyvy", "yvyu422": "yvyu"}

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 import av
 import numpy as np
 
-from supple.errors import SuppleError
-from supple.media.files import shown
+from supple.engines.base import Layout
+from supple.errors import SuppleError, shown
 from supple.media.video.colour import (
     BT709,
     FULL,
@@ -31,7 +31,6 @@ from supple.media.video.colour import (
 from supple.media.video.demux import Survey, chosen
 from supple.media.video.planes import Form, form, palette, wider
 from supple.media.video.streams import name_of
-from supple.streaming import Layout
 
 if TYPE_CHECKING:
     from supple.media.video.encode import Sink

@@ -17,14 +17,14 @@ import numpy as np
 import numpy.typing as npt
 import pyvips
 
-from supple.errors import SuppleError
-from supple.media.files import shown
+from supple.engines.base import Group, Layout
+from supple.errors import SuppleError, shown
 from supple.media.image import PageWarning, Picture
 from supple.media.image.formats import DTYPES
 from supple.media.image.headers import collected, facts, has_alpha
 from supple.media.image.vips import PathLike, apart, decoded, opened, reading, sequential, widen
 from supple.media.numbering import first_number, has_number, is_sequence, numbered, pictures_in
-from supple.streaming import Frame, Group, Layout
+from supple.pipeline import Frame
 
 __all__ = ["Pictures", "is_sequence", "open_sequence"]
 

@@ -13,13 +13,12 @@ from typing import Any, Protocol
 import numpy as np
 import numpy.typing as npt
 
-from supple.errors import SuppleError
-from supple.media.files import shown
+from supple.engines.base import Layout
+from supple.errors import SuppleError, shown
 from supple.media.folder import check_outputs, replacing_all
 from supple.media.image import SUFFIXES_OUT, ImageWarning, MetadataWarning, PathLike, check_target, write
 from supple.media.numbering import has_number, matching, pictures_in, spelling
 from supple.media.video.sequence import Pictures
-from supple.streaming import Layout
 
 Array = npt.NDArray[Any]
 
@@ -48,9 +47,10 @@ class Sink:
     ) -> None:
         self._clip, self._folder, self._temporary, self._names = clip, folder, temporary, names
         self._options = options
+        self.aside = False
         self._said: set[str] = set()
 
-    def write(self, arrays: Sequence[Array], k: int) -> None:
+    def write(self, arrays: Sequence[Array], k: int, *, still: bool = False) -> None:
         """Write frame ``k``: arrays as the clip's layout says."""
         name = self._names(k)
         like = None

@@ -12,7 +12,7 @@ from typing import Any
 
 import av
 
-from supple.media.files import shown
+from supple.errors import shown
 from supple.media.video.errors import ClipWarning
 
 PathLike = str | os.PathLike[str]

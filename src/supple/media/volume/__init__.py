@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from supple.errors import SuppleError
-from supple.media.files import check_output, shown
+from supple.errors import SuppleError, shown
+from supple.media.files import check_output
 from supple.media.volume import pages as stack
 from supple.media.volume import raw
 from supple.media.volume.data import (

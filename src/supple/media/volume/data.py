@@ -14,9 +14,8 @@ import numpy as np
 import numpy.typing as npt
 
 from supple.domain import LONGEST_AXIS, integer, items, length, refuse
-from supple.errors import SuppleError
+from supple.errors import SuppleError, shown
 from supple.geometry import Geometry
-from supple.media.files import shown
 
 Array = npt.NDArray[Any]
 PathLike = str | os.PathLike[str]

@@ -14,8 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from supple.errors import VolumeWarning
-from supple.media.files import shown
+from supple.errors import VolumeWarning, shown
 from supple.media.volume.data import Array, PathLike, Volume, check_spacing, head_of, located, unreadable
 from supple.media.volume.itk import check_voxels, failing, geometry_of, library, silence
 

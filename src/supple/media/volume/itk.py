@@ -15,9 +15,9 @@ from typing import Any
 
 import numpy as np
 
-from supple.errors import SuppleError, need
+from supple.errors import SuppleError, need, shown
 from supple.geometry import Geometry
-from supple.media.files import check_output, replacing, shown
+from supple.media.files import check_output, replacing
 from supple.media.volume.data import (
     DTYPES,
     Array,

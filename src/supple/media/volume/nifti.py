@@ -13,9 +13,9 @@ from typing import IO, Any, Literal, cast
 
 import numpy as np
 
-from supple.errors import VolumeWarning, need
+from supple.errors import VolumeWarning, need, shown
 from supple.geometry import Geometry
-from supple.media.files import replacing, shown
+from supple.media.files import replacing
 from supple.media.volume.data import (
     DTYPES,
     Array,

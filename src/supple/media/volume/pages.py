@@ -9,9 +9,9 @@ from typing import Any, Literal
 
 import numpy as np
 
-from supple.errors import SuppleError
+from supple.errors import SuppleError, shown
 from supple.geometry import Geometry
-from supple.media.files import replacing, shown
+from supple.media.files import replacing
 from supple.media.volume.data import Array, PathLike, Volume, native, unreadable
 
 SUFFIXES = (".tif", ".tiff")

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
+from supple.errors import shown
 from supple.geometry import Geometry
-from supple.media.files import shown
 from supple.media.volume.data import PathLike, RawLayout, Volume, head_of, native, reading, unreadable
 
 _HEAD = 6  # three sizes of 16 bits

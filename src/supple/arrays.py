@@ -1,0 +1,288 @@
+"""Arrays in, arrays out: images, frames, volumes, batches and functions of points, checked and sent to an engine."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any, Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from supple.domain import choice, integer, refuse
+from supple.engines.base import Array, Certificate, Engine, Layout, Sampling, Space, Work, warn_of
+from supple.engines.choice import DEVICES, engine_at, engine_for
+from supple.engines.native import NATIVE
+from supple.errors import SuppleError, ToleranceWarning
+from supple.pipeline import Arrays, run, sampled
+
+_MOST_POINTS = 1 << 18  # of a function, asked for at once
+_SLAB = 1 << 20  # bytes whose range is looked at, or kept, at once
+
+
+class Deforming(Protocol):
+    """Anything with a space: a `supple.Deformation`."""
+
+    @property
+    def space(self) -> Space:
+        """The strokes on their domain."""
+
+
+def warp_array(
+    source: Any,
+    space: Space,
+    sampling: Sampling,
+    *,
+    alpha: bool | None = None,
+    clamp: bool = False,
+    device: str = "cpu",
+    out: Any = None,
+    tell: Callable[[str, int, int], None] = lambda step, done, total: None,
+) -> tuple[Any, Certificate]:
+    """Sample an image, or frames, plane by plane, so that neither the source nor ``out`` need be in memory.
+
+    Parameters
+    ----------
+    source : array of shape (H, W[, C]) or (T, H, W[, C])
+        NumPy's, or on a CUDA device. Of an image, there may also be several, bent alike: (N, H, W[, C]), if
+        ``space.count`` says so.
+    space, sampling
+        What to do.
+    alpha, clamp, device, out
+        As `supple.Deformation.warp` takes them.
+    tell : function
+        Called with ``"warp"``, how many planes are done, and of how many, now and then.
+
+    Returns
+    -------
+    array
+        Of the source's shape and type.
+    Certificate
+        How exact the map is.
+
+    Raises
+    ------
+    SuppleError
+        If an argument does not fit.
+
+    Warns
+    -----
+    DeviceWarning
+        If the device failed, so that the CPU did it.
+    """
+    engine = engine_at(source)
+    held = engine.taken(source, "source")
+    work = work_of(held, space, sampling, alpha)
+    if engine is not NATIVE:
+        if clamp:
+            refuse("clamp", "False for an array on a CUDA device: clip the result there", clamp)
+        return _on_device(engine, held, work, device, out)
+    engine = engine_for(device, work)
+    result = engine.result(out, held)
+    frames, planes = (Arrays(work.layout, (_as_frames(a, len(space.whole)),)) for a in (held, result))
+    done = run(frames, planes, work, engine, tell=tell)
+    if clamp and not space.is_identity:
+        clamp_to(held, result, work.sampling)
+    return result, done.certificate
+
+
+def work_of(held: Any, space: Space, sampling: Sampling, alpha: bool | None) -> Work:
+    """Return the work on an image or on frames; SuppleError if they do not fit."""
+    layout = Layout.of_array(held.shape, held.dtype, space.whole, alpha=alpha, light=sampling.light)
+    return Work(space, layout, sampling.filled(layout.groups[0].channels, held.dtype))
+
+
+def _as_frames(array: Array, axes: int) -> Array:
+    """Return a view of an image or of frames that have so many axes, as (count, h, w, channels)."""
+    deep = array if array.ndim > axes else array[..., None]
+    return deep if axes == 3 else deep[None]
+
+
+def _on_device(engine: Engine, held: Any, work: Work, device: str, out: Any) -> tuple[Any, Certificate]:
+    """Warp an array on a CUDA device there."""
+    choice("device", device, DEVICES)
+    if device == "gpu":
+        refuse("device", "left out for an array on a CUDA device, which is warped there", device)
+    engine.check(work)
+    result = engine.result(out, held)
+    return result.given, sampled(engine, work, [held], [result])
+
+
+def warp_batch(
+    sources: Any,
+    deformations: Deforming | Sequence[Deforming],
+    *,
+    filter: str = "auto",
+    tolerance: float = 0.01,
+    outside: str = "edge",
+    fill: float | Sequence[float] = 0.0,
+    alpha: bool | None = None,
+    linear_light: bool = False,
+    between: str | None = None,
+    time_filter: bool = False,
+    device: str = "cpu",
+    out: Any = None,
+) -> Any:
+    """Deform a batch of images, of volumes or of clips.
+
+    Parameters
+    ----------
+    sources : array of shape (N, H, W[, C]) or (N, T, H, W[, C])
+        NumPy's, or on an NVIDIA GPU, where a batch of images is warped at once.
+    deformations : Deformation or sequence of Deformation
+        One for all items, or one for each, all of one shape.
+    filter, tolerance, outside, fill, alpha, linear_light, between, time_filter, device
+        As in `supple.Deformation.warp`.
+    out : array, optional
+        Where to put the result; of its shape and type, and not overlapping ``sources``.
+
+    Returns
+    -------
+    array
+        Of the sources' shape and type, and of their library.
+
+    Raises
+    ------
+    SuppleError
+        If an argument does not fit.
+
+    Warns
+    -----
+    ToleranceWarning
+        If the checks of a map's cells do not promise the tolerance everywhere.
+    """
+    spaces = spaces_of(deformations)
+    sampling = Sampling.checked(
+        spaces[0].ndim, filter=filter, tolerance=tolerance, outside=outside, fill=fill, linear_light=linear_light,
+        between=between, time_filter=time_filter,
+    )  # fmt: skip
+    engine = engine_at(sources)
+    held = engine.taken(sources, "source" if engine is not NATIVE else "sources")
+    if engine is not NATIVE:
+        result, certificate = _on_device(engine, held, batch_of(held, spaces, sampling, alpha), device, out)
+        warn_of(certificate, sampling.tolerance, 3)
+        return result
+    shape = spaces[0].whole
+    if held.ndim < 1 + len(shape) or held.shape[1 : 1 + len(shape)] != shape:
+        sizes = ", ".join(map(str, shape))
+        refuse("sources", f"of shape (N, {sizes}) or (N, {sizes}, channels)", f"shape {held.shape}")
+    if len(spaces) not in (1, len(held)):
+        refuse("deformations", f"one, or one for each of the {len(held)} items", len(spaces))
+    result = engine.result(out, held)
+    for k, item in enumerate(held):
+        try:
+            space = spaces[k % len(spaces)]
+            _, certificate = warp_array(item, space, sampling, alpha=alpha, device=device, out=result[k])
+        except SuppleError as error:
+            raise type(error)(f"item {k}: {error}" if len(spaces) > 1 else str(error)) from None
+        warn_of(certificate, sampling.tolerance, 3)
+    return result
+
+
+def spaces_of(deformations: Any) -> tuple[Space, ...]:
+    """Return the spaces of one deformation, or of several of one shape; SuppleError if they are none."""
+    wanted = "a Deformation, or a sequence of them, of one shape"
+    several = tuple(deformations) if isinstance(deformations, Sequence) else (deformations,)
+    if not several or not all(isinstance(getattr(d, "space", None), Space) for d in several):
+        refuse("deformations", wanted, deformations)
+    spaces = tuple(d.space for d in several)
+    shapes = [s.whole for s in spaces]
+    if len(set(shapes)) > 1:
+        other = next(shape for shape in shapes if shape != shapes[0])
+        refuse("deformations", wanted, f"shapes {shapes[0]} and {other}")
+    return spaces
+
+
+def batch_of(held: Any, spaces: tuple[Space, ...], sampling: Sampling, alpha: bool | None) -> Work:
+    """Return the work on a batch, whose first axis counts items; SuppleError if it does not fit."""
+    count = held.shape[0] if held.ndim else 0
+    if len(spaces) not in (1, count):
+        refuse("deformations", f"one, or one for each of the {count} items", len(spaces))
+    layout = Layout.of_array(held.shape[1:], held.dtype, spaces[0].whole, alpha=alpha, light=sampling.light)
+    return Work(spaces[0], layout, sampling.filled(layout.groups[0].channels, held.dtype), spaces)
+
+
+def clamp_to(source: Array, result: Array, sampling: Sampling) -> None:
+    """Keep a result within the finite values of its source, and the constant around it: cubics go beyond.
+
+    NaN and infinities stay where they are.
+    """
+    if result.dtype.kind not in "iuf" or "cubic" not in (sampling.filter.replace("auto", "cubic"), sampling.between):
+        return
+    low, high, infinite = _finite_range(source)
+    if low > high:  # there is no finite value
+        return
+    if sampling.outside == "constant":
+        fill = [float(value) for value in np.ravel(sampling.fill)]
+        if result.dtype.kind in "iu":
+            least, most = np.iinfo(result.dtype).min, np.iinfo(result.dtype).max
+            fill = [min(max(round(value), least), most) for value in fill]
+        low, high = min(low, result.dtype.type(min(fill))), max(high, result.dtype.type(max(fill)))
+    for part in _slabs(result):  # only what is beyond is touched: all else keeps every bit, the sign of a zero too
+        for beyond, bound in ((part < low, low), (part > high, high)):
+            if infinite:
+                beyond &= np.isfinite(part)
+            np.copyto(part, bound, where=beyond)
+
+
+def _finite_range(source: Array) -> tuple[Any, Any, bool]:
+    """The least and the greatest finite value, and whether there are infinities; the greatest first if none is."""
+    kind, infinite = source.dtype.newbyteorder("="), False
+    low, high = (np.inf, -np.inf) if kind.kind == "f" else (np.iinfo(kind).max, np.iinfo(kind).min)
+    for part in _slabs(source):
+        least, most = np.fmin.reduce(part, axis=None), np.fmax.reduce(part, axis=None)
+        if np.isinf(least) or np.isinf(most):
+            infinite, part = True, part[np.isfinite(part)]
+            if not part.size:
+                continue
+            least, most = part.min(), part.max()
+        low, high = min(low, least), max(high, most)
+    return kind.type(low), kind.type(high), infinite
+
+
+def _slabs(array: Array) -> Iterator[Array]:
+    """Parts of an array along its first axis, which a processor's cache can hold."""
+    rows = max(1, _SLAB * len(array) // max(array.nbytes, 1))
+    for start in range(0, len(array), rows):
+        yield array[start : start + rows]
+
+
+def warp_function(
+    function: Callable[[npt.NDArray[np.float64]], npt.ArrayLike],
+    space: Space,
+    samples: int,
+    out: Array | None,
+) -> Array:
+    """Evaluate a function of points at T⁻¹ of every output pixel, at the mean of ``samples``² points of each.
+
+    There is nothing to interpolate: the function is as sharp, however far the map enlarges it.
+    """
+    samples = integer("samples", samples, "a number of samples along a pixel's side, from 1 to 64", 1, 64)
+    height, width = space.shape
+    within = (np.arange(samples) + 0.5) / samples - 0.5
+    x = (np.arange(width)[:, None] + within).ravel()
+    rows = max(1, _MOST_POINTS // (width * samples * samples))
+    result: Array | None = None
+    for top in range(0, height, rows):
+        y = (np.arange(top, min(top + rows, height))[:, None] + within).ravel()
+        grid = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+        points, _, _, converged = NATIVE.inverse(space, grid)
+        if not converged.all():
+            warnings.warn(
+                f"{np.count_nonzero(~converged)} of {converged.size} source points did not converge: what is shown "
+                "there is a guess",
+                ToleranceWarning,
+                stacklevel=3,
+            )
+        values = np.asarray(function(points))
+        if values.ndim not in (1, 2) or values.shape[0] != len(points) or values.dtype.kind not in "biuf":
+            wanted = f"numbers of shape ({len(points)},) or ({len(points)}, channels) for points {points.shape}"
+            refuse("the function's values", wanted, f"{values.dtype} of shape {values.shape}")
+        if values.dtype.kind != "f":
+            values = values.astype(np.float64)
+        square = values.reshape(len(y) // samples, samples, width, samples, *values.shape[1:]).mean(axis=(1, 3))
+        if result is None:
+            result = NATIVE.result(out, np.empty((height, width, *values.shape[1:]), values.dtype))
+        result[top : top + len(square)] = square
+    assert result is not None
+    return result

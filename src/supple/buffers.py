@@ -1,0 +1,94 @@
+"""Arrays in memory or, where that is too little, in a temporary file that is gone afterwards."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import os
+import tempfile
+from collections.abc import Iterator, Sequence
+from typing import IO, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from supple.errors import SuppleError, shown
+
+Array = npt.NDArray[Any]
+
+
+@contextlib.contextmanager
+def buffers(
+    shapes: Sequence[tuple[int, ...]], dtype: npt.DTypeLike, memory: float, why: str, folder: str | None = None
+) -> Iterator[list[Array]]:
+    """Open arrays of some shapes.
+
+    Parameters
+    ----------
+    shapes, dtype
+        Of the arrays.
+    memory : float
+        How many bytes they may take in memory, all together.
+    why : str
+        What is said where the disk is full, after "no room for it": ``{}`` stands for the system's reason.
+    folder : str, optional
+        Where the temporary file goes: by default where such files go.
+
+    Raises
+    ------
+    SuppleError
+        If there is no room for them on the disk.
+    """
+    kind = np.dtype(dtype)
+    sizes = [math.prod(shape) * kind.itemsize for shape in shapes]
+    if sum(sizes) <= memory:
+        yield [np.empty(shape, kind) for shape in shapes]
+        return
+    with contextlib.ExitStack() as stack:
+        place = folder or "the folder of temporary files"
+        try:
+            place = folder or tempfile.gettempdir()
+            file = stack.enter_context(tempfile.TemporaryFile(prefix=".supple-", dir=place))
+            reserve(file, sum(sizes))
+        except OSError as error:
+            text = why.replace("{folder}", place).replace("{size}", f"{sum(sizes) / 1e9:.2g} GB")
+            raise SuppleError(text.replace("{}", str(error.strerror or error))) from None
+        starts = [0, *np.cumsum(sizes)[:-1].tolist()]
+        held = [np.memmap(file, kind, "r+", start, shape) for start, shape in zip(starts, shapes, strict=True)]
+        yield [np.asarray(part) for part in held]
+
+
+@contextlib.contextmanager
+def beside(
+    target: str | os.PathLike[str], shape: tuple[int, ...], dtype: npt.DTypeLike, memory: float
+) -> Iterator[Array]:
+    """Open an array for what will be written to a file; a temporary file goes beside that.
+
+    Raises
+    ------
+    SuppleError
+        If there is no room for it on the disk.
+    """
+    why = f"the result takes {{size}}, and there is no room for it beside {shown(target)} ({{}}): choose another place"
+    with buffers([shape], dtype, memory, why, os.path.dirname(os.path.realpath(target))) as (array,):
+        yield array
+
+
+def machine_memory() -> float:
+    """Return how many bytes of memory this machine has."""
+    try:
+        return float(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"))
+    except (AttributeError, ValueError, OSError):
+        return math.inf
+
+
+def reserve(file: IO[bytes], size: int) -> None:
+    """Make a file as large as it is going to be, so that no later write finds the disk full."""
+    allocate = getattr(os, "posix_fallocate", None)
+    if allocate:
+        allocate(file.fileno(), 0, size)
+        return
+    zeros = bytes(1 << 24)
+    for start in range(0, size, len(zeros)):
+        file.write(zeros[: size - start])
+    file.flush()

@@ -1,0 +1,81 @@
+"""Warps of arrays on an NVIDIA GPU that nobody waits for: handed over, and waited for later."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+from supple.arrays import Deforming, batch_of, spaces_of, work_of
+from supple.domain import integer, refuse
+from supple.engines.base import Sampling
+from supple.engines.choice import lies_on_device
+from supple.engines.cuda.engine import open_cuda
+
+if TYPE_CHECKING:
+    from supple.engines.cuda.job import Warping
+
+__all__ = ["start"]
+
+
+def start(
+    source: Any,
+    deformations: Deforming | Sequence[Deforming],
+    *,
+    filter: str = "auto",
+    tolerance: float = 0.01,
+    outside: str = "edge",
+    fill: float | Sequence[float] = 0.0,
+    alpha: bool | None = None,
+    linear_light: bool = False,
+    between: str | None = None,
+    time_filter: bool = False,
+    slab: int | None = None,
+    stream: Any = None,
+    out: Any = None,
+) -> Warping:
+    """Hand a warp over to a GPU, and go on at once.
+
+    It begins when what was handed over to the source's stream before is done, and goes on beside what comes after.
+
+    Parameters
+    ----------
+    source : array on a GPU
+        As `supple.Deformation.warp` takes it; or a batch (N, …).
+    deformations : Deformation or sequence of Deformation
+        One; or a sequence for a batch, of one for all, or of N.
+    filter, tolerance, outside, fill, alpha, linear_light, between, time_filter
+        As in `supple.Deformation.warp`.
+    slab : int, optional
+        How many planes of a stack are handed over at once: between two slabs, other streams' kernels get their turn.
+        By default, as many as need 256 MB beside the arrays.
+    stream : stream of PyTorch, CuPy or Numba, optional
+        Where it goes on, if not on a stream of its own.
+    out : array on the same GPU, optional
+        Where to put the result.
+
+    Returns
+    -------
+    Warping
+        To wait for, or to poll. Neither the source nor the result may be touched before it is done, unless their stream
+        was told to wait (`Warping.join`).
+
+    Raises
+    ------
+    SuppleError
+        If an argument does not fit, or the GPU cannot be used.
+    """
+    spaces = spaces_of(deformations)
+    sampling = Sampling.checked(
+        spaces[0].ndim, filter=filter, tolerance=tolerance, outside=outside, fill=fill, linear_light=linear_light,
+        between=between, time_filter=time_filter,
+    )  # fmt: skip
+    if slab is not None:
+        slab = integer("slab", slab, "a number of planes from 1 on", 1, 1 << 30)
+    if not lies_on_device(source):
+        refuse("source", "an array on a GPU", source)
+    engine = open_cuda()
+    held = engine.taken(source, "source")
+    many = isinstance(deformations, Sequence)
+    work = batch_of(held, spaces, sampling, alpha) if many else work_of(held, spaces[0], sampling, alpha)
+    engine.check(work)
+    return engine.start(work, held, engine.result(out, held), slab=slab, stream=stream)

@@ -1,0 +1,118 @@
+"""The CUDA engine: arrays on an NVIDIA GPU, and arrays of the host that are sent there slab by slab."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from supple.domain import refuse
+from supple.engines.base import SLACK, Certificate, EngineError, Planes, Space, Steps, Work
+from supple.engines.cuda import arrays
+from supple.engines.cuda.card import Card, failures, open_card
+from supple.engines.native import NATIVE
+
+if TYPE_CHECKING:
+    from supple.engines.cuda.job import Warping
+
+# Kernels are compiled, and Numba is imported, once there is a device.
+
+
+def open_cuda(number: int = 0) -> Cuda:
+    """Return the engine of the CUDA device of a number; SuppleError says why it cannot be used."""
+    return Cuda(open_card(number))
+
+
+@dataclass(frozen=True, slots=True)
+class Cuda:
+    """The engine of a CUDA device (`supple.engines.base.Engine`); clips, which stream, are for others."""
+
+    card: Card
+    lead: int = 0
+
+    @property
+    def name(self) -> str:
+        """The GPU's."""
+        return self.card.name
+
+    def slack(self, tolerance: float) -> float:
+        """See `Engine.slack`."""
+        return SLACK
+
+    def check(self, work: Work) -> None:
+        """Raise SuppleError for types that kernels do not take."""
+        dtype = work.layout.dtype
+        if dtype.kind == "f" and dtype.itemsize not in (2, 4, 8):
+            refuse("source", "an array of bool, integers or floats of 16, 32 or 64 bits", f"dtype {dtype}")
+
+    def taken(self, value: Any, name: str) -> Any:
+        """Return an array on a CUDA device, of whatever library, as `OnCard`; one of the host as NumPy's."""
+        return arrays.taken(value, name) if arrays.is_on_card(value) else NATIVE.taken(value, name)
+
+    def result(self, out: Any, held: Any) -> Any:
+        """See `Engine.result`; the result is where the source is."""
+        if not isinstance(held, arrays.OnCard):
+            return NATIVE.result(out, held)
+        if out is not None:
+            return arrays.checked_out(out, held)
+        return arrays.made_like(held, held.shape, held.dtype, as_it_lies=True)
+
+    def kind(self, dtype: np.dtype[Any]) -> np.dtype[Any]:
+        """See `Engine.kind`."""
+        return dtype
+
+    def view(self, array: Any) -> Any:
+        """See `Engine.view`: it takes any array."""
+        return array
+
+    def warp(self, work: Work, frames: Sequence[Any], outs: Sequence[Any]) -> Steps:
+        """See `Engine.warp`. Arrays on a device are taken as they are, without an axis for frames or channels."""
+        if isinstance(frames[0], arrays.OnCard):
+            from supple.engines.cuda import job
+
+            yield len(outs), job.finish(job.Job(work, frames[0], outs[0]))
+            return
+        from supple.engines.cuda.large import warp_host
+
+        unknown = 0
+        try:
+            for done, known in warp_host(self.card, frames[0], outs[0], work):
+                unknown += known.unknown
+                yield done, known
+        except failures() as error:
+            raise EngineError(" ".join(str(error).split())[:120] or type(error).__name__) from error
+        if unknown:
+            raise EngineError(f"{unknown} points could not be solved to the tolerance")
+
+    def start(
+        self, work: Work, held: arrays.OnCard, result: arrays.OnCard, *, slab: int | None, stream: Any
+    ) -> Warping:
+        """Hand a warp over to a stream, and go on at once."""
+        from supple.engines.cuda import job
+
+        return job.start(job.Job(work, held, result), slab=slab, stream=stream)
+
+    def stream(self, work: Work, window: Sequence[Any]) -> AbstractContextManager[Planes]:
+        """Raise SuppleError: it makes no clips."""
+        refuse("device", '"cpu", "gpu" or "auto" for clips', "cuda")
+
+    def forward(self, space: Space, points: Any, *, matrices: bool = False) -> Any:
+        """See `Engine.forward`."""
+        from supple.engines.cuda import points as moving
+
+        return moving.forward(space, points, matrices=matrices)
+
+    def inverse(self, space: Space, points: Any) -> tuple[Any, Any, Any, Any]:
+        """See `Engine.inverse`."""
+        from supple.engines.cuda import points as moving
+
+        return moving.inverse(space, points)
+
+    def inverse_map(self, space: Space, tolerance: float, like: Any = None) -> tuple[Any, Certificate]:
+        """See `Engine.inverse_map`; ``like`` is an array on a CUDA device."""
+        from supple.engines.cuda import points as moving
+
+        return moving.inverse_map(space, like, tolerance)

@@ -1,0 +1,239 @@
+"""Warps of arrays that live on a GPU: at once, or handed over to be waited for."""
+
+from __future__ import annotations
+
+import threading
+from dataclasses import dataclass
+from typing import Any
+
+from supple.domain import refuse
+from supple.engines.base import Certificate, Space, Work, warn_of
+from supple.engines.cuda.arrays import OnCard, as_stream, stream_of
+from supple.engines.cuda.card import simulated
+from supple.engines.cuda.sample import FRAMES
+from supple.engines.cuda.warp import (
+    Frames,
+    Lattice,
+    Pieces,
+    colours_of,
+    lattice_of,
+    make_planes,
+    pieces_of,
+    told_of,
+)
+from supple.engines.workers import note
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Job:
+    """A warp that is checked, and not yet handed over.
+
+    Parameters
+    ----------
+    work : Work
+    source, out : OnCard
+    """
+
+    work: Work
+    source: OnCard
+    out: OnCard
+
+    @property
+    def spaces(self) -> tuple[Space, ...]:
+        """The deformations: one, or one for each item of a batch."""
+        return self.work.items or (self.work.space,)
+
+    @property
+    def batch(self) -> bool:
+        """Return whether the first axis counts items."""
+        return self.work.items is not None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Round:
+    """The work of one call of the kernels: a stack, or pictures."""
+
+    lattice: Lattice
+    source: Frames
+    out: Frames
+    planes: int
+    shared: int = 0
+
+
+def hand_over(job: Job, stream: Any, slab: int | None = None, *, waited: bool = False) -> Pieces:
+    """Hand all of it over to a stream, without waiting; what is told of it is there when that is done.
+
+    ``slab`` is how many planes are handed over at once, so that what else the GPU has to do comes in between;
+    ``waited`` says that this thread waits for it next, on the stream of the source's library.
+    """
+    card, space, sampling = job.source.card, job.work.space, job.work.sampling
+    with card.current():
+        rounds = _rounds(job)
+        count = rounds[0].source.places[FRAMES]
+        colours = colours_of(card, job.source.dtype, job.work, count)
+        planes = 1 if rounds[0].shared else rounds[0].planes
+        pieces = (pieces_of if waited else Pieces)(job.out, [r.lattice for r in rounds], planes)
+        for k, r in enumerate(rounds):
+            make_planes(
+                card, stream, r.lattice, pieces, colours, space.shape, (0, r.planes), r.source, r.out,
+                tolerance=sampling.tolerance, shared=r.shared, fresh=k == 0, slab=slab,
+            )  # fmt: skip
+    return pieces
+
+
+def _rounds(job: Job) -> list[_Round]:
+    card, space = job.source.card, job.work.space
+    source, out = job.source.flat(), job.out.flat()
+    if space.ndim == 2:
+        count = job.source.shape[0] if job.batch else 1
+        shared = count if job.batch and len(job.spaces) == 1 else 0
+        whole = _frames(job, job.source, source), _frames(job, job.out, out)
+        return [_Round(lattice_of(card, job.spaces), *whole, count, shared)]
+    items = job.source.shape[0] if job.batch else 1
+    lattices = [lattice_of(card, (s,)) for s in job.spaces]
+    return [
+        _Round(
+            lattices[k % len(lattices)],
+            _frames(job, job.source, source, k),
+            _frames(job, job.out, out, k),
+            space.count,
+        )
+        for k in range(items)
+    ]
+
+
+def _frames(job: Job, array: OnCard, flat: Any, item: int | None = None) -> Frames:
+    """Return an array as frames: an item of a batch, or all pictures of one."""
+    space = job.work.space
+    strides, start = list(array.strides), array.below
+    count = space.count
+    if job.batch and item is None:
+        count = array.shape[0]
+    elif job.batch:
+        start += (item or 0) * strides.pop(0)
+    if space.ndim == 2 and not job.batch:
+        strides.insert(0, 0)
+    if len(strides) == 3:
+        strides.append(0)
+    return Frames(flat, (count, *space.shape, job.work.layout.groups[0].channels, *strides, start, 0, count, 0, count))
+
+
+_going: dict[int, tuple[Any, ...]] = {}
+"""Work whose memory must not be reused before its event."""
+_lock = threading.Lock()
+
+
+class Warping:
+    """A warp that goes on on a GPU while others work: what `start` returns.
+
+    Attributes
+    ----------
+    array : array
+        The result, of the source's library; whole once the warp is done.
+    stream : numba.cuda stream
+        The one that it goes on on.
+    """
+
+    def __init__(self, job: Job, stream: Any, pieces: Pieces, event: Any) -> None:
+        self.array = job.out.given
+        self.stream = stream
+        self._job, self._pieces, self._event = job, pieces, event
+        self._certificate: Certificate | None = None
+
+    def done(self) -> bool:
+        """Return whether it is whole; it does not wait."""
+        return bool(simulated() or self._event.query())
+
+    def wait(self) -> Any:
+        """Wait for it; return the result.
+
+        Warns
+        -----
+        ToleranceWarning
+            If the map may be less exact than was asked.
+        """
+        if self._certificate is None:
+            with self._job.source.card.current():
+                self._event.synchronize()
+                self._certificate = told_of(self._pieces, self.stream)
+            with _lock:
+                _going.pop(id(self._event), None)
+            warn_of(self._certificate, self._job.work.sampling.tolerance, 3)
+        return self.array
+
+    def join(self, stream: Any = None) -> None:
+        """Have a stream wait for it, and not this thread: by default, that which the source's library works on now."""
+        source = self._job.source
+        with source.card.current():
+            if stream is None:
+                self._event.wait(stream_of(source.given, source.kind, source.card))
+            else:
+                self._event.wait(as_stream(stream, source.card))
+
+    def __repr__(self) -> str:
+        return f"<Warping of {self._job.source.shape}, {'done' if self.done() else 'going on'}>"
+
+    @property
+    def error(self) -> float:
+        """How far a source point may be off, in pixels, as far as the checks see; it waits."""
+        self.wait()
+        assert self._certificate is not None
+        return self._certificate.error
+
+
+def start(job: Job, *, slab: int | None, stream: Any = None) -> Warping:
+    """Hand a warp over to a stream, by default one of its own; it begins when what was handed over before is done."""
+    from numba import cuda
+
+    if job.source.span == 0:
+        refuse("source", "a batch of one item or more", f"shape {job.source.shape}")
+    card = job.source.card
+    with card.current():
+        own = card.stream() if stream is None else as_stream(stream, card)
+        ready, done = cuda.event(), cuda.event()
+        ready.record(job.source.stream)
+        ready.wait(own)
+        _order(job, own)
+        with _lock:
+            for key in [key for key, (event, *_) in _going.items() if _over(event)]:
+                del _going[key]
+            _going[id(done)] = (done, job)
+        pieces = hand_over(job, own, slab)
+        done.record(own)
+        with _lock:
+            _going[id(done)] = (done, job, pieces)
+    note(card.name)
+    return Warping(job, own, pieces, done)
+
+
+def _over(event: Any) -> bool:
+    """Return whether nothing is going on any more: it is done, or its GPU has failed."""
+    if simulated():
+        return True
+    try:
+        return bool(event.query())
+    except Exception:  # that is told to whoever waits for it
+        return True
+
+
+def _order(job: Job, stream: Any) -> None:
+    """Have what comes on a stream wait for what is going on on that of a result of another library."""
+    from numba import cuda
+
+    if job.out.kind != job.source.kind:
+        before = cuda.event()
+        before.record(job.out.stream)
+        before.wait(stream)
+
+
+def finish(job: Job) -> Certificate:
+    """Warp on the stream that the source's library works on, and wait for it."""
+    if job.source.span == 0:  # a batch of nothing
+        return Certificate(0.0, 0.0)
+    card = job.source.card
+    with card.current():
+        _order(job, job.source.stream)
+        pieces = hand_over(job, job.source.stream, waited=True)
+        certificate = told_of(pieces, job.source.stream)
+    note(card.name)
+    return certificate

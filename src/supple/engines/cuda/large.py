@@ -1,0 +1,274 @@
+"""Arrays of the host, warped on a GPU that need not hold them: slab by slab, through a ring of frames.
+
+A slab is some planes of the result. The frames that it may need, as the nodes of its lattice tell, are sent into the
+ring, where they replace those that no slab needs any more; while its kernels run, the slab before is brought back, and
+the frames of the next one follow. A slab that asked for frames that were not there is made again, with more of them.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+import threading
+from collections import deque
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from supple.engines.base import Certificate, Sampling, Space, Work
+from supple.engines.cuda.arrays import taken
+from supple.engines.cuda.card import Card, failures
+from supple.engines.cuda.lattice import LIST, MISSING, NODE
+from supple.engines.cuda.needs import Needs, needs_of
+from supple.engines.cuda.ring import Ring, recorded
+from supple.engines.cuda.sample import FIRST, LAST
+from supple.engines.cuda.staging import Lane, pieces
+from supple.engines.cuda.warp import (
+    SCRATCH,
+    Colours,
+    Frames,
+    Lattice,
+    Pieces,
+    certificate_of,
+    colours_of,
+    lattice_of,
+    make_planes,
+)
+
+Array = npt.NDArray[Any]
+Range = tuple[int, int]
+
+SLAB = 64 << 20  # bytes of a slab's planes, about
+SLABS = 8  # of a small array: while one is copied, another is made
+ROOM = 0.8  # of the memory that is free
+
+_working = threading.RLock()  # what is free is found, and taken, by one at a time
+
+
+def warp_host(
+    card: Card, source: Array, target: Array, work: Work, *, room: int | None = None
+) -> Iterator[tuple[int, Certificate]]:
+    """Warp an image, or a stack of frames, that lies in the host's memory or is mapped to it.
+
+    Parameters
+    ----------
+    card : Card
+        Who does it.
+    source, target : array, shape (frames, H, W, C)
+        Of bool, integers or floats of 16 to 64 bits, in any order of bytes, with any strides; not overlapping.
+    work : Work
+        What to do.
+    room : int, optional
+        How many bytes of the GPU's memory may be taken; by default, most of what is free.
+
+    Yields
+    ------
+    int, Certificate
+        How many planes are done, and the accuracy of the map of those that were done since the last time.
+
+    Raises
+    ------
+    MemoryError
+        If a plane, and the frames that it is made of, take more than there is room for.
+    """
+    moved = reached(work.space)
+    for z in np.flatnonzero(~moved):
+        target[z] = source[z]
+    if not moved.all():
+        yield int((~moved).sum()), Certificate(0.0, 0.0)
+    if not moved.any():
+        return
+    with _working, card.current():
+        most = int(ROOM * card.free) if room is None else room
+        with _opened(card, source, target, work, most) as job:
+            yield from job.run(moved)
+
+
+def reached(space: Space) -> npt.NDArray[np.bool_]:
+    """Return for each plane whether it meets the ball of a stroke: the others are not moved at all."""
+    z = np.arange(space.count) * space.axes[2, 3]
+    apart = np.abs(z[:, None] - space.table["pivot"][:, 2])
+    return np.asarray((apart < space.table["reach"]).any(axis=1))
+
+
+def slabs_of(planes: npt.NDArray[np.bool_], most: int) -> Iterator[Range]:
+    """Yield the stretches of planes that are marked, from and to, no longer than ``most``."""
+    edges = np.flatnonzero(np.diff(planes, prepend=False, append=False))
+    for first, last in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
+        yield from itertools.pairwise([*range(first, last, most), last])
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """How a GPU's memory is shared out.
+
+    Parameters
+    ----------
+    planes : int
+        Of a slab.
+    slots : int
+        How many frames the ring holds.
+    turns : int
+        For how many slabs there is room: while one is brought back, the next is made.
+    """
+
+    planes: int
+    slots: int
+    turns: int
+
+
+def planned(count: int, frame: int, scratch: int, room: int) -> Plan:
+    """Share out the memory.
+
+    Parameters
+    ----------
+    count : int
+        How many frames there are.
+    frame, scratch : int
+        Bytes of a frame, and of what else a plane needs.
+    room : int
+        Bytes.
+
+    Raises
+    ------
+    MemoryError
+        If there is not even room for one.
+    """
+    turns = 1 if count == 1 else 2
+    each = turns * frame + scratch
+    planes = max(1, min(SLAB // frame, -(-count // SLABS), SCRATCH // scratch, room // 4 // each))
+    slots = min(count, (room - planes * each) // frame)
+    if slots < 1:
+        raise MemoryError(f"a frame of {_said(frame)} is more than fits into {_said(room)} of its memory")
+    return Plan(planes, slots, turns)
+
+
+def _said(size: int) -> str:
+    return f"{size / 1e9:.2g} GB" if size >= 1e8 else f"{size / 1e6:.2g} MB"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Slab:
+    """Planes that have been handed over: which, as which work, and what is recorded when they are made."""
+
+    planes: Range
+    number: int
+    made: Any
+
+
+@dataclass(slots=True, eq=False)
+class _Job:
+    """A warp, and what it has on the GPU."""
+
+    card: Card
+    target: Array
+    sampling: Sampling
+    plan: Plan
+    lattice: Lattice
+    colours: Colours
+    pieces: Pieces
+    ring: Ring
+    slabs: list[Any]
+    down: Lane
+    stream: Any
+    told: list[tuple[Array, Array]]
+    needs: Needs | None = None
+    begun: int = 0
+
+    def run(self, planes: npt.NDArray[np.bool_]) -> Iterator[tuple[int, Certificate]]:
+        """Make the planes that are marked; yield how many are done, and the accuracy of the last."""
+        count = len(self.target)
+        if count > 1:
+            self.needs = needs_of(self.stream, self.lattice, self.pieces, count, self.sampling, self.colours.how)
+        todo = deque(slabs_of(planes, self.plan.planes))
+        before: _Slab | None = None
+        done = int((~planes).sum())
+        while todo or before:
+            slab = self._begin(todo) if todo else None
+            known = self._finished(before) if before else None
+            if before and known:
+                done += before.planes[1] - before.planes[0]
+                yield done, known
+            elif before and self.needs:
+                self.needs.more = 2 * self.needs.more + 1
+                todo.appendleft(before.planes)
+            before = slab
+
+    def _begin(self, todo: deque[Range]) -> _Slab:
+        """Hand the next planes over, no more than the ring has frames for."""
+        first, last = todo.popleft()
+        low, high = self._needed((first, last))
+        while high - low > self.plan.slots:
+            if last - first == 1:
+                raise MemoryError(f"a plane is made of {high - low} frames, and there is room for {self.plan.slots}")
+            middle = (first + last) // 2
+            todo.appendleft((middle, last))
+            last = middle
+            low, high = self._needed((first, last))
+        source = self.ring.send(low, high, self.stream)
+        turn = self.begun % self.plan.turns
+        _, height, width, _ = self.target.shape
+        out = Frames(self.slabs[turn], (*source.places[:FIRST], 0, self.plan.planes, 0, self.plan.planes))
+        make_planes(
+            self.card, self.stream, self.lattice, self.pieces, self.colours, (height, width), (first, last), source,
+            out, tolerance=self.sampling.tolerance,
+        )  # fmt: skip
+        told, counts = self.told[turn]
+        self.pieces.told.copy_to_host(told, stream=self.stream)
+        self.pieces.counted.copy_to_host(counts, stream=self.stream)
+        slab = _Slab((first, last), self.begun, recorded(self.stream))
+        self.ring.read_by(slab.number, (source.places[FIRST], source.places[LAST]), slab.made)
+        self.begun += 1
+        return slab
+
+    def _needed(self, planes: Range) -> Range:
+        return self.needs.of(planes) if self.needs else (0, 1)
+
+    def _finished(self, slab: _Slab) -> Certificate | None:
+        """Bring planes back, and return their accuracy; None if frames were missing."""
+        slab.made.synchronize()
+        self.ring.forget(slab.number)
+        turn = slab.number % self.plan.turns
+        told, counts = self.told[turn]
+        if counts[MISSING]:
+            return None
+        self.down.down(self._parts(slab.planes, self.slabs[turn]))
+        return certificate_of(told, counts)
+
+    def _parts(self, planes: Range, made: Any) -> Iterator[tuple[Any, Array]]:
+        rows, width = self.down.shape
+        for frames, part in pieces(planes, (rows, width), self.down.most):
+            target = self.target[frames, part]
+            start = ((frames.start - planes[0]) * rows + part.start) * width
+            yield made[start : start + target.size], target
+
+
+@contextlib.contextmanager
+def _opened(card: Card, source: Array, target: Array, work: Work, room: int) -> Iterator[_Job]:
+    """The resources of a warp on the GPU; all work has ended when it is left."""
+    from numba import cuda
+
+    count, height, width, channels = source.shape
+    dtype = source.dtype.newbyteorder("=")
+    kind = np.dtype(np.uint8) if dtype == np.bool_ else dtype
+    size = height * width * channels
+    lattice = lattice_of(card, (work.space,))
+    plan = planned(count, size * kind.itemsize, lattice.nodes * NODE * 4 + lattice.cell_count * 8, room)
+    colours = colours_of(card, dtype, work, count)
+    streams: list[Any] = []
+    try:
+        frames = cuda.device_array(plan.slots * size, kind)
+        slabs = [cuda.device_array(plan.planes * size, kind) for _ in range(plan.turns)]
+        pieces_ = Pieces(taken(frames, "the frames"), [lattice], plan.planes)
+        up, down = (Lane(dtype, (height, width * channels)) for _ in range(2))
+        streams += [up.stream, down.stream, cuda.stream()]
+        told = [(cuda.pinned_array(1, np.float32), cuda.pinned_array(LIST, np.int32)) for _ in range(plan.turns)]
+        ring = Ring(source, frames, plan.slots, up)
+        yield _Job(card, target, work.sampling, plan, lattice, colours, pieces_, ring, slabs, down, streams[-1], told)
+    finally:
+        for stream in streams:  # until then, copies write to what is about to be given back
+            with contextlib.suppress(*failures()):
+                stream.synchronize()

@@ -1,0 +1,286 @@
+"""The native engine: planes and points by the C++ core, on all cores of the CPU."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from supple import _core
+from supple.domain import refuse
+from supple.engines.base import (
+    BETWEEN,
+    FILTERS,
+    OUTSIDE,
+    SLACK,
+    Array,
+    Certificate,
+    Planes,
+    Space,
+    Steps,
+    Work,
+    check_gradients,
+)
+from supple.engines.workers import CPU
+from supple.errors import SuppleError
+from supple.strokes import numbers
+
+Floats = npt.NDArray[np.float64]
+
+CONVERGED = 1e-6
+"""A point has converged where T(p) is within this many pixels of q."""
+
+_TOGETHER = 8  # planes for each thread, between which a caller hears how far it is
+_KINDS: dict[np.dtype[Any], np.dtype[Any]] = {
+    np.dtype(np.float16): np.dtype(np.float32),
+    np.dtype(np.bool_): np.dtype(np.uint8),
+}
+
+
+def plan_of(space: Space, z: float, tolerance: float, step: tuple[int, int] = (1, 1)) -> _core.Plan:
+    """Solve for T⁻¹ on a plane.
+
+    Parameters
+    ----------
+    space : Space
+    z : float
+        Which plane, in samples.
+    tolerance : float
+        How far a source point may be from the true T⁻¹(q), in pixels.
+    step : (int, int)
+        How many pixels apart samples may lie, x first.
+    """
+    return _core.Plan(numbers(space.table), space.axes, space.ndim, *space.planned(step), float(z), tolerance)
+
+
+def certificate_of(plan: _core.Plan) -> Certificate:
+    """Return what the checks of a plan's cells promise, with their reserve."""
+    return Certificate(plan.error, plan.evaluations)
+
+
+def measured(plan: _core.Plan, tolerance: float) -> Certificate:
+    """Return the error of a plan's source points, measured at every pixel by going on with Newton's method."""
+    error, unknown = plan.measure(min(1e-5, 1e-3 * tolerance))
+    return Certificate(error, plan.evaluations, unknown)
+
+
+def samplings_of(work: Work, frames: Sequence[Array], outs: Sequence[Array], count: int) -> list[_core.Sampling]:
+    """Return what the core does to some frames.
+
+    Parameters
+    ----------
+    work : Work
+    frames : sequence of arrays
+        For each group, the frames (slots, h, w, channels), of which frame k is in the slot k modulo their number:
+        contiguous, in native byte order.
+    outs : sequence of arrays
+        For each group, where the result goes: (h, w, channels) or (planes, h, w, channels), contiguous.
+    count : int
+        How many frames the clip has.
+    """
+    sampling = work.sampling
+    return [
+        _core.Sampling(
+            held,
+            out,
+            count,
+            group.step,
+            group.offset,
+            FILTERS[sampling.filter],
+            BETWEEN[sampling.between],
+            OUTSIDE[sampling.outside],
+            sampling.time_filter and sampling.between != "nearest",
+            fill.tolist(),
+            group.channels - 1 if group.alpha else -1,
+            sampling.light,
+            work.layout.white,
+        )
+        for group, held, fill, out in zip(work.layout.groups, frames, work.fills, outs, strict=True)
+    ]
+
+
+@dataclass(frozen=True, slots=True)
+class Native:
+    """The engine that runs everywhere (`supple.engines.base.Engine`)."""
+
+    name: str = CPU
+    lead: int = 0
+
+    def slack(self, tolerance: float) -> float:
+        """See `Engine.slack`: points are of float32, and may lie a little outside."""
+        return SLACK
+
+    def taken(self, value: object, name: str) -> Array:
+        """Return a value as NumPy's array; SuppleError if it is none."""
+        check_gradients(value, name)
+        try:
+            return np.asarray(value)
+        except (TypeError, ValueError):
+            refuse(name, "an array of numbers", value)
+
+    def result(self, out: Array | None, held: Array) -> Array:
+        """See `Engine.result`; it is an array of the source's shape and type, in C order if it is new."""
+        if out is None:
+            return np.empty_like(held, order="C")
+        wanted = f"an array of {held.dtype} of shape {held.shape}, as the source is"
+        given: object = out  # it may be anything
+        if not isinstance(given, np.ndarray):
+            refuse("out", wanted, given)
+        if out.shape != held.shape or out.dtype != held.dtype:
+            refuse("out", wanted, f"{out.dtype} of shape {out.shape}")
+        if not out.flags.writeable:
+            raise SuppleError("out must be an array that can be written, found a read-only one")
+        if np.may_share_memory(out, held) or _same_bytes(out, held):
+            raise SuppleError("out must not overlap source: the source is read while the result is written")
+        return out
+
+    def check(self, work: Work) -> None:
+        """Do nothing: it does all work."""
+
+    def kind(self, dtype: np.dtype[Any]) -> np.dtype[Any]:
+        """Return the type that samples are worked on in."""
+        native: np.dtype[Any] = dtype.newbyteorder("=")
+        return _KINDS.get(native, native)
+
+    def view(self, array: Array) -> Array | None:
+        """Return an array as one that the core takes, sharing its memory; None if it cannot."""
+        kind = self.kind(array.dtype)
+        if not (array.flags.c_contiguous and array.flags.aligned and array.dtype.isnative):
+            return None
+        return np.asarray(array).view(kind) if array.dtype in (kind, np.bool_) else None
+
+    def warp(
+        self, work: Work, frames: Sequence[Array], outs: Sequence[Array], planes: Sequence[int] | None = None
+    ) -> Steps:
+        """See `Engine.warp`: planes side by side, on all threads; all of them, or those that are named."""
+        space, tolerance, step = work.space, work.sampling.tolerance, work.layout.step
+        wanted = range(len(outs[0])) if planes is None else planes
+        if space.ndim == 2:
+            plan = plan_of(space, 0, tolerance, step)
+            for k, z in enumerate(wanted):  # each frame is an image of its own
+                for each in samplings_of(work, [f[z : z + 1] for f in frames], [out[k] for out in outs], 1):
+                    plan.sample(each)
+            yield len(wanted), certificate_of(plan)
+            return
+        together, table = _TOGETHER * _core.threads(), numbers(space.table)
+        for start in range(0, len(wanted), together):
+            some = list(wanted[start : start + together])
+            given = samplings_of(work, frames, [out[start : start + len(some)] for out in outs], space.count)
+            known = _core.warp_stack(table, space.axes, *space.planned(step), some, tolerance, given)
+            yield start + len(some), Certificate(*known)
+
+    def stream(self, work: Work, window: Sequence[Array]) -> contextlib.AbstractContextManager[Planes]:
+        """See `Engine.stream`."""
+        return contextlib.nullcontext(_Window(work, window))
+
+    def forward(self, space: Space, points: npt.ArrayLike, *, matrices: bool = False) -> Floats:
+        """See `Engine.forward`."""
+        given, shape = _rows(space, points)
+        if not matrices:
+            return _points(space, _core.forward(numbers(space.table), space.axes, given, False)[0], shape)
+        _, found = _core.forward(numbers(space.table), space.axes, given, True)
+        n, steps = space.ndim, space.axes[: space.ndim, 3]
+        full = found[:, :n, :n] * (steps[None, :] / steps[:, None])
+        return np.ascontiguousarray(full.reshape(*shape[:-1], n, n))
+
+    def inverse(
+        self, space: Space, points: npt.ArrayLike
+    ) -> tuple[Floats, Floats, npt.NDArray[np.int64], npt.NDArray[np.bool_]]:
+        """See `Engine.inverse`; the residual is in pixels, by the least spacing."""
+        targets, shape = _rows(space, points)
+        finest = float(space.axes[: space.ndim, 3].min())
+        found, residual, steps = _core.inverse(numbers(space.table), space.axes, targets, space.ndim, 1e-9 * finest)
+        solved = _points(space, found, shape)
+        if space.is_identity:
+            solved = np.array(np.broadcast_to(np.asarray(points, np.float64), shape))
+        # A bound on the residual in pixels, which for one spacing along all axes is the residual.
+        off = residual.reshape(shape[:-1]) / finest
+        scale = np.abs(targets).max(axis=1, initial=0.0).reshape(shape[:-1]) / finest
+        near = off <= np.maximum(CONVERGED, 1e-14 * scale)
+        return solved, off, steps.astype(np.int64).reshape(shape[:-1]), near
+
+    def inverse_map(
+        self, space: Space, tolerance: float, like: Any = None
+    ) -> tuple[npt.NDArray[np.float32], Certificate]:
+        """See `Engine.inverse_map`."""
+        out = np.empty((*space.whole, space.ndim), np.float32)
+        certificate = Certificate(0.0, 0.0)
+        for z, plane in enumerate(out if space.ndim == 3 else [out]):
+            plan = plan_of(space, z, tolerance)
+            plan.points(plane)
+            certificate |= certificate_of(plan)
+        return out, certificate
+
+
+NATIVE = Native()
+
+
+class _Window:
+    """Planes from a window, which are made when they are to be finished (`supple.engines.base.Planes`)."""
+
+    def __init__(self, work: Work, window: Sequence[Array]) -> None:
+        self._work, self._window = work, window
+        self._every: _core.Plan | None = None
+        if work.space.ndim == 2:  # all frames have the same map
+            self._every = plan_of(work.space, 0, work.sampling.tolerance, work.layout.step)
+
+    def begin(self, z: int, first: int, last: int) -> object:
+        return None
+
+    def finish(self, begun: Any, z: int, first: int, last: int, outs: Sequence[Array]) -> Certificate:
+        work, frames, count = self._work, self._window, self._work.space.count
+        plan = self._every or plan_of(work.space, z, work.sampling.tolerance, work.layout.step)
+        if self._every:  # each frame is an image of its own
+            slot = z % len(frames[0])
+            frames, count = [held[slot : slot + 1] for held in frames], 1
+        for each in samplings_of(work, frames, outs, count):
+            plan.sample(each)
+        return certificate_of(plan)
+
+
+def _rows(space: Space, points: npt.ArrayLike) -> tuple[Floats, tuple[int, ...]]:
+    """Return points as the core takes them, (N, 3) in physical units, and their shape."""
+    n = space.ndim
+    try:
+        given = np.asarray(points, np.float64)
+    except (TypeError, ValueError):
+        refuse("points", f"numbers in an array of shape (..., {n})", points)
+    if given.ndim == 0 or given.shape[-1] != n:
+        refuse("points", f"an array of shape (..., {n}), x first", f"shape {given.shape}")
+    if not np.isfinite(given).all():
+        raise SuppleError("points must be finite, found NaN or infinity among them")
+    rows = np.zeros((given.size // n, 3))
+    rows[:, :n] = given.reshape(-1, n) * space.axes[:n, 3]
+    return rows, given.shape
+
+
+def _points(space: Space, rows: Floats, shape: tuple[int, ...]) -> Floats:
+    return np.ascontiguousarray((rows[:, : space.ndim] / space.axes[: space.ndim, 3]).reshape(shape))
+
+
+def _same_bytes(out: Array, source: Array) -> bool:
+    """Return whether two arrays are mapped from overlapping parts of one file."""
+    one, two = _mapped(out), _mapped(source)
+    if one is None or two is None or not (one[1] < two[2] and two[1] < one[2]):
+        return False
+    try:
+        return os.path.samefile(one[0], two[0])
+    except OSError:  # one of them is gone, and lives on only here
+        return False
+
+
+def _mapped(array: Array) -> tuple[str, int, int] | None:
+    """The file that an array is mapped from, and from which byte to which."""
+    root: Any = array
+    while isinstance(root.base, np.ndarray):
+        root = root.base
+    if not isinstance(root, np.memmap) or root.filename is None:
+        return None
+    low, high = np.lib.array_utils.byte_bounds(array)
+    start = root.offset - np.lib.array_utils.byte_bounds(root)[0]
+    return os.fspath(root.filename), low + start, high + start

@@ -1,0 +1,167 @@
+"""The torch engine: tensors by the engine of their device, and T in PyTorch's own operations, with gradients."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Sequence
+from contextlib import AbstractContextManager
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import torch
+
+from supple.domain import refuse
+from supple.engines.base import SLACK, Certificate, Planes, Space, Steps, Work, warn_of
+from supple.engines.choice import engine_at
+from supple.engines.native import NATIVE
+from supple.engines.torch.field import Columns, Strokes, moved
+from supple.errors import ToleranceWarning
+
+_SOLVED = 1 << 18  # points that are solved at once
+_NEAR = 1 << 12  # pixels along an axis of which a coordinate in float32 is off by 0.0001 at most
+
+
+@dataclass(frozen=True, slots=True)
+class Torch:
+    """The engine of tensors (`supple.engines.base.Engine`), whose channels come first: (K, *shape)."""
+
+    name: str = "torch"
+    lead: int = 0
+
+    def slack(self, tolerance: float) -> float:
+        """See `Engine.slack`."""
+        return SLACK
+
+    def taken(self, value: Any, name: str) -> torch.Tensor:
+        """Return a tensor, without its gradients; SuppleError if it is none."""
+        if not isinstance(value, torch.Tensor):
+            refuse(name, "a PyTorch tensor (Deformation.warp takes arrays)", value)
+        return value.detach()
+
+    def result(self, out: torch.Tensor | None, held: torch.Tensor) -> torch.Tensor:
+        """See `Engine.result`."""
+        return torch.empty_like(held, memory_format=torch.contiguous_format) if out is None else out
+
+    def check(self, work: Work) -> None:
+        """Do nothing: what a device does not do, its engine refuses."""
+
+    def kind(self, dtype: Any) -> Any:
+        """See `Engine.kind`."""
+        return dtype
+
+    def view(self, array: torch.Tensor) -> torch.Tensor:
+        """See `Engine.view`: it takes any tensor."""
+        return array
+
+    def warp(self, work: Work, frames: Sequence[torch.Tensor], outs: Sequence[torch.Tensor]) -> Steps:
+        """See `Engine.warp`; a tensor (K, *shape) is all frames. The values are those of the engine of its device."""
+        (tensor,), (out,) = frames, outs
+        engine = engine_at(tensor)
+        # NumPy has no bfloat16, and the core works on half precision in single.
+        halves = (torch.bfloat16,) if tensor.is_cuda else (torch.bfloat16, torch.float16)
+        held: Any = (tensor.float() if tensor.dtype in halves else tensor).movedim(0, -1)
+        if engine is NATIVE:
+            array = held.cpu().contiguous().numpy()
+            array = array if work.space.ndim == 3 else array[None]
+            made = np.empty_like(array)
+            kind = NATIVE.kind(array.dtype)
+            yield from engine.warp(_of_type(work, array), [array.view(kind)], [made.view(kind)])
+            given = torch.from_numpy(made.reshape(held.shape))
+        else:
+            source = engine.taken(held, "tensor")
+            result = engine.result(None, source)
+            yield from engine.warp(_of_type(work, source), [source], [result])
+            given = result.given
+        out.copy_(given.movedim(-1, 0))
+
+    def stream(self, work: Work, window: Sequence[Any]) -> AbstractContextManager[Planes]:
+        """Raise SuppleError: clips are not made of tensors."""
+        refuse("device", '"cpu", "gpu" or "auto" for clips', self.name)
+
+    def forward(self, space: Space, points: torch.Tensor, *, matrices: bool = False) -> torch.Tensor:
+        """See `Engine.forward`; it is differentiable in the points."""
+        strokes = Strokes.of(space, working(points), points.device)
+        if matrices:
+            made = torch.func.vmap(torch.func.jacrev(lambda p: shown(p, strokes)))(points.reshape(-1, space.ndim))
+            return made.reshape(*points.shape, space.ndim)
+        return shown(points, strokes)
+
+    def inverse(self, space: Space, points: torch.Tensor) -> tuple[torch.Tensor, ...]:
+        """See `Engine.inverse`; the engine of the points' device solves for them."""
+        held: Any = points.detach().double()
+        found = engine_at(held).inverse(space, held if held.is_cuda else held.cpu().numpy())
+        return tuple(torch.as_tensor(x).to(points.device) for x in found)
+
+    def inverse_map(self, space: Space, tolerance: float, like: Any = None) -> tuple[torch.Tensor, Certificate]:
+        """See `Engine.inverse_map`; it is a tensor on the device of ``like``."""
+        if like.is_cuda:
+            found, certificate = engine_at(like).inverse_map(space, tolerance, like)
+            return torch.as_tensor(found), certificate
+        found, certificate = NATIVE.inverse_map(space, tolerance)
+        return torch.from_numpy(found).to(like.device), certificate
+
+
+TORCH = Torch()
+
+
+def _of_type(work: Work, held: Any) -> Work:
+    dtype = held.dtype
+    white = float(np.iinfo(dtype).max) if dtype.kind in "iu" else 1.0
+    return replace(work, layout=replace(work.layout, dtype=dtype, white=white))
+
+
+def shown(points: torch.Tensor, strokes: Strokes) -> torch.Tensor:
+    """Return T of points (..., D) in pixels, in their own type, differentiable in the points and the strokes."""
+    axes = strokes.axes
+    columns = [x.to(strokes.at.dtype) * axis[3] for x, axis in zip(points.unbind(-1), axes, strict=True)]
+    seen = [x / axis[3] for x, axis in zip(moved(columns, strokes), axes, strict=True)]
+    return torch.stack(seen, -1).to(points.dtype)
+
+
+def offsets_of(like: torch.Tensor, space: Space, tolerance: float) -> torch.Tensor:
+    """T⁻¹(q) - q of all output pixels q, in pixels: (M, D), where ``like`` is, and in the type that it is worked in.
+
+    As offsets, they are small: float32 holds them as exactly as they are known, however large the picture is.
+    """
+    dtype, sizes = working(like), space.whole[::-1]
+    where = like.device if like.is_cuda else torch.device("cpu")
+    made = torch.zeros(math.prod(sizes), len(sizes), dtype=dtype, device=where)
+    if space.is_identity:
+        return made.to(like.device)
+    if dtype == torch.float32 and like.is_cuda:
+        from supple.engines.cuda.points import inverse_map
+
+        found, certificate = inverse_map(space, like.detach(), tolerance, offsets=True)
+        warn_of(certificate, tolerance, 3)
+        return torch.as_tensor(found).reshape(made.shape)
+    if dtype == torch.float32 and max(sizes) <= _NEAR:
+        sources, certificate = NATIVE.inverse_map(space, tolerance)
+        warn_of(certificate, tolerance, 3)
+        pixels = torch.stack(grid(torch.arange(len(made)), sizes), -1)
+        return (torch.from_numpy(sources).reshape(made.shape) - pixels).to(like.device)
+    lost = 0
+    for start in range(0, len(made), _SOLVED):
+        points = torch.stack(grid(torch.arange(start, min(start + _SOLVED, len(made)), device=where), sizes), -1)
+        solved, _, _, converged = TORCH.inverse(space, points)
+        made[start : start + len(points)] = solved - points
+        lost += len(points) - int(converged.sum())
+    if lost:
+        text = f"{lost} of {len(made)} source points did not converge: what is shown there is a guess"
+        warnings.warn(text, ToleranceWarning, stacklevel=2)
+    return made.to(like.device)
+
+
+def grid(index: torch.Tensor, sizes: Sequence[int]) -> Columns:
+    """Return the coordinates, x first, of pixels that are counted row by row."""
+    columns = []
+    for size in sizes:
+        columns.append(index % size)
+        index = index // size
+    return columns
+
+
+def working(tensor: torch.Tensor) -> torch.dtype:
+    """Return the type in which a tensor is worked with where engines do not do it."""
+    return torch.float64 if tensor.dtype == torch.float64 else torch.float32

@@ -1,0 +1,193 @@
+"""T in differentiable operations, and the gradients of T⁻¹ by the implicit function theorem.
+
+Of one stroke, in physical units, with r = p - pivot, s = |r|² and p taken into the domain where its border is fixed,
+
+    K(p) = diag(β) m(√s/R) [A(s) f + B(s) (r·f) r],    m(t) = (1-t)³ (1 + 3t + 6t²) for t < 1, 0 beyond.
+
+An image is a volume's plane z = 0, on which nothing has a third coordinate.
+
+Of a loss L of the points p(θ) = T⁻¹(q; θ), T(p; θ) = q gives
+
+    dL/dθ = -Σ_q λᵀ ∂T(p; θ)/∂θ,    (I+J)ᵀ λ = ∂L/∂p,
+
+at fixed p, however p was found.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import torch
+
+from supple.domain import PROFILE_CODES
+from supple.engines.base import Space
+
+# Of one, two and three scales: what a stroke's terms weigh, and their radii over ε.
+_WEIGHTS = {1: (1.0,), 2: (11.0, -11.0), 3: (14641 / 331, -26741 / 331, 12100 / 331)}
+_RADII = (1.0, 1.1, 1.21)
+
+_SINE = PROFILE_CODES["sine"]
+
+Axis = tuple[float, float, float, float, float]  # first, last, sigma and spacing in physical units, and the profile
+Columns = list[torch.Tensor]  # for each coordinate, x first
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Strokes:
+    """Strokes as tensors: one after the other, they make T.
+
+    Parameters
+    ----------
+    at, by : tensors of floats, shape (n, D)
+        In pixels, x first.
+    radius : tensor of floats, shape (n,)
+        In physical units.
+    kinds : sequence of (float, float, int, float)
+        Of each stroke, what part of its force is carried out, its material's b/a, its scales, and its reach in radii,
+        infinite without a limit.
+    axes : sequence of (float, float, float, float)
+        Extent, width of the fixed border (-1 where it is free), spacing and the border's profile along each axis, as
+        in `Domain.packed`.
+    flows : bool
+        Whether strokes arrive where they should in spite of a fixed border.
+    """
+
+    at: torch.Tensor
+    by: torch.Tensor
+    radius: torch.Tensor
+    kinds: Sequence[tuple[float, float, int, float]]
+    axes: Sequence[Axis]
+    flows: bool = False
+
+    @classmethod
+    def of(cls, space: Space, dtype: torch.dtype, device: torch.device) -> Strokes:
+        """Return the strokes of a space as engines carry them out, row by row."""
+        table, n = space.table, space.ndim
+        columns = [table[name][:, :n] / space.axes[:n, 3] for name in ("pivot", "force")]
+        at, by, radius = (
+            torch.tensor(x, dtype=dtype, device=device) for x in (*columns, table["radius2"][:, 0] ** 0.5)
+        )
+        ratios = (table["r"][:, 0] / (table["p"][:, 0] + table["r"][:, 0])).tolist()
+        reaches = (table["reach"] / table["radius2"][:, 0] ** 0.5).tolist()
+        given = zip(ratios, table["terms"].tolist(), reaches, strict=True)
+        return cls(at, by, radius, [(1.0, ratio, terms, reach) for ratio, terms, reach in given], axes_of(space))
+
+
+def axes_of(space: Space) -> list[Axis]:
+    """Return the rows of a packed domain, one for each coordinate."""
+    return [(row[0], row[1], row[2], row[3], row[4]) for row in space.axes[: space.ndim].tolist()]
+
+
+def moved(points: Columns, strokes: Strokes) -> Columns:
+    """T of points, both in physical units: D tensors of one shape."""
+    for k, (part, ratio, scales, reach) in enumerate(strokes.kinds):
+        pivot = [x * axis[3] for x, axis in zip(strokes.at[k], strokes.axes, strict=True)]
+        force = [x * (axis[3] * part) for x, axis in zip(strokes.by[k], strokes.axes, strict=True)]
+        if strokes.flows:
+            force = _arriving(pivot, force, strokes.axes)
+        near, beta = _edges(points, strokes.axes)
+        r = [x - p for x, p in zip(near, pivot, strict=True)]
+        s = _dot(r, r)
+        a, b = _profiles(s, strokes.radius[k], ratio, scales)
+        if reach < math.inf:
+            m = _support(s / (strokes.radius[k] * reach) ** 2)
+            a, b = m * a, m * b
+        b = b * _dot(r, force)
+        columns = zip(points, beta, force, r, strict=True)
+        points = [x + weight * (a * f + b * d) for x, weight, f, d in columns]
+    return points
+
+
+def strokes_gradients(points: Columns, slopes: Columns, strokes: Strokes) -> list[torch.Tensor]:
+    """Return the parts of ∂L/∂at, ∂L/∂by and ∂L/∂radius by points p = T⁻¹(q) with the gradients ∂L/∂p.
+
+    Parameters
+    ----------
+    points, slopes : D tensors of one shape
+        In pixels.
+    strokes : Strokes
+    """
+    with torch.enable_grad():
+        leaves = [x.detach().requires_grad_() for x in (strokes.at, strokes.by, strokes.radius)]
+        given = replace(strokes, at=leaves[0], by=leaves[1], radius=leaves[2])
+        steps = [axis[3] for axis in strokes.axes]
+        p = [(x * step).detach().requires_grad_() for x, step in zip(points, steps, strict=True)]
+        seen = moved(p, given)
+        ones = torch.ones_like(seen[0])
+        rows = [torch.autograd.grad(x, p, ones, retain_graph=True, materialize_grads=True) for x in seen]
+        weights = _solved(rows, [-g / step for g, step in zip(slopes, steps, strict=True)])
+        return list(torch.autograd.grad(seen, leaves, weights, materialize_grads=True))
+
+
+def _solved(rows: Sequence[Sequence[torch.Tensor]], g: Columns) -> Columns:
+    """λ of Mᵀ λ = g, M given by its rows: by Cramer's rule, which works on all points at once."""
+    if len(g) == 2:
+        (a, b), (c, d) = rows
+        scale = 1 / (a * d - b * c)
+        return [scale * (g[0] * d - g[1] * c), scale * (a * g[1] - b * g[0])]
+    crosses = [_cross(rows[1], rows[2]), _cross(rows[2], rows[0]), _cross(rows[0], rows[1])]
+    scale = 1 / _dot(rows[0], crosses[0])
+    return [scale * _dot(g, cross) for cross in crosses]
+
+
+def _dot(a: Sequence[torch.Tensor], b: Sequence[torch.Tensor]) -> torch.Tensor:
+    total = a[0] * b[0]
+    for x, y in zip(a[1:], b[1:], strict=True):
+        total = total + x * y
+    return total
+
+
+def _cross(a: Sequence[torch.Tensor], b: Sequence[torch.Tensor]) -> Columns:
+    return [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
+
+
+def _profiles(
+    distance2: torch.Tensor, radius: torch.Tensor, ratio: float, scales: int
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """A and B, summed over the stroke's terms."""
+    size = radius * (2 / (3 - 2 * ratio))
+    a, b = torch.zeros_like(distance2), torch.zeros_like(distance2)
+    for weight, wider in zip(_WEIGHTS[scales], _RADII, strict=False):
+        e = (radius * wider) ** 2
+        v2 = 1 / (distance2 + e)
+        v = torch.sqrt(v2) * (size * weight)
+        a = a + v * ((1 - ratio) + 0.5 * e * v2)
+        b = b + ratio * v * v2
+    return a, b
+
+
+def _support(share2: torch.Tensor) -> torch.Tensor:
+    """Return m(t) of t²."""
+    # The root has no slope at 0, where m needs none.
+    t = share2.clamp(1e-30, 1).sqrt()
+    return (1 - t) ** 3 * (1 + (3 + 6 * t) * t)
+
+
+def _edges(points: Columns, axes: Sequence[Axis]) -> tuple[Columns, Columns]:
+    """The nearest coordinates in the domain, and β there."""
+    near, beta = [], []
+    for x, (first, last, sigma, _, profile) in zip(points, axes, strict=True):
+        if sigma < 0:
+            near.append(x)
+            beta.append(torch.ones_like(x))
+        elif sigma == 0:
+            near.append(torch.zeros_like(x))
+            beta.append(torch.zeros_like(x))
+        else:
+            v = x.clamp(first, last)
+            near.append(v)
+            t = torch.minimum(v - first, last - v).clamp(max=sigma) / sigma
+            beta.append(torch.sin(t * (math.pi / 2)) if profile == _SINE else t * (2 - t * t * (2 - t)))
+    return near, beta
+
+
+def _arriving(pivot: Columns, force: Columns, axes: Sequence[Axis]) -> Columns:
+    """The force that makes up for β at its pivot, unless that is outside of a fixed border."""
+    places = [float(x.detach()) for x in pivot]
+    outside = (sigma >= 0 and not a <= x <= b for x, (a, b, sigma, _, _) in zip(places, axes, strict=True))
+    if any(outside):
+        return force
+    _, beta = _edges(pivot, axes)
+    return [f / b if b > 0 else f * 0 for f, b in zip(force, beta, strict=True)]

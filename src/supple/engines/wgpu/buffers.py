@@ -1,0 +1,55 @@
+"""Buffers that stay on the device from frame to frame: bytes that are written only when they change, and bindings."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from supple.engines.wgpu.device import Gpu
+from supple.engines.wgpu.kernel import LEAST, READ, UNIFORM
+
+
+class Kept:
+    """An array on the device.
+
+    Parameters
+    ----------
+    gpu : Gpu
+    kind : str
+        UNIFORM or READ.
+    """
+
+    def __init__(self, gpu: Gpu, kind: str = READ) -> None:
+        self._gpu, self._kind = gpu, kind
+        self._bytes = b""
+        self._buffer: Any = None
+
+    def hold(self, array: npt.NDArray[Any]) -> Any:
+        """The buffer, with this in it; another one only where the last is too small."""
+        data = np.ascontiguousarray(array).tobytes()
+        if self._buffer is None or self._buffer.size < len(data):
+            usage = "UNIFORM" if self._kind == UNIFORM else "STORAGE"
+            size = max(LEAST, 1 << (max(len(data), 1) - 1).bit_length())
+            self._buffer = self._gpu.device.create_buffer(size=size, usage=f"{usage}|COPY_DST")
+            self._bytes = b""
+        if data and data != self._bytes:
+            self._gpu.device.queue.write_buffer(self._buffer, 0, data)
+            self._bytes = data
+        return self._buffer
+
+
+class Bound:
+    """A bind group, made anew when one of the things in it is another one."""
+
+    def __init__(self) -> None:
+        self._things: tuple[Any, ...] = ()
+        self._group: Any = None
+
+    def group(self, things: Sequence[Any], make: Callable[[], Any]) -> Any:
+        """The bind group of some things; ``make`` makes one."""
+        if len(things) != len(self._things) or any(a is not b for a, b in zip(things, self._things, strict=True)):
+            self._things, self._group = tuple(things), make()
+        return self._group

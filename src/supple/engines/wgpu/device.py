@@ -1,0 +1,191 @@
+"""Which GPU works: its adapter, what it is asked for, and what to say where there is none."""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import os
+import sys
+import tempfile
+import threading
+from dataclasses import dataclass, field
+from typing import Any
+
+from supple.errors import SuppleError
+
+# What is asked of every adapter: what ordinary GPUs grant, whatever this one has. Work beyond it is split.
+LIMITS: dict[str, int] = {
+    "max-bind-groups": 4,
+    "max-buffer-size": 256 << 20,
+    "max-compute-invocations-per-workgroup": 256,
+    "max-compute-workgroup-size-x": 256,
+    "max-compute-workgroup-size-y": 256,
+    "max-compute-workgroup-size-z": 64,
+    "max-compute-workgroup-storage-size": 16384,
+    "max-compute-workgroups-per-dimension": 65535,
+    "max-storage-buffer-binding-size": 128 << 20,
+    "max-storage-buffers-per-shader-stage": 8,
+    "max-texture-array-layers": 256,
+    "max-texture-dimension-2d": 8192,
+    "max-texture-dimension-3d": 2048,
+    "max-uniform-buffer-binding-size": 64 << 10,
+}
+_BINDINGS = (1 << 30, 512 << 20, 256 << 20, LIMITS["max-storage-buffer-binding-size"])
+"""The sizes, in bytes, that are asked for as the largest array of a shader: the first that is granted is used."""
+
+TEXTURE = 512 << 20  # bytes of a texture, if an array may not be larger
+
+_SIZES = ("max-storage-buffer-binding-size", "max-buffer-size")
+
+CLOCK = "timestamp-query"
+_KINDS = ("DiscreteGPU", "IntegratedGPU", "VirtualGPU", "Unknown", "CPU")
+
+
+@dataclass(slots=True, eq=False)
+class Gpu:
+    """An opened device.
+
+    Parameters
+    ----------
+    name : str
+        The adapter's.
+    software : bool
+        Whether it is a program that runs on the CPU.
+    backend : str
+        Vulkan, Metal or D3D12.
+    device : wgpu.GPUDevice
+    pipelines : dict
+        What has been compiled for it.
+    lock
+        For whom works on it: one thread at a time.
+    clocks : list
+        Those that are running (`supple.engines.wgpu.kernel.clocked`).
+    binding : int
+        The largest array that a shader takes, in bytes.
+    texture : int
+        The largest texture that frames or nodes are put into, in bytes.
+    lost : bool
+        Whether it failed, and another one is opened when it is asked for.
+    """
+
+    name: str
+    software: bool
+    backend: str
+    device: Any = field(repr=False)
+    pipelines: dict[Any, Any] = field(repr=False)
+    lock: Any = field(repr=False)
+    clocks: list[Any] = field(repr=False)
+    binding: int
+    texture: int
+    lost: bool = False
+
+
+@functools.cache
+def adapters() -> tuple[Any, ...]:
+    """The adapters of this machine, the fastest kind first."""
+    try:
+        import wgpu
+        from wgpu.backends.wgpu_native import extras
+    except (ImportError, OSError, RuntimeError) as error:
+        raise SuppleError(f"the GPU needs wgpu, which cannot be loaded ({error}): pip install 'supple[gpu]'") from None
+    # OpenGL offers the same adapters once more, and less of them. Somebody else may have chosen already.
+    with contextlib.suppress(RuntimeError):
+        extras.set_instance_extras(backends=["Vulkan", "Metal", "DX12"])
+    # Where nobody is logged in, libraries of windows complain on the terminal that this is not set.
+    given = os.environ.get("XDG_RUNTIME_DIR")
+    os.environ.setdefault("XDG_RUNTIME_DIR", tempfile.gettempdir())
+    try:
+        found = [a for a in wgpu.gpu.enumerate_adapters_sync() if a.info["backend_type"] != "OpenGL"]
+    except Exception as error:  # drivers fail in many ways
+        raise SuppleError(f"GPUs cannot be listed ({' '.join(str(error).split())[:100]}): {missing()}") from None
+    finally:
+        if given is None:
+            os.environ.pop("XDG_RUNTIME_DIR", None)
+    return tuple(
+        sorted(
+            found,
+            key=lambda a: _KINDS.index(a.info["adapter_type"]) if a.info["adapter_type"] in _KINDS else len(_KINDS),
+        )
+    )
+
+
+def missing() -> str:
+    """Return the packages to install on this system."""
+    if sys.platform == "darwin":
+        return "macOS 10.13 or later with Metal is needed"
+    if sys.platform == "win32":
+        return "a driver with Direct3D 12 or Vulkan is needed, from the maker of the GPU"
+    return (
+        "a Vulkan driver is needed: that of the GPU, or Mesa's, also for running on the CPU "
+        "(Debian and Ubuntu: apt install mesa-vulkan-drivers; Fedora: dnf install mesa-vulkan-drivers)"
+    )
+
+
+_lock = threading.Lock()
+_opened: dict[int, Gpu] = {}
+
+
+def open_gpu(software: bool = True) -> Gpu:
+    """The fastest adapter's device; it stays open.
+
+    Parameters
+    ----------
+    software : bool
+        Whether one that runs on the CPU will do, where there is no other.
+
+    Raises
+    ------
+    SuppleError
+        If there is none that works; the message says what to install.
+    """
+    with _lock:
+        reason = ""
+        for k, adapter in enumerate(adapters()):
+            if adapter.info["adapter_type"] == "CPU" and not software:
+                continue
+            if k in _opened:
+                return _opened[k]
+            short = [name for name, wanted in LIMITS.items() if adapter.limits.get(name, wanted) < wanted]
+            if short:
+                reason = f"{adapter.info['device']} is too small ({short[0]}): "
+                continue
+            features = [CLOCK] if CLOCK in adapter.features else []
+            binding = next(size for size in _BINDINGS if all(adapter.limits.get(name, size) >= size for name in _SIZES))
+            limits = LIMITS | dict.fromkeys(_SIZES, max(binding, LIMITS["max-buffer-size"]))
+            limits["max-storage-buffer-binding-size"] = binding
+            try:
+                device = adapter.request_device_sync(required_limits=limits, required_features=features)
+            except Exception as error:  # drivers fail in many ways
+                reason = f"{adapter.info['device']} cannot be opened ({' '.join(str(error).split())[:100]}): "
+                continue
+            name, kind, backend = (str(adapter.info[key]) for key in ("device", "adapter_type", "backend_type"))
+            _opened[k] = Gpu(
+                name, kind == "CPU", backend, device, {}, threading.RLock(), [], binding, max(binding, TEXTURE)
+            )
+            return _opened[k]
+    raise SuppleError(f"no GPU was found: {reason}{missing()}; device cpu needs none")
+
+
+def forget(gpu: Gpu) -> None:
+    """Open the device anew when it is asked for again: this one failed."""
+    with _lock:
+        gpu.lost = True
+        for k in [k for k, known in _opened.items() if known is gpu]:
+            del _opened[k]
+
+
+def describe() -> list[dict[str, str]]:
+    """The adapters of this machine, for people; SuppleError if there are none."""
+    if not adapters():
+        raise SuppleError(f"no GPU was found: {missing()}")
+    kinds = {"DiscreteGPU": "a discrete GPU", "IntegratedGPU": "in the processor", "VirtualGPU": "a part of another's"}
+    kinds["CPU"] = "a program that runs on the CPU"
+    return [
+        {
+            "name": str(a.info["device"]),
+            "kind": kinds.get(a.info["adapter_type"], "of an unknown kind"),
+            "backend": str(a.info["backend_type"]),
+            "driver": str(a.info["description"]),
+        }
+        for a in adapters()
+    ]

@@ -1,0 +1,113 @@
+"""The strokes and their domain, as shaders read them; T and T⁻¹ of points."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from supple.engines.wgpu.device import Gpu
+from supple.engines.wgpu.kernel import READ, TURNS, UNIFORM, WRITE, download, pipeline, room, run, spread, upload
+
+Floats = npt.NDArray[np.float64]
+
+STROKE = np.dtype(
+    [
+        ("pivot", np.float32, 3),
+        ("terms", np.float32),
+        ("rest", np.float32, 4),
+        ("force", np.float32, 4),
+        ("radius2", np.float32, 4),
+        ("p", np.float32, 4),
+        ("q", np.float32, 4),
+        ("r", np.float32, 4),
+    ]
+)
+_POINTS = ("field", "newton", "points", "turns")
+
+
+def packed(table: npt.NDArray[np.void]) -> npt.NDArray[np.void]:
+    """Return a table of strokes (`supple.strokes.pack`) in float32: each pivot as the sum of two numbers, and 1/R."""
+    out = np.zeros(table.size, STROKE)
+    with np.errstate(over="ignore"):  # `fits` tells
+        out["pivot"] = table["pivot"]
+        out["rest"][:, :3] = table["pivot"] - out["pivot"].astype(np.float64)
+        out["rest"][:, 3] = 1.0 / table["reach"]
+        out["force"][:, :3] = table["force"]
+        out["terms"] = table["terms"]
+        for name in ("radius2", "p", "q", "r"):
+            out[name][:, : table[name].shape[1]] = table[name]
+    return out
+
+
+def fits(table: npt.NDArray[np.void]) -> bool:
+    """Return whether float32 holds all numbers of a table, with room for their products."""
+    made = packed(table)
+    return all(bool((np.abs(made[name]) < 1e18).all()) for name in ("pivot", "force", "radius2", "p", "q", "r"))
+
+
+def local(table: npt.NDArray[np.void]) -> bool:
+    """Tell whether all strokes have a limited reach, so that there may be pixels that none of them reaches."""
+    return bool(np.isfinite(table["reach"]).all())
+
+
+def reached(table: npt.NDArray[np.void], axes: Floats, planes: tuple[int, int]) -> npt.NDArray[np.bool_]:
+    """Return which planes, of a range of the third axis, the ball of any stroke touches."""
+    z = np.arange(*planes)[:, None] * axes[2, 3]
+    return np.asarray((np.abs(z - table["pivot"][:, 2]) < table["reach"]).any(axis=1))
+
+
+def domain(axes: Floats) -> npt.NDArray[np.float32]:
+    """Return a packed domain (`Domain.packed`) as shaders read it.
+
+    Its rows are the first faces of three axes, the last ones, the widths of the border, the spacing and the profiles. A
+    fourth of the spacing is what errors are measured by: the smallest of the axes along which anything may move. Off a
+    picture's plane nothing does, and its pixels are what counts.
+    """
+    out = np.zeros((5, 4), np.float32)
+    out[:, :3] = axes.T
+    moving = (axes[:, 1] != axes[:, 0]) | (axes[:, 2] != 0.0)
+    out[3, 3] = axes[moving if moving.any() else ..., 3].min()
+    return out
+
+
+def forward(
+    gpu: Gpu, table: npt.NDArray[np.void], axes: Floats, anchors: Floats, offsets: Floats
+) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
+    """T of the points ``anchors + offsets`` (N, 3), in physical units: T(p) - anchor (N, 3), and ∂T/∂p (N, 3, 3)."""
+    found = _points(gpu, "forward", table, axes, anchors, offsets, 0.0)
+    return found[:, 0, :3], np.moveaxis(found[:, 1:, :3], 1, 2)
+
+
+def inverse(
+    gpu: Gpu, table: npt.NDArray[np.void], axes: Floats, anchors: Floats, tolerance: float
+) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32], npt.NDArray[np.float32]]:
+    """T⁻¹(q) - q of points q (N, 3), in physical units, with |T(p) - q| and the evaluations of T."""
+    found = _points(gpu, "inverse", table, axes, anchors, np.zeros_like(anchors), tolerance)
+    return found[:, 0, :3], found[:, 0, 3], found[:, 1, 3]
+
+
+def _points(
+    gpu: Gpu, entry: str, table: npt.NDArray[np.void], axes: Floats, anchors: Floats, offsets: Floats, tolerance: float
+) -> npt.NDArray[np.float32]:
+    n = len(anchors)
+    settings = np.zeros(1, [("strokes", "u4"), ("count", "u4"), ("tolerance", "f4"), ("turns", "u4")])
+    settings["strokes"], settings["count"], settings["tolerance"] = table.size, n, tolerance
+    settings["turns"] = TURNS
+
+    def four(values: Floats) -> Any:
+        return upload(gpu, np.pad(values, ((0, 0), (0, 1))).astype(np.float32))
+
+    results = room(gpu, n * 64)
+    buffers = [
+        upload(gpu, settings, UNIFORM),
+        upload(gpu, domain(axes), UNIFORM),
+        upload(gpu, packed(table)),
+        four(anchors),
+        four(offsets),
+        results,
+    ]
+    made = pipeline(gpu, _POINTS, entry, (UNIFORM, UNIFORM, READ, READ, READ, WRITE))
+    run(gpu, [(made, buffers, spread(n, 64))])
+    return download(gpu, results, np.float32, n * 16).reshape(n, 4, 4).copy()

@@ -1,0 +1,147 @@
+"""A deformed volume, made brick by brick beside the one that it is made of."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from supple.engines.wgpu.kernel import (
+    FILLED,
+    READ,
+    SOLID,
+    TURNS,
+    UNIFORM,
+    WRITE,
+    Pace,
+    download,
+    owned,
+    pipeline,
+    room,
+    run,
+    spread,
+    upload,
+)
+from supple.engines.wgpu.solid import Lattice
+from supple.engines.wgpu.volume import Volume
+
+BLOCK = 16  # voxels along a brick's side
+_NAMES = ("fill", "volume", "solid", "blend", "smooth", "field", "newton", "turns")
+
+_SETTINGS = np.dtype(
+    [
+        ("size", "u4", 3),
+        ("strokes", "u4"),
+        ("nodes", "u4", 3),
+        ("spread", "f4"),
+        ("count", "u4"),
+        ("tolerance", "f4"),
+        ("turns", "u4"),
+        ("unused", "u4"),
+    ]
+)
+
+
+class Filling:
+    """The buffer of a deformed volume, and how much of it is there.
+
+    It is always made from the original volume and all strokes. Another one of the same volume takes its place, and
+    this one begins again when it is asked for once more.
+
+    Parameters
+    ----------
+    volume : Volume
+        With room for the buffer.
+    lattice : Lattice
+    polished : bool
+        Whether each voxel is solved for, as the lattice alone is not good enough.
+    tolerance : float
+        Of source points, in voxels.
+    """
+
+    def __init__(self, volume: Volume, lattice: Lattice, *, polished: bool, tolerance: float) -> None:
+        self._volume, self._lattice = volume, lattice
+        self._polished, self._tolerance = polished, tolerance
+        self._blocks = tuple(-(-n // BLOCK) for n in reversed(volume.size))
+        self._made = np.zeros(self._blocks, np.bool_)
+        self._pace = Pace(1)
+        self._key = object()  # and not itself: a circle would keep the device's memory until it is found
+        kinds = (UNIFORM, UNIFORM, READ, SOLID, volume.kind, SOLID, READ, WRITE, FILLED)
+        self._work = pipeline(volume.gpu, (*_NAMES, volume.reader), "fill", kinds, {"POLISHED": int(polished)})
+        self._target = volume.warped.create_view()
+        self.finished = room(volume.gpu, 4 * self._made.size)
+        """A buffer with a 1 for each brick that is there with all of its neighbours, so that it can be read."""
+
+    @property
+    def part(self) -> float:
+        """How much is there, from 0 to 1."""
+        return float(self._made.mean()) if self._volume.owner is self._key else 0.0
+
+    def advance(self, seconds: float = math.inf, order: npt.NDArray[np.intp] | None = None) -> float:
+        """Make some bricks, for about as long; return how much is there then.
+
+        Parameters
+        ----------
+        seconds : float
+        order : int array
+            Which bricks are made first, and so on: indices of flat arrays (bricks z, y, x).
+
+        Raises
+        ------
+        ArithmeticError
+            If points could not be solved to the tolerance in float32.
+        """
+        if self._volume.owner is not self._key:
+            self._volume.owner = self._key
+            self._made[...] = False
+            self._tell()  # what another one's map says is no longer so
+        gpu = self._volume.gpu
+        every = np.arange(self._made.size) if order is None else order
+        wanted = every[~self._made.reshape(-1)[every]].astype(np.uint32)
+        with contextlib.ExitStack() as stack:
+            (lost,) = owned(stack, room(gpu, 4))
+            stack.callback(self._tell)  # whatever ends it
+            for first, count in self._pace.parts(wanted.size, min(seconds, 0.25), seconds):
+                some = wanted[first : first + count]
+                self._make(some, lost)
+                if download(gpu, lost, np.uint32, 1)[0]:  # waits
+                    raise ArithmeticError("voxels could not be solved in its numbers")
+                self._made.reshape(-1)[some] = True
+        return self.part
+
+    def prepare(self) -> None:
+        """Run for no brick: some devices compile only then."""
+        with contextlib.ExitStack() as stack:
+            (lost,) = owned(stack, room(self._volume.gpu, 4))
+            self._make(np.zeros(0, np.uint32), lost)
+
+    def _make(self, wanted: npt.NDArray[np.uint32], lost: Any) -> None:
+        gpu, volume, lattice = self._volume.gpu, self._volume, self._lattice
+        settings = np.zeros(1, _SETTINGS)
+        for name, value in {
+            "size": volume.size,
+            "nodes": lattice.shape,
+            "spread": lattice.spread,
+            "strokes": lattice.count,
+            "count": wanted.size,
+            "tolerance": self._tolerance,
+            "turns": TURNS,
+        }.items():
+            settings[name] = value
+        with contextlib.ExitStack() as own:
+            told, some = owned(own, upload(gpu, settings, UNIFORM), upload(gpu, wanted))
+            # Nothing is read of a buffer here: any other texture stands in its place.
+            read = [lattice.domain, lattice.strokes, lattice.nodes, volume.view, lattice.nodes]
+            run(gpu, [(self._work, [told, *read, some, lost, self._target], (*spread(wanted.size, 1), 1))])
+
+    def _tell(self) -> None:
+        """Tell the device which bricks can be read: samples between voxels, and slopes, take their neighbours too."""
+        padded = np.pad(self._made, 1, constant_values=True)
+        ready = np.ones_like(self._made)
+        for shift in np.ndindex(3, 3, 3):
+            ready &= padded[tuple(slice(s, s + n) for s, n in zip(shift, self._blocks, strict=True))]
+        words: Any = ready.astype(np.uint32)
+        self._volume.gpu.device.queue.write_buffer(self.finished, 0, words)

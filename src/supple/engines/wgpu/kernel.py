@@ -1,0 +1,302 @@
+"""How shaders are composed and run: sources, pipelines, arrays in and out."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import re
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from importlib import resources
+from typing import Any, TypeVar
+
+import numpy as np
+import numpy.typing as npt
+
+from supple.engines.wgpu.device import CLOCK, Gpu, forget
+
+Array = npt.NDArray[Any]
+T = TypeVar("T")
+
+UNIFORM, READ, WRITE, TEXTURE = "uniform", "read-only-storage", "storage", "texture"
+LAYERS, WHOLE_LAYERS = "layers", "layers of whole numbers"
+SOLID, WHOLE_SOLID, SIGNED_SOLID, FILLED = "solid", "solid of whole numbers", "solid of signed numbers", "filled solid"
+_TEXTURES: dict[str, Any] = {
+    TEXTURE: {"storage_texture": {"access": "write-only", "format": "rgba8unorm", "view_dimension": "2d"}},
+    LAYERS: {"texture": {"sample_type": "unfilterable-float", "view_dimension": "2d-array"}},
+    WHOLE_LAYERS: {"texture": {"sample_type": "uint", "view_dimension": "2d-array"}},
+    SOLID: {"texture": {"sample_type": "unfilterable-float", "view_dimension": "3d"}},
+    WHOLE_SOLID: {"texture": {"sample_type": "uint", "view_dimension": "3d"}},
+    SIGNED_SOLID: {"texture": {"sample_type": "sint", "view_dimension": "3d"}},
+    FILLED: {"storage_texture": {"access": "write-only", "format": "r32float", "view_dimension": "3d"}},
+}
+MOST_GROUPS = 65535
+PART = 0.25  # seconds
+TURNS = 4  # of a loop that shows whether loops are carried out (turns.wgsl)
+CUT = 1 << 20  # what is added to a count of lost points where they are not
+LEAST = 256  # bytes of a buffer: an array of one item must fit, though it may hold none
+_LOST = re.compile(r"\blost\b|\bdevice\b.*\bdestroyed\b", re.IGNORECASE)  # a texture or a buffer may be destroyed, too
+
+
+class InterruptionError(Exception):
+    """An exception of a caller's own function, which is no fault of the GPU's; the cause is what it raised."""
+
+
+def passing(call: Callable[..., T]) -> Callable[..., T]:
+    """A caller's function, whose errors pass through what takes those of the GPU; see `let_through`."""
+
+    def called(*arguments: Any) -> T:
+        try:
+            return call(*arguments)
+        except Exception as error:
+            raise InterruptionError from error
+
+    return called
+
+
+@contextlib.contextmanager
+def let_through() -> Iterator[None]:
+    """Raise what a caller's own function raised."""
+    try:
+        yield
+    except InterruptionError as stopped:
+        raise stopped.__cause__ or stopped from None
+
+
+def trouble(gpu: Gpu, error: Exception) -> str:
+    """Return the failure in one short line; a device that is lost is opened anew next time."""
+    from wgpu import GPUValidationError
+
+    text = " ".join(str(error).split())
+    # What does not fit together is somebody's mistake; but so says a device that is lost, too.
+    mistaken = isinstance(error, GPUValidationError) and not _LOST.search(text)
+    if not (mistaken or isinstance(error, MemoryError | ArithmeticError)):
+        forget(gpu)
+    return text[:120] or "the work does not fit"
+
+
+def unsolved(lost: int) -> str:
+    """Return the message on points that are not known to be good enough, if there are any."""
+    if lost >= CUT:
+        return "its driver ends loops of many turns"
+    return f"{lost} points could not be solved to the tolerance in its numbers" if lost else ""
+
+
+def failures() -> tuple[type[Exception], ...]:
+    """Return the exceptions of a device that is lost or full, or of a driver that does not compile a shader."""
+    from wgpu import GPUError
+
+    return (GPUError, MemoryError, RuntimeError, ArithmeticError)
+
+
+def source(*names: str) -> str:
+    """The shaders of some files, one after the other; WGSL does not care in which order things are said."""
+    folder = resources.files("supple.engines.wgpu")
+    return "\n".join((folder / f"{name}.wgsl").read_text(encoding="utf-8") for name in names)
+
+
+def pipeline(
+    gpu: Gpu,
+    names: Sequence[str],
+    entry: str,
+    kinds: Sequence[str | None],
+    constants: Mapping[str, float] | None = None,
+) -> Any:
+    """A compute shader's entry point, compiled; kept with the device.
+
+    ``kinds`` are those of its bindings: UNIFORM, READ, WRITE, TEXTURE (rgba8unorm, written to), or what is read of an
+    array of layers or of a solid, as `_TEXTURES` has it; None for a number that it does not bind.
+    """
+    chosen = tuple(sorted((constants or {}).items()))
+    key = (tuple(names), entry, tuple(kinds), chosen)
+    if key not in gpu.pipelines:
+        module_key = tuple(names)
+        if module_key not in gpu.pipelines:
+            gpu.pipelines[module_key] = gpu.device.create_shader_module(label=names[0], code=source(*names))
+        entries = [
+            {"binding": k, "visibility": "COMPUTE"} | _TEXTURES.get(kind, {"buffer": {"type": kind}})
+            for k, kind in enumerate(kinds)
+            if kind is not None
+        ]
+        layout = gpu.device.create_bind_group_layout(entries=entries)
+        gpu.pipelines[key] = (
+            gpu.device.create_compute_pipeline(
+                layout=gpu.device.create_pipeline_layout(bind_group_layouts=[layout]),
+                compute={"module": gpu.pipelines[module_key], "entry_point": entry, "constants": dict(chosen)},
+            ),
+            layout,
+        )
+    return gpu.pipelines[key]
+
+
+def upload(gpu: Gpu, array: Array, kind: str = READ) -> Any:
+    """An array's bytes on the device, up to a whole number of words."""
+    usage = "UNIFORM" if kind == UNIFORM else "STORAGE|COPY_SRC"
+    data = np.ascontiguousarray(array).reshape(-1).view(np.uint8)
+    if data.size == 0:
+        data = np.zeros(4, np.uint8)
+    size = -(-data.size // 4) * 4
+    buffer = gpu.device.create_buffer(size=max(size, LEAST), usage=f"{usage}|COPY_DST")
+    whole = data.size // 4 * 4
+    if whole:
+        gpu.device.queue.write_buffer(buffer, 0, data[:whole])
+    if whole < data.size:
+        gpu.device.queue.write_buffer(buffer, whole, np.pad(data[whole:], (0, 4 - data.size + whole)))
+    return buffer
+
+
+def room(gpu: Gpu, size: int) -> Any:
+    """Room for ``size`` bytes on the device, all 0."""
+    return gpu.device.create_buffer(size=max(-(-size // 4) * 4, LEAST), usage="STORAGE|COPY_SRC|COPY_DST")
+
+
+def owned(stack: contextlib.ExitStack, *buffers: Any) -> tuple[Any, ...]:
+    """Buffers that are destroyed when a stack is left, however that comes about."""
+    for buffer in buffers:
+        stack.callback(buffer.destroy)
+    return buffers
+
+
+def bound(gpu: Gpu, layout: Any, buffers: Sequence[Any]) -> Any:
+    """Return the bind group of buffers, and of views of textures; None for a number that is not bound."""
+    entries = [
+        {"binding": k, "resource": buffer if hasattr(buffer, "texture") else {"buffer": buffer}}
+        for k, buffer in enumerate(buffers)
+        if buffer is not None
+    ]
+    return gpu.device.create_bind_group(layout=layout, entries=entries)
+
+
+def run(gpu: Gpu, passes: Sequence[tuple[Any, Sequence[Any], Any]]) -> None:
+    """Run pipelines one after the other: each with its buffers and its workgroups, or the buffer that tells these."""
+    encoder, stack = gpu.device.create_command_encoder(), contextlib.ExitStack()
+    clock = gpu.clocks[-1] if gpu.clocks else None
+    for (made, layout), buffers, groups in passes:
+        group = bound(gpu, layout, buffers)
+        told = None
+        if not isinstance(groups, tuple):  # a shader cannot write what it is dispatched by
+            (told,) = owned(stack, gpu.device.create_buffer(size=16, usage="INDIRECT|COPY_DST"))
+            encoder.copy_buffer_to_buffer(groups, 0, told, 0, 12)
+        step = encoder.begin_compute_pass(timestamp_writes=clock.next_pass() if clock else None)
+        step.set_pipeline(made)
+        step.set_bind_group(0, group)
+        if told is None:
+            step.dispatch_workgroups(*groups)
+        else:
+            step.dispatch_workgroups_indirect(told, 0)
+        step.end()
+    with stack:  # what is submitted keeps what it needs
+        gpu.device.queue.submit([encoder.finish()])
+
+
+def wait(gpu: Gpu) -> None:
+    """Wait until all that was submitted is done."""
+    try:
+        gpu.device._poll_wait()
+    except AttributeError:  # it is wgpu's own: what it promises to others (0.32) fails, or takes a buffer each time
+        download(gpu, room(gpu, LEAST), np.uint32, 1)
+
+
+class Clock:
+    """Measure the passes that are run while it is running, by the GPU's own clock."""
+
+    def __init__(self, gpu: Gpu, most: int = 2048) -> None:
+        self._gpu, self._most, self._passes = gpu, most, 0
+        self._queries = gpu.device.create_query_set(type="timestamp", count=2 * most)
+
+    def next_pass(self) -> dict[str, Any] | None:
+        """Where the next pass writes when it begins and ends; nowhere, beyond the most that it holds."""
+        if self._passes >= self._most:
+            return None
+        k = 2 * self._passes
+        self._passes += 1
+        return {
+            "query_set": self._queries,
+            "beginning_of_pass_write_index": k,
+            "end_of_pass_write_index": k + 1,
+        }
+
+    def seconds(self) -> float:
+        """All passes together."""
+        if not self._passes:
+            return 0.0
+        buffer = self._gpu.device.create_buffer(size=16 * self._most, usage="QUERY_RESOLVE|COPY_SRC")
+        encoder = self._gpu.device.create_command_encoder()
+        encoder.resolve_query_set(self._queries, 0, 2 * self._passes, buffer, 0)
+        self._gpu.device.queue.submit([encoder.finish()])
+        times = np.frombuffer(self._gpu.device.queue.read_buffer(buffer, 0, 16 * self._passes), np.uint64)
+        from wgpu.backends.wgpu_native._ffi import lib
+
+        period = float(lib.wgpuQueueGetTimestampPeriod(self._gpu.device.queue._internal))  # nanoseconds a tick
+        return float((times[1::2].astype(np.int64) - times[::2].astype(np.int64)).sum()) * period * 1e-9
+
+
+@contextlib.contextmanager
+def clocked(gpu: Gpu) -> Iterator[Clock | None]:
+    """Measure the passes within; None where a GPU has no clock."""
+    if CLOCK not in gpu.device.features:
+        yield None
+        return
+    clock = Clock(gpu)
+    gpu.clocks.append(clock)
+    try:
+        yield clock
+    finally:
+        gpu.clocks.remove(clock)
+
+
+def download(gpu: Gpu, buffer: Any, dtype: Any, count: int) -> Array:
+    """The first ``count`` numbers of a buffer; waits for what fills it."""
+    size = -(-count * np.dtype(dtype).itemsize // 4) * 4
+    return np.frombuffer(gpu.device.queue.read_buffer(buffer, 0, size), dtype, count)
+
+
+def settle(gpu: Gpu) -> None:
+    """Wait for what has been handed over: until then, there is a copy of it."""
+    gpu.device.queue.submit([])
+    wait(gpu)
+
+
+class Pace:
+    """How much of some work is done at once, as far as it is known what that takes: systems end work of seconds.
+
+    Parameters
+    ----------
+    count : int
+        How much is tried first.
+    most : int
+        How much at most.
+    """
+
+    def __init__(self, count: int, most: int = 1 << 30) -> None:
+        self._most, self.count = most, min(count, most)
+        self._each = 0.0  # seconds for one of it, the last time
+
+    def parts(self, total: int, seconds: float = PART, limit: float = math.inf) -> Iterator[tuple[int, int]]:
+        """Where each part begins, and how large it is; whoever asks for the next one has waited for the last.
+
+        They take about ``seconds`` each, and end after ``limit`` seconds, as far as that is known before; there is one
+        at least.
+        """
+        begun, done = time.perf_counter(), 0
+        while done < total:
+            start = time.perf_counter()
+            left = limit - (start - begun)
+            part = min(self.count, total - done)
+            if self._each > 0.0 and left < math.inf:
+                part = min(part, int(max(left, 0.0) / self._each))
+            if done and part < 1:
+                return
+            part = max(part, 1)
+            yield done, part
+            done += part
+            self._each = max(time.perf_counter() - start, 1e-9) / part
+            if part == self.count or self._each * self.count > seconds:
+                self.count = max(1, min(int(seconds / self._each), 4 * self.count, self._most))
+
+
+def spread(count: int, size: int) -> tuple[int, int]:
+    """Workgroups of ``size`` threads for ``count`` items, in rows."""
+    groups = max(1, -(-count // size))
+    rows = -(-groups // MOST_GROUPS)
+    return -(-groups // rows), rows

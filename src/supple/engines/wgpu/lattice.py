@@ -1,0 +1,200 @@
+"""The lattice of T⁻¹ on planes: solved at nodes and checked in between, by the GPU."""
+
+from __future__ import annotations
+
+import contextlib
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from supple.engines.wgpu.device import Gpu
+from supple.engines.wgpu.field import domain, local, packed
+from supple.engines.wgpu.kernel import LAYERS, READ, TURNS, UNIFORM, WRITE, download, owned, pipeline, room, run, upload
+from supple.engines.wgpu.samples import STEP
+from supple.engines.wgpu.texels import copy_in, plane_layers, view_of
+
+Floats = npt.NDArray[np.float64]
+Range = tuple[int, int]
+
+NODE = 64  # bytes
+PARTS = ("warp", "field", "newton", "lattice", "smooth", "sample", "light", "levels", "footprint", "turns")
+_NAMES = (*PARTS, "texels_whole")
+_SOLVE = (UNIFORM, UNIFORM, READ, WRITE, WRITE, WRITE, WRITE)
+CHECK = (*_SOLVE, LAYERS)
+
+SETTINGS = np.dtype(
+    [
+        ("size", "u4", 2),
+        ("nodes", "u4", 2),
+        ("fill", "f4", 4),
+        ("pitch", "f4", 2),
+        ("offset", "f4", 2),
+        ("strokes", "u4"),
+        ("first", "u4"),
+        ("frames", "u4"),
+        ("channels", "u4"),
+        ("origin", "u4"),
+        ("top", "u4"),
+        ("tall", "u4"),
+        ("groups", "u4"),
+        ("held", "u4", 4),
+        ("slots", "u4"),
+        ("shift", "u4"),
+        ("blocks", "u4", 2),
+        ("part", "u4", 2),
+        ("bounds", "f4", 2),
+        ("white", "f4"),
+        ("tolerance", "f4"),
+        ("times", "i4", 2),
+        ("turns", "u4"),
+        ("limited", "u4"),
+        ("levels", "u4"),
+        ("stride", "u4"),
+    ]
+)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Strokes:
+    """Strokes on their domain, on the device.
+
+    ``cells`` is how many the lattice of a plane has, across and down; ``limited`` tells whether all strokes have a
+    limited reach.
+    """
+
+    gpu: Gpu
+    table: Any
+    axes: Any
+    count: int
+    cells: tuple[int, int]
+    limited: bool
+
+
+def strokes_on(
+    stack: contextlib.ExitStack,
+    gpu: Gpu,
+    table: npt.NDArray[np.void],
+    axes: Floats,
+    shape: tuple[int, int],
+    step: tuple[int, int] = (1, 1),
+) -> Strokes:
+    """Hand strokes over, until a stack is left; the lattice of a plane reaches as far as samples ``step`` apart may."""
+    held, places = owned(stack, upload(gpu, packed(table)), upload(gpu, domain(axes), UNIFORM))
+    height, width = (-(-n // k) * k for n, k in zip(shape, reversed(step), strict=True))
+    return Strokes(gpu, held, places, int(table.size), (_cells(width), _cells(height)), local(table))
+
+
+def _cells(size: int) -> int:
+    return max(1, -(-(size - 1) // STEP))
+
+
+@dataclass(frozen=True, slots=True)
+class Part:
+    """Which planes, and which rows of cells of each."""
+
+    planes: Range
+    cells: Range
+
+    @property
+    def count(self) -> int:
+        """How many planes."""
+        return self.planes[1] - self.planes[0]
+
+    @property
+    def tall(self) -> int:
+        """How many rows of cells."""
+        return self.cells[1] - self.cells[0]
+
+
+@dataclass(slots=True, eq=False)
+class Lattice:
+    """T⁻¹ on a part, or room for it.
+
+    ``read`` is the texture that its nodes are read from, and ``view`` that of all of its planes.
+    """
+
+    strokes: Strokes
+    buffers: tuple[Any, ...]
+    part: Part
+    stats: Any
+    read: Any
+    view: Any
+    solved: Part | None = None
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """Planes, rows and columns of nodes."""
+        return self.part.count, self.part.tall + 1, self.strokes.cells[0] + 1
+
+    def solve(self, part: Part, tolerance: float) -> None:
+        """Solve it for a part that is as large as the one that there is room for."""
+        gpu = self.strokes.gpu
+        assert (part.count, part.tall) == (self.part.count, self.part.tall)
+        self.part, self.solved = part, None
+        count, down, across = self.shape
+        told = settings_of(self, tolerance)
+        gpu.device.queue.write_buffer(self.buffers[0], 0, told)
+        gpu.device.queue.write_buffer(self.stats, 0, np.zeros(4, np.uint32))
+        solving = pipeline(gpu, _NAMES, "solve", _SOLVE)
+        run(gpu, [(solving, self.buffers, (-(-across // 8), -(-down // 8), count))])
+        copy_in(gpu, self.buffers[3], pitch_of(across), self.read, 0, 4 * count)
+        buffers = (*self.buffers, self.view)
+        checking, counting = (pipeline(gpu, _NAMES, entry, CHECK) for entry in ("check", "count"))
+        run(
+            gpu,
+            [
+                (checking, buffers, (-(-(across - 1) // 8), -(-(down - 1) // 8), count)),
+                (counting, buffers, (1, 1, 1)),
+            ],
+        )
+        self.solved = part
+
+    def nodes(self) -> npt.NDArray[np.float32]:
+        """Return the nodes: planes, rows, columns, u and the columns of ∂p/∂q, each of 4 numbers (lattice.wgsl)."""
+        count, down, across = self.shape
+        pitch = pitch_of(across)
+        found = download(self.strokes.gpu, self.buffers[3], np.float32, count * down * pitch * 16)
+        return found.reshape(count, 4, down, pitch, 4)[:, :, :, :across].transpose(0, 2, 3, 1, 4)
+
+    def rough(self) -> npt.NDArray[np.bool_]:
+        """Which cells are not interpolated: planes, rows, columns."""
+        count, down, across = self.part.count, self.part.tall, self.strokes.cells[0]
+        known = download(self.strokes.gpu, self.buffers[4], np.float32, count * down * across)
+        return known.reshape(count, down, across) > 1e29
+
+
+def pitch_of(across: int) -> int:
+    """Nodes from one row to the next: rows that become those of a texture are of a multiple of 256 bytes."""
+    return -(-across // 16) * 16
+
+
+def lattice_on(stack: contextlib.ExitStack, strokes: Strokes, part: Part) -> Lattice:
+    """Room for the lattice of a part, until a stack is left."""
+    gpu, (across, _) = strokes.gpu, strokes.cells
+    cells = part.count * part.tall * across
+    read = plane_layers(gpu, (across + 1, part.tall + 1, 4 * part.count))
+    stack.callback(read.destroy)
+    told, nodes, errors, stats, rough = owned(
+        stack,
+        gpu.device.create_buffer(size=SETTINGS.itemsize, usage="UNIFORM|COPY_DST"),
+        room(gpu, part.count * (part.tall + 1) * pitch_of(across + 1) * NODE),
+        room(gpu, 4 * cells),
+        room(gpu, 16),
+        room(gpu, 16 + 4 * cells),
+    )
+    buffers = (told, strokes.axes, strokes.table, nodes, errors, stats, rough)
+    return Lattice(strokes, buffers, part, stats, read, view_of(read))
+
+
+def settings_of(lattice: Lattice, tolerance: float) -> npt.NDArray[np.void]:
+    """Return the settings of a lattice for a shader."""
+    told = np.zeros(1, SETTINGS)
+    told["turns"] = TURNS
+    _, down, across = lattice.shape
+    told["nodes"], told["strokes"], told["tolerance"] = (across, down), lattice.strokes.count, tolerance
+    told["first"], told["origin"] = lattice.part.planes[0], lattice.part.cells[0]
+    told["limited"] = lattice.strokes.limited
+    told["part"] = 0, 0xFFFFFFFF
+    return told

@@ -1,0 +1,238 @@
+"""Pictures and frames on a device, drawn into textures as a window shows them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from supple.engines.wgpu.buffers import Bound, Kept
+from supple.engines.wgpu.device import Gpu
+from supple.engines.wgpu.field import domain, packed
+from supple.engines.wgpu.kernel import READ, TEXTURE, UNIFORM, WRITE, bound, pipeline, room
+
+Floats = npt.NDArray[np.float64]
+
+CELL = 16
+BACK = (0.12, 0.12, 0.13)  # sRGB beside what is shown
+OVERLAYS = {"": 0, "grid": 1, "stretch": 2, "residual": 3, "inversions": 4}
+_NAMES = ("plate", "warm", "blend", "field", "newton")
+_KINDS = (UNIFORM, UNIFORM, READ, WRITE, READ, TEXTURE)
+
+_SETTINGS = np.dtype(
+    [
+        ("size", "u4", 2),
+        ("nodes", "u4", 2),
+        ("origin", "f4", 2),
+        ("scale", "f4"),
+        ("time", "f4"),
+        ("source", "u4", 2),
+        ("frames", "u4"),
+        ("earliest", "u4"),
+        ("held", "u4"),
+        ("slots", "u4"),
+        ("stride", "u4"),
+        ("levels", "u4"),
+        ("strokes", "u4"),
+        ("solved", "u4"),
+        ("overlay", "u4"),
+        ("every", "f4"),
+        ("back", "f4", 4),
+    ]
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Sight:
+    """The visible part of a picture in a window.
+
+    Parameters
+    ----------
+    origin : (float, float)
+        Where its first pixel lies, in pixels of the picture.
+    scale : float
+        Pixels of the picture from one of its pixels to the next.
+    size : (int, int)
+        Its columns and rows.
+    time : float
+        The frame, of a clip.
+    solved : bool
+        Whether T⁻¹ is solved at every pixel, or interpolated between every 16th: faster, while a hand moves.
+    overlay : str
+        One of `OVERLAYS`.
+    every : float
+        Pixels between the lines of a grid.
+    back : (float, float, float)
+        sRGB beside the picture.
+    square : float
+        How wide, in its pixels, the squares are that lie behind what is transparent.
+    """
+
+    origin: tuple[float, float]
+    scale: float
+    size: tuple[int, int]
+    time: float = 0.0
+    solved: bool = True
+    overlay: str = ""
+    every: float = 32.0
+    back: tuple[float, float, float] = BACK
+    square: float = 8.0
+
+
+class _Sheet:
+    """The buffers on the device for drawing into one texture."""
+
+    def __init__(self, gpu: Gpu, texture: Any) -> None:
+        self.texture, self.view = texture, texture.create_view()
+        self.settings, self.domain, self.strokes = Kept(gpu, UNIFORM), Kept(gpu, UNIFORM), Kept(gpu)
+        self.bound = Bound()
+
+
+class Plate:
+    """Frames on a device: one of a picture, a ring of some of a clip's.
+
+    Parameters
+    ----------
+    gpu : Gpu
+    size : (int, int)
+        Columns and rows.
+    frames : int
+        Of the whole clip.
+    slots : int
+        How many are held at once.
+
+    Raises
+    ------
+    MemoryError
+        If they are more than a shader takes.
+    """
+
+    def __init__(self, gpu: Gpu, size: tuple[int, int], frames: int = 1, slots: int = 1) -> None:
+        self.gpu, self.size, self.frames, self.slots = gpu, size, frames, slots
+        self.sizes = [size]
+        while max(self.sizes[-1]) > 256 and frames == 1:
+            width, height = self.sizes[-1]
+            self.sizes.append(((width + 1) // 2, (height + 1) // 2))
+        self.stride = sum(width * height for width, height in self.sizes)
+        if 4 * self.stride * slots > gpu.binding:
+            raise MemoryError(f"{4 * self.stride * slots >> 20} MB of pixels are more than a shader takes")
+        self.earliest, self.held = 0, 0
+        self._pixels = room(gpu, 4 * self.stride * slots)
+        self._nodes: tuple[int, Any] = (0, None)
+        self._sheets: list[_Sheet] = []
+
+    @staticmethod
+    def most(gpu: Gpu, size: tuple[int, int]) -> int:
+        """How many frames of a size may be held."""
+        return gpu.binding // (4 * size[0] * size[1])
+
+    def put(self, frame: int, pixels: npt.NDArray[np.uint8]) -> None:
+        """Hold a frame, of shape (rows, columns, 4): sRGB and opacity. The ring goes on from those that it holds."""
+        if not self.earliest <= frame <= self.earliest + self.held:
+            self.earliest, self.held = frame, 0
+        start = (frame % self.slots) * self.stride * 4
+        for width, height in self.sizes:
+            level = np.ascontiguousarray(pixels[:height, :width])
+            self.gpu.device.queue.write_buffer(self._pixels, start, level.reshape(-1))
+            start += level.nbytes
+            pixels = _halved(level) if (width, height) != self.sizes[-1] else level
+        self.held = max(self.held, frame - self.earliest + 1)
+        if self.held > self.slots:
+            self.earliest, self.held = frame - self.slots + 1, self.slots
+
+    def draw(
+        self,
+        sight: Sight,
+        table: npt.NDArray[np.void],
+        axes: Floats,
+        texture: Any,
+        encoder: Any = None,
+    ) -> None:
+        """Draw what a window shows, through strokes, into a texture of format rgba8unorm.
+
+        Parameters
+        ----------
+        sight : Sight
+        table, axes
+            The packed strokes (`supple.strokes.pack`) and domain (`Domain.packed`).
+        texture : wgpu.GPUTexture
+        encoder : wgpu.GPUCommandEncoder, optional
+            Whose commands are to do it; by default, it is done at once.
+        """
+        gpu, (width, height) = self.gpu, sight.size
+        cells = tuple(max(1, -(-(n - 1) // CELL)) + 1 for n in sight.size)
+        if self._nodes[0] < cells[0] * cells[1]:
+            self._nodes = cells[0] * cells[1], room(gpu, 48 * cells[0] * cells[1])
+        sheet = self._sheet(texture)
+        resources = (
+            sheet.settings.hold(self._settings(sight, cells, table.size)),
+            sheet.domain.hold(domain(axes)),
+            sheet.strokes.hold(packed(table)),
+            self._nodes[1],
+            self._pixels,
+            sheet.view,
+        )
+        (solve, layout), (paint, _) = (pipeline(gpu, _NAMES, entry, _KINDS) for entry in ("solve", "paint"))
+        group = sheet.bound.group(resources, lambda: bound(gpu, layout, resources))
+        commands = encoder or gpu.device.create_command_encoder()
+        step = commands.begin_compute_pass()
+        step.set_bind_group(0, group)
+        if table.size:
+            step.set_pipeline(solve)
+            step.dispatch_workgroups(-(-cells[0] // 8), -(-cells[1] // 8), 1)
+        step.set_pipeline(paint)
+        step.dispatch_workgroups(-(-width // 8), -(-height // 8), 1)
+        step.end()
+        if encoder is None:
+            gpu.device.queue.submit([commands.finish()])
+
+    def _sheet(self, texture: Any) -> _Sheet:
+        for sheet in self._sheets:
+            if sheet.texture is texture:
+                return sheet
+        # Those of the picture as it is, as it was, and of both while a hand moves.
+        self._sheets = [*self._sheets[-3:], _Sheet(self.gpu, texture)]
+        return self._sheets[-1]
+
+    def _settings(self, sight: Sight, cells: tuple[int, ...], strokes: int) -> npt.NDArray[np.void]:
+        return np.array(
+            [
+                (
+                    sight.size,
+                    cells,
+                    sight.origin,
+                    sight.scale,
+                    sight.time,
+                    self.size,
+                    self.frames,
+                    self.earliest,
+                    max(self.held, 1),
+                    self.slots,
+                    self.stride,
+                    len(self.sizes),
+                    strokes,
+                    sight.solved or sight.overlay in ("residual", "inversions"),
+                    OVERLAYS[sight.overlay],
+                    sight.every,
+                    (*sight.back, max(sight.square, 1.0)),
+                )
+            ],
+            _SETTINGS,
+        )
+
+
+def _halved(pixels: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
+    """Half as large, by averages weighted by opacity."""
+    even = np.pad(pixels, [(0, pixels.shape[0] % 2), (0, pixels.shape[1] % 2), (0, 0)], mode="edge").astype(np.uint16)
+    four = even[::2, ::2], even[1::2, ::2], even[::2, 1::2], even[1::2, 1::2]
+    if (pixels[..., 3] == 255).all():
+        return np.asarray((four[0] + four[1] + four[2] + four[3] + 2) // 4, np.uint8)
+    weights = [p[..., 3:].astype(np.uint32) for p in four]
+    opacity: npt.NDArray[np.uint32] = np.add.reduce(weights)
+    colours: npt.NDArray[np.uint32] = np.add.reduce([p[..., :3] * w for p, w in zip(four, weights, strict=True)])
+    out = np.empty((*even[::2, ::2].shape[:2], 4), np.uint8)
+    out[..., :3] = (colours + opacity // 2) // np.maximum(opacity, 1)
+    out[..., 3] = ((opacity + 2) // 4)[..., 0]
+    return out

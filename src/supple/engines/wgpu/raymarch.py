@@ -1,0 +1,310 @@
+"""Pictures of volumes by the GPU: what is held there of a volume, and rays through it."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from supple.engines.wgpu.fill import BLOCK, Filling
+from supple.engines.wgpu.kernel import (
+    LAYERS,
+    MOST_GROUPS,
+    READ,
+    SOLID,
+    TEXTURE,
+    TURNS,
+    UNIFORM,
+    WHOLE_SOLID,
+    WRITE,
+    Pace,
+    download,
+    owned,
+    pipeline,
+    room,
+    run,
+    upload,
+)
+from supple.engines.wgpu.solid import Lattice
+from supple.engines.wgpu.texels import layers, put_solid, solid
+from supple.engines.wgpu.volume import Volume
+
+Floats = npt.NDArray[np.float64]
+
+PLAIN, LATTICE, EXACT, HYBRID = 0, 1, 2, 3
+RAYS = 1 << 16  # at once, before it is known what they take
+LONGEST = 8  # samples
+# A stretch of them is read of the buffer if it begins in a brick whose neighbours are there: it ends in one of these.
+FARTHEST = BLOCK - 4  # voxels
+_NAMES = ("raymarch", "volume", "solid", "blend", "field", "newton", "turns")
+
+SETTINGS = np.dtype(
+    [
+        ("size", "u4", 3),
+        ("strokes", "u4"),
+        ("nodes", "u4", 3),
+        ("spread", "f4"),
+        ("bricks", "u4", 3),
+        ("first", "u4"),
+        ("picture", "u4", 2),
+        ("window", "f4", 2),
+        ("eye", "f4", 4),
+        ("ahead", "f4", 4),
+        ("right", "f4", 4),
+        ("below", "f4", 4),
+        ("light", "f4", 4),
+        ("step", "f4"),
+        ("low", "f4"),
+        ("scale", "f4"),
+        ("threshold", "f4"),
+        ("entries", "u4"),
+        ("shaded", "u4"),
+        ("always", "u4"),
+        ("fine", "u4"),
+        ("rows", "u4"),
+        ("stretch", "u4"),
+        ("turns", "u4"),
+        ("unused", "u4"),
+    ]
+)
+_PAINT = np.dtype(
+    [("background", "f4", 3), ("fine", "u4"), ("width", "u4"), ("first", "u4"), ("rows", "u4"), ("worked", "u4")]
+)
+_LARGEST = float(np.finfo(np.float32).max)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Held:
+    """The part of a scene on a device.
+
+    Parameters
+    ----------
+    volume : Volume
+    lattice : Lattice
+    mode : int
+        PLAIN, LATTICE, EXACT or HYBRID. What is hybrid is plain once its buffer is filled.
+    filling : Filling or None
+        The buffer, of a hybrid scene.
+    pace : Pace
+        How many rays are done at once.
+    whole : bool
+        Whether it is only seen once its buffer is filled.
+    """
+
+    volume: Volume
+    lattice: Lattice
+    mode: int
+    filling: Filling | None
+    pace: Pace
+    whole: bool = False
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Look:
+    """How a volume is seen: as ``_core/raymarch.hpp`` takes it."""
+
+    skips: npt.NDArray[np.uint8]
+    table: npt.NDArray[np.float32]
+    low: float
+    scale: float
+    threshold: float
+    window: tuple[float, float]
+    step: float
+    light: npt.NDArray[np.float32]
+    shaded: bool
+
+
+def march(
+    held: Held,
+    look: Look,
+    view: Floats,
+    size: tuple[int, int],
+    fine: int,
+    tell: Callable[[int], None] = lambda rows: None,
+) -> tuple[npt.NDArray[np.float32], Floats, npt.NDArray[np.int64]]:
+    """Take a picture.
+
+    Parameters
+    ----------
+    held : Held
+    look : Look
+    view : float64 array (5, 3)
+        A packed camera (`supple.render.camera.Projection`).
+    size : (int, int)
+        Rows and columns of rays.
+    fine : int
+        Rays along a pixel's side.
+    tell : function
+        Called with the number of rows of rays that are done.
+
+    Returns
+    -------
+    arrays (H, W, 4), (H, W, 2) and (H, W, 2)
+        Light and opacity; where the first surface is and where opacity passes 0.9; samples and evaluations of T.
+    """
+    gpu = held.volume.gpu
+    height, width = size
+    light, depth = np.empty((height, width, 4), np.float32), np.empty((height, width, 2))
+    work = np.empty((height, width, 2), np.int64)
+    for first, count, seen in _rays(held, look, view, size, fine):
+        found = download(gpu, seen, np.float32, count * width * 8).reshape(count, width, 8)
+        if (found[..., 7] < 0).any():
+            raise ArithmeticError("points along rays could not be solved in its numbers")
+        light[first : first + count] = found[..., :4]
+        where = found[..., 4:6].astype(np.float64)
+        depth[first : first + count] = np.where(where > 1e38, np.inf, where)
+        work[first : first + count] = found[..., 6:]
+        tell(first + count)
+    return light, depth, work
+
+
+def paint(
+    held: Held,
+    look: Look,
+    view: Floats,
+    size: tuple[int, int],
+    fine: int,
+    background: npt.NDArray[np.float32],
+    target: Any,
+    worked: bool = False,
+) -> None:
+    """Draw a picture into a texture of format rgba8unorm, that shaders may write to, as sRGB.
+
+    Parameters
+    ----------
+    held, look, view, size, fine
+        As `march` takes them.
+    background : float32 array (3)
+        Linear light behind the volume.
+    target : wgpu.GPUTexture
+        Of ``size`` over ``fine``, or larger.
+    worked : bool
+        Whether to tint it by the inversions along each ray or, where there are none, the samples.
+    """
+    gpu = held.volume.gpu
+    work = pipeline(gpu, ("paint", "warm"), "paint", (UNIFORM, READ, WRITE, TEXTURE))
+    settings = np.zeros(1, _PAINT)
+    settings["width"], settings["fine"], settings["background"] = size[1] // fine, fine, background
+    settings["worked"] = worked
+    with contextlib.ExitStack() as stack:
+        (lost,) = owned(stack, room(gpu, 4))
+        for first, count, seen in _rays(held, look, view, size, fine):
+            settings["first"], settings["rows"] = first // fine, count // fine
+            with contextlib.ExitStack() as own:
+                (told,) = owned(own, upload(gpu, settings, UNIFORM))
+                groups = (-(-size[1] // (8 * fine)), -(-count // (8 * fine)), 1)
+                run(gpu, [(work, [told, seen, lost, target.create_view()], groups)])
+                if download(gpu, lost, np.uint32, 1)[0]:  # waits
+                    raise ArithmeticError("points along rays could not be solved in its numbers")
+
+
+def _rays(held: Held, look: Look, view: Floats, size: tuple[int, int], fine: int) -> Iterator[tuple[int, int, Any]]:
+    """March along the rays of some rows at a time: which is the first, how many they are, and what is seen."""
+    volume, lattice, filling = held.volume, held.lattice, held.filling
+    gpu, finest = volume.gpu, float(view[1].min())
+    if held.whole and filling is not None and filling.part < 1.0:
+        filling.advance()  # another scene of the volume has taken its place
+    mode = _mode(held, look.step / finest)
+    made = _marching(volume, mode, filling is not None)
+    height, width = size
+    settings = np.zeros(1, SETTINGS)
+    for name, value in {
+        "size": volume.size,
+        "strokes": lattice.count,
+        "nodes": lattice.shape,
+        "spread": lattice.spread,
+        "bricks": look.skips.shape[::-1],
+        "picture": (width, height),
+        "window": np.clip(look.window, -_LARGEST, _LARGEST),
+        "step": look.step,
+        "low": look.low,
+        "scale": look.scale,
+        "threshold": np.clip(look.threshold, -_LARGEST, _LARGEST),
+        "entries": len(look.table),
+        "shaded": look.shaded,
+        "always": look.threshold == -np.inf,
+        "fine": fine,
+        "stretch": _stretch(mode, lattice.cells * lattice.spread, look.step / finest),
+        "turns": TURNS,
+    }.items():
+        settings[name] = value
+    for name, row in {
+        "eye": view[0],
+        "ahead": view[2],
+        "right": view[3],
+        "below": view[4],
+        "light": look.light,
+    }.items():
+        settings[name][0, :3] = row
+    # Whole rows of pixels, whose rays there is room for.
+    row_ = width * fine
+    most = min(height // fine, gpu.binding // (32 * row_))
+    if most < 1 or width > 8 * MOST_GROUPS:
+        raise MemoryError("a row of pixels of so many rays is more than a shader takes")
+    pace = Pace(max(1, held.pace.count // row_), most)
+    with contextlib.ExitStack() as stack:
+        skips = solid(gpu, look.skips.shape, np.uint8)
+        colours = layers(gpu, (1, len(look.table)), 1, np.float32, 4)
+        owned(stack, skips, colours)
+        put_solid(gpu, skips, look.skips)
+        colours.put(gpu, 0, look.table[None])
+        (seen,) = owned(stack, room(gpu, 32 * row_ * most))
+        for first, count in pace.parts(height // fine):
+            settings["first"], settings["rows"] = first * fine, count * fine
+            with contextlib.ExitStack() as own:
+                (told,) = owned(own, upload(gpu, settings, UNIFORM))
+                finished = filling.finished if filling is not None else lattice.strokes
+                read = _read(held, skips.create_view(), colours.view)
+                run(gpu, [(made, [told, *read, seen, finished], (-(-width // 8), -(-count * fine // 8), 1))])
+            yield first * fine, count * fine, seen
+            pace.count = min(pace.count, most)
+    held.pace.count = pace.count * row_
+
+
+def _read(held: Held, skips: Any, colours: Any) -> list[Any]:
+    """Return the bindings that rays read, from the second on; any texture stands in the place of a missing buffer."""
+    volume, lattice = held.volume, held.lattice
+    warped = volume.warped.create_view() if volume.warped is not None else lattice.nodes
+    return [lattice.domain, lattice.strokes, lattice.nodes, volume.view, warped, skips, colours]
+
+
+def _marching(volume: Volume, mode: int, buffer: bool) -> Any:
+    kinds = (UNIFORM, UNIFORM, READ, SOLID, volume.kind, SOLID, WHOLE_SOLID, LAYERS, WRITE, READ)
+    sampled = {PLAIN: 1, HYBRID: 2}.get(mode, 0) if buffer else 0
+    return pipeline(volume.gpu, (*_NAMES, volume.reader), "march", kinds, {"MODE": mode, "SAMPLED": sampled})
+
+
+def prepare(held: Held, filling: Filling) -> None:
+    """Compile what a hybrid scene needs later, so that no frame waits for it: some do when it first runs."""
+    volume = held.volume
+    with contextlib.ExitStack() as stack:
+        told, seen = owned(stack, upload(volume.gpu, np.zeros(1, SETTINGS), UNIFORM), room(volume.gpu, 32))
+        skips, colours = solid(volume.gpu, (1, 1, 1), np.uint8), layers(volume.gpu, (1, 1), 1, np.float32, 4)
+        owned(stack, skips, colours)
+        buffers = [told, *_read(held, skips.create_view(), colours.view), seen, filling.finished]
+        run(volume.gpu, [(_marching(volume, mode, True), buffers, (1, 1, 1)) for mode in (LATTICE, HYBRID, PLAIN)])
+        filling.prepare()
+        download(volume.gpu, seen, np.float32, 8)  # waits
+
+
+def _mode(held: Held, step: float) -> int:
+    """How rays are marched along now, with samples so many voxels apart."""
+    filling = held.filling
+    if filling is None:
+        return held.mode
+    if filling.part == 1.0:
+        return PLAIN
+    # Software carries out both sides of a branch: a ray that may read either would read both.
+    mixed = filling.part > 0.0 and step <= FARTHEST and not held.volume.gpu.software
+    return HYBRID if mixed else LATTICE
+
+
+def _stretch(mode: int, cells: float, step: float) -> int:
+    """How many samples share what is read of the lattice: as many as lie in its cells, all of them in voxels."""
+    if mode not in (LATTICE, HYBRID):
+        return LONGEST
+    return max(1, min(int((min(cells, FARTHEST) if mode == HYBRID else cells) / step), LONGEST))

@@ -1,0 +1,106 @@
+"""Textures that are drawn into, and how they come onto a screen."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from supple.engines.wgpu.buffers import Bound, Kept
+from supple.engines.wgpu.device import Gpu
+from supple.engines.wgpu.kernel import UNIFORM, source
+
+Part = tuple[float, float, float, float]
+"""Of a texture: left, top, width and height, of which all of it has 1."""
+ALL: Part = (0.0, 0.0, 1.0, 1.0)
+
+_PLAIN = "rgba8unorm"
+_SETTINGS = np.dtype([("part", "f4", 4), ("split", "f4"), ("line", "f4"), ("linear", "u4"), ("unused", "u4")])
+
+
+def canvas_texture(gpu: Gpu, size: tuple[int, int]) -> Any:
+    """A texture of columns and rows that scenes and plates can be drawn into, and the screen read."""
+    return gpu.device.create_texture(size=(*size, 1), format=_PLAIN, usage="STORAGE_BINDING|TEXTURE_BINDING|COPY_SRC")
+
+
+def pixels_of(gpu: Gpu, texture: Any) -> np.ndarray[Any, np.dtype[np.uint8]]:
+    """Return the values of a texture, (rows, columns, 4)."""
+    width, height = texture.size[:2]
+    data = gpu.device.queue.read_texture(
+        {"texture": texture}, {"bytes_per_row": 4 * width, "rows_per_image": height}, (width, height, 1)
+    )
+    return np.frombuffer(data, np.uint8).reshape(height, width, 4)
+
+
+def composed(gpu: Gpu, first: Any, second: Any, split: float) -> np.ndarray[Any, np.dtype[np.uint8]]:
+    """Two textures beside one another, as `Screen` draws them: (rows, columns, 4)."""
+    onto = gpu.device.create_texture(size=first.size, format=_PLAIN, usage="RENDER_ATTACHMENT|COPY_SRC")
+    colours = {"view": onto.create_view(), "load_op": "clear", "store_op": "store"}
+    encoder = gpu.device.create_command_encoder()
+    drawing = encoder.begin_render_pass(color_attachments=[colours])
+    Screen(gpu, _PLAIN).draw(drawing, first, second, split)
+    drawing.end()
+    gpu.device.queue.submit([encoder.finish()])
+    return pixels_of(gpu, onto)
+
+
+class Screen:
+    """Puts textures onto what a window presents.
+
+    Parameters
+    ----------
+    gpu : Gpu
+    format : str
+        Of what the window presents.
+    """
+
+    def __init__(self, gpu: Gpu, format: str) -> None:
+        self._gpu, self._linear = gpu, format.endswith("srgb")
+        self._smooth = gpu.device.create_sampler(mag_filter="linear", min_filter="linear")
+        module = gpu.device.create_shader_module(code=source("screen"))
+        self._pipeline = gpu.device.create_render_pipeline(
+            layout="auto",
+            vertex={"module": module, "entry_point": "corner"},
+            fragment={"module": module, "entry_point": "shown", "targets": [{"format": format}]},
+            primitive={"topology": "triangle-list"},
+        )
+        self._told, self._bound = Kept(gpu, UNIFORM), Bound()
+
+    def draw(
+        self,
+        drawing: Any,
+        first: Any,
+        second: Any = None,
+        split: float = 0.0,
+        place: tuple[int, int, int, int] | None = None,
+        part: Part = ALL,
+    ) -> None:
+        """Draw a texture, and another one left of where the split is, from 0 to 1.
+
+        Parameters
+        ----------
+        drawing : wgpu.GPURenderPassEncoder
+            Onto what the window presents.
+        first, second : wgpu.GPUTexture
+        split : float
+        place : (int, int, int, int), optional
+            Where on the screen: left, top, columns and rows, all of which lie on it; all of it, by default.
+        part : (float, float, float, float), optional
+            What of the textures is drawn.
+        """
+        settings = np.array([(part, split if second is not None else -1.0, 0.001, self._linear, 0)], _SETTINGS)
+        things = self._told.hold(settings), first, second or first
+        drawing.set_pipeline(self._pipeline)
+        if place is not None:
+            drawing.set_viewport(*place, 0.0, 1.0)
+        drawing.set_bind_group(0, self._bound.group(things, lambda: self._group(*things)))
+        drawing.draw(3)
+
+    def _group(self, told: Any, first: Any, second: Any) -> Any:
+        entries: list[dict[str, Any]] = [
+            {"binding": 0, "resource": {"buffer": told}},
+            {"binding": 1, "resource": first.create_view()},
+            {"binding": 2, "resource": second.create_view()},
+            {"binding": 3, "resource": self._smooth},
+        ]
+        return self._gpu.device.create_bind_group(layout=self._pipeline.get_bind_group_layout(0), entries=entries)

@@ -1,0 +1,79 @@
+"""A volume on a device, with room for a deformed one beside it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from supple.engines.wgpu.device import Gpu
+from supple.engines.wgpu.kernel import SIGNED_SOLID, SOLID, WHOLE_SOLID, Array
+from supple.engines.wgpu.texels import put_solid, solid
+
+_KINDS = {"u": (WHOLE_SOLID, "voxels_whole"), "i": (SIGNED_SOLID, "voxels_signed"), "f": (SOLID, "voxels_float")}
+
+
+@dataclass(slots=True, eq=False)
+class Volume:
+    """Samples on a device.
+
+    Parameters
+    ----------
+    gpu : Gpu
+    samples : wgpu.GPUTexture
+    view : wgpu.GPUTextureView
+    size : (int, int, int)
+        Voxels, x first.
+    kind, reader : str
+        What a pipeline is told of the texture, and the shader that reads it.
+    warped : wgpu.GPUTexture or None
+        Room for a deformed volume, in float32: see `beside`.
+    full : bool
+        Whether there was none.
+    owner : object
+        What stands for whom that room belongs to, if to anybody: see `supple.engines.wgpu.fill.Filling`.
+    """
+
+    gpu: Gpu
+    samples: Any
+    view: Any
+    size: tuple[int, int, int]
+    kind: str
+    reader: str
+    warped: Any = None
+    full: bool = False
+    owner: object = None
+
+
+def hold(gpu: Gpu, samples: Array) -> Volume:
+    """Put a volume on the device.
+
+    Parameters
+    ----------
+    gpu : Gpu
+    samples : array (Z, H, W), two along each axis at least
+        Of 8 or 16 bits, or float32.
+
+    Raises
+    ------
+    MemoryError
+        If that is more than a texture holds, or there is no room for it.
+    """
+    depth, height, width = samples.shape
+    made = solid(gpu, (depth, height, width), samples.dtype)
+    put_solid(gpu, made, samples)
+    kind, reader = _KINDS[samples.dtype.kind]
+    return Volume(gpu, made, made.create_view(), (width, height, depth), kind, reader)
+
+
+def beside(volume: Volume) -> bool:
+    """Return whether there is room for a deformed volume, too; the first time, it is asked for."""
+    if volume.warped is None and not volume.full:
+        wide, high, deep = volume.size
+        usage = "STORAGE_BINDING|COPY_SRC|COPY_DST"
+        try:
+            volume.warped = solid(volume.gpu, (deep, high, wide), np.float32, usage=usage)
+        except MemoryError:
+            volume.full = True
+    return volume.warped is not None

@@ -1,0 +1,377 @@
+"""Files in, files out: a picture, a clip or a volume that is read, deformed and written."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import shutil
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from supple.deformation import Deformation, Report
+from supple.domain import choice
+from supple.engines.choice import DEVICES, check_device
+from supple.errors import SuppleError, shown
+from supple.files.clips import SUFFIXES as CLIPS
+from supple.files.clips import SUFFIXES_OUT as CLIPS_OUT
+from supple.files.clips import ClipOptions, WarpedClip, check_clip_target, is_clip, refuse_places, warp_clip
+from supple.files.volumes import VolumeOptions, WarpedVolume, check_volume_target, is_volume_job, warp_volume
+from supple.media.files import check_output, replacing, same_file
+from supple.media.image import check_quality, check_target, read, write
+from supple.media.numbering import SUFFIXES_IN
+from supple.media.volume import SUFFIXES as VOLUMES
+from supple.media.volume import SUFFIXES_OUT as VOLUMES_OUT
+from supple.media.volume import suffix_of
+from supple.progress import counted, staged
+from supple.scaling import Fit
+from supple.strokes import Recipe, fit_recipe
+
+PathLike = str | os.PathLike[str]
+_MEDIA = frozenset({*SUFFIXES_IN, *CLIPS, *CLIPS_OUT, *VOLUMES, *VOLUMES_OUT})
+_PARTS = ("read", "warp", "write")
+
+
+@dataclass(frozen=True, slots=True)
+class Warped:
+    """A file that was written.
+
+    Parameters
+    ----------
+    source, target : pathlib.Path
+        What was read, and what was written.
+    deformation : Deformation
+        The strokes, on the source's shape.
+    tolerance : float
+        How far a source point may be from the true T⁻¹(q), in pixels.
+    """
+
+    source: Path
+    target: Path
+    deformation: Deformation
+    tolerance: float
+
+    def report(self) -> Report:
+        """Report on the strokes and the certified error of the map; it is solved once more for this."""
+        return self.deformation.report(tolerance=self.tolerance)
+
+
+def warp_file(
+    source: PathLike,
+    target: PathLike,
+    recipe: Recipe,
+    *,
+    filter: str = "auto",
+    tolerance: float = 0.01,
+    outside: str = "edge",
+    fill: float | Sequence[float] = 0.0,
+    linear_light: bool = False,
+    clamp: bool | None = None,
+    quality: int | None = None,
+    lossless: bool = False,
+    device: str = "cpu",
+    force: bool = False,
+    progress: bool | Callable[[str], None] = False,
+    tell: Callable[[str, int, int], None] | None = None,
+    clip: ClipOptions | None = None,
+    volume: VolumeOptions | None = None,
+    fit: Fit | None = None,
+) -> Warped | WarpedClip | WarpedVolume:
+    """Deform a picture file, a video, an image sequence, or a volume.
+
+    Of a picture, profile, EXIF, XMP and resolution come along; of a video, all that its new container can hold; of a
+    volume, its place in space, its scaling and, in the same format, its header.
+    Opacity is filtered as opacity. The target appears whole, or not at all.
+
+    Parameters
+    ----------
+    source : str or os.PathLike
+        A picture (PNG, JPEG, TIFF, WebP, AVIF, GIF, OpenEXR, Radiance, JPEG 2000, BMP, TGA, PNM); a video; a pattern
+        such as ``frames/%05d.png``, or a folder of pictures; a volume
+        in NIfTI, NRRD, MetaImage, a stack of TIFF pages, ``.dat``, or a folder of DICOM slices.
+    target : str or os.PathLike
+        Its suffix names the format: one of those of pictures, but for GIF; for clips, MP4, MOV, MKV, WebM, AVI or
+        GIF, or a pattern or a folder for pictures; for volumes, NIfTI, NRRD, MetaImage or TIFF.
+    recipe : Recipe
+        The strokes, the border and the fold policy. Strokes with a time, x, y and t in frames, bend the clip; of
+        those without one, each frame is bent alike, and so is each page of a TIFF. In volumes, points are voxels,
+        x, y and z, and lengths millimetres.
+    filter, tolerance, outside, fill, linear_light
+        As `Deformation.warp` takes them.
+    clamp : bool, optional
+        Keep a picture or a volume within the range of its values; by default, volumes and pictures of floats are.
+    quality : int, optional
+        From 1 to 100, for JPEG, WebP and AVIF.
+    lossless : bool
+        Keep every value, in WebP and AVIF too; of a video, with FFV1 or the codec that is named.
+    device : str
+        Where to compute, as `Deformation.warp` takes it.
+    force : bool
+        Whether a file that exists may be replaced, even the source.
+    progress : bool or function
+        Whether to show on a terminal what is being done. Or a function, which is called before each part of
+        the work with its name, ``"read"``, ``"warp"`` and ``"write"``: what it raises ends the work, and
+        leaves no file. Of a clip, ``"write"`` comes first, and then ``"plan"`` and ``"warp"`` for every frame.
+    tell : function of (str, int, int), optional
+        Called like that function, also with how much of the part is done, and of how much: in frames or slices; of a
+        picture, the parts are counted.
+    clip : ClipOptions, optional
+        What is particular to clips.
+    volume : VolumeOptions, optional
+        What is particular to volumes.
+    fit : str, optional
+        How a recipe that was made for another size fits, as `Recipe.fitted` takes it: ``"pixels"``, ``"stretch"`` or
+        ``"inside"``. Without it, it is scaled where the proportions are the same, and refused otherwise.
+
+    Returns
+    -------
+    Warped, WarpedClip or WarpedVolume
+
+    Raises
+    ------
+    SuppleError
+        If the source cannot be read, the target cannot be written (known before any work is done, where it can
+        be), or the recipe cannot be carried out on a picture.
+
+    Examples
+    --------
+    >>> recipe = Recipe(strokes=[Stroke.grab((256, 256), to=(256, 346), radius=100)])  # doctest: +SKIP
+    >>> warp_file("photo.jpg", "bent.jpg", recipe).report().error  # doctest: +SKIP
+    """
+    choice("device", device, DEVICES)
+    kind = check_job(
+        source,
+        target,
+        recipe,
+        linear_light=linear_light,
+        clamp=clamp,
+        quality=quality,
+        lossless=lossless,
+        force=force,
+        clip=clip,
+        volume=volume,
+    )
+    check_device(device, "clips" if kind == "clip" else "")
+    if kind == "volume":
+        with counted(progress, "slices", tell) as counts:
+            return warp_volume(
+                source,
+                target,
+                recipe,
+                filter=filter,
+                tolerance=tolerance,
+                outside=outside,
+                fill=fill,
+                clamp=clamp is not False,
+                device=device,
+                force=force,
+                options=volume,
+                tell=counts,
+                fit=fit,
+            )
+    if kind == "clip":
+        sampling = {"filter": filter, "tolerance": tolerance, "outside": outside, "fill": fill}
+        with counted(progress, also=tell) as counts:
+            return warp_clip(
+                source,
+                target,
+                recipe,
+                **sampling,  # type: ignore[arg-type]
+                linear_light=linear_light,
+                quality=quality,
+                lossless=lossless,
+                device=device,
+                force=force,
+                options=clip,
+                tell=counts,
+                fit=fit,
+            )
+    with contextlib.nullcontext(progress) if callable(progress) else staged(source, progress) as show:
+
+        def begin(part: str) -> None:
+            show(part)
+            if tell is not None:
+                tell(part, _PARTS.index(part), len(_PARTS))
+
+        begin("read")
+        picture = read(source, pages=_suffix(target) == ".tiff")
+        begin("warp")
+        height, width = len(picture.pixels) // picture.pages, picture.pixels.shape[1]
+        fitted = fit_recipe(recipe, (width, height), fit, shown(source))
+        deformation = Deformation.from_recipe(fitted, (height, width))
+        if deformation.is_identity and quality is None and not lossless and _suffix(source) == _suffix(target):
+            # Encoded anew, a lossy picture would not be what it was.
+            begin("write")
+            with replacing(target, force=force) as place:
+                shutil.copyfile(source, place)
+            return Warped(Path(source), Path(target), deformation, tolerance)
+        pixels = np.empty_like(picture.pixels)
+        for top in range(0, len(pixels), height):  # each page alike
+            deformation.warp(
+                picture.pixels[top : top + height],
+                filter=filter,
+                tolerance=tolerance,
+                outside=outside,
+                fill=fill,
+                alpha=picture.alpha,
+                linear_light=linear_light,
+                clamp=pixels.dtype.kind == "f" if clamp is None else clamp,
+                device=device,
+                out=pixels[top : top + height],
+            )
+        # Of the input, only the header is needed now: the encoder may have its memory.
+        like = replace(picture, pixels=np.empty((0, *picture.pixels.shape[1:]), picture.pixels.dtype))
+        del picture
+        begin("write")
+        write(target, pixels, like=like, quality=quality, lossless=lossless, force=force)
+    return Warped(Path(source), Path(target), deformation, tolerance)
+
+
+def check_job(
+    source: PathLike,
+    target: PathLike,
+    recipe: Recipe,
+    *,
+    linear_light: bool = False,
+    clamp: bool | None = None,
+    quality: int | None = None,
+    lossless: bool = False,
+    force: bool = False,
+    clip: ClipOptions | None = None,
+    volume: VolumeOptions | None = None,
+) -> Literal["picture", "clip", "volume"]:
+    """Tell what a file is warped as, and refuse what can be refused before it is read.
+
+    Parameters
+    ----------
+    source, target, recipe, linear_light, clamp, quality, lossless, force, clip, volume
+        As `warp_file` takes them.
+
+    Returns
+    -------
+    str
+        ``"picture"``, ``"clip"`` or ``"volume"``.
+
+    Raises
+    ------
+    SuppleError
+        If nothing of that kind is written under the target's suffix, or there; or if something is asked for that is
+        for another kind.
+    """
+    if is_volume_job(source, target, recipe, volume):
+        if quality is not None or lossless or linear_light or clip not in (None, ClipOptions()):
+            flags = {"quality": quality is not None, "lossless": lossless, "linear_light": linear_light}
+            given = [name for name, asked in flags.items() if asked]
+            asked = _named(given) if given else _asked(clip, ClipOptions())
+            raise SuppleError(f"{shown(source)} is a volume, and {asked} for pictures or videos: leave that out")
+        _spare(source, target, "volume", force)
+        check_volume_target(source, target, volume or VolumeOptions(), force=force)
+        return "volume"
+    refuse_places(recipe, source)
+    if volume is not None and volume != VolumeOptions():
+        asked = _asked(volume, VolumeOptions())
+        raise SuppleError(f"{shown(source)} is no volume, and {asked} for volumes: leave that out")
+    if is_clip(source, target, recipe):
+        if clamp is not None:
+            raise SuppleError(f"clamp is for pictures and volumes, and {shown(source)} is a clip: leave it out")
+        _spare(source, target, "clip", force)
+        check_clip_target(source, target, clip or ClipOptions(), quality=quality, force=force)
+        return "clip"
+    if clip not in (None, ClipOptions()):
+        raise SuppleError(
+            f"{shown(source)} is taken for a picture, and {_asked(clip, ClipOptions())} for clips: leave that out"
+        )
+    check_target(target)
+    _check_options(target, quality, lossless)
+    _spare(source, target, "picture", force)
+    check_output(target, force=force)
+    return "picture"
+
+
+def _spare(source: PathLike, target: PathLike, kind: str, force: bool) -> None:
+    """Refuse to write over what is read, unless that is said."""
+    if not force and same_file(source, target):
+        raise SuppleError(f"{shown(target)} is the {kind} itself: pass --force (force=True) to replace it")
+
+
+def _asked(options: ClipOptions | VolumeOptions | None, usual: ClipOptions | VolumeOptions) -> str:
+    """Name the options that are not as usual, as the command line does."""
+    assert options is not None
+    named = [each.name for each in fields(options) if getattr(options, each.name) != getattr(usual, each.name)]
+    return _named(named)
+
+
+def _named(names: Sequence[str]) -> str:
+    options = ["--" + {"rate": "fps", "layout": "shape"}.get(name, name).replace("_", "-") for name in names]
+    return f"{' and '.join(options)} {'are' if len(options) > 1 else 'is'}"
+
+
+def _suffix(path: PathLike) -> str:
+    suffix = Path(path).suffix.lower()
+    return {".jpeg": ".jpg", ".tif": ".tiff"}.get(suffix, suffix)
+
+
+def is_media_name(path: PathLike) -> bool:
+    """Return whether a name has the suffix of a picture, a video or a volume; with a slash behind, it is a folder."""
+    return not os.fspath(path).endswith(("/", os.sep)) and suffix_of(path) in _MEDIA
+
+
+def read_recipe(path: PathLike) -> Recipe:
+    """Read a recipe from a JSON file.
+
+    Raises
+    ------
+    SuppleError
+        If the file cannot be read, or holds no recipe; the message names the file and what is wrong.
+    """
+    name = shown(path)
+    try:
+        text = Path(path).read_bytes().decode("utf-8-sig")
+    except OSError as error:
+        raise SuppleError(f"cannot read {name}: {error.strerror}: give a recipe in JSON") from error
+    except UnicodeDecodeError as error:
+        raise SuppleError(f"cannot read {name}: it is no text: give a recipe in JSON") from error
+    except ValueError as error:
+        raise SuppleError(f"cannot read {name}: no file can have that name: check it") from error
+    try:
+        return Recipe.from_json(text)
+    except SuppleError as error:
+        raise SuppleError(f"{name}: {str(error).replace('None', 'null')}") from None
+
+
+def check_recipe_name(path: PathLike, *, force: bool = False) -> None:
+    """Refuse a file that a recipe cannot be written to, or that would look like something else.
+
+    Raises
+    ------
+    SuppleError
+        If it has the suffix of a picture, a video or a volume, exists and `force` is false, or cannot be written.
+    """
+    if is_media_name(path):
+        name, suffix = shown(path), suffix_of(path)
+        stem = name[: len(name) - len(suffix)]
+        raise SuppleError(f"cannot write {name}: a recipe is JSON, and none is written as {suffix}: use {stem}.json")
+    check_output(path, force=force)
+
+
+def write_recipe(path: PathLike, recipe: Recipe, *, force: bool = False) -> None:
+    """Write a recipe as JSON; the file appears whole or not at all.
+
+    Raises
+    ------
+    SuppleError
+        As `check_recipe_name` does.
+    """
+    check_recipe_name(path, force=force)
+    with replacing(path, force=force) as temporary:
+        temporary.write_text(recipe.to_json(), encoding="utf-8")
+
+
+def _check_options(target: PathLike, quality: int | None, lossless: bool) -> None:
+    name = shown(target)
+    check_quality(target, quality)
+    if lossless and Path(target).suffix.lower() in (".jpg", ".jpeg"):
+        raise SuppleError(f"cannot write {name} without loss: JPEG always loses: write PNG, TIFF, WebP or AVIF")

@@ -1,0 +1,187 @@
+"""Landmarks: points of a file that travel with an image, a clip or a volume, or back."""
+
+from __future__ import annotations
+
+import os
+import warnings
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from supple.deformation import Deformation
+from supple.domain import choice
+from supple.errors import OutsideWarning, SuppleError, ToleranceWarning, VolumeWarning, shown
+from supple.geometry import Geometry
+from supple.media.files import check_output
+from supple.media.points import PointFile, check_target, read_points, write_points
+
+Floats = npt.NDArray[np.float64]
+PathLike = str | os.PathLike[str]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Moved:
+    """Points that were moved from a file to another.
+
+    Lengths are in millimetres where there is a geometry; otherwise in the units of the deformation's spacing, which
+    are pixels and frames if it is 1.
+
+    Parameters
+    ----------
+    source, target : pathlib.Path
+        What was read, and what was written.
+    count : int
+        How many points there are.
+    displaced : float64 array, shape (N,)
+        How far each went.
+    residual : float64 array, shape (N,)
+        |T(p) - q| of each point q in the output and the solution p of T(p) = q, as it was measured there: for points
+        that went back, how exact they are; for points that went along, how exactly they could be brought back.
+    outside : int
+        How many points of the source lay beyond the outer faces of the voxels. They are moved too, as T is defined
+        there, but there is nothing to see.
+    first_outside : str
+        The first of these, as the file has it: its label, or its number from 1, and its coordinates.
+    unconverged : int
+        For how many points that equation was not solved to 1e-6 voxels.
+    """
+
+    source: Path
+    target: Path
+    count: int
+    displaced: Floats
+    residual: Floats
+    outside: int
+    first_outside: str
+    unconverged: int
+
+
+def move_points(
+    source: PathLike,
+    target: PathLike,
+    deformation: Deformation,
+    geometry: Geometry | None = None,
+    *,
+    inverse: bool = False,
+    convention: str | None = None,
+    force: bool = False,
+) -> Moved:
+    """Move the points of a file as a deformation moves what they mark.
+
+    Parameters
+    ----------
+    source, target : str or os.PathLike
+        Of one kind: .csv, .tsv, .txt; .fcsv; or .mrk.json. All but the coordinates is kept; a table also gets a column
+        ``residual``, in the units of `Moved`.
+    deformation : Deformation
+        Of an image, for which only x and y are moved, of a clip, or of a volume.
+    geometry : Geometry, optional
+        Where the volume's voxels lie; not for images and clips.
+    inverse : bool
+        False: by T, from the input to where it is seen in the output. True: by T⁻¹, from the output back.
+    convention : str, optional
+        What the numbers of a table mean that does not say it: ``"LPS"`` or ``"RAS"``, in millimetres, or ``"index"``,
+        in pixels, frames or voxels from 0. A file that does say it must agree. By default, they are indices; with a
+        ``geometry`` that has a place in space, a table without a header needs it.
+    force : bool
+        Whether to replace a file that exists.
+
+    Returns
+    -------
+    Moved
+
+    Raises
+    ------
+    SuppleError
+        A file cannot be read or written, its coordinates do not fit the deformation, or they are places in space and
+        there is no geometry.
+    """
+    check_target(target, source)
+    if convention is not None:
+        choice("convention", convention, ("LPS", "RAS", "index"))
+    if geometry is not None and deformation.ndim != 3:
+        raise SuppleError(f"a geometry is of a volume, and shape {deformation.shape} has two axes")
+    check_output(target, force=force)
+    read = read_points(source)
+    known = _convention(read, convention, geometry)
+    if read.points.shape[1] < deformation.ndim:
+        raise SuppleError(
+            f"cannot move {read.name}: it has x and y, and shape {deformation.shape} needs a third column"
+        )
+    given = read.points[:, : deformation.ndim]
+    start = given if geometry is None or known == "index" else geometry.from_world(given, known)
+    if inverse:
+        solved = deformation.inverse(start)
+        end, seen = solved.points, start
+    else:
+        end = seen = start if deformation.is_identity else deformation.forward(start)  # no rounding for nothing
+        solved = deformation.inverse(seen)
+    made = read.points.copy()
+    if geometry is None or known == "index":
+        made[:, : deformation.ndim] = end
+    else:  # added to what was read, so that what does not move keeps every bit
+        made += geometry.to_world(end, known) - geometry.to_world(start, known)
+    steps = np.array(deformation.domain.spacing if geometry is None else geometry.spacing)
+    residual = np.linalg.norm((deformation.forward(solved.points) - seen) * steps, axis=1)
+    last = np.array(deformation.shape[::-1]) - 0.5
+    beyond = np.flatnonzero(((start < -0.5) | (start > last)).any(axis=1))
+    first, lost = _spoken(read, int(beyond[0])) if len(beyond) else "", int(np.count_nonzero(~solved.converged))
+    if len(beyond):
+        text = f"{len(beyond)} of {len(made)} points {'lies' if len(beyond) == 1 else 'lie'} outside"
+        which = f" ({first}{', for one' if len(beyond) > 1 else ''})"
+        warnings.warn(f"{text}{which}: they are moved all the same", OutsideWarning, stacklevel=2)
+    if lost:
+        text = f"{lost} of {len(made)} points did not converge: see their residuals"
+        warnings.warn(text, ToleranceWarning, stacklevel=2)
+    write_points(target, made, read, residual=residual, force=force)
+    moved_by = np.asarray(np.linalg.norm((end - start) * steps, axis=1))
+    return Moved(Path(source), Path(target), len(made), moved_by, np.asarray(residual), len(beyond), first, lost)
+
+
+def _spoken(read: PointFile, k: int) -> str:
+    name = shown(read.labels[k]) if read.labels[k] else f"point {k + 1}"
+    return f"{name} at ({', '.join(f'{x:g}' for x in read.points[k])})"
+
+
+def _check_told(read: PointFile) -> None:
+    """Refuse or warn of numbers that may be voxels or places in space."""
+    if read.told == "names":
+        warnings.warn(
+            f"x, y and z of {read.name} are taken for voxels, counted from 0: --convention LPS or RAS takes them for "
+            "millimetres",
+            VolumeWarning,
+            stacklevel=5,
+        )
+    elif read.told != "said":
+        found = (
+            "its columns are in mm, but not said to be LPS or RAS"
+            if read.told
+            else "no header says what its numbers are"
+        )
+        choices = "LPS or RAS" if read.told else "index (voxels from 0), LPS or RAS (millimetres)"
+        names = "l,p,s or r,a,s" if read.told else "i,j,k, l,p,s or r,a,s"
+        raise SuppleError(f"cannot move {read.name}: {found}: give --convention {choices}, or name its columns {names}")
+
+
+def _convention(read: PointFile, asked: str | None, geometry: Geometry | None) -> str:
+    if asked not in (None, read.convention) and read.convention != "index":
+        raise SuppleError(
+            f"cannot move {read.name}: it says that it is in {read.convention}, and {asked} was asked for: "
+            "leave that out"
+        )
+    known = asked or read.convention
+    if asked is None and geometry is not None and geometry.convention != "array":
+        _check_told(read)
+    if known != "index" and geometry is None:
+        raise SuppleError(
+            f"cannot move {read.name}: it is in {known}, and only volumes have a place in space: "
+            "give pixels in a table with x and y"
+        )
+    if known != "index" and geometry is not None and geometry.convention == "array":
+        raise SuppleError(
+            f"cannot move {read.name}: it is in {known}, and the volume does not know where it lies in space: "
+            "give indices in a table with x, y and z"
+        )
+    return known

@@ -1,0 +1,388 @@
+"""Volumes through a deformation, from file to file, in millimetres."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import shutil
+import warnings
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from supple.arrays import clamp_to, warp_array, work_of
+from supple.buffers import beside, machine_memory
+from supple.deformation import Deformation, Report
+from supple.engines.base import Certificate, Sampling, warn_of
+from supple.engines.choice import check_device, engine_for
+from supple.errors import GapWarning, SuppleError, VolumeWarning, shown
+from supple.fields import write_transform
+from supple.geometry import Geometry
+from supple.media import transforms
+from supple.media.files import check_output, replacing
+from supple.media.volume import (
+    SUFFIXES_OUT,
+    RawLayout,
+    Volume,
+    check_name,
+    check_target,
+    has_pages,
+    is_volume,
+    read,
+    suffix_of,
+    write,
+)
+from supple.scaling import Fit
+from supple.strokes import Recipe, Space, Stroke, fit_recipe
+
+Array = npt.NDArray[Any]
+PathLike = str | os.PathLike[str]
+Tell = Callable[[str, int, int], None]
+
+ONE_FILE = frozenset({".nii", ".nii.gz", ".nrrd", ".mha"})
+"""Suffixes of files that are volumes, whatever lies beside them."""
+_TIFF = (".tif", ".tiff")
+# What looks like a label map: so many slices are looked at; of neighbours beside the background, such a part is equal.
+_LOOKED_AT, _AREAS, _MOST_LABELS, _FEW = 16, 0.7, 1024, 8
+
+
+@dataclass(frozen=True, slots=True)
+class VolumeOptions:
+    """Options for volumes.
+
+    Parameters
+    ----------
+    world : bool
+        Whether the strokes' points are places in space, in millimetres, in the file's own convention, rather than
+        indices.
+    labels : bool
+        Whether values are names of things, which are kept as they are: every voxel takes that of the nearest. Whole
+        numbers only, which may be stored as floats.
+    save_field : str or os.PathLike, optional
+        Where to write the inverse displacements too, for SimpleITK, ANTs and 3D Slicer.
+    layout : RawLayout, optional
+        What a file without a header holds.
+    series : str, optional
+        Which DICOM series of a folder: its number in the list, or its UID.
+    """
+
+    world: bool = False
+    labels: bool = False
+    save_field: PathLike | None = None
+    layout: RawLayout | None = None
+    series: str | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WarpedVolume:
+    """A volume that was written.
+
+    Parameters
+    ----------
+    source, target : pathlib.Path
+        What was read, and what was written.
+    deformation : Deformation
+        The strokes, on the volume's shape and spacing.
+    geometry : Geometry
+        Where its voxels lie.
+    tolerance : float
+        How far a source point may be from the true T⁻¹(q), in voxels.
+    error : float
+        What the checks of the map let expect, in voxels; `report` measures it.
+    volumes : int
+        How many there are: the time points of a series.
+    """
+
+    source: Path
+    target: Path
+    deformation: Deformation
+    geometry: Geometry
+    tolerance: float
+    error: float
+    volumes: int = 1
+
+    def report(self) -> Report:
+        """Report on the strokes and the certified error of the map, measured at every voxel; this is slow."""
+        return self.deformation.report(tolerance=self.tolerance)
+
+
+def is_volume_job(source: PathLike, target: PathLike, recipe: Recipe, options: VolumeOptions | None = None) -> bool:
+    """Return whether a file or a folder is to be warped as a volume."""
+    known = options or VolumeOptions()
+    if known.layout is not None or known.series is not None:
+        return True
+    solid = bool(recipe.strokes) and recipe.strokes[0].ndim == 3
+    if suffix_of(source) in _TIFF and not os.path.isdir(source):
+        return (solid or suffix_of(target) in set(SUFFIXES_OUT) - set(_TIFF)) and has_pages(source)
+    return is_volume(source)
+
+
+def holds_volumes(path: PathLike) -> bool:
+    """Return whether a folder is one of volumes: of files, each of which is one."""
+    try:
+        return os.path.isdir(path) and any(suffix_of(name) in ONE_FILE for name in os.listdir(path))
+    except OSError:
+        return False
+
+
+def open_volume(source: PathLike, options: VolumeOptions | None = None) -> Volume:
+    """Read a volume, as the options say."""
+    known = options or VolumeOptions()
+    volume = read(source, raw=known.layout, series=known.series)
+    if known.series is not None and volume.format != "DICOM":
+        raise SuppleError(f"{volume.name} is {volume.format}, and --series is for DICOM folders: leave it out")
+    return volume
+
+
+def deformation_of(recipe: Recipe, volume: Volume, *, world: bool = False, fit: Fit | None = None) -> Deformation:
+    """A recipe on a volume: radius and border in millimetres, points as indices or as places in space.
+
+    Raises
+    ------
+    SuppleError
+        If a stroke has no third coordinate; if places are asked for, and the volume knows of none; if the recipe was
+        made for another size, and ``fit`` does not say how it fits; or as `Deformation.from_recipe` does.
+    """
+    for i, stroke in enumerate(recipe.strokes):
+        if stroke.ndim != 3 and not stroke.hidden:
+            which = f"stroke {i + 1} of {len(recipe.strokes)}: " if len(recipe.strokes) > 1 else ""
+            raise SuppleError(f"{which}a volume's points have three numbers, x, y and z, and {stroke.at} has two")
+    known = fit_recipe(in_space(recipe, volume.geometry, volume.name, world), volume.sizes, fit, volume.name)
+    made = indexed(known, volume.geometry, volume.name)
+    shape = tuple(reversed(volume.sizes))
+    return Deformation.from_recipe(made, shape, spacing=volume.geometry.spacing)
+
+
+def in_space(recipe: Recipe, geometry: Geometry, name: str, world: bool) -> Recipe:
+    """A recipe that says what its points are, where the caller knows that they are places in space.
+
+    Raises
+    ------
+    SuppleError
+        If the recipe says otherwise, or the volume of that name does not know where it lies.
+    """
+    if not world:
+        return recipe
+    convention = geometry.convention
+    if recipe.space == "pixels":
+        raise SuppleError("--world is for points in millimetres, and the recipe is in pixels: leave it out")
+    if convention == "array":
+        raise SuppleError(f"{name} does not know where it lies in space: leave --world out, and give indices")
+    if recipe.is_world and recipe.space != convention:
+        raise SuppleError(
+            f"the recipe is in {recipe.space} millimetres, and --world means {convention}, as {name} has them: "
+            "leave --world out"
+        )
+    return replace(recipe, space=convention)  # type: ignore[arg-type]
+
+
+def indexed(recipe: Recipe, geometry: Geometry, name: str) -> Recipe:
+    """A recipe whose points are places in space, in millimetres, as one of indices; another one as it is.
+
+    Raises
+    ------
+    SuppleError
+        If the volume of that name does not know where it lies.
+    """
+    if not recipe.is_world:
+        return recipe
+    if geometry.convention == "array":
+        raise SuppleError(
+            f"the recipe is in {recipe.space} millimetres, and {name} does not know where it lies in space: "
+            "give a recipe in pixels"
+        )
+
+    def moved(stroke: Stroke) -> Stroke:
+        start, end = (geometry.from_world(p, recipe.space) for p in (stroke.at, np.add(stroke.at, stroke.by)))
+        return replace(stroke, at=tuple(start.tolist()), by=tuple((end - start).tolist()))
+
+    return replace(recipe, strokes=tuple(map(moved, recipe.strokes)), space="pixels")
+
+
+def placed(recipe: Recipe, geometry: Geometry, space: Space) -> Recipe:
+    """A recipe whose points are indices as one of places in space, in millimetres; what `indexed` undoes."""
+
+    def moved(stroke: Stroke) -> Stroke:
+        start, end = (geometry.to_world(p, space) for p in (stroke.at, np.add(stroke.at, stroke.by)))
+        return replace(stroke, at=tuple(start.tolist()), by=tuple((end - start).tolist()))
+
+    return replace(recipe, strokes=tuple(map(moved, recipe.strokes)), space=space)
+
+
+def sampling_of(
+    filter: str,
+    *,
+    outside: str = "edge",
+    fill: float | Sequence[float] = 0.0,
+    tolerance: float = 0.01,
+) -> Sampling:
+    """How a volume is sampled: alike along all three axes."""
+    return Sampling.checked(
+        filter=filter, tolerance=tolerance, outside=outside, fill=fill, unit="voxels",
+        between={"auto": "cubic", "cubic": "cubic"}.get(filter), time_filter=filter == "auto",
+    )  # fmt: skip
+
+
+def warp_volume(
+    source: PathLike,
+    target: PathLike,
+    recipe: Recipe,
+    *,
+    filter: str = "auto",
+    tolerance: float = 0.01,
+    outside: str = "edge",
+    fill: float | Sequence[float] = 0.0,
+    clamp: bool = True,
+    device: str = "cpu",
+    force: bool = False,
+    options: VolumeOptions | None = None,
+    tell: Tell = lambda step, done, total: None,
+    fit: Fit | None = None,
+) -> WarpedVolume:
+    """Deform a volume, slab by slab, as `supple.warp_file` does.
+
+    ``tell`` is called with ``"read"``, then with ``"warp"``, the number of slices done, and of all, and with
+    ``"write"``.
+    """
+    known = options or VolumeOptions()
+    check_device(device)
+    sampling = sampling_of(
+        "nearest" if known.labels and filter == "auto" else filter, outside=outside, fill=fill, tolerance=tolerance
+    )
+    if known.labels and sampling.filter != "nearest":
+        raise SuppleError(f'labels needs filter "nearest", which keeps values as they are, found "{filter}"')
+    check_volume_target(source, target, known, force=force)
+    tell("read", 0, 1)
+    volume = open_volume(source, known)
+    check_target(target, volume, force=force)
+    if known.labels and (broken := _first_fraction(volume.samples)) is not None:
+        raise SuppleError(f"labels is for whole numbers, and {volume.name} holds {broken:g}: leave it out")
+    deformation = deformation_of(recipe, volume, world=known.world, fit=fit)
+    frames = volume.samples[0] if volume.series else volume.samples
+    engine_for(device, work_of(frames, deformation.space, sampling, alpha=False))  # what it does not do is known now
+    _warn_of_gaps(volume, sampling.filter)
+    if sampling.filter != "nearest" and not deformation.is_identity:
+        _warn_of_labels(volume)
+    with contextlib.ExitStack() as stack:
+        if known.save_field is not None:
+            # It gets its name when the volume has its own: if either cannot be written, neither is.
+            place = stack.enter_context(replacing(known.save_field, force=force))
+            write_transform(place, deformation, volume.geometry, tolerance=tolerance, force=True)
+        error, count = _written(volume, source, target, deformation, sampling, clamp, device, force, tell)
+    return WarpedVolume(Path(source), Path(target), deformation, volume.geometry, tolerance, error, count)
+
+
+def check_volume_target(source: PathLike, target: PathLike, options: VolumeOptions, *, force: bool = False) -> None:
+    """Refuse names that a volume, and its field, cannot be written under, before it is read.
+
+    Raises
+    ------
+    SuppleError
+        If one of them has a suffix that is none of its kind, or cannot be written; or if two are the same.
+    """
+    check_output(target, force=force)
+    check_name(target, force=force)
+    if options.save_field is not None:
+        transforms.check_target(options.save_field)
+        check_output(options.save_field, force=force)
+        if os.path.realpath(options.save_field) in (os.path.realpath(target), os.path.realpath(source)):
+            raise SuppleError(f"{shown(options.save_field)} cannot be the field and a volume too: give it another name")
+
+
+def _warn_of_gaps(volume: Volume, filter: str) -> None:
+    """Say that what is not a number spreads, as it does in every average."""
+    if volume.samples.dtype.kind != "f" or filter == "nearest":
+        return
+    gaps = sum(int(np.count_nonzero(~np.isfinite(slab))) for slab in volume.samples)
+    if gaps:
+        warnings.warn(
+            f"{gaps} voxels of {volume.name} are NaN or infinite, and so is each voxel that is interpolated from them: "
+            'filter "nearest" keeps them as they are, and "linear" spreads them least',
+            GapWarning,
+            stacklevel=4,
+        )
+
+
+def _first_fraction(samples: Array) -> float | None:
+    """The first value that is finite and no whole number; None if there is none."""
+    if samples.dtype.kind == "f":
+        for slab in samples:
+            broken = slab[np.isfinite(slab) & (slab != np.rint(slab))]
+            if broken.size:
+                return float(broken[0])
+    return None
+
+
+def _warn_of_labels(volume: Volume) -> None:
+    """Say that labels would be mixed, where a volume looks like a map of them: few whole numbers in large areas."""
+    samples = volume.samples[0] if volume.series else volume.samples
+    if volume.components > 1:
+        return
+    some = np.asarray(samples[:: -(-len(samples) // _LOOKED_AT)])
+    left, right = some[..., :-1], some[..., 1:]
+    seen = (left != some.flat[0]) | (right != some.flat[0])  # the first voxel is of the background
+    same = left == right
+    if (
+        np.count_nonzero(same & seen) < _AREAS * max(int(np.count_nonzero(seen)), 1)
+        or _first_fraction(some) is not None
+    ):
+        return
+    count = len(np.unique(some))
+    # In a smooth picture of few values, those beside each other differ by 1.
+    if count > _MOST_LABELS or (count > _FEW and np.median(np.abs(np.subtract(left, right, dtype=float)[~same])) <= 1):
+        return
+    warnings.warn(
+        f"{volume.name} looks like a label map, of {count} values, and its labels are mixed where they meet: "
+        "--labels or --filter nearest keeps them",
+        VolumeWarning,
+        stacklevel=4,
+    )
+
+
+def _written(
+    volume: Volume,
+    source: PathLike,
+    target: PathLike,
+    deformation: Deformation,
+    sampling: Sampling,
+    clamp: bool,
+    device: str,
+    force: bool,
+    tell: Tell,
+) -> tuple[float, int]:
+    """Warp and write a volume; return the error, and how many volumes there are."""
+    series = volume.samples if volume.series else volume.samples[None]
+    count, error = len(series), 0.0
+    if deformation.is_identity and os.path.isfile(source) and _alone(source, target):
+        tell("write", 0, 1)
+        with replacing(target, force=force) as place:
+            shutil.copyfile(source, place)
+    else:
+        dtype = series.dtype.newbyteorder("=")
+        with beside(target, series.shape, dtype, machine_memory() / 4) as out:
+            space = deformation.space
+            for t in range(count):
+
+                def further(step: str, done: int, total: int, begun: int = t * space.count) -> None:
+                    tell(step, begun + done, count * total)
+
+                _, certificate = warp_array(
+                    series[t], space, sampling, alpha=False, device=device, out=out[t], tell=further
+                )
+                error = max(error, certificate.error)
+            if clamp and not deformation.is_identity:
+                clamp_to(series, out, sampling)
+            warn_of(Certificate(error, 0.0), sampling.tolerance, 4)  # before the target has its name
+            tell("write", 0, 1)
+            write(target, out if volume.series else out[0], volume, force=force)
+    return error, count
+
+
+def _alone(source: PathLike, target: PathLike) -> bool:
+    """Return whether a copy of one file is what is asked for."""
+    suffix = suffix_of(source)
+    return suffix == suffix_of(target) and suffix not in (".mhd", ".nhdr", ".hdr", ".img")

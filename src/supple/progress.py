@@ -1,0 +1,77 @@
+"""How far some work is, as a terminal shows it."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import sys
+from collections.abc import Callable, Iterator
+from typing import Any
+
+from supple.errors import shown
+
+
+@contextlib.contextmanager
+def counted(
+    progress: bool | Callable[[str], None],
+    unit: str = "frames",
+    also: Callable[[str, int, int], None] | None = None,
+) -> Iterator[Callable[[str, int, int], None]]:
+    """Show how far a clip or a volume is: frames or slices, their rate, and the time left; and tell somebody else."""
+    if also is not None:
+        with counted(progress, unit) as counts:
+
+            def both(step: str, done: int, total: int) -> None:
+                counts(step, done, total)
+                also(step, done, total)
+
+            yield both
+        return
+    if callable(progress):
+        yield lambda step, done, total: progress(step)
+        return
+    if not progress or sys.stderr is None or not sys.stderr.isatty():
+        yield lambda step, done, total: None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, Task, TextColumn, TimeRemainingColumn
+    from rich.text import Text
+
+    class Rate(TextColumn):
+        def render(self, task: Task) -> Text:
+            speed = task.finished_speed or task.speed
+            return Text(f"{speed:.1f} {unit}/s" if speed else "")
+
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        Rate(""),
+        TimeRemainingColumn(),
+    )
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        tasks: dict[str, Any] = {}
+
+        def show(step: str, done: int, total: int) -> None:
+            if step in ("read", "write"):
+                return
+            if step not in tasks:
+                names = {"plan": "planning", "warp": unit, "render": "rendering"}
+                tasks[step] = bar.add_task(names[step], total=total)
+            bar.update(tasks[step], completed=done)
+
+        yield show
+
+
+@contextlib.contextmanager
+def staged(source: str | os.PathLike[str], progress: bool) -> Iterator[Callable[[str], None]]:
+    """Show each part of the work on the terminal, if there is one and it is wanted."""
+    if not progress or sys.stderr is None or not sys.stderr.isatty():
+        yield lambda step: None
+        return
+    from rich.console import Console
+    from rich.text import Text
+
+    console = Console(stderr=True)
+    with console.status(Text(f"{shown(source)}")) as status:
+        yield lambda step: status.update(Text(f"{step}: {shown(source)}"))
