@@ -11,11 +11,11 @@ import numpy as np
 import SimpleITK as sitk  # noqa: N813
 
 import supple
+from supple.files.renders import default_transfer
 from supple.files.volumes import open_volume
 from supple.geometry import Geometry
 from supple.media import image
 from supple.render.camera import Camera
-from supple.render.files import default_transfer
 from supple.render.scene import Scene
 
 DATA = Path(supple.__file__).parent / "examples" / "data"

@@ -31,10 +31,10 @@ from supple.cli import command
 from supple.errors import ScaleWarning
 from supple.files import warp_file
 from supple.files.clips import ClipOptions, WarpedClip, deformation_of
+from supple.files.plots import plot_file
 from supple.media import image
 from supple.media.video import info, open_video
 from supple.media.video.errors import ClipWarning, CountError
-from supple.plot.files import plot_file
 
 SOURCE = str(Path(__file__).resolve().parent.parent / "src")
 TIMED = supple.Recipe(border=None, strokes=(supple.Stroke.grab((30, 20, 3), to=(33, 22, 8), radius=10),))
@@ -594,7 +594,7 @@ def test_a_sheet_shows_where_strokes_act(here: Path, monkeypatch: pytest.MonkeyP
     noisy("in.mkv", count=80)
     seen: list[list[int]] = []
     monkeypatch.setattr(
-        "supple.plot.files.draw_sheet", lambda before, *rest, **named: seen.append([k for k, _ in before])
+        "supple.files.plots.draw_sheet", lambda before, *rest, **named: seen.append([k for k, _ in before])
     )
     local = supple.Recipe(strokes=[supple.Stroke.grab((30, 20, 40), by=(4, 0, 0), radius=6, scales=3)], border=None)
     everywhere = supple.Recipe(strokes=[supple.Stroke.grab((30, 20), by=(4, 0), radius=6)])
@@ -1024,7 +1024,7 @@ def test_plots_show_what_warp_makes(here: Path, monkeypatch: pytest.MonkeyPatch)
     bent = supple.Deformation.from_recipe(TIMED, frames.shape[:3]).warp(frames)
     shown: list[Any] = []
     for name in ("draw_slice", "draw_sheet"):
-        monkeypatch.setattr(f"supple.plot.files.{name}", lambda *given, **options: shown.append((given, options)))
+        monkeypatch.setattr(f"supple.files.plots.{name}", lambda *given, **options: shown.append((given, options)))
     plot_file("in", "out.png", TIMED, "slice", x=20)
     plot_file("in", "out.png", TIMED, "slice", y=47)
     plot_file("in", "out.png", TIMED, "sheet")

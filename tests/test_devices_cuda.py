@@ -15,11 +15,11 @@ from supple.engines.cuda import card
 from supple.errors import SuppleError
 from supple.examples.gallery import write_gallery
 from supple.files.clips import warp_clip
+from supple.files.renders import RenderOptions
 from supple.files.volumes import warp_volume
 from supple.geometry import Geometry
 from supple.media import image
 from supple.media import volume as media
-from supple.render.files import RenderOptions
 from supple.render.scene import Scene
 from supple.strokes import Recipe, Stroke
 

@@ -16,12 +16,12 @@ import supple
 from supple import cli
 from supple.cli import command
 from supple.engines.wgpu.device import Gpu
+from supple.files.renders import RenderOptions, default_transfer, render_file
 from supple.files.volumes import VolumeOptions
 from supple.geometry import Geometry
 from supple.media import image
 from supple.media import volume as media
 from supple.render.camera import Camera
-from supple.render.files import RenderOptions, default_transfer, render_file
 from supple.render.transfer import PRESETS
 
 SHAPE = (24, 30, 28)

@@ -18,8 +18,7 @@ from supple.engines.choice import engine_at
 from supple.engines.native import NATIVE, measured, plan_of
 from supple.errors import FoldWarning, MissWarning, OutsideWarning, SuppleError
 from supple.folding import Resolved, described, resolve
-from supple.scaling import spoken
-from supple.strokes import REACH, STROKE_DTYPE, FoldPolicy, Point, Recipe, Stroke, numbers
+from supple.strokes import REACH, STROKE_DTYPE, FoldPolicy, Point, Recipe, Stroke, numbers, spoken
 
 Floats = npt.NDArray[np.float64]
 Source = npt.NDArray[Any] | Callable[[Floats], npt.ArrayLike]

@@ -1,4 +1,4 @@
-"""User input: strokes and recipes as immutable values, as JSON, and as the engines' table."""
+"""Strokes and recipes: immutable values, their JSON, how they fit another size, and the packed table of engines."""
 
 from __future__ import annotations
 
@@ -31,11 +31,12 @@ from supple.domain import (
     shown,
 )
 from supple.errors import ScaleWarning, SuppleError
-from supple.scaling import Fit, scaling_of, spoken
 
 Brush = Literal["grab"]
 FoldPolicy = Literal["damp", "flow", "error"]
-Space = Literal["pixels", "LPS", "RAS"]
+CoordinateSpace = Literal["pixels", "LPS", "RAS"]
+Fit = Literal["pixels", "stretch", "inside"]
+FITS: tuple[str, ...] = get_args(Fit)
 Point = Sequence[float] | npt.NDArray[Any]
 
 VERSION = 2
@@ -64,6 +65,100 @@ _PART = "a number from 0 to 1"
 # pivot, are exactly these fractions; worked out in floats they would lose digits.
 _WEIGHTS = {1: np.array([1.0]), 2: np.array([11.0, -11.0]), 3: np.array([14641.0, -26741.0, 12100.0]) / 331}
 _RADIUS2 = (1.0, 1.21, 1.4641)
+
+
+@dataclass(frozen=True, slots=True)
+class Scaling:
+    """A map of coordinates: ``p`` goes to ``(p + 0.5) * factor - 0.5 + offset`` along each axis, x first.
+
+    Parameters
+    ----------
+    factors, offsets : tuple of float
+    length : float
+        The factor of lengths, such as a brush's radius.
+    """
+
+    factors: tuple[float, ...]
+    offsets: tuple[float, ...]
+    length: float
+
+    @property
+    def widths(self) -> tuple[float, ...]:
+        """The factor of a border's width along each axis, in physical units."""
+        return (*self.factors[:2], self.length)[: len(self.factors)]
+
+    @property
+    def frame(self) -> float:
+        """The factor of what a frame is worth, in physical units; 1 where there is no time."""
+        return self.length / self.factors[2] if len(self.factors) == 3 else 1.0
+
+    def point(self, p: Sequence[float]) -> tuple[float, ...]:
+        """Return where a point goes."""
+        moved = zip(p, self.factors, self.offsets, strict=True)
+        return tuple(x if (s, o) == (1.0, 0.0) else (x + 0.5) * s - 0.5 + o for x, s, o in moved)
+
+    def drag(self, v: Sequence[float]) -> tuple[float, ...]:
+        """Return what a difference of two points becomes."""
+        return tuple(x * s for x, s in zip(v, self.factors, strict=True))
+
+
+def scaling_of(
+    made: Sequence[int], size: Sequence[int], how: Fit | None = None, *, time: bool = False, name: str = "this"
+) -> Scaling | None:
+    """Return how coordinates that were made for one size go to another; None where they are taken as they are.
+
+    Parameters
+    ----------
+    made, size : sequence of int
+        Samples along each axis, x first, as many of both: width and height; and frames, or slices.
+    how : str, optional
+        Without it, only pictures of the same proportions fit, within half a pixel, and clips of as many frames.
+        ``"pixels"``: coordinates as they are; ``"stretch"``: each axis by a factor of its own, and lengths by the
+        geometric mean of those of x and y; ``"inside"``: x and y at the same scale, the largest that fits, centred.
+    time : bool
+        Whether the third axis is time.
+    name : str
+        What the size is of, for the message.
+
+    Raises
+    ------
+    SuppleError
+        If the sizes do not fit.
+    """
+    if how is not None:
+        choice("fit", how, FITS)
+    made, size = tuple(made), tuple(size)
+    if made == size or how == "pixels":
+        return None
+    found = f"the recipe was made for {spoken(made)}, and {name} is {spoken(size)}"
+    if len(size) == 3 and not time:
+        raise SuppleError(
+            f"{found}: voxels are not scaled, as lengths are millimetres: fit='pixels' takes the indices as they are"
+        )
+    if len(size) == 3 and made[2] != size[2] and how != "stretch":
+        raise SuppleError(
+            f"{found}: fit='stretch' scales time too, and fit='pixels' takes frames and pixels as they are"
+        )
+    factors = tuple(b / a for a, b in zip(made, size, strict=True))
+    x, y = factors[:2]
+    if how == "inside":
+        scale = min(x, y)
+        offsets = tuple((b - a * scale) / 2 for a, b in zip(made[:2], size[:2], strict=True))
+        return Scaling((scale, scale, *factors[2:]), (*offsets, 0.0)[: len(size)], scale)
+    if how is None:
+        low = max((b - 0.5) / a for a, b in zip(made[:2], size[:2], strict=True))
+        high = min((b + 0.5) / a for a, b in zip(made[:2], size[:2], strict=True))
+        if low > high:
+            raise SuppleError(
+                f"{found}, of other proportions: say how it fits, with fit='stretch' (each axis by a factor of its "
+                "own), fit='inside' (at one scale, centred) or fit='pixels' (coordinates as they are)"
+            )
+    return Scaling(factors, (0.0,) * len(size), x if x == y else math.sqrt(x * y))
+
+
+def spoken(size: Sequence[int]) -> str:
+    """Return a size in words."""
+    return " x ".join(map(str, size))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -201,7 +296,7 @@ class Recipe:
     on_fold: FoldPolicy = "flow"
     strokes: tuple[Stroke, ...] = ()
     size: tuple[int, ...] | None = None
-    space: Space | None = None
+    space: CoordinateSpace | None = None
     amount: float = 1.0
     time_scale: float | None = None
 
@@ -222,7 +317,7 @@ class Recipe:
         if self.size is not None:
             object.__setattr__(self, "size", _checked_size(self.size, ndim))
         if self.space is not None:
-            choice("space", self.space, get_args(Space))
+            choice("space", self.space, get_args(CoordinateSpace))
             if self.is_world and ndim == 2:
                 refuse("space", '"pixels" where points have 2 numbers', self.space)
         object.__setattr__(self, "amount", number("amount", self.amount, _PART, 0.0, 1.0))

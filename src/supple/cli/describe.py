@@ -13,8 +13,7 @@ from supple.errors import SuppleError, shown
 from supple.files.clips import SUFFIXES, turned
 from supple.media.numbering import is_sequence
 from supple.media.volume import RawLayout
-from supple.scaling import spoken
-from supple.strokes import Recipe
+from supple.strokes import Recipe, spoken
 
 # What ITU-T H.273 calls the numbers of colours.
 _PRIMARIES = {1: "BT.709", 4: "BT.470 M", 5: "BT.601 (625)", 6: "BT.601 (525)", 7: "SMPTE 240M", 8: "film"}

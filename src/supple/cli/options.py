@@ -16,8 +16,7 @@ if TYPE_CHECKING:
 
     from supple.domain import Border
     from supple.files.clips import ClipOptions
-    from supple.scaling import Fit
-    from supple.strokes import Recipe, Stroke
+    from supple.strokes import Fit, Recipe, Stroke
 
 STROKES = Group("Strokes", sort_key=1)
 VIDEO = Group("Videos and image sequences", sort_key=4)

@@ -12,8 +12,8 @@ from supple.cli.options_volume import parse_numbers, parse_three
 from supple.errors import SuppleError
 
 if TYPE_CHECKING:
+    from supple.files.renders import RenderOptions
     from supple.render.camera import Camera
-    from supple.render.files import RenderOptions
 
 CAMERA = Group("Camera", sort_key=2)
 LOOK = Group("Look", sort_key=3)
@@ -123,7 +123,7 @@ class LookOptions:
 
     def to_render(self, camera: Camera) -> RenderOptions:
         """Return the options as the library takes them."""
-        from supple.render.files import RenderOptions
+        from supple.files.renders import RenderOptions
 
         return RenderOptions(
             transfer=self.transfer,

@@ -55,7 +55,7 @@ def plot(
     console.started(**options.asked(), file=source)
     recipe = strokes.to_recipe()
     from supple.cli.warp import picture_facts
-    from supple.plot.files import plot_file
+    from supple.files.plots import plot_file
 
     deformation = plot_file(
         source,

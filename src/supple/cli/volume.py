@@ -21,8 +21,7 @@ if TYPE_CHECKING:
     from supple.deformation import Deformation
     from supple.files.volumes import VolumeOptions as Reading
     from supple.geometry import Geometry
-    from supple.scaling import Fit
-    from supple.strokes import Recipe
+    from supple.strokes import Fit, Recipe
 
 _STROKES, _RUN, _VOLUME, _VIDEO = StrokeOptions(), RunOptions(), VolumeArguments(), VideoOptions()
 _CAMERA, _LOOK = CameraOptions(), LookOptions()
@@ -49,8 +48,8 @@ def render(
         A picture (PNG and TIFF keep opacity); with --turntable, a video or a name with a number.
     """
     console = current()
+    from supple.files.renders import render_file
     from supple.progress import counted
-    from supple.render.files import render_file
 
     console.started(**options.asked(), file=source)
     warn_of_software(console, look.device)

@@ -19,13 +19,13 @@ from supple.errors import MissWarning, SuppleError, shown
 from supple.examples.scenes import BACKGROUND, DISTANCE, HEAD, INSIDE, SCENES, Look, Scene, Shot, Take
 from supple.files import Warped, warp_file
 from supple.files.clips import ClipOptions, WarpedClip, open_clip
+from supple.files.renders import RenderOptions, render_file
 from supple.media.files import replacing
 from supple.media.image import info, read, write
 from supple.media.volume import read as read_volume
 from supple.media.volume import write as write_volume
 from supple.plot import draw_sheet, draw_slice, plot
 from supple.render.camera import Camera
-from supple.render.files import RenderOptions, render_file
 from supple.render.scene import Scene as Solid
 
 PAGE = "index.html"

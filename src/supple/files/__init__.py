@@ -27,8 +27,7 @@ from supple.media.volume import SUFFIXES as VOLUMES
 from supple.media.volume import SUFFIXES_OUT as VOLUMES_OUT
 from supple.media.volume import suffix_of
 from supple.progress import counted, staged
-from supple.scaling import Fit
-from supple.strokes import Recipe, fit_recipe
+from supple.strokes import Fit, Recipe, fit_recipe
 
 PathLike = str | os.PathLike[str]
 _MEDIA = frozenset({*SUFFIXES_IN, *CLIPS, *CLIPS_OUT, *VOLUMES, *VOLUMES_OUT})

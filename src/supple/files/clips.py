@@ -23,8 +23,7 @@ from supple.media.image import check_quality, check_target
 from supple.media.image.formats import SUFFIXES_OUT as PICTURES_OUT
 from supple.media.numbering import SUFFIXES_IN, has_number, is_sequence
 from supple.pipeline import Done, make_plan, run, stream
-from supple.scaling import Fit, scaling_of
-from supple.strokes import Recipe, fit_recipe
+from supple.strokes import Fit, Recipe, fit_recipe, scaling_of
 
 if TYPE_CHECKING:
     from fractions import Fraction

@@ -36,8 +36,7 @@ from supple.media.volume import (
     suffix_of,
     write,
 )
-from supple.scaling import Fit
-from supple.strokes import Recipe, Space, Stroke, fit_recipe
+from supple.strokes import CoordinateSpace, Fit, Recipe, Stroke, fit_recipe
 
 Array = npt.NDArray[Any]
 PathLike = str | os.PathLike[str]
@@ -203,7 +202,7 @@ def indexed(recipe: Recipe, geometry: Geometry, name: str) -> Recipe:
     return replace(recipe, strokes=tuple(map(moved, recipe.strokes)), space="pixels")
 
 
-def placed(recipe: Recipe, geometry: Geometry, space: Space) -> Recipe:
+def placed(recipe: Recipe, geometry: Geometry, space: CoordinateSpace) -> Recipe:
     """A recipe whose points are indices as one of places in space, in millimetres; what `indexed` undoes."""
 
     def moved(stroke: Stroke) -> Stroke:

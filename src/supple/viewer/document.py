@@ -10,8 +10,7 @@ from supple.domain import Border, Domain, integer, refuse
 from supple.errors import SuppleError
 from supple.files.volumes import indexed, placed
 from supple.geometry import Geometry
-from supple.scaling import spoken
-from supple.strokes import FoldPolicy, Recipe, Stroke
+from supple.strokes import FoldPolicy, Recipe, Stroke, spoken
 from supple.viewer.history import History
 from supple.viewer.state import Item, Kind, Medium, Solved, State
 

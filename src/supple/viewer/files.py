@@ -19,8 +19,7 @@ from supple.media.image import SUFFIXES_OUT as PICTURES_OUT
 from supple.media.image import check_target
 from supple.media.volume import SUFFIXES_OUT as VOLUMES_OUT
 from supple.media.volume import suffix_of
-from supple.scaling import spoken
-from supple.strokes import Recipe
+from supple.strokes import Recipe, spoken
 from supple.viewer import autosave
 from supple.viewer.autosave import Autosave, Found
 from supple.viewer.document import Document, Kind

@@ -16,13 +16,12 @@ from supple.domain import choice, length, point
 from supple.engines.wgpu.device import Gpu, open_gpu
 from supple.errors import SuppleError, shown
 from supple.files.clips import is_clip, open_clip
+from supple.files.renders import default_transfer
 from supple.files.volumes import VolumeOptions, in_space, is_volume_job, open_volume
 from supple.geometry import Geometry
 from supple.media.image import read
 from supple.media.volume import Volume
-from supple.render.files import default_transfer
-from supple.scaling import Fit
-from supple.strokes import Recipe, fit_recipe
+from supple.strokes import Fit, Recipe, fit_recipe
 from supple.viewer import qt
 from supple.viewer.document import Document
 from supple.viewer.frame_cache import FrameCache

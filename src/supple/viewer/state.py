@@ -9,7 +9,7 @@ from typing import Literal, Self
 from supple.deformation import Deformation, after, last_outside, reduced
 from supple.domain import Border, BorderProfile, refuse
 from supple.errors import SuppleError
-from supple.strokes import FoldPolicy, Recipe, Space, Stroke
+from supple.strokes import CoordinateSpace, FoldPolicy, Recipe, Stroke
 
 Kind = Literal["image", "video", "volume"]
 
@@ -67,7 +67,7 @@ class State:
     on_fold: FoldPolicy = "flow"
     selected: int | None = None
     amount: float = 1.0
-    space: Space | None = None
+    space: CoordinateSpace | None = None
 
     @classmethod
     def of(cls, recipe: Recipe) -> Self:

@@ -32,8 +32,7 @@ from supple.media.volume import is_volume
 from supple.pipeline import make_plan
 from supple.plot import WHATS, check_plot, draw_sheet, draw_slice, evenly, plot
 from supple.progress import counted
-from supple.scaling import Fit
-from supple.strokes import Recipe, fit_recipe
+from supple.strokes import Fit, Recipe, fit_recipe
 
 Colours = npt.NDArray[np.uint8]
 Tell = Callable[[str, int, int], None]

@@ -23,8 +23,7 @@ from supple.media.volume import Volume
 from supple.render.camera import Camera
 from supple.render.scene import MODES, Scene
 from supple.render.transfer import TransferFunction, transfer_of
-from supple.scaling import Fit
-from supple.strokes import Recipe
+from supple.strokes import Fit, Recipe
 
 Array = npt.NDArray[Any]
 PathLike = str | os.PathLike[str]
