@@ -21,10 +21,11 @@ from supple.media.volume import SUFFIXES_OUT as VOLUMES_OUT
 from supple.media.volume import suffix_of
 from supple.scaling import spoken
 from supple.strokes import Recipe
-from supple.viewer import autosave
-from supple.viewer.autosave import Autosave, Found
-from supple.viewer.document import Document, Kind
-from supple.viewer.exporting import Export
+from supple.viewer.document import autosave
+from supple.viewer.document.autosave import Autosave, Found
+from supple.viewer.document.background import Export
+from supple.viewer.document.editing import Document
+from supple.viewer.document.state import Kind
 
 PathLike = str | os.PathLike[str]
 

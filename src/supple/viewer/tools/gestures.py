@@ -10,7 +10,7 @@ from typing import Generic, Literal, TypeVar
 from supple.domain import Domain
 from supple.render.picture import Pick
 from supple.strokes import Stroke
-from supple.viewer.document import Document
+from supple.viewer.document.editing import Document
 
 Pair = tuple[float, float]
 V = TypeVar("V")

@@ -12,7 +12,7 @@ from supple.errors import SuppleError
 
 if TYPE_CHECKING:
     from supple.gpu.device import Gpu
-    from supple.viewer.view import View
+    from supple.viewer.window.window import Window
 
 BINDINGS = ("PySide6", "PyQt6")
 _NOTCH = 100 / 120  # of the wheel: as others count it, and as Qt does
@@ -45,7 +45,7 @@ def toolkit() -> tuple[Any, Any]:
     return qt.RenderCanvas, qt.loop
 
 
-def attend(canvas: Any, view: View) -> None:
+def attend(canvas: Any, view: Window) -> None:
     """Ask before strokes are lost, and open the files that are dropped on the window."""
     from rendercanvas.qt import QtCore
 

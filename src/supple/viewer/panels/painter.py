@@ -12,7 +12,7 @@ from supple.gpu.kernel import wait
 from supple.gpu.plate import Sight
 from supple.gpu.screen import ALL, Part, canvas_texture
 from supple.render.camera import Camera
-from supple.viewer.stages import ImageStage, VideoStage, VolumeStage
+from supple.viewer.panels.stages import ImageStage, VideoStage, VolumeStage
 
 FRAME = 0.05  # seconds that a frame may take while a hand moves
 COARSEST = 8

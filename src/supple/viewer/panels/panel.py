@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, Literal, get_args
+from typing import Any, Literal, get_args
 
 from imgui_bundle import imgui
 
@@ -14,14 +14,10 @@ from supple.folding import NEAR
 from supple.gpu.plate import OVERLAYS
 from supple.render.transfer import PRESETS
 from supple.strokes import POISSON, REACH, FoldPolicy, Stroke
-from supple.viewer.stages import VolumeStage
+from supple.viewer.document.state import Item
+from supple.viewer.panels.stages import VolumeStage
+from supple.viewer.panels.view import WIDE, View
 
-if TYPE_CHECKING:
-    from supple.viewer.state import Item
-    from supple.viewer.view import View
-
-WIDE = 300  # logical pixels
-BAR, LINE = 44, 24  # and of the timeline and the status line below
 CAUSES = {"fold": "all of it would fold", "border": "the fixed border holds it back", "outside": "it starts outside"}
 CAUSES["fold and border"] = f"{CAUSES['fold']}, and {CAUSES['border']}"
 FALLOFFS = ("far, as 1/r", "nearer, as 1/r3", "near, as 1/r5")

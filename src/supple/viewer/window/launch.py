@@ -23,18 +23,17 @@ from supple.media.volume import Volume
 from supple.render.files import default_transfer
 from supple.scaling import Fit
 from supple.strokes import Recipe, fit_recipe
-from supple.viewer import qt
-from supple.viewer.document import Document
-from supple.viewer.frame_cache import FrameCache
-from supple.viewer.pixels import on_screen
-from supple.viewer.pixels import shown as as_pixels
-from supple.viewer.playback import Playback
-from supple.viewer.stages import ImageStage, VideoStage, VolumeStage
-from supple.viewer.tools import ImageTools, VideoTools, VolumeTools
+from supple.viewer.document.editing import Document
+from supple.viewer.panels.frame_cache import FrameCache
+from supple.viewer.panels.stages import ImageStage, VideoStage, VolumeStage, on_screen
+from supple.viewer.panels.stages import shown as as_pixels
+from supple.viewer.tools.brushes import ImageTools, VideoTools, VolumeTools
+from supple.viewer.tools.playback import Playback
+from supple.viewer.window import qt
 from supple.volumes import VolumeOptions, in_space, is_volume_job, open_volume
 
 if TYPE_CHECKING:
-    from supple.viewer.view import View
+    from supple.viewer.window.window import Window
 
 SIZE = (1280, 800)
 TOOLKITS = ("glfw", "qt")
@@ -178,7 +177,7 @@ def opened(
     loop: Any,
     gpu: Gpu | None = None,
     options: ViewOptions = _USUAL,
-) -> View:
+) -> Window:
     """A view of a source on a canvas.
 
     Raises
@@ -187,7 +186,7 @@ def opened(
         If the source or the recipe does not fit, there is no GPU, or a part of the window is not installed.
     """
     try:
-        from supple.viewer.view import View
+        from supple.viewer.window.window import Window
     except ImportError as error:
         raise missing(error) from None
     gpu = gpu or _gpu()
@@ -202,7 +201,7 @@ def opened(
     tools = tools_of(stage, document, canvas.get_logical_size())
     path = Path(source) if isinstance(source, str | os.PathLike) else None
     later = loop.call_later
-    made = View(stage, document, tools, canvas, gpu, source=path, export=options.export, call_later=later)
+    made = Window(stage, document, tools, canvas, gpu, source=path, export=options.export, call_later=later)
     canvas.set_title(f"{stage.name} - Supple")
     return made
 
@@ -252,7 +251,7 @@ def show(
     toolkit: str = "glfw",
     size: tuple[int, int] = SIZE,
     options: ViewOptions = _USUAL,
-) -> View:
+) -> Window:
     """Open a window, and come back when it is closed.
 
     Parameters
@@ -291,7 +290,7 @@ def show(
     return made
 
 
-def _ask_before_closing(canvas: Any, view: View) -> None:
+def _ask_before_closing(canvas: Any, view: Window) -> None:
     """Ask before strokes are lost, and open the files that are dropped on the window."""
     import glfw
 
@@ -324,7 +323,7 @@ def view(
     spacing: Spacing = _EVEN,
     time_scale: float = 1.0,
     volume: VolumeOptions | None = None,
-) -> View:
+) -> Window:
     """Bend a photograph, a clip or a volume by hand.
 
     In a notebook, what is returned is a widget. Elsewhere, a window is opened, and this comes back when it is closed.
@@ -391,7 +390,7 @@ def serve(
     try:
         from rendercanvas.http import RenderCanvas, asgi, loop
 
-        from supple.viewer import server
+        from supple.viewer.window import server
     except ImportError as error:
         raise missing(error) from None
     listener = server.listening(port)

@@ -11,12 +11,12 @@ import numpy as np
 from supple.geometry import Geometry
 from supple.render.camera import Camera
 from supple.render.picture import Pick
-from supple.viewer import orbit
-from supple.viewer.document import Document
-from supple.viewer.events import GROWTH, Event, Tools
-from supple.viewer.gestures import HANDLE, Handle, Held, Pair
-from supple.viewer.playback import Playback
-from supple.viewer.viewport import Viewport
+from supple.viewer.document.editing import Document
+from supple.viewer.tools import orbit
+from supple.viewer.tools.events import GROWTH, Event, Tools
+from supple.viewer.tools.gestures import HANDLE, Handle, Held, Pair
+from supple.viewer.tools.playback import Playback
+from supple.viewer.tools.viewport import Viewport
 
 __all__ = ["GROWTH", "HANDLE", "ZOOM", "Event", "Handle", "Held", "ImageTools", "Tools", "VideoTools", "VolumeTools"]
 

@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
 from imgui_bundle import imgui
 
 from supple.folding import NEAR
-from supple.viewer.panels import BAR, LINE, hint
-from supple.viewer.playback import Playback
-from supple.viewer.stages import VideoStage, VolumeStage
-from supple.viewer.tools import ImageTools, VideoTools, VolumeTools
-
-if TYPE_CHECKING:
-    from supple.viewer.view import View
+from supple.viewer.panels.panel import hint
+from supple.viewer.panels.stages import VideoStage, VolumeStage
+from supple.viewer.panels.view import BAR, LINE, View
+from supple.viewer.tools.brushes import ImageTools, VideoTools, VolumeTools
+from supple.viewer.tools.playback import Playback
 
 _WHITE, _DARK, _BLUE, _RED = 0xFFFFFFFF, 0xA0000000, 0xFFFFA040, 0xFF5060FF  # ABGR
 _BARE = (

@@ -11,11 +11,8 @@ from supple.errors import SuppleError
 from supple.geometry import Geometry
 from supple.scaling import spoken
 from supple.strokes import FoldPolicy, Recipe, Stroke
-from supple.viewer.history import History
-from supple.viewer.state import Item, Kind, Medium, Solved, State
+from supple.viewer.document.state import History, Item, Kind, Medium, Solved, State
 from supple.volumes import indexed, placed
-
-__all__ = ["Document", "Item", "Kind", "State"]
 
 
 class Document:

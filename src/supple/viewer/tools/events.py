@@ -11,8 +11,8 @@ from typing import Any, Generic
 from supple.errors import SuppleError
 from supple.render.picture import Pick
 from supple.strokes import REACH, Stroke
-from supple.viewer.document import Document
-from supple.viewer.gestures import Handle, Held, Lead, Pair, V, handles, nearest, radii
+from supple.viewer.document.editing import Document
+from supple.viewer.tools.gestures import Handle, Held, Lead, Pair, V, handles, nearest, radii
 
 Event = Mapping[str, Any]
 

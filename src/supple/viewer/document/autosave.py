@@ -20,7 +20,7 @@ import numpy as np
 from supple.errors import SuppleError
 from supple.media.files import replacing
 from supple.strokes import Recipe
-from supple.viewer.document import Document
+from supple.viewer.document.editing import Document
 
 PathLike = str | os.PathLike[str]
 
