@@ -253,7 +253,7 @@ class Desk:
             raise SuppleError(f"cannot read {shown(path)}: {why}: check the name") from None
         recipe = Recipe.from_json(text)
         if self.document.dirty and not sure:
-            self.document.check(recipe)
+            self.document.fitted(recipe)
             self.asked = Question("over", "Open it?", _OVER, ("Open it", "Cancel"), opens=path)
             return
         self.document.load(recipe)

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Generic, Literal, Self, TypeVar
 
-from supple.deformation import Deformation, after, last_outside, reduced
-from supple.domain import Border, BorderProfile, refuse
-from supple.errors import SuppleError
+from supple.deformation import Deformation, after
+from supple.domain import refuse
 from supple.strokes import FoldPolicy, Recipe, Space, Stroke
 
 Kind = Literal["image", "video", "volume"]
 S = TypeVar("S")
+_EMPTY = Recipe()
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,56 +50,41 @@ class State:
     ----------
     items : tuple of Item
         In the order in which they are applied.
-    border : "auto", float, sequence of float or None
-    border_profile : str
-    on_fold : str
+    rest : Recipe
+        All else that a recipe says. Its space is that of the file, where it is in millimetres; strokes are edited as
+        samples.
     selected : int or None
         Which item is selected.
-    amount : float
-        The part of the drags that is carried out.
-    space : str or None
-        What points are in the file, if not samples, as which they are edited.
     """
 
     items: tuple[Item, ...] = ()
-    border: Border = "auto"
-    border_profile: BorderProfile = "quartic"
-    on_fold: FoldPolicy = "flow"
+    rest: Recipe = _EMPTY
     selected: int | None = None
-    amount: float = 1.0
-    space: Space | None = None
 
     @classmethod
-    def of(cls, recipe: Recipe) -> Self:
-        """A recipe of samples, with nothing selected."""
-        return cls(
-            tuple(map(Item.of, recipe.strokes)),
-            recipe.border,
-            recipe.border_profile,
-            recipe.on_fold,
-            amount=recipe.amount,
-            space=recipe.space,
-        )
+    def of(cls, recipe: Recipe, space: Space | None = None) -> Self:
+        """A recipe of samples, with nothing selected, that is saved in a space."""
+        rest = replace(recipe, strokes=(), size=None, space=space, time_scale=None)
+        return cls(tuple(map(Item.of, recipe.strokes)), rest)
 
     @property
     def recipe(self) -> Recipe:
         """The recipe of this state, without its space: points are samples."""
-        return Recipe(
-            border=self.border,
-            border_profile=self.border_profile,
-            on_fold=self.on_fold,
-            strokes=tuple(item.kept for item in self.items),
-            amount=self.amount,
-        )
+        return replace(self.rest, space=None, strokes=tuple(item.kept for item in self.items))
+
+    @property
+    def on_fold(self) -> FoldPolicy:
+        """What is done with strokes that would fold the picture."""
+        return self.rest.on_fold
 
     def with_item(self, i: int, item: Item) -> Self:
         """Another stroke in the place of one; or after the last."""
         return replace(self, items=(*self.items[:i], item, *self.items[i + 1 :]))
 
     @property
-    def content(self) -> tuple[object, ...]:
+    def content(self) -> tuple[object, object]:
         """All of it but what is selected."""
-        return self.items, self.border, self.border_profile, self.on_fold, self.amount, self.space
+        return self.items, self.rest
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,62 +115,16 @@ class Solved:
         if k == 0:
             return self.chain[0], self.chain[0]
         stroke = self.visible[k - 1][1]
-        whole = after(stroke, self.state.amount, self.wholes[k - 1], self.chain[k - 1], self.chain[k])
+        whole = after(stroke, self.state.rest.amount, self.wholes[k - 1], self.chain[k - 1], self.chain[k])
         return whole, self.chain[k]
 
     def kept(self, stroke: Stroke, k: int) -> Stroke:
         """A stroke that is drawn on what is seen, before visible stroke number ``k``, as a recipe has it."""
         whole, now = self.before(k)
-        part = self.state.amount * stroke.strength
+        part = self.state.rest.amount * stroke.strength
         if whole is not now:
             stroke = replace(stroke, at=tuple(whole.forward(now.inverse(stroke.at).points).tolist()))
         return replace(stroke, by=tuple(x / part for x in stroke.by)) if 0 < part < 1 else stroke
-
-
-@dataclass(frozen=True, slots=True)
-class Medium:
-    """The medium that is deformed.
-
-    Parameters
-    ----------
-    shape : tuple of int
-    spacing : float or sequence of float
-        Physical units per sample, x first.
-    kind : str, optional
-    """
-
-    shape: tuple[int, ...]
-    spacing: float | Sequence[float]
-    kind: Kind | None = None
-
-    def solve(self, state: State, known: Solved | None = None) -> Solved:
-        """The deformation of a state; what it has in common with one that is known is not worked out again."""
-        empty = Deformation(
-            self.shape,
-            border=state.border,
-            border_profile=state.border_profile,
-            spacing=self.spacing,
-            time=self.kind == "video" and len(self.shape) == 3,
-            on_fold=state.on_fold,
-        )
-        made = Solved(state, (empty,))
-        visible, same = made.visible, 0
-        if known is not None and known.chain[0] == empty and known.state.amount == state.amount:
-            for (_, stroke), (_, before) in zip(visible, known.visible, strict=False):
-                if stroke is not before and stroke != before:
-                    break
-                same += 1
-            made = Solved(state, known.chain[: same + 1], known.wholes[:same])
-        for k, (i, stroke) in enumerate(visible[same:], same):
-            try:
-                whole, now = made.before(k)
-                applied = now.add(reduced(stroke, state.amount, whole, now), warn=False)
-                last_outside(applied)
-                made = Solved(state, (*made.chain, applied), (*made.wholes, whole))
-            except SuppleError as error:
-                many = len(state.items) > 1
-                raise type(error)(f"stroke {i + 1}: {error}" if many else str(error)) from None
-        return made
 
 
 class History(Generic[S]):
@@ -201,14 +139,9 @@ class History(Generic[S]):
     """
 
     def __init__(self, present: S) -> None:
-        self._present = present
+        self.present = present
         self._past: list[S] = []
         self._future: list[S] = []
-
-    @property
-    def present(self) -> S:
-        """The state as it is now."""
-        return self._present
 
     @property
     def can_undo(self) -> bool:
@@ -222,24 +155,24 @@ class History(Generic[S]):
 
     def push(self, state: S) -> None:
         """Go on to another state; what was undone is gone."""
-        self._past.append(self._present)
-        self._present = state
+        self._past.append(self.present)
+        self.present = state
         self._future.clear()
 
     def amend(self, state: S) -> None:
         """Put another state in the place of the present one, without a step."""
-        self._present = state
+        self.present = state
 
     def undo(self) -> S:
         """Go back to the state before; without one, stay."""
         if self._past:
-            self._future.append(self._present)
-            self._present = self._past.pop()
-        return self._present
+            self._future.append(self.present)
+            self.present = self._past.pop()
+        return self.present
 
     def redo(self) -> S:
         """Go to the state that was undone last; without one, stay."""
         if self._future:
-            self._past.append(self._present)
-            self._present = self._future.pop()
-        return self._present
+            self._past.append(self.present)
+            self.present = self._future.pop()
+        return self.present

@@ -210,7 +210,7 @@ def _selected(view: View) -> None:
     changed, index = imgui.combo("folds", _POLICIES.index(policy), [_SAYS[p] for p in _POLICIES])
     if changed:
         view.attempt(lambda: document.set_on_fold(_POLICIES[index]))
-    border = document.state.border
+    border = document.state.rest.border
     changed, fixed = imgui.checkbox("fixed border", border is not None)
     if changed:
         view.attempt(lambda: document.set_border("auto" if fixed else None))
