@@ -31,26 +31,13 @@ _VERSION = 1
 
 @dataclass(frozen=True, slots=True)
 class Found:
-    """The autosave file of a window that did not end well.
-
-    Parameters
-    ----------
-    recipe : Recipe
-    place : pathlib.Path
-        Where it is kept.
-    saved : float
-        When, in seconds since 1970.
-    same : bool
-        Whether the source is as it was then, by its size and time.
-    medium : list of list of float, optional
-        The shape and the spacing that it was read with, if that is known.
-    """
+    """The autosave file of a window that did not end well."""
 
     recipe: Recipe
     place: Path
-    saved: float
-    same: bool
-    medium: object = None
+    saved: float  # in seconds since 1970
+    same: bool  # the source is as it was then, by its size and time
+    medium: object = None  # the shape and the spacing that it was read with, if that is known
 
     def read_alike(self, document: Document) -> bool:
         """Return whether a document is of the same shape and spacing, as far as that is known."""

@@ -8,7 +8,7 @@ import warnings
 from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
-from typing import Any, TextIO
+from typing import Any
 
 from supple.deformation import Deformation, Report
 from supple.errors import SuppleError
@@ -16,6 +16,7 @@ from supple.files import PathLike, warp_file
 from supple.strokes import Recipe
 
 Ear = Callable[[str, type[Warning]], None]
+_Asked = tuple[Deformation, int | None]
 
 _lock = threading.RLock()
 _ears: list[tuple[int, Ear]] = []  # the thread of each, and whom to tell
@@ -52,40 +53,22 @@ def heard(tell: Ear) -> Iterator[None]:
 def _listen() -> None:
     stack = contextlib.ExitStack()
     stack.enter_context(warnings.catch_warnings())
-    before = warnings.showwarning
+    before, main = warnings.showwarning, threading.main_thread().ident
 
-    def show(
-        message: Warning | str,
-        category: type[Warning],
-        filename: str,
-        lineno: int,
-        file: TextIO | None = None,
-        line: str | None = None,
-    ) -> None:
-        ear = _whose(threading.get_ident())
+    def show(message: Warning | str, category: type[Warning], *place: Any, **more: Any) -> None:
+        thread = threading.get_ident()
+        with _lock:
+            own = [ear for ident, ear in _ears if ident == thread]
+            others = [ear for ident, ear in _ears if ident != main] if thread != main else []
+        ear = next(reversed(own or others), None)
         if ear is None:
-            before(message, category, filename, lineno, file, line)
+            before(message, category, *place, **more)
         else:
             ear(str(message), category)
 
     warnings.simplefilter("always")
     warnings.showwarning = show
     _outside.append(stack)
-
-
-def _whose(thread: int) -> Ear | None:
-    main = threading.main_thread().ident
-    with _lock:
-        own = [ear for ident, ear in _ears if ident == thread]
-        others = [ear for ident, ear in _ears if ident != main] if thread != main else []
-    return next(reversed(own or others), None)
-
-
-_Asked = tuple[Deformation, int | None] | None
-
-
-def _same(one: _Asked, other: _Asked) -> bool:
-    return one is other or (one is not None and other is not None and one[0] is other[0] and one[1] == other[1])
 
 
 class Certifier:
@@ -100,9 +83,9 @@ class Certifier:
     def __init__(self, on_report: Callable[[], None] = lambda: None) -> None:
         self._on_report = on_report
         self._news = threading.Condition()
-        self._wanted: _Asked = None
-        self._begun: _Asked = None
-        self._known: tuple[_Asked, Report] | None = None
+        self._wanted: _Asked | None = None
+        self._begun: _Asked | None = None
+        self._known: tuple[_Asked, Report | None] | None = None
         self._closed = False
         self._thread: threading.Thread | None = None
 
@@ -110,11 +93,10 @@ class Certifier:
         """Return the certified error of a deformation, or of one plane of it; None while it is being measured."""
         asked = deformation, plane
         with self._news:
-            if self._known is not None and _same(self._known[0], asked):
+            if self._known is not None and self._known[0] == asked:
                 return self._known[1]
-            if not _same(self._wanted, asked):
-                self._wanted = asked
-                self._news.notify_all()
+            self._wanted = asked
+            self._news.notify_all()
             if self._thread is None:
                 self._thread = threading.Thread(target=self._work, name="supple-certify", daemon=True)
                 self._thread.start()
@@ -129,20 +111,17 @@ class Certifier:
     def _work(self) -> None:
         while True:
             with self._news:
-                self._news.wait_for(lambda: self._closed or self._wanted is not self._begun)
-                if self._closed:
+                self._news.wait_for(lambda: self._closed or self._wanted != self._begun)
+                if self._closed or self._wanted is None:
                     return
-                done = self._begun = self._wanted
-            if done is None:
-                continue
-            try:
-                with heard(lambda text, kind: None):
-                    report = done[0].report(plane=done[1])
-            except SuppleError:
-                continue
+                done, report = self._wanted, None
+                self._begun = done
+            with contextlib.suppress(SuppleError), heard(lambda text, kind: None):
+                report = done[0].report(plane=done[1])
             with self._news:
                 self._known = done, report
-            self._on_report()
+            if report is not None:
+                self._on_report()
 
 
 # Where each part of the work begins, and how much of the whole it is. Of a clip, writing begins first, and is over
@@ -191,9 +170,10 @@ class Export:
         """Why it failed, in one line."""
         self.result: Any = None
         """Return the result of the function, once it is done."""
+        self.cancelled = False
+        """Whether it ended as it was cancelled; there is no new file then."""
         self._warnings: list[str] = []
         self._stop = threading.Event()
-        self._cancelled = False
         self._work = partial(warp, source, target, recipe, tell=self._tell, **options)
         self._thread = threading.Thread(target=self._run, name="supple-export")
         self._thread.start()
@@ -207,11 +187,6 @@ class Export:
     def done(self) -> bool:
         """Return whether it has ended, in whatever way."""
         return not self._thread.is_alive()
-
-    @property
-    def cancelled(self) -> bool:
-        """Return whether it ended as it was cancelled; there is no new file then."""
-        return self._cancelled
 
     def cancel(self) -> None:
         """Ask it to stop. It does so between two frames, slices or parts; or is done before it hears of it."""
@@ -237,11 +212,10 @@ class Export:
             with heard(lambda text, kind: self._warnings.append(_line(text))):
                 self.result = self._work()
         except _Cancelled:
-            self._cancelled, self.text = True, "cancelled"
-        except SuppleError as error:
-            self.error = self.text = _line(str(error))
+            self.cancelled, self.text = True, "cancelled"
         except Exception as error:
-            self.error = self.text = _line(f"{type(error).__name__}: {error}")
+            kind = "" if isinstance(error, SuppleError) else f"{type(error).__name__}: "
+            self.error = self.text = _line(f"{kind}{error}")
         else:
             self.progress, self.text = 1.0, "done"
 

@@ -13,7 +13,7 @@ from typing import Any
 from supple.clips import SUFFIXES_OUT as CLIPS_OUT
 from supple.clips import is_picture_target
 from supple.errors import SuppleError
-from supple.files import check_job, write_recipe
+from supple.files import PathLike, check_job, write_recipe
 from supple.media.files import check_output, same_file, shown
 from supple.media.image import SUFFIXES_OUT as PICTURES_OUT
 from supple.media.image import check_target
@@ -22,39 +22,24 @@ from supple.media.volume import suffix_of
 from supple.scaling import spoken
 from supple.strokes import Recipe
 from supple.viewer.document import autosave
-from supple.viewer.document.autosave import Autosave, Found
+from supple.viewer.document.autosave import Autosave
 from supple.viewer.document.background import Export
 from supple.viewer.document.editing import Document
 from supple.viewer.document.state import Kind
 
-PathLike = str | os.PathLike[str]
-
 
 @dataclass(slots=True)
 class Question:
-    """Something that the window asks.
+    """Something that the window asks."""
 
-    Parameters
-    ----------
-    name : str
-        What it is about.
-    title, text : str
-    choices : tuple of str
-        The first is what Enter means; ``"Cancel"`` does nothing.
-    path : str, optional
-        The name of a file, which can be edited.
-    """
-
-    name: str
+    name: str  # what it is about
     title: str
     text: str
-    choices: tuple[str, ...]
-    path: str | None = None
-    opens: PathLike = ""
-    """The subject of the question, which is not to be edited."""
+    choices: tuple[str, ...]  # the first is what Enter means; "Cancel" does nothing
+    path: str | None = None  # the name of a file, which can be edited
+    opens: PathLike = ""  # one that cannot
     problem: str = ""
-    fresh: bool = True
-    """Return whether it was not drawn yet."""
+    fresh: bool = True  # it was not drawn yet
 
 
 class Desk:
@@ -93,24 +78,18 @@ class Desk:
         """Where the recipe was saved to or opened from."""
         self._write_view, self._leave, self._device = write_view, leave, device
         self._options = options or {}
-        self._left: Found | None = None
         self._told: Export | None = None
-        self.autosave: Autosave | None = None
-        if source is not None:
-            self.autosave = Autosave(source, document)
-            self._left = autosave.found(source)
+        self.autosave = None if source is None else Autosave(source, document)
+        self._left = None if source is None else autosave.found(source)
         if self._left is not None:
-            self._offer(self._left)
-
-    def _offer(self, found: Found) -> None:
-        count = len(found.recipe.strokes)
-        one = count == 1
-        text = f"{count} stroke{'' if one else 's'} on this file {'was' if one else 'were'} not saved the last time."
-        if not found.same:
-            text += "\nThe file has changed since then."
-        if not found.read_alike(self.document):
-            text += "\nIt was read otherwise then: by another --time-scale, --series, --shape or --spacing."
-        self.asked = Question("restore", "Restore?", text, ("Restore", "Leave"))
+            count = len(self._left.recipe.strokes)
+            what = "1 stroke on this file was" if count == 1 else f"{count} strokes on this file were"
+            text = f"{what} not saved the last time."
+            if not self._left.same:
+                text += "\nThe file has changed since then."
+            if not self._left.read_alike(document):
+                text += "\nIt was read otherwise then: by another --time-scale, --series, --shape or --spacing."
+            self.asked = Question("restore", "Restore?", text, ("Restore", "Leave"))
 
     def tick(self) -> None:
         """Keep what has changed, if it is time to; and say what came of an export."""
@@ -142,16 +121,10 @@ class Desk:
         if name == "save" and self.recipe_path is not None:
             known = self.recipe_path
             self.attempt(lambda: self.save(known, force=True))
-        elif name in ("save", "save as"):
-            self.asked = Question("save", "Save the recipe", _SAVE, ("Save", "Replace", "Cancel"), recipe)
-        elif name == "open":
-            self.asked = Question("open", "Open a recipe", _OPEN, ("Open", "Cancel"), recipe)
-        elif name == "export":
-            self.asked = Question("export", "Export", _EXPORT, ("Export", "Replace", "Cancel"), bent)
-        elif name == "copy":
-            self.asked = Question("copy", "Save what is seen", _COPY, ("Save", "Replace", "Cancel"), f"{stem}-view.png")
-        elif name == "close":
-            self.asked = Question("close", "Close?", _CLOSE, _WAYS_OUT, recipe)
+            return
+        name = "save" if name == "save as" else name
+        path = {"export": bent, "copy": f"{stem}-view.png"}.get(name, recipe)
+        self.asked = Question(name, *_ASKED[name], path)
 
     def may_close(self) -> bool:
         """Return whether nothing would be lost; otherwise, the question is asked."""
@@ -328,10 +301,20 @@ _WRITTEN: dict[Kind | None, tuple[Collection[str], str]] = {
     "video": ({*CLIPS_OUT, ".gif", ".m4v"}, ".mp4"),
     "volume": (VOLUMES_OUT, ".nii.gz"),
 }
-_WAYS_OUT = ("Save and close", "Replace and close", "Close without saving", "Cancel")
-_SAVE = "What supple warp --recipe takes."
-_OPEN = "In the place of the strokes that there are; undo brings these back."
 _OVER = "There are strokes that were not saved. Undo brings them back, but only as long as the window is open."
-_EXPORT = "At full quality, to any format of supple warp."
-_COPY = "The picture as it is on the canvas."
-_CLOSE = "There are strokes that were not saved."
+_KEEP = ("Save", "Replace", "Cancel")
+_ASKED = {
+    "save": ("Save the recipe", "What supple warp --recipe takes.", _KEEP),
+    "open": (
+        "Open a recipe",
+        "In the place of the strokes that there are; undo brings these back.",
+        ("Open", "Cancel"),
+    ),
+    "export": ("Export", "At full quality, to any format of supple warp.", ("Export", "Replace", "Cancel")),
+    "copy": ("Save what is seen", "The picture as it is on the canvas.", _KEEP),
+    "close": (
+        "Close?",
+        "There are strokes that were not saved.",
+        ("Save and close", "Replace and close", "Close without saving", "Cancel"),
+    ),
+}

@@ -16,17 +16,9 @@ _EMPTY = Recipe()
 
 @dataclass(frozen=True, slots=True)
 class Item:
-    """A stroke in the list.
+    """A stroke in the list, which may be put aside."""
 
-    Parameters
-    ----------
-    stroke : Stroke
-        Never hidden itself.
-    hidden : bool
-        Whether it is put aside.
-    """
-
-    stroke: Stroke
+    stroke: Stroke  # never hidden itself
     hidden: bool = False
 
     @classmethod
@@ -46,19 +38,11 @@ class Item:
 class State:
     """All that is undone and redone.
 
-    Parameters
-    ----------
-    items : tuple of Item
-        In the order in which they are applied.
-    rest : Recipe
-        All else that a recipe says. Its space is that of the file, where it is in millimetres; strokes are edited as
-        samples.
-    selected : int or None
-        Which item is selected.
+    Points are samples here; where those of the file are in millimetres, the rest knows in which space.
     """
 
-    items: tuple[Item, ...] = ()
-    rest: Recipe = _EMPTY
+    items: tuple[Item, ...] = ()  # in the order in which they are applied
+    rest: Recipe = _EMPTY  # all else that the recipe says
     selected: int | None = None
 
     @classmethod
@@ -91,12 +75,8 @@ class State:
 class Solved:
     """A state, and the deformation after none, one, two, … of its visible strokes.
 
-    Parameters
-    ----------
-    state : State
-    chain : tuple of Deformation
-    wholes : tuple of Deformation
-        Before each visible stroke, what those before it do in full; that of the chain itself where it is the same.
+    The wholes are, before each visible stroke, what those before it do in full; that of the chain itself where it is
+    the same.
     """
 
     state: State

@@ -26,54 +26,25 @@ def _about_the_middle(seen: tuple[int, int], drawn: tuple[int, int]) -> Part:
     return 0.5 - 0.5 * width, 0.5 - 0.5 * height, width, height
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True)
 class Shot:
-    """A request for a picture.
-
-    Parameters
-    ----------
-    deformation : Deformation
-    size : (int, int)
-        Columns and rows of the part of the canvas, in physical pixels.
-    moving : bool
-        Whether a hand moves: a smaller picture will do.
-    origin, scale
-        Where the first physical pixel lies in the picture, and how far it is from one to the next, in its pixels.
-    time : float
-        The frame.
-    camera : Camera
-        Of a volume.
-    overlay : str
-        One of `supple.gpu.plate.OVERLAYS`.
-    original : bool
-        Whether to show what it was.
-    split : bool
-        Whether to show both.
-    ratio : float
-        Physical pixels along the side of a logical one.
-    """
+    """A request for a picture."""
 
     deformation: Deformation
-    size: tuple[int, int]
-    moving: bool = False
-    origin: tuple[float, float] = (0.0, 0.0)
-    scale: float = 1.0
-    time: float = 0.0
+    size: tuple[int, int]  # columns and rows of the part of the canvas, in physical pixels
+    moving: bool = False  # a hand moves: a smaller picture will do
+    origin: tuple[float, float] = (0.0, 0.0)  # where the first physical pixel lies in the picture
+    scale: float = 1.0  # how far it is from there to the next, in pixels of the picture
+    time: float = 0.0  # the frame
     camera: Camera = _HOME
-    overlay: str = ""
-    original: bool = False
-    split: bool = False
-    ratio: float = 1.0
+    overlay: str = ""  # one of `supple.gpu.plate.OVERLAYS`
+    original: bool = False  # show what it was
+    split: bool = False  # show both
+    ratio: float = 1.0  # physical pixels along the side of a logical one
 
 
 class Painter:
-    """Paints a stage.
-
-    Parameters
-    ----------
-    gpu : Gpu
-    stage : ImageStage, VideoStage or VolumeStage
-    """
+    """Paints a stage."""
 
     def __init__(self, gpu: Gpu, stage: ImageStage | VideoStage | VolumeStage) -> None:
         self.gpu, self.stage = gpu, stage
@@ -142,12 +113,9 @@ class Painter:
         return texture
 
     def _strokes(self, shot: Shot, original: bool) -> Deformation:
-        return self._plain(shot.deformation) if original else shot.deformation
-
-    def _plain(self, deformation: Deformation) -> Deformation:
         if self._untouched is None:
-            self._untouched = deformation.without_strokes()
-        return self._untouched
+            self._untouched = shot.deformation.without_strokes()
+        return self._untouched if original else shot.deformation
 
     def _texture(self, name: str, size: tuple[int, int]) -> Any:
         key = (name, size)

@@ -67,7 +67,7 @@ class View:
         self.desk = Desk(self.document, self.source, self.write, self._leave, "auto", self.export)
         self.certifier = Certifier(self.canvas.request_draw)
         self._changed_at = 0.0
-        self._drawn_key: tuple[Any, ...] | None = None
+        self._drawn_key: tuple[Shot, int] | None = None
         self._frames: deque[float] = deque(maxlen=30)
         self._callbacks: list[Callable[[Recipe], None]] = []
         self._told: Recipe | None = None

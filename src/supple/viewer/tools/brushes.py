@@ -13,22 +13,15 @@ from supple.render.camera import Camera
 from supple.render.picture import Pick
 from supple.viewer.document.editing import Document
 from supple.viewer.tools import orbit
-from supple.viewer.tools.events import GROWTH, Event, Tools
-from supple.viewer.tools.gestures import HANDLE, Handle, Held, Pair
+from supple.viewer.tools.events import Event, Tools, commanded, shifted
+from supple.viewer.tools.gestures import Held, Pair
 from supple.viewer.tools.playback import Playback
 from supple.viewer.tools.viewport import Viewport
-
-__all__ = ["GROWTH", "HANDLE", "ZOOM", "Event", "Handle", "Held", "ImageTools", "Tools", "VideoTools", "VolumeTools"]
 
 ZOOM = 1.2
 """How many times larger a picture is after a notch of the wheel, which is 100."""
 
 _LEFT, _RIGHT, _MIDDLE = 1, 2, 3
-
-
-def _commanded(event: Event) -> bool:
-    modifiers = event.get("modifiers", ())
-    return "Control" in modifiers or "Meta" in modifiers
 
 
 def _pans(event: Event) -> bool:
@@ -88,37 +81,24 @@ class ImageTools(Tools[Viewport]):
         return "pan" if _pans(event) else None
 
     def _turn(self, event: Event, amount: float) -> None:
-        if _commanded(event):
-            self.view = self.view.zoom_about(float(event["x"]), float(event["y"]), ZOOM ** (-amount / 100))
-            self._rebase()
+        if commanded(event):
+            self._look(self.view.zoom_about(float(event["x"]), float(event["y"]), ZOOM ** (-amount / 100)))
         else:
             self.grow(-amount / 100)
 
     def _key(self, key: str) -> bool:
         if key not in ("0", "1"):
             return False
-        self.view = self.view.fit() if key == "0" else self.view.actual()
-        self._rebase()
+        self._look(self.view.fit() if key == "0" else self.view.actual())
         return True
 
     def _on_resize(self, event: Event) -> bool:
-        self.view = self.view.resize((float(event["width"]), float(event["height"])), event.get("pixel_ratio"))
-        self._rebase()
+        self._look(self.view.resize((float(event["width"]), float(event["height"])), event.get("pixel_ratio")))
         return True
 
 
 class VideoTools(ImageTools):
-    """Edits a clip: what is held can be carried through time, too, by the wheel or the arrow keys.
-
-    Parameters
-    ----------
-    document : Document
-    playback : Playback
-    canvas_size : (float, float)
-        Width and height, in logical pixels.
-    pixel_ratio : float
-        Physical pixels along the side of a logical one.
-    """
+    """Edits a clip: what is held can be carried through time, too, by the wheel or the arrow keys."""
 
     def __init__(self, document: Document, playback: Playback, canvas_size: Pair, pixel_ratio: float = 1.0) -> None:
         super().__init__(document, canvas_size, pixel_ratio)
@@ -160,7 +140,7 @@ class VideoTools(ImageTools):
 
     def _turn(self, event: Event, amount: float) -> None:
         held = self.held
-        if held is None or _commanded(event) or "Shift" in event.get("modifiers", ()):
+        if held is None or commanded(event) or shifted(event):
             super()._turn(event, amount)
         else:
             self._carry(held, -amount / 100)
@@ -228,10 +208,6 @@ class VolumeTools(Tools[Camera]):
         """Where the camera is."""
         return self.view
 
-    @camera.setter
-    def camera(self, camera: Camera) -> None:
-        self.view = camera
-
     @property
     def canvas_size(self) -> Pair:
         """Width and height of the canvas, in logical pixels."""
@@ -296,22 +272,20 @@ class VolumeTools(Tools[Camera]):
         return "orbit"
 
     def _turn(self, event: Event, amount: float) -> None:
-        if self.held is not None or "Shift" in event.get("modifiers", ()):
+        if self.held is not None or shifted(event):
             self.grow(-amount / 100)  # a camera that moved would see what is held elsewhere
         else:
-            self.view = orbit.dolly(self.view, amount, self.stage)
-            self._rebase()
+            self._look(orbit.dolly(self.view, amount, self.stage))
 
     def _key(self, key: str) -> bool:
         if key != "0" or self.held is not None:
             return False
-        self.view = self.home
-        self._rebase()
+        self._look(self.home)
         return True
 
     def _on_resize(self, event: Event) -> bool:
         self.stage = replace(self.stage, size=_rows((event["width"], event["height"])))
-        self._rebase()
+        self._look(self.view)
         return True
 
 

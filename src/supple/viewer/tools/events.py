@@ -8,11 +8,12 @@ from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from typing import Any, Generic
 
+from supple.domain import Domain
 from supple.errors import SuppleError
 from supple.render.picture import Pick
 from supple.strokes import REACH, Stroke
 from supple.viewer.document.editing import Document
-from supple.viewer.tools.gestures import Handle, Held, Lead, Pair, V, handles, nearest, radii
+from supple.viewer.tools.gestures import Handle, Held, Lead, Pair, Part, V, nearest
 
 Event = Mapping[str, Any]
 
@@ -44,8 +45,12 @@ class Tools(ABC, Generic[V]):
     def __init__(self, document: Document, view: V) -> None:
         self.document = document
         self.view = view
-        low, self._radius, high = radii(document)
-        self.radius_limits = (low, high)
+        domain = Domain(document.shape, document.spacing)
+        n = 3 if document.kind == "volume" else 2  # time is not as long as it is wide
+        sides = [max(e, s) for e, s in zip(domain.extent[:n], domain.spacing[:n], strict=True)]
+        smallest = min(domain.spacing[:n])
+        self.radius_limits = (smallest, 4 * max(sides))
+        self._radius = max(min(sides) / 8, smallest)
         self.poisson: float | None = None
         self.scales = 1
         self.reach: float | None = REACH
@@ -192,8 +197,16 @@ class Tools(ABC, Generic[V]):
         return Held(stroke, stroke.at, (x, y), (x, y), pick=pick)
 
     def handles(self, among: Iterable[int] | None = None) -> list[Handle]:
-        """The handles of some strokes, or of all, that are seen on the canvas."""
-        return handles(self.document, range(len(self.document.items)) if among is None else among, self._seen)
+        """The handles of some strokes, or of all, that are applied and seen on the canvas."""
+        found, items = [], self.document.items
+        for i in range(len(items)) if among is None else among:
+            pivot, end = self.document.handles(i)
+            parts: tuple[tuple[Part, tuple[float, ...]], ...] = (("pivot", pivot), ("end", end))
+            for part, point in parts if not items[i].hidden else ():
+                place = self._seen(point)
+                if place is not None:
+                    found.append(Handle(i, part, point, place))
+        return found
 
     def _on_pointer_move(self, event: Event) -> bool:
         self.pointer = _place(event)
@@ -202,7 +215,7 @@ class Tools(ABC, Generic[V]):
             return False
         if gesture.button not in event.get("buttons", (gesture.button,)):
             return self._released()  # the button went up where the window did not see it
-        self._follow(self.pointer)
+        self._follow(gesture, self.pointer)
         return True
 
     def _on_pointer_up(self, event: Event) -> bool:
@@ -210,18 +223,15 @@ class Tools(ABC, Generic[V]):
         gesture = self._gesture
         if gesture is None or event.get("button") != gesture.button:
             return False
-        self._follow(self.pointer)
+        self._follow(gesture, self.pointer)
         return self._released()
 
     def _on_pointer_leave(self, event: Event) -> bool:
         self.pointer = None
         return False
 
-    def _follow(self, place: Pair) -> None:
+    def _follow(self, gesture: Held | Lead[V], place: Pair) -> None:
         """Take what is held, or led, to where the pointer is."""
-        gesture = self._gesture
-        if gesture is None:
-            return
         gesture.now = place
         if isinstance(gesture, Held):
             gesture.draw(self.document, self._carried)
@@ -231,9 +241,13 @@ class Tools(ABC, Generic[V]):
             (x, y), (a, b) = place, gesture.start
             self.view = self._led(gesture.how, gesture.base, x - a, y - b)
 
-    def _rebase(self) -> None:
-        if isinstance(self._gesture, Lead):
-            self._gesture.rebase(self.view)
+    def _look(self, view: V) -> None:
+        """Look in another way; the pointer leads it on from there."""
+        self.view = view
+        lead = self._gesture
+        if isinstance(lead, Lead):
+            lead.travelled = lead.moved
+            lead.base, lead.start = view, lead.now
 
     def _released(self) -> bool:
         gesture, self._gesture = self._gesture, None
@@ -256,7 +270,7 @@ class Tools(ABC, Generic[V]):
 
     def _on_wheel(self, event: Event) -> bool:
         amount = float(event.get("dy", 0.0))
-        if "Shift" in event.get("modifiers", ()):
+        if shifted(event):
             amount += float(event.get("dx", 0.0))  # some systems turn the wheel sideways then
         self._turn(event, min(max(amount, -_MOST), _MOST))
         return True
@@ -274,12 +288,11 @@ class Tools(ABC, Generic[V]):
 
     def _on_key_down(self, event: Event) -> bool:
         self._refused = None
-        modifiers = event.get("modifiers", ())
         key = str(event.get("key", ""))
-        if "Control" in modifiers or "Meta" in modifiers:
+        if commanded(event):
             # Some windows name the control character that is typed.
             letter = chr(ord(key) + 96) if len(key) == 1 and ord(key) < 27 else key.lower()
-            return self._command(letter, "Shift" in modifiers)
+            return self._command(letter, shifted(event))
         return self._edit(key) or self._key(key)
 
     def _on_key_up(self, event: Event) -> bool:
@@ -318,6 +331,16 @@ class Tools(ABC, Generic[V]):
         else:
             return False
         return True
+
+
+def commanded(event: Event) -> bool:
+    """Return whether Control is held, or what stands for it."""
+    return any(key in event.get("modifiers", ()) for key in ("Control", "Meta"))
+
+
+def shifted(event: Event) -> bool:
+    """Return whether Shift is held."""
+    return "Shift" in event.get("modifiers", ())
 
 
 def _place(event: Event) -> Pair:

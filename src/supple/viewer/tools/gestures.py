@@ -7,7 +7,6 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from typing import Generic, Literal, TypeVar
 
-from supple.domain import Domain
 from supple.render.picture import Pick
 from supple.strokes import Stroke
 from supple.viewer.document.editing import Document
@@ -23,47 +22,14 @@ HANDLE = 8.0
 Part = Literal["pivot", "end"]
 
 
-def radii(document: Document) -> tuple[float, float, float]:
-    """The smallest brush for a document, the one to begin with, and the largest."""
-    domain = Domain(document.shape, document.spacing)
-    n = 3 if document.kind == "volume" else 2  # time is not as long as it is wide
-    sides = [max(e, s) for e, s in zip(domain.extent[:n], domain.spacing[:n], strict=True)]
-    smallest = min(domain.spacing[:n])
-    return smallest, max(min(sides) / 8, smallest), 4 * max(sides)
-
-
 @dataclass(frozen=True, slots=True)
 class Handle:
-    """Where a stroke can be taken: its pivot, or its end.
+    """Where a stroke can be taken: its pivot, or its end."""
 
-    Parameters
-    ----------
-    item : int
-        Which stroke of the document it is.
-    part : str
-        ``"pivot"`` or ``"end"``.
-    point : tuple of float
-    seen : (float, float)
-        Where it is on the canvas.
-    """
-
-    item: int
+    item: int  # which stroke of the document it is
     part: Part
     point: tuple[float, ...]
-    seen: Pair
-
-
-def handles(document: Document, among: Iterable[int], seen: Callable[[tuple[float, ...]], Pair | None]) -> list[Handle]:
-    """The handles of some strokes that are applied and seen; ``seen`` tells where a point is on the canvas."""
-    found = []
-    for i in among:
-        pivot, end = document.handles(i)
-        parts: tuple[tuple[Part, tuple[float, ...]], ...] = (("pivot", pivot), ("end", end))
-        for part, point in parts if not document.items[i].hidden else ():
-            place = seen(point)
-            if place is not None:
-                found.append(Handle(i, part, point, place))
-    return found
+    seen: Pair  # where it is on the canvas
 
 
 def nearest(among: Iterable[Handle], place: Pair) -> Handle | None:
@@ -78,43 +44,19 @@ def nearest(among: Iterable[Handle], place: Pair) -> Handle | None:
 
 @dataclass(slots=True)
 class Held:
-    """A stroke that the pointer holds, while the button is down.
+    """A stroke that the pointer holds, while the button is down; places are in logical pixels of the canvas."""
 
-    Parameters
-    ----------
-    stroke : Stroke
-        As it was when the button went down; the wheel changes its radius.
-    point : tuple of float
-        What the pointer has hold of.
-    start, now : (float, float)
-        Where the pointer went down, and where it is: in logical pixels of the canvas.
-    offset : (float, float)
-        How far the pointer went down from the point.
-    item : int or None
-        Which stroke of the document it is; None for a new one.
-    part : str
-        What of it is held: its ``"pivot"``, or its ``"end"``.
-    turned : float
-        How far it was carried through time, in frames; the wheel has parts of them.
-    time : float
-        How many whole frames that are, up to the ends of the clip.
-    grown : bool
-        Whether the radius of a stroke of the document was changed.
-    pick : Pick, optional
-        What was picked in a volume.
-    """
-
-    stroke: Stroke
-    point: tuple[float, ...]
-    start: Pair
+    stroke: Stroke  # as it was when the button went down; the wheel changes its radius
+    point: tuple[float, ...]  # what the pointer has hold of
+    start: Pair  # where the pointer went down
     now: Pair
-    offset: Pair = (0.0, 0.0)
-    item: int | None = None
+    offset: Pair = (0.0, 0.0)  # how far that was from the point
+    item: int | None = None  # which stroke of the document it is; None for a new one
     part: Part = "end"
-    turned: float = 0.0
-    time: float = 0.0
-    grown: bool = False
-    pick: Pick | None = None
+    turned: float = 0.0  # frames that it was carried through time; the wheel has parts of them
+    time: float = 0.0  # how many whole frames that are, up to the ends of the clip
+    grown: bool = False  # the radius of a stroke of the document was changed
+    pick: Pick | None = None  # in a volume
     button: int = 1
 
     @property
@@ -163,8 +105,3 @@ class Lead(Generic[V]):
     def moved(self) -> bool:
         """Return whether it is a drag; otherwise it is a click."""
         return self.travelled or math.dist(self.start, self.now) >= CLICK
-
-    def rebase(self, view: V) -> None:
-        """Go on from where the pointer is, as the view was changed by something else."""
-        self.travelled = self.moved
-        self.base, self.start = view, self.now

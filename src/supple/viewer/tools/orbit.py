@@ -21,20 +21,11 @@ STEP = 1.1
 
 @dataclass(frozen=True, slots=True)
 class Stage:
-    """The volume before a camera, and the canvas that shows it.
+    """The volume before a camera, and the canvas that shows it."""
 
-    Parameters
-    ----------
-    shape : (int, int, int)
-        Of the volume, (Z, H, W).
-    geometry : Geometry
-    size : (int, int)
-        Rows and columns of the canvas, in logical pixels.
-    """
-
-    shape: tuple[int, ...]
+    shape: tuple[int, ...]  # of the volume, (Z, H, W)
     geometry: Geometry
-    size: tuple[int, int]
+    size: tuple[int, int]  # rows and columns of the canvas, in logical pixels
 
     def view(self, camera: Camera) -> Projection:
         """The camera, set up."""

@@ -164,7 +164,7 @@ class Window(View):
             tools.playback.frame_at(begun)
         moving = tools.dragging or self._lately or self._playing or self._filling
         shot = self._shot((round(width * ratio), round(height * ratio)), ratio, moving)
-        key = (shot.deformation, *(getattr(shot, name) for name in _SEEN), self.painter.coarse if moving else 0)
+        key = shot, self.painter.coarse if moving else 0
         self._gui.lay()
         if self._gui.trouble:
             self.desk.message = self._gui.trouble
@@ -248,4 +248,3 @@ class Window(View):
 _HOLDING = "let go of the stroke first"
 _HANDS = ("pointer_down", "pointer_move", "pointer_up", "wheel", "key_down", "key_up", "resize")
 _BUTTONS = range(1, 6)
-_SEEN = ("size", "moving", "origin", "scale", "time", "camera", "overlay", "original", "split")
