@@ -18,11 +18,10 @@ from typing import IO, Any
 import numpy as np
 
 from supple.errors import SuppleError
+from supple.files import PathLike
 from supple.media.files import replacing
 from supple.strokes import Recipe
 from supple.viewer.document.editing import Document
-
-PathLike = str | os.PathLike[str]
 
 EVERY = 1.0
 """Seconds between two saves, at least."""
@@ -52,17 +51,8 @@ class Autosave:
     """Keeps the recipe of a document in a file of its own, until a clean end.
 
     Each window has a file, and a lock on it that the system takes away if the window dies: two of the same source
-    never meet. Writing is done in a thread.
-
-    Parameters
-    ----------
-    source : str or os.PathLike
-        What is edited.
-    document : Document
-    folder : str or os.PathLike, optional
-        Where the files are; by default, where the system keeps such things for the user.
-    clock : function
-        Tells the time in seconds.
+    never meet. Writing is done in a thread. Without a folder for them, the files are where the system keeps such
+    things for the user; the clock tells the time in seconds.
     """
 
     def __init__(
@@ -75,7 +65,7 @@ class Autosave:
         self.trouble: str | None = None
         """Why it could not be saved the last time, in a line."""
         self._source, self._document, self._clock = source, document, clock
-        self._folder = Path(folder) if folder is not None else _home()
+        self._folder = _home(folder)
         self.place = self._folder / f"{_stem(source)}-{os.getpid()}-{secrets.token_hex(4)}.json"
         """The file, if there is one: only what is not saved otherwise is in it."""
         self._lock: IO[bytes] | None = None
@@ -111,15 +101,8 @@ class Autosave:
         if self._writing is not None:
             self._writing.result()
 
-    def clear(self) -> None:
-        """End well: nothing is kept."""
-        self._end(keep=False)
-
-    def leave(self) -> None:
-        """End, and leave what is kept to the next window."""
-        self._end(keep=True)
-
-    def _end(self, *, keep: bool) -> None:
+    def clear(self, *, keep: bool = False) -> None:
+        """End, and keep nothing; or leave what is kept to the next window."""
         self._ended = True
         self.flush()
         self._pool.shutdown()
@@ -141,12 +124,9 @@ class Autosave:
                 self._folder.mkdir(parents=True, exist_ok=True)
                 if self._lock is None:
                     self._lock = _locked(_locks(self.place))
-                data: dict[str, object] = {
-                    "supple_autosave": _VERSION,
-                    "source": _described(self._source),
-                    "saved": time.time(),
-                }
-                data |= {"medium": _medium(self._document), "recipe": json.loads(recipe.to_json())}
+                data: dict[str, object] = {"supple_autosave": _VERSION, "source": _described(self._source)}
+                data |= {"saved": time.time(), "medium": _medium(self._document)}
+                data["recipe"] = json.loads(recipe.to_json())
                 text = json.dumps(data, indent=1, allow_nan=False)
                 with replacing(self.place, force=True) as place:
                     place.write_text(text, encoding="utf-8")
@@ -163,38 +143,28 @@ class Autosave:
 def found(source: PathLike, folder: PathLike | None = None) -> Found | None:
     """Return the latest unsaved edits of a source from an autosave file; None if there are none.
 
-    Files of windows that still live are left alone. One that can't be read is set aside, under another name.
-
-    Parameters
-    ----------
-    source : str or os.PathLike
-    folder : str or os.PathLike, optional
-        As `Autosave` takes it.
+    Files of windows that still live are left alone. One that can't be read is set aside, under another name. The
+    folder is that of `Autosave`.
     """
-    home = Path(folder) if folder is not None else _home()
     best: Found | None = None
-    for place in sorted(home.glob(f"{_stem(source)}-*.json")):
+    for place in sorted(_home(folder).glob(f"{_stem(source)}-*.json")):
         with contextlib.suppress(OSError), contextlib.ExitStack() as stack:  # it may be gone, or not be ours to read
             lock = _locked(_locks(place))
             if lock is None:
                 continue
             stack.enter_context(lock)
             try:
-                one = _read(place, source)
+                data: Any = json.loads(place.read_bytes().decode("utf-8"))
+                if data["supple_autosave"] != _VERSION:
+                    continue  # of another release, which will find it
+                recipe, saved = Recipe.from_json(json.dumps(data["recipe"])), float(data["saved"])
+                one = Found(recipe, place, saved, data["source"] == _described(source), data.get("medium"))
             except (ValueError, TypeError, KeyError, RecursionError):
                 _set_aside(place, "bad")
                 continue
-            if one is not None and (best is None or one.saved > best.saved):
+            if best is None or one.saved > best.saved:
                 best = one
     return best
-
-
-def _read(place: Path, source: PathLike) -> Found | None:
-    data: Any = json.loads(place.read_bytes().decode("utf-8"))
-    if data["supple_autosave"] != _VERSION:
-        return None  # of another release, which will find it
-    recipe = Recipe.from_json(json.dumps(data["recipe"]))
-    return Found(recipe, place, float(data["saved"]), data["source"] == _described(source), data.get("medium"))
 
 
 def _set_aside(place: Path, why: str) -> Path:
@@ -208,7 +178,9 @@ def _set_aside(place: Path, why: str) -> Path:
     return aside
 
 
-def _home() -> Path:
+def _home(folder: PathLike | None) -> Path:
+    if folder is not None:
+        return Path(folder)
     try:
         from platformdirs import user_state_path
     except ImportError:

@@ -29,12 +29,8 @@ def heard(tell: Ear) -> Iterator[None]:
 
     `warnings.catch_warnings` is for a single thread: two that overlap leave a mess behind. A warning of a thread that
     nobody listens to goes to who listens in the background, as its helpers have threads of their own; those of the
-    main thread go on as they would.
-
-    Parameters
-    ----------
-    tell : function of str and type
-        What is warned of, and the warning's kind. It is called from the thread that warns.
+    main thread go on as they would. The function is called, from the thread that warns, with what is warned of and
+    with the warning's kind.
     """
     mine = (threading.get_ident(), tell)
     with _lock:
@@ -72,15 +68,9 @@ def _listen() -> None:
 
 
 class Certifier:
-    """Measures the map of the last deformation that it was given, in a thread of its own.
+    """Measures the map of the last deformation that it was given, in a thread that calls a function after each."""
 
-    Parameters
-    ----------
-    on_report : function
-        Called, in that thread, when a report is there.
-    """
-
-    def __init__(self, on_report: Callable[[], None] = lambda: None) -> None:
+    def __init__(self, on_report: Callable[[], None]) -> None:
         self._on_report = on_report
         self._news = threading.Condition()
         self._wanted: _Asked | None = None
@@ -138,18 +128,8 @@ class _Cancelled(Exception):  # noqa: N818, it is no error
 class Export:
     """A file that is warped in a thread of its own, begun as this is made.
 
-    The target appears whole, or not at all. Wait for the end before the program ends, with `join`: an export that is
-    under way then fails.
-
-    Parameters
-    ----------
-    source, target : str or os.PathLike
-    recipe : Recipe
-        As it is now; what is edited meanwhile does not come into it.
-    warp : function, optional
-        What does it: as `supple.warp_file`, with its ``tell``.
-    **options
-        What else it takes.
+    The target appears whole, or not at all; what is edited meanwhile does not come into it. Wait for the end before
+    the program ends, with `join`: an export that is under way then fails. Options are those of `supple.warp_file`.
     """
 
     def __init__(

@@ -54,10 +54,8 @@ class Desk:
         Writes what is seen to a file; the second says whether one that exists may be replaced.
     leave : function
         Closes the window.
-    device : str
-        Who exports, as `supple.warp_file` takes it.
-    options : mapping, optional
-        What else it takes, to make what is seen.
+    device, options
+        Who exports, and what else `supple.warp_file` takes to make what is seen.
     """
 
     def __init__(
@@ -284,10 +282,8 @@ class Desk:
             self.export.cancel()
             self.export.join(10.0)
         if self.autosave is not None:
-            if self.document.dirty:  # whoever closes this without asking keeps it for the next time
-                self.autosave.leave()
-            else:
-                self.autosave.clear()
+            # Whoever closes this without asking keeps it for the next time.
+            self.autosave.clear(keep=self.document.dirty)
 
 
 def _in_a_window(error: SuppleError) -> str:

@@ -110,12 +110,7 @@ class Solved:
 class History(Generic[S]):
     """A present state, those before it, and those that were undone.
 
-    It has no end, and merges nothing: what is pushed is a step.
-
-    Parameters
-    ----------
-    present : object
-        The first state. States are kept as they are, so they must never change.
+    It has no end, and merges nothing: what is pushed is a step. States are kept as they are, so they must never change.
     """
 
     def __init__(self, present: S) -> None:

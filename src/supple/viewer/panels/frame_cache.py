@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import os
 import threading
 from collections import OrderedDict
 from collections.abc import Callable, Generator
@@ -14,9 +13,9 @@ import numpy.typing as npt
 
 from supple.clips import open_clip
 from supple.errors import SuppleError
+from supple.files import PathLike
 
 Pixels = npt.NDArray[np.uint8]
-PathLike = str | os.PathLike[str]
 Span = tuple[int, int]
 
 ROOM = 512 << 20  # bytes of frames that are kept
@@ -25,13 +24,7 @@ ROOM = 512 << 20  # bytes of frames that are kept
 class FrameCache:
     """A clip's frames as (rows, columns, 4) of sRGB, each there some time after it is asked for.
 
-    Parameters
-    ----------
-    path : str or os.PathLike
-    room : int
-        How many bytes of frames are kept.
-    on_frame : function
-        Called, in a thread of its own, when another frame is there.
+    As many are kept as there is room for, in bytes. A function is called, in a thread of its own, when another is there.
 
     Raises
     ------
@@ -142,7 +135,9 @@ class FrameCache:
             return
         kept = 0
         seeks = hasattr(clip, "frames_from")  # numbered pictures do not
-        with contextlib.closing(clip.frames_from(begin) if seeks else _numbered(clip)) as frames:
+        with contextlib.closing(
+            clip.frames_from(begin) if seeks else (pair for pair in enumerate(clip.frames()))
+        ) as frames:
             for at, picture in frames:
                 due = self._due()
                 if due is None or due < at or (due > at + 1 and seeks and clip.key_before(due) > at):

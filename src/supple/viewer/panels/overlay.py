@@ -173,9 +173,7 @@ def _status(view: View) -> None:
 
 def status(view: View) -> str:
     """The line of status: a message, or the point under the pointer; frames a second; and the certified error."""
-    parts = []
-    if not isinstance(view.stage, VolumeStage):
-        parts.append(view.stage.trouble)
+    parts = [view.stage.trouble]
     trouble = view.tools.status or view.desk.message
     if trouble:
         parts.append(trouble)

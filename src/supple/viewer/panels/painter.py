@@ -64,19 +64,15 @@ class Painter:
         """
         if shot.split:  # what one needs of a clip might take the other's place
             encoder = None
-        before, self.ready = self._trouble, True
+        before, self.ready = self.stage.trouble, True
         if not isinstance(self.stage, VolumeStage):
             seen = (shot.original, True) if shot.split else (shot.original,)
             self.stage.expect(tuple(self._strokes(shot, original) for original in seen), shot.time)
         first = self._drawn("first", shot, shot.original, encoder)
         second = self._drawn("second", shot, True, encoder) if shot.split else None
         # What is wrong with it is said in the line of status, which was laid out before.
-        self.ready &= self._trouble == before
+        self.ready &= self.stage.trouble == before
         return first, second
-
-    @property
-    def _trouble(self) -> str:
-        return "" if isinstance(self.stage, VolumeStage) else self.stage.trouble
 
     def learn(self, begun: float) -> None:
         """Wait for a picture that was begun at a time, and learn from it how large pixels should be next."""

@@ -32,13 +32,7 @@ def _pans(event: Event) -> bool:
 class ImageTools(Tools[Viewport]):
     """Edits a picture: a left drag pulls what is under the pointer.
 
-    Parameters
-    ----------
-    document : Document
-    canvas_size : (float, float)
-        Width and height, in logical pixels.
-    pixel_ratio : float
-        Physical pixels along the side of a logical one.
+    The canvas has a width and a height in logical pixels; the ratio says how many physical ones lie along such a pixel.
     """
 
     def __init__(self, document: Document, canvas_size: Pair, pixel_ratio: float = 1.0) -> None:
@@ -173,19 +167,8 @@ class VideoTools(ImageTools):
 class VolumeTools(Tools[Camera]):
     """Edits a volume: a left drag pulls what is seen under the pointer, in the camera's plane; beside it, it turns.
 
-    Parameters
-    ----------
-    document : Document
-    geometry : Geometry
-        Where the voxels lie.
-    canvas_size : (float, float)
-        Width and height, in logical pixels.
-    pick : function of float and float
-        What is seen at a point of the canvas, as `supple.render.scene.Scene.pick` tells it; None if nothing is.
-    drag : function of Pick and (float, float)
-        How far that goes if it is dragged to another point, as `supple.render.scene.Scene.drag` tells it.
-    camera : Camera, optional
-        Where the camera is at first.
+    What is seen at a point of the canvas, and how far that goes if it is dragged to another, is told by ``pick`` and
+    ``drag``, as by `supple.render.scene.Scene.pick` and `supple.render.scene.Scene.drag`.
     """
 
     def __init__(

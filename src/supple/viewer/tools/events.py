@@ -33,13 +33,7 @@ class Tools(ABC, Generic[V]):
     """Turns events into edits of a document, and leads the view.
 
     Events are those of rendercanvas. Amounts are what counts in them, and not how many there are, as they may come
-    merged. Nothing is raised: what is refused is in `status`.
-
-    Parameters
-    ----------
-    document : Document
-    view : Viewport or Camera
-        How it is looked at, at first.
+    merged. Nothing is raised: what is refused is in `status`. The view, a viewport or a camera, is the first.
     """
 
     def __init__(self, document: Document, view: V) -> None:

@@ -14,16 +14,8 @@ _EARLY = 1e-6  # of a frame, by which one is shown too early rather than a whole
 class Playback:
     """A clip that plays or stands.
 
-    It keeps time: what comes too late is dropped, and counted. It knows no clock, but is told the time.
-
-    Parameters
-    ----------
-    count : int
-        How many frames there are.
-    rate : float
-        Frames a second.
-    starts : sequence of float, optional
-        Seconds at which each frame is shown, where they are not evenly spaced.
+    It keeps time: what comes too late is dropped, and counted. It knows no clock, but is told the time. Frames that are
+    not evenly spaced, at so many a second, start at seconds of their own.
     """
 
     def __init__(self, count: int, rate: float, starts: Sequence[float] = ()) -> None:

@@ -17,17 +17,7 @@ from supple.gpu.kernel import UNIFORM
 
 
 class Gui:
-    """Draws controls, and hands them the canvas's events.
-
-    Parameters
-    ----------
-    gpu : Gpu
-    canvas : rendercanvas canvas
-    format : str
-        Of what it presents.
-    controls : function
-        Says what there is, each time.
-    """
+    """Draws controls, which a function says each time, in the canvas's format, and hands them the canvas's events."""
 
     def __init__(self, gpu: Gpu, canvas: Any, format: str, controls: Callable[[], None]) -> None:
         self._canvas, self._controls = canvas, controls
@@ -108,14 +98,7 @@ _INDEX = {2: "uint16", 4: "uint32"}[imgui.INDEX_SIZE]
 
 
 class Ink:
-    """Draws lists of triangles onto what a window presents.
-
-    Parameters
-    ----------
-    gpu : Gpu
-    format : str
-        Of what it presents.
-    """
+    """Draws lists of triangles onto what a window presents, in its format."""
 
     def __init__(self, gpu: Gpu, format: str) -> None:
         self._device, self._gamma = gpu.device, 2.2 if format.endswith("srgb") else 1.0

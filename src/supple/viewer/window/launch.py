@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import os
-from collections.abc import Callable
+import secrets
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -155,17 +156,12 @@ def tools_of(
         return VideoTools(document, Playback(stage.film.count, stage.rate, stage.film.starts), size)
     if isinstance(stage, ImageStage):
         return ImageTools(document, size)
-    tools: VolumeTools
-
-    def rows() -> tuple[int, int]:
-        return tools.stage.size
-
-    tools = VolumeTools(
+    tools: VolumeTools = VolumeTools(
         document,
         stage.volume.geometry,
         size,
-        lambda x, y: stage.deform(document.deformation).pick(tools.camera, rows(), (x, y)),
-        lambda pick, to: stage.deform(document.deformation).drag(tools.camera, rows(), pick, to),
+        lambda x, y: stage.deform(document.deformation).pick(tools.camera, tools.stage.size, (x, y)),
+        lambda pick, to: stage.deform(document.deformation).drag(tools.camera, tools.stage.size, pick, to),
     )
     return tools
 
@@ -185,10 +181,8 @@ def opened(
     SuppleError
         If the source or the recipe does not fit, there is no GPU, or a part of the window is not installed.
     """
-    try:
+    with _installed():
         from supple.viewer.window.window import Window
-    except ImportError as error:
-        raise missing(error) from None
     gpu = gpu or _gpu()
     stage = stage_of(gpu, source, options)
     recipe, geometry = recipe or Recipe(), None
@@ -214,9 +208,13 @@ def _gpu() -> Gpu:
         raise SuppleError(str(error).removesuffix("; device cpu needs none")) from None
 
 
-def missing(error: ImportError) -> SuppleError:
-    """Return the error for a part of the window that is not installed."""
-    return SuppleError(f"the window needs {error.name or error}, which is not installed: {_EXTRA}")
+@contextlib.contextmanager
+def _installed() -> Iterator[None]:
+    """Refuse what needs a part of the window that is not installed."""
+    try:
+        yield
+    except ImportError as error:
+        raise SuppleError(f"the window needs {error.name or error}, which is not installed: {_EXTRA}") from None
 
 
 def on_screen_of(toolkit: str) -> tuple[Any, Any]:
@@ -228,7 +226,7 @@ def on_screen_of(toolkit: str) -> tuple[Any, Any]:
         If it is not installed, or there is no screen.
     """
     choice("toolkit", toolkit, TOOLKITS)
-    try:
+    with _installed():
         if toolkit == "glfw":
             import glfw
 
@@ -239,8 +237,6 @@ def on_screen_of(toolkit: str) -> tuple[Any, Any]:
             RenderCanvas, loop = qt.toolkit()
             if not qt.has_screen():
                 raise SuppleError(_NO_SCREEN)
-    except ImportError as error:
-        raise missing(error) from None
     return RenderCanvas, loop
 
 
@@ -354,10 +350,8 @@ def view(
     options = ViewOptions(spacing, time_scale, volume or _PLAIN)
     if not in_notebook():
         return show(source, recipe, options=options)
-    try:
+    with _installed():
         from rendercanvas.anywidget import RenderCanvas, loop
-    except ImportError as error:
-        raise missing(error) from None
     canvas = RenderCanvas(size=(960, 600), max_fps=30, update_mode="ondemand")
     canvas.set_css_width("calc(100% - 4px)")  # of the cell, with its frame
     return opened(source, recipe, canvas, loop, options=options)
@@ -387,18 +381,16 @@ def serve(
     options : ViewOptions
         How the source is read.
     """
-    try:
+    with _installed():
         from rendercanvas.http import RenderCanvas, asgi, loop
 
         from supple.viewer.window import server
-    except ImportError as error:
-        raise missing(error) from None
     listener = server.listening(port)
     try:
         canvas = RenderCanvas(max_fps=30, update_mode="ondemand")
         made = opened(source, recipe, canvas, loop, options=options)
         try:
-            token = server.new_token()
+            token = secrets.token_urlsafe(24)
             tell(f"http://{server.HOST}:{listener.getsockname()[1]}/?token={token}")
             app = server.guarded(asgi, token, f"{made.stage.name} - Supple")
             server.serve(app, listener, canvas.get_closed)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hmac
-import secrets
 import signal
 import socket
 import threading
@@ -66,21 +65,10 @@ new MutationObserver((changes, watch) => {{
 _REFUSED = b"This window is open to those who have its whole address, with the token that supple view printed.\n"
 
 
-def new_token() -> str:
-    """A token that nobody guesses."""
-    return secrets.token_urlsafe(24)
-
-
 def guarded(app: App, token: str, title: str) -> App:
-    """An ASGI application for those alone who bring a token: once in the address, and then as a cookie.
+    """An ASGI application, `rendercanvas.http.asgi`, for those alone who bring a token; the title is of its page.
 
-    Parameters
-    ----------
-    app : ASGI application
-        What is served: `rendercanvas.http.asgi`.
-    token : str
-    title : str
-        Of the page.
+    The token comes once in the address, and then as a cookie.
     """
     name = "supple-" + token[:6]
     page = _PAGE.format(title=escape(title)).encode()

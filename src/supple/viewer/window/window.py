@@ -25,14 +25,7 @@ HINTED = 0.6  # and after which it says what something is that the pointer stays
 
 
 class Waking:
-    """Draws a canvas again, at once or later.
-
-    Parameters
-    ----------
-    canvas : rendercanvas canvas
-    call_later : function
-        Of seconds and a function, which runs then in the canvas's loop.
-    """
+    """Draws a canvas again, at once or later, as its loop calls a function after some seconds."""
 
     def __init__(self, canvas: Any, call_later: Callable[[float, Callable[[], None]], Any]) -> None:
         self._canvas, self._call_later = canvas, call_later
