@@ -32,23 +32,15 @@ def draw(view: View) -> None:
         _marks(view, lines)
     else:
         _handles(view, lines)
-        _ring(view, lines)
+    tools = view.tools
+    if tools.pointer is not None and not tools.original and (ring := tools.ring):
+        lines.add_circle(tools.pointer, ring, _DARK, 0, 3.0)
+        lines.add_circle(tools.pointer, ring, _WHITE, 0, 1.0)
     _knob(view, lines)
     lines.pop_clip_rect()
     if isinstance(view.stage, VideoStage):
         _timeline(view, view.stage)
     _status(view)
-
-
-def _ring(view: View, lines: imgui.ImDrawList) -> None:
-    tools = view.tools
-    assert isinstance(tools, ImageTools)
-    pointer = tools.pointer
-    if pointer is None or tools.original or not all(p < n for p, n in zip(pointer, view.area, strict=True)):
-        return
-    radius = (tools.held.stroke.radius if tools.held is not None else tools.radius) * tools.viewport.zoom
-    lines.add_circle(pointer, radius, _DARK, 0, 3.0)
-    lines.add_circle(pointer, radius, _WHITE, 0, 1.0)
 
 
 def _knob(view: View, lines: imgui.ImDrawList) -> None:
@@ -97,12 +89,9 @@ def _handles(view: View, lines: imgui.ImDrawList) -> None:
 
 
 def _marks(view: View, lines: imgui.ImDrawList) -> None:
-    """The strokes of a volume as the camera sees them, and the brush where the object is."""
+    """The strokes of a volume as the camera sees them."""
     tools, document = view.tools, view.document
     assert isinstance(tools, VolumeTools)
-    if tools.pointer is not None and not tools.original and (ring := tools.ring):
-        lines.add_circle(tools.pointer, ring, _DARK, 0, 3.0)
-        lines.add_circle(tools.pointer, ring, _WHITE, 0, 1.0)
     handles = tools.handles()
     starts = {handle.item: handle.seen for handle in handles if handle.part != "end"}
     for handle in handles:

@@ -58,9 +58,17 @@ class ImageTools(Tools[Viewport]):
         """The point under the pointer, in pixels; it may lie outside the picture."""
         return None if self.pointer is None else self.view.to_image(*self.pointer)
 
-    def _grab(self, x: float, y: float) -> tuple[tuple[float, ...], Pick | None] | None:
+    @property
+    def ring(self) -> float | None:
+        """The brush's radius under the pointer, in logical pixels; None beside the canvas."""
+        held, pointer = self.held, self.pointer
+        if pointer is None or not all(p < n for p, n in zip(pointer, self.canvas_size, strict=True)):
+            return None
+        return (self.radius if held is None else held.stroke.radius) * self.view.zoom
+
+    def _grab(self, x: float, y: float) -> tuple[float, ...] | None:
         point = self.view.to_image(x, y)
-        return (point, None) if self.view.holds(*point) else None
+        return point if self.view.holds(*point) else None
 
     def _seen(self, point: tuple[float, ...]) -> Pair | None:
         return self.view.to_canvas(*point[:2])
@@ -110,9 +118,9 @@ class VideoTools(ImageTools):
         self._frame = self.playback.frame
         return super()._taken(x, y)
 
-    def _grab(self, x: float, y: float) -> tuple[tuple[float, ...], Pick | None] | None:
+    def _grab(self, x: float, y: float) -> tuple[float, ...] | None:
         under = super()._grab(x, y)
-        return None if under is None else ((*under[0], float(self._frame)), None)
+        return None if under is None else (*under, float(self._frame))
 
     def _seen(self, point: tuple[float, ...]) -> Pair | None:
         return super()._seen(point) if abs(point[2] - self.playback.frame) <= 0.5 else None
@@ -183,6 +191,7 @@ class VolumeTools(Tools[Camera]):
         super().__init__(document, camera or Camera())
         self.home = self.view
         self.pick, self.drag = pick, drag
+        self._picked: Pick | None = None
         self.stage = orbit.Stage(document.shape, geometry, _rows(canvas_size))
         self._under: tuple[tuple[object, ...], Pick | None] | None = None
 
@@ -225,13 +234,13 @@ class VolumeTools(Tools[Camera]):
         radius = self.radius if held is None else held.stroke.radius
         return radius * self.stage.scale(self.view, point)
 
-    def _grab(self, x: float, y: float) -> tuple[tuple[float, ...], Pick | None] | None:
-        found = self.pick(x, y)
+    def _grab(self, x: float, y: float) -> tuple[float, ...] | None:
+        found = self._picked = self.pick(x, y)
         if found is None:
             return None
         # What is seen lies in the volume, but for rounding.
         last = np.array(self.document.shape[::-1]) - 0.5
-        return tuple(np.clip(found.index, -0.5, last).tolist()), found
+        return tuple(np.clip(found.index, -0.5, last).tolist())
 
     def _seen(self, point: tuple[float, ...]) -> Pair | None:
         seen = self.stage.project(self.view, point)
@@ -239,7 +248,8 @@ class VolumeTools(Tools[Camera]):
 
     def _carried(self, held: Held, x: float, y: float) -> tuple[float, ...]:
         # A handle is at any depth: only where it is counts.
-        return self.drag(held.pick or Pick(held.point, held.point, 0.0), (x, y))  # type: ignore[arg-type]
+        picked = self._picked if held.item is None else None
+        return self.drag(picked or Pick(held.point, held.point, 0.0), (x, y))  # type: ignore[arg-type]
 
     def _led(self, how: str, view: Camera, dx: float, dy: float) -> Camera:
         if not (dx or dy):

@@ -10,7 +10,6 @@ from typing import Any, Generic
 
 from supple.domain import Domain
 from supple.errors import SuppleError
-from supple.render.picture import Pick
 from supple.strokes import REACH, Stroke
 from supple.viewer.document.editing import Document
 from supple.viewer.tools.gestures import Handle, Held, Lead, Pair, Part, V, nearest
@@ -49,11 +48,11 @@ class Tools(ABC, Generic[V]):
         self.scales = 1
         self.reach: float | None = REACH
         self.original = False
-        """Return whether what is shown is the original, without strokes."""
+        """Whether what is shown is the original, without strokes."""
         self.split: float | None = None
         """Where the original is shown beside what is made of it: a part of the width; None shows no original."""
         self.requests: list[str] = []
-        """Return, and clear, the requests to the window: ``"save"``, ``"save as"``, ``"open"``, ``"export"``."""
+        """What is asked of the window: ``"save"``, ``"save as"``, ``"open"``, ``"export"``."""
         self.pointer: Pair | None = None
         """Where the pointer is on the canvas."""
         self._gesture: Held | Lead[V] | None = None
@@ -123,7 +122,7 @@ class Tools(ABC, Generic[V]):
         """Width and height of the canvas, in logical pixels."""
 
     @abstractmethod
-    def _grab(self, x: float, y: float) -> tuple[tuple[float, ...], Pick | None] | None:
+    def _grab(self, x: float, y: float) -> tuple[float, ...] | None:
         """Return the stroke under a point of the canvas; None if there is none."""
 
     @abstractmethod
@@ -180,15 +179,12 @@ class Tools(ABC, Generic[V]):
         if found is not None:
             (hx, hy), stroke = found.seen, self.document.seen(found.item)
             return Held(stroke, found.point, (x, y), (x, y), (x - hx, y - hy), found.item, found.part)
-        under = self._grab(x, y)
-        if under is None:
+        point = self._grab(x, y)
+        if point is None:
             return None
-        point, pick = under
-        still = (0.0,) * len(point)
-        stroke = Stroke(
-            at=point, by=still, radius=self.radius, poisson=self.poisson, scales=self.scales, reach=self.reach
-        )
-        return Held(stroke, stroke.at, (x, y), (x, y), pick=pick)
+        brush: dict[str, Any] = {"poisson": self.poisson, "scales": self.scales, "reach": self.reach}
+        stroke = Stroke(at=point, by=(0.0,) * len(point), radius=self.radius, **brush)
+        return Held(stroke, stroke.at, (x, y), (x, y))
 
     def handles(self, among: Iterable[int] | None = None) -> list[Handle]:
         """The handles of some strokes, or of all, that are applied and seen on the canvas."""
@@ -245,22 +241,21 @@ class Tools(ABC, Generic[V]):
 
     def _released(self) -> bool:
         gesture, self._gesture = self._gesture, None
+        if gesture is None:
+            return False
         if isinstance(gesture, Held):
-            if gesture.changed and self.document.dragging:
+            if (gesture.moved or gesture.grown) and self.document.dragging:
                 trouble = self.document.trouble
                 self._refused = None if self.document.commit() else trouble
                 return True
             if self.document.dragging:
                 self.document.abandon()
             self._put_back(gesture)
-            self._click(gesture.start)
-        elif gesture is not None and gesture.button == _LEFT and gesture.how != _CUT and not gesture.moved:
-            self._click(gesture.start)
-        return gesture is not None
-
-    def _click(self, place: Pair) -> None:
-        found = nearest(self.handles(), place)
+        elif gesture.button != _LEFT or gesture.how == _CUT or gesture.moved:
+            return True
+        found = nearest(self.handles(), gesture.start)
         self.document.select(None if found is None else found.item)
+        return True
 
     def _on_wheel(self, event: Event) -> bool:
         amount = float(event.get("dy", 0.0))

@@ -7,7 +7,6 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from typing import Generic, Literal, TypeVar
 
-from supple.render.picture import Pick
 from supple.strokes import Stroke
 from supple.viewer.document.editing import Document
 
@@ -56,18 +55,12 @@ class Held:
     turned: float = 0.0  # frames that it was carried through time; the wheel has parts of them
     time: float = 0.0  # how many whole frames that are, up to the ends of the clip
     grown: bool = False  # the radius of a stroke of the document was changed
-    pick: Pick | None = None  # in a volume
     button: int = 1
 
     @property
     def moved(self) -> bool:
         """Return whether it is a drag; otherwise it is a click."""
         return math.dist(self.start, self.now) >= CLICK or self.time != 0
-
-    @property
-    def changed(self) -> bool:
-        """Return whether there is anything to keep of it."""
-        return self.moved or self.grown
 
     def drawn(self, carried: Callable[[Held, float, float], tuple[float, ...]]) -> Stroke:
         """The stroke as it is now; ``carried`` tells how far the point goes to be seen at a place of the canvas."""
@@ -83,7 +76,7 @@ class Held:
     def draw(self, document: Document, carried: Callable[[Held, float, float], tuple[float, ...]]) -> None:
         """Show it in a document; before it has moved, there is nothing to show."""
         if not document.dragging:
-            if not self.changed:
+            if not (self.moved or self.grown):
                 return
             document.begin_drag(self.item)
         document.preview(self.drawn(carried))
