@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable
 from dataclasses import replace
-from typing import Any, Literal, get_args
+from functools import partial
+from typing import Any, get_args
 
 from imgui_bundle import imgui
 
@@ -20,8 +21,10 @@ from supple.viewer.panels.view import WIDE, View
 
 CAUSES = {"fold": "all of it would fold", "border": "the fixed border holds it back", "outside": "it starts outside"}
 CAUSES["fold and border"] = f"{CAUSES['fold']}, and {CAUSES['border']}"
+_FILES = {"save": "save recipe", "save as": "as", "open": "open recipe", "export": "export", "copy": "save view"}
 FALLOFFS = ("far, as 1/r", "nearer, as 1/r3", "near, as 1/r5")
 _POLICIES = get_args(FoldPolicy)
+_MODES = ("hybrid", "lattice", "exact", "buffered")
 _SAYS = {"damp": "damp what would fold", "flow": "arrive, in smaller steps", "error": "refuse"}
 
 
@@ -47,6 +50,12 @@ def panel(view: View) -> None:
 def _head(text: str) -> None:
     imgui.spacing()
     imgui.separator_text(text)
+
+
+def _wrapped(text: str, wide: float, draw: Callable[[str], None] = imgui.text) -> None:
+    imgui.push_text_wrap_pos(wide)
+    draw(text)
+    imgui.pop_text_wrap_pos()
 
 
 def _brush(view: View) -> None:
@@ -175,12 +184,14 @@ def _selected(view: View) -> None:
                     values[axis] = value
                     made[name] = tuple(values)
             imgui.text(label)
-        entered, value = _typed(view, "radius##own", stroke.radius, "%.2f")
-        if entered:
-            made["radius"] = value
-        entered, value = _typed(view, "Poisson##own", POISSON if stroke.poisson is None else stroke.poisson, "%.3f")
-        if entered:
-            made["poisson"] = value
+        material = POISSON if stroke.poisson is None else stroke.poisson
+        for name, label, value, form in (
+            ("radius", "radius##own", stroke.radius, "%.2f"),
+            ("poisson", "Poisson##own", material, "%.3f"),
+        ):
+            entered, now = _typed(view, label, value, form)
+            if entered:
+                made[name] = now
         changed, index = imgui.combo("falloff##own", stroke.scales - 1, ["far", "nearer", "near"])
         if changed:
             made["scales"] = index + 1
@@ -191,9 +202,9 @@ def _selected(view: View) -> None:
             view.attempt(lambda: document.replace(i, replace(stroke, **made)))
         arrival = document.arrivals[i]
         if arrival is not None and arrival.miss > NEAR:
-            imgui.push_text_wrap_pos(0.0)
-            imgui.text_disabled(f"It ends {arrival.miss:.3g} short: {CAUSES[arrival.cause or 'border']}.")
-            imgui.pop_text_wrap_pos()
+            _wrapped(
+                f"It ends {arrival.miss:.3g} short: {CAUSES[arrival.cause or 'border']}.", 0.0, imgui.text_disabled
+            )
             if imgui.small_button("arrive, in smaller steps"):
                 view.attempt(lambda: document.set_on_fold("flow"))
             hint("None of them folds: for all strokes")
@@ -201,7 +212,7 @@ def _selected(view: View) -> None:
             imgui.text_disabled(f"Later strokes move it by {arrival.moved:.3g}.")
         for label, step in (("earlier", -1), ("later", 1)):
             if imgui.small_button(label) and 0 <= i + step < len(document.state.items):
-                view.attempt(lambda step=step: document.move(i, i + step))  # type: ignore[misc]
+                view.attempt(partial(document.move, i, i + step))
             imgui.same_line()
         if imgui.small_button("delete"):
             view.attempt(lambda: document.remove(i))
@@ -234,9 +245,6 @@ def _typed(view: View, label: str, value: float, form: str) -> tuple[bool, float
     return over, view.typed.pop(label) if over else value
 
 
-_ENTER = imgui.InputTextFlags_.enter_returns_true
-
-
 def _volume(view: View) -> None:
     stage = view.stage
     assert isinstance(stage, VolumeStage)
@@ -245,37 +253,29 @@ def _volume(view: View) -> None:
     now = names.index(stage.preset) if stage.preset in names else -1
     changed, index = imgui.combo("colours", now, names)
     if changed:
-        view.attempt(lambda: stage.look(names[index], stage.density))
-        view.refresh()
+        _show(view, lambda: stage.look(names[index], stage.density))
     low, high = stage.scene.range
     window = stage.density or (low, high)
     imgui.plot_histogram("##histogram", stage.histogram, graph_size=(WIDE - 20, 50))
     hint("How many voxels have which value (logarithms)")
     for k, label in enumerate(("from", "to")):
         changed, value = imgui.slider_float(f"{label}##density", window[k], low, high, "%.4g")
-        if changed:
-            both = (value, max(window[1], value)) if k == 0 else (min(window[0], value), value)
-            if both[0] < both[1]:
-                view.attempt(
-                    lambda both=both: stage.look(stage.scene.transfer, None if both == (low, high) else both)  # type: ignore[misc]
-                )
-                view.refresh()
+        both = (value, max(window[1], value)) if k == 0 else (min(window[0], value), value)
+        if changed and both[0] < both[1]:
+            _show(view, partial(stage.look, stage.scene.transfer, None if both == (low, high) else both))
     _transfer(view, stage)
     changed, index = imgui.combo("mode", _MODES.index(stage.mode), list(_MODES))
     if changed:
-        view.attempt(lambda: stage.set_mode(_MODES[index]))
-        view.refresh()
+        _show(view, lambda: stage.set_mode(_MODES[index]))
     if stage.mode == "hybrid":
         imgui.progress_bar(view.filled, (-1, 6), "")
         hint("How much of the bent volume is in a buffer of its own: pictures are faster with it")
 
 
-_MODES: tuple[Literal["hybrid"], Literal["lattice"], Literal["exact"], Literal["buffered"]] = (
-    "hybrid",
-    "lattice",
-    "exact",
-    "buffered",
-)
+def _show(view: View, work: Callable[[], object]) -> None:
+    """Show a volume in another way, if it is not refused."""
+    view.attempt(work)
+    view.refresh()
 
 
 def _transfer(view: View, stage: VolumeStage) -> None:
@@ -309,8 +309,7 @@ def _transfer(view: View, stage: VolumeStage) -> None:
         changed_any = True
     if changed_any:
         made: Any = tuple(sorted((tuple(p) for p in points), key=lambda p: p[0]))
-        view.attempt(lambda: stage.look(replace(transfer, points=made), stage.density))
-        view.refresh()
+        _show(view, lambda: stage.look(replace(transfer, points=made), stage.density))
     imgui.tree_pop()
 
 
@@ -327,7 +326,7 @@ def _seeing(view: View) -> None:
         if changed:
             view.tools.split = value
             view.refresh()
-    volume = view.stage.kind == "volume"
+    volume, tools = view.stage.kind == "volume", view.tools
     names = ["", "inversions"] if volume else list(OVERLAYS)
     changed, index = imgui.combo("overlay", names.index(view.overlay), ["none", *names[1:]])
     if changed:
@@ -336,15 +335,15 @@ def _seeing(view: View) -> None:
     hint("How many inversions, or without them samples, each ray took" if volume else "What the map does, and its cost")
     if not volume:
         if imgui.small_button("fit"):
-            view.tools.handle({"event_type": "key_down", "key": "0", "modifiers": ()})
+            tools.press("0")
         imgui.same_line()
         if imgui.small_button("100 %"):
-            view.tools.handle({"event_type": "key_down", "key": "1", "modifiers": ()})
+            tools.press("1")
 
 
 def _files(view: View) -> None:
     _head("Files")
-    for name, says in _FILES:
+    for name, says in _FILES.items():
         if imgui.small_button(says):
             view.desk.ask(name)
         if name not in ("open", "copy"):
@@ -359,15 +358,6 @@ def _files(view: View) -> None:
     question(view)
 
 
-_FILES = (
-    ("save", "save recipe"),
-    ("save as", "as"),
-    ("open", "open recipe"),
-    ("export", "export"),
-    ("copy", "save view"),
-)
-
-
 def question(view: View) -> None:
     """Draw the open question over all else."""
     asked = view.desk.asked
@@ -380,9 +370,7 @@ def question(view: View) -> None:
     if not imgui.begin_popup_modal(asked.title, None, imgui.WindowFlags_.always_auto_resize)[0]:
         return
     wide = max(min(460.0, width - 60), 80.0)
-    imgui.push_text_wrap_pos(wide)
-    imgui.text(asked.text)
-    imgui.pop_text_wrap_pos()
+    _wrapped(asked.text, wide)
     answer = ""
     if asked.path is not None:
         imgui.set_next_item_width(wide)
@@ -390,16 +378,14 @@ def question(view: View) -> None:
             imgui.set_keyboard_focus_here()
             imgui.get_io().clear_events_queue()  # what was typed before it was asked is not its answer
             imgui.get_io().clear_input_keys()
-        entered, asked.path = imgui.input_text("##path", asked.path, _ENTER)
+        entered, asked.path = imgui.input_text("##path", asked.path, imgui.InputTextFlags_.enter_returns_true)
         if entered:
             answer = asked.choices[0]
     if not asked.fresh and imgui.is_key_pressed(imgui.Key.enter):
         answer = answer or asked.choices[0]  # wherever the keyboard's focus is
     asked.fresh = False
     if asked.problem:
-        imgui.push_text_wrap_pos(wide)
-        imgui.text(asked.problem)
-        imgui.pop_text_wrap_pos()
+        _wrapped(asked.problem, wide)
     for k, label in enumerate(asked.choices):
         if k:
             imgui.same_line()

@@ -64,7 +64,11 @@ class View:
         """Numbers that are being typed in the panel."""
         self.filled = 0.0
         self.painter = Painter(self.gpu, self.stage)
-        self.desk = Desk(self.document, self.source, self.write, self._leave, "auto", self.export)
+
+        def leave() -> None:
+            self.call_later(0, self.canvas.close)
+
+        self.desk = Desk(self.document, self.source, self.write, leave, "auto", self.export)
         self.certifier = Certifier(self.canvas.request_draw)
         self._changed_at = 0.0
         self._drawn_key: tuple[Shot, int] | None = None
@@ -111,12 +115,9 @@ class View:
         self.canvas.request_draw()
 
     def _changed(self) -> None:
+        """Draw it, and tell whoever wants to know of another recipe."""
         self._changed_at, self.filled = time.perf_counter(), 0.0
-        self._tell()
         self.canvas.request_draw()
-
-    def _tell(self) -> None:
-        """Tell whoever wants to know of another recipe."""
         if not self._callbacks or (recipe := self.document.recipe) == self._told:
             return
         self._told = recipe
@@ -128,19 +129,11 @@ class View:
 
     def _shot(self, size: tuple[int, int], ratio: float, moving: bool) -> Shot:
         tools = self.tools
-        common: dict[str, Any] = {
-            "size": size,
-            "moving": moving,
-            "original": tools.original,
-            "split": tools.split is not None,
-            "ratio": ratio,
-            "overlay": self.overlay,
-        }
+        common: dict[str, Any] = {"size": size, "moving": moving, "ratio": ratio, "overlay": self.overlay}
+        common |= {"original": tools.original, "split": tools.split is not None}
         if isinstance(tools, VolumeTools):
             return Shot(self.document.deformation, camera=tools.camera, **common)
-        viewport = tools.viewport
-        first = viewport.to_image(0.5 / ratio, 0.5 / ratio)
-        scale = 1.0 / (viewport.zoom * ratio)
+        first, scale = tools.view.to_image(0.5 / ratio, 0.5 / ratio), 1.0 / (tools.view.zoom * ratio)
         return Shot(self.document.deformation, origin=first, scale=scale, time=self.frame, **common)
 
     @property
@@ -192,25 +185,17 @@ class View:
         ratio = self.canvas.get_pixel_ratio()
         width, height = self.area
         shot = self._shot((round(width * ratio), round(height * ratio)), ratio, False)
-        first, second = self._whole(shot)
-        seen = pixels_of(self.gpu, first)
-        if second is not None:
-            seen = composed(self.gpu, first, second, self.tools.split or 0.0)
-        return np.ascontiguousarray(seen[..., :3])
-
-    def _whole(self, shot: Shot) -> tuple[Any, Any]:
-        """The textures of a shot once all that it needs is there."""
         self._drawn_key = None  # what is on the canvas is drawn over
-        textures, stage = self.painter.paint(shot), self.stage
+        (first, second), stage = self.painter.paint(shot), self.stage
         if isinstance(stage, VideoStage):
             end = time.perf_counter() + PATIENCE
             while not self.painter.ready:
                 if not stage.film.arrived(end - time.perf_counter()):
                     raise SuppleError("frames of it are not decoded yet: try it again in a moment")
-                textures = self.painter.paint(shot)
+                first, second = self.painter.paint(shot)
             if stage.trouble:
                 raise SuppleError(stage.trouble)
-        return textures
-
-    def _leave(self) -> None:
-        self.call_later(0, self.canvas.close)
+        seen = pixels_of(self.gpu, first)
+        if second is not None:
+            seen = composed(self.gpu, first, second, self.tools.split or 0.0)
+        return np.ascontiguousarray(seen[..., :3])

@@ -97,6 +97,10 @@ class Tools(ABC, Generic[V]):
             self._refused = str(error)
             return True
 
+    def press(self, key: str) -> None:
+        """Do what a key does."""
+        self.handle({"event_type": "key_down", "key": key})
+
     def abandon(self) -> bool:
         """Take back what the pointer does, as if the button had never gone down; return whether it did anything."""
         gesture, self._gesture = self._gesture, None

@@ -96,8 +96,7 @@ def stage_of(gpu: Gpu, source: Source, options: ViewOptions = _USUAL) -> ImageSt
                 "what is shown is an array of numbers, of a picture (H, W) or (H, W, C) or of a volume (Z, H, W), or a "
                 f"file, of a clip too: found {array.dtype} {array.shape}"
             )
-        _timeless("the array", options)
-        _flat("the array", options)
+        _suits("the array", options)
         if array.ndim == 3 and array.shape[2] > 4:
             x, y, z = (length("spacing", v) for v in point("spacing", options.spacing, (3,)))
             held = Volume(array, Geometry(spacing=(x, y, z)), "the array", "array")
@@ -106,7 +105,7 @@ def stage_of(gpu: Gpu, source: Source, options: ViewOptions = _USUAL) -> ImageSt
     if not os.path.exists(source) and "%" not in os.fspath(source):
         raise SuppleError(f"cannot read {shown(source)}: there is no such file: check the name")
     if is_volume_job(source, "", Recipe(), options.volume):
-        _timeless(shown(source), options)
+        _suits(shown(source), options, volume=True)
         volume = open_volume(source, options.volume)
         samples = volume.rescaled()
         if volume.series:
@@ -114,10 +113,10 @@ def stage_of(gpu: Gpu, source: Source, options: ViewOptions = _USUAL) -> ImageSt
         elif samples.ndim > 3:
             raise SuppleError(f"{volume.name} has {samples.shape[3]} components, and pictures are of one")
         return VolumeStage(gpu, volume, default_transfer(volume), samples)
-    _flat(shown(source), options)
-    if _moves(source):
+    moves = _moves(source)
+    _suits(shown(source), options, moves=moves)
+    if moves:
         return VideoStage(gpu, FrameCache(source), options.time_scale)
-    _timeless(shown(source), options)
     return _held(gpu, shown(source), on_screen(read(source)))
 
 
@@ -129,16 +128,12 @@ def _moves(source: str | os.PathLike[str]) -> bool:
     return is_clip(source, "x.mp4" if os.path.isdir(source) else "", Recipe())
 
 
-def _timeless(name: str, options: ViewOptions) -> None:
-    """Refuse a time scale where there is no time."""
-    if options.time_scale != 1.0:
-        raise SuppleError(f"time_scale is for clips, and {name} is none: leave it out")
-
-
-def _flat(name: str, options: ViewOptions) -> None:
-    """Refuse what is for the files of volumes where there is none."""
-    if options.volume != _PLAIN:
+def _suits(name: str, options: ViewOptions, *, moves: bool = False, volume: bool = False) -> None:
+    """Refuse a time scale where there is no time, and what is for the files of volumes where there is none."""
+    if options.volume != _PLAIN and not volume:
         raise SuppleError(f"{name} is no file of a volume, and what was asked of it is for those: leave that out")
+    if options.time_scale != 1.0 and not moves:
+        raise SuppleError(f"time_scale is for clips, and {name} is none: leave it out")
 
 
 def _held(gpu: Gpu, name: str, pixels: npt.NDArray[np.uint8]) -> ImageStage:
@@ -194,8 +189,7 @@ def opened(
     document = Document(stage.shape, stage.spacing, recipe, kind=stage.kind, geometry=geometry)
     tools = tools_of(stage, document, canvas.get_logical_size())
     path = Path(source) if isinstance(source, str | os.PathLike) else None
-    later = loop.call_later
-    made = Window(stage, document, tools, canvas, gpu, source=path, export=options.export, call_later=later)
+    made = Window(stage, document, tools, canvas, gpu, path, options.export, loop.call_later)
     canvas.set_title(f"{stage.name} - Supple")
     return made
 
@@ -252,10 +246,8 @@ def show(
 
     Parameters
     ----------
-    source : str, os.PathLike or array
-        A photograph, a clip or a volume; or an array of a picture or a volume.
-    recipe : Recipe, optional
-        What there is at first.
+    source, recipe
+        As `view` takes them.
     toolkit : str
         ``"glfw"``, or ``"qt"`` where PySide6 or PyQt6 is installed.
     size : (int, int)

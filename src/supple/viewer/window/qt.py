@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 from supple.errors import SuppleError
 
 if TYPE_CHECKING:
-    from supple.gpu.device import Gpu
     from supple.viewer.window.window import Window
 
 BINDINGS = ("PySide6", "PyQt6")
@@ -59,7 +58,9 @@ def attend(canvas: Any, view: Window) -> None:
                     event.ignore()
                     view.refresh()
                     return True
-                _await_pictures(view.gpu)
+                # Pictures that are on their way are waited for, as long as there is a window to which they come.
+                device = view.gpu.device
+                device.queue.read_buffer(device.create_buffer(size=4, usage="COPY_SRC"))
             if kind == kinds.DragEnter and event.mimeData().hasUrls():
                 event.acceptProposedAction()
                 return True
@@ -76,11 +77,3 @@ def attend(canvas: Any, view: Window) -> None:
 
 def _counted(event: dict[str, Any]) -> None:
     event["dx"], event["dy"] = _NOTCH * event["dx"], _NOTCH * event["dy"]
-
-
-def _await_pictures(gpu: Gpu) -> None:
-    """Wait for pictures that are on their way to a window that closes, as long as there is one to which they come."""
-    import wgpu
-
-    device = gpu.device
-    device.queue.read_buffer(device.create_buffer(size=4, usage=wgpu.BufferUsage.COPY_SRC))

@@ -115,14 +115,10 @@ def _cookies(scope: Scope, name: bytes) -> list[bytes]:
 def _from_here(scope: Scope) -> bool:
     """Return whether it is our own page that asks: cookies go along from pages of any port of a host."""
     hosts = [host.decode("latin-1").lower() for host in _headers(scope, b"host")]
-    return all(_place(origin) in hosts for origin in _headers(scope, b"origin"))
-
-
-def _place(origin: bytes) -> str:
     try:
-        return urlsplit(origin.decode("latin-1")).netloc.lower()
+        return all(urlsplit(o.decode("latin-1")).netloc.lower() in hosts for o in _headers(scope, b"origin"))
     except ValueError:
-        return ""
+        return False
 
 
 async def _answer(send: Send, status: int, body: bytes, headers: list[tuple[bytes, bytes]]) -> None:

@@ -8,6 +8,7 @@ import signal
 import threading
 import time
 from collections.abc import Callable, Iterator
+from functools import partial
 from typing import Any
 
 from supple.errors import SuppleError
@@ -217,12 +218,9 @@ class Window(View):
 
     def drop(self, paths: list[str]) -> None:
         """Open a file that was dropped on the window: a recipe here, anything else in a window of its own."""
-        if not paths:
-            return
-        if paths[0].lower().endswith(".json"):
-            self.attempt(lambda: self.desk.open(paths[0]))
-        else:
-            self.attempt(lambda: self.desk.open_beside(paths[0]))
+        for path in paths[:1]:
+            takes = self.desk.open if path.lower().endswith(".json") else self.desk.open_beside
+            self.attempt(partial(takes, path))
 
     def _repr_mimebundle_(self, **options: Any) -> Any:
         return self.canvas._repr_mimebundle_(**options)
