@@ -15,7 +15,7 @@ from supple.render.picture import Pick
 from supple.strokes import Recipe, Stroke
 from supple.viewer.document.editing import Document
 from supple.viewer.tools.brushes import ImageTools, VideoTools, VolumeTools
-from supple.viewer.tools.events import Tools
+from supple.viewer.tools.gestures import Tools
 from supple.viewer.tools.playback import Playback
 
 LEFT, RIGHT, MIDDLE = 1, 2, 3

@@ -23,8 +23,7 @@ from supple.media.files import replacing
 from supple.strokes import Recipe
 from supple.viewer.document.editing import Document
 
-EVERY = 1.0
-"""Seconds between two saves, at least."""
+EVERY = 1.0  # seconds between two saves, at least
 _VERSION = 1
 
 
@@ -47,6 +46,7 @@ class Found:
         return _set_aside(self.place, "kept")
 
 
+@dataclass(eq=False)
 class Autosave:
     """Keeps the recipe of a document in a file of its own, until a clean end.
 
@@ -55,18 +55,15 @@ class Autosave:
     things for the user; the clock tells the time in seconds.
     """
 
-    def __init__(
-        self,
-        source: PathLike,
-        document: Document,
-        folder: PathLike | None = None,
-        clock: Callable[[], float] = time.monotonic,
-    ) -> None:
-        self.trouble: str | None = None
-        """Why it could not be saved the last time, in a line."""
-        self._source, self._document, self._clock = source, document, clock
-        self._folder = _home(folder)
-        self.place = self._folder / f"{_stem(source)}-{os.getpid()}-{secrets.token_hex(4)}.json"
+    source: PathLike
+    document: Document
+    folder: PathLike | None = None
+    clock: Callable[[], float] = time.monotonic
+
+    def __post_init__(self) -> None:
+        self.trouble: str | None = None  # why it could not be saved the last time, in a line
+        self._folder = _home(self.folder)
+        self.place = self._folder / f"{_stem(self.source)}-{os.getpid()}-{secrets.token_hex(4)}.json"
         """The file, if there is one: only what is not saved otherwise is in it."""
         self._lock: IO[bytes] | None = None
         self._pool = ThreadPoolExecutor(1, "supple-autosave")
@@ -78,22 +75,22 @@ class Autosave:
     def tick(self) -> None:
         """Save what has changed, if it is time to; called as often as one likes."""
         now = self._now()
-        if self._ended or self._document.dragging or now == self._kept or self._clock() < self._next:
+        if self._ended or self.document.dragging or now == self._kept or self.clock() < self._next:
             return
         if self._writing is not None and not self._writing.done():
             return
-        self._next, self._kept = self._clock() + EVERY, now
+        self._next, self._kept = self.clock() + EVERY, now
         # What was saved needs no keeping.
-        self._writing = self._pool.submit(self._write, self._document.recipe if self._document.dirty else None)
+        self._writing = self._pool.submit(self._write, self.document.recipe if self.document.dirty else None)
 
     def _now(self) -> object:
-        return self._document.state.content, self._document.dirty
+        return self.document.state.content, self.document.dirty
 
     def keep(self) -> bool:
         """Save what there is now, and wait until that is written; whether it could be."""
         self.flush()
         self._kept = self._now()
-        self._write(self._document.recipe if self._document.dirty else None)
+        self._write(self.document.recipe if self.document.dirty else None)
         return self.trouble is None
 
     def flush(self) -> None:
@@ -113,7 +110,7 @@ class Autosave:
         if self._lock is not None:
             self._lock.close()
             with contextlib.suppress(OSError):
-                _locks(self.place).unlink()
+                self.place.with_suffix(".lock").unlink()
             self._lock = None
 
     def _write(self, recipe: Recipe | None) -> None:
@@ -123,9 +120,9 @@ class Autosave:
             else:
                 self._folder.mkdir(parents=True, exist_ok=True)
                 if self._lock is None:
-                    self._lock = _locked(_locks(self.place))
-                data: dict[str, object] = {"supple_autosave": _VERSION, "source": _described(self._source)}
-                data |= {"saved": time.time(), "medium": _medium(self._document)}
+                    self._lock = _locked(self.place.with_suffix(".lock"))
+                data: dict[str, object] = {"supple_autosave": _VERSION, "source": _described(self.source)}
+                data |= {"saved": time.time(), "medium": _medium(self.document)}
                 data["recipe"] = json.loads(recipe.to_json())
                 text = json.dumps(data, indent=1, allow_nan=False)
                 with replacing(self.place, force=True) as place:
@@ -149,7 +146,7 @@ def found(source: PathLike, folder: PathLike | None = None) -> Found | None:
     best: Found | None = None
     for place in sorted(_home(folder).glob(f"{_stem(source)}-*.json")):
         with contextlib.suppress(OSError), contextlib.ExitStack() as stack:  # it may be gone, or not be ours to read
-            lock = _locked(_locks(place))
+            lock = _locked(place.with_suffix(".lock"))
             if lock is None:
                 continue
             stack.enter_context(lock)
@@ -174,7 +171,7 @@ def _set_aside(place: Path, why: str) -> Path:
     except OSError:
         return place
     with contextlib.suppress(OSError):
-        _locks(place).unlink()
+        place.with_suffix(".lock").unlink()
     return aside
 
 
@@ -205,10 +202,6 @@ def _described(source: PathLike) -> dict[str, object]:
 def _medium(document: Document) -> list[list[float]]:
     """Return the JSON form of the options by which a source is read; a time scale is a spacing."""
     return [[float(n) for n in np.ravel(values)] for values in (document.shape, document.spacing)]
-
-
-def _locks(place: Path) -> Path:
-    return place.with_suffix(".lock")
 
 
 def _locked(path: Path) -> IO[bytes] | None:

@@ -142,16 +142,11 @@ class Export:
         **options: Any,
     ) -> None:
         self.target = Path(target)
-        self.progress = 0.0
-        """How much is done, from 0 to 1; it never goes back."""
-        self.text = _BEGUN
-        """The text of the progress, or of the result."""
-        self.error: str | None = None
-        """Why it failed, in one line."""
-        self.result: Any = None
-        """Return the result of the function, once it is done."""
-        self.cancelled = False
-        """Whether it ended as it was cancelled; there is no new file then."""
+        self.progress = 0.0  # how much is done, from 0 to 1; it never goes back
+        self.text = _BEGUN  # the text of the progress, or of the result
+        self.error: str | None = None  # why it failed, in one line
+        self.result: Any = None  # what the work gave, once it is done
+        self.cancelled = False  # whether it ended as it was cancelled; there is no new file then
         self._warnings: list[str] = []
         self._stop = threading.Event()
         self._work = partial(warp, source, target, recipe, tell=self._tell, **options)

@@ -21,19 +21,9 @@ class Document:
     An edit is done as a whole, and is a step; or it is refused with a `SuppleError`, and nothing has changed. A drag
     is one step, however long it takes.
 
-    Parameters
-    ----------
-    shape : sequence of int
-        Of the medium, as `Deformation` takes it.
-    spacing : float or sequence of float
-        Physical units per sample, x first.
-    recipe : Recipe, optional
-        What there is at first.
-    geometry : Geometry, optional
-        Where a volume's voxels lie, for recipes in millimetres.
-    kind : str, optional
-        ``"image"``, ``"video"`` or ``"volume"``. Of videos and volumes, strokes that `supple.warp_file` would refuse,
-        since they start before or after it, are refused here too.
+    The shape of the medium and its spacing are those that `Deformation` takes; recipes in millimetres need the geometry
+    of a volume. Of videos and volumes, strokes that `supple.warp_file` would refuse, since they start before or after
+    it, are refused here too.
     """
 
     def __init__(
@@ -49,12 +39,9 @@ class Document:
         self.spacing = spacing
         self.kind = kind
         self.geometry = geometry
-        self.revision = 0
-        """How many changes there were, of any kind."""
-        self.on_change: list[Callable[[], None]] = []
-        """Functions that are called after each change."""
-        self.trouble: str | None = None
-        """Why the drag that is under way does not go on: for the status line."""
+        self.revision = 0  # how many changes there were, of any kind
+        self.on_change: list[Callable[[], None]] = []  # functions that are called after each change
+        self.trouble: str | None = None  # why the drag that is under way does not go on: for the status line
         self._drag: tuple[Solved, int | None] | None = None
         self._timed = kind == "video" and len(self.shape) == 3
         self._now = self._solved(self._state(recipe or Recipe()), None)
@@ -253,19 +240,16 @@ class Document:
             Whether it can be done. If it can't, what was shown last stays, and `trouble` tells why.
         """
         before, i = self._dragged()
-        state, had = before.state, self.trouble
+        state, had, self.trouble = before.state, self.trouble, None
+        stroke = before.kept(stroke, sum(not item.hidden for item in state.items[:i]))
         if i is None:
-            stroke = before.kept(stroke, len(before.visible))
             state = replace(state, items=(*state.items, Item.of(stroke)), selected=len(state.items))
         else:
-            stroke = before.kept(stroke, sum(not item.hidden for item in state.items[:i]))
             state = replace(self._replaced(state, i, stroke), selected=i)
         try:
             made = self._solved(state, self._now)
         except SuppleError as error:
             self.trouble = str(error)
-        else:
-            self.trouble = None
         if self.trouble is None and made.state != self.state:
             self._show(made)
         elif self.trouble != had:

@@ -6,7 +6,7 @@ import os
 import subprocess
 import sys
 from collections.abc import Callable, Collection, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -42,50 +42,32 @@ class Question:
     fresh: bool = True  # it was not drawn yet
 
 
+@dataclass(eq=False)
 class Desk:
-    """The files around a document.
+    """The files around a document."""
 
-    Parameters
-    ----------
-    document : Document
-    source : Path, optional
-        The file that is bent; an array has none.
-    write_view : function of str and bool
-        Writes what is seen to a file; the second says whether one that exists may be replaced.
-    leave : function
-        Closes the window.
-    device, options
-        Who exports, and what else `supple.warp_file` takes to make what is seen.
-    """
+    document: Document
+    source: Path | None  # the file that is bent; an array has none
+    write_view: Callable[[str, bool], None]  # to a file, and whether one that exists may be replaced
+    leave: Callable[[], None]  # closes the window
+    device: str = "cpu"  # who exports, as `supple.warp_file` takes it
+    options: Mapping[str, Any] = field(default_factory=dict)  # what else it takes, to make what is seen
 
-    def __init__(
-        self,
-        document: Document,
-        source: Path | None,
-        write_view: Callable[[str, bool], None],
-        leave: Callable[[], None],
-        device: str = "cpu",
-        options: Mapping[str, Any] | None = None,
-    ) -> None:
-        self.document, self.source = document, source
-        self.message = ""
-        """The text of the status line, until something else happens."""
+    def __post_init__(self) -> None:
+        self.message = ""  # the text of the status line, until something else happens
         self.asked: Question | None = None
         self.export: Export | None = None
-        self.recipe_path: Path | None = None
-        """Where the recipe was saved to or opened from."""
-        self._write_view, self._leave, self._device = write_view, leave, device
-        self._options = options or {}
+        self.recipe_path: Path | None = None  # where the recipe was saved to or opened from
         self._told: Export | None = None
-        self.autosave = None if source is None else Autosave(source, document)
-        self._left = None if source is None else autosave.found(source)
+        self.autosave = None if self.source is None else Autosave(self.source, self.document)
+        self._left = None if self.source is None else autosave.found(self.source)
         if self._left is not None:
             count = len(self._left.recipe.strokes)
             what = "1 stroke on this file was" if count == 1 else f"{count} strokes on this file were"
             text = f"{what} not saved the last time."
             if not self._left.same:
                 text += "\nThe file has changed since then."
-            if not self._left.read_alike(document):
+            if not self._left.read_alike(self.document):
                 text += "\nIt was read otherwise then: by another --time-scale, --series, --shape or --spacing."
             self.asked = Question("restore", "Restore?", text, ("Restore", "Leave"))
 
@@ -170,7 +152,7 @@ class Desk:
             self._spare(path)
             check_target(path)
             check_output(path, force=force)  # what is seen may take seconds to draw
-            self._write_view(path, force)
+            self.write_view(path, force)
             self.message = f"saved {path}"
         elif asked.name == "export":
             self.begin_export(path, force=force)
@@ -181,10 +163,10 @@ class Desk:
             else:
                 self.document.mark_saved()  # it is not wanted
             if self.may_close():  # an export may be under way
-                self._leave()
+                self.leave()
         elif asked.name == "stop":
             self.end_export()
-            self._leave()
+            self.leave()
 
     def save(self, path: PathLike, *, force: bool = False) -> None:
         """Write the recipe.
@@ -262,10 +244,10 @@ class Desk:
         if not os.fspath(path):
             raise SuppleError("the export needs a name, whose suffix says the format")
         self._spare(path)
-        recipe, device = self.document.recipe, self._device
-        check_job(self.source, path, recipe, force=force, **self._options)
+        recipe, options = self.document.recipe, self.options
+        check_job(self.source, path, recipe, force=force, **options)
         self.message = ""
-        self.export = Export(self.source, path, recipe, force=force, device=device, **self._options)
+        self.export = Export(self.source, path, recipe, force=force, device=self.device, **options)
 
     def end_export(self) -> None:
         """Cancel it; or, when it is done, put it aside."""
@@ -298,19 +280,13 @@ _WRITTEN: dict[Kind | None, tuple[Collection[str], str]] = {
     "volume": (VOLUMES_OUT, ".nii.gz"),
 }
 _OVER = "There are strokes that were not saved. Undo brings them back, but only as long as the window is open."
+_OPEN = "In the place of the strokes that there are; undo brings these back."
+_WAYS_OUT = ("Save and close", "Replace and close", "Close without saving", "Cancel")
 _KEEP = ("Save", "Replace", "Cancel")
 _ASKED = {
     "save": ("Save the recipe", "What supple warp --recipe takes.", _KEEP),
-    "open": (
-        "Open a recipe",
-        "In the place of the strokes that there are; undo brings these back.",
-        ("Open", "Cancel"),
-    ),
+    "open": ("Open a recipe", _OPEN, ("Open", "Cancel")),
     "export": ("Export", "At full quality, to any format of supple warp.", ("Export", "Replace", "Cancel")),
     "copy": ("Save what is seen", "The picture as it is on the canvas.", _KEEP),
-    "close": (
-        "Close?",
-        "There are strokes that were not saved.",
-        ("Save and close", "Replace and close", "Close without saving", "Cancel"),
-    ),
+    "close": ("Close?", "There are strokes that were not saved.", _WAYS_OUT),
 }

@@ -42,10 +42,8 @@ class FrameCache:
             self.starts = found if len(found) == clip.count else ()
             """Seconds at which each frame is shown, where they are not evenly spaced."""
         self.size: tuple[int, int] = (width, height)
-        self.most = max(4, room // (4 * width * height))
-        """How many frames are kept."""
-        self.error = ""
-        """Why no more frames come, if none do."""
+        self.most = max(4, room // (4 * width * height))  # how many frames are kept
+        self.error = ""  # why no more frames come, if none do
         self._frames: OrderedDict[int, Pixels] = OrderedDict()
         self._wanted: tuple[Span, ...] = ((0, 0),)
         self._news = threading.Condition()

@@ -50,12 +50,10 @@ class Painter:
         self.gpu, self.stage = gpu, stage
         self.coarse = 4 if gpu.software else 1
         """How many pixels of the canvas one that is drawn covers, along each side, while a hand moves."""
-        self.ready = True
-        """Return whether nothing is still to come that the last picture needs."""
-        self.part: Part = ALL
-        """The visible part of the textures."""
-        self._textures: dict[tuple[str, tuple[int, int]], Any] = {}
-        self._untouched: Deformation | None = None
+        self.ready = True  # whether nothing is still to come that the last picture needs
+        self.part: Part = ALL  # the visible part of the textures
+        self._textures: dict[tuple[int, tuple[int, int]], Any] = {}
+        self._plain: Deformation | None = None
 
     def paint(self, shot: Shot, encoder: Any = None) -> tuple[Any, Any]:
         """Draw a shot; return the texture of what is seen and, if the shot is split, that of what was.
@@ -65,14 +63,15 @@ class Painter:
         if shot.split:  # what one needs of a clip might take the other's place
             encoder = None
         before, self.ready = self.stage.trouble, True
+        if self._plain is None:
+            self._plain = shot.deformation.without_strokes()
+        seen = (self._plain if shot.original else shot.deformation, self._plain)[: 1 + shot.split]
         if not isinstance(self.stage, VolumeStage):
-            seen = (shot.original, True) if shot.split else (shot.original,)
-            self.stage.expect(tuple(self._strokes(shot, original) for original in seen), shot.time)
-        first = self._drawn("first", shot, shot.original, encoder)
-        second = self._drawn("second", shot, True, encoder) if shot.split else None
+            self.stage.expect(seen, shot.time)
+        textures = [self._drawn(k, shot, deformation, encoder) for k, deformation in enumerate(seen)]
         # What is wrong with it is said in the line of status, which was laid out before.
         self.ready &= self.stage.trouble == before
-        return first, second
+        return textures[0], textures[1] if shot.split else None
 
     def learn(self, begun: float) -> None:
         """Wait for a picture that was begun at a time, and learn from it how large pixels should be next."""
@@ -83,12 +82,14 @@ class Painter:
         elif self.coarse > 1 and seconds * (self.coarse / (self.coarse - 1)) ** 2 < 0.7 * FRAME:
             self.coarse -= 1
 
-    def _drawn(self, name: str, shot: Shot, original: bool, encoder: Any) -> Any:
-        coarse = self.coarse if shot.moving else 1
+    def _drawn(self, k: int, shot: Shot, deformation: Deformation, encoder: Any) -> Any:
+        stage, coarse = self.stage, self.coarse if shot.moving else 1
         size = (max(1, -(-shot.size[0] // coarse)), max(1, -(-shot.size[1] // coarse)))
-        texture = self._texture(name, size)
-        stage = self.stage
-        deformation = self._strokes(shot, original)
+        if (k, size) not in self._textures:
+            if len(self._textures) >= 8:
+                self._textures.clear()
+            self._textures[k, size] = canvas_texture(self.gpu, size)
+        texture = self._textures[k, size]
         if isinstance(stage, VolumeStage):
             stage.draw(deformation, shot.camera, size, texture, shot.overlay)
             self.part = _about_the_middle(shot.size, size)
@@ -107,16 +108,3 @@ class Painter:
         )
         self.ready &= stage.draw(deformation, sight, texture, encoder)
         return texture
-
-    def _strokes(self, shot: Shot, original: bool) -> Deformation:
-        if self._untouched is None:
-            self._untouched = shot.deformation.without_strokes()
-        return self._untouched if original else shot.deformation
-
-    def _texture(self, name: str, size: tuple[int, int]) -> Any:
-        key = (name, size)
-        if key not in self._textures:
-            if len(self._textures) >= 8:
-                self._textures.clear()
-            self._textures[key] = canvas_texture(self.gpu, size)
-        return self._textures[key]

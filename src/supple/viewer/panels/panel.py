@@ -132,7 +132,9 @@ def _row(view: View, i: int, item: Item, selected: bool) -> None:
         view.attempt(lambda: document.hide(i, not seen))
     imgui.same_line()
     arrival = document.arrivals[i]
-    text = _said(item.stroke) + (f"  {arrival.miss:.3g} short" if arrival and arrival.miss > NEAR else "")
+    at, radius = ", ".join(f"{v:.0f}" for v in item.stroke.at), item.stroke.radius
+    text = f"({at})  r {radius:.3g}" if radius < 1000 else f"({at})  r {radius:.0f}"
+    text += f"  {arrival.miss:.3g} short" if arrival and arrival.miss > NEAR else ""
     if imgui.selectable(text, selected)[0]:
         view.attempt(lambda: document.select(None if selected else i))
     hint(lambda: described(item.stroke, arrival))
@@ -158,11 +160,6 @@ def described(stroke: Stroke, arrival: Arrival | None) -> str:
     if arrival.moved > NEAR:
         said += f"\nlater strokes move it by {arrival.moved:.3g}, to {place(arrival.final)}"
     return said
-
-
-def _said(stroke: Stroke) -> str:
-    at = ", ".join(f"{v:.0f}" for v in stroke.at)
-    return f"({at})  r {stroke.radius:.3g}" if stroke.radius < 1000 else f"({at})  r {stroke.radius:.0f}"
 
 
 def _selected(view: View) -> None:

@@ -44,8 +44,7 @@ class ImageStage:
 
     def _lay(self, name: str, size: tuple[int, int], plate: Plate) -> None:
         self.name, self.size, self._plate = name, size, plate
-        self.trouble = ""
-        """Why what is seen is not the whole truth, if it is not."""
+        self.trouble = ""  # why what is seen is not the whole truth, if it is not
         self._under: tuple[Deformation, Point, Point] | None = None
 
     def expect(self, deformations: tuple[Deformation, ...], time: float) -> None:
@@ -163,12 +162,10 @@ class VolumeStage:
         self.scene = self._made(preset)
         self.shape, self.spacing = self.scene.shape, tuple(volume.geometry.spacing)
         counts, _ = np.histogram(self.scene.samples, 96, self.scene.range)
-        self.histogram = np.log1p(counts).astype(np.float32)
-        """Logarithms of how many voxels have which value."""
+        self.histogram = np.log1p(counts).astype(np.float32)  # logarithms of how many voxels have which value
         self._plain = self.scene
         self._deformation: Deformation | None = None
-        self.trouble = self.warned = ""
-        """A remark on the picture that is shown, if there is one."""
+        self.trouble = self.warned = ""  # a remark on the picture that is shown, if there is one
 
     def _made(self, transfer: TransferFunction | str) -> Scene:
         device = "gpu" if self._gpu.software else "auto"
@@ -178,9 +175,6 @@ class VolumeStage:
         if scene._held is None:
             raise SuppleError(f"{self.name} is more than a shader takes of {self._gpu.name}")
         return scene
-
-    def _hear(self, text: str, kind: type[Warning]) -> None:
-        self.warned = text
 
     def set_mode(self, mode: str) -> None:
         """Show it in another of the four ways."""
@@ -193,9 +187,10 @@ class VolumeStage:
         if deformation.is_identity:
             return self._plain
         if deformation is not self._deformation:
-            self.warned = ""
-            with heard(self._hear):
+            said = [""]
+            with heard(lambda text, kind: said.append(text)):
                 self.scene, self._deformation = self._plain.deformed(deformation), deformation
+            self.warned = said[-1]
         return self.scene
 
     def look(self, transfer: TransferFunction | str, density: tuple[float, float] | None) -> None:

@@ -6,6 +6,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -31,43 +32,24 @@ PATIENCE = 5.0  # seconds that what is saved waits for the frames it is made of
 
 @dataclass(eq=False, repr=False)
 class View:
-    """A medium in a window, and the strokes that are drawn on it.
-
-    Parameters
-    ----------
-    stage : ImageStage, VideoStage or VolumeStage
-    document : Document
-    tools : ImageTools, VideoTools or VolumeTools
-    canvas : rendercanvas canvas
-    gpu : Gpu
-    source : Path, optional
-        The file, for autosave and export.
-    export : mapping, optional
-        What else `supple.warp_file` takes to make what is seen.
-    call_later : function
-        Of seconds and a function, which runs then in the canvas's loop.
-    """
+    """A medium in a window, and the strokes that are drawn on it."""
 
     stage: ImageStage | VideoStage | VolumeStage
     document: Document
     tools: ImageTools | VideoTools | VolumeTools
-    canvas: Any
+    canvas: Any  # of rendercanvas
     gpu: Gpu
-    source: Path | None = None
-    export: Mapping[str, Any] | None = None
-    call_later: Callable[[float, Callable[[], None]], Any] = lambda seconds, work: None
+    source: Path | None  # the file, for autosave and export
+    export: Mapping[str, Any]  # what else `supple.warp_file` takes to make what is seen
+    call_later: Callable[[float, Callable[[], None]], Any]  # has a function run in the canvas's loop, after seconds
 
     def __post_init__(self) -> None:
         self.overlay = ""
         self.listed: int | None = None
-        self.typed: dict[str, float] = {}
-        """Numbers that are being typed in the panel."""
+        self.typed: dict[str, float] = {}  # numbers that are being typed in the panel
         self.filled = 0.0
         self.painter = Painter(self.gpu, self.stage)
-
-        def leave() -> None:
-            self.call_later(0, self.canvas.close)
-
+        leave = partial(self.call_later, 0, self.canvas.close)
         self.desk = Desk(self.document, self.source, self.write, leave, "auto", self.export)
         self.certifier = Certifier(self.canvas.request_draw)
         self._changed_at = 0.0

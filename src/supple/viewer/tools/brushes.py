@@ -13,13 +13,11 @@ from supple.render.camera import Camera
 from supple.render.picture import Pick
 from supple.viewer.document.editing import Document
 from supple.viewer.tools import orbit
-from supple.viewer.tools.events import Event, Tools, commanded, shifted
-from supple.viewer.tools.gestures import Held, Pair
+from supple.viewer.tools.gestures import Event, Held, Pair, Tools, commanded, shifted
 from supple.viewer.tools.playback import Playback
 from supple.viewer.tools.viewport import Viewport
 
-ZOOM = 1.2
-"""How many times larger a picture is after a notch of the wheel, which is 100."""
+ZOOM = 1.2  # how many times larger a picture is after a notch of the wheel, which is 100
 
 _LEFT, _RIGHT, _MIDDLE = 1, 2, 3
 
@@ -149,26 +147,24 @@ class VideoTools(ImageTools):
 
     def _key(self, key: str) -> bool:
         playback, held = self.playback, self.held
-        steps = {"ArrowLeft": -1, "ArrowRight": 1}
-        if key in steps and held is not None:
-            self._carry(held, steps[key])
-        elif key in steps:
-            playback.step(steps[key])
-        elif key in (" ", "Home", "End", "i", "o", "u", "l"):
-            if held is not None:
-                return True  # the frame that is shown is where it is held
-            acts: dict[str, Callable[[], None]] = {
-                " ": playback.toggle,
-                "Home": playback.home,
-                "End": playback.end,
-                "i": playback.mark_in,
-                "o": playback.mark_out,
-                "u": playback.unmark,
-                "l": lambda: playback.set_loop(not playback.loop),
-            }
-            acts[key]()
-        else:
+        step = {"ArrowLeft": -1, "ArrowRight": 1}.get(key)
+        acts: dict[str, Callable[[], None]] = {
+            " ": playback.toggle,
+            "Home": playback.home,
+            "End": playback.end,
+            "i": playback.mark_in,
+            "o": playback.mark_out,
+            "u": playback.unmark,
+            "l": lambda: playback.set_loop(not playback.loop),
+        }
+        if held is not None and step is not None:
+            self._carry(held, step)
+        elif step is not None:
+            playback.step(step)
+        elif key not in acts:
             return super()._key(key)
+        elif held is None:  # otherwise, the frame that is shown is where it is held
+            acts[key]()
         return True
 
 
@@ -178,6 +174,8 @@ class VolumeTools(Tools[Camera]):
     What is seen at a point of the canvas, and how far that goes if it is dragged to another, is told by ``pick`` and
     ``drag``, as by `supple.render.scene.Scene.pick` and `supple.render.scene.Scene.drag`.
     """
+
+    _beside = "orbit"
 
     def __init__(
         self,
@@ -260,9 +258,6 @@ class VolumeTools(Tools[Camera]):
         if _pans(event):
             return "pan"
         return "orbit" if event.get("button") == _RIGHT else None
-
-    def _on_nothing(self) -> str:
-        return "orbit"
 
     def _turn(self, event: Event, amount: float) -> None:
         if self.held is not None or shifted(event):

@@ -1,24 +1,32 @@
-"""Gestures of the pointer with a button down: it holds a stroke, or moves the view."""
+"""Gestures and keys, whatever the medium: strokes are drawn and edited, and the view is led."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
-from typing import Generic, Literal, TypeVar
+from typing import Any, Generic, Literal, TypeVar
 
-from supple.strokes import Stroke
+from supple.domain import Domain
+from supple.errors import SuppleError
+from supple.strokes import REACH, Stroke
 from supple.viewer.document.editing import Document
 
 Pair = tuple[float, float]
 V = TypeVar("V")
 
-CLICK = 3.0
-"""A pointer that is this near to where it was pressed, in logical pixels, has not moved."""
-HANDLE = 8.0
-"""How near the pointer must be to a handle, in logical pixels."""
-
+Event = Mapping[str, Any]
 Part = Literal["pivot", "end"]
+
+CLICK = 3.0  # a pointer that is this near to where it was pressed, in logical pixels, has not moved
+HANDLE = 8.0  # how near the pointer must be to a handle, in logical pixels
+KNOB = 10.0  # how near it must be to the knob of the cut between before and after
+GROWTH = 1.1  # how many times larger the brush is after a notch of the wheel, which is 100
+_LEFT = 1
+_CUT = "cut"
+_MOST = 1e4  # of what the wheel turns at once: powers of more overflow
+_REQUESTS = {"s": "save", "o": "open", "e": "export"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,24 +70,22 @@ class Held:
         """Return whether it is a drag; otherwise it is a click."""
         return math.dist(self.start, self.now) >= CLICK or self.time != 0
 
-    def drawn(self, carried: Callable[[Held, float, float], tuple[float, ...]]) -> Stroke:
-        """The stroke as it is now; ``carried`` tells how far the point goes to be seen at a place of the canvas."""
-        if not self.moved:
-            return self.stroke
-        (x, y), (a, b) = self.now, self.offset
-        gone = carried(self, x - a, y - b)
-        if self.item is not None and self.part == "pivot":
-            return replace(self.stroke, at=tuple(p + d for p, d in zip(self.stroke.at, gone, strict=True)))
-        by = tuple((p - at) + d for p, at, d in zip(self.point, self.stroke.at, gone, strict=True))
-        return replace(self.stroke, by=by)
-
     def draw(self, document: Document, carried: Callable[[Held, float, float], tuple[float, ...]]) -> None:
-        """Show it in a document; before it has moved, there is nothing to show."""
+        """Show it in a document, if it has moved; ``carried`` tells how far it goes to be seen at a place."""
         if not document.dragging:
             if not (self.moved or self.grown):
                 return
             document.begin_drag(self.item)
-        document.preview(self.drawn(carried))
+        stroke = self.stroke
+        if self.moved:
+            (x, y), (a, b) = self.now, self.offset
+            gone = carried(self, x - a, y - b)
+            if self.item is not None and self.part == "pivot":
+                stroke = replace(stroke, at=tuple(p + d for p, d in zip(stroke.at, gone, strict=True)))
+            else:
+                by = tuple((p - at) + d for p, at, d in zip(self.point, stroke.at, gone, strict=True))
+                stroke = replace(stroke, by=by)
+        document.preview(stroke)
 
 
 @dataclass(slots=True)
@@ -98,3 +104,311 @@ class Lead(Generic[V]):
     def moved(self) -> bool:
         """Return whether it is a drag; otherwise it is a click."""
         return self.travelled or math.dist(self.start, self.now) >= CLICK
+
+
+class Tools(ABC, Generic[V]):
+    """Turns events into edits of a document, and leads the view.
+
+    Events are those of rendercanvas. Amounts are what counts in them, and not how many there are, as they may come
+    merged. Nothing is raised: what is refused is in `status`. The view, a viewport or a camera, is the first.
+    """
+
+    _beside = "click"  # how the left button leads the view where there is nothing to grab
+
+    def __init__(self, document: Document, view: V) -> None:
+        self.document = document
+        self.view = view
+        domain = Domain(document.shape, document.spacing)
+        n = 3 if document.kind == "volume" else 2  # time is not as long as it is wide
+        sides = [max(e, s) for e, s in zip(domain.extent[:n], domain.spacing[:n], strict=True)]
+        smallest = min(domain.spacing[:n])
+        self.radius_limits = (smallest, 4 * max(sides))
+        self._radius = max(min(sides) / 8, smallest)
+        self.poisson: float | None = None
+        self.scales = 1
+        self.reach: float | None = REACH
+        self.original = False  # whether what is shown is the original, without strokes
+        self.split: float | None = None
+        """Where the original is shown beside what is made of it: a part of the width; None shows no original."""
+        self.requests: list[str] = []
+        """Requests to the window: ``"save"``, ``"save as"``, ``"open"``, ``"export"``."""
+        self.pointer: Pair | None = None  # where the pointer is on the canvas
+        self._gesture: Held | Lead[V] | None = None
+        self._refused: str | None = None
+
+    @property
+    def radius(self) -> float:
+        """The brush's radius, in physical units; kept within `radius_limits`."""
+        return self._radius
+
+    @radius.setter
+    def radius(self, radius: float) -> None:
+        self._radius = self._limited(radius)
+
+    def _limited(self, radius: float) -> float:
+        low, high = self.radius_limits
+        return min(max(float(radius), low), high)
+
+    @property
+    def held(self) -> Held | None:
+        """The stroke that the pointer holds."""
+        return self._gesture if isinstance(self._gesture, Held) else None
+
+    @property
+    def dragging(self) -> bool:
+        """Return whether a stroke is being dragged."""
+        return self.held is not None and self.document.dragging
+
+    @property
+    def status(self) -> str | None:
+        """Why something was not done, in a line."""
+        return self.document.trouble or self._refused
+
+    def handle(self, event: Event) -> bool:
+        """Do what an event asks for; return whether it meant anything here."""
+        act = getattr(self, f"_on_{event.get('event_type')}", None)
+        if act is None:
+            return False
+        try:
+            return bool(act(event))
+        except SuppleError as error:
+            self._refused = str(error)
+            return True
+
+    def press(self, key: str) -> None:
+        """Do what a key does."""
+        self.handle({"event_type": "key_down", "key": key})
+
+    def abandon(self) -> bool:
+        """Take back what the pointer does, as if the button had never gone down; return whether it did anything."""
+        gesture, self._gesture = self._gesture, None
+        if isinstance(gesture, Lead):
+            self.view = gesture.before
+        if isinstance(gesture, Held):
+            self._put_back(gesture)
+        if self.document.dragging:
+            self.document.abandon()
+        return gesture is not None
+
+    @property
+    def knob(self) -> Pair | None:
+        """Where the cut between before and after can be taken; None where there is none."""
+        width, height = self.canvas_size
+        return None if self.split is None else (self.split * width, 0.5 * height)
+
+    # What the kinds of media do in their own ways.
+
+    @property
+    @abstractmethod
+    def canvas_size(self) -> Pair:
+        """Width and height of the canvas, in logical pixels."""
+
+    @abstractmethod
+    def _grab(self, x: float, y: float) -> tuple[float, ...] | None:
+        """Return the stroke under a point of the canvas; None if there is none."""
+
+    @abstractmethod
+    def _seen(self, point: tuple[float, ...]) -> Pair | None:
+        """Where a point is seen on the canvas, if it is."""
+
+    @abstractmethod
+    def _carried(self, held: Held, x: float, y: float) -> tuple[float, ...]:
+        """How far what is held goes, if it is to be seen at a point of the canvas."""
+
+    @abstractmethod
+    def _led(self, how: str, view: V, dx: float, dy: float) -> V:
+        """A view, led by the pointer."""
+
+    @abstractmethod
+    def _leads(self, event: Event) -> str | None:
+        """How a button leads the view, if it does."""
+
+    @abstractmethod
+    def _turn(self, event: Event, amount: float) -> None:
+        """Do what the wheel does."""
+
+    @abstractmethod
+    def _key(self, key: str) -> bool:
+        """Do what a key does that not all media have."""
+
+    def _put_back(self, held: Held) -> None:
+        """Put back what a drag changed outside the document."""
+
+    def _on_pointer_down(self, event: Event) -> bool:
+        x, y = self.pointer = _place(event)
+        self._refused = None
+        if self._gesture is not None:
+            return True
+        button = int(event.get("button", 0))
+        how = self._leads(event)
+        if how is None and button == _LEFT and self.knob is not None and math.dist(self.knob, (x, y)) <= KNOB:
+            how = _CUT
+        elif how is None and button == _LEFT:
+            self._gesture = self._taken(x, y)
+            how = self._beside
+        if self._gesture is None and how is not None:
+            self._gesture = Lead(how, button, self.view, self.view, (x, y), (x, y))
+        return self._gesture is not None
+
+    def _taken(self, x: float, y: float) -> Held | None:
+        """A handle of the stroke that is selected; or what is under the pointer, for a new stroke."""
+        chosen = self.document.selected
+        found = None if chosen is None else nearest(self.handles([chosen]), (x, y))
+        if found is not None:
+            (hx, hy), stroke = found.seen, self.document.seen(found.item)
+            return Held(stroke, found.point, (x, y), (x, y), (x - hx, y - hy), found.item, found.part)
+        point = self._grab(x, y)
+        if point is None:
+            return None
+        brush: dict[str, Any] = {"poisson": self.poisson, "scales": self.scales, "reach": self.reach}
+        stroke = Stroke(at=point, by=(0.0,) * len(point), radius=self.radius, **brush)
+        return Held(stroke, stroke.at, (x, y), (x, y))
+
+    def handles(self, among: Iterable[int] | None = None) -> list[Handle]:
+        """The handles of some strokes, or of all, that are applied and seen on the canvas."""
+        found, items = [], self.document.items
+        for i in range(len(items)) if among is None else among:
+            pivot, end = self.document.handles(i)
+            parts: tuple[tuple[Part, tuple[float, ...]], ...] = (("pivot", pivot), ("end", end))
+            for part, point in parts if not items[i].hidden else ():
+                place = self._seen(point)
+                if place is not None:
+                    found.append(Handle(i, part, point, place))
+        return found
+
+    def _on_pointer_move(self, event: Event) -> bool:
+        self.pointer = _place(event)
+        gesture = self._gesture
+        if gesture is None:
+            return False
+        if gesture.button not in event.get("buttons", (gesture.button,)):
+            return self._released()  # the button went up where the window did not see it
+        self._follow(gesture, self.pointer)
+        return True
+
+    def _on_pointer_up(self, event: Event) -> bool:
+        self.pointer = _place(event)
+        gesture = self._gesture
+        if gesture is None or event.get("button") != gesture.button:
+            return False
+        self._follow(gesture, self.pointer)
+        return self._released()
+
+    def _on_pointer_leave(self, event: Event) -> bool:
+        self.pointer = None
+        return False
+
+    def _follow(self, gesture: Held | Lead[V], place: Pair) -> None:
+        """Take what is held, or led, to where the pointer is."""
+        gesture.now = place
+        if isinstance(gesture, Held):
+            gesture.draw(self.document, self._carried)
+        elif gesture.how == _CUT:
+            self.split = min(max(place[0] / self.canvas_size[0], 0.0), 1.0)
+        else:
+            (x, y), (a, b) = place, gesture.start
+            self.view = self._led(gesture.how, gesture.base, x - a, y - b)
+
+    def _look(self, view: V) -> None:
+        """Look in another way; the pointer leads it on from there."""
+        self.view = view
+        lead = self._gesture
+        if isinstance(lead, Lead):
+            lead.travelled = lead.moved
+            lead.base, lead.start = view, lead.now
+
+    def _released(self) -> bool:
+        gesture, self._gesture = self._gesture, None
+        if gesture is None:
+            return False
+        if isinstance(gesture, Held):
+            if (gesture.moved or gesture.grown) and self.document.dragging:
+                trouble = self.document.trouble
+                self._refused = None if self.document.commit() else trouble
+                return True
+            if self.document.dragging:
+                self.document.abandon()
+            self._put_back(gesture)
+        elif gesture.button != _LEFT or gesture.how == _CUT or gesture.moved:
+            return True
+        found = nearest(self.handles(), gesture.start)
+        self.document.select(None if found is None else found.item)
+        return True
+
+    def _on_wheel(self, event: Event) -> bool:
+        amount = float(event.get("dy", 0.0))
+        if shifted(event):
+            amount += float(event.get("dx", 0.0))  # some systems turn the wheel sideways then
+        self._turn(event, min(max(amount, -_MOST), _MOST))
+        return True
+
+    def grow(self, notches: float) -> None:
+        """Make the brush larger, or smaller (below 0); and with it the stroke that is held."""
+        held, factor = self.held, GROWTH**notches
+        if held is None or held.item is None:
+            self.radius *= factor
+        if held is not None:
+            radius = self.radius if held.item is None else self._limited(held.stroke.radius * factor)
+            held.grown |= held.item is not None and radius != held.stroke.radius
+            held.stroke = replace(held.stroke, radius=radius)
+            held.draw(self.document, self._carried)
+
+    def _on_key_down(self, event: Event) -> bool:
+        self._refused = None
+        key = str(event.get("key", ""))
+        if commanded(event):
+            # Some windows name the control character that is typed.
+            letter = chr(ord(key) + 96) if len(key) == 1 and ord(key) < 27 else key.lower()
+            return self._command(letter, shifted(event))
+        return self._edit(key) or self._key(key)
+
+    def _on_key_up(self, event: Event) -> bool:
+        self.original &= event.get("key") not in ("\\", "|")  # with Shift, it is another
+        return False
+
+    def _command(self, letter: str, shift: bool) -> bool:
+        if letter in _REQUESTS:
+            self.requests.append("save as" if letter == "s" and shift else _REQUESTS[letter])
+        elif letter == "z" and not shift:
+            if not self.abandon():
+                self.document.undo()
+        elif letter in ("z", "y"):
+            self.document.redo()
+        else:
+            return False
+        return True
+
+    def _edit(self, key: str) -> bool:
+        document, chosen = self.document, self.document.selected
+        if key == "Escape":
+            if not self.abandon():
+                document.select(None)
+        elif key in ("[", "]"):
+            self.grow(1 if key == "]" else -1)
+        elif key == "\\":
+            self.original = True
+        elif key in ("b", "B"):
+            self.split = 0.5 if self.split is None else None
+        elif key in ("Delete", "Backspace", "h", "H"):
+            if chosen is not None and self._gesture is None:
+                if key.lower() == "h":
+                    document.hide(chosen, not document.items[chosen].hidden)
+                else:
+                    document.remove(chosen)
+        else:
+            return False
+        return True
+
+
+def commanded(event: Event) -> bool:
+    """Return whether Control is held, or what stands for it."""
+    return any(key in event.get("modifiers", ()) for key in ("Control", "Meta"))
+
+
+def shifted(event: Event) -> bool:
+    """Return whether Shift is held."""
+    return "Shift" in event.get("modifiers", ())
+
+
+def _place(event: Event) -> Pair:
+    return float(event["x"]), float(event["y"])

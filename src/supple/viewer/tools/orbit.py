@@ -11,12 +11,9 @@ from supple.domain import SMALLEST
 from supple.geometry import Geometry
 from supple.render.camera import Camera, Projection, view_of
 
-TURN = 180.0
-"""Degrees for a drag across the shorter side of the canvas."""
-FARTHEST = 10.0
-"""How far away the camera may go, as a multiple of where the whole volume fits."""
-STEP = 1.1
-"""How many times farther the camera is after a notch of the wheel, which is 100."""
+TURN = 180.0  # degrees for a drag across the shorter side of the canvas
+FARTHEST = 10.0  # how far away the camera may go, as a multiple of where the whole volume fits
+STEP = 1.1  # how many times farther the camera is after a notch of the wheel, which is 100
 
 
 @dataclass(frozen=True, slots=True)

@@ -26,8 +26,7 @@ class Playback:
             self._starts.append(2 * self._starts[-1] - self._starts[-2] if self.count > 1 else 1 / self.rate)
         self.playing = False
         self.loop = False
-        self.dropped = 0
-        """How many frames were not shown while it played."""
+        self.dropped = 0  # how many frames were not shown while it played
         self.first, self.last = 0, self.count - 1
         """The in point and the out point: what is played, both included."""
         self._frame = 0

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import secrets
+import sys
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -37,8 +38,6 @@ if TYPE_CHECKING:
     from supple.viewer.window.window import Window
 
 SIZE = (1280, 800)
-TOOLKITS = ("glfw", "qt")
-_EXTRA = "pip install 'supple[view]'"
 _NO_SCREEN = "no screen was found for a window: --serve shows it in a browser"
 Source = str | os.PathLike[str] | npt.NDArray[Any]
 Spacing = tuple[float, float, float]
@@ -48,25 +47,12 @@ _PLAIN = VolumeOptions()
 
 @dataclass(frozen=True, slots=True)
 class ViewOptions:
-    """How what is shown is read.
+    """How what is shown is read."""
 
-    Parameters
-    ----------
-    spacing : (float, float, float)
-        Of the voxels of an array, in millimetres, x first.
-    time_scale : float
-        Of a clip, how many pixels a frame is worth to the brush.
-    volume : VolumeOptions
-        What is particular to volumes: what a file without a header holds, which series of a folder is meant, and
-        whether the first strokes are in places in space.
-    fit : str, optional
-        How the first strokes fit, if they were made for another size, as `supple.warp_file` takes it.
-    """
-
-    spacing: Spacing = _EVEN
-    time_scale: float = 1.0
-    volume: VolumeOptions = _PLAIN
-    fit: Fit | None = None
+    spacing: Spacing = _EVEN  # of the voxels of an array, in millimetres, x first
+    time_scale: float = 1.0  # of a clip, how many pixels a frame is worth to the brush
+    volume: VolumeOptions = _PLAIN  # of its file; and whether the first strokes are in places in space
+    fit: Fit | None = None  # of the first strokes, if they were made for another size, as `supple.warp_file` takes it
 
     def __post_init__(self) -> None:
         length("time_scale", self.time_scale)
@@ -89,35 +75,41 @@ def stage_of(gpu: Gpu, source: Source, options: ViewOptions = _USUAL) -> ImageSt
     SuppleError
         If it cannot be read, is more than the GPU takes, or is not of the kind that the options are for.
     """
-    if not isinstance(source, str | os.PathLike):
-        array = np.asarray(source)
+    if isinstance(source, str | os.PathLike):
+        name = shown(source)
+        if not os.path.exists(source) and "%" not in os.fspath(source):
+            raise SuppleError(f"cannot read {name}: there is no such file: check the name")
+        if is_volume_job(source, "", Recipe(), options.volume):
+            _suits(name, options, volume=True)
+            volume = open_volume(source, options.volume)
+            samples = volume.rescaled()
+            if volume.series:
+                samples = samples[0]
+            elif samples.ndim > 3:
+                raise SuppleError(f"{volume.name} has {samples.shape[3]} components, and pictures are of one")
+            return VolumeStage(gpu, volume, default_transfer(volume), samples)
+        moves = _moves(source)
+        _suits(name, options, moves=moves)
+        if moves:
+            return VideoStage(gpu, FrameCache(source), options.time_scale)
+        pixels = on_screen(read(source))
+    else:
+        name, array = "the array", np.asarray(source)
         if array.ndim not in (2, 3) or 0 in array.shape or array.dtype.kind not in "biuf":
             raise SuppleError(
                 "what is shown is an array of numbers, of a picture (H, W) or (H, W, C) or of a volume (Z, H, W), or a "
                 f"file, of a clip too: found {array.dtype} {array.shape}"
             )
-        _suits("the array", options)
+        _suits(name, options)
         if array.ndim == 3 and array.shape[2] > 4:
             x, y, z = (length("spacing", v) for v in point("spacing", options.spacing, (3,)))
-            held = Volume(array, Geometry(spacing=(x, y, z)), "the array", "array")
-            return VolumeStage(gpu, held, default_transfer(held))
-        return _held(gpu, "the array", as_pixels(array))
-    if not os.path.exists(source) and "%" not in os.fspath(source):
-        raise SuppleError(f"cannot read {shown(source)}: there is no such file: check the name")
-    if is_volume_job(source, "", Recipe(), options.volume):
-        _suits(shown(source), options, volume=True)
-        volume = open_volume(source, options.volume)
-        samples = volume.rescaled()
-        if volume.series:
-            samples = samples[0]
-        elif samples.ndim > 3:
-            raise SuppleError(f"{volume.name} has {samples.shape[3]} components, and pictures are of one")
-        return VolumeStage(gpu, volume, default_transfer(volume), samples)
-    moves = _moves(source)
-    _suits(shown(source), options, moves=moves)
-    if moves:
-        return VideoStage(gpu, FrameCache(source), options.time_scale)
-    return _held(gpu, shown(source), on_screen(read(source)))
+            volume = Volume(array, Geometry(spacing=(x, y, z)), name, "array")
+            return VolumeStage(gpu, volume, default_transfer(volume))
+        pixels = as_pixels(array)
+    try:
+        return ImageStage(gpu, name, pixels)
+    except MemoryError as error:
+        raise SuppleError(f"{name} cannot be shown: {error}") from None
 
 
 def _moves(source: str | os.PathLike[str]) -> bool:
@@ -134,13 +126,6 @@ def _suits(name: str, options: ViewOptions, *, moves: bool = False, volume: bool
         raise SuppleError(f"{name} is no file of a volume, and what was asked of it is for those: leave that out")
     if options.time_scale != 1.0 and not moves:
         raise SuppleError(f"time_scale is for clips, and {name} is none: leave it out")
-
-
-def _held(gpu: Gpu, name: str, pixels: npt.NDArray[np.uint8]) -> ImageStage:
-    try:
-        return ImageStage(gpu, name, pixels)
-    except MemoryError as error:
-        raise SuppleError(f"{name} cannot be shown: {error}") from None
 
 
 def tools_of(
@@ -162,12 +147,7 @@ def tools_of(
 
 
 def opened(
-    source: Source,
-    recipe: Recipe | None,
-    canvas: Any,
-    loop: Any,
-    gpu: Gpu | None = None,
-    options: ViewOptions = _USUAL,
+    source: Source, recipe: Recipe | None, canvas: Any, loop: Any, gpu: Gpu | None = None, options: ViewOptions = _USUAL
 ) -> Window:
     """A view of a source on a canvas.
 
@@ -208,7 +188,8 @@ def _installed() -> Iterator[None]:
     try:
         yield
     except ImportError as error:
-        raise SuppleError(f"the window needs {error.name or error}, which is not installed: {_EXTRA}") from None
+        missing = error.name or error
+        raise SuppleError(f"the window needs {missing}, which is not installed: pip install 'supple[view]'") from None
 
 
 def on_screen_of(toolkit: str) -> tuple[Any, Any]:
@@ -219,7 +200,7 @@ def on_screen_of(toolkit: str) -> tuple[Any, Any]:
     SuppleError
         If it is not installed, or there is no screen.
     """
-    choice("toolkit", toolkit, TOOLKITS)
+    choice("toolkit", toolkit, ("glfw", "qt"))
     with _installed():
         if toolkit == "glfw":
             import glfw
@@ -296,12 +277,8 @@ def _ask_before_closing(canvas: Any, view: Window) -> None:
 
 def in_notebook() -> bool:
     """Return whether this is a notebook."""
-    try:
-        from IPython import get_ipython
-    except ImportError:
-        return False
-    shell = get_ipython()
-    return shell is not None and type(shell).__name__ == "ZMQInteractiveShell"
+    ipython = sys.modules.get("IPython")  # which a notebook has imported
+    return ipython is not None and type(ipython.get_ipython()).__name__ == "ZMQInteractiveShell"
 
 
 def view(
@@ -377,16 +354,10 @@ def serve(
         from rendercanvas.http import RenderCanvas, asgi, loop
 
         from supple.viewer.window import server
-    listener = server.listening(port)
-    try:
+    with contextlib.closing(server.listening(port)) as listener:
         canvas = RenderCanvas(max_fps=30, update_mode="ondemand")
-        made = opened(source, recipe, canvas, loop, options=options)
-        try:
+        with contextlib.closing(opened(source, recipe, canvas, loop, options=options)) as made:
             token = secrets.token_urlsafe(24)
             tell(f"http://{server.HOST}:{listener.getsockname()[1]}/?token={token}")
             app = server.guarded(asgi, token, f"{made.stage.name} - Supple")
             server.serve(app, listener, canvas.get_closed)
-        finally:
-            made.close()
-    finally:
-        listener.close()

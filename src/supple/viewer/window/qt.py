@@ -70,10 +70,9 @@ def attend(canvas: Any, view: Window) -> None:
                 return True
             return False
 
+    def counted(event: dict[str, Any]) -> None:
+        event["dx"], event["dy"] = _NOTCH * event["dx"], _NOTCH * event["dy"]
+
     canvas.setAcceptDrops(True)
     canvas.installEventFilter(Watch(canvas))
-    canvas.add_event_handler(_counted, "wheel", order=-100)
-
-
-def _counted(event: dict[str, Any]) -> None:
-    event["dx"], event["dy"] = _NOTCH * event["dx"], _NOTCH * event["dy"]
+    canvas.add_event_handler(counted, "wheel", order=-100)
