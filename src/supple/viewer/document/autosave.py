@@ -1,4 +1,4 @@
-"""Autosave files: unsaved strokes survive a crash."""
+"""Autosave files, in which unsaved strokes survive a crash."""
 
 from __future__ import annotations
 
@@ -145,22 +145,22 @@ def found(source: PathLike, folder: PathLike | None = None) -> Found | None:
     """
     best: Found | None = None
     for place in sorted(_home(folder).glob(f"{_stem(source)}-*.json")):
-        with contextlib.suppress(OSError), contextlib.ExitStack() as stack:  # it may be gone, or not be ours to read
+        with contextlib.suppress(OSError):  # it may be gone, or not be ours to read
             lock = _locked(place.with_suffix(".lock"))
             if lock is None:
                 continue
-            stack.enter_context(lock)
-            try:
-                data: Any = json.loads(place.read_bytes().decode("utf-8"))
-                if data["supple_autosave"] != _VERSION:
-                    continue  # of another release, which will find it
-                recipe, saved = Recipe.from_json(json.dumps(data["recipe"])), float(data["saved"])
-                one = Found(recipe, place, saved, data["source"] == _described(source), data.get("medium"))
-            except (ValueError, TypeError, KeyError, RecursionError):
-                _set_aside(place, "bad")
-                continue
-            if best is None or one.saved > best.saved:
-                best = one
+            with lock:
+                try:
+                    data: Any = json.loads(place.read_bytes().decode("utf-8"))
+                    if data["supple_autosave"] != _VERSION:
+                        continue  # of another release, which will find it
+                    recipe, saved = Recipe.from_json(json.dumps(data["recipe"])), float(data["saved"])
+                    one = Found(recipe, place, saved, data["source"] == _described(source), data.get("medium"))
+                except (ValueError, TypeError, KeyError, RecursionError):
+                    _set_aside(place, "bad")
+                    continue
+                if best is None or one.saved > best.saved:
+                    best = one
     return best
 
 

@@ -1,4 +1,4 @@
-"""Work in threads of its own beside the window: exports, and certified errors; and the warnings that it gives."""
+"""Exports and certified errors, made in threads of their own beside the window, and the warnings of those threads."""
 
 from __future__ import annotations
 

@@ -294,14 +294,8 @@ class Document:
     def _solved(self, state: State, known: Solved | None) -> Solved:
         """The deformation of a state; what it has in common with one that is known is not worked out again."""
         rest = state.rest
-        empty = Deformation(
-            self.shape,
-            border=rest.border,
-            border_profile=rest.border_profile,
-            spacing=self.spacing,
-            time=self._timed,
-            on_fold=rest.on_fold,
-        )
+        plain = replace(rest, space=None)
+        empty = Deformation.from_recipe(plain, self.shape, spacing=self.spacing, time=self._timed)
         made = Solved(state, (empty,))
         visible, same = made.visible, 0
         if known is not None and known.chain[0] == empty and known.state.rest.amount == rest.amount:

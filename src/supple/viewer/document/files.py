@@ -78,8 +78,7 @@ class Desk:
         export = self.export
         if export is not None and export.done and self._told is not export:
             self._told = export
-            said = [export.error or export.text, *export.warnings]
-            self.message = "; ".join(text for text in said if text)
+            self.message = "; ".join(filter(None, [export.error or export.text, *export.warnings]))
 
     def attempt(self, work: Callable[[], object]) -> None:
         """Do what may be refused, and say so then."""
@@ -251,12 +250,10 @@ class Desk:
 
     def end_export(self) -> None:
         """Cancel it; or, when it is done, put it aside."""
-        if self.export is None:
-            return
-        if self.export.done:
-            self.export = None
-        else:
+        if self.export is not None and not self.export.done:
             self.export.cancel()
+        else:
+            self.export = None
 
     def end(self) -> None:
         """End well: what was not wanted is not kept."""

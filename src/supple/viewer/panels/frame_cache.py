@@ -1,4 +1,4 @@
-"""Frames of a clip for the eye: decoded ahead in a thread, and kept as long as there is room."""
+"""The frames of a clip that are shown: decoded ahead in a thread, and kept as long as there is room."""
 
 from __future__ import annotations
 

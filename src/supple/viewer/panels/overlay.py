@@ -148,8 +148,7 @@ def _marked(playback: Playback) -> None:
 
 
 def _status(view: View) -> None:
-    height = view.logical[1]
-    imgui.set_next_window_pos((0, height - LINE))
+    imgui.set_next_window_pos((0, view.logical[1] - LINE))
     imgui.set_next_window_size((view.area[0], LINE))
     imgui.push_style_var(imgui.StyleVar_.window_padding, (8, 3))
     imgui.begin("status", None, _BARE)

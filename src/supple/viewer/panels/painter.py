@@ -12,7 +12,7 @@ from supple.gpu.kernel import wait
 from supple.gpu.plate import Sight
 from supple.gpu.screen import ALL, Part, canvas_texture
 from supple.render.camera import Camera
-from supple.viewer.panels.stages import ImageStage, VideoStage, VolumeStage
+from supple.viewer.panels.stages import ImageStage, VolumeStage
 
 FRAME = 0.05  # seconds that a frame may take while a hand moves
 COARSEST = 8
@@ -46,7 +46,7 @@ class Shot:
 class Painter:
     """Paints a stage."""
 
-    def __init__(self, gpu: Gpu, stage: ImageStage | VideoStage | VolumeStage) -> None:
+    def __init__(self, gpu: Gpu, stage: ImageStage | VolumeStage) -> None:
         self.gpu, self.stage = gpu, stage
         self.coarse = 4 if gpu.software else 1
         """How many pixels of the canvas one that is drawn covers, along each side, while a hand moves."""

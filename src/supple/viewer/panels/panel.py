@@ -61,16 +61,14 @@ def _wrapped(text: str, wide: float, draw: Callable[[str], None] = imgui.text) -
 def _brush(view: View) -> None:
     tools = view.tools
     imgui.separator_text("Brush")
-    unit = "mm" if view.stage.kind == "volume" else "px"
-    changed, value = imgui.slider_float(
-        "radius", tools.radius, *tools.radius_limits, f"%.1f {unit}", imgui.SliderFlags_.logarithmic
-    )
+    form = "%.1f mm" if view.stage.kind == "volume" else "%.1f px"
+    scale = imgui.SliderFlags_.logarithmic
+    changed, value = imgui.slider_float("radius", tools.radius, *tools.radius_limits, form, scale)
     if changed:
         tools.radius = value
     hint("How far a drag is felt (wheel, or [ and ])")
-    changed, value = imgui.slider_float(
-        "Poisson", POISSON if tools.poisson is None else max(tools.poisson, -1.0), -1.0, 0.5, "%.2f"
-    )
+    material = POISSON if tools.poisson is None else max(tools.poisson, -1.0)
+    changed, value = imgui.slider_float("Poisson", material, -1.0, 0.5, "%.2f")
     if changed:
         tools.poisson = value
     hint("at higher values, 3-D volumes change less; areas in a picture change at any value")
@@ -280,7 +278,7 @@ def _transfer(view: View, stage: VolumeStage) -> None:
     if not imgui.tree_node("transfer function"):
         return
     transfer = stage.scene.transfer
-    points, changed_any = [list(p) for p in transfer.points], False
+    points = [list(p) for p in transfer.points]
     for k, (value, red, green, blue, opacity) in enumerate(points):
         imgui.push_id(k)
         imgui.set_next_item_width(70)
@@ -292,19 +290,16 @@ def _transfer(view: View, stage: VolumeStage) -> None:
         thinned, seen = imgui.slider_float("##opacity", opacity, 0.0, 1.0, "%.2f")
         if entered or painted or thinned:
             points[k] = [moved, *colour, seen]
-            changed_any = True
         imgui.same_line()
         if imgui.small_button("x") and len(points) > 2:
             del points[k]
-            changed_any = True
             imgui.pop_id()
             break
         imgui.pop_id()
     if imgui.small_button("add a point") and len(points) >= 2:
         middle = [0.5 * (a + b) for a, b in zip(points[-2], points[-1], strict=True)]
         points.insert(len(points) - 1, middle)
-        changed_any = True
-    if changed_any:
+    if points != [list(p) for p in transfer.points]:
         made: Any = tuple(sorted((tuple(p) for p in points), key=lambda p: p[0]))
         _show(view, lambda: stage.look(replace(transfer, points=made), stage.density))
     imgui.tree_pop()

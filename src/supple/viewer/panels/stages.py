@@ -23,7 +23,6 @@ from supple.viewer.document.background import heard
 from supple.viewer.document.state import Kind
 from supple.viewer.panels.frame_cache import FrameCache
 
-Array = npt.NDArray[Any]
 Pixels = npt.NDArray[np.uint8]
 Point = tuple[float, ...]
 Span = tuple[int, int]
@@ -234,7 +233,7 @@ def on_screen(picture: Picture) -> Pixels:
     return shown(pixels, alpha=picture.alpha)
 
 
-def shown(array: Array, *, alpha: bool | None = None) -> Pixels:
+def shown(array: npt.NDArray[Any], *, alpha: bool | None = None) -> Pixels:
     """Any array (H, W[, C]) of a picture as (rows, columns, 4): grey or RGB; of floats, 0 is black and 1 is white.
 
     The last channel is opacity if ``alpha`` says so; of two or four channels, by default.
@@ -251,7 +250,7 @@ def shown(array: Array, *, alpha: bool | None = None) -> Pixels:
     return out
 
 
-def _eight(array: Array) -> Pixels:
+def _eight(array: npt.NDArray[Any]) -> Pixels:
     kind = array.dtype
     if kind == np.uint8:
         return np.asarray(array)

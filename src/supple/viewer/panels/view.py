@@ -34,9 +34,9 @@ PATIENCE = 5.0  # seconds that what is saved waits for the frames it is made of
 class View:
     """A medium in a window, and the strokes that are drawn on it."""
 
-    stage: ImageStage | VideoStage | VolumeStage
+    stage: ImageStage | VolumeStage
     document: Document
-    tools: ImageTools | VideoTools | VolumeTools
+    tools: ImageTools | VolumeTools
     canvas: Any  # of rendercanvas
     gpu: Gpu
     source: Path | None  # the file, for autosave and export
@@ -109,8 +109,9 @@ class View:
             except Exception as error:  # its own matter: the window goes on
                 self.desk.message = " ".join(f"on_change: {type(error).__name__}: {error}".split())
 
-    def _shot(self, size: tuple[int, int], ratio: float, moving: bool) -> Shot:
-        tools = self.tools
+    def _shot(self, moving: bool) -> Shot:
+        tools, ratio = self.tools, self.canvas.get_pixel_ratio()
+        size = tuple(round(n * ratio) for n in self.area)
         common: dict[str, Any] = {"size": size, "moving": moving, "ratio": ratio, "overlay": self.overlay}
         common |= {"original": tools.original, "split": tools.split is not None}
         if isinstance(tools, VolumeTools):
@@ -130,10 +131,8 @@ class View:
     @property
     def _filling(self) -> bool:
         """Return whether to wait for a volume's buffer before it is drawn in full, which takes seconds without it."""
-        stage = self.stage
-        if not (isinstance(stage, VolumeStage) and stage.mode == "hybrid" and self.gpu.software):
-            return False
-        return self.filled < 1.0 and not self.document.deformation.is_identity
+        slow = isinstance(self.stage, VolumeStage) and self.stage.mode == "hybrid" and self.gpu.software
+        return slow and self.filled < 1.0 and not self.document.deformation.is_identity
 
     @property
     def busy(self) -> bool:
@@ -164,9 +163,7 @@ class View:
         SuppleError
             If frames that it is made of do not come.
         """
-        ratio = self.canvas.get_pixel_ratio()
-        width, height = self.area
-        shot = self._shot((round(width * ratio), round(height * ratio)), ratio, False)
+        shot = self._shot(moving=False)
         self._drawn_key = None  # what is on the canvas is drawn over
         (first, second), stage = self.painter.paint(shot), self.stage
         if isinstance(stage, VideoStage):

@@ -1,4 +1,4 @@
-"""Tools for pictures, for videos and for volumes."""
+"""The brushes of pictures, videos and volumes: how a drag, the wheel and the keys are taken in each."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The camera before a volume, led by the pointer."""
+"""The camera before a volume: it orbits, pans and comes nearer as the pointer leads it."""
 
 from __future__ import annotations
 

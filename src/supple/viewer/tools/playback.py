@@ -1,4 +1,4 @@
-"""Time: which frame of a clip is shown."""
+"""The playback of a clip: which frame is shown at a time."""
 
 from __future__ import annotations
 
@@ -55,10 +55,7 @@ class Playback:
 
     def toggle(self) -> None:
         """Play or stand."""
-        if self.playing:
-            self.pause()
-        else:
-            self.play()
+        (self.pause if self.playing else self.play)()
 
     def seek(self, frame: float) -> None:
         """Show a frame, the nearest that there is; if it plays, it plays on from there."""

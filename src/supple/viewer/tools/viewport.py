@@ -1,4 +1,4 @@
-"""How a picture lies on the canvas."""
+"""The viewport: how a picture lies on the canvas, zoomed and panned."""
 
 from __future__ import annotations
 

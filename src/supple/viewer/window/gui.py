@@ -37,7 +37,6 @@ fn inked(corner: Corner) -> @location(0) vec4f {
 }
 """
 _OVER = {"src_factor": "src-alpha", "dst_factor": "one-minus-src-alpha", "operation": "add"}
-_USAGE = "VERTEX|INDEX|COPY_DST"
 _INDEX = {2: "uint16", 4: "uint32"}[imgui.INDEX_SIZE]
 
 
@@ -158,7 +157,7 @@ class Gui:
         end = begin + sum(sizes[len(lists) :])  # corners are of 20 bytes: indices begin at a whole word
         if len(self._bytes) < end + 4:
             self._bytes = bytearray(2 * end + 4)
-            self._buffer = self._device.create_buffer(size=len(self._bytes) & ~3, usage=_USAGE)
+            self._buffer = self._device.create_buffer(size=len(self._bytes) & ~3, usage="VERTEX|INDEX|COPY_DST")
         place = ctypes.addressof(ctypes.c_char.from_buffer(self._bytes))
         for (vector, _), size in zip(vectors, sizes, strict=True):
             ctypes.memmove(place, vector.data_address(), size)

@@ -30,6 +30,7 @@ from supple.viewer.panels.frame_cache import FrameCache
 from supple.viewer.panels.stages import ImageStage, VideoStage, VolumeStage, on_screen
 from supple.viewer.panels.stages import shown as as_pixels
 from supple.viewer.tools.brushes import ImageTools, VideoTools, VolumeTools
+from supple.viewer.tools.gestures import Pair
 from supple.viewer.tools.playback import Playback
 from supple.viewer.window import qt
 from supple.volumes import VolumeOptions, in_space, is_volume_job, open_volume
@@ -67,7 +68,7 @@ class ViewOptions:
 _USUAL = ViewOptions()
 
 
-def stage_of(gpu: Gpu, source: Source, options: ViewOptions = _USUAL) -> ImageStage | VideoStage | VolumeStage:
+def stage_of(gpu: Gpu, source: Source, options: ViewOptions = _USUAL) -> ImageStage | VolumeStage:
     """Open the stage of a file, or of an array: a picture (H, W[, C]) or a volume (Z, H, W) more than 4 voxels wide.
 
     Raises
@@ -128,9 +129,7 @@ def _suits(name: str, options: ViewOptions, *, moves: bool = False, volume: bool
         raise SuppleError(f"time_scale is for clips, and {name} is none: leave it out")
 
 
-def tools_of(
-    stage: ImageStage | VideoStage | VolumeStage, document: Document, size: tuple[float, float]
-) -> ImageTools | VideoTools | VolumeTools:
+def tools_of(stage: ImageStage | VolumeStage, document: Document, size: Pair) -> ImageTools | VolumeTools:
     """Return the tools for a stage."""
     if isinstance(stage, VideoStage):
         return VideoTools(document, Playback(stage.film.count, stage.rate, stage.film.starts), size)
@@ -238,7 +237,7 @@ def show(
 
     Returns
     -------
-    View
+    Window
         ``view.recipe`` is what was done.
     """
     canvas_type, loop = on_screen_of(toolkit)
@@ -308,7 +307,7 @@ def view(
 
     Returns
     -------
-    View
+    Window
         ``view.recipe`` is what was done, and ``view.on_change`` calls a function with it whenever it changes.
 
     Raises
@@ -341,14 +340,12 @@ def serve(
 
     Parameters
     ----------
-    source, recipe
-        As `view` takes them.
+    source, recipe, options
+        As `show` takes them.
     port : int
         0 for any that is free.
     tell : function
         Called with the address.
-    options : ViewOptions
-        How the source is read.
     """
     with _installed():
         from rendercanvas.http import RenderCanvas, asgi, loop

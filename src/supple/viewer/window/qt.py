@@ -1,4 +1,4 @@
-"""Windows of Qt: what they call things by names of their own; and closing them, and files dropped on them."""
+"""Windows of Qt: how they are opened and closed, and how files are dropped on them."""
 
 from __future__ import annotations
 

@@ -98,7 +98,7 @@ class Window(View):
         kind = event["event_type"]
         if kind == "pointer_move" and not self._inside(event):
             self.tools.handle({"event_type": "pointer_leave"})
-        if kind in ("pointer_down", "pointer_up") and event.get("button") not in _BUTTONS:
+        if kind in ("pointer_down", "pointer_up") and event.get("button") not in range(1, 6):
             event["stop_propagation"] = True  # the panel knows no others
         elif kind in ("pointer_down", "wheel") and self._inside(event) and self.desk.asked is None:
             self._gui.release()
@@ -139,11 +139,9 @@ class Window(View):
                 self.desk.ask(request)
         self.canvas.request_draw()
 
-    # What is drawn.
-
     @unbroken()
     def draw(self) -> None:
-        """Draw a frame: what is asked for by the canvas."""
+        """Draw a frame, as the canvas asks for one."""
         if self._closed:
             return
         self.desk.tick()  # first: whatever comes, strokes are kept
@@ -157,7 +155,7 @@ class Window(View):
         if isinstance(tools, VideoTools):
             tools.playback.frame_at(begun)
         moving = tools.dragging or self._lately or self._playing or self._filling
-        shot = self._shot((round(width * ratio), round(height * ratio)), ratio, moving)
+        shot = self._shot(moving)
         key = shot, self.painter.coarse if moving else 0
         self._gui.lay()
         if self._gui.trouble:
@@ -238,4 +236,3 @@ class Window(View):
 
 _HOLDING = "let go of the stroke first"
 _HANDS = ("pointer_down", "pointer_move", "pointer_up", "wheel", "key_down", "key_up", "resize")
-_BUTTONS = range(1, 6)
