@@ -31,7 +31,7 @@ import supple
 from supple.engines.wgpu.device import open_gpu
 from supple.media import image
 from supple.strokes import Recipe, Stroke
-from supple.viewer import panels
+from supple.viewer.panels.view import BAR, LINE, WIDE
 
 DATA = Path(supple.__file__).parent / "examples" / "data"
 _EMPTY = """
@@ -53,7 +53,7 @@ _OURS = """
 import sys, time
 begun = time.perf_counter()
 from rendercanvas.offscreen import RenderCanvas, loop
-from supple.viewer.launch import opened
+from supple.viewer.window.launch import opened
 canvas = RenderCanvas(size=(1280, 800))
 view = opened(sys.argv[1], None, canvas, loop)
 canvas.draw()
@@ -66,7 +66,7 @@ def opened(source: Any) -> tuple[Any, Any]:
     """A view of 20 strokes."""
     from rendercanvas.offscreen import RenderCanvas, loop
 
-    from supple.viewer.launch import opened as opened_on
+    from supple.viewer.window.launch import opened as opened_on
 
     canvas = RenderCanvas(size=(1280, 800))
     strokes = tuple(Stroke.grab((150 + 80 * k, 300 + 20 * k), by=(15, 28), radius=120) for k in range(20))
@@ -179,9 +179,9 @@ def played(path: Path, seconds: float = 3.0) -> tuple[float, int, int]:
     """The rate of a clip that is bent in time; how many frames are due in some seconds, and how many are seen."""
     from rendercanvas.offscreen import RenderCanvas, loop
 
-    from supple.viewer.launch import opened as opened_on
+    from supple.viewer.window.launch import opened as opened_on
 
-    canvas = RenderCanvas(size=(1920 + panels.WIDE, 1080 + panels.BAR + panels.LINE))
+    canvas = RenderCanvas(size=(1920 + WIDE, 1080 + BAR + LINE))
     stroke = Stroke.grab((960, 540, 40), by=(150, 0, 4), radius=300)
     view = opened_on(path, Recipe(border=None, strokes=(stroke,)), canvas, loop)
     playback = view.tools.playback

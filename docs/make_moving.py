@@ -17,8 +17,9 @@ from rendercanvas.offscreen import RenderCanvas
 
 import supple
 from supple.strokes import Recipe
-from supple.viewer import view as windows
-from supple.viewer.launch import opened
+from supple.viewer.panels import view as views
+from supple.viewer.window import window as windows
+from supple.viewer.window.launch import opened
 
 HERE = Path(__file__).resolve().parent
 DATA = Path(supple.__file__).parent / "examples" / "data"
@@ -51,7 +52,7 @@ class Hand:
     """A hand at a window, and what was filmed of it."""
 
     def __init__(self, source: Path, recipe: Recipe | None = None) -> None:
-        self.clock = windows.time = Clock()  # type: ignore[attr-defined]
+        self.clock = views.time = windows.time = Clock()  # type: ignore[attr-defined]
         self.canvas = RenderCanvas(size=SIZE, pixel_ratio=1.0)
         self.view: Any = opened(source, recipe, self.canvas, Still())
         self.canvas.set_title("")

@@ -694,7 +694,7 @@ def viewed(monkeypatch: pytest.MonkeyPatch) -> list[tuple[Any, ...]]:
     def show(source: str, recipe: Any = None, *, toolkit: str, options: Any) -> None:
         shown.append((source, recipe, options))
 
-    monkeypatch.setattr("supple.viewer.launch.show", show)
+    monkeypatch.setattr("supple.viewer.window.launch.show", show)
     return shown
 
 

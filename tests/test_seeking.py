@@ -11,7 +11,7 @@ from clips import make
 
 from supple.media.video import Clip, open_video
 from supple.media.video.seeking import index_of
-from supple.viewer.frame_cache import FrameCache
+from supple.viewer.panels.frame_cache import FrameCache
 
 COUNT = 40
 GOPS: dict[str, dict[str, Any]] = {

@@ -21,8 +21,8 @@ from supple.files.clips import deformation_of as on_clip
 from supple.geometry import Geometry
 from supple.media.image import read, write
 from supple.strokes import Recipe, Stroke
-from supple.viewer.document import Document, Item, State
-from supple.viewer.history import History
+from supple.viewer.document.editing import Document
+from supple.viewer.document.state import History, Item, State
 
 SHAPE = (120, 160)
 

@@ -21,10 +21,9 @@ from supple.errors import FoldWarning, SuppleError, ToleranceWarning
 from supple.files import warp_file
 from supple.media.image import read, write
 from supple.strokes import Recipe, Stroke
-from supple.viewer.autosave import Autosave, found
-from supple.viewer.document import Document
-from supple.viewer.exporting import Export
-from supple.viewer.warning_log import heard
+from supple.viewer.document.autosave import Autosave, found
+from supple.viewer.document.background import Export, heard
+from supple.viewer.document.editing import Document
 
 ONE = Stroke(at=(20, 20), by=(3, 0.1), radius=9)
 TWO = Stroke(at=(30, 20), by=(0, 1 / 3), radius=9, hidden=True)
@@ -205,7 +204,7 @@ class TestAutosave:
 
     def test_a_window_that_is_killed(self, source: Path, tmp_path: Path) -> None:
         script = (
-            "import os, sys; from supple.viewer.autosave import *; from supple.strokes import Stroke\n"
+            "import os, sys; from supple.viewer.document.autosave import *; from supple.strokes import Stroke\n"
             "d = Document((40, 60)); a = Autosave(sys.argv[1], d, sys.argv[2])\n"
             "d.add(Stroke(at=(20, 20), by=(3, 0.1), radius=9)); a.tick(); a.flush(); os._exit(9)"
         )

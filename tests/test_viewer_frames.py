@@ -13,8 +13,8 @@ import pyvips
 from clips import make
 from windows import Hand, opened, wait_for
 
-from supple.engines.wgpu.device import Gpu
 from supple.errors import SuppleError
+from supple.engines.wgpu.device import Gpu
 from supple.media import image
 from supple.strokes import Recipe, Stroke
 
@@ -96,7 +96,7 @@ def test_what_is_saved_is_the_frame_that_is_shown_and_both_halves(gpu: Gpu, long
 def test_a_view_whose_frames_do_not_come_is_not_saved(
     gpu: Gpu, long: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from supple.viewer import view as views
+    from supple.viewer.panels import view as views
 
     monkeypatch.setattr(views, "PATIENCE", 0.2)
     view, hand = opened(long)
@@ -111,7 +111,7 @@ def test_a_view_whose_frames_do_not_come_is_not_saved(
 
 def test_a_clip_that_stops_says_so_and_goes_on_elsewhere(gpu: Gpu, long: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from supple.media.video import Clip
-    from supple.viewer.overlay import status
+    from supple.viewer.panels.overlay import status
 
     sought, begun = Clip._sought, []
 
@@ -148,7 +148,7 @@ def test_a_clip_that_stops_says_so_and_goes_on_elsewhere(gpu: Gpu, long: Path, m
 
 
 def test_a_clip_that_ends_too_soon_says_so(gpu: Gpu, long: Path) -> None:
-    from supple.viewer.frame_cache import FrameCache
+    from supple.viewer.panels.frame_cache import FrameCache
 
     film = FrameCache(long)
     try:
@@ -162,7 +162,7 @@ def test_a_clip_that_ends_too_soon_says_so(gpu: Gpu, long: Path) -> None:
 
 
 def test_a_stroke_of_more_frames_than_are_kept_says_so(gpu: Gpu, long: Path) -> None:
-    from supple.viewer.overlay import status
+    from supple.viewer.panels.overlay import status
 
     view, hand = opened(long, Recipe(border=None, strokes=(LATER,)))
     view.stage._plate.slots = 6
@@ -184,7 +184,7 @@ def test_a_stroke_of_more_frames_than_are_kept_says_so(gpu: Gpu, long: Path) -> 
 
 def test_the_value_under_the_pointer_is_what_is_seen_there(gpu: Gpu, monkeypatch: pytest.MonkeyPatch) -> None:
     from supple.deformation import Deformation
-    from supple.viewer.overlay import status
+    from supple.viewer.panels.overlay import status
 
     ys, xs = np.mgrid[:380, :560]
     ramp = np.stack([xs * 255 // 559, ys * 255 // 379, 0 * xs], -1).astype(np.uint8)
@@ -232,8 +232,8 @@ def test_the_value_of_a_clip_is_that_of_the_frame_it_comes_from(gpu: Gpu, long: 
 def test_coarse_pixels_lie_where_fine_ones_do(gpu: Gpu, coarse: int) -> None:
     from supple.deformation import Deformation
     from supple.engines.wgpu.screen import Screen, pixels_of
-    from supple.viewer.painter import Painter, Shot
-    from supple.viewer.stages import ImageStage
+    from supple.viewer.panels.painter import Painter, Shot
+    from supple.viewer.panels.stages import ImageStage
 
     size = width, height = 705, 401  # no multiple of any
     ys, xs = np.mgrid[:height, :width]
@@ -259,7 +259,7 @@ def test_coarse_pixels_lie_where_fine_ones_do(gpu: Gpu, coarse: int) -> None:
 
 
 def test_coarse_pixels_of_a_volume_lie_about_the_middle() -> None:
-    from supple.viewer.painter import _about_the_middle
+    from supple.viewer.panels.painter import _about_the_middle
 
     assert _about_the_middle((700, 400), (700, 400)) == (0.0, 0.0, 1.0, 1.0)
     # 89 x 51 pixels: each covers 401/51 of the canvas, as the shorter side is fitted.

@@ -102,7 +102,7 @@ def test_another_file_that_is_dropped_has_a_window_of_its_own(
 ) -> None:
     window, _ = view
     begun: list[list[str]] = []
-    monkeypatch.setattr("supple.viewer.files.subprocess.Popen", lambda words, **options: begun.append(words))
+    monkeypatch.setattr("supple.viewer.document.files.subprocess.Popen", lambda words, **options: begun.append(words))
     window.drop([str(DATA / "head.nii.gz")])
     assert begun[0][1:] == ["-m", "supple", "view", str(DATA / "head.nii.gz")]
     assert "window of its own" in window.desk.message
@@ -115,7 +115,7 @@ def test_what_the_system_says_is_dropped_comes_to_the_window(
     view: tuple[Any, Hand], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     glfw = pytest.importorskip("glfw")
-    from supple.viewer.launch import _ask_before_closing
+    from supple.viewer.window.launch import _ask_before_closing
 
     window, _ = view
     set_by: dict[str, Any] = {}

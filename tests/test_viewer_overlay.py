@@ -34,7 +34,7 @@ def red(pixels: np.ndarray) -> int:
 
 
 def test_a_volume_tells_millimetres_and_values_and_shows_the_brush(gpu: Gpu) -> None:
-    from supple.viewer.overlay import status
+    from supple.viewer.panels.overlay import status
 
     view, hand = opened(DATA / "head.nii.gz", Recipe(border=None))
     hand.move(350, 300)
@@ -68,7 +68,7 @@ def missed(view: Any) -> float:
 
 
 def test_a_damped_stroke_of_a_volume_shows_how_far_it_was_to_go(gpu: Gpu) -> None:
-    from supple.viewer.overlay import status
+    from supple.viewer.panels.overlay import status
 
     stroke = Stroke.grab((36, 54, 60), by=(0, 0, -30), radius=12)
     view, hand = opened(DATA / "head.nii.gz", Recipe(border=None, on_fold="damp", strokes=(stroke,)))
@@ -109,7 +109,7 @@ def test_what_is_played_is_marked(gpu: Gpu) -> None:
 
 
 def test_the_frame_that_is_seen_is_certified(gpu: Gpu) -> None:
-    from supple.viewer.overlay import status
+    from supple.viewer.panels.overlay import status
 
     stroke = Stroke(at=(120, 80, 10), by=(14, 6, 4), radius=40)
     view, hand = opened(DATA / "bunny.mp4", Recipe(border=None, strokes=(stroke,)))
@@ -168,7 +168,7 @@ def test_an_array_of_a_volume(gpu: Gpu) -> None:
 
 
 def test_all_of_a_stroke_is_said() -> None:
-    from supple.viewer.panels import described
+    from supple.viewer.panels.panel import described
 
     stroke = Stroke(at=(31, 22), by=(30, 40), radius=5, poisson=0.3, scales=2)
     (arrival,) = supple.Deformation((80, 90), on_fold="damp", border=None).add(stroke, warn=False).arrivals
@@ -179,7 +179,7 @@ def test_all_of_a_stroke_is_said() -> None:
 
 
 def test_a_drag_says_how_far_it_goes_and_frames_are_counted_while_they_matter(gpu: Gpu) -> None:
-    from supple.viewer.overlay import status
+    from supple.viewer.panels.overlay import status
 
     view, hand = opened(np.full((400, 600, 3), 90, np.uint8), Recipe(border=None))
     hand.key("1")

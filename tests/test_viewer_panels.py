@@ -14,8 +14,8 @@ from windows import SIZE, Hand, opened
 import supple
 from supple.engines.wgpu.device import Gpu
 from supple.strokes import Recipe, Stroke
-from supple.viewer.document import Document
-from supple.viewer.files import Desk
+from supple.viewer.document.editing import Document
+from supple.viewer.document.files import Desk
 
 imgui = pytest.importorskip("imgui_bundle").imgui
 pytest.importorskip("rendercanvas")
@@ -104,7 +104,7 @@ def test_what_goes_wrong_does_not_kill_the_window(gpu: Gpu, monkeypatch: pytest.
         imgui.begin_child("half", (0, 50))
         raise ValueError("of its own")
 
-    monkeypatch.setattr("supple.viewer.panels._selected", broken)
+    monkeypatch.setattr("supple.viewer.panels.panel._selected", broken)
     for k in range(3):
         hand.drag((200 + 20 * k, 300), (220 + 20 * k, 310))
     assert view.desk.message == "ValueError: of its own"

@@ -21,9 +21,9 @@ from supple.cli import command
 from supple.engines.wgpu.device import Gpu
 from supple.media import image
 from supple.strokes import Recipe, Stroke
-from supple.viewer.launch import SIZE
-from supple.viewer.panels import BAR, LINE, WIDE
-from supple.viewer.viewport import Viewport
+from supple.viewer.panels.view import BAR, LINE, WIDE
+from supple.viewer.tools.viewport import Viewport
+from supple.viewer.window.launch import SIZE
 
 pytest.importorskip("rendercanvas")
 pytest.importorskip("imgui_bundle")

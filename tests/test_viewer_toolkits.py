@@ -30,7 +30,8 @@ QT = next((name for name in ("PySide6", "PyQt6") if find_spec(name) is not None)
 IN_QT = """
 import sys
 from {qt} import QtCore, QtGui, QtTest, QtWidgets
-from supple.viewer import launch, qt
+from supple.viewer.window import launch
+from supple.viewer.window import qt
 
 watched = []
 attend = qt.attend
@@ -112,7 +113,7 @@ def test_a_window_of_qt_is_dragged_on_and_asks_before_it_closes(gpu: Gpu, tmp_pa
 
 
 def test_what_is_not_there_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
-    from supple.viewer import launch, qt
+    from supple.viewer.window import launch, qt
 
     def none() -> Gpu:
         raise supple.SuppleError("no GPU was found: install one; device cpu needs none")

@@ -13,9 +13,10 @@ from supple.geometry import Geometry
 from supple.render.camera import Camera
 from supple.render.picture import Pick
 from supple.strokes import Recipe, Stroke
-from supple.viewer.document import Document
-from supple.viewer.playback import Playback
-from supple.viewer.tools import ImageTools, Tools, VideoTools, VolumeTools
+from supple.viewer.document.editing import Document
+from supple.viewer.tools.brushes import ImageTools, VideoTools, VolumeTools
+from supple.viewer.tools.gestures import Tools
+from supple.viewer.tools.playback import Playback
 
 LEFT, RIGHT, MIDDLE = 1, 2, 3
 

@@ -9,10 +9,10 @@ import pytest
 
 from supple.geometry import Geometry
 from supple.render.camera import Camera
-from supple.viewer import orbit
-from supple.viewer.orbit import Stage
-from supple.viewer.playback import Playback
-from supple.viewer.viewport import Viewport
+from supple.viewer.tools import orbit
+from supple.viewer.tools.orbit import Stage
+from supple.viewer.tools.playback import Playback
+from supple.viewer.tools.viewport import Viewport
 
 
 class TestViewport:

@@ -370,7 +370,7 @@ async def _answer(
 
 
 def test_who_has_no_token_sees_nothing() -> None:
-    from supple.viewer.server import guarded
+    from supple.viewer.window.server import guarded
 
     async def app(scope: Any, receive: Any, send: Any) -> None:
         await send({"type": "served"})
@@ -465,7 +465,7 @@ def test_an_interrupt_waits_for_what_is_being_done(
 
 
 def test_the_panel_says_where_a_stroke_arrives() -> None:
-    from supple.viewer.panels import described
+    from supple.viewer.panels.panel import described
 
     held = Stroke.grab((15, 20, 4), by=(5, 0, 0), radius=9)
     d = supple.Deformation((9, 60, 90), border=30.0, on_fold="damp").add(held, warn=False)

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     )
     from supple.files import warp_file
     from supple.strokes import Recipe, Stroke
-    from supple.viewer.launch import view
+    from supple.viewer.window.launch import view
 
 __version__ = "0.1.0"
 
@@ -58,7 +58,7 @@ _HOMES = {
     "Stroke": "strokes",
     "SuppleError": "errors",
     "ToleranceWarning": "errors",
-    "view": "viewer.launch",
+    "view": "viewer.window.launch",
     "warp_batch": "arrays",
     "warp_file": "files",
 }

@@ -41,8 +41,8 @@ def view(
     labels
         The volume is a label map: exports take the label of the nearest voxel, and labels are not mixed.
     """
-    from supple.viewer.launch import ViewOptions, show
-    from supple.viewer.launch import serve as serve_it
+    from supple.viewer.window.launch import ViewOptions, show
+    from supple.viewer.window.launch import serve as serve_it
 
     current().started(quiet=False, threads=None)
     loose = [n for n in ("radius", "poisson", "scales") if getattr(strokes, n) and not strokes.any]

@@ -1,1 +1,1 @@
-"""The window: what is drawn into it, what its events do, and what it keeps."""
+"""The window, in four rooms: what is edited, the tools, the panels, and the windows that they run in."""

@@ -1,4 +1,4 @@
-"""Windows of Qt: what they call things by names of their own; and closing them, and files dropped on them."""
+"""Windows of Qt: how they are opened and closed, and how files are dropped on them."""
 
 from __future__ import annotations
 
@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING, Any
 from supple.errors import SuppleError
 
 if TYPE_CHECKING:
-    from supple.engines.wgpu.device import Gpu
-    from supple.viewer.view import View
+    from supple.viewer.window.window import Window
 
 BINDINGS = ("PySide6", "PyQt6")
 _NOTCH = 100 / 120  # of the wheel: as others count it, and as Qt does
@@ -45,7 +44,7 @@ def toolkit() -> tuple[Any, Any]:
     return qt.RenderCanvas, qt.loop
 
 
-def attend(canvas: Any, view: View) -> None:
+def attend(canvas: Any, view: Window) -> None:
     """Ask before strokes are lost, and open the files that are dropped on the window."""
     from rendercanvas.qt import QtCore
 
@@ -59,7 +58,9 @@ def attend(canvas: Any, view: View) -> None:
                     event.ignore()
                     view.refresh()
                     return True
-                _await_pictures(view.gpu)
+                # Pictures that are on their way are waited for, as long as there is a window to which they come.
+                device = view.gpu.device
+                device.queue.read_buffer(device.create_buffer(size=4, usage="COPY_SRC"))
             if kind == kinds.DragEnter and event.mimeData().hasUrls():
                 event.acceptProposedAction()
                 return True
@@ -69,18 +70,9 @@ def attend(canvas: Any, view: View) -> None:
                 return True
             return False
 
+    def counted(event: dict[str, Any]) -> None:
+        event["dx"], event["dy"] = _NOTCH * event["dx"], _NOTCH * event["dy"]
+
     canvas.setAcceptDrops(True)
     canvas.installEventFilter(Watch(canvas))
-    canvas.add_event_handler(_counted, "wheel", order=-100)
-
-
-def _counted(event: dict[str, Any]) -> None:
-    event["dx"], event["dy"] = _NOTCH * event["dx"], _NOTCH * event["dy"]
-
-
-def _await_pictures(gpu: Gpu) -> None:
-    """Wait for pictures that are on their way to a window that closes, as long as there is one to which they come."""
-    import wgpu
-
-    device = gpu.device
-    device.queue.read_buffer(device.create_buffer(size=4, usage=wgpu.BufferUsage.COPY_SRC))
+    canvas.add_event_handler(counted, "wheel", order=-100)

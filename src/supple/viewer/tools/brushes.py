@@ -1,4 +1,4 @@
-"""Tools for pictures, for videos and for volumes."""
+"""The brushes of pictures, videos and volumes: how a drag, the wheel and the keys are taken in each."""
 
 from __future__ import annotations
 
@@ -11,24 +11,15 @@ import numpy as np
 from supple.geometry import Geometry
 from supple.render.camera import Camera
 from supple.render.picture import Pick
-from supple.viewer import orbit
-from supple.viewer.document import Document
-from supple.viewer.events import GROWTH, Event, Tools
-from supple.viewer.gestures import HANDLE, Handle, Held, Pair
-from supple.viewer.playback import Playback
-from supple.viewer.viewport import Viewport
+from supple.viewer.document.editing import Document
+from supple.viewer.tools import orbit
+from supple.viewer.tools.gestures import Event, Held, Pair, Tools, commanded, shifted
+from supple.viewer.tools.playback import Playback
+from supple.viewer.tools.viewport import Viewport
 
-__all__ = ["GROWTH", "HANDLE", "ZOOM", "Event", "Handle", "Held", "ImageTools", "Tools", "VideoTools", "VolumeTools"]
-
-ZOOM = 1.2
-"""How many times larger a picture is after a notch of the wheel, which is 100."""
+ZOOM = 1.2  # how many times larger a picture is after a notch of the wheel, which is 100
 
 _LEFT, _RIGHT, _MIDDLE = 1, 2, 3
-
-
-def _commanded(event: Event) -> bool:
-    modifiers = event.get("modifiers", ())
-    return "Control" in modifiers or "Meta" in modifiers
 
 
 def _pans(event: Event) -> bool:
@@ -39,13 +30,7 @@ def _pans(event: Event) -> bool:
 class ImageTools(Tools[Viewport]):
     """Edits a picture: a left drag pulls what is under the pointer.
 
-    Parameters
-    ----------
-    document : Document
-    canvas_size : (float, float)
-        Width and height, in logical pixels.
-    pixel_ratio : float
-        Physical pixels along the side of a logical one.
+    The canvas has a width and a height in logical pixels; the ratio says how many physical ones lie along such a pixel.
     """
 
     def __init__(self, document: Document, canvas_size: Pair, pixel_ratio: float = 1.0) -> None:
@@ -71,9 +56,17 @@ class ImageTools(Tools[Viewport]):
         """The point under the pointer, in pixels; it may lie outside the picture."""
         return None if self.pointer is None else self.view.to_image(*self.pointer)
 
-    def _grab(self, x: float, y: float) -> tuple[tuple[float, ...], Pick | None] | None:
+    @property
+    def ring(self) -> float | None:
+        """The brush's radius under the pointer, in logical pixels; None beside the canvas."""
+        held, pointer = self.held, self.pointer
+        if pointer is None or not all(p < n for p, n in zip(pointer, self.canvas_size, strict=True)):
+            return None
+        return (self.radius if held is None else held.stroke.radius) * self.view.zoom
+
+    def _grab(self, x: float, y: float) -> tuple[float, ...] | None:
         point = self.view.to_image(x, y)
-        return (point, None) if self.view.holds(*point) else None
+        return point if self.view.holds(*point) else None
 
     def _seen(self, point: tuple[float, ...]) -> Pair | None:
         return self.view.to_canvas(*point[:2])
@@ -88,37 +81,24 @@ class ImageTools(Tools[Viewport]):
         return "pan" if _pans(event) else None
 
     def _turn(self, event: Event, amount: float) -> None:
-        if _commanded(event):
-            self.view = self.view.zoom_about(float(event["x"]), float(event["y"]), ZOOM ** (-amount / 100))
-            self._rebase()
+        if commanded(event):
+            self._look(self.view.zoom_about(float(event["x"]), float(event["y"]), ZOOM ** (-amount / 100)))
         else:
             self.grow(-amount / 100)
 
     def _key(self, key: str) -> bool:
         if key not in ("0", "1"):
             return False
-        self.view = self.view.fit() if key == "0" else self.view.actual()
-        self._rebase()
+        self._look(self.view.fit() if key == "0" else self.view.actual())
         return True
 
     def _on_resize(self, event: Event) -> bool:
-        self.view = self.view.resize((float(event["width"]), float(event["height"])), event.get("pixel_ratio"))
-        self._rebase()
+        self._look(self.view.resize((float(event["width"]), float(event["height"])), event.get("pixel_ratio")))
         return True
 
 
 class VideoTools(ImageTools):
-    """Edits a clip: what is held can be carried through time, too, by the wheel or the arrow keys.
-
-    Parameters
-    ----------
-    document : Document
-    playback : Playback
-    canvas_size : (float, float)
-        Width and height, in logical pixels.
-    pixel_ratio : float
-        Physical pixels along the side of a logical one.
-    """
+    """Edits a clip: what is held can be carried through time, too, by the wheel or the arrow keys."""
 
     def __init__(self, document: Document, playback: Playback, canvas_size: Pair, pixel_ratio: float = 1.0) -> None:
         super().__init__(document, canvas_size, pixel_ratio)
@@ -136,9 +116,9 @@ class VideoTools(ImageTools):
         self._frame = self.playback.frame
         return super()._taken(x, y)
 
-    def _grab(self, x: float, y: float) -> tuple[tuple[float, ...], Pick | None] | None:
+    def _grab(self, x: float, y: float) -> tuple[float, ...] | None:
         under = super()._grab(x, y)
-        return None if under is None else ((*under[0], float(self._frame)), None)
+        return None if under is None else (*under, float(self._frame))
 
     def _seen(self, point: tuple[float, ...]) -> Pair | None:
         return super()._seen(point) if abs(point[2] - self.playback.frame) <= 0.5 else None
@@ -160,53 +140,42 @@ class VideoTools(ImageTools):
 
     def _turn(self, event: Event, amount: float) -> None:
         held = self.held
-        if held is None or _commanded(event) or "Shift" in event.get("modifiers", ()):
+        if held is None or commanded(event) or shifted(event):
             super()._turn(event, amount)
         else:
             self._carry(held, -amount / 100)
 
     def _key(self, key: str) -> bool:
         playback, held = self.playback, self.held
-        steps = {"ArrowLeft": -1, "ArrowRight": 1}
-        if key in steps and held is not None:
-            self._carry(held, steps[key])
-        elif key in steps:
-            playback.step(steps[key])
-        elif key in (" ", "Home", "End", "i", "o", "u", "l"):
-            if held is not None:
-                return True  # the frame that is shown is where it is held
-            acts: dict[str, Callable[[], None]] = {
-                " ": playback.toggle,
-                "Home": playback.home,
-                "End": playback.end,
-                "i": playback.mark_in,
-                "o": playback.mark_out,
-                "u": playback.unmark,
-                "l": lambda: playback.set_loop(not playback.loop),
-            }
-            acts[key]()
-        else:
+        step = {"ArrowLeft": -1, "ArrowRight": 1}.get(key)
+        acts: dict[str, Callable[[], None]] = {
+            " ": playback.toggle,
+            "Home": playback.home,
+            "End": playback.end,
+            "i": playback.mark_in,
+            "o": playback.mark_out,
+            "u": playback.unmark,
+            "l": lambda: playback.set_loop(not playback.loop),
+        }
+        if held is not None and step is not None:
+            self._carry(held, step)
+        elif step is not None:
+            playback.step(step)
+        elif key not in acts:
             return super()._key(key)
+        elif held is None:  # otherwise, the frame that is shown is where it is held
+            acts[key]()
         return True
 
 
 class VolumeTools(Tools[Camera]):
     """Edits a volume: a left drag pulls what is seen under the pointer, in the camera's plane; beside it, it turns.
 
-    Parameters
-    ----------
-    document : Document
-    geometry : Geometry
-        Where the voxels lie.
-    canvas_size : (float, float)
-        Width and height, in logical pixels.
-    pick : function of float and float
-        What is seen at a point of the canvas, as `supple.render.scene.Scene.pick` tells it; None if nothing is.
-    drag : function of Pick and (float, float)
-        How far that goes if it is dragged to another point, as `supple.render.scene.Scene.drag` tells it.
-    camera : Camera, optional
-        Where the camera is at first.
+    What is seen at a point of the canvas, and how far that goes if it is dragged to another, is told by ``pick`` and
+    ``drag``, as by `supple.render.scene.Scene.pick` and `supple.render.scene.Scene.drag`.
     """
+
+    _beside = "orbit"
 
     def __init__(
         self,
@@ -220,6 +189,7 @@ class VolumeTools(Tools[Camera]):
         super().__init__(document, camera or Camera())
         self.home = self.view
         self.pick, self.drag = pick, drag
+        self._picked: Pick | None = None
         self.stage = orbit.Stage(document.shape, geometry, _rows(canvas_size))
         self._under: tuple[tuple[object, ...], Pick | None] | None = None
 
@@ -227,10 +197,6 @@ class VolumeTools(Tools[Camera]):
     def camera(self) -> Camera:
         """Where the camera is."""
         return self.view
-
-    @camera.setter
-    def camera(self, camera: Camera) -> None:
-        self.view = camera
 
     @property
     def canvas_size(self) -> Pair:
@@ -266,13 +232,13 @@ class VolumeTools(Tools[Camera]):
         radius = self.radius if held is None else held.stroke.radius
         return radius * self.stage.scale(self.view, point)
 
-    def _grab(self, x: float, y: float) -> tuple[tuple[float, ...], Pick | None] | None:
-        found = self.pick(x, y)
+    def _grab(self, x: float, y: float) -> tuple[float, ...] | None:
+        found = self._picked = self.pick(x, y)
         if found is None:
             return None
         # What is seen lies in the volume, but for rounding.
         last = np.array(self.document.shape[::-1]) - 0.5
-        return tuple(np.clip(found.index, -0.5, last).tolist()), found
+        return tuple(np.clip(found.index, -0.5, last).tolist())
 
     def _seen(self, point: tuple[float, ...]) -> Pair | None:
         seen = self.stage.project(self.view, point)
@@ -280,7 +246,8 @@ class VolumeTools(Tools[Camera]):
 
     def _carried(self, held: Held, x: float, y: float) -> tuple[float, ...]:
         # A handle is at any depth: only where it is counts.
-        return self.drag(held.pick or Pick(held.point, held.point, 0.0), (x, y))  # type: ignore[arg-type]
+        picked = self._picked if held.item is None else None
+        return self.drag(picked or Pick(held.point, held.point, 0.0), (x, y))  # type: ignore[arg-type]
 
     def _led(self, how: str, view: Camera, dx: float, dy: float) -> Camera:
         if not (dx or dy):
@@ -292,26 +259,21 @@ class VolumeTools(Tools[Camera]):
             return "pan"
         return "orbit" if event.get("button") == _RIGHT else None
 
-    def _on_nothing(self) -> str:
-        return "orbit"
-
     def _turn(self, event: Event, amount: float) -> None:
-        if self.held is not None or "Shift" in event.get("modifiers", ()):
+        if self.held is not None or shifted(event):
             self.grow(-amount / 100)  # a camera that moved would see what is held elsewhere
         else:
-            self.view = orbit.dolly(self.view, amount, self.stage)
-            self._rebase()
+            self._look(orbit.dolly(self.view, amount, self.stage))
 
     def _key(self, key: str) -> bool:
         if key != "0" or self.held is not None:
             return False
-        self.view = self.home
-        self._rebase()
+        self._look(self.home)
         return True
 
     def _on_resize(self, event: Event) -> bool:
         self.stage = replace(self.stage, size=_rows((event["width"], event["height"])))
-        self._rebase()
+        self._look(self.view)
         return True
 
 

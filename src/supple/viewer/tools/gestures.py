@@ -1,62 +1,138 @@
-"""Event handlers of a window: strokes are drawn and edited, the view is moved."""
+"""Gestures and keys, whatever the medium: strokes are drawn and edited, and the view is led."""
 
 from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Mapping
-from dataclasses import replace
-from typing import Any, Generic
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, replace
+from typing import Any, Generic, Literal, TypeVar
 
+from supple.domain import Domain
 from supple.errors import SuppleError
-from supple.render.picture import Pick
 from supple.strokes import REACH, Stroke
-from supple.viewer.document import Document
-from supple.viewer.gestures import Handle, Held, Lead, Pair, V, handles, nearest, radii
+from supple.viewer.document.editing import Document
+
+Pair = tuple[float, float]
+V = TypeVar("V")
 
 Event = Mapping[str, Any]
+Part = Literal["pivot", "end"]
 
-GROWTH = 1.1
-"""How many times larger the brush is after a notch of the wheel, which is 100."""
-
-KNOB = 10.0
-"""How near the pointer must be to the knob of the cut between before and after, in logical pixels."""
-
+CLICK = 3.0  # a pointer that is this near to where it was pressed, in logical pixels, has not moved
+HANDLE = 8.0  # how near the pointer must be to a handle, in logical pixels
+KNOB = 10.0  # how near it must be to the knob of the cut between before and after
+GROWTH = 1.1  # how many times larger the brush is after a notch of the wheel, which is 100
 _LEFT = 1
 _CUT = "cut"
 _MOST = 1e4  # of what the wheel turns at once: powers of more overflow
 _REQUESTS = {"s": "save", "o": "open", "e": "export"}
 
 
+@dataclass(frozen=True, slots=True)
+class Handle:
+    """Where a stroke can be taken: its pivot, or its end."""
+
+    item: int  # which stroke of the document it is
+    part: Part
+    point: tuple[float, ...]
+    seen: Pair  # where it is on the canvas
+
+
+def nearest(among: Iterable[Handle], place: Pair) -> Handle | None:
+    """The handle under the pointer; where several are, the last."""
+    best, reach = None, HANDLE
+    for handle in among:
+        away = math.dist(handle.seen, place)
+        if away <= reach:
+            best, reach = handle, away
+    return best
+
+
+@dataclass(slots=True)
+class Held:
+    """A stroke that the pointer holds, while the button is down; places are in logical pixels of the canvas."""
+
+    stroke: Stroke  # as it was when the button went down; the wheel changes its radius
+    point: tuple[float, ...]  # what the pointer has hold of
+    start: Pair  # where the pointer went down
+    now: Pair
+    offset: Pair = (0.0, 0.0)  # how far that was from the point
+    item: int | None = None  # which stroke of the document it is; None for a new one
+    part: Part = "end"
+    turned: float = 0.0  # frames that it was carried through time; the wheel has parts of them
+    time: float = 0.0  # how many whole frames that are, up to the ends of the clip
+    grown: bool = False  # the radius of a stroke of the document was changed
+    button: int = 1
+
+    @property
+    def moved(self) -> bool:
+        """Return whether it is a drag; otherwise it is a click."""
+        return math.dist(self.start, self.now) >= CLICK or self.time != 0
+
+    def draw(self, document: Document, carried: Callable[[Held, float, float], tuple[float, ...]]) -> None:
+        """Show it in a document, if it has moved; ``carried`` tells how far it goes to be seen at a place."""
+        if not document.dragging:
+            if not (self.moved or self.grown):
+                return
+            document.begin_drag(self.item)
+        stroke = self.stroke
+        if self.moved:
+            (x, y), (a, b) = self.now, self.offset
+            gone = carried(self, x - a, y - b)
+            if self.item is not None and self.part == "pivot":
+                stroke = replace(stroke, at=tuple(p + d for p, d in zip(stroke.at, gone, strict=True)))
+            else:
+                by = tuple((p - at) + d for p, at, d in zip(self.point, stroke.at, gone, strict=True))
+                stroke = replace(stroke, by=by)
+        document.preview(stroke)
+
+
+@dataclass(slots=True)
+class Lead(Generic[V]):
+    """A view that the pointer leads, while the button is down."""
+
+    how: str
+    button: int
+    before: V  # when the button went down
+    base: V  # when the pointer was at `start`
+    start: Pair
+    now: Pair
+    travelled: bool = False
+
+    @property
+    def moved(self) -> bool:
+        """Return whether it is a drag; otherwise it is a click."""
+        return self.travelled or math.dist(self.start, self.now) >= CLICK
+
+
 class Tools(ABC, Generic[V]):
     """Turns events into edits of a document, and leads the view.
 
     Events are those of rendercanvas. Amounts are what counts in them, and not how many there are, as they may come
-    merged. Nothing is raised: what is refused is in `status`.
-
-    Parameters
-    ----------
-    document : Document
-    view : Viewport or Camera
-        How it is looked at, at first.
+    merged. Nothing is raised: what is refused is in `status`. The view, a viewport or a camera, is the first.
     """
+
+    _beside = "click"  # how the left button leads the view where there is nothing to grab
 
     def __init__(self, document: Document, view: V) -> None:
         self.document = document
         self.view = view
-        low, self._radius, high = radii(document)
-        self.radius_limits = (low, high)
+        domain = Domain(document.shape, document.spacing)
+        n = 3 if document.kind == "volume" else 2  # time is not as long as it is wide
+        sides = [max(e, s) for e, s in zip(domain.extent[:n], domain.spacing[:n], strict=True)]
+        smallest = min(domain.spacing[:n])
+        self.radius_limits = (smallest, 4 * max(sides))
+        self._radius = max(min(sides) / 8, smallest)
         self.poisson: float | None = None
         self.scales = 1
         self.reach: float | None = REACH
-        self.original = False
-        """Return whether what is shown is the original, without strokes."""
+        self.original = False  # whether what is shown is the original, without strokes
         self.split: float | None = None
         """Where the original is shown beside what is made of it: a part of the width; None shows no original."""
         self.requests: list[str] = []
-        """Return, and clear, the requests to the window: ``"save"``, ``"save as"``, ``"open"``, ``"export"``."""
-        self.pointer: Pair | None = None
-        """Where the pointer is on the canvas."""
+        """Requests to the window: ``"save"``, ``"save as"``, ``"open"``, ``"export"``."""
+        self.pointer: Pair | None = None  # where the pointer is on the canvas
         self._gesture: Held | Lead[V] | None = None
         self._refused: str | None = None
 
@@ -99,6 +175,10 @@ class Tools(ABC, Generic[V]):
             self._refused = str(error)
             return True
 
+    def press(self, key: str) -> None:
+        """Do what a key does."""
+        self.handle({"event_type": "key_down", "key": key})
+
     def abandon(self) -> bool:
         """Take back what the pointer does, as if the button had never gone down; return whether it did anything."""
         gesture, self._gesture = self._gesture, None
@@ -124,7 +204,7 @@ class Tools(ABC, Generic[V]):
         """Width and height of the canvas, in logical pixels."""
 
     @abstractmethod
-    def _grab(self, x: float, y: float) -> tuple[tuple[float, ...], Pick | None] | None:
+    def _grab(self, x: float, y: float) -> tuple[float, ...] | None:
         """Return the stroke under a point of the canvas; None if there is none."""
 
     @abstractmethod
@@ -151,10 +231,6 @@ class Tools(ABC, Generic[V]):
     def _key(self, key: str) -> bool:
         """Do what a key does that not all media have."""
 
-    def _on_nothing(self) -> str | None:
-        """How the left button leads the view where there is nothing to grab."""
-        return None
-
     def _put_back(self, held: Held) -> None:
         """Put back what a drag changed outside the document."""
 
@@ -169,7 +245,7 @@ class Tools(ABC, Generic[V]):
             how = _CUT
         elif how is None and button == _LEFT:
             self._gesture = self._taken(x, y)
-            how = self._on_nothing() or "click"
+            how = self._beside
         if self._gesture is None and how is not None:
             self._gesture = Lead(how, button, self.view, self.view, (x, y), (x, y))
         return self._gesture is not None
@@ -181,19 +257,24 @@ class Tools(ABC, Generic[V]):
         if found is not None:
             (hx, hy), stroke = found.seen, self.document.seen(found.item)
             return Held(stroke, found.point, (x, y), (x, y), (x - hx, y - hy), found.item, found.part)
-        under = self._grab(x, y)
-        if under is None:
+        point = self._grab(x, y)
+        if point is None:
             return None
-        point, pick = under
-        still = (0.0,) * len(point)
-        stroke = Stroke(
-            at=point, by=still, radius=self.radius, poisson=self.poisson, scales=self.scales, reach=self.reach
-        )
-        return Held(stroke, stroke.at, (x, y), (x, y), pick=pick)
+        brush: dict[str, Any] = {"poisson": self.poisson, "scales": self.scales, "reach": self.reach}
+        stroke = Stroke(at=point, by=(0.0,) * len(point), radius=self.radius, **brush)
+        return Held(stroke, stroke.at, (x, y), (x, y))
 
     def handles(self, among: Iterable[int] | None = None) -> list[Handle]:
-        """The handles of some strokes, or of all, that are seen on the canvas."""
-        return handles(self.document, range(len(self.document.items)) if among is None else among, self._seen)
+        """The handles of some strokes, or of all, that are applied and seen on the canvas."""
+        found, items = [], self.document.items
+        for i in range(len(items)) if among is None else among:
+            pivot, end = self.document.handles(i)
+            parts: tuple[tuple[Part, tuple[float, ...]], ...] = (("pivot", pivot), ("end", end))
+            for part, point in parts if not items[i].hidden else ():
+                place = self._seen(point)
+                if place is not None:
+                    found.append(Handle(i, part, point, place))
+        return found
 
     def _on_pointer_move(self, event: Event) -> bool:
         self.pointer = _place(event)
@@ -202,7 +283,7 @@ class Tools(ABC, Generic[V]):
             return False
         if gesture.button not in event.get("buttons", (gesture.button,)):
             return self._released()  # the button went up where the window did not see it
-        self._follow(self.pointer)
+        self._follow(gesture, self.pointer)
         return True
 
     def _on_pointer_up(self, event: Event) -> bool:
@@ -210,18 +291,15 @@ class Tools(ABC, Generic[V]):
         gesture = self._gesture
         if gesture is None or event.get("button") != gesture.button:
             return False
-        self._follow(self.pointer)
+        self._follow(gesture, self.pointer)
         return self._released()
 
     def _on_pointer_leave(self, event: Event) -> bool:
         self.pointer = None
         return False
 
-    def _follow(self, place: Pair) -> None:
+    def _follow(self, gesture: Held | Lead[V], place: Pair) -> None:
         """Take what is held, or led, to where the pointer is."""
-        gesture = self._gesture
-        if gesture is None:
-            return
         gesture.now = place
         if isinstance(gesture, Held):
             gesture.draw(self.document, self._carried)
@@ -231,32 +309,35 @@ class Tools(ABC, Generic[V]):
             (x, y), (a, b) = place, gesture.start
             self.view = self._led(gesture.how, gesture.base, x - a, y - b)
 
-    def _rebase(self) -> None:
-        if isinstance(self._gesture, Lead):
-            self._gesture.rebase(self.view)
+    def _look(self, view: V) -> None:
+        """Look in another way; the pointer leads it on from there."""
+        self.view = view
+        lead = self._gesture
+        if isinstance(lead, Lead):
+            lead.travelled = lead.moved
+            lead.base, lead.start = view, lead.now
 
     def _released(self) -> bool:
         gesture, self._gesture = self._gesture, None
+        if gesture is None:
+            return False
         if isinstance(gesture, Held):
-            if gesture.changed and self.document.dragging:
+            if (gesture.moved or gesture.grown) and self.document.dragging:
                 trouble = self.document.trouble
                 self._refused = None if self.document.commit() else trouble
                 return True
             if self.document.dragging:
                 self.document.abandon()
             self._put_back(gesture)
-            self._click(gesture.start)
-        elif gesture is not None and gesture.button == _LEFT and gesture.how != _CUT and not gesture.moved:
-            self._click(gesture.start)
-        return gesture is not None
-
-    def _click(self, place: Pair) -> None:
-        found = nearest(self.handles(), place)
+        elif gesture.button != _LEFT or gesture.how == _CUT or gesture.moved:
+            return True
+        found = nearest(self.handles(), gesture.start)
         self.document.select(None if found is None else found.item)
+        return True
 
     def _on_wheel(self, event: Event) -> bool:
         amount = float(event.get("dy", 0.0))
-        if "Shift" in event.get("modifiers", ()):
+        if shifted(event):
             amount += float(event.get("dx", 0.0))  # some systems turn the wheel sideways then
         self._turn(event, min(max(amount, -_MOST), _MOST))
         return True
@@ -274,12 +355,11 @@ class Tools(ABC, Generic[V]):
 
     def _on_key_down(self, event: Event) -> bool:
         self._refused = None
-        modifiers = event.get("modifiers", ())
         key = str(event.get("key", ""))
-        if "Control" in modifiers or "Meta" in modifiers:
+        if commanded(event):
             # Some windows name the control character that is typed.
             letter = chr(ord(key) + 96) if len(key) == 1 and ord(key) < 27 else key.lower()
-            return self._command(letter, "Shift" in modifiers)
+            return self._command(letter, shifted(event))
         return self._edit(key) or self._key(key)
 
     def _on_key_up(self, event: Event) -> bool:
@@ -318,6 +398,16 @@ class Tools(ABC, Generic[V]):
         else:
             return False
         return True
+
+
+def commanded(event: Event) -> bool:
+    """Return whether Control is held, or what stands for it."""
+    return any(key in event.get("modifiers", ()) for key in ("Control", "Meta"))
+
+
+def shifted(event: Event) -> bool:
+    """Return whether Shift is held."""
+    return "Shift" in event.get("modifiers", ())
 
 
 def _place(event: Event) -> Pair:

@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
 from imgui_bundle import imgui
 
 from supple.folding import NEAR
-from supple.viewer.panels import BAR, LINE, hint
-from supple.viewer.playback import Playback
-from supple.viewer.stages import VideoStage, VolumeStage
-from supple.viewer.tools import ImageTools, VideoTools, VolumeTools
-
-if TYPE_CHECKING:
-    from supple.viewer.view import View
+from supple.viewer.panels.panel import hint
+from supple.viewer.panels.stages import VideoStage, VolumeStage
+from supple.viewer.panels.view import BAR, LINE, View
+from supple.viewer.tools.brushes import ImageTools, VideoTools, VolumeTools
+from supple.viewer.tools.gestures import Pair
+from supple.viewer.tools.playback import Playback
 
 _WHITE, _DARK, _BLUE, _RED = 0xFFFFFFFF, 0xA0000000, 0xFFFFA040, 0xFF5060FF  # ABGR
 _BARE = (
@@ -35,23 +33,15 @@ def draw(view: View) -> None:
         _marks(view, lines)
     else:
         _handles(view, lines)
-        _ring(view, lines)
+    tools = view.tools
+    if tools.pointer is not None and not tools.original and (ring := tools.ring):
+        lines.add_circle(tools.pointer, ring, _DARK, 0, 3.0)
+        lines.add_circle(tools.pointer, ring, _WHITE, 0, 1.0)
     _knob(view, lines)
     lines.pop_clip_rect()
     if isinstance(view.stage, VideoStage):
         _timeline(view, view.stage)
     _status(view)
-
-
-def _ring(view: View, lines: imgui.ImDrawList) -> None:
-    tools = view.tools
-    assert isinstance(tools, ImageTools)
-    pointer = tools.pointer
-    if pointer is None or tools.original or not all(p < n for p, n in zip(pointer, view.area, strict=True)):
-        return
-    radius = (tools.held.stroke.radius if tools.held is not None else tools.radius) * tools.viewport.zoom
-    lines.add_circle(pointer, radius, _DARK, 0, 3.0)
-    lines.add_circle(pointer, radius, _WHITE, 0, 1.0)
 
 
 def _knob(view: View, lines: imgui.ImDrawList) -> None:
@@ -69,15 +59,13 @@ def _knob(view: View, lines: imgui.ImDrawList) -> None:
 def _handles(view: View, lines: imgui.ImDrawList) -> None:
     tools = view.tools
     assert isinstance(tools, ImageTools)
-    document, zoom = view.document, tools.viewport.zoom
-    left, top = tools.viewport.to_canvas(0.0, 0.0)
+    document, viewport = view.document, tools.viewport
     for i, arrival in enumerate(document.arrivals):
         selected = document.selected == i
         if arrival is None or (not selected and len(document.items) > 60):
             continue
         stroke = document.seen(i)
-        start = left + zoom * stroke.at[0], top + zoom * stroke.at[1]
-        end = left + zoom * arrival.arrived[0], top + zoom * arrival.arrived[1]
+        start, end = viewport.to_canvas(*stroke.at[:2]), viewport.to_canvas(*arrival.arrived[:2])
         colour = _BLUE if selected else 0x90FFFFFF
         if isinstance(view.stage, VideoStage):
             # Of another frame, they are faint, and cannot be taken.
@@ -90,22 +78,15 @@ def _handles(view: View, lines: imgui.ImDrawList) -> None:
         lines.add_line(start, end, _DARK, 3.0)
         lines.add_line(start, end, colour, 1.5)
         lines.add_circle_filled(start, 3.0, colour)
-        lines.add_circle(end, 5.0, colour, 0, 2.0)
-        if arrival.miss > NEAR:
-            wanted = left + zoom * arrival.target[0], top + zoom * arrival.target[1]
-            lines.add_line(end, wanted, _RED, 1.5)
-            lines.add_circle(wanted, 4.0, _RED, 0, 1.5)
+        _end(lines, end, colour, viewport.to_canvas(*arrival.target[:2]) if arrival.miss > NEAR else None)
         if selected:
-            lines.add_circle(start, stroke.radius * zoom, 0x80FFA040, 0, 1.0)
+            lines.add_circle(start, stroke.radius * viewport.zoom, 0x80FFA040, 0, 1.0)
 
 
 def _marks(view: View, lines: imgui.ImDrawList) -> None:
-    """The strokes of a volume as the camera sees them, and the brush where the object is."""
+    """The strokes of a volume as the camera sees them."""
     tools, document = view.tools, view.document
     assert isinstance(tools, VolumeTools)
-    if tools.pointer is not None and not tools.original and (ring := tools.ring):
-        lines.add_circle(tools.pointer, ring, _DARK, 0, 3.0)
-        lines.add_circle(tools.pointer, ring, _WHITE, 0, 1.0)
     handles = tools.handles()
     starts = {handle.item: handle.seen for handle in handles if handle.part != "end"}
     for handle in handles:
@@ -114,14 +95,19 @@ def _marks(view: View, lines: imgui.ImDrawList) -> None:
             lines.add_line(starts[handle.item], handle.seen, 0x90FFFFFF, 1.0)
         colour = _BLUE if view.document.selected == handle.item else 0x90FFFFFF
         if handle.part == "end":
-            lines.add_circle(handle.seen, 5.0, colour, 0, 2.0)
             arrival = document.arrival(handle.item)
             wanted = tools.stage.project(tools.view, arrival.target) if arrival and arrival.miss > NEAR else None
-            if wanted is not None:
-                lines.add_line(handle.seen, wanted[:2], _RED, 1.5)
-                lines.add_circle(wanted[:2], 4.0, _RED, 0, 1.5)
+            _end(lines, handle.seen, colour, wanted and wanted[:2])
         else:
             lines.add_circle_filled(handle.seen, 3.0, colour)
+
+
+def _end(lines: imgui.ImDrawList, end: Pair, colour: int, wanted: Pair | None) -> None:
+    """Where a stroke's point arrives, and where it was to go, if that is elsewhere."""
+    lines.add_circle(end, 5.0, colour, 0, 2.0)
+    if wanted is not None:
+        lines.add_line(end, wanted, _RED, 1.5)
+        lines.add_circle(wanted, 4.0, _RED, 0, 1.5)
 
 
 def _timeline(view: View, stage: VideoStage) -> None:
@@ -133,7 +119,7 @@ def _timeline(view: View, stage: VideoStage) -> None:
     imgui.set_next_window_size((width, BAR))
     imgui.begin("timeline", None, _BARE)
     if imgui.button("pause" if playback.playing else "play", (54, 0)):
-        view.tools.handle({"event_type": "key_down", "key": " ", "modifiers": ()})
+        tools.press(" ")
     imgui.same_line()
     imgui.set_next_item_width(max(80.0, width - 330))
     changed, frame = imgui.slider_int("##frame", playback.frame, 0, stage.film.count - 1, "")
@@ -162,8 +148,7 @@ def _marked(playback: Playback) -> None:
 
 
 def _status(view: View) -> None:
-    height = view.logical[1]
-    imgui.set_next_window_pos((0, height - LINE))
+    imgui.set_next_window_pos((0, view.logical[1] - LINE))
     imgui.set_next_window_size((view.area[0], LINE))
     imgui.push_style_var(imgui.StyleVar_.window_padding, (8, 3))
     imgui.begin("status", None, _BARE)
@@ -176,65 +161,48 @@ def _status(view: View) -> None:
 
 def status(view: View) -> str:
     """The line of status: a message, or the point under the pointer; frames a second; and the certified error."""
-    parts = []
-    if not isinstance(view.stage, VolumeStage):
-        parts.append(view.stage.trouble)
-    trouble = view.tools.status or view.desk.message
+    parts = [view.stage.trouble]
+    tools, document = view.tools, view.document
+    trouble = tools.status or view.desk.message
     if trouble:
         parts.append(trouble)
-    elif (hover := view.tools.hover) is not None:  # of a volume, it sends a ray
+    elif (hover := tools.hover) is not None:  # of a volume, it sends a ray
         names = {"image": "xy", "video": "xyt", "volume": "xyz"}[view.stage.kind]
         parts.append("  ".join(f"{name} {v:.1f}" for name, v in zip(names, hover, strict=False)))
-        document = view.document
         if document.dragging and document.selected is not None:  # what is held stays under the pointer
             by = document.seen(document.selected).by
             parts.append("by " + " ".join(f"{v:+.1f}" for v in by))
         elif not isinstance(view.stage, VolumeStage):
-            bent = None if _as_it_was(view) else view.document.deformation
-            value = view.stage.value((hover[0], hover[1]), view.frame, bent)
-            if value:
-                parts.append(value)
-        elif isinstance(view.tools, VolumeTools) and view.tools.under is not None:
-            parts.append(view.stage.value(view.tools.under))
+            left = tools.pointer is not None and tools.pointer[0] < (tools.split or 0.0) * view.area[0]
+            plain = tools.original or (tools.split is not None and left)
+            parts.append(view.stage.value((hover[0], hover[1]), view.frame, None if plain else document.deformation))
+        elif isinstance(tools, VolumeTools) and tools.under is not None:
+            parts.append(view.stage.value(tools.under))
     parts.append(certified(view))
-    if isinstance(view.tools, ImageTools):
-        parts.append(f"{view.tools.viewport.percent:.0f} %")
+    if isinstance(tools, ImageTools):
+        parts.append(f"{tools.viewport.percent:.0f} %")
     if view.busy:
         parts.append(f"{view.rate:.0f} frames a second")
-    if view.painter.coarse > 1 and view.tools.dragging:
-        parts.append(f"drawn at 1/{view.painter.coarse} while you drag: {why(view)}")
+    if view.painter.coarse > 1 and tools.dragging:
+        why = "no hardware GPU" if view.gpu.software else "the GPU is slow"
+        parts.append(f"drawn at 1/{view.painter.coarse} while you drag: {why}")
     return "   |   ".join(p for p in parts if p)
-
-
-def _as_it_was(view: View) -> bool:
-    """Return whether what is under the pointer is shown without strokes."""
-    tools = view.tools
-    left = tools.pointer is not None and tools.pointer[0] < (tools.split or 0.0) * view.area[0]
-    return tools.original or (tools.split is not None and left)
-
-
-def why(view: View) -> str:
-    """Why pictures are smaller while a hand moves."""
-    return "no hardware GPU" if view.gpu.software else "the GPU is slow"
 
 
 def certified(view: View) -> str:
     """Return the text of the certified error."""
-    deformation = view.document.deformation
-    if isinstance(view.stage, VolumeStage):
-        error = view.stage.scene.error
-        if deformation.is_identity or not view.stage.warned:
-            return "" if deformation.is_identity else f"within {error:.2g} voxels"
-        off = f"up to {error:.2g} voxels" if math.isfinite(error) else "more than a voxel"
-        return f"the lattice is off by {off}: mode exact is not"
+    deformation, stage, tools = view.document.deformation, view.stage, view.tools
     if deformation.is_identity:
         return ""
-    if view.document.dragging:
+    if isinstance(stage, VolumeStage):
+        error = stage.scene.error
+        if not stage.warned:
+            return f"within {error:.2g} voxels"
+        off = f"up to {error:.2g} voxels" if math.isfinite(error) else "more than a voxel"
+        return f"the lattice is off by {off}: mode exact is not"
+    if view.document.dragging or (isinstance(tools, VideoTools) and tools.playback.playing):
         return ""
-    plane, where = None, ""
-    if isinstance(view.tools, VideoTools):
-        if view.tools.playback.playing:
-            return ""
-        plane, where = round(view.frame), " in this frame"
-    report = view.certifier.report(deformation, plane)
+    film = stage.kind == "video"
+    report = view.certifier.report(deformation, round(view.frame) if film else None)
+    where = " in this frame" if film else ""
     return "measuring the error ..." if report is None else f"error at most {report.error:.2g} px{where}, certified"

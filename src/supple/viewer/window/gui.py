@@ -1,12 +1,15 @@
-"""Draws what Dear ImGui lays out: one buffer that is written once a frame, and as few calls as there are clips."""
+"""Dear ImGui on a canvas: it gets the events, lays out the controls, and they are drawn in few calls."""
 
 from __future__ import annotations
 
 import ctypes
+from collections.abc import Callable
+from importlib import resources
 from typing import Any
 
 import numpy as np
 from imgui_bundle import imgui
+from wgpu.utils.imgui import ImguiRenderer
 
 from supple.engines.wgpu.buffers import Kept
 from supple.engines.wgpu.device import Gpu
@@ -34,29 +37,37 @@ fn inked(corner: Corner) -> @location(0) vec4f {
 }
 """
 _OVER = {"src_factor": "src-alpha", "dst_factor": "one-minus-src-alpha", "operation": "add"}
-_USAGE = "VERTEX|INDEX|COPY_DST"
 _INDEX = {2: "uint16", 4: "uint32"}[imgui.INDEX_SIZE]
 
 
-class Ink:
-    """Draws lists of triangles onto what a window presents.
+class Gui:
+    """Draws controls, which a function says each time, in the canvas's format, and hands them the canvas's events."""
 
-    Parameters
-    ----------
-    gpu : Gpu
-    format : str
-        Of what it presents.
-    """
-
-    def __init__(self, gpu: Gpu, format: str) -> None:
+    def __init__(self, gpu: Gpu, canvas: Any, format: str, controls: Callable[[], None]) -> None:
+        self._canvas, self._controls = canvas, controls
+        # Of this, what it does with events: it draws with a bind group more for each clip of each frame (wgpu 0.32).
+        self._renderer = ImguiRenderer(gpu.device, canvas, format)
+        self.trouble = ""  # the error of the last layout, if there was one
+        io = self._renderer.backend.io
+        # What was not ended, as something went wrong, is ended for us, and the window lives.
+        io.config_error_recovery_enable_assert = False
+        io.config_error_recovery_enable_tooltip = False
+        # Letters that can be read, and colours that do not glare.
+        style, font = imgui.get_style(), resources.files("imgui_bundle") / "assets" / "fonts" / "DroidSans.ttf"
+        with resources.as_file(font) as path:
+            if path.is_file():
+                io.fonts.add_font_from_file_ttf(str(path), 15.0)
+        style.set_color_(imgui.Col_.modal_window_dim_bg, (0.0, 0.0, 0.0, 0.45))
+        style.set_color_(imgui.Col_.popup_bg, (0.12, 0.12, 0.13, 1.0))
+        style.frame_rounding = style.grab_rounding = style.popup_rounding = 3.0
+        style.item_spacing = imgui.ImVec2(7, 5)
         self._device, self._gamma = gpu.device, 2.2 if format.endswith("srgb") else 1.0
         self._told, self._bytes, self._buffer = Kept(gpu, UNIFORM), bytearray(), None
-        self._groups: dict[int, Any] = {}
-        self._letters: dict[int, Any] = {}
-        module = gpu.device.create_shader_module(code=_SHADER)
+        self._letters: dict[int, tuple[Any, Any]] = {}  # textures, and their groups
+        module = self._device.create_shader_module(code=_SHADER)
         shapes = zip(("float32x2", "float32x2", "unorm8x4"), (0, 8, 16), strict=True)
         attributes = [{"format": f, "offset": o, "shader_location": k} for k, (f, o) in enumerate(shapes)]
-        self._pipeline = gpu.device.create_render_pipeline(
+        self._pipeline = self._device.create_render_pipeline(
             layout="auto",
             vertex={
                 "module": module,
@@ -70,8 +81,8 @@ class Ink:
             },
             primitive={"topology": "triangle-list"},
         )
-        smooth = gpu.device.create_sampler(mag_filter="linear", min_filter="linear")
-        self._common = gpu.device.create_bind_group(
+        smooth = self._device.create_sampler(mag_filter="linear", min_filter="linear")
+        self._common = self._device.create_bind_group(
             layout=self._pipeline.get_bind_group_layout(0),
             entries=[
                 {"binding": 0, "resource": {"buffer": self._told.hold(np.zeros(1, _SETTINGS))}},
@@ -79,8 +90,30 @@ class Ink:
             ],
         )
 
-    def draw(self, data: imgui.ImDrawData, drawing: Any) -> None:
-        """Draw into a render pass."""
+    def release(self) -> None:
+        """Hand the next event on, whatever lay under the pointer when the last frame was drawn."""
+        imgui.set_current_context(self._renderer.imgui_context)
+        if not imgui.is_popup_open("", imgui.PopupFlags_.any_popup):
+            self._renderer.backend.io.want_capture_mouse = False
+
+    def lay(self) -> None:
+        """Find out what is to be drawn, and what is wanted with it."""
+        imgui.set_current_context(self._renderer.imgui_context)
+        ratio, io = self._canvas.get_pixel_ratio(), self._renderer.backend.io
+        io.display_size = self._canvas.get_logical_size()
+        io.display_framebuffer_scale = ratio, ratio
+        imgui.new_frame()
+        self.trouble = ""
+        try:
+            self._controls()
+        except Exception as error:  # whatever it is: strokes may be unsaved
+            self.trouble = " ".join(f"{type(error).__name__}: {error}".split())
+        finally:
+            imgui.render()
+
+    def draw(self, drawing: Any) -> None:
+        """Draw that into a render pass."""
+        data = imgui.get_draw_data()
         for texture in data.textures or ():
             if texture.status != imgui.ImTextureStatus.ok:
                 self._update(texture)
@@ -108,7 +141,7 @@ class Ink:
                 which = command.tex_ref.get_tex_id()
                 if which != bound:
                     bound = which
-                    drawing.set_bind_group(1, self._groups[which])
+                    drawing.set_bind_group(1, self._letters[which][1])
                 drawing.set_scissor_rect(x, y, width, height)
                 first, base = index + command.idx_offset, corner + command.vtx_offset
                 drawing.draw_indexed(command.elem_count, 1, first, base, 0)
@@ -124,7 +157,7 @@ class Ink:
         end = begin + sum(sizes[len(lists) :])  # corners are of 20 bytes: indices begin at a whole word
         if len(self._bytes) < end + 4:
             self._bytes = bytearray(2 * end + 4)
-            self._buffer = self._device.create_buffer(size=len(self._bytes) & ~3, usage=_USAGE)
+            self._buffer = self._device.create_buffer(size=len(self._bytes) & ~3, usage="VERTEX|INDEX|COPY_DST")
         place = ctypes.addressof(ctypes.c_char.from_buffer(self._bytes))
         for (vector, _), size in zip(vectors, sizes, strict=True):
             ctypes.memmove(place, vector.data_address(), size)
@@ -139,7 +172,6 @@ class Ink:
             if texture.unused_frames > 0:
                 which = texture.get_tex_id()
                 self._letters.pop(which, None)
-                self._groups.pop(which, None)
                 texture.set_tex_id(0)
                 texture.set_status(status.destroyed)
             return
@@ -148,14 +180,11 @@ class Ink:
             made = self._device.create_texture(size=size, format="rgba8unorm", usage="COPY_DST|TEXTURE_BINDING")
             which = max(self._letters, default=0) + 1
             texture.set_tex_id(which)
-            self._letters[which] = made
-            self._groups[which] = self._device.create_bind_group(
-                layout=self._pipeline.get_bind_group_layout(1),
-                entries=[{"binding": 0, "resource": made.create_view()}],
-            )
+            layout, entries = self._pipeline.get_bind_group_layout(1), [{"binding": 0, "resource": made.create_view()}]
+            self._letters[which] = made, self._device.create_bind_group(layout=layout, entries=entries)
         # All of it: some letters more are rare.
         self._device.queue.write_texture(
-            {"texture": self._letters[texture.get_tex_id()]},
+            {"texture": self._letters[texture.get_tex_id()][0]},
             texture.get_pixels_array(),
             {"bytes_per_row": 4 * texture.width, "rows_per_image": texture.height},
             size,

@@ -1,4 +1,4 @@
-"""How a picture lies on the canvas."""
+"""The viewport: how a picture lies on the canvas, zoomed and panned."""
 
 from __future__ import annotations
 
@@ -6,12 +6,10 @@ import math
 from dataclasses import dataclass, replace
 from typing import Self
 
-CLOSEST = 64.0
-"""The largest that a pixel of the picture may be, in physical pixels of the screen."""
-FARTHEST = 0.25
-"""The smallest that a picture may be, as a part of what fits, or of its own size where that is less."""
+from supple.viewer.tools.gestures import Pair
 
-Pair = tuple[float, float]
+CLOSEST = 64.0  # the largest that a pixel of the picture may be, in physical pixels of the screen
+FARTHEST = 0.25  # the smallest that a picture may be, as a part of what fits, or of its own size where that is less
 
 
 @dataclass(frozen=True, slots=True)
@@ -20,23 +18,13 @@ class Viewport:
 
     Points of the picture are counted from the middle of its upper left pixel; those of the canvas are in logical
     pixels, from its upper left corner. The middle of the canvas is always over the picture, so that it is never lost.
-
-    Parameters
-    ----------
-    image_size : (int, int)
-        Width and height, in pixels.
-    canvas_size : (float, float)
-        Width and height, in logical pixels.
-    pixel_ratio : float
-        Physical pixels along the side of a logical one.
-    held : (float, (float, float)), optional
-        The zoom, and the point of the picture in the middle of the canvas. Without them, the picture fits, also when
-        the canvas changes its size.
+    What is held is the zoom, and the point of the picture in the middle of the canvas; without them, the picture fits,
+    also when the canvas changes its size.
     """
 
-    image_size: tuple[int, int]
+    image_size: tuple[int, int]  # width and height
     canvas_size: Pair
-    pixel_ratio: float = 1.0
+    pixel_ratio: float = 1.0  # physical pixels along the side of a logical one
     held: tuple[float, Pair] | None = None
 
     def __post_init__(self) -> None:

@@ -6,109 +6,71 @@ import os
 import subprocess
 import sys
 from collections.abc import Callable, Collection, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from supple.errors import SuppleError, shown
-from supple.files import check_job, write_recipe
 from supple.files.clips import SUFFIXES_OUT as CLIPS_OUT
 from supple.files.clips import is_picture_target
+from supple.errors import SuppleError
+from supple.files import PathLike, check_job, write_recipe
 from supple.media.files import check_output, same_file
+from supple.errors import shown
 from supple.media.image import SUFFIXES_OUT as PICTURES_OUT
 from supple.media.image import check_target
 from supple.media.volume import SUFFIXES_OUT as VOLUMES_OUT
 from supple.media.volume import suffix_of
-from supple.strokes import Recipe, spoken
-from supple.viewer import autosave
-from supple.viewer.autosave import Autosave, Found
-from supple.viewer.document import Document, Kind
-from supple.viewer.exporting import Export
-
-PathLike = str | os.PathLike[str]
+from supple.strokes import spoken
+from supple.strokes import Recipe
+from supple.viewer.document import autosave
+from supple.viewer.document.autosave import Autosave
+from supple.viewer.document.background import Export
+from supple.viewer.document.editing import Document
+from supple.viewer.document.state import Kind
 
 
 @dataclass(slots=True)
 class Question:
-    """Something that the window asks.
+    """Something that the window asks."""
 
-    Parameters
-    ----------
-    name : str
-        What it is about.
-    title, text : str
-    choices : tuple of str
-        The first is what Enter means; ``"Cancel"`` does nothing.
-    path : str, optional
-        The name of a file, which can be edited.
-    """
-
-    name: str
+    name: str  # what it is about
     title: str
     text: str
-    choices: tuple[str, ...]
-    path: str | None = None
-    opens: PathLike = ""
-    """The subject of the question, which is not to be edited."""
+    choices: tuple[str, ...]  # the first is what Enter means; "Cancel" does nothing
+    path: str | None = None  # the name of a file, which can be edited
+    opens: PathLike = ""  # one that cannot
     problem: str = ""
-    fresh: bool = True
-    """Return whether it was not drawn yet."""
+    fresh: bool = True  # it was not drawn yet
 
 
+@dataclass(eq=False)
 class Desk:
-    """The files around a document.
+    """The files around a document."""
 
-    Parameters
-    ----------
-    document : Document
-    source : Path, optional
-        The file that is bent; an array has none.
-    write_view : function of str and bool
-        Writes what is seen to a file; the second says whether one that exists may be replaced.
-    leave : function
-        Closes the window.
-    device : str
-        Who exports, as `supple.warp_file` takes it.
-    options : mapping, optional
-        What else it takes, to make what is seen.
-    """
+    document: Document
+    source: Path | None  # the file that is bent; an array has none
+    write_view: Callable[[str, bool], None]  # to a file, and whether one that exists may be replaced
+    leave: Callable[[], None]  # closes the window
+    device: str = "cpu"  # who exports, as `supple.warp_file` takes it
+    options: Mapping[str, Any] = field(default_factory=dict)  # what else it takes, to make what is seen
 
-    def __init__(
-        self,
-        document: Document,
-        source: Path | None,
-        write_view: Callable[[str, bool], None],
-        leave: Callable[[], None],
-        device: str = "cpu",
-        options: Mapping[str, Any] | None = None,
-    ) -> None:
-        self.document, self.source = document, source
-        self.message = ""
-        """The text of the status line, until something else happens."""
+    def __post_init__(self) -> None:
+        self.message = ""  # the text of the status line, until something else happens
         self.asked: Question | None = None
         self.export: Export | None = None
-        self.recipe_path: Path | None = None
-        """Where the recipe was saved to or opened from."""
-        self._write_view, self._leave, self._device = write_view, leave, device
-        self._options = options or {}
-        self._left: Found | None = None
+        self.recipe_path: Path | None = None  # where the recipe was saved to or opened from
         self._told: Export | None = None
-        self.autosave: Autosave | None = None
-        if source is not None:
-            self.autosave = Autosave(source, document)
-            self._left = autosave.found(source)
+        self.autosave = None if self.source is None else Autosave(self.source, self.document)
+        self._left = None if self.source is None else autosave.found(self.source)
         if self._left is not None:
-            self._offer(self._left)
-
-    def _offer(self, found: Found) -> None:
-        count = len(found.recipe.strokes)
-        one = count == 1
-        text = f"{count} stroke{'' if one else 's'} on this file {'was' if one else 'were'} not saved the last time."
-        if not found.same:
-            text += "\nThe file has changed since then."
-        if not found.read_alike(self.document):
-            text += "\nIt was read otherwise then: by another --time-scale, --series, --shape or --spacing."
-        self.asked = Question("restore", "Restore?", text, ("Restore", "Leave"))
+            count = len(self._left.recipe.strokes)
+            what = "1 stroke on this file was" if count == 1 else f"{count} strokes on this file were"
+            text = f"{what} not saved the last time."
+            if not self._left.same:
+                text += "\nThe file has changed since then."
+            if not self._left.read_alike(self.document):
+                text += "\nIt was read otherwise then: by another --time-scale, --series, --shape or --spacing."
+            self.asked = Question("restore", "Restore?", text, ("Restore", "Leave"))
 
     def tick(self) -> None:
         """Keep what has changed, if it is time to; and say what came of an export."""
@@ -117,8 +79,7 @@ class Desk:
         export = self.export
         if export is not None and export.done and self._told is not export:
             self._told = export
-            said = [export.error or export.text, *export.warnings]
-            self.message = "; ".join(text for text in said if text)
+            self.message = "; ".join(filter(None, [export.error or export.text, *export.warnings]))
 
     def attempt(self, work: Callable[[], object]) -> None:
         """Do what may be refused, and say so then."""
@@ -140,16 +101,10 @@ class Desk:
         if name == "save" and self.recipe_path is not None:
             known = self.recipe_path
             self.attempt(lambda: self.save(known, force=True))
-        elif name in ("save", "save as"):
-            self.asked = Question("save", "Save the recipe", _SAVE, ("Save", "Replace", "Cancel"), recipe)
-        elif name == "open":
-            self.asked = Question("open", "Open a recipe", _OPEN, ("Open", "Cancel"), recipe)
-        elif name == "export":
-            self.asked = Question("export", "Export", _EXPORT, ("Export", "Replace", "Cancel"), bent)
-        elif name == "copy":
-            self.asked = Question("copy", "Save what is seen", _COPY, ("Save", "Replace", "Cancel"), f"{stem}-view.png")
-        elif name == "close":
-            self.asked = Question("close", "Close?", _CLOSE, _WAYS_OUT, recipe)
+            return
+        name = "save" if name == "save as" else name
+        path = {"export": bent, "copy": f"{stem}-view.png"}.get(name, recipe)
+        self.asked = Question(name, *_ASKED[name], path)
 
     def may_close(self) -> bool:
         """Return whether nothing would be lost; otherwise, the question is asked."""
@@ -197,7 +152,7 @@ class Desk:
             self._spare(path)
             check_target(path)
             check_output(path, force=force)  # what is seen may take seconds to draw
-            self._write_view(path, force)
+            self.write_view(path, force)
             self.message = f"saved {path}"
         elif asked.name == "export":
             self.begin_export(path, force=force)
@@ -208,10 +163,10 @@ class Desk:
             else:
                 self.document.mark_saved()  # it is not wanted
             if self.may_close():  # an export may be under way
-                self._leave()
+                self.leave()
         elif asked.name == "stop":
             self.end_export()
-            self._leave()
+            self.leave()
 
     def save(self, path: PathLike, *, force: bool = False) -> None:
         """Write the recipe.
@@ -251,7 +206,7 @@ class Desk:
             raise SuppleError(f"cannot read {shown(path)}: {why}: check the name") from None
         recipe = Recipe.from_json(text)
         if self.document.dirty and not sure:
-            self.document.check(recipe)
+            self.document.fitted(recipe)
             self.asked = Question("over", "Open it?", _OVER, ("Open it", "Cancel"), opens=path)
             return
         self.document.load(recipe)
@@ -289,19 +244,17 @@ class Desk:
         if not os.fspath(path):
             raise SuppleError("the export needs a name, whose suffix says the format")
         self._spare(path)
-        recipe, device = self.document.recipe, self._device
-        check_job(self.source, path, recipe, force=force, **self._options)
+        recipe, options = self.document.recipe, self.options
+        check_job(self.source, path, recipe, force=force, **options)
         self.message = ""
-        self.export = Export(self.source, path, recipe, force=force, device=device, **self._options)
+        self.export = Export(self.source, path, recipe, force=force, device=self.device, **options)
 
     def end_export(self) -> None:
         """Cancel it; or, when it is done, put it aside."""
-        if self.export is None:
-            return
-        if self.export.done:
-            self.export = None
-        else:
+        if self.export is not None and not self.export.done:
             self.export.cancel()
+        else:
+            self.export = None
 
     def end(self) -> None:
         """End well: what was not wanted is not kept."""
@@ -309,10 +262,8 @@ class Desk:
             self.export.cancel()
             self.export.join(10.0)
         if self.autosave is not None:
-            if self.document.dirty:  # whoever closes this without asking keeps it for the next time
-                self.autosave.leave()
-            else:
-                self.autosave.clear()
+            # Whoever closes this without asking keeps it for the next time.
+            self.autosave.clear(keep=self.document.dirty)
 
 
 def _in_a_window(error: SuppleError) -> str:
@@ -326,10 +277,14 @@ _WRITTEN: dict[Kind | None, tuple[Collection[str], str]] = {
     "video": ({*CLIPS_OUT, ".gif", ".m4v"}, ".mp4"),
     "volume": (VOLUMES_OUT, ".nii.gz"),
 }
-_WAYS_OUT = ("Save and close", "Replace and close", "Close without saving", "Cancel")
-_SAVE = "What supple warp --recipe takes."
-_OPEN = "In the place of the strokes that there are; undo brings these back."
 _OVER = "There are strokes that were not saved. Undo brings them back, but only as long as the window is open."
-_EXPORT = "At full quality, to any format of supple warp."
-_COPY = "The picture as it is on the canvas."
-_CLOSE = "There are strokes that were not saved."
+_OPEN = "In the place of the strokes that there are; undo brings these back."
+_WAYS_OUT = ("Save and close", "Replace and close", "Close without saving", "Cancel")
+_KEEP = ("Save", "Replace", "Cancel")
+_ASKED = {
+    "save": ("Save the recipe", "What supple warp --recipe takes.", _KEEP),
+    "open": ("Open a recipe", _OPEN, ("Open", "Cancel")),
+    "export": ("Export", "At full quality, to any format of supple warp.", ("Export", "Replace", "Cancel")),
+    "copy": ("Save what is seen", "The picture as it is on the canvas.", _KEEP),
+    "close": ("Close?", "There are strokes that were not saved.", _WAYS_OUT),
+}

@@ -5,16 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
-from supple.deformation import Arrival, Deformation
+from supple.deformation import Arrival, Deformation, last_outside, reduced
 from supple.domain import Border, Domain, integer, refuse
 from supple.errors import SuppleError
-from supple.files.volumes import indexed, placed
 from supple.geometry import Geometry
-from supple.strokes import FoldPolicy, Recipe, Stroke, spoken
-from supple.viewer.history import History
-from supple.viewer.state import Item, Kind, Medium, Solved, State
-
-__all__ = ["Document", "Item", "Kind", "State"]
+from supple.strokes import spoken
+from supple.strokes import FoldPolicy, Recipe, Stroke
+from supple.viewer.document.state import History, Item, Kind, Solved, State
+from supple.files.volumes import indexed, placed
 
 
 class Document:
@@ -23,19 +21,9 @@ class Document:
     An edit is done as a whole, and is a step; or it is refused with a `SuppleError`, and nothing has changed. A drag
     is one step, however long it takes.
 
-    Parameters
-    ----------
-    shape : sequence of int
-        Of the medium, as `Deformation` takes it.
-    spacing : float or sequence of float
-        Physical units per sample, x first.
-    recipe : Recipe, optional
-        What there is at first.
-    geometry : Geometry, optional
-        Where a volume's voxels lie, for recipes in millimetres.
-    kind : str, optional
-        ``"image"``, ``"video"`` or ``"volume"``. Of videos and volumes, strokes that `supple.warp_file` would refuse,
-        since they start before or after it, are refused here too.
+    The shape of the medium and its spacing are those that `Deformation` takes; recipes in millimetres need the geometry
+    of a volume. Of videos and volumes, strokes that `supple.warp_file` would refuse, since they start before or after
+    it, are refused here too.
     """
 
     def __init__(
@@ -51,15 +39,12 @@ class Document:
         self.spacing = spacing
         self.kind = kind
         self.geometry = geometry
-        self.revision = 0
-        """How many changes there were, of any kind."""
-        self.on_change: list[Callable[[], None]] = []
-        """Functions that are called after each change."""
-        self.trouble: str | None = None
-        """Why the drag that is under way does not go on: for the status line."""
+        self.revision = 0  # how many changes there were, of any kind
+        self.on_change: list[Callable[[], None]] = []  # functions that are called after each change
+        self.trouble: str | None = None  # why the drag that is under way does not go on: for the status line
         self._drag: tuple[Solved, int | None] | None = None
-        self._medium = Medium(self.shape, spacing, kind)
-        self._now = self._medium.solve(self._state(recipe or Recipe()))
+        self._timed = kind == "video" and len(self.shape) == 3
+        self._now = self._solved(self._state(recipe or Recipe()), None)
         self._history = History(self._now.state)
         self._saved = self._now.state.content
         self._arrivals: tuple[Solved | None, tuple[Arrival | None, ...]] = (None, ())
@@ -87,8 +72,9 @@ class Document:
     @property
     def recipe(self) -> Recipe:
         """The recipe that `supple.warp_file` takes and that is saved, with the hidden strokes."""
-        made = replace(self.state.recipe, size=self.shape[::-1], space="pixels", time_scale=self._time_scale)
-        space = self.state.space
+        scale = self.deformation.domain.spacing[2] if self._timed else None
+        made = replace(self.state.recipe, size=self.shape[::-1], space="pixels", time_scale=scale)
+        space = self.state.rest.space
         return made if space is None or self.geometry is None else placed(made, self.geometry, space)
 
     @property
@@ -153,15 +139,11 @@ class Document:
 
     def set_border(self, border: Border) -> None:
         """Give the fixed border another width, as `Domain` takes it."""
-        self._edit(replace(self.state, border=Recipe(border=border).border))
+        self._edit(replace(self.state, rest=replace(self.state.rest, border=border)))
 
     def set_on_fold(self, on_fold: FoldPolicy) -> None:
         """Choose what is done with strokes that would fold the picture."""
-        self._edit(replace(self.state, on_fold=Recipe(on_fold=on_fold).on_fold))
-
-    def check(self, recipe: Recipe) -> None:
-        """Refuse a recipe whose strokes are of another kind of medium; SuppleError says why."""
-        self._fitting(recipe)
+        self._edit(replace(self.state, rest=replace(self.state.rest, on_fold=on_fold)))
 
     def load(self, recipe: Recipe) -> None:
         """Put a recipe in the place of all there is, as one step."""
@@ -169,17 +151,20 @@ class Document:
 
     def _state(self, recipe: Recipe) -> State:
         """A recipe as it is edited here."""
-        return replace(State.of(self._fitting(recipe)), space=recipe.space if recipe.is_world else None)
+        return State.of(self.fitted(recipe), recipe.space if recipe.is_world else None)
 
-    @property
-    def _time_scale(self) -> float | None:
-        timed = self.kind == "video" and len(self.shape) == 3
-        return self.deformation.domain.spacing[2] if timed else None
+    def fitted(self, recipe: Recipe) -> Recipe:
+        """A recipe in samples of this medium, if its strokes are of one like it; it is scaled if its size differs.
 
-    def _fitting(self, recipe: Recipe) -> Recipe:
-        """A recipe in samples of this medium, if its strokes are of one like it; it is scaled if its size differs."""
+        Raises
+        ------
+        SuppleError
+            If it does not fit.
+        """
+        if not isinstance(recipe, Recipe):
+            refuse("a recipe", "a Recipe, as Recipe.from_json reads one", recipe)
         count = len(self.shape)
-        for k, stroke in enumerate(_recipe(recipe).strokes, 1):
+        for k, stroke in enumerate(recipe.strokes, 1):
             if len(stroke.at) != count:
                 what = {"image": "a picture, with points x, y", "video": "a clip, with points x, y, t"}.get(
                     self.kind or ("image" if count == 2 else ""), "a volume, with points x, y, z"
@@ -189,14 +174,14 @@ class Document:
                     "open one of its kind"
                 )
         size = self.shape[::-1]
-        fitted, time = recipe.fitted(size, time=self.kind == "video"), self.kind == "video" and count == 3
-        if time and fitted.strokes != recipe.strokes:
+        fitted = recipe.fitted(size, time=self.kind == "video")
+        if self._timed and fitted.strokes != recipe.strokes:
             raise SuppleError(
                 f"the recipe was made for {spoken(recipe.size or size)}, and this clip is {spoken(size)}: "
                 "supple warp scales it, and the window does not"
             )
         worth = Domain(self.shape, self.spacing).spacing[-1]
-        if time and recipe.time_scale not in (None, worth):
+        if self._timed and recipe.time_scale not in (None, worth):
             raise SuppleError(
                 f"in the recipe, a frame is worth {recipe.time_scale:g} pixels, and here {worth:g}: open the clip with "
                 f"--time-scale {recipe.time_scale:g}"
@@ -228,12 +213,12 @@ class Document:
         if self.dragging:
             self.abandon()
         elif self._history.can_undo:
-            self._show(self._medium.solve(self._history.undo(), self._now))
+            self._show(self._solved(self._history.undo(), self._now))
 
     def redo(self) -> None:
         """Do once more what was undone last."""
         if self.can_redo:
-            self._show(self._medium.solve(self._history.redo(), self._now))
+            self._show(self._solved(self._history.redo(), self._now))
 
     @property
     def dragging(self) -> bool:
@@ -255,19 +240,16 @@ class Document:
             Whether it can be done. If it can't, what was shown last stays, and `trouble` tells why.
         """
         before, i = self._dragged()
-        state, had = before.state, self.trouble
+        state, had, self.trouble = before.state, self.trouble, None
+        stroke = before.kept(stroke, sum(not item.hidden for item in state.items[:i]))
         if i is None:
-            stroke = before.kept(stroke, len(before.visible))
             state = replace(state, items=(*state.items, Item.of(stroke)), selected=len(state.items))
         else:
-            stroke = before.kept(stroke, sum(not item.hidden for item in state.items[:i]))
             state = replace(self._replaced(state, i, stroke), selected=i)
         try:
-            made = self._medium.solve(state, self._now)
+            made = self._solved(state, self._now)
         except SuppleError as error:
             self.trouble = str(error)
-        else:
-            self.trouble = None
         if self.trouble is None and made.state != self.state:
             self._show(made)
         elif self.trouble != had:
@@ -305,9 +287,33 @@ class Document:
         self._rest()
         if state.content == self.state.content:
             return
-        made = self._medium.solve(state, self._now)
+        made = self._solved(state, self._now)
         self._history.push(state)
         self._show(made)
+
+    def _solved(self, state: State, known: Solved | None) -> Solved:
+        """The deformation of a state; what it has in common with one that is known is not worked out again."""
+        rest = state.rest
+        plain = replace(rest, space=None)
+        empty = Deformation.from_recipe(plain, self.shape, spacing=self.spacing, time=self._timed)
+        made = Solved(state, (empty,))
+        visible, same = made.visible, 0
+        if known is not None and known.chain[0] == empty and known.state.rest.amount == rest.amount:
+            for (_, stroke), (_, before) in zip(visible, known.visible, strict=False):
+                if stroke is not before and stroke != before:
+                    break
+                same += 1
+            made = Solved(state, known.chain[: same + 1], known.wholes[:same])
+        for k, (i, stroke) in enumerate(visible[same:], same):
+            try:
+                whole, now = made.before(k)
+                applied = now.add(reduced(stroke, rest.amount, whole, now), warn=False)
+                last_outside(applied)
+                made = Solved(state, (*made.chain, applied), (*made.wholes, whole))
+            except SuppleError as error:
+                many = len(state.items) > 1
+                raise type(error)(f"stroke {i + 1}: {error}" if many else str(error)) from None
+        return made
 
     def _show(self, made: Solved) -> None:
         self._now = made
@@ -340,9 +346,3 @@ class Document:
     @staticmethod
     def _replaced(state: State, i: int, stroke: Stroke) -> State:
         return state.with_item(i, Item(Item.of(stroke).stroke, state.items[i].hidden))
-
-
-def _recipe(recipe: Recipe) -> Recipe:
-    if not isinstance(recipe, Recipe):
-        refuse("a recipe", "a Recipe, as Recipe.from_json reads one", recipe)
-    return recipe

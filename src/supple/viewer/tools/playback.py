@@ -1,4 +1,4 @@
-"""Time: which frame of a clip is shown."""
+"""The playback of a clip: which frame is shown at a time."""
 
 from __future__ import annotations
 
@@ -14,16 +14,8 @@ _EARLY = 1e-6  # of a frame, by which one is shown too early rather than a whole
 class Playback:
     """A clip that plays or stands.
 
-    It keeps time: what comes too late is dropped, and counted. It knows no clock, but is told the time.
-
-    Parameters
-    ----------
-    count : int
-        How many frames there are.
-    rate : float
-        Frames a second.
-    starts : sequence of float, optional
-        Seconds at which each frame is shown, where they are not evenly spaced.
+    It keeps time: what comes too late is dropped, and counted. It knows no clock, but is told the time. Frames that are
+    not evenly spaced, at so many a second, start at seconds of their own.
     """
 
     def __init__(self, count: int, rate: float, starts: Sequence[float] = ()) -> None:
@@ -34,8 +26,7 @@ class Playback:
             self._starts.append(2 * self._starts[-1] - self._starts[-2] if self.count > 1 else 1 / self.rate)
         self.playing = False
         self.loop = False
-        self.dropped = 0
-        """How many frames were not shown while it played."""
+        self.dropped = 0  # how many frames were not shown while it played
         self.first, self.last = 0, self.count - 1
         """The in point and the out point: what is played, both included."""
         self._frame = 0
@@ -64,10 +55,7 @@ class Playback:
 
     def toggle(self) -> None:
         """Play or stand."""
-        if self.playing:
-            self.pause()
-        else:
-            self.play()
+        (self.pause if self.playing else self.play)()
 
     def seek(self, frame: float) -> None:
         """Show a frame, the nearest that there is; if it plays, it plays on from there."""

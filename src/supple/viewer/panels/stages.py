@@ -6,40 +6,26 @@ import math
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
+import pyvips
 
 from supple.deformation import Deformation
+from supple.errors import SuppleError
 from supple.engines.wgpu.device import Gpu
 from supple.engines.wgpu.plate import BACK, Plate, Sight
-from supple.errors import SuppleError
+from supple.media.image import Picture
 from supple.media.volume import Volume
 from supple.render.camera import Camera
 from supple.render.picture import Pick
 from supple.render.scene import Scene
 from supple.render.transfer import TransferFunction
-from supple.viewer.document import Kind
-from supple.viewer.frame_cache import FrameCache
-from supple.viewer.pixels import Pixels
-from supple.viewer.warning_log import heard
+from supple.viewer.document.background import heard
+from supple.viewer.document.state import Kind
+from supple.viewer.panels.frame_cache import FrameCache
 
+Pixels = npt.NDArray[np.uint8]
 Point = tuple[float, ...]
 Span = tuple[int, int]
-
-
-class Under:
-    """Where what is seen at a point comes from; the last one is kept."""
-
-    def __init__(self) -> None:
-        self._last: tuple[Deformation, Point, Point] | None = None
-
-    def find(self, deformation: Deformation | None, point: Point) -> Point:
-        """The point T⁻¹(x); of no strokes, x."""
-        if deformation is None or deformation.is_identity:
-            return point
-        last = self._last
-        if last is None or last[0] is not deformation or last[1] != point:
-            made = deformation.inverse(np.array([point[: deformation.ndim]], np.float64)).points[0]
-            last = self._last = deformation, point, (*map(float, made), *point[deformation.ndim :])
-        return last[2]
 
 
 class ImageStage:
@@ -48,15 +34,17 @@ class ImageStage:
     kind: Kind = "image"
 
     def __init__(self, gpu: Gpu, name: str, pixels: Pixels) -> None:
-        self.name, self.pixels = name, pixels
         height, width = pixels.shape[:2]
-        self.shape, self.spacing = (height, width), (1.0, 1.0)
-        self.size = (width, height)
-        self._plate = Plate(gpu, self.size)
+        self.shape: tuple[int, ...] = (height, width)
+        self.spacing: tuple[float, ...] = (1.0, 1.0)
+        self._lay(name, (width, height), Plate(gpu, (width, height)))
+        self.pixels = pixels
         self._plate.put(0, pixels)
-        self._under = Under()
-        self.trouble = ""
-        """Why what is seen is not the whole truth, if it is not."""
+
+    def _lay(self, name: str, size: tuple[int, int], plate: Plate) -> None:
+        self.name, self.size, self._plate = name, size, plate
+        self.trouble = ""  # why what is seen is not the whole truth, if it is not
+        self._under: tuple[Deformation, Point, Point] | None = None
 
     def expect(self, deformations: tuple[Deformation, ...], time: float) -> None:
         """Hear what is drawn next: all of a picture is always there."""
@@ -68,37 +56,43 @@ class ImageStage:
         return True
 
     def value(self, point: tuple[float, float], time: float, deformation: Deformation | None = None) -> str:
-        """Return the point of the source that is seen at a point of the picture, through strokes if they are given."""
-        x, y, *_ = self._under.find(deformation, point)
-        return said(self.pixels, (x, y))
+        """The value of the pixel that is seen at a point of a frame, through strokes if they are given."""
+        x, y, frame = self._source(deformation, (*point, time))
+        pixels, x, y = self._frame(frame), math.floor(x + 0.5), math.floor(y + 0.5)
+        if pixels is None or not (0 <= x < pixels.shape[1] and 0 <= y < pixels.shape[0]):
+            return ""
+        r, g, b, a = (int(v) for v in pixels[y, x])
+        return f"{r} {g} {b}" if a == 255 else f"{r} {g} {b}, opacity {a / 255:.2f}"
+
+    def _frame(self, frame: float) -> Pixels | None:
+        return self.pixels
+
+    def _source(self, deformation: Deformation | None, point: Point) -> Point:
+        """The point T⁻¹(x), or x without strokes; the last one is kept."""
+        if deformation is None or deformation.is_identity:
+            return point
+        last = self._under
+        if last is None or last[0] is not deformation or last[1] != point:
+            made = deformation.inverse(np.array([point[: deformation.ndim]], np.float64)).points[0]
+            last = self._under = deformation, point, (*map(float, made), *point[deformation.ndim :])
+        return last[2]
 
 
-class VideoStage:
+class VideoStage(ImageStage):
     """A clip."""
 
-    kind: Kind = "video"
+    kind = "video"
 
     def __init__(self, gpu: Gpu, film: FrameCache, time_scale: float = 1.0) -> None:
-        self.film, self.name = film, film.name
+        self.film, self.rate = film, film.rate
         width, height = film.size
         self.shape, self.spacing = (film.count, height, width), (1.0, 1.0, time_scale)
-        self.size, self.rate = film.size, film.rate
         slots = max(2, min(film.most, Plate.most(gpu, film.size), film.count))
-        self._plate = Plate(gpu, film.size, film.count, slots)
-        self._under = Under()
+        self._lay(film.name, film.size, Plate(gpu, film.size, film.count, slots))
         self._spans: dict[tuple[Deformation, float], Span] = {}
-        self.trouble = ""
-        """Why what is seen is not the whole truth, if it is not."""
 
     def expect(self, deformations: tuple[Deformation, ...], time: float) -> None:
-        """Hear what is drawn next: frames of all of it are asked for at once, as those of one might displace another's.
-
-        Parameters
-        ----------
-        deformations : tuple of Deformation
-        time : float
-            The frame.
-        """
+        """Hear what is drawn next: its frames are asked for at once, as those of one might displace another's."""
         needed = {(d, time): self._spans.get((d, time)) or self.needed(d, time) for d in deformations}
         self._spans, self.trouble, slots = needed, "", self._plate.slots
         most = max(last - first + 1 for first, last in needed.values())
@@ -120,9 +114,8 @@ class VideoStage:
             plate.draw(sight, space.table, space.axes, texture, encoder)
         if ready:
             return True
-        error = self.film.error
-        self.trouble = error or self.trouble
-        return bool(error)
+        self.trouble = self.film.error or self.trouble
+        return bool(self.film.error)
 
     def _laid(self, first: int, last: int) -> bool:
         """Bring frames onto the device; whether all are there."""
@@ -150,25 +143,12 @@ class VideoStage:
         last = self.film.count - 1
         return min(max(math.floor(low), 0), last), min(max(math.floor(high) + 1, 0), last)
 
-    def value(self, point: tuple[float, float], time: float, deformation: Deformation | None = None) -> str:
-        """Return the point of the source that is seen at a point of a frame, through strokes if they are given."""
-        x, y, frame = self._under.find(deformation, (*point, time))
-        pixels = self.film.get(min(max(round(frame), 0), self.film.count - 1))
-        return "" if pixels is None else said(pixels, (x, y))
+    def _frame(self, frame: float) -> Pixels | None:
+        return self.film.get(min(max(round(frame), 0), self.film.count - 1))
 
 
 class VolumeStage:
-    """A volume.
-
-    Parameters
-    ----------
-    gpu : Gpu
-    volume : Volume
-    preset : str
-        The transfer function's name.
-    samples : array, shape (Z, H, W), optional
-        What is shown of it, where it holds several.
-    """
+    """A volume, through a transfer function of some name; where it holds several, the samples are of one."""
 
     kind: Kind = "volume"
 
@@ -181,29 +161,19 @@ class VolumeStage:
         self.scene = self._made(preset)
         self.shape, self.spacing = self.scene.shape, tuple(volume.geometry.spacing)
         counts, _ = np.histogram(self.scene.samples, 96, self.scene.range)
-        self.histogram = np.log1p(counts).astype(np.float32)
-        """Logarithms of how many voxels have which value."""
+        self.histogram = np.log1p(counts).astype(np.float32)  # logarithms of how many voxels have which value
         self._plain = self.scene
         self._deformation: Deformation | None = None
-        self.warned = ""
-        """Return a remark on the picture that is shown, if there is one."""
+        self.trouble = self.warned = ""  # a remark on the picture that is shown, if there is one
 
     def _made(self, transfer: TransferFunction | str) -> Scene:
         device = "gpu" if self._gpu.software else "auto"
         scene = Scene(
-            self._samples,
-            self.volume.geometry,
-            transfer=transfer,
-            density=self.density,
-            mode=self.mode,
-            device=device,
+            self._samples, self.volume.geometry, transfer=transfer, density=self.density, mode=self.mode, device=device
         )
         if scene._held is None:
             raise SuppleError(f"{self.name} is more than a shader takes of {self._gpu.name}")
         return scene
-
-    def _hear(self, text: str, kind: type[Warning]) -> None:
-        self.warned = text
 
     def set_mode(self, mode: str) -> None:
         """Show it in another of the four ways."""
@@ -216,9 +186,10 @@ class VolumeStage:
         if deformation.is_identity:
             return self._plain
         if deformation is not self._deformation:
-            self.warned = ""
-            with heard(self._hear):
+            said = [""]
+            with heard(lambda text, kind: said.append(text)):
                 self.scene, self._deformation = self._plain.deformed(deformation), deformation
+            self.warned = said[-1]
         return self.scene
 
     def look(self, transfer: TransferFunction | str, density: tuple[float, float] | None) -> None:
@@ -247,10 +218,48 @@ class VolumeStage:
         return f"{self._samples[z, y, x]:.6g}   |   ({place}) mm {geometry.convention}"
 
 
-def said(pixels: Pixels, point: tuple[float, float]) -> str:
-    """The value of the pixel that a point lies in; nothing, beside the picture."""
-    x, y = (math.floor(v + 0.5) for v in point)
-    if not (0 <= x < pixels.shape[1] and 0 <= y < pixels.shape[0]):
-        return ""
-    r, g, b, a = (int(v) for v in pixels[y, x])
-    return f"{r} {g} {b}" if a == 255 else f"{r} {g} {b}, opacity {a / 255:.2f}"
+def on_screen(picture: Picture) -> Pixels:
+    """A picture's pixels as (rows, columns, 4), through its colour profile, if it has one."""
+    pixels = picture.pixels
+    if picture.icc and pixels.ndim == 3 and pixels.dtype in (np.uint8, np.uint16):
+        kind = "rgb16" if pixels.dtype == np.uint16 else "srgb"
+        kind = "cmyk" if picture.interpretation == "cmyk" else kind
+        image = pyvips.Image.new_from_array(pixels).copy(interpretation=kind)
+        image = image.mutate(lambda m: m.set_type(pyvips.GValue.blob_type, "icc-profile-data", picture.icc))
+        try:
+            return shown(np.asarray(image.icc_transform("srgb", embedded=True).numpy()), alpha=picture.alpha)
+        except pyvips.Error:  # a profile that is none, or one for other colours
+            pass
+    return shown(pixels, alpha=picture.alpha)
+
+
+def shown(array: npt.NDArray[Any], *, alpha: bool | None = None) -> Pixels:
+    """Any array (H, W[, C]) of a picture as (rows, columns, 4): grey or RGB; of floats, 0 is black and 1 is white.
+
+    The last channel is opacity if ``alpha`` says so; of two or four channels, by default.
+    """
+    deep = array if array.ndim == 3 else array[..., None]
+    channels = deep.shape[2]
+    opaque = not (channels in (2, 4) if alpha is None else alpha)
+    eight = _eight(deep)
+    colours = eight if opaque else eight[..., :-1]
+    out = np.full((*deep.shape[:2], 4), 255, np.uint8)
+    out[..., :3] = colours[..., :3] if colours.shape[2] >= 3 else colours[..., :1]
+    if not opaque:
+        out[..., 3] = eight[..., -1]
+    return out
+
+
+def _eight(array: npt.NDArray[Any]) -> Pixels:
+    kind = array.dtype
+    if kind == np.uint8:
+        return np.asarray(array)
+    if kind == np.bool_:
+        return np.asarray(array, np.uint8) * np.uint8(255)
+    if kind == np.uint16:
+        return np.asarray((array + np.uint32(128)) // np.uint32(257), np.uint8)
+    values = array.astype(np.float32)
+    if kind.kind in "iu":  # of which nobody knows what is white
+        low, high = float(values.min()), float(values.max())
+        values = (values - low) / (high - low) if high > low else np.zeros_like(values)
+    return np.asarray(np.rint(np.clip(np.nan_to_num(values), 0.0, 1.0) * 255), np.uint8)

@@ -1,22 +1,20 @@
-"""Frames of a clip for the eye: decoded ahead in a thread, and kept as long as there is room."""
+"""The frames of a clip that are shown: decoded ahead in a thread, and kept as long as there is room."""
 
 from __future__ import annotations
 
 import contextlib
-import os
 import threading
 from collections import OrderedDict
-from collections.abc import Callable, Generator
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from supple.errors import SuppleError
 from supple.files.clips import open_clip
+from supple.errors import SuppleError
+from supple.files import PathLike
 
 Pixels = npt.NDArray[np.uint8]
-PathLike = str | os.PathLike[str]
 Span = tuple[int, int]
 
 ROOM = 512 << 20  # bytes of frames that are kept
@@ -25,13 +23,7 @@ ROOM = 512 << 20  # bytes of frames that are kept
 class FrameCache:
     """A clip's frames as (rows, columns, 4) of sRGB, each there some time after it is asked for.
 
-    Parameters
-    ----------
-    path : str or os.PathLike
-    room : int
-        How many bytes of frames are kept.
-    on_frame : function
-        Called, in a thread of its own, when another frame is there.
+    As many are kept as there is room for, in bytes.
 
     Raises
     ------
@@ -39,8 +31,8 @@ class FrameCache:
         If the clip cannot be read.
     """
 
-    def __init__(self, path: PathLike, *, room: int = ROOM, on_frame: Callable[[], None] = lambda: None) -> None:
-        self._path, self._on_frame = path, on_frame
+    def __init__(self, path: PathLike, *, room: int = ROOM) -> None:
+        self._path = path
         with open_clip(path) as clip:
             self.name: str = clip.name
             self.count: int = clip.count
@@ -50,10 +42,8 @@ class FrameCache:
             self.starts = found if len(found) == clip.count else ()
             """Seconds at which each frame is shown, where they are not evenly spaced."""
         self.size: tuple[int, int] = (width, height)
-        self.most = max(4, room // (4 * width * height))
-        """How many frames are kept."""
-        self.error = ""
-        """Why no more frames come, if none do."""
+        self.most = max(4, room // (4 * width * height))  # how many frames are kept
+        self.error = ""  # why no more frames come, if none do
         self._frames: OrderedDict[int, Pixels] = OrderedDict()
         self._wanted: tuple[Span, ...] = ((0, 0),)
         self._news = threading.Condition()
@@ -108,11 +98,8 @@ class FrameCache:
 
     def _next(self) -> int | None:
         """Which frame is to be decoded next; None for none now."""
-        for first, last in self._due_spans():
-            for frame in range(first, last + 1):
-                if frame not in self._frames:
-                    return frame
-        return None
+        due = (k for first, last in self._due_spans() for k in range(first, last + 1))
+        return next((k for k in due if k not in self._frames), None)
 
     def _due_spans(self) -> tuple[Span, ...]:
         """Frames that are wanted, and then those after the first of them, as many as are kept beside those."""
@@ -124,15 +111,11 @@ class FrameCache:
             with open_clip(self._path, count=self.count) as clip:
                 while not self._closed:
                     self._decode(clip)
-        except SuppleError as error:
-            self._fail(str(error))
         except Exception as error:  # a thread has nobody to tell but those who wait
-            self._fail(f"{self.name} cannot be decoded: {error}")
-
-    def _fail(self, why: str) -> None:
-        with self._news:
-            self.error = why
-            self._news.notify_all()
+            kind = "" if isinstance(error, SuppleError) else f"{self.name} cannot be decoded: "
+            with self._news:
+                self.error = f"{kind}{error}"
+                self._news.notify_all()
 
     def _decode(self, clip: Any) -> None:
         """Decode on from what is wanted, until that lies behind, or beyond where decoding may begin anew."""
@@ -142,7 +125,8 @@ class FrameCache:
             return
         kept = 0
         seeks = hasattr(clip, "frames_from")  # numbered pictures do not
-        with contextlib.closing(clip.frames_from(begin) if seeks else _numbered(clip)) as frames:
+        found = clip.frames_from(begin) if seeks else (pair for pair in enumerate(clip.frames()))
+        with contextlib.closing(found) as frames:
             for at, picture in frames:
                 due = self._due()
                 if due is None or due < at or (due > at + 1 and seeks and clip.key_before(due) > at):
@@ -158,7 +142,6 @@ class FrameCache:
                         self._thin()
                         self._news.notify_all()
                     kept += 1
-                    self._on_frame()
         with self._news:
             if not kept and self._next() == begin:  # or it would be sought for ever
                 raise SuppleError(f"{self.name} ends before frame {begin}")
@@ -166,12 +149,8 @@ class FrameCache:
     def _due(self) -> int | None:
         """Wait until a frame is to be decoded; None if it is closed."""
         with self._news:
-            while not self._closed:
-                due = self._next()
-                if due is not None:
-                    return due
-                self._news.wait()
-        return None
+            self._news.wait_for(lambda: self._closed or self._next() is not None)
+            return None if self._closed else self._next()
 
     def _thin(self) -> None:
         while len(self._frames) > self.most:
@@ -179,7 +158,3 @@ class FrameCache:
             if oldest is None:
                 return
             del self._frames[oldest]
-
-
-def _numbered(clip: Any) -> Generator[tuple[int, Any]]:
-    yield from enumerate(clip.frames())

@@ -1,4 +1,4 @@
-"""Autosave files: unsaved strokes survive a crash."""
+"""Autosave files, in which unsaved strokes survive a crash."""
 
 from __future__ import annotations
 
@@ -18,39 +18,24 @@ from typing import IO, Any
 import numpy as np
 
 from supple.errors import SuppleError
+from supple.files import PathLike
 from supple.media.files import replacing
 from supple.strokes import Recipe
-from supple.viewer.document import Document
+from supple.viewer.document.editing import Document
 
-PathLike = str | os.PathLike[str]
-
-EVERY = 1.0
-"""Seconds between two saves, at least."""
+EVERY = 1.0  # seconds between two saves, at least
 _VERSION = 1
 
 
 @dataclass(frozen=True, slots=True)
 class Found:
-    """The autosave file of a window that did not end well.
-
-    Parameters
-    ----------
-    recipe : Recipe
-    place : pathlib.Path
-        Where it is kept.
-    saved : float
-        When, in seconds since 1970.
-    same : bool
-        Whether the source is as it was then, by its size and time.
-    medium : list of list of float, optional
-        The shape and the spacing that it was read with, if that is known.
-    """
+    """The autosave file of a window that did not end well."""
 
     recipe: Recipe
     place: Path
-    saved: float
-    same: bool
-    medium: object = None
+    saved: float  # in seconds since 1970
+    same: bool  # the source is as it was then, by its size and time
+    medium: object = None  # the shape and the spacing that it was read with, if that is known
 
     def read_alike(self, document: Document) -> bool:
         """Return whether a document is of the same shape and spacing, as far as that is known."""
@@ -61,35 +46,24 @@ class Found:
         return _set_aside(self.place, "kept")
 
 
+@dataclass(eq=False)
 class Autosave:
     """Keeps the recipe of a document in a file of its own, until a clean end.
 
     Each window has a file, and a lock on it that the system takes away if the window dies: two of the same source
-    never meet. Writing is done in a thread.
-
-    Parameters
-    ----------
-    source : str or os.PathLike
-        What is edited.
-    document : Document
-    folder : str or os.PathLike, optional
-        Where the files are; by default, where the system keeps such things for the user.
-    clock : function
-        Tells the time in seconds.
+    never meet. Writing is done in a thread. Without a folder for them, the files are where the system keeps such
+    things for the user; the clock tells the time in seconds.
     """
 
-    def __init__(
-        self,
-        source: PathLike,
-        document: Document,
-        folder: PathLike | None = None,
-        clock: Callable[[], float] = time.monotonic,
-    ) -> None:
-        self.trouble: str | None = None
-        """Why it could not be saved the last time, in a line."""
-        self._source, self._document, self._clock = source, document, clock
-        self._folder = Path(folder) if folder is not None else _home()
-        self.place = self._folder / f"{_stem(source)}-{os.getpid()}-{secrets.token_hex(4)}.json"
+    source: PathLike
+    document: Document
+    folder: PathLike | None = None
+    clock: Callable[[], float] = time.monotonic
+
+    def __post_init__(self) -> None:
+        self.trouble: str | None = None  # why it could not be saved the last time, in a line
+        self._folder = _home(self.folder)
+        self.place = self._folder / f"{_stem(self.source)}-{os.getpid()}-{secrets.token_hex(4)}.json"
         """The file, if there is one: only what is not saved otherwise is in it."""
         self._lock: IO[bytes] | None = None
         self._pool = ThreadPoolExecutor(1, "supple-autosave")
@@ -101,22 +75,22 @@ class Autosave:
     def tick(self) -> None:
         """Save what has changed, if it is time to; called as often as one likes."""
         now = self._now()
-        if self._ended or self._document.dragging or now == self._kept or self._clock() < self._next:
+        if self._ended or self.document.dragging or now == self._kept or self.clock() < self._next:
             return
         if self._writing is not None and not self._writing.done():
             return
-        self._next, self._kept = self._clock() + EVERY, now
+        self._next, self._kept = self.clock() + EVERY, now
         # What was saved needs no keeping.
-        self._writing = self._pool.submit(self._write, self._document.recipe if self._document.dirty else None)
+        self._writing = self._pool.submit(self._write, self.document.recipe if self.document.dirty else None)
 
     def _now(self) -> object:
-        return self._document.state.content, self._document.dirty
+        return self.document.state.content, self.document.dirty
 
     def keep(self) -> bool:
         """Save what there is now, and wait until that is written; whether it could be."""
         self.flush()
         self._kept = self._now()
-        self._write(self._document.recipe if self._document.dirty else None)
+        self._write(self.document.recipe if self.document.dirty else None)
         return self.trouble is None
 
     def flush(self) -> None:
@@ -124,15 +98,8 @@ class Autosave:
         if self._writing is not None:
             self._writing.result()
 
-    def clear(self) -> None:
-        """End well: nothing is kept."""
-        self._end(keep=False)
-
-    def leave(self) -> None:
-        """End, and leave what is kept to the next window."""
-        self._end(keep=True)
-
-    def _end(self, *, keep: bool) -> None:
+    def clear(self, *, keep: bool = False) -> None:
+        """End, and keep nothing; or leave what is kept to the next window."""
         self._ended = True
         self.flush()
         self._pool.shutdown()
@@ -143,7 +110,7 @@ class Autosave:
         if self._lock is not None:
             self._lock.close()
             with contextlib.suppress(OSError):
-                _locks(self.place).unlink()
+                self.place.with_suffix(".lock").unlink()
             self._lock = None
 
     def _write(self, recipe: Recipe | None) -> None:
@@ -153,13 +120,10 @@ class Autosave:
             else:
                 self._folder.mkdir(parents=True, exist_ok=True)
                 if self._lock is None:
-                    self._lock = _locked(_locks(self.place))
-                data: dict[str, object] = {
-                    "supple_autosave": _VERSION,
-                    "source": _described(self._source),
-                    "saved": time.time(),
-                }
-                data |= {"medium": _medium(self._document), "recipe": json.loads(recipe.to_json())}
+                    self._lock = _locked(self.place.with_suffix(".lock"))
+                data: dict[str, object] = {"supple_autosave": _VERSION, "source": _described(self.source)}
+                data |= {"saved": time.time(), "medium": _medium(self.document)}
+                data["recipe"] = json.loads(recipe.to_json())
                 text = json.dumps(data, indent=1, allow_nan=False)
                 with replacing(self.place, force=True) as place:
                     place.write_text(text, encoding="utf-8")
@@ -176,38 +140,28 @@ class Autosave:
 def found(source: PathLike, folder: PathLike | None = None) -> Found | None:
     """Return the latest unsaved edits of a source from an autosave file; None if there are none.
 
-    Files of windows that still live are left alone. One that can't be read is set aside, under another name.
-
-    Parameters
-    ----------
-    source : str or os.PathLike
-    folder : str or os.PathLike, optional
-        As `Autosave` takes it.
+    Files of windows that still live are left alone. One that can't be read is set aside, under another name. The
+    folder is that of `Autosave`.
     """
-    home = Path(folder) if folder is not None else _home()
     best: Found | None = None
-    for place in sorted(home.glob(f"{_stem(source)}-*.json")):
-        with contextlib.suppress(OSError), contextlib.ExitStack() as stack:  # it may be gone, or not be ours to read
-            lock = _locked(_locks(place))
+    for place in sorted(_home(folder).glob(f"{_stem(source)}-*.json")):
+        with contextlib.suppress(OSError):  # it may be gone, or not be ours to read
+            lock = _locked(place.with_suffix(".lock"))
             if lock is None:
                 continue
-            stack.enter_context(lock)
-            try:
-                one = _read(place, source)
-            except (ValueError, TypeError, KeyError, RecursionError):
-                _set_aside(place, "bad")
-                continue
-            if one is not None and (best is None or one.saved > best.saved):
-                best = one
+            with lock:
+                try:
+                    data: Any = json.loads(place.read_bytes().decode("utf-8"))
+                    if data["supple_autosave"] != _VERSION:
+                        continue  # of another release, which will find it
+                    recipe, saved = Recipe.from_json(json.dumps(data["recipe"])), float(data["saved"])
+                    one = Found(recipe, place, saved, data["source"] == _described(source), data.get("medium"))
+                except (ValueError, TypeError, KeyError, RecursionError):
+                    _set_aside(place, "bad")
+                    continue
+                if best is None or one.saved > best.saved:
+                    best = one
     return best
-
-
-def _read(place: Path, source: PathLike) -> Found | None:
-    data: Any = json.loads(place.read_bytes().decode("utf-8"))
-    if data["supple_autosave"] != _VERSION:
-        return None  # of another release, which will find it
-    recipe = Recipe.from_json(json.dumps(data["recipe"]))
-    return Found(recipe, place, float(data["saved"]), data["source"] == _described(source), data.get("medium"))
 
 
 def _set_aside(place: Path, why: str) -> Path:
@@ -217,11 +171,13 @@ def _set_aside(place: Path, why: str) -> Path:
     except OSError:
         return place
     with contextlib.suppress(OSError):
-        _locks(place).unlink()
+        place.with_suffix(".lock").unlink()
     return aside
 
 
-def _home() -> Path:
+def _home(folder: PathLike | None) -> Path:
+    if folder is not None:
+        return Path(folder)
     try:
         from platformdirs import user_state_path
     except ImportError:
@@ -246,10 +202,6 @@ def _described(source: PathLike) -> dict[str, object]:
 def _medium(document: Document) -> list[list[float]]:
     """Return the JSON form of the options by which a source is read; a time scale is a spacing."""
     return [[float(n) for n in np.ravel(values)] for values in (document.shape, document.spacing)]
-
-
-def _locks(place: Path) -> Path:
-    return place.with_suffix(".lock")
 
 
 def _locked(path: Path) -> IO[bytes] | None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hmac
-import secrets
 import signal
 import socket
 import threading
@@ -66,21 +65,10 @@ new MutationObserver((changes, watch) => {{
 _REFUSED = b"This window is open to those who have its whole address, with the token that supple view printed.\n"
 
 
-def new_token() -> str:
-    """A token that nobody guesses."""
-    return secrets.token_urlsafe(24)
-
-
 def guarded(app: App, token: str, title: str) -> App:
-    """An ASGI application for those alone who bring a token: once in the address, and then as a cookie.
+    """An ASGI application, `rendercanvas.http.asgi`, for those alone who bring a token; the title is of its page.
 
-    Parameters
-    ----------
-    app : ASGI application
-        What is served: `rendercanvas.http.asgi`.
-    token : str
-    title : str
-        Of the page.
+    The token comes once in the address, and then as a cookie.
     """
     name = "supple-" + token[:6]
     page = _PAGE.format(title=escape(title)).encode()
@@ -127,14 +115,10 @@ def _cookies(scope: Scope, name: bytes) -> list[bytes]:
 def _from_here(scope: Scope) -> bool:
     """Return whether it is our own page that asks: cookies go along from pages of any port of a host."""
     hosts = [host.decode("latin-1").lower() for host in _headers(scope, b"host")]
-    return all(_place(origin) in hosts for origin in _headers(scope, b"origin"))
-
-
-def _place(origin: bytes) -> str:
     try:
-        return urlsplit(origin.decode("latin-1")).netloc.lower()
+        return all(urlsplit(o.decode("latin-1")).netloc.lower() in hosts for o in _headers(scope, b"origin"))
     except ValueError:
-        return ""
+        return False
 
 
 async def _answer(send: Send, status: int, body: bytes, headers: list[tuple[bytes, bytes]]) -> None:

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import contextlib
 import os
-from collections.abc import Callable
+import secrets
+import sys
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,31 +14,31 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from supple.domain import choice, length, point
-from supple.engines.wgpu.device import Gpu, open_gpu
-from supple.errors import SuppleError, shown
 from supple.files.clips import is_clip, open_clip
-from supple.files.renders import default_transfer
-from supple.files.volumes import VolumeOptions, in_space, is_volume_job, open_volume
+from supple.domain import choice, length, point
+from supple.errors import SuppleError
 from supple.geometry import Geometry
+from supple.engines.wgpu.device import Gpu, open_gpu
+from supple.errors import shown
 from supple.media.image import read
 from supple.media.volume import Volume
-from supple.strokes import Fit, Recipe, fit_recipe
-from supple.viewer import qt
-from supple.viewer.document import Document
-from supple.viewer.frame_cache import FrameCache
-from supple.viewer.pixels import on_screen
-from supple.viewer.pixels import shown as as_pixels
-from supple.viewer.playback import Playback
-from supple.viewer.stages import ImageStage, VideoStage, VolumeStage
-from supple.viewer.tools import ImageTools, VideoTools, VolumeTools
+from supple.files.renders import default_transfer
+from supple.strokes import Fit
+from supple.strokes import Recipe, fit_recipe
+from supple.viewer.document.editing import Document
+from supple.viewer.panels.frame_cache import FrameCache
+from supple.viewer.panels.stages import ImageStage, VideoStage, VolumeStage, on_screen
+from supple.viewer.panels.stages import shown as as_pixels
+from supple.viewer.tools.brushes import ImageTools, VideoTools, VolumeTools
+from supple.viewer.tools.gestures import Pair
+from supple.viewer.tools.playback import Playback
+from supple.viewer.window import qt
+from supple.files.volumes import VolumeOptions, in_space, is_volume_job, open_volume
 
 if TYPE_CHECKING:
-    from supple.viewer.view import View
+    from supple.viewer.window.window import Window
 
 SIZE = (1280, 800)
-TOOLKITS = ("glfw", "qt")
-_EXTRA = "pip install 'supple[view]'"
 _NO_SCREEN = "no screen was found for a window: --serve shows it in a browser"
 Source = str | os.PathLike[str] | npt.NDArray[Any]
 Spacing = tuple[float, float, float]
@@ -46,25 +48,12 @@ _PLAIN = VolumeOptions()
 
 @dataclass(frozen=True, slots=True)
 class ViewOptions:
-    """How what is shown is read.
+    """How what is shown is read."""
 
-    Parameters
-    ----------
-    spacing : (float, float, float)
-        Of the voxels of an array, in millimetres, x first.
-    time_scale : float
-        Of a clip, how many pixels a frame is worth to the brush.
-    volume : VolumeOptions
-        What is particular to volumes: what a file without a header holds, which series of a folder is meant, and
-        whether the first strokes are in places in space.
-    fit : str, optional
-        How the first strokes fit, if they were made for another size, as `supple.warp_file` takes it.
-    """
-
-    spacing: Spacing = _EVEN
-    time_scale: float = 1.0
-    volume: VolumeOptions = _PLAIN
-    fit: Fit | None = None
+    spacing: Spacing = _EVEN  # of the voxels of an array, in millimetres, x first
+    time_scale: float = 1.0  # of a clip, how many pixels a frame is worth to the brush
+    volume: VolumeOptions = _PLAIN  # of its file; and whether the first strokes are in places in space
+    fit: Fit | None = None  # of the first strokes, if they were made for another size, as `supple.warp_file` takes it
 
     def __post_init__(self) -> None:
         length("time_scale", self.time_scale)
@@ -79,7 +68,7 @@ class ViewOptions:
 _USUAL = ViewOptions()
 
 
-def stage_of(gpu: Gpu, source: Source, options: ViewOptions = _USUAL) -> ImageStage | VideoStage | VolumeStage:
+def stage_of(gpu: Gpu, source: Source, options: ViewOptions = _USUAL) -> ImageStage | VolumeStage:
     """Open the stage of a file, or of an array: a picture (H, W[, C]) or a volume (Z, H, W) more than 4 voxels wide.
 
     Raises
@@ -87,36 +76,41 @@ def stage_of(gpu: Gpu, source: Source, options: ViewOptions = _USUAL) -> ImageSt
     SuppleError
         If it cannot be read, is more than the GPU takes, or is not of the kind that the options are for.
     """
-    if not isinstance(source, str | os.PathLike):
-        array = np.asarray(source)
+    if isinstance(source, str | os.PathLike):
+        name = shown(source)
+        if not os.path.exists(source) and "%" not in os.fspath(source):
+            raise SuppleError(f"cannot read {name}: there is no such file: check the name")
+        if is_volume_job(source, "", Recipe(), options.volume):
+            _suits(name, options, volume=True)
+            volume = open_volume(source, options.volume)
+            samples = volume.rescaled()
+            if volume.series:
+                samples = samples[0]
+            elif samples.ndim > 3:
+                raise SuppleError(f"{volume.name} has {samples.shape[3]} components, and pictures are of one")
+            return VolumeStage(gpu, volume, default_transfer(volume), samples)
+        moves = _moves(source)
+        _suits(name, options, moves=moves)
+        if moves:
+            return VideoStage(gpu, FrameCache(source), options.time_scale)
+        pixels = on_screen(read(source))
+    else:
+        name, array = "the array", np.asarray(source)
         if array.ndim not in (2, 3) or 0 in array.shape or array.dtype.kind not in "biuf":
             raise SuppleError(
                 "what is shown is an array of numbers, of a picture (H, W) or (H, W, C) or of a volume (Z, H, W), or a "
                 f"file, of a clip too: found {array.dtype} {array.shape}"
             )
-        _timeless("the array", options)
-        _flat("the array", options)
+        _suits(name, options)
         if array.ndim == 3 and array.shape[2] > 4:
             x, y, z = (length("spacing", v) for v in point("spacing", options.spacing, (3,)))
-            held = Volume(array, Geometry(spacing=(x, y, z)), "the array", "array")
-            return VolumeStage(gpu, held, default_transfer(held))
-        return _held(gpu, "the array", as_pixels(array))
-    if not os.path.exists(source) and "%" not in os.fspath(source):
-        raise SuppleError(f"cannot read {shown(source)}: there is no such file: check the name")
-    if is_volume_job(source, "", Recipe(), options.volume):
-        _timeless(shown(source), options)
-        volume = open_volume(source, options.volume)
-        samples = volume.rescaled()
-        if volume.series:
-            samples = samples[0]
-        elif samples.ndim > 3:
-            raise SuppleError(f"{volume.name} has {samples.shape[3]} components, and pictures are of one")
-        return VolumeStage(gpu, volume, default_transfer(volume), samples)
-    _flat(shown(source), options)
-    if _moves(source):
-        return VideoStage(gpu, FrameCache(source), options.time_scale)
-    _timeless(shown(source), options)
-    return _held(gpu, shown(source), on_screen(read(source)))
+            volume = Volume(array, Geometry(spacing=(x, y, z)), name, "array")
+            return VolumeStage(gpu, volume, default_transfer(volume))
+        pixels = as_pixels(array)
+    try:
+        return ImageStage(gpu, name, pixels)
+    except MemoryError as error:
+        raise SuppleError(f"{name} cannot be shown: {error}") from None
 
 
 def _moves(source: str | os.PathLike[str]) -> bool:
@@ -127,56 +121,33 @@ def _moves(source: str | os.PathLike[str]) -> bool:
     return is_clip(source, "x.mp4" if os.path.isdir(source) else "", Recipe())
 
 
-def _timeless(name: str, options: ViewOptions) -> None:
-    """Refuse a time scale where there is no time."""
-    if options.time_scale != 1.0:
+def _suits(name: str, options: ViewOptions, *, moves: bool = False, volume: bool = False) -> None:
+    """Refuse a time scale where there is no time, and what is for the files of volumes where there is none."""
+    if options.volume != _PLAIN and not volume:
+        raise SuppleError(f"{name} is no file of a volume, and what was asked of it is for those: leave that out")
+    if options.time_scale != 1.0 and not moves:
         raise SuppleError(f"time_scale is for clips, and {name} is none: leave it out")
 
 
-def _flat(name: str, options: ViewOptions) -> None:
-    """Refuse what is for the files of volumes where there is none."""
-    if options.volume != _PLAIN:
-        raise SuppleError(f"{name} is no file of a volume, and what was asked of it is for those: leave that out")
-
-
-def _held(gpu: Gpu, name: str, pixels: npt.NDArray[np.uint8]) -> ImageStage:
-    try:
-        return ImageStage(gpu, name, pixels)
-    except MemoryError as error:
-        raise SuppleError(f"{name} cannot be shown: {error}") from None
-
-
-def tools_of(
-    stage: ImageStage | VideoStage | VolumeStage, document: Document, size: tuple[float, float]
-) -> ImageTools | VideoTools | VolumeTools:
+def tools_of(stage: ImageStage | VolumeStage, document: Document, size: Pair) -> ImageTools | VolumeTools:
     """Return the tools for a stage."""
     if isinstance(stage, VideoStage):
         return VideoTools(document, Playback(stage.film.count, stage.rate, stage.film.starts), size)
     if isinstance(stage, ImageStage):
         return ImageTools(document, size)
-    tools: VolumeTools
-
-    def rows() -> tuple[int, int]:
-        return tools.stage.size
-
-    tools = VolumeTools(
+    tools: VolumeTools = VolumeTools(
         document,
         stage.volume.geometry,
         size,
-        lambda x, y: stage.deform(document.deformation).pick(tools.camera, rows(), (x, y)),
-        lambda pick, to: stage.deform(document.deformation).drag(tools.camera, rows(), pick, to),
+        lambda x, y: stage.deform(document.deformation).pick(tools.camera, tools.stage.size, (x, y)),
+        lambda pick, to: stage.deform(document.deformation).drag(tools.camera, tools.stage.size, pick, to),
     )
     return tools
 
 
 def opened(
-    source: Source,
-    recipe: Recipe | None,
-    canvas: Any,
-    loop: Any,
-    gpu: Gpu | None = None,
-    options: ViewOptions = _USUAL,
-) -> View:
+    source: Source, recipe: Recipe | None, canvas: Any, loop: Any, gpu: Gpu | None = None, options: ViewOptions = _USUAL
+) -> Window:
     """A view of a source on a canvas.
 
     Raises
@@ -184,10 +155,8 @@ def opened(
     SuppleError
         If the source or the recipe does not fit, there is no GPU, or a part of the window is not installed.
     """
-    try:
-        from supple.viewer.view import View
-    except ImportError as error:
-        raise missing(error) from None
+    with _installed():
+        from supple.viewer.window.window import Window
     gpu = gpu or _gpu()
     stage = stage_of(gpu, source, options)
     recipe, geometry = recipe or Recipe(), None
@@ -199,8 +168,7 @@ def opened(
     document = Document(stage.shape, stage.spacing, recipe, kind=stage.kind, geometry=geometry)
     tools = tools_of(stage, document, canvas.get_logical_size())
     path = Path(source) if isinstance(source, str | os.PathLike) else None
-    later = loop.call_later
-    made = View(stage, document, tools, canvas, gpu, source=path, export=options.export, call_later=later)
+    made = Window(stage, document, tools, canvas, gpu, path, options.export, loop.call_later)
     canvas.set_title(f"{stage.name} - Supple")
     return made
 
@@ -213,9 +181,14 @@ def _gpu() -> Gpu:
         raise SuppleError(str(error).removesuffix("; device cpu needs none")) from None
 
 
-def missing(error: ImportError) -> SuppleError:
-    """Return the error for a part of the window that is not installed."""
-    return SuppleError(f"the window needs {error.name or error}, which is not installed: {_EXTRA}")
+@contextlib.contextmanager
+def _installed() -> Iterator[None]:
+    """Refuse what needs a part of the window that is not installed."""
+    try:
+        yield
+    except ImportError as error:
+        missing = error.name or error
+        raise SuppleError(f"the window needs {missing}, which is not installed: pip install 'supple[view]'") from None
 
 
 def on_screen_of(toolkit: str) -> tuple[Any, Any]:
@@ -226,8 +199,8 @@ def on_screen_of(toolkit: str) -> tuple[Any, Any]:
     SuppleError
         If it is not installed, or there is no screen.
     """
-    choice("toolkit", toolkit, TOOLKITS)
-    try:
+    choice("toolkit", toolkit, ("glfw", "qt"))
+    with _installed():
         if toolkit == "glfw":
             import glfw
 
@@ -238,8 +211,6 @@ def on_screen_of(toolkit: str) -> tuple[Any, Any]:
             RenderCanvas, loop = qt.toolkit()
             if not qt.has_screen():
                 raise SuppleError(_NO_SCREEN)
-    except ImportError as error:
-        raise missing(error) from None
     return RenderCanvas, loop
 
 
@@ -250,15 +221,13 @@ def show(
     toolkit: str = "glfw",
     size: tuple[int, int] = SIZE,
     options: ViewOptions = _USUAL,
-) -> View:
+) -> Window:
     """Open a window, and come back when it is closed.
 
     Parameters
     ----------
-    source : str, os.PathLike or array
-        A photograph, a clip or a volume; or an array of a picture or a volume.
-    recipe : Recipe, optional
-        What there is at first.
+    source, recipe
+        As `view` takes them.
     toolkit : str
         ``"glfw"``, or ``"qt"`` where PySide6 or PyQt6 is installed.
     size : (int, int)
@@ -268,7 +237,7 @@ def show(
 
     Returns
     -------
-    View
+    Window
         ``view.recipe`` is what was done.
     """
     canvas_type, loop = on_screen_of(toolkit)
@@ -289,7 +258,7 @@ def show(
     return made
 
 
-def _ask_before_closing(canvas: Any, view: View) -> None:
+def _ask_before_closing(canvas: Any, view: Window) -> None:
     """Ask before strokes are lost, and open the files that are dropped on the window."""
     import glfw
 
@@ -307,12 +276,8 @@ def _ask_before_closing(canvas: Any, view: View) -> None:
 
 def in_notebook() -> bool:
     """Return whether this is a notebook."""
-    try:
-        from IPython import get_ipython
-    except ImportError:
-        return False
-    shell = get_ipython()
-    return shell is not None and type(shell).__name__ == "ZMQInteractiveShell"
+    ipython = sys.modules.get("IPython")  # which a notebook has imported
+    return ipython is not None and type(ipython.get_ipython()).__name__ == "ZMQInteractiveShell"
 
 
 def view(
@@ -322,7 +287,7 @@ def view(
     spacing: Spacing = _EVEN,
     time_scale: float = 1.0,
     volume: VolumeOptions | None = None,
-) -> View:
+) -> Window:
     """Bend a photograph, a clip or a volume by hand.
 
     In a notebook, what is returned is a widget. Elsewhere, a window is opened, and this comes back when it is closed.
@@ -342,7 +307,7 @@ def view(
 
     Returns
     -------
-    View
+    Window
         ``view.recipe`` is what was done, and ``view.on_change`` calls a function with it whenever it changes.
 
     Raises
@@ -353,10 +318,8 @@ def view(
     options = ViewOptions(spacing, time_scale, volume or _PLAIN)
     if not in_notebook():
         return show(source, recipe, options=options)
-    try:
+    with _installed():
         from rendercanvas.anywidget import RenderCanvas, loop
-    except ImportError as error:
-        raise missing(error) from None
     canvas = RenderCanvas(size=(960, 600), max_fps=30, update_mode="ondemand")
     canvas.set_css_width("calc(100% - 4px)")  # of the cell, with its frame
     return opened(source, recipe, canvas, loop, options=options)
@@ -377,31 +340,21 @@ def serve(
 
     Parameters
     ----------
-    source, recipe
-        As `view` takes them.
+    source, recipe, options
+        As `show` takes them.
     port : int
         0 for any that is free.
     tell : function
         Called with the address.
-    options : ViewOptions
-        How the source is read.
     """
-    try:
+    with _installed():
         from rendercanvas.http import RenderCanvas, asgi, loop
 
-        from supple.viewer import server
-    except ImportError as error:
-        raise missing(error) from None
-    listener = server.listening(port)
-    try:
+        from supple.viewer.window import server
+    with contextlib.closing(server.listening(port)) as listener:
         canvas = RenderCanvas(max_fps=30, update_mode="ondemand")
-        made = opened(source, recipe, canvas, loop, options=options)
-        try:
-            token = server.new_token()
+        with contextlib.closing(opened(source, recipe, canvas, loop, options=options)) as made:
+            token = secrets.token_urlsafe(24)
             tell(f"http://{server.HOST}:{listener.getsockname()[1]}/?token={token}")
             app = server.guarded(asgi, token, f"{made.stage.name} - Supple")
             server.serve(app, listener, canvas.get_closed)
-        finally:
-            made.close()
-    finally:
-        listener.close()

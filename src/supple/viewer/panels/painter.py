@@ -12,7 +12,7 @@ from supple.engines.wgpu.kernel import wait
 from supple.engines.wgpu.plate import Sight
 from supple.engines.wgpu.screen import ALL, Part, canvas_texture
 from supple.render.camera import Camera
-from supple.viewer.stages import ImageStage, VideoStage, VolumeStage
+from supple.viewer.panels.stages import ImageStage, VolumeStage
 
 FRAME = 0.05  # seconds that a frame may take while a hand moves
 COARSEST = 8
@@ -26,65 +26,34 @@ def _about_the_middle(seen: tuple[int, int], drawn: tuple[int, int]) -> Part:
     return 0.5 - 0.5 * width, 0.5 - 0.5 * height, width, height
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True)
 class Shot:
-    """A request for a picture.
-
-    Parameters
-    ----------
-    deformation : Deformation
-    size : (int, int)
-        Columns and rows of the part of the canvas, in physical pixels.
-    moving : bool
-        Whether a hand moves: a smaller picture will do.
-    origin, scale
-        Where the first physical pixel lies in the picture, and how far it is from one to the next, in its pixels.
-    time : float
-        The frame.
-    camera : Camera
-        Of a volume.
-    overlay : str
-        One of `supple.engines.wgpu.plate.OVERLAYS`.
-    original : bool
-        Whether to show what it was.
-    split : bool
-        Whether to show both.
-    ratio : float
-        Physical pixels along the side of a logical one.
-    """
+    """A request for a picture."""
 
     deformation: Deformation
-    size: tuple[int, int]
-    moving: bool = False
-    origin: tuple[float, float] = (0.0, 0.0)
-    scale: float = 1.0
-    time: float = 0.0
+    size: tuple[int, int]  # columns and rows of the part of the canvas, in physical pixels
+    moving: bool = False  # a hand moves: a smaller picture will do
+    origin: tuple[float, float] = (0.0, 0.0)  # where the first physical pixel lies in the picture
+    scale: float = 1.0  # how far it is from there to the next, in pixels of the picture
+    time: float = 0.0  # the frame
     camera: Camera = _HOME
-    overlay: str = ""
-    original: bool = False
-    split: bool = False
-    ratio: float = 1.0
+    overlay: str = ""  # one of `supple.engines.wgpu.plate.OVERLAYS`
+    original: bool = False  # show what it was
+    split: bool = False  # show both
+    ratio: float = 1.0  # physical pixels along the side of a logical one
 
 
 class Painter:
-    """Paints a stage.
+    """Paints a stage."""
 
-    Parameters
-    ----------
-    gpu : Gpu
-    stage : ImageStage, VideoStage or VolumeStage
-    """
-
-    def __init__(self, gpu: Gpu, stage: ImageStage | VideoStage | VolumeStage) -> None:
+    def __init__(self, gpu: Gpu, stage: ImageStage | VolumeStage) -> None:
         self.gpu, self.stage = gpu, stage
         self.coarse = 4 if gpu.software else 1
         """How many pixels of the canvas one that is drawn covers, along each side, while a hand moves."""
-        self.ready = True
-        """Return whether nothing is still to come that the last picture needs."""
-        self.part: Part = ALL
-        """The visible part of the textures."""
-        self._textures: dict[tuple[str, tuple[int, int]], Any] = {}
-        self._untouched: Deformation | None = None
+        self.ready = True  # whether nothing is still to come that the last picture needs
+        self.part: Part = ALL  # the visible part of the textures
+        self._textures: dict[tuple[int, tuple[int, int]], Any] = {}
+        self._plain: Deformation | None = None
 
     def paint(self, shot: Shot, encoder: Any = None) -> tuple[Any, Any]:
         """Draw a shot; return the texture of what is seen and, if the shot is split, that of what was.
@@ -93,19 +62,16 @@ class Painter:
         """
         if shot.split:  # what one needs of a clip might take the other's place
             encoder = None
-        before, self.ready = self._trouble, True
+        before, self.ready = self.stage.trouble, True
+        if self._plain is None:
+            self._plain = shot.deformation.without_strokes()
+        seen = (self._plain if shot.original else shot.deformation, self._plain)[: 1 + shot.split]
         if not isinstance(self.stage, VolumeStage):
-            seen = (shot.original, True) if shot.split else (shot.original,)
-            self.stage.expect(tuple(self._strokes(shot, original) for original in seen), shot.time)
-        first = self._drawn("first", shot, shot.original, encoder)
-        second = self._drawn("second", shot, True, encoder) if shot.split else None
+            self.stage.expect(seen, shot.time)
+        textures = [self._drawn(k, shot, deformation, encoder) for k, deformation in enumerate(seen)]
         # What is wrong with it is said in the line of status, which was laid out before.
-        self.ready &= self._trouble == before
-        return first, second
-
-    @property
-    def _trouble(self) -> str:
-        return "" if isinstance(self.stage, VolumeStage) else self.stage.trouble
+        self.ready &= self.stage.trouble == before
+        return textures[0], textures[1] if shot.split else None
 
     def learn(self, begun: float) -> None:
         """Wait for a picture that was begun at a time, and learn from it how large pixels should be next."""
@@ -116,12 +82,14 @@ class Painter:
         elif self.coarse > 1 and seconds * (self.coarse / (self.coarse - 1)) ** 2 < 0.7 * FRAME:
             self.coarse -= 1
 
-    def _drawn(self, name: str, shot: Shot, original: bool, encoder: Any) -> Any:
-        coarse = self.coarse if shot.moving else 1
+    def _drawn(self, k: int, shot: Shot, deformation: Deformation, encoder: Any) -> Any:
+        stage, coarse = self.stage, self.coarse if shot.moving else 1
         size = (max(1, -(-shot.size[0] // coarse)), max(1, -(-shot.size[1] // coarse)))
-        texture = self._texture(name, size)
-        stage = self.stage
-        deformation = self._strokes(shot, original)
+        if (k, size) not in self._textures:
+            if len(self._textures) >= 8:
+                self._textures.clear()
+            self._textures[k, size] = canvas_texture(self.gpu, size)
+        texture = self._textures[k, size]
         if isinstance(stage, VolumeStage):
             stage.draw(deformation, shot.camera, size, texture, shot.overlay)
             self.part = _about_the_middle(shot.size, size)
@@ -140,19 +108,3 @@ class Painter:
         )
         self.ready &= stage.draw(deformation, sight, texture, encoder)
         return texture
-
-    def _strokes(self, shot: Shot, original: bool) -> Deformation:
-        return self._plain(shot.deformation) if original else shot.deformation
-
-    def _plain(self, deformation: Deformation) -> Deformation:
-        if self._untouched is None:
-            self._untouched = deformation.without_strokes()
-        return self._untouched
-
-    def _texture(self, name: str, size: tuple[int, int]) -> Any:
-        key = (name, size)
-        if key not in self._textures:
-            if len(self._textures) >= 8:
-                self._textures.clear()
-            self._textures[key] = canvas_texture(self.gpu, size)
-        return self._textures[key]

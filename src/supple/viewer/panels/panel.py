@@ -5,27 +5,26 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, Literal, get_args
+from functools import partial
+from typing import Any, get_args
 
 from imgui_bundle import imgui
 
 from supple.deformation import Arrival
-from supple.engines.wgpu.plate import OVERLAYS
 from supple.folding import NEAR
+from supple.engines.wgpu.plate import OVERLAYS
 from supple.render.transfer import PRESETS
 from supple.strokes import POISSON, REACH, FoldPolicy, Stroke
-from supple.viewer.stages import VolumeStage
+from supple.viewer.document.state import Item
+from supple.viewer.panels.stages import VolumeStage
+from supple.viewer.panels.view import WIDE, View
 
-if TYPE_CHECKING:
-    from supple.viewer.state import Item
-    from supple.viewer.view import View
-
-WIDE = 300  # logical pixels
-BAR, LINE = 44, 24  # and of the timeline and the status line below
 CAUSES = {"fold": "all of it would fold", "border": "the fixed border holds it back", "outside": "it starts outside"}
 CAUSES["fold and border"] = f"{CAUSES['fold']}, and {CAUSES['border']}"
+_FILES = {"save": "save recipe", "save as": "as", "open": "open recipe", "export": "export", "copy": "save view"}
 FALLOFFS = ("far, as 1/r", "nearer, as 1/r3", "near, as 1/r5")
 _POLICIES = get_args(FoldPolicy)
+_MODES = ("hybrid", "lattice", "exact", "buffered")
 _SAYS = {"damp": "damp what would fold", "flow": "arrive, in smaller steps", "error": "refuse"}
 
 
@@ -53,19 +52,23 @@ def _head(text: str) -> None:
     imgui.separator_text(text)
 
 
+def _wrapped(text: str, wide: float, draw: Callable[[str], None] = imgui.text) -> None:
+    imgui.push_text_wrap_pos(wide)
+    draw(text)
+    imgui.pop_text_wrap_pos()
+
+
 def _brush(view: View) -> None:
     tools = view.tools
     imgui.separator_text("Brush")
-    unit = "mm" if view.stage.kind == "volume" else "px"
-    changed, value = imgui.slider_float(
-        "radius", tools.radius, *tools.radius_limits, f"%.1f {unit}", imgui.SliderFlags_.logarithmic
-    )
+    form = "%.1f mm" if view.stage.kind == "volume" else "%.1f px"
+    scale = imgui.SliderFlags_.logarithmic
+    changed, value = imgui.slider_float("radius", tools.radius, *tools.radius_limits, form, scale)
     if changed:
         tools.radius = value
     hint("How far a drag is felt (wheel, or [ and ])")
-    changed, value = imgui.slider_float(
-        "Poisson", POISSON if tools.poisson is None else max(tools.poisson, -1.0), -1.0, 0.5, "%.2f"
-    )
+    material = POISSON if tools.poisson is None else max(tools.poisson, -1.0)
+    changed, value = imgui.slider_float("Poisson", material, -1.0, 0.5, "%.2f")
     if changed:
         tools.poisson = value
     hint("at higher values, 3-D volumes change less; areas in a picture change at any value")
@@ -127,7 +130,9 @@ def _row(view: View, i: int, item: Item, selected: bool) -> None:
         view.attempt(lambda: document.hide(i, not seen))
     imgui.same_line()
     arrival = document.arrivals[i]
-    text = _said(item.stroke) + (f"  {arrival.miss:.3g} short" if arrival and arrival.miss > NEAR else "")
+    at, radius = ", ".join(f"{v:.0f}" for v in item.stroke.at), item.stroke.radius
+    text = f"({at})  r {radius:.3g}" if radius < 1000 else f"({at})  r {radius:.0f}"
+    text += f"  {arrival.miss:.3g} short" if arrival and arrival.miss > NEAR else ""
     if imgui.selectable(text, selected)[0]:
         view.attempt(lambda: document.select(None if selected else i))
     hint(lambda: described(item.stroke, arrival))
@@ -155,11 +160,6 @@ def described(stroke: Stroke, arrival: Arrival | None) -> str:
     return said
 
 
-def _said(stroke: Stroke) -> str:
-    at = ", ".join(f"{v:.0f}" for v in stroke.at)
-    return f"({at})  r {stroke.radius:.3g}" if stroke.radius < 1000 else f"({at})  r {stroke.radius:.0f}"
-
-
 def _selected(view: View) -> None:
     document = view.document
     i = document.state.selected
@@ -179,12 +179,14 @@ def _selected(view: View) -> None:
                     values[axis] = value
                     made[name] = tuple(values)
             imgui.text(label)
-        entered, value = _typed(view, "radius##own", stroke.radius, "%.2f")
-        if entered:
-            made["radius"] = value
-        entered, value = _typed(view, "Poisson##own", POISSON if stroke.poisson is None else stroke.poisson, "%.3f")
-        if entered:
-            made["poisson"] = value
+        material = POISSON if stroke.poisson is None else stroke.poisson
+        for name, label, value, form in (
+            ("radius", "radius##own", stroke.radius, "%.2f"),
+            ("poisson", "Poisson##own", material, "%.3f"),
+        ):
+            entered, now = _typed(view, label, value, form)
+            if entered:
+                made[name] = now
         changed, index = imgui.combo("falloff##own", stroke.scales - 1, ["far", "nearer", "near"])
         if changed:
             made["scales"] = index + 1
@@ -195,9 +197,9 @@ def _selected(view: View) -> None:
             view.attempt(lambda: document.replace(i, replace(stroke, **made)))
         arrival = document.arrivals[i]
         if arrival is not None and arrival.miss > NEAR:
-            imgui.push_text_wrap_pos(0.0)
-            imgui.text_disabled(f"It ends {arrival.miss:.3g} short: {CAUSES[arrival.cause or 'border']}.")
-            imgui.pop_text_wrap_pos()
+            _wrapped(
+                f"It ends {arrival.miss:.3g} short: {CAUSES[arrival.cause or 'border']}.", 0.0, imgui.text_disabled
+            )
             if imgui.small_button("arrive, in smaller steps"):
                 view.attempt(lambda: document.set_on_fold("flow"))
             hint("None of them folds: for all strokes")
@@ -205,7 +207,7 @@ def _selected(view: View) -> None:
             imgui.text_disabled(f"Later strokes move it by {arrival.moved:.3g}.")
         for label, step in (("earlier", -1), ("later", 1)):
             if imgui.small_button(label) and 0 <= i + step < len(document.state.items):
-                view.attempt(lambda step=step: document.move(i, i + step))  # type: ignore[misc]
+                view.attempt(partial(document.move, i, i + step))
             imgui.same_line()
         if imgui.small_button("delete"):
             view.attempt(lambda: document.remove(i))
@@ -214,7 +216,7 @@ def _selected(view: View) -> None:
     changed, index = imgui.combo("folds", _POLICIES.index(policy), [_SAYS[p] for p in _POLICIES])
     if changed:
         view.attempt(lambda: document.set_on_fold(_POLICIES[index]))
-    border = document.state.border
+    border = document.state.rest.border
     changed, fixed = imgui.checkbox("fixed border", border is not None)
     if changed:
         view.attempt(lambda: document.set_border("auto" if fixed else None))
@@ -238,9 +240,6 @@ def _typed(view: View, label: str, value: float, form: str) -> tuple[bool, float
     return over, view.typed.pop(label) if over else value
 
 
-_ENTER = imgui.InputTextFlags_.enter_returns_true
-
-
 def _volume(view: View) -> None:
     stage = view.stage
     assert isinstance(stage, VolumeStage)
@@ -249,37 +248,29 @@ def _volume(view: View) -> None:
     now = names.index(stage.preset) if stage.preset in names else -1
     changed, index = imgui.combo("colours", now, names)
     if changed:
-        view.attempt(lambda: stage.look(names[index], stage.density))
-        view.refresh()
+        _show(view, lambda: stage.look(names[index], stage.density))
     low, high = stage.scene.range
     window = stage.density or (low, high)
     imgui.plot_histogram("##histogram", stage.histogram, graph_size=(WIDE - 20, 50))
     hint("How many voxels have which value (logarithms)")
     for k, label in enumerate(("from", "to")):
         changed, value = imgui.slider_float(f"{label}##density", window[k], low, high, "%.4g")
-        if changed:
-            both = (value, max(window[1], value)) if k == 0 else (min(window[0], value), value)
-            if both[0] < both[1]:
-                view.attempt(
-                    lambda both=both: stage.look(stage.scene.transfer, None if both == (low, high) else both)  # type: ignore[misc]
-                )
-                view.refresh()
+        both = (value, max(window[1], value)) if k == 0 else (min(window[0], value), value)
+        if changed and both[0] < both[1]:
+            _show(view, partial(stage.look, stage.scene.transfer, None if both == (low, high) else both))
     _transfer(view, stage)
     changed, index = imgui.combo("mode", _MODES.index(stage.mode), list(_MODES))
     if changed:
-        view.attempt(lambda: stage.set_mode(_MODES[index]))
-        view.refresh()
+        _show(view, lambda: stage.set_mode(_MODES[index]))
     if stage.mode == "hybrid":
         imgui.progress_bar(view.filled, (-1, 6), "")
         hint("How much of the bent volume is in a buffer of its own: pictures are faster with it")
 
 
-_MODES: tuple[Literal["hybrid"], Literal["lattice"], Literal["exact"], Literal["buffered"]] = (
-    "hybrid",
-    "lattice",
-    "exact",
-    "buffered",
-)
+def _show(view: View, work: Callable[[], object]) -> None:
+    """Show a volume in another way, if it is not refused."""
+    view.attempt(work)
+    view.refresh()
 
 
 def _transfer(view: View, stage: VolumeStage) -> None:
@@ -287,7 +278,7 @@ def _transfer(view: View, stage: VolumeStage) -> None:
     if not imgui.tree_node("transfer function"):
         return
     transfer = stage.scene.transfer
-    points, changed_any = [list(p) for p in transfer.points], False
+    points = [list(p) for p in transfer.points]
     for k, (value, red, green, blue, opacity) in enumerate(points):
         imgui.push_id(k)
         imgui.set_next_item_width(70)
@@ -299,22 +290,18 @@ def _transfer(view: View, stage: VolumeStage) -> None:
         thinned, seen = imgui.slider_float("##opacity", opacity, 0.0, 1.0, "%.2f")
         if entered or painted or thinned:
             points[k] = [moved, *colour, seen]
-            changed_any = True
         imgui.same_line()
         if imgui.small_button("x") and len(points) > 2:
             del points[k]
-            changed_any = True
             imgui.pop_id()
             break
         imgui.pop_id()
     if imgui.small_button("add a point") and len(points) >= 2:
         middle = [0.5 * (a + b) for a, b in zip(points[-2], points[-1], strict=True)]
         points.insert(len(points) - 1, middle)
-        changed_any = True
-    if changed_any:
+    if points != [list(p) for p in transfer.points]:
         made: Any = tuple(sorted((tuple(p) for p in points), key=lambda p: p[0]))
-        view.attempt(lambda: stage.look(replace(transfer, points=made), stage.density))
-        view.refresh()
+        _show(view, lambda: stage.look(replace(transfer, points=made), stage.density))
     imgui.tree_pop()
 
 
@@ -331,7 +318,7 @@ def _seeing(view: View) -> None:
         if changed:
             view.tools.split = value
             view.refresh()
-    volume = view.stage.kind == "volume"
+    volume, tools = view.stage.kind == "volume", view.tools
     names = ["", "inversions"] if volume else list(OVERLAYS)
     changed, index = imgui.combo("overlay", names.index(view.overlay), ["none", *names[1:]])
     if changed:
@@ -340,15 +327,15 @@ def _seeing(view: View) -> None:
     hint("How many inversions, or without them samples, each ray took" if volume else "What the map does, and its cost")
     if not volume:
         if imgui.small_button("fit"):
-            view.tools.handle({"event_type": "key_down", "key": "0", "modifiers": ()})
+            tools.press("0")
         imgui.same_line()
         if imgui.small_button("100 %"):
-            view.tools.handle({"event_type": "key_down", "key": "1", "modifiers": ()})
+            tools.press("1")
 
 
 def _files(view: View) -> None:
     _head("Files")
-    for name, says in _FILES:
+    for name, says in _FILES.items():
         if imgui.small_button(says):
             view.desk.ask(name)
         if name not in ("open", "copy"):
@@ -363,15 +350,6 @@ def _files(view: View) -> None:
     question(view)
 
 
-_FILES = (
-    ("save", "save recipe"),
-    ("save as", "as"),
-    ("open", "open recipe"),
-    ("export", "export"),
-    ("copy", "save view"),
-)
-
-
 def question(view: View) -> None:
     """Draw the open question over all else."""
     asked = view.desk.asked
@@ -384,9 +362,7 @@ def question(view: View) -> None:
     if not imgui.begin_popup_modal(asked.title, None, imgui.WindowFlags_.always_auto_resize)[0]:
         return
     wide = max(min(460.0, width - 60), 80.0)
-    imgui.push_text_wrap_pos(wide)
-    imgui.text(asked.text)
-    imgui.pop_text_wrap_pos()
+    _wrapped(asked.text, wide)
     answer = ""
     if asked.path is not None:
         imgui.set_next_item_width(wide)
@@ -394,16 +370,14 @@ def question(view: View) -> None:
             imgui.set_keyboard_focus_here()
             imgui.get_io().clear_events_queue()  # what was typed before it was asked is not its answer
             imgui.get_io().clear_input_keys()
-        entered, asked.path = imgui.input_text("##path", asked.path, _ENTER)
+        entered, asked.path = imgui.input_text("##path", asked.path, imgui.InputTextFlags_.enter_returns_true)
         if entered:
             answer = asked.choices[0]
     if not asked.fresh and imgui.is_key_pressed(imgui.Key.enter):
         answer = answer or asked.choices[0]  # wherever the keyboard's focus is
     asked.fresh = False
     if asked.problem:
-        imgui.push_text_wrap_pos(wide)
-        imgui.text(asked.problem)
-        imgui.pop_text_wrap_pos()
+        _wrapped(asked.problem, wide)
     for k, label in enumerate(asked.choices):
         if k:
             imgui.same_line()

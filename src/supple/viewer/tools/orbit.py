@@ -1,4 +1,4 @@
-"""The camera before a volume, led by the pointer."""
+"""The camera before a volume: it orbits, pans and comes nearer as the pointer leads it."""
 
 from __future__ import annotations
 
@@ -11,30 +11,18 @@ from supple.domain import SMALLEST
 from supple.geometry import Geometry
 from supple.render.camera import Camera, Projection, view_of
 
-TURN = 180.0
-"""Degrees for a drag across the shorter side of the canvas."""
-FARTHEST = 10.0
-"""How far away the camera may go, as a multiple of where the whole volume fits."""
-STEP = 1.1
-"""How many times farther the camera is after a notch of the wheel, which is 100."""
+TURN = 180.0  # degrees for a drag across the shorter side of the canvas
+FARTHEST = 10.0  # how far away the camera may go, as a multiple of where the whole volume fits
+STEP = 1.1  # how many times farther the camera is after a notch of the wheel, which is 100
 
 
 @dataclass(frozen=True, slots=True)
 class Stage:
-    """The volume before a camera, and the canvas that shows it.
+    """The volume before a camera, and the canvas that shows it."""
 
-    Parameters
-    ----------
-    shape : (int, int, int)
-        Of the volume, (Z, H, W).
-    geometry : Geometry
-    size : (int, int)
-        Rows and columns of the canvas, in logical pixels.
-    """
-
-    shape: tuple[int, ...]
+    shape: tuple[int, ...]  # of the volume, (Z, H, W)
     geometry: Geometry
-    size: tuple[int, int]
+    size: tuple[int, int]  # rows and columns of the canvas, in logical pixels
 
     def view(self, camera: Camera) -> Projection:
         """The camera, set up."""

@@ -1,0 +1,199 @@
+"""Exports and certified errors, made in threads of their own beside the window, and the warnings of those threads."""
+
+from __future__ import annotations
+
+import contextlib
+import threading
+import warnings
+from collections.abc import Callable, Iterator
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from supple.deformation import Deformation, Report
+from supple.errors import SuppleError
+from supple.files import PathLike, warp_file
+from supple.strokes import Recipe
+
+Ear = Callable[[str, type[Warning]], None]
+_Asked = tuple[Deformation, int | None]
+
+_lock = threading.RLock()
+_ears: list[tuple[int, Ear]] = []  # the thread of each, and whom to tell
+_outside: list[contextlib.ExitStack] = []  # what puts all back once nobody listens
+
+
+@contextlib.contextmanager
+def heard(tell: Ear) -> Iterator[None]:
+    """Tell of the warnings of this thread, and of threads that work for it, instead of printing them.
+
+    `warnings.catch_warnings` is for a single thread: two that overlap leave a mess behind. A warning of a thread that
+    nobody listens to goes to who listens in the background, as its helpers have threads of their own; those of the
+    main thread go on as they would. The function is called, from the thread that warns, with what is warned of and
+    with the warning's kind.
+    """
+    mine = (threading.get_ident(), tell)
+    with _lock:
+        if not _ears:
+            _listen()
+        _ears.append(mine)
+    try:
+        yield
+    finally:
+        with _lock:
+            _ears.remove(mine)
+            if not _ears:
+                _outside.pop().close()
+
+
+def _listen() -> None:
+    stack = contextlib.ExitStack()
+    stack.enter_context(warnings.catch_warnings())
+    before, main = warnings.showwarning, threading.main_thread().ident
+
+    def show(message: Warning | str, category: type[Warning], *place: Any, **more: Any) -> None:
+        thread = threading.get_ident()
+        with _lock:
+            own = [ear for ident, ear in _ears if ident == thread]
+            others = [ear for ident, ear in _ears if ident != main] if thread != main else []
+        ear = next(reversed(own or others), None)
+        if ear is None:
+            before(message, category, *place, **more)
+        else:
+            ear(str(message), category)
+
+    warnings.simplefilter("always")
+    warnings.showwarning = show
+    _outside.append(stack)
+
+
+class Certifier:
+    """Measures the map of the last deformation that it was given, in a thread that calls a function after each."""
+
+    def __init__(self, on_report: Callable[[], None]) -> None:
+        self._on_report = on_report
+        self._news = threading.Condition()
+        self._wanted: _Asked | None = None
+        self._begun: _Asked | None = None
+        self._known: tuple[_Asked, Report | None] | None = None
+        self._closed = False
+        self._thread: threading.Thread | None = None
+
+    def report(self, deformation: Deformation, plane: int | None = None) -> Report | None:
+        """Return the certified error of a deformation, or of one plane of it; None while it is being measured."""
+        asked = deformation, plane
+        with self._news:
+            if self._known is not None and self._known[0] == asked:
+                return self._known[1]
+            self._wanted = asked
+            self._news.notify_all()
+            if self._thread is None:
+                self._thread = threading.Thread(target=self._work, name="supple-certify", daemon=True)
+                self._thread.start()
+            return None
+
+    def close(self) -> None:
+        """Stop when the report at hand is done."""
+        with self._news:
+            self._closed = True
+            self._news.notify_all()
+
+    def _work(self) -> None:
+        while True:
+            with self._news:
+                self._news.wait_for(lambda: self._closed or self._wanted != self._begun)
+                if self._closed or self._wanted is None:
+                    return
+                done, report = self._wanted, None
+                self._begun = done
+            with contextlib.suppress(SuppleError), heard(lambda text, kind: None):
+                report = done[0].report(plane=done[1])
+            with self._news:
+                self._known = done, report
+            if report is not None:
+                self._on_report()
+
+
+# Where each part of the work begins, and how much of the whole it is. Of a clip, writing begins first, and is over
+# with the last frame.
+_PARTS = {"read": (0.0, 0.05), "plan": (0.05, 0.1), "warp": (0.15, 0.75), "write": (0.9, 0.1)}
+_TEXTS = {"read": "reading", "plan": "planning", "warp": "warping", "write": "writing"}
+_BEGUN = "starting"
+
+
+class _Cancelled(Exception):  # noqa: N818, it is no error
+    """Somebody does not want it any more."""
+
+
+class Export:
+    """A file that is warped in a thread of its own, begun as this is made.
+
+    The target appears whole, or not at all; what is edited meanwhile does not come into it. Wait for the end before
+    the program ends, with `join`: an export that is under way then fails. Options are those of `supple.warp_file`.
+    """
+
+    def __init__(
+        self,
+        source: PathLike,
+        target: PathLike,
+        recipe: Recipe,
+        *,
+        warp: Callable[..., Any] = warp_file,
+        **options: Any,
+    ) -> None:
+        self.target = Path(target)
+        self.progress = 0.0  # how much is done, from 0 to 1; it never goes back
+        self.text = _BEGUN  # the text of the progress, or of the result
+        self.error: str | None = None  # why it failed, in one line
+        self.result: Any = None  # what the work gave, once it is done
+        self.cancelled = False  # whether it ended as it was cancelled; there is no new file then
+        self._warnings: list[str] = []
+        self._stop = threading.Event()
+        self._work = partial(warp, source, target, recipe, tell=self._tell, **options)
+        self._thread = threading.Thread(target=self._run, name="supple-export")
+        self._thread.start()
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """The warnings, each only once."""
+        return tuple(dict.fromkeys(self._warnings))
+
+    @property
+    def done(self) -> bool:
+        """Return whether it has ended, in whatever way."""
+        return not self._thread.is_alive()
+
+    def cancel(self) -> None:
+        """Ask it to stop. It does so between two frames, slices or parts; or is done before it hears of it."""
+        self._stop.set()
+
+    def join(self, timeout: float | None = None) -> bool:
+        """Wait for the end, for so many seconds at most; return whether it has ended."""
+        self._thread.join(timeout)
+        return self.done
+
+    def _tell(self, part: str, count: int, total: int) -> None:
+        if self._stop.is_set():
+            raise _Cancelled
+        counted = part in ("plan", "warp") and total > 3
+        if part == "write" and self.text == _BEGUN:
+            return  # a clip's file, which is only opened
+        begin, size = _PARTS[part]
+        self.progress = max(self.progress, begin + (size * count / total if counted else 0.0))
+        self.text = f"{_TEXTS[part]} {count} of {total}" if counted else _TEXTS[part]
+
+    def _run(self) -> None:
+        try:
+            with heard(lambda text, kind: self._warnings.append(_line(text))):
+                self.result = self._work()
+        except _Cancelled:
+            self.cancelled, self.text = True, "cancelled"
+        except Exception as error:
+            kind = "" if isinstance(error, SuppleError) else f"{type(error).__name__}: "
+            self.error = self.text = _line(f"{kind}{error}")
+        else:
+            self.progress, self.text = 1.0, "done"
+
+
+def _line(text: str) -> str:
+    return " ".join(text.split())

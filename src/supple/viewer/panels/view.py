@@ -1,0 +1,180 @@
+"""The view: a document on a canvas, as the overlays and the panel find it, and the pictures of it."""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from supple.errors import SuppleError
+from supple.engines.wgpu.device import Gpu
+from supple.engines.wgpu.screen import composed, pixels_of
+from supple.media import image
+from supple.strokes import Recipe
+from supple.viewer.document.background import Certifier
+from supple.viewer.document.editing import Document
+from supple.viewer.document.files import Desk
+from supple.viewer.panels.painter import Painter, Shot
+from supple.viewer.panels.stages import ImageStage, VideoStage, VolumeStage
+from supple.viewer.tools.brushes import ImageTools, VideoTools, VolumeTools
+
+WIDE = 300  # logical pixels of the panel beside the picture
+BAR, LINE = 44, 24  # and of the timeline and the status line below
+SETTLED = 0.15  # seconds without a change, after which a picture is drawn in full
+PATIENCE = 5.0  # seconds that what is saved waits for the frames it is made of
+
+
+@dataclass(eq=False, repr=False)
+class View:
+    """A medium in a window, and the strokes that are drawn on it."""
+
+    stage: ImageStage | VolumeStage
+    document: Document
+    tools: ImageTools | VolumeTools
+    canvas: Any  # of rendercanvas
+    gpu: Gpu
+    source: Path | None  # the file, for autosave and export
+    export: Mapping[str, Any]  # what else `supple.warp_file` takes to make what is seen
+    call_later: Callable[[float, Callable[[], None]], Any]  # has a function run in the canvas's loop, after seconds
+
+    def __post_init__(self) -> None:
+        self.overlay = ""
+        self.listed: int | None = None
+        self.typed: dict[str, float] = {}  # numbers that are being typed in the panel
+        self.filled = 0.0
+        self.painter = Painter(self.gpu, self.stage)
+        leave = partial(self.call_later, 0, self.canvas.close)
+        self.desk = Desk(self.document, self.source, self.write, leave, "auto", self.export)
+        self.certifier = Certifier(self.canvas.request_draw)
+        self._changed_at = 0.0
+        self._drawn_key: tuple[Shot, int] | None = None
+        self._frames: deque[float] = deque(maxlen=30)
+        self._callbacks: list[Callable[[Recipe], None]] = []
+        self._told: Recipe | None = None
+        self.document.on_change.append(self._changed)
+
+    @property
+    def recipe(self) -> Recipe:
+        """The edit history."""
+        return self.document.recipe
+
+    def on_change(self, call: Callable[[Recipe], None]) -> Callable[[Recipe], None]:
+        """Call a function with the recipe whenever it changes; it can be used as a decorator."""
+        if not self._callbacks:
+            self._told = self.document.recipe
+        self._callbacks.append(call)
+        return call
+
+    @property
+    def logical(self) -> tuple[float, float]:
+        """The canvas, in logical pixels."""
+        width, height = self.canvas.get_logical_size()
+        return max(float(width), 1.0), max(float(height), 1.0)
+
+    @property
+    def area(self) -> tuple[float, float]:
+        """The part of it that the picture has, from the upper left corner."""
+        width, height = self.logical
+        below = LINE + (BAR if self.stage.kind == "video" else 0)
+        return max(width - WIDE, 64.0), max(height - below, 64.0)
+
+    def refresh(self) -> None:
+        """Draw anew, in full."""
+        self._drawn_key = None
+        if isinstance(self.tools, VolumeTools):
+            self.tools.forget()
+        self.canvas.request_draw()
+
+    def attempt(self, work: Callable[[], object]) -> None:
+        """Do what may be refused, and say so then."""
+        self.desk.attempt(work)
+        self.canvas.request_draw()
+
+    def _changed(self) -> None:
+        """Draw it, and tell whoever wants to know of another recipe."""
+        self._changed_at, self.filled = time.perf_counter(), 0.0
+        self.canvas.request_draw()
+        if not self._callbacks or (recipe := self.document.recipe) == self._told:
+            return
+        self._told = recipe
+        for call in self._callbacks:
+            try:
+                call(recipe)
+            except Exception as error:  # its own matter: the window goes on
+                self.desk.message = " ".join(f"on_change: {type(error).__name__}: {error}".split())
+
+    def _shot(self, moving: bool) -> Shot:
+        tools, ratio = self.tools, self.canvas.get_pixel_ratio()
+        size = tuple(round(n * ratio) for n in self.area)
+        common: dict[str, Any] = {"size": size, "moving": moving, "ratio": ratio, "overlay": self.overlay}
+        common |= {"original": tools.original, "split": tools.split is not None}
+        if isinstance(tools, VolumeTools):
+            return Shot(self.document.deformation, camera=tools.camera, **common)
+        first, scale = tools.view.to_image(0.5 / ratio, 0.5 / ratio), 1.0 / (tools.view.zoom * ratio)
+        return Shot(self.document.deformation, origin=first, scale=scale, time=self.frame, **common)
+
+    @property
+    def frame(self) -> float:
+        """The frame that is shown, of a clip."""
+        return float(self.tools.playback.frame) if isinstance(self.tools, VideoTools) else 0.0
+
+    @property
+    def _playing(self) -> bool:
+        return isinstance(self.tools, VideoTools) and self.tools.playback.playing
+
+    @property
+    def _filling(self) -> bool:
+        """Return whether to wait for a volume's buffer before it is drawn in full, which takes seconds without it."""
+        slow = isinstance(self.stage, VolumeStage) and self.stage.mode == "hybrid" and self.gpu.software
+        return slow and self.filled < 1.0 and not self.document.deformation.is_identity
+
+    @property
+    def busy(self) -> bool:
+        """Return whether frames are drawn one after the other, so that it matters how many."""
+        return self.rate >= 1.5 and (self.tools.dragging or self._playing or self._filling or self._lately)
+
+    @property
+    def _lately(self) -> bool:
+        """Return whether there was a change just now."""
+        return time.perf_counter() - self._changed_at < SETTLED
+
+    @property
+    def rate(self) -> float:
+        """Frames a second, lately."""
+        if len(self._frames) < 2 or time.perf_counter() - self._frames[-1] > 1.0:
+            return 0.0
+        return (len(self._frames) - 1) / max(self._frames[-1] - self._frames[0], 1e-9)
+
+    def write(self, path: str, force: bool) -> None:
+        """Write the picture as it is on the canvas, drawn in full."""
+        image.write(path, self.pixels(), force=force)
+
+    def pixels(self) -> np.ndarray[Any, np.dtype[np.uint8]]:
+        """Return the picture that is seen, drawn in full: (rows, columns, 3) of sRGB.
+
+        Raises
+        ------
+        SuppleError
+            If frames that it is made of do not come.
+        """
+        shot = self._shot(moving=False)
+        self._drawn_key = None  # what is on the canvas is drawn over
+        (first, second), stage = self.painter.paint(shot), self.stage
+        if isinstance(stage, VideoStage):
+            end = time.perf_counter() + PATIENCE
+            while not self.painter.ready:
+                if not stage.film.arrived(end - time.perf_counter()):
+                    raise SuppleError("frames of it are not decoded yet: try it again in a moment")
+                first, second = self.painter.paint(shot)
+            if stage.trouble:
+                raise SuppleError(stage.trouble)
+        seen = pixels_of(self.gpu, first)
+        if second is not None:
+            seen = composed(self.gpu, first, second, self.tools.split or 0.0)
+        return np.ascontiguousarray(seen[..., :3])

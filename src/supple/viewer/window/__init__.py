@@ -1,0 +1,1 @@
+"""The windows: on a screen, in a notebook, or in a browser."""

@@ -1,0 +1,238 @@
+"""The window: events in, pictures out, and when the next one is drawn; Ctrl+C closes it, but not amid a frame."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import signal
+import threading
+import time
+from collections.abc import Callable, Iterator
+from functools import partial
+from typing import Any
+
+from supple.errors import SuppleError
+from supple.engines.wgpu.screen import Screen
+from supple.viewer.panels import overlay, panel
+from supple.viewer.panels.painter import Shot
+from supple.viewer.panels.stages import VideoStage, VolumeStage
+from supple.viewer.panels.view import SETTLED, View
+from supple.viewer.tools.brushes import VideoTools
+from supple.viewer.window.gui import Gui
+
+FILLING = 0.004  # seconds of each frame in which a volume's buffer is filled
+ANSWERED = 0.1  # seconds after an event in which a panel has answered it
+HINTED = 0.6  # and after which it says what something is that the pointer stays on
+
+
+class Waking:
+    """Draws a canvas again, at once or later, as its loop calls a function after some seconds."""
+
+    def __init__(self, canvas: Any, call_later: Callable[[float, Callable[[], None]], Any]) -> None:
+        self._canvas, self._call_later = canvas, call_later
+        self._stirred, self._due = -math.inf, math.inf
+
+    def later(self, seconds: float) -> None:
+        """Draw then, if not before: one that is due earlier looks again what there is to do."""
+        due = time.perf_counter() + seconds
+        if due < self._due:
+            self._due = due
+            self._call_later(seconds, self._woken)
+
+    def stir(self) -> None:
+        """Draw some frames for an event: a panel answers in the second or the third."""
+        self._stirred = time.perf_counter()
+        self._canvas.request_draw()
+
+    def answer(self) -> None:
+        """Go on with what an event began, after a frame."""
+        since = time.perf_counter() - self._stirred
+        if since < ANSWERED:
+            self._canvas.request_draw()
+        elif since < HINTED:
+            self.later(HINTED - since)
+
+    def _woken(self) -> None:
+        self._due = math.inf
+        self._canvas.request_draw()
+
+
+@contextlib.contextmanager
+def unbroken() -> Iterator[None]:
+    """Let Ctrl+C wait for the end of what is done: a frame goes on with a canvas that is still there."""
+    before = signal.getsignal(signal.SIGINT)
+    if not callable(before) or threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    came: list[Any] = []
+    signal.signal(signal.SIGINT, lambda number, frame: came.append(frame))
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+        if came:
+            before(signal.SIGINT, came[0])
+
+
+class Window(View):
+    """A view in a window: its parameters are those of `View`."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        canvas, device = self.canvas, self.gpu.device
+        self._waking = Waking(canvas, self.call_later)
+        self._closed = False
+        self._pressed = 0.0
+        self._textures: tuple[Any, Any] | None = None
+        self._laid = (0.0, 0.0, 0.0)
+        self._context = canvas.get_wgpu_context()
+        presented = self._context.get_preferred_format(device.adapter)
+        self._context.configure(device=device, format=presented)
+        self._screen, self._gui = Screen(self.gpu, presented), Gui(self.gpu, canvas, presented, self._controls)
+        canvas.add_event_handler(self._stir, *_HANDS, "char", order=-100)
+        canvas.add_event_handler(self._event, *_HANDS, "pointer_leave", "close")
+        canvas.request_draw(self.draw)
+
+    def _stir(self, event: dict[str, Any]) -> None:
+        """See that an event is answered, though the panel may keep it to itself."""
+        kind = event["event_type"]
+        if kind == "pointer_move" and not self._inside(event):
+            self.tools.handle({"event_type": "pointer_leave"})
+        if kind in ("pointer_down", "pointer_up") and event.get("button") not in range(1, 6):
+            event["stop_propagation"] = True  # the panel knows no others
+        elif kind in ("pointer_down", "wheel") and self._inside(event) and self.desk.asked is None:
+            self._gui.release()
+        self._waking.stir()
+
+    def _inside(self, event: dict[str, Any]) -> bool:
+        """Return whether it is on the picture."""
+        return bool(event.get("x", 0) < self.area[0] and event.get("y", 0) < self.area[1])
+
+    @unbroken()
+    def _event(self, event: dict[str, Any]) -> None:
+        kind = event["event_type"]
+        if kind == "close":
+            self.close()
+            return
+        if self.desk.asked is not None and kind not in ("pointer_up", "key_up"):  # these end what was begun
+            self.canvas.request_draw()
+            return
+        if kind in ("pointer_down", "wheel") and not self._inside(event):
+            self.canvas.request_draw()
+            return
+        if kind == "pointer_down":
+            self.desk.message = ""
+            self._pressed = event.get("time_stamp", 0.0)
+        elif kind == "pointer_move" and event.get("time_stamp", self._pressed) < self._pressed:
+            return  # browsers hold moves back, and hand them over after a press that came later
+        before = self.tools.view
+        self.tools.handle(event)
+        if self.tools.view is not before:
+            self._changed_at = time.perf_counter()
+        if kind == "pointer_up" and self.desk.message.startswith(_HOLDING):
+            self.desk.message = ""
+        requests, self.tools.requests[:] = list(self.tools.requests), []
+        for request in requests:
+            if self.tools.dragging:
+                self.desk.message = f"{_HOLDING}: then {request}"
+            else:
+                self.desk.ask(request)
+        self.canvas.request_draw()
+
+    @unbroken()
+    def draw(self) -> None:
+        """Draw a frame, as the canvas asks for one."""
+        if self._closed:
+            return
+        self.desk.tick()  # first: whatever comes, strokes are kept
+        begun = time.perf_counter()
+        self._frames.append(begun)
+        tools, (width, height) = self.tools, self.area
+        ratio = self.canvas.get_pixel_ratio()
+        if self._laid != (width, height, ratio):
+            self._laid = width, height, ratio
+            tools.handle({"event_type": "resize", "width": width, "height": height, "pixel_ratio": ratio})
+        if isinstance(tools, VideoTools):
+            tools.playback.frame_at(begun)
+        moving = tools.dragging or self._lately or self._playing or self._filling
+        shot = self._shot(moving)
+        key = shot, self.painter.coarse if moving else 0
+        self._gui.lay()
+        if self._gui.trouble:
+            self.desk.message = self._gui.trouble
+        encoder, begun = self.gpu.device.create_command_encoder(), time.perf_counter()
+        anew = key != self._drawn_key or not self.painter.ready
+        if anew:
+            with contextlib.suppress(SuppleError):
+                self._textures = self.painter.paint(shot, encoder)
+            self._drawn_key = key
+        self._present(shot, encoder)
+        if anew and moving:
+            self.painter.learn(begun)
+        self._go_on(shot)
+
+    def _present(self, shot: Shot, encoder: Any) -> None:
+        """Bring it all onto the canvas, at once."""
+        onto = self._context.get_current_texture()
+        colours = {"view": onto.create_view(), "load_op": "clear", "store_op": "store", "clear_value": (0, 0, 0, 1)}
+        drawing = encoder.begin_render_pass(color_attachments=[colours])
+        if self._textures is not None:
+            place = (0, 0, *(min(a, b) for a, b in zip(shot.size, onto.size, strict=False)))
+            self._screen.draw(drawing, *self._textures, self.tools.split or 0.0, place, self.painter.part)
+        self._gui.draw(drawing)
+        drawing.end()
+        self.gpu.device.queue.submit([encoder.finish()])
+
+    def _go_on(self, shot: Shot) -> None:
+        """See that what is not done yet goes on."""
+        if self._playing or not self.painter.ready:
+            self.canvas.request_draw()
+        elif self._lately:
+            self._waking.later(max(self._changed_at + SETTLED - time.perf_counter(), 0.01))
+        elif isinstance(self.stage, VolumeStage) and not self.tools.dragging:
+            self._fill(shot)
+        if (self.desk.export is not None and not self.desk.export.done) or self.document.dirty:
+            self._waking.later(0.25)  # to see how far it is, and to keep what was done
+        self._waking.answer()
+        if self.desk.asked is not None:
+            self._waking.later(0.25)  # where one writes, a line blinks
+
+    def _fill(self, shot: Shot) -> None:
+        waiting, before = self._filling, self.filled
+        assert isinstance(self.stage, VolumeStage)
+        try:
+            seconds = 10 * FILLING if waiting else FILLING
+            self.filled = self.stage.fill(shot.deformation, shot.camera, shot.size, seconds)
+        except SuppleError as error:
+            self.filled, self.desk.message = 1.0, str(error)
+        if before < self.filled or self.filled < 1.0:
+            if not waiting:
+                self._drawn_key = None  # each frame is faster than the last
+            self.canvas.request_draw()
+
+    def _controls(self) -> None:
+        panel.panel(self)
+        overlay.draw(self)
+
+    def drop(self, paths: list[str]) -> None:
+        """Open a file that was dropped on the window: a recipe here, anything else in a window of its own."""
+        for path in paths[:1]:
+            takes = self.desk.open if path.lower().endswith(".json") else self.desk.open_beside
+            self.attempt(partial(takes, path))
+
+    def _repr_mimebundle_(self, **options: Any) -> Any:
+        return self.canvas._repr_mimebundle_(**options)
+
+    def close(self) -> None:
+        """End what goes on here."""
+        if self._closed:
+            return
+        self._closed = True
+        self.certifier.close()
+        self.desk.end()
+        if isinstance(self.stage, VideoStage):
+            self.stage.film.close()
+
+
+_HOLDING = "let go of the stroke first"
+_HANDS = ("pointer_down", "pointer_move", "pointer_up", "wheel", "key_down", "key_up", "resize")
