@@ -13,8 +13,8 @@ import pyvips
 from clips import make
 from windows import Hand, opened, wait_for
 
-from supple.errors import SuppleError
 from supple.engines.wgpu.device import Gpu
+from supple.errors import SuppleError
 from supple.media import image
 from supple.strokes import Recipe, Stroke
 

@@ -8,11 +8,10 @@ from dataclasses import replace
 from supple.deformation import Arrival, Deformation, last_outside, reduced
 from supple.domain import Border, Domain, integer, refuse
 from supple.errors import SuppleError
-from supple.geometry import Geometry
-from supple.strokes import spoken
-from supple.strokes import FoldPolicy, Recipe, Stroke
-from supple.viewer.document.state import History, Item, Kind, Solved, State
 from supple.files.volumes import indexed, placed
+from supple.geometry import Geometry
+from supple.strokes import FoldPolicy, Recipe, Stroke, spoken
+from supple.viewer.document.state import History, Item, Kind, Solved, State
 
 
 class Document:

@@ -10,18 +10,16 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from supple.errors import SuppleError, shown
+from supple.files import PathLike, check_job, write_recipe
 from supple.files.clips import SUFFIXES_OUT as CLIPS_OUT
 from supple.files.clips import is_picture_target
-from supple.errors import SuppleError
-from supple.files import PathLike, check_job, write_recipe
 from supple.media.files import check_output, same_file
-from supple.errors import shown
 from supple.media.image import SUFFIXES_OUT as PICTURES_OUT
 from supple.media.image import check_target
 from supple.media.volume import SUFFIXES_OUT as VOLUMES_OUT
 from supple.media.volume import suffix_of
-from supple.strokes import spoken
-from supple.strokes import Recipe
+from supple.strokes import Recipe, spoken
 from supple.viewer.document import autosave
 from supple.viewer.document.autosave import Autosave
 from supple.viewer.document.background import Export

@@ -7,7 +7,7 @@ from typing import Generic, Literal, Self, TypeVar
 
 from supple.deformation import Deformation, after
 from supple.domain import refuse
-from supple.strokes import FoldPolicy, Recipe, CoordinateSpace, Stroke
+from supple.strokes import CoordinateSpace, FoldPolicy, Recipe, Stroke
 
 Kind = Literal["image", "video", "volume"]
 S = TypeVar("S")

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from supple.files.clips import open_clip
 from supple.errors import SuppleError
 from supple.files import PathLike
+from supple.files.clips import open_clip
 
 Pixels = npt.NDArray[np.uint8]
 Span = tuple[int, int]

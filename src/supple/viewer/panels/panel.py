@@ -11,8 +11,8 @@ from typing import Any, get_args
 from imgui_bundle import imgui
 
 from supple.deformation import Arrival
-from supple.folding import NEAR
 from supple.engines.wgpu.plate import OVERLAYS
+from supple.folding import NEAR
 from supple.render.transfer import PRESETS
 from supple.strokes import POISSON, REACH, FoldPolicy, Stroke
 from supple.viewer.document.state import Item

@@ -10,9 +10,9 @@ import numpy.typing as npt
 import pyvips
 
 from supple.deformation import Deformation
-from supple.errors import SuppleError
 from supple.engines.wgpu.device import Gpu
 from supple.engines.wgpu.plate import BACK, Plate, Sight
+from supple.errors import SuppleError
 from supple.media.image import Picture
 from supple.media.volume import Volume
 from supple.render.camera import Camera

@@ -12,9 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from supple.errors import SuppleError
 from supple.engines.wgpu.device import Gpu
 from supple.engines.wgpu.screen import composed, pixels_of
+from supple.errors import SuppleError
 from supple.media import image
 from supple.strokes import Recipe
 from supple.viewer.document.background import Certifier

@@ -14,17 +14,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from supple.files.clips import is_clip, open_clip
 from supple.domain import choice, length, point
-from supple.errors import SuppleError
-from supple.geometry import Geometry
 from supple.engines.wgpu.device import Gpu, open_gpu
-from supple.errors import shown
+from supple.errors import SuppleError, shown
+from supple.files.clips import is_clip, open_clip
+from supple.files.renders import default_transfer
+from supple.files.volumes import VolumeOptions, in_space, is_volume_job, open_volume
+from supple.geometry import Geometry
 from supple.media.image import read
 from supple.media.volume import Volume
-from supple.files.renders import default_transfer
-from supple.strokes import Fit
-from supple.strokes import Recipe, fit_recipe
+from supple.strokes import Fit, Recipe, fit_recipe
 from supple.viewer.document.editing import Document
 from supple.viewer.panels.frame_cache import FrameCache
 from supple.viewer.panels.stages import ImageStage, VideoStage, VolumeStage, on_screen
@@ -33,7 +32,6 @@ from supple.viewer.tools.brushes import ImageTools, VideoTools, VolumeTools
 from supple.viewer.tools.gestures import Pair
 from supple.viewer.tools.playback import Playback
 from supple.viewer.window import qt
-from supple.files.volumes import VolumeOptions, in_space, is_volume_job, open_volume
 
 if TYPE_CHECKING:
     from supple.viewer.window.window import Window
