@@ -16,11 +16,9 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-import clips
 import numpy as np
 import numpy.typing as npt
 import pytest
-from children import HEARING
 
 import supple
 from supple.cli import command, console
@@ -28,8 +26,9 @@ from supple.cli.console import Console
 from supple.cli.jobs import Crew, Job
 from supple.gpu.device import Gpu
 from supple.media import image
+from tests import clips
+from tests.children import HEARING, SOURCE
 
-SOURCE = str(Path(__file__).resolve().parent.parent / "src")
 GRAB = ("--grab", "20,16:23,18", "--radius", "12")
 Said = tuple[int, str, str]
 Run = Callable[..., Said]

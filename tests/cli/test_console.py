@@ -13,7 +13,6 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import ModuleType
 
-import clips
 import numpy as np
 import numpy.typing as npt
 import pytest
@@ -24,8 +23,9 @@ from supple.cli import command
 from supple.cli.console import as_options
 from supple.errors import ToleranceWarning
 from supple.media import image
+from tests import clips
+from tests.children import SOURCE
 
-SOURCE = str(Path(__file__).resolve().parent.parent / "src")
 HEAD = Path(SOURCE) / "supple" / "examples" / "data" / "head.nii.gz"
 FOLDS = ("--radius", "6", "--on-fold", "damp")
 MEDIA = {

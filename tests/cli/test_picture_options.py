@@ -16,6 +16,7 @@ import pytest
 import supple
 from supple.cli import command
 from supple.media.image import read, write
+from tests.children import SOURCE
 
 GRAB = ("--grab", "20,20:23,20", "--radius", "6")
 
@@ -86,12 +87,11 @@ def test_what_an_array_does_not_take_is_refused(option: dict[str, object]) -> No
 
 
 def run(*arguments: str, given: bytes = b"") -> tuple[int, bytes, str]:
-    source = str(Path(__file__).parents[1] / "src")
     done = subprocess.run(
         [sys.executable, "-m", "supple", *arguments],
         input=given,
         capture_output=True,
-        env={**os.environ, "PYTHONPATH": source},
+        env={**os.environ, "PYTHONPATH": SOURCE},
     )
     return done.returncode, done.stdout, done.stderr.decode()
 

@@ -17,6 +17,7 @@ from hypothesis import strategies as st
 from supple import Deformation, FoldWarning, _core
 from supple.native import plan_of, sampling_of
 from supple.strokes import numbers
+from tests.children import ROOT
 
 Floats = npt.NDArray[np.float64]
 Array = npt.NDArray[Any]
@@ -102,8 +103,7 @@ def sampling(frames: Array, out: Array, **how: Any) -> _core.Sampling:
 
 def in_a_process(program: str, *, timeout: float = 120, **environment: str) -> subprocess.CompletedProcess[str]:
     """Run a program, to which this package and these tests are known."""
-    here = Path(__file__).parent
-    path = os.pathsep.join([str(Path(_core.__path__[0]).parent.parent), str(here.parent), str(here)])
+    path = os.pathsep.join([str(Path(_core.__path__[0]).parent.parent), str(ROOT)])
     return subprocess.run(
         [sys.executable, "-c", program],
         env={**os.environ, "PYTHONPATH": path, **environment},

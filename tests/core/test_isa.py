@@ -15,6 +15,7 @@ from supple import _core
 from supple._core.cpu import isas
 from supple._core.loading import load
 from supple.errors import SuppleError
+from tests.children import ROOT
 
 BUILT = [name for name in isas() if any(Path(_core.__path__[0]).glob(f"{name}.*"))]
 
@@ -150,7 +151,7 @@ def test_threads_are_asked_for_at_each_call(monkeypatch: pytest.MonkeyPatch) -> 
 
 
 def test_every_name_has_a_type() -> None:
-    stub = ast.parse((Path(__file__).parents[2] / "src" / "supple" / "_core" / "__init__.pyi").read_text("utf-8"))
+    stub = ast.parse((ROOT / "src" / "supple" / "_core" / "__init__.pyi").read_text("utf-8"))
     typed = {node.name for node in stub.body if isinstance(node, ast.FunctionDef | ast.ClassDef)}
     typed |= {
         node.target.id for node in stub.body if isinstance(node, ast.AnnAssign) and isinstance(node.target, ast.Name)

@@ -8,14 +8,14 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pytest
-import reference
-from drawn import deformation, deformations, plan, sampling
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from supple import Deformation, _core
 from supple.streaming import Space
 from supple.strokes import numbers
+from tests import reference
+from tests.core.drawn import deformation, deformations, plan, sampling
 
 pytestmark = pytest.mark.filterwarnings("ignore::supple.FoldWarning")
 

@@ -8,14 +8,14 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pytest
-import reference
-from drawn import POISSONS, deformation, deformations, lifted, places
 from hypothesis import given, settings
 
 from supple import Deformation, _core
 from supple.domain import Domain
 from supple.folding import limit
 from supple.strokes import Stroke, numbers, pack
+from tests import reference
+from tests.core.drawn import POISSONS, deformation, deformations, lifted, places
 
 pytestmark = pytest.mark.filterwarnings("ignore::supple.FoldWarning")
 

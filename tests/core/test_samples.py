@@ -10,13 +10,13 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pytest
-import reference
-from drawn import deformations, plan, sampling
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from supple import Deformation, _core
 from supple.strokes import numbers
+from tests import reference
+from tests.core.drawn import deformations, plan, sampling
 
 pytestmark = pytest.mark.filterwarnings("ignore::supple.FoldWarning")
 

@@ -8,9 +8,9 @@ import threading
 
 import numpy as np
 import pytest
-from drawn import in_a_process
 
 from supple import Deformation
+from tests.core.drawn import in_a_process
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="signals and forks are POSIX's")
 

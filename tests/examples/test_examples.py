@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 
 from supple.media import image, video
+from tests.children import ROOT
 
-ROOT = Path(__file__).resolve().parent.parent
 EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
 SAYS = {
     "delay": ["head_late: ", "t = 52.0", "head_early: ", "t = 30.0"],

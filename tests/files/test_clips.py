@@ -19,11 +19,9 @@ from pathlib import Path
 from typing import Any
 
 import av
-import clips
 import numpy as np
 import numpy.typing as npt
 import pytest
-from children import HEARING
 
 import supple
 import supple.media.video
@@ -35,8 +33,9 @@ from supple.media import image
 from supple.media.video import info, open_video
 from supple.media.video.errors import ClipWarning, CountError
 from supple.plot.files import plot_file
+from tests import clips
+from tests.children import HEARING, SOURCE
 
-SOURCE = str(Path(__file__).resolve().parent.parent / "src")
 TIMED = supple.Recipe(border=None, strokes=(supple.Stroke.grab((30, 20, 3), to=(33, 22, 8), radius=10),))
 FLAT = supple.Recipe(border=10, strokes=(supple.Stroke.grab((30, 20), to=(34, 23), radius=12),))
 GRAB = ("--grab", "30,20,3:33,22,8", "--radius", "10", "--border", "none")

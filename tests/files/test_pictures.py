@@ -18,8 +18,8 @@ import supple
 from supple.errors import ScaleWarning
 from supple.files import check_job, read_recipe, warp_file, write_recipe
 from supple.media import image
+from tests.children import SOURCE
 
-SOURCE = str(Path(__file__).resolve().parent.parent / "src")
 DATA = Path(supple.__file__).parent / "examples" / "data"
 RECIPE = supple.Recipe(border=10, strokes=(supple.Stroke.grab((30, 20), to=(36, 24), radius=15),))
 

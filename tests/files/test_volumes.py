@@ -12,7 +12,6 @@ import nibabel
 import numpy as np
 import numpy.typing as npt
 import pytest
-import reference
 from scipy import ndimage
 
 import supple
@@ -21,6 +20,7 @@ from supple.cli import command
 from supple.geometry import Geometry
 from supple.media import volume as media
 from supple.volumes import VolumeOptions, deformation_of, is_volume_job, sampling_of, warp_volume
+from tests import reference
 
 SHAPE = (20, 26, 24)
 DIRECTION = np.array([[0.0, -0.8, 0.6], [1.0, 0.0, 0.0], [0.0, 0.6, 0.8]]) @ np.diag([1.0, -1.0, 1.0])

@@ -7,10 +7,10 @@ import os
 from collections.abc import Callable
 from typing import Any
 
-import corpus
 import pytest
 
 from supple import _core
+from tests import corpus
 
 known = json.loads(corpus.KNOWN.read_text())
 

@@ -14,8 +14,8 @@ import pytest
 
 import supple
 from supple.render.transfer import PRESETS, TransferFunction
+from tests.children import ROOT
 
-ROOT = Path(__file__).resolve().parent.parent
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 DATA = Path(supple.__file__).parent / "examples" / "data"
 OPTION = r"(?<![\w-])--[a-z][a-z-]*"

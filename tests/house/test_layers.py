@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).resolve().parent.parent
+from tests.children import ROOT
 
 
 def lint_imports(root: Path) -> subprocess.CompletedProcess[str]:

@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-import soak
 
 from supple import Deformation
 from supple.deformation import Inverse
+from tests import soak
 
 pytestmark = pytest.mark.filterwarnings("ignore::supple.FoldWarning")
 

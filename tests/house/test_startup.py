@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from supple.media import image
+from tests.children import SOURCE
 
-SOURCE = str(Path(__file__).resolve().parent.parent / "src")
 ENGINES = ("numba", "llvmlite", "scipy", "torch", "wgpu", "supple.gpu.warp", "supple.gpu_clips", "supple.cuda")
 LIBRARIES = ("matplotlib", "av", "SimpleITK", "nibabel", "rich", "supple.viewer", "supple.plot")
 

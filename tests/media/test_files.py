@@ -13,6 +13,7 @@ import pytest
 
 from supple.errors import SuppleError
 from supple.media.files import check_output, replacing, shown
+from tests.children import SOURCE
 
 posix = pytest.mark.skipif(os.name != "posix", reason="permission bits are POSIX's")
 
@@ -26,7 +27,7 @@ def put(path, data=b"new", *, force=False, then=lambda: None):
 def run(code, *arguments):
     """Run a program in a process of its own, and return its exit status and output."""
     command = [sys.executable, "-c", textwrap.dedent(code), *map(str, arguments)]
-    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[1] / "src")}
+    environment = {**os.environ, "PYTHONPATH": SOURCE}
     done = subprocess.run(command, capture_output=True, encoding="utf-8", env=environment)
     return done.returncode, done.stdout + done.stderr
 

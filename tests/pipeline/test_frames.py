@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pytest
-import reference
 
 from supple import Deformation, SuppleError
+from tests import reference
 
 pytestmark = pytest.mark.filterwarnings("ignore::supple.FoldWarning")
 

@@ -17,11 +17,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pytest
-import reference
 
 from supple import Deformation, SuppleError
 from supple.stacks import warp_stack
 from supple.streaming import Group, Layout, Plan, Sampling, Space, make_plan, stream
+from tests import reference
 
 pytestmark = pytest.mark.filterwarnings("ignore::supple.FoldWarning")
 

@@ -16,6 +16,7 @@ from supple import Deformation, SuppleError, paper
 from supple.plot import WHATS, figure, footprints, grid, iterations, plot, residual, sources, stretch
 from supple.plot.background import background
 from supple.plot.measure import spacing_of
+from tests.children import SOURCE
 
 FIG_6_1B = Deformation((512, 512), border=None, on_fold="damp").grab((256, 256), by=(0, 90), radius=100, reach=None)
 VIDEO = Deformation((30, 48, 64), border=8, spacing=(1.0, 1.0, 1.5), on_fold="damp").grab(
@@ -320,6 +321,5 @@ def test_pyplot_stays_out_of_it() -> None:
         "figure(Deformation((20, 20)), 'grid')\n"
         "assert 'matplotlib.pyplot' not in sys.modules"
     )
-    source = str(Path(__file__).resolve().parent.parent / "src")
-    subprocess.run([sys.executable, "-c", code], check=True, env={**os.environ, "PYTHONPATH": source})
+    subprocess.run([sys.executable, "-c", code], check=True, env={**os.environ, "PYTHONPATH": SOURCE})
     assert figure(SMALL, "grid").axes[0].get_ylim() == (59.5, -0.5)

@@ -14,7 +14,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from clips import make
 
 import supple
 from supple.errors import FoldWarning, SuppleError, ToleranceWarning
@@ -25,6 +24,7 @@ from supple.viewer.autosave import Autosave, found
 from supple.viewer.document import Document
 from supple.viewer.exporting import Export
 from supple.viewer.warning_log import heard
+from tests.clips import make
 
 ONE = Stroke(at=(20, 20), by=(3, 0.1), radius=9)
 TWO = Stroke(at=(30, 20), by=(0, 1 / 3), radius=9, hidden=True)

@@ -9,13 +9,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from windows import SIZE, Hand, opened
 
 import supple
 from supple.gpu.device import Gpu
 from supple.strokes import Recipe, Stroke
 from supple.viewer.document import Document
 from supple.viewer.files import Desk
+from tests.viewer.windows import SIZE, Hand, opened
 
 imgui = pytest.importorskip("imgui_bundle").imgui
 pytest.importorskip("rendercanvas")

@@ -9,13 +9,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from windows import SIZE, opened
 
 import supple
 from supple.errors import SuppleError
 from supple.gpu.device import Gpu
 from supple.media import volume as volumes
 from supple.strokes import Recipe, Stroke
+from tests.viewer.windows import SIZE, opened
 
 pytest.importorskip("rendercanvas")
 pytest.importorskip("imgui_bundle")

@@ -15,8 +15,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from clips import decoded, make, rows
-from windows import Hand, opened, small_photo, viewing, wait_for
 
 import supple
 from supple.clips import ClipOptions
@@ -26,6 +24,8 @@ from supple.media import image, video, volume
 from supple.media.volume import RawLayout
 from supple.strokes import Recipe, Stroke
 from supple.volumes import VolumeOptions, deformation_of
+from tests.clips import decoded, make, rows
+from tests.viewer.windows import Hand, opened, small_photo, viewing, wait_for
 
 pytest.importorskip("rendercanvas")
 pytest.importorskip("imgui_bundle")

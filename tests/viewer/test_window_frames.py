@@ -10,13 +10,13 @@ from typing import Any
 import numpy as np
 import pytest
 import pyvips
-from clips import make
-from windows import Hand, opened, wait_for
 
 from supple.errors import SuppleError
 from supple.gpu.device import Gpu
 from supple.media import image
 from supple.strokes import Recipe, Stroke
+from tests.clips import make
+from tests.viewer.windows import Hand, opened, wait_for
 
 pytest.importorskip("rendercanvas")
 pytest.importorskip("imgui_bundle")

@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from windows import SIZE, Hand, Pixels, opened
 
 import supple
 from supple.gpu.device import Gpu
 from supple.media import image
 from supple.strokes import Recipe, Stroke
+from tests.viewer.windows import SIZE, Hand, Pixels, opened
 
 pytest.importorskip("rendercanvas")
 pytest.importorskip("imgui_bundle")

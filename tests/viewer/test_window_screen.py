@@ -13,8 +13,6 @@ import av
 import numpy as np
 import pytest
 import SimpleITK as sitk  # noqa: N813
-from clips import decoded
-from windows import Browser, Mouse, Pixels, a_screen, needs, small_photo, viewing, wait_for
 
 import supple
 from supple.cli import command
@@ -24,6 +22,8 @@ from supple.strokes import Recipe, Stroke
 from supple.viewer.launch import SIZE
 from supple.viewer.panels import BAR, LINE, WIDE
 from supple.viewer.viewport import Viewport
+from tests.clips import decoded
+from tests.viewer.windows import Browser, Mouse, Pixels, a_screen, needs, small_photo, viewing, wait_for
 
 pytest.importorskip("rendercanvas")
 pytest.importorskip("imgui_bundle")

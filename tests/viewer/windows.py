@@ -21,10 +21,10 @@ from typing import Any
 import numpy as np
 import pytest
 import pyvips
-from children import HEARING
 
 import supple
 from supple.media import image
+from tests.children import HEARING
 
 MUST = os.environ.get("SUPPLE_TEST_WINDOW") == "1"
 SIZE = (1000, 640)

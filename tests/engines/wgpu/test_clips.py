@@ -9,12 +9,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import clips
 import numpy as np
 import numpy.typing as npt
 import pytest
-import reference
-from test_streaming import LAYOUTS, SHAPE, Clip, bent, layout_of, noise
 
 import supple
 from supple import Deformation, Recipe, Stroke
@@ -33,6 +30,8 @@ from supple.media.volume import read as read_volume
 from supple.media.volume import write
 from supple.media.volume.data import Volume
 from supple.streaming import CPU, Layout, Plan, Sampling, Space, make_plan, slots_of, stream
+from tests import clips, reference
+from tests.pipeline.test_streaming import LAYOUTS, SHAPE, Clip, bent, layout_of, noise
 
 pytestmark = pytest.mark.filterwarnings("ignore::supple.FoldWarning")
 

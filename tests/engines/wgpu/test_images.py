@@ -9,7 +9,6 @@ from typing import Any, ClassVar
 
 import numpy as np
 import pytest
-import reference
 
 import supple
 from supple.cli import command
@@ -25,6 +24,7 @@ from supple.gpu.fill import BLOCK
 from supple.gpu.samples import STEP, GpuGroup, Wanted, format_of
 from supple.gpu.texels import layers
 from supple.media import image
+from tests import reference
 
 
 @pytest.fixture(scope="module")

@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-import reference
 from scipy import ndimage
 
 import supple
@@ -29,6 +28,7 @@ from supple.render.scene import MODES, Scene
 from supple.render.solid import Solid, along_rays
 from supple.render.transfer import TransferFunction
 from supple.volumes import open_volume
+from tests import reference
 
 SHAPE, SIZE = (22, 30, 26), (40, 52)
 GEOMETRY = Geometry(spacing=(0.9, 1.1, 1.8))

@@ -36,6 +36,7 @@ from supple.media.image import (
 from supple.media.image.exif import from_tiff, into_tiff, is_whole
 from supple.media.image.formats import TIFF
 from supple.media.image.formats import settings as saver_settings
+from tests.children import SOURCE
 
 FORMATS = (".png", ".jpg", ".tif", ".webp", ".avif")
 SAVERS = {".png": "pngsave", ".jpg": "jpegsave", ".tif": "tiffsave", ".webp": "webpsave", ".avif": "heifsave"}
@@ -89,7 +90,7 @@ def loaded(path):
 def run(code, *arguments):
     """Run a program in a process of its own, and return its exit status and output."""
     command = [sys.executable, "-c", textwrap.dedent(code), *map(str, arguments)]
-    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[1] / "src")}
+    environment = {**os.environ, "PYTHONPATH": SOURCE}
     done = subprocess.run(command, capture_output=True, encoding="utf-8", env=environment)
     return done.returncode, done.stdout + done.stderr
 

@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from clips import make
 
 from supple.media.video import Clip, open_video
 from supple.media.video.seeking import index_of
 from supple.viewer.frame_cache import FrameCache
+from tests.clips import make
 
 COUNT = 40
 GOPS: dict[str, dict[str, Any]] = {

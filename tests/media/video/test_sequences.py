@@ -10,7 +10,6 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
-import clips
 import numpy as np
 import numpy.typing as npt
 import pytest
@@ -23,6 +22,7 @@ from supple.media.video import ClipWarning, info, open_video, writer_of
 from supple.media.video.sequence import Pictures, is_sequence, open_sequence
 from supple.media.video.sequence_out import sequence_writer
 from supple.streaming import Group, Layout
+from tests import clips
 
 Array = npt.NDArray[Any]
 SRGB = bytes(pyvips.Operation.call("profile_load", "srgb"))

@@ -10,7 +10,6 @@ import warnings
 from fractions import Fraction
 
 import av
-import clips
 import numpy as np
 import pytest
 
@@ -18,6 +17,8 @@ from supple.errors import SuppleError
 from supple.media.video import ClipWarning, CountError, colour, demux, info, open_video, plan
 from supple.media.video import planes as video_planes
 from supple.media.video import probe as movie
+from tests import clips
+from tests.children import ROOT
 
 FORMATS = (  # of FFV1
     "yuv420p,yuva420p,yuva422p,yuv444p,yuva444p,yuv440p,yuv422p,yuv411p,yuv410p,bgr0,bgra,yuv420p16le,yuv422p16le,"
@@ -1398,7 +1399,7 @@ def test_colours_that_a_file_cannot_tell_look_the_same(tmp_path, codec, name, lo
 SILENT = """
 import sys
 sys.path.insert(0, sys.argv[3])
-from test_video_files import copy
+from tests.media.video.test_video_files import copy
 for codec in ("h264", "hevc", "av1", "vp9"):
     copy(sys.argv[1], sys.argv[2], codec=codec)
 """
@@ -1406,6 +1407,6 @@ for codec in ("h264", "hevc", "av1", "vp9"):
 
 def test_encoders_are_silent(tmp_path):
     source = clips.make(tmp_path / "a.mkv", "ffv1")
-    command = [sys.executable, "-c", SILENT, str(source), str(tmp_path / "b.mkv"), os.path.dirname(__file__)]
+    command = [sys.executable, "-c", SILENT, str(source), str(tmp_path / "b.mkv"), str(ROOT)]
     done = subprocess.run(command, capture_output=True, encoding="utf-8", timeout=100, check=False)
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")

@@ -6,7 +6,6 @@ import sys
 import textwrap
 import warnings
 from dataclasses import replace
-from pathlib import Path
 
 import nibabel
 import numpy as np
@@ -28,6 +27,7 @@ from supple.media.volume import (
     read,
     write,
 )
+from tests.children import SOURCE
 
 SPACING, ORIGIN = (0.7, 1.1, 2.3), (-12.5, 33.25, 7.125)
 DTYPES = ("u1", "i1", "u2", "i2", "u4", "i4", "u8", "i8", "f4", "f8")
@@ -1176,7 +1176,7 @@ class TestRefusals:
         """
         for limit in (300, 40_000, 79_990):
             command = [sys.executable, "-c", textwrap.dedent(code), str(tmp_path / f"out{suffix}"), str(limit)]
-            environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[1] / "src")}
+            environment = {**os.environ, "PYTHONPATH": SOURCE}
             done = subprocess.run(command, capture_output=True, encoding="utf-8", env=environment)
             assert (done.returncode, done.stderr) == (0, "")
             assert done.stdout.count("\n") == 1
@@ -1254,6 +1254,6 @@ class TestKinds:
 
     def test_it_takes_no_library_to_tell(self):
         code = "import sys, supple.media.volume; print(sorted({'nibabel', 'SimpleITK', 'pyvips'} & set(sys.modules)))"
-        environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[1] / "src")}
+        environment = {**os.environ, "PYTHONPATH": SOURCE}
         done = subprocess.run([sys.executable, "-c", code], capture_output=True, encoding="utf-8", env=environment)
         assert done.stdout == "[]\n"

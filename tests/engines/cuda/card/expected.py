@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-import reference
 
 import supple
+from tests import reference
 
 
 def expected(d: supple.Deformation, source: np.ndarray, **options: Any) -> np.ndarray:

@@ -8,11 +8,24 @@ from typing import Any
 
 import numpy as np
 import pytest
-from at_size import CLOSE, SCALE, apart, bent, both, host, labels, near_a_boundary, only_on_a_card, sized, typed, waves
 
 import supple
 from supple.cuda.card import Card
 from supple.errors import ToleranceWarning
+from tests.engines.cuda.card.at_size import (
+    CLOSE,
+    SCALE,
+    apart,
+    bent,
+    both,
+    host,
+    labels,
+    near_a_boundary,
+    only_on_a_card,
+    sized,
+    typed,
+    waves,
+)
 
 pytestmark = only_on_a_card
 

@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from at_size import CLOSE, TIGHT, apart, bent, host, only_on_a_card, sized, waves
 
 import supple
 import supple.cuda
 from supple.cuda.card import simulated
+from tests.engines.cuda.card.at_size import CLOSE, TIGHT, apart, bent, host, only_on_a_card, sized, waves
 
 pytestmark = only_on_a_card
 

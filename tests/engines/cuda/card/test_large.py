@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from expected import expected, surely_nearest
 
 import supple
 from supple.certificate import Certificate
@@ -28,6 +27,7 @@ from supple.errors import DeviceWarning, SuppleError
 from supple.media import volume as media
 from supple.warping import checked_sampling
 from supple.workers import workers
+from tests.engines.cuda.card.expected import expected, surely_nearest
 
 TIGHT = 1e-4
 STACK = (12, 6, 7)

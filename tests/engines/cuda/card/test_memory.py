@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from at_size import apart, bent, host, only_on_a_card, waves
 
 import supple
 import supple.cuda
+from tests.engines.cuda.card.at_size import apart, bent, host, only_on_a_card, waves
 
 pytestmark = only_on_a_card
 

@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-import reference
-from expected import expected, sources, surely_nearest, untouched
 
 import supple
 from supple.cuda import warp
 from supple.errors import FoldWarning, SuppleError, ToleranceWarning
+from tests import reference
+from tests.engines.cuda.card.expected import expected, sources, surely_nearest, untouched
 
 TIGHT = 1e-4  # pixels: so that what differs is not where points are
 IMAGE, STACK = (13, 16), (5, 9, 10)
