@@ -1,11 +1,9 @@
-"""Landmarks: points that travel with what they mark, and files in which nothing else changes."""
+"""Landmarks: points that travel with what they mark, from file to file."""
 
 from __future__ import annotations
 
 import contextlib
-import json
 import os
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -14,13 +12,12 @@ import numpy.typing as npt
 import pytest
 
 import supple
-from supple import Deformation, SuppleError
+from supple import Deformation
 from supple.errors import VolumeWarning
 from supple.geometry import Geometry
 from supple.landmarks import move_points
-from supple.media.points import PointFile, check_target, read_points, write_points
-
-Floats = npt.NDArray[np.float64]
+from supple.media.points import check_target, read_points, write_points
+from tests.media.landmarks import Floats, fcsv, markup, markups, read, refused
 
 SHAPE = (24, 30, 28)
 SPACING = (0.9, 1.1, 1.4)
@@ -36,39 +33,6 @@ def tilted() -> Geometry:
 def bent(border: float | None = 5.0) -> Deformation:
     made = Deformation(SHAPE, spacing=SPACING, border=border)
     return made.grab((13, 15, 11), to=(17, 13, 13), radius=9).grab((9, 20, 12), by=(-2, 1, -2), radius=7)
-
-
-def fcsv(points: Floats, system: str = "LPS") -> str:
-    head = f"# Markups fiducial file version = 5.6\n# CoordinateSystem = {system}\n"
-    head += "# columns = id,x,y,z,ow,ox,oy,oz,vis,sel,lock,label,desc,associatedNodeID\n"
-    rows = [f'{k},{x!r},{y!r},{z!r},0,0,0,1,1,1,0,F-{k},"a, b",,2,0\n' for k, (x, y, z) in enumerate(points.tolist())]
-    return head + "".join(rows)
-
-
-def markup(points: Floats, system: str = "LPS") -> dict[str, Any]:
-    controls = [
-        {
-            "id": str(k),
-            "label": f"F-{k}",
-            "position": point,
-            "orientation": [-1.0, -0.0, -0.0, -0.0, -1.0, -0.0, 0.0, 0.0, 1.0],
-            "selected": True,
-            "positionStatus": "defined",
-        }
-        for k, point in enumerate(points.tolist())
-    ]
-    return {
-        "type": "Fiducial",
-        "coordinateSystem": system,
-        "coordinateUnits": "mm",
-        "controlPoints": controls,
-        "measurements": [],
-        "display": {"visibility": True, "color": [0.4, 1.0, 1.0]},
-    }
-
-
-def markups(*made: dict[str, Any]) -> str:
-    return json.dumps({"@schema": "markups-schema-v1.0.3.json#", "markups": made}, indent=4)
 
 
 def written(kind: str, points: Floats, system: str) -> str:
@@ -221,258 +185,6 @@ class TestPointsTravel:
         if kind == "fcsv":
             assert (tmp_path / f"out.{kind}").read_text() == text
         assert not moved.displaced.any()
-
-
-def read(tmp_path: Path, text: str, name: str = "in.csv") -> PointFile:
-    (tmp_path / name).write_bytes(text.encode())
-    return read_points(tmp_path / name)
-
-
-def rewritten(tmp_path: Path, file: PointFile, points: npt.ArrayLike, **options: Any) -> str:
-    out = tmp_path / f"out{Path(file.name).suffix}"
-    write_points(out, points, file, force=True, **options)
-    return out.read_bytes().decode()
-
-
-class TestTables:
-    @pytest.mark.parametrize(
-        ("text", "points", "convention", "labels"),
-        [
-            ("x,y\n1,2\n3.5,-4e1\n", [[1, 2], [3.5, -40]], "index", ("", "")),
-            ("label,X,Y,Z\na,1,2,3\n", [[1, 2, 3]], "index", ("a",)),
-            ('"name";"z";"y (mm)";"x"\r\n"a;b";3;2;1\r\n', [[1, 2, 3]], "index", ("a;b",)),
-            ("# a note\nname,x,y\nb,1,2\n", [[1, 2]], "index", ("b",)),
-            ("id\tpos_x\ty_pos\tt\n7\t1\t2\t3", [[1, 2, 3]], "index", ("7",)),
-            ("x,y,z,t,label\n1,2,3,0,a\n", [[1, 2, 3]], "index", ("a",)),
-            ("frame,y,x\n3,2,1\n", [[1, 2, 3]], "index", ("",)),
-            ("label,r,a,s,defined\na,1,2,3,1\n", [[1, 2, 3]], "RAS", ("a",)),
-            ("label,l,p,s\na,1,2,3\n", [[1, 2, 3]], "LPS", ("a",)),
-            ("k,j,i\n3,2,1\n", [[1, 2, 3]], "index", ("",)),
-            ("a,1,2,3,4\nb,5,6,7,8\n", [[1, 2, 3], [5, 6, 7]], "index", ("", "")),
-            ("1;2\n", [[1, 2]], "index", ("",)),
-            ("# of a head\n\n# x,y,who\n1,2,me\n\n# end\n3,4,you\n", [[1, 2], [3, 4]], "index", ("", "")),
-            ("# id,z,y,x\n9,3,2,1\n", [[1, 2, 3]], "index", ("9",)),
-            ("# CoordinateSystem = LPS\nx,y,z\n1,2,3\n", [[1, 2, 3]], "LPS", ("",)),
-            ("\ufeffx,y\n1,2\n", [[1, 2]], "index", ("",)),
-            ("\ufeff1,2\n", [[1, 2]], "index", ("",)),
-            ('x,y,note\n1,2,"two\nlines, and ""quotes"""\n3,4,\n', [[1, 2], [3, 4]], "index", ("", "")),
-            ("x,y,x_mm,y_mm\n1,2,10,20\n", [[1, 2]], "index", ("",)),
-        ],
-    )
-    def test_of_many_kinds(
-        self, tmp_path: Path, text: str, points: list[list[float]], convention: str, labels: tuple[str, ...]
-    ) -> None:
-        file = read(tmp_path, text)
-        np.testing.assert_array_equal(file.points, points)
-        assert (file.convention, file.labels, file.kind) == (convention, labels, "CSV")
-        assert rewritten(tmp_path, file, file.points) == text
-
-    def test_only_what_moved_is_written_anew(self, tmp_path: Path) -> None:
-        text = '\ufeff# a, "b\r\n"id";"x"; "y";z \r\n1;" 1.50";2.0;0x\r\n\r\nb;3;+4;"é"\n'
-        file = read(tmp_path, text.replace("z ", "note").replace("0x", "x, y"))
-        out = rewritten(tmp_path, file, [[1.5, 0.1], [1 / 3, 4]])
-        assert out == '\ufeff# a, "b\r\n"id";"x"; "y";note\r\n1;" 1.50";0.1;x, y\r\n\r\nb;0.3333333333333333;+4;"é"\n'
-
-    def test_residuals(self, tmp_path: Path) -> None:
-        for text, expected in {
-            "x,y\n1,2\n3,4": "x,y,residual\n1,2,0.5\n3,4,1.23e-07",
-            "x;Residual;y\n1;old;2\n3;;4\n": "x;Residual;y\n1;0.5;2\n3;1.23e-07;4\n",
-            "# x\ty\n1\t2\n3\t4\n": "# x\ty\tresidual\n1\t2\t0.5\n3\t4\t1.23e-07\n",
-            "1,2\r\n# c\r\n3,4\r\n": "1,2,0.5\r\n# c\r\n3,4,1.23e-07\r\n",
-        }.items():
-            file = read(tmp_path, text)
-            assert rewritten(tmp_path, file, file.points, residual=[0.5, 1.2345e-7]) == expected
-
-    def test_bytes_that_are_not_utf8_come_through(self, tmp_path: Path) -> None:
-        (tmp_path / "in.csv").write_bytes(b"name,x,y\nM\xfcller,1,2\n")
-        write_points(tmp_path / "out.csv", [[3, 2]], read_points(tmp_path / "in.csv"))
-        assert (tmp_path / "out.csv").read_bytes() == b"name,x,y\nM\xfcller,3.0,2\n"
-
-
-class TestSlicersLists:
-    @pytest.mark.parametrize(
-        ("said", "convention"),
-        [
-            ("0", "RAS"),
-            ("RAS", "RAS"),
-            ("1", "LPS"),
-            ("LPS", "LPS"),
-            ("2", "index"),
-            ("IJK", "index"),
-            ("lps,,", "LPS"),
-        ],
-    )
-    def test_coordinate_systems(self, tmp_path: Path, said: str, convention: str) -> None:
-        text = fcsv(np.array([[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]]), said)
-        file = read(tmp_path, text, "in.fcsv")
-        np.testing.assert_array_equal(file.points, [[1, 2, 3], [4, 5, 6]])
-        assert (file.convention, file.labels, file.kind) == (convention, ("F-0", "F-1"), "fcsv")
-        out = rewritten(tmp_path, file, [[1, 2, 3.5], [4, 5, 6]], residual=[9, 9])
-        assert out == text.replace("3.0,0,", "3.5,0,")
-
-    def test_old_files(self, tmp_path: Path) -> None:
-        text = "# Fiducial List file F.fcsv\n# numPoints = 1\n# columns = label,x,y,z,sel,vis\nF1,-1,2,3,1,1\n"
-        file = read(tmp_path, text, "in.fcsv")
-        np.testing.assert_array_equal(file.points, [[-1, 2, 3]])
-        assert file.convention == "RAS"
-        file = read(tmp_path, "F1,-1,2,3,1,1\n", "in.fcsv")
-        np.testing.assert_array_equal(file.points, [[-1, 2, 3]])
-
-
-class TestSlicersMarkups:
-    def test_several_with_what_is_not_placed(self, tmp_path: Path) -> None:
-        one, two = markup(np.array([[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]])), markup(np.array([[7.0, 8.0, 9.0]]), "RAS")
-        one["controlPoints"][0].update(positionStatus="undefined", position=None)
-        del two["controlPoints"][0]["positionStatus"]
-        file = read(tmp_path, markups(one, two), "in.mrk.json")
-        assert (file.convention, file.labels) == ("LPS", ("F-1", "F-0"))
-        np.testing.assert_array_equal(file.points, [[4, 5, 6], [-7, -8, 9]])
-        found = json.loads(rewritten(tmp_path, file, [[4, 5.5, 6], [-7, -8.25, 9.5]]))
-        one["controlPoints"][1]["position"] = [4.0, 5.5, 6.0]
-        two["controlPoints"][0]["position"] = [7.0, 8.25, 9.5]
-        assert found == json.loads(markups(one, two))
-
-    def test_the_layout_stays(self, tmp_path: Path) -> None:
-        slicers = (
-            '{\n    "markups": [\n        {\n            "type": "Line",\n            "controlPoints": [\n'
-            '                {\n                    "label": "é [\\n1 ]",\n'
-            '                    "position": [1.0, -0.0, 3.0],\n                    "associated": []\n'
-            "                }\n            ]\n        }\n    ]\n}\n"
-        )
-        broken = json.dumps(json.loads(slicers), indent=2, ensure_ascii=False)
-        for text in (slicers, broken):
-            file = read(tmp_path, text, "in.mrk.json")
-            assert file.convention == "LPS"
-            assert rewritten(tmp_path, file, file.points) == text
-            assert rewritten(tmp_path, file, [[1, 0, 2.5]]) == text.replace("3.0", "2.5")
-
-
-def refused(action: Callable[..., object], *args: Any, **options: Any) -> str:
-    with pytest.raises(SuppleError) as caught:
-        action(*args, **options)
-    message = str(caught.value)
-    assert message.isprintable()
-    return message
-
-
-LIMITS = "a number from -1e+30 to 1e+30"
-POINT = '{"position": [1, 2, 3]}'
-
-
-class TestWhatCannotBeRead:
-    @pytest.mark.parametrize(
-        ("text", "message"),
-        [
-            ("", "it is empty: give a .csv, .tsv, .txt, .fcsv or .mrk.json file"),
-            (" \n\n", "it is empty: give a .csv, .tsv, .txt, .fcsv or .mrk.json file"),
-            ("# x,y\n", "it holds no points: give one in each line, x first"),
-            ("x,y\n", "it holds no points: give one in each line, below the header"),
-            (
-                "label,remark\na,b\n",
-                "line 1: neither are there numbers, nor names of columns x and y: "
-                "name them in the first line, with , ; or tabs between",
-            ),
-            ("# c\n\nid,x\n1,2\n", "line 3: neither are there numbers, nor names of columns x and y: "),
-            ("a,1\nb,2\n", "line 1: only one cell is a number: give x and y, and z or t for volumes and videos"),
-            ("x,y,x\n1,2,3\n", "line 1: several columns are named x: leave the name to one"),
-            ("x,y\n1,2\n3,4,5\n", "line 3: it has 3 cells: give 2"),
-            ("x,y\n# c\n1\n", "line 3: it has 1 cell: give 2"),
-            ("1,2\n\n3,b\n", f"line 3: cell 2 is 'b': a coordinate is {LIMITS}"),
-            ("x,y\n1,\n", f"line 2: cell 2 is '': a coordinate is {LIMITS}"),
-            ("x;y\n1;2,5\n", f"line 2: cell 2 is '2,5': a coordinate is {LIMITS}"),
-            ("x,y\nnan,1\n", f"line 2: cell 1 is 'nan': a coordinate is {LIMITS}"),
-            ("1,inf\n", f"line 1: cell 2 is 'inf': a coordinate is {LIMITS}"),
-            ("1,1e31\n", f"line 1: cell 2 is '1e31': a coordinate is {LIMITS}"),
-            ('x,y,n\n1,2,a\n3,4,"b\n5,6,c\n', "line 3: a quote is not closed: close it"),
-            ("# CoordinateSystem = MNI\n1,2,3\n", "line 1: the coordinate system 'MNI' is unknown: give LPS or RAS"),
-            ("x,y\0\n", "it is no text in UTF-8: save it as that"),
-        ],
-    )
-    def test_tables(self, tmp_path: Path, text: str, message: str) -> None:
-        (tmp_path / "in.csv").write_text(text)
-        said = refused(read_points, tmp_path / "in.csv")
-        assert said.startswith(f"cannot read {tmp_path}/in.csv: {message}")
-        assert message.endswith(": ") or said.endswith(message)
-
-    @pytest.mark.parametrize(
-        ("text", "message"),
-        [
-            ("# columns = id,x,y\nF,1,2\n", "line 1: the columns are not x, y and z: name them so"),
-            ("# columns = id,r,c\nF,1,2\n", "line 1: the columns are not x, y and z: name them so"),
-            ("F,1,2\n", "line 1: it has 3 cells: give 4"),
-            ("F,1,2,c\n", f"line 1: cell 4 is 'c': a coordinate is {LIMITS}"),
-            ("# CoordinateSystem = 7\nF,1,2,3\n", "line 1: the coordinate system '7' is unknown: give LPS or RAS"),
-            ("# CoordinateSystem = LPS\n", "it holds no points: give one in each line, x first"),
-        ],
-    )
-    def test_slicers_lists(self, tmp_path: Path, text: str, message: str) -> None:
-        (tmp_path / "in.fcsv").write_text(text)
-        assert refused(read_points, tmp_path / "in.fcsv") == f"cannot read {tmp_path}/in.fcsv: {message}"
-
-    @pytest.mark.parametrize(
-        ("text", "message"),
-        [
-            ('{\n"markups": [}', "line 2: it is no whole JSON (Expecting value): save it from Slicer as .mrk.json"),
-            ("[" * 200_000, "it is JSON of a size or depth that nobody needs: save it from Slicer as .mrk.json"),
-            ("[1]", 'it has no list "markups": save it from Slicer as .mrk.json'),
-            ('{"markups": []}', 'it has no list "markups": save it from Slicer as .mrk.json'),
-            ('{"markups": [3]}', 'markup 1: it has no list "controlPoints": save it from Slicer as .mrk.json'),
-            (
-                f'{{"markups": [{{"controlPoints": [{POINT}]}}, {{"type": "Line"}}]}}',
-                'markup 2: it has no list "controlPoints": save it from Slicer as .mrk.json',
-            ),
-            (
-                '{"markups": [{"coordinateSystem": "XYZ", "controlPoints": []}]}',
-                'markup 1: its coordinateSystem is \'XYZ\': give "LPS" or "RAS"',
-            ),
-            (
-                '{"markups": [{"coordinateSystem": {}, "controlPoints": []}]}',
-                'markup 1: its coordinateSystem is {}: give "LPS" or "RAS"',
-            ),
-            (
-                '{"markups": [{"coordinateUnits": "m", "controlPoints": []}]}',
-                "markup 1: its coordinateUnits are 'm': give \"mm\"",
-            ),
-            ('{"markups": [{"controlPoints": []}]}', "it holds no points that are placed: place some"),
-            (
-                '{"markups": [{"controlPoints": [7]}]}',
-                "markup 1, control point 1: it is 7: give an object with a position",
-            ),
-            (
-                f'{{"markups": [{{"controlPoints": [{POINT}, {{}}]}}]}}',
-                "markup 1, control point 2: no position: give three numbers from -1e+30 to 1e+30",
-            ),
-            *(
-                (
-                    f'{{"markups": [{{"controlPoints": [{{"position": {bad}}}]}}]}}',
-                    f"markup 1, control point 1: its position is {said}: give three numbers from -1e+30 to 1e+30",
-                )
-                for bad, said in {
-                    "[1, 2]": "[1, 2]",
-                    "[1, NaN, 2]": "[1, nan, 2]",
-                    "[1, 2, Infinity]": "[1, 2, inf]",
-                    '[1, 2, "3"]': "[1, 2, '3']",
-                    "[1, true, 3]": "[1, True, 3]",
-                    "null": "None",
-                }.items()
-            ),
-        ],
-    )
-    def test_slicers_markups(self, tmp_path: Path, text: str, message: str) -> None:
-        (tmp_path / "in.mrk.json").write_text(text)
-        assert refused(read_points, tmp_path / "in.mrk.json") == f"cannot read {tmp_path}/in.mrk.json: {message}"
-
-    def test_no_files(self, tmp_path: Path) -> None:
-        (tmp_path / "folder.csv").mkdir()
-        give = "give a .csv, .tsv, .txt, .fcsv or .mrk.json file"
-        for name, message in {
-            "none.csv": "No such file or directory: check the name and its rights",
-            "folder.csv": f"it is a folder or no plain file: {give}",
-            "a\0b.csv": "no file can have that name: check it",
-            "a.xlsx": f"the suffix .xlsx is of no file of points: {give}",
-            "a": f"a name without suffix is of no file of points: {give}",
-        }.items():
-            assert refused(read_points, tmp_path / name).endswith(f": {message}")
 
 
 class TestWhatCannotBeDone:

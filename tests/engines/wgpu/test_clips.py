@@ -31,7 +31,7 @@ from supple.media.volume import write
 from supple.media.volume.data import Volume
 from supple.streaming import CPU, Layout, Plan, Sampling, Space, make_plan, slots_of, stream
 from tests import clips, reference
-from tests.pipeline.test_streaming import LAYOUTS, SHAPE, Clip, bent, layout_of, noise
+from tests.pipeline.streams import LAYOUTS, SHAPE, Clip, bent, layout_of, noise
 
 pytestmark = pytest.mark.filterwarnings("ignore::supple.FoldWarning")
 
