@@ -19,6 +19,7 @@ from hypothesis import strategies as st
 from supple.deformation import Deformation
 from supple.errors import OutsideWarning, SuppleError
 from supple.strokes import STROKE_DTYPE, Recipe, Stroke, pack
+from tests import reference
 from tests.strokes import grab, ratios, recipes, refusal
 
 HUGE = pytest.param(10**5000, id="huge")  # too long for Python to spell
@@ -38,26 +39,10 @@ def displacement_reference(row: np.void, points: npt.ArrayLike) -> Floats:
 
 
 def kelvinlets(stroke: Stroke, points: Floats) -> Floats:
-    """K from the equations as they are printed: kelvinlets, weighted, then normalised."""
-    a = 1 / (4 * np.pi)
-    b = a / (4 * (1 - stroke.poisson))
-    radii = stroke.radius * np.array([1, 1.1, 1.21])
-    e1, e2, e3 = radii**2
-    weights = {1: [1], 2: [1, -1], 3: [1, -(e3 - e1) / (e3 - e2), (e2 - e1) / (e3 - e2)]}[stroke.scales]
+    """K at points of three coordinates from the equations as they are printed: weighted, then normalised."""
     pivot, f = np.zeros((2, 3))
     pivot[: stroke.ndim], f[: stroke.ndim] = stroke.at, stroke.by
-
-    def unscaled(r: Floats) -> Floats:
-        total = np.zeros((*r.shape[:-1], 3, 3))
-        for weight, radius in zip(weights, radii, strict=False):
-            rho = np.sqrt((r * r).sum(-1) + radius**2)[..., None, None]
-            outer = r[..., :, None] * r[..., None, :]
-            matrix = ((a - b) / rho + a * radius**2 / (2 * rho**3)) * np.eye(3) + b / rho**3 * outer
-            total += weight * matrix
-        return total
-
-    result: Floats = unscaled(points - pivot) @ f / unscaled(np.zeros(3))[0, 0]
-    return result
+    return reference.grab(f, stroke.radius, stroke.poisson, stroke.scales, points - pivot)[0]
 
 
 def exact_magnitude(row: np.void, distance: int) -> Decimal:

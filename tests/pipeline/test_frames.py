@@ -1,4 +1,4 @@
-"""Frames of a clip: every filter, type and rule along all three axes, against the printed interpolants."""
+"""Frames of a clip as warps take and give them: both ways to a sample, layouts, sizes, refusals."""
 
 from __future__ import annotations
 
@@ -14,20 +14,13 @@ import pytest
 
 from supple import Deformation, SuppleError
 from tests import reference
+from tests.pipeline.frames import BETWEEN, FILTERS, RULES, SHAPE, Array, Floats, exact, hurried, noise, top_of
 
 pytestmark = pytest.mark.filterwarnings("ignore::supple.FoldWarning")
-
-Floats = npt.NDArray[np.float64]
-Array = npt.NDArray[Any]
-
-SHAPE = (7, 37, 50)
 DTYPES = ["bool", "u1", "u2", "i2", "f2", "f4", "f8"]
 CHANNELS = [1, 2, 3, 4, 5]
 PRINTED = [("linear", "linear"), ("linear", "cubic"), ("linear", "nearest"), ("cubic", "linear"), ("cubic", "cubic")]
-FILTERS = ["nearest", "linear", "cubic", "auto"]
 DIRECT = ["linear", "cubic", "auto"]  # these have a path of their own
-BETWEEN = ["nearest", "linear", "cubic"]
-RULES = ["edge", "constant", "reflect"]
 FINE = 1e-5
 
 
@@ -42,29 +35,6 @@ def bent() -> Deformation:
 def held() -> Deformation:
     """As strong, but no point comes from outside."""
     return Deformation(SHAPE, border=64, on_fold="damp").grab((20, 18, 3), by=(9, -6, 1.5), radius=14, reach=None)
-
-
-@functools.cache
-def exact(d: Deformation) -> Floats:
-    found = d.inverse(reference.grid(d.shape))
-    assert found.converged.all()
-    return found.points
-
-
-def top_of(dtype: npt.DTypeLike) -> float:
-    kind = np.dtype(dtype)
-    return float(np.iinfo(kind).max) if kind.kind in "iu" else 1.0
-
-
-def noise(dtype: npt.DTypeLike, channels: int, shape: tuple[int, ...] = SHAPE, seed: int = 0) -> Array:
-    rng, kind = np.random.default_rng(seed), np.dtype(dtype)
-    size = (*shape, channels)
-    if kind == np.bool_:
-        return rng.uniform(size=size) < 0.5
-    if kind.kind == "f":
-        return (100 * rng.normal(size=size)).astype(kind)
-    limits = np.iinfo(kind)
-    return rng.integers(limits.min, limits.max, size, kind.newbyteorder("="), endpoint=True).astype(kind)
 
 
 def same(out: Array, values: Floats, span: float, leeway: float = 3e-4) -> None:
@@ -91,26 +61,6 @@ def test_the_deformations_are_what_they_should_be() -> None:
     points = exact(held())
     assert points.min() > -0.5 - 1e-9
     assert (points <= size - 0.5 + 1e-9).all()
-
-
-@pytest.mark.parametrize("rule", RULES)
-@pytest.mark.parametrize("dtype", DTYPES)
-def test_interpolation_is_the_printed_one(dtype: str, rule: str) -> None:
-    source = noise(dtype, 5)
-    fill = [1.0] * 5 if dtype == "bool" else [3.0 + 9 * c for c in range(5)]
-    span = 2 * float(np.abs(source.astype(np.float64)).max())
-    for name, between in PRINTED:
-        expected = reference.sample_frames(source, exact(bent()), name, between, rule, fill)
-        # Where the nearest frame is in doubt, it is not looked at.
-        t = exact(bent())[..., 2]
-        clear = np.abs(t - np.floor(t) - 0.5) > 1e-4 if between == "nearest" else np.ones(t.shape, bool)
-        for channels in CHANNELS:
-            how: dict[str, Any] = {"outside": rule, "fill": fill[:channels], "alpha": False, "tolerance": FINE}
-            part = np.ascontiguousarray(source[..., :channels])
-            out = bent().warp(part, filter=name, between=between, **how)
-            assert out.dtype == part.dtype
-            assert out.shape == part.shape
-            same(out[clear], expected[..., :channels][clear], span)
 
 
 @pytest.mark.parametrize(("dtype", "channels"), [("u1", 1), ("u1", 2), ("u2", 1), ("f4", 1), ("i2", 1)])
@@ -141,21 +91,6 @@ def test_the_order_of_bytes_makes_no_difference(dtype: str) -> None:
         out = bent().warp(source, filter=name)
         assert out.dtype == source.dtype
         np.testing.assert_array_equal(out, bent().warp(native, filter=name))
-
-
-@pytest.mark.parametrize("dtype", [*DTYPES, "i8"])
-def test_nearest_keeps_values_as_they_are(dtype: str) -> None:
-    source, points = noise(dtype, 5), exact(bent())
-    clear = (np.abs(points - np.floor(points) - 0.5) > 1e-4).all(axis=-1)
-    fill = [1.0] * 5 if dtype == "bool" else [3.0 + 9 * c for c in range(5)]
-    for rule in RULES:
-        expected = reference.sample_frames(source, points, "nearest", "nearest", rule, fill)
-        for channels in CHANNELS:
-            how: dict[str, Any] = {"outside": rule, "fill": fill[:channels], "tolerance": FINE}
-            out = bent().warp(source[..., :channels], filter="nearest", **how)
-            np.testing.assert_array_equal(out[clear], expected[..., :channels][clear])
-    labels = set(np.unique(source[..., 0]).tolist())
-    assert set(np.unique(bent().warp(source[..., 0], filter="nearest")).tolist()) <= labels
 
 
 @pytest.mark.parametrize("dtype", ["u1", "u2", "f2", "f4", "f8"])
@@ -230,32 +165,6 @@ def test_both_ways_to_a_sample_agree(filter: str, between: str, averaged: bool) 
         assert np.abs(weighed[..., 3] - top_of(dtype)).max() <= 1e-5 * top_of(dtype)
 
 
-@pytest.mark.parametrize("dtype", ["u1", "u2", "f2", "f4", "f8"])
-@pytest.mark.parametrize("channels", [2, 4, 5])
-def test_opacity_weighs_the_colours(dtype: str, channels: int) -> None:
-    top = top_of(dtype)
-    source = np.abs(noise("f8", channels)) % 100 / 100 * top
-    source[:, ::4, :, -1], source[:, 1::4, :, -1], source[5, ..., -1] = 0, top, 0
-    source = source.astype(dtype)
-    numbers = source.astype(np.float64)
-    premultiplied = np.concatenate([numbers[..., :-1] * numbers[..., -1:] / top, numbers[..., -1:]], axis=-1)
-    fill = [*(0.3 * top, 0.9 * top, 0.1 * top, 0.6 * top)[: channels - 1], 0.5 * top]
-    inside = [*(0.5 * x for x in fill[:-1]), fill[-1]]
-    for rule in RULES:
-        for name, between in PRINTED:
-            how: dict[str, Any] = {"filter": name, "between": between, "outside": rule, "tolerance": FINE}
-            out = bent().warp(source, fill=fill, alpha=True, **how)
-            values = reference.sample_frames(premultiplied, exact(bent()), name, between, rule, inside)
-            t = exact(bent())[..., 2]
-            clear = (np.abs(t - np.floor(t) - 0.5) > 1e-4) | (between != "nearest")
-            opacity = np.clip(values[..., -1], 0, top)
-            same(out[..., -1][clear], opacity[clear], top)
-            seen = (values[..., -1] > 0.1 * top) & (values[..., -1] <= top) & clear
-            same(out[..., :-1][seen], (values[..., :-1] * top)[seen] / opacity[seen][:, None], 10 * top)
-            nothing = (values[..., -1] < -1e-3 * top) & clear
-            assert (out[nothing][..., :-1] == 0).all()
-
-
 def test_the_last_of_four_channels_of_8_or_16_bits_is_opacity_unless_told() -> None:
     for dtype in ("u1", "u2", "i2", "f4"):
         for channels in (2, 3, 4, 5):
@@ -264,38 +173,6 @@ def test_the_last_of_four_channels_of_8_or_16_bits_is_opacity_unless_told() -> N
             np.testing.assert_array_equal(bent().warp(source), bent().warp(source, alpha=weighed))
             if channels == 4:
                 assert (bent().warp(source, alpha=False) != bent().warp(source, alpha=True)).any()
-
-
-def light(v: Floats) -> Floats:
-    return np.where(v <= 0.04045, v / 12.92, ((np.maximum(v, 0.04045) + 0.055) / 1.055) ** 2.4)
-
-
-def curve(v: Floats) -> Floats:
-    return np.where(v <= 0.0031308, v * 12.92, 1.055 * np.maximum(v, 0.0031308) ** (1 / 2.4) - 0.055)
-
-
-@pytest.mark.parametrize("dtype", ["u1", "u2", "f2", "f4", "f8"])
-@pytest.mark.parametrize("channels", [1, 3, 4])
-def test_light_is_averaged_if_asked_for(dtype: str, channels: int) -> None:
-    top = top_of(dtype)
-    source = np.random.default_rng(5).uniform(0, top, (*SHAPE, channels)).astype(dtype)
-    alpha = channels == 4
-    if alpha:
-        source[..., 3] = (0.2 * top + 0.8 * source[..., 3].astype(np.float64)).astype(dtype)
-    numbers = source.astype(np.float64) / top
-    weights = numbers[..., 3:] if alpha else np.ones((*SHAPE, 1))
-    lit = np.concatenate([light(numbers[..., :3]) * weights, weights], axis=-1)
-    for rule, fill in (("edge", 0.0), ("constant", 0.5), ("reflect", 0.0)):
-        inside = [*[light(np.array(fill)) * (fill if alpha else 1)] * min(channels, 3), fill if alpha else 1.0]
-        for name, between in (("linear", "linear"), ("cubic", "cubic")):
-            how: dict[str, Any] = {"filter": name, "between": between, "outside": rule, "tolerance": FINE}
-            out = bent().warp(source, linear_light=True, alpha=alpha, fill=fill * top, **how)
-            values = reference.sample_frames(lit, exact(bent()), name, between, rule, inside)
-            seen = (values[..., -1] > 0.3) & (values[..., -1] <= 1)
-            found = curve(values[..., :-1] / values[..., -1:])
-            same(out[..., :3][seen], found[seen] * top, 3 * top)
-            if alpha:
-                same(out[..., 3], np.clip(values[..., -1], 0, 1) * top, top)
 
 
 @pytest.mark.parametrize("averaged", [False, True])
@@ -371,88 +248,6 @@ def test_sizes(shape: tuple[int, int, int], rule: str) -> None:
                 np.testing.assert_array_equal(given, out)
 
 
-@functools.cache
-def shrinking() -> Deformation:
-    return Deformation((8, 90, 120), border=None, on_fold="flow").grab(
-        (45, 45, 4), by=(40, 8, 2), radius=20, reach=None
-    )
-
-
-def test_where_a_frame_shrinks_it_is_averaged() -> None:
-    """Against 6 × 6 samples of the cubic interpolant in each pixel, at the exact inverse."""
-    d = shrinking()
-    source = np.random.default_rng(3).integers(0, 255, (*d.shape, 1)).astype(np.float64)
-    matrices = np.linalg.inv(d.jacobian(exact(d)))
-    sizes = np.linalg.svd(matrices[..., :2, :2], compute_uv=False)[..., 0]
-    inside = ((exact(d) > 4) & (exact(d) < np.array(d.shape[::-1]) - 5))[..., :2].all(axis=-1)
-    hard = (sizes > 2) & inside
-    assert hard.sum() > 500
-    within = (np.arange(6) + 0.5) / 6 - 0.5
-    q = reference.grid(d.shape)[hard]
-    expected = np.zeros(len(q))
-    for v in within:
-        for u in within:
-            points = d.inverse(q + np.array([u, v, 0])).points
-            expected += reference.sample_frames(source, points, "cubic", "linear")[:, 0] / 36
-    found = {name: reference.psnr(d.warp(source, filter=name)[hard][:, 0], expected) for name in FILTERS[1:]}
-    # Boxes of equal covariance stand for parallelograms: of noise, the hardest of pictures, some is left.
-    for name in ("auto",):
-        assert found[name] > found["linear"] + 6
-        assert found[name] > found["cubic"] + 8
-    tiles = d.warp(np.repeat(source, 5, axis=-1), filter="auto")[hard][:, 0]
-    assert reference.psnr(tiles, expected) > found["linear"] + 6
-
-
-@functools.cache
-def hurried() -> Deformation:
-    """Time runs several times as fast behind a drag."""
-    return Deformation((60, 40, 70), on_fold="flow", border=64).grab((35, 20, 15), by=(4, 2, 28), radius=25, reach=None)
-
-
-@functools.cache
-def durations() -> Floats:
-    return reference.durations(hurried(), exact(hurried()))
-
-
-@pytest.mark.parametrize("dtype", ["u1", "u2", "f4"])
-@pytest.mark.parametrize("between", ["linear", "cubic"])
-def test_what_flickers_becomes_grey_where_time_is_compressed(between: str, dtype: str) -> None:
-    d, top = hurried(), top_of(dtype)
-    clip = np.zeros((*d.shape, 1), dtype)
-    clip[::2] = top
-    for channels in (1, 3, 5):
-        source = np.repeat(clip, channels, axis=-1)
-        for name in ("linear", "cubic", "auto"):
-            how: dict[str, Any] = {"filter": name, "between": between}
-            sharp, soft = (d.warp(source, time_filter=f, **how).astype(np.float64) / top for f in (False, True))
-            fast = durations() > 3
-            fast &= (exact(d)[..., 2] > durations()) & (exact(d)[..., 2] < d.shape[0] - 1 - durations())
-            assert fast.sum() > 200
-            # What is left of a flicker of one frame, of an average over that many.
-            assert (np.abs(soft[fast] - 0.5) < 0.5 / durations()[fast][:, None]).mean() > 0.99
-            assert np.abs(soft[fast] - 0.5).mean() < 0.05
-            assert np.abs(sharp[fast] - 0.5).mean() > 0.2
-
-
-@pytest.mark.parametrize("between", BETWEEN)
-def test_time_is_left_alone_where_it_is_not_compressed(between: str) -> None:
-    d = hurried()
-    around = np.pad(durations(), ((0, 0), (33, 33), (33, 33)), mode="edge")  # rates come from the lattice's nodes
-    most = np.lib.stride_tricks.sliding_window_view(around, (67, 67), axis=(1, 2)).max(axis=(3, 4))
-    slow = most < 0.999
-    assert slow.mean() > 0.1
-    for channels in (1, 5):
-        source = noise("f8", channels, d.shape)
-        for name in ("linear", "cubic", "auto"):
-            how: dict[str, Any] = {"filter": name, "between": between}
-            sharp, soft = (d.warp(source, time_filter=f, **how) for f in (False, True))
-            np.testing.assert_allclose(soft[slow], sharp[slow], rtol=0, atol=5e-3)
-            if between == "nearest":
-                np.testing.assert_allclose(soft, sharp, rtol=0, atol=5e-3)
-            else:
-                assert np.abs(soft - sharp)[durations() > 2].mean() > 10
-
-
 @pytest.mark.filterwarnings("ignore::supple.ToleranceWarning")  # float32 does not count so far
 @pytest.mark.parametrize("size", [1e9, 1e20, 1e30])
 def test_as_far_outside_as_numbers_go(size: float) -> None:
@@ -467,60 +262,6 @@ def test_as_far_outside_as_numbers_go(size: float) -> None:
         made = d.warp(source, outside="reflect", **how)
         assert np.isfinite(made).all()
         assert np.abs(made).max() <= 1.6 * np.abs(source).max()
-
-
-def test_no_column_is_averaged_for_its_place() -> None:
-    # Source points of columns 255 and 256 are kept relative to two frames, which is no difference in time.
-    source = np.random.default_rng(0).random((12, 24, 520)).astype(np.float32)
-    d = Deformation(source.shape, border=None, spacing=(60.0, 1, 1), on_fold="damp").grab(
-        (256, 12, 6), by=(0, 0, 2.2), radius=300, reach=None
-    )
-    apart = np.abs(d.warp(source, filter="linear", time_filter=True) - d.warp(source, filter="linear"))
-    assert apart[..., 240:272].max() < 0.03
-
-
-@pytest.mark.parametrize("between", ["linear", "cubic"])
-@pytest.mark.parametrize("filter", ["linear", "cubic"])
-def test_the_average_over_time_is_the_integral(filter: str, between: str) -> None:
-    d, points = hurried(), exact(hurried())
-    some = (slice(0, 60, 4), slice(0, 40, 2), slice(None))
-    widths = reference.faded(durations())[some]
-    assert widths.max() > 4
-    source = noise("f8", 5, d.shape)
-    expected = reference.sample_frames(source, points[some], filter, between, widths=widths)
-    sharp = reference.sample_frames(source, points[some], filter, between)
-    for channels in (1, 3, 5):
-        how: dict[str, Any] = {"filter": filter, "between": between, "tolerance": 1e-4, "time_filter": True}
-        out = d.warp(np.ascontiguousarray(source[..., :channels]), **how)[some]
-        off = np.abs(out - expected[..., :channels])
-        blurred = np.abs(sharp - expected)[..., :channels]
-        # Lengths are interpolated between nodes, and differ by some per cent.
-        assert off[widths > 1.2].mean() < 0.04 * blurred[widths > 1.2].mean()
-        assert off[widths == 0].mean() < 0.3
-
-
-def test_the_reference_average_is_one() -> None:
-    t = np.random.default_rng(4).uniform(-3, 3, 200)
-    for name in ("linear", "cubic"):
-        for width in (0.0, 0.4, 1.0, 2.7, 9.0):
-            frames = np.arange(-12, 13)[:, None] - t
-            np.testing.assert_allclose(reference.averaged(name, frames, np.full_like(frames, width)).sum(axis=0), 1)
-
-
-def test_averages_over_time_beyond_the_clip() -> None:
-    """A box around a time outside is as long as one inside."""
-    d = Deformation((30, 40, 50), border=None, on_fold="flow").grab((25, 20, -10), by=(0, 0, 25), radius=12, reach=None)
-    points = exact(d)
-    widths = reference.faded(reference.durations(d, points))
-    seen = (widths > 1.5) & ((points[..., 2] < -0.5) | (points[..., 2] > 29.5))
-    assert seen.sum() > 100
-    source = noise("f8", 5, d.shape)
-    for rule in RULES:
-        expected = reference.sample_frames(source, points, "linear", "linear", rule, 0.0, widths)
-        for channels in (1, 5):
-            part = np.ascontiguousarray(source[..., :channels])
-            out = d.warp(part, filter="linear", outside=rule, time_filter=True)
-            assert np.abs(out - expected[..., :channels])[seen].mean() < 3
 
 
 @pytest.mark.parametrize("filter", ["nearest", "linear", "auto"])
@@ -683,53 +424,6 @@ def test_more_refusals() -> None:
     with pytest.raises(SuppleError, match="between"):
         Deformation((5, 5), border=64, on_fold="damp").warp(np.zeros((5, 5)), between="linear")
     np.testing.assert_array_equal(bent().warp(GOOD.tolist()), 0)
-
-
-# The paper's Figure 6.4: 50 × 50 × 100, black, and red from frame 52 on, which is index 51.
-FIRST_RED = 51
-
-
-@functools.cache
-def figure_6_4() -> Deformation:
-    return Deformation((100, 50, 50), border=None, on_fold="damp").grab(
-        (49, 49, 49), by=(0, 0, -30), radius=50, reach=None
-    )
-
-
-def test_figure_6_4() -> None:
-    """Red is brought forward in time: at the pivot it is seen 30 frames early, and later the farther from there."""
-    d = figure_6_4()
-    clip = np.zeros((100, 50, 50, 3), np.uint8)
-    clip[FIRST_RED:, :, :, 0] = 255
-    out = d.warp(clip, filter="linear")
-    assert not out[..., 1:].any()
-    red = out[..., 0].astype(np.float64) / 255
-    # Between the last black frame and the first red one, as much as the source's time is beyond the former.
-    expected = np.clip(exact(d)[..., 2] - (FIRST_RED - 1), 0, 1)
-    assert np.abs(red - expected).max() < 0.5 / 255 + 0.01
-    # Every pixel turns once, and does not turn back.
-    assert (np.diff(red, axis=0) >= 0).all()
-    assert (red[0] == 0).all()
-    assert (red[-1] == 1).all()
-    # At the pivot, the first red is 30 frames early: frame 22, which is index 21.
-    assert int(np.argmax(red[:, 49, 49] > 0)) == FIRST_RED - 30 == 21
-    assert red[21, 49, 49] > 0.9
-    # It is smooth: when half of red is reached changes by less than a frame from a pixel to its neighbour.
-    points = np.stack([*np.meshgrid(np.arange(50.0), np.arange(50.0)), np.full((50, 50), FIRST_RED - 0.5)], axis=-1)
-    for _ in range(60):  # the pixel of the input that is half red, and is seen at (x, y)
-        points[..., :2] += reference.grid((50, 50)) - d.forward(points)[..., :2]
-    when = d.forward(points)[..., 2]
-    before = np.floor(when).astype(int)
-    y, x = np.mgrid[:50, :50]
-    assert (red[before, y, x] <= 0.5 + 0.02).all()
-    assert (red[before + 1, y, x] >= 0.5 - 0.02).all()
-    assert np.abs(np.diff(when, axis=0)).max() < 1
-    assert np.abs(np.diff(when, axis=1)).max() < 1
-    assert np.abs(np.diff(when, n=2, axis=0)).max() < 0.05
-    assert np.unravel_index(when.argmin(), when.shape) == (49, 49)
-    assert np.unravel_index(when.argmax(), when.shape) == (0, 0)
-    assert when[49, 49] == pytest.approx(FIRST_RED - 0.5 - 30, abs=0.1)
-    assert when[0, 0] > when[49, 49] + 15
 
 
 def test_one_frame_is_reported_by_itself():

@@ -10,6 +10,7 @@ from supple import _core
 from supple.domain import BorderProfile
 from supple.render.appearance import FINE, brick_counts
 from supple.render.solid import COARSEST, FINEST, Solid, solve_solid, strokes_of
+from tests import reference
 
 SHAPE = (37, 50, 43)
 SIZE = np.array(SHAPE[::-1])
@@ -17,29 +18,8 @@ SPACING = np.array((1.0, 0.8, 1.6))
 
 
 def forward(d: supple.Deformation, points: np.ndarray) -> np.ndarray:
-    """T at points in voxels, written out stroke by stroke from the equations."""
-    x = points * d.domain.spacing
-    for stroke in d.space.table:
-        first, last, sigma, _, profile = d.space.axes.T
-        near = np.where(sigma >= 0, np.clip(x, first, last), x)
-        r = near - stroke["pivot"]
-        s = (r**2).sum(axis=-1)[:, None]
-        along = (r @ stroke["force"])[:, None]
-        moved = np.zeros_like(x)
-        for i in range(stroke["terms"]):
-            rho = np.sqrt(s + stroke["radius2"][i])
-            moved += (stroke["p"][i] / rho + stroke["q"][i] / rho**3) * stroke["force"]
-            moved += stroke["r"][i] / rho**3 * along * r
-        t = np.minimum(np.sqrt(s) / stroke["reach"], 1.0)
-        moved *= 1 - 10 * t**3 + 15 * t**4 - 6 * t**5
-        for axis in range(3):
-            if sigma[axis] < 0:
-                continue
-            depth = np.minimum(near[:, axis] - first[axis], last[axis] - near[:, axis])
-            u = np.clip(depth / sigma[axis], 0, 1) if sigma[axis] else np.zeros(len(x))
-            moved[:, axis] *= np.sin(np.pi / 2 * u) if profile[axis] else 2 * u - 2 * u**3 + u**4
-        x = x + moved
-    return x / d.domain.spacing
+    """T at points in voxels, by the reference."""
+    return reference.forward(reference.carried_out(d), d.domain, points)
 
 
 def sources(solid: Solid, points: np.ndarray) -> np.ndarray:

@@ -145,37 +145,6 @@ def test_far_from_the_origin_the_residual_is_still_small(gpu: Gpu) -> None:
     assert np.linalg.norm(off, axis=1).max() < 0.01
 
 
-TYPES = [np.uint8, np.uint16, np.int8, np.int16, np.float16, np.float32]
-
-
-@pytest.mark.parametrize("channels", [1, 2, 3, 4])
-@pytest.mark.parametrize("dtype", TYPES)
-def test_colours_of_all_types(gpu: Gpu, photo: np.ndarray, dtype: Any, channels: int) -> None:
-    scale = {"u": 1.0, "i": 0.5, "f": 1 / 255}[np.dtype(dtype).kind]
-    deep = np.concatenate([photo, photo[..., :1]], axis=2)[..., :channels].astype(np.float64) * scale
-    source = (deep * (257 if np.dtype(dtype).itemsize == 2 and scale >= 0.5 else 1)).astype(dtype)
-    source = source[..., 0] if channels == 1 else source
-    d = bent(source.shape[:2], 3)
-    apart = away(
-        d.warp(source, filter="linear", alpha=False, device="gpu"), truth(d, source, filter="linear", alpha=False)
-    )
-    # A hundredth of a pixel is what a source point may be off.
-    assert apart.max() < 0.02 * max(1e-9, float(np.ptp(source)))
-    assert apart.mean() < 1e-3 * max(1e-9, float(np.ptp(source)))
-
-
-@pytest.mark.parametrize("outside", ["edge", "constant", "reflect"])
-@pytest.mark.parametrize("filter", ["nearest", "linear", "cubic", "auto"])
-def test_filters_and_boundary_modes(gpu: Gpu, photo: np.ndarray, filter: str, outside: str) -> None:
-    d = supple.Deformation(photo.shape[:2], border=None, on_fold="damp").grab(
-        (30, 30), by=(45, 35), radius=45, reach=None
-    )
-    options: dict[str, Any] = {"filter": filter, "outside": outside, "fill": (10, 200, 30)}
-    apart = away(d.warp(photo, device="gpu", **options), truth(d, photo, **options))
-    # Labels may change where a source point lies within its tolerance of the line between two.
-    assert (apart > 1).mean() < (4e-3 if filter == "nearest" else 1e-4)
-
-
 def squeezed(n: int, turns: int, radius: float) -> supple.Deformation:
     """Return strokes from all sides towards the middle, which shrink what lies there along both axes."""
     d = supple.Deformation((n, n), border=None, on_fold="damp")
@@ -270,34 +239,6 @@ def test_nearest_keeps_values(gpu: Gpu) -> None:
     for options in ({}, {"linear_light": True}):
         made = d.warp(colours, filter="nearest", device="gpu", **options)
         assert (made != truth(d, colours, filter="nearest", **options)).mean() < 4e-3
-
-
-@pytest.mark.parametrize("options", [{"linear_light": True}, {"alpha": True}, {"alpha": True, "linear_light": True}])
-def test_light_and_opacity(gpu: Gpu, photo: np.ndarray, options: dict[str, Any]) -> None:
-    y, x = np.mgrid[: photo.shape[0], : photo.shape[1]]
-    opacity = np.clip(255 - 2 * np.hypot(x - 80, y - 60), 20, 255).astype(np.uint8)
-    source = np.dstack([photo, opacity])
-    d = bent(photo.shape[:2], 5)
-    for name in ("cubic", "auto"):
-        way = {"filter": name, **options}
-        apart = away(d.warp(source, device="gpu", **way), truth(d, source, **way))
-        assert (apart > 2).mean() < 1e-3
-        assert np.quantile(apart, 0.99) <= 1
-
-
-@pytest.mark.parametrize("outside", ["edge", "reflect", "constant"])
-@pytest.mark.parametrize("between", ["linear", "cubic", "nearest"])
-def test_frames_are_bent_in_time(gpu: Gpu, between: str, outside: str) -> None:
-    rng = np.random.default_rng(6)
-    clip = np.cumsum(rng.integers(0, 9, (9, 26, 34, 3)), axis=0).astype(np.uint8)
-    d = supple.Deformation(clip.shape[:3], border=None, on_fold="damp").grab(
-        (17, 13, 4), by=(4, 2, 3), radius=11, reach=None
-    )
-    for name, average in (("linear", False), ("auto", between != "nearest")):
-        options: dict[str, Any] = {"filter": name, "between": between, "outside": outside, "fill": 77}
-        options["time_filter"] = average
-        apart = away(d.warp(clip, device="gpu", **options), truth(d, clip, **options))
-        assert (apart > 1).mean() < 2e-3
 
 
 def test_long_stacks_go_through_a_window(gpu: Gpu, monkeypatch: pytest.MonkeyPatch) -> None:

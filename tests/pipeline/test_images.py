@@ -1,10 +1,8 @@
-"""Sampling: every filter, type, number of channels and rule, against the printed interpolants at the exact inverse."""
+"""Images as warps take and give them: types, opacity, layouts, what lies outside, refusals; see the engines' table."""
 
 from __future__ import annotations
 
-import functools
 import math
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -14,53 +12,20 @@ import pytest
 
 from supple import Deformation, SuppleError
 from tests import reference
+from tests.pipeline.pictures import FILTERS, SHAPE, Array, Floats, bent, exact, noise
 
 pytestmark = pytest.mark.filterwarnings("ignore::supple.FoldWarning")
-
-Floats = npt.NDArray[np.float64]
-Array = npt.NDArray[Any]
-
-SHAPE = (45, 70)
 DTYPES = ["bool", "u1", "i1", "u2", "i2", "u4", "i4", "u8", "i8", "f2", "f4", "f8"]
 CHANNELS = [1, 2, 3, 4, 5, 9]
-FILTERS = ["nearest", "linear", "cubic", "auto"]
 PRINTED = ["linear", "cubic"]
 AVERAGES = ["auto"]
 RULES = ["edge", "constant", "reflect"]
 FINE = 1e-5
 
 
-@functools.cache
-def bent() -> Deformation:
-    """It shrinks and magnifies, and reaches beyond the image on two sides."""
-    d = Deformation(SHAPE, border=None, on_fold="damp").grab((30, 20), by=(14, -9), radius=16, reach=None)
-    return d.grab((8, 30), by=(-6, 5), radius=9, scales=2, reach=None)
-
-
-@functools.cache
-def exact(d: Deformation) -> Floats:
-    found = d.inverse(reference.grid(d.shape))
-    assert found.converged.all()
-    return found.points
-
-
 def top_of(dtype: npt.DTypeLike) -> float:
     kind = np.dtype(dtype)
     return float(np.iinfo(kind).max) if kind.kind in "iu" else 1.0
-
-
-def noise(dtype: npt.DTypeLike, channels: int, shape: tuple[int, int] = SHAPE, seed: int = 0) -> Array:
-    """All of a type's range, and its very ends side by side."""
-    rng, kind = np.random.default_rng(seed), np.dtype(dtype)
-    size = (*shape, channels)
-    if kind == np.bool_:
-        return rng.uniform(size=size) < 0.5
-    if kind.kind == "f":
-        return (100 * rng.normal(size=size)).astype(kind)
-    limits = np.iinfo(kind)
-    values = rng.integers(limits.min, limits.max, size, kind, endpoint=True)
-    values[::7], values[3::7] = limits.max, limits.min
-    return values
 
 
 def fills(dtype: npt.DTypeLike, channels: int) -> list[float]:
@@ -85,37 +50,6 @@ def same(out: Array, values: Floats, span: float, leeway: float = 2e-4) -> None:
 
 @pytest.mark.parametrize("rule", RULES)
 @pytest.mark.parametrize("dtype", DTYPES)
-def test_interpolation_is_the_printed_one(dtype: str, rule: str) -> None:
-    source, fill = noise(dtype, 9), fills(dtype, 9)
-    span = 2 * float(np.abs(source.astype(np.float64)).max())
-    expected = {f: reference.sample(source, exact(bent()), filter=f, outside=rule, fill=fill) for f in PRINTED}
-    for channels in CHANNELS:
-        part, colours = np.ascontiguousarray(source[..., :channels]), fill[:channels]
-        how: dict[str, Any] = {"outside": rule, "fill": colours, "alpha": False, "tolerance": FINE}
-        for name in PRINTED:
-            out = bent().warp(part, filter=name, **how)
-            assert out.dtype == part.dtype
-            assert out.shape == part.shape
-            same(out, expected[name][..., :channels], span)
-
-
-@pytest.mark.parametrize("dtype", DTYPES)
-def test_nearest_keeps_values_as_they_are(dtype: str) -> None:
-    source, points = noise(dtype, 9), exact(bent())
-    clear = (np.abs(points - np.floor(points) - 0.5) > 1e-4).all(axis=-1)
-    for rule in RULES:
-        fill = fills(dtype, 9)
-        expected = reference.sample(source, points, filter="nearest", outside=rule, fill=fill)
-        for channels in CHANNELS:
-            how: dict[str, Any] = {"outside": rule, "fill": fill[:channels], "tolerance": FINE}
-            out = bent().warp(source[..., :channels], filter="nearest", **how)
-            np.testing.assert_array_equal(out[clear], expected[..., :channels][clear])
-    labels = set(np.unique(source[..., 0]).tolist())
-    assert set(np.unique(bent().warp(source[..., 0], filter="nearest")).tolist()) <= labels
-
-
-@pytest.mark.parametrize("rule", RULES)
-@pytest.mark.parametrize("dtype", DTYPES)
 def test_averages_are_those_of_float64(dtype: str, rule: str) -> None:
     """Filters are linear: what a type holds is the rounded result of its numbers as float64, channel by channel."""
     source, fill = noise(dtype, 9), fills(dtype, 9)
@@ -127,36 +61,6 @@ def test_averages_are_those_of_float64(dtype: str, rule: str) -> None:
         for channels in CHANNELS:
             part = np.ascontiguousarray(source[..., :channels])
             same(bent().warp(part, fill=fill[:channels], **how), values[..., :channels], span, 1e-5)
-
-
-@pytest.mark.parametrize("dtype", ["u1", "u2", "i2", "u4", "f2", "f4", "f8"])
-@pytest.mark.parametrize("channels", [2, 4, 5])
-def test_opacity_weighs_the_colours(dtype: str, channels: int) -> None:
-    top = top_of(dtype)
-    source = np.abs(noise("f8", channels)) % 100 / 100 * top
-    source[::4, :, -1], source[1::4, :, -1] = 0, top
-    source = source.astype(dtype)
-    numbers = source.astype(np.float64)
-    premultiplied = np.dstack([numbers[..., :-1] * numbers[..., -1:] / top, numbers[..., -1]])
-    fill = [*(0.3 * top, 0.9 * top, 0.1 * top, 0.6 * top)[: channels - 1], 0.5 * top]
-    inside = [*(0.5 * x for x in fill[:-1]), fill[-1]]
-    for rule in RULES:
-        for name in PRINTED:
-            out = bent().warp(source, filter=name, outside=rule, fill=fill, alpha=True, tolerance=FINE)
-            values = reference.sample(premultiplied, exact(bent()), filter=name, outside=rule, fill=inside)
-            opacity = np.clip(values[..., -1], 0, top)
-            same(out[..., -1], opacity, top)
-            seen = (values[..., -1] > 0.1 * top) & (values[..., -1] <= top)
-            same(out[..., :-1][seen], (values[..., :-1] * top)[seen] / opacity[seen][:, None], 10 * top)
-            clear = values[..., -1] < -1e-3 * top
-            assert (out[clear][..., :-1] == 0).all()
-        for name in AVERAGES:
-            out = bent().warp(source, filter=name, outside=rule, fill=fill, alpha=True)
-            values = bent().warp(premultiplied, filter=name, outside=rule, fill=inside, alpha=False)
-            opacity = np.clip(values[..., -1], 0, top)
-            same(out[..., -1], opacity, top, 1e-5)
-            seen = (values[..., -1] > 0.1 * top) & (values[..., -1] <= top)
-            same(out[..., :-1][seen], (values[..., :-1] * top)[seen] / opacity[seen][:, None], 10 * top, 1e-5)
 
 
 def test_the_last_of_four_channels_of_8_or_16_bits_is_opacity_unless_told() -> None:
@@ -343,40 +247,6 @@ def test_arrays_of_any_layout(filter: str, tmp_path: Path) -> None:
     np.testing.assert_array_equal(grey, bent().warp(base[..., :1], filter=filter)[..., 0])
 
 
-def light(v: Floats) -> Floats:
-    return np.where(v <= 0.04045, v / 12.92, ((np.maximum(v, 0.04045) + 0.055) / 1.055) ** 2.4)
-
-
-def curve(v: Floats) -> Floats:
-    return np.where(v <= 0.0031308, v * 12.92, 1.055 * np.maximum(v, 0.0031308) ** (1 / 2.4) - 0.055)
-
-
-@pytest.mark.parametrize("dtype", ["u1", "u2", "f2", "f4", "f8"])
-@pytest.mark.parametrize("channels", [1, 3, 4])
-def test_light_is_averaged_if_asked_for(dtype: str, channels: int) -> None:
-    top = top_of(dtype)
-    source = (np.random.default_rng(5).uniform(0, top, (*SHAPE, channels))).astype(dtype)
-    numbers = source.astype(np.float64) / top
-    alpha = channels == 4
-    if alpha:
-        source[..., 3] = (0.2 + 0.8 * numbers[..., 3]) * top
-        numbers = source.astype(np.float64) / top
-    colours = light(numbers[..., :3])
-    weights = numbers[..., 3:] if alpha else np.ones((*SHAPE, 1))
-    lit = np.dstack([colours * weights, weights])
-    for rule, fill in (("edge", 0.0), ("constant", 0.5), ("reflect", 0.0)):
-        inside = [*[light(np.array(fill)) * (fill if alpha else 1)] * min(channels, 3), fill if alpha else 1.0]
-        for name in PRINTED:
-            how: dict[str, Any] = {"outside": rule, "fill": fill * top, "alpha": alpha, "tolerance": FINE}
-            out = bent().warp(source, filter=name, linear_light=True, **how)
-            values = reference.sample(lit, exact(bent()), filter=name, outside=rule, fill=inside)
-            seen = (values[..., -1] > 0.3) & (values[..., -1] <= 1)
-            found = curve(values[..., :-1] / values[..., -1:])
-            same(out[..., :3][seen], found[seen] * top, 3 * top)
-            if alpha:
-                same(out[..., 3], np.clip(values[..., -1], 0, 1) * top, top)
-
-
 @pytest.mark.parametrize("filter", FILTERS)
 def test_light_of_one_colour_is_that_colour(filter: str) -> None:
     ramp = np.broadcast_to(np.arange(256, dtype=np.uint8)[:, None, None], (256, 20, 3))
@@ -480,123 +350,6 @@ def test_sizes(shape: tuple[int, int], rule: str) -> None:
     assert fixed.warp(np.full(shape, 9, np.uint8)).min() == 9
 
 
-def keys(image: Array, points: Floats) -> Floats:
-    """The cubic interpolant of a grey image at points close to it; see `reference.sample`."""
-    pad = 40
-    padded = np.pad(image.astype(np.float64), pad, mode="edge")
-    x, y = np.moveaxis(points, -1, 0)
-    i, j = np.floor(x).astype(np.int64), np.floor(y).astype(np.int64)
-    s, t = x - i, y - j
-    corner = (j + pad - 1) * padded.shape[1] + i + pad - 1
-    total = np.zeros(x.shape)
-    for row, down in enumerate(_weights(t)):
-        along = sum(w * padded.ravel().take(corner + row * padded.shape[1] + k) for k, w in enumerate(_weights(s)))
-        total += down * along
-    return total
-
-
-def _weights(t: Floats) -> list[Floats]:
-    a, u, v = -0.75, t * t, t * t * t
-    return [
-        a * (v - 2 * u + t),
-        (a + 2) * v - (a + 3) * u + 1,
-        -(a + 2) * v + (2 * a + 3) * u - a * t,
-        a * (u - v),
-    ]
-
-
-def test_the_fast_reference_is_the_reference() -> None:
-    source, p = (
-        noise("f8", 1),
-        exact(Deformation(SHAPE, border=64, on_fold="damp").grab((30, 20), by=(14, -9), radius=16, reach=None)),
-    )
-    np.testing.assert_allclose(keys(source[..., 0], p), reference.sample(source, p, filter="cubic")[..., 0], atol=1e-9)
-
-
-def supersampled(image: Array, d: Deformation, n: int, mirrored: bool = False) -> Floats:
-    """The mean of n × n samples at the exact inverse. Where the map is its own mirror image, half of it is solved."""
-    height, width = image.shape
-    within = (np.arange(n) + 0.5) / n - 0.5
-    x = (np.arange(width)[:, None] + within).ravel()
-    left = x[: x.size // 2] if mirrored else x
-    out = np.empty((height, width))
-    for top in range(0, height, 16):
-        rows = np.arange(top, min(top + 16, height))
-        points = d.inverse(np.stack(np.meshgrid(left, (rows[:, None] + within).ravel()), axis=-1)).points
-        if mirrored:
-            other = points[:, ::-1] * (-1, 1) + (width - 1, 0)
-            points = np.concatenate([points, other], axis=1)
-        values = keys(image, points).reshape(len(rows), n, width, n)
-        out[rows] = values.mean(axis=(1, 3))
-    return np.clip(out, 0, 255)
-
-
-def scores(image: Array, d: Deformation, expected: Floats, *filters: str) -> dict[str, float]:
-    return {f: reference.psnr(d.warp(image, filter=f), expected) for f in filters}
-
-
-def test_the_zone_plate() -> None:
-    y, x = np.mgrid[:512, :512] - 255.5
-    image = np.rint(127.5 + 127.5 * np.cos(np.pi * (x * x + y * y) / 600)).astype(np.uint8)
-    d = Deformation((512, 512), border=64, on_fold="damp").grab((255.5, 255.5), by=(0, 90), radius=100, reach=None)
-    found = scores(image, d, supersampled(image, d, 8, mirrored=True), *FILTERS[1:])
-    assert found["auto"] >= found["linear"]
-    assert found["cubic"] < found["linear"]
-
-
-def test_lines_of_one_pixel() -> None:
-    image = np.zeros((256, 256), np.uint8)
-    image[::8] = image[:, ::8] = 255
-    d = Deformation((256, 256), border=64, on_fold="damp").grab((127.5, 127.5), by=(0, 70), radius=30, reach=None)
-    found = scores(image, d, supersampled(image, d, 16, mirrored=True), *FILTERS[1:])
-    assert found["auto"] >= found["linear"]
-
-
-def test_averages_are_paid_only_where_the_map_shrinks() -> None:
-    """Where it only translates or magnifies, ``auto`` is ``cubic``, up to float32's rounding of points."""
-    source = np.random.default_rng(10).uniform(size=(90, 120, 3)).astype(np.float32)
-    still = Deformation((90, 120), border=None, on_fold="damp").grab((60, 40), by=(3.3, 2.7), radius=1e7, reach=None)
-    rough = Deformation((90, 120), on_fold="flow", border=64).grab((60, 45), to=(75, 50), radius=20, reach=None)
-    for d in (still, rough, bent()):
-        image = source[: d.shape[0], : d.shape[1]]
-        auto, cubic = (d.warp(image, filter=f) for f in ("auto", "cubic"))
-        sizes = np.linalg.svd(np.linalg.inv(d.jacobian(exact(d))), compute_uv=False)[..., 0]
-        # Footprints are those of four rows together, from differences over three.
-        around = np.pad(sizes, 4, mode="edge")
-        most = np.lib.stride_tricks.sliding_window_view(around, (9, 9)).max(axis=(2, 3))
-        large = most < (1.001 if d is still else 0.999)
-        if d is still:
-            large = np.ones_like(large)
-        assert large.any() or d is bent()
-        np.testing.assert_allclose(auto[large], cubic[large], rtol=0, atol=1e-5)
-        shrunk = np.lib.stride_tricks.sliding_window_view(around, (9, 9)).min(axis=(2, 3)) > 1.3
-        if d is rough:
-            assert shrunk.any()
-            assert np.abs(auto - cubic)[shrunk].max() > 0.05
-
-
-def test_what_is_much_smaller_has_no_holes() -> None:
-    d = Deformation((200, 260), border=None, on_fold="flow").grab((60, 100), by=(150, 10), radius=15, reach=None)
-    sizes = np.linalg.svd(np.linalg.inv(d.jacobian(exact(d))), compute_uv=False)[..., 0]
-    assert sizes.max() > 8
-    rng = np.random.default_rng(11)
-    fine = rng.integers(0, 2, (200, 260)).astype(np.float64)
-    hard, expected = sizes > 6, supersampled(255 * fine, d, 8)
-    linear = d.warp(fine, filter="linear")
-    for name in ("auto",):
-        out = d.warp(fine, filter=name)
-        assert np.isfinite(out).all()
-        assert out[hard].std() < 0.6 * linear[hard].std()
-        assert out[hard].std() == pytest.approx(expected[hard].std() / 255, rel=0.1)
-        given = np.full((200, 260), np.nan)
-        d.warp(np.full((200, 260), 0.25), filter=name, out=given)
-        np.testing.assert_allclose(given, 0.25, rtol=1e-6)  # weights are of float32
-        found = {
-            f: reference.psnr(255 * d.warp(fine, filter=f)[hard], expected[hard]) for f in (name, "linear", "cubic")
-        }
-        assert found[name] > max(found["linear"], found["cubic"]) + 5
-
-
 def test_a_tolerance_is_kept_to_when_sampling() -> None:
     y, x = np.mgrid[:200, :200].astype(np.float64)
     d = Deformation((200, 200), border=64, on_fold="damp").grab((90, 110), by=(30, -20), radius=40, reach=None)
@@ -604,53 +357,6 @@ def test_a_tolerance_is_kept_to_when_sampling() -> None:
         seen = np.stack([d.warp(v, filter="linear", tolerance=tolerance) for v in (x, y)], axis=-1)
         off = np.linalg.norm(seen - exact(d), axis=-1)[1:-1, 1:-1]
         assert off.max() <= tolerance
-
-
-def ripples(points: Floats) -> Floats:
-    return np.asarray(np.sin(points[:, 0] / 3) * np.cos(points[:, 1] / 5))
-
-
-def test_functions_are_evaluated_at_the_exact_inverse() -> None:
-    d = bent()
-    expected = ripples(exact(d).reshape(-1, 2)).reshape(SHAPE)
-    out = d.warp(ripples)
-    assert out.dtype == np.float64
-    np.testing.assert_allclose(out, expected, atol=1e-6)
-    colours = d.warp(lambda p: np.stack([ripples(p), p[:, 0], p[:, 1]], axis=-1).astype(np.float32))
-    assert colours.shape == (*SHAPE, 3)
-    assert colours.dtype == np.float32
-    np.testing.assert_allclose(colours[..., 0], expected, atol=1e-6)
-    assert (d.warp(lambda p: p[:, 0] > 20) == (exact(d)[..., 0] > 20)).mean() > 0.999
-    still = Deformation(SHAPE, border=64, on_fold="damp")
-    np.testing.assert_array_equal(still.warp(lambda p: p), reference.grid(SHAPE))
-
-
-@pytest.mark.parametrize("samples", [1, 2, 3, 8])
-def test_functions_are_averaged_over_each_pixel(samples: int) -> None:
-    d = Deformation((30, 40), border=64, on_fold="damp").grab((20, 15), by=(3, 4), radius=10, reach=None)
-    within = (np.arange(samples) + 0.5) / samples - 0.5
-    expected = np.zeros((30, 40))
-    for v in within:
-        for u in within:
-            points = d.inverse(reference.grid((30, 40)) + np.array([u, v])).points
-            expected += ripples(points.reshape(-1, 2)).reshape(30, 40) / samples**2
-    np.testing.assert_allclose(d.warp(ripples, samples=samples), expected, atol=1e-9)
-    given = np.full((30, 40), np.nan)
-    assert d.warp(ripples, samples=samples, out=given) is given
-    np.testing.assert_allclose(given, expected, atol=1e-9)
-
-
-def test_functions_are_asked_for_some_points_at_once() -> None:
-    asked: list[int] = []
-
-    def count(points: Floats) -> Floats:
-        asked.append(len(points))
-        return points[:, 0]
-
-    d = Deformation((100, 300), border=64, on_fold="damp").grab((150, 50), by=(9, 5), radius=40, reach=None)
-    d.warp(count, samples=5)
-    assert sum(asked) == 100 * 300 * 25
-    assert max(asked) <= 1 << 18
 
 
 @pytest.mark.parametrize(
@@ -671,28 +377,6 @@ def test_a_bool_of_numpy_is_one() -> None:
     image = np.random.default_rng(0).integers(0, 256, (*bent().shape, 3), dtype=np.uint8)
     light = np.array([True])[0]
     np.testing.assert_array_equal(bent().warp(image, linear_light=light), bent().warp(image, linear_light=True))
-
-
-WRONG: list[tuple[Callable[[Floats], Any], str]] = [
-    (lambda p: p[:5, 0], "function's values"),
-    (lambda p: 3.0, "function's values"),
-    (lambda p: np.zeros((len(p), 2, 2)), "function's values"),
-    (lambda p: p[:, 0] + 1j, "function's values"),
-    (lambda p: ["a"] * len(p), "function's values"),
-    (lambda p: None, "function's values"),
-]
-
-
-@pytest.mark.parametrize(("function", "message"), WRONG)
-def test_functions_that_give_something_else(function: Callable[[Floats], Any], message: str) -> None:
-    with pytest.raises(SuppleError, match=message):
-        bent().warp(function)
-
-
-@pytest.mark.parametrize("samples", [0, -1, 65, 1.5, True, "2", None])
-def test_bad_numbers_of_samples(samples: Any) -> None:
-    with pytest.raises(SuppleError, match="samples"):
-        bent().warp(ripples, samples=samples)
 
 
 GOOD = np.zeros((*SHAPE, 3), np.uint8)

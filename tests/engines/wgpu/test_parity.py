@@ -1,0 +1,38 @@
+"""The GPU engine against the slow reference: the rows of the table whose types and channels shaders have."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy.typing as npt
+import pytest
+
+from supple import Deformation
+from supple.gpu.device import Gpu
+from tests.engines.table import Limits, Row, rows
+
+pytestmark = pytest.mark.filterwarnings("ignore::supple.FoldWarning")
+
+TYPES = ("u1", "u2", "i1", "i2", "f2", "f4")
+KINDS = ["opacity", "light", "opacity and light"]
+
+# A hundredth of a pixel is what a source point may be off; and the nearest sample may be another one there.
+AWAY = Limits(most=0.03, mean=2e-3, margin=0.01)
+
+ROWS = [
+    *rows(["image"], TYPES, few=True),
+    *rows(["image, squeezed", "image, local"], ("u1", "f4"), few=True),
+    *rows(["clip"], ("u2", "f4"), few=True),
+    *rows(["volume"], ("u1",), few=True),
+    *rows(["image"], ("u1", "f4"), KINDS, few=True),
+    *rows(["clip"], ("u1",), ["opacity and light"], few=True),
+]
+
+
+def by_gpu(d: Deformation, source: npt.NDArray[Any], **options: Any) -> npt.NDArray[Any]:
+    return d.warp(source, device="gpu", **options)
+
+
+@pytest.mark.parametrize("row", ROWS, ids=str)
+def test_rows(gpu: Gpu, row: Row) -> None:
+    row.check(by_gpu, AWAY, (0, 1, 2, 3, 4))
