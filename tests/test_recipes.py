@@ -412,7 +412,7 @@ class TestAmount:
             steps = steps.add(stroke)
         full = Deformation.from_recipe(replace(LATER, amount=1.0), (512, 512))
         assert full == steps
-        assert full._table.tobytes() == steps._table.tobytes()
+        assert full.space.table.tobytes() == steps.space.table.tobytes()
 
     @pytest.mark.parametrize("part", [0.3, 0.7])
     def test_later_pivots_follow_the_material(self, part: float) -> None:

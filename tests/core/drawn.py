@@ -83,7 +83,7 @@ def lifted(d: Deformation, points: Floats) -> Floats:
 
 
 def plan(d: Deformation, tolerance: float = 0.01, z: float = 0.0, shape: tuple[int, int] | None = None) -> _core.Plan:
-    return plan_of(d._table, d._axes, d.ndim, shape or d.shape[-2:], z, tolerance)  # type: ignore[arg-type]
+    return plan_of(d.space.table, d.space.axes, d.ndim, shape or d.shape[-2:], z, tolerance)  # type: ignore[arg-type]
 
 
 def sampling(frames: Array, out: Array, **how: Any) -> _core.Sampling:

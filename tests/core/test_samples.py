@@ -254,7 +254,9 @@ def test_planes_one_at_a_time_are_the_stack(filter: str) -> None:
         stack = np.empty_like(source)
         how: dict[str, Any] = {"filter": filter, "between": between, "average": between == "cubic"}
         job = sampling(source, stack, **how)
-        error, evaluations = _core.warp_stack(numbers(d._table), d._axes, *CLIP[1:], list(range(CLIP[0])), 0.01, [job])
+        error, evaluations = _core.warp_stack(
+            numbers(d.space.table), d.space.axes, *CLIP[1:], list(range(CLIP[0])), 0.01, [job]
+        )
         plans = [plan(d, z=float(z)) for z in range(CLIP[0])]
         for z, p in enumerate(plans):
             alone = np.empty(source.shape[1:], np.uint16)
@@ -264,7 +266,7 @@ def test_planes_one_at_a_time_are_the_stack(filter: str) -> None:
         assert evaluations == sum(p.evaluations for p in plans)
         some = np.empty_like(source[:2])
         job = sampling(source, some, **how)
-        _core.warp_stack(numbers(d._table), d._axes, *CLIP[1:], [4, 1], 0.01, [job])
+        _core.warp_stack(numbers(d.space.table), d.space.axes, *CLIP[1:], [4, 1], 0.01, [job])
         np.testing.assert_array_equal(some, stack[[4, 1]])
 
 

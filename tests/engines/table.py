@@ -174,14 +174,6 @@ def _squeezed(shape: tuple[int, ...], at: tuple[float, ...], radius: float, turn
     return d
 
 
-def _hurried(shape: tuple[int, ...]) -> Deformation:
-    """Return strokes along a way through time, behind which it runs several times as fast."""
-    d = Deformation(shape, border=None, on_fold="damp")
-    for k in range(4):
-        d = d.grab((14 + k, 12 - 0.75 * k, 1 + k), by=(1, -0.75, 1), radius=8, reach=None)
-    return d
-
-
 PLANE, CLIP = (45, 70), (6, 24, 37)
 
 SCENES: dict[str, Callable[[], Deformation]] = {
@@ -200,10 +192,13 @@ SCENES: dict[str, Callable[[], Deformation]] = {
     # Beyond the clip along every axis, and at both of its ends.
     "clip": lambda: (
         Deformation(CLIP, border=None, on_fold="damp")
-        .grab((15, 12, 2.5), by=(8, -6, 2.6), radius=11, reach=None)
-        .grab((33, 20, 4.3), by=(-4, 5, -2.2), radius=7, scales=2, reach=None)
+        .grab((15, 12, 2.5), by=(8, -6, 3.2), radius=10, reach=None)
+        .grab((33, 20, 4.3), by=(-5, 6, -3.2), radius=8, reach=None)
     ),
-    "clip, hurried": lambda: _hurried(CLIP),
+    # Time runs several times as fast before it.
+    "clip, hurried": lambda: Deformation(CLIP, border=None, on_fold="flow").grab(
+        (17, 12, -5), by=(4, -2, 9), radius=5, reach=None
+    ),
     "clip, local": lambda: Deformation(CLIP, border=6.0, on_fold="damp").grab(
         (18, 12, 3), by=(2, -1, 0.6), radius=3, reach=2.0
     ),

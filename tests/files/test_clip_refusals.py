@@ -129,7 +129,7 @@ def broken(name: str) -> str:
         with av.open(name, "w") as out:
             sound = out.add_stream("aac", rate=48000)
             sound.layout = "mono"  # type: ignore[union-attr]
-            clips._tone(out, sound, 1, 0)
+            clips.add_tone(out, sound, 1, 0)
     elif name == "cut.mp4":
         Path(name).write_bytes(clips.make("whole.mp4").read_bytes()[:1000])
     elif name == "cut.mkv":

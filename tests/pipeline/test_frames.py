@@ -181,8 +181,8 @@ def test_the_last_of_four_channels_of_8_or_16_bits_is_opacity_unless_told() -> N
 def test_constants_stay_constant(filter: str, between: str, averaged: bool) -> None:
     """All weights sum to one: a clip of one colour is left as it is."""
     how: dict[str, Any] = {"filter": filter, "between": between, "time_filter": averaged}
-    strong = Deformation((20, 37, 50), border=None, on_fold="flow").grab(
-        (20, 18, 4), by=(0, 0, 30), radius=18, reach=None
+    strong = Deformation((10, 20, 26), border=None, on_fold="flow").grab(
+        (10, 9, 2), by=(0, 0, 15), radius=9, reach=None
     )
     for d in (bent(), strong):
         for dtype, values in (("u1", (0, 77, 255)), ("i2", (-32768, 32767)), ("f4", (0.3,)), ("f8", (1e6 / 3,))):

@@ -52,16 +52,16 @@ def test_every_plane_is_bent_in_its_own_coordinates(kind: str, rule: str) -> Non
     )
     for border in (None, 50.0):
         d = bent(border=border)
+        places = [source_points(d, group, range(COUNT))[:, ::2, ::2] for group in layout.groups]
         for name, between in (("linear", "linear"), ("cubic", "linear"), ("linear", "cubic"), ("cubic", "cubic")):
             sampling = Sampling(name, between, outside=rule, fill=fill, tolerance=FINE)
             found, plan, _ = streamed(d.space, layout, arrays, sampling)
             at = 0
-            for group, source, out in zip(layout.groups, arrays, found, strict=True):
+            for group, points, source, out in zip(layout.groups, places, arrays, found, strict=True):
                 colours = fill[at : at + group.channels]
                 at += group.channels
-                points = source_points(d, group, range(COUNT))
                 expected = reference.sample_frames(source, points, name, between, rule, colours)
-                same(out, expected.astype(np.float64), layout.white)
+                same(out[:, ::2, ::2], expected.astype(np.float64), layout.white)
                 # What is still is passed on: for a plan's purposes, within the tolerance.
                 for z in np.flatnonzero(plan.still):
                     np.testing.assert_array_equal(out[z], source[z])

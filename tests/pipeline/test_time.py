@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy import ndimage
 
 from supple import Deformation
 from tests import reference
@@ -75,9 +76,8 @@ def test_what_flickers_becomes_grey_where_time_is_compressed(between: str, dtype
 @pytest.mark.parametrize("between", BETWEEN)
 def test_time_is_left_alone_where_it_is_not_compressed(between: str) -> None:
     d = hurried()
-    around = np.pad(durations(), ((0, 0), (33, 33), (33, 33)), mode="edge")  # rates come from the lattice's nodes
-    most = np.lib.stride_tricks.sliding_window_view(around, (67, 67), axis=(1, 2)).max(axis=(3, 4))
-    slow = most < 0.999
+    # Rates come from the lattice's nodes.
+    slow = ndimage.maximum_filter(durations(), (1, 67, 67), mode="nearest") < 0.999
     assert slow.mean() > 0.1
     for channels in (1, 5):
         source = noise("f8", channels, d.shape)
@@ -105,7 +105,7 @@ def test_no_column_is_averaged_for_its_place() -> None:
 @pytest.mark.parametrize("filter", ["linear", "cubic"])
 def test_the_average_over_time_is_the_integral(filter: str, between: str) -> None:
     d, points = hurried(), exact(hurried())
-    some = (slice(0, 60, 4), slice(0, 40, 2), slice(None))
+    some = (slice(0, 60, 4), slice(0, 40, 2), slice(0, 70, 3))
     widths = reference.faded(durations())[some]
     assert widths.max() > 4
     source = noise("f8", 5, d.shape)

@@ -35,7 +35,7 @@ def pixels(shape: tuple[int, ...]) -> npt.NDArray[np.float64]:
 
 def published(deformation: Deformation, **options: Any) -> tuple[npt.NDArray[Any], ...]:
     height, width = deformation.shape
-    return paper.inverse_map(deformation._table, deformation._axes, (height, width), **options)
+    return paper.inverse_map(deformation.space.table, deformation.space.axes, (height, width), **options)
 
 
 def test_the_published_method_does_as_published() -> None:
@@ -231,7 +231,9 @@ def test_the_published_method_goes_through_time_as_well() -> None:
     two = VIDEO.grab((40, 30, 10), by=(-5, 3, -4), radius=12, scales=2, reach=None)
     options: dict[str, Any] = {"z": 17.0, "tolerance": 1e-7, "limit": 3000}
     for corrected in (False, True):
-        points, counts, residuals = paper.inverse_map(two._table, two._axes, (48, 64), corrected=corrected, **options)
+        points, counts, residuals = paper.inverse_map(
+            two.space.table, two.space.axes, (48, 64), corrected=corrected, **options
+        )
         np.testing.assert_allclose(points, two.inverse(plane(17)).points, atol=2e-5)
         off = np.linalg.norm(two.forward(points) - plane(17), axis=-1)
         np.testing.assert_allclose(residuals, off, atol=1e-9)
@@ -249,7 +251,9 @@ def test_its_step_in_time_is_as_written_there() -> None:
             A = J.T @ J + (J.T + J if corrected else 2 * J.T) + np.eye(3)
             b = -(J.T + np.eye(3)) @ ((VIDEO.forward(p) - q) * unit)
             p, steps = p + 0.5 * np.linalg.solve(A, b) / unit, steps + 1
-        points, counts, _ = paper.inverse_map(VIDEO._table, VIDEO._axes, (48, 64), z=17.0, corrected=corrected)
+        points, counts, _ = paper.inverse_map(
+            VIDEO.space.table, VIDEO.space.axes, (48, 64), z=17.0, corrected=corrected
+        )
         assert counts[22, 31] == steps > 3
         np.testing.assert_allclose(points[22, 31], p, atol=1e-4)
 

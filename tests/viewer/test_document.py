@@ -39,7 +39,7 @@ def same(d: Document) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", FoldWarning)
         expected = Deformation.from_recipe(d.recipe, d.shape, spacing=d.spacing)
-    assert d.deformation._table.tobytes() == expected._table.tobytes()
+    assert d.deformation.space.table.tobytes() == expected.space.table.tobytes()
     assert d.deformation.recipe == expected.recipe
     points = np.random.default_rng(0).uniform(0, 100, (20, len(d.shape)))
     np.testing.assert_array_equal(d.deformation.forward(points), expected.forward(points))
@@ -107,7 +107,7 @@ class TestEdits:
         for k in range(len(steps)):
             d.redo()
             assert d.state == states[k + 1]
-            assert d.deformation._table.tobytes() == objects[k + 1]._table.tobytes()
+            assert d.deformation.space.table.tobytes() == objects[k + 1].space.table.tobytes()
         assert not d.can_redo
         d.redo()
         assert d.state == states[-1]
@@ -294,7 +294,7 @@ class TestHiddenStrokes:
         recipe = Recipe(strokes=(self.HIDDEN, stroke(), self.HIDDEN))
         d = Deformation.from_recipe(recipe, SHAPE)
         assert d.recipe == Recipe(strokes=(stroke(),), size=SHAPE[::-1])
-        assert d._table.tobytes() == Deformation(SHAPE).add(stroke())._table.tobytes()
+        assert d.space.table.tobytes() == Deformation(SHAPE).add(stroke()).space.table.tobytes()
         assert d.report().strokes == 1
         assert d.add(self.HIDDEN) is d
         with pytest.raises(SuppleError, match="2 numbers"):
@@ -422,7 +422,7 @@ class TestRecipes:
         assert again.state.content == d.state.content
         assert again.recipe.to_json() == d.recipe.to_json()
         assert [item.hidden for item in again.items] == [False, True, False, True]
-        assert again.deformation._table.tobytes() == d.deformation._table.tobytes()
+        assert again.deformation.space.table.tobytes() == d.deformation.space.table.tobytes()
 
     def test_renders_what_is_seen(self, tmp_path: Path) -> None:
         pixels = np.random.default_rng(0).integers(0, 255, (*SHAPE, 3), np.uint8)
@@ -553,7 +553,7 @@ def test_soak(seed: int) -> None:
     # Their types, not themselves: some of other libraries' objects warn of being looked at.
     before = sum(issubclass(type(thing), Deformation) for thing in gc.get_objects())
     d = Document(SHAPE, recipe=Recipe(strokes=(stroke(), replace(stroke(90, 70), hidden=True))))
-    first, table = d.state, d.deformation._table.tobytes()
+    first, table = d.state, d.deformation.space.table.tobytes()
     past = [d.state.content]  # what undo must bring back
     refused = 0
     for k in range(500):
@@ -576,7 +576,7 @@ def test_soak(seed: int) -> None:
         steps += 1
     assert steps > 5
     assert d.state.content == first.content
-    assert d.deformation._table.tobytes() == table
+    assert d.deformation.space.table.tobytes() == table
     gc.collect()
     alive = sum(issubclass(type(thing), Deformation) for thing in gc.get_objects())
     assert alive - before <= len(d.items) + 10  # none is kept for a state that is not shown

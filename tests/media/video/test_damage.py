@@ -185,18 +185,18 @@ def test_no_file(tmp_path):
 def test_sound_alone(tmp_path):
     for name, codec in (("a.m4a", "aac"), ("a.wav", "pcm_s16le"), ("a.mp3", "libmp3lame")):
         with av.open(str(tmp_path / name), "w") as out:
-            clips._tone(out, clips._sound(out, codec), 0.5, 0)
+            clips.add_tone(out, clips.add_sound(out, codec), 0.5, 0)
         with pytest.raises(SuppleError, match="sound and no film"), open_video(tmp_path / name):
             pass
 
 
 def test_a_cover_is_no_film(tmp_path):
     with av.open(str(tmp_path / "a.m4a"), "w", format="mp4") as out:
-        sound = clips._sound(out, "aac")
-        picture = clips._cover(out)
+        sound = clips.add_sound(out, "aac")
+        picture = clips.add_cover(out)
         out.start_encoding()
         out.mux(picture)
-        clips._tone(out, sound, 0.5, 0)
+        clips.add_tone(out, sound, 0.5, 0)
     with pytest.raises(SuppleError, match="cover picture"), open_video(tmp_path / "a.m4a"):
         pass
 

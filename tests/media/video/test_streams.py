@@ -63,13 +63,13 @@ def test_sound_longer_than_the_film_is_whole(tmp_path):
     with av.open(str(tmp_path / "a.mkv"), "w") as out:
         film = out.add_stream("libx264", rate=25)
         film.width, film.height, film.pix_fmt = 64, 48, "yuv420p"
-        sound = clips._sound(out, "aac")
+        sound = clips.add_sound(out, "aac")
         for k in range(3):
             frame = clips.noise("yuv420p", clips.SIZE, k, True)
             frame.pts = k
             out.mux(film.encode(frame))
         out.mux(film.encode(None))
-        clips._tone(out, sound, 3.0, 0)
+        clips.add_tone(out, sound, 3.0, 0)
     copy(tmp_path / "a.mkv", tmp_path / "b.mkv")
     assert_same_sound(tmp_path / "a.mkv", tmp_path / "b.mkv")
 
