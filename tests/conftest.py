@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from pathlib import Path
 
 import pytest
 
@@ -13,6 +14,27 @@ from supple.gpu.device import Gpu, open_gpu
 collect_ignore = (
     [] if {"1"} & {os.environ.get(k) for k in ("NUMBA_ENABLE_CUDASIM", "SUPPLE_TEST_CUDA")} else ["engines/cuda/card"]
 )
+
+# A worker has a file at a time: those that take longest are begun first, so that none of them is waited for at the end.
+LONGEST = (
+    "viewer/test_window_browser.py",
+    "viewer/test_window_pointer.py",
+    "engines/cuda/test_ptx.py",
+    "plot/test_diagnostics.py",
+    "engines/test_native.py",
+    "pipeline/test_frames.py",
+    "pipeline/test_streaming.py",
+    "examples/test_gallery.py",
+    "engines/wgpu/test_parity.py",
+)
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    def place(item: pytest.Item) -> int:
+        name = item.path.relative_to(Path(__file__).parent).as_posix()
+        return LONGEST.index(name) if name in LONGEST else len(LONGEST)
+
+    items.sort(key=place)
 
 
 @pytest.fixture
