@@ -1,4 +1,4 @@
-"""What results should be: by the slow oracles of ``tests/reference.py``, for arrays of a few hundred samples."""
+"""What results should be: by the slow oracles of ``tests/reference``, for arrays of a few hundred samples."""
 
 from __future__ import annotations
 
