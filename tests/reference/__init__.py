@@ -29,6 +29,7 @@ from tests.reference.motion import (
     matrices,
     moved,
     reached,
+    support,
 )
 from tests.reference.samples import Residual, averaged, durations, faded, pyramid, sample, sample_frames
 
@@ -61,6 +62,7 @@ __all__ = [
     "sample_frames",
     "stored",
     "supersampled",
+    "support",
     "warp",
     "warp_frames",
 ]
