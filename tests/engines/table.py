@@ -89,20 +89,29 @@ class Row:
             made["linear_light"] = True
         return made | ({"between": self.between, "time_filter": self.average} if self.between else {})
 
-    def check(self, engine: Engine, limits: Limits = Limits(), channels: Iterable[int] | None = None) -> None:
-        """Compare what an engine makes with what it should make, of some numbers of channels."""
+    def check(
+        self, engine: Engine, limits: Limits, channels: Iterable[int] | None = None, types: tuple[str, ...] = ()
+    ) -> None:
+        """Compare what an engine makes with what it should make, of some numbers of channels.
+
+        The reference is asked for the numbers of some ``types`` together: those whose rows are tested as well.
+        """
         d = scene(self.scene)
-        numbers = [c for c in CHANNELS[self.kind] if channels is None or c in channels]
+        numbers = tuple(c for c in CHANNELS[self.kind] if channels is None or c in channels)
         assert numbers
+        known = _types(self.kind)
+        sizes = tuple((t, max(c, 1)) for t in known if t in types or t == self.dtype for c in numbers)
         for count in numbers:
             source = samples(self.scene, self.dtype, max(count, 1), self.kind)
             fill = _fill(self.dtype, max(count, 1), self.kind)
             given = source if count else source[..., 0]
             found = engine(d, given, fill=fill if count else fill[0], **self.options)
             assert (found.dtype, found.shape) == (given.dtype, given.shape)
-            self._compare(d, found.reshape(source.shape), source, limits)
+            self._compare(d, found.reshape(source.shape), source, limits, sizes)
 
-    def _compare(self, d: Deformation, found: Array, source: Array, limits: Limits) -> None:
+    def _compare(
+        self, d: Deformation, found: Array, source: Array, limits: Limits, sizes: tuple[tuple[str, int], ...]
+    ) -> None:
         q = places(self.scene)
         np.testing.assert_array_equal(found[~q.touched], source[~q.touched])
         sure = q.touched & q.sure(self.filter, self.between, limits.margin)
@@ -116,7 +125,7 @@ class Row:
             assert found[sure].tobytes() == exact[sure].tobytes()
             assert np.isin(found, [*np.unique(source), *np.array(fill).astype(source.dtype)]).all()
             return
-        wanted = _expected(self.scene, self.filter, self.between, self.average, self.outside, self.kind)
+        wanted = _expected(self.scene, self.filter, self.between, self.average, self.outside, self.kind, sizes)
         made, values = found[sure], wanted[self.dtype, source.shape[-1]][sure]
         if self.kind == "plain":
             span = np.ptp(source.astype(np.float64))
@@ -288,12 +297,18 @@ def _fill(dtype: str, channels: int, kind: str) -> list[float]:
 
 @functools.cache
 def _expected(
-    name: str, filter: str, between: str | None, average: bool, outside: str, kind: str
+    name: str,
+    filter: str,
+    between: str | None,
+    average: bool,
+    outside: str,
+    kind: str,
+    sizes: tuple[tuple[str, int], ...],
 ) -> dict[tuple[str, int], Floats]:
-    """Return the samples of all types and numbers of channels: not yet bounded and rounded; in parts of white as
+    """Return the samples of some types and numbers of channels: not yet bounded and rounded; in parts of white as
     filters take them, multiplied by opacity and in linear light, where white is known."""
     d, at = scene(name), places(name)
-    sizes = [(t, max(c, 1)) for t in _types(kind) for c in CHANNELS[kind] if c != 1 or kind != "plain"]
+    sizes = tuple(dict.fromkeys(sizes))
     parts: list[Floats] = []
     fills: list[Floats] = []
     for dtype, channels in sizes:
