@@ -95,16 +95,16 @@ demo: $(VENV)/stamp
 # tests first: those with the slowest would be last. What CUDA does is tested on a card that Numba plays.
 test: venv
 	$(BIN)/python -m pytest -q -n auto --dist loadfile --no-loadscope-reorder
-	NUMBA_ENABLE_CUDASIM=1 $(BIN)/python -m pytest -q -n auto tests/cuda
+	NUMBA_ENABLE_CUDASIM=1 $(BIN)/python -m pytest -q -n auto tests/engines/cuda/card
 
 # On a real card, one after the other: each test fails where there is none. The last are few, and watched.
 ON_CARD := env -u NUMBA_ENABLE_CUDASIM SUPPLE_TEST_CUDA=1
 
 test-cuda: venv $(VENV)/stamp-cuda
-	$(ON_CARD) $(BIN)/python -m pytest -q tests/cuda
+	$(ON_CARD) $(BIN)/python -m pytest -q tests/engines/cuda/card
 	@if command -v compute-sanitizer >/dev/null; then \
 	  $(ON_CARD) compute-sanitizer --tool memcheck --report-api-errors no --error-exitcode 1 \
-	    $(BIN)/python -m pytest -q tests/cuda/test_memory.py; \
+	    $(BIN)/python -m pytest -q tests/engines/cuda/card/test_memory.py; \
 	else \
 	  echo "compute-sanitizer is not on the PATH (it comes with the CUDA toolkit): memory was not checked"; \
 	fi

@@ -1,9 +1,13 @@
-"""Child processes of tests."""
+"""Child processes of tests: where they find the package and these tests."""
 
 from __future__ import annotations
 
 import signal
 import sys
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent.parent
+SOURCE = str(ROOT / "src")
 
 
 def _hear() -> None:

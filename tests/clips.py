@@ -64,13 +64,13 @@ def make(
         stream.time_base = stream.codec_context.time_base = base
         if setup:
             setup(stream)
-        sound = _sound(out, audio) if audio else None
-        words = _words(out) if subtitles else None
+        sound = add_sound(out, audio) if audio else None
+        words = add_words(out) if subtitles else None
         if attachment:
             out.add_attachment("font.ttf", "application/x-truetype-font", bytes(range(256)) * 4)
         if cover and out.format.name == "matroska":
             out.add_attachment("cover.png", "image/png", png())
-        picture = _cover(out) if cover and out.format.name != "matroska" else None
+        picture = add_cover(out) if cover and out.format.name != "matroska" else None
         if chapters:
             out.set_chapters(chapters)
         out.start_encoding()
@@ -94,11 +94,11 @@ def make(
             seconds = float(frame.pts * base) + 1 / rate
         out.mux(stream.encode(None))
         if sound:
-            _tone(out, sound, seconds, audio_start)
+            add_tone(out, sound, seconds, audio_start)
     return Path(path)
 
 
-def _sound(out, codec):
+def add_sound(out, codec):
     sound = out.add_stream(codec, rate=48000)
     sound.layout = "mono"
     if codec == "libmp3lame":
@@ -107,7 +107,7 @@ def _sound(out, codec):
     return sound
 
 
-def _tone(out, sound, seconds, start):
+def add_tone(out, sound, seconds, start):
     size = 1024
     kind = sound.codec_context.format.name
     for number in range(max(1, int(seconds * 48000) // size)):
@@ -123,14 +123,14 @@ def _tone(out, sound, seconds, start):
     out.mux(sound.encode(None))
 
 
-def _words(out):
+def add_words(out):
     words = out.add_mux_stream("subrip")
     words.time_base = Fraction(1, 1000)
     words.metadata["language"] = "deu"
     return words
 
 
-def _cover(out):
+def add_cover(out):
     stream = out.add_mux_stream("png", width=16, height=16)
     stream.disposition = av.stream.Disposition.attached_pic
     stream.metadata.update({"filename": "cover.png", "mimetype": "image/png", "comment": "Cover (front)"})

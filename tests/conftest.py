@@ -3,16 +3,36 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
-from windows import close_all
 
 from supple.engines.wgpu.device import Gpu, open_gpu
 from supple.errors import SuppleError
 
 # Numba's simulator takes the place of CUDA from its import on: those tests are run by themselves.
-collect_ignore = [] if {"1"} & {os.environ.get(k) for k in ("NUMBA_ENABLE_CUDASIM", "SUPPLE_TEST_CUDA")} else ["cuda"]
+collect_ignore = (
+    [] if {"1"} & {os.environ.get(k) for k in ("NUMBA_ENABLE_CUDASIM", "SUPPLE_TEST_CUDA")} else ["engines/cuda/card"]
+)
+
+# A worker has a file at a time: those that take longest are begun first, so that none of them is waited for at the end.
+LONGEST = (
+    "viewer/test_window_browser.py",
+    "viewer/test_window_pointer.py",
+    "engines/cuda/test_ptx.py",
+    "plot/test_diagnostics.py",
+    "engines/test_native.py",
+    "pipeline/test_frames.py",
+    "pipeline/test_streaming.py",
+    "examples/test_gallery.py",
+    "engines/wgpu/test_parity.py",
+)
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Put the longest files first."""
+    turn = {Path(__file__).parent / name: k for k, name in enumerate(LONGEST)}
+    items.sort(key=lambda item: turn.get(item.path, len(turn)))
 
 
 @pytest.fixture
@@ -24,10 +44,3 @@ def gpu() -> Gpu:
         if os.environ.get("SUPPLE_TEST_GPU") == "1":
             raise
         pytest.skip(str(error))
-
-
-@pytest.fixture(autouse=True)
-def _windows_end() -> Iterator[None]:
-    """No window of one test certifies on during the next, and listens to its warnings."""
-    yield
-    close_all()

@@ -99,7 +99,7 @@ def drawn(rng: np.random.Generator) -> tuple[Deformation, int]:
         on_fold="flow" if rng.uniform() < 0.35 else "damp",
     )
     size, many, refused = shape[::-1] - 1.0, int(rng.choice(STROKES)), 0
-    while len(d.strokes) < many and len(d._table) < MOST_ROWS and refused < 200:
+    while len(d.strokes) < many and len(d.space.table) < MOST_ROWS and refused < 200:
         radius = float(np.exp(rng.uniform(0, np.log(2 * max(shape) + 2))) * spacing.min())
         at = rng.uniform(0, 1, ndim) * size
         where = rng.uniform()
@@ -153,19 +153,19 @@ def attainable(d: Deformation, points: Floats) -> Floats:
     w = np.zeros((len(points), 3))
     w[:, : d.ndim] = points * d.domain.spacing
     left = np.zeros(len(points))
-    rows = numbers(d._table)
+    rows = numbers(d.space.table)
     for k in range(len(rows)):
-        _, matrices = _core.forward(rows[k:], d._axes, w, True)
+        _, matrices = _core.forward(rows[k:], d.space.axes, w, True)
         matrices = np.nan_to_num(matrices, nan=1e300, posinf=1e300, neginf=-1e300)
         left += np.linalg.norm(matrices, axis=(1, 2)) * np.linalg.norm(w, axis=1) * ROUNDING
-        w, _ = _core.forward(rows[k : k + 1], d._axes, w, False)
+        w, _ = _core.forward(rows[k : k + 1], d.space.axes, w, False)
     return np.asarray(left / min(d.domain.spacing))
 
 
 def look_at_points(d: Deformation, rng: np.random.Generator, tally: Tally) -> list[str]:
     """Solve for random points, and for the images of others."""
     wrong = []
-    many = int(np.clip(WORK // max(len(d._table), 1), LEAST, MOST)) // 2
+    many = int(np.clip(WORK // max(len(d.space.table), 1), LEAST, MOST)) // 2
     flows, finest = d.on_fold == "flow", min(d.domain.spacing)
     sources = targets(d, rng, many)
     q = np.concatenate([targets(d, rng, many), d.forward(sources)])
@@ -221,15 +221,15 @@ def look_at_many(d: Deformation, rng: np.random.Generator, tally: Tally, many: i
     """Solve for so many random points at once: each is solved or reported, and none is folded."""
     lost_points = passed_off = turned = 0
     worst = 0.0
-    rows, flows, finest = numbers(d._table), d.on_fold == "flow", min(d.domain.spacing)
+    rows, flows, finest = numbers(d.space.table), d.on_fold == "flow", min(d.domain.spacing)
     extent = np.zeros(3)
     extent[: d.ndim] = d.domain.extent
     for start in range(0, many, CHUNK):
         q = rng.random((min(CHUNK, many - start), 3))
         q *= 1.2 * extent
         q -= 0.1 * extent
-        p, residual, _ = _core.inverse(rows, d._axes, q, d.ndim, 1e-9 * finest)
-        moved, jacobian = _core.forward(rows, d._axes, p, True)
+        p, residual, _ = _core.inverse(rows, d.space.axes, q, d.ndim, 1e-9 * finest)
+        moved, jacobian = _core.forward(rows, d.space.axes, p, True)
         moved -= q
         off = np.sqrt(np.einsum("ij,ij->i", moved, moved)) / finest
         allowed = np.maximum(CONVERGED, 1e-14 / finest * np.abs(q).max(axis=1))
@@ -371,13 +371,13 @@ def look_at_recipe(rng: np.random.Generator, tally: Tally, work: float) -> list[
     tally.refused += refused
     tally.flowing += d.on_fold == "flow"
     wrong = look_at_points(d, rng, tally)
-    if math.prod(d.shape) * max(1, len(d._table) // 20) <= MOST_PIXELS:
+    if math.prod(d.shape) * max(1, len(d.space.table) // 20) <= MOST_PIXELS:
         wrong += look_at_map(d, rng, tally)
-    if d.ndim == 3 and math.prod(d.shape[1:]) * len(d._table) <= 10 * MOST_PIXELS:
+    if d.ndim == 3 and math.prod(d.shape[1:]) * len(d.space.table) <= 10 * MOST_PIXELS:
         wrong += look_at_clip(d, rng, tally)
-    if d.ndim == 3 and math.prod(d.shape) * len(d._table) <= 100 * MOST_PIXELS:
+    if d.ndim == 3 and math.prod(d.shape) * len(d.space.table) <= 100 * MOST_PIXELS:
         wrong += look_at_solid(d, rng, tally)
-    wrong += look_at_many(d, rng, tally, int(work / max(len(d._table), 1)))
+    wrong += look_at_many(d, rng, tally, int(work / max(len(d.space.table), 1)))
     return [f"{line} ({d.on_fold}, {len(d.strokes)} strokes)" for line in wrong]
 
 

@@ -18,55 +18,27 @@ from supple.domain import BorderProfile, Domain
 from supple.errors import FoldError, SuppleError
 from supple.folding import CLEARLY_SAFE, MARGIN, NEAR, Resolved, limit, resolve, weakest
 from supple.strokes import STROKE_DTYPE, FoldPolicy, Stroke, numbers, pack
+from tests import reference
 
 Floats = npt.NDArray[np.float64]
 
 RATIOS = [-math.inf, -3.0, 0.0, 0.25, 0.3, 0.4, 0.45, 0.5]
 
 
-def kelvinlet(row: np.void, poisson: float, points: Floats) -> Floats:
-    """K from the printed equations: kelvinlets, weighted, and normalised at the pivot."""
-    a, b = 1.0, 1 / (4 * (1 - poisson))
-    e = row["radius2"][0] * 1.21 ** np.arange(3)
-    weights = {
-        1: [1.0],
-        2: [1.0, -1.0],
-        3: [1.0, -(e[2] - e[0]) / (e[2] - e[1]), (e[1] - e[0]) / (e[2] - e[1])],
-    }[int(row["terms"])]
-    r = points - row["pivot"]
-    s = (r * r).sum(-1, keepdims=True)
-    along = (r @ row["force"])[..., None] * r
-    total, whole = np.zeros_like(r), 0.0
-    for w, e_i in zip(weights, e, strict=False):
-        rho = np.sqrt(s + e_i)
-        total += w * (((a - b) / rho + a * e_i / (2 * rho**3)) * row["force"] + b / rho**3 * along)
-        whole += w * ((a - b) + a / 2) / math.sqrt(e_i)
-    t = np.minimum(np.sqrt(s) / row["reach"], 1)
-    return np.asarray((1 - 10 * t**3 + 15 * t**4 - 6 * t**5) * total / whole)
-
-
-def displacement(row: np.void, poisson: float, axes: Floats, points: Floats) -> Floats:
-    """K_β; past a face, as its smooth continuation."""
-    k = kelvinlet(row, poisson, points)
-    for i, (first, last, sigma, _, profile) in enumerate(axes):
-        if sigma == 0:
-            k[..., i] = 0
-        elif sigma > 0:
-            t = np.minimum(np.minimum(points[..., i] - first, last - points[..., i]) / sigma, 1)
-            k[..., i] *= np.sin(np.pi / 2 * t) if profile else 2 * t - 2 * t**3 + t**4
-    return k
-
-
 def strains(row: np.void, poisson: float, axes: Floats, points: Floats) -> Floats:
-    """λ_min of sym(J_β) by central differences, over the axes along which there are points."""
+    """λ_min of sym(J_β) by the reference, over the axes along which there are points."""
+    r, reach = points - row["pivot"], float(row["reach"])
+    k, j = reference.grab(row["force"], math.sqrt(row["radius2"][0]), poisson, int(row["terms"]), r)
+    m, slope = reference.support(r, reach)
+    k, j = m[..., None] * k, m[..., None, None] * j + k[..., :, None] * slope[..., None, :]
+    for i, (first, last, sigma, _, profile) in enumerate(axes):
+        if sigma >= 0:
+            name = "sine" if profile else "quartic"
+            beta, change = reference.fade(points[..., i] - first, last - first, sigma, name)
+            j[..., i, :] *= beta[..., None]
+            j[..., i, i] += change * k[..., i]
     used = [i for i in range(3) if axes[i, 1] > axes[i, 0]]
-    columns = []
-    for j in used:
-        h = 1e-5 * min(math.sqrt(row["radius2"][0]), axes[j, 2] if axes[j, 2] > 0 else math.inf)
-        step = h * np.eye(3)[j]
-        ahead, behind = (displacement(row, poisson, axes, points + x) for x in (step, -step))
-        columns.append((ahead - behind)[..., used] / (2 * h))
-    jacobian = np.stack(columns, axis=-1)
+    jacobian = j[..., used, :][..., used]
     return np.asarray(np.linalg.eigvalsh((jacobian + np.swapaxes(jacobian, -1, -2)) / 2)[..., 0], np.float64)
 
 

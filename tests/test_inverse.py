@@ -10,12 +10,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pytest
-import reference
-import soak
 
 from supple import Deformation, SuppleError
 from supple.folding import limit
 from supple.strokes import Stroke
+from tests import reference, soak
 
 pytestmark = pytest.mark.filterwarnings("ignore::supple.FoldWarning")
 

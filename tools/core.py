@@ -256,7 +256,9 @@ def sanitize(tests: Sequence[str]) -> int:
     # Reports are written by C, past what Python's sys.stderr is: of a test that they end, pytest would keep them.
     command = [sys.executable, "-m", "pytest", "-q", "--capture=sys", "-p", "no:cacheprovider"]
     command += ["-n", "auto", "-o", f"pythonpath={folder}"]
-    if subprocess.run([*command, *(tests or ["tests/core"])], cwd=ROOT, env=environment, check=False).returncode:
+    if subprocess.run(
+        [*command, *(tests or ["tests/core", "tests/engines/test_native.py"])], cwd=ROOT, env=environment, check=False
+    ).returncode:
         raise BuildError("A test failed, or the sanitizers found an error, which is above.")
     return 0
 
@@ -268,7 +270,7 @@ def main() -> int:
     how.add_argument("--best", action="store_true", help="for the best instruction set of this processor alone")
     how.add_argument("--debug", action="store_true", help="with -O1 -g and checks, for a debugger")
     how.add_argument("--sanitize", action="store_true", help="with sanitizers, elsewhere, and run its tests")
-    parser.add_argument("tests", nargs="*", help="which tests, with --sanitize; by default tests/core")
+    parser.add_argument("tests", nargs="*", help="which tests, with --sanitize; by default the core's")
     options = parser.parse_args()
     try:
         if options.sanitize:

@@ -19,6 +19,7 @@ from supple import Deformation, FoldWarning, _core
 from supple.engines.base import Group, Layout, Sampling, Space, Work
 from supple.engines.native import plan_of, samplings_of
 from supple.strokes import STROKE_DTYPE, numbers
+from tests.children import ROOT
 
 Floats = npt.NDArray[np.float64]
 Array = npt.NDArray[Any]
@@ -107,8 +108,7 @@ def sampling(frames: Array, out: Array, **how: Any) -> _core.Sampling:
 
 def in_a_process(program: str, *, timeout: float = 120, **environment: str) -> subprocess.CompletedProcess[str]:
     """Run a program, to which this package and these tests are known."""
-    here = Path(__file__).parent
-    path = os.pathsep.join([str(Path(_core.__path__[0]).parent.parent), str(here.parent), str(here)])
+    path = os.pathsep.join([str(Path(_core.__path__[0]).parent.parent), str(ROOT)])
     return subprocess.run(
         [sys.executable, "-c", program],
         env={**os.environ, "PYTHONPATH": path, **environment},

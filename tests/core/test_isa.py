@@ -15,6 +15,7 @@ from supple import _core
 from supple._core.cpu import isas
 from supple._core.loading import load
 from supple.errors import SuppleError
+from tests.children import ROOT
 
 BUILT = [name for name in isas() if any(Path(_core.__path__[0]).glob(f"{name}.*"))]
 
@@ -31,10 +32,10 @@ for shape in ((70, 90), (6, 40, 50)):
     d = Deformation(shape, border=12.0)
     d = d.grab((30, 20, 3)[:n], by=(6, -4, 1)[:n], radius=12)
     d = d.grab((40, 35, 2)[:n], by=(3, 2, -1)[:n], radius=6, reach=3)
-    rows, q = numbers(d._table), np.zeros((501, 3))
+    rows, q = numbers(d.space.table), np.zeros((501, 3))
     q[:, :n] = rng.uniform(-5, 60, (501, n))
-    made[f"moved {n}"], made[f"slopes {n}"] = _core.forward(rows, d._axes, q, True)
-    made[f"points {n}"], made[f"residual {n}"], _ = _core.inverse(rows, d._axes, q, n, 1e-9)
+    made[f"moved {n}"], made[f"slopes {n}"] = _core.forward(rows, d.space.axes, q, True)
+    made[f"points {n}"], made[f"residual {n}"], _ = _core.inverse(rows, d.space.axes, q, n, 1e-9)
     made[f"map {n}"] = d.inverse_map(tolerance=1e-3).astype(np.float64)
     for dtype in ("u1", "f4", "f8"):
         for channels in (1, 3, 4):
@@ -150,7 +151,7 @@ def test_threads_are_asked_for_at_each_call(monkeypatch: pytest.MonkeyPatch) -> 
 
 
 def test_every_name_has_a_type() -> None:
-    stub = ast.parse((Path(__file__).parents[2] / "src" / "supple" / "_core" / "__init__.pyi").read_text("utf-8"))
+    stub = ast.parse((ROOT / "src" / "supple" / "_core" / "__init__.pyi").read_text("utf-8"))
     typed = {node.name for node in stub.body if isinstance(node, ast.FunctionDef | ast.ClassDef)}
     typed |= {
         node.target.id for node in stub.body if isinstance(node, ast.AnnAssign) and isinstance(node.target, ast.Name)

@@ -8,8 +8,6 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pytest
-import reference
-from drawn import deformation, deformations, plan, sampling
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -17,6 +15,8 @@ from supple import Deformation, _core
 from supple.engines.base import Space
 from supple.engines.native import plan_of
 from supple.strokes import numbers
+from tests import reference
+from tests.core.drawn import deformation, deformations, plan, sampling
 
 pytestmark = pytest.mark.filterwarnings("ignore::supple.FoldWarning")
 
@@ -394,13 +394,13 @@ def test_far_from_the_origin() -> None:
 
 def test_what_a_plan_is_given_is_checked() -> None:
     d = Deformation((20, 30), border=64, on_fold="damp").grab((9, 9), by=(2, 1), radius=5, reach=None)
-    rows = numbers(d._table)
+    rows = numbers(d.space.table)
     with pytest.raises(ValueError, match="at least one pixel"):
-        _core.Plan(rows, d._axes, 2, 0, 30, 0.0, 0.01)
+        _core.Plan(rows, d.space.axes, 2, 0, 30, 0.0, 0.01)
     with pytest.raises(ValueError, match="axes must have the shape"):
-        _core.Plan(rows, d._axes[:2], 2, 20, 30, 0.0, 0.01)
+        _core.Plan(rows, d.space.axes[:2], 2, 20, 30, 0.0, 0.01)
     with pytest.raises(ValueError, match="20 columns"):
-        _core.Plan(np.ascontiguousarray(rows[:, 1:]), d._axes, 2, 20, 30, 0.0, 0.01)
+        _core.Plan(np.ascontiguousarray(rows[:, 1:]), d.space.axes, 2, 20, 30, 0.0, 0.01)
 
 
 def test_an_impossible_tolerance_is_not_claimed() -> None:

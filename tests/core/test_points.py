@@ -8,14 +8,14 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pytest
-import reference
-from drawn import POISSONS, deformation, deformations, lifted, places
 from hypothesis import given, settings
 
 from supple import Deformation, _core
 from supple.domain import Domain
 from supple.folding import limit
 from supple.strokes import Stroke, numbers, pack
+from tests import reference
+from tests.core.drawn import POISSONS, deformation, deformations, lifted, places
 
 pytestmark = pytest.mark.filterwarnings("ignore::supple.FoldWarning")
 
@@ -93,33 +93,33 @@ def test_the_jacobian_is_the_slope(shape: tuple[int, ...], seed: int) -> None:
 def test_only_what_is_asked_for_is_made() -> None:
     d = Deformation((20, 30), border=64, on_fold="damp").grab((9, 9), by=(2, 1), radius=5, reach=None)
     points = lifted(d, places(d, 7))
-    moved, none = _core.forward(numbers(d._table), d._axes, points, False)
+    moved, none = _core.forward(numbers(d.space.table), d.space.axes, points, False)
     assert none is None
-    np.testing.assert_array_equal(moved, _core.forward(numbers(d._table), d._axes, points, True)[0])
+    np.testing.assert_array_equal(moved, _core.forward(numbers(d.space.table), d.space.axes, points, True)[0])
 
 
 @pytest.mark.parametrize("count", [0, 1, 3, 4, 5, 1023, 1024, 1025, 2050])
 def test_any_number_of_points(count: int) -> None:
     """Batches and vectors leave no trace."""
     d = Deformation((20, 30), border=64, on_fold="damp").grab((9, 9), by=(2, 1), radius=5, reach=None)
-    rows, points = numbers(d._table), lifted(d, places(d, 2050))
-    moved, slopes = _core.forward(rows, d._axes, points[:count], True)
-    whole = _core.forward(rows, d._axes, points, True)
+    rows, points = numbers(d.space.table), lifted(d, places(d, 2050))
+    moved, slopes = _core.forward(rows, d.space.axes, points[:count], True)
+    whole = _core.forward(rows, d.space.axes, points, True)
     np.testing.assert_array_equal(moved, whole[0][:count])
     np.testing.assert_array_equal(slopes, whole[1][:count])
-    found = _core.inverse(rows, d._axes, points[:count], 2, 1e-9)
+    found = _core.inverse(rows, d.space.axes, points[:count], 2, 1e-9)
     assert [len(a) for a in found] == [count] * 3
-    for part, all_of_it in zip(found[:2], _core.inverse(rows, d._axes, points, 2, 1e-9)[:2], strict=True):
+    for part, all_of_it in zip(found[:2], _core.inverse(rows, d.space.axes, points, 2, 1e-9)[:2], strict=True):
         np.testing.assert_allclose(part, all_of_it[:count], rtol=0, atol=1e-9)
 
 
 @settings(max_examples=80, deadline=None)
 @given(deformations())
 def test_the_inverse_undoes_the_map(d: Deformation) -> None:
-    rows, finest = numbers(d._table), min(d.domain.spacing)
+    rows, finest = numbers(d.space.table), min(d.domain.spacing)
     p = places(d, 80)
     q = reference.forward(reference.carried_out(d), d.domain, p)
-    found, residual, steps = _core.inverse(rows, d._axes, lifted(d, q), d.ndim, 1e-9 * finest)
+    found, residual, steps = _core.inverse(rows, d.space.axes, lifted(d, q), d.ndim, 1e-9 * finest)
     assert (residual <= 1e-8 * finest).all()
     assert (steps >= 1).all()
     assert (steps == np.rint(steps)).all()
@@ -227,16 +227,16 @@ def test_outside_the_ball_points_keep_every_bit(reach: float) -> None:
 
 def test_what_the_core_is_given_is_checked() -> None:
     d = Deformation((20, 30), border=64, on_fold="damp").grab((9, 9), by=(2, 1), radius=5, reach=None)
-    rows, points = numbers(d._table), np.zeros((4, 3))
+    rows, points = numbers(d.space.table), np.zeros((4, 3))
     with pytest.raises(ValueError, match="points must have the shape"):
-        _core.forward(rows, d._axes, np.zeros((4, 2)), False)
+        _core.forward(rows, d.space.axes, np.zeros((4, 2)), False)
     with pytest.raises(ValueError, match="targets must have the shape"):
-        _core.inverse(rows, d._axes, np.zeros((4, 2)), 2, 1e-9)
+        _core.inverse(rows, d.space.axes, np.zeros((4, 2)), 2, 1e-9)
     with pytest.raises(ValueError, match="axes must have the shape"):
-        _core.forward(rows, d._axes[:2], points, False)
+        _core.forward(rows, d.space.axes[:2], points, False)
     with pytest.raises(ValueError, match="strokes must have 20 columns"):
-        _core.forward(np.ascontiguousarray(rows[:, :19]), d._axes, points, False)
-    np.testing.assert_array_equal(_core.forward(rows[:0], d._axes, points + 3, False)[0], points + 3)
+        _core.forward(np.ascontiguousarray(rows[:, :19]), d.space.axes, points, False)
+    np.testing.assert_array_equal(_core.forward(rows[:0], d.space.axes, points + 3, False)[0], points + 3)
 
 
 def test_tiny_and_vast_units() -> None:

@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pytest
-import reference
 
 from supple.domain import Domain
 from supple.strokes import Stroke
+from tests import reference
 
 Floats = npt.NDArray[np.float64]
 

@@ -3,21 +3,20 @@
 from __future__ import annotations
 
 import functools
-import itertools
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import pytest
-import reference
-from drawn import deformations, plan, sampling
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from supple import Deformation, _core
 from supple.engines.native import plan_of
 from supple.strokes import numbers
+from tests import reference
+from tests.core.drawn import deformations, plan, sampling
 
 pytestmark = pytest.mark.filterwarnings("ignore::supple.FoldWarning")
 
@@ -27,7 +26,6 @@ SHAPE, CLIP = (36, 45), (6, 24, 30)
 DTYPES = ["bool", "u1", "i1", "u2", "i2", "u4", "i4", "u8", "i8", "f2", "f4", "f8"]
 FILTERS = ["nearest", "linear", "cubic", "auto"]
 RULES = ["edge", "constant", "reflect"]
-FINE = 1e-5
 
 
 @functools.cache
@@ -50,24 +48,6 @@ def clip(kind: str) -> Deformation:
     if kind == "bent":
         return Deformation(CLIP, border=None, on_fold="damp").grab((14, 12, 3), by=(5, -4, 1.5), radius=9, reach=None)
     return Deformation(CLIP, border=6.0, on_fold="damp").grab((15, 12, 3), by=(2, -1, 0.6), radius=3, reach=2.0)
-
-
-@functools.cache
-def slow(d: Deformation) -> Any:
-    """Return strokes as they are applied, also those that flow: as many as the table has rows."""
-    if d.on_fold == "damp":
-        return reference.carried_out(d)
-    made = []
-    for stroke, resolved in zip(d.strokes, d._resolved, strict=True):
-        for row in resolved.rows:
-            n = d.ndim
-            made.append(
-                type(stroke)(
-                    at=tuple(row["pivot"][:n]), by=tuple(row["force"][:n]), radius=stroke.radius,
-                    poisson=stroke.poisson, scales=stroke.scales, reach=stroke.reach,
-                )
-            )  # fmt: skip
-    return made
 
 
 def noise(dtype: str, shape: tuple[int, ...], seed: int = 0) -> Array:
@@ -96,90 +76,6 @@ def close(found: Array, expected: Array, *, most: float = 3e-3, mean: float = 5e
     assert np.mean(np.minimum(off, most)) <= mean
 
 
-def image(d: Deformation, source: Array, **how: Any) -> None:
-    found = d.warp(source, tolerance=FINE, **how)
-    expected = reference.warp(source, slow(d), d.domain, **how)
-    close(found, expected, odd=2e-3 if how.get("filter") == "nearest" else 0.0)
-
-
-@pytest.mark.parametrize("kind", ["gentle", "strong", "local"])
-@pytest.mark.parametrize("dtype", DTYPES)
-def test_types(dtype: str, kind: str) -> None:
-    for channels in ((), (1,), (3,), (4,), (5,)):
-        if dtype not in ("u1", "f4") and channels not in ((), (3,)):
-            continue
-        image(bent(kind), noise(dtype, (*SHAPE, *channels)), alpha=False)
-
-
-@pytest.mark.parametrize("kind", ["gentle", "strong", "local"])
-@pytest.mark.parametrize("filter", FILTERS)
-@pytest.mark.parametrize("outside", RULES)
-def test_filters_and_what_lies_outside(filter: str, outside: str, kind: str) -> None:
-    for dtype, channels in (("f4", (3,)), ("u1", ()), ("u1", (2,)), ("u2", (3,)), ("f8", (2,)), ("i2", ())):
-        fill = [40.0, 70.0, 20.0][: channels[0] if channels else 1]
-        scaled = [x / 100 for x in fill] if dtype[0] == "f" else fill
-        image(bent(kind), noise(dtype, (*SHAPE, *channels)), filter=filter, outside=outside, fill=scaled)
-
-
-@pytest.mark.parametrize("kind", ["gentle", "strong", "local"])
-@pytest.mark.parametrize("dtype", ["u1", "u2", "f4", "f8"])
-@pytest.mark.parametrize("light", [False, True])
-def test_opacity_and_light(dtype: str, light: bool, kind: str) -> None:
-    top = reference.opaque(dtype)
-    for channels in (2, 4, 5):
-        # Nowhere so clear that what it is divided by is lost in rounding.
-        source = noise(dtype, (*SHAPE, channels))
-        source[..., -1] = (top * (0.5 + 0.5 * np.random.default_rng(1).random(SHAPE))).astype(dtype)
-        for outside in ("edge", "constant"):
-            how: dict[str, Any] = {"outside": outside, "fill": 0.6 * top, "alpha": True, "linear_light": light}
-            image(bent(kind), source, **how)
-    if light:
-        image(bent(kind), noise(dtype, (*SHAPE, 3)), linear_light=True, alpha=False)
-
-
-def frames(d: Deformation, source: Array, **how: Any) -> None:
-    found = d.warp(source, tolerance=FINE, **how)
-    expected = reference.warp_frames(source, slow(d), d.domain, **how)
-    nearest = how.get("filter") == "nearest" or how.get("between") == "nearest"
-    # Rates are interpolated between nodes, bilinearly.
-    rough: dict[str, float] = {"most": 0.05, "mean": 3e-3} if how.get("time_filter") else {}
-    close(found, expected, odd=3e-3 if nearest else 0.0, **rough)
-
-
-@pytest.mark.parametrize("kind", ["bent", "hurried", "local"])
-@pytest.mark.parametrize("between", ["nearest", "linear", "cubic"])
-@pytest.mark.parametrize("averaged", [False, True])
-def test_frames(kind: str, between: str, averaged: bool) -> None:
-    for (name, dtype, channels), outside in zip(
-        [
-            ("auto", "u1", (3,)),
-            ("cubic", "f4", ()),
-            ("linear", "u2", (1,)),
-            ("auto", "f8", (2,)),
-            ("linear", "f4", (5,)),
-        ],
-        itertools.cycle(RULES),
-    ):
-        how: dict[str, Any] = {"filter": name, "between": between, "outside": outside, "time_filter": averaged}
-        frames(clip(kind), noise(dtype, (*CLIP, *channels)), fill=0.3 * reference.opaque(dtype), **how)
-
-
-@pytest.mark.parametrize("kind", ["bent", "hurried", "local"])
-@pytest.mark.parametrize("dtype", DTYPES)
-def test_types_of_frames(kind: str, dtype: str) -> None:
-    frames(clip(kind), noise(dtype, (*CLIP, 3)))
-    frames(clip(kind), noise(dtype, CLIP), filter="nearest")
-
-
-@pytest.mark.parametrize("outside", RULES)
-def test_opacity_and_light_of_frames(outside: str) -> None:
-    for dtype in ("u1", "f4"):
-        top = reference.opaque(dtype)
-        source = noise(dtype, (*CLIP, 4))
-        source[..., -1] = (top * (0.5 + 0.5 * np.random.default_rng(1).random(CLIP))).astype(dtype)
-        frames(clip("bent"), source, alpha=True, linear_light=True, outside=outside, fill=0.6 * top)
-
-
 @pytest.mark.filterwarnings("ignore::supple.errors.ToleranceWarning")  # float32 may not hold as much near a fold
 @settings(max_examples=40, deadline=None)
 @given(
@@ -197,7 +93,7 @@ def test_any_strokes_and_shapes(d: Deformation, dtype: str, channels: int, filte
     )
     source = (wave * reference.opaque(dtype)).astype(dtype)
     found = d.warp(source, filter=filter, outside=outside, alpha=False, tolerance=1e-4)
-    expected = reference.warp(source, slow(d), d.domain, filter=filter, outside=outside, alpha=False)
+    expected = reference.warp(source, reference.carried_out(d), d.domain, filter=filter, outside=outside, alpha=False)
     close(found, expected, most=5e-3, mean=1e-3, odd=0.02 if filter == "nearest" or outside == "constant" else 0.005)
 
 
@@ -359,7 +255,9 @@ def test_planes_one_at_a_time_are_the_stack(filter: str) -> None:
         stack = np.empty_like(source)
         how: dict[str, Any] = {"filter": filter, "between": between, "average": between == "cubic"}
         job = sampling(source, stack, **how)
-        error, evaluations = _core.warp_stack(numbers(d._table), d._axes, *CLIP[1:], list(range(CLIP[0])), 0.01, [job])
+        error, evaluations = _core.warp_stack(
+            numbers(d.space.table), d.space.axes, *CLIP[1:], list(range(CLIP[0])), 0.01, [job]
+        )
         plans = [plan(d, z=float(z)) for z in range(CLIP[0])]
         for z, p in enumerate(plans):
             alone = np.empty(source.shape[1:], np.uint16)
@@ -369,7 +267,7 @@ def test_planes_one_at_a_time_are_the_stack(filter: str) -> None:
         assert evaluations == sum(p.evaluations for p in plans)
         some = np.empty_like(source[:2])
         job = sampling(source, some, **how)
-        _core.warp_stack(numbers(d._table), d._axes, *CLIP[1:], [4, 1], 0.01, [job])
+        _core.warp_stack(numbers(d.space.table), d.space.axes, *CLIP[1:], [4, 1], 0.01, [job])
         np.testing.assert_array_equal(some, stack[[4, 1]])
 
 

@@ -8,9 +8,9 @@ import threading
 
 import numpy as np
 import pytest
-from drawn import in_a_process
 
 from supple import Deformation
+from tests.core.drawn import in_a_process
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="signals and forks are POSIX's")
 
@@ -120,10 +120,10 @@ LONG = {
 from supple.strokes import numbers
 d = Deformation((500, 500)).grab((250, 250), by=(40, 5), radius=90)
 q = np.random.default_rng(0).uniform(0, 500, (200_000, 2))
-rows = np.repeat(numbers(d._table), 400, axis=0)
+rows = np.repeat(numbers(d.space.table), 400, axis=0)
 rows[:, 3:6] /= 400
 targets = np.zeros((400_000, 3)); targets[:, :2] = q.repeat(2, 0)
-call = lambda: _core.inverse(rows, d._axes, targets, 2, 1e-9)
+call = lambda: _core.inverse(rows, d.space.axes, targets, 2, 1e-9)
 """,
     "a plan": """
 d = Deformation((9000, 200), border=1.0)
@@ -188,7 +188,7 @@ def send():
 timer = threading.Timer(0.3, send)
 timer.start()
 try:
-    for _ in range(200): solid.solve(strokes_of(d._table, d._axes))
+    for _ in range(200): solid.solve(strokes_of(d.space.table, d.space.axes))
 except KeyboardInterrupt:
     print("interrupted", time.monotonic() - sent[0])
 """,

@@ -1,0 +1,383 @@
+"""What the command line says: warnings in JSON and as errors, where strokes arrive, and how a batch ends."""
+
+from __future__ import annotations
+
+import ast
+import json
+import os
+import re
+import subprocess
+import sys
+import warnings
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+import supple.files.clips
+import supple.files.volumes
+from supple.cli import command
+from supple.cli.console import as_options
+from supple.errors import ToleranceWarning
+from supple.media import image
+from tests import clips
+from tests.children import SOURCE
+
+HEAD = Path(SOURCE) / "supple" / "examples" / "data" / "head.nii.gz"
+FOLDS = ("--radius", "6", "--on-fold", "damp")
+MEDIA = {
+    "picture": ("in.png", "out.png", ("--grab", "20,16:36,16", *FOLDS)),
+    "clip": ("in.mkv", "out.mkv", ("--grab", "30,20:46,20", *FOLDS)),
+    "volume": (str(HEAD), "out.nii.gz", ("--grab", "45,60,50:60,60,50", "--radius", "10", "--on-fold", "damp")),
+}
+Said = tuple[int, str, str]
+Run = Callable[..., Said]
+
+
+def noise(seed: int) -> npt.NDArray[np.uint8]:
+    return np.random.default_rng(seed).integers(0, 256, (40, 48, 3), dtype=np.uint8)
+
+
+@pytest.fixture
+def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Run:
+    """Run a command line in this process, in a folder with a picture, a clip and six pictures."""
+    monkeypatch.chdir(tmp_path)
+    image.write("in.png", noise(0))
+    os.mkdir("many")
+    for k in range(6):
+        image.write(f"many/{k}.png", noise(k))
+    clips.make("in.mkv")
+
+    def run(*arguments: str) -> Said:
+        capsys.readouterr()
+        status = command(arguments)
+        out, err = capsys.readouterr()
+        return status, out, err
+
+    return run
+
+
+@pytest.mark.parametrize("medium", MEDIA)
+def test_json_holds_the_warnings_and_where_strokes_arrive(run: Run, medium: str) -> None:
+    source, target, strokes = MEDIA[medium]
+    status, out, err = run("warp", source, target, *strokes, "--json")
+    facts = json.loads(out)
+    assert status == 0
+    assert len(facts["warnings"]) == 1
+    assert f"supple: warning: {facts['warnings'][0]}\n" == err
+    [arrival] = facts["arrivals"]
+    assert set(arrival) == {"target", "arrived", "final", "miss", "moved", "cause"}
+    assert arrival["cause"] == "fold"
+    assert arrival["miss"] == pytest.approx(np.linalg.norm(np.subtract(arrival["target"], arrival["arrived"])))
+    assert f"{arrival['miss']:.3g}" in facts["warnings"][0]
+    quiet = run("warp", source, target, *strokes, "--json", "--force", "--quiet")
+    assert quiet[2] == ""
+    assert json.loads(quiet[1])["warnings"] == facts["warnings"]
+
+
+@pytest.mark.parametrize("medium", MEDIA)
+def test_json_of_strokes_that_arrive(run: Run, medium: str) -> None:
+    source, target, strokes = MEDIA[medium]
+    status, out, err = run("warp", source, target, *strokes[:-1], "flow", "--json")
+    assert (status, err) == (0, "")
+    facts = json.loads(out)
+    assert facts["warnings"] == []
+    [arrival] = facts["arrivals"]
+    assert (arrival["miss"], arrival["cause"]) == (0, None)
+    assert arrival["target"] == arrival["arrived"] == arrival["final"]
+
+
+def test_json_of_plots_and_renderings(run: Run) -> None:
+    held_back = ("--grab", "2,16:6,16", "--radius", "12", "--border", "10", "--on-fold", "damp")
+    for name, more in (("in.png", ()), ("in.mkv", ("--frame", "2"))):
+        status, out, err = run("plot", name, f"{name}.svg", *held_back, *more, "--json")
+        facts = json.loads(out)
+        assert status == 0
+        assert facts["arrivals"][0]["cause"] == "border"
+        assert [f"supple: warning: {text}" for text in facts["warnings"]] == err.splitlines()
+        assert "the fixed border holds it back" in err
+    grab = ("--grab", "2,60,50:8,60,50", "--radius", "30", "--border", "20", "--on-fold", "damp")
+    status, out, err = run("render", str(HEAD), "r.png", *grab, "--size", "32x32", "--json")
+    facts = json.loads(out)
+    assert status == 0
+    assert facts["arrivals"][0]["cause"] == "border"
+    assert [f"supple: warning: {text}" for text in facts["warnings"]] == err.splitlines()
+
+
+def test_near_the_border_an_error_policy_refuses(run: Run) -> None:
+    near = ("--grab", "2,16:6,16", "--radius", "12", "--border", "10", "--on-fold", "error")
+    status, _, err = run("warp", "in.png", "out.png", *near)
+    assert status == 2
+    assert "holds it back" in err
+    assert not os.path.exists("out.png")
+
+
+def test_each_warning_of_a_batch_begins_with_its_file(run: Run) -> None:
+    os.symlink("../in.mkv", "many/clip.mkv")
+    Path("many/no.png").write_bytes(b"nothing")
+    strokes = ("--grab", "5,5:6,6", "--grab", "20,16:36,16", *FOLDS, "--json", "--threads", "3")
+    status, out, err = run("warp", "many", "bent", *strokes)
+    assert status == 2
+    told = {facts["input"]: facts for facts in map(json.loads, out.splitlines())}
+    assert len(told) == 8
+    bad = told.pop("many/no.png")
+    assert "cannot read" in bad["error"]
+    assert bad["warnings"] == []
+    for name, facts in told.items():
+        [text] = facts["warnings"]
+        assert text.startswith(f"{name}: stroke 2 of 2: a drag by (16, 0)")
+        assert f"supple: warning: {text}\n" in err
+    assert len(err.splitlines()) == 8
+
+
+@pytest.mark.parametrize("medium", MEDIA)
+def test_strict_makes_warnings_errors(run: Run, medium: str) -> None:
+    source, target, strokes = MEDIA[medium]
+    status, out, err = run("warp", source, target, *strokes, "--strict", "--json")
+    assert status == 2
+    assert err.startswith(f"supple: {source}: a drag by ")
+    assert err.endswith("(--strict: warnings are errors)\n")
+    assert err.count("\n") == 1
+    facts = json.loads(out)
+    assert facts["error"] == err[len("supple: ") : -1]
+    assert len(facts["warnings"]) == 1
+    assert not os.path.exists(target)
+    assert sorted(os.listdir()) == ["in.mkv", "in.png", "many"]
+
+
+@pytest.mark.parametrize(("medium", "module"), [("clip", supple.files.clips), ("volume", supple.files.volumes)])
+def test_strict_holds_for_warnings_after_the_last_frame(
+    run: Run, monkeypatch: pytest.MonkeyPatch, medium: str, module: ModuleType
+) -> None:
+    source, target, strokes = MEDIA[medium]
+    Path(target).write_bytes(b"mine")
+
+    def warn_of(*_: object) -> None:
+        warnings.warn("the map may be off", ToleranceWarning, stacklevel=2)
+
+    monkeypatch.setattr(module, "warn_of", warn_of)
+    status, _, err = run("warp", source, target, *strokes[:-1], "flow", "--strict", "--force")
+    assert status == 2
+    assert err == f"supple: {source}: the map may be off (--strict: warnings are errors)\n"
+    assert Path(target).read_bytes() == b"mine"
+    assert sorted(os.listdir()) == sorted(["in.mkv", "in.png", "many", target])
+
+
+def test_strict_holds_for_what_the_writer_warns_of(run: Run) -> None:
+    image.write("deep.png", noise(1).astype(np.uint16) * 200)
+    grab = ("--grab", "20,16:22,16", "--radius", "12", "--strict")
+    status, _, err = run("warp", "deep.png", "out.jpg", *grab)
+    assert status == 2
+    assert err == (
+        "supple: out.jpg: JPEG holds 8 bits a channel, and the 16 of the pixels are rounded "
+        "(--strict: warnings are errors)\n"
+    )
+    os.mkdir("frames")
+    image.write("frames/other.png", noise(1))
+    status, _, err = run("warp", "in.mkv", "frames", *grab)
+    assert status == 2
+    assert "also holds 1 other pictures" in err
+    assert os.listdir("frames") == ["other.png"]
+
+
+def test_strict_goes_on_with_the_other_files_of_a_batch(run: Run) -> None:
+    image.write("many/2.png", np.tile(noise(1), (4, 4, 1)), force=True)
+    strokes = ("--grab", "100,80:116,80", "--radius", "20", "--reach", "none", "--on-fold", "damp", "--strict")
+    status, _, err = run("warp", "many", "bent", *strokes)
+    assert status == 2
+    assert os.listdir("bent") == ["2.png"]
+    assert all(line.startswith("supple: many/") for line in err.splitlines())
+    assert len(err.splitlines()) == 5
+
+
+def test_a_batch_ends_quietly_when_nobody_reads(run: Run) -> None:
+    for k in range(6, 40):
+        image.write(f"many/{k}.png", noise(k))
+    read, write = os.pipe()
+    os.close(read)
+    made = subprocess.run(
+        [sys.executable, "-m", "supple", "warp", "many", "bent", "--grab", "20,16:22,16", "--radius", "12", "--json"],
+        env={**os.environ, "PYTHONPATH": SOURCE},
+        stdout=write,
+        stderr=subprocess.PIPE,
+        encoding="utf-8",
+        timeout=300,
+        check=False,
+    )
+    os.close(write)
+    assert (made.returncode, made.stderr) == (141, "")
+
+
+@pytest.mark.parametrize("value", ["abc", "0", "-2", "2x", "²"])
+def test_a_number_of_threads_that_is_none_is_one_line(run: Run, monkeypatch: pytest.MonkeyPatch, value: str) -> None:
+    grab = ("--grab", "20,16:22,16", "--radius", "12")
+    monkeypatch.setenv("SUPPLE_THREADS", value)
+    status, _, err = run("warp", "in.png", "out.png", *grab)
+    assert status == 2
+    wanted = "the environment variable SUPPLE_THREADS must be a number of threads from 1, found"
+    assert err == f"supple: {wanted} {value!r}\n"
+    monkeypatch.setenv("VIPS_CONCURRENCY", "1")  # which the option sets
+    assert run("warp", "in.png", "out.png", *grab, "--threads", "2") == (0, "", "")
+
+
+@pytest.mark.parametrize("option", ["--border", "--on-fold", "--tolerance", "--quality", "--save-recipe", "--threads"])
+def test_options_that_are_meant_once_are_not_given_twice(run: Run, option: str) -> None:
+    value = "damp" if option == "--on-fold" else "3"
+    grab = ("--grab", "20,16:22,16", "--radius", "12")
+    status, _, err = run("warp", "in.png", "out.png", *grab, option, value, option, value)
+    assert status == 2
+    assert f"{option} specified multiple times" in err
+
+
+def test_a_tolerance_that_float32_does_not_hold_is_told(run: Run) -> None:
+    grab = ("--grab", "20,16:22,16", "--radius", "12")
+    status, out, err = run("warp", "in.png", "out.png", *grab, "--tolerance", "1e-9", "--json")
+    assert status == 0
+    [text] = json.loads(out)["warnings"]
+    assert err == f"supple: warning: {text}\n"
+    assert text.startswith("--tolerance 1e-9 is not reached everywhere: source points are float32")
+    assert run("warp", "in.png", "b.png", *grab, "--tolerance", "1e-9", "--strict")[0] == 2
+    assert not os.path.exists("b.png")
+    assert run("warp", "in.png", "c.png", *grab, "--tolerance", "0.0003") == (0, "", "")
+
+
+# What only Python asks for, and says: the command has none of it.
+FOR_PYTHON = (
+    "a Recipe (Recipe.from_json reads one)",
+    "a Recipe, as Recipe.from_json reads one",
+    "requires_grad=True",
+    "True or False",
+    "alpha=True needs",
+    "False for a shape of two axes",
+    "on_change: ",
+    "clamp must be False for",
+)
+PYTHON = re.compile(r"\bNone\b|\bTrue\b|\bFalse\b|(?<![\w-])[a-z]+_\w+|\b[a-z_]+=|\w\(\)|\(\.\.\.\)")
+NUMBERED = ("number", "integer", "length", "point", "refuse", "choice")
+
+
+def messages(path: Path) -> Iterator[str]:
+    """What the calls in a module raise or warn with, as far as it stands there; values are left out."""
+
+    def text(node: ast.AST) -> str:
+        if isinstance(node, ast.JoinedStr):
+            return "".join(text(value) for value in node.values)
+        if isinstance(node, ast.Constant) and isinstance(node.value, str):
+            return node.value
+        return "X" if isinstance(node, ast.FormattedValue) else ""
+
+    for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+        if isinstance(node, ast.Call):
+            name = node.func.id if isinstance(node.func, ast.Name) else getattr(node.func, "attr", "")
+            given = [text(argument) for argument in node.args]
+            if name in NUMBERED and given and given[0]:
+                yield f"{given[0]} must be {' '.join(filter(None, given[1:]))}, found X"
+            elif name.endswith("Error") or name in ("warn", "_warn", "say", "unreadable", "unwritable"):
+                yield from filter(None, given)
+        elif isinstance(node, ast.Assign):
+            yield from (said for part in ast.walk(node.value) if " " in (said := text(part)) and "\n" not in said)
+
+
+def test_the_messages_of_the_library_are_found() -> None:
+    found = [text for path in (Path(SOURCE) / "supple").rglob("*.py") for text in messages(path)]
+    assert len(found) > 400
+    assert any("(on_fold='flow' goes all the way)" in text for text in found)
+    assert any("pass --force (force=True) to replace it" in text for text in found)
+    assert "tolerance must be a number of pixels above 0, found X" in found
+
+
+def test_the_command_speaks_of_options() -> None:
+    left = {}
+    for path in (Path(SOURCE) / "supple").rglob("*.py"):
+        if path.parent.name in ("cuda", "torch") or path.name in ("console.py", "gallery.py"):
+            continue  # called from Python alone; regular expressions; HTML
+        for text in messages(path):
+            if PYTHON.search(as_options(text)) and not any(known in text for known in FOR_PYTHON):
+                left[as_options(text)] = path.name
+    assert left == {}
+
+
+@pytest.mark.parametrize(
+    ("python", "options"),
+    [
+        ("x exists: pass --force (force=True) to replace it", "x exists: pass --force to replace it"),
+        ("(on_fold='flow' goes there, border=None too)", "(--on-fold flow goes there, --border none too)"),
+        ("give --shape, --dtype and --spacing (raw=RawLayout(...))", "give --shape, --dtype and --spacing"),
+        ('say which one by --series (series="1")', "say which one by --series"),
+        ("reach must be 1, or None for no limit, found 0", "--reach must be 1, or none for no limit, found 0"),
+        ("--grab 1,2:3,4: radius must be above 0", "--grab 1,2:3,4: --radius must be above 0"),
+        ("r.json: strokes[0]: reach must be 1", "r.json: strokes[0]: reach must be 1"),
+        ("linear_light needs frames of RGB", "--linear-light needs frames of RGB"),
+        ("cannot read time_scale.png: it is damaged", "cannot read time_scale.png: it is damaged"),
+    ],
+)  # fmt: skip
+def test_messages_of_the_library_as_options(python: str, options: str) -> None:
+    assert as_options(python) == options
+
+
+def test_no_python_in_what_is_said(run: Run) -> None:
+    grab = ("--grab", "20,16:22,16", "--radius", "12")
+    Path("r.json").write_text(
+        '{"supple": 2, "strokes": [{"brush": "grab", "at": [1, 2], "by": [1, 1], "radius": 5, "reach": 0}]}'
+    )
+    Path("out.png").write_bytes(b"mine")
+    for arguments in (
+        ("warp", "in.png", "out.png", *grab),
+        ("warp", "in.png", "b.png", *grab, "--reach", "0.5"),
+        ("warp", "in.png", "b.png", *grab, "--border", "-1"),
+        ("warp", "in.png", "b.png", "--recipe", "r.json"),
+        ("warp", "in.png", "b.png", "--grab", "20,16:60,16", "--radius", "3", "--on-fold", "error"),
+        ("warp", "in.mkv", "b.mkv", *grab, "--linear-light"),
+        ("plot", "in.mkv", "b.png", *grab),
+    ):
+        status, _, err = run(*arguments)
+        assert status == 2, arguments
+        assert not PYTHON.search(err), err
+
+
+@pytest.mark.parametrize("name", ["warp", "plot", "render", "points", "info", "view", "demo"])
+def test_help_has_none_of_the_words_that_were_not_understood(run: Run, name: str) -> None:
+    status, out, _ = run(name, "--help")
+    assert status == 0
+    said = " ".join(out.replace("│", " ").split())
+    for word in (
+        r"\bcards?\b",
+        "keeps areas",
+        "keeps volumes",
+        "[Ww]ho (does|makes|takes)",
+        "is worth to",
+        r"\btells?\b",
+    ):
+        assert not re.search(word, said), word
+
+
+@pytest.mark.skipif(not os.path.exists("/dev/full"), reason="no device that is always full")
+def test_a_batch_whose_output_is_full_is_no_fault_of_ours(run: Run) -> None:
+    with open("/dev/full", "w") as full:
+        made = subprocess.run(
+            [
+                sys.executable,
+                "-m",
+                "supple",
+                "warp",
+                "many",
+                "bent",
+                "--grab",
+                "20,16:22,16",
+                "--radius",
+                "9",
+                "--json",
+            ],
+            env={**os.environ, "PYTHONPATH": SOURCE},
+            stdout=full,
+            stderr=subprocess.PIPE,
+            encoding="utf-8",
+            timeout=300,
+            check=False,
+        )
+    assert made.returncode == 2
+    assert "the system refuses: No space left on device" in made.stderr
+    assert "fault" not in made.stderr

@@ -1,0 +1,136 @@
+"""The commands that tell and show: info, plot, view, help."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import supple
+from supple.media import image
+from tests import clips
+from tests.cli.commands import GRAB, Run, one_line
+
+
+def test_info(run: Run) -> None:
+    status, out, err = run("info", "in.png")
+    assert (status, err) == (0, "")
+    assert "48 x 40" in out
+    run("warp", "in.png", "out.png", *GRAB, "--save-recipe", "r.json")
+    status, out, err = run("info", "in.png", "r.json", "--json")
+    assert (status, err) == (0, "")
+    picture, recipe = map(json.loads, out.splitlines())
+    assert (picture["kind"], picture["width"], picture["height"]) == ("image", 48, 40)
+    assert (recipe["kind"], recipe["strokes"][0]["radius"]) == ("recipe", 12)
+    status, out, err = run("info", "r.json")
+    assert "(20, 16) to (23, 18)" in out
+    status, out, err = run("info", "none.png")
+    assert (status, out) == (2, "")
+    one_line(err)
+
+
+def test_info_of_what_is_nothing_known(run: Run) -> None:
+    Path("README.md").write_text("# Words")
+    status, out, err = run("info", "README.md")
+    assert (status, out) == (2, "")
+    assert one_line(err) == (
+        "supple: cannot read README.md: it is no picture, video, volume or recipe of a known kind: give one of these\n"
+    )
+    Path("cut.png").write_bytes(Path("in.png").read_bytes()[:60])
+    assert "no picture, video" not in run("info", "cut.png")[2]
+
+
+def test_info_says_that_a_rate_varies(run: Run) -> None:
+    clips.make("a.mkv", times=[0, 1, 2, 9, 10, 11, 12, 13, 14, 15])
+    clips.make("b.mkv")
+    assert "at a variable rate" in run("info", "a.mkv")[1]
+    assert "variable" not in run("info", "b.mkv")[1]
+
+
+@pytest.mark.parametrize("what", ["grid", "stretch"])
+def test_plot(run: Run, what: str) -> None:
+    assert run("plot", "in.png", "plot.png", *GRAB, "--what", what) == (0, "", "")
+    assert image.info("plot.png")["format"] == "PNG"
+    status, _, err = run("plot", "in.png", "plot.png", *GRAB)
+    assert status == 2
+    assert "--force" in one_line(err)
+    status, _, err = run("plot", "in.png", "plot.xyz", *GRAB)
+    assert status == 2
+    assert ".xyz" in one_line(err)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "wanted"),
+    [
+        ([], "warp"),
+        (["--help"], "--radius 100"),
+        (["warp", "--help"], "--save-recipe"),
+        (["plot", "--help"], "--what"),
+        (["--version"], f"supple {supple.__version__}"),
+    ],
+)
+def test_help(run: Run, arguments: Sequence[str], wanted: str) -> None:
+    status, out, err = run(*arguments)
+    assert (status, err) == (0, "")
+    assert wanted in out
+
+
+@pytest.fixture
+def viewed(monkeypatch: pytest.MonkeyPatch) -> list[tuple[Any, ...]]:
+    """What windows are asked to show; none is opened."""
+    shown: list[tuple[Any, ...]] = []
+
+    def show(source: str, recipe: Any = None, *, toolkit: str, options: Any) -> None:
+        shown.append((source, recipe, options))
+
+    monkeypatch.setattr("supple.viewer.window.launch.show", show)
+    return shown
+
+
+def test_a_clip_is_viewed_by_a_time_scale(run: Run, viewed: list[tuple[Any, ...]]) -> None:
+    assert run("view", "in.mkv", "--time-scale", "2.5") == (0, "", "")
+    ((source, recipe, options),) = viewed
+    assert (source, recipe, options.time_scale) == ("in.mkv", None, 2.5)
+    for bad in ("0", "nan", "x"):
+        status, _, err = run("view", "in.mkv", "--time-scale", bad)
+        assert status == 2
+        assert f"--time-scale must be a number of pixels above 0, found '{bad}'" in one_line(err)
+    assert len(viewed) == 1
+
+
+def test_a_volume_is_viewed_as_it_is_warped(run: Run, viewed: list[tuple[Any, ...]]) -> None:
+    layout = ["--shape", "6,5,4", "--dtype", "<i2", "--spacing", "1,2,3"]
+    assert run("view", "in.raw", *layout) == (0, "", "")
+    assert run("view", "in", "--series", "2", "--labels") == (0, "", "")
+    assert run("view", "in.nii", "--grab", "1,2,3:1,2,4", "--radius", "3", "--world") == (0, "", "")
+    raw, series, placed = (options for _, _, options in viewed)
+    known = raw.export["volume"].layout
+    assert (known.shape, known.dtype, known.spacing) == ((6, 5, 4), "<i2", (1.0, 2.0, 3.0))
+    assert (series.export["volume"].series, series.export["volume"].labels) == ("2", True)
+    assert placed.volume.world
+    assert not placed.export["volume"].world
+    for bad, text in ((["--shape", "6,5,4"], "both --shape X,Y,Z and --dtype"), (["--world"], "--world is about")):
+        status, _, err = run("view", "in.raw", *bad)
+        assert status == 2
+        assert text in one_line(err)
+
+
+def test_a_fault_of_ours_is_one_line(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(*given: object, **options: object) -> None:
+        raise RuntimeError("two\nlines")
+
+    monkeypatch.delenv("SUPPLE_DEBUG", raising=False)
+    monkeypatch.setattr("supple.files.warp_file", fail)
+    status, out, err = run("warp", "in.png", "out.png", *GRAB)
+    assert (status, out) == (1, "")
+    assert "report it" in one_line(err)
+    Path("out").mkdir()
+    status, out, err = run("warp", "in.png", "out", *GRAB)
+    assert status == 1
+    one_line(err)
+    monkeypatch.setenv("SUPPLE_DEBUG", "1")
+    with pytest.raises(RuntimeError):
+        run("warp", "in.png", "out.png", *GRAB)

@@ -1,0 +1,85 @@
+"""Several pictures in one command: folders, patterns and lists."""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+
+import pytest
+
+from supple.media import image
+from tests.cli.commands import GRAB, Run, noise, one_line, pictures
+
+
+def test_a_folder_goes_into_a_folder(run: Run) -> None:
+    pictures("in")
+    status, out, err = run("warp", "in", "new/out", *GRAB, "--json", "--save-recipe", "r.json")
+    assert status == 2
+    assert "in/bad.png" in one_line(err)
+    assert sorted(os.listdir("new/out")) == ["a.png", "b.jpg"]
+    facts = {line["output"]: line for line in map(json.loads, out.splitlines())}
+    assert sorted(facts) == ["new/out/a.png", "new/out/b.jpg", "new/out/bad.png"]
+    assert "error" in facts["new/out/bad.png"]
+    assert facts["new/out/a.png"]["within"]
+    assert run("warp", "in/a.png", "alone.png", "--recipe", "r.json")[0] == 0
+    assert Path("alone.png").read_bytes() == Path("new/out/a.png").read_bytes()
+
+
+def test_a_pattern_goes_into_a_folder_with_the_names_below(run: Run) -> None:
+    pictures("in")
+    assert run("warp", "in/**/a.png", "out", *GRAB) == (0, "", "")
+    assert sorted(str(p) for p in Path("out").rglob("*.png")) == ["out/a.png", "out/deep/a.png"]
+    status, _, err = run("warp", "in/*.gif", "out", *GRAB)
+    assert status == 2
+    assert "in/*.gif" in one_line(err)
+
+
+def test_several_names_go_into_a_folder(run: Run) -> None:
+    pictures("in")
+    assert run("warp", "in/a.png", "in/b.jpg", "out", *GRAB) == (0, "", "")
+    assert sorted(os.listdir("out")) == ["a.png", "b.jpg"]
+    status, _, err = run("warp", "in/a.png", "in/b.jpg", "out", *GRAB)
+    assert status == 2
+    assert err.count("--force") == err.count("\n") == 2
+    status, _, err = run("warp", "in/a.png", "in/deep/a.png", "out", *GRAB)
+    assert status == 2
+    assert "both" in one_line(err)
+    status, _, err = run("warp", "in/a.png", "in/b.jpg", "in.png", *GRAB)
+    assert status == 2
+    one_line(err)
+
+
+@pytest.mark.parametrize("given", [["in/a.png", "in/b.jpg"], ["in/*.png"], ["in"]])
+def test_several_pictures_do_not_go_into_one(run: Run, given: list[str]) -> None:
+    pictures("in")
+    os.remove("in/bad.png")
+    for target, folder in (("x.png", "x/"), ("deep/X.TIFF", "deep/X/"), ("x%03d.jpg", "bent/"), ("x.nii.gz", "x/")):
+        status, _, err = run("warp", *given, target, *GRAB, "--save-recipe", "r.json")
+        assert status == 2
+        assert f"{target} is the name of one file, and several" in one_line(err)
+        assert err.endswith(f"name one, such as {folder}\n")
+        assert sorted(os.listdir()) == ["in", "in.png"]
+    # A slash says that it is a folder; and so does a folder.
+    assert run("warp", *given, "x.png/", *GRAB) == (0, "", "")
+    assert run("warp", *given, "x.png", *GRAB, "--force") == (0, "", "")
+    assert "a.png" in os.listdir("x.png")
+
+
+def test_one_picture_goes_into_a_folder_that_is_there(run: Run) -> None:
+    Path("out").mkdir()
+    assert run("warp", "in.png", "out", *GRAB) == (0, "", "")
+    assert os.listdir("out") == ["in.png"]
+
+
+def test_brackets_in_a_name_are_a_name(run: Run) -> None:
+    os.rename("in.png", "in[1].png")
+    assert run("warp", "in[1].png", "out[2].png", *GRAB) == (0, "", "")
+    assert sorted(os.listdir()) == ["in[1].png", "out[2].png"]
+
+
+def test_an_error_of_one_of_many_names_it(run: Run) -> None:
+    image.write("b.png", noise(30, 30))
+    status, _, err = run("warp", "in.png", "b.png", "out", "--grab", "9,9:19,9", "--radius", "1", "--on-fold", "error")
+    assert status == 2
+    assert sorted(line.split(":")[1].strip() for line in err.splitlines()) == ["b.png", "in.png"]

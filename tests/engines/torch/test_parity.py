@@ -1,0 +1,41 @@
+"""Tensors against the slow reference: the rows of the table whose types PyTorch has, with channels first."""
+
+from __future__ import annotations
+
+import os
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from supple import Deformation
+from tests.engines.table import Limits, Row, rows
+
+if os.environ.get("SUPPLE_TEST_TORCH") == "1":
+    import torch
+else:
+    torch = pytest.importorskip("torch")
+
+import supple.torch as bending
+
+pytestmark = pytest.mark.filterwarnings("ignore::supple.FoldWarning")
+
+ROWS = [
+    *rows(["image", "image, local"], ("bool", "u1", "i2", "f4", "f8"), few=True),
+    *(row for row in rows(["clip", "volume"], ("u1", "f4"), few=True) if not row.average),
+]
+
+
+def by_torch(d: Deformation, source: npt.NDArray[Any], **options: Any) -> npt.NDArray[Any]:
+    for what in ("alpha", "time_filter"):
+        options.pop(what, None)
+    bare = source.ndim == d.ndim
+    tensor = torch.from_numpy(source if bare else np.ascontiguousarray(np.moveaxis(source, -1, 0)))
+    made = bending.warp(tensor, d, tolerance=1e-5, **options).detach().numpy()
+    return made if bare else np.moveaxis(made, 0, -1)
+
+
+@pytest.mark.parametrize("row", ROWS, ids=str)
+def test_rows(row: Row) -> None:
+    row.check(by_torch, Limits(3e-4), (0, 1, 3))

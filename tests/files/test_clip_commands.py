@@ -1,0 +1,368 @@
+"""What the command line tells of clips: JSON, progress, plots, interrupts, full disks."""
+
+from __future__ import annotations
+
+import json
+import os
+import pty
+import resource
+import select
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Sequence
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import supple
+import supple.media.video
+from supple.files.plots import plot_file
+from supple.media import image
+from tests import clips
+from tests.children import HEARING, SOURCE
+from tests.files.clip_files import GRAB, GRAB_2D, TIMED, Run, noisy, pictures, refused, same_frames
+
+
+def test_a_sheet_shows_where_strokes_act(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    noisy("in.mkv", count=80)
+    seen: list[list[int]] = []
+    monkeypatch.setattr(
+        "supple.files.plots.draw_sheet", lambda before, *rest, **named: seen.append([k for k, _ in before])
+    )
+    local = supple.Recipe(strokes=[supple.Stroke.grab((30, 20, 40), by=(4, 0, 0), radius=6, scales=3)], border=None)
+    everywhere = supple.Recipe(strokes=[supple.Stroke.grab((30, 20), by=(4, 0), radius=6)])
+    still = supple.Recipe(strokes=[supple.Stroke.grab((30, 20, 40), by=(0, 0, 0), radius=6)])
+    for recipe in (local, everywhere, still):
+        plot_file("in.mkv", "out.png", recipe, "sheet")
+    assert len(seen[0]) == 6
+    assert 25 < seen[0][0] < 40 < seen[0][-1] < 55
+    assert 40 - seen[0][0] == seen[0][-1] - 40
+    assert seen[1] == seen[2] == [0, 16, 32, 47, 63, 79]
+
+
+def test_several_videos_go_into_a_folder(run: Run) -> None:
+    clips.make("a.mp4", count=12)
+    noisy("b.mkv", "yuv420p")
+    Path("bad.mp4").write_text("hello")
+    status, out, err = run("warp", "a.mp4", "b.mkv", "bad.mp4", "out", *GRAB, "--json")
+    assert status == 2
+    assert err.count("\n") == 1
+    assert "bad.mp4" in err
+    facts = {line["output"]: line for line in map(json.loads, out.splitlines())}
+    assert facts["out/a.mp4"]["frames"] == facts["out/b.mkv"]["frames"] == 12
+    assert "error" in facts["out/bad.mp4"]
+    assert sorted(os.listdir("out")) == ["a.mp4", "b.mkv"]
+    assert run("warp", "b.mkv", "alone.mkv", *GRAB) == (0, "", "")
+    same_frames("alone.mkv", "out/b.mkv")
+    os.unlink("bad.mp4")
+    assert run("warp", "*.m*", "again", *GRAB) == (0, "", "")
+    assert sorted(os.listdir("again")) == ["a.mp4", "alone.mkv", "b.mkv"]
+    assert run("warp", "*.mp4", "third", *GRAB) == (0, "", "")
+    assert os.listdir("third") == ["a.mp4"]
+    os.mkdir("there")
+    assert run("warp", "a.mp4", "there", *GRAB) == (0, "", "")
+    assert sorted(os.listdir("there")) == [f"{k:05d}.png" for k in range(1, 13)]  # of one clip, a folder takes pictures
+
+
+def test_json_tells_what_was_done(run: Run) -> None:
+    noisy("in.mkv", "yuv420p")
+    status, out, err = run("warp", "in.mkv", "out.mkv", *GRAB, "--json")
+    assert (status, err) == (0, "")
+    facts = json.loads(out)
+    expected = {"input": "in.mkv", "output": "out.mkv", "width": 64, "height": 48, "frames": 12, "still": 0}
+    expected["copied"] = 0
+    assert expected.items() <= facts.items()
+    assert 0 < facts["error"] <= facts["tolerance"] == 0.01
+    assert (facts["strokes"], facts["applied"], facts["damping"]) == (1, 1, [1.0])
+    status, out, err = run("warp", "in.mkv", "none/out.mkv", *GRAB, "--json")
+    assert status == 2
+    assert json.loads(out)["error"] in err
+    status, out, err = run("plot", "in.mkv", "p.png", *GRAB, "--what", "sheet", "--json")
+    assert (status, err) == (0, "")
+    assert json.loads(out)["what"] == "sheet"
+
+
+def test_damping_is_one_line_unless_quiet(run: Run) -> None:
+    noisy("in.mkv", "yuv420p")
+    strong = ["--grab", "30,20,3:30,20,11", "--radius", "3", "--force", "--on-fold", "damp"]
+    status, out, err = run("warp", "in.mkv", "out.mkv", *strong)
+    assert (status, out) == (0, "")
+    assert err.count("\n") == 1
+    assert "--on-fold flow" in err
+    assert run("warp", "in.mkv", "out.mkv", *strong, "--quiet") == (0, "", "")
+    refused(run("warp", "in.mkv", "out.mkv", *strong[:-1], "error"), "folds")
+
+
+def environment(**more: str) -> dict[str, str]:
+    return {**os.environ, "PYTHONPATH": SOURCE, **more}
+
+
+def watched(*arguments: str) -> tuple[int, str]:
+    """Run a command whose messages go to a terminal."""
+    terminal, inside = pty.openpty()
+    process = subprocess.Popen(
+        [sys.executable, "-m", "supple", *arguments],
+        env=environment(TERM="xterm", COLUMNS="100"),
+        stdout=subprocess.DEVNULL,
+        stderr=inside,
+    )
+    os.close(inside)
+    shown = b""
+    while select.select([terminal], [], [], 200)[0]:
+        try:
+            got = os.read(terminal, 4096)
+        except OSError:  # all is read
+            break
+        if not got:
+            break
+        shown += got
+    os.close(terminal)
+    return process.wait(), shown.decode()
+
+
+def test_progress_is_for_terminals(here: Path) -> None:
+    noisy("in.mkv", "yuv420p")
+    status, shown = watched("warp", "in.mkv", "out.mkv", *GRAB)
+    assert status == 0
+    for word in ("planning", "frames", "12/12", "frames/s"):
+        assert word in shown, word
+    status, shown = watched("warp", "in.mkv", "flat.mkv", *GRAB_2D)
+    assert status == 0
+    assert "12/12" in shown
+    assert "planning" not in shown
+    assert watched("warp", "in.mkv", "quiet.mkv", *GRAB, "--quiet") == (0, "")
+
+
+@pytest.mark.parametrize("options", [["--x", "20"], ["--y", "47"]])
+@pytest.mark.parametrize("suffix", [".png", ".svg", ".pdf"])
+def test_slices(run: Run, options: list[str], suffix: str) -> None:
+    noisy("in.mkv", "yuv420p")
+    assert run("plot", "in.mkv", f"out{suffix}", *GRAB, "--what", "slice", *options) == (0, "", "")
+    assert sorted(os.listdir()) == ["in.mkv", f"out{suffix}"]
+    starts = {".png": b"\x89PNG", ".svg": b"<?xml", ".pdf": b"%PDF"}
+    assert Path(f"out{suffix}").read_bytes().startswith(starts[suffix])
+
+
+def test_plots_show_what_warp_makes(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    frames = pictures("in", 12)
+    bent = supple.Deformation.from_recipe(TIMED, frames.shape[:3]).warp(frames)
+    shown: list[Any] = []
+    for name in ("draw_slice", "draw_sheet"):
+        monkeypatch.setattr(f"supple.files.plots.{name}", lambda *given, **options: shown.append((given, options)))
+    plot_file("in", "out.png", TIMED, "slice", x=20)
+    plot_file("in", "out.png", TIMED, "slice", y=47)
+    plot_file("in", "out.png", TIMED, "sheet")
+    (column, _), (row, _), (sheet, _) = shown
+    np.testing.assert_array_equal(column[0], frames[:, :, 20])
+    np.testing.assert_array_equal(column[1], bent[:, :, 20])
+    np.testing.assert_array_equal(row[0], frames[:, 47])
+    np.testing.assert_array_equal(row[1], bent[:, 47])
+    for drawn, expected in zip(sheet[:2], (frames, bent), strict=True):
+        assert [k for k, _ in drawn] == [0, 2, 4, 7, 9, 11]
+        np.testing.assert_array_equal(np.stack([frame for _, frame in drawn]), expected[[0, 2, 4, 7, 9, 11]])
+
+
+@pytest.mark.parametrize("what", ["grid", "stretch", "axes", "residual", "iterations"])
+@pytest.mark.parametrize("grab", [GRAB, GRAB_2D])
+def test_maps_of_one_frame(run: Run, what: str, grab: Sequence[str]) -> None:
+    noisy("in.mkv", "yuv420p")
+    refused(run("plot", "in.mkv", "out.png", *grab, "--what", what), "from 0 to 11 (--frame)")
+    assert run("plot", "in.mkv", "out.png", *grab, "--what", what, "--frame", "5") == (0, "", "")
+    assert image.info("out.png")["format"] == "PNG"
+
+
+def test_plots_of_sequences_and_of_one_frame(run: Run) -> None:
+    pictures("in", 6)
+    noisy("one.mkv", "yuv420p", 1)
+    grab = ["--grab", "30,20,0:33,22,0", "--radius", "9", "--force"]
+    for source in ("in/%03d.png", "in", "one.mkv"):
+        for what in (["sheet"], ["slice", "--x", "3"], ["grid", "--frame", "0"]):
+            assert run("plot", source, "out.png", *grab, "--what", *what) == (0, "", "")
+
+
+PLOTS_REFUSED = [
+    (["--what", "slice"], "--x or --y"),
+    (["--what", "slice", "--x", "3", "--y", "4"], "--x or --y"),
+    (["--what", "slice", "--x", "64"], "--x must be from 0 to 63"),
+    (["--what", "slice", "--x", "2.5"], "--x must be a whole number of pixels, found '2.5'"),
+    (["--what", "grid", "--frame", "2.5"], "--frame must be a whole number, counted from 0, found '2.5'"),
+    (["--what", "grid", "--frame", "99"], "--frame must be from 0 to 11, found 99"),
+    (["--what", "grid", "--x", "3"], "--x and --y are for slices"),
+    (["--what", "slice", "--y", "48"], "--y must be from 0 to 47"),
+    (["--what", "slice", "--x", "-1"], "--x must be from 0 to 63"),
+    (["--what", "slice", "--x", "9" * 30], "--x must be from 0 to 63"),
+    (["--what", "slice", "--x", "nan"], "--x"),
+    (["--what", "slice", "--x", "3", "--frame", "2"], "--frame"),
+    (["--what", "sheet", "--frame", "2"], "--frame"),
+    (["--what", "sheet", "--x", "2"], "slices"),
+    (["--what", "grid", "--frame", "2", "--y", "2"], "slices"),
+    (["--frame", "12"], "from 0 to 11"),
+    (["--frame", "-1"], "from 0 to 11"),
+    (["--what", "movie"], "movie"),
+    (["--what", "sheet", "--codec", "h264"], "--codec is for videos"),
+    (["--what", "sheet", "--crf", "20"], "--crf is for videos"),
+    (["--what", "sheet", "--fps", "20"], "--fps"),
+]
+
+
+@pytest.mark.parametrize(("options", "wanted"), PLOTS_REFUSED)
+def test_a_plot_that_cannot_be_is_one_line(run: Run, options: list[str], wanted: str) -> None:
+    noisy("in.mkv", "yuv420p")
+    refused(run("plot", "in.mkv", "out.png", *GRAB, *options), wanted)
+    assert os.listdir() == ["in.mkv"]
+
+
+@pytest.mark.parametrize("target", ["out.jpg", "out.mp4", "out", "no/out.png", "taken.png", "in.mkv"])
+def test_a_plot_that_cannot_be_written_is_one_line(run: Run, target: str) -> None:
+    noisy("in.mkv", "yuv420p")
+    kept = Path("in.mkv").read_bytes()
+    Path("taken.png").write_text("precious")
+    refused(run("plot", "in.mkv", target, *GRAB, "--what", "sheet"), target)
+    assert Path("taken.png").read_text() == "precious"
+    assert Path("in.mkv").read_bytes() == kept
+    assert sorted(os.listdir()) == ["in.mkv", "taken.png"]
+
+
+def start(*arguments: str, **options: Any) -> subprocess.Popen[str]:
+    return subprocess.Popen(
+        [sys.executable, "-m", "supple", *arguments],
+        env=environment(TMPDIR=os.path.abspath("tmp")),
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        encoding="utf-8",
+        preexec_fn=options.pop("preexec_fn", HEARING),
+        **options,
+    )
+
+
+def hidden() -> list[str]:
+    """What is being written."""
+    found = []
+    for folder, folders, files in os.walk("."):
+        found += [os.path.join(folder, name) for name in folders + files if name.startswith(".")]
+    return found
+
+
+@pytest.fixture(scope="module")
+def long(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A clip that takes far longer to bend than it takes to notice that this has begun."""
+    return clips.make(tmp_path_factory.mktemp("long") / "long.mp4", count=1500, size=(320, 240))
+
+
+@pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["long.mp4", "out.mp4"],
+        ["long.mp4", "out.mp4", "--memory", "0"],
+        ["long.mp4", "frames/%05d.png"],
+        ["long.mp4", "frames"],
+        ["long.mp4", "other.mp4", "batch"],
+    ],
+    ids=["single", "spilled", "pattern", "folder", "batch"],
+)
+def test_an_interrupt_leaves_nothing(here: Path, long: Path, arguments: list[str], number: int, status: int) -> None:
+    for name in ("long.mp4", "other.mp4"):
+        os.link(long, name)
+    os.mkdir("tmp")
+    os.mkdir("batch")
+    strokes = ["--grab", "100,100,500:150,120,520", "--radius", "200", "--border", "none", "--quiet"]
+    process = start("warp", *arguments, *strokes)
+    end = time.monotonic() + 200
+    while not hidden():
+        assert process.poll() is None, process.communicate()
+        assert time.monotonic() < end
+        time.sleep(0.002)
+    time.sleep(0.2)
+    process.send_signal(number)
+    out, err = process.communicate(timeout=200)
+    word = "interrupted" if status == 130 else "terminated"
+    assert (process.returncode, out, err) == (status, "", f"supple: {word}\n")
+    assert hidden() == []
+    assert os.listdir("tmp") == os.listdir("batch") == []
+    assert sorted(os.listdir()) == ["batch", "long.mp4", "other.mp4", "tmp"]
+
+
+@pytest.mark.parametrize(
+    ("target", "options", "wanted"),
+    [
+        ("out.mp4", [], "cannot write out.mp4"),
+        ("out.mkv", [], "cannot write out.mkv"),
+        ("frames/%03d.png", [], "001.png"),
+        ("frames", [], "00001.png"),
+        ("out.mkv", ["--memory", "0"], "no room"),
+    ],
+)
+def test_a_full_disk_is_one_line(here: Path, target: str, options: list[str], wanted: str) -> None:
+    def little() -> None:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (3000, 3000))
+
+    os.mkdir("tmp")
+    noisy("in.mkv", "yuv420p")
+    process = start("warp", "in.mkv", target, *GRAB, *options, preexec_fn=little)
+    out, err = process.communicate(timeout=200)
+    assert (process.returncode, out) == (2, ""), err
+    assert err.startswith("supple: ")
+    assert err.count("\n") == 1
+    assert wanted in err
+    assert os.listdir("tmp") == []
+    assert sorted(os.listdir()) == ["in.mkv", "tmp"]
+
+
+def test_info_of_videos_and_sequences(run: Run) -> None:
+    def setup(stream: Any) -> None:
+        stream.set_display_rotation(90)
+        context = stream.codec_context
+        context.sample_aspect_ratio = Fraction(4, 3)
+        context.color_range, context.colorspace, context.color_primaries, context.color_trc = 1, 9, 9, 16
+
+    clips.make("a.mp4", count=12, audio="aac", setup=setup)
+    pictures("in", 6)
+    clips.make("b.gif", "gif", "rgb8", count=3)
+    status, out, err = run("info", "a.mp4", "in", "in/%03d.png", "b.gif")
+    assert (status, err) == (0, "")
+    for words in ("h264", "64 x 48", "12, 25 a second, 0.480 s", "yuv420p, 8 bit", "aac (fin)", "range limited"):
+        assert words in out, words
+    assert "primaries BT.2020, transfer PQ, matrix BT.2020" in out
+    assert "90° counterclockwise, applied when it is played" in out
+    assert "pixels are 4/3 as wide as high" in out
+    assert out.count("6, from in/001.png to in/006.png") == 2
+    status, out, err = run("info", "a.mp4", "in", "b.gif", "--json")
+    assert (status, err) == (0, "")
+    video, sequence, gif = map(json.loads, out.splitlines())
+    expected = {"kind": "video", "codec": "h264", "frames": 12, "rate": "25", "duration": 0.48, "aspect": "4/3"}
+    assert expected.items() <= video.items()
+    assert {"width": 64, "height": 48, "rotation": 90, "primaries": "BT.2020", "audio": ["aac (fin)"]}.items() <= (
+        video.items()
+    )
+    assert {"kind": "sequence", "frames": 6, "width": 64, "height": 48, "dtype": "uint8"}.items() <= sequence.items()
+    assert (gif["kind"], gif["frames"]) == ("video", 3)
+
+
+def test_info_goes_on_after_a_bad_file(run: Run) -> None:
+    clips.make("a.mp4", count=2)
+    Path("text.mp4").write_text("hello")
+    status, out, err = run("info", "text.mp4", "a.mp4", "missing.png")
+    assert status == 2
+    assert "a.mp4:\n" in out
+    assert [line.split(":")[1].strip() for line in err.splitlines()] == [
+        "cannot read text.mp4",
+        "cannot read missing.png",
+    ]
+    status, out, err = run("info", "text.mp4", "a.mp4", "--json")
+    assert status == 2
+    bad, good = map(json.loads, out.splitlines())
+    assert bad["error"] in err
+    assert good["frames"] == 2
+
+
+def test_info_of_a_video_without_suffix(run: Run) -> None:
+    os.rename(clips.make("a.mp4", count=2), "a")
+    status, out, err = run("info", "a")
+    assert (status, err) == (0, "")
+    assert "h264" in out

@@ -1,0 +1,393 @@
+"""Videos from file to file: what is written is what warp makes, and what is copied."""
+
+from __future__ import annotations
+
+import os
+import warnings
+from dataclasses import replace
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import supple
+import supple.media.video
+from supple.files import warp_file
+from supple.files.clips import ClipOptions, WarpedClip
+from supple.media import image
+from supple.media.video import info, open_video
+from supple.media.video.errors import ClipWarning, CountError
+from tests import clips
+from tests.files.clip_files import FLAT, GRAB, GRAB_2D, TIMED, Run, noisy, pictures, refused, same_frames, stack
+
+LOSSLESS = ClipOptions(codec="ffv1")
+
+
+@pytest.mark.parametrize("pixel_format", ["gray", "yuv444p", "yuv444p10le", "gbrp10le"])
+@pytest.mark.parametrize("recipe", [TIMED, FLAT])
+def test_a_file_is_what_warp_makes(here: Path, pixel_format: str, recipe: supple.Recipe) -> None:
+    if pixel_format == "gray":
+        frames = pictures("in", channels=1, count=12)
+        frames = frames[..., 0]
+        made = warp_file("in/%03d.png", "out.mkv", recipe, clip=LOSSLESS)
+    else:
+        frames = stack(noisy("in.mkv", pixel_format))
+        made = warp_file("in.mkv", "out.mkv", recipe)
+    assert isinstance(made, WarpedClip)
+    assert made.frames == len(frames) == 12
+    assert 0 < made.error <= made.tolerance == 0.01
+    timed = recipe is TIMED
+    d = supple.Deformation.from_recipe(recipe, frames.shape[:3] if timed else frames.shape[1:3])
+    wide = pixel_format.endswith("10le")
+    expected = d.warp(frames) if timed else np.stack([d.warp(frame) for frame in frames])
+    got = stack("out.mkv")
+    assert (expected != frames).any()
+    if wide:  # where cubics overshoot, they are cut off at 1023, not at 65535
+        assert got.max() <= 1023
+        expected = np.minimum(expected, 1023)
+    np.testing.assert_array_equal(got, expected)
+
+
+def test_luma_is_bent_as_a_plane_of_its_own(here: Path) -> None:
+    luma = np.stack([f.to_ndarray()[:48] for f in clips.decoded(noisy("in.mkv", "yuv420p"))])
+    warp_file("in.mkv", "out.mkv", TIMED)
+    after = np.stack([f.to_ndarray()[:48] for f in clips.decoded("out.mkv")])
+    d = supple.Deformation.from_recipe(TIMED, luma.shape)
+    np.testing.assert_array_equal(after, d.warp(luma))
+
+
+@pytest.mark.parametrize(
+    "pixel_format",
+    ["yuv420p", "yuv422p10le", "yuv444p12le", "gray", "gray16le", "gbrp12le", "bgr0", "yuva420p"],
+)
+@pytest.mark.parametrize("size", [(64, 48), (63, 47)])
+def test_without_force_no_bit_changes(here: Path, pixel_format: str, size: tuple[int, int]) -> None:
+    noisy("in.mkv", pixel_format, 5, size=size)
+    still = supple.Recipe(strokes=(supple.Stroke.grab((3, 3, 2), by=(0, 0, 0), radius=10),))
+    warp_file("in.mkv", "out.mkv", still, lossless=True)  # encoded anew
+    assert Path("out.mkv").read_bytes() != b""
+    same_frames("in.mkv", "out.mkv")
+    assert clips.when("in.mkv") == clips.when("out.mkv")
+
+
+def test_where_nothing_moves_frames_are_passed_on(here: Path) -> None:
+    noisy("in.mkv", "yuv420p", 40)
+    fixed = supple.Recipe(border=5, strokes=(supple.Stroke.grab((30, 20, 3), by=(0.5, 0.5, 0.5), radius=2, scales=3),))
+    made = warp_file("in.mkv", "out.mkv", fixed, tolerance=0.05)
+    assert isinstance(made, WarpedClip)
+    assert 0 < made.still < 40
+    before, after = clips.decoded("in.mkv"), clips.decoded("out.mkv")
+    same = [clips.rows(a) == clips.rows(b) for a, b in zip(before, after, strict=True)]
+    assert sum(same) >= made.still
+    assert not all(same)
+
+
+def test_a_stroke_in_the_middle_leaves_the_frames_out_of_its_reach_alone(here: Path) -> None:
+    noisy("in.mkv", "yuv420p", 120)
+    stroke = supple.Stroke.grab((30, 20, 60), to=(33, 22, 64), radius=5)
+    made = warp_file("in.mkv", "out.mkv", supple.Recipe(strokes=(stroke,)))
+    assert isinstance(made, WarpedClip)
+    before, after = clips.decoded("in.mkv"), clips.decoded("out.mkv")
+    same = [clips.rows(a) == clips.rows(b) for a, b in zip(before, after, strict=True)]
+    reach = 4 * 5  # radii, of as many frames
+    assert all(same[: 60 - reach])
+    assert all(same[64 + reach + 1 :])
+    assert not any(same[55:70])
+    assert made.still >= 120 - (2 * reach + 4 + 1)
+
+
+@pytest.mark.parametrize(
+    ("codec", "pixel_format", "suffix", "options"),
+    [
+        ("ffv1", "yuv420p", "mkv", {"g": "1"}),
+        ("ffv1", "yuv444p10le", "avi", {"g": "1", "level": "3"}),
+        ("prores_ks", "yuv422p10le", "mov", {}),
+        ("prores_ks", "yuv422p10le", "mkv", {"profile": "lt"}),
+        ("mjpeg", "yuvj420p", "avi", {}),
+        ("mjpeg", "yuvj422p", "mov", {}),
+    ],
+)
+def test_packets_of_still_frames_are_copied(
+    here: Path, codec: str, pixel_format: str, suffix: str, options: dict[str, str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    times = None if suffix == "avi" else [k + (k > 3) * 2 for k in range(60)]
+    source = clips.make(
+        f"in.{suffix}", codec, pixel_format, count=60, smooth=False, options=options, times=times, audio="pcm_s16le"
+    )
+    local = supple.Recipe(strokes=(supple.Stroke.grab((30, 20, 30), to=(33, 22, 32), radius=3),))
+    made = warp_file(source, f"out.{suffix}", local)
+    assert isinstance(made, WarpedClip)
+    assert made.copied == made.still >= 30
+    before, after = (clips.parcels(f"{name}.{suffix}", "video") for name in ("in", "out"))
+    assert [when for _, *when in before] == [when for _, *when in after]
+    copies = [a == b for (a, *_), (b, *_) in zip(before, after, strict=True)]
+    assert copies[:17] == [True] * 17
+    assert copies[46:] == [True] * 14
+    assert not any(copies[28:34])
+    # What is encoded is what it is without copies, and of the still frames of FFV1 all are.
+    monkeypatch.setattr("supple.media.video.encode._ALONE", ())
+    anew = warp_file(source, f"anew.{suffix}", local)
+    assert isinstance(anew, WarpedClip)
+    assert (anew.copied, anew.still) == (0, made.still)
+    frames, others = clips.decoded(f"out.{suffix}"), clips.decoded(f"anew.{suffix}")
+    assert len(frames) == len(others) == 60
+    for k, (one, other) in enumerate(zip(frames, others, strict=True)):
+        if codec == "ffv1" or not copies[k]:
+            assert clips.rows(one) == clips.rows(other)
+
+
+@pytest.mark.parametrize(
+    ("codec", "target", "options"),
+    [
+        ("ffv1", "out.mkv", ClipOptions()),  # its key frames are 12 apart, as the header says
+        ("mjpeg", "out.mkv", ClipOptions(codec="ffv1")),
+        ("mjpeg", "out.avi", ClipOptions(pixel_format="yuvj444p")),
+        ("libx264", "out.mkv", ClipOptions()),
+    ],
+)
+def test_packets_that_do_not_fit_are_not_copied(here: Path, codec: str, target: str, options: ClipOptions) -> None:
+    form = "yuvj420p" if codec == "mjpeg" else "yuv420p"
+    source = clips.make("in.mkv", codec, form, count=60, options={"g": "12"})
+    local = supple.Recipe(strokes=(supple.Stroke.grab((30, 20, 30), to=(33, 22, 32), radius=3),))
+    made = warp_file(source, target, local, clip=options)
+    assert isinstance(made, WarpedClip)
+    assert made.still > 0 == made.copied
+    assert len(clips.decoded(target)) == 60
+
+
+def test_sound_times_and_frames_come_through(here: Path) -> None:
+    times = [0, 40, 90, 120, 200, 210, 260, 300, 333, 360, 400, 450]
+    clips.make("in.mp4", count=12, audio="aac", times=times, base=Fraction(1, 1000))
+    made = warp_file("in.mp4", "out.mp4", TIMED)
+    assert isinstance(made, WarpedClip)
+    assert made.frames == len(clips.decoded("out.mp4")) == 12
+    assert clips.when("in.mp4") == clips.when("out.mp4")
+    assert clips.parcels("in.mp4", "audio") == clips.parcels("out.mp4", "audio")
+    assert info("out.mp4")["codec"] == "h264"
+
+
+@pytest.mark.parametrize("name", ["out.mp4", "out.mov", "out.mkv", "out.webm", "out.avi", "out.gif", "OUT.MP4"])
+def test_every_container(here: Path, name: str) -> None:
+    clips.make("in.mp4", count=5)
+    strokes = (supple.Stroke.grab((30, 20, 1), to=(33, 22, 3), radius=10),)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ClipWarning)
+        warp_file("in.mp4", name, supple.Recipe(border=None, strokes=strokes))
+    facts = info(name)
+    assert (facts["frames"], facts["width"], facts["height"]) == (5, 64, 48)
+
+
+def test_a_gif_stays_a_gif(here: Path, run: Run) -> None:
+    clips.make("in.gif", "gif", "rgb8", count=6, rate=25)
+    for k, grab in enumerate((("--grab", "30,20,1:33,22,4"), ("--grab", "30,20:33,22"))):
+        assert run("warp", "in.gif", f"out{k}.gif", *grab, "--radius", "10", "--border", "none") == (0, "", "")
+        assert info(f"out{k}.gif")["frames"] == 6
+        assert clips.when("in.gif") == clips.when(f"out{k}.gif")
+    assert Path("out0.gif").read_bytes() != Path("in.gif").read_bytes()
+    assert run("warp", "in.gif", "f%02d.png", *GRAB_2D) == (0, "", "")
+    assert len(list(Path().glob("f*.png"))) == 6
+
+
+def test_lossless_is_ffv1(run: Run) -> None:
+    clips.make("in.mp4", count=4)
+    assert run("warp", "in.mp4", "out.mkv", *GRAB_2D, "--lossless") == (0, "", "")
+    assert info("out.mkv")["codec"] == "ffv1"
+    frames = np.stack([f.to_ndarray()[:48] for f in clips.decoded("in.mp4")])
+    d = supple.Deformation.from_recipe(FLAT, (48, 64))
+    got = np.stack([f.to_ndarray()[:48] for f in clips.decoded("out.mkv")])
+    np.testing.assert_array_equal(got, np.stack([d.warp(frame) for frame in frames]))
+
+
+def test_options_reach_the_sampler_and_the_encoder(run: Run) -> None:
+    frames = stack(noisy("in.mkv", "yuv444p", 9))
+    luma = 0.299 * 200 + 0.587 * 30 + 0.114 * 60  # of BT.601
+    chroma = [128 + 224 / 255 * (60 - luma) / 1.772, 128 + 224 / 255 * (200 - luma) / 1.402]
+    fill = [16 + 219 / 255 * luma, *chroma]
+    options = ["--filter", "linear", "--outside", "constant", "--fill", "200,30,60", "--tolerance", "0.1", "--between"]
+    more = ["--time-scale", "2", "--time-filter"]
+    strokes = ["--grab", "5,20,3:30,22,6", "--radius", "15", "--border", "none", "--quiet"]
+    assert run("warp", "in.mkv", "out.mkv", *strokes, *options, "cubic", *more) == (0, "", "")
+    d = supple.Deformation(frames.shape[:3], border=None, spacing=(1, 1, 2))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", supple.FoldWarning)
+        d = d.grab((5, 20, 3), to=(30, 22, 6), radius=15)
+    settings: dict[str, Any] = {"filter": "linear", "outside": "constant", "fill": fill, "tolerance": 0.1}
+    expected = d.warp(frames, **settings, between="cubic", time_filter=True)
+    np.testing.assert_array_equal(stack("out.mkv"), expected)
+    plain = supple.Deformation(frames.shape[:3], border=None)
+    assert (d.forward((5.0, 20.0, 4.0)) != plain.forward((5.0, 20.0, 4.0))).any()
+    encoder = ["--codec", "libx265", "--crf", "30", "--preset", "ultrafast", "--pixel-format", "yuv420p10le"]
+    status, _, err = run("warp", "in.mkv", "out.mp4", *GRAB, *encoder)
+    assert status == 0
+    assert "loses detail of colours" in err
+    facts = info("out.mp4")
+    assert (facts["codec"], facts["pixel_format"]) == ("hevc", "yuv420p10le")
+
+
+def test_a_window_on_disk_gives_the_same(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    noisy("in.mkv", "yuv420p")
+    Path("tmp").mkdir()
+    monkeypatch.setattr("tempfile.tempdir", str(here / "tmp"))
+    used: list[int] = []
+    from supple import buffers
+
+    reserve = buffers.reserve
+    monkeypatch.setattr(buffers, "reserve", lambda file, size: (used.append(size), reserve(file, size)))
+    warp_file("in.mkv", "a.mkv", TIMED)
+    assert used == []
+    made = warp_file("in.mkv", "b.mkv", TIMED, clip=ClipOptions(memory=0))
+    assert isinstance(made, WarpedClip)
+    assert used == [made.held * 64 * 48 * 3 // 2]
+    same_frames("a.mkv", "b.mkv")
+    assert os.listdir("tmp") == []
+
+
+def test_where_nothing_is_asked_the_file_is_copied(run: Run) -> None:
+    clips.make("in.mp4", count=4, audio="aac")
+    none = ["--grab", "30,20,1:30,20,1", "--radius", "10"]
+    assert run("warp", "in.mp4", "out.mp4", *none) == (0, "", "")
+    assert Path("out.mp4").read_bytes() == Path("in.mp4").read_bytes()
+    assert run("warp", "in.mp4", "crf.mp4", *none, "--crf", "40") == (0, "", "")
+    assert Path("crf.mp4").read_bytes() != Path("in.mp4").read_bytes()
+    refused(run("warp", "in.mp4", "out.mp4", *none), "--force")
+    refused(run("warp", "in.mp4", "q.mp4", *none, "--quality", "50"), "crf")
+
+
+def test_a_clip_may_replace_itself_with_force_alone(run: Run) -> None:
+    clips.make("in.mp4", count=12, audio="aac")
+    kept = Path("in.mp4").read_bytes()
+    os.symlink("in.mp4", "link.mp4")
+    for name in ("in.mp4", "./in.mp4", "link.mp4"):
+        refused(run("warp", "in.mp4", name, *GRAB), "--force")
+    assert Path("in.mp4").read_bytes() == kept
+    assert run("warp", "in.mp4", "link.mp4", *GRAB, "--force") == (0, "", "")
+    assert Path("link.mp4").is_symlink()
+    assert Path("in.mp4").read_bytes() != kept
+    assert info("in.mp4")["frames"] == 12
+    assert sorted(os.listdir()) == ["in.mp4", "link.mp4"]
+
+
+def test_one_frame(here: Path) -> None:
+    frames = stack(noisy("in.mkv", "yuv444p", 1))
+    recipe = supple.Recipe(border=None, strokes=(supple.Stroke.grab((30, 20, 0), to=(34, 23, 0), radius=12),))
+    warp_file("in.mkv", "out.mkv", recipe)
+    np.testing.assert_array_equal(
+        stack("out.mkv"), supple.Deformation.from_recipe(recipe, frames.shape[:3]).warp(frames)
+    )
+    warp_file("in.mkv", "f%d.png", recipe)
+    assert image.read("f1.png").pixels.shape == (48, 64, 3)
+
+
+def test_the_library_tells_how_far_it_is_and_may_be_stopped(here: Path) -> None:
+    noisy("in.mkv", "yuv420p")
+    steps: list[str] = []
+    warp_file("in.mkv", "out.mkv", TIMED, progress=steps.append)
+    assert steps[0] == "write"
+    assert steps.count("warp") == 12
+    assert set(steps) == {"write", "plan", "warp"}
+
+    def stop(step: str) -> None:
+        if step == "warp":
+            raise KeyboardInterrupt
+
+    for target in ("b.mkv", "b%d.png", "b"):
+        with pytest.raises(KeyboardInterrupt):
+            warp_file("in.mkv", target, TIMED, progress=stop)
+    assert sorted(os.listdir()) == ["in.mkv", "out.mkv"]
+
+
+@pytest.mark.parametrize("name", ["yuv420p", "yuv420p10le", "yuvj444p", "yuva420p", "gray", "gbrp"])
+@pytest.mark.parametrize("fill", ["255,0,0", "255"])
+def test_a_fill_is_a_colour_in_any_planes(run: Run, name: str, fill: str) -> None:
+    clips.make("in.nut", "rawvideo", name, count=2)
+    white = 1023 if "10" in name else 255
+    colour = [int(value) * white // 255 for value in fill.split(",")]
+    text = ",".join(map(str, colour))
+    strokes = ["--grab", "5,24:60,24", "--radius", "60", "--border", "none", "--quiet"]
+    status, _, err = run(
+        "warp", "in.nut", "out.mkv", *strokes, "--codec", "ffv1", "--outside", "constant", "--fill", text
+    )
+    if name == "gray" and len(colour) > 1:
+        assert status == 2
+        assert "fill must be a number, or 1 of them (grey)" in err
+        return
+    assert status == 0
+    with open_video("out.mkv") as clip:
+        frame = next(iter(clip.frames()))
+        arrays = [np.empty((*g.shape, g.channels), clip.layout.dtype) for g in clip.layout.groups]
+        frame.copy_to(arrays)
+        seen = clip.to_rgb(arrays)[24, 1]
+        assert not clip.layout.groups[0].alpha or arrays[0][24, 1, -1] == white  # a colour is opaque
+    np.testing.assert_allclose(seen, [255, 0, 0] if len(colour) > 1 else [255] * 3, atol=3)
+
+
+@pytest.mark.parametrize(
+    "name", ["100%done.mp4", "50% off.mp4", "a b.mp4", "ä 漢字.mp4", "[1].mp4", "a\nb.mp4", "y" * 240 + ".mp4"]
+)
+def test_odd_names(run: Run, name: str) -> None:
+    clips.make("in.mp4", count=4)
+    assert run("warp", "in.mp4", name, *GRAB_2D) == (0, "", "")
+    assert run("warp", name, "out.mp4", *GRAB_2D) == (0, "", "")
+    assert run("warp", name, "frames", *GRAB_2D) == (0, "", "")
+    status, out, err = run("info", name)
+    assert (status, err) == (0, "")
+    assert "64 x 48" in out
+    assert sorted(os.listdir()) == sorted(["in.mp4", name, "out.mp4", "frames"])
+    assert len(os.listdir("frames")) == 4
+
+
+def test_names_that_begin_with_a_dash(run: Run) -> None:
+    clips.make("-x.mp4", count=4)
+    assert run("warp", *GRAB_2D, "--", "-x.mp4", "-y.mp4") == (0, "", "")
+    assert run("warp", "./-x.mp4", "./-z.mp4", *GRAB_2D) == (0, "", "")
+    assert sorted(os.listdir()) == ["-x.mp4", "-y.mp4", "-z.mp4"]
+    status, _, err = run("warp", "-x.mp4", "out.mp4", *GRAB_2D)
+    assert status == 2
+    assert err.count("\n") == 1
+
+
+@pytest.mark.parametrize("size", [(63, 47), (1, 1), (2, 2), (1, 40), (65, 1)])
+@pytest.mark.parametrize("border", ["none", "50"])
+def test_odd_sizes(run: Run, size: tuple[int, int], border: str) -> None:
+    for k, pixel_format in enumerate(("yuv420p", "yuv444p")):
+        source = f"in{k}.mkv"
+        clips.make(source, "ffv1", pixel_format, count=5, size=size, options={"level": "1", "slices": "1"})
+        for grab in ("0,0,2:0,0,3", "0,0,2:3,3,3", "0,0:3,3"):
+            drag = ["--grab", grab, "--radius", "5", "--border", border, "--on-fold", "damp", "--quiet", "--force"]
+            assert run("warp", source, "out.mkv", *drag) == (0, "", "")
+            frame = clips.decoded("out.mkv")[-1]
+            assert ((frame.width, frame.height), frame.format.name) == (size, pixel_format)
+            assert run("warp", source, "out", *drag) == (0, "", "")
+            assert image.read("out/00005.png").pixels.shape == (*size[::-1], 3)
+
+
+def test_a_miscounted_clip_is_read_once_more(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Clips whose packets promise other numbers of frames than decoding gives."""
+    frames = stack(noisy("in.mkv", "yuv444p"))
+    true = supple.media.video.survey
+
+    def survey(container: Any, film: Any) -> Any:
+        found = true(container, film)
+        return replace(found, count=found.count + off)
+
+    off = 0
+    monkeypatch.setattr(supple.media.video, "survey", survey)
+    d = supple.Deformation.from_recipe(TIMED, frames.shape[:3])
+    for off in (-2, 3):  # noqa: B007
+        assert run("warp", "in.mkv", "out.mkv", *GRAB, "--force") == (0, "", "")
+        np.testing.assert_array_equal(stack("out.mkv"), d.warp(frames))
+        assert run("warp", "in.mkv", "out/%d.png", *GRAB, "--force") == (0, "", "")
+        assert len(os.listdir("out")) == 12
+        for what in (["sheet"], ["slice", "--x", "3"], ["grid", "--frame", "9"]):
+            assert run("plot", "in.mkv", "out.png", *GRAB, "--force", "--what", *what) == (0, "", "")
+
+    def other(self: Any) -> Any:
+        raise CountError(self.count + 1)
+        yield
+
+    monkeypatch.setattr(supple.media.video.Clip, "frames", other)
+    refused(run("warp", "in.mkv", "none.mkv", *GRAB), "another number of frames")
+    refused(run("plot", "in.mkv", "none.png", *GRAB, "--what", "sheet"), "another number of frames")
+    assert sorted(os.listdir()) == ["in.mkv", "out", "out.mkv", "out.png"]

@@ -1,0 +1,224 @@
+"""Pictures from file to file, from the library."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import warnings
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+import pyvips
+
+import supple
+from supple.errors import ScaleWarning
+from supple.files import check_job, read_recipe, warp_file, write_recipe
+from supple.media import image
+from tests.children import SOURCE
+
+DATA = Path(supple.__file__).parent / "examples" / "data"
+RECIPE = supple.Recipe(border=10, strokes=(supple.Stroke.grab((30, 20), to=(36, 24), radius=15),))
+
+
+def noise(*shape: int, dtype: type = np.uint8) -> npt.NDArray[np.generic]:
+    return np.random.default_rng(5).integers(0, np.iinfo(dtype).max + 1, shape, dtype=dtype)
+
+
+@pytest.mark.parametrize("suffix", [".png", ".tif"])
+@pytest.mark.parametrize("shape", [(50, 60), (50, 60, 2), (50, 60, 3), (50, 60, 4)])
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+def test_a_file_is_what_warp_makes(tmp_path: Path, suffix: str, shape: tuple[int, ...], dtype: type) -> None:
+    pixels = noise(*shape, dtype=dtype)
+    source, target = tmp_path / f"in{suffix}", tmp_path / "out.png"
+    image.write(source, pixels)
+    made = warp_file(source, target, RECIPE)
+    assert (made.source, made.target) == (source, target)
+    alpha = shape[2:] in ((2,), (4,))
+    expected = supple.Deformation.from_recipe(RECIPE, shape[:2]).warp(pixels, alpha=alpha)
+    np.testing.assert_array_equal(image.read(target).pixels, expected)
+    report = made.report()
+    assert report == made.deformation.report(tolerance=0.01)
+    assert report.within
+
+
+def test_a_recipe_for_another_size(tmp_path: Path) -> None:
+    pixels = noise(100, 120, 3)
+    image.write(tmp_path / "in.png", pixels)
+    recipe = replace(RECIPE, size=(60, 50))
+    with pytest.warns(ScaleWarning, match="made for 60 x 50, and is scaled for .*in.png, which is 120 x 100"):
+        made = warp_file(tmp_path / "in.png", tmp_path / "out.png", recipe)
+    expected = supple.Deformation((100, 120), border=20).grab((60.5, 40.5), by=(12, 8), radius=30)
+    assert made.deformation == expected
+    np.testing.assert_array_equal(image.read(tmp_path / "out.png").pixels, expected.warp(pixels))
+    made = warp_file(tmp_path / "in.png", tmp_path / "same.png", recipe, fit="pixels")
+    assert made.deformation.strokes == RECIPE.strokes
+    other = replace(RECIPE, size=(60, 51))
+    with pytest.raises(supple.SuppleError, match=r"60 x 51, and .*in\.png is 120 x 100, of other proportions"):
+        warp_file(tmp_path / "in.png", tmp_path / "no.png", other)
+    assert not (tmp_path / "no.png").exists()
+    with pytest.raises(supple.SuppleError, match=r"^fit must be .pixels. or .stretch. or .inside., found 'crop'"):
+        warp_file(tmp_path / "in.png", tmp_path / "no.png", other, fit="crop")  # type: ignore[arg-type]
+
+
+def test_options_reach_the_sampler(tmp_path: Path) -> None:
+    pixels = noise(50, 60, 3)
+    image.write(tmp_path / "in.png", pixels)
+    options = {"filter": "linear", "outside": "constant", "fill": (1, 2, 3), "tolerance": 0.1, "linear_light": True}
+    free = supple.Recipe(border=None, strokes=RECIPE.strokes)
+    warp_file(tmp_path / "in.png", tmp_path / "out.png", free, **options)  # type: ignore[arg-type]
+    expected = supple.Deformation.from_recipe(free, (50, 60)).warp(pixels, **options)  # type: ignore[arg-type]
+    np.testing.assert_array_equal(image.read(tmp_path / "out.png").pixels, expected)
+
+
+def test_the_header_comes_along(tmp_path: Path) -> None:
+    picture = image.read(DATA / "chelsea.jpg")
+    icc = bytes(pyvips.Operation.call("profile_load", "srgb"))
+    like = image.Picture(picture.pixels, icc=icc, format="PNG", interpretation="srgb")
+    image.write(tmp_path / "in.png", picture.pixels, like=like)
+    warp_file(tmp_path / "in.png", tmp_path / "out.png", RECIPE)
+    assert image.read(tmp_path / "out.png").icc == icc
+
+
+def test_nothing_is_done_for_a_target_that_cannot_be(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    image.write(tmp_path / "in.png", noise(20, 20, 3))
+    (tmp_path / "there.png").write_bytes(b"precious")
+    monkeypatch.setattr("supple.files.read", lambda path: pytest.fail("it was read"))
+    for target, options, wanted in [
+        ("out.xyz", {}, "xyz"),
+        ("none/out.png", {}, "none"),
+        ("there.png", {}, "force"),
+        ("in.png", {}, "itself"),
+        ("out.jpg", {"lossless": True}, "JPEG"),
+        ("out.jpg", {"quality": 101}, "101"),
+    ]:
+        with pytest.raises(supple.SuppleError, match=wanted):
+            warp_file(tmp_path / "in.png", tmp_path / target, RECIPE, **options)  # type: ignore[arg-type]
+    assert sorted(os.listdir(tmp_path)) == ["in.png", "there.png"]
+
+
+def test_a_stroke_in_space_is_refused(tmp_path: Path) -> None:
+    image.write(tmp_path / "in.png", noise(20, 20, 3))
+    recipe = supple.Recipe(strokes=(supple.Stroke.grab((1, 2, 3), by=(1, 1, 1), radius=5),))
+    with pytest.raises(supple.SuppleError, match="2 numbers"):
+        warp_file(tmp_path / "in.png", tmp_path / "out.png", recipe)
+    assert os.listdir(tmp_path) == ["in.png"]
+
+
+def test_damping_warns_whoever_calls(tmp_path: Path) -> None:
+    image.write(tmp_path / "in.png", noise(20, 20, 3))
+    strong = supple.Recipe(on_fold="damp", strokes=(supple.Stroke.grab((10, 10), by=(9, 0), radius=1),))
+    with pytest.warns(supple.FoldWarning, match="damped"):
+        warp_file(tmp_path / "in.png", tmp_path / "out.png", strong)
+
+
+def test_progress_names_the_steps_and_may_end_the_work(tmp_path: Path) -> None:
+    image.write(tmp_path / "in.png", noise(50, 60, 3))
+    steps: list[str] = []
+    warp_file(tmp_path / "in.png", tmp_path / "out.png", RECIPE, progress=steps.append)
+    assert steps == ["read", "warp", "write"]
+
+    def stop(step: str) -> None:
+        if step == "write":
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        warp_file(tmp_path / "in.png", tmp_path / "b.png", RECIPE, progress=stop)
+    assert sorted(os.listdir(tmp_path)) == ["in.png", "out.png"]
+
+
+def test_progress_on_no_terminal_is_silent(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    image.write(tmp_path / "in.png", noise(50, 60, 3))
+    warp_file(tmp_path / "in.png", tmp_path / "out.png", RECIPE, progress=True)
+    assert capsys.readouterr() == ("", "")
+
+
+@pytest.mark.parametrize(
+    ("source", "target", "text"),
+    [
+        ("coffee.jpg", "b.xyz", "no image format"),
+        ("bunny.mp4", "b.xyz", "no video format"),
+        ("bunny.mp4", "b%d.xyz", "no image format"),
+        ("head.nii.gz", "b.xyz", "no format that volumes are written in"),
+    ],
+)
+def test_what_nothing_can_write_is_refused_before_it_is_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, source: str, target: str, text: str
+) -> None:
+    def never(*given: object, **options: object) -> None:
+        raise AssertionError("it is read")
+
+    for name in ("supple.files.read", "supple.files.clips.open_clip", "supple.files.volumes.open_volume"):
+        monkeypatch.setattr(name, never)
+    for attempt in (warp_file, check_job):
+        with pytest.raises(supple.SuppleError, match=text):
+            attempt(DATA / source, tmp_path / target, supple.Recipe())
+
+
+def test_recipes_on_disk(tmp_path: Path) -> None:
+    write_recipe(tmp_path / "r.json", RECIPE)
+    assert read_recipe(tmp_path / "r.json") == RECIPE
+    with pytest.raises(supple.SuppleError, match="force"):
+        write_recipe(tmp_path / "r.json", RECIPE)
+    for name in ("r.png", "r.MP4", "r.nii.gz"):
+        with pytest.raises(supple.SuppleError, match=r"a recipe is JSON, .*: use .*r\.json$"):
+            write_recipe(tmp_path / name, RECIPE)
+    assert os.listdir(tmp_path) == ["r.json"]
+    (tmp_path / "marked.json").write_text("\ufeff" + RECIPE.to_json(), encoding="utf-8")
+    assert read_recipe(tmp_path / "marked.json") == RECIPE
+    with pytest.raises(supple.SuppleError, match="JSON"):
+        read_recipe(tmp_path)
+    with pytest.raises(supple.SuppleError, match="name"):
+        read_recipe("a\0b")
+
+
+def test_the_photographs_are_small_and_their_licences_named() -> None:
+    text = (DATA / "LICENSES.md").read_text(encoding="utf-8")
+    pictures = sorted(DATA.glob("*.jpg"))
+    assert len(pictures) == 3
+    assert all(f"`{picture.name}`" in text for picture in pictures)
+    assert sum(picture.stat().st_size for picture in pictures) < 400_000
+
+
+_PEAK = """
+import resource, sys
+from supple.cli import command
+status = command(sys.argv[1:])
+print(status, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
+"""
+
+
+def peak(*arguments: str) -> float:
+    """Run a command line in a process of its own; return the most memory it took, in MiB."""
+    environment = {**os.environ, "PYTHONPATH": SOURCE}
+    done = subprocess.run(
+        [sys.executable, "-c", _PEAK, *arguments], env=environment, capture_output=True, encoding="utf-8", check=True
+    )
+    status, size = done.stdout.split()
+    assert status == "0", done.stderr
+    return float(size) if sys.platform != "darwin" else float(size) / 1024
+
+
+@pytest.mark.parametrize("suffix", [".png", ".tif"])
+def test_memory(tmp_path: Path, suffix: str) -> None:
+    # Smaller than what the bar is stated for; what comes on top of the pixels hardly depends on the size.
+    y, x = np.mgrid[:3072, :3072]
+    pixels = np.stack([x >> 4, y >> 4, (x + y) >> 5], axis=-1).astype(np.uint8)
+    small, big, target = (str(tmp_path / name) for name in (f"small{suffix}", f"big{suffix}", f"out{suffix}"))
+    image.write(small, pixels[:16, :16].copy())
+    image.write(big, pixels)
+    del x, y
+    grab = ["--grab", "8,8:9,9", "--radius", "30", "--force", "--quiet"]
+    idle = peak("warp", small, target, *grab)
+    used = peak("warp", big, target, "--grab", "1500,1500:1900,1700", "--radius", "900", *grab[4:])
+    assert used - idle <= 2 * pixels.nbytes / 2**20 + 100
+
+
+def test_no_warning_is_lost_or_invented(tmp_path: Path) -> None:
+    image.write(tmp_path / "in.png", noise(40, 50, 3))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        warp_file(tmp_path / "in.png", tmp_path / "out.jpg", RECIPE, quality=80)

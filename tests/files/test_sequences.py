@@ -1,0 +1,88 @@
+"""Image sequences from file to file, and into videos and back."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from fractions import Fraction
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import supple
+import supple.media.video
+from supple.files import warp_file
+from supple.media import image
+from supple.media.video import info
+from tests import clips
+from tests.files.clip_files import FLAT, GRAB, GRAB_2D, Array, Run, pictures, refused
+
+
+def read(names: Sequence[str | Path]) -> Array:
+    return np.stack([image.read(name).pixels for name in names])
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+@pytest.mark.parametrize("channels", [1, 3, 4])
+def test_pictures_into_pictures(here: Path, dtype: type, channels: int) -> None:
+    frames = pictures("in", 7, "shot.{:04d}.png", dtype, channels, first=998)
+    recipe = supple.Recipe(border=None, strokes=(supple.Stroke.grab((30, 20, 2), to=(33, 22, 5), radius=10),))
+    made = warp_file("in/shot.%04d.png", "out/shot.%04d.png", recipe)
+    assert made.target == Path("out/shot.%04d.png")
+    names = [f"shot.{k:04d}.png" for k in range(998, 1005)]
+    assert sorted(os.listdir("out")) == sorted(names)
+    d = supple.Deformation.from_recipe(recipe, (7, 48, 64))
+    expected = d.warp(frames, alpha=channels == 4)
+    got = read([f"out/{name}" for name in names])
+    np.testing.assert_array_equal(got.reshape(expected.shape), expected)
+    assert got.dtype == dtype
+
+
+def test_a_folder_is_a_clip_if_strokes_have_a_time_and_many_pictures_if_not(run: Run) -> None:
+    frames = pictures("in", 6, "pic{}.png")
+    grab = ["--grab", "30,20,2:33,22,4", "--radius", "10", "--border", "none"]
+    assert run("warp", "in", "timed", *grab) == (0, "", "")
+    assert run("warp", "in", "flat", *GRAB_2D) == (0, "", "")
+    names = [f"pic{k}.png" for k in range(1, 7)]
+    assert sorted(os.listdir("timed")) == sorted(os.listdir("flat")) == names
+    recipe = supple.Recipe(border=None, strokes=(supple.Stroke.grab((30, 20, 2), to=(33, 22, 4), radius=10),))
+    timed = supple.Deformation.from_recipe(recipe, (6, 48, 64)).warp(frames)
+    np.testing.assert_array_equal(read([f"timed/{name}" for name in names]), timed)
+    d = supple.Deformation.from_recipe(FLAT, (48, 64))
+    np.testing.assert_array_equal(read([f"flat/{name}" for name in names]), np.stack([d.warp(f) for f in frames]))
+    refused(run("warp", "in", "timed", *grab), "exists already")
+    assert run("warp", "in", "timed", *grab, "--force") == (0, "", "")
+
+
+def test_pictures_into_a_video_and_back(run: Run) -> None:
+    frames = pictures("in", 6)
+    still = ["--grab", "3,3,0:3,3,0", "--radius", "5"]
+    assert run("warp", "in/%03d.png", "a.mkv", *still, "--codec", "ffv1", "--fps", "30") == (0, "", "")
+    facts = info("a.mkv")
+    assert (facts["frames"], float(facts["rate"])) == (6, 30.0)
+    assert run("warp", "a.mkv", "back/%03d.png", *still) == (0, "", "")
+    np.testing.assert_array_equal(read(sorted(Path("back").iterdir())), frames)
+    status, _, err = run("warp", "in", "b.mp4", *still)
+    assert status == 0
+    assert err.count("\n") == 1
+    assert "loses detail of colours (to 4:2:0): --pixel-format yuv444p keeps more" in err
+    assert float(info("b.mp4")["rate"]) == 24.0
+    assert info("b.mp4")["pixel_format"] == "yuv420p"
+
+
+def test_sound_that_pictures_cannot_hold_is_said(run: Run) -> None:
+    clips.make("in.mkv", audio="aac", subtitles=True)
+    clips.make("mute.mkv")
+    assert run("warp", "mute.mkv", "a/", *GRAB) == (0, "", "")
+    status, _, err = run("warp", "in.mkv", "b/", *GRAB)
+    assert (status, err) == (
+        0,
+        "supple: warning: b gets pictures alone, without the sound and the subtitles of in.mkv\n",
+    )
+
+
+def test_a_rate_may_be_a_ratio(run: Run) -> None:
+    pictures("in")
+    assert run("warp", "in", "a.mkv", *GRAB, "--codec", "ffv1", "--fps", "24000/1001") == (0, "", "")
+    assert info("a.mkv")["rate"] == Fraction(24000, 1001)

@@ -1,0 +1,578 @@
+"""Volumes from file to file: values, places in space, labels, series, and what is refused."""
+
+from __future__ import annotations
+
+import json
+import warnings
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import nibabel
+import numpy as np
+import numpy.typing as npt
+import pytest
+from scipy import ndimage
+
+import supple
+from supple.cli import command
+from supple.files import volumes
+from supple.files.volumes import VolumeOptions, deformation_of, is_volume_job, sampling_of, warp_volume
+from supple.geometry import Geometry
+from supple.media import volume as media
+from tests import reference
+
+SHAPE = (20, 26, 24)
+DIRECTION = np.array([[0.0, -0.8, 0.6], [1.0, 0.0, 0.0], [0.0, 0.6, 0.8]]) @ np.diag([1.0, -1.0, 1.0])
+OBLIQUE = Geometry((0.9, 1.1, 2.0), (10.0, -20.0, 30.0), DIRECTION, "LPS")
+OFF = 0.9  # what 0.01 voxels are worth, where values rise by 90 from voxel to voxel
+RECIPE = supple.Recipe(strokes=[supple.Stroke.grab((11, 13, 9), by=(3, -2, 1.5), radius=9)], border=8.0)
+GRAB = ["--grab", "11,13,9:14,11,10.5", "--radius", "9", "--border", "8"]
+
+
+@pytest.fixture
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def made(shape: tuple[int, ...] = SHAPE, dtype: Any = np.int16, seed: int = 0) -> npt.NDArray[Any]:
+    rng = np.random.default_rng(seed)
+    values = ndimage.gaussian_filter(rng.normal(size=shape), [2 if n > 5 else 0 for n in shape])
+    values = (values - values.min()) / (values.max() - values.min())
+    return (values * 1000 - (200 if np.dtype(dtype).kind != "u" else 0)).astype(dtype)
+
+
+def stored(
+    path: str, samples: npt.NDArray[Any], geometry: Geometry = OBLIQUE, *, series: bool = False
+) -> npt.NDArray[Any]:
+    media.write(path, samples, media.Volume(samples, geometry, series=series))
+    return samples
+
+
+def truth(samples: npt.NDArray[Any], recipe: supple.Recipe = RECIPE, order: int = 1) -> npt.NDArray[np.float64]:
+    """The same by SciPy, from source points that are solved for one by one."""
+    d = supple.Deformation.from_recipe(recipe, samples.shape[:3], spacing=OBLIQUE.spacing)
+    grid = np.stack(np.meshgrid(*(np.arange(n) for n in samples.shape[:3]), indexing="ij")[::-1], axis=-1)
+    places = np.moveaxis(d.inverse(grid).points, -1, 0)[::-1]
+    planes = samples[..., None] if samples.ndim == 3 else samples
+    seen = [
+        ndimage.map_coordinates(planes[..., c].astype(np.float64), places, order=order, mode="nearest")
+        for c in range(planes.shape[3])
+    ]
+    return np.stack(seen, axis=-1).reshape(samples.shape)
+
+
+@pytest.mark.parametrize("suffix", [".nii", ".nii.gz", ".nrrd", ".mha"])
+@pytest.mark.parametrize("dtype", [np.uint8, np.int16, np.float32])
+def test_a_volume_is_deformed_in_millimetres(here: Path, suffix: str, dtype: Any) -> None:
+    samples = stored(f"in{suffix}", made(dtype=np.float32).clip(0, 255).astype(dtype))
+    done = warp_volume(f"in{suffix}", f"out{suffix}", RECIPE, filter="linear")
+    out = media.read(f"out{suffix}")
+    assert out.samples.dtype == dtype
+    off = np.abs(out.samples - truth(samples))
+    assert off.max() <= (OFF if dtype == np.float32 else OFF + 0.5)
+    assert off.mean() < 0.3
+    np.testing.assert_allclose(out.geometry.matrix, OBLIQUE.matrix, atol=1e-5)
+    assert out.geometry.convention == ("RAS" if suffix.startswith(".nii") else "LPS")
+    assert 0 < done.error <= 0.01
+    assert done.report().within
+    assert done.deformation.domain.spacing == pytest.approx(OBLIQUE.spacing)
+
+
+@pytest.mark.parametrize("name", ["nearest", "linear"])
+def test_a_filter_samples_all_axes_alike(name: str) -> None:
+    """Turned so that another axis comes last, a volume gives the same, turned."""
+    samples = made((22, 22, 22), np.float32)
+    strokes = [supple.Stroke.grab((9, 12, 10), by=(4, -3, 2), radius=7)]
+    turned = [supple.Stroke.grab((10, 9, 12), by=(2, 4, -3), radius=7)]
+    found = []
+    for values, given in ((samples, strokes), (np.moveaxis(samples, 0, 2), turned)):
+        d = supple.Deformation.from_recipe(supple.Recipe(strokes=given, border=None), values.shape)
+        how = sampling_of(name, tolerance=1e-3)
+        found.append(d.warp(values, filter=how.filter, between=how.between, tolerance=1e-3))
+    off = np.abs(found[0] - np.moveaxis(found[1], 2, 0))
+    assert np.quantile(off, 0.99) < 0.1
+
+
+@pytest.mark.parametrize("name", ["cubic", "auto"])
+def test_cubic_filters_of_volumes_are_those_of_the_reference(name: str) -> None:
+    """In the plane Keys' kernel with a = -0.75, between slices that of Catmull and Rom."""
+    samples = made((18, 22, 20), np.float32)
+    strokes = [supple.Stroke.grab((9, 12, 10), by=(4, -3, 2), radius=7)]
+    d = supple.Deformation.from_recipe(supple.Recipe(strokes=strokes, border=None), samples.shape)
+    how = sampling_of(name, tolerance=1e-4)
+    assert (how.between, how.time_filter) == ("cubic", name == "auto")
+    options: dict[str, Any] = {"filter": how.filter, "between": how.between, "time_filter": how.time_filter}
+    wanted = reference.warp_frames(samples, strokes, d.domain, **options)
+    np.testing.assert_allclose(d.warp(samples, **options, tolerance=1e-4), wanted, atol=0.1)
+    assert np.abs(wanted - samples).max() > 100
+
+
+def test_places_in_space(here: Path) -> None:
+    """The same stroke by index, in LPS and in RAS; and in the file's own numbers as nibabel has them."""
+    samples = stored("in.nii", made())
+    media.write("in.nrrd", samples, media.Volume(samples, OBLIQUE))
+    start, end = np.array([11.0, 13.0, 9.0]), np.array([14.0, 11.0, 10.5])
+    affine = nibabel.load("in.nii").affine
+    for name, places in (
+        ("in.nii", [affine[:3, :3] @ p + affine[:3, 3] for p in (start, end)]),
+        ("in.nrrd", [OBLIQUE.to_lps(p) for p in (start, end)]),
+    ):
+        given = supple.Recipe(strokes=[supple.Stroke.grab(places[0], to=places[1], radius=9)], border=8.0)
+        warp_volume(name, "world" + name[2:], given, options=VolumeOptions(world=True))
+        warp_volume(name, "index" + name[2:], RECIPE)
+        a, b = (media.read(kind + name[2:]).samples for kind in ("world", "index"))
+        assert np.abs(a.astype(int) - b).max() <= 1
+        assert np.abs(a.astype(int) - samples).max() > 50
+
+
+@pytest.mark.parametrize("name", ["in.nii", "in.nrrd"])
+@pytest.mark.parametrize("space", ["LPS", "RAS"])
+def test_a_recipe_that_says_its_space_needs_no_world(here: Path, name: str, space: Any) -> None:
+    samples = stored("in.nii", made())
+    media.write("in.nrrd", samples, media.Volume(samples, OBLIQUE))
+    start, end = (OBLIQUE.to_world(p, space) for p in ((11.0, 13.0, 9.0), (14.0, 11.0, 10.5)))
+    recipe = supple.Recipe(strokes=[supple.Stroke.grab(start, to=end, radius=9)], border=8.0, space=space)
+    Path("r.json").write_text(recipe.to_json())
+    assert command(["warp", name, "out" + name[2:], "--recipe", "r.json"]) == 0
+    warp_volume(name, "index" + name[2:], RECIPE)
+    a, b = (media.read(kind + name[2:]).samples for kind in ("out", "index"))
+    assert np.abs(a.astype(int) - b).max() <= 1
+    assert np.abs(a.astype(int) - samples).max() > 50
+
+
+def test_spaces_that_do_not_fit_are_refused(here: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    samples = stored("in.nii", made())
+    stored("in.tif", made())
+    media.write("in.nrrd", samples, media.Volume(samples, OBLIQUE))
+    place = ",".join(f"{x:.3f}" for x in OBLIQUE.to_world((11.0, 13.0, 9.0), "RAS"))
+    grab = ["--grab", f"{place}:{place}", "--radius", "9"]
+    assert command(["warp", "in.nii", "a.nii", *grab, "--world", "--save-recipe", "ras.json"]) == 0
+    kept = supple.Recipe.from_json(Path("ras.json").read_text())
+    assert (kept.space, kept.size) == ("RAS", SHAPE[::-1])
+    assert command(["warp", "in.nii", "b.nii", *GRAB, "--save-recipe", "px.json"]) == 0
+    assert supple.Recipe.from_json(Path("px.json").read_text()).space == "pixels"
+    assert command(["warp", "in.nrrd", "c.nrrd", "--recipe", "ras.json"]) == 0  # the same place, in its own numbers
+    capfd.readouterr()
+    for given, wanted in (
+        (["in.nii", "out.nii", "--recipe", "px.json", "--world"], "px.json is in pixels: leave it out"),
+        (["in.nii", "out.nii", "--recipe", "px.json", *grab, "--world"], "px.json is in pixels: leave it out"),
+        (["in.nii", "out.nii", "--recipe", "ras.json", *GRAB], "ras.json is in RAS millimetres, and --grab in voxels"),
+        (["in.nrrd", "out.nrrd", "--recipe", "ras.json", "--world"], "--world means LPS, as in.nrrd has them"),
+        (["in.tif", "out.tif", "--recipe", "ras.json"], "in.tif does not know where it lies in space"),
+        (["in.nii", "out.nii", "--recipe", "ras.json", "--fit", "pixels"], "--fit is for recipes in pixels"),
+    ):
+        assert command(["warp", *given]) == 2
+        err = capfd.readouterr().err
+        assert err.count("\n") == 1
+        assert wanted in err
+    assert not Path("out.nii").exists()
+
+
+def test_voxels_of_another_size_are_not_scaled(here: Path) -> None:
+    stored("in.nii", made())
+    recipe = replace(RECIPE, size=(48, 52, 40))
+    with pytest.raises(supple.SuppleError, match=r"in\.nii is 24 x 26 x 20: voxels are not scaled"):
+        warp_volume("in.nii", "out.nii", recipe)
+    assert warp_volume("in.nii", "out.nii", recipe, fit="pixels").deformation.strokes == RECIPE.strokes
+
+
+def test_strokes_outside_the_volume(here: Path) -> None:
+    stored("in.nii", made())
+    stored("straight.nii", made(), Geometry(OBLIQUE.spacing, (10, 0, 0)))
+    plain = stored("in.tif", made())
+    assert plain.shape == SHAPE
+    outside = "outside the volume, which has 24 x 26 x 20 voxels"
+    cases: list[tuple[str, Any, bool, str]] = [
+        ("in.nii", (200, 5, 5), False, rf"at \(200, 5, 5\) with radius 5 starts {outside}, and reaches nothing of it"),
+        ("in.nii", (500, 5, 5), True, f"starts {outside}, and reaches nothing of it"),
+        ("in.tif", (5, 5, 5), True, "does not know where it lies in space"),
+    ]
+    for name, at, world, text in cases:
+        recipe = supple.Recipe(strokes=[supple.Stroke.grab(at, by=(1, 0, 0), radius=5)])
+        with pytest.raises(supple.SuppleError, match=text):
+            warp_volume(name, "out.nii", recipe, options=VolumeOptions(world=world))
+    assert not Path("out.nii").exists()
+    near = supple.Recipe(strokes=[supple.Stroke.grab((24, 5, 5), by=(-1, 0, 0), radius=5)])
+    with pytest.warns(supple.OutsideWarning, match=outside):
+        warp_volume("in.nii", "out.nii", near)
+    Path("out.nii").unlink()
+    flat = supple.Recipe(strokes=[supple.Stroke.grab((5, 5), by=(1, 0), radius=5)])
+    with pytest.raises(supple.SuppleError, match="three numbers"):
+        warp_volume("in.nii", "out.nii", flat)
+    assert not Path("out.nii").exists()
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.int16, np.int32, np.uint16, np.int64])
+def test_labels_keep_their_values(here: Path, dtype: Any) -> None:
+    samples = (made(dtype=np.float32) > 300).astype(dtype) * np.array(np.iinfo(dtype).max - 3, dtype)
+    samples[5:9, 4:12, 3:8] = 7
+    stored("in.nii.gz", samples)
+    warp_volume("in.nii.gz", "out.nii.gz", RECIPE, options=VolumeOptions(labels=True))
+    out = media.read("out.nii.gz").samples
+    assert out.dtype == dtype
+    assert set(np.unique(out)) == set(np.unique(samples))
+    # The values of the nearest voxels, but where two are as near.
+    assert (out == truth(samples.astype(np.float64), order=0)).mean() > 0.998
+    for name in ("linear", "cubic"):
+        with pytest.raises(supple.SuppleError, match="labels"):
+            warp_volume("in.nii.gz", "x.nii.gz", RECIPE, filter=name, options=VolumeOptions(labels=True))
+
+
+def test_labels_may_be_stored_as_floats(here: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    samples = np.round(made(dtype=np.float32) / 200).astype(np.float32) * 7
+    stored("in.nii.gz", samples)
+    warp_volume("in.nii.gz", "out.nii.gz", RECIPE, options=VolumeOptions(labels=True))
+    out = media.read("out.nii.gz").samples
+    assert out.dtype == np.float32
+    assert set(np.unique(out)) == set(np.unique(samples))
+    assert (out != samples).mean() > 0.01
+    samples[3, 4, 5] = 1.5
+    stored("f.nii.gz", samples)
+    for more, told in (
+        (["f.nii.gz", "x.nii.gz", "--labels"], "--labels is for whole numbers, and f.nii.gz holds 1.5: leave it out"),
+        (["in.nii.gz", "x.nii.gz", "--labels", "--filter", "cubic"], '--labels needs filter "nearest"'),
+    ):
+        assert command(["warp", *more, *GRAB]) == 2
+        assert told in capfd.readouterr().err
+    assert not Path("x.nii.gz").exists()
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.int16, np.float32])
+def test_what_looks_like_labels_is_said(here: Path, dtype: Any) -> None:
+    """Few whole numbers in large areas; neither noise, nor smooth pictures of few values, nor a head on black."""
+    grid = np.indices((40, 40, 40))
+    regions = (((grid // 10).sum(axis=0) * 37) % 200).astype(dtype)
+    mask = (np.square(grid - 20).sum(axis=0) < 200).astype(dtype)
+    noise = np.random.default_rng(0).integers(0, 4, (40, 40, 40)).astype(dtype)
+    smooth = np.round(100 + 60 * np.sin(grid / 25).sum(axis=0)).astype(dtype)
+    recipe = supple.Recipe(strokes=[supple.Stroke.grab((20, 20, 20), by=(2, 0, 1), radius=6)])
+    for samples, said in ((regions, True), (mask, True), (noise, False), (smooth, False), (mask * noise * 9, False)):
+        media.write("in.nii", samples, media.Volume(samples, OBLIQUE), force=True)
+        with warnings.catch_warnings(record=True) as told:
+            warnings.simplefilter("always")
+            warp_volume("in.nii", "out.nii", recipe, force=True, filter="linear")
+        count = len(np.unique(samples))
+        wanted = f"in.nii looks like a label map, of {count} values, and its labels are mixed where they meet: "
+        wanted += "--labels or --filter nearest keeps them"
+        assert [str(one.message) for one in told] == [wanted] * said
+        warp_volume("in.nii", "out.nii", recipe, force=True, options=VolumeOptions(labels=True))
+
+
+def blocks_of(dtype: Any) -> npt.NDArray[Any]:
+    """Blocks with sharp edges, beside which cubics overshoot."""
+    return np.where(np.indices(SHAPE).sum(axis=0) // 4 % 2, -1024, 1500).astype(dtype)
+
+
+@pytest.mark.parametrize("device", ["cpu", "gpu"])
+@pytest.mark.parametrize("dtype", [np.int16, np.float32])
+def test_values_stay_within_their_range(here: Path, dtype: Any, device: str) -> None:
+    if device == "gpu":
+        pytest.importorskip("wgpu")
+    stored("in.nii", blocks_of(dtype))
+    options: dict[str, Any] = {"filter": "cubic", "device": device, "force": True}
+    warp_volume("in.nii", "out.nii", RECIPE, clamp=False, **options)
+    free = np.array(media.read("out.nii").samples)
+    assert free.min() < -1100
+    assert free.max() > 1600
+    supple.warp_file("in.nii", "out.nii", RECIPE, **options)
+    kept = media.read("out.nii").samples
+    np.testing.assert_array_equal(kept, free.clip(-1024, 1500))
+
+
+def test_what_is_seen_outside_is_within_the_range(here: Path) -> None:
+    stored("in.nii", blocks_of(np.int16))
+    loose = supple.Recipe(strokes=[supple.Stroke.grab((1, 13, 9), by=(6, 0, 0), radius=9)], border=None)
+    warp_volume("in.nii", "out.nii", loose, outside="constant", fill=-3000.4)
+    kept = media.read("out.nii").samples
+    assert (kept.min(), kept.max()) == (-3000, 1500)
+    assert (kept == -3000).any()
+
+
+def test_values_that_are_not_finite_are_not_clamped() -> None:
+    samples = blocks_of(np.float32)
+    samples[1, 1, 1:4] = np.nan, np.inf, -np.inf
+    samples[-2, -2, -2] = -0.0
+    d = supple.Deformation(SHAPE, border=None).grab((11, 13, 9), by=(3, -2, 1.5), radius=3, reach=2)
+    kept = d.warp(samples, filter="cubic", clamp=True)
+    finite = kept[np.isfinite(kept)]
+    assert (finite.min(), finite.max()) == (-1024, 1500)
+    free = d.warp(samples, filter="cubic")
+    inside = (free >= -1024) & (free <= 1500) | ~np.isfinite(free)
+    np.testing.assert_array_equal(kept.view(np.uint32)[inside], free.view(np.uint32)[inside])
+    assert not inside.all()
+    assert np.isinf(kept[1, 1, 2:4]).all()
+    image = supple.Deformation((9, 9)).grab((4, 4), by=(1, 0), radius=3)
+    empty = np.full((9, 9), np.nan)
+    assert np.isnan(image.warp(empty, clamp=True)).all()
+    with pytest.raises(supple.SuppleError, match="clamp must be False for a function"):
+        image.warp(lambda p: p[:, 0], clamp=True)
+    with pytest.raises(supple.SuppleError, match="clamp must be True or False"):
+        image.warp(empty, clamp="yes")  # type: ignore[arg-type]
+
+
+def test_pictures_of_floats_stay_within_their_range(here: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    from supple.media import image
+
+    pixels = (np.indices((40, 50)).sum(axis=0) // 4 % 2).astype(np.float32)
+    image.write("in.tif", pixels)
+    image.write("in8.png", (pixels * 99 + 100).astype(np.uint8))
+    grab = ["--grab", "20,20:24,18", "--radius", "8"]
+    low = {}
+    for name, more in (("a.tif", []), ("b.tif", ["--no-clamp"]), ("c.png", []), ("d.png", ["--clamp"])):
+        assert command(["warp", "in8.png" if name.endswith("png") else "in.tif", name, *grab, *more]) == 0
+        low[name] = float(image.read(name).pixels.min())
+    assert low["a.tif"] == 0
+    assert low["b.tif"] < -0.05
+    assert low["c.png"] < 95
+    assert low["d.png"] == 100
+    capfd.readouterr()
+    Path("frames").mkdir()
+    image.write("frames/001.png", np.zeros((9, 9), np.uint8))
+    image.write("frames/002.png", np.zeros((9, 9), np.uint8))
+    assert command(["warp", "frames/%03d.png", "o/%03d.png", "--grab", "3,3:4,4", "--radius", "3", "--clamp"]) == 2
+    assert "--clamp is for pictures and volumes" in capfd.readouterr().err
+
+
+def test_vectors_and_series(here: Path) -> None:
+    vectors = np.stack([made(seed=k, dtype=np.float32) for k in range(3)], axis=-1)
+    stored("v.nrrd", vectors)
+    warp_volume("v.nrrd", "v2.nrrd", RECIPE, filter="linear")
+    np.testing.assert_allclose(media.read("v2.nrrd").samples, truth(vectors), atol=OFF)
+    times = np.stack([made(seed=k) for k in range(4)])
+    stored("t.nii.gz", times, series=True)
+    done = warp_volume("t.nii.gz", "t2.nii.gz", RECIPE, filter="linear")
+    out = media.read("t2.nii.gz")
+    assert out.series
+    assert done.volumes == 4
+    for k in range(4):
+        assert np.abs(out.samples[k] - truth(times[k])).max() <= OFF + 0.5
+
+
+def test_scaled_values_come_out_scaled(here: Path) -> None:
+    samples = made()
+    image = nibabel.Nifti1Image(samples.transpose(2, 1, 0), np.diag([-0.9, -1.1, 2.0, 1.0]))
+    image.header.set_data_dtype(np.int16)
+    image.header.set_slope_inter(0.5, -7.0)
+    image.to_filename("in.nii")
+    warp_volume("in.nii", "out.nii", RECIPE, filter="linear")
+    before, after = (nibabel.load(name) for name in ("in.nii", "out.nii"))
+    assert after.get_data_dtype() == np.int16
+    assert (after.dataobj.slope, after.dataobj.inter) == (before.dataobj.slope, before.dataobj.inter)
+    warp_volume("in.nii", "out.mha", RECIPE, filter="linear")
+    np.testing.assert_allclose(
+        media.read("out.mha").samples, np.asarray(after.dataobj).transpose(2, 1, 0), atol=0.51 * before.dataobj.slope
+    )
+
+
+def test_what_is_not_a_number_stays_where_it_is(here: Path) -> None:
+    samples = made(dtype=np.float32)
+    samples[3, 4:6, 5] = np.nan
+    stored("in.nii", samples)
+    with pytest.warns(supple.errors.GapWarning, match="2 voxels of in.nii are NaN or infinite"):
+        warp_volume("in.nii", "out.nii", RECIPE, filter="linear")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        warp_volume("in.nii", "near.nii", RECIPE, filter="nearest")
+    assert 1 <= np.isnan(media.read("near.nii").samples).sum() < 10
+    out = media.read("out.nii").samples
+    assert 1 <= np.isnan(out).sum() < 60
+    known = ~np.isnan(out)
+    expected = truth(np.nan_to_num(samples))
+    far = ndimage.binary_dilation(~known, iterations=2)
+    np.testing.assert_allclose(out[~far], expected[~far], atol=OFF)
+
+
+def test_nothing_to_do_is_a_copy(here: Path) -> None:
+    stored("in.nii.gz", made())
+    still = supple.Recipe(strokes=[supple.Stroke.grab((5, 5, 5), by=(0, 0, 0), radius=5)])
+    warp_volume("in.nii.gz", "out.nii.gz", still)
+    assert Path("in.nii.gz").read_bytes() == Path("out.nii.gz").read_bytes()
+    warp_volume("in.nii.gz", "out.nrrd", still)
+    np.testing.assert_array_equal(media.read("out.nrrd").samples, media.read("in.nii.gz").samples)
+
+
+def test_results_too_large_for_memory_go_through_a_file(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    samples = stored("in.nii", made())
+    warp_volume("in.nii", "a.nii", RECIPE, filter="linear")
+    monkeypatch.setattr(volumes, "machine_memory", lambda: samples.nbytes * 2.0)
+    warp_volume("in.nii", "b.nii", RECIPE, filter="linear")
+    assert Path("a.nii").read_bytes() == Path("b.nii").read_bytes()
+    monkeypatch.setattr("supple.buffers.reserve", _full)
+    with pytest.raises(supple.SuppleError, match=r"no room for it beside c.nii \(No space left on device\)"):
+        warp_volume("in.nii", "c.nii", RECIPE, filter="linear")
+    assert sorted(p.name for p in here.iterdir()) == ["a.nii", "b.nii", "in.nii"]
+
+
+def _full(*_: Any, **__: Any) -> None:
+    raise OSError(28, "No space left on device")
+
+
+def test_what_is_a_volume(here: Path) -> None:
+    stored("in.nii", made())
+    stored("stack.tif", made())
+    from supple.media import image
+
+    image.write("one.tif", np.zeros((8, 8), np.uint8))
+    flat = supple.Recipe(strokes=[supple.Stroke.grab((5, 5), by=(1, 0), radius=5)])
+    assert is_volume_job("in.nii", "out.nii", flat)
+    assert is_volume_job("stack.tif", "out.tif", RECIPE)
+    assert is_volume_job("stack.tif", "out.nii", flat)
+    assert not is_volume_job("stack.tif", "out.tif", flat)
+    assert not is_volume_job("one.tif", "out.tif", RECIPE)
+    assert not is_volume_job("photo.jpg", "out.jpg", flat)
+    assert is_volume_job("x.bin", "out.nii", flat, VolumeOptions(layout=media.RawLayout((2, 2, 2), "uint8")))
+
+
+def test_raw_files(here: Path) -> None:
+    samples = made(dtype=np.uint16)
+    Path("x.bin").write_bytes(samples.tobytes())
+    sizes = np.array(SHAPE[::-1], "<u2").tobytes()
+    Path("x.dat").write_bytes(sizes + samples.astype("<u2").tobytes())
+    spacing = ",".join(str(s) for s in OBLIQUE.spacing)
+    shape = ",".join(str(n) for n in SHAPE[::-1])
+    given = ["--shape", shape, "--dtype", "<u2", "--spacing", spacing, "--filter", "linear"]
+    assert command(["warp", "x.bin", "bin.nii", *GRAB, *given]) == 0
+    out = media.read("bin.nii")
+    assert np.abs(out.samples - truth(samples)).max() <= OFF + 0.5
+    assert out.geometry.spacing == pytest.approx(OBLIQUE.spacing)
+    assert command(["warp", "x.dat", "dat.nii", *GRAB]) == 0
+    assert media.read("dat.nii").geometry.spacing == (1, 1, 1)
+
+
+def test_the_command_line(here: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    stored("in.nii.gz", made())
+    assert command(["warp", "in.nii.gz", "out.nrrd", *GRAB, "--json", "--save-field", "field.nii.gz"]) == 0
+    facts = json.loads(capfd.readouterr().out)
+    assert (facts["width"], facts["height"], facts["depth"]) == SHAPE[::-1]
+    assert facts["error"] <= 0.01
+    assert facts["convention"] == "RAS"
+    assert nibabel.load("field.nii.gz").shape[-1] == 3
+    assert command(["info", "in.nii.gz", "out.nrrd"]) == 0
+    text = capfd.readouterr().out
+    assert "24 x 26 x 20" in text
+    assert "0.9 x 1.1 x 2 mm" in text
+    world = OBLIQUE.to_world(np.array([11.0, 13, 9]), "RAS")
+    point = ",".join(f"{x:.3f}" for x in world)
+    Path("w").mkdir()
+    grab = ["--grab", f"{point}:{point}", "--radius", "5", "--world"]
+    assert command(["warp", "in.nii.gz", "w/out.nii.gz", *grab]) == 0
+    assert "RAS millimetres" in capfd.readouterr().err
+
+
+def test_what_is_oblique_is_said(here: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    stored("in.nii.gz", made())
+    stored("straight.nrrd", made(), Geometry(OBLIQUE.spacing, (10, 0, 0), np.eye(3)[[1, 2, 0]], "LPS"))
+    assert command(["info", "in.nii.gz", "straight.nrrd"]) == 0
+    oblique, straight = capfd.readouterr().out.split("straight.nrrd")
+    assert ", oblique by up to 36.9°\n" in oblique
+    assert "oblique" not in straight
+
+
+def test_a_folder_of_volumes(here: Path) -> None:
+    Path("scans").mkdir()
+    for k in range(2):
+        stored(f"scans/{k}.nii.gz", made(seed=k))
+    assert command(["warp", "scans", "bent", *GRAB, "--filter", "linear", "--quiet"]) == 0
+    assert sorted(p.name for p in Path("bent").iterdir()) == ["0.nii.gz", "1.nii.gz"]
+    assert np.abs(media.read("bent/1.nii.gz").samples - truth(made(seed=1))).max() <= OFF + 0.5
+
+
+FCSV = """# Markups fiducial file version = 4.11
+# CoordinateSystem = LPS
+# columns = id,x,y,z,ow,ox,oy,oz,vis,sel,lock,label,desc,associatedNodeID
+1,5.0,6.0,7.0,0.0,0.0,0.0,1.0,1,1,0,a,,
+"""
+
+
+def test_a_field_is_left_only_with_its_volume(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    stored("in.nii", made())
+    monkeypatch.setattr(volumes, "write", _full)
+    with pytest.raises(supple.SuppleError, match="No space left"):
+        warp_volume("in.nii", "out.nii", RECIPE, options=VolumeOptions(save_field="f.nii"))
+    assert [p.name for p in here.iterdir()] == ["in.nii"]
+    monkeypatch.undo()
+    monkeypatch.chdir(here)
+    warp_volume("in.nii", "out.nii", RECIPE, options=VolumeOptions(save_field="f.nii"))
+    assert sorted(p.name for p in here.iterdir()) == ["f.nii", "in.nii", "out.nii"]
+
+
+BAD: list[tuple[list[str], str]] = [
+    (["warp", "in.nii", "out.jpg", *GRAB], "no format that volumes are written in"),
+    (["warp", "in.nii", "in.nii", *GRAB], "is the volume itself: pass --force to replace it"),
+    (["warp", "in.nii", "there.nii", *GRAB], "exists already"),
+    (["warp", "in.nii", "out.nii", *GRAB, "--quality", "9"], "is for pictures or videos"),
+    (["warp", "in.nii", "out.nii", *GRAB, "--codec", "h264"], "is for pictures or videos"),
+    (["warp", "in.nii", "out.nii", *GRAB, "--save-field", "out.txt"], "out.txt"),
+    (["warp", "in.nii", "out.nii", *GRAB, "--save-field", "out.nii"], "cannot be the field"),
+    (["warp", "in.nii", "out.nii", *GRAB, "--tolerance", "0"], "tolerance"),
+    (["warp", "in.nii", "out.nii", *GRAB, "--shape", "1,2,3"], "both --shape X,Y,Z and --dtype"),
+    (["warp", "in.nii", "out.nii", *GRAB, "--shape", "1,2,3", "--dtype", "text"], "dtype"),
+    (["warp", "in.nii", "out.nii", *GRAB, "--shape", "1,2", "--dtype", "u1"], "three numbers"),
+    (["warp", "in.nii", "out.nii", *GRAB, "--shape", "99,99,99", "--dtype", "u1"], "in.nii"),
+    (["warp", "in.raw", "out.nii", *GRAB], "--shape"),
+    (["warp", "missing.nii", "out.nii", *GRAB], "missing.nii"),
+    (["warp", "text.nii.gz", "out.nii", *GRAB], "text.nii.gz"),
+    *(
+        (["warp", "photo.png", "out.png", "--grab", "1,1:2,2", "--radius", "3", *more], f"{more[0]} is for volumes")
+        for more in (["--labels"], ["--save-field", "f.nii"], ["--world"])
+    ),
+    (["warp", "in.nii", "out.nii", "--grab", "1,1:2,2", "--radius", "3"], "three numbers"),
+    (["plot", "in.nii", "out.png", *GRAB], "supple render shows it"),
+    (["warp", "in.nii", "out.nii", *GRAB, "--series", "1"], "--series is for DICOM"),
+    (["warp", "in.nii", "out.nii", *GRAB, "--save-field", "f.nii", "--save-recipe", "f.nii"], "recipe and the field"),
+    (["render", "in.nii", "out.png", "--time", "1"], "--time is for series"),
+    (["points", "p.fcsv", "q.fcsv", "--on", "stack.tif", *GRAB], "does not know where it lies in space"),
+]
+
+
+@pytest.mark.parametrize(("given", "text"), BAD)
+def test_bad_input(here: Path, capfd: pytest.CaptureFixture[str], given: list[str], text: str) -> None:
+    from supple.media import image
+
+    stored("in.nii", made())
+    for name in ("text.nii.gz", "in.raw", "there.nii"):
+        Path(name).write_text("this is text", encoding="utf-8")
+    image.write("photo.png", np.zeros((9, 9), np.uint8))
+    stored("stack.tif", made())
+    Path("p.fcsv").write_text(FCSV, encoding="utf-8")
+    before = sorted(p.name for p in here.iterdir())
+    assert command(given) == 2
+    out, err = capfd.readouterr()
+    assert text in err
+    assert err.count("\n") == 1
+    assert out == ""
+    assert sorted(p.name for p in here.iterdir()) == before
+    assert Path("there.nii").read_text(encoding="utf-8") == "this is text"
+
+
+def test_an_interrupt_leaves_nothing(here: Path) -> None:
+    stored("in.nii", made())
+    seen = []
+
+    def stop(step: str, done: int, total: int) -> None:
+        seen.append((step, done, total))
+        if step == "warp":
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        warp_volume("in.nii", "out.nii", RECIPE, tell=stop)
+    assert seen[0][0] == "read"
+    assert seen[-1][2] == SHAPE[0]
+    assert [p.name for p in here.iterdir()] == ["in.nii"]
+
+
+def test_a_recipe_on_a_volume() -> None:
+    volume = media.Volume(made(), OBLIQUE, name="it")
+    d = deformation_of(RECIPE, volume)
+    assert d.shape == SHAPE
+    assert d.recipe == replace(RECIPE, size=SHAPE[::-1])
+    # The radius is in millimetres: as far in space, a point moves as much along any axis.
+    free = deformation_of(supple.Recipe(strokes=RECIPE.strokes, border=None), volume)
+    at, by = np.array(RECIPE.strokes[0].at), np.array(RECIPE.strokes[0].by)
+    for axis in range(3):
+        for sign in (-1, 1):
+            step = sign * 9.0 / OBLIQUE.spacing[axis] * np.eye(3)[axis]
+            moved = (free.forward(at + step) - at - step) * OBLIQUE.spacing
+            assert 0.3 < np.linalg.norm(moved) / np.linalg.norm(by * OBLIQUE.spacing) < 0.95

@@ -1,0 +1,85 @@
+"""The benchmarks' pairs, medians and table, by a clock of their own."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import sys
+from types import ModuleType
+
+import pytest
+
+from tests.children import ROOT
+
+FOLDER = ROOT / "benchmarks"
+
+
+@pytest.fixture(scope="module")
+def paired() -> ModuleType:
+    spec = importlib.util.spec_from_file_location("paired", FOLDER / "paired.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules["paired"] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+class Played:
+    """A clock, and work that takes what it says it takes."""
+
+    def __init__(self) -> None:
+        self.now, self.calls = 0.0, ""
+
+    def __call__(self, work: object) -> float:
+        before = self.now
+        work()  # type: ignore[operator]
+        return self.now - before
+
+    def work(self, name: str, *seconds: float) -> object:
+        left = list(seconds)
+
+        def done() -> None:
+            self.calls += name
+            self.now += left.pop(0) if len(left) > 1 else left[0]
+
+        return done
+
+
+def test_pairs_alternate_after_calls_that_do_not_count(paired: ModuleType) -> None:
+    clock = Played()
+    # What compiles takes a minute, and is not seen; the machine then slows down, and the ratio is what it was.
+    ours = clock.work("o", 60.0, 1.0, 1.0, *(0.001 * k for k in range(1, 16)))
+    peer = clock.work("p", 60.0, 1.0, 1.0, *(0.002 * k for k in range(1, 16)))
+    line = paired.against("a row", ours, peer, clock, 15, 0.5)
+    assert clock.calls == "op" * 3 + ("poop" * 8)[:30]
+    assert line.ours.median == pytest.approx(0.008)
+    assert (line.ours.low, line.ours.high) == (pytest.approx(0.002), pytest.approx(0.014))
+    assert (line.value.median, line.value.runs) == (pytest.approx(0.5), 15)
+    assert line.ours.longest == pytest.approx(0.015)
+
+
+@pytest.mark.parametrize(("bar", "word"), [(3.0, "≤ 3 | holds"), (1.9, "≤ 1.9 | **missed**"), (None, " | ")])
+def test_a_line_says_whether_its_bar_is_met(paired: ModuleType, bar: float | None, word: str) -> None:
+    clock = Played()
+    line = paired.took("a row", clock.work("o", 0.002), clock, 5, bar, "and why")
+    assert str(line) == f"| a row | 2.00 (2.00–2.00) ms |  |  | {word} | 5 | and why |"
+    assert paired.missed([line]) == ("missed" in word)
+    assert json.loads(json.dumps(line.told()))["holds"] == (None if bar is None else bar == 3)
+
+
+def test_rates_have_a_least(paired: ModuleType) -> None:
+    clock = Played()
+    lines = [paired.rate("frames", clock.work("o", t), 118, "frames/s", clock, 15, 5000) for t in (0.0235, 0.03)]
+    assert "| 5021 (5021–5021) frames/s | ≥ 5000 | holds | 15 |" in str(lines[0])
+    assert "| 3933 (3933–3933) frames/s | ≥ 5000 | **missed** | 15 |" in str(lines[1])
+    slow = paired.Spread.of([0.02, 0.04, 0.01]).map(lambda x: 1 / x)
+    assert slow.low < slow.median < slow.high
+    assert paired.missed(lines)
+
+
+def test_what_is_not_there_is_a_line(paired: ModuleType) -> None:
+    line = paired.Line("ours / theirs", bar=0.3, note="theirs is not installed")
+    assert str(line) == "| ours / theirs |  |  |  | ≤ 0.3 | not measured |  | theirs is not installed |"
+    assert not paired.missed([line])
+    assert paired.HEAD.split("\n")[0].count("|") == str(line).count("|")

@@ -1,0 +1,90 @@
+"""The import rule (data flows one way, and the check that says so bites), and the version."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.children import ROOT
+
+
+def lint_imports(root: Path) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [
+            sys.executable,
+            "-c",
+            "from importlinter.cli import lint_imports_command as run; run()",
+            "--no-cache",
+        ],
+        cwd=root,
+        env={**os.environ, "PYTHONPATH": str(root / "src")},
+        capture_output=True,
+        encoding="utf-8",
+        check=False,
+    )
+
+
+@pytest.fixture
+def copied(tmp_path: Path) -> Path:
+    shutil.copy(ROOT / "pyproject.toml", tmp_path)
+    shutil.copytree(ROOT / "src", tmp_path / "src", ignore=shutil.ignore_patterns("__pycache__", "*.so"))
+    return tmp_path
+
+
+def test_data_flows_one_way() -> None:
+    result = lint_imports(ROOT)
+    assert result.returncode == 0, result.stdout + result.stderr
+
+
+@pytest.mark.parametrize(
+    ("module", "line"),
+    [
+        ("errors.py", "import supple.domain\n"),
+        ("strokes.py", "from supple import cli\n"),
+        ("domain.py", "def late() -> None:\n    import supple.deformation\n"),
+        ("_core/bad.py", "import supple.media\n"),
+        ("engines/native.py", "import supple.pipeline\n"),
+    ],
+)
+def test_an_import_against_the_rule_is_found(copied: Path, module: str, line: str) -> None:
+    source = copied / "src" / "supple"
+    with (source / module).open("a") as file:
+        file.write(f"\n\n{line}")
+    result = lint_imports(copied)
+    assert result.returncode == 1, result.stdout + result.stderr
+    assert "Data flows one way BROKEN" in result.stdout
+
+
+def test_the_citation_is_of_this_version() -> None:
+    init = (ROOT / "src" / "supple" / "__init__.py").read_text(encoding="utf-8")
+    version = re.findall(r'^__version__ = "(.+)"$', init, re.MULTILINE)
+    assert version == re.findall(r"^version: (.+)$", (ROOT / "CITATION.cff").read_text("utf-8"), re.MULTILINE)
+    assert len(version) == 1
+
+
+def test_torch_is_asked_for_only_by_those_who_ask_for_it() -> None:
+    program = """
+import sys
+import supple
+supple.Deformation((3, 3)).grab((1, 1), by=(0.1, 0), radius=2).warp
+assert "torch" not in sys.modules
+sys.modules["torch"] = None  # as if it were not installed
+try:
+    import supple.torch
+except ImportError as error:
+    print(error)
+"""
+    result = subprocess.run(
+        [sys.executable, "-c", program],
+        env={**os.environ, "PYTHONPATH": str(ROOT / "src")},
+        capture_output=True,
+        encoding="utf-8",
+        check=False,
+    )
+    assert result.stdout == "supple.torch needs PyTorch, which is not installed: pip install torch\n", result.stderr

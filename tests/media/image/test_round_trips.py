@@ -1,0 +1,255 @@
+"""Pictures come back from files as they were: samples, depth, colours, pages."""
+
+import numpy as np
+import pytest
+import pyvips
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+from supple.media.image import (
+    DepthWarning,
+    PageWarning,
+    info,
+    read,
+    write,
+)
+from supple.media.image.formats import TIFF
+from supple.media.image.formats import settings as saver_settings
+from tests.media.image.pictures import BLOB, FORMATS, INT, SAVERS, loaded, noise, refused, save, smooth
+
+CMYK = bytes(pyvips.Operation.call("profile_load", "cmyk"))
+
+
+class TestRoundTrips:
+    @pytest.mark.parametrize("channels", [(), (2,), (3,), (4,)])
+    @pytest.mark.parametrize(
+        ("suffix", "dtype"),
+        [
+            *[(suffix, dtype) for suffix in (".png", ".tif", ".tiff") for dtype in ("u1", "u2")],
+            *[(".tif", dtype) for dtype in ("f4", "i1", "i2", "u4", "i4")],
+        ],
+    )
+    def test_bit_for_bit(self, tmp_path, suffix, dtype, channels):
+        pixels = noise(dtype, 19, 23, *channels)
+        write(tmp_path / f"out{suffix}", pixels)
+        picture = read(tmp_path / f"out{suffix}")
+        assert picture.pixels.dtype == pixels.dtype
+        assert picture.pixels.flags.c_contiguous
+        np.testing.assert_array_equal(picture.pixels, pixels)
+        assert picture.alpha == (channels in ((2,), (4,)))
+        assert picture.bits == pixels.dtype.itemsize * 8
+
+    @pytest.mark.parametrize("channels", [3, 4])
+    @pytest.mark.parametrize("suffix", [".webp", ".avif"])
+    def test_bit_for_bit_when_asked_for(self, tmp_path, suffix, channels):
+        pixels = noise("u1", 19, 23, channels)  # with colours where alpha is 0
+        write(tmp_path / f"out{suffix}", pixels, lossless=True)
+        picture = read(tmp_path / f"out{suffix}")
+        np.testing.assert_array_equal(picture.pixels, pixels)
+        assert picture.alpha == (channels == 4)
+
+    @pytest.mark.parametrize("alpha", [False, True])
+    @pytest.mark.parametrize("suffix", [".webp", ".avif"])
+    def test_formats_without_grey_repeat_it(self, tmp_path, suffix, alpha):
+        pixels = noise("u1", 19, 23, 2) if alpha else noise("u1", 19, 23)
+        write(tmp_path / f"out{suffix}", pixels, lossless=True)
+        picture = read(tmp_path / f"out{suffix}")
+        grey = pixels[..., 0] if alpha else pixels
+        np.testing.assert_array_equal(picture.pixels[..., :3], np.repeat(grey[..., None], 3, axis=2))
+        assert picture.alpha == alpha
+        assert not alpha or np.array_equal(picture.pixels[..., 3], pixels[..., 1])
+
+    @settings(max_examples=30, deadline=None)
+    @given(
+        hnp.arrays(
+            st.sampled_from([np.uint8, np.uint16]),
+            st.tuples(st.integers(1, 20), st.integers(1, 20), st.sampled_from([2, 3, 4])),
+        ),
+        st.sampled_from([".png", ".tif"]),
+    )
+    def test_any_pixels(self, tmp_path_factory, pixels, suffix):
+        path = tmp_path_factory.getbasetemp() / f"any{suffix}"
+        write(path, pixels, force=True)
+        np.testing.assert_array_equal(read(path).pixels, pixels)
+
+    @pytest.mark.parametrize("shape", [(1, 1), (1, 9), (9, 1)])
+    @pytest.mark.parametrize("suffix", FORMATS)
+    def test_the_smallest_images(self, tmp_path, suffix, shape):
+        pixels = np.full((*shape, 3), 200, np.uint8)
+        write(tmp_path / f"out{suffix}", pixels)
+        assert np.abs(read(tmp_path / f"out{suffix}").pixels.astype(int) - 200).max() <= 3
+        write(tmp_path / f"grey{suffix}", pixels[..., 0])
+        assert read(tmp_path / f"grey{suffix}").pixels.shape[:2] == shape
+
+    @pytest.mark.parametrize(("suffix", "worst"), [(".jpg", 6), (".webp", 12), (".avif", 6)])
+    def test_lossy_formats_stay_close(self, tmp_path, suffix, worst):
+        pixels = smooth(64, 96)
+        write(tmp_path / f"out{suffix}", pixels)
+        assert np.abs(read(tmp_path / f"out{suffix}").pixels.astype(int) - pixels).max() <= worst
+
+    def test_jpeg_keeps_its_colours_sharp(self, tmp_path):
+        write(tmp_path / "out.jpg", smooth(32, 32))
+        assert loaded(tmp_path / "out.jpg")[1]["jpeg-chroma-subsample"] == "4:4:4"
+
+    @pytest.mark.parametrize("suffix", [".jpg", ".webp", ".avif"])
+    def test_quality_costs_bytes(self, tmp_path, suffix):
+        pixels = smooth(64, 64) // 2 + noise("u1", 64, 64, 3) // 8
+        for quality in (30, 99):
+            write(tmp_path / f"{quality}{suffix}", pixels, quality=quality)
+        low, high = ((tmp_path / f"{quality}{suffix}").stat().st_size for quality in (30, 99))
+        assert low < high / 2
+
+    @pytest.mark.parametrize("suffix", [".png", ".tif"])
+    @pytest.mark.parametrize("shape", [(8, 40_000, 3), (40_000, 8, 3)])
+    def test_sides_beyond_32767(self, tmp_path, suffix, shape):
+        pixels = noise("u1", *shape)
+        write(tmp_path / f"out{suffix}", pixels)
+        np.testing.assert_array_equal(read(tmp_path / f"out{suffix}").pixels, pixels)
+
+    def test_arrays_of_any_layout(self, tmp_path):
+        pixels = noise("u2", 30, 40, 3)
+        for name, view in {
+            "a": pixels[::2, ::-3],
+            "b": pixels.swapaxes(0, 1),
+            "c": pixels.astype(">u2"),
+        }.items():
+            write(tmp_path / f"{name}.png", view)
+            np.testing.assert_array_equal(read(tmp_path / f"{name}.png").pixels, view)
+        pixels.flags.writeable = False
+        write(tmp_path / "d.png", pixels)
+        np.testing.assert_array_equal(read(tmp_path / "d.png").pixels, pixels)
+
+    @pytest.mark.parametrize("suffix", [".png", ".tif"])
+    def test_smooth_images_become_small_files(self, tmp_path, suffix):
+        for dtype in ("u1", "u2"):
+            pixels = smooth(300, 400, dtype)
+            write(tmp_path / f"{dtype}{suffix}", pixels)
+            assert (tmp_path / f"{dtype}{suffix}").stat().st_size < pixels.nbytes / 10
+
+    def test_beyond_4_gigabytes_tiff_changes_its_kind(self):
+        for width, big in ((60_000, True), (50_000, False)):
+            pixels = np.broadcast_to(np.uint8(0), (70_000, width))  # takes no memory
+            assert saver_settings(TIFF, pixels, 8, None, False)["bigtiff"] is big
+
+    def test_many_channels_go_into_tiff(self, tmp_path):
+        pixels = noise("u2", 19, 23, 7)
+        write(tmp_path / "out.tif", pixels)
+        picture = read(tmp_path / "out.tif")
+        np.testing.assert_array_equal(picture.pixels, pixels)
+        assert not picture.alpha
+
+    def test_other_readers_see_the_colours_named(self, tmp_path):
+        for dtype, names in {"u1": ("b-w", "srgb"), "u2": ("grey16", "rgb16")}.items():
+            for channels, name in zip(((), (3,)), names, strict=True):
+                for suffix in (".png", ".tif"):
+                    write(tmp_path / f"out{suffix}", noise(dtype, 9, 9, *channels), force=True)
+                    assert info(tmp_path / f"out{suffix}")["interpretation"] == name
+
+
+class TestDepth:
+    @pytest.mark.parametrize("suffix", [".jpg", ".webp"])
+    def test_16_bits_are_rounded_to_8(self, tmp_path, suffix):
+        ramp = np.arange(65536, dtype=np.uint16).reshape(256, 256)
+        with pytest.warns(DepthWarning, match=rf"out\{suffix}: .* holds 8 bits a channel, and the 16 .* rounded$"):
+            write(tmp_path / f"out{suffix}", ramp, lossless=suffix == ".webp", quality=100)
+        found = read(tmp_path / f"out{suffix}").pixels.reshape(256, 256, -1)[..., 0]
+        worst = np.abs(found - np.rint(ramp / 257)).max()
+        assert worst == 0 if suffix == ".webp" else worst <= 2
+
+    def test_avif_keeps_12_bits_and_white(self, tmp_path):
+        ramp = np.arange(65536, dtype=np.uint16).reshape(256, 256)
+        with pytest.warns(DepthWarning, match="AVIF holds 12 bits a channel, and the 16"):
+            write(tmp_path / "out.avif", ramp, lossless=True)
+        picture = read(tmp_path / "out.avif")
+        assert (picture.pixels.dtype, picture.bits) == (np.uint16, 12)
+        assert picture.pixels.min() == 0
+        assert picture.pixels.max() == 65535
+        assert np.abs(picture.pixels[..., 0].astype(int) - ramp).max() <= 65535 / 4095 / 2 + 1
+        write(tmp_path / "again.avif", picture.pixels, like=picture, lossless=True)  # and warns no more
+        np.testing.assert_array_equal(read(tmp_path / "again.avif").pixels, picture.pixels)
+
+    def test_ten_bits_stay_ten(self, tmp_path):
+        save(tmp_path / "ten.avif", smooth(32, 32, np.uint16), compression="av1", lossless=True, bitdepth=10)
+        picture = read(tmp_path / "ten.avif")
+        assert picture.bits == 10
+        assert picture.pixels.max() > 65472 - 64 * 32
+        write(tmp_path / "again.avif", picture.pixels, like=picture, lossless=True)
+        again = read(tmp_path / "again.avif")
+        assert again.bits == 10
+        np.testing.assert_array_equal(again.pixels, picture.pixels)
+
+    def test_one_bit_and_palettes_are_spread(self, tmp_path):
+        bits = noise("u1", 16, 24) // 128 * 255
+        save(tmp_path / "bits.png", bits, bitdepth=1)
+        assert info(tmp_path / "bits.png")["bits"] == 1
+        np.testing.assert_array_equal(read(tmp_path / "bits.png").pixels, bits)
+        colours = np.zeros((16, 24, 3), np.uint8)
+        colours[4:9, 3:8] = (255, 0, 0)
+        save(tmp_path / "palette.png", colours, palette=True)
+        assert info(tmp_path / "palette.png")["channels"] == 3
+        np.testing.assert_array_equal(read(tmp_path / "palette.png").pixels, colours)
+        clear = np.concatenate([colours, colours[..., :1]], axis=2)
+        save(tmp_path / "clear.png", clear, palette=True)
+        picture = read(tmp_path / "clear.png")
+        assert picture.alpha
+        write(tmp_path / "out.png", picture.pixels, like=picture)
+        np.testing.assert_array_equal(read(tmp_path / "out.png").pixels, picture.pixels)
+
+
+class TestColours:
+    @pytest.mark.parametrize("suffix", [".tif", ".jpg"])
+    def test_cmyk_stays_cmyk(self, tmp_path, suffix):
+        pixels = np.concatenate([smooth(32, 32), smooth(32, 32)[..., :1]], axis=2)
+        image = pyvips.Image.new_from_array(pixels, interpretation="cmyk").copy()
+        image.set_type(BLOB, "icc-profile-data", CMYK)
+        getattr(image, SAVERS[suffix])(str(tmp_path / f"in{suffix}"))
+        picture = read(tmp_path / f"in{suffix}")
+        assert (picture.interpretation, picture.alpha, picture.icc) == ("cmyk", False, CMYK)
+        write(tmp_path / "out.tif", picture.pixels, like=picture)
+        again = read(tmp_path / "out.tif")
+        assert (again.interpretation, again.alpha, again.icc) == ("cmyk", False, CMYK)
+        np.testing.assert_array_equal(again.pixels, picture.pixels)
+        write(tmp_path / "out.jpg", picture.pixels, like=picture, quality=100)
+        assert np.abs(read(tmp_path / "out.jpg").pixels.astype(int) - picture.pixels).max() <= 4
+        for target in (".png", ".webp", ".avif"):
+            message = refused(write, tmp_path / f"out{target}", picture.pixels, like=picture)
+            assert message.endswith("holds no CMYK colours: write TIFF or JPEG")
+
+    def test_alpha_can_be_told(self, tmp_path):
+        pixels = noise("u1", 19, 23, 4)
+        message = refused(write, tmp_path / "out.png", pixels, alpha=False)
+        assert message.endswith("out.png: PNG does not hold 4 channels: write a TIFF")
+        write(tmp_path / "out.png", pixels, alpha=True)
+        np.testing.assert_array_equal(read(tmp_path / "out.png").pixels, pixels)
+
+    def test_premultiplied_alpha_becomes_straight(self, tmp_path):
+        pixels = np.full((8, 8, 4), (200, 100, 50, 128), np.uint8)
+        save(tmp_path / "in.tif", pixels, premultiply=True)
+        assert np.abs(read(tmp_path / "in.tif").pixels.astype(int) - pixels).max() <= 1
+
+
+class TestPages:
+    def test_of_an_animation_the_first_is_read(self, tmp_path):
+        frames = np.zeros((30, 12, 3), np.uint8)
+        frames[:10], frames[10:20], frames[20:] = (255, 0, 0), (0, 255, 0), (0, 0, 255)
+        for suffix in (".gif", ".webp"):
+            image = pyvips.Image.new_from_array(frames, interpretation="srgb").copy()
+            image.set_type(INT, "page-height", 10)
+            image.write_to_file(str(tmp_path / f"in{suffix}"), **({"lossless": True} if suffix == ".webp" else {}))
+            with pytest.warns(PageWarning, match=r"holds 3 (pages|frames), and only (one of them|the first) is read"):
+                picture = read(tmp_path / f"in{suffix}")
+            np.testing.assert_array_equal(picture.pixels[..., :3], frames[:10])
+            assert info(tmp_path / f"in{suffix}")["pages"] == 3
+            write(tmp_path / f"out{suffix}.png", picture.pixels, like=picture)
+            assert info(tmp_path / f"out{suffix}.png")["height"] == 10
+
+    def test_of_a_tiff_the_first_is_read(self, tmp_path):
+        image = pyvips.Image.new_from_array(noise("u2", 30, 12), interpretation="grey16").copy()
+        image.set_type(INT, "page-height", 10)
+        image.tiffsave(str(tmp_path / "in.tif"))
+        with pytest.warns(PageWarning):
+            picture = read(tmp_path / "in.tif")
+        np.testing.assert_array_equal(picture.pixels, noise("u2", 30, 12)[:10])
+        write(tmp_path / "out.tif", picture.pixels, like=picture)
+        assert info(tmp_path / "out.tif")["pages"] == 1

@@ -1,0 +1,124 @@
+"""What cannot be written is refused before any frame, and nothing is left behind."""
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from supple.errors import SuppleError
+from supple.media.video import info, open_video
+from tests import clips
+from tests.media.video.copies import assert_nothing_left, copy
+
+REFUSED = [
+    ("b.mp4", {"codec": "nonsense"}, "no video encoder is called nonsense: use h264"),
+    ("b.mp4", {"codec": "aac"}, "no video encoder is called aac"),
+    ("b.webm", {"codec": "h264"}, "webm cannot hold h264: use vp9"),
+    ("b.gif", {"codec": "h264"}, "gif cannot hold h264"),
+    ("b.mp4", {"crf": 99}, "crf 99 is none of libx264's: choose from 0"),
+    ("b.mp4", {"crf": -1}, "crf -1"),
+    ("b.mp4", {"crf": float("nan")}, "crf nan"),
+    ("b.mkv", {"codec": "ffv1", "crf": 3}, "ffv1 has no crf"),
+    ("b.mkv", {"codec": "ffv1", "preset": "fast"}, "ffv1 has no presets"),
+    ("b.mp4", {"preset": "quick"}, "libx264 has no preset quick: use ultrafast"),
+    ("b.mp4", {"pixel_format": "rgb24"}, "libx264 does not take the pixel format 'rgb24': use yuv420p"),
+    ("b.mp4", {"pixel_format": "mad"}, "does not take the pixel format 'mad'"),
+    ("b.gif", {"pixel_format": "rgb24"}, "use pal8"),
+    ("b.gif", {"lossless": True}, "gif always loses something: use ffv1"),
+    ("b.mov", {"codec": "prores", "lossless": True}, "prores always loses something"),
+    ("b.avi", {"codec": "mpeg4", "lossless": True}, "mpeg4 always loses something"),
+    ("b.mov", {"codec": "png", "lossless": True}, "png loses exact values"),
+    ("b.mp4", {"codec": "h264", "lossless": True, "crf": 0}, "crf 0 is for what may lose something"),
+    (
+        "b.mkv",
+        {"codec": "av1", "preset": "11", "crf": 7},
+        "preset 11 fails below crf 8: use preset 10 or less, or crf 8",
+    ),
+    ("b.mkv", {"codec": "av1", "preset": "13", "crf": 1}, "preset 13 fails below crf 8"),
+    ("b.mkv", {"codec": "av1", "preset": "12", "lossless": True}, "preset 12 fails if lossless: use preset 10 or less"),
+    ("b.mp5", {}, "the suffix .mp5 is no video format: use .mp4"),
+    ("b", {}, "a name without suffix"),
+    ("no/b.mp4", {}, "there is no folder"),
+]
+
+
+@pytest.mark.parametrize(("target", "settings", "message"), REFUSED)
+def test_what_cannot_be_is_refused_before_any_frame(tmp_path, target, settings, message):
+    source = clips.make(tmp_path / "a.mp4", count=2)
+    with (
+        open_video(source) as clip,
+        pytest.raises(SuppleError, match=message) as caught,
+        clip.writer(tmp_path / target, **settings),
+    ):
+        pytest.fail("the block must not run")
+    assert "\n" not in str(caught.value)
+    assert_nothing_left(tmp_path, "a.mp4")
+
+
+def test_an_existing_file_is_kept_unless_forced(tmp_path):
+    source = clips.make(tmp_path / "a.mp4", count=2)
+    (tmp_path / "b.mp4").write_text("mine")
+    with (
+        open_video(source) as clip,
+        pytest.raises(SuppleError, match="exists already"),
+        clip.writer(tmp_path / "b.mp4"),
+    ):
+        pytest.fail("the block must not run")
+    assert (tmp_path / "b.mp4").read_text() == "mine"
+
+
+def test_a_clip_may_replace_itself(tmp_path):
+    source = clips.make(tmp_path / "a.mp4", count=4)
+    assert copy(source, source) == 4
+    assert info(source)["frames"] == 4
+
+
+@pytest.mark.parametrize("when", [0, 3, 9])
+@pytest.mark.parametrize("stop", [KeyboardInterrupt, RuntimeError])
+def test_an_interrupt_leaves_nothing(tmp_path, stop, when):
+    source = clips.make(tmp_path / "a.mp4", audio="aac")
+
+    def interrupted():
+        with open_video(source) as clip, clip.writer(tmp_path / "b.mp4") as sink:
+            for k, frame in enumerate(clip.frames()):
+                arrays = [np.empty((*g.shape, g.channels), clip.layout.dtype) for g in clip.layout.groups]
+                frame.copy_to(arrays)
+                if k == when:
+                    raise stop
+                sink.write(arrays, k)
+
+    with pytest.raises(stop):
+        interrupted()
+    assert_nothing_left(tmp_path, "a.mp4")
+
+
+FULL_DISK = """
+import resource, signal, sys
+import numpy as np
+from supple.errors import SuppleError
+from supple.media.video import open_video
+signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[3]), resource.RLIM_INFINITY))
+try:
+    with open_video(sys.argv[1]) as clip, clip.writer(sys.argv[2]) as sink:
+        for k, frame in enumerate(clip.frames()):
+            arrays = [np.empty((*g.shape, g.channels), clip.layout.dtype) for g in clip.layout.groups]
+            frame.copy_to(arrays)
+            sink.write(arrays, k)
+except SuppleError as error:
+    print(error)
+    sys.exit(3)
+"""
+
+
+@pytest.mark.parametrize("target", ["b.mkv", "b.mp4", "b.avi", "b.gif"])
+def test_a_full_disk_is_said(tmp_path, target):
+    source = clips.make(tmp_path / "a.mkv", "ffv1", smooth=False, count=20)
+    for room in (0, 20000):
+        command = [sys.executable, "-c", FULL_DISK, str(source), str(tmp_path / target), str(room)]
+        done = subprocess.run(command, capture_output=True, encoding="utf-8", timeout=100, check=False)
+        assert done.returncode == 3, done
+        assert "File too large: make room" in done.stdout
+        assert done.stderr == ""
+        assert_nothing_left(tmp_path, "a.mkv")

@@ -1,0 +1,326 @@
+"""Series of DICOM slices."""
+
+import gzip
+import os
+import struct
+
+import numpy as np
+import pytest
+import SimpleITK as sitk  # noqa: N813
+
+from supple.errors import VolumeWarning
+from supple.geometry import Geometry
+from supple.media.volume import (
+    info,
+    is_volume,
+    read,
+    write,
+)
+from tests.media.volume.volumes import (
+    ORIGIN,
+    PLACED,
+    SHAPE,
+    SPACING,
+    agree,
+    by_itk,
+    by_nibabel,
+    by_us,
+    noise,
+    refused,
+    turned,
+)
+
+
+def slices(folder, samples, *, places=None, uid="1.2.3.4", number=1, text="head", change=(), names=None):
+    """Write a series of DICOM slices with SimpleITK alone; `change` are tags of single slices."""
+    folder.mkdir(exist_ok=True)
+    writer = sitk.ImageFileWriter()
+    writer.KeepOriginalImageUIDOn()
+    direction = turned(flipped=False)
+    for k, slab in enumerate(samples):
+        one = sitk.GetImageFromArray(slab)
+        place = direction[:, 2] * SPACING[2] * k + ORIGIN if places is None else places[k]
+        tags = {
+            "0008|0008": "ORIGINAL\\PRIMARY\\AXIAL",
+            "0008|0016": "1.2.840.10008.5.1.4.1.1.2",
+            "0008|0018": f"{uid}.{k + 1}",
+            "0008|0060": "CT",
+            "0008|103e": text,
+            "0010|0010": "Doe^Jane",
+            "0020|000d": "1.2.3",
+            "0020|000e": uid,
+            "0020|0011": str(number),
+            "0020|0013": str(len(samples) - k),
+            "0020|0032": "\\".join(f"{x:.8g}" for x in place),
+            "0020|0037": "\\".join(f"{x:.10g}" for x in direction[:, :2].T.ravel()),
+            "0028|0030": f"{SPACING[1]}\\{SPACING[0]}",
+            "0018|0050": str(SPACING[2]),
+            **dict(change).get(k, {}),
+        }
+        one.SetSpacing((*SPACING[:2],))
+        for key, value in tags.items():
+            one.SetMetaData(key, value)
+        name = names[k] if names else f"{uid}-{k}.dcm"
+        writer.SetFileName(str(folder / name) + ("" if name.endswith(".dcm") else ".dcm"))
+        writer.Execute(one)
+        if not name.endswith(".dcm"):
+            (folder / f"{name}.dcm").rename(folder / name)
+    return folder
+
+
+def element(group, number, kind, data):
+    """One element of a DICOM file."""
+    data = data.encode() if isinstance(data, str) else data
+    data += (b"\0" if kind in ("UI", "OB") else b" ") * (len(data) % 2)
+    long = struct.pack("<HI", 0, len(data)) if kind == "OB" else struct.pack("<H", len(data))
+    return struct.pack("<HH2s", group, number, kind.encode()) + long + data
+
+
+def no_image(path, end, modality):
+    """Write a DICOM file without voxels, of a class of storage that ends so."""
+    uid, known = "1.2.840.10008.5.1.4.1.1." + end, "1.2.9." + end
+    meta = element(2, 1, "OB", b"\0\1") + element(2, 2, "UI", uid) + element(2, 3, "UI", known)
+    meta += element(2, 0x10, "UI", "1.2.840.10008.1.2.1")
+    body = element(8, 0x16, "UI", uid) + element(8, 0x18, "UI", known) + element(8, 0x60, "CS", modality)
+    body += element(0x20, 0xD, "UI", "1.2.3") + element(0x20, 0xE, "UI", known)
+    path.write_bytes(bytes(128) + b"DICM" + element(2, 0, "UL", struct.pack("<I", len(meta))) + meta + body)
+
+
+class TestDICOM:
+    def test_what_is_no_image_is_left_out_and_named(self, tmp_path):
+        samples = noise("i2", *SHAPE)
+        folder = slices(tmp_path / "in", samples)
+        no_image(folder / "rs.dcm", "481.3", "RTSTRUCT")
+        no_image(folder / "report", "88.11", "SR")
+        with pytest.warns(VolumeWarning) as told:
+            np.testing.assert_array_equal(read(folder).samples, samples)
+        assert [str(one.message) for one in told] == [
+            f"report (SR), rs.dcm (RTSTRUCT) in {folder}: no images of a series, and left out"
+        ]
+        derived = {"dose.dcm": ("481.2", "RTDOSE"), "seg.dcm": ("66.4", "SEG")}
+        for k, (name, (end, modality)) in enumerate(derived.items()):
+            tags = {"0008|0016": f"1.2.840.10008.5.1.4.1.1.{end}", "0008|0060": modality}
+            slices(folder, noise("u2", 1, 5, 6), uid=f"1.2.{k}", names=[name], change=[(0, tags)])
+        with pytest.warns(
+            VolumeWarning, match=r"dose.dcm \(RTDOSE\), report \(SR\), rs.dcm \(RTSTRUCT\) and 1 more in"
+        ):
+            np.testing.assert_array_equal(read(folder).samples, samples)
+        for path in (folder / "report", folder / "rs.dcm"):
+            path.unlink()
+        with pytest.warns(VolumeWarning, match=r"dose.dcm \(RTDOSE\), seg.dcm \(SEG\) in"):
+            assert info(folder)["shape"] == [6, 5, 4]
+        for path in folder.glob("1.2.3.4-*"):
+            path.unlink()
+        with pytest.warns(VolumeWarning, match="^dose.dcm"):  # without its grid, nothing can be read of it
+            assert read(folder).samples.shape == (1, 5, 6)
+        (folder / "seg.dcm").unlink()
+        assert "no DICOM images" in refused(read, folder)
+
+    @pytest.mark.parametrize("split", [False, True])
+    def test_slices_in_subfolders(self, tmp_path, split):
+        samples = noise("i2", *SHAPE)
+        slices(tmp_path / "in", samples)
+        for k, path in enumerate(sorted((tmp_path / "in").iterdir())):
+            inner = tmp_path / "study" / "a" / (f"part{k // 2}" if split else "series")
+            inner.mkdir(parents=True, exist_ok=True)
+            path.rename(inner / path.name)
+        no_image(tmp_path / "study" / "DICOMDIR", "1", "")
+        (tmp_path / "study" / "README.TXT").write_text("hello")
+        assert is_volume(tmp_path / "study")
+        np.testing.assert_array_equal(read(tmp_path / "study").samples, samples)
+        slices(tmp_path / "study" / "b", samples[:2], uid="1.2.5")
+        assert "it holds 2 series" in refused(read, tmp_path / "study")
+        (tmp_path / "study" / "DICOMDIR").unlink()
+        (tmp_path / "study" / "photo.jpg").write_bytes(b"no matter")
+        assert not is_volume(tmp_path / "study")
+
+    @pytest.mark.parametrize(("most", "dtype"), [(3071, "i2"), (32768, "i4")])
+    @pytest.mark.parametrize("stored", ["i2", "u2"])
+    def test_values_stay_in_16_bits_if_they_fit(self, tmp_path, most, dtype, stored):
+        samples = (noise("u2", *SHAPE) % 4000).astype(stored)
+        samples[1, 2, 3] = min(most + 1024, np.iinfo(stored).max)
+        folder = slices(tmp_path / "in", samples)
+        for path in folder.iterdir():
+            data, intercept = path.read_bytes(), b"\x28\x00\x52\x10\x02\x00\x00\x000 "
+            assert data.count(intercept) == 1
+            path.write_bytes(data.replace(intercept, b"\x28\x00\x52\x10\x06\x00\x00\x00-1024 "))
+        known = read(folder).samples
+        assert known.dtype == (dtype if stored == "u2" else "i2")
+        np.testing.assert_array_equal(known, samples.astype(int) - 1024)
+        np.testing.assert_array_equal(read(next(folder.iterdir())).samples, known)
+
+    def test_a_series(self, tmp_path):
+        samples = noise("i2", *SHAPE)
+        known = read(slices(tmp_path / "in", samples))
+        np.testing.assert_array_equal(known.samples, samples)
+        wanted = Geometry(SPACING, ORIGIN, turned(flipped=False), "LPS")
+        np.testing.assert_allclose(known.geometry.matrix, wanted.matrix, atol=1e-5)
+        assert (known.format, known.geometry.convention, known.header) == ("DICOM", "LPS", None)
+
+    def test_others_see_the_same_places(self, tmp_path):
+        folder = slices(tmp_path / "in", noise("i2", *SHAPE))
+        reader = sitk.ImageSeriesReader()
+        reader.SetFileNames(reader.GetGDCMSeriesFileNames(str(folder)))
+        sitk.WriteImage(reader.Execute(), str(tmp_path / "out.nrrd"))
+        agree(by_us(folder), by_itk(tmp_path / "out.nrrd"))
+        write(tmp_path / "out.nii", read(folder).samples, read(folder))
+        agree(by_us(folder), by_nibabel(tmp_path / "out.nii"))
+
+    def test_nothing_of_the_patient_gets_out(self, tmp_path):
+        known = read(slices(tmp_path / "in", noise("i2", *SHAPE)))
+        for suffix in PLACED:
+            write(tmp_path / f"out{suffix}", known.samples, known)
+        data = b"".join(path.read_bytes() for path in tmp_path.glob("out.*"))
+        data += gzip.decompress((tmp_path / "out.nii.gz").read_bytes())
+        assert b"Doe" not in data
+        assert b"Doe" in next((tmp_path / "in").iterdir()).read_bytes()
+
+    def test_the_order_of_files_and_numbers_means_nothing(self, tmp_path):
+        samples, direction = noise("i2", *SHAPE), turned(flipped=False)
+        places = [direction[:, 2] * SPACING[2] * k + ORIGIN for k in range(4)]
+        order = [2, 0, 3, 1]
+        folder = slices(tmp_path / "in", samples[order], places=[places[k] for k in order])
+        np.testing.assert_array_equal(read(folder).samples, samples)
+
+    @pytest.mark.parametrize("name", ["1.2.3.4-2.dcm", "IM0", "IM.0001"])
+    def test_one_slice_stands_for_its_series(self, tmp_path, name):
+        samples = noise("i2", *SHAPE)
+        folder = slices(tmp_path / "in", samples, names=["IM0", "IM.0001", "1.2.3.4-2.dcm", "x.dcm"])
+        slices(tmp_path / "in", samples[:2], uid="1.2.3.5")
+        assert is_volume(folder)
+        assert is_volume(folder / name)
+        np.testing.assert_array_equal(read(folder / name).samples, samples)
+
+    def test_several_series(self, tmp_path):
+        samples = noise("i2", *SHAPE)
+        slices(tmp_path / "in", samples, uid="1.2.9", number=2, text="second")
+        folder = slices(tmp_path / "in", samples[:3] + 1, uid="1.2.10", number=7, text="first")
+        message = refused(read, folder)
+        assert "1 is 1.2.9 second of 4 slices, 2 is 1.2.10 first of 3 slices" in message
+        assert "--series" in message
+        for name in ("1", "1.2.9"):
+            np.testing.assert_array_equal(read(folder, series=name).samples, samples)
+        for name in ("2", "1.2.10"):
+            np.testing.assert_array_equal(read(folder, series=name).samples, samples[:3] + 1)
+        assert "no series 3 (1 is" in refused(read, folder, series="3")
+        kinds = [("1.2.9", "second", 4), ("1.2.10", "first", 3)]
+        listed = [{"number": k, "uid": u, "description": d, "slices": n} for k, (u, d, n) in enumerate(kinds, 1)]
+        assert info(folder) == {"format": "DICOM", "series": listed}
+        assert info(folder, series="2")["shape"] == [6, 5, 3]
+
+    def test_hounsfield_units(self, tmp_path):
+        samples = noise("u1", *SHAPE).astype("i2")
+        folder = slices(tmp_path / "in", samples)
+        for path in folder.iterdir():
+            data = path.read_bytes()
+            for old, new in (
+                (b"\x28\x00\x52\x10\x02\x00\x00\x000 ", b"-9"),
+                (b"\x28\x00\x53\x10\x02\x00\x00\x001 ", b"2 "),
+            ):
+                assert data.count(old) == 1
+                data = data.replace(old, old[:-2] + new)
+            path.write_bytes(data)
+        np.testing.assert_array_equal(read(folder).samples, samples * 2 - 9)
+
+    def test_a_missing_slice(self, tmp_path):
+        folder = slices(tmp_path / "in", noise("i2", 6, 5, 6))
+        (folder / "1.2.3.4-3.dcm").unlink()
+        message = refused(read, folder)
+        assert "missing between 1.2.3.4-2.dcm and 1.2.3.4-4.dcm (4.6 mm, elsewhere 2.3 mm)" in message
+
+    def test_one_slice_alone(self, tmp_path):
+        folder = slices(tmp_path / "in", noise("i2", 1, 5, 6))
+        path = next(folder.iterdir())
+        # ITK may add a spacing between slices: make a field strength of it
+        path.write_bytes(path.read_bytes().replace(b"\x18\0\x88\0\2", b"\x18\0\x87\0\2"))
+        known = read(folder)
+        assert known.samples.shape == (1, 5, 6)
+        np.testing.assert_allclose(known.geometry.spacing, SPACING)
+
+    def _places(self, steps, aside=(0, 0, 0)):
+        normal = turned(flipped=False)[:, 2]
+        return [normal * step + np.array(aside) * k + ORIGIN for k, step in enumerate(steps)]
+
+    @pytest.mark.parametrize(
+        ("steps", "told"),
+        [((0, 2, 2, 4), "at the same place"), ((0, 2, 3.4, 5.4), "1.4 to 2 mm apart"), ((0, 0, 0, 0), "same place")],
+    )
+    def test_uneven_slices(self, tmp_path, steps, told):
+        folder = slices(tmp_path / "in", noise("i2", *SHAPE), places=self._places(steps))
+        assert told in refused(read, folder)
+
+    def test_a_tilted_gantry(self, tmp_path):
+        aside = turned(flipped=False)[:, 1] * 0.6
+        folder = slices(tmp_path / "in", noise("i2", *SHAPE), places=self._places((0, 2, 4, 6), aside))
+        assert "right angles" in refused(read, folder)
+
+    @pytest.mark.parametrize(
+        ("change", "told"),
+        [
+            ({"0020|0037": "1\\0\\0\\0\\1\\0"}, "several directions"),
+            (b"3.3\\.7", "several spacings"),
+            (b"0.0\\.0", "spacing is 0 x 0,"),
+            (b"-1.\\.7", "spacing is -1 x 0.7,"),
+            (b"1.1\\ab", "spacing is nan,"),
+        ],
+    )
+    def test_slices_that_are_not_alike(self, tmp_path, change, told):
+        tags = [(2, change)] if isinstance(change, dict) else []
+        folder = slices(tmp_path / "in", noise("i2", *SHAPE), change=tags)
+        if not tags:
+            path = folder / "1.2.3.4-2.dcm"
+            data = path.read_bytes()
+            assert data.count(b"1.1\\.7") == 1
+            path.write_bytes(data.replace(b"1.1\\.7", change))
+        assert told in refused(read, folder)
+
+    def test_slices_of_two_sizes(self, tmp_path):
+        slices(tmp_path / "in", noise("i2", *SHAPE))
+        folder = slices(tmp_path / "in", noise("i2", 1, 7, 6), names=["z.dcm"], places=self._places([9.2]))
+        assert "several sizes" in refused(read, folder)
+
+    @pytest.mark.parametrize("k", [0, 2, 3])
+    @pytest.mark.parametrize("count", [0, 300, -30])
+    def test_a_damaged_slice(self, tmp_path, k, count):
+        folder = slices(tmp_path / "in", noise("i2", *SHAPE))
+        path = folder / f"1.2.3.4-{k}.dcm"
+        path.write_bytes(path.read_bytes()[:count])
+        assert path.name in refused(read, folder)
+
+    def test_what_else_lies_in_the_folder(self, tmp_path):
+        samples = noise("i2", *SHAPE)
+        folder = slices(tmp_path / "in", samples)
+        (folder / "DICOMDIR").write_bytes(bytes(128) + b"DICM" + bytes(10))
+        (folder / "notes.txt").write_text("hello")
+        (folder / "sub").mkdir()
+        np.testing.assert_array_equal(read(folder).samples, samples)
+
+    def test_slices_of_two_types(self, tmp_path):
+        samples = noise("i2", *SHAPE)
+        folder = slices(tmp_path / "in", samples[:2])
+        places = self._places([4.6, 6.9])
+        slices(folder, samples[2:].astype("i4") * 2**14, names=["y.dcm", "z.dcm"], places=places)
+        known = read(folder)
+        np.testing.assert_array_equal(known.samples[2:], samples[2:].astype("i4") * 2**14)
+        np.testing.assert_array_equal(known.samples[:2], samples[:2])
+
+    def test_a_file_of_many_frames(self, tmp_path):
+        samples = noise("u1", *SHAPE)
+        made = sitk.GetImageFromArray(samples)
+        made.SetSpacing((0.5, 0.5, 2))
+        sitk.WriteImage(made, str(tmp_path / "in.dcm"))
+        np.testing.assert_array_equal(read(tmp_path / "in.dcm").samples, samples)
+        assert read(tmp_path / "in.dcm").sizes == (6, 5, 4)
+
+    def test_folders_without(self, tmp_path):
+        assert not is_volume(tmp_path)
+        (tmp_path / "notes.txt").write_text("hello")
+        (tmp_path / "README").write_text("hello" * 99)
+        assert not is_volume(tmp_path)
+        assert "no DICOM images" in refused(read, tmp_path)
+
+    def test_standard_error_is_given_back(self, tmp_path, capfd):
+        (tmp_path / "in.mha").write_text("hello")
+        refused(read, tmp_path / "in.mha")
+        os.write(2, b"still here")
+        assert capfd.readouterr().err == "still here"

@@ -1,0 +1,332 @@
+"""Volumes come back from files as they were; what is refused, and what is told of a file."""
+
+import os
+import subprocess
+import sys
+import textwrap
+from dataclasses import replace
+
+import nibabel
+import numpy as np
+import pytest
+import SimpleITK as sitk  # noqa: N813
+
+from supple.errors import SuppleError
+from supple.media.volume import (
+    SUFFIXES,
+    SUFFIXES_OUT,
+    RawLayout,
+    check_target,
+    info,
+    is_volume,
+    read,
+    write,
+)
+from tests.children import SOURCE
+from tests.media.volume.volumes import (
+    DTYPES,
+    ORIGIN,
+    PLACED,
+    SHAPE,
+    SPACING,
+    VOXELS,
+    agree,
+    by_itk,
+    by_nibabel,
+    by_us,
+    image,
+    nifti,
+    noise,
+    refused,
+    turned,
+    volume,
+)
+
+
+class TestRoundTrips:
+    @pytest.mark.parametrize("dtype", DTYPES)
+    @pytest.mark.parametrize("suffix", PLACED)
+    def test_bit_for_bit_and_in_place(self, tmp_path, suffix, dtype):
+        like = volume(noise(dtype, *SHAPE))
+        write(tmp_path / f"out{suffix}", like.samples, like)
+        back = read(tmp_path / f"out{suffix}")
+        assert back.samples.dtype == like.samples.dtype
+        assert back.samples.flags.c_contiguous
+        np.testing.assert_array_equal(back.samples, like.samples)
+        np.testing.assert_allclose(back.geometry.matrix, like.geometry.matrix, atol=1e-5)
+        assert back.geometry.convention == ("RAS" if suffix.startswith(".nii") else "LPS")
+        assert (back.series, back.scaling, back.sizes) == (False, (1, 0), SHAPE[::-1])
+
+    @pytest.mark.parametrize("suffix", PLACED)
+    def test_others_see_the_same_values_at_the_same_places(self, tmp_path, suffix):
+        like, path = volume(noise("i2", *SHAPE)), tmp_path / f"out{suffix}"
+        write(path, like.samples, like)
+        here = like.geometry.to_lps(VOXELS), [like.samples[v[::-1]] for v in VOXELS]
+        agree(here, by_itk(path), *([by_nibabel(path)] if suffix.startswith(".nii") else []))
+
+    @pytest.mark.parametrize("suffix", [*PLACED, ".nhdr", ".hdr"])
+    def test_what_others_wrote(self, tmp_path, suffix):
+        path = tmp_path / f"in{suffix}"
+        if suffix == ".hdr":  # nibabel's pair
+            nifti(path.with_suffix(".img"), kind=nibabel.Nifti1Pair)
+            agree(by_us(path), by_us(path.with_suffix(".img")), by_nibabel(path.with_suffix(".img")))
+            return
+        sitk.WriteImage(image(noise("i2", *SHAPE)), str(path))
+        agree(by_us(path), by_itk(path))
+        assert read(path).format == {".nii": "NIfTI", ".gz": "NIfTI"}.get(path.suffix, read(path).format)
+
+    @pytest.mark.parametrize("kind", [nibabel.Nifti1Image, nibabel.Nifti2Image])
+    @pytest.mark.parametrize("suffix", [".nii", ".nii.gz"])
+    def test_what_nibabel_wrote(self, tmp_path, suffix, kind):
+        path = nifti(tmp_path / f"in{suffix}", kind=kind)
+        agree(by_us(path), by_nibabel(path))
+        write(tmp_path / "out.nii", read(path).samples, read(path))
+        agree(by_us(path), by_nibabel(tmp_path / "out.nii"))
+
+    @pytest.mark.parametrize("before", PLACED)
+    @pytest.mark.parametrize("after", PLACED)
+    def test_from_every_format_to_every_other(self, tmp_path, before, after):
+        like = volume(noise("u2", *SHAPE))
+        write(tmp_path / f"a{before}", like.samples, like)
+        known = read(tmp_path / f"a{before}")
+        write(tmp_path / f"b{after}", known.samples, known)
+        agree(by_us(tmp_path / f"a{before}"), by_itk(tmp_path / f"b{after}"), by_us(tmp_path / f"b{after}"))
+
+    @pytest.mark.parametrize("suffix", [*PLACED, ".tif"])
+    @pytest.mark.parametrize(("dtype", "components"), [("u1", 3), ("u1", 4), ("f4", 3), ("i2", 2)])
+    def test_colours_and_vectors(self, tmp_path, suffix, dtype, components):
+        like, path = volume(noise(dtype, *SHAPE, components)), tmp_path / f"out{suffix}"
+        write(path, like.samples, like)
+        back = read(path)
+        np.testing.assert_array_equal(back.samples, like.samples)
+        assert back.samples.dtype == like.samples.dtype
+        assert (back.series, back.components) == (False, components)
+        if suffix != ".tif":
+            agree((like.geometry.to_lps(VOXELS), [like.samples[v[::-1]] for v in VOXELS]), by_itk(path))
+
+    @pytest.mark.parametrize("suffix", PLACED)
+    def test_series(self, tmp_path, suffix):
+        like = volume(noise("f4", 3, *SHAPE), series=True, interval=0.25)
+        write(tmp_path / f"out{suffix}", like.samples, like)
+        back = read(tmp_path / f"out{suffix}")
+        np.testing.assert_array_equal(back.samples, like.samples)
+        np.testing.assert_allclose(back.geometry.matrix, like.geometry.matrix, atol=1e-5)
+        assert (back.series, back.interval, back.components, back.sizes) == (True, 0.25, 1, SHAPE[::-1])
+        known = sitk.ReadImage(str(tmp_path / f"out{suffix}"))
+        assert known.GetSpacing()[3] == 0.25
+        np.testing.assert_array_equal(sitk.GetArrayFromImage(known), like.samples)
+
+    @pytest.mark.parametrize("suffix", PLACED)
+    def test_one_slice(self, tmp_path, suffix):
+        like = volume(noise("i2", 1, 5, 6))
+        write(tmp_path / f"out{suffix}", like.samples, like)
+        back = read(tmp_path / f"out{suffix}")
+        np.testing.assert_array_equal(back.samples, like.samples)
+        np.testing.assert_allclose(back.geometry.matrix, like.geometry.matrix, atol=1e-5)
+
+    @pytest.mark.parametrize("suffix", [".nii", ".nrrd", ".mha"])
+    def test_a_flat_image_is_one_slice(self, tmp_path, suffix):
+        flat = sitk.GetImageFromArray(noise("i2", 5, 6))
+        flat.SetSpacing((0.5, 2))
+        sitk.WriteImage(flat, str(tmp_path / f"in{suffix}"))
+        known = read(tmp_path / f"in{suffix}")
+        assert known.samples.shape == (1, 5, 6)
+        assert known.geometry.spacing == (0.5, 2, 1)
+        write(tmp_path / f"out{suffix}", known.samples, known)
+        np.testing.assert_array_equal(read(tmp_path / f"out{suffix}").samples[0], noise("i2", 5, 6))
+
+    @pytest.mark.parametrize("suffix", [*PLACED, ".tif"])
+    def test_nan_and_infinity_pass(self, tmp_path, suffix):
+        samples = noise("f4", *SHAPE)
+        samples[1, 2, 3], samples[0, 0, 0], samples[3, 4, 5] = np.nan, np.inf, -np.inf
+        write(tmp_path / f"out{suffix}", samples, volume(samples))
+        np.testing.assert_array_equal(read(tmp_path / f"out{suffix}").samples, samples)
+
+    @pytest.mark.parametrize("suffix", SUFFIXES_OUT)
+    def test_another_type_any_strides_and_mapped_samples(self, tmp_path, suffix):
+        like = volume(noise("i2", *SHAPE))
+        (tmp_path / "mapped").write_bytes(noise("f4", 6, 5, 4).tobytes())
+        mapped = np.memmap(tmp_path / "mapped", "f4", "r", 0, (6, 5, 4)).T
+        write(tmp_path / f"out{suffix}", mapped, like)
+        np.testing.assert_array_equal(read(tmp_path / f"out{suffix}").samples, mapped)
+
+    @pytest.mark.parametrize("suffix", SUFFIXES_OUT)
+    def test_capital_letters(self, tmp_path, suffix):
+        like = volume(noise("i2", *SHAPE))
+        write(tmp_path / f"OUT{suffix.upper()}", like.samples, like)
+        assert is_volume(tmp_path / f"OUT{suffix.upper()}") == (suffix not in (".tif", ".tiff"))
+        np.testing.assert_array_equal(read(tmp_path / f"OUT{suffix.upper()}").samples, like.samples)
+
+    @pytest.mark.parametrize("suffix", SUFFIXES_OUT)
+    def test_nothing_else_is_left(self, tmp_path, suffix):
+        like = volume(noise("i2", *SHAPE))
+        write(tmp_path / f"out{suffix}", like.samples, like)
+        names = {f"out{suffix}"} | ({"out.raw"} if suffix == ".mhd" else set())
+        assert set(os.listdir(tmp_path)) == names
+        with pytest.raises(SuppleError, match="exists already"):
+            write(tmp_path / f"out{suffix}", like.samples, like)
+        write(tmp_path / f"out{suffix}", like.samples + 1, like, force=True)
+        np.testing.assert_array_equal(read(tmp_path / f"out{suffix}").samples, like.samples + 1)
+        assert set(os.listdir(tmp_path)) == names
+
+
+class TestRefusals:
+    @pytest.mark.parametrize("suffix", sorted(SUFFIXES | {".tif"}))
+    @pytest.mark.parametrize("data", [b"", b"hello, this is text\n" * 40, b"\x1f\x8b\x08\0", bytes(1000)])
+    def test_no_volumes(self, tmp_path, suffix, data):
+        path = tmp_path / f"in{suffix}"
+        path.write_bytes(data)
+        assert f"in{suffix}" in refused(read, path) or suffix == ".img"
+        if not data and suffix != ".img":
+            assert "it is empty" in refused(read, path)
+
+    @pytest.mark.parametrize("suffix", sorted(SUFFIXES | {".tif", ""}))
+    def test_missing(self, tmp_path, suffix):
+        message = refused(read, tmp_path / f"in{suffix}")
+        assert "No such file" in message
+        assert "check the name" in message
+
+    @pytest.mark.parametrize("suffix", [".nii", ".nii.gz", ".mha", ".dcm", ".dat"])
+    def test_folders_in_place_of_files(self, tmp_path, suffix):
+        (tmp_path / f"in{suffix}").mkdir()
+        assert "no DICOM images" in refused(read, tmp_path / f"in{suffix}")
+
+    @pytest.mark.parametrize("suffix", [".nii", ".nii.gz", ".nrrd", ".mha", ".mhd", ".tif"])
+    @pytest.mark.parametrize("part", [0.3, 0.6, 0.97])
+    def test_cut_short(self, tmp_path, suffix, part):
+        like, path = volume(noise("u2", 8, 20, 20)), tmp_path / f"out{suffix}"
+        write(path, like.samples, like)
+        short = tmp_path / "out.raw" if suffix == ".mhd" else path
+        data = short.read_bytes()
+        short.write_bytes(data[: int(len(data) * part)])
+        refused(read, path)
+
+    def test_an_unknown_suffix(self, tmp_path):
+        (tmp_path / "in.xyz").write_text("hello" * 99)
+        assert "no volume of a known kind" in refused(read, tmp_path / "in.xyz")
+
+    def test_odd_names(self, tmp_path):
+        path = tmp_path / "a\nb.nii"
+        path.write_text("text")
+        assert "a\\nb.nii" in refused(read, path)
+
+    @pytest.mark.parametrize("name", ["out.dcm", "out.xyz", "out", "out.gz", "out.nhdr", "out.dat"])
+    def test_formats_that_are_not_written(self, tmp_path, name):
+        like = volume(noise("i2", *SHAPE))
+        with pytest.raises(SuppleError, match=r"use \.nii, \.nii\.gz, \.nrrd"):
+            check_target(tmp_path / name, like)
+
+    def test_types_that_no_volume_has(self, tmp_path):
+        like = volume(noise("i2", *SHAPE))
+        for suffix in SUFFIXES_OUT:
+            with pytest.raises(SuppleError, match="float16"):
+                check_target(tmp_path / f"out{suffix}", like, "float16")
+        check_target(tmp_path / "out.tif", like, "float32")
+        scaled = replace(volume(noise("i4", *SHAPE)), scaling=(2.0, 0.0))  # which makes float64 of it
+        with pytest.raises(SuppleError, match="float64"):
+            check_target(tmp_path / "out.tif", scaled)
+        check_target(tmp_path / "out.nii", scaled)
+
+    def test_samples_of_another_shape(self, tmp_path):
+        like = volume(noise("i2", *SHAPE))
+        assert "make them alike" in refused(write, tmp_path / "out.nii", like.samples[:2], like)
+
+    @pytest.mark.parametrize("suffix", SUFFIXES_OUT)
+    def test_a_full_disk(self, tmp_path, suffix):
+        code = """
+            import resource, signal, sys
+            import numpy as np
+            from supple.geometry import Geometry
+            from supple.media.volume import Volume, write
+            from supple.errors import SuppleError
+            samples = np.random.default_rng(0).integers(0, 60000, (20, 40, 50)).astype("u2")
+            signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+            resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[2]),) * 2)
+            try:
+                write(sys.argv[1], samples, Volume(samples, Geometry()))
+            except SuppleError as error:
+                print(error)
+        """
+        for limit in (300, 40_000, 79_990):
+            command = [sys.executable, "-c", textwrap.dedent(code), str(tmp_path / f"out{suffix}"), str(limit)]
+            environment = {**os.environ, "PYTHONPATH": SOURCE}
+            done = subprocess.run(command, capture_output=True, encoding="utf-8", env=environment)
+            assert (done.returncode, done.stderr) == (0, "")
+            assert done.stdout.count("\n") == 1
+            assert f"out{suffix}" in done.stdout or "out.raw" in done.stdout
+            assert not list(tmp_path.iterdir())
+
+
+class TestInfo:
+    def test_of_a_nifti(self, tmp_path):
+        samples = noise("f4", *SHAPE)
+        samples[0, 0, :2] = np.nan
+        told = info(nifti(tmp_path / "in.nii.gz", samples))
+        direction = turned() * [[-1], [-1], [1]]
+        np.testing.assert_allclose(told.pop("direction"), direction, atol=1e-6)
+        np.testing.assert_allclose(told.pop("origin"), np.array(ORIGIN) * [-1, -1, 1], rtol=1e-6)
+        np.testing.assert_allclose(told.pop("spacing"), SPACING, rtol=1e-6)
+        letters = "".join(nibabel.aff2axcodes(nibabel.load(tmp_path / "in.nii.gz").affine))
+        assert told == {
+            "format": "NIfTI",
+            "shape": [6, 5, 4],
+            "dtype": "float32",
+            "components": 1,
+            "times": 1,
+            "interval": None,
+            "convention": "RAS",
+            "orientation": letters,
+            "oblique": pytest.approx(read(tmp_path / "in.nii.gz").geometry.oblique),
+            "scaling": [1, 0],
+            "minimum": float(np.nanmin(samples)),
+            "maximum": float(np.nanmax(samples)),
+            "nan": 2,
+            "bytes": 480,
+        }
+
+    @pytest.mark.parametrize("letters", ["RAS", "LPS", "LAI", "PIR", "SLP"])
+    def test_orientation(self, tmp_path, letters):
+        affine = nibabel.orientations.inv_ornt_aff(nibabel.orientations.axcodes2ornt(tuple(letters)), SHAPE)
+        affine = np.linalg.inv(affine)
+        affine[:3, 3] = 0
+        path = nifti(tmp_path / "in.nii", affine=np.round(np.linalg.inv(affine)))
+        assert "".join(nibabel.aff2axcodes(nibabel.load(path).affine)) == info(path)["orientation"]
+
+    def test_of_nothing_but_nan(self, tmp_path):
+        samples = np.full(SHAPE, np.nan, "f4")
+        told = info(nifti(tmp_path / "in.nii", samples))
+        assert (told["minimum"], told["maximum"], told["nan"]) == (None, None, 120)
+
+    def test_of_large_integers(self, tmp_path):
+        samples = np.array([[[2**63, 2**64 - 1]]], "u8")
+        write(tmp_path / "in.nii", samples, volume(samples))
+        told = info(tmp_path / "in.nii")
+        assert (told["minimum"], told["maximum"]) == (2**63, 2**64 - 1)
+
+    def test_of_a_series_and_of_raw(self, tmp_path):
+        like = volume(noise("u1", 3, *SHAPE), series=True, interval=2.5)
+        write(tmp_path / "out.nii", like.samples, like)
+        told = info(tmp_path / "out.nii")
+        assert (told["times"], told["interval"], told["shape"]) == (3, 2.5, [6, 5, 4])
+        (tmp_path / "in.raw").write_bytes(bytes(24))
+        assert info(tmp_path / "in.raw", raw=RawLayout((4, 3, 2), "u1"))["orientation"] is None
+
+
+class TestKinds:
+    @pytest.mark.parametrize("suffix", sorted(SUFFIXES))
+    def test_by_suffix(self, tmp_path, suffix):
+        assert is_volume(tmp_path / f"a.b{suffix}")
+
+    @pytest.mark.parametrize("name", ["a.png", "a.tif", "a.gz", "a.mp4", "nii", "a.json", "a"])
+    def test_others(self, tmp_path, name):
+        assert not is_volume(tmp_path / name)
+
+    def test_a_picture_by_radiance_is_none(self, tmp_path):
+        (tmp_path / "sky.hdr").write_bytes(b"#?RADIANCE\n")
+        assert not is_volume(tmp_path / "sky.hdr")
+
+    def test_it_takes_no_library_to_tell(self):
+        code = "import sys, supple.media.volume; print(sorted({'nibabel', 'SimpleITK', 'pyvips'} & set(sys.modules)))"
+        environment = {**os.environ, "PYTHONPATH": SOURCE}
+        done = subprocess.run([sys.executable, "-c", code], capture_output=True, encoding="utf-8", env=environment)
+        assert done.stdout == "[]\n"

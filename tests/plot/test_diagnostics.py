@@ -1,0 +1,330 @@
+"""Diagnostics: the numbers behind the pictures, the published method as a baseline, and the files."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from supple import Deformation, SuppleError
+from supple.engines import paper
+from supple.plot import WHATS, figure, footprints, grid, iterations, plot, residual, sources, stretch
+from supple.plot.background import background
+from supple.plot.measure import spacing_of
+from tests.children import SOURCE
+
+FIG_6_1B = Deformation((512, 512), border=None, on_fold="damp").grab((256, 256), by=(0, 90), radius=100, reach=None)
+VIDEO = Deformation((30, 48, 64), border=8, spacing=(1.0, 1.0, 1.5), on_fold="damp").grab(
+    (30, 20, 14), by=(4, 3, 4.5), radius=15, reach=None
+)
+SMALL = (
+    Deformation((60, 80), border=12, on_fold="damp")
+    .grab((30, 25), by=(9, 11), radius=20, reach=None)
+    .grab((50, 30), by=(-8, 3), radius=15, reach=None)
+)
+
+
+def pixels(shape: tuple[int, ...]) -> npt.NDArray[np.float64]:
+    return np.stack(np.meshgrid(np.arange(float(shape[1])), np.arange(float(shape[0]))), axis=-1)
+
+
+def published(deformation: Deformation, **options: Any) -> tuple[npt.NDArray[Any], ...]:
+    height, width = deformation.shape
+    return paper.inverse_map(deformation.space.table, deformation.space.axes, (height, width), **options)
+
+
+def test_the_published_method_does_as_published() -> None:
+    points, counts, residuals = published(FIG_6_1B)
+    error = np.linalg.norm(points - FIG_6_1B.inverse(pixels((512, 512))).points, axis=-1)
+    assert points.dtype == np.float32
+    assert residuals.max() < 0.1
+    assert error.max() == pytest.approx(0.155, abs=0.001)
+    assert np.percentile(counts[156:356, 156:356], [1, 99]) == pytest.approx([9, 16], abs=1)
+    assert counts.max() == 17
+    assert (counts >= 9).mean() > 0.8
+
+
+@pytest.mark.parametrize("corrected", [False, True])
+@pytest.mark.parametrize("q", [(285.0, 301.0), (256.0, 256.0), (240.0, 400.0), (330.0, 200.0), (0.0, 0.0)])
+def test_its_matrix_and_step_are_as_written_there(q: tuple[float, float], corrected: bool) -> None:
+    p, steps = np.array(q), 0
+    while np.linalg.norm(FIG_6_1B.forward(p) - q) >= 0.1:
+        J = FIG_6_1B.jacobian(p) - np.eye(2)
+        A = J.T @ J + (J.T + J if corrected else 2 * J.T) + np.eye(2)
+        b = -(J.T + np.eye(2)) @ (FIG_6_1B.forward(p) - q)
+        p, steps = p + 0.5 * np.linalg.solve(A, b), steps + 1
+    points, counts, _ = published(FIG_6_1B, corrected=corrected)
+    x, y = map(int, q)
+    assert counts[y, x] == steps > 3
+    np.testing.assert_allclose(points[y, x], p, atol=1e-4)
+
+
+def test_it_undoes_a_sequence_with_a_fixed_border_and_any_spacing() -> None:
+    d = Deformation((60, 80), border=12, spacing=(1.0, 1.5), on_fold="damp").grab(
+        (30, 25), by=(6, 4), radius=20, reach=None
+    )
+    d = d.grab((50, 30), by=(-5, 3), radius=15, scales=3, reach=None)
+    points, counts, residuals = published(d, tolerance=1e-7, limit=2000)
+    q = pixels((60, 80))
+    np.testing.assert_allclose(points, d.inverse(q).points, atol=2e-5)
+    np.testing.assert_allclose(residuals, np.linalg.norm(d.forward(points) - q, axis=-1), atol=1e-9)
+    assert counts[30, 30] > 20
+
+
+def test_it_says_where_it_has_not_converged() -> None:
+    points, counts, residuals = published(FIG_6_1B, limit=5)
+    assert counts.max() == 5
+    off = np.linalg.norm(FIG_6_1B.forward(points) - pixels((512, 512)), axis=-1)
+    np.testing.assert_allclose(residuals, off, atol=1e-4)
+    assert (residuals >= 0.1).mean() > 0.9
+
+
+def test_every_so_many_pixels_are_those_of_all() -> None:
+    full, some = published(SMALL), published(SMALL, every=7)
+    for a, b in zip(full, some, strict=True):
+        np.testing.assert_array_equal(a[::7, ::7], b)
+
+
+def test_iterations_compare_both() -> None:
+    found = iterations(FIG_6_1B)
+    assert found.every == 1
+    assert found.unconverged == 0
+    assert found.published_error.max() == pytest.approx(0.155, abs=0.001)
+    # Hardly more evaluations than Newton's method has steps from q: it looks at where it arrives, too.
+    p = q = pixels((512, 512))[::8, ::8]
+    steps = np.zeros(q.shape[:2])
+    while (going := np.linalg.norm(off := FIG_6_1B.forward(p) - q, axis=-1) >= 1e-9).any():
+        p = np.where(going[..., None], p - np.linalg.solve(FIG_6_1B.jacobian(p), off[..., None])[..., 0], p)
+        steps += going
+    more = found.ours[::8, ::8] - steps
+    assert 1 <= more.min() <= more.mean() <= 2.05
+    assert found.ours.mean() < 0.6 * found.published.mean()
+    assert found.residual.max() < 1e-6
+
+
+@pytest.mark.parametrize("deformation", [FIG_6_1B, SMALL, Deformation((60, 80), border=64, on_fold="damp")])
+def test_the_residual_is_that_of_the_map_and_within_its_bound(deformation: Deformation) -> None:
+    found = residual(deformation, tolerance=0.003)
+    assert found.distance.max() <= found.bound <= found.tolerance == 0.003
+    assert found.bound == deformation.report(tolerance=0.003).error
+    assert found.unconverged == 0
+    exact = deformation.inverse(pixels(deformation.shape)).points
+    shown = np.linalg.norm(deformation.inverse_map(tolerance=0.003) - exact, axis=-1)
+    np.testing.assert_allclose(found.distance, shown, atol=1e-4)
+
+
+def test_stretch_is_the_slope_of_the_map() -> None:
+    vertical, horizontal = stretch(SMALL)
+    p, h = SMALL.inverse(pixels((60, 80))).points[2:-2, 2:-2], 1e-5
+    x, y = np.array([h, 0]), np.array([0, h])
+    dx = (SMALL.forward(p + x) - SMALL.forward(p - x))[..., 0] / (2 * h)
+    dy = (SMALL.forward(p + y) - SMALL.forward(p - y))[..., 1] / (2 * h)
+    np.testing.assert_allclose(horizontal[2:-2, 2:-2], dx, atol=1e-5)
+    np.testing.assert_allclose(vertical[2:-2, 2:-2], dy, atol=1e-5)
+
+
+def test_footprints_are_singular_values_of_the_inverse() -> None:
+    found = footprints(SMALL)
+    p = SMALL.inverse(pixels((60, 80))).points
+    _, values, right = np.linalg.svd(np.linalg.inv(SMALL.jacobian(p)))
+    np.testing.assert_allclose(found.major, values[..., 0], rtol=1e-10)
+    np.testing.assert_allclose(found.minor, values[..., 1], rtol=1e-10)
+    long = values[..., 0] > 1.01 * values[..., 1]
+    assert np.abs((right[..., 0, :] * found.direction).sum(-1))[long].min() > 1 - 1e-9
+
+
+def test_grid_lines_are_the_inputs_lines() -> None:
+    lines = grid(SMALL, lines=8)
+    assert len(lines) == 9 + 7
+    for line in lines:
+        back = SMALL.inverse(line).points
+        assert np.ptp(back, axis=0).min() < 1e-6
+    np.testing.assert_allclose(SMALL.inverse(lines[0]).points[[0, -1]], [[-0.5, -0.5], [-0.5, 59.5]], atol=1e-6)
+
+
+def test_a_large_image_is_looked_at_here_and_there() -> None:
+    assert spacing_of((1024, 1024)) == 1
+    for shape in ((1025, 1024), (8192, 8192), (1, 5_000_000), (40_000, 30_001)):
+        every = spacing_of(shape)
+        assert np.prod([-(-n // every) for n in shape]) <= 1 << 20 < np.prod([-(-n // (every - 1)) for n in shape])
+    d = Deformation((3000, 40), border=64, on_fold="damp").grab((20, 1500), by=(0, 60), radius=80, reach=None)
+    assert stretch(d)[0].shape == (3000, 40)
+    large = Deformation((2000, 1500), border=64, on_fold="damp").grab((700, 900), by=(40, 30), radius=200, reach=None)
+    found = residual(large)
+    assert found.every == 2
+    assert found.distance.shape == (1000, 750)
+    full = np.linalg.norm(large.inverse_map() - large.inverse(pixels((2000, 1500))).points, axis=-1)
+    np.testing.assert_allclose(found.distance, full[::2, ::2], atol=2e-4)
+
+
+@pytest.mark.parametrize("what", WHATS)
+def test_every_plot_is_written(what: str, tmp_path: Path) -> None:
+    image = np.random.default_rng(0).integers(0, 255, (60, 80, 3), np.uint8)
+    for name in ("a.png", "b.svg", "c.PDF"):
+        plot(SMALL, what, tmp_path / name, image=image)
+        assert (tmp_path / name).stat().st_size > 5000
+    assert (tmp_path / "a.png").read_bytes().startswith(b"\x89PNG")
+    with pytest.raises(SuppleError, match="exists"):
+        plot(SMALL, what, tmp_path / "a.png")
+    plot(Deformation((60, 80), border=64, on_fold="damp"), what, tmp_path / "a.png", force=True)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.png", "b.svg", "c.PDF"]
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (1, 30), (30, 1), (2, 400)])
+@pytest.mark.parametrize("what", WHATS)
+def test_odd_shapes_are_drawn(what: str, shape: tuple[int, int], tmp_path: Path) -> None:
+    d = Deformation(shape, border=None, on_fold="damp").grab((3, 0), by=(2, 1), radius=10, reach=None)
+    plot(d, what, tmp_path / "a.png", image=np.ones(shape))
+
+
+@pytest.mark.parametrize(
+    ("image", "expected"),
+    [
+        (np.full((60, 80), 51, np.uint8), 0.2),
+        (np.full((60, 80, 1), 13107, np.uint16), 0.2),
+        (np.full((60, 80, 3), 0.2, np.float32), 0.2),
+        (np.ones((60, 80), np.bool_), 1.0),
+        (np.concatenate([np.full((60, 80, 3), 0, np.uint8), np.full((60, 80, 1), 204, np.uint8)], 2), 0.2),
+        (np.full((60, 80), np.nan), 0.0),
+        (np.full((60, 80), -7, np.int16), 0.0),
+    ],
+)
+def test_any_image_can_lie_below(image: npt.NDArray[Any], expected: float) -> None:
+    shown = background(Deformation((60, 80), border=64, on_fold="damp"), image)
+    assert shown.shape == (60, 80, 3)
+    np.testing.assert_allclose(shown, expected, atol=1e-6)
+
+
+def test_values_beyond_a_unit_are_spread() -> None:
+    image = np.linspace(-1000, 3000, 4800).reshape(60, 80)
+    shown = background(Deformation((60, 80), border=64, on_fold="damp"), image)
+    np.testing.assert_allclose(shown[..., 0], (image + 1000) / 4000, atol=1e-6)
+
+
+def test_what_cannot_be_drawn_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(SuppleError, match=r'what must be "iterations" or .*, found \'heat\''):
+        plot(SMALL, "heat", tmp_path / "a.png")
+    with pytest.raises(SuppleError, match="three axes"):
+        plot(Deformation((5, 60, 80), border=64, on_fold="damp"), "grid", tmp_path / "a.png")
+    with pytest.raises(SuppleError, match=r"must end in \.png, \.svg, \.pdf"):
+        plot(SMALL, "grid", tmp_path / "a.gif")
+    with pytest.raises(SuppleError, match="folder"):
+        plot(SMALL, "grid", tmp_path / "missing" / "a.png")
+    with pytest.raises(SuppleError, match="shape"):
+        plot(SMALL, "grid", tmp_path / "a.png", image=np.zeros((61, 80)))
+    with pytest.raises(SuppleError, match="grey, RGB or RGBA"):
+        plot(SMALL, "grid", tmp_path / "a.png", image=np.zeros((60, 80, 5)))
+    assert list(tmp_path.iterdir()) == []
+
+
+def plane(k: float) -> npt.NDArray[np.float64]:
+    q = pixels(VIDEO.shape[1:])
+    return np.concatenate([q, np.full((*q.shape[:2], 1), k)], axis=-1)
+
+
+def test_the_published_method_goes_through_time_as_well() -> None:
+    two = VIDEO.grab((40, 30, 10), by=(-5, 3, -4), radius=12, scales=2, reach=None)
+    options: dict[str, Any] = {"z": 17.0, "tolerance": 1e-7, "limit": 3000}
+    for corrected in (False, True):
+        points, counts, residuals = paper.inverse_map(
+            two.space.table, two.space.axes, (48, 64), corrected=corrected, **options
+        )
+        np.testing.assert_allclose(points, two.inverse(plane(17)).points, atol=2e-5)
+        off = np.linalg.norm(two.forward(points) - plane(17), axis=-1)
+        np.testing.assert_allclose(residuals, off, atol=1e-9)
+        assert counts.max() > 20
+
+
+def test_its_step_in_time_is_as_written_there() -> None:
+    q = np.array([31.0, 22.0, 17.0])
+    for corrected in (False, True):
+        p, steps = q.copy(), 0
+        while np.linalg.norm(VIDEO.forward(p) - q) >= 0.1:
+            # The method works in physical units.
+            unit = np.array(VIDEO.domain.spacing)
+            J = (VIDEO.jacobian(p) - np.eye(3)) * unit[:, None] / unit
+            A = J.T @ J + (J.T + J if corrected else 2 * J.T) + np.eye(3)
+            b = -(J.T + np.eye(3)) @ ((VIDEO.forward(p) - q) * unit)
+            p, steps = p + 0.5 * np.linalg.solve(A, b) / unit, steps + 1
+        points, counts, _ = paper.inverse_map(
+            VIDEO.space.table, VIDEO.space.axes, (48, 64), z=17.0, corrected=corrected
+        )
+        assert counts[22, 31] == steps > 3
+        np.testing.assert_allclose(points[22, 31], p, atol=1e-4)
+
+
+def test_a_frame_is_measured_as_a_plane_of_the_video() -> None:
+    found = residual(VIDEO, 16, tolerance=0.003)
+    assert 0 < found.distance.max() <= found.bound <= found.tolerance == 0.003
+    shown = np.linalg.norm(VIDEO.inverse_map(tolerance=0.003)[16] - VIDEO.inverse(plane(16)).points, axis=-1)
+    np.testing.assert_allclose(found.distance, shown, atol=1e-4)
+    assert residual(Deformation((4, 20, 30), border=64, on_fold="damp"), 2).bound == 0
+    work = iterations(VIDEO, 16)
+    assert work.unconverged == 0
+    assert work.published_error.max() < 0.3
+    assert work.residual.max() < 1e-6
+    assert 0 < work.lattice < 0.5 * work.ours.mean()
+    every, points = sources(VIDEO, 16)
+    assert every == 1
+    np.testing.assert_allclose(VIDEO.forward(points), plane(16), atol=1e-6)
+
+
+def test_a_frame_stretches_in_time_too() -> None:
+    p, h = VIDEO.inverse(plane(16)).points[2:-2, 2:-2], 1e-5
+    for values, axis in zip(stretch(VIDEO, 16), (1, 0, 2), strict=True):
+        step = np.eye(3)[axis] * h
+        slope = (VIDEO.forward(p + step) - VIDEO.forward(p - step))[..., axis] / (2 * h)
+        np.testing.assert_allclose(values[2:-2, 2:-2], slope, atol=1e-5)
+
+
+def test_footprints_of_a_frame_are_those_within_the_picture() -> None:
+    found = footprints(VIDEO, 16)
+    matrices = np.linalg.inv(VIDEO.jacobian(VIDEO.inverse(plane(16)).points))[..., :2, :2]
+    _, values, right = np.linalg.svd(matrices)
+    np.testing.assert_allclose(found.major, values[..., 0], rtol=1e-10)
+    np.testing.assert_allclose(found.minor, values[..., 1], rtol=1e-9)
+    long = values[..., 0] > 1.01 * values[..., 1]
+    assert np.abs((right[..., 0, :] * found.direction).sum(-1))[long].min() > 1 - 1e-9
+
+
+@pytest.mark.parametrize("what", WHATS)
+def test_every_plot_of_a_frame_is_written(what: str, tmp_path: Path) -> None:
+    image = np.random.default_rng(0).integers(0, 255, (48, 64, 3), np.uint8)
+    for k, below in ((0, None), (16, image), (29, image[..., 0])):
+        plot(VIDEO, what, tmp_path / "a.png", image=below, frame=k, force=True)
+    plot(Deformation((3, 48, 64), border=64, on_fold="damp"), what, tmp_path / "still.png", frame=1)
+    for shape in ((1, 1, 1), (4, 1, 30), (4, 30, 1)):
+        free = Deformation(shape, border=None, on_fold="damp").grab((3, 0, 0), by=(0, 0, 2), radius=10, reach=None)
+        plot(free, what, tmp_path / "odd.png", frame=0, force=True)
+    panels = {"iterations": 6, "residual": 3, "stretch": 4, "axes": 3, "grid": 2}
+    assert len(figure(VIDEO, what, frame=16).axes) == panels[what]
+
+
+def test_frames_that_are_not_there_are_refused(tmp_path: Path) -> None:
+    for k in (-1, 30, 1.5, "1", True):
+        with pytest.raises(SuppleError, match="frame must be a frame from 0 to 29, found"):
+            plot(VIDEO, "grid", tmp_path / "a.png", frame=k)  # type: ignore[arg-type]
+    with pytest.raises(SuppleError, match=r"three axes: say which by --frame K \(frame=K\)"):
+        plot(VIDEO, "grid", tmp_path / "a.png")
+    with pytest.raises(SuppleError, match="frame is for videos"):
+        plot(SMALL, "grid", tmp_path / "a.png", frame=0)
+    with pytest.raises(SuppleError, match=r"frame to plot on must be of shape \(48, 64\[, C\]\), found \(30, 48, 64\)"):
+        plot(VIDEO, "grid", tmp_path / "a.png", frame=0, image=np.zeros(VIDEO.shape))
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_pyplot_stays_out_of_it() -> None:
+    code = (
+        "import sys; from supple.plot import figure; from supple import Deformation\n"
+        "assert 'matplotlib' not in sys.modules\n"
+        "figure(Deformation((20, 20)), 'grid')\n"
+        "assert 'matplotlib.pyplot' not in sys.modules"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True, env={**os.environ, "PYTHONPATH": SOURCE})
+    assert figure(SMALL, "grid").axes[0].get_ylim() == (59.5, -0.5)

@@ -1,0 +1,242 @@
+"""T, its Jacobian and its inverse, from the printed equations."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from supple.deformation import Deformation
+from supple.domain import Domain
+from supple.folding import resolve
+from supple.strokes import Stroke
+
+Floats = npt.NDArray[np.float64]
+Integers = npt.NDArray[np.int64]
+Array = npt.NDArray[Any]
+
+GRADES = (1.0, 1.1, 1.21)
+
+# ---------------------------------------------------------------- the map
+
+
+def kelvinlet(f: Floats, radius: float, poisson: float, r: Floats) -> tuple[Floats, Floats]:
+    """Return the regularized Kelvinlet at r and its Jacobian, neither normalised nor times the shear modulus.
+
+    K = A f + B (r·f) r and J = 2A' f rᵀ + 2B' (r·f) r rᵀ + B (r fᵀ + (r·f) I), with ' = d/d|r|².
+    """
+    a = 1 / (4 * math.pi)
+    b = a / (4 * (1 - poisson))
+    rho = np.sqrt((r**2).sum(axis=-1) + radius**2)[..., None]
+    along = (r * f).sum(axis=-1)[..., None]
+    k = ((a - b) / rho + a * radius**2 / (2 * rho**3)) * f + b / rho**3 * along * r
+    rho, along = rho[..., None], along[..., None]
+    column, row = r[..., :, None], r[..., None, :]
+    j = -((a - b) / rho**3 + 3 * a * radius**2 / (2 * rho**5)) * f[:, None] * row
+    j = j - 3 * b / rho**5 * along * column * row + b / rho**3 * (column * f + along * np.eye(len(f)))
+    return k, j
+
+
+def grab(f: Floats, radius: float, poisson: float, scales: int, r: Floats) -> tuple[Floats, Floats]:
+    """Return K of a grab of unlimited reach at distances r, f where r is 0; and its Jacobian."""
+    e1, e2, e3 = (radius * grade for grade in GRADES)
+    parts = {
+        1: [(1.0, e1)],
+        2: [(1.0, e1), (-1.0, e2)],
+        3: [
+            (1.0, e1),
+            (-(e3**2 - e1**2) / (e3**2 - e2**2), e2),
+            ((e2**2 - e1**2) / (e3**2 - e2**2), e3),
+        ],
+    }[scales]
+
+    def total(at: Floats) -> tuple[Floats, Floats]:
+        values = [(w, *kelvinlet(f, e, poisson, at)) for w, e in parts]
+        return np.asarray(sum(w * k for w, k, _ in values)), np.asarray(sum(w * j for w, _, j in values))
+
+    held = np.linalg.norm(total(np.zeros(len(f)))[0])
+    scale = np.linalg.norm(f) / held if held > 0 else 0.0
+    k, j = total(r)
+    return k * scale, j * scale
+
+
+def support(r: Floats, reach: float) -> tuple[Floats, Floats]:
+    """Return m(|r|/R) = 1 - 10t³ + 15t⁴ - 6t⁵, and its gradient in r; 1 without a limit."""
+    if reach == math.inf:
+        return np.ones(r.shape[:-1]), np.zeros(r.shape)
+    t = np.minimum(np.linalg.norm(r, axis=-1) / reach, 1)
+    inside = t < 1
+    m = np.where(inside, 1 - 10 * t**3 + 15 * t**4 - 6 * t**5, 0.0)
+    # dm/dt = -30 t² (1 - t)², and the gradient of t is r / (R² t).
+    return m, (np.where(inside, -30 * t * (1 - t) ** 2, 0.0) / reach**2)[..., None] * r
+
+
+def faces(domain: Domain) -> tuple[Floats, Floats]:
+    """Return the faces in physical units, x first: the outer edges of the samples, or the centres, the paper's."""
+    n = np.array(domain.shape[::-1])
+    edge = np.where(n > 1, 0.0 if domain.border_profile == "sine" else 0.5, 0.0)
+    return -edge * domain.spacing, (n - 1 + edge) * domain.spacing
+
+
+def width(domain: Domain, i: int) -> float | None:
+    """Return the width of the border along an axis."""
+    if domain.border == "auto":
+        first, last = faces(domain)
+        return 0.1 * float(last[i] - first[i])
+    return domain.border[i] if isinstance(domain.border, tuple) else domain.border
+
+
+def fade(x: Floats, extent: float, border: float | None, profile: str) -> tuple[Floats, Floats]:
+    """Return β, how much of the movement across the border is left at a coordinate in the domain, and its slope."""
+    if border is None:
+        return np.ones_like(x), np.zeros_like(x)
+    sigma = min(border, extent / 2)
+    if sigma == 0:
+        return np.zeros_like(x), np.zeros_like(x)
+    low, high = x, extent - x
+    t = np.minimum(np.minimum(low, high) / sigma, 1)
+    slope = np.where(t < 1, np.where(low < high, 1.0, -1.0), 0.0) / sigma
+    if profile == "sine":
+        return np.sin(np.pi / 2 * t), slope * np.pi / 2 * np.cos(np.pi / 2 * t)
+    return 2 * t - 2 * t**3 + t**4, slope * (2 - 6 * t**2 + 4 * t**3)
+
+
+def radius_of_support(stroke: Stroke) -> float:
+    """Return R in physical units, infinite without a limit."""
+    return math.inf if stroke.reach is None else stroke.reach * stroke.radius
+
+
+def displacement(stroke: Stroke, domain: Domain, points: Floats) -> tuple[Floats, Floats]:
+    """Return diag(β) m K at points (..., D) in physical units, and its Jacobian.
+
+    Beyond a fixed face, the displacement is that of the nearest point of the face.
+    """
+    steps, (first, last) = np.array(domain.spacing), faces(domain)
+    near = points if domain.border is None else np.clip(points, first, last)
+    pivot, force = np.array(stroke.at) * steps, np.array(stroke.by) * steps
+    r = near - pivot
+    k, j = grab(force, stroke.radius, stroke.material(), stroke.scales, r)
+    m, slope = support(r, radius_of_support(stroke))
+    k, j = m[..., None] * k, m[..., None, None] * j + k[..., :, None] * slope[..., None, :]
+    for i in range(domain.ndim):
+        beta, change = fade(near[..., i] - first[i], last[i] - first[i], width(domain, i), domain.border_profile)
+        j[..., i, :] *= beta[..., None]
+        j[..., i, i] += change * k[..., i]
+        k[..., i] *= beta
+        j[..., :, i] *= (near[..., i] == points[..., i])[..., None]
+    return k, j
+
+
+def moved(strokes: Iterable[Stroke], domain: Domain, points: npt.ArrayLike) -> tuple[Floats, Floats]:
+    """Return T and I + J of points in samples, one stroke after the other."""
+    steps = np.array(domain.spacing)
+    p = np.asarray(points, np.float64) * steps
+    whole = np.broadcast_to(np.eye(domain.ndim), (*p.shape, domain.ndim))
+    for stroke in strokes:
+        k, j = displacement(stroke, domain, p)
+        p, whole = p + k, whole + j @ whole
+    return np.asarray(p / steps), np.asarray(whole * steps / steps[:, None])
+
+
+def forward(strokes: Iterable[Stroke], domain: Domain, points: npt.ArrayLike) -> Floats:
+    """Return T of points in samples."""
+    return moved(strokes, domain, points)[0]
+
+
+def jacobian(strokes: Iterable[Stroke], domain: Domain, points: npt.ArrayLike) -> Floats:
+    """Return ∂T/∂p = I + J at points in samples, shape (..., D, D)."""
+    return moved(strokes, domain, points)[1]
+
+
+def inverse(strokes: Sequence[Stroke], domain: Domain, points: npt.ArrayLike) -> Floats:
+    """Return T⁻¹ in samples: each stroke is undone on its own, by damped Newton steps to rounding."""
+    steps = np.array(domain.spacing)
+    q = np.asarray(points, np.float64) * steps
+    p = q.reshape(-1, domain.ndim)
+    for stroke in reversed(strokes):
+        p = _undone(stroke, domain, p)
+    return np.asarray(p.reshape(q.shape) / steps)
+
+
+def _undone(stroke: Stroke, domain: Domain, q: Floats) -> Floats:
+    def missed(p: Floats, q: Floats) -> tuple[Floats, Floats, Floats]:
+        k, j = displacement(stroke, domain, p)
+        gap = q - p - k
+        return gap, j + np.eye(domain.ndim), np.linalg.norm(gap, axis=-1)
+
+    size = 1 + np.abs(q).max(initial=0)
+    p, left = q.copy(), np.arange(len(q))
+    gap, whole, error = missed(p, q)
+    away = error.copy()
+    for _ in range(200):
+        unsolved = error >= 1e-14 * size
+        left, gap, whole, error = (a[unsolved] for a in (left, gap, whole, error))
+        if not len(left):
+            break
+        step, part = np.linalg.solve(whole, gap[..., None])[..., 0], np.ones(error.shape)
+        tried = p[left] + step
+        found = missed(tried, q[left])
+        for _ in range(40):
+            worse = np.flatnonzero(found[2] > error * (1 - 1e-4 * part))
+            if not len(worse):
+                break
+            part[worse] /= 2
+            tried[worse] = p[left[worse]] + part[worse, None] * step[worse]
+            for values, new in zip(found, missed(tried[worse], q[left[worse]]), strict=True):
+                values[worse] = new
+        better = found[2] < error  # the others are as near as rounding lets them be
+        left, (gap, whole, error) = left[better], (a[better] for a in found)
+        p[left], away[left] = tried[better], error
+    assert away.max(initial=0) < 1e-9 * size, "the oracle found no inverse"
+    return p
+
+
+def matrices(strokes: Sequence[Stroke], domain: Domain, sources: npt.ArrayLike) -> Floats:
+    """Return M = ∂p/∂q at source points p = T⁻¹(q)."""
+    return np.asarray(np.linalg.inv(jacobian(strokes, domain, sources)))
+
+
+def reached(strokes: Iterable[Stroke], domain: Domain, points: Floats) -> npt.NDArray[np.bool_]:
+    """Return which points lie in the ball of any stroke; all do where reach is unlimited."""
+    steps = np.array(domain.spacing)
+    near = points * steps
+    if domain.border is not None:
+        near = np.clip(near, *faces(domain))
+    found = np.zeros(points.shape[:-1], np.bool_)
+    for stroke in strokes:
+        if any(stroke.by):
+            found |= np.linalg.norm(near - np.array(stroke.at) * steps, axis=-1) < radius_of_support(stroke)
+    return found
+
+
+def carried_out(d: Deformation) -> list[Stroke]:
+    """Return the strokes of a deformation as they are applied: damped, or as many as one that flows is made of."""
+    made, n, steps = [], d.ndim, np.array(d.domain.spacing)
+    for stroke in d.strokes:
+        resolved = resolve(stroke, d.domain, d.on_fold)
+        if d.on_fold == "flow":
+            ways = [(row["pivot"][:n] / steps, row["force"][:n] / steps) for row in resolved.rows]
+            made += [replace(stroke, at=tuple(at.tolist()), by=tuple(by.tolist())) for at, by in ways]
+        else:
+            made.append(replace(stroke, by=tuple(resolved.alpha * x for x in stroke.by)))
+    return made
+
+
+def differences(function: Callable[[Floats], Floats], points: Floats, step: float) -> Floats:
+    """Return the Jacobian of a function of points by central differences of the fourth order."""
+    columns = []
+    for axis in np.eye(points.shape[-1]):
+        near = function(points + step * axis) - function(points - step * axis)
+        far = function(points + 2 * step * axis) - function(points - 2 * step * axis)
+        columns.append((8 * near - far) / (12 * step))
+    return np.stack(columns, axis=-1)
+
+
+def grid(shape: Sequence[int]) -> Floats:
+    """Return the points of all pixels, x first."""
+    axes = np.meshgrid(*[np.arange(n, dtype=np.float64) for n in shape], indexing="ij")
+    return np.stack(axes[::-1], axis=-1)

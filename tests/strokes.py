@@ -1,0 +1,58 @@
+"""Strokes for tests, and refusals."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+from hypothesis import strategies as st
+
+from supple.errors import SuppleError
+from supple.strokes import Recipe, Stroke
+
+
+def grab(**changes: Any) -> Stroke:
+    return Stroke(**{"at": (256, 256), "by": (0, 90), "radius": 100, **changes})
+
+
+def refusal(call: Callable[[], object]) -> str:
+    """The message with which a call is refused, checked to be one plain sentence."""
+    with pytest.raises(SuppleError) as caught:
+        call()
+    message = str(caught.value)
+    assert message.isprintable()
+    assert 10 < len(message) < 300
+    return message
+
+
+coordinates = st.floats(-1e30, 1e30)
+ratios = st.floats(max_value=0.5, allow_nan=False, allow_infinity=True)
+
+
+@st.composite
+def recipes(draw: st.DrawFn) -> Recipe:
+    ndim = draw(st.sampled_from([2, 3]))
+    points = st.tuples(*[coordinates] * ndim)
+    strokes = st.builds(
+        Stroke,
+        at=points,
+        by=points,
+        radius=st.floats(1e-30, 1e30),
+        poisson=st.none() | ratios,
+        scales=st.sampled_from([1, 2, 3]),
+        reach=st.none() | st.floats(1, 1e30),
+        hidden=st.booleans(),
+        name=st.none() | st.text(),
+        strength=st.floats(0, 1),
+    )
+    space: Any = draw(st.sampled_from([None, "pixels", "LPS", "RAS"] if ndim == 3 else [None, "pixels"]))
+    return Recipe(
+        border=draw(st.none() | st.just("auto") | st.floats(1e-30, 1e30)),
+        size=draw(st.none() | st.tuples(*[st.integers(1, 2**31 - 1)] * ndim)),
+        space=space,
+        amount=draw(st.floats(0, 1)),
+        border_profile=draw(st.sampled_from(["quartic", "sine"])),
+        on_fold=draw(st.sampled_from(["damp", "flow", "error"])),
+        strokes=tuple(draw(st.lists(strokes, max_size=5))),
+    )

@@ -1,0 +1,56 @@
+"""What tests of windows share."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+import supple
+from tests.viewer.windows import close_all, small_photo
+
+DATA = Path(supple.__file__).parent / "examples" / "data"
+
+
+@pytest.fixture(autouse=True)
+def _windows_end() -> Iterator[None]:
+    """No window of one test certifies on during the next, and listens to its warnings."""
+    yield
+    close_all()
+
+
+@pytest.fixture
+def state(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder of its own for all."""
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    return tmp_path
+
+
+@pytest.fixture
+def photo(state: Path) -> Path:
+    return small_photo(state)
+
+
+@pytest.fixture
+def clip(state: Path) -> Path:
+    import av
+
+    target, count = state / "clip.mp4", 16
+    with av.open(str(DATA / "bunny.mp4")) as source, av.open(str(target), "w") as out:
+        stream = out.add_stream("libx264", rate=25, options={"crf": "12", "preset": "fast"})
+        stream.width, stream.height, stream.pix_fmt = 640, 360, "yuv420p"
+        for frame in itertools.islice(source.decode(video=0), count):
+            out.mux(stream.encode(frame.reformat(640, 360)))
+        out.mux(stream.encode(None))
+    return target
+
+
+@pytest.fixture
+def volume(state: Path) -> Path:
+    """The head, of voxels of 4 mm."""
+    import SimpleITK as sitk  # noqa: N813
+
+    sitk.WriteImage(sitk.BinShrink(sitk.ReadImage(str(DATA / "head.nii.gz")), (2, 2, 2)), str(state / "head.nii.gz"))
+    return state / "head.nii.gz"

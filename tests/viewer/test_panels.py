@@ -1,0 +1,423 @@
+"""Every control of the panel, clicked: the window lives, and what is kept is kept."""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import supple
+from supple.engines.wgpu.device import Gpu
+from supple.strokes import Recipe, Stroke
+from supple.viewer.document.editing import Document
+from supple.viewer.document.files import Desk
+from tests.viewer.windows import SIZE, Hand, opened
+
+imgui = pytest.importorskip("imgui_bundle").imgui
+pytest.importorskip("rendercanvas")
+
+DATA = Path(supple.__file__).parent / "examples" / "data"
+FLAT = (Stroke(at=(200, 120), by=(20, 10), radius=40), Stroke(at=(100, 90), by=(-10, 10), radius=30))
+DEEP = (Stroke(at=(20, 60, 60), by=(3, 0, 1), radius=20),)
+
+
+@pytest.fixture(autouse=True)
+def state(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+
+
+@pytest.fixture
+def seen(monkeypatch: pytest.MonkeyPatch) -> dict[str, tuple[float, float]]:
+    """Where the controls are, by their labels."""
+    found: dict[str, tuple[float, float]] = {}
+
+    def watch(name: str) -> None:
+        draw = getattr(imgui, name)
+
+        def drawn(label: str, *rest: Any, **options: Any) -> Any:
+            made = draw(label, *rest, **options)
+            low, high = imgui.get_item_rect_min(), imgui.get_item_rect_max()
+            found[f"{name} {label}"] = (low.x + min(high.x - low.x, 24) / 2, (low.y + high.y) / 2)
+            return made
+
+        monkeypatch.setattr(imgui, name, drawn)
+
+    for name in ("button", "small_button", "checkbox", "combo", "slider_float", "slider_int", "input_float"):
+        watch(name)
+    for name in ("selectable", "tree_node"):
+        watch(name)
+    return found
+
+
+def click(hand: Hand, place: tuple[float, float]) -> None:
+    hand.move(*place)
+    hand.canvas.draw()
+    hand.press(*place)
+    hand.canvas.draw()
+    hand.release(*place)
+    for _ in range(2):
+        hand.canvas.draw()
+
+
+@pytest.mark.parametrize("kind", ["photo", "clip", "head"])
+def test_every_control_can_be_clicked(gpu: Gpu, seen: dict[str, tuple[float, float]], kind: str) -> None:
+    if kind == "photo":
+        source, strokes = DATA / "coffee.jpg", FLAT
+    elif kind == "clip":
+        source, strokes = DATA / "bunny.mp4", (Stroke(at=(200, 120, 9), by=(20, 10, 3), radius=40),)
+    else:
+        source, strokes = DATA / "head.nii.gz", DEEP
+    wide = 420 if kind == "head" else SIZE[0]  # a program takes its time for each ray
+    view, hand = opened(source, Recipe(border=None, strokes=strokes), size=(wide, 1400))  # all of the panel
+    view.document.select(0)
+    hand.canvas.draw()
+    labels = list(seen)
+    assert {"small_button undo", "small_button delete", "combo overlay", "small_button export"} <= set(labels)
+    assert len(labels) > 15
+    for label in labels:
+        view.desk.asked = None
+        view.document.load(Recipe(border=None, strokes=strokes))
+        view.document.select(0)
+        hand.canvas.draw()
+        before = view.document.state
+        click(hand, seen[label])
+        assert view._gui.trouble == "", label
+        hand.key("Escape")
+        hand.canvas.draw()
+        if label == "small_button delete":
+            assert len(view.document.items) == len(strokes) - 1
+        elif label == "small_button undo":
+            assert view.document.state != before
+    view.document.mark_saved()
+    view.close()
+
+
+def test_what_goes_wrong_does_not_kill_the_window(gpu: Gpu, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    view, hand = opened(DATA / "coffee.jpg", Recipe(border=None))
+    whole = hand.canvas.draw()
+
+    def broken(view: Any) -> None:
+        imgui.begin_child("half", (0, 50))
+        raise ValueError("of its own")
+
+    monkeypatch.setattr("supple.viewer.panels.panel._selected", broken)
+    for k in range(3):
+        hand.drag((200 + 20 * k, 300), (220 + 20 * k, 310))
+    assert view.desk.message == "ValueError: of its own"
+    assert len(view.document.items) == 3
+    view.desk.autosave.flush()
+    view.desk.autosave.keep()
+    assert len(json.loads(view.desk.autosave.place.read_text())["recipe"]["strokes"]) == 3
+    monkeypatch.undo()
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    view.document.undo()
+    view.document.undo()
+    view.document.undo()
+    view.desk.message = ""
+    for _ in range(3):
+        again = hand.canvas.draw()
+    assert np.abs(again[:, 700:, :3].astype(int) - whole[:, 700:, :3]).mean() < 4
+    view.close()
+
+
+def test_a_window_that_is_closed_without_asking_keeps_all_of_it(gpu: Gpu) -> None:
+    source = DATA / "coffee.jpg"
+    view, hand = opened(source, Recipe(border=None))
+    for k in range(3):
+        hand.drag((200 + 20 * k, 300), (220 + 20 * k, 310))
+    view.close()
+    again, _ = opened(source)
+    assert again.desk.asked.name == "restore"
+    assert again.desk.answer("Restore")
+    assert len(again.recipe.strokes) == 3
+    # What is restored is kept before the offer is put aside.
+    assert len(json.loads(again.desk.autosave.place.read_text())["recipe"]["strokes"]) == 3
+    again.document.mark_saved()
+    again.close()
+
+
+def test_files_are_replaced_only_when_that_is_said(gpu: Gpu, tmp_path: Path) -> None:
+    source = tmp_path / "photo.jpg"
+    source.write_bytes((DATA / "coffee.jpg").read_bytes())
+    kept = source.read_bytes()
+    view, hand = opened(source, Recipe(border=None))
+    hand.drag((200, 300), (220, 310))
+    mine, other = tmp_path / "a.json", tmp_path / "b.json"
+    view.desk.save(mine)
+    hand.drag((240, 300), (220, 310))
+    other.write_text("PRECIOUS")
+    assert not view.desk.may_close()
+    view.desk.asked.path = str(other)
+    assert not view.desk.answer("Save and close")
+    assert other.read_text() == "PRECIOUS"
+    for name in ("save", "copy", "export"):
+        view.desk.recipe_path = None
+        view.desk.ask(name)
+        view.desk.asked.path = os.fspath(source)
+        assert not view.desk.answer("Replace")
+        assert "is what is bent here" in view.desk.asked.problem
+        assert source.read_bytes() == kept
+    view.desk.recipe_path = mine
+    view.desk.ask("close")
+    assert view.desk.answer("Save and close")
+    assert len(json.loads(mine.read_text())["strokes"]) == 2
+    view.close()
+
+
+@pytest.mark.parametrize(
+    ("source", "bad", "text", "usual"),
+    [
+        ("coffee.jpg", "b.xyz", "the suffix .xyz is no image format: use .png", "a-bent.jpg"),
+        ("coffee.jpg", "b", "a name without suffix is no image format", "a-bent.jpg"),
+        ("coffee.jpg", "b.mp4", "is a picture, and has no time", "a-bent.jpg"),
+        ("bunny.mp4", "b.xyz", "the suffix .xyz is no video format: use .mp4", "a-bent.mp4"),
+        ("bunny.mp4", "b%03d.xyz", "the suffix .xyz is no image format", "a-bent.mp4"),
+        ("bunny.mp4", "b.png", "is one picture, and a clip is many", "a-bent.mp4"),
+        ("head.nii.gz", "b.xyz", "the suffix .xyz is no format that volumes are written in", "a-bent.nii.gz"),
+        ("head.nii.gz", "none/b.nii", "there is no folder", "a-bent.nii.gz"),
+    ],
+)
+def test_what_nothing_can_write_is_refused_in_the_question(
+    tmp_path: Path, source: str, bad: str, text: str, usual: str
+) -> None:
+    place = tmp_path / source.replace(source.partition(".")[0], "a")
+    place.write_bytes((DATA / source).read_bytes())
+    begun: list[Any] = []
+    document = Document((9, 20, 30), kind={"c": "image", "b": "video", "h": "volume"}[source[0]])  # type: ignore[arg-type]
+    desk = Desk(document, place, lambda path, force: begun.append(path), lambda: None)
+    desk.ask("export")
+    assert desk.asked is not None
+    assert desk.asked.path == str(tmp_path / usual)
+    desk.asked.path = str(tmp_path / bad)
+    assert not desk.answer("Export")
+    assert text in desk.asked.problem
+    assert desk.export is None
+    for name, wrong in (("copy", "b.xyz"), ("copy", "b.mp4"), ("save", "b.png"), ("save", "b.nii.gz")):
+        desk.ask(name)
+        desk.asked.path = str(tmp_path / wrong)
+        assert not desk.answer("Save")
+        assert "use " in desk.asked.problem
+        assert "\n" not in desk.asked.problem
+    assert not begun
+    assert sorted(path.name for path in tmp_path.iterdir()) == [place.name]
+    desk.end()
+
+
+def test_formats_that_are_only_read_are_exported_as_others(tmp_path: Path) -> None:
+    for name, kind, usual in (
+        ("a.bmp", "image", "a-bent.bmp"),
+        ("a.mpg", "video", "a-bent.mp4"),
+        ("frames-%05d.bmp", "video", "frames-%05d-bent.bmp"),
+        ("a.raw", "volume", "a-bent.nii.gz"),
+        ("1.2.840", "volume", "1.2.840-bent.nii.gz"),
+        ("v1.2", "video", "v1.2-bent"),
+    ):
+        if name in ("1.2.840", "v1.2"):
+            (tmp_path / name).mkdir()
+        desk = Desk(Document((9, 20, 30), kind=kind), tmp_path / name, lambda path, force: None, lambda: None)  # type: ignore[arg-type]
+        desk.ask("export")
+        assert desk.asked is not None
+        assert desk.asked.path == str(tmp_path / usual)
+        desk.end()
+
+
+def test_a_folder_that_is_here_can_be_closed(gpu: Gpu, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from PIL import Image
+
+    for k in range(3):
+        Image.fromarray(np.full((40, 50, 3), 80 * k, np.uint8)).save(tmp_path / f"{k:03d}.png")
+    monkeypatch.chdir(tmp_path)
+    view, hand = opened(".", Recipe(border=None))
+    hand.drag((300, 300), (330, 310))
+    for name in ("save", "open", "export", "copy", "close"):
+        view.desk.recipe_path = None
+        view.desk.ask(name)
+        assert str(tmp_path) in view.desk.asked.path
+    view.desk.asked = None
+    view.document.mark_saved()
+    view.close()
+
+
+def test_keys_during_a_drag_wait_for_it(gpu: Gpu) -> None:
+    view, hand = opened(DATA / "coffee.jpg", Recipe(border=None))
+    hand.move(200, 300)
+    hand.press(200, 300)
+    hand.move(230, 310, 1)
+    for key in ("s", "e", "o"):
+        hand.key(key, "Control")
+        assert view.desk.asked is None
+        assert "let go of the stroke first" in view.desk.message
+    hand.release(230, 310)
+    assert len(view.recipe.strokes) == 1
+    # A question that comes up meanwhile does not keep the pointer from letting go.
+    hand.press(300, 300)
+    hand.move(330, 310, 1)
+    view.desk.ask("save")
+    hand.release(330, 310)
+    assert not view.document.dragging
+    view.desk.asked = None
+    view.document.mark_saved()
+    view.close()
+
+
+def test_a_press_beside_the_panel_is_not_swallowed(gpu: Gpu) -> None:
+    view, hand = opened(DATA / "coffee.jpg", Recipe(border=None))
+    hand.move(SIZE[0] - 100, 300)
+    hand.canvas.draw()
+    hand.move(300, 300)
+    hand.press(300, 300)  # and nothing is drawn in between
+    hand.move(330, 310, 1)
+    hand.release(330, 310)
+    assert len(view.recipe.strokes) == 1
+    for button in (0, 6, 9):  # mice have many
+        hand.press(300, 300, button)
+        hand.release(300, 300, button)
+    hand.key("\\")
+    hand.send("key_down", key="\\")
+    assert view.tools.original
+    hand.send("key_up", key="|")
+    assert not view.tools.original
+    view.document.mark_saved()
+    view.close()
+
+
+def test_callbacks_hear_of_other_recipes_only(gpu: Gpu) -> None:
+    view, hand = opened(DATA / "coffee.jpg", Recipe(border=None))
+    heard: list[int] = []
+
+    @view.on_change
+    def changed(recipe: Recipe) -> None:
+        heard.append(len(recipe.strokes))
+        if len(heard) == 1:
+            raise RuntimeError("theirs")
+
+    hand.drag((200, 300), (220, 310))
+    assert "on_change: RuntimeError: theirs" in view.desk.message
+    count = len(heard)
+    view.document.select(None)
+    view.document.select(0)
+    view.document.mark_saved()
+    assert len(heard) == count
+    view.close()
+
+
+def test_a_recipe_of_another_medium_is_refused_in_a_sentence(gpu: Gpu, tmp_path: Path) -> None:
+    place = tmp_path / "head.json"
+    place.write_text(Recipe(border=None, strokes=DEEP).to_json())
+    view, _ = opened(DATA / "coffee.jpg", Recipe(border=None))
+    view.desk.ask("open")
+    view.desk.asked.path = str(place)
+    assert not view.desk.answer("Open")
+    assert "stroke 1 of the recipe has points of 3 numbers, and this is a picture, with points x, y" in (
+        view.desk.asked.problem
+    )
+    view.desk.asked = None
+    view.close()
+    with pytest.raises(supple.SuppleError, match="and this is a volume, with points x, y, z"):
+        opened(DATA / "head.nii.gz", Recipe(border=None, strokes=FLAT))
+
+
+def type_(hand: Hand, text: str) -> None:
+    for letter in text:
+        hand.send("key_down", key=letter)
+        hand.send("char", data=letter, is_composing=False, input_type="insertText", repeat=False)
+        hand.send("key_up", key=letter)
+        hand.canvas.draw()
+
+
+@pytest.mark.parametrize("leaving", ["Tab", "Enter", "elsewhere"])
+def test_a_number_that_is_typed_counts_when_it_is_left(
+    gpu: Gpu, seen: dict[str, tuple[float, float]], leaving: str
+) -> None:
+    view, hand = opened(DATA / "coffee.jpg", Recipe(border=None, strokes=FLAT), size=(SIZE[0], 1400))
+    view.document.select(0)
+    hand.canvas.draw()
+    place = seen["input_float radius##own"]
+    click(hand, place)
+    hand.modifiers = ("Control",)
+    hand.send("key_down", key="a")
+    hand.canvas.draw()
+    hand.send("key_up", key="a")
+    hand.modifiers = ()
+    hand.canvas.draw()
+    type_(hand, "61")
+    assert view.document.items[0].stroke.radius == 40  # not yet
+    if leaving == "elsewhere":
+        click(hand, (SIZE[0] - 5, 1300))
+    else:
+        hand.key(leaving)
+    for _ in range(3):
+        hand.canvas.draw()
+    assert view.document.items[0].stroke.radius == 61
+    assert view.typed == {}
+    view.document.undo()
+    assert view.document.items[0].stroke.radius == 40  # it is one step
+    view.document.mark_saved()
+
+
+def test_what_is_typed_before_a_question_is_not_its_answer(gpu: Gpu) -> None:
+    view, hand = opened(DATA / "coffee.jpg", Recipe(border=None))
+    hand.drag((300, 250), (340, 230))
+    for kind, more in (("key_down", {}), ("char", {"data": "b"}), ("key_up", {})):
+        hand.send(kind, key="b", **more)
+    hand.key("s", "Control")
+    for _ in range(4):
+        hand.canvas.draw()
+    asked = view.desk.asked
+    assert asked is not None
+    assert asked.path == str(DATA / "coffee.recipe.json")
+    view.document.mark_saved()
+
+
+def test_opening_over_strokes_that_were_not_saved_asks(gpu: Gpu, tmp_path: Path) -> None:
+    view, hand = opened(DATA / "coffee.jpg", Recipe(border=None))
+    other = tmp_path / "other.json"
+    other.write_text(Recipe(border=None, strokes=FLAT).to_json(), encoding="utf-8")
+    hand.drag((300, 250), (340, 230))
+    mine = view.recipe
+    for way in ("drop", "ask"):
+        if way == "drop":
+            view.drop([str(other)])
+        else:
+            view.desk.ask("open")
+            view.desk.asked.path = str(other)
+            assert view.desk.answer("Open")
+        assert view.desk.asked.name == "over"
+        assert view.recipe == mine
+        assert not view.desk.may_close() or view.desk.asked is not None
+        view.desk.ask("open")
+        view.desk.asked = None
+        assert view.document.dirty
+    view.drop([str(other)])
+    assert view.desk.answer("Open it")
+    assert view.desk.asked is None
+    assert view.recipe.strokes == FLAT
+    assert not view.document.dirty
+    view.document.undo()
+    assert view.recipe == mine
+    # What does not fit is refused without a question.
+    deep = tmp_path / "deep.json"
+    deep.write_text(Recipe(border=None, strokes=DEEP).to_json(), encoding="utf-8")
+    view.drop([str(deep)])
+    assert view.desk.asked is None
+    assert "x, y, z" in view.desk.message or "3 numbers" in view.desk.message
+    view.document.mark_saved()
+
+
+def test_a_recipe_is_saved_under_another_name(gpu: Gpu, tmp_path: Path) -> None:
+    view, hand = opened(DATA / "coffee.jpg", Recipe(border=None))
+    hand.drag((300, 250), (340, 230))
+    view.desk.save(tmp_path / "one.json")
+    hand.drag((200, 250), (240, 230))
+    hand.key("s", "Control", "Shift")
+    asked = view.desk.asked
+    assert asked.name == "save"
+    asked.path = str(tmp_path / "two.json")
+    assert view.desk.answer("Save")
+    count = [len(Recipe.from_json((tmp_path / name).read_text()).strokes) for name in ("one.json", "two.json")]
+    assert count == [1, 2]
+    assert view.desk.recipe_path == tmp_path / "two.json"

@@ -1,0 +1,212 @@
+"""What lies over the picture, as it is seen: rings, marks, and the line of status."""
+
+from __future__ import annotations
+
+import re
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import supple
+from supple.engines.wgpu.device import Gpu
+from supple.errors import SuppleError
+from supple.media import volume as volumes
+from supple.strokes import Recipe, Stroke
+from tests.viewer.windows import SIZE, opened
+
+pytest.importorskip("rendercanvas")
+pytest.importorskip("imgui_bundle")
+
+DATA = Path(supple.__file__).parent / "examples" / "data"
+
+
+@pytest.fixture(autouse=True)
+def state(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
+
+
+def red(pixels: np.ndarray) -> int:
+    """How many pixels have the colour of what was wanted and is not reached."""
+    return int((np.abs(pixels[..., :3].astype(int) - (255, 96, 80)).max(axis=-1) < 40).sum())
+
+
+def test_a_volume_tells_millimetres_and_values_and_shows_the_brush(gpu: Gpu) -> None:
+    from supple.viewer.panels.overlay import status
+
+    view, hand = opened(DATA / "head.nii.gz", Recipe(border=None))
+    hand.move(350, 300)
+    before = hand.canvas.draw()
+    said = status(view)
+    found = re.search(r"x (\S+)  y (\S+)  z (\S+)   \|   (\S+)   \|   \((\S+), (\S+), (\S+)\) mm (RAS|LPS)", said)
+    assert found is not None, said
+    index = [float(v) for v in found.groups()[:3]]
+    volume = volumes.read(DATA / "head.nii.gz")
+    place = volume.geometry.to_world(index)
+    np.testing.assert_allclose([float(v) for v in found.groups()[4:7]], place, atol=0.3)
+    x, y, z = (round(v) for v in index)
+    assert float(volume.rescaled()[z, y, x]) == pytest.approx(float(found[4]), abs=60)
+    assert found[8] == volume.geometry.convention
+    view.tools.radius *= 1.5
+    view.refresh()
+    after = hand.canvas.draw()
+    ring = view.tools.ring
+    column = round(350 + ring)
+    assert (
+        np.abs(after[295:306, column - 2 : column + 3].astype(int) - before[295:306, column - 2 : column + 3]).max()
+        > 60
+    )
+    view.close()
+
+
+def missed(view: Any) -> float:
+    arrival = view.document.arrival(0)
+    assert arrival is not None
+    return float(arrival.miss)
+
+
+def test_a_damped_stroke_of_a_volume_shows_how_far_it_was_to_go(gpu: Gpu) -> None:
+    from supple.viewer.panels.overlay import status
+
+    stroke = Stroke.grab((36, 54, 60), by=(0, 0, -30), radius=12)
+    view, hand = opened(DATA / "head.nii.gz", Recipe(border=None, on_fold="damp", strokes=(stroke,)))
+    assert missed(view) > 3
+    # And nobody is warned elsewhere.
+    assert "the lattice is off by more than a voxel: mode exact is not" in status(view)
+    damped = red(hand.canvas.draw())
+    assert damped > 20
+    view.document.set_on_fold("flow")
+    assert missed(view) == 0
+    assert red(hand.canvas.draw()) < damped / 4
+    view.document.mark_saved()
+    view.close()
+
+
+def test_what_is_played_is_marked(gpu: Gpu) -> None:
+    view, hand = opened(DATA / "bunny.mp4")
+    hand.canvas.draw()
+    low = SIZE[1] - 24 - 44
+
+    def marked() -> np.ndarray:
+        """The columns of the timeline in which there is the mark's blue."""
+        hand.canvas.draw()
+        bar = hand.canvas.draw()[low : low + 44, :700, :3].astype(int)
+        return np.flatnonzero((np.abs(bar - (64, 160, 255)).max(axis=-1) < 12).sum(axis=0) > 8)
+
+    assert marked().size == 0
+    view.tools.playback.seek(16)
+    hand.key("i")
+    view.tools.playback.seek(48)
+    hand.key("o")
+    columns = marked()
+    assert columns.size
+    assert 150 < np.ptp(columns) < 300
+    hand.key("u")
+    assert marked().size == 0
+    view.close()
+
+
+def test_the_frame_that_is_seen_is_certified(gpu: Gpu) -> None:
+    from supple.viewer.panels.overlay import status
+
+    stroke = Stroke(at=(120, 80, 10), by=(14, 6, 4), radius=40)
+    view, hand = opened(DATA / "bunny.mp4", Recipe(border=None, strokes=(stroke,)))
+    for frame in (8, 12):
+        view.tools.playback.seek(frame)
+        end = time.monotonic() + 60
+        while "certified" not in status(view) and time.monotonic() < end:
+            time.sleep(0.05)
+        wanted = view.document.deformation.report(plane=frame).error
+        assert 0 < wanted < 0.01
+        assert f"error at most {wanted:.2g} px in this frame, certified" in status(view)
+    hand.key(" ")
+    assert "certified" not in status(view)  # while it plays
+    view.document.mark_saved()
+    view.close()
+
+
+def test_strokes_of_other_frames_are_faint(gpu: Gpu) -> None:
+    stroke = Stroke(at=(120, 80, 10), by=(40, 6, 4), radius=40)
+    view, hand = opened(DATA / "bunny.mp4", Recipe(border=None, strokes=(stroke,)))
+    view.document.select(0)
+
+    def blue(frame: int) -> int:
+        view.tools.playback.seek(frame)
+        for _ in range(40):
+            picture = hand.canvas.draw()[..., :3].astype(int)
+            if view.painter.ready:
+                break
+            time.sleep(0.05)
+        return int((np.abs(picture[:600, :600] - (64, 160, 255)).max(axis=-1) < 30).sum())
+
+    counts = [blue(frame) for frame in (2, 10, 14)]
+    assert counts[1] > counts[0] + 10  # where it begins
+    assert counts[2] > counts[0] + 10  # and where it ends
+    view.document.mark_saved()
+    view.close()
+
+
+def test_an_array_of_a_volume(gpu: Gpu) -> None:
+    z, y, x = np.mgrid[:20, :24, :28]
+    ball = (((x - 14) ** 2 + (y - 12) ** 2 + 4 * (z - 10) ** 2) < 90).astype(np.float32)
+    view, hand = opened(ball, spacing=(1, 1, 2))
+    assert view.stage.kind == "volume"
+    assert view.stage.spacing == (1, 1, 2)
+    before = hand.canvas.draw()
+    assert np.ptp(before[200:600, 300:700, :3]) > 60
+    hand.drag((350, 300), (410, 300))
+    (made,) = view.recipe.strokes
+    assert len(made.at) == 3
+    view.close()
+    for spacing in ((1, 1), (0, 1, 1), "a"):
+        with pytest.raises(SuppleError, match="spacing"):
+            opened(ball, spacing=spacing)
+    with pytest.raises(SuppleError, match=r"of a clip too: found uint8 \(2, 3, 4, 3\)"):
+        opened(np.zeros((2, 3, 4, 3), np.uint8))
+
+
+def test_all_of_a_stroke_is_said() -> None:
+    from supple.viewer.panels.panel import described
+
+    stroke = Stroke(at=(31, 22), by=(30, 40), radius=5, poisson=0.3, scales=2)
+    (arrival,) = supple.Deformation((80, 90), on_fold="damp", border=None).add(stroke, warn=False).arrivals
+    said = described(stroke, arrival)
+    short = f"{arrival.miss:.3g} short: all of it would fold"
+    for word in ("grab", "(31.0, 22.0)", "(30.0, 40.0)", "radius 5", "Poisson ratio 0.3", "1/r3", "4 radii", short):
+        assert word in said
+
+
+def test_a_drag_says_how_far_it_goes_and_frames_are_counted_while_they_matter(gpu: Gpu) -> None:
+    from supple.viewer.panels.overlay import status
+
+    view, hand = opened(np.full((400, 600, 3), 90, np.uint8), Recipe(border=None))
+    hand.key("1")
+    hand.move(300, 300)
+    assert "by " not in status(view)
+    assert "90" in status(view)
+    hand.press(300, 300)
+    for x in (310, 320, 330):
+        hand.move(x, 290, 1)
+        hand.canvas.draw()
+    assert "by +30.0 -10.0" in status(view)
+    assert "frames a second" in status(view)
+    hand.release(330, 290)
+    view._changed_at -= 1.0
+    assert "frames a second" not in status(view)
+
+
+def test_the_knob_of_the_cut_is_seen_and_dragged(gpu: Gpu) -> None:
+    view, hand = opened(np.full((400, 600, 3), 40, np.uint8), Recipe(border=None))
+    hand.key("b")
+    hand.move(10, 10)
+    x, y = (round(v) for v in view.tools.knob)
+    assert (hand.canvas.draw()[y - 6, x, :3] > 200).all()
+    hand.drag((x, y), (x - 200, y))
+    assert view.tools.split == pytest.approx((x - 200) / view.area[0], abs=0.01)
+    assert view.document.items == ()
+    hand.move(10, 10)
+    seen = hand.canvas.draw()
+    assert (seen[y - 6, x - 200, :3] > 200).all()
+    assert (seen[y - 6, x, :3] < 100).all()

@@ -1,0 +1,124 @@
+"""What holds for events of any tool: escape restores, and merged events do what single ones do."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+from supple.strokes import Stroke
+from supple.viewer.tools.brushes import ImageTools, VideoTools, VolumeTools
+from supple.viewer.tools.gestures import Tools
+from tests.viewer.tools import (
+    LEFT,
+    MIDDLE,
+    RIGHT,
+    clip,
+    down,
+    image,
+    move,
+    press,
+    solid,
+    up,
+    wheel,
+)
+
+ALL = pytest.mark.parametrize("make", [image, clip, solid])
+Make = Callable[..., Tools[Any]]
+
+
+def look(tools: Tools[Any]) -> tuple[Any, ...]:
+    playback = tools.playback.frame if isinstance(tools, VideoTools) else None
+    return tools.document.state, tools.view, playback
+
+
+@ALL
+def test_escape_at_any_point_restores(make: Make) -> None:
+    n = 2 if make is image else 3
+    some = Stroke(at=(30, 20, 10)[:n], by=(4, 0, 0)[:n], radius=9)
+    path = [(200 + 3 * k, 150 + k) for k in range(12)]
+    starts: list[tuple[tuple[float, float], int]] = [((200, 150), LEFT), ((5, 5), LEFT), ((200, 150), MIDDLE)]
+    starts += [((200, 150), RIGHT), (make(some).handles()[0].seen if make is not clip else (61, 41), LEFT)]
+    for (x, y), button in starts:
+        for stop in range(len(path)):
+            tools = make(some)
+            tools.document.add(some)
+            tools.document.undo()
+            tools.document.select(0)
+            if isinstance(tools, VideoTools):
+                tools.playback.seek(10)
+            before, deformation = look(tools), tools.document.deformation
+            down(tools, x, y, button=button)
+            for k, (a, b) in enumerate(path[:stop]):
+                move(tools, a, b, buttons=(button,))
+                if k % 3 == 1 and tools.held is not None:
+                    wheel(tools, -100)
+            pressed = tools._gesture is not None
+            press(tools, "Escape")
+            if pressed:
+                assert look(tools) == before
+                assert tools.document.deformation is deformation
+                assert (tools.document.can_undo, tools.document.can_redo, tools.dragging) == (False, True, False)
+            state = tools.document.state
+            move(tools, 250, 200, buttons=(button,))
+            up(tools, 260, 210, button=button)  # which is still to come
+            assert tools.document.state is state
+
+
+def merged(events: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """As the window may merge them: moves to the last one, wheels to their sum."""
+    made: list[dict[str, Any]] = []
+    for event in events:
+        last = made[-1] if made else {}
+        kind = event["event_type"]
+        alike = all(last.get(name) == event.get(name) for name in ("event_type", "modifiers", "buttons"))
+        if kind in ("pointer_move", "wheel") and alike:
+            made.pop()
+            if kind == "wheel":
+                event = event | {name: event[name] + last[name] for name in ("dx", "dy")}
+        made.append(event)
+    return made
+
+
+@ALL
+@pytest.mark.parametrize("seed", range(12))
+def test_merged_events_equal_single_ones(make: Make, seed: int) -> None:
+    rng = random.Random(seed)
+    x, y = 200.0, 150.0
+    events: list[dict[str, Any]] = []
+    for _ in range(12):
+        button = rng.choice([LEFT, LEFT, LEFT, MIDDLE, RIGHT])
+        pointer = {"button": button, "buttons": (button,)}
+        events.append({"event_type": "pointer_down", "x": x, "y": y, "modifiers": (), **pointer})
+        for _ in range(rng.randrange(6)):
+            modifiers = rng.choice([(), (), ("Control",), ("Shift",)])
+            for _ in range(rng.randrange(1, 5)):
+                x, y = x + rng.uniform(-12, 12), y + rng.uniform(-9, 9)
+                moved = {"event_type": "pointer_move", "button": 0, "buttons": (button,)}
+                events.append({**moved, "x": x, "y": y, "modifiers": modifiers})
+            turn = rng.choice([-20.0, 30.0])
+            turned = {"event_type": "wheel", "x": x, "y": y, "dx": 0.0, "dy": turn, "modifiers": modifiers}
+            events += [turned] * rng.randrange(4)
+        events.append({"event_type": "pointer_up", "x": x, "y": y, "modifiers": (), **pointer, "buttons": ()})
+        x, y = rng.uniform(120, 260), rng.uniform(100, 200)
+    one, other = make(), make()
+    for event in events:
+        one.handle(event)
+    few = merged(events)
+    assert len(few) < 0.8 * len(events)
+    for event in few:
+        other.handle(event)
+    assert len(one.document.items) == len(other.document.items) > 0
+    assert one.document.selected == other.document.selected
+    for a, b in zip(one.document.items, other.document.items, strict=True):
+        assert b.stroke.at == pytest.approx(a.stroke.at)
+        assert b.stroke.by == pytest.approx(a.stroke.by, abs=1e-9)
+        assert b.stroke.radius == pytest.approx(a.stroke.radius)
+    assert other.radius == pytest.approx(one.radius)
+    if isinstance(one, ImageTools) and isinstance(other, ImageTools):
+        assert other.viewport.zoom == pytest.approx(one.viewport.zoom)
+        assert other.viewport.centre == pytest.approx(one.viewport.centre)
+    if isinstance(one, VolumeTools) and isinstance(other, VolumeTools):
+        assert one.stage.project(one.camera, (3, 4, 5)) == pytest.approx(other.stage.project(other.camera, (3, 4, 5)))

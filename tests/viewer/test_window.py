@@ -1,0 +1,484 @@
+"""The window, without a screen."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import signal
+import sys
+import time
+import urllib.error
+import urllib.request
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import supple
+from supple.engines.wgpu.device import Gpu
+from supple.errors import ScaleWarning
+from supple.files.clips import ClipOptions
+from supple.files.volumes import VolumeOptions, deformation_of
+from supple.media import image, video, volume
+from supple.media.volume import RawLayout
+from supple.strokes import Recipe, Stroke
+from tests.clips import decoded, make, rows
+from tests.viewer.windows import Hand, opened, small_photo, viewing, wait_for
+
+pytest.importorskip("rendercanvas")
+pytest.importorskip("imgui_bundle")
+
+DATA = Path(supple.__file__).parent / "examples" / "data"
+
+
+@pytest.fixture
+def state(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder of its own for what windows keep."""
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    return tmp_path
+
+
+@pytest.fixture
+def photo(state: Path) -> Path:
+    return small_photo(state)
+
+
+@pytest.fixture
+def photo_view(gpu: Gpu, photo: Path) -> Iterator[tuple[Any, Hand]]:
+    view, hand = opened(photo)
+    yield view, hand
+    view.close()
+
+
+def near(one: np.ndarray, other: np.ndarray) -> float:
+    """How far pictures are apart: the root of the mean square, in levels."""
+    return float(np.sqrt(np.mean((one.astype(float) - other.astype(float)) ** 2)))
+
+
+def test_a_drag_is_a_stroke_and_the_canvas_shows_what_is_exported(
+    photo_view: tuple[Any, Hand], photo: Path, state: Path
+) -> None:
+    view, hand = photo_view
+    hand.key("1")
+    first = view.tools.viewport.to_canvas(0, 0)
+    hand.drag((350, 300), (400, 270))
+    (stroke,) = view.recipe.strokes
+    np.testing.assert_allclose(stroke.by, (50, -30), atol=1e-9)
+    assert view.document.selected == 0
+    # The file is what supple warp makes of the saved recipe.
+    view.desk.save(state / "strokes.json")
+    view.desk.begin_export(state / "bent.png")
+    wait_for(lambda: view.desk.export.done)
+    view.desk.tick()
+    assert view.desk.message == view.desk.export.text
+    recipe = Recipe.from_json((state / "strokes.json").read_text(encoding="utf-8"))
+    assert recipe == view.recipe
+    supple.warp_file(photo, state / "wanted.png", recipe)
+    exported, wanted = (image.read(state / name).pixels for name in ("bent.png", "wanted.png"))
+    np.testing.assert_array_equal(exported, wanted)
+    # And so is the canvas, but that the device interpolates linearly.
+    supple.warp_file(photo, state / "linear.png", recipe, filter="linear")
+    wanted = image.read(state / "linear.png").pixels
+    x, y = (round(v) for v in first)
+    left, top = max(x, 0), max(y, 0)
+    seen = view.pixels()
+    height, width = (min(n - s, m) for n, s, m in zip(seen.shape, (top, left), wanted.shape, strict=False))
+    part = wanted[top - y : top - y + height, left - x : left - x + width]
+    assert near(seen[top : top + height, left : left + width], part) < 1.0
+    assert near(image.read(photo).pixels[top - y : top - y + height, left - x : left - x + width], part) > 10
+
+
+def test_steps_are_undone_and_a_drag_is_abandoned(photo_view: tuple[Any, Hand]) -> None:
+    view, hand = photo_view
+    before = view.pixels()
+    hand.drag((300, 250), (330, 260))
+    hand.drag((400, 250), (380, 300))
+    after = view.pixels()
+    assert len(view.recipe.strokes) == 2
+    hand.key("z", "Control")
+    hand.key("z", "Control")
+    assert view.recipe.strokes == ()
+    np.testing.assert_array_equal(view.pixels(), before)
+    hand.key("Z", "Control", "Shift")
+    hand.key("Z", "Control", "Shift")
+    np.testing.assert_array_equal(view.pixels(), after)
+    hand.press(200, 200)
+    hand.move(240, 240, 1)
+    assert len(view.recipe.strokes) == 3
+    hand.key("Escape")
+    hand.release(240, 240)
+    assert len(view.recipe.strokes) == 2
+    # What it was, while a key is held, and beside what it is.
+    hand.send("key_down", key="\\")
+    np.testing.assert_array_equal(view.pixels(), before)
+    hand.send("key_up", key="\\")
+    np.testing.assert_array_equal(view.pixels(), after)
+
+
+def test_changes_are_told(photo_view: tuple[Any, Hand]) -> None:
+    view, hand = photo_view
+    told: list[Recipe] = []
+    view.on_change(told.append)
+    hand.drag((300, 250), (330, 260), steps=3)
+    assert told[-1] == view.recipe
+    assert len(told) >= 3
+
+
+def test_while_a_hand_moves_less_is_drawn(photo_view: tuple[Any, Hand]) -> None:
+    view, hand = photo_view
+    view.painter.coarse = 3
+    hand.press(300, 250)
+    hand.move(330, 250, 1)
+    hand.canvas.draw()
+    width, height = view.area
+    first, _ = view._textures
+    assert first.size[:2] == (-(-round(width) // view.painter.coarse), -(-round(height) // view.painter.coarse)) or (
+        view.painter.coarse != 3  # it has learnt meanwhile
+    )
+    hand.release(330, 250)
+    view._changed_at = -10.0
+    hand.canvas.draw()
+    assert view._textures[0].size[:2] == (round(width), round(height))
+
+
+def test_nothing_is_lost(photo: Path, gpu: Gpu, state: Path) -> None:
+    view, hand = opened(photo)
+    hand.drag((300, 250), (330, 260))
+    kept = view.recipe
+    view.desk.tick()
+    view.desk.autosave.flush()
+    view.desk.autosave._lock.close()  # as if the process had died
+    again, _ = opened(photo)
+    assert again.desk.asked.name == "restore"
+    assert "1 stroke on this file was not saved" in again.desk.asked.text
+    assert again.recipe.strokes == ()
+    assert again.desk.answer("Restore")
+    assert again.recipe == kept
+    # Closing asks; what was saved is not asked for again.
+    assert not again.desk.may_close()
+    assert again.desk.asked.name == "close"
+    again.desk.asked.path = str(state / "saved.json")
+    assert again.desk.answer("Save and close")
+    assert Recipe.from_json((state / "saved.json").read_text(encoding="utf-8")) == kept
+    assert again.desk.may_close()
+    again.close()
+    last, _ = opened(photo)
+    assert last.desk.asked is None
+    # A name that is taken is not replaced, unless it is said.
+    last.document.add(Stroke.grab((5, 5), by=(1, 1), radius=9))
+    last.desk.ask("save")
+    last.desk.asked.path = str(state / "saved.json")
+    assert not last.desk.answer("Save")
+    assert "exists" in last.desk.asked.problem
+    assert last.desk.answer("Replace")
+    assert not last.document.dirty
+    last.close()
+
+
+def test_a_clip_plays_and_is_bent_in_time(gpu: Gpu, state: Path) -> None:
+    view, hand = opened(DATA / "bunny.mp4", Recipe(border=None))
+    assert view.stage.film.wait(0, 6, 30.0)
+    hand.key("ArrowRight")
+    hand.key("ArrowRight")
+    assert view.frame == 2
+    hand.press(300, 250)
+    hand.wheel(300, 250, -300)
+    hand.canvas.draw()
+    assert view.frame == 5
+    hand.move(320, 250, 1)
+    hand.release(320, 250)
+    (stroke,) = view.recipe.strokes
+    assert stroke.at[2] == 2
+    assert stroke.by[2] == pytest.approx(3)
+    assert stroke.by[0] > 0
+    # A frame of the canvas is that of the file.
+    hand.key("1")
+    view._changed_at = -10.0
+    needed = view.stage.needed(view.document.deformation, view.frame)
+    assert view.stage.film.wait(*needed, 30.0)
+    view.document.select(None)
+    seen = view.pixels()
+    left, top = (round(v) for v in view.tools.viewport.to_canvas(0, 0))
+    with video.open_video(DATA / "bunny.mp4") as clip:
+        from supple.files.clips import ClipOptions, deformation_of, frames_of, sampling_of
+
+        d = deformation_of(view.recipe, clip.count, clip.layout.shape, 1.0, clip.name)
+        common: dict[str, Any] = {"outside": "edge", "fill": 0.0, "tolerance": 0.01, "light": False}
+        sampling = sampling_of(clip, filter="auto", options=ClipOptions(), **common)
+        ((_, arrays),) = frames_of(clip, d, sampling, [5])
+        wanted = clip.to_rgb(arrays)
+    y, x = max(top, 0), max(left, 0)
+    height, width = (
+        min(n - s, m - o) for n, s, m, o in zip(seen.shape, (y, x), wanted.shape, (y - top, x - left), strict=False)
+    )
+    assert near(seen[y : y + height, x : x + width], wanted[y - top :, x - left :][:height, :width]) < 4
+    hand.key(" ")
+    assert view._playing
+    end = time.monotonic() + 20
+    while view.frame < 9 and time.monotonic() < end:
+        hand.canvas.draw()
+    assert view.frame >= 9
+    view.close()
+    assert not view.stage.film._thread.is_alive()
+
+
+def test_a_clip_is_exported_by_the_time_scale_that_it_is_seen_with(gpu: Gpu, state: Path) -> None:
+    make(state / "a.mkv", "ffv1", "yuv444p", count=8)
+    recipe = Recipe(border=None, strokes=(Stroke.grab((30, 20, 3), by=(9, 4, 0.5), radius=12),))
+    view, _ = opened(state / "a.mkv", recipe, time_scale=5.0)
+    assert view.document.deformation.domain.spacing == (1, 1, 5)
+    view.desk.begin_export(state / "seen.mkv")
+    wait_for(lambda: view.desk.export.done)
+    view.close()
+    for name, scale in (("wanted.mkv", 5.0), ("other.mkv", 1.0)):
+        supple.warp_file(state / "a.mkv", state / name, recipe, clip=ClipOptions(time_scale=scale))
+    seen, wanted, other = ([rows(f) for f in decoded(state / f"{name}.mkv")] for name in ("seen", "wanted", "other"))
+    assert seen == wanted != other
+    with pytest.raises(supple.SuppleError, match=r"time_scale is for clips, and .*head\.nii\.gz is none: leave it out"):
+        opened(DATA / "head.nii.gz", time_scale=2.0)
+    with pytest.raises(supple.SuppleError, match="time_scale is for clips, and the array is none"):
+        opened(np.zeros((4, 4)), time_scale=2.0)
+    with pytest.raises(supple.SuppleError, match="time_scale"):
+        opened(state / "a.mkv", time_scale=0.0)
+
+
+def test_a_clip_that_is_restored_by_another_time_scale_says_so(gpu: Gpu, state: Path) -> None:
+    make(state / "a.mkv", "ffv1", "yuv444p", count=8)
+    view, _ = opened(state / "a.mkv", Recipe(border=None), time_scale=5.0)
+    view.document.add(Stroke.grab((30, 20, 3), by=(9, 4, 0.5), radius=12))
+    view.close()
+    for scale, otherwise in ((5.0, False), (1.0, True)):
+        again, _ = opened(state / "a.mkv", time_scale=scale)
+        assert again.desk.asked.name == "restore"
+        assert ("It was read otherwise then" in again.desk.asked.text) == otherwise
+        again.close()
+
+
+def test_a_volume_is_pulled_and_turned(gpu: Gpu, state: Path) -> None:
+    view, hand = opened(DATA / "head.nii.gz")
+    view.stage._plain.step  # noqa: B018, it is a scene
+    camera = view.tools.camera
+    hand.drag((350, 300), (390, 280))
+    (stroke,) = view.recipe.strokes
+    assert stroke.radius == view.tools.radius
+    assert all(0 <= p <= n for p, n in zip(stroke.at, reversed(view.stage.shape), strict=True))
+    assert view.tools.camera == camera
+    hand.drag((350, 300), (390, 280), button=3)
+    assert view.tools.camera != camera
+    hand.key("z", "Control")
+    assert view.recipe.strokes == ()
+    hand.key("0")
+    hand.drag((8, 8), (60, 8))  # beside the head
+    assert view.tools.camera != camera
+    assert view.recipe.strokes == ()
+    hand.wheel(300, 300, 200)
+    view.stage.look("grey", (20.0, 200.0))
+    view.refresh()
+    hand.canvas.draw()
+    view.close()
+
+
+def test_voxels_without_a_header_are_shown_and_exported(gpu: Gpu, state: Path) -> None:
+    samples = np.random.default_rng(0).integers(0, 900, (12, 14, 16), np.int16)
+    (state / "a.raw").write_bytes(samples.astype(">i2").tobytes())
+    told = VolumeOptions(layout=RawLayout((16, 14, 12), ">i2", (1.0, 1.5, 2.0)), labels=True)
+    recipe = Recipe(border=None, strokes=(Stroke.grab((8, 7, 6), by=(2, 1, 0), radius=5),))
+    view, _ = opened(state / "a.raw", recipe, volume=told)
+    assert view.stage.spacing == (1.0, 1.5, 2.0)
+    view.desk.ask("export")
+    assert view.desk.asked.path == str(state / "a-bent.nii.gz")
+    assert view.desk.answer("Export")
+    wait_for(lambda: view.desk.export.done)
+    assert view.desk.export.error is None
+    view.close()
+    supple.warp_file(state / "a.raw", state / "wanted.nii.gz", recipe, volume=told)
+    seen, wanted = (volume.read(state / name).samples for name in ("a-bent.nii.gz", "wanted.nii.gz"))
+    np.testing.assert_array_equal(seen, wanted)
+    assert (seen != samples).any()
+    for source in (small_photo(state), samples):
+        with pytest.raises(supple.SuppleError, match=r"is no file of a volume, .*: leave that out"):
+            opened(source, volume=VolumeOptions(labels=True))
+    with pytest.raises(supple.SuppleError, match="--series is for DICOM folders"):
+        opened(DATA / "head.nii.gz", volume=VolumeOptions(series="1"))
+
+
+def test_the_first_strokes_may_be_places_in_space(gpu: Gpu, state: Path) -> None:
+    head = volume.read(DATA / "head.nii.gz")
+    at = head.geometry.to_world(np.array([45.0, 60, 50]))
+    recipe = Recipe(border=None, strokes=(Stroke.grab(tuple(at), by=(4, 0, 2), radius=20),))
+    view, _ = opened(DATA / "head.nii.gz", recipe, volume=VolumeOptions(world=True))
+    np.testing.assert_allclose(view.document.items[0].stroke.at, (45, 60, 50), atol=1e-6)
+    assert (view.recipe.space, view.recipe.size) == ("RAS", head.sizes)
+    np.testing.assert_allclose(view.recipe.strokes[0].at, at, atol=1e-9)
+    wanted = deformation_of(recipe, head, world=True)
+    assert view.document.deformation.strokes == wanted.strokes
+    view.close()
+
+
+def test_a_recipe_for_another_size_is_scaled_and_told(gpu: Gpu, state: Path) -> None:
+    ramp = np.linspace(0, 1, 300, dtype=np.float32) * np.ones((200, 1), np.float32)
+    recipe = Recipe(size=(150, 100), strokes=(Stroke.grab((75, 50), by=(10, 0), radius=20),))
+    with pytest.warns(ScaleWarning, match="made for 150 x 100, and is scaled for the array, which is 300 x 200"):
+        view, _ = opened(ramp, recipe)
+    assert view.recipe.strokes == (Stroke(at=(150.5, 100.5), by=(20, 0), radius=40),)
+    (state / "small.json").write_text(recipe.to_json(), encoding="utf-8")
+    view.desk.open(state / "small.json", sure=True)
+    assert view.desk.message.endswith("small.json, scaled to 300 x 200")
+    view.close()
+    view, _ = opened(ramp, recipe, fit="pixels")
+    assert view.recipe.strokes == recipe.strokes
+    view.close()
+
+
+def test_arrays_are_shown_too(gpu: Gpu, state: Path) -> None:
+    ramp = np.linspace(0, 1, 300, dtype=np.float32) * np.ones((200, 1), np.float32)
+    view, hand = opened(ramp, Recipe(strokes=(Stroke.grab((150, 100), by=(20, 0), radius=40),)))
+    assert len(view.recipe.strokes) == 1
+    hand.canvas.draw()
+    seen = view.pixels()
+    assert seen.max() > 200
+    with pytest.raises(supple.SuppleError, match="an array is no file"):
+        view.desk.begin_export("x.png")
+    view.close()
+    for bad, what in (
+        (np.zeros((2, 3, 4, 5)), "array of numbers"),
+        (np.zeros(3), "array of numbers"),
+        ("none.png", "no such file"),
+    ):
+        with pytest.raises(supple.SuppleError, match=what):
+            opened(bad)
+
+
+async def _answer(
+    app: Any, path: str, query: str = "", cookie: str = "", kind: str = "http", origin: str = ""
+) -> list[Any]:
+    said: list[Any] = []
+
+    async def send(message: Any) -> None:
+        said.append(message)
+
+    async def receive() -> Any:
+        return {"type": f"{kind}.connect"}
+
+    headers = [(b"host", b"127.0.0.1:8000")]
+    headers += [(b"cookie", cookie.encode())] if cookie else []
+    headers += [(b"origin", origin.encode())] if origin else []
+    await app({"type": kind, "path": path, "query_string": query.encode(), "headers": headers}, receive, send)
+    return said
+
+
+def test_who_has_no_token_sees_nothing() -> None:
+    from supple.viewer.window.server import guarded
+
+    async def app(scope: Any, receive: Any, send: Any) -> None:
+        await send({"type": "served"})
+
+    token = "abcdefghij"
+    guard = guarded(app, token, "<photo>")
+    for query in ("", "token=", "token=abcdefghi", "token=ABCDEFGHIJ", "token=%C3%A9"):
+        for path in ("/", "/renderview.js", "/index.html"):
+            assert asyncio.run(_answer(guard, path, query))[0]["status"] == 403
+    for cookie in ("", "supple-abcdef=x", "supple-abcdef=é", "x=y; supple-abcdef="):
+        assert asyncio.run(_answer(guard, "/", cookie=cookie, kind="websocket"))[0]["type"] == "websocket.close"
+    begun = asyncio.run(_answer(guard, "/", f"token={token}"))[0]
+    assert begun["status"] == 303
+    headers = dict(begun["headers"])
+    assert headers[b"location"] == b"/"
+    assert b"HttpOnly" in headers[b"set-cookie"]
+    assert b"SameSite=Strict" in headers[b"set-cookie"]
+    cookie = headers[b"set-cookie"].decode().split(";")[0]
+    page = asyncio.run(_answer(guard, "/", cookie=cookie))
+    assert page[0]["status"] == 200
+    assert b"&lt;photo&gt;" in page[1]["body"]
+    assert asyncio.run(_answer(guard, "/renderview.js", cookie=cookie)) == [{"type": "served"}]
+    assert asyncio.run(_answer(guard, "/", cookie=cookie, kind="websocket")) == [{"type": "served"}]
+    # Cookies of other programs on the same host come along, whatever they look like.
+    for other in ('foo={"x": 1}', "flag", "n[1]=2", "x=é", 'x="q', "a b=c", "=", ""):
+        for cookies in (f"{other}; {cookie}", f"{cookie};{other}"):
+            assert asyncio.run(_answer(guard, "/", cookie=cookies))[0]["status"] == 200, cookies
+    # And so do ours, from pages of other programs.
+    for origin in ("http://127.0.0.1:9999", "http://127.0.0.1", "https://example.org", "null", "http://[", "http://"):
+        refused = asyncio.run(_answer(guard, "/", cookie=cookie, kind="websocket", origin=origin))
+        assert refused[0]["type"] == "websocket.close", origin
+    ours = "http://127.0.0.1:8000"
+    assert asyncio.run(_answer(guard, "/", cookie=cookie, kind="websocket", origin=ours)) == [{"type": "served"}]
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="there are no such signals")
+def test_one_interrupt_ends_a_server(gpu: Gpu, photo: Path, state: Path) -> None:
+    client = pytest.importorskip("websockets.sync.client")
+    with contextlib.ExitStack() as kept, viewing(str(photo), "--serve", folder=state) as process:
+        assert process.stdout is not None
+        address = process.stdout.readline().removeprefix("open ").strip()
+        # Once it answers, the canvas's loop has begun soon after, and has taken Ctrl+C.
+        wait_for(lambda: _reached(address.partition("?")[0]))
+        token = address.partition("=")[2]
+        page = address.partition("?")[0].replace("http", "ws", 1)
+        cookie = {"Cookie": f"supple-{token[:6]}={token}"}
+        kept.enter_context(client.connect(page, additional_headers=cookie, max_size=None))
+        time.sleep(1.0)
+    assert process.returncode == 130
+
+
+def _reached(address: str) -> bool:
+    try:
+        urllib.request.urlopen(address, timeout=5).close()
+    except urllib.error.HTTPError as refused:
+        refused.close()
+        return refused.code == 403
+    except OSError:
+        return False
+    return True
+
+
+@pytest.mark.parametrize("what", ["a frame", "an event"])
+def test_an_interrupt_waits_for_what_is_being_done(
+    photo_view: tuple[Any, Hand], monkeypatch: pytest.MonkeyPatch, what: str
+) -> None:
+    view, hand = photo_view
+    owner, name = (view, "_present") if what == "a frame" else (view.tools, "handle")
+    done, closed = getattr(owner, name), []
+
+    def close(*told: Any) -> None:
+        closed.append(told)
+        view.canvas.close()
+
+    def interrupted(*arguments: Any) -> None:
+        signal.raise_signal(signal.SIGINT)
+        assert not closed
+        done(*arguments)
+
+    monkeypatch.setattr(owner, name, interrupted)
+    before = signal.signal(signal.SIGINT, close)
+    try:
+        if what == "a frame":
+            view.draw()
+        else:
+            hand.send("key_down", key="1")
+        assert len(closed) == 1
+        assert view.canvas.get_closed()
+        assert signal.getsignal(signal.SIGINT) is close
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+def test_the_panel_says_where_a_stroke_arrives() -> None:
+    from supple.viewer.panels.panel import described
+
+    held = Stroke.grab((15, 20, 4), by=(5, 0, 0), radius=9)
+    d = supple.Deformation((9, 60, 90), border=30.0, on_fold="damp").add(held, warn=False)
+    d = d.add(Stroke.grab((20, 20, 4), by=(0, 8, 0), radius=9, poisson=0.3, reach=None), warn=False)
+    first, second = d.arrivals
+    t = 15.5 / 30  # from the face
+    short = 5 * (1 - t * (2 - 2 * t**2 + t**3))
+    text = described(held, first)
+    assert f"arrives at ({20 - short:.1f}, 20.0, 4.0), {short:.3g} short: the fixed border holds it back" in text
+    assert f"later strokes move it by {first.moved:.3g}, to (" in text
+    assert "Poisson" not in text
+    text = described(d.strokes[1], second)
+    assert "Poisson ratio 0.3" in text
+    assert "reach: no limit" in text
+    assert "later" not in text
+    assert "arrives" not in described(held, None)

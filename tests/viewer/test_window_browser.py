@@ -1,0 +1,139 @@
+"""The window as people have it: in a browser."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+import SimpleITK as sitk  # noqa: N813
+
+from supple.cli import command
+from supple.engines.wgpu.device import Gpu
+from supple.media import image
+from supple.strokes import Stroke
+from supple.viewer.panels.view import BAR, LINE, WIDE
+from tests.clips import decoded
+from tests.viewer.sessions import near, on_canvas, recipe_in, warped
+from tests.viewer.windows import Browser, Pixels, needs, viewing, wait_for
+
+pytest.importorskip("rendercanvas")
+pytest.importorskip("imgui_bundle")
+pytest.importorskip("glfw")
+
+
+@contextmanager
+def browsing(source: Path) -> Iterator[Browser]:
+    """A browser that shows a medium, after it was refused without the token."""
+    needs("chromium")
+    folder = source.parent
+    with viewing(str(source), "--serve", folder=folder) as process:
+        assert process.stdout is not None
+        line = process.stdout.readline()
+        assert line.startswith("open http://127.0.0.1:")
+        address = line.removeprefix("open ").strip()
+        browser = Browser(folder / "browser")
+        try:
+            browser.go(address.partition("?")[0])
+            wait_for(lambda: "those who have its whole address" in browser.text())
+            browser.go(address)
+            wait_for(lambda: np.ptp(browser.shown()[100:300, 100:400].astype(int)) > 100)
+            yield browser
+            assert "token" not in str(browser.call("Runtime.evaluate", expression="location.href"))
+        finally:
+            browser.close()
+
+
+def edited_there(browser: Browser, saved: Path, made: Path) -> tuple[Stroke, ...]:
+    """Drag, undo, redo, save and export in a browser; the strokes that were saved."""
+    browser.drag((350, 300), (410, 270))
+    time.sleep(1)
+    browser.drag((420, 250), (400, 300))
+    time.sleep(1)
+    browser.key("z", 90, 2)
+    browser.key("s", 83, 2)
+    wait_for(lambda: browser.key("Enter", 13) or saved.exists(), every=2.0)
+    (stroke,) = recipe_in(saved).strokes
+    assert np.linalg.norm(stroke.by) > 2
+    again = ("y", 89, 2), ("s", 83, 2)
+    wait_for(lambda: [browser.key(*key) for key in again] and len(recipe_in(saved).strokes) == 2, every=1.5)
+    browser.key("e", 69, 2)
+    wait_for(lambda: browser.key("Enter", 13) or made.exists(), every=2.0)
+    browser.key("Escape", 27)
+    browser.mouse("mouseMoved", 900, 600)
+    return recipe_in(saved).strokes
+
+
+def undone_and_opened(browser: Browser, bent: Callable[[], bool], plain: Callable[[], bool]) -> None:
+    """See what was done, undo it, and open what was saved."""
+    wait_for(bent)
+    for _ in range(2):
+        browser.key("z", 90, 2)
+    wait_for(plain)
+    browser.key("o", 79, 2)
+    wait_for(lambda: browser.key("Enter", 13) or bent(), every=2.0)
+
+
+def test_a_photograph_in_a_browser(gpu: Gpu, photo: Path, state: Path) -> None:
+    saved, made = state / "photo.recipe.json", state / "photo-bent.png"
+    with browsing(photo) as browser:
+        strokes = edited_there(browser, saved, made)
+        wanted, before = image.read(warped(photo, "wanted.png", saved)).pixels, image.read(photo).pixels
+        np.testing.assert_array_equal(image.read(made).pixels, wanted)
+        # At 100 %, the page shows what was exported, but for what its compression does.
+        browser.key("1", 49)
+
+        def away(picture: Pixels) -> float:
+            seen = browser.shown()
+            return on_canvas(picture, seen, (seen.shape[1] - WIDE, seen.shape[0] - LINE), strokes)
+
+        undone_and_opened(browser, lambda: away(wanted) < 5, lambda: away(before) < 5)
+        assert away(before) > 8
+
+
+def test_a_clip_in_a_browser(gpu: Gpu, clip: Path, state: Path) -> None:
+    saved, made = state / "clip.recipe.json", state / "clip-bent.mp4"
+    with browsing(clip) as browser:
+        browser.key("1", 49)  # nothing was clicked on yet
+        for _ in range(8):
+            browser.key("ArrowRight", 39)
+            time.sleep(0.2)
+        strokes = edited_there(browser, saved, made)
+        assert {stroke.at[2] for stroke in strokes} == {8}
+        frames = decoded(made)
+        for one, other in zip(frames, decoded(warped(clip, "wanted.mp4", saved)), strict=True):
+            np.testing.assert_array_equal(one.to_ndarray(), other.to_ndarray())
+        wanted, before = (some[8].to_ndarray(format="rgb24") for some in (frames, decoded(clip)))
+
+        def away(picture: Pixels) -> float:
+            seen = browser.shown()
+            return on_canvas(picture, seen, (seen.shape[1] - WIDE, seen.shape[0] - LINE - BAR), strokes)
+
+        undone_and_opened(browser, lambda: away(wanted) < 8, lambda: away(before) < 8)
+        assert away(before) > 10
+
+
+def test_a_volume_in_a_browser(gpu: Gpu, volume: Path, state: Path) -> None:
+    saved, made = state / "head.recipe.json", state / "head-bent.nii.gz"
+    with browsing(volume) as browser:
+        edited_there(browser, saved, made)
+        found, wanted = (
+            sitk.GetArrayFromImage(sitk.ReadImage(str(path))) for path in (made, warped(volume, "wanted.nii.gz", saved))
+        )
+        np.testing.assert_array_equal(found, wanted)
+        seen = browser.shown()
+        area = seen.shape[1] - WIDE, seen.shape[0] - LINE
+        pictures = []
+        for name, recipe in (("bent.png", ["--recipe", str(saved)]), ("plain.png", [])):
+            look = ["--size", f"{area[0]}x{area[1]}", "--background", "#1f1f21"]
+            assert command(["render", str(volume), str(state / name), *recipe, *look]) == 0
+            pictures.append(image.read(state / name).pixels[..., :3])
+
+        def away(picture: Pixels) -> float:
+            return near(browser.shown()[: area[1], : area[0]], picture)
+
+        undone_and_opened(browser, lambda: away(pictures[0]) < 6, lambda: away(pictures[1]) < 6)
+        assert away(pictures[1]) > 6

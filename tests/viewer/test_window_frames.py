@@ -1,0 +1,290 @@
+"""Pictures of a window are of the frames, the places and the strokes that they are said to be of."""
+
+from __future__ import annotations
+
+import shutil
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import pyvips
+
+from supple.engines.wgpu.device import Gpu
+from supple.errors import SuppleError
+from supple.media import image
+from supple.strokes import Recipe, Stroke
+from tests.clips import make
+from tests.viewer.windows import Hand, opened, wait_for
+
+pytest.importorskip("rendercanvas")
+pytest.importorskip("imgui_bundle")
+
+LATER = Stroke.grab((160, 120, 860), by=(0, 0, 30), radius=100)
+
+
+@pytest.fixture(autouse=True)
+def state(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+
+
+def closed(view: Any) -> None:
+    view.document.mark_saved()
+    view.close()
+
+
+def settled(view: Any, hand: Hand) -> np.ndarray:
+    """What is drawn once nothing is still to come, in full."""
+    wait_for(lambda: hand.canvas.draw() is not None and view.painter.ready, 30.0, every=0.02)
+    view._changed_at = -10.0
+    return np.asarray(hand.canvas.draw())[..., :3].astype(int)
+
+
+def bent_half(view: Any) -> np.ndarray:
+    from supple.engines.wgpu.screen import pixels_of
+
+    return pixels_of(view.gpu, view._textures[0])[..., :3].astype(int)
+
+
+@pytest.fixture(scope="module")
+def encoded(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    target = tmp_path_factory.mktemp("frames") / "long.mp4"
+    return Path(make(target, count=900, size=(320, 240), smooth=True, options={"g": "50", "bf": "2"}))
+
+
+@pytest.fixture
+def long(encoded: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copy(encoded, tmp_path / "long.mp4"))
+
+
+def test_both_halves_of_a_split_clip_are_whole(gpu: Gpu, long: Path) -> None:
+    view, hand = opened(long, Recipe(border=None, strokes=(LATER,)))
+    view.tools.playback.seek(880)
+    view.tools.split = 0.0
+    view.refresh()
+    settled(view, hand)
+    split = bent_half(view)
+    assert view.stage.film._wanted[0] == view.stage.needed(view.document.deformation, 880.0)
+    assert view.stage.film._wanted[1][0] == 880
+    view.tools.split = None
+    view.refresh()
+    settled(view, hand)
+    assert np.abs(split - bent_half(view)).max() <= 1
+    closed(view)
+
+
+def test_what_is_saved_is_the_frame_that_is_shown_and_both_halves(gpu: Gpu, long: Path, tmp_path: Path) -> None:
+    view, hand = opened(long, Recipe(border=None, strokes=(Stroke.grab((160, 120, 899), by=(60, 0, 0), radius=80),)))
+    hand.key("End")
+    at_once = view.pixels()
+    assert view.stage.film.wait(899, 899, 30.0)
+    assert np.abs(view.pixels().astype(int) - at_once).max() <= 1
+    view.tools.split = 0.5
+    view.refresh()
+    seen = settled(view, hand)
+    view.write(str(tmp_path / "saved.png"), False)
+    saved = image.read(tmp_path / "saved.png").pixels[..., :3].astype(int)
+    lower = saved.shape[0] - 40  # the ring and the handles lie over the canvas alone
+    apart = np.abs(saved[:lower] - seen[:lower, : saved.shape[1]]).max(axis=-1)
+    assert np.percentile(apart, 97) <= 3
+    middle = saved.shape[1] // 2
+    assert (saved[:, middle] == 255).all()
+    closed(view)
+
+
+def test_a_view_whose_frames_do_not_come_is_not_saved(
+    gpu: Gpu, long: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from supple.viewer.panels import view as views
+
+    monkeypatch.setattr(views, "PATIENCE", 0.2)
+    view, hand = opened(long)
+    monkeypatch.setattr(type(view.stage.film), "get", lambda film, frame: None)
+    monkeypatch.setattr(type(view.stage.film), "_there", lambda film: False)
+    hand.key("End")
+    with pytest.raises(SuppleError, match="not decoded yet"):
+        view.write(str(tmp_path / "saved.png"), False)
+    assert not (tmp_path / "saved.png").exists()
+    closed(view)
+
+
+def test_a_clip_that_stops_says_so_and_goes_on_elsewhere(gpu: Gpu, long: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from supple.media.video import Clip
+    from supple.viewer.panels.overlay import status
+
+    sought, begun = Clip._sought, []
+
+    def torn(self: Any, start: int) -> Any:
+        begun.append(start)
+        if broken:
+            raise SuppleError("long.mp4 is torn")
+        return sought(self, start)
+
+    view, hand = opened(long)
+    settled(view, hand)
+    monkeypatch.setattr(Clip, "_sought", torn)
+    broken = True
+    hand.key("End")
+    for _ in range(100):  # the thread that reads takes its time on a busy machine
+        settled(view, hand)
+        if "long.mp4 is torn" in status(view):
+            break
+        time.sleep(0.1)
+    assert "long.mp4 is torn" in status(view)
+    tries = len(begun)
+    for _ in range(10):
+        hand.canvas.draw()
+        assert view.painter.ready  # nothing is waited for, so that nothing is drawn without pause
+    assert len(begun) == tries
+    with pytest.raises(SuppleError, match="torn"):
+        view.pixels()
+    broken = False
+    hand.key("ArrowLeft")
+    settled(view, hand)
+    assert view.stage.film.get(898) is not None
+    assert "torn" not in status(view)
+    closed(view)
+
+
+def test_a_clip_that_ends_too_soon_says_so(gpu: Gpu, long: Path) -> None:
+    from supple.viewer.panels.frame_cache import FrameCache
+
+    film = FrameCache(long)
+    try:
+        film.count = 950
+        assert film.wait(920, 921, 30.0)
+        assert "ends before frame 920" in film.error
+        assert film.wait(898, 899, 30.0)
+        assert film.get(899) is not None
+    finally:
+        film.close()
+
+
+def test_a_stroke_of_more_frames_than_are_kept_says_so(gpu: Gpu, long: Path) -> None:
+    from supple.viewer.panels.overlay import status
+
+    view, hand = opened(long, Recipe(border=None, strokes=(LATER,)))
+    view.stage._plate.slots = 6
+    view.tools.playback.seek(880)
+    first, last = view.stage.needed(view.document.deformation, 880.0)
+    assert view.stage.film.wait(first, last, 30.0)
+    hand.canvas.draw()
+    assert not view.painter.ready  # the line of status was laid out before, and is drawn once more
+    settled(view, hand)
+    said = f"needs {last - first + 1} frames at once, and 6 are kept: export shows it whole"
+    assert said in status(view)
+    with pytest.raises(SuppleError, match="export shows it whole"):
+        view.pixels()
+    view.tools.playback.seek(100)
+    settled(view, hand)
+    assert "needs" not in status(view)
+    closed(view)
+
+
+def test_the_value_under_the_pointer_is_what_is_seen_there(gpu: Gpu, monkeypatch: pytest.MonkeyPatch) -> None:
+    from supple.deformation import Deformation
+    from supple.viewer.panels.overlay import status
+
+    ys, xs = np.mgrid[:380, :560]
+    ramp = np.stack([xs * 255 // 559, ys * 255 // 379, 0 * xs], -1).astype(np.uint8)
+    stroke = Stroke.grab((300, 200), by=(120, 40), radius=90)
+    view, hand = opened(ramp, Recipe(border=None, strokes=(stroke,)))
+    hand.key("1")
+    x, y = view.tools.viewport.to_canvas(420, 240)
+    hand.move(x, y)
+    seen = [int(v) for v in view.pixels()[round(y), round(x)]]
+
+    def said() -> list[int]:
+        return [int(v) for v in status(view).split("   |   ")[1].split()]
+
+    asked: list[Any] = []
+    inverse = Deformation.inverse
+    monkeypatch.setattr(Deformation, "inverse", lambda self, points: asked.append(points) or inverse(self, points))
+    for _ in range(3):
+        np.testing.assert_allclose(said(), seen, atol=2)
+    assert len(asked) == 1  # of one point, once
+    assert asked[0].shape == (1, 2)
+    plain = ramp[240, 420]
+    assert np.abs(plain.astype(int) - seen).max() > 20
+    view.tools.split = 1.0
+    np.testing.assert_allclose(said(), plain, atol=1)
+    view.tools.split = 0.0
+    np.testing.assert_allclose(said(), seen, atol=2)
+    closed(view)
+
+
+def test_the_value_of_a_clip_is_that_of_the_frame_it_comes_from(gpu: Gpu, long: Path) -> None:
+    view, hand = opened(long, Recipe(border=None, strokes=(LATER,)))
+    deformation = view.document.deformation
+    view.tools.playback.seek(890)
+    settled(view, hand)
+    x, y, t = deformation.inverse(np.array([[160.0, 120.0, 890.0]])).points[0]
+    assert t < 880
+    there = view.stage.value((float(x), float(y)), float(round(t)))
+    assert there
+    assert view.stage.value((160.0, 120.0), 890.0, deformation) == there
+    assert view.stage.value((160.0, 120.0), 890.0) != there
+    closed(view)
+
+
+@pytest.mark.parametrize("coarse", [4, 7, 8])
+def test_coarse_pixels_lie_where_fine_ones_do(gpu: Gpu, coarse: int) -> None:
+    from supple.deformation import Deformation
+    from supple.engines.wgpu.screen import Screen, pixels_of
+    from supple.viewer.panels.painter import Painter, Shot
+    from supple.viewer.panels.stages import ImageStage
+
+    size = width, height = 705, 401  # no multiple of any
+    ys, xs = np.mgrid[:height, :width]
+    # Its slope tells a pixel's place to a fraction.
+    wave = np.stack([abs(xs % 160 - 80) * 3, abs(ys % 160 - 80) * 3, 0 * xs, 255 + 0 * xs], -1).astype(np.uint8)
+    painter, d = Painter(gpu, ImageStage(gpu, "wave", wave)), Deformation((height, width))
+    painter.coarse = coarse
+
+    def on_screen(moving: bool) -> np.ndarray:
+        first, _ = painter.paint(Shot(d, size, moving))
+        onto = gpu.device.create_texture(size=(*size, 1), format="rgba8unorm", usage="RENDER_ATTACHMENT|COPY_SRC")
+        colours = {"view": onto.create_view(), "load_op": "clear", "store_op": "store"}
+        encoder = gpu.device.create_command_encoder()
+        drawing = encoder.begin_render_pass(color_attachments=[colours])
+        Screen(gpu, "rgba8unorm").draw(drawing, first, part=painter.part)
+        drawing.end()
+        gpu.device.queue.submit([encoder.finish()])
+        return pixels_of(gpu, onto).astype(int)
+
+    apart = np.abs(on_screen(True) - on_screen(False))
+    for edge in (apart[:, -60:-coarse, 0], apart[-60:-coarse, :, 1]):
+        assert np.median(edge) <= 1, np.median(edge)
+
+
+def test_coarse_pixels_of_a_volume_lie_about_the_middle() -> None:
+    from supple.viewer.panels.painter import _about_the_middle
+
+    assert _about_the_middle((700, 400), (700, 400)) == (0.0, 0.0, 1.0, 1.0)
+    # 89 x 51 pixels: each covers 401/51 of the canvas, as the shorter side is fitted.
+    left, top, width, height = _about_the_middle((705, 401), (89, 51))
+    assert (top, height) == pytest.approx((0.0, 1.0))
+    assert width == pytest.approx(705 / (89 * 401 / 51))
+    assert left + 0.5 * width == pytest.approx(0.5)
+
+
+def test_a_gif_that_moves_is_a_clip_at_its_own_times(gpu: Gpu, tmp_path: Path) -> None:
+    frames = [np.full((40, 60, 3), 20 * k, np.uint8) for k in range(5)]
+    made = pyvips.Image.arrayjoin([pyvips.Image.new_from_array(frame) for frame in frames], across=1)
+    made = made.copy()
+    made.set_type(pyvips.GValue.gint_type, "page-height", 40)
+    made.set_type(pyvips.GValue.array_int_type, "delay", [100, 500, 100, 100, 300])
+    made.write_to_file(str(tmp_path / "moves.gif"))
+    made.crop(0, 0, 60, 40).write_to_file(str(tmp_path / "still.gif"))
+    view, _ = opened(tmp_path / "moves.gif")
+    assert view.stage.kind == "video"
+    assert view.stage.film.count == 5
+    playback = view.tools.playback
+    playback.play()
+    assert [playback.frame_at(3 + t) for t in (0, 0.3, 0.65, 0.75)] == [0, 1, 2, 3]
+    view.desk.ask("export")
+    assert view.desk.asked.path.endswith("moves-bent.gif")
+    view.desk.asked = None
+    still, _ = opened(tmp_path / "still.gif")
+    assert still.stage.kind == "image"

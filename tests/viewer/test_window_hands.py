@@ -1,0 +1,177 @@
+"""What a window does beside strokes: screens of small pixels, files that are dropped, and answers without an event."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import supple
+from supple.engines.wgpu.device import Gpu
+from supple.media import image
+from supple.strokes import Recipe, Stroke
+from tests.viewer.windows import SIZE, Hand, Pixels, opened
+
+pytest.importorskip("rendercanvas")
+pytest.importorskip("imgui_bundle")
+
+DATA = Path(supple.__file__).parent / "examples" / "data"
+
+
+@pytest.fixture
+def photo(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    image.write(tmp_path / "photo.png", np.full((300, 400, 3), 128, np.uint8))
+    return tmp_path / "photo.png"
+
+
+@pytest.fixture
+def view(gpu: Gpu, photo: Path) -> Iterator[tuple[Any, Hand]]:
+    view, hand = opened(photo)
+    yield view, hand
+    view.close()
+
+
+def seen(hand: Hand) -> Pixels:
+    return np.asarray(hand.canvas.draw())[..., :3].copy()
+
+
+def test_a_screen_of_small_pixels_shows_the_same_twice_as_sharp(gpu: Gpu, photo: Path) -> None:
+    pictures, recipes = [], []
+    for ratio in (1.0, 2.0):
+        view, hand = opened(photo, ratio=ratio)
+        hand.drag((300, 250), (360, 220))
+        hand.move(350, 400)
+        view._changed_at = -10.0
+        hand.canvas.draw()
+        pictures.append(seen(hand))
+        recipes.append(view.recipe)
+        assert view.tools.viewport.pixel_ratio == ratio
+        assert view._textures[0].size[:2] == tuple(round(ratio * v) for v in view.area)
+        hand.key("1")
+        assert view.tools.viewport.zoom == pytest.approx(1 / ratio)
+        view.document.mark_saved()  # else the next one asks whether to restore it
+        view.close()
+    # The pointer is where it is, in logical pixels: the stroke is the same.
+    (one,), (other,) = (recipe.strokes for recipe in recipes)
+    np.testing.assert_allclose(other.at, one.at, atol=1e-9)
+    np.testing.assert_allclose(other.by, one.by, atol=1e-9)
+    small, large = pictures
+    assert large.shape == (2 * SIZE[1], 2 * SIZE[0], 3)
+    halved = large.reshape(SIZE[1], 2, SIZE[0], 2, 3).mean((1, 3))
+    # Ring, handles and letters have the same size and place, so that they fall on one another: sharper, but no farther.
+    for name, box in {"picture": np.s_[:600, :690], "panel": np.s_[:, 710:]}.items():
+        a, b = small[box].astype(float).mean(-1), halved[box].mean(-1)
+        assert np.corrcoef(a.ravel(), b.ravel())[0, 1] > 0.75, name
+    # The ring is as large as the brush, about the pointer: white, at its radius.
+    bright = large.min(-1) > 200
+    y, x = np.nonzero(bright[:1200, :1380])
+    away = np.hypot(x / 2 - 350, y / 2 - 400)
+    radius = one.radius * min((SIZE[0] - 300) / 400, (SIZE[1] - 24) / 300)
+    ring = np.abs(away - radius) < 2
+    assert ring.sum() > 2 * np.pi * radius
+    # Letters are drawn anew for such a screen, not enlarged: their edges are as steep.
+    line = [np.abs(np.diff(p[-48 // (3 - k) :, : 690 * k].mean(-1), axis=1)).max() for k, p in enumerate(pictures, 1)]
+    assert line[1] > 0.8 * line[0]
+
+
+def test_a_recipe_that_is_dropped_is_opened_in_place(view: tuple[Any, Hand], tmp_path: Path) -> None:
+    window, hand = view
+    recipe = Recipe(strokes=(Stroke.grab((200, 150), by=(20, 5), radius=40),))
+    (tmp_path / "strokes.JSON").write_text(recipe.to_json(), encoding="utf-8")
+    window.drop([str(tmp_path / "strokes.JSON")])
+    assert window.recipe.strokes == recipe.strokes
+    assert "opened" in window.desk.message
+    # It is that file's: nothing is lost if the window is closed, and saved to it.
+    assert not window.document.dirty
+    assert window.desk.may_close()
+    hand.key("z", "Control")
+    assert window.recipe.strokes == ()
+    (tmp_path / "bad.json").write_text("{", encoding="utf-8")
+    window.drop([str(tmp_path / "bad.json")])
+    assert window.desk.message
+    assert window.recipe.strokes == ()
+    window.drop([])
+
+
+def test_another_file_that_is_dropped_has_a_window_of_its_own(
+    view: tuple[Any, Hand], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    window, _ = view
+    begun: list[list[str]] = []
+    monkeypatch.setattr("supple.viewer.document.files.subprocess.Popen", lambda words, **options: begun.append(words))
+    window.drop([str(DATA / "head.nii.gz")])
+    assert begun[0][1:] == ["-m", "supple", "view", str(DATA / "head.nii.gz")]
+    assert "window of its own" in window.desk.message
+    window.drop([str(tmp_path / "none.png")])
+    assert len(begun) == 1
+    assert "no such file" in window.desk.message
+
+
+def test_what_the_system_says_is_dropped_comes_to_the_window(
+    view: tuple[Any, Hand], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    glfw = pytest.importorskip("glfw")
+    from supple.viewer.window.launch import _ask_before_closing
+
+    window, _ = view
+    set_by: dict[str, Any] = {}
+    monkeypatch.setattr(glfw, "set_drop_callback", lambda handle, call: set_by.update(drop=call))
+    monkeypatch.setattr(glfw, "set_window_close_callback", lambda handle, call: set_by.update(close=call))
+    monkeypatch.setattr(glfw, "set_window_should_close", lambda handle, value: set_by.update(stays=value == 0))
+    window.canvas._window = None
+    _ask_before_closing(window.canvas, window)
+    recipe = Recipe(strokes=(Stroke.grab((200, 150), by=(20, 5), radius=40),))
+    (tmp_path / "a.json").write_text(recipe.to_json(), encoding="utf-8")
+    set_by["drop"](None, [str(tmp_path / "a.json"), "another"])
+    assert window.recipe.strokes == recipe.strokes
+    window.document.undo()
+    set_by["close"](None)
+    assert set_by["stays"]
+    assert window.desk.asked.name == "close"
+
+
+def test_the_panel_answers_though_it_keeps_events_to_itself(view: tuple[Any, Hand], monkeypatch: Any) -> None:
+    window, hand = view
+    hand.move(300, 300)
+    hand.canvas.draw()
+    assert window.tools.pointer is not None
+    asked: list[str] = []
+    monkeypatch.setattr(hand.canvas, "request_draw", lambda *draw: asked.append("draw"))
+    for x in (800, 810, 820):
+        asked.clear()
+        hand.move(x, 45)
+        assert asked
+        hand.canvas.draw()
+        assert len(asked) > 1  # one frame more, at least: that in which it is seen
+    # The ring is gone, though the panel did not hand the move on.
+    assert window.tools.pointer is None
+    # A question is seen though nothing else happens.
+    window.desk.ask("export")
+    waking = window._waking
+    waking._stirred, waking._due = -10.0, float("inf")
+    later: list[float] = []
+    monkeypatch.setattr(waking, "_call_later", lambda seconds, work: later.append(seconds))
+    hand.canvas.draw()
+    assert later
+    assert min(later) < 0.5
+
+
+def test_the_ground_behind_what_is_transparent_stays_while_a_hand_moves(gpu: Gpu, tmp_path: Path) -> None:
+    image.write(tmp_path / "glass.png", np.zeros((380, 560, 4), np.uint8))
+    view, hand = opened(tmp_path / "glass.png", Recipe(border=None))
+    hand.key("1")
+    view._changed_at = -10.0
+    still = seen(hand)
+    hand.move(300, 300)
+    hand.press(300, 300)
+    hand.move(330, 300, 1)
+    view.painter.coarse = 4
+    moving = seen(hand)
+    box = np.s_[150:250, 100:250]
+    assert np.ptp(still[box]) > 30
+    assert np.abs(still[box].astype(int) - moving[box]).mean() < 12
+    view.document.mark_saved()

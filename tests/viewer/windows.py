@@ -1,0 +1,322 @@
+"""Hands for windows: events for one without a screen, xdotool for one on a screen, and a browser."""
+
+from __future__ import annotations
+
+import base64
+import json
+import os
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import time
+import urllib.request
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+import pyvips
+
+import supple
+from supple.media import image
+from tests.children import HEARING
+
+MUST = os.environ.get("SUPPLE_TEST_WINDOW") == "1"
+SIZE = (1000, 640)
+Pixels = np.ndarray[Any, np.dtype[np.uint8]]
+
+
+def needs(*programs: str) -> None:
+    """Skip a test where a program is missing; where SUPPLE_TEST_WINDOW is set, none may be."""
+    missing = [name for name in programs if shutil.which(name) is None]
+    if missing:
+        assert not MUST, f"{missing} must be installed"
+        pytest.skip(f"{', '.join(missing)} is not installed")
+
+
+def wait_for(what: Any, seconds: float = 240.0, every: float = 0.1) -> Any:
+    """What a function gives, once that is something."""
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        found = what()
+        if found:
+            return found
+        time.sleep(every)
+    raise AssertionError("it took too long")
+
+
+class Hand:
+    """A pointer and a keyboard for a canvas without a screen."""
+
+    def __init__(self, canvas: Any) -> None:
+        self.canvas, self.modifiers, self.stamp = canvas, (), 0.0
+
+    def send(self, kind: str, **event: Any) -> None:
+        self.stamp += 0.01
+        common = {"event_type": kind, "modifiers": self.modifiers, "time_stamp": self.stamp}
+        self.canvas.submit_event(common | event)
+        self.canvas._process_events()
+
+    def move(self, x: float, y: float, *buttons: int) -> None:
+        self.send("pointer_move", x=x, y=y, button=0, buttons=buttons, ntouches=0, touches={})
+
+    def press(self, x: float, y: float, button: int = 1) -> None:
+        self.send("pointer_down", x=x, y=y, button=button, buttons=(button,), ntouches=0, touches={})
+
+    def release(self, x: float, y: float, button: int = 1) -> None:
+        self.send("pointer_up", x=x, y=y, button=button, buttons=(), ntouches=0, touches={})
+
+    def drag(self, start: tuple[float, float], end: tuple[float, float], button: int = 1, steps: int = 4) -> None:
+        self.move(*start)
+        self.press(*start, button)
+        for k in range(1, steps + 1):
+            x, y = (a + (b - a) * k / steps for a, b in zip(start, end, strict=True))
+            self.move(x, y, button)
+            self.canvas.draw()
+        self.release(*end, button)
+        self.canvas.draw()
+
+    def wheel(self, x: float, y: float, dy: float) -> None:
+        self.send("wheel", x=x, y=y, dx=0.0, dy=dy, buttons=())
+
+    def key(self, key: str, *modifiers: str) -> None:
+        self.modifiers = modifiers
+        self.send("key_down", key=key)
+        self.send("key_up", key=key)
+        self.modifiers = ()
+
+
+_opened: list[Any] = []
+
+
+def opened(
+    source: Any, recipe: Any = None, *, ratio: float = 1.0, size: tuple[int, int] = SIZE, **options: Any
+) -> tuple[Any, Hand]:
+    """A window without a screen, and the hand that is in it; options are those of `supple.view`."""
+    from rendercanvas.offscreen import RenderCanvas
+
+    from supple.viewer.window.launch import ViewOptions
+    from supple.viewer.window.launch import opened as opened_on
+
+    canvas = RenderCanvas(size=size, pixel_ratio=ratio)
+    # What comes later does not: there is no loop, and frames are drawn by who tests.
+    loop = SimpleNamespace(call_later=lambda seconds, work: None)
+    view = opened_on(source, recipe, canvas, loop, options=ViewOptions(**options))
+    _opened.append(view)
+    canvas.draw()
+    return view, Hand(canvas)
+
+
+def close_all() -> None:
+    """Close what was opened, and wait for what goes on there."""
+    while _opened:
+        view = _opened.pop()
+        view.close()
+        if view.certifier._thread is not None:
+            view.certifier._thread.join(120)
+
+
+def small_photo(folder: Path) -> Path:
+    """A photograph whose pixels are those of the canvas, at 100 %."""
+    pixels = image.read(Path(supple.__file__).parent / "examples" / "data" / "coffee.jpg").pixels[:380, :560]
+    image.write(folder / "photo.png", pixels)
+    return folder / "photo.png"
+
+
+@contextmanager
+def viewing(*arguments: str, folder: Path, display: str = "") -> Iterator[subprocess.Popen[str]]:
+    """A process of ``supple view``."""
+    env = os.environ | {"XDG_STATE_HOME": str(folder / "state"), "PYTHONUNBUFFERED": "1"}
+    if display:
+        env["DISPLAY"] = display
+    process = subprocess.Popen(
+        [sys.executable, "-m", "supple", "view", *arguments],
+        env=env,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        encoding="utf-8",
+        start_new_session=True,
+        preexec_fn=HEARING,
+    )
+    deaf = False
+    try:
+        yield process
+    finally:
+        if process.poll() is None:
+            process.send_signal(signal.SIGINT)
+            try:
+                process.wait(20)
+            except subprocess.TimeoutExpired:
+                deaf = True
+                process.kill()
+                process.wait()
+        said = ""
+        if process.stdout is not None:
+            said = process.stdout.read()
+            process.stdout.close()
+        print(said)
+    assert "Traceback" not in said
+    assert not deaf, "Ctrl+C did not end it"
+
+
+@contextmanager
+def a_screen(folder: Path) -> Iterator[Mouse]:
+    """A screen of its own, by Xvfb, with a pointer; what is on it lies in a folder."""
+    needs("Xvfb", "xdotool")
+    read, write = os.pipe()
+    server = subprocess.Popen(
+        ["Xvfb", "-displayfd", str(write), "-screen", "0", "1280x800x24", "-nolisten", "tcp", "-fbdir", str(folder)],
+        pass_fds=[write],
+        stderr=subprocess.DEVNULL,
+    )
+    os.close(write)
+    try:
+        with os.fdopen(read) as told:
+            yield Mouse(f":{told.readline().strip()}", folder / "Xvfb_screen0")
+    finally:
+        server.terminate()
+        server.wait()
+
+
+class Mouse:
+    """A pointer and a keyboard on a screen, and an eye."""
+
+    def __init__(self, display: str, memory: Path) -> None:
+        self.display, self._memory = display, memory
+        self.env = os.environ | {"DISPLAY": display}
+
+    def do(self, *words: object) -> str:
+        made = subprocess.run(
+            ["xdotool", *map(str, words)], env=self.env, check=True, capture_output=True, text=True, timeout=30
+        )
+        return made.stdout
+
+    def window(self) -> bool:
+        """Whether there is a window of ours."""
+        made = subprocess.run(["xdotool", "search", "--name", "Supple"], env=self.env, capture_output=True, check=False)
+        return bool(made.stdout.strip())
+
+    def shown(self) -> Pixels:
+        """What is on the screen: a header, colours that are not used, and words of blue, green, red and nothing."""
+        data = self._memory.read_bytes()
+        head = np.frombuffer(data, ">u4", 25)
+        columns, rows, line, colours = head[4], head[5], head[12], head[19]
+        pixels = np.frombuffer(data, np.uint8, int(line * rows), int(head[0] + 12 * colours))
+        return np.ascontiguousarray(pixels.reshape(rows, line // 4, 4)[:, :columns, 2::-1])
+
+    def settled(self, seconds: float = 60.0) -> Pixels:
+        """What is on the screen, once there is something and it stays as it is."""
+        last, times = self.shown(), 0
+
+        def still() -> bool:
+            nonlocal last, times
+            before, last = last, self.shown()
+            drawn = np.ptp(last[100:600, 100:800].astype(int)) > 100
+            times = times + 1 if drawn and np.array_equal(before, last) else 0
+            return times == 3
+
+        wait_for(still, seconds, every=0.4)
+        return last
+
+    def enter(self) -> None:
+        """Press Enter, which is what a question waits for once it is there."""
+        self.do("key", "Return")
+
+    def drag(self, start: tuple[int, int], end: tuple[int, int], button: int = 1, steps: int = 6) -> None:
+        self.do("mousemove", *start)
+        time.sleep(0.2)
+        self.do("mousedown", button)
+        for k in range(1, steps + 1):
+            self.do("mousemove", *(round(a + (b - a) * k / steps) for a, b in zip(start, end, strict=True)))
+            time.sleep(0.1)
+        self.do("mouseup", button)
+
+
+class Browser:
+    """Chromium without a screen, by its own protocol."""
+
+    def __init__(self, folder: Path) -> None:
+        needs("chromium")
+        from websockets.sync.client import connect
+
+        self._process = subprocess.Popen(
+            [
+                "chromium",
+                "--headless=new",
+                "--no-sandbox",
+                "--disable-gpu",
+                f"--window-size={SIZE[0]},{SIZE[1] + 150}",
+                "--remote-debugging-port=0",
+                f"--user-data-dir={folder}",
+                "about:blank",
+            ],
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        assert self._process.stderr is not None
+        port = ""
+        for line in self._process.stderr:
+            found = re.search(r"ws://127\.0\.0\.1:(\d+)/", line)
+            if found:
+                port = found[1]
+                break
+        with urllib.request.urlopen(f"http://127.0.0.1:{port}/json", timeout=30) as answer:
+            page = next(tab for tab in json.load(answer) if tab["type"] == "page")
+        self._stack = connect(page["webSocketDebuggerUrl"], max_size=None)
+        self._socket = self._stack.__enter__()
+        self._count = 0
+        self.call("Page.enable")
+
+    def call(self, method: str, **parameters: Any) -> Any:
+        self._count += 1
+        self._socket.send(json.dumps({"id": self._count, "method": method, "params": parameters}))
+        while True:
+            answer = json.loads(self._socket.recv(timeout=60))
+            if answer.get("id") == self._count:
+                return answer.get("result")
+
+    def go(self, address: str) -> None:
+        self.call("Page.navigate", url=address)
+
+    def text(self) -> str:
+        found = self.call("Runtime.evaluate", expression="document.body ? document.body.innerText : ''")
+        return str(found["result"]["value"])
+
+    def shown(self) -> Pixels:
+        """What is on the page."""
+        taken = self.call("Page.captureScreenshot", format="png")
+        if not taken:  # on the way from page to page
+            return np.zeros((SIZE[1], SIZE[0], 3), np.uint8)
+        data = base64.b64decode(taken["data"])
+        return np.asarray(pyvips.Image.new_from_buffer(data, "").numpy())[..., :3]
+
+    def mouse(self, kind: str, x: float, y: float, **more: Any) -> None:
+        self.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, **more)
+
+    def drag(self, start: tuple[float, float], end: tuple[float, float], steps: int = 6) -> None:
+        self.mouse("mouseMoved", *start)
+        time.sleep(0.2)
+        self.mouse("mousePressed", *start, button="left", buttons=1, clickCount=1)
+        for k in range(1, steps + 1):
+            x, y = (a + (b - a) * k / steps for a, b in zip(start, end, strict=True))
+            self.mouse("mouseMoved", x, y, button="left", buttons=1)
+            time.sleep(0.1)
+        self.mouse("mouseReleased", *end, button="left", clickCount=1)
+
+    def key(self, key: str, code: int, modifiers: int = 0) -> None:
+        """Press a key; of modifiers, 2 is Control."""
+        for kind in ("rawKeyDown", "keyUp"):
+            self.call("Input.dispatchKeyEvent", type=kind, key=key, windowsVirtualKeyCode=code, modifiers=modifiers)
+
+    def close(self) -> None:
+        self._stack.__exit__(None, None, None)
+        self._process.terminate()
+        self._process.wait()
+        if self._process.stderr is not None:
+            self._process.stderr.close()
