@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from clips import make
 
-from supple.media.video import Clip, open_video
+from supple.media.video import Clip
+from supple.media.video import open_clip as open_video
 from supple.media.video.seeking import index_of
 from supple.viewer.frame_cache import FrameCache
 

@@ -15,9 +15,10 @@ import numpy as np
 import pytest
 
 from supple.errors import SuppleError
-from supple.media.video import ClipWarning, CountError, colour, demux, info, open_video, plan
+from supple.media.video import ClipWarning, CountError, colour, demux, info, plan
+from supple.media.video import open_clip as open_video
 from supple.media.video import planes as video_planes
-from supple.media.video import probe as movie
+from supple.media.video import source as movie
 
 FORMATS = (  # of FFV1
     "yuv420p,yuva420p,yuva422p,yuv444p,yuva444p,yuv440p,yuv422p,yuv411p,yuv410p,bgr0,bgra,yuv420p16le,yuv422p16le,"
@@ -335,7 +336,7 @@ def test_a_pause_is_kept_in_avi(tmp_path):
     source = clips.make(tmp_path / "a.mp4", times=times)
     copy(source, tmp_path / "b.avi")
     with open_video(tmp_path / "b.avi") as clip:
-        clip.sink = types.SimpleNamespace(copies=False, indices=[], take=None)
+        clip.passage = types.SimpleNamespace(indices=[], take=None)
         assert [clip.time(k)[0] * clip.base for k, _ in enumerate(clip.frames())] == [Fraction(t, 25) for t in times]
 
 
@@ -624,7 +625,7 @@ def flash_and_click(path):
 def seen_and_heard(path):
     """The seconds at which the frame is white, as `Clip` tells times, and the click begins."""
     with open_video(path) as clip:
-        clip.sink = types.SimpleNamespace(copies=False, indices=[], take=None)
+        clip.passage = types.SimpleNamespace(indices=[], take=None)
         light = []
         for k, frame in enumerate(clip.frames()):
             arrays = [np.empty((*g.shape, g.channels), clip.layout.dtype) for g in clip.layout.groups]
@@ -1269,7 +1270,7 @@ FULL_DISK = """
 import resource, signal, sys
 import numpy as np
 from supple.errors import SuppleError
-from supple.media.video import open_video
+from supple.media.video import open_clip as open_video
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
 resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[3]), resource.RLIM_INFINITY))
 try:

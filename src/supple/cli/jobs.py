@@ -14,11 +14,11 @@ from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from pathlib import Path
 
 from supple.cli.console import FAULT, REFUSED, STREAM, Console, deaf, fault
-from supple.clips import SUFFIXES
 from supple.errors import SuppleError
 from supple.files import check_recipe_name, is_media_name
+from supple.media.codecs import SUFFIXES
 from supple.media.files import check_output, shown
-from supple.media.numbering import SUFFIXES_IN
+from supple.media.image import SUFFIXES as SUFFIXES_IN
 from supple.media.volume import suffix_of
 from supple.volumes import ONE_FILE
 

@@ -1,4 +1,4 @@
-"""Output files that appear whole or not at all."""
+"""Names of files in messages, and output files that appear whole or not at all, alone or many together."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import errno
 import os
 import shutil
 import stat
-from collections.abc import Iterator
+from collections.abc import Container, Iterable, Iterator
 from pathlib import Path
 
 from supple.errors import SuppleError
@@ -31,6 +31,25 @@ def shown(path: str | os.PathLike[str]) -> str:
     """Return a path as it can stand in one line of text: quoted where it is empty or holds odd characters."""
     text = os.fspath(path)
     return text if text and text.isprintable() else ascii(text)
+
+
+def unreadable(path: str | os.PathLike[str], reason: str, advice: str = "give a whole copy of it") -> SuppleError:
+    """Say in one sentence why a file is not read, and what would help."""
+    return SuppleError(f"cannot read {shown(path)}: {reason}: {advice}")
+
+
+def unwritable(path: str | os.PathLike[str], reason: str, advice: str) -> SuppleError:
+    """Say in one sentence why a file cannot be written as asked, and what would help."""
+    return SuppleError(f"cannot write {shown(path)}: {reason}: {advice}")
+
+
+def check_suffix(
+    path: str | os.PathLike[str], suffix: str, known: Container[str], what: str, advice: str, verb: str = "write"
+) -> None:
+    """Refuse a name whose suffix, in small letters, is not known: SuppleError says what it is, and what would do."""
+    if suffix.lower() not in known:
+        found = f"the suffix {shown(suffix)}" if suffix else "a name without suffix"
+        raise SuppleError(f"cannot {verb} {shown(path)}: {found} {what}: {advice}")
 
 
 def check_output(path: str | os.PathLike[str], *, force: bool = False) -> Path:
@@ -59,7 +78,7 @@ def check_output(path: str | os.PathLike[str], *, force: bool = False) -> Path:
         target = Path(os.path.realpath(path))
         folder, found = _mode(target.parent), _mode(target)
     except OSError as error:
-        raise _unwritable(path, error) from error
+        raise _refused(path, error) from error
     except ValueError as error:
         raise SuppleError(f"cannot write {name}: no file can have that name: choose another") from error
     if folder is None:
@@ -72,7 +91,7 @@ def check_output(path: str | os.PathLike[str], *, force: bool = False) -> Path:
         raise _exists(path)
     effective = os.access in os.supports_effective_ids
     if not os.access(target.parent, os.W_OK | os.X_OK, effective_ids=effective):
-        raise _unwritable(path, PermissionError(errno.EACCES, "no right to write into its folder"))
+        raise _refused(path, PermissionError(errno.EACCES, "no right to write into its folder"))
     return target
 
 
@@ -113,10 +132,10 @@ def replacing(path: str | os.PathLike[str], *, force: bool = False) -> Iterator[
     except OSError as error:
         # Libraries have other words for a full disk.
         limit = error.errno in (errno.EFBIG, errno.EDQUOT)
-        raise _unwritable(path, _full() if not limit and _is_full(temporary.parent) else error, temporary) from error
+        raise _refused(path, _full() if not limit and _is_full(temporary.parent) else error, temporary) from error
     except SuppleError as error:
         if str(error).startswith("cannot write") and _is_full(temporary.parent):
-            raise _unwritable(path, _full()) from error
+            raise _refused(path, _full()) from error
         raise
     finally:
         with contextlib.suppress(OSError):
@@ -170,13 +189,97 @@ def _exists(path: str | os.PathLike[str]) -> SuppleError:
     return SuppleError(f"{shown(path)} exists already: pass --force (force=True) to replace it")
 
 
-def _unwritable(path: str | os.PathLike[str], error: OSError, temporary: Path | None = None) -> SuppleError:
+def _refused(path: str | os.PathLike[str], error: OSError, temporary: Path | None = None) -> SuppleError:
     """Say in one sentence why a file could not be written, and what would help."""
     reason = error.strerror or str(error) or type(error).__name__
     if temporary is not None and error.filename not in (None, temporary, str(temporary)):
         reason += f" ({shown(os.fsdecode(error.filename))})"  # another file's trouble
     advice = _ADVICE.get(error.errno or 0, "choose another place")
     return SuppleError(f"cannot write {shown(path)}: {reason}: {advice}")
+
+
+def check_outputs(paths: Iterable[Path], *, force: bool = False) -> None:
+    """Refuse output files of one folder that cannot be written; the folder itself may be missing.
+
+    Raises
+    ------
+    SuppleError
+        As `check_output` does.
+    """
+    for path in paths:
+        if not os.path.lexists(path.parent):
+            check_output(path.parent)
+            return
+        check_output(path, force=force)
+
+
+@contextlib.contextmanager
+def replacing_all(folder: Path, *, force: bool = False) -> Iterator[Path]:
+    """Write files into a hidden folder, and give them their place in ``folder`` once all are whole.
+
+    Parameters
+    ----------
+    folder : pathlib.Path
+        Where they go. It is made if it is missing, in a folder that is not.
+    force : bool
+        Whether files that exist already may be replaced. Their permission bits are kept.
+
+    Yields
+    ------
+    pathlib.Path
+        A new, empty, hidden folder in ``folder``, or beside where that will be. Whatever ends the block early, an
+        interrupt too, removes it and leaves everything as it was.
+
+    Raises
+    ------
+    SuppleError
+        If a file of the same name has appeared meanwhile and `force` is false; and for every `OSError`.
+    """
+    place = Path(os.path.realpath(folder))
+    new = not os.path.lexists(place)
+    token = f".{os.urandom(6).hex()}-{place.name[-40:]}"
+    temporary = (place.parent if new else place) / token  # on the file system that they go to
+    try:
+        temporary.mkdir()
+        yield temporary
+        if new and not os.path.lexists(place):
+            os.rename(temporary, place)
+        else:
+            _publish_all(temporary, place, folder, force)
+    except OSError as error:
+        reason = error.strerror or str(error) or type(error).__name__
+        raise SuppleError(f"cannot write into {shown(folder)}: {reason}: choose another place") from error
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)
+
+
+def _publish_all(temporary: Path, place: Path, folder: Path, force: bool) -> None:
+    """Move every file to its place; where one cannot be moved, move all of them back."""
+    backup = temporary / "replaced"
+    names = sorted(os.listdir(temporary))
+    backup.mkdir()
+    moved: list[tuple[Path, Path]] = []
+    try:
+        for name in names:
+            target = place / name
+            if os.path.lexists(target):
+                if not force:
+                    raise _exists(folder / name)
+                mode = os.lstat(target).st_mode
+                if stat.S_ISDIR(mode):
+                    raise OSError(errno.EISDIR, f"{shown(folder / name)} is a folder")
+                if stat.S_ISREG(mode):
+                    os.chmod(temporary / name, mode & 0o777)
+                moved.append((target, backup / name))  # noted first: an interrupt may come between
+                os.rename(target, backup / name)
+            moved.append((temporary / name, target))
+            os.rename(temporary / name, target)
+    except BaseException:
+        for before, after in reversed(moved):
+            # What was noted and not moved still stands where it stood.
+            if not os.path.lexists(before):
+                os.rename(after, before)
+        raise
 
 
 def same_file(one: str | os.PathLike[str], other: str | os.PathLike[str]) -> bool:

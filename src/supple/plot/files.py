@@ -25,6 +25,7 @@ from supple.clips import (
 from supple.deformation import Deformation
 from supple.domain import choice, integer
 from supple.errors import SuppleError
+from supple.media.base import CountError
 from supple.media.files import check_output, shown
 from supple.media.volume import is_volume
 from supple.plot import WHATS, check_plot, draw_sheet, draw_slice, evenly, plot
@@ -103,8 +104,6 @@ def plot_file(
         raise SuppleError(f"plots are of pictures and videos, and {shown(source)} is a volume: supple render shows it")
     refuse_places(recipe, source)
     if is_clip(source, "", recipe):
-        from supple.media.video.errors import CountError
-
         refuse_picture(source)
         asked = (source, target, recipe, what, frame, x, y, options, force, fit)
         with counted(progress) as tell:

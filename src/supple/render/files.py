@@ -15,8 +15,7 @@ from supple.domain import choice, integer, number, point
 from supple.engines import check_no_cuda
 from supple.errors import SuppleError
 from supple.media import image, turntable
-from supple.media.files import check_output, shown
-from supple.media.folder import check_outputs, replacing_all
+from supple.media.files import check_output, check_outputs, replacing_all, shown
 from supple.media.numbering import has_number, spelling
 from supple.media.volume import Volume
 from supple.render.camera import Camera

@@ -22,6 +22,7 @@ from supple.media.image.formats import (
     EXR,
     JPEG,
     OUT,
+    SUFFIXES,
     SUFFIXES_OUT,
     TIFF,
     WEBP,
@@ -35,6 +36,7 @@ from supple.media.image.headers import collected, dressed, facts, finish, has_al
 from supple.media.image.vips import PathLike, apart, decoded, is_ycbcr, opened, reading, sequential, widen, writing
 
 __all__ = [
+    "SUFFIXES",
     "SUFFIXES_OUT",
     "DepthWarning",
     "ImageWarning",
@@ -256,8 +258,8 @@ def info(path: PathLike) -> dict[str, object]:
 def write(
     path: PathLike,
     pixels: Array,
-    *,
     like: Picture | None = None,
+    *,
     alpha: bool | None = None,
     quality: int | None = None,
     lossless: bool = False,

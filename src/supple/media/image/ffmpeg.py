@@ -16,9 +16,10 @@ need("video", "OpenEXR, Radiance, JPEG 2000, BMP, TGA and PNM pictures", "av")
 import av
 import numpy as np
 
+from supple.media.files import unreadable, unwritable
 from supple.media.image.formats import Array
 from supple.media.video.colour import FULL, Colour, to_rgb
-from supple.media.video.errors import said, unreadable, unwritable
+from supple.media.video.demux import said
 from supple.media.video.planes import form, pack, palette, unpack, wider
 
 _MAGIC = (

@@ -67,6 +67,8 @@ OUT = {
     ".jp2": JP2,
 }
 SUFFIXES_OUT = tuple(OUT)
+# Of a folder, everything that somebody may take for a picture: what cannot be read is then named.
+SUFFIXES = frozenset({*OUT, ".gif", ".heic", ".heif", ".jxl", ".pam", ".pbm", ".pnm", ".svg"})
 DTYPES = {
     "uchar": "u1",
     "char": "i1",

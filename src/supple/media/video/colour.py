@@ -14,6 +14,7 @@ import av.logging
 import numpy as np
 from av.filter import Graph
 
+from supple.media.codecs import codec_of
 from supple.media.video.planes import Form, Kind, form, pack
 from supple.streaming import Array
 
@@ -31,7 +32,6 @@ _SITES = {
     "bottomleft": (0.0, 2.0),
     "bottom": (1.0, 2.0),
 }
-_CENTRED = frozenset(("mjpeg", "mpeg1video", "jpeg2000", "png", "webp", "theora", "vp8", "h263", "h261", "flv1"))
 _WEIGHTS = {"bt601": (0.299, 0.114), "bt709": (0.2126, 0.0722), "fcc": (0.3, 0.11), "smpte240m": (0.212, 0.087)}
 _WEIGHTS["bt2020"] = (0.2627, 0.0593)  # of red and blue in luma
 _FLAGS = "bicubic+accurate_rnd+full_chroma_int+full_chroma_inp"
@@ -107,13 +107,13 @@ def named_site(description: str) -> str:
 def sited(colour: Colour, codec: str, kind: Kind) -> str:
     """Name the place of chroma: the one that a file gives, or what its codec is used to.
 
-    Of 4:2:0, MJPEG, MPEG-1, H.263, VP8 and codecs of pictures site it in the centre of its pixels; HEVC and AV1 with
-    the colours of BT.2020 at their top left; all others, MPEG-2, H.264, HEVC, VP9, AV1, at their left.
+    Of 4:2:0, codecs that are `centred` site it in the centre of its pixels; HEVC and AV1 with the colours of BT.2020
+    at their top left; all others, MPEG-2, H.264, HEVC, VP9, AV1, at their left.
     """
     x, y = kind.step
     if colour.site:
         return colour.site
-    if codec in _CENTRED and x == y:
+    if codec_of(codec).centred and x == y:
         return "center"
     if colour.primaries == _BT2020_PRIMARIES and colour.transfer in (_PQ, _HLG) and codec in ("hevc", "av1"):
         return "topleft"
@@ -248,26 +248,17 @@ class Grading:
     screen: tuple[int, ...] | None = None
     light: tuple[int, int] | None = None
 
-    def x265(self) -> str:
-        """Return it as parameters of x265 and x264."""
-        words = []
+    def words(self, names: tuple[str, str]) -> list[str]:
+        """Spell it as parameters of an encoder that have these names."""
+        made, real = [], names[1] == "content-light"  # SVT-AV1 counts in units, the others in small parts of them
         if self.screen:
-            rx, ry, gx, gy, bx, by, wx, wy, dark, bright = self.screen
-            words.append(f"master-display=G({gx},{gy})B({bx},{by})R({rx},{ry})WP({wx},{wy})L({bright},{dark})")
+            told = [f"{v / 50000:.5f}" if real else f"{v}" for v in self.screen[:8]]
+            dark, bright = (f"{v / 10000:.4f}" if real else f"{v}" for v in self.screen[8:])
+            red, green, blue, white = (f"({x},{y})" for x, y in zip(told[::2], told[1::2], strict=True))
+            made.append(f"{names[0]}=G{green}B{blue}R{red}WP{white}L({bright},{dark})")
         if self.light:
-            words.append(f"max-cll={self.light[0]},{self.light[1]}")
-        return ":".join(words)
-
-    def svt(self) -> str:
-        """Return it as parameters of SVT-AV1."""
-        words = []
-        if self.screen:
-            rx, ry, gx, gy, bx, by, wx, wy = (f"{value / 50000:.5f}" for value in self.screen[:8])
-            dark, bright = (f"{value / 10000:.4f}" for value in self.screen[8:])
-            words.append(f"mastering-display=G({gx},{gy})B({bx},{by})R({rx},{ry})WP({wx},{wy})L({bright},{dark})")
-        if self.light:
-            words.append(f"content-light={self.light[0]},{self.light[1]}")
-        return ":".join(words)
+            made.append(f"{names[1]}={self.light[0]},{self.light[1]}")
+        return made
 
 
 def graded(frame: av.VideoFrame) -> Grading:

@@ -16,7 +16,7 @@ from typing import Any
 import av
 from av.format import Flags as FormatFlags
 
-from supple.media.video.errors import said, unreadable
+from supple.media.files import unreadable
 
 PathLike = str | os.PathLike[str]
 _ADVICE = "give a whole video file, such as MP4, MOV, MKV, WebM or AVI"
@@ -27,6 +27,12 @@ _SLOPPY = 3  # frames that a healthy file may promise too many
 _JUMP = 10  # seconds: what no gap in healthy sound or picture exceeds
 _BACK = Fraction(1, 10)
 _PICTURES = av.stream.Disposition.attached_pic | av.stream.Disposition.timed_thumbnails
+
+
+def said(error: Exception) -> str:
+    """Shorten what FFmpeg said to its reason."""
+    text = getattr(error, "strerror", None) or str(error) or type(error).__name__
+    return re.sub(r"\s+", " ", str(text)).strip().rstrip(".").replace("[Errno", "[error")
 
 
 def opened(path: PathLike) -> av.container.InputContainer:

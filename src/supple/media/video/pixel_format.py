@@ -6,8 +6,8 @@ import os
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
+from supple.media.files import unwritable
 from supple.media.video.colour import BT601, BT709, FULL, LIMITED, RGB, UNKNOWN, Colour
-from supple.media.video.errors import unwritable
 from supple.media.video.planes import Form, Kind, form
 
 PathLike = str | os.PathLike[str]

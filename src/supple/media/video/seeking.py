@@ -9,12 +9,12 @@ from dataclasses import dataclass, field
 import av
 from av.format import Flags as FormatFlags
 
+from supple.media.codecs import codec_of
 from supple.media.video.demux import chosen, opened
 
 PathLike = str | os.PathLike[str]
 _BROADCAST: int = getattr(FormatFlags.ts_discont, "value", 0)
 _UNTIMED = frozenset(("avi",))  # their packets have places, not times
-_HIDING = frozenset(("vp8", "vp9", "av1"))  # which have packets of which nothing is shown
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,7 +50,7 @@ def index_of(path: PathLike, count: int) -> Index | None:
     with opened(path) as container:
         film = chosen(container, path)
         name = film.codec_context.codec.canonical_name
-        if container.format.flags & _BROADCAST or container.format.name in _UNTIMED or name in _HIDING:
+        if container.format.flags & _BROADCAST or container.format.name in _UNTIMED or codec_of(name).hides:
             return None
         for other in container.streams:
             if other.index != film.index:

@@ -12,15 +12,15 @@ from typing import Any
 
 import av
 
+from supple.media.base import ClipWarning
+from supple.media.codecs import Container
 from supple.media.files import shown
-from supple.media.video.errors import ClipWarning
 
 PathLike = str | os.PathLike[str]
 _HELD = 64 << 20  # bytes of packets that wait for the film before they go first
 # what describes the file that it came from, and not what is in it
 _OWN = frozenset(("encoder", "duration", "major_brand", "minor_version", "compatible_brands", "rotate", "alpha_mode"))
 _FELT = Fraction(1, 50)  # seconds between picture and sound: more is told
-_WEBM = frozenset(("vp8", "vp9", "av1", "opus", "vorbis", "webvtt"))
 _COUNTED = ("_STATISTICS", "BPS", "NUMBER_OF_", "DURATION")
 
 
@@ -55,18 +55,18 @@ def picture(path: str, index: int) -> bytes:
         return next((bytes(packet) for packet in source.demux(source.streams[index]) if packet.size), b"")
 
 
-def holds(container: str, template: av.stream.Stream) -> bool:
+def holds(container: Container, template: av.stream.Stream) -> bool:
     """Try whether a container can hold a stream, by writing its header into memory."""
-    if container == "webm" and name_of(template) not in _WEBM:
-        return False  # it would be written, and hardly play
-    if template.type == "attachment" and container != "matroska":
+    if container.streams is not None and name_of(template) not in container.streams:
+        return False
+    if template.type == "attachment" and not container.attachments:
         return False  # some would leave it out without a word
-    if template.disposition & av.stream.Disposition.attached_pic and container not in ("mp4", "mov"):
+    if template.disposition & av.stream.Disposition.attached_pic and not container.mp4:
         return False
     trial = None
     with io.BytesIO() as memory:
         try:
-            trial = av.open(memory, "w", format=container, metadata_errors="surrogateescape")
+            trial = av.open(memory, "w", format=container.name, metadata_errors="surrogateescape")
             copied(trial, template)
             trial.start_encoding()
         except (av.FFmpegError, ValueError):
@@ -103,12 +103,12 @@ class Passage:
         source: av.container.InputContainer | None,
         film: int,
         output: av.container.OutputContainer,
-        container: str,
+        container: Container,
         target: PathLike,
     ) -> None:
         self._target = target
         self._output = output
-        self._avi = container == "avi"  # which cannot say that sound begins before the film, as that of AAC does
+        self._avi = container.counted  # which cannot say that sound begins before the film, as that of AAC does
         self._streams: dict[int, av.stream.Stream] = {}
         self._last: dict[int, int] = {}
         self._waiting: deque[tuple[Fraction | None, av.Packet[Any]]] = deque()
@@ -120,7 +120,7 @@ class Passage:
             if stream.index == film or (marked and name_of(stream) == "bin_data"):  # chapters, once more
                 continue
             cover = bool(stream.disposition & av.stream.Disposition.attached_pic)
-            if cover and container == "matroska":
+            if cover and container.attachments:
                 self._attach(source, stream)
             elif holds(container, stream):
                 self._streams[stream.index] = copied(output, stream)

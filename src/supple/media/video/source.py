@@ -6,13 +6,15 @@ import os
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from fractions import Fraction
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import av
 import numpy as np
 
 from supple.errors import SuppleError
+from supple.media.codecs import STILLS
 from supple.media.files import shown
+from supple.media.sequence import Pictures
 from supple.media.video.colour import (
     BT709,
     FULL,
@@ -30,23 +32,12 @@ from supple.media.video.colour import (
 )
 from supple.media.video.demux import Survey, chosen
 from supple.media.video.planes import Form, form, palette, wider
-from supple.media.video.streams import name_of
+from supple.media.video.streams import Passage, name_of
 from supple.streaming import Layout
-
-if TYPE_CHECKING:
-    from supple.media.video.encode import Sink
-    from supple.media.video.sequence import Pictures
 
 PathLike = str | os.PathLike[str]
 _LEAST, _UTMOST = Fraction(1, 10_000), Fraction(100_000)
 _MOST = 1000  # frames a second; what claims more counts ticks
-
-
-_STILLS = {
-    "uint8": ("gray", "ya8", "rgb24", "rgba"),
-    "uint16": ("gray16le", "ya16le", "rgb48le", "rgba64le"),
-    "float32": ("grayf32le", "yaf32le", "gbrpf32le", "gbrapf32le"),
-}
 
 
 class Reel:
@@ -92,7 +83,8 @@ class Reel:
     aspect: Fraction | None = None
     grading = Grading()
     source: av.container.InputContainer | None = None
-    sink: Sink | None = None
+    passage: Passage | None = None  # takes the packets of other streams, while it is written
+    copies = False  # whether the packets of frames are kept, to be written as they are
 
     def __init__(self, name: str, rate: Fraction, base: Fraction) -> None:
         self.name, self.rate, self.base = name, rate, base
@@ -145,13 +137,13 @@ class Stills(Reel):
     def __init__(self, pictures: Pictures) -> None:
         super().__init__(pictures.name, pictures.rate, 1 / pictures.rate)
         self.layout, self.count, group = pictures.layout, pictures.count, pictures.layout.groups[0]
-        count, known = group.channels, _STILLS[self.layout.dtype.name]
+        count, known = group.channels, STILLS[self.layout.dtype.name]
         if count > len(known) or group.alpha == bool(count % 2) or pictures.interpretation == "cmyk":
             raise SuppleError(f"{self.name} holds neither grey nor RGB pictures: convert them first")
         found = form(known[count - 1])
         assert found is not None
         self.form, self.colour = found, Colour(FULL, BT709, BT709, RGB)
-        self._starts: list[int] | None = getattr(pictures, "starts", None)
+        self._starts = pictures.starts
         if self._starts:
             self.base = Fraction(1, 1000)
         profile = pictures.picture(0)[0].icc
@@ -224,11 +216,17 @@ class Film(Reel):
         layout = found.kind.layout(frame.width, frame.height, offset)
         self.layout = replace(layout, black=black(found, self.colour))
 
+    @property
+    def unpictured(self) -> tuple[str, ...]:
+        """What pictures of its frames leave out."""
+        held = {stream.type for stream in self.source.streams}
+        return tuple(name for kind, name in (("audio", "sound"), ("subtitle", "subtitles")) if kind in held)
+
     def painted(self, values: Sequence[float]) -> tuple[float, ...]:
         """Turn grey, or red, green and blue, in the depth of the clip, and opacity, into components of the layout."""
         return painted(self.form, self.colour, self.height, values)
 
-    def facts(self) -> dict[str, Any]:
+    def info(self) -> dict[str, Any]:
         """Return what a person may want to know."""
         seen = self.survey.duration or Fraction(self.count) / self.rate
         names: dict[str, list[str]] = {"audio": [], "subtitle": [], "other": []}
