@@ -14,7 +14,7 @@ import numpy as np
 import pyvips
 
 from supple.errors import SuppleError
-from supple.media.files import replacing, shown
+from supple.media.files import check_suffix, replacing, shown
 from supple.media.image import exif
 from supple.media.image.formats import (
     AVIF,
@@ -25,7 +25,6 @@ from supple.media.image.formats import (
     SUFFIXES,
     SUFFIXES_OUT,
     TIFF,
-    WEBP,
     Array,
     check,
     meant,
@@ -112,9 +111,7 @@ def check_target(path: PathLike) -> None:
         The suffix is not in `SUFFIXES_OUT`.
     """
     suffix = Path(path).suffix
-    if suffix.lower() not in OUT:
-        found = f"the suffix {shown(suffix)}" if suffix else "a name without suffix"
-        raise SuppleError(f"cannot write {shown(path)}: {found} is no image format: use {', '.join(OUT)}")
+    check_suffix(path, suffix, OUT, "is no image format", f"use {', '.join(OUT)}")
 
 
 def check_quality(path: PathLike, quality: int | None) -> None:
@@ -130,7 +127,7 @@ def check_quality(path: PathLike, quality: int | None) -> None:
     name, form = shown(path), OUT.get(Path(path).suffix.lower())
     if not 1 <= quality <= 100:
         raise SuppleError(f"cannot write {name} with quality {quality}: quality goes from 1 to 100")
-    if form is not None and form not in (JPEG, WEBP, AVIF):
+    if form is not None and not form.quality:
         text = f"{name}: quality {quality} changes nothing in {form.name}: it is for JPEG, WebP and AVIF"
         warnings.warn(text, ImageWarning, stacklevel=3)
 
@@ -306,7 +303,7 @@ def write(
         alpha = like.alpha if like is not None and same else channels in (2, 4)
     known = like.interpretation if like is not None and same else ""
     meaning = meant(array.dtype, channels - alpha, known)
-    check(name, form, array, meaning, alpha)
+    check(path, form, array, meaning, alpha)
     if lossless and form is JPEG:
         raise SuppleError(f"cannot write {name} without loss: JPEG loses some: write PNG, TIFF, WebP or AVIF")
     if quality is not None and not 1 <= quality <= 100:
@@ -330,7 +327,9 @@ def write(
             array = decoded(image, 1)
         with replacing(path, force=force) as temporary, ffmpeg.writing(path):
             kinds = form.pixel_formats[array.dtype.str[1:]]
-            temporary.write_bytes(ffmpeg.encoded(array, form.save, kinds[channels], half=have == 16 and form is EXR))
+            temporary.write_bytes(
+                ffmpeg.encoded(array, form.saver, kinds[channels], form.options, half=have == 16 and form is EXR)
+            )
         return
     image, lost = dressed(image, header, icc, form, channels - alpha)
     if lost:
@@ -340,7 +339,7 @@ def write(
     if form is TIFF and like is not None and like.pages > 1:
         options["page_height"] = len(array) // like.pages
     with replacing(path, force=force) as temporary, writing(path):
-        apart(lambda: getattr(image, form.save)(os.fsencode(temporary), **options), image)
+        apart(lambda: getattr(image, form.saver)(os.fsencode(temporary), **options), image)
         if form is TIFF and (block := header.get("exif-data")):
             exif.into_tiff(temporary, block, array.shape[1], array.shape[0])
         finish(temporary, image, form)

@@ -18,26 +18,11 @@ from supple.errors import SuppleError
 from supple.media.files import shown
 from supple.media.image.chunks import png_frames
 from supple.media.image.exif import retagged, tag_of
-from supple.media.image.formats import DTYPES, Array, meant, wrapped
+from supple.media.image.formats import DTYPES, LOADERS, Array, meant, wrapped
 
 T = TypeVar("T")
 PathLike = str | os.PathLike[str]
 
-# libvips also reads tables of numbers and raw memory: those are no images
-_LOADERS = {
-    "png": "PNG",
-    "jpeg": "JPEG",
-    "uhdr": "JPEG",
-    "tiff": "TIFF",
-    "webp": "WebP",
-    "heif": "HEIF",
-    "gif": "GIF",
-    "svg": "SVG",
-    "jxl": "JPEG XL",
-    "jp2k": "JPEG 2000",
-    "ppm": "PNM",
-    "openexr": "OpenEXR",
-}
 _UNSUPPORTED = re.compile(
     "(?i)unsupported|not supported|not implemented|not configured|unknown compression|out of range"
 )
@@ -71,7 +56,7 @@ def opened(path: PathLike) -> tuple[Any, str]:
         image = (
             _of_doubles(path) if head.startswith(_TIFF) and _holds_doubles(path) else apart(lambda: sequential(path))
         )
-        form = _LOADERS.get(str(image.get("vips-loader")).partition("load")[0])
+        form = LOADERS.get(str(image.get("vips-loader")).partition("load")[0])
         if form == "HEIF" and image.get("heif-compression") == "av1":
             form = "AVIF"
         if form == "PNG" and (frames := png_frames(path)) > 1:  # libvips knows of the first alone
