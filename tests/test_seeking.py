@@ -11,7 +11,7 @@ from clips import make
 
 from supple.media.video import Clip
 from supple.media.video import open_clip as open_video
-from supple.media.video.seeking import index_of
+from supple.media.video.demux import index_of
 from supple.viewer.frame_cache import FrameCache
 
 COUNT = 40

@@ -38,6 +38,35 @@ def unreadable(path: str | os.PathLike[str], reason: str, advice: str = "give a 
     return SuppleError(f"cannot read {shown(path)}: {reason}: {advice}")
 
 
+def head_of(
+    path: str | os.PathLike[str],
+    count: int,
+    give: str = "give the name of a file",
+    empty: str = "give a whole copy of it",
+) -> bytes:
+    """Return the first bytes of a file, or all if `count` is -1.
+
+    Raises
+    ------
+    SuppleError
+        It is missing or may not be read; it is no plain file, and `give` says what is wanted; or it is empty.
+    """
+    try:
+        if not stat.S_ISREG(os.stat(path).st_mode):
+            raise unreadable(path, "it is a folder or no plain file", give)
+        with open(path, "rb") as file:
+            head = file.read(count)
+    except OSError as error:
+        raise unreadable(path, error.strerror or str(error), "check the name and its rights") from error
+    except SuppleError:
+        raise
+    except ValueError as error:
+        raise unreadable(path, "no file can have that name", "check it") from error
+    if not head:
+        raise unreadable(path, "it is empty", empty)
+    return head
+
+
 def unwritable(path: str | os.PathLike[str], reason: str, advice: str) -> SuppleError:
     """Say in one sentence why a file cannot be written as asked, and what would help."""
     return SuppleError(f"cannot write {shown(path)}: {reason}: {advice}")

@@ -13,14 +13,14 @@ import numpy.typing as npt
 
 from supple.errors import SuppleError
 from supple.geometry import Geometry
-from supple.media.files import replacing, shown
+from supple.media.files import check_suffix, replacing, shown, unwritable
 from supple.media.volume import itk, nifti
+from supple.media.volume.nifti import LONGEST
 
 Field = npt.NDArray[np.floating[Any]]
 PathLike = str | os.PathLike[str]
 
 SUFFIXES_OUT = (".nii", ".nii.gz", ".nrrd", ".mha", ".h5")
-_LONGEST_NIFTI_AXIS = 32_767
 _OVERHEAD = 1 << 16  # more than a transform's HDF5 file holds apart from the field
 _CHUNK = 1 << 20
 _TYPES = {np.dtype(np.float32): ("float", "MET_FLOAT"), np.dtype(np.float64): ("double", "MET_DOUBLE")}
@@ -35,9 +35,7 @@ def check_target(path: PathLike) -> None:
         The suffix is not in `SUFFIXES_OUT`.
     """
     if _suffix(path) is None:
-        suffix = Path(path).suffix
-        found = f"the suffix {shown(suffix)}" if suffix else "a name without suffix"
-        raise SuppleError(f"cannot write {shown(path)}: {found} is of no transform: use {', '.join(SUFFIXES_OUT)}")
+        check_suffix(path, Path(path).suffix, (), "is of no transform", f"use {', '.join(SUFFIXES_OUT)}")
 
 
 def write_field(path: PathLike, displacement: Field, geometry: Geometry, *, force: bool = False) -> None:
@@ -73,11 +71,10 @@ def write_field(path: PathLike, displacement: Field, geometry: Geometry, *, forc
         raise SuppleError(f"cannot write {name}: a field is {wanted}, and not {field.dtype} of shape {field.shape}")
     if not all(np.isfinite(plane).all() for plane in field):
         raise SuppleError(f"cannot write {name}: a field must be finite, found NaN or infinity")
-    if suffix in (".nii", ".nii.gz") and max(field.shape) > _LONGEST_NIFTI_AXIS:
-        raise SuppleError(
-            f"cannot write {name}: NIfTI ends at {_LONGEST_NIFTI_AXIS} voxels on a side, and the field has "
-            f"{' x '.join(map(str, field.shape[2::-1]))}: write .nrrd or .mha"
-        )
+    if suffix in (".nii", ".nii.gz") and max(field.shape) > LONGEST:
+        sizes = " x ".join(map(str, field.shape[2::-1]))
+        what = f"NIfTI ends at {LONGEST} voxels on a side, and the field has {sizes}"
+        raise unwritable(path, what, "write .nrrd or .mha")
     with replacing(path, force=force) as temporary:
         if suffix == ".h5":
             _write_transform(name, temporary, field, geometry)
@@ -169,4 +166,4 @@ def _write_transform(name: str, path: Path, field: Field, geometry: Geometry) ->
     try:
         sitk.WriteTransform(sitk.DisplacementFieldTransform(image), str(path))
     except RuntimeError as error:
-        raise SuppleError(f"cannot write {name}: ITK could not write the transform: choose another place") from error
+        raise unwritable(name, "ITK could not write the transform", "choose another place") from error

@@ -20,13 +20,24 @@ from supple.media.base import ClipWarning, CountError
 from supple.media.codecs import SUFFIXES, SUFFIXES_OUT, codec_of
 from supple.media.files import unreadable
 from supple.media.video.colour import sited, to_rgb
-from supple.media.video.demux import chosen, decoded_by, fed, opened, packets, sums_up, survey
+from supple.media.video.demux import (
+    Index,
+    Times,
+    chosen,
+    decoded_by,
+    fed,
+    index_of,
+    is_counted,
+    opened,
+    packets,
+    sums_up,
+    survey,
+    usual_step,
+)
 from supple.media.video.encode import writer
 from supple.media.video.plan import container_of, workers
 from supple.media.video.planes import Form, palette, unpack
-from supple.media.video.seeking import Index, index_of
 from supple.media.video.source import Film, said_of
-from supple.media.video.timing import Times, usual_step
 from supple.streaming import Array
 
 __all__ = [
@@ -147,7 +158,7 @@ class Clip(Film):
         others = [self.source.streams[index] for index in self.passage.indices] if self.passage else []
         times = Times(self.base, usual_step(self.rate, self.base), deque() if self.passage else None)
         self._times = times
-        counted = self.source.format.name == "avi"  # its frames have places, not times
+        counted = is_counted(self.source)
         shown_at: deque[int] = deque()
         keys: deque[tuple[int | None, int]] = deque(maxlen=64)
         copies = self.copies

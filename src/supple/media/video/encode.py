@@ -11,19 +11,18 @@ from pathlib import Path
 from typing import Any
 
 import av
+from av.filter import Graph
 
 from supple.media.codecs import codec_of
 from supple.media.files import check_output, replacing, unwritable
 from supple.media.sequence import Pictures
 from supple.media.video.colour import Colour, recast, sited
-from supple.media.video.demux import said
-from supple.media.video.gif import Palettes
+from supple.media.video.demux import said, usual_step
 from supple.media.video.pixel_format import Match
 from supple.media.video.plan import WritePlan, container_of, timescale, workers
 from supple.media.video.planes import form, pack
 from supple.media.video.source import Reel, Stills
 from supple.media.video.streams import Passage, kept_tags, titled
-from supple.media.video.timing import usual_step
 from supple.streaming import Array
 
 PathLike = str | os.PathLike[str]
@@ -36,6 +35,49 @@ def _raised(path: PathLike, error: av.FFmpegError) -> Exception:
         return OSError(error.errno, os.strerror(error.errno))
     what = f"the container refuses what it is given ({said(error)})"
     return unwritable(path, what, "choose another one, such as .mkv")
+
+
+class Palettes:
+    """Turns frames into such of 256 colours, each with a palette of its own, in a stream.
+
+    Parameters
+    ----------
+    width, height : int
+        Of the frames, which are BGRA.
+    """
+
+    def __init__(self, width: int, height: int) -> None:
+        self._graph = Graph()
+        source = self._graph.add_buffer(
+            width=width, height=height, format=av.VideoFormat("bgra"), time_base=Fraction(1, 100)
+        )
+        split = self._graph.add("split")
+        palette = self._graph.add("palettegen", "stats_mode=single")
+        use = self._graph.add("paletteuse", "new=1")
+        sink = self._graph.add("buffersink")
+        source.link_to(split)
+        split.link_to(use, 0, 0)
+        split.link_to(palette, 1, 0)
+        palette.link_to(use, 0, 1)
+        use.link_to(sink)
+        self._graph.configure()
+
+    def add(self, frame: av.VideoFrame) -> Iterator[av.VideoFrame]:
+        """Take a frame, and hand out those that are done."""
+        self._graph.vpush(frame)
+        return self._done()
+
+    def finish(self) -> Iterator[av.VideoFrame]:
+        """Hand out the frames that are left."""
+        self._graph.vpush(None)
+        return self._done()
+
+    def _done(self) -> Iterator[av.VideoFrame]:
+        while True:
+            try:
+                yield self._graph.vpull()
+            except (av.error.BlockingIOError, av.error.EOFError):
+                return
 
 
 class Sink:

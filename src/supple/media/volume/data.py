@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import os
-import stat
 import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -16,7 +15,7 @@ import numpy.typing as npt
 from supple.domain import LONGEST_AXIS, integer, items, length, refuse
 from supple.errors import SuppleError
 from supple.geometry import Geometry
-from supple.media.files import shown
+from supple.media.files import shown, unreadable
 
 Array = npt.NDArray[Any]
 PathLike = str | os.PathLike[str]
@@ -149,11 +148,6 @@ def native(samples: Array) -> Array:
     return np.require(samples, samples.dtype.newbyteorder("="), ("C", "A"))
 
 
-def unreadable(path: PathLike, what: str, advice: str = "give a whole copy of it") -> SuppleError:
-    """Say in one sentence why a file is not read, and what would do."""
-    return SuppleError(f"cannot read {shown(path)}: {what}: {advice}")
-
-
 def placed(path: PathLike, matrix: npt.ArrayLike, convention: str) -> Geometry:
     """Make a geometry of a matrix (4, 4) from indices, x first, to places in millimetres.
 
@@ -196,22 +190,6 @@ def check_spacing(path: PathLike, spacing: list[float]) -> None:
     if not all(0 < step < np.inf for step in spacing):
         found = " x ".join(f"{step:g}" for step in spacing)
         raise unreadable(path, f"its spacing is {found}, and not three numbers above 0", "correct its header")
-
-
-def head_of(path: PathLike, count: int) -> bytes:
-    """Return the first bytes of a file; SuppleError if it is missing, no plain file, may not be read, or is empty."""
-    try:
-        if not stat.S_ISREG(os.stat(path).st_mode):
-            raise unreadable(path, "it is a folder or no plain file", "give the name of a file")
-        with open(path, "rb") as file:
-            head = file.read(count)
-    except OSError as error:
-        raise unreadable(path, error.strerror or str(error), "check the name and its rights") from error
-    except ValueError as error:
-        raise unreadable(path, "no file can have that name", "check it") from error
-    if not head:
-        raise unreadable(path, "it is empty")
-    return head
 
 
 @contextlib.contextmanager

@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 
 from supple.errors import VolumeWarning
-from supple.media.files import shown
-from supple.media.volume.data import Array, PathLike, Volume, check_spacing, head_of, located, unreadable
+from supple.media.files import head_of, shown, unreadable
+from supple.media.volume.data import Array, PathLike, Volume, check_spacing, located
 from supple.media.volume.itk import check_voxels, failing, geometry_of, library, silence
 
 _UID, _NUMBER, _TEXT, _PIXEL_SPACING = "0020|000e", "0020|0011", "0008|103e", "0028|0030"

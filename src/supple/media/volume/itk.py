@@ -15,21 +15,19 @@ from typing import Any
 
 import numpy as np
 
-from supple.errors import SuppleError, need
+from supple.errors import need
 from supple.geometry import Geometry
-from supple.media.files import check_output, replacing, shown
+from supple.media.files import check_output, head_of, replacing, shown, unreadable, unwritable
 from supple.media.volume.data import (
     DTYPES,
     Array,
     PathLike,
     Volume,
     check_spacing,
-    head_of,
     located,
     native,
     reading,
     too_large,
-    unreadable,
 )
 from supple.media.volume.raw import count_bytes
 
@@ -271,7 +269,7 @@ def write(path: PathLike, samples: Array, like: Volume, *, force: bool = False) 
         except (RuntimeError, UnicodeError) as error:
             found = re.search("Reason: (.+)", str(error))
             what = (found[1] if found else _reason(str(error))) or "ITK cannot write it"
-            raise SuppleError(f"cannot write {shown(path)}: {what}: make room or choose another place") from error
+            raise unwritable(path, what, "make room or choose another place") from error
         if not _whole(file.with_suffix(made[-1][1]), samples.nbytes, packed=suffix == ".nrrd"):
             raise OSError(errno.EIO, "a part of it was not written")  # ITK overlooks it at the end of a file
         for temporary, ending in made:

@@ -15,27 +15,25 @@ import numpy as np
 
 from supple.errors import VolumeWarning, need
 from supple.geometry import Geometry
-from supple.media.files import replacing, shown
+from supple.media.files import head_of, replacing, shown, unreadable
 from supple.media.volume.data import (
     DTYPES,
     Array,
     PathLike,
     Volume,
     check_spacing,
-    head_of,
     located,
     native,
     placed,
     reading,
     too_large,
-    unreadable,
 )
 
 _GZIP = b"\x1f\x8b"
 _MILLIMETRES = {1: 1000.0, 3: 0.001}  # of a metre, of a micrometre
 _SECONDS = {16: 1e-3, 24: 1e-6}
 _COLOURS = {128: 3, 2304: 4}  # RGB24, RGBA32
-_LONGEST = 32_767  # an axis in the first version of the format
+LONGEST = 32_767  # an axis in the first version of the format
 _CHUNK = 1 << 22
 _SAME = 0.01  # of a voxel: how far a qform may lie from its sform, by rounding
 _ORDERS: tuple[Literal["little", "big"], ...] = ("little", "big")
@@ -318,7 +316,7 @@ def _copied(known: Any, samples: Array) -> Any:
 def _made(samples: Array, like: Volume) -> Any:
     nibabel = library()
 
-    long = max(samples.shape) > _LONGEST
+    long = max(samples.shape) > LONGEST
     kind: Any = nibabel.Nifti2Header if long else nibabel.Nifti1Header
     header = kind()
     components = samples.shape[3] if samples.ndim == 4 and not like.series else 1

@@ -11,8 +11,8 @@ import numpy as np
 
 from supple.errors import SuppleError
 from supple.geometry import Geometry
-from supple.media.files import replacing, shown
-from supple.media.volume.data import Array, PathLike, Volume, native, unreadable
+from supple.media.files import replacing, shown, unreadable, unwritable
+from supple.media.volume.data import Array, PathLike, Volume, native
 
 SUFFIXES = (".tif", ".tiff")
 _MILLIMETRES = {
@@ -135,15 +135,14 @@ def check(path: PathLike, like: Volume, dtype: np.dtype[Any]) -> None:
     """Refuse what the format cannot hold."""
     from supple.media.image.formats import DTYPES, TIFF
 
-    name = shown(path)
     if like.series:
-        raise SuppleError(f"cannot write {name}: a TIFF holds one volume, and this is a series: write NIfTI or NRRD")
+        raise unwritable(path, "a TIFF holds one volume, and this is a series", "write NIfTI or NRRD")
     if dtype.name not in {np.dtype(known).name for known in DTYPES.values()} - {"float64"}:
-        raise SuppleError(f"cannot write {name}: TIFF takes no {dtype} values: write NIfTI or NRRD, or use float32")
+        raise unwritable(path, f"TIFF takes no {dtype} values", "write NIfTI or NRRD, or use float32")
     width, height, depth = like.sizes
     if max(width, height * depth) > TIFF.limit:
         what = f"TIFF ends at {TIFF.limit} rows, and the volume has {height} in each of {depth} slices"
-        raise SuppleError(f"cannot write {name}: {what}: write NIfTI or NRRD")
+        raise unwritable(path, what, "write NIfTI or NRRD")
 
 
 def write(path: PathLike, samples: Array, like: Volume, *, force: bool = False) -> None:

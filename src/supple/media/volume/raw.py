@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from supple.geometry import Geometry
-from supple.media.files import shown
-from supple.media.volume.data import PathLike, RawLayout, Volume, head_of, native, reading, unreadable
+from supple.media.files import head_of, shown, unreadable
+from supple.media.volume.data import PathLike, RawLayout, Volume, native, reading
 
 _HEAD = 6  # three sizes of 16 bits
 _CHUNK = 1 << 22
