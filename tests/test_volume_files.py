@@ -1,3 +1,4 @@
+import contextlib
 import gzip
 import os
 import struct
@@ -1257,3 +1258,19 @@ class TestKinds:
         environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[1] / "src")}
         done = subprocess.run([sys.executable, "-c", code], capture_output=True, encoding="utf-8", env=environment)
         assert done.stdout == "[]\n"
+
+
+def test_a_stack_that_ends_between_two_pages(tmp_path):
+    image = pyvips.Image.new_from_array(noise("u1", 60, 6)).cast("uchar")
+    image.tiffsave(str(tmp_path / "in.tif"), page_height=10)
+    data = (tmp_path / "in.tif").read_bytes()
+    cut = []
+    for n in range(len(data) // 6, len(data)):
+        with contextlib.suppress(pyvips.Error):
+            seen = pyvips.Image.new_from_buffer(data[:n], "", n=-1, fail_on="error")
+            if seen.avg() >= 0 and seen.height < 60:  # libvips notices nothing
+                cut.append(n)
+    assert cut
+    for n in cut:
+        (tmp_path / "cut.tif").write_bytes(data[:n])
+        assert "cut short" in refused(read, tmp_path / "cut.tif")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager
 from typing import Any, Protocol, TypeVar, runtime_checkable
 
@@ -22,15 +22,15 @@ class Medium(Protocol):
     all.
     """
 
-    SUFFIXES: Collection[str]
+    SUFFIXES: frozenset[str]
     """Of the files that are taken for this kind by their names, in small letters."""
-    SUFFIXES_OUT: Collection[str]
+    SUFFIXES_OUT: tuple[str, ...]
     """Of the files that can be written."""
 
-    def check_target(self, path: PathLike) -> None:
+    def check_target(self, path: PathLike, /) -> None:
         """Refuse a name that nothing of this kind is written under, before any work is done for it."""
 
-    def info(self, path: PathLike) -> dict[str, Any]:
+    def info(self, path: PathLike, /) -> dict[str, Any]:
         """Tell what a file holds, without decoding more of it than that takes."""
 
 
@@ -38,10 +38,10 @@ class Medium(Protocol):
 class ArrayMedium(Medium, Protocol[Held]):
     """A medium that is at hand as an array: pictures (`image.Picture`) and volumes (`volume.Volume`)."""
 
-    def read(self, path: PathLike) -> Held:
+    def read(self, path: PathLike, /) -> Held:
         """Read a file: its samples in its own dtype, its ``format``, and what else its header says."""
 
-    def write(self, path: PathLike, samples: Array, like: Held, *, force: bool = False) -> None:
+    def write(self, path: PathLike, samples: Array, like: Held, /, *, force: bool = False) -> None:
         """Write samples with the header of what was read, in the format that the suffix names."""
 
 
@@ -49,10 +49,10 @@ class ArrayMedium(Medium, Protocol[Held]):
 class StreamMedium(Medium, Protocol):
     """A medium that passes frame by frame: videos, and sequences of pictures."""
 
-    def open_clip(self, path: PathLike) -> AbstractContextManager[Clip]:
+    def open_clip(self, path: PathLike, /) -> AbstractContextManager[Clip]:
         """Open a clip for reading; it is closed when the block ends."""
 
-    def writer(self, clip: Any, target: PathLike, *, force: bool = False) -> AbstractContextManager[Sink]:
+    def writer(self, clip: Any, target: PathLike, /, *, force: bool = False) -> AbstractContextManager[Sink]:
         """Write a clip anew, with other frames, and with all else of it that the target can hold."""
 
 

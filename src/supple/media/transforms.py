@@ -108,7 +108,8 @@ def _write_nifti(file: IOBase, field: Field, geometry: Geometry) -> None:
     image.to_file_map({"image": nibabel.FileHolder(fileobj=file)})
 
 
-# SimpleITK copies a field before it writes it, and does not always notice when a disk is full.
+# Kept: SimpleITK copies a field before it writes it, and of a NRRD does not notice that the disk is full
+# (test_a_full_disk_leaves_what_was_there_and_no_word_of_itks).
 
 
 def _nrrd(field: Field, geometry: Geometry) -> str:

@@ -13,6 +13,8 @@ from typing import BinaryIO, Literal, TypeAlias
 
 import numpy as np
 
+# Kept: libvips passes no EXIF into a TIFF, nor out of one (TestExifInTiff).
+
 # for each folder the folders below it, by the tag that points at them; no tag points at the image's own
 _IMAGE, _EXIF, _GPS, _INTEROP = -1, 34665, 34853, 40965
 _BELOW: dict[int, tuple[int, ...]] = {_IMAGE: (_EXIF, _GPS), _EXIF: (_INTEROP,), _GPS: (), _INTEROP: ()}

@@ -15,9 +15,9 @@ import pyvips
 
 from supple.errors import SuppleError
 from supple.media.files import head_of, unreadable, unwritable
-from supple.media.image.chunks import png_frames
 from supple.media.image.exif import retagged, tag_of
 from supple.media.image.formats import DTYPES, LOADERS, Array, meant, wrapped
+from supple.media.image.headers import png_frames
 
 T = TypeVar("T")
 PathLike = str | os.PathLike[str]

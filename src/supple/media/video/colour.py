@@ -80,6 +80,7 @@ class Colour:
         frame.color_primaries, frame.color_trc = self.primaries, self.transfer
 
 
+# Kept: PyAV tells no place of chroma (test_siting_is_read_and_written), and no numbers of side data.
 def described(container: av.container.InputContainer, index: int) -> str:
     """Return what FFmpeg says of a stream; some of it, such as where chroma is sited, can be had no other way."""
     with _lock:  # the level belongs to the whole process

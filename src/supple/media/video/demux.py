@@ -132,6 +132,7 @@ class Survey:
     missing: int = 0
 
 
+# Kept: FFmpeg ends without a word where a GIF does (test_a_cut_gif_is_used_with_a_warning).
 def _ends(path: str) -> bool:
     """Tell whether a GIF has its end."""
     with open(path, "rb") as file:

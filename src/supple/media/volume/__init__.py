@@ -45,7 +45,7 @@ _FORMATS = {
     **dict.fromkeys((".dat", ".raw"), "raw"),
 }
 SUFFIXES = frozenset(_FORMATS)
-SUFFIXES_OUT = (".nii", ".nii.gz", ".nrrd", ".mha", ".mhd", ".tif", ".tiff")
+SUFFIXES_OUT: tuple[str, ...] = (".nii", ".nii.gz", ".nrrd", ".mha", ".mhd", ".tif", ".tiff")
 _QUICK = 1 << 31  # bytes whose range is told unasked
 _KINDS = (
     "give NIfTI, NRRD, MetaImage, DICOM, a TIFF or a .dat file, or tell what is in it (--shape, --dtype, --spacing)"

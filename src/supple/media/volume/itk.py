@@ -148,6 +148,7 @@ def _data_file(path: PathLike, fields: dict[str, str]) -> Path | None:
     return data
 
 
+# Kept: ITK fills what is missing, and leaves what is too much (test_sizes_other_than_those_of_the_data).
 def _check_data(path: PathLike, data: Path | None, fields: dict[str, str], end: int, each: int) -> None:
     """Refuse fewer or more voxels than the header tells, and damaged ones, of which ITK says nothing."""
     sizes = [int(n) for n in re.findall(r"[-\d]+", fields.get("dimsize", fields.get("sizes", "")))]
@@ -177,6 +178,7 @@ def _check_data(path: PathLike, data: Path | None, fields: dict[str, str], end: 
         raise unreadable(path, what, "give a whole copy of it" if short else "correct the sizes in its header")
 
 
+# Kept: ITK puts another place for one that is none (test_places_that_would_be_replaced).
 def _check_place(path: PathLike, fields: dict[str, str], ndim: int) -> None:
     """Refuse a place in space that ITK would replace by another: what is no number, none, or not in millimetres."""
     if "elementspacing" in fields:

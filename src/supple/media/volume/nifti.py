@@ -190,6 +190,7 @@ def _samples(path: PathLike, shape: tuple[int, ...], dtype: np.dtype[Any], offse
         return samples
 
 
+# Kept: nibabel takes what is left for nothing (test_sizes_smaller_than_the_data).
 def _check_rest(path: PathLike, wanted: int, rest: int, row: int) -> None:
     """Refuse what follows the voxels if it is a row or more: the header's sizes are others than the data's."""
     if rest >= row:
