@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager
 from typing import Any, Protocol, TypeVar, runtime_checkable
 
+from supple.media.files import PathLike
 from supple.streaming import Array, Frame, Layout
 
-PathLike = str | os.PathLike[str]
 Held = TypeVar("Held")
 
 

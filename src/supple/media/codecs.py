@@ -12,50 +12,22 @@ Options = Mapping[str, str]
 
 @dataclass(frozen=True, slots=True)
 class Container:
-    """A kind of file.
+    """A kind of file."""
 
-    Parameters
-    ----------
-    name : str
-        As FFmpeg calls it.
-    suffixes : tuple of str
-        Which name it; the first is offered.
-    usual : str
-        The codec that it is used to.
-    exact, keeping : str
-        The codec where every value is to be kept, and where the source's keeps them, but cannot be written.
-    longest : float
-        Ticks that a frame may last.
-    tick : Fraction
-        Seconds; 0 where it takes any.
-    chapters, rotation : bool
-        Whether it holds them.
-    counted : bool
-        Whether it keeps one rate instead of times, and does not say what colours mean.
-    mp4 : bool
-        Whether it says itself how wide a pixel is, and adds up what packets last.
-    attachments : bool
-        Whether it holds files, and pictures of its cover as such.
-    streams : frozenset of str, optional
-        The codecs that it is to hold: others would be written, and hardly play.
-    options : mapping
-        What every encoder is told for it.
-    """
-
-    name: str
-    suffixes: tuple[str, ...]
-    usual: str
-    exact: str = ""
-    keeping: str = ""
-    longest: float = math.inf
-    tick: Fraction = Fraction(0)
-    chapters: bool = True
-    rotation: bool = True
-    counted: bool = False
-    mp4: bool = False
-    attachments: bool = False
-    streams: frozenset[str] | None = None
-    options: Options = field(default_factory=dict)
+    name: str  # as FFmpeg calls it
+    suffixes: tuple[str, ...]  # which name it; the first is offered
+    usual: str  # the codec that it is used to
+    exact: str = ""  # the codec where every value is to be kept
+    keeping: str = ""  # and where the source's keeps them, but cannot be written
+    longest: float = math.inf  # ticks that a frame may last
+    tick: Fraction = Fraction(0)  # seconds; 0 where it takes any
+    chapters: bool = True  # whether it holds them
+    rotation: bool = True  # whether it says which way up it is shown
+    counted: bool = False  # whether it keeps one rate instead of times, and does not say what colours mean
+    mp4: bool = False  # whether it says itself how wide a pixel is, and adds up what packets last
+    attachments: bool = False  # whether it holds files, and a cover as one of these
+    streams: frozenset[str] | None = None  # the codecs that it is to hold: others would be written, and hardly play
+    options: Options = field(default_factory=dict)  # for every encoder
 
 
 _WEBM = frozenset(("vp8", "vp9", "av1", "opus", "vorbis", "webvtt"))
@@ -80,40 +52,19 @@ SUFFIXES = frozenset(
 
 @dataclass(frozen=True, slots=True)
 class Codec:
-    """A way of coding frames, whatever encodes or decodes it.
+    """A way of coding frames, whatever encodes or decodes it."""
 
-    Parameters
-    ----------
-    encoder : str
-        The one that is offered; empty where there is none.
-    colours, aspect : bool
-        Whether its stream says what colours mean, and how wide a pixel is.
-    limited_in : frozenset of str
-        Containers in which nobody takes it for full range.
-    opaque_in : frozenset of str
-        Containers in which its opacity is lost.
-    opacity : str
-        The decoder that keeps opacity where FFmpeg's own leaves it out.
-    bt601 : bool
-        Whether everybody takes its matrix for that of BT.601.
-    centred : bool
-        Whether it sites the chroma of 4:2:0 in the centre of its pixels.
-    alone : bool
-        Whether key frames need nothing but the stream header, and may stand among those of another encoder.
-    hides : bool
-        Whether it has packets of which nothing is shown.
-    """
-
-    encoder: str = ""
-    colours: bool = False
-    aspect: bool = False
-    limited_in: frozenset[str] = frozenset()
-    opaque_in: frozenset[str] = frozenset()
-    opacity: str = ""
-    bt601: bool = False
-    centred: bool = False
+    encoder: str = ""  # the one that is offered; empty where there is none
+    colours: bool = False  # whether its stream says what colours mean
+    aspect: bool = False  # whether it says how wide a pixel is
+    limited_in: frozenset[str] = frozenset()  # containers in which nobody takes it for full range
+    opaque_in: frozenset[str] = frozenset()  # containers in which its opacity is lost
+    opacity: str = ""  # the decoder that keeps opacity where FFmpeg's own leaves it out
+    bt601: bool = False  # whether everybody takes its matrix for that of BT.601
+    centred: bool = False  # whether it sites the chroma of 4:2:0 in the centre of its pixels
+    # whether key frames need nothing but the stream header, and may follow those of another encoder
     alone: bool = False
-    hides: bool = False
+    hides: bool = False  # whether it has packets of which nothing is shown
 
 
 _OPAQUE = _ALL - {"matroska", "webm"}
@@ -141,49 +92,22 @@ ALIASES = {"h265": "hevc", "x264": "h264", "x265": "hevc", "avc": "h264", "mpeg2
 
 @dataclass(frozen=True, slots=True)
 class Encoder:
-    """An encoder and its settings, in FFmpeg's words.
+    """An encoder and its settings, in FFmpeg's words."""
 
-    Parameters
-    ----------
-    name : str
-        As FFmpeg calls it.
-    codec : str
-        What it writes.
-    crf : (float, float, float), optional
-        The best and the worst constant rate factor, and the usual one.
-    drawn : float, optional
-        That for pictures that were drawn, which have no noise.
-    presets : tuple of str
-        How much work it may do.
-    preset : str
-        The usual one of these.
-    options : mapping
-        What it is always told.
-    exact : mapping, optional
-        What keeps one that loses something from it.
-    params, threads : str
-        The option that takes parameters of its own, and those that say how many threads it may use.
-    graded : (str, str), optional
-        The parameters that tell the light levels of HDR: of the screen, and of the brightest pixel.
-    timed : bool
-        Whether it takes any times. Others count frames, and their packets are given the times afterwards.
-    profiles : mapping
-        Its names of the profiles that FFmpeg decodes.
-    """
-
-    name: str
-    codec: str
-    crf: tuple[float, float, float] | None = None
-    drawn: float | None = None
-    presets: tuple[str, ...] = ()
-    preset: str = ""
-    options: Options = field(default_factory=dict)
-    exact: Options | None = None
-    params: str = ""
-    threads: str = ""
-    graded: tuple[str, str] | None = None
+    name: str  # as FFmpeg calls it
+    codec: str  # what it writes
+    crf: tuple[float, float, float] | None = None  # the best, the worst and the usual constant rate factor
+    drawn: float | None = None  # that for pictures that were drawn, which have no noise
+    presets: tuple[str, ...] = ()  # how much work it may do
+    preset: str = ""  # the usual one of these
+    options: Options = field(default_factory=dict)  # for everything
+    exact: Options | None = None  # what keeps one that loses something from it
+    params: str = ""  # the option that takes parameters of its own
+    threads: str = ""  # those that say how many threads it may use
+    graded: tuple[str, str] | None = None  # those of HDR: of the screen, and of the brightest pixel
+    # whether it takes any times; others count frames, and their packets are given the times afterwards
     timed: bool = False
-    profiles: Options = field(default_factory=dict)
+    profiles: Options = field(default_factory=dict)  # its names of the profiles that FFmpeg decodes
 
 
 _SPEEDS = ("ultrafast", "superfast", "veryfast", "faster", "fast", "medium", "slow", "slower", "veryslow", "placebo")
@@ -191,53 +115,27 @@ _FINE = {"qmin": "2", "qmax": "3", "b": "400000000", "maxrate": "0"}  # near the
 _VPX = {"deadline": "good", "cpu-used": "2"}
 _X264 = Encoder("libx264rgb", "h264", (0, 51, 18), presets=_SPEEDS, preset="medium", exact={"qp": "0"}, timed=True)
 _PRORES = {"Proxy": "proxy", "LT": "lt", "Standard": "standard", "HQ": "hq", "4444": "4444", "XQ": "4444xq"}
+# fmt: off
 _ROWS = (
     replace(_X264, name="libx264", drawn=16, params="x264-params", graded=("mastering-display", "cll")),
     _X264,  # exact by its qp: a crf of 0 is exact in 8 bits only
-    Encoder(
-        "libx265",
-        "hevc",
-        (0, 51, 20),
-        presets=_SPEEDS,
-        preset="medium",
-        exact={"x265-params": "lossless=1"},
-        params="x265-params",
-        threads="log-level=none:pools={}",
-        graded=("master-display", "max-cll"),
-        timed=True,
-    ),
-    Encoder(
-        "libvpx-vp9",
-        "vp9",
-        (0, 63, 24),
-        drawn=20,
-        options={**_VPX, "b": "0", "row-mt": "1"},
-        exact={"lossless": "1"},
-        timed=True,
-    ),
+    Encoder("libx265", "hevc", (0, 51, 20), presets=_SPEEDS, preset="medium", exact={"x265-params": "lossless=1"},
+            params="x265-params", threads="log-level=none:pools={}", graded=("master-display", "max-cll"), timed=True),
+    Encoder("libvpx-vp9", "vp9", (0, 63, 24), drawn=20, options={**_VPX, "b": "0", "row-mt": "1"},
+            exact={"lossless": "1"}, timed=True),
     Encoder("libvpx", "vp8", (4, 63, 10), options={**_VPX, "b": "100000000"}, timed=True),
-    Encoder(
-        "libsvtav1",
-        "av1",
-        (1, 63, 25),
-        presets=tuple(map(str, range(14))),
-        preset="8",
-        exact={"svtav1-params": "lossless=1"},
-        params="svtav1-params",
-        threads="lp={}",
-        graded=("mastering-display", "content-light"),
-        timed=True,
-    ),
+    Encoder("libsvtav1", "av1", (1, 63, 25), presets=tuple(map(str, range(14))), preset="8",
+            exact={"svtav1-params": "lossless=1"}, params="svtav1-params", threads="lp={}",
+            graded=("mastering-display", "content-light"), timed=True),
     Encoder("prores_ks", "prores", profiles=_PRORES),
     Encoder("dnxhd", "dnxhd", profiles={"DNXHR LB": "dnxhr_lb", "DNXHR SQ": "dnxhr_sq"}),
     Encoder("ffv1", "ffv1", options={"slicecrc": "1", "g": "1", "strict": "experimental"}),
     Encoder("flv", "flv1", options=_FINE),
     Encoder("msmpeg4", "msmpeg4v3", options=_FINE),
-    *(
-        Encoder(name, name, options=_FINE)
-        for name in ("mpeg4", "mpeg2video", "mpeg1video", "mjpeg", "h263p", "msmpeg4v2", "wmv1", "wmv2")
-    ),
+    *(Encoder(name, name, options=_FINE)
+      for name in ("mpeg4", "mpeg2video", "mpeg1video", "mjpeg", "h263p", "msmpeg4v2", "wmv1", "wmv2")),
 )
+# fmt: on
 ENCODERS = {encoder.name: encoder for encoder in _ROWS}
 HASTY, FINE_CRF = 11, 8  # SVT-AV1 from this preset on, below this crf, writes what no decoder reads
 

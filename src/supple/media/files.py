@@ -12,6 +12,7 @@ from pathlib import Path
 
 from supple.errors import SuppleError
 
+PathLike = str | os.PathLike[str]
 _NEW = os.O_CREAT | os.O_EXCL | os.O_WRONLY
 _SPARE = 65_536  # bytes: with less, a disk is full
 _NO_ROOM = "make room or choose another place"
@@ -27,30 +28,24 @@ _ADVICE = {
 }
 
 
-def shown(path: str | os.PathLike[str]) -> str:
+def shown(path: PathLike) -> str:
     """Return a path as it can stand in one line of text: quoted where it is empty or holds odd characters."""
     text = os.fspath(path)
     return text if text and text.isprintable() else ascii(text)
 
 
-def unreadable(path: str | os.PathLike[str], reason: str, advice: str = "give a whole copy of it") -> SuppleError:
+def unreadable(path: PathLike, reason: str, advice: str = "give a whole copy of it") -> SuppleError:
     """Say in one sentence why a file is not read, and what would help."""
     return SuppleError(f"cannot read {shown(path)}: {reason}: {advice}")
 
 
 def head_of(
-    path: str | os.PathLike[str],
+    path: PathLike,
     count: int,
     give: str = "give the name of a file",
     empty: str = "give a whole copy of it",
 ) -> bytes:
-    """Return the first bytes of a file, or all if `count` is -1.
-
-    Raises
-    ------
-    SuppleError
-        It is missing or may not be read; it is no plain file, and `give` says what is wanted; or it is empty.
-    """
+    """Return the first bytes of a file, or all if `count` is -1; SuppleError if it is no plain file, or empty."""
     try:
         if not stat.S_ISREG(os.stat(path).st_mode):
             raise unreadable(path, "it is a folder or no plain file", give)
@@ -67,13 +62,13 @@ def head_of(
     return head
 
 
-def unwritable(path: str | os.PathLike[str], reason: str, advice: str) -> SuppleError:
+def unwritable(path: PathLike, reason: str, advice: str) -> SuppleError:
     """Say in one sentence why a file cannot be written as asked, and what would help."""
     return SuppleError(f"cannot write {shown(path)}: {reason}: {advice}")
 
 
 def check_suffix(
-    path: str | os.PathLike[str], suffix: str, known: Container[str], what: str, advice: str, verb: str = "write"
+    path: PathLike, suffix: str, known: Container[str], what: str, advice: str, verb: str = "write"
 ) -> None:
     """Refuse a name whose suffix, in small letters, is not known: SuppleError says what it is, and what would do."""
     if suffix.lower() not in known:
@@ -81,7 +76,7 @@ def check_suffix(
         raise SuppleError(f"cannot {verb} {shown(path)}: {found} {what}: {advice}")
 
 
-def check_output(path: str | os.PathLike[str], *, force: bool = False) -> Path:
+def check_output(path: PathLike, *, force: bool = False) -> Path:
     """Refuse an output file that cannot be written, before any work is done for it.
 
     Parameters
@@ -125,7 +120,7 @@ def check_output(path: str | os.PathLike[str], *, force: bool = False) -> Path:
 
 
 @contextlib.contextmanager
-def replacing(path: str | os.PathLike[str], *, force: bool = False) -> Iterator[Path]:
+def replacing(path: PathLike, *, force: bool = False) -> Iterator[Path]:
     """Write a file beside its target, and give it the target's name once it is whole.
 
     Parameters
@@ -214,11 +209,11 @@ def _publish(temporary: Path, target: Path, force: bool) -> bool:
     return True
 
 
-def _exists(path: str | os.PathLike[str]) -> SuppleError:
+def _exists(path: PathLike) -> SuppleError:
     return SuppleError(f"{shown(path)} exists already: pass --force (force=True) to replace it")
 
 
-def _refused(path: str | os.PathLike[str], error: OSError, temporary: Path | None = None) -> SuppleError:
+def _refused(path: PathLike, error: OSError, temporary: Path | None = None) -> SuppleError:
     """Say in one sentence why a file could not be written, and what would help."""
     reason = error.strerror or str(error) or type(error).__name__
     if temporary is not None and error.filename not in (None, temporary, str(temporary)):
@@ -228,13 +223,7 @@ def _refused(path: str | os.PathLike[str], error: OSError, temporary: Path | Non
 
 
 def check_outputs(paths: Iterable[Path], *, force: bool = False) -> None:
-    """Refuse output files of one folder that cannot be written; the folder itself may be missing.
-
-    Raises
-    ------
-    SuppleError
-        As `check_output` does.
-    """
+    """Refuse output files of one folder that cannot be written; the folder itself may be missing."""
     for path in paths:
         if not os.path.lexists(path.parent):
             check_output(path.parent)
@@ -246,23 +235,9 @@ def check_outputs(paths: Iterable[Path], *, force: bool = False) -> None:
 def replacing_all(folder: Path, *, force: bool = False) -> Iterator[Path]:
     """Write files into a hidden folder, and give them their place in ``folder`` once all are whole.
 
-    Parameters
-    ----------
-    folder : pathlib.Path
-        Where they go. It is made if it is missing, in a folder that is not.
-    force : bool
-        Whether files that exist already may be replaced. Their permission bits are kept.
-
-    Yields
-    ------
-    pathlib.Path
-        A new, empty, hidden folder in ``folder``, or beside where that will be. Whatever ends the block early, an
-        interrupt too, removes it and leaves everything as it was.
-
-    Raises
-    ------
-    SuppleError
-        If a file of the same name has appeared meanwhile and `force` is false; and for every `OSError`.
+    The folder is made if it is missing, in one that is not. Yields a new, empty, hidden folder in it, or beside where
+    it will be; whatever ends the block early, an interrupt too, removes that and leaves everything as it was.
+    SuppleError if a file of the same name has appeared meanwhile and `force` is false, and for every `OSError`.
     """
     place = Path(os.path.realpath(folder))
     new = not os.path.lexists(place)
@@ -311,7 +286,7 @@ def _publish_all(temporary: Path, place: Path, folder: Path, force: bool) -> Non
         raise
 
 
-def same_file(one: str | os.PathLike[str], other: str | os.PathLike[str]) -> bool:
+def same_file(one: PathLike, other: PathLike) -> bool:
     """Return whether two names are of one file that is there."""
     try:
         return os.path.samefile(one, other)

@@ -8,9 +8,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 from supple.errors import SuppleError
-from supple.media.files import shown
+from supple.media.files import PathLike, shown
 from supple.media.image.formats import SUFFIXES
-from supple.media.image.vips import PathLike
 
 _NUMBER = re.compile("%(?:0[1-9][0-9]?)?d")
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import copy
 import json
-import os
 import re
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -16,11 +15,10 @@ import numpy.typing as npt
 from supple.domain import LARGEST
 from supple.domain import shown as value_shown
 from supple.errors import SuppleError
-from supple.media.files import check_suffix, head_of, replacing, shown, unreadable
+from supple.media.files import PathLike, check_suffix, head_of, replacing, shown, unreadable
 from supple.media.tables import Table, parsed
 
 Floats = npt.NDArray[np.float64]
-PathLike = str | os.PathLike[str]
 
 KINDS = {".csv": "CSV", ".tsv": "CSV", ".txt": "CSV", ".fcsv": "fcsv", ".json": "JSON"}
 _GIVE = "give a .csv, .tsv, .txt, .fcsv or .mrk.json file"
@@ -68,13 +66,7 @@ class _Markups:
 
 
 def check_target(path: PathLike, source: PathLike) -> None:
-    """Refuse a name under which the points of ``source`` cannot be written: files keep their kind.
-
-    Raises
-    ------
-    SuppleError
-        One of the suffixes is unknown, or they are of two kinds.
-    """
+    """Refuse a name under which the points of ``source`` cannot be written: files keep their kind."""
     kind = _kind("read", source)
     if _kind("write", path) != kind:
         suffixes = " or ".join(suffix for suffix, known in KINDS.items() if known == kind)

@@ -19,11 +19,11 @@ import pyvips
 from supple.errors import SuppleError
 from supple.media import image as pictures
 from supple.media.base import Clip, ClipWarning
-from supple.media.files import check_outputs, replacing_all, shown
+from supple.media.files import PathLike, check_outputs, replacing_all, shown
 from supple.media.image import ImageWarning, MetadataWarning, PageWarning, Picture
 from supple.media.image.formats import DTYPES
 from supple.media.image.headers import collected, facts, has_alpha
-from supple.media.image.vips import PathLike, apart, decoded, opened, reading, sequential, widen
+from supple.media.image.vips import apart, decoded, opened, reading, sequential, widen
 from supple.media.numbering import (
     first_number,
     has_number,

@@ -2,23 +2,19 @@
 
 from __future__ import annotations
 
-import gzip
-import os
-from io import IOBase
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 import numpy.typing as npt
 
 from supple.errors import SuppleError
 from supple.geometry import Geometry
-from supple.media.files import check_suffix, replacing, shown, unwritable
+from supple.media.files import PathLike, check_suffix, replacing, shown, unwritable
 from supple.media.volume import itk, nifti
 from supple.media.volume.nifti import LONGEST
 
 Field = npt.NDArray[np.floating[Any]]
-PathLike = str | os.PathLike[str]
 
 SUFFIXES_OUT = (".nii", ".nii.gz", ".nrrd", ".mha", ".h5")
 _OVERHEAD = 1 << 16  # more than a transform's HDF5 file holds apart from the field
@@ -27,13 +23,7 @@ _TYPES = {np.dtype(np.float32): ("float", "MET_FLOAT"), np.dtype(np.float64): ("
 
 
 def check_target(path: PathLike) -> None:
-    """Refuse a name whose suffix no field can be written under.
-
-    Raises
-    ------
-    SuppleError
-        The suffix is not in `SUFFIXES_OUT`.
-    """
+    """Refuse a name whose suffix is not in `SUFFIXES_OUT`."""
     if _suffix(path) is None:
         check_suffix(path, Path(path).suffix, (), "is of no transform", f"use {', '.join(SUFFIXES_OUT)}")
 
@@ -79,13 +69,9 @@ def write_field(path: PathLike, displacement: Field, geometry: Geometry, *, forc
         if suffix == ".h5":
             _write_transform(name, temporary, field, geometry)
             return
-        with open(temporary, "wb") as file:
-            if suffix == ".nii":
+        with nifti.writing(temporary, suffix or "") as file:
+            if suffix in (".nii", ".nii.gz"):
                 _write_nifti(file, field, geometry)
-            elif suffix == ".nii.gz":
-                # the noise of the last bits is not worth a higher level; without name and time, as equal fields are
-                with gzip.GzipFile("", "wb", 1, file, 0) as packed:
-                    _write_nifti(packed, field, geometry)
             else:
                 file.write((_nrrd if suffix == ".nrrd" else _mha)(field, geometry).encode())
                 for plane in field:
@@ -97,7 +83,7 @@ def _suffix(path: PathLike) -> str | None:
     return next((suffix for suffix in sorted(SUFFIXES_OUT, key=len, reverse=True) if name.endswith(suffix)), None)
 
 
-def _write_nifti(file: IOBase, field: Field, geometry: Geometry) -> None:
+def _write_nifti(file: IO[bytes], field: Field, geometry: Geometry) -> None:
     nibabel = nifti.library()
     affine = np.diag([-1.0, -1.0, 1.0, 1.0]) @ geometry.matrix  # the grid in RAS; the vectors stay in LPS, as ITK's do
     image = nibabel.Nifti1Image(field.transpose(2, 1, 0, 3)[:, :, :, None], affine)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterable
 from fractions import Fraction
 from pathlib import Path
@@ -12,7 +11,7 @@ import numpy.typing as npt
 
 from supple.errors import SuppleError, need
 from supple.media.codecs import CODECS, CONTAINERS, ENCODERS, Encoder
-from supple.media.files import check_output, shown
+from supple.media.files import PathLike, check_output, shown
 from supple.media.image import Picture
 from supple.media.sequence import Pictures
 from supple.streaming import Group, Layout
@@ -34,7 +33,7 @@ class _Drawn(Pictures):
         return Picture(np.empty((0, self.layout.shape[1], 3), np.uint8)), []
 
 
-def check_turntable(path: str | os.PathLike[str], size: tuple[int, int], rate: float) -> None:
+def check_turntable(path: PathLike, size: tuple[int, int], rate: float) -> None:
     """Refuse a size or a rate that the format of ``path`` does not have; SuppleError says what would do."""
     suffix, (height, width) = Path(path).suffix.lower(), size
     if _USED[suffix] == "libx264" and (height % 2 or width % 2):
@@ -48,7 +47,7 @@ def check_turntable(path: str | os.PathLike[str], size: tuple[int, int], rate: f
 
 
 def write_turntable(
-    path: str | os.PathLike[str],
+    path: PathLike,
     pictures: Iterable[npt.NDArray[np.uint8]],
     size: tuple[int, int],
     *,

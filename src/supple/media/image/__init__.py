@@ -14,7 +14,7 @@ import numpy as np
 import pyvips
 
 from supple.errors import SuppleError
-from supple.media.files import check_suffix, replacing, shown
+from supple.media.files import PathLike, check_suffix, replacing, shown
 from supple.media.image import exif
 from supple.media.image.formats import (
     AVIF,
@@ -32,7 +32,7 @@ from supple.media.image.formats import (
     wrapped,
 )
 from supple.media.image.headers import collected, dressed, facts, finish, has_alpha, kept, profile_name
-from supple.media.image.vips import PathLike, apart, decoded, is_ycbcr, opened, reading, sequential, widen, writing
+from supple.media.image.vips import apart, decoded, is_ycbcr, opened, reading, sequential, widen, writing
 
 __all__ = [
     "SUFFIXES",
@@ -41,7 +41,6 @@ __all__ = [
     "ImageWarning",
     "MetadataWarning",
     "PageWarning",
-    "PathLike",
     "Picture",
     "check_quality",
     "check_target",
@@ -103,13 +102,7 @@ class Picture:
 
 
 def check_target(path: PathLike) -> None:
-    """Refuse a name whose suffix no image can be written under.
-
-    Raises
-    ------
-    SuppleError
-        The suffix is not in `SUFFIXES_OUT`.
-    """
+    """Refuse a name whose suffix is not in `SUFFIXES_OUT`."""
     suffix = Path(path).suffix
     check_suffix(path, suffix, OUT, "is no image format", f"use {', '.join(OUT)}")
 

@@ -16,14 +16,14 @@ need("video", "OpenEXR, Radiance, JPEG 2000, BMP, TGA and PNM pictures", "av")
 import av
 import numpy as np
 
-from supple.media.files import unreadable, unwritable
+from supple.media.files import PathLike, unreadable, unwritable
 from supple.media.image.formats import FORMATS, Array
 from supple.media.video.colour import FULL, Colour, to_rgb
 from supple.media.video.demux import said
 from supple.media.video.planes import form, pack, palette, unpack, wider
 
 
-def codec_of(path: str | os.PathLike[str], head: bytes) -> tuple[str, str] | None:
+def codec_of(path: PathLike, head: bytes) -> tuple[str, str] | None:
     """Tell the codec and the format of a picture by its first bytes; of TGA, which has none, by the name."""
     for known in FORMATS:
         for pattern, codec in known.magic.items():
@@ -32,14 +32,8 @@ def codec_of(path: str | os.PathLike[str], head: bytes) -> tuple[str, str] | Non
     return ("targa", "TGA") if os.fspath(path).lower().endswith(".tga") else None
 
 
-def decoded(path: str | os.PathLike[str], codec: str) -> tuple[Array, int]:
-    """Decode a picture: shape (H, W) or (H, W, C), in grey or RGB; tell how many bits a channel it has.
-
-    Raises
-    ------
-    av.FFmpegError
-        The codec fails.
-    """
+def decoded(path: PathLike, codec: str) -> tuple[Array, int]:
+    """Decode a picture: shape (H, W) or (H, W, C), in grey or RGB; tell how many bits a channel it has."""
     with open(path, "rb") as file:
         data = file.read()
     context: Any = av.CodecContext.create(codec, "r")
@@ -80,13 +74,7 @@ def _least(pixels: Array) -> Array:
 def encoded(
     pixels: Array, codec: str, pixel_format: str, options: Mapping[str, str] | None = None, *, half: bool = False
 ) -> bytes:
-    """Encode a picture without loss, but for what the format cannot hold.
-
-    Raises
-    ------
-    av.FFmpegError
-        The codec fails.
-    """
+    """Encode a picture without loss, but for what the format cannot hold."""
     height, width = pixels.shape[:2]
     known = form(pixel_format)
     assert known is not None
@@ -102,7 +90,7 @@ def encoded(
 
 
 @contextlib.contextmanager
-def reading(path: str | os.PathLike[str]) -> Iterator[None]:
+def reading(path: PathLike) -> Iterator[None]:
     """Make of a codec's failure one sentence."""
     try:
         yield
@@ -112,7 +100,7 @@ def reading(path: str | os.PathLike[str]) -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def writing(path: str | os.PathLike[str]) -> Iterator[None]:
+def writing(path: PathLike) -> Iterator[None]:
     """Make of a codec's failure one sentence; what the system refuses stays an `OSError`."""
     try:
         yield

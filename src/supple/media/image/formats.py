@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, NoReturn
@@ -12,178 +11,78 @@ import numpy.typing as npt
 import pyvips
 
 from supple.errors import SuppleError
-from supple.media.files import shown, unwritable
+from supple.media.files import PathLike, shown, unwritable
 
 Array = npt.NDArray[Any]
-PathLike = str | os.PathLike[str]
 
 
 @dataclass(frozen=True, slots=True)
 class Format:
-    """A format of pictures: a row of the table.
+    """A format of pictures: a row of the table."""
 
-    Parameters
-    ----------
-    name : str
-        As people call it.
-    suffixes : tuple of str
-        Which name it.
-    loaders : tuple of str
-        What libvips calls those of its loaders that read it.
-    magic : mapping of bytes to str
-        Patterns of how files begin that a codec of FFmpeg reads.
-    saver : str
-        What writes it: a saver of libvips, or a codec of FFmpeg where there are `pixel_formats`; empty where nothing
-        does.
-    limit, bits : int
-        Pixels on a side, and bits a channel, that it holds.
-    grey, alpha, cmyk : bool
-        Whether it holds these.
-    quality : int
-        The usual one, from 1 to 100; 0 where it has none.
-    lossless : tuple of str
-        The options that say whether to keep every value.
-    options : mapping
-        What the saver or the codec is always told.
-    pixel_formats : mapping
-        Of the codec, for each type and number of channels.
-    """
-
-    name: str
-    suffixes: tuple[str, ...] = ()
-    loaders: tuple[str, ...] = ()
-    magic: Mapping[bytes, str] = field(default_factory=dict)
-    saver: str = ""
-    limit: int = 30_000
-    bits: int = 8
+    name: str  # as people call it
+    suffixes: tuple[str, ...] = ()  # which name it
+    loaders: tuple[str, ...] = ()  # as libvips calls those that read it
+    magic: Mapping[bytes, str] = field(default_factory=dict)  # patterns of how files begin that a codec of FFmpeg reads
+    saver: str = ""  # of libvips, or a codec of FFmpeg where there are pixel_formats; empty where nothing writes it
+    limit: int = 30_000  # pixels on a side
+    bits: int = 8  # a channel
     grey: bool = True
     alpha: bool = True
     cmyk: bool = False
-    quality: int = 0
-    lossless: tuple[str, ...] = ()
-    options: Mapping[str, Any] = field(default_factory=dict)
+    quality: int = 0  # the usual one, from 1 to 100; 0 where it has none
+    lossless: tuple[str, ...] = ()  # the options that say whether to keep every value
+    options: Mapping[str, Any] = field(default_factory=dict)  # for everything
+    # of the codec, for each type and number of channels
     pixel_formats: Mapping[str, Mapping[int, str]] = field(default_factory=dict)
 
 
+# fmt: off
 _BGR = {"u1": {1: "gray", 3: "bgr24", 4: "bgra"}}
 _REAL = {1: "grayf32le", 3: "gbrpf32le"}
-_PGM, _PPM = {"u1": {1: "gray"}, "u2": {1: "gray16be"}}, {"u1": {3: "rgb24"}, "u2": {3: "rgb48be"}}
 _WHOLE = {"u1": {1: "gray", 3: "rgb24"}, "u2": {1: "gray16le", 3: "rgb48le"}}
-PNG = Format(
-    "PNG", (".png",), ("png",), saver="pngsave", limit=10**7, bits=16, options={"compression": 6, "filter": "paeth"}
-)
-JPEG = Format(
-    "JPEG",
-    (".jpg", ".jpeg"),
-    ("jpeg", "uhdr"),
-    saver="jpegsave",
-    limit=65_500,
-    alpha=False,
-    cmyk=True,
-    quality=95,
-    options={"subsample_mode": "off"},
-)
-TIFF = Format(
-    "TIFF",
-    (".tif", ".tiff"),
-    ("tiff",),
-    saver="tiffsave",
-    limit=10**7,
-    bits=64,
-    cmyk=True,
-    options={"compression": "deflate"},
-)
-WEBP = Format(
-    "WebP",
-    (".webp",),
-    ("webp",),
-    saver="webpsave",
-    limit=16_383,
-    grey=False,
-    quality=90,
-    lossless=("lossless", "exact"),
-    options={"smart_subsample": True},
-)
-AVIF = Format(
-    "AVIF",
-    (".avif",),
-    saver="heifsave",
-    limit=16_384,
-    bits=12,
-    grey=False,
-    quality=90,
-    lossless=("lossless",),
-    options={"compression": "av1", "subsample_mode": "off", "effort": 3},  # 4 takes six times as long for 7 %
-)
-EXR = Format(
-    "OpenEXR",
-    (".exr",),
-    ("openexr",),
-    {rb"v/1\x01": "exr"},
-    "exr",
-    bits=32,
-    options={"compression": "zip16"},
-    pixel_formats={"f4": {**_REAL, 4: "gbrapf32le"}},
-)
-JP2 = Format(
-    "JPEG 2000",
-    (".jp2",),
-    ("jp2k",),
-    {rb"\0\0\0\x0cjP  |\xff\x4f\xff\x51": "jpeg2000"},
-    "jpeg2000",
-    bits=16,
-    alpha=False,
-    options={"format": "jp2", "pred": "dwt53"},  # which keep every value
-    pixel_formats=_WHOLE,
-)
-PNM = Format("PNM", (".pam", ".pbm", ".pnm"), ("ppm",), {
-    rb"P[14]\s": "pbm", rb"P[25]\s": "pgm", rb"P[36]\s": "ppm", rb"P7\s": "pam", rb"P[Ff]\s": "pfm", rb"P[Hh]\s": "phm",
-})  # fmt: skip
+_PGM, _PPM = {"u1": {1: "gray"}, "u2": {1: "gray16be"}}, {"u1": {3: "rgb24"}, "u2": {3: "rgb48be"}}
+_PNM = {
+    rb"P[14]\s": "pbm", rb"P[25]\s": "pgm", rb"P[36]\s": "ppm", rb"P7\s": "pam", rb"P[Ff]\s": "pfm", rb"P[Hh]\s": "phm"
+}
+PNG = Format("PNG", (".png",), ("png",), saver="pngsave", limit=10**7, bits=16,
+             options={"compression": 6, "filter": "paeth"})
+JPEG = Format("JPEG", (".jpg", ".jpeg"), ("jpeg", "uhdr"), saver="jpegsave", limit=65_500, alpha=False, cmyk=True,
+              quality=95, options={"subsample_mode": "off"})
+TIFF = Format("TIFF", (".tif", ".tiff"), ("tiff",), saver="tiffsave", limit=10**7, bits=64, cmyk=True,
+              options={"compression": "deflate"})
+WEBP = Format("WebP", (".webp",), ("webp",), saver="webpsave", limit=16_383, grey=False,
+              quality=90, lossless=("lossless", "exact"), options={"smart_subsample": True})
+AVIF = Format("AVIF", (".avif",), saver="heifsave", limit=16_384, bits=12, grey=False,
+              quality=90, lossless=("lossless",),  # effort 4 takes six times as long for 7 %
+              options={"compression": "av1", "subsample_mode": "off", "effort": 3})
+EXR = Format("OpenEXR", (".exr",), ("openexr",), {rb"v/1\x01": "exr"}, "exr", bits=32,
+             options={"compression": "zip16"}, pixel_formats={"f4": {**_REAL, 4: "gbrapf32le"}})
 FORMATS = (
-    PNG,
-    JPEG,
-    TIFF,
-    WEBP,
-    AVIF,
-    EXR,
-    Format(
-        "Radiance",
-        (".hdr",),
-        (),
-        {rb"#\?(RADIANCE|RGBE)": "hdr"},
-        "hdr",
-        bits=32,
-        grey=False,
-        alpha=False,
-        pixel_formats={"f4": {3: "gbrpf32le"}},
-    ),
+    PNG, JPEG, TIFF, WEBP, AVIF, EXR,
+    Format("Radiance", (".hdr",), (), {rb"#\?(RADIANCE|RGBE)": "hdr"}, "hdr", bits=32, grey=False, alpha=False,
+           pixel_formats={"f4": {3: "gbrpf32le"}}),
     Format("PFM", (".pfm",), saver="pfm", bits=32, alpha=False, pixel_formats={"f4": _REAL}),
     Format("PGM", (".pgm",), saver="pgm", bits=16, alpha=False, pixel_formats=_PGM),
     Format("PPM", (".ppm",), saver="ppm", bits=16, alpha=False, pixel_formats=_PPM),
     Format("BMP", (".bmp",), (), {b"BM": "bmp"}, "bmp", pixel_formats=_BGR),
     Format("TGA", (".tga",), saver="targa", pixel_formats=_BGR),
-    JP2,
-    PNM,
+    Format("JPEG 2000", (".jp2",), ("jp2k",), {rb"\0\0\0\x0cjP  |\xff\x4f\xff\x51": "jpeg2000"}, "jpeg2000", bits=16,
+           alpha=False, options={"format": "jp2", "pred": "dwt53"}, pixel_formats=_WHOLE),  # which keep every value
+    Format("PNM", (".pam", ".pbm", ".pnm"), ("ppm",), _PNM),
     Format("GIF", (".gif",), ("gif",)),
     Format("HEIF", (".heic", ".heif"), ("heif",)),
     Format("JPEG XL", (".jxl",), ("jxl",)),
     Format("SVG", (".svg",), ("svg",)),
 )
+DTYPES = {"uchar": "u1", "char": "i1", "ushort": "u2", "short": "i2", "uint": "u4", "int": "i4", "float": "f4",
+          "double": "f8"}
+# fmt: on
 OUT = {suffix: form for form in FORMATS if form.saver for suffix in form.suffixes}
 SUFFIXES_OUT = tuple(OUT)
 # Of a folder, everything that somebody may take for a picture: what cannot be read is then named.
 SUFFIXES = frozenset(suffix for form in FORMATS for suffix in form.suffixes)
 LOADERS = {loader: form.name for form in FORMATS for loader in form.loaders}  # others read tables, and raw memory
-DTYPES = {
-    "uchar": "u1",
-    "char": "i1",
-    "ushort": "u2",
-    "short": "i2",
-    "uint": "u4",
-    "int": "i4",
-    "float": "f4",
-    "double": "f8",
-}
 _VIPS = {np.dtype(dtype): name for name, dtype in DTYPES.items()}
 COLOURS = {"b-w": 1, "grey16": 1, "cmyk": 4, "multiband": 0}  # all others have three
 

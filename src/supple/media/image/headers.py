@@ -13,10 +13,9 @@ from typing import Any, BinaryIO
 import numpy as np
 import pyvips
 
+from supple.media.files import PathLike
 from supple.media.image import exif
 from supple.media.image.formats import COLOURS, DTYPES, JPEG, PNG, TIFF, Format
-
-PathLike = str | os.PathLike[str]
 
 _ICC_COLOURS = {b"GRAY": 1, b"RGB ": 3, b"Lab ": 3, b"CMYK": 4}
 _KEPT = ("icc-profile-data", "exif-data", "xmp-data", "iptc-data", "image-description", "png-comment-")
@@ -145,6 +144,7 @@ def kept(image: Any, form: Format) -> dict[str, Any]:
     return {"keep": _ALL & ~_EXIF}
 
 
+# Kept: libvips makes a resolution up, or leaves one out (test_nothing_is_invented, test_resolution_comes_through).
 def finish(path: PathLike, image: Any, form: Format) -> None:
     """Put right what a written file says of its resolution: nothing, where that is not known."""
     sized = _is_sized(image)

@@ -14,13 +14,12 @@ import numpy as np
 import pyvips
 
 from supple.errors import SuppleError
-from supple.media.files import head_of, unreadable, unwritable
+from supple.media.files import PathLike, head_of, unreadable, unwritable
 from supple.media.image.exif import retagged, tag_of
 from supple.media.image.formats import DTYPES, LOADERS, Array, meant, wrapped
 from supple.media.image.headers import png_frames
 
 T = TypeVar("T")
-PathLike = str | os.PathLike[str]
 
 _UNSUPPORTED = re.compile(
     "(?i)unsupported|not supported|not implemented|not configured|unknown compression|out of range"
@@ -85,6 +84,7 @@ def _by_ffmpeg(path: PathLike, codec: str, form: str) -> tuple[Any, str]:
     return image, form
 
 
+# Kept: libvips takes it for RGB (test_a_tiff_in_ycbcr_has_its_colours), and reads no doubles (test_tiff_of_doubles).
 def is_ycbcr(path: PathLike) -> bool:
     """Return whether a TIFF holds YCbCr, which libvips takes for RGB unless it is compressed as JPEG."""
     return tag_of(path, _PHOTOMETRIC) == _YCBCR and tag_of(path, _COMPRESSION) not in _JPEGS

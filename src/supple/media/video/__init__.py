@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import os
 import warnings
 from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
@@ -18,7 +17,7 @@ import av
 
 from supple.media.base import ClipWarning, CountError
 from supple.media.codecs import SUFFIXES, SUFFIXES_OUT, codec_of
-from supple.media.files import unreadable
+from supple.media.files import PathLike, unreadable
 from supple.media.video.colour import sited, to_rgb
 from supple.media.video.demux import (
     Index,
@@ -52,7 +51,6 @@ __all__ = [
     "writer",
 ]
 
-PathLike = str | os.PathLike[str]
 _COPY = "give a whole copy of it"
 
 
@@ -306,13 +304,7 @@ class Clip(Film):
 
 
 def check_target(path: PathLike) -> None:
-    """Refuse a name whose suffix no video can be written under.
-
-    Raises
-    ------
-    SuppleError
-        The suffix is not in `SUFFIXES_OUT`, nor ``.m4v``.
-    """
+    """Refuse a name whose suffix is not in `SUFFIXES_OUT`, nor ``.m4v``."""
     container_of(path)
 
 

@@ -40,21 +40,13 @@ _lock = threading.Lock()
 
 @dataclass(frozen=True, slots=True)
 class Colour:
-    """The colours of a clip, in the numbers that FFmpeg shares with ITU-T H.273.
+    """The colours of a clip, in the numbers that FFmpeg shares with ITU-T H.273."""
 
-    Parameters
-    ----------
-    range, primaries, transfer, matrix : int
-        As FFmpeg gives them; 0 for an unknown range, 2 for the others.
-    site : str
-        ``"left"``, ``"topleft"``, …; empty where the file does not say.
-    """
-
-    range: int = 0
+    range: int = 0  # 0 where it is unknown
     primaries: int = UNKNOWN
     transfer: int = UNKNOWN
     matrix: int = UNKNOWN
-    site: str = ""
+    site: str = ""  # "left", "topleft", ...; empty where the file does not say
 
     def full(self, form: Form) -> bool:
         """Tell whether samples use their whole range."""
@@ -134,15 +126,7 @@ def siting(site: str, kind: Kind) -> tuple[float, float]:
 
 def black(form: Form, colour: Colour) -> tuple[float, ...]:
     """Return the value of each component in black, in the order of a layout's groups; that of opacity is 0."""
-    kind, full = form.kind, colour.full(form)
-    if kind.family == "gray":  # is taken for full where nothing is said
-        full = colour.range != LIMITED
-    low = 0.0 if full or kind.real or kind.family in ("rgb", "xyz") else 16.0 * 2 ** (kind.bits - 8)
-    middle = 2.0 ** (kind.bits - 1) if kind.family == "yuv" else low
-    opacity = (0.0,) * kind.alpha
-    if kind.family == "gray":
-        return (low, *opacity)
-    return (low, *(opacity if kind.step != (1, 1) else ()), middle, middle, *opacity)
+    return painted(form, colour, 0, [0.0] * (3 + form.kind.alpha))
 
 
 def painted(form: Form, colour: Colour, height: int, values: Sequence[float]) -> tuple[float, ...]:
@@ -236,18 +220,11 @@ def _swscale(matrix: int) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Grading:
-    """For which screen a clip was graded, and how bright it gets (SMPTE ST 2086, CTA-861.3).
+    """The screen for which a clip was graded, and how bright it gets (SMPTE ST 2086, CTA-861.3)."""
 
-    Parameters
-    ----------
-    screen : tuple of int or None
-        Red x, y, green x, y, blue x, y, white x, y in 1/50000; darkest and brightest in 1/10000 cd/m².
-    light : (int, int) or None
-        The brightest pixel and the brightest average of a frame, in cd/m².
-    """
-
+    # red x, y, green, blue and white in 1/50000; darkest and brightest in 1/10000 cd/m²
     screen: tuple[int, ...] | None = None
-    light: tuple[int, int] | None = None
+    light: tuple[int, int] | None = None  # the brightest pixel and the brightest average of a frame, in cd/m²
 
     def words(self, names: tuple[str, str]) -> list[str]:
         """Spell it as parameters of an encoder that have these names."""

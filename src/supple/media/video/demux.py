@@ -19,9 +19,8 @@ import av
 from av.format import Flags as FormatFlags
 
 from supple.media.codecs import codec_of
-from supple.media.files import unreadable
+from supple.media.files import PathLike, unreadable
 
-PathLike = str | os.PathLike[str]
 _ADVICE = "give a whole video file, such as MP4, MOV, MKV, WebM or AVI"
 _TEXT = frozenset(("ansi", "bintext", "xbin", "idf"))  # text that FFmpeg would show as a film of a terminal
 _LISTS = frozenset(("concat", "hls", "dash", "imf"))  # text that names other files, or addresses
@@ -39,13 +38,7 @@ def said(error: Exception) -> str:
 
 
 def opened(path: PathLike) -> av.container.InputContainer:
-    """Open a video file.
-
-    Raises
-    ------
-    SuppleError
-        It is missing, empty, no plain file, damaged at its start, or no video.
-    """
+    """Open a video file; SuppleError if it is missing, empty, no plain file, damaged at its start, or no video."""
     try:
         found = os.stat(path)
     except OSError as error:
@@ -72,13 +65,7 @@ def opened(path: PathLike) -> av.container.InputContainer:
 
 
 def chosen(container: av.container.InputContainer, path: PathLike) -> av.VideoStream:
-    """Choose the first stream that is a film, not a picture of its cover.
-
-    Raises
-    ------
-    SuppleError
-        There is none, or nothing that could decode it.
-    """
+    """Choose the first stream that is a film, not a picture of its cover; SuppleError if none can be decoded."""
     films = [stream for stream in container.streams.video if not stream.disposition & _PICTURES]
     if not films:
         kinds = {stream.type for stream in container.streams}
@@ -100,36 +87,16 @@ def chosen(container: av.container.InputContainer, path: PathLike) -> av.VideoSt
 
 @dataclass(frozen=True, slots=True)
 class Survey:
-    """The count, duration and damage of a video stream, by its packets alone.
+    """The count, duration and damage of a video stream, by its packets alone."""
 
-    Parameters
-    ----------
-    packets : int
-        How many there are that are decoded.
-    count : int
-        How many of these are shown.
-    duration : Fraction
-        Seconds from the start of the first frame to the end of the last.
-    damaged : bool
-        Whether the file breaks off.
-    suspect : bool
-        Whether some packets may be damaged, or incomplete.
-    variable : bool
-        Whether frames are not evenly spaced in time.
-    starts : tuple of float
-        Seconds from the first of them to each, if they are not.
-    missing : int
-        How many more frames the container promises, where it breaks off.
-    """
-
-    packets: int
-    count: int
-    duration: Fraction
-    damaged: bool
-    suspect: bool
-    variable: bool = False
-    starts: tuple[float, ...] = ()
-    missing: int = 0
+    packets: int  # how many are decoded
+    count: int  # how many of these are shown
+    duration: Fraction  # seconds from the start of the first frame to the end of the last
+    damaged: bool  # whether the file breaks off
+    suspect: bool  # whether some packets may be damaged, or incomplete
+    variable: bool = False  # whether frames are not evenly spaced in time
+    starts: tuple[float, ...] = ()  # seconds from the first of them to each, if they are not
+    missing: int = 0  # how many more frames the container promises, where it breaks off
 
 
 # Kept: FFmpeg ends without a word where a GIF does (test_a_cut_gif_is_used_with_a_warning).
@@ -223,10 +190,7 @@ def _told(film: av.VideoStream) -> Fraction | None:
 class Clock:
     """One clock for all streams of a file: broadcasts start anywhere, and jump where they were joined.
 
-    Parameters
-    ----------
-    container : InputContainer
-        Times of MPEG-TS, MPEG-PS and the like are moved to begin at zero. All others are kept.
+    Times of MPEG-TS, MPEG-PS and the like are moved to begin at zero. All others are kept.
     """
 
     def __init__(self, container: av.container.InputContainer) -> None:
@@ -236,15 +200,7 @@ class Clock:
         self._due: dict[int, Fraction] = {}
 
     def set(self, packet: av.Packet[Any], continuous: bool) -> None:
-        """Move the times of a packet onto the clock.
-
-        Parameters
-        ----------
-        packet : Packet
-            Its times are changed.
-        continuous : bool
-            Whether its stream goes on without gaps, as sound and pictures do, so that a gap is a jump of the clock.
-        """
+        """Move the times of a packet onto the clock, which jumps at gaps of `continuous` streams (sound, pictures)."""
         when = packet.dts if packet.dts is not None else packet.pts
         if not self._broadcast or when is None:
             return
@@ -289,18 +245,10 @@ def decoded_by(decoder: av.VideoCodecContext, packet: av.Packet[Any] | None) -> 
 
 @dataclass(slots=True)
 class Times:
-    """When each frame is shown, in ticks of the stream, strictly increasing.
+    """The times at which frames are shown, in ticks of the stream, strictly increasing."""
 
-    Parameters
-    ----------
-    base : Fraction
-        Seconds a tick.
-    step : int
-        Ticks from frame to frame where the file does not say.
-    """
-
-    base: Fraction
-    step: int
+    base: Fraction  # seconds a tick
+    step: int  # ticks from frame to frame where the file does not say
     kept: deque[tuple[int, int]] | None = None
     _first: int | None = field(default=None, repr=False)
     _last: int | None = field(default=None, repr=False)
@@ -332,18 +280,10 @@ def usual_step(rate: Fraction, base: Fraction) -> int:
 
 @dataclass(frozen=True, slots=True)
 class Index:
-    """The frames of a film by their times.
+    """The frames of a film by their times."""
 
-    Parameters
-    ----------
-    starts : tuple of int
-        When each frame is shown, in ticks of the stream, in order.
-    keys : tuple of int
-        The numbers of those at which decoding may begin. What is shown before one, but comes after it in the file, may
-        need what came before it.
-    """
-
-    starts: tuple[int, ...]
+    starts: tuple[int, ...]  # when each is shown, in ticks of the stream, in order
+    # those at which decoding may begin; what is shown before one, but follows it in the file, may need what precedes it
     keys: tuple[int, ...]
     numbers: dict[int, int] = field(init=False, repr=False)
 

@@ -14,7 +14,7 @@ import av
 from av.filter import Graph
 
 from supple.media.codecs import codec_of
-from supple.media.files import check_output, replacing, unwritable
+from supple.media.files import PathLike, check_output, replacing, unwritable
 from supple.media.sequence import Pictures
 from supple.media.video.colour import Colour, recast, sited
 from supple.media.video.demux import said, usual_step
@@ -25,7 +25,6 @@ from supple.media.video.source import Reel, Stills
 from supple.media.video.streams import Passage, kept_tags, titled
 from supple.streaming import Array
 
-PathLike = str | os.PathLike[str]
 _FELT = Fraction(1, 4)  # of a frame: further from its time, it is told
 
 
@@ -38,13 +37,7 @@ def _raised(path: PathLike, error: av.FFmpegError) -> Exception:
 
 
 class Palettes:
-    """Turns frames into such of 256 colours, each with a palette of its own, in a stream.
-
-    Parameters
-    ----------
-    width, height : int
-        Of the frames, which are BGRA.
-    """
+    """A filter that gives frames in BGRA 256 colours, each a palette of its own."""
 
     def __init__(self, width: int, height: int) -> None:
         self._graph = Graph()

@@ -29,14 +29,13 @@ from supple.media.codecs import (
     Encoder,
     codec_of,
 )
-from supple.media.files import check_suffix, shown, unwritable
+from supple.media.files import PathLike, check_suffix, shown, unwritable
 from supple.media.video.colour import BT601, BT709, LIMITED, UNKNOWN, Colour, Grading, sited
 from supple.media.video.pixel_format import Match, Wish, finer, match
 from supple.media.video.planes import Form, Kind, form
 from supple.media.video.source import Reel
 from supple.workers import threads as all_threads
 
-PathLike = str | os.PathLike[str]
 _FINEST = 1_000_000  # ticks a second that encoders are trusted with
 _TICKS = 50_000_000  # a second, the most in MP4
 _DELAYED = 3  # frames: x265 says nonsense of when fewer are decoded, if it may reorder them
@@ -70,23 +69,8 @@ def _pixel_formats(encoder: str) -> list[str]:
 def _named(target: PathLike, container: Container, codec: str | None, source: str, lossless: bool) -> str:
     """Choose an encoder: the one asked for, or the source's, or what the container is used to.
 
-    Parameters
-    ----------
-    target : str or os.PathLike
-        The file to write, for messages.
-    container : Container
-        Its format.
-    codec : str or None
-        What was asked for: a codec or an encoder.
-    source : str
-        The codec of the source.
-    lossless : bool
-        Whether that codec loses nothing.
-
-    Raises
-    ------
-    SuppleError
-        No encoder has that name, or the container cannot hold what it writes.
+    `lossless` says that the source's codec loses nothing. SuppleError if no encoder has that name, or the container
+    cannot hold what it writes.
     """
     with av.open(os.devnull, "w", format=container.name) as trial:
         supported = trial.supported_codecs
@@ -116,13 +100,7 @@ def _options(
     workers: int,
     lossless: bool = False,
 ) -> dict[str, str]:
-    """Return the settings of an encoder.
-
-    Raises
-    ------
-    SuppleError
-        It knows no constant rate factor or no presets, or not this one; or it cannot keep every value.
-    """
+    """Return the settings of an encoder; SuppleError if it has no such factor or preset, or cannot keep every value."""
     name, chosen = encoder.name, {**encoder.options, **container.options}
     if lossless:
         chosen |= _exact(target, encoder, crf)
@@ -185,21 +163,7 @@ def _read_as(name: str, container: Container, height: int) -> Colour:
 
 
 class WritePlan:
-    """How a clip will be written, with all that can be refused refused.
-
-    Parameters
-    ----------
-    reel : Reel
-        What is written.
-    target : str or os.PathLike
-        The file to write.
-    codec, crf, preset, pixel_format : optional
-        What was asked for.
-    workers : int
-        How many threads encode.
-    lossless : bool
-        Whether every value is to be kept.
-    """
+    """The settings by which a clip will be written, with all that can be refused refused; as `writer` takes them."""
 
     def __init__(
         self,
@@ -262,7 +226,11 @@ class WritePlan:
             names = [each for each, kind in kinds.items() if kind.family == "yuv" and kind.bits <= USUAL_BITS] or names
         size = (reel.width, reel.height)
         wish = Wish(reel.form, reel.colour, size, not (reel.stills and lossy), told if lossy else Colour())
-        if encoder.name == "ffv1" and min(size) < _SLICED and not (asked or self._takes(reel.form, reel.colour)):
+        if (
+            encoder.name == "ffv1"
+            and min(size) < _SLICED
+            and not (asked or self._opens(Match(reel.form, reel.colour, True, "", False)))
+        ):
             self.options.update({"level": "1", "slices": "1"})  # too small to be cut into slices
         try:
             made = match(self.target, encoder.name, names, wish, asked, self._opens)
@@ -384,10 +352,6 @@ class WritePlan:
                 context.open()
                 return True
         return False
-
-    def _takes(self, own: Form, colour: Colour) -> bool:
-        """Return whether the encoder opens for the pixel format that there is."""
-        return self._opens(Match(own, colour, True, "", False))
 
     def _opens(self, chosen: Match) -> bool:
         """Try whether the encoder opens."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from fractions import Fraction
@@ -13,7 +12,7 @@ import numpy as np
 
 from supple.errors import SuppleError
 from supple.media.codecs import STILLS
-from supple.media.files import shown
+from supple.media.files import PathLike, shown
 from supple.media.sequence import Pictures
 from supple.media.video.colour import (
     BT709,
@@ -35,51 +34,22 @@ from supple.media.video.planes import Form, form, palette, wider
 from supple.media.video.streams import Passage, name_of
 from supple.streaming import Layout
 
-PathLike = str | os.PathLike[str]
 _LEAST, _UTMOST = Fraction(1, 10_000), Fraction(100_000)
 _MOST = 1000  # frames a second; what claims more counts ticks
 
 
 class Reel:
-    """The source of a video to be written. All that pictures do not have is empty here.
+    """The source of a video to be written; all that pictures do not have is empty here."""
 
-    Attributes
-    ----------
-    name : str
-        As it can stand in a line of text.
-    count : int
-        How many frames there are.
-    layout : Layout
-        What a frame is made of. Where chroma lies is told by `supple.media.video.colour.siting`.
-    form : Form
-        The pixel format of frames that are arrays of that layout.
-    colour : Colour
-        What samples mean.
-    rate : Fraction
-        Frames a second, on average.
-    base : Fraction
-        Seconds a tick, the unit of `time`.
-    pace : Fraction
-        The ticks a second in which all times of frames are whole numbers, as far as the file lets guess; 0 if not.
-    profile : str
-        Of the codec, as FFmpeg names it.
-    header : bytes
-        The stream header (extradata) that a decoder needs; empty where the codec has none.
-    stills : bool
-        Whether it is made of pictures, so that any film of them is one that players are used to.
-    unheld : tuple of str
-        What it has that no video file holds.
-    """
-
-    layout: Layout
-    form: Form
-    colour: Colour
-    count: int
-    stills = False
-    unheld: tuple[str, ...] = ()
+    layout: Layout  # where chroma lies in it is told by `supple.media.video.colour.siting`
+    form: Form  # the pixel format of frames that are arrays of that layout
+    colour: Colour  # what samples mean
+    count: int  # of frames
+    stills = False  # whether it is made of pictures, so that any film of them is one that players are used to
+    unheld: tuple[str, ...] = ()  # what it has that no video file holds
     codec, profile, lossless, field_order, index = "", "", False, 0, -1
-    header = b""
-    pace = Fraction(0)
+    header = b""  # that of the stream (extradata), which a decoder needs
+    pace = Fraction(0)  # ticks a second in which all times are whole numbers, as far as the file lets guess
     aspect: Fraction | None = None
     grading = Grading()
     source: av.container.InputContainer | None = None
@@ -120,15 +90,8 @@ class Reel:
 
 
 class Stills(Reel):
-    """Pictures, as a film.
+    """Pictures, as a film; SuppleError if they are neither grey nor RGB.
 
-    Raises
-    ------
-    SuppleError
-        They are neither grey nor RGB.
-
-    Notes
-    -----
     Their colours are taken for those of sRGB, which are those of BT.709. Most players take the curves of both for one.
     """
 

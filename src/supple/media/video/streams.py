@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import io
-import os
 import warnings
 from collections import deque
 from fractions import Fraction
@@ -14,9 +13,8 @@ import av
 
 from supple.media.base import ClipWarning
 from supple.media.codecs import Container
-from supple.media.files import shown
+from supple.media.files import PathLike, shown
 
-PathLike = str | os.PathLike[str]
 _HELD = 64 << 20  # bytes of packets that wait for the film before they go first
 # what describes the file that it came from, and not what is in it
 _OWN = frozenset(("encoder", "duration", "major_brand", "minor_version", "compatible_brands", "rotate", "alpha_mode"))
@@ -79,23 +77,9 @@ def holds(container: Container, template: av.stream.Stream) -> bool:
 
 
 class Passage:
-    """The other streams of a clip on their way into a file.
+    """The other streams of a clip on their way into a file; it warns of those that the container cannot hold.
 
-    Parameters
-    ----------
-    source : InputContainer or None
-        Where they come from, if there are any.
-    film : int
-        The index of the stream that is written anew.
-    output : OutputContainer
-        Where they go, before its header is written.
-    target : str or os.PathLike
-        Its name, for messages.
-
-    Warns
-    -----
-    ClipWarning
-        The container cannot hold one of them.
+    `film` is the index of the stream that is written anew; the header of `output` is not written yet.
     """
 
     def __init__(

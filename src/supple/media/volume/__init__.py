@@ -9,13 +9,12 @@ import numpy as np
 import numpy.typing as npt
 
 from supple.errors import SuppleError
-from supple.media.files import check_output, check_suffix, head_of, unreadable, unwritable
+from supple.media.files import PathLike, check_output, check_suffix, head_of, unreadable, unwritable
 from supple.media.volume import pages as stack
 from supple.media.volume import raw
 from supple.media.volume.data import (
     DTYPES,
     Array,
-    PathLike,
     RawLayout,
     Volume,
     rescaled,

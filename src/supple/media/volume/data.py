@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import os
 import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -15,10 +14,9 @@ import numpy.typing as npt
 from supple.domain import LONGEST_AXIS, integer, items, length, refuse
 from supple.errors import SuppleError
 from supple.geometry import Geometry
-from supple.media.files import shown, unreadable
+from supple.media.files import PathLike, shown, unreadable
 
 Array = npt.NDArray[Any]
-PathLike = str | os.PathLike[str]
 
 DTYPES = ("uint8", "int8", "uint16", "int16", "uint32", "int32", "uint64", "int64", "float32", "float64")
 
@@ -149,21 +147,10 @@ def native(samples: Array) -> Array:
 
 
 def placed(path: PathLike, matrix: npt.ArrayLike, convention: str) -> Geometry:
-    """Make a geometry of a matrix (4, 4) from indices, x first, to places in millimetres.
+    """Make a geometry of a matrix (4, 4) from indices, x first, to millimetres in RAS if that is the convention.
 
-    Parameters
-    ----------
-    path : str or os.PathLike
-        For messages.
-    matrix : array_like
-        Into RAS if that is the convention, else into LPS.
-    convention : str
-        As in `Geometry`.
-
-    Raises
-    ------
-    SuppleError
-        A spacing is not above 0, the axes are not at right angles, or something is not finite.
+    Else they are in LPS. SuppleError if a spacing is not above 0, the axes are not at right angles, or something is not
+    finite.
     """
     known = np.array(matrix, np.float64)
     if convention == "RAS":

@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 
 from supple.errors import VolumeWarning
-from supple.media.files import head_of, shown, unreadable
-from supple.media.volume.data import Array, PathLike, Volume, check_spacing, located
+from supple.media.files import PathLike, head_of, shown, unreadable
+from supple.media.volume.data import Array, Volume, check_spacing, located
 from supple.media.volume.itk import check_voxels, failing, geometry_of, library, silence
 
 _UID, _NUMBER, _TEXT, _PIXEL_SPACING = "0020|000e", "0020|0011", "0008|103e", "0028|0030"
@@ -88,15 +88,10 @@ def _folders(path: PathLike) -> Iterator[str]:
 
 
 def listed(path: PathLike, *, nested: bool = True) -> list[Series]:
-    """Find the series of images in a folder, and in its subfolders, in the order of their numbers.
+    """Find the series of images in a folder, and in its subfolders, in the order of their numbers; SuppleError if none.
 
     What is no image, or is derived from the images that it lies beside (a dose, a segmentation), is left out, and a
     warning names it.
-
-    Raises
-    ------
-    SuppleError
-        There is none.
     """
     sitk, beside = library(), []
     images: list[tuple[str, Any]] = []

@@ -17,11 +17,10 @@ import numpy as np
 
 from supple.errors import need
 from supple.geometry import Geometry
-from supple.media.files import check_output, head_of, replacing, shown, unreadable, unwritable
+from supple.media.files import PathLike, check_output, head_of, replacing, shown, unreadable, unwritable
 from supple.media.volume.data import (
     DTYPES,
     Array,
-    PathLike,
     Volume,
     check_spacing,
     located,
@@ -65,20 +64,10 @@ def silence() -> Iterator[None]:
 
 
 def read(path: PathLike, form: str) -> Volume:
-    """Read a NRRD or a MetaImage file, with its data beside it or in it.
+    """Read a NRRD or a MetaImage file (`form`), with its data beside it or in it.
 
-    Parameters
-    ----------
-    path : str or os.PathLike
-        The file with the header.
-    form : str
-        ``"NRRD"`` or ``"MetaImage"``.
-
-    Raises
-    ------
-    SuppleError
-        The file is missing, of another kind, damaged or cut short; its voxels are no real numbers; it has more axes
-        than x, y, z and time.
+    SuppleError if it is missing, of another kind, damaged or cut short; if its voxels are no real numbers; or if it has
+    more axes than x, y, z and time.
     """
     sitk = library()
     head = head_of(path, 4)
@@ -247,13 +236,7 @@ def _reason(text: str) -> str:
 
 
 def write(path: PathLike, samples: Array, like: Volume, *, force: bool = False) -> None:
-    """Write a NRRD file, compressed, or a MetaImage file, not compressed; .mhd has its data in a .raw beside it.
-
-    Raises
-    ------
-    SuppleError
-        The file cannot be written.
-    """
+    """Write a NRRD file, compressed, or a MetaImage file, not compressed; .mhd has its data in a .raw beside it."""
     sitk = library()
     target = check_output(path, force=force)
     suffix = target.suffix.lower()

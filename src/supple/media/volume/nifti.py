@@ -15,11 +15,10 @@ import numpy as np
 
 from supple.errors import VolumeWarning, need
 from supple.geometry import Geometry
-from supple.media.files import head_of, replacing, shown, unreadable
+from supple.media.files import PathLike, head_of, replacing, shown, unreadable
 from supple.media.volume.data import (
     DTYPES,
     Array,
-    PathLike,
     Volume,
     check_spacing,
     located,
@@ -272,11 +271,6 @@ def write(path: PathLike, samples: Array, like: Volume, *, force: bool = False) 
     """Write a NIfTI file, slice by slice, compressed if its name ends in ``.gz``.
 
     What came from NIfTI keeps its header and its byte order; else its sform and qform say where it lies.
-
-    Raises
-    ------
-    SuppleError
-        The file cannot be written.
     """
     header = _copied(like.header, samples) if like.format == "NIfTI" and like.header is not None else None
     if header is None:
@@ -284,7 +278,7 @@ def write(path: PathLike, samples: Array, like: Volume, *, force: bool = False) 
     colours = int(header["datatype"]) in _COLOURS
     stored = samples if colours or samples.ndim == 3 or like.series else np.moveaxis(samples, -1, 0)
     dtype = samples.dtype.newbyteorder(header.endianness)
-    with replacing(path, force=force) as temporary, _writing(temporary, os.fspath(path)) as file:
+    with replacing(path, force=force) as temporary, writing(temporary, os.fspath(path)) as file:
         header.write_to(file)
         file.write(bytes(int(header["vox_offset"]) - file.tell()))
         for slab in stored if stored.ndim == 3 or colours else (part for whole in stored for part in whole):
@@ -292,7 +286,8 @@ def write(path: PathLike, samples: Array, like: Volume, *, force: bool = False) 
 
 
 @contextlib.contextmanager
-def _writing(temporary: Path, name: str) -> Iterator[IO[bytes]]:
+def writing(temporary: Path, name: str) -> Iterator[IO[bytes]]:
+    """Write a file; compressed if its name ends in ``.gz``, a little: the noise of the last bits is not worth more."""
     with open(temporary, "wb") as plain:
         if not name.lower().endswith(".gz"):
             yield plain

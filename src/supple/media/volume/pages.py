@@ -11,8 +11,8 @@ import numpy as np
 
 from supple.errors import SuppleError
 from supple.geometry import Geometry
-from supple.media.files import replacing, shown, unreadable, unwritable
-from supple.media.volume.data import Array, PathLike, Volume, native
+from supple.media.files import PathLike, replacing, shown, unreadable, unwritable
+from supple.media.volume.data import Array, Volume, native
 
 SUFFIXES = (".tif", ".tiff")
 _MILLIMETRES = {
@@ -42,10 +42,7 @@ def has_pages(path: PathLike) -> bool:
 def read(path: PathLike) -> Volume:
     """Read all pages of a TIFF: a slice each, or as ImageJ's description says, which also tells the spacing.
 
-    Raises
-    ------
-    SuppleError
-        It is no TIFF, damaged, or its pages are not alike.
+    SuppleError if it is no TIFF, damaged, or its pages are not alike.
     """
     import pyvips
 
@@ -147,13 +144,7 @@ def check(path: PathLike, like: Volume, dtype: np.dtype[Any]) -> None:
 
 
 def write(path: PathLike, samples: Array, like: Volume, *, force: bool = False) -> None:
-    """Write a page for each slice; the spacing goes where ImageJ looks for it, origin and direction are lost.
-
-    Raises
-    ------
-    SuppleError
-        The file cannot be written.
-    """
+    """Write a page for each slice; the spacing goes where ImageJ looks for it, origin and direction are lost."""
     import pyvips
 
     from supple.media.image.formats import TIFF, meant, settings, wrapped
