@@ -158,9 +158,10 @@ def open_clip(source: PathLike, *, rate: float | Fraction | None = None, count: 
             yield pictures
         return
     if rate is None and _suffix(source) == ".webp" and _is_animated(source):
-        from supple.media.sequence import Animation
+        from supple.media import sequence
 
-        yield Animation(source)
+        with sequence.open_clip(source) as animation:
+            yield animation
         return
     from supple.media import video
 

@@ -76,7 +76,7 @@ class Clip(Protocol):
 
     @property
     def unpictured(self) -> tuple[str, ...]:
-        """What it holds beside its frames that pictures do not."""
+        """Streams that pictures of its frames leave out: sound, subtitles."""
 
     def frames(self) -> Iterator[Frame]:
         """Decode all frames, in the order in which they are shown."""

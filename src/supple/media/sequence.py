@@ -58,27 +58,15 @@ class _Still:
 
 
 class Pictures:
-    """Pictures of one size and type, as the frames of a clip.
+    """Pictures of one size and type, as the frames of a clip."""
 
-    Attributes
-    ----------
-    name : str
-        As it was given.
-    paths : list of pathlib.Path
-        In order.
-    first : int or None
-        The number of the first picture, where the names are numbered.
-    layout : Layout
-        One group: a grid of pixels.
-    rate : Fraction
-        Frames a second: pictures do not know, and whoever opens them says it.
-    starts : list of int
-        When each frame begins, in milliseconds, and when the last one ends; empty where all last alike.
-    """
-
+    layout: Layout  # one group: a grid of pixels
+    paths: list[Path]  # in order
+    first: int | None  # the number of the first picture, where the names are numbered
+    rate: Fraction  # frames a second: pictures do not know, and whoever opens them says it
+    starts: Sequence[int] = ()  # when frames begin, in milliseconds, and the last one ends; empty where all last alike
     rotation = 0.0
     unpictured: tuple[str, ...] = ()
-    starts: Sequence[int] = ()
 
     def __init__(self, name: str, paths: list[Path], rate: Fraction, first: int | None) -> None:
         self.name, self.paths, self.rate, self.first = name, paths, rate, first
@@ -155,13 +143,7 @@ class _Page:
 
 
 class Animation(Pictures):
-    """An animated WebP, which FFmpeg does not decode, as the frames of a clip.
-
-    Attributes
-    ----------
-    starts : list of int
-        When each frame begins, in milliseconds, and when the last one ends.
-    """
+    """An animated WebP, which FFmpeg does not decode, as the frames of a clip."""
 
     def __init__(self, path: PathLike) -> None:
         image, self.format = opened(path)
@@ -213,7 +195,8 @@ def open_clip(path: PathLike, *, rate: float | Fraction = 24) -> Iterator[Pictur
     ----------
     path : str or os.PathLike
         A pattern such as ``frames/%05d.png``, which stands for pictures that are numbered without a gap, from
-        whatever number on. Or a folder, which stands for all its pictures, the 9th before the 10th.
+        whatever number on. Or a folder, which stands for all its pictures, the 9th before the 10th. Or an animated
+        WebP, which has times of its own.
     rate : float or Fraction
         Frames a second. 23.976, 29.97 and the like are taken for what they mean, 24000/1001 and 30000/1001.
 
@@ -226,8 +209,10 @@ def open_clip(path: PathLike, *, rate: float | Fraction = 24) -> Iterator[Pictur
     SuppleError
         There are no such pictures, one is missing, cannot be read, or is of another size or type than the first.
     """
-    text = os.fspath(path)
-    known = _rate(rate)
+    text, known = os.fspath(path), _rate(rate)
+    if text.lower().endswith(".webp") and os.path.isfile(text):
+        yield Animation(text)
+        return
     first: int | None
     if has_number(text):
         paths, first = numbered(text)

@@ -54,25 +54,9 @@ def write_turntable(
     rate: float = 24.0,
     force: bool = False,
 ) -> None:
-    """Encode pictures as H.264, VP9 or GIF; the file appears whole or not at all.
+    """Encode sRGB pictures of shape (H, W, 3) and one size, (rows, columns), as H.264, VP9 or GIF, by the suffix.
 
-    Parameters
-    ----------
-    path : str or os.PathLike
-        One of `SUFFIXES`.
-    pictures : iterable of uint8 arrays, shape (H, W, 3)
-        sRGB.
-    size : (int, int)
-        Their rows and columns; even for H.264.
-    rate : float
-        Pictures a second.
-    force : bool
-        Whether to replace a file that exists.
-
-    Raises
-    ------
-    SuppleError
-        The file cannot be written, or not with that size or rate.
+    The file appears whole or not at all. SuppleError if it cannot be written, or not with that size or rate.
     """
     need("video", "videos", "av")
     from supple.media import video

@@ -55,17 +55,9 @@ class Palettes:
         use.link_to(sink)
         self._graph.configure()
 
-    def add(self, frame: av.VideoFrame) -> Iterator[av.VideoFrame]:
-        """Take a frame, and hand out those that are done."""
+    def add(self, frame: av.VideoFrame | None) -> Iterator[av.VideoFrame]:
+        """Take a frame, and hand out those that are done; after None, those that are left."""
         self._graph.vpush(frame)
-        return self._done()
-
-    def finish(self) -> Iterator[av.VideoFrame]:
-        """Hand out the frames that are left."""
-        self._graph.vpush(None)
-        return self._done()
-
-    def _done(self) -> Iterator[av.VideoFrame]:
         while True:
             try:
                 yield self._graph.vpull()
@@ -283,7 +275,7 @@ class Sink:
     def finish(self) -> None:
         """Write what is still on its way, and close the file."""
         if self._palettes:
-            for made in self._palettes.finish():
+            for made in self._palettes.add(None):
                 self._encode(made)
         self._mux(self._stream.encode(None), self._plan.container.mp4)
         for packet in self._reel.rest():
@@ -299,22 +291,6 @@ class Sink:
         """Let go of the file, whatever state it is in."""
         with contextlib.suppress(av.FFmpegError, OSError, ValueError):
             self._output.close()
-
-
-@contextlib.contextmanager
-def sinking(reel: Reel, plan: WritePlan, temporary: Path) -> Iterator[Sink]:
-    """Write a film into a file that is there already, and close it."""
-    sink = None
-    try:
-        sink = Sink(reel, plan, temporary)
-        yield sink
-        sink.finish()
-    except av.FFmpegError as error:
-        raise _raised(plan.target, error) from error
-    finally:
-        reel.passage, reel.copies = None, False
-        if sink is not None:
-            sink.abort()
 
 
 @contextlib.contextmanager
@@ -375,5 +351,15 @@ def writer(
     check_output(target, force=force)
     reel = clip if isinstance(clip, Reel) else Stills(clip)
     plan = WritePlan(reel, target, codec, crf, preset, pixel_format, workers(threads), lossless)
-    with replacing(target, force=force) as temporary, sinking(reel, plan, temporary) as sink:
-        yield sink
+    with replacing(target, force=force) as temporary:
+        sink = None
+        try:
+            sink = Sink(reel, plan, temporary)
+            yield sink
+            sink.finish()
+        except av.FFmpegError as error:
+            raise _raised(plan.target, error) from error
+        finally:
+            reel.passage, reel.copies = None, False
+            if sink is not None:
+                sink.abort()

@@ -119,16 +119,10 @@ class Stills(Reel):
 
 
 class Film(Reel):
-    """The film in a video file, and what is around it.
+    """The film in a video file, and what is around it."""
 
-    Attributes
-    ----------
-    codec : str
-        Of the film, such as ``"h264"``.
-    pixel_format : str
-        As it is decoded, such as ``"yuv420p"``.
-    """
-
+    codec: str  # such as "h264"
+    pixel_format: str  # as it is decoded, such as "yuv420p"
     source: av.container.InputContainer
 
     def __init__(self, path: PathLike, source: av.container.InputContainer, survey: Survey, count: int | None) -> None:
@@ -181,7 +175,7 @@ class Film(Reel):
 
     @property
     def unpictured(self) -> tuple[str, ...]:
-        """What pictures of its frames leave out."""
+        """Streams that pictures of its frames leave out."""
         held = {stream.type for stream in self.source.streams}
         return tuple(name for kind, name in (("audio", "sound"), ("subtitle", "subtitles")) if kind in held)
 

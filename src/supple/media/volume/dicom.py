@@ -158,25 +158,11 @@ def described(found: list[Series]) -> str:
 
 
 def read(path: PathLike, series: str | None = None) -> Volume:
-    """Read a series of slices, or one file that holds many.
+    """Read a series of slices, or one file that holds many, as `supple.media.volume.read` does.
 
-    Parameters
-    ----------
-    path : str or os.PathLike
-        The folder that holds the slices, itself or in subfolders, or one of them.
-    series : str, optional
-        Which series of the folder: its SeriesInstanceUID, or its place in the list, from 1.
-
-    Returns
-    -------
-    Volume
-        In the units that the files speak of: of CT, Hounsfield's. Nothing that tells of the patient is kept.
-
-    Raises
-    ------
-    SuppleError
-        There is no such series, or there are several and none is named; a slice is missing, or of another size or
-        direction than the others; the slices are not stacked at right angles; a file cannot be read.
+    In the units that the files speak of: of CT, Hounsfield's. Nothing that tells of the patient is kept. SuppleError if
+    there is no such series, or there are several and none is named; a slice is missing, or of another size or direction
+    than the others; the slices are not stacked at right angles; a file cannot be read.
     """
     sitk, file = library(), Path(path)
     if not file.is_dir():
