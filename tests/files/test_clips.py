@@ -17,8 +17,9 @@ import supple.media.video
 from supple.files import warp_file
 from supple.files.clips import ClipOptions, WarpedClip
 from supple.media import image
-from supple.media.video import info, open_video
-from supple.media.video.errors import ClipWarning, CountError
+from supple.media.base import ClipWarning, CountError
+from supple.media.video import info
+from supple.media.video import open_clip as open_video
 from tests import clips
 from tests.files.clip_files import FLAT, GRAB, GRAB_2D, TIMED, Run, noisy, pictures, refused, same_frames, stack
 
@@ -127,7 +128,7 @@ def test_packets_of_still_frames_are_copied(
     assert copies[46:] == [True] * 14
     assert not any(copies[28:34])
     # What is encoded is what it is without copies, and of the still frames of FFV1 all are.
-    monkeypatch.setattr("supple.media.video.encode._ALONE", ())
+    monkeypatch.setattr("supple.media.video.encode.Sink._may_copy", lambda self: False)
     anew = warp_file(source, f"anew.{suffix}", local)
     assert isinstance(anew, WarpedClip)
     assert (anew.copied, anew.still) == (0, made.still)

@@ -18,8 +18,8 @@ from supple.files import warp_file
 from supple.files.clips import ClipOptions, WarpedClip, deformation_of
 from supple.files.plots import plot_file
 from supple.media import image
+from supple.media.base import ClipWarning
 from supple.media.video import info
-from supple.media.video.errors import ClipWarning
 from tests import clips
 from tests.files.clip_files import GRAB, GRAB_2D, TIMED, Run, noisy, refused, same_frames, stack
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import os
 import re
 import shutil
@@ -88,3 +89,20 @@ except ImportError as error:
         check=False,
     )
     assert result.stdout == "supple.torch needs PyTorch, which is not installed: pip install torch\n", result.stderr
+
+
+def test_media_import_each_other_in_no_circle() -> None:
+    """Not even late, or for types alone."""
+    source = ROOT / "src"
+    files = {
+        ".".join(path.relative_to(source).with_suffix("").parts).removesuffix(".__init__"): path
+        for path in (source / "supple" / "media").rglob("*.py")
+    }
+    below: dict[str, set[str]] = {}
+    for name, path in files.items():
+        found = [node for node in ast.walk(ast.parse(path.read_text("utf-8"))) if isinstance(node, ast.ImportFrom)]
+        pairs = {(f"{node.module}.{each.name}", str(node.module)) for node in found for each in node.names}
+        below[name] = {one if one in files else other for one, other in pairs if {one, other} & set(files)}
+    while gone := {name for name, needed in below.items() if not needed & set(below)}:
+        below = {name: needed for name, needed in below.items() if name not in gone}
+    assert not below

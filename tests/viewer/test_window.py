@@ -201,7 +201,7 @@ def test_a_clip_plays_and_is_bent_in_time(gpu: Gpu, state: Path) -> None:
     view.document.select(None)
     seen = view.pixels()
     left, top = (round(v) for v in view.tools.viewport.to_canvas(0, 0))
-    with video.open_video(DATA / "bunny.mp4") as clip:
+    with video.open_clip(DATA / "bunny.mp4") as clip:
         from supple.files.clips import ClipOptions, deformation_of, frames_of, sampling_of
 
         d = deformation_of(view.recipe, clip.count, clip.layout.shape, 1.0, clip.name)

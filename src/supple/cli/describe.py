@@ -10,7 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from supple.errors import SuppleError, shown
-from supple.files.clips import SUFFIXES, turned
+from supple.files.clips import turned
+from supple.media.codecs import SUFFIXES
 from supple.media.numbering import is_sequence
 from supple.media.volume import RawLayout
 from supple.strokes import Recipe, spoken
@@ -59,10 +60,9 @@ def describe(name: str, *, layout: RawLayout | None = None, series: str | None =
         facts = volume.info(name, raw=layout, series=series)
         return {"file": name, "kind": "volume", **facts}, _volume(name, facts)
     if is_sequence(name) and not os.path.isfile(name):
-        from supple.media.video.sequence import open_sequence
+        from supple.media import sequence
 
-        with open_sequence(name) as pictures:
-            facts = pictures.info()
+        facts = sequence.info(name)
         del facts["rate"]  # which pictures do not know
         return {"file": name, "kind": "sequence", **facts}, _sequence(name, facts)
     if suffix in SUFFIXES:

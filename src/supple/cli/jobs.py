@@ -16,10 +16,10 @@ from pathlib import Path
 from supple.cli.console import FAULT, REFUSED, STREAM, Console, deaf, fault
 from supple.errors import SuppleError, shown
 from supple.files import check_recipe_name, is_media_name
-from supple.files.clips import SUFFIXES
 from supple.files.volumes import ONE_FILE
+from supple.media.codecs import SUFFIXES
 from supple.media.files import check_output
-from supple.media.numbering import SUFFIXES_IN
+from supple.media.image import SUFFIXES as SUFFIXES_IN
 from supple.media.volume import suffix_of
 
 Job = tuple[Path, Path]

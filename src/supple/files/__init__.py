@@ -16,13 +16,13 @@ from supple.deformation import Deformation, Report
 from supple.domain import choice
 from supple.engines.choice import DEVICES, check_device
 from supple.errors import SuppleError, shown
-from supple.files.clips import SUFFIXES as CLIPS
 from supple.files.clips import SUFFIXES_OUT as CLIPS_OUT
 from supple.files.clips import ClipOptions, WarpedClip, check_clip_target, is_clip, refuse_places, warp_clip
 from supple.files.volumes import VolumeOptions, WarpedVolume, check_volume_target, is_volume_job, warp_volume
+from supple.media.codecs import SUFFIXES as CLIPS
 from supple.media.files import check_output, replacing, same_file
+from supple.media.image import SUFFIXES as SUFFIXES_IN
 from supple.media.image import check_quality, check_target, read, write
-from supple.media.numbering import SUFFIXES_IN
 from supple.media.volume import SUFFIXES as VOLUMES
 from supple.media.volume import SUFFIXES_OUT as VOLUMES_OUT
 from supple.media.volume import suffix_of

@@ -18,10 +18,13 @@ from supple.domain import length, number, refuse
 from supple.engines.base import Array, Certificate, Layout, Sampling, Work, warn_of
 from supple.engines.choice import check_device, engine_for
 from supple.errors import SuppleError, shown
+from supple.media.base import ClipWarning, CountError
+from supple.media.codecs import SUFFIXES
 from supple.media.files import check_output, replacing
 from supple.media.image import check_quality, check_target
+from supple.media.image.formats import SUFFIXES as SUFFIXES_IN
 from supple.media.image.formats import SUFFIXES_OUT as PICTURES_OUT
-from supple.media.numbering import SUFFIXES_IN, has_number, is_sequence
+from supple.media.numbering import has_number, is_sequence
 from supple.pipeline import Done, make_plan, run, stream
 from supple.strokes import Fit, Recipe, fit_recipe, scaling_of
 
@@ -31,11 +34,6 @@ if TYPE_CHECKING:
 PathLike = str | os.PathLike[str]
 Tell = Callable[[str, int, int], None]
 
-# What is always taken for a video; others are one if they are asked to be.
-SUFFIXES = frozenset(
-    {".3gp", ".asf", ".avi", ".flv", ".h264", ".h265", ".hevc", ".ivf", ".m2ts", ".m2v", ".m4v", ".mj2", ".mkv"}
-    | {".mov", ".mp4", ".mpeg", ".mpg", ".mts", ".mxf", ".ogv", ".ts", ".vob", ".webm", ".wmv", ".y4m"}
-)
 SUFFIXES_OUT = frozenset({".avi", ".mkv", ".mov", ".mp4", ".webm"})
 GB = 1e9
 
@@ -55,7 +53,7 @@ class ClipOptions:
     rate : float or Fraction, optional
         Frames a second of an image sequence, which does not know; 24 without it.
     codec, preset, pixel_format : str, optional
-        As `supple.media.video.Clip.writer` takes them.
+        As `supple.media.video.writer` takes them.
     crf : float, optional
         The same.
     memory : float
@@ -129,7 +127,7 @@ def is_clip(source: PathLike, target: PathLike, recipe: Recipe) -> bool:
 
 def _is_animated(path: PathLike) -> bool:
     """Return whether a picture holds several frames."""
-    from supple.media.video.sequence import is_animated
+    from supple.media.sequence import is_animated
 
     return os.path.isfile(path) and is_animated(path)
 
@@ -147,21 +145,22 @@ def _holds_videos_alone(folder: PathLike) -> bool:
 def open_clip(source: PathLike, *, rate: float | Fraction | None = None, count: int | None = None) -> Iterator[Any]:
     """Open a video file, or an image sequence by its pattern or folder."""
     if is_sequence(source) and not os.path.isfile(source):
-        from supple.media.video.sequence import open_sequence
+        from supple.media import sequence
 
-        with open_sequence(source, rate=24 if rate is None else rate) as pictures:
+        with sequence.open_clip(source, rate=24 if rate is None else rate) as pictures:
             yield pictures
         return
     if rate is None and _suffix(source) == ".webp" and _is_animated(source):
-        from supple.media.video.sequence import Animation
+        from supple.media import sequence
 
-        yield Animation(source)
+        with sequence.open_clip(source) as animation:
+            yield animation
         return
-    from supple.media.video import open_video
+    from supple.media import video
 
     if rate is not None:
         raise SuppleError(f"a rate (--fps) is for image sequences, and {shown(source)} has its own: leave it out")
-    with open_video(source, count=count) as clip:
+    with video.open_clip(source, count=count) as clip:
         yield clip
 
 
@@ -189,8 +188,6 @@ def warn_of_rotation(clip: Any, deformation: Deformation) -> None:
     """Say that points are those of frames as they are stored, where players show them otherwise."""
     rotation = getattr(clip, "rotation", 0)
     if rotation and not deformation.is_identity:
-        from supple.media.video.errors import ClipWarning
-
         height, width = clip.layout.shape
         warnings.warn(
             f"{clip.name} is turned by {abs(rotation):g}° {turned(rotation)} when it is played: points are in the "
@@ -307,8 +304,6 @@ def warp_clip(
     check_clip_target(source, target, known, quality=quality, force=force)
     number("memory", known.memory, "a number of bytes from 0", 0.0, 1e30)
     count: int | None = None
-    from supple.media.video.errors import CountError
-
     while True:
         try:
             with open_clip(source, rate=known.rate, count=count) as clip:
@@ -378,9 +373,9 @@ def check_clip_target(
             )
         if quality is not None:
             raise SuppleError(f"quality is for pictures, and {name} is a video: give a crf")
-        from supple.media.video.codecs import container_of
+        from supple.media import video
 
-        container_of(target)
+        video.check_target(target)
         check_output(target, force=force)
         return
     if has_number(target):
@@ -396,12 +391,12 @@ def _writer(
 ) -> contextlib.AbstractContextManager[Any]:
     """Return the writer for a target: a video file, or pictures."""
     if is_picture_target(target):
-        from supple.media.video.sequence_out import sequence_writer
+        from supple.media import sequence
 
-        return sequence_writer(target, clip, force=force, quality=quality, lossless=lossless)
-    from supple.media.video import writer_of
+        return sequence.writer(clip, target, force=force, quality=quality, lossless=lossless)
+    from supple.media import video
 
-    return writer_of(
+    return video.writer(
         clip,
         target,
         codec=options.codec,

@@ -27,6 +27,7 @@ from supple.files.clips import (
     warn_of_rotation,
     work_on,
 )
+from supple.media.base import CountError
 from supple.media.files import check_output
 from supple.media.volume import is_volume
 from supple.pipeline import make_plan
@@ -104,8 +105,6 @@ def plot_file(
         raise SuppleError(f"plots are of pictures and videos, and {shown(source)} is a volume: supple render shows it")
     refuse_places(recipe, source)
     if is_clip(source, "", recipe):
-        from supple.media.video.errors import CountError
-
         refuse_picture(source)
         asked = (source, target, recipe, what, frame, x, y, options, force, fit)
         with counted(progress) as tell:

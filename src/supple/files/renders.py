@@ -16,8 +16,7 @@ from supple.engines.choice import check_device
 from supple.errors import SuppleError, shown
 from supple.files.volumes import VolumeOptions, deformation_of, open_volume
 from supple.media import image, turntable
-from supple.media.files import check_output
-from supple.media.folder import check_outputs, replacing_all
+from supple.media.files import check_output, check_outputs, replacing_all
 from supple.media.numbering import has_number, spelling
 from supple.media.volume import Volume
 from supple.render.camera import Camera

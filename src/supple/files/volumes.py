@@ -28,7 +28,6 @@ from supple.media.volume import (
     SUFFIXES_OUT,
     RawLayout,
     Volume,
-    check_name,
     check_target,
     has_pages,
     is_volume,
@@ -284,7 +283,7 @@ def check_volume_target(source: PathLike, target: PathLike, options: VolumeOptio
         If one of them has a suffix that is none of its kind, or cannot be written; or if two are the same.
     """
     check_output(target, force=force)
-    check_name(target, force=force)
+    check_target(target, force=force)
     if options.save_field is not None:
         transforms.check_target(options.save_field)
         check_output(options.save_field, force=force)

@@ -1,1 +1,1 @@
-"""Files in and files out: one small module for each medium."""
+"""Files in and files out: a module for each medium, as `supple.media.base` says what media give and take."""

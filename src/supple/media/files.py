@@ -1,4 +1,4 @@
-"""Output files that appear whole or not at all."""
+"""Names of files in messages, and output files that appear whole or not at all, alone or many together."""
 
 from __future__ import annotations
 
@@ -7,11 +7,12 @@ import errno
 import os
 import shutil
 import stat
-from collections.abc import Iterator
+from collections.abc import Container, Iterable, Iterator
 from pathlib import Path
 
 from supple.errors import SuppleError, shown
 
+PathLike = str | os.PathLike[str]
 _NEW = os.O_CREAT | os.O_EXCL | os.O_WRONLY
 _SPARE = 65_536  # bytes: with less, a disk is full
 _NO_ROOM = "make room or choose another place"
@@ -27,7 +28,49 @@ _ADVICE = {
 }
 
 
-def check_output(path: str | os.PathLike[str], *, force: bool = False) -> Path:
+def unreadable(path: PathLike, reason: str, advice: str = "give a whole copy of it") -> SuppleError:
+    """Say in one sentence why a file is not read, and what would help."""
+    return SuppleError(f"cannot read {shown(path)}: {reason}: {advice}")
+
+
+def head_of(
+    path: PathLike,
+    count: int,
+    give: str = "give the name of a file",
+    empty: str = "give a whole copy of it",
+) -> bytes:
+    """Return the first bytes of a file, or all if `count` is -1; SuppleError if it is no plain file, or empty."""
+    try:
+        if not stat.S_ISREG(os.stat(path).st_mode):
+            raise unreadable(path, "it is a folder or no plain file", give)
+        with open(path, "rb") as file:
+            head = file.read(count)
+    except OSError as error:
+        raise unreadable(path, error.strerror or str(error), "check the name and its rights") from error
+    except SuppleError:
+        raise
+    except ValueError as error:
+        raise unreadable(path, "no file can have that name", "check it") from error
+    if not head:
+        raise unreadable(path, "it is empty", empty)
+    return head
+
+
+def unwritable(path: PathLike, reason: str, advice: str) -> SuppleError:
+    """Say in one sentence why a file cannot be written as asked, and what would help."""
+    return SuppleError(f"cannot write {shown(path)}: {reason}: {advice}")
+
+
+def check_suffix(
+    path: PathLike, suffix: str, known: Container[str], what: str, advice: str, verb: str = "write"
+) -> None:
+    """Refuse a name whose suffix, in small letters, is not known: SuppleError says what it is, and what would do."""
+    if suffix.lower() not in known:
+        found = f"the suffix {shown(suffix)}" if suffix else "a name without suffix"
+        raise SuppleError(f"cannot {verb} {shown(path)}: {found} {what}: {advice}")
+
+
+def check_output(path: PathLike, *, force: bool = False) -> Path:
     """Refuse an output file that cannot be written, before any work is done for it.
 
     Parameters
@@ -53,7 +96,7 @@ def check_output(path: str | os.PathLike[str], *, force: bool = False) -> Path:
         target = Path(os.path.realpath(path))
         folder, found = _mode(target.parent), _mode(target)
     except OSError as error:
-        raise _unwritable(path, error) from error
+        raise _refused(path, error) from error
     except ValueError as error:
         raise SuppleError(f"cannot write {name}: no file can have that name: choose another") from error
     if folder is None:
@@ -66,12 +109,12 @@ def check_output(path: str | os.PathLike[str], *, force: bool = False) -> Path:
         raise _exists(path)
     effective = os.access in os.supports_effective_ids
     if not os.access(target.parent, os.W_OK | os.X_OK, effective_ids=effective):
-        raise _unwritable(path, PermissionError(errno.EACCES, "no right to write into its folder"))
+        raise _refused(path, PermissionError(errno.EACCES, "no right to write into its folder"))
     return target
 
 
 @contextlib.contextmanager
-def replacing(path: str | os.PathLike[str], *, force: bool = False) -> Iterator[Path]:
+def replacing(path: PathLike, *, force: bool = False) -> Iterator[Path]:
     """Write a file beside its target, and give it the target's name once it is whole.
 
     Parameters
@@ -107,10 +150,10 @@ def replacing(path: str | os.PathLike[str], *, force: bool = False) -> Iterator[
     except OSError as error:
         # Libraries have other words for a full disk.
         limit = error.errno in (errno.EFBIG, errno.EDQUOT)
-        raise _unwritable(path, _full() if not limit and _is_full(temporary.parent) else error, temporary) from error
+        raise _refused(path, _full() if not limit and _is_full(temporary.parent) else error, temporary) from error
     except SuppleError as error:
         if str(error).startswith("cannot write") and _is_full(temporary.parent):
-            raise _unwritable(path, _full()) from error
+            raise _refused(path, _full()) from error
         raise
     finally:
         with contextlib.suppress(OSError):
@@ -160,11 +203,11 @@ def _publish(temporary: Path, target: Path, force: bool) -> bool:
     return True
 
 
-def _exists(path: str | os.PathLike[str]) -> SuppleError:
+def _exists(path: PathLike) -> SuppleError:
     return SuppleError(f"{shown(path)} exists already: pass --force (force=True) to replace it")
 
 
-def _unwritable(path: str | os.PathLike[str], error: OSError, temporary: Path | None = None) -> SuppleError:
+def _refused(path: PathLike, error: OSError, temporary: Path | None = None) -> SuppleError:
     """Say in one sentence why a file could not be written, and what would help."""
     reason = error.strerror or str(error) or type(error).__name__
     if temporary is not None and error.filename not in (None, temporary, str(temporary)):
@@ -173,7 +216,71 @@ def _unwritable(path: str | os.PathLike[str], error: OSError, temporary: Path | 
     return SuppleError(f"cannot write {shown(path)}: {reason}: {advice}")
 
 
-def same_file(one: str | os.PathLike[str], other: str | os.PathLike[str]) -> bool:
+def check_outputs(paths: Iterable[Path], *, force: bool = False) -> None:
+    """Refuse output files of one folder that cannot be written; the folder itself may be missing."""
+    for path in paths:
+        if not os.path.lexists(path.parent):
+            check_output(path.parent)
+            return
+        check_output(path, force=force)
+
+
+@contextlib.contextmanager
+def replacing_all(folder: Path, *, force: bool = False) -> Iterator[Path]:
+    """Write files into a hidden folder, and give them their place in ``folder`` once all are whole.
+
+    The folder is made if it is missing, in one that is not. Yields a new, empty, hidden folder in it, or beside where
+    it will be; whatever ends the block early, an interrupt too, removes that and leaves everything as it was.
+    SuppleError if a file of the same name has appeared meanwhile and `force` is false, and for every `OSError`.
+    """
+    place = Path(os.path.realpath(folder))
+    new = not os.path.lexists(place)
+    token = f".{os.urandom(6).hex()}-{place.name[-40:]}"
+    temporary = (place.parent if new else place) / token  # on the file system that they go to
+    try:
+        temporary.mkdir()
+        yield temporary
+        if new and not os.path.lexists(place):
+            os.rename(temporary, place)
+        else:
+            _publish_all(temporary, place, folder, force)
+    except OSError as error:
+        reason = error.strerror or str(error) or type(error).__name__
+        raise SuppleError(f"cannot write into {shown(folder)}: {reason}: choose another place") from error
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)
+
+
+def _publish_all(temporary: Path, place: Path, folder: Path, force: bool) -> None:
+    """Move every file to its place; where one cannot be moved, move all of them back."""
+    backup = temporary / "replaced"
+    names = sorted(os.listdir(temporary))
+    backup.mkdir()
+    moved: list[tuple[Path, Path]] = []
+    try:
+        for name in names:
+            target = place / name
+            if os.path.lexists(target):
+                if not force:
+                    raise _exists(folder / name)
+                mode = os.lstat(target).st_mode
+                if stat.S_ISDIR(mode):
+                    raise OSError(errno.EISDIR, f"{shown(folder / name)} is a folder")
+                if stat.S_ISREG(mode):
+                    os.chmod(temporary / name, mode & 0o777)
+                moved.append((target, backup / name))  # noted first: an interrupt may come between
+                os.rename(target, backup / name)
+            moved.append((temporary / name, target))
+            os.rename(temporary / name, target)
+    except BaseException:
+        for before, after in reversed(moved):
+            # What was noted and not moved still stands where it stood.
+            if not os.path.lexists(before):
+                os.rename(after, before)
+        raise
+
+
+def same_file(one: PathLike, other: PathLike) -> bool:
     """Return whether two names are of one file that is there."""
     try:
         return os.path.samefile(one, other)

@@ -8,11 +8,9 @@ from collections.abc import Callable
 from pathlib import Path
 
 from supple.errors import SuppleError, shown
-from supple.media.image.formats import SUFFIXES_OUT
-from supple.media.image.vips import PathLike
+from supple.media.files import PathLike
+from supple.media.image.formats import SUFFIXES
 
-# Of a folder, everything that somebody may take for a picture: what cannot be read is then named.
-SUFFIXES_IN = frozenset({*SUFFIXES_OUT, ".gif", ".heic", ".heif", ".jxl", ".pam", ".pbm", ".pnm", ".svg"})
 _NUMBER = re.compile("%(?:0[1-9][0-9]?)?d")
 
 
@@ -74,7 +72,7 @@ def numbered(text: str) -> tuple[list[Path], int]:
 
 def pictures_in(folder: Path) -> list[Path]:
     """The pictures of a folder, the 9th before the 10th."""
-    names = [n for n in _names_in(folder) if Path(n).suffix.lower() in SUFFIXES_IN and os.path.isfile(folder / n)]
+    names = [n for n in _names_in(folder) if Path(n).suffix.lower() in SUFFIXES and os.path.isfile(folder / n)]
     if not names:
         raise SuppleError(f"the folder {shown(folder)} holds no pictures: give another, or a pattern such as %05d.png")
     return [folder / name for name in sorted(names, key=_natural)]

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import copy
 import json
-import os
 import re
-import stat
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NoReturn
@@ -17,11 +15,10 @@ import numpy.typing as npt
 from supple.domain import LARGEST
 from supple.domain import shown as value_shown
 from supple.errors import SuppleError, shown
-from supple.media.files import replacing
+from supple.media.files import PathLike, check_suffix, head_of, replacing, unreadable
 from supple.media.tables import Table, parsed
 
 Floats = npt.NDArray[np.float64]
-PathLike = str | os.PathLike[str]
 
 KINDS = {".csv": "CSV", ".tsv": "CSV", ".txt": "CSV", ".fcsv": "fcsv", ".json": "JSON"}
 _GIVE = "give a .csv, .tsv, .txt, .fcsv or .mrk.json file"
@@ -69,13 +66,7 @@ class _Markups:
 
 
 def check_target(path: PathLike, source: PathLike) -> None:
-    """Refuse a name under which the points of ``source`` cannot be written: files keep their kind.
-
-    Raises
-    ------
-    SuppleError
-        One of the suffixes is unknown, or they are of two kinds.
-    """
+    """Refuse a name under which the points of ``source`` cannot be written: files keep their kind."""
     kind = _kind("read", source)
     if _kind("write", path) != kind:
         suffixes = " or ".join(suffix for suffix, known in KINDS.items() if known == kind)
@@ -164,27 +155,16 @@ def write_points(
 
 def _kind(verb: str, path: PathLike) -> str:
     suffix = Path(path).suffix
-    if suffix.lower() not in KINDS:
-        found = f"the suffix {shown(suffix)}" if suffix else "a name without suffix"
-        raise SuppleError(f"cannot {verb} {shown(path)}: {found} is of no file of points: {_GIVE}")
+    check_suffix(path, suffix, KINDS, "is of no file of points", _GIVE, verb)
     return KINDS[suffix.lower()]
 
 
 def _text(path: PathLike) -> str:
-    name = shown(path)
-    try:
-        plain = stat.S_ISREG(os.stat(path).st_mode)
-        data = Path(path).read_bytes() if plain else b""
-    except OSError as error:
-        raise SuppleError(f"cannot read {name}: {error.strerror}: check the name and its rights") from error
-    except ValueError as error:
-        raise SuppleError(f"cannot read {name}: no file can have that name: check it") from error
-    if not plain:
-        raise SuppleError(f"cannot read {name}: it is a folder or no plain file: {_GIVE}")
+    data = head_of(path, -1, _GIVE, _GIVE)
     if not data.strip():
-        raise SuppleError(f"cannot read {name}: it is empty: {_GIVE}")
+        raise unreadable(path, "it is empty", _GIVE)
     if b"\0" in data:
-        raise SuppleError(f"cannot read {name}: it is no text in UTF-8: save it as that")
+        raise unreadable(path, "it is no text in UTF-8", "save it as that")
     return data.decode("utf-8", "surrogateescape")  # so that labels in other encodings come through
 
 

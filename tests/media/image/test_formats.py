@@ -20,7 +20,7 @@ from supple.errors import SuppleError
 from supple.files import warp_file
 from supple.media.image import DepthWarning, MetadataWarning, PageWarning, info, read, write
 from supple.media.image.ffmpeg import encoded
-from supple.media.video import open_video
+from supple.media.video import open_clip as open_video
 
 Array = npt.NDArray[Any]
 

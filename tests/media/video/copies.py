@@ -5,7 +5,8 @@ import os
 import numpy as np
 import pytest
 
-from supple.media.video import CountError, open_video
+from supple.media.video import CountError
+from supple.media.video import open_clip as open_video
 from tests import clips
 
 

@@ -12,7 +12,7 @@ import numpy.typing as npt
 import pyvips
 
 from supple.media.image import write
-from supple.media.video.sequence import Pictures
+from supple.media.sequence import Pictures
 
 Array = npt.NDArray[Any]
 SRGB = bytes(pyvips.Operation.call("profile_load", "srgb"))

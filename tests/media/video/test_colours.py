@@ -6,7 +6,8 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from supple.media.video import ClipWarning, info, open_video
+from supple.media.video import ClipWarning, info
+from supple.media.video import open_clip as open_video
 from tests import clips
 from tests.media.video.copies import assert_same_frames, copy, read
 

@@ -4,7 +4,8 @@ import av
 import numpy as np
 import pytest
 
-from supple.media.video import ClipWarning, colour, open_video
+from supple.media.video import ClipWarning, colour
+from supple.media.video import open_clip as open_video
 from supple.media.video import planes as video_planes
 from tests import clips
 from tests.media.video.copies import assert_same_frames, copy, read

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from supple.errors import SuppleError
-from supple.media.video import info, open_video
+from supple.media.video import info
+from supple.media.video import open_clip as open_video
 from tests import clips
 from tests.media.video.copies import assert_nothing_left, copy
 
@@ -97,7 +98,7 @@ FULL_DISK = """
 import resource, signal, sys
 import numpy as np
 from supple.errors import SuppleError
-from supple.media.video import open_video
+from supple.media.video import open_clip as open_video
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
 resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[3]), resource.RLIM_INFINITY))
 try:

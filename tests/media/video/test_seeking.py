@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from supple.media.video import Clip, open_video
-from supple.media.video.seeking import index_of
+from supple.media.video import Clip
+from supple.media.video import open_clip as open_video
+from supple.media.video.demux import index_of
 from supple.viewer.panels.frame_cache import FrameCache
 from tests.clips import make
 

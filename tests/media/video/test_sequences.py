@@ -15,18 +15,19 @@ import pyvips
 
 from supple import SuppleError
 from supple.engines.base import Group, Layout
-from supple.media import folder as folders
+from supple.media import files as folders
 from supple.media.image import DepthWarning, ImageWarning, PageWarning, read, write
-from supple.media.video.sequence import is_sequence, open_sequence
-from supple.media.video.sequence_out import sequence_writer
+from supple.media.numbering import is_sequence
+from supple.media.sequence import open_clip as open_sequence
+from supple.media.sequence import writer as sequence_writer
 from tests.media.video.sequences import SRGB, Array, empty, frames_of, names, numbers, picture, save
 
 # what every film of RGB pictures says that is as players want it; `test_what_a_sequence_loses_is_said` hears it
-pytestmark = pytest.mark.filterwarnings("ignore:.* loses detail of colours:supple.media.video.errors.ClipWarning")
+pytestmark = pytest.mark.filterwarnings("ignore:.* loses detail of colours:supple.media.base.ClipWarning")
 
 
 def copy(source: Path, target: Path, change: Callable[[Array], Array] = lambda x: x, **options: Any) -> None:
-    with open_sequence(source) as clip, sequence_writer(target, clip, **options) as sink:
+    with open_sequence(source) as clip, sequence_writer(clip, target, **options) as sink:
         for k, frame in enumerate(clip.frames()):
             arrays = empty(clip)
             frame.copy_to(arrays)
@@ -249,7 +250,7 @@ def test_existing_pictures_are_kept_unless_forced(tmp_path: Path) -> None:
     kept.write_text("kept")
     kept.chmod(0o640)
     with pytest.raises(SuppleError, match=r"00002\.png exists already"), open_sequence(tmp_path / "in") as clip:
-        sequence_writer(tmp_path / "out", clip).__enter__()
+        sequence_writer(clip, tmp_path / "out").__enter__()
     assert names(tmp_path / "out") == ["00002.png"]
     copy(tmp_path / "in", tmp_path / "out", force=True)
     assert names(tmp_path / "out") == numbers(1, 3)
@@ -340,7 +341,7 @@ def test_places_that_cannot_be_written_are_refused_first(tmp_path: Path) -> None
         ("%d%d.png", "must hold one number"),
     ):
         with pytest.raises(SuppleError, match=match), open_sequence(tmp_path / "in") as clip:
-            sequence_writer(tmp_path / target, clip, force=True).__enter__()
+            sequence_writer(clip, tmp_path / target, force=True).__enter__()
     assert names(tmp_path) == ["file", "in", "out"]
 
 

@@ -15,20 +15,22 @@ import pyvips
 from supple import SuppleError
 from supple.engines.base import Group, Layout
 from supple.media.image import Picture, read, write
-from supple.media.video import ClipWarning, info, open_video, writer_of
-from supple.media.video.sequence import open_sequence
-from supple.media.video.sequence_out import sequence_writer
+from supple.media.sequence import open_clip as open_sequence
+from supple.media.sequence import writer as sequence_writer
+from supple.media.video import ClipWarning, info
+from supple.media.video import open_clip as open_video
+from supple.media.video import writer as writer_of
 from tests import clips
 from tests.media.video.sequences import SRGB, Array, frames_of, names, numbers, picture, save
 
 # what every film of RGB pictures says that is as players want it; `test_what_a_sequence_loses_is_said` hears it
-pytestmark = pytest.mark.filterwarnings("ignore:.* loses detail of colours:supple.media.video.errors.ClipWarning")
+pytestmark = pytest.mark.filterwarnings("ignore:.* loses detail of colours:supple.media.base.ClipWarning")
 
 
 class Video:
     """What a writer sees of a video: planes, and how they become RGB."""
 
-    count = 2
+    name, count, rotation, unpictured = "video", 2, 0.0, ()
 
     def __init__(self, white: float, alpha: bool) -> None:
         luma, chroma = Group((6, 8), 1 + alpha, alpha=alpha), Group((3, 4), 2, (2, 2))
@@ -44,7 +46,7 @@ def test_videos_become_pictures(tmp_path: Path, white: float, alpha: bool) -> No
     luma = np.zeros((6, 8, 1 + alpha), clip.layout.dtype)
     luma[..., 0], luma[..., alpha:] = 100, white if alpha else 100
     for target, wanted in ((tmp_path / "folder", numbers(1, 2)), (tmp_path / "p" / "%d.png", ["1.png", "2.png"])):
-        with sequence_writer(target, clip) as sink:
+        with sequence_writer(clip, target) as sink:
             for k in range(2):
                 sink.write([luma, np.zeros((3, 4, 2))], k)
         found = [read((tmp_path / "folder" if target.suffix == "" else tmp_path / "p") / name) for name in wanted]
@@ -61,13 +63,13 @@ class Plain(Video):
 
     rotation = 90
 
-    def to_rgb(self, arrays: Sequence[Array]) -> Array:  # type: ignore[override]
+    def to_rgb(self, arrays: Sequence[Array], *, deep: bool = False) -> Array:
         return np.repeat(arrays[0][..., :1], 3, axis=2).astype(np.uint8)
 
 
 def test_a_turned_video_becomes_upright_pictures(tmp_path: Path) -> None:
     luma = np.arange(48, dtype=np.uint16).reshape(6, 8, 1)
-    with sequence_writer(tmp_path / "out", Plain(1023.0, False)) as sink:
+    with sequence_writer(Plain(1023.0, False), tmp_path / "out") as sink:
         sink.write([luma, np.zeros((3, 4, 2))], 0)
     np.testing.assert_array_equal(read(tmp_path / "out" / "00001.png").pixels[..., 0], np.rot90(luma[..., 0]))
 
@@ -93,7 +95,7 @@ def shot(path: Path) -> tuple[dict[str, Any], list[list[Array]]]:
             arrays = [np.empty((*g.shape, g.channels), clip.layout.dtype) for g in clip.layout.groups]
             frame.copy_to(arrays)
             found.append(arrays)
-        return clip.facts(), found
+        return clip.info(), found
 
 
 def gradients(folder: Path, count: int, dtype: str = "u1", shape: tuple[int, int] = (48, 64)) -> list[Array]:
@@ -316,7 +318,7 @@ def test_pictures_without_colours_are_refused(tmp_path: Path) -> None:
 def test_a_film_becomes_the_pictures_that_it_was_made_of(tmp_path: Path, dtype: str) -> None:
     kept = save(tmp_path / "in", numbers(1, 3), shape=(6, 8, 4), dtype=dtype)
     film(tmp_path / "in", tmp_path / "a.mkv", codec="ffv1")
-    with open_video(tmp_path / "a.mkv") as clip, sequence_writer(tmp_path / "out", clip) as sink:
+    with open_video(tmp_path / "a.mkv") as clip, sequence_writer(clip, tmp_path / "out") as sink:
         for k, frame in enumerate(clip.frames()):
             arrays = [np.empty((*g.shape, g.channels), clip.layout.dtype) for g in clip.layout.groups]
             frame.copy_to(arrays)

@@ -7,7 +7,8 @@ import av
 import numpy as np
 import pytest
 
-from supple.media.video import ClipWarning, open_video
+from supple.media.video import ClipWarning
+from supple.media.video import open_clip as open_video
 from tests import clips
 from tests.media.video.copies import assert_same_sound, copy, relative
 
@@ -176,7 +177,7 @@ def flash_and_click(path):
 def seen_and_heard(path):
     """The seconds at which the frame is white, as `Clip` tells times, and the click begins."""
     with open_video(path) as clip:
-        clip.sink = types.SimpleNamespace(copies=False, indices=[], take=None)
+        clip.passage = types.SimpleNamespace(indices=[], take=None)
         light = []
         for k, frame in enumerate(clip.frames()):
             arrays = [np.empty((*g.shape, g.channels), clip.layout.dtype) for g in clip.layout.groups]

@@ -8,7 +8,8 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from supple.media.video import ClipWarning, CountError, info, open_video
+from supple.media.video import ClipWarning, CountError, info
+from supple.media.video import open_clip as open_video
 from tests import clips
 from tests.media.video.copies import assert_same_frames, assert_same_sound, copy, read
 
@@ -43,7 +44,7 @@ def test_a_pause_is_kept_in_avi(tmp_path):
     source = clips.make(tmp_path / "a.mp4", times=times)
     copy(source, tmp_path / "b.avi")
     with open_video(tmp_path / "b.avi") as clip:
-        clip.sink = types.SimpleNamespace(copies=False, indices=[], take=None)
+        clip.passage = types.SimpleNamespace(indices=[], take=None)
         assert [clip.time(k)[0] * clip.base for k, _ in enumerate(clip.frames())] == [Fraction(t, 25) for t in times]
 
 

@@ -1,5 +1,6 @@
 """Raw samples, and stacks of TIFF pages."""
 
+import contextlib
 import struct
 
 import numpy as np
@@ -146,3 +147,19 @@ class TestTIFF:
         series = volume(noise("u1", 2, *SHAPE), series=True)
         assert "series" in refused(write, tmp_path / "out.tif", series.samples, series)
         assert not list(tmp_path.iterdir())
+
+
+def test_a_stack_that_ends_between_two_pages(tmp_path):
+    image = pyvips.Image.new_from_array(noise("u1", 60, 6)).cast("uchar")
+    image.tiffsave(str(tmp_path / "in.tif"), page_height=10)
+    data = (tmp_path / "in.tif").read_bytes()
+    cut = []
+    for n in range(len(data) // 6, len(data)):
+        with contextlib.suppress(pyvips.Error):
+            seen = pyvips.Image.new_from_buffer(data[:n], "", n=-1, fail_on="error")
+            if seen.avg() >= 0 and seen.height < 60:  # libvips notices nothing
+                cut.append(n)
+    assert cut
+    for n in cut:
+        (tmp_path / "cut.tif").write_bytes(data[:n])
+        assert "cut short" in refused(read, tmp_path / "cut.tif")

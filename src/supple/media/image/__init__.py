@@ -14,7 +14,7 @@ import numpy as np
 import pyvips
 
 from supple.errors import SuppleError, shown
-from supple.media.files import replacing
+from supple.media.files import PathLike, check_suffix, replacing
 from supple.media.image import exif
 from supple.media.image.formats import (
     AVIF,
@@ -22,9 +22,9 @@ from supple.media.image.formats import (
     EXR,
     JPEG,
     OUT,
+    SUFFIXES,
     SUFFIXES_OUT,
     TIFF,
-    WEBP,
     Array,
     check,
     meant,
@@ -32,15 +32,15 @@ from supple.media.image.formats import (
     wrapped,
 )
 from supple.media.image.headers import collected, dressed, facts, finish, has_alpha, kept, profile_name
-from supple.media.image.vips import PathLike, apart, decoded, is_ycbcr, opened, reading, sequential, widen, writing
+from supple.media.image.vips import apart, decoded, is_ycbcr, opened, reading, sequential, widen, writing
 
 __all__ = [
+    "SUFFIXES",
     "SUFFIXES_OUT",
     "DepthWarning",
     "ImageWarning",
     "MetadataWarning",
     "PageWarning",
-    "PathLike",
     "Picture",
     "check_quality",
     "check_target",
@@ -102,17 +102,9 @@ class Picture:
 
 
 def check_target(path: PathLike) -> None:
-    """Refuse a name whose suffix no image can be written under.
-
-    Raises
-    ------
-    SuppleError
-        The suffix is not in `SUFFIXES_OUT`.
-    """
+    """Refuse a name whose suffix is not in `SUFFIXES_OUT`."""
     suffix = Path(path).suffix
-    if suffix.lower() not in OUT:
-        found = f"the suffix {shown(suffix)}" if suffix else "a name without suffix"
-        raise SuppleError(f"cannot write {shown(path)}: {found} is no image format: use {', '.join(OUT)}")
+    check_suffix(path, suffix, OUT, "is no image format", f"use {', '.join(OUT)}")
 
 
 def check_quality(path: PathLike, quality: int | None) -> None:
@@ -128,7 +120,7 @@ def check_quality(path: PathLike, quality: int | None) -> None:
     name, form = shown(path), OUT.get(Path(path).suffix.lower())
     if not 1 <= quality <= 100:
         raise SuppleError(f"cannot write {name} with quality {quality}: quality goes from 1 to 100")
-    if form is not None and form not in (JPEG, WEBP, AVIF):
+    if form is not None and not form.quality:
         text = f"{name}: quality {quality} changes nothing in {form.name}: it is for JPEG, WebP and AVIF"
         warnings.warn(text, ImageWarning, stacklevel=3)
 
@@ -256,8 +248,8 @@ def info(path: PathLike) -> dict[str, object]:
 def write(
     path: PathLike,
     pixels: Array,
-    *,
     like: Picture | None = None,
+    *,
     alpha: bool | None = None,
     quality: int | None = None,
     lossless: bool = False,
@@ -304,7 +296,7 @@ def write(
         alpha = like.alpha if like is not None and same else channels in (2, 4)
     known = like.interpretation if like is not None and same else ""
     meaning = meant(array.dtype, channels - alpha, known)
-    check(name, form, array, meaning, alpha)
+    check(path, form, array, meaning, alpha)
     if lossless and form is JPEG:
         raise SuppleError(f"cannot write {name} without loss: JPEG loses some: write PNG, TIFF, WebP or AVIF")
     if quality is not None and not 1 <= quality <= 100:
@@ -328,7 +320,9 @@ def write(
             array = decoded(image, 1)
         with replacing(path, force=force) as temporary, ffmpeg.writing(path):
             kinds = form.pixel_formats[array.dtype.str[1:]]
-            temporary.write_bytes(ffmpeg.encoded(array, form.save, kinds[channels], half=have == 16 and form is EXR))
+            temporary.write_bytes(
+                ffmpeg.encoded(array, form.saver, kinds[channels], form.options, half=have == 16 and form is EXR)
+            )
         return
     image, lost = dressed(image, header, icc, form, channels - alpha)
     if lost:
@@ -338,7 +332,7 @@ def write(
     if form is TIFF and like is not None and like.pages > 1:
         options["page_height"] = len(array) // like.pages
     with replacing(path, force=force) as temporary, writing(path):
-        apart(lambda: getattr(image, form.save)(os.fsencode(temporary), **options), image)
+        apart(lambda: getattr(image, form.saver)(os.fsencode(temporary), **options), image)
         if form is TIFF and (block := header.get("exif-data")):
             exif.into_tiff(temporary, block, array.shape[1], array.shape[0])
         finish(temporary, image, form)

@@ -13,6 +13,10 @@ from typing import BinaryIO, Literal, TypeAlias
 
 import numpy as np
 
+from supple.media.files import PathLike
+
+# Kept: libvips passes no EXIF into a TIFF, nor out of one (TestExifInTiff).
+
 # for each folder the folders below it, by the tag that points at them; no tag points at the image's own
 _IMAGE, _EXIF, _GPS, _INTEROP = -1, 34665, 34853, 40965
 _BELOW: dict[int, tuple[int, ...]] = {_IMAGE: (_EXIF, _GPS), _EXIF: (_INTEROP,), _GPS: (), _INTEROP: ()}
@@ -144,14 +148,8 @@ class _Reader:
         return self.form.number(value.data) if value and value.kind == 4 and len(value.data) == 4 else self.size
 
 
-def from_tiff(path: str | os.PathLike[str]) -> tuple[bytes | None, bool]:
-    """Make an EXIF block of what a TIFF's first page says.
-
-    Returns
-    -------
-    tuple
-        The block, if there is something to say; and whether all of it could be read.
-    """
+def from_tiff(path: PathLike) -> tuple[bytes | None, bool]:
+    """Make an EXIF block of what a TIFF's first page says, if it says something; tell whether all could be read."""
     with open(path, "rb") as file:
         reader = _Reader(file)
         found = reader.folder(reader.first)
@@ -180,7 +178,7 @@ def fitted(block: bytes, most: int) -> bytes:
     return block
 
 
-def into_tiff(path: str | os.PathLike[str], block: bytes, width: int, height: int) -> None:
+def into_tiff(path: PathLike, block: bytes, width: int, height: int) -> None:
     """Append an EXIF block's folders to a TIFF, with the texts that it lacks and the size of its image."""
     found, source, _ = _parsed(block)
     if not found:
@@ -203,7 +201,7 @@ def into_tiff(path: str | os.PathLike[str], block: bytes, width: int, height: in
         file.write(form.bytes(place, form.word))
 
 
-def tag_of(path: str | os.PathLike[str], tag: int) -> int:
+def tag_of(path: PathLike, tag: int) -> int:
     """Return a small number that the first folder of a TIFF holds; 0 where it does not."""
     with open(path, "rb") as file:
         reader = _Reader(file)
@@ -213,7 +211,7 @@ def tag_of(path: str | os.PathLike[str], tag: int) -> int:
     return 0
 
 
-def retagged(path: str | os.PathLike[str], values: dict[int, int]) -> tuple[bytes, Literal["little", "big"]]:
+def retagged(path: PathLike, values: dict[int, int]) -> tuple[bytes, Literal["little", "big"]]:
     """Return a TIFF with one number of 16 bits in each of these tags of its first folder, and its byte order."""
     with open(path, "rb") as file:
         data = bytearray(file.read())
@@ -228,7 +226,7 @@ def retagged(path: str | os.PathLike[str], values: dict[int, int]) -> tuple[byte
     return bytes(data), form.order
 
 
-def set_tag(path: str | os.PathLike[str], tag: int, value: int) -> None:
+def set_tag(path: PathLike, tag: int, value: int) -> None:
     """Change a number of 16 bits that the folders of a TIFF, one for each page, hold, where it stands."""
     with open(path, "rb+") as file:
         reader = _Reader(file)

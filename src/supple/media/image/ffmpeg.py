@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from fractions import Fraction
 from typing import Any
 
@@ -16,42 +16,24 @@ need("video", "OpenEXR, Radiance, JPEG 2000, BMP, TGA and PNM pictures", "av")
 import av
 import numpy as np
 
-from supple.media.image.formats import Array
+from supple.media.files import PathLike, unreadable, unwritable
+from supple.media.image.formats import FORMATS, Array
 from supple.media.video.colour import FULL, Colour, to_rgb
-from supple.media.video.errors import said, unreadable, unwritable
+from supple.media.video.demux import said
 from supple.media.video.planes import form, pack, palette, unpack, wider
 
-_MAGIC = (
-    (rb"v/1\x01", "exr", "OpenEXR"),
-    (rb"#\?(RADIANCE|RGBE)", "hdr", "Radiance"),
-    (rb"\0\0\0\x0cjP  |\xff\x4f\xff\x51", "jpeg2000", "JPEG 2000"),
-    (rb"BM", "bmp", "BMP"),
-    (rb"P[14]\s", "pbm", "PNM"),
-    (rb"P[25]\s", "pgm", "PNM"),
-    (rb"P[36]\s", "ppm", "PNM"),
-    (rb"P7\s", "pam", "PNM"),
-    (rb"P[Ff]\s", "pfm", "PNM"),
-    (rb"P[Hh]\s", "phm", "PNM"),
-)
-_OPTIONS = {"exr": {"compression": "zip16"}, "jpeg2000": {"format": "jp2", "pred": "dwt53"}}  # which keep every value
 
-
-def codec_of(path: str | os.PathLike[str], head: bytes) -> tuple[str, str] | None:
+def codec_of(path: PathLike, head: bytes) -> tuple[str, str] | None:
     """Tell the codec and the format of a picture by its first bytes; of TGA, which has none, by the name."""
-    for pattern, codec, name in _MAGIC:
-        if re.match(pattern, head):
-            return codec, name
+    for known in FORMATS:
+        for pattern, codec in known.magic.items():
+            if re.match(pattern, head):
+                return codec, known.name
     return ("targa", "TGA") if os.fspath(path).lower().endswith(".tga") else None
 
 
-def decoded(path: str | os.PathLike[str], codec: str) -> tuple[Array, int]:
-    """Decode a picture: shape (H, W) or (H, W, C), in grey or RGB; tell how many bits a channel it has.
-
-    Raises
-    ------
-    av.FFmpegError
-        The codec fails.
-    """
+def decoded(path: PathLike, codec: str) -> tuple[Array, int]:
+    """Decode a picture: shape (H, W) or (H, W, C), in grey or RGB; tell how many bits a channel it has."""
     with open(path, "rb") as file:
         data = file.read()
     context: Any = av.CodecContext.create(codec, "r")
@@ -89,21 +71,17 @@ def _least(pixels: Array) -> Array:
     return np.ascontiguousarray(pixels)
 
 
-def encoded(pixels: Array, codec: str, pixel_format: str, *, half: bool = False) -> bytes:
-    """Encode a picture without loss, but for what the format cannot hold.
-
-    Raises
-    ------
-    av.FFmpegError
-        The codec fails.
-    """
+def encoded(
+    pixels: Array, codec: str, pixel_format: str, options: Mapping[str, str] | None = None, *, half: bool = False
+) -> bytes:
+    """Encode a picture without loss, but for what the format cannot hold."""
     height, width = pixels.shape[:2]
     known = form(pixel_format)
     assert known is not None
     context: Any = av.CodecContext.create(codec, "w")
     context.width, context.height, context.pix_fmt = width, height, pixel_format
     context.time_base = Fraction(1)
-    context.options = {**_OPTIONS.get(codec, {}), **({"format": "half"} if half else {})}
+    context.options = {**(options or {}), **({"format": "half"} if half else {})}
     if half:  # rounded here, since FFmpeg drops the low bits
         with np.errstate(over="ignore"):
             pixels = pixels.astype(np.float16).astype(np.float32)
@@ -112,7 +90,7 @@ def encoded(pixels: Array, codec: str, pixel_format: str, *, half: bool = False)
 
 
 @contextlib.contextmanager
-def reading(path: str | os.PathLike[str]) -> Iterator[None]:
+def reading(path: PathLike) -> Iterator[None]:
     """Make of a codec's failure one sentence."""
     try:
         yield
@@ -122,7 +100,7 @@ def reading(path: str | os.PathLike[str]) -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def writing(path: str | os.PathLike[str]) -> Iterator[None]:
+def writing(path: PathLike) -> Iterator[None]:
     """Make of a codec's failure one sentence; what the system refuses stays an `OSError`."""
     try:
         yield

@@ -1,82 +1,88 @@
-"""The formats that images are written in: what they hold, and how libvips is told to write them."""
+"""The one table of picture formats: what names, reads and writes each of them, and what it can hold."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 import numpy.typing as npt
 import pyvips
 
-from supple.errors import SuppleError
+from supple.errors import SuppleError, shown
+from supple.media.files import PathLike, unwritable
 
 Array = npt.NDArray[Any]
 
 
 @dataclass(frozen=True, slots=True)
 class Format:
-    """A format's libvips saver, its pixels on a side, its bits a channel, and the channels that it knows.
+    """A format of pictures: a row of the table."""
 
-    What FFmpeg writes names a codec instead, and its pixel format for each type and number of channels.
-    """
-
-    name: str
-    save: str
-    limit: int
-    bits: int
+    name: str  # as people call it
+    suffixes: tuple[str, ...] = ()  # which name it
+    loaders: tuple[str, ...] = ()  # as libvips calls those that read it
+    magic: Mapping[bytes, str] = field(default_factory=dict)  # patterns of how files begin that a codec of FFmpeg reads
+    saver: str = ""  # of libvips, or a codec of FFmpeg where there are pixel_formats; empty where nothing writes it
+    limit: int = 30_000  # pixels on a side
+    bits: int = 8  # a channel
     grey: bool = True
     alpha: bool = True
     cmyk: bool = False
+    quality: int = 0  # the usual one, from 1 to 100; 0 where it has none
+    lossless: tuple[str, ...] = ()  # the options that say whether to keep every value
+    options: Mapping[str, Any] = field(default_factory=dict)  # for everything
+    # of the codec, for each type and number of channels
     pixel_formats: Mapping[str, Mapping[int, str]] = field(default_factory=dict)
 
 
-PNG = Format("PNG", "pngsave", 10_000_000, 16)
-JPEG = Format("JPEG", "jpegsave", 65_500, 8, alpha=False, cmyk=True)
-TIFF = Format("TIFF", "tiffsave", 10_000_000, 64, cmyk=True)
-WEBP = Format("WebP", "webpsave", 16_383, 8, grey=False)
-AVIF = Format("AVIF", "heifsave", 16_384, 12, grey=False)
-_REAL = {1: "grayf32le", 3: "gbrpf32le"}
+# fmt: off
 _BGR = {"u1": {1: "gray", 3: "bgr24", 4: "bgra"}}
-EXR = Format("OpenEXR", "exr", 30_000, 32, pixel_formats={"f4": {**_REAL, 4: "gbrapf32le"}})
-HDR = Format("Radiance", "hdr", 30_000, 32, grey=False, alpha=False, pixel_formats={"f4": {3: "gbrpf32le"}})
-PFM = Format("PFM", "pfm", 30_000, 32, alpha=False, pixel_formats={"f4": _REAL})
-PGM = Format("PGM", "pgm", 30_000, 16, alpha=False, pixel_formats={"u1": {1: "gray"}, "u2": {1: "gray16be"}})
-PPM = Format("PPM", "ppm", 30_000, 16, alpha=False, pixel_formats={"u1": {3: "rgb24"}, "u2": {3: "rgb48be"}})
-BMP = Format("BMP", "bmp", 30_000, 8, pixel_formats=_BGR)
-TGA = Format("TGA", "targa", 30_000, 8, pixel_formats=_BGR)
-JP2 = Format("JPEG 2000", "jpeg2000", 30_000, 16, alpha=False, pixel_formats={
-    "u1": {1: "gray", 3: "rgb24"}, "u2": {1: "gray16le", 3: "rgb48le"},
-})  # fmt: skip
-OUT = {
-    ".png": PNG,
-    ".jpg": JPEG,
-    ".jpeg": JPEG,
-    ".tif": TIFF,
-    ".tiff": TIFF,
-    ".webp": WEBP,
-    ".avif": AVIF,
-    ".exr": EXR,
-    ".hdr": HDR,
-    ".pfm": PFM,
-    ".pgm": PGM,
-    ".ppm": PPM,
-    ".bmp": BMP,
-    ".tga": TGA,
-    ".jp2": JP2,
+_REAL = {1: "grayf32le", 3: "gbrpf32le"}
+_WHOLE = {"u1": {1: "gray", 3: "rgb24"}, "u2": {1: "gray16le", 3: "rgb48le"}}
+_PGM, _PPM = {"u1": {1: "gray"}, "u2": {1: "gray16be"}}, {"u1": {3: "rgb24"}, "u2": {3: "rgb48be"}}
+_PNM = {
+    rb"P[14]\s": "pbm", rb"P[25]\s": "pgm", rb"P[36]\s": "ppm", rb"P7\s": "pam", rb"P[Ff]\s": "pfm", rb"P[Hh]\s": "phm"
 }
+PNG = Format("PNG", (".png",), ("png",), saver="pngsave", limit=10**7, bits=16,
+             options={"compression": 6, "filter": "paeth"})
+JPEG = Format("JPEG", (".jpg", ".jpeg"), ("jpeg", "uhdr"), saver="jpegsave", limit=65_500, alpha=False, cmyk=True,
+              quality=95, options={"subsample_mode": "off"})
+TIFF = Format("TIFF", (".tif", ".tiff"), ("tiff",), saver="tiffsave", limit=10**7, bits=64, cmyk=True,
+              options={"compression": "deflate"})
+WEBP = Format("WebP", (".webp",), ("webp",), saver="webpsave", limit=16_383, grey=False,
+              quality=90, lossless=("lossless", "exact"), options={"smart_subsample": True})
+AVIF = Format("AVIF", (".avif",), saver="heifsave", limit=16_384, bits=12, grey=False,
+              quality=90, lossless=("lossless",),  # effort 4 takes six times as long for 7 %
+              options={"compression": "av1", "subsample_mode": "off", "effort": 3})
+EXR = Format("OpenEXR", (".exr",), ("openexr",), {rb"v/1\x01": "exr"}, "exr", bits=32,
+             options={"compression": "zip16"}, pixel_formats={"f4": {**_REAL, 4: "gbrapf32le"}})
+FORMATS = (
+    PNG, JPEG, TIFF, WEBP, AVIF, EXR,
+    Format("Radiance", (".hdr",), (), {rb"#\?(RADIANCE|RGBE)": "hdr"}, "hdr", bits=32, grey=False, alpha=False,
+           pixel_formats={"f4": {3: "gbrpf32le"}}),
+    Format("PFM", (".pfm",), saver="pfm", bits=32, alpha=False, pixel_formats={"f4": _REAL}),
+    Format("PGM", (".pgm",), saver="pgm", bits=16, alpha=False, pixel_formats=_PGM),
+    Format("PPM", (".ppm",), saver="ppm", bits=16, alpha=False, pixel_formats=_PPM),
+    Format("BMP", (".bmp",), (), {b"BM": "bmp"}, "bmp", pixel_formats=_BGR),
+    Format("TGA", (".tga",), saver="targa", pixel_formats=_BGR),
+    Format("JPEG 2000", (".jp2",), ("jp2k",), {rb"\0\0\0\x0cjP  |\xff\x4f\xff\x51": "jpeg2000"}, "jpeg2000", bits=16,
+           alpha=False, options={"format": "jp2", "pred": "dwt53"}, pixel_formats=_WHOLE),  # which keep every value
+    Format("PNM", (".pam", ".pbm", ".pnm"), ("ppm",), _PNM),
+    Format("GIF", (".gif",), ("gif",)),
+    Format("HEIF", (".heic", ".heif"), ("heif",)),
+    Format("JPEG XL", (".jxl",), ("jxl",)),
+    Format("SVG", (".svg",), ("svg",)),
+)
+DTYPES = {"uchar": "u1", "char": "i1", "ushort": "u2", "short": "i2", "uint": "u4", "int": "i4", "float": "f4",
+          "double": "f8"}
+# fmt: on
+OUT = {suffix: form for form in FORMATS if form.saver for suffix in form.suffixes}
 SUFFIXES_OUT = tuple(OUT)
-DTYPES = {
-    "uchar": "u1",
-    "char": "i1",
-    "ushort": "u2",
-    "short": "i2",
-    "uint": "u4",
-    "int": "i4",
-    "float": "f4",
-    "double": "f8",
-}
+# Of a folder, everything that somebody may take for a picture: what cannot be read is then named.
+SUFFIXES = frozenset(suffix for form in FORMATS for suffix in form.suffixes)
+LOADERS = {loader: form.name for form in FORMATS for loader in form.loaders}  # others read tables, and raw memory
 _VIPS = {np.dtype(dtype): name for name, dtype in DTYPES.items()}
 COLOURS = {"b-w": 1, "grey16": 1, "cmyk": 4, "multiband": 0}  # all others have three
 
@@ -91,47 +97,36 @@ def meant(dtype: np.dtype[Any], colours: int, like: str) -> str:
     return names[colours == 3]
 
 
-def check(name: str, form: Format, array: Array, meaning: str, alpha: bool) -> None:
+def check(path: PathLike, form: Format, array: Array, meaning: str, alpha: bool) -> None:
     """Refuse what the format cannot hold."""
+
+    def refuse(what: str, advice: str) -> NoReturn:
+        raise unwritable(path, what, advice)
+
     if array.ndim not in (2, 3) or 0 in array.shape:
-        raise SuppleError(f"cannot write {name}: an image has shape (H, W) or (H, W, C), and not {array.shape}")
-    if form.pixel_formats and array.dtype in _VIPS:
-        _check_codec(name, form, array, alpha)
-        return
-    if array.dtype not in _VIPS or (form is not TIFF and array.dtype not in (np.uint8, np.uint16)):
-        advice = "write a TIFF" if array.dtype in _VIPS else "convert to uint8, uint16 or, for TIFF, float32"
-        raise SuppleError(f"cannot write {name}: {form.name} takes no {array.dtype} values: {advice}")
+        raise SuppleError(f"cannot write {shown(path)}: an image has shape (H, W) or (H, W, C), and not {array.shape}")
+    codec, name = bool(form.pixel_formats), form.name
+    known, channels = array.dtype in _VIPS, array.shape[2] if array.ndim == 3 else 1
+    types = set(form.pixel_formats) if codec else {"u1"}
+    types |= {"u2"} if "u1" in types else set()
+    if not known or (form is not TIFF and array.dtype.str[1:] not in types):
+        advice = "write TIFF or OpenEXR" if codec and "f4" not in types and array.dtype.kind == "f" else "write a TIFF"
+        advice = advice if known else "convert to uint8, uint16 or, for TIFF, float32"
+        refuse(f"{name} takes no {array.dtype} values", advice)
     if alpha and not form.alpha:
-        advice = "write PNG, TIFF, WebP or AVIF"
-        raise SuppleError(f"cannot write {name}: {form.name} holds no transparency: {advice}")
-    if meaning == "cmyk" and not form.cmyk:
-        raise SuppleError(f"cannot write {name}: {form.name} holds no CMYK colours: write TIFF or JPEG")
-    if meaning == "multiband" and form is not TIFF:
-        raise SuppleError(f"cannot write {name}: {form.name} does not hold {array.shape[2]} channels: write a TIFF")
+        refuse(f"{name} holds no transparency", "write PNG or TIFF" if codec else "write PNG, TIFF, WebP or AVIF")
+    if codec:
+        held = next(iter(form.pixel_formats.values()))
+        if channels not in held or (alpha and channels == 2):
+            refuse(f"{name} holds {' or '.join(map(str, held))} channels, and not {channels}", "write a TIFF")
+    elif meaning == "cmyk" and not form.cmyk:
+        refuse(f"{name} holds no CMYK colours", "write TIFF or JPEG")
+    elif meaning == "multiband" and form is not TIFF:
+        refuse(f"{name} does not hold {channels} channels", "write a TIFF")
     if max(array.shape[:2]) > form.limit:
+        advice = "write a TIFF" if codec else "write PNG or TIFF" if form.limit < PNG.limit else "cut it into parts"
         size = f"{array.shape[1]} x {array.shape[0]}"
-        advice = "write PNG or TIFF" if form.limit < PNG.limit else "cut it into parts"
-        limit = f"{form.name} ends at {form.limit} pixels on a side"
-        raise SuppleError(f"cannot write {name}: {limit}, and the image has {size}: {advice}")
-
-
-def _check_codec(name: str, form: Format, array: Array, alpha: bool) -> None:
-    """Refuse what a format that FFmpeg writes cannot hold."""
-    channels = array.shape[2] if array.ndim == 3 else 1
-    types = set(form.pixel_formats)
-    if array.dtype.str[1:] not in types | ({"u2"} if "u1" in types else set()):
-        advice = "write a TIFF" if "f4" in types or array.dtype.kind != "f" else "write TIFF or OpenEXR"
-        raise SuppleError(f"cannot write {name}: {form.name} takes no {array.dtype} values: {advice}")
-    if alpha and not form.alpha:
-        raise SuppleError(f"cannot write {name}: {form.name} holds no transparency: write PNG or TIFF")
-    known = next(iter(form.pixel_formats.values()))
-    if channels not in known or (alpha and channels == 2):
-        held = " or ".join(map(str, known))
-        raise SuppleError(f"cannot write {name}: {form.name} holds {held} channels, and not {channels}: write a TIFF")
-    if max(array.shape[:2]) > form.limit:
-        size = f"{array.shape[1]} x {array.shape[0]}"
-        what = f"{form.name} ends at {form.limit} pixels on a side, and the image has {size}"
-        raise SuppleError(f"cannot write {name}: {what}: write a TIFF")
+        refuse(f"{name} ends at {form.limit} pixels on a side, and the image has {size}", advice)
 
 
 def wrapped(array: Array, meaning: str, bits: int) -> Any:
@@ -149,14 +144,12 @@ def wrapped(array: Array, meaning: str, bits: int) -> Any:
 
 def settings(form: Format, array: Array, bits: int, quality: int | None, lossless: bool) -> dict[str, Any]:
     """Choose the settings of a libvips saver."""
-    if form is PNG:
-        return {"compression": 6, "filter": "paeth"}
-    if form is JPEG:
-        return {"Q": quality or 95, "subsample_mode": "off"}
+    chosen = {**form.options, **dict.fromkeys(form.lossless, lossless)}
+    if form.quality:
+        chosen["Q"] = quality or form.quality
     if form is TIFF:
         predictor = "none" if array.dtype.itemsize == 8 else "float" if array.dtype.kind == "f" else "horizontal"
-        return {"compression": "deflate", "predictor": predictor, "bigtiff": array.nbytes >= 4_000_000_000}
-    if form is WEBP:
-        return {"Q": quality or 90, "lossless": lossless, "exact": lossless, "smart_subsample": True}
-    depth = {"bitdepth": bits, "compression": "av1", "subsample_mode": "off", "effort": 3}
-    return {"Q": quality or 90, "lossless": lossless, **depth}  # effort 4 takes six times as long for 7 %
+        chosen |= {"predictor": predictor, "bigtiff": array.nbytes >= 4_000_000_000}
+    if form is AVIF:
+        chosen["bitdepth"] = bits
+    return chosen

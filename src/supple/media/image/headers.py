@@ -8,16 +8,14 @@ import re
 import struct
 import zlib
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 import pyvips
 
+from supple.media.files import PathLike
 from supple.media.image import exif
-from supple.media.image.chunks import found
 from supple.media.image.formats import COLOURS, DTYPES, JPEG, PNG, TIFF, Format
-
-PathLike = str | os.PathLike[str]
 
 _ICC_COLOURS = {b"GRAY": 1, b"RGB ": 3, b"Lab ": 3, b"CMYK": 4}
 _KEPT = ("icc-profile-data", "exif-data", "xmp-data", "iptc-data", "image-description", "png-comment-")
@@ -69,6 +67,25 @@ def collected(path: PathLike, image: Any, form: str, turned: bool) -> tuple[dict
     return header, lost
 
 
+# Kept: libvips tells neither of frames of a PNG nor whether it says its resolution (test_nothing_is_invented).
+def _chunk(file: BinaryIO, name: bytes) -> bytes:
+    """Go to the data of a chunk of a PNG that stands before the pixels; return its length, or nothing."""
+    at, kind = 8, b""
+    while kind not in (name, b"IDAT"):
+        file.seek(at)
+        head = file.read(8)
+        if len(head) < 8:
+            return b""
+        at, kind = at + 12 + int.from_bytes(head[:4]), head[4:]
+    return head[:4] if kind == name else b""
+
+
+def png_frames(path: PathLike) -> int:
+    """Count the frames of a PNG; 1 where it is not animated."""
+    with open(path, "rb") as file:
+        return int.from_bytes(file.read(4)) if _chunk(file, b"acTL") else 1
+
+
 def _tells_size(path: PathLike, image: Any, form: str) -> bool:
     """Tell whether a resolution is the file's: libvips makes one up for JPEG and PNG."""
     if image.get_typeof("resolution-unit") or form not in ("JPEG", "PNG"):
@@ -76,7 +93,7 @@ def _tells_size(path: PathLike, image: Any, form: str) -> bool:
     if form == "JPEG":
         return False
     with open(path, "rb") as file:
-        return bool(found(file, b"pHYs"))
+        return bool(_chunk(file, b"pHYs"))
 
 
 def dressed(
@@ -127,6 +144,7 @@ def kept(image: Any, form: Format) -> dict[str, Any]:
     return {"keep": _ALL & ~_EXIF}
 
 
+# Kept: libvips makes a resolution up, or leaves one out (test_nothing_is_invented, test_resolution_comes_through).
 def finish(path: PathLike, image: Any, form: Format) -> None:
     """Put right what a written file says of its resolution: nothing, where that is not known."""
     sized = _is_sized(image)
@@ -137,7 +155,7 @@ def finish(path: PathLike, image: Any, form: Format) -> None:
             file.write(_jfif(image.xres, image.yres) + data[2:])
     elif form is PNG and not sized:
         with open(path, "rb+") as file:
-            if found(file, b"pHYs"):
+            if _chunk(file, b"pHYs"):
                 chunk = b"pHYs" + struct.pack(">IIB", 1, 1, 0)
                 file.seek(-4, os.SEEK_CUR)
                 file.write(chunk + struct.pack(">I", zlib.crc32(chunk)))

@@ -6,7 +6,6 @@ import contextlib
 import errno
 import os
 import re
-import stat
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, TypeVar
@@ -14,29 +13,14 @@ from typing import Any, TypeVar
 import numpy as np
 import pyvips
 
-from supple.errors import SuppleError, shown
-from supple.media.image.chunks import png_frames
+from supple.errors import SuppleError
+from supple.media.files import PathLike, head_of, unreadable, unwritable
 from supple.media.image.exif import retagged, tag_of
-from supple.media.image.formats import DTYPES, Array, meant, wrapped
+from supple.media.image.formats import DTYPES, LOADERS, Array, meant, wrapped
+from supple.media.image.headers import png_frames
 
 T = TypeVar("T")
-PathLike = str | os.PathLike[str]
 
-# libvips also reads tables of numbers and raw memory: those are no images
-_LOADERS = {
-    "png": "PNG",
-    "jpeg": "JPEG",
-    "uhdr": "JPEG",
-    "tiff": "TIFF",
-    "webp": "WebP",
-    "heif": "HEIF",
-    "gif": "GIF",
-    "svg": "SVG",
-    "jxl": "JPEG XL",
-    "jp2k": "JPEG 2000",
-    "ppm": "PNM",
-    "openexr": "OpenEXR",
-}
 _UNSUPPORTED = re.compile(
     "(?i)unsupported|not supported|not implemented|not configured|unknown compression|out of range"
 )
@@ -50,27 +34,14 @@ _MAGIC = (b"\x89PNG", b"\xff\xd8", *_TIFF, b"RIFF", b"GIF8")
 
 def opened(path: PathLike) -> tuple[Any, str]:
     """Open an image for one reading from top to bottom; tell its format."""
-    name = shown(path)
     kinds = "give a PNG, JPEG, TIFF, WebP, AVIF or GIF file"
-    head = b""
-    try:
-        plain = stat.S_ISREG(os.stat(path).st_mode)
-        if plain:
-            with open(path, "rb") as file:
-                head = file.read(12)
-    except OSError as error:
-        raise SuppleError(f"cannot read {name}: {error.strerror}: check the name and its rights") from error
-    except ValueError as error:
-        raise SuppleError(f"cannot read {name}: no file can have that name: check it") from error
-    if not head:
-        what = "it is empty" if plain else "it is a folder or no plain file"
-        raise SuppleError(f"cannot read {name}: {what}: {kinds}")
+    head = head_of(path, 12, kinds, kinds)
     known = head.startswith(_MAGIC) or head[4:8] == b"ftyp"
     try:
         image = (
             _of_doubles(path) if head.startswith(_TIFF) and _holds_doubles(path) else apart(lambda: sequential(path))
         )
-        form = _LOADERS.get(str(image.get("vips-loader")).partition("load")[0])
+        form = LOADERS.get(str(image.get("vips-loader")).partition("load")[0])
         if form == "HEIF" and image.get("heif-compression") == "av1":
             form = "AVIF"
         if form == "PNG" and (frames := png_frames(path)) > 1:  # libvips knows of the first alone
@@ -82,11 +53,11 @@ def opened(path: PathLike) -> tuple[Any, str]:
         raise
     except (pyvips.Error, ArithmeticError, ValueError) as error:
         if _HEIC.match(head):
-            what = "it is HEIC, which is not supported here: convert it, to AVIF or JPEG for instance"
-            raise SuppleError(f"cannot read {name}: {what}") from error
+            advice = "convert it, to AVIF or JPEG for instance"
+            raise unreadable(path, "it is HEIC, which is not supported here", advice) from error
         if head.startswith(_JXL):
-            what = "it is JPEG XL, which is not supported here: convert it, to PNG or AVIF for instance"
-            raise SuppleError(f"cannot read {name}: {what}") from error
+            advice = "convert it, to PNG or AVIF for instance"
+            raise unreadable(path, "it is JPEG XL, which is not supported here", advice) from error
         if known:
             raise _damaged(path, error) from error
         from supple.media.image import ffmpeg
@@ -95,7 +66,7 @@ def opened(path: PathLike) -> tuple[Any, str]:
             return _by_ffmpeg(path, *found)
         form = None
     if form is None or image.format not in DTYPES or image.coding != "none":
-        raise SuppleError(f"cannot read {name}: it is no image of a known kind: {kinds}")
+        raise unreadable(path, "it is no image of a known kind", kinds)
     return image, form
 
 
@@ -113,6 +84,7 @@ def _by_ffmpeg(path: PathLike, codec: str, form: str) -> tuple[Any, str]:
     return image, form
 
 
+# Kept: libvips takes it for RGB (test_a_tiff_in_ycbcr_has_its_colours), and reads no doubles (test_tiff_of_doubles).
 def is_ycbcr(path: PathLike) -> bool:
     """Return whether a TIFF holds YCbCr, which libvips takes for RGB unless it is compressed as JPEG."""
     return tag_of(path, _PHOTOMETRIC) == _YCBCR and tag_of(path, _COMPRESSION) not in _JPEGS
@@ -195,19 +167,18 @@ def writing(path: PathLike) -> Iterator[None]:
         if found := re.search("system error: (.+)", text):
             code = next((code for code in errno.errorcode if os.strerror(code) == found[1]), -1)
             raise OSError(code, found[1]) from error
-        raise SuppleError(f"cannot write {shown(path)}: libvips fails{_reason(text)}: try another format") from error
+        raise unwritable(path, f"libvips fails{_reason(text)}", "try another format") from error
 
 
 def _damaged(path: PathLike, error: Exception) -> SuppleError:
     """Say in one sentence why a file was not read, with the telling line of libvips, if there is one."""
     text = getattr(error, "detail", "")
     if isinstance(error, MemoryError) or "out of memory" in text:
-        return SuppleError(f"cannot read {shown(path)}: it is too large for the memory: cut it into parts")
+        return unreadable(path, "it is too large for the memory", "cut it into parts")
     if _UNSUPPORTED.search(text):
         what = f"it is of a kind that is not supported{_reason(text)}"
-        return SuppleError(f"cannot read {shown(path)}: {what}: convert it, to PNG or TIFF for instance")
-    what = f"it is damaged, cut short or of an unknown kind{_reason(text)}"
-    return SuppleError(f"cannot read {shown(path)}: {what}: give a whole copy of it")
+        return unreadable(path, what, "convert it, to PNG or TIFF for instance")
+    return unreadable(path, f"it is damaged, cut short or of an unknown kind{_reason(text)}")
 
 
 def _reason(text: str) -> str:

@@ -1,9 +1,8 @@
-"""Videos as files: frames decoded in order, in the planes that they are stored in, and written anew."""
+"""Videos: frames decoded in order, in the planes that they are stored in, and written anew."""
 
 from __future__ import annotations
 
 import contextlib
-import os
 import warnings
 from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
@@ -17,32 +16,42 @@ need("video", "videos and image sequences", "av")
 import av
 
 from supple.engines.base import Array
-from supple.media.video.codecs import SUFFIXES_OUT, container_of
+from supple.media.base import ClipWarning, CountError
+from supple.media.codecs import SUFFIXES, SUFFIXES_OUT, codec_of
+from supple.media.files import PathLike, unreadable
 from supple.media.video.colour import sited, to_rgb
-from supple.media.video.demux import chosen, decoded_by, fed, opened, packets, sums_up, survey
-from supple.media.video.encode import writer_of
-from supple.media.video.errors import ClipWarning, CountError, unreadable
-from supple.media.video.plan import workers
+from supple.media.video.demux import (
+    Index,
+    Times,
+    chosen,
+    decoded_by,
+    fed,
+    index_of,
+    is_counted,
+    opened,
+    packets,
+    sums_up,
+    survey,
+    usual_step,
+)
+from supple.media.video.encode import writer
+from supple.media.video.plan import container_of, workers
 from supple.media.video.planes import Form, palette, unpack
-from supple.media.video.probe import Film, said_of
-from supple.media.video.seeking import Index, index_of
-from supple.media.video.timing import Times, usual_step
+from supple.media.video.source import Film, said_of
 
 __all__ = [
+    "SUFFIXES",
     "SUFFIXES_OUT",
     "Clip",
     "ClipWarning",
     "CountError",
-    "DecodedFrame",
-    "container_of",
+    "check_target",
     "info",
-    "open_video",
-    "writer_of",
+    "open_clip",
+    "writer",
 ]
 
-PathLike = str | os.PathLike[str]
 _COPY = "give a whole copy of it"
-_ALPHA = {"vp8": "libvpx", "vp9": "libvpx-vp9"}  # FFmpeg's own decoders leave the opacity of WebM out
 
 
 class DecodedFrame:
@@ -62,7 +71,7 @@ class DecodedFrame:
 
 
 class Clip(Film):
-    """A video file, opened; see `open_video`. What is known of it is told by `Film`."""
+    """A video file, opened; see `open_clip`. What is known of it is told by `Film`."""
 
     def __init__(self, path: PathLike, threads: int | None, count: int | None) -> None:
         self._threads = workers(threads)
@@ -98,9 +107,9 @@ class Clip(Film):
 
     def _decoder(self, film: av.VideoStream, count: int) -> av.VideoCodecContext:
         context = film.codec_context
-        if self.codec in _ALPHA and said_of(film, "alpha_mode") == "1":
+        if (other := codec_of(self.codec).opacity) and said_of(film, "alpha_mode") == "1":
             with contextlib.suppress(ValueError):
-                made = av.CodecContext.create(_ALPHA[self.codec], "r")
+                made = av.CodecContext.create(other, "r")
                 assert isinstance(made, av.VideoCodecContext)
                 context = made
         context.thread_count = count
@@ -144,13 +153,13 @@ class Clip(Film):
             There are more or fewer than `count`. None beyond is handed out.
         """
         film = self._rewind()
-        others = [self.source.streams[index] for index in self.sink.indices] if self.sink else []
-        times = Times(self.base, usual_step(self.rate, self.base), deque() if self.sink else None)
+        others = [self.source.streams[index] for index in self.passage.indices] if self.passage else []
+        times = Times(self.base, usual_step(self.rate, self.base), deque() if self.passage else None)
         self._times = times
-        counted = self.source.format.name == "avi"  # its frames have places, not times
+        counted = is_counted(self.source)
         shown_at: deque[int] = deque()
         keys: deque[tuple[int | None, int]] = deque(maxlen=64)
-        copies = self.sink is not None and self.sink.copies
+        copies = self.copies
         sent: dict[int | None, av.Packet[Any] | None] = {}  # packets on their way through the decoder, by their time
         self._packets.clear()
         fed_so_far = 0
@@ -253,8 +262,8 @@ class Clip(Film):
         assert self._pump is not None
         for packet in self._pump:
             if packet.stream_index != index:
-                if self.sink:
-                    self.sink.take(packet)
+                if self.passage:
+                    self.passage.take(packet)
                 continue
             if packet.size:
                 yield packet
@@ -286,7 +295,7 @@ class Clip(Film):
             return frame
         return frame.reformat(format=self.form.name, src_color_range=2, dst_color_range=2)
 
-    writer = writer_of
+    writer = writer
 
     def to_rgb(self, arrays: Sequence[Array], *, deep: bool = False) -> Array:
         """Show a frame's samples as RGB of 8 bits, or of 16 if `deep`: (H, W, 3), as stored, without rotation."""
@@ -294,8 +303,13 @@ class Clip(Film):
         return to_rgb(arrays, self.form, colour, self.layout.shape, deep)
 
 
+def check_target(path: PathLike) -> None:
+    """Refuse a name whose suffix is not in `SUFFIXES_OUT`, nor ``.m4v``."""
+    container_of(path)
+
+
 @contextlib.contextmanager
-def open_video(path: PathLike, *, threads: int | None = None, count: int | None = None) -> Iterator[Clip]:
+def open_clip(path: PathLike, *, threads: int | None = None, count: int | None = None) -> Iterator[Clip]:
     """Open a video file for reading.
 
     Parameters
@@ -331,5 +345,5 @@ def open_video(path: PathLike, *, threads: int | None = None, count: int | None 
 
 def info(path: PathLike) -> dict[str, Any]:
     """Tell what a video file holds, without decoding more than a frame."""
-    with open_video(path) as clip:
-        return clip.facts()
+    with open_clip(path) as clip:
+        return clip.info()

@@ -15,6 +15,7 @@ import numpy as np
 from av.filter import Graph
 
 from supple.engines.base import Array
+from supple.media.codecs import codec_of
 from supple.media.video.planes import Form, Kind, form, pack
 
 LIMITED, FULL = 1, 2  # AVCOL_RANGE_MPEG, AVCOL_RANGE_JPEG
@@ -31,7 +32,6 @@ _SITES = {
     "bottomleft": (0.0, 2.0),
     "bottom": (1.0, 2.0),
 }
-_CENTRED = frozenset(("mjpeg", "mpeg1video", "jpeg2000", "png", "webp", "theora", "vp8", "h263", "h261", "flv1"))
 _WEIGHTS = {"bt601": (0.299, 0.114), "bt709": (0.2126, 0.0722), "fcc": (0.3, 0.11), "smpte240m": (0.212, 0.087)}
 _WEIGHTS["bt2020"] = (0.2627, 0.0593)  # of red and blue in luma
 _FLAGS = "bicubic+accurate_rnd+full_chroma_int+full_chroma_inp"
@@ -40,21 +40,13 @@ _lock = threading.Lock()
 
 @dataclass(frozen=True, slots=True)
 class Colour:
-    """The colours of a clip, in the numbers that FFmpeg shares with ITU-T H.273.
+    """The colours of a clip, in the numbers that FFmpeg shares with ITU-T H.273."""
 
-    Parameters
-    ----------
-    range, primaries, transfer, matrix : int
-        As FFmpeg gives them; 0 for an unknown range, 2 for the others.
-    site : str
-        ``"left"``, ``"topleft"``, …; empty where the file does not say.
-    """
-
-    range: int = 0
+    range: int = 0  # 0 where it is unknown
     primaries: int = UNKNOWN
     transfer: int = UNKNOWN
     matrix: int = UNKNOWN
-    site: str = ""
+    site: str = ""  # "left", "topleft", ...; empty where the file does not say
 
     def full(self, form: Form) -> bool:
         """Tell whether samples use their whole range."""
@@ -80,6 +72,7 @@ class Colour:
         frame.color_primaries, frame.color_trc = self.primaries, self.transfer
 
 
+# Kept: PyAV tells no place of chroma (test_siting_is_read_and_written), and no numbers of side data.
 def described(container: av.container.InputContainer, index: int) -> str:
     """Return what FFmpeg says of a stream; some of it, such as where chroma is sited, can be had no other way."""
     with _lock:  # the level belongs to the whole process
@@ -107,13 +100,13 @@ def named_site(description: str) -> str:
 def sited(colour: Colour, codec: str, kind: Kind) -> str:
     """Name the place of chroma: the one that a file gives, or what its codec is used to.
 
-    Of 4:2:0, MJPEG, MPEG-1, H.263, VP8 and codecs of pictures site it in the centre of its pixels; HEVC and AV1 with
-    the colours of BT.2020 at their top left; all others, MPEG-2, H.264, HEVC, VP9, AV1, at their left.
+    Of 4:2:0, codecs that are `centred` site it in the centre of its pixels; HEVC and AV1 with the colours of BT.2020
+    at their top left; all others, MPEG-2, H.264, HEVC, VP9, AV1, at their left.
     """
     x, y = kind.step
     if colour.site:
         return colour.site
-    if codec in _CENTRED and x == y:
+    if codec_of(codec).centred and x == y:
         return "center"
     if colour.primaries == _BT2020_PRIMARIES and colour.transfer in (_PQ, _HLG) and codec in ("hevc", "av1"):
         return "topleft"
@@ -133,15 +126,7 @@ def siting(site: str, kind: Kind) -> tuple[float, float]:
 
 def black(form: Form, colour: Colour) -> tuple[float, ...]:
     """Return the value of each component in black, in the order of a layout's groups; that of opacity is 0."""
-    kind, full = form.kind, colour.full(form)
-    if kind.family == "gray":  # is taken for full where nothing is said
-        full = colour.range != LIMITED
-    low = 0.0 if full or kind.real or kind.family in ("rgb", "xyz") else 16.0 * 2 ** (kind.bits - 8)
-    middle = 2.0 ** (kind.bits - 1) if kind.family == "yuv" else low
-    opacity = (0.0,) * kind.alpha
-    if kind.family == "gray":
-        return (low, *opacity)
-    return (low, *(opacity if kind.step != (1, 1) else ()), middle, middle, *opacity)
+    return painted(form, colour, 0, [0.0] * (3 + form.kind.alpha))
 
 
 def painted(form: Form, colour: Colour, height: int, values: Sequence[float]) -> tuple[float, ...]:
@@ -235,39 +220,23 @@ def _swscale(matrix: int) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Grading:
-    """For which screen a clip was graded, and how bright it gets (SMPTE ST 2086, CTA-861.3).
+    """The screen for which a clip was graded, and how bright it gets (SMPTE ST 2086, CTA-861.3)."""
 
-    Parameters
-    ----------
-    screen : tuple of int or None
-        Red x, y, green x, y, blue x, y, white x, y in 1/50000; darkest and brightest in 1/10000 cd/m².
-    light : (int, int) or None
-        The brightest pixel and the brightest average of a frame, in cd/m².
-    """
-
+    # red x, y, green, blue and white in 1/50000; darkest and brightest in 1/10000 cd/m²
     screen: tuple[int, ...] | None = None
-    light: tuple[int, int] | None = None
+    light: tuple[int, int] | None = None  # the brightest pixel and the brightest average of a frame, in cd/m²
 
-    def x265(self) -> str:
-        """Return it as parameters of x265 and x264."""
-        words = []
+    def words(self, names: tuple[str, str]) -> list[str]:
+        """Spell it as parameters of an encoder that have these names."""
+        made, real = [], names[1] == "content-light"  # SVT-AV1 counts in units, the others in small parts of them
         if self.screen:
-            rx, ry, gx, gy, bx, by, wx, wy, dark, bright = self.screen
-            words.append(f"master-display=G({gx},{gy})B({bx},{by})R({rx},{ry})WP({wx},{wy})L({bright},{dark})")
+            told = [f"{v / 50000:.5f}" if real else f"{v}" for v in self.screen[:8]]
+            dark, bright = (f"{v / 10000:.4f}" if real else f"{v}" for v in self.screen[8:])
+            red, green, blue, white = (f"({x},{y})" for x, y in zip(told[::2], told[1::2], strict=True))
+            made.append(f"{names[0]}=G{green}B{blue}R{red}WP{white}L({bright},{dark})")
         if self.light:
-            words.append(f"max-cll={self.light[0]},{self.light[1]}")
-        return ":".join(words)
-
-    def svt(self) -> str:
-        """Return it as parameters of SVT-AV1."""
-        words = []
-        if self.screen:
-            rx, ry, gx, gy, bx, by, wx, wy = (f"{value / 50000:.5f}" for value in self.screen[:8])
-            dark, bright = (f"{value / 10000:.4f}" for value in self.screen[8:])
-            words.append(f"mastering-display=G({gx},{gy})B({bx},{by})R({rx},{ry})WP({wx},{wy})L({bright},{dark})")
-        if self.light:
-            words.append(f"content-light={self.light[0]},{self.light[1]}")
-        return ":".join(words)
+            made.append(f"{names[1]}={self.light[0]},{self.light[1]}")
+        return made
 
 
 def graded(frame: av.VideoFrame) -> Grading:

@@ -1,4 +1,4 @@
-"""Video files as packets: opened, counted, and set to one clock."""
+"""Video files as packets: opened, counted, set to one clock, and sought in by the times of their frames."""
 
 from __future__ import annotations
 
@@ -7,8 +7,10 @@ import itertools
 import os
 import re
 import stat
-from collections.abc import Iterator
-from dataclasses import dataclass
+from bisect import bisect_right
+from collections import deque
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -16,9 +18,9 @@ from typing import Any
 import av
 from av.format import Flags as FormatFlags
 
-from supple.media.video.errors import said, unreadable
+from supple.media.codecs import codec_of
+from supple.media.files import PathLike, unreadable
 
-PathLike = str | os.PathLike[str]
 _ADVICE = "give a whole video file, such as MP4, MOV, MKV, WebM or AVI"
 _TEXT = frozenset(("ansi", "bintext", "xbin", "idf"))  # text that FFmpeg would show as a film of a terminal
 _LISTS = frozenset(("concat", "hls", "dash", "imf"))  # text that names other files, or addresses
@@ -29,14 +31,14 @@ _BACK = Fraction(1, 10)
 _PICTURES = av.stream.Disposition.attached_pic | av.stream.Disposition.timed_thumbnails
 
 
-def opened(path: PathLike) -> av.container.InputContainer:
-    """Open a video file.
+def said(error: Exception) -> str:
+    """Shorten what FFmpeg said to its reason."""
+    text = getattr(error, "strerror", None) or str(error) or type(error).__name__
+    return re.sub(r"\s+", " ", str(text)).strip().rstrip(".").replace("[Errno", "[error")
 
-    Raises
-    ------
-    SuppleError
-        It is missing, empty, no plain file, damaged at its start, or no video.
-    """
+
+def opened(path: PathLike) -> av.container.InputContainer:
+    """Open a video file; SuppleError if it is missing, empty, no plain file, damaged at its start, or no video."""
     try:
         found = os.stat(path)
     except OSError as error:
@@ -63,13 +65,7 @@ def opened(path: PathLike) -> av.container.InputContainer:
 
 
 def chosen(container: av.container.InputContainer, path: PathLike) -> av.VideoStream:
-    """Choose the first stream that is a film, not a picture of its cover.
-
-    Raises
-    ------
-    SuppleError
-        There is none, or nothing that could decode it.
-    """
+    """Choose the first stream that is a film, not a picture of its cover; SuppleError if none can be decoded."""
     films = [stream for stream in container.streams.video if not stream.disposition & _PICTURES]
     if not films:
         kinds = {stream.type for stream in container.streams}
@@ -91,38 +87,19 @@ def chosen(container: av.container.InputContainer, path: PathLike) -> av.VideoSt
 
 @dataclass(frozen=True, slots=True)
 class Survey:
-    """The count, duration and damage of a video stream, by its packets alone.
+    """The count, duration and damage of a video stream, by its packets alone."""
 
-    Parameters
-    ----------
-    packets : int
-        How many there are that are decoded.
-    count : int
-        How many of these are shown.
-    duration : Fraction
-        Seconds from the start of the first frame to the end of the last.
-    damaged : bool
-        Whether the file breaks off.
-    suspect : bool
-        Whether some packets may be damaged, or incomplete.
-    variable : bool
-        Whether frames are not evenly spaced in time.
-    starts : tuple of float
-        Seconds from the first of them to each, if they are not.
-    missing : int
-        How many more frames the container promises, where it breaks off.
-    """
-
-    packets: int
-    count: int
-    duration: Fraction
-    damaged: bool
-    suspect: bool
-    variable: bool = False
-    starts: tuple[float, ...] = ()
-    missing: int = 0
+    packets: int  # how many are decoded
+    count: int  # how many of these are shown
+    duration: Fraction  # seconds from the start of the first frame to the end of the last
+    damaged: bool  # whether the file breaks off
+    suspect: bool  # whether some packets may be damaged, or incomplete
+    variable: bool = False  # whether frames are not evenly spaced in time
+    starts: tuple[float, ...] = ()  # seconds from the first of them to each, if they are not
+    missing: int = 0  # how many more frames the container promises, where it breaks off
 
 
+# Kept: FFmpeg ends without a word where a GIF does (test_a_cut_gif_is_used_with_a_warning).
 def _ends(path: str) -> bool:
     """Tell whether a GIF has its end."""
     with open(path, "rb") as file:
@@ -131,11 +108,21 @@ def _ends(path: str) -> bool:
         return file.read().rstrip(b"\0").endswith(b";")
 
 
+def _attend(container: av.container.InputContainer, streams: Sequence[av.stream.Stream]) -> None:
+    """Pass over all other streams."""
+    for stream in container.streams:
+        if stream not in streams:
+            stream.discard = av.stream.Discard.all
+
+
+def is_counted(container: av.container.InputContainer) -> bool:
+    """Tell whether frames have places, not times; pauses are counted as frames."""
+    return container.format.name == "avi"
+
+
 def survey(container: av.container.InputContainer, film: av.VideoStream) -> Survey:
     """Count the frames of a film by its packets."""
-    for other in container.streams:
-        if other.index != film.index:
-            other.discard = av.stream.Discard.all
+    _attend(container, [film])
     hidden = film.codec_context.codec.canonical_name == "vp8"
     packets = count = 0
     first = last = None
@@ -168,7 +155,7 @@ def survey(container: av.container.InputContainer, film: av.VideoStream) -> Surv
         span = total * base
     told = _told(film)
     end = span if last is None else max(span, last * base)  # what it says may count from zero
-    reached = last if container.format.name == "avi" and last is not None else packets  # AVI counts pauses as frames
+    reached = last if is_counted(container) and last is not None else packets
     missing = film.frames - max(reached, packets) if film.frames else 0
     if told is not None and packets > 0 and span > 0:
         missing = round((told - end) * packets / span)
@@ -203,10 +190,7 @@ def _told(film: av.VideoStream) -> Fraction | None:
 class Clock:
     """One clock for all streams of a file: broadcasts start anywhere, and jump where they were joined.
 
-    Parameters
-    ----------
-    container : InputContainer
-        Times of MPEG-TS, MPEG-PS and the like are moved to begin at zero. All others are kept.
+    Times of MPEG-TS, MPEG-PS and the like are moved to begin at zero. All others are kept.
     """
 
     def __init__(self, container: av.container.InputContainer) -> None:
@@ -216,15 +200,7 @@ class Clock:
         self._due: dict[int, Fraction] = {}
 
     def set(self, packet: av.Packet[Any], continuous: bool) -> None:
-        """Move the times of a packet onto the clock.
-
-        Parameters
-        ----------
-        packet : Packet
-            Its times are changed.
-        continuous : bool
-            Whether its stream goes on without gaps, as sound and pictures do, so that a gap is a jump of the clock.
-        """
+        """Move the times of a packet onto the clock, which jumps at gaps of `continuous` streams (sound, pictures)."""
         when = packet.dts if packet.dts is not None else packet.pts
         if not self._broadcast or when is None:
             return
@@ -245,9 +221,7 @@ class Clock:
 def packets(container: av.container.InputContainer, streams: list[av.stream.Stream]) -> Iterator[av.Packet[Any]]:
     """Read the packets of some streams, on one clock, until the file ends or breaks off."""
     clock = Clock(container)
-    for stream in container.streams:
-        if stream not in streams:
-            stream.discard = av.stream.Discard.all
+    _attend(container, streams)
     with contextlib.suppress(av.FFmpegError):  # the survey has noticed it
         for packet in container.demux(streams):
             if packet.size or packet.pts is not None:
@@ -267,3 +241,83 @@ def decoded_by(decoder: av.VideoCodecContext, packet: av.Packet[Any] | None) -> 
         return decoder.decode(packet)
     except av.FFmpegError:
         return None
+
+
+@dataclass(slots=True)
+class Times:
+    """The times at which frames are shown, in ticks of the stream, strictly increasing."""
+
+    base: Fraction  # seconds a tick
+    step: int  # ticks from frame to frame where the file does not say
+    kept: deque[tuple[int, int]] | None = None
+    _first: int | None = field(default=None, repr=False)
+    _last: int | None = field(default=None, repr=False)
+    _due: int = field(default=0, repr=False)
+
+    def add(self, pts: int | None, duration: int | None) -> None:
+        """Take the time of the next frame, mended where it is missing or not later than the one before."""
+        start = self._due if pts is None else pts
+        if self._last is not None and start <= self._last:
+            start = self._last + 1
+        if self._first is None:
+            self._first = start
+        length = duration if duration and duration > 0 else self.step
+        self._last, self._due = start, max(start + 1, start + length)
+        if self.kept is not None:
+            self.kept.append((start, length))
+
+    def left(self, pts: int | None, span: int) -> int | None:
+        """Return how long the last frame is shown, where all last `span` ticks; None where that makes no sense."""
+        if pts is None or self._first is None or span <= pts - self._first:
+            return None
+        return span - (pts - self._first)
+
+
+def usual_step(rate: Fraction, base: Fraction) -> int:
+    """Return the ticks of one frame at a rate."""
+    return max(1, round(1 / (rate * base)))
+
+
+@dataclass(frozen=True, slots=True)
+class Index:
+    """The frames of a film by their times."""
+
+    starts: tuple[int, ...]  # when each is shown, in ticks of the stream, in order
+    # those at which decoding may begin; what is shown before one, but follows it in the file, may need what precedes it
+    keys: tuple[int, ...]
+    numbers: dict[int, int] = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "numbers", {start: k for k, start in enumerate(self.starts)})
+
+    def before(self, k: int) -> int:
+        """The last frame, not after `k`, at which decoding may begin; 0 where that is the start."""
+        found = bisect_right(self.keys, k)
+        return self.keys[found - 1] if found else 0
+
+
+def index_of(path: PathLike, count: int) -> Index | None:
+    """Read the times of a film's packets; None where they do not tell which of `count` frames is which."""
+    starts: list[int] = []
+    keys: list[int] = []
+    with opened(path) as container:
+        film = chosen(container, path)
+        name = film.codec_context.codec.canonical_name
+        if container.format.flags & _DISCONTINUOUS or is_counted(container) or codec_of(name).hides:
+            return None
+        _attend(container, [film])
+        try:
+            for packet in container.demux(film):
+                if not packet.size:
+                    continue
+                if packet.pts is None or packet.is_discard or packet.is_corrupt:
+                    return None
+                starts.append(packet.pts)
+                if packet.is_keyframe:
+                    keys.append(packet.pts)
+        except av.FFmpegError:
+            return None
+    made = Index(tuple(sorted(starts)), ())
+    if len(starts) != count or len(made.numbers) != count:
+        return None
+    return Index(made.starts, tuple(sorted(made.numbers[key] for key in keys)))

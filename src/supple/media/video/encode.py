@@ -3,48 +3,78 @@
 from __future__ import annotations
 
 import contextlib
-import math
 import os
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import av
+from av.filter import Graph
 
 from supple.engines.base import Array
-from supple.media.files import check_output, replacing
-from supple.media.video.codecs import container_of
+from supple.media.codecs import codec_of
+from supple.media.files import PathLike, check_output, replacing, unwritable
+from supple.media.sequence import Pictures
 from supple.media.video.colour import Colour, recast, sited
-from supple.media.video.errors import raised, unwritable
-from supple.media.video.gif import Palettes
+from supple.media.video.demux import said, usual_step
 from supple.media.video.pixel_format import Match
-from supple.media.video.plan import UPRIGHT_ONLY, WritePlan, timescale, workers
+from supple.media.video.plan import WritePlan, container_of, timescale, workers
 from supple.media.video.planes import form, pack
-from supple.media.video.probe import Reel, Stills
+from supple.media.video.source import Reel, Stills
 from supple.media.video.streams import Passage, kept_tags, titled
-from supple.media.video.timing import usual_step
 
-if TYPE_CHECKING:
-    from supple.media.video.sequence import Pictures
-
-PathLike = str | os.PathLike[str]
 _FELT = Fraction(1, 4)  # of a frame: further from its time, it is told
-# Codecs whose key frames stand alone, and need nothing but the stream header.
-_ALONE = frozenset(("ffv1", "prores", "mjpeg"))
-_LONGEST = {"mp4": 2**31 - 1, "mov": 2**31 - 1, "gif": 65535}  # ticks that a frame may last
+
+
+def _raised(path: PathLike, error: av.FFmpegError) -> Exception:
+    """Turn FFmpeg's error while writing into an error of the system, where it is one, or into one sentence."""
+    if isinstance(error, OSError) and error.errno:
+        return OSError(error.errno, os.strerror(error.errno))
+    what = f"the container refuses what it is given ({said(error)})"
+    return unwritable(path, what, "choose another one, such as .mkv")
+
+
+class Palettes:
+    """A filter that gives frames in BGRA 256 colours, each a palette of its own."""
+
+    def __init__(self, width: int, height: int) -> None:
+        self._graph = Graph()
+        source = self._graph.add_buffer(
+            width=width, height=height, format=av.VideoFormat("bgra"), time_base=Fraction(1, 100)
+        )
+        split = self._graph.add("split")
+        palette = self._graph.add("palettegen", "stats_mode=single")
+        use = self._graph.add("paletteuse", "new=1")
+        sink = self._graph.add("buffersink")
+        source.link_to(split)
+        split.link_to(use, 0, 0)
+        split.link_to(palette, 1, 0)
+        palette.link_to(use, 0, 1)
+        use.link_to(sink)
+        self._graph.configure()
+
+    def add(self, frame: av.VideoFrame | None) -> Iterator[av.VideoFrame]:
+        """Take a frame, and hand out those that are done; after None, those that are left."""
+        self._graph.vpush(frame)
+        while True:
+            try:
+                yield self._graph.vpull()
+            except (av.error.BlockingIOError, av.error.EOFError):
+                return
 
 
 class Sink:
-    """A film that is being written; see `writer_of`."""
+    """A film that is being written; see `writer`."""
+
+    aside = True
 
     def __init__(self, reel: Reel, plan: WritePlan, temporary: Path) -> None:
         self._plan, self._reel = plan, reel
         self._colour = replace(reel.colour, site=sited(reel.colour, reel.codec, reel.form.kind))
         self._times: dict[int, tuple[int, int]] = {}
         self._written = 0
-        self.aside = True
         self.copied = 0  # frames whose packets were taken from the source
         self._due: dict[int, av.Packet[Any] | None] = {}  # packets in order; None while a frame is encoded
         self._halved = False  # whether half opacity has been met
@@ -57,17 +87,18 @@ class Sink:
         self._output = av.open(
             str(temporary),
             "w",
-            format=plan.container,
+            format=plan.container.name,
             metadata_errors="surrogateescape",
-            container_options={"movie_timescale": str(timescale(reel))} if plan.container in ("mp4", "mov") else {},
+            container_options={"movie_timescale": str(timescale(reel))} if plan.container.mp4 else {},
         )
         try:
             self._stream = self._film()
             self.copies = self._may_copy()
             self._passage = Passage(reel.source, reel.index, self._output, plan.container, plan.target)
+            reel.passage, reel.copies = self._passage, self.copies
             self._output.metadata.update(kept_tags(reel.source.metadata if reel.source else {}))
             chapters = reel.chapters()
-            if chapters and plan.container in ("mp4", "mov", "matroska", "webm"):
+            if chapters and plan.container.chapters:
                 self._output.set_chapters(chapters)
             elif chapters:
                 plan.warn("cannot hold the chapters of the source: they are left out")
@@ -85,9 +116,9 @@ class Sink:
         stream.time_base = plan.base
         stream.metadata.update(titled(kept_tags(reel.tags)))
         stream.disposition = reel.disposition
-        if reel.matrix and plan.container not in UPRIGHT_ONLY:
+        if reel.matrix and plan.container.rotation:
             stream.set_display_matrix(reel.matrix)
-        if plan.encoder.codec in ("vp8", "vp9") and plan.match.form.kind.alpha:
+        if codec_of(plan.encoder.codec).opacity and plan.match.form.kind.alpha:
             stream.metadata["alpha_mode"] = "1"
         stream.codec_context.open()
         return stream
@@ -96,22 +127,13 @@ class Sink:
         """Tell whether packets of the source and of the encoder may follow each other in one stream."""
         reel, codec, context = self._reel, self._plan.encoder.codec, self._stream.codec_context
         return (
-            codec in _ALONE
+            codec_of(codec).alone
             and codec == reel.codec
             and self._plan.match.same
             and context.pix_fmt == reel.form.name
             and (context.extradata or b"") == reel.header
             and (codec != "prores" or context.profile == reel.profile)
         )
-
-    @property
-    def indices(self) -> list[int]:
-        """Of the source's streams that go along."""
-        return self._passage.indices
-
-    def take(self, packet: av.Packet[Any]) -> None:
-        """Take a packet of another stream, from the thread that reads."""
-        self._passage.take(packet)
 
     def write(self, arrays: Sequence[Array], k: int, *, still: bool = False) -> None:
         """Encode a frame, or copy its packet where that may be.
@@ -199,7 +221,7 @@ class Sink:
     def _require_sayable(self, k: int, seconds: Fraction) -> None:
         """Refuse a gap that would overflow unnoticed."""
         unit = self._stream.time_base
-        if unit and seconds > _LONGEST.get(self._plan.container, math.inf) * unit:
+        if unit and seconds > self._plan.container.longest * unit:
             what = f"frame {k} comes {float(seconds):.0f} s after the one before, which is longer than it can say"
             raise unwritable(self._plan.target, what, "choose another container, such as .mkv")
 
@@ -255,15 +277,15 @@ class Sink:
     def finish(self) -> None:
         """Write what is still on its way, and close the file."""
         if self._palettes:
-            for made in self._palettes.finish():
+            for made in self._palettes.add(None):
                 self._encode(made)
-        self._mux(self._stream.encode(None), self._plan.container in ("mp4", "mov"))
+        self._mux(self._stream.encode(None), self._plan.container.mp4)
         for packet in self._reel.rest():
             self._passage.take(packet)
             self._passage.write()
         self._passage.write()
         self._output.close()
-        if self._plan.container == "avi" and self._drift * self._reel.rate > _FELT:
+        if self._plan.container.counted and self._drift * self._reel.rate > _FELT:
             off = float(self._drift)
             self._plan.warn(f"has one frame rate, and frames are up to {off:.2g} s from their times: use .mkv or .mp4")
 
@@ -274,24 +296,7 @@ class Sink:
 
 
 @contextlib.contextmanager
-def sinking(reel: Reel, plan: WritePlan, temporary: Path) -> Iterator[Sink]:
-    """Write a film into a file that is there already, and close it."""
-    sink = None
-    try:
-        sink = Sink(reel, plan, temporary)
-        reel.sink = sink
-        yield sink
-        sink.finish()
-    except av.FFmpegError as error:
-        raise raised(plan.target, error) from error
-    finally:
-        reel.sink = None
-        if sink is not None:
-            sink.abort()
-
-
-@contextlib.contextmanager
-def writer_of(
+def writer(
     clip: Reel | Pictures,
     target: PathLike,
     *,
@@ -348,5 +353,15 @@ def writer_of(
     check_output(target, force=force)
     reel = clip if isinstance(clip, Reel) else Stills(clip)
     plan = WritePlan(reel, target, codec, crf, preset, pixel_format, workers(threads), lossless)
-    with replacing(target, force=force) as temporary, sinking(reel, plan, temporary) as sink:
-        yield sink
+    with replacing(target, force=force) as temporary:
+        sink = None
+        try:
+            sink = Sink(reel, plan, temporary)
+            yield sink
+            sink.finish()
+        except av.FFmpegError as error:
+            raise _raised(plan.target, error) from error
+        finally:
+            reel.passage, reel.copies = None, False
+            if sink is not None:
+                sink.abort()

@@ -2,65 +2,36 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
+from supple.media.files import PathLike, unwritable
 from supple.media.video.colour import BT601, BT709, FULL, LIMITED, RGB, UNKNOWN, Colour
-from supple.media.video.errors import unwritable
 from supple.media.video.planes import Form, Kind, form
 
-PathLike = str | os.PathLike[str]
 _CHROMA = {(1, 1): "4:4:4", (2, 1): "4:2:2", (2, 2): "4:2:0", (4, 1): "4:1:1", (4, 4): "4:1:0", (1, 2): "4:4:0"}
 
 
 @dataclass(frozen=True, slots=True)
 class Match:
-    """How frames are handed to an encoder.
+    """The way in which frames are handed to an encoder."""
 
-    Parameters
-    ----------
-    form : Form
-        The encoder's pixel format.
-    colour : Colour
-        What its samples mean.
-    same : bool
-        Whether the samples are written as they are.
-    lost : str
-        What does not come through, except opacity; empty where nothing is lost.
-    opacity : bool
-        Whether opacity, where a frame has any, is lost.
-    """
-
-    form: Form
-    colour: Colour
-    same: bool
-    lost: str
-    opacity: bool
+    form: Form  # the encoder's pixel format
+    colour: Colour  # what its samples mean
+    same: bool  # whether samples are written as they are
+    lost: str  # what does not come through, except opacity
+    opacity: bool  # whether opacity, where a frame has any, is lost
 
 
 @dataclass(frozen=True, slots=True)
 class Wish:
-    """The requirements by which a pixel format is chosen.
+    """The requirements by which a pixel format is chosen."""
 
-    Parameters
-    ----------
-    form : Form
-        How the frames are laid out.
-    colour : Colour
-        What their samples mean.
-    size : (int, int)
-        Width and height.
-    exact : bool
-        Whether all is to come through as it is. If not, what players are used to is as good.
-    read_as : Colour
-        What samples of YUV will be taken for, as far as the file cannot say it.
-    """
-
-    form: Form
-    colour: Colour
-    size: tuple[int, int]
-    exact: bool = True
+    form: Form  # how the frames are laid out
+    colour: Colour  # what their samples mean
+    size: tuple[int, int]  # width and height
+    exact: bool = True  # whether all is to come through as it is; if not, what players are used to is as good
+    # what samples of YUV will be taken for, as far as the file cannot say it
     read_as: Colour = field(default_factory=Colour)
 
 
@@ -69,25 +40,8 @@ def match(
 ) -> Match:
     """Find the pixel format in which an encoder takes a clip: its own, else the nearest that loses least.
 
-    Parameters
-    ----------
-    target : str or os.PathLike
-        The file to write, for messages.
-    encoder : str
-        What writes it.
-    names : list of str
-        The pixel formats that the encoder takes; any where it is empty.
-    wish : Wish
-        What frames are like.
-    asked : str or None
-        The pixel format that is asked for.
-    opens : callable
-        Tells whether the encoder opens with a match.
-
-    Raises
-    ------
-    SuppleError
-        The encoder does not take the format that is asked for, or none at this size.
+    `names` are the formats that it takes, any where there are none; `asked` is what was asked for; `opens` tells if it
+    opens with a match. SuppleError if it does not take what was asked for, or nothing at this size.
     """
     source, colour = wish.form, wish.colour
     forms = [found for name in (names or [source.name]) if (found := form(name)) is not None]

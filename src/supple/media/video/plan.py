@@ -1,4 +1,4 @@
-"""How a clip will be written: all that is asked for, settled and tried before there is a file."""
+"""The plan by which a clip is written: all that is asked for, settled and tried before there is a file."""
 
 from __future__ import annotations
 
@@ -8,55 +8,162 @@ import os
 import warnings
 from dataclasses import replace
 from fractions import Fraction
-from typing import TYPE_CHECKING
+from functools import lru_cache
+from pathlib import Path
 
 import av
 import numpy as np
 
 from supple.engines.workers import threads as all_threads
 from supple.errors import SuppleError, shown
-from supple.media.video.codecs import Encoder, container_of, named, options, pixel_formats, read_as, usual
-from supple.media.video.colour import Colour, Grading, sited
-from supple.media.video.errors import ClipWarning, unwritable
+from supple.media.base import ClipWarning
+from supple.media.codecs import (
+    ALIASES,
+    CODECS,
+    CONTAINERS,
+    ENCODERS,
+    FINE_CRF,
+    HASTY,
+    SUFFIXES_OUT,
+    USUAL_BITS,
+    Container,
+    Encoder,
+    codec_of,
+)
+from supple.media.files import PathLike, check_suffix, unwritable
+from supple.media.video.colour import BT601, BT709, LIMITED, UNKNOWN, Colour, Grading, sited
 from supple.media.video.pixel_format import Match, Wish, finer, match
 from supple.media.video.planes import Form, Kind, form
+from supple.media.video.source import Reel
 
-if TYPE_CHECKING:
-    from supple.media.video.probe import Reel
-
-PathLike = str | os.PathLike[str]
-# Encoders that take any times. The others count frames, and their packets are given the times afterwards.
-_TIMED = frozenset(("libx264", "libx264rgb", "libx265", "libvpx", "libvpx-vp9", "libsvtav1"))
-_FINEST = 1_000_000  # ticks a second that they are trusted with
+_FINEST = 1_000_000  # ticks a second that encoders are trusted with
 _TICKS = 50_000_000  # a second, the most in MP4
 _DELAYED = 3  # frames: x265 says nonsense of when fewer are decoded, if it may reorder them
 _SLICED = 16  # pixels that a frame must have along each side for FFV1 to cut it
-_USUAL = 10  # bits, the most that players are used to
-# Codecs that say themselves how wide a pixel is; Matroska and AVI cannot be told through PyAV.
-_ASPECT = frozenset(("h264", "hevc", "mpeg4", "mpeg2video", "mpeg1video", "mjpeg"))
-_GRADED = {"libx264": "x264-params", "libx265": "x265-params", "libsvtav1": "svtav1-params"}
-_PRORES = {"Proxy": "proxy", "LT": "lt", "Standard": "standard", "HQ": "hq", "4444": "4444", "XQ": "4444xq"}
 _PACES = 8  # times as many ticks as frames that AVI is given, so that frames keep their times
-UPRIGHT_ONLY = frozenset(("avi", "gif"))
 os.environ.setdefault("SVT_LOG", "0")  # it writes to the terminal otherwise
 
 
-class WritePlan:
-    """How a clip will be written, with all that can be refused refused.
+def container_of(target: PathLike) -> Container:
+    """Return the container that a name asks for, by its suffix; SuppleError if that is none of video."""
+    suffix, known = Path(target).suffix, {suffix: each for each in CONTAINERS for suffix in each.suffixes}
+    check_suffix(target, suffix, known, "is no video format", f"use {', '.join(SUFFIXES_OUT)}")
+    return known[suffix.lower()]
 
-    Parameters
-    ----------
-    reel : Reel
-        What is written.
-    target : str or os.PathLike
-        The file to write.
-    codec, crf, preset, pixel_format : optional
-        What was asked for.
-    workers : int
-        How many threads encode.
-    lossless : bool
-        Whether every value is to be kept.
+
+@lru_cache(maxsize=64)
+def _found(name: str) -> av.Codec | None:
+    try:
+        found = av.Codec(name, "w")
+    except ValueError:  # UnknownCodecError is one
+        return None
+    return found if found.type == "video" else None
+
+
+def _pixel_formats(encoder: str) -> list[str]:
+    """Name the pixel formats that an encoder takes; none where it takes any."""
+    found = _found(encoder)
+    return [video.name for video in (found.video_formats or [])] if found else []
+
+
+def _named(target: PathLike, container: Container, codec: str | None, source: str, lossless: bool) -> str:
+    """Choose an encoder: the one asked for, or the source's, or what the container is used to.
+
+    `lossless` says that the source's codec loses nothing. SuppleError if no encoder has that name, or the container
+    cannot hold what it writes.
     """
+    with av.open(os.devnull, "w", format=container.name) as trial:
+        supported = trial.supported_codecs
+    usable = {name: row.encoder for name, row in CODECS.items() if row.encoder in supported and _found(row.encoder)}
+    if codec is not None:
+        advice, asked = f"use {', '.join(usable)}", ALIASES.get(codec.lower(), codec.lower())
+        encoder = _found(codec_of(asked).encoder or asked)
+        if encoder is None:
+            raise unwritable(target, f"no video encoder is called {shown(codec)}", advice)
+        if encoder.name not in supported:
+            raise unwritable(target, f"{Path(target).suffix} cannot hold {encoder.canonical_name}", advice)
+        return encoder.name
+    if source in usable:
+        return usable[source]
+    own = _found(source)
+    if own is not None and source in supported and source != "rawvideo" and not own.experimental:
+        return own.name
+    return usable.get(container.keeping if lossless else "") or CODECS[container.usual].encoder
+
+
+def _options(
+    target: PathLike,
+    encoder: Encoder,
+    container: Container,
+    crf: float | None,
+    preset: str | None,
+    workers: int,
+    lossless: bool = False,
+) -> dict[str, str]:
+    """Return the settings of an encoder; SuppleError if it has no such factor or preset, or cannot keep every value."""
+    name, chosen = encoder.name, {**encoder.options, **container.options}
+    if lossless:
+        chosen |= _exact(target, encoder, crf)
+    elif encoder.crf:
+        low, high, usual = encoder.crf
+        quality = usual if crf is None else crf
+        if not low <= quality <= high:
+            raise unwritable(target, f"crf {crf:g} is none of {name}'s", f"choose from {low} (best) to {high}")
+        chosen["crf"] = f"{quality:g}"
+    elif crf is not None:
+        raise unwritable(target, f"{name} has no crf", f"leave it out, or use {_have('crf')}")
+    if encoder.presets:
+        chosen["preset"] = encoder.preset if preset is None else str(preset)
+        if chosen["preset"] not in encoder.presets:
+            raise unwritable(target, f"{name} has no preset {shown(str(preset))}", f"use {', '.join(encoder.presets)}")
+    elif preset is not None:
+        raise unwritable(target, f"{name} has no presets", f"leave it out, or use {_have('presets')}")
+    if name == "libsvtav1" and int(chosen["preset"]) >= HASTY and float(chosen.get("crf", 0)) < FINE_CRF:
+        when = "if lossless" if lossless else f"below crf {FINE_CRF}"
+        or_else = "" if lossless else f", or crf {FINE_CRF} or more"
+        what = f"{name} with preset {chosen['preset']} fails {when}"
+        raise unwritable(target, what, f"use preset {HASTY - 1} or less{or_else}")
+    if encoder.threads:
+        chosen[encoder.params] = _joined(chosen.get(encoder.params), encoder.threads.format(workers))
+    return chosen
+
+
+def _exact(target: PathLike, encoder: Encoder, crf: float | None) -> dict[str, str]:
+    """Return what keeps an encoder from losing anything."""
+    if crf is not None:
+        raise unwritable(target, f"crf {crf:g} is for what may lose something", "leave out either it or lossless")
+    if encoder.exact is not None:
+        return dict(encoder.exact)
+    found = _found(encoder.name)
+    if found is None or encoder.name == "gif" or found.lossy or not found.lossless:
+        advice = "use ffv1, h264, hevc, vp9 or av1, or leave out lossless"
+        raise unwritable(target, f"{encoder.codec} always loses something", advice)
+    return {}
+
+
+def _joined(*parts: str | None) -> str:
+    return ":".join(part for part in parts if part)
+
+
+def _have(what: str) -> str:
+    known = (each for each in ENCODERS.values() if getattr(each, what) and _found(each.name))
+    return f"a codec that has: {', '.join(dict.fromkeys(each.codec for each in known))}"
+
+
+def _read_as(name: str, container: Container, height: int) -> Colour:
+    """Tell what players take samples of YUV for, whatever is meant; what a file can say is left unknown."""
+    codec, matrix = codec_of(name), UNKNOWN
+    silent = container.counted and not codec.colours
+    if codec.bt601:
+        matrix = BT601
+    elif silent:
+        matrix = BT709 if height >= 720 else BT601
+    limited = container.name in codec.limited_in or (silent and not codec.bt601)
+    return Colour(LIMITED if limited else 0, matrix=matrix)
+
+
+class WritePlan:
+    """The settings by which a clip will be written, with all that can be refused refused; as `writer` takes them."""
 
     def __init__(
         self,
@@ -71,10 +178,9 @@ class WritePlan:
     ) -> None:
         self.reel, self.target, self.workers, self.lossless = reel, target, workers, lossless
         self.container = container_of(target)
-        supported = av.open(os.devnull, "w", format=self.container).supported_codecs
-        exact = lossless and codec is None and self.container not in ("gif", "webm")
-        name = named(target, self.container, supported, "ffv1" if exact else codec, reel.codec, reel.lossless)
-        self._use(name, options(target, name, crf, preset, workers, self.container, lossless))
+        wanted = (self.container.exact or None) if lossless and codec is None else codec
+        name = _named(target, self.container, wanted, reel.codec, reel.lossless)
+        self._use(name, crf, preset)
         self.base = self._base()
         self._asked = pixel_format
         if name == "gif":
@@ -86,10 +192,10 @@ class WritePlan:
             try:
                 self.match = self._matched(pixel_format)
             except SuppleError:
-                other = usual(self.container)
+                other = CODECS[self.container.usual].encoder
                 if (codec, crf, preset, pixel_format) != (None,) * 4 or other == name:
                     raise
-                self._use(other, options(target, other, None, None, workers, self.container))
+                self._use(other, None, None)
                 self.match = self._matched(None)
                 self.warn(f"is written as {self.encoder.codec}: {reel.codec} cannot be written as the source has it")
         self._require_exact()
@@ -103,24 +209,29 @@ class WritePlan:
         if self.match.same and kind.step != (1, 1) and site != self.colour.site:  # codecs are used to different ones
             self.match = replace(self.match, colour=replace(self.match.colour, site=site))
 
-    def _use(self, name: str, settings: dict[str, str]) -> None:
+    def _use(self, name: str, crf: float | None, preset: str | None) -> None:
         """Take an encoder."""
         found = av.Codec(name, "w")
-        self.encoder = Encoder(name, found.canonical_name, settings)
+        self.encoder = ENCODERS.get(name) or Encoder(name, found.canonical_name)
+        self.options = _options(self.target, self.encoder, self.container, crf, preset, self.workers, self.lossless)
         self._lossy = (found.lossy or not found.lossless) and not self.lossless
 
     def _matched(self, asked: str | None) -> Match:
         """Choose the pixel format."""
         reel, encoder, lossy = self.reel, self.encoder, self._lossy
         names = self._formats()
-        told = read_as(encoder.codec, self.container, reel.height)
+        told = _read_as(encoder.codec, self.container, reel.height)
         if reel.stills and lossy and asked is None:
             kinds = {each: found.kind for each in names if (found := form(each))}
-            names = [each for each, kind in kinds.items() if kind.family == "yuv" and kind.bits <= _USUAL] or names
+            names = [each for each, kind in kinds.items() if kind.family == "yuv" and kind.bits <= USUAL_BITS] or names
         size = (reel.width, reel.height)
         wish = Wish(reel.form, reel.colour, size, not (reel.stills and lossy), told if lossy else Colour())
-        if encoder.name == "ffv1" and min(size) < _SLICED and not (asked or self._takes(reel.form, reel.colour)):
-            encoder.options.update({"level": "1", "slices": "1"})  # too small to be cut into slices
+        if (
+            encoder.name == "ffv1"
+            and min(size) < _SLICED
+            and not (asked or self._opens(Match(reel.form, reel.colour, True, "", False)))
+        ):
+            self.options.update({"level": "1", "slices": "1"})  # too small to be cut into slices
         try:
             made = match(self.target, encoder.name, names, wish, asked, self._opens)
         except SuppleError:
@@ -139,26 +250,26 @@ class WritePlan:
             found = finer(reel.form, self.match, self._formats(), self._opens)
             advice = f": --pixel-format {found} keeps more" if found and not self._asked else ""
             self.warn(f"loses {lost}{advice}" if ", which" not in lost else f"is not in {lost}")
-        if reel.grading != Grading() and self.encoder.name not in _GRADED:
+        if reel.grading != Grading() and not self.encoder.graded:
             self.warn(f"loses the light levels of HDR, which {self.encoder.codec} cannot hold: hevc, h264 and av1 can")
         sound = reel.source is not None and any(stream.type == "audio" for stream in reel.source.streams)
-        if sound and self.container == "avi" and self.encoder.codec in ("h264", "hevc"):
+        if sound and self.container.counted and self.encoder.codec in ("h264", "hevc"):
             # measured: they take its first frame for a delayed one, whoever wrote it
             self.warn("is out of step by a frame in players that rest on FFmpeg: use codec mpeg4, or .mkv")
         for what in reel.unheld:
             self.warn(f"cannot hold {what}")
         square = reel.aspect in (None, Fraction(1))
-        if not square and self.container not in ("mp4", "mov") and self.encoder.codec not in _ASPECT:
+        if not square and not self.container.mp4 and not codec_of(self.encoder.codec).aspect:
             self.warn(f"cannot say that pixels are {reel.aspect} as wide as high: they are left as they are stored")
-        if reel.matrix and self.container in UPRIGHT_ONLY:
+        if reel.matrix and not self.container.rotation:
             self.warn("cannot say which way up it is shown: it is left as it is stored")
 
     def _base(self) -> Fraction:
         """Choose the unit of the file's time stamps."""
-        if self.container == "avi":
+        if self.container.counted:
             rate, pace = self.reel.rate, self.reel.pace
             return 1 / (pace if rate < pace <= _PACES * rate else rate)
-        return Fraction(1, 100) if self.container == "gif" else self.reel.base
+        return self.container.tick or self.reel.base
 
     @property
     def colour(self) -> Colour:
@@ -169,7 +280,7 @@ class WritePlan:
     @property
     def timed(self) -> bool:
         """Return whether the encoder is given the times of frames, and not their numbers."""
-        return self.encoder.name in _TIMED and self.container != "avi" and self.base.denominator <= _FINEST
+        return self.encoder.timed and not self.container.counted and self.base.denominator <= _FINEST
 
     def warn(self, what: str) -> None:
         """Warn of what does not come through."""
@@ -189,7 +300,7 @@ class WritePlan:
         context.color_primaries, context.color_trc = colour.primaries, colour.transfer
         if reel.field_order > 1:
             context.field_order = reel.field_order
-        context.options = dict(self.encoder.options)
+        context.options = dict(self.options)
         self._extras(context, chosen)
 
     def _extras(self, context: av.VideoCodecContext, chosen: Match) -> None:
@@ -199,26 +310,27 @@ class WritePlan:
         if self.encoder.name == "libx265" and reel.count < _DELAYED:
             settings["x265-params"] += ":bframes=0"
         if self.encoder.name == "dnxhd":
-            settings["profile"] = _dnxhr(reel.profile, chosen.form.kind)
+            settings["profile"] = self._dnxhr(chosen.form.kind)
         if self.encoder.name == "prores_ks" and reel.codec == "prores" and chosen.same:
-            settings["profile"] = _PRORES.get(reel.profile, "auto")
-        key = _GRADED.get(self.encoder.name)
-        if key:
-            extra = reel.grading.svt() if key == "svtav1-params" else reel.grading.x265()
-            if key == "x264-params":
-                extra = extra.replace("master-display", "mastering-display").replace("max-cll", "cll")
-                if reel.field_order in (2, 4, 3, 5):
-                    extra = ":".join(filter(None, (extra, "tff=1" if reel.field_order in (2, 4) else "bff=1")))
-            joined = ":".join(part for part in (settings.get(key, ""), extra) if part)
-            if joined:
-                settings[key] = joined
-        if self.encoder.codec == "hevc" and self.container in ("mp4", "mov"):
+            settings["profile"] = self.encoder.profiles.get(reel.profile, "auto")
+        key, words = self.encoder.params, reel.grading.words(self.encoder.graded) if self.encoder.graded else []
+        if key == "x264-params" and reel.field_order in (2, 4, 3, 5):
+            words.append("tff=1" if reel.field_order in (2, 4) else "bff=1")
+        if words:
+            settings[key] = _joined(settings.get(key), *words)
+        if self.encoder.codec == "hevc" and self.container.mp4:
             context.codec_tag = "hvc1"  # what QuickTime plays
+
+    def _dnxhr(self, kind: Kind) -> str:
+        """Choose a profile of DNxHR, which takes any size: the source's if it can hold the pixels, else the best."""
+        if kind.step == (1, 1):
+            return "dnxhr_444"
+        return "dnxhr_hqx" if kind.bits > 8 else self.encoder.profiles.get(self.reel.profile, "dnxhr_hq")
 
     def _formats(self) -> list[str]:
         """Name the pixel formats that the encoder takes, and the container can hold."""
-        names = pixel_formats(self.encoder.name)
-        if self.encoder.codec in ("vp8", "vp9") and self.container not in ("matroska", "webm"):
+        names = _pixel_formats(self.encoder.name)
+        if self.container.name in codec_of(self.encoder.codec).opaque_in:
             return [name for name in names if not ((found := form(name)) and found.kind.alpha)]
         return names
 
@@ -234,16 +346,12 @@ class WritePlan:
         context = av.CodecContext.create(self.encoder.name, "w")
         assert isinstance(context, av.VideoCodecContext)
         context.width, context.height, context.time_base = 1280, 720, Fraction(1, 25)
-        for name in pixel_formats(self.encoder.name) or ["yuv420p"]:
+        for name in _pixel_formats(self.encoder.name) or ["yuv420p"]:
             context.pix_fmt = name
             with contextlib.suppress(av.FFmpegError, ValueError):
                 context.open()
                 return True
         return False
-
-    def _takes(self, own: Form, colour: Colour) -> bool:
-        """Return whether the encoder opens for the pixel format that there is."""
-        return self._opens(Match(own, colour, True, "", False))
 
     def _opens(self, chosen: Match) -> bool:
         """Try whether the encoder opens."""
@@ -255,16 +363,6 @@ class WritePlan:
         except (av.FFmpegError, ValueError):
             return False
         return True
-
-
-def _dnxhr(profile: str, kind: Kind) -> str:
-    """Choose a profile of DNxHR, which takes any size: the source's if it can hold the pixels, else the best."""
-    if kind.step == (1, 1):
-        return "dnxhr_444"
-    if kind.bits > 8:
-        return "dnxhr_hqx"
-    known = {"DNXHR LB": "dnxhr_lb", "DNXHR SQ": "dnxhr_sq"}
-    return known.get(profile, "dnxhr_hq")
 
 
 def timescale(reel: Reel) -> int:

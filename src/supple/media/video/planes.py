@@ -33,27 +33,13 @@ _WIDER = {
 
 @dataclass(frozen=True, slots=True)
 class Kind:
-    """The kind of values of a pixel format, wherever its bytes lie.
+    """The kind of values of a pixel format, wherever its bytes lie."""
 
-    Parameters
-    ----------
-    family : str
-        ``"gray"``, ``"yuv"``, ``"rgb"`` or ``"xyz"``.
-    step : (int, int)
-        Pixels for one sample of chroma, x first.
-    bits : int
-        Bits of a sample; 32 or 16 where `real`.
-    alpha : bool
-        Whether there is opacity.
-    real : bool
-        Whether samples are floating point.
-    """
-
-    family: str
-    step: tuple[int, int]
-    bits: int
-    alpha: bool
-    real: bool
+    family: str  # "gray", "yuv", "rgb" or "xyz"
+    step: tuple[int, int]  # pixels for one sample of chroma, x first
+    bits: int  # of a sample; 32 or 16 where real
+    alpha: bool  # whether there is opacity
+    real: bool  # whether samples are floating point
 
     @property
     def white(self) -> float:
@@ -89,29 +75,16 @@ class Place:
 
 @dataclass(frozen=True, slots=True)
 class Form:
-    """A pixel format whose components can be read and written as they are.
+    """A pixel format whose components can be read and written as they are."""
 
-    Parameters
-    ----------
-    name : str
-        What FFmpeg calls it.
-    kind : Kind
-        What it can say.
-    places : tuple of Place
-        Of Y, U, V or R, G, B, and then of opacity.
-    item : numpy.dtype
-        Of the samples in memory.
-    shift : int
-        By how many bits the samples are moved up.
-    """
-
-    name: str
-    kind: Kind
-    places: tuple[Place, ...]
-    item: np.dtype[np.generic]
-    shift: int = 0
+    name: str  # as FFmpeg calls it
+    kind: Kind  # what it can say
+    places: tuple[Place, ...]  # of Y, U, V or R, G, B, and then of opacity
+    item: np.dtype[np.generic]  # of the samples in memory
+    shift: int = 0  # by how many bits the samples are moved up
 
 
+# Kept: PyAV's to_ndarray knows a part of these formats only (test_every_pixel_format_comes_through_ffv1_bit_for_bit).
 @lru_cache(maxsize=1024)
 def form(name: str) -> Form | None:
     """Tell how a pixel format lies in memory; None where samples share bytes, or are not in memory."""
@@ -239,9 +212,4 @@ def pack(arrays: Sequence[Array], form: Form, width: int, height: int) -> av.Vid
 
 def palette(frame: av.VideoFrame) -> Array:
     """Look the pixels of a frame up in its palette: shape (H, W, 4), RGBA."""
-    index = _samples(frame.planes[0], frame.height, np.dtype(np.uint8))[:, : frame.width]
-    table_of: Any = frame.planes[1]
-    entries = np.frombuffer(table_of, "<u4")[:256]
-    table = np.stack([entries >> 16 & 255, entries >> 8 & 255, entries & 255, entries >> 24], axis=-1)
-    found: Array = table.astype(np.uint8)[index]
-    return found
+    return frame.reformat(format="rgba").to_ndarray()

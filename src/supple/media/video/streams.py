@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import io
-import os
 import warnings
 from collections import deque
 from fractions import Fraction
@@ -13,14 +12,14 @@ from typing import Any
 import av
 
 from supple.errors import shown
-from supple.media.video.errors import ClipWarning
+from supple.media.base import ClipWarning
+from supple.media.codecs import Container
+from supple.media.files import PathLike
 
-PathLike = str | os.PathLike[str]
 _HELD = 64 << 20  # bytes of packets that wait for the film before they go first
 # what describes the file that it came from, and not what is in it
 _OWN = frozenset(("encoder", "duration", "major_brand", "minor_version", "compatible_brands", "rotate", "alpha_mode"))
 _FELT = Fraction(1, 50)  # seconds between picture and sound: more is told
-_WEBM = frozenset(("vp8", "vp9", "av1", "opus", "vorbis", "webvtt"))
 _COUNTED = ("_STATISTICS", "BPS", "NUMBER_OF_", "DURATION")
 
 
@@ -55,18 +54,18 @@ def picture(path: str, index: int) -> bytes:
         return next((bytes(packet) for packet in source.demux(source.streams[index]) if packet.size), b"")
 
 
-def holds(container: str, template: av.stream.Stream) -> bool:
+def holds(container: Container, template: av.stream.Stream) -> bool:
     """Try whether a container can hold a stream, by writing its header into memory."""
-    if container == "webm" and name_of(template) not in _WEBM:
-        return False  # it would be written, and hardly play
-    if template.type == "attachment" and container != "matroska":
+    if container.streams is not None and name_of(template) not in container.streams:
+        return False
+    if template.type == "attachment" and not container.attachments:
         return False  # some would leave it out without a word
-    if template.disposition & av.stream.Disposition.attached_pic and container not in ("mp4", "mov"):
+    if template.disposition & av.stream.Disposition.attached_pic and not container.mp4:
         return False
     trial = None
     with io.BytesIO() as memory:
         try:
-            trial = av.open(memory, "w", format=container, metadata_errors="surrogateescape")
+            trial = av.open(memory, "w", format=container.name, metadata_errors="surrogateescape")
             copied(trial, template)
             trial.start_encoding()
         except (av.FFmpegError, ValueError):
@@ -79,23 +78,9 @@ def holds(container: str, template: av.stream.Stream) -> bool:
 
 
 class Passage:
-    """The other streams of a clip on their way into a file.
+    """The other streams of a clip on their way into a file; it warns of those that the container cannot hold.
 
-    Parameters
-    ----------
-    source : InputContainer or None
-        Where they come from, if there are any.
-    film : int
-        The index of the stream that is written anew.
-    output : OutputContainer
-        Where they go, before its header is written.
-    target : str or os.PathLike
-        Its name, for messages.
-
-    Warns
-    -----
-    ClipWarning
-        The container cannot hold one of them.
+    `film` is the index of the stream that is written anew; the header of `output` is not written yet.
     """
 
     def __init__(
@@ -103,12 +88,12 @@ class Passage:
         source: av.container.InputContainer | None,
         film: int,
         output: av.container.OutputContainer,
-        container: str,
+        container: Container,
         target: PathLike,
     ) -> None:
         self._target = target
         self._output = output
-        self._avi = container == "avi"  # which cannot say that sound begins before the film, as that of AAC does
+        self._avi = container.counted  # which cannot say that sound begins before the film, as that of AAC does
         self._streams: dict[int, av.stream.Stream] = {}
         self._last: dict[int, int] = {}
         self._waiting: deque[tuple[Fraction | None, av.Packet[Any]]] = deque()
@@ -120,7 +105,7 @@ class Passage:
             if stream.index == film or (marked and name_of(stream) == "bin_data"):  # chapters, once more
                 continue
             cover = bool(stream.disposition & av.stream.Disposition.attached_pic)
-            if cover and container == "matroska":
+            if cover and container.attachments:
                 self._attach(source, stream)
             elif holds(container, stream):
                 self._streams[stream.index] = copied(output, stream)

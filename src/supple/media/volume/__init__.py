@@ -8,20 +8,17 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from supple.errors import SuppleError, shown
-from supple.media.files import check_output
+from supple.errors import SuppleError
+from supple.media.files import PathLike, check_output, check_suffix, head_of, unreadable, unwritable
 from supple.media.volume import pages as stack
 from supple.media.volume import raw
 from supple.media.volume.data import (
     DTYPES,
     Array,
-    PathLike,
     RawLayout,
     Volume,
-    head_of,
     rescaled,
     rescaled_dtype,
-    unreadable,
 )
 from supple.media.volume.pages import has_pages
 
@@ -30,7 +27,6 @@ __all__ = [
     "SUFFIXES_OUT",
     "RawLayout",
     "Volume",
-    "check_name",
     "check_target",
     "has_pages",
     "info",
@@ -48,7 +44,7 @@ _FORMATS = {
     **dict.fromkeys((".dat", ".raw"), "raw"),
 }
 SUFFIXES = frozenset(_FORMATS)
-SUFFIXES_OUT = (".nii", ".nii.gz", ".nrrd", ".mha", ".mhd", ".tif", ".tiff")
+SUFFIXES_OUT: tuple[str, ...] = (".nii", ".nii.gz", ".nrrd", ".mha", ".mhd", ".tif", ".tiff")
 _QUICK = 1 << 31  # bytes whose range is told unasked
 _KINDS = (
     "give NIfTI, NRRD, MetaImage, DICOM, a TIFF or a .dat file, or tell what is in it (--shape, --dtype, --spacing)"
@@ -145,59 +141,41 @@ def _format(path: PathLike) -> str:
     raise unreadable(path, "it is no volume of a known kind", _KINDS)
 
 
-def check_name(path: PathLike, *, force: bool = False) -> None:
-    """Refuse a name that no volume can be written under; of the file itself `check_output` tells.
+def check_target(
+    path: PathLike, like: Volume | None = None, dtype: npt.DTypeLike | None = None, *, force: bool = False
+) -> None:
+    """Refuse a name that no volume can be written under, or not this one, before any work is done for it.
 
     Parameters
     ----------
     path : str or os.PathLike
-        The file to write.
+        The file to write; of it, and of its folder, `check_output` tells.
+    like : Volume, optional
+        What is to be written is of its shape; without it, the name alone is looked at.
+    dtype : dtype, optional
+        The type of what is to be written, if it is another.
     force : bool
         Whether the ``.raw`` beside a ``.mhd`` may be replaced.
 
     Raises
     ------
     SuppleError
-        The suffix is not in `SUFFIXES_OUT`; beside a ``.mhd`` is a ``.raw``.
+        The suffix is not in `SUFFIXES_OUT`; beside a ``.mhd`` is a ``.raw``; the format cannot hold such a volume.
     """
-    name, suffix = shown(path), suffix_of(path)
-    if suffix not in SUFFIXES_OUT:
-        found = f"the suffix {shown(suffix)}" if suffix else "a name without suffix"
-        raise SuppleError(
-            f"cannot write {name}: {found} is no format that volumes are written in: use {', '.join(SUFFIXES_OUT)}"
-        )
+    suffix = suffix_of(path)
+    advice = f"use {', '.join(SUFFIXES_OUT)}"
+    check_suffix(path, suffix, SUFFIXES_OUT, "is no format that volumes are written in", advice)
     if suffix == ".mhd":
         check_output(Path(os.path.realpath(path)).with_suffix(".raw"), force=force)
-
-
-def check_target(path: PathLike, like: Volume, dtype: npt.DTypeLike | None = None, *, force: bool = False) -> None:
-    """Refuse a file that a volume cannot be written to, before any work is done for it.
-
-    Parameters
-    ----------
-    path : str or os.PathLike
-        The file to write.
-    like : Volume
-        What is to be written is of its shape.
-    dtype : dtype, optional
-        The type of what is to be written, if it is another.
-    force : bool
-        As `check_name` takes it.
-
-    Raises
-    ------
-    SuppleError
-        As `check_name` does; or the format cannot hold such a volume.
-    """
-    check_name(path, force=force)
-    name, suffix = shown(path), suffix_of(path)
+    if like is None:
+        return
     known = np.dtype(like.samples.dtype if dtype is None else dtype)
     if not suffix.startswith(".nii"):
         known = rescaled_dtype(known, like.scaling)
     if suffix in stack.SUFFIXES:
         stack.check(path, like, known)
     elif known.name not in DTYPES:
-        raise SuppleError(f"cannot write {name}: volumes hold no {known} values: use one of {', '.join(DTYPES)}")
+        raise unwritable(path, f"volumes hold no {known} values", f"use one of {', '.join(DTYPES)}")
 
 
 def write(path: PathLike, samples: Array, like: Volume, *, force: bool = False) -> None:
@@ -224,7 +202,7 @@ def write(path: PathLike, samples: Array, like: Volume, *, force: bool = False) 
     check_output(path, force=force)
     if samples.shape != like.samples.shape:
         what = f"the samples are of {samples.shape}, and {like.name} is of {like.samples.shape}"
-        raise SuppleError(f"cannot write {shown(path)}: {what}: make them alike")
+        raise unwritable(path, what, "make them alike")
     suffix = suffix_of(path)
     if suffix.startswith(".nii"):
         from supple.media.volume import nifti

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import os
-import stat
 import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -16,9 +14,9 @@ import numpy.typing as npt
 from supple.domain import LONGEST_AXIS, integer, items, length, refuse
 from supple.errors import SuppleError, shown
 from supple.geometry import Geometry
+from supple.media.files import PathLike, unreadable
 
 Array = npt.NDArray[Any]
-PathLike = str | os.PathLike[str]
 
 DTYPES = ("uint8", "int8", "uint16", "int16", "uint32", "int32", "uint64", "int64", "float32", "float64")
 
@@ -148,27 +146,11 @@ def native(samples: Array) -> Array:
     return np.require(samples, samples.dtype.newbyteorder("="), ("C", "A"))
 
 
-def unreadable(path: PathLike, what: str, advice: str = "give a whole copy of it") -> SuppleError:
-    """Say in one sentence why a file is not read, and what would do."""
-    return SuppleError(f"cannot read {shown(path)}: {what}: {advice}")
-
-
 def placed(path: PathLike, matrix: npt.ArrayLike, convention: str) -> Geometry:
-    """Make a geometry of a matrix (4, 4) from indices, x first, to places in millimetres.
+    """Make a geometry of a matrix (4, 4) from indices, x first, to millimetres in RAS if that is the convention.
 
-    Parameters
-    ----------
-    path : str or os.PathLike
-        For messages.
-    matrix : array_like
-        Into RAS if that is the convention, else into LPS.
-    convention : str
-        As in `Geometry`.
-
-    Raises
-    ------
-    SuppleError
-        A spacing is not above 0, the axes are not at right angles, or something is not finite.
+    Else they are in LPS. SuppleError if a spacing is not above 0, the axes are not at right angles, or something is not
+    finite.
     """
     known = np.array(matrix, np.float64)
     if convention == "RAS":
@@ -195,22 +177,6 @@ def check_spacing(path: PathLike, spacing: list[float]) -> None:
     if not all(0 < step < np.inf for step in spacing):
         found = " x ".join(f"{step:g}" for step in spacing)
         raise unreadable(path, f"its spacing is {found}, and not three numbers above 0", "correct its header")
-
-
-def head_of(path: PathLike, count: int) -> bytes:
-    """Return the first bytes of a file; SuppleError if it is missing, no plain file, may not be read, or is empty."""
-    try:
-        if not stat.S_ISREG(os.stat(path).st_mode):
-            raise unreadable(path, "it is a folder or no plain file", "give the name of a file")
-        with open(path, "rb") as file:
-            head = file.read(count)
-    except OSError as error:
-        raise unreadable(path, error.strerror or str(error), "check the name and its rights") from error
-    except ValueError as error:
-        raise unreadable(path, "no file can have that name", "check it") from error
-    if not head:
-        raise unreadable(path, "it is empty")
-    return head
 
 
 @contextlib.contextmanager

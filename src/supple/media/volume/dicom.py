@@ -15,7 +15,8 @@ from typing import Any
 import numpy as np
 
 from supple.errors import VolumeWarning, shown
-from supple.media.volume.data import Array, PathLike, Volume, check_spacing, head_of, located, unreadable
+from supple.media.files import PathLike, head_of, unreadable
+from supple.media.volume.data import Array, Volume, check_spacing, located
 from supple.media.volume.itk import check_voxels, failing, geometry_of, library, silence
 
 _UID, _NUMBER, _TEXT, _PIXEL_SPACING = "0020|000e", "0020|0011", "0008|103e", "0028|0030"
@@ -87,15 +88,10 @@ def _folders(path: PathLike) -> Iterator[str]:
 
 
 def listed(path: PathLike, *, nested: bool = True) -> list[Series]:
-    """Find the series of images in a folder, and in its subfolders, in the order of their numbers.
+    """Find the series of images in a folder, and in its subfolders, in the order of their numbers; SuppleError if none.
 
     What is no image, or is derived from the images that it lies beside (a dose, a segmentation), is left out, and a
     warning names it.
-
-    Raises
-    ------
-    SuppleError
-        There is none.
     """
     sitk, beside = library(), []
     images: list[tuple[str, Any]] = []
@@ -135,6 +131,7 @@ def listed(path: PathLike, *, nested: bool = True) -> list[Series]:
     return sorted(found, key=lambda one: (one.number, one.uid))
 
 
+# Kept: GDCM reads no header of what is no image (test_what_is_no_image_is_left_out_and_named).
 def _kind_beside(path: str) -> str:
     """Name the content of a file that is no image, or is derived from one, by its SOP class."""
     try:
@@ -161,25 +158,11 @@ def described(found: list[Series]) -> str:
 
 
 def read(path: PathLike, series: str | None = None) -> Volume:
-    """Read a series of slices, or one file that holds many.
+    """Read a series of slices, or one file that holds many, as `supple.media.volume.read` does.
 
-    Parameters
-    ----------
-    path : str or os.PathLike
-        The folder that holds the slices, itself or in subfolders, or one of them.
-    series : str, optional
-        Which series of the folder: its SeriesInstanceUID, or its place in the list, from 1.
-
-    Returns
-    -------
-    Volume
-        In the units that the files speak of: of CT, Hounsfield's. Nothing that tells of the patient is kept.
-
-    Raises
-    ------
-    SuppleError
-        There is no such series, or there are several and none is named; a slice is missing, or of another size or
-        direction than the others; the slices are not stacked at right angles; a file cannot be read.
+    In the units that the files speak of: of CT, Hounsfield's. Nothing that tells of the patient is kept. SuppleError if
+    there is no such series, or there are several and none is named; a slice is missing, or of another size or direction
+    than the others; the slices are not stacked at right angles; a file cannot be read.
     """
     sitk, file = library(), Path(path)
     if not file.is_dir():

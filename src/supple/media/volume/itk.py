@@ -15,21 +15,18 @@ from typing import Any
 
 import numpy as np
 
-from supple.errors import SuppleError, need, shown
+from supple.errors import need, shown
 from supple.geometry import Geometry
-from supple.media.files import check_output, replacing
+from supple.media.files import PathLike, check_output, head_of, replacing, unreadable, unwritable
 from supple.media.volume.data import (
     DTYPES,
     Array,
-    PathLike,
     Volume,
     check_spacing,
-    head_of,
     located,
     native,
     reading,
     too_large,
-    unreadable,
 )
 from supple.media.volume.raw import count_bytes
 
@@ -67,20 +64,10 @@ def silence() -> Iterator[None]:
 
 
 def read(path: PathLike, form: str) -> Volume:
-    """Read a NRRD or a MetaImage file, with its data beside it or in it.
+    """Read a NRRD or a MetaImage file (`form`), with its data beside it or in it.
 
-    Parameters
-    ----------
-    path : str or os.PathLike
-        The file with the header.
-    form : str
-        ``"NRRD"`` or ``"MetaImage"``.
-
-    Raises
-    ------
-    SuppleError
-        The file is missing, of another kind, damaged or cut short; its voxels are no real numbers; it has more axes
-        than x, y, z and time.
+    SuppleError if it is missing, of another kind, damaged or cut short; if its voxels are no real numbers; or if it has
+    more axes than x, y, z and time.
     """
     sitk = library()
     head = head_of(path, 4)
@@ -150,6 +137,7 @@ def _data_file(path: PathLike, fields: dict[str, str]) -> Path | None:
     return data
 
 
+# Kept: ITK fills what is missing, and leaves what is too much (test_sizes_other_than_those_of_the_data).
 def _check_data(path: PathLike, data: Path | None, fields: dict[str, str], end: int, each: int) -> None:
     """Refuse fewer or more voxels than the header tells, and damaged ones, of which ITK says nothing."""
     sizes = [int(n) for n in re.findall(r"[-\d]+", fields.get("dimsize", fields.get("sizes", "")))]
@@ -179,6 +167,7 @@ def _check_data(path: PathLike, data: Path | None, fields: dict[str, str], end: 
         raise unreadable(path, what, "give a whole copy of it" if short else "correct the sizes in its header")
 
 
+# Kept: ITK puts another place for one that is none (test_places_that_would_be_replaced).
 def _check_place(path: PathLike, fields: dict[str, str], ndim: int) -> None:
     """Refuse a place in space that ITK would replace by another: what is no number, none, or not in millimetres."""
     if "elementspacing" in fields:
@@ -247,13 +236,7 @@ def _reason(text: str) -> str:
 
 
 def write(path: PathLike, samples: Array, like: Volume, *, force: bool = False) -> None:
-    """Write a NRRD file, compressed, or a MetaImage file, not compressed; .mhd has its data in a .raw beside it.
-
-    Raises
-    ------
-    SuppleError
-        The file cannot be written.
-    """
+    """Write a NRRD file, compressed, or a MetaImage file, not compressed; .mhd has its data in a .raw beside it."""
     sitk = library()
     target = check_output(path, force=force)
     suffix = target.suffix.lower()
@@ -271,7 +254,7 @@ def write(path: PathLike, samples: Array, like: Volume, *, force: bool = False) 
         except (RuntimeError, UnicodeError) as error:
             found = re.search("Reason: (.+)", str(error))
             what = (found[1] if found else _reason(str(error))) or "ITK cannot write it"
-            raise SuppleError(f"cannot write {shown(path)}: {what}: make room or choose another place") from error
+            raise unwritable(path, what, "make room or choose another place") from error
         if not _whole(file.with_suffix(made[-1][1]), samples.nbytes, packed=suffix == ".nrrd"):
             raise OSError(errno.EIO, "a part of it was not written")  # ITK overlooks it at the end of a file
         for temporary, ending in made:

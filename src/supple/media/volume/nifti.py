@@ -15,27 +15,24 @@ import numpy as np
 
 from supple.errors import VolumeWarning, need, shown
 from supple.geometry import Geometry
-from supple.media.files import replacing
+from supple.media.files import PathLike, head_of, replacing, unreadable
 from supple.media.volume.data import (
     DTYPES,
     Array,
-    PathLike,
     Volume,
     check_spacing,
-    head_of,
     located,
     native,
     placed,
     reading,
     too_large,
-    unreadable,
 )
 
 _GZIP = b"\x1f\x8b"
 _MILLIMETRES = {1: 1000.0, 3: 0.001}  # of a metre, of a micrometre
 _SECONDS = {16: 1e-3, 24: 1e-6}
 _COLOURS = {128: 3, 2304: 4}  # RGB24, RGBA32
-_LONGEST = 32_767  # an axis in the first version of the format
+LONGEST = 32_767  # an axis in the first version of the format
 _CHUNK = 1 << 22
 _SAME = 0.01  # of a voxel: how far a qform may lie from its sform, by rounding
 _ORDERS: tuple[Literal["little", "big"], ...] = ("little", "big")
@@ -192,6 +189,7 @@ def _samples(path: PathLike, shape: tuple[int, ...], dtype: np.dtype[Any], offse
         return samples
 
 
+# Kept: nibabel takes what is left for nothing (test_sizes_smaller_than_the_data).
 def _check_rest(path: PathLike, wanted: int, rest: int, row: int) -> None:
     """Refuse what follows the voxels if it is a row or more: the header's sizes are others than the data's."""
     if rest >= row:
@@ -273,11 +271,6 @@ def write(path: PathLike, samples: Array, like: Volume, *, force: bool = False) 
     """Write a NIfTI file, slice by slice, compressed if its name ends in ``.gz``.
 
     What came from NIfTI keeps its header and its byte order; else its sform and qform say where it lies.
-
-    Raises
-    ------
-    SuppleError
-        The file cannot be written.
     """
     header = _copied(like.header, samples) if like.format == "NIfTI" and like.header is not None else None
     if header is None:
@@ -285,7 +278,7 @@ def write(path: PathLike, samples: Array, like: Volume, *, force: bool = False) 
     colours = int(header["datatype"]) in _COLOURS
     stored = samples if colours or samples.ndim == 3 or like.series else np.moveaxis(samples, -1, 0)
     dtype = samples.dtype.newbyteorder(header.endianness)
-    with replacing(path, force=force) as temporary, _writing(temporary, os.fspath(path)) as file:
+    with replacing(path, force=force) as temporary, writing(temporary, os.fspath(path)) as file:
         header.write_to(file)
         file.write(bytes(int(header["vox_offset"]) - file.tell()))
         for slab in stored if stored.ndim == 3 or colours else (part for whole in stored for part in whole):
@@ -293,7 +286,8 @@ def write(path: PathLike, samples: Array, like: Volume, *, force: bool = False) 
 
 
 @contextlib.contextmanager
-def _writing(temporary: Path, name: str) -> Iterator[IO[bytes]]:
+def writing(temporary: Path, name: str) -> Iterator[IO[bytes]]:
+    """Write a file; compressed if its name ends in ``.gz``, a little: the noise of the last bits is not worth more."""
     with open(temporary, "wb") as plain:
         if not name.lower().endswith(".gz"):
             yield plain
@@ -318,7 +312,7 @@ def _copied(known: Any, samples: Array) -> Any:
 def _made(samples: Array, like: Volume) -> Any:
     nibabel = library()
 
-    long = max(samples.shape) > _LONGEST
+    long = max(samples.shape) > LONGEST
     kind: Any = nibabel.Nifti2Header if long else nibabel.Nifti1Header
     header = kind()
     components = samples.shape[3] if samples.ndim == 4 and not like.series else 1

@@ -11,8 +11,8 @@ import numpy as np
 
 from supple.errors import SuppleError, shown
 from supple.geometry import Geometry
-from supple.media.files import replacing
-from supple.media.volume.data import Array, PathLike, Volume, native, unreadable
+from supple.media.files import PathLike, replacing, unreadable, unwritable
+from supple.media.volume.data import Array, Volume, native
 
 SUFFIXES = (".tif", ".tiff")
 _MILLIMETRES = {
@@ -42,10 +42,7 @@ def has_pages(path: PathLike) -> bool:
 def read(path: PathLike) -> Volume:
     """Read all pages of a TIFF: a slice each, or as ImageJ's description says, which also tells the spacing.
 
-    Raises
-    ------
-    SuppleError
-        It is no TIFF, damaged, or its pages are not alike.
+    SuppleError if it is no TIFF, damaged, or its pages are not alike.
     """
     import pyvips
 
@@ -57,7 +54,7 @@ def read(path: PathLike) -> Volume:
         raise unreadable(path, f"it is no TIFF, but {form}", "check its name")
     pages = facts(image)[0]
     with reading(path):
-        if _linked(path) != pages:  # libvips takes what it finds
+        if _linked(path) != pages:
             raise unreadable(path, f"it is cut short: {pages} of its pages are whole")
         source = pyvips.Source.new_from_file(os.fsencode(path))
         options = {"access": "sequential", "fail_on": "error"}
@@ -86,6 +83,7 @@ def read(path: PathLike) -> Volume:
     )
 
 
+# Kept: libvips takes a file that ends between two pages for whole (test_a_stack_that_ends_between_two_pages).
 def _linked(path: PathLike) -> int | None:
     """Count the pages that lead from one to the next, or None if the last leads out of the file."""
     with open(path, "rb") as file:
@@ -135,25 +133,18 @@ def check(path: PathLike, like: Volume, dtype: np.dtype[Any]) -> None:
     """Refuse what the format cannot hold."""
     from supple.media.image.formats import DTYPES, TIFF
 
-    name = shown(path)
     if like.series:
-        raise SuppleError(f"cannot write {name}: a TIFF holds one volume, and this is a series: write NIfTI or NRRD")
+        raise unwritable(path, "a TIFF holds one volume, and this is a series", "write NIfTI or NRRD")
     if dtype.name not in {np.dtype(known).name for known in DTYPES.values()} - {"float64"}:
-        raise SuppleError(f"cannot write {name}: TIFF takes no {dtype} values: write NIfTI or NRRD, or use float32")
+        raise unwritable(path, f"TIFF takes no {dtype} values", "write NIfTI or NRRD, or use float32")
     width, height, depth = like.sizes
     if max(width, height * depth) > TIFF.limit:
         what = f"TIFF ends at {TIFF.limit} rows, and the volume has {height} in each of {depth} slices"
-        raise SuppleError(f"cannot write {name}: {what}: write NIfTI or NRRD")
+        raise unwritable(path, what, "write NIfTI or NRRD")
 
 
 def write(path: PathLike, samples: Array, like: Volume, *, force: bool = False) -> None:
-    """Write a page for each slice; the spacing goes where ImageJ looks for it, origin and direction are lost.
-
-    Raises
-    ------
-    SuppleError
-        The file cannot be written.
-    """
+    """Write a page for each slice; the spacing goes where ImageJ looks for it, origin and direction are lost."""
     import pyvips
 
     from supple.media.image.formats import TIFF, meant, settings, wrapped

@@ -10,7 +10,8 @@ import numpy as np
 
 from supple.errors import shown
 from supple.geometry import Geometry
-from supple.media.volume.data import PathLike, RawLayout, Volume, head_of, native, reading, unreadable
+from supple.media.files import PathLike, head_of, unreadable
+from supple.media.volume.data import RawLayout, Volume, native, reading
 
 _HEAD = 6  # three sizes of 16 bits
 _CHUNK = 1 << 22
@@ -21,10 +22,7 @@ _TELL = "give --shape, --dtype and --spacing (raw=RawLayout(...))"
 def read_dat(path: PathLike) -> Volume:
     """Map a volume of TU Wien: three sizes, x first, and as many samples, all little-endian, unsigned, of 16 bits.
 
-    Raises
-    ------
-    SuppleError
-        The file is missing, or not as long as its sizes say.
+    SuppleError if it is missing, or not as long as its sizes say.
     """
     head = head_of(path, _HEAD)
     if len(head) < _HEAD:
@@ -39,13 +37,7 @@ def read_dat(path: PathLike) -> Volume:
 
 
 def read(path: PathLike, layout: RawLayout | None) -> Volume:
-    """Map a file without a header.
-
-    Raises
-    ------
-    SuppleError
-        The file is missing, not as long as the layout says, or there is no layout.
-    """
+    """Map a file without a header; SuppleError if it is missing, or not as the layout says, or there is no layout."""
     head_of(path, 1)
     if layout is None:
         for suffix in (".mhd", ".nhdr"):
@@ -71,21 +63,8 @@ def _mapped(path: PathLike, layout: RawLayout) -> Volume:
 def count_bytes(path: PathLike, start: int, most: int, packed: int | None = None) -> int:
     """Count the bytes of voxels in a file from a place on; of compressed ones (zlib, gzip) no more than `most`, or so.
 
-    Parameters
-    ----------
-    path : str or os.PathLike
-        The file.
-    start : int
-        Bytes before the first voxel.
-    most : int
-        Where to stop: the file holds too many.
-    packed : int, optional
-        They are compressed, into so many bytes; 0 if that is not known.
-
-    Raises
-    ------
-    OSError, EOFError, zlib.error
-        The file cannot be read; the compressed data stops too early, or its checksum does not hold.
+    `packed` is into how many bytes they are compressed; 0 if that is not known. OSError, EOFError or zlib.error if the
+    file cannot be read, or the compressed data stops too early, or its checksum does not hold.
     """
     if packed is None:
         return max(os.stat(path).st_size - start, 0)

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from fractions import Fraction
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import av
 import numpy as np
 
 from supple.engines.base import Layout
 from supple.errors import SuppleError, shown
+from supple.media.codecs import STILLS
+from supple.media.files import PathLike
+from supple.media.sequence import Pictures
 from supple.media.video.colour import (
     BT709,
     FULL,
@@ -30,68 +32,29 @@ from supple.media.video.colour import (
 )
 from supple.media.video.demux import Survey, chosen
 from supple.media.video.planes import Form, form, palette, wider
-from supple.media.video.streams import name_of
+from supple.media.video.streams import Passage, name_of
 
-if TYPE_CHECKING:
-    from supple.media.video.encode import Sink
-    from supple.media.video.sequence import Pictures
-
-PathLike = str | os.PathLike[str]
 _LEAST, _UTMOST = Fraction(1, 10_000), Fraction(100_000)
 _MOST = 1000  # frames a second; what claims more counts ticks
 
 
-_STILLS = {
-    "uint8": ("gray", "ya8", "rgb24", "rgba"),
-    "uint16": ("gray16le", "ya16le", "rgb48le", "rgba64le"),
-    "float32": ("grayf32le", "yaf32le", "gbrpf32le", "gbrapf32le"),
-}
-
-
 class Reel:
-    """The source of a video to be written. All that pictures do not have is empty here.
+    """The source of a video to be written; all that pictures do not have is empty here."""
 
-    Attributes
-    ----------
-    name : str
-        As it can stand in a line of text.
-    count : int
-        How many frames there are.
-    layout : Layout
-        What a frame is made of. Where chroma lies is told by `supple.media.video.colour.siting`.
-    form : Form
-        The pixel format of frames that are arrays of that layout.
-    colour : Colour
-        What samples mean.
-    rate : Fraction
-        Frames a second, on average.
-    base : Fraction
-        Seconds a tick, the unit of `time`.
-    pace : Fraction
-        The ticks a second in which all times of frames are whole numbers, as far as the file lets guess; 0 if not.
-    profile : str
-        Of the codec, as FFmpeg names it.
-    header : bytes
-        The stream header (extradata) that a decoder needs; empty where the codec has none.
-    stills : bool
-        Whether it is made of pictures, so that any film of them is one that players are used to.
-    unheld : tuple of str
-        What it has that no video file holds.
-    """
-
-    layout: Layout
-    form: Form
-    colour: Colour
-    count: int
-    stills = False
-    unheld: tuple[str, ...] = ()
+    layout: Layout  # where chroma lies in it is told by `supple.media.video.colour.siting`
+    form: Form  # the pixel format of frames that are arrays of that layout
+    colour: Colour  # what samples mean
+    count: int  # of frames
+    stills = False  # whether it is made of pictures, so that any film of them is one that players are used to
+    unheld: tuple[str, ...] = ()  # what it has that no video file holds
     codec, profile, lossless, field_order, index = "", "", False, 0, -1
-    header = b""
-    pace = Fraction(0)
+    header = b""  # that of the stream (extradata), which a decoder needs
+    pace = Fraction(0)  # ticks a second in which all times are whole numbers, as far as the file lets guess
     aspect: Fraction | None = None
     grading = Grading()
     source: av.container.InputContainer | None = None
-    sink: Sink | None = None
+    passage: Passage | None = None  # takes the packets of other streams, while it is written
+    copies = False  # whether the packets of frames are kept, to be written as they are
 
     def __init__(self, name: str, rate: Fraction, base: Fraction) -> None:
         self.name, self.rate, self.base = name, rate, base
@@ -127,15 +90,8 @@ class Reel:
 
 
 class Stills(Reel):
-    """Pictures, as a film.
+    """Pictures, as a film; SuppleError if they are neither grey nor RGB.
 
-    Raises
-    ------
-    SuppleError
-        They are neither grey nor RGB.
-
-    Notes
-    -----
     Their colours are taken for those of sRGB, which are those of BT.709. Most players take the curves of both for one.
     """
 
@@ -144,13 +100,13 @@ class Stills(Reel):
     def __init__(self, pictures: Pictures) -> None:
         super().__init__(pictures.name, pictures.rate, 1 / pictures.rate)
         self.layout, self.count, group = pictures.layout, pictures.count, pictures.layout.groups[0]
-        count, known = group.channels, _STILLS[self.layout.dtype.name]
+        count, known = group.channels, STILLS[self.layout.dtype.name]
         if count > len(known) or group.alpha == bool(count % 2) or pictures.interpretation == "cmyk":
             raise SuppleError(f"{self.name} holds neither grey nor RGB pictures: convert them first")
         found = form(known[count - 1])
         assert found is not None
         self.form, self.colour = found, Colour(FULL, BT709, BT709, RGB)
-        self._starts: list[int] | None = getattr(pictures, "starts", None)
+        self._starts = pictures.starts
         if self._starts:
             self.base = Fraction(1, 1000)
         profile = pictures.picture(0)[0].icc
@@ -163,16 +119,10 @@ class Stills(Reel):
 
 
 class Film(Reel):
-    """The film in a video file, and what is around it.
+    """The film in a video file, and what is around it."""
 
-    Attributes
-    ----------
-    codec : str
-        Of the film, such as ``"h264"``.
-    pixel_format : str
-        As it is decoded, such as ``"yuv420p"``.
-    """
-
+    codec: str  # such as "h264"
+    pixel_format: str  # as it is decoded, such as "yuv420p"
     source: av.container.InputContainer
 
     def __init__(self, path: PathLike, source: av.container.InputContainer, survey: Survey, count: int | None) -> None:
@@ -223,11 +173,17 @@ class Film(Reel):
         layout = found.kind.layout(frame.width, frame.height, offset)
         self.layout = replace(layout, black=black(found, self.colour))
 
+    @property
+    def unpictured(self) -> tuple[str, ...]:
+        """Streams that pictures of its frames leave out."""
+        held = {stream.type for stream in self.source.streams}
+        return tuple(name for kind, name in (("audio", "sound"), ("subtitle", "subtitles")) if kind in held)
+
     def painted(self, values: Sequence[float]) -> tuple[float, ...]:
         """Turn grey, or red, green and blue, in the depth of the clip, and opacity, into components of the layout."""
         return painted(self.form, self.colour, self.height, values)
 
-    def facts(self) -> dict[str, Any]:
+    def info(self) -> dict[str, Any]:
         """Return what a person may want to know."""
         seen = self.survey.duration or Fraction(self.count) / self.rate
         names: dict[str, list[str]] = {"audio": [], "subtitle": [], "other": []}

@@ -1,4 +1,4 @@
-"""Image sequences as clips: numbered pictures, or all pictures of a folder, one for each frame."""
+"""Sequences of pictures, one for each frame: numbered, all of a folder, or in an animated WebP; read and written."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import contextlib
 import itertools
 import os
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import partial
@@ -14,21 +14,28 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pyvips
 
-from supple.engines.base import Group, Layout
+from supple.engines.base import Array, Group, Layout
 from supple.errors import SuppleError, shown
-from supple.media.image import PageWarning, Picture
+from supple.media import image as pictures
+from supple.media.base import Clip, ClipWarning
+from supple.media.files import PathLike, check_outputs, replacing_all
+from supple.media.image import ImageWarning, MetadataWarning, PageWarning, Picture
 from supple.media.image.formats import DTYPES
 from supple.media.image.headers import collected, facts, has_alpha
-from supple.media.image.vips import PathLike, apart, decoded, opened, reading, sequential, widen
-from supple.media.numbering import first_number, has_number, is_sequence, numbered, pictures_in
+from supple.media.image.vips import apart, decoded, opened, reading, sequential, widen
+from supple.media.numbering import (
+    first_number,
+    has_number,
+    matching,
+    numbered,
+    pictures_in,
+    spelling,
+)
 from supple.pipeline import Frame
 
-__all__ = ["Pictures", "is_sequence", "open_sequence"]
-
-Array = npt.NDArray[Any]
+SUFFIXES, SUFFIXES_OUT = pictures.SUFFIXES, pictures.SUFFIXES_OUT
 
 _WHITE = {"uint8": 255.0, "uint16": 65535.0, "float32": 1.0}
 
@@ -52,21 +59,15 @@ class _Still:
 
 
 class Pictures:
-    """Pictures of one size and type, as the frames of a clip.
+    """Pictures of one size and type, as the frames of a clip."""
 
-    Attributes
-    ----------
-    name : str
-        As it was given.
-    paths : list of pathlib.Path
-        In order.
-    first : int or None
-        The number of the first picture, where the names are numbered.
-    layout : Layout
-        One group: a grid of pixels.
-    rate : Fraction
-        Frames a second: pictures do not know, and whoever opens them says it.
-    """
+    layout: Layout  # one group: a grid of pixels
+    paths: list[Path]  # in order
+    first: int | None  # the number of the first picture, where the names are numbered
+    rate: Fraction  # frames a second: pictures do not know, and whoever opens them says it
+    starts: Sequence[int] = ()  # when frames begin, in milliseconds, and the last one ends; empty where all last alike
+    rotation = 0.0
+    unpictured: tuple[str, ...] = ()
 
     def __init__(self, name: str, paths: list[Path], rate: Fraction, first: int | None) -> None:
         self.name, self.paths, self.rate, self.first = name, paths, rate, first
@@ -89,7 +90,7 @@ class Pictures:
         for path in self.paths:
             yield _Still(path, self.layout)
 
-    def to_rgb(self, arrays: Sequence[Array], *, deep: bool = False) -> npt.NDArray[Any]:
+    def to_rgb(self, arrays: Sequence[Array], *, deep: bool = False) -> Array:
         """A frame as RGB of 8 bits, or of 16 if ``deep``: shape (H, W, 3), without opacity.
 
         Colours are taken as they are, whatever their profile; of floats, what lies outside 0 to 1 is cut off.
@@ -143,13 +144,7 @@ class _Page:
 
 
 class Animation(Pictures):
-    """An animated WebP, which FFmpeg does not decode, as the frames of a clip.
-
-    Attributes
-    ----------
-    starts : list of int
-        When each frame begins, in milliseconds, and when the last one ends.
-    """
+    """An animated WebP, which FFmpeg does not decode, as the frames of a clip."""
 
     def __init__(self, path: PathLike) -> None:
         image, self.format = opened(path)
@@ -194,14 +189,15 @@ def is_animated(path: PathLike) -> bool:
 
 
 @contextlib.contextmanager
-def open_sequence(path: PathLike, *, rate: float | Fraction = 24) -> Iterator[Pictures]:
+def open_clip(path: PathLike, *, rate: float | Fraction = 24) -> Iterator[Pictures]:
     """Open pictures as a clip.
 
     Parameters
     ----------
     path : str or os.PathLike
         A pattern such as ``frames/%05d.png``, which stands for pictures that are numbered without a gap, from
-        whatever number on. Or a folder, which stands for all its pictures, the 9th before the 10th.
+        whatever number on. Or a folder, which stands for all its pictures, the 9th before the 10th. Or an animated
+        WebP, which has times of its own.
     rate : float or Fraction
         Frames a second. 23.976, 29.97 and the like are taken for what they mean, 24000/1001 and 30000/1001.
 
@@ -214,8 +210,10 @@ def open_sequence(path: PathLike, *, rate: float | Fraction = 24) -> Iterator[Pi
     SuppleError
         There are no such pictures, one is missing, cannot be read, or is of another size or type than the first.
     """
-    text = os.fspath(path)
-    known = _rate(rate)
+    text, known = os.fspath(path), _rate(rate)
+    if text.lower().endswith(".webp") and os.path.isfile(text):
+        yield Animation(text)
+        return
     first: int | None
     if has_number(text):
         paths, first = numbered(text)
@@ -223,6 +221,12 @@ def open_sequence(path: PathLike, *, rate: float | Fraction = 24) -> Iterator[Pi
         paths = pictures_in(Path(text))
         first = first_number(paths)
     yield Pictures(shown(text), paths, known, first)
+
+
+def info(path: PathLike) -> dict[str, object]:
+    """Tell what the headers of the pictures say."""
+    with open_clip(path) as clip:
+        return clip.info()
 
 
 def _rate(rate: float | Fraction) -> Fraction:
@@ -257,3 +261,141 @@ def _described(layout: Layout) -> str:
     opacity = " with opacity" if group.alpha else ""
     channels = f"{group.channels} channel{'s' if group.channels > 1 else ''}"
     return f"{width} x {height} of {channels}{opacity} in {layout.dtype}"
+
+
+def check_target(path: PathLike) -> None:
+    """Refuse a pattern whose suffix no picture can be written under; a folder may have any name."""
+    if has_number(path):
+        pictures.check_target(path)
+
+
+class PictureSink:
+    """Where frames are written to: a picture for each, in a hidden folder until all are there."""
+
+    aside = False
+
+    def __init__(
+        self, clip: Clip, folder: Path, temporary: Path, names: Callable[[int], str], options: dict[str, Any]
+    ) -> None:
+        self._clip, self._folder, self._temporary, self._names = clip, folder, temporary, names
+        self._options = options
+        self._said: set[str] = set()
+
+    def write(self, arrays: Sequence[Array], k: int, *, still: bool = False) -> None:
+        """Write frame ``k``: arrays as the clip's layout says."""
+        name = self._names(k)
+        like = None
+        if isinstance(self._clip, Pictures):
+            like, lost = self._clip.picture(k)
+            pixels = arrays[0]
+            if lost:
+                text = f"{shown(self._clip.paths[k])}: {' and '.join(lost)} cannot be carried over"
+                self._say(MetadataWarning, text, text.partition(": ")[2])
+        else:
+            pixels = self._as_rgb(arrays)
+        temporary, final = shown(self._temporary / name), shown(self._folder / name)
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            try:
+                # Formats without grey of three axes take that of two.
+                flat = pixels[..., 0] if pixels.shape[2] == 1 else pixels
+                pictures.write(self._temporary / name, flat, like=like, **self._options)
+            except SuppleError as error:
+                raise SuppleError(str(error).replace(temporary, final)) from error
+        for warning in caught:
+            text = str(warning.message).replace(temporary, final)
+            self._say(warning.category, text, text.replace(final, ""))
+
+    def _as_rgb(self, arrays: Sequence[Array]) -> Array:
+        """A video's frame, upright, in RGB or RGBA."""
+        layout = self._clip.layout
+        pixels = self._clip.to_rgb(arrays, deep=layout.dtype.itemsize > 1)
+        if layout.groups[0].alpha:
+            white = np.iinfo(pixels.dtype).max
+            opacity = np.rint(arrays[0][..., -1:] * (white / layout.white)).astype(pixels.dtype)
+            pixels = np.concatenate([pixels, opacity], axis=2)
+        # What a player turns by, counterclockwise: pictures are stored as they are looked at.
+        return np.rot90(pixels, round(self._clip.rotation / 90))
+
+    def _say(self, category: type[Warning], text: str, kind: str) -> None:
+        """Warn of each kind of trouble once, not for every frame."""
+        if kind not in self._said:
+            self._said.add(kind)
+            warnings.warn(text, category, stacklevel=3)
+
+
+@contextlib.contextmanager
+def writer(
+    clip: Clip, target: PathLike, *, force: bool = False, quality: int | None = None, lossless: bool = False
+) -> Iterator[PictureSink]:
+    """Write a clip's frames as pictures, which appear all together or not at all.
+
+    Parameters
+    ----------
+    clip : Pictures, or any `Clip`
+        Where the frames are from: each picture gets the profile, the EXIF and the like of its source. A video's
+        become RGB or RGBA of 8 bits, or of 16 where it has more than 8 and can give them; and are turned upright.
+    target : str or os.PathLike
+        A pattern such as ``out/%05d.png``, or a folder, which is made if it is missing. Numbers are those of the
+        source's pictures; a video's count from 1. In a folder, the names are the source's; a video's are ``%05d.png``.
+    force : bool
+        Whether pictures that exist may be replaced.
+    quality, lossless
+        As `supple.media.image.write` takes them.
+
+    Yields
+    ------
+    PictureSink
+
+    Raises
+    ------
+    SuppleError
+        A picture exists already, the format cannot hold these pixels, or nothing can be written there.
+    """
+    text = os.fspath(target)
+    check_target(text)
+    if has_number(text):
+        folder, name = Path(text).parent, _numbers(clip, text)
+    else:
+        folder, name = Path(text), _mirrored(clip)
+    listed = [name(k) for k in range(clip.count)]
+    check_outputs((folder / each for each in listed), force=force)
+    options = {"quality": quality, "lossless": lossless}
+    if clip.unpictured:
+        text = f"{shown(folder)} gets pictures alone, without the {' and the '.join(clip.unpictured)} of {clip.name}"
+        warnings.warn(text, ClipWarning, stacklevel=3)
+    with replacing_all(folder, force=force) as temporary:
+        yield PictureSink(clip, folder, temporary, name, options)
+        left = len(set(_others(folder, text)) - set(listed))
+        if left:
+            text = f"{shown(folder)} also holds {left} other pictures, which are left as they were"
+            warnings.warn(text, ImageWarning, stacklevel=3)
+
+
+def _numbers(clip: Clip, text: str) -> Callable[[int], str]:
+    """The names of a pattern: with the numbers of the source."""
+    spell = spelling(Path(text).name, text)
+    first = clip.first if isinstance(clip, Pictures) and clip.first is not None else 1
+    return lambda k: spell(first + k)
+
+
+def _mirrored(clip: Clip) -> Callable[[int], str]:
+    """The names in a folder: those of the source, in a format that can be written."""
+    if not isinstance(clip, Pictures):
+        return lambda k: f"{k + 1:05d}.png"
+    other = ".tif" if clip.layout.dtype.kind == "f" else ".png"
+    names = [p.name if p.suffix.lower() in SUFFIXES_OUT else p.with_suffix(other).name for p in clip.paths]
+    taken: dict[str, Path] = {}
+    for path, name in zip(clip.paths, names, strict=True):
+        if taken.setdefault(name, path) != path:
+            raise SuppleError(f"{shown(taken[name])} and {shown(path)} would both become {shown(name)}: rename one")
+    return names.__getitem__
+
+
+def _others(folder: Path, text: str) -> list[str]:
+    """The pictures that stand where a sequence was written."""
+    with contextlib.suppress(OSError, SuppleError):
+        if has_number(text):
+            return [path.name for path in matching(text)[0]]
+        return [path.name for path in pictures_in(folder)]
+    return []

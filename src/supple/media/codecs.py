@@ -1,0 +1,153 @@
+"""The one table of video: containers, the codecs that go into them, and the encoders of these with their options."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from fractions import Fraction
+
+Options = Mapping[str, str]
+
+
+@dataclass(frozen=True, slots=True)
+class Container:
+    """A kind of file."""
+
+    name: str  # as FFmpeg calls it
+    suffixes: tuple[str, ...]  # which name it; the first is offered
+    usual: str  # the codec that it is used to
+    exact: str = ""  # the codec where every value is to be kept
+    keeping: str = ""  # and where the source's keeps them, but cannot be written
+    longest: float = math.inf  # ticks that a frame may last
+    tick: Fraction = Fraction(0)  # seconds; 0 where it takes any
+    chapters: bool = True  # whether it holds them
+    rotation: bool = True  # whether it says which way up it is shown
+    counted: bool = False  # whether it keeps one rate instead of times, and does not say what colours mean
+    mp4: bool = False  # whether it says itself how wide a pixel is, and adds up what packets last
+    attachments: bool = False  # whether it holds files, and a cover as one of these
+    streams: frozenset[str] | None = None  # the codecs that it is to hold: others would be written, and hardly play
+    options: Options = field(default_factory=dict)  # for every encoder
+
+
+_WEBM = frozenset(("vp8", "vp9", "av1", "opus", "vorbis", "webvtt"))
+CONTAINERS = (
+    Container("mp4", (".mp4", ".m4v"), "h264", "ffv1", longest=2**31 - 1, mp4=True),
+    Container("mov", (".mov",), "h264", "ffv1", longest=2**31 - 1, mp4=True),
+    Container("matroska", (".mkv",), "h264", "ffv1", "ffv1", attachments=True),
+    Container("webm", (".webm",), "vp9", streams=_WEBM),
+    Container(
+        "avi", (".avi",), "mpeg4", "ffv1", "ffv1", chapters=False, rotation=False, counted=True, options={"bf": "0"}
+    ),
+    Container("gif", (".gif",), "gif", longest=65535, tick=Fraction(1, 100), chapters=False, rotation=False),
+)
+_ALL = frozenset(container.name for container in CONTAINERS)
+SUFFIXES_OUT = tuple(container.suffixes[0] for container in CONTAINERS)
+# What is always taken for a video; others are one if they are asked to be.
+SUFFIXES = frozenset(
+    {".3gp", ".asf", ".avi", ".flv", ".h264", ".h265", ".hevc", ".ivf", ".m2ts", ".m2v", ".m4v", ".mj2", ".mkv"}
+    | {".mov", ".mp4", ".mpeg", ".mpg", ".mts", ".mxf", ".ogv", ".ts", ".vob", ".webm", ".wmv", ".y4m"}
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Codec:
+    """A way of coding frames, whatever encodes or decodes it."""
+
+    encoder: str = ""  # the one that is offered; empty where there is none
+    colours: bool = False  # whether its stream says what colours mean
+    aspect: bool = False  # whether it says how wide a pixel is
+    limited_in: frozenset[str] = frozenset()  # containers in which nobody takes it for full range
+    opaque_in: frozenset[str] = frozenset()  # containers in which its opacity is lost
+    opacity: str = ""  # the decoder that keeps opacity where FFmpeg's own leaves it out
+    bt601: bool = False  # whether everybody takes its matrix for that of BT.601
+    centred: bool = False  # whether it sites the chroma of 4:2:0 in the centre of its pixels
+    # whether key frames need nothing but the stream header, and may follow those of another encoder
+    alone: bool = False
+    hides: bool = False  # whether it has packets of which nothing is shown
+
+
+_OPAQUE = _ALL - {"matroska", "webm"}
+CODECS = {
+    "h264": Codec("libx264", colours=True, aspect=True),
+    "hevc": Codec("libx265", colours=True, aspect=True),
+    "vp9": Codec("libvpx-vp9", colours=True, opaque_in=_OPAQUE, opacity="libvpx-vp9", hides=True),
+    "vp8": Codec("libvpx", limited_in=_ALL, opaque_in=_OPAQUE, opacity="libvpx", bt601=True, centred=True, hides=True),
+    "av1": Codec("libsvtav1", colours=True, hides=True),
+    "prores": Codec("prores_ks", colours=True, limited_in=_ALL, alone=True),
+    "ffv1": Codec("ffv1", alone=True),
+    "mpeg4": Codec("mpeg4", aspect=True, limited_in=frozenset(("mov",))),
+    "mpeg2video": Codec("mpeg2video", colours=True, aspect=True, limited_in=_ALL),
+    "mjpeg": Codec("mjpeg", aspect=True, bt601=True, centred=True, alone=True),
+    "png": Codec("png", centred=True),
+    "qtrle": Codec("qtrle"),
+    "huffyuv": Codec("huffyuv"),
+    "utvideo": Codec("utvideo"),
+    "gif": Codec("gif"),
+    "mpeg1video": Codec(aspect=True, centred=True),
+    **dict.fromkeys(("jpeg2000", "webp", "theora", "h263", "h261", "flv1"), Codec(centred=True)),
+}
+ALIASES = {"h265": "hevc", "x264": "h264", "x265": "hevc", "avc": "h264", "mpeg2": "mpeg2video", "vp09": "vp9"}
+
+
+@dataclass(frozen=True, slots=True)
+class Encoder:
+    """An encoder and its settings, in FFmpeg's words."""
+
+    name: str  # as FFmpeg calls it
+    codec: str  # what it writes
+    crf: tuple[float, float, float] | None = None  # the best, the worst and the usual constant rate factor
+    drawn: float | None = None  # that for pictures that were drawn, which have no noise
+    presets: tuple[str, ...] = ()  # how much work it may do
+    preset: str = ""  # the usual one of these
+    options: Options = field(default_factory=dict)  # for everything
+    exact: Options | None = None  # what keeps one that loses something from it
+    params: str = ""  # the option that takes parameters of its own
+    threads: str = ""  # those that say how many threads it may use
+    graded: tuple[str, str] | None = None  # those of HDR: of the screen, and of the brightest pixel
+    # whether it takes any times; others count frames, and their packets are given the times afterwards
+    timed: bool = False
+    profiles: Options = field(default_factory=dict)  # its names of the profiles that FFmpeg decodes
+
+
+_SPEEDS = ("ultrafast", "superfast", "veryfast", "faster", "fast", "medium", "slow", "slower", "veryslow", "placebo")
+_FINE = {"qmin": "2", "qmax": "3", "b": "400000000", "maxrate": "0"}  # near the best, without a crf
+_VPX = {"deadline": "good", "cpu-used": "2"}
+_X264 = Encoder("libx264rgb", "h264", (0, 51, 18), presets=_SPEEDS, preset="medium", exact={"qp": "0"}, timed=True)
+_PRORES = {"Proxy": "proxy", "LT": "lt", "Standard": "standard", "HQ": "hq", "4444": "4444", "XQ": "4444xq"}
+# fmt: off
+_ROWS = (
+    replace(_X264, name="libx264", drawn=16, params="x264-params", graded=("mastering-display", "cll")),
+    _X264,  # exact by its qp: a crf of 0 is exact in 8 bits only
+    Encoder("libx265", "hevc", (0, 51, 20), presets=_SPEEDS, preset="medium", exact={"x265-params": "lossless=1"},
+            params="x265-params", threads="log-level=none:pools={}", graded=("master-display", "max-cll"), timed=True),
+    Encoder("libvpx-vp9", "vp9", (0, 63, 24), drawn=20, options={**_VPX, "b": "0", "row-mt": "1"},
+            exact={"lossless": "1"}, timed=True),
+    Encoder("libvpx", "vp8", (4, 63, 10), options={**_VPX, "b": "100000000"}, timed=True),
+    Encoder("libsvtav1", "av1", (1, 63, 25), presets=tuple(map(str, range(14))), preset="8",
+            exact={"svtav1-params": "lossless=1"}, params="svtav1-params", threads="lp={}",
+            graded=("mastering-display", "content-light"), timed=True),
+    Encoder("prores_ks", "prores", profiles=_PRORES),
+    Encoder("dnxhd", "dnxhd", profiles={"DNXHR LB": "dnxhr_lb", "DNXHR SQ": "dnxhr_sq"}),
+    Encoder("ffv1", "ffv1", options={"slicecrc": "1", "g": "1", "strict": "experimental"}),
+    Encoder("flv", "flv1", options=_FINE),
+    Encoder("msmpeg4", "msmpeg4v3", options=_FINE),
+    *(Encoder(name, name, options=_FINE)
+      for name in ("mpeg4", "mpeg2video", "mpeg1video", "mjpeg", "h263p", "msmpeg4v2", "wmv1", "wmv2")),
+)
+# fmt: on
+ENCODERS = {encoder.name: encoder for encoder in _ROWS}
+HASTY, FINE_CRF = 11, 8  # SVT-AV1 from this preset on, below this crf, writes what no decoder reads
+
+# The pixel formats of pictures as frames: for each type, of one to four channels.
+STILLS = {
+    "uint8": ("gray", "ya8", "rgb24", "rgba"),
+    "uint16": ("gray16le", "ya16le", "rgb48le", "rgba64le"),
+    "float32": ("grayf32le", "yaf32le", "gbrpf32le", "gbrapf32le"),
+}
+USUAL_BITS = 10  # the most that players are used to: what loses something anyway gets no more of pictures
+
+
+def codec_of(name: str) -> Codec:
+    """Return what is known of a codec; one that is not in the table has nothing of its own."""
+    return CODECS.get(name, Codec())
