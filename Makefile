@@ -15,10 +15,10 @@ PIP = $(BIN)/python -m pip install --quiet --disable-pip-version-check --config-
 help:
 	@echo "make demo      a small gallery in demo/, to look at"
 	@echo "make test      all tests"
-	@echo "make test-cuda all tests of the CUDA engine at size, on an NVIDIA card"
+	@echo "make test-cuda all tests of the CUDA engine at size, on an NVIDIA GPU"
 	@echo "make bench     how fast and how exact, against others"
 	@echo "make bench-gpu how fast the GPU is, in its own time"
-	@echo "make bench-cuda how fast CUDA is on an NVIDIA card, against others"
+	@echo "make bench-cuda how fast CUDA is on an NVIDIA GPU, against others"
 	@echo "make bench-window  how fast the window follows a hand"
 	@echo "make soak      a billion points of random strokes"
 	@echo "make sanitize  tests of the native core, with memory and undefined behaviour watched"
@@ -71,7 +71,7 @@ $(VENV)/stamp-cuda: $(VENV)/stamp
 	  driver=$$(nvidia-smi --query-gpu=driver_version --format=csv,noheader 2>/dev/null | head -n 1 | cut -d. -f1); \
 	  case "$$driver" in \
 	    ''|*[!0-9]*) \
-	      echo "make: nvidia-smi finds no driver for an NVIDIA card; if there is one, say which CUDA it knows: CUDA=12 or CUDA=13." >&2; \
+	      echo "make: nvidia-smi finds no driver for an NVIDIA GPU; if there is one, say which CUDA it knows: CUDA=12 or CUDA=13." >&2; \
 	      exit 1;; \
 	  esac; \
 	  if [ "$$driver" -ge 580 ]; then cuda=13; else cuda=12; fi; \
@@ -92,19 +92,19 @@ demo: $(VENV)/stamp
 	$(BIN)/supple demo demo --force
 
 # A worker for each core; a file's tests stay together, as they share what is made once. Not the files with the most
-# tests first: those with the slowest would be last. What CUDA does is tested on a card that Numba plays.
+# tests first: those with the slowest would be last. What CUDA does is tested on a GPU that Numba plays.
 test: venv
 	$(BIN)/python -m pytest -q -n auto --dist loadfile --no-loadscope-reorder
-	NUMBA_ENABLE_CUDASIM=1 $(BIN)/python -m pytest -q -n auto tests/engines/cuda/card
+	NUMBA_ENABLE_CUDASIM=1 $(BIN)/python -m pytest -q -n auto tests/engines/cuda/kernels
 
-# On a real card, one after the other: each test fails where there is none. The last are few, and watched.
-ON_CARD := env -u NUMBA_ENABLE_CUDASIM SUPPLE_TEST_CUDA=1
+# On a real GPU, one after the other: each test fails where there is none. The last are few, and watched.
+ON_DEVICE := env -u NUMBA_ENABLE_CUDASIM SUPPLE_TEST_CUDA=1
 
 test-cuda: venv $(VENV)/stamp-cuda
-	$(ON_CARD) $(BIN)/python -m pytest -q tests/engines/cuda/card
+	$(ON_DEVICE) $(BIN)/python -m pytest -q tests/engines/cuda/kernels
 	@if command -v compute-sanitizer >/dev/null; then \
-	  $(ON_CARD) compute-sanitizer --tool memcheck --report-api-errors no --error-exitcode 1 \
-	    $(BIN)/python -m pytest -q tests/engines/cuda/card/test_memory.py; \
+	  $(ON_DEVICE) compute-sanitizer --tool memcheck --report-api-errors no --error-exitcode 1 \
+	    $(BIN)/python -m pytest -q tests/engines/cuda/kernels/test_memory.py; \
 	else \
 	  echo "compute-sanitizer is not on the PATH (it comes with the CUDA toolkit): memory was not checked"; \
 	fi
@@ -120,7 +120,7 @@ bench-gpu: venv
 	$(BIN)/python benchmarks/gpu.py
 
 bench-cuda: venv $(VENV)/stamp-cuda
-	env -u NUMBA_ENABLE_CUDASIM $(BIN)/python benchmarks/card.py
+	env -u NUMBA_ENABLE_CUDASIM $(BIN)/python benchmarks/cuda_engine.py
 
 bench-window: venv
 	$(BIN)/python benchmarks/window.py

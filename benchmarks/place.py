@@ -1,4 +1,4 @@
-"""Where arrays are for `card.py`: on an NVIDIA card, of the library that a peer takes; or in Numba's simulator."""
+"""Where arrays are for `cuda_engine.py`: on an NVIDIA GPU, of whatever library; or in Numba's simulator."""
 
 from __future__ import annotations
 
@@ -9,11 +9,14 @@ import subprocess
 import time
 from dataclasses import dataclass, field
 from importlib.metadata import PackageNotFoundError, version
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 from paired import Clock, Work
+
+if TYPE_CHECKING:
+    import supple
 
 Array = npt.NDArray[Any]
 
@@ -27,9 +30,9 @@ def wall(work: Work) -> float:
 
 @dataclass(frozen=True)
 class Events:
-    """Seconds by a card's clock, from before some work is handed to a stream until the stream has done it.
+    """Seconds by a GPU's clock, from before some work is handed to a stream until the stream has done it.
 
-    Unless it is ``beside`` the work of others, the card is idle before.
+    Unless it is ``beside`` the work of others, the GPU is idle before.
     """
 
     stream: Any = 0
@@ -50,12 +53,12 @@ class Events:
 
 @dataclass
 class Place:
-    """A card, or what plays it, and the libraries that there are.
+    """A GPU, or what plays it, and the libraries that there are.
 
     Parameters
     ----------
     dry : bool
-        Whether Numba plays the card: arrays are Numba's, peers work on the CPU (SciPy in CuPy's place), and times are
+        Whether Numba plays the GPU: arrays are Numba's, peers work on the CPU (SciPy in CuPy's place), and times are
         the host's.
     missing : dict
         The peers that are not there, and what is to be said of each.
@@ -73,7 +76,7 @@ class Place:
                 self.missing[name] = f"{name} is not installed" if absent else f"{name} cannot be imported ({error})"
                 continue
             if name == "torch" and not self.dry and not found.cuda.is_available():
-                self.missing[name] = f"torch {found.__version__} sees no card"
+                self.missing[name] = f"torch {found.__version__} sees no GPU"
         if "torch" in self.missing and "kornia" not in self.missing:
             self.missing["kornia"] = f"kornia needs torch: {self.missing['torch']}"
 
@@ -93,7 +96,7 @@ class Place:
         return self.peers(array, kind) if kind != "numba" else _numba().to_device(array)
 
     def peers(self, array: Array, kind: str) -> Any:
-        """An array as a peer takes it: on the card, or for its twin on the CPU."""
+        """An array as a peer takes it: on the GPU, or for its twin on the CPU."""
         if self.dry and kind == "cupy":
             return array
         module: Any = importlib.import_module(kind)
@@ -115,11 +118,11 @@ class Place:
             importlib.import_module("cupy").get_default_memory_pool().free_all_blocks()
 
     def about(self) -> dict[str, str]:
-        """What all this is: the card, its driver, the CUDA that it knows, and the libraries."""
-        from supple.engines.cuda.card import open_card
+        """What all this is: the GPU, its driver, the CUDA that it knows, and the libraries."""
+        from supple.engines.cuda.device import open_device
 
         libraries = ("supple", "numba", "numba-cuda", "torch", "cupy-cuda12x", "cupy-cuda13x", "kornia")
-        told = {"card": open_card().name}
+        told = {"gpu": open_device().name}
         if not self.dry:
             from numba.cuda.cudadrv.driver import driver
 
@@ -153,3 +156,36 @@ def _version(name: str) -> str:
 
 def _numba() -> Any:
     return importlib.import_module("numba.cuda")
+
+
+@dataclass(frozen=True)
+class Bench:
+    """Where, how large and how often."""
+
+    place: Place
+    runs: int
+    side: int  # of a volume
+    clip: tuple[int, int, int]
+    batch: tuple[int, int]
+
+    @property
+    def volume(self) -> str:
+        return f"{self.side}³ float32"
+
+
+def waves(*shape: int, phase: float = 0.0) -> Array:
+    """Smooth samples from 0 to 1, no two planes of which are alike."""
+    total = np.zeros(shape, np.float32)
+    for k, n in enumerate(shape):
+        wave = np.sin((0.05 + 0.02 * k) * np.arange(n) + phase + k).astype(np.float32)
+        total += wave.reshape([-1 if axis == k else 1 for axis in range(len(shape))])
+    return np.asarray(0.5 + 0.5 / len(shape) * total, np.float32)
+
+
+def stroke(*shape: int) -> supple.Deformation:
+    """One, in the middle, a fifth of the shortest side wide."""
+    import supple
+
+    middle = [(n - 1) / 2 for n in shape[::-1]]
+    by = [min(shape) / 16, *(0.0,) * (len(shape) - 1)]
+    return supple.Deformation(shape, border=None).grab(middle, by=by, radius=min(shape) / 5)

@@ -229,7 +229,7 @@ def main() -> None:
         view.close()
         rate, due, seen = played(clip(Path(folder) / "clip.mp4"))
         print(
-            f"| 1080p clip of {rate:g} frames a second, bent and played: frames of {due} | {seen} | {due}, on a card |"
+            f"| 1080p clip of {rate:g} frames a second, bent and played: frames of {due} | {seen} | {due}, on a GPU |"
         )
         both = (_EMPTY,), (_OURS, str(DATA / "coffee.jpg"))
         empty, ours = (statistics.median(start_of(*words) for _ in range(3)) for words in both)

@@ -12,7 +12,9 @@ from supple.errors import SuppleError
 
 # Numba's simulator takes the place of CUDA from its import on: those tests are run by themselves.
 collect_ignore = (
-    [] if {"1"} & {os.environ.get(k) for k in ("NUMBA_ENABLE_CUDASIM", "SUPPLE_TEST_CUDA")} else ["engines/cuda/card"]
+    []
+    if {"1"} & {os.environ.get(k) for k in ("NUMBA_ENABLE_CUDASIM", "SUPPLE_TEST_CUDA")}
+    else ["engines/cuda/kernels"]
 )
 
 # A worker has a file at a time: those that take longest are begun first, so that none of them is waited for at the end.

@@ -41,7 +41,7 @@ _SHORT = _Short()
 _SHORT.maxstring = _SHORT.maxother = 60
 
 
-def shown(value: object) -> str:
+def value_shown(value: object) -> str:
     """A short representation of any value, on one line, for a message."""
     text = " ".join(_SHORT.repr(value.item() if isinstance(value, np.generic) else value).split())
     return text if len(text) <= 100 else f"{text[:97]}..."
@@ -49,7 +49,7 @@ def shown(value: object) -> str:
 
 def refuse(name: str, wanted: str, found: object) -> NoReturn:
     """Raise the error that says what ``name`` must be and what was found."""
-    raise SuppleError(f"{name} must be {wanted}, found {shown(found)}")
+    raise SuppleError(f"{name} must be {wanted}, found {value_shown(found)}")
 
 
 def number(name: str, value: object, wanted: str, low: float, high: float) -> float:

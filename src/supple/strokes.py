@@ -28,7 +28,7 @@ from supple.domain import (
     number,
     point,
     refuse,
-    shown,
+    value_shown,
 )
 from supple.errors import ScaleWarning, SuppleError
 
@@ -419,7 +419,7 @@ class Recipe:
         if not isinstance(data, dict):
             refuse("a recipe", "a JSON object", data)
         if "supple" not in data:
-            raise SuppleError(f'the key "supple", a recipe\'s version ({VERSION}), is missing in {shown(data)}')
+            raise SuppleError(f'the key "supple", a recipe\'s version ({VERSION}), is missing in {value_shown(data)}')
         version = integer('"supple"', data.pop("supple"), "1 or 2 (the versions that this release reads)", 1, VERSION)
         _check_keys("the recipe", data, _known(cls, version), ["strokes"])
         if version == 1:
@@ -532,7 +532,7 @@ def _check_keys(where: str, entry: dict[str, object], known: list[str], required
             hint = f'did you mean "{near[0]}"?' if near else f"known are {', '.join(known)}"
             if key in _NEW:
                 hint = f'it is of version {VERSION} ("supple": {VERSION})'
-            raise SuppleError(f"unknown key {shown(key)} in {where}: {hint}")
+            raise SuppleError(f"unknown key {value_shown(key)} in {where}: {hint}")
     for key in required:
         if key not in entry:
             raise SuppleError(f'the key "{key}" is missing in {where}')
@@ -553,7 +553,7 @@ def _parse(text: str) -> Any:
 def _unique(pairs: list[tuple[str, object]]) -> dict[str, object]:
     twice = [key for key, n in Counter(key for key, _ in pairs).items() if n > 1]
     if twice:
-        raise SuppleError(f"the key {shown(twice[0])} is given twice in one object of the recipe")
+        raise SuppleError(f"the key {value_shown(twice[0])} is given twice in one object of the recipe")
     return dict(pairs)
 
 

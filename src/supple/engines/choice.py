@@ -87,9 +87,9 @@ def lies_on_device(value: object) -> bool:
     """Return whether something is an array on a CUDA device; no library is imported to find out."""
     if isinstance(value, np.ndarray) or callable(value):
         return False
-    from supple.engines.cuda.arrays import is_on_card
+    from supple.engines.cuda.arrays import is_on_device
 
-    return is_on_card(value)
+    return is_on_device(value)
 
 
 def engine_at(value: object) -> Engine:

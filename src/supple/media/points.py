@@ -12,8 +12,7 @@ from typing import Any, NoReturn
 import numpy as np
 import numpy.typing as npt
 
-from supple.domain import LARGEST
-from supple.domain import shown as value_shown
+from supple.domain import LARGEST, value_shown
 from supple.errors import SuppleError, shown
 from supple.media.files import PathLike, check_suffix, head_of, replacing, unreadable
 from supple.media.tables import Table, parsed

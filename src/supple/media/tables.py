@@ -10,8 +10,7 @@ from typing import NoReturn
 import numpy as np
 import numpy.typing as npt
 
-from supple.domain import LARGEST
-from supple.domain import shown as value_shown
+from supple.domain import LARGEST, value_shown
 from supple.errors import SuppleError
 
 Floats = npt.NDArray[np.float64]

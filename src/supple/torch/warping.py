@@ -16,7 +16,7 @@ from torch.autograd.function import once_differentiable
 from supple.deformation import Deformation
 from supple.domain import refuse
 from supple.engines.base import Group, Layout, Sampling, Work, warn_of
-from supple.engines.torch.engine import TORCH, grid, offsets_of, shown, working
+from supple.engines.torch.engine import TORCH, grid, offsets_of, seen_at, working
 from supple.engines.torch.field import Columns, Strokes, strokes_gradients
 from supple.engines.torch.sample import Filter, read, spread
 from supple.pipeline import sampled
@@ -188,7 +188,7 @@ def forward(
     made = []
     for part, item in zip(points if batch else [points], given, strict=True):
         strokes = item.strokes(working(points), points.device)
-        made.append(shown(part, strokes))
+        made.append(seen_at(part, strokes))
     return torch.stack(made) if batch else made[0]
 
 

@@ -11,7 +11,7 @@ import pytest
 
 import supple
 from supple.cli import command
-from supple.engines.cuda import card
+from supple.engines.cuda import device as devices
 from supple.errors import SuppleError
 from supple.examples.gallery import write_gallery
 from supple.files.clips import warp_clip
@@ -31,9 +31,9 @@ SOLID = ("--grab", "4,4,2:5,4,2", "--radius", "3")
 @pytest.fixture
 def without(monkeypatch: pytest.MonkeyPatch) -> None:
     """Numba's package for CUDA is not there."""
-    find = card.importlib.util.find_spec
+    find = devices.importlib.util.find_spec
     monkeypatch.setattr(
-        card.importlib.util, "find_spec", lambda name, *rest: None if name == "numba_cuda" else find(name, *rest)
+        devices.importlib.util, "find_spec", lambda name, *rest: None if name == "numba_cuda" else find(name, *rest)
     )
 
 
@@ -66,7 +66,7 @@ def refused(capfd: pytest.CaptureFixture[str], *arguments: str) -> str:
 def test_it_says_what_to_install(without: None) -> None:
     wanted = f'{MISSING}: pip install "supple[cuda12]" or "supple[cuda13]", for drivers from 525 or 580 on'
     for ask in (
-        card.open_card,
+        devices.open_device,
         lambda: supple.Deformation((9, 9)).warp(np.zeros((9, 9)), device="cuda"),
         lambda: supple.warp_batch(np.zeros((2, 9, 9)), supple.Deformation((9, 9)), device="cuda"),
     ):
@@ -92,9 +92,9 @@ def test_what_is_missing_is_named(monkeypatch: pytest.MonkeyPatch, said: str, wa
             raise error.CudaSupportError(said)
 
     monkeypatch.setattr(driver, "driver", Driver())
-    card._opened.cache_clear()
+    devices._opened.cache_clear()
     with pytest.raises(SuppleError, match=wanted) as caught:
-        card.open_card()
+        devices.open_device()
     assert "\n" not in str(caught.value)
 
 
@@ -107,18 +107,18 @@ def test_a_driver_of_yesterday_is_named(monkeypatch: pytest.MonkeyPatch) -> None
             return 12, 4
 
     monkeypatch.setattr(driver, "driver", Driver())
-    monkeypatch.setattr(card, "toolkit", lambda: 13)
-    card._opened.cache_clear()
+    monkeypatch.setattr(devices, "toolkit", lambda: 13)
+    devices._opened.cache_clear()
     with pytest.raises(SuppleError, match=r"knows CUDA 12\.4, and what is installed needs 13.*supple\[cuda12\]"):
-        card.open_card()
+        devices.open_device()
 
 
 def test_this_machine_has_a_card_or_says_why_not() -> None:
     pytest.importorskip("numba_cuda")
-    card._opened.cache_clear()
+    devices._opened.cache_clear()
     said = "device cpu"
     try:
-        assert card.open_card().name
+        assert devices.open_device().name
     except SuppleError as error:
         said = str(error)
     assert "device cpu" in said or "pip install" in said

@@ -393,7 +393,7 @@ def test_gradients_of_gradients_are_refused() -> None:
         slope.sum().backward()
 
 
-@pytest.mark.skipif(not torch.cuda.is_available(), reason="no NVIDIA card")
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="no NVIDIA gpu")
 @pytest.mark.parametrize("shape", [(40, 50), (8, 20, 24)])
 @pytest.mark.parametrize("dtype", [torch.float16, torch.float32, DOUBLE])
 def test_a_card_does_the_same(shape: tuple[int, ...], dtype: Any) -> None:

@@ -521,7 +521,7 @@ def test_loops_that_are_ended_are_noticed(gpu: Gpu, monkeypatch: pytest.MonkeyPa
     )
     monkeypatch.setattr("supple.engines.wgpu.lattice.TURNS", 1 << 20)  # more than software carries out
     if not gpu.software:
-        pytest.skip("a card carries out all of them")
+        pytest.skip("a GPU carries out all of them")
     with pytest.warns(DeviceWarning, match="ends loops of many turns"):
         made = d.warp(picture, filter="linear", device="gpu")
     np.testing.assert_array_equal(made, d.warp(picture, filter="linear"))

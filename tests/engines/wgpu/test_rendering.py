@@ -311,7 +311,7 @@ def test_a_lattice_that_it_cannot_solve_is_the_cpu_s(
     assert made.gpu is None
     assert made.error == wanted.error
     np.testing.assert_array_equal(made.render(size=SIZE).light, wanted.render(size=SIZE).light)
-    if gpu.software:  # a card carries out all of them
+    if gpu.software:  # a GPU carries out all of them
         monkeypatch.setattr(solid, "TURNS", 1 << 20)
         with pytest.warns(DeviceWarning, match="its driver ends loops of many turns"):
             assert Scene(cloud, GEOMETRY, deformation=bent, transfer=SOFT, mode=mode, device="gpu").gpu is None

@@ -12,14 +12,14 @@ import numpy.typing as npt
 
 from supple.domain import refuse
 from supple.engines.base import check_gradients
-from supple.engines.cuda.card import Card, open_card, simulated
+from supple.engines.cuda.device import CudaDevice, open_device, simulated
 from supple.errors import SuppleError
 
 _CUDA = (2, 13)  # of DLPack's kinds of device: a GPU's memory, and that which it shares with the host
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class OnCard:
+class DeviceArray:
     """An array on a GPU.
 
     Parameters
@@ -33,7 +33,7 @@ class OnCard:
     dtype : numpy.dtype
     pointer : int
         Of its first sample.
-    card : Card
+    gpu : CudaDevice
     stream : object
         Numba's name for the stream that its library works on at the moment.
     writable : bool
@@ -45,7 +45,7 @@ class OnCard:
     strides: tuple[int, ...]
     dtype: np.dtype[Any]
     pointer: int
-    card: Card
+    gpu: CudaDevice
     stream: Any
     writable: bool = True
 
@@ -82,16 +82,16 @@ class OnCard:
         }
         return cuda.from_cuda_array_interface(described, owner=self.given, sync=False)
 
-    def overlaps(self, other: OnCard) -> bool:
+    def overlaps(self, other: DeviceArray) -> bool:
         """Return whether two arrays may share memory."""
         first, second = (
             (a.pointer - a.below * a.dtype.itemsize, a.pointer + (a.span - a.below) * a.dtype.itemsize)
             for a in (self, other)
         )
-        return self.card.number == other.card.number and first[0] < second[1] and second[0] < first[1]
+        return self.gpu.number == other.gpu.number and first[0] < second[1] and second[0] < first[1]
 
 
-def is_on_card(value: object) -> bool:
+def is_on_device(value: object) -> bool:
     """Return whether something is an array on a GPU, or may be one; no library is imported to find out."""
     if isinstance(value, np.ndarray) or callable(value):
         return False
@@ -119,7 +119,7 @@ def _is_cupy(value: object) -> bool:
     return cupy is not None and isinstance(value, cupy.ndarray)
 
 
-def taken(value: Any, name: str) -> OnCard:
+def taken(value: Any, name: str) -> DeviceArray:
     """An array on a GPU, whatever made it.
 
     Raises
@@ -127,19 +127,19 @@ def taken(value: Any, name: str) -> OnCard:
     SuppleError
         If CUDA cannot be used, or the array is not on a GPU, or of a kind that cannot be taken.
     """
-    if not is_on_card(value):
+    if not is_on_device(value):
         refuse(name, "an array on a GPU", value)
     check_gradients(value, name)
     if simulated():
-        open_card()
+        open_device()
         return _in_simulator(value)
     kind = "torch" if _is_tensor(value) else "cupy" if _is_cupy(value) else "numba"
-    card = open_card(_card_of(value, kind))  # before anything asks what needs it
+    gpu = open_device(_number_of(value, kind))  # before anything asks what needs it
     from cuda.core.utils import StridedMemoryView
 
     own = kind != "numba" or hasattr(value, "__cuda_ndarray__")
     try:
-        with card.current():  # some hand out only what lies on the current one
+        with gpu.current():  # some hand out only what lies on the current one
             view = StridedMemoryView.from_any_interface(value, stream_ptr=-1 if own else 1)
         # Of what is known, all goes on in the order of its stream; of another library, the default stream waits.
         if not view.is_device_accessible:
@@ -151,10 +151,10 @@ def taken(value: Any, name: str) -> OnCard:
             name, "an array on a GPU, of bool, integers or floats of 16 to 64 bits", " ".join(str(error).split())[:80]
         )
     strides = tuple(view.strides) if view.strides is not None else _dense(shape)
-    if int(view.device_id) != card.number:
-        card = open_card(int(view.device_id))
-    return OnCard(value, kind, shape, tuple(int(s) for s in strides), dtype, int(view.ptr), card,
-                  stream_of(value, kind, card), not view.readonly)  # fmt: skip
+    if int(view.device_id) != gpu.number:
+        gpu = open_device(int(view.device_id))
+    return DeviceArray(value, kind, shape, tuple(int(s) for s in strides), dtype, int(view.ptr), gpu,
+                  stream_of(value, kind, gpu), not view.readonly)  # fmt: skip
 
 
 def plain(value: Any) -> Any:
@@ -164,7 +164,7 @@ def plain(value: Any) -> Any:
     return value
 
 
-def _card_of(value: Any, kind: str) -> int:
+def _number_of(value: Any, kind: str) -> int:
     """The number of the GPU that an array is on, as far as its library tells."""
     if kind == "torch":
         return int(value.device.index or 0)
@@ -175,11 +175,11 @@ def _dense(shape: Sequence[int]) -> tuple[int, ...]:
     return tuple(int(np.prod(shape[k + 1 :], dtype=np.int64)) for k in range(len(shape)))
 
 
-def stream_of(value: Any, kind: str, card: Card) -> Any:
+def stream_of(value: Any, kind: str, gpu: CudaDevice) -> Any:
     """The stream that a library works on at the moment."""
     if simulated():
         return 0
-    with card.current():
+    with gpu.current():
         pointer = 0
         if kind == "torch":
             pointer = int(sys.modules["torch"].cuda.current_stream(value.device).cuda_stream)
@@ -188,17 +188,17 @@ def stream_of(value: Any, kind: str, card: Card) -> Any:
                 pointer = int(sys.modules["cupy"].cuda.get_current_stream().ptr)
         elif hasattr(value, "__cuda_ndarray__") and value.stream:
             return value.stream
-        return known_stream(card, pointer)
+        return known_stream(gpu, pointer)
 
 
 _streams: dict[tuple[int, int], Any] = {}
 
 
-def known_stream(card: Card, pointer: int) -> Any:
+def known_stream(gpu: CudaDevice, pointer: int) -> Any:
     """Numba's name for a stream, always the same one: what it prepares for a launch, it then finds again."""
     from numba import cuda
 
-    key = (card.number, pointer)
+    key = (gpu.number, pointer)
     if key not in _streams:
         if len(_streams) > 256:
             _streams.clear()
@@ -206,27 +206,29 @@ def known_stream(card: Card, pointer: int) -> Any:
     return _streams[key]
 
 
-def as_stream(value: Any, card: Card) -> Any:
+def as_stream(value: Any, gpu: CudaDevice) -> Any:
     """A stream of any library as Numba's; SuppleError if it is none."""
     if simulated() and hasattr(value, "synchronize"):
         return value
     for name in ("cuda_stream", "ptr"):  # PyTorch's, and CuPy's
         if isinstance(getattr(value, name, None), int):
-            return known_stream(card, getattr(value, name))
+            return known_stream(gpu, getattr(value, name))
     if hasattr(value, "handle") and hasattr(value, "auto_synchronize"):  # Numba's
         return value
     if not hasattr(value, "__cuda_stream__"):
         refuse("stream", "a stream of PyTorch, CuPy or Numba, or left out", value)
-    return known_stream(card, int(value.__cuda_stream__()[1]))
+    return known_stream(gpu, int(value.__cuda_stream__()[1]))
 
 
-def made_like(source: OnCard, shape: Sequence[int], dtype: npt.DTypeLike, *, as_it_lies: bool = False) -> OnCard:
+def made_like(
+    source: DeviceArray, shape: Sequence[int], dtype: npt.DTypeLike, *, as_it_lies: bool = False
+) -> DeviceArray:
     """A new array of the same library, on the same GPU; ``as_it_lies`` in memory, if it has the same shape."""
-    with source.card.current():
+    with source.gpu.current():
         return _made_like(source, shape, np.dtype(dtype), as_it_lies)
 
 
-def _made_like(source: OnCard, shape: Sequence[int], kind: np.dtype[Any], as_it_lies: bool) -> OnCard:
+def _made_like(source: DeviceArray, shape: Sequence[int], kind: np.dtype[Any], as_it_lies: bool) -> DeviceArray:
     if source.kind == "torch":
         torch = sys.modules["torch"]
         if as_it_lies:
@@ -246,14 +248,14 @@ def _made_like(source: OnCard, shape: Sequence[int], kind: np.dtype[Any], as_it_
     return taken(given, "the result")
 
 
-def checked_out(out: Any, source: OnCard) -> OnCard:
+def checked_out(out: Any, source: DeviceArray) -> DeviceArray:
     """Return an array that a user gives for a result; SuppleError if it does not fit the source."""
     wanted = f"an array on the source's GPU, of {source.dtype} and shape {source.shape}, as the source is"
-    if not is_on_card(out):
+    if not is_on_device(out):
         refuse("out", wanted, out)
     target = taken(out, "out")
-    if target.shape != source.shape or target.dtype != source.dtype or target.card.number != source.card.number:
-        refuse("out", wanted, f"{target.dtype} of shape {target.shape} on GPU {target.card.number}")
+    if target.shape != source.shape or target.dtype != source.dtype or target.gpu.number != source.gpu.number:
+        refuse("out", wanted, f"{target.dtype} of shape {target.shape} on GPU {target.gpu.number}")
     if not target.writable:
         raise SuppleError("out must be an array that can be written, found a read-only one")
     if 0 in (s for s, n in zip(target.strides, target.shape, strict=True) if n > 1):
@@ -263,7 +265,7 @@ def checked_out(out: Any, source: OnCard) -> OnCard:
     return target
 
 
-def contiguous(source: OnCard) -> OnCard:
+def contiguous(source: DeviceArray) -> DeviceArray:
     """Return a contiguous copy; SuppleError where its library does not do that."""
     if source.strides == _dense(source.shape) or source.span <= 1:
         return source
@@ -274,14 +276,16 @@ def contiguous(source: OnCard) -> OnCard:
     raise SuppleError(f"points must lie one after the other in memory, found strides {source.strides}")
 
 
-def _in_simulator(value: Any) -> OnCard:
+def _in_simulator(value: Any) -> DeviceArray:
     array = value._ary if hasattr(value, "_ary") else np.asarray(value)
     strides = tuple(s // array.itemsize for s in array.strides)
     pointer = array.__array_interface__["data"][0]
-    return OnCard(value, "numba", array.shape, strides, array.dtype, pointer, open_card(), 0, array.flags.writeable)
+    return DeviceArray(
+        value, "numba", array.shape, strides, array.dtype, pointer, open_device(), 0, array.flags.writeable
+    )
 
 
-def _flat_in_simulator(array: OnCard, kind: np.dtype[Any]) -> Any:
+def _flat_in_simulator(array: DeviceArray, kind: np.dtype[Any]) -> Any:
     import ctypes
 
     from numba.cuda.simulator.cudadrv.devicearray import FakeCUDAArray

@@ -12,7 +12,7 @@ import numpy as np
 from supple.domain import refuse
 from supple.engines.base import SLACK, Certificate, EngineError, Planes, Space, Steps, Work
 from supple.engines.cuda import arrays
-from supple.engines.cuda.card import Card, failures, open_card
+from supple.engines.cuda.device import CudaDevice, failures, open_device
 from supple.engines.native import NATIVE
 
 if TYPE_CHECKING:
@@ -23,20 +23,20 @@ if TYPE_CHECKING:
 
 def open_cuda(number: int = 0) -> Cuda:
     """Return the engine of the CUDA device of a number; SuppleError says why it cannot be used."""
-    return Cuda(open_card(number))
+    return Cuda(open_device(number))
 
 
 @dataclass(frozen=True, slots=True)
 class Cuda:
     """The engine of a CUDA device (`supple.engines.base.Engine`); clips, which stream, are for others."""
 
-    card: Card
+    gpu: CudaDevice
     lead: int = 0
 
     @property
     def name(self) -> str:
         """The GPU's."""
-        return self.card.name
+        return self.gpu.name
 
     def slack(self, tolerance: float) -> float:
         """See `Engine.slack`."""
@@ -49,12 +49,12 @@ class Cuda:
             refuse("source", "an array of bool, integers or floats of 16, 32 or 64 bits", f"dtype {dtype}")
 
     def taken(self, value: Any, name: str) -> Any:
-        """Return an array on a CUDA device, of whatever library, as `OnCard`; one of the host as NumPy's."""
-        return arrays.taken(value, name) if arrays.is_on_card(value) else NATIVE.taken(value, name)
+        """Return an array on a CUDA device, of whatever library, as `DeviceArray`; one of the host as NumPy's."""
+        return arrays.taken(value, name) if arrays.is_on_device(value) else NATIVE.taken(value, name)
 
     def result(self, out: Any, held: Any) -> Any:
         """See `Engine.result`; the result is where the source is."""
-        if not isinstance(held, arrays.OnCard):
+        if not isinstance(held, arrays.DeviceArray):
             return NATIVE.result(out, held)
         if out is not None:
             return arrays.checked_out(out, held)
@@ -70,7 +70,7 @@ class Cuda:
 
     def warp(self, work: Work, frames: Sequence[Any], outs: Sequence[Any]) -> Steps:
         """See `Engine.warp`. Arrays on a device are taken as they are, without an axis for frames or channels."""
-        if isinstance(frames[0], arrays.OnCard):
+        if isinstance(frames[0], arrays.DeviceArray):
             from supple.engines.cuda import job
 
             yield len(outs), job.finish(job.Job(work, frames[0], outs[0]))
@@ -79,7 +79,7 @@ class Cuda:
 
         unknown = 0
         try:
-            for done, known in warp_host(self.card, frames[0], outs[0], work):
+            for done, known in warp_host(self.gpu, frames[0], outs[0], work):
                 unknown += known.unknown
                 yield done, known
         except failures() as error:
@@ -88,7 +88,7 @@ class Cuda:
             raise EngineError(f"{unknown} points could not be solved to the tolerance")
 
     def start(
-        self, work: Work, held: arrays.OnCard, result: arrays.OnCard, *, slab: int | None, stream: Any
+        self, work: Work, held: arrays.DeviceArray, result: arrays.DeviceArray, *, slab: int | None, stream: Any
     ) -> Warping:
         """Hand a warp over to a stream, and go on at once."""
         from supple.engines.cuda import job

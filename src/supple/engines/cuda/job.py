@@ -8,8 +8,8 @@ from typing import Any
 
 from supple.domain import refuse
 from supple.engines.base import Certificate, Space, Work, warn_of
-from supple.engines.cuda.arrays import OnCard, as_stream, stream_of
-from supple.engines.cuda.card import simulated
+from supple.engines.cuda.arrays import DeviceArray, as_stream, stream_of
+from supple.engines.cuda.device import simulated
 from supple.engines.cuda.sample import FRAMES
 from supple.engines.cuda.warp import (
     Frames,
@@ -31,12 +31,12 @@ class Job:
     Parameters
     ----------
     work : Work
-    source, out : OnCard
+    source, out : DeviceArray
     """
 
     work: Work
-    source: OnCard
-    out: OnCard
+    source: DeviceArray
+    out: DeviceArray
 
     @property
     def spaces(self) -> tuple[Space, ...]:
@@ -66,31 +66,31 @@ def hand_over(job: Job, stream: Any, slab: int | None = None, *, waited: bool = 
     ``slab`` is how many planes are handed over at once, so that what else the GPU has to do comes in between;
     ``waited`` says that this thread waits for it next, on the stream of the source's library.
     """
-    card, space, sampling = job.source.card, job.work.space, job.work.sampling
-    with card.current():
+    gpu, space, sampling = job.source.gpu, job.work.space, job.work.sampling
+    with gpu.current():
         rounds = _rounds(job)
         count = rounds[0].source.places[FRAMES]
-        colours = colours_of(card, job.source.dtype, job.work, count)
+        colours = colours_of(gpu, job.source.dtype, job.work, count)
         planes = 1 if rounds[0].shared else rounds[0].planes
         pieces = (pieces_of if waited else Pieces)(job.out, [r.lattice for r in rounds], planes)
         for k, r in enumerate(rounds):
             make_planes(
-                card, stream, r.lattice, pieces, colours, space.shape, (0, r.planes), r.source, r.out,
+                gpu, stream, r.lattice, pieces, colours, space.shape, (0, r.planes), r.source, r.out,
                 tolerance=sampling.tolerance, shared=r.shared, fresh=k == 0, slab=slab,
             )  # fmt: skip
     return pieces
 
 
 def _rounds(job: Job) -> list[_Round]:
-    card, space = job.source.card, job.work.space
+    gpu, space = job.source.gpu, job.work.space
     source, out = job.source.flat(), job.out.flat()
     if space.ndim == 2:
         count = job.source.shape[0] if job.batch else 1
         shared = count if job.batch and len(job.spaces) == 1 else 0
         whole = _frames(job, job.source, source), _frames(job, job.out, out)
-        return [_Round(lattice_of(card, job.spaces), *whole, count, shared)]
+        return [_Round(lattice_of(gpu, job.spaces), *whole, count, shared)]
     items = job.source.shape[0] if job.batch else 1
-    lattices = [lattice_of(card, (s,)) for s in job.spaces]
+    lattices = [lattice_of(gpu, (s,)) for s in job.spaces]
     return [
         _Round(
             lattices[k % len(lattices)],
@@ -102,7 +102,7 @@ def _rounds(job: Job) -> list[_Round]:
     ]
 
 
-def _frames(job: Job, array: OnCard, flat: Any, item: int | None = None) -> Frames:
+def _frames(job: Job, array: DeviceArray, flat: Any, item: int | None = None) -> Frames:
     """Return an array as frames: an item of a batch, or all pictures of one."""
     space = job.work.space
     strides, start = list(array.strides), array.below
@@ -153,7 +153,7 @@ class Warping:
             If the map may be less exact than was asked.
         """
         if self._certificate is None:
-            with self._job.source.card.current():
+            with self._job.source.gpu.current():
                 self._event.synchronize()
                 self._certificate = told_of(self._pieces, self.stream)
             with _lock:
@@ -164,11 +164,11 @@ class Warping:
     def join(self, stream: Any = None) -> None:
         """Have a stream wait for it, and not this thread: by default, that which the source's library works on now."""
         source = self._job.source
-        with source.card.current():
+        with source.gpu.current():
             if stream is None:
-                self._event.wait(stream_of(source.given, source.kind, source.card))
+                self._event.wait(stream_of(source.given, source.kind, source.gpu))
             else:
-                self._event.wait(as_stream(stream, source.card))
+                self._event.wait(as_stream(stream, source.gpu))
 
     def __repr__(self) -> str:
         return f"<Warping of {self._job.source.shape}, {'done' if self.done() else 'going on'}>"
@@ -187,9 +187,9 @@ def start(job: Job, *, slab: int | None, stream: Any = None) -> Warping:
 
     if job.source.span == 0:
         refuse("source", "a batch of one item or more", f"shape {job.source.shape}")
-    card = job.source.card
-    with card.current():
-        own = card.stream() if stream is None else as_stream(stream, card)
+    gpu = job.source.gpu
+    with gpu.current():
+        own = gpu.stream() if stream is None else as_stream(stream, gpu)
         ready, done = cuda.event(), cuda.event()
         ready.record(job.source.stream)
         ready.wait(own)
@@ -202,7 +202,7 @@ def start(job: Job, *, slab: int | None, stream: Any = None) -> Warping:
         done.record(own)
         with _lock:
             _going[id(done)] = (done, job, pieces)
-    note(card.name)
+    note(gpu.name)
     return Warping(job, own, pieces, done)
 
 
@@ -230,10 +230,10 @@ def finish(job: Job) -> Certificate:
     """Warp on the stream that the source's library works on, and wait for it."""
     if job.source.span == 0:  # a batch of nothing
         return Certificate(0.0, 0.0)
-    card = job.source.card
-    with card.current():
+    gpu = job.source.gpu
+    with gpu.current():
         _order(job, job.source.stream)
         pieces = hand_over(job, job.source.stream, waited=True)
         certificate = told_of(pieces, job.source.stream)
-    note(card.name)
+    note(gpu.name)
     return certificate

@@ -20,7 +20,7 @@ import numpy.typing as npt
 
 from supple.engines.base import Certificate, Sampling, Space, Work
 from supple.engines.cuda.arrays import taken
-from supple.engines.cuda.card import Card, failures
+from supple.engines.cuda.device import CudaDevice, failures
 from supple.engines.cuda.lattice import LIST, MISSING, NODE
 from supple.engines.cuda.needs import Needs, needs_of
 from supple.engines.cuda.ring import Ring, recorded
@@ -49,13 +49,13 @@ _working = threading.RLock()  # what is free is found, and taken, by one at a ti
 
 
 def warp_host(
-    card: Card, source: Array, target: Array, work: Work, *, room: int | None = None
+    gpu: CudaDevice, source: Array, target: Array, work: Work, *, room: int | None = None
 ) -> Iterator[tuple[int, Certificate]]:
     """Warp an image, or a stack of frames, that lies in the host's memory or is mapped to it.
 
     Parameters
     ----------
-    card : Card
+    gpu : CudaDevice
         Who does it.
     source, target : array, shape (frames, H, W, C)
         Of bool, integers or floats of 16 to 64 bits, in any order of bytes, with any strides; not overlapping.
@@ -81,9 +81,9 @@ def warp_host(
         yield int((~moved).sum()), Certificate(0.0, 0.0)
     if not moved.any():
         return
-    with _working, card.current():
-        most = int(ROOM * card.free) if room is None else room
-        with _opened(card, source, target, work, most) as job:
+    with _working, gpu.current():
+        most = int(ROOM * gpu.free) if room is None else room
+        with _opened(gpu, source, target, work, most) as job:
             yield from job.run(moved)
 
 
@@ -163,7 +163,7 @@ class _Slab:
 class _Job:
     """A warp, and what it has on the GPU."""
 
-    card: Card
+    gpu: CudaDevice
     target: Array
     sampling: Sampling
     plan: Plan
@@ -213,7 +213,7 @@ class _Job:
         _, height, width, _ = self.target.shape
         out = Frames(self.slabs[turn], (*source.places[:FIRST], 0, self.plan.planes, 0, self.plan.planes))
         make_planes(
-            self.card, self.stream, self.lattice, self.pieces, self.colours, (height, width), (first, last), source,
+            self.gpu, self.stream, self.lattice, self.pieces, self.colours, (height, width), (first, last), source,
             out, tolerance=self.sampling.tolerance,
         )  # fmt: skip
         told, counts = self.told[turn]
@@ -247,7 +247,7 @@ class _Job:
 
 
 @contextlib.contextmanager
-def _opened(card: Card, source: Array, target: Array, work: Work, room: int) -> Iterator[_Job]:
+def _opened(gpu: CudaDevice, source: Array, target: Array, work: Work, room: int) -> Iterator[_Job]:
     """The resources of a warp on the GPU; all work has ended when it is left."""
     from numba import cuda
 
@@ -255,9 +255,9 @@ def _opened(card: Card, source: Array, target: Array, work: Work, room: int) -> 
     dtype = source.dtype.newbyteorder("=")
     kind = np.dtype(np.uint8) if dtype == np.bool_ else dtype
     size = height * width * channels
-    lattice = lattice_of(card, (work.space,))
+    lattice = lattice_of(gpu, (work.space,))
     plan = planned(count, size * kind.itemsize, lattice.nodes * NODE * 4 + lattice.cell_count * 8, room)
-    colours = colours_of(card, dtype, work, count)
+    colours = colours_of(gpu, dtype, work, count)
     streams: list[Any] = []
     try:
         frames = cuda.device_array(plan.slots * size, kind)
@@ -267,7 +267,7 @@ def _opened(card: Card, source: Array, target: Array, work: Work, room: int) -> 
         streams += [up.stream, down.stream, cuda.stream()]
         told = [(cuda.pinned_array(1, np.float32), cuda.pinned_array(LIST, np.int32)) for _ in range(plan.turns)]
         ring = Ring(source, frames, plan.slots, up)
-        yield _Job(card, target, work.sampling, plan, lattice, colours, pieces_, ring, slabs, down, streams[-1], told)
+        yield _Job(gpu, target, work.sampling, plan, lattice, colours, pieces_, ring, slabs, down, streams[-1], told)
     finally:
         for stream in streams:  # until then, copies write to what is about to be given back
             with contextlib.suppress(*failures()):

@@ -9,14 +9,14 @@ import numpy as np
 from supple.domain import refuse
 from supple.engines.base import Certificate, Space
 from supple.engines.cuda import field, newton
-from supple.engines.cuda.arrays import OnCard, contiguous, made_like, plain, taken
+from supple.engines.cuda.arrays import DeviceArray, contiguous, made_like, plain, taken
 from supple.engines.cuda.colour import FILTERS, NOTHING
 from supple.engines.cuda.kernel import THREADS, blocks, launched
 from supple.engines.cuda.sample import Way
 from supple.engines.cuda.warp import Colours, Frames, Pieces, held, lattice_of, make_planes, told_of
 
 
-def _columns(points: Any, ndim: int) -> OnCard:
+def _columns(points: Any, ndim: int) -> DeviceArray:
     given = taken(points, "points")
     if given.ndim == 0 or given.shape[-1] != ndim:
         refuse("points", f"an array of shape (..., {ndim}), x first", f"shape {given.shape}")
@@ -25,9 +25,9 @@ def _columns(points: Any, ndim: int) -> OnCard:
     return contiguous(given)
 
 
-def _known(space: Space, given: OnCard) -> tuple[Any, Any]:
+def _known(space: Space, given: DeviceArray) -> tuple[Any, Any]:
     known, spans = field.packed([space.table], [space.axes])
-    return held(given.card, known), held(given.card, spans)
+    return held(given.gpu, known), held(given.gpu, spans)
 
 
 def forward(space: Space, points: Any, *, matrices: bool) -> Any:
@@ -36,9 +36,9 @@ def forward(space: Space, points: Any, *, matrices: bool) -> Any:
     moved = made_like(given, given.shape, np.float64)
     found = made_like(given, (*given.shape, space.ndim), np.float64) if matrices else None
     n = given.span // space.ndim
-    with given.card.current():
+    with given.gpu.current():
         known, spans = _known(space, given)
-        nothing = held(given.card, np.zeros(0))
+        nothing = held(given.gpu, np.zeros(0))
         if n:
             launched(field.forward, blocks(n), THREADS, given.stream)(
                 known, spans, space.ndim, given.flat(), moved.flat(), found.flat() if found else nothing
@@ -47,7 +47,7 @@ def forward(space: Space, points: Any, *, matrices: bool) -> Any:
     return found.given if found else moved.given
 
 
-def _wait_for(given: OnCard) -> None:
+def _wait_for(given: DeviceArray) -> None:
     """Wait, where nobody else keeps an array until it is read."""
     if given.kind == "numba" and not hasattr(given.given, "__cuda_ndarray__"):
         given.stream.synchronize()
@@ -61,7 +61,7 @@ def inverse(space: Space, points: Any) -> tuple[Any, Any, Any, Any]:
     kinds = (np.float64, np.int64, np.bool_)
     residual, steps, converged = (made_like(given, given.shape[:-1], dtype) for dtype in kinds)
     n = given.span // space.ndim
-    with given.card.current():
+    with given.gpu.current():
         known, spans = _known(space, given)
         if n:
             launched(newton.inverse, blocks(n), THREADS, given.stream)(
@@ -79,17 +79,17 @@ def inverse_map(space: Space, like: Any, tolerance: float, *, offsets: bool = Fa
     """
     given = taken(plain(like), "like")
     out = made_like(given, (*space.whole, space.ndim), np.float32)
-    card, stream = given.card, given.stream
+    gpu, stream = given.gpu, given.stream
     strides = out.strides if space.ndim == 3 else (0, *out.strides)
-    with card.current():
-        lattice = lattice_of(card, (space,))
+    with gpu.current():
+        lattice = lattice_of(gpu, (space,))
         pieces = Pieces(out, [lattice], space.count)
-        nothing = held(card, np.zeros(1, np.float32))
+        nothing = held(gpu, np.zeros(1, np.float32))
         way = Way(FILTERS["offsets" if offsets else "map"], NOTHING)
         colours = Colours(way, nothing, (-1, 0, 0), (0.0, 0.0, 1.0))
         source = Frames(nothing, (space.count, *space.shape, space.ndim, 0, 0, 0, 0, 0, 0, space.count, 0, space.count))
         into = Frames(out.flat(), (space.count, *space.shape, space.ndim, *strides, 0, 0, space.count, 0, space.count))
         make_planes(
-            card, stream, lattice, pieces, colours, space.shape, (0, space.count), source, into, tolerance=tolerance
+            gpu, stream, lattice, pieces, colours, space.shape, (0, space.count), source, into, tolerance=tolerance
         )
         return out.given, told_of(pieces, stream)

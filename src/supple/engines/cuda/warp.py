@@ -18,9 +18,9 @@ import numpy.typing as npt
 
 from supple.domain import FREE
 from supple.engines.base import OUTSIDE, Certificate, Space, Work, times_seen
-from supple.engines.cuda.arrays import OnCard, made_like
-from supple.engines.cuda.card import Card, simulated
+from supple.engines.cuda.arrays import DeviceArray, made_like
 from supple.engines.cuda.colour import BETWEEN, FILTERS, NOTHING
+from supple.engines.cuda.device import CudaDevice, simulated
 from supple.engines.cuda.field import packed
 from supple.engines.cuda.fill import PIXELS, kernels
 from supple.engines.cuda.kernel import THREADS, blocks, launched
@@ -43,16 +43,16 @@ _uploads: dict[int, Any] = {}
 _lock = threading.Lock()
 
 
-def held(card: Card, array: Array) -> Any:
+def held(gpu: CudaDevice, array: Array) -> Any:
     """A small array on a GPU; one with the same values that is there already is taken."""
     from numba import cuda
 
-    key = (card.number, array.dtype.str, array.shape, array.tobytes())
+    key = (gpu.number, array.dtype.str, array.shape, array.tobytes())
     with _lock:
         if key not in _held:
-            with card.current():
+            with gpu.current():
                 # A stream of its own: what else the GPU has to do is not waited for.
-                stream = _uploads.get(card.number) or _uploads.setdefault(card.number, card.stream())
+                stream = _uploads.get(gpu.number) or _uploads.setdefault(gpu.number, gpu.stream())
                 _held[key] = cuda.to_device(array, stream=stream)
                 stream.synchronize()
             while len(_held) > _KEPT:
@@ -103,14 +103,14 @@ class Lattice:
 _lattices: OrderedDict[tuple[Any, ...], tuple[Lattice, tuple[Space, ...]]] = OrderedDict()
 
 
-def lattice_of(card: Card, spaces: Sequence[Space]) -> Lattice:
+def lattice_of(gpu: CudaDevice, spaces: Sequence[Space]) -> Lattice:
     """Put deformations, all of one shape, on a GPU; those that were there last are taken as they are."""
     # Their arrays never change, and are kept with what was made of them: they cannot become others.
-    key = (card.number, spaces[0].shape, *((id(space.table), id(space.axes)) for space in spaces))
+    key = (gpu.number, spaces[0].shape, *((id(space.table), id(space.axes)) for space in spaces))
     with _lock:
         found = _lattices.get(key)
     if found is None:
-        found = _new_lattice(card, spaces), tuple(spaces)
+        found = _new_lattice(gpu, spaces), tuple(spaces)
         with _lock:
             _lattices[key] = found
             while len(_lattices) > _KEPT_LATTICES:
@@ -118,7 +118,7 @@ def lattice_of(card: Card, spaces: Sequence[Space]) -> Lattice:
     return found[0]
 
 
-def _new_lattice(card: Card, spaces: Sequence[Space]) -> Lattice:
+def _new_lattice(gpu: CudaDevice, spaces: Sequence[Space]) -> Lattice:
     domains = [space.axes for space in spaces]
     axes = domains[0]
     if any(not np.array_equal(axes, other) for other in domains[1:]):
@@ -127,7 +127,7 @@ def _new_lattice(card: Card, spaces: Sequence[Space]) -> Lattice:
     xs, ys = (positions(n, axes[k]) for k, n in enumerate((width, height)))
     cells = np.clip(np.searchsorted(xs, np.arange(width), "right") - 1, 0, xs.size - 2).astype(np.int32)
     known, spans = packed([space.table for space in spaces], domains)
-    there = [held(card, array) for array in (known, spans, xs, ys, cells)]
+    there = [held(gpu, array) for array in (known, spans, xs, ys, cells)]
     limited = any(np.isfinite(space.table["reach"]).all() for space in spaces)
     return Lattice(there[0], there[1], there[2], there[3], there[4], (ys.size, xs.size), len(spaces), limited)
 
@@ -142,7 +142,7 @@ class Colours:
     limits: tuple[float, ...]
 
 
-def colours_of(card: Card, dtype: np.dtype[Any], work: Work, count: int) -> Colours:
+def colours_of(gpu: CudaDevice, dtype: np.dtype[Any], work: Work, count: int) -> Colours:
     """Return how samples of a type are made, of ``count`` frames."""
     sampling, alpha, stack = work.sampling, work.layout.groups[0].alpha, work.space.ndim == 3
     (fill,) = work.fills
@@ -164,7 +164,7 @@ def colours_of(card: Card, dtype: np.dtype[Any], work: Work, count: int) -> Colo
     )
     return Colours(
         way,
-        held(card, fill.astype(kind) if nearest else numbers.fills),
+        held(gpu, fill.astype(kind) if nearest else numbers.fills),
         (numbers.alpha, int(early), int(late)),
         (numbers.low, numbers.high, numbers.white),
     )
@@ -190,7 +190,7 @@ class Frames:
 class Pieces:
     """Work arrays on a GPU, in a library's own memory, so that its streams know of them."""
 
-    def __init__(self, like: OnCard, lattices: Sequence[Lattice], planes: int) -> None:
+    def __init__(self, like: DeviceArray, lattices: Sequence[Lattice], planes: int) -> None:
         nodes, cells = max(known.nodes for known in lattices), max(known.cell_count for known in lattices)
         self.together = max(1, min(planes, SCRATCH // (nodes * NODE * 4 + cells * 8), 65535))
         sizes = {
@@ -206,7 +206,7 @@ class Pieces:
 
 
 def make_planes(
-    card: Card,
+    gpu: CudaDevice,
     stream: Any,
     lattice: Lattice,
     pieces: Pieces,
@@ -225,7 +225,7 @@ def make_planes(
 
     Parameters
     ----------
-    card, stream, lattice, pieces, colours
+    gpu, stream, lattice, pieces, colours
         Who does it, with what.
     shape : (int, int)
         Rows and columns of a plane.
@@ -253,7 +253,7 @@ def make_planes(
     together = min(slab or pieces.together, pieces.together)
     if shared:
         together = min(planes[1] - planes[0], 65535)
-    grid = 4 if simulated() else 8 * card.processors
+    grid = 4 if simulated() else 8 * gpu.processors
     for first in range(*planes, together):
         count = min(together, planes[1] - first)
         solved = 1 if shared else count
@@ -284,13 +284,13 @@ def make_planes(
 _kept_pieces = threading.local()
 
 
-def pieces_of(like: OnCard, lattices: Sequence[Lattice], planes: int) -> Pieces:
+def pieces_of(like: DeviceArray, lattices: Sequence[Lattice], planes: int) -> Pieces:
     """The pieces for work on a library's current stream, which is waited for: small ones are kept for the next time.
 
     A thread's work on a stream goes on in its order, so that nothing is overwritten that is still needed.
     """
     sizes = tuple((known.nodes, known.cell_count) for known in lattices)
-    key = (like.kind, like.card.number, int(getattr(like.stream, "handle", 0) or 0), planes, *sizes)
+    key = (like.kind, like.gpu.number, int(getattr(like.stream, "handle", 0) or 0), planes, *sizes)
     kept = getattr(_kept_pieces, "one", None)
     if kept is None or kept[0] != key:
         made = Pieces(like, lattices, planes)

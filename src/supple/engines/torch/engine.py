@@ -84,9 +84,9 @@ class Torch:
         """See `Engine.forward`; it is differentiable in the points."""
         strokes = Strokes.of(space, working(points), points.device)
         if matrices:
-            made = torch.func.vmap(torch.func.jacrev(lambda p: shown(p, strokes)))(points.reshape(-1, space.ndim))
+            made = torch.func.vmap(torch.func.jacrev(lambda p: seen_at(p, strokes)))(points.reshape(-1, space.ndim))
             return made.reshape(*points.shape, space.ndim)
-        return shown(points, strokes)
+        return seen_at(points, strokes)
 
     def inverse(self, space: Space, points: torch.Tensor) -> tuple[torch.Tensor, ...]:
         """See `Engine.inverse`; the engine of the points' device solves for them."""
@@ -112,7 +112,7 @@ def _of_type(work: Work, held: Any) -> Work:
     return replace(work, layout=replace(work.layout, dtype=dtype, white=white))
 
 
-def shown(points: torch.Tensor, strokes: Strokes) -> torch.Tensor:
+def seen_at(points: torch.Tensor, strokes: Strokes) -> torch.Tensor:
     """Return T of points (..., D) in pixels, in their own type, differentiable in the points and the strokes."""
     axes = strokes.axes
     columns = [x.to(strokes.at.dtype) * axis[3] for x, axis in zip(points.unbind(-1), axes, strict=True)]

@@ -8,15 +8,15 @@ from typing import Any
 
 import pytest
 
-from supple.engines.cuda.card import Card, open_card, simulated
+from supple.engines.cuda.device import CudaDevice, open_device, simulated
 from supple.errors import SuppleError
 
 
 @pytest.fixture(scope="session")
-def card() -> Card:
+def gpu() -> CudaDevice:
     """The GPU, or the simulator."""
     _there()
-    return open_card()
+    return open_device()
 
 
 def _there() -> None:
@@ -29,7 +29,7 @@ def _there() -> None:
 def numba_cuda() -> Any:
     """Numba's CUDA, whose arrays live on the GPU."""
     _there()
-    open_card()
+    open_device()
     from numba import cuda
 
     return cuda
@@ -38,6 +38,6 @@ def numba_cuda() -> Any:
 def pytest_report_header() -> str:
     """Say who does it."""
     try:
-        return "cuda: the simulator" if simulated() else f"cuda: {open_card().name}"
+        return "cuda: the simulator" if simulated() else f"cuda: {open_device().name}"
     except SuppleError as error:
         return f"cuda: {error}"

@@ -1,8 +1,8 @@
-"""The CUDA engine: `make bench-cuda`, or `python benchmarks/card.py [--quick] [--json FILE]`.
+"""The CUDA engine: `make bench-cuda`, or `python benchmarks/cuda_engine.py [--quick] [--json FILE]`.
 
 Each time is that of a whole call (for ours: the map of the deformation, its certificate and the samples), by CUDA
 events, in turn with a peer that has its map in hand. Both results are compared before. `--dry` goes through all of it
-on a machine without a card: in Numba's simulator, with tiny arrays; its times mean nothing.
+on a machine without a GPU: in Numba's simulator, with tiny arrays; its times mean nothing.
 """
 
 from __future__ import annotations
@@ -14,55 +14,21 @@ import sys
 import traceback
 import warnings
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 from paired import HEAD, Line, against, missed, rate, took
-from place import Place, host
+from place import Bench, Place, host, stroke, waves
 
 if TYPE_CHECKING:
     import supple
 
 Array = npt.NDArray[Any]
 
-PAPER = "the paper: 430–2,180 ms, on its card"
+PAPER = "the paper: 430–2,180 ms, on its GPU"
 CLOSE = 1e-3  # of the range
-
-
-@dataclass(frozen=True)
-class Bench:
-    """Where, how large and how often."""
-
-    place: Place
-    runs: int
-    side: int  # of a volume
-    clip: tuple[int, int, int]
-    batch: tuple[int, int]
-
-    @property
-    def volume(self) -> str:
-        return f"{self.side}³ float32"
-
-
-def waves(*shape: int, phase: float = 0.0) -> Array:
-    """Smooth samples from 0 to 1, no two planes of which are alike."""
-    total = np.zeros(shape, np.float32)
-    for k, n in enumerate(shape):
-        wave = np.sin((0.05 + 0.02 * k) * np.arange(n) + phase + k).astype(np.float32)
-        total += wave.reshape([-1 if axis == k else 1 for axis in range(len(shape))])
-    return np.asarray(0.5 + 0.5 / len(shape) * total, np.float32)
-
-
-def stroke(*shape: int) -> supple.Deformation:
-    """One, in the middle, a fifth of the shortest side wide."""
-    import supple
-
-    middle = [(n - 1) / 2 for n in shape[::-1]]
-    by = [min(shape) / 16, *(0.0,) * (len(shape) - 1)]
-    return supple.Deformation(shape, border=None).grab(middle, by=by, radius=min(shape) / 5)
 
 
 def strokes(count: int, *shape: int) -> supple.Deformation:
@@ -231,7 +197,7 @@ def batch(b: Bench) -> Iterator[Line]:
 
 def parts() -> dict[str, Callable[[Bench], Iterator[Line]]]:
     """What is measured, by name."""
-    from card_beside import handed_over, host_volume
+    from cuda_beside import handed_over, host_volume
 
     return {
         "volume": one_volume,
@@ -245,7 +211,7 @@ def parts() -> dict[str, Callable[[Bench], Iterator[Line]]]:
 
 
 def main() -> int:
-    """Print the table; 1 if a bar is missed, or there is no card."""
+    """Print the table; 1 if a bar is missed, or there is no GPU."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--quick", action="store_true", help="fewer runs, and smaller")
     parser.add_argument("--dry", action="store_true", help="in Numba's simulator, tiny: whether it runs at all")
@@ -255,13 +221,13 @@ def main() -> int:
     if asked.dry:
         os.environ["NUMBA_ENABLE_CUDASIM"] = "1"  # before Numba is imported
     import supple
-    from supple.engines.cuda.card import open_card
+    from supple.engines.cuda.device import open_device
 
     warnings.simplefilter("ignore", supple.FoldWarning)
     try:
-        open_card()
+        open_device()
     except supple.SuppleError as error:
-        print(f"benchmarks/card.py: {error}", file=sys.stderr)
+        print(f"benchmarks/cuda_engine.py: {error}", file=sys.stderr)
         return 1
     place = Place(asked.dry)
     sizes = {False: (25, 512, (118, 1080, 1920), (64, 512)), True: (15, 256, (30, 540, 960), (16, 256))}[asked.quick]
@@ -273,7 +239,7 @@ def main() -> int:
     about, lines, broken = place.about(), [], False
     if asked.dry:
         print("A dry run: its times mean nothing.\n")
-    print(", ".join(v if k == "card" else f"{k} {v}" for k, v in about.items()) + f"\n\n{HEAD}", flush=True)
+    print(", ".join(v if k == "gpu" else f"{k} {v}" for k, v in about.items()) + f"\n\n{HEAD}", flush=True)
     for name, part in known.items():
         try:
             for line in part(bench) if not asked.only or name in asked.only else ():

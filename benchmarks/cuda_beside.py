@@ -1,18 +1,15 @@
-"""What `card.py` measures of warps that nobody waits for, and of volumes that lie on the host."""
+"""What `cuda_engine.py` measures of warps that nobody waits for, and of volumes that lie on the host."""
 
 from __future__ import annotations
 
 import os
 import time
 from collections.abc import Callable, Iterator
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from paired import Line, Spread, against, rate, warming
-from place import Events, host, wall
-
-if TYPE_CHECKING:
-    from card import Bench
+from place import Bench, Events, host, stroke, wall, waves
 
 SLAB = 8  # planes
 SMALL = 200  # kernels that are timed where nothing else goes on
@@ -21,7 +18,6 @@ WARPS = 5
 
 def handed_over(b: Bench) -> Iterator[Line]:
     """How long the host is kept, and how evenly another stream's small kernels run meanwhile."""
-    from card import stroke, waves
     from numba import cuda
 
     import supple.cuda
@@ -84,8 +80,7 @@ def handed_over(b: Bench) -> Iterator[Line]:
 
 
 def host_volume(b: Bench) -> Iterator[Line]:
-    """A volume of twice the side that lies on the host, through the card and back, against plain copies."""
-    from card import stroke, waves
+    """A volume of twice the side that lies on the host, through the GPU and back, against plain copies."""
     from numba import cuda
 
     n, memory = 2 * b.side, os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
@@ -104,7 +99,7 @@ def host_volume(b: Bench) -> Iterator[Line]:
         held.copy_to_device(samples)
         held.copy_to_host(out)
 
-    what = f"{n}³ float32 on the host, linear, through the card"
+    what = f"{n}³ float32 on the host, linear, through the GPU"
     yield rate(f"{what}: in and out", ours, size, "GB/s", wall, runs)
     yield against(f"{what} / copies both ways (cudaMemcpy, pageable)", ours, copied, wall, runs)
     yield rate("the copies alone", copied, size, "GB/s", wall, runs)

@@ -12,7 +12,7 @@ import supple
 from supple.engines.cuda import warp
 from supple.errors import FoldWarning, SuppleError, ToleranceWarning
 from tests import reference
-from tests.engines.cuda.card.expected import expected, sources, untouched
+from tests.engines.cuda.kernels.expected import expected, sources, untouched
 from tests.engines.table import Limits, Row, rows
 
 TIGHT = 1e-4  # pixels: so that what differs is not where points are
@@ -91,7 +91,7 @@ def close(made: np.ndarray, wanted: np.ndarray, source: np.ndarray) -> None:
     assert apart <= 1e-3 * range_of(source) + (1.0 if source.dtype.kind in "iu" else 0.0)
 
 
-def on_card(cuda: Any, array: np.ndarray) -> Any:
+def on_device(cuda: Any, array: np.ndarray) -> Any:
     return cuda.to_device(array)
 
 
@@ -111,7 +111,7 @@ ROWS = [
 @pytest.mark.parametrize("row", ROWS, ids=str)
 def test_rows(numba_cuda: Any, row: Row) -> None:
     def engine(d: supple.Deformation, source: np.ndarray, **options: Any) -> Any:
-        return d.warp(on_card(numba_cuda, source), tolerance=TIGHT, **options).copy_to_host()
+        return d.warp(on_device(numba_cuda, source), tolerance=TIGHT, **options).copy_to_host()
 
     limits = Limits(most=1e-3, mean=2e-4, margin=1e-3)
     row.check(engine, limits, (0,) if row.kind == "plain" and row.dtype != "f4" else (2, 3, 4))
@@ -135,7 +135,7 @@ FOOTPRINTS: dict[str, tuple[supple.Deformation, float]] = {
 def test_averages_of_noise(numba_cuda: Any, name: str) -> None:
     d, most = FOOTPRINTS[name]
     source = np.random.default_rng(1).random(d.shape).astype(np.float32)
-    made = d.warp(on_card(numba_cuda, source), tolerance=TIGHT).copy_to_host()
+    made = d.warp(on_device(numba_cuda, source), tolerance=TIGHT).copy_to_host()
     strokes = reference.carried_out(d)
     shrunk = np.linalg.svd(reference.matrices(strokes, d.domain, sources(d)))[1] ** 2
     assert shrunk.max() > most
@@ -148,7 +148,7 @@ def test_averages_beyond_the_edges(numba_cuda: Any, outside: str) -> None:
     d = squeezed((9, 7), 3)
     source = np.random.default_rng(1).integers(0, 255, (9, 7, 4)).astype(np.uint8)
     options: dict[str, Any] = {"outside": outside, "fill": (0, 90, 200, 100), "alpha": True, "tolerance": TIGHT}
-    made = d.warp(on_card(numba_cuda, source), **options).copy_to_host()
+    made = d.warp(on_device(numba_cuda, source), **options).copy_to_host()
     wanted = expected(d, source, **options).astype(int)
     assert np.abs(made[..., 3] - wanted[..., 3]).max() <= 1
     assert np.abs((made.astype(int) - wanted)[..., :3] * wanted[..., 3:]).max() <= 255
@@ -162,7 +162,7 @@ def test_averages_of_thin_pictures(numba_cuda: Any, shape: tuple[int, int]) -> N
     across = along[::-1]
     for side in (1, -1, 1, -1):  # squeezed from both sides
         d = d.grab(9.5 * along + 80 * side * across, by=60 * side * along, radius=80, reach=None)
-    made = d.warp(on_card(numba_cuda, source), tolerance=TIGHT).copy_to_host()
+    made = d.warp(on_device(numba_cuda, source), tolerance=TIGHT).copy_to_host()
     assert np.abs(made - expected(d, source)).max() < 1e-3
 
 
@@ -171,7 +171,7 @@ def test_averages_of_thin_pictures(numba_cuda: Any, shape: tuple[int, int]) -> N
 def test_strokes_and_borders(numba_cuda: Any, border: float | None, profile: str, count: int) -> None:
     d = bent(IMAGE, seed=3, count=count, border=border, border_profile=profile)
     source = waves(IMAGE).astype(np.float32)
-    made = d.warp(on_card(numba_cuda, source), filter="cubic", tolerance=TIGHT).copy_to_host()
+    made = d.warp(on_device(numba_cuda, source), filter="cubic", tolerance=TIGHT).copy_to_host()
     close(made, expected(d, source, filter="cubic"), source)
     if d.is_identity:
         np.testing.assert_array_equal(made, source)
@@ -196,13 +196,13 @@ REACHES: dict[str, supple.Deformation] = {
 def test_reach(numba_cuda: Any, name: str) -> None:
     d = REACHES[name]
     source = np.random.default_rng(5).random((*d.shape, 2)).astype(np.float32)
-    made = d.warp(on_card(numba_cuda, source), tolerance=TIGHT).copy_to_host()
+    made = d.warp(on_device(numba_cuda, source), tolerance=TIGHT).copy_to_host()
     assert np.abs(made - expected(d, source)).max() < 1e-3
     kept = untouched(d)
     np.testing.assert_array_equal(made[kept], source[kept])
     assert (made[~kept] != source[~kept]).any(axis=-1).mean() > 0.9
     assert (kept.mean() > 0.3) == (name != "one without a limit")
-    exact = d.inverse_map(like=on_card(numba_cuda, source), tolerance=TIGHT).copy_to_host()
+    exact = d.inverse_map(like=on_device(numba_cuda, source), tolerance=TIGHT).copy_to_host()
     assert np.linalg.norm(exact - sources(d), axis=-1).max() < TIGHT + 1e-5
     np.testing.assert_array_equal(exact[kept], reference.grid(d.shape)[kept])
 
@@ -214,7 +214,7 @@ def test_reach_in_a_stack(numba_cuda: Any, dtype: str) -> None:
     )
     source = typed(waves(d.shape), dtype)
     options: dict[str, Any] = {"between": "cubic", "time_filter": True, "tolerance": TIGHT}
-    made = d.warp(on_card(numba_cuda, source), **options).copy_to_host()
+    made = d.warp(on_device(numba_cuda, source), **options).copy_to_host()
     close(made, expected(d, source, **options), source)
     kept = untouched(d)
     assert kept.all(axis=(1, 2)).sum() == 4
@@ -229,29 +229,29 @@ def test_batches(numba_cuda: Any, shape: tuple[int, ...], each: bool) -> None:
     given: Any = several if each else several[2]
     images = np.stack([(k + 1) * waves(shape, 2) for k in range(3)]).astype(np.float32)
     options: dict[str, Any] = {"filter": "linear", "tolerance": TIGHT}
-    made = supple.warp_batch(on_card(numba_cuda, images), given, **options).copy_to_host()
+    made = supple.warp_batch(on_device(numba_cuda, images), given, **options).copy_to_host()
     for k in range(3):
         close(made[k], expected(several[k if each else 2], images[k], **options), images)
     if each:  # the first has no strokes
         coloured = np.random.default_rng(0).integers(0, 2, (3, *shape, 4)).astype(np.uint8) * 200
-        again = supple.warp_batch(on_card(numba_cuda, coloured), given, filter="linear").copy_to_host()
+        again = supple.warp_batch(on_device(numba_cuda, coloured), given, filter="linear").copy_to_host()
         np.testing.assert_array_equal(again[0], coloured[0])  # colours where nothing is to be seen, too
-    nothing = supple.warp_batch(on_card(numba_cuda, images[:0]), several[2])
+    nothing = supple.warp_batch(on_device(numba_cuda, images[:0]), several[2])
     assert nothing.shape == images[:0].shape
 
 
 def test_views_of_any_strides(numba_cuda: Any) -> None:
     d = gentle((9, 12))
     whole = waves((18, 14, 3)).astype(np.float32)
-    there = on_card(numba_cuda, whole)
+    there = on_device(numba_cuda, whole)
     for view in (np.s_[::2, 2:, 1], np.s_[::-2, -3::-1, 0], np.s_[4:13, 1:13]):
         source = np.ascontiguousarray(whole[view])
         made = d.warp(there[view], filter="linear", tolerance=TIGHT).copy_to_host()
         close(made, expected(d, source, filter="linear"), source)
     # What comes is written where it belongs, and nowhere else.
-    out = on_card(numba_cuda, np.full((20, 13), -7.0, np.float32))
+    out = on_device(numba_cuda, np.full((20, 13), -7.0, np.float32))
     source = np.ascontiguousarray(whole[:9, :12, 0])
-    returned = d.warp(on_card(numba_cuda, source), filter="linear", tolerance=TIGHT, out=out[1:19:2, 1:])
+    returned = d.warp(on_device(numba_cuda, source), filter="linear", tolerance=TIGHT, out=out[1:19:2, 1:])
     host = out.copy_to_host()
     close(host[1:19:2, 1:], expected(d, source, filter="linear"), source)
     np.testing.assert_array_equal(host[0::2], -7)
@@ -265,7 +265,7 @@ def test_points_and_the_map(numba_cuda: Any, shape: tuple[int, ...]) -> None:
     d = bent(shape, seed=5, spacing=0.5 if len(shape) == 2 else (0.5, 0.7, 1.3)).add(reaches)
     strokes = reference.carried_out(d)
     points = np.random.default_rng(1).uniform(-0.2, 1.2, (4, 5, len(shape))) * np.array(shape[::-1])
-    there = on_card(numba_cuda, points)
+    there = on_device(numba_cuda, points)
     np.testing.assert_allclose(d.forward(there).copy_to_host(), reference.forward(strokes, d.domain, points), atol=1e-9)
     slopes = reference.jacobian(strokes, d.domain, points)
     np.testing.assert_allclose(d.jacobian(there).copy_to_host(), slopes, atol=1e-9)
@@ -278,7 +278,7 @@ def test_points_and_the_map(numba_cuda: Any, shape: tuple[int, ...]) -> None:
     assert (found.steps.copy_to_host() > 0).all()
     single = points[0, 0].astype(np.float32)
     moved = reference.forward(strokes, d.domain, single)
-    np.testing.assert_allclose(d.forward(on_card(numba_cuda, single)).copy_to_host(), moved, atol=1e-9)
+    np.testing.assert_allclose(d.forward(on_device(numba_cuda, single)).copy_to_host(), moved, atol=1e-9)
     made = d.inverse_map(like=there, tolerance=1e-3).copy_to_host()
     assert made.shape == (*shape, len(shape))
     assert made.dtype == np.float32
@@ -295,22 +295,22 @@ def test_the_certificate_holds(numba_cuda: Any) -> None:
     exact = sources(d)
     for tolerance in (0.1, 1e-2):
         warping = supple.cuda.start(
-            on_card(numba_cuda, np.zeros(d.shape, np.float32)), d, filter="linear", tolerance=tolerance
+            on_device(numba_cuda, np.zeros(d.shape, np.float32)), d, filter="linear", tolerance=tolerance
         )
         assert warping.error <= tolerance
         made = d.inverse_map(like=warping.array, tolerance=tolerance).copy_to_host()
         assert np.linalg.norm(made - exact, axis=-1).max() <= warping.error + 2e-5
     far = supple.Deformation((9, 9), border=None, on_fold="damp").grab((4, 4), by=(1e9, 0), radius=1e9, reach=None)
     with pytest.warns(ToleranceWarning, match="more than the tolerance 1e-09"):
-        far.warp(on_card(numba_cuda, np.zeros((9, 9), np.float32)), tolerance=1e-9)
+        far.warp(on_device(numba_cuda, np.zeros((9, 9), np.float32)), tolerance=1e-9)
 
 
 def test_warps_that_are_not_waited_for(numba_cuda: Any) -> None:
     d = gentle(STACK)
     source = waves(STACK).astype(np.float32)
     wanted = expected(d, source, filter="linear")
-    out = on_card(numba_cuda, np.zeros_like(source))
-    warping = supple.cuda.start(on_card(numba_cuda, source), d, filter="linear", tolerance=TIGHT, slab=2, out=out)
+    out = on_device(numba_cuda, np.zeros_like(source))
+    warping = supple.cuda.start(on_device(numba_cuda, source), d, filter="linear", tolerance=TIGHT, slab=2, out=out)
     warping.join()
     assert warping.wait() is out
     assert warping.done()
@@ -320,18 +320,18 @@ def test_warps_that_are_not_waited_for(numba_cuda: Any) -> None:
 
 def test_what_cannot_be_done_is_said(numba_cuda: Any) -> None:
     d = bent((9, 12))
-    source = on_card(numba_cuda, np.zeros((9, 12), np.float32))
+    source = on_device(numba_cuda, np.zeros((9, 12), np.float32))
     for given, options, words in (
         (
-            on_card(numba_cuda, np.zeros((9, 11), np.float32)),
+            on_device(numba_cuda, np.zeros((9, 11), np.float32)),
             {},
             r"source must be .* \(9, 12\).*found .shape \(9, 11\)",
         ),
-        (on_card(numba_cuda, np.zeros((9, 12), np.complex64)), {}, "found .dtype complex64"),
+        (on_device(numba_cuda, np.zeros((9, 12), np.complex64)), {}, "found .dtype complex64"),
         (source, {"filter": "lanczos"}, "filter must be .*cubic.* found 'lanczos'"),
         (source, {"device": "gpu"}, "device must be left out for an array on a "),
         (source, {"out": np.zeros((9, 12), np.float32)}, "out must be an array on the source's GPU"),
-        (source, {"out": on_card(numba_cuda, np.zeros((9, 12)))}, "out must be .*found .float64"),
+        (source, {"out": on_device(numba_cuda, np.zeros((9, 12)))}, "out must be .*found .float64"),
         (source, {"out": source}, "out must not overlap source"),
         (source, {"fill": (1, 2)}, "fill must be"),
         (source, {"alpha": True}, "alpha=True needs a last channel"),
@@ -339,13 +339,13 @@ def test_what_cannot_be_done_is_said(numba_cuda: Any) -> None:
         with pytest.raises(SuppleError, match=words):
             d.warp(given, **options)
     with pytest.raises(SuppleError, match=r"points must be .*x first"):
-        d.forward(on_card(numba_cuda, np.zeros((4, 3))))
+        d.forward(on_device(numba_cuda, np.zeros((4, 3))))
     with pytest.raises(SuppleError, match="float32 or float64"):
-        d.inverse(on_card(numba_cuda, np.zeros((4, 2), np.int32)))
+        d.inverse(on_device(numba_cuda, np.zeros((4, 2), np.int32)))
     with pytest.raises(SuppleError, match="like must be an array on a "):
         d.inverse_map(like=np.zeros(3))
     with pytest.raises(SuppleError, match="one for each of the 3 items"):
-        supple.warp_batch(on_card(numba_cuda, np.zeros((3, 9, 12), np.float32)), [d, d])
+        supple.warp_batch(on_device(numba_cuda, np.zeros((3, 9, 12), np.float32)), [d, d])
     with pytest.raises(SuppleError, match="slab must be"):
         supple.cuda.start(source, d, slab=0)
     with pytest.raises(SuppleError, match="stream must be a stream of PyTorch, CuPy or Numba"):
@@ -362,10 +362,10 @@ def test_in_pieces_and_with_long_indices(numba_cuda: Any, monkeypatch: pytest.Mo
     monkeypatch.setattr(warp, "_KEPT_PIECES", 0)
     d = gentle(STACK)
     source = waves(STACK, 2).astype(np.float32)
-    made = d.warp(on_card(numba_cuda, source), filter="linear", tolerance=TIGHT).copy_to_host()
+    made = d.warp(on_device(numba_cuda, source), filter="linear", tolerance=TIGHT).copy_to_host()
     close(made, expected(d, source, filter="linear"), source)
     several = [bent((7, 9), seed=k, count=k) for k in range(3)]
     images = np.stack([waves((7, 9))] * 3).astype(np.float32)
-    made = supple.warp_batch(on_card(numba_cuda, images), several, filter="cubic", tolerance=TIGHT).copy_to_host()
+    made = supple.warp_batch(on_device(numba_cuda, images), several, filter="cubic", tolerance=TIGHT).copy_to_host()
     for one, image, found in zip(several, images, made, strict=True):
         close(found, expected(one, image, filter="cubic"), images)

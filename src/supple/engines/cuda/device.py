@@ -17,7 +17,7 @@ OLDEST = ((6, 0), (7, 5))  # compute capability, for CUDA 12 and 13: what kernel
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Card:
+class CudaDevice:
     """A GPU that is ready.
 
     Parameters
@@ -81,7 +81,7 @@ def _numba() -> Any:
     return cuda
 
 
-def open_card(number: int = 0) -> Card:
+def open_device(number: int = 0) -> CudaDevice:
     """The GPU of a number, ready to work.
 
     Raises
@@ -91,12 +91,12 @@ def open_card(number: int = 0) -> Card:
     """
     cuda = _numba()
     if simulated():
-        return Card(number, "the simulator", 1, cuda.gpus[number])
+        return CudaDevice(number, "the simulator", 1, cuda.gpus[number])
     return _opened(number)
 
 
 @functools.lru_cache(maxsize=64)
-def _opened(number: int) -> Card:
+def _opened(number: int) -> CudaDevice:
     cuda = _numba()
     reason = _broken(cuda)
     if reason:
@@ -124,7 +124,7 @@ def _opened(number: int) -> Card:
             cuda.current_context().get_memory_info()
         except Exception as error:  # drivers fail in many ways
             raise SuppleError(f"{name} cannot be opened ({_short(error)}); device cpu needs no GPU") from None
-    return Card(number, name, int(device.MULTIPROCESSOR_COUNT), context)
+    return CudaDevice(number, name, int(device.MULTIPROCESSOR_COUNT), context)
 
 
 def failures() -> tuple[type[Exception], ...]:

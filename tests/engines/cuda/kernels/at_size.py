@@ -1,6 +1,6 @@
 """What the tests share that need a real GPU: large smooth arrays, strokes, and how far results may be apart.
 
-``SUPPLE_TEST_CUDA_SCALE`` divides all sides: for small cards, or to go through it all in the simulator.
+``SUPPLE_TEST_CUDA_SCALE`` divides all sides: for small GPUs, or to go through it all in the simulator.
 """
 
 from __future__ import annotations

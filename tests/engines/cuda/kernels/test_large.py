@@ -18,7 +18,7 @@ from supple.arrays import work_of
 from supple.cli import command
 from supple.engines.base import Certificate, Sampling
 from supple.engines.cuda import large
-from supple.engines.cuda.card import Card, failures
+from supple.engines.cuda.device import CudaDevice, failures
 from supple.engines.cuda.large import Plan, planned, warp_host
 from supple.engines.cuda.needs import Needs
 from supple.engines.cuda.ring import Ring
@@ -27,14 +27,14 @@ from supple.engines.cuda.staging import Lane, copied, pieces
 from supple.engines.workers import workers
 from supple.errors import DeviceWarning, SuppleError
 from supple.media import volume as media
-from tests.engines.cuda.card.expected import expected, surely_nearest
+from tests.engines.cuda.kernels.expected import expected, surely_nearest
 
 TIGHT = 1e-4
 STACK = (12, 6, 7)
 
 
 @pytest.fixture(autouse=True)
-def _there(card: Card) -> None:
+def _there(gpu: CudaDevice) -> None:
     """All of these need one."""
 
 
@@ -69,7 +69,7 @@ def waves(shape: tuple[int, ...] = STACK, dtype: Any = np.float32, channels: int
     return np.rint(values * np.iinfo(kind).max).astype(kind)
 
 
-def by_card(card: Card, d: supple.Deformation, source: Any, **options: Any) -> tuple[np.ndarray, Certificate]:
+def by_device(gpu: CudaDevice, d: supple.Deformation, source: Any, **options: Any) -> tuple[np.ndarray, Certificate]:
     known = {"tolerance": TIGHT, "filter": "linear", "outside": "edge", "fill": 0.0, "linear_light": False}
     known |= {"between": None, "time_filter": False, "alpha": None, "out": None, "room": None}
     known |= {"tell": lambda done: None, **options}
@@ -78,7 +78,7 @@ def by_card(card: Card, d: supple.Deformation, source: Any, **options: Any) -> t
     made = np.empty_like(source, order="C") if out is None else out
     axes, certificate = len(d.shape), Certificate(0.0, 0.0)
     frames = [a if a.ndim > axes else a[..., None] for a in (source, made)]
-    for done, part in warp_host(card, *(a if axes == 3 else a[None] for a in frames), work, room=room):
+    for done, part in warp_host(gpu, *(a if axes == 3 else a[None] for a in frames), work, room=room):
         tell(done)
         certificate |= part
     return made, certificate
@@ -108,10 +108,10 @@ STACKS: list[dict[str, Any]] = [
 
 @pytest.mark.usefixtures("small")
 @pytest.mark.parametrize("options", STACKS)
-def test_slabs(card: Card, options: dict[str, Any]) -> None:
+def test_slabs(gpu: CudaDevice, options: dict[str, Any]) -> None:
     d, source = bent(border=None if "outside" in options else 3.0), waves()
     told: list[int] = []
-    made, certificate = by_card(card, d, source, tell=told.append, **options)
+    made, certificate = by_device(gpu, d, source, tell=told.append, **options)
     assert apart(made, expected(d, source, **options)) < 1e-3
     assert told == sorted(told)
     assert told[-1] == len(source)
@@ -121,9 +121,9 @@ def test_slabs(card: Card, options: dict[str, Any]) -> None:
 
 @pytest.mark.usefixtures("small")
 @pytest.mark.parametrize("dtype", [">i2", "?", "f2", ">f8", "u1"])
-def test_types(card: Card, dtype: str) -> None:
+def test_types(gpu: CudaDevice, dtype: str) -> None:
     d, source = bent(), waves(dtype=dtype)
-    made, _ = by_card(card, d, source)
+    made, _ = by_device(gpu, d, source)
     wanted = expected(d, source, filter="linear").astype(source.dtype)
     if dtype == "?":
         assert (made != wanted).mean() < 0.01
@@ -134,55 +134,55 @@ def test_types(card: Card, dtype: str) -> None:
 
 
 @pytest.mark.usefixtures("small")
-def test_labels_keep_their_values(card: Card) -> None:
+def test_labels_keep_their_values(gpu: CudaDevice) -> None:
     d = bent()
     source = np.random.default_rng(0).integers(-900, 900, STACK).astype(np.int16)
-    made, _ = by_card(card, d, source, filter="nearest")
+    made, _ = by_device(gpu, d, source, filter="nearest")
     sure = surely_nearest(d)
     np.testing.assert_array_equal(made[sure], expected(d, source, filter="nearest")[sure])
 
 
-def test_a_small_stack_goes_over_whole(card: Card, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_small_stack_goes_over_whole(gpu: CudaDevice, monkeypatch: pytest.MonkeyPatch) -> None:
     sent: list[int] = []
     upload = Lane.up
     monkeypatch.setattr(Lane, "up", lambda lane, source, to: (sent.append(len(source)), upload(lane, source, to)))
     d, source = bent(border=3.0), waves(channels=2)
-    made, _ = by_card(card, d, source)
+    made, _ = by_device(gpu, d, source)
     assert apart(made, expected(d, source, filter="linear")) < 1e-3
     assert sum(sent) == len(source)
     assert len(sent) > 1  # the first planes are begun before the last frames are there
 
 
 @pytest.mark.usefixtures("small")
-def test_a_frame_is_sent_once(card: Card, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_frame_is_sent_once(gpu: CudaDevice, monkeypatch: pytest.MonkeyPatch) -> None:
     sent: list[int] = []
     upload = Lane.up
     monkeypatch.setattr(Lane, "up", lambda lane, source, to: (sent.append(source.size), upload(lane, source, to)))
-    by_card(card, bent(by=0.3), waves())
+    by_device(gpu, bent(by=0.3), waves())
     assert sum(sent) == waves().size
 
 
 @pytest.mark.usefixtures("small")
 @pytest.mark.parametrize("dtype", ["f4", ">i2"])
-def test_planes_that_no_stroke_reaches_stay_here(card: Card, monkeypatch: pytest.MonkeyPatch, dtype: str) -> None:
+def test_planes_that_no_stroke_reaches_stay_here(gpu: CudaDevice, monkeypatch: pytest.MonkeyPatch, dtype: str) -> None:
     sent: list[int] = []
     upload = Lane.up
     monkeypatch.setattr(Lane, "up", lambda lane, source, to: (sent.append(source.size), upload(lane, source, to)))
     d, source = local(), waves(dtype=dtype, channels=2)
     told: list[int] = []
-    made, _ = by_card(card, d, source, filter="auto", tell=told.append)
+    made, _ = by_device(gpu, d, source, filter="auto", tell=told.append)
     assert apart(made, expected(d, source, filter="auto").astype(dtype)) < 1e-3
     np.testing.assert_array_equal(made[5:8], source[5:8])
     assert sum(sent) <= source[:6].size + source[7:].size
     assert told == [4, 6, 8, 9, 11, 12]
     sent.clear()
     beyond = supple.Deformation(STACK, border=None, on_fold="damp").grab((3, 3, 20), by=(1, 1, 1), radius=2, reach=2)
-    np.testing.assert_array_equal(by_card(card, beyond, source)[0], source)
+    np.testing.assert_array_equal(by_device(gpu, beyond, source)[0], source)
     assert not sent
 
 
 @pytest.mark.usefixtures("small")
-def test_what_was_missing_is_made_again(card: Card, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_was_missing_is_made_again(gpu: CudaDevice, monkeypatch: pytest.MonkeyPatch) -> None:
     made_of: list[Needs] = []
 
     def too_few(stream: Any, lattice: Any, pieces: Any, count: int, sampling: Any, how: Any) -> Needs:
@@ -193,39 +193,39 @@ def test_what_was_missing_is_made_again(card: Card, monkeypatch: pytest.MonkeyPa
     monkeypatch.setattr(large, "needs_of", too_few)
     d, source = bent(by=1.2, border=3.0), waves()
     told: list[int] = []
-    made, certificate = by_card(card, d, source, tell=told.append)
+    made, certificate = by_device(gpu, d, source, tell=told.append)
     assert made_of[0].more > 0
     assert apart(made, expected(d, source, filter="linear")) < 1e-3
     assert told[-1] == len(source)
     assert certificate.unknown == 0
 
 
-def test_arrays_of_any_kind_and_where_they_go(card: Card, tmp_path: Path) -> None:
+def test_arrays_of_any_kind_and_where_they_go(gpu: CudaDevice, tmp_path: Path) -> None:
     d, values = bent(), waves(dtype=np.int16, channels=2)
     wanted = expected(d, values, filter="linear")
     mapped = np.memmap(tmp_path / "in.raw", ">i2", "w+", 0, values.shape)
     mapped[...] = values
     out = np.memmap(tmp_path / "out.raw", ">i2", "w+", 0, values.shape)
-    made, _ = by_card(card, d, mapped, out=out)
+    made, _ = by_device(gpu, d, mapped, out=out)
     assert made is out
     assert apart(np.asarray(out, np.int16), wanted) < 1e-3
     strided = np.asfortranarray(values)[:, ::-1]
     back = np.zeros((*values.shape[:3], 4), np.int16)[..., ::2]
-    made, _ = by_card(card, d, strided, out=back)
+    made, _ = by_device(gpu, d, strided, out=back)
     assert made is back
     assert apart(back, expected(d, strided, filter="linear")) < 1e-3
     with pytest.raises(SuppleError, match="must not overlap"):
-        by_card(card, d, values, out=values)
+        by_device(gpu, d, values, out=values)
 
 
 @pytest.mark.parametrize("options", [{"alpha": True}, {"alpha": False, "linear_light": True}])
-def test_images(card: Card, monkeypatch: pytest.MonkeyPatch, options: dict[str, Any]) -> None:
+def test_images(gpu: CudaDevice, monkeypatch: pytest.MonkeyPatch, options: dict[str, Any]) -> None:
     monkeypatch.setattr(large, "Lane", functools.partial(Lane, piece=300))
     d, source = bent((11, 12)), waves((11, 12), np.uint8, 4)
-    made, _ = by_card(card, d, source, **options)
+    made, _ = by_device(gpu, d, source, **options)
     wanted = expected(d, source, filter="linear", **options)
     assert np.abs(made.astype(int) - wanted).max() <= 1
-    plain, _ = by_card(card, d, source[..., 0])
+    plain, _ = by_device(gpu, d, source[..., 0])
     assert apart(plain, expected(d, source[..., 0], filter="linear")) <= 1 / 250
 
 
@@ -242,10 +242,10 @@ def test_memory_is_shared_out() -> None:
 
 
 @pytest.mark.parametrize("slots", [5, 8, 40])
-def test_a_ring_holds_what_was_asked_for(card: Card, slots: int) -> None:
+def test_a_ring_holds_what_was_asked_for(gpu: CudaDevice, slots: int) -> None:
     from numba import cuda
 
-    with card.current():
+    with gpu.current():
         source = np.random.default_rng(0).random((40, 3, 4, 1)).astype(np.float32)
         there = cuda.to_device(np.zeros(slots * 12, np.float32))
         lane = Lane(source.dtype, (3, 4), 80)
@@ -311,23 +311,23 @@ def test_a_card_that_fails_ends_in_the_cpu_s_result(monkeypatch: pytest.MonkeyPa
     np.testing.assert_array_equal(out, d.warp(source, filter="linear"))
 
 
-def test_an_end_on_the_way_is_the_caller_s(card: Card) -> None:
+def test_an_end_on_the_way_is_the_caller_s(gpu: CudaDevice) -> None:
     d, source = bent(), waves()
 
     def stop(done: int) -> None:
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        by_card(card, d, source, tell=stop)
-    assert apart(by_card(card, d, source)[0], expected(d, source, filter="linear")) < 1e-3
+        by_device(gpu, d, source, tell=stop)
+    assert apart(by_device(gpu, d, source)[0], expected(d, source, filter="linear")) < 1e-3
 
 
-def test_deformations_send_arrays(card: Card) -> None:
+def test_deformations_send_arrays(gpu: CudaDevice) -> None:
     d, source = bent(), waves()
     with workers() as who:
         made = d.warp(source, filter="linear", tolerance=TIGHT, device="cuda")
     assert apart(made, expected(d, source, filter="linear")) < 1e-3
-    assert str(who) == card.name
+    assert str(who) == gpu.name
     still = supple.Deformation(STACK, border=64, on_fold="damp")
     np.testing.assert_array_equal(still.warp(source, device="cuda"), source)
     with pytest.raises(SuppleError, match="filter must be"):
@@ -346,7 +346,9 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
         yield tmp_path
 
 
-def test_volumes_and_pictures_from_file_to_file(card: Card, folder: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_volumes_and_pictures_from_file_to_file(
+    gpu: CudaDevice, folder: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
     from supple.geometry import Geometry
 
     source = waves(dtype=np.int16)
@@ -359,7 +361,7 @@ def test_volumes_and_pictures_from_file_to_file(card: Card, folder: Path, capfd:
     )
     assert apart(made, expected(wanted, source, filter="linear")) < 3e-3  # it is within 0.01 voxels
     told = json.loads(capfd.readouterr().out)
-    assert told["device"] == card.name
+    assert told["device"] == gpu.name
     assert told["error"] <= 0.01
     assert command(["warp", "in.nrrd", "not.nrrd", *common[:6], "--device", "cuda", "--filter", "none"]) == 2
     assert not Path("not.nrrd").exists()

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 import supple
-from supple.engines.cuda.card import Card
+from supple.engines.cuda.device import CudaDevice
 from supple.errors import ToleranceWarning
-from tests.engines.cuda.card.at_size import (
+from tests.engines.cuda.kernels.at_size import (
     CLOSE,
     SCALE,
     apart,
@@ -200,10 +200,10 @@ def test_points(numba_cuda: Any, room: str, dtype: str) -> None:
     np.testing.assert_allclose(d.forward(host(solved.points)), points, atol=2e-6)
 
 
-def test_more_samples_than_32_bits_count(numba_cuda: Any, card: Card) -> None:
+def test_more_samples_than_32_bits_count(numba_cuda: Any, gpu: CudaDevice) -> None:
     shape = sized(1300, 1300, 1300)
-    if card.free < 3 * np.prod(shape):
-        pytest.skip(f"{card.name} has {card.free / 1e9:.1f} GB left, {3 * np.prod(shape) / 1e9:.1f} are needed")
+    if gpu.free < 3 * np.prod(shape):
+        pytest.skip(f"{gpu.name} has {gpu.free / 1e9:.1f} GB left, {3 * np.prod(shape) / 1e9:.1f} are needed")
     n = shape[0]
     # A ramp along z, x and y, which linear interpolation does not bend.
     ramp = np.linspace(0, 80, n, dtype=np.float32)
@@ -222,7 +222,7 @@ def test_more_samples_than_32_bits_count(numba_cuda: Any, card: Card) -> None:
 
 
 @pytest.mark.parametrize("filter", ["linear", "nearest", "auto"])
-def test_arrays_of_the_host_through_a_card(card: Card, filter: str) -> None:
+def test_arrays_of_the_host_through_a_card(gpu: CudaDevice, filter: str) -> None:
     shape = ROOMS["volume"][1]
     d = bent(shape, 5)
     source = waves(shape)

@@ -12,8 +12,8 @@ import pytest
 
 import supple
 import supple.cuda
-from supple.engines.cuda.card import simulated
-from tests.engines.cuda.card.at_size import CLOSE, TIGHT, apart, bent, host, only_on_a_card, sized, waves
+from supple.engines.cuda.device import simulated
+from tests.engines.cuda.kernels.at_size import CLOSE, TIGHT, apart, bent, host, only_on_a_card, sized, waves
 
 pytestmark = only_on_a_card
 

@@ -9,7 +9,7 @@ import pytest
 
 import supple
 import supple.cuda
-from tests.engines.cuda.card.at_size import apart, bent, host, only_on_a_card, waves
+from tests.engines.cuda.kernels.at_size import apart, bent, host, only_on_a_card, waves
 
 pytestmark = only_on_a_card
 
