@@ -14,7 +14,7 @@ import supple
 from supple.engines.wgpu.device import Gpu
 from supple.strokes import Recipe, Stroke
 from supple.viewer.document.editing import Document
-from supple.viewer.document.files import Desk
+from supple.viewer.document.files import FileCommands
 from tests.viewer.windows import SIZE, Hand, opened
 
 imgui = pytest.importorskip("imgui_bundle").imgui
@@ -79,7 +79,7 @@ def test_every_control_can_be_clicked(gpu: Gpu, seen: dict[str, tuple[float, flo
     assert {"small_button undo", "small_button delete", "combo overlay", "small_button export"} <= set(labels)
     assert len(labels) > 15
     for label in labels:
-        view.desk.asked = None
+        view.commands.asked = None
         view.document.load(Recipe(border=None, strokes=strokes))
         view.document.select(0)
         hand.canvas.draw()
@@ -107,17 +107,17 @@ def test_what_goes_wrong_does_not_kill_the_window(gpu: Gpu, monkeypatch: pytest.
     monkeypatch.setattr("supple.viewer.panels.panel._selected", broken)
     for k in range(3):
         hand.drag((200 + 20 * k, 300), (220 + 20 * k, 310))
-    assert view.desk.message == "ValueError: of its own"
+    assert view.commands.message == "ValueError: of its own"
     assert len(view.document.items) == 3
-    view.desk.autosave.flush()
-    view.desk.autosave.keep()
-    assert len(json.loads(view.desk.autosave.place.read_text())["recipe"]["strokes"]) == 3
+    view.commands.autosave.flush()
+    view.commands.autosave.keep()
+    assert len(json.loads(view.commands.autosave.place.read_text())["recipe"]["strokes"]) == 3
     monkeypatch.undo()
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
     view.document.undo()
     view.document.undo()
     view.document.undo()
-    view.desk.message = ""
+    view.commands.message = ""
     for _ in range(3):
         again = hand.canvas.draw()
     assert np.abs(again[:, 700:, :3].astype(int) - whole[:, 700:, :3]).mean() < 4
@@ -131,11 +131,11 @@ def test_a_window_that_is_closed_without_asking_keeps_all_of_it(gpu: Gpu) -> Non
         hand.drag((200 + 20 * k, 300), (220 + 20 * k, 310))
     view.close()
     again, _ = opened(source)
-    assert again.desk.asked.name == "restore"
-    assert again.desk.answer("Restore")
+    assert again.commands.asked.name == "restore"
+    assert again.commands.answer("Restore")
     assert len(again.recipe.strokes) == 3
     # What is restored is kept before the offer is put aside.
-    assert len(json.loads(again.desk.autosave.place.read_text())["recipe"]["strokes"]) == 3
+    assert len(json.loads(again.commands.autosave.place.read_text())["recipe"]["strokes"]) == 3
     again.document.mark_saved()
     again.close()
 
@@ -147,23 +147,23 @@ def test_files_are_replaced_only_when_that_is_said(gpu: Gpu, tmp_path: Path) -> 
     view, hand = opened(source, Recipe(border=None))
     hand.drag((200, 300), (220, 310))
     mine, other = tmp_path / "a.json", tmp_path / "b.json"
-    view.desk.save(mine)
+    view.commands.save(mine)
     hand.drag((240, 300), (220, 310))
     other.write_text("PRECIOUS")
-    assert not view.desk.may_close()
-    view.desk.asked.path = str(other)
-    assert not view.desk.answer("Save and close")
+    assert not view.commands.may_close()
+    view.commands.asked.path = str(other)
+    assert not view.commands.answer("Save and close")
     assert other.read_text() == "PRECIOUS"
     for name in ("save", "copy", "export"):
-        view.desk.recipe_path = None
-        view.desk.ask(name)
-        view.desk.asked.path = os.fspath(source)
-        assert not view.desk.answer("Replace")
-        assert "is what is bent here" in view.desk.asked.problem
+        view.commands.recipe_path = None
+        view.commands.ask(name)
+        view.commands.asked.path = os.fspath(source)
+        assert not view.commands.answer("Replace")
+        assert "is what is bent here" in view.commands.asked.problem
         assert source.read_bytes() == kept
-    view.desk.recipe_path = mine
-    view.desk.ask("close")
-    assert view.desk.answer("Save and close")
+    view.commands.recipe_path = mine
+    view.commands.ask("close")
+    assert view.commands.answer("Save and close")
     assert len(json.loads(mine.read_text())["strokes"]) == 2
     view.close()
 
@@ -188,23 +188,23 @@ def test_what_nothing_can_write_is_refused_in_the_question(
     place.write_bytes((DATA / source).read_bytes())
     begun: list[Any] = []
     document = Document((9, 20, 30), kind={"c": "image", "b": "video", "h": "volume"}[source[0]])  # type: ignore[arg-type]
-    desk = Desk(document, place, lambda path, force: begun.append(path), lambda: None)
-    desk.ask("export")
-    assert desk.asked is not None
-    assert desk.asked.path == str(tmp_path / usual)
-    desk.asked.path = str(tmp_path / bad)
-    assert not desk.answer("Export")
-    assert text in desk.asked.problem
-    assert desk.export is None
+    commands = FileCommands(document, place, lambda path, force: begun.append(path), lambda: None)
+    commands.ask("export")
+    assert commands.asked is not None
+    assert commands.asked.path == str(tmp_path / usual)
+    commands.asked.path = str(tmp_path / bad)
+    assert not commands.answer("Export")
+    assert text in commands.asked.problem
+    assert commands.export is None
     for name, wrong in (("copy", "b.xyz"), ("copy", "b.mp4"), ("save", "b.png"), ("save", "b.nii.gz")):
-        desk.ask(name)
-        desk.asked.path = str(tmp_path / wrong)
-        assert not desk.answer("Save")
-        assert "use " in desk.asked.problem
-        assert "\n" not in desk.asked.problem
+        commands.ask(name)
+        commands.asked.path = str(tmp_path / wrong)
+        assert not commands.answer("Save")
+        assert "use " in commands.asked.problem
+        assert "\n" not in commands.asked.problem
     assert not begun
     assert sorted(path.name for path in tmp_path.iterdir()) == [place.name]
-    desk.end()
+    commands.end()
 
 
 def test_formats_that_are_only_read_are_exported_as_others(tmp_path: Path) -> None:
@@ -218,11 +218,13 @@ def test_formats_that_are_only_read_are_exported_as_others(tmp_path: Path) -> No
     ):
         if name in ("1.2.840", "v1.2"):
             (tmp_path / name).mkdir()
-        desk = Desk(Document((9, 20, 30), kind=kind), tmp_path / name, lambda path, force: None, lambda: None)  # type: ignore[arg-type]
-        desk.ask("export")
-        assert desk.asked is not None
-        assert desk.asked.path == str(tmp_path / usual)
-        desk.end()
+        commands = FileCommands(
+            Document((9, 20, 30), kind=kind), tmp_path / name, lambda path, force: None, lambda: None
+        )  # type: ignore[arg-type]
+        commands.ask("export")
+        assert commands.asked is not None
+        assert commands.asked.path == str(tmp_path / usual)
+        commands.end()
 
 
 def test_a_folder_that_is_here_can_be_closed(gpu: Gpu, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -234,10 +236,10 @@ def test_a_folder_that_is_here_can_be_closed(gpu: Gpu, tmp_path: Path, monkeypat
     view, hand = opened(".", Recipe(border=None))
     hand.drag((300, 300), (330, 310))
     for name in ("save", "open", "export", "copy", "close"):
-        view.desk.recipe_path = None
-        view.desk.ask(name)
-        assert str(tmp_path) in view.desk.asked.path
-    view.desk.asked = None
+        view.commands.recipe_path = None
+        view.commands.ask(name)
+        assert str(tmp_path) in view.commands.asked.path
+    view.commands.asked = None
     view.document.mark_saved()
     view.close()
 
@@ -249,17 +251,17 @@ def test_keys_during_a_drag_wait_for_it(gpu: Gpu) -> None:
     hand.move(230, 310, 1)
     for key in ("s", "e", "o"):
         hand.key(key, "Control")
-        assert view.desk.asked is None
-        assert "let go of the stroke first" in view.desk.message
+        assert view.commands.asked is None
+        assert "let go of the stroke first" in view.commands.message
     hand.release(230, 310)
     assert len(view.recipe.strokes) == 1
     # A question that comes up meanwhile does not keep the pointer from letting go.
     hand.press(300, 300)
     hand.move(330, 310, 1)
-    view.desk.ask("save")
+    view.commands.ask("save")
     hand.release(330, 310)
     assert not view.document.dragging
-    view.desk.asked = None
+    view.commands.asked = None
     view.document.mark_saved()
     view.close()
 
@@ -296,7 +298,7 @@ def test_callbacks_hear_of_other_recipes_only(gpu: Gpu) -> None:
             raise RuntimeError("theirs")
 
     hand.drag((200, 300), (220, 310))
-    assert "on_change: RuntimeError: theirs" in view.desk.message
+    assert "on_change: RuntimeError: theirs" in view.commands.message
     count = len(heard)
     view.document.select(None)
     view.document.select(0)
@@ -309,13 +311,13 @@ def test_a_recipe_of_another_medium_is_refused_in_a_sentence(gpu: Gpu, tmp_path:
     place = tmp_path / "head.json"
     place.write_text(Recipe(border=None, strokes=DEEP).to_json())
     view, _ = opened(DATA / "coffee.jpg", Recipe(border=None))
-    view.desk.ask("open")
-    view.desk.asked.path = str(place)
-    assert not view.desk.answer("Open")
+    view.commands.ask("open")
+    view.commands.asked.path = str(place)
+    assert not view.commands.answer("Open")
     assert "stroke 1 of the recipe has points of 3 numbers, and this is a picture, with points x, y" in (
-        view.desk.asked.problem
+        view.commands.asked.problem
     )
-    view.desk.asked = None
+    view.commands.asked = None
     view.close()
     with pytest.raises(supple.SuppleError, match="and this is a volume, with points x, y, z"):
         opened(DATA / "head.nii.gz", Recipe(border=None, strokes=FLAT))
@@ -367,7 +369,7 @@ def test_what_is_typed_before_a_question_is_not_its_answer(gpu: Gpu) -> None:
     hand.key("s", "Control")
     for _ in range(4):
         hand.canvas.draw()
-    asked = view.desk.asked
+    asked = view.commands.asked
     assert asked is not None
     assert asked.path == str(DATA / "coffee.recipe.json")
     view.document.mark_saved()
@@ -383,18 +385,18 @@ def test_opening_over_strokes_that_were_not_saved_asks(gpu: Gpu, tmp_path: Path)
         if way == "drop":
             view.drop([str(other)])
         else:
-            view.desk.ask("open")
-            view.desk.asked.path = str(other)
-            assert view.desk.answer("Open")
-        assert view.desk.asked.name == "over"
+            view.commands.ask("open")
+            view.commands.asked.path = str(other)
+            assert view.commands.answer("Open")
+        assert view.commands.asked.name == "over"
         assert view.recipe == mine
-        assert not view.desk.may_close() or view.desk.asked is not None
-        view.desk.ask("open")
-        view.desk.asked = None
+        assert not view.commands.may_close() or view.commands.asked is not None
+        view.commands.ask("open")
+        view.commands.asked = None
         assert view.document.dirty
     view.drop([str(other)])
-    assert view.desk.answer("Open it")
-    assert view.desk.asked is None
+    assert view.commands.answer("Open it")
+    assert view.commands.asked is None
     assert view.recipe.strokes == FLAT
     assert not view.document.dirty
     view.document.undo()
@@ -403,21 +405,21 @@ def test_opening_over_strokes_that_were_not_saved_asks(gpu: Gpu, tmp_path: Path)
     deep = tmp_path / "deep.json"
     deep.write_text(Recipe(border=None, strokes=DEEP).to_json(), encoding="utf-8")
     view.drop([str(deep)])
-    assert view.desk.asked is None
-    assert "x, y, z" in view.desk.message or "3 numbers" in view.desk.message
+    assert view.commands.asked is None
+    assert "x, y, z" in view.commands.message or "3 numbers" in view.commands.message
     view.document.mark_saved()
 
 
 def test_a_recipe_is_saved_under_another_name(gpu: Gpu, tmp_path: Path) -> None:
     view, hand = opened(DATA / "coffee.jpg", Recipe(border=None))
     hand.drag((300, 250), (340, 230))
-    view.desk.save(tmp_path / "one.json")
+    view.commands.save(tmp_path / "one.json")
     hand.drag((200, 250), (240, 230))
     hand.key("s", "Control", "Shift")
-    asked = view.desk.asked
+    asked = view.commands.asked
     assert asked.name == "save"
     asked.path = str(tmp_path / "two.json")
-    assert view.desk.answer("Save")
+    assert view.commands.answer("Save")
     count = [len(Recipe.from_json((tmp_path / name).read_text()).strokes) for name in ("one.json", "two.json")]
     assert count == [1, 2]
-    assert view.desk.recipe_path == tmp_path / "two.json"
+    assert view.commands.recipe_path == tmp_path / "two.json"

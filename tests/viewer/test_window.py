@@ -68,11 +68,11 @@ def test_a_drag_is_a_stroke_and_the_canvas_shows_what_is_exported(
     np.testing.assert_allclose(stroke.by, (50, -30), atol=1e-9)
     assert view.document.selected == 0
     # The file is what supple warp makes of the saved recipe.
-    view.desk.save(state / "strokes.json")
-    view.desk.begin_export(state / "bent.png")
-    wait_for(lambda: view.desk.export.done)
-    view.desk.tick()
-    assert view.desk.message == view.desk.export.text
+    view.commands.save(state / "strokes.json")
+    view.commands.begin_export(state / "bent.png")
+    wait_for(lambda: view.commands.export.done)
+    view.commands.tick()
+    assert view.commands.message == view.commands.export.text
     recipe = Recipe.from_json((state / "strokes.json").read_text(encoding="utf-8"))
     assert recipe == view.recipe
     supple.warp_file(photo, state / "wanted.png", recipe)
@@ -147,32 +147,32 @@ def test_nothing_is_lost(photo: Path, gpu: Gpu, state: Path) -> None:
     view, hand = opened(photo)
     hand.drag((300, 250), (330, 260))
     kept = view.recipe
-    view.desk.tick()
-    view.desk.autosave.flush()
-    view.desk.autosave._lock.close()  # as if the process had died
+    view.commands.tick()
+    view.commands.autosave.flush()
+    view.commands.autosave._lock.close()  # as if the process had died
     again, _ = opened(photo)
-    assert again.desk.asked.name == "restore"
-    assert "1 stroke on this file was not saved" in again.desk.asked.text
+    assert again.commands.asked.name == "restore"
+    assert "1 stroke on this file was not saved" in again.commands.asked.text
     assert again.recipe.strokes == ()
-    assert again.desk.answer("Restore")
+    assert again.commands.answer("Restore")
     assert again.recipe == kept
     # Closing asks; what was saved is not asked for again.
-    assert not again.desk.may_close()
-    assert again.desk.asked.name == "close"
-    again.desk.asked.path = str(state / "saved.json")
-    assert again.desk.answer("Save and close")
+    assert not again.commands.may_close()
+    assert again.commands.asked.name == "close"
+    again.commands.asked.path = str(state / "saved.json")
+    assert again.commands.answer("Save and close")
     assert Recipe.from_json((state / "saved.json").read_text(encoding="utf-8")) == kept
-    assert again.desk.may_close()
+    assert again.commands.may_close()
     again.close()
     last, _ = opened(photo)
-    assert last.desk.asked is None
+    assert last.commands.asked is None
     # A name that is taken is not replaced, unless it is said.
     last.document.add(Stroke.grab((5, 5), by=(1, 1), radius=9))
-    last.desk.ask("save")
-    last.desk.asked.path = str(state / "saved.json")
-    assert not last.desk.answer("Save")
-    assert "exists" in last.desk.asked.problem
-    assert last.desk.answer("Replace")
+    last.commands.ask("save")
+    last.commands.asked.path = str(state / "saved.json")
+    assert not last.commands.answer("Save")
+    assert "exists" in last.commands.asked.problem
+    assert last.commands.answer("Replace")
     assert not last.document.dirty
     last.close()
 
@@ -229,8 +229,8 @@ def test_a_clip_is_exported_by_the_time_scale_that_it_is_seen_with(gpu: Gpu, sta
     recipe = Recipe(border=None, strokes=(Stroke.grab((30, 20, 3), by=(9, 4, 0.5), radius=12),))
     view, _ = opened(state / "a.mkv", recipe, time_scale=5.0)
     assert view.document.deformation.domain.spacing == (1, 1, 5)
-    view.desk.begin_export(state / "seen.mkv")
-    wait_for(lambda: view.desk.export.done)
+    view.commands.begin_export(state / "seen.mkv")
+    wait_for(lambda: view.commands.export.done)
     view.close()
     for name, scale in (("wanted.mkv", 5.0), ("other.mkv", 1.0)):
         supple.warp_file(state / "a.mkv", state / name, recipe, clip=ClipOptions(time_scale=scale))
@@ -251,8 +251,8 @@ def test_a_clip_that_is_restored_by_another_time_scale_says_so(gpu: Gpu, state: 
     view.close()
     for scale, otherwise in ((5.0, False), (1.0, True)):
         again, _ = opened(state / "a.mkv", time_scale=scale)
-        assert again.desk.asked.name == "restore"
-        assert ("It was read otherwise then" in again.desk.asked.text) == otherwise
+        assert again.commands.asked.name == "restore"
+        assert ("It was read otherwise then" in again.commands.asked.text) == otherwise
         again.close()
 
 
@@ -287,11 +287,11 @@ def test_voxels_without_a_header_are_shown_and_exported(gpu: Gpu, state: Path) -
     recipe = Recipe(border=None, strokes=(Stroke.grab((8, 7, 6), by=(2, 1, 0), radius=5),))
     view, _ = opened(state / "a.raw", recipe, volume=told)
     assert view.stage.spacing == (1.0, 1.5, 2.0)
-    view.desk.ask("export")
-    assert view.desk.asked.path == str(state / "a-bent.nii.gz")
-    assert view.desk.answer("Export")
-    wait_for(lambda: view.desk.export.done)
-    assert view.desk.export.error is None
+    view.commands.ask("export")
+    assert view.commands.asked.path == str(state / "a-bent.nii.gz")
+    assert view.commands.answer("Export")
+    wait_for(lambda: view.commands.export.done)
+    assert view.commands.export.error is None
     view.close()
     supple.warp_file(state / "a.raw", state / "wanted.nii.gz", recipe, volume=told)
     seen, wanted = (volume.read(state / name).samples for name in ("a-bent.nii.gz", "wanted.nii.gz"))
@@ -324,8 +324,8 @@ def test_a_recipe_for_another_size_is_scaled_and_told(gpu: Gpu, state: Path) -> 
         view, _ = opened(ramp, recipe)
     assert view.recipe.strokes == (Stroke(at=(150.5, 100.5), by=(20, 0), radius=40),)
     (state / "small.json").write_text(recipe.to_json(), encoding="utf-8")
-    view.desk.open(state / "small.json", sure=True)
-    assert view.desk.message.endswith("small.json, scaled to 300 x 200")
+    view.commands.open(state / "small.json", sure=True)
+    assert view.commands.message.endswith("small.json, scaled to 300 x 200")
     view.close()
     view, _ = opened(ramp, recipe, fit="pixels")
     assert view.recipe.strokes == recipe.strokes
@@ -340,7 +340,7 @@ def test_arrays_are_shown_too(gpu: Gpu, state: Path) -> None:
     seen = view.pixels()
     assert seen.max() > 200
     with pytest.raises(supple.SuppleError, match="an array is no file"):
-        view.desk.begin_export("x.png")
+        view.commands.begin_export("x.png")
     view.close()
     for bad, what in (
         (np.zeros((2, 3, 4, 5)), "array of numbers"),

@@ -283,8 +283,8 @@ def test_a_gif_that_moves_is_a_clip_at_its_own_times(gpu: Gpu, tmp_path: Path) -
     playback = view.tools.playback
     playback.play()
     assert [playback.frame_at(3 + t) for t in (0, 0.3, 0.65, 0.75)] == [0, 1, 2, 3]
-    view.desk.ask("export")
-    assert view.desk.asked.path.endswith("moves-bent.gif")
-    view.desk.asked = None
+    view.commands.ask("export")
+    assert view.commands.asked.path.endswith("moves-bent.gif")
+    view.commands.asked = None
     still, _ = opened(tmp_path / "still.gif")
     assert still.stage.kind == "image"

@@ -84,15 +84,15 @@ def test_a_recipe_that_is_dropped_is_opened_in_place(view: tuple[Any, Hand], tmp
     (tmp_path / "strokes.JSON").write_text(recipe.to_json(), encoding="utf-8")
     window.drop([str(tmp_path / "strokes.JSON")])
     assert window.recipe.strokes == recipe.strokes
-    assert "opened" in window.desk.message
+    assert "opened" in window.commands.message
     # It is that file's: nothing is lost if the window is closed, and saved to it.
     assert not window.document.dirty
-    assert window.desk.may_close()
+    assert window.commands.may_close()
     hand.key("z", "Control")
     assert window.recipe.strokes == ()
     (tmp_path / "bad.json").write_text("{", encoding="utf-8")
     window.drop([str(tmp_path / "bad.json")])
-    assert window.desk.message
+    assert window.commands.message
     assert window.recipe.strokes == ()
     window.drop([])
 
@@ -105,10 +105,10 @@ def test_another_file_that_is_dropped_has_a_window_of_its_own(
     monkeypatch.setattr("supple.viewer.document.files.subprocess.Popen", lambda words, **options: begun.append(words))
     window.drop([str(DATA / "head.nii.gz")])
     assert begun[0][1:] == ["-m", "supple", "view", str(DATA / "head.nii.gz")]
-    assert "window of its own" in window.desk.message
+    assert "window of its own" in window.commands.message
     window.drop([str(tmp_path / "none.png")])
     assert len(begun) == 1
-    assert "no such file" in window.desk.message
+    assert "no such file" in window.commands.message
 
 
 def test_what_the_system_says_is_dropped_comes_to_the_window(
@@ -131,7 +131,7 @@ def test_what_the_system_says_is_dropped_comes_to_the_window(
     window.document.undo()
     set_by["close"](None)
     assert set_by["stays"]
-    assert window.desk.asked.name == "close"
+    assert window.commands.asked.name == "close"
 
 
 def test_the_panel_answers_though_it_keeps_events_to_itself(view: tuple[Any, Hand], monkeypatch: Any) -> None:
@@ -150,7 +150,7 @@ def test_the_panel_answers_though_it_keeps_events_to_itself(view: tuple[Any, Han
     # The ring is gone, though the panel did not hand the move on.
     assert window.tools.pointer is None
     # A question is seen though nothing else happens.
-    window.desk.ask("export")
+    window.commands.ask("export")
     waking = window._waking
     waking._stirred, waking._due = -10.0, float("inf")
     later: list[float] = []

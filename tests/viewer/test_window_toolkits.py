@@ -81,8 +81,8 @@ def drive():
     until(lambda: view.tools.radius > radius)
     print("grown", round(view.tools.radius / radius, 3))
     assert not QtWidgets.QWidget.close(canvas)
-    until(lambda: view.desk.asked is not None and not view.desk.asked.fresh)
-    print("asked", view.desk.asked.name)
+    until(lambda: view.commands.asked is not None and not view.commands.asked.fresh)
+    print("asked", view.commands.asked.name)
     test.qWait(200)
     test.keyClick(inner, QtCore.Qt.Key.Key_Return)
 

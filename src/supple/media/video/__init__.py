@@ -37,7 +37,7 @@ from supple.media.video.demux import (
 from supple.media.video.encode import writer
 from supple.media.video.plan import container_of, workers
 from supple.media.video.planes import Form, palette, unpack
-from supple.media.video.source import Film, said_of
+from supple.media.video.source import VideoFile, said_of
 
 __all__ = [
     "SUFFIXES",
@@ -70,8 +70,8 @@ class DecodedFrame:
             unpack(self._frame, self._form, arrays)
 
 
-class Clip(Film):
-    """A video file, opened; see `open_clip`. What is known of it is told by `Film`."""
+class Clip(VideoFile):
+    """A video file, opened; see `open_clip`. What is known of it is told by `VideoFile`."""
 
     def __init__(self, path: PathLike, threads: int | None, count: int | None) -> None:
         self._threads = workers(threads)

@@ -22,7 +22,7 @@ from supple.media.video.demux import said, usual_step
 from supple.media.video.pixel_format import Match
 from supple.media.video.plan import WritePlan, container_of, timescale, workers
 from supple.media.video.planes import form, pack
-from supple.media.video.source import Reel, Stills
+from supple.media.video.source import Stills, VideoSource
 from supple.media.video.streams import Passage, kept_tags, titled
 
 _FELT = Fraction(1, 4)  # of a frame: further from its time, it is told
@@ -70,9 +70,9 @@ class Sink:
 
     aside = True
 
-    def __init__(self, reel: Reel, plan: WritePlan, temporary: Path) -> None:
-        self._plan, self._reel = plan, reel
-        self._colour = replace(reel.colour, site=sited(reel.colour, reel.codec, reel.form.kind))
+    def __init__(self, video: VideoSource, plan: WritePlan, temporary: Path) -> None:
+        self._plan, self._video = plan, video
+        self._colour = replace(video.colour, site=sited(video.colour, video.codec, video.form.kind))
         self._times: dict[int, tuple[int, int]] = {}
         self._written = 0
         self.copied = 0  # frames whose packets were taken from the source
@@ -83,21 +83,21 @@ class Sink:
         self._newest = 0
         self._span = (0, 0)  # from the start of the first frame to the end of the last
         self._decoding: tuple[int, int] | None = None  # the first and the last time at which a packet is needed
-        self._palettes = Palettes(reel.width, reel.height) if plan.encoder.name == "gif" else None
+        self._palettes = Palettes(video.width, video.height) if plan.encoder.name == "gif" else None
         self._output = av.open(
             str(temporary),
             "w",
             format=plan.container.name,
             metadata_errors="surrogateescape",
-            container_options={"movie_timescale": str(timescale(reel))} if plan.container.mp4 else {},
+            container_options={"movie_timescale": str(timescale(video))} if plan.container.mp4 else {},
         )
         try:
             self._stream = self._film()
             self.copies = self._may_copy()
-            self._passage = Passage(reel.source, reel.index, self._output, plan.container, plan.target)
-            reel.passage, reel.copies = self._passage, self.copies
-            self._output.metadata.update(kept_tags(reel.source.metadata if reel.source else {}))
-            chapters = reel.chapters()
+            self._passage = Passage(video.source, video.index, self._output, plan.container, plan.target)
+            video.passage, video.copies = self._passage, self.copies
+            self._output.metadata.update(kept_tags(video.source.metadata if video.source else {}))
+            chapters = video.chapters()
             if chapters and plan.container.chapters:
                 self._output.set_chapters(chapters)
             elif chapters:
@@ -108,16 +108,16 @@ class Sink:
             raise
 
     def _film(self) -> av.VideoStream:
-        plan, reel = self._plan, self._reel
-        rate = reel.rate.limit_denominator(1 << 20)
+        plan, video = self._plan, self._video
+        rate = video.rate.limit_denominator(1 << 20)
         stream = self._output.add_stream(plan.encoder.name, rate=rate)
         assert isinstance(stream, av.VideoStream)
         plan.settle(stream.codec_context, plan.match)
         stream.time_base = plan.base
-        stream.metadata.update(titled(kept_tags(reel.tags)))
-        stream.disposition = reel.disposition
-        if reel.matrix and plan.container.rotation:
-            stream.set_display_matrix(reel.matrix)
+        stream.metadata.update(titled(kept_tags(video.tags)))
+        stream.disposition = video.disposition
+        if video.matrix and plan.container.rotation:
+            stream.set_display_matrix(video.matrix)
         if codec_of(plan.encoder.codec).opacity and plan.match.form.kind.alpha:
             stream.metadata["alpha_mode"] = "1"
         stream.codec_context.open()
@@ -125,14 +125,14 @@ class Sink:
 
     def _may_copy(self) -> bool:
         """Tell whether packets of the source and of the encoder may follow each other in one stream."""
-        reel, codec, context = self._reel, self._plan.encoder.codec, self._stream.codec_context
+        video, codec, context = self._video, self._plan.encoder.codec, self._stream.codec_context
         return (
             codec_of(codec).alone
-            and codec == reel.codec
+            and codec == video.codec
             and self._plan.match.same
-            and context.pix_fmt == reel.form.name
-            and (context.extradata or b"") == reel.header
-            and (codec != "prores" or context.profile == reel.profile)
+            and context.pix_fmt == video.form.name
+            and (context.extradata or b"") == video.header
+            and (codec != "prores" or context.profile == video.profile)
         )
 
     def write(self, arrays: Sequence[Array], k: int, *, still: bool = False) -> None:
@@ -149,8 +149,8 @@ class Sink:
         """
         if k != self._written:
             raise ValueError(f"frame {k} comes after {self._written} frames")
-        pts, duration = self._reel.time(k)
-        packet = self._reel.packet(k)
+        pts, duration = self._video.time(k)
+        packet = self._video.packet(k)
         self._written += 1
         stamp = self._stamp(k, pts, duration)
         if self.copies:
@@ -169,26 +169,26 @@ class Sink:
             self._encode(made)
 
     def _frame(self, arrays: Sequence[Array]) -> av.VideoFrame:
-        reel, chosen = self._reel, self._plan.match
-        shape, colour = (reel.height, reel.width), self._colour
+        video, chosen = self._video, self._plan.match
+        shape, colour = (video.height, video.width), self._colour
         if self._palettes:
             self._warn_of_half_opacity(arrays)
-            return recast(arrays, reel.form, colour, form("bgra") or reel.form, Colour(2, matrix=0), shape)
-        if chosen.opacity and (arrays[0][..., -1] < reel.layout.white).any():
+            return recast(arrays, video.form, colour, form("bgra") or video.form, Colour(2, matrix=0), shape)
+        if chosen.opacity and (arrays[0][..., -1] < video.layout.white).any():
             self._plan.warn("loses opacity")
             self._plan.match = chosen = Match(chosen.form, chosen.colour, chosen.same, chosen.lost, False)
         if not chosen.same:
-            return recast(arrays, reel.form, colour, chosen.form, self._plan.colour, shape)
-        frame = pack(arrays, chosen.form, reel.width, reel.height)
+            return recast(arrays, video.form, colour, chosen.form, self._plan.colour, shape)
+        frame = pack(arrays, chosen.form, video.width, video.height)
         chosen.colour.mark(frame)
         return frame
 
     def _warn_of_half_opacity(self, arrays: Sequence[Array]) -> None:
-        group = self._reel.layout.groups[0]
+        group = self._video.layout.groups[0]
         if not group.alpha or self._halved:
             return
         opacity = arrays[0][..., -1]
-        if ((opacity > 0) & (opacity < self._reel.layout.white)).any():
+        if ((opacity > 0) & (opacity < self._video.layout.white)).any():
             self._halved = True
             self._plan.warn("has pixels that are seen or not: what is half transparent becomes one of these")
 
@@ -199,12 +199,12 @@ class Sink:
     def _stamp(self, k: int, pts: int, duration: int) -> int:
         """Return the time that the encoder is given, and keep the time that the file is given for it."""
         plan = self._plan
-        if plan.base != self._reel.base:  # times are rounded to what the container can say, each by itself
-            scale = self._reel.base / plan.base
+        if plan.base != self._video.base:  # times are rounded to what the container can say, each by itself
+            scale = self._video.base / plan.base
             start, end = round(pts * scale), round((pts + duration) * scale)
             start = start if self._tick is None else max(start, self._tick + 1)
             self._tick = start
-            off = start * plan.base - pts * self._reel.base
+            off = start * plan.base - pts * self._video.base
             self._origin = self._origin if k else off
             self._drift = max(self._drift, abs(off - self._origin))
             pts, duration = start, max(1, end - start)
@@ -272,7 +272,7 @@ class Sink:
         if number in self._times:
             return self._times[number][0]
         first = min(self._times)
-        return self._times[first][0] + (number - first) * usual_step(self._reel.rate, self._plan.base)
+        return self._times[first][0] + (number - first) * usual_step(self._video.rate, self._plan.base)
 
     def finish(self) -> None:
         """Write what is still on its way, and close the file."""
@@ -280,12 +280,12 @@ class Sink:
             for made in self._palettes.add(None):
                 self._encode(made)
         self._mux(self._stream.encode(None), self._plan.container.mp4)
-        for packet in self._reel.rest():
+        for packet in self._video.rest():
             self._passage.take(packet)
             self._passage.write()
         self._passage.write()
         self._output.close()
-        if self._plan.container.counted and self._drift * self._reel.rate > _FELT:
+        if self._plan.container.counted and self._drift * self._video.rate > _FELT:
             off = float(self._drift)
             self._plan.warn(f"has one frame rate, and frames are up to {off:.2g} s from their times: use .mkv or .mp4")
 
@@ -297,7 +297,7 @@ class Sink:
 
 @contextlib.contextmanager
 def writer(
-    clip: Reel | Pictures,
+    clip: VideoSource | Pictures,
     target: PathLike,
     *,
     codec: str | None = None,
@@ -351,17 +351,17 @@ def writer(
     """
     container_of(target)
     check_output(target, force=force)
-    reel = clip if isinstance(clip, Reel) else Stills(clip)
-    plan = WritePlan(reel, target, codec, crf, preset, pixel_format, workers(threads), lossless)
+    video = clip if isinstance(clip, VideoSource) else Stills(clip)
+    plan = WritePlan(video, target, codec, crf, preset, pixel_format, workers(threads), lossless)
     with replacing(target, force=force) as temporary:
         sink = None
         try:
-            sink = Sink(reel, plan, temporary)
+            sink = Sink(video, plan, temporary)
             yield sink
             sink.finish()
         except av.FFmpegError as error:
             raise _raised(plan.target, error) from error
         finally:
-            reel.passage, reel.copies = None, False
+            video.passage, video.copies = None, False
             if sink is not None:
                 sink.abort()

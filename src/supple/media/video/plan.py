@@ -34,7 +34,7 @@ from supple.media.files import PathLike, check_suffix, unwritable
 from supple.media.video.colour import BT601, BT709, LIMITED, UNKNOWN, Colour, Grading, sited
 from supple.media.video.pixel_format import Match, Wish, finer, match
 from supple.media.video.planes import Form, Kind, form
-from supple.media.video.source import Reel
+from supple.media.video.source import VideoSource
 
 _FINEST = 1_000_000  # ticks a second that encoders are trusted with
 _TICKS = 50_000_000  # a second, the most in MP4
@@ -167,7 +167,7 @@ class WritePlan:
 
     def __init__(
         self,
-        reel: Reel,
+        video: VideoSource,
         target: PathLike,
         codec: str | None,
         crf: float | None,
@@ -176,10 +176,10 @@ class WritePlan:
         workers: int,
         lossless: bool = False,
     ) -> None:
-        self.reel, self.target, self.workers, self.lossless = reel, target, workers, lossless
+        self.video, self.target, self.workers, self.lossless = video, target, workers, lossless
         self.container = container_of(target)
         wanted = (self.container.exact or None) if lossless and codec is None else codec
-        name = _named(target, self.container, wanted, reel.codec, reel.lossless)
+        name = _named(target, self.container, wanted, video.codec, video.lossless)
         self._use(name, crf, preset)
         self.base = self._base()
         self._asked = pixel_format
@@ -197,15 +197,15 @@ class WritePlan:
                     raise
                 self._use(other, None, None)
                 self.match = self._matched(None)
-                self.warn(f"is written as {self.encoder.codec}: {reel.codec} cannot be written as the source has it")
+                self.warn(f"is written as {self.encoder.codec}: {video.codec} cannot be written as the source has it")
         self._require_exact()
-        if reel.stills and reel.form.kind.real and not self.match.form.kind.real:
-            what = f"{self.encoder.codec} cannot hold the floating point of {reel.name}"
-            first = "" if reel.form.kind.alpha else "use codec ffv1 in .mkv, or "
+        if video.stills and video.form.kind.real and not self.match.form.kind.real:
+            what = f"{self.encoder.codec} cannot hold the floating point of {video.name}"
+            first = "" if video.form.kind.alpha else "use codec ffv1 in .mkv, or "
             raise unwritable(target, what, f"{first}convert the pictures to 16 bits first")
         self._warn_of_losses()
         kind = self.match.form.kind
-        site = sited(reel.colour, reel.codec, reel.form.kind)
+        site = sited(video.colour, video.codec, video.form.kind)
         if self.match.same and kind.step != (1, 1) and site != self.colour.site:  # codecs are used to different ones
             self.match = replace(self.match, colour=replace(self.match.colour, site=site))
 
@@ -218,18 +218,18 @@ class WritePlan:
 
     def _matched(self, asked: str | None) -> Match:
         """Choose the pixel format."""
-        reel, encoder, lossy = self.reel, self.encoder, self._lossy
+        video, encoder, lossy = self.video, self.encoder, self._lossy
         names = self._formats()
-        told = _read_as(encoder.codec, self.container, reel.height)
-        if reel.stills and lossy and asked is None:
+        told = _read_as(encoder.codec, self.container, video.height)
+        if video.stills and lossy and asked is None:
             kinds = {each: found.kind for each in names if (found := form(each))}
             names = [each for each, kind in kinds.items() if kind.family == "yuv" and kind.bits <= USUAL_BITS] or names
-        size = (reel.width, reel.height)
-        wish = Wish(reel.form, reel.colour, size, not (reel.stills and lossy), told if lossy else Colour())
+        size = (video.width, video.height)
+        wish = Wish(video.form, video.colour, size, not (video.stills and lossy), told if lossy else Colour())
         if (
             encoder.name == "ffv1"
             and min(size) < _SLICED
-            and not (asked or self._opens(Match(reel.form, reel.colour, True, "", False)))
+            and not (asked or self._opens(Match(video.form, video.colour, True, "", False)))
         ):
             self.options.update({"level": "1", "slices": "1"})  # too small to be cut into slices
         try:
@@ -239,37 +239,37 @@ class WritePlan:
                 raise
             what = f"{encoder.name} cannot be started here: it needs a device or a driver that is missing"
             raise unwritable(self.target, what, "use another codec, such as h264 or ffv1") from None
-        strange = made.colour.full(made.form) or made.colour.coefficients(reel.height) not in (told.matrix, 5)
+        strange = made.colour.full(made.form) or made.colour.coefficients(video.height) not in (told.matrix, 5)
         if not lossy and made.form.kind.family == "yuv" and told != Colour() and strange:
             self.warn("cannot say what its colours mean, and may look different")
         return made
 
     def _warn_of_losses(self) -> None:
-        reel, lost = self.reel, self.match.lost
-        if lost and not (reel.stills and self._asked):
-            found = finer(reel.form, self.match, self._formats(), self._opens)
+        video, lost = self.video, self.match.lost
+        if lost and not (video.stills and self._asked):
+            found = finer(video.form, self.match, self._formats(), self._opens)
             advice = f": --pixel-format {found} keeps more" if found and not self._asked else ""
             self.warn(f"loses {lost}{advice}" if ", which" not in lost else f"is not in {lost}")
-        if reel.grading != Grading() and not self.encoder.graded:
+        if video.grading != Grading() and not self.encoder.graded:
             self.warn(f"loses the light levels of HDR, which {self.encoder.codec} cannot hold: hevc, h264 and av1 can")
-        sound = reel.source is not None and any(stream.type == "audio" for stream in reel.source.streams)
+        sound = video.source is not None and any(stream.type == "audio" for stream in video.source.streams)
         if sound and self.container.counted and self.encoder.codec in ("h264", "hevc"):
             # measured: they take its first frame for a delayed one, whoever wrote it
             self.warn("is out of step by a frame in players that rest on FFmpeg: use codec mpeg4, or .mkv")
-        for what in reel.unheld:
+        for what in video.unheld:
             self.warn(f"cannot hold {what}")
-        square = reel.aspect in (None, Fraction(1))
+        square = video.aspect in (None, Fraction(1))
         if not square and not self.container.mp4 and not codec_of(self.encoder.codec).aspect:
-            self.warn(f"cannot say that pixels are {reel.aspect} as wide as high: they are left as they are stored")
-        if reel.matrix and not self.container.rotation:
+            self.warn(f"cannot say that pixels are {video.aspect} as wide as high: they are left as they are stored")
+        if video.matrix and not self.container.rotation:
             self.warn("cannot say which way up it is shown: it is left as it is stored")
 
     def _base(self) -> Fraction:
         """Choose the unit of the file's time stamps."""
         if self.container.counted:
-            rate, pace = self.reel.rate, self.reel.pace
+            rate, pace = self.video.rate, self.video.pace
             return 1 / (pace if rate < pace <= _PACES * rate else rate)
-        return self.container.tick or self.reel.base
+        return self.container.tick or self.video.base
 
     @property
     def colour(self) -> Colour:
@@ -288,34 +288,34 @@ class WritePlan:
 
     def settle(self, context: av.VideoCodecContext, chosen: Match) -> None:
         """Give an encoder its settings."""
-        reel = self.reel
-        context.width, context.height, context.pix_fmt = reel.width, reel.height, chosen.form.name
-        context.framerate = reel.rate.limit_denominator(1 << 20)
-        context.time_base = reel.base if self.timed else 1 / reel.rate.limit_denominator(1 << 20)
+        video = self.video
+        context.width, context.height, context.pix_fmt = video.width, video.height, chosen.form.name
+        context.framerate = video.rate.limit_denominator(1 << 20)
+        context.time_base = video.base if self.timed else 1 / video.rate.limit_denominator(1 << 20)
         context.thread_count = self.workers
-        if reel.aspect:
-            context.sample_aspect_ratio = reel.aspect
+        if video.aspect:
+            context.sample_aspect_ratio = video.aspect
         colour = chosen.colour
         context.color_range, context.colorspace = colour.range, colour.matrix
         context.color_primaries, context.color_trc = colour.primaries, colour.transfer
-        if reel.field_order > 1:
-            context.field_order = reel.field_order
+        if video.field_order > 1:
+            context.field_order = video.field_order
         context.options = dict(self.options)
         self._extras(context, chosen)
 
     def _extras(self, context: av.VideoCodecContext, chosen: Match) -> None:
-        reel, settings = self.reel, context.options
+        video, settings = self.video, context.options
         if chosen.colour.site and chosen.form.kind.step != (1, 1):
             settings["chroma_sample_location"] = chosen.colour.site
-        if self.encoder.name == "libx265" and reel.count < _DELAYED:
+        if self.encoder.name == "libx265" and video.count < _DELAYED:
             settings["x265-params"] += ":bframes=0"
         if self.encoder.name == "dnxhd":
             settings["profile"] = self._dnxhr(chosen.form.kind)
-        if self.encoder.name == "prores_ks" and reel.codec == "prores" and chosen.same:
-            settings["profile"] = self.encoder.profiles.get(reel.profile, "auto")
-        key, words = self.encoder.params, reel.grading.words(self.encoder.graded) if self.encoder.graded else []
-        if key == "x264-params" and reel.field_order in (2, 4, 3, 5):
-            words.append("tff=1" if reel.field_order in (2, 4) else "bff=1")
+        if self.encoder.name == "prores_ks" and video.codec == "prores" and chosen.same:
+            settings["profile"] = self.encoder.profiles.get(video.profile, "auto")
+        key, words = self.encoder.params, video.grading.words(self.encoder.graded) if self.encoder.graded else []
+        if key == "x264-params" and video.field_order in (2, 4, 3, 5):
+            words.append("tff=1" if video.field_order in (2, 4) else "bff=1")
         if words:
             settings[key] = _joined(settings.get(key), *words)
         if self.encoder.codec == "hevc" and self.container.mp4:
@@ -325,7 +325,7 @@ class WritePlan:
         """Choose a profile of DNxHR, which takes any size: the source's if it can hold the pixels, else the best."""
         if kind.step == (1, 1):
             return "dnxhr_444"
-        return "dnxhr_hqx" if kind.bits > 8 else self.encoder.profiles.get(self.reel.profile, "dnxhr_hq")
+        return "dnxhr_hqx" if kind.bits > 8 else self.encoder.profiles.get(self.video.profile, "dnxhr_hq")
 
     def _formats(self) -> list[str]:
         """Name the pixel formats that the encoder takes, and the container can hold."""
@@ -365,10 +365,10 @@ class WritePlan:
         return True
 
 
-def timescale(reel: Reel) -> int:
+def timescale(video: VideoSource) -> int:
     """Choose the ticks in which MP4 says when a stream begins: such that nothing is rounded, if there are."""
-    streams = reel.source.streams if reel.source else ()
-    bases = [reel.base, *(stream.time_base for stream in streams if stream.type in ("audio", "video"))]
+    streams = video.source.streams if video.source else ()
+    bases = [video.base, *(stream.time_base for stream in streams if stream.type in ("audio", "video"))]
     exact = math.lcm(1000, *(base.denominator for base in bases if base))
     return exact if exact <= _TICKS else 90000
 

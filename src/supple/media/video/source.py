@@ -38,7 +38,7 @@ _LEAST, _UTMOST = Fraction(1, 10_000), Fraction(100_000)
 _MOST = 1000  # frames a second; what claims more counts ticks
 
 
-class Reel:
+class VideoSource:
     """The source of a video to be written; all that pictures do not have is empty here."""
 
     layout: Layout  # where chroma lies in it is told by `supple.media.video.colour.siting`
@@ -89,7 +89,7 @@ class Reel:
         return iter(())
 
 
-class Stills(Reel):
+class Stills(VideoSource):
     """Pictures, as a film; SuppleError if they are neither grey nor RGB.
 
     Their colours are taken for those of sRGB, which are those of BT.709. Most players take the curves of both for one.
@@ -118,7 +118,7 @@ class Stills(Reel):
         return (self._starts[k], self._starts[k + 1] - self._starts[k]) if self._starts else (k, 1)
 
 
-class Film(Reel):
+class VideoFile(VideoSource):
     """The film in a video file, and what is around it."""
 
     codec: str  # such as "h264"

@@ -42,7 +42,7 @@ class Question:
 
 
 @dataclass(eq=False)
-class Desk:
+class FileCommands:
     """The files around a document."""
 
     document: Document

@@ -163,7 +163,7 @@ def status(view: View) -> str:
     """The line of status: a message, or the point under the pointer; frames a second; and the certified error."""
     parts = [view.stage.trouble]
     tools, document = view.tools, view.document
-    trouble = tools.status or view.desk.message
+    trouble = tools.status or view.commands.message
     if trouble:
         parts.append(trouble)
     elif (hover := tools.hover) is not None:  # of a volume, it sends a ray

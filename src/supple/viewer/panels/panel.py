@@ -337,22 +337,22 @@ def _files(view: View) -> None:
     _head("Files")
     for name, says in _FILES.items():
         if imgui.small_button(says):
-            view.desk.ask(name)
+            view.commands.ask(name)
         if name not in ("open", "copy"):
             imgui.same_line()
-    job = view.desk.export
+    job = view.commands.export
     if job is not None:
         imgui.progress_bar(job.progress, (-70, 0), job.text)
         hint(job.error or job.text)
         imgui.same_line()
         if imgui.small_button("close" if job.done else "cancel"):
-            view.desk.end_export()
+            view.commands.end_export()
     question(view)
 
 
 def question(view: View) -> None:
     """Draw the open question over all else."""
-    asked = view.desk.asked
+    asked = view.commands.asked
     if asked is None:
         return
     if not imgui.is_popup_open(asked.title):
@@ -387,7 +387,7 @@ def question(view: View) -> None:
             answer = label
     if imgui.is_key_pressed(imgui.Key.escape) and "Cancel" in asked.choices:
         answer = "Cancel"
-    if answer and view.desk.answer(answer):
+    if answer and view.commands.answer(answer):
         imgui.close_current_popup()
     imgui.end_popup()
 

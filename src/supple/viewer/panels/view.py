@@ -19,7 +19,7 @@ from supple.media import image
 from supple.strokes import Recipe
 from supple.viewer.document.background import Certifier
 from supple.viewer.document.editing import Document
-from supple.viewer.document.files import Desk
+from supple.viewer.document.files import FileCommands
 from supple.viewer.panels.painter import Painter, Shot
 from supple.viewer.panels.stages import ImageStage, VideoStage, VolumeStage
 from supple.viewer.tools.brushes import ImageTools, VideoTools, VolumeTools
@@ -50,7 +50,7 @@ class View:
         self.filled = 0.0
         self.painter = Painter(self.gpu, self.stage)
         leave = partial(self.call_later, 0, self.canvas.close)
-        self.desk = Desk(self.document, self.source, self.write, leave, "auto", self.export)
+        self.commands = FileCommands(self.document, self.source, self.write, leave, "auto", self.export)
         self.certifier = Certifier(self.canvas.request_draw)
         self._changed_at = 0.0
         self._drawn_key: tuple[Shot, int] | None = None
@@ -93,7 +93,7 @@ class View:
 
     def attempt(self, work: Callable[[], object]) -> None:
         """Do what may be refused, and say so then."""
-        self.desk.attempt(work)
+        self.commands.attempt(work)
         self.canvas.request_draw()
 
     def _changed(self) -> None:
@@ -107,7 +107,7 @@ class View:
             try:
                 call(recipe)
             except Exception as error:  # its own matter: the window goes on
-                self.desk.message = " ".join(f"on_change: {type(error).__name__}: {error}".split())
+                self.commands.message = " ".join(f"on_change: {type(error).__name__}: {error}".split())
 
     def _shot(self, moving: bool) -> Shot:
         tools, ratio = self.tools, self.canvas.get_pixel_ratio()

@@ -261,7 +261,7 @@ def _ask_before_closing(canvas: Any, view: Window) -> None:
     import glfw
 
     def closing(window: Any) -> None:
-        if not view.desk.may_close():
+        if not view.commands.may_close():
             glfw.set_window_should_close(window, 0)
             canvas.request_draw()
 

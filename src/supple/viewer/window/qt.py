@@ -54,7 +54,7 @@ def attend(canvas: Any, view: Window) -> None:
         def eventFilter(self, watched: Any, event: Any) -> bool:  # noqa: N802, as Qt calls it
             kind = event.type()
             if kind == kinds.Close:
-                if not view.desk.may_close():
+                if not view.commands.may_close():
                     event.ignore()
                     view.refresh()
                     return True

@@ -100,7 +100,7 @@ class Window(View):
             self.tools.handle({"event_type": "pointer_leave"})
         if kind in ("pointer_down", "pointer_up") and event.get("button") not in range(1, 6):
             event["stop_propagation"] = True  # the panel knows no others
-        elif kind in ("pointer_down", "wheel") and self._inside(event) and self.desk.asked is None:
+        elif kind in ("pointer_down", "wheel") and self._inside(event) and self.commands.asked is None:
             self._gui.release()
         self._waking.stir()
 
@@ -114,14 +114,14 @@ class Window(View):
         if kind == "close":
             self.close()
             return
-        if self.desk.asked is not None and kind not in ("pointer_up", "key_up"):  # these end what was begun
+        if self.commands.asked is not None and kind not in ("pointer_up", "key_up"):  # these end what was begun
             self.canvas.request_draw()
             return
         if kind in ("pointer_down", "wheel") and not self._inside(event):
             self.canvas.request_draw()
             return
         if kind == "pointer_down":
-            self.desk.message = ""
+            self.commands.message = ""
             self._pressed = event.get("time_stamp", 0.0)
         elif kind == "pointer_move" and event.get("time_stamp", self._pressed) < self._pressed:
             return  # browsers hold moves back, and hand them over after a press that came later
@@ -129,14 +129,14 @@ class Window(View):
         self.tools.handle(event)
         if self.tools.view is not before:
             self._changed_at = time.perf_counter()
-        if kind == "pointer_up" and self.desk.message.startswith(_HOLDING):
-            self.desk.message = ""
+        if kind == "pointer_up" and self.commands.message.startswith(_HOLDING):
+            self.commands.message = ""
         requests, self.tools.requests[:] = list(self.tools.requests), []
         for request in requests:
             if self.tools.dragging:
-                self.desk.message = f"{_HOLDING}: then {request}"
+                self.commands.message = f"{_HOLDING}: then {request}"
             else:
-                self.desk.ask(request)
+                self.commands.ask(request)
         self.canvas.request_draw()
 
     @unbroken()
@@ -144,7 +144,7 @@ class Window(View):
         """Draw a frame, as the canvas asks for one."""
         if self._closed:
             return
-        self.desk.tick()  # first: whatever comes, strokes are kept
+        self.commands.tick()  # first: whatever comes, strokes are kept
         begun = time.perf_counter()
         self._frames.append(begun)
         tools, (width, height) = self.tools, self.area
@@ -159,7 +159,7 @@ class Window(View):
         key = shot, self.painter.coarse if moving else 0
         self._gui.lay()
         if self._gui.trouble:
-            self.desk.message = self._gui.trouble
+            self.commands.message = self._gui.trouble
         encoder, begun = self.gpu.device.create_command_encoder(), time.perf_counter()
         anew = key != self._drawn_key or not self.painter.ready
         if anew:
@@ -191,10 +191,10 @@ class Window(View):
             self._waking.later(max(self._changed_at + SETTLED - time.perf_counter(), 0.01))
         elif isinstance(self.stage, VolumeStage) and not self.tools.dragging:
             self._fill(shot)
-        if (self.desk.export is not None and not self.desk.export.done) or self.document.dirty:
+        if (self.commands.export is not None and not self.commands.export.done) or self.document.dirty:
             self._waking.later(0.25)  # to see how far it is, and to keep what was done
         self._waking.answer()
-        if self.desk.asked is not None:
+        if self.commands.asked is not None:
             self._waking.later(0.25)  # where one writes, a line blinks
 
     def _fill(self, shot: Shot) -> None:
@@ -204,7 +204,7 @@ class Window(View):
             seconds = 10 * FILLING if waiting else FILLING
             self.filled = self.stage.fill(shot.deformation, shot.camera, shot.size, seconds)
         except SuppleError as error:
-            self.filled, self.desk.message = 1.0, str(error)
+            self.filled, self.commands.message = 1.0, str(error)
         if before < self.filled or self.filled < 1.0:
             if not waiting:
                 self._drawn_key = None  # each frame is faster than the last
@@ -217,7 +217,7 @@ class Window(View):
     def drop(self, paths: list[str]) -> None:
         """Open a file that was dropped on the window: a recipe here, anything else in a window of its own."""
         for path in paths[:1]:
-            takes = self.desk.open if path.lower().endswith(".json") else self.desk.open_beside
+            takes = self.commands.open if path.lower().endswith(".json") else self.commands.open_beside
             self.attempt(partial(takes, path))
 
     def _repr_mimebundle_(self, **options: Any) -> Any:
@@ -229,7 +229,7 @@ class Window(View):
             return
         self._closed = True
         self.certifier.close()
-        self.desk.end()
+        self.commands.end()
         if isinstance(self.stage, VideoStage):
             self.stage.film.close()
 

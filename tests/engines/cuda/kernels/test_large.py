@@ -24,6 +24,7 @@ from supple.engines.cuda.needs import Needs
 from supple.engines.cuda.ring import Ring
 from supple.engines.cuda.sample import FIRST, LAST, SHIFT, SLOTS
 from supple.engines.cuda.staging import Lane, copied, pieces
+from supple.engines.native import NATIVE
 from supple.engines.workers import workers
 from supple.errors import DeviceWarning, SuppleError
 from supple.media import volume as media
@@ -75,7 +76,7 @@ def by_device(gpu: CudaDevice, d: supple.Deformation, source: Any, **options: An
     known |= {"tell": lambda done: None, **options}
     alpha, out, room, tell = (known.pop(name) for name in ("alpha", "out", "room", "tell"))
     work = work_of(source, d.space, Sampling.checked(d.ndim, **known), alpha)
-    made = np.empty_like(source, order="C") if out is None else out
+    made = NATIVE.result(out, source)
     axes, certificate = len(d.shape), Certificate(0.0, 0.0)
     frames = [a if a.ndim > axes else a[..., None] for a in (source, made)]
     for done, part in warp_host(gpu, *(a if axes == 3 else a[None] for a in frames), work, room=room):
