@@ -91,7 +91,7 @@ def failures() -> tuple[type[Exception], ...]:
 
 def source(*names: str) -> str:
     """The shaders of some files, one after the other; WGSL does not care in which order things are said."""
-    folder = resources.files("supple.engines.wgpu")
+    folder = resources.files("supple.engines.wgpu") / "shaders"
     return "\n".join((folder / f"{name}.wgsl").read_text(encoding="utf-8") for name in names)
 
 
