@@ -12,8 +12,10 @@ from typing import Literal
 
 import numpy as np
 
+from supple.arrays import clamp_to, warp_array
 from supple.deformation import Deformation, Report
 from supple.domain import choice
+from supple.engines.base import Sampling, warn_of
 from supple.engines.choice import DEVICES, check_device
 from supple.errors import SuppleError, shown
 from supple.files.clips import SUFFIXES_OUT as CLIPS_OUT
@@ -172,13 +174,15 @@ def warp_file(
                 fit=fit,
             )
     if kind == "clip":
-        sampling = {"filter": filter, "tolerance": tolerance, "outside": outside, "fill": fill}
         with counted(progress, also=tell) as counts:
             return warp_clip(
                 source,
                 target,
                 recipe,
-                **sampling,  # type: ignore[arg-type]
+                filter=filter,
+                tolerance=tolerance,
+                outside=outside,
+                fill=fill,
                 linear_light=linear_light,
                 quality=quality,
                 lossless=lossless,
@@ -208,19 +212,18 @@ def warp_file(
                 shutil.copyfile(source, place)
             return Warped(Path(source), Path(target), deformation, tolerance)
         pixels = np.empty_like(picture.pixels)
-        for top in range(0, len(pixels), height):  # each page alike
-            deformation.warp(
-                picture.pixels[top : top + height],
-                filter=filter,
-                tolerance=tolerance,
-                outside=outside,
-                fill=fill,
-                alpha=picture.alpha,
-                linear_light=linear_light,
-                clamp=pixels.dtype.kind == "f" if clamp is None else clamp,
-                device=device,
-                out=pixels[top : top + height],
-            )
+        space, bounded = replace(deformation.space, count=picture.pages), clamp
+        if bounded is None:
+            bounded = pixels.dtype.kind == "f"
+        pages, out = (a.reshape(*space.whole, *a.shape[2:]) for a in (picture.pixels, pixels))
+        sampling = Sampling.checked(
+            2, filter=filter, tolerance=tolerance, outside=outside, fill=fill, linear_light=linear_light
+        )
+        _, certificate = warp_array(pages, space, sampling, alpha=picture.alpha, device=device, out=out)
+        if bounded and not space.is_identity:
+            for top in range(0, len(pixels), height):  # each page by itself
+                clamp_to(picture.pixels[top : top + height], pixels[top : top + height], sampling)
+        warn_of(certificate, tolerance, 3)
         # Of the input, only the header is needed now: the encoder may have its memory.
         like = replace(picture, pixels=np.empty((0, *picture.pixels.shape[1:]), picture.pixels.dtype))
         del picture
