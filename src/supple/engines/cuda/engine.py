@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, closing
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -79,9 +79,10 @@ class Cuda:
 
         unknown = 0
         try:
-            for done, known in warp_host(self.gpu, frames[0], outs[0], work):
-                unknown += known.unknown
-                yield done, known
+            with closing(warp_host(self.gpu, frames[0], outs[0], work)) as made:
+                for done, known in made:
+                    unknown += known.unknown
+                    yield done, known
         except failures() as error:
             raise EngineError(" ".join(str(error).split())[:120] or type(error).__name__) from error
         if unknown:

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from supple.engines.base import Certificate, Sampling, Space, Work
+from supple.engines.base import Certificate, Sampling, Space, Steps, Work
 from supple.engines.cuda.arrays import taken
 from supple.engines.cuda.device import CudaDevice, failures
 from supple.engines.cuda.lattice import LIST, MISSING, NODE
@@ -48,9 +48,7 @@ ROOM = 0.8  # of the memory that is free
 _working = threading.RLock()  # what is free is found, and taken, by one at a time
 
 
-def warp_host(
-    gpu: CudaDevice, source: Array, target: Array, work: Work, *, room: int | None = None
-) -> Iterator[tuple[int, Certificate]]:
+def warp_host(gpu: CudaDevice, source: Array, target: Array, work: Work, *, room: int | None = None) -> Steps:
     """Warp an image, or a stack of frames, that lies in the host's memory or is mapped to it.
 
     Parameters

@@ -109,17 +109,16 @@ class Wgpu:
         """See `Engine.warp`."""
         space, lost = work.space, 0
         # An image is a stack of one frame; images that are bent alike are so many stacks.
-        images = len(outs[0]) if space.ndim == 2 else 1
+        parts = [slice(k, k + 1) for k in range(len(outs[0]))] if space.ndim == 2 else [slice(None)]
         with self.gpu.lock, _failing(self.gpu):
             for group, source, target in zip(groups_of(work), frames, outs, strict=True):
-                for k in range(images):
-                    parts = (source[k : k + 1], target[k : k + 1]) if space.ndim == 2 else (source, target)
-                    so_far = lost
-                    for done, worst, missed in warp(
-                        self.gpu, space, group, *parts, (0, len(parts[1])), step=work.layout.step
-                    ):
-                        yield k + done, Certificate(worst, 0.0)
-                        lost = so_far + missed
+                for k, part in enumerate(parts):
+                    so_far, step, out = lost, work.layout.step, target[part]
+                    run = warp(self.gpu, space, group, source[part], out, (0, len(out)), step=step)
+                    with contextlib.closing(run) as made:
+                        for done, worst, missed in made:
+                            yield k + done, Certificate(worst, 0.0)
+                            lost = so_far + missed
         if lost:
             raise EngineError(unsolved(lost), lost=False)
 

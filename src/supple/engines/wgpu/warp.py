@@ -6,7 +6,7 @@ import contextlib
 import itertools
 import math
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Generator, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -196,7 +196,7 @@ def warp(
     *,
     there: Range | None = None,
     step: tuple[int, int] = (1, 1),
-) -> Iterator[tuple[int, float, int]]:
+) -> Generator[tuple[int, float, int], None, None]:
     """Warp some planes of a stack of frames, of which an image is one.
 
     Parameters
