@@ -15,7 +15,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from supple.domain import Domain, border_factor, choice, integer, items, length, number, point, shown
+from supple.domain import Domain, border_factor, choice, integer, items, length, number, point, value_shown
 from supple.errors import SuppleError
 
 HUGE = pytest.param(10**5000, id="huge")  # too long for Python to spell
@@ -234,10 +234,10 @@ def test_shown_is_short_and_on_one_line() -> None:
         {"a": [[[[[[[[1]]]]]]]]},
     ]
     for value in rude:
-        assert len(shown(value)) <= 100
-        assert shown(value).isprintable()
-    assert re.fullmatch(r"an integer of about \d+ digits", shown(-(10**9999)))
-    assert shown(np.float32(0.5)) == "0.5"
+        assert len(value_shown(value)) <= 100
+        assert value_shown(value).isprintable()
+    assert re.fullmatch(r"an integer of about \d+ digits", value_shown(-(10**9999)))
+    assert value_shown(np.float32(0.5)) == "0.5"
 
 
 def test_checks_pass_what_is_right() -> None:
