@@ -14,7 +14,7 @@ import numpy.typing as npt
 from supple import _core
 from supple.domain import BorderProfile, Domain, choice, colours_hint, flag, integer, number, refuse
 from supple.engines.base import Certificate, Sampling, Space, warn_of
-from supple.engines.choice import engine_at
+from supple.engines.choice import DEVICES, engine_at
 from supple.engines.native import NATIVE, measured, plan_of
 from supple.errors import FoldWarning, MissWarning, OutsideWarning, SuppleError
 from supple.folding import Resolved, described, resolve
@@ -548,7 +548,7 @@ class Deformation:
                 refuse("clamp", "False for a function of points, which is not interpolated", clamp)
             if device in ("gpu", "cuda"):
                 refuse("device", '"cpu" for a function of points, which Python evaluates', device)
-            choice("device", device, ("auto", "cpu"))
+            choice("device", device, DEVICES)
             if self.ndim == 3:
                 raise SuppleError(f"a function of points is warped as an image, and shape {self.shape} has three axes")
             return warp_function(source, self.space, samples, out)

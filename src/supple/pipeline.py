@@ -169,12 +169,13 @@ def run(
             try:
                 return Done(sampled(engine, work, frames, outs, lambda done: tell("warp", done, count)))
             except EngineError as error:
-                warn_of_failure(engine, error, 5)
+                warn_of_failure(engine, error, 4)
             return run(source, sink, work, NATIVE, memory=memory, tell=tell)
         work = replace(work, layout=replace(work.layout, dtype=engine.kind(work.layout.dtype)))
     plan = make_plan(work, range(count), lambda done: tell("plan", done, count), engine)
     certificate = Certificate(0.0, 0.0)
-    made = stream(work, plan, source.frames(), memory=memory, buffered=_AHEAD + 1, engine=engine)
+    buffered = _AHEAD + 1 if sink.aside else 1
+    made = stream(work, plan, source.frames(), memory=memory, buffered=buffered, engine=engine)
     with contextlib.closing(made), _writing(sink) as write:
         for z, arrays, known in made:
             write(arrays, z, still=bool(plan.still[z]))

@@ -527,6 +527,12 @@ BAD: list[tuple[list[str], str]] = [
 ]
 
 
+def test_a_filter_of_no_kind_is_refused(here: Path) -> None:
+    stored("in.nii", made())
+    with pytest.raises(supple.SuppleError, match=r"filter must be .*, found \['auto'\]"):
+        warp_volume("in.nii", "out.nii", RECIPE, filter=["auto"])  # type: ignore[arg-type]
+
+
 @pytest.mark.parametrize(("given", "text"), BAD)
 def test_bad_input(here: Path, capfd: pytest.CaptureFixture[str], given: list[str], text: str) -> None:
     from supple.media import image

@@ -6,9 +6,11 @@ import contextlib
 import os
 import threading
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import ThreadPoolExecutor
 from contextvars import ContextVar
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
+
+if TYPE_CHECKING:
+    from concurrent.futures import ThreadPoolExecutor
 
 CPU = "cpu"
 
@@ -43,6 +45,8 @@ def share(work: Callable[[Item], Result], items: Iterable[Item]) -> list[Result]
     with _lock:
         key = (os.getpid(), n)  # a forked child must not wait for its parent's threads
         if key not in _pools:
+            from concurrent.futures import ThreadPoolExecutor
+
             _pools[key] = ThreadPoolExecutor(n, "supple", initializer=_mark)
         pool = _pools[key]
     # Each thread takes the next item when it is done with one: cheaper than a future for each.

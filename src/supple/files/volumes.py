@@ -221,7 +221,7 @@ def sampling_of(
     """How a volume is sampled: alike along all three axes."""
     return Sampling.checked(
         filter=filter, tolerance=tolerance, outside=outside, fill=fill, unit="voxels",
-        between={"auto": "cubic", "cubic": "cubic"}.get(filter), time_filter=filter == "auto",
+        between="cubic" if filter in ("auto", "cubic") else None, time_filter=filter == "auto",
     )  # fmt: skip
 
 

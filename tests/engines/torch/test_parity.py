@@ -39,3 +39,13 @@ def by_torch(d: Deformation, source: npt.NDArray[Any], **options: Any) -> npt.ND
 @pytest.mark.parametrize("row", ROWS, ids=str)
 def test_rows(row: Row) -> None:
     row.check(by_torch, Limits(3e-4), (0, 1, 3))
+
+
+@pytest.mark.parametrize("dtype", [torch.uint8, torch.int16])
+def test_a_constant_is_one_of_the_type(dtype: torch.dtype) -> None:
+    d = Deformation((23, 31), border=None).grab((10, 9), by=(7, 5), radius=12)
+    flat = torch.full((23, 31), 100, dtype=dtype)
+    most, least = torch.iinfo(dtype).max, torch.iinfo(dtype).min
+    for beyond, within in ((1e30, most), (-1e30, least)):
+        found = [bending.warp(flat, d, outside="constant", fill=fill) for fill in (beyond, within)]
+        assert torch.equal(*found)

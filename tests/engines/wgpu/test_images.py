@@ -364,9 +364,11 @@ def test_a_lost_device_ends_in_the_cpu_s_result(gpu: Gpu, photo: np.ndarray, mon
 
     monkeypatch.setattr("supple.engines.wgpu.lattice.run", lost)
     d = bent(photo.shape[:2], 3)
-    with pytest.warns(DeviceWarning, match="device is lost"):
-        made = d.warp(photo, device="gpu")
-    np.testing.assert_array_equal(made, d.warp(photo))
+    for warp in (d.warp, lambda image, device: supple.warp_batch(image[None], d, device=device)[0]):
+        with pytest.warns(DeviceWarning, match="device is lost") as told:
+            made = warp(photo, device="gpu")
+        np.testing.assert_array_equal(made, d.warp(photo))
+        assert told[0].filename == __file__
 
 
 def test_a_device_that_is_lost_is_opened_anew(gpu: Gpu, photo: np.ndarray) -> None:

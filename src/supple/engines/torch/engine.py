@@ -63,7 +63,7 @@ class Torch:
         halves = (torch.bfloat16,) if tensor.is_cuda else (torch.bfloat16, torch.float16)
         held: Any = (tensor.float() if tensor.dtype in halves else tensor).movedim(0, -1)
         if engine is NATIVE:
-            array = held.cpu().contiguous().numpy()
+            array = np.ascontiguousarray(held.numpy(force=True))
             array = array if work.space.ndim == 3 else array[None]
             made = np.empty_like(array)
             kind = NATIVE.kind(array.dtype)
@@ -109,7 +109,8 @@ TORCH = Torch()
 def _of_type(work: Work, held: Any) -> Work:
     dtype = held.dtype
     white = float(np.iinfo(dtype).max) if dtype.kind in "iu" else 1.0
-    return replace(work, layout=replace(work.layout, dtype=dtype, white=white))
+    sampling = work.sampling.filled(work.layout.groups[0].channels, dtype)
+    return replace(work, layout=replace(work.layout, dtype=dtype, white=white), sampling=sampling)
 
 
 def seen_at(points: torch.Tensor, strokes: Strokes) -> torch.Tensor:
