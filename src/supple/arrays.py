@@ -14,7 +14,7 @@ from supple.engines.base import Array, Certificate, Engine, Layout, Sampling, Sp
 from supple.engines.choice import DEVICES, engine_at, engine_for
 from supple.engines.native import NATIVE
 from supple.errors import SuppleError, ToleranceWarning
-from supple.pipeline import Arrays, run, sampled
+from supple.pipeline import Arrays, Tell, run, sampled
 
 _MOST_POINTS = 1 << 18  # of a function, asked for at once
 _SLAB = 1 << 20  # bytes whose range is looked at, or kept, at once
@@ -37,7 +37,7 @@ def warp_array(
     clamp: bool = False,
     device: str = "cpu",
     out: Any = None,
-    tell: Callable[[str, int, int], None] = lambda step, done, total: None,
+    tell: Tell = lambda step, done, total: None,
 ) -> tuple[Any, Certificate]:
     """Sample an image, or frames, plane by plane, so that neither the source nor ``out`` need be in memory.
 
@@ -79,7 +79,7 @@ def warp_array(
         return _on_device(engine, held, work, device, out)
     engine = engine_for(device, work)
     result = engine.result(out, held)
-    frames, planes = (Arrays(work.layout, (_as_frames(a, len(space.whole)),)) for a in (held, result))
+    frames, planes = (Arrays((_as_frames(a, len(space.whole)),)) for a in (held, result))
     done = run(frames, planes, work, engine, tell=tell)
     if clamp and not space.is_identity:
         clamp_to(held, result, work.sampling)

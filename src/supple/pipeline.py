@@ -21,7 +21,6 @@ from supple.engines.base import (
     Certificate,
     Engine,
     EngineError,
-    Layout,
     Planes,
     Work,
     frames_needed,
@@ -50,10 +49,6 @@ class Frame(Protocol):
 class Source(Protocol):
     """Frames that come in order: a clip, an image sequence, or an array."""
 
-    @property
-    def layout(self) -> Layout:
-        """The layout of each frame."""
-
     def frames(self) -> Iterable[Frame]:
         """Read all frames in order, to the end."""
 
@@ -75,12 +70,10 @@ class Arrays:
 
     Parameters
     ----------
-    layout : Layout
     arrays : tuple of arrays
         For each group, all frames: (count, h, w, channels).
     """
 
-    layout: Layout
     arrays: tuple[Array, ...]
     aside: bool = False
 
@@ -171,7 +164,7 @@ def run(
             except EngineError as error:
                 warn_of_failure(engine, error, 4)
             return run(source, sink, work, NATIVE, memory=memory, tell=tell)
-        work = replace(work, layout=replace(work.layout, dtype=engine.kind(work.layout.dtype)))
+        work = replace(work, layout=replace(work.layout, dtype=engine.working_dtype(work.layout.dtype)))
     plan = make_plan(work, range(count), lambda done: tell("plan", done, count), engine)
     certificate = Certificate(0.0, 0.0)
     buffered = _AHEAD + 1 if sink.aside else 1
@@ -328,7 +321,7 @@ def stream(
         )
         window = stack.enter_context(buffers(shapes, layout.dtype, memory, why))
         sets = [[np.empty((*g.shape, g.channels), layout.dtype) for g in layout.groups] for _ in range(buffered)]
-        planes = _Sure(engine, work, window, stack)
+        planes = _WithFallback(engine, work, window, stack)
         source = iter(frames)
         reading = stack.enter_context(_reading(source, work.space.count, plan, window, aside=engine.lead > 0))
         waiting: deque[tuple[int, object]] = deque()
@@ -354,7 +347,7 @@ def stream(
             pass
 
 
-class _Sure:
+class _WithFallback:
     """Planes by an engine and, from where it fails, by the native one (`supple.engines.base.Planes`)."""
 
     def __init__(self, engine: Engine, work: Work, window: Sequence[Array], stack: contextlib.ExitStack) -> None:

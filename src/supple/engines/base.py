@@ -369,11 +369,11 @@ class Engine(Protocol):
     def check(self, work: Work) -> None:
         """Raise SuppleError for work that it does not do."""
 
-    def kind(self, dtype: np.dtype[Any]) -> np.dtype[Any]:
+    def working_dtype(self, dtype: np.dtype[Any]) -> np.dtype[Any]:
         """Return the type that it works on samples of a type in."""
 
     def view(self, array: Array) -> Array | None:
-        """Return an array as it takes it, of `kind` and sharing its memory; None if the array must be copied."""
+        """Return an array as the engine takes it, sharing memory; None if the array must be copied first."""
 
     def warp(self, work: Work, frames: Sequence[Array], outs: Sequence[Array]) -> Steps:
         """Sample frames that are all at hand.

@@ -142,14 +142,14 @@ class Native:
     def check(self, work: Work) -> None:
         """Do nothing: it does all work."""
 
-    def kind(self, dtype: np.dtype[Any]) -> np.dtype[Any]:
+    def working_dtype(self, dtype: np.dtype[Any]) -> np.dtype[Any]:
         """Return the type that samples are worked on in."""
         native: np.dtype[Any] = dtype.newbyteorder("=")
         return _KINDS.get(native, native)
 
     def view(self, array: Array) -> Array | None:
         """Return an array as one that the core takes, sharing its memory; None if it cannot."""
-        kind = self.kind(array.dtype)
+        kind = self.working_dtype(array.dtype)
         if not (array.flags.c_contiguous and array.flags.aligned and array.dtype.isnative):
             return None
         return np.asarray(array).view(kind) if array.dtype in (kind, np.bool_) else None

@@ -6,7 +6,7 @@ import contextlib
 import os
 import shutil
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -25,14 +25,13 @@ from supple.media.image import check_quality, check_target
 from supple.media.image.formats import SUFFIXES as SUFFIXES_IN
 from supple.media.image.formats import SUFFIXES_OUT as PICTURES_OUT
 from supple.media.numbering import has_number, is_sequence
-from supple.pipeline import Done, make_plan, run, stream
+from supple.pipeline import Done, Tell, make_plan, run, stream
 from supple.strokes import Fit, Recipe, fit_recipe, scaling_of
 
 if TYPE_CHECKING:
     from fractions import Fraction
 
 PathLike = str | os.PathLike[str]
-Tell = Callable[[str, int, int], None]
 
 SUFFIXES_OUT = frozenset({".avi", ".mkv", ".mov", ".mp4", ".webm"})
 GB = 1e9

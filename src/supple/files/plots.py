@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -30,13 +30,12 @@ from supple.files.clips import (
 from supple.media.base import CountError
 from supple.media.files import check_output
 from supple.media.volume import is_volume
-from supple.pipeline import make_plan
+from supple.pipeline import Tell, make_plan
 from supple.plot import WHATS, check_plot, draw_sheet, draw_slice, evenly, plot
 from supple.progress import counted
 from supple.strokes import Fit, Recipe, fit_recipe
 
 Colours = npt.NDArray[np.uint8]
-Tell = Callable[[str, int, int], None]
 
 _COLUMNS = 6  # frames on a sheet
 _SEEN = 0.5  # pixels and frames

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -19,6 +19,7 @@ from supple.media import image, turntable
 from supple.media.files import check_output, check_outputs, replacing_all
 from supple.media.numbering import has_number, spelling
 from supple.media.volume import Volume
+from supple.pipeline import Tell
 from supple.render.camera import Camera
 from supple.render.scene import MODES, Scene
 from supple.render.transfer import TransferFunction, transfer_of
@@ -26,7 +27,6 @@ from supple.strokes import Fit, Recipe
 
 Array = npt.NDArray[Any]
 PathLike = str | os.PathLike[str]
-Tell = Callable[[str, int, int], None]
 
 WHATS = ("picture", "inversions")
 LIGHTLESS = (".png", ".tif", ".tiff", ".webp", ".avif")  # which hold opacity

@@ -6,7 +6,7 @@ import contextlib
 import os
 import shutil
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -35,11 +35,11 @@ from supple.media.volume import (
     suffix_of,
     write,
 )
+from supple.pipeline import Tell
 from supple.strokes import CoordinateSpace, Fit, Recipe, Stroke, fit_recipe
 
 Array = npt.NDArray[Any]
 PathLike = str | os.PathLike[str]
-Tell = Callable[[str, int, int], None]
 
 ONE_FILE = frozenset({".nii", ".nii.gz", ".nrrd", ".mha"})
 """Suffixes of files that are volumes, whatever lies beside them."""

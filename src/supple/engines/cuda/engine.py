@@ -60,8 +60,8 @@ class Cuda:
             return arrays.checked_out(out, held)
         return arrays.made_like(held, held.shape, held.dtype, as_it_lies=True)
 
-    def kind(self, dtype: np.dtype[Any]) -> np.dtype[Any]:
-        """See `Engine.kind`."""
+    def working_dtype(self, dtype: np.dtype[Any]) -> np.dtype[Any]:
+        """See `Engine.working_dtype`."""
         return dtype
 
     def view(self, array: Any) -> Any:
@@ -86,7 +86,7 @@ class Cuda:
         except failures() as error:
             raise EngineError(" ".join(str(error).split())[:120] or type(error).__name__) from error
         if unknown:
-            raise EngineError(f"{unknown} points could not be solved to the tolerance")
+            raise EngineError(f"{unknown} points could not be solved to the tolerance", lost=False)
 
     def start(
         self, work: Work, held: arrays.DeviceArray, result: arrays.DeviceArray, *, slab: int | None, stream: Any

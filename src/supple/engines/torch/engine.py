@@ -47,8 +47,8 @@ class Torch:
     def check(self, work: Work) -> None:
         """Do nothing: what a device does not do, its engine refuses."""
 
-    def kind(self, dtype: Any) -> Any:
-        """See `Engine.kind`."""
+    def working_dtype(self, dtype: Any) -> Any:
+        """See `Engine.working_dtype`."""
         return dtype
 
     def view(self, array: torch.Tensor) -> torch.Tensor:
@@ -66,7 +66,7 @@ class Torch:
             array = np.ascontiguousarray(held.numpy(force=True))
             array = array if work.space.ndim == 3 else array[None]
             made = np.empty_like(array)
-            kind = NATIVE.kind(array.dtype)
+            kind = NATIVE.working_dtype(array.dtype)
             yield from engine.warp(_of_type(work, array), [array.view(kind)], [made.view(kind)])
             given = torch.from_numpy(made.reshape(held.shape))
         else:

@@ -97,8 +97,8 @@ class Wgpu:
         """See `Engine.result`."""
         return NATIVE.result(out, held)
 
-    def kind(self, dtype: np.dtype[Any]) -> np.dtype[Any]:
-        """See `Engine.kind`: conversion is part of the upload."""
+    def working_dtype(self, dtype: np.dtype[Any]) -> np.dtype[Any]:
+        """See `Engine.working_dtype`: conversion is part of the upload."""
         return dtype
 
     def view(self, array: Array) -> Array:
