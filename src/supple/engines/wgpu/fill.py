@@ -68,7 +68,7 @@ class Filling:
         self._blocks = tuple(-(-n // BLOCK) for n in reversed(volume.size))
         self._made = np.zeros(self._blocks, np.bool_)
         self._pace = Pace(1)
-        self._key = object()  # not ``self``, since a reference cycle would keep the device's memory until garbage collection
+        self._key = object()  # not ``self``: a reference cycle would hold the device's memory
         kinds = (UNIFORM, UNIFORM, READ, SOLID, volume.kind, SOLID, READ, WRITE, FILLED)
         self._work = pipeline(volume.gpu, (*_NAMES, volume.reader), "fill", kinds, {"POLISHED": int(polished)})
         self._target = volume.warped.create_view()

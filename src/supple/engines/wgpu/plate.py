@@ -129,7 +129,7 @@ class Plate:
         return gpu.binding // (4 * size[0] * size[1])
 
     def put(self, frame: int, pixels: npt.NDArray[np.uint8]) -> None:
-        """Hold a frame, of shape (rows, columns, 4): sRGB and opacity. The ring continues from the frames that it holds."""
+        """Hold a frame, of shape (rows, columns, 4): sRGB and opacity. The ring continues from the frames it holds."""
         if not self.earliest <= frame <= self.earliest + self.held:
             self.earliest, self.held = frame, 0
         start = (frame % self.slots) * self.stride * 4

@@ -67,7 +67,7 @@ def reach_of(nodes: npt.NDArray[np.float32], first: int, origin: int, step: tupl
     known = nodes.astype(np.float64)
     planes, rows = known.shape[:2]
     u, across, down, along = (known[..., k, :3] for k in range(4))
-    # Between two nodes, the map differs from the line by about an eighth of the difference of slopes times the distance.
+    # Between two nodes, the map differs from the line by about distance times difference of slopes, over 8.
     bend = np.zeros((planes, rows - 1, 3))
     for slopes, axis in ((across, 2), (down, 1)):
         apart = np.abs(np.diff(slopes, axis=axis)).max(axis=2) * (STEP / 8)

@@ -96,7 +96,7 @@ class _Work:
         return size <= self.gpu.texture and count * math.prod(blocks_of(shape)) <= MOST_LAYERS
 
     def samples_read(self, part: Part, reach: Reach, at: tuple[slice, slice]) -> float:
-        """Return an estimate of the source samples read for a part, in which evaluations of strokes count as samples."""
+        """Return an estimate of the source samples read for a part; evaluations of strokes count as samples."""
         wanted = self.picture.wanted
         each = {"nearest": 1.0, "linear": 4.0, "cubic": 16.0}.get(wanted.filter, 16.0 * float(reach.work[at].mean()))
         if wanted.between in ("linear", "cubic"):
@@ -219,8 +219,8 @@ def warp(
     Yields
     ------
     int, float, int
-        The number of finished planes, the largest error of their source points, in pixels, and the number of points that
-        may not meet the tolerance.
+        The number of finished planes, the largest error of their source points, in pixels, and the number of points
+        that may not meet the tolerance.
 
     Raises
     ------
