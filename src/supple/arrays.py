@@ -218,7 +218,7 @@ def clamp_to(source: Array, result: Array, sampling: Sampling) -> None:
             least, most = np.iinfo(result.dtype).min, np.iinfo(result.dtype).max
             fill = [min(max(round(value), least), most) for value in fill]
         low, high = min(low, result.dtype.type(min(fill))), max(high, result.dtype.type(max(fill)))
-    for part in _slabs(result):  # only out-of-range values are written: all others keep every bit, the sign of a zero too
+    for part in _slabs(result):  # values within the range keep every bit, the sign of a zero too
         for beyond, bound in ((part < low, low), (part > high, high)):
             if infinite:
                 beyond &= np.isfinite(part)
@@ -226,7 +226,7 @@ def clamp_to(source: Array, result: Array, sampling: Sampling) -> None:
 
 
 def _finite_range(source: Array) -> tuple[Any, Any, bool]:
-    """Return the least and the greatest finite value, in reverse order if there is none, and if there are infinities."""
+    """Return the least and the greatest finite value (in reverse order if there is none), and if any is infinite."""
     kind, infinite = source.dtype.newbyteorder("="), False
     low, high = (np.inf, -np.inf) if kind.kind == "f" else (np.iinfo(kind).max, np.iinfo(kind).min)
     for part in _slabs(source):

@@ -197,10 +197,10 @@ class Deformation:
     ) -> Self:
         """Return a recipe's strokes on a domain, without hidden ones; errors and warnings name the stroke.
 
-        Where the recipe has an amount, or a stroke a strength, below 1, the stroke has that part of its drag. The point
-        at which a later stroke begins is on material that has moved less then, and is carried along: it is taken back
-        through the earlier strokes as they are in full, and forward through them as they are applied. ``strokes`` of
-        what is returned are those that are applied.
+        If the recipe has an amount, or a stroke a strength, below 1, that fraction of the stroke's drag is applied. The
+        point at which a later stroke begins is carried along with the material, which has then moved less: it is mapped
+        back through the earlier strokes at full strength, and forward through them as applied. ``strokes`` of the
+        result are those in effect.
 
         Raises
         ------
@@ -235,7 +235,7 @@ class Deformation:
                 "Recipe.fitted makes it fit"
             )
         visible = [(i, stroke) for i, stroke in enumerate(recipe.strokes) if not stroke.hidden]
-        whole: Deformation = made  # as it is at full strength; the same object as long as that is what is applied
+        whole: Deformation = made  # at full strength; the same object as ``made`` as long as they are equal
         for k, (i, stroke) in enumerate(visible):
             which = f"stroke {i + 1} of {len(recipe.strokes)}: " if len(recipe.strokes) > 1 else ""
             try:
@@ -251,7 +251,7 @@ class Deformation:
         return made
 
     def without_strokes(self) -> Self:
-        """The identity on the same domain, under the same fold policy."""
+        """Return the identity on the same domain, with the same fold policy."""
         domain = self.domain
         return type(self)(
             domain.shape,
@@ -264,7 +264,7 @@ class Deformation:
 
     @property
     def recipe(self) -> Recipe:
-        """The recipe that is applied, with the size; hidden strokes, which were left out, are not in it."""
+        """The recipe in effect, with its size; hidden strokes are left out."""
         return Recipe(
             border=self.domain.border,
             border_profile=self.domain.border_profile,
@@ -275,23 +275,23 @@ class Deformation:
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """The shape of the arrays that it deforms."""
+        """The shape of the arrays that it warps."""
         return self.domain.shape
 
     @property
     def ndim(self) -> int:
-        """How many coordinates a point has."""
+        """The number of coordinates of a point."""
         return self.domain.ndim
 
     @property
     def space(self) -> Space:
-        """The strokes on their domain, as frames stream through them."""
+        """The packed strokes and domain, as engines take them."""
         count = self.shape[0] if self.ndim == 3 else 1
         return Space(self._table, self._axes, self.ndim, count, (self.shape[-2], self.shape[-1]))
 
     @property
     def is_identity(self) -> bool:
-        """Return whether there is nothing to do: no strokes, or none with any force."""
+        """Whether the map is the identity: no strokes, or none with any force."""
         return self._table.size == 0
 
     def grab(
@@ -305,32 +305,32 @@ class Deformation:
         scales: int = 1,
         reach: float | None = REACH,
     ) -> Self:
-        """Grab the material at a point, and drag it.
+        """Return the deformation with one more stroke, which drags the material at a point.
 
         Parameters
         ----------
         at : sequence of float
-            Where, in pixels, x first.
+            The grabbed point, in pixels, x first.
         to, by : sequence of float
-            Where to, or how far; one of the two. Near a fixed border, a stroke that does not flow is held back, and
-            falls short, by the border's factor β there.
+            The target or the drag; one of the two. Near a fixed border, a stroke that does not flow falls short by the
+            border's factor β there.
         radius : float
-            How far the drag is felt, in physical units (ε of the regularized Kelvinlet).
+            The radius of the brush, in physical units (ε of the regularized Kelvinlet).
         poisson : float, optional
             Poisson's ratio ν of the material, at most 0.5. At higher values, 3-D volumes change less; areas of an image
             change at any value. 0.5 is incompressible: without reach and border, a short drag keeps 3-D volumes. -inf
-            moves nothing sideways. By default 0.4; but -inf for a drag along time alone.
+            has no displacement across the drag. By default 0.4; but -inf for a drag along time alone.
         scales : int
-            1: felt far, as 1/r. 2 and 3: more local, as 1/r³ and 1/r⁵.
+            1: a wide effect, fading as 1/r. 2 and 3: more local, as 1/r³ and 1/r⁵.
         reach : float or None
-            How far it is felt at all, in radii, from 1; the default of 4 looks as natural as no limit. What lies beyond
-            keeps every bit. None: without limit, as in the paper.
+            The reach in radii, from 1; the default of 4 looks as natural as no limit. Beyond it, samples keep every
+            bit. None: unlimited, as in the paper.
 
         Raises
         ------
         SuppleError
-            If an argument is not of that kind; `FoldError` if it would fold, or be held back, under
-            ``on_fold="error"``; or if nothing can reach its target.
+            If an argument is invalid; `FoldError` if the stroke would fold, or be held back, under ``on_fold="error"``;
+            or if it cannot reach its target.
 
         Warns
         -----
@@ -343,25 +343,25 @@ class Deformation:
         return self.add(stroke)
 
     def add(self, stroke: Stroke, *, warn: bool = True) -> Self:
-        """Apply one more stroke on what the strokes so far show.
+        """Return the deformation with one more stroke, applied to the result of the strokes so far.
 
         Parameters
         ----------
         stroke : Stroke
-            A hidden one changes nothing, and is not kept: this deformation itself comes back. Of one with a strength
-            below 1, that part of the drag is applied, and kept.
+            A hidden one is not added, and this deformation itself is returned. Of one with a strength below 1, that
+            fraction of the drag is applied and recorded.
         warn : bool
-            Whether to warn if it misses its target; `warnings` tells it too.
+            Whether to warn if it misses its target; `warnings` has the text too.
 
         Raises
         ------
         SuppleError
-            As `grab` does.
+            As in `grab`.
 
         Warns
         -----
         FoldWarning, MissWarning
-            As `grab` does.
+            As in `grab`.
         """
         if not isinstance(stroke, Stroke):
             refuse("a stroke", "a Stroke", stroke)
@@ -391,7 +391,7 @@ class Deformation:
         return made
 
     def forward(self, points: npt.ArrayLike) -> Floats:
-        """T: where points of the input are seen in the output.
+        """Return T of points: the positions of input points in the output.
 
         Parameters
         ----------
@@ -405,7 +405,7 @@ class Deformation:
         return engine_at(points).forward(self.space, points)  # type: ignore[no-any-return]
 
     def jacobian(self, points: npt.ArrayLike) -> Floats:
-        """∂T/∂p = I + J of all strokes together.
+        """Return ∂T/∂p = I + J of all strokes together.
 
         Parameters
         ----------
@@ -420,13 +420,13 @@ class Deformation:
         return engine_at(points).forward(self.space, points, matrices=True)  # type: ignore[no-any-return]
 
     def inverse(self, points: npt.ArrayLike) -> Inverse:
-        """T⁻¹: which points of the input are seen at points of the output; solved for each, not interpolated.
+        """Return T⁻¹ of points: the input points of output points; each is solved, not interpolated.
 
         Parameters
         ----------
         points : array_like, shape (..., D)
-            In pixels, x first. They may lie outside the domain. On a CUDA device, they are of float32 or float64, and
-            so are the results.
+            In pixels, x first. They may lie outside the domain. On a CUDA device, points and results are of float32 or
+            float64.
 
         Returns
         -------
@@ -435,14 +435,14 @@ class Deformation:
         return Inverse(*engine_at(points).inverse(self.space, points))
 
     def inverse_map(self, *, tolerance: float = 0.01, like: Any = None) -> npt.NDArray[np.float32]:
-        """The source point of every output pixel.
+        """Return the source point of every output pixel.
 
         Parameters
         ----------
         tolerance : float
-            How far one may be from the true T⁻¹(q), in pixels, before it is rounded to float32.
+            The largest distance of a source point from T⁻¹(q), in pixels, before it is rounded to float32.
         like : array on a CUDA device, optional
-            Of which library, and on which device, the map is to be: by default it is NumPy's.
+            An array whose library and device the map shall have: by default, it is NumPy's.
 
         Returns
         -------
@@ -474,7 +474,7 @@ class Deformation:
         device: str = "cpu",
         out: npt.NDArray[Any] | None = None,
     ) -> npt.NDArray[Any]:
-        """Deform an image, a stack of frames, or a function of points.
+        """Warp an image, a stack of frames, or a function of points.
 
         Parameters
         ----------
@@ -484,20 +484,20 @@ class Deformation:
             ``__cuda_array_interface__``) is warped there, on its library's current stream. A function takes points
             (N, 2), x first, and returns (N,) or (N, C).
         filter : str
-            ``"auto"`` (cubic, averaged over what the map shrinks: the residual footprint), ``"cubic"`` (Keys' with
-            a = -0.75), ``"linear"`` or ``"nearest"`` (values as they are, for labels).
+            ``"auto"`` (cubic, averaged over the residual footprint where the map shrinks), ``"cubic"`` (Keys' with a =
+            -0.75), ``"linear"`` or ``"nearest"`` (unchanged values, for labels).
         tolerance : float
-            How far a source point may be from the true T⁻¹(q), in pixels. Points are float32: below about 3e-4, it asks
-            for more than they hold.
+            The largest distance of a source point from T⁻¹(q), in pixels. Points are float32: values below about 3e-4
+            exceed their accuracy.
         outside : str
             Boundary mode: the ``"edge"`` of the source, a ``"constant"``, or its mirror image (``"reflect"``: about the
             outer edge of the border's pixels, as in scipy.ndimage).
         fill : float or sequence of float
             The fill value, in the units of the source; one for all channels, or one for each.
         alpha : bool, optional
-            Whether the last channel is opacity, by which the others are weighted while they are filtered; full opacity is
-            the largest value of an integer type, and 1 of floats. By default, the last of exactly four channels of
-            8 or 16 bits is opacity.
+            Whether the last channel is opacity, by which the others are weighted while they are filtered; full opacity
+            is the largest value of an integer type, and 1 of floats. By default, the last of exactly four channels of 8
+            or 16 bits is opacity.
         linear_light : bool
             Whether to average in linear light rather than in sRGB values, which darkens fine detail.
         between : str, optional
@@ -509,12 +509,12 @@ class Deformation:
         samples : int
             For a function: samples along each side of an output pixel, which are averaged.
         clamp : bool
-            Whether to clamp the result to the finite range of the source (and ``fill``, if it is visible), which cubic filters
-            overshoot beside sharp edges. Only for arrays in host memory, not on a CUDA device.
+            Whether to clamp the result to the finite range of the source (and ``fill``, if it is visible), which cubic
+            filters overshoot beside sharp edges. Only for arrays in host memory, not on a CUDA device.
         device : str
-            The ``"cpu"``; the ``"gpu"``, which may be software; or ``"auto"``: the GPU if there is one that supports the
-            work, and the CPU otherwise. ``"cuda"`` sends the array to an NVIDIA GPU in slabs, so that it need not fit its
-            memory.
+            The ``"cpu"``; the ``"gpu"``, which may be software; or ``"auto"``: the GPU if there is one that supports
+            the work, and the CPU otherwise. ``"cuda"`` sends the array to an NVIDIA GPU in slabs, so that it need not
+            fit its memory.
         out : array, optional
             The array for the result, of its shape and type, and not overlapping ``source``.
 

@@ -192,8 +192,8 @@ class Domain:
     border_profile : str
         The profile, at the distance tσ from a face: 2t - 2t³ + t⁴ (``"quartic"``), which has two continuous
         derivatives at t = 1, or sin(πt/2) (``"sine"``, the paper's). The quartic's faces are the outer edges of the
-        samples, -½ and n - ½, so that it is independent of the resolution of an image; the sine's are the centres of the
-        outermost samples, as in the paper.
+        samples, -½ and n - ½, so that it is independent of the resolution of an image; the sine's are the centres of
+        the outermost samples, as in the paper.
     time : bool
         Whether the first of three axes is time. A drag along time alone, without a Poisson ratio, then has no
         displacement across it.

@@ -70,8 +70,8 @@ class Resolved:
     arrived : tuple of float
         The position of the stroke's point after it, in samples.
     cause : str or None
-        The cause of a miss: ``"fold"``, ``"border"``, ``"fold and border"``, ``"outside"`` if the stroke starts outside a
-        fixed border, where it moves nothing; or None.
+        The cause of a miss: ``"fold"``, ``"border"``, ``"fold and border"``, ``"outside"`` if the stroke starts outside
+        a fixed border, where it moves nothing; or None.
     warning : str or None
         The text of the warning if it was damped, or if its point ends more than half a sample from its target.
     """
