@@ -338,8 +338,8 @@ class Recipe:
         ----------
         size : sequence of int
             Samples along each axis, x first.
-        how : str, optional
-            Without it, only a size of the same proportions fits, within half a pixel. ``"pixels"``: unchanged coordinates;
+        Without it, only a size of the same proportions fits, within half a pixel. ``"pixels"``: unchanged coordinates;
+        ``"stretch"``: each axis has a factor of its own, and the radius has their geometric mean;
             ``"stretch"``: each axis has a factor of its own, and the radius has their geometric mean;
             ``"inside"``: x and y have the same factor, the largest that fits, and the result is centred.
         time : bool
@@ -404,8 +404,8 @@ class Recipe:
 
         Parameters
         ----------
-        text : str
-            The JSON text. All keys but ``supple`` and ``strokes``, and of a stroke ``brush``, ``at``, ``radius`` and ``by``
+        The JSON text. All keys but ``supple`` and ``strokes``, and of a stroke ``brush``, ``at``, ``radius`` and ``by``
+        (or ``to``), have defaults. A recipe of version 1 has no ``reach``, and the paper's border, ``"sine"``.
             (or ``to``), have defaults. A recipe of version 1 has no ``reach``, and the paper's border, ``"sine"``.
 
         Raises

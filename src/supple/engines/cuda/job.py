@@ -162,7 +162,7 @@ class Warping:
         return self.array
 
     def join(self, stream: Any = None) -> None:
-        """Make a stream wait for the warp, and not this thread: by default, the current stream of the source's library."""
+        """Make a stream, by default the current one of the source's library, wait for the warp; this thread does not."""
         source = self._job.source
         with source.gpu.current():
             if stream is None:

@@ -73,7 +73,7 @@ def inverse(space: Space, points: Any) -> tuple[Any, Any, Any, Any]:
 
 
 def inverse_map(space: Space, like: Any, tolerance: float, *, offsets: bool = False) -> tuple[Any, Certificate]:
-    """Return the source point of every pixel, float32 (*shape, D), x first, in pixels, like ``like``; and the certificate.
+    """Return the source point of every pixel, float32 (*shape, D), x first, in pixels, and the certificate.
 
     With ``offsets``, displacements from the pixels, which float32 stores more accurately.
     """

@@ -79,7 +79,7 @@ class Way:
 
 
 def mapper(way: Way) -> Callable[..., Any]:
-    """Return the function for the boundary mode: the index that replaces ``i`` in ``n`` samples; -1 for the fill value."""
+    """Return the function for the boundary mode: the index used for ``i`` in ``n`` samples; -1 for the fill value."""
     return _mapper(way.rule, way.index)
 
 

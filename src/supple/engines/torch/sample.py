@@ -48,7 +48,7 @@ class Filter:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Tap:
-    """One of the samples of each value: its index, a mask of those inside, its weights and their derivatives by axis."""
+    """A sample of each value: its index, a mask of those inside, its weights and their derivatives by axis."""
 
     index: torch.Tensor
     inside: torch.Tensor | None
