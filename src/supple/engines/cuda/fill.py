@@ -38,7 +38,8 @@ from supple.engines.cuda.lattice import (
 from supple.engines.cuda.newton import settle
 from supple.engines.cuda.sample import Way
 
-# The planes: their size, number and first index, the number of deformations, and a flag for images that share one lattice.
+# The planes: their size, number and first index, the number of deformations, and a flag for images that share one
+# lattice.
 PLANES = ("height", "width", "count", "first", "deformations", "shared")
 HEIGHT, WIDTH, COUNT, FIRST, DEFORMATIONS, SHARED = range(len(PLANES))
 # The destination: strides, and the index of the first sample, in samples.

@@ -162,7 +162,7 @@ class Warping:
         return self.array
 
     def join(self, stream: Any = None) -> None:
-        """Make a stream, by default the current one of the source's library, wait for the warp; this thread does not."""
+        """Make a stream, by default the current one of the source's library, wait for the warp."""
         source = self._job.source
         with source.gpu.current():
             if stream is None:

@@ -48,7 +48,8 @@ SIZE = 8  # pixels from node to node
 TOLERANCE, LEFT = 1e-3, 1e-5
 # The largest error of a cell is nearly that of the worst of its nine points; the rest is reserve.
 RESERVE = 2.0
-# The largest size of a cell, as a fraction of the length scale of the map at its corners: in larger cells, nine points do not represent the points between them.
+# The largest size of a cell, as a fraction of the length scale of the map at its corners: in larger cells, nine points
+# do not represent the points between them.
 RESOLVED = 0.5
 # m(|r|/R) varies over this part of R, as by its largest fourth derivative, compared with that of 1/ρ.
 REACH_LENGTH = 0.4

@@ -19,11 +19,13 @@ from supple.engines.base import OUTSIDE
 from supple.engines.cuda.kernel import device, lean
 from supple.engines.cuda.lattice import MISSING
 
-# The number of frames, and their size; strides, and the index of the first sample, in samples; the range of frames on the GPU, the slot of the first, and the number of slots in the ring.
+# The number of frames, and their size; strides, and the index of the first sample, in samples; the range of frames on
+# the GPU, the slot of the first, and the number of slots in the ring.
 SOURCE = ("frames", "height", "width", "channels", "frame", "row", "column", "channel", "start",
           "first", "last", "shift", "slots")  # fmt: skip
 FRAMES, HEIGHT, WIDTH, CHANNELS, FRAME, ROW, COLUMN, CHANNEL, START, FIRST, LAST, SHIFT, SLOTS = range(len(SOURCE))
-# The opacity channel, if any; the times beyond which samples are constant; the bounds of the type, and the value of white and full opacity.
+# The opacity channel, if any; the times beyond which samples are constant; the bounds of the type, and the value of
+# white and full opacity.
 ALPHA, EARLY, LATE = range(3)
 LOW, HIGH, WHITE = range(3)
 EDGE, CONSTANT = OUTSIDE["edge"], OUTSIDE["constant"]  # the third is "reflect"

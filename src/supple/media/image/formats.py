@@ -82,7 +82,7 @@ OUT = {suffix: form for form in FORMATS if form.saver for suffix in form.suffixe
 SUFFIXES_OUT = tuple(OUT)
 # In a folder, all suffixes that users may take for images: unreadable files are then named.
 SUFFIXES = frozenset(suffix for form in FORMATS for suffix in form.suffixes)
-LOADERS = {loader: form.name for form in FORMATS for loader in form.loaders}  # other loaders read tables, and raw memory
+LOADERS = {loader: form.name for form in FORMATS for loader in form.loaders}  # others read tables, and raw memory
 _VIPS = {np.dtype(dtype): name for name, dtype in DTYPES.items()}
 COLOURS = {"b-w": 1, "grey16": 1, "cmyk": 4, "multiband": 0}  # all others have three
 

@@ -173,7 +173,7 @@ class Clip(VideoFile):
                 if packet.is_keyframe:
                     keys.append((packet.pts, fed_so_far))
                     if copies and packet.pts is not None and not packet.is_corrupt:
-                        sent[packet.pts] = None if packet.pts in sent else packet  # of two with one time, either may be meant
+                        sent[packet.pts] = None if packet.pts in sent else packet  # a time of two packets is ambiguous
                 fed_so_far += 1
             decoded = decoded_by(decoder, packet)
             if decoded is None:

@@ -78,7 +78,7 @@ class Sink:
         self.copied = 0  # frames copied as packets of the source
         self._due: dict[int, av.Packet[Any] | None] = {}  # packets in order; None while a frame is encoded
         self._halved = False  # whether partial opacity has occurred
-        self._drift, self._origin = Fraction(0), Fraction(0)  # the largest error of a frame's time, and the time of the first, in seconds
+        self._drift, self._origin = Fraction(0), Fraction(0)  # largest error of a time, and first time, in seconds
         self._tick: int | None = None
         self._newest = 0
         self._span = (0, 0)  # from the start of the first frame to the end of the last

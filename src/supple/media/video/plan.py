@@ -206,7 +206,7 @@ class WritePlan:
         self._warn_of_losses()
         kind = self.match.form.kind
         site = sited(video.colour, video.codec, video.form.kind)
-        if self.match.same and kind.step != (1, 1) and site != self.colour.site:  # default sitings differ between codecs
+        if self.match.same and kind.step != (1, 1) and site != self.colour.site:  # default sitings of codecs differ
             self.match = replace(self.match, colour=replace(self.match.colour, site=site))
 
     def _use(self, name: str, crf: float | None, preset: str | None) -> None:
