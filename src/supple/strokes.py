@@ -338,8 +338,8 @@ class Recipe:
         ----------
         size : sequence of int
             Samples along each axis, x first.
-        Without it, only a size of the same proportions fits, within half a pixel. ``"pixels"``: unchanged coordinates;
-        ``"stretch"``: each axis has a factor of its own, and the radius has their geometric mean;
+        how : str, optional
+            Without it, only a size of the same proportions fits, within half a pixel. ``"pixels"``: coordinates as given;
             ``"stretch"``: each axis has a factor of its own, and the radius has their geometric mean;
             ``"inside"``: x and y have the same factor, the largest that fits, and the result is centred.
         time : bool
@@ -404,9 +404,9 @@ class Recipe:
 
         Parameters
         ----------
-        The JSON text. All keys but ``supple`` and ``strokes``, and of a stroke ``brush``, ``at``, ``radius`` and ``by``
-        (or ``to``), have defaults. A recipe of version 1 has no ``reach``, and the paper's border, ``"sine"``.
-            (or ``to``), have defaults. A recipe of version 1 has no ``reach``, and the paper's border, ``"sine"``.
+        text : str
+            The JSON text. All keys but ``supple`` and ``strokes``, and of a stroke ``brush``, ``at``, ``radius`` and
+            ``by`` (or ``to``), have defaults. A recipe of version 1 has no ``reach``, and the paper's border, ``"sine"``.
 
         Raises
         ------

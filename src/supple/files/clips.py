@@ -106,7 +106,7 @@ class WarpedClip:
     copied: int = 0
 
     def report(self) -> Report:
-        """Return the report on the strokes and the certified error of the map, measured at every pixel; this is slow."""
+        """Return the report on the strokes and the certified error, measured at every pixel; this is slow."""
         return self.deformation.report(tolerance=self.tolerance)
 
 

@@ -104,7 +104,7 @@ class WarpedVolume:
     volumes: int = 1
 
     def report(self) -> Report:
-        """Return the report on the strokes and the certified error of the map, measured at every voxel; this is slow."""
+        """Return the report on the strokes and the certified error, measured at every voxel; this is slow."""
         return self.deformation.report(tolerance=self.tolerance)
 
 

@@ -98,7 +98,7 @@ class Encoder:
     codec: str  # the codec of its output
     crf: tuple[float, float, float] | None = None  # the best, the worst and the default constant rate factor
     drawn: float | None = None  # the default factor for drawings, which have no noise
-    presets: tuple[str, ...] = ()  # from slow to fast
+    presets: tuple[str, ...] = ()  # of speed
     preset: str = ""  # the default preset
     options: Options = field(default_factory=dict)  # for all output
     exact: Options | None = None  # the options for lossless output

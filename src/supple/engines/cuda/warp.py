@@ -69,15 +69,15 @@ class Lattice:
     known, spans : device arrays
         See `supple.engines.cuda.field.packed`.
     xs, ys : device arrays of int32
-        Where nodes are, in pixels.
-    The positions of nodes, in pixels.
-        In which cell each column lies.
-    The cell of each column.
-        Nodes: rows, and in a row.
-    The nodes: rows, and in a row.
+        The positions of nodes, in pixels.
+    cells : device array of int32
+        The cell of each column.
+    size : (int, int)
+        The nodes: rows, and in a row.
+    deformations : int
     limited : bool
-        Whether there may be pixels that no stroke reaches.
-    Whether some pixels may be unchanged."""
+        Whether some pixels may be unchanged.
+    """
 
     known: Any
     spans: Any

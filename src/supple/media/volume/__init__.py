@@ -225,7 +225,7 @@ def info(path: PathLike, *, raw: RawLayout | None = None, series: str | None = N
     -------
     dict
         ``format``, ``shape`` (x, y, z), ``dtype``, ``components``, ``times``, ``interval`` (s), ``spacing`` (mm),
-        ``origin`` and ``direction`` (rows; in the file's own ``convention``), ``orientation`` (the directions of the axes:
+        ``origin`` and ``direction`` (rows; in the file's own ``convention``), ``orientation`` (axis directions:
         Right or Left, Anterior or Posterior, Superior or Inferior), ``oblique`` (degrees off that), ``scaling`` (slope
         and intercept), ``minimum``, ``maximum`` and ``nan`` (of the samples as stored; None if there are more than
         2 GiB), and ``bytes`` (of the samples). Of a folder with several series, if none is named: ``format`` and

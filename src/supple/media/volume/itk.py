@@ -169,7 +169,7 @@ def _check_data(path: PathLike, data: Path | None, fields: dict[str, str], end: 
 
 # Kept: ITK puts another place for one that is none (test_places_that_would_be_replaced).
 def _check_place(path: PathLike, fields: dict[str, str], ndim: int) -> None:
-    """Raise SuppleError for a position in space that ITK would replace: not a number, missing, or not in millimetres."""
+    """Raise SuppleError for a position that ITK would replace: not a number, missing, or not in millimetres."""
     if "elementspacing" in fields:
         check_spacing(path, _numbers(fields["elementspacing"])[:3])
     steps = fields.get("spacings", "").split()
