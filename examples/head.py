@@ -56,7 +56,7 @@ def layers(path: Path) -> tuple[Geometry, list[Layer]]:
 
 
 def skull(dark: np.ndarray, brain: np.ndarray, geometry: Geometry) -> np.ndarray:
-    """Return the outer surface of the skull in MR: the dark voxels around the brain, up to the bright fat of the scalp."""
+    """Return the outer surface of the skull in MR: dark voxels around the brain, up to the bright fat of the scalp."""
     radius = [max(1, round(12 / step)) for step in geometry.spacing]
     inner = sitk.GetImageFromArray(brain.astype(np.uint8))
     around = sitk.BinaryDilate(inner, radius, sitk.sitkBall)

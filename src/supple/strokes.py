@@ -339,7 +339,7 @@ class Recipe:
         size : sequence of int
             Samples along each axis, x first.
         how : str, optional
-            Without it, only a size of the same proportions fits, within half a pixel. ``"pixels"``: coordinates as given;
+            Without it, only a size of the same proportions fits, within half a pixel. ``"pixels"``: same coordinates;
             ``"stretch"``: each axis has a factor of its own, and the radius has their geometric mean;
             ``"inside"``: x and y have the same factor, the largest that fits, and the result is centred.
         time : bool

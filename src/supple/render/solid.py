@@ -22,7 +22,7 @@ COARSEST, FINEST = 8, 2  # voxels from node to node: a finer lattice would be la
 # The largest size of a cell, as a fraction of the length scale of the map: in larger cells, the checked points do not
 # represent the points between them.
 RESOLVED = 0.5
-_TWICE, _ONCE = 3.0, 1.25  # the largest measured errors of cubics over two cells and over one, relative to the lattice's error
+_TWICE, _ONCE = 3.0, 1.25  # measured errors of cubics over two cells and over one, relative to the lattice's
 
 
 @dataclass(frozen=True, slots=True, eq=False)
