@@ -31,7 +31,7 @@ def read() -> np.ndarray:
 def main(folder: Path) -> None:
     clip = read()
     for name, by, options in (
-        ("border 64, damped", BY, {"border": 64, "on_fold": "damp"}),  # a stroke that would fold is damped, and warned of
+        ("border 64, damped", BY, {"border": 64, "on_fold": "damp"}),  # a fold is damped, and warned of
         ("border 64, flowing", (100, 100, 40), {"border": 64}),  # frame 135 is beyond the clip's fixed end
         ("free border", BY, {"border": None}),  # the ends of the clip may move as well
     ):

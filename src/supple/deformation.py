@@ -291,7 +291,7 @@ class Deformation:
 
     @property
     def is_identity(self) -> bool:
-        """Whether the map is the identity: no strokes, or none with any force."""
+        """True if the map is the identity: no strokes, or none with any force."""
         return self._table.size == 0
 
     def grab(

@@ -325,7 +325,7 @@ class Recipe:
 
     @property
     def is_world(self) -> bool:
-        """Whether points are in space, in millimetres."""
+        """True if points are in space, in millimetres."""
         return self.space in ("LPS", "RAS")
 
     def fitted(self, size: Sequence[int], how: Fit | None = None, *, time: bool = False, name: str = "this") -> Self:
@@ -406,7 +406,7 @@ class Recipe:
         ----------
         text : str
             The JSON text. All keys but ``supple`` and ``strokes``, and of a stroke ``brush``, ``at``, ``radius`` and
-            ``by`` (or ``to``), have defaults. A recipe of version 1 has no ``reach``, and the paper's border, ``"sine"``.
+            ``by`` (or ``to``), have defaults. A recipe of version 1 has no ``reach``, and the border is ``"sine"``.
 
         Raises
         ------

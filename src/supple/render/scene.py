@@ -104,7 +104,7 @@ class Scene:
     """The smallest and the largest value."""
     _solid: Solid | None
     _coarse: bool
-    """Whether the lattice is too coarse for the CPU, while the GPU has a buffer."""
+    """True if the lattice is too coarse for the CPU, while the GPU has a buffer."""
     _lows: npt.NDArray[np.float32]
     _highs: npt.NDArray[np.float32]
     _skips: npt.NDArray[np.uint8]

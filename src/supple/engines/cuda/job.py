@@ -45,7 +45,7 @@ class Job:
 
     @property
     def batch(self) -> bool:
-        """Whether the first axis counts items."""
+        """True if the first axis counts items."""
         return self.work.items is not None
 
 

@@ -182,7 +182,7 @@ class Frames:
 
     @property
     def long(self) -> bool:
-        """Whether the count of its samples takes more than 32 bits."""
+        """True if the count of its samples takes more than 32 bits."""
         return bool(self.samples.size > _LONG)
 
 

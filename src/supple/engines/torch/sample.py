@@ -42,7 +42,7 @@ class Filter:
 
     @property
     def smooth(self) -> bool:
-        """Whether values depend on the fraction of a point."""
+        """True if values depend on the fraction of a point."""
         return any(kind != "nearest" for kind in self.kinds)
 
 

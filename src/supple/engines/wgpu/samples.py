@@ -19,7 +19,7 @@ FARTHEST = 1 << 22  # frames from the first one
 
 @dataclass(frozen=True, slots=True)
 class Format:
-    """How pixels lie in words of 32 bits.
+    """The layout of pixels in words of 32 bits.
 
     ``number`` is the code for FORMAT, ``dtype`` the type of a channel, ``channels`` their number in memory, of which
     the last ones may be padding, and ``pixels`` how many a thread writes.

@@ -279,7 +279,7 @@ class WritePlan:
 
     @property
     def timed(self) -> bool:
-        """Whether the encoder gets the times of frames, and not their numbers."""
+        """True if the encoder gets the times of frames, and not their numbers."""
         return self.encoder.timed and not self.container.counted and self.base.denominator <= _FINEST
 
     def warn(self, what: str) -> None:

@@ -158,7 +158,7 @@ class Export:
 
     @property
     def done(self) -> bool:
-        """Whether it has ended, in any way."""
+        """True if it has ended, in any way."""
         return not self._thread.is_alive()
 
     def cancel(self) -> None:

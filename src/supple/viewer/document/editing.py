@@ -221,7 +221,7 @@ class Document:
 
     @property
     def dragging(self) -> bool:
-        """Whether a drag is active."""
+        """True if a drag is active."""
         return self._drag is not None
 
     def begin_drag(self, i: int | None = None) -> None:
@@ -274,7 +274,7 @@ class Document:
 
     @property
     def dirty(self) -> bool:
-        """Whether there are unsaved changes."""
+        """True if there are unsaved changes."""
         return self.state.content != self._saved
 
     def mark_saved(self) -> None:

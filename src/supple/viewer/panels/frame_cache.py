@@ -55,7 +55,7 @@ class FrameCache:
         self._thread.start()
 
     def want(self, first: int, last: int, *others: Span) -> None:
-        """Request frames ``first`` to ``last``, and others; frames after the first are decoded too, while there is room.
+        """Request frames ``first`` to ``last``, and others; frames after the first too, while there is room.
 
         After an error, decoding is tried again for another request.
         """

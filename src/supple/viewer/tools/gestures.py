@@ -67,7 +67,7 @@ class Held:
 
     @property
     def moved(self) -> bool:
-        """Whether it is a drag; otherwise it is a click."""
+        """True if it is a drag; otherwise it is a click."""
         return math.dist(self.start, self.now) >= CLICK or self.time != 0
 
     def draw(self, document: Document, carried: Callable[[Held, float, float], tuple[float, ...]]) -> None:
@@ -102,7 +102,7 @@ class Lead(Generic[V]):
 
     @property
     def moved(self) -> bool:
-        """Whether it is a drag; otherwise it is a click."""
+        """True if it is a drag; otherwise it is a click."""
         return self.travelled or math.dist(self.start, self.now) >= CLICK
 
 
@@ -156,7 +156,7 @@ class Tools(ABC, Generic[V]):
 
     @property
     def dragging(self) -> bool:
-        """Whether a stroke is being dragged."""
+        """True if a stroke is being dragged."""
         return self.held is not None and self.document.dragging
 
     @property
