@@ -46,7 +46,7 @@ _SETTINGS = np.dtype(
 
 @dataclass(frozen=True, slots=True)
 class Sight:
-    """The visible part of a picture in a window.
+    """The visible part of an image in a window.
 
     Parameters
     ----------

@@ -150,7 +150,7 @@ class GpuGroup:
         return float(np.iinfo(kind).min), min(float(np.iinfo(kind).max), self.wanted.white)
 
     def constants(self) -> dict[str, float]:
-        """The constants that shaders are compiled for."""
+        """Return the constants that shaders are compiled for."""
         wanted, form = self.wanted, self.format
         filtered = wanted.filter != "nearest"
         # If a sample takes many loop iterations, each thread computes one sample.

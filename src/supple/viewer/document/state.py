@@ -58,7 +58,7 @@ class State:
 
     @property
     def on_fold(self) -> FoldPolicy:
-        """The policy for strokes that would fold the picture."""
+        """The policy for strokes that would fold the image."""
         return self.rest.on_fold
 
     def with_item(self, i: int, item: Item) -> Self:
