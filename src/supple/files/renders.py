@@ -48,7 +48,7 @@ class RenderOptions:
     step : float, optional
         The step along a ray, in millimetres; by default, the smallest spacing.
     mode : str
-        ``"lattice"``, ``"exact"``, ``"buffered"`` or ``"hybrid"``: how strokes are seen; see `supple.render.scene`.
+        ``"lattice"``, ``"exact"``, ``"buffered"`` or ``"hybrid"``: see `supple.render.scene`.
     shaded : bool
     background : (float, float, float), optional
         sRGB from 0 to 1; by default, images are transparent where they are empty, and videos black.
