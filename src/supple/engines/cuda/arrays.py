@@ -67,7 +67,7 @@ class DeviceArray:
         return 1 + sum((n - 1) * abs(s) for n, s in zip(self.shape, self.strides, strict=True))
 
     def flat(self) -> Any:
-        """Return the memory of the array, as Numba's array of one axis; it begins ``below`` samples before the array."""
+        """Return the memory of the array, as Numba's array of one axis; it begins ``below`` samples before that."""
         kind = np.dtype(np.uint8) if self.dtype == np.bool_ else self.dtype
         if simulated():
             return _flat_in_simulator(self, kind)
