@@ -1,8 +1,8 @@
 """A head made asymmetric, and corrected again (paper, figures 5.2 and 6.9): outside, inside, and in numbers.
 
-One stroke flattens the back of the head on the left, as in plagiocephaly. The correction knows nothing of it: at five
-places on that side, what a click takes hold of is dragged to where the mirror image of the right side has it. All
-strokes are one deformation, and the volume is sampled once.
+One stroke flattens the back of the head on the left, as in plagiocephaly. The correction does not use that stroke: at
+five places on that side, the picked surface point is dragged to the mirror image of the right side. All strokes are one
+deformation, and the volume is sampled once.
 
     python asymmetry.py [FOLDER [VOLUME]]     any CT, or the MR head that comes along
 """
@@ -22,27 +22,27 @@ from supple.render.scene import Scene
 
 FLAT, PUSH, RADIUS = (145, 12), (-10, -28, 0), 50  # azimuth and elevation; millimetres along LPS
 PLACES = ((160, 25), (128, 25), (135, -5), (158, 0), (120, 5))
-REACH = 40  # of the strokes that correct, in millimetres
+REACH = 40  # of the correcting strokes, in millimetres
 SIZE, CENTRE, ABOVE = (360, 360), (179.5, 179.5), Camera(azimuth=180, elevation=65, distance=480)
 
 
 def inside(layer: Layer, samples: np.ndarray) -> np.ndarray:
-    """Which voxels lie within the surface of the largest thing there, slice by slice: heads are open below."""
+    """Return the mask of the interior of the largest object, slice by slice: heads are open below."""
     slices = [sitk.GetImageFromArray(part) for part in (samples >= layer.density[0]).astype(np.uint8)]
     solid = sitk.JoinSeries([sitk.BinaryFillhole(part) for part in slices])
-    solid = sitk.BinaryMorphologicalOpening(solid, [2, 2, 2])  # without what merely touches it
+    solid = sitk.BinaryMorphologicalOpening(solid, [2, 2, 2])  # without parts that only touch it
     pieces = sitk.RelabelComponent(sitk.ConnectedComponent(solid), sortByObjectSize=True)
     return sitk.GetArrayFromImage(pieces) == 1
 
 
 def mirrored(places: np.ndarray, plane: np.ndarray) -> np.ndarray:
-    """Places in LPS beyond a plane, all ``p`` with ``p @ (1, a, b) = c``."""
+    """Return the mirror images of points in LPS about a plane, all ``p`` with ``p @ (1, a, b) = c``."""
     normal = np.array([1, *plane[1:]])
     return places - 2 * np.multiply.outer((places @ normal - plane[0]) / (normal @ normal), normal)
 
 
 def one_sided(mask: np.ndarray, geometry: Geometry, plane: np.ndarray, every: int = 1) -> float:
-    """The part of a volume that has no counterpart beyond the plane."""
+    """Return the fraction of a volume without a counterpart beyond the plane."""
     points = geometry.to_lps(np.argwhere(mask)[::every, ::-1])
     found = np.rint(geometry.from_lps(mirrored(points, plane))).astype(int)
     x, y, z = found[((found >= 0) & (found < mask.shape[::-1])).all(axis=1)].T
@@ -50,7 +50,7 @@ def one_sided(mask: np.ndarray, geometry: Geometry, plane: np.ndarray, every: in
 
 
 def midplane(mask: np.ndarray, geometry: Geometry) -> np.ndarray:
-    """The plane about which a head is most symmetric, by smaller and smaller steps."""
+    """Return the plane about which a head is most symmetric, by smaller and smaller steps."""
     plane = np.array([geometry.to_lps(np.argwhere(mask)[:, ::-1].mean(axis=0))[0], 0, 0])
     step = np.array([8, 0.1, 0.1])
     while step[0] > 0.2:
@@ -63,7 +63,7 @@ def midplane(mask: np.ndarray, geometry: Geometry) -> np.ndarray:
 def main(folder: Path, path: Path = HEAD) -> None:
     geometry, seen = layers(path)
     mask = inside(seen[0], seen[0].samples)
-    solid = Layer("head", mask.astype(np.uint8), "grey", (0.5, 1))  # what clicks take hold of, whatever it lies on
+    solid = Layer("head", mask.astype(np.uint8), "grey", (0.5, 1))  # the surface for picking, in any volume
     plane = midplane(mask, geometry)
     centre = geometry.to_lps(np.argwhere(mask)[:, ::-1].mean(axis=0))
     middle = geometry.from_lps((centre + mirrored(centre, plane)) / 2)

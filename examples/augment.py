@@ -1,4 +1,4 @@
-"""Training data: random elastic strokes that never fold, for a picture, its labels and its key points alike."""
+"""Training data: random elastic strokes that never fold, alike for an image, its labels and its key points."""
 
 import sys
 from pathlib import Path

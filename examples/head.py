@@ -21,14 +21,14 @@ from supple.render.scene import Scene
 DATA = Path(supple.__file__).parent / "examples" / "data"
 HEAD, BRAIN = DATA / "head.nii.gz", DATA / "brain.nii.gz"
 SIZE, BACKGROUND = (360, 360), (0.1, 0.1, 0.12)
-# A place as parts of the volume from its right, front and lower faces on, and drags in millimetres, all along LPS.
+# A point as fractions of the volume from its right, front and lower faces, and drags in millimetres, all in LPS.
 AT, RADIUS = (0.55, 0.2, 0.72), 36
 DRAGS = {"as it was": (0, 0, 0), "moderate": (-4, 22, -12), "strong": (-8, 46, -24)}
 
 
 @dataclass(frozen=True)
 class Layer:
-    """What is seen of a volume: the values of a window, and which of them begin a surface."""
+    """A visible part of a volume: its window of values, and the value of its surface."""
 
     name: str
     samples: np.ndarray
@@ -37,7 +37,7 @@ class Layer:
 
 
 def layers(path: Path) -> tuple[Geometry, list[Layer]]:
-    """The skin and what is within: low and high density."""
+    """Return the skin and the interior: low and high density."""
     volume = open_volume(path)
     samples = volume.rescaled()
     top = float(samples.max())
@@ -46,7 +46,7 @@ def layers(path: Path) -> tuple[Geometry, list[Layer]]:
             Layer("skin", samples, "ct-skin", (-300, top)),
             Layer("bone", samples, "ct-bone", (250, top)),
         ]
-    # In MR, fat is as bright as the brain and bone is dark, so that no window sees through: what is inside is marked.
+    # In MR, fat is as bright as the brain and bone is dark, so that no window shows the interior: it is masked.
     inside = open_volume(BRAIN).samples > 0 if Path(path) == HEAD else samples > top / 4
     return volume.geometry, [
         Layer("skin", samples, "mr-head", (0.12 * top, top)),
@@ -56,7 +56,7 @@ def layers(path: Path) -> tuple[Geometry, list[Layer]]:
 
 
 def skull(dark: np.ndarray, brain: np.ndarray, geometry: Geometry) -> np.ndarray:
-    """The skull's outside, as MR shows it: what is dark around the brain, up to the bright fat of the scalp."""
+    """Return the outer surface of the skull in MR: dark voxels around the brain, up to the bright fat of the scalp."""
     radius = [max(1, round(12 / step)) for step in geometry.spacing]
     inner = sitk.GetImageFromArray(brain.astype(np.uint8))
     around = sitk.BinaryDilate(inner, radius, sitk.sitkBall)
@@ -68,7 +68,7 @@ def skull(dark: np.ndarray, brain: np.ndarray, geometry: Geometry) -> np.ndarray
 
 
 def bent(shape: tuple[int, ...], geometry: Geometry, by: tuple[float, ...]) -> supple.Deformation:
-    """One stroke, whichever way the volume's axes go."""
+    """Return one stroke, for any direction of the volume's axes."""
     middle = (np.array(shape[::-1]) - 1) / 2
     at = middle * (1 + 2 * (geometry.direction.T @ (np.array(AT) - 0.5)))
     d = supple.Deformation(shape, spacing=geometry.spacing, border=30)

@@ -1,4 +1,4 @@
-"""Key points travel with the picture: forward with T, and back with its inverse."""
+"""Key points mapped with the image: forward with T, and back with its inverse."""
 
 import sys
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Landmarks travel with a volume, and other programs can bend it the same: SimpleITK, by the field that is saved.
+"""Landmarks mapped with a volume, and its displacement field for resampling in other programs, here SimpleITK.
 
 python landmarks.py [FOLDER [VOLUME]]     another NIfTI, of a head in MNI coordinates
 """
@@ -17,14 +17,14 @@ from supple.media import image, points
 from supple.render.camera import Camera
 from supple.render.scene import Scene
 
-# Places in the file's own coordinates, RAS, in millimetres.
+# Positions in the file's own coordinates, RAS, in millimetres.
 MARKS = {"forehead": (-8, 76, 38), "brow": (-30, 73, 4), "crown": (-14, 10, 102), "temple": (-72, 30, 14)}
 BRUSH = supple.Stroke.grab((-8, 72, 40), by=(4, -34, -12), radius=34)
 CAMERA, SIZE = Camera(azimuth=38, elevation=18, distance=480), (480, 480)
 
 
 def marked(scene: Scene, indices: np.ndarray) -> np.ndarray:
-    """A picture with a cross at each point."""
+    """Return an image with a cross at each point."""
     pixels = scene.render(CAMERA, SIZE, supersampling=2).pixels(BACKGROUND)
     view = scene.view(CAMERA, SIZE)
     away = (indices - view.eye) * view.spacing

@@ -1,4 +1,4 @@
-"""Three ways to see a bent volume, and what they cost (paper, tables 5.1 and 6.1, and figure 5.5).
+"""Three modes of rendering a deformed volume, and their cost (paper, tables 5.1 and 6.1, and figure 5.5).
 
 python modes.py [FOLDER [VOLUME]]     any CT, or the MR head that comes along
 """
@@ -25,7 +25,7 @@ def psnr(a: np.ndarray, b: np.ndarray) -> float:
 
 
 def of_planes(d: supple.Deformation) -> int:
-    """How often T and its Jacobian are evaluated for all planes of a picture, some frames or a volume."""
+    """Return the evaluations of T and its Jacobian for all planes of an image, some frames or a volume."""
     return round(d.report(tolerance=TOLERANCE).evaluations * np.prod(d.shape))
 
 

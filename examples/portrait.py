@@ -1,4 +1,4 @@
-"""Retouch a portrait: a broader smile and wider eyes, kept as a recipe that works on any copy of the picture."""
+"""Retouch a portrait: a broader smile and wider eyes, saved as a recipe for any copy of the image."""
 
 import sys
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""The inverse map as an array, for any resampler: cv2.remap takes its two planes as they are."""
+"""The inverse map as an array, for any resampler: cv2.remap takes its two planes directly."""
 
 import sys
 from pathlib import Path
@@ -12,7 +12,7 @@ PHOTO = Path(supple.__file__).parent / "examples" / "data" / "chelsea.jpg"
 
 
 def remap(pixels: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """What ``cv2.remap(pixels, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)`` does."""
+    """Return the result of ``cv2.remap(pixels, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)``."""
     height, width = pixels.shape[:2]
     x, y = x.clip(0, width - 1), y.clip(0, height - 1)
     i, j = np.minimum(x.astype(int), width - 2), np.minimum(y.astype(int), height - 2)
@@ -26,7 +26,7 @@ def main(folder: Path) -> None:
     photo = image.read(PHOTO).pixels
     d = supple.Deformation(photo.shape[:2]).grab((266, 243), by=(-45, 12), radius=70)
 
-    source = d.inverse_map(tolerance=0.001)  # (H, W, 2), float32: where each output pixel comes from
+    source = d.inverse_map(tolerance=0.001)  # (H, W, 2), float32: the source point of each output pixel
     np.save(folder / "map.npy", source)
     remapped = remap(photo, source[..., 0], source[..., 1])
     image.write(folder / "remapped.png", remapped, force=True)

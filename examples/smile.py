@@ -45,7 +45,7 @@ def main(folder: Path) -> None:
     image.write(folder / "smile.png", pair.repeat(4, axis=0).repeat(4, axis=1), force=True)
     print(f"one frame: every source point within {d.report().error:.4f} px")
 
-    options = ClipOptions(time_scale=2.5)  # a frame is worth 2.5 pixels: a radius of 16 is felt for some 6 frames
+    options = ClipOptions(time_scale=2.5)  # a frame counts as 2.5 pixels: a radius of 16 covers about 6 frames
     made = warp_file(CLIP, folder / "smile.mp4", recipe(SMILES), clip=options, force=True)
     print(f"{made.frames} frames, {made.held} held at once; the map within {made.error:.4f} px and frames")
     sheets = (frames_of(path, range(40, 61, 3)) for path in (CLIP, made.target))

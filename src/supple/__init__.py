@@ -42,7 +42,7 @@ __all__ = [
     "warp_file",
 ]
 
-# Where each name is. They are loaded when they are asked for: image libraries and engines take their time.
+# The module of each name. Modules are loaded on first use, as image libraries and engines take time.
 _HOMES = {
     "Arrival": "deformation",
     "Deformation": "deformation",

@@ -1,4 +1,4 @@
-"""Arrays in, arrays out: images, frames, volumes, batches and functions of points, checked and sent to an engine."""
+"""Arrays and functions of points: images, frames, volumes and batches, checked and sent to an engine."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ from supple.engines.native import NATIVE
 from supple.errors import SuppleError, ToleranceWarning
 from supple.pipeline import Arrays, Tell, run, sampled
 
-_MOST_POINTS = 1 << 18  # of a function, asked for at once
-_SLAB = 1 << 20  # bytes whose range is looked at, or kept, at once
+_MOST_POINTS = 1 << 18  # points in one call of a function
+_SLAB = 1 << 20  # bytes of a slab whose range is computed or clamped
 
 
 class Deforming(Protocol):
-    """Anything with a space: a `supple.Deformation`."""
+    """An object with a space: a `supple.Deformation`."""
 
     @property
     def space(self) -> Space:
-        """The strokes on their domain."""
+        """The packed strokes and domain."""
 
 
 def warp_array(
@@ -44,21 +44,21 @@ def warp_array(
     Parameters
     ----------
     source : array of shape (H, W[, C]) or (T, H, W[, C])
-        NumPy's, or on a CUDA device. Of an image, there may also be several, bent alike: (N, H, W[, C]), if
-        ``space.count`` says so.
+        A NumPy array, or one on a CUDA device. Several images may share one map: (N, H, W[, C]), if ``space.count``
+        is their number.
     space, sampling
-        What to do.
+        The deformation, and the sampling options.
     alpha, clamp, device, out
-        As `supple.Deformation.warp` takes them.
+        As in `supple.Deformation.warp`.
     tell : function
-        Called with ``"warp"``, how many planes are done, and of how many, now and then.
+        Called at intervals with ``"warp"``, the number of finished planes and their total.
 
     Returns
     -------
     array
         Of the source's shape and type.
     Certificate
-        How exact the map is.
+        The accuracy of the map.
 
     Raises
     ------
@@ -68,7 +68,7 @@ def warp_array(
     Warns
     -----
     DeviceWarning
-        If the device failed, so that the CPU did it.
+        If the device failed, and the CPU took over.
     """
     engine = engine_at(source)
     held = engine.taken(source, "source")
@@ -93,13 +93,13 @@ def work_of(held: Any, space: Space, sampling: Sampling, alpha: bool | None) -> 
 
 
 def _as_frames(array: Array, axes: int) -> Array:
-    """Return a view of an image or of frames that have so many axes, as (count, h, w, channels)."""
+    """Return a view of an image or of frames with ``axes`` axes, as (count, h, w, channels)."""
     deep = array if array.ndim > axes else array[..., None]
     return deep if axes == 3 else deep[None]
 
 
 def _on_device(engine: Engine, held: Any, work: Work, device: str, out: Any) -> tuple[Any, Certificate]:
-    """Warp an array on a CUDA device there."""
+    """Warp an array on its CUDA device."""
     choice("device", device, DEVICES)
     if device == "gpu":
         refuse("device", "left out for an array on a CUDA device, which is warped there", device)
@@ -128,18 +128,18 @@ def warp_batch(
     Parameters
     ----------
     sources : array of shape (N, H, W[, C]) or (N, T, H, W[, C])
-        NumPy's, or on an NVIDIA GPU, where a batch of images is warped at once.
+        A NumPy array, or one on an NVIDIA GPU, which warps a batch of images at once.
     deformations : Deformation or sequence of Deformation
-        One for all items, or one for each, all of one shape.
+        One for all items, or one for each, all of the same shape.
     filter, tolerance, outside, fill, alpha, linear_light, between, time_filter, device
         As in `supple.Deformation.warp`.
     out : array, optional
-        Where to put the result; of its shape and type, and not overlapping ``sources``.
+        The array for the result, of its shape and type, and not overlapping ``sources``.
 
     Returns
     -------
     array
-        Of the sources' shape and type, and of their library.
+        The result, of the sources' shape and type, in an array of the same library.
 
     Raises
     ------
@@ -180,7 +180,7 @@ def warp_batch(
 
 
 def spaces_of(deformations: Any) -> tuple[Space, ...]:
-    """Return the spaces of one deformation, or of several of one shape; SuppleError if they are none."""
+    """Return the spaces of one deformation, or of several of one shape; SuppleError for other values."""
     wanted = "a Deformation, or a sequence of them, of one shape"
     several = tuple(deformations) if isinstance(deformations, Sequence) else (deformations,)
     if not several or not all(isinstance(getattr(d, "space", None), Space) for d in several):
@@ -194,7 +194,7 @@ def spaces_of(deformations: Any) -> tuple[Space, ...]:
 
 
 def batch_of(held: Any, spaces: tuple[Space, ...], sampling: Sampling, alpha: bool | None) -> Work:
-    """Return the work on a batch, whose first axis counts items; SuppleError if it does not fit."""
+    """Return the work on a batch, whose first axis counts items; SuppleError if its shape does not fit."""
     count = held.shape[0] if held.ndim else 0
     if len(spaces) not in (1, count):
         refuse("deformations", f"one, or one for each of the {count} items", len(spaces))
@@ -203,14 +203,14 @@ def batch_of(held: Any, spaces: tuple[Space, ...], sampling: Sampling, alpha: bo
 
 
 def clamp_to(source: Array, result: Array, sampling: Sampling) -> None:
-    """Keep a result within the finite values of its source, and the constant around it: cubics go beyond.
+    """Clamp a result to the finite range of its source and the fill value around it, which cubic filters overshoot.
 
-    NaN and infinities stay where they are.
+    NaN and infinities are unchanged.
     """
     if result.dtype.kind not in "iuf" or "cubic" not in (sampling.filter.replace("auto", "cubic"), sampling.between):
         return
     low, high, infinite = _finite_range(source)
-    if low > high:  # there is no finite value
+    if low > high:  # no finite value
         return
     if sampling.outside == "constant":
         fill = [float(value) for value in np.ravel(sampling.fill)]
@@ -218,7 +218,7 @@ def clamp_to(source: Array, result: Array, sampling: Sampling) -> None:
             least, most = np.iinfo(result.dtype).min, np.iinfo(result.dtype).max
             fill = [min(max(round(value), least), most) for value in fill]
         low, high = min(low, result.dtype.type(min(fill))), max(high, result.dtype.type(max(fill)))
-    for part in _slabs(result):  # only what is beyond is touched: all else keeps every bit, the sign of a zero too
+    for part in _slabs(result):  # values within the range keep every bit, the sign of a zero too
         for beyond, bound in ((part < low, low), (part > high, high)):
             if infinite:
                 beyond &= np.isfinite(part)
@@ -226,7 +226,7 @@ def clamp_to(source: Array, result: Array, sampling: Sampling) -> None:
 
 
 def _finite_range(source: Array) -> tuple[Any, Any, bool]:
-    """The least and the greatest finite value, and whether there are infinities; the greatest first if none is."""
+    """Return the least and the greatest finite value (in reverse order if there is none), and if any is infinite."""
     kind, infinite = source.dtype.newbyteorder("="), False
     low, high = (np.inf, -np.inf) if kind.kind == "f" else (np.iinfo(kind).max, np.iinfo(kind).min)
     for part in _slabs(source):
@@ -241,7 +241,7 @@ def _finite_range(source: Array) -> tuple[Any, Any, bool]:
 
 
 def _slabs(array: Array) -> Iterator[Array]:
-    """Parts of an array along its first axis, which a processor's cache can hold."""
+    """Yield parts of an array along its first axis that fit the CPU's cache."""
     rows = max(1, _SLAB * len(array) // max(array.nbytes, 1))
     for start in range(0, len(array), rows):
         yield array[start : start + rows]
@@ -253,9 +253,9 @@ def warp_function(
     samples: int,
     out: Array | None,
 ) -> Array:
-    """Evaluate a function of points at T⁻¹ of every output pixel, at the mean of ``samples``² points of each.
+    """Evaluate a function of points at T⁻¹ of every output pixel, as the mean over ``samples``² points of each.
 
-    There is nothing to interpolate: the function is as sharp, however far the map enlarges it.
+    Nothing is interpolated: the function stays sharp at any magnification.
     """
     samples = integer("samples", samples, "a number of samples along a pixel's side, from 1 to 64", 1, 64)
     height, width = space.shape

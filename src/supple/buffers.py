@@ -1,4 +1,4 @@
-"""Arrays in memory or, where that is too little, in a temporary file that is gone afterwards."""
+"""In-memory buffers or, if memory is short, buffers in a temporary file that is deleted afterwards."""
 
 from __future__ import annotations
 
@@ -26,18 +26,18 @@ def buffers(
     Parameters
     ----------
     shapes, dtype
-        Of the arrays.
+        The shapes and the type of the arrays.
     memory : float
-        How many bytes they may take in memory, all together.
+        The bytes of memory that the arrays may take together.
     why : str
-        What is said where the disk is full, after "no room for it": ``{}`` stands for the system's reason.
+        The error message for a full disk, after "no room for it": ``{}`` is replaced by the system's reason.
     folder : str, optional
-        Where the temporary file goes: by default where such files go.
+        The folder of the temporary file; by default, the system's.
 
     Raises
     ------
     SuppleError
-        If there is no room for them on the disk.
+        If there is no room on the disk.
     """
     kind = np.dtype(dtype)
     sizes = [math.prod(shape) * kind.itemsize for shape in shapes]
@@ -62,12 +62,12 @@ def buffers(
 def beside(
     target: str | os.PathLike[str], shape: tuple[int, ...], dtype: npt.DTypeLike, memory: float
 ) -> Iterator[Array]:
-    """Open an array for what will be written to a file; a temporary file goes beside that.
+    """Open an array for data to be written to a file; a temporary file lies in the folder of that file.
 
     Raises
     ------
     SuppleError
-        If there is no room for it on the disk.
+        If there is no room on the disk.
     """
     why = f"the result takes {{size}}, and there is no room for it beside {shown(target)} ({{}}): choose another place"
     with buffers([shape], dtype, memory, why, os.path.dirname(os.path.realpath(target))) as (array,):
@@ -75,7 +75,7 @@ def beside(
 
 
 def machine_memory() -> float:
-    """Return how many bytes of memory this machine has."""
+    """Return the bytes of memory of this machine."""
     try:
         return float(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"))
     except (AttributeError, ValueError, OSError):
@@ -83,7 +83,7 @@ def machine_memory() -> float:
 
 
 def reserve(file: IO[bytes], size: int) -> None:
-    """Make a file as large as it is going to be, so that no later write finds the disk full."""
+    """Extend a file to its final size, so that no later write finds the disk full."""
     allocate = getattr(os, "posix_fallocate", None)
     if allocate:
         allocate(file.fileno(), 0, size)

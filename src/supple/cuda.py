@@ -1,4 +1,4 @@
-"""Warps of arrays on an NVIDIA GPU that nobody waits for: handed over, and waited for later."""
+"""Asynchronous warps of arrays on an NVIDIA GPU."""
 
 from __future__ import annotations
 
@@ -33,31 +33,31 @@ def start(
     stream: Any = None,
     out: Any = None,
 ) -> Warping:
-    """Hand a warp over to a GPU, and go on at once.
+    """Start a warp on a GPU, and return at once.
 
-    It begins when what was handed over to the source's stream before is done, and goes on beside what comes after.
+    It begins after earlier work on the source's stream, and runs in parallel with later work.
 
     Parameters
     ----------
     source : array on a GPU
-        As `supple.Deformation.warp` takes it; or a batch (N, …).
+        As in `supple.Deformation.warp`; or a batch (N, …).
     deformations : Deformation or sequence of Deformation
         One; or a sequence for a batch, of one for all, or of N.
     filter, tolerance, outside, fill, alpha, linear_light, between, time_filter
         As in `supple.Deformation.warp`.
     slab : int, optional
-        How many planes of a stack are handed over at once: between two slabs, other streams' kernels get their turn.
+        The number of planes of a stack in one launch: between slabs, kernels of other streams can run.
         By default, as many as need 256 MB beside the arrays.
     stream : stream of PyTorch, CuPy or Numba, optional
-        Where it goes on, if not on a stream of its own.
+        The stream of the warp; by default, one of its own.
     out : array on the same GPU, optional
-        Where to put the result.
+        The array for the result.
 
     Returns
     -------
     Warping
-        To wait for, or to poll. Neither the source nor the result may be touched before it is done, unless their stream
-        was told to wait (`Warping.join`).
+        The warp, to wait for or to poll. Neither the source nor the result may be used before it is done, unless their
+        stream waits for it (`Warping.join`).
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Deformation: strokes on a domain, and what can be done with them."""
+"""Deformation: strokes on a domain, and the operations on them."""
 
 from __future__ import annotations
 
@@ -26,18 +26,18 @@ Source = npt.NDArray[Any] | Callable[[Floats], npt.ArrayLike]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Inverse:
-    """T⁻¹ of some points, with what is known of each.
+    """T⁻¹ of some points, with the accuracy of each.
 
     Parameters
     ----------
     points : float64 array, shape (..., D)
         The source points p, in pixels, x first.
     residual : float64 array, shape (...)
-        |T(p) - q|, in pixels, measured at the points that are given.
+        |T(p) - q|, in pixels, measured at ``points``.
     steps : int64 array, shape (...)
-        How often T was evaluated with its Jacobian, over all strokes.
+        The number of evaluations of T with its Jacobian, over all strokes.
     converged : bool array, shape (...)
-        Whether the residual is at most 1e-6 pixels (and as exact as float64 allows, beyond 10⁸ pixels).
+        Whether the residual is at most 1e-6 pixels (beyond 10⁸ pixels, to the accuracy of float64).
     """
 
     points: Floats
@@ -48,23 +48,23 @@ class Inverse:
 
 @dataclass(frozen=True, slots=True)
 class Arrival:
-    """Where a stroke's point was to go, and where it is. All points are in samples, x first.
+    """The target of a stroke's point, and its actual position. All points are in samples, x first.
 
     Parameters
     ----------
     target : tuple of float
         ``at + by``.
     arrived : tuple of float
-        Where the point is after the stroke.
+        The position of the point after the stroke.
     final : tuple of float
-        Where it is after all later strokes too.
+        The position of the point after all later strokes too.
     miss : float
         The distance from ``arrived`` to ``target``.
     moved : float
-        The distance from ``final`` to ``arrived``: what later strokes did to it.
+        The distance from ``final`` to ``arrived``: the effect of later strokes.
     cause : str or None
-        Of a miss: ``"fold"``, ``"border"``, ``"fold and border"``, or ``"outside"`` where the stroke starts outside a
-        fixed border, and holds nothing of the picture.
+        The cause of a miss: ``"fold"``, ``"border"``, ``"fold and border"``, or ``"outside"`` if the stroke starts
+        outside a fixed border, where it moves nothing.
     """
 
     target: tuple[float, ...]
@@ -82,23 +82,23 @@ class Report:
     Parameters
     ----------
     strokes : int
-        How many strokes were asked for.
+        The number of strokes given.
     applied : int
-        How many are carried out: a stroke that flows becomes several.
+        The number of strokes applied: a stroke that flows becomes several.
     damping : tuple of float
-        For each stroke asked for, the part of it that is applied: 1 unless it was damped.
+        For each given stroke, the applied fraction of its drag: 1 unless it was damped.
     arrivals : tuple of Arrival
-        For each stroke asked for, where its point was to go, and where it is.
+        For each given stroke, the target of its point, and its position.
     margin : float
-        A lower bound, at every point, of the smallest eigenvalue of the symmetric part of each stroke's I + J. It
-        is above 0: nothing folds.
+        A lower bound, over all points and strokes, of the smallest eigenvalue of the symmetric part of I + J. It is
+        above 0: the map does not fold.
     folds : int
-        At how many nodes of the lattice the map turns space over. ``margin`` proves that there are none.
+        The number of lattice nodes at which the Jacobian determinant is negative. ``margin`` proves that it is 0.
     tolerance, error : float
-        The tolerance asked for, and the distance of the worst source point of the inverse map to the true T⁻¹(q), in
-        pixels: measured at every pixel, by going on from each with Newton's method.
+        The given tolerance, and the largest distance of a source point of the inverse map from T⁻¹(q), in pixels:
+        measured at every pixel, by further Newton steps.
     unconverged : int
-        Of how many pixels the error could not be measured, as Newton's method did not converge.
+        The number of pixels whose error could not be measured, as Newton's method did not converge.
     within : bool
         Whether all pixels converged, and the error is within the tolerance.
     evaluations : float
@@ -120,10 +120,10 @@ class Report:
 
 @dataclass(frozen=True, slots=True, eq=False, init=False)
 class Deformation:
-    """Strokes on a domain: the map T that moves each point to where it is seen, and its inverse.
+    """Strokes on a domain: the map T from each point of the input to its place in the output, and its inverse.
 
-    An immutable value: `grab` and `add` return a new one. Strokes apply one after the other, each on what the last
-    one shows; none of them folds, and their composition is inverted as a whole, so that a picture is sampled once.
+    An immutable value: `grab` and `add` return a new one. Strokes apply one after the other, each on the result of the
+    last one; none of them folds, and their composition is inverted as a whole, so that an image is sampled once.
 
     Parameters
     ----------
@@ -133,21 +133,21 @@ class Deformation:
         The width over which strokes fade towards the fixed border: in physical units, one for all axes or one for
         each, x first; ``"auto"``: a tenth of each axis' extent; None: the border is free.
     border_profile : str
-        How they fade: as a ``"quartic"``, smooth where the border ends, or as the paper's ``"sine"``.
+        The profile of the fade: ``"quartic"``, smooth where the border ends, or the paper's ``"sine"``.
     spacing : float or sequence of float
         Physical units per sample, x first.
     time : bool
-        Whether the first of three axes is time: a drag along it alone then moves nothing sideways, unless the stroke
-        has a Poisson ratio of its own.
+        Whether the first of three axes is time: a drag along time alone then has no displacement across it, unless the
+        stroke has a Poisson ratio of its own.
     on_fold : str
-        What is done with a stroke that would fold the picture over itself, or that the border holds back: let it
-        ``"flow"`` to its target in smaller steps; ``"damp"`` it to what is safe, with a warning; or raise a `FoldError`
+        The policy for a stroke that would fold the image over itself, or that the border holds back: let it ``"flow"``
+        to its target in smaller steps; ``"damp"`` it to a safe length, with a warning; or raise a `FoldError`
         (``"error"``).
 
     Raises
     ------
     SuppleError
-        If an argument is not of that kind.
+        If an argument is invalid.
 
     Examples
     --------
@@ -179,7 +179,7 @@ class Deformation:
         domain = Domain(shape, spacing, border, border_profile, time)
         axes = domain.packed()
         if domain.ndim == 2:
-            axes[2, 2] = 0.0  # nothing leaves the plane, and how the field varies off it is no concern
+            axes[2, 2] = 0.0  # nothing leaves the plane of an image, so that the field off it does not matter
         values = {
             "domain": domain,
             "on_fold": on_fold,
@@ -195,12 +195,12 @@ class Deformation:
     def from_recipe(
         cls, recipe: Recipe, shape: Sequence[int], *, spacing: float | Sequence[float] = 1.0, time: bool = False
     ) -> Self:
-        """Return a recipe's strokes on a domain, without those that are hidden; errors and warnings name the stroke.
+        """Return a recipe's strokes on a domain, without hidden ones; errors and warnings name the stroke.
 
-        Where the recipe has an amount, or a stroke a strength, below 1, the stroke has that part of its drag. The point
-        at which a later stroke begins is on material that has moved less then, and is carried along: it is taken back
-        through the earlier strokes as they are in full, and forward through them as they are applied. ``strokes`` of
-        what is returned are those that are applied.
+        If the recipe has an amount, or a stroke a strength, below 1, that fraction of the stroke's drag is applied. The
+        point at which a later stroke begins is carried along with the material, which has then moved less: it is mapped
+        back through the earlier strokes at full strength, and forward through them as applied. ``strokes`` of the
+        result are those in effect.
 
         Raises
         ------
@@ -235,7 +235,7 @@ class Deformation:
                 "Recipe.fitted makes it fit"
             )
         visible = [(i, stroke) for i, stroke in enumerate(recipe.strokes) if not stroke.hidden]
-        whole: Deformation = made  # as it is at full strength; the same object as long as that is what is applied
+        whole: Deformation = made  # at full strength; the same object as ``made`` as long as they are equal
         for k, (i, stroke) in enumerate(visible):
             which = f"stroke {i + 1} of {len(recipe.strokes)}: " if len(recipe.strokes) > 1 else ""
             try:
@@ -251,7 +251,7 @@ class Deformation:
         return made
 
     def without_strokes(self) -> Self:
-        """The identity on the same domain, under the same fold policy."""
+        """Return the identity on the same domain, with the same fold policy."""
         domain = self.domain
         return type(self)(
             domain.shape,
@@ -264,7 +264,7 @@ class Deformation:
 
     @property
     def recipe(self) -> Recipe:
-        """The recipe that is applied, with the size; hidden strokes, which were left out, are not in it."""
+        """The recipe in effect, with its size; hidden strokes are left out."""
         return Recipe(
             border=self.domain.border,
             border_profile=self.domain.border_profile,
@@ -275,23 +275,23 @@ class Deformation:
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """The shape of the arrays that it deforms."""
+        """The shape of the arrays that it warps."""
         return self.domain.shape
 
     @property
     def ndim(self) -> int:
-        """How many coordinates a point has."""
+        """The number of coordinates of a point."""
         return self.domain.ndim
 
     @property
     def space(self) -> Space:
-        """The strokes on their domain, as frames stream through them."""
+        """The packed strokes and domain, as engines take them."""
         count = self.shape[0] if self.ndim == 3 else 1
         return Space(self._table, self._axes, self.ndim, count, (self.shape[-2], self.shape[-1]))
 
     @property
     def is_identity(self) -> bool:
-        """Return whether there is nothing to do: no strokes, or none with any force."""
+        """True if the map is the identity: no strokes, or none with any force."""
         return self._table.size == 0
 
     def grab(
@@ -305,32 +305,32 @@ class Deformation:
         scales: int = 1,
         reach: float | None = REACH,
     ) -> Self:
-        """Grab the material at a point, and drag it.
+        """Return the deformation with one more stroke, which drags the material at a point.
 
         Parameters
         ----------
         at : sequence of float
-            Where, in pixels, x first.
+            The grabbed point, in pixels, x first.
         to, by : sequence of float
-            Where to, or how far; one of the two. Near a fixed border, a stroke that does not flow is held back, and
-            falls short, by the border's factor β there.
+            The target or the drag; one of the two. Near a fixed border, a stroke that does not flow falls short by the
+            border's factor β there.
         radius : float
-            How far the drag is felt, in physical units (ε of the regularized Kelvinlet).
+            The radius of the brush, in physical units (ε of the regularized Kelvinlet).
         poisson : float, optional
             Poisson's ratio ν of the material, at most 0.5. At higher values, 3-D volumes change less; areas of an image
             change at any value. 0.5 is incompressible: without reach and border, a short drag keeps 3-D volumes. -inf
-            moves nothing sideways. By default 0.4; but -inf for a drag along time alone.
+            has no displacement across the drag. By default 0.4; but -inf for a drag along time alone.
         scales : int
-            1: felt far, as 1/r. 2 and 3: more local, as 1/r³ and 1/r⁵.
+            1: a wide effect, fading as 1/r. 2 and 3: more local, as 1/r³ and 1/r⁵.
         reach : float or None
-            How far it is felt at all, in radii, from 1; the default of 4 looks as natural as no limit. What lies beyond
-            keeps every bit. None: without limit, as in the paper.
+            The reach in radii, from 1; the default of 4 looks as natural as no limit. Beyond it, samples keep every
+            bit. None: unlimited, as in the paper.
 
         Raises
         ------
         SuppleError
-            If an argument is not of that kind; `FoldError` if it would fold, or be held back, under
-            ``on_fold="error"``; or if nothing can reach its target.
+            If an argument is invalid; `FoldError` if the stroke would fold, or be held back, under ``on_fold="error"``;
+            or if it cannot reach its target.
 
         Warns
         -----
@@ -343,25 +343,25 @@ class Deformation:
         return self.add(stroke)
 
     def add(self, stroke: Stroke, *, warn: bool = True) -> Self:
-        """Apply one more stroke on what the strokes so far show.
+        """Return the deformation with one more stroke, applied to the result of the strokes so far.
 
         Parameters
         ----------
         stroke : Stroke
-            A hidden one changes nothing, and is not kept: this deformation itself comes back. Of one with a strength
-            below 1, that part of the drag is applied, and kept.
+            A hidden one is not added, and this deformation itself is returned. Of one with a strength below 1, that
+            fraction of the drag is applied and recorded.
         warn : bool
-            Whether to warn if it misses its target; `warnings` tells it too.
+            Whether to warn if it misses its target; `warnings` has the text too.
 
         Raises
         ------
         SuppleError
-            As `grab` does.
+            As in `grab`.
 
         Warns
         -----
         FoldWarning, MissWarning
-            As `grab` does.
+            As in `grab`.
         """
         if not isinstance(stroke, Stroke):
             refuse("a stroke", "a Stroke", stroke)
@@ -391,7 +391,7 @@ class Deformation:
         return made
 
     def forward(self, points: npt.ArrayLike) -> Floats:
-        """T: where points of the input are seen in the output.
+        """Return T of points: the positions of input points in the output.
 
         Parameters
         ----------
@@ -405,7 +405,7 @@ class Deformation:
         return engine_at(points).forward(self.space, points)  # type: ignore[no-any-return]
 
     def jacobian(self, points: npt.ArrayLike) -> Floats:
-        """∂T/∂p = I + J of all strokes together.
+        """Return ∂T/∂p = I + J of all strokes together.
 
         Parameters
         ----------
@@ -420,13 +420,13 @@ class Deformation:
         return engine_at(points).forward(self.space, points, matrices=True)  # type: ignore[no-any-return]
 
     def inverse(self, points: npt.ArrayLike) -> Inverse:
-        """T⁻¹: which points of the input are seen at points of the output; solved for each, not interpolated.
+        """Return T⁻¹ of points: the input points of output points; each is solved, not interpolated.
 
         Parameters
         ----------
         points : array_like, shape (..., D)
-            In pixels, x first. They may lie outside the domain. On a CUDA device, they are of float32 or float64, and
-            so are the results.
+            In pixels, x first. They may lie outside the domain. On a CUDA device, points and results are of float32 or
+            float64.
 
         Returns
         -------
@@ -435,14 +435,14 @@ class Deformation:
         return Inverse(*engine_at(points).inverse(self.space, points))
 
     def inverse_map(self, *, tolerance: float = 0.01, like: Any = None) -> npt.NDArray[np.float32]:
-        """The source point of every output pixel.
+        """Return the source point of every output pixel.
 
         Parameters
         ----------
         tolerance : float
-            How far one may be from the true T⁻¹(q), in pixels, before it is rounded to float32.
+            The largest distance of a source point from T⁻¹(q), in pixels, before it is rounded to float32.
         like : array on a CUDA device, optional
-            Of which library, and on which device, the map is to be: by default it is NumPy's.
+            An array whose library and device the map shall have: by default, it is NumPy's.
 
         Returns
         -------
@@ -474,7 +474,7 @@ class Deformation:
         device: str = "cpu",
         out: npt.NDArray[Any] | None = None,
     ) -> npt.NDArray[Any]:
-        """Deform an image, a stack of frames, or a function of points.
+        """Warp an image, a stack of frames, or a function of points.
 
         Parameters
         ----------
@@ -484,24 +484,24 @@ class Deformation:
             ``__cuda_array_interface__``) is warped there, on its library's current stream. A function takes points
             (N, 2), x first, and returns (N,) or (N, C).
         filter : str
-            ``"auto"`` (cubic, averaged over what the map shrinks: the residual footprint), ``"cubic"`` (Keys' with
-            a = -0.75), ``"linear"`` or ``"nearest"`` (values as they are, for labels).
+            ``"auto"`` (cubic, averaged over the residual footprint where the map shrinks), ``"cubic"`` (Keys' with a =
+            -0.75), ``"linear"`` or ``"nearest"`` (unchanged values, for labels).
         tolerance : float
-            How far a source point may be from the true T⁻¹(q), in pixels. Points are float32: below about 3e-4, it asks
-            for more than they hold.
+            The largest distance of a source point from T⁻¹(q), in pixels. Points are float32: values below about 3e-4
+            exceed their accuracy.
         outside : str
-            What lies outside the source: its ``"edge"``, a ``"constant"``, or its mirror image (``"reflect"``: about
-            the outer edge of the border's pixels, as in scipy.ndimage).
+            Boundary mode: the ``"edge"`` of the source, a ``"constant"``, or its mirror image (``"reflect"``: about the
+            outer edge of the border's pixels, as in scipy.ndimage).
         fill : float or sequence of float
-            The constant, in the source's values; one for all channels, or one for each.
+            The fill value, in the units of the source; one for all channels, or one for each.
         alpha : bool, optional
-            Whether the last channel is opacity, by which the others are weighted while they are filtered; opaque is
-            the largest value of an integer type, and 1 of floats. By default, the last of exactly four channels of
-            8 or 16 bits is.
+            Whether the last channel is opacity, by which the others are weighted while they are filtered; full opacity
+            is the largest value of an integer type, and 1 of floats. By default, the last of exactly four channels of 8
+            or 16 bits is opacity.
         linear_light : bool
-            Whether to average light rather than values on sRGB's curve, which darkens fine detail.
+            Whether to average in linear light rather than in sRGB values, which darkens fine detail.
         between : str, optional
-            How frames are interpolated: ``"linear"``, ``"cubic"`` or ``"nearest"``; linear by default, and nearest
+            The interpolation between frames: ``"linear"``, ``"cubic"`` or ``"nearest"``; linear by default, and nearest
             under ``filter="nearest"``.
         time_filter : bool
             Whether to average each pixel over the frames that it covers, where the map compresses time: jagged edges
@@ -509,19 +509,19 @@ class Deformation:
         samples : int
             For a function: samples along each side of an output pixel, which are averaged.
         clamp : bool
-            Keep the result within the finite minimum and maximum of the source (and ``fill``, if it is seen), which
-            cubic filters overshoot beside sharp edges. Of arrays in the computer's memory, not on a CUDA device.
+            Whether to clamp the result to the finite range of the source (and ``fill``, if it is visible), which cubic
+            filters overshoot beside sharp edges. Only for arrays in host memory, not on a CUDA device.
         device : str
-            Where to compute: on the ``"cpu"``; on the ``"gpu"``, which may be software; or ``"auto"``: on the GPU if
-            there is one and it can do what is asked, and on the CPU otherwise. ``"cuda"`` sends the array to an NVIDIA
-            GPU in slabs, so that it need not fit there.
+            The ``"cpu"``; the ``"gpu"``, which may be software; or ``"auto"``: the GPU if there is one that supports
+            the work, and the CPU otherwise. ``"cuda"`` sends the array to an NVIDIA GPU in slabs, so that it need not
+            fit its memory.
         out : array, optional
-            Where to put the result; of its shape and type, and not overlapping ``source``.
+            The array for the result, of its shape and type, and not overlapping ``source``.
 
         Returns
         -------
         array
-            Of the source's shape and type. Without any strokes, or force, an exact copy.
+            The result, of the source's shape and type. An exact copy if the map is the identity.
 
         Raises
         ------
@@ -533,9 +533,9 @@ class Deformation:
         ToleranceWarning
             If the checks of the map's cells do not promise the tolerance everywhere.
         DeviceWarning
-            If the GPU failed, so that the CPU did it.
+            If the GPU failed, and the CPU took over.
         """
-        # What warps is imported when something is warped: `import supple` is to be quick.
+        # Imported here to keep `import supple` fast.
         from supple.arrays import warp_array, warp_function
 
         sampling = Sampling.checked(
@@ -564,9 +564,9 @@ class Deformation:
         Parameters
         ----------
         tolerance : float
-            At which the map is made, in pixels.
+            The tolerance of the map, in pixels.
         plane : int, optional
-            The frame or the slice that is looked at, if not all are.
+            The frame or the slice to measure; by default, all.
         """
         tolerance = number("tolerance", tolerance, "a number of pixels above 0", 1e-9, 1e9)
         count = self.shape[0] if self.ndim == 3 else 1
@@ -601,9 +601,9 @@ class Deformation:
 
     @property
     def arrivals(self) -> tuple[Arrival, ...]:
-        """For each stroke, where its point was to go, and where it is."""
+        """For each stroke, the target of its point, and its position."""
         steps = np.array(self.domain.spacing)
-        final = np.zeros((len(self.strokes), 3))  # in physical units
+        final = np.zeros((len(self.strokes), 3))  # physical units
         row = 0
         for i, resolved in enumerate(self._resolved):
             rows = self._table[row : row + resolved.substrokes]
@@ -621,7 +621,7 @@ class Deformation:
 
     @property
     def warnings(self) -> tuple[str | None, ...]:
-        """For each stroke, what was warned of if it misses its target."""
+        """For each stroke, the text of its warning if it misses its target."""
         return tuple(r.warning for r in self._resolved)
 
     def __eq__(self, other: object) -> bool:
@@ -634,15 +634,15 @@ class Deformation:
 
 
 def reduced(stroke: Stroke, amount: float, whole: Deformation, now: Deformation) -> Stroke:
-    """Return what is applied of a stroke of a recipe.
+    """Return the applied part of a recipe's stroke.
 
     Parameters
     ----------
     stroke : Stroke
     amount : float
-        The recipe's; the stroke's strength is a factor, too.
+        The recipe's amount; the stroke's strength is a factor, too.
     whole, now : Deformation
-        The strokes before it, in full and as they are applied; the same object where these do not differ.
+        The strokes before it, at full strength and as applied; the same object if these are equal.
     """
     part = amount * stroke.strength
     if part == 1 and whole is now:
@@ -652,19 +652,19 @@ def reduced(stroke: Stroke, amount: float, whole: Deformation, now: Deformation)
 
 
 def after(stroke: Stroke, amount: float, whole: Deformation, before: Deformation, now: Deformation) -> Deformation:
-    """Return ``whole`` with one more stroke; it is ``now`` itself, what is applied, as long as these do not differ."""
+    """Return ``whole`` with one more stroke; returns ``now``, the applied strokes, as long as these are equal."""
     if whole is before and amount * stroke.strength == 1:
         return now
     return whole.add(replace(stroke, strength=1.0), warn=False)
 
 
 def last_outside(made: Deformation) -> str | None:
-    """Return what to warn with if the last stroke starts outside the samples.
+    """Return the warning if the last stroke starts outside the samples.
 
     Raises
     ------
     SuppleError
-        If nothing of it reaches a sample.
+        If no sample is within its reach.
     """
     stroke, rows, domain = made.strokes[-1], made._resolved[-1].rows, made.domain
     sizes = np.array(made.shape[::-1])

@@ -1,4 +1,4 @@
-"""Where a deformation lives: its shape, its spacing and its border; and how inputs are checked."""
+"""The domain of a deformation: its shape, spacing and border; and checks of user input."""
 
 from __future__ import annotations
 
@@ -14,26 +14,26 @@ import numpy.typing as npt
 
 from supple.errors import SuppleError
 
-# Fields hold fifth powers of lengths; within these bounds, none of them overflows or vanishes in float64.
+# Fields contain fifth powers of lengths, which neither overflow nor vanish in float64 within these bounds.
 SMALLEST = 1e-30
 LARGEST = 1e30
 LENGTH = f"a number above 0 (from {SMALLEST:g} to {LARGEST:g})"
 LONGEST_AXIS = 2**31 - 1
-AUTO = 0.1  # of each axis' extent is what border="auto" fixes
+AUTO = 0.1  # the border's width for border="auto", as a fraction of each axis' extent
 
 Border = Literal["auto"] | float | tuple[float, ...] | None
 BorderProfile = Literal["quartic", "sine"]
 PROFILE_CODES: dict[str, float] = {"quartic": 0.0, "sine": 1.0}
-"""How the packed domain names a profile of the fixed border."""
+"""The codes of the border profiles in the packed domain."""
 FREE = (0.0, 0.0, -1.0, 1.0, 0.0)
-"""An axis without a border, as `Domain.packed` has it."""
+"""An axis without a border, in the layout of `Domain.packed`."""
 
 
 class _Short(reprlib.Repr):
     def repr_int(self, x: int, level: int) -> str:
         if x.bit_length() <= 64:
             return repr(x)
-        # Python refuses to spell integers of more than a few thousand digits.
+        # Python refuses to print integers of more than a few thousand digits.
         return f"an integer of about {int(x.bit_length() * 0.30103) + 1} digits"
 
 
@@ -42,34 +42,34 @@ _SHORT.maxstring = _SHORT.maxother = 60
 
 
 def value_shown(value: object) -> str:
-    """A short representation of any value, on one line, for a message."""
+    """Return a short representation of any value, on one line, for a message."""
     text = " ".join(_SHORT.repr(value.item() if isinstance(value, np.generic) else value).split())
     return text if len(text) <= 100 else f"{text[:97]}..."
 
 
 def refuse(name: str, wanted: str, found: object) -> NoReturn:
-    """Raise the error that says what ``name`` must be and what was found."""
+    """Raise SuppleError with the values that ``name`` may have and the value found."""
     raise SuppleError(f"{name} must be {wanted}, found {value_shown(found)}")
 
 
 def number(name: str, value: object, wanted: str, low: float, high: float) -> float:
-    """``value`` as a float from ``low`` to ``high``.
+    """Return ``value`` as a float from ``low`` to ``high``.
 
     Parameters
     ----------
     name, wanted : str
-        What is checked and what would do, for the message.
+        The name of the argument and its valid values, for the message.
     value : object
-        Any real number. A bool is none.
+        Any real number, but no bool.
     low, high : float
-        The bounds, both allowed. NaN is never within them.
+        The inclusive bounds. NaN is never within them.
 
     Raises
     ------
     SuppleError
-        If it is anything else.
+        For other values.
     """
-    # Asking for a protocol takes long.
+    # A protocol check is slow.
     if type(value) is not float and (isinstance(value, bool) or not isinstance(value, Real)):
         refuse(name, wanted, value)
     try:
@@ -82,12 +82,12 @@ def number(name: str, value: object, wanted: str, low: float, high: float) -> fl
 
 
 def length(name: str, value: object) -> float:
-    """``value`` as a length above 0; SuppleError if it is anything else."""
+    """Return ``value`` as a length above 0; SuppleError for other values."""
     return number(name, value, LENGTH, SMALLEST, LARGEST)
 
 
 def integer(name: str, value: object, wanted: str, low: int, high: int) -> int:
-    """``value`` as an int from ``low`` to ``high``; SuppleError if it is anything else."""
+    """Return ``value`` as an int from ``low`` to ``high``; SuppleError for other values."""
     if type(value) is not int and (isinstance(value, bool) or not isinstance(value, SupportsIndex)):
         refuse(name, wanted, value)
     try:
@@ -100,7 +100,7 @@ def integer(name: str, value: object, wanted: str, low: int, high: int) -> int:
 
 
 def items(name: str, value: object, wanted: str, lengths: tuple[int, ...]) -> list[Any]:
-    """The items of a sequence or 1-D array with one of ``lengths``; SuppleError if it is anything else."""
+    """Return the items of a sequence or 1-D array with one of ``lengths``; SuppleError for other values."""
     if isinstance(value, np.ndarray) and value.ndim == 1:
         value = value.tolist()
     text = isinstance(value, str | bytes | bytearray)
@@ -110,7 +110,7 @@ def items(name: str, value: object, wanted: str, lengths: tuple[int, ...]) -> li
 
 
 def point(name: str, value: object, lengths: tuple[int, ...] = (2, 3)) -> tuple[float, ...]:
-    """``value`` as the coordinates of a point; SuppleError if it is anything else."""
+    """Return ``value`` as the coordinates of a point; SuppleError for other values."""
     numbers = items(name, value, f"{' or '.join(map(str, lengths))} numbers, x first", lengths)
     wanted = f"a number from {-LARGEST:g} to {LARGEST:g}"
     return tuple(number(f"{name}[{i}]", x, wanted, -LARGEST, LARGEST) for i, x in enumerate(numbers))
@@ -123,14 +123,14 @@ def choice(name: str, value: object, choices: tuple[str, ...]) -> None:
 
 
 def flag(name: str, value: object) -> bool:
-    """``value`` as a bool, NumPy's too; SuppleError if it is none."""
+    """Return ``value`` as a bool, also from NumPy's; SuppleError for other values."""
     if not isinstance(value, bool | np.bool_):
         refuse(name, "True or False", value)
     return bool(value)
 
 
 def checked_border(border: object) -> Border:
-    """Return ``border`` as "auto", a width, one for each axis, or None where it is free; SuppleError if it is none."""
+    """Return ``border`` as "auto", a width, one for each axis, or None if free; SuppleError for other values."""
     if border is None:
         return None
     if isinstance(border, str) and border == "auto":
@@ -154,7 +154,7 @@ def border_factor(t: npt.ArrayLike, profile: float) -> npt.NDArray[np.float64]:
 
 
 def colours_hint(shape: tuple[int, ...]) -> str:
-    """Return a hint for the message where the last of three axes may be colours."""
+    """Return a hint for the message if the last of three axes may be colours."""
     if len(shape) != 3 or shape[2] not in (3, 4):
         return ""
     return f" (if the last axis of {shape} is colours, make the deformation with shape[:2])"
@@ -187,16 +187,16 @@ class Domain:
         Physical units per pixel, frame or voxel; one for all axes, or one for each, in the order of a point:
         x first.
     border : "auto", float, sequence of float or None
-        The width σ over which movement across the border fades to nothing: in physical units, one for all axes or one
+        The width σ over which displacement fades to 0 at the border: in physical units, one for all axes or one
         for each, x first; ``"auto"``: a tenth of each axis' extent; None: the border is free.
     border_profile : str
-        How it fades, at the distance tσ from a face: as 2t - 2t³ + t⁴ (``"quartic"``), which has two continuous
-        derivatives at t = 1, or as sin(πt/2) (``"sine"``, the paper's). The quartic's faces are the outer edges of the
-        samples, -½ and n - ½, so that it is the same on a picture of any resolution; the sine's are the centres of the
-        outermost samples, as in the paper.
+        The profile, at the distance tσ from a face: 2t - 2t³ + t⁴ (``"quartic"``), which has two continuous
+        derivatives at t = 1, or sin(πt/2) (``"sine"``, the paper's). The quartic's faces are the outer edges of the
+        samples, -½ and n - ½, so that it is independent of the resolution of an image; the sine's are the centres of
+        the outermost samples, as in the paper.
     time : bool
-        Whether the first of three axes is time. A stroke without a Poisson ratio that is dragged along it alone then
-        moves nothing sideways.
+        Whether the first of three axes is time. A drag along time alone, without a Poisson ratio, then has no
+        displacement across it.
     """
 
     shape: tuple[int, ...]
@@ -230,7 +230,7 @@ class Domain:
 
     @property
     def ndim(self) -> int:
-        """How many coordinates a point has: 2 or 3."""
+        """The number of coordinates of a point: 2 or 3."""
         return len(self.shape)
 
     @property
@@ -247,12 +247,12 @@ class Domain:
 
     @property
     def extent(self) -> tuple[float, ...]:
-        """From face to face, in physical units, x first."""
+        """The distance from face to face, in physical units, x first."""
         return tuple(last - first for first, last in self.faces)
 
     @property
     def border_widths(self) -> tuple[float, ...] | None:
-        """The width of the fixed border along each axis, in physical units, x first; None where it is free."""
+        """The width of the fixed border along each axis, in physical units, x first; None if it is free."""
         if self.border is None:
             return None
         if self.border == "auto":
@@ -261,14 +261,14 @@ class Domain:
         return tuple(min(width, extent / 2) for width, extent in zip(wanted, self.extent, strict=True))
 
     def packed(self) -> npt.NDArray[np.float64]:
-        """The domain as the engines take it.
+        """Return the domain in the layout of the engines.
 
         Returns
         -------
         ndarray of float64, shape (3, 5)
             One row ``(first, last, sigma, spacing, profile)`` for each of x, y and z, in physical units. ``first`` and
             ``last`` are the faces. ``sigma`` is the width of the fixed border, at most half the extent (0 for an axis
-            of one sample, along which nothing moves), and -1 where the axis is free. An image is free along z, and has
+            of one sample, which has no displacement), and -1 where the axis is free. An image is free along z, and has
             no extent there. ``profile`` is the border's: 0 for the quartic, 1 for the sine.
         """
         rows = np.array([FREE] * 3)

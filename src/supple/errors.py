@@ -7,18 +7,18 @@ from importlib.util import find_spec
 
 
 class SuppleError(ValueError):
-    """The request cannot be carried out; the message says in one sentence what was given and what is possible."""
+    """An invalid request; the message says in one sentence what was given and what is possible."""
 
 
 def need(extra: str, what: str, *modules: str) -> None:
-    """Raise SuppleError, with the command that installs them, unless modules of an optional extra are there."""
+    """Raise SuppleError, with the command to install them, unless the modules of an optional extra are there."""
     for module in modules:
         if find_spec(module) is None:
             raise SuppleError(f"{what} need {module}, which is not installed: pip install 'supple[{extra}]'")
 
 
 class FoldError(SuppleError):
-    """A stroke would fold the picture over itself, or be held back by the border, and the policy is ``"error"``."""
+    """A stroke would fold the image over itself, or be held back by the border, and the policy is ``"error"``."""
 
 
 class MissWarning(UserWarning):
@@ -26,15 +26,15 @@ class MissWarning(UserWarning):
 
 
 class FoldWarning(MissWarning):
-    """A stroke was too strong, and was damped so that nothing folds."""
+    """A stroke was too strong, and was damped so that the map does not fold."""
 
 
 class DeviceWarning(UserWarning):
-    """A GPU could not do what was asked of it, and the CPU did."""
+    """A GPU failed or does not support the work, and the CPU took over."""
 
 
 class OutsideWarning(UserWarning):
-    """A stroke starts outside the picture, the clip or the volume."""
+    """A stroke starts outside the image, the clip or the volume."""
 
 
 class ScaleWarning(UserWarning):
@@ -42,18 +42,18 @@ class ScaleWarning(UserWarning):
 
 
 class ToleranceWarning(UserWarning):
-    """The inverse map is not as exact everywhere as was asked."""
+    """The inverse map is not within the tolerance everywhere."""
 
 
 class VolumeWarning(UserWarning):
-    """A volume's files say two things, or hold what is no image; the message says how they were read."""
+    """A volume's files contradict each other, or hold more than images; the message says how they were read."""
 
 
 class GapWarning(UserWarning):
-    """Voxels are not finite numbers, and spread to those beside them."""
+    """Voxels are not finite numbers, and spread to their neighbours."""
 
 
 def shown(path: str | os.PathLike[str]) -> str:
-    """Return a path as it can stand in one line of text: quoted where it is empty or holds odd characters."""
+    """Return a path for one line of text: quoted if it is empty or holds odd characters."""
     text = os.fspath(path)
     return text if text and text.isprintable() else ascii(text)

@@ -1,4 +1,4 @@
-"""Deformations of volumes as displacement fields, for the tools that resample with those."""
+"""Deformations of volumes as displacement fields, for other resampling tools."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ Floats = npt.NDArray[np.float64]
 PathLike = str | os.PathLike[str]
 
 MOST = 1 << 27
-"""Bytes of a field that are held in memory: it is larger than its volume."""
+"""The bytes of a field that are held in memory: it is larger than its volume."""
 
 
 def displacement_of(
@@ -31,28 +31,28 @@ def displacement_of(
     tolerance: float = 0.01,
     out: npt.NDArray[np.float32] | None = None,
 ) -> npt.NDArray[np.float32]:
-    """How far from each voxel of the output, and in which direction, the input is fetched.
+    """Return the displacement from each voxel of the output to its source point in the input.
 
     Parameters
     ----------
     deformation : Deformation
-        Of a volume.
+        A deformation of a volume.
     geometry : Geometry
-        Where its voxels lie.
+        The geometry of the volume.
     tolerance : float
-        How far a source point may be from the true T⁻¹(q), in voxels.
+        The largest distance of a source point from T⁻¹(q), in voxels.
     out : float32 array, optional
-        Where to put the result; it may be mapped from a file.
+        The array for the result; it may be mapped from a file.
 
     Returns
     -------
     float32 array, shape (Z, H, W, 3)
-        The place of T⁻¹(q) less the place of q, in millimetres along the axes of LPS, x first.
+        The position of T⁻¹(q) minus that of q, in millimetres along the axes of LPS, x first.
 
     Raises
     ------
     SuppleError
-        The deformation is of an image, or the tolerance is no number above 0.
+        If the deformation is of an image, or the tolerance is not a number above 0.
 
     Warns
     -----
@@ -67,7 +67,7 @@ def displacement_of(
         made[...] = 0
         return made
     matrix, certificate = geometry.matrix[:3, :3], Certificate(0.0, 0.0)
-    # In float64: in float32 a difference of places would lose half its digits.
+    # float64, since differences of positions would lose half their digits in float32.
     points, here = np.empty((*space.shape, 3)), np.zeros((*space.shape, 3))
     here[..., 1], here[..., 0] = np.indices(space.shape)
     for z in range(space.count):
@@ -83,21 +83,21 @@ def displacement_of(
 def write_transform(
     target: PathLike, deformation: Deformation, geometry: Geometry, *, tolerance: float = 0.01, force: bool = False
 ) -> None:
-    """Write a deformation of a volume as a displacement field, by which ITK, ANTs and 3D Slicer resample the same.
+    """Write a deformation of a volume as a displacement field for ITK, ANTs and 3D Slicer.
 
     Parameters
     ----------
     target : str or os.PathLike
         ``.nii``, ``.nii.gz``, ``.nrrd``, ``.mha`` or ``.h5``; see `supple.media.transforms.write_field`.
     deformation, geometry, tolerance
-        As `displacement_of` takes them.
+        As in `displacement_of`.
     force : bool
-        Whether to replace a file that exists.
+        Whether to replace an existing file.
 
     Raises
     ------
     SuppleError
-        As `displacement_of` does, or if the file cannot be written (known before any work is done, where it can be).
+        As in `displacement_of`, or if the file cannot be written (checked before any work, if possible).
     """
     check_target(target)
     check_output(target, force=force)

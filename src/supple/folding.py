@@ -1,4 +1,4 @@
-"""How strong is too strong: the limit of a stroke, and what is done with one beyond it.
+"""The limit of a stroke's strength, and the handling of strokes beyond it.
 
 A stroke's map T(p) = p + K_β(p) is one-to-one on its (convex) domain if the symmetric part of I + J_β is at
 least m > 0 at every point: T is strongly monotone then, and |(I + J_β)⁻¹| ≤ 1/m. J_β is linear in the
@@ -6,7 +6,7 @@ force, so
 
     μ = min λ_min(sym J_β), over all points of the domain,
 
-decides: the part α of the force is safe if α |μ| ≤ 1 - m.
+limits the force: its fraction α is safe if α |μ| ≤ 1 - m.
 
 Where the border is free and the reach unlimited, the worst point is on the axis through the pivot along the
 force. At the distance t from the pivot, with s_i = t² + ε_i², K = k f is there
@@ -37,43 +37,43 @@ Floats = npt.NDArray[np.float64]
 Table = npt.NDArray[np.void]
 
 MARGIN = 0.01
-"""The m that every stroke keeps."""
+"""The least m of every stroke."""
 
 CLEARLY_SAFE = -0.5 * (1 - MARGIN)
-"""Where μ is above this, nobody needs to know it more closely."""
+"""The value of μ above which no closer bound is needed."""
 
 MOST_SUBSTROKES = 10_000
 
 NEAR = 0.5
-"""A stroke has arrived where its point is within so many samples of its target."""
+"""The distance from its target, in samples, within which a stroke's point has arrived."""
 
 _SQUEEZED = 1e-5  # a sequence that leaves less of a length has lost too many digits to be undone
-_ALONG = 1e-9  # of the radius: what is rounding in a drag along a face
+_ALONG = 1e-9  # of the radius: the rounding error of a drag along a face
 _GAP = 0.002
-_FREE_GAP = 1e-9  # known once for all strokes of a kind
+_FREE_GAP = 1e-9  # computed once for all strokes of a kind
 _FLOW_GAP = 0.05
 _FLOW_MARGIN = 0.3  # substrokes are well-conditioned: Newton takes few steps, and errors grow little
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Resolved:
-    """The rows of a stroke, chosen so that nothing folds.
+    """The rows of a stroke, chosen so that the map does not fold.
 
     Parameters
     ----------
     rows : ndarray of STROKE_DTYPE
-        The packed strokes to apply, one after the other; none if nothing moves.
+        The packed strokes to apply, one after the other; none for the identity.
     alpha : float
-        The part of the drag that was kept: 1, unless it was damped.
+        The applied fraction of the drag: 1, unless it was damped.
     margin : float
         A proven lower bound of λ_min(sym(I + J_β)), for every row and at every point.
     arrived : tuple of float
-        Where the stroke's point is after it, in samples.
+        The position of the stroke's point after it, in samples.
     cause : str or None
-        What keeps it from its target: ``"fold"``, ``"border"``, both as ``"fold and border"``; ``"outside"`` where it
-        starts outside a fixed border, and holds nothing of the picture; or None.
+        The cause of a miss: ``"fold"``, ``"border"``, ``"fold and border"``, ``"outside"`` if the stroke starts outside
+        a fixed border, where it moves nothing; or None.
     warning : str or None
-        What to warn with, if it was damped, or if its point ends more than half a sample from its target.
+        The text of the warning if it was damped, or if its point ends more than half a sample from its target.
     """
 
     rows: Table
@@ -85,35 +85,35 @@ class Resolved:
 
     @property
     def substrokes(self) -> int:
-        """How many rows carry the stroke out."""
+        """The number of rows that make up the stroke."""
         return len(self.rows)
 
 
 def resolve(stroke: Stroke, domain: Domain, on_fold: FoldPolicy) -> Resolved:
-    """Make a stroke safe: λ_min(sym(I + J_β)) ≥ m at every point, proven.
+    """Return a stroke's safe rows: λ_min(sym(I + J_β)) ≥ m at every point, proven.
 
     Parameters
     ----------
     stroke : Stroke
     domain : Domain
     on_fold : str
-        ``"flow"`` carries out any drag, as a sequence of strokes whose pivots move along with what is
-        held, until that is just where it should be: a fixed border does not hold it back either. ``"damp"`` scales a
-        drag that folds to the largest that does not, within 0.2 %; ``"error"`` refuses it.
+        ``"flow"`` applies any drag, as a sequence of strokes whose pivots move along with the held point, until that is
+        at its target: a fixed border does not hold it back either. ``"damp"`` scales a drag that folds to the largest
+        one that does not, within 0.2 %; ``"error"`` refuses it.
 
     Raises
     ------
     FoldError
         If it folds, or the border holds it back by more than half a sample, and ``on_fold`` is ``"error"``. The
-        paper's border, ``"sine"``, holds strokes back with a warning alone.
+        paper's border, ``"sine"``, only warns of strokes that it holds back.
     SuppleError
-        If the stroke does not fit the domain; or, with ``"flow"``, if the fixed border keeps what is held
-        from its target, or it would take more than `MOST_SUBSTROKES` strokes.
+        If the stroke does not fit the domain; or, with ``"flow"``, if the fixed border keeps the held point from its
+        target, or it would take more than `MOST_SUBSTROKES` strokes.
     """
     return _resolved(stroke, domain, on_fold)
 
 
-# A stroke does not depend on those before it: where one of many is edited, the others are known.
+# A stroke does not depend on those before it: after an edit, the rows of the others are reused.
 @lru_cache(maxsize=4096)
 def _resolved(stroke: Stroke, domain: Domain, on_fold: FoldPolicy) -> Resolved:
     made = _resolve(stroke, domain, on_fold)
@@ -152,14 +152,14 @@ def _resolve(stroke: Stroke, domain: Domain, on_fold: FoldPolicy) -> Resolved:
             why = f"ends {distance} short: {border}"
         helps = "on_fold='flow' goes all the way" + (", border=None frees the border" if held_back else "")
         warning = f"{described(stroke)} {why} ({helps})"
-        # The paper's border holds back without a word, and so did recipes of version 1: these give what they gave.
+        # The paper's border held strokes back without a warning, as did recipes of version 1: results stay the same.
         if on_fold == "error" and domain.border_profile != "sine":
             raise FoldError(warning)
     return Resolved(table, arrived, alpha, 1 + alpha * lower, cause, warning)
 
 
 def _arrived(stroke: Stroke, table: Table, domain: Domain) -> tuple[float, ...]:
-    """Return where the stroke's point is after these rows, in samples."""
+    """Return the position of the stroke's point after these rows, in samples."""
     point = np.zeros((1, 3))
     point[0, : domain.ndim] = np.multiply(stroke.at, domain.spacing)
     moved, _ = _core.forward(numbers(table), domain.packed(), point, False)
@@ -171,11 +171,11 @@ def _flow(stroke: Stroke, domain: Domain, row: np.void) -> Resolved:
     position, target = row["pivot"].copy(), row["pivot"] + row["force"]
     first, last, sigma, _, _ = axes.T
     fixed, held = sigma >= 0, _held(position, axes)
-    if held:  # what is on a face only slides along it
+    if held:  # a point on a face only slides along it
         slides = fixed & (_beta(position, axes) < 1e-100) & (np.abs(target - position) <= _ALONG * stroke.radius)
         target = np.where(slides, position, target)
     drag = target - position
-    across = held & fixed & (drag != 0)  # the axes along which it has to leave where it is
+    across = held & fixed & (drag != 0)  # the axes along which it has to leave its face
     beyond = across & ((target <= first) | (target >= last))
     if beyond.any() or np.any(across & (_beta(position, axes) < 1e-100)):
         where = "its target is on the edge or outside, and" if beyond.any() else "it starts on the edge, and"
@@ -185,7 +185,7 @@ def _flow(stroke: Stroke, domain: Domain, row: np.void) -> Resolved:
         )
     if not drag.any():
         return Resolved(np.zeros(0, row.dtype), stroke.at)
-    # What is outside of a fixed border is held by nothing; a brush only passes there.
+    # A point outside a fixed border is not moved; a brush only passes there.
     weights = axes if held else np.array([FREE] * 3)
     longest = (1 - _FLOW_MARGIN) * limit(poisson, stroke.scales, stroke.reach) * stroke.radius
     refused = held and math.hypot(*drag.tolist()) > MOST_SUBSTROKES * longest
@@ -225,7 +225,7 @@ def _flow(stroke: Stroke, domain: Domain, row: np.void) -> Resolved:
 
 
 def _narrowest(table: Table, axes: Floats, start: Floats, drag: Floats) -> float:
-    """The smallest singular value of the whole sequence's Jacobian that is found along its way and around."""
+    """Return the smallest singular value of the sequence's Jacobian found along its path and around it."""
     ahead = start[:, None] + drag[:, None] * np.linspace(-1.0, 4.0, 401)
     first, last, sigma = axes[:, :3].T
     extent = np.where(sigma >= 0, last - first, 0.0)
@@ -236,12 +236,12 @@ def _narrowest(table: Table, axes: Floats, start: Floats, drag: Floats) -> float
     _, jacobian = _core.forward(numbers(table), axes, np.ascontiguousarray(points.T), True)
     if not np.isfinite(jacobian).all():
         return 0.0
-    n = 2 if axes[2, 1] == axes[2, 0] and axes[2, 2] < 0 else 3  # of an image, only the plane counts
+    n = 2 if axes[2, 1] == axes[2, 0] and axes[2, 2] < 0 else 3  # for an image, only the plane counts
     return float(np.linalg.svd(jacobian[:, :n, :n], compute_uv=False).min())
 
 
 def _held(position: Floats, axes: Floats) -> bool:
-    """Return whether a point is within the fixed faces, so that something is held there."""
+    """Return whether a point is within the fixed faces, where strokes move points."""
     first, last, sigma = axes[:, :3].T
     return bool(np.all((sigma < 0) | ((position >= first) & (position <= last))))
 
@@ -263,7 +263,7 @@ def _shown(values: Iterable[float]) -> str:
 
 
 def _cut(x: float, digits: int) -> float:
-    """Cut, not rounded: what may be done at most is not more than that."""
+    """Return a value rounded towards zero, so that a stated limit is never above the true one."""
     import decimal
 
     return float(decimal.Context(prec=digits, rounding=decimal.ROUND_DOWN).create_decimal_from_float(x))
@@ -277,14 +277,14 @@ def limit(poisson: float, scales: int, reach: float | None = None) -> float:
     poisson : float
     scales : int
     reach : float or None
-        In radii. With one, a little less is returned, by a part of 10⁻⁹ at most.
+        The reach in radii. With one, the value returned is smaller by a factor of 1 - 10⁻⁹ at most.
     """
     return -1 / _free(poisson, scales, math.inf if reach is None else reach)[0]
 
 
 @lru_cache(maxsize=1024)
 def _free(poisson: float, scales: int, reach: float) -> tuple[float, float, float]:
-    """Bound μ with |f| = ε = 1 and a free border, and tell how far ahead of the pivot the upper bound is reached."""
+    """Return bounds of μ for |f| = ε = 1 and a free border, and the place of the upper bound ahead of the pivot."""
     stroke = Stroke(at=(0.0, 0.0), by=(1.0, 0.0), radius=1.0, poisson=poisson, scales=scales)
     row = pack([stroke], (1.0, 1.0))[0]
     if reach < math.inf:
@@ -311,21 +311,21 @@ def _free(poisson: float, scales: int, reach: float) -> tuple[float, float, floa
 
 
 def weakest(row: np.void, axes: Floats, target: float = CLEARLY_SAFE, gap: float = _GAP) -> tuple[float, float]:
-    """Bounds of μ, from below and above, for one stroke.
+    """Return lower and upper bounds of μ for one stroke.
 
     Parameters
     ----------
     row : void of STROKE_DTYPE
     axes : ndarray, shape (3, 5)
-        The domain, packed. Where it is free, the bounds are those of all of space.
+        The packed domain. Where it is free, the bounds hold for all of space.
     target : float
-        The lower bound need not be close to the upper one where it is above this; 0 for a close one always.
+        The value above which the lower bound need not be close to the upper one; 0 for a close one always.
     gap : float
-        How close they must come, as a part of the upper one. Rounding and a limited number of boxes can keep
-        them further apart, where |μ| is next to nothing or in the strangest of volumes.
+        The relative gap of the bounds. Rounding and the limited number of boxes can leave a larger one, if |μ| is very
+        small or the volume very anisotropic.
     """
     free, active = axes[:, 2] < 0, (axes[:, 1] > axes[:, 0]) & (axes[:, 2] > 0)
-    # In a plane through the pivot, the force across it moves nothing within it.
+    # In a plane through the pivot, the force across it has no displacement within it.
     force = np.where(~free & ~active & (row["pivot"] == axes[:, 0]), 0.0, row["force"])
     size = math.hypot(*force.tolist())
     if size == 0 or not (active.any() or free.all()):
@@ -335,7 +335,7 @@ def weakest(row: np.void, axes: Floats, target: float = CLEARLY_SAFE, gap: float
     lower, upper, distance = _free(_poisson(row), int(row["terms"]), row["reach"] / radius)
     lower, upper, distance = lower / radius, upper / radius, distance * radius
     if active.any():
-        above = target / size * (1 - 1e-12)  # so that what comes back is not below it by rounding
+        above = target / size * (1 - 1e-12)  # so that rounding does not put the result below it
         lower, upper = _core.smallest_strain(_numbers(unit), axes, lower, distance, above, gap)
     return lower * size, upper * size
 

@@ -1,4 +1,4 @@
-"""Where a volume's voxels lie in space: spacing, origin and direction, and the two conventions of scanners."""
+"""The geometry of a volume in space: spacing, origin and direction, and the two conventions of scanners."""
 
 from __future__ import annotations
 
@@ -21,19 +21,19 @@ class Geometry:
     """A grid of voxels in space.
 
     The voxel with the index (i, j, k), x first, lies at ``origin + direction @ (spacing * index)``, in millimetres,
-    where x goes to the patient's left, y to the back and z to the head (LPS, as DICOM and ITK have it).
+    where x points to the patient's left, y to the back and z to the head (LPS, as in DICOM and ITK).
 
     Parameters
     ----------
     spacing : (float, float, float)
         Millimetres from a voxel to the next, x first.
     origin : (float, float, float)
-        Where the first voxel lies, in LPS.
+        The position of the first voxel, in LPS.
     direction : float64 array, shape (3, 3)
         Its columns are the directions of the axes, in LPS: orthonormal.
     convention : str
-        In which coordinates the file speaks of points: ``"LPS"``, or ``"RAS"`` (x to the right, y to the front), which
-        NIfTI uses; or ``"array"``, if it knows nothing of a place in space.
+        The coordinates of points in the file: ``"LPS"``, or ``"RAS"`` (x to the right, y to the front), as in NIfTI; or
+        ``"array"`` without a position in space.
     """
 
     spacing: tuple[float, float, float] = (1.0, 1.0, 1.0)
@@ -59,7 +59,7 @@ class Geometry:
 
     @property
     def matrix(self) -> Floats:
-        """From the index of a voxel, x first, to its place in LPS: a homogeneous matrix (4, 4)."""
+        """The homogeneous matrix (4, 4) from the index of a voxel, x first, to its position in LPS."""
         made = np.eye(4)
         made[:3, :3] = self.direction * self.spacing
         made[:3, 3] = self.origin
@@ -67,27 +67,27 @@ class Geometry:
 
     @property
     def oblique(self) -> float:
-        """Degrees by which the axis that leans most is off its nearest axis of the patient; 0 below a twentieth."""
+        """The angle in degrees of the most oblique axis to its nearest axis of the patient; 0 below 0.05."""
         nearest = np.abs(self.direction).max(axis=0).min()
         degrees = float(np.degrees(np.arccos(min(nearest, 1.0))))
         return degrees if degrees > 0.05 else 0.0
 
     def to_lps(self, indices: npt.ArrayLike) -> Floats:
-        """Indices (..., 3), x first, as places in LPS, in millimetres."""
+        """Return the positions in LPS, in millimetres, of indices (..., 3), x first."""
         scaled = np.asarray(indices, np.float64) * self.spacing
         return np.asarray(scaled @ self.direction.T + self.origin, np.float64)
 
     def from_lps(self, places: npt.ArrayLike) -> Floats:
-        """Places (..., 3) in LPS, in millimetres, as indices, x first."""
+        """Return the indices, x first, of positions (..., 3) in LPS, in millimetres."""
         moved = np.asarray(places, np.float64) - self.origin
         return np.asarray(moved @ np.linalg.inv(self.direction).T / self.spacing, np.float64)
 
     def to_world(self, indices: npt.ArrayLike, convention: str | None = None) -> Floats:
-        """Indices as places in a convention: the file's own, if none is named."""
+        """Return the positions of indices in a convention; by default, the file's own."""
         return self._turned(self.to_lps(indices), convention)
 
     def from_world(self, places: npt.ArrayLike, convention: str | None = None) -> Floats:
-        """Places in a convention, the file's own if none is named, as indices."""
+        """Return the indices of positions in a convention; by default, the file's own."""
         return self.from_lps(self._turned(np.asarray(places, np.float64), convention))
 
     def _turned(self, places: Floats, convention: str | None) -> Floats:

@@ -1,4 +1,4 @@
-"""The pipeline, Source → Plan → Engine → Sink: frames stream through an engine, or are sampled where they lie."""
+"""The pipeline, Source → Plan → Engine → Sink: frames stream through an engine, or are sampled in memory."""
 
 from __future__ import annotations
 
@@ -36,37 +36,37 @@ if TYPE_CHECKING:
 
 Tell = Callable[[str, int, int], None]
 
-_AHEAD = 2  # planes that wait to be written
+_AHEAD = 2  # planes in the queue of the writer
 
 
 class Frame(Protocol):
     """A frame of a source."""
 
     def copy_to(self, arrays: Sequence[Array]) -> None:
-        """Copy its samples into one array for each group."""
+        """Copy the samples into one array for each group."""
 
 
 class Source(Protocol):
-    """Frames that come in order: a clip, an image sequence, or an array."""
+    """Frames in order: a clip, an image sequence, or an array."""
 
     def frames(self) -> Iterable[Frame]:
         """Read all frames in order, to the end."""
 
 
 class Sink(Protocol):
-    """Where planes go, in order: a clip, an image sequence, or an array."""
+    """The destination of planes, in order: a clip, an image sequence, or an array."""
 
     @property
     def aside(self) -> bool:
-        """Return whether a thread is to write a plane while the next is made."""
+        """Return whether a thread writes a plane while the next is computed."""
 
     def write(self, arrays: Sequence[Array], k: int, *, still: bool = False) -> None:
-        """Take plane k, one array for each group; ``still`` says that it is frame k of the source as it was."""
+        """Write plane k, one array for each group; ``still`` marks an unchanged copy of frame k of the source."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Arrays:
-    """Frames that are all at hand, in memory or mapped to it: a source and a sink.
+    """A source and a sink of frames in memory, or mapped to it.
 
     Parameters
     ----------
@@ -83,7 +83,7 @@ class Arrays:
             yield _ArrayFrame(tuple(array[k] for array in self.arrays))
 
     def write(self, arrays: Sequence[Array], k: int, *, still: bool = False) -> None:
-        """Put plane k in its place, converted to the type that is wanted."""
+        """Store plane k, converted to the type of the array."""
         with np.errstate(over="ignore"):
             for target, made in zip(self.arrays, arrays, strict=True):
                 target[k] = made
@@ -91,7 +91,7 @@ class Arrays:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _ArrayFrame:
-    """A frame of arrays that an engine does not take as they are."""
+    """A frame of arrays that must be converted for the engine."""
 
     samples: tuple[Array, ...]
 
@@ -102,16 +102,16 @@ class _ArrayFrame:
 
 @dataclass(frozen=True, slots=True)
 class Done:
-    """What came of a run.
+    """The result of a run.
 
     Parameters
     ----------
     certificate : Certificate
         The accuracy of the map of all planes.
     still : int
-        How many planes are their frame as it was, as nothing moves there.
+        The number of unchanged planes, copied from their frame.
     held : int
-        How many frames were held at once.
+        The number of frames held at once.
     """
 
     certificate: Certificate
@@ -128,7 +128,7 @@ def run(
     memory: float = math.inf,
     tell: Tell = lambda step, done, total: None,
 ) -> Done:
-    """Send all frames through an engine, and where that fails, through the native one.
+    """Process all frames with an engine, and those on which it fails with the native engine.
 
     Parameters
     ----------
@@ -137,9 +137,9 @@ def run(
     work : Work
     engine : Engine
     memory : float
-        How many bytes frames may take in memory; beyond, they go to a temporary file.
+        The bytes of memory for frames; frames beyond that go to a temporary file.
     tell : function
-        Called with ``"plan"`` or ``"warp"``, how many planes are done, and of how many; what it raises ends the run.
+        Called with ``"plan"`` or ``"warp"``, the number of finished planes and their total; its exceptions end the run.
 
     Raises
     ------
@@ -184,7 +184,7 @@ def sampled(
     outs: Sequence[Any],
     tell: Callable[[int], None] = lambda done: None,
 ) -> Certificate:
-    """Have an engine sample frames that are all at hand; return the accuracy of the map.
+    """Sample frames in memory with an engine; return the certificate of the map.
 
     Raises
     ------
@@ -202,20 +202,20 @@ def sampled(
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """The frames that each plane of the output needs, known before any is read.
+    """The frames needed for each plane of the output, computed before any is read.
 
     Parameters
     ----------
     planes : tuple of int
-        Which planes of the output are wanted, in ascending order.
+        The planes of the output to compute, in ascending order.
     first, last : int64 array
-        The frames that each of these samples, some perhaps outside the clip.
+        The range of frames that each plane samples, some perhaps outside the clip.
     still : bool array
-        Which of them are their frame, as nothing moves there by more than the tolerance.
+        Whether a plane is unchanged: all displacements are within the tolerance.
     keep, read : int64 array
-        When each is made, frames before ``keep`` are done with, and all up to ``read`` have been read.
+        When a plane is computed, frames before ``keep`` are no longer needed, and all up to ``read`` have been read.
     capacity : int
-        How many frames are held at once.
+        The number of frames held at once.
     """
 
     planes: tuple[int, ...]
@@ -230,9 +230,9 @@ class Plan:
 def make_plan(
     work: Work, planes: Sequence[int], tell: Callable[[int], None] = lambda done: None, engine: Engine = NATIVE
 ) -> Plan:
-    """Solve the lattice of every plane for the frames that it needs.
+    """Solve the lattice of every plane to find the frames that it needs.
 
-    ``tell`` is called with the number of planes done, now and then.
+    ``tell`` is called at intervals with the number of finished planes.
     """
     space, sampling = work.space, work.sampling
     n, count = len(planes), space.count
@@ -247,7 +247,7 @@ def make_plan(
             low, high, moved, rate = plan.extent()
             still[k] = plan.identity or moved * 3**0.5 <= sampling.tolerance
             if not still[k]:
-                # A sample of chroma covers several pixels; and rates between nodes may be larger.
+                # A chroma sample covers several pixels; and derivatives between nodes may be larger.
                 wide = 1.5 * rate * math.hypot(*step, 1)
                 beyond = min(wide, LONGEST) / 2 + 1 if sampling.time_filter else 0.0
                 early, late = (min(max(t, earliest), latest) for t in (low[2] - slack, high[2] + slack))
@@ -257,13 +257,13 @@ def make_plan(
                 tell(k + 1)
     needed = np.array([frames_needed(a, b, count, sampling.outside) for a, b in zip(first, last, strict=True)])
     keep = np.minimum.accumulate(needed[::-1, 0])[::-1]
-    # A frame's own time is known when it has been read.
+    # The timestamp of a frame is known when it has been read.
     read = np.maximum.accumulate(np.maximum(needed[:, 1], planes)) if n else needed[:, 1]
     return Plan(tuple(planes), first, last, still, keep, read, int((read - keep).max()) + 1)
 
 
 def capacity_of(plan: Plan, engine: Engine) -> int:
-    """Return how many frames are held at once: planes may be finished when others are begun, and the next is read."""
+    """Return the number of frames held at once, for planes in progress and the next frame to read."""
     lead = engine.lead
     if not lead or not plan.planes:
         return plan.capacity
@@ -281,30 +281,30 @@ def stream(
     buffered: int = 1,
     engine: Engine = NATIVE,
 ) -> Generator[tuple[int, list[Array], Certificate], None, None]:
-    """Warp frames as they are read.
+    """Warp frames in the order in which they are read.
 
     Parameters
     ----------
     work : Work
     plan : Plan
     frames : iterable of Frame
-        All frames of the source in order; it is read to its end.
+        All frames of the source in order, read to the end.
     memory : float
-        How many bytes frames may take in memory; beyond, they go to a temporary file.
+        The bytes of memory for frames; frames beyond that go to a temporary file.
     buffered : int
-        For how many planes the samples are kept.
+        The number of planes whose samples are kept.
     engine : Engine
-        Who makes the planes; the one that the plan was made for.
+        The engine of the planes, for which the plan was made.
 
     Yields
     ------
     int
-        A plane of the output.
+        The index of a plane of the output.
     list of arrays
-        Its samples, one array (h, w, channels) for each group, which a later one overwrites: the next, unless more
-        are buffered.
+        Its samples, one array (h, w, channels) for each group. The arrays are reused for the next plane, or for a later
+        one if more are buffered.
     Certificate
-        How exact its map is.
+        The accuracy of its map.
 
     Raises
     ------
@@ -348,7 +348,7 @@ def stream(
 
 
 class _WithFallback:
-    """Planes by an engine and, from where it fails, by the native one (`supple.engines.base.Planes`)."""
+    """Planes by an engine and, after it fails, by the native one (`supple.engines.base.Planes`)."""
 
     def __init__(self, engine: Engine, work: Work, window: Sequence[Array], stack: contextlib.ExitStack) -> None:
         self._engine, self._work, self._window, self._stack = engine, work, window, stack
@@ -377,7 +377,7 @@ class _WithFallback:
 
     @contextlib.contextmanager
     def _failing(self) -> Iterator[None]:
-        """Warn of a failure, once; go on without the engine if it is lost."""
+        """Warn of a failure once; drop the engine if the device is lost."""
         try:
             yield
         except EngineError as error:
@@ -392,7 +392,7 @@ class _WithFallback:
 def _reading(
     source: Iterator[Frame], count: int, plan: Plan, window: Sequence[Array], *, aside: bool
 ) -> Iterator[Callable[[int], None]]:
-    """Return a function that reads the frames of a plane into their slots; aside, those of the next plane meanwhile."""
+    """Return a function that reads the frames of a plane into their slots; with ``aside``, a thread reads ahead."""
     have = 0
 
     def read(k: int) -> None:
@@ -426,7 +426,7 @@ def _reading(
 
 @contextlib.contextmanager
 def _writing(sink: Sink) -> Iterator[Callable[..., None]]:
-    """Return a function that writes a plane, aside if the sink wants it; what goes wrong there is raised here."""
+    """Return a function that writes a plane, in a thread if the sink wants it; errors of the thread are raised here."""
     if not sink.aside:
         yield sink.write
         return

@@ -1,4 +1,4 @@
-"""How far some work is, as a terminal shows it."""
+"""Progress bars and stages on the terminal."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def counted(
     unit: str = "frames",
     also: Callable[[str, int, int], None] | None = None,
 ) -> Iterator[Callable[[str, int, int], None]]:
-    """Show how far a clip or a volume is: frames or slices, their rate, and the time left; and tell somebody else."""
+    """Show the progress of a clip or a volume: frames or slices, their rate, and the time left; and call ``also``."""
     if also is not None:
         with counted(progress, unit) as counts:
 
@@ -65,7 +65,7 @@ def counted(
 
 @contextlib.contextmanager
 def staged(source: str | os.PathLike[str], progress: bool) -> Iterator[Callable[[str], None]]:
-    """Show each part of the work on the terminal, if there is one and it is wanted."""
+    """Show each stage of the work on the terminal, if there is one and ``progress`` is set."""
     if not progress or sys.stderr is None or not sys.stderr.isatty():
         yield lambda step: None
         return

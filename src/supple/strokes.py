@@ -1,4 +1,4 @@
-"""Strokes and recipes: immutable values, their JSON, how they fit another size, and the packed table of engines."""
+"""Strokes and recipes: immutable values, their JSON, their scaling to other sizes, and the packed table of engines."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ FITS: tuple[str, ...] = get_args(Fit)
 Point = Sequence[float] | npt.NDArray[Any]
 
 VERSION = 2
-REACH = 4.0  # looks as natural as no limit, and leaves all beyond it alone
+REACH = 4.0  # as natural as an unlimited reach, and local
 POISSON = 0.4
 
 STROKE_DTYPE = np.dtype(
@@ -57,19 +57,19 @@ STROKE_DTYPE = np.dtype(
     align=True,
 )
 
-# Keys that version 1 has not.
+# Keys added after version 1.
 _NEW = ("border_profile", "reach", "size", "space", "amount", "time_scale", "name", "strength", "to")
 _PART = "a number from 0 to 1"
 
-# The radii are ε, 1.1ε and 1.21ε. The weights that cancel the far field, divided by what they leave at the
-# pivot, are exactly these fractions; worked out in floats they would lose digits.
+# The radii are ε, 1.1ε and 1.21ε. The weights that cancel the far field, divided by their sum at the pivot, are
+# exactly these fractions; computed in floats they would lose digits.
 _WEIGHTS = {1: np.array([1.0]), 2: np.array([11.0, -11.0]), 3: np.array([14641.0, -26741.0, 12100.0]) / 331}
 _RADIUS2 = (1.0, 1.21, 1.4641)
 
 
 @dataclass(frozen=True, slots=True)
 class Scaling:
-    """A map of coordinates: ``p`` goes to ``(p + 0.5) * factor - 0.5 + offset`` along each axis, x first.
+    """A map of coordinates: ``p`` to ``(p + 0.5) * factor - 0.5 + offset`` along each axis, x first.
 
     Parameters
     ----------
@@ -89,36 +89,36 @@ class Scaling:
 
     @property
     def frame(self) -> float:
-        """The factor of what a frame is worth, in physical units; 1 where there is no time."""
+        """The factor of the time scale, in physical units; 1 without time."""
         return self.length / self.factors[2] if len(self.factors) == 3 else 1.0
 
     def point(self, p: Sequence[float]) -> tuple[float, ...]:
-        """Return where a point goes."""
+        """Return the image of a point."""
         moved = zip(p, self.factors, self.offsets, strict=True)
         return tuple(x if (s, o) == (1.0, 0.0) else (x + 0.5) * s - 0.5 + o for x, s, o in moved)
 
     def drag(self, v: Sequence[float]) -> tuple[float, ...]:
-        """Return what a difference of two points becomes."""
+        """Return the image of a difference of two points."""
         return tuple(x * s for x, s in zip(v, self.factors, strict=True))
 
 
 def scaling_of(
     made: Sequence[int], size: Sequence[int], how: Fit | None = None, *, time: bool = False, name: str = "this"
 ) -> Scaling | None:
-    """Return how coordinates that were made for one size go to another; None where they are taken as they are.
+    """Return the map of coordinates from one size to another; None for the identity.
 
     Parameters
     ----------
     made, size : sequence of int
-        Samples along each axis, x first, as many of both: width and height; and frames, or slices.
+        Samples along each axis, x first, in equal numbers: width and height; and frames, or slices.
     how : str, optional
-        Without it, only pictures of the same proportions fit, within half a pixel, and clips of as many frames.
-        ``"pixels"``: coordinates as they are; ``"stretch"``: each axis by a factor of its own, and lengths by the
+        Without it, only images of the same proportions fit, within half a pixel, and clips with as many frames.
+        ``"pixels"``: unchanged coordinates; ``"stretch"``: each axis by a factor of its own, and lengths by the
         geometric mean of those of x and y; ``"inside"``: x and y at the same scale, the largest that fits, centred.
     time : bool
         Whether the third axis is time.
     name : str
-        What the size is of, for the message.
+        The owner of the size, for the message.
 
     Raises
     ------
@@ -168,27 +168,26 @@ class Stroke:
     Parameters
     ----------
     at : sequence of float
-        Where the brush is put down, in samples, x first: ``(x, y)``, ``(x, y, t)`` or ``(x, y, z)``.
+        The position of the brush, in samples, x first: ``(x, y)``, ``(x, y, t)`` or ``(x, y, z)``.
     by : sequence of float
-        How far it is dragged, in samples; as many numbers.
+        The drag, in samples; as many numbers.
     radius : float
         The brush's radius, in physical units.
     poisson : float or None
         The material's Poisson ratio, at most 0.5 (incompressible); ``-inf`` is allowed. None: 0.4; but ``-inf``, which
-        moves nothing sideways, for a drag along time alone.
+        has no displacement across the drag, for a drag along time alone.
     scales : int
-        1 is felt farthest (fading as 1/r), 2 fades as 1/r³, 3 as 1/r⁵.
+        1 reaches farthest (fading as 1/r), 2 fades as 1/r³, 3 as 1/r⁵.
     reach : float or None
-        How far it is felt at all, in radii from 1: beyond, nothing moves, exactly. None: without limit, as the
-        paper has it.
+        The reach in radii, from 1: beyond, the displacement is exactly 0. None: unlimited, as in the paper.
     brush : str
         ``"grab"``.
     hidden : bool
-        Whether it is only kept, and not applied.
+        Whether it is kept in the recipe, but not applied.
     name : str or None
-        What a person calls it.
+        A name for users.
     strength : float
-        The part of the drag that is carried out, from 0 to 1; `Deformation.from_recipe` says how.
+        The applied fraction of the drag, from 0 to 1; see `Deformation.from_recipe`.
     """
 
     at: tuple[float, ...]
@@ -235,7 +234,7 @@ class Stroke:
         scales: int = 1,
         reach: float | None = REACH,
     ) -> Self:
-        """Grab what is ``at`` a point and drag it ``to`` another, or ``by`` a distance."""
+        """Return a stroke that drags the point ``at`` ``to`` another, or ``by`` a distance."""
         start = point("at", at)
         if by is not None and to is None:
             drag = point("by", by, (len(start),))
@@ -248,11 +247,11 @@ class Stroke:
 
     @property
     def ndim(self) -> int:
-        """How many coordinates its points have: 2 or 3."""
+        """The number of coordinates of its points: 2 or 3."""
         return len(self.at)
 
     def material(self, *, time: bool = False) -> float:
-        """Return the Poisson ratio that is carried out, where the third axis is ``time`` or is not."""
+        """Return the Poisson ratio in effect, if the third axis is ``time`` or is not."""
         if self.poisson is not None:
             return self.poisson
         return -math.inf if time and not any(self.by[:2]) else POISSON
@@ -266,29 +265,29 @@ def _checked_reach(reach: object) -> float | None:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Recipe:
-    """All that was done, to be done again on any medium.
+    """A sequence of strokes and their options, to be applied to any medium.
 
     Parameters
     ----------
     border : "auto", float, sequence of float or None
-        The width of the fixed border, as `Domain` takes it.
+        The width of the fixed border, as in `Domain`.
     border_profile : str
-        How movement fades towards it: ``"quartic"``, or the paper's ``"sine"``.
+        The profile of the fixed border: ``"quartic"``, or the paper's ``"sine"``.
     on_fold : str
-        What is done with a stroke that would fold the picture, or that the border holds back: ``"flow"``, ``"damp"``
-        or ``"error"``.
+        The policy for a stroke that would fold the image, or that the border holds back: ``"flow"``, ``"damp"`` or
+        ``"error"``.
     strokes : iterable of Stroke
-        In the order in which they are applied, all with as many coordinates. Hidden ones are kept, and not applied.
+        In order of application, all with the same number of coordinates. Hidden ones are not applied.
     size : sequence of int or None
-        The samples along each axis, x first, of the medium that it was made for; as many numbers as points have.
+        The samples along each axis, x first, of the medium that it was made for; as many numbers as coordinates.
     space : str or None
-        What points are: ``"pixels"`` (indices, in volumes); or, in volumes, millimetres in ``"LPS"`` or ``"RAS"``.
-        None: not said, which means pixels, unless what reads the volume says otherwise.
+        The coordinates of points: ``"pixels"`` (indices, in volumes); or, in volumes, millimetres in ``"LPS"`` or
+        ``"RAS"``. None: pixels, unless the reader of the volume determines otherwise.
     amount : float
-        The part of it that is carried out, from 0 to 1: of every stroke's drag.
+        The applied fraction of every stroke's drag, from 0 to 1.
     time_scale : float or None
-        Of a recipe with times: how many pixels a frame is worth to the brush. None: not said, which means 1, unless
-        what reads the clip says otherwise.
+        For a recipe with times, the length of a frame in pixels. None: 1, unless the reader of the clip determines
+        otherwise.
     """
 
     border: Border = "auto"
@@ -326,27 +325,27 @@ class Recipe:
 
     @property
     def is_world(self) -> bool:
-        """Return whether points are places in space, in millimetres."""
+        """True if points are in space, in millimetres."""
         return self.space in ("LPS", "RAS")
 
     def fitted(self, size: Sequence[int], how: Fit | None = None, *, time: bool = False, name: str = "this") -> Self:
-        """Return the recipe for a medium of another size, which it then has.
+        """Return the recipe scaled to a medium of another size.
 
         The centre p of a pixel goes to (p + 0.5) s - 0.5, where s is the factor from the old size to the new one; radii
-        and borders are scaled, too. Of a clip, what a frame is worth must grow by `Scaling.frame`.
+        and borders are scaled, too. For a clip, the length of a frame must be scaled by `Scaling.frame`.
 
         Parameters
         ----------
         size : sequence of int
             Samples along each axis, x first.
         how : str, optional
-            Without it, only a size of the same proportions fits, within half a pixel. ``"pixels"``: coordinates stay as
-            they are; ``"stretch"``: each axis has a factor of its own, and the radius has their geometric mean;
+            Without it, only a size of the same proportions fits, within half a pixel. ``"pixels"``: same coordinates;
+            ``"stretch"``: each axis has a factor of its own, and the radius has their geometric mean;
             ``"inside"``: x and y have the same factor, the largest that fits, and the result is centred.
         time : bool
             Whether a third axis is time. Only ``"stretch"`` scales it.
         name : str
-            What the size is of, for messages.
+            The owner of the size, for messages.
 
         Raises
         ------
@@ -361,7 +360,7 @@ class Recipe:
         if how is not None and self.size is None:
             raise SuppleError("fit needs the size that the recipe was made for, and it has none: leave it out")
         if self.strokes and self.strokes[0].ndim != len(size):
-            return self  # whoever carries it out says what is wrong with it
+            return self  # invalid recipes are reported when they are applied
         if self.size is None or self.is_world or not self.strokes:
             return replace(self, size=size)
         scaling = scaling_of(self.size, size, how, time=time, name=name)
@@ -374,13 +373,13 @@ class Recipe:
         border = self.border
         if isinstance(border, float | tuple):
             given = border if isinstance(border, tuple) else (border,) * len(size)
-            if len(given) == len(size):  # or whoever carries it out says what is wrong with it
+            if len(given) == len(size):  # else reported when it is applied
                 widths = tuple(width * s for width, s in zip(given, scaling.widths, strict=True))
                 border = widths[0] if isinstance(border, float) and len(set(widths)) == 1 else widths
         return replace(self, size=size, strokes=tuple(strokes), border=border)
 
     def to_json(self) -> str:
-        """The recipe as strict JSON, one stroke a line, from which `from_json` makes an equal one."""
+        """Return the recipe as strict JSON, one stroke a line, from which `from_json` makes an equal one."""
         head: dict[str, object] = {
             "supple": VERSION,
             "border": list(map(_plain, self.border)) if isinstance(self.border, tuple) else _plain(self.border),
@@ -401,19 +400,18 @@ class Recipe:
 
     @classmethod
     def from_json(cls, text: str) -> Self:
-        """Read a recipe that `to_json` or a person wrote.
+        """Read a recipe written by `to_json` or by hand.
 
         Parameters
         ----------
         text : str
-            All but ``supple`` and ``strokes``, and of a stroke ``brush``, ``at``, ``radius`` and ``by`` (or ``to``),
-            may be left out, for their defaults. A recipe of version 1 has no ``reach``, and the border of the paper,
-            ``"sine"``.
+            The JSON text. All keys but ``supple`` and ``strokes``, and of a stroke ``brush``, ``at``, ``radius`` and
+            ``by`` (or ``to``), have defaults. A recipe of version 1 has no ``reach``, and the border is ``"sine"``.
 
         Raises
         ------
         SuppleError
-            If it is not a recipe; the message names what is wrong.
+            If it is not a recipe; the message names the fault.
         """
         data = _parse(text)
         if not isinstance(data, dict):
@@ -431,7 +429,7 @@ class Recipe:
 
 
 def fit_recipe(recipe: Recipe, size: Sequence[int], how: Fit | None, name: str, *, time: bool = False) -> Recipe:
-    """Return a recipe for a file of some size, as `Recipe.fitted` does, and warn if it is scaled without being asked.
+    """Return a recipe scaled to a file's size by `Recipe.fitted`, and warn if ``how`` is not given.
 
     Parameters
     ----------
@@ -439,9 +437,9 @@ def fit_recipe(recipe: Recipe, size: Sequence[int], how: Fit | None, name: str, 
     size : sequence of int
         Samples along each axis, x first.
     how : str or None
-        As `Recipe.fitted` takes it.
+        As in `Recipe.fitted`.
     name : str
-        The file's, for messages.
+        The name of the file, for messages.
     time : bool
         Whether a third axis is time.
     """
@@ -484,7 +482,7 @@ def _stroke_entry(stroke: Stroke) -> dict[str, object]:
 
 
 def _known(made: type[Recipe | Stroke], version: int) -> list[str]:
-    """The keys of a version."""
+    """Return the keys of a version."""
     return [field.name for field in fields(made) if version > 1 or field.name not in _NEW]
 
 
@@ -562,14 +560,14 @@ def _no_constant(token: str) -> NoReturn:
 
 
 def _parse_int(digits: str) -> float:
-    # Python refuses to read integers of thousands of digits; as a float such a one is out of all bounds.
+    # Python refuses to read integers of thousands of digits; as a float, such a number is out of bounds.
     return int(digits) if len(digits) < 100 else float(digits)
 
 
 def pack(strokes: Iterable[Stroke], spacing: Sequence[float], *, time: bool = False) -> npt.NDArray[np.void]:
-    """The strokes as the table that the engines read.
+    """Return the strokes as the table that the engines read.
 
-    With ``d = point - pivot`` and ``rho_i² = |d|² + radius2_i``, a row stands for the displacement
+    With ``d = point - pivot`` and ``rho_i² = |d|² + radius2_i``, a row is the displacement
     ``sum_i (p_i / rho_i + q_i / rho_i³) force + (r_i / rho_i³) (d · force) d``: ``force`` at the pivot. Where
     ``reach`` is finite, that is multiplied by ``1 - 10t³ + 15t⁴ - 6t⁵``, ``t = |d| / reach``, and 0 beyond.
 
@@ -584,7 +582,7 @@ def pack(strokes: Iterable[Stroke], spacing: Sequence[float], *, time: bool = Fa
     Returns
     -------
     ndarray of STROKE_DTYPE
-        One row a stroke, in physical units; what has no third coordinate has 0 there.
+        One row a stroke, in physical units; a missing third coordinate is 0.
     """
     strokes = tuple(strokes)
     table = np.zeros(len(strokes), STROKE_DTYPE)
@@ -602,7 +600,7 @@ def pack(strokes: Iterable[Stroke], spacing: Sequence[float], *, time: bool = Fa
 
 @lru_cache(maxsize=256)
 def _terms(radius: float, poisson: float, scales: int) -> npt.NDArray[np.float64]:
-    """The columns radius2, p, q and r of a row, as four rows."""
+    """Return the columns radius2, p, q and r of a row, as four rows."""
     # b/a of the kelvinlet (a itself cancels): from 0, at -inf, to 1/2, so that no sum here loses digits.
     ratio = 1 / (4 * (1 - poisson))
     scale = radius * 2 / (3 - 2 * ratio)
@@ -615,7 +613,7 @@ def _terms(radius: float, poisson: float, scales: int) -> npt.NDArray[np.float64
     r[:m] = weights * (scale * ratio)
     q[:m] = weights * scale * radius2[:m] / 2
     if m > 1:
-        # These must sum to zero to the last bit, or what is left of 1/r outlives 1/r⁵. The sums are exact.
+        # These must sum to exactly zero, or a remainder of 1/r would outlast 1/r⁵. The sums are exact.
         p[m - 1] = -p[: m - 1].sum()
         r[m - 1] = -r[: m - 1].sum()
     made.flags.writeable = False
@@ -623,5 +621,5 @@ def _terms(radius: float, poisson: float, scales: int) -> npt.NDArray[np.float64
 
 
 def numbers(table: npt.NDArray[np.void]) -> npt.NDArray[np.float64]:
-    """Return a table's rows as the native core takes them: float64 (n, 20), the terms' count as its bits."""
+    """Return a table's rows in the layout of the native core: float64 (n, 20), with the bits of the number of terms."""
     return np.ascontiguousarray(table).view(np.float64).reshape(len(table), STROKE_DTYPE.itemsize // 8)

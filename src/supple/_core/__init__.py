@@ -1,4 +1,4 @@
-"""The native core, as compiled for the best instruction set that this processor runs (see ``loading``)."""
+"""The native core, compiled for the best instruction set of this processor (see ``loading``)."""
 
 from supple._core.loading import load as _load
 

@@ -1,4 +1,4 @@
-# The types of what the core's modules define.
+# Types of the core's modules.
 from collections.abc import Sequence
 from typing import Any, Literal, overload
 

@@ -1,4 +1,4 @@
-// What Python sees of the core: the module, and points.
+// The Python module of the core, and its functions of points.
 #include "bindings.hpp"
 
 #include "paper.hpp"
@@ -18,7 +18,7 @@ nb::object owned(std::vector<double>* made, std::initializer_list<size_t> shape)
     return nb::cast(nb::ndarray<nb::numpy, double>(made->data(), shape, owner));
 }
 
-constexpr size_t TOGETHER = 1024;  // points that a thread takes at once
+constexpr size_t TOGETHER = 1024;  // points for a thread at once
 
 template <class F>
 void each_batch(size_t count, F body) {
@@ -72,7 +72,7 @@ void invert_points(const std::vector<Stroke>& strokes, const Axis* axes, const d
             for (int d = 0; d < D; d++) q[d][l] = targets[3 * (start + std::min(l, n - 1)) + d];
         Solution<D, Lanes> found;
         undo<D>(chain, axes, q, tolerance, found);
-        // The residual is measured once more, at the point that is handed out.
+        // The residual is measured again, at the returned point.
         for (int d = 0; d < D; d++) x[d] = found.p[d];
         apply<D>(chain, axes, x);
         for (int d = 0; d < D; d++) e2 += (x[d] - q[d]) * (x[d] - q[d]);
@@ -153,7 +153,7 @@ void bind_points(nb::module_& m) {
 }  // namespace supple
 
 NB_MODULE(SUPPLE_MODULE, m) {
-    nb::set_leak_warnings(false);  // a forked child leaves while its parent's threads hold what they hold
+    nb::set_leak_warnings(false);  // a forked child exits while objects of its parent's threads are alive
     supple::interrupted = supple::python_interrupts;
     nb::register_exception_translator([](const std::exception_ptr& p, void*) {
         try {

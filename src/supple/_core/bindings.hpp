@@ -1,4 +1,4 @@
-// What the files that Python sees of the core share.
+// Declarations shared by the core's binding files.
 #pragma once
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
@@ -22,8 +22,8 @@ inline std::vector<Stroke> strokes_of(const Doubles& rows, const Axis* axes) {
     return load_strokes(rows.data(), rows.shape(0), axes);
 }
 
-// When Python ends, it ends each daemon thread that asks for its lock, in the midst of C++ that does not expect that.
-// So such a thread stays out until the process is gone, and those that ask already are waited for.
+// At exit, Python ends daemon threads that wait for its lock, within C++ code that cannot be unwound. So such threads
+// wait until the process has ended, and exit waits for those that already ask.
 class Ending {
 public:
     // Before and after a thread takes Python's lock again.
@@ -52,7 +52,7 @@ private:
 };
 inline Ending ending;
 
-// Do work without Python's lock; what Python was interrupted with goes on.
+// Run work without Python's lock; exceptions of Python's signal handlers are passed on.
 template <class F>
 auto unlocked(F&& work) {
     struct Entered {
@@ -76,7 +76,7 @@ void bind_plans(nb::module_& m);
 void bind_folds(nb::module_& m);
 void bind_render(nb::module_& m);
 
-// Plane by plane, for images and for frames: each in a file of its own, which two compilers can work on at once.
+// Plane by plane, for images and for frames: each in a file of its own, to be compiled in parallel.
 void sample_plane(const Plan<2>& plan, const Job& job);
 void sample_plane(const Plan<3>& plan, const Job& job);
 

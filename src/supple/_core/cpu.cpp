@@ -1,5 +1,5 @@
-// Which of the core's modules this processor runs. Compiled for any processor of the architecture, so that one that is
-// too old gets a sentence rather than an illegal instruction. No __builtin_cpu_supports: not every compiler links it.
+// The choice of the core's module for this processor. Compiled for any processor of the architecture, so that old ones
+// get an error message, not an illegal instruction. No __builtin_cpu_supports: not every compiler links it.
 #include <Python.h>
 #if defined(__x86_64__) || defined(_M_X64)
 #include <cpuid.h>

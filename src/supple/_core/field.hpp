@@ -5,18 +5,18 @@
 //     K(p) = A(s) f + B(s) (r·f) r,     A = Σ p_i/ρ_i + q_i/ρ_i³,  B = Σ r_i/ρ_i³,  ρ_i² = s + e_i
 //     J(p) = 2A' f rᵀ + 2B' (r·f) r rᵀ + B [r fᵀ + (r·f) I]                                         (' = d/ds)
 //
-// With a reach R, A and B are multiplied by m(t) = (1-t)³ (1 + 3t + 6t²), t = √s / R: 0 beyond, and C². Where a
-// border is fixed, K_β = diag(β) K, J_β = diag(β) J + diag(β' ∘ K), and beyond a face the map goes on as it is at the
-// nearest point of the face: there, the derivatives across the face are 0.
+// With a reach R, A and B are multiplied by m(t) = (1-t)³ (1 + 3t + 6t²), t = √s / R: 0 beyond, and C². With a fixed
+// border, K_β = diag(β) K, J_β = diag(β) J + diag(β' ∘ K), and beyond a face the map is that at the nearest point of
+// the face: there, the derivatives across the face are 0.
 //
-// All is a template over the number V (`double`, or a vector of doubles) and the dimension D. No std::, allocation or
-// exceptions, so that compilers for GPUs take this file as it is.
+// All is a template over the number V (`double`, or a vector of doubles) and the dimension D. It uses no std::,
+// allocation or exceptions, so that compilers for GPUs accept this file.
 #pragma once
 #include "simd.hpp"
 
 namespace supple {
 
-// One row of the stroke table, in physical units, as `supple.strokes.STROKE_DTYPE` lays it out; and what is derived.
+// One row of the stroke table, in physical units, in the layout of `supple.strokes.STROKE_DTYPE`; and derived values.
 struct Stroke {
     double pivot[3], force[3], radius2[3], p[3], q[3], r[3];
     int64_t terms;
@@ -27,8 +27,8 @@ struct Stroke {
 
 enum Profile : int64_t { QUARTIC = 0, SINE = 1 };
 
-// An axis of the domain, in physical units, between its two faces. `sigma` is the width of the fixed border: -1 where
-// the axis is free, 0 where nothing moves along it.
+// An axis of the domain, in physical units, between its two faces. `sigma` is the width of the fixed border: -1 for a
+// free axis, 0 for one without displacement.
 struct Axis {
     double first, last, sigma, spacing;
     int64_t profile;
@@ -42,13 +42,13 @@ INLINE V nearest(V x, const Axis& a) {
     return least(most(x, splat<V>(a.first)), splat<V>(a.last));
 }
 
-// How deep a coordinate lies within the faces.
+// The depth of a coordinate within the faces.
 template <class V>
 INLINE V depth(V x, const Axis& a) {
     return least(V(x - a.first), V(a.last - x));
 }
 
-// sin(x) on [0, π/2] by its Taylor series, to the last bit; it vectorizes, which the library's does not.
+// sin(x) on [0, π/2] by its Taylor series, to the last bit; unlike the library's, it vectorizes.
 template <class V>
 INLINE V sine(V x) {
     V t = x * x, y = splat<V>(-1.9572941063391263e-20);
@@ -64,7 +64,7 @@ INLINE V sine(V x) {
     return x - x * t * y;
 }
 
-// β of a coordinate within the domain, and its first and second derivative, as far as ORDER asks.
+// β of a coordinate within the domain, and its first and second derivative, up to ORDER.
 template <int ORDER, class V>
 INLINE void fade(V x, const Axis& a, V* b) {
     const V one = splat<V>(1.0);
@@ -137,9 +137,8 @@ INLINE Radial<V> radial(const Stroke& k, V s) {
     return f;
 }
 
-// What a jet carries through the chain beside the point x: tangents t[j] = ∂x/∂u_j and, if MIXED, ∂²x/∂u₀∂u₁; and the
-// squares of how far one may go in u₀ and u₁ before the map varies: ρ² / |t|², and 4 max(D, σ)² / |t|² at the distance
-// D from a fixed face.
+// The jet beside the point x: tangents t[j] = ∂x/∂u_j and, if MIXED, ∂²x/∂u₀∂u₁; and the squared length scales of the
+// map along u₀ and u₁: ρ² / |t|², and 4 max(D, σ)² / |t|² at the distance D from a fixed face.
 template <int D, int TANGENTS, bool MIXED, class V>
 struct Jet {
     V x[D];
@@ -157,7 +156,7 @@ INLINE void carry(const Stroke& k, const Axis* axes, Jet<D, TANGENTS, MIXED, V>&
     for (int i = 0; i < D; i++) {
         V near = jet.x[i];
         inside[i] = splat<V>(1.0);
-        // Off the only plane of an axis without extent, the map is as it is on the plane, for inner strokes, too.
+        // Off the only plane of an axis without extent, the map is that on the plane, for inner strokes, too.
         bool fading = axes[i].fixed() && (!k.inner || axes[i].extent() == 0);
         if (fading) {
             near = nearest(near, axes[i]);
@@ -201,7 +200,7 @@ INLINE void carry(const Stroke& k, const Axis* axes, Jet<D, TANGENTS, MIXED, V>&
             V scale2 = s + k.radius2[0];
             for (int i = 0; i < D; i++)
                 if (axes[i].sigma > 0 && !k.inner) {
-                    // β varies over σ at a face, and not at all farther in.
+                    // β varies over σ at a face, and is constant farther in.
                     V scale = 2.0 * most(depth(jet.x[i], axes[i]), splat<V>(axes[i].sigma));
                     scale2 = least(scale2, V(scale * scale));
                 }
@@ -213,7 +212,7 @@ INLINE void carry(const Stroke& k, const Axis* axes, Jet<D, TANGENTS, MIXED, V>&
     for (int i = 0; i < D; i++) jet.x[i] += beta[i][0] * K[i];
 }
 
-// T of points alone.
+// T of points, without derivatives.
 template <int D, class V>
 INLINE void move(const Stroke& k, const Axis* axes, V* x) {
     Jet<D, 0, false, V> jet;

@@ -1,4 +1,4 @@
-// Folding, for Python.
+// Python bindings of folding.
 #include "folds.hpp"
 
 #include <nanobind/nanobind.h>

@@ -1,4 +1,4 @@
-// How close a stroke comes to folding: the smallest eigenvalue of a matrix field, bounded over all points.
+// The margin of a stroke to folding: the smallest eigenvalue of a matrix field, bounded over all points.
 //
 // Let S = sym(J_β), of a force of length 1 (`field.hpp`), and μ the minimum of λ_min(S) over the domain. Branch and
 // bound finds it, the box with the lowest bound first; no end of the border goes across a box. In one of widths h, S
@@ -30,7 +30,7 @@
 // 10/√3 and 60, over R, R² and R³; those of the product follow by Leibniz. The third jumps at t = 0 and 1, but the
 // second derivatives of S are bounded all the same, which is all that (1) asks for.
 //
-// What rounding can do to a bound is taken off it.
+// Bounds are reduced by the rounding error.
 #pragma once
 #include <algorithm>
 #include <array>
@@ -47,8 +47,8 @@ constexpr double INFINITE = std::numeric_limits<double>::infinity();
 // At a double root, the cosine formula for a cubic's roots loses half of the digits.
 constexpr double CUBIC = 1e-7;
 constexpr double TINY = 1e-150;
-constexpr double HUGE_BOUND = 1e100;  // a bound as bad as none, of which the square is still a number
-constexpr int MOST_BOXES = 200'000;   // that are looked at
+constexpr double HUGE_BOUND = 1e100;  // an infinite bound whose square is still finite
+constexpr int MOST_BOXES = 200'000;   // the largest number of boxes
 
 struct Box {
     double low[3], high[3];
@@ -65,9 +65,9 @@ struct Bounds {
 // Bounds of the zeroth to third derivatives of something.
 typedef std::array<double, 4> Derivatives;
 
-// Of β between two points of an axis, both in the border or both not.
+// Of β between two points of an axis, both in the border or both outside of it.
 inline Derivatives fade_bounds(const Axis& axis, double low, double high) {
-    if (axis.extent() == 0) return {};  // there are no points along it that could fold
+    if (axis.extent() == 0) return {};  // no points along it that could fold
     const auto [shallow, deep] = std::minmax({depth(low, axis), depth(high, axis)});
     if (!(axis.sigma > 0) || shallow >= axis.sigma) return {1, 0, 0, 0};
     double most[1], steepest[2];  // β grows with the depth, β' falls
@@ -153,7 +153,7 @@ inline Symmetric<Lanes> strain(const Stroke& k, const Axis* axes, const Lanes* x
         for (int j = 0; j < 3; j++) J[i][j] = beta[i][0] * (c * r[j] + g.B[0] * r[i] * f[j]);
         J[i][i] += beta[i][0] * g.B[0] * rf + beta[i][1] * K;
     }
-    // Where an axis has no extent, there are no points along it that could fold.
+    // An axis without extent has no points along it that could fold.
     const auto s = [&](int i, int j) {
         return axes[i].extent() > 0 && axes[j].extent() > 0 ? 0.5 * (J[i][j] + J[j][i]) : Lanes{};
     };
@@ -178,7 +178,7 @@ inline double smallest_eigenvalue(const Symmetric<double>& s, double slack) {
     return mean + p * (2 * std::cos(angle + 2 * std::numbers::pi / 3) + slack);
 }
 
-// Whether λ_min ≥ level, or within rounding, by Cholesky's factors: much faster than λ_min itself.
+// True if λ_min ≥ level, or within rounding, by Cholesky's factors: much faster than λ_min itself.
 inline bool is_at_least(const Symmetric<double>& s, double level) {
     const double a = s.xx - level;
     if (!(a > 0)) return false;
@@ -190,8 +190,8 @@ inline bool is_at_least(const Symmetric<double>& s, double level) {
 
 class Search {
 public:
-    // Of a stroke whose force has the length 1. `free` is a lower bound of μ with a free border. The bounds are to come
-    // closer than `gap`, as a part of the upper one; where the lower one is above `target`, they need not.
+    // Of a stroke whose force has the length 1. `free` is a lower bound of μ with a free border. The relative distance
+    // of the bounds shall be below `gap`, unless the lower one is above `target`.
     Search(const Stroke& stroke, const Axis* axes, double free, double target, double gap)
         : stroke(stroke), axes(axes), free(free), target(target), gap(gap) {
         for (int i = 0; i < stroke.terms; i++)
@@ -216,7 +216,7 @@ public:
         }
     }
 
-    // Bound μ in a box; halve the box where that is not close enough.
+    // Bound μ in a box; halve the box if that is not close enough.
     void visit(Box box) {
         const Errors errors = errors_in(box);
         double worst = enough();  // of the corners
@@ -237,7 +237,7 @@ public:
                 for (int i = 0; i < 3; i++) known.point[i] = x[i][l];
             }
         }
-        // The simple bound is no key: where it is the same for many boxes, it would not tell which one leads on.
+        // The simple bound is no key: many boxes may share it.
         box.bound = std::max(box.bound, worst);
         const double bound = std::max(box.bound, errors.simple), *d = errors.all;
         const int k = errors.cut;
@@ -251,7 +251,7 @@ public:
     }
 
 private:
-    // What (1) needs to know of a box.
+    // The terms of (1) for a box.
     struct Errors {
         double all[3] = {};  // D
         int cut = 0;         // the axis that adds most to it
@@ -272,7 +272,7 @@ private:
             steepest = std::max(steepest, b[k][1]);
         }
         Errors found;
-        if (std::sqrt(near2) >= stroke.reach) return found;  // nothing moves there
+        if (std::sqrt(near2) >= stroke.reach) return found;  // the displacement is 0 there
 
         const Derivatives n = displacement_bounds(stroke, near2, far2);
         double most = 0;
@@ -297,7 +297,7 @@ private:
         return found;
     }
 
-    // The lowest bound in a box that nothing more needs to be known of.
+    // The lowest bound in a box that needs no further division.
     double enough() const { return std::min(target, known.upper * (1 + gap)); }
     void settle(double bound) { known.lower = std::min(known.lower, bound); }
 

@@ -1,4 +1,4 @@
-"""Choice of the core's module: one was compiled for each instruction set."""
+"""The choice of the core's module: one is compiled for each instruction set."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def load() -> ModuleType:
     Raises
     ------
     SuppleError
-        If the core was not compiled, or ``SUPPLE_ISA`` names what this processor or this build does not have.
+        If the core was not compiled, or ``SUPPLE_ISA`` names an unknown or unsupported instruction set.
     """
     try:
         from supple._core.cpu import isas

@@ -1,4 +1,4 @@
-// T⁻¹: Newton's method with backtracking on a chain of strokes, and a continuation where that struggles.
+// T⁻¹: Newton's method with backtracking on a chain of strokes, and a continuation if it fails.
 //
 // Every stroke is one-to-one with a Jacobian that is nowhere singular (`supple.folding` sees to it), so T(p) = q has
 // one solution, and the step δ = -(I+J)⁻¹ ξ, ξ = T(p) - q, always leads downhill in |ξ|². From a good guess, the whole
@@ -9,7 +9,7 @@
 
 namespace supple {
 
-// Which strokes of a table apply, in their order.
+// The strokes of a table that apply, in order.
 struct Chain {
     const Stroke* strokes;
     const int* list;
@@ -18,8 +18,8 @@ struct Chain {
     Chain only(int i) const { return {strokes, list + i, 1}; }
 };
 
-// A point p with T(p) = q, the columns of (∂T/∂p)⁻¹ there, how often T was evaluated with its Jacobian, and which
-// lanes converged.
+// A point p with T(p) = q, the columns of (∂T/∂p)⁻¹ there, the evaluations of T with its Jacobian, and the mask of
+// converged lanes.
 template <int D, class V>
 struct Solution {
     V p[D];
@@ -28,7 +28,7 @@ struct Solution {
     typename Masked<V>::type done;
 };
 
-// Lanes that were done stay as they are, whatever their neighbours needed.
+// Finished lanes do not change, whatever the other lanes need.
 template <int D, class V>
 INLINE Solution<D, V> choose(typename Masked<V>::type first, const Solution<D, V>& a, const Solution<D, V>& b) {
     Solution<D, V> c = b;
@@ -41,7 +41,7 @@ INLINE Solution<D, V> choose(typename Masked<V>::type first, const Solution<D, V
     return c;
 }
 
-// A coordinate where a face is fixed: the face maps to itself, and nothing crosses it.
+// A coordinate with a fixed face: the face maps to itself, and no point crosses it.
 template <class V>
 INLINE V kept_inside(V x, V q, const Axis& a) {
     if (!a.fixed()) return x;
@@ -68,13 +68,13 @@ INLINE void apply(const Chain& chain, const Axis* axes, V* x, V (*t)[D]) {
     }
 }
 
-constexpr double SHORTEST = 0x1p-24;  // part of a step that is tried
-constexpr double DOWNHILL = 1e-4;     // part of the promised decrease that a step must keep
-constexpr double STEEP = 10;          // of residuals, and of distances, that Newton's steps are trusted for
-constexpr double CLOSE = 0.03;        // |(∂T/∂p) m - I| of an m whose square is good enough
+constexpr double SHORTEST = 0x1p-24;  // the smallest fraction of a step
+constexpr double DOWNHILL = 1e-4;     // the fraction of the predicted decrease that a step must achieve
+constexpr double STEEP = 10;          // ratio of residuals, and of distances, up to which Newton's steps are trusted
+constexpr double CLOSE = 0.03;        // the largest |(∂T/∂p) m - I| of an m whose square is accurate enough
 
 // Solve T(p) = q from the guess in `found.p`, until a step is shorter than `tolerance`, from a residual of at most
-// `residual`: where T is very steep, short steps alone tell nothing.
+// `residual`: where T is very steep, short steps alone do not imply convergence.
 template <int D, class V>
 INLINE void newton(const Chain& chain, const Axis* axes, const V* q, double tolerance, int limit, Solution<D, V>& found,
                    double residual = 1e150) {
@@ -111,12 +111,12 @@ INLINE void newton(const Chain& chain, const Axis* axes, const V* q, double tole
         done = either(done, both(taken, both(d2 <= tolerance * tolerance, e2 <= residual * residual)));
         if (!any(without(part > SHORTEST, done))) break;
     }
-    // The step that was short enough to end with is known, and taken.
+    // The last, short step is known, and applied.
     for (int i = 0; i < D; i++) found.p[i] = kept_inside(choose(done, V(base[i] + step[i]), base[i]), q[i], axes[i]);
     found.done = done;
 }
 
-// Solve one stroke at one point by following T⁻¹ along the straight line from T(q) to q; false if it was lost.
+// Solve one stroke at one point by following T⁻¹ along the straight line from T(q) to q; false on failure.
 template <int D>
 NOINLINE bool follow(const Chain& one, const Axis* axes, const double* q, double tolerance, double* p, double& steps) {
     double start[D], here[D];
@@ -172,7 +172,7 @@ NOINLINE void undo(const Chain& chain, const Axis* axes, const V* q, double tole
             }
         for (int i = 0; i < D; i++) at[i] = found.p[i];
     }
-    // Of one stroke, too, the matrix must be that at the solution.
+    // For one stroke, too, the matrix must be that at the solution.
     newton<D>(chain, axes, q, tolerance, 8, found);
 }
 

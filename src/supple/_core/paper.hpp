@@ -1,12 +1,12 @@
-// T⁻¹ by the published iteration, kept as it is: a baseline to measure against, and not what users run.
+// T⁻¹ by the published iteration, unchanged: a baseline for measurements, not used otherwise.
 //
 // Haetinger and Gastal ("Fast Iterative Inversion for Non-linear Vector Fields Applied to Images, Videos and
 // Volumes", equations 4.3 to 4.6) invert each pixel by itself. From p = q on, p grows by μ A⁻¹ b, where
 //
 //     ξ = T(p) - q,    b = -(Jᵀ + I) ξ,    A = JᵀJ + 2Jᵀ + I,
 //
-// until |ξ| falls below a tenth of a pixel. The Gauss–Newton matrix is (I+J)ᵀ(I+J) = JᵀJ + Jᵀ + J + I instead, as J is
-// not symmetric; `corrected` takes that. Each stroke is inverted by itself, the last one first.
+// until |ξ| is below a tenth of a pixel. The Gauss–Newton matrix is (I+J)ᵀ(I+J) = JᵀJ + Jᵀ + J + I instead, as J is not
+// symmetric; `corrected` selects it. Each stroke is inverted by itself, the last one first.
 #pragma once
 #include <math.h>
 

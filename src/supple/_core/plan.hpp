@@ -2,11 +2,11 @@
 //
 // At a node, Newton's method gives p = T⁻¹(q), its derivatives ∂p/∂q = (I+J)⁻¹ and, by second-order jets, the twist
 // ∂²p/∂x∂y: all that a bicubic Hermite patch needs, exactly, so that a cell depends on its own four nodes alone. A
-// cell is checked against T itself at nine points: |M (T(p) - q)| is the distance to the true T⁻¹(q). Where it is
-// too large, or the map varies too fast for nine points to tell, the cell is split, down to single pixels, whose
-// corners are nodes. A root cell that no stroke can reach is the identity and costs nothing.
+// cell is checked against T itself at nine points: |M (T(p) - q)| is the distance to T⁻¹(q). If it is too large, or the
+// map varies too fast for nine points, the cell is split, down to single pixels, whose corners are nodes. A root cell
+// that no stroke can reach is the identity and costs nothing.
 //
-// All is in pixels but for what `Stroke` and `Axis` hold.
+// All lengths are in pixels, except those of `Stroke` and `Axis`.
 #pragma once
 #include <math.h>
 
@@ -20,11 +20,11 @@
 namespace supple {
 
 constexpr int ROOT = 32;           // pixels along the side of a root cell
-constexpr int SMALL = 4;           // a side of so many pixels is split into single ones at once
-constexpr int BAND = 4;            // rows of roots that are solved one after the other, each from the last
-constexpr double RESERVE = 1.75;   // nine points do not see quite the worst of a cell
-constexpr double COARSEST = 0.25;  // of tolerances: farther off, a patch's slopes tell less of the distance
-constexpr int STRIDE = 48;         // pixels of a row of a root, and room for whole vectors
+constexpr int SMALL = 4;           // a side of up to as many pixels is split into single ones at once
+constexpr int BAND = 4;            // rows of roots that are solved in order, each from the one before
+constexpr double RESERVE = 1.75;   // nine points miss a part of the largest error of a cell
+constexpr double COARSEST = 0.25;  // of tolerances: beyond, the slopes of a patch bound the distance less well
+constexpr int STRIDE = 48;         // pixels of a row of a root, and padding for whole vectors
 
 // Samples that lie `step` pixels apart, the first at `offset`; `size` of them: the pixels themselves, or chroma.
 struct Grid {
@@ -46,8 +46,8 @@ struct Row {
     float part[D][STRIDE];
     float across[2][STRIDE], down[2][STRIDE];  // ∂p/∂x, ∂p/∂y in the plane
     float depth2[STRIDE];                      // |∂p_z/∂q|², in a stack
-    bool same[STRIDE];                         // outside the ball of every stroke
-    bool some_same, idle;                      // whether any is; whether nothing is known, as all are
+    bool same[STRIDE];                         // true outside the balls of all strokes
+    bool some_same, idle;                      // whether any is the same; whether all are, so that nothing else is set
     int count;                                 // of the samples of its root
 };
 
@@ -60,8 +60,7 @@ struct Leaf {
     float depth[4];  // ∂p_z/∂z = depth[0] + depth[1] s + depth[2] t + depth[3] st
 };
 
-// Bounds of source points: coordinate by coordinate; how far any is from q; |∂p/∂x|² + |∂p/∂y|² in the plane;
-// |∂p_z/∂q|.
+// Bounds of source points: of each coordinate; of the distance to q; of |∂p/∂x|² + |∂p/∂y|² in the plane; of |∂p_z/∂q|.
 template <int D>
 struct Extent {
     double low[D], high[D], moved = 0, spread = 2, rate = 1;
@@ -88,10 +87,10 @@ public:
 
     const int width, height;
     const double z, tolerance;
-    double error = 0;        // how far a source point is from T⁻¹(q), as far as the checks see, with their reserve
+    double error = 0;        // a bound on the distance of a source point to T⁻¹(q) from the checks, with their reserve
     double evaluations = 0;  // of T with its Jacobian
     long unsolved = 0, folds = 0;
-    double widest = 1;  // the largest max(λ₋, λ₊/400) of MMᵀ at a node: how deep a pyramid is wanted
+    double widest = 1;  // the largest max(λ₋, λ₊/400) of MMᵀ at a node: it determines the depth of a pyramid
     bool identity = true;
 
     int roots_down() const { return down; }
@@ -100,7 +99,7 @@ public:
     // [x0, x1) × [y0, y1).
     template <class Use>
     void each_row(const Grid& grid, int root_row, const int (&box)[4], bool slopes, Use use) const;
-    // Where the source points of a root, or of all, may lie.
+    // Bounds of the source points of a root, or of all.
     Extent<D> extent(int root) const;
     Extent<D> extent() const;
     int roots_across() const { return across; }
@@ -109,26 +108,26 @@ public:
         x0 = i == 0 ? 0 : grid.from(0, column(i));
         x1 = i == across - 1 ? grid.size[0] : grid.from(0, column(i + 1));
     }
-    // The largest distance to the true T⁻¹(q), measured at every pixel; and of how many it could not be measured.
+    // The largest distance to T⁻¹(q), measured at every pixel; and the number of pixels where it could not be measured.
     void measure(double finest, double& worst, long& unknown) const;
 
 private:
     struct Node {
         double p[D], m[D][D], mixed[D];
-        double smooth[2];  // how far along x and y the map stays as it is
+        double smooth[2];  // the length scale of the map along x and y
     };
     struct Cell {
         int root, x0, y0, x1, y1;
         int corner[4];
     };
-    enum Guess { NONE, POINT, PATCH };  // of a node: nothing; p; p and its derivatives, from the cell that is split
-    struct Ask {                        // a node that is wanted, and guesses
+    enum Guess { NONE, POINT, PATCH };  // of a node: nothing; p; p and its derivatives, from the parent cell
+    struct Ask {                        // a node to solve, and guesses
         double q[2], p[D], m[D][D];
         int node, root;
     };
     struct Checked {  // of a cell
         double c[D][16], across_plane[D];
-        double step[5][D];  // at its middle and those of its sides: from T⁻¹(q) to the patch, by a step of Newton's
+        double step[5][D];  // at its centre and those of its sides: Newton steps from the patch to T⁻¹(q)
         bool too_wide, too_high;
     };
     struct Root {
@@ -140,9 +139,9 @@ private:
         std::vector<int> next;  // the next leaf of the same root
         double worst = 0, rounding = 0, evaluations = 0, widest = 1;
         long unsolved = 0, folds = 0;
-        Extent<D> extent;  // of a plane in a stack, whose frames are found by it
+        Extent<D> extent;  // of a plane in a stack, which determines its frames
     };
-    struct Work {  // what a band needs while it is solved
+    struct Work {  // the scratch data of a band
         Band* band;
         std::vector<Node> nodes;
         std::vector<Cell> cells, split;
@@ -178,7 +177,7 @@ private:
 
 // ---- which strokes reach which cells ------------------------------------------------------------------------------
 
-// A bound of |J_β| = |f| (|2A'| r + |2B'| r³ + 2|B| r), and of what a border's slope adds.
+// A bound of |J_β| = |f| (|2A'| r + |2B'| r³ + 2|B| r), and of the additional term of a border's slope.
 inline double bend_of(const Stroke& k, const Axis* axes, int dimensions) {
     double force = 0, most_bend = 0, radius = sqrt(k.radius2[0]);
     for (double f : k.force) force += f * f;
@@ -268,7 +267,7 @@ void Plan<D>::find_reaching(int j) {
                 far2 += corner * corner;
             }
             Lanes distance = root(distance2);
-            Mask touched = without(Mask{} == 0, distance >= k.reach + radius);  // even where neither is a number
+            Mask touched = without(Mask{} == 0, distance >= k.reach + radius);  // also for NaN
             for (int l = 0; l < LANES && first + l < across; l++)
                 if (touched[l]) reaching[((size_t)j * across + first + l) * words + n / 64] |= 1ull << (n % 64);
             rim = without(rim, both(touched, far2 < k.reach * k.reach));
@@ -306,7 +305,7 @@ template <int D>
 void Plan<D>::solve(Work& w, Guess guess) {
     double finest = std::min(axes[0].spacing, axes[1].spacing);
     if (D == 3) finest = std::min(finest, axes[2].spacing);
-    // A step that short is taken, and another after it: what is left is of the order of its fourth power.
+    // A step that short is applied, and another after it: the error left is of the order of its fourth power.
     const double enough = finest * std::min(0.02, 0.2 * sqrt(tolerance));
     int count = (int)w.asks.size();
     for (int start = 0; start < count; start += LANES) {
@@ -340,7 +339,7 @@ void Plan<D>::solve(Work& w, Guess guess) {
         };
         found.done = without(all, all);
         Solved known{found, {}, {}};
-        // Of a step that is a fourth as long, the square is left.
+        // Of a step a fourth as long, the square is left.
         if (guess == PATCH) known = polished(found, enough / 4);
         if (any(without(all, known.at.done))) {
             if (guess != NONE) newton<D>(chain, axes, q, enough, 12, found, STEEP * enough);
@@ -353,7 +352,7 @@ void Plan<D>::solve(Work& w, Guess guess) {
             Solved more = polished(found, enough);
             more.at.done = both(more.at.done, found.done);
             if (any(without(all, either(known.at.done, more.at.done)))) {
-                // The map varies over the last step: Newton's method goes on to the end.
+                // The map varies over the last step: continue Newton's method to the end.
                 newton<D>(chain, axes, q, finest * std::min(1e-6, 1e-4 * tolerance), 20, found, STEEP * enough);
                 Solved last = polished(found, enough);
                 last.at.done = found.done;
@@ -433,7 +432,7 @@ void Plan<D>::emit(Work& w, int root, int x, int y, int wide, int high, const do
         for (int i = 1; i < 16; i++) leaf.c[d][i] = (float)c[d][i];
     }
     for (int i = 0; i < 4; i++) leaf.depth[i] = (float)depth[i];
-    // What float32 rounds off where steep powers cancel, at the far ends of the patch.
+    // The rounding error of float32 where steep powers cancel, at the far ends of the patch.
     for (int d = 0; d < D; d++)
         for (int n = 1; n < 4; n++) {
             float s = n & 1 ? wide - (x + wide == size[0]) : 0, t = n & 2 ? high - (y + high == size[1]) : 0, fs, ft;
@@ -457,7 +456,7 @@ void Plan<D>::solve_band(int index) {
         for (int i = 0; i < across; i++) roots[j * across + i].band = index;
     }
     w.nodes.resize((size_t)(end - first + 1) * (across + 1));
-    // Row after row, each from the one above.
+    // Each row from the one above.
     for (int j = first; j <= end; j++) {
         for (int i = 0; i <= across; i++) {
             Ask a{};
@@ -499,7 +498,7 @@ void Plan<D>::solve_band(int index) {
         for (int root = first * across; root < end * across; root++) w.band->extent |= extent(root);
 }
 
-// Keep the cells that are good enough, split the others.
+// Keep the good cells, split the others.
 template <int D>
 void Plan<D>::check(Work& w) {
     static constexpr double AT[9][2] = {{.5, .5},   {.5, 0},    {.5, 1},    {0, .5},   {1, .5},
@@ -575,7 +574,7 @@ void Plan<D>::check(Work& w) {
                     for (int n = 0; n < 5; n++) found.step[n][d] = step[n][d][i];
                     found.across_plane[d] = across_plane[d][i];
                 }
-                // A side that costs little is left as long as it is.
+                // A side with a small error is not split.
                 found.too_wide = coarse[0][i] || !(4 * side[0][i] <= allowed);
                 found.too_high = coarse[1][i] || !(4 * side[1][i] <= allowed);
                 split(w, e, found);
@@ -600,12 +599,12 @@ void Plan<D>::check(Work& w) {
     solve(w, PATCH);
 }
 
-// Split a cell along each side that is too long, in halves or into single pixels; the new nodes start from its patch,
-// and from how far that was off.
+// Split a cell along each side that is too long, in halves or into single pixels; the guesses of the new nodes are from
+// its patch and its error.
 template <int D>
 void Plan<D>::split(Work& w, const Cell& e, const Checked& found) {
     const int wide = e.x1 - e.x0, high = e.y1 - e.y0;
-    // A good side is left as long as it is, unless both are.
+    // A good side is not split, unless both are.
     const bool across = wide > 1 && (found.too_wide || !(found.too_high && high > 1));
     const bool down = high > 1 && (found.too_high || !(found.too_wide && wide > 1));
     int xs[SMALL + 1], ys[SMALL + 1], node[SMALL + 1][SMALL + 1];
@@ -627,7 +626,7 @@ void Plan<D>::split(Work& w, const Cell& e, const Checked& found) {
             a.root = e.root;
             a.node = node[v][u] = (int)w.nodes.size();
             w.nodes.emplace_back();
-            // The checked point that is nearest.
+            // The nearest checked point.
             int near = v == 0 ? 1 : v == ny ? 2 : u == 0 ? 3 : u == nx ? 4 : 0;
             for (int d = 0; d < D; d++) {
                 a.p[d] = at<double>(found.c[d], xs[u] - e.x0, ys[v] - e.y0, a.m[0][d], a.m[1][d]) - found.step[near][d];
@@ -647,7 +646,7 @@ void Plan<D>::split(Work& w, const Cell& e, const Checked& found) {
 
 // ---- filling --------------------------------------------------------------------------------------------------------
 
-// The place of the upper face, in pixels; where samples are on it, nothing moves across it.
+// The position of the upper face, in pixels; samples on it are not displaced across it.
 inline double face_of(const Axis& a) { return a.last / a.spacing; }
 constexpr double ON_FACE = 1e-6;
 
@@ -655,8 +654,8 @@ constexpr double ON_FACE = 1e-6;
 template <int D>
 INLINE void Plan<D>::fill(const Leaf<D>& leaf, const Grid& grid, int y, int from, int to, int left, bool slopes,
                           Row<D>& row) const {
-    // On a fixed face and beyond, where the chroma of a last pixel may lie, the map along it is that on the face: the
-    // patch of the last cell goes on from the last pixel's middle to there.
+    // On a fixed face and beyond, which the chroma of a last pixel may reach, the map along it is that on the face: the
+    // patch of the last cell continues from the last pixel's centre to there.
     const double below = y * grid.step[1] + grid.offset[1];
     const bool on_face = axes[1].fixed() && below > face_of(axes[1]) - ON_FACE;
     const float t = (float)((on_face ? face_of(axes[1]) : below) - leaf.y);
@@ -699,7 +698,7 @@ INLINE void Plan<D>::fill(const Leaf<D>& leaf, const Grid& grid, int y, int from
             row.part[d][at + i] = x - (float)whole;
         });
     }
-    for (int i = inner; i < n; i++) {  // nothing moves across a face
+    for (int i = inner; i < n; i++) {  // no displacement across a face
         row.whole[0][at + i] = from + i;
         row.part[0][at + i] = 0;
     }
@@ -741,7 +740,7 @@ void Plan<D>::mark(const Root& root, int index, const Grid& grid, int x, int y, 
             if (D == 3) chord -= (z * axes[2].spacing - k.pivot[2]) * (z * axes[2].spacing - k.pivot[2]);
             if (chord < 0) continue;
             chord = sqrt(chord);
-            // In samples from x on; on the rim itself, nothing moves, and it is left out, however it is rounded.
+            // In samples from x on; the rim itself, where the displacement is 0, is left out despite rounding.
             double first = ((k.pivot[0] - chord) / sx - grid.offset[0]) / grid.step[0] - x;
             double final = ((k.pivot[0] + chord) / sx - grid.offset[0]) / grid.step[0] - x;
             int from = (int)std::clamp(floor(first + 1e-9) + 1, 0.0, (double)n);
@@ -766,7 +765,7 @@ void Plan<D>::mark(const Root& root, int index, const Grid& grid, int x, int y, 
 template <int D>
 template <class Use>
 void Plan<D>::each_row(const Grid& grid, int root_row, const int (&box)[4], bool slopes, Use use) const {
-    Row<D> row{};  // what is found eight at a time reads past a row's end
+    Row<D> row{};  // vectors of eight read past a row's end
     int top = root_row == 0 ? 0 : grid.from(1, line(root_row));
     int bottom = root_row == down - 1 ? grid.size[1] : grid.from(1, line(root_row + 1));
     // Whole rows, so that frames are read, and results written, in order.
@@ -803,7 +802,7 @@ void Plan<D>::each_row(const Grid& grid, int root_row, const int (&box)[4], bool
 
 template <int D>
 void Plan<D>::widen(const Leaf<D>& leaf, Extent<D>& e) const {
-    // The patch's Bézier points, whose hull neither it nor, of their differences, its slopes leave. Samples lie up to
+    // The patch's Bézier points, whose hull contains it; and that of their differences its slopes. Samples lie up to
     // the next leaf, or the last pixel, or a fixed face.
     auto reached = [this](int axis, double from, double to) {
         if (to >= size[axis]) to = axes[axis].fixed() ? face_of(axes[axis]) : size[axis] - 1.0;
@@ -848,7 +847,7 @@ template <int D>
 Extent<D> Plan<D>::extent(int index) const {
     Extent<D> e;
     const Root& root = roots[index];
-    if (root.leaves == 0 || root.rim) {  // the identity is among it
+    if (root.leaves == 0 || root.rim) {  // the identity is included
         int i = index % across, j = index / across;
         double low[3] = {(double)column(i), (double)line(j), z}, high[3] = {column(i + 1) + 1.0, line(j + 1) + 1.0, z};
         for (int d = 0; d < D; d++) {

@@ -1,4 +1,4 @@
-// Plans and what is sampled by them, as Python sees them.
+// Python bindings of plans and of sampling.
 #include <nanobind/stl/optional.h>
 #include <nanobind/stl/string.h>
 #include <nanobind/stl/tuple.h>
@@ -119,7 +119,7 @@ void points_of(const Plan<D>& plan, Points<T>& out) {
     });
 }
 
-// Sample planes of a stack, each by one thread. Returns how exact the map is, and the evaluations.
+// Sample planes of a stack, each by one thread. Returns the accuracy of the map, and the evaluations.
 nb::tuple warp_stack(const Doubles& table, const Doubles& rows, int height, int width, std::vector<int> planes,
                      double tolerance, nb::list samplings) {
     Axes axes = axes_of(rows);

@@ -1,9 +1,9 @@
-// A volume seen through a camera: rays from the eye, their first surface, and what lies behind it.
+// A volume rendered through a camera: rays from the eye, their first surface, and the part behind it.
 //
-// The paper's Algorithm 3: where a ray enters the box, its first sample above a threshold, the surface before that by
-// bisection, and samples from there on through a transfer function. They are composited front to back,
-// c ← c + (1 - α) α_v c_v and α ← α + (1 - α) α_v, which gives what the paper's back to front does, and can stop
-// early. A deformed volume is sampled at p = T⁻¹(q), and its gradient is (∂p/∂q)ᵀ ∇f.
+// The paper's Algorithm 3: the entry of a ray into the box, its first sample above a threshold, the surface before that
+// by bisection, and samples from there on through a transfer function, composited front to back by
+// c ← c + (1 - α) α_v c_v and α ← α + (1 - α) α_v: equal to the paper's back to front, with an early end. A deformed
+// volume is sampled at p = T⁻¹(q), and its gradient is (∂p/∂q)ᵀ ∇f.
 #pragma once
 #include <cmath>
 #include <limits>
@@ -15,26 +15,26 @@ namespace supple {
 constexpr int BRICK = 4;          // voxels; a brick holds one more along each axis, its neighbour's first
 constexpr int BISECTIONS = 2;     // before the surface is found by a straight line between two values
 constexpr double EXACT = 1e-3;    // the last Newton step at a sample that is inverted, in voxels
-constexpr float OPAQUE = 0.995f;  // where a ray ends
+constexpr float OPAQUE = 0.995f;  // the opacity at the end of a ray
 constexpr float AMBIENT = 0.15f, DIFFUSE = 0.8f, SPECULAR = 0.2f;  // and the highlight's power is 16
 constexpr int TILE = 8;                                            // pixels along a tile's side
 constexpr double NEVER = std::numeric_limits<double>::infinity();
 
-// How a volume is seen: a camera, the light, and a transfer function. In millimetres along the volume's axes, but for
-// the eye, in voxels.
+// The appearance of a volume: a camera, the light, and a transfer function. In millimetres along the volume's axes,
+// except for the eye, in voxels.
 struct Look {
     Double4 eye, spacing, ahead, right, down;  // the ray of a pixel (x, y): ahead + x right + y down
     double step, per_step;                     // millimetres from sample to sample; 1 / that
-    Float4 lamp, per_voxel;                    // where light comes from; 1 / spacing, and 1
+    Float4 lamp, per_voxel;                    // the position of the light; 1 / spacing, and 1
     bool shaded;
-    std::vector<uint8_t> skips;  // how many bricks away the next one is that anything is seen of
+    std::vector<uint8_t> skips;  // the distance in bricks to the next visible one
     int row, layer;              // of bricks
     Int4 last_brick;
     std::vector<Float4> table;  // linear red, green and blue, and the opacity of a step
     float low, scale;           // the first entry's value, and entries for each unit
     float last_entry;
-    float threshold;    // below it, nothing is seen before the first surface
-    float bottom, top;  // nothing else is seen
+    float threshold;    // the least value of the first surface
+    float bottom, top;  // the visible range
 
     Float4 colour(float value) const {
         float entry = least(most((value - low) * scale, 0.0f), last_entry);
@@ -44,19 +44,19 @@ struct Look {
     bool seen(float value) const { return value >= bottom && value <= top; }
 };
 
-// A ray on its way: where the next sample is wanted, and what was gathered.
+// The state of a ray: its next sample, and its results so far.
 struct Ray {
     Double4 origin, way;                     // voxels, and voxels a millimetre
     Double4 along;                           // millimetres a millimetre
     double near, far;                        // where it enters and leaves the box between the outermost voxels' centres
-    double t;                                // where the next sample is wanted; beyond `far` when it has ended
-    double from = NEVER, to = -NEVER;        // strokes reach it between these only
-    double surface = NEVER, opaque = NEVER;  // where it meets the first surface, and where opacity passes 0.9
+    double t;                                // the next sample; beyond `far` when the ray has ended
+    double from = NEVER, to = -NEVER;        // the range in which strokes reach it
+    double surface = NEVER, opaque = NEVER;  // the first surface, and where opacity passes 0.9
     Float4 light{};                          // premultiplied linear colour, and opacity
     int64_t samples = 0;
     double steps = 0;      // of Newton's method
     double shift[3] = {};  // millimetres from the last sample to its source
-    bool within = false;   // where something is seen: of the next sample, the gradient counts too
+    bool within = false;   // whether the next sample, if visible, needs its gradient
 
     Ray(const Look& look, Int4 last, double x, double y) : origin(look.eye) {
         along = look.ahead + x * look.right + y * look.down;
@@ -81,7 +81,7 @@ struct Ray {
     bool moved() const { return t >= from && t <= to; }
     INLINE Float4 at(double t) const { return floats(Double4(origin + t * way)); }
 
-    // Go on to where the ray leaves the bricks around that nothing is seen of. False where something may be.
+    // Advance to where the ray leaves the empty bricks around it. False if it is in a visible one.
     INLINE bool hop(const Look& look) {
         if (within || phase == BISECT) return false;
         Float4 q = at(t);
@@ -95,7 +95,7 @@ struct Ray {
         return true;
     }
 
-    // Take in the sample at t (the gradient, and the value last), and choose the next t.
+    // Add the sample at t (the gradient, and the value last), and choose the next t.
     INLINE void take(const Look& look, Float4 sample) {
         float value = sample[3];
         samples++;
@@ -126,7 +126,7 @@ struct Ray {
             Float4 colour = look.colour(value);
             bool seen = look.seen(value) && colour[3] > 0;
             if (seen && !within) {
-                within = true;  // once more, with its gradient
+                within = true;  // again, with its gradient
                 return;
             }
             within = seen;
@@ -163,14 +163,14 @@ private:
     }
 };
 
-// Where points come from: from themselves ...
+// The sources of points: the points themselves ...
 struct Still {
     Float4 source(const Ray&, double, Float4 q) { return q; }
     Float4 turned(double, Float4 slopes) const { return slopes; }
 };
 
-// ... or from the lattice. Along a stretch of a ray, as long as one or two of its cells, u is the cubic with its values
-// and slopes at both ends, and M the line. Stretches lie where they lie, whatever is skipped.
+// ... or the lattice. Along a stretch of a ray, as long as one or two of its cells, u is the cubic with its values and
+// slopes at both ends, and M the line. The positions of stretches do not depend on skipped bricks.
 class Cubics {
 public:
     Cubics(const Lattice& lattice, int cells, const Ray& ray)
@@ -197,7 +197,7 @@ private:
     double length, per_length, start = NEVER, end = -NEVER, over = 0;
     Place first, last;
     Float4 rise, a, b;
-    Float4 turn[3];  // how M changes to the end
+    Float4 turn[3];  // the change of M to the end
 
     NOINLINE void begin(const Ray& ray, double t) {
         double k = floored((t - ray.near) * per_length), before = end;
@@ -218,7 +218,7 @@ private:
     }
 };
 
-// See one sample of a volume.
+// Add one sample of a volume.
 template <class T, class Source>
 INLINE void see(const Voxels<T>& voxels, const Look& look, Ray& ray, Source& source) {
     Float4 p = source.source(ray, ray.t, ray.at(ray.t));
@@ -241,7 +241,7 @@ INLINE void march(const Voxels<T>& voxels, const Look& look, std::vector<Ray>& r
     }
 }
 
-// Where strokes reach a ray: within millimetres of the eye from `from` to `to`.
+// The range in which strokes reach a ray: millimetres from the eye, `from` and `to`.
 inline void find_reached(const Strokes& s, const Look& look, Ray& ray) {
     for (const Stroke& k : s.strokes) {
         double b = 0, d2 = 0;  // the way to the nearest point, and the pivot's distance from the eye
@@ -331,8 +331,8 @@ void ranges(const T* samples, const int64_t* n, int brick, const int64_t* bricks
         }
 }
 
-// How many bricks each one is from the nearest that is seen, diagonals counting as one; at most 255. Forwards and
-// backwards, from the neighbours that are done: exact for this distance.
+// The distance of each brick to the nearest visible one, diagonals counting as one; at most 255. Forwards and
+// backwards, from the finished neighbours: exact for this distance.
 inline void distances(const bool* seen, const int64_t* n, uint8_t* out) {
     const int64_t total = n[0] * n[1] * n[2];
     for (int64_t i = 0; i < total; i++) out[i] = seen[i] ? 0 : 255;
@@ -347,9 +347,9 @@ inline void distances(const bool* seen, const int64_t* n, uint8_t* out) {
         }
 }
 
-// Which bricks of the deformed volume show any that is seen of the volume's own, by bounds of their displacement. Those
-// are `fine` voxels wide: narrower ones tell better, as a moved brick lies across several. `slack` is how far points
-// are off the lattice's bounds, in voxels.
+// The bricks of the deformed volume that show any visible one of the original, by bounds of their displacement. Bricks
+// of the original are `fine` voxels wide: narrower ones give closer bounds, as a displaced brick covers several.
+// `slack` is the distance of points from the lattice's bounds, in voxels.
 inline void moved(const Lattice& lattice, const bool* seen, const int64_t* n, int fine, float slack,
                   const int64_t* bricks, bool* out) {
     // Sums over all bricks before, so that any box of them is eight numbers.
@@ -382,7 +382,7 @@ inline void moved(const Lattice& lattice, const bool* seen, const int64_t* n, in
                         low[v] = least(low[v], value);
                         high[v] = most(high[v], value);
                     }
-        // The slopes add to the lines between nodes.
+        // Add the slopes to the lines between nodes.
         Float4 bent = Float4{} + slack, corner = {float(brick[0]), float(brick[1]), float(brick[2]), 0};
         for (int v = 1; v < 4; v++) bent += 0.125f * lattice.step * (high[v] - low[v]);
         auto brick_at = [&](Float4 p) { return whole(least(most(p / float(fine), Float4{}), last_brick)); };

@@ -1,4 +1,4 @@
-// What Python sees of the rendering of volumes.
+// Python bindings of rendering.
 #include <nanobind/stl/array.h>
 #include <nanobind/stl/pair.h>
 
@@ -12,7 +12,7 @@ template <class T, int N>
 using Array = nb::ndarray<T, nb::ndim<N>, nb::c_contig, nb::device::cpu>;
 typedef nb::ndarray<nb::ro, nb::ndim<3>, nb::c_contig, nb::device::cpu> Samples;
 
-// Call `f` with the samples of a volume as what they are.
+// Call `f` with the samples of a volume in their type.
 template <class F>
 void with_samples(const Samples& samples, F&& f) {
     auto is = [&](auto zero) { return samples.dtype() == nb::dtype<decltype(zero)>(); };
@@ -122,8 +122,8 @@ Look* make_look(Array<const double, 2> camera, Array<const uint8_t, 3> skips, Ar
     return look;
 }
 
-// Of the rays of `columns` by `rows`, pixels from the picture's middle: light (rows, columns, 4); depth (rows, columns,
-// 2) of the first surface and where opacity passes 0.9, or infinity; and work (rows, columns, 2), samples and
+// For the rays of `columns` by `rows`, pixels from the centre of the image: light (rows, columns, 4); depth (rows,
+// columns, 2) of the first surface and where opacity passes 0.9, or infinity; and work (rows, columns, 2), samples and
 // evaluations.
 void draw(Samples samples, const Look& look, const SolidLattice* lattice, int cells, const Strokes* strokes,
           Array<const double, 1> columns, Array<const double, 1> rows, Array<float, 3> light, Array<double, 3> depth,

@@ -11,15 +11,15 @@
 
 namespace supple {
 
-// Put pixel k of a row: put(k, pixel), or put(k, end, first, pixels) of a block whose lane 0 is pixel `first`.
-// How frames are mixed at pixel k: mix_of(k), or mix_of(k, n, times) of a block.
+// Output of pixel k of a row: put(k, pixel), or put(k, end, first, pixels) of a block whose lane 0 is pixel `first`.
+// The mixture of frames at pixel k: mix_of(k), or mix_of(k, n, times) of a block.
 
 #if defined(__AVX2__)
 constexpr int BLOCK = 8;
 typedef Pack<float, BLOCK> Eight;
 typedef Pack<int32_t, BLOCK> Eights;
 
-// In a block, frame `first + i` counts weight[i], and the constant beyond a clip's ends `constant`.
+// In a block, frame `first + i` has weight[i], and the constant beyond a clip's ends `constant`.
 struct Times {
     static constexpr int MOST = 6;
     int first = 0, count = 1;
@@ -37,7 +37,7 @@ INLINE Eight pick(const T* p, Eights at) {
     return v;
 }
 
-// What the columns and rows of each lane's window count.
+// The weights of the columns and rows of each lane's window.
 template <int RANK, int TAPS>
 struct Weights {
     Eight across[RANK][TAPS], down[RANK][TAPS + 1];
@@ -79,10 +79,10 @@ INLINE Eights first_of(const int* v, int n) {
     return lane < n ? load<int32_t, BLOCK>(v) : v[0];
 }
 
-// How the windows of a block lie to each other.
+// The relative positions of the windows of a block.
 struct Windows {
     int x, y;       // the first sample of the leftmost, and of the uppermost
-    int wide, low;  // how far the others go on: to the right, and down
+    int wide, low;  // the extent of the others: to the right, and down
     Eights across, lower;
 
     INLINE Windows(const int* xs, const int* ys, int n) {
@@ -95,7 +95,7 @@ struct Windows {
         across -= x;
         lower -= y;
     }
-    // Whether samples `before` and `after` them are all within the frames, and vectors can hold a row.
+    // True if samples `before` and `after` them are all within the frames, and vectors can hold a row.
     template <int C, class T>
     INLINE bool readable(const Frames<T>& f, int before, int after) const {
         return low <= 1 && wide * C + C <= 2 * BLOCK && x >= before && x + wide + after < f.w && y >= before &&
@@ -103,7 +103,7 @@ struct Windows {
     }
 };
 
-// What a row or frame adds: nothing where a lane does not need it, whatever is there.
+// The sum of a row or frame: 0 for lanes that do not need it, for any samples.
 template <class T>
 INLINE Eight counted(Eight weight, Eight v) {
     if constexpr (std::numeric_limits<T>::is_integer)
@@ -178,7 +178,7 @@ NOINLINE bool sample_block(const Frames<T>& f, const Row<D>& row, const Prints& 
 
 // ---- one by one -----------------------------------------------------------------------------------------------------
 
-// Where the samples of a row are read: if `inside`, all that any needs lies within the frames, and 32 bits count them.
+// The reader of a row's samples: if `inside`, all are within the frames, with 32-bit indices.
 struct Places {
     alignas(64) int at[STRIDE];
     bool inside;
@@ -197,7 +197,7 @@ struct Places {
         const ptrdiff_t row = f.row;
         inside = least_x >= LEFT && most_x < f.w - RIGHT && least_y >= LEFT && most_y < f.h - RIGHT &&
                  (most_y + RIGHT) * row + (most_x - LEFT) * C + 20 <= f.limit && f.limit <= INT32_MAX;
-        // What a row four further down will read, of one frame.
+        // Prefetch the samples of a row four further down, in one frame.
         if constexpr (sizeof(T) <= 4)
             if (inside && most_y + 4 < f.h) {
                 const T* next = f.at[0] + at[from] + 4 * row;
@@ -265,7 +265,7 @@ NOINLINE void sample_footprints(const Frames<T>& given, const Pyramid<N>& pyrami
 
 // ---- rows -----------------------------------------------------------------------------------------------------------
 
-// Sample the source points `from` to `end` - 1 of a row: put(k, pixel). mix_of(k) says how frames are mixed at one.
+// Sample the source points `from` to `end` - 1 of a row: put(k, pixel). mix_of(k) is the mixture of frames.
 template <class N, int C, bool SEVERAL, class T, int D, class MixOf, class Put>
 INLINE void sample_row(const Frames<T>& f, const Pyramid<N>& pyramid, int filter, const Row<D>& row,
                        const Prints& prints, int from, int end, MixOf mix_of, Put put) {
@@ -279,7 +279,7 @@ INLINE void sample_row(const Frames<T>& f, const Pyramid<N>& pyramid, int filter
     };
 #if defined(__AVX2__)
     if constexpr (sizeof(N) == sizeof(float) && C <= 2) {
-        // Blocks lie where they lie in a root, whatever part of it is wanted.
+        // The positions of blocks in a root do not depend on the wanted part.
         for (int k = from & -BLOCK; k < end; k += BLOCK) {
             int n = std::min(BLOCK, row.count - k);
             int kind = prints.any && filter == AUTO ? most_of(first_of(prints.kind + k, n)) : Prints::PLAIN;

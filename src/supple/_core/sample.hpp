@@ -1,13 +1,13 @@
-// Colours at source points: linear, cubic, and the residual footprint, of one frame or of several that are mixed.
+// Colours at source points: linear, cubic, and the residual footprint, of one frame or of a mixture of several.
 //
 // The footprint (docs/sampling.md). A sample is already an average over one sample. With M = ∂p/∂q, S = MMᵀ and its
-// eigenvalues λ±, what is missing is an average of the cubic interpolant over a box of variance Σ,
+// eigenvalues λ±, the remaining average is that of the cubic interpolant over a box of variance Σ,
 //
 //     12 Σ = ½(α + β) I + (α - β)/(λ₊ - λ₋) (S - ½(λ₊ + λ₋) I),     α, β = g max(λ± - 1, 0),
 //
 // whose second moments four cubic samples at (±√Σxx, ±√Σyy), weighted (1 ± ρ)/4, have exactly: a `spot`. As products
-// along the axes that is one window of 5 × 5. A larger footprint is a row of spots along its major axis, in the level
-// of a pyramid that its minor axis asks for; the next number of spots, and the next level, fade in.
+// along the axes that is one window of 5 × 5. A larger footprint is a row of spots along its major axis, in the pyramid
+// level of its minor axis, blended with the next number of spots, and the next level.
 #pragma once
 #include "plan.hpp"
 #include "vectors.hpp"
@@ -18,7 +18,7 @@ enum Filter { NEAREST, LINEAR, CUBIC, AUTO };
 enum Rule { EDGE, CONSTANT, REFLECT };
 
 constexpr float KEYS = -0.75f;             // of the cubic in space
-constexpr float LOW = 0.05f, RISE = 0.2f;  // of α: no average below, all of it from there on
+constexpr float LOW = 0.05f, RISE = 0.2f;  // of α: no average below, all of it above their sum
 constexpr float NARROW = 1.62f, SQUARE = 3.2f;
 constexpr float WIDEST_SPOT = 0.4999f;  // its half sides: two points of a spot are less than a sample apart
 constexpr float PER_SPOT = 1.7f;
@@ -26,7 +26,7 @@ constexpr int MOST_SPOTS = 16;
 constexpr int LEVELS = 12;
 constexpr int WINDOW = 5, PATCH = 32;  // samples of a window along a side; numbers from one row of a patch to the next
 
-// Where sample i of n lies under a boundary mode; -1 for a constant.
+// The index that replaces sample i of n in a boundary mode; -1 for a constant.
 INLINE int placed(int i, int n, int rule) {
     if ((unsigned)i < (unsigned)n) return i;
     if (rule == CONSTANT) return -1;
@@ -58,15 +58,15 @@ struct Powers {
 };
 template <class N, int C, int L>
 inline constexpr Powers<N, C, L> weights{0, 1};
-// Halves, since two are added: of a spot's first and second column.
+// Halves, since the first and the second column of a spot are added.
 template <class N, int C, int L>
 inline constexpr Powers<N, C, L> halves[2] = {{0, N(0.5)}, {1, N(0.5)}};
 
-// Where a spot's left and right points lie along x.
+// The positions of a spot's left and right points along x.
 template <class N>
 struct Across {
     N first, second;  // their fractions
-    int shift;        // whether the right one is a column further
+    int shift;        // 1 if the right one is a column further
 };
 
 // ---- samples of one place, and kernels over them --------------------------------------------------------------------
@@ -127,7 +127,7 @@ INLINE Pixel<N> cubic_at(Taps taps, ptrdiff_t row, N fx, N fy) {
     return sum_of<N, C, 4>(v * weights<N, C, L>(fx));
 }
 
-// left, right: what each row of the window counts for the spot's left and right points, ES apart.
+// left, right: the weights of the window's rows for the spot's left and right points, ES apart.
 template <class N, int C, int ES, class Taps>
 INLINE Pixel<N> spot_at(Taps taps, ptrdiff_t row, Across<N> x, const N* left, const N* right) {
     constexpr int L = lanes_for(5 * C > 16 ? 16 : 5 * C);
@@ -162,12 +162,12 @@ struct Frames {
     const T* const* at;
     int w, h;
     ptrdiff_t row;
-    ptrdiff_t limit;  // numbers that may be read from a frame's first on
+    ptrdiff_t limit;  // the numbers that may be read from a frame's first on
     int rule;
     const double* fill;
 };
 
-// Frames `first` to `first + n - 1`, each with a weight; and what the constant beyond a clip's ends counts.
+// Frames `first` to `first + n - 1`, each with a weight; and the weight of the constant beyond a clip's ends.
 template <class N>
 struct Mix {
     int first, n;
@@ -196,7 +196,7 @@ INLINE Pixel<N> within(const Frames<T>& f, const Mix<N>& mix, ptrdiff_t place, U
     return v;
 }
 
-// Call use(taps, row) with the samples around (x, y), of which it needs LEFT before it and RIGHT after it on each axis.
+// Call use(taps, row) with the samples around (x, y): LEFT before it and RIGHT after it on each axis.
 template <class N, int C, int LEFT, int RIGHT, bool SEVERAL, class T, class Use>
 INLINE Pixel<N> around(const Frames<T>& f, const Mix<N>& mix, int x, int y, Use use) {
     constexpr int reading =
@@ -209,7 +209,7 @@ INLINE Pixel<N> around(const Frames<T>& f, const Mix<N>& mix, int x, int y, Use 
     gather<N, C>(f, mix, x, y, own);
     return use(One<N>{own + PATCH + C}, (ptrdiff_t)PATCH);
 }
-// A window of samples where some lie beyond the edge, mixed.
+// A mixed window of samples, some of which lie beyond the edge.
 template <class N, int C, class T>
 NOINLINE void gather(const Frames<T>& f, const Mix<N>& mix, int x, int y, N* own) {
     int columns[WINDOW], rows[WINDOW];
@@ -238,17 +238,17 @@ INLINE N smooth(N f) {
     return f * f * (3 - 2 * f);
 }
 
-// The footprints of a row's samples: S, and the spot of those that one suffices for.
+// The footprints of a row's samples: S, and the spot if one suffices.
 struct Prints {
     enum Kind { PLAIN, SPOT, WIDE };
     alignas(64) int kind[STRIDE];
     float xx[STRIDE], xy[STRIDE], yy[STRIDE];
-    int x[STRIDE], y[STRIDE], shift[STRIDE];  // a spot's first point, and whether the second is a column further
-    float first[STRIDE], second[STRIDE];      // their fractions along x
+    int x[STRIDE], y[STRIDE], shift[STRIDE];            // a spot's first point, and 1 if the second is a column further
+    float first[STRIDE], second[STRIDE];                // their fractions along x
     float left[WINDOW][STRIDE], right[WINDOW][STRIDE];  // weights of rows for the left and the right points
     bool any;
 
-    // Of all of a root's row, whatever box is wanted of it: loops of other lengths may round otherwise.
+    // Always for a whole row of a root, since loops of other lengths may round differently.
     template <int D>
     void find(const Row<D>& row);
 
@@ -259,7 +259,7 @@ private:
 
 template <int D>
 inline void Prints::find(const Row<D>& row) {
-    constexpr int some = 8;  // are found at once
+    constexpr int some = 8;  // computed at once
     int n = row.count;
     any = false;
     for (int from = 0; from < n; from += some) {
@@ -299,7 +299,7 @@ inline void Prints::find_spots(const Row<D>& row, int from, int end) {
         sx = sx < WIDEST_SPOT ? sx : WIDEST_SPOT;
         sy = sy < WIDEST_SPOT ? sy : WIDEST_SPOT;
         float rho = cov / (sx * sy + 1e-12f);
-        rho = rho < -1 ? -1 : rho > 1 ? 1 : rho;  // rounding, where a variance is next to nothing
+        rho = rho < -1 ? -1 : rho > 1 ? 1 : rho;  // rounding, for a tiny variance
         // Both points lie in a window of 5 × 5 from the first one's.
         float x0 = part_x[i] - sx, x1 = part_x[i] + sx, y0 = part_y[i] - sy, y1 = part_y[i] + sy;
         int before_x = x0 < 0, after_x = x1 >= 1, before_y = y0 < 0, after_y = y1 >= 1;

@@ -1,4 +1,4 @@
-// Vectors as wide as this instruction set has them, and the few primitives that the kernels need of them.
+// Vectors of the width of this instruction set, and the few primitives for the kernels.
 //
 // The whole module is compiled once for each instruction set, so nothing here chooses at run time. A vector wider
 // than a register is two halves (`Pair`). Code that is a template over its number (`double` or `Lanes`) uses only

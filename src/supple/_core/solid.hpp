@@ -11,7 +11,7 @@
 namespace supple {
 
 constexpr double SOLVED = 0.02;  // the last Newton step but one at a node, in voxels
-constexpr double CHECKED = 2.0;  // the error is this times the largest that is seen
+constexpr double CHECKED = 2.0;  // the ratio of the error to the largest observed one
 
 // The strokes of a table, all of them, and the domain.
 struct Strokes {
@@ -25,8 +25,8 @@ struct Strokes {
     Chain chain() const { return {strokes.data(), list.data(), (int)list.size()}; }
     double finest() const { return least(axes[0].spacing, least(axes[1].spacing, axes[2].spacing)); }
 
-    // Does x lie in any stroke's ball? Elsewhere T(x) = x. Where a border is fixed, x counts as the nearest point of
-    // the domain.
+    // True if x lies in any stroke's ball; elsewhere T(x) = x. With a fixed border, x is the nearest point of the
+    // domain.
     template <class V>
     INLINE bool reaches(const V* x) const {
         for (const Stroke& k : strokes) {
@@ -41,7 +41,7 @@ struct Strokes {
         return false;
     }
 
-    // T⁻¹ of q from the guess in `found.p`; without it, where it was not good enough for all lanes.
+    // T⁻¹ of q from the guess in `found.p`; without it, if it was not good enough for all lanes.
     template <class V>
     INLINE void settle(const V* q, double tolerance, Solution<3, V>& found) const {
         if (!reaches(q)) {
@@ -59,13 +59,13 @@ struct Strokes {
     }
 };
 
-// What is known at a node, or between: u and the columns of M, each followed by a 0.
+// The values at a node, or between nodes: u and the columns of M, each padded with a 0.
 struct Place {
     Float4 u, m[3];
 };
 constexpr int NODE = sizeof(Place) / sizeof(float);
 
-// The same in wide vectors: u beside ∂p/∂x, and ∂p/∂y beside ∂p/∂z.
+// Equivalent wide vectors: u beside ∂p/∂x, and ∂p/∂y beside ∂p/∂z.
 typedef float Float8 __attribute__((vector_size(32)));
 struct Wide {
     Float8 a, b;
@@ -82,7 +82,7 @@ INLINE Float4 half(Float8 x) {
 // At `part` of the way h along an axis from x to y.
 template <int AXIS>
 INLINE Wide bend(float part, float h, Wide x, Wide y) {
-    Float8 da = y.a - x.a, db = y.b - x.b, none{}, turn;  // how the slope along the axis changes, beside zeros
+    Float8 da = y.a - x.a, db = y.b - x.b, none{}, turn;  // the change of the slope along the axis, beside zeros
     if constexpr (AXIS == 1)
         turn = __builtin_shufflevector(db, none, 0, 1, 2, 3, 8, 9, 10, 11);
     else
@@ -116,9 +116,8 @@ struct Lattice {
         return {half<0>(c[0].a), {half<1>(c[0].a), half<0>(c[0].b), half<1>(c[0].b)}};
     }
 
-    // Solve the nodes of a layer, each row from the one before. Returns the evaluations of T, and the least length,
-    // in voxels, over which the map varies. (Slices may be thicker than what it varies over; across them, only the
-    // error that is seen counts.)
+    // Solve the nodes of a layer, each row from the one before. Returns the evaluations of T, and the length scale of
+    // the map, in voxels. (Slices may be thicker than that scale; across them, only the observed error counts.)
     std::array<double, 2> solve(const Strokes& s, int64_t k) const {
         double steps = 0;
         Lanes shortest = splat<Lanes>(1e300);
@@ -130,7 +129,7 @@ struct Lattice {
                 for (int l = 0; l < LANES; l++) q[0][l] = least(i + l, nx - 1) * step * s.axes[0].spacing;
                 Solution<3, Lanes> found{};
                 for (int c = 0; c < 3; c++) {
-                    // On along the slope ∂p/∂y, and as that has changed since the row before.
+                    // Extrapolate along the slope ∂p/∂y, and its change since the row before.
                     Lanes slope = splat<Lanes>(c == 1);
                     if (j > 0) slope = before[e].m[1][c];
                     if (j > 1) slope += 0.5 * (slope - last[e].m[1][c]);
@@ -144,7 +143,7 @@ struct Lattice {
                     shortest = least(shortest, Lanes(smooth2[d] * (1 / (spacing * spacing))));
                 }
                 for (int l = 0; l < LANES && i + l < nx; l++) {
-                    if (found.steps[l] > 1) steps += found.steps[l];  // but where no stroke is
+                    if (found.steps[l] > 1) steps += found.steps[l];  // except where no stroke reaches
                     write(s, q, found, l, node(k, j, i + l));
                 }
                 last[e] = found;
@@ -154,7 +153,7 @@ struct Lattice {
         return {steps, root(smooth)};
     }
 
-    // The worst error, in voxels, that is seen in a layer of cells: |M (T(p) - q)| at fifteen points of each.
+    // The largest observed error, in voxels, in a layer of cells: |M (T(p) - q)| at fifteen points of each.
     double error(const Strokes& s, int64_t k) const {
         // The middle of the cell, of its faces and edges at one corner, and of its eighths.
         static const float seen[16][3] = {{.5, .5, .5},    {.5, .5, 0},     {.5, 0, .5},     {.5, 0, 0},

@@ -1,8 +1,8 @@
-// A plane of the output from frames of any type: which kernel, in which numbers, from which frames.
+// A plane of the output from frames of any type: the choice of kernel, of number type, and of frames.
 //
-// What the kernels know (8 and 16 bit integers, float32, up to four channels) is read where it lies. All else - other
-// types, opacity, light instead of values on sRGB's curve, more channels - is converted first, as much of a frame as a
-// root cell can see at a time, to numbers of four channels, or one.
+// Types of the kernels (8 and 16 bit integers, float32, up to four channels) are read in place. All others - other
+// types, opacity, linear light, more channels - are converted first, as much of a frame as a root cell can read at a
+// time, to numbers of four channels, or one.
 #pragma once
 #include <memory>
 
@@ -12,14 +12,14 @@ namespace supple {
 
 enum Type { U8, U16, I16, F32, F64, I8, I32, U32, I64, U64 };
 enum Between { BETWEEN_NEAREST, BETWEEN_LINEAR, BETWEEN_CUBIC };
-constexpr double LONGEST = 64;  // frames that a pixel is averaged over, at most
+constexpr double LONGEST = 64;  // the longest time average of a pixel, in frames
 
 inline int bytes_of(int type) {
     static const int bytes[] = {1, 2, 2, 4, 8, 1, 4, 4, 8, 8};
     return bytes[type];
 }
 
-// What is sampled, how, and into what.
+// A sampling job: source, options, and destination.
 struct Job {
     // Frames of `count` in a window: frame k is the slot k modulo `capacity`.
     const char* frames;
@@ -28,16 +28,16 @@ struct Job {
     int type, channels, w, h;  // contiguous rows of w * channels samples
     char* out;                 // likewise, of grid.size
     Grid grid;
-    int box[4];  // x0, x1, y0, y1 of what is wanted of it
+    int box[4];  // x0, x1, y0, y1 of the wanted part
     int filter, between, rule;
-    bool average;        // whether a pixel is averaged over the frames that it covers
+    bool average;        // whether a pixel is averaged over time
     const double* fill;  // for each channel
-    int alpha;           // the channel by which the others are weighted, or -1
-    bool light;          // whether light is averaged, and not values on sRGB's curve
-    double white;        // the largest value, and that of opaque
+    int alpha;           // the channel that weights the others, or -1
+    bool light;          // whether averages are in linear light, and not of sRGB values
+    double white;        // the largest value, and full opacity
 
     ptrdiff_t pixel_bytes() const { return (ptrdiff_t)bytes_of(type) * channels; }
-    const char* frame(int k) const {  // or null, of a constant
+    const char* frame(int k) const {  // or null, for the fill value
         k = placed(k, count, rule);
         return k < 0 ? nullptr : frames + (k % capacity) * frame_bytes;
     }
@@ -62,7 +62,7 @@ inline double integral(int between, double t) {
     }
     return t > 0 ? value : -value;
 }
-// What the frames first, first + 1, … count at a time, for a pixel that covers `width` frames more than its own.
+// The weights of the frames first, first + 1, … for a pixel that covers `width` frames more than its own.
 template <class N>
 inline int time_weights(int between, double t, double width, int& first, N* weight) {
     double base = floor(t), f = t - base;
@@ -97,8 +97,8 @@ inline int time_weights(int between, double t, double width, int& first, N* weig
     return 4;
 }
 
-// The frames that samples of a plane may need, from bounds of where they lie in time. Beyond a clip's ends, all that a
-// constant or an edge leaves to know is known a few frames out.
+// The frames that samples of a plane may read, from bounds of their times. Beyond a clip's ends, a constant or an edge
+// needs only a few more frames.
 struct Span {
     int first, last;
 };
@@ -119,7 +119,7 @@ inline Span frames_of(const Job& job, double low, double high, double rate) {
 inline double to_light(double u) { return u <= 0.04045 ? u / 12.92 : pow((u + 0.055) / 1.055, 2.4); }
 inline double from_light(double u) { return u <= 0.0031308 ? 12.92 * u : 1.055 * pow(u, 1 / 2.4) - 0.055; }
 
-// Samples as numbers, in groups of LANES_ channels: colours weighted by opacity, which comes last; light.
+// Samples as numbers, in groups of LANES_ channels: colours weighted by opacity, which comes last; linear light.
 template <class N>
 struct Numbers {
     const Job& job;
@@ -197,8 +197,8 @@ struct Numbers {
         for (int i = 0; i < n; i++, p += job.channels) {
             double opacity = 0;
             if (job.alpha >= 0) {
-                // A cubic overshoots: more than opaque, or less than clear, there is nothing to show. The colours
-                // overshoot with it, and are divided by it as it is.
+                // A cubic overshoots: clamp opacity to its range. The colours overshoot with it, and are divided by the
+                // unclamped value.
                 opacity = from[i][lanes - 1];
                 p[job.alpha] = put(std::clamp(opacity, 0.0, job.white));
             }
@@ -230,15 +230,15 @@ struct Numbers {
     }
 };
 
-// Put pixels of a row, which ends at `end`, in a type that kernels read directly: rounded to the nearest, and kept
-// within the type. Where there is room, lanes beyond the C-th are overwritten by the next pixel.
+// Write pixels of a row, which ends at `end`, in a type of the kernels: rounded to the nearest, and clamped to the
+// type. If there is room, lanes beyond the C-th are overwritten by the next pixel.
 template <int C, class T>
 struct Putting {
     T* out;  // of pixel 0
     int end;
     float high;  // the largest value
 #if defined(__SSE4_1__)
-    // No sum of weights makes so much of 16 bits that 32 do not hold it.
+    // No sum of weighted 16-bit samples overflows 32 bits.
     static INLINE __m128i narrowed(__m128i a, __m128i b) {
         __m128i s = std::numeric_limits<T>::is_signed ? _mm_packs_epi32(a, b) : _mm_packus_epi32(a, b);
         return sizeof(T) == 1 ? _mm_packus_epi16(s, s) : s;
@@ -302,7 +302,7 @@ struct Putting {
 // ---- pyramids
 // -----------------------------------------------------------------------------------------------------------
 
-// Averages of the frames in `span`, as deep as a map's smallest singular values ask for.
+// Averages of the frames in `span`, as deep as a map's smallest singular values need.
 template <class N>
 struct Averages {
     Pyramid<N> pyramid;
@@ -364,7 +364,7 @@ struct Averages {
 // ---- a plane
 // --------------------------------------------------------------------------------------------------------------
 
-// How frames are mixed at the samples of a row. The constant beyond a clip's ends is known by its weight alone.
+// The mixture of frames at the samples of a row. The constant beyond a clip's ends only has a weight.
 template <class N, int D>
 struct Mixing {
     const Job& job;
@@ -372,7 +372,7 @@ struct Mixing {
     const Row<D>& row;
     N* weight;
     const void* const* frames;  // of the span; null: constant
-    bool pairs;                 // whether two frames of the span, all of which are there, are all that any needs
+    bool pairs;                 // whether two frames of the span, both present, suffice for all samples
 
     Mixing(const Job& job, Span span, const Row<D>& row, N* weight, const void* const* frames)
         : job(job), span(span), row(row), weight(weight), frames(frames), pairs(false) {
@@ -416,7 +416,7 @@ struct Mixing {
         }
     }
 #if defined(__AVX2__)
-    // Of n samples from k on. False where they need too many frames.
+    // Of n samples from k on. False if they need too many frames.
     INLINE bool operator()(int k, int n, Times& times) const {
         if constexpr (D == 2) return true;
         int end = 0;
@@ -461,7 +461,7 @@ INLINE void copy_same(const Job& job, const char* frame, int x, int y, int n, co
     }
 }
 
-// The frame that a plane shows where nothing moves.
+// The frame of an unchanged plane.
 template <int D>
 inline const char* own_frame(const Plan<D>& plan, const Job& job) {
     return D == 2 ? job.frames : job.frame((int)plan.z);
@@ -473,7 +473,7 @@ void sample_nearest(const Plan<D>& plan, const Job& job) {
     std::vector<char> fill(size);
     const Job filling = job;
     Numbers<double> numbers(filling);
-    for (int c = 0; c < job.channels; c++) {  // in the samples' own type
+    for (int c = 0; c < job.channels; c++) {  // in the type of the samples
         double v = job.fill[c];
         char* p = fill.data() + c * bytes_of(job.type);
         auto put = [&](auto kind) {
@@ -511,7 +511,7 @@ void sample_nearest(const Plan<D>& plan, const Job& job) {
     });
 }
 
-// The frames that a plane's samples may need, and averages of them as deep as the map asks for.
+// The frames that a plane's samples may read, and their averages, as deep as the map needs.
 template <int D>
 Span frames_of(const Plan<D>& plan, const Job& job) {
     if constexpr (D == 2) return {0, 0};
@@ -519,14 +519,14 @@ Span frames_of(const Plan<D>& plan, const Job& job) {
     return frames_of(job, e.low[D - 1], e.high[D - 1], e.rate);
 }
 
-// Sample what kernels read as it lies.
+// Sample frames of the kernels' types, in place.
 template <class T, int C, int D>
 void sample_direct(const Plan<D>& plan, const Job& job) {
     Numbers<float> numbers(job);
     const Span span = frames_of(plan, job);
     std::vector<const T*> frames;
     for (int k = span.first; k <= span.last; k++) frames.push_back((const T*)job.frame(k));
-    // A pyramid's groups have one channel or four; what has two or three goes with a fourth that counts for nothing.
+    // A pyramid's groups have one channel or four; two or three channels are padded with a fourth.
     Averages<float> averages(job, numbers, 0, span, plan.widest);
     ptrdiff_t line = (ptrdiff_t)job.w * C;
     Frames<T> source{frames.data(), job.w, job.h, line, line * job.h, job.rule, job.fill};
@@ -562,7 +562,7 @@ struct Keeping {
 #endif
 };
 
-// Sample anything, root by root, from what each can see, as numbers.
+// Sample frames of any type, converted to numbers, root by root.
 template <class N, int C, int D>
 void sample_converted(const Plan<D>& plan, const Job& job) {
     Numbers<N> numbers(job);
@@ -622,8 +622,8 @@ void sample_converted(const Plan<D>& plan, const Job& job) {
         });
     }
 }
-// The samples of a frame that a root may need: its source points, their footprints, and what stands for those beyond
-// an edge.
+// The samples of a frame that a root may read: its source points, their footprints, and the replacements of samples
+// beyond an edge.
 template <int D>
 inline void seen(const Job& job, const Extent<D>& e, int (&box)[4]) {
     int size[2] = {job.w, job.h};
@@ -633,7 +633,7 @@ inline void seen(const Job& job, const Extent<D>& e, int (&box)[4]) {
         double low = (e.low[d] - job.grid.offset[d]) / job.grid.step[d] - margin;
         double high = (e.high[d] - job.grid.offset[d]) / job.grid.step[d] + margin;
         int n = size[d], first = (int)std::clamp(low, 0.0, n - 1.0), last = (int)std::clamp(high, 0.0, n - 1.0);
-        if (job.rule == REFLECT) {  // the mirror images of what lies beyond, which may be all
+        if (job.rule == REFLECT) {  // reflected samples, which may be all
             if (low < 0) last = (int)std::max((double)last, std::min(-low, n - 1.0));
             if (high > n - 1) first = (int)std::min((double)first, std::max(2 * n - 2 - high, 0.0));
             if (low < -n || high > 2 * n - 1) first = 0, last = n - 1;

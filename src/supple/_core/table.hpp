@@ -20,8 +20,8 @@ inline Axes load_axes(const double* rows) {
     return axes;
 }
 
-// Does the border leave all of a stroke's ball alone, β = 1? Along an axis of sigma 0, nothing moves (β = 0); that
-// changes nothing only where K has no such component, as in a single plane with the pivot and the force in it.
+// True if β = 1 in all of a stroke's ball. Along an axis of sigma 0, β = 0; that has no effect only if K has no such
+// component, as in a single plane with the pivot and the force in it.
 inline bool is_inner(const Stroke& k, const Axis* axes) {
     for (int i = 0; i < 3; i++) {
         const Axis& a = axes[i];

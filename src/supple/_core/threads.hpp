@@ -1,5 +1,5 @@
-// One pool of threads for the process. The caller of `parallel` does a part of the work itself; a call from within
-// such work, or while another thread has the pool, runs where it is.
+// One pool of threads for the process. The caller of `parallel` shares the work; a call from within such work, or while
+// another thread has the pool, runs in its own thread.
 #pragma once
 #include <stdlib.h>
 #if defined(__linux__)
@@ -23,7 +23,7 @@ struct Interrupted : std::exception {
     const char* what() const noexcept override { return "interrupted"; }
 };
 
-// How many threads work at once: SUPPLE_THREADS, or as many as this process may use.
+// The number of threads: SUPPLE_THREADS, or the number of CPUs available to this process.
 inline int threads() {
     const char* asked = getenv("SUPPLE_THREADS");
     if (asked && *asked >= '1' && *asked <= '9') {
@@ -46,7 +46,7 @@ public:
     explicit Pool(int n) : size(n) {
         for (int i = 1; i < n; i++) std::thread([this, i] { serve(i); }).detach();
     }
-    // Call `body` for each item; `interrupted` is asked now and then, by the caller's thread.
+    // Call `body` for each item; `interrupted` is called at intervals by the caller's thread.
     void run(int count, const Body& body, bool (*interrupted)()) {
         job = &body;
         stop = false;
@@ -112,16 +112,16 @@ private:
     unsigned long turn = 0;
 
 public:
-    static bool& inside() {  // whether this thread is doing an item already
+    static bool& inside() {  // true while this thread processes an item
         static thread_local bool yes = false;
         return yes;
     }
 };
 
-// Set by the bindings: whether Python wants the work to end.
+// Set by the bindings: true if Python wants the work to end.
 inline bool (*interrupted)() = nullptr;
 
-// Call `child` in every process that is forked from this one.
+// Call `child` in every process forked from this one.
 inline void after_fork(void (*child)()) {
 #if !defined(_WIN32)
     pthread_atfork(nullptr, nullptr, child);
@@ -143,7 +143,7 @@ inline Shared*& shared() {
 
 // Call body(item, worker) for the items 0 to count - 1, where worker counts from 0 to threads() - 1.
 //
-// Raises Interrupted if Python was interrupted, and what a body raised.
+// Raises Interrupted if Python was interrupted, and the exceptions of a body.
 inline void parallel(int count, const Pool::Body& body) {
     Shared*& all = shared();
     int n = threads();
@@ -152,7 +152,7 @@ inline void parallel(int count, const Pool::Body& body) {
         {
             std::lock_guard guard(all->making);
             if (!all->pool || (all->pool->size != n && all->pool->taken.try_lock())) {
-                if (all->pool) all->pool->taken.unlock();  // its threads sleep on; their number changes seldom
+                if (all->pool) all->pool->taken.unlock();  // its threads stay idle; their number seldom changes
                 all->pool = new Pool(n);
             }
             own = all->pool;

@@ -51,7 +51,7 @@ using Pack = typename PackOf<N, L>::type;
 template <class N>
 using Pixel = Pack<N, 4>;  // up to four channels
 
-// Lanes of two pixels one after the other: those from `BY` on.
+// Lanes of two consecutive pixels, from `BY` on.
 template <class N, int BY>
 INLINE Pixel<N> straddle(Pixel<N> a, Pixel<N> b) {
     if constexpr (sizeof(Pixel<N>) <= REGISTER)
@@ -137,7 +137,7 @@ INLINE Pack<N, L> load(const T* p) {
     return Loader<N, L, T>::at(p);
 }
 
-// How many lanes hold n numbers.
+// The number of lanes for n numbers.
 constexpr int lanes_for(int n) { return n <= 4 ? 4 : n <= 8 ? 8 : 16; }
 
 // The sums over K pixels of C channels each, which lie one after the other in a pack.

@@ -18,7 +18,7 @@ INLINE float dot3(Float4 a, Float4 b) {
     Float4 c = a * b;
     return c[0] + c[1] + c[2];
 }
-// The point at `part` of the way from a to b: exactly a where both are the same.
+// The point at `part` of the way from a to b: exactly a if both are equal.
 template <class V, class S>
 INLINE V mix(S part, V a, V b) {
     return a + part * (b - a);
@@ -61,8 +61,8 @@ private:
         memcpy(both + 2, a + row, 2 * sizeof(T));
         return load<float, 4>(both);
     }
-    // At `part` between the second and the third, half of what changes from each one's neighbour before to that after.
-    // Differences come before weights, so that it is exactly 0 where all voxels are the same.
+    // At `part` between the second and the third, half of the difference of each one's neighbours. Differences come
+    // before weights, so that the result is exactly 0 if all voxels are equal.
     template <class V>
     INLINE static V change(float part, V a, V b, V c, V d) {
         return 0.5f * mix(part, V(c - a), V(d - b));

@@ -53,7 +53,7 @@ Examples:
   supple view ct.raw --shape 512,512,200 --dtype int16 --spacing 0.7,0.7,1.5
 """
 
-# Where each command is, how it is used, and examples. Only the module of the one that is given is imported.
+# The module of each command, its usage, and examples. Only the module of the given command is imported.
 _COMMANDS = (
     ("cli.warp:warp", f"warp IN... OUT {_GRAB}", _WARP_EXAMPLES),
     ("cli.plot:plot", f"plot IN OUT.png {_GRAB}", ""),
@@ -79,8 +79,8 @@ def main() -> NoReturn:
     for stream in (sys.stdout, sys.stderr):
         with contextlib.suppress(OSError, ValueError, AttributeError):
             stream.flush()
-    # All files are whole by now. Tidying up the interpreter takes 0.3 s, and after an interrupt it would wait for
-    # threads whose work nobody wants.
+    # All files are complete here. The interpreter's cleanup takes 0.3 s, and after an interrupt it would wait for
+    # threads whose work is no longer needed.
     os._exit(status)
 
 
@@ -98,8 +98,8 @@ def _dispatch(arguments: Sequence[str]) -> None:
     for where, usage, examples in _COMMANDS:
         app.command(f"supple.{where}", usage=f"Usage: supple {usage}", help_epilogue=examples)
     if not arguments or arguments[0] in app.help_flags:
-        app.resolved_commands()  # or their first lines would be missing
-    # A dash alone would be taken for an option.
+        app.resolved_commands()  # otherwise their first lines would be missing
+    # Otherwise a single dash would be parsed as an option.
     for option, value in itertools.pairwise(arguments):
         if value == "-" and option in _OF_FILES:
             raise SuppleError(f"{option} - is not possible: - is for the files IN and OUT; name a file")

@@ -25,11 +25,11 @@ if TYPE_CHECKING:
 DONE, FAULT, REFUSED = 0, 1, 2
 INTERRUPTED = 128 + signal.SIGINT
 TERMINATED = 128 + signal.SIGTERM
-STREAM = "(standard)"  # a dash among files: standard input or output
+STREAM = "(standard)"  # a dash in place of a file: standard input or output
 PIPE_CLOSED = 141  # 128 + SIGPIPE, which Windows does not name
 
 
-# Arguments of the library that are options of the command; those with an underscore are nothing else.
+# Arguments of the library that are options of the command; those with an underscore are options only.
 _NAMES = (
     "between|border|border_profile|codec|crf|device|field_of_view|fill|filter|fit|force|frame|labels|linear_light|lossless|"
     "memory|mode|on_fold|outside|pixel_format|poisson|preset|quality|radius|rate|raw|reach|save_field|scales|series|"
@@ -39,7 +39,7 @@ _UNDERSCORED = "|".join(name for name in _NAMES.split("|") if "_" in name)
 _VALUE = r"""(?:'([^']*)'|"([^"]*)"|(None|True|False|[\w.]+(?:\(\.\.\.\))?))"""
 _ASIDE = re.compile(rf" \((?:{_NAMES})={_VALUE}\)")  # --force (force=True)
 _GIVEN = re.compile(rf"(?<![\w-])({_NAMES})={_VALUE}")  # on_fold='flow'
-# These are words as well, and are options only where a message begins with them.
+# Also common words, which are options only at the beginning of a message.
 _WORDS = "clamp|density|distance|elevation|roll|shape|size|step|supersampling|target|transfer|turntable|up"
 _FIRST = re.compile(rf"^((?:--grab \S+: )?)({_NAMES}|{_WORDS})(?= is for | must be | needs )")
 _WORD = re.compile(rf"(?<![\w/.-])({_UNDERSCORED})(?![\w/.-])")
@@ -118,9 +118,9 @@ class Console:
 
     def __init__(self) -> None:
         self.quiet = self.strict = False
-        self.all = File()  # warnings about no file of several, or about the one there is
+        self.all = File()  # warnings without a file, or about a single one
         self.bar: Any = None
-        self.names: dict[str, str] = {}  # of temporary files, as people know them
+        self.names: dict[str, str] = {}  # user-visible names of temporary files
         self._said: set[str] = set()
         self._lock = threading.Lock()
 
@@ -148,7 +148,7 @@ class Console:
     def tell(self, facts: Mapping[str, object]) -> None:
         """Write one JSON object, a line, to standard output; the warnings about the file are added."""
         line = json.dumps({**facts, "warnings": list(dict.fromkeys(self.all.warnings + self.file.warnings))})
-        with self._lock:  # one line at a time, though many threads have something to tell
+        with self._lock:  # one line at a time, from any thread
             sys.stdout.write(line + "\n")
             sys.stdout.flush()
 
@@ -292,7 +292,7 @@ def _signals() -> Iterator[None]:
         names = []
     before: dict[int, Any] = {}
     for number in (getattr(signal, name) for name in names):
-        if signal.getsignal(number) == signal.SIG_DFL:  # others, nohup say, know what they do
+        if signal.getsignal(number) == signal.SIG_DFL:  # others, such as nohup, have set their own
             before[number] = signal.signal(number, _terminate)
     try:
         yield

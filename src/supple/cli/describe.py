@@ -16,7 +16,7 @@ from supple.media.numbering import is_sequence
 from supple.media.volume import RawLayout
 from supple.strokes import Recipe, spoken
 
-# What ITU-T H.273 calls the numbers of colours.
+# The names of colour codes in ITU-T H.273.
 _PRIMARIES = {1: "BT.709", 4: "BT.470 M", 5: "BT.601 (625)", 6: "BT.601 (525)", 7: "SMPTE 240M", 8: "film"}
 _PRIMARIES |= {9: "BT.2020", 10: "XYZ", 11: "DCI-P3", 12: "Display P3", 22: "EBU 3213"}
 _TRANSFERS = {1: "BT.709", 4: "gamma 2.2", 5: "gamma 2.8", 6: "BT.601", 7: "SMPTE 240M", 8: "linear"}
@@ -63,7 +63,7 @@ def describe(name: str, *, layout: RawLayout | None = None, series: str | None =
         from supple.media import sequence
 
         facts = sequence.info(name)
-        del facts["rate"]  # which pictures do not know
+        del facts["rate"]  # images have no rate
         return {"file": name, "kind": "sequence", **facts}, _sequence(name, facts)
     if suffix in SUFFIXES:
         return _described_video(name)

@@ -298,7 +298,7 @@ def _outcome(future: Future[None]) -> tuple[str, int]:
         return str(error), REFUSED
     except MemoryError:
         return "this takes more memory than there is: cut the picture into parts", REFUSED
-    except BrokenPipeError:  # nobody reads what is told of the files: there is no use in going on
+    except BrokenPipeError:  # the reader of the output is gone
         raise
     except OSError as error:
         return f"the system refuses: {error.strerror or error}", REFUSED

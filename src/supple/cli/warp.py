@@ -181,13 +181,13 @@ def warp(
                 error = as_options(one_line(message))
                 console.tell({"input": str(job[0]), "output": str(job[1]), "error": error})
 
-    if not all(is_clip(*job, recipe) for job in jobs):  # of clips, it says that it does not do them
+    if not all(is_clip(*job, recipe) for job in jobs):  # clips raise an error of their own
         check_device(device)
     if many:
         from supple.engines.workers import threads
 
         make_folders(jobs)
-        # Of clips and volumes one at a time: each has work for all cores.
+        # Clips and volumes one at a time: each has work for all cores.
         large = any(is_clip(*job, recipe) or is_volume_job(*job, recipe, reading) for job in jobs)
         crew = 1 if large else min(len(jobs), threads())
         failures = Crew(crew).work(jobs, do, console, failed)

@@ -1,4 +1,4 @@
-"""The values that pass between pipeline and engines, and the one protocol that every engine implements."""
+"""The values exchanged by pipeline and engines, and the protocol that every engine implements."""
 
 from __future__ import annotations
 
@@ -16,32 +16,32 @@ from supple.errors import SuppleError, ToleranceWarning
 
 Array = npt.NDArray[Any]
 
-# The numbers by which the core, WGSL and CUDA know them.
+# Codes shared with the core, WGSL and CUDA.
 FILTERS = {"auto": 3, "cubic": 2, "linear": 1, "nearest": 0}
 BETWEEN = {"nearest": 0, "linear": 1, "cubic": 2}
 OUTSIDE = {"edge": 0, "constant": 1, "reflect": 2}
 
 SUPPORT = {"nearest": 1, "linear": 1, "cubic": 2}
-LONGEST = 64.0  # frames that a pixel is averaged over, at most
+LONGEST = 64.0  # frames: the longest time average of a pixel
 SLACK = 1e-3  # frames
 FINEST = 3e-4
-"""About how exact a source point is that is stored in float32, in pixels."""
+"""The approximate accuracy of a source point in float32, in pixels."""
 
 _GONE = ("antialias", "ewa")
 
 
 @dataclass(frozen=True, slots=True)
 class Certificate:
-    """The accuracy of a map of source points, and what it cost to compute.
+    """The accuracy of an inverse map, and the cost of computing it.
 
     Parameters
     ----------
     error : float
         A bound on the distance of source points from T⁻¹(q), in pixels.
     evaluations : float
-        How often T was evaluated.
+        The number of evaluations of T.
     unknown : int
-        How many points could not be solved to the tolerance.
+        The number of points that could not be solved to the tolerance.
     """
 
     error: float
@@ -49,14 +49,14 @@ class Certificate:
     unknown: int = 0
 
     def __or__(self, other: Certificate) -> Certificate:
-        """Return the certificate of two maps together."""
+        """Return the certificate of both maps together."""
         return Certificate(
             max(self.error, other.error), self.evaluations + other.evaluations, self.unknown + other.unknown
         )
 
 
 def warn_of(certificate: Certificate, tolerance: float, stacklevel: int) -> None:
-    """Warn if a map may be less exact than was asked."""
+    """Warn if a map may be less accurate than the tolerance."""
     if not certificate.error <= 1.01 * tolerance + FINEST:
         warnings.warn(
             f"the map may be off by {certificate.error:.2g} px somewhere, more than the tolerance {tolerance:g}: "
@@ -68,7 +68,7 @@ def warn_of(certificate: Certificate, tolerance: float, stacklevel: int) -> None
 
 @dataclass(frozen=True, slots=True)
 class Space:
-    """The strokes on their domain, packed as engines take them, and the number of frames.
+    """The packed strokes and domain, as engines take them, and the number of frames.
 
     Parameters
     ----------
@@ -79,9 +79,9 @@ class Space:
     ndim : int
         2 for an image, 3 for a clip or a volume.
     count : int
-        How many frames or slices; of a clip that is bent frame by frame, ``ndim`` is 2.
+        The number of frames or slices; ``ndim`` is 2 for a clip that is warped frame by frame.
     shape : (int, int)
-        Rows and columns of each.
+        Rows and columns of each frame.
     """
 
     table: npt.NDArray[np.void]
@@ -92,18 +92,18 @@ class Space:
 
     @property
     def whole(self) -> tuple[int, ...]:
-        """The shape of the arrays: of an image, or of all frames."""
+        """The shape of the arrays: of one image, or of all frames."""
         return self.shape if self.ndim == 2 and self.count == 1 else (self.count, *self.shape)
 
     @property
     def is_identity(self) -> bool:
-        """Return whether there is nothing to do: no strokes, or none with any force."""
+        """Return whether the map is the identity: no strokes, or none with any force."""
         return self.table.size == 0
 
     def planned(self, step: tuple[int, int]) -> tuple[int, int]:
-        """Return rows and columns of a plan, which reaches as far as samples ``step`` pixels apart may lie."""
+        """Return the rows and columns of a plan that covers samples up to ``step`` pixels apart."""
         height, width = self.shape
-        if self.axes[0, 2] >= 0:  # beyond a fixed face, the map goes on as at the face
+        if self.axes[0, 2] >= 0:  # beyond a fixed face, the displacement is constant
             return height, width
         return -(-height // step[1]) * step[1], -(-width // step[0]) * step[0]
 
@@ -117,11 +117,11 @@ class Group:
     shape : (int, int)
         Rows and columns of samples.
     channels : int
-        How many components. Their samples are arrays of shape (rows, samples, channels).
+        The number of components. Their samples are arrays of shape (rows, samples, channels).
     step : (int, int)
         Pixels of the frame from one sample to the next, x first: (2, 2) for the chroma of 4:2:0.
     offset : (float, float)
-        Where the first sample lies, in pixels of the frame, x first: the siting.
+        The position of the first sample, in pixels of the frame, x first: the chroma siting.
     alpha : bool
         Whether the last channel is opacity.
     """
@@ -142,11 +142,11 @@ class Layout:
     groups : tuple of Group
         The first has a sample for every pixel of the frame.
     dtype : numpy.dtype
-        Of all samples.
+        The type of all samples.
     white : float
-        The largest value that a sample may have, and that of opaque: 255, 1023, …
+        The largest sample value, which is also that of full opacity: 255, 1023, …
     black : tuple of float
-        The components of black, one value for all or one for each, in the groups' order.
+        The components of black: one value for all, or one for each in the order of the groups.
     """
 
     groups: tuple[Group, ...]
@@ -161,7 +161,7 @@ class Layout:
 
     @property
     def step(self) -> tuple[int, int]:
-        """How many pixels apart the samples lie that lie farthest apart, x first."""
+        """The largest spacing of the samples of any group, in pixels, x first."""
         return max(g.step[0] for g in self.groups), max(g.step[1] for g in self.groups)
 
     @classmethod
@@ -173,18 +173,18 @@ class Layout:
         Parameters
         ----------
         shape, dtype
-            Of the array.
+            The shape and the type of the array.
         whole : tuple of int
-            The deformation's shape.
+            The shape of the deformation.
         alpha : bool, optional
-            Whether the last channel is opacity; None to have it guessed.
+            Whether the last channel is opacity; guessed if None.
         light : bool
-            Whether light is averaged.
+            Whether averages are computed in linear light.
 
         Raises
         ------
         SuppleError
-            If the array does not fit the deformation, or its type is none that is sampled.
+            If the array does not fit the deformation, or its type is not supported.
         """
         if dtype.kind not in "biuf" or dtype.itemsize > 8:
             refuse("source", "an array of bool, integers or floats of up to 64 bits", f"dtype {dtype}")
@@ -207,7 +207,7 @@ class Layout:
 
 @dataclass(frozen=True, slots=True)
 class Sampling:
-    """How frames are sampled; see `supple.Deformation.warp`. `checked` makes it of what a user gives."""
+    """Sampling options; see `supple.Deformation.warp`. `checked` builds them from user input."""
 
     filter: str = "auto"
     between: str = "linear"
@@ -231,14 +231,14 @@ class Sampling:
         time_filter: bool = False,
         unit: str = "pixels",
     ) -> Sampling:
-        """Return how samples are made, as `supple.Deformation.warp` is asked.
+        """Return checked sampling options, with the arguments of `supple.Deformation.warp`.
 
-        ``ndim`` is 2 for an image, which has no frames to interpolate between; ``unit`` is that of the tolerance.
+        ``ndim`` is 2 for an image, which has no frames to interpolate between; ``unit`` is the unit of the tolerance.
 
         Raises
         ------
         SuppleError
-            If something is not known, or does not go with the filter.
+            If an option is unknown, or does not go with the filter.
         """
         check_filter(filter)
         choice("outside", outside, tuple(OUTSIDE))
@@ -256,12 +256,12 @@ class Sampling:
         return cls(filter, between, averaged, outside, fill, light, tolerance)
 
     def filled(self, channels: int, dtype: np.dtype[Any]) -> Sampling:
-        """Return it with one fill value for each channel, as near as a type has it.
+        """Return a copy with one fill value for each channel, rounded to the sample type.
 
         Raises
         ------
         SuppleError
-            If the fill value is no number, or there are more or fewer than channels.
+            If a fill value is not a number, or their count differs from that of the channels.
         """
         try:
             values = np.asarray(self.fill, np.float64)
@@ -275,7 +275,7 @@ class Sampling:
 
 
 def check_filter(filter: object) -> None:
-    """Refuse an unknown filter; SuppleError says which there are."""
+    """Raise SuppleError for an unknown filter."""
     if filter in _GONE:
         raise SuppleError(
             f'filter="{filter}" is gone: "auto", the default, averages just what the map shrinks (docs/sampling.md)'
@@ -284,7 +284,7 @@ def check_filter(filter: object) -> None:
 
 
 def check_gradients(value: object, name: str) -> None:
-    """Refuse a tensor that requires gradients, which would get none here."""
+    """Raise SuppleError for a tensor that requires gradients, which this operation does not compute."""
     if getattr(value, "requires_grad", False) is True:
         raise SuppleError(
             f"{name} is a tensor that wants gradients, found requires_grad=True: supple.torch.warp makes them, and "
@@ -294,7 +294,7 @@ def check_gradients(value: object, name: str) -> None:
 
 @dataclass(frozen=True, slots=True)
 class Work:
-    """A deformation, the layout of the frames, and how they are sampled: all that an engine is told.
+    """The job of an engine: a deformation, the layout of the frames, and the sampling options.
 
     Parameters
     ----------
@@ -302,7 +302,7 @@ class Work:
     layout : Layout
     sampling : Sampling
     items : tuple of Space, optional
-        Of a batch, whose first axis counts items: the deformation of all of them, or one for each.
+        Of a batch along the first axis: one deformation for all items, or one for each.
     """
 
     space: Space
@@ -319,13 +319,13 @@ class Work:
 
 
 Steps = Generator[tuple[int, Certificate], None, None]
-"""How many planes are done, and the accuracy of the map of those that were done since the last step."""
+"""Pairs of the number of finished planes and the certificate of the planes finished since the last pair."""
 
 
 class EngineError(Exception):
-    """A device failed at what it does in general: the CPU is to do it.
+    """A failure of a device in work it generally supports; the CPU takes over.
 
-    ``lost`` says that the device cannot go on with other planes either.
+    ``lost`` is true if the device cannot process other planes either.
     """
 
     def __init__(self, reason: str, *, lost: bool = True) -> None:
@@ -334,79 +334,79 @@ class EngineError(Exception):
 
 
 class Planes(Protocol):
-    """Planes that are made from the frames in a window, which holds frame k in the slot k modulo its capacity."""
+    """A maker of planes from a window of frames; frame k is in slot k modulo the capacity of the window."""
 
     def begin(self, z: int, first: int, last: int) -> object:
-        """Begin a plane that samples the frames ``first`` to ``last``, which are in the window."""
+        """Begin a plane that samples frames ``first`` to ``last``, which are in the window."""
 
     def finish(self, begun: Any, z: int, first: int, last: int, outs: Sequence[Array]) -> Certificate:
-        """Put what was begun, whose frames are still in the window, into an array for each group."""
+        """Write a plane that was begun into one array for each group; its frames are still in the window."""
 
 
 class Engine(Protocol):
-    """A device that samples frames at the source points of every pixel, and moves points.
+    """A device that samples frames at the source point of every pixel, and maps points.
 
-    Its functions raise `EngineError` where the device fails, and SuppleError, in one sentence, for what it never does.
+    Methods raise `EngineError` if the device fails, and SuppleError, in one sentence, for unsupported work.
     """
 
     @property
     def name(self) -> str:
-        """The device, as it is shown to users."""
+        """The name of the device, as shown to users."""
 
     @property
     def lead(self) -> int:
-        """How many planes of a stream are begun before the first is finished; if any, a thread reads the frames."""
+        """The number of planes of a stream begun before the first is finished; if not 0, a thread reads the frames."""
 
     def slack(self, tolerance: float) -> float:
-        """Return by how many frames its source points may lie outside the bounds that a plan knows."""
+        """Return how far source points may lie outside the bounds of a plan, in frames."""
 
     def taken(self, value: Any, name: str) -> Any:
-        """Return an array as it holds it, with a shape and a dtype; SuppleError if it cannot."""
+        """Return an array in the form the engine holds it, with a shape and a dtype; SuppleError if unsupported."""
 
     def result(self, out: Any, held: Any) -> Any:
-        """Return where the result goes: ``out``, if it fits what is `taken` (SuppleError if not), or a new array."""
+        """Return the destination: ``out`` if it fits the held array (SuppleError if not), or a new array."""
 
     def check(self, work: Work) -> None:
-        """Raise SuppleError for work that it does not do."""
+        """Raise SuppleError for unsupported work."""
 
     def working_dtype(self, dtype: np.dtype[Any]) -> np.dtype[Any]:
-        """Return the type that it works on samples of a type in."""
+        """Return the type in which samples of ``dtype`` are processed."""
 
     def view(self, array: Array) -> Array | None:
-        """Return an array as the engine takes it, sharing memory; None if the array must be copied first."""
+        """Return a view of an array in the engine's form, of its `working_dtype`; None if it must be copied."""
 
     def warp(self, work: Work, frames: Sequence[Array], outs: Sequence[Array]) -> Steps:
-        """Sample frames that are all at hand.
+        """Sample frames that are all in memory.
 
         Parameters
         ----------
         work : Work
         frames, outs : sequence of arrays
-            All frames, and where all planes go: an array (count, h, w, channels) for each group, as `view` returns it.
+            All frames, and the destination of all planes: an array (count, h, w, channels) for each group, from `view`.
 
         Yields
         ------
         int
-            How many planes are done.
+            The number of finished planes.
         Certificate
-            The accuracy of the map of those that were done since the last time.
+            The accuracy of the map of the planes finished since the last step.
         """
 
     def stream(self, work: Work, window: Sequence[Array]) -> AbstractContextManager[Planes]:
-        """Return what makes planes from a window: for each group, an array (capacity, h, w, channels)."""
+        """Return a maker of planes from a window: for each group, an array (capacity, h, w, channels)."""
 
     def forward(self, space: Space, points: Any, *, matrices: bool = False) -> Any:
         """Return T of points (..., D) in pixels, x first; or, if ``matrices``, ∂T/∂p (..., D, D), in float64."""
 
     def inverse(self, space: Space, points: Any) -> tuple[Any, Any, Any, Any]:
-        """Return T⁻¹ of points (..., D), and for each its residual, its steps, and whether it converged."""
+        """Return T⁻¹ of points (..., D), and for each point its residual, number of steps and convergence."""
 
     def inverse_map(self, space: Space, tolerance: float, like: Any = None) -> tuple[Any, Certificate]:
-        """Return the source point of every pixel, float32 (*shape, D), as ``like`` is stored, and their accuracy."""
+        """Return the source point of every pixel, float32 (*shape, D), stored like ``like``, and the certificate."""
 
 
 def frames_needed(first: int, last: int, count: int, outside: str) -> tuple[int, int]:
-    """Return the frames of the clip that stand for a range of times."""
+    """Return the range of frames read for a range of times."""
     if outside == "reflect" and (first < 0 or last >= count):
         seen = slots_of(max(first, last - 2 * count), last, count, outside, count)
         return int(seen.min()), int(seen.max())
@@ -414,7 +414,7 @@ def frames_needed(first: int, last: int, count: int, outside: str) -> tuple[int,
 
 
 def times_seen(outside: str, count: int, average: bool) -> tuple[float, float]:
-    """Return the times beyond which nothing changes any more, as an edge or a constant goes on."""
+    """Return the times beyond which an edge or a constant continues unchanged."""
     beyond = 3.0 + (LONGEST / 2 if average else 0.0)
     if outside == "reflect":
         return -1e9, 1e9
@@ -422,9 +422,9 @@ def times_seen(outside: str, count: int, average: bool) -> tuple[float, float]:
 
 
 def slots_of(first: int, last: int, count: int, outside: str, capacity: int) -> npt.NDArray[np.int64]:
-    """Return where the frames ``first`` to ``last`` are in a window whose slot k modulo its capacity holds frame k.
+    """Return the slots of frames ``first`` to ``last`` in a window that holds frame k in slot k modulo its capacity.
 
-    Frames outside the clip are those that stand for them; -1 for a constant.
+    Frames outside the clip have the slots of the frames that replace them; -1 for the constant.
     """
     k = np.arange(first, last + 1)
     if outside == "reflect":

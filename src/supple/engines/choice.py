@@ -1,4 +1,4 @@
-"""The choice of an engine: the native one, a GPU, or a CUDA device, by what a user asks and where an array lies."""
+"""The choice of an engine, native, GPU or CUDA, by the user's request and the location of the array."""
 
 from __future__ import annotations
 
@@ -13,20 +13,20 @@ from supple.engines.native import NATIVE
 from supple.engines.wgpu.device import Gpu, open_gpu
 from supple.errors import DeviceWarning, SuppleError
 
-# GPU engines are imported once there is a device: `import supple` is to be quick.
+# GPU engines are imported only if there is a device, to keep `import supple` fast.
 
 DEVICES = ("auto", "cpu", "gpu", "cuda")
 
 
 def check_device(device: str, what: str = "") -> None:
-    """Refuse an unknown device, and ``"cuda"`` where it cannot be used, before any work.
+    """Raise SuppleError for an unknown device, and for ``"cuda"`` where it cannot be used.
 
-    ``what`` is a kind of work that no CUDA device does.
+    ``what`` names a kind of work that CUDA devices do not support.
 
     Raises
     ------
     SuppleError
-        It says what would do.
+        The message names the devices that can be used.
     """
     choice("device", device, DEVICES)
     if device == "cuda":
@@ -36,14 +36,14 @@ def check_device(device: str, what: str = "") -> None:
 
 
 def gpu_of(device: str, what: str = "this") -> Gpu | None:
-    """Return the GPU that is to do some kind of work, or None for the CPU.
+    """Return the GPU for some kind of work, or None for the CPU.
 
-    ``"auto"`` takes a hardware GPU where there is one, never a software one; ``"gpu"`` takes either.
+    ``"auto"`` takes a hardware GPU if there is one, never a software one; ``"gpu"`` takes either.
 
     Raises
     ------
     SuppleError
-        If there is no such device, or none for ``"gpu"``, or it is ``"cuda"``, which does work of other kinds.
+        If there is no such device, or the device is ``"cuda"``, which does not support this work.
     """
     check_device(device, what)
     if device == "cpu":
@@ -56,12 +56,12 @@ def gpu_of(device: str, what: str = "this") -> Gpu | None:
 
 
 def engine_for(device: str, work: Work) -> Engine:
-    """Return the engine that does some work on arrays of the host.
+    """Return the engine for work on host arrays.
 
     Raises
     ------
     SuppleError
-        If there is no such device, or it does not do this and the user asks for it.
+        If the user names a device that does not exist, or does not support this work.
     """
     choice("device", device, DEVICES)
     if device == "cuda":
@@ -84,7 +84,7 @@ def engine_for(device: str, work: Work) -> Engine:
 
 
 def lies_on_device(value: object) -> bool:
-    """Return whether something is an array on a CUDA device; no library is imported to find out."""
+    """Return whether a value is an array on a CUDA device, without importing any library."""
     if isinstance(value, np.ndarray) or callable(value):
         return False
     from supple.engines.cuda.arrays import is_on_device
@@ -93,7 +93,7 @@ def lies_on_device(value: object) -> bool:
 
 
 def engine_at(value: object) -> Engine:
-    """Return the engine that works where an array lies: on its CUDA device, or the native one."""
+    """Return the engine for the location of an array: its CUDA device, or the native engine."""
     return _cuda() if lies_on_device(value) else NATIVE
 
 
@@ -104,5 +104,5 @@ def _cuda() -> Engine:
 
 
 def warn_of_failure(engine: Engine, error: EngineError, stacklevel: int) -> None:
-    """Warn that the CPU did what a device could not."""
+    """Warn that the CPU took over from a device that failed."""
     warnings.warn(f"the CPU did what {engine.name} could not: {error}", DeviceWarning, stacklevel=stacklevel + 1)

@@ -1,4 +1,4 @@
-"""The native engine: planes and points by the C++ core, on all cores of the CPU."""
+"""The native engine: planes and points computed by the C++ core on all CPU cores."""
 
 from __future__ import annotations
 
@@ -33,9 +33,9 @@ from supple.strokes import numbers
 Floats = npt.NDArray[np.float64]
 
 CONVERGED = 1e-6
-"""A point has converged where T(p) is within this many pixels of q."""
+"""The largest residual |T(p) - q| of a converged point, in pixels."""
 
-_TOGETHER = 8  # planes for each thread, between which a caller hears how far it is
+_TOGETHER = 8  # planes for each thread between reports of progress
 _KINDS: dict[np.dtype[Any], np.dtype[Any]] = {
     np.dtype(np.float16): np.dtype(np.float32),
     np.dtype(np.bool_): np.dtype(np.uint8),
@@ -49,39 +49,39 @@ def plan_of(space: Space, z: float, tolerance: float, step: tuple[int, int] = (1
     ----------
     space : Space
     z : float
-        Which plane, in samples.
+        The index of the plane, in samples.
     tolerance : float
-        How far a source point may be from the true T⁻¹(q), in pixels.
+        The largest distance of a source point from T⁻¹(q), in pixels.
     step : (int, int)
-        How many pixels apart samples may lie, x first.
+        The largest spacing of samples, in pixels, x first.
     """
     return _core.Plan(numbers(space.table), space.axes, space.ndim, *space.planned(step), float(z), tolerance)
 
 
 def certificate_of(plan: _core.Plan) -> Certificate:
-    """Return what the checks of a plan's cells promise, with their reserve."""
+    """Return the certificate of a plan from the checks of its cells, with their reserve."""
     return Certificate(plan.error, plan.evaluations)
 
 
 def measured(plan: _core.Plan, tolerance: float) -> Certificate:
-    """Return the error of a plan's source points, measured at every pixel by going on with Newton's method."""
+    """Return the error of a plan's source points, measured at every pixel by further Newton steps."""
     error, unknown = plan.measure(min(1e-5, 1e-3 * tolerance))
     return Certificate(error, plan.evaluations, unknown)
 
 
 def samplings_of(work: Work, frames: Sequence[Array], outs: Sequence[Array], count: int) -> list[_core.Sampling]:
-    """Return what the core does to some frames.
+    """Return the core's sampling jobs for some frames.
 
     Parameters
     ----------
     work : Work
     frames : sequence of arrays
-        For each group, the frames (slots, h, w, channels), of which frame k is in the slot k modulo their number:
+        For each group, the frames (slots, h, w, channels); frame k is in slot k modulo the number of slots:
         contiguous, in native byte order.
     outs : sequence of arrays
-        For each group, where the result goes: (h, w, channels) or (planes, h, w, channels), contiguous.
+        For each group, the destination: (h, w, channels) or (planes, h, w, channels), contiguous.
     count : int
-        How many frames the clip has.
+        The number of frames of the clip.
     """
     sampling = work.sampling
     return [
@@ -106,7 +106,7 @@ def samplings_of(work: Work, frames: Sequence[Array], outs: Sequence[Array], cou
 
 @dataclass(frozen=True, slots=True)
 class Native:
-    """The engine that runs everywhere (`supple.engines.base.Engine`)."""
+    """The engine that is always available (`supple.engines.base.Engine`)."""
 
     name: str = CPU
     lead: int = 0
@@ -116,7 +116,7 @@ class Native:
         return SLACK
 
     def taken(self, value: object, name: str) -> Array:
-        """Return a value as NumPy's array; SuppleError if it is none."""
+        """Return a value as a NumPy array; SuppleError if it is not an array."""
         check_gradients(value, name)
         try:
             return np.asarray(value)
@@ -128,7 +128,7 @@ class Native:
         if out is None:
             return np.empty_like(held, order="C")
         wanted = f"an array of {held.dtype} of shape {held.shape}, as the source is"
-        given: object = out  # it may be anything
+        given: object = out  # user input of any type
         if not isinstance(given, np.ndarray):
             refuse("out", wanted, given)
         if out.shape != held.shape or out.dtype != held.dtype:
@@ -140,15 +140,15 @@ class Native:
         return out
 
     def check(self, work: Work) -> None:
-        """Do nothing: it does all work."""
+        """Accept all work."""
 
     def working_dtype(self, dtype: np.dtype[Any]) -> np.dtype[Any]:
-        """Return the type that samples are worked on in."""
+        """Return the type in which samples are processed."""
         native: np.dtype[Any] = dtype.newbyteorder("=")
         return _KINDS.get(native, native)
 
     def view(self, array: Array) -> Array | None:
-        """Return an array as one that the core takes, sharing its memory; None if it cannot."""
+        """Return a view of an array in the form the core takes; None if the array must be copied."""
         kind = self.working_dtype(array.dtype)
         if not (array.flags.c_contiguous and array.flags.aligned and array.dtype.isnative):
             return None
@@ -221,12 +221,12 @@ NATIVE = Native()
 
 
 class _Window:
-    """Planes from a window, which are made when they are to be finished (`supple.engines.base.Planes`)."""
+    """A maker of planes that are computed in `finish` (`supple.engines.base.Planes`)."""
 
     def __init__(self, work: Work, window: Sequence[Array]) -> None:
         self._work, self._window = work, window
         self._every: _core.Plan | None = None
-        if work.space.ndim == 2:  # all frames have the same map
+        if work.space.ndim == 2:  # one map for all frames
             self._every = plan_of(work.space, 0, work.sampling.tolerance, work.layout.step)
 
     def begin(self, z: int, first: int, last: int) -> object:
@@ -244,7 +244,7 @@ class _Window:
 
 
 def _rows(space: Space, points: npt.ArrayLike) -> tuple[Floats, tuple[int, ...]]:
-    """Return points as the core takes them, (N, 3) in physical units, and their shape."""
+    """Return points in the core's form, (N, 3) in physical units, and their original shape."""
     n = space.ndim
     try:
         given = np.asarray(points, np.float64)
@@ -264,18 +264,18 @@ def _points(space: Space, rows: Floats, shape: tuple[int, ...]) -> Floats:
 
 
 def _same_bytes(out: Array, source: Array) -> bool:
-    """Return whether two arrays are mapped from overlapping parts of one file."""
+    """Return whether two arrays map overlapping parts of one file."""
     one, two = _mapped(out), _mapped(source)
     if one is None or two is None or not (one[1] < two[2] and two[1] < one[2]):
         return False
     try:
         return os.path.samefile(one[0], two[0])
-    except OSError:  # one of them is gone, and lives on only here
+    except OSError:  # a file may be deleted while it is mapped
         return False
 
 
 def _mapped(array: Array) -> tuple[str, int, int] | None:
-    """The file that an array is mapped from, and from which byte to which."""
+    """Return the file that an array is mapped from, and the range of bytes."""
     root: Any = array
     while isinstance(root.base, np.ndarray):
         root = root.base

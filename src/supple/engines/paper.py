@@ -1,4 +1,4 @@
-"""T⁻¹ by the published iteration: a baseline to measure against, not what users run (see ``_core/paper.hpp``)."""
+"""T⁻¹ by the published iteration: a baseline for measurements, not used otherwise (see ``_core/paper.hpp``)."""
 
 from __future__ import annotations
 
@@ -28,33 +28,33 @@ def inverse_map(
     Parameters
     ----------
     table : ndarray of STROKE_DTYPE
-        Each stroke is inverted by itself, the last one first.
+        Strokes, each inverted by itself, the last one first.
     axes : float64 array, shape (3, 5)
         The packed domain.
     shape : (int, int)
         Rows and columns of the image, or of a plane.
     z : float, optional
-        Which plane of a video or a volume, in samples.
+        The plane of a video or a volume, in samples.
     mu : float
-        The part of each step that is taken.
+        The relaxation factor of each step.
     tolerance : float
         Iterations end where |T(p) - q| is below this, in pixels.
     limit : int
-        The most iterations for one stroke.
+        The largest number of iterations for one stroke.
     corrected : bool
         Whether A is the Gauss–Newton matrix.
     every : int
-        Only every so many-th row and column, from the first on.
+        The stride of rows and columns that are computed, from the first on.
 
     Returns
     -------
     points : float32 array, shape (H, W, 2), or (H, W, 3) of a plane
         In pixels, x first.
     iterations : int64 array, shape (H, W)
-        Of all strokes together.
+        The sum over all strokes.
     residual : float64 array, shape (H, W)
-        |T(p) - q| of all strokes together, in pixels. Where it is not below the tolerance, the method has not
-        converged, or the strokes' errors have added up.
+        |T(p) - q| of all strokes together, in pixels. A value above the tolerance means that the method has not
+        converged, or that the errors of the strokes have added up.
     """
     ndim = 2 if z is None else 3
     height, width = -(-shape[0] // every), -(-shape[1] // every)

@@ -1,4 +1,4 @@
-"""Who does the work: the threads that share it, and the devices that did some of it."""
+"""The threads that share work, and the record of the devices that did it."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _inside = threading.local()
 
 
 def threads() -> int:
-    """Return the number of threads that work at once: ``SUPPLE_THREADS``, or as many CPUs as this process may use."""
+    """Return the number of worker threads: ``SUPPLE_THREADS``, or the number of CPUs available to this process."""
     asked = os.environ.get("SUPPLE_THREADS", "")
     if asked.isascii() and asked.isdecimal() and int(asked) > 0:
         return int(asked)
@@ -33,10 +33,10 @@ def threads() -> int:
 
 
 def share(work: Callable[[Item], Result], items: Iterable[Item]) -> list[Result]:
-    """Run ``work`` for every item on all cores, and return the results in the items' order.
+    """Run ``work`` for every item on all cores, and return the results in the order of the items.
 
-    Called from inside such work, it runs in the calling thread: a pool never waits for itself. When an item fails, or
-    the caller is interrupted, no other item is begun.
+    A nested call runs in the calling thread, so that a pool never waits for itself. After an error or an
+    interruption, no further item is begun.
     """
     listed = list(items)
     n = threads()
@@ -49,7 +49,7 @@ def share(work: Callable[[Item], Result], items: Iterable[Item]) -> list[Result]
 
             _pools[key] = ThreadPoolExecutor(n, "supple", initializer=_mark)
         pool = _pools[key]
-    # Each thread takes the next item when it is done with one: cheaper than a future for each.
+    # Each thread takes the next item when it is free, which is cheaper than a future for each item.
     results: list[Any] = [None] * len(listed)
     left = iter(range(len(listed)))
 
@@ -82,25 +82,25 @@ def _mark() -> None:
 
 
 def note(name: str) -> None:
-    """Say that a device did some of it."""
+    """Record that a device did some of the work."""
     noted = _noted.get()
     if noted is not None:
         noted[name] = None
 
 
 class Workers:
-    """Those that were noted so far, in their order."""
+    """The devices recorded so far, in order."""
 
     def __init__(self, noted: dict[str, None]) -> None:
         self._noted = noted
 
     def __str__(self) -> str:
-        return " and ".join(self._noted) or CPU  # which goes without saying
+        return " and ".join(self._noted) or CPU
 
 
 @contextlib.contextmanager
 def workers() -> Iterator[Workers]:
-    """Hear of the devices that do what is done in this thread."""
+    """Record the devices that work for this thread."""
     noted: dict[str, None] = {}
     token = _noted.set(noted)
     try:

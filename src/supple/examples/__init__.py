@@ -1,1 +1,1 @@
-"""Scenes of pictures, clips and volumes, with the data that they are made of: what ``supple demo`` shows."""
+"""Scenes of images, clips and volumes, with their data: the examples of ``supple demo``."""

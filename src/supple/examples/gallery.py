@@ -1,4 +1,4 @@
-"""A small gallery: what Supple is for, with pictures to look at."""
+"""A small gallery of Supple's applications."""
 
 from __future__ import annotations
 
@@ -52,28 +52,28 @@ def write_gallery(
     device: str = "cpu",
     progress: Callable[[str], None] | None = None,
 ) -> Path:
-    """Write photographs, a clip and a volume, what strokes make of them, plots, and a page that shows them.
+    """Write photographs, a clip and a volume, their warped versions, plots, and a page that shows them.
 
     Parameters
     ----------
     folder : str or os.PathLike
-        Made if it is missing. A gallery that is there already is written anew; nothing else is touched.
+        The folder, created if it is missing. An existing gallery is replaced; other files are kept.
     force : bool
-        Whether to write into a folder that holds something else, and replace files that have the same names.
+        Whether to write into a folder with other contents, and replace files of the same names.
     device : str
-        Who makes it: ``"cpu"``, ``"gpu"`` or ``"auto"``, as `supple.warp_file` takes it; the page says it.
+        The device: ``"cpu"``, ``"gpu"`` or ``"auto"``, as in `supple.warp_file`; the page names it.
     progress : function, optional
-        Called with the name of each picture or clip before it is made.
+        Called with the name of each image or clip before it is computed.
 
     Returns
     -------
     pathlib.Path
-        The page.
+        The path of the page.
 
     Raises
     ------
     SuppleError
-        If the folder holds something else, or cannot be written.
+        If the folder has other contents, or cannot be written.
     """
     gpu = gpu_of(device, "the gallery")
     maker = f"the GPU {gpu.name}, through {gpu.backend}" if gpu is not None else "the CPU"
@@ -213,7 +213,7 @@ def _facts(made: Solid) -> str:
 
 
 def _write_inside(target: Path) -> None:
-    """Write the head without what is not marked as brain."""
+    """Write the head without the voxels outside of the brain's mask."""
     data = files("supple.examples") / "data"
     with as_file(data / HEAD) as head, as_file(data / "brain.nii.gz") as marks:
         volume = read_volume(head)

@@ -1,4 +1,4 @@
-"""Scenes of the gallery: pictures, clips and volumes, each made by one command."""
+"""Scenes of the gallery: images, clips and volumes, each made by one command."""
 
 from __future__ import annotations
 
@@ -8,22 +8,22 @@ from supple.domain import Border
 from supple.strokes import FoldPolicy, Recipe, Stroke
 
 DISTANCE = 480
-"""From the camera to the middle of a volume, in millimetres."""
+"""The distance from the camera to the centre of a volume, in millimetres."""
 BACKGROUND = "1a1a1e"
 HEAD = "head.nii.gz"
 INSIDE = "inside.nii.gz"
-"""The region of the head that is marked as brain."""
+"""The mask of the brain in the head."""
 _DENT = ((40, 86, 65, 44, 63, 53, 36),)
 
 
 @dataclass(frozen=True, slots=True)
 class Shot:
-    """One command: a photograph, a clip or a volume, strokes, and the name of what they make of it.
+    """A command: a photograph, a clip or a volume, strokes, and the name of the output.
 
     Parameters
     ----------
     name : str
-        Of what is made, without suffix.
+        The name of the output, without suffix.
     caption : str
     source : str
         The photograph, the clip, or the volume.
@@ -33,7 +33,7 @@ class Shot:
     on_fold : str
     outside : str
     cut : int
-        How much of the width of a photograph the page shows as it was, at first, in percent.
+        The percentage of a photograph's width that the page shows unchanged, at first.
     """
 
     name: str
@@ -48,23 +48,23 @@ class Shot:
 
     @property
     def target(self) -> str:
-        """The name of the file that is made."""
+        """The name of the output file."""
         return f"{self.name}.jpg"
 
     @property
     def verb(self) -> str:
-        """The command that makes it."""
+        """The command of the output."""
         return "warp"
 
     @property
     def recipe(self) -> Recipe:
-        """The strokes as the library takes them."""
+        """The strokes as a recipe of the library."""
         strokes = [Stroke.grab(a, to=b, radius=r, scales=self.scales) for a, b, r in map(_split, self.grabs)]
         return Recipe(border=self.border, on_fold=self.on_fold, strokes=tuple(strokes))
 
     @property
     def command(self) -> str:
-        """The strokes as the command line takes them."""
+        """The strokes as arguments of the command line."""
         alike = len({grab[-1] for grab in self.grabs}) == 1
         lines = [f"supple {self.verb} {self.source} {self.target}"]
         for a, b, r in map(_split, self.grabs):
@@ -97,11 +97,11 @@ class Take(Shot):
     ----------
     time_scale : float
     frames : tuple of int
-        Those that are shown side by side; the middle one stands for the clip until it plays.
+        The frames shown side by side; the middle one stands for the clip until it plays.
     area : (x, y, width, height)
-        What is shown of them.
+        The visible part of the frames.
     row : int, optional
-        A row of pixels that is shown over time.
+        A row of pixels to plot over time.
     """
 
     time_scale: float = 1.0
@@ -111,7 +111,7 @@ class Take(Shot):
 
     @property
     def target(self) -> str:
-        """The name of the file that is made."""
+        """The name of the output file."""
         return f"{self.name}.mp4"
 
     def _options(self) -> list[str]:
@@ -121,20 +121,20 @@ class Take(Shot):
 
 @dataclass(frozen=True, slots=True)
 class Look(Shot):
-    """A picture of a volume, or a turn around it.
+    """An image of a volume, or a turntable.
 
     Parameters
     ----------
     azimuth, elevation : int
-        Where the camera stands, in degrees, at first.
+        The initial position of the camera, in degrees.
     size : int
-        Of the picture, in pixels.
+        The size of the image, in pixels.
     smooth : int
         Rays along each side of a pixel.
     density : (int, int), optional
-        The values that are seen.
+        The visible range of values.
     turntable : int
-        How many pictures a turn has; a single one if 0.
+        The number of images of a turntable; a single image if 0.
     """
 
     azimuth: int = 38
@@ -146,12 +146,12 @@ class Look(Shot):
 
     @property
     def target(self) -> str:
-        """The name of the file that is made."""
+        """The name of the output file."""
         return f"{self.name}.mp4" if self.turntable else f"{self.name}.jpg"
 
     @property
     def verb(self) -> str:
-        """The command that makes it."""
+        """The command of the output."""
         return "render"
 
     def _options(self) -> list[str]:
@@ -164,7 +164,7 @@ class Look(Shot):
 
 
 def _split(grab: tuple[int, ...]) -> tuple[tuple[int, ...], tuple[int, ...], int]:
-    """Where a grab begins, where it ends, and its radius."""
+    """Return the start and the end of a grab, and its radius."""
     half = len(grab) // 2
     return grab[:half], grab[half:-1], grab[-1]
 

@@ -1,4 +1,4 @@
-"""Files in, files out: a picture, a clip or a volume that is read, deformed and written."""
+"""Files warped to files: images, clips and volumes."""
 
 from __future__ import annotations
 
@@ -43,11 +43,11 @@ class Warped:
     Parameters
     ----------
     source, target : pathlib.Path
-        What was read, and what was written.
+        The input and the output file.
     deformation : Deformation
         The strokes, on the source's shape.
     tolerance : float
-        How far a source point may be from the true T⁻¹(q), in pixels.
+        The largest distance of a source point from T⁻¹(q), in pixels.
     """
 
     source: Path
@@ -56,7 +56,7 @@ class Warped:
     tolerance: float
 
     def report(self) -> Report:
-        """Report on the strokes and the certified error of the map; it is solved once more for this."""
+        """Return the report on the strokes and the certified error of the map, which is solved again."""
         return self.deformation.report(tolerance=self.tolerance)
 
 
@@ -81,51 +81,51 @@ def warp_file(
     volume: VolumeOptions | None = None,
     fit: Fit | None = None,
 ) -> Warped | WarpedClip | WarpedVolume:
-    """Deform a picture file, a video, an image sequence, or a volume.
+    """Warp an image file, a video, an image sequence, or a volume.
 
-    Of a picture, profile, EXIF, XMP and resolution come along; of a video, all that its new container can hold; of a
-    volume, its place in space, its scaling and, in the same format, its header.
-    Opacity is filtered as opacity. The target appears whole, or not at all.
+    An image keeps profile, EXIF, XMP and resolution; a video all that its new container can hold; a volume its position
+    in space, its scaling and, in the same format, its header. Opacity is filtered as opacity. The target appears whole,
+    or not at all.
 
     Parameters
     ----------
     source : str or os.PathLike
-        A picture (PNG, JPEG, TIFF, WebP, AVIF, GIF, OpenEXR, Radiance, JPEG 2000, BMP, TGA, PNM); a video; a pattern
-        such as ``frames/%05d.png``, or a folder of pictures; a volume
+        An image (PNG, JPEG, TIFF, WebP, AVIF, GIF, OpenEXR, Radiance, JPEG 2000, BMP, TGA, PNM); a video; a pattern
+        such as ``frames/%05d.png``, or a folder of images; a volume
         in NIfTI, NRRD, MetaImage, a stack of TIFF pages, ``.dat``, or a folder of DICOM slices.
     target : str or os.PathLike
-        Its suffix names the format: one of those of pictures, but for GIF; for clips, MP4, MOV, MKV, WebM, AVI or
-        GIF, or a pattern or a folder for pictures; for volumes, NIfTI, NRRD, MetaImage or TIFF.
+        The output; its suffix determines the format: one of those of images, except GIF; for clips, MP4, MOV, MKV,
+        WebM, AVI or GIF, or a pattern or a folder for images; for volumes, NIfTI, NRRD, MetaImage or TIFF.
     recipe : Recipe
-        The strokes, the border and the fold policy. Strokes with a time, x, y and t in frames, bend the clip; of
-        those without one, each frame is bent alike, and so is each page of a TIFF. In volumes, points are voxels,
-        x, y and z, and lengths millimetres.
+        The strokes, the border and the fold policy. Strokes with a time, x, y and t in frames, warp the clip; strokes
+        without one warp each frame alike, and each page of a TIFF. In volumes, points are voxels, x, y and z, and
+        lengths millimetres.
     filter, tolerance, outside, fill, linear_light
-        As `Deformation.warp` takes them.
+        As in `Deformation.warp`.
     clamp : bool, optional
-        Keep a picture or a volume within the range of its values; by default, volumes and pictures of floats are.
+        Whether to clamp to the range of the source; by default, for volumes and images of floats.
     quality : int, optional
         From 1 to 100, for JPEG, WebP and AVIF.
     lossless : bool
-        Keep every value, in WebP and AVIF too; of a video, with FFV1 or the codec that is named.
+        Whether to write without loss, in WebP and AVIF too; a video with FFV1 or the named codec.
     device : str
-        Where to compute, as `Deformation.warp` takes it.
+        The device, as in `Deformation.warp`.
     force : bool
-        Whether a file that exists may be replaced, even the source.
+        Whether an existing file may be replaced, even the source.
     progress : bool or function
-        Whether to show on a terminal what is being done. Or a function, which is called before each part of
-        the work with its name, ``"read"``, ``"warp"`` and ``"write"``: what it raises ends the work, and
-        leaves no file. Of a clip, ``"write"`` comes first, and then ``"plan"`` and ``"warp"`` for every frame.
+        Whether to show progress on a terminal. Or a function, which is called before each stage with its name,
+        ``"read"``, ``"warp"`` and ``"write"``: an exception in it ends the work without a file. For a clip, ``"write"``
+        comes first, and then ``"plan"`` and ``"warp"`` for every frame.
     tell : function of (str, int, int), optional
-        Called like that function, also with how much of the part is done, and of how much: in frames or slices; of a
-        picture, the parts are counted.
+        Called like ``progress``, also with the finished and the total number of frames or slices; for an image, of
+        stages.
     clip : ClipOptions, optional
-        What is particular to clips.
+        Options for clips.
     volume : VolumeOptions, optional
-        What is particular to volumes.
+        Options for volumes.
     fit : str, optional
-        How a recipe that was made for another size fits, as `Recipe.fitted` takes it: ``"pixels"``, ``"stretch"`` or
-        ``"inside"``. Without it, it is scaled where the proportions are the same, and refused otherwise.
+        The scaling of a recipe made for another size, as in `Recipe.fitted`: ``"pixels"``, ``"stretch"`` or
+        ``"inside"``. By default, it is scaled if the proportions are the same, and refused otherwise.
 
     Returns
     -------
@@ -134,8 +134,8 @@ def warp_file(
     Raises
     ------
     SuppleError
-        If the source cannot be read, the target cannot be written (known before any work is done, where it can
-        be), or the recipe cannot be carried out on a picture.
+        If the source cannot be read, the target cannot be written (checked before any work if possible), or the recipe
+        does not fit the image.
 
     Examples
     --------
@@ -206,7 +206,7 @@ def warp_file(
         fitted = fit_recipe(recipe, (width, height), fit, shown(source))
         deformation = Deformation.from_recipe(fitted, (height, width))
         if deformation.is_identity and quality is None and not lossless and _suffix(source) == _suffix(target):
-            # Encoded anew, a lossy picture would not be what it was.
+            # Encoding a lossy image again would change it.
             begin("write")
             with replacing(target, force=force) as place:
                 shutil.copyfile(source, place)
@@ -224,7 +224,7 @@ def warp_file(
             for top in range(0, len(pixels), height):  # each page by itself
                 clamp_to(picture.pixels[top : top + height], pixels[top : top + height], sampling)
         warn_of(certificate, tolerance, 3)
-        # Of the input, only the header is needed now: the encoder may have its memory.
+        # Only the header of the input is still needed: free its pixels for the encoder.
         like = replace(picture, pixels=np.empty((0, *picture.pixels.shape[1:]), picture.pixels.dtype))
         del picture
         begin("write")
@@ -245,12 +245,12 @@ def check_job(
     clip: ClipOptions | None = None,
     volume: VolumeOptions | None = None,
 ) -> Literal["picture", "clip", "volume"]:
-    """Tell what a file is warped as, and refuse what can be refused before it is read.
+    """Return the kind of a file to warp; raise all errors that can be found before it is read.
 
     Parameters
     ----------
     source, target, recipe, linear_light, clamp, quality, lossless, force, clip, volume
-        As `warp_file` takes them.
+        As in `warp_file`.
 
     Returns
     -------
@@ -260,8 +260,7 @@ def check_job(
     Raises
     ------
     SuppleError
-        If nothing of that kind is written under the target's suffix, or there; or if something is asked for that is
-        for another kind.
+        If that kind cannot be written under the target's suffix, or in its folder; or if an option is for another kind.
     """
     if is_volume_job(source, target, recipe, volume):
         if quality is not None or lossless or linear_light or clip not in (None, ClipOptions()):
@@ -294,13 +293,13 @@ def check_job(
 
 
 def _spare(source: PathLike, target: PathLike, kind: str, force: bool) -> None:
-    """Refuse to write over what is read, unless that is said."""
+    """Raise SuppleError for a target that is the source, unless it may be replaced."""
     if not force and same_file(source, target):
         raise SuppleError(f"{shown(target)} is the {kind} itself: pass --force (force=True) to replace it")
 
 
 def _asked(options: ClipOptions | VolumeOptions | None, usual: ClipOptions | VolumeOptions) -> str:
-    """Name the options that are not as usual, as the command line does."""
+    """Return the command-line names of the options that are not at their defaults."""
     assert options is not None
     named = [each.name for each in fields(options) if getattr(options, each.name) != getattr(usual, each.name)]
     return _named(named)
@@ -317,7 +316,7 @@ def _suffix(path: PathLike) -> str:
 
 
 def is_media_name(path: PathLike) -> bool:
-    """Return whether a name has the suffix of a picture, a video or a volume; with a slash behind, it is a folder."""
+    """Return whether a name has the suffix of an image, a video or a volume; with a trailing slash, it is a folder."""
     return not os.fspath(path).endswith(("/", os.sep)) and suffix_of(path) in _MEDIA
 
 
@@ -327,7 +326,7 @@ def read_recipe(path: PathLike) -> Recipe:
     Raises
     ------
     SuppleError
-        If the file cannot be read, or holds no recipe; the message names the file and what is wrong.
+        If the file cannot be read, or is not a recipe; the message names the file and the fault.
     """
     name = shown(path)
     try:
@@ -345,12 +344,12 @@ def read_recipe(path: PathLike) -> Recipe:
 
 
 def check_recipe_name(path: PathLike, *, force: bool = False) -> None:
-    """Refuse a file that a recipe cannot be written to, or that would look like something else.
+    """Raise SuppleError for a file name that is not fit for a recipe.
 
     Raises
     ------
     SuppleError
-        If it has the suffix of a picture, a video or a volume, exists and `force` is false, or cannot be written.
+        If it has the suffix of an image, a video or a volume, exists and `force` is false, or cannot be written.
     """
     if is_media_name(path):
         name, suffix = shown(path), suffix_of(path)
@@ -365,7 +364,7 @@ def write_recipe(path: PathLike, recipe: Recipe, *, force: bool = False) -> None
     Raises
     ------
     SuppleError
-        As `check_recipe_name` does.
+        As in `check_recipe_name`.
     """
     check_recipe_name(path, force=force)
     with replacing(path, force=force) as temporary:

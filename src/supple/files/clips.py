@@ -1,4 +1,4 @@
-"""Clips in, clips out: videos and image sequences that stream through a deformation."""
+"""Clips warped to clips: videos and image sequences, streamed through a deformation."""
 
 from __future__ import annotations
 
@@ -44,19 +44,19 @@ class ClipOptions:
     Parameters
     ----------
     between : str, optional
-        How frames are interpolated, as `Deformation.warp` takes it.
+        The interpolation between frames, as in `Deformation.warp`.
     time_filter : bool
-        Whether pixels are averaged over the frames that they cover.
+        Whether pixels are averaged over time.
     time_scale : float, optional
-        How many pixels a frame is worth to the brush: by default what the recipe says, or 1.
+        The length of a frame in pixels, for the brush: by default that of the recipe, or 1.
     rate : float or Fraction, optional
-        Frames a second of an image sequence, which does not know; 24 without it.
+        Frames a second of an image sequence, which has no rate of its own; 24 by default.
     codec, preset, pixel_format : str, optional
-        As `supple.media.video.writer` takes them.
+        As in `supple.media.video.writer`.
     crf : float, optional
-        The same.
+        As in `supple.media.video.writer`.
     memory : float
-        How many bytes the frames may take that are held at once; beyond, they go to a temporary file.
+        The bytes of memory for frames; frames beyond that go to a temporary file.
     """
 
     between: str | None = None
@@ -77,21 +77,21 @@ class WarpedClip:
     Parameters
     ----------
     source, target : pathlib.Path
-        What was read, and what was written.
+        The input and the output file.
     deformation : Deformation
-        The strokes, on the clip's shape; or on a frame's, if they have no time and bend every frame.
+        The strokes, on the clip's shape; or on a frame's, if they have no time and warp every frame.
     tolerance : float
-        How far a source point may be from the true T⁻¹(q), in pixels and frames.
+        The largest distance of a source point from T⁻¹(q), in pixels and frames.
     frames : int
-        How many there are.
+        The number of frames.
     still : int
-        How many were passed on as they were, since nothing moves there.
+        The number of unchanged frames, which were copied.
     held : int
-        How many were held at once.
+        The number of frames held at once.
     error : float
-        What the checks of the map let expect, in pixels and frames; `report` measures it.
+        The error estimate from the checks of the map, in pixels and frames; `report` measures it.
     copied : int
-        How many of the still ones were not encoded anew either: their packets are those of the source.
+        The number of unchanged frames that were not encoded again: their packets are those of the source.
     """
 
     source: Path
@@ -105,12 +105,12 @@ class WarpedClip:
     copied: int = 0
 
     def report(self) -> Report:
-        """Report on the strokes and the certified error of the map, measured at every pixel; this is slow."""
+        """Return the report on the strokes and the certified error, measured at every pixel; this is slow."""
         return self.deformation.report(tolerance=self.tolerance)
 
 
 def is_clip(source: PathLike, target: PathLike, recipe: Recipe) -> bool:
-    """Return whether a file, a pattern or a folder is to be warped as a clip."""
+    """Return whether a file, a pattern or a folder is warped as a clip."""
     suffix, goal = (Path(path).suffix.lower() for path in (source, target))
     timed = bool(recipe.strokes) and recipe.strokes[0].ndim == 3
     if suffix in SUFFIXES or goal in SUFFIXES_OUT or (has_number(source) and not os.path.isfile(source)):
@@ -125,14 +125,14 @@ def is_clip(source: PathLike, target: PathLike, recipe: Recipe) -> bool:
 
 
 def _is_animated(path: PathLike) -> bool:
-    """Return whether a picture holds several frames."""
+    """Return whether an image has several frames."""
     from supple.media.sequence import is_animated
 
     return os.path.isfile(path) and is_animated(path)
 
 
 def _holds_videos_alone(folder: PathLike) -> bool:
-    """Return whether a folder is one of videos, not of frames."""
+    """Return whether a folder holds videos, not frames."""
     try:
         suffixes = {_suffix(name) for name in os.listdir(folder) if not name.startswith(".")}
     except OSError:
@@ -164,7 +164,7 @@ def open_clip(source: PathLike, *, rate: float | Fraction | None = None, count: 
 
 
 def refuse_picture(path: PathLike) -> None:
-    """Refuse a file of a single picture, which FFmpeg would take for a short video."""
+    """Raise SuppleError for a single image, which FFmpeg would read as a short video."""
     if _suffix(path) not in SUFFIXES_IN or not os.path.isfile(path) or _is_animated(path):
         return
     from supple.media.video.demux import opened
@@ -179,12 +179,12 @@ def refuse_picture(path: PathLike) -> None:
 
 
 def turned(rotation: float) -> str:
-    """Which way a video is turned when it is played."""
+    """Return the direction in which players rotate a video."""
     return "clockwise" if rotation < 0 else "counterclockwise"
 
 
 def warn_of_rotation(clip: Any, deformation: Deformation) -> None:
-    """Say that points are those of frames as they are stored, where players show them otherwise."""
+    """Warn that points are those of stored frames, if players rotate them."""
     rotation = getattr(clip, "rotation", 0)
     if rotation and not deformation.is_identity:
         height, width = clip.layout.shape
@@ -197,7 +197,7 @@ def warn_of_rotation(clip: Any, deformation: Deformation) -> None:
 
 
 def refuse_places(recipe: Recipe, source: PathLike) -> None:
-    """Refuse a recipe in millimetres for what is no volume."""
+    """Raise SuppleError for a recipe in millimetres, unless it is for a volume."""
     if recipe.is_world:
         raise SuppleError(
             f"the recipe is in {recipe.space} millimetres, and {shown(source)} is no volume: give a recipe in pixels"
@@ -212,7 +212,7 @@ def deformation_of(
     name: str,
     fit: Fit | None = None,
 ) -> Deformation:
-    """A recipe on a clip: strokes with a time bend the clip, those without one bend each of its frames."""
+    """Return a recipe on a clip: strokes with a time warp the clip, those without one warp each of its frames."""
     known = recipe.time_scale if time_scale is None else length("time_scale", time_scale)
     worth = 1.0 if known is None else known
     height, width = shape
@@ -236,7 +236,7 @@ def sampling_of(
     light: bool,
     options: ClipOptions,
 ) -> Sampling:
-    """How a clip's frames are sampled, checked."""
+    """Return the checked sampling options for a clip's frames."""
     layout: Layout = clip.layout
     name: str = clip.name
     sampling = Sampling.checked(
@@ -251,10 +251,10 @@ def sampling_of(
 
 
 def _filled(clip: Any, fill: float | Sequence[float]) -> tuple[float, ...]:
-    """A constant colour, as the components of a clip."""
+    """Return the fill value as the components of a clip."""
     layout: Layout = clip.layout
     values = [float(value) for value in np.asarray(fill, np.float64).ravel()]
-    paint = getattr(clip, "painted", None)  # a video's, whose planes may be none of RGB
+    paint = getattr(clip, "painted", None)  # only videos, whose planes may not be RGB
     alpha = layout.groups[0].alpha
     grey = len(layout.groups) == 1 and layout.groups[0].channels - alpha == 1
     full = (1 if grey else 3) + alpha if paint else layout.groups[0].channels
@@ -293,10 +293,10 @@ def warp_clip(
     tell: Tell = lambda step, done, total: None,
     fit: Fit | None = None,
 ) -> WarpedClip:
-    """Deform a video or an image sequence, frame by frame, as `supple.warp_file` does.
+    """Warp a video or an image sequence, frame by frame, as in `supple.warp_file`.
 
-    ``tell`` is called with ``"write"`` when the target is begun, and then with ``"plan"`` or ``"warp"``, the number of
-    frames done, and of all.
+    ``tell`` is called with ``"write"`` when the target is opened, and then with ``"plan"`` or ``"warp"``, the number of
+    finished frames, and their total.
     """
     known = options or ClipOptions()
     check_device(device, "clips")
@@ -320,7 +320,7 @@ def warp_clip(
                 )
                 untouched = deformation.is_identity and known == replace(ClipOptions(), memory=known.memory)
                 if untouched and not lossless and os.path.isfile(source) and _suffix(source) == _suffix(target):
-                    # Encoded anew, a clip would not be what it was.
+                    # Encoding a clip again would change it.
                     check_output(target, force=force)
                     with replacing(target, force=force) as place:
                         shutil.copyfile(source, place)
@@ -329,10 +329,10 @@ def warp_clip(
                     work = work_on(clip, deformation, sampling)
                     engine = engine_for(device, work)
                     tell("write", 0, clip.count)
-                    # The writer first: what it refuses is known before any work.
+                    # The writer first: its errors come before any work.
                     with _writer(clip, target, known, quality, lossless, force) as sink:
                         done = run(clip, sink, work, engine, memory=known.memory, tell=tell)
-                        warn_of(done.certificate, tolerance, 3)  # before the target has its name
+                        warn_of(done.certificate, tolerance, 3)  # before the target is renamed
                     copied = getattr(sink, "copied", 0)
                 return WarpedClip(
                     Path(source), Path(target), deformation, tolerance, clip.count, done.still, done.held,
@@ -345,20 +345,20 @@ def warp_clip(
 
 
 def fickle(source: PathLike) -> SuppleError:
-    """A clip whose frames cannot be counted."""
+    """Return the error for a clip whose frames cannot be counted."""
     return SuppleError(f"{shown(source)} gives another number of frames each time: repair it")
 
 
 def check_clip_target(
     source: PathLike, target: PathLike, options: ClipOptions, *, quality: int | None = None, force: bool = False
 ) -> None:
-    """Refuse what a target cannot be, or what is not for its kind, before a clip is read.
+    """Raise SuppleError for an invalid target or option, before a clip is read.
 
     Raises
     ------
     SuppleError
-        If the source is a picture, the target has a suffix that no clip is written under, or cannot be written; or if
-        something is asked for that such a target does not have.
+        If the source is an image, the target has a suffix of no clip, or cannot be written; or if an option is not
+        supported for such a target.
     """
     refuse_picture(source)
     name = shown(target)
@@ -388,7 +388,7 @@ def check_clip_target(
 def _writer(
     clip: Any, target: PathLike, options: ClipOptions, quality: int | None, lossless: bool, force: bool
 ) -> contextlib.AbstractContextManager[Any]:
-    """Return the writer for a target: a video file, or pictures."""
+    """Return the writer for a target: a video file, or an image sequence."""
     if is_picture_target(target):
         from supple.media import sequence
 
@@ -408,7 +408,7 @@ def _writer(
 
 
 def is_picture_target(target: PathLike) -> bool:
-    """Return whether a name stands for a sequence: a pattern, a folder, or a name without a suffix."""
+    """Return whether a name is a sequence: a pattern, a folder, or a name without a suffix."""
     suffix = _suffix(target)
     return not suffix or (is_sequence(target) and not (has_number(target) and suffix in SUFFIXES_OUT))
 
@@ -420,12 +420,12 @@ def _suffix(path: PathLike) -> str:
 def frames_of(
     clip: Any, deformation: Deformation, sampling: Sampling, planes: Sequence[int], memory: float = 2 * GB
 ) -> Iterator[tuple[int, list[Array]]]:
-    """Yield some frames of a warped clip, in order, as arrays that the next one overwrites."""
+    """Yield some frames of a warped clip, in order, as arrays that are reused for the next one."""
     work = work_on(clip, deformation, sampling)
     for z, arrays, _ in stream(work, make_plan(work, planes), clip.frames(), memory=memory):
         yield z, arrays
 
 
 def work_on(clip: Any, deformation: Deformation, sampling: Sampling) -> Work:
-    """Return what is done to the frames of a clip."""
+    """Return the work on the frames of a clip."""
     return Work(replace(deformation.space, count=clip.count), clip.layout, sampling)

@@ -1,4 +1,4 @@
-"""Landmarks: points of a file that travel with an image, a clip or a volume, or back."""
+"""Landmarks: points of a file, mapped with an image, a clip or a volume, or back."""
 
 from __future__ import annotations
 
@@ -23,29 +23,29 @@ PathLike = str | os.PathLike[str]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Moved:
-    """Points that were moved from a file to another.
+    """The result of mapping points from a file to another.
 
-    Lengths are in millimetres where there is a geometry; otherwise in the units of the deformation's spacing, which
-    are pixels and frames if it is 1.
+    Lengths are in millimetres if there is a geometry; otherwise in the units of the deformation's spacing, which are
+    pixels and frames if it is 1.
 
     Parameters
     ----------
     source, target : pathlib.Path
-        What was read, and what was written.
+        The input and the output file.
     count : int
-        How many points there are.
+        The number of points.
     displaced : float64 array, shape (N,)
-        How far each went.
+        The displacement of each point.
     residual : float64 array, shape (N,)
-        |T(p) - q| of each point q in the output and the solution p of T(p) = q, as it was measured there: for points
-        that went back, how exact they are; for points that went along, how exactly they could be brought back.
+        |T(p) - q| of each point q in the output and the solution p of T(p) = q: for points mapped back, their accuracy;
+        for points mapped forward, the accuracy of mapping them back.
     outside : int
-        How many points of the source lay beyond the outer faces of the voxels. They are moved too, as T is defined
-        there, but there is nothing to see.
+        The number of points of the source beyond the outer faces of the voxels. They are mapped too, as T is defined
+        there.
     first_outside : str
-        The first of these, as the file has it: its label, or its number from 1, and its coordinates.
+        The first of these in the file: its label, or its number from 1, and its coordinates.
     unconverged : int
-        For how many points that equation was not solved to 1e-6 voxels.
+        The number of points for which that equation was not solved to 1e-6 voxels.
     """
 
     source: Path
@@ -68,7 +68,7 @@ def move_points(
     convention: str | None = None,
     force: bool = False,
 ) -> Moved:
-    """Move the points of a file as a deformation moves what they mark.
+    """Map the points of a file by a deformation.
 
     Parameters
     ----------
@@ -76,17 +76,17 @@ def move_points(
         Of one kind: .csv, .tsv, .txt; .fcsv; or .mrk.json. All but the coordinates is kept; a table also gets a column
         ``residual``, in the units of `Moved`.
     deformation : Deformation
-        Of an image, for which only x and y are moved, of a clip, or of a volume.
+        A deformation of an image, for which only x and y are mapped, of a clip, or of a volume.
     geometry : Geometry, optional
-        Where the volume's voxels lie; not for images and clips.
+        The geometry of the volume; not for images and clips.
     inverse : bool
-        False: by T, from the input to where it is seen in the output. True: by T⁻¹, from the output back.
+        If False, by T, from the input to the output. If True, by T⁻¹, from the output back.
     convention : str, optional
-        What the numbers of a table mean that does not say it: ``"LPS"`` or ``"RAS"``, in millimetres, or ``"index"``,
-        in pixels, frames or voxels from 0. A file that does say it must agree. By default, they are indices; with a
-        ``geometry`` that has a place in space, a table without a header needs it.
+        The coordinates of a table without a convention of its own: ``"LPS"`` or ``"RAS"``, in millimetres, or
+        ``"index"``, in pixels, frames or voxels from 0. It must agree with that of the file, if there is one. By
+        default, indices; required for a table without a header if ``geometry`` has a position in space.
     force : bool
-        Whether to replace a file that exists.
+        Whether to replace an existing file.
 
     Returns
     -------
@@ -95,8 +95,8 @@ def move_points(
     Raises
     ------
     SuppleError
-        A file cannot be read or written, its coordinates do not fit the deformation, or they are places in space and
-        there is no geometry.
+        If a file cannot be read or written, its coordinates do not fit the deformation, or they are in millimetres
+        without a geometry.
     """
     check_target(target, source)
     if convention is not None:
@@ -116,12 +116,12 @@ def move_points(
         solved = deformation.inverse(start)
         end, seen = solved.points, start
     else:
-        end = seen = start if deformation.is_identity else deformation.forward(start)  # no rounding for nothing
+        end = seen = start if deformation.is_identity else deformation.forward(start)  # avoids rounding
         solved = deformation.inverse(seen)
     made = read.points.copy()
     if geometry is None or known == "index":
         made[:, : deformation.ndim] = end
-    else:  # added to what was read, so that what does not move keeps every bit
+    else:  # added to the original, so that unchanged points keep every bit
         made += geometry.to_world(end, known) - geometry.to_world(start, known)
     steps = np.array(deformation.domain.spacing if geometry is None else geometry.spacing)
     residual = np.linalg.norm((deformation.forward(solved.points) - seen) * steps, axis=1)
@@ -146,7 +146,7 @@ def _spoken(read: PointFile, k: int) -> str:
 
 
 def _check_told(read: PointFile) -> None:
-    """Refuse or warn of numbers that may be voxels or places in space."""
+    """Raise an error, or warn, if numbers may be voxels or positions in space."""
     if read.told == "names":
         warnings.warn(
             f"x, y and z of {read.name} are taken for voxels, counted from 0: --convention LPS or RAS takes them for "

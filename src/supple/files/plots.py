@@ -1,4 +1,4 @@
-"""Plots of files: what strokes do to a picture, or to a video."""
+"""Plots of files: the effect of strokes on an image or a video."""
 
 from __future__ import annotations
 
@@ -55,31 +55,31 @@ def plot_file(
     progress: bool = False,
     fit: Fit | None = None,
 ) -> Deformation:
-    """Draw what strokes do to a file.
+    """Plot the effect of strokes on a file.
 
     Parameters
     ----------
     source : str or os.PathLike
-        A picture, a video, a pattern or a folder of frames.
+        An image, a video, a pattern or a folder of frames.
     target : str or os.PathLike
         A PNG, SVG or PDF file.
     recipe : Recipe
         The strokes.
     what : str
-        One of `supple.plot.WHATS`; of a clip also ``"slice"``, a column or a row over time, and ``"sheet"``,
-        some frames before and after, of those in which anything moves by half a pixel.
+        One of `supple.plot.WHATS`; of a clip also ``"slice"``, a column or a row over time, and ``"sheet"``, some
+        frames before and after, from the range with displacements of half a pixel.
     frame : int, optional
-        Which frame of a clip is drawn.
+        The frame of a clip to plot.
     x, y : int, optional
-        Which column, or row, a slice shows.
+        The column, or row, of a slice.
     clip : ClipOptions, optional
-        What is particular to clips.
+        Options for clips.
     force : bool
-        Whether a file that exists may be replaced.
+        Whether an existing file may be replaced.
     progress : bool
-        Whether to show on a terminal how far a clip is.
+        Whether to show the progress of a clip on a terminal.
     fit : str, optional
-        As `supple.warp_file` takes it.
+        As in `supple.warp_file`.
 
     Returns
     -------
@@ -89,7 +89,7 @@ def plot_file(
     Raises
     ------
     SuppleError
-        If it cannot be read, drawn or written.
+        If the source cannot be read, plotted or written.
     """
     choice("what", what, (*WHATS, "slice", "sheet"))
     options = clip or ClipOptions()
@@ -188,7 +188,7 @@ def _sampling(clip: Any, options: ClipOptions) -> Sampling:
 
 
 def _seen_best(clip: Any, deformation: Deformation, options: ClipOptions) -> list[int]:
-    """The frames of a sheet: evenly spaced over those in which something moves that can be seen."""
+    """Return the frames of a sheet: evenly spaced over those with visible displacements."""
     work = work_on(clip, deformation, replace(_sampling(clip, options), tolerance=_SEEN))
     moving = np.flatnonzero(~make_plan(work, range(clip.count)).still)
     first, last = (int(moving[0]), int(moving[-1])) if moving.size else (0, clip.count - 1)
@@ -196,7 +196,7 @@ def _seen_best(clip: Any, deformation: Deformation, options: ClipOptions) -> lis
 
 
 def _shown(clip: Any, planes: Sequence[int]) -> Iterator[Colours]:
-    """Some frames of a clip as they are, in RGB."""
+    """Yield some unchanged frames of a clip, in RGB."""
     wanted = set(planes)
     arrays: list[Array] = [np.empty((*g.shape, g.channels), clip.layout.dtype) for g in clip.layout.groups]
     for k, picture in enumerate(clip.frames()):

@@ -1,4 +1,4 @@
-"""Volume files as pictures, and as turns around them."""
+"""Volume files rendered as images, and as turntables."""
 
 from __future__ import annotations
 
@@ -29,39 +29,39 @@ Array = npt.NDArray[Any]
 PathLike = str | os.PathLike[str]
 
 WHATS = ("picture", "inversions")
-LIGHTLESS = (".png", ".tif", ".tiff", ".webp", ".avif")  # which hold opacity
+LIGHTLESS = (".png", ".tif", ".tiff", ".webp", ".avif")  # formats that hold opacity
 
 
 @dataclass(frozen=True, slots=True)
 class RenderOptions:
-    """How a volume is seen.
+    """Options of a rendered volume.
 
     Parameters
     ----------
     transfer : str or TransferFunction, optional
-        A preset's name or a JSON file; by default, that which fits the values.
+        A preset's name or a JSON file; by default, the preset that fits the values.
     density : (float, float), optional
-        Values outside are not seen.
+        The visible range of values.
     camera : Camera
     size : (int, int)
-        Rows and columns of the picture.
+        Rows and columns of the image.
     step : float, optional
-        Millimetres from sample to sample; the smallest spacing by default.
+        The step along a ray, in millimetres; by default, the smallest spacing.
     mode : str
-        ``"lattice"``, ``"exact"``, ``"buffered"`` or ``"hybrid"``: how strokes are seen; see `supple.render.scene`.
+        ``"lattice"``, ``"exact"``, ``"buffered"`` or ``"hybrid"``: see `supple.render.scene`.
     shaded : bool
     background : (float, float, float), optional
-        sRGB from 0 to 1; without it, pictures are transparent where there is nothing, and videos black.
+        sRGB from 0 to 1; by default, images are transparent where they are empty, and videos black.
     supersampling : int
         Rays along each side of a pixel.
     turntable : int, optional
-        How many pictures to take on a way around: as a video, or with a number in the name.
+        The number of images of a turntable: as a video, or with a number in the name.
     rate : float
-        Pictures a second of that video.
+        Images a second of that video.
     what : str
-        ``"picture"``, or ``"inversions"``: how often T⁻¹ was needed along each ray.
+        ``"picture"``, or ``"inversions"``: the number of evaluations of T⁻¹ along each ray.
     time : int
-        Which volume of a series, from 0.
+        The volume of a series, from 0.
     device : str
         ``"cpu"``, ``"gpu"`` or ``"auto"``; see `supple.render.scene.Scene`.
     """
@@ -101,7 +101,7 @@ class RenderOptions:
 
 
 def default_transfer(volume: Volume) -> str:
-    """The preset that fits a volume's values: computed tomography is told by its air, at -1000 Hounsfield units."""
+    """Return the preset for a volume's values: computed tomography is recognized by air at -1000 Hounsfield units."""
     values = volume.samples
     known = values[np.isfinite(values)] if values.dtype.kind == "f" else values
     if known.size == 0:
@@ -119,12 +119,12 @@ def scene_of(
     world: bool = False,
     fit: Fit | None = None,
 ) -> Scene:
-    """A volume as a scene, perhaps with strokes; one of colours by its luminance.
+    """Return the scene of a volume, with strokes if given; colours are rendered by their luminance.
 
     Raises
     ------
     SuppleError
-        If it has several components that are no colours, or something does not fit.
+        If it has several components that are not colours, or an argument does not fit.
     """
     known = options or RenderOptions()
     samples = volume.rescaled()
@@ -164,7 +164,7 @@ def scene_of(
 
 
 def _luminance(colours: Array) -> Array:
-    """The luminance of colours (Z, H, W, 3 or 4), by the weights of BT.709; what is transparent is dark."""
+    """Return the luminance of colours (Z, H, W, 3 or 4), by the weights of BT.709; transparent voxels are dark."""
     made = np.empty(colours.shape[:3], colours.dtype)
     for slab, colour in zip(made, colours, strict=True):
         light = colour[..., :3] @ np.array([0.2126, 0.7152, 0.0722])
@@ -185,25 +185,25 @@ def render_file(
     tell: Tell = lambda step, done, total: None,
     fit: Fit | None = None,
 ) -> Scene:
-    """Take a picture of a volume file, or turn around it.
+    """Render an image or a turntable of a volume file.
 
     Parameters
     ----------
     source : str or os.PathLike
-        As `supple.warp_file` takes volumes.
+        A volume, as in `supple.warp_file`.
     target : str or os.PathLike
-        A picture; for a turntable, a video (MP4, MOV, MKV, WebM, GIF), or a name with a number in it, such as
+        An image; for a turntable, a video (MP4, MOV, MKV, WebM, GIF), or a name with a number in it, such as
         ``%03d.png``.
     recipe : Recipe, optional
-        Strokes, through which the volume is seen.
+        Strokes that warp the volume.
     options, volume
-        How it is seen, and how it is read.
+        Options for rendering, and for reading.
     force : bool
-        Whether to replace a file that exists.
+        Whether to replace an existing file.
     tell : function
-        Called with ``"render"``, what is done of it, and of how much.
+        Called with ``"render"``, the finished and the total amount of work.
     fit : str, optional
-        As `supple.warp_file` takes it.
+        As in `supple.warp_file`.
 
     Returns
     -------
@@ -212,8 +212,8 @@ def render_file(
     Raises
     ------
     SuppleError
-        If the source cannot be read, the target cannot be written (known before any work is done, where it can be),
-        or something does not fit.
+        If the source cannot be read, the target cannot be written (checked before any work if possible), or an argument
+        does not fit.
     """
     known, reading = options or RenderOptions(), volume or VolumeOptions()
     suffix = Path(target).suffix.lower()
@@ -250,7 +250,7 @@ def render_file(
     def pictures(opaque: bool) -> Iterator[Array]:
         behind = known.background or ((0.0, 0.0, 0.0) if opaque else None)
         for k in range(count):
-            # No buffer is filled meanwhile: it would be there sooner on one machine than on another, and is seen.
+            # No buffer is filled here, since its progress, which is visible, depends on the machine.
             camera = scene.turned(known.camera, k, count)
             picture = scene.render(camera, known.size, supersampling=known.supersampling)
             yield picture.pixels(behind)

@@ -1,4 +1,4 @@
-"""Volumes through a deformation, from file to file, in millimetres."""
+"""Volumes warped from file to file, in millimetres."""
 
 from __future__ import annotations
 
@@ -42,9 +42,9 @@ Array = npt.NDArray[Any]
 PathLike = str | os.PathLike[str]
 
 ONE_FILE = frozenset({".nii", ".nii.gz", ".nrrd", ".mha"})
-"""Suffixes of files that are volumes, whatever lies beside them."""
+"""The suffixes of files that are always volumes."""
 _TIFF = (".tif", ".tiff")
-# What looks like a label map: so many slices are looked at; of neighbours beside the background, such a part is equal.
+# The test for label maps: the number of slices, and the fraction of equal neighbours beside the background.
 _LOOKED_AT, _AREAS, _MOST_LABELS, _FEW = 16, 0.7, 1024, 8
 
 
@@ -55,17 +55,17 @@ class VolumeOptions:
     Parameters
     ----------
     world : bool
-        Whether the strokes' points are places in space, in millimetres, in the file's own convention, rather than
+        Whether the strokes' points are positions in space, in millimetres, in the file's own convention, rather than
         indices.
     labels : bool
-        Whether values are names of things, which are kept as they are: every voxel takes that of the nearest. Whole
-        numbers only, which may be stored as floats.
+        Whether values are labels, which are not interpolated: every voxel takes that of the nearest. Integers only,
+        which may be stored as floats.
     save_field : str or os.PathLike, optional
-        Where to write the inverse displacements too, for SimpleITK, ANTs and 3D Slicer.
+        The file for the inverse displacement field, for SimpleITK, ANTs and 3D Slicer.
     layout : RawLayout, optional
-        What a file without a header holds.
+        The layout of a file without a header.
     series : str, optional
-        Which DICOM series of a folder: its number in the list, or its UID.
+        The DICOM series of a folder: its number in the list, or its UID.
     """
 
     world: bool = False
@@ -82,17 +82,17 @@ class WarpedVolume:
     Parameters
     ----------
     source, target : pathlib.Path
-        What was read, and what was written.
+        The input and the output file.
     deformation : Deformation
         The strokes, on the volume's shape and spacing.
     geometry : Geometry
-        Where its voxels lie.
+        The geometry of the voxels.
     tolerance : float
-        How far a source point may be from the true T⁻¹(q), in voxels.
+        The largest distance of a source point from T⁻¹(q), in voxels.
     error : float
-        What the checks of the map let expect, in voxels; `report` measures it.
+        The error estimate from the checks of the map, in voxels; `report` measures it.
     volumes : int
-        How many there are: the time points of a series.
+        The number of volumes: the time points of a series.
     """
 
     source: Path
@@ -104,12 +104,12 @@ class WarpedVolume:
     volumes: int = 1
 
     def report(self) -> Report:
-        """Report on the strokes and the certified error of the map, measured at every voxel; this is slow."""
+        """Return the report on the strokes and the certified error, measured at every voxel; this is slow."""
         return self.deformation.report(tolerance=self.tolerance)
 
 
 def is_volume_job(source: PathLike, target: PathLike, recipe: Recipe, options: VolumeOptions | None = None) -> bool:
-    """Return whether a file or a folder is to be warped as a volume."""
+    """Return whether a file or a folder is warped as a volume."""
     known = options or VolumeOptions()
     if known.layout is not None or known.series is not None:
         return True
@@ -120,7 +120,7 @@ def is_volume_job(source: PathLike, target: PathLike, recipe: Recipe, options: V
 
 
 def holds_volumes(path: PathLike) -> bool:
-    """Return whether a folder is one of volumes: of files, each of which is one."""
+    """Return whether a folder holds volumes as separate files."""
     try:
         return os.path.isdir(path) and any(suffix_of(name) in ONE_FILE for name in os.listdir(path))
     except OSError:
@@ -128,7 +128,7 @@ def holds_volumes(path: PathLike) -> bool:
 
 
 def open_volume(source: PathLike, options: VolumeOptions | None = None) -> Volume:
-    """Read a volume, as the options say."""
+    """Read a volume with these options."""
     known = options or VolumeOptions()
     volume = read(source, raw=known.layout, series=known.series)
     if known.series is not None and volume.format != "DICOM":
@@ -137,13 +137,13 @@ def open_volume(source: PathLike, options: VolumeOptions | None = None) -> Volum
 
 
 def deformation_of(recipe: Recipe, volume: Volume, *, world: bool = False, fit: Fit | None = None) -> Deformation:
-    """A recipe on a volume: radius and border in millimetres, points as indices or as places in space.
+    """Return a recipe on a volume: radius and border in millimetres, points as indices or as positions in space.
 
     Raises
     ------
     SuppleError
-        If a stroke has no third coordinate; if places are asked for, and the volume knows of none; if the recipe was
-        made for another size, and ``fit`` does not say how it fits; or as `Deformation.from_recipe` does.
+        If a stroke has no third coordinate; if points are in space, but the volume has no position; if the recipe was
+        made for another size, without ``fit``; or as in `Deformation.from_recipe`.
     """
     for i, stroke in enumerate(recipe.strokes):
         if stroke.ndim != 3 and not stroke.hidden:
@@ -156,12 +156,12 @@ def deformation_of(recipe: Recipe, volume: Volume, *, world: bool = False, fit: 
 
 
 def in_space(recipe: Recipe, geometry: Geometry, name: str, world: bool) -> Recipe:
-    """A recipe that says what its points are, where the caller knows that they are places in space.
+    """Return a recipe with its coordinate space, if the caller knows that its points are positions in space.
 
     Raises
     ------
     SuppleError
-        If the recipe says otherwise, or the volume of that name does not know where it lies.
+        If the recipe has another one, or the volume has no position in space.
     """
     if not world:
         return recipe
@@ -179,12 +179,12 @@ def in_space(recipe: Recipe, geometry: Geometry, name: str, world: bool) -> Reci
 
 
 def indexed(recipe: Recipe, geometry: Geometry, name: str) -> Recipe:
-    """A recipe whose points are places in space, in millimetres, as one of indices; another one as it is.
+    """Return a recipe in millimetres as one of indices; another one unchanged.
 
     Raises
     ------
     SuppleError
-        If the volume of that name does not know where it lies.
+        If the volume has no position in space.
     """
     if not recipe.is_world:
         return recipe
@@ -202,7 +202,7 @@ def indexed(recipe: Recipe, geometry: Geometry, name: str) -> Recipe:
 
 
 def placed(recipe: Recipe, geometry: Geometry, space: CoordinateSpace) -> Recipe:
-    """A recipe whose points are indices as one of places in space, in millimetres; what `indexed` undoes."""
+    """Return a recipe of indices as one in millimetres: the inverse of `indexed`."""
 
     def moved(stroke: Stroke) -> Stroke:
         start, end = (geometry.to_world(p, space) for p in (stroke.at, np.add(stroke.at, stroke.by)))
@@ -218,7 +218,7 @@ def sampling_of(
     fill: float | Sequence[float] = 0.0,
     tolerance: float = 0.01,
 ) -> Sampling:
-    """How a volume is sampled: alike along all three axes."""
+    """Return the sampling options of a volume, equal along all three axes."""
     return Sampling.checked(
         filter=filter, tolerance=tolerance, outside=outside, fill=fill, unit="voxels",
         between="cubic" if filter in ("auto", "cubic") else None, time_filter=filter == "auto",
@@ -241,9 +241,9 @@ def warp_volume(
     tell: Tell = lambda step, done, total: None,
     fit: Fit | None = None,
 ) -> WarpedVolume:
-    """Deform a volume, slab by slab, as `supple.warp_file` does.
+    """Warp a volume, slab by slab, as in `supple.warp_file`.
 
-    ``tell`` is called with ``"read"``, then with ``"warp"``, the number of slices done, and of all, and with
+    ``tell`` is called with ``"read"``, then with ``"warp"``, the number of finished slices, and their total, and with
     ``"write"``.
     """
     known = options or VolumeOptions()
@@ -261,13 +261,13 @@ def warp_volume(
         raise SuppleError(f"labels is for whole numbers, and {volume.name} holds {broken:g}: leave it out")
     deformation = deformation_of(recipe, volume, world=known.world, fit=fit)
     frames = volume.samples[0] if volume.series else volume.samples
-    engine_for(device, work_of(frames, deformation.space, sampling, alpha=False))  # what it does not do is known now
+    engine_for(device, work_of(frames, deformation.space, sampling, alpha=False))  # raise its errors now
     _warn_of_gaps(volume, sampling.filter)
     if sampling.filter != "nearest" and not deformation.is_identity:
         _warn_of_labels(volume)
     with contextlib.ExitStack() as stack:
         if known.save_field is not None:
-            # It gets its name when the volume has its own: if either cannot be written, neither is.
+            # It is renamed together with the volume: if either cannot be written, neither is.
             place = stack.enter_context(replacing(known.save_field, force=force))
             write_transform(place, deformation, volume.geometry, tolerance=tolerance, force=True)
         error, count = _written(volume, source, target, deformation, sampling, clamp, device, force, tell)
@@ -275,12 +275,12 @@ def warp_volume(
 
 
 def check_volume_target(source: PathLike, target: PathLike, options: VolumeOptions, *, force: bool = False) -> None:
-    """Refuse names that a volume, and its field, cannot be written under, before it is read.
+    """Raise SuppleError, before reading, for invalid names of a volume and its field.
 
     Raises
     ------
     SuppleError
-        If one of them has a suffix that is none of its kind, or cannot be written; or if two are the same.
+        If one of them has a wrong suffix, or cannot be written; or if two are the same.
     """
     check_output(target, force=force)
     check_target(target, force=force)
@@ -292,7 +292,7 @@ def check_volume_target(source: PathLike, target: PathLike, options: VolumeOptio
 
 
 def _warn_of_gaps(volume: Volume, filter: str) -> None:
-    """Say that what is not a number spreads, as it does in every average."""
+    """Warn that NaN spreads, as in every average."""
     if volume.samples.dtype.kind != "f" or filter == "nearest":
         return
     gaps = sum(int(np.count_nonzero(~np.isfinite(slab))) for slab in volume.samples)
@@ -306,7 +306,7 @@ def _warn_of_gaps(volume: Volume, filter: str) -> None:
 
 
 def _first_fraction(samples: Array) -> float | None:
-    """The first value that is finite and no whole number; None if there is none."""
+    """Return the first value that is finite and not an integer; None if there is none."""
     if samples.dtype.kind == "f":
         for slab in samples:
             broken = slab[np.isfinite(slab) & (slab != np.rint(slab))]
@@ -316,13 +316,13 @@ def _first_fraction(samples: Array) -> float | None:
 
 
 def _warn_of_labels(volume: Volume) -> None:
-    """Say that labels would be mixed, where a volume looks like a map of them: few whole numbers in large areas."""
+    """Warn of interpolated labels, if a volume looks like a label map: few integers in large areas."""
     samples = volume.samples[0] if volume.series else volume.samples
     if volume.components > 1:
         return
     some = np.asarray(samples[:: -(-len(samples) // _LOOKED_AT)])
     left, right = some[..., :-1], some[..., 1:]
-    seen = (left != some.flat[0]) | (right != some.flat[0])  # the first voxel is of the background
+    seen = (left != some.flat[0]) | (right != some.flat[0])  # the first voxel is taken as background
     same = left == right
     if (
         np.count_nonzero(same & seen) < _AREAS * max(int(np.count_nonzero(seen)), 1)
@@ -330,7 +330,7 @@ def _warn_of_labels(volume: Volume) -> None:
     ):
         return
     count = len(np.unique(some))
-    # In a smooth picture of few values, those beside each other differ by 1.
+    # In a smooth image of few values, neighbours differ by 1.
     if count > _MOST_LABELS or (count > _FEW and np.median(np.abs(np.subtract(left, right, dtype=float)[~same])) <= 1):
         return
     warnings.warn(
@@ -352,7 +352,7 @@ def _written(
     force: bool,
     tell: Tell,
 ) -> tuple[float, int]:
-    """Warp and write a volume; return the error, and how many volumes there are."""
+    """Warp and write a volume; return the error, and the number of volumes."""
     series = volume.samples if volume.series else volume.samples[None]
     count, error = len(series), 0.0
     if deformation.is_identity and os.path.isfile(source) and _alone(source, target):
@@ -374,13 +374,13 @@ def _written(
                 error = max(error, certificate.error)
             if clamp and not deformation.is_identity:
                 clamp_to(series, out, sampling)
-            warn_of(Certificate(error, 0.0), sampling.tolerance, 4)  # before the target has its name
+            warn_of(Certificate(error, 0.0), sampling.tolerance, 4)  # before the target is renamed
             tell("write", 0, 1)
             write(target, out if volume.series else out[0], volume, force=force)
     return error, count
 
 
 def _alone(source: PathLike, target: PathLike) -> bool:
-    """Return whether a copy of one file is what is asked for."""
+    """Return whether the job is to copy one file."""
     suffix = suffix_of(source)
     return suffix == suffix_of(target) and suffix not in (".mhd", ".nhdr", ".hdr", ".img")

@@ -1,4 +1,4 @@
-"""The contract of all media: those that are at hand as arrays, and those that stream."""
+"""The interface of all media: arrays, and streams of frames."""
 
 from __future__ import annotations
 
@@ -15,91 +15,90 @@ Held = TypeVar("Held")
 
 @runtime_checkable
 class Medium(Protocol):
-    """A kind of file, as the module that reads and writes it: `image`, `volume`, `video` or `sequence`.
+    """A kind of file, as the module for it: `image`, `volume`, `video` or `sequence`.
 
-    Each is also an `ArrayMedium` or a `StreamMedium`, and may take more options than are named here. All refuse with
-    a SuppleError of one sentence, and warn of what does not come through. What is written appears whole, or not at
-    all.
+    Each is also an `ArrayMedium` or a `StreamMedium`, and may take further options. Errors are SuppleErrors of one
+    sentence, and losses are warned of. Output appears whole, or not at all.
     """
 
     SUFFIXES: frozenset[str]
-    """Of the files that are taken for this kind by their names, in small letters."""
+    """The suffixes of this kind, in lower case."""
     SUFFIXES_OUT: tuple[str, ...]
-    """Of the files that can be written."""
+    """The suffixes of files that can be written."""
 
     def check_target(self, path: PathLike, /) -> None:
-        """Refuse a name that nothing of this kind is written under, before any work is done for it."""
+        """Raise SuppleError, before any work, for a name that cannot be written as this kind."""
 
     def info(self, path: PathLike, /) -> dict[str, Any]:
-        """Tell what a file holds, without decoding more of it than that takes."""
+        """Return the facts on a file, decoding as little as possible."""
 
 
 @runtime_checkable
 class ArrayMedium(Medium, Protocol[Held]):
-    """A medium that is at hand as an array: pictures (`image.Picture`) and volumes (`volume.Volume`)."""
+    """A medium read as an array: images (`image.Picture`) and volumes (`volume.Volume`)."""
 
     def read(self, path: PathLike, /) -> Held:
-        """Read a file: its samples in its own dtype, its ``format``, and what else its header says."""
+        """Read a file: its samples in its own dtype, its ``format``, and its header."""
 
     def write(self, path: PathLike, samples: Array, like: Held, /, *, force: bool = False) -> None:
-        """Write samples with the header of what was read, in the format that the suffix names."""
+        """Write samples with the header of ``like``, in the format of the suffix."""
 
 
 @runtime_checkable
 class StreamMedium(Medium, Protocol):
-    """A medium that passes frame by frame: videos, and sequences of pictures."""
+    """A medium that streams frame by frame: videos, and image sequences."""
 
     def open_clip(self, path: PathLike, /) -> AbstractContextManager[Clip]:
         """Open a clip for reading; it is closed when the block ends."""
 
     def writer(self, clip: Any, target: PathLike, /, *, force: bool = False) -> AbstractContextManager[Sink]:
-        """Write a clip anew, with other frames, and with all else of it that the target can hold."""
+        """Write a clip with new frames, and all else of it that the target can hold."""
 
 
 class Clip(Protocol):
-    """A medium that streams, opened."""
+    """An open medium that streams."""
 
     @property
     def name(self) -> str:
-        """As it can stand in a line of text."""
+        """The name for one line of text."""
 
     @property
     def count(self) -> int:
-        """How many frames there are."""
+        """The number of frames."""
 
     @property
     def layout(self) -> Layout:
-        """The layout of every frame: what its arrays are, one for each group of components."""
+        """The layout of every frame: its arrays, one for each group of components."""
 
     @property
     def rotation(self) -> float:
-        """By how many degrees frames are turned, counterclockwise, when they are shown."""
+        """The rotation of frames for display, in degrees counterclockwise."""
 
     @property
     def unpictured(self) -> tuple[str, ...]:
-        """Streams that pictures of its frames leave out: sound, subtitles."""
+        """Streams that have no place in images of its frames: sound, subtitles."""
 
     def frames(self) -> Iterator[Frame]:
-        """Decode all frames, in the order in which they are shown."""
+        """Decode all frames, in display order."""
 
     def to_rgb(self, arrays: Sequence[Array], *, deep: bool = False) -> Array:
-        """Show a frame's samples as RGB of 8 bits, (H, W, 3), or of 16 if ``deep`` and it has more to give."""
+        """Return a frame as RGB of 8 bits, (H, W, 3), or of 16 if ``deep`` and the frame has more than 8."""
 
     def info(self) -> dict[str, Any]:
-        """Tell what a person may want to know."""
+        """Return the facts for users."""
 
 
 class ClipWarning(UserWarning):
-    """Something of a clip is damaged, or does not come through."""
+    """A part of a clip is damaged, or cannot be kept."""
 
 
 class CountError(Exception):
-    """Decoding gave another number of frames than the packets promised: open the clip again with that number.
+    """The number of decoded frames differs from that of the packets: open the clip again with ``found``.
 
     Parameters
     ----------
     found : int
-        How many frames there are.
+        The number of frames.
     """
 
     def __init__(self, found: int) -> None:

@@ -1,4 +1,4 @@
-"""The one table of video: containers, the codecs that go into them, and the encoders of these with their options."""
+"""The table of video: containers, their codecs, and the encoders of these with their options."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ Options = Mapping[str, str]
 class Container:
     """A kind of file."""
 
-    name: str  # as FFmpeg calls it
-    suffixes: tuple[str, ...]  # which name it; the first is offered
-    usual: str  # the codec that it is used to
-    exact: str = ""  # the codec where every value is to be kept
-    keeping: str = ""  # and where the source's keeps them, but cannot be written
-    longest: float = math.inf  # ticks that a frame may last
-    tick: Fraction = Fraction(0)  # seconds; 0 where it takes any
-    chapters: bool = True  # whether it holds them
-    rotation: bool = True  # whether it says which way up it is shown
-    counted: bool = False  # whether it keeps one rate instead of times, and does not say what colours mean
-    mp4: bool = False  # whether it says itself how wide a pixel is, and adds up what packets last
+    name: str  # in FFmpeg
+    suffixes: tuple[str, ...]  # the first is the default
+    usual: str  # the default codec
+    exact: str = ""  # the codec for lossless output
+    keeping: str = ""  # the codec if the source's is lossless, but cannot be written
+    longest: float = math.inf  # ticks of the longest frame
+    tick: Fraction = Fraction(0)  # seconds; 0 for any
+    chapters: bool = True  # whether it holds chapters
+    rotation: bool = True  # whether it holds the rotation for display
+    counted: bool = False  # whether it has one rate instead of times, and no colour tags
+    mp4: bool = False  # whether it holds the pixel aspect ratio itself, and adds up the durations of packets
     attachments: bool = False  # whether it holds files, and a cover as one of these
-    streams: frozenset[str] | None = None  # the codecs that it is to hold: others would be written, and hardly play
+    streams: frozenset[str] | None = None  # the supported codecs: others would be written, but hardly play
     options: Options = field(default_factory=dict)  # for every encoder
 
 
@@ -43,7 +43,7 @@ CONTAINERS = (
 )
 _ALL = frozenset(container.name for container in CONTAINERS)
 SUFFIXES_OUT = tuple(container.suffixes[0] for container in CONTAINERS)
-# What is always taken for a video; others are one if they are asked to be.
+# Suffixes that are always taken for videos; other files are if the user says so.
 SUFFIXES = frozenset(
     {".3gp", ".asf", ".avi", ".flv", ".h264", ".h265", ".hevc", ".ivf", ".m2ts", ".m2v", ".m4v", ".mj2", ".mkv"}
     | {".mov", ".mp4", ".mpeg", ".mpg", ".mts", ".mxf", ".ogv", ".ts", ".vob", ".webm", ".wmv", ".y4m"}
@@ -52,19 +52,19 @@ SUFFIXES = frozenset(
 
 @dataclass(frozen=True, slots=True)
 class Codec:
-    """A way of coding frames, whatever encodes or decodes it."""
+    """A codec, for any encoder or decoder."""
 
-    encoder: str = ""  # the one that is offered; empty where there is none
-    colours: bool = False  # whether its stream says what colours mean
-    aspect: bool = False  # whether it says how wide a pixel is
-    limited_in: frozenset[str] = frozenset()  # containers in which nobody takes it for full range
+    encoder: str = ""  # the default encoder; empty if there is none
+    colours: bool = False  # whether its stream has colour tags
+    aspect: bool = False  # whether it has the pixel aspect ratio
+    limited_in: frozenset[str] = frozenset()  # containers in which players ignore its full range
     opaque_in: frozenset[str] = frozenset()  # containers in which its opacity is lost
-    opacity: str = ""  # the decoder that keeps opacity where FFmpeg's own leaves it out
-    bt601: bool = False  # whether everybody takes its matrix for that of BT.601
-    centred: bool = False  # whether it sites the chroma of 4:2:0 in the centre of its pixels
-    # whether key frames need nothing but the stream header, and may follow those of another encoder
+    opacity: str = ""  # the decoder that keeps opacity if FFmpeg's own drops it
+    bt601: bool = False  # whether players assume the matrix of BT.601
+    centred: bool = False  # whether the chroma of 4:2:0 is sited in the centre of its pixels
+    # whether key frames depend only on the stream header, and may follow those of another encoder
     alone: bool = False
-    hides: bool = False  # whether it has packets of which nothing is shown
+    hides: bool = False  # whether it has packets without a visible frame
 
 
 _OPAQUE = _ALL - {"matroska", "webm"}
@@ -92,26 +92,26 @@ ALIASES = {"h265": "hevc", "x264": "h264", "x265": "hevc", "avc": "h264", "mpeg2
 
 @dataclass(frozen=True, slots=True)
 class Encoder:
-    """An encoder and its settings, in FFmpeg's words."""
+    """An encoder and its settings, in FFmpeg's terms."""
 
-    name: str  # as FFmpeg calls it
-    codec: str  # what it writes
-    crf: tuple[float, float, float] | None = None  # the best, the worst and the usual constant rate factor
-    drawn: float | None = None  # that for pictures that were drawn, which have no noise
-    presets: tuple[str, ...] = ()  # how much work it may do
-    preset: str = ""  # the usual one of these
-    options: Options = field(default_factory=dict)  # for everything
-    exact: Options | None = None  # what keeps one that loses something from it
-    params: str = ""  # the option that takes parameters of its own
-    threads: str = ""  # those that say how many threads it may use
-    graded: tuple[str, str] | None = None  # those of HDR: of the screen, and of the brightest pixel
-    # whether it takes any times; others count frames, and their packets are given the times afterwards
+    name: str  # in FFmpeg
+    codec: str  # the codec of its output
+    crf: tuple[float, float, float] | None = None  # the best, the worst and the default constant rate factor
+    drawn: float | None = None  # the default factor for drawings, which have no noise
+    presets: tuple[str, ...] = ()  # of speed
+    preset: str = ""  # the default preset
+    options: Options = field(default_factory=dict)  # for all output
+    exact: Options | None = None  # the options for lossless output
+    params: str = ""  # the option for the encoder's own parameters
+    threads: str = ""  # the parameters for the number of threads
+    graded: tuple[str, str] | None = None  # the parameters of HDR: mastering display, and brightest pixel
+    # whether it takes any times; others count frames, and times are set on their packets afterwards
     timed: bool = False
-    profiles: Options = field(default_factory=dict)  # its names of the profiles that FFmpeg decodes
+    profiles: Options = field(default_factory=dict)  # names of the profiles that FFmpeg decodes
 
 
 _SPEEDS = ("ultrafast", "superfast", "veryfast", "faster", "fast", "medium", "slow", "slower", "veryslow", "placebo")
-_FINE = {"qmin": "2", "qmax": "3", "b": "400000000", "maxrate": "0"}  # near the best, without a crf
+_FINE = {"qmin": "2", "qmax": "3", "b": "400000000", "maxrate": "0"}  # near the best quality, without a crf
 _VPX = {"deadline": "good", "cpu-used": "2"}
 _X264 = Encoder("libx264rgb", "h264", (0, 51, 18), presets=_SPEEDS, preset="medium", exact={"qp": "0"}, timed=True)
 _PRORES = {"Proxy": "proxy", "LT": "lt", "Standard": "standard", "HQ": "hq", "4444": "4444", "XQ": "4444xq"}
@@ -139,15 +139,15 @@ _ROWS = (
 ENCODERS = {encoder.name: encoder for encoder in _ROWS}
 HASTY, FINE_CRF = 11, 8  # SVT-AV1 from this preset on, below this crf, writes what no decoder reads
 
-# The pixel formats of pictures as frames: for each type, of one to four channels.
+# The pixel formats of images as frames: for each type, of one to four channels.
 STILLS = {
     "uint8": ("gray", "ya8", "rgb24", "rgba"),
     "uint16": ("gray16le", "ya16le", "rgb48le", "rgba64le"),
     "float32": ("grayf32le", "yaf32le", "gbrpf32le", "gbrapf32le"),
 }
-USUAL_BITS = 10  # the most that players are used to: what loses something anyway gets no more of pictures
+USUAL_BITS = 10  # the most that players support: lossy codecs use no more for images
 
 
 def codec_of(name: str) -> Codec:
-    """Return what is known of a codec; one that is not in the table has nothing of its own."""
+    """Return the entry of a codec; an empty one if it is not in the table."""
     return CODECS.get(name, Codec())

@@ -14,7 +14,7 @@ from supple.errors import SuppleError, shown
 
 PathLike = str | os.PathLike[str]
 _NEW = os.O_CREAT | os.O_EXCL | os.O_WRONLY
-_SPARE = 65_536  # bytes: with less, a disk is full
+_SPARE = 65_536  # bytes: with less, a disk counts as full
 _NO_ROOM = "make room or choose another place"
 _NO_RIGHT = "choose a place where writing is allowed"
 _ADVICE = {
@@ -29,7 +29,7 @@ _ADVICE = {
 
 
 def unreadable(path: PathLike, reason: str, advice: str = "give a whole copy of it") -> SuppleError:
-    """Say in one sentence why a file is not read, and what would help."""
+    """Return an error that explains in one sentence why a file cannot be read, with a remedy."""
     return SuppleError(f"cannot read {shown(path)}: {reason}: {advice}")
 
 
@@ -39,7 +39,7 @@ def head_of(
     give: str = "give the name of a file",
     empty: str = "give a whole copy of it",
 ) -> bytes:
-    """Return the first bytes of a file, or all if `count` is -1; SuppleError if it is no plain file, or empty."""
+    """Return the first bytes of a file, or all if `count` is -1; SuppleError for an empty or special file."""
     try:
         if not stat.S_ISREG(os.stat(path).st_mode):
             raise unreadable(path, "it is a folder or no plain file", give)
@@ -57,39 +57,39 @@ def head_of(
 
 
 def unwritable(path: PathLike, reason: str, advice: str) -> SuppleError:
-    """Say in one sentence why a file cannot be written as asked, and what would help."""
+    """Return an error that explains in one sentence why a file cannot be written, with a remedy."""
     return SuppleError(f"cannot write {shown(path)}: {reason}: {advice}")
 
 
 def check_suffix(
     path: PathLike, suffix: str, known: Container[str], what: str, advice: str, verb: str = "write"
 ) -> None:
-    """Refuse a name whose suffix, in small letters, is not known: SuppleError says what it is, and what would do."""
+    """Raise SuppleError for a suffix, in lower case, that is not known, with the valid ones."""
     if suffix.lower() not in known:
         found = f"the suffix {shown(suffix)}" if suffix else "a name without suffix"
         raise SuppleError(f"cannot {verb} {shown(path)}: {found} {what}: {advice}")
 
 
 def check_output(path: PathLike, *, force: bool = False) -> Path:
-    """Refuse an output file that cannot be written, before any work is done for it.
+    """Raise SuppleError, before any work, for an output file that cannot be written.
 
     Parameters
     ----------
     path : str or os.PathLike
-        The file to write. A link stands for the file it points at.
+        The file to write. A link is followed.
     force : bool
-        Whether a file that exists already may be replaced.
+        Whether an existing file may be replaced.
 
     Returns
     -------
     pathlib.Path
-        Where the file really goes: absolute, without links.
+        The path that is written: absolute, without links.
 
     Raises
     ------
     SuppleError
-        The file exists already and `force` is false; it is a folder, or no plain file; its folder is missing
-        or may not be written to; no file can have such a name.
+        The file exists and `force` is false; it is a folder or a special file; its folder is missing or read-only; or
+        the name is invalid.
     """
     name = shown(path)
     try:
@@ -115,26 +115,26 @@ def check_output(path: PathLike, *, force: bool = False) -> Path:
 
 @contextlib.contextmanager
 def replacing(path: PathLike, *, force: bool = False) -> Iterator[Path]:
-    """Write a file beside its target, and give it the target's name once it is whole.
+    """Write a temporary file beside its target, and rename it when it is complete.
 
     Parameters
     ----------
     path : str or os.PathLike
-        The file to write. A link stays, and the file that it points at is replaced.
+        The file to write. A link is kept, and its target is replaced.
     force : bool
-        Whether a file that exists already may be replaced. Its permission bits are kept.
+        Whether an existing file may be replaced. Its permission bits are kept.
 
     Yields
     ------
     pathlib.Path
-        A new, empty, hidden file in the folder of the target, with its suffix. Whatever ends the block early,
-        an interrupt too, removes it and leaves the target as it was.
+        A new, empty, hidden file in the folder of the target, with its suffix. If the block ends early, by an interrupt
+        too, it is removed and the target is unchanged.
 
     Raises
     ------
     SuppleError
-        As `check_output` does; when a file of that name has appeared meanwhile and `force` is false; and for
-        every `OSError` of the block, such as a full disk.
+        As in `check_output`; if a file of that name has appeared meanwhile and `force` is false; and for every
+        `OSError` of the block, such as a full disk.
     """
     target = check_output(path, force=force)
     # the end of the name keeps the suffixes, and a long name within what the file system takes
@@ -148,7 +148,7 @@ def replacing(path: PathLike, *, force: bool = False) -> Iterator[Path]:
         if not _publish(temporary, target, force):
             raise _exists(path)
     except OSError as error:
-        # Libraries have other words for a full disk.
+        # Libraries report a full disk with other errors.
         limit = error.errno in (errno.EFBIG, errno.EDQUOT)
         raise _refused(path, _full() if not limit and _is_full(temporary.parent) else error, temporary) from error
     except SuppleError as error:
@@ -161,7 +161,7 @@ def replacing(path: PathLike, *, force: bool = False) -> Iterator[Path]:
 
 
 def _is_full(folder: Path) -> bool:
-    """Return whether there is no space left on a disk, while what was written in vain is still there."""
+    """Return whether a disk is full, while the incomplete file is still there."""
     try:
         return shutil.disk_usage(folder).free < _SPARE
     except OSError:
@@ -173,7 +173,7 @@ def _full() -> OSError:
 
 
 def _mode(path: Path) -> int | None:
-    """Tell what kind of file stands there, if one does."""
+    """Return the mode of a file; None if there is none."""
     try:
         return os.lstat(path).st_mode
     except FileNotFoundError:
@@ -181,7 +181,7 @@ def _mode(path: Path) -> int | None:
 
 
 def _publish(temporary: Path, target: Path, force: bool) -> bool:
-    """Give the finished file its name, unless it is taken and `force` is false; tell whether it was done."""
+    """Rename the complete file, unless the name exists and `force` is false; return whether it was renamed."""
     if force:
         mode = _mode(target)
         if mode is not None:
@@ -189,8 +189,8 @@ def _publish(temporary: Path, target: Path, force: bool) -> bool:
         os.replace(temporary, target)
         return True
     try:
-        os.link(temporary, target)  # one step, and it fails where the name is taken
-    except OSError:  # so it is, or the file system has no links: reserve the name first
+        os.link(temporary, target)  # atomic, and fails if the name exists
+    except OSError:  # it exists, or the file system has no links: reserve the name first
         try:
             os.close(os.open(target, _NEW, 0o666))
         except FileExistsError:
@@ -208,16 +208,16 @@ def _exists(path: PathLike) -> SuppleError:
 
 
 def _refused(path: PathLike, error: OSError, temporary: Path | None = None) -> SuppleError:
-    """Say in one sentence why a file could not be written, and what would help."""
+    """Return an error that explains in one sentence why a file could not be written, with a remedy."""
     reason = error.strerror or str(error) or type(error).__name__
     if temporary is not None and error.filename not in (None, temporary, str(temporary)):
-        reason += f" ({shown(os.fsdecode(error.filename))})"  # another file's trouble
+        reason += f" ({shown(os.fsdecode(error.filename))})"  # the error of another file
     advice = _ADVICE.get(error.errno or 0, "choose another place")
     return SuppleError(f"cannot write {shown(path)}: {reason}: {advice}")
 
 
 def check_outputs(paths: Iterable[Path], *, force: bool = False) -> None:
-    """Refuse output files of one folder that cannot be written; the folder itself may be missing."""
+    """Raise SuppleError for output files of one folder that cannot be written; the folder itself may be missing."""
     for path in paths:
         if not os.path.lexists(path.parent):
             check_output(path.parent)
@@ -227,16 +227,16 @@ def check_outputs(paths: Iterable[Path], *, force: bool = False) -> None:
 
 @contextlib.contextmanager
 def replacing_all(folder: Path, *, force: bool = False) -> Iterator[Path]:
-    """Write files into a hidden folder, and give them their place in ``folder`` once all are whole.
+    """Write files into a hidden folder, and move them to ``folder`` when all are complete.
 
-    The folder is made if it is missing, in one that is not. Yields a new, empty, hidden folder in it, or beside where
-    it will be; whatever ends the block early, an interrupt too, removes that and leaves everything as it was.
-    SuppleError if a file of the same name has appeared meanwhile and `force` is false, and for every `OSError`.
+    A missing folder is created; its parent must exist. Yields a new, empty, hidden folder in it, or beside its future
+    place; if the block ends early, by an interrupt too, it is removed and nothing else changes. SuppleError if a file
+    of the same name has appeared meanwhile and `force` is false, and for every `OSError`.
     """
     place = Path(os.path.realpath(folder))
     new = not os.path.lexists(place)
     token = f".{os.urandom(6).hex()}-{place.name[-40:]}"
-    temporary = (place.parent if new else place) / token  # on the file system that they go to
+    temporary = (place.parent if new else place) / token  # on the same file system
     try:
         temporary.mkdir()
         yield temporary
@@ -252,7 +252,7 @@ def replacing_all(folder: Path, *, force: bool = False) -> Iterator[Path]:
 
 
 def _publish_all(temporary: Path, place: Path, folder: Path, force: bool) -> None:
-    """Move every file to its place; where one cannot be moved, move all of them back."""
+    """Move every file to its place; if one cannot be moved, move all of them back."""
     backup = temporary / "replaced"
     names = sorted(os.listdir(temporary))
     backup.mkdir()
@@ -274,14 +274,14 @@ def _publish_all(temporary: Path, place: Path, folder: Path, force: bool) -> Non
             os.rename(temporary / name, target)
     except BaseException:
         for before, after in reversed(moved):
-            # What was noted and not moved still stands where it stood.
+            # A file that was noted but not moved is still in its place.
             if not os.path.lexists(before):
                 os.rename(after, before)
         raise
 
 
 def same_file(one: PathLike, other: PathLike) -> bool:
-    """Return whether two names are of one file that is there."""
+    """Return whether two paths are the same existing file."""
     try:
         return os.path.samefile(one, other)
     except (OSError, ValueError):

@@ -1,4 +1,4 @@
-"""Names of image sequences: numbered pictures, and the pictures of a folder."""
+"""Names of image sequences: numbered images, and the images of a folder."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _NUMBER = re.compile("%(?:0[1-9][0-9]?)?d")
 
 
 def is_sequence(path: PathLike) -> bool:
-    """Return whether a name is of a sequence: a folder, or a pattern with a number, such as ``frames/%05d.png``."""
+    """Return whether a name is a sequence: a folder, or a pattern with a number, such as ``frames/%05d.png``."""
     text = os.fspath(path)
     return text.endswith(("/", os.sep)) or has_number(text) or os.path.isdir(text)
 
@@ -26,21 +26,21 @@ def has_number(path: PathLike) -> bool:
 
 
 def first_number(paths: list[Path]) -> int | None:
-    """The number at the end of the first name, if the others count on from there."""
+    """Return the number at the end of the first name, if the others are consecutive."""
     numbers = [int(found[-1]) if (found := re.findall("[0-9]+", path.stem)) else None for path in paths]
     start = numbers[0]
     return start if start is not None and numbers == list(range(start, start + len(paths))) else None
 
 
 def spelling(pattern: str, whole: str) -> Callable[[int], str]:
-    """How a pattern spells a number."""
+    """Return the function that formats a number in a pattern."""
     if len(_NUMBER.findall(pattern)) > 1 or "%" in _NUMBER.sub("", pattern):
         raise SuppleError(f"{shown(whole)} must hold one number, as %d or %05d, and no other percent sign")
     return lambda number: pattern % number
 
 
 def matching(text: str) -> tuple[list[Path], list[int], Callable[[int], str]]:
-    """The pictures that a pattern stands for, in order, with their numbers."""
+    """Return the images that match a pattern, in order, with their numbers."""
     path = Path(text)
     spell = spelling(path.name, text)
     before, after = _NUMBER.split(path.name)
@@ -55,7 +55,7 @@ def matching(text: str) -> tuple[list[Path], list[int], Callable[[int], str]]:
 
 
 def numbered(text: str) -> tuple[list[Path], int]:
-    """The pictures that a pattern stands for, and the first number; an error where one is missing."""
+    """Return the images that match a pattern, and the first number; SuppleError if one is missing."""
     paths, numbers, spell = matching(text)
     if not paths:
         raise SuppleError(f"no picture is named {shown(text)}: check the pattern")
@@ -71,7 +71,7 @@ def numbered(text: str) -> tuple[list[Path], int]:
 
 
 def pictures_in(folder: Path) -> list[Path]:
-    """The pictures of a folder, the 9th before the 10th."""
+    """Return the images of a folder, the 9th before the 10th."""
     names = [n for n in _names_in(folder) if Path(n).suffix.lower() in SUFFIXES and os.path.isfile(folder / n)]
     if not names:
         raise SuppleError(f"the folder {shown(folder)} holds no pictures: give another, or a pattern such as %05d.png")

@@ -1,4 +1,4 @@
-"""Landmarks as files: tables of points (CSV), and 3D Slicer's ``.fcsv`` and ``.mrk.json``."""
+"""Landmark files: tables of points (CSV), and 3D Slicer's ``.fcsv`` and ``.mrk.json``."""
 
 from __future__ import annotations
 
@@ -26,24 +26,24 @@ _FLIP = np.array([-1.0, -1.0, 1.0])
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PointFile:
-    """Points, and all else that their file holds.
+    """Points, and the other contents of their file.
 
     Parameters
     ----------
     points : float64 array, shape (N, 2) or (N, 3)
         x first.
     convention : str
-        ``"LPS"`` or ``"RAS"``, in millimetres; or ``"index"``, in pixels, frames or voxels from 0: what a table means
-        that does not say anything.
+        ``"LPS"`` or ``"RAS"``, in millimetres; or ``"index"``, in pixels, frames or voxels from 0: the default for a
+        table.
     labels : tuple of str
-        One for each point; empty where there is none.
+        One for each point; may be empty.
     name : str
-        As messages show it.
+        The name for messages.
     kind : str
         ``"CSV"``, ``"fcsv"`` or ``"JSON"``.
     told : str
-        What tells the convention: ``"said"`` (the file does), ``"mm"`` or ``"names"`` (columns x, y and z, with that
-        unit or without one), or ``""``.
+        The source of the convention: ``"said"`` (the file), ``"mm"`` or ``"names"`` (columns x, y and z, with that unit
+        or without one), or ``""``.
     """
 
     points: Floats
@@ -57,7 +57,7 @@ class PointFile:
 
 @dataclass(frozen=True, slots=True)
 class _Markups:
-    """A ``.mrk.json``, with the control points that have a place: (markup, point, whether x and y are flipped)."""
+    """A ``.mrk.json`` and its placed control points: (markup, point, whether x and y are flipped)."""
 
     data: dict[str, Any]
     places: tuple[tuple[int, int, bool], ...]
@@ -65,7 +65,7 @@ class _Markups:
 
 
 def check_target(path: PathLike, source: PathLike) -> None:
-    """Refuse a name under which the points of ``source`` cannot be written: files keep their kind."""
+    """Raise SuppleError for a name of another kind of file than ``source``."""
     kind = _kind("read", source)
     if _kind("write", path) != kind:
         suffixes = " or ".join(suffix for suffix, known in KINDS.items() if known == kind)
@@ -76,7 +76,7 @@ def read_points(path: PathLike) -> PointFile:
     """Read a file of points.
 
     A table (.csv, .tsv, .txt) is separated by commas, semicolons or tabs. A header, which may be a comment, names its
-    columns: x, y, and z, t or frame where there is one; or r, a, s or l, p, s for places in millimetres, or i, j, k.
+    columns: x, y, and z, t or frame if there is one; or r, a, s or l, p, s for positions in millimetres, or i, j, k.
     Without a header, the first three columns of numbers are the coordinates, or both where there are two. Comments
     begin with #.
 
@@ -88,14 +88,14 @@ def read_points(path: PathLike) -> PointFile:
     Returns
     -------
     PointFile
-        In a .mrk.json, the control points of all markups, one after the other, without those that are not placed; in
-        the convention of the first, if they have several.
+        The control points of all markups in a .mrk.json, in order, without those that are not placed; in the convention
+        of the first, if they have several.
 
     Raises
     ------
     SuppleError
-        The file cannot be read, is damaged, or holds no points; a coordinate is no finite number; a row has more or
-        fewer cells than the first; the coordinate system is unknown.
+        If the file cannot be read, is damaged, or holds no points; a coordinate is not a finite number; a row has more
+        or fewer cells than the first; or the coordinate system is unknown.
     """
     name, kind = shown(path), _kind("read", path)
     text = _text(path)
@@ -113,10 +113,10 @@ def write_points(
     residual: npt.ArrayLike | None = None,
     force: bool = False,
 ) -> None:
-    """Write points into a file like the one that they came from; it appears whole or not at all.
+    """Write points into a copy of the file that they came from; it appears whole or not at all.
 
-    All that is not a coordinate is kept as it was, and so is the text of coordinates that have not changed. What
-    Slicer derives from control points (lengths, angles) is not computed anew.
+    All other contents are kept, and so is the text of unchanged coordinates. Values that Slicer derives from control
+    points (lengths, angles) are not updated.
 
     Parameters
     ----------
@@ -125,16 +125,16 @@ def write_points(
     points : array_like, shape as ``like.points``
         In the convention of ``like``.
     like : PointFile
-        What was read.
+        The points that were read.
     residual : array_like, shape (N,), optional
-        For a CSV: the last column of the file, or the one that is named ``residual`` already.
+        For a CSV: the last column of the file, or an existing column ``residual``.
     force : bool
-        Whether to replace a file that exists.
+        Whether to replace an existing file.
 
     Raises
     ------
     SuppleError
-        The points are not finite or not as many, the suffix is of another kind, or the file cannot be written.
+        If the points are not finite or not as many, the suffix is of another kind, or the file cannot be written.
     """
     check_target(path, f"x{next(suffix for suffix, kind in KINDS.items() if kind == like.kind)}")
     made = np.asarray(points, np.float64)
@@ -164,7 +164,7 @@ def _text(path: PathLike) -> str:
         raise unreadable(path, "it is empty", _GIVE)
     if b"\0" in data:
         raise unreadable(path, "it is no text in UTF-8", "save it as that")
-    return data.decode("utf-8", "surrogateescape")  # so that labels in other encodings come through
+    return data.decode("utf-8", "surrogateescape")  # so that labels in other encodings are kept
 
 
 def _from_json(name: str, text: str) -> PointFile:
@@ -232,7 +232,7 @@ def _to_json(markups: _Markups, points: Floats, before: Floats) -> str:
     text = markups.text
     step = re.match(r"\ufeff?\s*\{\r?\n([ \t]+)", text)
     made = json.dumps(data, indent=step[1] if step else 4, ensure_ascii=text.isascii())
-    if not re.search(r"\[\s*\n\s*[-\d]", text):  # Slicer has a list of numbers on one line
+    if not re.search(r"\[\s*\n\s*[-\d]", text):  # Slicer writes a list of numbers on one line
         made = re.sub(r'\[\n\s*([^\[\]{}"]*?)\n\s*\]', lambda found: f"[{' '.join(found[1].split())}]", made)
     mark = "\ufeff" if text.startswith("\ufeff") else ""
     return mark + made + text[len(text.rstrip()) :]

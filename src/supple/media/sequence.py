@@ -1,4 +1,4 @@
-"""Sequences of pictures, one for each frame: numbered, all of a folder, or in an animated WebP; read and written."""
+"""Image sequences, read and written: numbered files, all images of a folder, or an animated WebP."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ _WHITE = {"uint8": 255.0, "uint16": 65535.0, "float32": 1.0}
 
 @dataclass(frozen=True, slots=True)
 class _Still:
-    """A frame that is read when it is copied, so that no more than one is in memory."""
+    """A frame that is read in `copy_to`, so that only one is in memory."""
 
     path: Path
     layout: Layout
@@ -59,13 +59,13 @@ class _Still:
 
 
 class Pictures:
-    """Pictures of one size and type, as the frames of a clip."""
+    """Images of one size and type, as the frames of a clip."""
 
     layout: Layout  # one group: a grid of pixels
     paths: list[Path]  # in order
-    first: int | None  # the number of the first picture, where the names are numbered
-    rate: Fraction  # frames a second: pictures do not know, and whoever opens them says it
-    starts: Sequence[int] = ()  # when frames begin, in milliseconds, and the last one ends; empty where all last alike
+    first: int | None  # the number of the first image, if the names are numbered
+    rate: Fraction  # frames a second, given by the caller
+    starts: Sequence[int] = ()  # start times of the frames, and the end, in milliseconds; empty for a constant rate
     rotation = 0.0
     unpictured: tuple[str, ...] = ()
 
@@ -82,18 +82,18 @@ class Pictures:
 
     @property
     def count(self) -> int:
-        """How many frames there are."""
+        """The number of frames."""
         return len(self.paths)
 
     def frames(self) -> Iterator[Frame]:
-        """The frames in order; each is read when it is copied."""
+        """Yield the frames in order; each is read when it is copied."""
         for path in self.paths:
             yield _Still(path, self.layout)
 
     def to_rgb(self, arrays: Sequence[Array], *, deep: bool = False) -> Array:
-        """A frame as RGB of 8 bits, or of 16 if ``deep``: shape (H, W, 3), without opacity.
+        """Return a frame as RGB of 8 bits, or of 16 if ``deep``: shape (H, W, 3), without opacity.
 
-        Colours are taken as they are, whatever their profile; of floats, what lies outside 0 to 1 is cut off.
+        Colours are not converted, whatever their profile; floats are clipped to 0 to 1.
         """
         pixels = arrays[0][..., :-1] if self.layout.groups[0].alpha else arrays[0]
         if pixels.shape[2] not in (1, 3) or self.interpretation == "cmyk":
@@ -105,7 +105,7 @@ class Pictures:
         return np.ascontiguousarray(np.broadcast_to(pixels, (*pixels.shape[:2], 3)))
 
     def picture(self, k: int) -> tuple[Picture, list[str]]:
-        """Frame ``k``'s picture without its pixels, but with profile, EXIF and all; and what is not among it."""
+        """Return the image of frame ``k`` with its header, but without pixels; and a list of losses."""
         path, group = self.paths[k], self.layout.groups[0]
         image, form = opened(path)
         _, orientation, bits = facts(image)
@@ -144,7 +144,7 @@ class _Page:
 
 
 class Animation(Pictures):
-    """An animated WebP, which FFmpeg does not decode, as the frames of a clip."""
+    """The frames of an animated WebP, which FFmpeg does not decode, as a clip."""
 
     def __init__(self, path: PathLike) -> None:
         image, self.format = opened(path)
@@ -155,12 +155,12 @@ class Animation(Pictures):
         if len(self.starts) != pages + 1:
             self.starts = [100 * k for k in range(pages + 1)]
         self.name, self.first, self.interpretation = shown(path), None, image.interpretation
-        self.paths = [self._path.with_name(f"{k + 1:05d}.png") for k in range(pages)]  # what they would become
+        self.paths = [self._path.with_name(f"{k + 1:05d}.png") for k in range(pages)]  # the names as a sequence
         self.rate = Fraction(1000 * pages, self.starts[-1])
         self.layout = _layout(self._path, image)
 
     def frames(self) -> Iterator[Frame]:
-        """The frames in order, decoded one after the other."""
+        """Yield the frames in order, decoded one after the other."""
         height, width = self.layout.shape
         shape = (height, width, self.layout.groups[0].channels)
         with reading(self._path):
@@ -171,7 +171,7 @@ class Animation(Pictures):
                 yield _Page(np.frombuffer(data, np.uint8).reshape(shape))
 
     def picture(self, k: int) -> tuple[Picture, list[str]]:
-        """Frame ``k``'s picture without its pixels: only the profile is the file's."""
+        """Return the image of frame ``k`` without its pixels; the profile is the file's."""
         image, form = opened(self._path)
         icc = image.get("icc-profile-data") if image.get_typeof("icc-profile-data") else None
         group = self.layout.groups[0]
@@ -180,7 +180,7 @@ class Animation(Pictures):
 
 
 def is_animated(path: PathLike) -> bool:
-    """Return whether a picture holds several frames; what cannot be read does not."""
+    """Return whether an image has several frames; False for unreadable files."""
     try:
         image, form = opened(path)
     except SuppleError:
@@ -190,16 +190,15 @@ def is_animated(path: PathLike) -> bool:
 
 @contextlib.contextmanager
 def open_clip(path: PathLike, *, rate: float | Fraction = 24) -> Iterator[Pictures]:
-    """Open pictures as a clip.
+    """Open an image sequence as a clip.
 
     Parameters
     ----------
     path : str or os.PathLike
-        A pattern such as ``frames/%05d.png``, which stands for pictures that are numbered without a gap, from
-        whatever number on. Or a folder, which stands for all its pictures, the 9th before the 10th. Or an animated
-        WebP, which has times of its own.
+        A pattern such as ``frames/%05d.png`` for consecutively numbered images, from any first number. Or a folder, for
+        all its images, the 9th before the 10th. Or an animated WebP, which has times of its own.
     rate : float or Fraction
-        Frames a second. 23.976, 29.97 and the like are taken for what they mean, 24000/1001 and 30000/1001.
+        Frames a second. 23.976, 29.97 and the like are rounded to 24000/1001 and 30000/1001.
 
     Yields
     ------
@@ -208,7 +207,7 @@ def open_clip(path: PathLike, *, rate: float | Fraction = 24) -> Iterator[Pictur
     Raises
     ------
     SuppleError
-        There are no such pictures, one is missing, cannot be read, or is of another size or type than the first.
+        If there are no such images, or one is missing, unreadable, or of another size or type than the first.
     """
     text, known = os.fspath(path), _rate(rate)
     if text.lower().endswith(".webp") and os.path.isfile(text):
@@ -224,7 +223,7 @@ def open_clip(path: PathLike, *, rate: float | Fraction = 24) -> Iterator[Pictur
 
 
 def info(path: PathLike) -> dict[str, object]:
-    """Tell what the headers of the pictures say."""
+    """Return the facts in the headers of the images."""
     with open_clip(path) as clip:
         return clip.info()
 
@@ -264,13 +263,13 @@ def _described(layout: Layout) -> str:
 
 
 def check_target(path: PathLike) -> None:
-    """Refuse a pattern whose suffix no picture can be written under; a folder may have any name."""
+    """Raise SuppleError for a pattern whose suffix cannot be written; a folder may have any name."""
     if has_number(path):
         pictures.check_target(path)
 
 
 class PictureSink:
-    """Where frames are written to: a picture for each, in a hidden folder until all are there."""
+    """A sink of frames: an image for each, in a hidden folder until all are complete."""
 
     aside = False
 
@@ -282,7 +281,7 @@ class PictureSink:
         self._said: set[str] = set()
 
     def write(self, arrays: Sequence[Array], k: int, *, still: bool = False) -> None:
-        """Write frame ``k``: arrays as the clip's layout says."""
+        """Write frame ``k``: arrays in the clip's layout."""
         name = self._names(k)
         like = None
         if isinstance(self._clip, Pictures):
@@ -297,7 +296,7 @@ class PictureSink:
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
             try:
-                # Formats without grey of three axes take that of two.
+                # Some formats take grey only as an array of two axes.
                 flat = pixels[..., 0] if pixels.shape[2] == 1 else pixels
                 pictures.write(self._temporary / name, flat, like=like, **self._options)
             except SuppleError as error:
@@ -307,18 +306,18 @@ class PictureSink:
             self._say(warning.category, text, text.replace(final, ""))
 
     def _as_rgb(self, arrays: Sequence[Array]) -> Array:
-        """A video's frame, upright, in RGB or RGBA."""
+        """Return a video's frame, upright, in RGB or RGBA."""
         layout = self._clip.layout
         pixels = self._clip.to_rgb(arrays, deep=layout.dtype.itemsize > 1)
         if layout.groups[0].alpha:
             white = np.iinfo(pixels.dtype).max
             opacity = np.rint(arrays[0][..., -1:] * (white / layout.white)).astype(pixels.dtype)
             pixels = np.concatenate([pixels, opacity], axis=2)
-        # What a player turns by, counterclockwise: pictures are stored as they are looked at.
+        # Images are stored upright, without a rotation for players.
         return np.rot90(pixels, round(self._clip.rotation / 90))
 
     def _say(self, category: type[Warning], text: str, kind: str) -> None:
-        """Warn of each kind of trouble once, not for every frame."""
+        """Warn of each kind of loss once, not for every frame."""
         if kind not in self._said:
             self._said.add(kind)
             warnings.warn(text, category, stacklevel=3)
@@ -328,20 +327,20 @@ class PictureSink:
 def writer(
     clip: Clip, target: PathLike, *, force: bool = False, quality: int | None = None, lossless: bool = False
 ) -> Iterator[PictureSink]:
-    """Write a clip's frames as pictures, which appear all together or not at all.
+    """Write a clip's frames as images, which appear all together or not at all.
 
     Parameters
     ----------
     clip : Pictures, or any `Clip`
-        Where the frames are from: each picture gets the profile, the EXIF and the like of its source. A video's
-        become RGB or RGBA of 8 bits, or of 16 where it has more than 8 and can give them; and are turned upright.
+        The source of the frames: each image gets the profile, the EXIF and the like of its source. A video's frames
+        become RGB or RGBA of 8 bits, or of 16 if it has more than 8 and they can be converted; and are turned upright.
     target : str or os.PathLike
-        A pattern such as ``out/%05d.png``, or a folder, which is made if it is missing. Numbers are those of the
-        source's pictures; a video's count from 1. In a folder, the names are the source's; a video's are ``%05d.png``.
+        A pattern such as ``out/%05d.png``, or a folder, which is created if it is missing. Numbers are those of the
+        source's images; a video's start at 1. In a folder, the names are the source's; a video's are ``%05d.png``.
     force : bool
-        Whether pictures that exist may be replaced.
+        Whether existing images may be replaced.
     quality, lossless
-        As `supple.media.image.write` takes them.
+        As in `supple.media.image.write`.
 
     Yields
     ------
@@ -350,7 +349,7 @@ def writer(
     Raises
     ------
     SuppleError
-        A picture exists already, the format cannot hold these pixels, or nothing can be written there.
+        If an image exists already, the format cannot hold these pixels, or nothing can be written there.
     """
     text = os.fspath(target)
     check_target(text)
@@ -373,14 +372,14 @@ def writer(
 
 
 def _numbers(clip: Clip, text: str) -> Callable[[int], str]:
-    """The names of a pattern: with the numbers of the source."""
+    """Return the names of a pattern, with the numbers of the source."""
     spell = spelling(Path(text).name, text)
     first = clip.first if isinstance(clip, Pictures) and clip.first is not None else 1
     return lambda k: spell(first + k)
 
 
 def _mirrored(clip: Clip) -> Callable[[int], str]:
-    """The names in a folder: those of the source, in a format that can be written."""
+    """Return the names in a folder: those of the source, in a writable format."""
     if not isinstance(clip, Pictures):
         return lambda k: f"{k + 1:05d}.png"
     other = ".tif" if clip.layout.dtype.kind == "f" else ".png"
@@ -393,7 +392,7 @@ def _mirrored(clip: Clip) -> Callable[[int], str]:
 
 
 def _others(folder: Path, text: str) -> list[str]:
-    """The pictures that stand where a sequence was written."""
+    """Return other images in the folder of a written sequence."""
     with contextlib.suppress(OSError, SuppleError):
         if has_number(text):
             return [path.name for path in matching(text)[0]]

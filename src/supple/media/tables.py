@@ -1,4 +1,4 @@
-"""Tables of points in text: whatever is no coordinate stays as it was, to the byte."""
+"""Tables of points in text: all but the coordinates is kept, byte for byte."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _AROUND = re.compile(r"(?:pos|position|coord|point)[ _.-]?([xyzt])|([xyzt])[ _.-
 
 @dataclass(frozen=True, slots=True)
 class _Record:
-    """A line, or several where quotes hold line breaks; ``cells`` hold the text with its spaces and quotes."""
+    """A line, or several if quotes hold line breaks; ``cells`` hold the text with its spaces and quotes."""
 
     line: int
     cells: list[str]
@@ -35,7 +35,7 @@ class _Record:
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """A table as it was read: its records, which of them are the header and points, and where the coordinates are."""
+    """A table that was read: its records, the rows of the header and of points, and the columns of coordinates."""
 
     mark: str
     records: list[_Record]
@@ -45,7 +45,7 @@ class Table:
     columns: tuple[int, ...]
 
     def written(self, points: Floats, before: Floats, notes: list[str] | None) -> str:
-        """The text with other points, shape (N, 2) or (N, 3), and with ``notes`` in the column ``residual``."""
+        """Return the text with other points, shape (N, 2) or (N, 3), and with ``notes`` in the column ``residual``."""
         records = [list(record.cells) for record in self.records]
         for row, new, old in zip(self.rows, points, before, strict=True):
             for i in np.flatnonzero(new != old):
@@ -66,10 +66,10 @@ class Table:
 
 
 def parsed(name: str, text: str, *, fcsv: bool) -> tuple[Table, Floats, str, tuple[str, ...], str]:
-    """A table, its points (N, 2) or (N, 3), their convention and labels, and what tells the convention.
+    """Return a table, its points (N, 2) or (N, 3), their convention and labels, and the source of the convention.
 
-    That is "said", "mm" or "names" (x, y and z with that unit, or without any), or nothing; SuppleError names the line
-    at fault.
+    The source is "said", "mm" or "names" (x, y and z with that unit, or without any), or empty; SuppleError names the
+    line at fault.
     """
     plain = text.removeprefix(_MARK)
     lines = _lines(name, plain)
@@ -80,7 +80,7 @@ def parsed(name: str, text: str, *, fcsv: bool) -> tuple[Table, Floats, str, tup
     delimiter = "," if fcsv else _delimiter(lines[data[0]][1])
     records = [_Record(number, split(line, delimiter), end) for number, line, end in lines]
     told = "said" if fcsv else ""
-    stated = "RAS" if fcsv else "index"  # what Slicer takes for granted, and what a table without a word means
+    stated = "RAS" if fcsv else "index"  # the defaults of Slicer, and of a table
     for k in comments:
         if statement := _STATEMENT.fullmatch(lines[k][1]):
             said = bare(statement[1].rstrip(", \t")).upper()
@@ -109,7 +109,7 @@ def parsed(name: str, text: str, *, fcsv: bool) -> tuple[Table, Floats, str, tup
 
 
 def _unit(cell: str) -> str:
-    """The unit that a column's name tells: "mm", "px" for any that is counted, or nothing."""
+    """Return the unit in a column's name: "mm", "px" for counted units, or nothing."""
     words = re.findall("[a-z]+", bare(cell).lower())
     return "mm" if "mm" in words else "px" if {"px", "pixel", "voxel", "index", "i", "j", "k"} & set(words) else ""
 
@@ -120,7 +120,7 @@ def bare(cell: str) -> str:
 
 
 def split(line: str, delimiter: str) -> list[str]:
-    """A line's cells, with their quotes and spaces."""
+    """Return a line's cells, with their quotes and spaces."""
     if '"' not in line or _is_comment(line):
         return line.split(delimiter)
     return re.split(rf'{delimiter}(?=(?:[^"]*"[^"]*")*[^"]*$)', line)
@@ -136,7 +136,7 @@ def _is_comment(line: str) -> bool:
 
 
 def _lines(name: str, text: str) -> list[tuple[int, str, str]]:
-    """Lines as (number, text, line ending); those within quotes are one."""
+    """Yield lines as (number, text, line ending); lines within quotes are joined."""
     made, held, begun = [], "", 1
     for number, line in enumerate(io.StringIO(text, newline=""), 1):
         begun, held = begun if held else number, held + line
@@ -186,7 +186,7 @@ def _slicers(
 def _headed(
     name: str, records: list[_Record], comments: list[int], data: list[int]
 ) -> tuple[int | None, tuple[int, ...], str | None]:
-    """The header, if there is one, the columns of the coordinates, and the convention that their names tell."""
+    """Return the header row, if there is one, the columns of the coordinates, and the convention of their names."""
     first = records[data[0]]
     numbers = [c for c, cell in enumerate(first.cells) if _number(cell) is not None]
     if not numbers:

@@ -1,4 +1,4 @@
-"""Displacement fields as files that ITK, ANTs and 3D Slicer resample with."""
+"""Displacement fields as files for resampling by ITK, ANTs and 3D Slicer."""
 
 from __future__ import annotations
 
@@ -17,22 +17,22 @@ from supple.media.volume.nifti import LONGEST
 Field = npt.NDArray[np.floating[Any]]
 
 SUFFIXES_OUT = (".nii", ".nii.gz", ".nrrd", ".mha", ".h5")
-_OVERHEAD = 1 << 16  # more than a transform's HDF5 file holds apart from the field
+_OVERHEAD = 1 << 16  # more than the size of a transform's HDF5 file without the field
 _CHUNK = 1 << 20
 _TYPES = {np.dtype(np.float32): ("float", "MET_FLOAT"), np.dtype(np.float64): ("double", "MET_DOUBLE")}
 
 
 def check_target(path: PathLike) -> None:
-    """Refuse a name whose suffix is not in `SUFFIXES_OUT`."""
+    """Raise SuppleError for a name whose suffix is not in `SUFFIXES_OUT`."""
     if _suffix(path) is None:
         check_suffix(path, Path(path).suffix, (), "is of no transform", f"use {', '.join(SUFFIXES_OUT)}")
 
 
 def write_field(path: PathLike, displacement: Field, geometry: Geometry, *, force: bool = False) -> None:
-    """Write a displacement field, by which ITK, ANTs and 3D Slicer resample a volume onto the field's own grid.
+    """Write a displacement field for resampling a volume onto the field's grid by ITK, ANTs and 3D Slicer.
 
-    At each voxel of the output stands how far from it, and in which direction, the input is fetched. The file
-    appears whole or not at all.
+    Each voxel of the output holds the displacement to its source point in the input. The file appears whole or not at
+    all.
 
     Parameters
     ----------
@@ -40,17 +40,17 @@ def write_field(path: PathLike, displacement: Field, geometry: Geometry, *, forc
         ``.nii`` and ``.nii.gz`` (a vector for each voxel, intent 1007, as ANTs writes it), ``.nrrd`` and ``.mha`` (a
         vector image), or ``.h5`` (a transform of ITK's, in float64).
     displacement : float32 or float64 array, shape (Z, H, W, 3)
-        In millimetres along the axes of LPS, x first, whatever the convention of ``geometry``. It is read plane by
-        plane, but for NIfTI, which takes one component of the whole at a time.
+        In millimetres along the axes of LPS, x first, for any convention of ``geometry``. It is read plane by plane,
+        except for NIfTI, which takes one component of the whole at a time.
     geometry : Geometry
-        Where the voxels lie.
+        The geometry of the voxels.
     force : bool
-        Whether to replace a file that exists.
+        Whether to replace an existing file.
 
     Raises
     ------
     SuppleError
-        The array is of another shape or type, holds NaN or infinity, or is too large for the format; or the file
+        If the array has another shape or type, holds NaN or infinity, or is too large for the format; or the file
         cannot be written.
     """
     check_target(path)
@@ -141,7 +141,7 @@ def _spelled(numbers: npt.ArrayLike) -> list[str]:
 
 def _write_transform(name: str, path: Path, field: Field, geometry: Geometry) -> None:
     sitk = itk.library()
-    with open(path, "wb") as file:  # for HDF5 crashes where the disk is full
+    with open(path, "wb") as file:  # HDF5 crashes on a full disk
         for _ in range(0, 8 * field.size + _OVERHEAD, _CHUNK):
             file.write(bytes(_CHUNK))
     image = sitk.Image([int(n) for n in field.shape[2::-1]], sitk.sitkVectorFloat64, 3)

@@ -1,4 +1,4 @@
-"""Turntables: drawn pictures of 8-bit RGB, one after the other as a video."""
+"""Turntables: rendered images of 8-bit RGB, written as a video."""
 
 from __future__ import annotations
 
@@ -18,23 +18,23 @@ from supple.media.sequence import Pictures
 
 _USED = {suffix: CODECS[each.usual].encoder for each in CONTAINERS for suffix in each.suffixes[:1] if not each.counted}
 SUFFIXES = tuple(_USED)
-_FASTEST = 50  # pictures a second of a GIF: it counts hundredths, and players slow down what is shorter than two
+_FASTEST = 50  # images a second of a GIF: it counts hundredths, and players slow down frames below two
 
 
 class _Drawn(Pictures):
-    """Pictures that come from no file."""
+    """Images without a file."""
 
     def __init__(self, name: str, size: tuple[int, int], rate: Fraction) -> None:
         self.name, self.paths, self.first, self.rate, self.interpretation = name, [], None, rate, "srgb"
         self.layout = Layout((Group(size, 3),), np.dtype(np.uint8), 255.0)
 
     def picture(self, k: int) -> tuple[Picture, list[str]]:
-        """Return a picture without pixels or profile."""
+        """Return an image without pixels or profile."""
         return Picture(np.empty((0, self.layout.shape[1], 3), np.uint8)), []
 
 
 def check_turntable(path: PathLike, size: tuple[int, int], rate: float) -> None:
-    """Refuse a size or a rate that the format of ``path`` does not have; SuppleError says what would do."""
+    """Raise SuppleError for a size or a rate that the format of ``path`` does not support."""
     suffix, (height, width) = Path(path).suffix.lower(), size
     if _USED[suffix] == "libx264" and (height % 2 or width % 2):
         even = f"{width + width % 2}x{height + height % 2}"
@@ -54,9 +54,9 @@ def write_turntable(
     rate: float = 24.0,
     force: bool = False,
 ) -> None:
-    """Encode sRGB pictures of shape (H, W, 3) and one size, (rows, columns), as H.264, VP9 or GIF, by the suffix.
+    """Encode sRGB images of shape (H, W, 3) and one size, (rows, columns), as H.264, VP9 or GIF, by the suffix.
 
-    The file appears whole or not at all. SuppleError if it cannot be written, or not with that size or rate.
+    The file appears whole or not at all. SuppleError if it cannot be written with that size or rate.
     """
     need("video", "videos", "av")
     from supple.media import video

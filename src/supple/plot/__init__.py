@@ -1,4 +1,4 @@
-"""Pictures of a deformation, to judge it by, and the numbers behind them."""
+"""Plots of a deformation, and their data."""
 
 from supple.errors import need
 

@@ -1,4 +1,4 @@
-"""A picture of any kind, deformed and made fit to be looked at below a plot."""
+"""Backgrounds of plots: any image, deformed and converted."""
 
 from __future__ import annotations
 
@@ -11,22 +11,22 @@ from supple.deformation import Deformation
 from supple.errors import SuppleError
 from supple.plot.measure import spacing_of
 
-_MOST_PIXELS = 1 << 21  # a plot shows no more
+_MOST_PIXELS = 1 << 21  # the largest resolution of a plot
 
 
 def background(deformation: Deformation, image: npt.NDArray[Any]) -> npt.NDArray[np.float32]:
-    """The deformed image as RGB from 0 to 1.
+    """Return the deformed image as RGB from 0 to 1.
 
     Parameters
     ----------
     deformation : Deformation
     image : array of shape (H, W), (H, W, 1), or with alpha, RGB or RGBA (H, W, 2 to 4)
-        Of any type that `Deformation.warp` takes. Of a video, a frame of the output, which is deformed already.
+        Of any type of `Deformation.warp`. For a video, a frame of the output, which is deformed already.
 
     Returns
     -------
     float32 array, shape (h, w, 3)
-        Of fewer pixels if the image is large.
+        Reduced if the image is large.
     """
     array = np.asarray(image)
     if deformation.ndim == 3 and (array.shape[:2] != deformation.shape[1:] or array.ndim > 3):
@@ -49,7 +49,7 @@ def background(deformation: Deformation, image: npt.NDArray[Any]) -> npt.NDArray
 
 
 def _range(array: npt.NDArray[Any]) -> tuple[float, float]:
-    """The values that become black and white."""
+    """Return the values of black and white."""
     if array.dtype == np.bool_:
         return 0.0, 1.0
     if array.dtype.kind == "u" and array.dtype.itemsize <= 2:

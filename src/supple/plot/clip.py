@@ -1,4 +1,4 @@
-"""Pictures of a video before and after: a cut along time, and some of its frames side by side."""
+"""Plots of a video before and after: a cut along time, and frames side by side."""
 
 from __future__ import annotations
 
@@ -16,41 +16,41 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-_MOST = 1600  # dots that a cut takes along an axis
-_CELL = 2.6  # inches that a frame takes at most, along its longer side
+_MOST = 1600  # the dots of a cut along an axis, at most
+_CELL = 2.6  # inches of a frame along its longer side, at most
 
 Colours = npt.NDArray[np.uint8]
 Numbered = tuple[int, Colours]
 
 
 def evenly(count: int, columns: int) -> list[int]:
-    """Some frames of a clip, evenly spaced in time, from the first to the last."""
+    """Return some frames of a clip, evenly spaced in time, from the first to the last."""
     return sorted({round(k) for k in np.linspace(0, count - 1, max(1, min(columns, count)))})
 
 
 def draw_slice(
     before: Colours, after: Colours, at: int, path: str | os.PathLike[str], *, axis: str = "x", force: bool = False
 ) -> None:
-    """Write the picture that `clip_slice` makes to a PNG, SVG or PDF file."""
+    """Write the figure of `clip_slice` to a PNG, SVG or PDF file."""
     save(clip_slice(before, after, at, axis=axis), path, force=force)
 
 
 def draw_sheet(
     before: Sequence[Numbered], after: Sequence[Numbered], path: str | os.PathLike[str], *, force: bool = False
 ) -> None:
-    """Write the picture that `clip_sheet` makes to a PNG, SVG or PDF file."""
+    """Write the figure of `clip_sheet` to a PNG, SVG or PDF file."""
     save(clip_sheet(before, after), path, force=force)
 
 
 def clip_slice(before: Colours, after: Colours, at: int, *, axis: str = "x") -> Figure:
-    """Draw what one column or row of pixels shows over time, before and after.
+    """Plot a column or row of pixels over time, before and after.
 
     Parameters
     ----------
     before, after : uint8 array, shape (T, H, 3) or (T, W, 3)
         The column, or the row, of each frame.
     at : int
-        Which one it is.
+        Its index.
     axis : str
         ``"x"`` for a column, at that x; ``"y"`` for a row.
 
@@ -62,7 +62,7 @@ def clip_slice(before: Colours, after: Colours, at: int, *, axis: str = "x") -> 
     if before.shape != after.shape:
         raise SuppleError(f"before and after must be of one shape, found {before.shape} and {after.shape}")
     count, rows = before.shape[:2]
-    # An inch for a hundred frames or rows, a dot for each at least where they are many.
+    # An inch for a hundred frames or rows, and at least one dot for each if there are many.
     width = min(max(count / 100, 4.5), _MOST / DPI)
     height = min(max(rows / 100, 3.6), 0.68 * _MOST / DPI)
     stacked = width > 1.6 * height
@@ -83,12 +83,12 @@ def clip_slice(before: Colours, after: Colours, at: int, *, axis: str = "x") -> 
 
 
 def clip_sheet(before: Sequence[Numbered], after: Sequence[Numbered]) -> Figure:
-    """Draw frames of a clip side by side, and those after the deformation below them.
+    """Plot frames of a clip side by side, and the warped frames below them.
 
     Parameters
     ----------
     before, after : sequence of (int, uint8 array of shape (H, W, 3))
-        The frames' numbers, and the frames.
+        The frames' indices, and the frames.
 
     Returns
     -------
@@ -108,7 +108,7 @@ def clip_sheet(before: Sequence[Numbered], after: Sequence[Numbered]) -> Figure:
 
 
 def _show_frame(axes: Axes, frame: Colours, scale: float, caption: str) -> None:
-    # A small frame keeps its pixels; a large one is averaged to the dots that it gets.
+    # A small frame keeps its pixels; a large one is averaged to the dots of the plot.
     (height, width), every = frame.shape[:2], max(1, int(1 / (scale * DPI)))
     seen = _fewer(_fewer(frame, -(-height // every)).swapaxes(0, 1), -(-width // every)).swapaxes(0, 1)
     kind = "nearest" if scale * DPI >= 2 else "antialiased"
@@ -118,7 +118,7 @@ def _show_frame(axes: Axes, frame: Colours, scale: float, caption: str) -> None:
 
 
 def _fewer(array: Colours, most: int) -> Colours:
-    """Means of so many neighbours along the first axis that no more than ``most`` are left."""
+    """Return means of neighbours along the first axis, at most ``most`` of them."""
     every = -(-len(array) // most)
     if every <= 1:
         return array

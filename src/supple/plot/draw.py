@@ -1,7 +1,7 @@
-"""Pictures of a deformation: iterations, residual, stretch, axes and grid.
+"""Plots of a deformation: iterations, residual, stretch, axes and grid.
 
-Matplotlib is imported where a picture is drawn, as that is slow; and none of its global state is touched, as
-whoever calls this may have figures of their own.
+Matplotlib, which is slow to import, is imported on use; its global state is not changed, since callers may have figures
+of their own.
 """
 
 from __future__ import annotations
@@ -50,23 +50,23 @@ def plot(
     frame: int | None = None,
     force: bool = False,
 ) -> None:
-    """Write a picture of a deformation to a file.
+    """Write a plot of a deformation to a file.
 
     Parameters
     ----------
     deformation : Deformation
-        Of images or videos.
+        A deformation of images or videos.
     what, image, frame
-        As `figure` takes them.
+        As in `figure`.
     path : str or os.PathLike
         A PNG, SVG or PDF file, by its suffix.
     force : bool
-        Whether a file that exists already may be replaced.
+        Whether an existing file may be replaced.
 
     Raises
     ------
     SuppleError
-        If it cannot be drawn, or not be written there.
+        If it cannot be plotted, or not be written there.
     """
     check_plot(path, force=force)
     save(figure(deformation, what, image=image, frame=frame), path, force=force)
@@ -75,22 +75,21 @@ def plot(
 def figure(
     deformation: Deformation, what: str, *, image: npt.NDArray[Any] | None = None, frame: int | None = None
 ) -> Figure:
-    """Draw a deformation.
+    """Plot a deformation.
 
     Parameters
     ----------
     deformation : Deformation
-        Of images, or of videos: then of one frame of the output.
+        A deformation of images, or of videos: then of one frame of the output.
     what : str
-        ``"iterations"``: how many each pixel takes, by the published method and by ours. ``"residual"``: how
-        far the inverse map is from the truth. ``"stretch"``: where the picture expands and contracts.
-        ``"axes"``: along which direction it shrinks, and by how much. ``"grid"``: straight lines, bent; and of a
-        video, from which time each pixel is.
+        ``"iterations"``: the iterations of each pixel, by the published method and by ours. ``"residual"``: the error
+        of the inverse map. ``"stretch"``: expansion and contraction. ``"axes"``: the direction and the amount of the
+        largest contraction. ``"grid"``: straight lines, warped; and for a video, the time of the source of each pixel.
     image : array, optional
-        The picture before it is deformed, which is shown (deformed) below the stretch, the axes or the grid. Of a
-        video, the frame as the output has it.
+        The image before it is deformed, which is shown (deformed) below the stretch, the axes or the grid. For a video,
+        the frame of the output.
     frame : int, optional
-        Which frame of a video, from 0.
+        The frame of a video, from 0.
 
     Returns
     -------
@@ -183,7 +182,7 @@ def _stretch(deformation: Deformation, frame: int | None, below: Background) -> 
     every = measure.spacing_of(deformation.shape[-2:])
     made, parts = panels(deformation, 1, len(found))
     low, high = min(values.min() for values in found), max(values.max() for values in found)
-    # What is squeezed to nothing is as dark as what is stretched most.
+    # The largest contraction is as dark as the largest expansion.
     reach = max(1 - low, high - 1, 0.05)
     norm = TwoSlopeNorm(1.0, 1 - reach, 1 + reach) if reach <= 1 else TwoSlopeNorm(1.0, min(low, 0), max(high, 2))
     for axes, values, name in zip(parts, found, ("Vertical", "Horizontal", "In time"), strict=False):
@@ -203,7 +202,7 @@ def _axes(deformation: Deformation, frame: int | None, below: Background) -> Fig
     found = measure.footprints(deformation, frame)
     made, parts = panels(deformation, 1, 2)
     levels = [np.maximum(np.log2(values), 0.0) for values in (found.major, found.minor)]
-    # Close to a fixed border, a few pixels may shrink far more than all others.
+    # Close to a fixed border, a few pixels may contract far more than all others.
     high = max(1.0, float(np.percentile(levels[0], 99.5)))
     names = ("Major axis, log₂ σ₁, and its direction", "Minor axis, log₂ σ₂")
     for axes, level, name in zip(parts, levels, names, strict=True):
@@ -219,7 +218,7 @@ def _axes(deformation: Deformation, frame: int | None, below: Background) -> Fig
 
 
 def _needles(found: measure.Footprints) -> list[Floats]:
-    """Short lines along the major axes, the longer the more the picture shrinks along them."""
+    """Return short lines along the major axes, whose lengths grow with the contraction along them."""
     step = max(1, round(max(found.major.shape) / 36))
     rows, columns = (axis.ravel() for axis in np.indices(found.major.shape)[:, step // 2 :: step, step // 2 :: step])
     shrink = 1 - 1 / np.maximum(found.major[rows, columns], 1.0)

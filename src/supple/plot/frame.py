@@ -1,4 +1,4 @@
-"""Parts of plots: panels, maps, colour bars, the strokes as arrows, and the file."""
+"""Parts of plots: panels, maps, colour bars, arrows for strokes, and the file."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ SUFFIXES = (".png", ".svg", ".pdf")
 DPI = 150
 
 _PANEL = 5.0  # inches
-_LETTERS = 13  # an inch, of a label
-_MOST_STROKES = 12  # that are drawn as arrows: more of them hide the picture
+_LETTERS = 13  # of a label, an inch
+_MOST_STROKES = 12  # the most that are drawn as arrows, which hide the image
 
 Floats = npt.NDArray[np.float64]
 Background = npt.NDArray[np.float32] | None
@@ -34,14 +34,14 @@ Extend = Literal["neither", "max"]
 
 
 def check_plot(path: str | os.PathLike[str], *, force: bool = False) -> None:
-    """Refuse a name that no plot can be written under, before any work is done for it."""
+    """Raise SuppleError, before any work, for a name that no plot can be written under."""
     if Path(path).suffix.lower() not in SUFFIXES:
         raise SuppleError(f"cannot write {shown(path)}: a plot's name must end in {', '.join(SUFFIXES)}")
     check_output(path, force=force)
 
 
 def save(made: Figure, path: str | os.PathLike[str], *, force: bool = False) -> None:
-    """Write a figure to a file, which appears whole or not at all; the same figure makes the same bytes."""
+    """Write a figure to a file, which appears whole or not at all; equal figures make equal bytes."""
     check_plot(path, force=force)
     suffix = Path(path).suffix.lower()
     metadata = {"Date": None} if suffix == ".svg" else {"CreationDate": None} if suffix == ".pdf" else {}
@@ -50,7 +50,7 @@ def save(made: Figure, path: str | os.PathLike[str], *, force: bool = False) -> 
 
 
 def sheet(width: float, height: float, rows: int, columns: int) -> tuple[Figure, list[Axes]]:
-    """A figure of so many inches, with so many panels."""
+    """Return a figure of some inches and its panels."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
     from matplotlib.layout_engine import ConstrainedLayoutEngine
@@ -61,25 +61,25 @@ def sheet(width: float, height: float, rows: int, columns: int) -> tuple[Figure,
 
 
 def panels(deformation: Deformation, rows: int, columns: int, beside: float = 0.3) -> tuple[Figure, list[Axes]]:
-    """A figure with panels in the deformation's proportions, and so many inches of room beside them."""
+    """Return a figure with panels in the deformation's proportions, and ``beside`` inches between them."""
     tall = min(max(ratio(deformation), 0.35), 1.6) * _PANEL
     return sheet(columns * (_PANEL + 1.0) + beside, rows * (tall + 0.7) + 0.6, rows, columns)
 
 
 def ratio(deformation: Deformation) -> float:
-    """Height over width, in physical units."""
+    """Return height over width, in physical units."""
     (height, width), (sx, sy) = deformation.shape[-2:], deformation.domain.spacing[:2]
     return (height * sy) / (width * sx)
 
 
 def edges(deformation: Deformation) -> tuple[float, float, float, float]:
-    """Left, right, bottom and top of the picture, half a pixel around its pixels' centres."""
+    """Return left, right, bottom and top of the image: the outer edges of its pixels."""
     height, width = deformation.shape[-2:]
     return -0.5, width - 0.5, height - 0.5, -0.5
 
 
 def map_axes(axes: Axes, deformation: Deformation, name: str) -> None:
-    """Make axes those of a map: y down, in pixels."""
+    """Set axes up for a map: y down, in pixels."""
     sx, sy = deformation.domain.spacing[:2]
     axes.set_aspect(sy / sx if 1 / 6 <= ratio(deformation) <= 6 else "auto")
     left, right, bottom, top = edges(deformation)
@@ -94,14 +94,14 @@ def map_axes(axes: Axes, deformation: Deformation, name: str) -> None:
 def show(
     axes: Axes, values: Floats, every: int, norm: Normalize, colours: str, alpha: Floats | float | None = None
 ) -> AxesImage:
-    """Draw values, of every so many-th pixel, as a map."""
+    """Draw values of every ``every``-th pixel as a map."""
     rows, columns = values.shape
     extent = (-every / 2, (columns - 0.5) * every, (rows - 0.5) * every, -every / 2)
     return axes.imshow(values, extent=extent, norm=norm, cmap=colours, alpha=alpha, interpolation="nearest")
 
 
 def under(axes: Axes, deformation: Deformation, below: Background) -> None:
-    """Draw the picture, light and grey, below a map."""
+    """Draw the image, light and grey, below a map."""
     if below is not None:
         grey = below @ np.array([0.299, 0.587, 0.114], np.float32)
         axes.imshow(0.3 + 0.7 * grey, extent=edges(deformation), cmap="gray", vmin=0, vmax=1)
@@ -118,7 +118,7 @@ def bar(made: Figure, drawn: AxesImage, parts: Axes | list[Axes], label: str, ex
 
 
 def arrows(axes: Axes, deformation: Deformation, colour: str = "black") -> None:
-    """The strokes, from where they grab to where they drag."""
+    """Draw the strokes as arrows along their drags."""
     from matplotlib.patheffects import withStroke
 
     halo: list[AbstractPathEffect] = [withStroke(linewidth=2.6, foreground="white")]
@@ -133,7 +133,7 @@ def arrows(axes: Axes, deformation: Deformation, colour: str = "black") -> None:
                 arrow.arrow_patch.set_path_effects(halo)
         axes.plot([x], [y], "o", markersize=4.5, color=colour, markeredgecolor="white")
         if deformation.ndim == 3:
-            # Where the arrow does not go.
+            # On the side opposite the arrow.
             across, down = (-1 if dx > 0 and x > 0.15 * deformation.shape[2] else 1), (-1 if dy < 0 else 1)
             axes.annotate(
                 f"t {stroke.at[2]:g} → {stroke.at[2] + stroke.by[2]:g}", (x, y), (6 * across, 5 * down),

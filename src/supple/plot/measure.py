@@ -1,6 +1,6 @@
-"""The numbers behind the plots: at every pixel of the output, or at every so many-th of a large one.
+"""The data of the plots: at every pixel of the output, or on a coarser grid of a large one.
 
-Of a video, they are those of one frame of the output.
+For a video, they are those of one frame of the output.
 """
 
 from __future__ import annotations
@@ -27,24 +27,24 @@ MOST_PIXELS = 1 << 20
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Iterations:
-    """How much work the inverse of every pixel takes, by the published method and by ours.
+    """The work of the inverse of every pixel, by the published method and by ours.
 
     Parameters
     ----------
     every : int
-        Arrays have one entry for so many rows and columns of the output.
+        The step in rows and columns of the output between entries of the arrays.
     published : int64 array
         Iterations of the published method.
     unconverged : int
-        Pixels for which that has not come within 0.1 px.
+        The number of pixels for which the published method has not come within 0.1 px.
     published_error : float64 array
         The distance of its source points to ours, in pixels.
     ours : int64 array
         Evaluations of T and its Jacobian by `Deformation.inverse`.
     residual : float64 array
-        What that leaves: |T(p) - q|, in pixels.
+        The residual |T(p) - q| of these points, in pixels.
     lattice : float
-        Evaluations for each pixel where the map is interpolated on a lattice.
+        Evaluations for each pixel if the map is interpolated on a lattice.
     """
 
     every: int
@@ -58,20 +58,20 @@ class Iterations:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Errors:
-    """How exact the inverse map is that pictures are sampled with.
+    """The accuracy of the inverse map that images are sampled with.
 
     Parameters
     ----------
     every : int
-        Arrays have one entry for so many rows and columns of the output.
+        The step in rows and columns of the output between entries of the arrays.
     residual : float64 array
-        |T(p) - q|, in pixels of the output; of a video, in pixels and frames.
+        |T(p) - q|, in pixels of the output; for a video, in pixels and frames.
     distance : float64 array
         |p - T⁻¹(q)|, in pixels of the input; T⁻¹(q) by Newton's method at each pixel.
     bound, tolerance : float
-        The certified distance of the worst of all pixels (of an image, `Report.error`), and what was asked for.
+        The certified largest distance of all pixels (of an image, `Report.error`), and the tolerance.
     unconverged : int
-        Of how many pixels that is not known.
+        The number of pixels whose distance is not known.
     """
 
     every: int
@@ -86,16 +86,16 @@ class Errors:
 class Footprints:
     """The footprints of the output's pixels in the input: ellipses, the images of unit circles under M = (I+J)⁻¹.
 
-    Of a video, what they cover within the picture: M without its row and column of time.
+    For a video, the footprint within the frame: M without its row and column of time.
 
     Parameters
     ----------
     every : int
-        Arrays have one entry for so many rows and columns of the output.
+        The step in rows and columns of the output between entries of the arrays.
     major, minor : float64 array
-        M's singular values: the ellipse's half axes, in pixels of the input. Above 1, the picture shrinks.
+        M's singular values: the ellipse's half axes, in pixels of the input. Above 1, the image contracts.
     direction : float64 array, shape (..., 2)
-        The unit vector, x first, along which the *output* shrinks most.
+        The unit vector, x first, of the largest contraction in the *output*.
     """
 
     every: int
@@ -105,7 +105,7 @@ class Footprints:
 
 
 def require_plane(deformation: Deformation, frame: int | None) -> int:
-    """Which plane to look at; SuppleError if there is no such."""
+    """Return the index of the plane to measure; SuppleError if it does not exist."""
     if deformation.ndim == 2:
         if frame is not None:
             raise SuppleError(f"frame is for videos, and shape {deformation.shape} is that of an image: leave it out")
@@ -119,7 +119,7 @@ def require_plane(deformation: Deformation, frame: int | None) -> int:
 
 
 def spacing_of(shape: tuple[int, ...], most: int = MOST_PIXELS) -> int:
-    """The smallest step with which rows and columns have no more than so many crossings."""
+    """Return the smallest step of a grid with at most ``most`` points."""
     step = max(1, math.isqrt(max(0, math.prod(shape) // most - 1)))
     while math.prod(-(-n // step) for n in shape) > most:
         step += 1
@@ -140,7 +140,7 @@ def _plan(deformation: Deformation, frame: int | None, tolerance: float) -> _cor
 
 
 def iterations(deformation: Deformation, frame: int | None = None) -> Iterations:
-    """The work of the published method, and ours."""
+    """Return the work of the published method, and of ours."""
     every, q = _pixels(deformation, frame)
     height, width = deformation.shape[-2:]
     z = None if frame is None else float(frame)
@@ -162,7 +162,7 @@ def iterations(deformation: Deformation, frame: int | None = None) -> Iterations
 
 
 def residual(deformation: Deformation, frame: int | None = None, *, tolerance: float = 0.01) -> Errors:
-    """The errors of the lattice map at a tolerance, in pixels, and what it certifies."""
+    """Return the errors of the lattice map at a tolerance, in pixels, and its certificate."""
     every, q = _pixels(deformation, frame)
     tolerance = number("tolerance", tolerance, "a number of pixels above 0", 1e-9, 1e9)
     plan = _plan(deformation, frame, tolerance)
@@ -181,13 +181,13 @@ def residual(deformation: Deformation, frame: int | None = None, *, tolerance: f
 
 
 def sources(deformation: Deformation, frame: int | None = None) -> tuple[int, Floats]:
-    """Which point of the input each pixel shows, in pixels and frames, x first; and for every how many-th pixel."""
+    """Return the step of the grid, and the source point of each of its pixels, in pixels and frames, x first."""
     every, q = _pixels(deformation, frame)
     return every, deformation.inverse(q).points
 
 
 def stretch(deformation: Deformation, frame: int | None = None) -> tuple[Floats, ...]:
-    """How much the picture is stretched at each pixel of the output: vertically, horizontally, and a video in time.
+    """Return the stretch at each pixel of the output: vertically, horizontally, and for a video in time.
 
     Returns
     -------
@@ -217,7 +217,7 @@ def footprints(deformation: Deformation, frame: int | None = None) -> Footprints
 
 
 def ticks(deformation: Deformation, lines: int) -> list[Floats]:
-    """Return where the lines of a grid cross the axes x and y, in pixels, from edge to edge of the picture.
+    """Return the positions of grid lines on the axes x and y, in pixels, from edge to edge of the image.
 
     Its cells are square in physical units.
     """
@@ -228,14 +228,14 @@ def ticks(deformation: Deformation, lines: int) -> list[Floats]:
 
 
 def grid(deformation: Deformation, *, lines: int = 24) -> list[Floats]:
-    """Straight lines of an image as the output shows them.
+    """Return straight lines of an image as warped in the output.
 
     Parameters
     ----------
     deformation : Deformation
-        Of images.
+        A deformation of images.
     lines : int
-        How many cells there are between them along the longer side.
+        The number of cells along the longer side.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""How much work each ray of a picture of a volume was."""
+"""Plots of the work of each ray of a rendered volume."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from supple.plot.frame import bar, check_plot, save, sheet, title
 def draw_inversions(
     counts: npt.NDArray[np.integer], path: str | os.PathLike[str], *, what: str = "inversions", force: bool = False
 ) -> None:
-    """Draw how many inversions, or samples, each ray of a picture needed: the paper's Fig. 5.5.
+    """Plot the number of inversions, or samples, of each ray of an image: the paper's Fig. 5.5.
 
     Parameters
     ----------
@@ -21,9 +21,9 @@ def draw_inversions(
     path : str or os.PathLike
         A PNG, SVG or PDF file, by its suffix.
     what : str
-        What is counted.
+        The name of the counts.
     force : bool
-        Whether a file that exists already may be replaced.
+        Whether an existing file may be replaced.
 
     Raises
     ------
@@ -35,7 +35,7 @@ def draw_inversions(
     tall = min(max(height / width, 0.35), 1.6) * 6.0
     made, (axes,) = sheet(7.4, tall + 0.9, 1, 1)
     seen = counts[counts > 0]
-    # The few rays that graze a surface take far more than the others, and would darken all of them.
+    # The few rays along a surface take far more than the others, and would darken all of them.
     most = float(np.percentile(seen, 99.5)) if seen.size else 1.0
     drawn = axes.imshow(np.where(counts > 0, counts, np.nan), cmap="viridis", vmin=0, vmax=max(most, 1.0))
     axes.set_facecolor("#f4f4f4")

@@ -1,1 +1,1 @@
-"""Pictures of volumes: a scene, a camera, transfer functions, and the files that they are written to."""
+"""Rendered volumes: scenes, cameras, transfer functions, and image files."""

@@ -1,4 +1,4 @@
-"""How a volume is seen: its samples made ready, transfer functions, light, and what may be skipped."""
+"""The appearance of a volume: its prepared samples, transfer functions, light, and empty-space skipping."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ from supple.render.transfer import ENTRIES, PRESETS, TransferFunction
 Array = npt.NDArray[Any]
 Floats = npt.NDArray[np.float64]
 
-FINE = 2  # voxels of a brick of what is seen where a lattice moves it, into bricks of `_core.BRICK` voxels
-MOST = 1e18  # of samples: float32 holds the squares of their slopes
+FINE = 2  # voxels of a brick of visible voxels, if a lattice displaces them into bricks of `_core.BRICK` voxels
+MOST = 1e18  # of samples: float32 holds the squares of their gradients
 _TYPES = (np.uint8, np.int8, np.uint16, np.int16, np.float32)
 
 
 def skipped(known: dict[str, Any]) -> npt.NDArray[np.uint8]:
-    """How many bricks away the next one is that anything is seen of."""
+    """Return the distance in bricks to the next visible one."""
     table, (low, high), (bottom, top) = known["_table"], known["range"], known["density"]
-    visible = np.concatenate([[0], np.cumsum(table[:, 3] > 0)])  # entries before each that are seen
+    visible = np.concatenate([[0], np.cumsum(table[:, 3] > 0)])  # visible entries before each
     lows, highs = np.maximum(known["_lows"], np.float32(bottom)), np.minimum(known["_highs"], np.float32(top))
 
     def entry(values: Array) -> npt.NDArray[np.intp]:
@@ -34,7 +34,7 @@ def skipped(known: dict[str, Any]) -> npt.NDArray[np.uint8]:
     seen = (lows <= highs) & (visible[entry(highs) + 1] > visible[entry(lows)])
     if known["_solid"] is not None:
         moved = np.empty(brick_counts(known["samples"].shape, _core.BRICK), np.bool_)
-        # Along rays, points are off the lattice by less than its error, in which there is a reserve.
+        # Along rays, points are off the lattice by less than its error, which includes a reserve.
         slack = 0.01 + 0.5 * min(known["error"], 1.0)
         _core.brick_moved(known["_solid"].lattice, seen, FINE, slack, moved)
         seen = moved
@@ -44,7 +44,7 @@ def skipped(known: dict[str, Any]) -> npt.NDArray[np.uint8]:
 
 
 def transfer_function(given: TransferFunction | str) -> TransferFunction:
-    """A transfer function, or the preset of a name."""
+    """Return a transfer function, or the preset of a name."""
     if isinstance(given, TransferFunction):
         return given
     choice("transfer", given, tuple(PRESETS))
@@ -66,7 +66,7 @@ def seen_through(
     table = transfer.table(low, high, step)
     values_ = np.linspace(low, high, ENTRIES)
     seen = (table[:, 3] > 0) & (values_ >= window[0]) & (values_ <= window[1])
-    # Halfway to the last entry that nothing is seen of, as entries are rounded to.
+    # Halfway to the last invisible entry, since entries are rounded.
     first = int(np.argmax(seen)) if seen.any() else 0
     if not seen.any():
         threshold = math.inf
@@ -78,32 +78,32 @@ def seen_through(
 
 
 def entries(low: float, high: float) -> float:
-    """Entries of the table for each unit of value."""
+    """Return the number of table entries for each unit of value."""
     return (ENTRIES - 1) / (high - low) if high > low else 0.0
 
 
 def lamp(view: Projection) -> npt.NDArray[np.float32]:
-    """A lamp beside the camera, above and to the left."""
+    """Return a lamp beside the camera, above and to the left."""
     right, down = (axis / np.linalg.norm(axis) for axis in view.packed[3:])
     towards = -view.ahead - 0.35 * right - 0.45 * down
     return np.asarray(towards / np.linalg.norm(towards), np.float32)
 
 
 def brick_counts(shape: tuple[int, ...], brick: int) -> tuple[int, ...]:
-    """How many bricks lie along each axis."""
+    """Return the number of bricks along each axis."""
     return tuple(-(-max(n - 1, 1) // brick) for n in shape)
 
 
 def triple(values: npt.NDArray[np.floating]) -> tuple[float, float, float]:
-    """Three numbers, of Python's."""
+    """Return three floats of Python."""
     x, y, z = (float(v) for v in values)
     return x, y, z
 
 
 def prepared(given: Array) -> Array:
-    """Samples as the kernels take them: of a type they know, two along each axis at least, and numbers all.
+    """Return samples for the kernels: of a supported type, at least two along each axis, without NaN.
 
-    SuppleError if they are so large that squares of their slopes are beyond float32.
+    SuppleError if the squares of their gradients overflow float32.
     """
     if given.dtype.itemsize > 2:
         ends = np.array([given.min(), given.max()], np.float64)

@@ -1,4 +1,4 @@
-"""A camera that looks at a volume: where it stands, and the rays of a picture's pixels."""
+"""Cameras: their position before a volume, and the rays of an image's pixels."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ Floats = npt.NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class Camera:
-    """A camera on an orbit around the middle of a volume, with perspective.
+    """A perspective camera on an orbit around the centre of a volume.
 
-    Angles are as a patient's: at 0, 0 it stands in front of the face. For data that does not know of a patient, the
-    face looks along -y, and the head is along +z.
+    Angles follow a patient: at 0, 0 the camera is in front of the face. In data without a patient, the face looks along
+    -y, and the head is along +z.
 
     Parameters
     ----------
@@ -30,15 +30,15 @@ class Camera:
     elevation : float
         Degrees above the horizon, from -90 to 90.
     distance : float, optional
-        From the eye to the target, in millimetres; by default, the whole volume just fits.
+        From the eye to the target, in millimetres; by default, the whole volume fits.
     field_of_view : float
-        Degrees across the shorter side of the picture.
+        Degrees across the shorter side of the image.
     roll : float
-        Degrees by which the camera is turned about its own axis, clockwise.
+        The rotation of the camera about its axis, in degrees clockwise.
     target : (float, float, float), optional
-        What it looks at, in indices, x first; the volume's middle by default.
+        The target of the view, in indices, x first; by default, the centre of the volume.
     up : (float, float, float)
-        Where above is, in LPS: the head by default.
+        The upward direction, in LPS; by default, the head.
     """
 
     azimuth: float = 0.0
@@ -65,15 +65,15 @@ class Camera:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Projection:
-    """A camera before a volume, and the size of the picture.
+    """A camera before a volume, and the size of the image.
 
     Parameters
     ----------
     packed : float64 array, shape (5, 3)
-        The eye, in indices; the spacing; and, in millimetres along the volume's axes, where the camera looks, and a
-        pixel to the right and one down, a millimetre ahead.
+        The eye, in indices; the spacing; and, in millimetres along the volume's axes, the direction of view, and the
+        steps to the pixels to the right and below, at a distance of a millimetre.
     size : (int, int)
-        Rows and columns of the picture.
+        Rows and columns of the image.
     """
 
     packed: Floats
@@ -81,7 +81,7 @@ class Projection:
 
     @property
     def eye(self) -> Floats:
-        """Where the camera stands, in indices, x first."""
+        """The position of the camera, in indices, x first."""
         return np.asarray(self.packed[0], np.float64)
 
     @property
@@ -91,24 +91,24 @@ class Projection:
 
     @property
     def ahead(self) -> Floats:
-        """Where it looks, in millimetres along the volume's axes; of length 1."""
+        """The unit direction of view along the volume's axes."""
         return np.asarray(self.packed[2], np.float64)
 
     def middle(self, xs: npt.ArrayLike, ys: npt.ArrayLike) -> Floats:
-        """Pixels, from the centre of the upper left one, as the engine counts them: from the middle, (N, 2)."""
+        """Return pixel positions relative to the centre of the image, (N, 2)."""
         height, width = self.size
         return np.stack(
             [np.asarray(xs, np.float64) - (width - 1) / 2, np.asarray(ys, np.float64) - (height - 1) / 2], -1
         )
 
     def direction(self, x: float, y: float) -> Floats:
-        """Where a pixel's ray goes, in millimetres along the volume's axes; of length 1."""
+        """Return the unit direction of a pixel's ray along the volume's axes."""
         made = self.packed[2:].T @ np.array([1.0, *self.middle([x], [y])[0]])
         return np.asarray(made / np.linalg.norm(made), np.float64)
 
 
 def camera_of(given: object) -> Camera:
-    """A camera, or the usual one for None; SuppleError if it is anything else."""
+    """Return a camera, or the default one for None; SuppleError for other values."""
     if given is None:
         return Camera()
     if not isinstance(given, Camera):
@@ -117,8 +117,8 @@ def camera_of(given: object) -> Camera:
 
 
 def view_of(camera: Camera, shape: tuple[int, ...], geometry: Geometry, size: tuple[int, int]) -> Projection:
-    """Set up a camera before a volume of ``shape`` (Z, H, W), for a picture of ``size`` (rows, columns)."""
-    given: object = size  # it may be anything
+    """Return the projection of a camera before a volume of ``shape`` (Z, H, W), for ``size`` (rows, columns)."""
+    given: object = size  # user input of any type
     if not isinstance(given, Sequence) or isinstance(given, str) or len(given) != 2:
         refuse("size", "two numbers of pixels, rows and columns", given)
     height, width = (
@@ -130,17 +130,17 @@ def view_of(camera: Camera, shape: tuple[int, ...], geometry: Geometry, size: tu
     target = extent / 2 if camera.target is None else np.array(camera.target)
     half = math.radians(camera.field_of_view) / 2
     up = np.array(camera.up) / np.linalg.norm(camera.up)
-    # In front is -y; where that is above, another direction will do.
+    # The front is -y; if that is up, use another direction.
     front = np.array([0.0, -1.0, 0.0])
     if abs(front @ up) > 0.999:
         front = np.array([0.0, 0.0, -1.0])
     front -= (front @ up) * up
     front /= np.linalg.norm(front)
-    left = np.cross(front, -up)  # of the patient who looks to the front
+    left = np.cross(front, -up)  # of a patient facing the front
     into = geometry.direction.T  # from LPS to the volume's axes
 
     def axes_at(azimuth: float) -> tuple[Floats, Floats, Floats]:
-        """Where right, up and the eye are, along the volume's axes."""
+        """Return the directions to the right, up and to the eye, along the volume's axes."""
         elevation, roll = math.radians(camera.elevation), math.radians(camera.roll)
         around = math.cos(azimuth) * front + math.sin(azimuth) * left
         outward = math.cos(elevation) * around + math.sin(elevation) * up
@@ -152,7 +152,7 @@ def view_of(camera: Camera, shape: tuple[int, ...], geometry: Geometry, size: tu
     right, above, outward = axes_at(math.radians(camera.azimuth))
     distance = camera.distance
     if distance is None:
-        # From anywhere around it, so that a volume that turns does not seem to come and go.
+        # From any direction, so that the size of a turning volume does not change.
         corners = (np.array(list(itertools.product((0, 1), repeat=3))) * extent - target) * spacing
         reach = np.array([width, height]) / min(width, height) * math.tan(half)
         distance = float(spacing.max())

@@ -1,4 +1,4 @@
-"""Values on sRGB's curve, and the light that they stand for."""
+"""Conversion of sRGB values to linear light."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import numpy.typing as npt
 
 
 def linear_light(values: npt.NDArray[np.floating], white: float) -> npt.NDArray[np.floating]:
-    """Return values on sRGB's curve as amounts of light; ``white`` stays ``white``."""
+    """Return sRGB values in linear light; ``white`` is unchanged."""
     u = np.asarray(values) / white
     with np.errstate(invalid="ignore"):
         return np.asarray(white * np.where(u <= 0.04045, u / 12.92, ((u + 0.055) / 1.055) ** 2.4))

@@ -1,4 +1,4 @@
-"""The part of a scene on a GPU: its volume, the lattice of T⁻¹, and the buffer of the deformed volume."""
+"""The GPU resources of a scene: its volume, the lattice of T⁻¹, and the buffer of the deformed volume."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ T = TypeVar("T")
 
 
 def tried(gpu: Gpu, work: Callable[[], T], stacklevel: int, says: str = "the CPU does what {} cannot") -> T | None:
-    """Return the result of some work on a GPU; None, and a DeviceWarning, where that fails."""
+    """Return the result of some work on a GPU; None, and a DeviceWarning, on failure."""
     try:
         with gpu.lock:
             done = work()
@@ -55,29 +55,29 @@ def held_scene(
     tolerance: float,
     volume: Volume | None = None,
 ) -> tuple[Held, Solid | None]:
-    """Put a scene on a GPU.
+    """Upload a scene to a GPU.
 
     Parameters
     ----------
     gpu : Gpu
     samples : array (Z, H, W)
-        As `supple.render.appearance.prepared` makes them.
+        Samples from `supple.render.appearance.prepared`.
     spacing : tuple of float
         Millimetres from voxel to voxel, x first.
     space : Space or None
         The strokes, if there are any.
     mode : str
-        Of `supple.render.scene.MODES`.
+        One of `supple.render.scene.MODES`.
     tolerance : float
-        Of source points, in voxels.
+        The tolerance of source points, in voxels.
     volume : Volume, optional
-        The same samples, if they are on the GPU already.
+        The same samples, if they are already on the GPU.
 
     Returns
     -------
     Held
     Solid or None
-        The lattice, where one was solved.
+        The lattice, if one was solved.
 
     Raises
     ------
@@ -112,7 +112,7 @@ def held_scene(
 
 
 def lattice_of(gpu: Gpu, space: Space, tolerance: float) -> tuple[Solid, Lattice]:
-    """The lattice, refined as the CPU does it, and solved here."""
+    """Return the lattice, refined as on the CPU, and solved on the GPU."""
     made: list[Lattice] = []
     tries: list[tuple[Solid, float]] = []
     shape = (space.count, *space.shape)
@@ -128,17 +128,17 @@ def lattice_of(gpu: Gpu, space: Space, tolerance: float) -> tuple[Solid, Lattice
     except MemoryError:
         if not tries:
             raise
-        with contextlib.suppress(MemoryError):  # some may have been passed over
+        with contextlib.suppress(MemoryError):  # some may have been skipped
             while tries[0][0].step > FINEST:
                 attempt(tries[0][0].step // 2)
-        solid, smooth = tries[0]  # the finest that there is room for
+        solid, smooth = tries[0]  # the finest that fits
         if solid.step > RESOLVED * smooth:
             solid = replace(solid, error=math.inf)
     return solid, replace(made[0], cells=cells_along_rays(solid, tolerance))
 
 
 def unseen_blocks(shape: tuple[int, ...], skips: npt.NDArray[np.uint8]) -> npt.NDArray[np.bool_]:
-    """Of which bricks of a buffer (z, y, x) nothing is seen."""
+    """Return the mask of invisible bricks of a buffer (z, y, x)."""
     blocks, wide = tuple(-(-n // BLOCK) for n in shape), BLOCK // _core.BRICK
     whole = [(0, wide * n - m) for n, m in zip(blocks, skips.shape, strict=True)]
     deep, high, across = blocks
@@ -147,7 +147,7 @@ def unseen_blocks(shape: tuple[int, ...], skips: npt.NDArray[np.uint8]) -> npt.N
 
 
 def order_of(view: Projection, unseen: npt.NDArray[np.bool_]) -> npt.NDArray[np.intp]:
-    """In which order bricks of the buffer are made: those in view and seen first, of these the nearest first."""
+    """Return the order in which bricks of the buffer are filled: visible ones in view first, the nearest first."""
     away = [
         ((np.arange(n) + 0.5) * BLOCK - eye) * spacing
         for n, eye, spacing in zip(reversed(unseen.shape), view.eye, view.spacing, strict=True)
@@ -161,14 +161,14 @@ def order_of(view: Projection, unseen: npt.NDArray[np.bool_]) -> npt.NDArray[np.
     radius = 0.5 * BLOCK * float(np.linalg.norm(view.spacing))
     hidden = depth < -radius
     for axis, size in ((view.packed[3], view.size[1]), (view.packed[4], view.size[0])):
-        scale = float(np.linalg.norm(axis))  # millimetres of a pixel, a millimetre ahead
+        scale = float(np.linalg.norm(axis))  # millimetres of a pixel, at a distance of a millimetre
         hidden |= np.abs(along(axis)) / scale > 0.5 * size * scale * (np.maximum(depth, 0.0) + radius) + radius
     far = float(np.abs(depth).max()) + 1.0
     return np.argsort((depth + far * (2.0 * hidden + 4.0 * unseen)).reshape(-1))
 
 
 def _still(spacing: tuple[float, ...]) -> Floats:
-    """A domain in which nothing moves."""
+    """Return a domain without displacement."""
     axes = np.zeros((3, 5))
     axes[:, 1], axes[:, 3] = 1.0, spacing
     return axes

@@ -1,4 +1,4 @@
-"""A rendered picture of a volume, and the voxel under one of its pixels."""
+"""Rendered images of a volume, and the voxel under a pixel."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ Floats = npt.NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Rendering:
-    """A volume, seen.
+    """A rendered volume.
 
     Parameters
     ----------
     light : float32 array, shape (H, W, 4)
-        Linear red, green and blue, already weighted by opacity, and the opacity.
+        Linear red, green and blue, premultiplied, and the opacity.
     depth : float64 array, shape (H, W)
-        Millimetres from the eye to the first surface; infinity where there is none.
+        Millimetres from the eye to the first surface; infinity if there is none.
     samples, evaluations : int64 arrays, shape (H, W)
-        How many samples each pixel took, and how many evaluations of T with its Jacobian (in the mode ``"exact"``).
+        The samples of each pixel, and the evaluations of T with its Jacobian (in the mode ``"exact"``).
     """
 
     light: npt.NDArray[np.float32]
@@ -38,12 +38,12 @@ class Rendering:
         return f"<Rendering of {columns} x {rows}>"
 
     def pixels(self, background: tuple[float, float, float] | None = None) -> npt.NDArray[np.uint8]:
-        """As sRGB of 8 bits.
+        """Return the image as sRGB of 8 bits.
 
         Parameters
         ----------
         background : (float, float, float), optional
-            sRGB from 0 to 1, to make an opaque picture; without it, opacity is kept.
+            sRGB from 0 to 1, for an opaque image; by default, opacity is kept.
 
         Returns
         -------
@@ -64,7 +64,7 @@ def _srgb(linear: Array) -> Array:
 
 
 def light_of(colour: tuple[float, float, float]) -> Floats:
-    """Linear light of sRGB from 0 to 1."""
+    """Return sRGB from 0 to 1 in linear light."""
     return np.asarray(linear_light(np.asarray(colour, np.float64), 1.0))
 
 
@@ -77,7 +77,7 @@ class Pick:
     index : (float, float, float)
         The point of the deformed volume, in voxels, x first.
     source : (float, float, float)
-        The point of the volume as it was, that is seen there.
+        Its source point in the original volume.
     depth : float
         Millimetres from the eye.
     """

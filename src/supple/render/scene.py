@@ -1,4 +1,4 @@
-"""Pictures of volumes: a scene, what it looks like through a camera, and what lies under a pixel of that."""
+"""Rendered volumes: scenes, their images through a camera, and the voxels under pixels."""
 
 from __future__ import annotations
 
@@ -40,56 +40,56 @@ from supple.render.transfer import TransferFunction
 
 MODES = ("lattice", "exact", "buffered", "hybrid")
 _STORAGE = 0x08  # wgpu.TextureUsage.STORAGE_BINDING
-_ROWS = 256  # of a picture, between two reports of progress
+_ROWS = 256  # of an image, between two reports of progress
 PICKED = 0.9
-"""The opacity that a ray has gathered where something is picked."""
+"""The accumulated opacity at which a ray picks a voxel."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, init=False, repr=False)
 class Scene:
-    """A volume to look at, perhaps deformed.
+    """A volume to render, with or without a deformation.
 
     Parameters
     ----------
     samples : array, shape (Z, H, W)
-        Of integers or floats; what is not a number counts as the smallest value.
+        Integers or floats; NaN counts as the smallest value.
     geometry : Geometry, optional
-        Where its voxels lie: spacing and direction are respected.
+        The geometry of the voxels, for spacing and direction.
     deformation : Deformation, optional
-        Of the same shape and spacing.
+        A deformation of the same shape and spacing.
     transfer : TransferFunction or str
-        Or the name of a preset: ``"ct-bone"``, ``"ct-skin"``, ``"mr-head"`` or ``"grey"``.
+        A transfer function, or the name of a preset: ``"ct-bone"``, ``"ct-skin"``, ``"mr-head"`` or ``"grey"``.
     density : (float, float), optional
-        Values outside are not seen, as when hard structures inside should be.
+        The visible range of values, to show hard structures inside.
     mode : str
-        How a deformation is seen: by a certified ``"lattice"`` of inverse displacements, ``"exact"`` inversion of every
-        sample along every ray, ``"buffered"``, which warps the volume first, or ``"hybrid"``: the lattice, until `fill`
-        has made the buffer on the GPU, bit by bit. On the CPU, that is the lattice.
+        The evaluation of the deformation: by a certified ``"lattice"`` of inverse displacements, ``"exact"`` inversion
+        of every sample along every ray, ``"buffered"``, which warps the volume first, or ``"hybrid"``: the lattice,
+        until `fill` has filled the buffer on the GPU, in parts. On the CPU, that is the lattice.
     step : float, optional
-        Millimetres from sample to sample along a ray; the smallest spacing by default.
+        The step along a ray, in millimetres; by default, the smallest spacing.
     shaded : bool
-        Whether surfaces are lit, by their gradient.
+        Whether surfaces are shaded by their gradient.
     tolerance : float
-        How far source points may be from the true T⁻¹(q), in voxels.
+        The largest distance of source points from T⁻¹(q), in voxels.
     device : str
-        Who marches along the rays: the ``"cpu"``; the ``"gpu"``, also one that is a program for the CPU; or ``"auto"``:
-        a hardware GPU, where there is one. What it cannot hold, the CPU does.
+        The device: the ``"cpu"``; the ``"gpu"``, which may be software; or ``"auto"``: a hardware GPU, if there is one.
+        The CPU takes over if the GPU lacks memory.
 
     Raises
     ------
     SuppleError
-        If something does not fit.
+        If an argument does not fit.
 
     Warns
     -----
     DeviceWarning
-        If the GPU failed, so that the CPU does it.
+        If the GPU failed, and the CPU took over.
     """
 
     shape: tuple[int, ...]
-    """Of the volume that was given."""
+    """The shape of the given volume."""
     samples: Array
-    """The volume that the CPU samples: as it was given, or warped where it is buffered there."""
+    """The volume sampled by the CPU: the original, or the warped one if buffered there."""
     geometry: Geometry
     deformation: Deformation | None
     transfer: TransferFunction
@@ -99,12 +99,12 @@ class Scene:
     shaded: bool
     tolerance: float
     error: float
-    """How far source points are from the true T⁻¹(q), in voxels, as far as the checks see."""
+    """A bound on the distance of source points from T⁻¹(q), in voxels, from the checks."""
     range: tuple[float, float]
     """The smallest and the largest value."""
     _solid: Solid | None
     _coarse: bool
-    """Return whether the lattice is not good enough for the CPU, where the GPU has a buffer."""
+    """True if the lattice is too coarse for the CPU, while the GPU has a buffer."""
     _lows: npt.NDArray[np.float32]
     _highs: npt.NDArray[np.float32]
     _skips: npt.NDArray[np.uint8]
@@ -112,9 +112,9 @@ class Scene:
     _table: npt.NDArray[np.float32]
     _threshold: float
     device: str
-    """Who was asked for."""
+    """The requested device."""
     gpu: Gpu | None
-    """The device that marches along the rays, if it is not the CPU."""
+    """The GPU of the rays; None for the CPU."""
     _ranges: dict[int, tuple[Array, Array]]
     _original: Array
     _held: shading.Held | None
@@ -180,14 +180,14 @@ class Scene:
         return {name: getattr(self, name) for name in self.__slots__}
 
     def deformed(self, deformation: Deformation | None) -> Scene:
-        """Return this scene with other strokes. The volume stays on the GPU, where it is there."""
+        """Return this scene with other strokes. The volume stays on the GPU."""
         made = object.__new__(type(self))
         values = self._known()
         made._set(values | _deformed(values, deformation, self._held.volume if self._held else None))
         return made
 
     def seen_through(self, transfer: TransferFunction | str, density: tuple[float, float] | None = None) -> Scene:
-        """Return this scene with another transfer function; nothing is inverted or warped anew."""
+        """Return this scene with another transfer function, without inverting or warping again."""
         made = object.__new__(type(self))
         values, known = self._known(), transfer_function(transfer)
         values |= {"transfer": known, **seen_through(known, density, self.range, self.step)}
@@ -196,11 +196,11 @@ class Scene:
 
     @property
     def is_empty(self) -> bool:
-        """Return whether no value is seen at all."""
+        """Return whether no value is visible."""
         return self._threshold == math.inf
 
     def view(self, camera: Camera | None, size: tuple[int, int]) -> Projection:
-        """The camera before this scene, for a picture of ``size`` (rows, columns)."""
+        """Return the projection of a camera before this scene, for an image of ``size`` (rows, columns)."""
         return view_of(camera_of(camera), self.samples.shape, self.geometry, size)
 
     def render(
@@ -211,7 +211,7 @@ class Scene:
         supersampling: int = 1,
         tell: Callable[[int], None] = lambda rows: None,
     ) -> Rendering:
-        """Take a picture.
+        """Render an image.
 
         Parameters
         ----------
@@ -221,7 +221,7 @@ class Scene:
         supersampling : int
             Rays along each side of a pixel, from 1 to 8: smoother outlines.
         tell : function of int
-            Called with the number of rows that are done, now and then.
+            Called at intervals with the number of finished rows.
         """
         fine = integer("supersampling", supersampling, "a number of rays along a pixel's side, from 1 to 8", 1, 8)
         view = self.view(camera, size)
@@ -265,7 +265,7 @@ class Scene:
         background: tuple[float, float, float] = (0.0, 0.0, 0.0),
         overlay: str = "",
     ) -> None:
-        """Draw a picture into a texture of the GPU, for a window; nothing comes back from there.
+        """Render an image into a texture of the GPU, for a window, without downloading it.
 
         Parameters
         ----------
@@ -273,18 +273,18 @@ class Scene:
             Of ``scene.gpu.device``, format ``rgba8unorm`` and usage ``STORAGE_BINDING``. It receives sRGB.
         camera : Camera, optional
         size : (int, int), optional
-            Rows and columns, at the texture's upper left; all of it by default.
+            Rows and columns, at the texture's upper left; by default, all of it.
         supersampling : int
-            As `render` takes it.
+            As in `render`.
         background : (float, float, float)
             sRGB from 0 to 1.
         overlay : str
-            ``"inversions"`` tints what they, or where there are none samples, were many for.
+            ``"inversions"`` tints pixels by their number of inversions or, without any, of samples.
 
         Raises
         ------
         SuppleError
-            If the scene is not on a GPU, the texture is another, or the GPU failed: `render` still works then.
+            If the scene is not on a GPU, the texture does not fit, or the GPU failed: `render` still works then.
         """
         held = self._held
         if held is None:
@@ -316,36 +316,36 @@ class Scene:
                 shading.paint(held, self._look(view), view.packed, size, fine, behind, texture, worked)
         except failures() as error:
             failed = trouble(gpu, error)
-            if not gpu.lost and "Texture with" in failed and "destroyed" in failed:  # all others are the scene's own
+            if not gpu.lost and "Texture with" in failed and "destroyed" in failed:  # other errors are the scene's own
                 raise SuppleError("the texture was destroyed: make another one by scene.gpu.device") from None
             raise SuppleError(f"{gpu.name} could not draw: {failed}: use render") from None
 
     def fill(
         self, camera: Camera | None = None, size: tuple[int, int] = (512, 512), *, seconds: float = 0.004
     ) -> float:
-        """Go on making the buffer of a ``"hybrid"`` scene, between two pictures.
+        """Fill a part of the buffer of a ``"hybrid"`` scene, between two images.
 
         Parameters
         ----------
         camera, size
-            Of the next picture: what it shows is made first.
+            The next image: its visible bricks are filled first.
         seconds : float
-            About how long this may take; one brick of 16³ voxels is made at least.
+            The approximate time; at least one brick of 16³ voxels is filled.
 
         Returns
         -------
         float
-            How much is there, from 0 to 1. Scenes that have no buffer need none, and it is 1.
+            The filled part, from 0 to 1. For scenes without a buffer it is 1.
 
         Raises
         ------
         SuppleError
-            If an argument is not of that kind.
+            If an argument is invalid.
 
         Warns
         -----
         DeviceWarning
-            If the GPU failed: a hybrid scene goes on with its lattice, and a buffered one on the CPU.
+            If the GPU failed: a hybrid scene continues with its lattice, and a buffered one on the CPU.
         """
         held, seconds = self._held, number("seconds", seconds, "a number of seconds from 0", 0.0, 1e9)
         camera = camera_of(camera)
@@ -360,7 +360,7 @@ class Scene:
             "the CPU does what {} cannot" if held.whole else "{} does not go on with the buffer",
         )
         if done is None:
-            # Of what is only seen whole, the lattice may be one that nobody should see.
+            # The lattice of a buffered scene may be too coarse to be shown.
             left = {"_held": replace(held, filling=None, mode=shading.LATTICE)}
             self._set({"_held": None, "gpu": None} if held.whole else left)
             return 1.0
@@ -381,7 +381,7 @@ class Scene:
         )
 
     def _marcher(self, view: Projection) -> Callable[..., None]:
-        """Return what marches along the rays of columns and rows of pixels, into colours, depths and work."""
+        """Return the function that marches the rays of columns and rows of pixels, into colours, depths and work."""
         strokes, lattice, cells = None, None, 1
         if self.deformation is not None and (self.mode == "exact" or self._coarse):
             strokes = strokes_of(self.deformation.space.table, self.deformation.space.axes)
@@ -402,26 +402,26 @@ class Scene:
         )
 
         def march(columns: Array, rows: Array, light: Array, depth: Array, work: Array) -> None:
-            xs, ys = columns - (view.size[1] - 1) / 2, rows - (view.size[0] - 1) / 2  # from the middle
+            xs, ys = columns - (view.size[1] - 1) / 2, rows - (view.size[0] - 1) / 2  # from the centre
             _core.draw(self.samples, seen, lattice, cells, strokes, xs, ys, light, depth, work)
 
         return march
 
     def pick(self, camera: Camera, size: tuple[int, int], pixel: tuple[float, float]) -> Pick | None:
-        """Return the voxel that a click at a pixel takes hold of.
+        """Return the voxel picked at a pixel.
 
         Parameters
         ----------
         camera : Camera
         size : (int, int)
-            Rows and columns of the picture.
+            Rows and columns of the image.
         pixel : (float, float)
             x and y, from the centre of the upper left pixel.
 
         Returns
         -------
         Pick or None
-            The first point along the pixel's ray where the opacity passes 0.9; None where it never does.
+            The first point along the pixel's ray with an accumulated opacity of 0.9; None if there is none.
         """
         x, y = point("pixel", pixel, (2,))
         view = self.view(camera, size)
@@ -437,15 +437,15 @@ class Scene:
     def drag(
         self, camera: Camera, size: tuple[int, int], pick: Pick, to: tuple[float, float]
     ) -> tuple[float, float, float]:
-        """How far a picked point goes when it is dragged to a pixel: in the camera's plane, at its depth.
+        """Return the drag of a picked point to a pixel: in the camera's plane, at its depth.
 
         Parameters
         ----------
         camera, size
-            As it was picked.
+            The arguments of `pick`.
         pick : Pick
         to : (float, float)
-            The pixel that the point should be seen at.
+            The target pixel of the point.
 
         Returns
         -------
@@ -463,7 +463,7 @@ class Scene:
         return triple((end - start) / view.spacing)
 
     def turned(self, camera: Camera, k: int, count: int) -> Camera:
-        """The camera of picture ``k`` of ``count`` on a way around the volume."""
+        """Return the camera of image ``k`` of ``count`` on a turn around the volume."""
         camera = camera_of(camera)
         return replace(camera, azimuth=camera.azimuth + 360.0 * k / count)
 
@@ -473,11 +473,11 @@ def _picture(light: Array, depth: Array, work: Array) -> Rendering:
 
 
 def _deformed(known: dict[str, Any], deformation: Deformation | None, volume: Volume | None) -> dict[str, Any]:
-    """Return the parts of a scene that depend on strokes; ``known`` are those without them."""
+    """Return the parts of a scene that depend on strokes; ``known`` are the others."""
     shape, ready, mode, tolerance = (known[name] for name in ("shape", "_original", "mode", "tolerance"))
     gpu = gpu_of(known["device"])
     if volume is not None and volume.gpu is not gpu:
-        volume = None  # that one was lost
+        volume = None  # its device was lost
     if deformation is not None:
         given: object = deformation
         if not isinstance(given, Deformation):
@@ -532,6 +532,6 @@ def _deformed(known: dict[str, Any], deformation: Deformation | None, volume: Vo
 
 
 def _skipping(known: dict[str, Any]) -> dict[str, Any]:
-    """Return the invisible parts: for rays, and for the buffer."""
+    """Return the maps of empty space: for rays, and for the buffer."""
     skips = skipped(known)
     return {"_skips": skips, "_unseen": unseen_blocks(known["samples"].shape, skips)}

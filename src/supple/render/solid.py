@@ -1,7 +1,7 @@
 """T⁻¹ in a volume: solved at the nodes of a cubic lattice, interpolated in between, and certified.
 
-For pictures of a volume, which need source points anywhere and not only on its planes. The lattice is halved until
-the largest error that is seen between its nodes is within the tolerance; the arithmetic is in ``_core/solid.hpp``.
+For rendering, which needs source points anywhere and not only on planes. The step of the lattice is halved until the
+largest observed error between its nodes is within the tolerance; the arithmetic is in ``_core/solid.hpp``.
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ from supple.strokes import numbers
 Floats = npt.NDArray[np.float64]
 
 COARSEST, FINEST = 8, 2  # voxels from node to node: a finer lattice would be larger than the volume
-# A cell may be as large as this part of the length over which the map varies: beyond, what is seen at points says
-# little about what lies between them.
+# The largest size of a cell, as a fraction of the length scale of the map: in larger cells, the checked points do not
+# represent the points between them.
 RESOLVED = 0.5
-_TWICE, _ONCE = 3.0, 1.25  # times the lattice's error, cubics over two of its cells and over one were not farther off
+_TWICE, _ONCE = 3.0, 1.25  # measured errors of cubics over two cells and over one, relative to the lattice's
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -32,14 +32,14 @@ class Solid:
     Parameters
     ----------
     nodes : float32 array, shape (nz, ny, nx, 16)
-        The displacement T⁻¹(q) - q in voxels, x first, and the columns of ∂p/∂q; each followed by a 0.
+        The displacement T⁻¹(q) - q in voxels, x first, and the columns of ∂p/∂q; each padded with a 0.
     step : int
         Voxels from node to node; the first is the first voxel.
     error : float
-        How far a source point is from the true T⁻¹(q), in voxels, as far as the checks see, with their reserve;
-        infinity where even the finest lattice is too coarse for them to see anything.
+        A bound on the distance of a source point from T⁻¹(q), in voxels, from the checks, with their reserve; infinity
+        if even the finest lattice is too coarse for the checks.
     evaluations : float
-        Of T with its Jacobian.
+        The number of evaluations of T with its Jacobian.
     """
 
     nodes: npt.NDArray[np.float32]
@@ -49,7 +49,7 @@ class Solid:
 
     @property
     def lattice(self) -> _core.Lattice:
-        """The nodes as the core takes them."""
+        """Return the nodes in the layout of the core."""
         return _core.Lattice(np.require(self.nodes, np.float32, ["C", "W"]), self.step)
 
     def at(self, points: npt.ArrayLike) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
@@ -61,7 +61,7 @@ class Solid:
 
 
 def strokes_of(table: npt.NDArray[np.void], axes: Floats) -> _core.Strokes:
-    """Return a table of strokes and the axes of their domain as the core takes them."""
+    """Return a table of strokes and the axes of their domain in the layout of the core."""
     return _core.Strokes(numbers(table), np.ascontiguousarray(axes))
 
 
@@ -74,15 +74,15 @@ def solve_solid(
 ) -> Solid:
     """Solve for T⁻¹ on a lattice in a volume of ``shape`` (Z, H, W), as fine as the tolerance needs, in voxels.
 
-    The error says whether the finest was enough. ``attempt`` solves with so many voxels from node to node, and returns
-    the least length over which the map varies, too; by default, it is the core's.
+    The error tells if the finest lattice is accurate enough. ``attempt`` solves with a step in voxels, and also returns
+    the length scale of the map; by default, it is the core's.
     """
     strokes = strokes_of(table, axes)
     step, evaluations = COARSEST, 0.0
     while True:
         solid, smooth = attempt(step) if attempt else _solve(strokes, shape, step)
         evaluations += solid.evaluations
-        # What is seen at points says little where the map varies between them.
+        # Checked points do not represent the map if it varies between them.
         resolved = step <= RESOLVED * smooth
         if (solid.error <= tolerance and resolved) or step == FINEST:
             return Solid(solid.nodes, step, solid.error if resolved else math.inf, evaluations)
@@ -92,7 +92,7 @@ def solve_solid(
 
 
 def _solve(strokes: _core.Strokes, shape: tuple[int, ...], step: int) -> tuple[Solid, float]:
-    """Return a lattice, and the least length, in voxels, over which the map varies at a node."""
+    """Return a lattice, and the length scale of the map, in voxels: the least at its nodes."""
     counts = tuple(-(-max(n - 1, 1) // step) + 1 for n in shape)
     nodes = np.empty((*counts, _core.NODE), np.float32)
     lattice = _core.Lattice(nodes, step)
@@ -101,13 +101,13 @@ def _solve(strokes: _core.Strokes, shape: tuple[int, ...], step: int) -> tuple[S
 
 
 def cells_along_rays(solid: Solid, tolerance: float) -> int:
-    """Return over how many cells of a lattice a cubic along a ray may go."""
+    """Return the number of cells of a lattice that a cubic along a ray may span."""
     return 2 if _TWICE * solid.error <= tolerance else 1
 
 
 def along_rays(solid: Solid, cells: int, tolerance: float) -> float:
-    """Return how far off source points are, in voxels, where rays go along cubics over cells of a lattice."""
+    """Return the error of source points, in voxels, on cubics over cells of a lattice along rays."""
     if cells == 2:
         return _TWICE * solid.error
-    # Where the lattice is good enough, the reserve that it was looked at with has room for the rest, too.
+    # If the lattice is accurate enough, its reserve covers the additional error.
     return min(_ONCE * solid.error, tolerance if solid.error <= tolerance else math.inf)

@@ -1,4 +1,4 @@
-"""Transfer functions: which colour and opacity a volume's values have."""
+"""Transfer functions: colour and opacity of a volume's values."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ class TransferFunction:
     Parameters
     ----------
     points : sequence of (value, red, green, blue, opacity)
-        In ascending order of values; colours are sRGB from 0 to 1, and the opacity that of ``unit`` millimetres.
-        Beyond the first and the last, values have what these have.
+        In ascending order of values; colours are sRGB from 0 to 1, and the opacity is that of ``unit`` millimetres.
+        Values beyond the first and the last have their colours and opacities.
     unit : float
-        Millimetres of material that have the opacity.
+        Millimetres of material for the opacity.
     relative : bool
-        Whether values are given as parts of the volume's range: 0 its smallest value, 1 its largest.
+        Whether values are fractions of the volume's range: 0 its smallest value, 1 its largest.
     """
 
     points: tuple[Point, ...]
@@ -63,7 +63,7 @@ class TransferFunction:
         ----------
         low, high : float
         step : float
-            Millimetres from one sample of a ray to the next: opacity is that of so much material.
+            The step of a ray, in millimetres, for which the opacity holds.
 
         Returns
         -------
@@ -72,7 +72,7 @@ class TransferFunction:
         """
         values = np.linspace(low, high, ENTRIES)
         known = np.array(self.points)
-        # Where all values are one, it is the smallest.
+        # For a constant volume, the smallest value.
         places = known[:, 0] if not self.relative else low + known[:, 0] * ((high - low) or 1.0)
         seen = np.stack([np.interp(values, places, known[:, c]) for c in range(1, 5)], axis=1)
         linear = linear_light(seen[:, :3], 1.0)
@@ -80,7 +80,7 @@ class TransferFunction:
         return np.ascontiguousarray(np.concatenate([linear, opacity[:, None]], axis=1), np.float32)
 
     def to_json(self) -> str:
-        """As `from_json` reads it."""
+        """Return the JSON text for `from_json`."""
         made = {
             "transfer_function": 1,
             "unit": self.unit,
@@ -91,12 +91,12 @@ class TransferFunction:
 
     @classmethod
     def from_json(cls, text: str, name: str = "the transfer function") -> TransferFunction:
-        """Read one.
+        """Read a transfer function.
 
         Raises
         ------
         SuppleError
-            If it is no such thing; the message begins with ``name``.
+            If the text is invalid; the message begins with ``name``.
         """
         try:
             made = json.loads(text)
@@ -136,7 +136,7 @@ PRESETS = {
             (400.0, 1.0, 0.95, 0.88, 0.98),
         )
     ),
-    # Parts of the range: magnetic resonance has no units.
+    # Fractions of the range: magnetic resonance has no units.
     "mr-head": TransferFunction(
         (
             (0.10, 0.55, 0.38, 0.30, 0.0),
@@ -154,7 +154,7 @@ PRESETS = {
 
 
 def transfer_of(name: str | os.PathLike[str]) -> TransferFunction:
-    """A preset by its name, or a transfer function from a JSON file."""
+    """Return a preset by its name, or a transfer function from a JSON file."""
     if isinstance(name, str) and name in PRESETS:
         return PRESETS[name]
     path = Path(name)

@@ -1,4 +1,4 @@
-"""Deformations of PyTorch tensors, differentiable in the picture and in the strokes."""
+"""Deformations of PyTorch tensors, differentiable with respect to the image and the strokes."""
 
 try:
     import torch as _torch  # noqa: F401

@@ -1,4 +1,4 @@
-"""Tensors in place of what a deformation's strokes have: checked, and made into deformations."""
+"""Tensors that replace numbers of a deformation's strokes: checked, and made into deformations."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from supple.strokes import Stroke
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Item:
-    """A deformation, and the tensors that some of its strokes' numbers came from.
+    """A deformation, and the tensors that replace numbers of its strokes.
 
     Parameters
     ----------
     deformation : Deformation
-        Of the tensors' values.
+        The deformation at the tensors' values.
     at, by : tensor of shape (n, D), or None
     radius : tensor of shape (n,), or None
     """
@@ -35,17 +35,17 @@ class Item:
 
     @property
     def differentiable(self) -> bool:
-        """Return whether a stroke needs a gradient."""
+        """Return whether a tensor requires gradients."""
         given = (self.at, self.by, self.radius)
         return torch.is_grad_enabled() and any(x is not None and x.requires_grad and x.numel() for x in given)
 
     def strokes(self, dtype: torch.dtype, device: torch.device) -> Strokes:
-        """T of the deformation, differentiable in the tensors if they need it.
+        """Return T of the deformation, differentiable with respect to the tensors that require gradients.
 
         Raises
         ------
         SuppleError
-            If they do, and a stroke has become several.
+            If one does, and a stroke has become several.
         """
         d = self.deformation
         if not self.differentiable:
@@ -69,7 +69,7 @@ class Item:
 
 
 def _ratio(stroke: Stroke, d: Deformation) -> float:
-    """b/a of a stroke's kelvinlet."""
+    """Return b/a of a stroke's kelvinlet."""
     return 1 / (4 * (1 - stroke.material(time=d.domain.time)))
 
 
@@ -79,17 +79,17 @@ def items(
     by: torch.Tensor | None,
     radius: torch.Tensor | None,
 ) -> tuple[list[Item], bool]:
-    """Return the items that bend a tensor: one item for all of it, or, if it is True, one for each item of the batch.
+    """Return the items for a tensor: one item for all of it, or, if the flag is True, one for each item of the batch.
 
     Raises
     ------
     SuppleError
-        If they do not fit each other.
+        If the arguments do not fit each other.
 
     Warns
     -----
     FoldWarning
-        If a stroke was damped, that would have folded.
+        If a stroke that would have folded was damped.
     """
     many = deformations(deformation)
     single = isinstance(deformation, Deformation)
@@ -112,7 +112,7 @@ def items(
 
 
 def deformations(deformation: object) -> list[Deformation]:
-    """One or many as a list; SuppleError if they are none, or not of one shape."""
+    """Return one or many deformations as a list; SuppleError for other values, or different shapes."""
     many = [deformation] if isinstance(deformation, Deformation) else deformation
     if not isinstance(many, Sequence) or not many or not all(isinstance(d, Deformation) for d in many):
         refuse("deformation", "a Deformation, or a sequence of them, one for each item of the batch", deformation)

@@ -1,6 +1,6 @@
-"""Tensors through a map, and points through T, with gradients.
+"""Warps of tensors, and T of points, with gradients.
 
-The values are the engines'. What a loss says of them goes back through the same samples, read once more at T⁻¹.
+Values are computed by the engines. The backward pass reads the same samples again at T⁻¹.
 """
 
 from __future__ import annotations
@@ -27,13 +27,13 @@ SMOOTH = ("nearest", "linear", "cubic")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Job:
-    """The work on a tensor of K channels; the strokes are there if they need gradients."""
+    """The work on a tensor of K channels; ``strokes`` is set if they need gradients."""
 
     work: Work
     strokes: Strokes | None = None
 
     def how(self, dtype: torch.dtype, device: torch.device) -> Filter:
-        """Return the filter that has gradients."""
+        """Return the differentiable filter."""
         space, sampling = self.work.space, self.work.sampling
         between = "catmull-rom" if sampling.between == "cubic" else sampling.between
         kinds = [sampling.filter, sampling.filter, between][: space.ndim]
@@ -41,7 +41,7 @@ class Job:
         return Filter(space.whole[::-1], kinds, sampling.outside, fill[:, None])
 
 
-_ROOM = 1 << 23  # numbers for the points that are worked on at once: what T takes for its gradients, mostly
+_ROOM = 1 << 23  # the numbers in memory for points processed at once, mostly for gradients of T
 
 
 def warp(
@@ -57,46 +57,46 @@ def warp(
     between: str | None = None,
     tolerance: float = 0.01,
 ) -> torch.Tensor:
-    """Deform a tensor, differentiably in it and in the strokes.
+    """Warp a tensor, differentiably with respect to the tensor and the strokes.
 
     Parameters
     ----------
     tensor : tensor of shape (H, W), (C, H, W) or (N, C, H, W); of a volume or frames (Z, H, W) to (N, C, Z, H, W)
         Of bool, integers or floats, on any device. Only floats have gradients.
     deformation : Deformation, or sequence of N of them
-        Of the shape of the last axes; or one for each item of the batch.
+        A deformation of the shape of the last axes; or one for each item of the batch.
     at, by : tensor of shape (n, D), or (N, n, D), optional
-        In place of where the deformation's n strokes grab, and of how far they drag: in pixels, x first.
+        Replacements of the positions and the drags of the deformation's n strokes: in pixels, x first.
     radius : tensor of shape (n,), or (N, n), optional
-        In place of their radii, in physical units.
+        Replacements of their radii, in physical units.
     filter : str
         ``"linear"``, ``"cubic"`` (Keys' with a = -0.75) or ``"nearest"``; without gradients, also ``"auto"``, as in
         `Deformation.warp`.
     outside : str
-        What lies outside the tensor: its ``"edge"``, a ``"constant"``, or its mirror image (``"reflect"``).
+        Boundary mode: the ``"edge"`` of the tensor, a ``"constant"``, or its mirror image (``"reflect"``).
     fill : float or sequence of float
-        The constant; one for all channels, or one for each.
+        The fill value; one for all channels, or one for each.
     between : str, optional
-        How slices or frames are interpolated: ``"linear"``, ``"cubic"`` or ``"nearest"``; linear by default, and
+        The interpolation between slices or frames: ``"linear"``, ``"cubic"`` or ``"nearest"``; linear by default, and
         nearest under ``filter="nearest"``.
     tolerance : float
-        How far a source point may be from the true T⁻¹(q), in pixels. Of float64 tensors that need gradients, each
+        The largest distance of a source point from T⁻¹(q), in pixels. For float64 tensors that require gradients, each
         point is solved.
 
     Returns
     -------
     tensor
-        Of the same shape, type and device. Channels are independent of each other: none is opacity.
+        The result, of the same shape, type and device. Channels are independent: none is opacity.
 
     Raises
     ------
     SuppleError
-        If an argument does not fit, or what needs gradients has none.
+        If an argument does not fit, or requires gradients where there are none.
 
     Warns
     -----
     FoldWarning
-        If a stroke with new numbers was damped. Gradients take the part of it that is applied for constant.
+        If a stroke with new numbers was damped. Gradients take the damping factor as constant.
     ToleranceWarning
         If the checks of the map's cells do not promise the tolerance everywhere.
 
@@ -151,19 +151,19 @@ def forward(
     by: torch.Tensor | None = None,
     radius: torch.Tensor | None = None,
 ) -> torch.Tensor:
-    """T: where points of the input are seen in the output, differentiably, any number of times.
+    """Return T of points: their positions in the output, differentiable any number of times.
 
     Parameters
     ----------
     points : tensor of floats, shape (..., D)
-        In pixels, x first; (N, ..., D) where the deformations or their strokes are those of a batch.
+        In pixels, x first; (N, ..., D) if the deformations or their strokes are those of a batch.
     deformation, at, by, radius
-        As `warp` takes them.
+        As in `warp`.
 
     Returns
     -------
     tensor of shape (..., D)
-        Of the same type and device.
+        The positions, of the same type and device.
 
     Raises
     ------
@@ -173,7 +173,7 @@ def forward(
     Warns
     -----
     FoldWarning
-        As `warp` does.
+        As in `warp`.
     """
     given, batch = items(deformation, at, by, radius)
     if not given:
@@ -212,7 +212,7 @@ def _odd(dtype: torch.dtype) -> bool:
 
 
 def _warped(tensor: torch.Tensor, item: Item, job: Job) -> torch.Tensor:
-    """One item, of shape (K, *shape)."""
+    """Return one warped item, of shape (K, *shape)."""
     if item.differentiable:
         strokes = item.strokes(working(tensor), tensor.device)
         held = replace(strokes, at=strokes.at.detach(), by=strokes.by.detach(), radius=strokes.radius.detach())
@@ -234,7 +234,7 @@ def _values(tensor: torch.Tensor, work: Work) -> torch.Tensor:
 
 
 class _Warp(torch.autograd.Function):
-    """A tensor (K, *shape) by a job; at, by and radius are those of the job's strokes, or None."""
+    """The warp of a tensor (K, *shape) by a job; at, by and radius are those of the job's strokes, or None."""
 
     @staticmethod
     def forward(
@@ -254,7 +254,7 @@ class _Warp(torch.autograd.Function):
             offsets = offsets_of(tensor, job.work.space, job.work.sampling.tolerance)
             how, source = job.how(tensor.dtype, tensor.device), tensor.reshape(len(tensor), -1)
             parts = [read(source, *_places(offsets, *ends, how), how) for ends in _chunks(offsets, job)]
-            # What no stroke reaches is copied, and no neighbour that is not a number spoils it.
+            # Unchanged pixels are copied, so that no NaN of a neighbour reaches them.
             made = torch.where(offsets.any(1), torch.cat(parts, 1), source).reshape(tensor.shape)
         ctx.job = job
         ctx.save_for_backward(tensor if at is not None else None, at, by, radius, offsets)
@@ -286,7 +286,7 @@ class _Warp(torch.autograd.Function):
 
 
 def _places(offsets: torch.Tensor, start: int, stop: int, how: Filter) -> tuple[Columns, Columns]:
-    """The source points of some pixels, as whole pixels and what is left."""
+    """Return the source points of some pixels, as whole pixels and remainders."""
     pixels = grid(torch.arange(start, stop, device=offsets.device), how.sizes)
     columns = offsets[start:stop].unbind(-1)
     lower = [torch.floor(x) for x in columns]

@@ -1,1 +1,1 @@
-"""The window, in four rooms: what is edited, the tools, the panels, and the windows that they run in."""
+"""The window: its documents, tools, panels, and the windows themselves."""

@@ -1,4 +1,4 @@
-"""Arrays that live on a GPU, of whatever library: as kernels take them, and made as they came."""
+"""Arrays on a GPU, of any library: in the form of the kernels, and results in the library of the source."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from supple.engines.base import check_gradients
 from supple.engines.cuda.device import CudaDevice, open_device, simulated
 from supple.errors import SuppleError
 
-_CUDA = (2, 13)  # of DLPack's kinds of device: a GPU's memory, and that which it shares with the host
+_CUDA = (2, 13)  # DLPack's device types: GPU memory, and memory shared with the host
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -25,17 +25,17 @@ class DeviceArray:
     Parameters
     ----------
     given : object
-        As its library has it.
+        The library's array.
     kind : str
-        "torch", "cupy" or "numba", in which its like is made.
+        "torch", "cupy" or "numba": the library of new arrays.
     shape, strides : tuple of int
         In samples.
     dtype : numpy.dtype
     pointer : int
-        Of its first sample.
+        The address of the first sample.
     gpu : CudaDevice
     stream : object
-        Numba's name for the stream that its library works on at the moment.
+        Numba's object for the current stream of the library.
     writable : bool
     """
 
@@ -51,23 +51,23 @@ class DeviceArray:
 
     @property
     def ndim(self) -> int:
-        """How many axes it has."""
+        """The number of axes."""
         return len(self.shape)
 
     @property
     def below(self) -> int:
-        """How many samples lie before the first one in memory, where strides are negative."""
+        """The number of samples before the first one in memory, where strides are negative."""
         return sum((n - 1) * -s for n, s in zip(self.shape, self.strides, strict=True) if s < 0)
 
     @property
     def span(self) -> int:
-        """From the first to the last sample in memory."""
+        """The number of samples from the first to the last in memory."""
         if 0 in self.shape:
             return 0
         return 1 + sum((n - 1) * abs(s) for n, s in zip(self.shape, self.strides, strict=True))
 
     def flat(self) -> Any:
-        """All of the memory that it lies in, as Numba's array of one axis; it begins ``below`` before the first one."""
+        """Return the memory of the array, as Numba's array of one axis; it begins ``below`` samples before that."""
         kind = np.dtype(np.uint8) if self.dtype == np.bool_ else self.dtype
         if simulated():
             return _flat_in_simulator(self, kind)
@@ -92,7 +92,7 @@ class DeviceArray:
 
 
 def is_on_device(value: object) -> bool:
-    """Return whether something is an array on a GPU, or may be one; no library is imported to find out."""
+    """Return whether a value is, or may be, an array on a GPU, without importing any library."""
     if isinstance(value, np.ndarray) or callable(value):
         return False
     if _is_tensor(value):
@@ -100,7 +100,7 @@ def is_on_device(value: object) -> bool:
     try:
         if getattr(value, "__cuda_ndarray__", None) or hasattr(value, "__cuda_array_interface__"):
             return True
-    except (RuntimeError, ValueError):  # some say so rather than not having it
+    except (RuntimeError, ValueError):  # raised by some libraries for arrays of the host
         return False
     where = getattr(value, "__dlpack_device__", None)
     try:
@@ -120,12 +120,12 @@ def _is_cupy(value: object) -> bool:
 
 
 def taken(value: Any, name: str) -> DeviceArray:
-    """An array on a GPU, whatever made it.
+    """Return an array on a GPU, of any library, as `DeviceArray`.
 
     Raises
     ------
     SuppleError
-        If CUDA cannot be used, or the array is not on a GPU, or of a kind that cannot be taken.
+        If CUDA cannot be used, or the array is not on a GPU, or of an unknown kind.
     """
     if not is_on_device(value):
         refuse(name, "an array on a GPU", value)
@@ -134,19 +134,19 @@ def taken(value: Any, name: str) -> DeviceArray:
         open_device()
         return _in_simulator(value)
     kind = "torch" if _is_tensor(value) else "cupy" if _is_cupy(value) else "numba"
-    gpu = open_device(_number_of(value, kind))  # before anything asks what needs it
+    gpu = open_device(_number_of(value, kind))  # before any call that needs the driver
     from cuda.core.utils import StridedMemoryView
 
     own = kind != "numba" or hasattr(value, "__cuda_ndarray__")
     try:
-        with gpu.current():  # some hand out only what lies on the current one
+        with gpu.current():  # some libraries export only arrays on the current device
             view = StridedMemoryView.from_any_interface(value, stream_ptr=-1 if own else 1)
-        # Of what is known, all goes on in the order of its stream; of another library, the default stream waits.
+        # Known libraries work in the order of their stream; for others, wait for the default stream.
         if not view.is_device_accessible:
             raise BufferError("its memory is not a GPU's")
         shape = tuple(int(n) for n in view.shape)
         dtype = np.dtype(view.dtype)
-    except Exception as error:  # whoever made it has errors of its own
+    except Exception as error:  # every library has errors of its own
         refuse(
             name, "an array on a GPU, of bool, integers or floats of 16 to 64 bits", " ".join(str(error).split())[:80]
         )
@@ -158,14 +158,14 @@ def taken(value: Any, name: str) -> DeviceArray:
 
 
 def plain(value: Any) -> Any:
-    """Something of the same library and on the same GPU, of whatever type."""
+    """Return an array of the same library on the same GPU, of any type."""
     if _is_tensor(value):
         return sys.modules["torch"].empty(1, device=value.device)
     return value
 
 
 def _number_of(value: Any, kind: str) -> int:
-    """The number of the GPU that an array is on, as far as its library tells."""
+    """Return the number of an array's GPU, as far as its library has one."""
     if kind == "torch":
         return int(value.device.index or 0)
     return int(value.device.id) if kind == "cupy" else 0
@@ -176,7 +176,7 @@ def _dense(shape: Sequence[int]) -> tuple[int, ...]:
 
 
 def stream_of(value: Any, kind: str, gpu: CudaDevice) -> Any:
-    """The stream that a library works on at the moment."""
+    """Return the current stream of a library."""
     if simulated():
         return 0
     with gpu.current():
@@ -195,7 +195,7 @@ _streams: dict[tuple[int, int], Any] = {}
 
 
 def known_stream(gpu: CudaDevice, pointer: int) -> Any:
-    """Numba's name for a stream, always the same one: what it prepares for a launch, it then finds again."""
+    """Return Numba's object for a stream, cached, so that prepared launches are found again."""
     from numba import cuda
 
     key = (gpu.number, pointer)
@@ -207,7 +207,7 @@ def known_stream(gpu: CudaDevice, pointer: int) -> Any:
 
 
 def as_stream(value: Any, gpu: CudaDevice) -> Any:
-    """A stream of any library as Numba's; SuppleError if it is none."""
+    """Return a stream of any library as Numba's; SuppleError if it is not a stream."""
     if simulated() and hasattr(value, "synchronize"):
         return value
     for name in ("cuda_stream", "ptr"):  # PyTorch's, and CuPy's
@@ -223,7 +223,7 @@ def as_stream(value: Any, gpu: CudaDevice) -> Any:
 def made_like(
     source: DeviceArray, shape: Sequence[int], dtype: npt.DTypeLike, *, as_it_lies: bool = False
 ) -> DeviceArray:
-    """A new array of the same library, on the same GPU; ``as_it_lies`` in memory, if it has the same shape."""
+    """Return a new array of the same library and GPU; ``as_it_lies``: with the same strides, for an equal shape."""
     with source.gpu.current():
         return _made_like(source, shape, np.dtype(dtype), as_it_lies)
 
@@ -242,14 +242,14 @@ def _made_like(source: DeviceArray, shape: Sequence[int], kind: np.dtype[Any], a
     else:
         from numba import cuda
 
-        # Bound to a stream only if the source is: arrays that are bound to the default one cannot be handed on.
+        # Bound to a stream only if the source is: arrays bound to the default stream cannot be exported.
         bound = getattr(source.given, "stream", 0) if hasattr(source.given, "__cuda_ndarray__") else 0
         given = cuda.device_array(tuple(shape), kind, stream=bound or 0)
     return taken(given, "the result")
 
 
 def checked_out(out: Any, source: DeviceArray) -> DeviceArray:
-    """Return an array that a user gives for a result; SuppleError if it does not fit the source."""
+    """Return a user's array for a result; SuppleError if it does not fit the source."""
     wanted = f"an array on the source's GPU, of {source.dtype} and shape {source.shape}, as the source is"
     if not is_on_device(out):
         refuse("out", wanted, out)
@@ -266,7 +266,7 @@ def checked_out(out: Any, source: DeviceArray) -> DeviceArray:
 
 
 def contiguous(source: DeviceArray) -> DeviceArray:
-    """Return a contiguous copy; SuppleError where its library does not do that."""
+    """Return a contiguous copy; SuppleError if the library has none."""
     if source.strides == _dense(source.shape) or source.span <= 1:
         return source
     if source.kind == "torch":

@@ -1,9 +1,9 @@
-"""The colour of a pixel whose source point is known: a device function for each way of filtering.
+"""The colour at a source point: one device function for each filter.
 
-All of them take the same, so that kernels need not know which one they call: samples, the constant outside, where
-samples lie and how they are worked with (`supple.engines.cuda.sample`), which frame is the picture, where none is
-interpolated, the pixel (x, y, z) and its displacement, ∂p/∂q as far as it is needed, and where the result
-goes. A kernel made for one of them has no registers that the others would need.
+All have the same arguments, so that kernels need not know which one they call: samples, the fill value, the memory
+layout and the sampling constants (`supple.engines.cuda.sample`), the frame index for single images, the pixel (x, y, z)
+and its displacement, ∂p/∂q as far as it is needed, and the position of the result. A kernel made for one filter needs
+no registers for the others.
 """
 
 from __future__ import annotations
@@ -43,10 +43,10 @@ from supple.engines.cuda.sample import (
     reader,
 )
 
-# The last two are no filters: source points themselves are written, as float32, x first, or how far they are off.
+# The last two are no filters: they write source points as float32, x first, or their displacements.
 FILTERS = base.FILTERS | {"map": 4, "offsets": 5}
 NEAREST, LINEAR, CUBIC, AUTO, MAP, OFFSETS = range(6)
-# Between frames that are pictures by themselves, nothing is interpolated.
+# Frames that are separate images are not interpolated.
 BETWEEN = base.BETWEEN | {"nothing": 3}
 NOTHING = 3
 
@@ -56,7 +56,7 @@ ZERO, HALF, ONE, TWO = _f4(0.0), _f4(0.5), _f4(1.0), _f4(2.0)
 
 @lean
 def integral(t, cubic):
-    """The integral of a kernel between frames, the tent or Catmull and Rom's, from 0 to t."""
+    """Return the integral of a kernel between frames, the tent or Catmull and Rom's, from 0 to t."""
     x = min(abs(t), TWO)
     if cubic:
         inner = x * (ONE + x * x * (_f4(-5 / 6) + _f4(0.375) * x))
@@ -106,7 +106,7 @@ def _map(way: Way) -> Callable[..., Any]:
 
 
 def _nearest(way: Way) -> Callable[..., Any]:
-    """The sample nearest to a point, as it is; ties go to the larger index."""
+    """Return the filter for the nearest sample, unchanged; ties go to the larger index."""
     mapped, place, frame_at = mapper(way), placer(way.index), frame_finder(way)
     index, unsigned, stack, constant = way.index, way.unsigned, way.between != NOTHING, way.rule == CONSTANT
 
@@ -154,16 +154,16 @@ def _in_frame(way: Way) -> Callable[..., Any]:
 
 
 def _finisher(way: Way) -> Callable[..., Any]:
-    """The reverse of `supple.engines.cuda.sample.reader`, and whole numbers where they are wanted."""
+    """Return the inverse of `supple.engines.cuda.sample.reader`, with rounding to integer types."""
     number, alpha, light, whole = way.number, way.alpha, way.light, way.whole
     zero, half = number(0.0), number(0.5)
     small = number is np.float32
-    exact = number(2.0 ** (23 if small else 52))  # from here on, all numbers are whole
+    exact = number(2.0 ** (23 if small else 52))  # from here on, all numbers are integers
 
     @device
     def finished(v, opacity, c, how, limits):
         if alpha and c == how[ALPHA]:
-            # A cubic overshoots; more than opaque, or less than clear, there is nothing to show.
+            # Clamp the overshoot of cubic filters, above opaque or below transparent.
             v = min(max(v, zero), number(limits[WHITE]))
         else:
             if alpha:
@@ -173,7 +173,7 @@ def _finisher(way: Way) -> Callable[..., Any]:
         if whole:
             v = min(max(v, number(limits[LOW])), number(limits[HIGH]))
             if abs(v) < exact:
-                # Rounded half up, by cutting off.
+                # Rounded half up, by truncation.
                 w = number(np.int32(v + half)) if small else number(np.int64(v + half))
                 v = w - number(1.0) if w > v + half else w
                 v = min(v, number(limits[HIGH]))
@@ -183,7 +183,7 @@ def _finisher(way: Way) -> Callable[..., Any]:
 
 
 def _between(way: Way) -> Callable[..., Any]:
-    """Return the value between frames, or in one."""
+    """Return the filter between frames, or within one."""
     in_frame, frame_at = _in_frame(way), frame_finder(way)
     number, index, average = way.number, way.index, way.average
     smooth, one, two = way.between == BETWEEN["cubic"], index(1), index(2)
@@ -203,7 +203,7 @@ def _between(way: Way) -> Callable[..., Any]:
                major, minor, ax, ay, counts):  # fmt: skip
         a = in_frame(samples, fills, source, how, limits, frame_at(source, k, counts), i, j, u, v, c,
                      major, minor, ax, ay)  # fmt: skip
-        if counted and w == ZERO:  # the next one may be out of reach
+        if counted and w == ZERO:  # the next frame may be missing
             return a
         b = in_frame(samples, fills, source, how, limits, frame_at(source, index(k + one), counts), i, j, u, v,
                      c, major, minor, ax, ay)  # fmt: skip
@@ -245,7 +245,7 @@ def _filtered(way: Way) -> Callable[..., Any]:
         k, w, width = index(0), ZERO, ZERO
         if stack:
             k, w = place(z, uz)
-            # Far outside the clip, all times are the same.
+            # Far outside the clip, time has no effect.
             if k < how[EARLY] or k >= how[LATE]:
                 k, w = index(min(max(k, how[EARLY]), how[LATE])), ZERO
             if average:
@@ -269,7 +269,7 @@ def _filtered(way: Way) -> Callable[..., Any]:
 
 @functools.cache
 def keeper(way: Way) -> Callable[..., Any]:
-    """Return the device function that copies a pixel that nothing moves, bit for bit, and takes what `colour` does."""
+    """Return the device function that copies an unchanged pixel, bit for bit, with the arguments of `colour`."""
     if way.filter in (MAP, OFFSETS):
         return _map(way)
     frame_at, index, unsigned = frame_finder(way), way.index, way.unsigned
@@ -287,7 +287,7 @@ def keeper(way: Way) -> Callable[..., Any]:
 
 @functools.cache
 def colour(way: Way) -> Callable[..., Any]:
-    """The device function that makes a pixel."""
+    """Return the device function that computes a pixel."""
     if way.filter in (MAP, OFFSETS):
         return _map(way)
     return _nearest(way) if way.filter == NEAREST else _filtered(way)

@@ -1,4 +1,4 @@
-"""Which NVIDIA GPU works, and what to say where there is none."""
+"""The NVIDIA GPU, and the error messages where there is none."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from typing import Any
 from supple.errors import SuppleError
 
 INSTALL = 'pip install "supple[cuda12]" or "supple[cuda13]", for drivers from 525 or 580 on'
-OLDEST = ((6, 0), (7, 5))  # compute capability, for CUDA 12 and 13: what kernels use, and what they are compiled for
+OLDEST = ((6, 0), (7, 5))  # compute capability, for CUDA 12 and 13: the least that kernels are compiled for
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -23,12 +23,12 @@ class CudaDevice:
     Parameters
     ----------
     number : int
-        As CUDA counts them.
+        The number of the device in CUDA.
     name : str
     processors : int
         Streaming multiprocessors.
     context : object
-        Numba's.
+        Numba's context.
     """
 
     number: int
@@ -38,12 +38,12 @@ class CudaDevice:
 
     @contextlib.contextmanager
     def current(self) -> Iterator[None]:
-        """Make it the one that kernels run on, in this thread."""
+        """Make it the current device of this thread."""
         with self.context:
             yield
 
     def stream(self) -> Any:
-        """A new stream, which the default one neither waits for nor holds up: Numba's own are not like that."""
+        """Return a new stream that does not synchronize with the default stream, unlike Numba's own."""
         cuda = _numba()
         if simulated():
             return cuda.stream()
@@ -59,21 +59,21 @@ class CudaDevice:
 
     @property
     def free(self) -> int:
-        """Bytes of its memory that are free."""
+        """Return the free memory in bytes."""
         with self.current():
             found = _numba().current_context().get_memory_info().free
         return int(min(found, 1 << 62))
 
 
 def simulated() -> bool:
-    """Return whether Numba only plays a GPU, as tests have it do."""
+    """Return whether Numba simulates a GPU, as in tests."""
     from numba.core import config
 
     return bool(getattr(config, "ENABLE_CUDASIM", 0))
 
 
 def _numba() -> Any:
-    """Numba's interface to CUDA; SuppleError if it is not there."""
+    """Return Numba's interface to CUDA; SuppleError if it is missing."""
     if importlib.util.find_spec("numba_cuda") is None:
         raise SuppleError(f"CUDA needs the package numba-cuda, which is not installed: {INSTALL}")
     from numba import cuda
@@ -82,12 +82,12 @@ def _numba() -> Any:
 
 
 def open_device(number: int = 0) -> CudaDevice:
-    """The GPU of a number, ready to work.
+    """Return the GPU of a number, ready for work.
 
     Raises
     ------
     SuppleError
-        If Numba's package for CUDA, the driver or the GPU is missing, or too old; the sentence says what would do.
+        If Numba's package for CUDA, the driver or the GPU is missing, or too old; the message names a remedy.
     """
     cuda = _numba()
     if simulated():
@@ -119,7 +119,7 @@ def _opened(number: int) -> CudaDevice:
     except Exception as error:
         raise SuppleError(f"CUDA's compiler is not there ({_short(error)}): {INSTALL}") from None
     context = cuda.gpus[number]
-    with context:  # what keeps it from working shows here, not amid a warp
+    with context:  # fails here, and not during a warp
         try:
             cuda.current_context().get_memory_info()
         except Exception as error:  # drivers fail in many ways
@@ -128,7 +128,7 @@ def _opened(number: int) -> CudaDevice:
 
 
 def failures() -> tuple[type[Exception], ...]:
-    """Return the exceptions of a GPU that fails, is full, or has no kernel made for it."""
+    """Return the exception types of a GPU that fails, is full, or has no compiled kernel."""
     from numba.cuda.cudadrv import error
 
     kinds: list[type[Exception]] = [RuntimeError, MemoryError, ArithmeticError, ImportError, OSError]
@@ -145,12 +145,12 @@ def _short(error: object) -> str:
 
 
 def _broken(cuda: Any) -> str:
-    """Why CUDA does not work, in one sentence; "" if it does."""
+    """Return the reason why CUDA does not work, in one sentence; "" if it works."""
     from numba.cuda.cudadrv import driver
 
     try:
         version = driver.driver.get_version()
-    except Exception as error:  # too old a driver lacks what is looked for
+    except Exception as error:  # an old driver lacks functions
         said = _short(error)
         if "cannot be found" in said or "not found" in said:
             return "CUDA needs NVIDIA's driver, which is not installed; device cpu needs none"
@@ -172,7 +172,7 @@ def _broken(cuda: Any) -> str:
 
 
 def toolkit() -> int:
-    """The major version of the CUDA that is installed beside Numba; 0 if that cannot be told."""
+    """Return the major version of CUDA that is installed for Numba; 0 if unknown."""
     from importlib.metadata import PackageNotFoundError, version
 
     try:

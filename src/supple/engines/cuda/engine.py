@@ -1,4 +1,4 @@
-"""The CUDA engine: arrays on an NVIDIA GPU, and arrays of the host that are sent there slab by slab."""
+"""The CUDA engine: arrays on an NVIDIA GPU, and host arrays that are sent there slab by slab."""
 
 from __future__ import annotations
 
@@ -18,24 +18,24 @@ from supple.engines.native import NATIVE
 if TYPE_CHECKING:
     from supple.engines.cuda.job import Warping
 
-# Kernels are compiled, and Numba is imported, once there is a device.
+# Kernels are compiled, and Numba is imported, only if there is a device.
 
 
 def open_cuda(number: int = 0) -> Cuda:
-    """Return the engine of the CUDA device of a number; SuppleError says why it cannot be used."""
+    """Return the engine of the CUDA device of a number; SuppleError gives the reason if it cannot be used."""
     return Cuda(open_device(number))
 
 
 @dataclass(frozen=True, slots=True)
 class Cuda:
-    """The engine of a CUDA device (`supple.engines.base.Engine`); clips, which stream, are for others."""
+    """The engine of a CUDA device (`supple.engines.base.Engine`), without streaming of clips."""
 
     gpu: CudaDevice
     lead: int = 0
 
     @property
     def name(self) -> str:
-        """The GPU's."""
+        """The name of the GPU."""
         return self.gpu.name
 
     def slack(self, tolerance: float) -> float:
@@ -43,13 +43,13 @@ class Cuda:
         return SLACK
 
     def check(self, work: Work) -> None:
-        """Raise SuppleError for types that kernels do not take."""
+        """Raise SuppleError for types that kernels do not support."""
         dtype = work.layout.dtype
         if dtype.kind == "f" and dtype.itemsize not in (2, 4, 8):
             refuse("source", "an array of bool, integers or floats of 16, 32 or 64 bits", f"dtype {dtype}")
 
     def taken(self, value: Any, name: str) -> Any:
-        """Return an array on a CUDA device, of whatever library, as `DeviceArray`; one of the host as NumPy's."""
+        """Return a CUDA array of any library as `DeviceArray`, and a host array as NumPy's."""
         return arrays.taken(value, name) if arrays.is_on_device(value) else NATIVE.taken(value, name)
 
     def result(self, out: Any, held: Any) -> Any:
@@ -91,13 +91,13 @@ class Cuda:
     def start(
         self, work: Work, held: arrays.DeviceArray, result: arrays.DeviceArray, *, slab: int | None, stream: Any
     ) -> Warping:
-        """Hand a warp over to a stream, and go on at once."""
+        """Start a warp on a stream, and return at once."""
         from supple.engines.cuda import job
 
         return job.start(job.Job(work, held, result), slab=slab, stream=stream)
 
     def stream(self, work: Work, window: Sequence[Any]) -> AbstractContextManager[Planes]:
-        """Raise SuppleError: it makes no clips."""
+        """Raise SuppleError: clips are not supported."""
         refuse("device", '"cpu", "gpu" or "auto" for clips', "cuda")
 
     def forward(self, space: Space, points: Any, *, matrices: bool = False) -> Any:

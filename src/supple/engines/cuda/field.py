@@ -19,11 +19,11 @@ from numba import cuda
 
 from supple.engines.cuda.kernel import device, kernel, lean
 
-# Of each axis of a domain: its faces, sigma, spacing and profile (0 for the quartic, 1 for the sine).
+# For each axis of a domain: its faces, sigma, spacing and profile (0 for the quartic, 1 for the sine).
 FIRST_FACE, LAST_FACE, SIGMA, SPACING, PROFILE, AXIS = 0, 1, 2, 3, 4, 5
 DOMAIN = 3 * AXIS
 Y_AXIS, Z_AXIS = AXIS, 2 * AXIS
-# Of a stroke: its pivot, its force, how many terms it has, radius², p, q and r of each, and its reach: R² and 1 / R².
+# For a stroke: pivot, force, number of terms, radius², p, q and r of each term, and reach: R² and 1 / R².
 PIVOT, FORCE, TERMS, TERM, REACH2, NEARNESS, STROKE = 0, 3, 6, 7, 19, 20, 21
 UNLIMITED = 1e300  # R² of a stroke without a reach: larger than any square of a distance
 
@@ -33,7 +33,7 @@ Floats = npt.NDArray[np.float64]
 
 
 def packed(tables: Sequence[npt.NDArray[np.void]], domains: Sequence[Floats]) -> tuple[Floats, npt.NDArray[np.int32]]:
-    """Return deformations as kernels take them: their numbers, and where the strokes of each begin and end.
+    """Return deformations in the layout of the kernels: their numbers, and the range of strokes of each.
 
     Parameters
     ----------
@@ -76,7 +76,7 @@ def sine(x):
 
 @lean
 def edge(x, first, last, sigma, profile):
-    """β and β' of a coordinate, the nearest one in the domain, and 1 where that is the coordinate itself."""
+    """Return β and β' of a coordinate, its nearest coordinate in the domain, and 1 if the two are equal."""
     if sigma < 0.0:
         return 1.0, 0.0, x, 1.0
     if sigma == 0.0:
@@ -92,7 +92,7 @@ def edge(x, first, last, sigma, profile):
 
 @lean
 def term(r2, e, p, q, r):
-    """A, B, 2A' and 2B' of a term of a stroke, at the square of the distance to the pivot."""
+    """Return A, B, 2A' and 2B' of a term of a stroke, for the squared distance to the pivot."""
     v2 = 1.0 / (r2 + e)
     v = math.sqrt(v2)
     v3 = v * v2
@@ -101,7 +101,7 @@ def term(r2, e, p, q, r):
 
 @lean
 def limited(r2, nearness, a, b, da, db):
-    """A, B, 2A' and 2B' times m(t), t = |r| / R: m = (1-t)³ (1 + 3t + 6t²), dm/ds = -15 t (1-t)² / R²."""
+    """Return A, B, 2A' and 2B' times m(t), t = |r| / R: m = (1-t)³ (1 + 3t + 6t²), dm/ds = -15 t (1-t)² / R²."""
     t = math.sqrt(r2 * nearness)
     u = 1.0 - t
     m = u * u * u * (1.0 + t * (3.0 + 6.0 * t))
@@ -111,14 +111,14 @@ def limited(r2, nearness, a, b, da, db):
 
 @lean
 def displacement(dx, dy, dz, fx, fy, fz, a, b):
-    """K = A f + B (r·f) r."""
+    """Return K = A f + B (r·f) r."""
     g = b * (dx * fx + dy * fy + dz * fz)
     return a * fx + g * dx, a * fy + g * dy, a * fz + g * dz
 
 
 @lean
 def gradient(dx, dy, dz, fx, fy, fz, b, da, db):
-    """J, row by row: of row i, (2A' f_i + 2B' (r·f) r_i) rᵀ + B r_i fᵀ + B (r·f) e_iᵀ."""
+    """Return J, row by row: of row i, (2A' f_i + 2B' (r·f) r_i) rᵀ + B r_i fᵀ + B (r·f) e_iᵀ."""
     rf = dx * fx + dy * fy + dz * fz
     g, h = b * rf, db * rf
     cx, cy, cz = da * fx + h * dx, da * fy + h * dy, da * fz + h * dz
@@ -138,7 +138,7 @@ def gradient(dx, dy, dz, fx, fy, fz, b, da, db):
 
 @lean
 def product(a, b, c, d, e, f, g, h, k, p, q, r, s, t, u, v, w, x):
-    """The product of two matrices, row by row."""
+    """Return the product of two matrices, row by row."""
     return (
         a * p + b * s + c * v,
         a * q + b * t + c * w,
@@ -154,7 +154,7 @@ def product(a, b, c, d, e, f, g, h, k, p, q, r, s, t, u, v, w, x):
 
 @lean
 def inverted(a, b, c, d, e, f, g, h, k):
-    """The inverse of a matrix, row by row."""
+    """Return the inverse of a matrix, row by row."""
     ca, cb, cc = e * k - f * h, f * g - d * k, d * h - e * g
     t = 1.0 / (a * ca + b * cb + c * cc)
     return (
@@ -172,7 +172,7 @@ def inverted(a, b, c, d, e, f, g, h, k):
 
 @device
 def profiles(known, s, r2):
-    """A, B, 2A' and 2B' of a stroke, summed over its terms, within its reach."""
+    """Return A, B, 2A' and 2B' of a stroke, summed over its terms, within its reach."""
     a, b, da, db = 0.0, 0.0, 0.0, 0.0
     for m in range(int(known[s + TERMS])):
         t = s + TERM + 4 * m
@@ -188,7 +188,7 @@ def profiles(known, s, r2):
 
 @device
 def edges(known, at, x, y, z):
-    """`edge` of each coordinate, in the domain at ``at``."""
+    """Return `edge` of each coordinate, in the domain at ``at``."""
     i, j, k = at, at + Y_AXIS, at + Z_AXIS
     bx, slope_x, nx, ox = edge(x, known[i + FIRST_FACE], known[i + LAST_FACE], known[i + SIGMA], known[i + PROFILE])
     by, slope_y, ny, oy = edge(y, known[j + FIRST_FACE], known[j + LAST_FACE], known[j + SIGMA], known[j + PROFILE])
@@ -198,7 +198,7 @@ def edges(known, at, x, y, z):
 
 @device
 def moved(known, at, first, last, x, y, z):
-    """T of a point, by the strokes whose numbers are from ``first`` to ``last``, in the domain at ``at``."""
+    """Return T of a point, by strokes ``first`` to ``last``, in the domain at ``at``."""
     for s in range(first, last, STROKE):
         bx, by, bz, _, _, _, nx, ny, nz, _, _, _ = edges(known, at, x, y, z)
         dx, dy, dz = nx - known[s], ny - known[s + 1], nz - known[s + 2]
@@ -214,7 +214,7 @@ def moved(known, at, first, last, x, y, z):
 
 @device
 def carried(known, at, s, x, y, z):
-    """T of one stroke at a point, and its Jacobian, row by row."""
+    """Return T of one stroke at a point, and its Jacobian, row by row."""
     bx, by, bz, slope_x, slope_y, slope_z, nx, ny, nz, ox, oy, oz = edges(known, at, x, y, z)
     dx, dy, dz = nx - known[s], ny - known[s + 1], nz - known[s + 2]
     r2 = dx * dx + dy * dy + dz * dz
@@ -242,7 +242,7 @@ def carried(known, at, s, x, y, z):
 
 @device
 def moved_with_matrix(known, at, first, last, x, y, z):
-    """T of a point, and its Jacobian, row by row: twelve numbers."""
+    """Return T of a point, and its Jacobian, row by row: twelve numbers."""
     a, b, c, d, e, f, g, h, k = 1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0
     for s in range(first, last, STROKE):
         x, y, z, p, q, r, t, u, v, w, m, n = carried(known, at, s, x, y, z)
@@ -252,7 +252,7 @@ def moved_with_matrix(known, at, first, last, x, y, z):
 
 @device
 def still(known, first, last, x0, y0, x1, y1, z):
-    """1 if a rectangle of a plane lies outside the balls of all strokes: there, T is the identity, exactly."""
+    """Return 1 if a rectangle of a plane lies outside the balls of all strokes: there, T is exactly the identity."""
     for s in range(first, last, STROKE):
         dx = min(max(known[s], x0), x1) - known[s]
         dy = min(max(known[s + 1], y0), y1) - known[s + 1]
@@ -264,7 +264,7 @@ def still(known, first, last, x0, y0, x1, y1, z):
 
 @kernel
 def forward(known, spans, ndim, points, moved_points, matrices):
-    """T of points (N * ndim numbers, in pixels), and ∂T/∂p (N * ndim² numbers), unless there is no room for it."""
+    """Compute T of points (N * ndim numbers, in pixels), and ∂T/∂p (N * ndim² numbers), unless its array is empty."""
     i = cuda.grid(1)
     o = i * ndim
     if o >= points.size:

@@ -1,8 +1,8 @@
-"""Every pixel of some planes: its source point, from the lattice or solved, and its colour there.
+"""The kernels that fill planes: source points, from the lattice or solved, and colours.
 
-A thread of `fill` makes a column of pixels through a cell: what the corners say is worked out once for it, and ∂p/∂q is
-the cell's own derivative. Cells that are not good enough are left to `rough`, whose threads solve each of their pixels.
-Pixels that no stroke reaches are copied, bit for bit.
+A thread of `fill` computes a column of pixels of a cell: the terms of the corners are evaluated once for it, and ∂p/∂q
+is the cell's own derivative. In rough cells, threads of `rough` solve each pixel. Unchanged pixels are copied, bit for
+bit.
 """
 
 from __future__ import annotations
@@ -38,22 +38,22 @@ from supple.engines.cuda.lattice import (
 from supple.engines.cuda.newton import settle
 from supple.engines.cuda.sample import Way
 
-# Of the planes that are made: their size, how many there are, which is the first, how many deformations there are, and
-# whether all have the same lattice, being pictures of one.
+# The planes: their size, number and first index, the number of deformations, and a flag for images that share one
+# lattice.
 PLANES = ("height", "width", "count", "first", "deformations", "shared")
 HEIGHT, WIDTH, COUNT, FIRST, DEFORMATIONS, SHARED = range(len(PLANES))
-# Where they go: strides, and the first sample, in samples.
+# The destination: strides, and the index of the first sample, in samples.
 TARGET = ("plane", "row", "column", "channel", "start")
 PLANE, ROW, COLUMN, CHANNEL, START = range(len(TARGET))
 
-PIXELS = 64  # threads of a cell that is solved
+PIXELS = 64  # threads of a rough cell
 _f4 = np.float32
 ZERO, ONE = _f4(0.0), _f4(1.0)
 
 
 @functools.cache
 def kernels(way: Way) -> tuple[Any, Any]:
-    """The kernels for cells that are good enough, and for those that are not."""
+    """Return the kernels for good cells and for rough ones."""
     paint, keep, index, limited = colour(way), keeper(way), way.index, way.limited
     deep = way.between != NOTHING or way.filter in (MAP, OFFSETS)  # whether planes are of a stack
     wide, average = way.filter == AUTO, way.average
@@ -84,7 +84,7 @@ def kernels(way: Way) -> tuple[Any, Any]:
             z0, z1, z2, z3 = column(nodes, upper, lower, 2, h, v, w, g, r)
         p0, p1, p2, p3, q0, q1, q2, q3 = ZERO, ZERO, ZERO, ZERO, ZERO, ZERO, ZERO, ZERO
         r0, r1, r2, r3 = ZERO, ZERO, ZERO, ZERO
-        if wide or average:  # the derivatives by x
+        if wide or average:  # the derivatives with respect to x
             v, w, g, r = hermite_slopes(s)
             v, w = v / h, w / h
             if wide:

@@ -1,4 +1,4 @@
-"""Averages over the residual footprint of a pixel: what a sample of the source has not averaged already.
+"""Averages over the residual footprint of a pixel: its footprint, less that of a source sample.
 
 With M = ∂p/∂q, an output pixel covers an ellipse whose axes are the singular values of M. A sample of the source is an
 average over one pixel already, so that boxes of the widths √(λ - 1) are left, where λ are the eigenvalues of S = M Mᵀ.
@@ -18,12 +18,12 @@ import numpy as np
 from supple.engines.cuda.kernel import device, lean
 from supple.engines.cuda.sample import CONSTANT, HEIGHT, WIDTH, Way, keys, mapper
 
-SOFT, FULL = 0.05, 0.2  # λ₊ - 1 up to which a pixel is a point, and from which its footprint is not softened
-SPACING = 1.7  # between spots, at most
+SOFT, FULL = 0.05, 0.2  # λ₊ - 1 up to which a pixel is a point, and from which its footprint is exact
+SPACING = 1.7  # the largest distance of spots
 MOST_SPOTS = 16
-THICKEST, WIDEST = 3.0, 2.99  # squared widths of a spot, along the major axis and across it, at most
+THICKEST, WIDEST = 3.0, 2.99  # the largest squared widths of a spot, along the major axis and across it
 FINEST_LEVEL = 4.0  # λ₋ from which a level of the pyramid is too fine
-LONGEST = 400.0  # λ₊ of a spot's level, at most, as MOST_SPOTS allow
+LONGEST = 400.0  # the largest λ₊ of a spot's level, for MOST_SPOTS
 LEVELS = 12
 FINEST_SIDE = 16
 
@@ -33,12 +33,12 @@ _SOFT, _RAMP, _SPACING = _f4(SOFT), _f4(FULL / (FULL - SOFT)), _f4(SPACING)
 _THICKEST, _WIDEST = _f4(THICKEST), _f4(WIDEST)
 _COARSE, _LONGEST, _TWELFTH, _MOST_SIGMA = _f4(FINEST_LEVEL), _f4(LONGEST), _f4(1.0 / 12.0), _f4(0.4999)
 _QUARTER, _FOUR = _f4(0.25), _f4(4.0)
-_FADE, _RISE = _f4(0.75), _f4(3.2)  # of the next spot, and of the next level
+_FADE, _RISE = _f4(0.75), _f4(3.2)  # the range of blending with the next spot and the next level
 
 
 @lean
 def footprint(xx, xy, yx, yy):
-    """λ₊ and λ₋, softened and 1 at least, and the direction of the major axis, of ∂p/∂q in the plane."""
+    """Return λ₊ and λ₋, softened and at least 1, and the direction of the major axis, of ∂p/∂q in the plane."""
     a, b, c = xx * xx + xy * xy, xx * yx + xy * yy, yx * yx + yy * yy
     mean, e = HALF * (a + c), HALF * (a - c)
     d = math.sqrt(e * e + b * b)
@@ -47,7 +47,7 @@ def footprint(xx, xy, yx, yy):
     if extra <= _SOFT:
         return ONE, ONE, ONE, ZERO
     soft = min(_RAMP * (extra - _SOFT) / extra, ONE)
-    # The double of the axis's angle has the cosine e / d and the sine b / d.
+    # The doubled angle of the axis has the cosine e / d and the sine b / d.
     cos2, sin2 = (e / d, b / d) if d > ZERO else (ONE, ZERO)
     if cos2 >= ZERO:
         ax = math.sqrt(HALF * (ONE + cos2))
@@ -60,16 +60,16 @@ def footprint(xx, xy, yx, yy):
 
 @lean
 def smoothstep(t):
-    """From 0 to 1, for t from 0 to 1; 0 and 1 beyond."""
+    """Return a smooth step from 0 to 1, for t from 0 to 1; 0 and 1 beyond."""
     t = min(max(t, ZERO), ONE)
     return t * t * (THREE - TWO * t)
 
 
 @lean
 def finest_level(major, minor, side):
-    """The level of the pyramid that a footprint needs, and how much of the next one is mixed in.
+    """Return the pyramid level for a footprint, and the weight of the next one.
 
-    The coarsest level of a picture, which is ``side`` samples long, is one sample.
+    The coarsest level of an image, ``side`` samples long, is one sample.
     """
     want, level = max(minor, major / _LONGEST), 0
     while want >= _COARSE and (1 << level) < side and level < LEVELS:
@@ -81,7 +81,7 @@ def finest_level(major, minor, side):
 
 @lean
 def spots_along(major):
-    """How long a footprint is in its level, how many spots that takes, and how much of one more is mixed in."""
+    """Return the length of a footprint in its level, its number of spots, and the weight of one more."""
     long = math.sqrt(max(major - ONE, ZERO))
     v = min(long / _SPACING, _f4(MOST_SPOTS))
     count = min(int(v) + 1, MOST_SPOTS)
@@ -91,7 +91,7 @@ def spots_along(major):
 
 @lean
 def spot_moments(long, count, minor, ax, ay):
-    """σx, σy and their correlation, of each of so many spots along an axis."""
+    """Return σx, σy and their correlation for each of ``count`` spots along an axis."""
     along = min(long * long / _f4(count * count), _THICKEST)
     wide = min(max(minor - ONE, ZERO), _WIDEST)
     sx = min(math.sqrt(max(_TWELFTH * (along * ax * ax + wide * ay * ay), ZERO)), _MOST_SIGMA)
@@ -102,36 +102,36 @@ def spot_moments(long, count, minor, ax, ay):
 
 @lean
 def even(t, sigma):
-    """Half the sum of the weights of a sample at the points ``sigma`` before and after one at a distance ``t``."""
+    """Return half the sum of a sample's weights at the points ``sigma`` before and after one at a distance ``t``."""
     return HALF * (keys(t + sigma) + keys(t - sigma))
 
 
 @lean
 def odd(t, sigma):
-    """Half their difference."""
+    """Return half the difference of these weights."""
     return HALF * (keys(t - sigma) - keys(t + sigma))
 
 
 def averaged_at(way: Way, read: Callable[..., Any]) -> Callable[..., Any]:
-    """Return the device function that averages a frame over a footprint that is no point."""
+    """Return the device function that averages a frame over a footprint larger than a point."""
     mapped, number, index = mapper(way), way.number, way.index
     constant, one = way.rule == CONSTANT, index(1)
 
     @device
     def sides(n, level):
-        """How many samples a row of a level has, whose finest has ``n``."""
+        """Return the number of samples in a row of a level, whose finest has ``n``."""
         return index((n + (1 << level) - 1) >> level)
 
     @device
     def member(i, k, level, n):
-        """The k-th of the samples in a row that a sample of a level averages; an odd row's last one stands for two."""
+        """Return the k-th sample in a row averaged by a sample of a level; an odd row's last one counts twice."""
         for finer in range(level - 1, -1, -1):
             i = min(index(2 * i + ((k >> finer) & 1)), index(sides(n, finer) - one))
         return i
 
     @device
     def pixel(samples, fills, source, how, limits, start, j, i, level, c):
-        """A sample of a level of the pyramid, at places that `mapper` made."""
+        """Return a sample of a level of the pyramid, at indices from `mapper`."""
         if level == 0 or (constant and (start < 0 or i < 0 or j < 0)):
             return read(samples, fills, source, how, limits, start, j, i, c)
         side = 1 << level
@@ -146,7 +146,7 @@ def averaged_at(way: Way, read: Callable[..., Any]) -> Callable[..., Any]:
 
     @device
     def spot(samples, fills, source, how, limits, start, i, j, u, v, level, sx, sy, correlation, c):
-        """The mean of the cubic interpolant at four points around (i + u, j + v) in a level.
+        """Return the mean of the cubic interpolant at four points around (i + u, j + v) in a level.
 
         With even and odd parts of the weights along each axis, it is even(x) even(y) + ρ odd(x) odd(y).
         """
@@ -179,7 +179,7 @@ def averaged_at(way: Way, read: Callable[..., Any]) -> Callable[..., Any]:
             of_level = ONE - coarser if level == finest else coarser
             unit = _f4(1 << level)
             long, least, more = spots_along(major / (unit * unit))
-            # Whole parts and the rest are kept apart: float32 does not hold both of a large picture.
+            # Whole and fractional parts are kept apart: float32 does not hold their sum for a large image.
             i0, j0 = i >> level, j >> level
             u0, v0 = (_f4(i - (i0 << level)) + u + HALF) / unit, (_f4(j - (j0 << level)) + v + HALF) / unit
             for count in range(least, least + (2 if more > ZERO else 1)):

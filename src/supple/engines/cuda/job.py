@@ -1,4 +1,4 @@
-"""Warps of arrays that live on a GPU: at once, or handed over to be waited for."""
+"""Warps of GPU arrays, synchronous and asynchronous."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from supple.engines.workers import note
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Job:
-    """A warp that is checked, and not yet handed over.
+    """A warp that is checked, and not yet started.
 
     Parameters
     ----------
@@ -45,13 +45,13 @@ class Job:
 
     @property
     def batch(self) -> bool:
-        """Return whether the first axis counts items."""
+        """True if the first axis counts items."""
         return self.work.items is not None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Round:
-    """The work of one call of the kernels: a stack, or pictures."""
+    """The work of one call of the kernels: a stack, or several images."""
 
     lattice: Lattice
     source: Frames
@@ -61,10 +61,10 @@ class _Round:
 
 
 def hand_over(job: Job, stream: Any, slab: int | None = None, *, waited: bool = False) -> Pieces:
-    """Hand all of it over to a stream, without waiting; what is told of it is there when that is done.
+    """Launch all kernels on a stream, without waiting; the certificate is available when they are done.
 
-    ``slab`` is how many planes are handed over at once, so that what else the GPU has to do comes in between;
-    ``waited`` says that this thread waits for it next, on the stream of the source's library.
+    ``slab`` is the number of planes in one launch, so that kernels of other streams can run in between; ``waited`` is
+    true if this thread waits next, on the stream of the source's library.
     """
     gpu, space, sampling = job.source.gpu, job.work.space, job.work.sampling
     with gpu.current():
@@ -103,7 +103,7 @@ def _rounds(job: Job) -> list[_Round]:
 
 
 def _frames(job: Job, array: DeviceArray, flat: Any, item: int | None = None) -> Frames:
-    """Return an array as frames: an item of a batch, or all pictures of one."""
+    """Return an array as frames: an item of a batch, or all images of one."""
     space = job.work.space
     strides, start = list(array.strides), array.below
     count = space.count
@@ -124,14 +124,14 @@ _lock = threading.Lock()
 
 
 class Warping:
-    """A warp that goes on on a GPU while others work: what `start` returns.
+    """An asynchronous warp on a GPU, returned by `start`.
 
     Attributes
     ----------
     array : array
-        The result, of the source's library; whole once the warp is done.
+        The result, of the source's library; complete when the warp is done.
     stream : numba.cuda stream
-        The one that it goes on on.
+        The stream of the warp.
     """
 
     def __init__(self, job: Job, stream: Any, pieces: Pieces, event: Any) -> None:
@@ -141,16 +141,16 @@ class Warping:
         self._certificate: Certificate | None = None
 
     def done(self) -> bool:
-        """Return whether it is whole; it does not wait."""
+        """Return whether the warp is done, without waiting."""
         return bool(simulated() or self._event.query())
 
     def wait(self) -> Any:
-        """Wait for it; return the result.
+        """Wait for the warp; return the result.
 
         Warns
         -----
         ToleranceWarning
-            If the map may be less exact than was asked.
+            If the map may be less accurate than the tolerance.
         """
         if self._certificate is None:
             with self._job.source.gpu.current():
@@ -162,7 +162,7 @@ class Warping:
         return self.array
 
     def join(self, stream: Any = None) -> None:
-        """Have a stream wait for it, and not this thread: by default, that which the source's library works on now."""
+        """Make a stream, by default the current one of the source's library, wait for the warp."""
         source = self._job.source
         with source.gpu.current():
             if stream is None:
@@ -175,14 +175,14 @@ class Warping:
 
     @property
     def error(self) -> float:
-        """How far a source point may be off, in pixels, as far as the checks see; it waits."""
+        """Return a bound on the error of source points by the checks, in pixels; it waits."""
         self.wait()
         assert self._certificate is not None
         return self._certificate.error
 
 
 def start(job: Job, *, slab: int | None, stream: Any = None) -> Warping:
-    """Hand a warp over to a stream, by default one of its own; it begins when what was handed over before is done."""
+    """Start a warp on a stream, by default one of its own; it begins after earlier work of the source's stream."""
     from numba import cuda
 
     if job.source.span == 0:
@@ -207,17 +207,17 @@ def start(job: Job, *, slab: int | None, stream: Any = None) -> Warping:
 
 
 def _over(event: Any) -> bool:
-    """Return whether nothing is going on any more: it is done, or its GPU has failed."""
+    """Return whether work has ended: it is done, or its GPU has failed."""
     if simulated():
         return True
     try:
         return bool(event.query())
-    except Exception:  # that is told to whoever waits for it
+    except Exception:  # reported when the warp is waited for
         return True
 
 
 def _order(job: Job, stream: Any) -> None:
-    """Have what comes on a stream wait for what is going on on that of a result of another library."""
+    """Make a stream wait for the work on the stream of a result of another library."""
     from numba import cuda
 
     if job.out.kind != job.source.kind:
@@ -227,8 +227,8 @@ def _order(job: Job, stream: Any) -> None:
 
 
 def finish(job: Job) -> Certificate:
-    """Warp on the stream that the source's library works on, and wait for it."""
-    if job.source.span == 0:  # a batch of nothing
+    """Warp on the current stream of the source's library, and wait for it."""
+    if job.source.span == 0:  # an empty batch
         return Certificate(0.0, 0.0)
     gpu = job.source.gpu
     with gpu.current():

@@ -1,4 +1,4 @@
-"""How kernels for NVIDIA GPUs are compiled and launched, and how many threads take what."""
+"""Compilation and launch of kernels for NVIDIA GPUs."""
 
 from __future__ import annotations
 
@@ -10,42 +10,42 @@ from numba import cuda, njit
 from numba.cuda.core import config
 
 THREADS = 128  # of a block
-# Inputs are checked to be finite outside the kernels, so that these may assume it.
+# Inputs are checked to be finite outside the kernels, which may assume it.
 FAST = {"nnan", "ninf", "nsz", "arcp", "contract", "reassoc"}
 _lock = threading.Lock()
 
 
 def lean(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Compile plain arithmetic, which reads no array, as a part of kernels; in Numba's simulator it runs compiled."""
+    """Compile arithmetic without arrays as a device function; in Numba's simulator it is compiled for the CPU."""
     options: dict[str, Any] = {"nogil": True, "fastmath": FAST, "forceinline": True, "_nrt": False}
     made: Callable[..., Any] = njit(error_model="numpy", **options)(function)
     return made
 
 
 def device(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Compile as a part of kernels what reads arrays."""
+    """Compile a device function that reads arrays."""
     made: Callable[..., Any] = cuda.jit(function, device=True)
     return made
 
 
 def kernel(function: Callable[..., Any]) -> Any:
-    """Compile for a GPU, when it is first called with arguments of some types, and keep that on disk."""
+    """Compile a kernel at its first call for each set of types, with a cache on disk."""
     try:
         return cuda.jit(function, cache=True)
-    except RuntimeError:  # nothing can be written: compile at every start
+    except RuntimeError:  # the cache is not writable: compile at every start
         return cuda.jit(function)
 
 
 def made_kernel(function: Callable[..., Any]) -> Any:
-    """Compile a function that other functions are put into, which Numba does not find again on disk."""
+    """Compile a kernel made of other functions, which Numba's cache does not support."""
     return cuda.jit(function)
 
 
 def launched(kernel: Any, blocks: int | tuple[int, ...], threads: int, stream: Any) -> Any:
-    """A kernel on a grid of blocks and on a stream, to be called with its arguments."""
+    """Return a kernel with its grid of blocks and its stream, to be called with its arguments."""
     with _lock:
         kept = config.CUDA_LOW_OCCUPANCY_WARNINGS
-        config.CUDA_LOW_OCCUPANCY_WARNINGS = 0  # small arrays are no fault of whoever has them
+        config.CUDA_LOW_OCCUPANCY_WARNINGS = 0  # a small array is not worth a warning
         try:
             return kernel[blocks, threads, stream]
         finally:
@@ -53,5 +53,5 @@ def launched(kernel: Any, blocks: int | tuple[int, ...], threads: int, stream: A
 
 
 def blocks(items: int) -> int:
-    """How many blocks of THREADS so many items take."""
+    """Return the number of blocks of THREADS for some items."""
     return max(1, -(-items // THREADS))

@@ -1,8 +1,8 @@
-"""Arrays of the host, warped on a GPU that need not hold them: slab by slab, through a ring of frames.
+"""Host arrays, warped on a GPU in slabs, through a ring of frames: they need not fit its memory.
 
-A slab is some planes of the result. The frames that it may need, as the nodes of its lattice tell, are sent into the
-ring, where they replace those that no slab needs any more; while its kernels run, the slab before is brought back, and
-the frames of the next one follow. A slab that asked for frames that were not there is made again, with more of them.
+A slab is a range of planes of the result. The frames that it may need, by the nodes of its lattice, are sent into the
+ring, in place of frames that are no longer needed; while its kernels run, the slab before is copied back, and the
+frames of the next one follow. A slab that lacked frames is computed again, with more of them.
 """
 
 from __future__ import annotations
@@ -42,35 +42,35 @@ Array = npt.NDArray[Any]
 Range = tuple[int, int]
 
 SLAB = 64 << 20  # bytes of a slab's planes, about
-SLABS = 8  # of a small array: while one is copied, another is made
-ROOM = 0.8  # of the memory that is free
+SLABS = 8  # the least number for a small array: while one is copied, another is computed
+ROOM = 0.8  # the fraction of free memory to use
 
-_working = threading.RLock()  # what is free is found, and taken, by one at a time
+_working = threading.RLock()  # one thread at a time measures and takes free memory
 
 
 def warp_host(gpu: CudaDevice, source: Array, target: Array, work: Work, *, room: int | None = None) -> Steps:
-    """Warp an image, or a stack of frames, that lies in the host's memory or is mapped to it.
+    """Warp an image, or a stack of frames, in host memory or mapped to it.
 
     Parameters
     ----------
     gpu : CudaDevice
-        Who does it.
+        The GPU.
     source, target : array, shape (frames, H, W, C)
-        Of bool, integers or floats of 16 to 64 bits, in any order of bytes, with any strides; not overlapping.
+        Of bool, integers or floats of 16 to 64 bits, in any byte order, with any strides; not overlapping.
     work : Work
-        What to do.
+        The deformation and the sampling options.
     room : int, optional
-        How many bytes of the GPU's memory may be taken; by default, most of what is free.
+        The bytes of GPU memory to use; by default, most of the free memory.
 
     Yields
     ------
     int, Certificate
-        How many planes are done, and the accuracy of the map of those that were done since the last time.
+        The number of finished planes, and the accuracy of the map of those finished since the last step.
 
     Raises
     ------
     MemoryError
-        If a plane, and the frames that it is made of, take more than there is room for.
+        If a plane, and the frames that it needs, exceed the memory.
     """
     moved = reached(work.space)
     for z in np.flatnonzero(~moved):
@@ -86,14 +86,14 @@ def warp_host(gpu: CudaDevice, source: Array, target: Array, work: Work, *, room
 
 
 def reached(space: Space) -> npt.NDArray[np.bool_]:
-    """Return for each plane whether it meets the ball of a stroke: the others are not moved at all."""
+    """Return the mask of the planes that intersect the ball of a stroke: the others are unchanged."""
     z = np.arange(space.count) * space.axes[2, 3]
     apart = np.abs(z[:, None] - space.table["pivot"][:, 2])
     return np.asarray((apart < space.table["reach"]).any(axis=1))
 
 
 def slabs_of(planes: npt.NDArray[np.bool_], most: int) -> Iterator[Range]:
-    """Yield the stretches of planes that are marked, from and to, no longer than ``most``."""
+    """Yield the ranges of marked planes, from and to, no longer than ``most``."""
     edges = np.flatnonzero(np.diff(planes, prepend=False, append=False))
     for first, last in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
         yield from itertools.pairwise([*range(first, last, most), last])
@@ -101,16 +101,16 @@ def slabs_of(planes: npt.NDArray[np.bool_], most: int) -> Iterator[Range]:
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """How a GPU's memory is shared out.
+    """The division of a GPU's memory.
 
     Parameters
     ----------
     planes : int
-        Of a slab.
+        The planes of a slab.
     slots : int
-        How many frames the ring holds.
+        The number of frames in the ring.
     turns : int
-        For how many slabs there is room: while one is brought back, the next is made.
+        The number of slabs in memory: while one is copied back, the next is computed.
     """
 
     planes: int
@@ -119,21 +119,21 @@ class Plan:
 
 
 def planned(count: int, frame: int, scratch: int, room: int) -> Plan:
-    """Share out the memory.
+    """Divide the memory.
 
     Parameters
     ----------
     count : int
-        How many frames there are.
+        The number of frames.
     frame, scratch : int
-        Bytes of a frame, and of what else a plane needs.
+        The bytes of a frame, and of the other data of a plane.
     room : int
-        Bytes.
+        The bytes available.
 
     Raises
     ------
     MemoryError
-        If there is not even room for one.
+        If there is no room for a single slab.
     """
     turns = 1 if count == 1 else 2
     each = turns * frame + scratch
@@ -150,7 +150,7 @@ def _said(size: int) -> str:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Slab:
-    """Planes that have been handed over: which, as which work, and what is recorded when they are made."""
+    """Planes in progress: their range, their number as work, and their event."""
 
     planes: Range
     number: int
@@ -159,7 +159,7 @@ class _Slab:
 
 @dataclass(slots=True, eq=False)
 class _Job:
-    """A warp, and what it has on the GPU."""
+    """A warp, and its resources on the GPU."""
 
     gpu: CudaDevice
     target: Array
@@ -177,7 +177,7 @@ class _Job:
     begun: int = 0
 
     def run(self, planes: npt.NDArray[np.bool_]) -> Iterator[tuple[int, Certificate]]:
-        """Make the planes that are marked; yield how many are done, and the accuracy of the last."""
+        """Compute the marked planes; yield the number of finished ones, and the accuracy of the last."""
         count = len(self.target)
         if count > 1:
             self.needs = needs_of(self.stream, self.lattice, self.pieces, count, self.sampling, self.colours.how)
@@ -196,7 +196,7 @@ class _Job:
             before = slab
 
     def _begin(self, todo: deque[Range]) -> _Slab:
-        """Hand the next planes over, no more than the ring has frames for."""
+        """Launch the next planes, as many as the ring has frames for."""
         first, last = todo.popleft()
         low, high = self._needed((first, last))
         while high - low > self.plan.slots:
@@ -226,7 +226,7 @@ class _Job:
         return self.needs.of(planes) if self.needs else (0, 1)
 
     def _finished(self, slab: _Slab) -> Certificate | None:
-        """Bring planes back, and return their accuracy; None if frames were missing."""
+        """Copy planes back, and return their accuracy; None if frames were missing."""
         slab.made.synchronize()
         self.ring.forget(slab.number)
         turn = slab.number % self.plan.turns
@@ -246,7 +246,7 @@ class _Job:
 
 @contextlib.contextmanager
 def _opened(gpu: CudaDevice, source: Array, target: Array, work: Work, room: int) -> Iterator[_Job]:
-    """The resources of a warp on the GPU; all work has ended when it is left."""
+    """Open the resources of a warp on the GPU; all work has ended on exit."""
     from numba import cuda
 
     count, height, width, channels = source.shape
@@ -267,6 +267,6 @@ def _opened(gpu: CudaDevice, source: Array, target: Array, work: Work, room: int
         ring = Ring(source, frames, plan.slots, up)
         yield _Job(gpu, target, work.sampling, plan, lattice, colours, pieces_, ring, slabs, down, streams[-1], told)
     finally:
-        for stream in streams:  # until then, copies write to what is about to be given back
+        for stream in streams:  # until then, copies write to memory that is about to be freed
             with contextlib.suppress(*failures()):
                 stream.synchronize()

@@ -1,15 +1,15 @@
 """T⁻¹ on planes: solved at the nodes of a lattice, filled in between, and certified.
 
 At a node, Newton's method gives the displacement u = T⁻¹(q) - q and, exactly, its derivatives ∂u/∂q = (I+J)⁻¹ - I.
-A cell between four nodes is filled by bicubic Hermite interpolation of values, slopes and twists. It is checked: T of
-nine of its points is compared with where they should be, and the residual, times ∂p/∂q, is the distance to T⁻¹(q).
+A cell between four nodes is filled by bicubic Hermite interpolation of values, slopes and twists. It is checked at nine
+points: T of each is compared with its target, and the residual, times ∂p/∂q, is the distance to T⁻¹(q).
 
-A thread solves a node from nothing, in float64; GPUs have so many threads that the cells can be small, and those that
-are not good enough, in which each pixel is solved by itself, are few. Cells are filled in float32: displacements are
-offsets from a whole pixel.
+A thread solves a node from scratch, in float64; GPUs have so many threads that cells can be small, and rough ones, in
+which each pixel is solved by itself, are few. Cells are filled in float32: displacements are offsets from a whole
+pixel.
 
 A node is NODE numbers of float32, in pixels: u, the columns of ∂u/∂q, the twist ∂²u/∂x∂y, and its own error, which is
-ROUGH where the map varies over less than cells can follow. A cell's error is STILL where no stroke reaches it.
+ROUGH where the map varies too fast for the cells. A cell's error is STILL if it is unchanged.
 """
 
 from __future__ import annotations
@@ -48,15 +48,15 @@ SIZE = 8  # pixels from node to node
 TOLERANCE, LEFT = 1e-3, 1e-5
 # The largest error of a cell is nearly that of the worst of its nine points; the rest is reserve.
 RESERVE = 2.0
-# A cell may be as large as this part of the length on which the map varies at its corners: beyond, nine points say
-# little about what lies between them.
+# The largest size of a cell, as a fraction of the length scale of the map at its corners: in larger cells, nine points
+# do not represent the points between them.
 RESOLVED = 0.5
 # m(|r|/R) varies over this part of R, as by its largest fourth derivative, compared with that of 1/ρ.
 REACH_LENGTH = 0.4
 U, X, Y, Z, TWIST, ERROR, NODE = 0, 3, 6, 9, 12, 15, 16
 ROUGH, STILL = 1e30, -1.0
-WORST = 0  # of the numbers that are told of a warp
-# Of its counts: rough cells, points that could not be solved, and samples that were not there; then, those cells.
+WORST = 0  # the index of the largest error in the results of a warp
+# Indices of its counts: rough cells, unsolved points, and missing samples; then the list of rough cells.
 CELLS, LOST, MISSING, LIST = 0, 1, 2, 4
 
 _f4, _u = np.float32, np.uintp
@@ -68,7 +68,7 @@ ZERO, ONE, TWO, THREE = _f4(0.0), _f4(1.0), _f4(2.0), _f4(3.0)
 
 
 def positions(n: int, axis: npt.NDArray[np.float64], size: int = SIZE) -> npt.NDArray[np.int32]:
-    """Return where the lattice has its nodes along an axis of ``n`` samples, no more than ``size`` apart.
+    """Return the positions of nodes along an axis of ``n`` samples, at most ``size`` apart.
 
     Parameters
     ----------
@@ -76,9 +76,9 @@ def positions(n: int, axis: npt.NDArray[np.float64], size: int = SIZE) -> npt.ND
     axis : float64 array
         The row of the packed domain.
     """
-    if n == 1:  # one sample alone still gets a cell, which reaches beyond the plane
+    if n == 1:  # a single sample gets a cell, too, which extends beyond the plane
         return np.array([0, 1], np.int32)
-    # The border's influence has a kink where it ends. Few cells lie across it if they end there too.
+    # The border's factor has a kink at its end. A node there keeps cells from crossing it.
     first, last, sigma, spacing = axis[[FIRST_FACE, LAST_FACE, SIGMA, SPACING]]
     kinks = [round(k / spacing) for k in (first + sigma, last - sigma)] if sigma > 0 else []
     ends = sorted({0, *(k for k in kinks if 0 < k < n - 1), n - 1})
@@ -87,7 +87,7 @@ def positions(n: int, axis: npt.NDArray[np.float64], size: int = SIZE) -> npt.ND
 
 @lean
 def slope_weights(x0, x1, x2, x):
-    """The weights of three values in the derivative at x of the parabola through them, or of the line through two."""
+    """Return the weights of three values in the derivative at x of their parabola, or of the line through two."""
     if x2 == x1:
         w = 1.0 / (x1 - x0)
         return -w, w, 0.0
@@ -97,30 +97,30 @@ def slope_weights(x0, x1, x2, x):
 
 @lean
 def norm_of(a, b, c, d, e, f, g, h, k):
-    """Frobenius's."""
+    """Return Frobenius's norm."""
     return math.sqrt(a * a + b * b + c * c + d * d + e * e + f * f + g * g + h * h + k * k)
 
 
 @lean
 def in_pixels(a, b, c, d, e, f, g, h, k, sx, sy, sz):
-    """A matrix of physical units as one of pixels."""
+    """Convert a matrix from physical units to pixels."""
     return a, b * sy / sx, c * sz / sx, d * sx / sy, e, f * sz / sy, g * sx / sz, h * sy / sz, k
 
 
 @lean
 def fade_length(x, first, last, sigma, profile, u, v):
-    """The length over which a fixed border varies at a coordinate, whose derivatives by q are u and v."""
-    # The quartic's fourth derivative is four times the sine's; the kinks of both, no length resolves.
+    """Return the length scale of a fixed border at a coordinate, whose derivatives with respect to q are u and v."""
+    # The quartic's fourth derivative is four times the sine's; no length scale resolves the kinks of either.
     far = (2.0 if profile > 0.0 else 1.4) * max(sigma, min(x - first, last - x))
     return far / max(max(abs(u), abs(v)), 1e-12) if sigma > 0.0 else 1e300
 
 
 @device
 def smoothness(known, at, first, last, x, y, z, a, b, d, e, g, h):
-    """How far, in output pixels, the map stays as smooth as it is at a point, of which the columns of ∂p/∂q are known.
+    """Return the length scale of the map at a point, in output pixels, from the columns of ∂p/∂q.
 
     A stroke varies over ρ, its reach over a part of R within its ball, and its border, along each axis by itself, over
-    σ or the distance to it: all are seen through the derivative of the stroke's input by q.
+    σ or the distance to it: all are scaled by the derivative of the stroke's input with respect to q.
     """
     m00, m01, m02, m10, m11, m12, m20, m21, m22 = 1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0
     j, k = at + Y_AXIS, at + Z_AXIS
@@ -161,7 +161,7 @@ def smoothness(known, at, first, last, x, y, z, a, b, d, e, g, h):
 
 @device
 def deformation_of(spans, deformations, plane):
-    """Where the numbers of a plane's deformation are: its domain, its first stroke, and the end of its strokes."""
+    """Return the offsets of a plane's deformation: its domain, its first stroke, and the end of its strokes."""
     which = plane if deformations > 1 else 0
     start = DOMAIN * deformations
     return DOMAIN * which, start + STROKE * spans[which], start + STROKE * spans[which + 1]
@@ -169,15 +169,15 @@ def deformation_of(spans, deformations, plane):
 
 @device
 def depth_of(known, at, plane):
-    """The coordinate z of a plane, in samples: 0 of an image, across which nothing moves."""
+    """Return the coordinate z of a plane, in samples: 0 for an image, which has no displacement along z."""
     return 0.0 if known[at + Z_AXIS + SIGMA] == 0.0 else float(plane)
 
 
 @kernel
 def solve(known, spans, deformations, xs, ys, planes, z0, fresh, nodes, told, counts):
-    """Solve the nodes of some planes: of a stack, from ``z0`` on; of several images, each by its own deformation.
+    """Solve the nodes of planes: of a stack, from ``z0`` on; of several images, each by its own deformation.
 
-    What is told begins anew, if ``fresh``.
+    Results are reset if ``fresh``.
     """
     i = cuda.grid(1)
     if i == 0:
@@ -214,13 +214,13 @@ def solve(known, spans, deformations, xs, ys, planes, z0, fresh, nodes, told, co
 
 @kernel
 def twist(xs, ys, planes, nodes):
-    """∂²u/∂x∂y at the nodes, from the slopes of their neighbours."""
+    """Compute ∂²u/∂x∂y at the nodes, from the slopes of their neighbours."""
     i = cuda.grid(1)
     nx, ny = xs.size, ys.size
     if i >= planes * ny * nx:
         return
     j, k = i // nx % ny, i % nx
-    # Three nodes in a line know better than two.
+    # Three nodes in a line are more accurate than two.
     weight = 0.5 if (nx > 2) == (ny > 2) else (1.0 if nx > 2 else 0.0)
     b = min(max(j - 1, 0), max(ny - 3, 0))
     b1, b2 = b + 1, min(b + 2, ny - 1)
@@ -239,28 +239,28 @@ def twist(xs, ys, planes, nodes):
 
 @lean
 def hermite(t):
-    """The weights of two values and two slopes, at t from 0 to 1."""
+    """Return the weights of two values and two slopes, for t from 0 to 1."""
     r = ONE - t
     return (ONE + TWO * t) * r * r, t * t * (THREE - TWO * t), t * r * r, -t * t * r
 
 
 @lean
 def hermite_slopes(t):
-    """The derivatives by t of those weights."""
+    """Return the derivatives of these weights with respect to t."""
     rise = _f4(6.0) * t * (ONE - t)
     return -rise, rise, (ONE - t) * (ONE - THREE * t), t * (THREE * t - TWO)
 
 
 @lean
 def across(p, p_slope, q, q_slope, h, v, w, g, k):
-    """A cubic between two nodes, ``h`` pixels apart."""
+    """Return a cubic between two nodes, ``h`` pixels apart."""
     return v * p + w * q + h * (g * p_slope + k * q_slope)
 
 
 @device
 def column(nodes, upper, lower, c, h, v, w, g, k):
-    """Component ``c`` of u and ∂u/∂y, where weights say, on the upper and the lower edge of a cell."""
-    # Unsigned indices: others are checked for counting from the end.
+    """Return component ``c`` of u and ∂u/∂y for some weights, on the upper and the lower edge of a cell."""
+    # Unsigned indices, since signed ones are checked for counting from the end.
     p, q, r, o = upper + c, upper + NODE + c, lower + c, lower + NODE + c
     return (
         across(nodes[_u(p)], nodes[_u(p + X)], nodes[_u(q)], nodes[_u(q + X)], h, v, w, g, k),
@@ -272,14 +272,14 @@ def column(nodes, upper, lower, c, h, v, w, g, k):
 
 @lean
 def bilinear(p, q, r, o, s, t):
-    """Between four corners."""
+    """Interpolate bilinearly between four corners."""
     a, b = p + s * (q - p), r + s * (o - r)
     return a + t * (b - a)
 
 
 @device
 def slope_between(nodes, upper, lower, c, s, t):
-    """A number of a node, interpolated in a cell."""
+    """Interpolate a number of the nodes in a cell."""
     return bilinear(
         nodes[_u(upper + c)], nodes[_u(upper + NODE + c)], nodes[_u(lower + c)], nodes[_u(lower + NODE + c)], s, t
     )
@@ -287,7 +287,7 @@ def slope_between(nodes, upper, lower, c, s, t):
 
 @device
 def cell_error(known, at, first, last, nodes, upper, lower, x0, y0, z, h, k, s, t):
-    """How far from T⁻¹(q) the point is that a cell has at (s, t), in pixels, to first order."""
+    """Return the distance from T⁻¹(q) of the cell's point at (s, t), in pixels, to first order."""
     v, w, g, r = hermite(s)
     hx, ky = _f4(h), _f4(k)
     b, d, m, n = hermite(t)
@@ -313,7 +313,7 @@ def cell_error(known, at, first, last, nodes, upper, lower, x0, y0, z, h, k, s, 
 
 @kernel
 def check(known, spans, deformations, xs, ys, planes, z0, tolerance, nodes, errors, told, counts):
-    """Bound the errors of cells, in pixels: at nine points of each, T is compared. What is too far off is listed."""
+    """Bound the errors of cells, in pixels, by T at nine points of each; list the rough cells."""
     i = cuda.grid(1)
     nx, ny = xs.size, ys.size
     wide, tall = nx - 1, ny - 1
@@ -345,7 +345,7 @@ def check(known, spans, deformations, xs, ys, planes, z0, tolerance, nodes, erro
     found = own + RESERVE * worst
     if found <= tolerance:
         errors[i] = found
-        # Few of them are the worst so far: most need not wait for the others.
+        # Most cells are not the worst so far, and need no atomic maximum.
         if found > told[WORST]:
             cuda.atomic.max(told, WORST, _f4(found))
     else:

@@ -1,4 +1,4 @@
-"""Which frames the planes of a stack are made of, before they are made: as the nodes of their lattices tell."""
+"""Bounds on the frames needed for the planes of a stack, from the nodes of their lattices."""
 
 from __future__ import annotations
 
@@ -20,20 +20,20 @@ Range = tuple[int, int]
 
 
 class Needs:
-    """The frames that planes may ask for.
+    """Bounds on the frames needed for planes.
 
     Parameters
     ----------
     count : int
-        How many frames there are.
+        The number of frames.
     sampling : Sampling
     early, late : float64 array, shape (count,)
-        The first and the last time that each plane may ask for.
+        The first and the last time that each plane may read.
 
     Attributes
     ----------
     more : int
-        How many frames are added before and after: of what lies within rough cells, nodes know nothing.
+        The number of frames added before and after: nodes do not bound the map within rough cells.
     """
 
     def __init__(self, count: int, sampling: Sampling, early: Floats, late: Floats) -> None:
@@ -42,7 +42,7 @@ class Needs:
         self._early, self._late = early, late
 
     def of(self, planes: Range) -> Range:
-        """The frames that planes, from and to, may ask for: from, to."""
+        """Return the range of frames that a range of planes may read."""
         support = SUPPORT[self._sampling.between]
         first = math.floor(self._early[slice(*planes)].min()) - support + 1 - self.more
         last = math.floor(self._late[slice(*planes)].max()) + support + self.more
@@ -53,15 +53,15 @@ class Needs:
 def needs_of(
     stream: Any, lattice: Lattice, pieces: Pieces, count: int, sampling: Sampling, how: tuple[int, ...]
 ) -> Needs:
-    """Solve the nodes of all planes of a stack, and look how far they reach; it waits for that.
+    """Solve the nodes of all planes of a stack, and compute their bounds; it waits for the results.
 
     Parameters
     ----------
     stream : numba.cuda stream
     lattice, pieces, how
-        As kernels take them.
+        The arguments of the kernels.
     count : int
-        How many frames there are.
+        The number of frames.
     sampling : Sampling
     """
     from numba import cuda
@@ -84,15 +84,15 @@ def needs_of(
 
 
 def times_of(found: npt.NDArray[np.float32], sampling: Sampling, how: tuple[int, ...]) -> tuple[Floats, Floats]:
-    """The first and the last time that each plane may ask for.
+    """Return the first and the last time that each plane may read.
 
     Parameters
     ----------
     found : float32 array, shape (planes, FOUND)
-        What `supple.engines.cuda.reach.bound` found.
+        The results of `supple.engines.cuda.reach.bound`.
     sampling : Sampling
     how : tuple of int
-        As kernels take it.
+        The argument of the kernels.
     """
     z = np.arange(len(found), dtype=np.float64)
     known = (found[:, LEAST] <= found[:, MOST]) & np.isfinite(found).all(axis=1)

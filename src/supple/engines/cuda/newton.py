@@ -1,6 +1,6 @@
-"""T⁻¹ at a point, by one thread: Newton's method with backtracking, and a continuation where that struggles.
+"""T⁻¹ at a point, by one thread: Newton's method with backtracking, and a continuation if it fails.
 
-Newton's step is δ = -(I+J)⁻¹ ξ for the residual ξ = T(p) - q. It is halved until it leads downhill.
+Newton's step is δ = -(I+J)⁻¹ ξ for the residual ξ = T(p) - q. It is halved until the residual decreases.
 """
 
 from __future__ import annotations
@@ -23,16 +23,16 @@ from supple.engines.cuda.field import (
 )
 from supple.engines.cuda.kernel import device, kernel, lean
 
-SMALLEST_LENGTH = 2.0**-24  # of a step: halved as often, it leads nowhere
-DOWNHILL = 1e-4  # the part of its promised decrease by which a step must reduce a residual
+SMALLEST_LENGTH = 2.0**-24  # of a step, after which halving ends
+DOWNHILL = 1e-4  # the fraction of its predicted decrease by which a step must reduce the residual
 
-EXACT = 1e-9  # pixels: how long Newton's last step may be, for points
-CONVERGED = 1e-6  # pixels: the largest residual of a point that has converged (`supple.Inverse`)
+EXACT = 1e-9  # pixels: the largest last Newton step of a point
+CONVERGED = 1e-6  # pixels: the largest residual of a converged point (`supple.Inverse`)
 
 
 @lean
 def kept_inside(x, q, first, last, sigma):
-    """A coordinate, where a face is fixed, on its target's side of it: a face maps to itself."""
+    """Return a coordinate moved to its target's side of a fixed face, since a face maps to itself."""
     if sigma < 0.0:
         return x
     return q if q <= first or q >= last else min(max(x, first), last)
@@ -40,7 +40,7 @@ def kept_inside(x, q, first, last, sigma):
 
 @lean
 def next_step(a, b, c, d, e, f, g, h, k, ex, ey, ez):
-    """Newton's step, of the matrix I+J, row by row, and the residual ξ."""
+    """Return Newton's step for the matrix I+J, row by row, and the residual ξ."""
     ca, cb, cc = e * k - f * h, f * g - d * k, d * h - e * g
     scale = -1.0 / (a * ca + b * cb + c * cc)
     return (
@@ -52,13 +52,13 @@ def next_step(a, b, c, d, e, f, g, h, k, ex, ey, ez):
 
 @lean
 def downhill(error, before, length):
-    """Return whether a part of Newton's step led far enough down, by the squares of the residuals."""
+    """Return whether a fraction of Newton's step decreased the squared residual enough."""
     return error <= before * (1.0 - DOWNHILL * length)
 
 
 @device
 def inside(known, at, x, y, z, qx, qy, qz):
-    """A point, where faces are fixed, on its target's side of them."""
+    """Return a point moved to its target's side of fixed faces."""
     j, k = at + Y_AXIS, at + Z_AXIS
     x = kept_inside(x, qx, known[at + FIRST_FACE], known[at + LAST_FACE], known[at + SIGMA])
     y = kept_inside(y, qy, known[j + FIRST_FACE], known[j + LAST_FACE], known[j + SIGMA])
@@ -94,14 +94,14 @@ def newton(known, at, first, last, qx, qy, qz, x, y, z, tolerance, limit):
             length *= 0.5
             if length <= SMALLEST_LENGTH:
                 break
-    if done:  # the step that was short enough to end with is known, and taken
+    if done:  # the last, short step is known, and applied
         px, py, pz = inside(known, at, px + dx, py + dy, pz + dz, qx, qy, qz)
     return px, py, pz, norm, done, steps, a, b, c, d, e, f, g, h, k
 
 
 @device
 def followed(known, at, first, last, qx, qy, qz, tolerance):
-    """T⁻¹ of one stroke, along the straight line from where a point is sent to where it should be sent."""
+    """Return T⁻¹ of one stroke, by continuation along the line from T(p) to q."""
     sx, sy, sz = moved(known, at, first, last, qx, qy, qz)
     px, py, pz = qx, qy, qz
     way, stride, spent = 0.0, 0.5, 0
@@ -123,7 +123,7 @@ def followed(known, at, first, last, qx, qy, qz, tolerance):
 
 @device
 def undo(known, at, first, last, qx, qy, qz, tolerance):
-    """T⁻¹ without a guess, as `newton` returns it: stroke after stroke undone, the last one first, then polished."""
+    """Return T⁻¹ without a guess, as from `newton`: strokes undone from last to first, then polished."""
     x, y, z, norm, done = qx, qy, qz, 0.0, True
     a, b, c, d, e, f, g, h, k = 1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0
     spent = 0
@@ -139,7 +139,7 @@ def undo(known, at, first, last, qx, qy, qz, tolerance):
             spent += steps
             if arrived:
                 x, y, z = fx, fy, fz
-                if last - first == STROKE:  # its Jacobian, and what is left
+                if last - first == STROKE:  # its Jacobian and residual are known
                     x, y, z, norm, done, steps, a, b, c, d, e, f, g, h, k = newton(
                         known, at, s, s + STROKE, gx, gy, gz, x, y, z, tolerance, 8
                     )
@@ -155,7 +155,7 @@ def undo(known, at, first, last, qx, qy, qz, tolerance):
 
 @device
 def settle(known, at, first, last, qx, qy, qz, x, y, z, tolerance, limit):
-    """T⁻¹ from a guess, as `newton` returns it; without it, if it was not good enough."""
+    """Return T⁻¹ from a guess, as from `newton`; without it, if it was not good enough."""
     found = newton(known, at, first, last, qx, qy, qz, x, y, z, tolerance, limit)
     if found[4]:
         return found
@@ -164,7 +164,7 @@ def settle(known, at, first, last, qx, qy, qz, x, y, z, tolerance, limit):
 
 @kernel
 def inverse(known, spans, ndim, targets, finest, points, residual, steps, converged):
-    """T⁻¹ of points (N * ndim numbers, in pixels), with |T(p) - q| in pixels, the evaluations, and whether it is small.
+    """Compute T⁻¹ of points (N * ndim numbers, in pixels), residuals in pixels, evaluations, and convergence.
 
     ``finest`` is the least spacing.
     """
@@ -181,7 +181,7 @@ def inverse(known, spans, ndim, targets, finest, points, residual, steps, conver
     points[o], points[o + 1] = x / sx, y / sy
     if ndim == 3:
         points[o + 2] = z / sz
-    # What is said of a point is measured once more, at what is handed out.
+    # The residual is measured again, at the returned point.
     x, y, z = moved(known, 0, first, last, x, y, z)
     ex, ey, ez = x - qx, y - qy, z - qz
     off = math.sqrt(ex * ex + ey * ey + ez * ez) / finest

@@ -1,4 +1,4 @@
-"""The numbers that kernels take for samples of a type: their limits, and what lies outside."""
+"""The numbers of the kernels for samples of a type: their limits, and the fill value."""
 
 from __future__ import annotations
 
@@ -13,20 +13,20 @@ Array = npt.NDArray[Any]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Numbers:
-    """How samples of a type are computed with.
+    """The numbers for samples of a type.
 
     Parameters
     ----------
     alpha : int
-        Which channel is opacity, or -1.
+        The opacity channel, or -1.
     white : float
-        The largest value, and that of opaque.
+        The largest value, which is also full opacity.
     low, high : float
-        The limits of whole numbers.
+        The limits of an integer type.
     whole : bool
-        Whether they are whole numbers.
+        Whether the type is an integer type.
     fills : array, shape (channels,)
-        The constant outside, as it is filtered, of the type that colours are computed in.
+        The fill value, converted like filtered samples, of the type that colours are computed in.
     """
 
     alpha: int
@@ -50,11 +50,11 @@ def numbers_of(dtype: np.dtype[Any], fill: Array, *, alpha: bool, light: bool, w
     dtype : numpy.dtype
         Bool, as bytes, has ``white`` 1.
     fill : array, shape (channels,)
-        The constant outside, in the samples' values.
+        The fill value, in the units of the samples.
     alpha, light : bool
-        Whether the last channel is opacity, and whether colours are averaged as amounts of light.
+        Whether the last channel is opacity, and whether colours are averaged in linear light.
     white : float, optional
-        The largest value, and that of opaque; by default, the largest of an integer type, and 1 of floats.
+        The largest value, and full opacity; by default, the largest of an integer type, and 1 of floats.
     """
     limits = np.iinfo(dtype) if dtype.kind in "iu" else None
     top = float(limits.max) if limits else 1.0
@@ -73,13 +73,13 @@ def numbers_of(dtype: np.dtype[Any], fill: Array, *, alpha: bool, light: bool, w
 
 
 def _linear(values: Array, white: float) -> Array:
-    """Return values on sRGB's curve as amounts of light; ``white`` stays ``white``."""
+    """Return sRGB values in linear light; ``white`` is unchanged."""
     u = values / white
     with np.errstate(invalid="ignore"):
         return np.asarray(white * np.where(u <= 0.04045, u / 12.92, ((u + 0.055) / 1.055) ** 2.4))
 
 
 def _below(most: int, number: np.dtype[Any]) -> float:
-    """Return the largest number of a type that is no more than ``most``, so that it converts back."""
+    """Return the largest number of a type that is at most ``most``, so that it converts back."""
     nearest = number.type(most)
     return float(np.nextafter(nearest, number.type(0)) if int(nearest) > most else nearest)

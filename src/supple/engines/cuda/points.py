@@ -1,4 +1,4 @@
-"""Points on a GPU, through a deformation, and the map of all of them."""
+"""Points on a GPU, through a deformation, and its inverse map."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def _known(space: Space, given: DeviceArray) -> tuple[Any, Any]:
 
 
 def forward(space: Space, points: Any, *, matrices: bool) -> Any:
-    """T of points (..., D), or ∂T/∂p (..., D, D), in pixels and float64, as the points came."""
+    """Return T of points (..., D), or ∂T/∂p (..., D, D), in pixels and float64, in the library of the points."""
     given = _columns(points, space.ndim)
     moved = made_like(given, given.shape, np.float64)
     found = made_like(given, (*given.shape, space.ndim), np.float64) if matrices else None
@@ -48,13 +48,13 @@ def forward(space: Space, points: Any, *, matrices: bool) -> Any:
 
 
 def _wait_for(given: DeviceArray) -> None:
-    """Wait, where nobody else keeps an array until it is read."""
+    """Wait, if the library does not keep an array alive until it is read."""
     if given.kind == "numba" and not hasattr(given.given, "__cuda_ndarray__"):
         given.stream.synchronize()
 
 
 def inverse(space: Space, points: Any) -> tuple[Any, Any, Any, Any]:
-    """T⁻¹ of points (..., D), as `supple.Inverse` has it, as the points came."""
+    """Return T⁻¹ of points (..., D), with the values of `supple.Inverse`, in the library of the points."""
     finest = float(space.axes[: space.ndim, 3].min())
     given = _columns(points, space.ndim)
     found = made_like(given, given.shape, np.float64)
@@ -73,9 +73,9 @@ def inverse(space: Space, points: Any) -> tuple[Any, Any, Any, Any]:
 
 
 def inverse_map(space: Space, like: Any, tolerance: float, *, offsets: bool = False) -> tuple[Any, Certificate]:
-    """The source point of every pixel, float32 (*shape, D), x first, in pixels, as ``like`` is; and how exact it is.
+    """Return the source point of every pixel, float32 (*shape, D), x first, in pixels, and the certificate.
 
-    Or their ``offsets`` from the pixels, of which float32 keeps more.
+    With ``offsets``, displacements from the pixels, which float32 stores more accurately.
     """
     given = taken(plain(like), "like")
     out = made_like(given, (*space.whole, space.ndim), np.float32)

@@ -1,4 +1,4 @@
-"""Which frames planes may ask for, as far as the nodes of their lattices know."""
+"""Bounds on the frames that planes may read, from the nodes of their lattices."""
 
 from __future__ import annotations
 
@@ -10,31 +10,31 @@ from numba import cuda
 from supple.engines.cuda.kernel import kernel, lean
 from supple.engines.cuda.lattice import NODE, U, X, Y, Z
 
-# Of a plane: the least and the largest displacement in time, and how many frames a pixel covers at most.
+# For a plane: the least and the largest displacement in time, and the largest number of frames of a pixel.
 LEAST, MOST, COVERED, FOUND = 0, 1, 2, 4
 
 _f4 = np.float32
 ONE, FAR = _f4(1.0), _f4(1e30)
-# The largest value of t (1 − t)², which is what a slope counts in a cubic.
+# The largest value of t (1 − t)², the weight of a slope in a cubic.
 PART = _f4(4.0 / 27.0)
 
 
 @lean
 def bulge(p, p_slope, q, q_slope, h):
-    """How far from the line between two nodes, ``h`` pixels apart, their cubic may lie."""
+    """Return the largest distance of a cubic from the line between two nodes, ``h`` pixels apart."""
     line = (q - p) / h
     return PART * h * (abs(p_slope - line) + abs(q_slope - line))
 
 
 @lean
 def covered(x, y, z):
-    """How many frames a pixel covers at a node."""
+    """Return the number of frames that a pixel covers at a node."""
     return math.sqrt(x * x + y * y + (ONE + z) * (ONE + z))
 
 
 @kernel
 def bound(xs, ys, planes, z0, nodes, found):
-    """Look at the cells of planes from ``z0`` on, a thread at a row; what lies within rough cells, nobody knows."""
+    """Bound the cells of planes from ``z0`` on, a thread for each row; rough cells have no bounds."""
     i = cuda.grid(1)
     nx, ny = xs.size, ys.size
     if i >= planes * (ny - 1):

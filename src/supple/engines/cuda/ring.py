@@ -1,4 +1,4 @@
-"""Frames of the host on a GPU: as many as there is room for, those that are needed next in the place of older ones."""
+"""Host frames in a ring on a GPU; new ones replace the oldest."""
 
 from __future__ import annotations
 
@@ -16,50 +16,50 @@ Range = tuple[int, int]
 
 
 class Ring:
-    """Some frames, each in the slot that is its number modulo how many slots there are.
+    """Frames, each in the slot that is its number modulo the number of slots.
 
     Parameters
     ----------
     source : array, shape (T, H, W, C)
         All frames, on the host.
     samples : device array
-        Of one axis: the slots.
+        The slots, along one axis.
     slots : int
     lane : Lane
-        The way there.
+        The copies to the GPU.
 
     Attributes
     ----------
     there : (int, int)
-        Which frames are there, or on their way: from, to.
+        The range of frames that are there, or on their way: from, to.
     """
 
     def __init__(self, source: Array, samples: Any, slots: int, lane: Lane) -> None:
         self.there: Range = 0, 0
         self._source, self._samples, self._slots, self._lane = source, samples, slots, lane
-        self._used = np.full(slots, -1, np.int64)  # which work reads each slot, as far as that is known
-        self._done: dict[int, Any] = {}  # when that has been done
+        self._used = np.full(slots, -1, np.int64)  # the last known work that reads each slot
+        self._done: dict[int, Any] = {}  # its event
         self._waited = -1
 
     def send(self, low: int, high: int, stream: Any) -> Frames:
-        """Have frames on the GPU before what is handed over to a stream next.
+        """Upload frames before the next work of a stream.
 
         Parameters
         ----------
         low, high : int
-            From, to; no more than there are slots.
+            From, to; at most as many as there are slots.
         stream : numba.cuda stream
 
         Returns
         -------
         Frames
-            Those frames, and where all are there that are not replaced, all of them.
+            These frames, and all others that are still there.
         """
         had = self.there
-        if low > had[1] or high < had[0]:  # what is there has no gaps
+        if low > had[1] or high < had[0]:  # the range has no gaps
             had = low, low
         for first, last in ((low, had[0]), (had[1], high)):
-            again = range(first - first % self._slots + self._slots, last, self._slots)  # where slots begin anew
+            again = range(first - first % self._slots + self._slots, last, self._slots)  # wrap-around
             edges = [first, *again, max(first, last)]
             for a, b in itertools.pairwise(edges):
                 self._upload(a, b)
@@ -76,22 +76,22 @@ class Ring:
         return Frames(self._samples, (*places, low, high, low % self._slots, self._slots), ring=count > 1)
 
     def read_by(self, number: int, frames: Range, done: Any) -> None:
-        """Say that some work reads frames until an event; work is done in the order of its numbers."""
+        """Record that work reads frames until an event; work ends in the order of its numbers."""
         self._used[np.arange(*frames) % self._slots] = number
         self._done[number] = done
 
     def forget(self, number: int) -> None:
-        """Say that some work is done, and all before it."""
+        """Record that some work, and all before it, is done."""
         self._waited = max(self._waited, number)
         self._done = {n: done for n, done in self._done.items() if n > number}
 
     def _upload(self, first: int, last: int) -> None:
-        """Send frames that lie in slots one after the other."""
+        """Upload frames in consecutive slots."""
         rows, width = self._lane.shape
         for frames, part in pieces((first, last), (rows, width), self._lane.most):
             slot = frames.start % self._slots
             latest = int(self._used[slot : slot + frames.stop - frames.start].max())
-            if latest > self._waited:  # what is replaced may still be read
+            if latest > self._waited:  # replaced frames may still be read
                 self._done[latest].wait(self._lane.stream)
                 self._waited = latest
             samples = self._source[frames, part]
@@ -100,7 +100,7 @@ class Ring:
 
 
 def recorded(stream: Any) -> Any:
-    """An event at the end of what a stream has to do."""
+    """Return an event at the end of a stream's work."""
     from numba import cuda
 
     event = cuda.event()

@@ -1,9 +1,8 @@
-"""Samples of frames: which one stands for which place, and what is made of those around a point.
+"""Samples of frames: boundary modes, and interpolation around a point.
 
-Kernels are made for a `Way` of sampling, so that what it does not need costs no registers, and nothing is asked at
-every sample. Where an array lies in memory is a tuple of integers (``source``), as SOURCE names them: it may have any
-strides. Integers are of 32 bits where all of an array can be counted so, and each sum is cut to that: Numba's own grow
-to 64.
+Kernels are compiled for a `Way` of sampling, so that unused options cost no registers and no branches. The memory
+layout of an array is a tuple of integers (``source``), named in SOURCE, with any strides. Integers have 32 bits if all
+of an array can be counted so, and each sum is cast to that type, since Numba widens them to 64.
 """
 
 from __future__ import annotations
@@ -20,13 +19,13 @@ from supple.engines.base import OUTSIDE
 from supple.engines.cuda.kernel import device, lean
 from supple.engines.cuda.lattice import MISSING
 
-# How many frames the clip has, and its size; strides, and the first sample, in samples; which frames are here, from and
-# to, in which slot the first of them is, and how many slots there are, one after the other and round again.
+# The number of frames, and their size; strides, and the index of the first sample, in samples; the range of frames on
+# the GPU, the slot of the first, and the number of slots in the ring.
 SOURCE = ("frames", "height", "width", "channels", "frame", "row", "column", "channel", "start",
           "first", "last", "shift", "slots")  # fmt: skip
 FRAMES, HEIGHT, WIDTH, CHANNELS, FRAME, ROW, COLUMN, CHANNEL, START, FIRST, LAST, SHIFT, SLOTS = range(len(SOURCE))
-# How they are worked with: which channel is opacity, if any; beyond which times nothing changes any more. The bounds of
-# the type, and what opaque and white are.
+# The opacity channel, if any; the times beyond which samples are constant; the bounds of the type, and the value of
+# white and full opacity.
 ALPHA, EARLY, LATE = range(3)
 LOW, HIGH, WHITE = range(3)
 EDGE, CONSTANT = OUTSIDE["edge"], OUTSIDE["constant"]  # the third is "reflect"
@@ -39,28 +38,28 @@ _A, _A2, _A3 = _f4(SHARPNESS), _f4(SHARPNESS + 2.0), _f4(SHARPNESS + 3.0)
 
 @dataclass(frozen=True, slots=True)
 class Way:
-    """How samples are made: what kernels are compiled for.
+    """The sampling options that kernels are compiled for.
 
     Parameters
     ----------
     filter, between : int
         One of `supple.engines.cuda.colour.FILTERS`, and of BETWEEN.
     rule : int
-        What lies outside: one of `supple.engines.base.OUTSIDE`.
+        Boundary mode: one of `supple.engines.base.OUTSIDE`.
     average : bool
-        Whether pixels are averaged over the time that they cover.
+        Whether pixels are averaged over time.
     number : type
-        What colours are worked out in: numpy.float32 or numpy.float64.
+        The type of colour arithmetic: numpy.float32 or numpy.float64.
     index : type
-        What samples are counted in: numpy.int32 or numpy.int64.
+        The type of indices: numpy.int32 or numpy.int64.
     whole : bool
-        Whether they are whole numbers.
+        Whether samples are integers.
     alpha, light : bool
-        Whether a channel is opacity, and whether light is averaged.
+        Whether a channel is opacity, and whether averages are in linear light.
     ring : bool
-        Whether only some frames are here.
+        Whether only some frames are on the GPU.
     limited : bool
-        Whether there may be pixels that no stroke reaches, which are copied.
+        Whether some pixels may be unchanged, which are copied.
     """
 
     filter: int
@@ -77,12 +76,12 @@ class Way:
 
     @property
     def unsigned(self) -> Any:
-        """The type of indices: signed ones are checked for counting from the end."""
+        """The unsigned index type, since signed indices are checked for counting from the end."""
         return np.uint32 if self.index is np.int32 else np.uint64
 
 
 def mapper(way: Way) -> Callable[..., Any]:
-    """Which of ``n`` samples in a row stands for the one at ``i``; -1 for one that is constant."""
+    """Return the function for the boundary mode: the index used for ``i`` in ``n`` samples; -1 for the fill value."""
     return _mapper(way.rule, way.index)
 
 
@@ -105,12 +104,12 @@ def _mapper(rule: int, index: Any) -> Callable[..., Any]:
 
 @functools.cache
 def placer(index: Any) -> Callable[..., Any]:
-    """A whole coordinate and an offset, as a whole part and the rest from 0 to 1."""
+    """Return the function that splits a whole coordinate and an offset into a whole part and a fraction."""
     far, one = _f4(1e6), index(1)
 
     @lean
     def place(q, u):
-        kept = min(max(u, -far), far)  # sources far outside are all the same
+        kept = min(max(u, -far), far)  # far outside, all source points are alike
         whole = index(kept)
         if _f4(whole) > kept:
             whole = index(whole - one)
@@ -121,7 +120,7 @@ def placer(index: Any) -> Callable[..., Any]:
 
 @lean
 def keys(t):
-    """Keys's cubic at a distance from a sample."""
+    """Return Keys's cubic at a distance from a sample."""
     x = abs(t)
     near = (_A2 * x - _A3) * x * x + ONE
     far = _A * (x - ONE) * (TWO - x) * (TWO - x)
@@ -130,20 +129,20 @@ def keys(t):
 
 @lean
 def to_light(v, white):
-    """A value on sRGB's curve as an amount of light."""
+    """Convert an sRGB value to linear light."""
     u = v / white
     return white * (u / 12.92 if u <= 0.04045 else ((u + 0.055) / 1.055) ** 2.4)
 
 
 @lean
 def from_light(v, white):
-    """And back."""
+    """Convert linear light to an sRGB value."""
     u = v / white
     return white * (12.92 * u if u <= 0.0031308 else 1.055 * u ** (1.0 / 2.4) - 0.055)
 
 
 def frame_finder(way: Way) -> Callable[..., Any]:
-    """Where a frame starts: -1 for one that is constant; it counts those that are not here."""
+    """Return the function for the start of a frame: -1 for the fill value; it counts missing frames."""
     mapped, index, ring, constant = mapper(way), way.index, way.ring, way.rule == CONSTANT
 
     @device
@@ -164,9 +163,9 @@ def frame_finder(way: Way) -> Callable[..., Any]:
 
 
 def reader(way: Way) -> Callable[..., Any]:
-    """Return a kernel that reads a sample as a number, as it is filtered: light, if wanted, and weighted by opacity.
+    """Return a kernel that reads a sample for filtering: in linear light, if wanted, and weighted by opacity.
 
-    Of places that `mapper` made; ``fills`` is the constant, as it is filtered.
+    Its indices are from `mapper`; ``fills`` is the fill value in the same form.
     """
     number, index, unsigned, constant = way.number, way.index, way.unsigned, way.rule == CONSTANT
     if not (way.alpha or way.light):
@@ -199,7 +198,7 @@ def reader(way: Way) -> Callable[..., Any]:
 
 
 def linear_at(way: Way, read: Callable[..., Any]) -> Callable[..., Any]:
-    """Bilinear, in a frame."""
+    """Return the bilinear filter in a frame."""
     mapped, index = mapper(way), way.index
     one = index(1)
 
@@ -219,7 +218,7 @@ def linear_at(way: Way, read: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def cubic_at(way: Way, read: Callable[..., Any]) -> Callable[..., Any]:
-    """Bicubic, in a frame."""
+    """Return the bicubic filter in a frame."""
     mapped, index = mapper(way), way.index
     one, two = index(1), index(2)
 

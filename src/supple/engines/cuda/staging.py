@@ -1,6 +1,6 @@
-"""Copies between arrays of any kind on the host and a GPU, through memory that is pinned, so that nobody waits.
+"""Asynchronous copies between host arrays of any kind and a GPU, through pinned memory.
 
-Copies go in pieces through two buffers each way: while the GPU copies one, the host's cores fill or empty the other.
+Copies run through two buffers in each direction: while the GPU copies one, the CPU fills or empties the other.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ Array = npt.NDArray[Any]
 Part = tuple[slice, slice]
 
 PIECE = 16 << 20  # bytes
-_ALONE = 1 << 20  # bytes that are not worth another thread
+_ALONE = 1 << 20  # bytes below which one thread is faster
 
 
 def pieces(frames: tuple[int, int], shape: tuple[int, int], most: int) -> Iterator[Part]:
-    """Parts of some frames that lie one after the other in memory: which frames, and which rows of them.
+    """Yield parts of some frames that are contiguous in memory: their range of frames, and of rows.
 
     Parameters
     ----------
@@ -31,7 +31,7 @@ def pieces(frames: tuple[int, int], shape: tuple[int, int], most: int) -> Iterat
     shape : (int, int)
         Rows, and samples in a row.
     most : int
-        How many samples a part may have; it has a row at least.
+        The largest number of samples in a part, which has at least one row.
     """
     rows, width = shape
     together = max(1, min(most // width, rows))
@@ -60,16 +60,16 @@ def copied(source: Array, target: Array) -> None:
 
 
 class Lane:
-    """One way between the host and a GPU: a stream, and two buffers that take turns.
+    """One direction of copies between the host and a GPU: a stream, and two alternating buffers.
 
     Parameters
     ----------
     dtype : numpy.dtype
-        Of the host's samples, in native byte order; a GPU has those of bool as bytes.
+        The type of the host's samples, in native byte order; bool is stored as bytes on the GPU.
     shape : (int, int)
         Rows of a frame, and samples in a row.
     piece : int
-        Bytes of a buffer; a row fits at least.
+        The bytes of a buffer, which holds at least one row.
     """
 
     def __init__(self, dtype: np.dtype[Any], shape: tuple[int, int], piece: int = PIECE) -> None:
@@ -84,29 +84,29 @@ class Lane:
         self._turn = 0
 
     def _next(self) -> tuple[Array, Any]:
-        """A buffer, and its event."""
+        """Return the next buffer, and its event."""
         self._turn ^= 1
         return self._buffers[self._turn], self._events[self._turn]
 
     def up(self, source: Array, to: Any) -> None:
-        """Hand a piece over.
+        """Upload a piece.
 
         Parameters
         ----------
         source : array, shape (frames, rows, ...)
-            On the host; it has been read when this returns.
+            An array of the host, which has been read on return.
         to : device array
-            Of one axis, as long as ``source``.
+            Along one axis, as long as ``source``.
         """
         buffer, event = self._next()
-        event.synchronize()  # what it held is on the GPU
+        event.synchronize()  # its last content is on the GPU
         held = buffer[: source.size]
         copied(source, held.view(self.dtype).reshape(source.shape))
         to.copy_to_device(held, stream=self.stream)
         event.record(self.stream)
 
     def down(self, parts: Iterator[tuple[Any, Array]]) -> None:
-        """Bring pieces: device arrays of one axis, each with the host's array (frames, rows, ...) that it goes to."""
+        """Download pieces: pairs of a device array of one axis and the host array (frames, rows, ...) for it."""
         begun: tuple[Any, Array, Array] | None = None
         for part in itertools.chain(parts, [None]):
             following = None

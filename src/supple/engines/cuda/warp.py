@@ -1,8 +1,7 @@
-"""Arrays on a GPU, warped there: what is prepared once for a deformation, and what is done for each array.
+"""Warps of GPU arrays: the lattice of a deformation, and the kernels for each array.
 
-Planes are made some at a time, so that what they need beside the arrays stays small: their lattice is solved, its
-cells are checked, the good ones are filled, and the pixels of the others are solved. Nothing is waited for until all
-of it has been handed over.
+Planes are computed a few at a time, so that their scratch memory stays small: their lattice is solved, its cells are
+checked, the good ones are filled, and the pixels of the others are solved. The host waits only after all launches.
 """
 
 from __future__ import annotations
@@ -31,11 +30,11 @@ from supple.engines.cuda.sample import FIRST, FRAME, FRAMES, LAST, START, Way
 Array = npt.NDArray[Any]
 Floats = npt.NDArray[np.float64]
 
-SCRATCH = 256 << 20  # bytes, at most, beside the arrays
+SCRATCH = 256 << 20  # bytes of scratch memory, at most
 _LONG = (1 << 31) - (1 << 24)  # samples, with room for sums
-_KEPT = 64  # small arrays that stay on the GPUs
+_KEPT = 64  # small arrays cached on the GPUs
 _KEPT_LATTICES = 16
-_KEPT_PIECES = 32 << 20  # bytes, at most, of what a thread keeps beside its arrays
+_KEPT_PIECES = 32 << 20  # bytes, at most, cached by a thread
 
 
 _held: OrderedDict[tuple[Any, ...], Any] = OrderedDict()
@@ -44,14 +43,14 @@ _lock = threading.Lock()
 
 
 def held(gpu: CudaDevice, array: Array) -> Any:
-    """A small array on a GPU; one with the same values that is there already is taken."""
+    """Return a small array on a GPU, from the cache if its values are there."""
     from numba import cuda
 
     key = (gpu.number, array.dtype.str, array.shape, array.tobytes())
     with _lock:
         if key not in _held:
             with gpu.current():
-                # A stream of its own: what else the GPU has to do is not waited for.
+                # A stream of its own does not wait for other work of the GPU.
                 stream = _uploads.get(gpu.number) or _uploads.setdefault(gpu.number, gpu.stream())
                 _held[key] = cuda.to_device(array, stream=stream)
                 stream.synchronize()
@@ -70,14 +69,14 @@ class Lattice:
     known, spans : device arrays
         See `supple.engines.cuda.field.packed`.
     xs, ys : device arrays of int32
-        Where nodes are, in pixels.
+        The positions of nodes, in pixels.
     cells : device array of int32
-        In which cell each column lies.
+        The cell of each column.
     size : (int, int)
-        Nodes: rows, and in a row.
+        The nodes: rows, and in a row.
     deformations : int
     limited : bool
-        Whether there may be pixels that no stroke reaches.
+        Whether some pixels may be unchanged.
     """
 
     known: Any
@@ -91,12 +90,12 @@ class Lattice:
 
     @property
     def nodes(self) -> int:
-        """Of a plane."""
+        """The number of nodes of a plane."""
         return self.size[0] * self.size[1]
 
     @property
     def cell_count(self) -> int:
-        """Of a plane."""
+        """The number of cells of a plane."""
         return (self.size[0] - 1) * (self.size[1] - 1)
 
 
@@ -104,8 +103,8 @@ _lattices: OrderedDict[tuple[Any, ...], tuple[Lattice, tuple[Space, ...]]] = Ord
 
 
 def lattice_of(gpu: CudaDevice, spaces: Sequence[Space]) -> Lattice:
-    """Put deformations, all of one shape, on a GPU; those that were there last are taken as they are."""
-    # Their arrays never change, and are kept with what was made of them: they cannot become others.
+    """Upload deformations, all of one shape; the last ones are cached."""
+    # Their arrays are immutable, and kept alive with the cache, so that their ids stay unique.
     key = (gpu.number, spaces[0].shape, *((id(space.table), id(space.axes)) for space in spaces))
     with _lock:
         found = _lattices.get(key)
@@ -122,7 +121,7 @@ def _new_lattice(gpu: CudaDevice, spaces: Sequence[Space]) -> Lattice:
     domains = [space.axes for space in spaces]
     axes = domains[0]
     if any(not np.array_equal(axes, other) for other in domains[1:]):
-        axes = np.array([FREE] * 3)  # no nodes where one of several borders ends: its cells are rough
+        axes = np.array([FREE] * 3)  # no nodes at the ends of several borders: their cells are rough
     height, width = spaces[0].shape
     xs, ys = (positions(n, axes[k]) for k, n in enumerate((width, height)))
     cells = np.clip(np.searchsorted(xs, np.arange(width), "right") - 1, 0, xs.size - 2).astype(np.int32)
@@ -134,7 +133,7 @@ def _new_lattice(gpu: CudaDevice, spaces: Sequence[Space]) -> Lattice:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Colours:
-    """How samples are made, as kernels take it: which kernels, and their arguments."""
+    """The kernels of a sampling, and their arguments."""
 
     way: Way
     fills: Any
@@ -143,7 +142,7 @@ class Colours:
 
 
 def colours_of(gpu: CudaDevice, dtype: np.dtype[Any], work: Work, count: int) -> Colours:
-    """Return how samples of a type are made, of ``count`` frames."""
+    """Return the kernels and arguments for samples of a type, of ``count`` frames."""
     sampling, alpha, stack = work.sampling, work.layout.groups[0].alpha, work.space.ndim == 3
     (fill,) = work.fills
     kind = np.dtype(np.uint8) if dtype == np.bool_ else dtype
@@ -172,9 +171,9 @@ def colours_of(gpu: CudaDevice, dtype: np.dtype[Any], work: Work, count: int) ->
 
 @dataclass(frozen=True, slots=True)
 class Frames:
-    """Frames as they lie on a GPU: flat memory, and where in it; see `supple.engines.cuda.sample.SOURCE`.
+    """Frames on a GPU: flat memory, and its layout; see `supple.engines.cuda.sample.SOURCE`.
 
-    Of a ``ring``, only some may be there; it is one even while all are, so that one kernel does for all of its planes.
+    Of a ``ring``, frames may be missing; the flag stays set when all are there, so that one kernel serves all planes.
     """
 
     samples: Any
@@ -183,12 +182,12 @@ class Frames:
 
     @property
     def long(self) -> bool:
-        """Return whether it takes more than 32 bits to count its samples."""
+        """True if the count of its samples takes more than 32 bits."""
         return bool(self.samples.size > _LONG)
 
 
 class Pieces:
-    """Work arrays on a GPU, in a library's own memory, so that its streams know of them."""
+    """Work arrays on a GPU, in a library's own memory, so that its streams track them."""
 
     def __init__(self, like: DeviceArray, lattices: Sequence[Lattice], planes: int) -> None:
         nodes, cells = max(known.nodes for known in lattices), max(known.cell_count for known in lattices)
@@ -221,25 +220,25 @@ def make_planes(
     fresh: bool = True,
     slab: int | None = None,
 ) -> None:
-    """Hand over what makes some planes, slab by slab.
+    """Launch the kernels for some planes, slab by slab.
 
     Parameters
     ----------
     gpu, stream, lattice, pieces, colours
-        Who does it, with what.
+        The device, and the resources of the warp.
     shape : (int, int)
         Rows and columns of a plane.
     planes : (int, int)
         From, to. ``out`` begins with the first of them.
     source, out : Frames
     tolerance : float
-        Of source points, in pixels.
+        The tolerance of source points, in pixels.
     shared : int
-        How many pictures one lattice is for; 0 if each plane has its own.
+        The number of images that share one lattice; 0 if each plane has its own.
     fresh : bool
-        Whether what is told of a warp begins with this one.
+        Whether to reset the results of the warp.
     slab : int, optional
-        How many planes are handed over at once.
+        The number of planes in one launch.
     """
     height, width = shape
     rows, _ = lattice.size
@@ -285,9 +284,9 @@ _kept_pieces = threading.local()
 
 
 def pieces_of(like: DeviceArray, lattices: Sequence[Lattice], planes: int) -> Pieces:
-    """The pieces for work on a library's current stream, which is waited for: small ones are kept for the next time.
+    """Return the work arrays for a library's current stream, which is waited for: small ones are cached.
 
-    A thread's work on a stream goes on in its order, so that nothing is overwritten that is still needed.
+    Work of a thread on a stream runs in order, so that no data in use are overwritten.
     """
     sizes = tuple((known.nodes, known.cell_count) for known in lattices)
     key = (like.kind, like.gpu.number, int(getattr(like.stream, "handle", 0) or 0), planes, *sizes)
@@ -300,7 +299,7 @@ def pieces_of(like: DeviceArray, lattices: Sequence[Lattice], planes: int) -> Pi
 
 
 def told_of(pieces: Pieces, stream: Any) -> Certificate:
-    """Return the certificate of the map; it waits for the stream."""
+    """Return the certificate of the map, after waiting for the stream."""
     told = pieces.told.copy_to_host(stream=stream)
     counts = pieces.counted.copy_to_host(stream=stream)
     if stream:

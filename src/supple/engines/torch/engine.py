@@ -1,4 +1,4 @@
-"""The torch engine: tensors by the engine of their device, and T in PyTorch's own operations, with gradients."""
+"""The torch engine: tensors by the engine of their device, and T as differentiable operations of PyTorch."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ from supple.engines.native import NATIVE
 from supple.engines.torch.field import Columns, Strokes, moved
 from supple.errors import ToleranceWarning
 
-_SOLVED = 1 << 18  # points that are solved at once
-_NEAR = 1 << 12  # pixels along an axis of which a coordinate in float32 is off by 0.0001 at most
+_SOLVED = 1 << 18  # points solved in one call
+_NEAR = 1 << 12  # pixels of an axis up to which float32 coordinates are accurate to 0.0001
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,7 +35,7 @@ class Torch:
         return SLACK
 
     def taken(self, value: Any, name: str) -> torch.Tensor:
-        """Return a tensor, without its gradients; SuppleError if it is none."""
+        """Return a tensor, detached from its gradients; SuppleError for other values."""
         if not isinstance(value, torch.Tensor):
             refuse(name, "a PyTorch tensor (Deformation.warp takes arrays)", value)
         return value.detach()
@@ -45,7 +45,7 @@ class Torch:
         return torch.empty_like(held, memory_format=torch.contiguous_format) if out is None else out
 
     def check(self, work: Work) -> None:
-        """Do nothing: what a device does not do, its engine refuses."""
+        """Accept all work; the engine of the device refuses its own limits."""
 
     def working_dtype(self, dtype: Any) -> Any:
         """See `Engine.working_dtype`."""
@@ -59,7 +59,7 @@ class Torch:
         """See `Engine.warp`; a tensor (K, *shape) is all frames. The values are those of the engine of its device."""
         (tensor,), (out,) = frames, outs
         engine = engine_at(tensor)
-        # NumPy has no bfloat16, and the core works on half precision in single.
+        # NumPy has no bfloat16, and the core processes half precision in single precision.
         halves = (torch.bfloat16,) if tensor.is_cuda else (torch.bfloat16, torch.float16)
         held: Any = (tensor.float() if tensor.dtype in halves else tensor).movedim(0, -1)
         if engine is NATIVE:
@@ -77,7 +77,7 @@ class Torch:
         out.copy_(given.movedim(-1, 0))
 
     def stream(self, work: Work, window: Sequence[Any]) -> AbstractContextManager[Planes]:
-        """Raise SuppleError: clips are not made of tensors."""
+        """Raise SuppleError: tensors are not streamed."""
         refuse("device", '"cpu", "gpu" or "auto" for clips', self.name)
 
     def forward(self, space: Space, points: torch.Tensor, *, matrices: bool = False) -> torch.Tensor:
@@ -114,7 +114,7 @@ def _of_type(work: Work, held: Any) -> Work:
 
 
 def seen_at(points: torch.Tensor, strokes: Strokes) -> torch.Tensor:
-    """Return T of points (..., D) in pixels, in their own type, differentiable in the points and the strokes."""
+    """Return T of points (..., D) in pixels, in their type, differentiable with respect to points and strokes."""
     axes = strokes.axes
     columns = [x.to(strokes.at.dtype) * axis[3] for x, axis in zip(points.unbind(-1), axes, strict=True)]
     seen = [x / axis[3] for x, axis in zip(moved(columns, strokes), axes, strict=True)]
@@ -122,9 +122,9 @@ def seen_at(points: torch.Tensor, strokes: Strokes) -> torch.Tensor:
 
 
 def offsets_of(like: torch.Tensor, space: Space, tolerance: float) -> torch.Tensor:
-    """T⁻¹(q) - q of all output pixels q, in pixels: (M, D), where ``like`` is, and in the type that it is worked in.
+    """Return T⁻¹(q) - q of all output pixels q, in pixels: (M, D), on the device of ``like``, in its working type.
 
-    As offsets, they are small: float32 holds them as exactly as they are known, however large the picture is.
+    Offsets are small: float32 holds them to their accuracy, for images of any size.
     """
     dtype, sizes = working(like), space.whole[::-1]
     where = like.device if like.is_cuda else torch.device("cpu")
@@ -155,7 +155,7 @@ def offsets_of(like: torch.Tensor, space: Space, tolerance: float) -> torch.Tens
 
 
 def grid(index: torch.Tensor, sizes: Sequence[int]) -> Columns:
-    """Return the coordinates, x first, of pixels that are counted row by row."""
+    """Return the coordinates, x first, of pixels with flat indices."""
     columns = []
     for size in sizes:
         columns.append(index % size)
@@ -164,5 +164,5 @@ def grid(index: torch.Tensor, sizes: Sequence[int]) -> Columns:
 
 
 def working(tensor: torch.Tensor) -> torch.dtype:
-    """Return the type in which a tensor is worked with where engines do not do it."""
+    """Return the type for work on a tensor outside of the engines."""
     return torch.float64 if tensor.dtype == torch.float64 else torch.float32

@@ -4,13 +4,13 @@ Of one stroke, in physical units, with r = p - pivot, s = |r|² and p taken into
 
     K(p) = diag(β) m(√s/R) [A(s) f + B(s) (r·f) r],    m(t) = (1-t)³ (1 + 3t + 6t²) for t < 1, 0 beyond.
 
-An image is a volume's plane z = 0, on which nothing has a third coordinate.
+An image is the plane z = 0 of a volume, without displacement along z.
 
-Of a loss L of the points p(θ) = T⁻¹(q; θ), T(p; θ) = q gives
+For a loss L of the points p(θ) = T⁻¹(q; θ), T(p; θ) = q gives
 
     dL/dθ = -Σ_q λᵀ ∂T(p; θ)/∂θ,    (I+J)ᵀ λ = ∂L/∂p,
 
-at fixed p, however p was found.
+at fixed p, independently of the solver.
 """
 
 from __future__ import annotations
@@ -24,19 +24,19 @@ import torch
 from supple.domain import PROFILE_CODES
 from supple.engines.base import Space
 
-# Of one, two and three scales: what a stroke's terms weigh, and their radii over ε.
+# For one, two and three scales: the weights of a stroke's terms, and their radii over ε.
 _WEIGHTS = {1: (1.0,), 2: (11.0, -11.0), 3: (14641 / 331, -26741 / 331, 12100 / 331)}
 _RADII = (1.0, 1.1, 1.21)
 
 _SINE = PROFILE_CODES["sine"]
 
 Axis = tuple[float, float, float, float, float]  # first, last, sigma and spacing in physical units, and the profile
-Columns = list[torch.Tensor]  # for each coordinate, x first
+Columns = list[torch.Tensor]  # one for each coordinate, x first
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Strokes:
-    """Strokes as tensors: one after the other, they make T.
+    """Strokes as tensors: composed in order, they make T.
 
     Parameters
     ----------
@@ -45,13 +45,13 @@ class Strokes:
     radius : tensor of floats, shape (n,)
         In physical units.
     kinds : sequence of (float, float, int, float)
-        Of each stroke, what part of its force is carried out, its material's b/a, its scales, and its reach in radii,
+        For each stroke, the applied fraction of its force, its material's b/a, its scales, and its reach in radii,
         infinite without a limit.
     axes : sequence of (float, float, float, float)
         Extent, width of the fixed border (-1 where it is free), spacing and the border's profile along each axis, as
         in `Domain.packed`.
     flows : bool
-        Whether strokes arrive where they should in spite of a fixed border.
+        Whether strokes are corrected for a fixed border, so that they reach their targets.
     """
 
     at: torch.Tensor
@@ -63,7 +63,7 @@ class Strokes:
 
     @classmethod
     def of(cls, space: Space, dtype: torch.dtype, device: torch.device) -> Strokes:
-        """Return the strokes of a space as engines carry them out, row by row."""
+        """Return the strokes of a space as engines apply them, row by row."""
         table, n = space.table, space.ndim
         columns = [table[name][:, :n] / space.axes[:n, 3] for name in ("pivot", "force")]
         at, by, radius = (
@@ -81,7 +81,7 @@ def axes_of(space: Space) -> list[Axis]:
 
 
 def moved(points: Columns, strokes: Strokes) -> Columns:
-    """T of points, both in physical units: D tensors of one shape."""
+    """Return T of points, both in physical units: D tensors of one shape."""
     for k, (part, ratio, scales, reach) in enumerate(strokes.kinds):
         pivot = [x * axis[3] for x, axis in zip(strokes.at[k], strokes.axes, strict=True)]
         force = [x * (axis[3] * part) for x, axis in zip(strokes.by[k], strokes.axes, strict=True)]
@@ -101,7 +101,7 @@ def moved(points: Columns, strokes: Strokes) -> Columns:
 
 
 def strokes_gradients(points: Columns, slopes: Columns, strokes: Strokes) -> list[torch.Tensor]:
-    """Return the parts of ∂L/∂at, ∂L/∂by and ∂L/∂radius by points p = T⁻¹(q) with the gradients ∂L/∂p.
+    """Return the parts of ∂L/∂at, ∂L/∂by and ∂L/∂radius from points p = T⁻¹(q) with the gradients ∂L/∂p.
 
     Parameters
     ----------
@@ -122,7 +122,7 @@ def strokes_gradients(points: Columns, slopes: Columns, strokes: Strokes) -> lis
 
 
 def _solved(rows: Sequence[Sequence[torch.Tensor]], g: Columns) -> Columns:
-    """λ of Mᵀ λ = g, M given by its rows: by Cramer's rule, which works on all points at once."""
+    """Return λ of Mᵀ λ = g, M given by its rows, by Cramer's rule, for all points at once."""
     if len(g) == 2:
         (a, b), (c, d) = rows
         scale = 1 / (a * d - b * c)
@@ -146,7 +146,7 @@ def _cross(a: Sequence[torch.Tensor], b: Sequence[torch.Tensor]) -> Columns:
 def _profiles(
     distance2: torch.Tensor, radius: torch.Tensor, ratio: float, scales: int
 ) -> tuple[torch.Tensor, torch.Tensor]:
-    """A and B, summed over the stroke's terms."""
+    """Return A and B, summed over the stroke's terms."""
     size = radius * (2 / (3 - 2 * ratio))
     a, b = torch.zeros_like(distance2), torch.zeros_like(distance2)
     for weight, wider in zip(_WEIGHTS[scales], _RADII, strict=False):
@@ -160,13 +160,13 @@ def _profiles(
 
 def _support(share2: torch.Tensor) -> torch.Tensor:
     """Return m(t) of t²."""
-    # The root has no slope at 0, where m needs none.
+    # The root has no derivative at 0, where that of m is 0.
     t = share2.clamp(1e-30, 1).sqrt()
     return (1 - t) ** 3 * (1 + (3 + 6 * t) * t)
 
 
 def _edges(points: Columns, axes: Sequence[Axis]) -> tuple[Columns, Columns]:
-    """The nearest coordinates in the domain, and β there."""
+    """Return the nearest coordinates in the domain, and β there."""
     near, beta = [], []
     for x, (first, last, sigma, _, profile) in zip(points, axes, strict=True):
         if sigma < 0:
@@ -184,7 +184,7 @@ def _edges(points: Columns, axes: Sequence[Axis]) -> tuple[Columns, Columns]:
 
 
 def _arriving(pivot: Columns, force: Columns, axes: Sequence[Axis]) -> Columns:
-    """The force that makes up for β at its pivot, unless that is outside of a fixed border."""
+    """Return the force corrected for β at its pivot, unless that is outside of a fixed border."""
     places = [float(x.detach()) for x in pivot]
     outside = (sigma >= 0 and not a <= x <= b for x, (a, b, sigma, _, _) in zip(places, axes, strict=True))
     if any(outside):

@@ -1,6 +1,6 @@
-"""Samples at source points, and what a loss of them says of the samples and of the points.
+"""Samples at source points, and the gradients with respect to samples and points.
 
-A source point is a whole pixel and a rest, so that no large coordinate takes the digits of a weight.
+A source point is a whole pixel and a fraction, so that large coordinates do not reduce the accuracy of weights.
 """
 
 from __future__ import annotations
@@ -20,19 +20,19 @@ _KEYS = {"cubic": -0.75, "catmull-rom": -0.5}  # the slope of the kernel at 1
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Filter:
-    """How an array is read at points.
+    """The filter of an array.
 
     Parameters
     ----------
     sizes : sequence of int
-        Of the array's axes, x first.
+        The sizes of the array's axes, x first.
     kinds : sequence of str
         For each axis, ``"nearest"``, ``"linear"``, ``"cubic"`` or ``"catmull-rom"``: Keys' kernel with a = -0.75, and
-        with -0.5, which is that between frames.
+        with -0.5, which is used between frames.
     outside : str
-        ``"edge"``, ``"constant"`` or ``"reflect"``.
+        Boundary mode: ``"edge"``, ``"constant"`` or ``"reflect"``.
     fill : tensor of floats, shape (K, 1)
-        The constant, for each channel.
+        The fill value, for each channel.
     """
 
     sizes: Sequence[int]
@@ -42,13 +42,13 @@ class Filter:
 
     @property
     def smooth(self) -> bool:
-        """Return whether what is read depends on where in a pixel a point lies."""
+        """True if values depend on the fraction of a point."""
         return any(kind != "nearest" for kind in self.kinds)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Tap:
-    """One of the samples that make up each value: its index, if it is inside, its weights and their slopes by axis."""
+    """A sample of each value: its index, a mask of those inside, its weights and their derivatives by axis."""
 
     index: torch.Tensor
     inside: torch.Tensor | None
@@ -63,14 +63,14 @@ class _Tap:
 
 
 def read(source: torch.Tensor, whole: Columns, rest: Columns, how: Filter) -> torch.Tensor:
-    """The filtered values at points.
+    """Return the filtered values at points.
 
     Parameters
     ----------
     source : tensor, shape (K, M)
         K channels of all samples.
     whole, rest : D tensors of shape (P,), x first
-        The points, in pixels, as integers and what is left, from 0 to 1. The floats say in what type to work.
+        The points, in pixels, as integers and fractions from 0 to 1. The type of the floats is the working type.
     how : Filter
 
     Returns
@@ -91,16 +91,16 @@ def spread(
     how: Filter,
     into: torch.Tensor | None,
 ) -> Columns:
-    """The reverse of `read`: add ∂L/∂source to ``into`` (K, M), unless that is None, and return ∂L/∂points.
+    """Compute the gradients of `read`: add ∂L/∂source to ``into`` (K, M), if given, and return ∂L/∂points.
 
     Parameters
     ----------
     gradient : tensor, shape (K, P)
-        ∂L/∂(what was read).
+        ∂L/∂values, for the values from `read`.
     source : tensor, shape (K, M), or None
-        Without it, there are no gradients of the points: an empty list.
+        If None, an empty list is returned for the points.
     whole, rest, how
-        As `read` takes them.
+        As in `read`.
     """
     found = [torch.zeros_like(x) for x in rest] if source is not None else []
     for tap in _taps(whole, rest, how):
@@ -139,7 +139,7 @@ def _taps(whole: Columns, rest: Columns, how: Filter) -> Iterator[_Tap]:
 
 
 def _place(i: torch.Tensor, n: int, outside: str) -> tuple[torch.Tensor, torch.Tensor | None]:
-    """The samples that stand for those at ``i``, and where there are none for a constant."""
+    """Return the indices that replace ``i``, and the mask of those inside, for a constant."""
     if outside == "reflect":
         k = i % (2 * n)
         return torch.minimum(k, 2 * n - 1 - k), None
@@ -147,7 +147,7 @@ def _place(i: torch.Tensor, n: int, outside: str) -> tuple[torch.Tensor, torch.T
 
 
 def _weights(t: torch.Tensor, kind: str) -> tuple[Columns, Columns]:
-    """The weights of an axis' samples at ``t`` between two of them, and their derivatives."""
+    """Return the weights of an axis' samples at ``t`` between two of them, and their derivatives."""
     one = torch.ones_like(t)
     if kind == "nearest":
         return [one], [torch.zeros_like(t)]

@@ -1,4 +1,4 @@
-"""Buffers that stay on the device from frame to frame: bytes that are written only when they change, and bindings."""
+"""Reused buffers and bind groups; bytes are written only when they change."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class Kept:
         self._buffer: Any = None
 
     def hold(self, array: npt.NDArray[Any]) -> Any:
-        """The buffer, with this in it; another one only where the last is too small."""
+        """Return the buffer with this array's bytes; it is replaced only if it is too small."""
         data = np.ascontiguousarray(array).tobytes()
         if self._buffer is None or self._buffer.size < len(data):
             usage = "UNIFORM" if self._kind == UNIFORM else "STORAGE"
@@ -42,14 +42,14 @@ class Kept:
 
 
 class Bound:
-    """A bind group, made anew when one of the things in it is another one."""
+    """A bind group, rebuilt when one of its resources changes."""
 
     def __init__(self) -> None:
         self._things: tuple[Any, ...] = ()
         self._group: Any = None
 
     def group(self, things: Sequence[Any], make: Callable[[], Any]) -> Any:
-        """The bind group of some things; ``make`` makes one."""
+        """Return the bind group of some resources; ``make`` builds it."""
         if len(things) != len(self._things) or any(a is not b for a, b in zip(things, self._things, strict=True)):
             self._things, self._group = tuple(things), make()
         return self._group

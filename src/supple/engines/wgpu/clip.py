@@ -1,4 +1,4 @@
-"""Frames of a clip on the GPU: a ring of those that planes are made of, and planes that are begun ahead."""
+"""Clips on the GPU: a ring of source frames, and planes that are begun ahead."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from supple.engines.wgpu.warp import AT_FIRST, SECONDS
 
 @dataclass(slots=True, eq=False)
 class Ring:
-    """Frames of one of a clip's pictures, in the slots that they have in the window."""
+    """The frames of one group of samples, in the slots of the window."""
 
     gpu: Gpu
     picture: GpuGroup
@@ -34,7 +34,7 @@ class Ring:
     there: list[int]
 
     def take(self, frame: int) -> None:
-        """See that a frame is there."""
+        """Upload a frame if it is missing."""
         slot = frame % len(self.there)
         if self.there[slot] == frame:
             return
@@ -45,7 +45,7 @@ class Ring:
 
 @dataclass(slots=True, eq=False)
 class _Set:
-    """The working set of one plane: its lattice, and room for its samples here and there."""
+    """The working set of one plane: its lattice, and buffers for its samples on the device and the host."""
 
     lattice: Lattice
     told: tuple[Any, ...]
@@ -56,7 +56,7 @@ class _Set:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Begun:
-    """A plane that is being made."""
+    """A plane in progress."""
 
     room: _Set
     mapped: Any
@@ -65,7 +65,7 @@ class _Begun:
 
 @dataclass(slots=True, eq=False)
 class Clip:
-    """A maker of the planes of a clip, up to as many at once as there are sets."""
+    """A maker of the planes of a clip, with up to one plane in progress for each set."""
 
     strokes: Strokes
     rings: tuple[Ring, ...]
@@ -76,14 +76,14 @@ class Clip:
     turn: int = 0
 
     def begin(self, z: int, low: int, high: int) -> _Begun:
-        """Begin a plane that samples the frames from ``low`` to ``high`` of the clip, which are in the window."""
+        """Begin a plane that samples frames ``low`` to ``high`` of the clip, which are in the window."""
         gpu, use = self.strokes.gpu, self.sets[self.turn % len(self.sets)]
         self.turn += 1
         with gpu.lock:
             for ring in self.rings:
                 for frame in range(low, high + 1):
                     ring.take(frame)
-            at = z if self.timed else 0  # without a time, all planes have the same lattice
+            at = z if self.timed else 0  # without time, one lattice for all planes
             part = Part((at, at + 1), (0, self.strokes.cells[1]))
             if use.lattice.solved != part:
                 use.lattice.solve(part, self.rings[0].picture.wanted.tolerance)
@@ -99,17 +99,17 @@ class Clip:
                 encoder.copy_buffer_to_buffer(buffer, 0, use.copy, at, size)
                 at += size
             gpu.device.queue.submit([encoder.finish()])
-            # Asked for now, it does not wait for what is begun later.
+            # Mapped now, the buffer does not wait for work that is submitted later.
             return _Begun(use, use.copy.map_async("READ"), time.perf_counter())
 
     def finish(self, begun: _Begun, outs: Sequence[Array]) -> tuple[float, str]:
-        """Put a plane's samples into an array for each picture; return its error, and what failed."""
+        """Write a plane's samples into one array for each group; return its error and a message on failures."""
         use = begun.room
         asked = time.perf_counter()
         begun.mapped.sync_wait()
         done = time.perf_counter()
-        if done - asked > 1e-2:  # else it was done before, nobody knows when
-            # It has perhaps waited for the plane before it.
+        if done - asked > 1e-2:  # else it was done before, at an unknown time
+            # The plane may have waited for the one before it.
             self.parts = min(max(self.parts, round(0.5 * (done - begun.since) / SECONDS)), self.strokes.cells[1])
         try:
             words = use.copy.read_mapped(copy=False)
@@ -127,10 +127,10 @@ class Clip:
 
 
 def fits_whole(gpu: Gpu, strokes: Strokes, pictures: Sequence[GpuGroup], slots: int) -> bool:
-    """Return whether a window, the lattice of a plane and its samples are no more than a shader takes each."""
+    """Return whether a window, the lattice of a plane and its samples each fit the largest binding."""
     nodes = NODE * pitch_of(strokes.cells[0] + 1) * (strokes.cells[1] + 1)
     made = [target_size(picture, picture.shape[0]) for picture in pictures]
-    # What is copied back is one array, however many pictures there are.
+    # All groups are copied back as one array.
     if max(nodes, *made) > gpu.binding or sum(made) + 16 > max(gpu.binding, LIMITS["max-buffer-size"]):
         return False
     if max(strokes.cells) >= SIDE:
@@ -152,20 +152,20 @@ def clip_on(
     windows: Sequence[Array],
     sets: int,
 ) -> Iterator[Clip | None]:
-    """Open what makes the planes of a clip; None where its window does not fit.
+    """Open a maker of the planes of a clip; None if its window does not fit.
 
     Parameters
     ----------
     gpu : Gpu
     space : Space
     step : (int, int)
-        Pixels from one of a frame's coarsest samples to the next.
+        The step of the coarsest samples of a frame, in pixels.
     pictures : sequence of GpuGroup
-        What a frame is made of.
+        The groups of samples of a frame.
     windows : sequence of arrays
-        Where frame k is in the slot k modulo their number: (slots, rows, samples, channels) for each picture.
+        Frame k is in slot k modulo the number of slots: (slots, rows, samples, channels) for each group.
     sets : int
-        How many planes are made at once.
+        The number of planes in progress.
     """
     with contextlib.ExitStack() as stack:
         strokes = strokes_on(stack, gpu, space.table, space.axes, space.shape, step)
@@ -195,7 +195,7 @@ def clip_on(
 
 
 def _parts(pictures: Sequence[GpuGroup]) -> int:
-    """In how many pieces a plane is made, before it is known how long that takes."""
+    """Return the initial number of parts of a plane, before its time is known."""
     texels = 0.0
     for picture in pictures:
         wanted = picture.wanted

@@ -1,4 +1,4 @@
-"""Which GPU works: its adapter, what it is asked for, and what to say where there is none."""
+"""The GPU: its adapter, the limits that are requested, and the error messages where there is none."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from typing import Any
 
 from supple.errors import SuppleError
 
-# What is asked of every adapter: what ordinary GPUs grant, whatever this one has. Work beyond it is split.
+# The limits requested of every adapter are those of ordinary GPUs. Larger work is split.
 LIMITS: dict[str, int] = {
     "max-bind-groups": 4,
     "max-buffer-size": 256 << 20,
@@ -31,9 +31,9 @@ LIMITS: dict[str, int] = {
     "max-uniform-buffer-binding-size": 64 << 10,
 }
 _BINDINGS = (1 << 30, 512 << 20, 256 << 20, LIMITS["max-storage-buffer-binding-size"])
-"""The sizes, in bytes, that are asked for as the largest array of a shader: the first that is granted is used."""
+"""The binding sizes to request, in bytes; the first that is granted is used."""
 
-TEXTURE = 512 << 20  # bytes of a texture, if an array may not be larger
+TEXTURE = 512 << 20  # bytes of a texture, where storage buffers may not be larger
 
 _SIZES = ("max-storage-buffer-binding-size", "max-buffer-size")
 
@@ -48,24 +48,24 @@ class Gpu:
     Parameters
     ----------
     name : str
-        The adapter's.
+        The adapter's name.
     software : bool
-        Whether it is a program that runs on the CPU.
+        Whether the adapter is a software one, on the CPU.
     backend : str
         Vulkan, Metal or D3D12.
     device : wgpu.GPUDevice
     pipelines : dict
-        What has been compiled for it.
+        Compiled pipelines.
     lock
-        For whom works on it: one thread at a time.
+        Held by the one thread that works on the device.
     clocks : list
-        Those that are running (`supple.engines.wgpu.kernel.clocked`).
+        The running clocks (`supple.engines.wgpu.kernel.clocked`).
     binding : int
-        The largest array that a shader takes, in bytes.
+        The size of the largest array for a shader, in bytes.
     texture : int
-        The largest texture that frames or nodes are put into, in bytes.
+        The size of the largest texture of frames or nodes, in bytes.
     lost : bool
-        Whether it failed, and another one is opened when it is asked for.
+        Whether the device failed; the next `open_gpu` opens a new one.
     """
 
     name: str
@@ -82,16 +82,16 @@ class Gpu:
 
 @functools.cache
 def adapters() -> tuple[Any, ...]:
-    """The adapters of this machine, the fastest kind first."""
+    """Return the adapters of this machine, the fastest kind first."""
     try:
         import wgpu
         from wgpu.backends.wgpu_native import extras
     except (ImportError, OSError, RuntimeError) as error:
         raise SuppleError(f"the GPU needs wgpu, which cannot be loaded ({error}): pip install 'supple[gpu]'") from None
-    # OpenGL offers the same adapters once more, and less of them. Somebody else may have chosen already.
+    # OpenGL lists the same adapters again, with fewer features. The user may have chosen a backend.
     with contextlib.suppress(RuntimeError):
         extras.set_instance_extras(backends=["Vulkan", "Metal", "DX12"])
-    # Where nobody is logged in, libraries of windows complain on the terminal that this is not set.
+    # Without a login session, window libraries print a warning if this is not set.
     given = os.environ.get("XDG_RUNTIME_DIR")
     os.environ.setdefault("XDG_RUNTIME_DIR", tempfile.gettempdir())
     try:
@@ -126,17 +126,17 @@ _opened: dict[int, Gpu] = {}
 
 
 def open_gpu(software: bool = True) -> Gpu:
-    """The fastest adapter's device; it stays open.
+    """Return the device of the fastest adapter; it stays open.
 
     Parameters
     ----------
     software : bool
-        Whether one that runs on the CPU will do, where there is no other.
+        Whether a software adapter will do if there is no other.
 
     Raises
     ------
     SuppleError
-        If there is none that works; the message says what to install.
+        If no adapter works; the message names what to install.
     """
     with _lock:
         reason = ""
@@ -167,7 +167,7 @@ def open_gpu(software: bool = True) -> Gpu:
 
 
 def forget(gpu: Gpu) -> None:
-    """Open the device anew when it is asked for again: this one failed."""
+    """Drop a device that failed; the next `open_gpu` opens a new one."""
     with _lock:
         gpu.lost = True
         for k in [k for k, known in _opened.items() if known is gpu]:
@@ -175,7 +175,7 @@ def forget(gpu: Gpu) -> None:
 
 
 def describe() -> list[dict[str, str]]:
-    """The adapters of this machine, for people; SuppleError if there are none."""
+    """Return a description of the adapters of this machine; SuppleError if there are none."""
     if not adapters():
         raise SuppleError(f"no GPU was found: {missing()}")
     kinds = {"DiscreteGPU": "a discrete GPU", "IntegratedGPU": "in the processor", "VirtualGPU": "a part of another's"}

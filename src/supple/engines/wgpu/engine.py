@@ -32,7 +32,7 @@ from supple.engines.wgpu.warp import warp
 
 
 def groups_of(work: Work) -> tuple[GpuGroup, ...]:
-    """Return the parts of a frame, as shaders take them."""
+    """Return the groups of samples of a frame, as shaders take them."""
     space, sampling = work.space, work.sampling
     timed = space.ndim == 3
     early, late = times_seen(sampling.outside, space.count, sampling.time_filter)
@@ -62,22 +62,22 @@ def groups_of(work: Work) -> tuple[GpuGroup, ...]:
 
 @dataclass(frozen=True, slots=True)
 class Wgpu:
-    """The engine of a GPU (`supple.engines.base.Engine`). Points, which it would solve in float32, are the CPU's."""
+    """The engine of a GPU (`supple.engines.base.Engine`). The CPU maps points, which need float64."""
 
     gpu: Gpu
     lead: int = 1
 
     @property
     def name(self) -> str:
-        """The GPU's."""
+        """The name of the GPU."""
         return self.gpu.name
 
     def slack(self, tolerance: float) -> float:
-        """Its lattice, and that of the CPU, are both off by as much as they may."""
+        """Return the sum of the errors of this lattice and of the CPU's."""
         return SLACK + 2 * tolerance
 
     def check(self, work: Work) -> None:
-        """Raise SuppleError for strokes and samples that float32, or a shader's words, do not hold."""
+        """Raise SuppleError for strokes and samples that do not fit float32 or the words of a shader."""
         reason = "" if fits(work.space.table) else "strokes of such sizes"
         dtype = work.layout.dtype
         for group in work.layout.groups:
@@ -108,7 +108,7 @@ class Wgpu:
     def warp(self, work: Work, frames: Sequence[Array], outs: Sequence[Array]) -> Steps:
         """See `Engine.warp`."""
         space, lost = work.space, 0
-        # An image is a stack of one frame; images that are bent alike are so many stacks.
+        # An image is a stack of one frame; several images with one map are several stacks.
         parts = [slice(k, k + 1) for k in range(len(outs[0]))] if space.ndim == 2 else [slice(None)]
         with self.gpu.lock, _failing(self.gpu):
             for group, source, target in zip(groups_of(work), frames, outs, strict=True):
@@ -148,7 +148,7 @@ class Wgpu:
 
 @contextlib.contextmanager
 def _failing(gpu: Gpu) -> Iterator[None]:
-    """Raise `EngineError` for errors of the device."""
+    """Convert errors of the device to `EngineError`."""
     try:
         yield
     except failures() as error:
@@ -157,9 +157,9 @@ def _failing(gpu: Gpu) -> Iterator[None]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Stream:
-    """Planes from a window (`supple.engines.base.Planes`).
+    """A maker of planes from a window (`supple.engines.base.Planes`).
 
-    Where the window is larger than a shader takes, ``clip`` is None, and planes are made in parts.
+    If the window is larger than a binding, ``clip`` is None and planes are made in parts.
     """
 
     gpu: Gpu
@@ -190,7 +190,7 @@ class _Stream:
         return frames_needed(first, last, self.work.space.count, self.work.sampling.outside)
 
     def _in_parts(self, z: int, first: int, last: int, outs: Sequence[Array]) -> tuple[float, str]:
-        """Make a plane from as much at once as a shader takes."""
+        """Make a plane in parts that fit a binding."""
         low, high = self._frames(z, first, last)
         worst, lost, space, step = 0.0, 0, self.work.space, self.work.layout.step
         for group, held, out in zip(self.groups, self.window, outs, strict=True):

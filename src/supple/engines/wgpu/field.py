@@ -1,4 +1,4 @@
-"""The strokes and their domain, as shaders read them; T and T⁻¹ of points."""
+"""The strokes and their domain in the layout of the shaders; T and T⁻¹ of points."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _POINTS = ("field", "newton", "points", "turns")
 def packed(table: npt.NDArray[np.void]) -> npt.NDArray[np.void]:
     """Return a table of strokes (`supple.strokes.pack`) in float32: each pivot as the sum of two numbers, and 1/R."""
     out = np.zeros(table.size, STROKE)
-    with np.errstate(over="ignore"):  # `fits` tells
+    with np.errstate(over="ignore"):  # checked by `fits`
         out["pivot"] = table["pivot"]
         out["rest"][:, :3] = table["pivot"] - out["pivot"].astype(np.float64)
         out["rest"][:, 3] = 1.0 / table["reach"]
@@ -42,28 +42,28 @@ def packed(table: npt.NDArray[np.void]) -> npt.NDArray[np.void]:
 
 
 def fits(table: npt.NDArray[np.void]) -> bool:
-    """Return whether float32 holds all numbers of a table, with room for their products."""
+    """Return whether float32 holds all numbers of a table and their products."""
     made = packed(table)
     return all(bool((np.abs(made[name]) < 1e18).all()) for name in ("pivot", "force", "radius2", "p", "q", "r"))
 
 
 def local(table: npt.NDArray[np.void]) -> bool:
-    """Tell whether all strokes have a limited reach, so that there may be pixels that none of them reaches."""
+    """Return whether all strokes have a limited reach, so that some pixels may be unchanged."""
     return bool(np.isfinite(table["reach"]).all())
 
 
 def reached(table: npt.NDArray[np.void], axes: Floats, planes: tuple[int, int]) -> npt.NDArray[np.bool_]:
-    """Return which planes, of a range of the third axis, the ball of any stroke touches."""
+    """Return the mask of the planes, in a range of the third axis, that intersect the ball of any stroke."""
     z = np.arange(*planes)[:, None] * axes[2, 3]
     return np.asarray((np.abs(z - table["pivot"][:, 2]) < table["reach"]).any(axis=1))
 
 
 def domain(axes: Floats) -> npt.NDArray[np.float32]:
-    """Return a packed domain (`Domain.packed`) as shaders read it.
+    """Return a packed domain (`Domain.packed`) in the layout of the shaders.
 
-    Its rows are the first faces of three axes, the last ones, the widths of the border, the spacing and the profiles. A
-    fourth of the spacing is what errors are measured by: the smallest of the axes along which anything may move. Off a
-    picture's plane nothing does, and its pixels are what counts.
+    Its rows are the first and last faces of the three axes, the widths of the border, the spacing and the profiles.
+    The fourth spacing is the unit of errors: the least spacing of the axes along which points move. An image has no
+    displacement along its third axis.
     """
     out = np.zeros((5, 4), np.float32)
     out[:, :3] = axes.T
@@ -75,7 +75,7 @@ def domain(axes: Floats) -> npt.NDArray[np.float32]:
 def forward(
     gpu: Gpu, table: npt.NDArray[np.void], axes: Floats, anchors: Floats, offsets: Floats
 ) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
-    """T of the points ``anchors + offsets`` (N, 3), in physical units: T(p) - anchor (N, 3), and ∂T/∂p (N, 3, 3)."""
+    """Return T(p) - anchor (N, 3) and ∂T/∂p (N, 3, 3) of points p = ``anchors + offsets`` (N, 3), in physical units."""
     found = _points(gpu, "forward", table, axes, anchors, offsets, 0.0)
     return found[:, 0, :3], np.moveaxis(found[:, 1:, :3], 1, 2)
 
@@ -83,7 +83,7 @@ def forward(
 def inverse(
     gpu: Gpu, table: npt.NDArray[np.void], axes: Floats, anchors: Floats, tolerance: float
 ) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32], npt.NDArray[np.float32]]:
-    """T⁻¹(q) - q of points q (N, 3), in physical units, with |T(p) - q| and the evaluations of T."""
+    """Return T⁻¹(q) - q of points q (N, 3), in physical units, the residual |T(p) - q| and the evaluations of T."""
     found = _points(gpu, "inverse", table, axes, anchors, np.zeros_like(anchors), tolerance)
     return found[:, 0, :3], found[:, 0, 3], found[:, 1, 3]
 

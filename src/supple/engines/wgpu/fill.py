@@ -1,4 +1,4 @@
-"""A deformed volume, made brick by brick beside the one that it is made of."""
+"""A deformed volume, computed brick by brick beside its source."""
 
 from __future__ import annotations
 
@@ -46,20 +46,20 @@ _SETTINGS = np.dtype(
 
 
 class Filling:
-    """The buffer of a deformed volume, and how much of it is there.
+    """The buffer of a deformed volume, and its filled part.
 
-    It is always made from the original volume and all strokes. Another one of the same volume takes its place, and
-    this one begins again when it is asked for once more.
+    It is always computed from the original volume and all strokes. Another filling of the same volume replaces this
+    one, which starts again when it is next used.
 
     Parameters
     ----------
     volume : Volume
-        With room for the buffer.
+        A volume with room for the buffer.
     lattice : Lattice
     polished : bool
-        Whether each voxel is solved for, as the lattice alone is not good enough.
+        Whether each voxel is refined by Newton's method, where the lattice alone is not accurate enough.
     tolerance : float
-        Of source points, in voxels.
+        The tolerance of source points, in voxels.
     """
 
     def __init__(self, volume: Volume, lattice: Lattice, *, polished: bool, tolerance: float) -> None:
@@ -68,26 +68,26 @@ class Filling:
         self._blocks = tuple(-(-n // BLOCK) for n in reversed(volume.size))
         self._made = np.zeros(self._blocks, np.bool_)
         self._pace = Pace(1)
-        self._key = object()  # and not itself: a circle would keep the device's memory until it is found
+        self._key = object()  # not ``self``: a reference cycle would hold the device's memory
         kinds = (UNIFORM, UNIFORM, READ, SOLID, volume.kind, SOLID, READ, WRITE, FILLED)
         self._work = pipeline(volume.gpu, (*_NAMES, volume.reader), "fill", kinds, {"POLISHED": int(polished)})
         self._target = volume.warped.create_view()
         self.finished = room(volume.gpu, 4 * self._made.size)
-        """A buffer with a 1 for each brick that is there with all of its neighbours, so that it can be read."""
+        """A buffer with a 1 for each brick that is filled with all of its neighbours, so that it can be read."""
 
     @property
     def part(self) -> float:
-        """How much is there, from 0 to 1."""
+        """The filled part, from 0 to 1."""
         return float(self._made.mean()) if self._volume.owner is self._key else 0.0
 
     def advance(self, seconds: float = math.inf, order: npt.NDArray[np.intp] | None = None) -> float:
-        """Make some bricks, for about as long; return how much is there then.
+        """Fill bricks for about this long; return the filled part.
 
         Parameters
         ----------
         seconds : float
         order : int array
-            Which bricks are made first, and so on: indices of flat arrays (bricks z, y, x).
+            The order of bricks: flat indices of arrays (bricks z, y, x).
 
         Raises
         ------
@@ -97,13 +97,13 @@ class Filling:
         if self._volume.owner is not self._key:
             self._volume.owner = self._key
             self._made[...] = False
-            self._tell()  # what another one's map says is no longer so
+            self._tell()  # the map of another filling is no longer valid
         gpu = self._volume.gpu
         every = np.arange(self._made.size) if order is None else order
         wanted = every[~self._made.reshape(-1)[every]].astype(np.uint32)
         with contextlib.ExitStack() as stack:
             (lost,) = owned(stack, room(gpu, 4))
-            stack.callback(self._tell)  # whatever ends it
+            stack.callback(self._tell)  # on every exit
             for first, count in self._pace.parts(wanted.size, min(seconds, 0.25), seconds):
                 some = wanted[first : first + count]
                 self._make(some, lost)
@@ -113,7 +113,7 @@ class Filling:
         return self.part
 
     def prepare(self) -> None:
-        """Run for no brick: some devices compile only then."""
+        """Run for no brick, since some devices compile only at the first run."""
         with contextlib.ExitStack() as stack:
             (lost,) = owned(stack, room(self._volume.gpu, 4))
             self._make(np.zeros(0, np.uint32), lost)
@@ -133,12 +133,12 @@ class Filling:
             settings[name] = value
         with contextlib.ExitStack() as own:
             told, some = owned(own, upload(gpu, settings, UNIFORM), upload(gpu, wanted))
-            # Nothing is read of a buffer here: any other texture stands in its place.
+            # No buffer is read here; any other texture stands in its place.
             read = [lattice.domain, lattice.strokes, lattice.nodes, volume.view, lattice.nodes]
             run(gpu, [(self._work, [told, *read, some, lost, self._target], (*spread(wanted.size, 1), 1))])
 
     def _tell(self) -> None:
-        """Tell the device which bricks can be read: samples between voxels, and slopes, take their neighbours too."""
+        """Upload the map of readable bricks: interpolated samples and slopes read their neighbours too."""
         padded = np.pad(self._made, 1, constant_values=True)
         ready = np.ones_like(self._made)
         for shift in np.ndindex(3, 3, 3):

@@ -1,4 +1,4 @@
-"""How shaders are composed and run: sources, pipelines, arrays in and out."""
+"""Shaders: sources, pipelines, and arrays to and from the device."""
 
 from __future__ import annotations
 
@@ -32,18 +32,18 @@ _TEXTURES: dict[str, Any] = {
 }
 MOST_GROUPS = 65535
 PART = 0.25  # seconds
-TURNS = 4  # of a loop that shows whether loops are carried out (turns.wgsl)
-CUT = 1 << 20  # what is added to a count of lost points where they are not
-LEAST = 256  # bytes of a buffer: an array of one item must fit, though it may hold none
+TURNS = 4  # iterations of a loop that tests whether loops run to their end (turns.wgsl)
+CUT = 1 << 20  # added to a count of unsolved points if they do not
+LEAST = 256  # bytes of the smallest buffer: one item must fit, even of an empty array
 _LOST = re.compile(r"\blost\b|\bdevice\b.*\bdestroyed\b", re.IGNORECASE)  # a texture or a buffer may be destroyed, too
 
 
 class InterruptionError(Exception):
-    """An exception of a caller's own function, which is no fault of the GPU's; the cause is what it raised."""
+    """An exception of a user's callback, kept apart from errors of the GPU; its cause is the original exception."""
 
 
 def passing(call: Callable[..., T]) -> Callable[..., T]:
-    """A caller's function, whose errors pass through what takes those of the GPU; see `let_through`."""
+    """Wrap a user's callback so that its errors pass the handlers of GPU errors; see `let_through`."""
 
     def called(*arguments: Any) -> T:
         try:
@@ -56,7 +56,7 @@ def passing(call: Callable[..., T]) -> Callable[..., T]:
 
 @contextlib.contextmanager
 def let_through() -> Iterator[None]:
-    """Raise what a caller's own function raised."""
+    """Raise the original exception of a user's callback."""
     try:
         yield
     except InterruptionError as stopped:
@@ -64,11 +64,11 @@ def let_through() -> Iterator[None]:
 
 
 def trouble(gpu: Gpu, error: Exception) -> str:
-    """Return the failure in one short line; a device that is lost is opened anew next time."""
+    """Return a failure in one short line; a lost device is opened again at the next use."""
     from wgpu import GPUValidationError
 
     text = " ".join(str(error).split())
-    # What does not fit together is somebody's mistake; but so says a device that is lost, too.
+    # A validation error is a bug, unless the device is lost, which gives one too.
     mistaken = isinstance(error, GPUValidationError) and not _LOST.search(text)
     if not (mistaken or isinstance(error, MemoryError | ArithmeticError)):
         forget(gpu)
@@ -76,21 +76,21 @@ def trouble(gpu: Gpu, error: Exception) -> str:
 
 
 def unsolved(lost: int) -> str:
-    """Return the message on points that are not known to be good enough, if there are any."""
+    """Return a message on points that may not meet the tolerance, if there are any."""
     if lost >= CUT:
         return "its driver ends loops of many turns"
     return f"{lost} points could not be solved to the tolerance in its numbers" if lost else ""
 
 
 def failures() -> tuple[type[Exception], ...]:
-    """Return the exceptions of a device that is lost or full, or of a driver that does not compile a shader."""
+    """Return the exception types of a device that is lost or full, or of a driver that fails to compile a shader."""
     from wgpu import GPUError
 
     return (GPUError, MemoryError, RuntimeError, ArithmeticError)
 
 
 def source(*names: str) -> str:
-    """The shaders of some files, one after the other; WGSL does not care in which order things are said."""
+    """Return the source of some shaders, concatenated; WGSL allows any order."""
     folder = resources.files("supple.engines.wgpu") / "shaders"
     return "\n".join((folder / f"{name}.wgsl").read_text(encoding="utf-8") for name in names)
 
@@ -102,10 +102,10 @@ def pipeline(
     kinds: Sequence[str | None],
     constants: Mapping[str, float] | None = None,
 ) -> Any:
-    """A compute shader's entry point, compiled; kept with the device.
+    """Return the compiled entry point of a compute shader, cached on the device.
 
-    ``kinds`` are those of its bindings: UNIFORM, READ, WRITE, TEXTURE (rgba8unorm, written to), or what is read of an
-    array of layers or of a solid, as `_TEXTURES` has it; None for a number that it does not bind.
+    ``kinds`` are those of its bindings: UNIFORM, READ, WRITE, TEXTURE (rgba8unorm, written to), a texture of layers or
+    a solid that is read, as in `_TEXTURES`; None for a number without a binding.
     """
     chosen = tuple(sorted((constants or {}).items()))
     key = (tuple(names), entry, tuple(kinds), chosen)
@@ -130,7 +130,7 @@ def pipeline(
 
 
 def upload(gpu: Gpu, array: Array, kind: str = READ) -> Any:
-    """An array's bytes on the device, up to a whole number of words."""
+    """Return a buffer with an array's bytes, padded to whole words."""
     usage = "UNIFORM" if kind == UNIFORM else "STORAGE|COPY_SRC"
     data = np.ascontiguousarray(array).reshape(-1).view(np.uint8)
     if data.size == 0:
@@ -146,19 +146,19 @@ def upload(gpu: Gpu, array: Array, kind: str = READ) -> Any:
 
 
 def room(gpu: Gpu, size: int) -> Any:
-    """Room for ``size`` bytes on the device, all 0."""
+    """Return a buffer of ``size`` bytes, all 0."""
     return gpu.device.create_buffer(size=max(-(-size // 4) * 4, LEAST), usage="STORAGE|COPY_SRC|COPY_DST")
 
 
 def owned(stack: contextlib.ExitStack, *buffers: Any) -> tuple[Any, ...]:
-    """Buffers that are destroyed when a stack is left, however that comes about."""
+    """Return buffers that are destroyed when the stack is left."""
     for buffer in buffers:
         stack.callback(buffer.destroy)
     return buffers
 
 
 def bound(gpu: Gpu, layout: Any, buffers: Sequence[Any]) -> Any:
-    """Return the bind group of buffers, and of views of textures; None for a number that is not bound."""
+    """Return the bind group of buffers and texture views; None for a number without a binding."""
     entries = [
         {"binding": k, "resource": buffer if hasattr(buffer, "texture") else {"buffer": buffer}}
         for k, buffer in enumerate(buffers)
@@ -168,13 +168,13 @@ def bound(gpu: Gpu, layout: Any, buffers: Sequence[Any]) -> Any:
 
 
 def run(gpu: Gpu, passes: Sequence[tuple[Any, Sequence[Any], Any]]) -> None:
-    """Run pipelines one after the other: each with its buffers and its workgroups, or the buffer that tells these."""
+    """Run pipelines in order: each with its buffers and its workgroups, or the buffer with their count."""
     encoder, stack = gpu.device.create_command_encoder(), contextlib.ExitStack()
     clock = gpu.clocks[-1] if gpu.clocks else None
     for (made, layout), buffers, groups in passes:
         group = bound(gpu, layout, buffers)
         told = None
-        if not isinstance(groups, tuple):  # a shader cannot write what it is dispatched by
+        if not isinstance(groups, tuple):  # a shader cannot write its own dispatch counts
             (told,) = owned(stack, gpu.device.create_buffer(size=16, usage="INDIRECT|COPY_DST"))
             encoder.copy_buffer_to_buffer(groups, 0, told, 0, 12)
         step = encoder.begin_compute_pass(timestamp_writes=clock.next_pass() if clock else None)
@@ -185,27 +185,27 @@ def run(gpu: Gpu, passes: Sequence[tuple[Any, Sequence[Any], Any]]) -> None:
         else:
             step.dispatch_workgroups_indirect(told, 0)
         step.end()
-    with stack:  # what is submitted keeps what it needs
+    with stack:  # submitted work keeps its resources alive
         gpu.device.queue.submit([encoder.finish()])
 
 
 def wait(gpu: Gpu) -> None:
-    """Wait until all that was submitted is done."""
+    """Wait until all submitted work is done."""
     try:
         gpu.device._poll_wait()
-    except AttributeError:  # it is wgpu's own: what it promises to others (0.32) fails, or takes a buffer each time
+    except AttributeError:  # wgpu's own poll: its public alternative (0.32) fails, or takes a buffer each time
         download(gpu, room(gpu, LEAST), np.uint32, 1)
 
 
 class Clock:
-    """Measure the passes that are run while it is running, by the GPU's own clock."""
+    """A timer of compute passes, by the GPU's timestamps."""
 
     def __init__(self, gpu: Gpu, most: int = 2048) -> None:
         self._gpu, self._most, self._passes = gpu, most, 0
         self._queries = gpu.device.create_query_set(type="timestamp", count=2 * most)
 
     def next_pass(self) -> dict[str, Any] | None:
-        """Where the next pass writes when it begins and ends; nowhere, beyond the most that it holds."""
+        """Return the timestamp entries of the next pass; None when all are used."""
         if self._passes >= self._most:
             return None
         k = 2 * self._passes
@@ -217,7 +217,7 @@ class Clock:
         }
 
     def seconds(self) -> float:
-        """All passes together."""
+        """Return the total time of all passes."""
         if not self._passes:
             return 0.0
         buffer = self._gpu.device.create_buffer(size=16 * self._most, usage="QUERY_RESOLVE|COPY_SRC")
@@ -233,7 +233,7 @@ class Clock:
 
 @contextlib.contextmanager
 def clocked(gpu: Gpu) -> Iterator[Clock | None]:
-    """Measure the passes within; None where a GPU has no clock."""
+    """Time the passes within; None if the GPU has no timestamps."""
     if CLOCK not in gpu.device.features:
         yield None
         return
@@ -246,37 +246,36 @@ def clocked(gpu: Gpu) -> Iterator[Clock | None]:
 
 
 def download(gpu: Gpu, buffer: Any, dtype: Any, count: int) -> Array:
-    """The first ``count`` numbers of a buffer; waits for what fills it."""
+    """Return the first ``count`` numbers of a buffer; waits for the work that fills it."""
     size = -(-count * np.dtype(dtype).itemsize // 4) * 4
     return np.frombuffer(gpu.device.queue.read_buffer(buffer, 0, size), dtype, count)
 
 
 def settle(gpu: Gpu) -> None:
-    """Wait for what has been handed over: until then, there is a copy of it."""
+    """Wait for uploads, which keep a copy in memory until they are done."""
     gpu.device.queue.submit([])
     wait(gpu)
 
 
 class Pace:
-    """How much of some work is done at once, as far as it is known what that takes: systems end work of seconds.
+    """The size of the parts of some work, from measured times: systems end work that takes seconds.
 
     Parameters
     ----------
     count : int
-        How much is tried first.
+        The initial size of a part.
     most : int
-        How much at most.
+        The largest size of a part.
     """
 
     def __init__(self, count: int, most: int = 1 << 30) -> None:
         self._most, self.count = most, min(count, most)
-        self._each = 0.0  # seconds for one of it, the last time
+        self._each = 0.0  # seconds for one item, in the last part
 
     def parts(self, total: int, seconds: float = PART, limit: float = math.inf) -> Iterator[tuple[int, int]]:
-        """Where each part begins, and how large it is; whoever asks for the next one has waited for the last.
+        """Yield the start and the size of each part; the caller waits for a part before it asks for the next.
 
-        They take about ``seconds`` each, and end after ``limit`` seconds, as far as that is known before; there is one
-        at least.
+        Parts take about ``seconds`` each. They end after ``limit`` seconds, by estimate, but there is at least one.
         """
         begun, done = time.perf_counter(), 0
         while done < total:
@@ -296,7 +295,7 @@ class Pace:
 
 
 def spread(count: int, size: int) -> tuple[int, int]:
-    """Workgroups of ``size`` threads for ``count`` items, in rows."""
+    """Return workgroups of ``size`` threads for ``count`` items, in rows."""
     groups = max(1, -(-count // size))
     rows = -(-groups // MOST_GROUPS)
     return -(-groups // rows), rows

@@ -1,4 +1,4 @@
-"""The lattice of T⁻¹ on planes: solved at nodes and checked in between, by the GPU."""
+"""The lattice of T⁻¹ on planes, solved at nodes and checked between them on the GPU."""
 
 from __future__ import annotations
 
@@ -58,10 +58,10 @@ SETTINGS = np.dtype(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Strokes:
-    """Strokes on their domain, on the device.
+    """Strokes and their domain on the device.
 
-    ``cells`` is how many the lattice of a plane has, across and down; ``limited`` tells whether all strokes have a
-    limited reach.
+    ``cells`` is the number of cells of a plane, across and down; ``limited`` is true if all strokes have a limited
+    reach.
     """
 
     gpu: Gpu
@@ -80,7 +80,7 @@ def strokes_on(
     shape: tuple[int, int],
     step: tuple[int, int] = (1, 1),
 ) -> Strokes:
-    """Hand strokes over, until a stack is left; the lattice of a plane reaches as far as samples ``step`` apart may."""
+    """Upload strokes until the stack is left; the lattice covers samples up to ``step`` pixels apart."""
     held, places = owned(stack, upload(gpu, packed(table)), upload(gpu, domain(axes), UNIFORM))
     height, width = (-(-n // k) * k for n, k in zip(shape, reversed(step), strict=True))
     return Strokes(gpu, held, places, int(table.size), (_cells(width), _cells(height)), local(table))
@@ -92,27 +92,27 @@ def _cells(size: int) -> int:
 
 @dataclass(frozen=True, slots=True)
 class Part:
-    """Which planes, and which rows of cells of each."""
+    """A range of planes, and a range of rows of cells."""
 
     planes: Range
     cells: Range
 
     @property
     def count(self) -> int:
-        """How many planes."""
+        """The number of planes."""
         return self.planes[1] - self.planes[0]
 
     @property
     def tall(self) -> int:
-        """How many rows of cells."""
+        """The number of rows of cells."""
         return self.cells[1] - self.cells[0]
 
 
 @dataclass(slots=True, eq=False)
 class Lattice:
-    """T⁻¹ on a part, or room for it.
+    """T⁻¹ on a part, or buffers for it.
 
-    ``read`` is the texture that its nodes are read from, and ``view`` that of all of its planes.
+    ``read`` is the view that nodes are read from, and ``view`` the view of all of its planes.
     """
 
     strokes: Strokes
@@ -129,7 +129,7 @@ class Lattice:
         return self.part.count, self.part.tall + 1, self.strokes.cells[0] + 1
 
     def solve(self, part: Part, tolerance: float) -> None:
-        """Solve it for a part that is as large as the one that there is room for."""
+        """Solve the lattice of a part of the allocated size."""
         gpu = self.strokes.gpu
         assert (part.count, part.tall) == (self.part.count, self.part.tall)
         self.part, self.solved = part, None
@@ -159,19 +159,19 @@ class Lattice:
         return found.reshape(count, 4, down, pitch, 4)[:, :, :, :across].transpose(0, 2, 3, 1, 4)
 
     def rough(self) -> npt.NDArray[np.bool_]:
-        """Which cells are not interpolated: planes, rows, columns."""
+        """Return the mask of cells that are not interpolated: planes, rows, columns."""
         count, down, across = self.part.count, self.part.tall, self.strokes.cells[0]
         known = download(self.strokes.gpu, self.buffers[4], np.float32, count * down * across)
         return known.reshape(count, down, across) > 1e29
 
 
 def pitch_of(across: int) -> int:
-    """Nodes from one row to the next: rows that become those of a texture are of a multiple of 256 bytes."""
+    """Return the number of nodes from row to row, padded to the 256 bytes that textures need."""
     return -(-across // 16) * 16
 
 
 def lattice_on(stack: contextlib.ExitStack, strokes: Strokes, part: Part) -> Lattice:
-    """Room for the lattice of a part, until a stack is left."""
+    """Return buffers for the lattice of a part, until the stack is left."""
     gpu, (across, _) = strokes.gpu, strokes.cells
     cells = part.count * part.tall * across
     read = plane_layers(gpu, (across + 1, part.tall + 1, 4 * part.count))

@@ -1,4 +1,4 @@
-"""Planes on the GPU: the colours at T⁻¹ of their pixels."""
+"""Planes on the GPU: the colours at T⁻¹ of the pixels."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ class Held:
     samples : Layers
     pyramid : Pyramid
     frames, rows : (int, int)
-        Which they are: from, to.
+        The ranges held: from, to.
     slots : int
-        How many frames there is room for, in a ring.
+        The number of frames in the ring.
     shift : int
-        In which of the slots the first of the frames is.
+        The slot of the first frame.
     """
 
     samples: Layers
@@ -39,39 +39,39 @@ class Held:
 
 
 def rows_of(picture: GpuGroup, lattice: Lattice) -> Range:
-    """Which rows of samples lie in a lattice's cells."""
+    """Return the range of rows of samples in the cells of a lattice."""
     top, end = (picture.rows * k for k in lattice.part.cells)
     return top, picture.shape[0] if lattice.part.cells[1] == lattice.strokes.cells[1] else min(end, picture.shape[0])
 
 
 def target_size(picture: GpuGroup, rows: int) -> int:
-    """Bytes of some rows of samples, as the shader writes them."""
+    """Return the bytes of some rows of samples, as the shader writes them."""
     return rows * picture.format.words(picture.shape[1]) * 4
 
 
 def colour(
     lattice: Lattice, picture: GpuGroup, frames: int, held: Held, told: Any, target: Any, parts: int = 1
 ) -> tuple[int, int]:
-    """Begin to make the samples of a lattice's part.
+    """Start to compute the samples of a lattice's part.
 
     Parameters
     ----------
     lattice : Lattice
-        Solved.
+        A solved lattice.
     picture : GpuGroup
     frames : int
-        How many the whole source has.
+        The number of frames of the whole source.
     held : Held
-        What is here of it.
+        The part of the source on the device.
     told, target : buffers
-        For settings, and for the samples.
+        Buffers for settings and for the samples.
     parts : int
-        In how many pieces: systems end work that takes seconds.
+        The number of pieces; systems end work that takes seconds.
 
     Returns
     -------
     (int, int)
-        The rows of samples that are made: from, to.
+        The range of rows of samples that are computed: from, to.
     """
     gpu, form, wanted = lattice.strokes.gpu, picture.format, picture.wanted
     top, end = rows_of(picture, lattice)

@@ -1,4 +1,4 @@
-"""Pictures and frames on a device, drawn into textures as a window shows them."""
+"""Images and frames on a device, drawn into textures for a window."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from supple.engines.wgpu.kernel import READ, TEXTURE, UNIFORM, WRITE, bound, pip
 Floats = npt.NDArray[np.float64]
 
 CELL = 16
-BACK = (0.12, 0.12, 0.13)  # sRGB beside what is shown
+BACK = (0.12, 0.12, 0.13)  # the sRGB background
 OVERLAYS = {"": 0, "grid": 1, "stretch": 2, "residual": 3, "inversions": 4}
 _NAMES = ("plate", "warm", "blend", "field", "newton")
 _KINDS = (UNIFORM, UNIFORM, READ, WRITE, READ, TEXTURE)
@@ -46,28 +46,28 @@ _SETTINGS = np.dtype(
 
 @dataclass(frozen=True, slots=True)
 class Sight:
-    """The visible part of a picture in a window.
+    """The visible part of an image in a window.
 
     Parameters
     ----------
     origin : (float, float)
-        Where its first pixel lies, in pixels of the picture.
+        The position of the first pixel, in pixels of the image.
     scale : float
-        Pixels of the picture from one of its pixels to the next.
+        Pixels of the image from one pixel of the window to the next.
     size : (int, int)
-        Its columns and rows.
+        Columns and rows of the window.
     time : float
         The frame, of a clip.
     solved : bool
-        Whether T⁻¹ is solved at every pixel, or interpolated between every 16th: faster, while a hand moves.
+        Whether T⁻¹ is solved at every pixel, or interpolated between every 16th: faster, for dragging.
     overlay : str
         One of `OVERLAYS`.
     every : float
         Pixels between the lines of a grid.
     back : (float, float, float)
-        sRGB beside the picture.
+        The sRGB background.
     square : float
-        How wide, in its pixels, the squares are that lie behind what is transparent.
+        The width of the checkerboard squares behind transparent pixels, in pixels of the window.
     """
 
     origin: tuple[float, float]
@@ -82,7 +82,7 @@ class Sight:
 
 
 class _Sheet:
-    """The buffers on the device for drawing into one texture."""
+    """The buffers for drawing into one texture."""
 
     def __init__(self, gpu: Gpu, texture: Any) -> None:
         self.texture, self.view = texture, texture.create_view()
@@ -91,7 +91,7 @@ class _Sheet:
 
 
 class Plate:
-    """Frames on a device: one of a picture, a ring of some of a clip's.
+    """Frames on a device: one of an image, or a ring of frames of a clip.
 
     Parameters
     ----------
@@ -99,14 +99,14 @@ class Plate:
     size : (int, int)
         Columns and rows.
     frames : int
-        Of the whole clip.
+        The number of frames of the whole clip.
     slots : int
-        How many are held at once.
+        The number of frames held at once.
 
     Raises
     ------
     MemoryError
-        If they are more than a shader takes.
+        If they exceed the largest binding.
     """
 
     def __init__(self, gpu: Gpu, size: tuple[int, int], frames: int = 1, slots: int = 1) -> None:
@@ -125,11 +125,11 @@ class Plate:
 
     @staticmethod
     def most(gpu: Gpu, size: tuple[int, int]) -> int:
-        """How many frames of a size may be held."""
+        """Return how many frames of a size can be held."""
         return gpu.binding // (4 * size[0] * size[1])
 
     def put(self, frame: int, pixels: npt.NDArray[np.uint8]) -> None:
-        """Hold a frame, of shape (rows, columns, 4): sRGB and opacity. The ring goes on from those that it holds."""
+        """Hold a frame, of shape (rows, columns, 4): sRGB and opacity. The ring continues from the frames it holds."""
         if not self.earliest <= frame <= self.earliest + self.held:
             self.earliest, self.held = frame, 0
         start = (frame % self.slots) * self.stride * 4
@@ -150,7 +150,7 @@ class Plate:
         texture: Any,
         encoder: Any = None,
     ) -> None:
-        """Draw what a window shows, through strokes, into a texture of format rgba8unorm.
+        """Draw the visible part, warped by strokes, into a texture of format rgba8unorm.
 
         Parameters
         ----------
@@ -159,7 +159,7 @@ class Plate:
             The packed strokes (`supple.strokes.pack`) and domain (`Domain.packed`).
         texture : wgpu.GPUTexture
         encoder : wgpu.GPUCommandEncoder, optional
-            Whose commands are to do it; by default, it is done at once.
+            The encoder to record into; by default, the work is submitted at once.
         """
         gpu, (width, height) = self.gpu, sight.size
         cells = tuple(max(1, -(-(n - 1) // CELL)) + 1 for n in sight.size)
@@ -192,7 +192,7 @@ class Plate:
         for sheet in self._sheets:
             if sheet.texture is texture:
                 return sheet
-        # Those of the picture as it is, as it was, and of both while a hand moves.
+        # Those of the warped image, of the original, and of both during a drag.
         self._sheets = [*self._sheets[-3:], _Sheet(self.gpu, texture)]
         return self._sheets[-1]
 
@@ -224,7 +224,7 @@ class Plate:
 
 
 def _halved(pixels: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
-    """Half as large, by averages weighted by opacity."""
+    """Return the image at half the size, by averages weighted by opacity."""
     even = np.pad(pixels, [(0, pixels.shape[0] % 2), (0, pixels.shape[1] % 2), (0, 0)], mode="edge").astype(np.uint16)
     four = even[::2, ::2], even[1::2, ::2], even[::2, 1::2], even[1::2, 1::2]
     if (pixels[..., 3] == 255).all():

@@ -1,4 +1,4 @@
-"""Coarser levels of frames on a device: 2 by 2 samples averaged, and again; see levels.wgsl."""
+"""Coarser levels of frames on a device: averages of 2 by 2 samples, repeatedly; see levels.wgsl."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ _SETTINGS = np.dtype(
 
 @dataclass(frozen=True, slots=True)
 class _Level:
-    """Samples in a row, and the rows that are here: from, to."""
+    """Samples in a row, and the range of rows on the device: from, to."""
 
     width: int
     rows: Range
@@ -46,7 +46,7 @@ class _Level:
 
 
 def _levels(picture: GpuGroup, rows: Range) -> list[_Level]:
-    """Return the frame itself and its levels, of what some of its rows are enough for; the last is a single sample."""
+    """Return the frame and its levels, as far as its rows on the device determine them; the last is a single sample."""
     found = [_Level(picture.shape[1], rows)]
     if picture.wanted.filter != "auto":
         return found
@@ -59,13 +59,13 @@ def _levels(picture: GpuGroup, rows: Range) -> list[_Level]:
 
 
 def size_of(picture: GpuGroup, rows: Range) -> int:
-    """Return the bytes that the coarser levels of some rows of a frame take."""
+    """Return the bytes of the coarser levels of some rows of a frame."""
     return 4 * picture.channels * sum(level.width * level.tall for level in _levels(picture, rows)[1:])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Pyramid:
-    """Room for the coarser levels of some frames.
+    """Buffers for the coarser levels of some frames.
 
     Parameters
     ----------
@@ -83,16 +83,16 @@ class Pyramid:
 
     @property
     def count(self) -> int:
-        """How many levels there are beside the frame itself."""
+        """The number of levels beside the frame itself."""
         return len(_levels(self.picture, self.rows)) - 1
 
     @property
     def stride(self) -> int:
-        """Samples from the levels of a slot to those of the next."""
+        """The number of samples from the levels of one slot to the next."""
         return size_of(self.picture, self.rows) // (4 * self.picture.channels)
 
     def build(self, samples: Layers, slot: int) -> None:
-        """Make the levels of the frame in a slot."""
+        """Compute the levels of the frame in a slot."""
         gpu, picture = self.gpu, self.picture
         found = _levels(picture, self.rows)
         if len(found) == 1:
@@ -121,10 +121,10 @@ class Pyramid:
             run(gpu, passes)
 
     def destroy(self) -> None:
-        """Give the device its memory back."""
+        """Free the device memory."""
         self.buffer.destroy()
 
 
 def pyramid(gpu: Gpu, picture: GpuGroup, rows: Range, slots: int) -> Pyramid:
-    """Return room for the coarser levels of so many frames, of which some rows are on the device."""
+    """Return buffers for the coarser levels of frames, of which some rows are on the device."""
     return Pyramid(gpu, picture, rows, room(gpu, slots * size_of(picture, rows)))

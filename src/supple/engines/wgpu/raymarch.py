@@ -1,4 +1,4 @@
-"""Pictures of volumes by the GPU: what is held there of a volume, and rays through it."""
+"""Rendered volumes on the GPU: the resources of a scene, and rays through it."""
 
 from __future__ import annotations
 
@@ -36,9 +36,9 @@ from supple.engines.wgpu.volume import Volume
 Floats = npt.NDArray[np.float64]
 
 PLAIN, LATTICE, EXACT, HYBRID = 0, 1, 2, 3
-RAYS = 1 << 16  # at once, before it is known what they take
+RAYS = 1 << 16  # initial number of rays, before their time is known
 LONGEST = 8  # samples
-# A stretch of them is read of the buffer if it begins in a brick whose neighbours are there: it ends in one of these.
+# A stretch of samples is read from the buffer if it begins in a brick with filled neighbours: it ends in one of these.
 FARTHEST = BLOCK - 4  # voxels
 _NAMES = ("raymarch", "volume", "solid", "blend", "field", "newton", "turns")
 
@@ -86,13 +86,13 @@ class Held:
     volume : Volume
     lattice : Lattice
     mode : int
-        PLAIN, LATTICE, EXACT or HYBRID. What is hybrid is plain once its buffer is filled.
+        PLAIN, LATTICE, EXACT or HYBRID. A hybrid scene becomes plain when its buffer is filled.
     filling : Filling or None
         The buffer, of a hybrid scene.
     pace : Pace
-        How many rays are done at once.
+        The number of rays in one part.
     whole : bool
-        Whether it is only seen once its buffer is filled.
+        Whether the volume is drawn only when its buffer is filled.
     """
 
     volume: Volume
@@ -105,7 +105,7 @@ class Held:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Look:
-    """How a volume is seen: as ``_core/raymarch.hpp`` takes it."""
+    """The appearance of a volume, in the layout of ``_core/raymarch.hpp``."""
 
     skips: npt.NDArray[np.uint8]
     table: npt.NDArray[np.float32]
@@ -126,7 +126,7 @@ def march(
     fine: int,
     tell: Callable[[int], None] = lambda rows: None,
 ) -> tuple[npt.NDArray[np.float32], Floats, npt.NDArray[np.int64]]:
-    """Take a picture.
+    """Render an image.
 
     Parameters
     ----------
@@ -137,14 +137,14 @@ def march(
     size : (int, int)
         Rows and columns of rays.
     fine : int
-        Rays along a pixel's side.
+        Rays along the side of a pixel.
     tell : function
-        Called with the number of rows of rays that are done.
+        Called with the number of finished rows of rays.
 
     Returns
     -------
     arrays (H, W, 4), (H, W, 2) and (H, W, 2)
-        Light and opacity; where the first surface is and where opacity passes 0.9; samples and evaluations of T.
+        Light and opacity; depths of the first surface and of opacity 0.9; samples and evaluations of T.
     """
     gpu = held.volume.gpu
     height, width = size
@@ -172,18 +172,18 @@ def paint(
     target: Any,
     worked: bool = False,
 ) -> None:
-    """Draw a picture into a texture of format rgba8unorm, that shaders may write to, as sRGB.
+    """Render an image into a writable texture of format rgba8unorm, as sRGB.
 
     Parameters
     ----------
     held, look, view, size, fine
         As `march` takes them.
     background : float32 array (3)
-        Linear light behind the volume.
+        The background, in linear light.
     target : wgpu.GPUTexture
-        Of ``size`` over ``fine``, or larger.
+        A texture of ``size`` over ``fine``, or larger.
     worked : bool
-        Whether to tint it by the inversions along each ray or, where there are none, the samples.
+        Whether to tint it by the inversions along each ray or, without any, by the samples.
     """
     gpu = held.volume.gpu
     work = pipeline(gpu, ("paint", "warm"), "paint", (UNIFORM, READ, WRITE, TEXTURE))
@@ -203,11 +203,11 @@ def paint(
 
 
 def _rays(held: Held, look: Look, view: Floats, size: tuple[int, int], fine: int) -> Iterator[tuple[int, int, Any]]:
-    """March along the rays of some rows at a time: which is the first, how many they are, and what is seen."""
+    """March rays some rows at a time: yield the first row, the number of rows, and their results."""
     volume, lattice, filling = held.volume, held.lattice, held.filling
     gpu, finest = volume.gpu, float(view[1].min())
     if held.whole and filling is not None and filling.part < 1.0:
-        filling.advance()  # another scene of the volume has taken its place
+        filling.advance()  # another scene of the volume has replaced it
     mode = _mode(held, look.step / finest)
     made = _marching(volume, mode, filling is not None)
     height, width = size
@@ -240,7 +240,7 @@ def _rays(held: Held, look: Look, view: Floats, size: tuple[int, int], fine: int
         "light": look.light,
     }.items():
         settings[name][0, :3] = row
-    # Whole rows of pixels, whose rays there is room for.
+    # Whole rows of pixels, as many as there is room for.
     row_ = width * fine
     most = min(height // fine, gpu.binding // (32 * row_))
     if most < 1 or width > 8 * MOST_GROUPS:
@@ -266,7 +266,7 @@ def _rays(held: Held, look: Look, view: Floats, size: tuple[int, int], fine: int
 
 
 def _read(held: Held, skips: Any, colours: Any) -> list[Any]:
-    """Return the bindings that rays read, from the second on; any texture stands in the place of a missing buffer."""
+    """Return the bindings that rays read, from the second on; any texture replaces a missing buffer."""
     volume, lattice = held.volume, held.lattice
     warped = volume.warped.create_view() if volume.warped is not None else lattice.nodes
     return [lattice.domain, lattice.strokes, lattice.nodes, volume.view, warped, skips, colours]
@@ -279,7 +279,7 @@ def _marching(volume: Volume, mode: int, buffer: bool) -> Any:
 
 
 def prepare(held: Held, filling: Filling) -> None:
-    """Compile what a hybrid scene needs later, so that no frame waits for it: some do when it first runs."""
+    """Compile later stages of a hybrid scene, so that no frame waits; some drivers compile at the first run."""
     volume = held.volume
     with contextlib.ExitStack() as stack:
         told, seen = owned(stack, upload(volume.gpu, np.zeros(1, SETTINGS), UNIFORM), room(volume.gpu, 32))
@@ -292,19 +292,19 @@ def prepare(held: Held, filling: Filling) -> None:
 
 
 def _mode(held: Held, step: float) -> int:
-    """How rays are marched along now, with samples so many voxels apart."""
+    """Return the current mode of marching, for samples ``step`` voxels apart."""
     filling = held.filling
     if filling is None:
         return held.mode
     if filling.part == 1.0:
         return PLAIN
-    # Software carries out both sides of a branch: a ray that may read either would read both.
+    # Software adapters run both sides of a branch, and would read both sources for each ray.
     mixed = filling.part > 0.0 and step <= FARTHEST and not held.volume.gpu.software
     return HYBRID if mixed else LATTICE
 
 
 def _stretch(mode: int, cells: float, step: float) -> int:
-    """How many samples share what is read of the lattice: as many as lie in its cells, all of them in voxels."""
+    """Return the number of samples that share one read of the lattice: those within its cells, in voxels."""
     if mode not in (LATTICE, HYBRID):
         return LONGEST
     return max(1, min(int((min(cells, FARTHEST) if mode == HYBRID else cells) / step), LONGEST))

@@ -1,4 +1,4 @@
-"""Which part of a source some cells of the lattice may ask for, from what the nodes know."""
+"""Bounds on the part of a source that cells of the lattice may read, from their nodes."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from supple.engines.wgpu.samples import STEP, GpuGroup
 
 Floats = npt.NDArray[np.float64]
 
-# As footprint.wgsl has them.
+# Constants of footprint.wgsl.
 LONG = 400.0
 FADED = 3.2
 SPOT = 1.7
@@ -25,7 +25,7 @@ SUPPORT = {"nearest": 1, "linear": 1, "cubic": 2, "nothing": 1}
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Reach:
-    """Of each plane's rows of cells, arrays (planes, rows): where their source points lie, and how far they move.
+    """Bounds for each row of cells, arrays (planes, rows): source points and displacements.
 
     Parameters
     ----------
@@ -34,13 +34,13 @@ class Reach:
     above, below : array
         The first and the last row, in pixels.
     moved : array
-        How far any coordinate moves, in pixels.
+        The largest displacement along any axis, in pixels.
     tall, long : array
-        How many rows and frames a pixel covers, at most, in pixels.
+        The largest height and length in time of a footprint, in pixels.
     coarse : array
-        How many samples a side are averaged in the coarsest level that its footprint reads, at most.
+        The largest side, in samples, of the averages in the coarsest level that a footprint reads.
     work : array
-        How many points a pixel averages in the picture, about.
+        The approximate number of points averaged for a pixel.
     """
 
     early: Floats
@@ -55,7 +55,7 @@ class Reach:
 
 
 def reach_of(nodes: npt.NDArray[np.float32], first: int, origin: int, step: tuple[int, int]) -> Reach:
-    """Look at the nodes of planes from ``first`` on, whose first row of cells is ``origin``.
+    """Compute bounds from the nodes of planes from ``first`` on, whose first row of cells is ``origin``.
 
     Raises
     ------
@@ -67,21 +67,21 @@ def reach_of(nodes: npt.NDArray[np.float32], first: int, origin: int, step: tupl
     known = nodes.astype(np.float64)
     planes, rows = known.shape[:2]
     u, across, down, along = (known[..., k, :3] for k in range(4))
-    # Between two nodes, the map is about as far from the line as slopes differ, times an eighth of what lies between.
+    # Between two nodes, the map differs from the line by about distance times difference of slopes, over 8.
     bend = np.zeros((planes, rows - 1, 3))
     for slopes, axis in ((across, 2), (down, 1)):
         apart = np.abs(np.diff(slopes, axis=axis)).max(axis=2) * (STEP / 8)
         bend += apart if axis == 1 else np.maximum(apart[:, 1:], apart[:, :-1])
 
     def both(values: Floats, end: int) -> Floats:
-        """The least or the largest of a row of cells, which lies between two rows of nodes."""
+        """Return the least or the largest values of a row of cells, from its two rows of nodes."""
         found: Floats = (values.min if end < 0 else values.max)(axis=2)
         pick = np.minimum if end < 0 else np.maximum
         return np.asarray(pick(found[:, 1:], found[:, :-1]))
 
     z = np.arange(first, first + planes)[:, None, None]
     y = (STEP * np.arange(origin, origin + rows))[None, :, None]
-    # How large a footprint is: along y with all of its parallelogram, along t with the length of its row.
+    # The size of a footprint: along y by its whole parallelogram, along t by the length of its row.
     tall = np.abs(across[..., 1]) * step[0] + np.abs(down[..., 1]) * step[1]
     long = np.sqrt((across[..., 2] * step[0]) ** 2 + (down[..., 2] * step[1]) ** 2 + along[..., 2] ** 2)
     # The eigenvalues of M Mᵀ, in samples; see footprint.wgsl.
@@ -106,13 +106,13 @@ def reach_of(nodes: npt.NDArray[np.float32], first: int, origin: int, step: tupl
 
 
 def held_of(low: float, high: float, support: int, n: int, outside: str) -> Range:
-    """The samples of an axis that stand for those around points from ``low`` to ``high``: from, to.
+    """Return the range of samples of an axis that a filter reads around points from ``low`` to ``high``: from, to.
 
-    ``support`` is how many a filter reads on either side.
+    ``support`` is the number of samples that a filter reads on either side.
     """
     first, last = math.floor(max(low, -1e9)) - support + 1, math.floor(min(high, 1e9)) + support
     if outside == "reflect" and (first < 0 or last >= n):
-        # Mirrored at either end, what lies beyond is what lies as far within.
+        # Reflected coordinates lie as far within the frame as they lay outside it.
         if first < -n or last >= 2 * n or (first < 0 and last >= n):
             return 0, n
         return (0, max(last + 1, -first)) if first < 0 else (min(first, 2 * n - 1 - last), n)
@@ -122,14 +122,14 @@ def held_of(low: float, high: float, support: int, n: int, outside: str) -> Rang
 def box_of(
     reach: Reach, planes: slice, cells: slice, picture: GpuGroup, frames: int, more: float
 ) -> tuple[Range, Range]:
-    """The frames and the rows of samples that a part of a picture may ask for, with ``more`` of both."""
+    """Return the ranges of frames and rows that a part of a group may read, widened by ``more``."""
     wanted, (_, step) = picture.wanted, picture.step
     part = planes, cells
     slack = more + 2 * wanted.tolerance + 1e-3
     averaging = wanted.filter == "auto"
     tall = slack
     if averaging:
-        # Spots along the footprint; of coarser levels whole samples, as many around a point as of the frame itself.
+        # Spots along the footprint; in coarser levels whole samples, as many around a point as in the frame itself.
         unit = float(reach.coarse[part].max())
         tall += 0.75 * float(reach.tall[part].max()) / step + (5 * unit if unit > 1 else 0.0)
     rows = held_of(

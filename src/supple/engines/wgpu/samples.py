@@ -1,4 +1,4 @@
-"""How samples lie in the words of a shader, and what is made of them and how."""
+"""The layout of samples in the words of a shader, and their sampling options."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ from supple.engines.base import BETWEEN, FILTERS, OUTSIDE
 
 Array = npt.NDArray[Any]
 
-STEP = 16  # pixels from node to node, as warp.wgsl has it
-_NOTHING = {"nothing": 3}  # between frames that are images by themselves
+STEP = 16  # pixels from node to node, as in warp.wgsl
+_NOTHING = {"nothing": 3}  # for frames that are separate images
 FARTHEST = 1 << 22  # frames from the first one
 
 
 @dataclass(frozen=True, slots=True)
 class Format:
-    """How pixels lie in words of 32 bits.
+    """The layout of pixels in words of 32 bits.
 
-    ``number`` is what FORMAT says of it, ``dtype`` what a channel is, ``channels`` how many there are in memory, of
-    which the last ones may be unused, and ``pixels`` how many a thread writes.
+    ``number`` is the code for FORMAT, ``dtype`` the type of a channel, ``channels`` their number in memory, of which
+    the last ones may be padding, and ``pixels`` how many a thread writes.
     """
 
     number: int
@@ -36,15 +36,15 @@ class Format:
         return self.channels * int(np.dtype(self.dtype).itemsize)
 
     def words(self, width: int) -> int:
-        """Words that a row of ``width`` pixels takes."""
+        """Return the number of words in a row of ``width`` pixels."""
         return self.threads(width) * self.pixels * self.size // 4
 
     def threads(self, width: int) -> int:
-        """Threads that write a row."""
+        """Return the number of threads that write a row."""
         return -(-width // self.pixels)
 
     def packed(self, source: Array) -> Array:
-        """Pixels (…, channels) as their words: channels filled up, samples that the shader does not know as floats."""
+        """Return pixels (…, channels) as words: padded channels, and types unknown to the shader as floats."""
         if source.shape[-1] == self.channels and source.dtype == self.dtype:
             return np.ascontiguousarray(source)
         out = np.zeros((*source.shape[:-1], self.channels), self.dtype)
@@ -58,7 +58,7 @@ _FLOAT, _FLOATS = Format(6, np.float32, 1, 1), Format(7, np.float32, 4, 1)
 
 
 def format_of(dtype: Any, channels: int) -> Format | None:
-    """How samples of a type are handed over; None if they cannot be, as float32 does not hold all of their values."""
+    """Return the format for samples of a type; None if float32 does not hold all of their values."""
     kind = np.dtype(dtype).newbyteorder("=")
     if channels > 4:
         return None
@@ -73,24 +73,24 @@ def format_of(dtype: Any, channels: int) -> Format | None:
 
 @dataclass(frozen=True, slots=True)
 class Wanted:
-    """How colours are made.
+    """The sampling options of a shader.
 
     Parameters
     ----------
     filter, between, outside : str
-        As `supple.Deformation.warp` takes them; ``between`` is ``"nothing"`` where a frame is a picture by itself.
+        As in `supple.Deformation.warp`; ``between`` is ``"nothing"`` if each frame is a separate image.
     average : bool
         Whether pixels are averaged over the time that they cover.
     fill : tuple of float
-        What lies outside, one value for each channel.
+        The fill value, one for each channel.
     alpha, light : bool
-        Whether the last channel is opacity, and whether light is averaged.
+        Whether the last channel is opacity, and whether averages are in linear light.
     white : float
-        What opaque and white are.
+        The value of white and of full opacity.
     tolerance : float
-        How far a source point may be off, in pixels.
+        The tolerance of a source point, in pixels.
     times : (int, int)
-        Beyond which times nothing changes any more.
+        The times beyond which samples are constant.
     """
 
     filter: str
@@ -107,7 +107,7 @@ class Wanted:
 
 @dataclass(frozen=True, slots=True)
 class GpuGroup:
-    """Samples on a grid, of each frame alike, and how they are made.
+    """A grid of samples, alike for all frames, and its sampling options.
 
     Parameters
     ----------
@@ -119,7 +119,7 @@ class GpuGroup:
     step : (int, int)
         Pixels of the frame from one sample to the next, x first.
     offset : (float, float)
-        Where the first one lies, in pixels.
+        The position of the first sample, in pixels.
     """
 
     shape: tuple[int, int]
@@ -131,29 +131,29 @@ class GpuGroup:
 
     @property
     def format(self) -> Format:
-        """How its samples are handed over."""
+        """The format in which samples are transferred."""
         form = format_of(self.dtype, self.channels)
         assert form is not None
         return form
 
     @property
     def rows(self) -> int:
-        """Rows of samples in a cell of the lattice."""
+        """The number of rows of samples in a cell of the lattice."""
         return STEP // self.step[1]
 
     @property
     def bounds(self) -> tuple[float, float]:
-        """The least and the largest value of whole numbers."""
+        """The least and the largest value of an integer type."""
         kind = np.dtype(self.dtype)
         if kind.kind not in "iu":
             return 0.0, 0.0
         return float(np.iinfo(kind).min), min(float(np.iinfo(kind).max), self.wanted.white)
 
     def constants(self) -> dict[str, float]:
-        """The constants that shaders are compiled for."""
+        """Return the constants that shaders are compiled for."""
         wanted, form = self.wanted, self.format
         filtered = wanted.filter != "nearest"
-        # Where a sample takes many turns of loops, each has a thread of its own.
+        # If a sample takes many loop iterations, each thread computes one sample.
         averaging = wanted.average or wanted.filter == "auto"
         across = max(1, STEP // self.step[0] // form.pixels)
         return {
@@ -173,7 +173,7 @@ class GpuGroup:
         }
 
     def store(self, pixels: Array, out: Array) -> None:
-        """Put pixels as the shader made them (…, channels) where they belong."""
+        """Write pixels from the shader (…, channels) to their destination."""
         made = pixels[..., : self.channels]
         if out.dtype.kind in "iub" and made.dtype.kind == "f":
             if out.dtype == np.bool_:
@@ -186,7 +186,7 @@ class GpuGroup:
 
 
 def known_grid(step: tuple[int, int], offset: tuple[float, float], dtype: Any, channels: int) -> bool:
-    """Return whether samples lie so that each cell of the lattice has whole words of its own."""
+    """Return whether each cell of the lattice has whole words of its own."""
     form = format_of(dtype, channels)
     if form is None:
         return False

@@ -1,4 +1,4 @@
-"""Textures that are drawn into, and how they come onto a screen."""
+"""Textures for drawing, and their presentation on a screen."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from supple.engines.wgpu.device import Gpu
 from supple.engines.wgpu.kernel import UNIFORM, source
 
 Part = tuple[float, float, float, float]
-"""Of a texture: left, top, width and height, of which all of it has 1."""
+"""A part of a texture: left, top, width and height, as fractions."""
 ALL: Part = (0.0, 0.0, 1.0, 1.0)
 
 _PLAIN = "rgba8unorm"
@@ -19,7 +19,7 @@ _SETTINGS = np.dtype([("part", "f4", 4), ("split", "f4"), ("line", "f4"), ("line
 
 
 def canvas_texture(gpu: Gpu, size: tuple[int, int]) -> Any:
-    """A texture of columns and rows that scenes and plates can be drawn into, and the screen read."""
+    """Return a texture of columns and rows for scenes and plates, which the screen can read."""
     return gpu.device.create_texture(size=(*size, 1), format=_PLAIN, usage="STORAGE_BINDING|TEXTURE_BINDING|COPY_SRC")
 
 
@@ -33,7 +33,7 @@ def pixels_of(gpu: Gpu, texture: Any) -> np.ndarray[Any, np.dtype[np.uint8]]:
 
 
 def composed(gpu: Gpu, first: Any, second: Any, split: float) -> np.ndarray[Any, np.dtype[np.uint8]]:
-    """Two textures beside one another, as `Screen` draws them: (rows, columns, 4)."""
+    """Return two textures side by side, as `Screen` draws them: (rows, columns, 4)."""
     onto = gpu.device.create_texture(size=first.size, format=_PLAIN, usage="RENDER_ATTACHMENT|COPY_SRC")
     colours = {"view": onto.create_view(), "load_op": "clear", "store_op": "store"}
     encoder = gpu.device.create_command_encoder()
@@ -45,13 +45,13 @@ def composed(gpu: Gpu, first: Any, second: Any, split: float) -> np.ndarray[Any,
 
 
 class Screen:
-    """Puts textures onto what a window presents.
+    """A painter of textures onto the surface of a window.
 
     Parameters
     ----------
     gpu : Gpu
     format : str
-        Of what the window presents.
+        The format of the window's surface.
     """
 
     def __init__(self, gpu: Gpu, format: str) -> None:
@@ -75,18 +75,18 @@ class Screen:
         place: tuple[int, int, int, int] | None = None,
         part: Part = ALL,
     ) -> None:
-        """Draw a texture, and another one left of where the split is, from 0 to 1.
+        """Draw a texture, and optionally another one left of the split, from 0 to 1.
 
         Parameters
         ----------
         drawing : wgpu.GPURenderPassEncoder
-            Onto what the window presents.
+            The render pass of the window's surface.
         first, second : wgpu.GPUTexture
         split : float
         place : (int, int, int, int), optional
-            Where on the screen: left, top, columns and rows, all of which lie on it; all of it, by default.
+            The rectangle on the screen: left, top, columns and rows; by default, all of it.
         part : (float, float, float, float), optional
-            What of the textures is drawn.
+            The visible part of the textures.
         """
         settings = np.array([(part, split if second is not None else -1.0, 0.001, self._linear, 0)], _SETTINGS)
         things = self._told.hold(settings), first, second or first

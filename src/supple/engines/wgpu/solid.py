@@ -1,4 +1,4 @@
-"""The lattice of T⁻¹ in a volume, solved and looked at by shaders."""
+"""The lattice of T⁻¹ in a volume, solved and checked by shaders."""
 
 from __future__ import annotations
 
@@ -34,8 +34,8 @@ Floats = npt.NDArray[np.float64]
 _NAMES = ("nodes", "smooth", "solid", "blend", "field", "newton", "turns")
 _KINDS = (UNIFORM, UNIFORM, READ, SOLID, WRITE, WRITE)
 _NODE = 64  # bytes
-_FIRST = 4096  # nodes at once, before it is known what they take
-_LOST, _CUT = np.float32(1e30), np.float32(2e30)  # errors that are none, as nodes.wgsl has them
+_FIRST = 4096  # initial number of nodes, before their time is known
+_LOST, _CUT = np.float32(1e30), np.float32(2e30)  # codes in place of errors, as in nodes.wgsl
 _UNSOLVED = "nodes of the lattice could not be solved in its numbers"
 
 _SETTINGS = np.dtype(
@@ -45,23 +45,23 @@ _SETTINGS = np.dtype(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Lattice:
-    """Strokes on a device and, of a volume, the lattice of what they do.
+    """Strokes on a device and, for a volume, the lattice of their map.
 
     Parameters
     ----------
     gpu : Gpu
     nodes : wgpu.GPUTextureView
-        Of the lattice, as solid.wgsl has it.
+        The nodes of the lattice, in the layout of solid.wgsl.
     strokes, domain
         Buffers.
     shape : (int, int, int)
         Nodes, x first.
     spread : float
-        Voxels from node to node; 0 where nothing moves, or no lattice was solved.
+        Voxels from node to node; 0 for the identity, or without a lattice.
     count : int
-        How many strokes.
+        The number of strokes.
     cells : int
-        Over how many cells a ray may go on along one cubic.
+        The number of cells that a ray may cross with one cubic.
     """
 
     gpu: Gpu
@@ -75,7 +75,7 @@ class Lattice:
 
 
 def hold_strokes(gpu: Gpu, table: npt.NDArray[np.void], axes: Floats) -> Lattice:
-    """Strokes without a lattice: there are nodes that nothing is made of."""
+    """Return strokes on the device without a lattice; its nodes are placeholders."""
     return Lattice(
         gpu,
         solid(gpu, (4, 4, 2), np.float32, 4).create_view(),
@@ -96,16 +96,16 @@ def solve(
     -------
     Lattice
     float32 array (nz, ny, nx, 16)
-        Its nodes, as `supple.render.solid` has them.
+        Its nodes, in the layout of `supple.render.solid`.
     float
-        The worst error that is seen, in voxels, with its reserve.
+        The largest observed error, in voxels, with its reserve.
     float
-        The least length over which the map varies, in voxels.
+        The least length scale of the map, in voxels.
 
     Raises
     ------
     MemoryError
-        If such a lattice is more than a texture holds.
+        If the lattice exceeds the largest texture.
     ArithmeticError
         If nodes could not be solved in float32, or by this driver.
     """
@@ -146,13 +146,13 @@ def solve(
                     if entry == "solve":
                         copy_in(gpu, some, pitch, texture, 2 * first, 2 * count)
                         found = download(gpu, some, np.float32, count * layer // 4)
-                        # As they lie there: layers, two by two, rows, two by two, nodes.
+                        # The memory layout: layers, two by two, rows, two by two, nodes.
                         laid = found.reshape(count, 2, down, 2, pitch, 4)[..., :across, :].transpose(0, 2, 4, 1, 3, 5)
                         nodes[first : first + count] = laid.reshape(count, down, across, 16)
                     seen = download(gpu, stats, np.float32, 2)  # waits
                     if not seen[0] < _LOST:
                         raise ArithmeticError(unsolved(CUT) if seen[0] >= _CUT else _UNSOLVED)
         error, smooth = float(seen[0]), float(seen[1])
-    if not np.isfinite(nodes).all():  # shaders may take it that there is nothing of the kind
+    if not np.isfinite(nodes).all():  # shaders may assume finite numbers
         raise ArithmeticError(_UNSOLVED)
     return made, nodes, error, smooth

@@ -1,4 +1,4 @@
-"""Arrays on a device as textures: drivers read these faster than buffers, and they may be larger than one."""
+"""Arrays on a device as textures, which drivers read faster than buffers, and which may be larger."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ import numpy as np
 from supple.engines.wgpu.device import Gpu
 from supple.engines.wgpu.kernel import Array, settle
 
-SIDE = 8192  # texels of a layer, as sample.wgsl has it: a larger frame has several layers
+SIDE = 8192  # texels along a layer, as in sample.wgsl: a larger frame has several layers
 MOST_LAYERS = 256
 DEEP = 2048  # texels along a side of a solid
-_SLAB = 16 << 20  # bytes that are handed over at once
+_SLAB = 16 << 20  # bytes in one transfer
 _NAMES = {
     ("uint8", 1): "r8uint",
     ("uint8", 2): "rg8uint",
@@ -30,13 +30,13 @@ _NAMES = {
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Layers:
-    """Room for some frames, one after the other.
+    """Textures for consecutive frames.
 
     Parameters
     ----------
     texture : wgpu.GPUTexture
     view : wgpu.GPUTextureView
-        Of all of its layers.
+        The view of all layers.
     blocks : (int, int)
         Layers of a frame, across and down.
     """
@@ -46,11 +46,11 @@ class Layers:
     blocks: tuple[int, int]
 
     def destroy(self) -> None:
-        """Give the device its memory back."""
+        """Free the device memory."""
         self.texture.destroy()
 
     def put(self, gpu: Gpu, slot: int, frame: Array, *, wait: bool = False) -> None:
-        """Put a frame (rows, samples, channels) into a slot, and perhaps wait until it is there."""
+        """Upload a frame (rows, samples, channels) to a slot, and optionally wait for it."""
         across, down = self.blocks
         for j in range(down):
             for i in range(across):
@@ -64,18 +64,18 @@ class Layers:
 
 
 def blocks_of(shape: tuple[int, int]) -> tuple[int, int]:
-    """Layers of a frame of so many rows and samples in a row, across and down."""
+    """Return the layers of a frame with these rows and samples in a row, across and down."""
     return -(-shape[1] // SIDE), -(-shape[0] // SIDE)
 
 
 def texels_of(shape: tuple[int, int]) -> int:
-    """Texels of a frame's layers, of which the last ones may be used in part."""
+    """Return the texels of a frame's layers, of which the last ones may be partly used."""
     across, down = blocks_of(shape)
     return across * down * min(shape[0], SIDE) * min(shape[1], SIDE)
 
 
 def layers(gpu: Gpu, shape: tuple[int, int], slots: int, dtype: Any, channels: int) -> Layers:
-    """Room for frames of so many rows and samples in a row; MemoryError if they have too many layers."""
+    """Return textures for frames of some rows and samples in a row; MemoryError if they have too many layers."""
     across, down = blocks_of(shape)
     count = slots * across * down
     if count > MOST_LAYERS:
@@ -98,19 +98,19 @@ def _texture(gpu: Gpu, size: tuple[int, int, int], name: str, usage: str, dimens
 
 
 def plane_layers(gpu: Gpu, size: tuple[int, int, int]) -> Any:
-    """Layers of vectors of float32, so wide, high and many; MemoryError if there is no room for them."""
+    """Return a texture of layers of float32 vectors, (width, height, count); MemoryError if there is no room."""
     if max(size[:2]) > SIDE or size[2] > MOST_LAYERS:
         raise MemoryError("a picture of this size is more than a texture holds")
     return _texture(gpu, size, "rgba32float", "COPY_DST", "2d")
 
 
 def view_of(texture: Any) -> Any:
-    """All of its layers, though there be one only."""
+    """Return the view of all layers, even of a single one."""
     return texture.create_view(dimension="2d-array")
 
 
 def solid(gpu: Gpu, shape: tuple[int, ...], dtype: Any, channels: int = 1, usage: str = "COPY_DST") -> Any:
-    """A texture of so many layers, rows and texels in a row; MemoryError if there is no room for it."""
+    """Return a texture of some layers, rows and texels in a row; MemoryError if there is no room for it."""
     if max(shape) > DEEP:
         raise MemoryError(f"{max(shape)} samples along a side are more than a texture holds, {DEEP}")
     deep, high, wide = shape
@@ -118,17 +118,17 @@ def solid(gpu: Gpu, shape: tuple[int, ...], dtype: Any, channels: int = 1, usage
 
 
 def put_solid(gpu: Gpu, texture: Any, samples: Array) -> None:
-    """Put samples (layers, rows, samples in a row) into a solid."""
+    """Upload samples (layers, rows, samples in a row) to a solid."""
     count = len(samples)
     some = max(1, _SLAB // (samples.nbytes // count))
     for first in range(0, count, some):
         _write(gpu, texture, (0, 0, first), samples[first : first + some])
-        if some < count:  # what is small, as the maps of each picture are, nobody waits for
+        if some < count:  # small uploads, such as transfer functions for each image, do not wait
             settle(gpu)
 
 
 def copy_in(gpu: Gpu, buffer: Any, pitch: int, texture: Any, first: int, count: int) -> None:
-    """Copy layers of vectors of float32, whose rows are ``pitch`` of them long in a buffer, into a texture."""
+    """Copy layers of float32 vectors from a buffer, with ``pitch`` vectors in a row, into a texture."""
     width, rows, _ = texture.size
     encoder = gpu.device.create_command_encoder()
     encoder.copy_buffer_to_texture(
@@ -140,7 +140,7 @@ def copy_in(gpu: Gpu, buffer: Any, pitch: int, texture: Any, first: int, count: 
 
 
 def _write(gpu: Gpu, texture: Any, origin: tuple[int, int, int], slab: Array) -> None:
-    """Hand over some layers (layers, rows, samples in a row, and perhaps channels)."""
+    """Upload some layers (layers, rows, samples in a row, and optionally channels)."""
     data = np.ascontiguousarray(slab)
     count, rows, width = data.shape[:3]
     gpu.device.queue.write_texture(

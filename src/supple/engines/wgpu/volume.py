@@ -26,13 +26,13 @@ class Volume:
     size : (int, int, int)
         Voxels, x first.
     kind, reader : str
-        What a pipeline is told of the texture, and the shader that reads it.
+        The kind of the texture for pipelines, and the name of the shader that reads it.
     warped : wgpu.GPUTexture or None
-        Room for a deformed volume, in float32: see `beside`.
+        The texture for a deformed volume, in float32: see `beside`.
     full : bool
-        Whether there was none.
+        Whether its allocation failed.
     owner : object
-        What stands for whom that room belongs to, if to anybody: see `supple.engines.wgpu.fill.Filling`.
+        The key of the filling that owns that texture, if any: see `supple.engines.wgpu.fill.Filling`.
     """
 
     gpu: Gpu
@@ -47,18 +47,18 @@ class Volume:
 
 
 def hold(gpu: Gpu, samples: Array) -> Volume:
-    """Put a volume on the device.
+    """Upload a volume to the device.
 
     Parameters
     ----------
     gpu : Gpu
     samples : array (Z, H, W), two along each axis at least
-        Of 8 or 16 bits, or float32.
+        Samples of 8 or 16 bits, or float32.
 
     Raises
     ------
     MemoryError
-        If that is more than a texture holds, or there is no room for it.
+        If the volume exceeds the largest texture, or there is no room for it.
     """
     depth, height, width = samples.shape
     made = solid(gpu, (depth, height, width), samples.dtype)
@@ -68,7 +68,7 @@ def hold(gpu: Gpu, samples: Array) -> Volume:
 
 
 def beside(volume: Volume) -> bool:
-    """Return whether there is room for a deformed volume, too; the first time, it is asked for."""
+    """Return whether there is room for a deformed volume; the first call allocates it."""
     if volume.warped is None and not volume.full:
         wide, high, deep = volume.size
         usage = "STORAGE_BINDING|COPY_SRC|COPY_DST"

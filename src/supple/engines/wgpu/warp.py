@@ -1,4 +1,4 @@
-"""Images and stacks of frames, warped by the GPU in parts: no larger than fits, and done before a driver ends them."""
+"""Images and stacks of frames, warped by the GPU in parts that fit its memory and its time limit."""
 
 from __future__ import annotations
 
@@ -24,19 +24,19 @@ from supple.engines.wgpu.samples import GpuGroup
 from supple.engines.wgpu.texels import MOST_LAYERS, SIDE, blocks_of, layers, texels_of
 
 TOGETHER = 16  # planes
-AT_FIRST = float(1 << 28)  # samples that are read at once, until it is known what takes how long
-EVALUATED = 40.0  # samples that could be read while a point is solved, for each stroke
-SECONDS = 0.5  # that one piece of work should take
+AT_FIRST = float(1 << 28)  # samples read at once in the first part
+EVALUATED = 40.0  # samples that could be read in the time of one stroke of a solved point
+SECONDS = 0.5  # the intended time of one part
 
 
 @dataclass(slots=True, eq=False)
 class _Work:
-    """The buffers on the device while pictures are made."""
+    """The buffers on the device during a warp."""
 
     strokes: Strokes
     picture: GpuGroup
     frames: int
-    first: int  # of the planes
+    first: int  # the first plane
     there: Range
     source: Array
     target: Array
@@ -44,8 +44,8 @@ class _Work:
     held: Held | None = None
     lattice: Lattice | None = None
     limit: float = AT_FIRST
-    solving: float = 0.0  # evaluations of a stroke for a sample, on average: where the lattice is too coarse
-    more: float = 0.0  # rows and frames, beyond those that nodes tell of: between them, the map may reach farther
+    solving: float = 0.0  # evaluations of a stroke for each sample, on average, in cells that are too coarse
+    more: float = 0.0  # rows and frames beyond the bounds of the nodes: between them, the map may reach farther
     worst: float = 0.0
     lost: int = 0
     of_source: contextlib.ExitStack = field(default_factory=contextlib.ExitStack)
@@ -60,7 +60,7 @@ class _Work:
         self.of_lattice.close()
 
     def solve(self, part: Part) -> Lattice:
-        """The lattice of a part; what is there already is not solved again."""
+        """Return the lattice of a part, solved unless it is already there."""
         lattice = self.lattice
         if lattice is None or (lattice.part.count, lattice.part.tall) != (part.count, part.tall):
             self.of_lattice.close()
@@ -70,7 +70,7 @@ class _Work:
         return lattice
 
     def hold(self, frames: Range, rows: Range) -> Held:
-        """Some rows of some frames."""
+        """Return some rows of some frames, on the device."""
         if self.held is None or self.box != (frames, rows):
             self.of_source.close()
             self.box, self.held = None, None
@@ -88,7 +88,7 @@ class _Work:
         return self.held
 
     def fits(self, frames: Range, rows: Range) -> bool:
-        """Return whether some rows of some frames are no more than is held at once."""
+        """Return whether some rows of some frames fit the device at once."""
         count, shape = frames[1] - frames[0], (rows[1] - rows[0], self.picture.shape[1])
         size = count * texels_of(shape) * self.picture.format.size
         if count * size_of(self.picture, rows) > self.gpu.binding:
@@ -96,7 +96,7 @@ class _Work:
         return size <= self.gpu.texture and count * math.prod(blocks_of(shape)) <= MOST_LAYERS
 
     def samples_read(self, part: Part, reach: Reach, at: tuple[slice, slice]) -> float:
-        """How many samples of the source are read for a part, about; to evaluate a stroke takes as long as some."""
+        """Return an estimate of the source samples read for a part; evaluations of strokes count as samples."""
         wanted = self.picture.wanted
         each = {"nearest": 1.0, "linear": 4.0, "cubic": 16.0}.get(wanted.filter, 16.0 * float(reach.work[at].mean()))
         if wanted.between in ("linear", "cubic"):
@@ -105,17 +105,17 @@ class _Work:
         return (each + self.solving) * part.count * part.tall * self.picture.rows * self.picture.shape[1]
 
     def copy(self, z: int) -> None:
-        """Pass a frame on as it is."""
+        """Copy an unchanged frame."""
         self.target[z - self.first] = self.source[z % len(self.source)]
 
     def make_planes(self, part: Part) -> None:
-        """Solve the lattice of a part, and make all of it; whole frames in which nothing moves are passed on."""
+        """Solve the lattice of a part and compute its planes; unchanged frames are copied."""
         wanted, (first, last) = self.picture.wanted, part.planes
         lattice = self.solve(part)
         reach = reach_of(lattice.nodes(), first, part.cells[0], self.picture.step)
         rough = lattice.rough()
         self.solving = EVALUATED * float(rough.mean()) * self.strokes.count
-        # Of what lies within a cell that is too coarse, nodes know nothing.
+        # Nodes do not bound the map within a cell that is too coarse.
         moves = (reach.moved.max(axis=1) * 3**0.5 > wanted.tolerance) | rough.any(axis=(1, 2))
         still = np.flatnonzero(~moves) + first
         if wanted.between == "nothing" or part.tall < self.strokes.cells[1]:
@@ -126,7 +126,7 @@ class _Work:
             self.make(Part(planes, part.cells), reach, part)
 
     def make(self, part: Part, reach: Reach, known: Part) -> None:
-        """Make a part of what ``reach`` is known of."""
+        """Compute a part with known bounds."""
         whole = self.there, (0, self.picture.shape[0])
         at = (
             slice(part.planes[0] - known.planes[0], part.planes[1] - known.planes[0]),
@@ -164,7 +164,7 @@ class _Work:
         if said[3]:
             if box == whole:
                 raise ArithmeticError("a point lies far outside what was foreseen")
-            self.more, lattice.solved = 2 * self.more + 1, None  # what is known of it is not counted twice
+            self.more, lattice.solved = 2 * self.more + 1, None  # counted once only
             self.make(part, reach, known)
             return
         self.worst, self.lost = max(self.worst, float(said[:1].view(np.float32)[0])), self.lost + int(said[1])
@@ -172,7 +172,7 @@ class _Work:
         self.picture.store(unpacked(self.picture, words, part.count, end - top), self.target[planes, top:end])
 
     def _paced(self, work: float, seconds: float) -> None:
-        """The next piece takes as long as it should; the first one may have been compiled, too."""
+        """Adapt the size of the next part to the time of this one; the first may include compilation."""
         wanted = work * SECONDS / max(seconds, 1e-4)
         self.limit = min(max(wanted, self.limit / 4), self.limit * 4, 64 * AT_FIRST)
 
@@ -197,35 +197,35 @@ def warp(
     there: Range | None = None,
     step: tuple[int, int] = (1, 1),
 ) -> Generator[tuple[int, float, int], None, None]:
-    """Warp some planes of a stack of frames, of which an image is one.
+    """Warp some planes of a stack of frames; an image is a stack of one frame.
 
     Parameters
     ----------
     gpu : Gpu
     space : Space
     picture : GpuGroup
-        The samples that are made; each plane's are a part of what ``space.shape`` says.
+        The group of samples to compute; each plane's are a part of ``space.shape``.
     source : array, shape (slots, rows, samples, channels)
-        Frame k is in the slot k modulo their number.
+        Frame k is in slot k modulo the number of slots.
     target : array, shape (planes, rows, samples, channels)
-        Where the planes go.
+        The destination of the planes.
     planes : (int, int)
-        Which ones are made: from, to.
+        The range of planes: from, to.
     there : (int, int), optional
-        Which frames can be read, if not all: from, to.
+        The range of frames that can be read, if not all: from, to.
     step : (int, int)
-        Pixels from sample to sample, of the coarsest samples that a frame has.
+        The step of the coarsest samples of a frame, in pixels.
 
     Yields
     ------
     int, float, int
-        How many planes are done, the worst error of their source points, in pixels, and how many points are not known
-        to be good enough.
+        The number of finished planes, the largest error of their source points, in pixels, and the number of points
+        that may not meet the tolerance.
 
     Raises
     ------
     MemoryError
-        If what a few rows are made of is more than a shader takes.
+        If the data of a few rows exceed the largest binding.
     ArithmeticError
         If points could not be solved, or lie in frames that cannot be read.
     """
@@ -246,7 +246,7 @@ def warp(
         if picture.wanted.between == "nothing":
             passed = passed[:0]
         for run in [*_stretches(*planes, passed), (planes[1], planes[1])]:
-            for z in range(done, run[0]):  # frames that no stroke reaches
+            for z in range(done, run[0]):  # unchanged frames
                 work.copy(z)
             yield run[0] - planes[0], work.worst, work.lost
             for first in range(*run, together):
@@ -258,6 +258,6 @@ def warp(
 
 
 def _stretches(first: int, last: int, without: npt.NDArray[np.intp]) -> list[Range]:
-    """The ranges between some planes."""
+    """Return the ranges between some planes."""
     edges = [first - 1, *(int(z) for z in without), last]
     return [(a + 1, b) for a, b in itertools.pairwise(edges) if b > a + 1]

@@ -1,4 +1,4 @@
-"""Images as files: PNG, JPEG, TIFF, OpenEXR and others, with their depth, alpha and what their headers say."""
+"""Image files: PNG, JPEG, TIFF, OpenEXR and others, with their depth, alpha and headers."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ _BESIDE = {"exif-data": "EXIF", "xmp-data": "XMP", "iptc-data": "IPTC"}
 
 
 class ImageWarning(UserWarning):
-    """Something of an image does not come through."""
+    """A part of an image cannot be kept."""
 
 
 class PageWarning(ImageWarning):
@@ -62,23 +62,23 @@ class PageWarning(ImageWarning):
 
 
 class DepthWarning(ImageWarning):
-    """A format holds fewer bits than the pixels have, and they are rounded."""
+    """A format holds fewer bits than the pixels have; they are rounded."""
 
 
 class MetadataWarning(ImageWarning):
-    """A format cannot take over a part of the header."""
+    """A format cannot hold a part of the header."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Picture:
-    """An image as it is looked at: upright, in the colours that the file holds.
+    """An image, upright, in the colour space of its file.
 
     Parameters
     ----------
     pixels : ndarray
         Shape (H, W) or (H, W, C), contiguous, in the file's own dtype.
     alpha : bool
-        Whether the last channel is opacity; the colours are not multiplied by it.
+        Whether the last channel is opacity, not premultiplied.
     icc : bytes or None
         The colour profile.
     bits : int
@@ -86,9 +86,9 @@ class Picture:
     format : str
         ``"PNG"``, ``"JPEG"``, ``"TIFF"``, ``"WebP"``, ``"AVIF"``, ``"GIF"``, ...
     interpretation : str
-        What the channels mean, in libvips' words: ``"b-w"``, ``"srgb"``, ``"rgb16"``, ``"cmyk"``, ...
+        The meaning of the channels, in libvips' terms: ``"b-w"``, ``"srgb"``, ``"rgb16"``, ``"cmyk"``, ...
     pages : int
-        How many pages of one size `pixels` holds, one below the other.
+        The number of pages of one size in `pixels`, one below the other.
     """
 
     pixels: Array
@@ -102,18 +102,18 @@ class Picture:
 
 
 def check_target(path: PathLike) -> None:
-    """Refuse a name whose suffix is not in `SUFFIXES_OUT`."""
+    """Raise SuppleError for a name whose suffix is not in `SUFFIXES_OUT`."""
     suffix = Path(path).suffix
     check_suffix(path, suffix, OUT, "is no image format", f"use {', '.join(OUT)}")
 
 
 def check_quality(path: PathLike, quality: int | None) -> None:
-    """Refuse a quality that there is not; warn where the format of a picture has none.
+    """Raise SuppleError for an invalid quality; warn if the format of an image has none.
 
     Warns
     -----
     ImageWarning
-        The format keeps all values, whatever the quality.
+        If the format is lossless, so that the quality has no effect.
     """
     if quality is None:
         return
@@ -126,7 +126,7 @@ def check_quality(path: PathLike, quality: int | None) -> None:
 
 
 def read(path: PathLike, *, pages: bool = False) -> Picture:
-    """Read an image, upright: an orientation in its header is applied, once.
+    """Read an image, upright: an orientation in its header is applied.
 
     With ``pages``, all pages of a TIFF are read, if they are of one size and type.
 
@@ -136,12 +136,12 @@ def read(path: PathLike, *, pages: bool = False) -> Picture:
     Returns
     -------
     Picture
-        `pixels` of shape (H, W) or (H, W, C) in uint8, uint16, float32 or what else a TIFF holds.
+        `pixels` of shape (H, W) or (H, W, C) in uint8, uint16, float32 or another type of TIFF.
 
     Raises
     ------
     SuppleError
-        The file is missing, empty, cut short, damaged, or no image.
+        If the file is missing, empty, cut short, damaged, or not an image.
 
     Warns
     -----
@@ -170,7 +170,7 @@ def read(path: PathLike, *, pages: bool = False) -> Picture:
 
 
 def _decoded(path: PathLike, image: Any, form: str, orientation: int) -> Array:
-    """Decode an image; of a damaged JPEG, which may still be good for much, warn."""
+    """Decode an image; warn of a damaged JPEG, most of which may be usable."""
     if form != "JPEG":
         return apart(lambda: decoded(image, orientation), image)
     try:
@@ -185,7 +185,7 @@ def _decoded(path: PathLike, image: Any, form: str, orientation: int) -> Array:
 
 
 def _all_pages(path: PathLike, count: int) -> Array | None:
-    """Decode all pages of a TIFF into one array, one below the other; None if they are not alike."""
+    """Decode all pages of a TIFF into one array, one below the other; None if they differ."""
     tall: Array | None = None
     with reading(path):
         for k in range(count):
@@ -202,7 +202,7 @@ def _all_pages(path: PathLike, count: int) -> Array | None:
 
 
 def _pages(form: str) -> str:
-    """Say which of several pages or frames is read, and what reads the others."""
+    """Return advice on a file of several pages or frames, of which one is read."""
     if form in ("PNG", "GIF", "WebP"):
         return "frames, and only the first is read: name a video or a GIF, out.mp4 or out.gif, to keep them all"
     if form == "TIFF":
@@ -211,7 +211,7 @@ def _pages(form: str) -> str:
 
 
 def info(path: PathLike) -> dict[str, object]:
-    """Tell what the header of an image says, without decoding the pixels.
+    """Return the facts in the header of an image, without decoding the pixels.
 
     Returns
     -------
@@ -223,7 +223,7 @@ def info(path: PathLike) -> dict[str, object]:
     Raises
     ------
     SuppleError
-        As `read` does, but damage in the pixels goes unseen.
+        As in `read`, but damage in the pixels is not detected.
     """
     image, form = opened(path)
     pages, orientation, bits = facts(image)
@@ -255,30 +255,30 @@ def write(
     lossless: bool = False,
     force: bool = False,
 ) -> None:
-    """Write an image in the format that the suffix names; the file appears whole or not at all.
+    """Write an image in the format of the suffix; the file appears whole or not at all.
 
     Parameters
     ----------
     path : str or os.PathLike
         One of `SUFFIXES_OUT`.
     pixels : ndarray
-        Shape (H, W) or (H, W, C): uint8, uint16, and for TIFF also floats and integers up to 32 bits. Used
-        as it is when contiguous, without a copy.
+        Shape (H, W) or (H, W, C): uint8, uint16, and for TIFF also floats and integers up to 32 bits. Contiguous arrays
+        are not copied.
     like : Picture, optional
-        Whose profile, EXIF, XMP and resolution to write, and whose channels and pages `pixels` has.
+        The source of profile, EXIF, XMP and resolution, and of the meaning of the channels and pages of `pixels`.
     alpha : bool, optional
-        Whether the last channel is opacity. Without it: as in `like`; otherwise two or four channels have it.
+        Whether the last channel is opacity. By default as in `like`; otherwise, two or four channels have it.
     quality : int, optional
-        From 1 to 100; JPEG takes 95 without it, WebP and AVIF 90. Means nothing to PNG and TIFF.
+        From 1 to 100; by default 95 for JPEG, 90 for WebP and AVIF. Not used for PNG and TIFF.
     lossless : bool
-        Keep every value; PNG and TIFF always do, JPEG cannot.
+        Whether to write without loss; PNG and TIFF always do, JPEG cannot.
     force : bool
-        Whether to replace a file that exists.
+        Whether to replace an existing file.
 
     Raises
     ------
     SuppleError
-        The format cannot hold these channels, this type or this size, or the file cannot be written.
+        If the format cannot hold these channels, this type or this size, or the file cannot be written.
 
     Warns
     -----
@@ -314,7 +314,7 @@ def write(
             warnings.warn(text, MetadataWarning, stacklevel=2)
         from supple.media.image import ffmpeg
 
-        if alpha and form is EXR:  # whose colours are multiplied by it
+        if alpha and form is EXR:  # EXR is premultiplied
             array = np.concatenate([array[..., :3] * array[..., 3:], array[..., 3:]], axis=2)
         elif bits < array.dtype.itemsize * 8:
             array = decoded(image, 1)

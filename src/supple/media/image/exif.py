@@ -1,7 +1,7 @@
-"""EXIF in TIFF, which libvips neither reads nor writes: into and out of the block that other formats hold.
+"""EXIF in TIFF, which libvips neither reads nor writes: converted from and to the block of other formats.
 
-Both are folders of tags. Folders are read as far as they hold together, and laid out anew: damaged ones come to
-no harm, and what they still say stays. Only what is wanted is read, and no more than `_ROOM` of it.
+Both are folders of tags. Folders are read as far as they are valid, and laid out anew, which keeps the valid parts of
+damaged ones. Only wanted tags are read, and no more than `_ROOM` of them.
 """
 
 from __future__ import annotations
@@ -17,16 +17,16 @@ from supple.media.files import PathLike
 
 # Kept: libvips passes no EXIF into a TIFF, nor out of one (TestExifInTiff).
 
-# for each folder the folders below it, by the tag that points at them; no tag points at the image's own
+# for each folder the folders below it, by the tag of their offset; the image's own folder has no tag
 _IMAGE, _EXIF, _GPS, _INTEROP = -1, 34665, 34853, 40965
 _BELOW: dict[int, tuple[int, ...]] = {_IMAGE: (_EXIF, _GPS), _EXIF: (_INTEROP,), _GPS: (), _INTEROP: ()}
 _WIDTH, _HEIGHT = 40962, 40963
-# of the image's own folder: names, dates, texts and ratings; the rest tells how the pixels are stored
+# tags of the image's own folder: names, dates, texts and ratings; the others describe the stored pixels
 _SOUGHT = {269, 270, 271, 272, 305, 306, 315, 316, 18246, 18249, 33432, *range(40091, 40096), _EXIF, _GPS}
-_MOST = 4096  # entries a folder
+_MOST = 4096  # entries of a folder
 _ROOM = 2**24  # bytes in all
 _PREFIX = b"Exif\0\0"
-# for each kind of value the bytes that it takes, and those that the byte order turns
+# for each type of value its bytes, and those that the byte order swaps
 _SIZES = {1: 1, 2: 1, 3: 2, 4: 4, 5: 8, 6: 1, 7: 1, 8: 2, 9: 4, 10: 8, 11: 4, 12: 8, 13: 4, 129: 1}
 _SIZES |= {16: 8, 17: 8, 18: 8}
 _TURNED = {**_SIZES, 5: 4, 10: 4}
@@ -39,13 +39,13 @@ class _Value:
     data: bytes
 
 
-# an entry as it stands in a file, a value to be laid out, or a folder below
+# an entry as stored in a file, a value to be laid out, or a folder below
 _Folder: TypeAlias = "dict[int, bytes | _Value | _Folder]"
 
 
 @dataclass(frozen=True, slots=True)
 class _Form:
-    """How a file writes numbers: its byte order, and whether it is a BigTIFF."""
+    """The number format of a file: its byte order, and whether it is a BigTIFF."""
 
     order: Literal["little", "big"]
     big: bool = False
@@ -70,7 +70,7 @@ class _Form:
 
 
 class _Reader:
-    """Reads folders; `whole` tells whether all that was wanted could be read."""
+    """A reader of folders; `whole` is true if all that was wanted could be read."""
 
     def __init__(self, file: BinaryIO) -> None:
         self.file = file
@@ -80,7 +80,7 @@ class _Reader:
         order: Literal["little", "big"] = "big" if head.startswith(b"MM") else "little"
         magic = int.from_bytes(head[2:4], order)
         self.form = _Form(order, magic == 43)
-        self.start = 8 if self.form.big else 4  # where the header says where the first folder is
+        self.start = 8 if self.form.big else 4  # the position of the first folder's offset
         self.first = self.form.number(head[self.start : self.start + self.form.word])
         if head[:2] not in (b"II", b"MM") or magic not in (42, 43):
             self.first, self.whole = self.size, False
@@ -93,7 +93,7 @@ class _Reader:
         return self.file.read(size)
 
     def entries(self, offset: int) -> tuple[list[bytes], bytes]:
-        """Read a folder's entries as they stand there, and what follows them."""
+        """Return a folder's entries as stored, and the bytes after them."""
         form = self.form
         head = self.at(offset, form.count)
         count = min(form.number(head), _MOST)
@@ -105,7 +105,7 @@ class _Reader:
         return entries, table[form.step * count :].ljust(form.word, b"\0")
 
     def folder(self, offset: int, parent: int = _IMAGE) -> _Folder:
-        """Read a folder and those below it, each of them once: there is no way round in circles."""
+        """Read a folder and those below it, each only once, which ends cycles."""
         found: _Folder = {}
         for entry in self.entries(offset)[0]:
             tag = self.form.number(entry[:2])
@@ -122,7 +122,7 @@ class _Reader:
         return found
 
     def value(self, entry: bytes) -> _Value | None:
-        """Read what an entry holds or points at, if it is there as a whole."""
+        """Return the value of an entry, in it or at its offset, if it is complete."""
         form = self.form
         kind, count = form.number(entry[2:4]), form.number(entry[4 : -form.word])
         size = _SIZES.get(kind, _ROOM + 1) * count
@@ -134,7 +134,7 @@ class _Reader:
             self.whole = False
             return None
         self.room -= size
-        if kind in (16, 17, 18):  # other formats have no such long numbers
+        if kind in (16, 17, 18):  # other formats have no 64-bit integers
             wide = np.frombuffer(data, _dtype(form, "i" if kind == 17 else "u", 8))
             narrow = wide.astype(_dtype(form, wide.dtype.kind, 4))
             if not np.array_equal(wide, narrow):
@@ -149,7 +149,7 @@ class _Reader:
 
 
 def from_tiff(path: PathLike) -> tuple[bytes | None, bool]:
-    """Make an EXIF block of what a TIFF's first page says, if it says something; tell whether all could be read."""
+    """Return an EXIF block of a TIFF's first page, if it has tags, and whether all could be read."""
     with open(path, "rb") as file:
         reader = _Reader(file)
         found = reader.folder(reader.first)
@@ -157,12 +157,12 @@ def from_tiff(path: PathLike) -> tuple[bytes | None, bool]:
 
 
 def is_whole(block: bytes) -> bool:
-    """Tell whether all of an EXIF block can be read."""
+    """Return whether all of an EXIF block can be read."""
     return _parsed(block)[2]
 
 
 def fitted(block: bytes, most: int) -> bytes:
-    """Leave out of an EXIF block its largest values, until it is as small as that."""
+    """Return an EXIF block without its largest values, such that it fits ``most`` bytes."""
     found, form, _ = _parsed(block)
     folders = [found, *(item for item in found.values() if isinstance(item, dict))]
     sizes = [
@@ -179,7 +179,7 @@ def fitted(block: bytes, most: int) -> bytes:
 
 
 def into_tiff(path: PathLike, block: bytes, width: int, height: int) -> None:
-    """Append an EXIF block's folders to a TIFF, with the texts that it lacks and the size of its image."""
+    """Append an EXIF block's folders to a TIFF, with its missing texts and the size of its image."""
     found, source, _ = _parsed(block)
     if not found:
         return
@@ -202,7 +202,7 @@ def into_tiff(path: PathLike, block: bytes, width: int, height: int) -> None:
 
 
 def tag_of(path: PathLike, tag: int) -> int:
-    """Return a small number that the first folder of a TIFF holds; 0 where it does not."""
+    """Return a small integer in the first folder of a TIFF; 0 if it is missing."""
     with open(path, "rb") as file:
         reader = _Reader(file)
         for entry in reader.entries(reader.first)[0]:
@@ -212,7 +212,7 @@ def tag_of(path: PathLike, tag: int) -> int:
 
 
 def retagged(path: PathLike, values: dict[int, int]) -> tuple[bytes, Literal["little", "big"]]:
-    """Return a TIFF with one number of 16 bits in each of these tags of its first folder, and its byte order."""
+    """Return a TIFF with new 16-bit integers in tags of its first folder, and its byte order."""
     with open(path, "rb") as file:
         data = bytearray(file.read())
         reader = _Reader(file)
@@ -227,7 +227,7 @@ def retagged(path: PathLike, values: dict[int, int]) -> tuple[bytes, Literal["li
 
 
 def set_tag(path: PathLike, tag: int, value: int) -> None:
-    """Change a number of 16 bits that the folders of a TIFF, one for each page, hold, where it stands."""
+    """Change a 16-bit integer in place, in all folders of a TIFF, one for each page."""
     with open(path, "rb+") as file:
         reader = _Reader(file)
         form, at = reader.form, reader.first
@@ -246,13 +246,13 @@ def _parsed(block: bytes) -> tuple[_Folder, _Form, bool]:
 
 
 def _block(found: _Folder, source: _Form) -> bytes:
-    form = _Form(source.order)  # kept, since what makers note may depend on it
+    form = _Form(source.order)  # unchanged, since makers' notes may depend on it
     head = (b"II" if form.order == "little" else b"MM") + form.bytes(42, 2) + form.bytes(8, 4)
     return _PREFIX + head + _laid(found, 8, source, form)
 
 
 def _laid(folder: _Folder, place: int, source: _Form, form: _Form, following: bytes = b"") -> bytes:
-    """Lay out a folder that stands at `place`, and behind it all that it points at."""
+    """Return the bytes of a folder at `place`, followed by its values."""
     table = bytearray(form.bytes(len(folder), form.count))
     rest = bytearray()
     behind = place + form.count + form.step * len(folder) + form.word

@@ -1,4 +1,4 @@
-"""Pictures that libvips lacks, through FFmpeg's codecs: OpenEXR, Radiance, JPEG 2000, BMP, TGA and PNM."""
+"""Image formats that libvips lacks, by FFmpeg's codecs: OpenEXR, Radiance, JPEG 2000, BMP, TGA and PNM."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from supple.media.video.planes import form, pack, palette, unpack, wider
 
 
 def codec_of(path: PathLike, head: bytes) -> tuple[str, str] | None:
-    """Tell the codec and the format of a picture by its first bytes; of TGA, which has none, by the name."""
+    """Return the codec and the format of an image by its first bytes; for TGA, which has no signature, by the name."""
     for known in FORMATS:
         for pattern, codec in known.magic.items():
             if re.match(pattern, head):
@@ -33,7 +33,7 @@ def codec_of(path: PathLike, head: bytes) -> tuple[str, str] | None:
 
 
 def decoded(path: PathLike, codec: str) -> tuple[Array, int]:
-    """Decode a picture: shape (H, W) or (H, W, C), in grey or RGB; tell how many bits a channel it has."""
+    """Decode an image: shape (H, W) or (H, W, C), in grey or RGB; return its bits a channel, too."""
     with open(path, "rb") as file:
         data = file.read()
     context: Any = av.CodecContext.create(codec, "r")
@@ -54,7 +54,7 @@ def decoded(path: PathLike, codec: str) -> tuple[Array, int]:
     arrays = [np.empty((*group.shape, group.channels), kind.dtype) for group in layout.groups]
     unpack(frame, own, arrays)
     if kind.family in ("yuv", "xyz"):
-        # as JPEG and TIFF have it: BT.601 in the full range, chroma in the middle of its pixels
+        # as in JPEG and TIFF: BT.601 in the full range, chroma in the middle of its pixels
         colour = Colour(FULL, matrix=5, site="center") if kind.family == "yuv" else Colour(FULL)
         return to_rgb(arrays, own, colour, shape, kind.bits > 8), 8 if kind.bits <= 8 else 16
     pixels = arrays[0][..., 0] if layout.groups[0].channels == 1 else arrays[0]
@@ -64,7 +64,7 @@ def decoded(path: PathLike, codec: str) -> tuple[Array, int]:
 
 
 def _least(pixels: Array) -> Array:
-    """Drop opacity where all is opaque, and colours where all are grey."""
+    """Drop opacity if all pixels are opaque, and colours if all are grey."""
     if (pixels[..., 3] == 255).all():
         grey = (pixels[..., :1] == pixels[..., 1:3]).all()
         pixels = pixels[..., 0] if grey else pixels[..., :3]
@@ -74,7 +74,7 @@ def _least(pixels: Array) -> Array:
 def encoded(
     pixels: Array, codec: str, pixel_format: str, options: Mapping[str, str] | None = None, *, half: bool = False
 ) -> bytes:
-    """Encode a picture without loss, but for what the format cannot hold."""
+    """Encode an image without loss, within the format's depth."""
     height, width = pixels.shape[:2]
     known = form(pixel_format)
     assert known is not None
@@ -91,7 +91,7 @@ def encoded(
 
 @contextlib.contextmanager
 def reading(path: PathLike) -> Iterator[None]:
-    """Make of a codec's failure one sentence."""
+    """Convert a codec's errors to one sentence."""
     try:
         yield
     except av.FFmpegError as error:
@@ -101,7 +101,7 @@ def reading(path: PathLike) -> Iterator[None]:
 
 @contextlib.contextmanager
 def writing(path: PathLike) -> Iterator[None]:
-    """Make of a codec's failure one sentence; what the system refuses stays an `OSError`."""
+    """Convert a codec's errors to one sentence; errors of the system stay an `OSError`."""
     try:
         yield
     except av.FFmpegError as error:

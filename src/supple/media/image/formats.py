@@ -1,4 +1,4 @@
-"""The one table of picture formats: what names, reads and writes each of them, and what it can hold."""
+"""The table of image formats: their names, readers, writers and limits."""
 
 from __future__ import annotations
 
@@ -18,21 +18,21 @@ Array = npt.NDArray[Any]
 
 @dataclass(frozen=True, slots=True)
 class Format:
-    """A format of pictures: a row of the table."""
+    """An image format: a row of the table."""
 
-    name: str  # as people call it
-    suffixes: tuple[str, ...] = ()  # which name it
-    loaders: tuple[str, ...] = ()  # as libvips calls those that read it
-    magic: Mapping[bytes, str] = field(default_factory=dict)  # patterns of how files begin that a codec of FFmpeg reads
-    saver: str = ""  # of libvips, or a codec of FFmpeg where there are pixel_formats; empty where nothing writes it
+    name: str  # for users
+    suffixes: tuple[str, ...] = ()  # the first is the default
+    loaders: tuple[str, ...] = ()  # the names of libvips' loaders
+    magic: Mapping[bytes, str] = field(default_factory=dict)  # signatures of files that a codec of FFmpeg reads
+    saver: str = ""  # of libvips, or a codec of FFmpeg if there are pixel_formats; empty if it cannot be written
     limit: int = 30_000  # pixels on a side
     bits: int = 8  # a channel
     grey: bool = True
     alpha: bool = True
     cmyk: bool = False
-    quality: int = 0  # the usual one, from 1 to 100; 0 where it has none
-    lossless: tuple[str, ...] = ()  # the options that say whether to keep every value
-    options: Mapping[str, Any] = field(default_factory=dict)  # for everything
+    quality: int = 0  # the default, from 1 to 100; 0 without one
+    lossless: tuple[str, ...] = ()  # the options for lossless output
+    options: Mapping[str, Any] = field(default_factory=dict)  # for all output
     # of the codec, for each type and number of channels
     pixel_formats: Mapping[str, Mapping[int, str]] = field(default_factory=dict)
 
@@ -68,7 +68,7 @@ FORMATS = (
     Format("BMP", (".bmp",), (), {b"BM": "bmp"}, "bmp", pixel_formats=_BGR),
     Format("TGA", (".tga",), saver="targa", pixel_formats=_BGR),
     Format("JPEG 2000", (".jp2",), ("jp2k",), {rb"\0\0\0\x0cjP  |\xff\x4f\xff\x51": "jpeg2000"}, "jpeg2000", bits=16,
-           alpha=False, options={"format": "jp2", "pred": "dwt53"}, pixel_formats=_WHOLE),  # which keep every value
+           alpha=False, options={"format": "jp2", "pred": "dwt53"}, pixel_formats=_WHOLE),  # lossless
     Format("PNM", (".pam", ".pbm", ".pnm"), ("ppm",), _PNM),
     Format("GIF", (".gif",), ("gif",)),
     Format("HEIF", (".heic", ".heif"), ("heif",)),
@@ -80,7 +80,7 @@ DTYPES = {"uchar": "u1", "char": "i1", "ushort": "u2", "short": "i2", "uint": "u
 # fmt: on
 OUT = {suffix: form for form in FORMATS if form.saver for suffix in form.suffixes}
 SUFFIXES_OUT = tuple(OUT)
-# Of a folder, everything that somebody may take for a picture: what cannot be read is then named.
+# In a folder, all suffixes that users may take for images: unreadable files are then named.
 SUFFIXES = frozenset(suffix for form in FORMATS for suffix in form.suffixes)
 LOADERS = {loader: form.name for form in FORMATS for loader in form.loaders}  # others read tables, and raw memory
 _VIPS = {np.dtype(dtype): name for name, dtype in DTYPES.items()}
@@ -88,7 +88,7 @@ COLOURS = {"b-w": 1, "grey16": 1, "cmyk": 4, "multiband": 0}  # all others have 
 
 
 def meant(dtype: np.dtype[Any], colours: int, like: str) -> str:
-    """Say in libvips' words what the channels are."""
+    """Return libvips' name for the meaning of the channels."""
     if like in ("cmyk", "lab", "labs") and COLOURS.get(like, 3) == colours:
         return like
     if colours not in (1, 3):
@@ -98,7 +98,7 @@ def meant(dtype: np.dtype[Any], colours: int, like: str) -> str:
 
 
 def check(path: PathLike, form: Format, array: Array, meaning: str, alpha: bool) -> None:
-    """Refuse what the format cannot hold."""
+    """Raise SuppleError for an array that the format cannot hold."""
 
     def refuse(what: str, advice: str) -> NoReturn:
         raise unwritable(path, what, advice)
@@ -130,7 +130,7 @@ def check(path: PathLike, form: Format, array: Array, meaning: str, alpha: bool)
 
 
 def wrapped(array: Array, meaning: str, bits: int) -> Any:
-    """Show libvips an array, without copying it, as an image."""
+    """Return an array as an image of libvips, without a copy."""
     channels = array.shape[2] if array.ndim == 3 else 1
     height, width = array.shape[:2]
     image = pyvips.Image.new_from_memory(array, width, height, channels, _VIPS[array.dtype])
@@ -143,7 +143,7 @@ def wrapped(array: Array, meaning: str, bits: int) -> Any:
 
 
 def settings(form: Format, array: Array, bits: int, quality: int | None, lossless: bool) -> dict[str, Any]:
-    """Choose the settings of a libvips saver."""
+    """Return the settings of a libvips saver."""
     chosen = {**form.options, **dict.fromkeys(form.lossless, lossless)}
     if form.quality:
         chosen["Q"] = quality or form.quality

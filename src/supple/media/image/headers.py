@@ -1,4 +1,4 @@
-"""Metadata in the headers of images, and how they get from one file into another."""
+"""Metadata in the headers of images, and its transfer between files."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ from supple.media.image.formats import COLOURS, DTYPES, JPEG, PNG, TIFF, Format
 _ICC_COLOURS = {b"GRAY": 1, b"RGB ": 3, b"Lab ": 3, b"CMYK": 4}
 _KEPT = ("icc-profile-data", "exif-data", "xmp-data", "iptc-data", "image-description", "png-comment-")
 _THUMBNAIL = ("exif-ifd1-", "jpeg-thumbnail-data")
-_ALL, _EXIF = 63, 1  # of what libvips may write of a header
-_UNKNOWN = 0.1  # a pixel a centimetre, which `finish` takes away
-_UNIT = 296  # of the resolution in a TIFF
+_ALL, _EXIF = 63, 1  # libvips' flags for the parts of a header
+_UNKNOWN = 0.1  # a pixel a centimetre, which `finish` removes
+_UNIT = 296  # the tag of the unit of resolution in a TIFF
 _EXIF_MOST = 65_000  # libvips reads no more than fits into a JPEG, and adds a few tags
 
 
 def facts(image: Any) -> tuple[int, int, int]:
-    """Tell how many pages the file has, its orientation (1 to 8), and its bits a channel."""
+    """Return the number of pages of a file, its orientation (1 to 8), and its bits a channel."""
     names = ("n-pages", "orientation", "bits-per-sample")
     pages, orientation, bits = (image.get(name) if image.get_typeof(name) else 0 for name in names)
     depth = np.dtype(DTYPES[image.format]).itemsize * 8
@@ -35,23 +35,23 @@ def facts(image: Any) -> tuple[int, int, int]:
 
 
 def has_alpha(image: Any) -> bool:
-    """Tell whether the last channel is opacity: one above the colours is, several are something else."""
+    """Return whether the last channel is opacity: a single one above the colours is."""
     colours = COLOURS.get(image.interpretation, 3)
     return bool(colours and image.bands == colours + 1)
 
 
 def collected(path: PathLike, image: Any, form: str, turned: bool) -> tuple[dict[str, Any], list[str]]:
-    """Collect what `dressed` puts back; name what cannot be, or what belongs to the old pixels."""
+    """Return the metadata for `dressed`, and the names of those that cannot be kept, or describe the old pixels."""
     header: dict[str, Any] = {}
     for name in image.get_fields():
         if name.startswith(_KEPT) and (name != "iptc-data" or form == "JPEG"):
             with contextlib.suppress(UnicodeError):
                 header[name] = image.get(name)
-    if "xmp-data" in header:  # it may say the orientation once more
+    if "xmp-data" in header:  # it may repeat the orientation
         pattern = rb"(tiff:Orientation(?:=[\"']|>)\s*)[2-8]"
         header["xmp-data"] = re.sub(pattern, rb"\g<1>1", header["xmp-data"])
     sizes = (image.yres, image.xres) if turned else (image.xres, image.yres)
-    if min(sizes) > 0 and sizes != (1, 1) and _tells_size(path, image, form):  # libvips' way to say unknown
+    if min(sizes) > 0 and sizes != (1, 1) and _tells_size(path, image, form):  # libvips' code for unknown
         header["xres"], header["yres"] = sizes
     lost = []
     if form == "TIFF":
@@ -69,7 +69,7 @@ def collected(path: PathLike, image: Any, form: str, turned: bool) -> tuple[dict
 
 # Kept: libvips tells neither of frames of a PNG nor whether it says its resolution (test_nothing_is_invented).
 def _chunk(file: BinaryIO, name: bytes) -> bytes:
-    """Go to the data of a chunk of a PNG that stands before the pixels; return its length, or nothing."""
+    """Go to the data of a chunk of a PNG before the pixels; return its length, or nothing."""
     at, kind = 8, b""
     while kind not in (name, b"IDAT"):
         file.seek(at)
@@ -81,13 +81,13 @@ def _chunk(file: BinaryIO, name: bytes) -> bytes:
 
 
 def png_frames(path: PathLike) -> int:
-    """Count the frames of a PNG; 1 where it is not animated."""
+    """Return the number of frames of a PNG; 1 if it is not animated."""
     with open(path, "rb") as file:
         return int.from_bytes(file.read(4)) if _chunk(file, b"acTL") else 1
 
 
 def _tells_size(path: PathLike, image: Any, form: str) -> bool:
-    """Tell whether a resolution is the file's: libvips makes one up for JPEG and PNG."""
+    """Return whether a resolution is the file's: libvips invents one for JPEG and PNG."""
     if image.get_typeof("resolution-unit") or form not in ("JPEG", "PNG"):
         return True
     if form == "JPEG":
@@ -99,7 +99,7 @@ def _tells_size(path: PathLike, image: Any, form: str) -> bool:
 def dressed(
     image: Any, header: Mapping[str, Any], icc: bytes | None, form: Format, colours: int
 ) -> tuple[Any, list[str]]:
-    """Give an image a header and a profile; name what of them the format cannot hold."""
+    """Return an image with a header and a profile, and the names of those that the format cannot hold."""
     lost = []
     header = dict(header)
     sizes = header.pop("xres", None), header.pop("yres", None)
@@ -121,21 +121,21 @@ def dressed(
     image = image.copy()
     for name, value in header.items():
         kind = pyvips.GValue.blob_type if isinstance(value, bytes) else pyvips.GValue.refstr_type
-        image.set_type(kind, name, value)  # of EXIF this makes a field for every tag
+        image.set_type(kind, name, value)  # for EXIF, this creates a field for every tag
     for name in image.get_fields():
-        if name.startswith(_THUMBNAIL):  # it shows what was
+        if name.startswith(_THUMBNAIL):  # the old thumbnail is out of date
             image.remove(name)
     image.set_type(pyvips.GValue.gint_type, "orientation", 1)
     if sizes[0] is None and (image.xres, image.yres) != (1, 1):
         sizes = image.xres, image.yres
-    usual = 72 / 25.4 if image.get_typeof("exif-data") else _UNKNOWN  # which EXIF means by saying nothing
+    usual = 72 / 25.4 if image.get_typeof("exif-data") else _UNKNOWN  # EXIF's default
     return image.copy(xres=sizes[0] or usual, yres=sizes[1] or usual), lost
 
 
 def kept(image: Any, form: Format) -> dict[str, Any]:
-    """Choose the settings of a libvips saver that keep it from making EXIF, which it does unasked.
+    """Return the settings of a libvips saver that keep it from adding EXIF.
 
-    WebP and AVIF have no other place for a resolution that is known.
+    WebP and AVIF need EXIF for a known resolution.
     """
     if form is TIFF:
         return {} if _is_sized(image) else {"resunit": "cm"}
@@ -146,7 +146,7 @@ def kept(image: Any, form: Format) -> dict[str, Any]:
 
 # Kept: libvips makes a resolution up, or leaves one out (test_nothing_is_invented, test_resolution_comes_through).
 def finish(path: PathLike, image: Any, form: Format) -> None:
-    """Put right what a written file says of its resolution: nothing, where that is not known."""
+    """Correct the resolution in a written file: none, if it is unknown."""
     sized = _is_sized(image)
     if form is JPEG and sized and not image.get_typeof("exif-data"):
         with open(path, "rb+") as file:
@@ -168,7 +168,7 @@ def _is_sized(image: Any) -> bool:
 
 
 def _jfif(xres: float, yres: float) -> bytes:
-    """Lay out JFIF's marker, with dots an inch or a centimetre, whichever is nearer to whole numbers."""
+    """Return JFIF's marker, with dots per inch or per centimetre, whichever is nearer to integers."""
 
     def rounded(step: float) -> tuple[float, list[int]]:
         dots = (xres * step, yres * step)
@@ -180,7 +180,7 @@ def _jfif(xres: float, yres: float) -> bytes:
 
 
 def profile_name(icc: bytes) -> str | None:
-    """Find the description in a colour profile, of either version."""
+    """Return the description in a colour profile, of either version."""
     try:
         (count,) = struct.unpack_from(">I", icc, 128)
         for entry in range(count):

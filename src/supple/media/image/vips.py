@@ -1,4 +1,4 @@
-"""Files opened and decoded by libvips, and its accounts of failure in one sentence."""
+"""Image files opened and decoded by libvips, and its errors in one sentence."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ _MAGIC = (b"\x89PNG", b"\xff\xd8", *_TIFF, b"RIFF", b"GIF8")
 
 
 def opened(path: PathLike) -> tuple[Any, str]:
-    """Open an image for one reading from top to bottom; tell its format."""
+    """Open an image for one sequential read; return its format, too."""
     kinds = "give a PNG, JPEG, TIFF, WebP, AVIF or GIF file"
     head = head_of(path, 12, kinds, kinds)
     known = head.startswith(_MAGIC) or head[4:8] == b"ftyp"
@@ -44,7 +44,7 @@ def opened(path: PathLike) -> tuple[Any, str]:
         form = LOADERS.get(str(image.get("vips-loader")).partition("load")[0])
         if form == "HEIF" and image.get("heif-compression") == "av1":
             form = "AVIF"
-        if form == "PNG" and (frames := png_frames(path)) > 1:  # libvips knows of the first alone
+        if form == "PNG" and (frames := png_frames(path)) > 1:  # libvips reads only the first
             image = image.copy()
             image.set_type(pyvips.GValue.gint_type, "n-pages", frames)
         if form == "TIFF" and is_ycbcr(path):
@@ -71,13 +71,13 @@ def opened(path: PathLike) -> tuple[Any, str]:
 
 
 def _by_ffmpeg(path: PathLike, codec: str, form: str) -> tuple[Any, str]:
-    """Decode a picture that libvips does not know."""
+    """Decode an image that libvips does not support."""
     from supple.media.image import ffmpeg
 
     with ffmpeg.reading(path):
         pixels, bits = ffmpeg.decoded(path, codec)
     channels = pixels.shape[2] if pixels.ndim == 3 else 1
-    # in OpenEXR, colours are multiplied by opacity, which is then averaged as they are
+    # OpenEXR is premultiplied, and averaged as such
     colours = channels if form == "OpenEXR" else channels - (channels in (2, 4))
     image = wrapped(np.ascontiguousarray(pixels), meant(pixels.dtype, colours, ""), 32)
     image.set_type(pyvips.GValue.gint_type, "bits-per-sample", bits)
@@ -91,7 +91,7 @@ def is_ycbcr(path: PathLike) -> bool:
 
 
 def _in_rgb(path: PathLike, image: Any) -> Any:
-    """Decode a TIFF in YCbCr by FFmpeg, since libvips takes it for RGB; keep its header."""
+    """Decode a TIFF in YCbCr by FFmpeg, since libvips assumes RGB; keep its header."""
     from supple.media.image import ffmpeg
 
     with ffmpeg.reading(path):
@@ -113,7 +113,7 @@ def _holds_doubles(path: PathLike) -> bool:
 
 
 def _of_doubles(path: PathLike) -> Any:
-    """Decode a TIFF of doubles as one of eight times as many bytes."""
+    """Decode a TIFF of doubles as a TIFF of eight times as many bytes."""
     channels = tag_of(path, _SAMPLES) or 1
     values = {_BITS: 8, _SAMPLES: 8 * channels, _SAMPLE_FORMAT: 1, _PHOTOMETRIC: 1}
     data, order = retagged(path, values)
@@ -128,27 +128,27 @@ def _of_doubles(path: PathLike) -> Any:
 
 
 def sequential(path: PathLike, *, fail_on: str = "error", **options: Any) -> Any:
-    """Open a file by libvips alone, which fails on what is damaged or cut short; or on "warning", too."""
-    # a source, since libvips would take "[...]" in a file's name for options, and cache what it read
+    """Open a file by libvips, which fails on damaged or truncated files; or on "warning", too."""
+    # a source, since libvips would parse "[...]" in a file's name as options, and cache the image
     source = pyvips.Source.new_from_file(os.fsencode(path))
     return pyvips.Image.new_from_source(source, "", access="sequential", fail_on=fail_on, **options)
 
 
 def apart(work: Callable[[], T], image: Any = None) -> T:
-    """Let libvips work in another thread: here, its callbacks would swallow an interrupt, and print it."""
+    """Run work of libvips in another thread: in this one, its callbacks would swallow and print an interrupt."""
     with ThreadPoolExecutor(1) as thread:
         future = thread.submit(work)
         try:
             return future.result()
         except BaseException:
             if image is not None:
-                image.set_kill(True)  # or it would work to the end
+                image.set_kill(True)  # otherwise, it would run to the end
             raise
 
 
 @contextlib.contextmanager
 def reading(path: PathLike) -> Iterator[None]:
-    """Make of every failure one sentence."""
+    """Convert all errors to one sentence."""
     try:
         yield
     except SuppleError:
@@ -159,7 +159,7 @@ def reading(path: PathLike) -> Iterator[None]:
 
 @contextlib.contextmanager
 def writing(path: PathLike) -> Iterator[None]:
-    """Make libvips' account of a failure an `OSError` where the system refused, else one sentence."""
+    """Convert libvips' errors to an `OSError` if the system refused, else to one sentence."""
     try:
         yield
     except (pyvips.Error, UnicodeError) as error:
@@ -171,7 +171,7 @@ def writing(path: PathLike) -> Iterator[None]:
 
 
 def _damaged(path: PathLike, error: Exception) -> SuppleError:
-    """Say in one sentence why a file was not read, with the telling line of libvips, if there is one."""
+    """Return an error that explains in one sentence why a file was not read, with libvips' relevant line, if any."""
     text = getattr(error, "detail", "")
     if isinstance(error, MemoryError) or "out of memory" in text:
         return unreadable(path, "it is too large for the memory", "cut it into parts")
@@ -184,7 +184,7 @@ def _damaged(path: PathLike, error: Exception) -> SuppleError:
 def _reason(text: str) -> str:
     for line in map(str.strip, text.splitlines()):
         if line and not re.search("bad seek|not in a known format", line):
-            told = re.sub(r"^\w+: ", "", line)  # without the name of libvips' part
+            told = re.sub(r"^\w+: ", "", line)  # without the name of libvips' module
             return f" ({told})"
     return ""
 
@@ -200,7 +200,7 @@ def decoded(image: Any, orientation: int) -> Array:
     stored = upright.swapaxes(0, 1) if turned else upright
     stored = stored[:: -1 if orientation in (3, 4, 6, 7) else 1, :: -1 if orientation in (2, 3, 7, 8) else 1]
     region = pyvips.Region.new(image)
-    for top in range(0, shape[0], 16):  # turned a strip at a time, or memory would hold the image twice
+    for top in range(0, shape[0], 16):  # turned a strip at a time, to avoid a second image in memory
         strip = stored[top : top + 16]
         data = region.fetch(0, top, shape[1], len(strip))
         strip[:] = np.frombuffer(data, dtype).reshape(strip.shape)

@@ -1,4 +1,4 @@
-"""Videos: frames decoded in order, in the planes that they are stored in, and written anew."""
+"""Videos: frames decoded in order, in their stored planes, and encoded anew."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ _COPY = "give a whole copy of it"
 
 
 class DecodedFrame:
-    """A decoded frame, as its clip hands it out."""
+    """A decoded frame of a clip."""
 
     __slots__ = ("_form", "_frame")
 
@@ -63,7 +63,7 @@ class DecodedFrame:
         self._frame, self._form = frame, form
 
     def copy_to(self, arrays: Sequence[Array]) -> None:
-        """Copy its samples into one array for each group of the clip's layout."""
+        """Copy the samples into one array for each group of the clip's layout."""
         if self._frame.format.has_palette:
             arrays[0][:] = palette(self._frame)[..., : arrays[0].shape[-1]]
         else:
@@ -71,7 +71,7 @@ class DecodedFrame:
 
 
 class Clip(VideoFile):
-    """A video file, opened; see `open_clip`. What is known of it is told by `VideoFile`."""
+    """An open video file; see `open_clip`. Its properties are in `VideoFile`."""
 
     def __init__(self, path: PathLike, threads: int | None, count: int | None) -> None:
         self._threads = workers(threads)
@@ -113,12 +113,12 @@ class Clip(VideoFile):
                 assert isinstance(made, av.VideoCodecContext)
                 context = made
         context.thread_count = count
-        # frames decoded at once are lost together where one is damaged
+        # with frame threads, one damaged frame takes others along
         context.thread_type = "SLICE" if self._sturdy else "AUTO"
         return context
 
     def _lost(self, found: int) -> str:
-        """Say how much of what the container promises is lost."""
+        """Return a description of the lost frames."""
         promised = self.survey.count + self.survey.missing
         lost, whole = (float(number / self.rate) for number in (promised - found, promised))
         be = "is" if promised - found == 1 else "are"
@@ -132,13 +132,13 @@ class Clip(VideoFile):
         return kept.popleft()
 
     def packet(self, k: int) -> av.Packet[Any] | None:
-        """Return the packet that frame `k` alone was decoded from, once, in order; None where there is none."""
+        """Return the packet that frame `k` alone was decoded from, once, in order; None if there is none."""
         return self._packets.popleft() if self._packets else None
 
     def frames(self) -> Iterator[DecodedFrame]:
-        """Decode all frames in the order in which they are shown, once.
+        """Decode all frames in display order, once.
 
-        While a writer is open, the other streams of the file go to it on the way.
+        While a writer is open, packets of the other streams go to it.
 
         Yields
         ------
@@ -148,9 +148,9 @@ class Clip(VideoFile):
         Raises
         ------
         SuppleError
-            A frame has another size or pixel format than the first.
+            If a frame has another size or pixel format than the first.
         CountError
-            There are more or fewer than `count`. None beyond is handed out.
+            If there are more or fewer than `count`. No frame beyond is yielded.
         """
         film = self._rewind()
         others = [self.source.streams[index] for index in self.passage.indices] if self.passage else []
@@ -160,7 +160,7 @@ class Clip(VideoFile):
         shown_at: deque[int] = deque()
         keys: deque[tuple[int | None, int]] = deque(maxlen=64)
         copies = self.copies
-        sent: dict[int | None, av.Packet[Any] | None] = {}  # packets on their way through the decoder, by their time
+        sent: dict[int | None, av.Packet[Any] | None] = {}  # packets in the decoder, by their time
         self._packets.clear()
         fed_so_far = 0
         found = bad = 0
@@ -173,7 +173,7 @@ class Clip(VideoFile):
                 if packet.is_keyframe:
                     keys.append((packet.pts, fed_so_far))
                     if copies and packet.pts is not None and not packet.is_corrupt:
-                        sent[packet.pts] = None if packet.pts in sent else packet  # of two, either may be meant
+                        sent[packet.pts] = None if packet.pts in sent else packet  # a time of two packets is ambiguous
                 fed_so_far += 1
             decoded = decoded_by(decoder, packet)
             if decoded is None:
@@ -203,37 +203,37 @@ class Clip(VideoFile):
             warnings.warn(f"{self.name} {what}", ClipWarning, stacklevel=2)
 
     def key_before(self, k: int) -> int:
-        """The frame from which decoding must begin for frame `k`; 0 where the file does not tell, too."""
+        """Return the key frame from which decoding must begin for frame `k`; 0 if the file has no index."""
         if self._index is None:
             self._index = (None if self.survey.suspect else index_of(self.path, self.count),)
         known = self._index[0]
         return 0 if known is None else known.before(k)
 
     def frames_from(self, k: int) -> Iterator[tuple[int, DecodedFrame]]:
-        """Decode from frame `k` on, beginning at the key frame before it; each comes with its number.
+        """Decode from frame `k` on, beginning at the key frame before it; yield frames with their numbers.
 
-        Where that does not give just the frames that there should be, it goes on as if from the start.
+        If the frames do not match the index, it decodes from the start.
         """
         due, key = k, self.key_before(k)
         known = self._index[0] if self._index is not None and key else None
         if known is not None:
-            for pts, picture in self._sought(known.starts[key]):  # ends with what it opened, when it is dropped
+            for pts, picture in self._sought(known.starts[key]):  # closed when the generator is dropped
                 number = -1 if pts is None else known.numbers.get(pts, -1)
                 if key <= number < due or (pts is not None and pts < known.starts[key]):
-                    continue  # on the way; or before the key frame, of which the decoder did not know all
+                    continue  # before `k`; or before the key frame, without its references
                 if number != due:
                     break
                 yield due, picture
                 due += 1
             if due == self.count:
                 return
-            self._index = (None,)  # it is not what it seemed to be
+            self._index = (None,)  # the index is wrong
         for number, picture in enumerate(self.frames()):
             if number >= due:
                 yield number, picture
 
     def _sought(self, start: int) -> Iterator[tuple[int | None, DecodedFrame]]:
-        """Decode from a key frame on, in a container of its own; nothing, where the file has it elsewhere."""
+        """Decode from a key frame on, in a container of its own; yield nothing if it is not found there."""
         with opened(self.path) as container, contextlib.suppress(av.FFmpegError):
             film = chosen(container, self.path)
             container.seek(start, stream=film)
@@ -257,7 +257,7 @@ class Clip(VideoFile):
         return chosen(self.source, self.path)
 
     def _film_packets(self, index: int) -> Iterator[av.Packet[Any] | None]:
-        """Hand out the packets of the film, then None; those of other streams go to the writer."""
+        """Yield the packets of the film, then None; pass those of other streams to the writer."""
         left = self.survey.packets
         assert self._pump is not None
         for packet in self._pump:
@@ -268,7 +268,7 @@ class Clip(VideoFile):
             if packet.size:
                 yield packet
                 left -= 1
-            if left <= 0:  # what follows is read by the writer, when it has come that far
+            if left <= 0:  # the rest is read by the writer when the film is finished
                 break
         yield None
 
@@ -282,7 +282,7 @@ class Clip(VideoFile):
         size, kind = (frame.width, frame.height), frame.format.name
         if size == (self.width, self.height) and kind == self.pixel_format:
             return
-        # where the size changes, decoders drop what they held back: the packets say how many there were
+        # after a change of size, decoders drop delayed frames: their number is known from the packets
         k = max([k, *(number for pts, number in keys if pts is not None and pts == frame.pts)])
         now = f"{frame.width}x{frame.height} {kind}"
         first = f"{self.width}x{self.height} {self.pixel_format}"
@@ -298,13 +298,13 @@ class Clip(VideoFile):
     writer = writer
 
     def to_rgb(self, arrays: Sequence[Array], *, deep: bool = False) -> Array:
-        """Show a frame's samples as RGB of 8 bits, or of 16 if `deep`: (H, W, 3), as stored, without rotation."""
+        """Return a frame as RGB of 8 bits, or of 16 if `deep`: (H, W, 3), as stored, without rotation."""
         colour = replace(self.colour, site=sited(self.colour, self.codec, self.form.kind))
         return to_rgb(arrays, self.form, colour, self.layout.shape, deep)
 
 
 def check_target(path: PathLike) -> None:
-    """Refuse a name whose suffix is not in `SUFFIXES_OUT`, nor ``.m4v``."""
+    """Raise SuppleError for a name whose suffix is not in `SUFFIXES_OUT`, nor ``.m4v``."""
     container_of(path)
 
 
@@ -315,11 +315,11 @@ def open_clip(path: PathLike, *, threads: int | None = None, count: int | None =
     Parameters
     ----------
     path : str or os.PathLike
-        Any file that FFmpeg reads. Its first film is taken, not the picture of a cover.
+        Any file that FFmpeg reads. Its first film is opened, not a cover image.
     threads : int, optional
-        For the decoder. By default as many as Supple uses.
+        The threads of the decoder. By default as many as Supple uses.
     count : int, optional
-        How many frames there are, where `CountError` has told it.
+        The number of frames, from a `CountError`.
 
     Yields
     ------
@@ -329,12 +329,12 @@ def open_clip(path: PathLike, *, threads: int | None = None, count: int | None =
     Raises
     ------
     SuppleError
-        The file is missing, empty, damaged, or holds no film.
+        If the file is missing, empty, damaged, or holds no film.
 
     Warns
     -----
     ClipWarning
-        It is damaged, and a part can be used.
+        If it is damaged, but partly usable.
     """
     clip = Clip(path, threads, count)
     try:
@@ -344,6 +344,6 @@ def open_clip(path: PathLike, *, threads: int | None = None, count: int | None =
 
 
 def info(path: PathLike) -> dict[str, Any]:
-    """Tell what a video file holds, without decoding more than a frame."""
+    """Return the facts on a video file, decoding at most one frame."""
     with open_clip(path) as clip:
         return clip.info()

@@ -1,4 +1,4 @@
-"""The meaning of the numbers in a clip: colours, the siting of chroma, the way up, the light that it was graded for."""
+"""The interpretation of a clip's samples: colours, chroma siting, rotation, and HDR mastering."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ LIMITED, FULL = 1, 2  # AVCOL_RANGE_MPEG, AVCOL_RANGE_JPEG
 RGB, BT709, UNKNOWN, BT601, BT2020 = 0, 1, 2, 6, 9  # AVColorSpace
 _RESERVED = (0, 3)  # of primaries and transfers
 _BT2020_PRIMARIES, _PQ, _HLG = 9, 16, 18
-_LEVEL, _USUAL = 40, 32  # AV_LOG_VERBOSE says how chroma is sited; AV_LOG_INFO is the default
-# where the first sample of chroma lies, in steps from the top left sample of luma to the middle of its box
+_LEVEL, _USUAL = 40, 32  # AV_LOG_VERBOSE reports the chroma siting; AV_LOG_INFO is the default
+# the position of the first chroma sample, in steps from the top left luma sample to the middle of its box
 _SITES = {
     "left": (0.0, 1.0),
     "center": (1.0, 1.0),
@@ -40,26 +40,26 @@ _lock = threading.Lock()
 
 @dataclass(frozen=True, slots=True)
 class Colour:
-    """The colours of a clip, in the numbers that FFmpeg shares with ITU-T H.273."""
+    """The colours of a clip, in the codes that FFmpeg shares with ITU-T H.273."""
 
-    range: int = 0  # 0 where it is unknown
+    range: int = 0  # 0 for unknown
     primaries: int = UNKNOWN
     transfer: int = UNKNOWN
     matrix: int = UNKNOWN
-    site: str = ""  # "left", "topleft", ...; empty where the file does not say
+    site: str = ""  # "left", "topleft", ...; empty for unknown
 
     def full(self, form: Form) -> bool:
-        """Tell whether samples use their whole range."""
+        """Return whether samples use their whole range."""
         return self.range == FULL or form.name.startswith("yuvj") or form.kind.family in ("rgb", "xyz")
 
     def coefficients(self, height: int) -> int:
-        """Return the matrix, guessed where the file does not say: BT.601 below 720 lines, BT.709 from there on."""
+        """Return the matrix; by default BT.601 below 720 lines, and BT.709 from there on."""
         if self.matrix in (RGB, UNKNOWN, 3):
             return BT709 if height >= 720 else BT601
         return self.matrix
 
     def valid(self) -> Colour:
-        """Return the same without what no encoder would take."""
+        """Return a copy without values that no encoder accepts."""
         primaries = UNKNOWN if self.primaries in _RESERVED else self.primaries
         transfer = UNKNOWN if self.transfer in _RESERVED else self.transfer
         return replace(
@@ -67,15 +67,15 @@ class Colour:
         )
 
     def mark(self, frame: av.VideoFrame) -> None:
-        """Write it onto a frame."""
+        """Tag a frame with the colours."""
         frame.color_range, frame.colorspace = self.range, self.matrix
         frame.color_primaries, frame.color_trc = self.primaries, self.transfer
 
 
 # Kept: PyAV tells no place of chroma (test_siting_is_read_and_written), and no numbers of side data.
 def described(container: av.container.InputContainer, index: int) -> str:
-    """Return what FFmpeg says of a stream; some of it, such as where chroma is sited, can be had no other way."""
-    with _lock:  # the level belongs to the whole process
+    """Return FFmpeg's description of a stream; some of it, such as the chroma siting, is not available otherwise."""
+    with _lock:  # the level is global
         level = av.logging.get_level()
         try:
             av.logging.set_level(av.logging.INFO)
@@ -89,7 +89,7 @@ def described(container: av.container.InputContainer, index: int) -> str:
 
 
 def named_site(description: str) -> str:
-    """Find where a stream says that chroma is sited; empty where it does not."""
+    """Return the chroma siting in a stream's description; empty if it has none."""
     for inside in re.findall(r"\(([^()]*)\)", description):
         for word in inside.split(", "):
             if word in _SITES:
@@ -98,7 +98,7 @@ def named_site(description: str) -> str:
 
 
 def sited(colour: Colour, codec: str, kind: Kind) -> str:
-    """Name the place of chroma: the one that a file gives, or what its codec is used to.
+    """Return the chroma siting: the file's, or the codec's default.
 
     Of 4:2:0, codecs that are `centred` site it in the centre of its pixels; HEVC and AV1 with the colours of BT.2020
     at their top left; all others, MPEG-2, H.264, HEVC, VP9, AV1, at their left.
@@ -114,7 +114,7 @@ def sited(colour: Colour, codec: str, kind: Kind) -> str:
 
 
 def siting(site: str, kind: Kind) -> tuple[float, float]:
-    """Tell where the first sample of chroma lies, in pixels of the frame.
+    """Return the position of the first chroma sample, in pixels of the frame.
 
     At the left, that is (0, 0.5) for 4:2:0. Chroma of 4:2:2 and 4:1:1 lies on the leftmost of its pixels, (0, 0), and
     that of 4:4:0 between two lines, (0, 0.5).
@@ -130,7 +130,7 @@ def black(form: Form, colour: Colour) -> tuple[float, ...]:
 
 
 def painted(form: Form, colour: Colour, height: int, values: Sequence[float]) -> tuple[float, ...]:
-    """Turn a colour of RGB or grey, each from 0 to the largest sample, into components in the order of `black`.
+    """Convert a colour of RGB or grey, each from 0 to the largest sample, to components in the order of `black`.
 
     After red, green and blue, or grey, opacity may follow.
     """
@@ -153,13 +153,13 @@ def painted(form: Form, colour: Colour, height: int, values: Sequence[float]) ->
 
 
 def to_rgb(arrays: Sequence[Array], staging: Form, colour: Colour, shape: tuple[int, int], deep: bool = False) -> Array:
-    """Show a frame as RGB of 8 bits, or of 16 if `deep`, by its own matrix and range, without its opacity."""
+    """Return a frame as RGB of 8 bits, or of 16 if `deep`, by its own matrix and range, without its opacity."""
     height, width = shape
-    if staging.kind.family == "gray" and colour.range == LIMITED:  # which libswscale does not know of
+    if staging.kind.family == "gray" and colour.range == LIMITED:  # unknown to libswscale
         white, low, unit = 65535 if deep else 255, *(level * 2.0 ** (staging.kind.bits - 8) for level in (16, 219))
         grey = np.clip((arrays[0][..., :1] - np.float32(low)) * np.float32(white / unit) + 0.5, 0, white)
         return np.repeat(grey.astype(np.uint16 if deep else np.uint8), 3, axis=2)
-    # in 8 bits, libswscale turns what is far too bright into black, and dithers
+    # in 8 bits, libswscale turns very bright colours black, and dithers
     wide = deep or staging.kind.family == "yuv" or staging.kind.bits > 8
     goal, item = (form("rgb48le"), "<u2") if wide else (form("rgb24"), "u1")
     assert goal is not None
@@ -175,11 +175,11 @@ def to_rgb(arrays: Sequence[Array], staging: Form, colour: Colour, shape: tuple[
 def recast(
     arrays: Sequence[Array], staging: Form, colour: Colour, target: Form, meant: Colour, shape: tuple[int, int]
 ) -> av.VideoFrame:
-    """Make a frame of one pixel format and meaning of arrays of another."""
+    """Return a frame of one pixel format and interpretation from arrays of another."""
     height, width = shape
     yuv = ("yuv", "gray")
     full, wanted = colour.full(staging), meant.full(target)
-    if staging.kind.family == "gray":  # libswscale takes grey for full in any case
+    if staging.kind.family == "gray":  # libswscale always assumes full range for grey
         full, wanted = True, wanted or not (colour.range == FULL and meant.range == LIMITED)
     source = colour.coefficients(height) if staging.kind.family in yuv else meant.coefficients(height)
     goal = meant.coefficients(height) if target.kind.family in yuv else source
@@ -199,7 +199,7 @@ def recast(
 
 
 def _scaled(frame: av.VideoFrame, to: str, **settings: str) -> av.VideoFrame:
-    """Convert a frame. Other than `VideoFrame.reformat`, this knows where chroma lies."""
+    """Convert a frame, with its chroma siting, unlike `VideoFrame.reformat`."""
     graph = Graph()
     frame.pts, frame.time_base = 0, Fraction(1, 25)
     source = graph.add_buffer(width=frame.width, height=frame.height, format=frame.format, time_base=frame.time_base)
@@ -214,21 +214,21 @@ def _scaled(frame: av.VideoFrame, to: str, **settings: str) -> av.VideoFrame:
 
 
 def _swscale(matrix: int) -> str:
-    """Name the matrix as libswscale does."""
+    """Return libswscale's name of the matrix."""
     return {BT709: "bt709", 4: "fcc", 7: "smpte240m", BT2020: "bt2020", 10: "bt2020"}.get(matrix, "bt601")
 
 
 @dataclass(frozen=True, slots=True)
 class Grading:
-    """The screen for which a clip was graded, and how bright it gets (SMPTE ST 2086, CTA-861.3)."""
+    """The mastering display of a clip, and its light level (SMPTE ST 2086, CTA-861.3)."""
 
     # red x, y, green, blue and white in 1/50000; darkest and brightest in 1/10000 cd/m²
     screen: tuple[int, ...] | None = None
-    light: tuple[int, int] | None = None  # the brightest pixel and the brightest average of a frame, in cd/m²
+    light: tuple[int, int] | None = None  # MaxCLL and MaxFALL, in cd/m²
 
     def words(self, names: tuple[str, str]) -> list[str]:
-        """Spell it as parameters of an encoder that have these names."""
-        made, real = [], names[1] == "content-light"  # SVT-AV1 counts in units, the others in small parts of them
+        """Return the values as parameters of an encoder with these names."""
+        made, real = [], names[1] == "content-light"  # SVT-AV1 takes units, others fractions of them
         if self.screen:
             told = [f"{v / 50000:.5f}" if real else f"{v}" for v in self.screen[:8]]
             dark, bright = (f"{v / 10000:.4f}" if real else f"{v}" for v in self.screen[8:])
@@ -240,7 +240,7 @@ class Grading:
 
 
 def graded(frame: av.VideoFrame) -> Grading:
-    """Find out for which screen a frame was graded."""
+    """Return the mastering data of a frame."""
     screen = light = None
     data = side_data(frame, "MASTERING_DISPLAY_METADATA")
     if data is not None and len(data) >= 88:
@@ -262,5 +262,5 @@ def side_data(frame: av.VideoFrame, kind: str) -> bytes | None:
     try:
         found: Any = frame.side_data
         return bytes(found[kind])
-    except (KeyError, ValueError):  # PyAV knows not all kinds, and then tells of none
+    except (KeyError, ValueError):  # PyAV fails on unknown kinds
         return None

@@ -1,4 +1,4 @@
-"""Video files as packets: opened, counted, set to one clock, and sought in by the times of their frames."""
+"""Video files as packets: opened, counted, set to one clock, and sought by frame times."""
 
 from __future__ import annotations
 
@@ -22,17 +22,17 @@ from supple.media.codecs import codec_of
 from supple.media.files import PathLike, unreadable
 
 _ADVICE = "give a whole video file, such as MP4, MOV, MKV, WebM or AVI"
-_TEXT = frozenset(("ansi", "bintext", "xbin", "idf"))  # text that FFmpeg would show as a film of a terminal
-_LISTS = frozenset(("concat", "hls", "dash", "imf"))  # text that names other files, or addresses
+_TEXT = frozenset(("ansi", "bintext", "xbin", "idf"))  # text that FFmpeg would decode as a film of a terminal
+_LISTS = frozenset(("concat", "hls", "dash", "imf"))  # text that refers to other files, or addresses
 _DISCONTINUOUS: int = getattr(FormatFlags.ts_discont, "value", 0)
-_SLOPPY = 3  # frames that a healthy file may promise too many
-_JUMP = 10  # seconds: what no gap in healthy sound or picture exceeds
+_SLOPPY = 3  # missing frames of an intact file
+_JUMP = 10  # seconds: longer than any gap in intact streams
 _BACK = Fraction(1, 10)
 _PICTURES = av.stream.Disposition.attached_pic | av.stream.Disposition.timed_thumbnails
 
 
 def said(error: Exception) -> str:
-    """Shorten what FFmpeg said to its reason."""
+    """Return the reason in an error of FFmpeg."""
     text = getattr(error, "strerror", None) or str(error) or type(error).__name__
     return re.sub(r"\s+", " ", str(text)).strip().rstrip(".").replace("[Errno", "[error")
 
@@ -50,7 +50,7 @@ def opened(path: PathLike) -> av.container.InputContainer:
     if not found.st_size:
         raise unreadable(path, "it is empty", _ADVICE)
     try:
-        # names with a colon are no addresses: an absolute path never is one
+        # names with a colon are not addresses: an absolute path never is one
         name, limits = str(Path(path).absolute()), {"protocol_whitelist": "file"}
         container = av.open(name, "r", container_options=limits, metadata_errors="surrogateescape")
     except (PermissionError, av.error.PermissionError) as error:
@@ -65,7 +65,7 @@ def opened(path: PathLike) -> av.container.InputContainer:
 
 
 def chosen(container: av.container.InputContainer, path: PathLike) -> av.VideoStream:
-    """Choose the first stream that is a film, not a picture of its cover; SuppleError if none can be decoded."""
+    """Return the first stream that is a film, not a cover image; SuppleError if none can be decoded."""
     films = [stream for stream in container.streams.video if not stream.disposition & _PICTURES]
     if not films:
         kinds = {stream.type for stream in container.streams}
@@ -87,21 +87,21 @@ def chosen(container: av.container.InputContainer, path: PathLike) -> av.VideoSt
 
 @dataclass(frozen=True, slots=True)
 class Survey:
-    """The count, duration and damage of a video stream, by its packets alone."""
+    """The count, duration and damage of a video stream, from its packets."""
 
-    packets: int  # how many are decoded
-    count: int  # how many of these are shown
+    packets: int  # the number of decoded packets
+    count: int  # the number of shown frames
     duration: Fraction  # seconds from the start of the first frame to the end of the last
-    damaged: bool  # whether the file breaks off
+    damaged: bool  # whether the file is truncated
     suspect: bool  # whether some packets may be damaged, or incomplete
-    variable: bool = False  # whether frames are not evenly spaced in time
-    starts: tuple[float, ...] = ()  # seconds from the first of them to each, if they are not
-    missing: int = 0  # how many more frames the container promises, where it breaks off
+    variable: bool = False  # whether the spacing in time varies
+    starts: tuple[float, ...] = ()  # start times in seconds from the first, if it varies
+    missing: int = 0  # the number of lost frames, if the file is truncated
 
 
 # Kept: FFmpeg ends without a word where a GIF does (test_a_cut_gif_is_used_with_a_warning).
 def _ends(path: str) -> bool:
-    """Tell whether a GIF has its end."""
+    """Return whether a GIF has its trailer."""
     with open(path, "rb") as file:
         file.seek(0, os.SEEK_END)
         file.seek(max(0, file.tell() - 512))
@@ -109,14 +109,14 @@ def _ends(path: str) -> bool:
 
 
 def _attend(container: av.container.InputContainer, streams: Sequence[av.stream.Stream]) -> None:
-    """Pass over all other streams."""
+    """Discard the packets of all other streams."""
     for stream in container.streams:
         if stream not in streams:
             stream.discard = av.stream.Discard.all
 
 
 def is_counted(container: av.container.InputContainer) -> bool:
-    """Tell whether frames have places, not times; pauses are counted as frames."""
+    """Return whether frames have positions, not times; pauses count as frames."""
     return container.format.name == "avi"
 
 
@@ -154,12 +154,12 @@ def survey(container: av.container.InputContainer, film: av.VideoStream) -> Surv
     if total and sums_up(container):
         span = total * base
     told = _told(film)
-    end = span if last is None else max(span, last * base)  # what it says may count from zero
+    end = span if last is None else max(span, last * base)  # its duration may count from zero
     reached = last if is_counted(container) and last is not None else packets
     missing = film.frames - max(reached, packets) if film.frames else 0
     if told is not None and packets > 0 and span > 0:
         missing = round((told - end) * packets / span)
-    # Samples that an edit list leaves out of an MP4 are not missing: there, a packet that breaks off must show it.
+    # Samples excluded by an edit list of an MP4 are not missing: there, an incomplete packet shows truncation.
     cut = missing > _SLOPPY and (suspect or damaged or not sums_up(container))
     starts.sort()
     varies = _varies(starts)
@@ -169,7 +169,7 @@ def survey(container: av.container.InputContainer, film: av.VideoStream) -> Surv
 
 
 def _varies(starts: list[int]) -> bool:
-    """Tell whether times in order are farther from even spacing than rounding and a tenth of a frame explain."""
+    """Return whether sorted times differ from even spacing by more than rounding and a tenth of a frame."""
     if len(starts) < 3:
         return False
     steps = [b - a for a, b in itertools.pairwise(starts)]
@@ -177,20 +177,20 @@ def _varies(starts: list[int]) -> bool:
 
 
 def sums_up(container: av.container.InputContainer) -> bool:
-    """Tell whether packets last until the next is decoded, not until the next is shown."""
+    """Return whether a packet's duration lasts until the next is decoded, not until the next is shown."""
     return "mp4" in container.format.name
 
 
 def _told(film: av.VideoStream) -> Fraction | None:
-    """Return the seconds that Matroska says a film lasts, which outlive it being cut short."""
+    """Return the duration of a film in Matroska's tags, which is kept when the file is cut."""
     found = re.fullmatch(r"(\d+):(\d\d):(\d\d(?:\.\d+)?)", film.metadata.get("DURATION", ""))
     return int(found[1]) * 3600 + int(found[2]) * 60 + Fraction(found[3]) if found else None
 
 
 class Clock:
-    """One clock for all streams of a file: broadcasts start anywhere, and jump where they were joined.
+    """One clock for all streams of a file: broadcasts start at any time, and jump at joins.
 
-    Times of MPEG-TS, MPEG-PS and the like are moved to begin at zero. All others are kept.
+    Times of MPEG-TS, MPEG-PS and the like are shifted to begin at zero. All others are kept.
     """
 
     def __init__(self, container: av.container.InputContainer) -> None:
@@ -200,7 +200,7 @@ class Clock:
         self._due: dict[int, Fraction] = {}
 
     def set(self, packet: av.Packet[Any], continuous: bool) -> None:
-        """Move the times of a packet onto the clock, which jumps at gaps of `continuous` streams (sound, pictures)."""
+        """Shift the times of a packet to the clock, which jumps at gaps of `continuous` streams (sound, video)."""
         when = packet.dts if packet.dts is not None else packet.pts
         if not self._broadcast or when is None:
             return
@@ -219,10 +219,10 @@ class Clock:
 
 
 def packets(container: av.container.InputContainer, streams: list[av.stream.Stream]) -> Iterator[av.Packet[Any]]:
-    """Read the packets of some streams, on one clock, until the file ends or breaks off."""
+    """Read the packets of some streams, on one clock, until the file ends or is cut off."""
     clock = Clock(container)
     _attend(container, streams)
-    with contextlib.suppress(av.FFmpegError):  # the survey has noticed it
+    with contextlib.suppress(av.FFmpegError):  # already found by the survey
         for packet in container.demux(streams):
             if packet.size or packet.pts is not None:
                 clock.set(packet, packet.stream.type in ("audio", "video"))
@@ -230,13 +230,13 @@ def packets(container: av.container.InputContainer, streams: list[av.stream.Stre
 
 
 def fed(stream: Iterator[av.Packet[Any]]) -> Iterator[av.Packet[Any] | None]:
-    """Hand out packets, then None, at which a decoder gives what it still has."""
+    """Yield packets, then None, which flushes a decoder."""
     yield from stream
     yield None
 
 
 def decoded_by(decoder: av.VideoCodecContext, packet: av.Packet[Any] | None) -> list[av.VideoFrame] | None:
-    """Decode a packet, or what is left; None where it cannot be."""
+    """Decode a packet, or flush the decoder; None on failure."""
     try:
         return decoder.decode(packet)
     except av.FFmpegError:
@@ -245,17 +245,17 @@ def decoded_by(decoder: av.VideoCodecContext, packet: av.Packet[Any] | None) -> 
 
 @dataclass(slots=True)
 class Times:
-    """The times at which frames are shown, in ticks of the stream, strictly increasing."""
+    """The display times of frames, in ticks of the stream, strictly increasing."""
 
     base: Fraction  # seconds a tick
-    step: int  # ticks from frame to frame where the file does not say
+    step: int  # default ticks from frame to frame
     kept: deque[tuple[int, int]] | None = None
     _first: int | None = field(default=None, repr=False)
     _last: int | None = field(default=None, repr=False)
     _due: int = field(default=0, repr=False)
 
     def add(self, pts: int | None, duration: int | None) -> None:
-        """Take the time of the next frame, mended where it is missing or not later than the one before."""
+        """Add the time of the next frame, corrected if it is missing or not later than the one before."""
         start = self._due if pts is None else pts
         if self._last is not None and start <= self._last:
             start = self._last + 1
@@ -267,7 +267,7 @@ class Times:
             self.kept.append((start, length))
 
     def left(self, pts: int | None, span: int) -> int | None:
-        """Return how long the last frame is shown, where all last `span` ticks; None where that makes no sense."""
+        """Return the duration of the last frame, for a total of `span` ticks; None if that is not plausible."""
         if pts is None or self._first is None or span <= pts - self._first:
             return None
         return span - (pts - self._first)
@@ -280,10 +280,10 @@ def usual_step(rate: Fraction, base: Fraction) -> int:
 
 @dataclass(frozen=True, slots=True)
 class Index:
-    """The frames of a film by their times."""
+    """The index of the frames of a film by time."""
 
-    starts: tuple[int, ...]  # when each is shown, in ticks of the stream, in order
-    # those at which decoding may begin; what is shown before one, but follows it in the file, may need what precedes it
+    starts: tuple[int, ...]  # display times, in ticks of the stream, in order
+    # frames at which decoding may begin; frames shown before one, but stored after it, may depend on earlier ones
     keys: tuple[int, ...]
     numbers: dict[int, int] = field(init=False, repr=False)
 
@@ -291,13 +291,13 @@ class Index:
         object.__setattr__(self, "numbers", {start: k for k, start in enumerate(self.starts)})
 
     def before(self, k: int) -> int:
-        """The last frame, not after `k`, at which decoding may begin; 0 where that is the start."""
+        """Return the last frame, not after `k`, at which decoding may begin; 0 for the start."""
         found = bisect_right(self.keys, k)
         return self.keys[found - 1] if found else 0
 
 
 def index_of(path: PathLike, count: int) -> Index | None:
-    """Read the times of a film's packets; None where they do not tell which of `count` frames is which."""
+    """Read the times of a film's packets; None if they do not identify `count` frames."""
     starts: list[int] = []
     keys: list[int] = []
     with opened(path) as container:

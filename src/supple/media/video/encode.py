@@ -1,4 +1,4 @@
-"""A clip as it is written: frames encoded, the rest passed on, times kept."""
+"""The output of a clip: frames encoded, other streams copied, times kept."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ from supple.media.video.planes import form, pack
 from supple.media.video.source import Stills, VideoSource
 from supple.media.video.streams import Passage, kept_tags, titled
 
-_FELT = Fraction(1, 4)  # of a frame: further from its time, it is told
+_FELT = Fraction(1, 4)  # of a frame: a larger error of time is reported
 
 
 def _raised(path: PathLike, error: av.FFmpegError) -> Exception:
-    """Turn FFmpeg's error while writing into an error of the system, where it is one, or into one sentence."""
+    """Convert FFmpeg's error during writing to an error of the system, if it is one, or to one sentence."""
     if isinstance(error, OSError) and error.errno:
         return OSError(error.errno, os.strerror(error.errno))
     what = f"the container refuses what it is given ({said(error)})"
@@ -37,7 +37,7 @@ def _raised(path: PathLike, error: av.FFmpegError) -> Exception:
 
 
 class Palettes:
-    """A filter that gives frames in BGRA 256 colours, each a palette of its own."""
+    """A filter from BGRA to 256 colours, with a palette for each frame."""
 
     def __init__(self, width: int, height: int) -> None:
         self._graph = Graph()
@@ -56,7 +56,7 @@ class Palettes:
         self._graph.configure()
 
     def add(self, frame: av.VideoFrame | None) -> Iterator[av.VideoFrame]:
-        """Take a frame, and hand out those that are done; after None, those that are left."""
+        """Filter a frame, and yield the finished frames; after None, the remaining ones."""
         self._graph.vpush(frame)
         while True:
             try:
@@ -66,7 +66,7 @@ class Palettes:
 
 
 class Sink:
-    """A film that is being written; see `writer`."""
+    """The output of a film; see `writer`."""
 
     aside = True
 
@@ -75,14 +75,14 @@ class Sink:
         self._colour = replace(video.colour, site=sited(video.colour, video.codec, video.form.kind))
         self._times: dict[int, tuple[int, int]] = {}
         self._written = 0
-        self.copied = 0  # frames whose packets were taken from the source
+        self.copied = 0  # frames copied as packets of the source
         self._due: dict[int, av.Packet[Any] | None] = {}  # packets in order; None while a frame is encoded
-        self._halved = False  # whether half opacity has been met
-        self._drift, self._origin = Fraction(0), Fraction(0)  # seconds that a frame is off at most, and the first is
+        self._halved = False  # whether partial opacity has occurred
+        self._drift, self._origin = Fraction(0), Fraction(0)  # largest error of a time, and first time, in seconds
         self._tick: int | None = None
         self._newest = 0
         self._span = (0, 0)  # from the start of the first frame to the end of the last
-        self._decoding: tuple[int, int] | None = None  # the first and the last time at which a packet is needed
+        self._decoding: tuple[int, int] | None = None  # the first and the last decoding time of packets
         self._palettes = Palettes(video.width, video.height) if plan.encoder.name == "gif" else None
         self._output = av.open(
             str(temporary),
@@ -124,7 +124,7 @@ class Sink:
         return stream
 
     def _may_copy(self) -> bool:
-        """Tell whether packets of the source and of the encoder may follow each other in one stream."""
+        """Return whether packets of the source and of the encoder may follow each other in one stream."""
         video, codec, context = self._video, self._plan.encoder.codec, self._stream.codec_context
         return (
             codec_of(codec).alone
@@ -136,16 +136,16 @@ class Sink:
         )
 
     def write(self, arrays: Sequence[Array], k: int, *, still: bool = False) -> None:
-        """Encode a frame, or copy its packet where that may be.
+        """Encode a frame, or copy its packet if possible.
 
         Parameters
         ----------
         arrays : sequence of ndarray
-            Its samples, as the clip's layout says. They are copied.
+            Its samples, in the clip's layout. They are copied.
         k : int
-            Its number: 0, 1, 2, …, in order.
+            Its index: 0, 1, 2, …, in order.
         still : bool
-            Whether it is the source's frame, unchanged.
+            Whether it is an unchanged frame of the source.
         """
         if k != self._written:
             raise ValueError(f"frame {k} comes after {self._written} frames")
@@ -161,7 +161,7 @@ class Sink:
                 if not busy:
                     self._pass_on()
                     return
-                # Else it is encoded too, to push out the frames that the encoder holds back.
+                # Otherwise it is encoded too, to flush delayed frames of the encoder.
         frame = self._frame(arrays)
         frame.time_base = self._stream.codec_context.time_base
         frame.pts = stamp
@@ -193,13 +193,13 @@ class Sink:
             self._plan.warn("has pixels that are seen or not: what is half transparent becomes one of these")
 
     def _encode(self, frame: av.VideoFrame) -> None:
-        frame.time_base = self._stream.codec_context.time_base  # filters have set their own
+        frame.time_base = self._stream.codec_context.time_base  # filters set their own time base
         self._mux(self._stream.encode(frame))
 
     def _stamp(self, k: int, pts: int, duration: int) -> int:
-        """Return the time that the encoder is given, and keep the time that the file is given for it."""
+        """Return the time for the encoder, and record the time for the file."""
         plan = self._plan
-        if plan.base != self._video.base:  # times are rounded to what the container can say, each by itself
+        if plan.base != self._video.base:  # times are rounded to the container's ticks, each by itself
             scale = self._video.base / plan.base
             start, end = round(pts * scale), round((pts + duration) * scale)
             start = start if self._tick is None else max(start, self._tick + 1)
@@ -209,7 +209,7 @@ class Sink:
             self._drift = max(self._drift, abs(off - self._origin))
             pts, duration = start, max(1, end - start)
         stamp = pts if plan.timed else k
-        if self._newest in self._times:  # it is shown until the next one is, whatever the file said
+        if self._newest in self._times:  # shown until the next one
             before = self._times[self._newest][0]
             self._require_sayable(k, (pts - before) * plan.base)
             self._times[self._newest] = (before, pts - before)
@@ -219,7 +219,7 @@ class Sink:
         return stamp
 
     def _require_sayable(self, k: int, seconds: Fraction) -> None:
-        """Refuse a gap that would overflow unnoticed."""
+        """Raise SuppleError for a gap that would overflow."""
         unit = self._stream.time_base
         if unit and seconds > self._plan.container.longest * unit:
             what = f"frame {k} comes {float(seconds):.0f} s after the one before, which is longer than it can say"
@@ -260,13 +260,13 @@ class Sink:
             packet.stream = self._stream
             needed = pts if dts is None else dts
             self._decoding = (self._decoding[0] if self._decoding else needed, needed)
-            if last and packet is packets[-1]:  # MP4 adds up what packets last
+            if last and packet is packets[-1]:  # MP4 adds up the durations of packets
                 packet.duration = max(1, self._span[1] - self._span[0] - (needed - self._decoding[0]))
             self._passage.write(needed * plan.base)
             self._output.mux_one(packet)
 
     def _decoded(self, number: int | None, pts: int) -> int:
-        """Turn the number of a frame by which a packet is needed into a time."""
+        """Return the decoding time of a packet for a frame number."""
         if number is None:
             return pts
         if number in self._times:
@@ -275,7 +275,7 @@ class Sink:
         return self._times[first][0] + (number - first) * usual_step(self._video.rate, self._plan.base)
 
     def finish(self) -> None:
-        """Write what is still on its way, and close the file."""
+        """Write the remaining packets, and close the file."""
         if self._palettes:
             for made in self._palettes.add(None):
                 self._encode(made)
@@ -290,7 +290,7 @@ class Sink:
             self._plan.warn(f"has one frame rate, and frames are up to {off:.2g} s from their times: use .mkv or .mp4")
 
     def abort(self) -> None:
-        """Let go of the file, whatever state it is in."""
+        """Close the file in any state."""
         with contextlib.suppress(av.FFmpegError, OSError, ValueError):
             self._output.close()
 
@@ -308,46 +308,46 @@ def writer(
     threads: int | None = None,
     lossless: bool = False,
 ) -> Iterator[Sink]:
-    """Write a clip anew, with other frames, and with all else that it holds; or make a film of pictures.
+    """Write a clip with new frames and its other contents; or write images as a film.
 
     Parameters
     ----------
     clip : Clip or Pictures
-        Pictures follow each other at their rate. Their opacity is kept where the codec has it.
+        Images have their constant rate. Their opacity is kept if the codec supports it.
     target : str or os.PathLike
-        The file to write: MP4, MOV, MKV, WebM, AVI or GIF, by its suffix. It appears when it is whole.
+        The file to write: MP4, MOV, MKV, WebM, AVI or GIF, by its suffix. It appears when it is complete.
     codec : str, optional
-        A codec or encoder, such as ``"h264"``, ``"libx264"``, ``"ffv1"``. By default that of the source, or
-        what the container is used to.
+        A codec or encoder, such as ``"h264"``, ``"libx264"``, ``"ffv1"``. By default that of the source, or the default
+        of the container.
     crf : float, optional
-        Constant rate factor, where the codec has one: less is better.
+        The constant rate factor, if the codec has one: lower is better.
     preset : str, optional
-        How much work the encoder does, where it has presets.
+        The encoder's preset of speed, if it has presets.
     pixel_format : str, optional
-        By default that of the source, or the nearest that the codec takes. Of pictures, codecs that lose something
-        anyway get YUV, of 4:2:0 where they have it, in the limited range of BT.709.
+        By default that of the source, or the nearest of the codec. Lossy codecs write images as YUV, in 4:2:0 if
+        possible, in the limited range of BT.709.
     force : bool
-        Whether a file that exists may be replaced.
+        Whether an existing file may be replaced.
     threads : int, optional
-        For the encoder. By default as many as Supple uses.
+        The threads of the encoder. By default as many as Supple uses.
     lossless : bool
-        Whether every value is to be kept: by FFV1, unless a codec is named, which then has to be able to.
+        Whether to write without loss: by FFV1, unless a lossless codec is named.
 
     Yields
     ------
     Sink
-        Its ``write(arrays, k)`` takes the frames k = 0, 1, 2, …; those of a video each after its ``frames`` has
-        handed out its own.
+        Its ``write(arrays, k)`` takes the frames k = 0, 1, 2, …; each frame of a video after it has been yielded by
+        ``frames``.
 
     Raises
     ------
     SuppleError
-        Something asked for cannot be; or the file cannot be written.
+        If an option is not supported; or the file cannot be written.
 
     Warns
     -----
     ClipWarning
-        Something of the source does not come through.
+        If a part of the source cannot be kept.
     """
     container_of(target)
     check_output(target, force=force)

@@ -1,4 +1,4 @@
-"""Which pixel format of an encoder is nearest to a clip's, and what is lost in it."""
+"""The choice of an encoder's pixel format that is nearest to a clip's, and its losses."""
 
 from __future__ import annotations
 
@@ -14,34 +14,34 @@ _CHROMA = {(1, 1): "4:4:4", (2, 1): "4:2:2", (2, 2): "4:2:0", (4, 1): "4:1:1", (
 
 @dataclass(frozen=True, slots=True)
 class Match:
-    """The way in which frames are handed to an encoder."""
+    """The form in which frames are passed to an encoder."""
 
     form: Form  # the encoder's pixel format
-    colour: Colour  # what its samples mean
-    same: bool  # whether samples are written as they are
-    lost: str  # what does not come through, except opacity
-    opacity: bool  # whether opacity, where a frame has any, is lost
+    colour: Colour  # the interpretation of its samples
+    same: bool  # whether samples are unchanged
+    lost: str  # losses, except opacity
+    opacity: bool  # whether opacity, if any, is lost
 
 
 @dataclass(frozen=True, slots=True)
 class Wish:
-    """The requirements by which a pixel format is chosen."""
+    """The requirements on a pixel format."""
 
-    form: Form  # how the frames are laid out
-    colour: Colour  # what their samples mean
+    form: Form  # the layout of the frames
+    colour: Colour  # the interpretation of their samples
     size: tuple[int, int]  # width and height
-    exact: bool = True  # whether all is to come through as it is; if not, what players are used to is as good
-    # what samples of YUV will be taken for, as far as the file cannot say it
+    exact: bool = True  # whether to keep all; if not, the players' usual format is as good
+    # the players' interpretation of YUV, as far as the file cannot specify it
     read_as: Colour = field(default_factory=Colour)
 
 
 def match(
     target: PathLike, encoder: str, names: list[str], wish: Wish, asked: str | None, opens: Callable[[Match], bool]
 ) -> Match:
-    """Find the pixel format in which an encoder takes a clip: its own, else the nearest that loses least.
+    """Return the pixel format in which an encoder takes a clip: its own, else the nearest with the least loss.
 
-    `names` are the formats that it takes, any where there are none; `asked` is what was asked for; `opens` tells if it
-    opens with a match. SuppleError if it does not take what was asked for, or nothing at this size.
+    `names` are its supported formats, empty for any; `asked` is the user's; `opens` tests if it opens with a match.
+    SuppleError if it does not support the user's format, or none at this size.
     """
     source, colour = wish.form, wish.colour
     forms = [found for name in (names or [source.name]) if (found := form(name)) is not None]
@@ -68,12 +68,12 @@ def match(
 
 
 def _cost(source: Form, colour: Colour, to: Form) -> tuple[float, ...]:
-    """Order formats: what loses least first, then what needs least, then what is most like the source."""
+    """Return the sort key of a format: by loss, then by size, then by difference from the source."""
     a, b = source.kind, to.kind
     chroma = (b.step[0] * b.step[1]) / (a.step[0] * a.step[1])
     recoded = colour.full(source) != colour.full(to) and to.name.startswith("yuvj")
     coarser = chroma if _coarser(a, b) else 0.0
-    if a.family == "rgb" and b.family == "yuv":  # what every player shows
+    if a.family == "rgb" and b.family == "yuv":  # supported by every player
         coarser = chroma = abs(4 - b.step[0] * b.step[1])
     return (
         float(a.alpha and not b.alpha),
@@ -120,7 +120,7 @@ def _losses(a: Kind, b: Kind, exact: bool) -> str:
 
 
 def finer(source: Form, chosen: Match, names: list[str], opens: Callable[[Match], bool]) -> str:
-    """Name a pixel format that keeps more than the one that was chosen; empty where there is none."""
+    """Return a pixel format that keeps more than the chosen one; empty if there is none."""
 
     def cost(kind: Kind) -> tuple[float, ...]:
         chroma = kind.step[0] * kind.step[1] if kind.family == "yuv" and _coarser(source.kind, kind) else 1
@@ -135,7 +135,7 @@ def finer(source: Form, chosen: Match, names: list[str], opens: Callable[[Match]
 
 
 def _pictured(kind: Kind, colour: Colour) -> bool:
-    """Tell whether it is RGB, or the grey of pictures, which is that of RGB."""
+    """Return whether it is RGB, or the grey of images, which is that of RGB."""
     return kind.family == "rgb" or (kind.family == "gray" and colour.matrix == RGB)
 
 
@@ -148,7 +148,7 @@ def _matched(wish: Wish, to: Form) -> Match:
     if to.kind.family in ("rgb", "xyz"):
         meant = replace(meant, range=FULL if to.kind.family == "rgb" else meant.range, matrix=RGB, site="")
     elif to.kind.family == "gray" and source.kind.family != "gray":
-        meant = replace(meant, range=FULL)  # libswscale knows no other grey
+        meant = replace(meant, range=FULL)  # the only grey of libswscale
     elif to.kind.family == "yuv" and _pictured(source.kind, colour):
         meant = replace(meant, range=FULL if whole else LIMITED, matrix=BT709)
     elif meant.matrix == RGB:
@@ -170,5 +170,5 @@ def _matched(wish: Wish, to: Form) -> Match:
 
 
 def _five(matrix: int) -> int:
-    """Give the two names of the matrix of BT.601 as one."""
+    """Return one code for the two of BT.601's matrix."""
     return BT601 if matrix == 5 else matrix

@@ -1,4 +1,4 @@
-"""The plan by which a clip is written: all that is asked for, settled and tried before there is a file."""
+"""The plan of a clip's output: all settings, resolved and tested before there is a file."""
 
 from __future__ import annotations
 
@@ -36,16 +36,16 @@ from supple.media.video.pixel_format import Match, Wish, finer, match
 from supple.media.video.planes import Form, Kind, form
 from supple.media.video.source import VideoSource
 
-_FINEST = 1_000_000  # ticks a second that encoders are trusted with
+_FINEST = 1_000_000  # the finest ticks a second that encoders handle well
 _TICKS = 50_000_000  # a second, the most in MP4
-_DELAYED = 3  # frames: x265 says nonsense of when fewer are decoded, if it may reorder them
-_SLICED = 16  # pixels that a frame must have along each side for FFV1 to cut it
-_PACES = 8  # times as many ticks as frames that AVI is given, so that frames keep their times
-os.environ.setdefault("SVT_LOG", "0")  # it writes to the terminal otherwise
+_DELAYED = 3  # frames: with fewer, x265 reports wrong decoding times, if it may reorder them
+_SLICED = 16  # pixels along each side that FFV1 needs for slices
+_PACES = 8  # ticks for each frame in AVI, so that frames keep their times
+os.environ.setdefault("SVT_LOG", "0")  # otherwise it prints to the terminal
 
 
 def container_of(target: PathLike) -> Container:
-    """Return the container that a name asks for, by its suffix; SuppleError if that is none of video."""
+    """Return the container of a name, by its suffix; SuppleError if it is not one of video."""
     suffix, known = Path(target).suffix, {suffix: each for each in CONTAINERS for suffix in each.suffixes}
     check_suffix(target, suffix, known, "is no video format", f"use {', '.join(SUFFIXES_OUT)}")
     return known[suffix.lower()]
@@ -61,16 +61,16 @@ def _found(name: str) -> av.Codec | None:
 
 
 def _pixel_formats(encoder: str) -> list[str]:
-    """Name the pixel formats that an encoder takes; none where it takes any."""
+    """Return the pixel formats of an encoder; empty if it takes any."""
     found = _found(encoder)
     return [video.name for video in (found.video_formats or [])] if found else []
 
 
 def _named(target: PathLike, container: Container, codec: str | None, source: str, lossless: bool) -> str:
-    """Choose an encoder: the one asked for, or the source's, or what the container is used to.
+    """Return an encoder: the user's, or the source's, or the container's default.
 
-    `lossless` says that the source's codec loses nothing. SuppleError if no encoder has that name, or the container
-    cannot hold what it writes.
+    `lossless` is true if the source's codec is lossless. SuppleError for an unknown encoder, or if the container does
+    not support its codec.
     """
     with av.open(os.devnull, "w", format=container.name) as trial:
         supported = trial.supported_codecs
@@ -100,7 +100,7 @@ def _options(
     workers: int,
     lossless: bool = False,
 ) -> dict[str, str]:
-    """Return the settings of an encoder; SuppleError if it has no such factor or preset, or cannot keep every value."""
+    """Return the settings of an encoder; SuppleError if it has no such factor or preset, or is not lossless."""
     name, chosen = encoder.name, {**encoder.options, **container.options}
     if lossless:
         chosen |= _exact(target, encoder, crf)
@@ -129,7 +129,7 @@ def _options(
 
 
 def _exact(target: PathLike, encoder: Encoder, crf: float | None) -> dict[str, str]:
-    """Return what keeps an encoder from losing anything."""
+    """Return the options that make an encoder lossless."""
     if crf is not None:
         raise unwritable(target, f"crf {crf:g} is for what may lose something", "leave out either it or lossless")
     if encoder.exact is not None:
@@ -151,7 +151,7 @@ def _have(what: str) -> str:
 
 
 def _read_as(name: str, container: Container, height: int) -> Colour:
-    """Tell what players take samples of YUV for, whatever is meant; what a file can say is left unknown."""
+    """Return the players' interpretation of YUV samples; tags that the file supports are left unknown."""
     codec, matrix = codec_of(name), UNKNOWN
     silent = container.counted and not codec.colours
     if codec.bt601:
@@ -163,7 +163,7 @@ def _read_as(name: str, container: Container, height: int) -> Colour:
 
 
 class WritePlan:
-    """The settings by which a clip will be written, with all that can be refused refused; as `writer` takes them."""
+    """The settings of a clip's output, all checked; parameters as in `writer`."""
 
     def __init__(
         self,
@@ -206,18 +206,18 @@ class WritePlan:
         self._warn_of_losses()
         kind = self.match.form.kind
         site = sited(video.colour, video.codec, video.form.kind)
-        if self.match.same and kind.step != (1, 1) and site != self.colour.site:  # codecs are used to different ones
+        if self.match.same and kind.step != (1, 1) and site != self.colour.site:  # default sitings of codecs differ
             self.match = replace(self.match, colour=replace(self.match.colour, site=site))
 
     def _use(self, name: str, crf: float | None, preset: str | None) -> None:
-        """Take an encoder."""
+        """Choose an encoder."""
         found = av.Codec(name, "w")
         self.encoder = ENCODERS.get(name) or Encoder(name, found.canonical_name)
         self.options = _options(self.target, self.encoder, self.container, crf, preset, self.workers, self.lossless)
         self._lossy = (found.lossy or not found.lossless) and not self.lossless
 
     def _matched(self, asked: str | None) -> Match:
-        """Choose the pixel format."""
+        """Return the chosen pixel format."""
         video, encoder, lossy = self.video, self.encoder, self._lossy
         names = self._formats()
         told = _read_as(encoder.codec, self.container, video.height)
@@ -254,7 +254,7 @@ class WritePlan:
             self.warn(f"loses the light levels of HDR, which {self.encoder.codec} cannot hold: hevc, h264 and av1 can")
         sound = video.source is not None and any(stream.type == "audio" for stream in video.source.streams)
         if sound and self.container.counted and self.encoder.codec in ("h264", "hevc"):
-            # measured: they take its first frame for a delayed one, whoever wrote it
+            # measured: its first frame is taken for a delayed one, with any encoder
             self.warn("is out of step by a frame in players that rest on FFmpeg: use codec mpeg4, or .mkv")
         for what in video.unheld:
             self.warn(f"cannot hold {what}")
@@ -265,7 +265,7 @@ class WritePlan:
             self.warn("cannot say which way up it is shown: it is left as it is stored")
 
     def _base(self) -> Fraction:
-        """Choose the unit of the file's time stamps."""
+        """Return the unit of the file's time stamps."""
         if self.container.counted:
             rate, pace = self.video.rate, self.video.pace
             return 1 / (pace if rate < pace <= _PACES * rate else rate)
@@ -273,21 +273,21 @@ class WritePlan:
 
     @property
     def colour(self) -> Colour:
-        """The colours of the encoded samples, with the place of chroma, which the file need not say."""
+        """The colours of the encoded samples, with the chroma siting, even where the file has no tag."""
         chosen = self.match
         return replace(chosen.colour, site=sited(chosen.colour, self.encoder.codec, chosen.form.kind))
 
     @property
     def timed(self) -> bool:
-        """Return whether the encoder is given the times of frames, and not their numbers."""
+        """True if the encoder gets the times of frames, and not their numbers."""
         return self.encoder.timed and not self.container.counted and self.base.denominator <= _FINEST
 
     def warn(self, what: str) -> None:
-        """Warn of what does not come through."""
+        """Warn of a loss."""
         warnings.warn(f"{shown(self.target)} {what}", ClipWarning, stacklevel=3)
 
     def settle(self, context: av.VideoCodecContext, chosen: Match) -> None:
-        """Give an encoder its settings."""
+        """Apply the settings to an encoder."""
         video = self.video
         context.width, context.height, context.pix_fmt = video.width, video.height, chosen.form.name
         context.framerate = video.rate.limit_denominator(1 << 20)
@@ -319,23 +319,23 @@ class WritePlan:
         if words:
             settings[key] = _joined(settings.get(key), *words)
         if self.encoder.codec == "hevc" and self.container.mp4:
-            context.codec_tag = "hvc1"  # what QuickTime plays
+            context.codec_tag = "hvc1"  # for QuickTime
 
     def _dnxhr(self, kind: Kind) -> str:
-        """Choose a profile of DNxHR, which takes any size: the source's if it can hold the pixels, else the best."""
+        """Return a profile of DNxHR, which takes any size: the source's if it can hold the pixels, else the best."""
         if kind.step == (1, 1):
             return "dnxhr_444"
         return "dnxhr_hqx" if kind.bits > 8 else self.encoder.profiles.get(self.video.profile, "dnxhr_hq")
 
     def _formats(self) -> list[str]:
-        """Name the pixel formats that the encoder takes, and the container can hold."""
+        """Return the pixel formats that the encoder takes, and the container can hold."""
         names = _pixel_formats(self.encoder.name)
         if self.container.name in codec_of(self.encoder.codec).opaque_in:
             return [name for name in names if not ((found := form(name)) and found.kind.alpha)]
         return names
 
     def _require_exact(self) -> None:
-        """Refuse what would not be lossless, if that was asked for."""
+        """Raise SuppleError if lossless output is wanted, but not possible."""
         lost = self.match.lost
         if self.lossless and lost and ", which" not in lost:
             advice = "leave out lossless" if self.encoder.name == "ffv1" else "use ffv1 in .mkv, or leave out lossless"
@@ -354,7 +354,7 @@ class WritePlan:
         return False
 
     def _opens(self, chosen: Match) -> bool:
-        """Try whether the encoder opens."""
+        """Return whether the encoder opens with a match."""
         context = av.CodecContext.create(self.encoder.name, "w")
         assert isinstance(context, av.VideoCodecContext)
         self.settle(context, chosen)
@@ -366,7 +366,7 @@ class WritePlan:
 
 
 def timescale(video: VideoSource) -> int:
-    """Choose the ticks in which MP4 says when a stream begins: such that nothing is rounded, if there are."""
+    """Return the ticks of a stream's start in MP4, such that nothing is rounded, if possible."""
     streams = video.source.streams if video.source else ()
     bases = [video.base, *(stream.time_base for stream in streams if stream.type in ("audio", "video"))]
     exact = math.lcm(1000, *(base.denominator for base in bases if base))
@@ -374,5 +374,5 @@ def timescale(video: VideoSource) -> int:
 
 
 def workers(threads: int | None) -> int:
-    """Return how many threads a codec may use."""
+    """Return the number of threads of a codec."""
     return threads if threads else all_threads()

@@ -1,4 +1,4 @@
-"""Pixel formats of video: where each component lies in memory, and the planes that it stands for."""
+"""Pixel formats of video: the memory layout of each component, and its planes."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ import numpy as np
 
 from supple.engines.base import Array, Group, Layout
 
-# what is packed in an order that its name does not tell
+# packed formats whose order differs from their name
 _ORDER = {"xv36": "uyvx", "xv48": "uyvx", "yuyv422": "yuyv", "uyvy422": "uyvy", "yvyu422": "yvyu"}
 _ORDER |= {"y210": "yuyv", "y212": "yuyv", "y216": "yuyv", "xyz12": "rgb"}
 _PACKED = re.compile(r"([rgbayuvx0]{2,4})(?:\d+|f16|f32)?")
-# Formats with parts of bytes, and what holds all of them. The rest is converted to 8 bits of RGB.
+# Formats with partial bytes, and formats that hold their values. Others are converted to 8-bit RGB.
 _WIDER = {
     "mono[bw]": "gray",
     "x2(rgb|bgr)10": "gbrp10le",
@@ -33,12 +33,12 @@ _WIDER = {
 
 @dataclass(frozen=True, slots=True)
 class Kind:
-    """The kind of values of a pixel format, wherever its bytes lie."""
+    """The kind of values of a pixel format, independent of its memory layout."""
 
     family: str  # "gray", "yuv", "rgb" or "xyz"
-    step: tuple[int, int]  # pixels for one sample of chroma, x first
-    bits: int  # of a sample; 32 or 16 where real
-    alpha: bool  # whether there is opacity
+    step: tuple[int, int]  # pixels for one chroma sample, x first
+    bits: int  # of a sample; 32 or 16 if real
+    alpha: bool  # whether it has opacity
     real: bool  # whether samples are floating point
 
     @property
@@ -48,7 +48,7 @@ class Kind:
 
     @property
     def dtype(self) -> np.dtype[np.generic]:
-        """Of the arrays that frames are handed out in."""
+        """The type of the arrays of frames."""
         return np.dtype(np.float32 if self.real else np.uint8 if self.bits <= 8 else np.uint16)
 
     def layout(self, width: int, height: int, offset: tuple[float, float]) -> Layout:
@@ -66,7 +66,7 @@ class Kind:
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """Where the samples of one component lie: in which plane, from which item, how many items apart."""
+    """The position of one component's samples: plane, first item, and step in items."""
 
     plane: int
     start: int
@@ -75,19 +75,19 @@ class Place:
 
 @dataclass(frozen=True, slots=True)
 class Form:
-    """A pixel format whose components can be read and written as they are."""
+    """A pixel format whose components can be read and written directly."""
 
-    name: str  # as FFmpeg calls it
-    kind: Kind  # what it can say
+    name: str  # in FFmpeg
+    kind: Kind  # the kind of its values
     places: tuple[Place, ...]  # of Y, U, V or R, G, B, and then of opacity
     item: np.dtype[np.generic]  # of the samples in memory
-    shift: int = 0  # by how many bits the samples are moved up
+    shift: int = 0  # the left shift of samples, in bits
 
 
 # Kept: PyAV's to_ndarray knows a part of these formats only (test_every_pixel_format_comes_through_ffv1_bit_for_bit).
 @lru_cache(maxsize=1024)
 def form(name: str) -> Form | None:
-    """Tell how a pixel format lies in memory; None where samples share bytes, or are not in memory."""
+    """Return the memory layout of a pixel format; None if samples share bytes, or are not in memory."""
     try:
         video = av.VideoFormat(name, 64, 64)
     except ValueError:
@@ -117,7 +117,7 @@ def _places(video: av.VideoFormat, base: str) -> tuple[Place, ...]:
     parts = video.components
     if len({part.plane for part in parts}) == len(parts):
         return tuple(Place(part.plane, 0, 1) for part in parts)
-    if video.is_planar:  # the two of chroma share a plane
+    if video.is_planar:  # the two chroma components share a plane
         swapped = int(base in ("nv21", "nv42"))
         return (Place(0, 0, 1), Place(1, swapped, 2), Place(1, 1 - swapped, 2))
     found = _PACKED.fullmatch(base)
@@ -127,7 +127,7 @@ def _places(video: av.VideoFormat, base: str) -> tuple[Place, ...]:
 
 
 def wider(name: str) -> str:
-    """Name the format, one that can be read as it is, that holds all of what another one says."""
+    """Return a directly readable format that holds all values of another one."""
     base = re.sub(r"(le|be)$", "", name)
     return next((to for pattern, to in _WIDER.items() if re.fullmatch(pattern, base)), "rgb24")
 
@@ -136,11 +136,11 @@ def _samples(plane: Any, rows: int, item: np.dtype[np.generic]) -> Array:
     line = plane.line_size
     table = np.frombuffer(plane, np.uint8)[: rows * abs(line)].reshape(rows, abs(line))
     table = table[:, : abs(line) // item.itemsize * item.itemsize].view(item)
-    return table[::-1] if line < 0 else table  # some decoders store pictures bottom up
+    return table[::-1] if line < 0 else table  # some decoders store frames bottom up
 
 
 def _views(frame: av.VideoFrame, form: Form) -> list[Array]:
-    """Look at each component of a frame where it lies."""
+    """Return a view of each component of a frame."""
     planes = frame.planes
     seen: list[Array] = []
     for number, place in enumerate(form.places):
@@ -153,7 +153,7 @@ def _views(frame: av.VideoFrame, form: Form) -> list[Array]:
 
 
 def _slots(arrays: Sequence[Array], kind: Kind) -> list[Array]:
-    """Look at each component in the arrays, in the same order; without the opacity for chroma."""
+    """Return a view of each component in the arrays, in the same order; without the opacity for chroma."""
     slots = [arrays[0][..., channel] for channel in range(arrays[0].shape[-1])]
     if len(arrays) > 1:
         slots[1:1] = [arrays[1][..., 0], arrays[1][..., 1]]
@@ -161,7 +161,7 @@ def _slots(arrays: Sequence[Array], kind: Kind) -> list[Array]:
 
 
 def _whole(frame: av.VideoFrame, form: Form) -> Array | None:
-    """Look at a packed frame as one array, where its components lie in order and nothing else does."""
+    """Return a packed frame as one array, if its components are in order without padding."""
     count = len(form.places)
     if count == 1 or any(place != Place(0, number, count) for number, place in enumerate(form.places)):
         return None
@@ -194,14 +194,14 @@ def _averaged(alpha: Array, kind: Kind) -> Array:
 
 
 def pack(arrays: Sequence[Array], form: Form, width: int, height: int) -> av.VideoFrame:
-    """Make a frame of the samples in arrays, one for each group."""
+    """Return a frame of the samples in arrays, one for each group."""
     frame = av.VideoFrame(width, height, form.name)
     whole = _whole(frame, form)
     if whole is not None and not form.shift:
         whole[:] = arrays[0]
         return frame
     if len(form.places) < abs(form.places[0].step) and form.kind.step == (1, 1):
-        _samples(frame.planes[0], height, form.item)[:] = 0  # the room beside the components
+        _samples(frame.planes[0], height, form.item)[:] = 0  # the padding beside the components
     for view, slot in zip(_views(frame, form), _slots(arrays, form.kind), strict=True):
         if form.shift:
             np.left_shift(slot, form.shift, out=view)
@@ -211,5 +211,5 @@ def pack(arrays: Sequence[Array], form: Form, width: int, height: int) -> av.Vid
 
 
 def palette(frame: av.VideoFrame) -> Array:
-    """Look the pixels of a frame up in its palette: shape (H, W, 4), RGBA."""
+    """Return the colours of a frame's pixels from its palette: shape (H, W, 4), RGBA."""
     return frame.reformat(format="rgba").to_ndarray()

@@ -1,4 +1,4 @@
-"""The properties of a video before it is decoded, and of pictures that are to become one."""
+"""The properties of a video before decoding, and of images to be encoded as one."""
 
 from __future__ import annotations
 
@@ -35,26 +35,26 @@ from supple.media.video.planes import Form, form, palette, wider
 from supple.media.video.streams import Passage, name_of
 
 _LEAST, _UTMOST = Fraction(1, 10_000), Fraction(100_000)
-_MOST = 1000  # frames a second; what claims more counts ticks
+_MOST = 1000  # frames a second; higher rates are tick counts
 
 
 class VideoSource:
-    """The source of a video to be written; all that pictures do not have is empty here."""
+    """The source of a video to be written; properties without a counterpart in images are empty here."""
 
-    layout: Layout  # where chroma lies in it is told by `supple.media.video.colour.siting`
-    form: Form  # the pixel format of frames that are arrays of that layout
-    colour: Colour  # what samples mean
+    layout: Layout  # its chroma siting is from `supple.media.video.colour.siting`
+    form: Form  # the pixel format of frames in that layout
+    colour: Colour  # the interpretation of samples
     count: int  # of frames
-    stills = False  # whether it is made of pictures, so that any film of them is one that players are used to
-    unheld: tuple[str, ...] = ()  # what it has that no video file holds
+    stills = False  # whether it consists of images, so that any format of players will do
+    unheld: tuple[str, ...] = ()  # contents that no video file holds
     codec, profile, lossless, field_order, index = "", "", False, 0, -1
-    header = b""  # that of the stream (extradata), which a decoder needs
-    pace = Fraction(0)  # ticks a second in which all times are whole numbers, as far as the file lets guess
+    header = b""  # the stream header (extradata), which a decoder needs
+    pace = Fraction(0)  # ticks a second in which all times are integers, as far as can be inferred
     aspect: Fraction | None = None
     grading = Grading()
     source: av.container.InputContainer | None = None
-    passage: Passage | None = None  # takes the packets of other streams, while it is written
-    copies = False  # whether the packets of frames are kept, to be written as they are
+    passage: Passage | None = None  # receives the packets of other streams during writing
+    copies = False  # whether packets of frames are kept, to be copied
 
     def __init__(self, name: str, rate: Fraction, base: Fraction) -> None:
         self.name, self.rate, self.base = name, rate, base
@@ -64,12 +64,12 @@ class VideoSource:
 
     @property
     def width(self) -> int:
-        """Of a frame as it is stored, before any rotation for display."""
+        """The width of a stored frame, before any rotation for display."""
         return self.layout.shape[1]
 
     @property
     def height(self) -> int:
-        """Of a frame as it is stored."""
+        """The height of a stored frame."""
         return self.layout.shape[0]
 
     def time(self, k: int) -> tuple[int, int]:
@@ -77,7 +77,7 @@ class VideoSource:
         return k, 1
 
     def packet(self, k: int) -> av.Packet[Any] | None:
-        """Return the packet that frame `k` alone was decoded from, once, in order; None where there is none."""
+        """Return the packet that frame `k` alone was decoded from, once, in order; None if there is none."""
         return None
 
     def chapters(self) -> list[Any]:
@@ -90,9 +90,9 @@ class VideoSource:
 
 
 class Stills(VideoSource):
-    """Pictures, as a film; SuppleError if they are neither grey nor RGB.
+    """Images, as a film; SuppleError if they are neither grey nor RGB.
 
-    Their colours are taken for those of sRGB, which are those of BT.709. Most players take the curves of both for one.
+    Their colours are taken as sRGB, with the primaries of BT.709. Most players use one curve for both.
     """
 
     stills = True
@@ -119,7 +119,7 @@ class Stills(VideoSource):
 
 
 class VideoFile(VideoSource):
-    """The film in a video file, and what is around it."""
+    """The film in a video file, and its other contents."""
 
     codec: str  # such as "h264"
     pixel_format: str  # as it is decoded, such as "yuv420p"
@@ -146,7 +146,7 @@ class VideoFile(VideoSource):
         self._site = named_site(described(self.source, film.index))
 
     def look(self, frame: av.VideoFrame) -> None:
-        """Learn from the first frame what all are like."""
+        """Set the properties of all frames from the first."""
         self.pixel_format = frame.format.name
         self.colour = Colour(
             int(frame.color_range),
@@ -175,16 +175,16 @@ class VideoFile(VideoSource):
 
     @property
     def unpictured(self) -> tuple[str, ...]:
-        """Streams that pictures of its frames leave out."""
+        """Streams that have no place in images of its frames."""
         held = {stream.type for stream in self.source.streams}
         return tuple(name for kind, name in (("audio", "sound"), ("subtitle", "subtitles")) if kind in held)
 
     def painted(self, values: Sequence[float]) -> tuple[float, ...]:
-        """Turn grey, or red, green and blue, in the depth of the clip, and opacity, into components of the layout."""
+        """Convert grey or RGB, in the depth of the clip, and opacity, to components of the layout."""
         return painted(self.form, self.colour, self.height, values)
 
     def info(self) -> dict[str, Any]:
-        """Return what a person may want to know."""
+        """Return the facts for users."""
         seen = self.survey.duration or Fraction(self.count) / self.rate
         names: dict[str, list[str]] = {"audio": [], "subtitle": [], "other": []}
         for stream in self.source.streams:
@@ -222,7 +222,7 @@ class VideoFile(VideoSource):
 
 
 def said_of(film: av.VideoStream, key: str) -> str | None:
-    """Look metadata of a stream up, whatever the case of its key."""
+    """Return metadata of a stream, for any case of its key."""
     return next((value for name, value in film.metadata.items() if name.lower() == key), None)
 
 

@@ -1,4 +1,4 @@
-"""Sound, subtitles, attachments: streams that go from one file into another as they are."""
+"""Sound, subtitles, attachments: streams copied from one file to another."""
 
 from __future__ import annotations
 
@@ -16,25 +16,25 @@ from supple.media.base import ClipWarning
 from supple.media.codecs import Container
 from supple.media.files import PathLike
 
-_HELD = 64 << 20  # bytes of packets that wait for the film before they go first
-# what describes the file that it came from, and not what is in it
+_HELD = 64 << 20  # bytes of packets that wait for the film before they are written first
+# tags of the file, not of its contents
 _OWN = frozenset(("encoder", "duration", "major_brand", "minor_version", "compatible_brands", "rotate", "alpha_mode"))
-_FELT = Fraction(1, 50)  # seconds between picture and sound: more is told
+_FELT = Fraction(1, 50)  # seconds between image and sound: a larger error is reported
 _COUNTED = ("_STATISTICS", "BPS", "NUMBER_OF_", "DURATION")
 
 
 def titled(tags: dict[str, str]) -> dict[str, str]:
-    """Call the title of a stream what muxers call it: MP4 gives it back as its name."""
+    """Return tags with the title of a stream under the muxers' key: MP4 returns it as its name."""
     return {"title" if key == "name" and "title" not in tags else key: value for key, value in tags.items()}
 
 
 def kept_tags(tags: dict[str, str]) -> dict[str, str]:
-    """Return the metadata that is still true of another file with the same contents."""
+    """Return the metadata that stay true of another file with the same contents."""
     return {key: value for key, value in tags.items() if key.lower() not in _OWN and not key.startswith(_COUNTED)}
 
 
 def copied(output: av.container.OutputContainer, template: av.stream.Stream) -> av.stream.Stream:
-    """Add a stream like one of another file, for packets as they are."""
+    """Add a stream like one of another file, for copied packets."""
     made = output.add_stream_from_template(template, opaque=True)
     made.metadata.update(titled(kept_tags(template.metadata)))
     made.disposition = template.disposition
@@ -42,8 +42,8 @@ def copied(output: av.container.OutputContainer, template: av.stream.Stream) -> 
 
 
 def name_of(stream: av.stream.Stream) -> str:
-    """Return the name of what a stream is coded with."""
-    context: Any = stream.codec_context  # none where nothing decodes it
+    """Return the name of a stream's codec."""
+    context: Any = stream.codec_context  # None without a decoder
     name = context.codec.canonical_name if context is not None else getattr(stream, "name", None)
     return str(name or "unknown")
 
@@ -55,11 +55,11 @@ def picture(path: str, index: int) -> bytes:
 
 
 def holds(container: Container, template: av.stream.Stream) -> bool:
-    """Try whether a container can hold a stream, by writing its header into memory."""
+    """Return whether a container can hold a stream, by writing its header into memory."""
     if container.streams is not None and name_of(template) not in container.streams:
         return False
     if template.type == "attachment" and not container.attachments:
-        return False  # some would leave it out without a word
+        return False  # some would drop it silently
     if template.disposition & av.stream.Disposition.attached_pic and not container.mp4:
         return False
     trial = None
@@ -78,9 +78,9 @@ def holds(container: Container, template: av.stream.Stream) -> bool:
 
 
 class Passage:
-    """The other streams of a clip on their way into a file; it warns of those that the container cannot hold.
+    """The transfer of a clip's other streams into a file; it warns of those that the container cannot hold.
 
-    `film` is the index of the stream that is written anew; the header of `output` is not written yet.
+    `film` is the index of the stream that is encoded anew; the header of `output` is not written yet.
     """
 
     def __init__(
@@ -93,7 +93,7 @@ class Passage:
     ) -> None:
         self._target = target
         self._output = output
-        self._avi = container.counted  # which cannot say that sound begins before the film, as that of AAC does
+        self._avi = container.counted  # it cannot store that sound begins before the film, as AAC's does
         self._streams: dict[int, av.stream.Stream] = {}
         self._last: dict[int, int] = {}
         self._waiting: deque[tuple[Fraction | None, av.Packet[Any]]] = deque()
@@ -102,7 +102,7 @@ class Passage:
             return
         marked = bool(source.chapters())
         for stream in source.streams:
-            if stream.index == film or (marked and name_of(stream) == "bin_data"):  # chapters, once more
+            if stream.index == film or (marked and name_of(stream) == "bin_data"):  # repeated chapters
                 continue
             cover = bool(stream.disposition & av.stream.Disposition.attached_pic)
             if cover and container.attachments:
@@ -124,17 +124,17 @@ class Passage:
 
     @property
     def indices(self) -> list[int]:
-        """Of the streams that go along, in the source."""
+        """The indices of the copied streams in the source."""
         return list(self._streams)
 
     def take(self, packet: av.Packet[Any]) -> None:
-        """Keep a packet until the film has come to its time. Called by the thread that reads."""
+        """Hold a packet until the film has reached its time. Called by the reading thread."""
         when = packet.dts if packet.dts is not None else packet.pts
         self._bytes += packet.size
         self._waiting.append((None if when is None else when * packet.time_base, packet))
 
     def write(self, until: Fraction | None = None) -> None:
-        """Write what comes before a time, or all. Called by the thread that writes."""
+        """Write packets before a time, or all. Called by the writing thread."""
         while self._waiting:
             when, packet = self._waiting[0]
             if until is not None and when is not None and when > until and self._bytes < _HELD:
@@ -160,7 +160,7 @@ class Passage:
         if when is None:
             when = 0 if last is None else last + 1
         if last is not None and when <= last and stream.type != "subtitle":
-            when = last + 1  # no muxer takes time that runs backwards
+            when = last + 1  # muxers reject decreasing times
         packet.dts = when
         if packet.pts is None or packet.pts < when:
             packet.pts = when

@@ -1,4 +1,4 @@
-"""Volumes as files: NIfTI, NRRD, MetaImage, DICOM series, stacks of TIFF pages, and voxels without a header."""
+"""Volume files: NIfTI, NRRD, MetaImage, DICOM series, stacks of TIFF pages, and voxels without a header."""
 
 from __future__ import annotations
 
@@ -45,23 +45,23 @@ _FORMATS = {
 }
 SUFFIXES = frozenset(_FORMATS)
 SUFFIXES_OUT: tuple[str, ...] = (".nii", ".nii.gz", ".nrrd", ".mha", ".mhd", ".tif", ".tiff")
-_QUICK = 1 << 31  # bytes whose range is told unasked
+_QUICK = 1 << 31  # bytes up to which `info` computes the range
 _KINDS = (
     "give NIfTI, NRRD, MetaImage, DICOM, a TIFF or a .dat file, or tell what is in it (--shape, --dtype, --spacing)"
 )
 
 
 def suffix_of(path: PathLike) -> str:
-    """The end of a name that tells its format, in small letters: ``.nii.gz``, ``.mha``, ... or nothing."""
+    """Return the suffix that identifies the format, in lower case: ``.nii.gz``, ``.mha``, ... or nothing."""
     name = Path(path).name.lower()
     return ".nii.gz" if name.endswith(".nii.gz") else Path(name).suffix
 
 
 def is_volume(path: PathLike) -> bool:
-    """Tell whether a file or folder is a volume: by its suffix, or, without one, by its first bytes.
+    """Return whether a file or folder is a volume: by its suffix, or, without one, by its first bytes.
 
-    A folder is one if it holds DICOM files. Of TIFFs, `has_pages` tells. A picture by Radiance, whose suffix is
-    ``.hdr`` too, is none.
+    A folder is one if it holds DICOM files. For TIFFs, see `has_pages`. A Radiance image, which also has the suffix
+    ``.hdr``, is not one.
     """
     suffix = suffix_of(path)
     if os.path.isdir(path):
@@ -81,16 +81,16 @@ def is_volume(path: PathLike) -> bool:
 
 
 def read(path: PathLike, *, raw: RawLayout | None = None, series: str | None = None) -> Volume:
-    """Read a volume; what is not compressed is mapped from the file where that can be (NIfTI, .dat, headerless).
+    """Read a volume; uncompressed data are mapped from the file if possible (NIfTI, .dat, headerless).
 
     Parameters
     ----------
     path : str or os.PathLike
         A file; or a folder of DICOM slices, or one of them.
     raw : RawLayout, optional
-        What is in a file without a header; whatever its suffix, it is then read as one.
+        The layout of a file without a header; if given, it applies to files of any suffix.
     series : str, optional
-        Of a folder with several series, which: its SeriesInstanceUID, or its place in the list, from 1.
+        The series of a folder with several: its SeriesInstanceUID, or its number in the list, from 1.
 
     Returns
     -------
@@ -100,8 +100,8 @@ def read(path: PathLike, *, raw: RawLayout | None = None, series: str | None = N
     Raises
     ------
     SuppleError
-        The file is missing, empty, cut short, damaged, or of no known kind; its voxels are no real numbers, or not on
-        a grid with right angles and a spacing above 0.
+        If the file is missing, empty, cut short, damaged, or of an unknown kind; its voxels are not real numbers, or
+        not on a grid with right angles and a spacing above 0.
     """
     if raw is not None:
         return _raw(path, raw)
@@ -144,23 +144,23 @@ def _format(path: PathLike) -> str:
 def check_target(
     path: PathLike, like: Volume | None = None, dtype: npt.DTypeLike | None = None, *, force: bool = False
 ) -> None:
-    """Refuse a name that no volume can be written under, or not this one, before any work is done for it.
+    """Raise SuppleError, before any work, for a name under which this volume cannot be written.
 
     Parameters
     ----------
     path : str or os.PathLike
-        The file to write; of it, and of its folder, `check_output` tells.
+        The file to write; see `check_output`, too.
     like : Volume, optional
-        What is to be written is of its shape; without it, the name alone is looked at.
+        A volume of the shape to be written; without it, only the name is checked.
     dtype : dtype, optional
-        The type of what is to be written, if it is another.
+        The type to be written, if it differs.
     force : bool
-        Whether the ``.raw`` beside a ``.mhd`` may be replaced.
+        Whether an existing ``.raw`` beside a ``.mhd`` may be replaced.
 
     Raises
     ------
     SuppleError
-        The suffix is not in `SUFFIXES_OUT`; beside a ``.mhd`` is a ``.raw``; the format cannot hold such a volume.
+        If the suffix is not in `SUFFIXES_OUT`; a ``.raw`` exists; or the format cannot hold such a volume.
     """
     suffix = suffix_of(path)
     advice = f"use {', '.join(SUFFIXES_OUT)}"
@@ -179,24 +179,24 @@ def check_target(
 
 
 def write(path: PathLike, samples: Array, like: Volume, *, force: bool = False) -> None:
-    """Write a volume in the format that the suffix names; the file appears whole or not at all.
+    """Write a volume in the format of the suffix; the file appears whole or not at all.
 
     Parameters
     ----------
     path : str or os.PathLike
-        One of `SUFFIXES_OUT`. Beside a ``.mhd``, its data goes into a ``.raw`` of the same name.
+        One of `SUFFIXES_OUT`. The data of a ``.mhd`` are written to a ``.raw`` of the same name.
     samples : ndarray
-        Of the shape of ``like.samples``, and meant as they are: scaled by ``like.scaling``. It may be mapped from a
-        file. Formats other than NIfTI know no scaling, and get what is meant in float32 or float64.
+        An array of the shape of ``like.samples``, with ``like.scaling``. It may be mapped from a file. Formats other
+        than NIfTI have no scaling, and hold scaled values in float32 or float64.
     like : Volume
-        Where it lies; and what else the header says, if the format is the same.
+        The source of the geometry; and of the header, if the format is the same.
     force : bool
-        Whether to replace a file that exists.
+        Whether to replace an existing file.
 
     Raises
     ------
     SuppleError
-        The format cannot hold it, or the file cannot be written.
+        If the format cannot hold it, or the file cannot be written.
     """
     check_target(path, like, samples.dtype, force=force)
     check_output(path, force=force)
@@ -219,13 +219,13 @@ def write(path: PathLike, samples: Array, like: Volume, *, force: bool = False) 
 
 
 def info(path: PathLike, *, raw: RawLayout | None = None, series: str | None = None) -> dict[str, object]:
-    """Tell what a volume is.
+    """Return the facts on a volume.
 
     Returns
     -------
     dict
         ``format``, ``shape`` (x, y, z), ``dtype``, ``components``, ``times``, ``interval`` (s), ``spacing`` (mm),
-        ``origin`` and ``direction`` (rows; in the file's own ``convention``), ``orientation`` (where each axis goes:
+        ``origin`` and ``direction`` (rows; in the file's own ``convention``), ``orientation`` (axis directions:
         Right or Left, Anterior or Posterior, Superior or Inferior), ``oblique`` (degrees off that), ``scaling`` (slope
         and intercept), ``minimum``, ``maximum`` and ``nan`` (of the samples as stored; None if there are more than
         2 GiB), and ``bytes`` (of the samples). Of a folder with several series, if none is named: ``format`` and
@@ -234,7 +234,7 @@ def info(path: PathLike, *, raw: RawLayout | None = None, series: str | None = N
     Raises
     ------
     SuppleError
-        As `read` does.
+        As in `read`.
     """
     if raw is None and series is None and os.path.isdir(path):
         from supple.media.volume import dicom
@@ -272,7 +272,7 @@ def info(path: PathLike, *, raw: RawLayout | None = None, series: str | None = N
 
 
 def _orientation(direction: Array) -> str:
-    """Where the axes go, of directions in LPS."""
+    """Return the directions of the axes as letters, from directions in LPS."""
     letters = []
     for column in direction.T:
         axis = int(np.abs(column).argmax())
@@ -281,7 +281,7 @@ def _orientation(direction: Array) -> str:
 
 
 def _range(samples: Array) -> tuple[float | None, float | None, int]:
-    """The least and the greatest number, slab by slab, and how many are none."""
+    """Return the least and the greatest number, slab by slab, and the count of NaNs."""
     low, high, nans = np.inf, -np.inf, 0
     for slab in samples:
         known = slab

@@ -1,4 +1,4 @@
-"""Volumes in memory, and what the readers of their formats have in common."""
+"""Volumes in memory, and functions shared by the readers of their formats."""
 
 from __future__ import annotations
 
@@ -23,27 +23,27 @@ DTYPES = ("uint8", "int8", "uint16", "int16", "uint32", "int32", "uint64", "int6
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Volume:
-    """A volume as its file holds it.
+    """A volume with the contents of its file.
 
     Parameters
     ----------
     samples : ndarray
-        Shape (Z, H, W), or (Z, H, W, C) of colours or vectors, or (T, Z, H, W) of a series in time; in the file's own
+        Shape (Z, H, W), or (Z, H, W, C) for colours or vectors, or (T, Z, H, W) of a series in time; in the file's own
         dtype, in this machine's byte order. It may be mapped from the file, and then is not writable.
     geometry : Geometry
-        Where the voxels lie.
+        The geometry of the voxels.
     name : str
-        The file's name, for messages.
+        The name of the file, for messages.
     format : str
         ``"NIfTI"``, ``"NRRD"``, ``"MetaImage"``, ``"DICOM"``, ``"TIFF"`` or ``"raw"``.
     series : bool
         Whether the first axis is time.
     header : object
-        What the file's own format needs to be written again as it came.
+        The header in the file's own format, for writing the file again.
     scaling : (float, float)
-        Slope and intercept: what is meant is ``slope * samples + intercept``.
+        Slope and intercept: the values are ``slope * samples + intercept``.
     interval : float
-        Seconds from a volume of a series to the next.
+        Seconds between the volumes of a series.
     """
 
     samples: Array
@@ -57,19 +57,19 @@ class Volume:
 
     @property
     def sizes(self) -> tuple[int, int, int]:
-        """How many voxels there are along x, y and z."""
+        """The number of voxels along x, y and z."""
         depth, height, width = self.samples.shape[1:4] if self.series else self.samples.shape[:3]
         return width, height, depth
 
     @property
     def components(self) -> int:
-        """How many values a voxel has."""
+        """The number of values of a voxel."""
         return int(self.samples.shape[3]) if self.samples.ndim == 4 and not self.series else 1
 
     def rescaled(self) -> Array:
-        """The values that are meant: the samples themselves, or in float32 if they are scaled.
+        """Return the scaled values: the samples themselves, or float32 if they are scaled.
 
-        In float64 if the samples have 64 bits, or are integers of 32, which float32 cannot tell apart.
+        float64 if the samples have 64 bits, or are integers of 32, which float32 does not distinguish.
         """
         return rescaled(self.samples, self.scaling)
 
@@ -81,9 +81,9 @@ class RawLayout:
     Parameters
     ----------
     shape : (int, int, int)
-        The voxels along x, y and z; x runs fastest in the file.
+        The number of voxels along x, y and z; x is the fastest axis of the file.
     dtype : str
-        As NumPy names it: ``"uint8"``, ``"<i2"`` (16 bits, little-endian), ``">f4"``, ...
+        The name in NumPy: ``"uint8"``, ``"<i2"`` (16 bits, little-endian), ``">f4"``, ...
     spacing : (float, float, float)
         Millimetres from a voxel to the next, x first.
     offset : int
@@ -92,7 +92,7 @@ class RawLayout:
     Raises
     ------
     SuppleError
-        One of them is no such thing.
+        If an argument is invalid.
     """
 
     shape: tuple[int, int, int]
@@ -122,18 +122,18 @@ class RawLayout:
 
 
 def rescaled(samples: Array, scaling: tuple[float, float]) -> Array:
-    """``slope * samples + intercept``, as `Volume.rescaled` tells; the samples themselves if that changes nothing."""
+    """Return ``slope * samples + intercept``, as `Volume.rescaled`; the samples themselves for the identity."""
     slope, intercept = scaling
     if (slope, intercept) == (1, 0):
         return samples
     made = np.empty(samples.shape, rescaled_dtype(samples.dtype, scaling))
-    for one, whole in zip(made, samples, strict=True):  # a slab at a time: the steps between are in float64
+    for one, whole in zip(made, samples, strict=True):  # slab by slab, since intermediate results are float64
         one[...] = np.float64(slope) * whole + intercept
     return made
 
 
 def rescaled_dtype(dtype: npt.DTypeLike, scaling: tuple[float, float]) -> np.dtype[Any]:
-    """Tell the dtype of `rescaled`."""
+    """Return the dtype of `rescaled`."""
     known = np.dtype(dtype)
     if scaling == (1, 0):
         return known
@@ -142,15 +142,15 @@ def rescaled_dtype(dtype: npt.DTypeLike, scaling: tuple[float, float]) -> np.dty
 
 
 def native(samples: Array) -> Array:
-    """Return samples in this machine's byte order, contiguous and aligned: themselves, if they are."""
+    """Return samples in native byte order, contiguous and aligned, without a copy if possible."""
     return np.require(samples, samples.dtype.newbyteorder("="), ("C", "A"))
 
 
 def placed(path: PathLike, matrix: npt.ArrayLike, convention: str) -> Geometry:
-    """Make a geometry of a matrix (4, 4) from indices, x first, to millimetres in RAS if that is the convention.
+    """Return the geometry of a matrix (4, 4) from indices, x first, to millimetres in RAS or LPS.
 
-    Else they are in LPS. SuppleError if a spacing is not above 0, the axes are not at right angles, or something is not
-    finite.
+    The convention is "RAS" for RAS; else it is LPS. SuppleError if a spacing is not above 0, the axes are not at right
+    angles, or a number is not finite.
     """
     known = np.array(matrix, np.float64)
     if convention == "RAS":
@@ -163,7 +163,7 @@ def placed(path: PathLike, matrix: npt.ArrayLike, convention: str) -> Geometry:
 
 
 def located(path: PathLike, spacing: list[float], origin: list[float], direction: Array, convention: str) -> Geometry:
-    """Make a geometry of its parts, all in LPS; SuppleError with the name of the file if that cannot be."""
+    """Return a geometry, with all arguments in LPS; SuppleError with the name of the file if it is invalid."""
     check_spacing(path, spacing)
     (x, y, z), (a, b, c) = spacing, origin
     try:
@@ -173,7 +173,7 @@ def located(path: PathLike, spacing: list[float], origin: list[float], direction
 
 
 def check_spacing(path: PathLike, spacing: list[float]) -> None:
-    """Refuse a spacing that is not above 0."""
+    """Raise SuppleError for a spacing that is not above 0."""
     if not all(0 < step < np.inf for step in spacing):
         found = " x ".join(f"{step:g}" for step in spacing)
         raise unreadable(path, f"its spacing is {found}, and not three numbers above 0", "correct its header")
@@ -181,7 +181,7 @@ def check_spacing(path: PathLike, spacing: list[float]) -> None:
 
 @contextlib.contextmanager
 def reading(path: PathLike) -> Iterator[None]:
-    """Make one sentence of what goes wrong while a file is read."""
+    """Convert all errors of reading a file to one sentence."""
     try:
         yield
     except SuppleError:
@@ -196,6 +196,6 @@ def reading(path: PathLike) -> Iterator[None]:
 
 
 def too_large(path: PathLike, sizes: tuple[int, ...] = ()) -> SuppleError:
-    """Say that a volume does not fit into memory."""
+    """Return an error for a volume that does not fit into memory."""
     told = f", with {' x '.join(map(str, sizes))} voxels by its header" if sizes else ""
     return unreadable(path, f"it is too large for the memory{told}", "check its header, or cut it into parts")

@@ -1,4 +1,4 @@
-"""Series of DICOM slices, by SimpleITK's GDCM, put in order and checked for gaps."""
+"""Series of DICOM slices, by SimpleITK's GDCM, sorted and checked for gaps."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ from supple.media.volume.itk import check_voxels, failing, geometry_of, library,
 _UID, _NUMBER, _TEXT, _PIXEL_SPACING = "0020|000e", "0020|0011", "0008|103e", "0028|0030"
 _THICKNESS, _BETWEEN, _BITS = "0018|0050", "0018|0088", "0028|0100"
 _SUFFIXES = {".dcm", ".dicom", ".ima"}
-_ASIDE = 0.25  # of a pixel: how far slices may lie beside their common axis
-_ALONG = 0.1  # of a step: how far they may lie off even steps
-# What is stored in DICOM beside images: the ends of SOP class UIDs, after that of storage.
+_ASIDE = 0.25  # of a pixel: the largest sideways offset of slices
+_ALONG = 0.1  # of a step: the largest deviation from even steps
+# DICOM objects beside images: the ends of SOP class UIDs, after that of storage.
 _STORAGE = "1.2.840.10008.5.1.4.1.1."
 _BESIDE = {
     "481.3": "RTSTRUCT",
@@ -40,7 +40,7 @@ _BESIDE |= {"66.1": "REG", "66.3": "REG", "66.4": "SEG", "66": "raw data", "104"
 
 @dataclass(frozen=True, slots=True)
 class Series:
-    """Slices of a folder that belong together."""
+    """The slices of a series in a folder."""
 
     uid: str
     number: int
@@ -49,7 +49,7 @@ class Series:
 
 
 def is_slice(path: PathLike) -> bool:
-    """Tell by its first bytes whether a file is DICOM."""
+    """Return whether a file is DICOM, by its first bytes."""
     try:
         with open(path, "rb") as file:
             return file.read(132)[128:] == b"DICM"
@@ -58,9 +58,9 @@ def is_slice(path: PathLike) -> bool:
 
 
 def in_folder(path: PathLike) -> bool:
-    """Tell whether a folder holds a DICOM file: by its suffix, or, if it has none but a number, by its first bytes.
+    """Return whether a folder holds a DICOM file: by its suffix, or, for none or a number, by its first bytes.
 
-    Its subfolders count too, unless it holds pictures or videos.
+    Subfolders count too, unless the folder holds images or videos.
     """
     for folder in _folders(path):
         for name in _names(folder):
@@ -79,7 +79,7 @@ def _names(folder: str) -> list[str]:
 
 
 def _folders(path: PathLike) -> Iterator[str]:
-    """A folder, and those in it whose slices are read with its own."""
+    """Yield a folder, and its subfolders whose slices belong to it."""
     for folder, inner, files in os.walk(path):
         yield folder
         if any((mimetypes.guess_type(name)[0] or "").startswith(("image/", "video/")) for name in files):
@@ -88,10 +88,10 @@ def _folders(path: PathLike) -> Iterator[str]:
 
 
 def listed(path: PathLike, *, nested: bool = True) -> list[Series]:
-    """Find the series of images in a folder, and in its subfolders, in the order of their numbers; SuppleError if none.
+    """Return the series of images in a folder and its subfolders, by number; SuppleError if there are none.
 
-    What is no image, or is derived from the images that it lies beside (a dose, a segmentation), is left out, and a
-    warning names it.
+    Objects that are not images, or are derived from images in the folder (a dose, a segmentation), are left out with a
+    warning.
     """
     sitk, beside = library(), []
     images: list[tuple[str, Any]] = []
@@ -103,7 +103,7 @@ def listed(path: PathLike, *, nested: bool = True) -> list[Series]:
         if os.path.basename(file).upper() == "DICOMDIR" or not os.path.isfile(file) or not (named or is_slice(file)):
             continue
         reader, kind = _reader(sitk, file), _kind_beside(file)
-        if reader is None and not kind:  # nobody would miss the last slice
+        if reader is None and not kind:  # a missing last slice would not be noticed
             advice = "give a whole copy of it, or take it out"
             raise unreadable(file, "it is damaged, or no slice of any series", advice)
         if kind:
@@ -133,7 +133,7 @@ def listed(path: PathLike, *, nested: bool = True) -> list[Series]:
 
 # Kept: GDCM reads no header of what is no image (test_what_is_no_image_is_left_out_and_named).
 def _kind_beside(path: str) -> str:
-    """Name the content of a file that is no image, or is derived from one, by its SOP class."""
+    """Return the content of a file that is not an image, or is derived from one, by its SOP class."""
     try:
         with open(path, "rb") as file:
             head = file.read(1024)
@@ -148,7 +148,7 @@ def _kind_beside(path: str) -> str:
 
 
 def described(found: list[Series]) -> str:
-    """Name series in one line."""
+    """Return a list of series in one line."""
     parts = []
     for k, one in enumerate(found, 1):
         text = f" {shown(one.description)}" if one.description else ""
@@ -158,11 +158,11 @@ def described(found: list[Series]) -> str:
 
 
 def read(path: PathLike, series: str | None = None) -> Volume:
-    """Read a series of slices, or one file that holds many, as `supple.media.volume.read` does.
+    """Read a series of slices, or one file that holds many, as in `supple.media.volume.read`.
 
-    In the units that the files speak of: of CT, Hounsfield's. Nothing that tells of the patient is kept. SuppleError if
-    there is no such series, or there are several and none is named; a slice is missing, or of another size or direction
-    than the others; the slices are not stacked at right angles; a file cannot be read.
+    Values are in the units of the files: for CT, Hounsfield's. No data on the patient are kept. SuppleError if there is
+    no such series, or there are several and none is named; a slice is missing, or of another size or direction than the
+    others; the slices are not stacked at right angles; or a file cannot be read.
     """
     sitk, file = library(), Path(path)
     if not file.is_dir():
@@ -207,7 +207,7 @@ def _tag(reader: Any, key: str) -> str:
 
 
 def _check_pixels(path: PathLike, reader: Any) -> None:
-    """Refuse a spacing of pixels that GDCM would set to 1."""
+    """Raise SuppleError for a pixel spacing that GDCM would set to 1."""
     if text := _tag(reader, _PIXEL_SPACING):
         try:
             steps = [float(step) for step in text.split("\\")]
@@ -217,7 +217,7 @@ def _check_pixels(path: PathLike, reader: Any) -> None:
 
 
 def _thickness(reader: Any) -> float:
-    """Return the spacing of one slice alone: GDCM knows only that between slices."""
+    """Return the spacing of a single slice: GDCM only knows the distance between slices."""
     with contextlib.suppress(ValueError):
         if not _tag(reader, _BETWEEN) and (known := float(_tag(reader, _THICKNESS))) > 0:
             return known
@@ -235,7 +235,7 @@ def _frames(path: PathLike, sitk: Any, reader: Any) -> Volume:
 
 
 def _narrowed(samples: Array, readers: list[Any]) -> Array:
-    """Values of 16 bits in 16 bits: GDCM makes 32 of them where there is an intercept, such as CT's -1024."""
+    """Return 16-bit values in 16 bits: GDCM uses 32 if there is an intercept, such as CT's -1024."""
     if samples.dtype != np.int32 or not all(_tag(reader, _BITS) in ("8", "12", "16") for reader in readers):
         return samples
     known = np.iinfo(np.int16)
@@ -269,7 +269,7 @@ def _stacked(path: PathLike, sitk: Any, series: Series) -> Volume:
     reader = sitk.ImageSeriesReader()
     reader.SetImageIO("GDCMImageIO")
     reader.SetFileNames(names)
-    if len(kinds := {one.GetPixelID() for one in readers}) > 1:  # else the first would round the others
+    if len(kinds := {one.GetPixelID() for one in readers}) > 1:  # else the first type would be used for all
         floats = any(kind >= sitk.sitkFloat32 for kind in kinds)
         reader.SetOutputPixelType(sitk.sitkFloat64 if floats else sitk.sitkInt32)
     with failing(path, "DICOM", (*first.GetSize()[:2], len(names))):
@@ -278,7 +278,7 @@ def _stacked(path: PathLike, sitk: Any, series: Series) -> Volume:
 
 
 def _require_alike(path: PathLike, first: tuple[str, Any], other: tuple[str, Any]) -> None:
-    """Refuse slices of several sizes, kinds or directions in one series."""
+    """Raise SuppleError for slices of several sizes, kinds or directions in one series."""
     (a, one), (b, two) = first, other
     for what, get in (
         ("sizes", lambda r: (*r.GetSize()[:3], r.GetNumberOfComponents())),
@@ -291,9 +291,9 @@ def _require_alike(path: PathLike, first: tuple[str, Any], other: tuple[str, Any
 
 
 def _check_steps(path: PathLike, names: list[str], along: Array) -> float:
-    """The step between slices; SuppleError if they are not even."""
+    """Return the step between slices; SuppleError if it varies."""
     steps = np.diff(along)
-    usual = float(np.sort(steps)[(len(steps) - 1) // 2])  # the median, or the less of the two
+    usual = float(np.sort(steps)[(len(steps) - 1) // 2])  # the median, or the smaller one of the two
     even = float((along[-1] - along[0]) / len(steps))
 
     def between(k: int) -> str:

@@ -32,7 +32,7 @@ from supple.media.volume.raw import count_bytes
 
 _LOADERS = {"NRRD": "NrrdImageIO", "MetaImage": "MetaImageIO"}
 _MILLIMETRES = {"", "???", "mm", "millimeter", "millimeters", "millimetre", "millimetres"}
-# what ITK notes for itself, and what it writes anyway
+# ITK's own entries, and entries that it always writes
 _OWN = re.compile(r"ITK_|NRRD_space$|NRRD_kinds|NRRD_sizes|NRRD_thicknesses")
 _SILENCE = threading.Lock()
 
@@ -48,11 +48,11 @@ def library() -> Any:
 
 @contextlib.contextmanager
 def silence() -> Iterator[None]:
-    """Keep standard error clean: ITK's readers print there what they also raise."""
+    """Suppress standard error: ITK's readers print the messages of their exceptions there."""
     with _SILENCE, contextlib.ExitStack() as stack:
         try:
             kept = os.dup(2)
-        except OSError:  # it is closed, and nothing can be seen there
+        except OSError:  # standard error is closed
             yield
             return
         stack.callback(os.close, kept)
@@ -64,10 +64,10 @@ def silence() -> Iterator[None]:
 
 
 def read(path: PathLike, form: str) -> Volume:
-    """Read a NRRD or a MetaImage file (`form`), with its data beside it or in it.
+    """Read a NRRD or a MetaImage file (`form`), with its data in it or beside it.
 
-    SuppleError if it is missing, of another kind, damaged or cut short; if its voxels are no real numbers; or if it has
-    more axes than x, y, z and time.
+    SuppleError if it is missing, of another kind, damaged or cut short; if its voxels are not real numbers; or if it
+    has more axes than x, y, z and time.
     """
     sitk = library()
     head = head_of(path, 4)
@@ -93,7 +93,7 @@ def read(path: PathLike, form: str) -> Volume:
     # a NRRD counts components as an axis
     _check_data(path, data, fields, end, each * components if form == "MetaImage" else each)
     told = {key: reader.GetMetaData(key) for key in reader.GetMetaDataKeys() if not _OWN.match(key)}
-    # SimpleITK has no words for matrices, such as NRRD's measurement frame
+    # SimpleITK has no type for matrices, such as NRRD's measurement frame
     header = {key: text for key, text in told.items() if not text.startswith("[UNKNOWN")}
     with failing(path, form, sizes):
         samples = sitk.GetArrayFromImage(reader.Execute())
@@ -103,7 +103,7 @@ def read(path: PathLike, form: str) -> Volume:
 
 
 def check_voxels(path: PathLike, sitk: Any, reader: Any) -> None:
-    """Refuse voxels that are no real numbers."""
+    """Raise SuppleError for voxels that are not real numbers."""
     kind = _kind(sitk, reader)
     if "integer" not in kind and (kind.startswith("complex") or "float" not in kind):
         raise unreadable(path, f"its voxels are {kind}", f"convert them to one of {', '.join(DTYPES)}")
@@ -114,7 +114,7 @@ def _kind(sitk: Any, reader: Any) -> str:
 
 
 def _fields(path: PathLike, form: str) -> tuple[dict[str, str], int]:
-    """Return the fields of a header, by their names in small letters without spaces, and where the data begins."""
+    """Return the fields of a header, by their names in lower case without spaces, and the offset of the data."""
     head = head_of(path, 1 << 20)
     stop = rb"\r?\n\r?\n" if form == "NRRD" else rb"(?m)^\s*ElementDataFile\s*[=:][^\n]*\n?"
     found = re.search(stop, head)
@@ -125,7 +125,7 @@ def _fields(path: PathLike, form: str) -> tuple[dict[str, str], int]:
 
 
 def _data_file(path: PathLike, fields: dict[str, str]) -> Path | None:
-    """Where the voxels are, if they are in one file."""
+    """Return the file of the voxels, if there is only one."""
     name = fields.get("datafile", fields.get("elementdatafile", "local"))
     if name.lower() == "local":
         return Path(path)
@@ -139,7 +139,7 @@ def _data_file(path: PathLike, fields: dict[str, str]) -> Path | None:
 
 # Kept: ITK fills what is missing, and leaves what is too much (test_sizes_other_than_those_of_the_data).
 def _check_data(path: PathLike, data: Path | None, fields: dict[str, str], end: int, each: int) -> None:
-    """Refuse fewer or more voxels than the header tells, and damaged ones, of which ITK says nothing."""
+    """Raise SuppleError for a number of voxels that differs from the header, or damaged ones: ITK does not check."""
     sizes = [int(n) for n in re.findall(r"[-\d]+", fields.get("dimsize", fields.get("sizes", "")))]
     if "dimsize" in fields:
         known = "raw" if fields.get("binarydata", "true")[:1] in "Tt1" else "text"
@@ -152,7 +152,7 @@ def _check_data(path: PathLike, data: Path | None, fields: dict[str, str], end: 
     if min(sizes, default=0) < 1:
         raise unreadable(path, f"its header says {told} voxels, which is none", "correct its header")
     if data is None or known not in ("raw", "gzip", "gz") or not skipped.isdigit():
-        return  # what ITK alone can tell
+        return  # only ITK can read these
     wanted, packed = each * math.prod(sizes), None
     if known != "raw":
         packed = int("".join(re.findall(r"^\d+$", fields.get("compresseddatasize", ""))) or 0)
@@ -169,7 +169,7 @@ def _check_data(path: PathLike, data: Path | None, fields: dict[str, str], end: 
 
 # Kept: ITK puts another place for one that is none (test_places_that_would_be_replaced).
 def _check_place(path: PathLike, fields: dict[str, str], ndim: int) -> None:
-    """Refuse a place in space that ITK would replace by another: what is no number, none, or not in millimetres."""
+    """Raise SuppleError for a position that ITK would replace: not a number, missing, or not in millimetres."""
     if "elementspacing" in fields:
         check_spacing(path, _numbers(fields["elementspacing"])[:3])
     steps = fields.get("spacings", "").split()
@@ -178,10 +178,10 @@ def _check_place(path: PathLike, fields: dict[str, str], ndim: int) -> None:
         raise unreadable(path, told, "correct its header")
     axes = re.findall(r"none|\([^)]*\)", fields.get("spacedirections", ""))
     if len(axes) > ndim and "none" in axes:
-        axes.remove("none")  # that of the components
+        axes.remove("none")  # the axis of components
     if "none" in axes[:3]:
         raise unreadable(path, f"its space directions are {fields['spacedirections']}", "give each axis a direction")
-    # squared as ITK does it, which overflows early
+    # squared as in ITK, which overflows early
     check_spacing(path, [math.sqrt(sum(x * x for x in _numbers(axis))) for axis in axes[:3]])
     if not all(map(math.isfinite, _numbers(fields.get("spaceorigin", "")))):
         raise unreadable(path, f"its origin is {fields['spaceorigin']}", "correct its header")
@@ -191,13 +191,13 @@ def _check_place(path: PathLike, fields: dict[str, str], ndim: int) -> None:
 
 
 def _numbers(text: str) -> list[float]:
-    """The numbers in a text; NaN for what is none."""
+    """Return the numbers in a text; NaN for other words."""
     known = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)(e[-+]?\d+)?$", re.I)
     return [float(word) if known.match(word) else math.nan for word in re.findall(r"[^\s,()]+", text)]
 
 
 def geometry_of(path: PathLike, reader: Any, convention: str = "LPS") -> Geometry:
-    """Where ITK says that the voxels lie; what is flat gets a third axis of spacing 1."""
+    """Return ITK's geometry of the voxels; flat data get a third axis of spacing 1."""
     ndim = reader.GetDimension()
     flat, direction = min(ndim, 3), np.eye(3)
     known = np.array(reader.GetDirection()).reshape(ndim, ndim)
@@ -211,7 +211,7 @@ def geometry_of(path: PathLike, reader: Any, convention: str = "LPS") -> Geometr
 
 @contextlib.contextmanager
 def failing(path: PathLike, form: str, sizes: tuple[int, ...] = ()) -> Iterator[None]:
-    """Make one sentence of ITK's long accounts of failure, and keep its prints off the terminal."""
+    """Convert ITK's errors to one sentence, and suppress its output on the terminal."""
     try:
         with silence():
             yield
@@ -227,16 +227,16 @@ def failing(path: PathLike, form: str, sizes: tuple[int, ...] = ()) -> Iterator[
 
 
 def _reason(text: str) -> str:
-    """The telling line of ITK's text, if there is one: the last, without who says it."""
+    """Return the relevant line of ITK's text, if there is one: the last, without its origin."""
     line = next((line.strip() for line in reversed(text.splitlines()) if line.strip()), "")
     line = re.sub(r"^.*ERROR: (\w+\(0x\w+\): )?", "", line)
     if line.startswith(("Reason: ", "Cannot read requested", "Unable to determine", "Exception thrown")):
-        return ""  # the reason is what happened to fail last, somewhere
+        return ""  # the last failure is not the cause
     return re.sub(r"^(\[\w+\] )?(\w+: )?", "", line).rstrip(".")
 
 
 def write(path: PathLike, samples: Array, like: Volume, *, force: bool = False) -> None:
-    """Write a NRRD file, compressed, or a MetaImage file, not compressed; .mhd has its data in a .raw beside it."""
+    """Write a NRRD file, compressed, or a MetaImage file, uncompressed; the data of a .mhd go to a .raw beside it."""
     sitk = library()
     target = check_output(path, force=force)
     suffix = target.suffix.lower()
@@ -244,7 +244,7 @@ def write(path: PathLike, samples: Array, like: Volume, *, force: bool = False) 
         made = [(stack.enter_context(replacing(path, force=force)), suffix)]
         if suffix == ".mhd":
             made.append((stack.enter_context(replacing(target.with_suffix(".raw"), force=force)), ".raw"))
-        # ITK writes into a folder of its own, under the name that the header will tell
+        # ITK writes into a folder of its own, under the name in the header
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix=".", dir=target.parent)))
         file = folder / f"{target.stem}{suffix}"
         image = _image(sitk, samples, like, "NRRD" if suffix == ".nrrd" else "MetaImage")
@@ -256,7 +256,7 @@ def write(path: PathLike, samples: Array, like: Volume, *, force: bool = False) 
             what = (found[1] if found else _reason(str(error))) or "ITK cannot write it"
             raise unwritable(path, what, "make room or choose another place") from error
         if not _whole(file.with_suffix(made[-1][1]), samples.nbytes, packed=suffix == ".nrrd"):
-            raise OSError(errno.EIO, "a part of it was not written")  # ITK overlooks it at the end of a file
+            raise OSError(errno.EIO, "a part of it was not written")  # ITK misses errors at the end of a file
         for temporary, ending in made:
             os.replace(file.with_suffix(ending), temporary)
 
@@ -276,7 +276,7 @@ def _image(sitk: Any, samples: Array, like: Volume, form: str) -> Any:
 
 
 def _whole(file: Path, nbytes: int, *, packed: bool) -> bool:
-    """Tell whether all voxels are in a file: gzip notes their count, modulo 2^32, at the end."""
+    """Return whether all voxels are in a file: gzip stores their count, modulo 2^32, at the end."""
     if not packed:
         return file.stat().st_size >= nbytes
     with open(file, "rb") as data:

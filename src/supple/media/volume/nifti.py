@@ -1,4 +1,4 @@
-"""NIfTI files: the header by nibabel, the voxels mapped from the file or read at once."""
+"""NIfTI files: the header by nibabel, the voxels mapped from the file or read into memory."""
 
 from __future__ import annotations
 
@@ -29,12 +29,12 @@ from supple.media.volume.data import (
 )
 
 _GZIP = b"\x1f\x8b"
-_MILLIMETRES = {1: 1000.0, 3: 0.001}  # of a metre, of a micrometre
+_MILLIMETRES = {1: 1000.0, 3: 0.001}  # units of a metre, of a micrometre
 _SECONDS = {16: 1e-3, 24: 1e-6}
 _COLOURS = {128: 3, 2304: 4}  # RGB24, RGBA32
 LONGEST = 32_767  # an axis in the first version of the format
 _CHUNK = 1 << 22
-_SAME = 0.01  # of a voxel: how far a qform may lie from its sform, by rounding
+_SAME = 0.01  # of a voxel: the largest difference of qform and sform by rounding
 _ORDERS: tuple[Literal["little", "big"], ...] = ("little", "big")
 
 
@@ -47,16 +47,16 @@ def library() -> Any:
 
 
 def read(path: PathLike) -> Volume:
-    """Read a NIfTI file, or a pair of .hdr and .img; what is not compressed is mapped.
+    """Read a NIfTI file, or a pair of .hdr and .img; uncompressed data are mapped.
 
-    The place of the voxels is that of the sform if it has a code, else of the qform; where the two disagree, a warning
-    says which is used: the one that ITK takes. Without a code, only the spacing is known, and no place in space.
+    The geometry is that of the sform if it has a code, else of the qform; if they differ, a warning names the one that
+    is used, which is ITK's choice. Without a code, only the spacing is known, and no position in space.
 
     Raises
     ------
     SuppleError
-        It is no NIfTI file, damaged or cut short; its voxels are not at right angles, or of a type that is no real
-        number; it has more axes than x, y, z and either time or components.
+        If it is not a NIfTI file, damaged or cut short; its voxels are not at right angles, or not real numbers; or it
+        has more axes than x, y, z and either time or components.
     """
     first, data = _pair(path)
     header, single = _header(first)
@@ -90,7 +90,7 @@ def read(path: PathLike) -> Volume:
 
 
 def _pair(path: PathLike) -> tuple[Path, Path]:
-    """Where the header and the voxels are: in one file, or in two."""
+    """Return the files of the header and of the voxels, which may be the same."""
     file = Path(path)
     if file.suffix.lower() not in (".hdr", ".img"):
         return file, file
@@ -100,12 +100,12 @@ def _pair(path: PathLike) -> tuple[Path, Path]:
 
 
 def _opened(path: PathLike) -> IO[bytes]:
-    packed = head_of(path, 2) == _GZIP  # whatever its name says
+    packed = head_of(path, 2) == _GZIP  # independent of the name
     return cast("IO[bytes]", gzip.open(path)) if packed else open(path, "rb")
 
 
 def _header(path: Path) -> tuple[Any, bool]:
-    """A header of one file, whatever it came from; and whether the voxels are in the same file."""
+    """Return the header of a file, and whether the voxels are in the same file."""
     nibabel = library()
     from nibabel.spatialimages import HeaderDataError
     from nibabel.wrapstruct import WrapStructError
@@ -122,7 +122,7 @@ def _header(path: Path) -> tuple[Any, bool]:
         file.seek(0)
         try:
             with warnings.catch_warnings():
-                warnings.simplefilter("ignore")  # of odd extensions, which are carried over as they are
+                warnings.simplefilter("ignore")  # on odd extensions, which are copied unchanged
                 header = kind.from_fileobj(file, check=False)
         except (HeaderDataError, WrapStructError, ValueError) as error:
             raise unreadable(path, f"its header is damaged ({error})") from error
@@ -130,7 +130,7 @@ def _header(path: Path) -> tuple[Any, bool]:
 
 
 def _axes(path: PathLike, header: Any) -> tuple[tuple[int, ...], int, bool]:
-    """The sizes along x, y, z and time or component, how many components, and whether there is time."""
+    """Return the sizes along x, y, z and time or component, the number of components, and whether there is time."""
     dim = [int(n) for n in header["dim"]]
     sizes = dim[1 : dim[0] + 1] if 1 <= dim[0] <= 7 else []
     if not sizes or min(sizes) < 1:
@@ -147,7 +147,7 @@ def _axes(path: PathLike, header: Any) -> tuple[tuple[int, ...], int, bool]:
 
 
 def _dtype(path: PathLike, header: Any) -> np.dtype[Any]:
-    """The type of one value in the file, in its own byte order."""
+    """Return the type of a value in the file, in its own byte order."""
     from nibabel.nifti1 import data_type_codes
 
     code = int(header["datatype"])
@@ -183,7 +183,7 @@ def _samples(path: PathLike, shape: tuple[int, ...], dtype: np.dtype[Any], offse
                 raise unreadable(path, f"its header promises {wanted} bytes, and it has {offset + done}")
             done += count
         rest = 0
-        while count := len(file.read(_CHUNK)):  # to the end, where the checksum is
+        while count := len(file.read(_CHUNK)):  # to the end, for the checksum
             rest += count
         _check_rest(path, wanted, rest, row)
         return samples
@@ -191,14 +191,14 @@ def _samples(path: PathLike, shape: tuple[int, ...], dtype: np.dtype[Any], offse
 
 # Kept: nibabel takes what is left for nothing (test_sizes_smaller_than_the_data).
 def _check_rest(path: PathLike, wanted: int, rest: int, row: int) -> None:
-    """Refuse what follows the voxels if it is a row or more: the header's sizes are others than the data's."""
+    """Raise SuppleError for a row or more after the voxels: the sizes in the header are wrong."""
     if rest >= row:
         told = f"its header promises {wanted} bytes, and it has {wanted + rest}"
         raise unreadable(path, told, "correct the sizes in its header")
 
 
 def _geometry(path: PathLike, first: Path, header: Any, sizes: tuple[int, ...], unit: float) -> Geometry:
-    """Where the voxels lie: by the sform or the qform, or by the spacing alone."""
+    """Return the geometry of the voxels: by the sform or the qform, or by the spacing alone."""
     sform = np.array(header.get_sform(), np.float64) if header["sform_code"] > 0 else None
     qform = _qform(path, header, needed=sform is None) if header["qform_code"] > 0 else None
     steps = [unit * float(x) for x in header["pixdim"][1:4]]
@@ -219,7 +219,7 @@ def _geometry(path: PathLike, first: Path, header: Any, sizes: tuple[int, ...], 
     far = apart(sform, qform)
     if not far > _SAME * min(steps):
         return placed(path, sform, "RAS")
-    # The programs that fields and landmarks are exchanged with read it by ITK, whose choice depends on the codes.
+    # Programs that share fields and landmarks read the file by ITK, whose choice depends on the codes.
     from supple.media.volume import itk
 
     reader = itk.library().ImageFileReader()
@@ -255,7 +255,7 @@ def _qform(path: PathLike, header: Any, *, needed: bool) -> Array | None:
 
 def _scaling(path: PathLike, header: Any) -> tuple[float, float]:
     slope, intercept = float(header["scl_slope"]), float(header["scl_inter"])
-    if not np.isfinite(slope) or slope == 0:  # the format's way to say: none
+    if not np.isfinite(slope) or slope == 0:  # NIfTI's code for no scaling
         return 1.0, 0.0
     if not np.isfinite(intercept):
         raise unreadable(path, f"its values are scaled by {slope:g}, plus {intercept}", "correct its header")
@@ -270,7 +270,7 @@ def _interval(header: Any, units: int) -> float:
 def write(path: PathLike, samples: Array, like: Volume, *, force: bool = False) -> None:
     """Write a NIfTI file, slice by slice, compressed if its name ends in ``.gz``.
 
-    What came from NIfTI keeps its header and its byte order; else its sform and qform say where it lies.
+    A volume from NIfTI keeps its header and its byte order; others get their geometry as sform and qform.
     """
     header = _copied(like.header, samples) if like.format == "NIfTI" and like.header is not None else None
     if header is None:
@@ -287,18 +287,18 @@ def write(path: PathLike, samples: Array, like: Volume, *, force: bool = False) 
 
 @contextlib.contextmanager
 def writing(temporary: Path, name: str) -> Iterator[IO[bytes]]:
-    """Write a file; compressed if its name ends in ``.gz``, a little: the noise of the last bits is not worth more."""
+    """Write a file; compressed if its name ends in ``.gz``, at a low level, since the last bits are noise."""
     with open(temporary, "wb") as plain:
         if not name.lower().endswith(".gz"):
             yield plain
             return
-        # neither a name nor a time in it: the same volume makes the same file
+        # without name and time, so that the same volume makes the same file
         with gzip.GzipFile("", "wb", 1, plain, 0) as packed:
             yield packed  # type: ignore[misc]
 
 
 def _copied(known: Any, samples: Array) -> Any:
-    """The header that a file came with, for samples of another type, maybe, in one file."""
+    """Return a copy of a file's header, for samples of perhaps another type, in one file."""
     header = known.copy()
     if int(header["datatype"]) not in _COLOURS or samples.dtype != np.uint8:
         if int(header["datatype"]) in _COLOURS:

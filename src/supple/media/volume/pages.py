@@ -1,4 +1,4 @@
-"""Stacks of TIFF pages, by libvips, with the spacing where ImageJ keeps it."""
+"""Stacks of TIFF pages, by libvips, with the spacing in ImageJ's form."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _MILLIMETRES = {
 
 
 def has_pages(path: PathLike) -> bool:
-    """Tell whether a file is a TIFF of several pages; what cannot be read has none."""
+    """Return whether a file is a TIFF of several pages; False for unreadable files."""
     from supple.media.image.headers import facts
     from supple.media.image.vips import opened
 
@@ -40,9 +40,9 @@ def has_pages(path: PathLike) -> bool:
 
 
 def read(path: PathLike) -> Volume:
-    """Read all pages of a TIFF: a slice each, or as ImageJ's description says, which also tells the spacing.
+    """Read all pages of a TIFF: a slice each, or as in ImageJ's description, which also has the spacing.
 
-    SuppleError if it is no TIFF, damaged, or its pages are not alike.
+    SuppleError if it is not a TIFF, damaged, or its pages differ.
     """
     import pyvips
 
@@ -70,7 +70,7 @@ def read(path: PathLike) -> Volume:
         raise unreadable(path, what, "give either times or channels")
     if times > 1:
         samples = samples.reshape(times, pages // times, *samples.shape[1:])
-    elif channels > 1:  # ImageJ counts them fastest
+    elif channels > 1:  # components are ImageJ's fastest axis
         samples = np.moveaxis(samples.reshape(pages // channels, channels, *samples.shape[1:]), 1, -1)
     interval = told.get("finterval", 0.0)
     return Volume(
@@ -85,7 +85,7 @@ def read(path: PathLike) -> Volume:
 
 # Kept: libvips takes a file that ends between two pages for whole (test_a_stack_that_ends_between_two_pages).
 def _linked(path: PathLike) -> int | None:
-    """Count the pages that lead from one to the next, or None if the last leads out of the file."""
+    """Return the number of linked pages, or None if the last link leads out of the file."""
     with open(path, "rb") as file:
         head = file.read(16)
         order: Literal["little", "big"] = "big" if head.startswith(b"MM") else "little"
@@ -104,7 +104,7 @@ def _linked(path: PathLike) -> int | None:
 
 
 def _description(image: Any) -> dict[str, float]:
-    """The numbers of ImageJ's description, and the millimetres of its unit."""
+    """Return the numbers of ImageJ's description, and the millimetres of its unit."""
     text = image.get("image-description") if image.get_typeof("image-description") else ""
     if not text.startswith("ImageJ="):
         return {}
@@ -118,11 +118,11 @@ def _description(image: Any) -> dict[str, float]:
 
 
 def _spacing(image: Any, told: dict[str, float]) -> tuple[float, float, float]:
-    """Millimetres from a voxel to the next; 1 where the file does not say it: dots per inch are no such thing."""
+    """Return the spacing in millimetres; 1 if the file has none: dots per inch are not a spacing."""
     if not told:
         return 1.0, 1.0, 1.0
     unit = told["unit"]
-    # libvips counts pixels per millimetre, if the file names a unit
+    # pixels per millimetre in libvips, if the file has a unit
     across = 1.0 if image.get_typeof("resolution-unit") else unit
     x, y = (across / res if res > 0 else 1.0 for res in (image.xres, image.yres))
     z = abs(told.get("spacing", 0.0)) * unit
@@ -130,7 +130,7 @@ def _spacing(image: Any, told: dict[str, float]) -> tuple[float, float, float]:
 
 
 def check(path: PathLike, like: Volume, dtype: np.dtype[Any]) -> None:
-    """Refuse what the format cannot hold."""
+    """Raise SuppleError for a volume that the format cannot hold."""
     from supple.media.image.formats import DTYPES, TIFF
 
     if like.series:
@@ -144,7 +144,7 @@ def check(path: PathLike, like: Volume, dtype: np.dtype[Any]) -> None:
 
 
 def write(path: PathLike, samples: Array, like: Volume, *, force: bool = False) -> None:
-    """Write a page for each slice; the spacing goes where ImageJ looks for it, origin and direction are lost."""
+    """Write a page for each slice; the spacing is stored in ImageJ's form, origin and direction are lost."""
     import pyvips
 
     from supple.media.image.formats import TIFF, meant, settings, wrapped
@@ -154,7 +154,7 @@ def write(path: PathLike, samples: Array, like: Volume, *, force: bool = False) 
     depth, height, width = array.shape[:3]
     tall = array.reshape(depth * height, width, *array.shape[3:])
     channels = tall.shape[2] if tall.ndim == 3 else 1
-    x, y, z = (step / 10 for step in like.geometry.spacing)  # in centimetres, which TIFF knows
+    x, y, z = (step / 10 for step in like.geometry.spacing)  # TIFF's unit is the centimetre
     lines = ("ImageJ=1.54f", f"images={depth}", f"slices={depth}", "unit=cm", f"spacing={z!r}", "loop=false", "")
     image = wrapped(tall, meant(array.dtype, channels, ""), 32)
     image.set_type(pyvips.GValue.gstr_type, "image-description", "\n".join(lines))

@@ -1,4 +1,4 @@
-"""Voxels as they are, with three sizes before them (the volumes of TU Wien) or with no header at all."""
+"""Raw voxels, with three sizes before them (the volumes of TU Wien) or without a header."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _TELL = "give --shape, --dtype and --spacing (raw=RawLayout(...))"
 def read_dat(path: PathLike) -> Volume:
     """Map a volume of TU Wien: three sizes, x first, and as many samples, all little-endian, unsigned, of 16 bits.
 
-    SuppleError if it is missing, or not as long as its sizes say.
+    SuppleError if it is missing, or its length does not match its sizes.
     """
     head = head_of(path, _HEAD)
     if len(head) < _HEAD:
@@ -37,7 +37,7 @@ def read_dat(path: PathLike) -> Volume:
 
 
 def read(path: PathLike, layout: RawLayout | None) -> Volume:
-    """Map a file without a header; SuppleError if it is missing, or not as the layout says, or there is no layout."""
+    """Map a file without a header; SuppleError if it is missing, does not match the layout, or there is no layout."""
     head_of(path, 1)
     if layout is None:
         for suffix in (".mhd", ".nhdr"):
@@ -61,10 +61,10 @@ def _mapped(path: PathLike, layout: RawLayout) -> Volume:
 
 
 def count_bytes(path: PathLike, start: int, most: int, packed: int | None = None) -> int:
-    """Count the bytes of voxels in a file from a place on; of compressed ones (zlib, gzip) no more than `most`, or so.
+    """Return the number of bytes of voxels from an offset on; for compressed ones (zlib, gzip) at most about `most`.
 
-    `packed` is into how many bytes they are compressed; 0 if that is not known. OSError, EOFError or zlib.error if the
-    file cannot be read, or the compressed data stops too early, or its checksum does not hold.
+    `packed` is the compressed size; 0 if it is unknown. OSError, EOFError or zlib.error if the file cannot be read, or
+    the compressed data are incomplete, or their checksum is wrong.
     """
     if packed is None:
         return max(os.stat(path).st_size - start, 0)
@@ -80,7 +80,7 @@ def count_bytes(path: PathLike, start: int, most: int, packed: int | None = None
             if stream.eof:
                 if not data.startswith(_GZIP):
                     break
-                stream = zlib.decompressobj(15 | 32)  # gzip may go on with another part
+                stream = zlib.decompressobj(15 | 32)  # gzip may have several members
             count += len(stream.decompress(data, _CHUNK))
             data = stream.unused_data if stream.eof else stream.unconsumed_tail
     return count

@@ -1,4 +1,4 @@
-"""Autosave files, in which unsaved strokes survive a crash."""
+"""Autosave files, which keep unsaved strokes after a crash."""
 
 from __future__ import annotations
 
@@ -29,30 +29,30 @@ _VERSION = 1
 
 @dataclass(frozen=True, slots=True)
 class Found:
-    """The autosave file of a window that did not end well."""
+    """The autosave file of a window that crashed."""
 
     recipe: Recipe
     place: Path
     saved: float  # in seconds since 1970
-    same: bool  # the source is as it was then, by its size and time
-    medium: object = None  # the shape and the spacing that it was read with, if that is known
+    same: bool  # the source is unchanged, by its size and time
+    medium: object = None  # the shape and the spacing of the source, if known
 
     def read_alike(self, document: Document) -> bool:
-        """Return whether a document is of the same shape and spacing, as far as that is known."""
+        """Return whether a document has the same shape and spacing, as far as they are known."""
         return self.medium is None or self.medium == _medium(document)
 
     def set_aside(self) -> Path:
-        """Do not offer it again; the file stays, under another name, which is returned."""
+        """Rename the file, so that it is not offered again; return the new name."""
         return _set_aside(self.place, "kept")
 
 
 @dataclass(eq=False)
 class Autosave:
-    """Keeps the recipe of a document in a file of its own, until a clean end.
+    """The autosave of a document's recipe, until the window is closed properly.
 
-    Each window has a file, and a lock on it that the system takes away if the window dies: two of the same source
-    never meet. Writing is done in a thread. Without a folder for them, the files are where the system keeps such
-    things for the user; the clock tells the time in seconds.
+    Each window has a file, with a lock that the system releases if the window dies: two windows of one source never
+    share a file. Writing is done in a thread. The default folder is the system's folder for the user's state; the clock
+    returns seconds.
     """
 
     source: PathLike
@@ -61,10 +61,10 @@ class Autosave:
     clock: Callable[[], float] = time.monotonic
 
     def __post_init__(self) -> None:
-        self.trouble: str | None = None  # why it could not be saved the last time, in a line
+        self.trouble: str | None = None  # the last error of saving, in a line
         self._folder = _home(self.folder)
         self.place = self._folder / f"{_stem(self.source)}-{os.getpid()}-{secrets.token_hex(4)}.json"
-        """The file, if there is one: only what is not saved otherwise is in it."""
+        """The autosave file, which exists only while there are unsaved strokes."""
         self._lock: IO[bytes] | None = None
         self._pool = ThreadPoolExecutor(1, "supple-autosave")
         self._writing: Future[None] | None = None
@@ -73,33 +73,33 @@ class Autosave:
         self._ended = False
 
     def tick(self) -> None:
-        """Save what has changed, if it is time to; called as often as one likes."""
+        """Save changes if it is time to; may be called at any rate."""
         now = self._now()
         if self._ended or self.document.dragging or now == self._kept or self.clock() < self._next:
             return
         if self._writing is not None and not self._writing.done():
             return
         self._next, self._kept = self.clock() + EVERY, now
-        # What was saved needs no keeping.
+        # A saved document needs no autosave.
         self._writing = self._pool.submit(self._write, self.document.recipe if self.document.dirty else None)
 
     def _now(self) -> object:
         return self.document.state.content, self.document.dirty
 
     def keep(self) -> bool:
-        """Save what there is now, and wait until that is written; whether it could be."""
+        """Save the current state, and wait for it; return whether it was written."""
         self.flush()
         self._kept = self._now()
         self._write(self.document.recipe if self.document.dirty else None)
         return self.trouble is None
 
     def flush(self) -> None:
-        """Wait until what was begun is written."""
+        """Wait for the current write."""
         if self._writing is not None:
             self._writing.result()
 
     def clear(self, *, keep: bool = False) -> None:
-        """End, and keep nothing; or leave what is kept to the next window."""
+        """End, and delete the file; or leave it to the next window."""
         self._ended = True
         self.flush()
         self._pool.shutdown()
@@ -130,7 +130,7 @@ class Autosave:
             self.trouble = None
         except (OSError, SuppleError) as error:
             self.trouble = " ".join(str(error).split())
-            self._kept = None  # to be tried again
+            self._kept = None  # retry later
 
     def _remove(self) -> None:
         with contextlib.suppress(FileNotFoundError):
@@ -140,12 +140,11 @@ class Autosave:
 def found(source: PathLike, folder: PathLike | None = None) -> Found | None:
     """Return the latest unsaved edits of a source from an autosave file; None if there are none.
 
-    Files of windows that still live are left alone. One that can't be read is set aside, under another name. The
-    folder is that of `Autosave`.
+    Files of running windows are skipped. An unreadable file is renamed. The folder is that of `Autosave`.
     """
     best: Found | None = None
     for place in sorted(_home(folder).glob(f"{_stem(source)}-*.json")):
-        with contextlib.suppress(OSError):  # it may be gone, or not be ours to read
+        with contextlib.suppress(OSError):  # it may be deleted, or not readable
             lock = _locked(place.with_suffix(".lock"))
             if lock is None:
                 continue
@@ -153,7 +152,7 @@ def found(source: PathLike, folder: PathLike | None = None) -> Found | None:
                 try:
                     data: Any = json.loads(place.read_bytes().decode("utf-8"))
                     if data["supple_autosave"] != _VERSION:
-                        continue  # of another release, which will find it
+                        continue  # for another release
                     recipe, saved = Recipe.from_json(json.dumps(data["recipe"])), float(data["saved"])
                     one = Found(recipe, place, saved, data["source"] == _described(source), data.get("medium"))
                 except (ValueError, TypeError, KeyError, RecursionError):
@@ -186,7 +185,7 @@ def _home(folder: PathLike | None) -> Path:
 
 
 def _stem(source: PathLike) -> str:
-    """A name that a source has for itself, as short as a file's name must be."""
+    """Return a unique name for a source, within the length of file names."""
     return hashlib.sha256(os.fsencode(os.path.realpath(source))).hexdigest()[:20]
 
 
@@ -200,12 +199,12 @@ def _described(source: PathLike) -> dict[str, object]:
 
 
 def _medium(document: Document) -> list[list[float]]:
-    """Return the JSON form of the options by which a source is read; a time scale is a spacing."""
+    """Return the JSON form of the spacing that a source is read with; a time scale is a spacing."""
     return [[float(n) for n in np.ravel(values)] for values in (document.shape, document.spacing)]
 
 
 def _locked(path: Path) -> IO[bytes] | None:
-    """A file that is locked as long as it is open; None if another one has it."""
+    """Return a file that is locked while it is open; None if it is already locked."""
     file = open(path, "ab")  # noqa: SIM115, closing it is what unlocks it
     try:
         if sys.platform == "win32":
@@ -220,5 +219,5 @@ def _locked(path: Path) -> IO[bytes] | None:
         file.close()
         return None
     except OSError:
-        pass  # a disk without locks: better found than lost
+        pass  # a disk without locks: rather offer it than lose it
     return file

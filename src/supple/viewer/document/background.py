@@ -1,4 +1,4 @@
-"""Exports and certified errors, made in threads of their own beside the window, and the warnings of those threads."""
+"""Exports and certified errors, computed in background threads, and the warnings of those threads."""
 
 from __future__ import annotations
 
@@ -19,18 +19,17 @@ Ear = Callable[[str, type[Warning]], None]
 _Asked = tuple[Deformation, int | None]
 
 _lock = threading.RLock()
-_ears: list[tuple[int, Ear]] = []  # the thread of each, and whom to tell
-_outside: list[contextlib.ExitStack] = []  # what puts all back once nobody listens
+_ears: list[tuple[int, Ear]] = []  # threads and their listeners
+_outside: list[contextlib.ExitStack] = []  # restores the handlers after the last listener
 
 
 @contextlib.contextmanager
 def heard(tell: Ear) -> Iterator[None]:
-    """Tell of the warnings of this thread, and of threads that work for it, instead of printing them.
+    """Pass the warnings of this thread, and of threads that work for it, to a function instead of printing them.
 
-    `warnings.catch_warnings` is for a single thread: two that overlap leave a mess behind. A warning of a thread that
-    nobody listens to goes to who listens in the background, as its helpers have threads of their own; those of the
-    main thread go on as they would. The function is called, from the thread that warns, with what is warned of and
-    with the warning's kind.
+    `warnings.catch_warnings` is not safe with several threads. A warning of a thread without a listener goes to the
+    background listener, as its helpers have threads of their own; those of the main thread are handled as usual. The
+    function is called, in the thread of the warning, with its message and its category.
     """
     mine = (threading.get_ident(), tell)
     with _lock:
@@ -68,7 +67,7 @@ def _listen() -> None:
 
 
 class Certifier:
-    """Measures the map of the last deformation that it was given, in a thread that calls a function after each."""
+    """A thread that measures the map of the latest deformation, and calls a function after each."""
 
     def __init__(self, on_report: Callable[[], None]) -> None:
         self._on_report = on_report
@@ -93,7 +92,7 @@ class Certifier:
             return None
 
     def close(self) -> None:
-        """Stop when the report at hand is done."""
+        """Stop after the current report."""
         with self._news:
             self._closed = True
             self._news.notify_all()
@@ -114,22 +113,21 @@ class Certifier:
                 self._on_report()
 
 
-# Where each part of the work begins, and how much of the whole it is. Of a clip, writing begins first, and is over
-# with the last frame.
+# The start and the share of each stage. For a clip, writing begins first, and ends with the last frame.
 _PARTS = {"read": (0.0, 0.05), "plan": (0.05, 0.1), "warp": (0.15, 0.75), "write": (0.9, 0.1)}
 _TEXTS = {"read": "reading", "plan": "planning", "warp": "warping", "write": "writing"}
 _BEGUN = "starting"
 
 
 class _Cancelled(Exception):  # noqa: N818, it is no error
-    """Somebody does not want it any more."""
+    """The export was cancelled."""
 
 
 class Export:
-    """A file that is warped in a thread of its own, begun as this is made.
+    """A file that is warped in a thread, which starts at once.
 
-    The target appears whole, or not at all; what is edited meanwhile does not come into it. Wait for the end before
-    the program ends, with `join`: an export that is under way then fails. Options are those of `supple.warp_file`.
+    The target appears whole, or not at all; later edits have no effect on it. Call `join` before the program ends, or a
+    running export fails. Options are those of `supple.warp_file`.
     """
 
     def __init__(
@@ -142,11 +140,11 @@ class Export:
         **options: Any,
     ) -> None:
         self.target = Path(target)
-        self.progress = 0.0  # how much is done, from 0 to 1; it never goes back
+        self.progress = 0.0  # the finished part, from 0 to 1; it never decreases
         self.text = _BEGUN  # the text of the progress, or of the result
-        self.error: str | None = None  # why it failed, in one line
-        self.result: Any = None  # what the work gave, once it is done
-        self.cancelled = False  # whether it ended as it was cancelled; there is no new file then
+        self.error: str | None = None  # the error, in one line
+        self.result: Any = None  # the result of the work
+        self.cancelled = False  # whether it was cancelled before a file was written
         self._warnings: list[str] = []
         self._stop = threading.Event()
         self._work = partial(warp, source, target, recipe, tell=self._tell, **options)
@@ -160,15 +158,15 @@ class Export:
 
     @property
     def done(self) -> bool:
-        """Return whether it has ended, in whatever way."""
+        """True if it has ended, in any way."""
         return not self._thread.is_alive()
 
     def cancel(self) -> None:
-        """Ask it to stop. It does so between two frames, slices or parts; or is done before it hears of it."""
+        """Ask it to stop, which it does between two frames, slices or stages; it may finish first."""
         self._stop.set()
 
     def join(self, timeout: float | None = None) -> bool:
-        """Wait for the end, for so many seconds at most; return whether it has ended."""
+        """Wait for the end, for at most ``timeout`` seconds; return whether it has ended."""
         self._thread.join(timeout)
         return self.done
 
@@ -177,7 +175,7 @@ class Export:
             raise _Cancelled
         counted = part in ("plan", "warp") and total > 3
         if part == "write" and self.text == _BEGUN:
-            return  # a clip's file, which is only opened
+            return  # the opening of a clip's file
         begin, size = _PARTS[part]
         self.progress = max(self.progress, begin + (size * count / total if counted else 0.0))
         self.text = f"{_TEXTS[part]} {count} of {total}" if counted else _TEXTS[part]

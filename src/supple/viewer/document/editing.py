@@ -1,4 +1,4 @@
-"""The document: a list of strokes on a medium, each edit a step that can be undone."""
+"""The document: a list of strokes on a medium, with undo steps."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from supple.viewer.document.state import History, Item, Kind, Solved, State
 
 
 class Document:
-    """Strokes on a medium, as they are edited.
+    """The strokes on a medium, and their editing.
 
-    An edit is done as a whole, and is a step; or it is refused with a `SuppleError`, and nothing has changed. A drag
-    is one step, however long it takes.
+    An edit is applied as a whole, as one step; or refused with a `SuppleError`, without any change. A drag is one step
+    of any duration.
 
-    The shape of the medium and its spacing are those that `Deformation` takes; recipes in millimetres need the geometry
-    of a volume. Of videos and volumes, strokes that `supple.warp_file` would refuse, since they start before or after
-    it, are refused here too.
+    The shape and the spacing of the medium are those of `Deformation`; recipes in millimetres need the geometry of a
+    volume. Strokes that `supple.warp_file` would refuse, since they start before or after a video or a volume, are
+    refused here too.
     """
 
     def __init__(
@@ -38,9 +38,9 @@ class Document:
         self.spacing = spacing
         self.kind = kind
         self.geometry = geometry
-        self.revision = 0  # how many changes there were, of any kind
-        self.on_change: list[Callable[[], None]] = []  # functions that are called after each change
-        self.trouble: str | None = None  # why the drag that is under way does not go on: for the status line
+        self.revision = 0  # the number of changes of any kind
+        self.on_change: list[Callable[[], None]] = []  # called after each change
+        self.trouble: str | None = None  # the reason why the current drag is refused, for the status line
         self._drag: tuple[Solved, int | None] | None = None
         self._timed = kind == "video" and len(self.shape) == 3
         self._now = self._solved(self._state(recipe or Recipe()), None)
@@ -50,7 +50,7 @@ class Document:
 
     @property
     def state(self) -> State:
-        """All there is, as it is seen: during a drag, with what it does so far."""
+        """The visible state, including the current drag."""
         return self._now.state
 
     @property
@@ -60,17 +60,17 @@ class Document:
 
     @property
     def selected(self) -> int | None:
-        """Which of the strokes is selected."""
+        """The index of the selected stroke."""
         return self._now.state.selected
 
     @property
     def deformation(self) -> Deformation:
-        """The deformation of the visible strokes. As long as they are the same, it is the same object."""
+        """The deformation of the visible strokes; the same object until they change."""
         return self._now.chain[-1]
 
     @property
     def recipe(self) -> Recipe:
-        """The recipe that `supple.warp_file` takes and that is saved, with the hidden strokes."""
+        """The recipe for `supple.warp_file` and for saving, with the hidden strokes."""
         scale = self.deformation.domain.spacing[2] if self._timed else None
         made = replace(self.state.recipe, size=self.shape[::-1], space="pixels", time_scale=scale)
         space = self.state.rest.space
@@ -78,14 +78,14 @@ class Document:
 
     @property
     def arrivals(self) -> tuple[Arrival | None, ...]:
-        """Where each stroke's point was to go, and where it is; None for hidden ones."""
+        """The target of each stroke's point, and its position; None for hidden ones."""
         if self._arrivals[0] is not self._now:
             known = iter(self.deformation.arrivals)
             self._arrivals = self._now, tuple(None if item.hidden else next(known) for item in self.items)
         return self._arrivals[1]
 
     def arrival(self, i: int) -> Arrival | None:
-        """Where a stroke's point was to go, and where it is; None if the stroke is hidden."""
+        """Return the target of a stroke's point, and its position; None if the stroke is hidden."""
         return self.arrivals[self._checked(i)]
 
     def warning(self, i: int) -> str | None:
@@ -94,12 +94,12 @@ class Document:
         return None if known is None else self.deformation.warnings[known]
 
     def handles(self, i: int) -> tuple[tuple[float, ...], tuple[float, ...]]:
-        """Where a stroke takes hold, and where its point arrives; of a hidden one, where it was to go."""
+        """Return the pivot of a stroke, and the position of its point; for a hidden one, the target."""
         found, stroke = self.arrival(i), self.seen(i)
         return stroke.at, found.arrived if found else tuple(a + b for a, b in zip(stroke.at, stroke.by, strict=True))
 
     def seen(self, i: int) -> Stroke:
-        """A stroke as it is applied on what is seen, where its recipe has it at a part of its drag."""
+        """Return a stroke at its full drag on screen, if its recipe applies a fraction of it."""
         known, stroke = self._nth(i), self.items[i].stroke
         if known is None:
             return stroke
@@ -107,53 +107,53 @@ class Document:
         return replace(stroke, at=applied.at, by=applied.by)
 
     def add(self, stroke: Stroke) -> int:
-        """Apply one more stroke on what is seen, and select it; return its number."""
+        """Append a stroke, and select it; return its index."""
         count = len(self.items)
         self._edit(replace(self.state, items=(*self.items, Item.of(stroke)), selected=count))
         return count
 
     def replace(self, i: int, stroke: Stroke) -> None:
-        """Put another stroke in the place of one; it is as hidden as that one was."""
+        """Replace a stroke; its hidden state is kept."""
         self._edit(self._replaced(self.state, self._checked(i), stroke))
 
     def remove(self, i: int) -> None:
-        """Take a stroke out of the list."""
+        """Remove a stroke."""
         i, selected = self._checked(i), self.selected
         if selected is not None and selected >= i:
             selected = None if selected == i else selected - 1
         self._edit(replace(self.state, items=(*self.items[:i], *self.items[i + 1 :]), selected=selected))
 
     def move(self, i: int, to: int) -> None:
-        """Put a stroke at another place in the list, so that it is applied earlier or later."""
+        """Move a stroke to another index, so that it is applied earlier or later."""
         order = list(range(len(self.items)))
         order.insert(self._checked(to), order.pop(self._checked(i)))
         selected = None if self.selected is None else order.index(self.selected)
         self._edit(replace(self.state, items=tuple(self.items[k] for k in order), selected=selected))
 
     def hide(self, i: int, hidden: bool = True) -> None:
-        """Put a stroke aside, or apply it again."""
+        """Hide a stroke, or show it."""
         i = self._checked(i)
         item = replace(self.items[i], hidden=bool(hidden))
         self._edit(self.state.with_item(i, item))
 
     def set_border(self, border: Border) -> None:
-        """Give the fixed border another width, as `Domain` takes it."""
+        """Set the width of the fixed border, as in `Domain`."""
         self._edit(replace(self.state, rest=replace(self.state.rest, border=border)))
 
     def set_on_fold(self, on_fold: FoldPolicy) -> None:
-        """Choose what is done with strokes that would fold the picture."""
+        """Set the policy for strokes that would fold the image."""
         self._edit(replace(self.state, rest=replace(self.state.rest, on_fold=on_fold)))
 
     def load(self, recipe: Recipe) -> None:
-        """Put a recipe in the place of all there is, as one step."""
+        """Replace the document by a recipe, as one step."""
         self._edit(self._state(recipe))
 
     def _state(self, recipe: Recipe) -> State:
-        """A recipe as it is edited here."""
+        """Return a recipe as a state of this document."""
         return State.of(self.fitted(recipe), recipe.space if recipe.is_world else None)
 
     def fitted(self, recipe: Recipe) -> Recipe:
-        """A recipe in samples of this medium, if its strokes are of one like it; it is scaled if its size differs.
+        """Return a recipe in samples of this medium, scaled if its size differs.
 
         Raises
         ------
@@ -190,7 +190,7 @@ class Document:
         return fitted if self.geometry is None else indexed(fitted, self.geometry, "the volume")
 
     def select(self, i: int | None) -> None:
-        """Select a stroke, or none; this is no step."""
+        """Select a stroke, or none, without an undo step."""
         self._rest()
         state = replace(self.state, selected=None if i is None else self._checked(i))
         if state != self.state:
@@ -199,29 +199,29 @@ class Document:
 
     @property
     def can_undo(self) -> bool:
-        """Return whether there is anything to undo."""
+        """Return whether there is a step to undo."""
         return self.dragging or self._history.can_undo
 
     @property
     def can_redo(self) -> bool:
-        """Return whether there is anything to redo."""
+        """Return whether there is a step to redo."""
         return not self.dragging and self._history.can_redo
 
     def undo(self) -> None:
-        """Take the last step back; or the drag that is under way."""
+        """Undo the last step, or the current drag."""
         if self.dragging:
             self.abandon()
         elif self._history.can_undo:
             self._show(self._solved(self._history.undo(), self._now))
 
     def redo(self) -> None:
-        """Do once more what was undone last."""
+        """Redo the last undone step."""
         if self.can_redo:
             self._show(self._solved(self._history.redo(), self._now))
 
     @property
     def dragging(self) -> bool:
-        """Return whether a drag is under way."""
+        """True if a drag is active."""
         return self._drag is not None
 
     def begin_drag(self, i: int | None = None) -> None:
@@ -231,12 +231,12 @@ class Document:
         self.trouble = None
 
     def preview(self, stroke: Stroke) -> bool:
-        """Show what the drag does so far; the stroke is as it is seen.
+        """Show the current drag; the stroke is in coordinates of the screen.
 
         Returns
         -------
         bool
-            Whether it can be done. If it can't, what was shown last stays, and `trouble` tells why.
+            Whether it is valid. If not, the last preview stays, and `trouble` has the reason.
         """
         before, i = self._dragged()
         state, had, self.trouble = before.state, self.trouble, None
@@ -256,7 +256,7 @@ class Document:
         return self.trouble is None
 
     def commit(self) -> bool:
-        """End the drag, and keep what is shown, as one step; return whether anything has changed."""
+        """End the drag, and keep its preview, as one step; return whether anything has changed."""
         before, _ = self._dragged()
         self._drag = self.trouble = None
         if self.state.content == before.state.content:
@@ -267,18 +267,18 @@ class Document:
         return self._now is not before
 
     def abandon(self) -> None:
-        """End the drag, and put all back as it was."""
+        """End the drag, and restore the state before it."""
         before, _ = self._dragged()
         self._drag = self.trouble = None
         self._show(before)
 
     @property
     def dirty(self) -> bool:
-        """Return whether there is something that was not saved."""
+        """True if there are unsaved changes."""
         return self.state.content != self._saved
 
     def mark_saved(self) -> None:
-        """Say that the recipe was saved as it is."""
+        """Mark the current recipe as saved."""
         self._saved = self.state.content
         self._tell()
 
@@ -291,7 +291,7 @@ class Document:
         self._show(made)
 
     def _solved(self, state: State, known: Solved | None) -> Solved:
-        """The deformation of a state; what it has in common with one that is known is not worked out again."""
+        """Return the deformation of a state; strokes shared with a known state are not resolved again."""
         rest = state.rest
         plain = replace(rest, space=None)
         empty = Deformation.from_recipe(plain, self.shape, spacing=self.spacing, time=self._timed)
@@ -338,7 +338,7 @@ class Document:
         return integer("a stroke's number", i, wanted, 0, count - 1)
 
     def _nth(self, i: int) -> int | None:
-        """Which of the visible strokes an item is."""
+        """Return the index of an item among the visible strokes."""
         i = self._checked(i)
         return None if self.items[i].hidden else sum(not item.hidden for item in self.items[:i])
 

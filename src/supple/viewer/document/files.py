@@ -1,4 +1,4 @@
-"""The file commands of a window: it saves and opens recipes, exports, and asks before anything is lost."""
+"""The file commands of a window: save, open, export, and questions before changes are lost."""
 
 from __future__ import annotations
 
@@ -29,34 +29,34 @@ from supple.viewer.document.state import Kind
 
 @dataclass(slots=True)
 class Question:
-    """Something that the window asks."""
+    """A question of the window."""
 
-    name: str  # what it is about
+    name: str  # the command it belongs to
     title: str
     text: str
-    choices: tuple[str, ...]  # the first is what Enter means; "Cancel" does nothing
-    path: str | None = None  # the name of a file, which can be edited
-    opens: PathLike = ""  # one that cannot
+    choices: tuple[str, ...]  # the first is the default for Enter; "Cancel" does nothing
+    path: str | None = None  # a file name that can be edited
+    opens: PathLike = ""  # a file name that cannot
     problem: str = ""
-    fresh: bool = True  # it was not drawn yet
+    fresh: bool = True  # not drawn yet
 
 
 @dataclass(eq=False)
 class FileCommands:
-    """The files around a document."""
+    """The file commands of a document."""
 
     document: Document
-    source: Path | None  # the file that is bent; an array has none
-    write_view: Callable[[str, bool], None]  # to a file, and whether one that exists may be replaced
+    source: Path | None  # the source file; None for an array
+    write_view: Callable[[str, bool], None]  # writes the view to a file; the flag allows replacing one
     leave: Callable[[], None]  # closes the window
-    device: str = "cpu"  # who exports, as `supple.warp_file` takes it
-    options: Mapping[str, Any] = field(default_factory=dict)  # what else it takes, to make what is seen
+    device: str = "cpu"  # the device for exports, as in `supple.warp_file`
+    options: Mapping[str, Any] = field(default_factory=dict)  # its other options, for the same image as on screen
 
     def __post_init__(self) -> None:
-        self.message = ""  # the text of the status line, until something else happens
+        self.message = ""  # the text of the status line
         self.asked: Question | None = None
         self.export: Export | None = None
-        self.recipe_path: Path | None = None  # where the recipe was saved to or opened from
+        self.recipe_path: Path | None = None  # the last saved or opened recipe
         self._told: Export | None = None
         self.autosave = None if self.source is None else Autosave(self.source, self.document)
         self._left = None if self.source is None else autosave.found(self.source)
@@ -71,7 +71,7 @@ class FileCommands:
             self.asked = Question("restore", "Restore?", text, ("Restore", "Leave"))
 
     def tick(self) -> None:
-        """Keep what has changed, if it is time to; and say what came of an export."""
+        """Save the autosave if it is time to; and report the end of an export."""
         if self.autosave is not None:
             self.autosave.tick()
         export = self.export
@@ -80,7 +80,7 @@ class FileCommands:
             self.message = "; ".join(filter(None, [export.error or export.text, *export.warnings]))
 
     def attempt(self, work: Callable[[], object]) -> None:
-        """Do what may be refused, and say so then."""
+        """Call a function, and show its error in the status line."""
         try:
             self.message = ""
             work()
@@ -88,7 +88,7 @@ class FileCommands:
             self.message = _in_a_window(error)
 
     def ask(self, name: str) -> None:
-        """Begin what is asked for: ``"save"``, ``"save as"``, ``"open"``, ``"export"``, ``"copy"`` or ``"close"``."""
+        """Start a command: ``"save"``, ``"save as"``, ``"open"``, ``"export"``, ``"copy"`` or ``"close"``."""
         source = Path(os.path.abspath(self.source or "picture.png"))
         suffix = "" if os.path.isdir(source) else suffix_of(source)
         stem = os.fspath(source)[: len(os.fspath(source)) - len(suffix)]
@@ -105,7 +105,7 @@ class FileCommands:
         self.asked = Question(name, *_ASKED[name], path)
 
     def may_close(self) -> bool:
-        """Return whether nothing would be lost; otherwise, the question is asked."""
+        """Return whether nothing would be lost; otherwise, ask."""
         if self.document.dirty:
             self.ask("close")
             return False
@@ -115,7 +115,7 @@ class FileCommands:
         return True
 
     def answer(self, choice: str) -> bool:
-        """Go on with what was asked; return whether that is done with."""
+        """Continue the command with an answer; return whether the question is closed."""
         asked = self.asked
         if asked is None:
             return True
@@ -149,7 +149,7 @@ class FileCommands:
         elif asked.name == "copy":
             self._spare(path)
             check_target(path)
-            check_output(path, force=force)  # what is seen may take seconds to draw
+            check_output(path, force=force)  # before rendering, which may take seconds
             self.write_view(path, force)
             self.message = f"saved {path}"
         elif asked.name == "export":
@@ -159,8 +159,8 @@ class FileCommands:
                 known = self.recipe_path is not None and same_file(path, self.recipe_path)
                 self.save(path, force=known or choice == "Replace and close")
             else:
-                self.document.mark_saved()  # it is not wanted
-            if self.may_close():  # an export may be under way
+                self.document.mark_saved()  # discarded by the user
+            if self.may_close():  # an export may be running
                 self.leave()
         elif asked.name == "stop":
             self.end_export()
@@ -172,7 +172,7 @@ class FileCommands:
         Raises
         ------
         SuppleError
-            If it cannot be written, or is there already and must not be replaced.
+            If it cannot be written, or exists and must not be replaced.
         """
         if not os.fspath(path):
             raise SuppleError("the recipe needs a name: such as strokes.json")
@@ -183,14 +183,14 @@ class FileCommands:
         self.message = f"saved {shown(path)}"
 
     def _spare(self, path: PathLike) -> None:
-        """Refuse to write over what is bent here."""
+        """Raise SuppleError for the source as a target."""
         if self.source is not None and same_file(path, self.source):
             raise SuppleError(f"{shown(path)} is what is bent here: choose another name")
 
     def open(self, path: PathLike, *, sure: bool = False) -> None:
-        """Put a recipe in the place of the strokes that there are, as one step.
+        """Replace the strokes by those of a recipe, as one step.
 
-        Where these were not saved, it is asked first, unless somebody is sure.
+        Unsaved strokes cause a question first, unless ``sure``.
 
         Raises
         ------
@@ -215,12 +215,12 @@ class FileCommands:
         self.message = f"opened {shown(path)}" + (f", scaled to {spoken(size)}" if scaled else "")
 
     def open_beside(self, path: PathLike) -> None:
-        """Open another medium in a window of its own; nothing is lost here.
+        """Open another medium in a window of its own.
 
         Raises
         ------
         SuppleError
-            If there is no such file.
+            If the file does not exist.
         """
         if not os.path.exists(path):
             raise SuppleError(f"cannot read {shown(path)}: there is no such file")
@@ -228,12 +228,12 @@ class FileCommands:
         self.message = f"{shown(path)} opens in a window of its own"
 
     def begin_export(self, path: PathLike, *, force: bool = False) -> None:
-        """Begin to write the whole medium, bent, beside what goes on here.
+        """Start to write the whole medium, warped, in the background.
 
         Raises
         ------
         SuppleError
-            If there is nothing to export, an export is under way, or nothing can be written by that name.
+            If there is nothing to export, an export is running, or the name cannot be written.
         """
         if self.source is None:
             raise SuppleError("an array is no file: Deformation.warp makes an array of it")
@@ -248,28 +248,28 @@ class FileCommands:
         self.export = Export(self.source, path, recipe, force=force, device=self.device, **options)
 
     def end_export(self) -> None:
-        """Cancel it; or, when it is done, put it aside."""
+        """Cancel a running export, or dismiss a finished one."""
         if self.export is not None and not self.export.done:
             self.export.cancel()
         else:
             self.export = None
 
     def end(self) -> None:
-        """End well: what was not wanted is not kept."""
+        """End properly: the autosave of discarded strokes is deleted."""
         if self.export is not None:
             self.export.cancel()
             self.export.join(10.0)
         if self.autosave is not None:
-            # Whoever closes this without asking keeps it for the next time.
+            # A window closed without a question leaves its autosave for the next time.
             self.autosave.clear(keep=self.document.dirty)
 
 
 def _in_a_window(error: SuppleError) -> str:
-    """Return the text of an error without the command line's advice."""
+    """Return an error's text without the command line's advice."""
     return str(error).replace("pass --force (force=True) to replace it", "choose another name, or Replace")
 
 
-# What each kind is written as, and what is proposed for formats that are only read.
+# The suffixes of each kind, and those proposed for formats that are only read.
 _WRITTEN: dict[Kind | None, tuple[Collection[str], str]] = {
     "image": (PICTURES_OUT, ".png"),
     "video": ({*CLIPS_OUT, ".gif", ".m4v"}, ".mp4"),

@@ -1,4 +1,4 @@
-"""States of a document, their deformations, and the undo history of them."""
+"""States of a document, their deformations, and the undo history."""
 
 from __future__ import annotations
 
@@ -16,38 +16,38 @@ _EMPTY = Recipe()
 
 @dataclass(frozen=True, slots=True)
 class Item:
-    """A stroke in the list, which may be put aside."""
+    """A stroke in the list, which may be hidden."""
 
     stroke: Stroke  # never hidden itself
     hidden: bool = False
 
     @classmethod
     def of(cls, stroke: Stroke) -> Self:
-        """A stroke of a recipe, which knows whether it is hidden."""
+        """Return the item of a recipe's stroke."""
         if not isinstance(stroke, Stroke):
             refuse("a stroke", "a Stroke", stroke)
         return cls(replace(stroke, hidden=False) if stroke.hidden else stroke, stroke.hidden)
 
     @property
     def kept(self) -> Stroke:
-        """The stroke as a recipe keeps it."""
+        """Return the stroke for a recipe."""
         return replace(self.stroke, hidden=True) if self.hidden else self.stroke
 
 
 @dataclass(frozen=True, slots=True)
 class State:
-    """All that is undone and redone.
+    """The state that is undone and redone.
 
-    Points are samples here; where those of the file are in millimetres, the rest knows in which space.
+    Points are samples here; if those of the file are in millimetres, ``rest`` has their space.
     """
 
-    items: tuple[Item, ...] = ()  # in the order in which they are applied
-    rest: Recipe = _EMPTY  # all else that the recipe says
+    items: tuple[Item, ...] = ()  # in the order of application
+    rest: Recipe = _EMPTY  # the recipe's other options
     selected: int | None = None
 
     @classmethod
     def of(cls, recipe: Recipe, space: CoordinateSpace | None = None) -> Self:
-        """A recipe of samples, with nothing selected, that is saved in a space."""
+        """Return the state of a recipe of samples, with nothing selected, and its space for saving."""
         rest = replace(recipe, strokes=(), size=None, space=space, time_scale=None)
         return cls(tuple(map(Item.of, recipe.strokes)), rest)
 
@@ -58,16 +58,16 @@ class State:
 
     @property
     def on_fold(self) -> FoldPolicy:
-        """The policy for strokes that would fold the picture."""
+        """The policy for strokes that would fold the image."""
         return self.rest.on_fold
 
     def with_item(self, i: int, item: Item) -> Self:
-        """Another stroke in the place of one; or after the last."""
+        """Return a state with a stroke replaced, or appended."""
         return replace(self, items=(*self.items[:i], item, *self.items[i + 1 :]))
 
     @property
     def content(self) -> tuple[object, object]:
-        """All of it but what is selected."""
+        """The state without the selection."""
         return self.items, self.rest
 
 
@@ -75,8 +75,8 @@ class State:
 class Solved:
     """A state, and the deformation after none, one, two, … of its visible strokes.
 
-    The wholes are, before each visible stroke, what those before it do in full; that of the chain itself where it is
-    the same.
+    ``wholes`` are the deformations before each visible stroke at full strength; those of the chain itself where they
+    are equal.
     """
 
     state: State
@@ -85,11 +85,11 @@ class Solved:
 
     @property
     def visible(self) -> list[tuple[int, Stroke]]:
-        """The strokes that are applied, with their numbers."""
+        """The visible strokes, with their indices."""
         return [(i, item.stroke) for i, item in enumerate(self.state.items) if not item.hidden]
 
     def before(self, k: int) -> tuple[Deformation, Deformation]:
-        """Return the deformation of the visible strokes before one, or the next one: in full, and as it is applied."""
+        """Return the deformation before a visible stroke, or the next one: at full strength, and as applied."""
         if k < len(self.wholes):
             return self.wholes[k], self.chain[k]
         if k == 0:
@@ -99,7 +99,7 @@ class Solved:
         return whole, self.chain[k]
 
     def kept(self, stroke: Stroke, k: int) -> Stroke:
-        """A stroke that is drawn on what is seen, before visible stroke number ``k``, as a recipe has it."""
+        """Return a stroke drawn on screen before visible stroke number ``k``, in coordinates of the recipe."""
         whole, now = self.before(k)
         part = self.state.rest.amount * stroke.strength
         if whole is not now:
@@ -108,9 +108,9 @@ class Solved:
 
 
 class History(Generic[S]):
-    """A present state, those before it, and those that were undone.
+    """The undo history: the present state, those before it, and the undone ones.
 
-    It has no end, and merges nothing: what is pushed is a step. States are kept as they are, so they must never change.
+    It is unlimited, and merges no steps. States must be immutable.
     """
 
     def __init__(self, present: S) -> None:
@@ -129,24 +129,24 @@ class History(Generic[S]):
         return bool(self._future)
 
     def push(self, state: S) -> None:
-        """Go on to another state; what was undone is gone."""
+        """Add a state; undone states are dropped."""
         self._past.append(self.present)
         self.present = state
         self._future.clear()
 
     def amend(self, state: S) -> None:
-        """Put another state in the place of the present one, without a step."""
+        """Replace the present state, without a step."""
         self.present = state
 
     def undo(self) -> S:
-        """Go back to the state before; without one, stay."""
+        """Return to the state before, if there is one."""
         if self._past:
             self._future.append(self.present)
             self.present = self._past.pop()
         return self.present
 
     def redo(self) -> S:
-        """Go to the state that was undone last; without one, stay."""
+        """Return to the state that was undone last, if there is one."""
         if self._future:
             self._past.append(self.present)
             self.present = self._future.pop()

@@ -1,1 +1,1 @@
-"""The picture as it is painted, the overlays on it, and the panel beside it."""
+"""The image, the overlays on it, and the panel beside it."""

@@ -1,4 +1,4 @@
-"""The frames of a clip that are shown: decoded ahead in a thread, and kept as long as there is room."""
+"""The cache of a clip's frames: decoded ahead in a thread, and kept within a limit of memory."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from supple.files.clips import open_clip
 Pixels = npt.NDArray[np.uint8]
 Span = tuple[int, int]
 
-ROOM = 512 << 20  # bytes of frames that are kept
+ROOM = 512 << 20  # bytes of cached frames
 
 
 class FrameCache:
-    """A clip's frames as (rows, columns, 4) of sRGB, each there some time after it is asked for.
+    """A clip's frames as (rows, columns, 4) of sRGB, decoded on request.
 
-    As many are kept as there is room for, in bytes.
+    The number of cached frames depends on their bytes.
 
     Raises
     ------
@@ -42,8 +42,8 @@ class FrameCache:
             self.starts = found if len(found) == clip.count else ()
             """Seconds at which each frame is shown, where they are not evenly spaced."""
         self.size: tuple[int, int] = (width, height)
-        self.most = max(4, room // (4 * width * height))  # how many frames are kept
-        self.error = ""  # why no more frames come, if none do
+        self.most = max(4, room // (4 * width * height))  # the number of cached frames
+        self.error = ""  # the reason why decoding has stopped
         self._frames: OrderedDict[int, Pixels] = OrderedDict()
         self._wanted: tuple[Span, ...] = ((0, 0),)
         self._news = threading.Condition()
@@ -55,9 +55,9 @@ class FrameCache:
         self._thread.start()
 
     def want(self, first: int, last: int, *others: Span) -> None:
-        """Ask for frames ``first`` to ``last``, and others; what follows the first is decoded too, while there is room.
+        """Request frames ``first`` to ``last``, and others; frames after the first too, while there is room.
 
-        Where decoding has failed, it is tried again once other frames are asked for.
+        After an error, decoding is tried again for another request.
         """
         with self._news:
             wanted = tuple((max(0, a), min(self.count - 1, b)) for a, b in ((first, last), *others))
@@ -69,7 +69,7 @@ class FrameCache:
             self._news.notify_all()
 
     def get(self, frame: int) -> Pixels | None:
-        """A frame, if it is there."""
+        """Return a frame, or None while it is not decoded."""
         with self._news:
             found = self._frames.get(frame)
             if found is not None:
@@ -77,12 +77,12 @@ class FrameCache:
             return found
 
     def wait(self, first: int, last: int, seconds: float) -> bool:
-        """Wait until frames are there; whether they are."""
+        """Wait for frames; return whether they are there."""
         self.want(first, last)
         return self.arrived(seconds)
 
     def arrived(self, seconds: float) -> bool:
-        """Wait until all that was asked for last is there, or nothing more comes; whether it did not take too long."""
+        """Wait for the last request, or the end of decoding; return whether it was in time."""
         with self._news:
             return self._news.wait_for(lambda: bool(self.error) or self._there(), seconds)
 
@@ -97,12 +97,12 @@ class FrameCache:
         self._thread.join(5.0)
 
     def _next(self) -> int | None:
-        """Which frame is to be decoded next; None for none now."""
+        """Return the next frame to decode; None if there is none."""
         due = (k for first, last in self._due_spans() for k in range(first, last + 1))
         return next((k for k in due if k not in self._frames), None)
 
     def _due_spans(self) -> tuple[Span, ...]:
-        """Frames that are wanted, and then those after the first of them, as many as are kept beside those."""
+        """Return the requested frames, and then those after the first of them, as many as fit the cache."""
         first = self._wanted[0][0]
         return *self._wanted, (first, min(self.count, first + self.most * 3 // 4) - 1)
 
@@ -111,20 +111,20 @@ class FrameCache:
             with open_clip(self._path, count=self.count) as clip:
                 while not self._closed:
                     self._decode(clip)
-        except Exception as error:  # a thread has nobody to tell but those who wait
+        except Exception as error:  # threads that wait see the error
             kind = "" if isinstance(error, SuppleError) else f"{self.name} cannot be decoded: "
             with self._news:
                 self.error = f"{kind}{error}"
                 self._news.notify_all()
 
     def _decode(self, clip: Any) -> None:
-        """Decode on from what is wanted, until that lies behind, or beyond where decoding may begin anew."""
+        """Decode from the requested frame on, until it lies behind, or beyond the next key frame."""
         arrays = [np.empty((*g.shape, g.channels), clip.layout.dtype) for g in clip.layout.groups]
         begin = self._due()
         if begin is None:
             return
         kept = 0
-        seeks = hasattr(clip, "frames_from")  # numbered pictures do not
+        seeks = hasattr(clip, "frames_from")  # image sequences need none
         found = clip.frames_from(begin) if seeks else (pair for pair in enumerate(clip.frames()))
         with contextlib.closing(found) as frames:
             for at, picture in frames:
@@ -143,11 +143,11 @@ class FrameCache:
                         self._news.notify_all()
                     kept += 1
         with self._news:
-            if not kept and self._next() == begin:  # or it would be sought for ever
+            if not kept and self._next() == begin:  # otherwise it would be sought forever
                 raise SuppleError(f"{self.name} ends before frame {begin}")
 
     def _due(self) -> int | None:
-        """Wait until a frame is to be decoded; None if it is closed."""
+        """Wait for the next frame to decode; None if the cache is closed."""
         with self._news:
             self._news.wait_for(lambda: self._closed or self._next() is not None)
             return None if self._closed else self._next()

@@ -1,4 +1,4 @@
-"""Overlays on the picture: the brush's ring, the strokes' handles, the timeline, and the status line."""
+"""Overlays on the image: the brush's ring, the strokes' handles, the timeline, and the status line."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _BARE = (
 
 
 def draw(view: View) -> None:
-    """Draw all of it."""
+    """Draw all overlays."""
     lines = imgui.get_background_draw_list()
     width, height = view.area
     lines.push_clip_rect((0, 0), (width, height))
@@ -45,7 +45,7 @@ def draw(view: View) -> None:
 
 
 def _knob(view: View, lines: imgui.ImDrawList) -> None:
-    """Where the cut between before and after can be taken."""
+    """Draw the knob of the split between before and after."""
     knob = view.tools.knob
     if knob is None:
         return
@@ -68,7 +68,7 @@ def _handles(view: View, lines: imgui.ImDrawList) -> None:
         start, end = viewport.to_canvas(*stroke.at[:2]), viewport.to_canvas(*arrival.arrived[:2])
         colour = _BLUE if selected else 0x90FFFFFF
         if isinstance(view.stage, VideoStage):
-            # Of another frame, they are faint, and cannot be taken.
+            # Handles of other frames are faint, and cannot be dragged.
             there = [abs(t - view.frame) <= 0.5 for t in (stroke.at[2], arrival.arrived[2])]
             if not all(there):
                 for place, seen in zip((start, end), there, strict=True):
@@ -84,7 +84,7 @@ def _handles(view: View, lines: imgui.ImDrawList) -> None:
 
 
 def _marks(view: View, lines: imgui.ImDrawList) -> None:
-    """The strokes of a volume as the camera sees them."""
+    """Draw the strokes of a volume as seen by the camera."""
     tools, document = view.tools, view.document
     assert isinstance(tools, VolumeTools)
     handles = tools.handles()
@@ -103,7 +103,7 @@ def _marks(view: View, lines: imgui.ImDrawList) -> None:
 
 
 def _end(lines: imgui.ImDrawList, end: Pair, colour: int, wanted: Pair | None) -> None:
-    """Where a stroke's point arrives, and where it was to go, if that is elsewhere."""
+    """Draw the end of a stroke, and its target, if they differ."""
     lines.add_circle(end, 5.0, colour, 0, 2.0)
     if wanted is not None:
         lines.add_line(end, wanted, _RED, 1.5)
@@ -137,7 +137,7 @@ def _timeline(view: View, stage: VideoStage) -> None:
 
 
 def _marked(playback: Playback) -> None:
-    """The part of the timeline that is played, if it is not all."""
+    """Mark the played part of the timeline, if it is not all."""
     if (playback.first, playback.last) == (0, playback.count - 1):
         return
     low, high = imgui.get_item_rect_min(), imgui.get_item_rect_max()
@@ -154,22 +154,22 @@ def _status(view: View) -> None:
     imgui.begin("status", None, _BARE)
     said = status(view)
     imgui.text(said)
-    hint(said.replace("   |   ", "\n"))  # all of it, where the window is narrow
+    hint(said.replace("   |   ", "\n"))  # the full text, if the window is narrow
     imgui.end()
     imgui.pop_style_var()
 
 
 def status(view: View) -> str:
-    """The line of status: a message, or the point under the pointer; frames a second; and the certified error."""
+    """Draw the status line: a message, or the point under the pointer; frames a second; and the certified error."""
     parts = [view.stage.trouble]
     tools, document = view.tools, view.document
     trouble = tools.status or view.commands.message
     if trouble:
         parts.append(trouble)
-    elif (hover := tools.hover) is not None:  # of a volume, it sends a ray
+    elif (hover := tools.hover) is not None:  # for a volume, it casts a ray
         names = {"image": "xy", "video": "xyt", "volume": "xyz"}[view.stage.kind]
         parts.append("  ".join(f"{name} {v:.1f}" for name, v in zip(names, hover, strict=False)))
-        if document.dragging and document.selected is not None:  # what is held stays under the pointer
+        if document.dragging and document.selected is not None:  # the held point stays under the pointer
             by = document.seen(document.selected).by
             parts.append("by " + " ".join(f"{v:+.1f}" for v in by))
         elif not isinstance(view.stage, VolumeStage):

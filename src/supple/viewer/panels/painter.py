@@ -1,4 +1,4 @@
-"""Pictures of a stage as large as the canvas, or smaller while a hand moves and the device is slow."""
+"""Images of a stage at the size of the canvas, or smaller during a drag on a slow device."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from supple.engines.wgpu.screen import ALL, Part, canvas_texture
 from supple.render.camera import Camera
 from supple.viewer.panels.stages import ImageStage, VolumeStage
 
-FRAME = 0.05  # seconds that a frame may take while a hand moves
+FRAME = 0.05  # seconds of a frame during a drag
 COARSEST = 8
 _HOME = Camera()
 
 
 def _about_the_middle(seen: tuple[int, int], drawn: tuple[int, int]) -> Part:
-    """The visible part of a volume's picture: a camera looks at its middle, and fits the shorter side."""
+    """Return the visible part of a volume's image: a camera looks at its centre, and fits the shorter side."""
     pixel = min(seen) / min(drawn)
     width, height = (n / (m * pixel) for n, m in zip(seen, drawn, strict=True))
     return 0.5 - 0.5 * width, 0.5 - 0.5 * height, width, height
@@ -28,39 +28,39 @@ def _about_the_middle(seen: tuple[int, int], drawn: tuple[int, int]) -> Part:
 
 @dataclass(frozen=True, slots=True)
 class Shot:
-    """A request for a picture."""
+    """A request for an image."""
 
     deformation: Deformation
-    size: tuple[int, int]  # columns and rows of the part of the canvas, in physical pixels
-    moving: bool = False  # a hand moves: a smaller picture will do
-    origin: tuple[float, float] = (0.0, 0.0)  # where the first physical pixel lies in the picture
-    scale: float = 1.0  # how far it is from there to the next, in pixels of the picture
+    size: tuple[int, int]  # columns and rows of the image's area of the canvas, in physical pixels
+    moving: bool = False  # during a drag, a smaller image will do
+    origin: tuple[float, float] = (0.0, 0.0)  # the position of the first physical pixel in the image
+    scale: float = 1.0  # the step to the next, in pixels of the image
     time: float = 0.0  # the frame
     camera: Camera = _HOME
     overlay: str = ""  # one of `supple.engines.wgpu.plate.OVERLAYS`
-    original: bool = False  # show what it was
+    original: bool = False  # show the original
     split: bool = False  # show both
-    ratio: float = 1.0  # physical pixels along the side of a logical one
+    ratio: float = 1.0  # physical pixels for each logical pixel
 
 
 class Painter:
-    """Paints a stage."""
+    """A painter of a stage."""
 
     def __init__(self, gpu: Gpu, stage: ImageStage | VolumeStage) -> None:
         self.gpu, self.stage = gpu, stage
         self.coarse = 4 if gpu.software else 1
-        """How many pixels of the canvas one that is drawn covers, along each side, while a hand moves."""
-        self.ready = True  # whether nothing is still to come that the last picture needs
+        """The pixels of the canvas for each drawn one, along each side, during a drag."""
+        self.ready = True  # whether the last image is complete
         self.part: Part = ALL  # the visible part of the textures
         self._textures: dict[tuple[int, tuple[int, int]], Any] = {}
         self._plain: Deformation | None = None
 
     def paint(self, shot: Shot, encoder: Any = None) -> tuple[Any, Any]:
-        """Draw a shot; return the texture of what is seen and, if the shot is split, that of what was.
+        """Draw a shot; return the texture of the result and, if the shot is split, that of the original.
 
-        With an encoder, it is drawn when that is submitted, but for what must be at once.
+        With an encoder, commands are recorded for its submission, except those that must run at once.
         """
-        if shot.split:  # what one needs of a clip might take the other's place
+        if shot.split:  # both need the same frames of a clip
             encoder = None
         before, self.ready = self.stage.trouble, True
         if self._plain is None:
@@ -69,12 +69,12 @@ class Painter:
         if not isinstance(self.stage, VolumeStage):
             self.stage.expect(seen, shot.time)
         textures = [self._drawn(k, shot, deformation, encoder) for k, deformation in enumerate(seen)]
-        # What is wrong with it is said in the line of status, which was laid out before.
+        # The status line, already laid out, shows the error.
         self.ready &= self.stage.trouble == before
         return textures[0], textures[1] if shot.split else None
 
     def learn(self, begun: float) -> None:
-        """Wait for a picture that was begun at a time, and learn from it how large pixels should be next."""
+        """Wait for an image begun at a time, and adapt the size of drawn pixels to its time."""
         wait(self.gpu)
         seconds = time.perf_counter() - begun
         if seconds > FRAME and self.coarse < COARSEST:
@@ -95,7 +95,7 @@ class Painter:
             self.part = _about_the_middle(shot.size, size)
             return texture
         self.part = 0.0, 0.0, shot.size[0] / (size[0] * coarse), shot.size[1] / (size[1] * coarse)
-        # The middle of a coarse pixel lies between those of the fine ones that it covers.
+        # The centre of a coarse pixel lies between those of the fine ones that it covers.
         inset = 0.5 * (coarse - 1) * shot.scale
         sight = Sight(
             (shot.origin[0] + inset, shot.origin[1] + inset),

@@ -1,4 +1,4 @@
-"""The panel beside the picture: strokes by number, the brush, what is shown, and what is done with files."""
+"""The panel beside the image: strokes by number, the brush, the display, and the file commands."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _SAYS = {"damp": "damp what would fold", "flow": "arrive, in smaller steps", "er
 
 
 def panel(view: View) -> None:
-    """Draw all of it."""
+    """Draw the panel."""
     width, height = view.logical
     imgui.set_next_window_pos((width - WIDE, 0))
     imgui.set_next_window_size((WIDE, height))
@@ -79,7 +79,7 @@ def _brush(view: View) -> None:
 
 
 def _reach(reach: float | None, of: str) -> tuple[bool, float | None]:
-    """Return whether a reach is limited, and how far it goes; and whether that was changed."""
+    """Draw the controls of a reach; return whether it was changed, and its value."""
     changed, limited = imgui.checkbox(f"limited{of}", reach is not None)
     hint("Beyond its reach, nothing moves at all")
     if changed:
@@ -104,11 +104,11 @@ def _strokes(view: View) -> None:
     if imgui.small_button("redo"):
         view.attempt(document.redo)
     imgui.end_disabled()
-    state = document.state  # after what the buttons did
+    state = document.state  # after the buttons
     imgui.begin_child("strokes", (0, min(180, 26 + 24 * max(len(state.items), 1))), imgui.ChildFlags_.borders)
     if not state.items:
         imgui.text_disabled("Drag on the picture.")
-    if view.listed != state.selected:  # what is chosen elsewhere is shown
+    if view.listed != state.selected:  # follow selections made elsewhere
         view.listed = state.selected
         if state.selected is not None:
             row = imgui.get_frame_height_with_spacing()
@@ -140,7 +140,7 @@ def _row(view: View, i: int, item: Item, selected: bool) -> None:
 
 
 def described(stroke: Stroke, arrival: Arrival | None) -> str:
-    """All that a stroke is, and where its point arrives, in a few lines."""
+    """Return a description of a stroke, and of its point's position, in a few lines."""
 
     def place(values: Iterable[float]) -> str:
         return f"({', '.join(f'{v:.1f}' for v in values)})"
@@ -232,7 +232,7 @@ def _selected(view: View) -> None:
 
 
 def _typed(view: View, label: str, value: float, form: str) -> tuple[bool, float]:
-    """A number that is typed; and whether that is over, by Enter or by leaving it."""
+    """Draw a field for a number; return whether it is entered, by Enter or by leaving it, and the number."""
     changed, now = imgui.input_float(label, value, 0.0, 0.0, form)
     if changed:
         view.typed[label] = now
@@ -268,13 +268,13 @@ def _volume(view: View) -> None:
 
 
 def _show(view: View, work: Callable[[], object]) -> None:
-    """Show a volume in another way, if it is not refused."""
+    """Change the display of a volume, and show an error if it is refused."""
     view.attempt(work)
     view.refresh()
 
 
 def _transfer(view: View, stage: VolumeStage) -> None:
-    """The points of the transfer function: values, colours and opacities."""
+    """Draw the points of the transfer function: values, colours and opacities."""
     if not imgui.tree_node("transfer function"):
         return
     transfer = stage.scene.transfer
@@ -351,7 +351,7 @@ def _files(view: View) -> None:
 
 
 def question(view: View) -> None:
-    """Draw the open question over all else."""
+    """Draw the open question above everything else."""
     asked = view.commands.asked
     if asked is None:
         return
@@ -368,13 +368,13 @@ def question(view: View) -> None:
         imgui.set_next_item_width(wide)
         if asked.fresh:
             imgui.set_keyboard_focus_here()
-            imgui.get_io().clear_events_queue()  # what was typed before it was asked is not its answer
+            imgui.get_io().clear_events_queue()  # drop input from before the question
             imgui.get_io().clear_input_keys()
         entered, asked.path = imgui.input_text("##path", asked.path, imgui.InputTextFlags_.enter_returns_true)
         if entered:
             answer = asked.choices[0]
     if not asked.fresh and imgui.is_key_pressed(imgui.Key.enter):
-        answer = answer or asked.choices[0]  # wherever the keyboard's focus is
+        answer = answer or asked.choices[0]  # for any focus of the keyboard
     asked.fresh = False
     if asked.problem:
         _wrapped(asked.problem, wide)
@@ -393,6 +393,6 @@ def question(view: View) -> None:
 
 
 def hint(text: str | Callable[[], str]) -> None:
-    """Say something of the last thing, when the pointer stays on it; what is a function is only asked then."""
+    """Show a hint on the last item, if the pointer rests on it; a function is called only then."""
     if imgui.is_item_hovered(imgui.HoveredFlags_.delay_short):
         imgui.set_tooltip(text if isinstance(text, str) else text())

@@ -1,4 +1,4 @@
-"""The stages that a window shows, one for each medium: each draws itself, through strokes, into a texture."""
+"""The stages of a window, one for each kind of media: each draws itself, through strokes, into a texture."""
 
 from __future__ import annotations
 
@@ -43,20 +43,20 @@ class ImageStage:
 
     def _lay(self, name: str, size: tuple[int, int], plate: Plate) -> None:
         self.name, self.size, self._plate = name, size, plate
-        self.trouble = ""  # why what is seen is not the whole truth, if it is not
+        self.trouble = ""  # the reason why the display is incomplete
         self._under: tuple[Deformation, Point, Point] | None = None
 
     def expect(self, deformations: tuple[Deformation, ...], time: float) -> None:
-        """Hear what is drawn next: all of a picture is always there."""
+        """Prepare the next drawing: an image is always complete."""
 
     def draw(self, deformation: Deformation, sight: Sight, texture: Any, encoder: Any = None) -> bool:
-        """Draw what a window shows, or have an encoder do it; whether all that is needed was there."""
+        """Draw the visible part, or record it into an encoder; return whether it is complete."""
         space = deformation.space
         self._plate.draw(sight, space.table, space.axes, texture, encoder)
         return True
 
     def value(self, point: tuple[float, float], time: float, deformation: Deformation | None = None) -> str:
-        """The value of the pixel that is seen at a point of a frame, through strokes if they are given."""
+        """Return the value of the pixel at a point of a frame, through strokes if they are given."""
         x, y, frame = self._source(deformation, (*point, time))
         pixels, x, y = self._frame(frame), math.floor(x + 0.5), math.floor(y + 0.5)
         if pixels is None or not (0 <= x < pixels.shape[1] and 0 <= y < pixels.shape[0]):
@@ -68,7 +68,7 @@ class ImageStage:
         return self.pixels
 
     def _source(self, deformation: Deformation | None, point: Point) -> Point:
-        """The point T⁻¹(x), or x without strokes; the last one is kept."""
+        """Return the point T⁻¹(x), or x without strokes; the last one is cached."""
         if deformation is None or deformation.is_identity:
             return point
         last = self._under
@@ -92,7 +92,7 @@ class VideoStage(ImageStage):
         self._spans: dict[tuple[Deformation, float], Span] = {}
 
     def expect(self, deformations: tuple[Deformation, ...], time: float) -> None:
-        """Hear what is drawn next: its frames are asked for at once, as those of one might displace another's."""
+        """Prepare the next drawing: request its frames together, since separate requests might displace each other."""
         needed = {(d, time): self._spans.get((d, time)) or self.needed(d, time) for d in deformations}
         self._spans, self.trouble, slots = needed, "", self._plate.slots
         most = max(last - first + 1 for first, last in needed.values())
@@ -102,11 +102,11 @@ class VideoStage(ImageStage):
         self.film.want(*first, *others)
 
     def _kept(self, span: Span) -> Span:
-        """As many frames as there is room for."""
+        """Return as many frames as fit the device."""
         return span[0], min(span[1], span[0] + self._plate.slots - 1)
 
     def draw(self, deformation: Deformation, sight: Sight, texture: Any, encoder: Any = None) -> bool:
-        """Draw what a window shows of a frame that was expected, or have an encoder do it; whether that is all."""
+        """Draw the visible part of an expected frame, or record it into an encoder; return whether it is complete."""
         first, last = self._kept(self._spans[deformation, sight.time])
         ready = self._laid(first, last)
         space, plate = deformation.space, self._plate
@@ -118,7 +118,7 @@ class VideoStage(ImageStage):
         return bool(self.film.error)
 
     def _laid(self, first: int, last: int) -> bool:
-        """Bring frames onto the device; whether all are there."""
+        """Upload frames to the device; return whether all are there."""
         plate = self._plate
         for k in range(first, last + 1):
             if plate.earliest <= k < plate.earliest + plate.held:
@@ -130,7 +130,7 @@ class VideoStage(ImageStage):
         return True
 
     def needed(self, deformation: Deformation, time: float) -> tuple[int, int]:
-        """Which frames one is made of, as far as points of a grid tell."""
+        """Return the range of frames read for a frame, from points of a grid."""
         low = high = time
         if not deformation.is_identity and deformation.ndim == 3:
             width, height = self.size
@@ -148,7 +148,7 @@ class VideoStage(ImageStage):
 
 
 class VolumeStage:
-    """A volume, through a transfer function of some name; where it holds several, the samples are of one."""
+    """A volume with a transfer function; of a series, one volume."""
 
     kind: Kind = "volume"
 
@@ -161,10 +161,10 @@ class VolumeStage:
         self.scene = self._made(preset)
         self.shape, self.spacing = self.scene.shape, tuple(volume.geometry.spacing)
         counts, _ = np.histogram(self.scene.samples, 96, self.scene.range)
-        self.histogram = np.log1p(counts).astype(np.float32)  # logarithms of how many voxels have which value
+        self.histogram = np.log1p(counts).astype(np.float32)  # logarithms of voxel counts by value
         self._plain = self.scene
         self._deformation: Deformation | None = None
-        self.trouble = self.warned = ""  # a remark on the picture that is shown, if there is one
+        self.trouble = self.warned = ""  # a remark on the displayed image
 
     def _made(self, transfer: TransferFunction | str) -> Scene:
         device = "gpu" if self._gpu.software else "auto"
@@ -176,13 +176,13 @@ class VolumeStage:
         return scene
 
     def set_mode(self, mode: str) -> None:
-        """Show it in another of the four ways."""
+        """Set the mode of rendering."""
         self.mode = mode
         self._plain = self._made(self.scene.transfer)
         self.scene, self._deformation = self._plain, None
 
     def deform(self, deformation: Deformation) -> Scene:
-        """The scene through strokes; that of the last ones is kept."""
+        """Return the scene with strokes; the last one is cached."""
         if deformation.is_identity:
             return self._plain
         if deformation is not self._deformation:
@@ -193,7 +193,7 @@ class VolumeStage:
         return self.scene
 
     def look(self, transfer: TransferFunction | str, density: tuple[float, float] | None) -> None:
-        """Show it through another transfer function."""
+        """Set another transfer function."""
         self.preset, self.density = transfer if isinstance(transfer, str) else "", density
         self.scene = self.scene.seen_through(transfer, density)
         self._plain = self._plain.seen_through(transfer, density)
@@ -201,17 +201,17 @@ class VolumeStage:
     def draw(
         self, deformation: Deformation, camera: Camera, size: tuple[int, int], texture: Any, overlay: str = ""
     ) -> None:
-        """Draw it into a texture, of columns and rows."""
+        """Render into a texture of columns and rows."""
         self.deform(deformation).draw(texture, camera, (size[1], size[0]), background=BACK, overlay=overlay)
 
     def fill(self, deformation: Deformation, camera: Camera, size: tuple[int, int], seconds: float) -> float:
-        """Go on with the buffer; how much of it is there."""
+        """Fill a part of the buffer; return the filled part."""
         if deformation.is_identity:
             return 1.0
         return self.deform(deformation).fill(camera, (size[1], size[0]), seconds=seconds)
 
     def value(self, pick: Pick) -> str:
-        """The value of the voxel that is seen, and where it is seen, in millimetres."""
+        """Return the value of a picked voxel, and its position on screen, in millimetres."""
         last, geometry = [n - 1 for n in reversed(self.shape)], self.volume.geometry
         x, y, z = np.clip(np.floor(np.array(pick.source) + 0.5), 0, last).astype(int)
         place = ", ".join(f"{v:.1f}" for v in geometry.to_world(pick.index))
@@ -219,7 +219,7 @@ class VolumeStage:
 
 
 def on_screen(picture: Picture) -> Pixels:
-    """A picture's pixels as (rows, columns, 4), through its colour profile, if it has one."""
+    """Return an image's pixels as (rows, columns, 4), through its colour profile, if it has one."""
     pixels = picture.pixels
     if picture.icc and pixels.ndim == 3 and pixels.dtype in (np.uint8, np.uint16):
         kind = "rgb16" if pixels.dtype == np.uint16 else "srgb"
@@ -228,15 +228,15 @@ def on_screen(picture: Picture) -> Pixels:
         image = image.mutate(lambda m: m.set_type(pyvips.GValue.blob_type, "icc-profile-data", picture.icc))
         try:
             return shown(np.asarray(image.icc_transform("srgb", embedded=True).numpy()), alpha=picture.alpha)
-        except pyvips.Error:  # a profile that is none, or one for other colours
+        except pyvips.Error:  # an invalid profile, or one for other colours
             pass
     return shown(pixels, alpha=picture.alpha)
 
 
 def shown(array: npt.NDArray[Any], *, alpha: bool | None = None) -> Pixels:
-    """Any array (H, W[, C]) of a picture as (rows, columns, 4): grey or RGB; of floats, 0 is black and 1 is white.
+    """Return an image array (H, W[, C]) as (rows, columns, 4): grey or RGB; of floats, 0 is black and 1 is white.
 
-    The last channel is opacity if ``alpha`` says so; of two or four channels, by default.
+    The last channel is opacity if ``alpha``; by default, for two or four channels.
     """
     deep = array if array.ndim == 3 else array[..., None]
     channels = deep.shape[2]
@@ -259,7 +259,7 @@ def _eight(array: npt.NDArray[Any]) -> Pixels:
     if kind == np.uint16:
         return np.asarray((array + np.uint32(128)) // np.uint32(257), np.uint8)
     values = array.astype(np.float32)
-    if kind.kind in "iu":  # of which nobody knows what is white
+    if kind.kind in "iu":  # types without a known value of white
         low, high = float(values.min()), float(values.max())
         values = (values - low) / (high - low) if high > low else np.zeros_like(values)
     return np.asarray(np.rint(np.clip(np.nan_to_num(values), 0.0, 1.0) * 255), np.uint8)

@@ -1,4 +1,4 @@
-"""The view: a document on a canvas, as the overlays and the panel find it, and the pictures of it."""
+"""The view: a document on a canvas, for the overlays and the panel, and its images."""
 
 from __future__ import annotations
 
@@ -24,29 +24,29 @@ from supple.viewer.panels.painter import Painter, Shot
 from supple.viewer.panels.stages import ImageStage, VideoStage, VolumeStage
 from supple.viewer.tools.brushes import ImageTools, VideoTools, VolumeTools
 
-WIDE = 300  # logical pixels of the panel beside the picture
-BAR, LINE = 44, 24  # and of the timeline and the status line below
-SETTLED = 0.15  # seconds without a change, after which a picture is drawn in full
-PATIENCE = 5.0  # seconds that what is saved waits for the frames it is made of
+WIDE = 300  # logical pixels of the panel
+BAR, LINE = 44, 24  # and of the timeline and the status line
+SETTLED = 0.15  # seconds without a change, after which an image is drawn at full size
+PATIENCE = 5.0  # seconds that saving an image waits for its frames
 
 
 @dataclass(eq=False, repr=False)
 class View:
-    """A medium in a window, and the strokes that are drawn on it."""
+    """A medium in a window, and its strokes."""
 
     stage: ImageStage | VolumeStage
     document: Document
     tools: ImageTools | VolumeTools
     canvas: Any  # of rendercanvas
     gpu: Gpu
-    source: Path | None  # the file, for autosave and export
-    export: Mapping[str, Any]  # what else `supple.warp_file` takes to make what is seen
-    call_later: Callable[[float, Callable[[], None]], Any]  # has a function run in the canvas's loop, after seconds
+    source: Path | None  # the source file, for autosave and export
+    export: Mapping[str, Any]  # other options of `supple.warp_file`, for the same image
+    call_later: Callable[[float, Callable[[], None]], Any]  # calls a function in the canvas's loop, after seconds
 
     def __post_init__(self) -> None:
         self.overlay = ""
         self.listed: int | None = None
-        self.typed: dict[str, float] = {}  # numbers that are being typed in the panel
+        self.typed: dict[str, float] = {}  # numbers being typed in the panel
         self.filled = 0.0
         self.painter = Painter(self.gpu, self.stage)
         leave = partial(self.call_later, 0, self.canvas.close)
@@ -61,11 +61,11 @@ class View:
 
     @property
     def recipe(self) -> Recipe:
-        """The edit history."""
+        """The recipe of the document."""
         return self.document.recipe
 
     def on_change(self, call: Callable[[Recipe], None]) -> Callable[[Recipe], None]:
-        """Call a function with the recipe whenever it changes; it can be used as a decorator."""
+        """Call a function with the recipe after each change; it can be used as a decorator."""
         if not self._callbacks:
             self._told = self.document.recipe
         self._callbacks.append(call)
@@ -73,31 +73,31 @@ class View:
 
     @property
     def logical(self) -> tuple[float, float]:
-        """The canvas, in logical pixels."""
+        """The size of the canvas, in logical pixels."""
         width, height = self.canvas.get_logical_size()
         return max(float(width), 1.0), max(float(height), 1.0)
 
     @property
     def area(self) -> tuple[float, float]:
-        """The part of it that the picture has, from the upper left corner."""
+        """The size of the image's area, at the upper left corner."""
         width, height = self.logical
         below = LINE + (BAR if self.stage.kind == "video" else 0)
         return max(width - WIDE, 64.0), max(height - below, 64.0)
 
     def refresh(self) -> None:
-        """Draw anew, in full."""
+        """Draw again, at full size."""
         self._drawn_key = None
         if isinstance(self.tools, VolumeTools):
             self.tools.forget()
         self.canvas.request_draw()
 
     def attempt(self, work: Callable[[], object]) -> None:
-        """Do what may be refused, and say so then."""
+        """Call a function, and show its error in the status line."""
         self.commands.attempt(work)
         self.canvas.request_draw()
 
     def _changed(self) -> None:
-        """Draw it, and tell whoever wants to know of another recipe."""
+        """Draw again, and call the listeners for a new recipe."""
         self._changed_at, self.filled = time.perf_counter(), 0.0
         self.canvas.request_draw()
         if not self._callbacks or (recipe := self.document.recipe) == self._told:
@@ -106,7 +106,7 @@ class View:
         for call in self._callbacks:
             try:
                 call(recipe)
-            except Exception as error:  # its own matter: the window goes on
+            except Exception as error:  # errors of listeners do not end the window
                 self.commands.message = " ".join(f"on_change: {type(error).__name__}: {error}".split())
 
     def _shot(self, moving: bool) -> Shot:
@@ -121,7 +121,7 @@ class View:
 
     @property
     def frame(self) -> float:
-        """The frame that is shown, of a clip."""
+        """The displayed frame of a clip."""
         return float(self.tools.playback.frame) if isinstance(self.tools, VideoTools) else 0.0
 
     @property
@@ -130,41 +130,41 @@ class View:
 
     @property
     def _filling(self) -> bool:
-        """Return whether to wait for a volume's buffer before it is drawn in full, which takes seconds without it."""
+        """Return whether to wait for a volume's buffer before drawing at full size, which is slow without it."""
         slow = isinstance(self.stage, VolumeStage) and self.stage.mode == "hybrid" and self.gpu.software
         return slow and self.filled < 1.0 and not self.document.deformation.is_identity
 
     @property
     def busy(self) -> bool:
-        """Return whether frames are drawn one after the other, so that it matters how many."""
+        """Return whether frames follow each other, so that their rate matters."""
         return self.rate >= 1.5 and (self.tools.dragging or self._playing or self._filling or self._lately)
 
     @property
     def _lately(self) -> bool:
-        """Return whether there was a change just now."""
+        """Return whether there was a recent change."""
         return time.perf_counter() - self._changed_at < SETTLED
 
     @property
     def rate(self) -> float:
-        """Frames a second, lately."""
+        """The recent frames a second."""
         if len(self._frames) < 2 or time.perf_counter() - self._frames[-1] > 1.0:
             return 0.0
         return (len(self._frames) - 1) / max(self._frames[-1] - self._frames[0], 1e-9)
 
     def write(self, path: str, force: bool) -> None:
-        """Write the picture as it is on the canvas, drawn in full."""
+        """Write the image of the canvas, drawn at full size."""
         image.write(path, self.pixels(), force=force)
 
     def pixels(self) -> np.ndarray[Any, np.dtype[np.uint8]]:
-        """Return the picture that is seen, drawn in full: (rows, columns, 3) of sRGB.
+        """Return the visible image, drawn at full size: (rows, columns, 3) of sRGB.
 
         Raises
         ------
         SuppleError
-            If frames that it is made of do not come.
+            If its frames are not decoded in time.
         """
         shot = self._shot(moving=False)
-        self._drawn_key = None  # what is on the canvas is drawn over
+        self._drawn_key = None  # the canvas must be drawn again
         (first, second), stage = self.painter.paint(shot), self.stage
         if isinstance(stage, VideoStage):
             end = time.perf_counter() + PATIENCE

@@ -1,4 +1,4 @@
-"""The brushes of pictures, videos and volumes: how a drag, the wheel and the keys are taken in each."""
+"""The brushes of images, videos and volumes: their reaction to drags, the wheel and keys."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from supple.viewer.tools.gestures import Event, Held, Pair, Tools, commanded, sh
 from supple.viewer.tools.playback import Playback
 from supple.viewer.tools.viewport import Viewport
 
-ZOOM = 1.2  # how many times larger a picture is after a notch of the wheel, which is 100
+ZOOM = 1.2  # the zoom factor of a notch of the wheel, which is 100
 
 _LEFT, _RIGHT, _MIDDLE = 1, 2, 3
 
@@ -28,9 +28,9 @@ def _pans(event: Event) -> bool:
 
 
 class ImageTools(Tools[Viewport]):
-    """Edits a picture: a left drag pulls what is under the pointer.
+    """The tools of an image: a left drag pulls the point under the pointer.
 
-    The canvas has a width and a height in logical pixels; the ratio says how many physical ones lie along such a pixel.
+    The canvas has a width and a height in logical pixels; the ratio is that of physical to logical pixels.
     """
 
     def __init__(self, document: Document, canvas_size: Pair, pixel_ratio: float = 1.0) -> None:
@@ -39,7 +39,7 @@ class ImageTools(Tools[Viewport]):
 
     @property
     def viewport(self) -> Viewport:
-        """How the picture lies on the canvas."""
+        """The position of the image on the canvas."""
         return self.view
 
     @viewport.setter
@@ -48,17 +48,17 @@ class ImageTools(Tools[Viewport]):
 
     @property
     def canvas_size(self) -> Pair:
-        """Width and height of the canvas, in logical pixels."""
+        """The width and height of the canvas, in logical pixels."""
         return self.view.canvas_size
 
     @property
     def hover(self) -> tuple[float, ...] | None:
-        """The point under the pointer, in pixels; it may lie outside the picture."""
+        """The point under the pointer, in pixels; it may lie outside the image."""
         return None if self.pointer is None else self.view.to_image(*self.pointer)
 
     @property
     def ring(self) -> float | None:
-        """The brush's radius under the pointer, in logical pixels; None beside the canvas."""
+        """The brush's radius under the pointer, in logical pixels; None outside of the canvas."""
         held, pointer = self.held, self.pointer
         if pointer is None or not all(p < n for p, n in zip(pointer, self.canvas_size, strict=True)):
             return None
@@ -98,12 +98,12 @@ class ImageTools(Tools[Viewport]):
 
 
 class VideoTools(ImageTools):
-    """Edits a clip: what is held can be carried through time, too, by the wheel or the arrow keys."""
+    """The tools of a clip: the held point can be moved through time, too, by the wheel or the arrow keys."""
 
     def __init__(self, document: Document, playback: Playback, canvas_size: Pair, pixel_ratio: float = 1.0) -> None:
         super().__init__(document, canvas_size, pixel_ratio)
         self.playback = playback
-        self._frame = 0  # that was shown when something was taken
+        self._frame = 0  # displayed at the start of the drag
 
     @property
     def hover(self) -> tuple[float, ...] | None:
@@ -130,7 +130,7 @@ class VideoTools(ImageTools):
         self.playback.seek(self._frame)
 
     def _carry(self, held: Held, frames: float) -> None:
-        """Carry what is held through time, by whole frames; the frame that is shown follows."""
+        """Move the held point through time, by whole frames; the displayed frame follows."""
         start = held.point[2]
         first, last = -start, self.playback.count - 1 - start
         held.turned = min(max(held.turned + frames, first), last)
@@ -163,16 +163,16 @@ class VideoTools(ImageTools):
             playback.step(step)
         elif key not in acts:
             return super()._key(key)
-        elif held is None:  # otherwise, the frame that is shown is where it is held
+        elif held is None:  # otherwise, the displayed frame is that of the held point
             acts[key]()
         return True
 
 
 class VolumeTools(Tools[Camera]):
-    """Edits a volume: a left drag pulls what is seen under the pointer, in the camera's plane; beside it, it turns.
+    """The tools of a volume: a left drag pulls the picked point in the camera's plane; beside the volume, it orbits.
 
-    What is seen at a point of the canvas, and how far that goes if it is dragged to another, is told by ``pick`` and
-    ``drag``, as by `supple.render.scene.Scene.pick` and `supple.render.scene.Scene.drag`.
+    ``pick`` and ``drag`` return the point at a pixel and the drag to another, as in `supple.render.scene.Scene.pick`
+    and `supple.render.scene.Scene.drag`.
     """
 
     _beside = "orbit"
@@ -195,25 +195,25 @@ class VolumeTools(Tools[Camera]):
 
     @property
     def camera(self) -> Camera:
-        """Where the camera is."""
+        """The camera."""
         return self.view
 
     @property
     def canvas_size(self) -> Pair:
-        """Width and height of the canvas, in logical pixels."""
+        """The width and height of the canvas, in logical pixels."""
         height, width = self.stage.size
         return float(width), float(height)
 
     @property
     def under(self) -> Pick | None:
-        """Return the point under the pointer; a ray is sent for it when pointer, camera or strokes have changed."""
+        """Return the point under the pointer; a ray is cast after a change of pointer, camera or strokes."""
         key = (self.pointer, self.view, self.stage.size, self.document.revision)
         if self._under is None or self._under[0] != key:
             self._under = key, None if self.pointer is None else self.pick(*self.pointer)
         return self._under[1]
 
     def forget(self) -> None:
-        """Send the ray again: what is seen has changed."""
+        """Cast the ray again, after a change of the image."""
         self._under = None
 
     @property
@@ -224,7 +224,7 @@ class VolumeTools(Tools[Camera]):
 
     @property
     def ring(self) -> float | None:
-        """The brush's radius as it is seen under the pointer, in logical pixels; None where nothing is."""
+        """The brush's radius under the pointer, in logical pixels; None outside of the volume."""
         held = self.held
         point = self.hover if held is None else held.point
         if point is None:
@@ -236,7 +236,7 @@ class VolumeTools(Tools[Camera]):
         found = self._picked = self.pick(x, y)
         if found is None:
             return None
-        # What is seen lies in the volume, but for rounding.
+        # A picked point lies in the volume, but for rounding.
         last = np.array(self.document.shape[::-1]) - 0.5
         return tuple(np.clip(found.index, -0.5, last).tolist())
 
@@ -245,7 +245,7 @@ class VolumeTools(Tools[Camera]):
         return None if seen is None else seen[:2]
 
     def _carried(self, held: Held, x: float, y: float) -> tuple[float, ...]:
-        # A handle is at any depth: only where it is counts.
+        # A handle has no fixed depth; only its position on screen counts.
         picked = self._picked if held.item is None else None
         return self.drag(picked or Pick(held.point, held.point, 0.0), (x, y))  # type: ignore[arg-type]
 
@@ -261,7 +261,7 @@ class VolumeTools(Tools[Camera]):
 
     def _turn(self, event: Event, amount: float) -> None:
         if self.held is not None or shifted(event):
-            self.grow(-amount / 100)  # a camera that moved would see what is held elsewhere
+            self.grow(-amount / 100)  # a moving camera would change the position of the held point
         else:
             self._look(orbit.dolly(self.view, amount, self.stage))
 

@@ -1,4 +1,4 @@
-"""Gestures and keys, whatever the medium: strokes are drawn and edited, and the view is led."""
+"""Gestures and keys for all media: strokes are drawn and edited, and the view is moved."""
 
 from __future__ import annotations
 
@@ -19,28 +19,28 @@ V = TypeVar("V")
 Event = Mapping[str, Any]
 Part = Literal["pivot", "end"]
 
-CLICK = 3.0  # a pointer that is this near to where it was pressed, in logical pixels, has not moved
-HANDLE = 8.0  # how near the pointer must be to a handle, in logical pixels
-KNOB = 10.0  # how near it must be to the knob of the cut between before and after
-GROWTH = 1.1  # how many times larger the brush is after a notch of the wheel, which is 100
+CLICK = 3.0  # logical pixels that a click may move
+HANDLE = 8.0  # the largest distance of the pointer from a handle, in logical pixels
+KNOB = 10.0  # the largest distance from the knob of the split between before and after
+GROWTH = 1.1  # the factor of the brush for a notch of the wheel, which is 100
 _LEFT = 1
 _CUT = "cut"
-_MOST = 1e4  # of what the wheel turns at once: powers of more overflow
+_MOST = 1e4  # the largest turn of the wheel at once: larger powers overflow
 _REQUESTS = {"s": "save", "o": "open", "e": "export"}
 
 
 @dataclass(frozen=True, slots=True)
 class Handle:
-    """Where a stroke can be taken: its pivot, or its end."""
+    """A handle of a stroke: its pivot, or its end."""
 
-    item: int  # which stroke of the document it is
+    item: int  # the index of its stroke
     part: Part
     point: tuple[float, ...]
-    seen: Pair  # where it is on the canvas
+    seen: Pair  # the position on the canvas
 
 
 def nearest(among: Iterable[Handle], place: Pair) -> Handle | None:
-    """The handle under the pointer; where several are, the last."""
+    """Return the handle under the pointer; of several, the last."""
     best, reach = None, HANDLE
     for handle in among:
         away = math.dist(handle.seen, place)
@@ -51,27 +51,27 @@ def nearest(among: Iterable[Handle], place: Pair) -> Handle | None:
 
 @dataclass(slots=True)
 class Held:
-    """A stroke that the pointer holds, while the button is down; places are in logical pixels of the canvas."""
+    """A stroke held by the pointer, while the button is down; positions are in logical pixels of the canvas."""
 
-    stroke: Stroke  # as it was when the button went down; the wheel changes its radius
-    point: tuple[float, ...]  # what the pointer has hold of
-    start: Pair  # where the pointer went down
+    stroke: Stroke  # at the start of the drag; the wheel changes its radius
+    point: tuple[float, ...]  # the held point
+    start: Pair  # the start of the drag
     now: Pair
-    offset: Pair = (0.0, 0.0)  # how far that was from the point
-    item: int | None = None  # which stroke of the document it is; None for a new one
+    offset: Pair = (0.0, 0.0)  # from the point to the start
+    item: int | None = None  # the index of the stroke; None for a new one
     part: Part = "end"
-    turned: float = 0.0  # frames that it was carried through time; the wheel has parts of them
-    time: float = 0.0  # how many whole frames that are, up to the ends of the clip
-    grown: bool = False  # the radius of a stroke of the document was changed
+    turned: float = 0.0  # frames of the drag through time, including fractions from the wheel
+    time: float = 0.0  # the whole frames of it, within the clip
+    grown: bool = False  # whether the radius of an existing stroke was changed
     button: int = 1
 
     @property
     def moved(self) -> bool:
-        """Return whether it is a drag; otherwise it is a click."""
+        """True if it is a drag; otherwise it is a click."""
         return math.dist(self.start, self.now) >= CLICK or self.time != 0
 
     def draw(self, document: Document, carried: Callable[[Held, float, float], tuple[float, ...]]) -> None:
-        """Show it in a document, if it has moved; ``carried`` tells how far it goes to be seen at a place."""
+        """Show the drag in a document, if the pointer has moved; ``carried`` returns its displacement."""
         if not document.dragging:
             if not (self.moved or self.grown):
                 return
@@ -90,36 +90,36 @@ class Held:
 
 @dataclass(slots=True)
 class Lead(Generic[V]):
-    """A view that the pointer leads, while the button is down."""
+    """A view moved by the pointer, while the button is down."""
 
     how: str
     button: int
-    before: V  # when the button went down
-    base: V  # when the pointer was at `start`
+    before: V  # at the start of the drag
+    base: V  # with the pointer at `start`
     start: Pair
     now: Pair
     travelled: bool = False
 
     @property
     def moved(self) -> bool:
-        """Return whether it is a drag; otherwise it is a click."""
+        """True if it is a drag; otherwise it is a click."""
         return self.travelled or math.dist(self.start, self.now) >= CLICK
 
 
 class Tools(ABC, Generic[V]):
-    """Turns events into edits of a document, and leads the view.
+    """Edits of a document and moves of the view, from events.
 
-    Events are those of rendercanvas. Amounts are what counts in them, and not how many there are, as they may come
-    merged. Nothing is raised: what is refused is in `status`. The view, a viewport or a camera, is the first.
+    Events are those of rendercanvas. They may be merged, so that amounts count, and not their number. Errors are shown
+    in `status`. The first argument is the view, a viewport or a camera.
     """
 
-    _beside = "click"  # how the left button leads the view where there is nothing to grab
+    _beside = "click"  # the left button's effect on the view where there is nothing to grab
 
     def __init__(self, document: Document, view: V) -> None:
         self.document = document
         self.view = view
         domain = Domain(document.shape, document.spacing)
-        n = 3 if document.kind == "volume" else 2  # time is not as long as it is wide
+        n = 3 if document.kind == "volume" else 2  # without time
         sides = [max(e, s) for e, s in zip(domain.extent[:n], domain.spacing[:n], strict=True)]
         smallest = min(domain.spacing[:n])
         self.radius_limits = (smallest, 4 * max(sides))
@@ -127,18 +127,18 @@ class Tools(ABC, Generic[V]):
         self.poisson: float | None = None
         self.scales = 1
         self.reach: float | None = REACH
-        self.original = False  # whether what is shown is the original, without strokes
+        self.original = False  # whether to display the original, without strokes
         self.split: float | None = None
-        """Where the original is shown beside what is made of it: a part of the width; None shows no original."""
+        """The split between original and result, as a fraction of the width; None without a split."""
         self.requests: list[str] = []
         """Requests to the window: ``"save"``, ``"save as"``, ``"open"``, ``"export"``."""
-        self.pointer: Pair | None = None  # where the pointer is on the canvas
+        self.pointer: Pair | None = None  # the pointer on the canvas
         self._gesture: Held | Lead[V] | None = None
         self._refused: str | None = None
 
     @property
     def radius(self) -> float:
-        """The brush's radius, in physical units; kept within `radius_limits`."""
+        """The brush's radius, in physical units, within `radius_limits`."""
         return self._radius
 
     @radius.setter
@@ -151,21 +151,21 @@ class Tools(ABC, Generic[V]):
 
     @property
     def held(self) -> Held | None:
-        """The stroke that the pointer holds."""
+        """The stroke held by the pointer."""
         return self._gesture if isinstance(self._gesture, Held) else None
 
     @property
     def dragging(self) -> bool:
-        """Return whether a stroke is being dragged."""
+        """True if a stroke is being dragged."""
         return self.held is not None and self.document.dragging
 
     @property
     def status(self) -> str | None:
-        """Why something was not done, in a line."""
+        """The reason for a refused action, in a line."""
         return self.document.trouble or self._refused
 
     def handle(self, event: Event) -> bool:
-        """Do what an event asks for; return whether it meant anything here."""
+        """Process an event; return whether it had an effect."""
         act = getattr(self, f"_on_{event.get('event_type')}", None)
         if act is None:
             return False
@@ -176,11 +176,11 @@ class Tools(ABC, Generic[V]):
             return True
 
     def press(self, key: str) -> None:
-        """Do what a key does."""
+        """Process a key."""
         self.handle({"event_type": "key_down", "key": key})
 
     def abandon(self) -> bool:
-        """Take back what the pointer does, as if the button had never gone down; return whether it did anything."""
+        """Undo the current drag; return whether there was any."""
         gesture, self._gesture = self._gesture, None
         if isinstance(gesture, Lead):
             self.view = gesture.before
@@ -192,47 +192,47 @@ class Tools(ABC, Generic[V]):
 
     @property
     def knob(self) -> Pair | None:
-        """Where the cut between before and after can be taken; None where there is none."""
+        """The position of the knob of the split; None without a split."""
         width, height = self.canvas_size
         return None if self.split is None else (self.split * width, 0.5 * height)
 
-    # What the kinds of media do in their own ways.
+    # Methods of the kinds of media.
 
     @property
     @abstractmethod
     def canvas_size(self) -> Pair:
-        """Width and height of the canvas, in logical pixels."""
+        """The width and height of the canvas, in logical pixels."""
 
     @abstractmethod
     def _grab(self, x: float, y: float) -> tuple[float, ...] | None:
-        """Return the stroke under a point of the canvas; None if there is none."""
+        """Return the point under a position of the canvas, for a new stroke; None if there is none."""
 
     @abstractmethod
     def _seen(self, point: tuple[float, ...]) -> Pair | None:
-        """Where a point is seen on the canvas, if it is."""
+        """Return the position of a point on the canvas, if it is visible."""
 
     @abstractmethod
     def _carried(self, held: Held, x: float, y: float) -> tuple[float, ...]:
-        """How far what is held goes, if it is to be seen at a point of the canvas."""
+        """Return the displacement of the held point to a position of the canvas."""
 
     @abstractmethod
     def _led(self, how: str, view: V, dx: float, dy: float) -> V:
-        """A view, led by the pointer."""
+        """Return a view moved by the pointer."""
 
     @abstractmethod
     def _leads(self, event: Event) -> str | None:
-        """How a button leads the view, if it does."""
+        """Return a button's effect on the view, if it has one."""
 
     @abstractmethod
     def _turn(self, event: Event, amount: float) -> None:
-        """Do what the wheel does."""
+        """Process the wheel."""
 
     @abstractmethod
     def _key(self, key: str) -> bool:
-        """Do what a key does that not all media have."""
+        """Process a key of this kind of media."""
 
     def _put_back(self, held: Held) -> None:
-        """Put back what a drag changed outside the document."""
+        """Undo changes of a drag outside the document."""
 
     def _on_pointer_down(self, event: Event) -> bool:
         x, y = self.pointer = _place(event)
@@ -251,7 +251,7 @@ class Tools(ABC, Generic[V]):
         return self._gesture is not None
 
     def _taken(self, x: float, y: float) -> Held | None:
-        """A handle of the stroke that is selected; or what is under the pointer, for a new stroke."""
+        """Return a handle of the selected stroke; or a new stroke at the point under the pointer."""
         chosen = self.document.selected
         found = None if chosen is None else nearest(self.handles([chosen]), (x, y))
         if found is not None:
@@ -265,7 +265,7 @@ class Tools(ABC, Generic[V]):
         return Held(stroke, stroke.at, (x, y), (x, y))
 
     def handles(self, among: Iterable[int] | None = None) -> list[Handle]:
-        """The handles of some strokes, or of all, that are applied and seen on the canvas."""
+        """Return the visible handles of some strokes, or of all."""
         found, items = [], self.document.items
         for i in range(len(items)) if among is None else among:
             pivot, end = self.document.handles(i)
@@ -282,7 +282,7 @@ class Tools(ABC, Generic[V]):
         if gesture is None:
             return False
         if gesture.button not in event.get("buttons", (gesture.button,)):
-            return self._released()  # the button went up where the window did not see it
+            return self._released()  # the button was released outside of the window
         self._follow(gesture, self.pointer)
         return True
 
@@ -299,7 +299,7 @@ class Tools(ABC, Generic[V]):
         return False
 
     def _follow(self, gesture: Held | Lead[V], place: Pair) -> None:
-        """Take what is held, or led, to where the pointer is."""
+        """Move the held stroke, or the view, to the pointer."""
         gesture.now = place
         if isinstance(gesture, Held):
             gesture.draw(self.document, self._carried)
@@ -310,7 +310,7 @@ class Tools(ABC, Generic[V]):
             self.view = self._led(gesture.how, gesture.base, x - a, y - b)
 
     def _look(self, view: V) -> None:
-        """Look in another way; the pointer leads it on from there."""
+        """Set the view; a drag of the view continues from there."""
         self.view = view
         lead = self._gesture
         if isinstance(lead, Lead):
@@ -343,7 +343,7 @@ class Tools(ABC, Generic[V]):
         return True
 
     def grow(self, notches: float) -> None:
-        """Make the brush larger, or smaller (below 0); and with it the stroke that is held."""
+        """Enlarge the brush, or shrink it (below 0), with the held stroke."""
         held, factor = self.held, GROWTH**notches
         if held is None or held.item is None:
             self.radius *= factor
@@ -357,7 +357,7 @@ class Tools(ABC, Generic[V]):
         self._refused = None
         key = str(event.get("key", ""))
         if commanded(event):
-            # Some windows name the control character that is typed.
+            # Some toolkits send the control character that is typed.
             letter = chr(ord(key) + 96) if len(key) == 1 and ord(key) < 27 else key.lower()
             return self._command(letter, shifted(event))
         return self._edit(key) or self._key(key)
@@ -401,7 +401,7 @@ class Tools(ABC, Generic[V]):
 
 
 def commanded(event: Event) -> bool:
-    """Return whether Control is held, or what stands for it."""
+    """Return whether Control, or its equivalent, is held."""
     return any(key in event.get("modifiers", ()) for key in ("Control", "Meta"))
 
 

@@ -1,4 +1,4 @@
-"""The camera before a volume: it orbits, pans and comes nearer as the pointer leads it."""
+"""The camera before a volume: orbit, pan and zoom by the pointer."""
 
 from __future__ import annotations
 
@@ -12,54 +12,54 @@ from supple.geometry import Geometry
 from supple.render.camera import Camera, Projection, view_of
 
 TURN = 180.0  # degrees for a drag across the shorter side of the canvas
-FARTHEST = 10.0  # how far away the camera may go, as a multiple of where the whole volume fits
-STEP = 1.1  # how many times farther the camera is after a notch of the wheel, which is 100
+FARTHEST = 10.0  # the largest distance of the camera, in multiples of that at which the volume fits
+STEP = 1.1  # the factor of the distance for a notch of the wheel, which is 100
 
 
 @dataclass(frozen=True, slots=True)
 class Stage:
-    """The volume before a camera, and the canvas that shows it."""
+    """The volume before a camera, and its canvas."""
 
     shape: tuple[int, ...]  # of the volume, (Z, H, W)
     geometry: Geometry
     size: tuple[int, int]  # rows and columns of the canvas, in logical pixels
 
     def view(self, camera: Camera) -> Projection:
-        """The camera, set up."""
+        """Return the projection of a camera."""
         return view_of(camera, self.shape, self.geometry, self.size)
 
     def target(self, camera: Camera) -> tuple[float, ...]:
-        """The target of the camera, in indices, x first."""
+        """Return the target of the camera, in indices, x first."""
         return camera.target or tuple((n - 1) / 2 for n in reversed(self.shape))
 
     def distance(self, camera: Camera) -> float:
-        """How far the camera is from there, in millimetres."""
+        """Return the distance from the camera to its target, in millimetres."""
         if camera.distance is not None:
             return camera.distance
         view = self.view(camera)
         return float(np.linalg.norm((view.eye - self.target(camera)) * view.spacing))
 
     def project(self, camera: Camera, point: tuple[float, ...]) -> tuple[float, float, float] | None:
-        """Where a voxel is seen on the canvas, x and y, and how far it is from the eye; None behind the camera."""
+        """Return the position of a voxel on the canvas, and its distance from the eye; None behind the camera."""
         view = self.view(camera)
         away = (np.asarray(point) - view.eye) * view.spacing
         ahead = float(away @ view.ahead)
         if ahead <= 0:
             return None
         height, width = self.size
-        # A canvas is measured from its corner, a pixel from its middle: the half pixels cancel.
+        # A canvas is measured from its corner, a pixel from its centre: the half pixels cancel.
         x, y = (float(away @ axis / (axis @ axis)) / ahead for axis in view.packed[3:])
         return x + width / 2, y + height / 2, float(np.linalg.norm(away))
 
     def scale(self, camera: Camera, point: tuple[float, ...]) -> float:
-        """How many logical pixels a millimetre is there; 0 behind the camera."""
+        """Return the logical pixels of a millimetre at a point; 0 behind the camera."""
         view = self.view(camera)
         ahead = float((np.asarray(point) - view.eye) * view.spacing @ view.ahead)
         return 1 / (float(np.linalg.norm(view.packed[3])) * ahead) if ahead > 0 else 0.0
 
 
 def orbit(camera: Camera, dx: float, dy: float, stage: Stage) -> Camera:
-    """Turn the volume along with the pointer, which went by logical pixels; not beyond the poles."""
+    """Turn the volume with the pointer, moved by logical pixels; not beyond the poles."""
     roll, step = math.radians(camera.roll), TURN / max(1, min(stage.size))
     across = math.cos(roll) * dx - math.sin(roll) * dy
     along = math.sin(roll) * dx + math.cos(roll) * dy
@@ -71,7 +71,7 @@ def orbit(camera: Camera, dx: float, dy: float, stage: Stage) -> Camera:
 
 
 def pan(camera: Camera, dx: float, dy: float, stage: Stage) -> Camera:
-    """Push the volume along with the pointer; the camera never looks past it."""
+    """Move the volume with the pointer; the camera always looks at it."""
     view, distance = stage.view(camera), stage.distance(camera)
     moved = np.array(stage.target(camera)) - (dx * view.packed[3] + dy * view.packed[4]) * distance / view.spacing
     last = np.array(stage.shape[::-1]) - 1.0
@@ -80,7 +80,7 @@ def pan(camera: Camera, dx: float, dy: float, stage: Stage) -> Camera:
 
 
 def dolly(camera: Camera, amount: float, stage: Stage) -> Camera:
-    """Go nearer (below 0), or away, by what the wheel was turned."""
+    """Move the camera nearer (below 0), or away, by a turn of the wheel."""
     nearest = max(min(stage.geometry.spacing), SMALLEST)
     farthest = FARTHEST * stage.distance(replace(camera, distance=None))
     distance = stage.distance(camera) * STEP ** (amount / 100)

@@ -1,4 +1,4 @@
-"""The playback of a clip: which frame is shown at a time."""
+"""The playback of a clip: the displayed frame at a time."""
 
 from __future__ import annotations
 
@@ -8,109 +8,109 @@ from collections.abc import Sequence
 
 from supple.domain import LONGEST_AXIS, integer, number
 
-_EARLY = 1e-6  # of a frame, by which one is shown too early rather than a whole one too late
+_EARLY = 1e-6  # of a frame: tolerance of early times, against frames that are late by a whole one
 
 
 class Playback:
-    """A clip that plays or stands.
+    """A clip that plays or is paused.
 
-    It keeps time: what comes too late is dropped, and counted. It knows no clock, but is told the time. Frames that are
-    not evenly spaced, at so many a second, start at seconds of their own.
+    It is real-time: late frames are dropped, and counted. The caller passes the time. Without a constant rate, frames
+    have start times in seconds.
     """
 
     def __init__(self, count: int, rate: float, starts: Sequence[float] = ()) -> None:
         self.count = integer("count", count, "a number of frames above 0", 1, LONGEST_AXIS)
         self.rate = number("rate", rate, "a number of frames a second above 0", 1e-6, 1e6)
         self._starts = list(starts)
-        if self._starts:  # the last one lasts as long as the one before
+        if self._starts:  # the last one has the duration of the one before
             self._starts.append(2 * self._starts[-1] - self._starts[-2] if self.count > 1 else 1 / self.rate)
         self.playing = False
         self.loop = False
-        self.dropped = 0  # how many frames were not shown while it played
+        self.dropped = 0  # the number of dropped frames
         self.first, self.last = 0, self.count - 1
-        """The in point and the out point: what is played, both included."""
+        """The in point and the out point of the played part, both included."""
         self._frame = 0
-        self._since: tuple[float, int] | None = None  # when it began to play, and from which frame
+        self._since: tuple[float, int] | None = None  # the start time and the start frame of playback
         self._advanced = 0  # frames since then
 
     @property
     def frame(self) -> int:
-        """The frame that is shown."""
+        """The displayed frame."""
         return self._frame
 
     @property
     def seconds(self) -> float:
-        """The time at which that is shown."""
+        """The time of the displayed frame."""
         return self._starts[self._frame] if self._starts else self._frame / self.rate
 
     def play(self) -> None:
-        """Play on, from the in point if there is nothing more to play."""
+        """Play; from the in point at the end."""
         if not self.first <= self._frame <= self.last or (self._frame == self.last and not self.loop):
             self._frame = self.first
         self.playing, self._since = True, None
 
     def pause(self) -> None:
-        """Stand still."""
+        """Pause."""
         self.playing = False
 
     def toggle(self) -> None:
-        """Play or stand."""
+        """Play or pause."""
         (self.pause if self.playing else self.play)()
 
     def seek(self, frame: float) -> None:
-        """Show a frame, the nearest that there is; if it plays, it plays on from there."""
+        """Display the nearest frame; playback continues from there."""
         self._frame = min(max(math.floor(frame + 0.5), 0), self.count - 1)
         self._since = None
 
     def step(self, frames: int) -> None:
-        """Stand still, some frames further."""
+        """Pause, and advance by some frames."""
         self.pause()
         self.seek(self._frame + frames)
 
     def home(self) -> None:
-        """Show the in point; from there, the first frame."""
+        """Display the in point; from there, the first frame."""
         self.seek(0 if self._frame <= self.first else self.first)
 
     def end(self) -> None:
-        """Show the out point; from there, the last frame."""
+        """Display the out point; from there, the last frame."""
         self.seek(self.count - 1 if self._frame >= self.last else self.last)
 
     def mark_in(self) -> None:
-        """Play from the frame that is shown."""
+        """Set the in point to the displayed frame."""
         self.first = self._frame
         if self.last < self.first:
             self.last = self.count - 1
         self._since = None
 
     def mark_out(self) -> None:
-        """Play up to the frame that is shown."""
+        """Set the out point to the displayed frame."""
         self.last = self._frame
         if self.first > self.last:
             self.first = 0
         self._since = None
 
     def unmark(self) -> None:
-        """Play all."""
+        """Reset the in and out points."""
         self.first, self.last, self._since = 0, self.count - 1, None
 
     def set_loop(self, loop: bool) -> None:
-        """Play over and over, or once."""
+        """Play in a loop, or once."""
         self.loop, self._since = loop, None
 
     def _passed(self, seconds: float, start: int) -> int:
-        """How many frames have passed since one of them was shown, so many seconds ago."""
+        """Return the number of frames passed since a start frame, after some seconds."""
         if not self._starts:
             return math.floor(seconds * self.rate + _EARLY)
         first, end = self._starts[self.first], self._starts[self.last + 1]
         place, turns = self._starts[start] + seconds, 0.0
-        if self.loop and end > first:  # some files have frames that last for nothing
+        if self.loop and end > first:  # some files have frames without a duration
             turns, rest = divmod(place - first, end - first)
             place = first + rest
         shown = bisect.bisect_right(self._starts, place + _EARLY / self.rate, self.first, self.last + 1) - 1
         return int(turns) * (self.last - self.first + 1) + shown - start
 
     def frame_at(self, now: float) -> int:
-        """The frame to show at a time, in seconds of any clock that does not go back."""
+        """Return the frame at a time, in seconds of any monotonic clock."""
         if not self.playing:
             return self._frame
         if self._since is None:

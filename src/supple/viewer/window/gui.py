@@ -1,4 +1,4 @@
-"""Dear ImGui on a canvas: it gets the events, lays out the controls, and they are drawn in few calls."""
+"""Dear ImGui on a canvas: its events, its layout, and its drawing in few calls."""
 
 from __future__ import annotations
 
@@ -41,18 +41,18 @@ _INDEX = {2: "uint16", 4: "uint32"}[imgui.INDEX_SIZE]
 
 
 class Gui:
-    """Draws controls, which a function says each time, in the canvas's format, and hands them the canvas's events."""
+    """Controls laid out by a function in each frame, drawn in the canvas's format, with the canvas's events."""
 
     def __init__(self, gpu: Gpu, canvas: Any, format: str, controls: Callable[[], None]) -> None:
         self._canvas, self._controls = canvas, controls
-        # Of this, what it does with events: it draws with a bind group more for each clip of each frame (wgpu 0.32).
+        # Used for its event handling only: its drawing creates a bind group for each clip rectangle (wgpu 0.32).
         self._renderer = ImguiRenderer(gpu.device, canvas, format)
-        self.trouble = ""  # the error of the last layout, if there was one
+        self.trouble = ""  # the error of the last layout
         io = self._renderer.backend.io
-        # What was not ended, as something went wrong, is ended for us, and the window lives.
+        # ImGui closes open scopes after an error, and the window survives.
         io.config_error_recovery_enable_assert = False
         io.config_error_recovery_enable_tooltip = False
-        # Letters that can be read, and colours that do not glare.
+        # Readable letters, and muted colours.
         style, font = imgui.get_style(), resources.files("imgui_bundle") / "assets" / "fonts" / "DroidSans.ttf"
         with resources.as_file(font) as path:
             if path.is_file():
@@ -63,7 +63,7 @@ class Gui:
         style.item_spacing = imgui.ImVec2(7, 5)
         self._device, self._gamma = gpu.device, 2.2 if format.endswith("srgb") else 1.0
         self._told, self._bytes, self._buffer = Kept(gpu, UNIFORM), bytearray(), None
-        self._letters: dict[int, tuple[Any, Any]] = {}  # textures, and their groups
+        self._letters: dict[int, tuple[Any, Any]] = {}  # textures, and their bind groups
         module = self._device.create_shader_module(code=_SHADER)
         shapes = zip(("float32x2", "float32x2", "unorm8x4"), (0, 8, 16), strict=True)
         attributes = [{"format": f, "offset": o, "shader_location": k} for k, (f, o) in enumerate(shapes)]
@@ -91,13 +91,13 @@ class Gui:
         )
 
     def release(self) -> None:
-        """Hand the next event on, whatever lay under the pointer when the last frame was drawn."""
+        """Pass the next event on, whatever was under the pointer in the last frame."""
         imgui.set_current_context(self._renderer.imgui_context)
         if not imgui.is_popup_open("", imgui.PopupFlags_.any_popup):
             self._renderer.backend.io.want_capture_mouse = False
 
     def lay(self) -> None:
-        """Find out what is to be drawn, and what is wanted with it."""
+        """Run the layout function, and prepare its drawing."""
         imgui.set_current_context(self._renderer.imgui_context)
         ratio, io = self._canvas.get_pixel_ratio(), self._renderer.backend.io
         io.display_size = self._canvas.get_logical_size()
@@ -106,13 +106,13 @@ class Gui:
         self.trouble = ""
         try:
             self._controls()
-        except Exception as error:  # whatever it is: strokes may be unsaved
+        except Exception as error:  # any error: strokes may be unsaved
             self.trouble = " ".join(f"{type(error).__name__}: {error}".split())
         finally:
             imgui.render()
 
     def draw(self, drawing: Any) -> None:
-        """Draw that into a render pass."""
+        """Draw the layout into a render pass."""
         data = imgui.get_draw_data()
         for texture in data.textures or ():
             if texture.status != imgui.ImTextureStatus.ok:
@@ -149,12 +149,12 @@ class Gui:
             index += part.idx_buffer.size()
 
     def _write(self, lists: list[Any]) -> int:
-        """Corners, and then the indices of triangles; where these begin."""
+        """Write vertices, and then the indices of triangles; return the offset of the indices."""
         vectors = [(part.vtx_buffer, imgui.VERTEX_SIZE) for part in lists]
         vectors += [(part.idx_buffer, imgui.INDEX_SIZE) for part in lists]
         sizes = [vector.size() * size for vector, size in vectors]
         begin: int = sum(sizes[: len(lists)])
-        end = begin + sum(sizes[len(lists) :])  # corners are of 20 bytes: indices begin at a whole word
+        end = begin + sum(sizes[len(lists) :])  # vertices have 20 bytes: indices begin at a whole word
         if len(self._bytes) < end + 4:
             self._bytes = bytearray(2 * end + 4)
             self._buffer = self._device.create_buffer(size=len(self._bytes) & ~3, usage="VERTEX|INDEX|COPY_DST")
@@ -166,7 +166,7 @@ class Gui:
         return begin
 
     def _update(self, texture: imgui.ImTextureData) -> None:
-        """Do what is wanted with a texture of letters."""
+        """Create, update or destroy a texture of letters, as requested."""
         status = imgui.ImTextureStatus
         if texture.status == status.want_destroy:
             if texture.unused_frames > 0:
@@ -182,7 +182,7 @@ class Gui:
             texture.set_tex_id(which)
             layout, entries = self._pipeline.get_bind_group_layout(1), [{"binding": 0, "resource": made.create_view()}]
             self._letters[which] = made, self._device.create_bind_group(layout=layout, entries=entries)
-        # All of it: some letters more are rare.
+        # The whole texture: new letters are rare.
         self._device.queue.write_texture(
             {"texture": self._letters[texture.get_tex_id()][0]},
             texture.get_pixels_array(),

@@ -1,4 +1,4 @@
-"""Opening windows: on a screen, in a notebook, or in a browser elsewhere."""
+"""The start of windows: on a screen, in a notebook, or in a remote browser."""
 
 from __future__ import annotations
 
@@ -46,20 +46,20 @@ _PLAIN = VolumeOptions()
 
 @dataclass(frozen=True, slots=True)
 class ViewOptions:
-    """How what is shown is read."""
+    """The options for reading a source."""
 
     spacing: Spacing = _EVEN  # of the voxels of an array, in millimetres, x first
-    time_scale: float = 1.0  # of a clip, how many pixels a frame is worth to the brush
-    volume: VolumeOptions = _PLAIN  # of its file; and whether the first strokes are in places in space
-    fit: Fit | None = None  # of the first strokes, if they were made for another size, as `supple.warp_file` takes it
+    time_scale: float = 1.0  # the length of a clip's frame in pixels, for the brush
+    volume: VolumeOptions = _PLAIN  # of its file; and whether the first strokes are in millimetres
+    fit: Fit | None = None  # the scaling of the first strokes, if made for another size, as in `supple.warp_file`
 
     def __post_init__(self) -> None:
         length("time_scale", self.time_scale)
 
     @property
     def export(self) -> dict[str, Any]:
-        """The arguments with which `supple.warp_file` makes the picture that is seen."""
-        # Strokes are indices here, whatever the first ones were.
+        """The arguments of `supple.warp_file` for the same image as on screen."""
+        # Strokes are indices here, whatever the space of the first ones.
         return {"volume": replace(self.volume, world=False)}
 
 
@@ -67,12 +67,12 @@ _USUAL = ViewOptions()
 
 
 def stage_of(gpu: Gpu, source: Source, options: ViewOptions = _USUAL) -> ImageStage | VolumeStage:
-    """Open the stage of a file, or of an array: a picture (H, W[, C]) or a volume (Z, H, W) more than 4 voxels wide.
+    """Open the stage of a file, or of an array: an image (H, W[, C]) or a volume (Z, H, W) more than 4 voxels wide.
 
     Raises
     ------
     SuppleError
-        If it cannot be read, is more than the GPU takes, or is not of the kind that the options are for.
+        If it cannot be read, does not fit the GPU, or is of another kind than the options.
     """
     if isinstance(source, str | os.PathLike):
         name = shown(source)
@@ -112,7 +112,7 @@ def stage_of(gpu: Gpu, source: Source, options: ViewOptions = _USUAL) -> ImageSt
 
 
 def _moves(source: str | os.PathLike[str]) -> bool:
-    """Return whether a file, a folder or a pattern is a clip; a GIF is one where it has several frames."""
+    """Return whether a file, a folder or a pattern is a clip; a GIF is one if it has several frames."""
     if Path(source).suffix.lower() == ".gif" and os.path.isfile(source):
         with contextlib.suppress(SuppleError), open_clip(source) as clip:
             return bool(clip.count > 1)
@@ -120,7 +120,7 @@ def _moves(source: str | os.PathLike[str]) -> bool:
 
 
 def _suits(name: str, options: ViewOptions, *, moves: bool = False, volume: bool = False) -> None:
-    """Refuse a time scale where there is no time, and what is for the files of volumes where there is none."""
+    """Raise SuppleError for a time scale without time, and for options of volume files without one."""
     if options.volume != _PLAIN and not volume:
         raise SuppleError(f"{name} is no file of a volume, and what was asked of it is for those: leave that out")
     if options.time_scale != 1.0 and not moves:
@@ -146,7 +146,7 @@ def tools_of(stage: ImageStage | VolumeStage, document: Document, size: Pair) ->
 def opened(
     source: Source, recipe: Recipe | None, canvas: Any, loop: Any, gpu: Gpu | None = None, options: ViewOptions = _USUAL
 ) -> Window:
-    """A view of a source on a canvas.
+    """Return the view of a source on a canvas.
 
     Raises
     ------
@@ -161,7 +161,7 @@ def opened(
     if isinstance(stage, VolumeStage):
         geometry = stage.volume.geometry
         recipe = in_space(recipe, geometry, stage.name, options.volume.world)
-    if stage.kind != "video" or options.fit == "pixels":  # what a frame is worth would have to grow along
+    if stage.kind != "video" or options.fit == "pixels":  # the length of a frame would have to be scaled
         recipe = fit_recipe(recipe, stage.shape[::-1], options.fit, stage.name)
     document = Document(stage.shape, stage.spacing, recipe, kind=stage.kind, geometry=geometry)
     tools = tools_of(stage, document, canvas.get_logical_size())
@@ -172,7 +172,7 @@ def opened(
 
 
 def _gpu() -> Gpu:
-    """The GPU, which a window cannot do without."""
+    """Return the GPU that a window needs; SuppleError if there is none."""
     try:
         return open_gpu()
     except SuppleError as error:
@@ -181,7 +181,7 @@ def _gpu() -> Gpu:
 
 @contextlib.contextmanager
 def _installed() -> Iterator[None]:
-    """Refuse what needs a part of the window that is not installed."""
+    """Raise SuppleError if a part of the window is not installed."""
     try:
         yield
     except ImportError as error:
@@ -190,7 +190,7 @@ def _installed() -> Iterator[None]:
 
 
 def on_screen_of(toolkit: str) -> tuple[Any, Any]:
-    """The canvas and the loop of a toolkit: ``"glfw"`` or ``"qt"``.
+    """Return the canvas and the loop of a toolkit: ``"glfw"`` or ``"qt"``.
 
     Raises
     ------
@@ -220,23 +220,23 @@ def show(
     size: tuple[int, int] = SIZE,
     options: ViewOptions = _USUAL,
 ) -> Window:
-    """Open a window, and come back when it is closed.
+    """Open a window, and return when it is closed.
 
     Parameters
     ----------
     source, recipe
-        As `view` takes them.
+        As in `view`.
     toolkit : str
-        ``"glfw"``, or ``"qt"`` where PySide6 or PyQt6 is installed.
+        ``"glfw"``, or ``"qt"`` if PySide6 or PyQt6 is installed.
     size : (int, int)
         Columns and rows of the window.
     options : ViewOptions
-        How the source is read.
+        The options for reading the source.
 
     Returns
     -------
     Window
-        ``view.recipe`` is what was done.
+        ``view.recipe`` is the result.
     """
     canvas_type, loop = on_screen_of(toolkit)
     gpu = _gpu()
@@ -251,13 +251,13 @@ def show(
     else:
         qt.attend(canvas, made)
     loop.run()
-    if canvas.get_closed():  # where a loop runs already, as in a notebook of Qt, the window stays
+    if canvas.get_closed():  # if a loop is running, as in a notebook with Qt, the window stays
         made.close()
     return made
 
 
 def _ask_before_closing(canvas: Any, view: Window) -> None:
-    """Ask before strokes are lost, and open the files that are dropped on the window."""
+    """Ask before strokes are lost, and open files dropped on the window."""
     import glfw
 
     def closing(window: Any) -> None:
@@ -273,8 +273,8 @@ def _ask_before_closing(canvas: Any, view: Window) -> None:
 
 
 def in_notebook() -> bool:
-    """Return whether this is a notebook."""
-    ipython = sys.modules.get("IPython")  # which a notebook has imported
+    """Return whether this process is a notebook."""
+    ipython = sys.modules.get("IPython")  # imported by a notebook
     return ipython is not None and type(ipython.get_ipython()).__name__ == "ZMQInteractiveShell"
 
 
@@ -286,27 +286,27 @@ def view(
     time_scale: float = 1.0,
     volume: VolumeOptions | None = None,
 ) -> Window:
-    """Bend a photograph, a clip or a volume by hand.
+    """Warp a photograph, a clip or a volume by hand.
 
-    In a notebook, what is returned is a widget. Elsewhere, a window is opened, and this comes back when it is closed.
+    Returns a widget in a notebook. Elsewhere, it opens a window, and returns when it is closed.
 
     Parameters
     ----------
     source : str, os.PathLike or array
-        A file; or the array of a picture, (H, W) or (H, W, C) of up to 4 channels, or of a volume, (Z, H, W).
+        A file; or the array of an image, (H, W) or (H, W, C) of up to 4 channels, or of a volume, (Z, H, W).
     recipe : Recipe, optional
-        Strokes that there are at first.
+        The first strokes.
     spacing : (float, float, float)
-        Of the voxels of an array, in millimetres, x first.
+        The spacing of an array's voxels, in millimetres, x first.
     time_scale : float
-        Of a clip, how many pixels a frame is worth to the brush, as ``supple warp --time-scale`` takes it.
+        The length of a clip's frame in pixels, for the brush, as in ``supple warp --time-scale``.
     volume : VolumeOptions, optional
-        What is particular to the file of a volume, as `supple.warp_file` takes it.
+        Options for volume files, as in `supple.warp_file`.
 
     Returns
     -------
     Window
-        ``view.recipe`` is what was done, and ``view.on_change`` calls a function with it whenever it changes.
+        ``view.recipe`` is the result, and ``view.on_change`` calls a function after each change of it.
 
     Raises
     ------
@@ -331,17 +331,17 @@ def serve(
     tell: Callable[[str], None] = print,
     options: ViewOptions = _USUAL,
 ) -> None:
-    """Show the window in a browser, also one of another machine, until it is interrupted.
+    """Show the window in a browser, on this or another machine, until it is interrupted.
 
-    It is bound to this machine alone, and open to those who have the token in its address: from another machine, it is
-    reached through a tunnel (``ssh -L``).
+    It listens on this machine only, and requires the token in its address: from another machine, it is reached through
+    a tunnel (``ssh -L``).
 
     Parameters
     ----------
     source, recipe, options
-        As `show` takes them.
+        As in `show`.
     port : int
-        0 for any that is free.
+        The port; 0 for any free one.
     tell : function
         Called with the address.
     """

@@ -1,4 +1,4 @@
-"""Windows of Qt: how they are opened and closed, and how files are dropped on them."""
+"""Windows of Qt: opening, closing, and dropped files."""
 
 from __future__ import annotations
 
@@ -14,38 +14,38 @@ if TYPE_CHECKING:
     from supple.viewer.window.window import Window
 
 BINDINGS = ("PySide6", "PyQt6")
-_NOTCH = 100 / 120  # of the wheel: as others count it, and as Qt does
+_NOTCH = 100 / 120  # of the wheel: in other toolkits, and in Qt
 
 
 def has_screen() -> bool:
-    """Return whether Qt finds a screen; where it finds none, it ends the process."""
+    """Return whether Qt finds a screen; without one, Qt would end the process."""
     names = ("DISPLAY", "WAYLAND_DISPLAY", "QT_QPA_PLATFORM")
     return not sys.platform.startswith("linux") or any(os.environ.get(name) for name in names)
 
 
 def toolkit() -> tuple[Any, Any]:
-    """The canvas and the loop of Qt.
+    """Return the canvas and the loop of Qt.
 
     Raises
     ------
     SuppleError
-        If no binding of it is installed, or can be used.
+        If no binding of Qt is installed, or usable.
     """
     found = next((name for name in BINDINGS if find_spec(name) is not None), None)
     if found is None:
         raise SuppleError("a window of Qt needs PySide6, which is not installed: pip install PySide6-Essentials")
     try:
-        import_module(f"{found}.QtWidgets")  # rendercanvas takes the binding that is imported
-    except ImportError as error:  # libraries of the system
+        import_module(f"{found}.QtWidgets")  # rendercanvas uses the imported binding
+    except ImportError as error:  # missing system libraries
         raise SuppleError(f"{found} cannot be used here: {error}") from None
     from rendercanvas import qt
 
-    qt.KEY_MAP[int(qt.QtCore.Qt.Key.Key_Return)] = "Enter"  # it knows the one beside the digits alone
+    qt.KEY_MAP[int(qt.QtCore.Qt.Key.Key_Return)] = "Enter"  # Qt's map only has the key of the number pad
     return qt.RenderCanvas, qt.loop
 
 
 def attend(canvas: Any, view: Window) -> None:
-    """Ask before strokes are lost, and open the files that are dropped on the window."""
+    """Ask before strokes are lost, and open files dropped on the window."""
     from rendercanvas.qt import QtCore
 
     kinds = QtCore.QEvent.Type
@@ -58,7 +58,7 @@ def attend(canvas: Any, view: Window) -> None:
                     event.ignore()
                     view.refresh()
                     return True
-                # Pictures that are on their way are waited for, as long as there is a window to which they come.
+                # Images in progress are waited for, while their window exists.
                 device = view.gpu.device
                 device.queue.read_buffer(device.create_buffer(size=4, usage="COPY_SRC"))
             if kind == kinds.DragEnter and event.mimeData().hasUrls():

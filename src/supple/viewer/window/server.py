@@ -1,4 +1,4 @@
-"""The window in a browser of another machine: bound to this one, and for those alone who have its token."""
+"""The window in a browser of another machine: bound to localhost, and protected by a token."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ Send = Callable[[MutableMapping[str, Any]], Awaitable[None]]
 App = Callable[[Scope, Receive, Send], Awaitable[None]]
 
 HOST = "127.0.0.1"
-PATIENCE = 3  # seconds that browsers have to hang up
+PATIENCE = 3  # seconds for browsers to disconnect
 _PAGE = """<!DOCTYPE html>
 <html lang="en">
 <head>
@@ -66,7 +66,7 @@ _REFUSED = b"This window is open to those who have its whole address, with the t
 
 
 def guarded(app: App, token: str, title: str) -> App:
-    """An ASGI application, `rendercanvas.http.asgi`, for those alone who bring a token; the title is of its page.
+    """Return an ASGI application, `rendercanvas.http.asgi`, that requires a token; the title is that of its page.
 
     The token comes once in the address, and then as a cookie.
     """
@@ -90,7 +90,7 @@ def guarded(app: App, token: str, title: str) -> App:
             return
         given = parse_qs(scope.get("query_string", b"").decode("latin-1")).get("token", [""])[0]
         if hmac.compare_digest(given.encode(), token.encode()):
-            # The token leaves the address, so that it is in no history and no referrer.
+            # Redirect without the token, which keeps it out of histories and referrers.
             cookie = f"{name}={token}; HttpOnly; SameSite=Strict; Path=/"
             await _answer(send, 303, b"", [(b"location", b"/"), (b"set-cookie", cookie.encode()), *_PRIVATE])
         else:
@@ -107,13 +107,13 @@ def _headers(scope: Scope, name: bytes) -> list[bytes]:
 
 
 def _cookies(scope: Scope, name: bytes) -> list[bytes]:
-    """The values of a cookie, whatever those of other programs on this host look like."""
+    """Return the values of a cookie, among those of other programs on this host."""
     parts = (part.strip().partition(b"=") for line in _headers(scope, b"cookie") for part in line.split(b";"))
     return [value for key, _, value in parts if key == name]
 
 
 def _from_here(scope: Scope) -> bool:
-    """Return whether it is our own page that asks: cookies go along from pages of any port of a host."""
+    """Return whether a request is from our own page: cookies are sent by pages of any port of a host."""
     hosts = [host.decode("latin-1").lower() for host in _headers(scope, b"host")]
     try:
         return all(urlsplit(o.decode("latin-1")).netloc.lower() in hosts for o in _headers(scope, b"origin"))
@@ -127,7 +127,7 @@ async def _answer(send: Send, status: int, body: bytes, headers: list[tuple[byte
 
 
 def listening(port: int) -> socket.socket:
-    """A socket on this machine alone; port 0 for any that is free.
+    """Return a socket on this machine; port 0 for any free one.
 
     Raises
     ------
@@ -145,18 +145,18 @@ def listening(port: int) -> socket.socket:
 
 
 def serve(app: App, listener: socket.socket, over: Callable[[], bool] = lambda: False) -> None:
-    """Serve until it is interrupted, or there is nothing left to serve.
+    """Serve until an interrupt, or the end of all windows.
 
     Raises
     ------
     KeyboardInterrupt
-        As everywhere, upon Ctrl+C.
+        On Ctrl+C.
     """
     import uvicorn
 
     class Server(uvicorn.Server):
         async def on_tick(self, counter: int) -> bool:
-            if main:  # a canvas's loop takes Ctrl+C when it starts, and would end alone
+            if main:  # a canvas's loop handles Ctrl+C itself, and would end alone
                 signal.signal(signal.SIGINT, self.handle_exit)
             return await super().on_tick(counter) or over()
 

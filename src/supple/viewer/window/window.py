@@ -1,4 +1,4 @@
-"""The window: events in, pictures out, and when the next one is drawn; Ctrl+C closes it, but not amid a frame."""
+"""The window: its events, its images, and the time of the next one; Ctrl+C closes it between frames."""
 
 from __future__ import annotations
 
@@ -20,32 +20,32 @@ from supple.viewer.panels.view import SETTLED, View
 from supple.viewer.tools.brushes import VideoTools
 from supple.viewer.window.gui import Gui
 
-FILLING = 0.004  # seconds of each frame in which a volume's buffer is filled
-ANSWERED = 0.1  # seconds after an event in which a panel has answered it
-HINTED = 0.6  # and after which it says what something is that the pointer stays on
+FILLING = 0.004  # seconds of each frame for filling a volume's buffer
+ANSWERED = 0.1  # seconds after an event until a panel has reacted
+HINTED = 0.6  # and until it shows a hint under a resting pointer
 
 
 class Waking:
-    """Draws a canvas again, at once or later, as its loop calls a function after some seconds."""
+    """A scheduler of a canvas's frames, at once or later, by the timer of its loop."""
 
     def __init__(self, canvas: Any, call_later: Callable[[float, Callable[[], None]], Any]) -> None:
         self._canvas, self._call_later = canvas, call_later
         self._stirred, self._due = -math.inf, math.inf
 
     def later(self, seconds: float) -> None:
-        """Draw then, if not before: one that is due earlier looks again what there is to do."""
+        """Schedule a frame after some seconds, if none is due earlier."""
         due = time.perf_counter() + seconds
         if due < self._due:
             self._due = due
             self._call_later(seconds, self._woken)
 
     def stir(self) -> None:
-        """Draw some frames for an event: a panel answers in the second or the third."""
+        """Schedule some frames for an event: a panel reacts in the second or the third."""
         self._stirred = time.perf_counter()
         self._canvas.request_draw()
 
     def answer(self) -> None:
-        """Go on with what an event began, after a frame."""
+        """Schedule the remaining frames of an event, after a frame."""
         since = time.perf_counter() - self._stirred
         if since < ANSWERED:
             self._canvas.request_draw()
@@ -59,7 +59,7 @@ class Waking:
 
 @contextlib.contextmanager
 def unbroken() -> Iterator[None]:
-    """Let Ctrl+C wait for the end of what is done: a frame goes on with a canvas that is still there."""
+    """Delay Ctrl+C until the end of a frame, so that it has a canvas."""
     before = signal.getsignal(signal.SIGINT)
     if not callable(before) or threading.current_thread() is not threading.main_thread():
         yield
@@ -75,7 +75,7 @@ def unbroken() -> Iterator[None]:
 
 
 class Window(View):
-    """A view in a window: its parameters are those of `View`."""
+    """A view in a window, with the parameters of `View`."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -94,7 +94,7 @@ class Window(View):
         canvas.request_draw(self.draw)
 
     def _stir(self, event: dict[str, Any]) -> None:
-        """See that an event is answered, though the panel may keep it to itself."""
+        """Schedule frames for an event, even if the panel consumes it."""
         kind = event["event_type"]
         if kind == "pointer_move" and not self._inside(event):
             self.tools.handle({"event_type": "pointer_leave"})
@@ -105,7 +105,7 @@ class Window(View):
         self._waking.stir()
 
     def _inside(self, event: dict[str, Any]) -> bool:
-        """Return whether it is on the picture."""
+        """Return whether an event is on the image."""
         return bool(event.get("x", 0) < self.area[0] and event.get("y", 0) < self.area[1])
 
     @unbroken()
@@ -114,7 +114,7 @@ class Window(View):
         if kind == "close":
             self.close()
             return
-        if self.commands.asked is not None and kind not in ("pointer_up", "key_up"):  # these end what was begun
+        if self.commands.asked is not None and kind not in ("pointer_up", "key_up"):  # these end a gesture
             self.canvas.request_draw()
             return
         if kind in ("pointer_down", "wheel") and not self._inside(event):
@@ -124,7 +124,7 @@ class Window(View):
             self.commands.message = ""
             self._pressed = event.get("time_stamp", 0.0)
         elif kind == "pointer_move" and event.get("time_stamp", self._pressed) < self._pressed:
-            return  # browsers hold moves back, and hand them over after a press that came later
+            return  # browsers delay moves, and may deliver them after a later press
         before = self.tools.view
         self.tools.handle(event)
         if self.tools.view is not before:
@@ -141,10 +141,10 @@ class Window(View):
 
     @unbroken()
     def draw(self) -> None:
-        """Draw a frame, as the canvas asks for one."""
+        """Draw a frame on the canvas's request."""
         if self._closed:
             return
-        self.commands.tick()  # first: whatever comes, strokes are kept
+        self.commands.tick()  # first: autosave before any error
         begun = time.perf_counter()
         self._frames.append(begun)
         tools, (width, height) = self.tools, self.area
@@ -172,7 +172,7 @@ class Window(View):
         self._go_on(shot)
 
     def _present(self, shot: Shot, encoder: Any) -> None:
-        """Bring it all onto the canvas, at once."""
+        """Compose image and controls on the canvas."""
         onto = self._context.get_current_texture()
         colours = {"view": onto.create_view(), "load_op": "clear", "store_op": "store", "clear_value": (0, 0, 0, 1)}
         drawing = encoder.begin_render_pass(color_attachments=[colours])
@@ -184,7 +184,7 @@ class Window(View):
         self.gpu.device.queue.submit([encoder.finish()])
 
     def _go_on(self, shot: Shot) -> None:
-        """See that what is not done yet goes on."""
+        """Schedule the next frame for unfinished work."""
         if self._playing or not self.painter.ready:
             self.canvas.request_draw()
         elif self._lately:
@@ -192,10 +192,10 @@ class Window(View):
         elif isinstance(self.stage, VolumeStage) and not self.tools.dragging:
             self._fill(shot)
         if (self.commands.export is not None and not self.commands.export.done) or self.document.dirty:
-            self._waking.later(0.25)  # to see how far it is, and to keep what was done
+            self._waking.later(0.25)  # to show progress, and to autosave
         self._waking.answer()
         if self.commands.asked is not None:
-            self._waking.later(0.25)  # where one writes, a line blinks
+            self._waking.later(0.25)  # a text cursor blinks
 
     def _fill(self, shot: Shot) -> None:
         waiting, before = self._filling, self.filled
@@ -215,7 +215,7 @@ class Window(View):
         overlay.draw(self)
 
     def drop(self, paths: list[str]) -> None:
-        """Open a file that was dropped on the window: a recipe here, anything else in a window of its own."""
+        """Open a file dropped on the window: a recipe here, other files in a window of their own."""
         for path in paths[:1]:
             takes = self.commands.open if path.lower().endswith(".json") else self.commands.open_beside
             self.attempt(partial(takes, path))
@@ -224,7 +224,7 @@ class Window(View):
         return self.canvas._repr_mimebundle_(**options)
 
     def close(self) -> None:
-        """End what goes on here."""
+        """End the work of the window."""
         if self._closed:
             return
         self._closed = True

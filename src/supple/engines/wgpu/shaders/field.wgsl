@@ -3,8 +3,8 @@
 // With r = p' - pivot (p' is p, clamped to the domain along axes with a fixed border), s = |r|² and ρᵢ² = s + radius2ᵢ,
 //     K(p) = m [ Σᵢ (pᵢ/ρᵢ + qᵢ/ρᵢ³) f + (rᵢ/ρᵢ³)(r·f) r ],  m = (1-t)³(1+3t+6t²), t = √s/R, and 0 from t = 1 on.
 //
-// A point is an anchor q and an offset w from it, in physical units: what float32 keeps of w, and of distances to
-// pivots, does not depend on how far from the origin q lies. A pivot is the sum of two numbers for the same reason.
+// A point is an anchor q and an offset w from it, in physical units: the accuracy of w, and of distances to pivots, in
+// float32 does not depend on the distance of q from the origin. Likewise, a pivot is the sum of two numbers.
 
 struct Stroke {
     pivot: vec3f, terms: f32,
@@ -19,8 +19,8 @@ struct Stroke {
 struct Domain {
     first: vec4f, // the faces
     last: vec4f,
-    sigma: vec4f, // of the fixed border; below 0 where it is free, and 0 where nothing moves along an axis
-    spacing: vec4f, // and the smallest that counts, see field.py
+    sigma: vec4f, // of the fixed border; below 0 if it is free, and 0 for an axis without displacement
+    spacing: vec4f, // and the unit of errors, see field.py
     profile: vec4f, // of the fixed border along each axis: QUARTIC or SINE
 }
 
@@ -36,10 +36,10 @@ fn finest() -> f32 {
 const HALF_PI = 1.5707963267948966;
 const QUARTIC = 0.0;
 const SINE = 1.0;
-// t² from which on a stroke moves nothing: m is below 1e-14 there, and float32 cannot tell the points from its rim.
+// t² from which on the displacement is 0: m is below 1e-14 there, less than the rounding of t in float32.
 const RIM = 0.99999;
 
-// The offset from q of the nearest point of the domain.
+// The offset from q to the nearest point of the domain.
 fn clamped(q: f32, w: f32, axis: u32) -> f32 {
     if (domain.sigma[axis] < 0.0) {
         return w;
@@ -51,7 +51,7 @@ fn clamped_to_domain(q: vec3f, w: vec3f) -> vec3f {
     return vec3f(clamped(q.x, w.x, 0u), clamped(q.y, w.y, 1u), clamped(q.z, w.z, 2u));
 }
 
-// β, β', and 1 where the point q + w lies in the domain.
+// β, β', and 1 if the point q + w lies in the domain.
 fn edge(q: f32, w: f32, axis: u32) -> vec3f {
     let sigma = domain.sigma[axis];
     if (sigma < 0.0) {
@@ -117,7 +117,7 @@ fn moved_by(k: u32, q: vec3f, at: Moved) -> Moved {
     let moving = a * f + g * d;
     let c = da * f + db * rf * d;
     let along = b * d;
-    // Column j of β (c dᵀ + b d fᵀ + g I) + diag(β' K): nothing changes along j beyond a fixed face.
+    // Column j of β (c dᵀ + b d fᵀ + g I) + diag(β' K): 0 along j beyond a fixed face.
     var m = mat3x3f(
         inside.x * beta * (c * d.x + along * f.x),
         inside.y * beta * (c * d.y + along * f.y),
@@ -130,7 +130,7 @@ fn moved_by(k: u32, q: vec3f, at: Moved) -> Moved {
     return Moved(at.offset + beta * moving, m * at.jacobian);
 }
 
-// Whether all strokes leave a point where it is, as it lies outside every one's ball.
+// True if a point lies outside the balls of all strokes, where T is the identity.
 fn unreached(q: vec3f) -> bool {
     let near = clamped_to_domain(q, vec3f(0.0));
     for (var k = 0u; k < settings.strokes; k++) {

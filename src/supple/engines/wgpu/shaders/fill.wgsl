@@ -1,11 +1,11 @@
-// A deformed volume, made in bricks: each voxel from the volume at T⁻¹, which goes along the rows as a cubic.
+// A deformed volume, filled in bricks: each voxel from the volume at T⁻¹, which is a cubic along rows.
 
 struct Settings {
     size: vec3u, // voxels
     strokes: u32,
     nodes: vec3u, // of the lattice of T⁻¹
     spread: f32, // voxels from node to node
-    count: u32, // of bricks that are made here
+    count: u32, // of bricks in this dispatch
     tolerance: f32, // of source points, in voxels
     turns: u32, // see turns.wgsl
     unused: u32,
@@ -18,7 +18,7 @@ struct Settings {
 @group(0) @binding(7) var<storage, read_write> lost: atomic<u32>; // voxels that could not be solved
 @group(0) @binding(8) var made: texture_storage_3d<r32float, write>; // the buffer
 
-override POLISHED: bool; // whether each voxel is solved, from where the lattice puts it
+override POLISHED: bool; // true if each voxel is refined, from its point on the lattice
 
 const BLOCK = 16u;
 

@@ -1,21 +1,21 @@
-// The residual footprint: the cubic interpolant, averaged by what is missing of the average over an output pixel.
+// The residual footprint: the cubic interpolant, averaged over the output pixel less one input pixel.
 //
 // With M = ∂p/∂q, S = M Mᵀ = [[xx, xy], [xy, yy]], its eigenvalues λ± = h ± d, and α, β = max(λ± - 1, 0):
 //     12 Σ = ½(α+β) I + (α-β)/(2d) (S - hI)
-// is the covariance over which an average is missing, as a pixel of the input is one already.
+// is the covariance of the remaining average, as a pixel of the input is an average already.
 
-const LOW = 0.05; // α up to which nothing is averaged
-const RISE = 0.2; // and from which on all of Σ is
+const LOW = 0.05; // α up to which a pixel is a point
+const RISE = 0.2; // and from which all of Σ is used
 const NARROW = vec2f(1.62, 3.2); // α and λ- up to which one spot is enough
-const SPOT = 1.7; // how far apart spots are
+const SPOT = 1.7; // the largest distance of spots
 const MOST_SPOTS = 16.0;
 const WIDEST = 3.0; // 12 Σ of a spot along the major axis, and a little less along the minor one
-const LEVEL = 4.0; // λ- from which on a coarser level is read, which fades in from 3.2 on
-const LONG = 400.0; // λ+ / λ- from which on the level follows from the longer side
+const LEVEL = 4.0; // λ- from which a coarser level is read, blended from 3.2 on
+const LONG = 400.0; // λ+ / λ- from which the level is determined by the longer side
 
 struct Footprint {
     covariance: vec3f, // of one spot: xx, xy and yy of Σ
-    wide: bool, // whether there are several, or coarser levels
+    wide: bool, // true for several spots, or coarser levels
     major: f32, // λ+ and λ-
     minor: f32,
     axis: vec2f, // of λ+
@@ -99,7 +99,7 @@ fn faded(f: f32) -> f32 {
 // One spot; or several along the major axis, of one level or of two.
 fn averaged(place: Place, over: Footprint, frame: i32) -> vec4f {
     var first = 0u;
-    var deeper = 0.0; // how much of the next level
+    var deeper = 0.0; // the weight of the next level
     if (over.wide) {
         var want = max(over.minor, over.major / LONG);
         while (want >= LEVEL && first < settings.levels) {
@@ -117,7 +117,7 @@ fn averaged(place: Place, over: Footprint, frame: i32) -> vec4f {
         let base = place.base.xy >> vec2u(level.number);
         let at = (vec2f(place.base.xy - base * unit) + place.part.xy + 0.5) / f32(unit) - 0.5;
         var count = 1.0;
-        var more = 0.0; // how much of the next count
+        var more = 0.0; // the weight of the next count
         var reach = 0.0;
         var minor = 0.0;
         if (over.wide) {

@@ -24,13 +24,13 @@ struct Patch {
     o: Node,
 }
 
-// Where one of the four vectors of a node is written: each has a layer, of rows of whole 256 bytes.
+// The offset of one of the four vectors of a node: each has a layer, of rows padded to 256 bytes.
 fn place_of_node(i: vec2u, plane: u32, k: u32) -> u32 {
     let pitch = (settings.nodes.x + 15u) & ~15u;
     return ((4u * plane + k) * settings.nodes.y + i.y) * pitch + i.x;
 }
 
-// And where it is read.
+// The texel of that vector.
 fn known_at(i: vec2u, plane: u32, k: u32) -> vec4f {
     return textureLoad(lattice, i, 4u * plane + k, 0);
 }
@@ -54,7 +54,7 @@ fn patch_at(i: vec2u, plane: u32) -> Patch {
     );
 }
 
-// What Hermite's cubic takes of two values and their slopes, STEP apart: at a place from 0 to 1, and its derivative.
+// The weights of two values and their slopes in Hermite's cubic, STEP apart, at 0 to 1; and their derivatives.
 struct Hermite {
     value: vec4f, // of the first value and slope, and of the second ones
     slope: vec4f,
@@ -74,7 +74,7 @@ fn along(weights: vec4f, a: vec3f, slope_a: vec3f, b: vec3f, slope_b: vec3f) -> 
     return weights.x * a + weights.y * slope_a + weights.z * b + weights.w * slope_b;
 }
 
-// T⁻¹ and its derivative at a place in the cell, from 0 to 1.
+// T⁻¹ and its derivative at a point in the cell, from 0 to 1.
 fn between_nodes(cell: Patch, at: vec2f) -> Source {
     let s = hermite(at.x);
     let t = hermite(at.y);
@@ -108,7 +108,7 @@ fn twist_of(q: vec3f, found: Found) -> vec3f {
     return -(found.matrix * bend) / domain.spacing.xyz;
 }
 
-// How far from the true T⁻¹(q) a source point is, in pixels, to first order.
+// The distance of a source point from T⁻¹(q), in pixels, to first order.
 fn error_at(q: vec3f, source: Source) -> f32 {
     let at = moved(0u, settings.strokes, q, source.shift * domain.spacing.xyz);
     return length(source.matrix * (at.offset / domain.spacing.xyz));
@@ -124,7 +124,7 @@ fn solve(@builtin(global_invocation_id) id: vec3u) {
     let found = undo(q, 1e-3 * finest());
     let m = in_pixels(found.matrix);
     let twist = twist_of(q, found);
-    // Where the map varies too much from node to node, its cells are not interpolated.
+    // Cells whose nodes differ too much are not interpolated.
     let resolved = f32(STEP) <= RESOLVED * smoothness(q, found.offset, m);
     let error = select(COARSE, norm_of(m) * found.residual / finest(), resolved);
     nodes[place_of_node(id.xy, id.z, 0u)] = vec4f(found.offset / domain.spacing.xyz, error);
@@ -133,10 +133,10 @@ fn solve(@builtin(global_invocation_id) id: vec3u) {
     }
 }
 
-const COARSE = 1e30; // the error of what is not to be interpolated
-const UNMOVED = -1.0; // and of cells that no stroke reaches
+const COARSE = 1e30; // the error of cells that are not interpolated
+const UNMOVED = -1.0; // and of unchanged cells
 
-// Whether no stroke reaches a cell, whose first pixel this is.
+// True if no stroke reaches a cell, given its first pixel.
 fn unreached_cell(first: vec3f) -> bool {
     if (settings.limited == 0u) {
         return false;
@@ -153,7 +153,7 @@ fn unreached_cell(first: vec3f) -> bool {
     return true;
 }
 
-// Which cells interpolate well enough: their error, as far as it is seen, with a reserve.
+// The errors of cells from their checks, with a reserve.
 @compute @workgroup_size(8, 8)
 fn check(@builtin(global_invocation_id) id: vec3u) {
     let cells = settings.nodes - 1u;
@@ -167,7 +167,7 @@ fn check(@builtin(global_invocation_id) id: vec3u) {
         return;
     }
     let patch_ = patch_at(id.xy, id.z);
-    // What is seen at points says little where the map varies between them.
+    // Checked points do not represent the map if it varies between them.
     var found = 0.0;
     var fine = true;
     for (var k = 0u; k < 4u; k++) {
@@ -182,7 +182,7 @@ fn check(@builtin(global_invocation_id) id: vec3u) {
         let q = vec3f(p, f32(settings.first + id.z)) * domain.spacing.xyz;
         let error = RESERVE * error_at(q, between_nodes(patch_, at));
         found = max(found, error);
-        fine = fine && error <= settings.tolerance; // and never so if it is not a number
+        fine = fine && error <= settings.tolerance; // false for NaN
     }
     errors[cell] = select(COARSE, found, fine);
     if (!fine) {
@@ -190,7 +190,7 @@ fn check(@builtin(global_invocation_id) id: vec3u) {
     }
 }
 
-// How many workgroups the cells take that were found too coarse.
+// The number of workgroups for rough cells.
 @compute @workgroup_size(1)
 fn count() {
     let n = atomicLoad(&stats[2]);

@@ -1,12 +1,12 @@
-// Frames as they lie on the device, and their coarser levels: each averages 2 by 2 samples of the one before, as they are
-// filtered, and repeats the last one of an odd edge. Levels are of the rows that are here, one after the other.
+// Frames on the device, and their coarser levels: each averages 2 by 2 samples of the one before, in their filtered
+// form, and repeats the last one of an odd edge. Levels cover the rows on the device, one after the other.
 
 @group(0) @binding(10) var<storage, read_write> levels: array<f32>;
 
-override FOLDED: bool = false; // whether frames have several layers
+override FOLDED: bool = false; // true if frames have several layers
 override CHANNELS: u32 = 4u;
 
-const SIDE = 13u; // bits of a place in a layer
+const SIDE = 13u; // bits of a coordinate in a layer
 
 fn loaded_at(at: vec2u, slot: u32) -> vec4f {
     if (FOLDED) {

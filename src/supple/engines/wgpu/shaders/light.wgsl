@@ -1,4 +1,4 @@
-// Samples as they are filtered: in linear light, if wanted, and weighted by opacity; and back.
+// Samples in the form for filtering: in linear light, if wanted, and weighted by opacity; and the inverse.
 
 override ALPHA: bool = false;
 override LIGHT: bool = false;
@@ -15,7 +15,7 @@ fn from_light(v: vec3f) -> vec3f {
     return settings.white * select(bent_, s * 12.92, s <= vec3f(0.0031308));
 }
 
-// As it is filtered: light, if wanted, and weighted by opacity. Of two channels, the second is opacity.
+// The form for filtering: linear light, if wanted, and weighted by opacity. Of two channels, the second is opacity.
 fn prepared(pixel: vec4f) -> vec4f {
     var v = pixel;
     if (LIGHT) {

@@ -14,7 +14,7 @@ fn inverse_of(m: mat3x3f) -> mat3x3f {
     return transpose(mat3x3f(a, b, c)) * (1.0 / dot(m[0], a));
 }
 
-// A fixed face maps to itself, and nothing moves across it: the solution is on the target's side.
+// A fixed face maps to itself: the solution is on the target's side.
 fn kept_inside(q: vec3f, goal: vec3f, w: vec3f) -> vec3f {
     var out = w;
     for (var axis = 0u; axis < 3u; axis++) {
@@ -45,11 +45,11 @@ fn newton(first: u32, last: u32, q: vec3f, goal: vec3f, guess: vec3f, tolerance:
             best = Found(tried, size, steps, matrix);
             part = 1.0;
             if (length(step) <= tolerance) {
-                best.offset = kept_inside(q, goal, tried + step); // it is known, and taken
+                best.offset = kept_inside(q, goal, tried + step); // the last step is known, and applied
                 break;
             }
         } else {
-            // No better, and no farther off than rounding puts it: this is as good as it gets.
+            // The residual is as small as rounding allows.
             part *= 0.5;
             if (part * length(step) <= 0.01 * tolerance) {
                 break;
@@ -60,7 +60,7 @@ fn newton(first: u32, last: u32, q: vec3f, goal: vec3f, guess: vec3f, tolerance:
     return best;
 }
 
-// T⁻¹(q) without a guess: stroke after stroke undone, the last one first, and polished together.
+// T⁻¹(q) without a guess: strokes undone from last to first, and polished together.
 fn undo(q: vec3f, tolerance: f32) -> Found {
     let count = u32(settings.strokes);
     var w = vec3f(0.0);

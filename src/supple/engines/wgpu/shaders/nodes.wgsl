@@ -1,25 +1,25 @@
-// The lattice of a volume: T⁻¹ solved at its nodes, and its cells looked at; see _core/solid.hpp.
+// The lattice of a volume: T⁻¹ solved at its nodes, and its cells checked; see _core/solid.hpp.
 
 struct Settings {
     nodes: vec3u,
     spread: f32, // voxels from node to node
     strokes: u32,
-    first: u32, // layer of nodes, or of cells, that is worked on here
-    last: u32, // the first one that is not
+    first: u32, // the first layer of nodes, or of cells, in this dispatch
+    last: u32, // the end of the layers
     turns: u32, // see turns.wgsl
 }
 
 @group(0) @binding(0) var<uniform> settings: Settings;
 @group(0) @binding(1) var<uniform> domain: Domain;
 @group(0) @binding(2) var<storage, read> strokes: array<Stroke>;
-// Those of some layers: as solid.wgsl reads them, in rows of whole 256 bytes.
+// The nodes of some layers, in the layout of solid.wgsl, in rows padded to 256 bytes.
 @group(0) @binding(4) var<storage, read_write> nodes: array<vec4f>;
-// The worst error that is seen, in voxels, and the least length over which the map varies: positive numbers, whose bits
-// are in their order. Errors from LOST on are of points that could not be solved.
+// The largest observed error, in voxels, and the length scale of the map: positive numbers, which are ordered like
+// their bits. Errors from LOST on mark unsolved points.
 @group(0) @binding(5) var<storage, read_write> stats: array<atomic<u32>, 2>;
 
 const LOST = 1e30;
-const CUT = 2e30; // where a driver ended a thread's loops
+const CUT = 2e30; // a driver ended a thread's loops
 
 fn saw(error: f32) {
     atomicMax(&stats[0], bitcast<u32>(select(LOST, error, error <= LOST)));
@@ -58,7 +58,7 @@ fn check(@builtin(global_invocation_id) id: vec3u) {
     }
     var worst = 0.0;
     for (var k = 0u; k < 15u; k++) {
-        // Its middle, those of its faces and edges at one corner, and of its eighths.
+        // The centre of the cell, of its faces and edges at one corner, and of its eighths.
         let bits = vec3f(vec3u(k, k >> 1u, k >> 2u) & vec3u(1u));
         let at = select(0.25 + 0.5 * bits, 0.5 - 0.5 * bits, k < 7u);
         let p = (vec3f(i) + at) * settings.spread;

@@ -1,4 +1,4 @@
-// What rays saw, put on a background as sRGB, into a texture.
+// Results of rays, composited over a background as sRGB, into a texture.
 
 struct Settings {
     background: vec3f, // linear light
@@ -6,12 +6,12 @@ struct Settings {
     width: u32, // pixels
     first: u32, // row of them
     rows: u32,
-    worked: u32, // whether to tint what took much work: inversions or, without, samples along a ray
+    worked: u32, // true to tint by work: inversions or, without any, samples along a ray
 }
 
 @group(0) @binding(0) var<uniform> settings: Settings;
 @group(0) @binding(1) var<storage, read> seen: array<vec4f>; // for each ray: colour; depth, samples, inversions
-@group(0) @binding(2) var<storage, read_write> lost: atomic<u32>; // rays of which a point could not be solved
+@group(0) @binding(2) var<storage, read_write> lost: atomic<u32>; // rays with an unsolved point
 @group(0) @binding(3) var target_: texture_storage_2d<rgba8unorm, write>;
 
 @compute @workgroup_size(8, 8)

@@ -1,26 +1,26 @@
-// Pictures and frames as a window shows them: a part of the plane, enlarged or reduced, through strokes.
+// Images and frames in a window: the visible part, scaled and warped by strokes.
 //
-// T⁻¹ is solved at every 16th pixel of the window, and a pixel interpolates it; where time allows, it goes on from there
-// by Newton's method. All offsets are in physical units.
+// T⁻¹ is solved at every 16th pixel of the window, and interpolated at the others, optionally followed by Newton's
+// method. All offsets are in physical units.
 
 struct Settings {
-    size: vec2u, // pixels that are drawn
+    size: vec2u, // pixels of the window
     nodes: vec2u,
-    origin: vec2f, // where the first of them lies, in pixels of the picture
-    scale: f32, // pixels of the picture from pixel to pixel
+    origin: vec2f, // the position of the first one, in pixels of the image
+    scale: f32, // pixels of the image from pixel to pixel
     time: f32, // the frame
-    source: vec2u, // pixels of the picture
+    source: vec2u, // pixels of the image
     frames: u32, // of the whole clip
-    earliest: u32, // of the frames that are here
-    held: u32, // how many they are
-    slots: u32, // that there is room for
+    earliest: u32, // of the frames held
+    held: u32, // their number
+    slots: u32, // the capacity
     stride: u32, // words from frame to frame, with all levels
     levels: u32, // each half as large as the one before
     strokes: u32,
-    solved: u32, // whether each pixel is solved for
+    solved: u32, // true if each pixel is solved
     overlay: u32,
     every: f32, // pixels from line to line of a grid
-    back: vec4f, // behind the picture; and how wide the squares are that lie behind what is transparent
+    back: vec4f, // behind the image; and the width of the checkerboard squares behind transparent pixels
 }
 
 @group(0) @binding(0) var<uniform> settings: Settings;
@@ -38,7 +38,7 @@ const INVERSIONS = 4u;
 
 struct Seen {
     w: vec3f,
-    right: vec3f, // ∂p/∂q by x and y
+    right: vec3f, // ∂p/∂q with respect to x and y
     below: vec3f,
     residual: f32,
     steps: f32,
@@ -101,7 +101,7 @@ fn texel(at: vec2i, level: u32, frame: i32) -> vec4f {
         size = (size + 1u) / 2u;
     }
     let kept = vec2u(clamp(at, vec2i(0), vec2i(size) - 1));
-    // The frames that are here lie in a ring.
+    // The frames held are in a ring.
     let here = clamp(frame, i32(settings.earliest), i32(settings.earliest + settings.held) - 1);
     let slot = u32(here) % settings.slots;
     let v = unpack4x8unorm(pixels[slot * settings.stride + start + kept.y * size.x + kept.x]);
@@ -135,7 +135,7 @@ fn paint(@builtin(global_invocation_id) id: vec3u) {
     }
     let at = vec2f(id.xy);
     let q = settings.origin + settings.scale * at;
-    // A pixel is drawn as far as it covers the picture.
+    // A pixel is drawn as far as it covers the image.
     let inside = clamp(
         (min(q + 0.5, vec2f(settings.source) - 0.5 - q)) / settings.scale + 0.5, vec2f(0.0), vec2f(1.0)
     );
@@ -147,11 +147,11 @@ fn paint(@builtin(global_invocation_id) id: vec3u) {
     let seen = source_of(at);
     let p = q + seen.w.xy / domain.spacing.xy;
     let time = settings.time + seen.w.z / domain.spacing.z;
-    // What a pixel covers of the picture, in steps of a level's pixels.
+    // The footprint of a pixel in the image, in pixels of a level.
     let right = settings.scale * seen.right.xy * domain.spacing.x / domain.spacing.xy;
     let below = settings.scale * seen.below.xy * domain.spacing.y / domain.spacing.xy;
     let covers = max(length(right), length(below));
-    // While a hand moves, one sample will do.
+    // During a drag, one sample will do.
     let levels = log2(max(covers, 1e-6)) - select(0.5, 1.0, settings.solved == 1u);
     let level = u32(clamp(ceil(levels - 0.5), 0.0, f32(settings.levels - 1u)));
     let taps = select(1u, u32(clamp(ceil(covers / f32(1u << level) - 0.1), 1.0, 4.0)), settings.solved == 1u);
@@ -163,7 +163,7 @@ fn paint(@builtin(global_invocation_id) id: vec3u) {
         }
     }
     total /= f32(taps * taps);
-    // What is transparent lies on a chequered ground.
+    // Transparent pixels are drawn over a checkerboard.
     let square = vec2u((vec2f(id.xy) + 0.5) / settings.back.w);
     let ground = select(0.42, 0.58, ((square.x + square.y) & 1u) == 0u);
     var shown = total.xyz + (1.0 - total.w) * ground;

@@ -11,7 +11,7 @@ struct Settings {
 @group(0) @binding(1) var<uniform> domain: Domain;
 @group(0) @binding(2) var<storage, read> strokes: array<Stroke>;
 @group(0) @binding(3) var<storage, read> anchors: array<vec4f>; // q
-@group(0) @binding(4) var<storage, read> offsets: array<vec4f>; // what is added to them, or should be reached
+@group(0) @binding(4) var<storage, read> offsets: array<vec4f>; // their offsets, or the target offsets
 @group(0) @binding(5) var<storage, read_write> results: array<vec4f>; // four for each point
 
 @compute @workgroup_size(64)

@@ -1,9 +1,9 @@
 // A level of a frame, from the one before.
 
 struct Settings {
-    fine: vec2u, // samples that are here of the level before, across and down
+    fine: vec2u, // samples on the device of the level before, across and down
     coarse: vec2u, // and of this one
-    start: vec2u, // where they begin in the levels, in samples: those before, and these
+    start: vec2u, // their offsets in the levels, in samples: those of the level before, and of this one
     first: vec2u, // their first rows in the whole levels
     blocks: vec2u, // layers of a frame, across and down
     slot: u32,

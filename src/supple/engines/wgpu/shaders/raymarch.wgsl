@@ -1,29 +1,29 @@
-// A volume seen through a camera, a ray for each thread; see _core/raymarch.hpp.
+// A volume rendered through a camera, a ray for each thread; see _core/raymarch.hpp.
 
 struct Settings {
     size: vec3u, // voxels
     strokes: u32,
     nodes: vec3u, // of the lattice of T⁻¹
     spread: f32, // voxels from node to node
-    bricks: vec3u, // of the map of what may be skipped
-    first: u32, // of the rows that are made here
+    bricks: vec3u, // of the map of empty space
+    first: u32, // of the rows in this dispatch
     picture: vec2u,
-    window: vec2f, // the values that are seen at all
+    window: vec2f, // the visible range of values
     eye: vec4f, // in voxels
-    ahead: vec4f, // where the camera looks, and a pixel to the right and one down, in millimetres along the axes
+    ahead: vec4f, // the direction of view, and the steps to the pixels right and below, in millimetres along the axes
     right: vec4f,
     below: vec4f,
-    light: vec4f, // where it comes from
+    light: vec4f, // its direction
     step: f32, // millimetres from sample to sample
-    low: f32, // the value of the first entry of the transfer function, and entries a value
+    low: f32, // the value of the transfer function's first entry, and entries for each unit of value
     scale: f32,
-    threshold: f32, // below it, nothing is seen before the first surface
+    threshold: f32, // the least value of the first surface
     entries: u32,
     shaded: u32,
-    always: u32, // whether any value is seen
+    always: u32, // true if all values are visible
     fine: u32, // rays along a pixel's side
     rows: u32,
-    stretch: u32, // samples that share what is read of the lattice
+    stretch: u32, // samples that share one read of the lattice
     turns: u32, // see turns.wgsl
     unused: u32,
 }
@@ -34,7 +34,7 @@ struct Settings {
 @group(0) @binding(6) var skips: texture_3d<u32>;
 @group(0) @binding(7) var colours: texture_2d_array<f32>; // the transfer function: one row
 @group(0) @binding(8) var<storage, read_write> seen: array<vec4f>; // for each ray: colour; depth, samples, inversions
-@group(0) @binding(9) var<storage, read> finished: array<u32>; // for each brick of the buffer, whether it can be read
+@group(0) @binding(9) var<storage, read> finished: array<u32>; // for each brick of the buffer, 1 if it can be read
 
 override MODE: u32;
 
@@ -50,12 +50,12 @@ const FAINT = 4e-3;
 const FAR = 3e38;
 
 var<private> inversions: f32 = 0.0;
-var<private> lost: bool = false; // whether a point could not be solved
+var<private> lost: bool = false; // true if a point could not be solved
 
-// Where a point of what is seen comes from, in voxels.
+// The source of a point, in voxels.
 struct Place {
     p: vec3f,
-    shift: vec3f, // of an exact one, from which the next one starts
+    shift: vec3f, // of an exact one, the guess of the next one
     matrix: mat3x3f, // ∂p/∂q, in physical units, of an exact one
 }
 
@@ -74,10 +74,10 @@ fn solved(q: vec3f, near: vec3f) -> Place {
     return Place(q + found.offset / domain.spacing.xyz, found.offset, found.matrix);
 }
 
-// A stretch of a ray, a few steps long, along which what comes from the lattice is a cubic: what is read there serves
-// all of its samples. It is about as long as the lattice's cells, and not coarser than they are.
+// A stretch of a ray, a few steps long, along which the source points are a cubic: one read of the lattice serves all
+// of its samples. It is about as long as the cells of the lattice, and not longer.
 struct Stretch {
-    of_buffer: bool, // whether the buffer is read, as it has been filled around here
+    of_buffer: bool, // true if the buffer is read, which is filled around it
     start: f32, // in millimetres along the ray
     over: f32, // 1 / its length
     from_: Between, // at its ends
@@ -89,19 +89,19 @@ struct Stretch {
 
 var<private> stretch: Stretch;
 
-// Go on to the stretch that begins some steps from the ray's start.
+// Start the stretch some steps from the ray's start.
 fn begin(ray: Ray, going_on: bool) {
     if (MODE == PLAIN || MODE == EXACT) {
         return;
     }
-    // The last one begins earlier, so that all lie where the lattice is.
+    // The last one begins earlier, to stay within the lattice.
     let whole = f32(settings.stretch) * settings.step;
     let wanted = ray.start + ray.count * settings.step;
     stretch.start = max(ray.near, min(wanted, ray.far - whole));
     let length_ = max(min(stretch.start + whole, ray.far) - stretch.start, 1e-3 * whole);
     stretch.over = 1.0 / length_;
     stretch.from_ = stretch.to;
-    // Its end, and its start where that is not the last one's end: a loop, as some devices carry out all of a branch.
+    // Its end, and its start unless it is known: a loop, since some devices run both sides of a branch.
     var ends = select(2u, 1u, going_on && stretch.start == wanted);
     if (MODE == HYBRID) {
         let was = stretch.of_buffer;
@@ -142,12 +142,12 @@ struct Ray {
     forwards: vec3<bool>,
     near: f32, // where it enters and leaves the box
     far: f32,
-    // Samples lie whole steps from a start: a sum of many would not stay exact.
+    // Samples are a whole number of steps from the start, since a running sum would lose accuracy.
     start: f32,
     count: f32,
 }
 
-// How many steps lead out of the bricks around that nothing is seen of; 0 where there are none.
+// The number of steps to leave the empty bricks around a point; 0 in visible ones.
 fn steps_to_skip(ray: Ray, t: f32) -> f32 {
     if (MODE == EXACT) {
         return 0.0;
@@ -161,7 +161,7 @@ fn steps_to_skip(ray: Ray, t: f32) -> f32 {
     return select(0.0, max(1.0, ceil((leave - t) / settings.step - 1e-3)), away > 0.0);
 }
 
-// The gradient of what is seen, for each millimetre: (∂p/∂q)ᵀ ∇f.
+// The gradient of the deformed volume, per millimetre: (∂p/∂q)ᵀ ∇f.
 fn gradient_at(place: Place, t: f32) -> vec3f {
     let g = slopes_at(place.p, stretch.of_buffer);
     if (MODE == EXACT) {
@@ -236,7 +236,7 @@ fn march(@builtin(global_invocation_id) id: vec3u) {
             var low = max(near, surface - settings.step);
             var before = -FAR;
             if (low < stretch.start) {
-                // That step lies before what is known of the ray.
+                // That step lies before the start of the ray.
                 ray.start = low;
                 ray.count = 0.0;
                 begin(ray, false);
@@ -263,10 +263,10 @@ fn march(@builtin(global_invocation_id) id: vec3u) {
             }
             ray.start = surface;
             ray.count = 0.0;
-            taken -= 1.0; // the sample at the surface is taken once more
+            taken -= 1.0; // sample the surface once more
         }
     }
-    // What lies behind it.
+    // The part behind the surface.
     var total = vec4f(0.0);
     var opaque = FAR;
     var going_on = false;

@@ -1,17 +1,17 @@
-// Colours at points of frames: nearest, linear, cubic, and averages over what a pixel covers.
+// Colours at points of frames: nearest, linear, cubic, and averages over footprints.
 //
-// Weights are float32; no sampler of the hardware's takes part.
+// Weights are float32; hardware samplers are not used.
 
-// Mirrored about the outer edges of the first and the last sample.
+// Reflection about the outer edges of the first and the last sample.
 fn reflected(i: i32, n: i32) -> i32 {
     let k = ((i % (2 * n)) + 2 * n) % (2 * n);
     return min(k, 2 * n - 1 - k);
 }
 
 struct Level {
-    size: vec2i, // of the whole frame's level
+    size: vec2i, // of the level of a whole frame
     number: u32,
-    start: u32, // in the levels of a slot, in samples
+    start: u32, // its offset in the levels of a slot, in samples
 }
 
 fn level_of(number: u32) -> Level {
@@ -26,9 +26,9 @@ fn level_of(number: u32) -> Level {
     return Level(vec2i(size), number, start);
 }
 
-// What lies at a place of a level: as it is in the frame itself, and as it is filtered in coarser levels.
+// The sample of a level: unchanged in the frame itself, and in the form for filtering in coarser levels.
 fn stored(level: Level, at: vec2u, frame: u32) -> vec4f {
-    // Its rows of the frame: what comes of one that is not here is not used.
+    // The row in the frame: results of missing rows are not used.
     let rows = min(vec2u(at.y, at.y + 1u) << vec2u(level.number), settings.size.yy);
     let held = settings.held;
     missing += u32(frame < held.x || frame >= held.y || rows.x < held.z || rows.y > held.w);
@@ -71,14 +71,14 @@ fn linear_at(base: vec2i, part: vec2f, frame: i32) -> vec4f {
     return total;
 }
 
-// A place is a whole part, and the rest from 0 to 1: what float32 keeps of it does not depend on where it lies.
+// A coordinate is a whole part and a fraction from 0 to 1, whose accuracy in float32 does not depend on the whole part.
 struct Place {
     base: vec3i,
     part: vec3f,
 }
 
 fn place_of(q: vec3i, shift: vec3f) -> Place {
-    // Sources far outside are all the same; whole numbers stay within their bounds.
+    // Far outside, all source points are alike; this keeps integers in range.
     let kept = clamp(shift, vec3f(-1e6), vec3f(1e6));
     let whole = floor(kept);
     return Place(q + vec3i(whole), kept - whole);
@@ -120,7 +120,7 @@ fn integral(t: f32) -> f32 {
     return sign(t) * (x - 0.5 * x * x);
 }
 
-// How many frames a pixel covers beyond its own: the residual footprint along time.
+// The number of frames of a pixel beyond its own: the residual footprint along time.
 fn width_in_time(m: mat3x3f) -> f32 {
     let along = vec3f(m[0].z, m[1].z, m[2].z);
     return min(sqrt(max(dot(along, along) - 1.0, 0.0)), LONGEST);
@@ -129,7 +129,7 @@ fn width_in_time(m: mat3x3f) -> f32 {
 fn filtered(q: vec3i, source: Source) -> vec4f {
     let place = place_of(q, source.shift);
     let over = footprint_of(source.matrix);
-    // Far outside the clip, all times are the same.
+    // Far outside the clip, time has no effect.
     let kept = clamp(place.base.z, settings.times.x, settings.times.y);
     let part = select(0.0, place.part.z, kept == place.base.z);
     var width = 0.0;

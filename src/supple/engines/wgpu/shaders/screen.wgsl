@@ -1,10 +1,10 @@
-// What was drawn, on the screen: two textures of any size beside one another, cut where a slider is.
+// Composition on the screen: two textures of any size side by side, divided at the split.
 
 struct Settings {
-    part: vec4f, // what of the textures is shown: left, top, width and height
-    split: f32, // left of it, from 0 to 1, the second texture
+    part: vec4f, // the visible part of the textures: left, top, width and height
+    split: f32, // the right edge of the second texture, from 0 to 1
     line: f32, // half the width of the line between them
-    linear: u32, // whether the screen wants linear light
+    linear: u32, // true if the screen takes linear light
     unused: u32,
 }
 

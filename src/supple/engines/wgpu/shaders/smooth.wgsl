@@ -1,4 +1,4 @@
-// What lattices are judged by; see _core/plan.hpp.
+// The length scale of the map, for checks of lattices; see _core/plan.hpp.
 
 const RESERVE = 2.0;
 const RESOLVED = 0.5;
@@ -16,8 +16,8 @@ fn norm_of(m: mat3x3f) -> f32 {
     return sqrt(dot(m[0], m[0]) + dot(m[1], m[1]) + dot(m[2], m[2]));
 }
 
-// How far, in pixels, the map stays as smooth as it is at a point: a stroke varies over ρ, and its border, along each
-// axis by itself, over σ or the distance to it, both as seen through the derivative of the stroke's input by q.
+// The length scale of the map at a point, in pixels: a stroke varies over ρ, and its border, along each axis by itself,
+// over σ or the distance to it, both scaled by the derivative of the stroke's input with respect to q.
 fn smoothness(q: vec3f, w: vec3f, m: mat3x3f) -> f32 {
     var at = Moved(w, mat3x3f(1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0));
     var least = 1e30;

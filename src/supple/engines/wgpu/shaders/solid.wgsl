@@ -26,7 +26,7 @@ fn along_x(i: vec3u, s: f32) -> Between {
 
 // T⁻¹ at a point, given in voxels.
 fn between(p: vec3f) -> Between {
-    // The first node of the cell that it lies in, and where in that, from 0 to 1.
+    // The first node of its cell, and the position in the cell, from 0 to 1.
     let v = clamp(p / settings.spread, vec3f(0.0), vec3f(settings.nodes - 1u));
     let i = min(vec3u(v), settings.nodes - 2u);
     let s = v - vec3f(i);

@@ -1,4 +1,4 @@
-// Some drivers end all of a thread's loops after so many turns in total, and say nothing: what follows is wrong.
+// Some drivers end all loops of a thread after a total number of iterations, without an error.
 
 fn cut_short() -> bool {
     var n = 0u;

@@ -1,8 +1,8 @@
 // Samples of a volume between its voxels, and their slopes; see _core/voxels.hpp.
 
-@group(0) @binding(5) var warped: texture_3d<f32>; // the buffer of a deformed one
+@group(0) @binding(5) var warped: texture_3d<f32>; // the buffer of a deformed volume
 
-override SAMPLED: u32 = 0u; // which of the two
+override SAMPLED: u32 = 0u; // the volume that is sampled
 
 const GIVEN = 0u;
 const WARPED = 1u;
@@ -54,7 +54,7 @@ fn rise(at: vec3u, axis: vec3<bool>, around: Around, s: f32, of_buffer: bool) ->
     return mix(c - a, d - b, s);
 }
 
-// The gradient by central differences of what `sample_at` gives, for each voxel: 32 voxels tell it.
+// The gradient by central differences of `sample_at`, for each voxel: it reads 32 voxels.
 fn slopes_at(p: vec3f, of_buffer: bool) -> vec3f {
     let last = vec3i(settings.size) - 1;
     let whole = clamp(floor(p), vec3f(-2.0), vec3f(last + 1));

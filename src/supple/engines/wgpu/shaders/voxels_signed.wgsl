@@ -1,4 +1,4 @@
-// Samples of 8 or 16 bits with a sign.
+// Signed samples of 8 or 16 bits.
 
 @group(0) @binding(4) var voxels: texture_3d<i32>;
 

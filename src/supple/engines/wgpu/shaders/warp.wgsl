@@ -2,30 +2,30 @@
 
 struct Settings {
     size: vec2u, // samples of a whole plane
-    nodes: vec2u, // of the lattice that is here
+    nodes: vec2u, // of the lattice on the device
     fill: vec4f,
     pitch: vec2f, // pixels from sample to sample
-    offset: vec2f, // where the first sample lies, in pixels
+    offset: vec2f, // the position of the first sample, in pixels
     strokes: u32,
-    first: u32, // of the planes that are made here
+    first: u32, // of the planes in this dispatch
     frames: u32, // of the whole source
     channels: u32,
     origin: u32, // the lattice's first row of cells
-    top: u32, // the first row of samples that is made here
-    tall: u32, // how many rows
+    top: u32, // the first row of samples in this dispatch
+    tall: u32, // the number of rows
     groups: u32, // words of pixels in a row
-    held: vec4u, // the source's frames that are here, and its rows: from, to
-    slots: u32, // how many frames there is room for, one after the other and round again
-    shift: u32, // in which of them the first frame is that is here
+    held: vec4u, // the ranges of the source's frames and rows on the device: from, to
+    slots: u32, // the number of frames in the ring
+    shift: u32, // the slot of the first frame
     blocks: vec2u, // layers of a frame, across and down
-    part: vec2u, // rows of cells that are coloured now: from, to
-    bounds: vec2f, // of the values of the samples' type
-    white: f32, // what opaque and white are
+    part: vec2u, // the rows of cells to colour: from, to
+    bounds: vec2f, // of the sample type
+    white: f32, // the value of white and of full opacity
     tolerance: f32, // of source points, in pixels
-    times: vec2i, // beyond which nothing changes
+    times: vec2i, // beyond which samples are constant
     turns: u32, // see turns.wgsl
-    limited: u32, // whether all strokes have a limited reach
-    levels: u32, // that frames have beside themselves
+    limited: u32, // true if all strokes have a limited reach
+    levels: u32, // of a frame, without the frame itself
     stride: u32, // samples from the levels of a slot to those of the next
 }
 
@@ -34,18 +34,18 @@ struct Settings {
 @group(0) @binding(2) var<storage, read> strokes: array<Stroke>;
 @group(0) @binding(3) var<storage, read_write> nodes: array<vec4f>;
 @group(0) @binding(4) var<storage, read_write> errors: array<f32>;
-// The worst error of a source point, how many points are lost, how many cells are rough, and how many samples were
-// asked for that are not here.
+// The largest error of a source point, the number of unsolved points, of rough cells, and of samples that were not on
+// the device.
 @group(0) @binding(5) var<storage, read_write> stats: array<atomic<u32>, 4>;
-@group(0) @binding(6) var<storage, read_write> rough: array<u32>; // workgroups, the number of cells, and which ones
-@group(0) @binding(7) var lattice: texture_2d_array<f32>; // what is in the nodes, once they are solved
+@group(0) @binding(6) var<storage, read_write> rough: array<u32>; // workgroups, the number of cells, and their indices
+@group(0) @binding(7) var lattice: texture_2d_array<f32>; // the solved nodes
 @group(0) @binding(9) var<storage, read_write> target_: array<u32>;
 
 override FORMAT: u32 = 0u;
 override FILTER: u32 = 0u;
 override BETWEEN: u32 = 0u;
 override OUTSIDE: u32 = 0u;
-override AVERAGE: bool = false; // over the time that a pixel covers
+override AVERAGE: bool = false; // over the time of a pixel
 
 const BYTE = 0u;
 const BYTES = 1u;
@@ -58,25 +58,25 @@ const NEAREST = 0u;
 const LINEAR = 1u;
 const CUBIC = 2u;
 const AUTO = 3u;
-const NOTHING = 3u; // lies between the frames of a picture: there is one
+const NOTHING = 3u; // without interpolation between frames: one is an image
 const EDGE = 0u;
 const CONSTANT = 1u;
 const REFLECT = 2u;
 const STEP = 16u;
-const LONGEST = 64.0; // frames that a pixel is averaged over, at most
+const LONGEST = 64.0; // the longest time average of a pixel, in frames
 
 var<private> worst: f32 = 0.0;
 var<private> lost: u32 = 0u;
 
-const CUT = 1u << 20u; // what a thread adds to the points that are lost, if its loops were ended
+const CUT = 1u << 20u; // added to the count of unsolved points, if a thread's loops were ended
 var<private> missing: u32 = 0u;
 
-// A workgroup makes the pixels of one cell: what it reads of the lattice is the same for all of them.
+// A workgroup computes the pixels of one cell, which share one read of the lattice.
 var<private> cell: vec2u;
-var<private> known: f32 = 0.0; // the error of what the cell interpolates
+var<private> known: f32 = 0.0; // the error of the cell
 var<private> patch_: Patch;
 
-// T⁻¹ of a sample: from the lattice where that is good enough, and solved from there elsewhere.
+// T⁻¹ of a sample: from the lattice if accurate, and otherwise solved from there.
 fn source_of(x: u32, y: u32, plane: u32, solving: bool) -> Source {
     let place = settings.pitch * vec2f(vec2u(x, y)) + settings.offset;
     let source = between_nodes(patch_, (place - f32(STEP) * vec2f(cell + vec2u(0u, settings.origin))) / f32(STEP));
@@ -101,7 +101,7 @@ fn source_of(x: u32, y: u32, plane: u32, solving: bool) -> Source {
     return Source(found.offset / domain.spacing.xyz, m);
 }
 
-// From pixels to the samples' own numbers.
+// From pixels to sample indices.
 fn in_samples(source: Source) -> Source {
     let unit = vec3f(settings.pitch, 1.0);
     return Source(
@@ -114,7 +114,7 @@ fn in_samples(source: Source) -> Source {
     );
 }
 
-// Whether no stroke reaches a sample, so that it is copied as it is.
+// True if no stroke reaches a sample, which is then copied.
 fn passed(x: u32, y: u32, plane: u32) -> bool {
     if (known == UNMOVED) {
         return true;
@@ -138,13 +138,13 @@ fn colour(x: u32, y: u32, plane: u32, solving: bool) -> vec4f {
     return v;
 }
 
-// Pixels in a thread's words, which rows begin with, and words in a thread.
+// Pixels in the words of a thread, and words in a thread.
 override PIXELS: u32 = 4u;
 override WORDS: u32 = 1u;
 
 fn write(at: vec2u, plane: u32, solving: bool) {
     var words = vec4u(0u);
-    // One place that all formats share: what compilers make of a shader is as long as it is often said.
+    // One function for all formats, to keep compiled shaders small.
     for (var k = 0u; k < PIXELS; k++) {
         let x = PIXELS * at.x + k;
         if (x < settings.size.x) {
@@ -168,7 +168,7 @@ fn write(at: vec2u, plane: u32, solving: bool) {
     }
 }
 
-// Threads along the sides of a cell; each makes several pixels, with what it read of the lattice once.
+// Threads along the sides of a cell; each computes several pixels from one read of the lattice.
 override ACROSS: u32 = 4u;
 override DOWN: u32 = 8u;
 override ROWS: u32 = 16u; // of samples in a cell
@@ -183,7 +183,7 @@ fn fill(group: vec2u, plane: u32, own: vec2u, solving: bool) {
                 write(vec2u(x, y), plane, solving);
             }
         }
-        // Positive numbers are in order as their bits are.
+        // Positive numbers are ordered like their bits.
         atomicMax(&stats[0], bitcast<u32>(worst));
         if (cut_short()) {
             lost += CUT;
@@ -199,7 +199,7 @@ fn fill(group: vec2u, plane: u32, own: vec2u, solving: bool) {
     }
 }
 
-// Cells that interpolate well enough.
+// Good cells.
 @compute @workgroup_size(ACROSS, DOWN)
 fn warp(@builtin(local_invocation_id) own: vec3u, @builtin(workgroup_id) group: vec3u) {
     let cells = settings.nodes - 1u;
@@ -211,7 +211,7 @@ fn warp(@builtin(local_invocation_id) own: vec3u, @builtin(workgroup_id) group: 
     }
 }
 
-// The others, in a pass of their own: what a branch may do costs some GPUs as much as what it does.
+// Rough cells, in a separate pass: on some GPUs, a branch costs as much as its body, even when not taken.
 @compute @workgroup_size(ACROSS, DOWN)
 fn solve_and_warp(
     @builtin(local_invocation_id) own: vec3u,
