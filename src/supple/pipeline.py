@@ -361,7 +361,7 @@ class _WithFallback:
     def begin(self, z: int, first: int, last: int) -> object:
         if self._planes is not None:
             with self._failing():
-                return (self._planes.begin(z, first, last),)
+                return (self._planes.begin(z, first, last),)  # not None, whatever the engine returns
         return None
 
     def finish(self, begun: Any, z: int, first: int, last: int, outs: Sequence[Array]) -> Certificate:
@@ -370,6 +370,7 @@ class _WithFallback:
                 known = self._planes.finish(begun[0], z, first, last, outs)
                 note(self._engine.name)
                 return known
+        # No engine is left, or it failed just now.
         if self._spare is None:
             self._spare = self._stack.enter_context(NATIVE.stream(self._work, self._window))
         note(NATIVE.name)

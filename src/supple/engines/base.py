@@ -75,11 +75,11 @@ class Space:
     table : ndarray of STROKE_DTYPE
         Strokes that are known to be one-to-one.
     axes : float64 array, shape (3, 5)
-        The packed domain.
+        The packed domain: a row (first, last, sigma, spacing, profile) for each axis, x first (`Domain.packed`).
     ndim : int
-        2 for an image, 3 for a clip or a volume.
+        2: one map, of an image or of each frame alike; 3: a map through a clip or a volume.
     count : int
-        The number of frames or slices; ``ndim`` is 2 for a clip that is warped frame by frame.
+        The number of frames or slices.
     shape : (int, int)
         Rows and columns of each frame.
     """

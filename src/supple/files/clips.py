@@ -18,7 +18,8 @@ from supple.domain import length, number, refuse
 from supple.engines.base import Array, Certificate, Layout, Sampling, Work, warn_of
 from supple.engines.choice import check_device, engine_for
 from supple.errors import SuppleError, shown
-from supple.media.base import ClipWarning, CountError
+from supple.media import codecs
+from supple.media.base import Clip, ClipWarning, CountError
 from supple.media.codecs import SUFFIXES
 from supple.media.files import check_output, replacing
 from supple.media.image import check_quality, check_target
@@ -33,7 +34,7 @@ if TYPE_CHECKING:
 
 PathLike = str | os.PathLike[str]
 
-SUFFIXES_OUT = frozenset({".avi", ".mkv", ".mov", ".mp4", ".webm"})
+SUFFIXES_OUT = frozenset(codecs.SUFFIXES_OUT) - {".gif"}
 GB = 1e9
 
 
@@ -141,7 +142,7 @@ def _holds_videos_alone(folder: PathLike) -> bool:
 
 
 @contextlib.contextmanager
-def open_clip(source: PathLike, *, rate: float | Fraction | None = None, count: int | None = None) -> Iterator[Any]:
+def open_clip(source: PathLike, *, rate: float | Fraction | None = None, count: int | None = None) -> Iterator[Clip]:
     """Open a video file, or an image sequence by its pattern or folder."""
     if is_sequence(source) and not os.path.isfile(source):
         from supple.media import sequence
@@ -183,9 +184,9 @@ def turned(rotation: float) -> str:
     return "clockwise" if rotation < 0 else "counterclockwise"
 
 
-def warn_of_rotation(clip: Any, deformation: Deformation) -> None:
+def warn_of_rotation(clip: Clip, deformation: Deformation) -> None:
     """Warn that points are those of stored frames, if players rotate them."""
-    rotation = getattr(clip, "rotation", 0)
+    rotation = clip.rotation
     if rotation and not deformation.is_identity:
         height, width = clip.layout.shape
         warnings.warn(
@@ -227,7 +228,7 @@ def deformation_of(
 
 
 def sampling_of(
-    clip: Any,
+    clip: Clip,
     *,
     filter: str,
     outside: str,
@@ -250,7 +251,7 @@ def sampling_of(
     return replace(sampling, fill=_filled(clip, fill))
 
 
-def _filled(clip: Any, fill: float | Sequence[float]) -> tuple[float, ...]:
+def _filled(clip: Clip, fill: float | Sequence[float]) -> tuple[float, ...]:
     """Return the fill value as the components of a clip."""
     layout: Layout = clip.layout
     values = [float(value) for value in np.asarray(fill, np.float64).ravel()]
@@ -303,7 +304,7 @@ def warp_clip(
     check_clip_target(source, target, known, quality=quality, force=force)
     number("memory", known.memory, "a number of bytes from 0", 0.0, 1e30)
     count: int | None = None
-    while True:
+    while True:  # twice at most: what a container says of the number of frames may be wrong
         try:
             with open_clip(source, rate=known.rate, count=count) as clip:
                 deformation = deformation_of(recipe, clip.count, clip.layout.shape, known.time_scale, clip.name, fit)
@@ -418,7 +419,7 @@ def _suffix(path: PathLike) -> str:
 
 
 def frames_of(
-    clip: Any, deformation: Deformation, sampling: Sampling, planes: Sequence[int], memory: float = 2 * GB
+    clip: Clip, deformation: Deformation, sampling: Sampling, planes: Sequence[int], memory: float = 2 * GB
 ) -> Iterator[tuple[int, list[Array]]]:
     """Yield some frames of a warped clip, in order, as arrays that are reused for the next one."""
     work = work_on(clip, deformation, sampling)
@@ -426,6 +427,6 @@ def frames_of(
         yield z, arrays
 
 
-def work_on(clip: Any, deformation: Deformation, sampling: Sampling) -> Work:
+def work_on(clip: Clip, deformation: Deformation, sampling: Sampling) -> Work:
     """Return the work on the frames of a clip."""
     return Work(replace(deformation.space, count=clip.count), clip.layout, sampling)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager
+from fractions import Fraction
 from typing import Any, Protocol, TypeVar, runtime_checkable
 
 from supple.engines.base import Array, Layout
@@ -65,6 +66,10 @@ class Clip(Protocol):
     @property
     def count(self) -> int:
         """The number of frames."""
+
+    @property
+    def rate(self) -> Fraction:
+        """Frames a second, on average."""
 
     @property
     def layout(self) -> Layout:
