@@ -252,6 +252,7 @@ def sanitize(tests: Sequence[str]) -> int:
         "PYTHONMALLOC": "malloc",  # so that Python's objects are watched as well
         "PYTHONPATH": str(ROOT / folder),
         "PYTHONDONTWRITEBYTECODE": "1",
+        "SUPPLE_TEST_EVERY": "5",
     }
     # Reports are written by C, past what Python's sys.stderr is: of a test that they end, pytest would keep them.
     command = [sys.executable, "-m", "pytest", "-q", "--capture=sys", "-p", "no:cacheprovider"]
