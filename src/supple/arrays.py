@@ -166,8 +166,7 @@ def warp_batch(
     if held.ndim < 1 + len(shape) or held.shape[1 : 1 + len(shape)] != shape:
         sizes = ", ".join(map(str, shape))
         refuse("sources", f"of shape (N, {sizes}) or (N, {sizes}, channels)", f"shape {held.shape}")
-    if len(spaces) not in (1, len(held)):
-        refuse("deformations", f"one, or one for each of the {len(held)} items", len(spaces))
+    _check_count(spaces, len(held))
     result = engine.result(out, held)
     for k, item in enumerate(held):
         try:
@@ -193,11 +192,14 @@ def spaces_of(deformations: Any) -> tuple[Space, ...]:
     return spaces
 
 
-def batch_of(held: Any, spaces: tuple[Space, ...], sampling: Sampling, alpha: bool | None) -> Work:
-    """Return the work on a batch, whose first axis counts items; SuppleError if its shape does not fit."""
-    count = held.shape[0] if held.ndim else 0
+def _check_count(spaces: tuple[Space, ...], count: int) -> None:
     if len(spaces) not in (1, count):
         refuse("deformations", f"one, or one for each of the {count} items", len(spaces))
+
+
+def batch_of(held: Any, spaces: tuple[Space, ...], sampling: Sampling, alpha: bool | None) -> Work:
+    """Return the work on a batch, whose first axis counts items; SuppleError if its shape does not fit."""
+    _check_count(spaces, held.shape[0] if held.ndim else 0)
     layout = Layout.of_array(held.shape[1:], held.dtype, spaces[0].whole, alpha=alpha, light=sampling.light)
     return Work(spaces[0], layout, sampling.filled(layout.groups[0].channels, held.dtype), spaces)
 

@@ -6,7 +6,7 @@ import contextlib
 import math
 import os
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import IO, Any
 
 import numpy as np
@@ -15,11 +15,12 @@ import numpy.typing as npt
 from supple.errors import SuppleError, shown
 
 Array = npt.NDArray[Any]
+Full = Callable[[str, str, str], str]
 
 
 @contextlib.contextmanager
 def buffers(
-    shapes: Sequence[tuple[int, ...]], dtype: npt.DTypeLike, memory: float, why: str, folder: str | None = None
+    shapes: Sequence[tuple[int, ...]], dtype: npt.DTypeLike, memory: float, full: Full, folder: str | None = None
 ) -> Iterator[list[Array]]:
     """Open arrays of some shapes.
 
@@ -29,8 +30,8 @@ def buffers(
         The shapes and the type of the arrays.
     memory : float
         The bytes of memory that the arrays may take together.
-    why : str
-        The error message for a full disk, after "no room for it": ``{}`` is replaced by the system's reason.
+    full : function of (str, str, str)
+        Makes the error message for a full disk of the size, the folder and the system's reason.
     folder : str, optional
         The folder of the temporary file; by default, the system's.
 
@@ -51,8 +52,7 @@ def buffers(
             file = stack.enter_context(tempfile.TemporaryFile(prefix=".supple-", dir=place))
             reserve(file, sum(sizes))
         except OSError as error:
-            text = why.replace("{folder}", place).replace("{size}", f"{sum(sizes) / 1e9:.2g} GB")
-            raise SuppleError(text.replace("{}", str(error.strerror or error))) from None
+            raise SuppleError(full(f"{sum(sizes) / 1e9:.2g} GB", place, str(error.strerror or error))) from None
         starts = [0, *np.cumsum(sizes)[:-1].tolist()]
         held = [np.memmap(file, kind, "r+", start, shape) for start, shape in zip(starts, shapes, strict=True)]
         yield [np.asarray(part) for part in held]
@@ -69,8 +69,12 @@ def beside(
     SuppleError
         If there is no room on the disk.
     """
-    why = f"the result takes {{size}}, and there is no room for it beside {shown(target)} ({{}}): choose another place"
-    with buffers([shape], dtype, memory, why, os.path.dirname(os.path.realpath(target))) as (array,):
+
+    def full(size: str, folder: str, reason: str) -> str:
+        beside = f"there is no room for it beside {shown(target)} ({reason})"
+        return f"the result takes {size}, and {beside}: choose another place"
+
+    with buffers([shape], dtype, memory, full, os.path.dirname(os.path.realpath(target))) as (array,):
         yield array
 
 

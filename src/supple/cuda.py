@@ -6,10 +6,10 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from supple.arrays import Deforming, batch_of, spaces_of, work_of
-from supple.domain import integer, refuse
+from supple.domain import integer
 from supple.engines.base import Sampling
-from supple.engines.choice import lies_on_device
-from supple.engines.cuda.engine import open_cuda
+from supple.engines.cuda.arrays import taken
+from supple.engines.cuda.engine import Cuda
 
 if TYPE_CHECKING:
     from supple.engines.cuda.job import Warping
@@ -71,10 +71,8 @@ def start(
     )  # fmt: skip
     if slab is not None:
         slab = integer("slab", slab, "a number of planes from 1 on", 1, 1 << 30)
-    if not lies_on_device(source):
-        refuse("source", "an array on a GPU", source)
-    engine = open_cuda()
-    held = engine.taken(source, "source")
+    held = taken(source, "source")
+    engine = Cuda(held.gpu)
     many = isinstance(deformations, Sequence)
     work = batch_of(held, spaces, sampling, alpha) if many else work_of(held, spaces[0], sampling, alpha)
     engine.check(work)

@@ -315,11 +315,14 @@ def stream(
     with contextlib.ExitStack() as stack:
         capacity = capacity_of(plan, engine)
         shapes = [(capacity, *g.shape, g.channels) for g in layout.groups]
-        why = (
-            f"{capacity} frames have to be held at once, {{size}}, more than the memory allowed, and there is no room "
-            "for them in {folder} ({}): allow more memory, or set TMPDIR to another folder"
-        )
-        window = stack.enter_context(buffers(shapes, layout.dtype, memory, why))
+
+        def full(size: str, folder: str, reason: str) -> str:
+            return (
+                f"{capacity} frames have to be held at once, {size}, more than the memory allowed, and there is no "
+                f"room for them in {folder} ({reason}): allow more memory, or set TMPDIR to another folder"
+            )
+
+        window = stack.enter_context(buffers(shapes, layout.dtype, memory, full))
         sets = [[np.empty((*g.shape, g.channels), layout.dtype) for g in layout.groups] for _ in range(buffered)]
         planes = _WithFallback(engine, work, window, stack)
         source = iter(frames)

@@ -63,7 +63,6 @@ def engine_for(device: str, work: Work) -> Engine:
     SuppleError
         If the user names a device that does not exist, or does not support this work.
     """
-    choice("device", device, DEVICES)
     if device == "cuda":
         cuda = _cuda()
         cuda.check(work)

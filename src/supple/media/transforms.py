@@ -84,7 +84,7 @@ def _suffix(path: PathLike) -> str | None:
 
 
 def _write_nifti(file: IO[bytes], field: Field, geometry: Geometry) -> None:
-    nibabel = nifti.library()
+    nibabel = nifti.imported()
     affine = np.diag([-1.0, -1.0, 1.0, 1.0]) @ geometry.matrix  # the grid in RAS; the vectors stay in LPS, as ITK's do
     image = nibabel.Nifti1Image(field.transpose(2, 1, 0, 3)[:, :, :, None], affine)
     image.set_sform(affine, code=1)
@@ -140,7 +140,7 @@ def _spelled(numbers: npt.ArrayLike) -> list[str]:
 
 
 def _write_transform(name: str, path: Path, field: Field, geometry: Geometry) -> None:
-    sitk = itk.library()
+    sitk = itk.imported()
     with open(path, "wb") as file:  # HDF5 crashes on a full disk
         for _ in range(0, 8 * field.size + _OVERHEAD, _CHUNK):
             file.write(bytes(_CHUNK))

@@ -13,7 +13,7 @@ import numpy as np
 import torch
 
 from supple.domain import refuse
-from supple.engines.base import SLACK, Certificate, Planes, Space, Steps, Work, warn_of
+from supple.engines.base import SLACK, Certificate, Layout, Planes, Space, Steps, Work, warn_of
 from supple.engines.choice import engine_at
 from supple.engines.native import NATIVE
 from supple.engines.torch.field import Columns, Strokes, moved
@@ -64,15 +64,16 @@ class Torch:
         held: Any = (tensor.float() if tensor.dtype in halves else tensor).movedim(0, -1)
         if engine is NATIVE:
             array = np.ascontiguousarray(held.numpy(force=True))
+            work = _on(work, array)
             array = array if work.space.ndim == 3 else array[None]
             made = np.empty_like(array)
             kind = NATIVE.working_dtype(array.dtype)
-            yield from engine.warp(_of_type(work, array), [array.view(kind)], [made.view(kind)])
+            yield from engine.warp(work, [array.view(kind)], [made.view(kind)])
             given = torch.from_numpy(made.reshape(held.shape))
         else:
             source = engine.taken(held, "tensor")
             result = engine.result(None, source)
-            yield from engine.warp(_of_type(work, source), [source], [result])
+            yield from engine.warp(_on(work, source), [source], [result])
             given = result.given
         out.copy_(given.movedim(-1, 0))
 
@@ -106,11 +107,10 @@ class Torch:
 TORCH = Torch()
 
 
-def _of_type(work: Work, held: Any) -> Work:
-    dtype = held.dtype
-    white = float(np.iinfo(dtype).max) if dtype.kind in "iu" else 1.0
-    sampling = work.sampling.filled(work.layout.groups[0].channels, dtype)
-    return replace(work, layout=replace(work.layout, dtype=dtype, white=white), sampling=sampling)
+def _on(work: Work, held: Any) -> Work:
+    """Return the work with the layout of an array (*shape, K), and the fill values in its type."""
+    layout = Layout.of_array(held.shape, held.dtype, work.space.whole, alpha=False, light=False)
+    return replace(work, layout=layout, sampling=work.sampling.filled(layout.groups[0].channels, held.dtype))
 
 
 def seen_at(points: torch.Tensor, strokes: Strokes) -> torch.Tensor:

@@ -17,7 +17,7 @@ import numpy as np
 from supple.errors import VolumeWarning, shown
 from supple.media.files import PathLike, head_of, unreadable
 from supple.media.volume.data import Array, Volume, check_spacing, located
-from supple.media.volume.itk import check_voxels, failing, geometry_of, library, silence
+from supple.media.volume.itk import check_voxels, failing, geometry_of, imported, silence
 
 _UID, _NUMBER, _TEXT, _PIXEL_SPACING = "0020|000e", "0020|0011", "0008|103e", "0028|0030"
 _THICKNESS, _BETWEEN, _BITS = "0018|0050", "0018|0088", "0028|0100"
@@ -93,7 +93,7 @@ def listed(path: PathLike, *, nested: bool = True) -> list[Series]:
     Objects that are not images, or are derived from images in the folder (a dose, a segmentation), are left out with a
     warning.
     """
-    sitk, beside = library(), []
+    sitk, beside = imported(), []
     images: list[tuple[str, Any]] = []
     derived: list[tuple[str, Any]] = []
     for file in (
@@ -164,7 +164,7 @@ def read(path: PathLike, series: str | None = None) -> Volume:
     no such series, or there are several and none is named; a slice is missing, or of another size or direction than the
     others; the slices are not stacked at right angles; or a file cannot be read.
     """
-    sitk, file = library(), Path(path)
+    sitk, file = imported(), Path(path)
     if not file.is_dir():
         head_of(path, 1)
         with failing(path, "DICOM"):

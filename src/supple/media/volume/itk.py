@@ -37,7 +37,7 @@ _OWN = re.compile(r"ITK_|NRRD_space$|NRRD_kinds|NRRD_sizes|NRRD_thicknesses")
 _SILENCE = threading.Lock()
 
 
-def library() -> Any:
+def imported() -> Any:
     """Return SimpleITK, imported at the first use."""
     need("volume", "NRRD, MetaImage and DICOM files and transforms", "SimpleITK")
     import SimpleITK
@@ -69,7 +69,7 @@ def read(path: PathLike, form: str) -> Volume:
     SuppleError if it is missing, of another kind, damaged or cut short; if its voxels are not real numbers; or if it
     has more axes than x, y, z and time.
     """
-    sitk = library()
+    sitk = imported()
     head = head_of(path, 4)
     if form == "NRRD" and head != b"NRRD":
         raise unreadable(path, "it is no NRRD file", "check its name")
@@ -237,7 +237,7 @@ def _reason(text: str) -> str:
 
 def write(path: PathLike, samples: Array, like: Volume, *, force: bool = False) -> None:
     """Write a NRRD file, compressed, or a MetaImage file, uncompressed; the data of a .mhd go to a .raw beside it."""
-    sitk = library()
+    sitk = imported()
     target = check_output(path, force=force)
     suffix = target.suffix.lower()
     with contextlib.ExitStack() as stack:

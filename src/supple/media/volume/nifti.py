@@ -38,7 +38,7 @@ _SAME = 0.01  # of a voxel: the largest difference of qform and sform by roundin
 _ORDERS: tuple[Literal["little", "big"], ...] = ("little", "big")
 
 
-def library() -> Any:
+def imported() -> Any:
     """Return nibabel, imported at the first use."""
     need("volume", "NIfTI files", "nibabel")
     import nibabel
@@ -106,7 +106,7 @@ def _opened(path: PathLike) -> IO[bytes]:
 
 def _header(path: Path) -> tuple[Any, bool]:
     """Return the header of a file, and whether the voxels are in the same file."""
-    nibabel = library()
+    nibabel = imported()
     from nibabel.spatialimages import HeaderDataError
     from nibabel.wrapstruct import WrapStructError
 
@@ -222,7 +222,7 @@ def _geometry(path: PathLike, first: Path, header: Any, sizes: tuple[int, ...], 
     # Programs that share fields and landmarks read the file by ITK, whose choice depends on the codes.
     from supple.media.volume import itk
 
-    reader = itk.library().ImageFileReader()
+    reader = itk.imported().ImageFileReader()
     reader.SetImageIO("NiftiImageIO")
     reader.SetFileName(os.fspath(first))
     with itk.failing(path, "NIfTI"):
@@ -310,7 +310,7 @@ def _copied(known: Any, samples: Array) -> Any:
 
 
 def _made(samples: Array, like: Volume) -> Any:
-    nibabel = library()
+    nibabel = imported()
 
     long = max(samples.shape) > LONGEST
     kind: Any = nibabel.Nifti2Header if long else nibabel.Nifti1Header
