@@ -160,14 +160,16 @@ def colours_hint(shape: tuple[int, ...]) -> str:
     return f" (if the last axis of {shape} is colours, make the deformation with shape[:2])"
 
 
-def _checked_shape(shape: object) -> tuple[int, ...]:
+def checked_shape(shape: object) -> tuple[int, ...]:
+    """Return ``shape`` as two or three sizes; SuppleError for other values."""
     wanted = "two or three sizes, (H, W), (T, H, W) or (Z, H, W)"
     sizes = items("shape", shape, wanted, (2, 3))
     within = f"an integer from 1 to {LONGEST_AXIS}"
     return tuple(integer(f"shape[{i}]", size, within, 1, LONGEST_AXIS) for i, size in enumerate(sizes))
 
 
-def _checked_spacing(spacing: object, ndim: int) -> tuple[float, ...]:
+def checked_spacing(spacing: object, ndim: int) -> tuple[float, ...]:
+    """Return ``spacing`` as one length for each axis, x first; SuppleError for other values."""
     if isinstance(spacing, Real):
         return (length("spacing", spacing),) * ndim
     wanted = f"one number, or {ndim} of them (x first) for a shape of {ndim} axes"
@@ -213,9 +215,9 @@ class Domain:
         border_profile: BorderProfile = "quartic",
         time: bool = False,
     ) -> None:
-        sizes = _checked_shape(shape)
+        sizes = checked_shape(shape)
         object.__setattr__(self, "shape", sizes)
-        object.__setattr__(self, "spacing", _checked_spacing(spacing, len(sizes)))
+        object.__setattr__(self, "spacing", checked_spacing(spacing, len(sizes)))
         checked = checked_border(border)
         if isinstance(checked, tuple) and len(checked) != len(sizes):
             refuse("border", f"one width, or {len(sizes)} of them (x first) for a shape of {len(sizes)} axes", border)

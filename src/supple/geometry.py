@@ -1,13 +1,16 @@
-"""The geometry of a volume in space: spacing, origin and direction, and the two conventions of scanners."""
+"""Grids of samples in space: shape, spacing, origin and direction; and the two conventions of scanners."""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Any, Self
 
 import numpy as np
 import numpy.typing as npt
 
-from supple.domain import choice, refuse
+from supple.domain import checked_shape, checked_spacing, choice, integer, items, point, refuse
 from supple.errors import SuppleError
 
 Floats = npt.NDArray[np.float64]
@@ -94,3 +97,153 @@ class Geometry:
         known = convention or self.convention
         choice("convention", known, CONVENTIONS)
         return places * _FLIP if known == "RAS" else places
+
+    def grid(self, shape: Sequence[int]) -> Grid:
+        """Return the grid of a volume of this shape."""
+        return Grid(shape, self.spacing, self.origin, self.direction)
+
+
+@dataclass(frozen=True, slots=True, init=False)
+class Grid:
+    """A regular grid of samples in the plane or in space.
+
+    The sample with the index i, x first, lies at ``origin + direction @ (spacing * i)``. Positions of a volume are in
+    millimetres in LPS (x to the patient's left, y to the back, z to the head, as in DICOM and ITK); those of a picture
+    are in pixels unless it has a spacing.
+
+    Parameters
+    ----------
+    shape : sequence of int
+        The array's shape: ``(H, W)`` or ``(Z, H, W)``.
+    spacing : float or sequence of float
+        The distance from a sample to the next, x first.
+    origin : sequence of float, optional
+        The position of the first sample; by default 0.
+    direction : array_like, shape (D, D), optional
+        Its columns are the directions of the axes: orthonormal. By default, those of space.
+
+    Raises
+    ------
+    SuppleError
+        If an argument is invalid.
+    """
+
+    shape: tuple[int, ...]
+    spacing: tuple[float, ...]
+    origin: tuple[float, ...]
+    direction: tuple[tuple[float, ...], ...]
+    first: tuple[int, ...] = field(repr=False)
+    whole: tuple[int, ...] = field(repr=False)
+
+    def __init__(
+        self,
+        shape: Sequence[int],
+        spacing: float | Sequence[float] = 1.0,
+        origin: Sequence[float] | None = None,
+        direction: npt.ArrayLike | None = None,
+    ) -> None:
+        sizes = checked_shape(shape)
+        n = len(sizes)
+        start = (0.0,) * n if origin is None else point("origin", origin, (n,))
+        try:
+            turned = np.eye(n) if direction is None else np.asarray(direction, np.float64).reshape(n, n)
+        except (TypeError, ValueError):
+            refuse("direction", f"an array of shape ({n}, {n}), its columns the directions of the axes", direction)
+        if not np.allclose(turned.T @ turned, np.eye(n), atol=1e-3):
+            raise SuppleError(
+                "the grid's axes are not at right angles to each other, or not of unit length: resample it first"
+            )
+        self._set(sizes, checked_spacing(spacing, n), start, turned, (0,) * n, sizes)
+
+    def _set(
+        self,
+        shape: tuple[int, ...],
+        spacing: tuple[float, ...],
+        origin: tuple[float, ...],
+        direction: Floats,
+        first: tuple[int, ...],
+        whole: tuple[int, ...],
+    ) -> Self:
+        values = {
+            "shape": shape,
+            "spacing": spacing,
+            "origin": origin,
+            "direction": tuple(tuple(row) for row in direction.tolist()),
+            "first": first,
+            "whole": whole,
+        }
+        for name, value in values.items():
+            object.__setattr__(self, name, value)
+        return self
+
+    @property
+    def ndim(self) -> int:
+        """The number of axes: 2 or 3."""
+        return len(self.shape)
+
+    @property
+    def sizes(self) -> tuple[int, ...]:
+        """The number of samples along each axis, x first."""
+        return self.shape[::-1]
+
+    @property
+    def matrix(self) -> Floats:
+        """The homogeneous matrix (D + 1, D + 1) from the index of a sample, x first, to its position."""
+        made = np.eye(self.ndim + 1)
+        made[:-1, :-1] = np.multiply(self.direction, self.spacing)
+        made[:-1, -1] = self.origin
+        return made
+
+    def positions(self, indices: npt.ArrayLike) -> Floats:
+        """Return the positions of indices (..., D), x first."""
+        matrix = self.matrix
+        return np.asarray(np.asarray(indices, np.float64) @ matrix[:-1, :-1].T + matrix[:-1, -1])
+
+    def indices(self, positions: npt.ArrayLike) -> Floats:
+        """Return the indices, x first, of positions (..., D)."""
+        moved = np.asarray(positions, np.float64) - self.origin
+        return np.asarray(moved @ np.linalg.inv(self.matrix[:-1, :-1]).T)
+
+    def crop(self, first: Sequence[int], sizes: Sequence[int]) -> Self:
+        """Return a part of the grid, which samples what the whole samples there, bit for bit.
+
+        Parameters
+        ----------
+        first : sequence of int
+            The index of its first sample, x first.
+        sizes : sequence of int
+            The number of its samples along each axis, x first.
+
+        Raises
+        ------
+        SuppleError
+            If it is not within the grid.
+        """
+        n = self.ndim
+        starts = items("first", first, f"{n} indices, x first", (n,))
+        counts = items("sizes", sizes, f"{n} numbers of samples, x first", (n,))
+        for i, size in enumerate(self.sizes):
+            starts[i] = integer(f"first[{i}]", starts[i], f"an index from 0 to {size - 1}", 0, size - 1)
+            most = size - starts[i]
+            counts[i] = integer(f"sizes[{i}]", counts[i], f"a number of samples from 1 to {most}", 1, most)
+        origin = tuple(self.positions(starts).tolist())
+        within = tuple(a + b for a, b in zip(self.first, starts, strict=True))
+        made = object.__new__(type(self))
+        return made._set(tuple(counts[::-1]), self.spacing, origin, np.array(self.direction), within, self.whole)
+
+    def resampled(self, spacing: float | Sequence[float]) -> Self:
+        """Return a grid of another spacing that covers the same extent, from outer edge to outer edge."""
+        steps = np.array(checked_spacing(spacing, self.ndim))
+        extent = np.multiply(self.sizes, self.spacing)
+        sizes = [max(1, math.ceil(x - 1e-6)) for x in (extent / steps).tolist()]
+        corner = self.positions((extent - steps * sizes) / (2 * np.array(self.spacing)) - 0.5)
+        origin = corner + np.array(self.direction) @ (steps / 2)
+        return type(self)(sizes[::-1], steps.tolist(), origin.tolist(), self.direction)
+
+    def is_same_space(self, other: Any) -> bool:
+        """Return whether another grid has the same samples, within a thousandth of the spacing."""
+        if not isinstance(other, Grid) or self.shape != other.shape:
+            return False
+        corners = np.array(np.meshgrid(*[(0, n - 1) for n in self.sizes])).reshape(self.ndim, -1).T
+        off = self.indices(other.positions(corners)) - corners
+        return bool(np.abs(off).max() < 1e-3)

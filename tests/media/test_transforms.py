@@ -18,7 +18,7 @@ import pytest
 import SimpleITK as sitk  # noqa: N813
 
 from supple import Deformation, Recipe, Stroke, SuppleError
-from supple.fields import displacement_of, write_transform
+from supple.files.transforms import displacement_of, write_transform
 from supple.files.volumes import VolumeOptions, warp_volume
 from supple.geometry import Geometry
 from supple.media.transforms import SUFFIXES_OUT, check_target, write_field
@@ -293,6 +293,6 @@ def test_a_full_disk_leaves_what_was_there_and_no_word_of_itks(tmp_path: Path) -
 
 
 def test_pictures_load_neither_itk_nor_nibabel() -> None:
-    code = "import sys, supple.fields, supple.files.landmarks; print({'SimpleITK', 'nibabel'} & set(sys.modules))"
+    code = "import sys, supple.files.transforms, supple.files.landmarks; print({'SimpleITK', 'nibabel'} & set(sys.modules))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, encoding="utf-8", check=True)
     assert done.stdout == "set()\n"

@@ -20,7 +20,7 @@ from supple.deformation import Deformation, Report
 from supple.engines.base import Certificate, Sampling, warn_of
 from supple.engines.choice import check_device, engine_for
 from supple.errors import GapWarning, SuppleError, VolumeWarning, shown
-from supple.fields import write_transform
+from supple.files.transforms import write_transform
 from supple.geometry import Geometry
 from supple.media import transforms
 from supple.media.files import check_output, replacing
