@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -10,7 +11,8 @@ from typing import Any, Literal, Self, get_args
 import numpy as np
 import numpy.typing as npt
 
-from supple.domain import choice, refuse
+from supple import _core
+from supple.domain import choice, number, refuse
 from supple.errors import SuppleError
 from supple.geometry import Grid
 
@@ -19,6 +21,10 @@ Array = npt.NDArray[Any]
 PathLike = str | os.PathLike[str]
 Interpolation = Literal["linear", "cubic", "bspline"]
 Beyond = Literal["zero", "edge"]
+
+OK, FOLDED, OUTSIDE, UNCONVERGED = range(4)
+STATUS = ("ok", "folded", "outside", "unconverged")
+"""The names of the codes in `Inverted.status`."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, init=False)
@@ -155,5 +161,157 @@ class Field:
         return self.grid.ndim
 
 
+    def packed(self, frame: Floats) -> _core.Sampled:
+        """Return the field as the core takes it.
+
+        Parameters
+        ----------
+        frame : float64 array, shape (D + 1, D + 1)
+            The homogeneous matrix from the coordinates of the points that it shall map to positions.
+        """
+        n = self.ndim
+        to_index = np.linalg.inv(self.grid.matrix)
+        sizes = self.grid.sizes
+        own = self.interpolation == "bspline"  # the coefficients at the ends are beyond the field
+        values = _coefficients(self.values) if self.interpolation == "cubic" else self.values
+        matrix = to_index @ frame
+        return _core.Sampled(
+            values,
+            1 if self.interpolation == "linear" else 3,
+            [1.0 if own else 0.0] * n,
+            [size - (2.0 if own else 1.0) for size in sizes],
+            0.0 if own else 0.5,
+            self.beyond == "zero",
+            np.ascontiguousarray(matrix[:n]),
+            np.ascontiguousarray(np.linalg.inv(matrix[:n, :n])),
+            np.ascontiguousarray(to_index[:n, :n]),
+        )
+
+    def invert(self, grid: Grid | None = None, *, tolerance: float = 0.01) -> Inverted:
+        """Return the inverse displacement field, with its error and status at each sample.
+
+        Each sample y is solved for x with x + u(x) = y by Newton's method on the interpolant, whose Jacobian is exact;
+        nothing is smoothed, clamped or set to zero.
+
+        Parameters
+        ----------
+        grid : Grid, optional
+            The grid of the result; by default, the field's own.
+        tolerance : float
+            The largest distance from the true inverse of the interpolant, in voxels of the field.
+
+        Returns
+        -------
+        Inverted
+
+        Raises
+        ------
+        SuppleError
+            If the grid has another number of axes, or does not overlap the field's.
+        """
+        n = self.ndim
+        tolerance = number("tolerance", tolerance, "a number of voxels above 0", 1e-9, 1e9)
+        held = own_grid(self) if grid is None else grid
+        check_overlap(self, held)
+        to_index = np.linalg.inv(self.grid.matrix) @ held.matrix
+        dtype = self.values.dtype
+        values, error = np.empty((*held.shape, n), dtype), np.empty(held.shape, np.float32)
+        status = np.zeros(held.shape, np.uint8)
+        back = np.ascontiguousarray(np.linalg.inv(to_index)[:n])
+        self.packed(np.eye(n + 1)).invert(np.ascontiguousarray(to_index[:n]), back, tolerance, values, error, status)
+        return Inverted(type(self)(values, held, beyond=self.beyond), error, status)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Inverted:
+    """The inverse of a displacement field, with its accuracy.
+
+    Parameters
+    ----------
+    field : Field
+        The inverse, interpolated linearly between its samples. At a sample that is not ``OK``, it is the nearest that
+        was found.
+    error : float32 array, of the grid's shape
+        A bound on the distance of x from the true inverse of the interpolant, in the grid's units (millimetres); inf
+        where it is not known.
+    status : uint8 array, of the grid's shape
+        For each sample: `OK`; `FOLDED`, if the field folds there, or what folds elsewhere is mapped to there, so that
+        several points may be mapped to this one; `OUTSIDE`, if only a point beyond the field's grid could be mapped to
+        it; or `UNCONVERGED`, if none was found.
+    """
+
+    field: Field
+    error: npt.NDArray[np.float32]
+    status: npt.NDArray[np.uint8]
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """The number of samples of each status."""
+        found = np.bincount(self.status.ravel(), minlength=len(STATUS))
+        return dict(zip(STATUS, found.tolist(), strict=True))
+
+
 Map = Affine | Field
 """A map of positions that is no stroke."""
+
+
+def own_grid(field: Field) -> Grid:
+    """Return the grid of the samples of a field; of B-spline coefficients, without those beyond the field."""
+    if field.interpolation != "bspline":
+        return field.grid
+    return field.grid.crop([1] * field.ndim, [n - 2 for n in field.grid.sizes])
+
+
+def check_overlap(field: Field, grid: Grid) -> None:
+    """Raise SuppleError for a grid of another number of axes, or one that does not overlap the field's."""
+    if grid.ndim != field.ndim:
+        raise SuppleError(f"a field of {field.ndim} axes needs a grid of as many, found {grid.ndim}")
+    if not overlap(field.grid, grid):
+        raise SuppleError(
+            "the field's grid and the image's do not overlap: "
+            f"{_extent(field.grid)}, and {_extent(grid)}: check their positions in space"
+        )
+
+
+def overlap(one: Grid, other: Grid) -> bool:
+    """Return whether the boxes around two grids overlap."""
+    (low, high), (least, most) = _box(one), _box(other)
+    return bool(np.all(low <= most) and np.all(least <= high))
+
+
+def _box(grid: Grid) -> tuple[Floats, Floats]:
+    n = grid.ndim
+    corners = np.array(np.meshgrid(*[(-0.5, size - 0.5) for size in grid.sizes])).reshape(n, -1).T
+    places = grid.positions(corners)
+    return places.min(axis=0), places.max(axis=0)
+
+
+def _extent(grid: Grid) -> str:
+    low, high = _box(grid)
+    return f"from ({', '.join(f'{x:.4g}' for x in low)}) to ({', '.join(f'{x:.4g}' for x in high)})"
+
+
+_POLE = math.sqrt(3.0) - 2.0  # of the filter that inverts the cubic B-spline's samples (1, 4, 1) / 6
+_HORIZON = 40  # samples after which its response is below 1e-22
+
+
+def _coefficients(values: Array) -> Array:
+    """Return the coefficients of the cubic B-spline through values that are mirrored about the ends of each axis.
+
+    By the recursive filter of Unser, Aldroubi and Eden (1991), along one axis after the other.
+    """
+    made = values.astype(np.float64)
+    for axis in range(values.ndim - 1):
+        c = np.moveaxis(made, axis, 0)
+        n = len(c)
+        if n == 1:
+            continue
+        mirrored = np.abs((np.arange(_HORIZON) + n - 1) % (2 * n - 2) - n + 1)
+        c[0] = np.tensordot(_POLE ** np.arange(_HORIZON), c[mirrored], 1)
+        for k in range(1, n):
+            c[k] += _POLE * c[k - 1]
+        c[-1] = _POLE / (_POLE * _POLE - 1.0) * (c[-1] + _POLE * c[-2])
+        for k in range(n - 2, -1, -1):
+            c[k] = _POLE * (c[k + 1] - c[k])
+        c *= 6.0
+    return made.astype(values.dtype)

@@ -37,6 +37,40 @@ def invert_as_published(
     residual: Floats,
 ) -> None: ...
 
+# ---- fields
+
+class Sampled:
+    def __init__(
+        self,
+        values: Array,
+        order: int,
+        first: Sequence[float],
+        last: Sequence[float],
+        margin: float,
+        zero: bool,
+        to_index: Floats,
+        to_place: Floats,
+        vectors: Floats,
+    ) -> None: ...
+    def folded_cells(self, cells: npt.NDArray[np.uint8]) -> None: ...
+    def invert(
+        self,
+        grid: Floats,
+        back: Floats,
+        tolerance: float,
+        values: Array,
+        error: Singles,
+        status: npt.NDArray[np.uint8],
+    ) -> None: ...
+
+Part = tuple[Literal["strokes", "affine", "field"], Floats | tuple[Floats, Floats] | Sampled, bool]
+
+class Composite:
+    def __init__(self, ndim: int, axes: Floats, parts: Sequence[Part]) -> None: ...
+    def through(
+        self, points: Floats, backwards: bool, jacobian: bool, status: npt.NDArray[np.uint8]
+    ) -> tuple[Floats, Floats | None]: ...
+
 # ---- planes
 
 class Sampling:

@@ -1,0 +1,196 @@
+// Composite maps: strokes, affine maps and sampled fields one after the other, each forward or inverted.
+//
+// T is the composition of its parts, the first one first. A point goes through it forwards (T) or backwards (T⁻¹): each
+// part is evaluated where the direction is its own, and solved where it is the opposite one. With the point go its
+// derivatives, by the chain rule; of a solved part, by the implicit function theorem.
+#pragma once
+#include <memory>
+#include <vector>
+
+#include "newton.hpp"
+#include "sampled.hpp"
+
+namespace supple {
+
+enum Kind { STROKES, AFFINE, FIELD };
+
+struct Part {
+    Kind kind;
+    bool inverted;
+    std::vector<Stroke> strokes;  // and a list of all of them
+    std::vector<int> list;
+    double there[3][4], back[3][4];  // an affine map and its inverse
+    Sampled field;
+
+    Chain chain() const { return {strokes.data(), list.data(), (int)list.size()}; }
+};
+
+struct Composite {
+    std::vector<Part> parts;
+    Axis axes[3];
+    bool smooth = true;  // whether its derivatives are continuous
+};
+
+// Of the lanes that went through a composite: those solved, those within all fields, those where none folds; and the
+// evaluations.
+template <class V>
+struct Passed {
+    typename Masked<V>::type done, within, upright;
+    V steps;
+};
+
+template <int D, int TANGENTS, bool MIXED, class V>
+INLINE void pass_affine(const double (*m)[4], Jet<D, TANGENTS, MIXED, V>& jet) {
+    auto turned = [&](V* v, bool moved) INLINE_LAMBDA {
+        V r[D];
+        for (int i = 0; i < D; i++) {
+            r[i] = splat<V>(moved ? m[i][3] : 0.0);
+            for (int j = 0; j < D; j++) r[i] += m[i][j] * v[j];
+        }
+        for (int i = 0; i < D; i++) v[i] = r[i];
+    };
+    turned(jet.x, true);
+    for (int j = 0; j < TANGENTS; j++) turned(jet.t[j], false);
+    if constexpr (MIXED) turned(jet.mixed, false);
+}
+
+// From positions to indices of a field, and back.
+template <int D, int TANGENTS, bool MIXED, class V>
+INLINE void to_indices(const Sampled& k, Jet<D, TANGENTS, MIXED, V>& jet) {
+    pass_affine<D>(k.to_index, jet);
+}
+template <int D, int TANGENTS, bool MIXED, class V>
+INLINE void to_places(const Sampled& k, Jet<D, TANGENTS, MIXED, V>& jet) {
+    double m[3][4];
+    for (int i = 0; i < D; i++) {
+        m[i][3] = 0;
+        for (int j = 0; j < D; j++) {
+            m[i][j] = k.to_place[i][j];
+            m[i][3] -= k.to_place[i][j] * k.to_index[j][3];
+        }
+    }
+    pass_affine<D>(m, jet);
+}
+
+constexpr double KNOTS = 4;  // samples over which a field is taken as smooth
+
+template <int D, int TANGENTS, bool MIXED, class V>
+NOINLINE void pass_field(const Sampled& k, bool solved, Jet<D, TANGENTS, MIXED, V>& jet, Passed<V>& passed) {
+    typedef typename Masked<V>::type M;
+    constexpr int ORDER = MIXED ? 2 : 1;
+    to_indices<D>(k, jet);
+    if constexpr (MIXED)
+        for (int j = 0; j < 2; j++)
+            jet.smooth2[j] = least(jet.smooth2[j], V(KNOTS * KNOTS / most(dot<D>(jet.t[j], jet.t[j]), splat<V>(1e-300))));
+    Local<D, V> at;
+    if (!solved) {
+        const M in = on_grid<D>(k, jet.x);
+        look_up<D, ORDER, V>(k, jet.x, jet.t[0], jet.t[TANGENTS > 1 ? 1 : 0], at);
+        V scale = k.zero ? choose(in, splat<V>(1.0), V{}) : splat<V>(1.0);
+        if constexpr (TANGENTS > 0) {
+            V full[D][D];
+            for (int b = 0; b < D; b++)
+                for (int a = 0; a < D; a++) full[b][a] = scale * at.dw[b][a] + double(a == b);
+            passed.upright = both(passed.upright, determinant_of(full) > 0.0);
+            if constexpr (MIXED) {
+                V r[D];
+                for (int a = 0; a < D; a++) r[a] = times<D>(full, jet.mixed, a) + scale * at.second[a];
+                for (int a = 0; a < D; a++) jet.mixed[a] = r[a];
+            }
+            for (int j = 0; j < TANGENTS; j++) {
+                V r[D];
+                for (int a = 0; a < D; a++) r[a] = times<D>(full, jet.t[j], a);
+                for (int a = 0; a < D; a++) jet.t[j][a] = r[a];
+            }
+        }
+        for (int a = 0; a < D; a++) jet.x[a] += scale * at.w[a];
+        passed.steps += 1.0;
+        if (!k.zero) passed.within = both(passed.within, in);
+    } else {
+        Undone<D, V> found{};
+        look_up<D, 0, V>(k, jet.x, nullptr, nullptr, at);
+        for (int a = 0; a < D; a++) found.i[a] = jet.x[a] - at.w[a];
+        undo_field_surely<D, V>(k, jet.x, 1e-10, found);
+        // Beyond a field that is zero there, points stay; unless they are seen within, too.
+        M in = on_grid<D>(k, found.i), outside = without(in == in, in);
+        V stays = V{};
+        if (k.zero) {
+            M same = both(outside, without(in == in, on_grid<D>(k, jet.x)));
+            stays = choose(same, splat<V>(1.0), V{});
+            in = either(in, same);
+        }
+        const M still = stays > 0.0;
+        passed.within = both(passed.within, in);
+        passed.upright = both(passed.upright, either(still, found.determinant > 0.0));
+        passed.done = both(passed.done, either(still, found.done));
+        passed.steps += found.steps + 1.0;
+        for (int b = 0; b < D; b++)
+            for (int a = 0; a < D; a++) found.m[b][a] = choose(still, splat<V>(double(a == b)), found.m[b][a]);
+        for (int a = 0; a < D; a++) jet.x[a] = choose(still, jet.x[a], found.i[a]);
+        for (int j = 0; j < TANGENTS; j++) {
+            V r[D];
+            for (int a = 0; a < D; a++) r[a] = times<D>(found.m, jet.t[j], a);
+            for (int a = 0; a < D; a++) jet.t[j][a] = r[a];
+        }
+        if constexpr (MIXED) {
+            look_up<D, 2, V>(k, jet.x, jet.t[0], jet.t[1], at);
+            V r[D];
+            for (int a = 0; a < D; a++) r[a] = jet.mixed[a] - choose(still, V{}, at.second[a]);
+            for (int a = 0; a < D; a++) jet.mixed[a] = times<D>(found.m, r, a);
+        }
+    }
+    to_places<D>(k, jet);
+}
+
+template <int D, int TANGENTS, bool MIXED, class V>
+NOINLINE void pass_strokes(const Chain& chain, const Axis* axes, bool solved, Jet<D, TANGENTS, MIXED, V>& jet,
+                           Passed<V>& passed) {
+    if (!solved) {
+        for (int n = 0; n < chain.count; n++) carry(chain[n], axes, jet);
+        passed.steps += 1.0;
+        return;
+    }
+    double finest = axes[0].spacing;
+    for (int d = 1; d < D; d++) finest = least(finest, axes[d].spacing);
+    Solution<D, V> found;
+    undo<D>(chain, axes, jet.x, 1e-9 * finest, found);
+    passed.done = both(passed.done, found.done);
+    passed.steps += found.steps;
+    for (int d = 0; d < D; d++) jet.x[d] = found.p[d];
+    for (int j = 0; j < TANGENTS; j++) {
+        V r[D];
+        for (int d = 0; d < D; d++) r[d] = times<D>(found.m, jet.t[j], d);
+        for (int d = 0; d < D; d++) jet.t[j][d] = r[d];
+    }
+    if constexpr (MIXED) {
+        Jet<D, TANGENTS, true, V> there = jet;
+        for (int d = 0; d < D; d++) there.mixed[d] = V{};
+        for (int n = 0; n < chain.count; n++) carry(chain[n], axes, there);
+        V r[D];
+        for (int d = 0; d < D; d++) r[d] = jet.mixed[d] - there.mixed[d];
+        for (int d = 0; d < D; d++) jet.mixed[d] = times<D>(found.m, r, d);
+        for (int j = 0; j < 2; j++) jet.smooth2[j] = there.smooth2[j];
+    }
+}
+
+// Send a jet through T, or through T⁻¹ if `backwards`.
+template <int D, int TANGENTS, bool MIXED, class V>
+INLINE Passed<V> pass(const Composite& map, bool backwards, Jet<D, TANGENTS, MIXED, V>& jet) {
+    typedef typename Masked<V>::type M;
+    const M all = splat<V>(0.0) <= 0.0;
+    Passed<V> passed{all, all, all, V{}};
+    const int count = (int)map.parts.size();
+    for (int n = 0; n < count; n++) {
+        const Part& part = map.parts[backwards ? count - 1 - n : n];
+        const bool solved = part.inverted != backwards;
+        if (part.kind == STROKES)
+            pass_strokes<D>(part.chain(), map.axes, solved, jet, passed);
+        else if (part.kind == FIELD)
+            pass_field<D>(part.field, solved, jet, passed);
+        else
+            pass_affine<D>(solved ? part.back : part.there, jet);
+    }
+    return passed;
+}
+
+}  // namespace supple

@@ -1,0 +1,308 @@
+// Python bindings of sampled fields and composite maps: points, inverses and folds.
+#include <nanobind/stl/tuple.h>
+#include <nanobind/stl/vector.h>
+
+#include "composites.hpp"
+#include "tears.hpp"
+
+namespace supple {
+namespace {
+
+typedef nb::ndarray<nb::ro, nb::c_contig, nb::device::cpu> Values;
+typedef nb::ndarray<nb::c_contig, nb::device::cpu> Result;
+
+void fill_matrix(const Doubles& rows, int n, int columns, double (*to)[4]) {
+    if ((int)rows.shape(0) != n || (int)rows.shape(1) != columns) throw nb::value_error("a matrix has a wrong shape");
+    for (int i = 0; i < n; i++)
+        for (int j = 0; j < columns; j++) to[i][j] = rows.data()[i * columns + j];
+}
+
+nb::object owned(std::vector<double>* made, std::initializer_list<size_t> shape) {
+    nb::capsule owner(made, [](void* p) noexcept { delete (std::vector<double>*)p; });
+    return nb::cast(nb::ndarray<nb::numpy, double>(made->data(), shape, owner));
+}
+
+// Points (N, 3) through a composite: the points, the derivatives or none, and which are solved, within, and upright.
+template <int D>
+void pass_points(const Composite& map, bool backwards, const double* from, size_t count, double* to, double* matrices,
+                 uint8_t* status) {
+    constexpr size_t TOGETHER = 256;
+    parallel((int)((count + TOGETHER - 1) / TOGETHER), [&](int item, int) {
+        size_t first = (size_t)item * TOGETHER, end = std::min(first + TOGETHER, count);
+        for (size_t start = first; start < end; start += LANES) {
+            Jet<D, D, false, Lanes> jet;
+            int n = (int)std::min<size_t>(LANES, end - start);
+            for (int d = 0; d < D; d++) {
+                for (int l = 0; l < LANES; l++) jet.x[d][l] = from[3 * (start + std::min(l, n - 1)) + d];
+                for (int j = 0; j < D; j++) jet.t[j][d] = splat<Lanes>(d == j);
+            }
+            Passed<Lanes> passed = pass<D>(map, backwards, jet);
+            for (int l = 0; l < n; l++) {
+                for (int d = 0; d < D; d++) {
+                    to[3 * (start + l) + d] = jet.x[d][l];
+                    for (int j = 0; matrices && j < D; j++) matrices[9 * (start + l) + 3 * d + j] = jet.t[j][d][l];
+                }
+                status[start + l] =
+                    (passed.done[l] ? 0 : 4) | (passed.within[l] ? 0 : 2) | (passed.upright[l] ? 0 : 1);
+            }
+        }
+    });
+}
+
+nb::object through(const AnyComposite& map, const Doubles& points, bool backwards, bool jacobian,
+                   nb::ndarray<uint8_t, nb::ndim<1>, nb::c_contig, nb::device::cpu> status) {
+    if (points.shape(1) != 3 || status.shape(0) != points.shape(0))
+        throw nb::value_error("points must have the shape (N, 3), and status (N,)");
+    size_t count = points.shape(0);
+    auto* moved = new std::vector<double>(points.data(), points.data() + 3 * count);
+    nb::object first = owned(moved, {count, 3}), second = nb::none();
+    std::vector<double>* matrices = nullptr;
+    if (jacobian) second = owned(matrices = new std::vector<double>(9 * count), {count, 3, 3});
+    auto run = map.ndim == 2 ? pass_points<2> : pass_points<3>;
+    unlocked([&] {
+        run(*map.held, backwards, points.data(), count, moved->data(), matrices ? matrices->data() : nullptr,
+            status.data());
+    });
+    return nb::make_tuple(first, second);
+}
+
+// ---- inverses -------------------------------------------------------------------------------------------------------
+
+enum Status : uint8_t { OK, FOLDED, OUTSIDE, UNCONVERGED };
+
+struct Inversion {
+    const Sampled& field;
+    double grid[3][4];  // from an index of the result to one of the field
+    double back[3][4];
+    int size[3];
+    double tolerance;
+    void* values;
+    bool wide;
+    float* error;
+    uint8_t* status;
+};
+
+// A row of the result, from guesses of i - target, which it replaces.
+template <int D, class T>
+void invert_row(const Inversion& job, int y, int z, std::vector<double>& guess) {
+    const Sampled& k = job.field;
+    const size_t start = ((size_t)z * job.size[1] + y) * job.size[0];
+    T* values = (T*)job.values + start * D;
+    for (int x = 0; x < job.size[0]; x += LANES) {
+        Lanes target[D], q[3] = {{}, splat<Lanes>(y), splat<Lanes>(z)};
+        Undone<D, Lanes> found{};
+        const int n = std::min(LANES, job.size[0] - x);
+        for (int l = 0; l < LANES; l++) q[0][l] = x + std::min(l, n - 1);
+        for (int a = 0; a < D; a++) {
+            target[a] = splat<Lanes>(job.grid[a][3]);
+            for (int b = 0; b < D; b++) target[a] += job.grid[a][b] * q[b];
+            for (int l = 0; l < LANES; l++) found.i[a][l] = target[a][l] + guess[(size_t)(x + std::min(l, n - 1)) * D + a];
+        }
+        undo_field_surely<D, Lanes>(k, target, 0.125 * job.tolerance, found);
+        Lanes off[D], place[D], e2{};
+        for (int a = 0; a < D; a++) off[a] = found.i[a] - target[a];
+        const Mask all = Mask{} == 0;
+        Mask in = on_grid<D>(k, found.i);
+        if (k.zero) {
+            Mask same = without(without(all, in), on_grid<D>(k, target));
+            for (int a = 0; a < D; a++) off[a] = choose(same, Lanes{}, off[a]);
+            found.step2 = choose(same, Lanes{}, found.step2);
+            found.determinant = choose(same, splat<Lanes>(1.0), found.determinant);
+            found.done = either(found.done, same);
+            in = either(in, same);
+        } else
+            in = all;
+        for (int a = 0; a < D; a++) {
+            place[a] = Lanes{};
+            for (int b = 0; b < D; b++) place[a] += k.to_place[a][b] * off[b];
+        }
+        // The distance to the solution along each axis of space, and the rounding of the result.
+        double stretch = 0;
+        for (int a = 0; a < D; a++)
+            for (int b = 0; b < D; b++) stretch += k.to_place[a][b] * k.to_place[a][b];
+        for (int l = 0; l < n; l++) {
+            double rounding = 0;
+            for (int a = 0; a < D; a++) {
+                T v = (T)place[a][l];
+                rounding += (v - place[a][l]) * (v - place[a][l]);
+                values[(x + l) * D + a] = v;
+                guess[(size_t)(x + l) * D + a] = found.done[l] ? off[a][l] : 0;
+            }
+            e2[l] = 4 * sqrt(found.step2[l] * stretch) + sqrt(rounding);
+            const size_t at = start + x + l;
+            job.error[at] = found.done[l] ? (float)e2[l] * (1 + 1e-6f) : std::numeric_limits<float>::infinity();
+            uint8_t known = !found.done[l] ? UNCONVERGED : !(found.determinant[l] > 0) ? FOLDED : !in[l] ? OUTSIDE : OK;
+            if (known != OK && (job.status[at] != FOLDED || known == UNCONVERGED)) job.status[at] = known;
+        }
+    }
+}
+
+template <int D, int N>
+void mark_folds(const Inversion& job) {
+    std::vector<Spot<D>> spots;
+    std::mutex lock;
+    const Sampled& k = job.field;
+    each_bad_cell<D, N>(k, true, [&](const int* at, const Patch<D, N>& p) {
+        std::vector<Spot<D>> some;
+        bool low[D], high[D];
+        for (int d = 0; d < D; d++) {
+            low[d] = !k.zero && at[d] < k.first[d];
+            high[d] = !k.zero && at[d] >= k.last[d] && k.size[d] > 1;
+        }
+        find_folds(p, job.back, 1e9, 0, low, high, job.size, some);
+        std::lock_guard guard(lock);
+        spots.insert(spots.end(), some.begin(), some.end());
+    });
+    for (const Spot<D>& s : spots)
+        for (int z = D == 3 ? s.low[D - 1] : 0; z < (D == 3 ? s.high[D - 1] : 1); z++)
+            for (int y = s.low[1]; y < s.high[1]; y++) {
+                uint8_t* row = job.status + ((size_t)z * job.size[1] + y) * job.size[0];
+                std::fill(row + s.low[0], row + s.high[0], (uint8_t)FOLDED);
+            }
+}
+
+template <int D>
+void invert_all(const Inversion& job) {
+    job.field.order == 1 ? mark_folds<D, 2>(job) : mark_folds<D, 4>(job);
+    constexpr int BLOCK = 16;  // rows that are solved in order, each from the one before
+    const int down = (job.size[1] + BLOCK - 1) / BLOCK;
+    parallel(down * job.size[2], [&](int item, int) {
+        std::vector<double> guess((size_t)job.size[0] * D);
+        const int z = item / down, first = item % down * BLOCK;
+        for (int y = first; y < std::min(first + BLOCK, job.size[1]); y++)
+            job.wide ? invert_row<D, double>(job, y, z, guess) : invert_row<D, float>(job, y, z, guess);
+    });
+}
+
+void invert_field(const Field& field, const Doubles& grid, const Doubles& back, double tolerance, Result values,
+                  nb::ndarray<float, nb::c_contig, nb::device::cpu> error,
+                  nb::ndarray<uint8_t, nb::c_contig, nb::device::cpu> status) {
+    const int n = field.ndim;
+    Inversion job{field.held, {}, {}, {1, 1, 1}, tolerance, values.data(), values.dtype() == nb::dtype<double>(),
+                  error.data(), status.data()};
+    fill_matrix(grid, n, n + 1, job.grid);
+    fill_matrix(back, n, n + 1, job.back);
+    if ((int)values.ndim() != n + 1 || (int)error.ndim() != n || (int)status.ndim() != n ||
+        (!job.wide && values.dtype() != nb::dtype<float>()) || (int)values.shape(n) != n)
+        throw nb::value_error("values must be floats of shape (*shape, D), error and status of shape (*shape)");
+    for (int d = 0; d < n; d++) {
+        job.size[d] = (int)values.shape(n - 1 - d);
+        if (error.shape(n - 1 - d) != values.shape(n - 1 - d) || status.shape(n - 1 - d) != values.shape(n - 1 - d))
+            throw nb::value_error("values, error and status must be of one shape");
+    }
+    unlocked([&] { n == 2 ? invert_all<2>(job) : invert_all<3>(job); });
+}
+
+// The cells of a field, (size - 1 along each axis), in which it may fold: 1 where the determinant is not known to be
+// above 0 everywhere, after all cuts.
+template <int D, int N>
+void find_cells(const Sampled& k, uint8_t* cells, const int* shape) {
+    each_bad_cell<D, N>(k, false, [&](const int* at, const Patch<D, N>& p) {
+        auto bad = [](auto&& self, const Patch<D, N>& p, int cuts) -> bool {
+            if (surely_upright(p)) return false;
+            if (cuts == CUTS + 1) return true;
+            for (int which = 0; which < 1 << D; which++)
+                if (self(self, octant(p, which), cuts + 1)) return true;
+            return false;
+        };
+        if (!bad(bad, p, 0)) return;
+        size_t index = 0;
+        for (int d = D - 1; d >= 0; d--) index = index * shape[d] + (at[d] - (int)k.first[d]);
+        cells[index] = 1;
+    });
+}
+
+void folded_cells(const Field& field, nb::ndarray<uint8_t, nb::c_contig, nb::device::cpu> cells) {
+    const Sampled& k = field.held;
+    int shape[3] = {1, 1, 1};
+    if ((int)cells.ndim() != field.ndim) throw nb::value_error("cells must have an axis for each of the field's");
+    for (int d = 0; d < field.ndim; d++) {
+        shape[d] = std::max((int)k.last[d] - (int)k.first[d], 1);
+        if ((int)cells.shape(field.ndim - 1 - d) != shape[d]) throw nb::value_error("cells have a wrong shape");
+    }
+    unlocked([&] {
+        auto run = field.ndim == 2 ? (k.order == 1 ? find_cells<2, 2> : find_cells<2, 4>)
+                                   : (k.order == 1 ? find_cells<3, 2> : find_cells<3, 4>);
+        run(k, cells.data(), shape);
+    });
+}
+
+}  // namespace
+
+void bind_fields(nb::module_& m) {
+    nb::class_<Field>(m, "Sampled", "A displacement field that is sampled on a grid.")
+        .def(
+            "__init__",
+            [](Field* self, Values values, int order, std::vector<double> first, std::vector<double> last,
+               double margin, bool zero, const Doubles& to_index, const Doubles& to_place, const Doubles& vectors) {
+                const int n = (int)values.ndim() - 1;
+                if (n < 2 || n > 3 || (int)values.shape(n) != n || (int)first.size() != n || (int)last.size() != n ||
+                    (order != 1 && order != 3))
+                    throw nb::value_error("values must have the shape (*shape, D)");
+                new (self) Field{values, n, {}};
+                Sampled& k = self->held;
+                k.values = values.data();
+                k.wide = values.dtype() == nb::dtype<double>();
+                if (!k.wide && values.dtype() != nb::dtype<float>()) throw nb::type_error("values must be floats");
+                k.order = order;
+                for (int d = 0; d < 3; d++) {
+                    k.size[d] = d < n ? (int)values.shape(n - 1 - d) : 1;
+                    k.first[d] = d < n ? first[d] : 0;
+                    k.last[d] = d < n ? last[d] : 0;
+                    if (k.first[d] < 0 || k.last[d] > k.size[d] - 1 || k.last[d] < k.first[d])
+                        throw nb::value_error("first and last must be indices of the field");
+                }
+                k.zero = zero;
+                k.margin = margin;
+                double matrix[3][4];
+                fill_matrix(to_index, n, n + 1, k.to_index);
+                fill_matrix(to_place, n, n, matrix);
+                for (int i = 0; i < n; i++) std::copy(matrix[i], matrix[i] + n, k.to_place[i]);
+                fill_matrix(vectors, n, n, matrix);
+                for (int i = 0; i < n; i++) std::copy(matrix[i], matrix[i] + n, k.vectors[i]);
+            },
+            "values"_a, "order"_a, "first"_a, "last"_a, "margin"_a, "zero"_a, "to_index"_a, "to_place"_a, "vectors"_a)
+        .def("folded_cells", &folded_cells, "cells"_a.noconvert(), "Mark the cells in which it may fold.")
+        .def("invert", &invert_field, "grid"_a, "back"_a, "tolerance"_a, "values"_a.noconvert(), "error"_a.noconvert(),
+             "status"_a.noconvert(), "Write the inverse displacement of every sample of a grid, its error and status.");
+    nb::class_<AnyComposite>(m, "Composite", "Strokes, affine maps and sampled fields, one after the other.")
+        .def(
+            "__init__",
+            [](AnyComposite* self, int ndim, const Doubles& rows, nb::list parts) {
+                auto map = std::make_shared<Composite>();
+                Axes axes = axes_of(rows);
+                std::copy(axes.begin(), axes.end(), map->axes);
+                std::vector<nb::object> kept;
+                for (nb::handle h : parts) {
+                    nb::tuple item = nb::cast<nb::tuple>(h);
+                    std::string kind = nb::cast<std::string>(item[0]);
+                    Part part{};
+                    part.inverted = nb::cast<bool>(item[2]);
+                    if (kind == "field") {
+                        const Field& field = nb::cast<const Field&>(item[1]);
+                        if (field.ndim != ndim) throw nb::value_error("a field has another number of axes");
+                        part.kind = FIELD;
+                        part.field = field.held;
+                        map->smooth = map->smooth && field.held.order == 3;
+                        kept.push_back(nb::borrow(item[1]));
+                    } else if (kind == "affine") {
+                        part.kind = AFFINE;
+                        nb::tuple both = nb::cast<nb::tuple>(item[1]);
+                        fill_matrix(nb::cast<Doubles>(both[0]), ndim, ndim + 1, part.there);
+                        fill_matrix(nb::cast<Doubles>(both[1]), ndim, ndim + 1, part.back);
+                    } else {
+                        part.kind = STROKES;
+                        part.strokes = strokes_of(nb::cast<Doubles>(item[1]), map->axes);
+                        for (int i = 0; i < (int)part.strokes.size(); i++) part.list.push_back(i);
+                    }
+                    map->parts.push_back(std::move(part));
+                }
+                new (self) AnyComposite{ndim, std::move(map), std::move(kept)};
+            },
+            "ndim"_a, "axes"_a, "parts"_a)
+        .def("through", &through, "points"_a, "backwards"_a, "jacobian"_a, "status"_a.noconvert(),
+             "Return points (N, 3) mapped by T or T⁻¹, and the derivatives or None; status: 1 folded, 2 outside, 4 "
+             "unsolved.");
+}
+
+}  // namespace supple

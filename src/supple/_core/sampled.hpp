@@ -1,0 +1,328 @@
+// Displacement fields that are sampled on a grid: values, derivatives and the inverse.
+//
+// With i the index of a position x, i = A x + b, a field maps x to x' by i' = i + w(i), where w is interpolated between
+// the samples: linearly, or by a cubic B-spline. All of this file is in indices, in which cells are unit cubes.
+#pragma once
+#include "field.hpp"
+
+namespace supple {
+
+struct Sampled {
+    const void* values;  // (…, y, x, D), contiguous
+    bool wide;           // float64, and not float32
+    int order;           // 1: linear; 3: the values are coefficients of a cubic B-spline
+    int size[3];         // samples along x, y, z
+    // The indices between which w is interpolated; beyond, it is that at the nearest.
+    double first[3], last[3];
+    bool zero;              // beyond the grid, there is no displacement
+    double margin;          // of the grid, beyond `first` and `last`
+    double to_index[3][4];  // A and b
+    double to_place[3][3];  // A⁻¹
+    double vectors[3][3];   // from a value to a displacement of the index
+};
+
+// w at an index, its derivatives dw[b][a] = ∂w_a/∂i_b, and its second derivative along two directions.
+template <int D, class V>
+struct Local {
+    V w[D], dw[D][D], second[D];
+};
+
+// A sample beyond the ends of an axis is that mirrored about the last one.
+inline int mirrored(int k, int n) {
+    if (n == 1) return 0;
+    while (k < 0 || k >= n) k = k < 0 ? -k : 2 * (n - 1) - k;
+    return k;
+}
+
+// The weights of the samples from `whole` - (TAPS / 2 - 1) on, at a fraction f: [order of derivative][tap].
+template <int TAPS, class V>
+INLINE void spline_weights(V f, V (*w)[TAPS]) {
+    if constexpr (TAPS == 2) {
+        w[0][0] = 1.0 - f;
+        w[0][1] = f;
+        w[1][0] = splat<V>(-1.0);
+        w[1][1] = splat<V>(1.0);
+        w[2][0] = w[2][1] = V{};
+    } else {
+        V g = 1.0 - f, f2 = f * f, g2 = g * g;
+        w[0][0] = g2 * g / 6.0;
+        w[0][1] = (4.0 - f2 * (6.0 - 3.0 * f)) / 6.0;
+        w[0][2] = (4.0 - g2 * (6.0 - 3.0 * g)) / 6.0;
+        w[0][3] = f2 * f / 6.0;
+        w[1][0] = -0.5 * g2;
+        w[1][1] = f * (1.5 * f - 2.0);
+        w[1][2] = g * (2.0 - 1.5 * g);
+        w[1][3] = 0.5 * f2;
+        w[2][0] = g;
+        w[2][1] = 3.0 * f - 2.0;
+        w[2][2] = 3.0 * g - 2.0;
+        w[2][3] = f;
+    }
+}
+
+INLINE void set_lane(double& x, int, double v) { x = v; }
+INLINE void set_lane(Lanes& x, int l, double v) { x[l] = v; }
+
+template <int D, int TAPS, int ORDER, class T, class V>
+INLINE void sum_samples(const Sampled& k, const V* i, const V* a, const V* b, Local<D, V>& found) {
+    constexpr int N = Masked<V>::lanes, LEFT = TAPS / 2 - 1;
+    V weight[3][3][TAPS], inside[D];
+    ptrdiff_t at[D][TAPS][N], stride = D;  // offsets of samples
+    for (int d = 0; d < D; d++) {
+        V c = least(most(i[d], splat<V>(k.first[d])), splat<V>(k.last[d])), f{};
+        inside[d] = choose(c == i[d], splat<V>(1.0), V{});
+        for (int l = 0; l < N; l++) {
+            int whole = (int)lane(c, l);  // not below 0
+            if (TAPS == 2 && whole > k.size[d] - 2) whole = k.size[d] - 2 > 0 ? k.size[d] - 2 : 0;
+            set_lane(f, l, lane(c, l) - whole);
+            if (whole >= LEFT && whole + TAPS - LEFT <= k.size[d])
+                for (int n = 0; n < TAPS; n++) at[d][n][l] = (whole - LEFT + n) * stride;
+            else
+                for (int n = 0; n < TAPS; n++) at[d][n][l] = mirrored(whole - LEFT + n, k.size[d]) * stride;
+        }
+        spline_weights<TAPS>(f, weight[d]);
+        stride *= k.size[d];
+    }
+    const T* values = (const T*)k.values;
+    V raw[D] = {}, slope[D][D] = {}, second[6][D] = {};  // xx, xy, yy, xz, yz, zz
+    for (int n = 0; n < (D == 3 ? TAPS : 1); n++) {
+        V plane[D] = {}, plane_x[D] = {}, plane_y[D] = {}, plane_xx[D] = {}, plane_xy[D] = {}, plane_yy[D] = {};
+        for (int m = 0; m < TAPS; m++) {
+            V row[D] = {}, row_x[D] = {}, row_xx[D] = {};
+            const T* start[N];
+            for (int l = 0; l < N; l++) {
+                start[l] = values + at[1][m][l];
+                if constexpr (D == 3) start[l] += at[2][n][l];
+            }
+            for (int j = 0; j < TAPS; j++)
+                for (int d = 0; d < D; d++) {
+                    V v{};
+                    for (int l = 0; l < N; l++) set_lane(v, l, start[l][at[0][j][l] + d]);
+                    row[d] += weight[0][0][j] * v;
+                    if (ORDER > 0) row_x[d] += weight[0][1][j] * v;
+                    if (ORDER > 1) row_xx[d] += weight[0][2][j] * v;
+                }
+            for (int d = 0; d < D; d++) {
+                plane[d] += weight[1][0][m] * row[d];
+                if (ORDER > 0) {
+                    plane_x[d] += weight[1][0][m] * row_x[d];
+                    plane_y[d] += weight[1][1][m] * row[d];
+                }
+                if (ORDER > 1) {
+                    plane_xx[d] += weight[1][0][m] * row_xx[d];
+                    plane_xy[d] += weight[1][1][m] * row_x[d];
+                    plane_yy[d] += weight[1][2][m] * row[d];
+                }
+            }
+        }
+        V own = splat<V>(1.0), rise{}, bend{};
+        if constexpr (D == 3) {
+            own = weight[2][0][n];
+            rise = weight[2][1][n];
+            bend = weight[2][2][n];
+        }
+        for (int d = 0; d < D; d++) {
+            raw[d] += own * plane[d];
+            if (ORDER > 0) {
+                slope[0][d] += own * plane_x[d];
+                slope[1][d] += own * plane_y[d];
+                if constexpr (D == 3) slope[2][d] += rise * plane[d];
+            }
+            if (ORDER > 1) {
+                second[0][d] += own * plane_xx[d];
+                second[1][d] += own * plane_xy[d];
+                second[2][d] += own * plane_yy[d];
+                second[3][d] += rise * plane_x[d];
+                second[4][d] += rise * plane_y[d];
+                second[5][d] += bend * plane[d];
+            }
+        }
+    }
+    V bent[D] = {};
+    if (ORDER > 1) {
+        V p[3] = {}, q[3] = {};
+        for (int d = 0; d < D; d++) {
+            p[d] = inside[d] * a[d];
+            q[d] = inside[d] * b[d];
+        }
+        for (int d = 0; d < D; d++)
+            bent[d] = second[0][d] * p[0] * q[0] + second[1][d] * (p[0] * q[1] + p[1] * q[0]) +
+                      second[2][d] * p[1] * q[1] + second[3][d] * (p[0] * q[2] + p[2] * q[0]) +
+                      second[4][d] * (p[1] * q[2] + p[2] * q[1]) + second[5][d] * p[2] * q[2];
+    }
+    for (int r = 0; r < D; r++) {
+        found.w[r] = found.second[r] = V{};
+        for (int e = 0; e < D; e++) found.dw[e][r] = V{};
+        for (int d = 0; d < D; d++) {
+            found.w[r] += k.vectors[r][d] * raw[d];
+            for (int e = 0; ORDER > 0 && e < D; e++) found.dw[e][r] += k.vectors[r][d] * slope[e][d] * inside[e];
+            if (ORDER > 1) found.second[r] += k.vectors[r][d] * bent[d];
+        }
+    }
+}
+
+// w at an index; of ORDER 2, the second derivative along a and b.
+template <int D, int ORDER, class V>
+INLINE void look(const Sampled& k, const V* i, const V* a, const V* b, Local<D, V>& found) {
+    if (k.order == 1)
+        k.wide ? sum_samples<D, 2, ORDER, double>(k, i, a, b, found)
+               : sum_samples<D, 2, ORDER, float>(k, i, a, b, found);
+    else
+        k.wide ? sum_samples<D, 4, ORDER, double>(k, i, a, b, found)
+               : sum_samples<D, 4, ORDER, float>(k, i, a, b, found);
+}
+template <int D, int ORDER, class V>
+NOINLINE void look_up(const Sampled& k, const V* i, const V* a, const V* b, Local<D, V>& found) {
+    look<D, ORDER>(k, i, a, b, found);
+}
+
+// The mask of indices on the grid.
+template <int D, class V>
+INLINE typename Masked<V>::type on_grid(const Sampled& k, const V* i) {
+    typename Masked<V>::type in = i[0] == i[0];
+    for (int d = 0; d < D; d++)
+        in = both(in, both(i[d] >= k.first[d] - k.margin, i[d] <= k.last[d] + k.margin));
+    return in;
+}
+
+// An index i with i + w(i) = target.
+template <int D, class V>
+struct Undone {
+    V i[D];
+    V m[D][D];       // the columns of (I + ∂w/∂i)⁻¹
+    V determinant;   // of I + ∂w/∂i
+    V step2;         // |m (i + w(i) - target)|²: the squared distance to the solution, to first order
+    V steps;         // evaluations
+    typename Masked<V>::type done;
+};
+
+template <class V>
+INLINE V determinant_of(const V (*t)[2]) {
+    return t[0][0] * t[1][1] - t[1][0] * t[0][1];
+}
+template <class V>
+INLINE V determinant_of(const V (*t)[3]) {
+    return t[0][0] * (t[1][1] * t[2][2] - t[1][2] * t[2][1]) - t[1][0] * (t[0][1] * t[2][2] - t[0][2] * t[2][1]) +
+           t[2][0] * (t[0][1] * t[1][2] - t[0][2] * t[1][1]);
+}
+
+// Newton's method with backtracking from the guess `found.i`, until the distance to the solution is below `tolerance`.
+// Beyond the grid, w is continued by that at its edge.
+template <int D, class V>
+NOINLINE void undo_field(const Sampled& k, const V* target, double tolerance, int limit, Undone<D, V>& found) {
+    typedef typename Masked<V>::type M;
+    V base[D], step[D], error = splat<V>(1e300), part = splat<V>(1.0);
+    M done = error < 0.0;
+    for (int d = 0; d < D; d++) {
+        base[d] = found.i[d];
+        step[d] = V{};
+    }
+    found.step2 = splat<V>(1e300);
+    for (int round = 0; round < limit; round++) {
+        V tried[D], e[D], e2{};
+        for (int d = 0; d < D; d++) tried[d] = base[d] + part * step[d];
+        Local<D, V> at;
+        look<D, 1, V>(k, tried, nullptr, nullptr, at);
+        found.steps += choose(done, V{}, splat<V>(1.0));
+        for (int d = 0; d < D; d++) {
+            e[d] = tried[d] + at.w[d] - target[d];
+            e2 += e[d] * e[d];
+            at.dw[d][d] += 1.0;
+        }
+        M taken = without(e2 <= error * (1.0 - 1e-4 * part), done);
+        V determinant = determinant_of(at.dw), m[D][D], d2{};
+        invert(at.dw, m);
+        V next[D];
+        for (int d = 0; d < D; d++) {
+            next[d] = -times<D>(m, e, d);
+            d2 += next[d] * next[d];
+        }
+        // Where the field folds, or nearly does, by the residual, and never far.
+        M upright = determinant > 1e-3;
+        V far2 = most(V(16.0 * e2), splat<V>(1.0)), shrink = choose(d2 > far2, V(root(V(far2 / d2))), splat<V>(1.0));
+        for (int d = 0; d < D; d++) next[d] = choose(upright, V(shrink * next[d]), V(-e[d]));
+        for (int d = 0; d < D; d++) {
+            base[d] = choose(taken, tried[d], base[d]);
+            step[d] = choose(taken, next[d], step[d]);
+            for (int j = 0; j < D; j++) found.m[j][d] = choose(taken, m[j][d], found.m[j][d]);
+        }
+        found.step2 = choose(taken, d2, found.step2);
+        found.determinant = choose(taken, determinant, found.determinant);
+        error = choose(taken, e2, error);
+        part = choose(taken, splat<V>(1.0), V(0.5 * part));
+        done = either(done, both(taken, both(d2 <= tolerance * tolerance, e2 <= 1e2 * tolerance * tolerance)));
+        if (!any(without(part > 0x1p-12, done))) break;
+    }
+    for (int d = 0; d < D; d++) found.i[d] = base[d];
+    found.done = done;
+}
+
+// Solve for one index by following the solution along the straight line from start + w(start) to the target.
+template <int D>
+NOINLINE bool follow_field(const Sampled& k, const double* target, const double* start, double tolerance,
+                           Undone<D, double>& found) {
+    Local<D, double> at;
+    look_up<D, 0, double>(k, start, nullptr, nullptr, at);
+    double from[D], here[D], way = 0, stride = 0.5;
+    for (int d = 0; d < D; d++) {
+        from[d] = start[d] + at.w[d];
+        here[d] = start[d];
+    }
+    for (int tries = 0; way < 1 && stride > 1e-4 && tries < 200; tries++) {
+        double next = least(1.0, way + stride), goal[D];
+        Undone<D, double> got{};
+        got.steps = found.steps;
+        for (int d = 0; d < D; d++) {
+            goal[d] = from[d] + next * (target[d] - from[d]);
+            got.i[d] = here[d];
+        }
+        undo_field<D, double>(k, goal, tolerance, 12, got);
+        found.steps = got.steps;
+        stride *= got.done ? 2 : 0.5;
+        if (!got.done) continue;
+        for (int d = 0; d < D; d++) here[d] = got.i[d];
+        way = next;
+        if (way >= 1) found = got;
+    }
+    return way >= 1;
+}
+
+// Solve for a batch, with other starts where Newton's method fails from the guess in `found.i`.
+template <int D, class V>
+INLINE void undo_field_surely(const Sampled& k, const V* target, double tolerance, Undone<D, V>& found) {
+    undo_field<D, V>(k, target, tolerance, 24, found);
+    if (!any(without(found.i[0] == found.i[0], found.done))) return;
+    for (int l = 0; l < Masked<V>::lanes; l++) {
+        if (lane(found.done, l)) continue;
+        double goal[D], start[D];
+        Undone<D, double> one{};
+        Local<D, double> at;
+        for (int d = 0; d < D; d++) start[d] = goal[d] = lane(target[d], l);
+        bool known = false;
+        for (int attempt = 0; attempt < 3 && !known; attempt++) {
+            if (attempt == 1) {
+                look_up<D, 0, double>(k, goal, nullptr, nullptr, at);
+                for (int d = 0; d < D; d++) start[d] = goal[d] - at.w[d];
+            } else if (attempt == 2)
+                for (int d = 0; d < D; d++) start[d] = lane(found.i[d], l);
+            known = follow_field<D>(k, goal, start, tolerance, one);
+        }
+        if constexpr (Masked<V>::lanes == 1) {
+            double steps = found.steps + one.steps;
+            if (known) found = one;
+            found.steps = steps;
+        } else {
+            found.steps[l] += one.steps;
+            if (!known) continue;
+            for (int d = 0; d < D; d++) {
+                found.i[d][l] = one.i[d];
+                for (int j = 0; j < D; j++) found.m[j][d][l] = one.m[j][d];
+            }
+            found.determinant[l] = one.determinant;
+            found.step2[l] = one.step2;
+            found.done[l] = -1;
+        }
+    }
+}
+
+}  // namespace supple

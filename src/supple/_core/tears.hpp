@@ -1,0 +1,229 @@
+// Where a sampled field folds: the cells of its grid in which the determinant of I + ∂w/∂i may not be above 0, and the
+// samples of another grid that what folds may be mapped to.
+//
+// Within a cell, i + w(i) is a polynomial in Bézier form: of degree 1 or 3 along each axis. It lies in the hull of its
+// control points, and its derivatives in that of their differences. So the determinant of a cell is bounded from below
+// by the ranges of nine numbers; where that does not suffice, the cell is cut in halves.
+#pragma once
+#include <algorithm>
+#include <vector>
+
+#include "sampled.hpp"
+#include "threads.hpp"
+
+namespace supple {
+
+template <int D, int N>  // N: control points along an axis
+struct Patch {
+    static constexpr int COUNT = D == 3 ? N * N * N : N * N;
+    double c[D][COUNT];
+};
+
+// Call f(first) for the first control point of every line along an axis, whose points lie `step` apart.
+template <int D, int N, class F>
+inline void each_line(int step, F f) {
+    for (int outer = 0; outer < Patch<D, N>::COUNT / (step * N); outer++)
+        for (int inner = 0; inner < step; inner++) f(outer * step * N + inner);
+}
+
+// Bounds of the determinant of the derivatives of a patch: its least value is above 0, or not.
+template <int D, int N>
+inline bool surely_upright(const Patch<D, N>& p) {
+    double mid[D][D], off[D][D];  // [b][a]: ∂a/∂b, by its range
+    int step = 1;
+    for (int b = 0; b < D; b++, step *= N)
+        for (int a = 0; a < D; a++) {
+            double low = 1e300, high = -1e300;
+            each_line<D, N>(step, [&](int first) {
+                for (int i = 1; i < N; i++) {
+                    double v = p.c[a][first + i * step] - p.c[a][first + (i - 1) * step];
+                    low = std::min(low, v);
+                    high = std::max(high, v);
+                }
+            });
+            mid[b][a] = 0.5 * (low + high);
+            off[b][a] = 0.5 * (high - low);
+        }
+    bool dominant = true;  // by rows, which is quick, and enough for what bends little
+    for (int a = 0; a < D && dominant; a++) {
+        double own = mid[a][a] - off[a][a];
+        for (int b = 0; b < D; b++)
+            if (b != a) own -= fabs(mid[b][a]) + off[b][a];
+        dominant = own > 0;
+    }
+    if (dominant) return true;
+    // Multilinear in its columns: bound every term that has a deviation.
+    auto permanent = [](const double* x, const double* y, const double* z) {
+        if constexpr (D == 2) return x[0] * y[1] + x[1] * y[0];
+        return x[0] * (y[1] * z[2] + y[2] * z[1]) + x[1] * (y[0] * z[2] + y[2] * z[0]) +
+               x[2] * (y[0] * z[1] + y[1] * z[0]);
+    };
+    double size[D][D], bound = determinant_of(mid), scale = 0;
+    for (int b = 0; b < D; b++)
+        for (int a = 0; a < D; a++) size[b][a] = fabs(mid[b][a]);
+    for (int set = 0; set < 1 << D; set++) {
+        const double* row[3] = {};
+        for (int b = 0; b < D; b++) row[b] = set >> b & 1 ? off[b] : size[b];
+        double term = permanent(row[0], row[1], row[2]);
+        if (set == 0)
+            scale = term;
+        else if (set & (set - 1))
+            bound -= term;
+        else {  // one deviation: by cofactors
+            int b = set == 1 ? 0 : set == 2 ? 1 : 2;
+            for (int a = 0; a < D; a++) {
+                double cofactor;
+                if constexpr (D == 2)
+                    cofactor = mid[1 - b][1 - a];
+                else {
+                    int p = (b + 1) % 3, q = (b + 2) % 3, r = (a + 1) % 3, s = (a + 2) % 3;
+                    cofactor = mid[p][r] * mid[q][s] - mid[p][s] * mid[q][r];
+                }
+                bound -= off[b][a] * fabs(cofactor);
+            }
+        }
+    }
+    return bound > 1e-12 * (1 + scale);
+}
+
+// The part of a patch in one of the 2^D octants.
+template <int D, int N>
+inline Patch<D, N> octant(const Patch<D, N>& whole, int which) {
+    Patch<D, N> p = whole;
+    int step = 1;
+    for (int b = 0; b < D; b++, step *= N)
+        for (int a = 0; a < D; a++)
+            each_line<D, N>(step, [&](int first) {
+                double v[N], *to = p.c[a] + first;
+                for (int i = 0; i < N; i++) v[i] = to[i * step];
+                if (which >> b & 1)  // the upper half: from the last control point on, backwards
+                    for (int r = 0; r < N; r++) {
+                        to[(N - 1 - r) * step] = v[N - 1];
+                        for (int i = N - 1; i > r; i--) v[i] = 0.5 * (v[i] + v[i - 1]);
+                    }
+                else
+                    for (int r = 0; r < N; r++) {
+                        to[r * step] = v[0];
+                        for (int i = 0; i < N - 1 - r; i++) v[i] = 0.5 * (v[i] + v[i + 1]);
+                    }
+            });
+    return p;
+}
+
+// The patch of the cell at `at`; along an axis, cells -1 and size - 1 are those beyond the first and last index.
+template <int D, int N>
+inline Patch<D, N> patch_of(const Sampled& k, const int* at) {
+    Patch<D, N> p;
+    constexpr int TAPS = N;
+    int sample[D][TAPS];
+    for (int d = 0; d < D; d++) {
+        int cell = std::clamp(at[d], (int)k.first[d], std::max((int)k.last[d] - 1, (int)k.first[d]));
+        for (int n = 0; n < TAPS; n++) sample[d][n] = mirrored(cell + n - (TAPS / 2 - 1), k.size[d]);
+    }
+    auto value = [&](const int* n, int c) {
+        size_t offset = D == 3 ? sample[2][n[2]] : 0;
+        offset = (offset * k.size[1] + sample[1][n[1]]) * k.size[0] + sample[0][n[0]];
+        return k.wide ? ((const double*)k.values)[offset * D + c] : (double)((const float*)k.values)[offset * D + c];
+    };
+    for (int n = 0; n < Patch<D, N>::COUNT; n++) {
+        int tap[3] = {n % N, n / N % N, n / (N * N)};
+        double raw[D];
+        for (int c = 0; c < D; c++) raw[c] = value(tap, c);
+        for (int a = 0; a < D; a++) {
+            double w = 0;
+            for (int c = 0; c < D; c++) w += k.vectors[a][c] * raw[c];
+            p.c[a][n] = w;
+        }
+    }
+    int step = 1;
+    for (int b = 0; b < D; b++, step *= N) {
+        const bool before = at[b] < k.first[b], after = at[b] >= k.last[b];
+        for (int a = 0; a < D; a++)
+            each_line<D, N>(step, [&](int first) {
+                double* v = p.c[a] + first;
+                if constexpr (N == 4) {  // from a spline's coefficients to control points
+                    double c0 = v[0], c1 = v[step], c2 = v[2 * step], c3 = v[3 * step];
+                    v[0] = (c0 + 4 * c1 + c2) / 6;
+                    v[step] = (2 * c1 + c2) / 3;
+                    v[2 * step] = (c1 + 2 * c2) / 3;
+                    v[3 * step] = (c1 + 4 * c2 + c3) / 6;
+                }
+                // Beyond the ends, all is as at the end. On an axis of one sample, too.
+                if (before)
+                    for (int i = 1; i < N; i++) v[i * step] = v[0];
+                else if (after && k.size[b] > 1)
+                    for (int i = 0; i < N; i++) v[i * step] = v[(N - 1) * step];
+            });
+        for (int n = 0; n < Patch<D, N>::COUNT; n++)
+            p.c[b][n] += at[b] + (double)(n / step % N) / (N - 1);
+    }
+    return p;
+}
+
+constexpr int CUTS = 3;       // times that a cell is cut, at most
+constexpr double FINE = 0.5;  // of a sample: the extent of a part below which it is not cut
+
+// The range of samples of another grid that a part of a folded cell may be mapped to.
+template <int D>
+struct Spot {
+    int low[D], high[D];
+};
+
+// Collect what folds of a patch.
+template <int D, int N>
+inline void find_folds(const Patch<D, N>& p, const double (*out)[4], double growth, int cuts, const bool* low_end,
+                       const bool* high_end, const int* size, std::vector<Spot<D>>& spots) {
+    if (surely_upright(p)) return;
+    double low[D], high[D], widest = 0;
+    for (int a = 0; a < D; a++) {
+        low[a] = 1e300;
+        high[a] = -1e300;
+    }
+    for (int n = 0; n < Patch<D, N>::COUNT; n++)
+        for (int a = 0; a < D; a++) {
+            double v = out[a][3];
+            for (int b = 0; b < D; b++) v += out[a][b] * p.c[b][n];
+            low[a] = std::min(low[a], v);
+            high[a] = std::max(high[a], v);
+        }
+    for (int a = 0; a < D; a++) widest = std::max(widest, high[a] - low[a]);
+    if (cuts < CUTS && widest > FINE) {
+        for (int which = 0; which < 1 << D; which++)
+            find_folds(octant(p, which), out, growth, cuts + 1, low_end, high_end, size, spots);
+        return;
+    }
+    for (int b = 0; b < D; b++)  // an end of the field, whose continuation has no end
+        if (low_end[b] || high_end[b])
+            for (int a = 0; a < D; a++) {
+                double way = out[a][b] * growth * (low_end[b] ? -1 : 1);
+                low[a] = std::min(low[a], low[a] + way);
+                high[a] = std::max(high[a], high[a] + way);
+            }
+    Spot<D> spot;
+    for (int a = 0; a < D; a++) {
+        spot.low[a] = (int)std::clamp(ceil(low[a] - 1e-6), 0.0, (double)size[a]);
+        spot.high[a] = (int)std::clamp(floor(high[a] + 1e-6) + 1, 0.0, (double)size[a]);
+        if (spot.low[a] >= spot.high[a]) return;
+    }
+    spots.push_back(spot);
+}
+
+// Visit the cells of a field in which it may fold: visit(cell, patch), with those beyond its ends if `ends`.
+template <int D, int N, class Visit>
+void each_bad_cell(const Sampled& k, bool ends, Visit visit) {
+    int from[3] = {0, 0, 0}, to[3] = {1, 1, 1};
+    for (int d = 0; d < D; d++) {
+        from[d] = (int)k.first[d] - ends;
+        to[d] = std::max((int)k.last[d], (int)k.first[d] + (k.size[d] == 1)) + ends;
+    }
+    const int lines = (to[2] - from[2]) * (to[1] - from[1]);
+    parallel(lines, [&](int line, int) {
+        int at[3] = {0, from[1] + line % (to[1] - from[1]), from[2] + line / (to[1] - from[1])};
+        for (at[0] = from[0]; at[0] < to[0]; at[0]++) {
+            Patch<D, N> p = patch_of<D, N>(k, at);
+            if (!surely_upright(p)) visit(at, p);
+        }
+    });
+}
+
+}  // namespace supple
