@@ -78,7 +78,10 @@ def warp_array(
             refuse("clamp", "False for an array on a CUDA device: clip the result there", clamp)
         return _on_device(engine, held, work, device, out)
     engine = engine_for(device, work)
-    result = engine.result(out, held)
+    if space.grid is None:
+        result = engine.result(out, held)
+    else:
+        result = NATIVE.result(out, held, (*space.out, *held.shape[len(space.whole) :]))
     frames, planes = (Arrays((_as_frames(a, len(space.whole)),)) for a in (held, result))
     done = run(frames, planes, work, engine, tell=tell)
     if clamp and not space.is_identity:

@@ -1,11 +1,11 @@
-"""Deformation: strokes on a domain, and the operations on them."""
+"""Deformation: strokes, affine maps and fields on a domain, and the operations on them."""
 
 from __future__ import annotations
 
 import math
 import warnings
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import Any, Literal, Self
 
 import numpy as np
@@ -17,7 +17,9 @@ from supple.engines.base import Certificate, Sampling, Space, warn_of
 from supple.engines.choice import DEVICES, engine_at
 from supple.engines.native import NATIVE, measured, plan_of
 from supple.errors import FoldWarning, MissWarning, OutsideWarning, SuppleError
+from supple.fields import Affine, Field, check_overlap
 from supple.folding import Resolved, described, resolve
+from supple.geometry import Grid
 from supple.strokes import REACH, STROKE_DTYPE, FoldPolicy, Point, Recipe, Stroke, numbers, spoken
 
 Floats = npt.NDArray[np.float64]
@@ -118,17 +120,39 @@ class Report:
     evaluations: float
 
 
+@dataclass(frozen=True, slots=True)
+class Placed:
+    """A field or an affine map among the strokes of a deformation.
+
+    Parameters
+    ----------
+    map : Field or Affine
+        From a point of the output to the point of the input that is seen there (pull).
+    inverse : bool
+        Whether to apply the inverse (push).
+    after : int
+        The number of strokes before it.
+    """
+
+    map: Field | Affine
+    inverse: bool = False
+    after: int = 0
+    row: int = field(default=0, repr=False)
+
+
 @dataclass(frozen=True, slots=True, eq=False, init=False)
 class Deformation:
     """Strokes on a domain: the map T from each point of the input to its place in the output, and its inverse.
 
-    An immutable value: `grab` and `add` return a new one. Strokes apply one after the other, each on the result of the
-    last one; none of them folds, and their composition is inverted as a whole, so that an image is sampled once.
+    An immutable value: `grab`, `add`, `affine` and `field` return a new one. Elements apply one after the other, each
+    on the result of the last one, and their composition is inverted as a whole, so that an image is sampled once. No
+    stroke folds; a field may.
 
     Parameters
     ----------
-    shape : sequence of int
-        The array's shape: ``(H, W)`` for an image, ``(T, H, W)`` or ``(Z, H, W)``.
+    shape : sequence of int or Grid
+        The array's shape: ``(H, W)`` for an image, ``(T, H, W)`` or ``(Z, H, W)``; or the grid of the image or the
+        volume, with its shape, its spacing, and its position in space, which fields and affine maps refer to.
     border : "auto", float, sequence of float or None
         The width over which strokes fade towards the fixed border: in physical units, one for all axes or one for
         each, x first; ``"auto"``: a tenth of each axis' extent; None: the border is free.
@@ -164,10 +188,12 @@ class Deformation:
     _resolved: tuple[Resolved, ...] = field(repr=False)
     _axes: Floats = field(repr=False)
     _table: npt.NDArray[np.void] = field(repr=False)
+    grid: Grid = field(repr=False)
+    maps: tuple[Placed, ...] = field(repr=False)
 
     def __init__(
         self,
-        shape: Sequence[int],
+        shape: Sequence[int] | Grid,
         *,
         border: float | Sequence[float] | Literal["auto"] | None = "auto",
         border_profile: BorderProfile = "quartic",
@@ -176,7 +202,13 @@ class Deformation:
         on_fold: FoldPolicy = "flow",
     ) -> None:
         choice("on_fold", on_fold, ("damp", "flow", "error"))
-        domain = Domain(shape, spacing, border, border_profile, time)
+        if isinstance(shape, Grid):
+            if spacing != 1.0:
+                refuse("spacing", "left out beside a grid, which has one", spacing)
+            grid, spacing = shape, shape.spacing
+        domain = Domain(shape.shape if isinstance(shape, Grid) else shape, spacing, border, border_profile, time)
+        if not isinstance(shape, Grid):
+            grid = Grid(domain.shape, domain.spacing)
         axes = domain.packed()
         if domain.ndim == 2:
             axes[2, 2] = 0.0  # nothing leaves the plane of an image, so that the field off it does not matter
@@ -187,15 +219,25 @@ class Deformation:
             "_resolved": (),
             "_axes": axes,
             "_table": np.zeros(0, STROKE_DTYPE),
+            "grid": grid,
+            "maps": (),
         }
         for name, value in values.items():
             object.__setattr__(self, name, value)
 
     @classmethod
     def from_recipe(
-        cls, recipe: Recipe, shape: Sequence[int], *, spacing: float | Sequence[float] = 1.0, time: bool = False
+        cls,
+        recipe: Recipe,
+        shape: Sequence[int] | Grid,
+        *,
+        spacing: float | Sequence[float] = 1.0,
+        time: bool = False,
+        maps: Sequence[Placed] = (),
     ) -> Self:
         """Return a recipe's strokes on a domain, without hidden ones; errors and warnings name the stroke.
+
+        ``maps`` are fields and affine maps between the strokes.
 
         If the recipe has an amount, or a stroke a strength, below 1, that fraction of the stroke's drag is applied. The
         point at which a later stroke begins is carried along with the material, which has then moved less: it is mapped
@@ -236,6 +278,9 @@ class Deformation:
             )
         visible = [(i, stroke) for i, stroke in enumerate(recipe.strokes) if not stroke.hidden]
         whole: Deformation = made  # at full strength; the same object as ``made`` as long as they are equal
+        for placed in maps:
+            if placed.after == 0:
+                made = whole = made._with(placed)
         for k, (i, stroke) in enumerate(visible):
             which = f"stroke {i + 1} of {len(recipe.strokes)}: " if len(recipe.strokes) > 1 else ""
             try:
@@ -248,16 +293,21 @@ class Deformation:
             if outside:
                 warnings.warn(f"{which}{outside}", OutsideWarning, stacklevel=3)
             _warn(made._resolved[-1], which)
+            last = visible[k + 1][0] if k + 1 < len(visible) else len(recipe.strokes)
+            for placed in maps:
+                if i < placed.after <= last:
+                    same = whole is made
+                    made = made._with(placed)
+                    whole = made if same else whole._with(placed)
         return made
 
     def without_strokes(self) -> Self:
         """Return the identity on the same domain, with the same fold policy."""
         domain = self.domain
         return type(self)(
-            domain.shape,
+            self.grid,
             border=domain.border,
             border_profile=domain.border_profile,
-            spacing=domain.spacing,
             time=domain.time,
             on_fold=self.on_fold,
         )
@@ -285,14 +335,48 @@ class Deformation:
 
     @property
     def space(self) -> Space:
-        """The packed strokes and domain, as engines take them."""
+        """The packed map and domain, as engines take them."""
+        return self._space(None)
+
+    def _space(self, grid: Grid | None) -> Space:
+        """Return the packed map, with the grid of the output if it is not that of the input."""
         count = self.shape[0] if self.ndim == 3 else 1
-        return Space(self._table, self._axes, self.ndim, count, (self.shape[-2], self.shape[-1]))
+        shape = (self.shape[-2], self.shape[-1])
+        frame = np.eye(self.ndim + 1)  # from the domain's coordinates, index times spacing, to positions
+        frame[:-1, :-1], frame[:-1, -1] = self.grid.direction, self.grid.origin
+        parts: list[_core.Part] = []
+        done = 0
+        for placed in self.maps:
+            if placed.row > done:
+                parts.append(("strokes", numbers(self._table[done : placed.row]), False))
+            done = placed.row
+            if isinstance(placed.map, Field):
+                parts.append(("field", placed.map.packed(frame), not placed.inverse))
+            else:
+                parts.append(("affine", _rows(np.linalg.inv(frame) @ placed.map.matrix @ frame), not placed.inverse))
+        regrid = None
+        if grid is not None:
+            whole = grid.uncropped()
+            if not whole.is_same_space(self.grid):
+                units = np.diag([*self.domain.spacing, 1.0])
+                regrid = units @ np.linalg.inv(whole.matrix) @ frame
+            elif grid.shape == self.shape:
+                grid = None
+        if not self.maps and regrid is None:
+            return Space(self._table, self._axes, self.ndim, count, shape, grid=grid)
+        if done < len(self._table):
+            parts.append(("strokes", numbers(self._table[done:]), False))
+        if regrid is not None:
+            parts.append(("affine", _rows(regrid), False))
+        axes = self._axes.copy()
+        axes[:, 2] = -1.0  # the border is that of the strokes
+        composite = _core.Composite(self.ndim, self._axes, parts)
+        return Space(self._table, axes, self.ndim, count, shape, composite, grid)
 
     @property
     def is_identity(self) -> bool:
-        """True if the map is the identity: no strokes, or none with any force."""
-        return self._table.size == 0
+        """True if the map is the identity: no maps, and no strokes, or none with any force."""
+        return self._table.size == 0 and not self.maps
 
     def grab(
         self,
@@ -377,17 +461,58 @@ class Deformation:
         count = self._table.size
         table = np.empty(count + resolved.substrokes, STROKE_DTYPE)
         table[:count], table[count:] = self._table, resolved.rows
+        return self._changed(strokes=(*self.strokes, stroke), _resolved=(*self._resolved, resolved), _table=table)
+
+    def affine(self, matrix: npt.ArrayLike | Affine, *, inverse: bool = False) -> Self:
+        """Return the deformation with an affine map after the elements so far.
+
+        Parameters
+        ----------
+        matrix : array_like, shape (D, D + 1) or (D + 1, D + 1), or Affine
+            The map of positions (`grid` says where samples lie), from a point of the output to the point of the input
+            that is seen there (pull), as resampling tools take it.
+        inverse : bool
+            Whether to apply the inverse: a point of the input goes where the matrix says (push).
+
+        Raises
+        ------
+        SuppleError
+            If the matrix is no affine map of as many axes.
+        """
+        return self._with(Placed(matrix if isinstance(matrix, Affine) else Affine(matrix), inverse))
+
+    def field(self, field: Field, *, inverse: bool = False) -> Self:
+        """Return the deformation with a displacement field after the elements so far.
+
+        Parameters
+        ----------
+        field : Field
+            From a point of the output to the point of the input that is seen there (pull), as resampling tools take it.
+        inverse : bool
+            Whether to apply the inverse: a point x of the input goes to x + u(x) (push). It is solved at every pixel.
+
+        Raises
+        ------
+        SuppleError
+            If the field has another number of axes, or does not overlap the domain.
+        """
+        if not isinstance(field, Field):
+            refuse("field", "a Field (Field.from_array makes one)", field)
+        return self._with(Placed(field, inverse))
+
+    def _with(self, placed: Placed) -> Self:
+        if placed.map.ndim != self.ndim:
+            what = "field" if isinstance(placed.map, Field) else "affine map"
+            raise SuppleError(f"the {what} has {placed.map.ndim} axes, and the shape {self.shape} has {self.ndim}")
+        if isinstance(placed.map, Field):
+            check_overlap(placed.map, self.grid)
+        here = replace(placed, after=len(self.strokes), row=len(self._table))
+        return self._changed(maps=(*self.maps, here))
+
+    def _changed(self, **changes: Any) -> Self:
         made = object.__new__(type(self))
-        values = {
-            "domain": self.domain,
-            "on_fold": self.on_fold,
-            "strokes": (*self.strokes, stroke),
-            "_resolved": (*self._resolved, resolved),
-            "_axes": self._axes,
-            "_table": table,
-        }
-        for name, value in values.items():
-            object.__setattr__(made, name, value)
+        for each in fields(self):
+            object.__setattr__(made, each.name, changes.get(each.name, getattr(self, each.name)))
         return made
 
     def forward(self, points: npt.ArrayLike) -> Floats:
@@ -473,6 +598,7 @@ class Deformation:
         clamp: bool = False,
         device: str = "cpu",
         out: npt.NDArray[Any] | None = None,
+        grid: Grid | None = None,
     ) -> npt.NDArray[Any]:
         """Warp an image, a stack of frames, or a function of points.
 
@@ -517,11 +643,14 @@ class Deformation:
             fit its memory.
         out : array, optional
             The array for the result, of its shape and type, and not overlapping ``source``.
+        grid : Grid, optional
+            The grid of the output; by default, that of the input. ``d.grid.crop(…)`` is a part of it: the result
+            equals that part of the whole, bit for bit, at a cost in proportion.
 
         Returns
         -------
         array
-            The result, of the source's shape and type. An exact copy if the map is the identity.
+            The result, of the source's shape, or the grid's, and type. An exact copy if the map is the identity.
 
         Raises
         ------
@@ -543,7 +672,16 @@ class Deformation:
             between=between, time_filter=time_filter,
         )  # fmt: skip
         clamp = flag("clamp", clamp)
+        space = self.space
+        if grid is not None:
+            if not isinstance(grid, Grid):
+                refuse("grid", "a Grid", grid)
+            if grid.ndim != self.ndim:
+                refuse("grid", f"a grid of {self.ndim} axes, as the deformation is", f"one of {grid.ndim}")
+            space = self._space(grid)
         if callable(source):
+            if grid is not None:
+                refuse("grid", "left out for a function of points", grid)
             if clamp:
                 refuse("clamp", "False for a function of points, which is not interpolated", clamp)
             if device in ("gpu", "cuda"):
@@ -554,7 +692,7 @@ class Deformation:
             return warp_function(source, self.space, samples, out)
         if samples != 1:
             refuse("samples", "left out for an array: it is for a function of points", samples)
-        made, certificate = warp_array(source, self.space, sampling, alpha=alpha, clamp=clamp, device=device, out=out)
+        made, certificate = warp_array(source, space, sampling, alpha=alpha, clamp=clamp, device=device, out=out)
         warn_of(certificate, sampling.tolerance, 3)
         return made  # type: ignore[no-any-return]
 
@@ -573,9 +711,9 @@ class Deformation:
         which = range(count)
         if plane is not None:
             which = range(k := integer("plane", plane, f"one of the {count} there are", 0, count - 1), k + 1)
-        certificate, turned = Certificate(0.0, 0.0), 0
+        certificate, turned, space = Certificate(0.0, 0.0), 0, self.space
         for z in which if not self.is_identity else ():
-            plan = plan_of(self.space, z, tolerance)
+            plan = plan_of(space, z, tolerance)
             certificate |= measured(plan, tolerance)
             turned += plan.folds
         size = float(np.prod(self.shape)) * len(which) / count
@@ -606,11 +744,17 @@ class Deformation:
         final = np.zeros((len(self.strokes), 3))  # physical units
         row = 0
         for i, resolved in enumerate(self._resolved):
+            for placed in self.maps:
+                if placed.after == i > 0:
+                    final[:i] = self._moved(placed, final[:i])
             rows = self._table[row : row + resolved.substrokes]
             row += resolved.substrokes
             if i and len(rows):
                 final[:i], _ = _core.forward(numbers(rows), self._axes, final[:i], False)
             final[i, : self.ndim] = resolved.arrived * steps
+        for placed in self.maps:
+            if placed.after == len(self.strokes) > 0:
+                final = self._moved(placed, final)
         found = []
         for stroke, resolved, where in zip(self.strokes, self._resolved, final, strict=True):
             target = tuple(a + b for a, b in zip(stroke.at, stroke.by, strict=True))
@@ -618,6 +762,12 @@ class Deformation:
             miss, moved = math.dist(resolved.arrived, target), math.dist(end, resolved.arrived)
             found.append(Arrival(target, resolved.arrived, end, miss, moved, resolved.cause))
         return tuple(found)
+
+    def _moved(self, placed: Placed, points: Floats) -> Floats:
+        """Return points (N, 3) of the domain as one map alone moves them."""
+        composite = self.without_strokes()._with(placed).space.composite
+        assert composite is not None
+        return composite.through(points, False, False, np.zeros(len(points), np.uint8))[0]
 
     @property
     def warnings(self) -> tuple[str | None, ...]:
@@ -627,10 +777,19 @@ class Deformation:
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Deformation):
             return NotImplemented
-        return (self.domain, self.on_fold, self.strokes) == (other.domain, other.on_fold, other.strokes)
+        return self._key() == other._key()
 
     def __hash__(self) -> int:
-        return hash((self.domain, self.on_fold, self.strokes))
+        return hash(self._key())
+
+    def _key(self) -> tuple[object, ...]:
+        return self.domain, self.grid, self.on_fold, self.strokes, self.maps
+
+
+def _rows(matrix: Floats) -> tuple[Floats, Floats]:
+    """Return the rows of a homogeneous matrix, and of its inverse, as the core takes them."""
+    n = len(matrix) - 1
+    return np.ascontiguousarray(matrix[:n]), np.ascontiguousarray(np.linalg.inv(matrix)[:n])
 
 
 def reduced(stroke: Stroke, amount: float, whole: Deformation, now: Deformation) -> Stroke:

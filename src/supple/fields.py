@@ -160,7 +160,6 @@ class Field:
         """The number of coordinates: 2 or 3."""
         return self.grid.ndim
 
-
     def packed(self, frame: Floats) -> _core.Sampled:
         """Return the field as the core takes it.
 

@@ -231,6 +231,14 @@ class Grid:
         made = object.__new__(type(self))
         return made._set(tuple(counts[::-1]), self.spacing, origin, np.array(self.direction), within, self.whole)
 
+    def uncropped(self) -> Self:
+        """Return the grid that this one is a part of; itself if it is none."""
+        if self.whole == self.shape:
+            return self
+        origin = tuple(self.positions(-np.array(self.first)).tolist())
+        made = object.__new__(type(self))
+        return made._set(self.whole, self.spacing, origin, np.array(self.direction), (0,) * self.ndim, self.whole)
+
     def resampled(self, spacing: float | Sequence[float]) -> Self:
         """Return a grid of another spacing that covers the same extent, from outer edge to outer edge."""
         steps = np.array(checked_spacing(spacing, self.ndim))

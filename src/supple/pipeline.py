@@ -160,11 +160,14 @@ def run(
         frames, outs = ([engine.view(a) for a in some.arrays] for some in (source, sink))
         if all(a is not None for a in (*frames, *outs)):
             try:
-                return Done(sampled(engine, work, frames, outs, lambda done: tell("warp", done, count)))
+                planes = len(sink.arrays[0])
+                return Done(sampled(engine, work, frames, outs, lambda done: tell("warp", done, planes)))
             except EngineError as error:
                 warn_of_failure(engine, error, 4)
             return run(source, sink, work, NATIVE, memory=memory, tell=tell)
         work = replace(work, layout=replace(work.layout, dtype=engine.working_dtype(work.layout.dtype)))
+        if not work.space.is_plain:
+            return _converted(source, sink, work, engine, tell)
     plan = make_plan(work, range(count), lambda done: tell("plan", done, count), engine)
     certificate = Certificate(0.0, 0.0)
     buffered = _AHEAD + 1 if sink.aside else 1
@@ -175,6 +178,17 @@ def run(
             certificate |= known
             tell("warp", z + 1, count)
     return Done(certificate, int(plan.still.sum()), capacity_of(plan, engine))
+
+
+def _converted(source: Arrays, sink: Arrays, work: Work, engine: Engine, tell: Tell) -> Done:
+    """Sample copies of frames in the engine's type: a composite map may need any of them at any time."""
+    frames = [np.ascontiguousarray(array, work.layout.dtype) for array in source.arrays]
+    outs = [np.empty(array.shape, work.layout.dtype) for array in sink.arrays]
+    certificate = sampled(engine, work, frames, outs, lambda done: tell("warp", done, len(outs[0])))
+    with np.errstate(over="ignore"):
+        for target, made in zip(sink.arrays, outs, strict=True):
+            target[...] = made
+    return Done(certificate)
 
 
 def sampled(

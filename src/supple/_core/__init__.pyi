@@ -69,7 +69,7 @@ class Composite:
     def __init__(self, ndim: int, axes: Floats, parts: Sequence[Part]) -> None: ...
     def through(
         self, points: Floats, backwards: bool, jacobian: bool, status: npt.NDArray[np.uint8]
-    ) -> tuple[Floats, Floats | None]: ...
+    ) -> tuple[Floats, Floats | None, Floats]: ...
 
 # ---- planes
 
@@ -101,7 +101,11 @@ class Plan:
         width: int,
         z: float,
         tolerance: float,
+        map: Composite | None = None,
+        box: tuple[int, int, int, int] | None = None,
     ) -> None: ...
+    @property
+    def outside(self) -> int: ...
     @property
     def error(self) -> float: ...
     @property
@@ -125,7 +129,9 @@ def warp_stack(
     planes: Sequence[int],
     tolerance: float,
     samplings: list[Sampling],
-) -> tuple[float, float]: ...
+    map: Composite | None = None,
+    box: tuple[int, int, int, int] | None = None,
+) -> tuple[float, float, tuple[int, int, int]]: ...
 
 # ---- folding
 

@@ -28,7 +28,7 @@ struct Part {
 struct Composite {
     std::vector<Part> parts;
     Axis axes[3];
-    bool smooth = true;  // whether its derivatives are continuous
+    bool smooth = true;  // whether cells of several pixels can follow it
 };
 
 // Of the lanes that went through a composite: those solved, those within all fields, those where none folds; and the
@@ -81,11 +81,12 @@ NOINLINE void pass_field(const Sampled& k, bool solved, Jet<D, TANGENTS, MIXED, 
     to_indices<D>(k, jet);
     if constexpr (MIXED)
         for (int j = 0; j < 2; j++)
-            jet.smooth2[j] = least(jet.smooth2[j], V(KNOTS * KNOTS / most(dot<D>(jet.t[j], jet.t[j]), splat<V>(1e-300))));
+            jet.smooth2[j] =
+                least(jet.smooth2[j], V(KNOTS * KNOTS / most(dot<D>(jet.t[j], jet.t[j]), splat<V>(1e-300))));
     Local<D, V> at;
     if (!solved) {
         const M in = on_grid<D>(k, jet.x);
-        look_up<D, ORDER, V>(k, jet.x, jet.t[0], jet.t[TANGENTS > 1 ? 1 : 0], at);
+        field_at<D, ORDER, V>(k, jet.x, jet.t[0], jet.t[TANGENTS > 1 ? 1 : 0], at);
         V scale = k.zero ? choose(in, splat<V>(1.0), V{}) : splat<V>(1.0);
         if constexpr (TANGENTS > 0) {
             V full[D][D];
@@ -105,10 +106,9 @@ NOINLINE void pass_field(const Sampled& k, bool solved, Jet<D, TANGENTS, MIXED, 
         }
         for (int a = 0; a < D; a++) jet.x[a] += scale * at.w[a];
         passed.steps += 1.0;
-        if (!k.zero) passed.within = both(passed.within, in);
     } else {
         Undone<D, V> found{};
-        look_up<D, 0, V>(k, jet.x, nullptr, nullptr, at);
+        field_at<D, 0, V>(k, jet.x, nullptr, nullptr, at);
         for (int a = 0; a < D; a++) found.i[a] = jet.x[a] - at.w[a];
         undo_field_surely<D, V>(k, jet.x, 1e-10, found);
         // Beyond a field that is zero there, points stay; unless they are seen within, too.
@@ -133,7 +133,7 @@ NOINLINE void pass_field(const Sampled& k, bool solved, Jet<D, TANGENTS, MIXED, 
             for (int a = 0; a < D; a++) jet.t[j][a] = r[a];
         }
         if constexpr (MIXED) {
-            look_up<D, 2, V>(k, jet.x, jet.t[0], jet.t[1], at);
+            field_at<D, 2, V>(k, jet.x, jet.t[0], jet.t[1], at);
             V r[D];
             for (int a = 0; a < D; a++) r[a] = jet.mixed[a] - choose(still, V{}, at.second[a]);
             for (int a = 0; a < D; a++) jet.mixed[a] = times<D>(found.m, r, a);

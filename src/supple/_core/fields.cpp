@@ -11,10 +11,19 @@ namespace {
 typedef nb::ndarray<nb::ro, nb::c_contig, nb::device::cpu> Values;
 typedef nb::ndarray<nb::c_contig, nb::device::cpu> Result;
 
+// Read a matrix of n rows; of an affine map, the last column is the translation, to[i][3].
 void fill_matrix(const Doubles& rows, int n, int columns, double (*to)[4]) {
     if ((int)rows.shape(0) != n || (int)rows.shape(1) != columns) throw nb::value_error("a matrix has a wrong shape");
     for (int i = 0; i < n; i++)
-        for (int j = 0; j < columns; j++) to[i][j] = rows.data()[i * columns + j];
+        for (int j = 0; j < columns; j++) to[i][j < n ? j : 3] = rows.data()[i * columns + j];
+}
+
+// Whether a field is so smooth, and its samples are so far apart, that cells of several pixels can follow it.
+bool is_smooth(const Sampled& k, const Axis* axes, int ndim) {
+    double per_pixel = 0;  // indices
+    for (int i = 0; i < ndim; i++)
+        for (int j = 0; j < ndim; j++) per_pixel = std::max(per_pixel, fabs(k.to_index[i][j]) * axes[j].spacing);
+    return k.order == 3 && per_pixel <= 0.25;
 }
 
 nb::object owned(std::vector<double>* made, std::initializer_list<size_t> shape) {
@@ -25,7 +34,7 @@ nb::object owned(std::vector<double>* made, std::initializer_list<size_t> shape)
 // Points (N, 3) through a composite: the points, the derivatives or none, and which are solved, within, and upright.
 template <int D>
 void pass_points(const Composite& map, bool backwards, const double* from, size_t count, double* to, double* matrices,
-                 uint8_t* status) {
+                 uint8_t* status, double* steps) {
     constexpr size_t TOGETHER = 256;
     parallel((int)((count + TOGETHER - 1) / TOGETHER), [&](int item, int) {
         size_t first = (size_t)item * TOGETHER, end = std::min(first + TOGETHER, count);
@@ -42,8 +51,8 @@ void pass_points(const Composite& map, bool backwards, const double* from, size_
                     to[3 * (start + l) + d] = jet.x[d][l];
                     for (int j = 0; matrices && j < D; j++) matrices[9 * (start + l) + 3 * d + j] = jet.t[j][d][l];
                 }
-                status[start + l] =
-                    (passed.done[l] ? 0 : 4) | (passed.within[l] ? 0 : 2) | (passed.upright[l] ? 0 : 1);
+                steps[start + l] = passed.steps[l];
+                status[start + l] = (passed.done[l] ? 0 : 4) | (passed.within[l] ? 0 : 2) | (passed.upright[l] ? 0 : 1);
             }
         }
     });
@@ -54,16 +63,17 @@ nb::object through(const AnyComposite& map, const Doubles& points, bool backward
     if (points.shape(1) != 3 || status.shape(0) != points.shape(0))
         throw nb::value_error("points must have the shape (N, 3), and status (N,)");
     size_t count = points.shape(0);
-    auto* moved = new std::vector<double>(points.data(), points.data() + 3 * count);
-    nb::object first = owned(moved, {count, 3}), second = nb::none();
+    auto *moved = new std::vector<double>(points.data(), points.data() + 3 * count),
+         *steps = new std::vector<double>(count);
+    nb::object first = owned(moved, {count, 3}), second = nb::none(), third = owned(steps, {count});
     std::vector<double>* matrices = nullptr;
     if (jacobian) second = owned(matrices = new std::vector<double>(9 * count), {count, 3, 3});
     auto run = map.ndim == 2 ? pass_points<2> : pass_points<3>;
     unlocked([&] {
         run(*map.held, backwards, points.data(), count, moved->data(), matrices ? matrices->data() : nullptr,
-            status.data());
+            status.data(), steps->data());
     });
-    return nb::make_tuple(first, second);
+    return nb::make_tuple(first, second, third);
 }
 
 // ---- inverses -------------------------------------------------------------------------------------------------------
@@ -96,7 +106,8 @@ void invert_row(const Inversion& job, int y, int z, std::vector<double>& guess) 
         for (int a = 0; a < D; a++) {
             target[a] = splat<Lanes>(job.grid[a][3]);
             for (int b = 0; b < D; b++) target[a] += job.grid[a][b] * q[b];
-            for (int l = 0; l < LANES; l++) found.i[a][l] = target[a][l] + guess[(size_t)(x + std::min(l, n - 1)) * D + a];
+            for (int l = 0; l < LANES; l++)
+                found.i[a][l] = target[a][l] + guess[(size_t)(x + std::min(l, n - 1)) * D + a];
         }
         undo_field_surely<D, Lanes>(k, target, 0.125 * job.tolerance, found);
         Lanes off[D], place[D], e2{};
@@ -178,8 +189,9 @@ void invert_field(const Field& field, const Doubles& grid, const Doubles& back, 
                   nb::ndarray<float, nb::c_contig, nb::device::cpu> error,
                   nb::ndarray<uint8_t, nb::c_contig, nb::device::cpu> status) {
     const int n = field.ndim;
-    Inversion job{field.held, {}, {}, {1, 1, 1}, tolerance, values.data(), values.dtype() == nb::dtype<double>(),
-                  error.data(), status.data()};
+    Inversion job{
+        field.held,   {},           {}, {1, 1, 1}, tolerance, values.data(), values.dtype() == nb::dtype<double>(),
+        error.data(), status.data()};
     fill_matrix(grid, n, n + 1, job.grid);
     fill_matrix(back, n, n + 1, job.back);
     if ((int)values.ndim() != n + 1 || (int)error.ndim() != n || (int)status.ndim() != n ||
@@ -283,7 +295,7 @@ void bind_fields(nb::module_& m) {
                         if (field.ndim != ndim) throw nb::value_error("a field has another number of axes");
                         part.kind = FIELD;
                         part.field = field.held;
-                        map->smooth = map->smooth && field.held.order == 3;
+                        map->smooth = map->smooth && is_smooth(field.held, map->axes, ndim);
                         kept.push_back(nb::borrow(item[1]));
                     } else if (kind == "affine") {
                         part.kind = AFFINE;
@@ -301,8 +313,8 @@ void bind_fields(nb::module_& m) {
             },
             "ndim"_a, "axes"_a, "parts"_a)
         .def("through", &through, "points"_a, "backwards"_a, "jacobian"_a, "status"_a.noconvert(),
-             "Return points (N, 3) mapped by T or T⁻¹, and the derivatives or None; status: 1 folded, 2 outside, 4 "
-             "unsolved.");
+             "Return points (N, 3) mapped by T or T⁻¹, the derivatives or None, and the evaluations; status: 1 folded, "
+             "2 outside, 4 unsolved.");
 }
 
 }  // namespace supple

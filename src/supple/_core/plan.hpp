@@ -6,15 +6,19 @@
 // map varies too fast for nine points, the cell is split, down to single pixels, whose corners are nodes. A root cell
 // that no stroke can reach is the identity and costs nothing.
 //
+// A composite map (`Composite`) is solved at the nodes without guesses, and cells are checked against its solutions. If
+// it is not smooth, there are no cells: every pixel is solved, with its derivatives.
+//
 // All lengths are in pixels, except those of `Stroke` and `Axis`.
 #pragma once
 #include <math.h>
 
 #include <algorithm>
+#include <array>
 #include <limits>
 #include <vector>
 
-#include "newton.hpp"
+#include "composite.hpp"
 #include "threads.hpp"
 
 namespace supple {
@@ -83,18 +87,23 @@ struct Extent {
 template <int D>
 class Plan {
 public:
-    Plan(std::vector<Stroke> strokes, const Axis* axes, int width, int height, double z, double tolerance);
+    // Of strokes, or of a composite map; all of the plane, or the rows and columns of a box (x0, x1, y0, y1) and more.
+    Plan(std::vector<Stroke> strokes, const Axis* axes, int width, int height, double z, double tolerance,
+         std::shared_ptr<const Composite> map = nullptr, const std::array<int, 4>* box = nullptr);
 
     const int width, height;
     const double z, tolerance;
+    const std::shared_ptr<const Composite> map;  // or null
+    std::array<int, 4> box;
     double error = 0;        // a bound on the distance of a source point to T⁻¹(q) from the checks, with their reserve
     double evaluations = 0;  // of T with its Jacobian
     long unsolved = 0, folds = 0;
+    long outside = 0;   // points beyond the grids of a composite's fields
     double widest = 1;  // the largest max(λ₋, λ₊/400) of MMᵀ at a node: it determines the depth of a pyramid
     bool identity = true;
 
     int roots_down() const { return down; }
-    bool is_still(int root) const { return roots[root].leaves == 0; }
+    bool is_still(int root) const { return roots[root].leaves == 0 && roots[root].first_pixel < 0; }
     // Call use(row, x, y, n) for the samples x to x + n - 1 of row y, for all that lie in a row of roots and in
     // [x0, x1) × [y0, y1).
     template <class Use>
@@ -132,13 +141,20 @@ private:
     };
     struct Root {
         int band = 0, first = -1, leaves = 0;
-        bool rim = false;  // some of its pixels lie outside every ball
+        ptrdiff_t first_pixel = -1;  // of the band's, if every pixel is solved
+        bool rim = false;            // some of its pixels lie outside every ball
+    };
+    struct Pixel {
+        float part[D], across[2], down[2], depth2;  // relative to the anchor of its root
     };
     struct Band {
+        std::vector<Pixel> pixels;
+        std::vector<std::array<int, D>> anchors;  // of a root, by its column and row in the band
+        std::vector<Extent<D>> extents;
         std::vector<Leaf<D>> leaves;
         std::vector<int> next;  // the next leaf of the same root
         double worst = 0, rounding = 0, evaluations = 0, widest = 1;
-        long unsolved = 0, folds = 0;
+        long unsolved = 0, folds = 0, outside = 0;
         Extent<D> extent;  // of a plane in a stack, which determines its frames
     };
     struct Work {  // the scratch data of a band
@@ -156,13 +172,21 @@ private:
     Chain chain_of(Work& w, RootOf root_of) const;
     void find_reaching(int root_row);
     void solve_band(int index);
+    void solve_pixels(int root);
+    Passed<Lanes> solve_composite(const Lanes (&q)[D], Jet<D, D, true, Lanes>& jet) const;
     void solve(Work& w, Guess guess);
+    void keep(Work& w, const Solution<D, Lanes>& found, const Lanes (&mixed)[D], const Lanes (&smooth2)[2], int start);
     void check(Work& w);
     void split(Work& w, const Cell& cell, const Checked& found);
     void emit(Work& w, int root, int x, int y, int width, int height, const double (*c)[16], const double* depth);
     void fill(const Leaf<D>& leaf, const Grid& grid, int y, int from, int to, int left, bool slopes, Row<D>& row) const;
     void widen(const Leaf<D>& leaf, Extent<D>& e) const;
     void mark(const Root& root, int index, const Grid& grid, int x, int y, int n, Row<D>& row) const;
+    void fill_pixels(const Root& root, int index, int y, int n, Row<D>& row) const;
+    double finest() const {
+        double least = std::min(axes[0].spacing, axes[1].spacing);
+        return D == 3 ? std::min(least, axes[2].spacing) : least;
+    }
 
     std::vector<Stroke> strokes;
     std::vector<double> bends;  // a bound of |J| of each stroke
@@ -174,6 +198,13 @@ private:
     std::vector<Root> roots;
     std::vector<Band> bands;
 };
+
+// max(λ₋, λ₊/400) of MMᵀ, of ∂p/∂x = (xx, xy) and ∂p/∂y = (yx, yy).
+inline double widest_of(double xx, double xy, double yx, double yy) {
+    double a = xx * xx + yx * yx, c = xy * xy + yy * yy, b = xx * xy + yx * yy;
+    double h = (a + c) / 2, d = sqrt((a - c) * (a - c) / 4 + b * b);
+    return std::max(h - d, (h + d) / 400);
+}
 
 // ---- which strokes reach which cells ------------------------------------------------------------------------------
 
@@ -195,11 +226,14 @@ inline double bend_of(const Stroke& k, const Axis* axes, int dimensions) {
 }
 
 template <int D>
-Plan<D>::Plan(std::vector<Stroke> table, const Axis* given, int width, int height, double z, double tolerance)
+Plan<D>::Plan(std::vector<Stroke> table, const Axis* given, int width, int height, double z, double tolerance,
+              std::shared_ptr<const Composite> composite, const std::array<int, 4>* wanted)
     : width(width),
       height(height),
       z(z),
       tolerance(tolerance),
+      map(std::move(composite)),
+      box(wanted ? *wanted : std::array<int, 4>{0, width, 0, height}),
       strokes(std::move(table)),
       size{width, height},
       last{std::max(width - 1, 1), std::max(height - 1, 1)},
@@ -218,8 +252,9 @@ Plan<D>::Plan(std::vector<Stroke> table, const Axis* given, int width, int heigh
         evaluations += b.evaluations;
         unsolved += b.unsolved;
         folds += b.folds;
+        outside += b.outside;
         widest = std::max(widest, b.widest);
-        identity = identity && b.leaves.empty();
+        identity = identity && b.leaves.empty() && b.pixels.empty();
     }
     if (unsolved) error = std::numeric_limits<double>::infinity();
 }
@@ -301,10 +336,50 @@ void Plan<D>::find_reaching(int j) {
 
 // ---- nodes ----------------------------------------------------------------------------------------------------------
 
+// Solve a composite map at some points, with its derivatives.
+template <int D>
+Passed<Lanes> Plan<D>::solve_composite(const Lanes (&q)[D], Jet<D, D, true, Lanes>& jet) const {
+    for (int d = 0; d < D; d++) {
+        jet.x[d] = q[d];
+        jet.mixed[d] = Lanes{};
+        for (int e = 0; e < D; e++) jet.t[e][d] = splat<Lanes>(d == e);
+    }
+    jet.smooth2[0] = jet.smooth2[1] = splat<Lanes>(1e300);
+    return pass<D>(*map, true, jet);
+}
+
+// Store the solutions of the asks from `start` on at their nodes.
+template <int D>
+void Plan<D>::keep(Work& w, const Solution<D, Lanes>& found, const Lanes (&mixed)[D], const Lanes (&smooth2)[2],
+                   int start) {
+    for (int i = 0; i < LANES && start + i < (int)w.asks.size(); i++) {
+        Node& node = w.nodes[w.asks[start + i].node];
+        double plane[2][2];
+        for (int d = 0; d < D; d++) {
+            node.p[d] = found.p[d][i] / axes[d].spacing;
+            node.mixed[d] = mixed[d][i] * axes[0].spacing * axes[1].spacing / axes[d].spacing;
+            for (int e = 0; e < D; e++) node.m[e][d] = found.m[e][d][i] * axes[e].spacing / axes[d].spacing;
+        }
+        for (int j = 0; j < 2; j++) node.smooth[j] = sqrt(smooth2[j][i]) / axes[j].spacing;
+        w.band->evaluations += found.steps[i];
+        w.band->unsolved += !found.done[i];
+        for (int d = 0; d < 2; d++)
+            for (int e = 0; e < 2; e++) plane[d][e] = node.m[e][d];
+        double determinant = plane[0][0] * plane[1][1] - plane[0][1] * plane[1][0];
+        if constexpr (D == 3) {
+            const double (*m)[3] = node.m;
+            determinant = m[0][0] * (m[1][1] * m[2][2] - m[1][2] * m[2][1]) -
+                          m[0][1] * (m[1][0] * m[2][2] - m[1][2] * m[2][0]) +
+                          m[0][2] * (m[1][0] * m[2][1] - m[1][1] * m[2][0]);
+        }
+        w.band->folds += !(determinant > 0);
+        w.band->widest = std::max(w.band->widest, widest_of(plane[0][0], plane[1][0], plane[0][1], plane[1][1]));
+    }
+}
+
 template <int D>
 void Plan<D>::solve(Work& w, Guess guess) {
-    double finest = std::min(axes[0].spacing, axes[1].spacing);
-    if (D == 3) finest = std::min(finest, axes[2].spacing);
+    const double finest = this->finest();
     // A step that short is applied, and another after it: the error left is of the order of its fourth power.
     const double enough = finest * std::min(0.02, 0.2 * sqrt(tolerance));
     int count = (int)w.asks.size();
@@ -320,12 +395,28 @@ void Plan<D>::solve(Work& w, Guess guess) {
                 for (int e = 0; e < D; e++) found.m[e][d][i] = a.m[e][d] * axes[d].spacing / axes[e].spacing;
             }
         }
-        Chain chain = chain_of(w, [&](int i) { return ask(i).root; });
         const Mask all = Mask{} == 0;
         struct Solved {
             Solution<D, Lanes> at;
             Lanes mixed[D], smooth2[2];
         };
+        Solved known{found, {}, {}};
+        if (map) {
+            Jet<D, D, true, Lanes> jet;
+            Passed<Lanes> passed = solve_composite(q, jet);
+            for (int d = 0; d < D; d++) {
+                known.at.p[d] = jet.x[d];
+                known.mixed[d] = jet.mixed[d];
+                for (int e = 0; e < D; e++) known.at.m[e][d] = jet.t[e][d];
+            }
+            for (int j = 0; j < 2; j++) known.smooth2[j] = jet.smooth2[j];
+            known.at.steps = passed.steps;
+            known.at.done = passed.done;
+            for (int i = 0; i < LANES && start + i < count; i++) w.band->outside += !passed.within[i];
+            keep(w, known.at, known.mixed, known.smooth2, start);
+            continue;
+        }
+        Chain chain = chain_of(w, [&](int i) { return ask(i).root; });
         auto polished = [&](const Solution<D, Lanes>& s, double tolerance) {
             Solved made{s, {}, {}};
             polish<D>(chain, axes, q, tolerance, made.at, made.mixed, made.smooth2);
@@ -338,7 +429,7 @@ void Plan<D>::solve(Work& w, Guess guess) {
             return made;
         };
         found.done = without(all, all);
-        Solved known{found, {}, {}};
+        known = {found, {}, {}};
         // Of a step a fourth as long, the square is left.
         if (guess == PATCH) known = polished(found, enough / 4);
         if (any(without(all, known.at.done))) {
@@ -361,33 +452,7 @@ void Plan<D>::solve(Work& w, Guess guess) {
             more.at.steps += known.at.steps;
             known = merged(known, more);
         }
-        for (int i = 0; i < LANES && start + i < count; i++) {
-            Node& node = w.nodes[w.asks[start + i].node];
-            double plane[2][2];
-            for (int d = 0; d < D; d++) {
-                node.p[d] = known.at.p[d][i] / axes[d].spacing;
-                node.mixed[d] = known.mixed[d][i] * axes[0].spacing * axes[1].spacing / axes[d].spacing;
-                for (int e = 0; e < D; e++) node.m[e][d] = known.at.m[e][d][i] * axes[e].spacing / axes[d].spacing;
-            }
-            for (int j = 0; j < 2; j++) node.smooth[j] = sqrt(known.smooth2[j][i]) / axes[j].spacing;
-            w.band->evaluations += known.at.steps[i];
-            w.band->unsolved += !known.at.done[i];
-            for (int d = 0; d < 2; d++)
-                for (int e = 0; e < 2; e++) plane[d][e] = node.m[e][d];
-            double determinant = plane[0][0] * plane[1][1] - plane[0][1] * plane[1][0];
-            if constexpr (D == 3) {
-                const double (*m)[3] = node.m;
-                determinant = m[0][0] * (m[1][1] * m[2][2] - m[1][2] * m[2][1]) -
-                              m[0][1] * (m[1][0] * m[2][2] - m[1][2] * m[2][0]) +
-                              m[0][2] * (m[1][0] * m[2][1] - m[1][1] * m[2][0]);
-            }
-            w.band->folds += !(determinant > 0);
-            double xx = plane[0][0] * plane[0][0] + plane[0][1] * plane[0][1];
-            double yy = plane[1][0] * plane[1][0] + plane[1][1] * plane[1][1];
-            double xy = plane[0][0] * plane[1][0] + plane[0][1] * plane[1][1];
-            double h = (xx + yy) / 2, d = sqrt((xx - yy) * (xx - yy) / 4 + xy * xy);
-            w.band->widest = std::max({w.band->widest, h - d, (h + d) / 400});
-        }
+        keep(w, known.at, known.mixed, known.smooth2, start);
     }
     w.asks.clear();
 }
@@ -449,11 +514,18 @@ void Plan<D>::emit(Work& w, int root, int x, int y, int wide, int high, const do
 template <int D>
 void Plan<D>::solve_band(int index) {
     int first = index * BAND, end = std::min(first + BAND, down);
+    if (line(first) >= box[3] || past(1, line(end)) <= box[2]) return;
     Work w;
     w.band = &bands[index];
     for (int j = first; j < end; j++) {
-        find_reaching(j);
+        if (!map) find_reaching(j);
         for (int i = 0; i < across; i++) roots[j * across + i].band = index;
+    }
+    if (map && !map->smooth) {
+        w.band->anchors.resize((size_t)(end - first) * across);
+        w.band->extents.resize(w.band->anchors.size());
+        for (int root = first * across; root < end * across; root++) solve_pixels(root);
+        return;
     }
     w.nodes.resize((size_t)(end - first + 1) * (across + 1));
     // Each row from the one above.
@@ -481,7 +553,7 @@ void Plan<D>::solve_band(int index) {
         for (int i = 0; i < across; i++) {
             int root = j * across + i, node = (j - first) * (across + 1) + i;
             const uint64_t* set = reaching.data() + (size_t)root * words;
-            if (std::all_of(set, set + words, [](uint64_t s) { return s == 0; })) continue;
+            if (!map && std::all_of(set, set + words, [](uint64_t s) { return s == 0; })) continue;
             w.cells.push_back({root,
                                column(i),
                                line(j),
@@ -498,6 +570,72 @@ void Plan<D>::solve_band(int index) {
         for (int root = first * across; root < end * across; root++) w.band->extent |= extent(root);
 }
 
+// Solve every pixel of a root within the box's columns.
+template <int D>
+void Plan<D>::solve_pixels(int index) {
+    const int i = index % across, j = index / across;
+    const int left = column(i), top = line(j), right = past(0, column(i + 1)), bottom = past(1, line(j + 1));
+    if (right <= box[0] || left >= box[1]) return;
+    Root& root = roots[index];
+    Band& band = bands[root.band];
+    const int own = (j % BAND) * across + i;
+    Extent<D>& extent = band.extents[own];
+    std::array<int, D>& anchor = band.anchors[own];
+    root.first_pixel = (ptrdiff_t)band.pixels.size();
+    band.pixels.resize(band.pixels.size() + (size_t)(right - left) * (bottom - top));
+    Pixel* first = band.pixels.data() + root.first_pixel;
+    for (int y = top; y < bottom; y++)
+        for (int x = left; x < right; x += LANES) {
+            const int n = std::min(LANES, right - x);
+            Pixel* to = first + (ptrdiff_t)(y - top) * (right - left) + (x - left);
+            Lanes q[D];
+            for (int l = 0; l < LANES; l++) q[0][l] = (x + std::min(l, n - 1)) * axes[0].spacing;
+            q[1] = splat<Lanes>(y * axes[1].spacing);
+            if constexpr (D == 3) q[2] = splat<Lanes>(z * axes[2].spacing);
+            Jet<D, D, false, Lanes> jet;
+            for (int d = 0; d < D; d++) {
+                jet.x[d] = q[d];
+                for (int e = 0; e < D; e++) jet.t[e][d] = splat<Lanes>(d == e);
+            }
+            Passed<Lanes> passed = pass<D>(*map, true, jet);
+            for (int d = 0; d < D; d++) {
+                jet.x[d] /= axes[d].spacing;
+                for (int e = 0; e < D; e++) jet.t[e][d] *= axes[e].spacing / axes[d].spacing;
+            }
+            if (x == left && y == top)
+                for (int d = 0; d < D; d++) anchor[d] = (int)std::clamp(floor(jet.x[d][0]), -1e9, 1e9);
+            for (int l = 0; l < n; l++) {
+                Pixel& pixel = to[l];
+                double moved = 0, spread = 0, rate = 0;
+                for (int d = 0; d < D; d++) {
+                    const double p = std::clamp(jet.x[d][l], -1e9, 1e9), off = p - anchor[d];
+                    pixel.part[d] = (float)off;
+                    band.rounding = std::max(band.rounding, fabs(pixel.part[d] - off));
+                    extent.low[d] = std::min(extent.low[d], p);
+                    extent.high[d] = std::max(extent.high[d], p);
+                    moved = std::max(moved, fabs(p - (d == 0 ? x + l : d == 1 ? y : z)));
+                    (d < 2 ? spread : rate) += jet.t[0][d][l] * jet.t[0][d][l] + jet.t[1][d][l] * jet.t[1][d][l];
+                }
+                for (int d = 0; d < 2; d++) {
+                    pixel.across[d] = (float)jet.t[0][d][l];
+                    pixel.down[d] = (float)jet.t[1][d][l];
+                }
+                if constexpr (D == 3) rate += jet.t[2][2][l] * jet.t[2][2][l];
+                pixel.depth2 = (float)rate;
+                extent.moved = std::max(extent.moved, moved);
+                extent.spread = std::max(extent.spread, spread);
+                extent.rate = std::max(extent.rate, sqrt(rate));
+                band.widest =
+                    std::max(band.widest, widest_of(jet.t[0][0][l], jet.t[0][1][l], jet.t[1][0][l], jet.t[1][1][l]));
+                band.evaluations += passed.steps[l];
+                band.unsolved += !passed.done[l];
+                band.folds += !passed.upright[l];
+                band.outside += !passed.within[l];
+            }
+        }
+    if (D == 3) band.extent |= extent;
+}
+
 // Keep the good cells, split the others.
 template <int D>
 void Plan<D>::check(Work& w) {
@@ -507,7 +645,8 @@ void Plan<D>::check(Work& w) {
     int count = (int)w.cells.size();
     for (int start = 0; start < count; start += LANES) {
         auto cell = [&](int i) -> const Cell& { return w.cells[std::min(start + i, count - 1)]; };
-        Chain chain = chain_of(w, [&](int i) { return cell(i).root; });
+        Chain chain{};
+        if (!map) chain = chain_of(w, [&](int i) { return cell(i).root; });
         // Of each corner: p, ∂p/∂x, ∂p/∂y, the twist; and the mean of ∂p/∂z.
         Lanes x0, y0, h, k, value[4][D], slope[4][2][D], twist[4][D], across_plane[D] = {};
         Lanes smooth[2] = {splat<Lanes>(1e300), splat<Lanes>(1e300)}, c[D][16], worst{};
@@ -550,13 +689,26 @@ void Plan<D>::check(Work& w) {
             Lanes s = choose(thin[0], splat<Lanes>(AT[n][0] > 0.5), AT[n][0] * h);
             Lanes t = choose(thin[1], splat<Lanes>(AT[n][1] > 0.5), AT[n][1] * k);
             for (int d = 0; d < D; d++) x[d] = at(c[d], s, t, ds[d], dt[d]) * axes[d].spacing;
-            apply<D>(chain, axes, x);
-            e[0] = x[0] / axes[0].spacing - (x0 + s);
-            e[1] = x[1] / axes[1].spacing - (y0 + t);
-            if constexpr (D == 3) e[2] = x[2] / axes[2].spacing - z;
+            if (map) {  // the distance to the solution itself
+                Jet<D, 0, false, Lanes> jet;
+                jet.x[0] = (x0 + s) * axes[0].spacing;
+                jet.x[1] = (y0 + t) * axes[1].spacing;
+                if constexpr (D == 3) jet.x[2] = splat<Lanes>(z * axes[2].spacing);
+                Passed<Lanes> passed = pass<D>(*map, true, jet);
+                for (int i = 0; i < LANES && start + i < count; i++) w.band->evaluations += passed.steps[i];
+                for (int d = 0; d < D; d++) e[d] = (x[d] - jet.x[d]) / axes[d].spacing;
+            } else {
+                apply<D>(chain, axes, x);
+                e[0] = x[0] / axes[0].spacing - (x0 + s);
+                e[1] = x[1] / axes[1].spacing - (y0 + t);
+                if constexpr (D == 3) e[2] = x[2] / axes[2].spacing - z;
+            }
             for (int d = 0; d < D; d++) {
-                Lanes g = ds[d] * e[0] + dt[d] * e[1];
-                if constexpr (D == 3) g += across_plane[d] * e[2];
+                Lanes g = e[d];
+                if (!map) {
+                    g = ds[d] * e[0] + dt[d] * e[1];
+                    if constexpr (D == 3) g += across_plane[d] * e[2];
+                }
                 if (n < 5) step[n][d] = g;
                 off += g * g;
             }
@@ -726,6 +878,27 @@ INLINE void Plan<D>::fill(const Leaf<D>& leaf, const Grid& grid, int y, int from
     }
 }
 
+// The pixels of a row of a root in which every pixel is solved.
+template <int D>
+void Plan<D>::fill_pixels(const Root& root, int index, int y, int n, Row<D>& row) const {
+    const Band& band = bands[root.band];
+    const int j = index / across;
+    const std::array<int, D>& anchor = band.anchors[(size_t)(j % BAND) * across + index % across];
+    const Pixel* from = band.pixels.data() + root.first_pixel + (ptrdiff_t)(y - line(j)) * n;
+    for (int i = 0; i < n; i++) {
+        for (int d = 0; d < D; d++) {
+            const float whole = floorf(from[i].part[d]);
+            row.whole[d][i] = (int)whole + anchor[d];
+            row.part[d][i] = from[i].part[d] - whole;
+        }
+        for (int d = 0; d < 2; d++) {
+            row.across[d][i] = from[i].across[d];
+            row.down[d][i] = from[i].down[d];
+        }
+        row.depth2[i] = from[i].depth2;
+    }
+}
+
 // Find the samples that lie outside the ball of every stroke, and set them to the identity.
 template <int D>
 void Plan<D>::mark(const Root& root, int index, const Grid& grid, int x, int y, int n, Row<D>& row) const {
@@ -778,11 +951,12 @@ void Plan<D>::each_row(const Grid& grid, int root_row, const int (&box)[4], bool
             if (a >= b) continue;
             const Root& root = roots[index];
             const Band& band = bands[root.band];
-            row.idle = root.leaves == 0;
+            row.idle = is_still(index);
             if (row.idle) {
                 use(row, a, y, b - a, 0);
                 continue;
             }
+            if (root.first_pixel >= 0) fill_pixels(root, index, y, right - left, row);
             for (int l = root.first; l >= 0; l = band.next[l]) {
                 const Leaf<D>& leaf = band.leaves[l];
                 bool lowest = leaf.y + leaf.h >= size[1], rightmost = leaf.x + leaf.w >= size[0];
@@ -847,7 +1021,9 @@ template <int D>
 Extent<D> Plan<D>::extent(int index) const {
     Extent<D> e;
     const Root& root = roots[index];
-    if (root.leaves == 0 || root.rim) {  // the identity is included
+    if (root.first_pixel >= 0)
+        return bands[root.band].extents[(size_t)(index / across % BAND) * across + index % across];
+    if (is_still(index) || root.rim) {  // the identity is included
         int i = index % across, j = index / across;
         double low[3] = {(double)column(i), (double)line(j), z}, high[3] = {column(i + 1) + 1.0, line(j + 1) + 1.0, z};
         for (int d = 0; d < D; d++) {
@@ -865,7 +1041,12 @@ Extent<D> Plan<D>::extent() const {
     if (D == 3)
         for (const Band& b : bands) all |= b.extent;
     else
-        for (int i = 0; i < (int)roots.size(); i++) all |= extent(i);
+        for (int j = 0; j < down; j++)
+            for (int i = 0; i < across; i++) {
+                bool wanted = line(j) < box[3] && past(1, line(j + 1)) > box[2] && column(i) < box[1] &&
+                              past(0, column(i + 1)) > box[0];
+                if (wanted) all |= extent(j * across + i);
+            }
     return all;
 }
 
@@ -879,13 +1060,13 @@ void Plan<D>::measure(double finest, double& worst, long& unknown) const {
     std::vector<int> all(strokes.size());
     for (size_t i = 0; i < all.size(); i++) all[i] = (int)i;
     Chain chain{strokes.data(), all.data(), (int)all.size()};
-    double spacing = std::min(axes[0].spacing, axes[1].spacing);
-    if (D == 3) spacing = std::min(spacing, axes[2].spacing);
+    const double spacing = this->finest();
     Grid grid;
     grid.size[0] = width;
     grid.size[1] = height;
     parallel(down, [&](int j, int) {
-        each_row(grid, j, {0, width, 0, height}, false, [&](const Row<D>& row, int x, int y, int n, int at) {
+        const int all[4] = {box[0], box[1], box[2], box[3]};
+        each_row(grid, j, all, false, [&](const Row<D>& row, int x, int y, int n, int at) {
             if (row.idle) return;
             for (int start = 0; start < n; start += LANES) {
                 Lanes q[D], given[D] = {}, off{};
@@ -898,8 +1079,14 @@ void Plan<D>::measure(double finest, double& worst, long& unknown) const {
                         q[d][i] = (d == 0 ? x + k : d == 1 ? y : z) * axes[d].spacing;
                     }
                 }
-                newton<D>(chain, axes, q, finest * spacing, 8, exact, 1e-3 * spacing);
-                if (any(without(Mask{} == 0, exact.done))) {
+                if (map) {
+                    Jet<D, 0, false, Lanes> jet;
+                    for (int d = 0; d < D; d++) jet.x[d] = q[d];
+                    exact.done = pass<D>(*map, true, jet).done;
+                    for (int d = 0; d < D; d++) exact.p[d] = jet.x[d];
+                } else
+                    newton<D>(chain, axes, q, finest * spacing, 8, exact, 1e-3 * spacing);
+                if (!map && any(without(Mask{} == 0, exact.done))) {
                     Solution<D, Lanes> again;
                     undo<D>(chain, axes, q, finest * spacing, again);
                     for (int d = 0; d < D; d++) exact.p[d] = choose(exact.done, exact.p[d], again.p[d]);

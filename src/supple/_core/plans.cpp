@@ -1,13 +1,12 @@
 // Python bindings of plans and of sampling.
 #include <nanobind/stl/optional.h>
-#include <nanobind/stl/string.h>
 #include <nanobind/stl/tuple.h>
 #include <nanobind/stl/vector.h>
 
 #include <optional>
 #include <variant>
 
-#include "bindings.hpp"
+#include "composites.hpp"
 
 namespace supple {
 namespace {
@@ -42,9 +41,8 @@ struct Sampling {
         size_t height = out.shape(out.ndim() - 3), width = out.shape(out.ndim() - 2);
         job.channels = (int)frames.shape(3);
         if (type_of(out.dtype()) != job.type || out.shape(out.ndim() - 1) != frames.shape(3) ||
-            height != frames.shape(1) || width != frames.shape(2) || (int)fill.size() != job.channels ||
-            alpha >= job.channels)
-            throw nb::value_error("out must have the frames' type, size and channels, and fill a value for each");
+            (int)fill.size() != job.channels || alpha >= job.channels)
+            throw nb::value_error("out must have the frames' type and channels, and fill a value for each");
         job.frames = (const char*)frames.data();
         job.frame_bytes = (ptrdiff_t)(frames.shape(1) * frames.shape(2) * frames.shape(3) * frames.itemsize());
         job.count = count;
@@ -60,6 +58,7 @@ struct Sampling {
         job.grid.size[1] = (int)height;
         job.box[1] = (int)width;
         job.box[3] = (int)height;
+        job.out_row = (ptrdiff_t)width;
         job.filter = filter;
         job.between = between;
         job.rule = rule;
@@ -71,6 +70,30 @@ struct Sampling {
     }
     Sampling(const Sampling&) = delete;
 };
+
+typedef std::array<int, 4> Box;  // x0, x1, y0, y1
+
+// A job of a part of a plan's grid: `out` begins at its corner.
+Job placed(Job job, const Box& box, int width, int height) {
+    job.grid.size[0] = width;
+    job.grid.size[1] = height;
+    std::copy(box.begin(), box.end(), job.box);
+    job.corner[0] = box[0];
+    job.corner[1] = box[2];
+    return job;
+}
+
+Box checked_box(const std::optional<std::tuple<int, int, int, int>>& box, int width, int height) {
+    if (!box) return {0, width, 0, height};
+    auto [x0, x1, y0, y1] = *box;
+    if (x0 < 0 || y0 < 0 || x0 >= x1 || y0 >= y1 || x1 > width || y1 > height)
+        throw nb::value_error("the box must lie in the plane");
+    return {x0, x1, y0, y1};
+}
+
+std::shared_ptr<const Composite> held(const std::optional<const AnyComposite*>& map) {
+    return map && *map ? (*map)->held : nullptr;
+}
 
 struct AnyPlan {
     std::variant<Plan<2>, Plan<3>> plan;
@@ -121,7 +144,10 @@ void points_of(const Plan<D>& plan, Points<T>& out) {
 
 // Sample planes of a stack, each by one thread. Returns the accuracy of the map, and the evaluations.
 nb::tuple warp_stack(const Doubles& table, const Doubles& rows, int height, int width, std::vector<int> planes,
-                     double tolerance, nb::list samplings) {
+                     double tolerance, nb::list samplings, std::optional<const AnyComposite*> map,
+                     std::optional<std::tuple<int, int, int, int>> wanted) {
+    const Box box = checked_box(wanted, width, height);
+    const std::shared_ptr<const Composite> composite = held(map);
     Axes axes = axes_of(rows);
     std::vector<Stroke> strokes = strokes_of(table, axes.data());
     std::vector<const Sampling*> all;
@@ -130,16 +156,19 @@ nb::tuple warp_stack(const Doubles& table, const Doubles& rows, int height, int 
         if (s->out.ndim() != 4 || s->out.shape(0) != planes.size())
             throw nb::value_error("out must have an image for each plane");
     std::vector<double> errors(planes.size()), evaluations(planes.size());
+    std::vector<std::array<long, 3>> bad(planes.size());
     unlocked([&] {
         parallel((int)planes.size(), [&](int i, int) {
-            Plan<3> plan(strokes, axes.data(), width, height, planes[i], tolerance);
+            Plan<3> plan(strokes, axes.data(), width, height, planes[i], tolerance, composite, &box);
             errors[i] = plan.error;
             evaluations[i] = plan.evaluations;
-            bool still = plan.identity || plan.extent().moved * sqrt(3.0) <= tolerance;
+            bad[i] = {plan.folds, plan.outside, plan.unsolved};
+            bool still = !composite && !wanted && (plan.identity || plan.extent().moved * sqrt(3.0) <= tolerance);
             for (const Sampling* s : all) {
                 Job job = s->job;
                 size_t bytes = (size_t)job.grid.size[1] * job.grid.size[0] * job.pixel_bytes();
                 job.out += i * bytes;
+                if (wanted) job = placed(job, box, width, height);
                 if (still)
                     memcpy(job.out, job.frame(planes[i]), bytes);
                 else
@@ -148,8 +177,13 @@ nb::tuple warp_stack(const Doubles& table, const Doubles& rows, int height, int 
         });
     });
     double error = 0, sum = 0;
-    for (size_t i = 0; i < planes.size(); i++) error = std::max(error, errors[i]), sum += evaluations[i];
-    return nb::make_tuple(error, sum);
+    std::array<long, 3> all_bad{};
+    for (size_t i = 0; i < planes.size(); i++) {
+        error = std::max(error, errors[i]);
+        sum += evaluations[i];
+        for (int n = 0; n < 3; n++) all_bad[n] += bad[i][n];
+    }
+    return nb::make_tuple(error, sum, nb::make_tuple(all_bad[0], all_bad[1], all_bad[2]));
 }
 
 }  // namespace
@@ -164,25 +198,33 @@ void bind_plans(nb::module_& m) {
         .def(
             "__init__",
             [](AnyPlan* self, const Doubles& table, const Doubles& rows, int ndim, int height, int width, double z,
-               double tolerance) {
+               double tolerance, std::optional<const AnyComposite*> map,
+               std::optional<std::tuple<int, int, int, int>> wanted) {
                 Axes axes = axes_of(rows);
                 std::vector<Stroke> strokes = strokes_of(table, axes.data());
                 if (height < 1 || width < 1) throw nb::value_error("a plane has at least one pixel");
+                if (map && *map && (*map)->ndim != ndim) throw nb::value_error("the map has another number of axes");
+                const Box box = checked_box(wanted, width, height);
+                const std::shared_ptr<const Composite> composite = held(map);
                 unlocked([&] {
                     if (ndim == 2)
                         new (self) AnyPlan{std::variant<Plan<2>, Plan<3>>(std::in_place_index<0>, std::move(strokes),
-                                                                          axes.data(), width, height, z, tolerance)};
+                                                                          axes.data(), width, height, z, tolerance,
+                                                                          composite, &box)};
                     else
                         new (self) AnyPlan{std::variant<Plan<2>, Plan<3>>(std::in_place_index<1>, std::move(strokes),
-                                                                          axes.data(), width, height, z, tolerance)};
+                                                                          axes.data(), width, height, z, tolerance,
+                                                                          composite, &box)};
                 });
             },
-            "strokes"_a, "axes"_a, "ndim"_a, "height"_a, "width"_a, "z"_a, "tolerance"_a)
+            "strokes"_a, "axes"_a, "ndim"_a, "height"_a, "width"_a, "z"_a, "tolerance"_a, "map"_a = nb::none(),
+            "box"_a = nb::none())
         .def_prop_ro("error", [](const AnyPlan& p) { return p.with([](auto& plan) { return plan.error; }); })
         .def_prop_ro("evaluations",
                      [](const AnyPlan& p) { return p.with([](auto& plan) { return plan.evaluations; }); })
         .def_prop_ro("unsolved", [](const AnyPlan& p) { return p.with([](auto& plan) { return plan.unsolved; }); })
         .def_prop_ro("folds", [](const AnyPlan& p) { return p.with([](auto& plan) { return plan.folds; }); })
+        .def_prop_ro("outside", [](const AnyPlan& p) { return p.with([](auto& plan) { return plan.outside; }); })
         .def_prop_ro("identity", [](const AnyPlan& p) { return p.with([](auto& plan) { return plan.identity; }); })
         .def(
             "extent", [](const AnyPlan& p) { return p.with([](auto& plan) { return extent_of(plan); }); },
@@ -208,6 +250,10 @@ void bind_plans(nb::module_& m) {
             "sample",
             [](const AnyPlan& p, const Sampling& s, std::optional<std::tuple<int, int, int, int>> box) {
                 Job job = s.job;
+                p.with([&](auto& plan) {
+                    const bool part = plan.box != Box{0, plan.width, 0, plan.height};
+                    if (part) job = placed(job, plan.box, plan.width, plan.height);
+                });
                 if (box) {
                     auto [x0, x1, y0, y1] = *box;
                     if (x0 < 0 || y0 < 0 || x1 > job.grid.size[0] || y1 > job.grid.size[1])
@@ -219,7 +265,9 @@ void bind_plans(nb::module_& m) {
             "sampling"_a, "box"_a = nb::none(),
             "Fill what a box (x0, x1, y0, y1) holds of a sampling's output, or all of it.");
     m.def("warp_stack", &warp_stack, "strokes"_a, "axes"_a, "height"_a, "width"_a, "planes"_a, "tolerance"_a,
-          "samplings"_a, "Sample planes of a stack, each by one thread; return the largest error and the evaluations.");
+          "samplings"_a, "map"_a = nb::none(), "box"_a = nb::none(),
+          "Sample planes of a stack, each by one thread; return the largest error, the evaluations, and how many nodes "
+          "or pixels fold, lie outside, and are not solved.");
 }
 
 }  // namespace supple

@@ -163,7 +163,7 @@ INLINE void sum_samples(const Sampled& k, const V* i, const V* a, const V* b, Lo
 
 // w at an index; of ORDER 2, the second derivative along a and b.
 template <int D, int ORDER, class V>
-INLINE void look(const Sampled& k, const V* i, const V* a, const V* b, Local<D, V>& found) {
+INLINE void sample_field(const Sampled& k, const V* i, const V* a, const V* b, Local<D, V>& found) {
     if (k.order == 1)
         k.wide ? sum_samples<D, 2, ORDER, double>(k, i, a, b, found)
                : sum_samples<D, 2, ORDER, float>(k, i, a, b, found);
@@ -172,16 +172,15 @@ INLINE void look(const Sampled& k, const V* i, const V* a, const V* b, Local<D, 
                : sum_samples<D, 4, ORDER, float>(k, i, a, b, found);
 }
 template <int D, int ORDER, class V>
-NOINLINE void look_up(const Sampled& k, const V* i, const V* a, const V* b, Local<D, V>& found) {
-    look<D, ORDER>(k, i, a, b, found);
+NOINLINE void field_at(const Sampled& k, const V* i, const V* a, const V* b, Local<D, V>& found) {
+    sample_field<D, ORDER>(k, i, a, b, found);
 }
 
 // The mask of indices on the grid.
 template <int D, class V>
 INLINE typename Masked<V>::type on_grid(const Sampled& k, const V* i) {
     typename Masked<V>::type in = i[0] == i[0];
-    for (int d = 0; d < D; d++)
-        in = both(in, both(i[d] >= k.first[d] - k.margin, i[d] <= k.last[d] + k.margin));
+    for (int d = 0; d < D; d++) in = both(in, both(i[d] >= k.first[d] - k.margin, i[d] <= k.last[d] + k.margin));
     return in;
 }
 
@@ -189,10 +188,10 @@ INLINE typename Masked<V>::type on_grid(const Sampled& k, const V* i) {
 template <int D, class V>
 struct Undone {
     V i[D];
-    V m[D][D];       // the columns of (I + ∂w/∂i)⁻¹
-    V determinant;   // of I + ∂w/∂i
-    V step2;         // |m (i + w(i) - target)|²: the squared distance to the solution, to first order
-    V steps;         // evaluations
+    V m[D][D];      // the columns of (I + ∂w/∂i)⁻¹
+    V determinant;  // of I + ∂w/∂i
+    V step2;        // |m (i + w(i) - target)|²: the squared distance to the solution, to first order
+    V steps;        // evaluations
     typename Masked<V>::type done;
 };
 
@@ -222,7 +221,7 @@ NOINLINE void undo_field(const Sampled& k, const V* target, double tolerance, in
         V tried[D], e[D], e2{};
         for (int d = 0; d < D; d++) tried[d] = base[d] + part * step[d];
         Local<D, V> at;
-        look<D, 1, V>(k, tried, nullptr, nullptr, at);
+        sample_field<D, 1, V>(k, tried, nullptr, nullptr, at);
         found.steps += choose(done, V{}, splat<V>(1.0));
         for (int d = 0; d < D; d++) {
             e[d] = tried[d] + at.w[d] - target[d];
@@ -262,7 +261,7 @@ template <int D>
 NOINLINE bool follow_field(const Sampled& k, const double* target, const double* start, double tolerance,
                            Undone<D, double>& found) {
     Local<D, double> at;
-    look_up<D, 0, double>(k, start, nullptr, nullptr, at);
+    field_at<D, 0, double>(k, start, nullptr, nullptr, at);
     double from[D], here[D], way = 0, stride = 0.5;
     for (int d = 0; d < D; d++) {
         from[d] = start[d] + at.w[d];
@@ -301,7 +300,7 @@ INLINE void undo_field_surely(const Sampled& k, const V* target, double toleranc
         bool known = false;
         for (int attempt = 0; attempt < 3 && !known; attempt++) {
             if (attempt == 1) {
-                look_up<D, 0, double>(k, goal, nullptr, nullptr, at);
+                field_at<D, 0, double>(k, goal, nullptr, nullptr, at);
                 for (int d = 0; d < D; d++) start[d] = goal[d] - at.w[d];
             } else if (attempt == 2)
                 for (int d = 0; d < D; d++) start[d] = lane(found.i[d], l);

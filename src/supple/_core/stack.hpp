@@ -28,7 +28,9 @@ struct Job {
     int type, channels, w, h;  // contiguous rows of w * channels samples
     char* out;                 // likewise, of grid.size
     Grid grid;
-    int box[4];  // x0, x1, y0, y1 of the wanted part
+    int box[4];         // x0, x1, y0, y1 of the wanted part
+    int corner[2];      // the sample of the grid that `out` begins with
+    ptrdiff_t out_row;  // samples of a row of `out`
     int filter, between, rule;
     bool average;        // whether a pixel is averaged over time
     const double* fill;  // for each channel
@@ -41,6 +43,7 @@ struct Job {
         k = placed(k, count, rule);
         return k < 0 ? nullptr : frames + (k % capacity) * frame_bytes;
     }
+    char* target(int x, int y) const { return out + ((y - corner[1]) * out_row + (x - corner[0])) * pixel_bytes(); }
     bool direct() const {
         bool known = type == U8 || type == U16 || type == F32 || (type == I16 && channels == 1);
         return known && channels <= 4 && alpha < 0 && !light;
@@ -451,12 +454,11 @@ struct Mixing {
 };
 
 INLINE void copy_same(const Job& job, const char* frame, int x, int y, int n, const bool* same) {
-    ptrdiff_t size = job.pixel_bytes(), at = ((ptrdiff_t)y * job.w + x) * size,
-              to = ((ptrdiff_t)y * job.grid.size[0] + x) * size;
+    ptrdiff_t size = job.pixel_bytes(), at = ((ptrdiff_t)y * job.w + x) * size;
     for (int i = 0; i < n;) {
         int end = i;
         while (end < n && (!same || same[end])) end++;
-        if (end > i) memcpy(job.out + to + i * size, frame + at + i * size, (size_t)(end - i) * size);
+        if (end > i) memcpy(job.target(x + i, y), frame + at + i * size, (size_t)(end - i) * size);
         i = end + 1;
     }
 }
@@ -498,7 +500,7 @@ void sample_nearest(const Plan<D>& plan, const Job& job) {
         plan.each_row(job.grid, j, job.box, false, [&](const Row<D>& row, int x, int y, int n, int at) {
             const char* own = own_frame(plan, job);
             if (row.idle) return copy_same(job, own, x, y, n, nullptr);
-            char* to = job.out + ((ptrdiff_t)y * job.grid.size[0] + x) * size;
+            char* to = job.target(x, y);
             for (int i = 0; i < n; i++, to += size) {
                 int u = placed(row.whole[0][at + i] + (row.part[0][at + i] >= 0.5f), job.w, job.rule);
                 int v = placed(row.whole[1][at + i] + (row.part[1][at + i] >= 0.5f), job.h, job.rule);
@@ -541,7 +543,7 @@ void sample_direct(const Plan<D>& plan, const Job& job) {
                           if (row.idle) return copy_same(job, own, x, y, n, nullptr);
                           if (job.filter == AUTO) prints.find(row);
                           Mixing<float, D> mixing(job, span, row, weight, (const void* const*)frames.data());
-                          Putting<C, T> put{(T*)job.out + ((ptrdiff_t)y * job.grid.size[0] + x - at) * C, at + n, high};
+                          Putting<C, T> put{(T*)job.target(x, y) - at * C, at + n, high};
                           sample_row<float, C, D == 3>(source, averages.pyramid, job.filter, row, prints, at, at + n,
                                                        mixing, put);
                           if (row.some_same) copy_same(job, own, x, y, n, row.same + at);
@@ -614,8 +616,7 @@ void sample_converted(const Plan<D>& plan, const Job& job) {
                                   Mixing<N, D> mixing(job, span, row, weight, (const void* const*)frames.data());
                                   sample_row<N, C, D == 3>(source, pyramid, job.filter, row, prints, at, at + n, mixing,
                                                            Keeping<N, C>{values});
-                                  char* to = job.out + ((ptrdiff_t)y * job.grid.size[0] + x) * job.pixel_bytes();
-                                  numbers.store(values + at, n, group, to);
+                                  numbers.store(values + at, n, group, job.target(x, y));
                                   if (row.some_same) copy_same(job, own_frame(plan, job), x, y, n, row.same + at);
                               });
             }

@@ -154,8 +154,7 @@ inline Patch<D, N> patch_of(const Sampled& k, const int* at) {
                 else if (after && k.size[b] > 1)
                     for (int i = 0; i < N; i++) v[i * step] = v[(N - 1) * step];
             });
-        for (int n = 0; n < Patch<D, N>::COUNT; n++)
-            p.c[b][n] += at[b] + (double)(n / step % N) / (N - 1);
+        for (int n = 0; n < Patch<D, N>::COUNT; n++) p.c[b][n] += at[b] + (double)(n / step % N) / (N - 1);
     }
     return p;
 }

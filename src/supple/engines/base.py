@@ -11,8 +11,10 @@ from typing import Any, Protocol
 import numpy as np
 import numpy.typing as npt
 
+from supple import _core
 from supple.domain import choice, colours_hint, flag, number, refuse
-from supple.errors import SuppleError, ToleranceWarning
+from supple.errors import FoldWarning, OutsideWarning, SuppleError, ToleranceWarning
+from supple.geometry import Grid
 
 Array = npt.NDArray[Any]
 
@@ -42,22 +44,46 @@ class Certificate:
         The number of evaluations of T.
     unknown : int
         The number of points that could not be solved to the tolerance.
+    folded, outside : int
+        Of the solved points, the number of those where a field folds, and of those that are mapped to from beyond a
+        field's grid.
     """
 
     error: float
     evaluations: float
     unknown: int = 0
+    folded: int = 0
+    outside: int = 0
 
     def __or__(self, other: Certificate) -> Certificate:
         """Return the certificate of both maps together."""
         return Certificate(
-            max(self.error, other.error), self.evaluations + other.evaluations, self.unknown + other.unknown
+            max(self.error, other.error),
+            self.evaluations + other.evaluations,
+            self.unknown + other.unknown,
+            self.folded + other.folded,
+            self.outside + other.outside,
         )
 
 
 def warn_of(certificate: Certificate, tolerance: float, stacklevel: int) -> None:
-    """Warn if a map may be less accurate than the tolerance."""
-    if not certificate.error <= 1.01 * tolerance + FINEST:
+    """Warn if a map may be less accurate than the tolerance, or has folds or gaps."""
+    if certificate.unknown or certificate.folded:
+        warnings.warn(
+            f"a field folds: of the points solved, {certificate.folded} lie where its Jacobian determinant is not above "
+            f"0, and for {certificate.unknown} no solution was found; what is shown there is one of several points, or "
+            "a guess (supple check shows where)",
+            FoldWarning,
+            stacklevel=stacklevel,
+        )
+    if certificate.outside:
+        warnings.warn(
+            f"to {certificate.outside} of the points solved, no point of a field's grid is mapped: what is shown there "
+            "continues the field beyond its edge",
+            OutsideWarning,
+            stacklevel=stacklevel,
+        )
+    if not certificate.unknown and not certificate.error <= 1.01 * tolerance + FINEST:
         warnings.warn(
             f"the map may be off by {certificate.error:.2g} px somewhere, more than the tolerance {tolerance:g}: "
             "use a larger radius, a shorter drag or a larger tolerance",
@@ -82,6 +108,10 @@ class Space:
         The number of frames or slices.
     shape : (int, int)
         Rows and columns of each frame.
+    composite : _core.Composite, optional
+        The whole map, if there is more to it than strokes: affine maps, fields, or another grid of the output.
+    grid : Grid, optional
+        The grid of the output, if it is not that of the input.
     """
 
     table: npt.NDArray[np.void]
@@ -89,6 +119,8 @@ class Space:
     ndim: int
     count: int
     shape: tuple[int, int]
+    composite: _core.Composite | None = None
+    grid: Grid | None = None
 
     @property
     def whole(self) -> tuple[int, ...]:
@@ -98,7 +130,19 @@ class Space:
     @property
     def is_identity(self) -> bool:
         """Return whether the map is the identity: no strokes, or none with any force."""
-        return self.table.size == 0
+        return self.table.size == 0 and self.is_plain
+
+    @property
+    def is_plain(self) -> bool:
+        """Return whether the map has strokes alone, and the output the grid of the input."""
+        return self.composite is None and self.grid is None
+
+    @property
+    def out(self) -> tuple[int, ...]:
+        """The shape of the output arrays."""
+        if self.grid is None:
+            return self.whole
+        return self.grid.shape if self.ndim == 3 or self.count == 1 else (self.count, *self.grid.shape)
 
     def planned(self, step: tuple[int, int]) -> tuple[int, int]:
         """Return the rows and columns of a plan that covers samples up to ``step`` pixels apart."""
@@ -403,6 +447,14 @@ class Engine(Protocol):
 
     def inverse_map(self, space: Space, tolerance: float, like: Any = None) -> tuple[Any, Certificate]:
         """Return the source point of every pixel, float32 (*shape, D), stored like ``like``, and the certificate."""
+
+
+def check_plain(space: Space) -> None:
+    """Raise SuppleError for a map that only the native engine supports."""
+    if not space.is_plain:
+        raise SuppleError(
+            "fields, affine maps and output grids are for the CPU, with arrays in host memory: leave the device out"
+        )
 
 
 def frames_needed(first: int, last: int, count: int, outside: str) -> tuple[int, int]:

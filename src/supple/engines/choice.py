@@ -63,6 +63,10 @@ def engine_for(device: str, work: Work) -> Engine:
     SuppleError
         If the user names a device that does not exist, or does not support this work.
     """
+    if not work.space.is_plain:
+        if device in ("gpu", "cuda"):
+            refuse("device", '"cpu" or "auto" for fields, affine maps and output grids, which the CPU warps', device)
+        return NATIVE
     if device == "cuda":
         cuda = _cuda()
         cuda.check(work)

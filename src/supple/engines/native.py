@@ -25,9 +25,11 @@ from supple.engines.base import (
     Steps,
     Work,
     check_gradients,
+    warn_of,
 )
 from supple.engines.workers import CPU
 from supple.errors import SuppleError
+from supple.geometry import Grid
 from supple.strokes import numbers
 
 Floats = npt.NDArray[np.float64]
@@ -55,12 +57,26 @@ def plan_of(space: Space, z: float, tolerance: float, step: tuple[int, int] = (1
     step : (int, int)
         The largest spacing of samples, in pixels, x first.
     """
-    return _core.Plan(numbers(space.table), space.axes, space.ndim, *space.planned(step), float(z), tolerance)
+    grid = space.grid
+    if grid is None:
+        shape = space.planned(step) if space.composite is None else space.shape
+        return _core.Plan(numbers(space.table), space.axes, space.ndim, *shape, float(z), tolerance, space.composite)
+    planes, box = _part(grid)
+    (height, width), first = grid.whole[-2:], planes[0]
+    table = numbers(space.table)
+    return _core.Plan(table, space.axes, space.ndim, height, width, first + z, tolerance, space.composite, box)
+
+
+def _part(grid: Grid) -> tuple[range, tuple[int, int, int, int]]:
+    """Return the planes of the whole grid that a part of it has, and the box (x0, x1, y0, y1) in each."""
+    (x, y, *z), (width, height, *depth) = grid.first, grid.sizes
+    planes = range(z[0], z[0] + depth[0]) if z else range(1)
+    return planes, (x, x + width, y, y + height)
 
 
 def certificate_of(plan: _core.Plan) -> Certificate:
     """Return the certificate of a plan from the checks of its cells, with their reserve."""
-    return Certificate(plan.error, plan.evaluations)
+    return Certificate(plan.error, plan.evaluations, plan.unsolved, plan.folds, plan.outside)
 
 
 def measured(plan: _core.Plan, tolerance: float) -> Certificate:
@@ -123,15 +139,16 @@ class Native:
         except (TypeError, ValueError):
             refuse(name, "an array of numbers", value)
 
-    def result(self, out: Array | None, held: Array) -> Array:
-        """See `Engine.result`; it is an array of the source's shape and type, in C order if it is new."""
+    def result(self, out: Array | None, held: Array, shape: tuple[int, ...] | None = None) -> Array:
+        """See `Engine.result`; it is an array of the source's type, and of its shape or the given one."""
         if out is None:
-            return np.empty_like(held, order="C")
-        wanted = f"an array of {held.dtype} of shape {held.shape}, as the source is"
+            return np.empty_like(held, order="C") if shape is None else np.empty(shape, held.dtype)
+        shape = held.shape if shape is None else shape
+        wanted = f"an array of {held.dtype} of shape {shape}, as the {'source' if shape == held.shape else 'grid'} is"
         given: object = out  # user input of any type
         if not isinstance(given, np.ndarray):
             refuse("out", wanted, given)
-        if out.shape != held.shape or out.dtype != held.dtype:
+        if out.shape != shape or out.dtype != held.dtype:
             refuse("out", wanted, f"{out.dtype} of shape {out.shape}")
         if not out.flags.writeable:
             raise SuppleError("out must be an array that can be written, found a read-only one")
@@ -168,11 +185,17 @@ class Native:
             yield len(wanted), certificate_of(plan)
             return
         together, table = _TOGETHER * _core.threads(), numbers(space.table)
+        first, shape, box = 0, space.planned(step) if space.is_plain else space.shape, None
+        if space.grid is not None:
+            parts, box = _part(space.grid)
+            first, shape = parts[0], (space.grid.whole[-2], space.grid.whole[-1])
         for start in range(0, len(wanted), together):
-            some = list(wanted[start : start + together])
+            some = [first + z for z in wanted[start : start + together]]
             given = samplings_of(work, frames, [out[start : start + len(some)] for out in outs], space.count)
-            known = _core.warp_stack(table, space.axes, *space.planned(step), some, tolerance, given)
-            yield start + len(some), Certificate(*known)
+            error, steps, (folded, beyond, unknown) = _core.warp_stack(
+                table, space.axes, *shape, some, tolerance, given, space.composite, box
+            )
+            yield start + len(some), Certificate(error, steps, unknown, folded, beyond)
 
     def stream(self, work: Work, window: Sequence[Array]) -> contextlib.AbstractContextManager[Planes]:
         """See `Engine.stream`."""
@@ -181,6 +204,8 @@ class Native:
     def forward(self, space: Space, points: npt.ArrayLike, *, matrices: bool = False) -> Floats:
         """See `Engine.forward`."""
         given, shape = _rows(space, points)
+        if space.composite is not None:
+            return _through(space, given, shape, matrices=matrices)
         if not matrices:
             return _points(space, _core.forward(numbers(space.table), space.axes, given, False)[0], shape)
         _, found = _core.forward(numbers(space.table), space.axes, given, True)
@@ -194,6 +219,8 @@ class Native:
         """See `Engine.inverse`; the residual is in pixels, by the least spacing."""
         targets, shape = _rows(space, points)
         finest = float(space.axes[: space.ndim, 3].min())
+        if space.composite is not None:
+            return _back(space, targets, shape, finest)
         found, residual, steps = _core.inverse(numbers(space.table), space.axes, targets, space.ndim, 1e-9 * finest)
         solved = _points(space, found, shape)
         if space.is_identity:
@@ -208,7 +235,7 @@ class Native:
         self, space: Space, tolerance: float, like: Any = None
     ) -> tuple[npt.NDArray[np.float32], Certificate]:
         """See `Engine.inverse_map`."""
-        out = np.empty((*space.whole, space.ndim), np.float32)
+        out = np.empty((*space.out, space.ndim), np.float32)
         certificate = Certificate(0.0, 0.0)
         for z, plane in enumerate(out if space.ndim == 3 else [out]):
             plan = plan_of(space, z, tolerance)
@@ -218,6 +245,40 @@ class Native:
 
 
 NATIVE = Native()
+
+
+def _through(space: Space, given: Floats, shape: tuple[int, ...], *, matrices: bool) -> Floats:
+    """Return T of points, or its derivatives, for a composite map."""
+    assert space.composite is not None
+    status = np.zeros(len(given), np.uint8)
+    found, slopes, _ = space.composite.through(given, False, matrices, status)
+    certificate = Certificate(
+        0.0,
+        0.0,
+        int(np.count_nonzero(status & 4)),
+        int(np.count_nonzero((status & 5) == 1)),
+        int(np.count_nonzero((status & 6) == 2)),
+    )
+    warn_of(certificate, 1.0, 5)
+    n, steps = space.ndim, space.axes[: space.ndim, 3]
+    if slopes is None:
+        return _points(space, found, shape)
+    full = slopes[:, :n, :n] * (steps[None, :] / steps[:, None])
+    return np.ascontiguousarray(full.reshape(*shape[:-1], n, n))
+
+
+def _back(
+    space: Space, targets: Floats, shape: tuple[int, ...], finest: float
+) -> tuple[Floats, Floats, npt.NDArray[np.int64], npt.NDArray[np.bool_]]:
+    """Return T⁻¹ of points for a composite map, as `Native.inverse` does."""
+    assert space.composite is not None
+    status, again = np.zeros(len(targets), np.uint8), np.zeros(len(targets), np.uint8)
+    found, _, steps = space.composite.through(targets, True, False, status)
+    seen, _, _ = space.composite.through(found, False, False, again)
+    off = np.linalg.norm((seen - targets)[:, : space.ndim], axis=1).reshape(shape[:-1]) / finest
+    scale = np.abs(targets).max(axis=1, initial=0.0).reshape(shape[:-1]) / finest
+    near = (off <= np.maximum(CONVERGED, 1e-14 * scale)) & (status.reshape(shape[:-1]) & 4 == 0)
+    return _points(space, found, shape), off, steps.astype(np.int64).reshape(shape[:-1]), near
 
 
 class _Window:
