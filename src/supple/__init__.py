@@ -16,27 +16,36 @@ if TYPE_CHECKING:
         SuppleError,
         ToleranceWarning,
     )
+    from supple.fields import Affine, Field, Inverted, Placed, compose, read_maps
     from supple.files import warp_file
+    from supple.geometry import Grid
     from supple.strokes import Recipe, Stroke
     from supple.viewer.window.launch import view
 
 __version__ = "0.1.0"
 
 __all__ = [
+    "Affine",
     "Arrival",
     "Deformation",
     "DeviceWarning",
     "Domain",
+    "Field",
     "FoldError",
     "FoldWarning",
+    "Grid",
     "Inverse",
+    "Inverted",
     "MissWarning",
     "OutsideWarning",
+    "Placed",
     "Recipe",
     "Report",
     "Stroke",
     "SuppleError",
     "ToleranceWarning",
+    "compose",
+    "read_maps",
     "view",
     "warp_batch",
     "warp_file",
@@ -44,20 +53,27 @@ __all__ = [
 
 # The module of each name. Modules are loaded on first use, as image libraries and engines take time.
 _HOMES = {
+    "Affine": "fields",
     "Arrival": "deformation",
     "Deformation": "deformation",
     "DeviceWarning": "errors",
     "Domain": "domain",
+    "Field": "fields",
     "FoldError": "errors",
     "FoldWarning": "errors",
-    "MissWarning": "errors",
+    "Grid": "geometry",
     "Inverse": "deformation",
+    "Inverted": "fields",
+    "MissWarning": "errors",
     "OutsideWarning": "errors",
+    "Placed": "fields",
     "Recipe": "strokes",
     "Report": "deformation",
     "Stroke": "strokes",
     "SuppleError": "errors",
     "ToleranceWarning": "errors",
+    "compose": "fields",
+    "read_maps": "fields",
     "view": "viewer.window.launch",
     "warp_batch": "arrays",
     "warp_file": "files",

@@ -17,7 +17,7 @@ from supple.engines.base import Certificate, Sampling, Space, warn_of
 from supple.engines.choice import DEVICES, engine_at
 from supple.engines.native import NATIVE, measured, plan_of
 from supple.errors import FoldWarning, MissWarning, OutsideWarning, SuppleError
-from supple.fields import Affine, Field, check_overlap
+from supple.fields import Affine, Field, Placed, check_overlap, matrix_rows
 from supple.folding import Resolved, described, resolve
 from supple.geometry import Grid
 from supple.strokes import REACH, STROKE_DTYPE, FoldPolicy, Point, Recipe, Stroke, numbers, spoken
@@ -118,26 +118,6 @@ class Report:
     unconverged: int
     within: bool
     evaluations: float
-
-
-@dataclass(frozen=True, slots=True)
-class Placed:
-    """A field or an affine map among the strokes of a deformation.
-
-    Parameters
-    ----------
-    map : Field or Affine
-        From a point of the output to the point of the input that is seen there (pull).
-    inverse : bool
-        Whether to apply the inverse (push).
-    after : int
-        The number of strokes before it.
-    """
-
-    map: Field | Affine
-    inverse: bool = False
-    after: int = 0
-    row: int = field(default=0, repr=False)
 
 
 @dataclass(frozen=True, slots=True, eq=False, init=False)
@@ -350,10 +330,8 @@ class Deformation:
             if placed.row > done:
                 parts.append(("strokes", numbers(self._table[done : placed.row]), False))
             done = placed.row
-            if isinstance(placed.map, Field):
-                parts.append(("field", placed.map.packed(frame), not placed.inverse))
-            else:
-                parts.append(("affine", _rows(np.linalg.inv(frame) @ placed.map.matrix @ frame), not placed.inverse))
+            kind, held, inverse = placed.packed(frame)
+            parts.append((kind, held, not inverse))  # T is the push map
         regrid = None
         if grid is not None:
             whole = grid.uncropped()
@@ -367,7 +345,7 @@ class Deformation:
         if done < len(self._table):
             parts.append(("strokes", numbers(self._table[done:]), False))
         if regrid is not None:
-            parts.append(("affine", _rows(regrid), False))
+            parts.append(("affine", matrix_rows(regrid), False))
         axes = self._axes.copy()
         axes[:, 2] = -1.0  # the border is that of the strokes
         composite = _core.Composite(self.ndim, self._axes, parts)
@@ -784,12 +762,6 @@ class Deformation:
 
     def _key(self) -> tuple[object, ...]:
         return self.domain, self.grid, self.on_fold, self.strokes, self.maps
-
-
-def _rows(matrix: Floats) -> tuple[Floats, Floats]:
-    """Return the rows of a homogeneous matrix, and of its inverse, as the core takes them."""
-    n = len(matrix) - 1
-    return np.ascontiguousarray(matrix[:n]), np.ascontiguousarray(np.linalg.inv(matrix)[:n])
 
 
 def reduced(stroke: Stroke, amount: float, whole: Deformation, now: Deformation) -> Stroke:

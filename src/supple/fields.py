@@ -12,8 +12,9 @@ import numpy as np
 import numpy.typing as npt
 
 from supple import _core
-from supple.domain import choice, number, refuse
-from supple.errors import SuppleError
+from supple.domain import FREE, choice, number, refuse
+from supple.engines.base import Certificate, certificate_of_status, warn_of
+from supple.errors import SuppleError, shown
 from supple.geometry import Grid
 
 Floats = npt.NDArray[np.float64]
@@ -220,6 +221,75 @@ class Field:
         self.packed(np.eye(n + 1)).invert(np.ascontiguousarray(to_index[:n]), back, tolerance, values, error, status)
         return Inverted(type(self)(values, held, beyond=self.beyond), error, status)
 
+    def compose(self, *maps: Map | Placed, grid: Grid | None = None) -> Self:
+        """Return the field of this map and others, one after the other: x goes through this one first.
+
+        Parameters
+        ----------
+        *maps : Field, Affine or Placed
+            As in `compose`.
+        grid : Grid, optional
+            The grid of the result; by default, the field's own.
+
+        Raises, warns
+        -------------
+        As `compose` does.
+        """
+        made = compose((self, *maps), own_grid(self) if grid is None else grid)
+        return type(self)(made.values, made.grid)
+
+    @classmethod
+    def read(cls, path: PathLike, convention: str | None = None, *, source: Grid | None = None) -> Self:
+        """Read a displacement field.
+
+        Parameters
+        ----------
+        path : str or os.PathLike
+            The file; see `supple.media.transforms` for the formats.
+        convention : str, optional
+            The program whose convention the file follows: ``"itk"`` (ITK, ANTs, 3D Slicer), ``"fsl-relative"``,
+            ``"fsl-absolute"``, ``"afni"``, ``"mrtrix"``, ``"ngff"``, ``"opencv"``, ``"stmap"``, ... By default, that
+            which the file itself shows without doubt.
+        source : Grid, optional
+            The grid of the input image, where the convention refers to it.
+
+        Raises
+        ------
+        SuppleError
+            If the file cannot be read, is of another convention, or holds anything but one field.
+        """
+        found = read_maps(path, convention, source=source)
+        if len(found) != 1 or not isinstance(found[0], Field):
+            kinds = " and ".join("a field" if isinstance(each, Field) else "an affine map" for each in found)
+            raise SuppleError(
+                f"{shown(path)} holds {kinds}, and not one field: read_maps(path) reads them (supple compose makes one "
+                "field of them)"
+            )
+        (field,) = found
+        return cls(field.values, field.grid, field.interpolation, field.beyond)
+
+    def write(
+        self, path: PathLike, convention: str | None = None, *, source: Grid | None = None, force: bool = False
+    ) -> None:
+        """Write the field in a convention; the file appears whole or not at all.
+
+        Parameters
+        ----------
+        path, convention, source
+            As in `read`; by default, the convention that goes with the suffix.
+        force : bool
+            Whether to replace an existing file.
+
+        Raises
+        ------
+        SuppleError
+            If the file cannot be written, or the convention cannot hold the field.
+        """
+        from supple.media import transforms
+
+        held = transforms.Displacements(self.values, self.grid, self.interpolation, self.beyond)
+        transforms.write(path, [held], convention, source=source, force=force)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Inverted:
@@ -252,6 +322,102 @@ class Inverted:
 
 Map = Affine | Field
 """A map of positions that is no stroke."""
+
+
+@dataclass(frozen=True, slots=True)
+class Placed:
+    """A field or an affine map, forward or inverted, perhaps among the strokes of a deformation.
+
+    Parameters
+    ----------
+    map : Field or Affine
+        From a point of the output to the point of the input that is seen there (pull).
+    inverse : bool
+        Whether to apply the inverse (push).
+    after : int
+        The number of strokes before it.
+    """
+
+    map: Field | Affine
+    inverse: bool = False
+    after: int = 0
+    row: int = field(default=0, repr=False)
+
+    def packed(self, frame: Floats) -> _core.Part:
+        """Return the map as the core takes it, from the coordinates of `Field.packed`, as a part of the pull map."""
+        if isinstance(self.map, Field):
+            return "field", self.map.packed(frame), self.inverse
+        return "affine", matrix_rows(np.linalg.inv(frame) @ self.map.matrix @ frame), self.inverse
+
+
+def read_maps(path: PathLike, convention: str | None = None, *, source: Grid | None = None) -> tuple[Map, ...]:
+    """Read the affine maps and fields of a file, in the order in which a point of the output goes through them.
+
+    Parameters and errors are those of `Field.read`.
+    """
+    from supple.media import transforms
+
+    found = transforms.read(path, convention, source=source)
+    return tuple(Field(*each) if isinstance(each, transforms.Displacements) else Affine(each) for each in found)
+
+
+def compose(maps: Sequence[Map | Placed], grid: Grid) -> Field:
+    """Return the displacement field of several maps, one after the other, at the samples of a grid.
+
+    Parameters
+    ----------
+    maps : sequence of Field, Affine or Placed
+        A point goes through the first one first; through the inverse of a `Placed` with ``inverse``.
+    grid : Grid
+        The grid of the result. At its samples, the result is exact, to float32; between them, it is interpolated.
+
+    Returns
+    -------
+    Field
+        In float32, interpolated linearly.
+
+    Raises
+    ------
+    SuppleError
+        If a map has another number of axes than the grid, or a field's grid does not overlap the grid.
+
+    Warns
+    -----
+    FoldWarning
+        If a field that is inverted folds at some samples.
+    OutsideWarning
+        If to some samples no point of an inverted field's grid is mapped.
+    """
+    n, parts = grid.ndim, []
+    for each in maps:
+        placed = each if isinstance(each, Placed) else Placed(each)
+        if placed.map.ndim != n:
+            what = "field" if isinstance(placed.map, Field) else "affine map"
+            raise SuppleError(f"the {what} has {placed.map.ndim} axes, and the grid has {n}")
+        parts.append(placed.packed(np.eye(n + 1)))
+    composite = _core.Composite(n, np.array([FREE] * 3), parts)
+    values = np.empty((*grid.shape, n), np.float32)
+    height, width = grid.shape[-2:]
+    index = np.zeros((height * width, n))
+    index[:, 1], index[:, 0] = np.indices((height, width)).reshape(2, -1)
+    points, status = np.zeros((height * width, 3)), np.empty(height * width, np.uint8)
+    certificate = Certificate(0.0, 0.0)
+    for z in range(grid.shape[0] if n == 3 else 1):
+        if n == 3:
+            index[:, 2] = z
+        here = grid.positions(index)
+        points[:, :n] = here
+        found, _, _ = composite.through(points, False, False, status)
+        (values[z] if n == 3 else values)[...] = (found[:, :n] - here).reshape(height, width, n)
+        certificate |= certificate_of_status(status)
+    warn_of(certificate, 1.0, 3)
+    return Field(values, grid)
+
+
+def matrix_rows(matrix: Floats) -> tuple[Floats, Floats]:
+    """Return the rows of a homogeneous matrix, and of its inverse, as the core takes them."""
+    n = len(matrix) - 1
+    return np.ascontiguousarray(matrix[:n]), np.ascontiguousarray(np.linalg.inv(matrix)[:n])
 
 
 def own_grid(field: Field) -> Grid:

@@ -66,11 +66,17 @@ class Certificate:
         )
 
 
+def certificate_of_status(status: npt.NDArray[np.uint8]) -> Certificate:
+    """Return the certificate of points from the core's bits: 1 folded, 2 outside, 4 unsolved."""
+    bits = np.bincount(status, minlength=8)
+    return Certificate(0.0, 0.0, int(bits[4:].sum()), int(bits[1] + bits[3]), int(bits[2] + bits[3]))
+
+
 def warn_of(certificate: Certificate, tolerance: float, stacklevel: int) -> None:
     """Warn if a map may be less accurate than the tolerance, or has folds or gaps."""
     if certificate.unknown or certificate.folded:
         warnings.warn(
-            f"a field folds: of the points solved, {certificate.folded} lie where its Jacobian determinant is not above "
+            f"a field folds: {certificate.folded} of the points solved lie where its Jacobian determinant is not above "
             f"0, and for {certificate.unknown} no solution was found; what is shown there is one of several points, or "
             "a guess (supple check shows where)",
             FoldWarning,

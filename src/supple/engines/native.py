@@ -24,6 +24,7 @@ from supple.engines.base import (
     Space,
     Steps,
     Work,
+    certificate_of_status,
     check_gradients,
     warn_of,
 )
@@ -252,14 +253,7 @@ def _through(space: Space, given: Floats, shape: tuple[int, ...], *, matrices: b
     assert space.composite is not None
     status = np.zeros(len(given), np.uint8)
     found, slopes, _ = space.composite.through(given, False, matrices, status)
-    certificate = Certificate(
-        0.0,
-        0.0,
-        int(np.count_nonzero(status & 4)),
-        int(np.count_nonzero((status & 5) == 1)),
-        int(np.count_nonzero((status & 6) == 2)),
-    )
-    warn_of(certificate, 1.0, 5)
+    warn_of(certificate_of_status(status), 1.0, 5)
     n, steps = space.ndim, space.axes[: space.ndim, 3]
     if slopes is None:
         return _points(space, found, shape)
