@@ -73,17 +73,20 @@ def _transforms(path: PathLike) -> tuple[Content, ...]:
         what = f"it holds a list of {kinds} transforms, of which ITK reads the first"
         raise unreadable(path, what, "give a file of one, or of a composite of them")
     with itk.failing(path, "file of ITK's transforms"):
-        whole = sitk.ReadTransform(os.fspath(path))
+        try:
+            whole = sitk.ReadTransform(os.fspath(path))
+        except KeyError as error:  # a kind that SimpleITK's table of kinds lacks
+            raise unreadable(path, "SimpleITK does not know its kind of transform", "write it as affine") from error
     if whole.GetDimension() != 3:
         raise unreadable(path, f"it is a transform of {whole.GetDimension()} dimensions", "give one of volumes")
-    return tuple(_contents(path, sitk, whole.Downcast()))
+    return tuple(_contents(path, sitk, whole))
 
 
 def _contents(path: PathLike, sitk: Any, transform: Any) -> list[Content]:
     if isinstance(transform, sitk.CompositeTransform):
         count = transform.GetNumberOfTransforms()
         # a composite applies first what was added last
-        parts = [transform.GetNthTransform(i).Downcast() for i in reversed(range(count))]
+        parts = [_known(transform.GetNthTransform(i)) for i in reversed(range(count))]
         return [content for part in parts for content in _contents(path, sitk, part)]
     if isinstance(transform, sitk.DisplacementFieldTransform):
         image = transform.GetDisplacementField()
@@ -99,6 +102,14 @@ def _contents(path: PathLike, sitk: Any, transform: Any) -> list[Content]:
         what = f"it is a {transform.GetName()}, which is neither affine nor a field"
         raise unreadable(path, what, "sample it as a field first")
     return [checked(path, _matrix(transform))]
+
+
+def _known(transform: Any) -> Any:
+    """Return a transform as what it is, or as it stands if SimpleITK's table of kinds lacks it."""
+    try:
+        return transform.Downcast()
+    except KeyError:
+        return transform
 
 
 def _sampled(path: PathLike, values: Any, image: Any, interpolation: Any) -> Displacements:
