@@ -23,6 +23,7 @@ Array = npt.NDArray[Any]
 Matrix = npt.NDArray[np.float64]
 
 _COMPONENTS = 3
+_COEFFICIENTS = (2007, 2008, 2009, 2016, 2017)  # of FNIRT and topup
 _LPS = np.diag([-1.0, -1.0, 1.0, 1.0])
 
 
@@ -100,15 +101,26 @@ def intent_of(volume: Volume) -> int:
 def check_intent(path: PathLike, volume: Volume, convention: str, known: Sequence[int]) -> None:
     """Raise SuppleError for an intent code that the fields of a convention do not have."""
     code = intent_of(volume)
-    if code in (2007, 2008, 2009, 2016, 2017):
-        what = f"its intent code is {code}, of coefficients, to which FSL's programs add the affine part differently"
-        raise unreadable(
-            path, what, "run fnirtfileutils --withaff, with --ref= and --out=, and read the field it makes"
-        )
+    check_code(path, code)
     if code not in known:
         told = " or ".join(map(str, known))
         what = f"its intent code is {code}, and that of a field in the convention {convention} is {told}"
         raise unreadable(path, what, "give the convention that it has")
+
+
+def check_code(path: PathLike, code: int) -> None:
+    """Raise SuppleError for the intent codes of FSL's coefficients."""
+    if code in _COEFFICIENTS:
+        what = f"its intent code is {code}, of coefficients, to which FSL's programs add the affine part differently"
+        raise unreadable(path, what, "run fnirtfileutils --withaff, with --ref= and --out=, and read what it makes")
+
+
+def check_count(path: PathLike, found: int) -> None:
+    """Raise SuppleError for another number of values for each voxel than three."""
+    if found != _COMPONENTS:
+        told = {1: "one value for each voxel, as an image or a mask", 2: "two, as a field of a picture"}.get(found)
+        told = told or f"{found} values for each voxel"
+        raise unreadable(path, f"it holds {told}", "give a field with three, one for each axis of space")
 
 
 def vectors_of(path: PathLike, volume: Volume) -> tuple[Array, Grid]:
@@ -120,10 +132,7 @@ def vectors_of(path: PathLike, volume: Volume) -> tuple[Array, Grid]:
     if volume.series:
         samples = np.moveaxis(samples, 0, -1)
     found = samples.shape[3] if samples.ndim == 4 else 1
-    if found != _COMPONENTS:
-        told = {1: "one value for each voxel, as an image or a mask", 2: "two, as a field of a picture"}.get(found)
-        told = told or f"{found} values for each voxel"
-        raise unreadable(path, f"it holds {told}", "give a field with three, one for each axis of space")
+    check_count(path, found)
     if samples.dtype.kind != "f":
         raise unreadable(
             path, f"its values are {samples.dtype}, as those of colours", "give a field of float32 or float64"

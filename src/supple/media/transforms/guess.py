@@ -6,11 +6,12 @@ from pathlib import Path
 
 from supple.errors import SuppleError, shown
 from supple.media.files import PathLike, head_of
-from supple.media.transforms.base import suffix_of
+from supple.media.transforms.base import check_code, check_count, suffix_of
 from supple.media.volume import nifti
 
 _FSL = ("fsl-relative", "fsl-absolute")
 _MRTRIX = ("mrtrix", "mrtrix-displacement")
+_WARPS = (2006, 2018)  # of FNIRT and topup
 _NIFTI = (".nii", ".nii.gz")
 # the conventions of a suffix
 _SUFFIXES: dict[str, tuple[str, ...]] = {
@@ -59,9 +60,13 @@ def _in_nifti(path: PathLike) -> tuple[str, tuple[str, ...]]:
     code, five = int(header["intent_code"]), components > 1
     if five and code == 1007:
         return "", ("itk",)
+    check_code(path, code)
     count = sizes[3] if series else components
-    what = f"it holds {count} value{'s' if count > 1 else ''} for each voxel, of the intent code {code}"
-    if code in range(2006, 2019):
+    check_count(path, count)
+    if code == 1006:
+        return "", ("itk",)
+    what = f"it holds {count} values for each voxel, of the intent code {code}"
+    if code in _WARPS:
         return what, _FSL
     return f"{what}, which several programs write", (("afni", "itk") if five else (*_FSL, *_MRTRIX, "afni"))
 
@@ -71,5 +76,6 @@ def _in_text(path: PathLike, known: tuple[str, ...]) -> tuple[str, tuple[str, ..
     if "itk" in known:
         if b"#Insight Transform File" in head or b"Transform_" in head:
             return "", ("itk",)
-        return "", ("fsl-affine",) if Path(path).suffix.lower() == ".mat" and b"\0" not in head else known
+        what = "its text does not tell what it is"
+        return what, ("fsl-affine",) if Path(path).suffix.lower() == ".mat" and b"\0" not in head else known
     return "it may hold positions or displacements", known

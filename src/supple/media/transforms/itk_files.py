@@ -17,6 +17,7 @@ from supple.media.transforms.base import (
     Displacements,
     Grids,
     Matrix,
+    check_count,
     check_finite,
     check_volume,
     checked,
@@ -54,8 +55,9 @@ def _field(path: PathLike, form: str) -> Displacements:
             what = "its intent code is 1006, whose vectors ITK takes as LPS before version 5.4, and as RAS from it on"
             raise unreadable(path, what, "write it anew with LPS vectors and the intent code 1007")
         if code != _VECTOR or volume.series:
-            axes = "five axes" if volume.components == 3 else f"{4 if volume.series else 3} axes"
-            what = f"it has {axes} and the intent code {code}, and a field of ITK has five and the code 1007"
+            check_count(path, len(volume.samples) if volume.series else volume.components)
+            axes = 4 if volume.series else 5
+            what = f"it has {axes} axes and the intent code {code}, and a field of ITK has 5 and the code 1007"
             raise unreadable(path, what, "give the convention that it has")
     # The vectors stay as they are for any space of a NRRD: ITK turns its place to LPS, and never its vectors.
     values, grid = vectors_of(path, volume)
@@ -72,7 +74,7 @@ def _transforms(path: PathLike) -> tuple[Content, ...]:
     if kinds > 1 and not composed:
         what = f"it holds a list of {kinds} transforms, of which ITK reads the first"
         raise unreadable(path, what, "give a file of one, or of a composite of them")
-    with itk.failing(path, "file of ITK's transforms"):
+    with itk.failing(path, "ITK transform"):
         try:
             whole = sitk.ReadTransform(os.fspath(path))
         except KeyError as error:  # a kind that SimpleITK's table of kinds lacks
