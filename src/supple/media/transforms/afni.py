@@ -1,7 +1,8 @@
 """Warps and affine maps of AFNI: from the base (output) to the source (input), in millimetres in LPS.
 
 AFNI counts in coordinates that leave out how a grid is turned (its "cardinal" ones), so that a warp on an oblique grid
-means nothing without AFNI's own rules for both images: such grids are refused.
+means nothing without AFNI's own rules for both images: such grids are refused. Beyond its grid, AFNI continues a warp
+with the mean slope at its faces; here, it keeps the displacement of the edge.
 """
 
 from __future__ import annotations
@@ -38,6 +39,7 @@ from supple.media.volume.data import native, reading
 
 MATRICES = (".aff12.1d", ".1d")
 DATASETS = (".head", ".brik", ".brik.gz")
+_LABELS = ["x_delta", "y_delta", "z_delta"]  # some warps hold other volumes after these
 _VECTOR = 1007  # of a field that another program has copied
 _CARDINAL = "make it and the images plumb by 3dWarp -deoblique, and find the warp anew"
 
@@ -102,8 +104,10 @@ def _dataset(path: PathLike) -> tuple[Array, Grid]:
             affine, data = image.affine, np.asarray(image.dataobj)
         except (nibabel.filebasedimages.ImageFileError, KeyError, ValueError, IndexError, OSError) as error:
             raise unreadable(path, "it is no dataset of AFNI, or damaged or without its .HEAD or .BRIK") from error
-    if data.ndim != 4 or data.shape[3] != 3 or data.dtype.kind != "f":
+    labels = str(image.header.info.get("BRICK_LABS", "")).split("~")[:3]
+    count = data.shape[3] if data.ndim == 4 else 1
+    if count < 3 or (count > 3 and labels != _LABELS) or data.dtype.kind != "f":
         told = f"{data.dtype} of {' x '.join(map(str, data.shape))}"
-        raise unreadable(path, f"it holds {told}", "give a warp, which has three sub-bricks of floats")
-    values = native(data.transpose(2, 1, 0, 3))
+        raise unreadable(path, f"it holds {told}", f"give a warp, whose sub-bricks are {', '.join(_LABELS)}")
+    values = native(data[..., :3].transpose(2, 1, 0, 3))
     return values, matrix_grid(path, affine, data.shape[:3])

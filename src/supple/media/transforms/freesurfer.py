@@ -1,4 +1,4 @@
-"""Affine maps of FreeSurfer (.lta). Its warps are refused, with the command that converts them."""
+"""Affine maps (.lta) and warps (.mgz) of FreeSurfer; a .m3z is refused, with the command that converts it."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import numpy as np
 
 from supple.geometry import Grid
 from supple.media.files import PathLike, unreadable, unwritable
+from supple.media.transforms import mgz
 from supple.media.transforms.base import (
     Content,
     Grids,
@@ -20,21 +21,24 @@ from supple.media.transforms.base import (
     only_matrix,
     spelled,
     suffix_of,
-    to_ras,
     turned,
     write_text,
 )
+from supple.media.transforms.mgz import centred, described
 
 _VOXELS, _RAS = 0, 1
 _KINDS = {_VOXELS: "of voxels", _RAS: "of RAS"}
-WARPS = (".m3z", ".mgz", ".mgh", ".m3d")
+MORPHS = (".m3z", ".m3d")
 
 
 def read(path: PathLike, grids: Grids) -> tuple[Content, ...]:
-    """Read an affine map of FreeSurfer, which leads from the source to the destination."""
-    if suffix_of(path, WARPS) in WARPS:
-        what = "it is a warp of FreeSurfer, which is not read"
-        raise unreadable(path, what, "run mri_warp_convert --inm3z (or --inwarp) with --outitk, and read that")
+    """Read an affine map of FreeSurfer, which leads from the source to the destination, or a warp, which leads back."""
+    suffix = suffix_of(path, (*MORPHS, *mgz.SUFFIXES))
+    if suffix in mgz.SUFFIXES:
+        return (mgz.read(path),)
+    if suffix in MORPHS:
+        what = f"it is a morph ({suffix}), of which FreeSurfer has the only reader"
+        raise unreadable(path, what, "run mri_warp_convert --inm3z with --outitk, and read that")
     lines = lines_of(path, "a .lta file")
     told = {key: text.strip() for key, _, text in (line.replace(" ", "").partition("=") for line in lines)}
     starts = [i for i, line in enumerate(lines) if re.fullmatch(r"1\s+4\s+4", line)]
@@ -79,17 +83,12 @@ def _volume(path: PathLike, lines: Sequence[str], which: str) -> Matrix:
     except (KeyError, ValueError) as error:
         what = f"it counts in voxels, and does not say how those of its {which} volume lie"
         raise unreadable(path, what, "run lta_convert with --src and --trg") from error
-    made = np.eye(4)
-    made[:3, :3] = np.stack(axes, axis=1) * steps
-    made[:3, 3] = middle - made[:3, :3] @ (sizes / 2)
-    return made
+    return centred(sizes, steps, np.stack(axes, axis=1), middle)
 
 
 def _described(grid: Grid) -> list[str]:
-    matrix = to_ras(grid.matrix)
-    axes = (matrix[:3, :3] / grid.spacing).T
-    middle = matrix[:3, :3] @ (np.array(grid.sizes) / 2) + matrix[:3, 3]
-    named = [("xras", axes[0]), ("yras", axes[1]), ("zras", axes[2]), ("cras", middle)]
+    axes, middle = described(grid)
+    named = [("xras", axes[:, 0]), ("yras", axes[:, 1]), ("zras", axes[:, 2]), ("cras", middle)]
     return [
         "valid = 1",
         "filename = unknown",
