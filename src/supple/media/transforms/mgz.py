@@ -33,8 +33,9 @@ _FLOAT = 3
 _SCAN = 20  # bytes of scan parameters behind the voxels
 _GEOMETRY, _SHEARED, _FORMAT = 10, 15, 13
 _UNSIZED = {1: "a table of colours", 2: "old coordinates", 11: "labels", 12: "labels", 20: "a surface", 30: "a matrix"}
-_PLACE = 76 + 512  # bytes of the place of a volume, with the name of its file
+_PLACE, _SHEAR, _NAME = 76, 12, 512  # bytes of the place of a volume, of its shear, of the name of its file
 _ADVICE = "run mri_warp_convert with --outitk, and read that"
+_LEAN = 1e-4  # the largest shear by rounding
 _FORMATS = ("positions in voxels", "displacements in voxels", "positions in RAS", "displacements in RAS")
 
 
@@ -99,14 +100,13 @@ def _tagged(path: PathLike, tags: bytes) -> tuple[Grid, Grid, int] | None:
                 break
             if tag in _UNSIZED:
                 raise unreadable(path, f"it holds {_UNSIZED[tag]} (tag {tag}), which no warp does", _ADVICE)
-            size = 2 * _PLACE
+            each = _PLACE + (_SHEAR if tag == _SHEARED else 0) + _NAME
+            size = 2 * each
             if tag != _GEOMETRY:
                 (size,) = struct.unpack_from(">q", tags, at)
                 at += 8
-            if tag == _GEOMETRY:
-                found[tag] = [_place(path, tags, at), _place(path, tags, at + _PLACE)]
-            elif tag == _SHEARED:
-                raise unreadable(path, "its images have axes that are not at right angles", "resample them first")
+            if tag in (_GEOMETRY, _SHEARED):
+                found[_GEOMETRY] = [_place(path, tags, start, sheared=tag == _SHEARED) for start in (at, at + each)]
             elif tag == _FORMAT:
                 (found[tag],) = struct.unpack_from(">i", tags, at)
             if size < 0:
@@ -120,12 +120,14 @@ def _tagged(path: PathLike, tags: bytes) -> tuple[Grid, Grid, int] | None:
     return source, grid, found[_FORMAT]
 
 
-def _place(path: PathLike, tags: bytes, at: int) -> Grid:
+def _place(path: PathLike, tags: bytes, at: int, *, sheared: bool) -> Grid:
     """Return the grid of an image that a tag describes."""
     valid, *sizes = struct.unpack_from(">4i", tags, at)
     numbers = np.array(struct.unpack_from(">15f", tags, at + 16))
     if not valid or min(sizes) < 1:
         raise unreadable(path, "the place of an image that it belongs to is not valid", _ADVICE)
+    if sheared and np.abs(struct.unpack_from(">3f", tags, at + _PLACE)).max() > _LEAN:
+        raise unreadable(path, "the axes of an image that it belongs to are not at right angles", "resample it first")
     return matrix_grid(path, centred(sizes, numbers[:3], numbers[3:12].reshape(3, 3).T, numbers[12:]), sizes)
 
 
