@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,7 @@ from scipy import ndimage
 from supple.geometry import Grid
 from supple.media.transforms import Content, Displacements
 
+DATA = Path(__file__).parent / "data"
 Floats = npt.NDArray[np.float64]
 
 
@@ -76,10 +78,16 @@ GRIDS = {
 }
 
 
-def field_on(grid: Grid, seed: int = 0, shift: npt.ArrayLike = 0.0, dtype: npt.DTypeLike = np.float32) -> Displacements:
+def grid_of(matrix: Floats, shape: Sequence[int]) -> Grid:
+    """Return the grid of a matrix from indices to LPS."""
+    spacing = np.linalg.norm(matrix[:3, :3], axis=0)
+    return Grid(shape, spacing.tolist(), matrix[:3, 3].tolist(), matrix[:3, :3] / spacing)
+
+
+def field_on(grid: Grid, seed: int = 0, dtype: npt.DTypeLike = np.float32) -> Displacements:
     """Return a field of about 2 mm on a grid."""
     rng = np.random.default_rng(seed)
-    values = rng.normal(0, 1, (*grid.shape, 3)) + shift
+    values = rng.normal(0, 1, (*grid.shape, 3))
     return Displacements(values.astype(dtype), grid)
 
 

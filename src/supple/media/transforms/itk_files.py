@@ -85,6 +85,9 @@ def _transforms(path: PathLike) -> tuple[Content, ...]:
 
 
 def _contents(path: PathLike, sitk: Any, transform: Any) -> list[Content]:
+    # first: of a transform whose kind SimpleITK lacks, it makes a composite that holds itself
+    if transform.IsLinear():
+        return [checked(path, _matrix(transform))]
     if isinstance(transform, sitk.CompositeTransform):
         count = transform.GetNumberOfTransforms()
         # a composite applies first what was added last
@@ -100,10 +103,8 @@ def _contents(path: PathLike, sitk: Any, transform: Any) -> list[Content]:
         images = transform.GetCoefficientImages()
         values = np.stack([sitk.GetArrayFromImage(image) for image in images], axis=-1)
         return [_sampled(path, values, images[0], "bspline")]
-    if not transform.IsLinear():
-        what = f"it is a {transform.GetName()}, which is neither affine nor a field"
-        raise unreadable(path, what, "sample it as a field first")
-    return [checked(path, _matrix(transform))]
+    what = f"it is a {transform.GetName()}, which is neither affine nor a field"
+    raise unreadable(path, what, "sample it as a field first")
 
 
 def _known(transform: Any) -> Any:
