@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from pathlib import Path
 
 import numpy as np
 
@@ -109,8 +108,3 @@ def _dtype(path: PathLike, told: str) -> np.dtype[np.floating]:
         raise unreadable(path, f"its voxels are {told or 'of no type'}, and those of a warp are Float32", _CONVERT)
     order = {"le": "<", "be": ">", None: "="}[known[2]]
     return np.dtype(f"{order}f{int(known[1]) // 8}")
-
-
-def is_mif(path: PathLike) -> bool:
-    """Return whether a name is that of a .mif file."""
-    return Path(path).name.lower().endswith((".mif", ".mif.gz"))
