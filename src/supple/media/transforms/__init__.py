@@ -6,25 +6,113 @@ displacements of volumes are in millimetres in LPS, those of pictures in pixels.
 
 from __future__ import annotations
 
-from typing import Any, Literal, NamedTuple
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Any, NamedTuple
 
-import numpy as np
-import numpy.typing as npt
-
+from supple.errors import SuppleError, shown
 from supple.geometry import Grid
+from supple.media.files import PathLike
+from supple.media.transforms import afni, freesurfer, fsl, itk_files, mrtrix
+from supple.media.transforms.base import Content, Displacements, Grids
+from supple.media.transforms.guess import convention_in, convention_of
 from supple.media.transforms.itk import SUFFIXES_OUT, check_target, write_field
 
-__all__ = ["SUFFIXES_OUT", "Content", "Displacements", "check_target", "write_field"]
+__all__ = ["CONVENTIONS", "SUFFIXES_OUT", "Content", "Displacements", "check_target", "read", "write", "write_field"]
 
 
-class Displacements(NamedTuple):
-    """A sampled displacement field as read from a file; see `supple.Field`."""
+class Convention(NamedTuple):
+    """How the files of some programs are read and written."""
 
-    values: npt.NDArray[Any]
-    grid: Grid
-    interpolation: Literal["linear", "cubic", "bspline"] = "linear"
-    beyond: Literal["zero", "edge"] = "zero"
+    read: Callable[[PathLike, Grids], tuple[Content, ...]]
+    write: Callable[..., None]
 
 
-Content = npt.NDArray[np.float64] | Displacements
-"""The homogeneous matrix of an affine map, or a displacement field. Those of a file apply in order, the first first."""
+def _pair(module: Any, **kind: bool) -> Convention:
+    return Convention(partial(module.read, **kind), partial(module.write, **kind))
+
+
+CONVENTIONS = {
+    "itk": _pair(itk_files),
+    "fsl-relative": _pair(fsl, absolute=False),
+    "fsl-absolute": _pair(fsl, absolute=True),
+    "fsl-affine": Convention(fsl.read_affine, fsl.write_affine),
+    "afni": _pair(afni),
+    "mrtrix": _pair(mrtrix, absolute=True),
+    "mrtrix-displacement": _pair(mrtrix, absolute=False),
+    "freesurfer": _pair(freesurfer),
+}
+
+
+def read(
+    path: PathLike, convention: str | None = None, *, source: Grid | None = None, reference: Grid | None = None
+) -> tuple[Content, ...]:
+    """Read the maps of a file.
+
+    Parameters
+    ----------
+    path : str or os.PathLike
+        The file.
+    convention : str, optional
+        One of `CONVENTIONS`; by default, what the name and the content of the file leave no doubt about.
+    source : Grid, optional
+        The grid of the input (moving) image, which FSL counts in.
+    reference : Grid, optional
+        The grid of the output (fixed) image, which affine maps of FSL count in.
+
+    Returns
+    -------
+    tuple of Content
+        Matrices and fields, to apply in order to a point of the output.
+
+    Raises
+    ------
+    SuppleError
+        If the convention is unknown or in doubt, a grid that it needs is not given, or the file holds no such map.
+    """
+    known = convention_in(path) if convention is None else convention
+    return _found(known).read(path, Grids(source, reference))
+
+
+def write(
+    path: PathLike,
+    contents: Sequence[Content],
+    convention: str | None = None,
+    *,
+    source: Grid | None = None,
+    reference: Grid | None = None,
+    force: bool = False,
+) -> None:
+    """Write maps to a file, which appears whole or not at all.
+
+    What a field does beyond its grid is not written: the program that reads it decides.
+
+    Parameters
+    ----------
+    path : str or os.PathLike
+        The file.
+    contents : sequence of Content
+        Matrices and fields, to apply in order to a point of the output. Only ``.h5`` and ``.tfm`` hold more than one.
+    convention : str, optional
+        One of `CONVENTIONS`; by default, that of the suffix, if only one has it.
+    source : Grid, optional
+        The grid of the input (moving) image, which FSL and FreeSurfer need.
+    reference : Grid, optional
+        The grid of the output (fixed) image, which affine maps of FSL and FreeSurfer need.
+    force : bool
+        Whether to replace an existing file.
+
+    Raises
+    ------
+    SuppleError
+        If the convention is unknown or in doubt, or cannot hold these maps; or the file cannot be written.
+    """
+    known = convention_of(path) if convention is None else convention
+    _found(known).write(path, contents, Grids(source, reference), force=force)
+
+
+def _found(convention: str) -> Convention:
+    known = CONVENTIONS.get(convention)
+    if known is None:
+        raise SuppleError(f"convention must be one of {', '.join(CONVENTIONS)}, found {shown(str(convention))}")
+    return known

@@ -67,7 +67,7 @@ def write_field(path: PathLike, displacement: Field, geometry: Geometry, *, forc
         raise unwritable(path, what, "write .nrrd or .mha")
     with replacing(path, force=force) as temporary:
         if suffix == ".h5":
-            _write_transform(name, temporary, field, geometry)
+            write_transform(path, temporary, _transform_of(field, geometry), 8 * field.size)
             return
         with nifti.writing(temporary, suffix or "") as file:
             if suffix in (".nii", ".nii.gz"):
@@ -139,18 +139,24 @@ def _spelled(numbers: npt.ArrayLike) -> list[str]:
     return [repr(x) for x in np.asarray(numbers, np.float64).tolist()]
 
 
-def _write_transform(name: str, path: Path, field: Field, geometry: Geometry) -> None:
+def _transform_of(field: Field, geometry: Geometry) -> Any:
     sitk = itk.imported()
-    with open(path, "wb") as file:  # HDF5 crashes on a full disk
-        for _ in range(0, 8 * field.size + _OVERHEAD, _CHUNK):
-            file.write(bytes(_CHUNK))
     image = sitk.Image([int(n) for n in field.shape[2::-1]], sitk.sitkVectorFloat64, 3)
     for z, plane in enumerate(field):
         image[:, :, z] = sitk.GetImageFromArray(plane.astype(np.float64), isVector=True)
     image.SetSpacing(geometry.spacing)
     image.SetOrigin(geometry.origin)
     image.SetDirection(geometry.direction.ravel().tolist())
+    return sitk.DisplacementFieldTransform(image)
+
+
+def write_transform(path: PathLike, temporary: Path, transform: Any, size: int) -> None:
+    """Write a transform of ITK's, whose parameters take about `size` bytes, into the temporary file of `path`."""
+    sitk = itk.imported()
+    with open(temporary, "wb") as file:  # HDF5 crashes on a full disk
+        for _ in range(0, size + _OVERHEAD, _CHUNK):
+            file.write(bytes(_CHUNK))
     try:
-        sitk.WriteTransform(sitk.DisplacementFieldTransform(image), str(path))
+        sitk.WriteTransform(transform, str(temporary))
     except RuntimeError as error:
-        raise unwritable(name, "ITK could not write the transform", "choose another place") from error
+        raise unwritable(path, "ITK could not write the transform", "choose another place") from error

@@ -89,6 +89,12 @@ def read(path: PathLike) -> Volume:
     )
 
 
+def outline(path: PathLike) -> tuple[Any, tuple[int, ...], int, bool]:
+    """Return the header of a file, its sizes, its number of components, and whether there is time, without voxels."""
+    header, _ = _header(_pair(path)[0])
+    return header, *_axes(path, header)
+
+
 def _pair(path: PathLike) -> tuple[Path, Path]:
     """Return the files of the header and of the voxels, which may be the same."""
     file = Path(path)
