@@ -209,7 +209,8 @@ class Store:
         if kind == "byDimension":
             return self._by_dimension(found, n)
         if kind not in _LINEAR:
-            raise self.error(f"it holds a transformation of the type {kind!r}", f"use {', '.join(_TYPES)}")
+            known = _LINEAR if kind in _TYPES else _TYPES
+            raise self.error(f"it holds a transformation of the type {kind!r} here", f"use {', '.join(known)}")
         numbers = self._numbers(found, kind)
         size = len(numbers)
         made = np.eye(size + 1)
@@ -262,10 +263,10 @@ class Store:
         path = found["path"]
         node = self._node(path)
         ome = _ome(node)
-        if hasattr(node, "shape") and not ome.get("coordinateSystems"):  # its group describes it
-            above, _, name = path.strip("/").rpartition("/")
-            image = _ome(self._node(above))["multiscales"][0]
-            dataset = next((one for one in image["datasets"] if one["path"] == name), None)
+        image: Json
+        dataset: Json | None
+        if hasattr(node, "shape") and not ome.get("coordinateSystems"):
+            image, dataset = self._above(path)
         elif hasattr(node, "shape"):
             image = dataset = ome
         else:
@@ -282,6 +283,16 @@ class Store:
         if axes is None:
             raise self.error(f"its field {path} does not describe the coordinate system {name!r}", "add it")
         return node, list(axes), steps[:1] if out is not None else steps
+
+    def _above(self, path: str) -> tuple[Json, Json | None]:
+        """Return the multiscale image, in a group above, that an array is part of, and its description there."""
+        parts = path.strip("/").split("/")
+        for k in reversed(range(len(parts))):
+            for image in _ome(self._node("/".join(parts[:k]))).get("multiscales", []):
+                for dataset in image["datasets"]:
+                    if dataset["path"].strip("/").split("/") == parts[k:]:
+                        return image, dataset
+        return {}, None
 
     def _displacements(self, found: Json, n: int) -> _Raw:
         path, kind = found["path"], _KINDS[found["type"]]

@@ -145,12 +145,12 @@ def _exr(path: PathLike) -> _Planes:
     if not head_of(path, 4).startswith(b"v/1\x01"):
         raise unreadable(path, "it does not begin as an EXR does", "give the name of an EXR")
     with _failing(path), module.File(os.fspath(path), separate_channels=True) as file:
-        channels, header = file.channels(), file.header()
+        channels, header = dict(file.channels()), file.header()
         names = {
             name: channel for name, channel in channels.items() if (channel.xSampling, channel.ySampling) == (1, 1)
         }
         windows = [np.array(header[key], np.int64) for key in ("dataWindow", "displayWindow")]
-    pairs = [(a, b) for a, b in _pairs(names)]
+    pairs = _pairs(names)
     if len(pairs) != 1:
         which = "more than one pair" if pairs else "no pair"
         raise unreadable(path, f"its channels {', '.join(channels) or '(none)'} hold {which} of s and t", _WANTED)
