@@ -53,12 +53,10 @@ def read(path: PathLike, *, source: Grid | None = None) -> tuple[Content, ...]:
     suffix = Path(path).suffix.lower()
     check_suffix(path, suffix, SUFFIXES, "is of no map of OpenCV's", f"use {', '.join(SUFFIXES)}", "read")
     if suffix == ".npy":
-        named = {"map1": _loaded(path)}
-    elif suffix == ".npz":
-        named = _archive(path)
+        maps: tuple[Array, Array | None] = (_loaded(path), None)
     else:
-        named = (_xml if suffix == ".xml" else _yaml)(path)
-    return (of_positions(path, *_planes(path, *_chosen(path, named))),)
+        maps = _chosen(path, {".npz": _archive, ".xml": _xml}.get(suffix, _yaml)(path))
+    return (of_positions(path, *_planes(path, *maps)),)
 
 
 def write(path: PathLike, contents: Sequence[Content], *, source: Grid | None = None, force: bool = False) -> None:
@@ -179,10 +177,10 @@ def _planes(path: PathLike, first: Array, second: Array | None) -> tuple[Array, 
     shown = " and ".join(f"{array.dtype} of shape {array.shape}" for array in arrays)
     if any(array.dtype.kind not in "iuf" or array.dtype.itemsize > 8 for array in arrays):
         raise unreadable(path, f"it holds {shown}", "give real numbers: " + _WANTED)
-    if second is None and first.ndim == 3 and (first.shape[-1] == 2) != (len(first) == 2):
+    if second is None and first.ndim == 3 and 2 in (len(first), first.shape[-1]):
+        if len(first) == first.shape[-1]:
+            raise unreadable(path, f"{shown} may be of two rows or of two planes", "give two arrays, map1 and map2")
         x, y = (first[..., 0], first[..., 1]) if first.shape[-1] == 2 else (first[0], first[1])
-    elif second is None and first.ndim == 3 and first.shape[-1] == 2 == len(first) and first.shape[1] > 2:
-        raise unreadable(path, f"{shown} may be of two rows or of two planes", "give two arrays, map1 and map2")
     elif second is not None and first.ndim == 2 and first.shape == second.shape:
         x, y = first, second
     elif (
