@@ -101,7 +101,8 @@ def write(path: PathLike, contents: Sequence[Content], *, source: Grid | None = 
 def _loaded(path: PathLike) -> Array:
     head_of(path, 1)
     try:
-        return np.asarray(np.load(path, mmap_mode="r", allow_pickle=False))
+        with open(path, "rb") as file:
+            return np.asarray(np.load(file, allow_pickle=False))
     except (OSError, ValueError, EOFError) as error:
         raise unreadable(path, "it is no array of NumPy's, or cut short") from error
 
@@ -109,7 +110,7 @@ def _loaded(path: PathLike) -> Array:
 def _archive(path: PathLike) -> dict[str, Array]:
     head_of(path, 1)
     try:
-        with np.load(path, allow_pickle=False) as archive:
+        with open(path, "rb") as file, np.load(file, allow_pickle=False) as archive:  # NumPy's own stays open
             return {name: archive[name] for name in archive.files}
     except (OSError, ValueError, EOFError, AttributeError, TypeError, zipfile.BadZipFile) as error:
         raise unreadable(path, "it is no archive of NumPy's arrays, or cut short") from error
