@@ -13,12 +13,23 @@ from typing import Any, NamedTuple
 from supple.errors import SuppleError, shown
 from supple.geometry import Grid
 from supple.media.files import PathLike
-from supple.media.transforms import afni, freesurfer, fsl, itk_files, mrtrix
+from supple.media.transforms import afni, freesurfer, fsl, itk_files, mrtrix, ngff, opencv, stmap
 from supple.media.transforms.base import Content, Displacements, Grids
 from supple.media.transforms.guess import convention_in, convention_of
 from supple.media.transforms.itk import SUFFIXES_OUT, check_target, write_field
 
-__all__ = ["CONVENTIONS", "SUFFIXES_OUT", "Content", "Displacements", "check_target", "read", "write", "write_field"]
+__all__ = [
+    "CONVENTIONS",
+    "SUFFIXES_OUT",
+    "Content",
+    "Displacements",
+    "check_target",
+    "convention_in",
+    "convention_of",
+    "read",
+    "write",
+    "write_field",
+]
 
 
 class Convention(NamedTuple):
@@ -32,6 +43,19 @@ def _pair(module: Any, **kind: bool) -> Convention:
     return Convention(partial(module.read, **kind), partial(module.write, **kind))
 
 
+def _of_source(module: Any) -> Convention:
+    """Return a convention that may refer to the input image alone."""
+
+    def read(path: PathLike, grids: Grids) -> tuple[Content, ...]:
+        found: tuple[Content, ...] = module.read(path, source=grids.source)
+        return found
+
+    def write(path: PathLike, contents: Sequence[Content], grids: Grids, *, force: bool) -> None:
+        module.write(path, contents, source=grids.source, force=force)
+
+    return Convention(read, write)
+
+
 CONVENTIONS = {
     "itk": _pair(itk_files),
     "fsl-relative": _pair(fsl, absolute=False),
@@ -41,6 +65,9 @@ CONVENTIONS = {
     "mrtrix": _pair(mrtrix, absolute=True),
     "mrtrix-displacement": _pair(mrtrix, absolute=False),
     "freesurfer": _pair(freesurfer),
+    "ngff": _of_source(ngff),
+    "opencv": _of_source(opencv),
+    "stmap": _of_source(stmap),
 }
 
 

@@ -20,6 +20,9 @@ _SUFFIXES: dict[str, tuple[str, ...]] = {
     **dict.fromkeys((".mif", ".mif.gz"), _MRTRIX),
     **dict.fromkeys((".mat", ".txt"), ("itk", "fsl-affine")),
     **dict.fromkeys((".aff12.1d", ".1d", ".head", ".brik", ".brik.gz"), ("afni",)),
+    ".exr": ("stmap",),
+    ".zarr": ("ngff",),
+    **dict.fromkeys((".npy", ".npz", ".xml", ".yml", ".yaml"), ("opencv",)),
     **dict.fromkeys((".lta", ".m3z", ".m3d", ".mgz", ".mgh"), ("freesurfer",)),
 }
 

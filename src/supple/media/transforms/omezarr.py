@@ -1,0 +1,374 @@
+"""The transformation of an OME-Zarr store: found by its metadata, and turned from their order and units to ours."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+from collections.abc import Iterator, Mapping
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+
+from supple.errors import SuppleError, need
+from supple.geometry import Grid
+from supple.media.files import PathLike, unreadable
+from supple.media.transforms.base import Array, Content, Displacements, Matrix
+
+_PREFIXES = {
+    "": 0, "yocto": -24, "zepto": -21, "atto": -18, "femto": -15, "pico": -12, "nano": -9, "micro": -6, "milli": -3,
+    "centi": -2, "deci": -1, "hecto": 2, "kilo": 3, "mega": 6, "giga": 9, "tera": 12, "peta": 15, "exa": 18,
+    "zetta": 21, "yotta": 24,
+}  # fmt: skip
+_UNITS = {f"{prefix}meter": float(f"1e{power + 3}") for prefix, power in _PREFIXES.items()}
+_UNITS |= {
+    "angstrom": 1e-7,
+    "inch": 25.4,
+    "foot": 304.8,
+    "yard": 914.4,
+    "mile": 1_609_344.0,
+    "parsec": 3.0856775814913673e19,
+}
+"""Millimetres."""
+_ORIENTATIONS = {
+    "right-to-left": (0, 1.0), "left-to-right": (0, -1.0), "anterior-to-posterior": (1, 1.0),
+    "posterior-to-anterior": (1, -1.0), "inferior-to-superior": (2, 1.0), "superior-to-inferior": (2, -1.0),
+}  # fmt: skip
+_KINDS = {"displacements": "displacement", "coordinates": "coordinate"}
+_INTERPOLATION: dict[str, Literal["linear", "cubic"]] = {"linear": "linear", "cubic": "cubic", "bspline-cubic": "cubic"}
+_PARAMETERS = ("scale", "translation", "affine", "rotation", "mapAxis")
+_LINEAR = ("identity", *_PARAMETERS, "byDimension")
+_TYPES = (*_LINEAR, "sequence", "bijection", *_KINDS)
+
+Json = Mapping[str, Any]
+
+
+def imported() -> Any:
+    """Return the module zarr, imported at the first use."""
+    need("zarr", "transformations of OME-Zarr", "zarr")
+    import zarr
+
+    return zarr
+
+
+class Store:
+    """A Zarr store whose transformation is read."""
+
+    def __init__(self, path: PathLike) -> None:
+        self.path = path
+        zarr = imported()
+        if not os.path.isdir(path):
+            raise self.error("there is no such folder", "check the name")
+        with self.reading("it is no Zarr group, or damaged"):
+            self.root = zarr.open_group(os.fspath(path), mode="r")
+
+    def error(self, reason: str, advice: str = "give a whole copy of it") -> SuppleError:
+        """Return an error that names the store."""
+        return unreadable(self.path, reason, advice)
+
+    @contextlib.contextmanager
+    def reading(self, what: str) -> Iterator[None]:
+        """Convert all errors of zarr to one sentence."""
+        try:
+            yield
+        except SuppleError:
+            raise
+        except Exception as error:  # zarr's codecs raise any of them
+            said = (str(error).splitlines() or [type(error).__name__])[0]
+            raise self.error(f"{what} ({said})") from error
+
+    @contextlib.contextmanager
+    def parsing(self) -> Iterator[None]:
+        """Convert errors of metadata whose parts are missing, or of another type, to one sentence."""
+        try:
+            yield
+        except SuppleError:
+            raise
+        except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
+            what = f"its metadata are incomplete or malformed ({type(error).__name__}: {error})"
+            raise self.error(what, "see the specification of OME-Zarr 0.6") from error
+
+    def contents(self) -> tuple[Content, ...]:
+        """Return what the store holds, in millimetres in LPS, x first."""
+        with self.parsing():
+            found, holder = self._only()
+            before, after = self._systems(found, holder)
+            made = self._parts(found, len(before))
+        try:
+            turned = [_turned(part, before) for part in made]
+        except SuppleError as error:
+            raise self.error(str(error), "resample the field") from error
+        tail = after @ np.linalg.inv(before)
+        if not np.allclose(tail, np.eye(len(tail)), rtol=0, atol=1e-12):
+            turned.append(_homogeneous(tail))
+        return tuple(_merged(turned))
+
+    def _only(self) -> tuple[Json, Json]:
+        """Return the only transformation, and the object that it is listed in."""
+        ome = _ome(self.root)
+        holders = [ome.get("scene"), ome, *ome.get("multiscales", [])[:1]]
+        for holder in holders:
+            listed = holder.get("coordinateTransformations") if holder else None
+            if listed:
+                if len(listed) != 1:
+                    names = ", ".join(str(one.get("name") or one.get("type")) for one in listed)
+                    raise self.error(f"it holds {len(listed)} transformations ({names})", "give a store of one")
+                return listed[0], holder
+        raise self.error("it holds no coordinateTransformations of a scene or an image", "give a store that has one")
+
+    def _systems(self, found: Json, holder: Json) -> tuple[Matrix, Matrix]:
+        """Return the matrices from the coordinates of input and output, as stored, to millimetres in LPS, x first."""
+        axes = [self._axes(found.get(end), holder) for end in ("input", "output")]
+        known = [one for one in axes if one is not None] or [self._guessed(found)]
+        ends = [known[0] if one is None else one for one in axes]
+        if len(ends[0]) != len(ends[1]):
+            raise self.error(
+                f"its input has {len(ends[0])} axes, its output {len(ends[1])}", "give one of equal spaces"
+            )
+        # what has no unit is in that of the other end
+        units = [[axis.get("unit") for axis in end] for end in ends]
+        for one, other in (units, units[::-1]):
+            one[:] = [a or b for a, b in zip(one, other, strict=True)]
+        return self._matrix_of(ends[0], units[0]), self._matrix_of(ends[1], units[1])
+
+    def _axes(self, end: Any, holder: Json) -> list[Json] | None:
+        """Return the axes of a coordinate system; None if the store describes none at all."""
+        name, path = (end.get("name"), end.get("path")) if isinstance(end, Mapping) else (end, None)
+        holders: list[Json] = [holder, _ome(self.root)]
+        if path:
+            ome = _ome(self._node(path))
+            holders = [ome, *ome.get("multiscales", [])]
+        systems = [system for one in holders for system in one.get("coordinateSystems", [])]
+        for system in systems:
+            if system["name"] == name:
+                return list(system["axes"])
+        if path or (systems and name is not None):
+            where = f" of {path}" if path else ""
+            raise self.error(f"it does not describe the coordinate system {name!r}{where}", "add it")
+        return None
+
+    def _guessed(self, found: Json) -> list[Json]:
+        """Return the axes of a store without coordinate systems: those of its first field, or z, y, x."""
+        if found["type"] in ("sequence", "bijection"):
+            inner = found["transformations"] if found["type"] == "sequence" else [found["forward"]]
+            fields = [one for one in inner if one["type"] not in ("identity", "scale", "translation")]
+            return self._guessed((fields or inner)[0])
+        if found["type"] in _KINDS:
+            return [axis for axis in self._field(found)[1] if axis.get("type") != _KINDS[found["type"]]]
+        return [{"name": name} for name in "zyx"[-(self._size(found) or 3) :]]
+
+    def _matrix_of(self, axes: list[Json], units: list[str | None]) -> Matrix:
+        names = [str(axis["name"]) for axis in axes]
+        n, listed = len(axes), ", ".join(names)
+        odd = [str(axis.get("type")) for axis in axes if axis.get("type") not in (None, "space", "array")]
+        if n not in (2, 3) or odd:
+            what = f"its axes are {listed}" + (f", of the type {odd[0]} too" if odd else "")
+            raise self.error(what, "give a transformation of two or three space axes")
+        lower = [name.lower() for name in names]
+        order = ["xyz".index(name) for name in lower] if set(lower) == set("xyz"[:n]) else list(range(n))[::-1]
+        signs = [1.0] * n
+        told = [axis.get("orientation") for axis in axes]
+        if any(told):
+            values = [one.get("value") if isinstance(one, Mapping) else one for one in told]
+            turns = [_ORIENTATIONS.get(str(value), (-1, 1.0)) for value in values]
+            if {axis for axis, _ in turns} != set(range(n)):
+                raise self.error(f"its axes have the orientations {values}", f"use {', '.join(_ORIENTATIONS)}")
+            order, signs = [axis for axis, _ in turns], [sign for _, sign in turns]
+        made = np.zeros((n, n))
+        for i, unit in enumerate(units):
+            if unit and unit not in _UNITS:
+                raise self.error(f"its axis {names[i]} has the unit {unit!r}", "use a length, as millimeter")
+            made[order[i], i] = signs[i] * (_UNITS[unit] if unit else 1.0)
+        return made
+
+    def _parts(self, found: Json, n: int) -> list[Matrix | _Raw]:
+        """Return the parts of a transformation, in coordinates as they are stored."""
+        kind = found["type"]
+        if kind == "sequence":
+            return [part for one in found["transformations"] for part in self._parts(one, n)]
+        if kind == "bijection":
+            return self._parts(found["forward"], n)
+        if kind in _KINDS:
+            return [self._displacements(found, n)]
+        matrix = self._matrix(found, n)
+        if matrix.shape != (n + 1, n + 1):
+            raise self.error(
+                f"its {kind} has {len(matrix) - 1} rows, and its space {n} axes", "give one of equal spaces"
+            )
+        return [matrix]
+
+    def _matrix(self, found: Json, n: int) -> Matrix:
+        """Return the homogeneous matrix of a linear transformation, of ``n`` axes if it does not say how many."""
+        kind = found["type"]
+        if kind == "identity":
+            return np.eye(n + 1)
+        if kind == "sequence":  # of a field's indices
+            made = np.eye(n + 1)
+            for one in found["transformations"]:
+                made = self._matrix(one, n) @ made
+            return made
+        if kind == "byDimension":
+            return self._by_dimension(found, n)
+        if kind not in _LINEAR:
+            known = _LINEAR if kind in _TYPES else _TYPES
+            raise self.error(f"it holds a transformation of the type {kind!r} here", f"use {', '.join(known)}")
+        numbers = self._numbers(found, kind)
+        size = len(numbers)
+        made = np.eye(size + 1)
+        if kind == "scale":
+            made[:-1, :-1] = np.diag(numbers)
+        elif kind == "translation":
+            made[:-1, -1] = numbers
+        elif kind == "mapAxis":
+            made[:-1, :-1] = np.eye(size)[numbers.astype(int)]
+        elif numbers.shape == (size, size + (kind == "affine")):
+            made[:-1, : numbers.shape[1]] = numbers
+        else:
+            raise self.error(f"its {kind} is a matrix of shape {numbers.shape}", "give one of equal spaces")
+        if not np.isfinite(made).all():
+            raise self.error(f"its {kind} holds NaN or infinity", "mend it")
+        return made
+
+    def _size(self, found: Json) -> int | None:
+        """Return the number of axes of a transformation that is linear; None if it does not say."""
+        if found["type"] == "sequence":
+            sizes = [self._size(one) for one in found["transformations"]]
+            return next((size for size in sizes if size), None)
+        return len(self._numbers(found, found["type"])) if found["type"] in _PARAMETERS else None
+
+    def _by_dimension(self, found: Json, n: int) -> Matrix:
+        made = np.eye(n + 1)
+        for one in found["transformations"]:
+            rows, columns = (one.get(f"{end}Axes", one.get(f"{end}_axes")) for end in ("output", "input"))
+            part = self._matrix(one["transformation"], len(columns))
+            made[np.ix_(rows, range(n + 1))] = 0
+            made[np.ix_(rows, [*columns, n])] = part[:-1]
+        return made
+
+    def _numbers(self, found: Json, kind: str) -> Matrix:
+        if kind in found:
+            return np.array(found[kind], np.float64)
+        array = self._node(found["path"])
+        with self.reading(f"{found['path']} cannot be read"):
+            return np.array(array[...], np.float64)
+
+    def _node(self, path: str) -> Any:
+        parts = [part for part in path.split("/") if part not in ("", ".")]
+        if ".." in parts or ":" in path:
+            raise self.error(f"it refers to {path!r}, outside of it", "put all into one store")
+        with self.reading(f"it lacks {path!r}"):
+            return self.root["/".join(parts)] if parts else self.root
+
+    def _field(self, found: Json) -> tuple[Any, list[Json], list[Json]]:
+        """Return the array of a field, its axes, and the transformations of its indices."""
+        path = found["path"]
+        node = self._node(path)
+        ome = _ome(node)
+        image: Json
+        dataset: Json | None
+        if hasattr(node, "shape") and not ome.get("coordinateSystems"):
+            image, dataset = self._above(path)
+        elif hasattr(node, "shape"):
+            image = dataset = ome
+        else:
+            image = ome["multiscales"][0]
+            dataset = image["datasets"][0]
+            node = self._node(f"{path}/{dataset['path']}")
+        steps = list(dataset["coordinateTransformations"]) if dataset else []
+        if not steps:
+            raise self.error(f"its field {path} has no coordinateTransformations of its own", "add a scale")
+        out = steps[0].get("output")
+        name = out.get("name") if isinstance(out, Mapping) else out
+        systems = image.get("coordinateSystems", [])
+        axes = next((one["axes"] for one in systems if one["name"] == name), image.get("axes"))
+        if axes is None:
+            raise self.error(f"its field {path} does not describe the coordinate system {name!r}", "add it")
+        return node, list(axes), steps[:1] if out is not None else steps
+
+    def _above(self, path: str) -> tuple[Json, Json | None]:
+        """Return the multiscale image, in a group above, that an array is part of, and its description there."""
+        parts = path.strip("/").split("/")
+        for k in reversed(range(len(parts))):
+            for image in _ome(self._node("/".join(parts[:k]))).get("multiscales", []):
+                for dataset in image["datasets"]:
+                    if dataset["path"].strip("/").split("/") == parts[k:]:
+                        return image, dataset
+        return {}, None
+
+    def _displacements(self, found: Json, n: int) -> _Raw:
+        path, kind = found["path"], _KINDS[found["type"]]
+        array, axes, steps = self._field(found)
+        types = [axis.get("type") for axis in axes]
+        if types.count(kind) != 1:
+            listed = ", ".join(map(str, types))
+            raise self.error(f"its field {path} has axes of the types {listed}", f"make one of them a {kind}")
+        vector = types.index(kind)
+        if array.ndim != n + 1 or len(axes) != n + 1 or array.shape[vector] != n:
+            what = f"its field {path} has the shape {array.shape}, with {n} components along the axis {vector} expected"
+            raise self.error(what, "give a field of equal spaces")
+        if array.dtype.kind not in "iuf":
+            raise self.error(f"its field {path} is of {array.dtype}", "write float32 or float64")
+        told = found.get("interpolation") or "linear"
+        if told not in _INTERPOLATION:
+            raise self.error(f"its field {path} is to be interpolated by {told!r}", "use linear or cubic")
+        whole = {"type": "sequence", "transformations": steps}
+        matrix = self._matrix(whole, self._size(whole) or n + 1)
+        if len(matrix) == n + 2:
+            matrix = np.delete(np.delete(matrix, vector, 0), vector, 1)
+        if matrix.shape != (n + 1, n + 1) or not abs(np.linalg.det(matrix)) > 0:
+            raise self.error(f"the coordinateTransformations of its field {path} do not fit its axes", "mend them")
+        with self.reading(f"its field {path} is damaged or cut short"):
+            values = np.moveaxis(np.asarray(array[...]), vector, -1)
+        if not all(np.isfinite(part).all() for part in values):
+            raise self.error(f"its field {path} holds NaN or infinity", "fill them first")
+        if kind == "coordinate":
+            indices = np.moveaxis(np.indices(values.shape[:-1], np.float64), 0, -1)
+            values = values - (indices @ matrix[:-1, :-1].T + matrix[:-1, -1])
+        return _Raw(values, matrix, _INTERPOLATION[told])
+
+
+class _Raw(NamedTuple):
+    """A field as it is stored: in the order and the units of the file's axes."""
+
+    values: Array
+    matrix: Matrix  # from an index to its position
+    interpolation: Literal["linear", "cubic"]
+
+
+def _ome(node: Any) -> Json:
+    """Return the metadata of a node; before version 0.5, they had no name of their own."""
+    found = dict(node.attrs)
+    ome = found.get("ome", found)
+    return ome if isinstance(ome, Mapping) else found
+
+
+def _homogeneous(linear: Matrix) -> Matrix:
+    made = np.eye(len(linear) + 1)
+    made[:-1, :-1] = linear
+    return made
+
+
+def _turned(part: Matrix | _Raw, axes: Matrix) -> Content:
+    """Return a part of a transformation in millimetres in LPS, x first, with ``axes`` from stored coordinates."""
+    whole = _homogeneous(axes)
+    if not isinstance(part, _Raw):
+        return np.asarray(whole @ part @ np.linalg.inv(whole))
+    n = len(axes)
+    order = [int(np.flatnonzero(row)[0]) for row in axes]  # of the array's axes, x first
+    matrix = (whole @ part.matrix)[:n, [*order, n]]
+    spacing = np.linalg.norm(matrix[:, :n], axis=0)
+    shape = [part.values.shape[axis] for axis in order[::-1]]
+    grid = Grid(shape, spacing.tolist(), matrix[:, n].tolist(), matrix[:, :n] / spacing)
+    dtype = np.float64 if part.values.dtype.itemsize == 8 else np.float32
+    values = part.values.transpose([*order[::-1], n]) @ axes.T.astype(dtype)
+    return Displacements(np.ascontiguousarray(values, dtype), grid, part.interpolation)
+
+
+def _merged(parts: list[Content]) -> list[Content]:
+    """Return the parts with matrices that follow each other multiplied."""
+    made: list[Content] = []
+    for part in parts:
+        if made and isinstance(part, np.ndarray) and isinstance(made[-1], np.ndarray):
+            made[-1] = np.asarray(part @ made[-1])
+        else:
+            made.append(part)
+    return made

@@ -1,0 +1,193 @@
+"""STMaps of compositors: images whose red and green are each pixel's source position, normalised.
+
+Red, s, goes from 0 at the left edge of the source to 1 at its right edge; green, t, from 0 at the bottom to 1 at the
+top, as in Nuke: a map that changes nothing holds ((x + 0.5) / W, 1 - (y + 0.5) / H), y down. OpenImageIO's ``st_warp``
+reads it with ``flip_t``.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from supple.errors import need
+from supple.geometry import Grid
+from supple.media import image
+from supple.media.files import PathLike, check_suffix, head_of, replacing, unreadable, unwritable
+from supple.media.transforms.base import Array, Content
+from supple.media.transforms.positions import of_positions, to_positions
+
+SUFFIXES = (".exr", ".tif", ".tiff", ".png")
+SUFFIXES_OUT = (".exr", ".tif", ".tiff")
+UNAMBIGUOUS = (".exr",)  # of those that more than one convention reads, pictures left out
+_PAIRS = (("R", "G"), ("S", "T"), ("U", "V"), ("X", "Y"))
+_WHITE = 65_535
+_WANTED = "an STMap needs red and green of 16 or 32 bits"
+
+
+def read(path: PathLike, *, source: Grid | None = None) -> tuple[Content, ...]:
+    """Read an STMap.
+
+    Blue is not read. Neither is opacity if it is the same everywhere, as in maps that were made without it.
+
+    Parameters
+    ----------
+    path : str or os.PathLike
+        ``.exr``, of 16 or 32 bits; half floats are exact to about a 4000th of the source. Or ``.tif``, ``.tiff`` and
+        ``.png`` of 16 bits, exact to half a 65535th of the source, and ``.tif`` of 32.
+    source : Grid, optional
+        The grid of the source, whose width and height are what 1 stands for; by default, those of the map. An EXR's are
+        those of its display window; pixels beyond it (overscan) are kept.
+
+    Returns
+    -------
+    tuple of one Displacements
+        In pixels. Beyond its edges, it goes on as at the edge.
+
+    Raises
+    ------
+    SuppleError
+        If the file cannot be read, lacks a channel, has 8 bits, holds NaN, or is transparent in parts, where a map is
+        not defined.
+    """
+    suffix = Path(path).suffix.lower()
+    check_suffix(path, suffix, SUFFIXES, "is of no STMap", f"use {', '.join(SUFFIXES)}", "read")
+    s, t, opacity, first, own = (_exr if suffix == ".exr" else _picture)(path)
+    if opacity is not None and (thin := np.count_nonzero(opacity != opacity.flat[0])):
+        what = f"its opacity changes, at {thin} pixels, and where it is transparent an STMap is not defined"
+        raise unreadable(path, what, "fill these parts, or write it without alpha")
+    if source is not None and source.ndim != 2:
+        raise unreadable(path, "an STMap is of a picture, and the source is a volume", "give the grid of a picture")
+    width, height = own if source is None else source.sizes
+    x, y = (s.astype(np.float64) * width - 0.5, (1 - t.astype(np.float64)) * height - 0.5)
+    (found,) = (of_positions(path, x, y, first),)
+    return (found._replace(values=found.values.astype(np.float32)),)
+
+
+def write(path: PathLike, contents: Sequence[Content], *, source: Grid | None = None, force: bool = False) -> None:
+    """Write an STMap, with blue at 0.
+
+    Parameters
+    ----------
+    path : str or os.PathLike
+        ``.exr``, of 32-bit floats; or ``.tif`` and ``.tiff`` of 16-bit integers, which round positions to half a
+        65535th of the source: to 0.03 pixels, if it is 4096 wide.
+    contents : sequence of Content
+        One displacement field with a sample at each pixel.
+    source : Grid, optional
+        The grid of the source, whose width and height are what 1 stands for; by default, the field's.
+    force : bool
+        Whether to replace an existing file.
+
+    Raises
+    ------
+    SuppleError
+        If the contents are not such a field; positions outside the source are to be written to a TIFF; or the file
+        cannot be written.
+    """
+    suffix = Path(path).suffix.lower()
+    check_suffix(path, suffix, SUFFIXES_OUT, "is of no STMap", f"use {', '.join(SUFFIXES_OUT)}")
+    places = to_positions(path, contents, "an STMap")
+    if source is not None and source.ndim != 2:
+        raise unwritable(path, "an STMap is of a picture, and the source is a volume", "give the grid of a picture")
+    width, height = places.shape[1::-1] if source is None else source.sizes
+    st = (places + 0.5) / (width, height)
+    st[..., 1] = 1 - st[..., 1]
+    if suffix == ".exr":
+        red, green = (np.ascontiguousarray(st[..., i], np.float32) for i in range(2))
+        _write_exr(path, {"R": red, "G": green, "B": np.zeros_like(red)}, force)
+        return
+    if outside := np.count_nonzero(((st < 0) | (st > 1)).any(axis=-1)):
+        raise unwritable(path, f"{outside} positions are outside the source, and a TIFF ends there", "write an EXR")
+    pixels = np.zeros((*st.shape[:2], 3), np.uint16)
+    pixels[..., :2] = np.rint(st * _WHITE)
+    image.write(path, pixels, force=force)
+
+
+_Planes = tuple[Array, Array, Array | None, tuple[int, int], tuple[int, int]]
+
+
+def _picture(path: PathLike) -> _Planes:
+    """Return s, t, the opacity, the first pixel and the size of a picture."""
+    found = image.read(path)
+    pixels = found.pixels
+    channels = pixels.shape[2] if pixels.ndim == 3 else 1
+    if pixels.dtype not in (np.uint16, np.float32, np.float64) or channels - found.alpha < 2:
+        raise unreadable(path, f"it has {channels} channels of {pixels.dtype}", _WANTED)
+    scaled = pixels if pixels.dtype.kind == "f" else pixels / np.float64(_WHITE)
+    opacity = pixels[..., -1] if found.alpha else None
+    return scaled[..., 0], scaled[..., 1], opacity, (0, 0), (pixels.shape[1], pixels.shape[0])
+
+
+def imported() -> Any:
+    """Return the module OpenEXR, imported at the first use."""
+    need("exr", "STMaps as EXR files", "OpenEXR")
+    import OpenEXR
+
+    return OpenEXR
+
+
+@contextlib.contextmanager
+def _failing(path: PathLike) -> Iterator[None]:
+    try:
+        yield
+    except (RuntimeError, ValueError, TypeError, MemoryError) as error:
+        raise unreadable(path, f"it is no EXR, damaged or cut short ({str(error).splitlines()[0]})") from error
+
+
+def _exr(path: PathLike) -> _Planes:
+    """Return s, t, the opacity, the first pixel and the size of an EXR."""
+    module = imported()
+    if not head_of(path, 4).startswith(b"v/1\x01"):
+        raise unreadable(path, "it does not begin as an EXR does", "give the name of an EXR")
+    with _failing(path), module.File(os.fspath(path), separate_channels=True) as file:
+        channels, header = dict(file.channels()), file.header()
+        names = {
+            name: channel for name, channel in channels.items() if (channel.xSampling, channel.ySampling) == (1, 1)
+        }
+        windows = [np.array(header[key], np.int64) for key in ("dataWindow", "displayWindow")]
+    pairs = _pairs(names)
+    if len(pairs) != 1:
+        which = "more than one pair" if pairs else "no pair"
+        raise unreadable(path, f"its channels {', '.join(channels) or '(none)'} hold {which} of s and t", _WANTED)
+    ((red, green),) = pairs
+    planes = [names[name].pixels for name in (red, green)]
+    if any(plane.dtype.kind != "f" for plane in planes):
+        raise unreadable(
+            path, f"its channels {red} and {green} are of {planes[0].dtype}", "write floats of 16 or 32 bits"
+        )
+    alpha = names.get(red.rpartition(".")[0] + "." * ("." in red) + "A")
+    (low, _), (least, most) = windows
+    first = tuple((low - least).tolist())
+    own = tuple((most - least + 1).tolist())
+    return planes[0], planes[1], None if alpha is None else alpha.pixels, (first[0], first[1]), (own[0], own[1])
+
+
+def _pairs(names: dict[str, Any]) -> list[tuple[str, str]]:
+    """Return the channels of s and t: those without a layer, or else those of all layers."""
+    found = []
+    for name in names:
+        layer, dot, channel = name.rpartition(".")
+        for one, other in _PAIRS:
+            if channel.upper() == one:
+                mates = [n for n in names if n.upper() == f"{layer}{dot}{other}".upper()]
+                found += [(name, mate) for mate in mates]
+    plain = [pair for pair in found if "." not in pair[0]]
+    coloured = [pair for pair in plain if pair[0] == "R"]
+    return coloured or plain or found
+
+
+def _write_exr(path: PathLike, channels: dict[str, Array], force: bool) -> None:
+    module = imported()
+    header = {"compression": module.ZIP_COMPRESSION, "type": module.scanlineimage}
+    with replacing(path, force=force) as temporary:
+        try:
+            with module.File(header, channels) as file:
+                file.write(os.fspath(temporary))
+        except RuntimeError as error:
+            raise unwritable(path, f"OpenEXR fails ({str(error).splitlines()[0]})", "choose another place") from error
