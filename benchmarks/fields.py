@@ -13,8 +13,8 @@ Without --fixed, it is the Colin27 that Supple ships, at two millimetres; withou
 fixed head: one real head, not two.
 
 Both are asked for 0.01 voxel. ITK stops when the mean or the largest error is under its threshold, both in voxels, or
-after so many iterations. It is asked in two ways: so that the largest error decides, which a field that folds never
-lets it reach, and so that a mean of 0.001 will do, its own default.
+after so many iterations. It is asked in two ways: so that the largest error decides, which a field that folds or leads
+out of the grid never lets it reach, and so that a mean of 0.001 will do, its own default.
 
 The error is taken at every voxel x of the inverse v, as the length of v(x) + u(x + v(x)) in voxels, by SciPy's linear
 interpolation in float64. Voxels that v leads out of the grid do not count, as nothing is known of u there. Memory is
