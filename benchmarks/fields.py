@@ -17,8 +17,9 @@ after so many iterations. It is asked in two ways: so that the largest error dec
 out of the grid never lets it reach, and so that a mean of 0.001 will do, its own default.
 
 The error is taken at every voxel x of the inverse v, as the length of v(x) + u(x + v(x)) in voxels, by SciPy's linear
-interpolation in float64. Voxels that v leads out of the grid do not count, as nothing is known of u there. Memory is
-that of a process of its own.
+interpolation in float64. Voxels that v leads out of the grid do not count, as nothing is known of u there; but where
+nothing of the grid arrives, near its border, ITK may end inside it, and that counts as an error. Memory is that of a
+process of its own.
 """
 
 from __future__ import annotations
@@ -234,9 +235,12 @@ def rows(kind: str, path: Path, runs: int, keep: Path | None) -> Iterator[Row]:
             keep.mkdir(parents=True, exist_ok=True)
             name = "-".join(whose.lower().replace("'s", "").replace(",", "").split())
             np.savez(keep / f"{kind}_{side}_{name}.npz", inverse=inverse, error=found.error, outside=found.outside)
-        if whose == "ours":
+        if field is not None:
             clean = found.counted(where=result.status == 0)
-            yield Row(f"{what}: over it, and said to be well, ours", value=f"{clean}", bar="≤ 0", holds=clean == 0)
+            bar, holds = ("≤ 0", clean == 0) if whose == "ours" else ("", None)
+            row = f"{what}: over it among the voxels that ours says are well, {whose}"
+            yield Row(row, value=f"{clean}", bar=bar, holds=holds)
+        if whose == "ours":
             said = np.bincount(result.status.ravel(), minlength=4)
             yield Row(f"{what}: well, folded, outside, unconverged", value=", ".join(map(str, said)))
             apart = np.abs(result.error / spacing - found.error)[~found.outside & (result.status == 0)].max(initial=0.0)
