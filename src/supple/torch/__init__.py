@@ -1,4 +1,4 @@
-"""Deformations of PyTorch tensors, differentiable with respect to the image and the strokes."""
+"""Deformations of PyTorch tensors, and inverses of displacement fields, with gradients."""
 
 try:
     import torch as _torch  # noqa: F401
@@ -7,6 +7,7 @@ except ModuleNotFoundError as error:
         raise
     raise ImportError("supple.torch needs PyTorch, which is not installed: pip install torch") from None
 
+from supple.torch.inverse import Inverted, invert
 from supple.torch.warping import forward, warp
 
-__all__ = ["forward", "warp"]
+__all__ = ["Inverted", "forward", "invert", "warp"]

@@ -99,6 +99,8 @@ def items(
         if tensor is None:
             continue
         _check(name, tensor, axes, many)
+        if any(d.maps for d in many):
+            raise SuppleError(f"{name} is for deformations of strokes alone, found one with fields or affine maps")
         if tensor.ndim > axes:
             counts[name] = len(tensor)
     if len(set(counts.values())) > 1:

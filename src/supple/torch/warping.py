@@ -64,7 +64,8 @@ def warp(
     tensor : tensor of shape (H, W), (C, H, W) or (N, C, H, W); of a volume or frames (Z, H, W) to (N, C, Z, H, W)
         Of bool, integers or floats, on any device. Only floats have gradients.
     deformation : Deformation, or sequence of N of them
-        A deformation of the shape of the last axes; or one for each item of the batch.
+        A deformation of the shape of the last axes; or one for each item of the batch. With fields or affine maps, the
+        tensor must be in host memory.
     at, by : tensor of shape (n, D), or (N, n, D), optional
         Replacements of the positions and the drags of the deformation's n strokes: in pixels, x first.
     radius : tensor of shape (n,), or (N, n), optional

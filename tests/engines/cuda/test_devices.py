@@ -5,12 +5,14 @@ from __future__ import annotations
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 import supple
 from supple.cli import command
+from supple.engines.base import Layout, Sampling, Work
 from supple.engines.cuda import device as devices
 from supple.errors import SuppleError
 from supple.examples.gallery import write_gallery
@@ -192,3 +194,19 @@ def test_other_devices_import_nothing_of_it() -> None:
         "sys.exit(any(m.split('.')[0] in ('numba_cuda', 'cuda') or m.startswith('numba.cuda') for m in sys.modules))"
     )
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+def test_maps_are_refused_before_anything_starts() -> None:
+    pytest.importorskip("numba_cuda")
+    from supple.engines.cuda import job, points
+
+    d = supple.Deformation((9, 9)).affine([[1, 0, 1], [0, 1, 0]])
+    layout = Layout.of_array((9, 9), np.dtype(np.float32), (9, 9), alpha=None, light=False)
+    given: Any = None
+    for call in (
+        lambda: job.Job(Work(d.space, layout, Sampling()), given, given),
+        lambda: points.inverse_map(d.space, given, 0.01),
+        lambda: points._known(d.space, given),
+    ):
+        with pytest.raises(SuppleError, match="fields, affine maps and output grids are for the CPU"):
+            call()

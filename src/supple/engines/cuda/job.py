@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from supple.domain import refuse
-from supple.engines.base import Certificate, Space, Work, warn_of
+from supple.engines.base import Certificate, Space, Work, check_plain, warn_of
 from supple.engines.cuda.arrays import DeviceArray, as_stream, stream_of
 from supple.engines.cuda.device import simulated
 from supple.engines.cuda.sample import FRAMES
@@ -37,6 +37,10 @@ class Job:
     work: Work
     source: DeviceArray
     out: DeviceArray
+
+    def __post_init__(self) -> None:
+        for space in self.spaces:
+            check_plain(space)
 
     @property
     def spaces(self) -> tuple[Space, ...]:

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from supple.domain import refuse
-from supple.engines.base import Certificate, Space
+from supple.engines.base import Certificate, Space, check_plain
 from supple.engines.cuda import field, newton
 from supple.engines.cuda.arrays import DeviceArray, contiguous, made_like, plain, taken
 from supple.engines.cuda.colour import FILTERS, NOTHING
@@ -26,6 +26,7 @@ def _columns(points: Any, ndim: int) -> DeviceArray:
 
 
 def _known(space: Space, given: DeviceArray) -> tuple[Any, Any]:
+    check_plain(space)
     known, spans = field.packed([space.table], [space.axes])
     return held(given.gpu, known), held(given.gpu, spans)
 
@@ -77,6 +78,7 @@ def inverse_map(space: Space, like: Any, tolerance: float, *, offsets: bool = Fa
 
     With ``offsets``, displacements from the pixels, which float32 stores more accurately.
     """
+    check_plain(space)
     given = taken(plain(like), "like")
     out = made_like(given, (*space.whole, space.ndim), np.float32)
     gpu, stream = given.gpu, given.stream

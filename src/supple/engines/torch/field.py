@@ -23,6 +23,7 @@ import torch
 
 from supple.domain import PROFILE_CODES
 from supple.engines.base import Space
+from supple.errors import SuppleError
 
 # For one, two and three scales: the weights of a stroke's terms, and their radii over ε.
 _WEIGHTS = {1: (1.0,), 2: (11.0, -11.0), 3: (14641 / 331, -26741 / 331, 12100 / 331)}
@@ -63,7 +64,12 @@ class Strokes:
 
     @classmethod
     def of(cls, space: Space, dtype: torch.dtype, device: torch.device) -> Strokes:
-        """Return the strokes of a space as engines apply them, row by row."""
+        """Return the strokes of a space as engines apply them, row by row; SuppleError if it has other maps."""
+        if not space.is_plain:
+            raise SuppleError(
+                "supple.torch.forward is for strokes alone, found a deformation with fields or affine maps: "
+                "Deformation.forward takes it, without gradients"
+            )
         table, n = space.table, space.ndim
         columns = [table[name][:, :n] / space.axes[:n, 3] for name in ("pivot", "force")]
         at, by, radius = (
@@ -117,11 +123,11 @@ def strokes_gradients(points: Columns, slopes: Columns, strokes: Strokes) -> lis
         seen = moved(p, given)
         ones = torch.ones_like(seen[0])
         rows = [torch.autograd.grad(x, p, ones, retain_graph=True, materialize_grads=True) for x in seen]
-        weights = _solved(rows, [-g / step for g, step in zip(slopes, steps, strict=True)])
+        weights = solved(rows, [-g / step for g, step in zip(slopes, steps, strict=True)])
         return list(torch.autograd.grad(seen, leaves, weights, materialize_grads=True))
 
 
-def _solved(rows: Sequence[Sequence[torch.Tensor]], g: Columns) -> Columns:
+def solved(rows: Sequence[Sequence[torch.Tensor]], g: Columns) -> Columns:
     """Return λ of Mᵀ λ = g, M given by its rows, by Cramer's rule, for all points at once."""
     if len(g) == 2:
         (a, b), (c, d) = rows

@@ -1,0 +1,275 @@
+"""Inverses of sampled displacement fields, with gradients."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import prod
+from typing import Any, get_args
+
+import torch
+
+from supple.domain import checked_spacing, choice, number, refuse
+from supple.engines.torch.engine import grid
+from supple.engines.torch.newton import solve
+from supple.engines.torch.sampled import Samples, add_gradient, coefficients, coefficients_gradient
+from supple.engines.torch.tears import folded
+from supple.errors import FoldWarning, OutsideWarning, SuppleError, ToleranceWarning
+from supple.fields import FOLDED, OK, OUTSIDE, STATUS, UNCONVERGED, Beyond, Field, Interpolation
+
+_TOGETHER = 1 << 20  # points in memory at once
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Inverted:
+    """The inverses of displacement fields, with their accuracy, as tensors on the device of the fields.
+
+    Parameters
+    ----------
+    values : tensor, shape (D, *shape) or (N, D, *shape)
+        The inverse displacements, x first, in physical units, of the type of the fields. At a sample that is not OK, it
+        is the nearest that was found.
+    error : float32 tensor, shape (*shape) or (N, *shape)
+        A bound on the distance from the true inverse of the interpolant, in physical units; inf where it is not known.
+    status : uint8 tensor, of the shape of ``error``
+        For each sample, the number of its name in `supple.fields.STATUS`: ``"ok"``, ``"folded"``, ``"outside"`` or
+        ``"unconverged"``, as in `supple.fields.Inverted`.
+    """
+
+    values: torch.Tensor
+    error: torch.Tensor
+    status: torch.Tensor
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """The number of samples of each status."""
+        found = torch.bincount(self.status.flatten().int(), minlength=len(STATUS)).tolist()
+        return dict(zip(STATUS, found, strict=True))
+
+
+@dataclass(frozen=True, slots=True)
+class _Job:
+    spacing: tuple[float, ...]
+    interpolation: Interpolation
+    beyond: Beyond
+    tolerance: float
+
+    @property
+    def edge(self) -> int:
+        """The number of coefficients at each end of an axis that are beyond the field."""
+        return 1 if self.interpolation == "bspline" else 0
+
+    def samples(self, values: torch.Tensor) -> Samples:
+        """Return fields (N, D, *shape) as samples, differentiably."""
+        n, sizes = values.shape[1], tuple(values.shape[:1:-1])
+        held = values.double()
+        if self.interpolation == "cubic":
+            held = coefficients(held, n).to(values.dtype).double()  # as the core holds them
+        flat = held.flatten(2) / self._steps(values)[:, None]
+        cubic = self.interpolation != "linear"
+        return Samples(flat.movedim(1, 0).reshape(n, -1), sizes, cubic, self.edge, self.beyond == "zero")
+
+    def unpacked(self, gradient: torch.Tensor, like: torch.Tensor) -> torch.Tensor:
+        """Return the gradient of fields from that of their samples."""
+        n = like.shape[1]
+        made = gradient.reshape(n, len(like), -1).movedim(0, 1) / self._steps(like)[:, None]
+        made = made.reshape(like.shape)
+        return coefficients_gradient(made, n) if self.interpolation == "cubic" else made
+
+    def _steps(self, like: torch.Tensor) -> torch.Tensor:
+        return torch.tensor(self.spacing, dtype=torch.float64, device=like.device)
+
+
+def invert(
+    values: torch.Tensor,
+    *,
+    spacing: float | Sequence[float] = 1.0,
+    interpolation: Interpolation = "linear",
+    beyond: Beyond = "edge",
+    tolerance: float = 1e-3,
+) -> Inverted:
+    """Return the inverses of displacement fields, differentiably with respect to the fields.
+
+    The field u is the map x → x + u(x). Each sample y of its grid is solved for x with x + u(x) = y, and the inverse
+    displacement there is v(y) = x - y.
+
+    Parameters
+    ----------
+    values : float32 or float64 tensor, shape (2, H, W), (N, 2, H, W), (3, Z, H, W) or (N, 3, Z, H, W)
+        The displacements, x first, in physical units, along the axes of the tensor. A tensor of shape (3, 2, H, W) is
+        three fields in the plane; one volume of two slices takes an axis for the batch.
+    spacing : float or sequence of float
+        Physical units from a sample to the next; one for all axes, or one for each, x first.
+    interpolation : str
+        ``"linear"``; ``"cubic"``, a cubic B-spline through the values; ``"bspline"``, values are its coefficients, and
+        the result is without the first and the last along each axis, as they are beyond the field.
+    beyond : str
+        The displacement outside the grid: that of the nearest point of the ``"edge"``, or ``"zero"``.
+    tolerance : float
+        The largest distance of x from the true inverse of the interpolant, in samples.
+
+    Returns
+    -------
+    Inverted
+
+    Raises
+    ------
+    SuppleError
+        If an argument does not fit, or the values hold NaN or infinity.
+
+    Warns
+    -----
+    FoldWarning, OutsideWarning, ToleranceWarning
+        If gradients are wanted, and are zero at samples whose status is folded, outside or unconverged.
+
+    Notes
+    -----
+    With J = ∂u/∂x, the derivative of the solution is dx = -(I+J)⁻¹ du(x), whichever way it was found. Gradients are
+    differentiable, too.
+    """
+    many, single = _checked(values)
+    choice("interpolation", interpolation, get_args(Interpolation))
+    choice("beyond", beyond, get_args(Beyond))
+    steps = checked_spacing(spacing, many.shape[1])
+    tolerance = number("tolerance", tolerance, "a number of samples above 0", 1e-9, 1e9)
+    if interpolation == "bspline" and min(many.shape[2:]) < 4:
+        raise SuppleError(f"a cubic B-spline needs 4 coefficients along each axis, found {tuple(many.shape[2:])}")
+    found, error, status = _Inverse.apply(many, _Job(steps, interpolation, beyond, tolerance))
+    made = Inverted(found[0], error[0], status[0]) if single else Inverted(found, error, status)
+    if found.requires_grad:
+        _warn(made)
+    return made
+
+
+def _checked(values: object) -> tuple[torch.Tensor, bool]:
+    """Return fields as a batch, and whether one was given without it."""
+    wanted = "a tensor of shape (2, H, W), (N, 2, H, W), (3, Z, H, W) or (N, 3, Z, H, W)"
+    if not isinstance(values, torch.Tensor):
+        refuse("values", f"{wanted} (Field.invert takes arrays)", values)
+    if values.dtype not in (torch.float32, torch.float64) or values.layout != torch.strided:
+        refuse("values", "a dense tensor of float32 or float64", f"{values.dtype}, {values.layout}")
+    shape = tuple(values.shape)
+    batch = len(shape) == 5 or (len(shape) == 4 and shape[1] == 2)
+    axes = len(shape) - 1 - batch
+    if axes not in (2, 3) or shape[batch] != axes or 0 in shape[batch:]:
+        refuse("values", f"{wanted}, x first", f"shape {shape}")
+    if not torch.isfinite(values.detach()).all():
+        raise SuppleError("the field holds NaN or infinity")
+    return (values if batch else values[None]), not batch
+
+
+def _warn(made: Inverted) -> None:
+    counts = made.counts
+    lost = {name: count for name, count in counts.items() if count and name != STATUS[OK]}
+    if not lost:
+        return
+    kinds = {STATUS[FOLDED]: FoldWarning, STATUS[OUTSIDE]: OutsideWarning, STATUS[UNCONVERGED]: ToleranceWarning}
+    each = ", ".join(f"{count} {name}" for name, count in lost.items())
+    text = f"gradients are zero at {sum(lost.values())} of {made.status.numel()} samples of the inverse: {each}"
+    warnings.warn(text, kinds[next(iter(lost))], stacklevel=3)
+
+
+class _Inverse(torch.autograd.Function):
+    """The inverses of fields (N, D, *shape), their errors and status."""
+
+    @staticmethod
+    def forward(ctx: Any, values: torch.Tensor, job: _Job) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+        found, error, status = (solved_on_device if values.is_cuda else solved_by_core)(values, job)
+        ctx.job = job
+        ctx.mark_non_differentiable(error, status)
+        ctx.save_for_backward(values, found, status)
+        return found, error, status
+
+    @staticmethod
+    def backward(ctx: Any, gradient: torch.Tensor, *_: Any) -> tuple[torch.Tensor, None]:
+        values, found, status = ctx.saved_tensors
+        where = values.device if values.is_cuda else "cpu"  # other devices may have no float64
+        values, found, status, slopes = (x.to(where) for x in (values, found, status, gradient))
+        return _gradient(values, found, status, slopes, ctx.job).to(gradient), None
+
+
+def _empty(values: torch.Tensor, job: _Job) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    """Return a tensor for the results."""
+    shape = [size - 2 * job.edge for size in values.shape[2:]]
+    return (
+        values.new_empty((*values.shape[:2], *shape)),
+        values.new_empty((len(values), *shape), dtype=torch.float32),
+        values.new_empty((len(values), *shape), dtype=torch.uint8),
+    )
+
+
+def solved_by_core(values: torch.Tensor, job: _Job) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    """Return the values, errors and status of inverses by the core, as `supple.Field.invert` does."""
+    found, error, status = _empty(values, job)
+    for k, each in enumerate(values.detach()):
+        array = each.movedim(0, -1).numpy(force=True)
+        field = Field.from_array(array, spacing=job.spacing, interpolation=job.interpolation, beyond=job.beyond)
+        made = field.invert(tolerance=job.tolerance)
+        found[k] = torch.from_numpy(made.field.values).movedim(-1, 0)
+        error[k] = torch.from_numpy(made.error)
+        status[k] = torch.from_numpy(made.status)
+    return found, error, status
+
+
+def solved_on_device(values: torch.Tensor, job: _Job) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    """Return the values, errors and status of inverses by operations of PyTorch, by the rules of the core."""
+    with torch.no_grad():
+        found, error, status = _empty(values, job)
+        samples, spread = job.samples(values), sum(step * step for step in job.spacing) ** 0.5
+        folds = folded(samples)
+        made, flat_error, flat_status = found.flatten(2), error.flatten(), status.flatten()
+        for start in range(0, status.numel(), _TOGETHER):
+            part = slice(start, min(start + _TOGETHER, status.numel()))
+            numbers = torch.arange(part.start, part.stop, device=values.device)
+            at, item, base = _points(numbers, samples)
+            target = torch.stack(at).double()
+            got = solve(samples, target, base, 0.125 * job.tolerance)
+            off = (got.points - target) * torch.tensor(job.spacing, device=values.device, dtype=target.dtype)[:, None]
+            kept = off.to(values.dtype)
+            made[item, :, numbers % _count(samples)] = kept.T
+            rounding = (kept.double() - off).square().sum(0).sqrt()
+            bound = 4 * got.step2.sqrt() * spread + rounding
+            flat_error[part] = torch.where(got.done, bound * (1 + 1e-6), torch.inf).float()
+            within = torch.ones_like(got.done)
+            if samples.zero:
+                margin = 0.0 if job.edge else 0.5
+                for x, (first, last) in zip(got.points, samples.ends, strict=True):
+                    within &= (x >= first - margin) & (x <= last + margin)
+            known = torch.where(within, OK, OUTSIDE)
+            known = torch.where((got.determinant > 0) & ~folds.flatten()[part], known, FOLDED)
+            flat_status[part] = torch.where(got.done, known, UNCONVERGED).to(torch.uint8)
+        return found, error, status
+
+
+def _count(samples: Samples) -> int:
+    """Return the number of samples of one inverse."""
+    return prod(last - first + 1 for first, last in samples.ends)
+
+
+def _points(numbers: torch.Tensor, samples: Samples) -> tuple[list[torch.Tensor], torch.Tensor, torch.Tensor]:
+    """Return the indices of samples of inverses, their items, and the numbers of the first samples of their fields."""
+    count = _count(samples)
+    item = numbers // count
+    at = grid(numbers % count, [last - first + 1 for first, last in samples.ends])
+    return [x + samples.edge for x in at], item, item * samples.count
+
+
+def _gradient(
+    values: torch.Tensor, found: torch.Tensor, status: torch.Tensor, gradient: torch.Tensor, job: _Job
+) -> torch.Tensor:
+    """Return ∂L/∂values from ∂L/∂found, differentiable in all of them."""
+    samples = job.samples(values)
+    into = torch.zeros_like(samples.values)
+    count, n = _count(samples), len(samples.sizes)
+    flat = [x.movedim(1, 0).reshape(n, -1) for x in (found, gradient)]
+    for start in range(0, len(found) * count, _TOGETHER):
+        part = slice(start, min(start + _TOGETHER, len(found) * count))
+        numbers = torch.arange(part.start, part.stop, device=values.device)
+        at, _, base = _points(numbers, samples)
+        well = status.flatten()[part] == OK
+        at, base = [x[well] for x in at], base[well]
+        offsets, slopes = ([row[part][well].double() for row in rows] for rows in flat)
+        points = [i + x / step for i, x, step in zip(at, offsets, job.spacing, strict=True)]
+        add_gradient(samples, points, base, [g * s for g, s in zip(slopes, job.spacing, strict=True)], into)
+    return job.unpacked(into, values)
