@@ -13,7 +13,7 @@ from supple.domain import number
 from supple.engines.base import Certificate, warn_of
 from supple.engines.native import certificate_of, plan_of
 from supple.errors import SuppleError
-from supple.geometry import Geometry
+from supple.geometry import Geometry, Grid
 from supple.media.files import check_output
 from supple.media.transforms import check_target, write_field
 
@@ -30,6 +30,7 @@ def displacement_of(
     *,
     tolerance: float = 0.01,
     out: npt.NDArray[np.float32] | None = None,
+    grid: Grid | None = None,
 ) -> npt.NDArray[np.float32]:
     """Return the displacement from each voxel of the output to its source point in the input.
 
@@ -38,11 +39,13 @@ def displacement_of(
     deformation : Deformation
         A deformation of a volume.
     geometry : Geometry
-        The geometry of the volume.
+        The geometry of the volume; of the output, if it has another grid.
     tolerance : float
         The largest distance of a source point from T⁻¹(q), in voxels.
     out : float32 array, optional
         The array for the result; it may be mapped from a file.
+    grid : Grid, optional
+        The grid of the output, if it is not that of the input; the deformation must then know its place in space.
 
     Returns
     -------
@@ -61,27 +64,42 @@ def displacement_of(
     """
     _check(deformation)
     tolerance = number("tolerance", tolerance, "a number of voxels above 0", 1e-9, 1e9)
-    space = deformation.space
-    made = np.empty((*deformation.shape, 3), np.float32) if out is None else out
-    if deformation.is_identity:
+    space = deformation.space_on(grid)
+    made = np.empty((*space.out, 3), np.float32) if out is None else out
+    if space.is_identity:
         made[...] = 0
         return made
-    matrix, certificate = geometry.matrix[:3, :3], Certificate(0.0, 0.0)
+    # In voxels of the input, those of the output lie at index @ turned.T + shift.
+    matrix: Floats = geometry.matrix[:3, :3]
+    turned: Floats = np.eye(3)
+    shift: Floats = np.zeros(3)
+    if grid is not None:
+        matrix = deformation.grid.matrix[:3, :3]
+        turned = np.linalg.solve(matrix, grid.matrix[:3, :3])
+        shift = deformation.grid.indices(grid.origin)
+    certificate, shape = Certificate(0.0, 0.0), space.out[1:]
     # float64, since differences of positions would lose half their digits in float32.
-    points, here = np.empty((*space.shape, 3)), np.zeros((*space.shape, 3))
-    here[..., 1], here[..., 0] = np.indices(space.shape)
-    for z in range(space.count):
+    points, here = np.empty((*shape, 3)), np.zeros((*shape, 3))
+    here[..., 1], here[..., 0] = np.indices(shape)
+    for z in range(space.out[0]):
         plan = plan_of(space, z, tolerance)
         plan.points(points)
         here[..., 2] = z
-        np.matmul(points - here, matrix.T, out=made[z], casting="same_kind")
+        at = here if grid is None else here @ turned.T + shift
+        np.matmul(points - at, matrix.T, out=made[z], casting="same_kind")
         certificate |= certificate_of(plan)
     warn_of(certificate, tolerance, 3)
     return made
 
 
 def write_transform(
-    target: PathLike, deformation: Deformation, geometry: Geometry, *, tolerance: float = 0.01, force: bool = False
+    target: PathLike,
+    deformation: Deformation,
+    geometry: Geometry,
+    *,
+    tolerance: float = 0.01,
+    force: bool = False,
+    grid: Grid | None = None,
 ) -> None:
     """Write a deformation of a volume as a displacement field for ITK, ANTs and 3D Slicer.
 
@@ -89,7 +107,7 @@ def write_transform(
     ----------
     target : str or os.PathLike
         ``.nii``, ``.nii.gz``, ``.nrrd``, ``.mha`` or ``.h5``; see `supple.media.transforms.write_field`.
-    deformation, geometry, tolerance
+    deformation, geometry, tolerance, grid
         As in `displacement_of`.
     force : bool
         Whether to replace an existing file.
@@ -102,8 +120,10 @@ def write_transform(
     check_target(target)
     check_output(target, force=force)
     _check(deformation)
-    with beside(target, (*deformation.shape, 3), np.float32, MOST) as out:
-        write_field(target, displacement_of(deformation, geometry, tolerance=tolerance, out=out), geometry, force=force)
+    shape = deformation.shape if grid is None else grid.shape
+    with beside(target, (*shape, 3), np.float32, MOST) as out:
+        made = displacement_of(deformation, geometry, tolerance=tolerance, out=out, grid=grid)
+        write_field(target, made, geometry, force=force)
 
 
 def _check(deformation: Deformation) -> None:
