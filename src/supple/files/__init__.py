@@ -14,7 +14,7 @@ import numpy as np
 
 from supple.arrays import clamp_to, warp_array
 from supple.deformation import Deformation, Report
-from supple.domain import choice
+from supple.domain import choice, refuse
 from supple.engines.base import Sampling, warn_of
 from supple.engines.choice import DEVICES, check_device
 from supple.errors import SuppleError, shown
@@ -292,6 +292,10 @@ def check_job(
     SuppleError
         If that kind cannot be written under the target's suffix, or in its folder; or if an option is for another kind.
     """
+    if not isinstance(maps, Sequence) or not all(isinstance(each, Placed) for each in maps):
+        refuse("maps", "a sequence of Placed", maps)
+    if grid is not None and not isinstance(grid, GridOptions):
+        refuse("grid", "GridOptions, or left out", grid)
     if is_volume_job(source, target, recipe, volume, maps=maps, grid=grid):
         if quality is not None or lossless or linear_light or clip not in (None, ClipOptions()):
             flags = {"quality": quality is not None, "lossless": lossless, "linear_light": linear_light}

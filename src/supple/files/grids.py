@@ -154,8 +154,6 @@ def check_maps(maps: Sequence[Placed], grid: Grid, name: str) -> None:
     """Raise SuppleError for maps that are not for a file: of another number of axes, or somewhere else in space."""
     moved = False
     for each in maps:
-        if not isinstance(each, Placed):
-            refuse("maps", "a sequence of Placed", each)
         n = each.map.ndim
         is_field = isinstance(each.map, Field)
         what = each.name or ("the field" if is_field else "the affine map")
