@@ -16,12 +16,12 @@ from supple.arrays import clamp_to, warp_array
 from supple.deformation import Deformation, Report
 from supple.domain import choice, refuse
 from supple.engines.base import Sampling, warn_of
-from supple.engines.choice import DEVICES, check_device
+from supple.engines.choice import DEVICES, check_device, check_host
 from supple.errors import SuppleError, shown
 from supple.fields import Placed
 from supple.files.clips import SUFFIXES_OUT as CLIPS_OUT
 from supple.files.clips import ClipOptions, WarpedClip, check_clip_target, is_clip, refuse_places, warp_clip
-from supple.files.grids import GridOptions, check_maps, grid_on
+from supple.files.grids import GridOptions, check_maps, grid_on, picture_grid
 from supple.files.volumes import VolumeOptions, WarpedVolume, check_volume_target, is_volume_job, warp_volume
 from supple.geometry import Grid
 from supple.media.codecs import SUFFIXES as CLIPS
@@ -30,6 +30,7 @@ from supple.media.image import SUFFIXES as SUFFIXES_IN
 from supple.media.image import check_quality, check_target, read, write
 from supple.media.volume import SUFFIXES as VOLUMES
 from supple.media.volume import SUFFIXES_OUT as VOLUMES_OUT
+from supple.media.volume import grid_of as volume_grid
 from supple.media.volume import suffix_of
 from supple.progress import counted, staged
 from supple.strokes import Fit, Recipe, fit_recipe
@@ -162,6 +163,8 @@ def warp_file(
     >>> warp_file("photo.jpg", "bent.jpg", recipe).report().error  # doctest: +SKIP
     """
     choice("device", device, DEVICES)
+    if maps or grid not in (None, GridOptions()):
+        check_host(device)
     kind = check_job(
         source,
         target,
@@ -292,7 +295,8 @@ def check_job(
     SuppleError
         If that kind cannot be written under the target's suffix, or in its folder; or if an option is for another kind.
     """
-    if not isinstance(maps, Sequence) or not all(isinstance(each, Placed) for each in maps):
+    given: object = maps  # user input of any type
+    if not isinstance(given, Sequence) or not all(isinstance(each, Placed) for each in given):
         refuse("maps", "a sequence of Placed", maps)
     if grid is not None and not isinstance(grid, GridOptions):
         refuse("grid", "GridOptions, or left out", grid)
@@ -328,6 +332,27 @@ def check_job(
     _spare(source, target, "picture", force)
     check_output(target, force=force)
     return "picture"
+
+
+def grid_of(
+    source: PathLike,
+    target: PathLike,
+    recipe: Recipe,
+    *,
+    volume: VolumeOptions | None = None,
+    grid: GridOptions | None = None,
+) -> Grid | None:
+    """Return the grid of a file that `warp_file` would warp with these arguments; None of a clip.
+
+    Raises
+    ------
+    SuppleError
+        If the file cannot be read.
+    """
+    if is_volume_job(source, target, recipe, volume, grid=grid):
+        known = volume or VolumeOptions()
+        return volume_grid(source, raw=known.layout, series=known.series)
+    return None if is_clip(source, target, recipe) else picture_grid(source)
 
 
 def _spare(source: PathLike, target: PathLike, kind: str, force: bool) -> None:
