@@ -11,7 +11,9 @@ import pytest
 
 import supple
 from supple.cli import command
+from supple.engines.base import Layout, Sampling, Work
 from supple.engines.cuda import device as devices
+from supple.engines.cuda.engine import Cuda
 from supple.errors import SuppleError
 from supple.examples.gallery import write_gallery
 from supple.files.clips import warp_clip
@@ -192,3 +194,18 @@ def test_other_devices_import_nothing_of_it() -> None:
         "sys.exit(any(m.split('.')[0] in ('numba_cuda', 'cuda') or m.startswith('numba.cuda') for m in sys.modules))"
     )
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+def test_maps_other_than_strokes_are_refused() -> None:
+    plain = supple.Deformation((9, 9))
+    moved = plain.affine([[1, 0, 1], [0, 1, 0]])
+    layout = Layout.of_array((9, 9), np.dtype(np.uint8), (9, 9), alpha=None, light=False)
+    engine = Cuda(None)  # type: ignore[arg-type]
+    engine.check(Work(plain.space, layout, Sampling()))
+    for work in (
+        Work(moved.space, layout, Sampling()),
+        Work(plain.space, layout, Sampling(), (plain.space, moved.space)),
+        Work(plain.space_on(plain.grid.crop((1, 1), (3, 3))), layout, Sampling()),
+    ):
+        with pytest.raises(SuppleError, match="fields, affine maps and output grids are for the CPU"):
+            engine.check(work)
