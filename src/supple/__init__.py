@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     )
     from supple.fields import Affine, Field, Inverted, Placed, compose, read_maps
     from supple.files import warp_file
+    from supple.files.grids import GridOptions
     from supple.geometry import Grid
     from supple.strokes import Recipe, Stroke
     from supple.viewer.window.launch import view
@@ -34,6 +35,7 @@ __all__ = [
     "FoldError",
     "FoldWarning",
     "Grid",
+    "GridOptions",
     "Inverse",
     "Inverted",
     "MissWarning",
@@ -62,6 +64,7 @@ _HOMES = {
     "FoldError": "errors",
     "FoldWarning": "errors",
     "Grid": "geometry",
+    "GridOptions": "files.grids",
     "Inverse": "deformation",
     "Inverted": "fields",
     "MissWarning": "errors",

@@ -93,9 +93,10 @@ class Report:
         For each given stroke, the target of its point, and its position.
     margin : float
         A lower bound, over all points and strokes, of the smallest eigenvalue of the symmetric part of I + J. It is
-        above 0: the map does not fold.
+        above 0: no stroke folds. Fields are not covered.
     folds : int
-        The number of lattice nodes at which the Jacobian determinant is negative. ``margin`` proves that it is 0.
+        The number of lattice nodes at which the Jacobian determinant is negative. Without fields, ``margin`` proves
+        that it is 0.
     tolerance, error : float
         The given tolerance, and the largest distance of a source point of the inverse map from T⁻¹(q), in pixels:
         measured at every pixel, by further Newton steps.
@@ -316,9 +317,9 @@ class Deformation:
     @property
     def space(self) -> Space:
         """The packed map and domain, as engines take them."""
-        return self._space(None)
+        return self.space_on(None)
 
-    def _space(self, grid: Grid | None) -> Space:
+    def space_on(self, grid: Grid | None) -> Space:
         """Return the packed map, with the grid of the output if it is not that of the input."""
         count = self.shape[0] if self.ndim == 3 else 1
         shape = (self.shape[-2], self.shape[-1])
@@ -472,7 +473,7 @@ class Deformation:
         Raises
         ------
         SuppleError
-            If the field has another number of axes, or does not overlap the domain.
+            If the field has another number of axes, or does not overlap the domain (unless an affine map comes before).
         """
         if not isinstance(field, Field):
             refuse("field", "a Field (Field.from_array makes one)", field)
@@ -482,8 +483,8 @@ class Deformation:
         if placed.map.ndim != self.ndim:
             what = "field" if isinstance(placed.map, Field) else "affine map"
             raise SuppleError(f"the {what} has {placed.map.ndim} axes, and the shape {self.shape} has {self.ndim}")
-        if isinstance(placed.map, Field):
-            check_overlap(placed.map, self.grid)
+        if isinstance(placed.map, Field) and not any(isinstance(each.map, Affine) for each in self.maps):
+            check_overlap(placed.map, self.grid)  # an affine map before it may bring them together
         here = replace(placed, after=len(self.strokes), row=len(self._table))
         return self._changed(maps=(*self.maps, here))
 
@@ -656,7 +657,7 @@ class Deformation:
                 refuse("grid", "a Grid", grid)
             if grid.ndim != self.ndim:
                 refuse("grid", f"a grid of {self.ndim} axes, as the deformation is", f"one of {grid.ndim}")
-            space = self._space(grid)
+            space = self.space_on(grid)
         if callable(source):
             if grid is not None:
                 refuse("grid", "left out for a function of points", grid)
@@ -674,7 +675,7 @@ class Deformation:
         warn_of(certificate, sampling.tolerance, 3)
         return made  # type: ignore[no-any-return]
 
-    def report(self, *, tolerance: float = 0.01, plane: int | None = None) -> Report:
+    def report(self, *, tolerance: float = 0.01, plane: int | None = None, grid: Grid | None = None) -> Report:
         """Report on the strokes and the certified error of the inverse map.
 
         Parameters
@@ -683,18 +684,21 @@ class Deformation:
             The tolerance of the map, in pixels.
         plane : int, optional
             The frame or the slice to measure; by default, all.
+        grid : Grid, optional
+            The grid of the output; by default, that of the input.
         """
         tolerance = number("tolerance", tolerance, "a number of pixels above 0", 1e-9, 1e9)
-        count = self.shape[0] if self.ndim == 3 else 1
+        space, shape = self.space_on(grid), self.shape if grid is None else grid.shape
+        count = shape[0] if self.ndim == 3 else 1
         which = range(count)
         if plane is not None:
             which = range(k := integer("plane", plane, f"one of the {count} there are", 0, count - 1), k + 1)
-        certificate, turned, space = Certificate(0.0, 0.0), 0, self.space
-        for z in which if not self.is_identity else ():
+        certificate, turned = Certificate(0.0, 0.0), 0
+        for z in which if not space.is_identity else ():
             plan = plan_of(space, z, tolerance)
             certificate |= measured(plan, tolerance)
             turned += plan.folds
-        size = float(np.prod(self.shape)) * len(which) / count
+        size = float(np.prod(shape)) * len(which) / count
         return Report(
             **self.resolution(),
             folds=turned,

@@ -336,12 +336,15 @@ class Placed:
         Whether to apply the inverse (push).
     after : int
         The number of strokes before it.
+    name : str
+        The name of its file, for messages.
     """
 
     map: Field | Affine
     inverse: bool = False
     after: int = 0
     row: int = field(default=0, repr=False)
+    name: str = field(default="", repr=False, compare=False)
 
     def packed(self, frame: Floats) -> _core.Part:
         """Return the map as the core takes it, from the coordinates of `Field.packed`, as a part of the pull map."""
@@ -427,14 +430,17 @@ def own_grid(field: Field) -> Grid:
     return field.grid.crop([1] * field.ndim, [n - 2 for n in field.grid.sizes])
 
 
-def check_overlap(field: Field, grid: Grid) -> None:
-    """Raise SuppleError for a grid of another number of axes, or one that does not overlap the field's."""
+def check_overlap(field: Field, grid: Grid, what: str = "the field's grid", where: str = "the image's") -> None:
+    """Raise SuppleError for a grid of another number of axes, or one that does not overlap the field's.
+
+    ``what`` and ``where`` name the grids in the message.
+    """
     if grid.ndim != field.ndim:
         raise SuppleError(f"a field of {field.ndim} axes needs a grid of as many, found {grid.ndim}")
     if not overlap(field.grid, grid):
         raise SuppleError(
-            "the field's grid and the image's do not overlap: "
-            f"{_extent(field.grid)}, and {_extent(grid)}: check their positions in space"
+            f"{what} and {where} do not overlap: {extent(field.grid)}, and {extent(grid)}: "
+            "check their positions in space"
         )
 
 
@@ -451,7 +457,8 @@ def _box(grid: Grid) -> tuple[Floats, Floats]:
     return places.min(axis=0), places.max(axis=0)
 
 
-def _extent(grid: Grid) -> str:
+def extent(grid: Grid) -> str:
+    """Return the box around a grid in words."""
     low, high = _box(grid)
     return f"from ({', '.join(f'{x:.4g}' for x in low)}) to ({', '.join(f'{x:.4g}' for x in high)})"
 

@@ -254,6 +254,8 @@ FOR_PYTHON = (
     "False for a shape of two axes",
     "on_change: ",
     "clamp must be False for",
+    "field must be a Field (Field.from_array",
+    "read_maps(path) reads them (supple compose",
 )
 PYTHON = re.compile(r"\bNone\b|\bTrue\b|\bFalse\b|(?<![\w-])[a-z]+_\w+|\b[a-z_]+=|\w\(\)|\(\.\.\.\)")
 NUMBERED = ("number", "integer", "length", "point", "refuse", "choice")

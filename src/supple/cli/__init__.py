@@ -11,7 +11,7 @@ from typing import NoReturn
 
 from cyclopts import App, CycloptsError, Parameter
 
-from supple.cli.console import STREAM, run
+from supple.cli.console import STREAM, current, run
 from supple.errors import SuppleError
 
 _GRAB = "--grab X,Y[,T|Z]:X,Y[,T|Z] --radius R [OPTIONS]"
@@ -29,6 +29,7 @@ Examples:
   supple warp clip.mp4 late.mp4 --grab 350,120,38:350,120,52 --radius 60
   supple warp frames/%05d.png bent/%05d.png --recipe strokes.json
   supple warp head.nii.gz bent.nii.gz --grab 45,88,62:45,76,58 --radius 40
+  supple warp moving.nii.gz seen.nii.gz --affine 0GenericAffine.mat --field 1Warp.nii.gz --reference fixed.nii.gz
 """
 _RENDER_EXAMPLES = """\
 Examples:
@@ -65,7 +66,7 @@ _COMMANDS = (
 )
 
 
-_OF_FILES = ("--recipe", "--save-recipe", "--save-field", "--on")
+_OF_FILES = ("--recipe", "--save-recipe", "--save-field", "--on", "--field", "--affine", "--reference")
 
 
 def command(arguments: Sequence[str]) -> int:
@@ -106,6 +107,7 @@ def _dispatch(arguments: Sequence[str]) -> None:
     arguments = [STREAM if argument == "-" else argument for argument in arguments]
     if STREAM in arguments and arguments[0] not in ("warp", "info", "points"):
         raise SuppleError("- for standard input or output is for warp, info and points: give the name of a file")
+    current().arguments = tuple(arguments)
     try:
         app(list(arguments), exit_on_error=False, print_error=False, verbose=False)
     except CycloptsError as error:

@@ -40,7 +40,9 @@ _VALUE = r"""(?:'([^']*)'|"([^"]*)"|(None|True|False|[\w.]+(?:\(\.\.\.\))?))"""
 _ASIDE = re.compile(rf" \((?:{_NAMES})={_VALUE}\)")  # --force (force=True)
 _GIVEN = re.compile(rf"(?<![\w-])({_NAMES})={_VALUE}")  # on_fold='flow'
 # Also common words, which are options only at the beginning of a message.
-_WORDS = "clamp|density|distance|elevation|roll|shape|size|step|supersampling|target|transfer|turntable|up"
+_WORDS = (
+    "clamp|crop|density|distance|elevation|resample|roll|shape|size|step|supersampling|target|transfer|turntable|up"
+)
 _FIRST = re.compile(rf"^((?:--grab \S+: )?)({_NAMES}|{_WORDS})(?= is for | must be | needs )")
 _WORD = re.compile(rf"(?<![\w/.-])({_UNDERSCORED})(?![\w/.-])")
 _SPELT = {"supersampling": "smooth"}
@@ -118,6 +120,7 @@ class Console:
 
     def __init__(self) -> None:
         self.quiet = self.strict = False
+        self.arguments: tuple[str, ...] = ()  # of the command line, in order
         self.all = File()  # warnings without a file, or about a single one
         self.bar: Any = None
         self.names: dict[str, str] = {}  # user-visible names of temporary files
@@ -144,6 +147,15 @@ class Console:
                 self.bar.console.print(line, markup=False, highlight=False, soft_wrap=True)
             elif sys.stderr is not None:
                 print(line, file=sys.stderr, flush=True)
+
+    def note(self, text: object) -> None:
+        """Write a line to standard error, once, unless messages are unwanted."""
+        line = one_line(text)
+        with self._lock:
+            fresh = line not in self._said
+            self._said.add(line)
+        if fresh and not self.quiet:
+            self.say(line)
 
     def tell(self, facts: Mapping[str, object]) -> None:
         """Write one JSON object, a line, to standard output; the warnings about the file are added."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import glob
+import math
 import os
 from collections.abc import Callable, Collection
 from dataclasses import replace
@@ -25,6 +26,7 @@ from supple.cli.console import (
     warn_of_software,
 )
 from supple.cli.options import RUNNING, RunOptions, StrokeOptions, VideoOptions, parse_fill, parse_number
+from supple.cli.options_maps import MapOptions, describe_grid, describe_map, grid_facts
 from supple.cli.options_volume import VOLUME, VolumeArguments
 from supple.engines.workers import workers
 from supple.errors import SuppleError
@@ -35,11 +37,13 @@ if TYPE_CHECKING:
     from supple.files import Warped
     from supple.files.clips import WarpedClip
     from supple.files.volumes import WarpedVolume
+    from supple.geometry import Grid
     from supple.strokes import Recipe
 
 Outside = Literal["edge", "constant", "reflect"]
 Warper = Literal["auto", "cpu", "gpu", "cuda"]
 Tell = Callable[[str], None]
+PathLike = str | os.PathLike[str]
 
 SAMPLING = Group("Sampling", sort_key=2)
 WRITING = Group("Writing", sort_key=3)
@@ -48,11 +52,13 @@ _RUN = RunOptions()
 _STROKES = StrokeOptions()
 _VIDEO = VideoOptions()
 _VOLUME = VolumeArguments()
+_MAPS = MapOptions()
 
 
 def warp(
     *paths: Annotated[str, Parameter(name="IN... OUT", required=True)],
     strokes: StrokeOptions = _STROKES,
+    maps: MapOptions = _MAPS,
     filter: Annotated[str, Parameter(group=SAMPLING, metavar="auto|cubic|linear|nearest")] = "auto",
     outside: Annotated[Outside, Parameter(group=SAMPLING)] = "edge",
     fill: Annotated[str | None, Parameter(group=SAMPLING, metavar="V|V,V,V", allow_leading_hyphen=True)] = None,
@@ -112,9 +118,9 @@ def warp(
     console = current()
     from supple.cli.jobs import Crew, check_recipe_file, make_folders, pair, piped
     from supple.engines.base import FINEST, check_filter
-    from supple.engines.choice import check_device
+    from supple.engines.choice import check_device, check_host
     from supple.errors import shown
-    from supple.files import warp_file, write_recipe
+    from supple.files import check_job, grid_of, warp_file, write_recipe
     from supple.files.clips import is_clip
     from supple.files.volumes import holds_volumes, is_volume_job
 
@@ -122,7 +128,13 @@ def warp(
         raise SuppleError("give a file to read and a name to write to: supple warp IN OUT --grab …")
     console.started(**options.asked(), file=paths[0] if len(paths) == 2 else "")
     check_filter(filter)
-    recipe = strokes.to_recipe(world=volume.world)
+    recipe = strokes.to_recipe(world=volume.world, empty=maps.any)
+    grabs = len(strokes.grab)
+    elements = maps.to_maps(console.arguments, len(recipe.strokes) - grabs, grabs)
+    if maps.any:
+        check_host(device)
+    if elements and save_recipe is not None:
+        raise SuppleError("--save-recipe is for strokes alone, which --field and --affine are not: leave it out")
     warn_of_software(console, device)
     exact = parse_number("--tolerance", tolerance, "a number of pixels above 0")
     if 1e-9 <= exact < FINEST:
@@ -144,6 +156,7 @@ def warp(
         "clip": video.to_clip(),
         "volume": volume.to_reading(labels=labels, save_field=save_field),
         "fit": strokes.to_fit(),
+        "grid": maps.to_grid(),
     }
     if fill is not None and outside != "constant":
         raise SuppleError(f"--fill is the constant of --outside constant, and --outside is {outside}: give both")
@@ -153,7 +166,9 @@ def warp(
         raise SuppleError("cannot write '': name a file, or a folder, last")
     reading = sampling["volume"]
     single = len(paths) == 2 and not _stands_for_several(paths[0]) and not holds_volumes(paths[0])
-    if single and (is_volume_job(paths[0], paths[1], recipe, reading) or is_clip(paths[0], paths[1], recipe)):
+    if single and (
+        is_volume_job(paths[0], paths[1], recipe, reading, grid=sampling["grid"]) or is_clip(paths[0], paths[1], recipe)
+    ):
         jobs, many = [(Path(paths[0]), Path(paths[1]))], False
     else:
         jobs, many = pair(paths[:-1], paths[-1])
@@ -165,14 +180,31 @@ def warp(
     kept: set[Recipe] = set()
     files = {job: File(shown(job[0]), shown(job[1]), many) for job in jobs}
 
+    def refer(source: PathLike, target: PathLike) -> Grid | None:
+        """Return the grid of an input, where maps refer to it; refuse what can be refused before they are read."""
+        if not elements:
+            return None
+        known = {key: sampling[key] for key in ("linear_light", "clamp", "quality", "lossless", "force", "clip")}
+        if check_job(source, target, recipe, volume=reading, grid=sampling["grid"], **known) == "clip":
+            return None  # which warp_file refuses, of any maps
+        own = grid_of(source, target, recipe, volume=reading, grid=sampling["grid"])
+        for facts in elements.facts(own):
+            console.note(describe_map(facts))
+        return own
+
     def do(job: Job, tell: bool | Tell) -> None:
         with about(files[job]):
             with workers() as who, piped(job, console) as (source, target):
-                made = warp_file(source, target, recipe, progress=tell, **sampling)
+                own = refer(source, target)
+                made = warp_file(source, target, recipe, progress=tell, maps=elements.read(own), **sampling)
             kept.add(_kept(recipe, made, reading.world))
             if options.json:
                 known = {"input": "-"} if str(job[0]) == STREAM else {}
-                console.tell({**_facts_of(job, made), **known, "device": str(who)})
+                used = {"maps": elements.facts(own)} if elements else {}
+                console.tell({**_facts_of(job, made), **used, **known, "device": str(who)})
+            if (grid := getattr(made, "grid", None)) is not None:
+                units = "mm" if grid.ndim == 3 else "pixels"
+                console.note(f"{shown(job[1])} is written on {describe_grid(grid_facts(grid), units)}")
             say_convention(console, reading.world, getattr(made, "geometry", None), job[0])
 
     def failed(job: Job, message: str) -> None:
@@ -186,6 +218,13 @@ def warp(
     if many:
         from supple.engines.workers import threads
 
+        if elements:
+            try:
+                first = grid_of(*jobs[0], recipe, volume=reading, grid=sampling["grid"])
+            except SuppleError:
+                pass  # it is reported as one of the jobs
+            else:
+                elements.read(first)  # a file of maps that cannot be read ends all jobs
         make_folders(jobs)
         # Clips and volumes one at a time: each has work for all cores.
         large = any(is_clip(*job, recipe) or is_volume_job(*job, recipe, reading) for job in jobs)
@@ -242,11 +281,26 @@ def _facts_of(job: Job, made: Warped | WarpedClip | WarpedVolume) -> dict[str, A
         return _clip_facts(made)
     if isinstance(made, WarpedVolume):
         return _volume_facts(made)
-    return picture_facts(job, made.deformation, made.report())
+    report = made.report()
+    facts = picture_facts(job, made.deformation, report) | _map_facts(made)
+    if not math.isfinite(report.error):
+        facts["error"] = None
+    if made.grid is not None:
+        facts["width"], facts["height"] = made.grid.sizes
+    return facts
+
+
+def _map_facts(made: Warped | WarpedVolume) -> dict[str, Any]:
+    """Return what is told of other grids, and of maps that may fold."""
+    facts: dict[str, Any] = {} if made.grid is None else {"grid": grid_facts(made.grid)}
+    if made.deformation.maps:
+        facts |= {"folded": made.folded, "outside": made.outside, "unsolved": made.unsolved}
+    return facts
 
 
 def _volume_facts(made: WarpedVolume) -> dict[str, Any]:
-    depth, height, width = made.deformation.shape
+    grid = made.grid or made.deformation.grid
+    depth, height, width = grid.shape
     return {
         "input": str(made.source),
         "output": str(made.target),
@@ -254,11 +308,12 @@ def _volume_facts(made: WarpedVolume) -> dict[str, Any]:
         "height": height,
         "depth": depth,
         "volumes": made.volumes,
-        "spacing": list(made.geometry.spacing),
+        "spacing": list(grid.spacing),
         "convention": made.geometry.convention,
         "tolerance": made.tolerance,
-        "error": made.error,
+        "error": made.error if math.isfinite(made.error) else None,
         **told(made.deformation),
+        **_map_facts(made),
     }
 
 

@@ -35,6 +35,12 @@ def check_device(device: str, what: str = "") -> None:
         _cuda()
 
 
+def check_host(device: str) -> None:
+    """Raise SuppleError for a device that warps by strokes alone."""
+    if device in ("gpu", "cuda"):
+        refuse("device", '"cpu" or "auto" for fields, affine maps and output grids, which the CPU warps', device)
+
+
 def gpu_of(device: str, what: str = "this") -> Gpu | None:
     """Return the GPU for some kind of work, or None for the CPU.
 
@@ -64,8 +70,7 @@ def engine_for(device: str, work: Work) -> Engine:
         If the user names a device that does not exist, or does not support this work.
     """
     if not work.space.is_plain:
-        if device in ("gpu", "cuda"):
-            refuse("device", '"cpu" or "auto" for fields, affine maps and output grids, which the CPU warps', device)
+        check_host(device)
         return NATIVE
     if device == "cuda":
         cuda = _cuda()

@@ -14,19 +14,23 @@ import numpy as np
 
 from supple.arrays import clamp_to, warp_array
 from supple.deformation import Deformation, Report
-from supple.domain import choice
+from supple.domain import choice, refuse
 from supple.engines.base import Sampling, warn_of
-from supple.engines.choice import DEVICES, check_device
+from supple.engines.choice import DEVICES, check_device, check_host
 from supple.errors import SuppleError, shown
+from supple.fields import Placed
 from supple.files.clips import SUFFIXES_OUT as CLIPS_OUT
 from supple.files.clips import ClipOptions, WarpedClip, check_clip_target, is_clip, refuse_places, warp_clip
+from supple.files.grids import GridOptions, check_maps, grid_on, picture_grid
 from supple.files.volumes import VolumeOptions, WarpedVolume, check_volume_target, is_volume_job, warp_volume
+from supple.geometry import Grid
 from supple.media.codecs import SUFFIXES as CLIPS
 from supple.media.files import check_output, replacing, same_file
 from supple.media.image import SUFFIXES as SUFFIXES_IN
 from supple.media.image import check_quality, check_target, read, write
 from supple.media.volume import SUFFIXES as VOLUMES
 from supple.media.volume import SUFFIXES_OUT as VOLUMES_OUT
+from supple.media.volume import grid_of as volume_grid
 from supple.media.volume import suffix_of
 from supple.progress import counted, staged
 from supple.strokes import Fit, Recipe, fit_recipe
@@ -48,16 +52,25 @@ class Warped:
         The strokes, on the source's shape.
     tolerance : float
         The largest distance of a source point from T⁻¹(q), in pixels.
+    grid : Grid, optional
+        The grid of the output, if it is not that of the input.
+    folded, outside, unsolved : int
+        The numbers of the points solved at which a field folds, to which no point of a field's grid is mapped, and for
+        which no solution was found.
     """
 
     source: Path
     target: Path
     deformation: Deformation
     tolerance: float
+    grid: Grid | None = None
+    folded: int = 0
+    outside: int = 0
+    unsolved: int = 0
 
     def report(self) -> Report:
         """Return the report on the strokes and the certified error of the map, which is solved again."""
-        return self.deformation.report(tolerance=self.tolerance)
+        return self.deformation.report(tolerance=self.tolerance, grid=self.grid)
 
 
 def warp_file(
@@ -80,6 +93,8 @@ def warp_file(
     clip: ClipOptions | None = None,
     volume: VolumeOptions | None = None,
     fit: Fit | None = None,
+    maps: Sequence[Placed] = (),
+    grid: GridOptions | None = None,
 ) -> Warped | WarpedClip | WarpedVolume:
     """Warp an image file, a video, an image sequence, or a volume.
 
@@ -126,6 +141,11 @@ def warp_file(
     fit : str, optional
         The scaling of a recipe made for another size, as in `Recipe.fitted`: ``"pixels"``, ``"stretch"`` or
         ``"inside"``. By default, it is scaled if the proportions are the same, and refused otherwise.
+    maps : sequence of Placed, optional
+        Fields and affine maps before, between and after the strokes of the recipe, by their `Placed.after`: in
+        millimetres in LPS for volumes, in pixels for pictures. Not for clips.
+    grid : GridOptions, optional
+        The grid of the output: that of another image, a part, or of another spacing. Not for clips.
 
     Returns
     -------
@@ -143,6 +163,8 @@ def warp_file(
     >>> warp_file("photo.jpg", "bent.jpg", recipe).report().error  # doctest: +SKIP
     """
     choice("device", device, DEVICES)
+    if maps or grid not in (None, GridOptions()):
+        check_host(device)
     kind = check_job(
         source,
         target,
@@ -154,6 +176,8 @@ def warp_file(
         force=force,
         clip=clip,
         volume=volume,
+        maps=maps,
+        grid=grid,
     )
     check_device(device, "clips" if kind == "clip" else "")
     if kind == "volume":
@@ -172,6 +196,8 @@ def warp_file(
                 options=volume,
                 tell=counts,
                 fit=fit,
+                maps=maps,
+                grid=grid,
             )
     if kind == "clip":
         with counted(progress, also=tell) as counts:
@@ -204,32 +230,37 @@ def warp_file(
         begin("warp")
         height, width = len(picture.pixels) // picture.pages, picture.pixels.shape[1]
         fitted = fit_recipe(recipe, (width, height), fit, shown(source))
-        deformation = Deformation.from_recipe(fitted, (height, width))
-        if deformation.is_identity and quality is None and not lossless and _suffix(source) == _suffix(target):
+        own = Grid((height, width))
+        check_maps(maps, own, shown(source))
+        deformation = Deformation.from_recipe(fitted, own, maps=maps)
+        regrid = grid_on(grid, own, shown(source), maps)
+        space = replace(deformation.space_on(regrid), count=picture.pages)
+        if space.is_identity and quality is None and not lossless and _suffix(source) == _suffix(target):
             # Encoding a lossy image again would change it.
             begin("write")
             with replacing(target, force=force) as place:
                 shutil.copyfile(source, place)
             return Warped(Path(source), Path(target), deformation, tolerance)
-        pixels = np.empty_like(picture.pixels)
-        space, bounded = replace(deformation.space, count=picture.pages), clamp
-        if bounded is None:
-            bounded = pixels.dtype.kind == "f"
-        pages, out = (a.reshape(*space.whole, *a.shape[2:]) for a in (picture.pixels, pixels))
+        rows, columns = space.out[-2:]
+        pixels = np.empty((rows * picture.pages, columns, *picture.pixels.shape[2:]), picture.pixels.dtype)
+        bounded = pixels.dtype.kind == "f" if clamp is None else clamp
+        pages = picture.pixels.reshape(*space.whole, *pixels.shape[2:])
+        out = pixels.reshape(*space.out, *pixels.shape[2:])
         sampling = Sampling.checked(
             2, filter=filter, tolerance=tolerance, outside=outside, fill=fill, linear_light=linear_light
         )
         _, certificate = warp_array(pages, space, sampling, alpha=picture.alpha, device=device, out=out)
         if bounded and not space.is_identity:
-            for top in range(0, len(pixels), height):  # each page by itself
-                clamp_to(picture.pixels[top : top + height], pixels[top : top + height], sampling)
+            for k in range(picture.pages):  # each by itself
+                clamp_to(picture.pixels[k * height : (k + 1) * height], pixels[k * rows : (k + 1) * rows], sampling)
         warn_of(certificate, tolerance, 3)
         # Only the header of the input is still needed: free its pixels for the encoder.
         like = replace(picture, pixels=np.empty((0, *picture.pixels.shape[1:]), picture.pixels.dtype))
-        del picture
+        del picture, pages
         begin("write")
         write(target, pixels, like=like, quality=quality, lossless=lossless, force=force)
-    return Warped(Path(source), Path(target), deformation, tolerance)
+    found = certificate.folded, certificate.outside, certificate.unknown
+    return Warped(Path(source), Path(target), deformation, tolerance, regrid, *found)
 
 
 def check_job(
@@ -244,12 +275,14 @@ def check_job(
     force: bool = False,
     clip: ClipOptions | None = None,
     volume: VolumeOptions | None = None,
+    maps: Sequence[Placed] = (),
+    grid: GridOptions | None = None,
 ) -> Literal["picture", "clip", "volume"]:
     """Return the kind of a file to warp; raise all errors that can be found before it is read.
 
     Parameters
     ----------
-    source, target, recipe, linear_light, clamp, quality, lossless, force, clip, volume
+    source, target, recipe, linear_light, clamp, quality, lossless, force, clip, volume, maps, grid
         As in `warp_file`.
 
     Returns
@@ -262,7 +295,12 @@ def check_job(
     SuppleError
         If that kind cannot be written under the target's suffix, or in its folder; or if an option is for another kind.
     """
-    if is_volume_job(source, target, recipe, volume):
+    given: object = maps  # user input of any type
+    if not isinstance(given, Sequence) or not all(isinstance(each, Placed) for each in given):
+        refuse("maps", "a sequence of Placed", maps)
+    if grid is not None and not isinstance(grid, GridOptions):
+        refuse("grid", "GridOptions, or left out", grid)
+    if is_volume_job(source, target, recipe, volume, maps=maps, grid=grid):
         if quality is not None or lossless or linear_light or clip not in (None, ClipOptions()):
             flags = {"quality": quality is not None, "lossless": lossless, "linear_light": linear_light}
             given = [name for name, asked in flags.items() if asked]
@@ -278,6 +316,10 @@ def check_job(
     if is_clip(source, target, recipe):
         if clamp is not None:
             raise SuppleError(f"clamp is for pictures and volumes, and {shown(source)} is a clip: leave it out")
+        if maps or grid not in (None, GridOptions()):
+            raise SuppleError(
+                f"fields and other grids are for pictures and volumes, and {shown(source)} is a clip: leave them out"
+            )
         _spare(source, target, "clip", force)
         check_clip_target(source, target, clip or ClipOptions(), quality=quality, force=force)
         return "clip"
@@ -290,6 +332,27 @@ def check_job(
     _spare(source, target, "picture", force)
     check_output(target, force=force)
     return "picture"
+
+
+def grid_of(
+    source: PathLike,
+    target: PathLike,
+    recipe: Recipe,
+    *,
+    volume: VolumeOptions | None = None,
+    grid: GridOptions | None = None,
+) -> Grid | None:
+    """Return the grid of a file that `warp_file` would warp with these arguments; None of a clip.
+
+    Raises
+    ------
+    SuppleError
+        If the file cannot be read.
+    """
+    if is_volume_job(source, target, recipe, volume, grid=grid):
+        known = volume or VolumeOptions()
+        return volume_grid(source, raw=known.layout, series=known.series)
+    return None if is_clip(source, target, recipe) else picture_grid(source)
 
 
 def _spare(source: PathLike, target: PathLike, kind: str, force: bool) -> None:

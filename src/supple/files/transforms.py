@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -13,7 +14,7 @@ from supple.domain import number
 from supple.engines.base import Certificate, warn_of
 from supple.engines.native import certificate_of, plan_of
 from supple.errors import SuppleError
-from supple.geometry import Geometry
+from supple.geometry import Geometry, Grid
 from supple.media.files import check_output
 from supple.media.transforms import check_target, write_field
 
@@ -30,6 +31,7 @@ def displacement_of(
     *,
     tolerance: float = 0.01,
     out: npt.NDArray[np.float32] | None = None,
+    grid: Grid | None = None,
 ) -> npt.NDArray[np.float32]:
     """Return the displacement from each voxel of the output to its source point in the input.
 
@@ -38,11 +40,13 @@ def displacement_of(
     deformation : Deformation
         A deformation of a volume.
     geometry : Geometry
-        The geometry of the volume.
+        The geometry of the volume; of the output, if it has another grid.
     tolerance : float
         The largest distance of a source point from T⁻¹(q), in voxels.
     out : float32 array, optional
         The array for the result; it may be mapped from a file.
+    grid : Grid, optional
+        The grid of the output, if it is not that of the input; the deformation must then know its place in space.
 
     Returns
     -------
@@ -61,27 +65,42 @@ def displacement_of(
     """
     _check(deformation)
     tolerance = number("tolerance", tolerance, "a number of voxels above 0", 1e-9, 1e9)
-    space = deformation.space
-    made = np.empty((*deformation.shape, 3), np.float32) if out is None else out
-    if deformation.is_identity:
+    # The core makes points of whole planes alone, and of a part, its samples.
+    space = deformation.space_on(None if grid is None else grid.uncropped())
+    made = np.empty((*(deformation if grid is None else grid).shape, 3), np.float32) if out is None else out
+    if space.is_identity:
         made[...] = 0
         return made
-    matrix, certificate = geometry.matrix[:3, :3], Certificate(0.0, 0.0)
+    held = deformation.grid if grid is None else grid.uncropped()
+    first = (0, 0, 0) if grid is None else grid.first
+    x, y = (slice(start, start + size) for start, size in zip(first, (made.shape[2], made.shape[1]), strict=False))
+    # In voxels of the input, those of the output lie at index @ turned.T + shift.
+    matrix: Floats = geometry.matrix[:3, :3] if grid is None else deformation.grid.matrix[:3, :3]
+    turned: Any = np.eye(3) if grid is None else np.linalg.solve(matrix, held.matrix[:3, :3])
+    shift = np.zeros(3) if grid is None else deformation.grid.indices(held.origin)
+    certificate = Certificate(0.0, 0.0)
     # float64, since differences of positions would lose half their digits in float32.
-    points, here = np.empty((*space.shape, 3)), np.zeros((*space.shape, 3))
-    here[..., 1], here[..., 0] = np.indices(space.shape)
-    for z in range(space.count):
-        plan = plan_of(space, z, tolerance)
+    points, here = np.empty((*held.shape[1:], 3)), np.zeros((*held.shape[1:], 3))
+    here[..., 1], here[..., 0] = np.indices(held.shape[1:])
+    for k in range(len(made)):
+        plan = plan_of(space, first[2] + k, tolerance)
         plan.points(points)
-        here[..., 2] = z
-        np.matmul(points - here, matrix.T, out=made[z], casting="same_kind")
+        here[..., 2] = first[2] + k
+        at = here if grid is None else here @ turned.T + shift
+        np.matmul((points - at)[y, x], matrix.T, out=made[k], casting="same_kind")
         certificate |= certificate_of(plan)
     warn_of(certificate, tolerance, 3)
     return made
 
 
 def write_transform(
-    target: PathLike, deformation: Deformation, geometry: Geometry, *, tolerance: float = 0.01, force: bool = False
+    target: PathLike,
+    deformation: Deformation,
+    geometry: Geometry,
+    *,
+    tolerance: float = 0.01,
+    force: bool = False,
+    grid: Grid | None = None,
 ) -> None:
     """Write a deformation of a volume as a displacement field for ITK, ANTs and 3D Slicer.
 
@@ -89,7 +108,7 @@ def write_transform(
     ----------
     target : str or os.PathLike
         ``.nii``, ``.nii.gz``, ``.nrrd``, ``.mha`` or ``.h5``; see `supple.media.transforms.write_field`.
-    deformation, geometry, tolerance
+    deformation, geometry, tolerance, grid
         As in `displacement_of`.
     force : bool
         Whether to replace an existing file.
@@ -102,8 +121,10 @@ def write_transform(
     check_target(target)
     check_output(target, force=force)
     _check(deformation)
-    with beside(target, (*deformation.shape, 3), np.float32, MOST) as out:
-        write_field(target, displacement_of(deformation, geometry, tolerance=tolerance, out=out), geometry, force=force)
+    shape = deformation.shape if grid is None else grid.shape
+    with beside(target, (*shape, 3), np.float32, MOST) as out:
+        made = displacement_of(deformation, geometry, tolerance=tolerance, out=out, grid=grid)
+        write_field(target, made, geometry, force=force)
 
 
 def _check(deformation: Deformation) -> None:

@@ -17,11 +17,13 @@ import numpy.typing as npt
 from supple.arrays import clamp_to, warp_array, work_of
 from supple.buffers import beside, machine_memory
 from supple.deformation import Deformation, Report
-from supple.engines.base import Certificate, Sampling, warn_of
+from supple.engines.base import Certificate, Sampling, Space, warn_of
 from supple.engines.choice import check_device, engine_for
 from supple.errors import GapWarning, SuppleError, VolumeWarning, shown
+from supple.fields import Placed
+from supple.files.grids import GridOptions, check_maps, grid_on
 from supple.files.transforms import write_transform
-from supple.geometry import Geometry
+from supple.geometry import Geometry, Grid
 from supple.media import transforms
 from supple.media.files import check_output, replacing
 from supple.media.volume import (
@@ -93,6 +95,10 @@ class WarpedVolume:
         The error estimate from the checks of the map, in voxels; `report` measures it.
     volumes : int
         The number of volumes: the time points of a series.
+    grid : Grid, optional
+        The grid of the output, if it is not that of the input.
+    folded, outside, unsolved : int
+        As in `supple.files.Warped`, over all volumes.
     """
 
     source: Path
@@ -102,18 +108,31 @@ class WarpedVolume:
     tolerance: float
     error: float
     volumes: int = 1
+    grid: Grid | None = None
+    folded: int = 0
+    outside: int = 0
+    unsolved: int = 0
 
     def report(self) -> Report:
         """Return the report on the strokes and the certified error, measured at every voxel; this is slow."""
-        return self.deformation.report(tolerance=self.tolerance)
+        return self.deformation.report(tolerance=self.tolerance, grid=self.grid)
 
 
-def is_volume_job(source: PathLike, target: PathLike, recipe: Recipe, options: VolumeOptions | None = None) -> bool:
+def is_volume_job(
+    source: PathLike,
+    target: PathLike,
+    recipe: Recipe,
+    options: VolumeOptions | None = None,
+    *,
+    maps: Sequence[Placed] = (),
+    grid: GridOptions | None = None,
+) -> bool:
     """Return whether a file or a folder is warped as a volume."""
     known = options or VolumeOptions()
     if known.layout is not None or known.series is not None:
         return True
-    solid = bool(recipe.strokes) and recipe.strokes[0].ndim == 3
+    told = [stroke.ndim for stroke in recipe.strokes[:1]] + [each.map.ndim for each in maps[:1]]
+    solid = 3 in told or (grid is not None and grid.ndim == 3)
     if suffix_of(source) in _TIFF and not os.path.isdir(source):
         return (solid or suffix_of(target) in set(SUFFIXES_OUT) - set(_TIFF)) and has_pages(source)
     return is_volume(source)
@@ -136,14 +155,18 @@ def open_volume(source: PathLike, options: VolumeOptions | None = None) -> Volum
     return volume
 
 
-def deformation_of(recipe: Recipe, volume: Volume, *, world: bool = False, fit: Fit | None = None) -> Deformation:
+def deformation_of(
+    recipe: Recipe, volume: Volume, *, world: bool = False, fit: Fit | None = None, maps: Sequence[Placed] = ()
+) -> Deformation:
     """Return a recipe on a volume: radius and border in millimetres, points as indices or as positions in space.
+
+    ``maps`` are fields and affine maps between the strokes, in millimetres in LPS.
 
     Raises
     ------
     SuppleError
         If a stroke has no third coordinate; if points are in space, but the volume has no position; if the recipe was
-        made for another size, without ``fit``; or as in `Deformation.from_recipe`.
+        made for another size, without ``fit``; if a map is not for this volume; or as in `Deformation.from_recipe`.
     """
     for i, stroke in enumerate(recipe.strokes):
         if stroke.ndim != 3 and not stroke.hidden:
@@ -151,8 +174,8 @@ def deformation_of(recipe: Recipe, volume: Volume, *, world: bool = False, fit: 
             raise SuppleError(f"{which}a volume's points have three numbers, x, y and z, and {stroke.at} has two")
     known = fit_recipe(in_space(recipe, volume.geometry, volume.name, world), volume.sizes, fit, volume.name)
     made = indexed(known, volume.geometry, volume.name)
-    shape = tuple(reversed(volume.sizes))
-    return Deformation.from_recipe(made, shape, spacing=volume.geometry.spacing)
+    check_maps(maps, volume.grid, volume.name)
+    return Deformation.from_recipe(made, volume.grid, maps=maps)
 
 
 def in_space(recipe: Recipe, geometry: Geometry, name: str, world: bool) -> Recipe:
@@ -240,6 +263,8 @@ def warp_volume(
     options: VolumeOptions | None = None,
     tell: Tell = lambda step, done, total: None,
     fit: Fit | None = None,
+    maps: Sequence[Placed] = (),
+    grid: GridOptions | None = None,
 ) -> WarpedVolume:
     """Warp a volume, slab by slab, as in `supple.warp_file`.
 
@@ -256,22 +281,40 @@ def warp_volume(
     check_volume_target(source, target, known, force=force)
     tell("read", 0, 1)
     volume = open_volume(source, known)
-    check_target(target, volume, force=force)
+    if grid is None:
+        check_target(target, volume, force=force)
     if known.labels and (broken := _first_fraction(volume.samples)) is not None:
         raise SuppleError(f"labels is for whole numbers, and {volume.name} holds {broken:g}: leave it out")
-    deformation = deformation_of(recipe, volume, world=known.world, fit=fit)
+    deformation = deformation_of(recipe, volume, world=known.world, fit=fit, maps=maps)
+    regrid = grid_on(grid, volume.grid, volume.name, maps)
+    like = volume if grid is None or regrid is None else _moved(volume, regrid, grid)
+    if grid is not None:
+        check_target(target, like, force=force)
+    space = deformation.space_on(regrid)
     frames = volume.samples[0] if volume.series else volume.samples
-    engine_for(device, work_of(frames, deformation.space, sampling, alpha=False))  # raise its errors now
+    engine_for(device, work_of(frames, space, sampling, alpha=False))  # raise its errors now
     _warn_of_gaps(volume, sampling.filter)
-    if sampling.filter != "nearest" and not deformation.is_identity:
+    mixed = not deformation.is_identity or not (regrid is None or regrid.uncropped().is_same_space(volume.grid))
+    if sampling.filter != "nearest" and mixed:
         _warn_of_labels(volume)
     with contextlib.ExitStack() as stack:
         if known.save_field is not None:
             # It is renamed together with the volume: if either cannot be written, neither is.
             place = stack.enter_context(replacing(known.save_field, force=force))
-            write_transform(place, deformation, volume.geometry, tolerance=tolerance, force=True)
-        error, count = _written(volume, source, target, deformation, sampling, clamp, device, force, tell)
-    return WarpedVolume(Path(source), Path(target), deformation, volume.geometry, tolerance, error, count)
+            write_transform(place, deformation, like.geometry, tolerance=tolerance, force=True, grid=regrid)
+        found = _written(volume, like, source, target, space, sampling, clamp, device, force, tell)
+    count = len(volume.samples) if volume.series else 1
+    made = Path(source), Path(target), deformation, volume.geometry, tolerance, found.error, count, regrid
+    return WarpedVolume(*made, found.folded, found.outside, found.unknown)
+
+
+def _moved(volume: Volume, grid: Grid, options: GridOptions) -> Volume:
+    """Return the volume to write on another grid, with room for its samples that takes no memory."""
+    shape = volume.samples.shape
+    shape = (shape[0], *grid.shape) if volume.series else (*grid.shape, *shape[3:])
+    known = volume.geometry.convention
+    convention = "LPS" if known == "array" and options.reference is not None else known
+    return volume.moved(np.broadcast_to(np.zeros((), volume.samples.dtype), shape), grid, convention)
 
 
 def check_volume_target(source: PathLike, target: PathLike, options: VolumeOptions, *, force: bool = False) -> None:
@@ -343,41 +386,40 @@ def _warn_of_labels(volume: Volume) -> None:
 
 def _written(
     volume: Volume,
+    like: Volume,
     source: PathLike,
     target: PathLike,
-    deformation: Deformation,
+    space: Space,
     sampling: Sampling,
     clamp: bool,
     device: str,
     force: bool,
     tell: Tell,
-) -> tuple[float, int]:
-    """Warp and write a volume; return the error, and the number of volumes."""
+) -> Certificate:
+    """Warp and write a volume, of the sizes and with the header of another one; return the accuracy of the map."""
     series = volume.samples if volume.series else volume.samples[None]
-    count, error = len(series), 0.0
-    if deformation.is_identity and os.path.isfile(source) and _alone(source, target):
+    count, certificate = len(series), Certificate(0.0, 0.0)
+    if space.is_identity and os.path.isfile(source) and _alone(source, target):
         tell("write", 0, 1)
         with replacing(target, force=force) as place:
             shutil.copyfile(source, place)
     else:
         dtype = series.dtype.newbyteorder("=")
-        with beside(target, series.shape, dtype, machine_memory() / 4) as out:
-            space = deformation.space
+        shape = like.samples.shape if volume.series else (1, *like.samples.shape)
+        with beside(target, shape, dtype, machine_memory() / 4) as out:
             for t in range(count):
 
-                def further(step: str, done: int, total: int, begun: int = t * space.count) -> None:
+                def further(step: str, done: int, total: int, begun: int = t * space.out[0]) -> None:
                     tell(step, begun + done, count * total)
 
-                _, certificate = warp_array(
-                    series[t], space, sampling, alpha=False, device=device, out=out[t], tell=further
-                )
-                error = max(error, certificate.error)
-            if clamp and not deformation.is_identity:
+                _, known = warp_array(series[t], space, sampling, alpha=False, device=device, out=out[t], tell=further)
+                certificate |= known
+            if clamp and not space.is_identity:
                 clamp_to(series, out, sampling)
-            warn_of(Certificate(error, 0.0), sampling.tolerance, 4)  # before the target is renamed
+            warn_of(certificate, sampling.tolerance, 4)  # before the target is renamed
             tell("write", 0, 1)
-            write(target, out if volume.series else out[0], volume, force=force)
-    return error, count
+            write(target, out if volume.series else out[0], like, force=force)
+    return certificate
 
 
 def _alone(source: PathLike, target: PathLike) -> bool:

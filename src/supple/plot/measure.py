@@ -140,7 +140,11 @@ def _plan(deformation: Deformation, frame: int | None, tolerance: float) -> _cor
 
 
 def iterations(deformation: Deformation, frame: int | None = None) -> Iterations:
-    """Return the work of the published method, and of ours."""
+    """Return the work of the published method, and of ours; SuppleError for maps other than strokes."""
+    if deformation.maps:
+        raise SuppleError(
+            "the published method inverts strokes alone, found fields or affine maps: plot the residual instead"
+        )
     every, q = _pixels(deformation, frame)
     height, width = deformation.shape[-2:]
     z = None if frame is None else float(frame)

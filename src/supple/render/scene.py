@@ -484,6 +484,8 @@ def _deformed(known: dict[str, Any], deformation: Deformation | None, volume: Vo
             refuse("deformation", "a Deformation", given)
         if deformation.shape != shape:
             refuse("the deformation", f"one of shape {shape}, as the volume", f"shape {deformation.shape}")
+        if deformation.maps:
+            raise SuppleError("a scene is bent by strokes alone, found fields or affine maps: warp the volume first")
         spacing = known["geometry"].spacing
         if not np.allclose(deformation.domain.spacing, spacing):
             refuse("the deformation", f"one of spacing {spacing}", deformation.domain.spacing)

@@ -14,6 +14,7 @@ import supple
 from supple.cli import command
 from supple.engines.base import Layout, Sampling, Work
 from supple.engines.cuda import device as devices
+from supple.engines.cuda.engine import Cuda
 from supple.errors import SuppleError
 from supple.examples.gallery import write_gallery
 from supple.files.clips import warp_clip
@@ -210,3 +211,18 @@ def test_maps_are_refused_before_anything_starts() -> None:
     ):
         with pytest.raises(SuppleError, match="fields, affine maps and output grids are for the CPU"):
             call()
+
+
+def test_maps_other_than_strokes_are_refused() -> None:
+    plain = supple.Deformation((9, 9))
+    moved = plain.affine([[1, 0, 1], [0, 1, 0]])
+    layout = Layout.of_array((9, 9), np.dtype(np.uint8), (9, 9), alpha=None, light=False)
+    engine = Cuda(None)  # type: ignore[arg-type]
+    engine.check(Work(plain.space, layout, Sampling()))
+    for work in (
+        Work(moved.space, layout, Sampling()),
+        Work(plain.space, layout, Sampling(), (plain.space, moved.space)),
+        Work(plain.space_on(plain.grid.crop((1, 1), (3, 3))), layout, Sampling()),
+    ):
+        with pytest.raises(SuppleError, match="fields, affine maps and output grids are for the CPU"):
+            engine.check(work)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from supple.domain import refuse
-from supple.engines.base import SLACK, Certificate, EngineError, Planes, Space, Steps, Work
+from supple.engines.base import SLACK, Certificate, EngineError, Planes, Space, Steps, Work, check_plain
 from supple.engines.cuda import arrays
 from supple.engines.cuda.device import CudaDevice, failures, open_device
 from supple.engines.native import NATIVE
@@ -43,7 +43,9 @@ class Cuda:
         return SLACK
 
     def check(self, work: Work) -> None:
-        """Raise SuppleError for types that kernels do not support."""
+        """Raise SuppleError for types that kernels do not support, and for maps other than strokes."""
+        for space in work.items or (work.space,):
+            check_plain(space)
         dtype = work.layout.dtype
         if dtype.kind == "f" and dtype.itemsize not in (2, 4, 8):
             refuse("source", "an array of bool, integers or floats of 16, 32 or 64 bits", f"dtype {dtype}")

@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from supple.errors import SuppleError
+from supple.geometry import Grid
 from supple.media.files import PathLike, check_output, check_suffix, head_of, unreadable, unwritable
 from supple.media.volume import pages as stack
 from supple.media.volume import raw
@@ -28,6 +29,7 @@ __all__ = [
     "RawLayout",
     "Volume",
     "check_target",
+    "grid_of",
     "has_pages",
     "info",
     "is_volume",
@@ -121,6 +123,24 @@ def read(path: PathLike, *, raw: RawLayout | None = None, series: str | None = N
     from supple.media.volume import itk
 
     return itk.read(path, form)
+
+
+def grid_of(path: PathLike, *, raw: RawLayout | None = None, series: str | None = None) -> Grid:
+    """Return the grid of a volume; of NIfTI, NRRD and MetaImage, from the header alone.
+
+    Parameters and errors are those of `read`.
+    """
+    if raw is None:
+        form = _format(path)
+        if form == "NIfTI":
+            from supple.media.volume import nifti
+
+            return nifti.read_grid(path)
+        if form in ("NRRD", "MetaImage"):
+            from supple.media.volume import itk
+
+            return itk.read_grid(path, form)
+    return read(path, raw=raw, series=series).grid
 
 
 def _raw(path: PathLike, layout: RawLayout | None) -> Volume:

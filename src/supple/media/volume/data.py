@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import zlib
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from supple.domain import LONGEST_AXIS, integer, items, length, refuse
 from supple.errors import SuppleError, shown
-from supple.geometry import Geometry
+from supple.geometry import Geometry, Grid
 from supple.media.files import PathLike, unreadable
 
 Array = npt.NDArray[Any]
@@ -44,6 +44,8 @@ class Volume:
         Slope and intercept: the values are ``slope * samples + intercept``.
     interval : float
         Seconds between the volumes of a series.
+    regridded : bool
+        Whether the samples and the geometry are not those of the header.
     """
 
     samples: Array
@@ -54,12 +56,24 @@ class Volume:
     header: Any = None
     scaling: tuple[float, float] = (1.0, 0.0)
     interval: float = 1.0
+    regridded: bool = False
 
     @property
     def sizes(self) -> tuple[int, int, int]:
         """The number of voxels along x, y and z."""
         depth, height, width = self.samples.shape[1:4] if self.series else self.samples.shape[:3]
         return width, height, depth
+
+    @property
+    def grid(self) -> Grid:
+        """The grid of the voxels, of one volume of a series."""
+        return self.geometry.grid(self.sizes[::-1])
+
+    def moved(self, samples: Array, grid: Grid, convention: str) -> Volume:
+        """Return a volume with the same header, and other samples on another grid, in a convention of `Geometry`."""
+        (x, y, z), (a, b, c) = grid.spacing, grid.origin
+        geometry = Geometry((x, y, z), (a, b, c), np.array(grid.direction), convention)
+        return replace(self, samples=samples, geometry=geometry, regridded=True)
 
     @property
     def components(self) -> int:

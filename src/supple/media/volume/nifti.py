@@ -14,7 +14,7 @@ from typing import IO, Any, Literal, cast
 import numpy as np
 
 from supple.errors import VolumeWarning, need, shown
-from supple.geometry import Geometry
+from supple.geometry import Geometry, Grid
 from supple.media.files import PathLike, head_of, replacing, unreadable
 from supple.media.volume.data import (
     DTYPES,
@@ -93,6 +93,15 @@ def outline(path: PathLike) -> tuple[Any, tuple[int, ...], int, bool]:
     """Return the header of a file, its sizes, its number of components, and whether there is time, without voxels."""
     header, _ = _header(_pair(path)[0])
     return header, *_axes(path, header)
+
+
+def read_grid(path: PathLike) -> Grid:
+    """Return the grid of a NIfTI file, from its header alone; errors as in `read`."""
+    first, _ = _pair(path)
+    header, _ = _header(first)
+    x, y, z = _axes(path, header)[0][:3]
+    unit = _MILLIMETRES.get(int(header["xyzt_units"]) & 7, 1.0)
+    return _geometry(path, first, header, (x, y, z), unit).grid((z, y, x))
 
 
 def _pair(path: PathLike) -> tuple[Path, Path]:
@@ -279,6 +288,8 @@ def write(path: PathLike, samples: Array, like: Volume, *, force: bool = False) 
     A volume from NIfTI keeps its header and its byte order; others get their geometry as sform and qform.
     """
     header = _copied(like.header, samples) if like.format == "NIfTI" and like.header is not None else None
+    if header is not None and like.regridded:
+        header = _placed(header, like)
     if header is None:
         header = _made(samples, like)
     colours = int(header["datatype"]) in _COLOURS
@@ -312,6 +323,27 @@ def _copied(known: Any, samples: Array) -> Any:
         header.set_data_dtype(samples.dtype)
     header["magic"] = header.single_magic
     header["vox_offset"] = header.single_vox_offset + header.extensions.get_sizeondisk()
+    return header
+
+
+def _placed(header: Any, like: Volume) -> Any:
+    """Return a header with the sizes and the place of other voxels; None if it cannot hold such sizes."""
+    sizes, unit = like.sizes, _MILLIMETRES.get(int(header["xyzt_units"]) & 7, 1.0)
+    if max(sizes) > np.iinfo(header["dim"].dtype).max:
+        return None
+    if int(header["dim"][3]) != sizes[2] or int(header["dim"][0]) < 3:  # it told how these slices were scanned
+        header["slice_start"] = header["slice_end"] = header["slice_code"] = header["slice_duration"] = 0
+    header["dim"][0] = max(int(header["dim"][0]), 3)
+    header["dim"][1:4] = sizes
+    header["pixdim"][1:4] = np.array(like.geometry.spacing) / unit
+    codes = [int(header[name]) for name in ("qform_code", "sform_code")]
+    if like.geometry.convention == "array":
+        return header
+    affine = np.diag([-1.0, -1.0, 1.0, 1.0]) @ like.geometry.matrix
+    affine[:3] /= unit
+    for set_form, code in zip((header.set_qform, header.set_sform), codes if any(codes) else (1, 1), strict=True):
+        if code:
+            set_form(affine, code)
     return header
 
 

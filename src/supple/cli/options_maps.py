@@ -1,0 +1,272 @@
+"""Options of fields, affine maps and output grids, in the order in which they are given."""
+
+from __future__ import annotations
+
+import re
+import threading
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated, Any
+
+from cyclopts import Group, Parameter
+
+from supple.errors import SuppleError, shown
+
+if TYPE_CHECKING:
+    from supple.fields import Affine, Placed
+    from supple.files.grids import GridOptions
+    from supple.geometry import Grid
+
+MAPS = Group("Fields and affine maps", sort_key=1.3)
+OUTPUT = Group("Output grid", sort_key=1.6)
+
+_ORDERED = ("--grab", "--field", "--affine", "--convention", "--recipe")
+_NUMBERS = re.compile(r"[-+\d.eE,\s]*\d[-+\d.eE,\s]*")
+
+
+@Parameter(name="*")
+@dataclass(frozen=True, kw_only=True)
+class MapOptions:
+    """Options of maps that are no strokes, and of the grid of the output.
+
+    Parameters
+    ----------
+    field
+        Apply a displacement field, or all maps of a file, after the --grab, --field and --affine before it. As
+        resampling programs take it: from a point of the output to the point of the input that is seen there.
+    affine
+        Apply an affine map, in the same order and direction: a file, or the rows of its matrix: 6 numbers in pixels
+        for pictures, 12 in millimetres (LPS) for volumes.
+    inverse
+        Apply the inverse of the --field or --affine before it.
+    convention
+        The convention of the file of the --field or --affine before it: itk, fsl-relative, … (default: the one that
+        the file shows).
+    reference
+        Write the result on the grid of another image: of a volume, its place in space; of a picture, its size.
+    crop
+        Write only a part of the grid: its first sample, and its size. It equals that part of the whole, bit for bit.
+    resample
+        Write the result with another spacing: in millimetres, for pictures in pixels of the input. It comes after
+        --reference, and before --crop.
+    """
+
+    field: Annotated[list[str], Parameter(group=MAPS, metavar="FILE", show_default=False)] = ()  # type: ignore[assignment]
+    affine: Annotated[
+        list[str], Parameter(group=MAPS, metavar="FILE|NUMBERS", show_default=False, allow_leading_hyphen=True)
+    ] = ()  # type: ignore[assignment]
+    inverse: Annotated[int, Parameter(group=MAPS, count=True, show_default=False)] = 0
+    convention: Annotated[list[str], Parameter(group=MAPS, metavar="NAME", show_default=False)] = ()  # type: ignore[assignment]
+    reference: Annotated[str | None, Parameter(group=OUTPUT, metavar="FILE")] = None
+    crop: Annotated[str | None, Parameter(group=OUTPUT, metavar="X,Y,W,H|X,Y,Z,W,H,D", allow_leading_hyphen=True)] = (
+        None
+    )
+    resample: Annotated[str | None, Parameter(group=OUTPUT, metavar="S|SX,SY[,SZ]", allow_leading_hyphen=True)] = None
+
+    @property
+    def any(self) -> bool:
+        """Return whether there is a map, or another grid."""
+        return bool(self.field or self.affine) or self.to_grid() is not None
+
+    def to_grid(self) -> GridOptions | None:
+        """Return the grid of the output as the library takes it."""
+        from supple.cli.options import parse_integer, parse_number
+        from supple.files.grids import GridOptions
+
+        if self.reference is None and self.crop is None and self.resample is None:
+            return None
+        box = steps = None
+        if self.crop is not None:
+            wanted = "X,Y,W,H for a picture, or X,Y,Z,W,H,D for a volume"
+            box = [parse_integer("--crop", part, wanted) for part in self.crop.split(",")]
+        if self.resample is not None:
+            wanted = "a spacing S, or one for each axis, SX,SY or SX,SY,SZ"
+            steps = [parse_number("--resample", part, wanted) for part in self.resample.split(",")]
+        return GridOptions(self.reference, box, steps if steps is None or len(steps) > 1 else steps[0])
+
+    def to_maps(self, arguments: Sequence[str], recipe: int, grabs: int) -> Maps:
+        """Return the maps among the strokes.
+
+        Parameters
+        ----------
+        arguments : sequence of str
+            The command line.
+        recipe, grabs : int
+            The numbers of strokes of the recipe, which come first, and of the grabs.
+        """
+        found = _ordered(arguments)
+        counts = {"--field": list(self.field), "--affine": list(self.affine), "--convention": list(self.convention)}
+        for name, values in counts.items():
+            if [value for option, value in found if option == name] != values:
+                raise SuppleError(f"the place of {name} among the options is in doubt: write {name} VALUE by itself")
+        entries: list[_Entry] = []
+        before, seen = 0, False
+        for option, value in found:
+            if option == "--recipe" or (option == "--grab" and not seen):
+                before, seen = before + recipe * (not seen), True
+            if option == "--grab":
+                before += 1
+            elif option in ("--field", "--affine"):
+                entries.append(_Entry(option, value, before))
+            elif option in ("--inverse", "--convention") and not entries:
+                raise SuppleError(f"{option} is for the --field or --affine before it, and there is none: give one")
+            elif option == "--inverse":
+                if entries[-1].inverse:
+                    raise SuppleError(f"{entries[-1].told} has two --inverse: leave out one, or both")
+                entries[-1].inverse = True
+            elif option == "--convention":
+                if entries[-1].convention is not None:
+                    raise SuppleError(f"{entries[-1].told} has two --convention: leave out one")
+                entries[-1].convention = value
+        if grabs and before not in (0, recipe + grabs):
+            raise SuppleError("the place of --grab among the options is in doubt: write --grab VALUE by itself")
+        for entry in entries:
+            if entry.convention is not None and entry.is_numbers:
+                raise SuppleError(f"--convention is for files, and {entry.told} is none: leave it out")
+        return Maps(entries)
+
+
+def _ordered(arguments: Sequence[str]) -> list[tuple[str, str]]:
+    """Return the options whose order matters, with their values."""
+    found, rest = [], iter(arguments)
+    for argument in rest:
+        if argument == "--":
+            break
+        name, given, value = argument.partition("=")
+        if name in _ORDERED:
+            found.append((name, value if given else next(rest, "")))
+        elif name == "--inverse":
+            found.append((name, ""))
+    return found
+
+
+@dataclass(slots=True)
+class _Entry:
+    """A --field or an --affine, and what is said of it."""
+
+    option: str
+    text: str
+    after: int
+    inverse: bool = False
+    convention: str | None = None
+
+    @property
+    def is_numbers(self) -> bool:
+        return self.option == "--affine" and _NUMBERS.fullmatch(self.text) is not None
+
+    @property
+    def told(self) -> str:
+        return f"{self.option} {self.text}" if self.is_numbers else f"{self.option} {shown(self.text)}"
+
+    def read(self, source: Grid | None) -> list[Placed]:
+        """Return the maps in the order of the elements of a deformation: the last is the first of the output's."""
+        from supple import fields
+
+        if self.is_numbers:
+            return [fields.Placed(self._affine(), self.inverse, self.after, name=self.told)]
+        found = fields.read_maps(self.text, self.convention, source=source)
+        if self.option == "--affine" and any(isinstance(each, fields.Field) for each in found):
+            raise SuppleError(f"{shown(self.text)} holds a field, and --affine is for affine maps: give it by --field")
+        placed = [fields.Placed(each, self.inverse, self.after, name=shown(self.text)) for each in found]
+        return placed if self.inverse else placed[::-1]
+
+    def _affine(self) -> Affine:
+        from supple.fields import Affine
+
+        wanted = "6 numbers (pictures) or 12 (volumes), the rows of its matrix, or a file"
+        try:
+            numbers = [float(part) for part in self.text.split(",")]
+        except ValueError:
+            numbers = []
+        if len(numbers) not in (6, 12):
+            raise SuppleError(f"--affine must be {wanted}, found {self.text!r}")
+        width = 3 if len(numbers) == 6 else 4
+        try:
+            return Affine([numbers[k : k + width] for k in range(0, len(numbers), width)])
+        except SuppleError as error:
+            raise SuppleError(f"{self.told}: {error}") from None
+
+
+class Maps:
+    """The maps among the strokes of a command, read when the grid of an input is known.
+
+    Of several inputs on one grid, files are read once.
+    """
+
+    def __init__(self, entries: Sequence[_Entry]) -> None:
+        self._entries = list(entries)
+        self._lock = threading.Lock()
+        self._known: tuple[Grid | None, list[list[Placed]]] | None = None
+
+    def __bool__(self) -> bool:
+        return bool(self._entries)
+
+    @property
+    def ndim(self) -> int | None:
+        """The number of axes, as far as the command line alone tells it."""
+        counts = [3 if entry.text.count(",") == 11 else 2 for entry in self._entries if entry.is_numbers]
+        return counts[0] if counts else None
+
+    def read(self, source: Grid | None) -> tuple[Placed, ...]:
+        """Return the maps for an input on this grid, in the order in which they apply."""
+        return tuple(placed for some in self._read(source) for placed in some)
+
+    def _read(self, source: Grid | None) -> list[list[Placed]]:
+        with self._lock:
+            if self._known is None or self._known[0] != source:
+                self._known = source, [entry.read(source) for entry in self._entries]
+            return self._known[1]
+
+    def facts(self, source: Grid | None) -> list[dict[str, Any]]:
+        """Return what is told of each map, as JSON holds it."""
+        return [
+            _facts(entry, placed)
+            for entry, some in zip(self._entries, self._read(source), strict=True)
+            for placed in some
+        ]
+
+
+def _facts(entry: _Entry, placed: Placed) -> dict[str, Any]:
+    from supple.fields import Field
+
+    held = placed.map
+    facts: dict[str, Any] = {
+        "file": None if entry.is_numbers else entry.text,
+        "kind": "field" if isinstance(held, Field) else "affine",
+        "convention": entry.convention,
+        "direction": "inverse" if entry.inverse else "pull",
+        "after": entry.after,
+        "units": "mm" if held.ndim == 3 else "pixels",
+    }
+    if isinstance(held, Field):
+        return {**facts, "grid": grid_facts(held.grid), "interpolation": held.interpolation, "beyond": held.beyond}
+    return {**facts, "matrix": held.matrix.tolist()}
+
+
+def grid_facts(grid: Grid) -> dict[str, Any]:
+    """Return a grid as JSON holds it."""
+    return {
+        "size": list(grid.sizes),
+        "spacing": list(grid.spacing),
+        "origin": list(grid.origin),
+        "direction": [list(row) for row in grid.direction],
+    }
+
+
+def describe_map(facts: dict[str, Any]) -> str:
+    """Return what is told of a map, in a line."""
+    unit = "mm in LPS" if facts["units"] == "mm" else "pixels"
+    what = (
+        "an affine map" if facts["kind"] == "affine" else f"a field on {describe_grid(facts['grid'], facts['units'])}"
+    )
+    name = "--affine" if facts["file"] is None else shown(facts["file"])
+    convention = "" if facts["convention"] is None else f", convention {facts['convention']}"
+    direction = "inverted" if facts["direction"] == "inverse" else "from the output to the input"
+    place = f", after stroke {facts['after']}" if facts["after"] else ""
+    return f"{name}: {what}, in {unit}{convention}, {direction}{place}"
+
+
+def describe_grid(facts: dict[str, Any], units: str) -> str:
+    """Return what is told of a grid, in words."""
+    sizes, steps, origin = (" x ".join(f"{x:g}" for x in facts[name]) for name in ("size", "spacing", "origin"))
+    return f"{sizes} samples, spacing {steps} {units}, from ({origin.replace(' x ', ', ')})"

@@ -1,0 +1,167 @@
+"""Grids of files: those that results are written on, and those that fields and affine maps refer to."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from supple.domain import checked_spacing, integer, items, refuse
+from supple.errors import SuppleError, shown
+from supple.fields import Affine, Field, Placed, check_overlap, extent, overlap
+from supple.geometry import Grid
+from supple.media import volume as volumes
+from supple.media.codecs import SUFFIXES as CLIPS
+from supple.media.image import info
+
+PathLike = str | os.PathLike[str]
+
+
+@dataclass(frozen=True, slots=True)
+class GridOptions:
+    """The grid that a picture or a volume is written on; by default, its own.
+
+    Parameters
+    ----------
+    reference : str or os.PathLike, optional
+        Another image, whose grid it is: of a volume, its place in space; of a picture, its size.
+    crop : sequence of int, optional
+        A part of the grid: the indices of its first sample, and its sizes, x first: ``(X, Y, W, H)``, or
+        ``(X, Y, Z, W, H, D)`` for volumes. The result equals that part of the whole, bit for bit.
+    resample : float or sequence of float, optional
+        Another spacing over the same extent: in millimetres for volumes, in pixels of the input for pictures; one for
+        all axes, or one for each, x first. It comes after ``reference``, and before ``crop``.
+
+    Raises
+    ------
+    SuppleError
+        If an argument is invalid.
+    """
+
+    reference: PathLike | None = None
+    crop: Sequence[int] | None = None
+    resample: float | Sequence[float] | None = None
+
+    def __post_init__(self) -> None:
+        if self.crop is not None:
+            wanted = "X,Y,W,H for a picture, or X,Y,Z,W,H,D for a volume: first indices, then sizes"
+            given = items("crop", self.crop, wanted, (4, 6))
+            n = len(given) // 2
+            box = [
+                integer("crop", x, f"{wanted}, indices from 0 and sizes from 1", k >= n, 2**31)
+                for k, x in enumerate(given)
+            ]
+            object.__setattr__(self, "crop", tuple(box))
+        if self.resample is not None:
+            steps = self.resample if isinstance(self.resample, Sequence) else (self.resample,)
+            try:
+                made = checked_spacing(steps, len(steps))
+            except SuppleError:
+                made = ()
+            if not 1 <= len(made) <= 3:
+                refuse("resample", "a spacing above 0, or one for each axis, x first", self.resample)
+            object.__setattr__(self, "resample", made if len(made) > 1 else made[0])
+
+    @property
+    def ndim(self) -> int | None:
+        """The number of axes that the options tell; None if they tell none."""
+        if self.crop is not None:
+            return len(self.crop) // 2
+        return len(self.resample) if isinstance(self.resample, tuple) else None
+
+    def of(self, grid: Grid) -> Grid:
+        """Return the grid of the output.
+
+        Parameters
+        ----------
+        grid : Grid
+            The grid of the input.
+
+        Raises
+        ------
+        SuppleError
+            If the reference cannot be read, or is of another kind; or if the crop is not within the grid.
+        """
+        n = grid.ndim
+        kind = "picture" if n == 2 else "volume"
+        made = grid if self.reference is None else reference_grid(self.reference, n)
+        if self.resample is not None:
+            steps = self.resample
+            if isinstance(steps, Sequence) and len(steps) != n:
+                refuse("resample", f"one number or {n} of them, as the input is a {kind}", steps)
+            try:
+                made = made.resampled(steps)
+            except SuppleError as error:
+                raise SuppleError(f"resample to {listed(steps)} makes no {kind}: {error}") from None
+        if self.crop is not None:
+            if len(self.crop) != 2 * n:
+                refuse("crop", f"{2 * n} numbers, as the input is a {kind}", listed(self.crop))
+            first, sizes = self.crop[:n], self.crop[n:]
+            if any(a + b > size for a, b, size in zip(first, sizes, made.sizes, strict=True)):
+                refuse("crop", f"within the grid of {' x '.join(map(str, made.sizes))} samples", listed(self.crop))
+            made = made.crop(first, sizes)
+        return made
+
+
+def reference_grid(path: PathLike, ndim: int) -> Grid:
+    """Return the grid of a picture or of a volume, from its header if possible.
+
+    Raises
+    ------
+    SuppleError
+        If it cannot be read, or has another number of axes.
+    """
+    is_volume = volumes.is_volume(path) or (ndim == 3 and volumes.has_pages(path))
+    if is_volume != (ndim == 3) or volumes.suffix_of(path) in CLIPS:
+        found = "volume" if is_volume else "clip" if volumes.suffix_of(path) in CLIPS else "picture"
+        wanted = "volume" if ndim == 3 else "picture"
+        if os.path.exists(path):
+            raise SuppleError(f"{shown(path)} is a {found}, and the grid of a {wanted} is needed: name a {wanted}")
+    return volumes.grid_of(path) if ndim == 3 else picture_grid(path)
+
+
+def picture_grid(path: PathLike) -> Grid:
+    """Return the grid of a picture, in pixels."""
+    facts = info(path)
+    return Grid((int(str(facts["height"])), int(str(facts["width"]))))
+
+
+def grid_on(options: GridOptions | None, grid: Grid, name: str, maps: Sequence[Placed]) -> Grid | None:
+    """Return the grid of the output of a file; None if it is that of the input.
+
+    Raises
+    ------
+    SuppleError
+        As in `GridOptions.of`; or if a reference and the input do not overlap, and no map brings them together.
+    """
+    if options is None:
+        return None
+    made = options.of(grid)
+    if options.reference is not None and not maps and not overlap(made, grid):
+        raise SuppleError(
+            f"{shown(options.reference)} and {name} do not overlap: {extent(made)}, and {extent(grid)}: "
+            "check their positions in space"
+        )
+    return None if made == grid else made
+
+
+def listed(numbers: object) -> str:
+    """Return numbers as the command line takes them."""
+    return ",".join(f"{x:g}" for x in numbers) if isinstance(numbers, Sequence) else f"{numbers:g}"
+
+
+def check_maps(maps: Sequence[Placed], grid: Grid, name: str) -> None:
+    """Raise SuppleError for maps that are not for a file: of another number of axes, or somewhere else in space."""
+    moved = False
+    for each in maps:
+        n = each.map.ndim
+        is_field = isinstance(each.map, Field)
+        what = each.name or ("the field" if is_field else "the affine map")
+        if n != grid.ndim:
+            kinds = ("picture", "volume")[:: 1 if n == 2 else -1]
+            raise SuppleError(
+                f"{what} is for {kinds[0]}s, with {n} axes, and {name} is a {kinds[1]}: give one of {grid.ndim} axes"
+            )
+        if isinstance(each.map, Field) and not moved:
+            check_overlap(each.map, grid, what, name)
+        moved |= isinstance(each.map, Affine)

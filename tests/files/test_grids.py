@@ -1,0 +1,457 @@
+"""Fields, affine maps and other grids, from file to file."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import nibabel
+import numpy as np
+import numpy.typing as npt
+import pytest
+import pyvips
+import SimpleITK
+from scipy import ndimage
+
+from supple import Affine, Deformation, Field, Grid, GridOptions, Placed, Recipe, Stroke, SuppleError
+from supple.files import check_job, warp_file
+from supple.files.volumes import VolumeOptions
+from supple.geometry import Geometry
+from supple.media import image
+from supple.media import volume as media
+
+SHAPE = (14, 18, 16)
+DIRECTION = np.array([[0.0, -0.8, 0.6], [1.0, 0.0, 0.0], [0.0, 0.6, 0.8]]) @ np.diag([1.0, -1.0, 1.0])
+OBLIQUE = Geometry((0.9, 1.1, 2.0), (10.0, -20.0, 30.0), DIRECTION, "LPS")
+EMPTY = Recipe()
+FLAT = Recipe(border=6, strokes=(Stroke.grab((30, 20), to=(34, 22), radius=12),))
+SOLID = Recipe(border=5.0, strokes=(Stroke.grab((7, 9, 6), by=(2, -1, 1), radius=6),))
+
+
+@pytest.fixture
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def voxels(dtype: Any = np.float32, shape: tuple[int, ...] = SHAPE, seed: int = 0) -> npt.NDArray[Any]:
+    rng = np.random.default_rng(seed)
+    values = ndimage.gaussian_filter(rng.normal(size=shape), [1.0] * 3 + [0.0] * (len(shape) - 3))
+    return ((values - values.min()) / np.ptp(values) * 200).astype(dtype)
+
+
+def stored(name: str, samples: npt.NDArray[Any], geometry: Geometry = OBLIQUE, **facts: Any) -> npt.NDArray[Any]:
+    media.write(name, samples, media.Volume(samples, geometry, **facts))
+    return samples
+
+
+def field(grid: Grid, size: float = 1.5, seed: int = 1) -> Field:
+    rng = np.random.default_rng(seed)
+    values = ndimage.gaussian_filter(rng.normal(size=(*grid.shape, grid.ndim)), [3.0] * grid.ndim + [0])
+    return Field((values * size / np.abs(values).max()).astype(np.float32), grid)
+
+
+def around(grid: Grid, n: int = 9) -> Grid:
+    """A coarse grid around another one."""
+    extent = np.multiply(grid.sizes, grid.spacing)
+    steps = extent * 1.2 / (n - 1)
+    centre = grid.positions((np.array(grid.sizes) - 1) / 2)
+    origin = centre - np.array(grid.direction) @ (steps * (n - 1) / 2)
+    return Grid((n,) * grid.ndim, steps.tolist(), origin.tolist(), grid.direction)
+
+
+def pictured(name: str, *shape: int, dtype: type = np.uint8) -> npt.NDArray[Any]:
+    rng = np.random.default_rng(5)
+    top = np.iinfo(dtype).max + 1 if np.dtype(dtype).kind in "iu" else 200
+    pixels = rng.integers(0, top, shape).astype(dtype)
+    image.write(name, pixels)
+    return pixels
+
+
+class TestMapsOnFiles:
+    @pytest.mark.parametrize("suffix", [".nii.gz", ".nrrd", ".mha"])
+    def test_a_field_as_itk_applies_it(self, here: Path, suffix: str) -> None:
+        samples = stored(f"in{suffix}", voxels())
+        given = field(around(OBLIQUE.grid(SHAPE)))
+        done = warp_file(
+            f"in{suffix}", f"out{suffix}", EMPTY, filter="linear", tolerance=1e-4, maps=[Placed(given)], clamp=False
+        )
+        held = SimpleITK.GetImageFromArray(given.values.astype(np.float64), isVector=True)
+        held.SetSpacing(given.grid.spacing)
+        held.SetOrigin(given.grid.origin)
+        held.SetDirection(np.ravel(given.grid.direction).tolist())
+        read = SimpleITK.ReadImage(f"in{suffix}")
+        wanted = SimpleITK.GetArrayFromImage(
+            SimpleITK.Resample(read, read, SimpleITK.DisplacementFieldTransform(held), SimpleITK.sitkLinear, -1e4)
+        )
+        made = media.read(f"out{suffix}").samples
+        inside = wanted > -1e4
+        assert inside.mean() > 0.7
+        slope = max(np.abs(np.diff(samples, axis=k)).max() for k in range(3))
+        np.testing.assert_allclose(made[inside], wanted[inside], atol=2e-3 * slope, rtol=0)
+        assert (done.grid, done.folded, done.unsolved) == (None, 0, 0)
+        assert done.report().within
+
+    def test_an_affine_map_in_millimetres(self, here: Path) -> None:
+        stored("in.nii", voxels())
+        matrix = np.eye(4)
+        matrix[:3, :3] = [[0.98, 0.1, 0.0], [-0.1, 0.97, 0.05], [0.0, 0.0, 1.02]]
+        matrix[:3, 3] = 1.0, -2.0, 0.5
+        warp_file("in.nii", "out.nii", EMPTY, filter="linear", maps=[Placed(Affine(matrix))], clamp=False)
+        read = SimpleITK.ReadImage("in.nii")
+        transform = SimpleITK.AffineTransform(3)
+        transform.SetMatrix(matrix[:3, :3].ravel().tolist())
+        transform.SetTranslation(matrix[:3, 3].tolist())
+        wanted = SimpleITK.GetArrayFromImage(SimpleITK.Resample(read, read, transform, SimpleITK.sitkLinear, -1e4))
+        inside = wanted > -1e4
+        made = SimpleITK.GetArrayFromImage(SimpleITK.ReadImage("out.nii"))
+        np.testing.assert_allclose(made[inside], wanted[inside], atol=0.02, rtol=0)
+
+    def test_maps_among_strokes(self, here: Path) -> None:
+        samples = stored("in.nii", voxels())
+        two = replace(SOLID, strokes=(*SOLID.strokes, Stroke.grab((5, 5, 5), by=(0, 2, 0), radius=6)))
+        given = field(around(OBLIQUE.grid(SHAPE)))
+        turn = Affine([[1, 0, 0, 2], [0, 1, 0, 0], [0, 0, 1, -1]])
+        maps = [Placed(turn), Placed(given, True, after=1), Placed(turn, True, after=2)]
+        done = warp_file("in.nii", "out.nii", two, maps=maps, clamp=False)
+        grid = media.grid_of("in.nii")
+        d = Deformation(grid, border=5.0).affine(turn).add(two.strokes[0]).field(given, inverse=True)
+        d = d.add(two.strokes[1]).affine(turn, inverse=True)
+        assert done.deformation.space.composite is not None
+        np.testing.assert_array_equal(media.read("out.nii").samples, d.warp(samples, between="cubic", time_filter=True))
+        assert done.report() == d.report()
+
+    def test_a_series_and_vectors(self, here: Path) -> None:
+        given = [Placed(field(around(OBLIQUE.grid(SHAPE))))]
+        times = np.stack([voxels(seed=k) for k in range(3)])
+        stored("t.nii.gz", times, series=True, interval=2.5)
+        vectors = np.moveaxis(times, 0, -1)
+        stored("v.nrrd", np.ascontiguousarray(vectors))
+        crop = GridOptions(crop=(2, 3, 4, 10, 11, 7))
+        for name, out in (("t.nii.gz", "t2.nii.gz"), ("v.nrrd", "v2.nrrd")):
+            warp_file(name, out, EMPTY, maps=given, grid=crop, filter="linear", clamp=False)
+        stored("one.nii", times[1])
+        warp_file("one.nii", "one2.nii", EMPTY, maps=given, grid=crop, filter="linear", clamp=False)
+        one = media.read("one2.nii").samples
+        moved = media.read("t2.nii.gz")
+        assert (moved.samples.shape, moved.series, moved.interval) == ((3, 7, 11, 10), True, 2.5)
+        np.testing.assert_array_equal(moved.samples[1], one)
+        np.testing.assert_allclose(media.read("v2.nrrd").samples[..., 1], one, atol=1e-2)
+
+    def test_a_picture(self, here: Path) -> None:
+        pixels = pictured("in.png", 40, 50, 3)
+        given = field(around(Grid((40, 50))))
+        done = warp_file("in.png", "out.png", FLAT, maps=[Placed(given), Placed(given, True, after=1)])
+        d = Deformation((40, 50), border=6).field(given).add(FLAT.strokes[0]).field(given, inverse=True)
+        np.testing.assert_array_equal(image.read("out.png").pixels, d.warp(pixels))
+        assert done.report() == d.report()
+
+    def test_nothing_is_copied_where_a_map_is_given(self, here: Path) -> None:
+        pictured("in.png", 40, 50, 3)
+        stored("in.nii", voxels())
+        shift = Affine([[1, 0, 1], [0, 1, 0]])
+        warp_file("in.png", "out.png", EMPTY, maps=[Placed(shift)], filter="nearest")
+        np.testing.assert_array_equal(image.read("out.png").pixels[:, :-1], image.read("in.png").pixels[:, 1:])
+        warp_file("in.png", "same.png", EMPTY, grid=GridOptions())
+        assert Path("same.png").read_bytes() == Path("in.png").read_bytes()
+        warp_file("in.nii", "same.nii", EMPTY, grid=GridOptions(reference="in.nii"))
+        assert Path("same.nii").read_bytes() == Path("in.nii").read_bytes()
+        warp_file("in.nii", "part.nii", EMPTY, grid=GridOptions(crop=(0, 0, 0, 16, 18, 13)))
+        np.testing.assert_array_equal(media.read("part.nii").samples, media.read("in.nii").samples[:13])
+
+    def test_all_pages_alike(self, here: Path) -> None:
+        rng = np.random.default_rng(5)
+        pages = rng.integers(0, 256, (3, 20, 30), dtype=np.uint8)
+        tall = pyvips.Image.new_from_array(pages.reshape(60, 30))
+        tall.tiffsave("in.tif", page_height=20)
+        given = field(around(Grid((20, 30))))
+        options = GridOptions(crop=(3, 4, 20, 10))
+        warp_file("in.tif", "out.tif", EMPTY, maps=[Placed(given)], grid=options)
+        made = image.read("out.tif", pages=True)
+        assert (made.pages, made.pixels.shape) == (3, (30, 20))
+        d = Deformation((20, 30)).field(given)
+        for page, wanted in zip(made.pixels.reshape(3, 10, 20), pages, strict=True):
+            np.testing.assert_array_equal(page, d.warp(wanted)[4:14, 3:23])
+        solid = Placed(field(around(Grid((3, 20, 30)))))
+        assert check_job("in.tif", "x.tif", EMPTY, maps=[solid]) == "volume"
+        assert check_job("in.tif", "x.tif", EMPTY, grid=GridOptions(crop=(0, 0, 0, 2, 2, 2))) == "volume"
+        assert check_job("in.tif", "x.tif", EMPTY, maps=[Placed(given)]) == "picture"
+
+    def test_warnings_of_folds(self, here: Path) -> None:
+        grid = media.grid_of(_named("in.nii"))
+        values = np.zeros((*grid.shape, 3), np.float32)
+        values[:, :, 8:] = -6.0 * np.array(grid.direction)[:, 0]
+        folding = Placed(Field(values, grid), True)
+        with pytest.warns(UserWarning, match="a field folds|no point of a field"):
+            done = warp_file("in.nii", "out.nii", EMPTY, maps=[folding], filter="linear")
+        assert done.folded + done.unsolved > 0
+        pictured("in.png", 40, 50)
+        flat = np.zeros((40, 50, 2), np.float32)
+        flat[:, 25:, 0] = -6.0
+        with pytest.warns(UserWarning, match="a field folds|no point of a field"):
+            picture = warp_file("in.png", "out.png", EMPTY, maps=[Placed(Field(flat, Grid((40, 50))), True)])
+        assert picture.folded + picture.unsolved > 0
+
+    def test_a_field_that_is_saved(self, here: Path) -> None:
+        """On another grid: the saved field does by ITK what the warp did."""
+        samples = stored("in.nii", voxels())
+        turn = Placed(Affine([[1, 0, 0, 2.5], [0, 1, 0.1, 0], [0, 0, 1, -1]]))
+        maps = [turn, Placed(field(around(OBLIQUE.grid(SHAPE))))]
+        grid = GridOptions(resample=1.3, crop=(1, 1, 1, 8, 8, 12))
+        options = VolumeOptions(save_field="field.mha")
+        warp_file(
+            "in.nii", "out.nii", EMPTY, maps=maps, grid=grid, volume=options, filter="linear", tolerance=1e-4,
+            clamp=False,
+        )  # fmt: skip
+        saved = SimpleITK.ReadImage("field.mha", SimpleITK.sitkVectorFloat64)
+        like = SimpleITK.ReadImage("out.nii")
+        np.testing.assert_allclose(saved.GetOrigin(), like.GetOrigin(), atol=1e-4)
+        transform = SimpleITK.DisplacementFieldTransform(saved)
+        wanted = SimpleITK.GetArrayFromImage(
+            SimpleITK.Resample(SimpleITK.ReadImage("in.nii"), like, transform, SimpleITK.sitkLinear, -1e4)
+        )
+        inside = wanted > -1e4
+        assert inside.mean() > 0.5
+        slope = max(np.abs(np.diff(samples, axis=k)).max() for k in range(3))
+        made = SimpleITK.GetArrayFromImage(like)
+        np.testing.assert_allclose(made[inside], wanted[inside], atol=2e-3 * slope, rtol=0)
+
+
+def _named(name: str) -> str:
+    stored(name, voxels())
+    return name
+
+
+class TestGrids:
+    @pytest.mark.parametrize("dtype", [np.uint8, np.int16, np.float32])
+    @pytest.mark.parametrize("maps", [False, True])
+    def test_a_part_is_that_part_of_the_whole(self, here: Path, dtype: type, maps: bool) -> None:
+        stored("in.nii.gz", voxels(dtype))
+        given = [Placed(field(around(OBLIQUE.grid(SHAPE))), after=1)] if maps else []
+        warp_file("in.nii.gz", "whole.nii.gz", SOLID, maps=given)
+        warp_file("in.nii.gz", "part.nii.gz", SOLID, maps=given, grid=GridOptions(crop=(3, 2, 5, 9, 12, 6)))
+        whole, part = (media.read(f"{name}.nii.gz") for name in ("whole", "part"))
+        np.testing.assert_array_equal(part.samples, whole.samples[5:11, 2:14, 3:12])
+        np.testing.assert_allclose(part.geometry.to_lps((0, 0, 0)), whole.geometry.to_lps((3, 2, 5)), atol=1e-4)
+        resampled = GridOptions(resample=(1.0, 0.7, 1.5))
+        box = (2, 5, 1, 10, 15, 9)
+        warp_file("in.nii.gz", "fine.nii.gz", SOLID, maps=given, grid=resampled)
+        warp_file("in.nii.gz", "piece.nii.gz", SOLID, maps=given, grid=replace(resampled, crop=box))
+        fine, piece = (media.read(f"{name}.nii.gz").samples for name in ("fine", "piece"))
+        np.testing.assert_array_equal(piece, fine[1:10, 5:20, 2:12])
+
+    @pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.float32])
+    def test_a_part_of_a_picture(self, here: Path, dtype: type) -> None:
+        pictured("in.tif", 40, 50, 3, dtype=dtype)
+        given = [Placed(field(around(Grid((40, 50)))), after=1)]
+        for maps in ((), given):
+            warp_file("in.tif", "whole.tif", FLAT, maps=maps, force=True)
+            warp_file("in.tif", "part.tif", FLAT, maps=maps, grid=GridOptions(crop=(11, 7, 30, 21)), force=True)
+            whole, part = (image.read(f"{name}.tif").pixels for name in ("whole", "part"))
+            np.testing.assert_array_equal(part, whole[7:28, 11:41])
+
+    @pytest.mark.parametrize("suffix", [".nii", ".nii.gz", ".nrrd", ".mha", ".mhd"])
+    @pytest.mark.parametrize("source", [".nii", ".nrrd", ".mha"])
+    def test_the_place_that_is_written(self, here: Path, source: str, suffix: str) -> None:
+        stored(f"in{source}", voxels())
+        for options in (
+            GridOptions(crop=(3, 2, 5, 9, 12, 6)),
+            GridOptions(resample=0.8),
+            GridOptions(resample=(0.8, 2.0, 1.5), crop=(1, 2, 3, 4, 5, 6)),
+        ):
+            done = warp_file(f"in{source}", f"out{suffix}", SOLID, grid=options, force=True, filter="linear")
+            grid = options.of(media.grid_of(f"in{source}"))
+            assert done.grid == grid
+            read = SimpleITK.ReadImage(f"out{suffix}")
+            assert read.GetSize() == grid.sizes
+            np.testing.assert_allclose(read.GetSpacing(), grid.spacing, rtol=1e-5)
+            np.testing.assert_allclose(read.GetOrigin(), grid.origin, atol=1e-4)
+            np.testing.assert_allclose(np.reshape(read.GetDirection(), (3, 3)), grid.direction, atol=1e-5)
+            assert media.grid_of(f"out{suffix}").is_same_space(grid)
+
+    def test_a_reference(self, here: Path) -> None:
+        """As SimpleITK resamples onto another image, of another type and another place."""
+        stored("in.nii.gz", voxels())
+        turned = Geometry((1.3, 0.8, 1.9), (12.0, -18.0, 28.0), np.eye(3)[[1, 0, 2]], "LPS")
+        stored("ref.nrrd", np.zeros((9, 12, 11, 3), np.uint8), turned)
+        warp_file(
+            "in.nii.gz", "out.nii.gz", EMPTY, filter="linear", grid=GridOptions(reference="ref.nrrd"), clamp=False,
+            outside="constant", fill=-5,
+        )  # fmt: skip
+        read, like = SimpleITK.ReadImage("in.nii.gz"), SimpleITK.ReadImage("ref.nrrd")
+        wanted = SimpleITK.Resample(read, like, SimpleITK.Transform(), SimpleITK.sitkLinear, -5.0)
+        made = SimpleITK.ReadImage("out.nii.gz")
+        np.testing.assert_allclose(made.GetOrigin(), like.GetOrigin(), atol=1e-4)
+        np.testing.assert_allclose(made.GetDirection(), like.GetDirection(), atol=1e-5)
+        seen, known = SimpleITK.GetArrayFromImage(made), SimpleITK.GetArrayFromImage(wanted)
+        inside = known != -5
+        assert 0.1 < inside.mean() < 1
+        close = np.isclose(seen, known, atol=0.02)
+        assert close[ndimage.binary_erosion(inside, iterations=1)].all()
+
+    def test_the_rest_of_a_header_is_kept(self, here: Path) -> None:
+        header = nibabel.Nifti1Header()
+        affine = np.diag([-0.0009, 0.0011, 0.002, 1.0])
+        affine[:3, 3] = 0.01, 0.02, -0.03
+        made = nibabel.Nifti1Image(voxels(np.int16), affine, header)
+        made.header.set_xyzt_units("meter", "sec")
+        made.set_qform(affine, 1)
+        made.set_sform(affine, 4)
+        made.header["descrip"] = b"a head"
+        made.header["slice_end"], made.header["slice_code"] = 13, 1
+        made.header.extensions.append(nibabel.nifti1.Nifti1Extension("comment", b"kept"))
+        nibabel.save(made, "in.nii")
+        warp_file("in.nii", "out.nii", EMPTY, grid=GridOptions(crop=(2, 3, 4, 5, 6, 7)))
+        seen = nibabel.load("out.nii")
+        np.testing.assert_allclose(seen.affine @ (0, 0, 0, 1), affine @ (2, 3, 4, 1), rtol=1e-5)
+        assert seen.shape == (5, 6, 7)
+        assert [int(seen.header[name]) for name in ("qform_code", "sform_code", "slice_end")] == [1, 4, 0]
+        np.testing.assert_allclose(seen.header.get_qform(), seen.header.get_sform(), atol=1e-7)
+        assert seen.header.get_xyzt_units() == ("meter", "sec")
+        assert bytes(seen.header["descrip"]).startswith(b"a head")
+        assert seen.header.extensions[0].get_content() == b"kept"
+        np.testing.assert_array_equal(np.asarray(seen.dataobj), np.asarray(made.dataobj)[2:7, 3:9, 4:11])
+
+    def test_a_volume_without_a_place(self, here: Path) -> None:
+        made = nibabel.Nifti1Image(voxels(np.int16).T, None)
+        made.header.set_zooms((1.0, 2.0, 3.0))
+        nibabel.save(made, "in.nii")
+        warp_file("in.nii", "out.nii", EMPTY, grid=GridOptions(resample=2.0))
+        seen = nibabel.load("out.nii").header
+        assert [int(seen[name]) for name in ("qform_code", "sform_code")] == [0, 0]
+        assert seen.get_zooms() == (2.0, 2.0, 2.0)
+        assert nibabel.load("out.nii").shape == (8, 18, 21)
+        stored("ref.nii", np.zeros((4, 5, 6), np.uint8), Geometry((1, 1, 1), (1.0, 2.0, 3.0), np.eye(3), "LPS"))
+        warp_file("in.nii", "there.nii", EMPTY, grid=GridOptions(reference="ref.nii"))
+        assert media.grid_of("there.nii").is_same_space(media.grid_of("ref.nii"))
+
+    def test_stacks_of_pages(self, here: Path) -> None:
+        stored("in.nrrd", voxels(np.uint16), Geometry((0.5, 0.5, 2.0), (0, 0, 0), np.eye(3), "LPS"))
+        warp_file("in.nrrd", "out.tif", SOLID, grid=GridOptions(resample=1.0))
+        seen = media.read("out.tif")
+        np.testing.assert_allclose(seen.geometry.spacing, (1.0, 1.0, 1.0), rtol=1e-6)
+        assert seen.sizes == (8, 9, 28)
+
+    def test_pictures_of_another_size(self, here: Path) -> None:
+        pixels = pictured("in.png", 40, 50, 3)
+        pictured("ref.png", 20, 70)
+        warp_file("in.png", "out.png", EMPTY, grid=GridOptions(reference="ref.png"), outside="constant", fill=9)
+        made = image.read("out.png").pixels
+        np.testing.assert_array_equal(made[:, :50], pixels[:20])
+        assert (made[:, 51:] == 9).all()
+        done = warp_file("in.png", "small.png", FLAT, grid=GridOptions(resample=2))
+        made = image.read("small.png").pixels
+        grid = Grid((40, 50)).resampled(2.0)
+        np.testing.assert_array_equal(made, Deformation.from_recipe(FLAT, (40, 50)).warp(pixels, grid=grid))
+        assert made.shape == (20, 25, 3)
+        assert done.report().within
+
+    def test_what_a_picture_carries(self, here: Path) -> None:
+        """The profile and the texts stay; the size that EXIF tells is the new one."""
+        held = pyvips.Image.new_from_array(np.full((40, 50, 3), 99, np.uint8)).copy(interpretation="srgb")
+        held = held.copy(xres=11.811, yres=11.811)
+        for name, value in (("exif-ifd0-Artist", "Ada"), ("exif-ifd2-PixelXDimension", "50")):
+            held.set_type(pyvips.GValue.gstr_type, name, value)
+        held.jpegsave("in.jpg", profile="srgb")
+        for name in ("out.jpg", "out.tif"):
+            warp_file("in.jpg", name, EMPTY, grid=GridOptions(crop=(3, 5, 30, 20)))
+            seen = image.read(name)
+            assert seen.icc is not None
+            assert seen.pixels.shape == (20, 30, 3)
+        told = pyvips.Image.new_from_file("out.jpg")
+        assert told.get("exif-ifd0-Artist").startswith("Ada")
+        assert told.get("exif-ifd2-PixelXDimension").startswith("30 ")
+        assert told.get("exif-ifd2-PixelYDimension").startswith("20 ")
+        assert round(told.xres, 2) == 11.81
+
+
+class TestRefusals:
+    def test_pictures(self, here: Path) -> None:
+        pictured("in.png", 40, 50, 3)
+        stored("ref.nii", voxels())
+        solid = Placed(field(around(OBLIQUE.grid(SHAPE))), name="warp.nii")
+        for options, maps, said in (
+            ({"crop": (40, 0, 11, 10)}, (), r"crop must be within the grid of 50 x 40 samples, found '40,0,11,10'"),
+            ({"crop": (0, 0, 0, 5, 5, 5)}, (), r"crop must be 4 numbers, as the input is a picture, found '0,0,0,5"),
+            ({"resample": (1, 2, 3)}, (), r"resample must be one number or 2 of them, as the input is a picture"),
+            ({"resample": 1e-9}, (), r"resample to 1e-09 makes no picture: "),
+            ({"reference": "ref.nii"}, (), r"ref\.nii is a volume, and the grid of a picture is needed"),
+            ({"reference": "gone.png"}, (), r"cannot read gone\.png"),
+            ({}, [solid], r"warp\.nii is for volumes, with 3 axes, and in\.png is a picture: give one of 2 axes"),
+            ({}, [3], r"maps must be a sequence of Placed, found \[3\]"),
+        ):
+            with pytest.raises(SuppleError, match=said):
+                warp_file("in.png", "out.png", FLAT, maps=maps, grid=GridOptions(**options))  # type: ignore[arg-type]
+            assert not Path("out.png").exists()
+
+    def test_volumes(self, here: Path) -> None:
+        stored("in.nii", voxels())
+        pictured("ref.png", 40, 50, 3)
+        Path("ref.mp4").write_bytes(b"x")
+        stored("far.nii", voxels(), Geometry((1, 1, 1), (500.0, 0.0, 0.0), np.eye(3), "LPS"))
+        flat = Placed(field(around(Grid((40, 50)))), name="flow.npy")
+        far = Placed(field(media.grid_of("far.nii")), name="far-warp.nii")
+        for options, maps, said in (
+            ({"crop": (0, 0, 0, 5, 5, 50)}, (), r"crop must be within the grid of 16 x 18 x 14 samples"),
+            ({"reference": "ref.png"}, (), r"ref\.png is a picture, and the grid of a volume is needed"),
+            ({"reference": "ref.mp4"}, (), r"ref\.mp4 is a clip, and the grid of a volume is needed"),
+            ({"reference": "far.nii"}, (), r"far\.nii and in\.nii do not overlap: from \(499.5, .*check their pos"),
+            ({}, [flat], r"flow\.npy is for pictures, with 2 axes, and in\.nii is a volume: give one of 3 axes"),
+            ({}, [far], r"far-warp\.nii and in\.nii do not overlap: from \(499.5, .*\): check their positions"),
+        ):
+            with pytest.raises(SuppleError, match=said):
+                warp_file("in.nii", "out.nii", SOLID, maps=maps, grid=GridOptions(**options))  # type: ignore[arg-type]
+            assert not Path("out.nii").exists()
+        with pytest.raises(SuppleError, match='device must be "cpu" or "auto" for fields'):
+            warp_file("in.nii", "out.nii", SOLID, grid=GridOptions(resample=1), device="gpu")
+
+    def test_an_affine_map_brings_a_far_field_together(self, here: Path) -> None:
+        """As of a registration: the field lies on the reference, which is elsewhere, and the affine map leads home."""
+        stored("in.nii", voxels(), Geometry((1, 1, 1), (0.0, 0.0, 0.0), np.eye(3), "LPS"))
+        stored("ref.nii", voxels(), Geometry((1, 1, 1), (500.0, 0.0, 0.0), np.eye(3), "LPS"))
+        home = Placed(Affine([[1, 0, 0, -500], [0, 1, 0, 0], [0, 0, 1, 0]]))
+        given = Placed(Field(np.zeros((*SHAPE, 3), np.float32), media.grid_of("ref.nii")))
+        warp_file("in.nii", "out.nii", EMPTY, maps=[home, given], grid=GridOptions(reference="ref.nii"))
+        np.testing.assert_allclose(media.read("out.nii").samples, media.read("in.nii").samples, atol=1e-3)
+        assert media.grid_of("out.nii").is_same_space(media.grid_of("ref.nii"))
+
+    def test_clips(self, here: Path) -> None:
+        Path("in.mp4").write_bytes(b"x")
+        shift = Placed(Affine([[1, 0, 1], [0, 1, 0]]))
+        for options in ({"maps": [shift]}, {"grid": GridOptions(resample=2)}):
+            with pytest.raises(SuppleError, match=r"fields and other grids are for pictures and volumes, and in\.mp4"):
+                warp_file("in.mp4", "out.mp4", FLAT, **options)  # type: ignore[arg-type]
+
+    @pytest.mark.parametrize(
+        ("options", "said"),
+        [
+            ({"crop": (1, 2, 3)}, "crop must be X,Y,W,H for a picture"),
+            ({"crop": (1, 2, 0, 3)}, "indices from 0 and sizes from 1, found 0"),
+            ({"crop": (-1, 2, 1, 3)}, "found -1"),
+            ({"crop": (1.5, 2, 1, 3)}, "found 1.5"),
+            ({"resample": 0}, "resample must be a spacing above 0"),
+            ({"resample": "2"}, "resample must be a spacing above 0"),
+            ({"resample": (1, -1)}, "resample must be a spacing above 0"),
+        ],
+    )
+    def test_options(self, options: dict[str, Any], said: str) -> None:
+        with pytest.raises(SuppleError, match=said):
+            GridOptions(**options)
+
+    def test_pictures_of_scenes_and_of_the_published_method(self) -> None:
+        from supple.plot import measure
+        from supple.render.scene import Scene
+
+        shift = Affine([[1, 0, 0, 1], [0, 1, 0, 0], [0, 0, 1, 0]])
+        with pytest.raises(SuppleError, match="a scene is bent by strokes alone"):
+            Scene(voxels(), deformation=Deformation(SHAPE).affine(shift))
+        flat = Deformation((40, 50)).affine([[1, 0, 1], [0, 1, 0]])
+        with pytest.raises(SuppleError, match="the published method inverts strokes alone"):
+            measure.iterations(flat)
+        errors = measure.residual(flat)
+        assert errors.distance.max() < 1e-6
+        np.testing.assert_allclose(measure.sources(flat)[1][3, 4], (5, 3))
+        np.testing.assert_allclose(measure.stretch(flat), 1.0)
+        np.testing.assert_allclose(measure.footprints(flat).major, 1.0)
+        assert measure.grid(flat)[0][0, 0] == pytest.approx(-1.5)
