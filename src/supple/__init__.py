@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from supple.arrays import warp_batch
+    from supple.checks import FieldReport
     from supple.deformation import Arrival, Deformation, Inverse, Report
     from supple.domain import Domain
     from supple.errors import (
@@ -31,6 +32,7 @@ __all__ = [
     "DeviceWarning",
     "Domain",
     "Field",
+    "FieldReport",
     "FoldError",
     "FoldWarning",
     "Grid",
@@ -59,6 +61,7 @@ _HOMES = {
     "DeviceWarning": "errors",
     "Domain": "domain",
     "Field": "fields",
+    "FieldReport": "checks",
     "FoldError": "errors",
     "FoldWarning": "errors",
     "Grid": "geometry",
