@@ -334,14 +334,14 @@ class Field:
             If the file cannot be read, is of another convention, or holds anything but one field.
         """
         found = read_maps(path, convention, source=source)
-        if len(found) != 1 or not isinstance(found[0], Field):
+        only = found[0] if len(found) == 1 else None
+        if not isinstance(only, Field):
             kinds = " and ".join("a field" if isinstance(each, Field) else "an affine map" for each in found)
             raise SuppleError(
                 f"{shown(path)} holds {kinds}, and not one field: read_maps(path) reads them (supple compose makes one "
                 "field of them)"
             )
-        (field,) = found
-        return cls(field.values, field.grid, field.interpolation, field.beyond)
+        return cls(only.values, only.grid, only.interpolation, only.beyond)
 
     def write(
         self, path: PathLike, convention: str | None = None, *, source: Grid | None = None, force: bool = False

@@ -1,0 +1,592 @@
+"""Files of displacement fields and affine maps: inverted, checked, composed, and converted between conventions."""
+
+from __future__ import annotations
+
+import json
+import os
+import time
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from supple.checks import FieldReport
+from supple.errors import FoldWarning, SuppleError, shown
+from supple.fields import OK, Affine, Field, Map, Placed, compose, own_grid
+from supple.geometry import Geometry, Grid
+from supple.media import transforms, volume
+from supple.media.files import check_output, replacing_together
+from supple.media.volume import is_volume, suffix_of
+
+Array = npt.NDArray[Any]
+PathLike = str | os.PathLike[str]
+
+PULL = "output point -> input point"
+PUSH = "input point -> output point"
+
+_IMAGES = (".nii", ".nii.gz", ".nrrd", ".nhdr", ".mha", ".mhd", ".mif", ".mif.gz", ".mgz")
+
+
+class Kind(NamedTuple):
+    """What the numbers in files of a convention are."""
+
+    label: str
+    holds: str
+    space: str
+    units: str
+    affine: str = PULL
+
+
+KINDS = {
+    "itk": Kind("ITK", "displacements", "LPS", "mm"),
+    "fsl-relative": Kind("FSL, relative", "displacements", "FSL coordinates of the input image", "mm"),
+    "fsl-absolute": Kind("FSL, absolute", "positions", "FSL coordinates of the input image", "mm"),
+    "fsl-affine": Kind("FSL's FLIRT", "positions", "FSL coordinates of both images", "mm", PUSH),
+    "afni": Kind("AFNI", "displacements", "LPS", "mm"),
+    "mrtrix": Kind("MRtrix, deformation", "positions", "RAS", "mm"),
+    "mrtrix-displacement": Kind("MRtrix, displacement", "displacements", "RAS", "mm"),
+    "freesurfer": Kind("FreeSurfer", "positions or displacements", "RAS", "mm", PUSH),
+    "ngff": Kind("OME-Zarr", "displacements or positions", "LPS, or as its axes say", "mm, or as its axes say"),
+    "opencv": Kind("OpenCV's remap", "positions", "the picture", "pixels"),
+    "stmap": Kind("STMap", "positions", "the picture, from its bottom left corner", "of its width and height"),
+}
+"""What the files of each convention hold. In memory, all are displacements in millimetres in LPS, or in pixels."""
+
+
+@dataclass(frozen=True, slots=True)
+class MapFile:
+    """A file of maps, as it was read or is written.
+
+    Parameters
+    ----------
+    path : pathlib.Path
+    convention : str
+        One of `supple.media.transforms.CONVENTIONS`.
+    known : str
+        How the convention is known: ``"as given"``, ``"from its intent code"``, ...
+    maps : tuple of Field or Affine
+        In the order in which a point of the output goes through them.
+    """
+
+    path: Path
+    convention: str
+    known: str
+    maps: tuple[Map, ...]
+
+    @property
+    def kind(self) -> Kind:
+        """What the convention's numbers are."""
+        return KINDS.get(self.convention, Kind(self.convention, "numbers", "its own", "its own units"))
+
+    @property
+    def grid(self) -> Grid | None:
+        """The grid of the samples of the first field; None of affine maps alone."""
+        return next((own_grid(each) for each in self.maps if isinstance(each, Field)), None)
+
+    @property
+    def direction(self) -> str:
+        """Which way the numbers in the file lead; what is read is always a pull map."""
+        return self.kind.affine if all(isinstance(each, Affine) for each in self.maps) else PULL
+
+    def facts(self) -> dict[str, Any]:
+        """Return what is known of the file, ready for JSON."""
+        kind = self.kind
+        facts = {"convention": self.convention, "known": self.known, "direction": self.direction}
+        return {**facts, "holds": kind.holds, "space": kind.space, "units": kind.units, "maps": _facts_of(self.maps)}
+
+
+class Input(NamedTuple):
+    """A file among those that are composed.
+
+    Parameters
+    ----------
+    path : str or os.PathLike
+    inverse : bool
+        Whether its inverse is applied.
+    convention : str, optional
+        As in `Field.read`.
+    source : str or os.PathLike, optional
+        The image that it leads to, whose grid some conventions need.
+    """
+
+    path: PathLike
+    inverse: bool = False
+    convention: str | None = None
+    source: PathLike | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Written:
+    """What was written, and what it was made of.
+
+    Parameters
+    ----------
+    sources : tuple of MapFile
+    target : MapFile
+    seconds : float
+        How long reading, computing and writing took.
+    """
+
+    sources: tuple[MapFile, ...]
+    target: MapFile
+    seconds: float
+
+    def facts(self) -> dict[str, Any]:
+        """Return what is known, ready for JSON."""
+        read = [{"input": str(each.path), **each.facts()} for each in self.sources]
+        return {"output": str(self.target.path), "read": read, "written": self.target.facts(), "seconds": self.seconds}
+
+
+@dataclass(frozen=True, slots=True)
+class InvertedFile(Written):
+    """An inverse that was written.
+
+    Parameters
+    ----------
+    counts : dict, optional
+        The number of samples of each status, if one field was inverted.
+    error : float, optional
+        The largest error among those that are ok, in millimetres; None if there are none, or as `counts`.
+    tolerance : float
+        In samples of the field.
+    """
+
+    counts: Mapping[str, int] | None
+    error: float | None
+    tolerance: float
+
+    def facts(self) -> dict[str, Any]:
+        """Return what is known, ready for JSON."""
+        found = {"counts": dict(self.counts) if self.counts else None, "error": self.error, "tolerance": self.tolerance}
+        return {**Written.facts(self), **found}
+
+
+@dataclass(frozen=True, slots=True)
+class CheckedFile:
+    """A field that was checked.
+
+    Parameters
+    ----------
+    source : MapFile
+    inverse : MapFile, optional
+    report : FieldReport
+    seconds : float
+    """
+
+    source: MapFile
+    inverse: MapFile | None
+    report: FieldReport
+    seconds: float
+
+    def facts(self) -> dict[str, Any]:
+        """Return what is known, ready for JSON."""
+        report, known = self.report, asdict(self.report)
+        del known["grid"]
+        # JSON has no NaN
+        if report.consistency is not None and not report.consistency.count:
+            known["consistency"] |= dict.fromkeys(("largest", "percentile", "mean"))
+        other = (
+            {} if self.inverse is None else {"inverse": str(self.inverse.path), "inverse_read": self.inverse.facts()}
+        )
+        return {
+            "input": str(self.source.path),
+            "read": self.source.facts(),
+            **other,
+            "size": list(report.grid.sizes),
+            "spacing": list(report.grid.spacing),
+            "samples": report.samples,
+            **known,
+            "folds": report.folds,
+            "seconds": self.seconds,
+        }
+
+
+def invert_file(
+    source: PathLike,
+    target: PathLike,
+    *,
+    convention: str | None = None,
+    to: str | None = None,
+    reference: PathLike | None = None,
+    image: PathLike | None = None,
+    tolerance: float = 0.01,
+    error: PathLike | None = None,
+    status: PathLike | None = None,
+    report: PathLike | None = None,
+    force: bool = False,
+) -> InvertedFile:
+    """Invert a file of a field, of affine maps, or of several of these.
+
+    All outputs appear together or not at all. One field is inverted as `Field.invert` does; several maps, as their
+    inverses in reverse order, sampled as one field; affine maps alone, exactly.
+
+    Parameters
+    ----------
+    source, target : str or os.PathLike
+        What is read, and the inverse.
+    convention : str, optional
+        That of the source, as in `Field.read`.
+    to : str, optional
+        That of the target; by default, that of the source.
+    reference : str or os.PathLike, optional
+        An image or a field whose grid the inverse gets; by default, it is that of the (first) field. For an affine map
+        of FSL, the output image.
+    image : str or os.PathLike, optional
+        The input (moving) image of the source, which FSL's conventions need.
+    tolerance : float
+        As in `Field.invert`.
+    error, status : str or os.PathLike, optional
+        Images of `Inverted.error` (float32) and `Inverted.status` (uint8), on the grid of the inverse; of one field.
+    report : str or os.PathLike, optional
+        A JSON file of the figures.
+    force : bool
+        Whether existing files may be replaced.
+
+    Raises
+    ------
+    SuppleError
+        If a file cannot be read, or an output cannot be written.
+
+    Warns
+    -----
+    FoldWarning, OutsideWarning
+        If the inverse is not exact everywhere.
+    """
+    began = time.perf_counter()
+    outputs = [path for path in (target, error, status, report) if path is not None]
+    for path in outputs[1:]:
+        check_output(path, force=force)
+    _check_image(error, status)
+    wanted = None if reference is None else grid_of(reference)
+    moving = None if image is None else grid_of(image)
+    read = read_file(source, convention, source=moving, reference=wanted)
+    known = to or read.convention
+    fields = [each for each in read.maps if isinstance(each, Field)]
+    if len(read.maps) != 1 or not fields:
+        if error is not None or status is not None:
+            raise SuppleError(
+                f"{shown(source)} holds {_told(read.maps)}: error and status are of the inverse of one field alone: "
+                "leave --error and --status out"
+            )
+    counts, worst, extra = None, None, {}
+    with replacing_together(outputs, force=force) as hidden:
+        places = dict(zip(outputs, hidden, strict=True))
+        if not fields:
+            maps: tuple[Map, ...] = tuple(each.inverse() for each in reversed(read.maps) if isinstance(each, Affine))
+        elif len(read.maps) == 1:
+            inverted = fields[0].invert(wanted, tolerance=tolerance)
+            maps, counts = (inverted.field,), inverted.counts
+            fine = inverted.error[inverted.status == OK]
+            worst = float(fine.max()) if fine.size else None
+            _warn_of(counts, shown(source))
+            extra = {path: image for path, image in ((error, inverted.error), (status, inverted.status)) if path}
+        else:
+            grid = wanted or read.grid
+            assert grid is not None
+            maps = (compose([Placed(each, inverse=True) for each in reversed(read.maps)], grid),)
+        # The inverse leads to the image that the field is on.
+        here = read.grid if fields else wanted
+        _write(places[target], maps, known, source=here, reference=moving)
+        for path, values in extra.items():
+            _write_image(places[path], values, own_grid(maps[0]) if isinstance(maps[0], Field) else None)
+        how = "as asked" if to else "as it was read"
+        written = MapFile(Path(target), known, how, maps)
+        made = InvertedFile((read,), written, time.perf_counter() - began, counts, worst, tolerance)
+        if report is not None:
+            places[report].write_text(json.dumps(made.facts(), indent=2) + "\n", "utf-8")
+    return made
+
+
+def check_file(
+    source: PathLike,
+    inverse: PathLike | None = None,
+    *,
+    convention: str | None = None,
+    image: PathLike | None = None,
+    map: PathLike | None = None,
+    picture: PathLike | None = None,
+    force: bool = False,
+) -> CheckedFile:
+    """Check the field of a file, as `Field.check` does.
+
+    Parameters
+    ----------
+    source : str or os.PathLike
+        A file of one field.
+    inverse : str or os.PathLike, optional
+        A file of a field that shall undo it.
+    convention : str, optional
+        That of both, as in `Field.read`.
+    image : str or os.PathLike, optional
+        The input (moving) image of the source, which FSL's conventions need.
+    map : str or os.PathLike, optional
+        The image for the logarithm of the Jacobian determinant, float32, as `Field.log_jacobian` returns it.
+    picture : str or os.PathLike, optional
+        A PNG, SVG or PDF file for `supple.plot.fields.draw_check`.
+    force : bool
+        Whether existing files may be replaced.
+
+    Raises
+    ------
+    SuppleError
+        If a file cannot be read, holds anything but one field, or an output cannot be written.
+    """
+    began = time.perf_counter()
+    outputs = [path for path in (map, picture) if path is not None]
+    for path in outputs:
+        check_output(path, force=force)
+    _check_image(map)
+    if picture is not None:
+        from supple.plot import check_plot
+
+        check_plot(picture, force=force)
+    read = read_file(source, convention, source=None if image is None else grid_of(image))
+    field = _only(read)
+    other = None if inverse is None else read_file(inverse, convention, source=own_grid(field))
+    folded, logarithms = field.folded_cells(), field.log_jacobian()
+    distances = None if other is None else field.distances(_only(other))
+    report = field.reported(folded, logarithms, distances)
+    if outputs:
+        with replacing_together(outputs, force=force) as hidden:
+            places = dict(zip(outputs, hidden, strict=True))
+            if map is not None:
+                _write_image(places[map], logarithms, report.grid)
+            if picture is not None:
+                from supple.plot.fields import draw_check
+
+                draw_check(field, report, folded, logarithms, distances, places[picture], name=Path(source).name)
+    return CheckedFile(read, other, report, time.perf_counter() - began)
+
+
+def compose_files(
+    inputs: Sequence[Input],
+    target: PathLike,
+    *,
+    to: str | None = None,
+    reference: PathLike | None = None,
+    force: bool = False,
+) -> Written:
+    """Write one field of several maps, as `compose` makes it.
+
+    Parameters
+    ----------
+    inputs : sequence of Input
+        A point of the output goes through the first one first.
+    target : str or os.PathLike
+    to : str, optional
+        The convention of the target; by default, that of all inputs if it is one, or the only one of the suffix.
+    reference : str or os.PathLike, optional
+        An image or a field whose grid the result gets; by default, it is that of the first field.
+    force : bool
+        Whether an existing file may be replaced.
+
+    Raises
+    ------
+    SuppleError
+        If there is no input, a file cannot be read, there is no grid, or the target cannot be written.
+
+    Warns
+    -----
+    FoldWarning, OutsideWarning
+        As `compose` does.
+    """
+    began = time.perf_counter()
+    if not inputs:
+        raise SuppleError("there is nothing to compose: give files of fields or affine maps, the first first")
+    wanted = None if reference is None else grid_of(reference)
+    with replacing_together([target], force=force) as (place,):
+        read, moving = [], []
+        for each in inputs:
+            moving.append(None if each.source is None else grid_of(each.source))
+            read.append(read_file(each.path, each.convention, source=moving[-1], reference=wanted))
+        shared = {each.convention for each in read}
+        known, how = _to(target, to, shared.pop() if len(shared) == 1 else None)
+        grid = wanted or next((each.grid for each in read if each.grid is not None), None)
+        if grid is None:
+            raise SuppleError(
+                "the maps are affine, and have no grid: give an image whose grid the field shall have (--reference)"
+            )
+        parts: list[Placed] = []
+        for each, file in zip(inputs, read, strict=True):
+            ordered = file.maps[::-1] if each.inverse else file.maps
+            parts += [Placed(one, inverse=each.inverse) for one in ordered]
+        made = compose(parts, grid)
+        _write(place, (made,), known, source=read[-1].grid if inputs[-1].inverse else moving[-1], reference=wanted)
+    written = MapFile(Path(target), known, how, (made,))
+    return Written(tuple(read), written, time.perf_counter() - began)
+
+
+def convert_file(
+    source: PathLike,
+    target: PathLike,
+    *,
+    convention: str | None = None,
+    to: str | None = None,
+    image: PathLike | None = None,
+    reference: PathLike | None = None,
+    force: bool = False,
+) -> Written:
+    """Write the maps of a file in another convention or format.
+
+    Parameters
+    ----------
+    source, target : str or os.PathLike
+    convention, to : str, optional
+        That of the source, and of the target; by default, what the file, and the target's suffix, leave no doubt about.
+    image : str or os.PathLike, optional
+        The input (moving) image, whose grid FSL's and FreeSurfer's conventions need.
+    reference : str or os.PathLike, optional
+        The output (fixed) image. What is more than one affine map, or is written as an image, is sampled on its grid.
+    force : bool
+        Whether an existing file may be replaced.
+
+    Raises
+    ------
+    SuppleError
+        If the source cannot be read, or the convention of the target cannot hold it.
+    """
+    began = time.perf_counter()
+    known, how = _to(target, to, None)
+    moving = None if image is None else grid_of(image)
+    wanted = None if reference is None else grid_of(reference)
+    with replacing_together([target], force=force) as (place,):
+        read = read_file(source, convention, source=moving, reference=wanted)
+        affine = len(read.maps) == 1 and isinstance(read.maps[0], Affine)
+        as_field = not affine or suffix_of(target) in _IMAGES
+        if affine and as_field and wanted is None:
+            raise SuppleError(
+                f"{shown(source)} holds an affine map, and {shown(target)} a field: give the image whose grid the "
+                "field shall have (--reference)"
+            )
+        maps = (compose(read.maps, wanted),) if as_field and wanted is not None else read.maps
+        _write(place, maps, known, source=moving, reference=wanted)
+    return Written((read,), MapFile(Path(target), known, how, maps), time.perf_counter() - began)
+
+
+def read_file(
+    path: PathLike, convention: str | None = None, *, source: Grid | None = None, reference: Grid | None = None
+) -> MapFile:
+    """Read a file of maps, and how its convention is known."""
+    known = transforms.convention_in(path) if convention is None else convention
+    found = transforms.read(path, known, source=source, reference=reference)
+    maps = tuple(Field(*each) if isinstance(each, transforms.Displacements) else Affine(each) for each in found)
+    if convention is not None:
+        how = "as given"
+    elif suffix_of(path) in (".nii", ".nii.gz"):
+        how = "from its intent code"
+    elif suffix_of(path) in (".txt", ".mat"):
+        how = "from its content"
+    else:
+        how = f"from its suffix {suffix_of(path)}"
+    return MapFile(Path(path), known, how, maps)
+
+
+def grid_of(path: PathLike) -> Grid:
+    """Return the grid of a volume, a field in the file of a volume, or a picture."""
+    if not is_volume(path):
+        from supple.media.image import info
+
+        facts = info(path)
+        return Grid((int(str(facts["height"])), int(str(facts["width"]))))
+    found = volume.read(path)
+    if found.geometry.convention == "array":
+        raise SuppleError(f"{shown(path)} does not say where its voxels lie in space: give an image that does")
+    return found.geometry.grid(found.sizes[::-1])
+
+
+def _to(target: PathLike, to: str | None, otherwise: str | None) -> tuple[str, str]:
+    """Return the convention of a file to write, and how it is known."""
+    if to is not None:
+        return to, "as asked"
+    if otherwise is not None:
+        return otherwise, "as all were read"
+    try:
+        return transforms.convention_of(target), f"from its suffix {suffix_of(target)}"
+    except SuppleError as error:
+        raise SuppleError(f"{error} (--to NAME)") from None
+
+
+def _only(read: MapFile) -> Field:
+    """Return the only field of a file."""
+    only = read.maps[0] if len(read.maps) == 1 else None
+    if not isinstance(only, Field):
+        raise SuppleError(
+            f"{shown(read.path)} holds {_told(read.maps)}, and not one field: supple compose makes one field of them"
+        )
+    return only
+
+
+def _told(maps: Sequence[Map]) -> str:
+    return " and ".join("a field" if isinstance(each, Field) else "an affine map" for each in maps) or "nothing"
+
+
+def _write(
+    path: PathLike, maps: Sequence[Map], convention: str, *, source: Grid | None, reference: Grid | None
+) -> None:
+    contents: list[transforms.Content] = [
+        transforms.Displacements(each.values, each.grid, each.interpolation, each.beyond)
+        if isinstance(each, Field)
+        else each.matrix
+        for each in maps
+    ]
+    transforms.write(path, contents, convention, source=source, reference=reference)
+
+
+def _check_image(*paths: PathLike | None) -> None:
+    """Raise SuppleError for names of neither a volume nor a picture."""
+    from supple.media import image
+
+    for path in paths:
+        if path is not None and suffix_of(path) not in image.SUFFIXES_OUT:
+            volume.check_target(path)
+
+
+def _write_image(path: PathLike, values: Array, grid: Grid | None) -> None:
+    """Write values of the samples of a grid as a volume or a picture."""
+    assert grid is not None
+    if grid.ndim == 2:
+        from supple.media import image
+
+        image.write(path, values)
+        return
+    x, y, z = grid.spacing
+    a, b, c = grid.origin
+    geometry = Geometry((x, y, z), (a, b, c), np.array(grid.direction), "LPS")
+    volume.write(path, values, volume.Volume(values, geometry))
+
+
+def _warn_of(counts: Mapping[str, int], name: str) -> None:
+    found = [f"{count:,} {status}" for status, count in counts.items() if status != "ok" and count]
+    if found:
+        warnings.warn(
+            f"{name}: of {sum(counts.values()):,} voxels of the inverse, {', '.join(found)}: they hold the nearest "
+            "that was found; nothing was smoothed or set to zero (--status shows where)",
+            FoldWarning,
+            stacklevel=3,
+        )
+
+
+def _facts_of(maps: Sequence[Map]) -> list[dict[str, Any]]:
+    made: list[dict[str, Any]] = []
+    for each in maps:
+        if isinstance(each, Affine):
+            made.append({"kind": "affine", "matrix": each.matrix.tolist()})
+            continue
+        grid = each.grid
+        made.append(
+            {
+                "kind": "field",
+                "interpolation": each.interpolation,
+                "size": list(grid.sizes),
+                "spacing": list(grid.spacing),
+                "origin": list(grid.origin),
+                "direction": [list(row) for row in grid.direction],
+                "units": "mm" if grid.ndim == 3 else "pixels",
+                "space": "LPS" if grid.ndim == 3 else "the picture",
+            }
+        )
+    return made
