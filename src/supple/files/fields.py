@@ -266,12 +266,11 @@ def invert_file(
     read = read_file(source, convention, source=moving, reference=wanted)
     known = to or read.convention
     fields = [each for each in read.maps if isinstance(each, Field)]
-    if len(read.maps) != 1 or not fields:
-        if error is not None or status is not None:
-            raise SuppleError(
-                f"{shown(source)} holds {_told(read.maps)}: error and status are of the inverse of one field alone: "
-                "leave --error and --status out"
-            )
+    if (len(read.maps) != 1 or not fields) and (error is not None or status is not None):
+        raise SuppleError(
+            f"{shown(source)} holds {_told(read.maps)}: error and status are of the inverse of one field alone: "
+            "leave --error and --status out"
+        )
     counts, worst, extra = None, None, {}
     with replacing_together(outputs, force=force) as hidden:
         places = dict(zip(outputs, hidden, strict=True))

@@ -1,0 +1,246 @@
+"""A picture of what a displacement field does: its grid, its log-Jacobian, its folds, and what another undoes."""
+
+from __future__ import annotations
+
+import math
+import os
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from supple.checks import FieldReport
+from supple.fields import Field, sampled
+from supple.geometry import Grid
+from supple.plot.frame import bar, check_plot, save, sheet, title
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+_PANEL = 4.6  # inches
+_LINES = 40  # of the grid, along the longer side
+_WINDOW = 8  # cells on each side of the folds that are seen from near
+_BLUE, _REST, _FOLDED, _GAP = "#33628d", "#d0d0d0", "#f0c800", "#555555"
+
+Floats = npt.NDArray[np.float64]
+Singles = npt.NDArray[np.float32]
+Box = tuple[int, int, int, int]
+"""The first and the last column, and the first and the last row, of samples."""
+
+
+class _Slice(NamedTuple):
+    """What a picture shows of a field: in the plane of the grid's first two axes, lengths along these."""
+
+    rest: Floats  # (H, W, 2), where the samples lie
+    moved: Floats  # (H, W, 2), where they are moved to
+    folded: npt.NDArray[np.bool_]  # (H - 1, W - 1)
+    logarithms: Singles  # (H, W)
+    distances: Singles | None
+    steps: tuple[float, float]
+    unit: str
+    where: str
+
+
+def draw_check(
+    field: Field,
+    report: FieldReport,
+    folded: npt.NDArray[np.bool_],
+    logarithms: Singles,
+    distances: Singles | None,
+    path: str | os.PathLike[str],
+    *,
+    name: str = "The field",
+    force: bool = False,
+) -> None:
+    """Write a picture of a field that was checked to a PNG, SVG or PDF file.
+
+    Of a volume, it shows the slice below the layer of cells with most folds, or the middle one if there are none.
+
+    Parameters
+    ----------
+    field : Field
+    report, folded, logarithms, distances
+        What `Field.reported`, `Field.folded_cells`, `Field.log_jacobian` and `Field.distances` have returned.
+    path : str or os.PathLike
+        A PNG, SVG or PDF file, by its suffix.
+    name : str
+        For the title.
+    force : bool
+        Whether an existing file may be replaced.
+
+    Raises
+    ------
+    SuppleError
+        If it cannot be written there.
+    """
+    check_plot(path, force=force)
+    save(_figure(_slice(field, report.grid, folded, logarithms, distances), report, name), path, force=force)
+
+
+def _slice(
+    field: Field, grid: Grid, folded: npt.NDArray[np.bool_], logarithms: Singles, distances: Singles | None
+) -> _Slice:
+    values = sampled(field)
+    where, unit = "", "px"
+    if grid.ndim == 3:
+        counts = folded.sum(axis=(1, 2))
+        k = int(counts.argmax()) if counts.any() else (grid.shape[0] - 1) // 2
+        where, unit = f"slice {k} of {grid.shape[0]}", "mm"
+        values, logarithms, folded = values[k], logarithms[k], folded[min(k, len(folded) - 1)]
+        distances = None if distances is None else distances[k]
+    height, width = logarithms.shape
+    sx, sy = grid.spacing[:2]
+    rest = np.stack(np.meshgrid(np.arange(width) * sx, np.arange(height) * sy), axis=-1)
+    along = values.astype(np.float64) @ np.array(grid.direction)  # along the axes of the grid
+    return _Slice(rest, rest + along[..., :2], folded, logarithms, distances, (sx, sy), unit, where)
+
+
+def _figure(seen: _Slice, report: FieldReport, name: str) -> Figure:
+    height, width = seen.logarithms.shape
+    whole: Box = (0, width - 1, 0, height - 1)
+    near = _crowd(seen.folded) if seen.folded.any() else None
+    if near is not None and (near[1] - near[0]) * (near[3] - near[2]) > 0.5 * (width - 1) * (height - 1):
+        near = None
+    boxes = [whole] if near is None else [whole, near]
+    count = len(boxes) + 1 + (seen.distances is not None)
+    columns = 2 if count == 4 else count
+    rows = math.ceil(count / columns)
+    tall = min(max(height * seen.steps[1] / (width * seen.steps[0]), 0.4), 1.5) * _PANEL
+    made, parts = sheet(columns * (_PANEL + 1.2) + 0.3, rows * (tall + 0.8) + 1.1, rows, columns)
+    for axes, box in zip(parts, boxes, strict=False):
+        _draw_grid(axes, seen, box)
+        what = "Grid, moved by the displacement" + (" (its part in this plane)" if seen.where else "")
+        _set(axes, seen, box, what if box is whole else "The same around the folds: each sample")
+    if near is not None:
+        left, right, top, bottom = _extent(seen, near)
+        parts[0].plot([left, right, right, left, left], [top, top, bottom, bottom, top], color="black", linewidth=1)
+    _draw_jacobian(made, parts[len(boxes)], seen, whole)
+    if seen.distances is not None:
+        _draw_distances(made, parts[-1], seen, whole, seen.distances)
+    made.legend(handles=_handles(seen), loc="outside lower left", ncols=4, fontsize=9, frameon=False)
+    title(made, _heading(report, seen, name))
+    return made
+
+
+def _heading(report: FieldReport, seen: _Slice, name: str) -> str:
+    if report.folds:
+        told = f"{report.folded:,} of {report.cells:,} cells fold ({100 * report.folded / report.cells:.2g} %)"
+    else:
+        told = f"none of {report.cells:,} cells folds"
+    place = ", ".join(f"{x:.4g}" for x in report.at)
+    lines = [f"{name}: {told}" + (f"; {seen.where}" if seen.where else "")]
+    lines.append(
+        f"least determinant {report.determinant:.3g} at ({place}) {seen.unit}; displacement up to "
+        f"{report.largest:.3g} {seen.unit}, {report.mean:.3g} on average"
+    )
+    return "\n".join(lines)
+
+
+def _handles(seen: _Slice) -> list[Any]:
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
+
+    made: list[Any] = [Line2D([], [], color=_REST, label="grid at rest"), Line2D([], [], color=_BLUE, label="moved")]
+    if seen.folded.any():
+        made.append(Patch(facecolor=_FOLDED, edgecolor="black", linewidth=0.6, label="cells that fold"))
+    if np.isnan(seen.logarithms).any():
+        made.append(Patch(facecolor=_GAP, label="determinant not above 0, by central differences"))
+    return made
+
+
+def _crowd(folded: npt.NDArray[np.bool_]) -> Box:
+    """Return the samples around the place where most cells fold."""
+    height, width = folded.shape
+    sums = np.pad(folded.astype(np.int64).cumsum(0).cumsum(1), ((1, 0), (1, 0)))
+    tall, wide = min(2 * _WINDOW, height), min(2 * _WINDOW, width)
+    counts = sums[tall:, wide:] - sums[:-tall, wide:] - sums[tall:, :-wide] + sums[:-tall, :-wide]
+    best = np.argwhere(counts == counts.max())
+    top, left = best[len(best) // 2].tolist()  # of several alike, not the first, which has the folds at its edge
+    return left, left + wide, top, top + tall
+
+
+def _draw_grid(axes: Axes, seen: _Slice, box: Box) -> None:
+    from matplotlib.collections import LineCollection, PolyCollection
+
+    left, right, top, bottom = box
+    longest = max(right - left, bottom - top)
+    every = max(1, math.ceil(longest / _LINES))
+    rows, columns = ([*range(a, b, every), b] for a, b in ((top, bottom), (left, right)))
+    for points, colour, wide in ((seen.rest, _REST, 0.6), (seen.moved, _BLUE, 0.8)):
+        part = points[top : bottom + 1, left : right + 1]
+        lines = [part[row - top] for row in rows] + [part[:, column - left] for column in columns]
+        axes.add_collection(LineCollection(lines, colors=colour, linewidths=wide))
+    cells = np.argwhere(seen.folded)
+    if len(cells):
+        corners = [seen.moved[cells[:, 0] + dy, cells[:, 1] + dx] for dy, dx in ((0, 0), (0, 1), (1, 1), (1, 0))]
+        drawn = PolyCollection(list(np.stack(corners, axis=1)), facecolors=_FOLDED, edgecolors="black")
+        drawn.set(linewidth=0.3 if every == 1 else 0.1, alpha=0.85, zorder=3)
+        axes.add_collection(drawn)
+
+
+def _draw_jacobian(made: Figure, axes: Axes, seen: _Slice, box: Box) -> None:
+    from matplotlib.colors import TwoSlopeNorm
+
+    known = seen.logarithms[np.isfinite(seen.logarithms)]
+    # A few samples beside a fold would make all others pale.
+    reach = max(float(np.percentile(np.abs(known), 99)) if known.size else 0.0, 0.02)
+    cut = known.size and float(np.abs(known).max()) > 1.001 * reach
+    axes.set_facecolor(_GAP)
+    drawn = _show(axes, seen, seen.logarithms, TwoSlopeNorm(0.0, -reach, reach), "RdBu_r")
+    cells = np.argwhere(seen.folded)
+    if len(cells):
+        from matplotlib.collections import PolyCollection
+
+        corners = [seen.rest[cells[:, 0] + dy, cells[:, 1] + dx] for dy, dx in ((0, 0), (0, 1), (1, 1), (1, 0))]
+        axes.add_collection(PolyCollection(list(np.stack(corners, axis=1)), facecolors="none", edgecolors=_FOLDED))
+        axes.collections[-1].set(linewidth=0.7, zorder=3)
+    low, high = (float(known.min()), float(known.max())) if known.size else (math.nan, math.nan)
+    _set(axes, seen, box, f"ln det(I + ∂u/∂x): {low:.2f} to {high:.2f}")
+    what = "volume" if seen.where else "area"
+    bar(made, drawn, axes, f"logarithm of the {what} seen, over its own\n(0: as it is)", "max" if cut else "neither")
+
+
+def _draw_distances(made: Figure, axes: Axes, seen: _Slice, box: Box, distances: Singles) -> None:
+    from matplotlib.colors import LogNorm
+
+    known = distances[np.isfinite(distances)]
+    high = max(float(known.max()) if known.size else 0.0, 1e-6)
+    axes.set_facecolor(_REST)
+    drawn = _show(axes, seen, np.maximum(distances, high * 1e-4), LogNorm(high * 1e-4, high), "magma")
+    _set(axes, seen, box, f"|second(first(x)) − x|: at most {high:.2g} {seen.unit}")
+    gaps = "\n(grey: mapped outside of the second field)" if np.isnan(distances).any() else ""
+    bar(made, drawn, axes, f"{seen.unit}{gaps}")
+
+
+def _show(axes: Axes, seen: _Slice, values: Singles, norm: Any, colours: str) -> Any:
+    left, right, top, bottom = _edges(seen)
+    return axes.imshow(values, extent=(left, right, bottom, top), norm=norm, cmap=colours, interpolation="nearest")
+
+
+def _edges(seen: _Slice) -> tuple[float, float, float, float]:
+    height, width = seen.logarithms.shape
+    sx, sy = seen.steps
+    return -0.5 * sx, (width - 0.5) * sx, -0.5 * sy, (height - 0.5) * sy
+
+
+def _extent(seen: _Slice, box: Box) -> tuple[float, float, float, float]:
+    """Return left, right, top and bottom of what some samples are moved to."""
+    part = seen.moved[box[2] : box[3] + 1, box[0] : box[1] + 1].reshape(-1, 2)
+    (left, top), (right, bottom) = part.min(axis=0).tolist(), part.max(axis=0).tolist()
+    return left, right, top, bottom
+
+
+def _set(axes: Axes, seen: _Slice, box: Box, name: str) -> None:
+    height, width = seen.logarithms.shape
+    whole = box == (0, width - 1, 0, height - 1)
+    left, right, top, bottom = _edges(seen) if whole else _extent(seen, box)
+    sx, sy = seen.steps
+    ratio = (height * sy) / (width * sx)
+    axes.set_aspect("equal" if not whole or 1 / 6 <= ratio <= 6 else "auto")
+    axes.set_xlim(left - 0.5 * sx, right + 0.5 * sx)
+    axes.set_ylim(bottom + 0.5 * sy, top - 0.5 * sy)
+    axes.set_title(name, fontsize=11, loc="left")
+    axes.set_xlabel(f"along the grid’s first axis ({seen.unit})" if seen.where else f"x ({seen.unit})")
+    axes.set_ylabel(f"along its second ({seen.unit})" if seen.where else f"y ({seen.unit})")
+    axes.tick_params(labelsize=8)
