@@ -12,7 +12,7 @@ import numpy.typing as npt
 from supple.checks import FieldReport
 from supple.fields import Field, sampled
 from supple.geometry import Grid
-from supple.plot.frame import bar, check_plot, save, sheet, title
+from supple.plot.frame import Extend, bar, check_plot, save, sheet, title
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -25,8 +25,8 @@ _BLUE, _REST, _FOLDED, _GAP = "#33628d", "#d0d0d0", "#f0c800", "#555555"
 
 Floats = npt.NDArray[np.float64]
 Singles = npt.NDArray[np.float32]
-Box = tuple[int, int, int, int]
-"""The first and the last column, and the first and the last row, of samples."""
+Box = tuple[float, float, float, float]
+"""Left, right, top and bottom."""
 
 
 class _Slice(NamedTuple):
@@ -86,7 +86,7 @@ def _slice(
     if grid.ndim == 3:
         counts = folded.sum(axis=(1, 2))
         k = int(counts.argmax()) if counts.any() else (grid.shape[0] - 1) // 2
-        where, unit = f"slice {k} of {grid.shape[0]}", "mm"
+        where, unit = f"slice {k} (of 0 to {grid.shape[0] - 1})", "mm"
         values, logarithms, folded = values[k], logarithms[k], folded[min(k, len(folded) - 1)]
         distances = None if distances is None else distances[k]
     height, width = logarithms.shape
@@ -98,22 +98,26 @@ def _slice(
 
 def _figure(seen: _Slice, report: FieldReport, name: str) -> Figure:
     height, width = seen.logarithms.shape
-    whole: Box = (0, width - 1, 0, height - 1)
-    near = _crowd(seen.folded) if seen.folded.any() else None
-    if near is not None and (near[1] - near[0]) * (near[3] - near[2]) > 0.5 * (width - 1) * (height - 1):
+    whole = _edges(seen)
+    near = _crowd(seen) if seen.folded.any() else None
+    if near is not None and (near[1] - near[0]) * (near[3] - near[2]) > 0.5 * (whole[1] - whole[0]) * (
+        whole[3] - whole[2]
+    ):
         near = None
     boxes = [whole] if near is None else [whole, near]
     count = len(boxes) + 1 + (seen.distances is not None)
     columns = 2 if count == 4 else count
     rows = math.ceil(count / columns)
     tall = min(max(height * seen.steps[1] / (width * seen.steps[0]), 0.4), 1.5) * _PANEL
-    made, parts = sheet(columns * (_PANEL + 1.2) + 0.3, rows * (tall + 0.8) + 1.1, rows, columns)
-    for axes, box in zip(parts, boxes, strict=False):
-        _draw_grid(axes, seen, box)
-        what = "Grid, moved by the displacement" + (" (its part in this plane)" if seen.where else "")
-        _set(axes, seen, box, what if box is whole else "The same around the folds: each sample")
+    made, parts = sheet(columns * (_PANEL + 1.2) + 0.3, rows * (tall + 0.7) + 1.0, rows, columns)
+    longest = max(height, width)
+    _draw_grid(parts[0], seen, max(1, math.ceil(longest / _LINES)))
+    what = "Grid, moved by the displacement" + (" (its part in this plane)" if seen.where else "")
+    _set(parts[0], seen, whole, what)
     if near is not None:
-        left, right, top, bottom = _extent(seen, near)
+        _draw_grid(parts[1], seen, 1)
+        _set(parts[1], seen, near, "The same around the folds, a line for each sample")
+        left, right, top, bottom = near
         parts[0].plot([left, right, right, left, left], [top, top, bottom, bottom, top], color="black", linewidth=1)
     _draw_jacobian(made, parts[len(boxes)], seen, whole)
     if seen.distances is not None:
@@ -149,56 +153,71 @@ def _handles(seen: _Slice) -> list[Any]:
     return made
 
 
-def _crowd(folded: npt.NDArray[np.bool_]) -> Box:
-    """Return the samples around the place where most cells fold."""
-    height, width = folded.shape
-    sums = np.pad(folded.astype(np.int64).cumsum(0).cumsum(1), ((1, 0), (1, 0)))
+def _crowd(seen: _Slice) -> Box:
+    """Return a square around what the cells are moved to where most cells fold."""
+    height, width = seen.folded.shape
+    sums = np.pad(seen.folded.astype(np.int64).cumsum(0).cumsum(1), ((1, 0), (1, 0)))
     tall, wide = min(2 * _WINDOW, height), min(2 * _WINDOW, width)
     counts = sums[tall:, wide:] - sums[:-tall, wide:] - sums[tall:, :-wide] + sums[:-tall, :-wide]
     best = np.argwhere(counts == counts.max())
     top, left = best[len(best) // 2].tolist()  # of several alike, not the first, which has the folds at its edge
-    return left, left + wide, top, top + tall
+    cells = np.argwhere(seen.folded[top : top + tall, left : left + wide]) + np.array([top, left])
+    places = _corners(seen.moved, cells).reshape(-1, 2)
+    (x, y), (right, bottom) = places.min(axis=0), places.max(axis=0)
+    half = 0.8 * max(right - x, bottom - y, 6 * max(seen.steps))
+    x, y = (x + right) / 2, (y + bottom) / 2
+    return x - half, x + half, y - half, y + half
 
 
-def _draw_grid(axes: Axes, seen: _Slice, box: Box) -> None:
+def _corners(points: Floats, cells: npt.NDArray[np.intp]) -> Floats:
+    """Return the corners (N, 4, 2) of cells, in turn."""
+    turn = ((0, 0), (0, 1), (1, 1), (1, 0))
+    return np.stack([points[cells[:, 0] + dy, cells[:, 1] + dx] for dy, dx in turn], axis=1)
+
+
+def _draw_grid(axes: Axes, seen: _Slice, every: int) -> None:
     from matplotlib.collections import LineCollection, PolyCollection
 
-    left, right, top, bottom = box
-    longest = max(right - left, bottom - top)
-    every = max(1, math.ceil(longest / _LINES))
-    rows, columns = ([*range(a, b, every), b] for a, b in ((top, bottom), (left, right)))
+    height, width = seen.logarithms.shape
+    rows, columns = ([*range(0, n - 1, every), n - 1] for n in (height, width))
     for points, colour, wide in ((seen.rest, _REST, 0.6), (seen.moved, _BLUE, 0.8)):
-        part = points[top : bottom + 1, left : right + 1]
-        lines = [part[row - top] for row in rows] + [part[:, column - left] for column in columns]
+        lines = [points[row] for row in rows] + [points[:, column] for column in columns]
         axes.add_collection(LineCollection(lines, colors=colour, linewidths=wide))
     cells = np.argwhere(seen.folded)
     if len(cells):
-        corners = [seen.moved[cells[:, 0] + dy, cells[:, 1] + dx] for dy, dx in ((0, 0), (0, 1), (1, 1), (1, 0))]
-        drawn = PolyCollection(list(np.stack(corners, axis=1)), facecolors=_FOLDED, edgecolors="black")
-        drawn.set(linewidth=0.3 if every == 1 else 0.1, alpha=0.85, zorder=3)
+        drawn = PolyCollection(list(_corners(seen.moved, cells)), facecolors=_FOLDED, edgecolors="black")
+        drawn.set(linewidth=0.4 if every == 1 else 0.1, alpha=0.85, zorder=3)
         axes.add_collection(drawn)
 
 
+def _outline(seen: _Slice) -> list[Floats]:
+    """Return the sides between cells that fold and others, where they lie."""
+    whole = np.pad(seen.folded, 1)
+    across, down = np.argwhere(whole[:, 1:] != whole[:, :-1]), np.argwhere(whole[1:] != whole[:-1])
+    points = seen.rest
+    made = [points[[row - 1, row], [column, column]] for row, column in across.tolist()]
+    return made + [points[[row, row], [column - 1, column]] for row, column in down.tolist()]
+
+
 def _draw_jacobian(made: Figure, axes: Axes, seen: _Slice, box: Box) -> None:
+    from matplotlib.collections import LineCollection
     from matplotlib.colors import TwoSlopeNorm
+    from matplotlib.patheffects import withStroke
 
     known = seen.logarithms[np.isfinite(seen.logarithms)]
     # A few samples beside a fold would make all others pale.
     reach = max(float(np.percentile(np.abs(known), 99)) if known.size else 0.0, 0.02)
-    cut = known.size and float(np.abs(known).max()) > 1.001 * reach
     axes.set_facecolor(_GAP)
     drawn = _show(axes, seen, seen.logarithms, TwoSlopeNorm(0.0, -reach, reach), "RdBu_r")
-    cells = np.argwhere(seen.folded)
-    if len(cells):
-        from matplotlib.collections import PolyCollection
-
-        corners = [seen.rest[cells[:, 0] + dy, cells[:, 1] + dx] for dy, dx in ((0, 0), (0, 1), (1, 1), (1, 0))]
-        axes.add_collection(PolyCollection(list(np.stack(corners, axis=1)), facecolors="none", edgecolors=_FOLDED))
-        axes.collections[-1].set(linewidth=0.7, zorder=3)
+    if seen.folded.any():
+        halo = [withStroke(linewidth=2.6, foreground="black")]
+        axes.add_collection(LineCollection(_outline(seen), colors=_FOLDED, linewidths=1.4, path_effects=halo))
     low, high = (float(known.min()), float(known.max())) if known.size else (math.nan, math.nan)
     _set(axes, seen, box, f"ln det(I + ∂u/∂x): {low:.2f} to {high:.2f}")
     what = "volume" if seen.where else "area"
-    bar(made, drawn, axes, f"logarithm of the {what} seen, over its own\n(0: as it is)", "max" if cut else "neither")
+    cuts: dict[tuple[bool, bool], Extend] = {(True, True): "both", (True, False): "min", (False, True): "max"}
+    cut = cuts.get((low < -1.001 * reach, high > 1.001 * reach), "neither")
+    bar(made, drawn, axes, f"ln(input {what} / output {what})", cut)
 
 
 def _draw_distances(made: Figure, axes: Axes, seen: _Slice, box: Box, distances: Singles) -> None:
@@ -209,7 +228,7 @@ def _draw_distances(made: Figure, axes: Axes, seen: _Slice, box: Box, distances:
     axes.set_facecolor(_REST)
     drawn = _show(axes, seen, np.maximum(distances, high * 1e-4), LogNorm(high * 1e-4, high), "magma")
     _set(axes, seen, box, f"|second(first(x)) − x|: at most {high:.2g} {seen.unit}")
-    gaps = "\n(grey: mapped outside of the second field)" if np.isnan(distances).any() else ""
+    gaps = "; grey: first(x) is outside of the second field" if np.isnan(distances).any() else ""
     bar(made, drawn, axes, f"{seen.unit}{gaps}")
 
 
@@ -218,28 +237,18 @@ def _show(axes: Axes, seen: _Slice, values: Singles, norm: Any, colours: str) ->
     return axes.imshow(values, extent=(left, right, bottom, top), norm=norm, cmap=colours, interpolation="nearest")
 
 
-def _edges(seen: _Slice) -> tuple[float, float, float, float]:
+def _edges(seen: _Slice) -> Box:
     height, width = seen.logarithms.shape
     sx, sy = seen.steps
     return -0.5 * sx, (width - 0.5) * sx, -0.5 * sy, (height - 0.5) * sy
 
 
-def _extent(seen: _Slice, box: Box) -> tuple[float, float, float, float]:
-    """Return left, right, top and bottom of what some samples are moved to."""
-    part = seen.moved[box[2] : box[3] + 1, box[0] : box[1] + 1].reshape(-1, 2)
-    (left, top), (right, bottom) = part.min(axis=0).tolist(), part.max(axis=0).tolist()
-    return left, right, top, bottom
-
-
 def _set(axes: Axes, seen: _Slice, box: Box, name: str) -> None:
-    height, width = seen.logarithms.shape
-    whole = box == (0, width - 1, 0, height - 1)
-    left, right, top, bottom = _edges(seen) if whole else _extent(seen, box)
-    sx, sy = seen.steps
-    ratio = (height * sy) / (width * sx)
-    axes.set_aspect("equal" if not whole or 1 / 6 <= ratio <= 6 else "auto")
-    axes.set_xlim(left - 0.5 * sx, right + 0.5 * sx)
-    axes.set_ylim(bottom + 0.5 * sy, top - 0.5 * sy)
+    left, right, top, bottom = box
+    ratio = (bottom - top) / (right - left)
+    axes.set_aspect("equal" if 1 / 6 <= ratio <= 6 else "auto")
+    axes.set_xlim(left, right)
+    axes.set_ylim(bottom, top)
     axes.set_title(name, fontsize=11, loc="left")
     axes.set_xlabel(f"along the grid’s first axis ({seen.unit})" if seen.where else f"x ({seen.unit})")
     axes.set_ylabel(f"along its second ({seen.unit})" if seen.where else f"y ({seen.unit})")
