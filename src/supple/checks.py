@@ -22,6 +22,7 @@ Array = npt.NDArray[Any]
 Floats = npt.NDArray[np.float64]
 
 _WITHIN = 1e-9  # samples, of rounding
+_INWARDS = 1e-6  # samples: beyond the outermost ones, to which rounding may lead, there is no slope
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,12 +142,12 @@ def least_at_corners(values: Array, grid: Grid) -> tuple[float, Floats]:
 def least_at_samples(packed: _core.Sampled, grid: Grid) -> tuple[float, Floats]:
     """Return the least determinant of an interpolant at the samples of a grid, and the index of that sample."""
     least, index = math.inf, np.zeros(grid.ndim)
-    for indices, points in _planes(grid):
+    for indices, points in _planes(grid, _INWARDS):
         _, matrices = _through([packed], points, grid.ndim, jacobian=True)
         found = np.linalg.det(matrices)
         flat = int(found.argmin())
         if found[flat] < least:
-            least, index = float(found[flat]), indices[flat].copy()
+            least, index = float(found[flat]), np.rint(indices[flat])
     return least, index
 
 
@@ -235,15 +236,17 @@ def _determinant(steps: list[Floats], grid: Grid) -> Floats:
     return np.asarray(found / whole)
 
 
-def _planes(grid: Grid) -> Iterator[tuple[Floats, Floats]]:
-    """Yield the indices and the positions (N, D) of the samples of each plane of a grid."""
+def _planes(grid: Grid, inwards: float = 0.0) -> Iterator[tuple[Floats, Floats]]:
+    """Yield the indices and the positions (N, D) of the samples of each plane of a grid, the outermost within it."""
     height, width = grid.shape[-2:]
     index = np.zeros((height * width, grid.ndim))
     index[:, 1], index[:, 0] = np.indices((height, width)).reshape(2, -1)
     for z in range(grid.shape[0] if grid.ndim == 3 else 1):
         if grid.ndim == 3:
             index[:, 2] = z
-        yield index, grid.positions(index)
+        least = np.where(np.array(grid.sizes) > 1, inwards, 0.0)
+        within = np.clip(index, least, np.array(grid.sizes) - 1 - least)
+        yield within, grid.positions(within)
 
 
 def _through(parts: list[_core.Sampled], points: Floats, n: int, *, jacobian: bool = False) -> tuple[Floats, Floats]:

@@ -24,6 +24,8 @@ PathLike = str | os.PathLike[str]
 Interpolation = Literal["linear", "cubic", "bspline"]
 Beyond = Literal["zero", "edge"]
 
+_ROUNDING = 1e-6  # samples: the outermost samples of a field may be just outside of it by rounding
+
 OK, FOLDED, OUTSIDE, UNCONVERGED = range(4)
 STATUS = ("ok", "folded", "outside", "unconverged")
 """The names of the codes in `Inverted.status`."""
@@ -181,7 +183,7 @@ class Field:
             1 if self.interpolation == "linear" else 3,
             [1.0 if own else 0.0] * n,
             [size - (2.0 if own else 1.0) for size in sizes],
-            0.0 if own else 0.5,
+            _ROUNDING if own else 0.5,
             self.beyond == "zero",
             np.ascontiguousarray(matrix[:n]),
             np.ascontiguousarray(np.linalg.inv(matrix[:n, :n])),
@@ -271,7 +273,7 @@ class Field:
         if inverse.ndim != self.ndim:
             raise SuppleError(f"a field of {self.ndim} axes has no inverse of {inverse.ndim}")
         one, other = (field.packed(np.eye(self.ndim + 1)) for field in (self, inverse))
-        margin = 0.0 if inverse.interpolation == "bspline" else 0.5
+        margin = _ROUNDING if inverse.interpolation == "bspline" else 0.5
         return checks.distances(one, other, own_grid(self), own_grid(inverse), margin)
 
     def reported(

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 _PANEL = 4.6  # inches
 _LINES = 40  # of the grid, along the longer side
 _WINDOW = 8  # cells on each side of the folds that are seen from near
-_BLUE, _REST, _FOLDED, _GAP = "#33628d", "#d0d0d0", "#f0c800", "#555555"
+_BLUE, _REST, _FOLDED, _RIM, _GAP = "#33628d", "#d0d0d0", "#f0c800", "#8a6d00", "#555555"
 
 Floats = npt.NDArray[np.float64]
 Singles = npt.NDArray[np.float32]
@@ -185,8 +185,8 @@ def _draw_grid(axes: Axes, seen: _Slice, every: int) -> None:
         axes.add_collection(LineCollection(lines, colors=colour, linewidths=wide))
     cells = np.argwhere(seen.folded)
     if len(cells):
-        drawn = PolyCollection(list(_corners(seen.moved, cells)), facecolors=_FOLDED, edgecolors="black")
-        drawn.set(linewidth=0.4 if every == 1 else 0.1, alpha=0.85, zorder=3)
+        drawn = PolyCollection(list(_corners(seen.moved, cells)), facecolors=_FOLDED, edgecolors=_RIM)
+        drawn.set(linewidth=0.6 if every == 1 else 0.2, zorder=3)
         axes.add_collection(drawn)
 
 
