@@ -271,28 +271,25 @@ def _checked(made: CheckedFile) -> str:
         lines.append(_line("folds", f"nowhere: the determinant is above 0 in all of {report.cells:,} cells"))
     place = ", ".join(f"{x:.5g}" for x in report.at)
     lines.append(_line("determinant", f"at least {report.determinant:.4g}, at ({place}) {unit}"))
-    share = _share(report.negative, report.samples)
-    lines.append(
-        _line("", f"not above 0 at {report.negative:,} of {report.samples:,} samples ({share}), by differences")
-    )
+    share = f"{report.negative:,} of {report.samples:,} samples ({_share(report.negative, report.samples)})"
+    lines.append(_line("", f"not above 0 at {share}, by central differences"))
     found = report.consistency
-    if found is not None:
-        known = f"{found.count:,} samples" + (f", and {found.outside:,} are mapped outside" if found.outside else "")
-        figures = f"{found.largest:.3g} {unit} at most, 99 % within {found.percentile:.3g}, {found.mean:.3g} on average"
+    if found is not None and found.count:
+        within = f"99 % within {found.percentile:.3g} {unit}, {found.mean:.3g} {unit} on average"
+        rest = f"; {found.outside:,} others are mapped outside" if found.outside else ""
         lines.append(
-            _line(
-                "consistency",
-                f"{figures}: of {known}" if found.count else f"all of {found.outside:,} samples are mapped outside",
-            )
+            _line("consistency", f"{found.largest:.3g} {unit} at most, {within}, of {found.count:,} samples{rest}")
         )
+    elif found is not None:
+        lines.append(_line("consistency", f"not known: all of {found.outside:,} samples are mapped outside"))
     return "\n".join(lines)
 
 
 def _file(file: MapFile, verb: str) -> str:
     """Return what is known of a file of maps, on several lines."""
-    kind = file.kind
+    kind, inverted = file.kind, "; inverted" if file.inverse else ""
     lines = [
-        f"{shown(file.path)}: {verb} as {kind.label} ({kind.space}, {kind.units}), {file.known}",
+        f"{shown(file.path)}: {verb} as {kind.label} ({kind.space}, {kind.units}), {file.known}{inverted}",
         _line("direction", f"{'pull' if file.direction.startswith('output') else 'push'}: {file.direction}"),
     ]
     return "\n".join([*lines, *(_line("holds", _map(each, kind.holds)) for each in file.maps)])

@@ -7,7 +7,7 @@ import os
 import time
 import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -70,12 +70,15 @@ class MapFile:
         How the convention is known: ``"as given"``, ``"from its intent code"``, ...
     maps : tuple of Field or Affine
         In the order in which a point of the output goes through them.
+    inverse : bool
+        Whether their inverse is taken, among those that are composed.
     """
 
     path: Path
     convention: str
     known: str
     maps: tuple[Map, ...]
+    inverse: bool = False
 
     @property
     def kind(self) -> Kind:
@@ -137,7 +140,7 @@ class Written:
 
     def facts(self) -> dict[str, Any]:
         """Return what is known, ready for JSON."""
-        read = [{"input": str(each.path), **each.facts()} for each in self.sources]
+        read = [{"input": str(each.path), "inverse": each.inverse, **each.facts()} for each in self.sources]
         return {"output": str(self.target.path), "read": read, "written": self.target.facts(), "seconds": self.seconds}
 
 
@@ -268,8 +271,8 @@ def invert_file(
     fields = [each for each in read.maps if isinstance(each, Field)]
     if (len(read.maps) != 1 or not fields) and (error is not None or status is not None):
         raise SuppleError(
-            f"{shown(source)} holds {_told(read.maps)}: error and status are of the inverse of one field alone: "
-            "leave --error and --status out"
+            f"{shown(source)} holds {_told(read.maps)}: --error and --status are of the inverse of one field alone: "
+            "leave them out"
         )
     counts, worst, extra = None, None, {}
     with replacing_together(outputs, force=force) as hidden:
@@ -401,7 +404,8 @@ def compose_files(
         read, moving = [], []
         for each in inputs:
             moving.append(None if each.source is None else grid_of(each.source))
-            read.append(read_file(each.path, each.convention, source=moving[-1], reference=wanted))
+            file = read_file(each.path, each.convention, source=moving[-1], reference=wanted)
+            read.append(replace(file, inverse=each.inverse))
         shared = {each.convention for each in read}
         known, how = _to(target, to, shared.pop() if len(shared) == 1 else None)
         grid = wanted or next((each.grid for each in read if each.grid is not None), None)
@@ -410,9 +414,9 @@ def compose_files(
                 "the maps are affine, and have no grid: give an image whose grid the field shall have (--reference)"
             )
         parts: list[Placed] = []
-        for each, file in zip(inputs, read, strict=True):
-            ordered = file.maps[::-1] if each.inverse else file.maps
-            parts += [Placed(one, inverse=each.inverse) for one in ordered]
+        for file in read:
+            ordered = file.maps[::-1] if file.inverse else file.maps
+            parts += [Placed(one, inverse=file.inverse) for one in ordered]
         made = compose(parts, grid)
         _write(place, (made,), known, source=read[-1].grid if inputs[-1].inverse else moving[-1], reference=wanted)
     written = MapFile(Path(target), known, how, (made,))

@@ -55,7 +55,8 @@ def draw_check(
 ) -> None:
     """Write a picture of a field that was checked to a PNG, SVG or PDF file.
 
-    Of a volume, it shows the slice below the layer of cells with most folds, or the middle one if there are none.
+    Of a volume, it shows the slice with most folds in the cells on both sides, which are marked; or the middle one if
+    there are none.
 
     Parameters
     ----------
@@ -84,10 +85,11 @@ def _slice(
     values = sampled(field)
     where, unit = "", "px"
     if grid.ndim == 3:
-        counts = folded.sum(axis=(1, 2))
+        layers = np.pad(folded, ((1, 1), (0, 0), (0, 0)))[: grid.shape[0] + 1]  # below and above each slice
+        counts = np.convolve(layers.sum(axis=(1, 2)), (1, 1), "valid")
         k = int(counts.argmax()) if counts.any() else (grid.shape[0] - 1) // 2
         where, unit = f"slice {k} (of 0 to {grid.shape[0] - 1})", "mm"
-        values, logarithms, folded = values[k], logarithms[k], folded[min(k, len(folded) - 1)]
+        values, logarithms, folded = values[k], logarithms[k], layers[k] | layers[k + 1]
         distances = None if distances is None else distances[k]
     height, width = logarithms.shape
     sx, sy = grid.spacing[:2]
@@ -170,9 +172,10 @@ def _crowd(seen: _Slice) -> Box:
 
 
 def _corners(points: Floats, cells: npt.NDArray[np.intp]) -> Floats:
-    """Return the corners (N, 4, 2) of cells, in turn."""
-    turn = ((0, 0), (0, 1), (1, 1), (1, 0))
-    return np.stack([points[cells[:, 0] + dy, cells[:, 1] + dx] for dy, dx in turn], axis=1)
+    """Return the corners (N, 4, 2) of cells, in turn; along an axis of one sample, both are this one."""
+    last = np.array(points.shape[:2]) - 1
+    turn = [np.minimum(cells + corner, last) for corner in ((0, 0), (0, 1), (1, 1), (1, 0))]
+    return np.stack([points[corner[:, 0], corner[:, 1]] for corner in turn], axis=1)
 
 
 def _draw_grid(axes: Axes, seen: _Slice, every: int) -> None:
@@ -194,9 +197,8 @@ def _outline(seen: _Slice) -> list[Floats]:
     """Return the sides between cells that fold and others, where they lie."""
     whole = np.pad(seen.folded, 1)
     across, down = np.argwhere(whole[:, 1:] != whole[:, :-1]), np.argwhere(whole[1:] != whole[:-1])
-    points = seen.rest
-    made = [points[[row - 1, row], [column, column]] for row, column in across.tolist()]
-    return made + [points[[row, row], [column - 1, column]] for row, column in down.tolist()]
+    sides = [_corners(seen.rest, across - (1, 0))[:, [0, 3]], _corners(seen.rest, down - (0, 1))[:, [0, 1]]]
+    return list(np.concatenate(sides))
 
 
 def _draw_jacobian(made: Figure, axes: Axes, seen: _Slice, box: Box) -> None:
