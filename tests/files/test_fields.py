@@ -15,18 +15,8 @@ import pytest
 
 from supple import Affine, Field, FoldWarning, Grid, OutsideWarning, SuppleError
 from supple.files import fields as verbs
-from supple.files.fields import (
-    KINDS,
-    PULL,
-    PUSH,
-    Input,
-    check_file,
-    compose_files,
-    convert_file,
-    grid_of,
-    invert_file,
-    read_file,
-)
+from supple.files.fields import Input, check_file, compose_files, convert_file, invert_file
+from supple.files.maps import KINDS, PULL, PUSH, grid_of, read_file
 from supple.geometry import Geometry
 from supple.media import transforms, volume
 from tests.sampled_fields import GRID, moved, positions, sine, smooth
@@ -200,7 +190,7 @@ def test_all_outputs_or_none(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
     with pytest.raises(SuppleError, match=r"s.nii exists already: pass --force"):
         invert_file(source, tmp_path / "v.mha", **names)
     assert sorted(os.listdir(tmp_path)) == ["deep", "u.mha"]
-    whole = verbs._write_image
+    whole = verbs.write_image
 
     def breaking(path: Path, values: Array, grid: Grid | None) -> None:
         whole(path, values, grid)
@@ -208,7 +198,7 @@ def test_all_outputs_or_none(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
             raise SuppleError(f"cannot write {path}: the disk is full: make room")
 
     with monkeypatch.context() as patch:
-        patch.setattr(verbs, "_write_image", breaking)
+        patch.setattr(verbs, "write_image", breaking)
         with pytest.raises(SuppleError) as caught:
             invert_file(source, tmp_path / "v.mha", **names, force=True)
     assert str(caught.value) == f"cannot write {names['status']}: the disk is full: make room"

@@ -13,7 +13,8 @@ from supple.errors import SuppleError, shown
 
 if TYPE_CHECKING:
     from supple.fields import Map
-    from supple.files.fields import CheckedFile, Input, InvertedFile, MapFile, Written
+    from supple.files.fields import CheckedFile, Input, InvertedFile, Written
+    from supple.files.maps import MapFile
     from supple.geometry import Grid
 
 MAPS = Group("Maps", sort_key=1)

@@ -11,95 +11,29 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import numpy as np
 import numpy.typing as npt
 
 from supple.checks import FieldReport
 from supple.errors import FoldWarning, SuppleError, shown
 from supple.fields import OK, Affine, Field, Map, Placed, compose, own_grid
-from supple.geometry import Geometry, Grid
-from supple.media import transforms, volume
+from supple.files.maps import (
+    MapFile,
+    check_images,
+    convention_out,
+    grid_of,
+    only_field,
+    read_file,
+    told,
+    write_file,
+    write_image,
+)
 from supple.media.files import check_output, replacing_together
-from supple.media.volume import is_volume, suffix_of
+from supple.media.volume import suffix_of
 
 Array = npt.NDArray[Any]
 PathLike = str | os.PathLike[str]
 
-PULL = "output point -> input point"
-PUSH = "input point -> output point"
-
 _IMAGES = (".nii", ".nii.gz", ".nrrd", ".nhdr", ".mha", ".mhd", ".mif", ".mif.gz", ".mgz")
-
-
-class Kind(NamedTuple):
-    """What the numbers in files of a convention are."""
-
-    label: str
-    holds: str
-    space: str
-    units: str
-    affine: str = PULL
-
-
-KINDS = {
-    "itk": Kind("ITK", "displacements", "LPS", "mm"),
-    "fsl-relative": Kind("FSL, relative", "displacements", "FSL coordinates of the input image", "mm"),
-    "fsl-absolute": Kind("FSL, absolute", "positions", "FSL coordinates of the input image", "mm"),
-    "fsl-affine": Kind("FSL's FLIRT", "positions", "FSL coordinates of both images", "mm", PUSH),
-    "afni": Kind("AFNI", "displacements", "LPS", "mm"),
-    "mrtrix": Kind("MRtrix, deformation", "positions", "RAS", "mm"),
-    "mrtrix-displacement": Kind("MRtrix, displacement", "displacements", "RAS", "mm"),
-    "freesurfer": Kind("FreeSurfer", "positions or displacements", "RAS", "mm", PUSH),
-    "ngff": Kind("OME-Zarr", "displacements or positions", "LPS, or as its axes say", "mm, or as its axes say"),
-    "opencv": Kind("OpenCV's remap", "positions", "the picture", "pixels"),
-    "stmap": Kind("STMap", "positions", "the picture, from its bottom left corner", "of its width and height"),
-}
-"""What the files of each convention hold. In memory, all are displacements in millimetres in LPS, or in pixels."""
-
-
-@dataclass(frozen=True, slots=True)
-class MapFile:
-    """A file of maps, as it was read or is written.
-
-    Parameters
-    ----------
-    path : pathlib.Path
-    convention : str
-        One of `supple.media.transforms.CONVENTIONS`.
-    known : str
-        How the convention is known: ``"as given"``, ``"from its intent code"``, ...
-    maps : tuple of Field or Affine
-        In the order in which a point of the output goes through them.
-    inverse : bool
-        Whether their inverse is taken, among those that are composed.
-    """
-
-    path: Path
-    convention: str
-    known: str
-    maps: tuple[Map, ...]
-    inverse: bool = False
-
-    @property
-    def kind(self) -> Kind:
-        """What the convention's numbers are."""
-        return KINDS.get(self.convention, Kind(self.convention, "numbers", "its own", "its own units"))
-
-    @property
-    def grid(self) -> Grid | None:
-        """The grid of the samples of the first field; None of affine maps alone."""
-        return next((own_grid(each) for each in self.maps if isinstance(each, Field)), None)
-
-    @property
-    def direction(self) -> str:
-        """Which way the numbers in the file lead; what is read is always a pull map."""
-        return self.kind.affine if all(isinstance(each, Affine) for each in self.maps) else PULL
-
-    def facts(self) -> dict[str, Any]:
-        """Return what is known of the file, ready for JSON."""
-        kind = self.kind
-        facts = {"convention": self.convention, "known": self.known, "direction": self.direction}
-        return {**facts, "holds": kind.holds, "space": kind.space, "units": kind.units, "maps": _facts_of(self.maps)}
 
 
 class Input(NamedTuple):
@@ -263,7 +197,7 @@ def invert_file(
     outputs = [path for path in (target, error, status, report) if path is not None]
     for path in outputs[1:]:
         check_output(path, force=force)
-    _check_image(error, status)
+    check_images(error, status)
     wanted = None if reference is None else grid_of(reference)
     moving = None if image is None else grid_of(image)
     read = read_file(source, convention, source=moving, reference=wanted)
@@ -271,7 +205,7 @@ def invert_file(
     fields = [each for each in read.maps if isinstance(each, Field)]
     if (len(read.maps) != 1 or not fields) and (error is not None or status is not None):
         raise SuppleError(
-            f"{shown(source)} holds {_told(read.maps)}: --error and --status are of the inverse of one field alone: "
+            f"{shown(source)} holds {told(read.maps)}: --error and --status are of the inverse of one field alone: "
             "leave them out"
         )
     counts, worst, extra = None, None, {}
@@ -292,9 +226,9 @@ def invert_file(
             maps = (compose([Placed(each, inverse=True) for each in reversed(read.maps)], grid),)
         # The inverse leads to the image that the field is on.
         here = read.grid if fields else wanted
-        _write(places[target], maps, known, source=here, reference=moving)
+        write_file(places[target], maps, known, source=here, reference=moving)
         for path, values in extra.items():
-            _write_image(places[path], values, own_grid(maps[0]) if isinstance(maps[0], Field) else None)
+            write_image(places[path], values, own_grid(maps[0]) if isinstance(maps[0], Field) else None)
         how = "as asked" if to else "as it was read"
         written = MapFile(Path(target), known, how, maps)
         made = InvertedFile((read,), written, time.perf_counter() - began, counts, worst, tolerance)
@@ -341,22 +275,22 @@ def check_file(
     outputs = [path for path in (map, picture) if path is not None]
     for path in outputs:
         check_output(path, force=force)
-    _check_image(map)
+    check_images(map)
     if picture is not None:
         from supple.plot import check_plot
 
         check_plot(picture, force=force)
     read = read_file(source, convention, source=None if image is None else grid_of(image))
-    field = _only(read)
+    field = only_field(read)
     other = None if inverse is None else read_file(inverse, convention, source=own_grid(field))
     folded, logarithms = field.folded_cells(), field.log_jacobian()
-    distances = None if other is None else field.distances(_only(other))
+    distances = None if other is None else field.distances(only_field(other))
     report = field.reported(folded, logarithms, distances)
     if outputs:
         with replacing_together(outputs, force=force) as hidden:
             places = dict(zip(outputs, hidden, strict=True))
             if map is not None:
-                _write_image(places[map], logarithms, report.grid)
+                write_image(places[map], logarithms, report.grid)
             if picture is not None:
                 from supple.plot.fields import draw_check
 
@@ -407,7 +341,7 @@ def compose_files(
             file = read_file(each.path, each.convention, source=moving[-1], reference=wanted)
             read.append(replace(file, inverse=each.inverse))
         shared = {each.convention for each in read}
-        known, how = _to(target, to, shared.pop() if len(shared) == 1 else None)
+        known, how = convention_out(target, to, shared.pop() if len(shared) == 1 else None)
         grid = wanted or next((each.grid for each in read if each.grid is not None), None)
         if grid is None:
             raise SuppleError(
@@ -418,7 +352,7 @@ def compose_files(
             ordered = file.maps[::-1] if file.inverse else file.maps
             parts += [Placed(one, inverse=file.inverse) for one in ordered]
         made = compose(parts, grid)
-        _write(place, (made,), known, source=read[-1].grid if inputs[-1].inverse else moving[-1], reference=wanted)
+        write_file(place, (made,), known, source=read[-1].grid if inputs[-1].inverse else moving[-1], reference=wanted)
     written = MapFile(Path(target), known, how, (made,))
     return Written(tuple(read), written, time.perf_counter() - began)
 
@@ -453,7 +387,7 @@ def convert_file(
         If the source cannot be read, or the convention of the target cannot hold it.
     """
     began = time.perf_counter()
-    known, how = _to(target, to, None)
+    known, how = convention_out(target, to, None)
     moving = None if image is None else grid_of(image)
     wanted = None if reference is None else grid_of(reference)
     with replacing_together([target], force=force) as (place,):
@@ -466,100 +400,8 @@ def convert_file(
                 "field shall have (--reference)"
             )
         maps = (compose(read.maps, wanted),) if as_field and wanted is not None else read.maps
-        _write(place, maps, known, source=moving, reference=wanted)
+        write_file(place, maps, known, source=moving, reference=wanted)
     return Written((read,), MapFile(Path(target), known, how, maps), time.perf_counter() - began)
-
-
-def read_file(
-    path: PathLike, convention: str | None = None, *, source: Grid | None = None, reference: Grid | None = None
-) -> MapFile:
-    """Read a file of maps, and how its convention is known."""
-    known = transforms.convention_in(path) if convention is None else convention
-    found = transforms.read(path, known, source=source, reference=reference)
-    maps = tuple(Field(*each) if isinstance(each, transforms.Displacements) else Affine(each) for each in found)
-    if convention is not None:
-        how = "as given"
-    elif suffix_of(path) in (".nii", ".nii.gz"):
-        how = "from its intent code"
-    elif suffix_of(path) in (".txt", ".mat"):
-        how = "from its content"
-    else:
-        how = f"from its suffix {suffix_of(path)}"
-    return MapFile(Path(path), known, how, maps)
-
-
-def grid_of(path: PathLike) -> Grid:
-    """Return the grid of a volume, a field in the file of a volume, or a picture."""
-    if not is_volume(path):
-        from supple.media.image import info
-
-        facts = info(path)
-        return Grid((int(str(facts["height"])), int(str(facts["width"]))))
-    found = volume.read(path)
-    if found.geometry.convention == "array":
-        raise SuppleError(f"{shown(path)} does not say where its voxels lie in space: give an image that does")
-    return found.geometry.grid(found.sizes[::-1])
-
-
-def _to(target: PathLike, to: str | None, otherwise: str | None) -> tuple[str, str]:
-    """Return the convention of a file to write, and how it is known."""
-    if to is not None:
-        return to, "as asked"
-    if otherwise is not None:
-        return otherwise, "as all were read"
-    try:
-        return transforms.convention_of(target), f"from its suffix {suffix_of(target)}"
-    except SuppleError as error:
-        raise SuppleError(f"{error} (--to NAME)") from None
-
-
-def _only(read: MapFile) -> Field:
-    """Return the only field of a file."""
-    only = read.maps[0] if len(read.maps) == 1 else None
-    if not isinstance(only, Field):
-        raise SuppleError(
-            f"{shown(read.path)} holds {_told(read.maps)}, and not one field: supple compose makes one field of them"
-        )
-    return only
-
-
-def _told(maps: Sequence[Map]) -> str:
-    return " and ".join("a field" if isinstance(each, Field) else "an affine map" for each in maps) or "nothing"
-
-
-def _write(
-    path: PathLike, maps: Sequence[Map], convention: str, *, source: Grid | None, reference: Grid | None
-) -> None:
-    contents: list[transforms.Content] = [
-        transforms.Displacements(each.values, each.grid, each.interpolation, each.beyond)
-        if isinstance(each, Field)
-        else each.matrix
-        for each in maps
-    ]
-    transforms.write(path, contents, convention, source=source, reference=reference)
-
-
-def _check_image(*paths: PathLike | None) -> None:
-    """Raise SuppleError for names of neither a volume nor a picture."""
-    from supple.media import image
-
-    for path in paths:
-        if path is not None and suffix_of(path) not in image.SUFFIXES_OUT:
-            volume.check_target(path)
-
-
-def _write_image(path: PathLike, values: Array, grid: Grid | None) -> None:
-    """Write values of the samples of a grid as a volume or a picture."""
-    assert grid is not None
-    if grid.ndim == 2:
-        from supple.media import image
-
-        image.write(path, values)
-        return
-    x, y, z = grid.spacing
-    a, b, c = grid.origin
-    geometry = Geometry((x, y, z), (a, b, c), np.array(grid.direction), "LPS")
-    volume.write(path, values, volume.Volume(values, geometry))
 
 
 def _warn_of(counts: Mapping[str, int], name: str) -> None:
@@ -571,25 +413,3 @@ def _warn_of(counts: Mapping[str, int], name: str) -> None:
             FoldWarning,
             stacklevel=3,
         )
-
-
-def _facts_of(maps: Sequence[Map]) -> list[dict[str, Any]]:
-    made: list[dict[str, Any]] = []
-    for each in maps:
-        if isinstance(each, Affine):
-            made.append({"kind": "affine", "matrix": each.matrix.tolist()})
-            continue
-        grid = each.grid
-        made.append(
-            {
-                "kind": "field",
-                "interpolation": each.interpolation,
-                "size": list(grid.sizes),
-                "spacing": list(grid.spacing),
-                "origin": list(grid.origin),
-                "direction": [list(row) for row in grid.direction],
-                "units": "mm" if grid.ndim == 3 else "pixels",
-                "space": "LPS" if grid.ndim == 3 else "the picture",
-            }
-        )
-    return made
