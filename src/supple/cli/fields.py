@@ -270,8 +270,8 @@ def _checked(made: CheckedFile) -> str:
         )
     else:
         lines.append(_line("folds", f"nowhere: the determinant is above 0 in all of {report.cells:,} cells"))
-    place = ", ".join(f"{x:.5g}" for x in report.at)
-    lines.append(_line("determinant", f"at least {report.determinant:.4g}, at ({place}) {unit}"))
+    place = ", ".join(f"{x + 0.0:.5g}" for x in report.at)
+    lines.append(_line("determinant", f"the least is {report.determinant:.4g}, at ({place}) {unit}"))
     share = f"{report.negative:,} of {report.samples:,} samples ({_share(report.negative, report.samples)})"
     lines.append(_line("", f"not above 0 at {share}, by central differences"))
     found = report.consistency
@@ -305,7 +305,7 @@ def _map(each: Map, holds: str) -> str:
     sizes = " x ".join(map(str, grid.sizes))
     if grid.ndim == 2:
         return f"a field of {holds}, {sizes} pixels"
-    steps, origin = " x ".join(f"{s:.5g}" for s in grid.spacing), ", ".join(f"{x:.5g}" for x in grid.origin)
+    steps, origin = " x ".join(f"{s:.5g}" for s in grid.spacing), ", ".join(f"{x + 0.0:.5g}" for x in grid.origin)
     spline = "" if each.interpolation == "linear" else f", interpolation {each.interpolation}"
     return f"a field of {holds}, {sizes} voxels of {steps} mm, the first at ({origin}) in LPS{spline}"
 

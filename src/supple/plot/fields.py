@@ -134,7 +134,7 @@ def _heading(report: FieldReport, seen: _Slice, name: str) -> str:
         told = f"{report.folded:,} of {report.cells:,} cells fold ({100 * report.folded / report.cells:.2g} %)"
     else:
         told = f"none of {report.cells:,} cells folds"
-    place = ", ".join(f"{x:.4g}" for x in report.at)
+    place = ", ".join(f"{x + 0.0:.4g}" for x in report.at)
     lines = [f"{name}: {told}" + (f"; {seen.where}" if seen.where else "")]
     lines.append(
         f"least determinant {report.determinant:.3g} at ({place}) {seen.unit}; displacement up to "
