@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from supple.arrays import warp_batch
+    from supple.checks import FieldReport
     from supple.deformation import Arrival, Deformation, Inverse, Report
     from supple.domain import Domain
     from supple.errors import (
@@ -32,6 +33,7 @@ __all__ = [
     "DeviceWarning",
     "Domain",
     "Field",
+    "FieldReport",
     "FoldError",
     "FoldWarning",
     "Grid",
@@ -61,6 +63,7 @@ _HOMES = {
     "DeviceWarning": "errors",
     "Domain": "domain",
     "Field": "fields",
+    "FieldReport": "checks",
     "FoldError": "errors",
     "FoldWarning": "errors",
     "Grid": "geometry",

@@ -11,7 +11,8 @@ from typing import Any, Literal, Self, get_args
 import numpy as np
 import numpy.typing as npt
 
-from supple import _core
+from supple import _core, checks
+from supple.checks import FieldReport
 from supple.domain import FREE, choice, number, refuse
 from supple.engines.base import Certificate, certificate_of_status, warn_of
 from supple.errors import SuppleError, shown
@@ -22,6 +23,8 @@ Array = npt.NDArray[Any]
 PathLike = str | os.PathLike[str]
 Interpolation = Literal["linear", "cubic", "bspline"]
 Beyond = Literal["zero", "edge"]
+
+_ROUNDING = 1e-6  # samples: the outermost samples of a field may be just outside of it by rounding
 
 OK, FOLDED, OUTSIDE, UNCONVERGED = range(4)
 STATUS = ("ok", "folded", "outside", "unconverged")
@@ -180,7 +183,7 @@ class Field:
             1 if self.interpolation == "linear" else 3,
             [1.0 if own else 0.0] * n,
             [size - (2.0 if own else 1.0) for size in sizes],
-            0.0 if own else 0.5,
+            _ROUNDING if own else 0.5,
             self.beyond == "zero",
             np.ascontiguousarray(matrix[:n]),
             np.ascontiguousarray(np.linalg.inv(matrix[:n, :n])),
@@ -221,6 +224,80 @@ class Field:
         self.packed(np.eye(n + 1)).invert(np.ascontiguousarray(to_index[:n]), back, tolerance, values, error, status)
         return Inverted(type(self)(values, held, beyond=self.beyond), error, status)
 
+    def folded_cells(self) -> npt.NDArray[np.bool_]:
+        """Return the cells between neighbouring samples in which the interpolant is not proved to be one-to-one.
+
+        Returns
+        -------
+        bool array
+            Of the shape of the samples less one along each axis of several: whether the determinant of I + ∂u/∂x may
+            not be above 0 somewhere in the cell. It is found by bounds that hold in the whole cell.
+        """
+        cells = np.zeros([max(size - 1, 1) for size in own_grid(self).shape], np.uint8)
+        self.packed(np.eye(self.ndim + 1)).folded_cells(cells)
+        return cells.astype(np.bool_)
+
+    def log_jacobian(self) -> npt.NDArray[np.float32]:
+        """Return the logarithm of the determinant of I + ∂u/∂x at each sample: above 0, the input is larger.
+
+        By central differences between the samples, one-sided at the edges; NaN where the determinant is not above 0,
+        that is, where the field folds.
+        """
+        return checks.log_jacobian(sampled(self), own_grid(self))
+
+    def check(self, inverse: Field | None = None) -> FieldReport:
+        """Return how far the field moves, whether it folds, and how well another one undoes it.
+
+        Parameters
+        ----------
+        inverse : Field, optional
+            A field that shall undo this one: a point goes through this one first.
+
+        Returns
+        -------
+        FieldReport
+
+        Raises
+        ------
+        SuppleError
+            If the other field has another number of axes.
+        """
+        distances = None if inverse is None else self.distances(inverse)
+        return self.reported(self.folded_cells(), self.log_jacobian(), distances)
+
+    def distances(self, inverse: Field) -> npt.NDArray[np.float32]:
+        """Return |inverse(self(x)) − x| at each sample x, in the grid's units.
+
+        NaN where this field maps a sample to a point beyond the other one's grid, farther than half a sample.
+        """
+        if inverse.ndim != self.ndim:
+            raise SuppleError(f"a field of {self.ndim} axes has no inverse of {inverse.ndim}")
+        one, other = (field.packed(np.eye(self.ndim + 1)) for field in (self, inverse))
+        margin = _ROUNDING if inverse.interpolation == "bspline" else 0.5
+        return checks.distances(one, other, own_grid(self), own_grid(inverse), margin)
+
+    def reported(
+        self, folded: Array, logarithms: npt.NDArray[np.float32], distances: npt.NDArray[np.float32] | None = None
+    ) -> FieldReport:
+        """Return the report of what `folded_cells`, `log_jacobian` and `distances` have returned."""
+        grid, values = own_grid(self), sampled(self)
+        if self.interpolation == "linear":
+            least, index = checks.least_at_corners(values, grid)
+        else:
+            least, index = checks.least_at_samples(self.packed(np.eye(self.ndim + 1)), grid)
+        largest, mean = checks.displacements(values)
+        return FieldReport(
+            grid=grid,
+            largest=largest,
+            mean=mean,
+            cells=folded.size,
+            folded=int(np.count_nonzero(folded)),
+            determinant=least,
+            at=tuple(grid.positions(index).tolist()),
+            negative=int(np.count_nonzero(np.isnan(logarithms))),
+            consistency=None if distances is None else checks.consistency_of(distances),
+        )
+
     def compose(self, *maps: Map | Placed, grid: Grid | None = None) -> Self:
         """Return the field of this map and others, one after the other: x goes through this one first.
 
@@ -259,14 +336,14 @@ class Field:
             If the file cannot be read, is of another convention, or holds anything but one field.
         """
         found = read_maps(path, convention, source=source)
-        if len(found) != 1 or not isinstance(found[0], Field):
+        only = found[0] if len(found) == 1 else None
+        if not isinstance(only, Field):
             kinds = " and ".join("a field" if isinstance(each, Field) else "an affine map" for each in found)
             raise SuppleError(
                 f"{shown(path)} holds {kinds}, and not one field: read_maps(path) reads them (supple compose makes one "
                 "field of them)"
             )
-        (field,) = found
-        return cls(field.values, field.grid, field.interpolation, field.beyond)
+        return cls(only.values, only.grid, only.interpolation, only.beyond)
 
     def write(
         self, path: PathLike, convention: str | None = None, *, source: Grid | None = None, force: bool = False
@@ -428,6 +505,13 @@ def own_grid(field: Field) -> Grid:
     if field.interpolation != "bspline":
         return field.grid
     return field.grid.crop([1] * field.ndim, [n - 2 for n in field.grid.sizes])
+
+
+def sampled(field: Field) -> Array:
+    """Return the displacements of a field at the samples of `own_grid`."""
+    if field.interpolation != "bspline":
+        return field.values
+    return checks.values_at(field.packed(np.eye(field.ndim + 1)), own_grid(field))
 
 
 def check_overlap(field: Field, grid: Grid, what: str = "the field's grid", where: str = "the image's") -> None:

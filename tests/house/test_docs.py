@@ -90,7 +90,8 @@ def test_pictures_are_small() -> None:
 
 def test_every_option_that_is_named_exists_and_every_one_that_exists_is_named() -> None:
     helps = {}
-    for command in ("", "warp", "render", "points", "plot", "info", "demo", "view"):
+    verbs = ("warp", "render", "points", "plot", "info", "demo", "view", "invert", "check", "compose", "convert")
+    for command in ("", *verbs):
         result = subprocess.run(
             [sys.executable, "-m", "supple", *command.split(), "--help"],
             env={**os.environ, "PYTHONPATH": str(ROOT / "src"), "COLUMNS": "200"},
@@ -105,5 +106,5 @@ def test_every_option_that_is_named_exists_and_every_one_that_exists_is_named() 
     assert named <= known
     reference = (ROOT / "docs" / "command-line.md").read_text(encoding="utf-8")
     assert known - {"--version"} <= set(re.findall(OPTION, reference))
-    for line in re.findall(r"^supple (?:warp|render|points|plot|info|demo|view) .*$", text, re.MULTILINE):
+    for line in re.findall(rf"^supple (?:{'|'.join(verbs)}) .*$", text, re.MULTILINE):
         assert set(re.findall(OPTION, line)) <= helps[line.split()[1]], line

@@ -72,7 +72,7 @@ def test_warping_a_picture_imports_no_more_than_it_needs(warped: set[str], modul
     assert module not in warped
 
 
-COMMANDS = {f"supple.cli.{name}" for name in ("warp", "plot", "volume", "info", "view")}
+COMMANDS = {f"supple.cli.{name}" for name in ("warp", "plot", "volume", "info", "view", "fields")}
 
 
 def test_a_command_imports_its_own_module_alone(tmp_path: Path) -> None:
@@ -96,5 +96,11 @@ def test_help_says_what_every_command_does(arguments: list[str], capsys: pytest.
         "Move landmarks",
     ):
         assert line in said
-    for line in ("Describe pictures", "Open a window", "Write a gallery"):
+    for line in (
+        "Describe pictures",
+        "Open a window",
+        "Write a gallery",
+        "Invert a displacement field",
+        "Check a displ",
+    ):
         assert line in said

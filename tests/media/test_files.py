@@ -15,7 +15,7 @@ import pytest
 
 from supple.errors import SuppleError, shown
 from supple.media import base
-from supple.media.files import check_output, replacing
+from supple.media.files import check_output, replacing, replacing_together
 from tests.children import SOURCE
 
 posix = pytest.mark.skipif(os.name != "posix", reason="permission bits are POSIX's")
@@ -312,3 +312,64 @@ def test_every_medium_keeps_the_contract(name, kind):
             options = {each.name: each.default for each in parameters if each.kind is each.KEYWORD_ONLY}
             places = [each for each in parameters if each.name not in options]
             inspect.signature(getattr(medium, member)).bind(*places, **options)
+
+
+@pytest.mark.parametrize("failing", [0, 1, 2, None])
+def test_files_in_several_folders_appear_together_or_not_at_all(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, failing: int | None
+) -> None:
+    """Though a rename fails, or is interrupted, after others are done."""
+    (tmp_path / "deep").mkdir()
+    paths = [tmp_path / "a.txt", tmp_path / "deep" / "b.txt", tmp_path / "c.txt"]
+    paths[0].write_text("before")
+    paths[2].write_text("before")
+    rename, done = os.rename, []
+
+    def breaking(before: Path, after: Path) -> None:
+        if failing is not None and Path(after) == paths[failing] and paths[failing] not in done:
+            done.append(after)
+            raise KeyboardInterrupt if failing == 1 else OSError(errno.EIO, "Input/output error")
+        rename(before, after)
+
+    def write() -> None:
+        with replacing_together(paths, force=True) as hidden:
+            for each in hidden:
+                assert each.suffix == ".txt"
+                each.write_text("after")
+            assert [path.read_text() for path in paths if path.exists()] == ["before", "before"]
+
+    with monkeypatch.context() as patch:
+        patch.setattr("os.rename", breaking)
+        if failing is None:
+            write()
+        else:
+            with pytest.raises(KeyboardInterrupt if failing == 1 else SuppleError):
+                write()
+    expected = ["after"] * 3 if failing is None else ["before", None, "before"]
+    assert [path.read_text() if path.exists() else None for path in paths] == expected
+    assert sorted(os.listdir(tmp_path)) == ["a.txt", "c.txt", "deep"]
+    assert os.listdir(tmp_path / "deep") == ["b.txt"] * (failing is None)
+
+
+def test_files_that_exist_are_kept_together(tmp_path: Path) -> None:
+    (tmp_path / "b.txt").write_text("before")
+    with (
+        pytest.raises(SuppleError, match=r"b.txt exists already"),
+        replacing_together([tmp_path / "a.txt", tmp_path / "b.txt"]),
+    ):
+        pytest.fail("it is too late")
+
+    def write() -> None:
+        with replacing_together([tmp_path / "c.txt"]) as (one,):
+            one.write_text("after")
+            (tmp_path / "c.txt").write_text("from elsewhere")
+
+    with pytest.raises(SuppleError, match=r"c.txt exists already"):
+        write()
+    assert (tmp_path / "c.txt").read_text() == "from elsewhere"
+    with (
+        pytest.raises(SuppleError, match=rf"cannot write {tmp_path}/d.txt: it is full"),
+        replacing_together([tmp_path / "d.txt"]) as (one,),
+    ):
+        raise SuppleError(f"cannot write {one}: it is full")
+    assert sorted(os.listdir(tmp_path)) == ["b.txt", "c.txt"]

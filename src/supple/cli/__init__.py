@@ -53,6 +53,30 @@ Examples:
   supple view head.nii.gz --serve
   supple view ct.raw --shape 512,512,200 --dtype int16 --spacing 0.7,0.7,1.5
 """
+_INVERT_EXAMPLES = """\
+Examples:
+
+  supple invert warp.nii.gz inverse.nii.gz --status status.nii.gz
+  supple invert composite.h5 inverse.nii.gz --to itk --reference moving.nii.gz
+"""
+_CHECK_EXAMPLES = """\
+Examples:
+
+  supple check warp.nii.gz --picture warp.png
+  supple check warp.nii.gz inverse.nii.gz --map logjac.nii.gz
+"""
+_COMPOSE_EXAMPLES = """\
+Examples:
+
+  supple compose warp.nii.gz affine.mat --out both.nii.gz --to itk
+  supple compose a.nii.gz --inverse b.nii.gz --convention fsl-relative --source moving.nii.gz --out c.mha
+"""
+_CONVERT_EXAMPLES = """\
+Examples:
+
+  supple convert warp.nii.gz warp.mha
+  supple convert warp.nii.gz fsl.nii.gz --from itk --to fsl-relative --source moving.nii.gz
+"""
 
 # The module of each command, its usage, and examples. Only the module of the given command is imported.
 _COMMANDS = (
@@ -62,6 +86,10 @@ _COMMANDS = (
     ("cli.volume:points", f"points IN OUT --on FILE {_GRAB}", _POINTS_EXAMPLES),
     ("cli.info:info", "info FILE... [--gpu] [--json]", ""),
     ("cli.view:view", "view FILE [--serve] [OPTIONS]", _VIEW_EXAMPLES),
+    ("cli.fields:invert", "invert FIELD OUT [OPTIONS]", _INVERT_EXAMPLES),
+    ("cli.fields:check", "check FIELD [INVERSE] [OPTIONS]", _CHECK_EXAMPLES),
+    ("cli.fields:compose", "compose MAP [--inverse] MAP [--inverse]... --out FILE [OPTIONS]", _COMPOSE_EXAMPLES),
+    ("cli.fields:convert", "convert IN OUT [--from NAME] [--to NAME] [OPTIONS]", _CONVERT_EXAMPLES),
     ("cli.plot:demo", "demo [DIR] [OPTIONS]", ""),
 )
 

@@ -45,6 +45,7 @@ _WORDS = (
 )
 _FIRST = re.compile(rf"^((?:--grab \S+: )?)({_NAMES}|{_WORDS})(?= is for | must be | needs )")
 _WORD = re.compile(rf"(?<![\w/.-])({_UNDERSCORED})(?![\w/.-])")
+_GRID = re.compile(r"(?<![\w-])(source|reference)=(?![\w'\"])")  # give its grid as source=
 _SPELT = {"supersampling": "smooth"}
 
 
@@ -77,7 +78,7 @@ def as_options(text: str) -> str:
         value = next(value for value in values if value is not None)
         return option(name) if value == "True" else f"{option(name)} {'none' if value == 'None' else value}"
 
-    text = _GIVEN.sub(given, _ASIDE.sub("", text))
+    text = _GRID.sub(lambda found: option(found[1]), _GIVEN.sub(given, _ASIDE.sub("", text)))
     text = _FIRST.sub(lambda found: found[1] + option(found[2]), text)
     return _WORD.sub(lambda found: option(found[1]), text).replace(", or None ", ", or none ")
 

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import os
 import shutil
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
@@ -364,8 +365,8 @@ def _spare(source: PathLike, target: PathLike, kind: str, force: bool) -> None:
 def _asked(options: ClipOptions | VolumeOptions | None, usual: ClipOptions | VolumeOptions) -> str:
     """Return the command-line names of the options that are not at their defaults."""
     assert options is not None
-    named = [each.name for each in fields(options) if getattr(options, each.name) != getattr(usual, each.name)]
-    return _named(named)
+    names = [each.name for each in dataclasses.fields(options)]
+    return _named([name for name in names if getattr(options, name) != getattr(usual, name)])
 
 
 def _named(names: Sequence[str]) -> str:

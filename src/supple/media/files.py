@@ -7,7 +7,7 @@ import errno
 import os
 import shutil
 import stat
-from collections.abc import Container, Iterable, Iterator
+from collections.abc import Container, Iterable, Iterator, Sequence
 from pathlib import Path
 
 from supple.errors import SuppleError, shown
@@ -249,6 +249,82 @@ def replacing_all(folder: Path, *, force: bool = False) -> Iterator[Path]:
         raise SuppleError(f"cannot write into {shown(folder)}: {reason}: choose another place") from error
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
+
+
+@contextlib.contextmanager
+def replacing_together(paths: Sequence[PathLike], *, force: bool = False) -> Iterator[list[Path]]:
+    """Write several files, in any folders, which appear together or not at all.
+
+    Parameters
+    ----------
+    paths : sequence of str or os.PathLike
+        The files to write, or folders that are written as files are (.zarr).
+    force : bool
+        Whether existing ones may be replaced.
+
+    Yields
+    ------
+    list of pathlib.Path
+        For each, a name of its own in a hidden folder beside its place, where the block is to write it. If the block
+        ends early, by an interrupt too, all are removed and nothing else changes. SuppleErrors that name these are
+        raised with the names of the files.
+
+    Raises
+    ------
+    SuppleError
+        As in `check_output`; if two paths are of one file; and for every `OSError`.
+    """
+    targets = [_check_place(path, force) for path in paths]
+    for i, target in enumerate(targets):
+        if target in targets[:i]:
+            raise SuppleError(f"{shown(paths[i])} is to be written twice: give each output a name of its own")
+    token, folders, moved = os.urandom(6).hex(), [], []
+    try:
+        for i, target in enumerate(targets):
+            folder = target.parent / f".{token}-{i}"
+            folder.mkdir()
+            folders.append(folder)
+        hidden = [folder / target.name for folder, target in zip(folders, targets, strict=True)]
+        try:
+            yield hidden
+            for path, made, target in zip(paths, hidden, targets, strict=True):
+                if not os.path.lexists(made):
+                    continue
+                if os.path.lexists(target):
+                    if not force:
+                        raise _exists(path)
+                    os.chmod(made, (made.stat().st_mode & ~0o777) | (target.stat().st_mode & 0o777))
+                    kept = made.with_name(f".{token}-before")
+                    moved.append((target, kept))  # noted first: an interrupt may come between
+                    os.rename(target, kept)
+                moved.append((made, target))
+                os.rename(made, target)
+        except BaseException:
+            for before, after in reversed(moved):
+                if not os.path.lexists(before):
+                    os.rename(after, before)
+            raise
+    except OSError as error:
+        name = next((p for p, folder in zip(paths, folders, strict=False) if str(folder) in str(error)), paths[0])
+        raise _refused(name, error) from error
+    except SuppleError as error:
+        text = str(error)
+        for path, folder, target in zip(paths, folders, targets, strict=False):
+            text = text.replace(shown(folder / target.name), shown(path))
+        if text == str(error):
+            raise
+        raise type(error)(text) from error
+    finally:
+        for folder in folders:
+            shutil.rmtree(folder, ignore_errors=True)
+
+
+def _check_place(path: PathLike, force: bool) -> Path:
+    if Path(path).suffix.lower() == ".zarr" and os.path.isdir(path):
+        if not force:
+            raise _exists(path)
+        return Path(os.path.realpath(path))
+    return check_output(path, force=force)
 
 
 def _publish_all(temporary: Path, place: Path, folder: Path, force: bool) -> None:

@@ -30,7 +30,7 @@ _MOST_STROKES = 12  # the most that are drawn as arrows, which hide the image
 
 Floats = npt.NDArray[np.float64]
 Background = npt.NDArray[np.float32] | None
-Extend = Literal["neither", "max"]
+Extend = Literal["neither", "max", "min", "both"]
 
 
 def check_plot(path: str | os.PathLike[str], *, force: bool = False) -> None:

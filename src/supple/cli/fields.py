@@ -1,0 +1,322 @@
+"""The commands on displacement fields: invert, check, compose and convert."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING, Annotated
+
+from cyclopts import Group, Parameter
+
+from supple.cli.console import Console, current
+from supple.cli.options import RunOptions, parse_number
+from supple.errors import SuppleError, shown
+
+if TYPE_CHECKING:
+    from supple.fields import Map
+    from supple.files.fields import CheckedFile, Input, InvertedFile, Written
+    from supple.files.maps import MapFile
+    from supple.geometry import Grid
+
+MAPS = Group("Maps", sort_key=1)
+WRITING = Group("Writing", sort_key=3)
+
+_RUN = RunOptions()
+Name = Annotated[str | None, Parameter(group=MAPS, metavar="NAME")]
+Image = Annotated[str | None, Parameter(group=MAPS, metavar="FILE")]
+Output = Annotated[str | None, Parameter(group=WRITING, metavar="FILE")]
+
+
+def invert(
+    field: Annotated[str, Parameter(name="FIELD")],
+    target: Annotated[str, Parameter(name="OUT")],
+    /,
+    *,
+    convention: Name = None,
+    to: Name = None,
+    source: Image = None,
+    reference: Image = None,
+    tolerance: Annotated[str, Parameter(group=MAPS, metavar="N", allow_leading_hyphen=True)] = "0.01",
+    error: Output = None,
+    status: Output = None,
+    report: Output = None,
+    options: RunOptions = _RUN,
+) -> None:
+    """Invert a displacement field, and say how well.
+
+    Parameters
+    ----------
+    field
+        File of a field, of affine maps, or of several of these, whose inverse is then sampled as one field.
+    target
+        File to write the inverse to.
+    convention
+        Convention of FIELD: itk, fsl-relative, … (default: what the file leaves no doubt about).
+    to
+        Convention of OUT (default: that of FIELD).
+    source
+        The input (moving) image of FIELD, which FSL's conventions need.
+    reference
+        Image or field whose grid the inverse gets (default: the grid of FIELD).
+    tolerance
+        Largest allowed error, in voxels of FIELD.
+    error
+        Also write an image of the error of each voxel, in millimetres: inf where it is not known.
+    status
+        Also write an image of what became of each voxel: 0 ok, 1 folded, 2 outside, 3 unconverged.
+    report
+        Also write the figures to a JSON file.
+    """
+    console = _started(options, field)
+    from supple.files.fields import invert_file
+
+    exact = parse_number("--tolerance", tolerance, "a number of voxels above 0")
+    made = invert_file(
+        field,
+        target,
+        convention=convention,
+        to=to,
+        reference=reference,
+        image=source,
+        tolerance=exact,
+        error=error,
+        status=status,
+        report=report,
+        force=options.force,
+    )
+    _tell(console, options, made.facts, lambda: _inverted(made))
+
+
+def check(
+    field: Annotated[str, Parameter(name="FIELD")],
+    inverse: Annotated[str | None, Parameter(name="INVERSE")] = None,
+    /,
+    *,
+    convention: Name = None,
+    source: Image = None,
+    map: Output = None,
+    picture: Output = None,
+    options: RunOptions = _RUN,
+) -> None:
+    """Check a displacement field: displacement, folds, and how well another one undoes it.
+
+    That it folds is told, and is no error.
+
+    Parameters
+    ----------
+    field
+        File of a field.
+    inverse
+        File of a field that shall undo it.
+    convention
+        Convention of both: itk, fsl-relative, … (default: what each file leaves no doubt about).
+    source
+        The input (moving) image of FIELD, which FSL's conventions need.
+    map
+        Also write an image of the logarithm of the Jacobian determinant, by central differences: NaN where the
+        determinant is not above 0.
+    picture
+        Also draw a slice: the grid, the logarithm of the determinant and the folds (PNG, SVG or PDF).
+    """
+    console = _started(options, field)
+    from supple.files.fields import check_file
+
+    made = check_file(
+        field, inverse, convention=convention, image=source, map=map, picture=picture, force=options.force
+    )
+    _tell(console, options, made.facts, lambda: _checked(made))
+
+
+def compose(
+    *maps: Annotated[str, Parameter(name="MAP...", required=True, allow_leading_hyphen=True)],
+    out: Annotated[str, Parameter(group=WRITING, metavar="FILE")],
+    to: Name = None,
+    reference: Image = None,
+    options: RunOptions = _RUN,
+) -> None:
+    """Make one displacement field of several maps, one after the other.
+
+    Parameters
+    ----------
+    maps
+        Files of fields and affine maps. A point of the output goes through the first one first. After a file,
+        --inverse takes its inverse, --convention NAME says what it follows, and --source FILE is the input (moving)
+        image that it leads to, which FSL's conventions need.
+    out
+        File to write.
+    to
+        Convention of the result (default: that of all maps, or the only one of the suffix).
+    reference
+        Image or field whose grid the result gets (default: the grid of the first field).
+    """
+    console = _started(options, "")
+    from supple.files.fields import compose_files
+
+    made = compose_files(parse_maps(maps), out, to=to, reference=reference, force=options.force)
+    _tell(console, options, made.facts, lambda: _written(made))
+
+
+def convert(
+    source_file: Annotated[str, Parameter(name="IN")],
+    target: Annotated[str, Parameter(name="OUT")],
+    /,
+    *,
+    convention: Annotated[str | None, Parameter(name="--from", group=MAPS, metavar="NAME")] = None,
+    to: Name = None,
+    source: Image = None,
+    reference: Image = None,
+    options: RunOptions = _RUN,
+) -> None:
+    """Convert a field or an affine map from one convention to another.
+
+    Parameters
+    ----------
+    source_file
+        File of a field, of an affine map, or of several of these.
+    target
+        File to write.
+    convention
+        Convention of IN: itk, fsl-relative, … (default: what the file leaves no doubt about).
+    to
+        Convention of OUT (default: the only one of its suffix).
+    source
+        The input (moving) image, which FSL's and FreeSurfer's conventions need.
+    reference
+        The output (fixed) image: maps are sampled on its grid as one field, unless it is one affine map that OUT holds
+        as such.
+    """
+    console = _started(options, source_file)
+    from supple.files.fields import convert_file
+
+    made = convert_file(
+        source_file, target, convention=convention, to=to, image=source, reference=reference, force=options.force
+    )
+    _tell(console, options, made.facts, lambda: _written(made))
+
+
+def parse_maps(words: Sequence[str]) -> list[Input]:
+    """Read files and what is said of each from the command line: an option is about the file before it."""
+    from supple.files.fields import Input
+
+    made: list[Input] = []
+    rest = iter(words)
+    for word in rest:
+        name, equals, value = word.partition("=")
+        if not word.startswith("-"):
+            made.append(Input(word))
+            continue
+        if name not in ("--inverse", "--convention", "--source") or (name == "--inverse" and equals):
+            raise SuppleError(f"Unknown option: {word}. (supple compose --help tells more)")
+        if not made:
+            raise SuppleError(f"{name} is about the file before it, and there is none: give a file first")
+        last = made[-1]
+        if name == "--inverse":
+            if last.inverse:
+                raise SuppleError(f"--inverse is given twice for {shown(last.path)}: leave one out, or both")
+            made[-1] = last._replace(inverse=True)
+            continue
+        given = value if equals else next(rest, None)
+        if given is None or (not equals and given.startswith("-")):
+            raise SuppleError(f"{name} needs a {'name' if name == '--convention' else 'file'} after it")
+        key = name.removeprefix("--")
+        if getattr(last, key) is not None:
+            raise SuppleError(f"{name} is given twice for {shown(last.path)}: leave one out")
+        made[-1] = last._replace(convention=given) if key == "convention" else last._replace(source=given)
+    return made
+
+
+def _started(options: RunOptions, file: str) -> Console:
+    console = current()
+    console.started(**options.asked(), file=file)
+    return console
+
+
+def _tell(
+    console: Console, options: RunOptions, facts: Callable[[], Mapping[str, object]], text: Callable[[], str]
+) -> None:
+    if options.json:
+        console.tell(facts())
+    elif not options.quiet:
+        print(text())
+
+
+def _inverted(made: InvertedFile) -> str:
+    lines = [_written(made)]
+    if made.counts is not None:
+        whole = sum(made.counts.values())
+        shares = [f"{count:,} {status} ({_share(count, whole)})" for status, count in made.counts.items()]
+        lines.append(_line("voxels", ", ".join(shares)))
+        worst = "no voxel is ok" if made.error is None else f"up to {made.error:.2g} mm among the ok"
+        lines.append(_line("error", f"{worst}; the tolerance is {made.tolerance:g} voxels"))
+    lines.append(_line("time", f"{made.seconds:.2g} s"))
+    return "\n".join(lines)
+
+
+def _written(made: Written) -> str:
+    return "\n".join([*(_file(each, "read") for each in made.sources), _file(made.target, "written")])
+
+
+def _checked(made: CheckedFile) -> str:
+    report = made.report
+    grid = report.grid
+    unit = _unit(grid)
+    lines = [_file(made.source, "read")]
+    if made.inverse is not None:
+        lines.append(_file(made.inverse, "read"))
+    lines.append(f"{shown(made.source.path)}:")
+    lines.append(_line("moves", f"up to {report.largest:.4g} {unit}, {report.mean:.4g} {unit} on average"))
+    if report.folds:
+        lines.append(
+            _line("folds", f"{report.folded:,} of {report.cells:,} cells ({_share(report.folded, report.cells)})")
+        )
+    else:
+        lines.append(_line("folds", f"nowhere: the determinant is above 0 in all of {report.cells:,} cells"))
+    place = ", ".join(f"{x + 0.0:.5g}" for x in report.at)
+    lines.append(_line("determinant", f"the least is {report.determinant:.4g}, at ({place}) {unit}"))
+    share = f"{report.negative:,} of {report.samples:,} samples ({_share(report.negative, report.samples)})"
+    lines.append(_line("", f"not above 0 at {share}, by central differences"))
+    found = report.consistency
+    if found is not None and found.count:
+        within = f"99 % within {found.percentile:.3g} {unit}, {found.mean:.3g} {unit} on average"
+        rest = f"; {found.outside:,} others are mapped outside" if found.outside else ""
+        lines.append(
+            _line("consistency", f"{found.largest:.3g} {unit} at most, {within}, of {found.count:,} samples{rest}")
+        )
+    elif found is not None:
+        lines.append(_line("consistency", f"not known: all of {found.outside:,} samples are mapped outside"))
+    return "\n".join(lines)
+
+
+def _file(file: MapFile, verb: str) -> str:
+    """Return what is known of a file of maps, on several lines."""
+    kind, inverted = file.kind, "; inverted" if file.inverse else ""
+    lines = [
+        f"{shown(file.path)}: {verb} as {kind.label} ({kind.space}, {kind.units}), {file.known}{inverted}",
+        _line("direction", f"{'pull' if file.direction.startswith('output') else 'push'}: {file.direction}"),
+    ]
+    return "\n".join([*lines, *(_line("holds", _map(each, kind.holds)) for each in file.maps)])
+
+
+def _map(each: Map, holds: str) -> str:
+    from supple.fields import Field
+
+    if not isinstance(each, Field):
+        return "an affine map"
+    grid = each.grid
+    sizes = " x ".join(map(str, grid.sizes))
+    if grid.ndim == 2:
+        return f"a field of {holds}, {sizes} pixels"
+    steps, origin = " x ".join(f"{s:.5g}" for s in grid.spacing), ", ".join(f"{x + 0.0:.5g}" for x in grid.origin)
+    spline = "" if each.interpolation == "linear" else f", interpolation {each.interpolation}"
+    return f"a field of {holds}, {sizes} voxels of {steps} mm, the first at ({origin}) in LPS{spline}"
+
+
+def _unit(grid: Grid) -> str:
+    return "mm" if grid.ndim == 3 else "px"
+
+
+def _share(count: int, whole: int) -> str:
+    return f"{100 * count / whole:.3g} %" if count else "0 %"
+
+
+def _line(key: str, text: str) -> str:
+    return f"  {key:<12}{text}"

@@ -1,0 +1,415 @@
+"""Files of displacement fields and affine maps: inverted, checked, composed, and converted between conventions."""
+
+from __future__ import annotations
+
+import json
+import os
+import time
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy.typing as npt
+
+from supple.checks import FieldReport
+from supple.errors import FoldWarning, SuppleError, shown
+from supple.fields import OK, Affine, Field, Map, Placed, compose, own_grid
+from supple.files.maps import (
+    MapFile,
+    check_images,
+    convention_out,
+    grid_of,
+    only_field,
+    read_file,
+    told,
+    write_file,
+    write_image,
+)
+from supple.media.files import check_output, replacing_together
+from supple.media.volume import suffix_of
+
+Array = npt.NDArray[Any]
+PathLike = str | os.PathLike[str]
+
+_IMAGES = (".nii", ".nii.gz", ".nrrd", ".nhdr", ".mha", ".mhd", ".mif", ".mif.gz", ".mgz")
+
+
+class Input(NamedTuple):
+    """A file among those that are composed.
+
+    Parameters
+    ----------
+    path : str or os.PathLike
+    inverse : bool
+        Whether its inverse is applied.
+    convention : str, optional
+        As in `Field.read`.
+    source : str or os.PathLike, optional
+        The image that it leads to, whose grid some conventions need.
+    """
+
+    path: PathLike
+    inverse: bool = False
+    convention: str | None = None
+    source: PathLike | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Written:
+    """What was written, and what it was made of.
+
+    Parameters
+    ----------
+    sources : tuple of MapFile
+    target : MapFile
+    seconds : float
+        How long reading, computing and writing took.
+    """
+
+    sources: tuple[MapFile, ...]
+    target: MapFile
+    seconds: float
+
+    def facts(self) -> dict[str, Any]:
+        """Return what is known, ready for JSON."""
+        read = [{"input": str(each.path), "inverse": each.inverse, **each.facts()} for each in self.sources]
+        return {"output": str(self.target.path), "read": read, "written": self.target.facts(), "seconds": self.seconds}
+
+
+@dataclass(frozen=True, slots=True)
+class InvertedFile(Written):
+    """An inverse that was written.
+
+    Parameters
+    ----------
+    counts : dict, optional
+        The number of samples of each status, if one field was inverted.
+    error : float, optional
+        The largest error among those that are ok, in millimetres; None if there are none, or as `counts`.
+    tolerance : float
+        In samples of the field.
+    """
+
+    counts: Mapping[str, int] | None
+    error: float | None
+    tolerance: float
+
+    def facts(self) -> dict[str, Any]:
+        """Return what is known, ready for JSON."""
+        found = {"counts": dict(self.counts) if self.counts else None, "error": self.error, "tolerance": self.tolerance}
+        return {**Written.facts(self), **found}
+
+
+@dataclass(frozen=True, slots=True)
+class CheckedFile:
+    """A field that was checked.
+
+    Parameters
+    ----------
+    source : MapFile
+    inverse : MapFile, optional
+    report : FieldReport
+    seconds : float
+    """
+
+    source: MapFile
+    inverse: MapFile | None
+    report: FieldReport
+    seconds: float
+
+    def facts(self) -> dict[str, Any]:
+        """Return what is known, ready for JSON."""
+        report, known = self.report, asdict(self.report)
+        del known["grid"]
+        # JSON has no NaN
+        if report.consistency is not None and not report.consistency.count:
+            known["consistency"] |= dict.fromkeys(("largest", "percentile", "mean"))
+        other = (
+            {} if self.inverse is None else {"inverse": str(self.inverse.path), "inverse_read": self.inverse.facts()}
+        )
+        return {
+            "input": str(self.source.path),
+            "read": self.source.facts(),
+            **other,
+            "size": list(report.grid.sizes),
+            "spacing": list(report.grid.spacing),
+            "samples": report.samples,
+            **known,
+            "folds": report.folds,
+            "seconds": self.seconds,
+        }
+
+
+def invert_file(
+    source: PathLike,
+    target: PathLike,
+    *,
+    convention: str | None = None,
+    to: str | None = None,
+    reference: PathLike | None = None,
+    image: PathLike | None = None,
+    tolerance: float = 0.01,
+    error: PathLike | None = None,
+    status: PathLike | None = None,
+    report: PathLike | None = None,
+    force: bool = False,
+) -> InvertedFile:
+    """Invert a file of a field, of affine maps, or of several of these.
+
+    All outputs appear together or not at all. One field is inverted as `Field.invert` does; several maps, as their
+    inverses in reverse order, sampled as one field; affine maps alone, exactly.
+
+    Parameters
+    ----------
+    source, target : str or os.PathLike
+        What is read, and the inverse.
+    convention : str, optional
+        That of the source, as in `Field.read`.
+    to : str, optional
+        That of the target; by default, that of the source.
+    reference : str or os.PathLike, optional
+        An image or a field whose grid the inverse gets; by default, it is that of the (first) field. For an affine map
+        of FSL, the output image.
+    image : str or os.PathLike, optional
+        The input (moving) image of the source, which FSL's conventions need.
+    tolerance : float
+        As in `Field.invert`.
+    error, status : str or os.PathLike, optional
+        Images of `Inverted.error` (float32) and `Inverted.status` (uint8), on the grid of the inverse; of one field.
+    report : str or os.PathLike, optional
+        A JSON file of the figures.
+    force : bool
+        Whether existing files may be replaced.
+
+    Raises
+    ------
+    SuppleError
+        If a file cannot be read, or an output cannot be written.
+
+    Warns
+    -----
+    FoldWarning, OutsideWarning
+        If the inverse is not exact everywhere.
+    """
+    began = time.perf_counter()
+    outputs = [path for path in (target, error, status, report) if path is not None]
+    for path in outputs[1:]:
+        check_output(path, force=force)
+    check_images(error, status)
+    wanted = None if reference is None else grid_of(reference)
+    moving = None if image is None else grid_of(image)
+    read = read_file(source, convention, source=moving, reference=wanted)
+    known = to or read.convention
+    fields = [each for each in read.maps if isinstance(each, Field)]
+    if (len(read.maps) != 1 or not fields) and (error is not None or status is not None):
+        raise SuppleError(
+            f"{shown(source)} holds {told(read.maps)}: --error and --status are of the inverse of one field alone: "
+            "leave them out"
+        )
+    counts, worst, extra = None, None, {}
+    with replacing_together(outputs, force=force) as hidden:
+        places = dict(zip(outputs, hidden, strict=True))
+        if not fields:
+            maps: tuple[Map, ...] = tuple(each.inverse() for each in reversed(read.maps) if isinstance(each, Affine))
+        elif len(read.maps) == 1:
+            inverted = fields[0].invert(wanted, tolerance=tolerance)
+            maps, counts = (inverted.field,), inverted.counts
+            fine = inverted.error[inverted.status == OK]
+            worst = float(fine.max()) if fine.size else None
+            _warn_of(counts, shown(source))
+            extra = {path: image for path, image in ((error, inverted.error), (status, inverted.status)) if path}
+        else:
+            grid = wanted or read.grid
+            assert grid is not None
+            maps = (compose([Placed(each, inverse=True) for each in reversed(read.maps)], grid),)
+        # The inverse leads to the image that the field is on.
+        here = read.grid if fields else wanted
+        write_file(places[target], maps, known, source=here, reference=moving)
+        for path, values in extra.items():
+            write_image(places[path], values, own_grid(maps[0]) if isinstance(maps[0], Field) else None)
+        how = "as asked" if to else "as it was read"
+        written = MapFile(Path(target), known, how, maps)
+        made = InvertedFile((read,), written, time.perf_counter() - began, counts, worst, tolerance)
+        if report is not None:
+            places[report].write_text(json.dumps(made.facts(), indent=2) + "\n", "utf-8")
+    return made
+
+
+def check_file(
+    source: PathLike,
+    inverse: PathLike | None = None,
+    *,
+    convention: str | None = None,
+    image: PathLike | None = None,
+    map: PathLike | None = None,
+    picture: PathLike | None = None,
+    force: bool = False,
+) -> CheckedFile:
+    """Check the field of a file, as `Field.check` does.
+
+    Parameters
+    ----------
+    source : str or os.PathLike
+        A file of one field.
+    inverse : str or os.PathLike, optional
+        A file of a field that shall undo it.
+    convention : str, optional
+        That of both, as in `Field.read`.
+    image : str or os.PathLike, optional
+        The input (moving) image of the source, which FSL's conventions need.
+    map : str or os.PathLike, optional
+        The image for the logarithm of the Jacobian determinant, float32, as `Field.log_jacobian` returns it.
+    picture : str or os.PathLike, optional
+        A PNG, SVG or PDF file for `supple.plot.fields.draw_check`.
+    force : bool
+        Whether existing files may be replaced.
+
+    Raises
+    ------
+    SuppleError
+        If a file cannot be read, holds anything but one field, or an output cannot be written.
+    """
+    began = time.perf_counter()
+    outputs = [path for path in (map, picture) if path is not None]
+    for path in outputs:
+        check_output(path, force=force)
+    check_images(map)
+    if picture is not None:
+        from supple.plot import check_plot
+
+        check_plot(picture, force=force)
+    read = read_file(source, convention, source=None if image is None else grid_of(image))
+    field = only_field(read)
+    other = None if inverse is None else read_file(inverse, convention, source=own_grid(field))
+    folded, logarithms = field.folded_cells(), field.log_jacobian()
+    distances = None if other is None else field.distances(only_field(other))
+    report = field.reported(folded, logarithms, distances)
+    if outputs:
+        with replacing_together(outputs, force=force) as hidden:
+            places = dict(zip(outputs, hidden, strict=True))
+            if map is not None:
+                write_image(places[map], logarithms, report.grid)
+            if picture is not None:
+                from supple.plot.fields import draw_check
+
+                draw_check(field, report, folded, logarithms, distances, places[picture], name=Path(source).name)
+    return CheckedFile(read, other, report, time.perf_counter() - began)
+
+
+def compose_files(
+    inputs: Sequence[Input],
+    target: PathLike,
+    *,
+    to: str | None = None,
+    reference: PathLike | None = None,
+    force: bool = False,
+) -> Written:
+    """Write one field of several maps, as `compose` makes it.
+
+    Parameters
+    ----------
+    inputs : sequence of Input
+        A point of the output goes through the first one first.
+    target : str or os.PathLike
+    to : str, optional
+        The convention of the target; by default, that of all inputs if it is one, or the only one of the suffix.
+    reference : str or os.PathLike, optional
+        An image or a field whose grid the result gets; by default, it is that of the first field.
+    force : bool
+        Whether an existing file may be replaced.
+
+    Raises
+    ------
+    SuppleError
+        If there is no input, a file cannot be read, there is no grid, or the target cannot be written.
+
+    Warns
+    -----
+    FoldWarning, OutsideWarning
+        As `compose` does.
+    """
+    began = time.perf_counter()
+    if not inputs:
+        raise SuppleError("there is nothing to compose: give files of fields or affine maps, the first first")
+    wanted = None if reference is None else grid_of(reference)
+    with replacing_together([target], force=force) as (place,):
+        read, moving = [], []
+        for each in inputs:
+            moving.append(None if each.source is None else grid_of(each.source))
+            file = read_file(each.path, each.convention, source=moving[-1], reference=wanted)
+            read.append(replace(file, inverse=each.inverse))
+        shared = {each.convention for each in read}
+        known, how = convention_out(target, to, shared.pop() if len(shared) == 1 else None)
+        grid = wanted or next((each.grid for each in read if each.grid is not None), None)
+        if grid is None:
+            raise SuppleError(
+                "the maps are affine, and have no grid: give an image whose grid the field shall have (--reference)"
+            )
+        parts: list[Placed] = []
+        for file in read:
+            ordered = file.maps[::-1] if file.inverse else file.maps
+            parts += [Placed(one, inverse=file.inverse) for one in ordered]
+        made = compose(parts, grid)
+        write_file(place, (made,), known, source=read[-1].grid if inputs[-1].inverse else moving[-1], reference=wanted)
+    written = MapFile(Path(target), known, how, (made,))
+    return Written(tuple(read), written, time.perf_counter() - began)
+
+
+def convert_file(
+    source: PathLike,
+    target: PathLike,
+    *,
+    convention: str | None = None,
+    to: str | None = None,
+    image: PathLike | None = None,
+    reference: PathLike | None = None,
+    force: bool = False,
+) -> Written:
+    """Write the maps of a file in another convention or format.
+
+    Parameters
+    ----------
+    source, target : str or os.PathLike
+    convention, to : str, optional
+        That of the source, and of the target; by default, what the file, and the target's suffix, leave no doubt about.
+    image : str or os.PathLike, optional
+        The input (moving) image, whose grid FSL's and FreeSurfer's conventions need.
+    reference : str or os.PathLike, optional
+        The output (fixed) image. What is more than one affine map, or is written as an image, is sampled on its grid.
+    force : bool
+        Whether an existing file may be replaced.
+
+    Raises
+    ------
+    SuppleError
+        If the source cannot be read, or the convention of the target cannot hold it.
+    """
+    began = time.perf_counter()
+    known, how = convention_out(target, to, None)
+    moving = None if image is None else grid_of(image)
+    wanted = None if reference is None else grid_of(reference)
+    with replacing_together([target], force=force) as (place,):
+        read = read_file(source, convention, source=moving, reference=wanted)
+        affine = len(read.maps) == 1 and isinstance(read.maps[0], Affine)
+        as_field = not affine or suffix_of(target) in _IMAGES
+        if affine and as_field and wanted is None:
+            raise SuppleError(
+                f"{shown(source)} holds an affine map, and {shown(target)} a field: give the image whose grid the "
+                "field shall have (--reference)"
+            )
+        maps = (compose(read.maps, wanted),) if as_field and wanted is not None else read.maps
+        write_file(place, maps, known, source=moving, reference=wanted)
+    return Written((read,), MapFile(Path(target), known, how, maps), time.perf_counter() - began)
+
+
+def _warn_of(counts: Mapping[str, int], name: str) -> None:
+    found = [f"{count:,} {status}" for status, count in counts.items() if status != "ok" and count]
+    if found:
+        warnings.warn(
+            f"{name}: of {sum(counts.values()):,} voxels of the inverse, {', '.join(found)}: they hold the nearest "
+            "that was found; nothing was smoothed or set to zero (--status shows where)",
+            FoldWarning,
+            stacklevel=3,
+        )

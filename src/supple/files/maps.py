@@ -1,0 +1,211 @@
+"""Files of maps: what each convention holds, how it is known, and the grids and images that belong to them."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from supple.errors import SuppleError, shown
+from supple.fields import Affine, Field, Map, own_grid
+from supple.geometry import Geometry, Grid
+from supple.media import transforms, volume
+from supple.media.volume import is_volume, suffix_of
+
+Array = npt.NDArray[Any]
+PathLike = str | os.PathLike[str]
+
+PULL = "output point -> input point"
+PUSH = "input point -> output point"
+
+
+class Kind(NamedTuple):
+    """What the numbers in files of a convention are."""
+
+    label: str
+    holds: str
+    space: str
+    units: str
+    affine: str = PULL
+
+
+KINDS = {
+    "itk": Kind("ITK", "displacements", "LPS", "mm"),
+    "fsl-relative": Kind("FSL, relative", "displacements", "FSL coordinates of the input image", "mm"),
+    "fsl-absolute": Kind("FSL, absolute", "positions", "FSL coordinates of the input image", "mm"),
+    "fsl-affine": Kind("FSL's FLIRT", "positions", "FSL coordinates of both images", "mm", PUSH),
+    "afni": Kind("AFNI", "displacements", "LPS", "mm"),
+    "mrtrix": Kind("MRtrix, deformation", "positions", "RAS", "mm"),
+    "mrtrix-displacement": Kind("MRtrix, displacement", "displacements", "RAS", "mm"),
+    "freesurfer": Kind("FreeSurfer", "positions or displacements", "RAS", "mm", PUSH),
+    "ngff": Kind("OME-Zarr", "displacements or positions", "LPS, or as its axes say", "mm, or as its axes say"),
+    "opencv": Kind("OpenCV's remap", "positions", "the picture", "pixels"),
+    "stmap": Kind("STMap", "positions", "the picture, from its bottom left corner", "of its width and height"),
+}
+"""What the files of each convention hold. In memory, all are displacements in millimetres in LPS, or in pixels."""
+
+
+@dataclass(frozen=True, slots=True)
+class MapFile:
+    """A file of maps, as it was read or is written.
+
+    Parameters
+    ----------
+    path : pathlib.Path
+    convention : str
+        One of `supple.media.transforms.CONVENTIONS`.
+    known : str
+        How the convention is known: ``"as given"``, ``"from its intent code"``, ...
+    maps : tuple of Field or Affine
+        In the order in which a point of the output goes through them.
+    inverse : bool
+        Whether their inverse is taken, among those that are composed.
+    """
+
+    path: Path
+    convention: str
+    known: str
+    maps: tuple[Map, ...]
+    inverse: bool = False
+
+    @property
+    def kind(self) -> Kind:
+        """What the convention's numbers are."""
+        return KINDS.get(self.convention, Kind(self.convention, "numbers", "its own", "its own units"))
+
+    @property
+    def grid(self) -> Grid | None:
+        """The grid of the samples of the first field; None of affine maps alone."""
+        return next((own_grid(each) for each in self.maps if isinstance(each, Field)), None)
+
+    @property
+    def direction(self) -> str:
+        """Which way the numbers in the file lead; what is read is always a pull map."""
+        return self.kind.affine if all(isinstance(each, Affine) for each in self.maps) else PULL
+
+    def facts(self) -> dict[str, Any]:
+        """Return what is known of the file, ready for JSON."""
+        kind = self.kind
+        facts = {"convention": self.convention, "known": self.known, "direction": self.direction}
+        return {**facts, "holds": kind.holds, "space": kind.space, "units": kind.units, "maps": _facts_of(self.maps)}
+
+
+def read_file(
+    path: PathLike, convention: str | None = None, *, source: Grid | None = None, reference: Grid | None = None
+) -> MapFile:
+    """Read a file of maps, and how its convention is known."""
+    known = transforms.convention_in(path) if convention is None else convention
+    found = transforms.read(path, known, source=source, reference=reference)
+    maps = tuple(Field(*each) if isinstance(each, transforms.Displacements) else Affine(each) for each in found)
+    if convention is not None:
+        how = "as given"
+    elif suffix_of(path) in (".nii", ".nii.gz"):
+        how = "from its intent code"
+    elif suffix_of(path) in (".txt", ".mat"):
+        how = "from its content"
+    else:
+        how = f"from its suffix {suffix_of(path)}"
+    return MapFile(Path(path), known, how, maps)
+
+
+def grid_of(path: PathLike) -> Grid:
+    """Return the grid of a volume, a field in the file of a volume, or a picture."""
+    if not is_volume(path):
+        from supple.media.image import info
+
+        facts = info(path)
+        return Grid((int(str(facts["height"])), int(str(facts["width"]))))
+    found = volume.read(path)
+    if found.geometry.convention == "array":
+        raise SuppleError(f"{shown(path)} does not say where its voxels lie in space: give an image that does")
+    return found.geometry.grid(found.sizes[::-1])
+
+
+def convention_out(target: PathLike, to: str | None, otherwise: str | None) -> tuple[str, str]:
+    """Return the convention of a file to write, and how it is known."""
+    if to is not None:
+        return to, "as asked"
+    if otherwise is not None:
+        return otherwise, "as all were read"
+    try:
+        return transforms.convention_of(target), f"from its suffix {suffix_of(target)}"
+    except SuppleError as error:
+        raise SuppleError(f"{error} (--to NAME)") from None
+
+
+def only_field(read: MapFile) -> Field:
+    """Return the only field of a file."""
+    only = read.maps[0] if len(read.maps) == 1 else None
+    if not isinstance(only, Field):
+        raise SuppleError(
+            f"{shown(read.path)} holds {told(read.maps)}, and not one field: supple compose makes one field of them"
+        )
+    return only
+
+
+def told(maps: Sequence[Map]) -> str:
+    """Return what maps are, in words."""
+    return " and ".join("a field" if isinstance(each, Field) else "an affine map" for each in maps) or "nothing"
+
+
+def write_file(
+    path: PathLike, maps: Sequence[Map], convention: str, *, source: Grid | None, reference: Grid | None
+) -> None:
+    """Write maps, with the grids of the input (source) and the output image (reference) where they are known."""
+    contents: list[transforms.Content] = [
+        transforms.Displacements(each.values, each.grid, each.interpolation, each.beyond)
+        if isinstance(each, Field)
+        else each.matrix
+        for each in maps
+    ]
+    transforms.write(path, contents, convention, source=source, reference=reference)
+
+
+def check_images(*paths: PathLike | None) -> None:
+    """Raise SuppleError for names of neither a volume nor a picture."""
+    from supple.media import image
+
+    for path in paths:
+        if path is not None and suffix_of(path) not in image.SUFFIXES_OUT:
+            volume.check_target(path)
+
+
+def write_image(path: PathLike, values: Array, grid: Grid | None) -> None:
+    """Write values of the samples of a grid as a volume or a picture."""
+    assert grid is not None
+    if grid.ndim == 2:
+        from supple.media import image
+
+        image.write(path, values)
+        return
+    x, y, z = grid.spacing
+    a, b, c = grid.origin
+    geometry = Geometry((x, y, z), (a, b, c), np.array(grid.direction), "LPS")
+    volume.write(path, values, volume.Volume(values, geometry))
+
+
+def _facts_of(maps: Sequence[Map]) -> list[dict[str, Any]]:
+    made: list[dict[str, Any]] = []
+    for each in maps:
+        if isinstance(each, Affine):
+            made.append({"kind": "affine", "matrix": each.matrix.tolist()})
+            continue
+        grid = each.grid
+        made.append(
+            {
+                "kind": "field",
+                "interpolation": each.interpolation,
+                "size": list(grid.sizes),
+                "spacing": list(grid.spacing),
+                "origin": list(grid.origin),
+                "direction": [list(row) for row in grid.direction],
+                "units": "mm" if grid.ndim == 3 else "pixels",
+                "space": "LPS" if grid.ndim == 3 else "the picture",
+            }
+        )
+    return made

@@ -1,0 +1,257 @@
+"""A picture of what a displacement field does: its grid, its log-Jacobian, its folds, and what another undoes."""
+
+from __future__ import annotations
+
+import math
+import os
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from supple.checks import FieldReport
+from supple.fields import Field, sampled
+from supple.geometry import Grid
+from supple.plot.frame import Extend, bar, check_plot, save, sheet, title
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+_PANEL = 4.6  # inches
+_LINES = 40  # of the grid, along the longer side
+_WINDOW = 8  # cells on each side of the folds that are seen from near
+_BLUE, _REST, _FOLDED, _RIM, _GAP = "#33628d", "#d0d0d0", "#f0c800", "#8a6d00", "#555555"
+
+Floats = npt.NDArray[np.float64]
+Singles = npt.NDArray[np.float32]
+Box = tuple[float, float, float, float]
+"""Left, right, top and bottom."""
+
+
+class _Slice(NamedTuple):
+    """What a picture shows of a field: in the plane of the grid's first two axes, lengths along these."""
+
+    rest: Floats  # (H, W, 2), where the samples lie
+    moved: Floats  # (H, W, 2), where they are moved to
+    folded: npt.NDArray[np.bool_]  # (H - 1, W - 1)
+    logarithms: Singles  # (H, W)
+    distances: Singles | None
+    steps: tuple[float, float]
+    unit: str
+    where: str
+
+
+def draw_check(
+    field: Field,
+    report: FieldReport,
+    folded: npt.NDArray[np.bool_],
+    logarithms: Singles,
+    distances: Singles | None,
+    path: str | os.PathLike[str],
+    *,
+    name: str = "The field",
+    force: bool = False,
+) -> None:
+    """Write a picture of a field that was checked to a PNG, SVG or PDF file.
+
+    Of a volume, it shows the slice with most folds in the cells on both sides, which are marked; or the middle one if
+    there are none.
+
+    Parameters
+    ----------
+    field : Field
+    report, folded, logarithms, distances
+        What `Field.reported`, `Field.folded_cells`, `Field.log_jacobian` and `Field.distances` have returned.
+    path : str or os.PathLike
+        A PNG, SVG or PDF file, by its suffix.
+    name : str
+        For the title.
+    force : bool
+        Whether an existing file may be replaced.
+
+    Raises
+    ------
+    SuppleError
+        If it cannot be written there.
+    """
+    check_plot(path, force=force)
+    save(_figure(_slice(field, report.grid, folded, logarithms, distances), report, name), path, force=force)
+
+
+def _slice(
+    field: Field, grid: Grid, folded: npt.NDArray[np.bool_], logarithms: Singles, distances: Singles | None
+) -> _Slice:
+    values = sampled(field)
+    where, unit = "", "px"
+    if grid.ndim == 3:
+        layers = np.pad(folded, ((1, 1), (0, 0), (0, 0)))[: grid.shape[0] + 1]  # below and above each slice
+        counts = np.convolve(layers.sum(axis=(1, 2)), (1, 1), "valid")
+        k = int(counts.argmax()) if counts.any() else (grid.shape[0] - 1) // 2
+        where, unit = f"slice {k} (of 0 to {grid.shape[0] - 1})", "mm"
+        values, logarithms, folded = values[k], logarithms[k], layers[k] | layers[k + 1]
+        distances = None if distances is None else distances[k]
+    height, width = logarithms.shape
+    sx, sy = grid.spacing[:2]
+    rest = np.stack(np.meshgrid(np.arange(width) * sx, np.arange(height) * sy), axis=-1)
+    along = values.astype(np.float64) @ np.array(grid.direction)  # along the axes of the grid
+    return _Slice(rest, rest + along[..., :2], folded, logarithms, distances, (sx, sy), unit, where)
+
+
+def _figure(seen: _Slice, report: FieldReport, name: str) -> Figure:
+    height, width = seen.logarithms.shape
+    whole = _edges(seen)
+    near = _crowd(seen) if seen.folded.any() else None
+    if near is not None and (near[1] - near[0]) * (near[3] - near[2]) > 0.5 * (whole[1] - whole[0]) * (
+        whole[3] - whole[2]
+    ):
+        near = None
+    boxes = [whole] if near is None else [whole, near]
+    count = len(boxes) + 1 + (seen.distances is not None)
+    columns = 2 if count == 4 else count
+    rows = math.ceil(count / columns)
+    tall = min(max(height * seen.steps[1] / (width * seen.steps[0]), 0.4), 1.5) * _PANEL
+    made, parts = sheet(columns * (_PANEL + 1.2) + 0.3, rows * (tall + 0.7) + 1.0, rows, columns)
+    longest = max(height, width)
+    _draw_grid(parts[0], seen, max(1, math.ceil(longest / _LINES)))
+    what = "Grid, moved by the displacement" + (" (its part in this plane)" if seen.where else "")
+    _set(parts[0], seen, whole, what)
+    if near is not None:
+        _draw_grid(parts[1], seen, 1)
+        _set(parts[1], seen, near, "The same around the folds, a line for each sample")
+        left, right, top, bottom = near
+        parts[0].plot([left, right, right, left, left], [top, top, bottom, bottom, top], color="black", linewidth=1)
+    _draw_jacobian(made, parts[len(boxes)], seen, whole)
+    if seen.distances is not None:
+        _draw_distances(made, parts[-1], seen, whole, seen.distances)
+    made.legend(handles=_handles(seen), loc="outside lower left", ncols=4, fontsize=9, frameon=False)
+    title(made, _heading(report, seen, name))
+    return made
+
+
+def _heading(report: FieldReport, seen: _Slice, name: str) -> str:
+    if report.folds:
+        told = f"{report.folded:,} of {report.cells:,} cells fold ({100 * report.folded / report.cells:.2g} %)"
+    else:
+        told = f"none of {report.cells:,} cells folds"
+    place = ", ".join(f"{x + 0.0:.4g}" for x in report.at)
+    lines = [f"{name}: {told}" + (f"; {seen.where}" if seen.where else "")]
+    lines.append(
+        f"least determinant {report.determinant:.3g} at ({place}) {seen.unit}; displacement up to "
+        f"{report.largest:.3g} {seen.unit}, {report.mean:.3g} on average"
+    )
+    return "\n".join(lines)
+
+
+def _handles(seen: _Slice) -> list[Any]:
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
+
+    made: list[Any] = [Line2D([], [], color=_REST, label="grid at rest"), Line2D([], [], color=_BLUE, label="moved")]
+    if seen.folded.any():
+        made.append(Patch(facecolor=_FOLDED, edgecolor="black", linewidth=0.6, label="cells that fold"))
+    if np.isnan(seen.logarithms).any():
+        made.append(Patch(facecolor=_GAP, label="determinant not above 0, by central differences"))
+    return made
+
+
+def _crowd(seen: _Slice) -> Box:
+    """Return a square around what the cells are moved to where most cells fold."""
+    height, width = seen.folded.shape
+    sums = np.pad(seen.folded.astype(np.int64).cumsum(0).cumsum(1), ((1, 0), (1, 0)))
+    tall, wide = min(2 * _WINDOW, height), min(2 * _WINDOW, width)
+    counts = sums[tall:, wide:] - sums[:-tall, wide:] - sums[tall:, :-wide] + sums[:-tall, :-wide]
+    best = np.argwhere(counts == counts.max())
+    top, left = best[len(best) // 2].tolist()  # of several alike, not the first, which has the folds at its edge
+    cells = np.argwhere(seen.folded[top : top + tall, left : left + wide]) + np.array([top, left])
+    places = _corners(seen.moved, cells).reshape(-1, 2)
+    (x, y), (right, bottom) = places.min(axis=0), places.max(axis=0)
+    half = 0.8 * max(right - x, bottom - y, 6 * max(seen.steps))
+    x, y = (x + right) / 2, (y + bottom) / 2
+    return x - half, x + half, y - half, y + half
+
+
+def _corners(points: Floats, cells: npt.NDArray[np.intp]) -> Floats:
+    """Return the corners (N, 4, 2) of cells, in turn; along an axis of one sample, both are this one."""
+    last = np.array(points.shape[:2]) - 1
+    turn = [np.minimum(cells + corner, last) for corner in ((0, 0), (0, 1), (1, 1), (1, 0))]
+    return np.stack([points[corner[:, 0], corner[:, 1]] for corner in turn], axis=1)
+
+
+def _draw_grid(axes: Axes, seen: _Slice, every: int) -> None:
+    from matplotlib.collections import LineCollection, PolyCollection
+
+    height, width = seen.logarithms.shape
+    rows, columns = ([*range(0, n - 1, every), n - 1] for n in (height, width))
+    for points, colour, wide in ((seen.rest, _REST, 0.6), (seen.moved, _BLUE, 0.8)):
+        lines = [points[row] for row in rows] + [points[:, column] for column in columns]
+        axes.add_collection(LineCollection(lines, colors=colour, linewidths=wide))
+    cells = np.argwhere(seen.folded)
+    if len(cells):
+        drawn = PolyCollection(list(_corners(seen.moved, cells)), facecolors=_FOLDED, edgecolors=_RIM)
+        drawn.set(linewidth=0.6 if every == 1 else 0.2, zorder=3)
+        axes.add_collection(drawn)
+
+
+def _outline(seen: _Slice) -> list[Floats]:
+    """Return the sides between cells that fold and others, where they lie."""
+    whole = np.pad(seen.folded, 1)
+    across, down = np.argwhere(whole[:, 1:] != whole[:, :-1]), np.argwhere(whole[1:] != whole[:-1])
+    sides = [_corners(seen.rest, across - (1, 0))[:, [0, 3]], _corners(seen.rest, down - (0, 1))[:, [0, 1]]]
+    return list(np.concatenate(sides))
+
+
+def _draw_jacobian(made: Figure, axes: Axes, seen: _Slice, box: Box) -> None:
+    from matplotlib.collections import LineCollection
+    from matplotlib.colors import TwoSlopeNorm
+    from matplotlib.patheffects import withStroke
+
+    known = seen.logarithms[np.isfinite(seen.logarithms)]
+    # A few samples beside a fold would make all others pale.
+    reach = max(float(np.percentile(np.abs(known), 99)) if known.size else 0.0, 0.02)
+    axes.set_facecolor(_GAP)
+    drawn = _show(axes, seen, seen.logarithms, TwoSlopeNorm(0.0, -reach, reach), "RdBu_r")
+    if seen.folded.any():
+        halo = [withStroke(linewidth=2.6, foreground="black")]
+        axes.add_collection(LineCollection(_outline(seen), colors=_FOLDED, linewidths=1.4, path_effects=halo))
+    low, high = (float(known.min()), float(known.max())) if known.size else (math.nan, math.nan)
+    _set(axes, seen, box, f"ln det(I + ∂u/∂x): {low:.2f} to {high:.2f}")
+    what = "volume" if seen.where else "area"
+    cuts: dict[tuple[bool, bool], Extend] = {(True, True): "both", (True, False): "min", (False, True): "max"}
+    cut = cuts.get((low < -1.001 * reach, high > 1.001 * reach), "neither")
+    bar(made, drawn, axes, f"ln(input {what} / output {what})", cut)
+
+
+def _draw_distances(made: Figure, axes: Axes, seen: _Slice, box: Box, distances: Singles) -> None:
+    from matplotlib.colors import LogNorm
+
+    known = distances[np.isfinite(distances)]
+    high = max(float(known.max()) if known.size else 0.0, 1e-6)
+    axes.set_facecolor(_REST)
+    drawn = _show(axes, seen, np.maximum(distances, high * 1e-4), LogNorm(high * 1e-4, high), "magma")
+    _set(axes, seen, box, f"|second(first(x)) − x|: at most {high:.2g} {seen.unit}")
+    gaps = "; grey: first(x) is outside of the second field" if np.isnan(distances).any() else ""
+    bar(made, drawn, axes, f"{seen.unit}{gaps}")
+
+
+def _show(axes: Axes, seen: _Slice, values: Singles, norm: Any, colours: str) -> Any:
+    left, right, top, bottom = _edges(seen)
+    return axes.imshow(values, extent=(left, right, bottom, top), norm=norm, cmap=colours, interpolation="nearest")
+
+
+def _edges(seen: _Slice) -> Box:
+    height, width = seen.logarithms.shape
+    sx, sy = seen.steps
+    return -0.5 * sx, (width - 0.5) * sx, -0.5 * sy, (height - 0.5) * sy
+
+
+def _set(axes: Axes, seen: _Slice, box: Box, name: str) -> None:
+    left, right, top, bottom = box
+    ratio = (bottom - top) / (right - left)
+    axes.set_aspect("equal" if 1 / 6 <= ratio <= 6 else "auto")
+    axes.set_xlim(left, right)
+    axes.set_ylim(bottom, top)
+    axes.set_title(name, fontsize=11, loc="left")
+    axes.set_xlabel(f"along the grid’s first axis ({seen.unit})" if seen.where else f"x ({seen.unit})")
+    axes.set_ylabel(f"along its second ({seen.unit})" if seen.where else f"y ({seen.unit})")
+    axes.tick_params(labelsize=8)

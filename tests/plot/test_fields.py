@@ -1,0 +1,89 @@
+"""The picture of a field that was checked: what it shows, and that it is drawn for every shape."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from supple import Field, Grid, SuppleError
+from supple.plot import fields as drawn
+from supple.plot.fields import draw_check
+from tests.sampled_fields import GRID, sine, smooth
+
+
+def figure(field: Field, inverse: Field | None = None) -> Any:
+    folded, logarithms = field.folded_cells(), field.log_jacobian()
+    distances = None if inverse is None else field.distances(inverse)
+    report = field.reported(folded, logarithms, distances)
+    return drawn._figure(drawn._slice(field, report.grid, folded, logarithms, distances), report, "u.mha")
+
+
+def titles(made: Any) -> list[str]:
+    return [axes.get_title(loc="left") for axes in made.axes if axes.get_title(loc="left")]
+
+
+def labels(made: Any) -> list[str]:
+    return [text.get_text() for legend in made.legends for text in legend.get_texts()]
+
+
+def test_a_fold_is_shown_from_far_and_near() -> None:
+    values = np.zeros((6, 60, 80, 3))
+    values[2, 30:40, 40, 0] = -3.0
+    field = Field.from_array(values, spacing=(1, 1, 2))
+    made = figure(field, field)
+    assert [title.partition(":")[0].partition(",")[0] for title in titles(made)] == [
+        "Grid", "The same around the folds", "ln det(I + ∂u/∂x)", "|second(first(x)) − x|",
+    ]  # fmt: skip
+    assert labels(made) == [
+        "grid at rest", "moved", "cells that fold", "determinant not above 0, by central differences",
+    ]  # fmt: skip
+    told = made._suptitle.get_text()
+    assert f"{field.check().folded:,} of 23,305 cells fold" in told
+    assert "slice 2 (of 0 to 5)" in told
+    assert "mm" in told
+    near = made.axes[1]
+    assert near.get_xlim()[0] < 37 < 40 < near.get_xlim()[1]
+    assert near.get_ylim()[1] < 30 < 39 < near.get_ylim()[0]  # y points down
+
+
+def test_without_folds_the_middle_is_shown() -> None:
+    made = figure(smooth(size=0.5))
+    assert len(titles(made)) == 2
+    assert labels(made) == ["grid at rest", "moved"]
+    assert "none of 2,464 cells folds; slice 5 (of 0 to 11)" in made._suptitle.get_text()
+    (_, shown, *_) = made.axes
+    np.testing.assert_array_equal(shown.images[0].get_array(), smooth(size=0.5).log_jacobian()[5])
+
+
+def test_the_grid_is_drawn_along_its_own_axes() -> None:
+    """A displacement along the second axis of a turned grid moves the lines down."""
+    values = np.broadcast_to(2.5 * np.array(GRID.direction)[:, 1], (*GRID.shape, 3))
+    seen = drawn._slice(Field(values, GRID), GRID, np.zeros((11, 16, 14), bool), np.zeros(GRID.shape, "f4"), None)
+    np.testing.assert_allclose(seen.moved - seen.rest, np.broadcast_to((0, 2.5), seen.rest.shape), atol=1e-12)
+
+
+@pytest.mark.parametrize("shape", [(2, 2), (1, 1), (1, 9), (300, 3), (1, 8, 9), (5, 1, 9), (5, 1, 1), (3, 40, 40)])
+@pytest.mark.parametrize("size", [0.0, 3.0])
+@pytest.mark.parametrize("suffix", [".png", ".svg"])
+def test_any_shape_is_drawn(tmp_path: Path, shape: tuple[int, ...], size: float, suffix: str) -> None:
+    values = size * np.random.default_rng(0).normal(size=(*shape, len(shape)))
+    field = Field(values, Grid(shape))
+    folded, logarithms, distances = field.folded_cells(), field.log_jacobian(), field.distances(field)
+    report = field.reported(folded, logarithms, distances)
+    path = tmp_path / f"p{suffix}"
+    draw_check(field, report, folded, logarithms, distances, path)
+    assert path.stat().st_size > 5000
+
+
+def test_equal_checks_are_equal_pictures_and_are_kept(tmp_path: Path) -> None:
+    field = sine(1.5, (40, 126))
+    folded, logarithms = field.folded_cells(), field.log_jacobian()
+    report = field.reported(folded, logarithms)
+    for name in ("a.png", "b.png"):
+        draw_check(field, report, folded, logarithms, None, tmp_path / name)
+    assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
+    with pytest.raises(SuppleError, match=r"a.png exists already"):
+        draw_check(field, report, folded, logarithms, None, tmp_path / "a.png")
