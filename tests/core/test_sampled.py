@@ -189,6 +189,16 @@ def test_the_border_of_coefficients_is_on_their_grid(spacing: float) -> None:
     assert not through(field, positions_of(found.field.grid))[2].any()
 
 
+@pytest.mark.parametrize("spacing", [1.0, 0.7, 0.3, 0.1, 3.3, 0.45])
+@pytest.mark.parametrize("origin", [0.0, 3.7, -11.3, 100.1])
+def test_rounding_does_not_take_the_border_off_its_grid(spacing: float, origin: float) -> None:
+    values = np.zeros((9, 11, 2))
+    values[..., 1] = 0.3 * spacing  # nothing of the field is mapped to its first row, and none stays there
+    for sign, row in ((1, 0), (-1, -1)):
+        field = Field.from_array(sign * values, spacing=spacing, origin=(origin, origin), interpolation="bspline")
+        assert (field.invert().status[row] == OUTSIDE).all()
+
+
 @pytest.mark.parametrize("interpolation", ["linear", "cubic", "bspline"])
 @pytest.mark.parametrize("shape", [(24, 31), (7, 9, 8)])
 def test_folded_cells_hold_all_that_folds(shape: tuple[int, ...], interpolation: str) -> None:
