@@ -17,7 +17,7 @@ from supple.engines.base import Certificate, Sampling, Space, warn_of
 from supple.engines.choice import DEVICES, engine_at
 from supple.engines.native import NATIVE, measured, plan_of
 from supple.errors import FoldWarning, MissWarning, OutsideWarning, SuppleError
-from supple.fields import Affine, Field, Placed, check_overlap, matrix_rows
+from supple.fields import Affine, Field, Placed, check_overlap, matrix_rows, warn_of_folds
 from supple.folding import Resolved, described, resolve
 from supple.geometry import Grid
 from supple.strokes import REACH, STROKE_DTYPE, FoldPolicy, Point, Recipe, Stroke, numbers, spoken
@@ -485,6 +485,7 @@ class Deformation:
             raise SuppleError(f"the {what} has {placed.map.ndim} axes, and the shape {self.shape} has {self.ndim}")
         if isinstance(placed.map, Field) and not any(isinstance(each.map, Affine) for each in self.maps):
             check_overlap(placed.map, self.grid)  # an affine map before it may bring them together
+        warn_of_folds(placed)
         here = replace(placed, after=len(self.strokes), row=len(self._table))
         return self._changed(maps=(*self.maps, here))
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal, Self, get_args
@@ -15,7 +16,7 @@ from supple import _core, checks
 from supple.checks import FieldReport
 from supple.domain import FREE, choice, number, refuse
 from supple.engines.base import Certificate, certificate_of_status, warn_of
-from supple.errors import SuppleError, shown
+from supple.errors import FoldWarning, SuppleError, shown
 from supple.geometry import Grid
 
 Floats = npt.NDArray[np.float64]
@@ -430,6 +431,17 @@ class Placed:
         return "affine", matrix_rows(np.linalg.inv(frame) @ self.map.matrix @ frame), self.inverse
 
 
+def warn_of_folds(placed: Placed) -> None:
+    """Warn if a field that is to be inverted folds anywhere."""
+    if placed.inverse and isinstance(placed.map, Field) and (count := int(np.count_nonzero(placed.map.folded_cells()))):
+        warnings.warn(
+            f"{placed.name or 'the field'} folds in {count} of its cells: where they are mapped to, its inverse is one "
+            "of several points (supple check shows where)",
+            FoldWarning,
+            stacklevel=4,
+        )
+
+
 def read_maps(path: PathLike, convention: str | None = None, *, source: Grid | None = None) -> tuple[Map, ...]:
     """Read the affine maps and fields of a file, in the order in which a point of the output goes through them.
 
@@ -474,6 +486,7 @@ def compose(maps: Sequence[Map | Placed], grid: Grid) -> Field:
         if placed.map.ndim != n:
             what = "field" if isinstance(placed.map, Field) else "affine map"
             raise SuppleError(f"the {what} has {placed.map.ndim} axes, and the grid has {n}")
+        warn_of_folds(placed)
         parts.append(placed.packed(np.eye(n + 1)))
     composite = _core.Composite(n, np.array([FREE] * 3), parts)
     values = np.empty((*grid.shape, n), np.float32)

@@ -293,6 +293,7 @@ def test_a_full_disk_leaves_what_was_there_and_no_word_of_itks(tmp_path: Path) -
 
 
 def test_pictures_load_neither_itk_nor_nibabel() -> None:
-    code = "import sys, supple.files.transforms, supple.files.landmarks; print({'SimpleITK', 'nibabel'} & set(sys.modules))"
+    modules = "supple.files.transforms, supple.files.landmarks"
+    code = f"import sys, {modules}; print({{'SimpleITK', 'nibabel'}} & set(sys.modules))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, encoding="utf-8", check=True)
     assert done.stdout == "set()\n"

@@ -92,6 +92,9 @@ struct Inversion {
     uint8_t* status;
 };
 
+// A short step is no proof where slopes jump, or the field turns back: Newton's method goes on to here, in samples.
+constexpr double CONVERGED = 1e-8;
+
 // A row of the result, from guesses of i - target, which it replaces.
 template <int D, class T>
 void invert_row(const Inversion& job, int y, int z, std::vector<double>& guess) {
@@ -109,7 +112,7 @@ void invert_row(const Inversion& job, int y, int z, std::vector<double>& guess) 
             for (int l = 0; l < LANES; l++)
                 found.i[a][l] = target[a][l] + guess[(size_t)(x + std::min(l, n - 1)) * D + a];
         }
-        undo_field_surely<D, Lanes>(k, target, 0.125 * job.tolerance, found);
+        undo_field_surely<D, Lanes>(k, target, std::min(0.125 * job.tolerance, CONVERGED), found);
         Lanes off[D], place[D], e2{};
         for (int a = 0; a < D; a++) off[a] = found.i[a] - target[a];
         const Mask all = Mask{} == 0;
@@ -132,17 +135,27 @@ void invert_row(const Inversion& job, int y, int z, std::vector<double>& guess) 
         for (int a = 0; a < D; a++)
             for (int b = 0; b < D; b++) stretch += k.to_place[a][b] * k.to_place[a][b];
         for (int l = 0; l < n; l++) {
-            double rounding = 0;
+            double rounding = 0, off2 = 0, lost[D];
             for (int a = 0; a < D; a++) {
                 T v = (T)place[a][l];
-                rounding += (v - place[a][l]) * (v - place[a][l]);
+                lost[a] = v - place[a][l];
+                rounding += lost[a] * lost[a];
                 values[(x + l) * D + a] = v;
                 guess[(size_t)(x + l) * D + a] = found.done[l] ? off[a][l] : 0;
             }
             e2[l] = 4 * sqrt(found.step2[l] * stretch) + sqrt(rounding);
+            for (int a = 0; a < D; a++) {
+                double x = 0;
+                for (int b = 0; b < D; b++) x += k.to_index[a][b] * lost[b];
+                off2 += x * x;
+            }
+            const bool exact = 4 * sqrt(found.step2[l]) + sqrt(off2) <= job.tolerance;
             const size_t at = start + x + l;
             job.error[at] = found.done[l] ? (float)e2[l] * (1 + 1e-6f) : std::numeric_limits<float>::infinity();
-            uint8_t known = !found.done[l] ? UNCONVERGED : !(found.determinant[l] > 0) ? FOLDED : !in[l] ? OUTSIDE : OK;
+            uint8_t known = !found.done[l] || !exact      ? UNCONVERGED
+                            : !(found.determinant[l] > 0) ? FOLDED
+                            : !in[l]                      ? OUTSIDE
+                                                          : OK;
             if (known != OK && (job.status[at] != FOLDED || known == UNCONVERGED)) job.status[at] = known;
         }
     }
@@ -158,7 +171,7 @@ void mark_folds(const Inversion& job) {
         bool low[D], high[D];
         for (int d = 0; d < D; d++) {
             low[d] = !k.zero && at[d] < k.first[d];
-            high[d] = !k.zero && at[d] >= k.last[d] && k.size[d] > 1;
+            high[d] = !k.zero && at[d] >= k.last[d];
         }
         find_folds(p, job.back, 1e9, 0, low, high, job.size, some);
         std::lock_guard guard(lock);

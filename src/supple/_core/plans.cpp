@@ -73,6 +73,16 @@ struct Sampling {
 
 typedef std::array<int, 4> Box;  // x0, x1, y0, y1
 
+// The size of a job's output: that of the part of the grid, or of the whole grid; of strokes alone, that of the frames.
+void check_size(const Job& job, bool composite, bool part, const Box& box, int width, int height) {
+    const int w = job.grid.size[0], h = job.grid.size[1];
+    bool fits = part        ? w == box[1] - box[0] && h == box[3] - box[2]
+                : composite ? w == width && h == height
+                            : w == job.w && h == job.h;
+    if (part && !composite) fits = fits && job.w == width && job.h == height;
+    if (!fits) throw nb::value_error("out must have the size of the part of the grid, or of the frames");
+}
+
 // A job of a part of a plan's grid: `out` begins at its corner.
 Job placed(Job job, const Box& box, int width, int height) {
     job.grid.size[0] = width;
@@ -155,6 +165,7 @@ nb::tuple warp_stack(const Doubles& table, const Doubles& rows, int height, int 
     for (const Sampling* s : all)
         if (s->out.ndim() != 4 || s->out.shape(0) != planes.size())
             throw nb::value_error("out must have an image for each plane");
+    for (const Sampling* s : all) check_size(s->job, composite != nullptr, wanted.has_value(), box, width, height);
     std::vector<double> errors(planes.size()), evaluations(planes.size());
     std::vector<std::array<long, 3>> bad(planes.size());
     unlocked([&] {
@@ -163,7 +174,8 @@ nb::tuple warp_stack(const Doubles& table, const Doubles& rows, int height, int 
             errors[i] = plan.error;
             evaluations[i] = plan.evaluations;
             bad[i] = {plan.folds, plan.outside, plan.unsolved};
-            bool still = !composite && !wanted && (plan.identity || plan.extent().moved * sqrt(3.0) <= tolerance);
+            // Of a part of a plane, it is not known how far the rest moves.
+            bool still = !composite && !wanted && plan.identity;
             for (const Sampling* s : all) {
                 Job job = s->job;
                 size_t bytes = (size_t)job.grid.size[1] * job.grid.size[0] * job.pixel_bytes();
@@ -252,6 +264,7 @@ void bind_plans(nb::module_& m) {
                 Job job = s.job;
                 p.with([&](auto& plan) {
                     const bool part = plan.box != Box{0, plan.width, 0, plan.height};
+                    check_size(job, plan.map != nullptr, part, plan.box, plan.width, plan.height);
                     if (part) job = placed(job, plan.box, plan.width, plan.height);
                 });
                 if (box) {

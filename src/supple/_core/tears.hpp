@@ -172,7 +172,6 @@ struct Spot {
 template <int D, int N>
 inline void find_folds(const Patch<D, N>& p, const double (*out)[4], double growth, int cuts, const bool* low_end,
                        const bool* high_end, const int* size, std::vector<Spot<D>>& spots) {
-    if (surely_upright(p)) return;
     double low[D], high[D], widest = 0;
     for (int a = 0; a < D; a++) {
         low[a] = 1e300;
@@ -185,7 +184,13 @@ inline void find_folds(const Patch<D, N>& p, const double (*out)[4], double grow
             low[a] = std::min(low[a], v);
             high[a] = std::max(high[a], v);
         }
-    for (int a = 0; a < D; a++) widest = std::max(widest, high[a] - low[a]);
+    bool beyond = false, unending = false;  // the result's grid; of an end of the field
+    for (int a = 0; a < D; a++) {
+        widest = std::max(widest, high[a] - low[a]);
+        beyond = beyond || high[a] < -1 || low[a] > size[a];
+        unending = unending || low_end[a] || high_end[a];
+    }
+    if ((beyond && !unending) || surely_upright(p)) return;
     if (cuts < CUTS && widest > FINE) {
         for (int which = 0; which < 1 << D; which++)
             find_folds(octant(p, which), out, growth, cuts + 1, low_end, high_end, size, spots);

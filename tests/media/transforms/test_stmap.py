@@ -161,11 +161,11 @@ def test_what_is_no_stmap_is_refused(tmp_path: Path) -> None:
 
 
 def test_conventions_are_chosen_by_suffixes_that_leave_no_doubt(tmp_path: Path) -> None:
-    with pytest.raises(SuppleError, match=r"stmap-uint16.tif leaves its convention open: give one of .*stmap"):
+    with pytest.raises(SuppleError, match=r"cannot tell the convention of .*stmap-uint16.tif.*give the convention"):
         read(DATA / "stmap-uint16.tif")
-    with pytest.raises(SuppleError, match=r"convention must be one of .*opencv.*, found 'nuke'"):
+    with pytest.raises(SuppleError, match=r"convention must be one of .*opencv.*, found nuke"):
         read(DATA / "stmap-uint16.tif", "nuke")
-    with pytest.raises(SuppleError, match=r"a.what leaves its convention open: give one of .*ngff"):
+    with pytest.raises(SuppleError, match=r"cannot tell the convention of .*a.what"):
         write(tmp_path / "a.what", [np.eye(3)])
 
 
