@@ -208,7 +208,7 @@ def test_a_file_that_is_not_there(convention: str, tmp_path: Path) -> None:
         "stmap": ".exr",
         "ngff": ".zarr",
     }.get(convention, ".nii")
-    with pytest.raises(SuppleError, match="(?i)no such f"):
+    with pytest.raises(SuppleError, match=r"(?i)no such f"):
         read(tmp_path / f"a{suffix}", convention, source=GRIDS["plain"], reference=GRIDS["plain"])
 
 
