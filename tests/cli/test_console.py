@@ -256,6 +256,11 @@ FOR_PYTHON = (
     "clamp must be False for",
     "field must be a Field (Field.from_array",
     "read_maps(path) reads them (supple compose",
+    # names that other programs have
+    "opencv_storage",
+    "mri_warp_convert",
+    "lta_convert",
+    "fnirtfileutils",
 )
 PYTHON = re.compile(r"\bNone\b|\bTrue\b|\bFalse\b|(?<![\w-])[a-z]+_\w+|\b[a-z_]+=|\w\(\)|\(\.\.\.\)")
 NUMBERED = ("number", "integer", "length", "point", "refuse", "choice")
