@@ -95,12 +95,22 @@ struct Inversion {
 // A short step is no proof where slopes jump, or the field turns back: Newton's method goes on to here, in samples.
 constexpr double CONVERGED = 1e-8;
 
-// A row of the result, from guesses of i - target, which it replaces.
+// Guesses of i - target along a row: by the two rows before it, or by the samples before it.
+struct Guesses {
+    std::vector<double> off, slope;  // of the row before, and its difference from that before it
+    int rows = 0;
+};
+
+// A row of the result.
 template <int D, class T>
-void invert_row(const Inversion& job, int y, int z, std::vector<double>& guess) {
+void invert_row(const Inversion& job, int y, int z, Guesses& guesses) {
     const Sampled& k = job.field;
     const size_t start = ((size_t)z * job.size[1] + y) * job.size[0];
     T* values = (T*)job.values + start * D;
+    double near[D] = {}, stretch = 0;  // the largest distance in space for one of the index, or more
+    for (int a = 0; a < D; a++)
+        for (int b = 0; b < D; b++) stretch += k.to_place[a][b] * k.to_place[a][b];
+    stretch = sqrt(stretch);
     for (int x = 0; x < job.size[0]; x += LANES) {
         Lanes target[D], q[3] = {{}, splat<Lanes>(y), splat<Lanes>(z)};
         Undone<D, Lanes> found{};
@@ -109,11 +119,13 @@ void invert_row(const Inversion& job, int y, int z, std::vector<double>& guess) 
         for (int a = 0; a < D; a++) {
             target[a] = splat<Lanes>(job.grid[a][3]);
             for (int b = 0; b < D; b++) target[a] += job.grid[a][b] * q[b];
-            for (int l = 0; l < LANES; l++)
-                found.i[a][l] = target[a][l] + guess[(size_t)(x + std::min(l, n - 1)) * D + a];
+            for (int l = 0; l < LANES; l++) {
+                const size_t at = (size_t)(x + std::min(l, n - 1)) * D + a;
+                found.i[a][l] = target[a][l] + (guesses.rows ? guesses.off[at] + guesses.slope[at] : near[a]);
+            }
         }
         undo_field_surely<D, Lanes>(k, target, std::min(0.125 * job.tolerance, CONVERGED), found);
-        Lanes off[D], place[D], e2{};
+        Lanes off[D], place[D];
         for (int a = 0; a < D; a++) off[a] = found.i[a] - target[a];
         const Mask all = Mask{} == 0;
         Mask in = on_grid<D>(k, found.i);
@@ -130,32 +142,34 @@ void invert_row(const Inversion& job, int y, int z, std::vector<double>& guess) 
             place[a] = Lanes{};
             for (int b = 0; b < D; b++) place[a] += k.to_place[a][b] * off[b];
         }
-        // The distance to the solution along each axis of space, and the rounding of the result.
-        double stretch = 0;
-        for (int a = 0; a < D; a++)
-            for (int b = 0; b < D; b++) stretch += k.to_place[a][b] * k.to_place[a][b];
+        // The distance to the solution, and the rounding of the result: in space, and in samples.
+        Lanes lost[D], space2{}, samples2{};
+        T kept[D][LANES];
+        for (int a = 0; a < D; a++) {
+            for (int l = 0; l < LANES; l++) {
+                kept[a][l] = (T)place[a][l];
+                lost[a][l] = kept[a][l];
+            }
+            lost[a] -= place[a];
+            space2 += lost[a] * lost[a];
+        }
+        for (int a = 0; a < D; a++) {
+            Lanes v{};
+            for (int b = 0; b < D; b++) v += k.to_index[a][b] * lost[b];
+            samples2 += v * v;
+        }
+        const Lanes left = 4.0 * root(found.step2), error = left * stretch + root(space2);
+        const Mask exact = both(found.done, left + root(samples2) <= job.tolerance), upright = found.determinant > 0.0;
         for (int l = 0; l < n; l++) {
-            double rounding = 0, off2 = 0, lost[D];
+            const size_t own = (size_t)(x + l) * D, at = start + x + l;
             for (int a = 0; a < D; a++) {
-                T v = (T)place[a][l];
-                lost[a] = v - place[a][l];
-                rounding += lost[a] * lost[a];
-                values[(x + l) * D + a] = v;
-                guess[(size_t)(x + l) * D + a] = found.done[l] ? off[a][l] : 0;
+                values[own + a] = kept[a][l];
+                near[a] = found.done[l] ? off[a][l] : 0;
+                guesses.slope[own + a] = guesses.rows && found.done[l] ? near[a] - guesses.off[own + a] : 0;
+                guesses.off[own + a] = near[a];
             }
-            e2[l] = 4 * sqrt(found.step2[l] * stretch) + sqrt(rounding);
-            for (int a = 0; a < D; a++) {
-                double x = 0;
-                for (int b = 0; b < D; b++) x += k.to_index[a][b] * lost[b];
-                off2 += x * x;
-            }
-            const bool exact = 4 * sqrt(found.step2[l]) + sqrt(off2) <= job.tolerance;
-            const size_t at = start + x + l;
-            job.error[at] = found.done[l] ? (float)e2[l] * (1 + 1e-6f) : std::numeric_limits<float>::infinity();
-            uint8_t known = !found.done[l] || !exact      ? UNCONVERGED
-                            : !(found.determinant[l] > 0) ? FOLDED
-                            : !in[l]                      ? OUTSIDE
-                                                          : OK;
+            job.error[at] = found.done[l] ? (float)error[l] * (1 + 1e-6f) : std::numeric_limits<float>::infinity();
+            uint8_t known = !exact[l] ? UNCONVERGED : !upright[l] ? FOLDED : !in[l] ? OUTSIDE : OK;
             if (known != OK && (job.status[at] != FOLDED || known == UNCONVERGED)) job.status[at] = known;
         }
     }
@@ -188,13 +202,15 @@ void mark_folds(const Inversion& job) {
 template <int D>
 void invert_all(const Inversion& job) {
     job.field.order == 1 ? mark_folds<D, 2>(job) : mark_folds<D, 4>(job);
-    constexpr int BLOCK = 16;  // rows that are solved in order, each from the one before
+    constexpr int BLOCK = 32;  // rows that are solved in order, each from the one before
     const int down = (job.size[1] + BLOCK - 1) / BLOCK;
     parallel(down * job.size[2], [&](int item, int) {
-        std::vector<double> guess((size_t)job.size[0] * D);
+        Guesses guesses;
+        guesses.off.resize((size_t)job.size[0] * D);
+        guesses.slope.resize((size_t)job.size[0] * D);
         const int z = item / down, first = item % down * BLOCK;
-        for (int y = first; y < std::min(first + BLOCK, job.size[1]); y++)
-            job.wide ? invert_row<D, double>(job, y, z, guess) : invert_row<D, float>(job, y, z, guess);
+        for (int y = first; y < std::min(first + BLOCK, job.size[1]); y++, guesses.rows++)
+            job.wide ? invert_row<D, double>(job, y, z, guesses) : invert_row<D, float>(job, y, z, guesses);
     });
 }
 

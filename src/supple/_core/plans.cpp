@@ -174,17 +174,23 @@ nb::tuple warp_stack(const Doubles& table, const Doubles& rows, int height, int 
             errors[i] = plan.error;
             evaluations[i] = plan.evaluations;
             bad[i] = {plan.folds, plan.outside, plan.unsolved};
-            // Of a part of a plane, it is not known how far the rest moves.
-            bool still = !composite && !wanted && plan.identity;
+            // A plane is copied where all of it moves by less than the tolerance: a part of it, too.
+            auto unmoved = [&](const Plan<3>& p) { return p.identity || p.extent().moved * sqrt(3.0) <= tolerance; };
+            bool still = !composite && unmoved(plan);
+            if (still && wanted && box != Box{0, width, 0, height})
+                still = unmoved(Plan<3>(strokes, axes.data(), width, height, planes[i], tolerance));
             for (const Sampling* s : all) {
                 Job job = s->job;
-                size_t bytes = (size_t)job.grid.size[1] * job.grid.size[0] * job.pixel_bytes();
-                job.out += i * bytes;
-                if (wanted) job = placed(job, box, width, height);
-                if (still)
-                    memcpy(job.out, job.frame(planes[i]), bytes);
-                else
-                    sample_plane(plan, job);
+                const size_t row = (size_t)job.grid.size[0] * job.pixel_bytes();
+                job.out += i * row * job.grid.size[1];
+                if (!still) {
+                    sample_plane(plan, wanted ? placed(job, box, width, height) : job);
+                    continue;
+                }
+                const size_t stride = (size_t)job.w * job.pixel_bytes(),
+                             first = wanted ? box[0] * job.pixel_bytes() : 0;
+                for (int y = 0; y < job.grid.size[1]; y++)
+                    memcpy(job.out + y * row, job.frame(planes[i]) + ((wanted ? box[2] : 0) + y) * stride + first, row);
             }
         });
     });

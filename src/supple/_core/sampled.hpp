@@ -205,18 +205,113 @@ INLINE V determinant_of(const V (*t)[3]) {
            t[2][0] * (t[0][1] * t[1][2] - t[0][2] * t[1][1]);
 }
 
+// Newton's method on the polynomial of the cell of a linear field in which the guess `found.i` lies, and of those that
+// it leads to: samples are read once for a cell. A solution in its cell is one of the field, whatever lies beside it;
+// for other guesses, nothing is changed.
+template <int D, class T, class V>
+NOINLINE void undo_in_cells(const Sampled& k, const V* target, double tolerance, Undone<D, V>& found) {
+    typedef typename Masked<V>::type M;
+    constexpr int N = Masked<V>::lanes, CORNERS = 1 << D;
+    V f[D], whole[D], c[CORNERS][D];  // c: of xyz, the powers whose bits are set in the index
+    M going = found.i[0] == found.i[0];
+    for (int d = 0; d < D; d++) {
+        V p = least(most(found.i[d], splat<V>(k.first[d])), splat<V>(k.last[d]));
+        going = without(both(going, p == found.i[d]), splat<V>(k.size[d]) < 2.0);
+        for (int l = 0; l < N; l++) set_lane(whole[d], l, most(0.0, least((double)(int)lane(p, l), k.size[d] - 2.0)));
+        f[d] = p - whole[d];
+    }
+    bool moved = true;
+    for (int round = 0; round < 12 && any(without(going, found.done)); round++) {
+        if (moved) {
+            const T* start[N];
+            ptrdiff_t stride[D];
+            for (int l = 0; l < N; l++) start[l] = (const T*)k.values;
+            ptrdiff_t next = D;
+            for (int d = 0; d < D; d++) {
+                for (int l = 0; l < N; l++) start[l] += (ptrdiff_t)lane(whole[d], l) * next;
+                stride[d] = k.size[d] > 1 ? next : 0;
+                next *= k.size[d];
+            }
+            for (int q = 0; q < CORNERS; q++) {
+                ptrdiff_t offset = 0;
+                for (int d = 0; d < D; d++) offset += q >> d & 1 ? stride[d] : 0;
+                V raw[D];
+                for (int d = 0; d < D; d++)
+                    for (int l = 0; l < N; l++) set_lane(raw[d], l, start[l][offset + d]);
+                for (int r = 0; r < D; r++) {
+                    c[q][r] = V{};
+                    for (int d = 0; d < D; d++) c[q][r] += k.vectors[r][d] * raw[d];
+                }
+            }
+            for (int d = 0; d < D; d++)
+                for (int q = 0; q < CORNERS; q++)
+                    for (int r = 0; q >> d & 1 && r < D; r++) c[q][r] -= c[q - (1 << d)][r];
+            moved = false;
+        }
+        V e[D], t[D][D], m[D][D], step[D], d2{};
+        for (int r = 0; r < D; r++) {
+            V a = c[0][r] + f[0] * c[1][r], b = c[2][r] + f[0] * c[3][r];
+            V w = a + f[1] * b;
+            t[0][r] = c[1][r] + f[1] * c[3][r];
+            t[1][r] = b;
+            if constexpr (D == 3) {
+                V g = c[4][r] + f[0] * c[5][r], h = c[6][r] + f[0] * c[7][r];
+                t[0][r] += f[2] * (c[5][r] + f[1] * c[7][r]);
+                t[1][r] += f[2] * h;
+                t[2][r] = g + f[1] * h;
+                w += f[2] * t[2][r];
+            }
+            t[r][r] += 1.0;
+            e[r] = f[r] + (whole[r] - target[r]) + w;
+        }
+        V determinant = determinant_of(t);
+        invert(t, m);
+        for (int d = 0; d < D; d++) {
+            step[d] = -times<D>(m, e, d);
+            d2 += step[d] * step[d];
+        }
+        M active = without(going, found.done), hit = both(active, d2 <= tolerance * tolerance), out = d2 < 0.0;
+        found.steps += choose(active, splat<V>(1.0), V{});
+        V near = 4.0 * root(d2);  // the solution must not be on the other side of a face
+        for (int d = 0; d < D; d++) hit = both(hit, both(f[d] >= near, f[d] + near <= 1.0));
+        for (int d = 0; d < D; d++) {
+            found.i[d] = choose(hit, V(whole[d] + f[d]), found.i[d]);
+            for (int j = 0; j < D; j++) found.m[j][d] = choose(hit, m[j][d], found.m[j][d]);
+        }
+        found.determinant = choose(hit, determinant, found.determinant);
+        found.step2 = choose(hit, d2, found.step2);
+        found.done = either(found.done, hit);
+        going = both(going, both(determinant > 1e-3, d2 <= 1.0));
+        active = without(going, found.done);
+        for (int d = 0; d < D; d++) {
+            f[d] = choose(active, V(f[d] + step[d]), f[d]);
+            out = either(out, both(active, either(f[d] < 0.0, f[d] > 1.0)));
+        }
+        if (!any(out)) continue;
+        moved = true;
+        for (int d = 0; d < D; d++) {
+            V p = whole[d] + f[d], to = whole[d];
+            going = without(going, both(out, either(p<k.first[d], p> k.last[d])));
+            for (int l = 0; l < N; l++)
+                if (lane(out, l) && lane(going, l)) set_lane(to, l, least(floored(lane(p, l)), k.size[d] - 2.0));
+            f[d] = f[d] - (to - whole[d]);
+            whole[d] = to;
+        }
+    }
+}
+
 // Newton's method with backtracking from the guess `found.i`, until the distance to the solution is below `tolerance`.
 // Beyond the grid, w is continued by that at its edge.
 template <int D, class V>
 NOINLINE void undo_field(const Sampled& k, const V* target, double tolerance, int limit, Undone<D, V>& found) {
     typedef typename Masked<V>::type M;
     V base[D], step[D], error = splat<V>(1e300), part = splat<V>(1.0);
-    M done = error < 0.0;
+    M done = found.done;
     for (int d = 0; d < D; d++) {
         base[d] = found.i[d];
         step[d] = V{};
     }
-    found.step2 = splat<V>(1e300);
+    found.step2 = choose(done, found.step2, splat<V>(1e300));
     for (int round = 0; round < limit; round++) {
         V tried[D], e[D], e2{};
         for (int d = 0; d < D; d++) tried[d] = base[d] + part * step[d];
@@ -289,8 +384,13 @@ NOINLINE bool follow_field(const Sampled& k, const double* target, const double*
 // Solve for a batch, with other starts where Newton's method fails from the guess in `found.i`.
 template <int D, class V>
 INLINE void undo_field_surely(const Sampled& k, const V* target, double tolerance, Undone<D, V>& found) {
+    const auto all = splat<V>(0.0) <= 0.0;
+    if (k.order == 1)
+        k.wide ? undo_in_cells<D, double, V>(k, target, tolerance, found)
+               : undo_in_cells<D, float, V>(k, target, tolerance, found);
+    if (!any(without(all, found.done))) return;
     undo_field<D, V>(k, target, tolerance, 24, found);
-    if (!any(without(found.i[0] == found.i[0], found.done))) return;
+    if (!any(without(all, found.done))) return;
     for (int l = 0; l < Masked<V>::lanes; l++) {
         if (lane(found.done, l)) continue;
         double goal[D], start[D];

@@ -212,20 +212,113 @@ inline void find_folds(const Patch<D, N>& p, const double (*out)[4], double grow
     spots.push_back(spot);
 }
 
+// Rows of w about a line of cells, kept while y ascends, by which most cells are known not to fold.
+template <int D, int N>
+class Lines {
+public:
+    explicit Lines(const Sampled& k)
+        : k(k), n(k.size[0]), held((size_t)N * DEEP * D * n), worst((size_t)D * D * n), sure(n) {}
+
+    // For each cell of a line, whether the derivatives are dominated by their diagonal everywhere in the cell. They lie
+    // between the differences of neighbouring samples that the cell depends on. Not for cells that depend on samples
+    // beyond an end.
+    const std::vector<char>& dominated(int y, int z) {
+        std::fill(sure.begin(), sure.end(), 0);
+        const int first[3] = {LEFT, y, z};
+        for (int d = 1; d < D; d++)
+            if (first[d] < LEFT || first[d] + N - LEFT > k.size[d]) return sure;
+        if (n < N) return sure;
+        for (int m = 0; m < N; m++)
+            if (z != at_z || y - LEFT + m >= next_y || y - LEFT < next_y - N) load(y - LEFT + m, z);
+        at_z = z;
+        next_y = y - LEFT + N;
+        std::fill(worst.begin(), worst.end(), -1e300);
+        for (int j = 0; j < DEEP; j++)
+            for (int m = 0; m < N; m++)
+                for (int a = 0; a < D; a++) {
+                    const double* row = of(y - LEFT + m, j, a);
+                    widen(0, a, row, row + 1, n - 1);
+                    if (m + 1 < N) widen(1, a, row, of(y - LEFT + m + 1, j, a), n);
+                    if (j + 1 < DEEP) widen(2, a, row, of(y - LEFT + m, j + 1, a), n);
+                }
+        for (int x = LEFT; x + N - LEFT <= n; x++) {
+            char all = 1;
+            for (int a = 0; a < D; a++) {
+                double sum = 0;
+                for (int b = 0; b < D; b++) {
+                    const double* w = &worst[(size_t)(b * D + a) * n + x - LEFT];
+                    double most = w[0];
+                    for (int i = 1; i < N - (b == 0); i++) most = w[i] > most ? w[i] : most;
+                    sum += most;
+                }
+                all &= sum < -1e-9;
+            }
+            sure[x] = all;
+        }
+        return sure;
+    }
+
+private:
+    static constexpr int DEEP = D == 3 ? N : 1, LEFT = N / 2 - 1;
+    const Sampled& k;
+    const int n;
+    int at_z = -1, next_y = 0;  // the plane, and the row after the last that is held
+    std::vector<double> held;   // [y, as a ring][z][component][x]
+    std::vector<double> worst;  // [b][a][x]: the largest |∂w_a/∂b|, or -(1 + ∂w_a/∂a)
+    std::vector<char> sure;
+
+    double* of(int y, int j, int a) { return &held[(((size_t)(y % N) * DEEP + j) * D + a) * n]; }
+    template <class T>
+    void read(int y, int z) {
+        for (int j = 0; j < DEEP; j++) {
+            size_t row = D == 3 ? z - LEFT + j : 0;
+            const T* from = (const T*)k.values + (row * k.size[1] + y) * n * D;
+            for (int a = 0; a < D; a++) {
+                double* to = of(y, j, a);
+                for (int x = 0; x < n; x++) {
+                    double w = 0;
+                    for (int c = 0; c < D; c++) w += k.vectors[a][c] * from[x * D + c];
+                    to[x] = w;
+                }
+            }
+        }
+    }
+    void load(int y, int z) { k.wide ? read<double>(y, z) : read<float>(y, z); }
+    void widen(int b, int a, const double* __restrict low, const double* __restrict high, int count) {
+        double* __restrict to = &worst[(size_t)(b * D + a) * n];
+        if (a == b)
+            for (int x = 0; x < count; x++) {
+                double v = low[x] - high[x] - 1;
+                to[x] = v > to[x] ? v : to[x];
+            }
+        else
+            for (int x = 0; x < count; x++) {
+                double v = fabs(high[x] - low[x]);
+                to[x] = v > to[x] ? v : to[x];
+            }
+    }
+};
+
 // Visit the cells of a field in which it may fold: visit(cell, patch), with those beyond its ends if `ends`.
 template <int D, int N, class Visit>
 void each_bad_cell(const Sampled& k, bool ends, Visit visit) {
+    constexpr int BLOCK = 16;  // lines
     int from[3] = {0, 0, 0}, to[3] = {1, 1, 1};
     for (int d = 0; d < D; d++) {
         from[d] = (int)k.first[d] - ends;
         to[d] = std::max((int)k.last[d], (int)k.first[d] + (k.size[d] == 1)) + ends;
     }
-    const int lines = (to[2] - from[2]) * (to[1] - from[1]);
-    parallel(lines, [&](int line, int) {
-        int at[3] = {0, from[1] + line % (to[1] - from[1]), from[2] + line / (to[1] - from[1])};
-        for (at[0] = from[0]; at[0] < to[0]; at[0]++) {
-            Patch<D, N> p = patch_of<D, N>(k, at);
-            if (!surely_upright(p)) visit(at, p);
+    const int blocks = (to[1] - from[1] + BLOCK - 1) / BLOCK;
+    parallel(blocks * (to[2] - from[2]), [&](int item, int) {
+        Lines<D, N> lines(k);
+        int at[3] = {0, from[1] + item % blocks * BLOCK, from[2] + item / blocks};
+        for (int end = std::min(at[1] + BLOCK, to[1]); at[1] < end; at[1]++) {
+            const std::vector<char>& sure = lines.dominated(at[1], at[2]);
+            for (at[0] = from[0]; at[0] < to[0]; at[0]++) {
+                if (at[0] >= 0 && at[0] < k.size[0] && sure[at[0]]) continue;
+                Patch<D, N> p = patch_of<D, N>(k, at);
+                if (!surely_upright(p)) visit(at, p);
+            }
         }
     });
 }
