@@ -64,7 +64,7 @@ class Model:
         last[:n] = np.array(field.grid.sizes) - (2.0 if own else 1.0)
         place[:n, :n] = field.grid.matrix[:n, :n]
         cubic = field.interpolation != "linear"
-        return cls(made, cubic, n, first, last, 0.0 if own else 0.5, field.beyond == "zero", place, grain)
+        return cls(made, cubic, n, first, last, 1e-6 if own else 0.5, field.beyond == "zero", place, grain)
 
     @property
     def packed(self) -> tuple[Any, ...]:

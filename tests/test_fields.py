@@ -129,6 +129,19 @@ def test_what_is_ok_is_within_the_tolerance(size: float, dtype: str) -> None:
                 assert np.isfinite(found.field.values[ok]).all()
 
 
+@pytest.mark.parametrize("shape", [(31, 34), (9, 11, 13)])
+@pytest.mark.parametrize("interpolation", ["linear", "bspline"])
+def test_the_error_covers_the_rounding_of_the_result(shape: tuple[int, ...], interpolation: Any) -> None:
+    field = drawn(np.random.default_rng(4), Grid(shape, 0.7), 0.3, interpolation=interpolation, dtype="f4")
+    rounded = field.invert()
+    exact = Field(field.values.astype(np.float64), field.grid, interpolation).invert(tolerance=1e-9)
+    both = (rounded.status == OK) & (exact.status == OK)
+    off = np.linalg.norm(rounded.field.values - exact.field.values, axis=-1)
+    assert both.mean() > 0.5
+    assert (off <= rounded.error + exact.error + 1e-13)[both].all()
+    assert 1e-9 < rounded.error[both].max() < 1e-5
+
+
 def test_what_is_mapped_away_is_outside() -> None:
     field = along_x(np.arange(20.0) + 6)
     found = field.invert()

@@ -144,13 +144,11 @@ void invert_row(const Inversion& job, int y, int z, Guesses& guesses) {
         }
         // The distance to the solution, and the rounding of the result: in space, and in samples.
         Lanes lost[D], space2{}, samples2{};
-        T kept[D][LANES];
+        typedef T Kept __attribute__((vector_size(sizeof(T) * LANES)));
+        Kept kept[D];
         for (int a = 0; a < D; a++) {
-            for (int l = 0; l < LANES; l++) {
-                kept[a][l] = (T)place[a][l];
-                lost[a][l] = kept[a][l];
-            }
-            lost[a] -= place[a];
+            kept[a] = __builtin_convertvector(place[a], Kept);
+            lost[a] = __builtin_convertvector(kept[a], Lanes) - place[a];
             space2 += lost[a] * lost[a];
         }
         for (int a = 0; a < D; a++) {

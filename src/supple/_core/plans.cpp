@@ -130,17 +130,18 @@ using Points = nb::ndarray<T, nb::ndim<3>, nb::c_contig, nb::device::cpu>;
 
 template <class T, int D>
 void points_of(const Plan<D>& plan, Points<T>& out) {
-    if ((int)out.shape(0) != plan.height || (int)out.shape(1) != plan.width || out.shape(2) != D)
-        throw nb::value_error("points must have the plane's shape");
+    const int x0 = plan.box[0], y0 = plan.box[2], wide = plan.box[1] - x0;
+    if ((int)out.shape(0) != plan.box[3] - y0 || (int)out.shape(1) != wide || out.shape(2) != D)
+        throw nb::value_error("points must have the plane's shape, or that of its part");
     T* to = out.data();
     Grid grid;
     grid.size[0] = plan.width;
     grid.size[1] = plan.height;
     unlocked([&] {
         parallel(plan.roots_down(), [&](int j, int) {
-            plan.each_row(grid, j, {0, plan.width, 0, plan.height}, false,
+            plan.each_row(grid, j, {x0, plan.box[1], y0, plan.box[3]}, false,
                           [&](const Row<D>& row, int x, int y, int n, int at) {
-                              T* p = to + ((ptrdiff_t)y * plan.width + x) * D;
+                              T* p = to + ((ptrdiff_t)(y - y0) * wide + x - x0) * D;
                               for (int i = 0; i < n; i++, p += D)
                                   for (int d = 0; d < D; d++)
                                       p[d] = row.idle ? (T)(d == 0   ? x + i
@@ -250,7 +251,8 @@ void bind_plans(nb::module_& m) {
             "|∂p_z/∂q|.")
         .def(
             "points", [](const AnyPlan& p, Points<float> out) { p.with([&](auto& plan) { points_of(plan, out); }); },
-            nb::arg("out").noconvert(), "Write the source point of every pixel, (h, w, D), in float32 or float64.")
+            nb::arg("out").noconvert(),
+            "Write the source point of every pixel of the plane, or of its part: (h, w, D), in float32 or float64.")
         .def(
             "points", [](const AnyPlan& p, Points<double> out) { p.with([&](auto& plan) { points_of(plan, out); }); },
             nb::arg("out").noconvert())

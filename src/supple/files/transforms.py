@@ -65,29 +65,28 @@ def displacement_of(
     """
     _check(deformation)
     tolerance = number("tolerance", tolerance, "a number of voxels above 0", 1e-9, 1e9)
-    # The core makes points of whole planes alone, and of a part, its samples.
-    space = deformation.space_on(None if grid is None else grid.uncropped())
+    space = deformation.space_on(grid)
     made = np.empty((*(deformation if grid is None else grid).shape, 3), np.float32) if out is None else out
     if space.is_identity:
         made[...] = 0
         return made
     held = deformation.grid if grid is None else grid.uncropped()
     first = (0, 0, 0) if grid is None else grid.first
-    x, y = (slice(start, start + size) for start, size in zip(first, (made.shape[2], made.shape[1]), strict=False))
     # In voxels of the input, those of the output lie at index @ turned.T + shift.
     matrix: Floats = geometry.matrix[:3, :3] if grid is None else deformation.grid.matrix[:3, :3]
     turned: Any = np.eye(3) if grid is None else np.linalg.solve(matrix, held.matrix[:3, :3])
     shift = np.zeros(3) if grid is None else deformation.grid.indices(held.origin)
     certificate = Certificate(0.0, 0.0)
     # float64, since differences of positions would lose half their digits in float32.
-    points, here = np.empty((*held.shape[1:], 3)), np.zeros((*held.shape[1:], 3))
-    here[..., 1], here[..., 0] = np.indices(held.shape[1:])
+    points, here = np.empty(made.shape[1:]), np.zeros(made.shape[1:])
+    rows, columns = np.indices(made.shape[1:3])
+    here[..., 0], here[..., 1] = columns + first[0], rows + first[1]
     for k in range(len(made)):
-        plan = plan_of(space, first[2] + k, tolerance)
+        plan = plan_of(space, k, tolerance)
         plan.points(points)
         here[..., 2] = first[2] + k
         at = here if grid is None else here @ turned.T + shift
-        np.matmul((points - at)[y, x], matrix.T, out=made[k], casting="same_kind")
+        np.matmul(points - at, matrix.T, out=made[k], casting="same_kind")
         certificate |= certificate_of(plan)
     warn_of(certificate, tolerance, 3)
     return made
