@@ -2,6 +2,8 @@
 
     python docs/make_fields.py --fixed ch2.nii.gz --moving ds000031_sub-01_ses-006_run-001_T1w.nii.gz
 
+Without heads, it makes the picture of `supple check` alone, of examples/invert_field.py, in a few seconds.
+
 The heads are those of benchmarks/fields.py, whose --help says where to get them, and the field is its `demons`, kept in
 the same folder. On two cores, the registration takes four minutes, and ITK's three inversions, which are kept as well,
 take another four; with both there, a minute.
@@ -10,6 +12,7 @@ take another four; with both there, a minute.
 import argparse
 import io
 import sys
+import tempfile
 from pathlib import Path
 from typing import Any
 
@@ -28,8 +31,10 @@ from supple.fields import FOLDED, OK, OUTSIDE, UNCONVERGED
 
 HERE = Path(__file__).resolve().parent
 sys.path.insert(0, str(HERE.parent / "benchmarks"))
+sys.path.insert(0, str(HERE.parent / "examples"))
 import fields  # noqa: E402
 import heads  # noqa: E402
+import invert_field  # noqa: E402
 
 Array = npt.NDArray[Any]
 
@@ -96,6 +101,14 @@ def saved(figure: Figure, path: Path) -> None:
         figure.savefig(png, format="png")
         drawn = pyvips.Image.new_from_buffer(png.getvalue(), "").flatten(background=255)
         drawn.webpsave(str(path), Q=66, effort=6, keep="none")
+
+
+def checked(path: Path) -> None:
+    """What `supple check --picture` draws of an example."""
+    with tempfile.TemporaryDirectory() as name:
+        invert_field.main(Path(name))
+        drawn = pyvips.Image.new_from_file(f"{name}/check.png").flatten(background=255)
+        drawn.resize(0.52).webpsave(str(path), Q=60, effort=6, keep="none")
 
 
 def slices(path: Path, folded: Array, status: Array, errors: dict[str, Array]) -> Figure:
@@ -175,10 +188,13 @@ def near(path: Path, field: supple.Field, folded: Array) -> Figure:
 def main() -> None:
     """Make the pictures, and print the figures."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--fixed", type=Path, required=True, help="a head")
-    parser.add_argument("--moving", type=Path, required=True, help="another head")
+    parser.add_argument("--fixed", type=Path, help="a head")
+    parser.add_argument("--moving", type=Path, help="another head")
     parser.add_argument("--data", type=Path, default=fields.cache(), help=f"where fields are kept ({fields.cache()})")
     asked = parser.parse_args()
+    checked(HERE / "images" / "field-check.webp")
+    if asked.fixed is None or asked.moving is None:
+        return
     folder = asked.data / heads.named(asked.fixed, asked.moving)
     path = heads.made(folder, asked.fixed, asked.moving, 256, ["demons"])["demons"]
     field = supple.Field.read(path)
