@@ -28,6 +28,7 @@ from matplotlib.patches import Patch
 
 import supple
 from supple.fields import FOLDED, OK, OUTSIDE, UNCONVERGED
+from supple.files.fields import check_file
 
 HERE = Path(__file__).resolve().parent
 sys.path.insert(0, str(HERE.parent / "benchmarks"))
@@ -107,8 +108,10 @@ def checked(path: Path) -> None:
     """What `supple check --picture` draws of an example."""
     with tempfile.TemporaryDirectory() as name:
         invert_field.main(Path(name))
-        drawn = pyvips.Image.new_from_file(f"{name}/check.png").flatten(background=255)
-        drawn.resize(0.52).webpsave(str(path), Q=60, effort=6, keep="none")
+        picture = f"{name}/warp.png"
+        check_file(f"{name}/warp.nii.gz", picture=picture)
+        drawn = pyvips.Image.new_from_file(picture).flatten(background=255)
+        drawn.resize(1120 / drawn.width).webpsave(str(path), Q=56, effort=6, keep="none")
 
 
 def slices(path: Path, folded: Array, status: Array, errors: dict[str, Array]) -> Figure:
