@@ -33,6 +33,13 @@ MATCHES = {
         r"^bone, corrected: [23]\.\d %",
     ],
     "head": [r"^strong: 2 steps, 0 folds, source points within 0\.00\d voxels$"],
+    "invert_field": [
+        r"^inverse: 10\d{4} ok, \d+ folded, \d+ outside, \d+ unconverged$",
+        r"^where it is ok, it is exact to \de-0\d mm$",
+        r"^\d{3} of 102608 cells fold, the least determinant is -0\.\d\d$",
+        r"^warning: a field folds: ",
+        r"^there and back, grey values differ by 0\.\d\d of 255 on average$",
+    ],
     "landmarks": [
         r"^forehead: .* 35\.\d mm away$",
         r"^and back to within 0\.0000 mm$",
@@ -45,13 +52,19 @@ MATCHES = {
         r"512\*512\*15 = 3,932,160 +\d{1,2},\d{3}$",
         r"1000\*1000\*150\*15 = 2,250,000,000 *$",
     ],
+    "stmap": [
+        r"^OpenCV's map and the STMap agree within 0\.000\d\d px$",
+        r"^inverse: {'ok': 240000, 'folded': 0, 'outside': 0, 'unconverged': 0}$",
+        r"^where it is ok, it is exact to 0\.0000\d\d px$",
+        r"^there and back, values differ by 0\.00 of 255; by 0\.9\d if ",
+    ],
 }
 
 
 def test_there_are_examples() -> None:
-    stills = {"augment", "fractal", "heart", "key_points", "portrait", "remap"}
+    stills = {"augment", "fractal", "heart", "key_points", "portrait", "remap", "stmap"}
     clips = {"delay", "smile", "spacetime", "transition"}
-    volumes = {"asymmetry", "head", "landmarks", "modes"}
+    volumes = {"asymmetry", "head", "invert_field", "landmarks", "modes"}
     assert {path.stem for path in EXAMPLES} >= stills | clips | volumes
 
 

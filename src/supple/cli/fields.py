@@ -243,10 +243,11 @@ def _inverted(made: InvertedFile) -> str:
     lines = [_written(made)]
     if made.counts is not None:
         whole = sum(made.counts.values())
+        unit, samples = ("mm", "voxels") if made.target.maps[0].ndim == 3 else ("px", "pixels")
         shares = [f"{count:,} {status} ({_share(count, whole)})" for status, count in made.counts.items()]
-        lines.append(_line("voxels", ", ".join(shares)))
-        worst = "no voxel is ok" if made.error is None else f"up to {made.error:.2g} mm among the ok"
-        lines.append(_line("error", f"{worst}; the tolerance is {made.tolerance:g} voxels"))
+        lines.append(_line(samples, ", ".join(shares)))
+        worst = f"none of the {samples} is ok" if made.error is None else f"up to {made.error:.2g} {unit} among the ok"
+        lines.append(_line("error", f"{worst}; the tolerance is {made.tolerance:g} {samples}"))
     lines.append(_line("time", f"{made.seconds:.2g} s"))
     return "\n".join(lines)
 
