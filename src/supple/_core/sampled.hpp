@@ -398,12 +398,20 @@ INLINE void undo_field_surely(const Sampled& k, const V* target, double toleranc
         Local<D, double> at;
         for (int d = 0; d < D; d++) start[d] = goal[d] = lane(target[d], l);
         bool known = false;
-        for (int attempt = 0; attempt < 3 && !known; attempt++) {
+        for (int attempt = 0; attempt < 4 && !known; attempt++) {
             if (attempt == 1) {
                 field_at<D, 0, double>(k, goal, nullptr, nullptr, at);
                 for (int d = 0; d < D; d++) start[d] = goal[d] - at.w[d];
             } else if (attempt == 2)
                 for (int d = 0; d < D; d++) start[d] = lane(found.i[d], l);
+            else if (attempt == 3) {  // by the residual alone, which passes folds
+                for (int d = 0; d < D; d++) start[d] = goal[d];
+                for (int n = 0; n < 100; n++) {
+                    field_at<D, 0, double>(k, start, nullptr, nullptr, at);
+                    for (int d = 0; d < D; d++) start[d] -= 0.5 * (start[d] + at.w[d] - goal[d]);
+                }
+                one.steps += 100;
+            }
             known = follow_field<D>(k, goal, start, tolerance, one);
         }
         if constexpr (Masked<V>::lanes == 1) {
