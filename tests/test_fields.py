@@ -214,10 +214,22 @@ def test_compositions_are_those_of_the_maps(shape: tuple[int, ...], interpolatio
 def test_compositions_warn_of_folds_and_of_what_is_outside() -> None:
     places = np.interp(np.arange(40.0), [0, 15, 20, 39], [0, 22, 12, 39])
     folded, away = along_x(places), along_x(np.arange(20.0) + 6)
-    with pytest.warns(FoldWarning):
-        compose([Placed(folded, True)], Grid((4, 40)))
+    with pytest.warns(
+        FoldWarning, match=r"^u\.nii folds in 15 of its 117 cells: where they are mapped to, the"
+    ) as told:
+        compose([Placed(folded, True, name="u.nii")], Grid((4, 40)))
+    assert len(told) == 1
     with pytest.warns(OutsideWarning):
         compose([Placed(away, True)], Grid((4, 20)))
+
+
+def test_a_composition_begins_on_the_grid_of_the_result() -> None:
+    field, far = along_x(np.arange(20.0)), Grid((4, 20), origin=(500.0, 0.0))
+    with pytest.raises(SuppleError, match=r"the field and the grid of the result do not overlap: from \("):
+        compose([field], far)
+    with pytest.raises(SuppleError, match="the affine map has 3 axes, and the grid has 2"):
+        compose([Affine(np.eye(4))], far)
+    compose([Affine([[1, 0, -500], [0, 1, 0]]), field], far)
 
 
 def test_affine_maps() -> None:

@@ -17,7 +17,7 @@ from supple.engines.base import Certificate, Sampling, Space, warn_of
 from supple.engines.choice import DEVICES, engine_at
 from supple.engines.native import NATIVE, measured, plan_of
 from supple.errors import FoldWarning, MissWarning, OutsideWarning, SuppleError
-from supple.fields import Affine, Field, Placed, check_overlap, matrix_rows, warn_of_folds
+from supple.fields import Affine, Field, Placed, check_overlap, folds_of, matrix_rows
 from supple.folding import Resolved, described, resolve
 from supple.geometry import Grid
 from supple.strokes import REACH, STROKE_DTYPE, FoldPolicy, Point, Recipe, Stroke, numbers, spoken
@@ -215,10 +215,11 @@ class Deformation:
         spacing: float | Sequence[float] = 1.0,
         time: bool = False,
         maps: Sequence[Placed] = (),
+        warn: bool = True,
     ) -> Self:
         """Return a recipe's strokes on a domain, without hidden ones; errors and warnings name the stroke.
 
-        ``maps`` are fields and affine maps between the strokes.
+        ``maps`` are fields and affine maps between the strokes; ``warn``, whether to warn of those that fold.
 
         If the recipe has an amount, or a stroke a strength, below 1, that fraction of the stroke's drag is applied. The
         point at which a later stroke begins is carried along with the material, which has then moved less: it is mapped
@@ -237,7 +238,7 @@ class Deformation:
         OutsideWarning
             If a stroke starts outside the domain.
         FoldWarning, MissWarning
-            As `grab` does.
+            As `grab` and `field` do.
         """
         if not isinstance(recipe, Recipe):
             refuse("a recipe", "a Recipe (Recipe.from_json reads one)", recipe)
@@ -261,7 +262,7 @@ class Deformation:
         whole: Deformation = made  # at full strength; the same object as ``made`` as long as they are equal
         for placed in maps:
             if placed.after == 0:
-                made = whole = made._with(placed)
+                made = whole = made._with(placed, warn)
         for k, (i, stroke) in enumerate(visible):
             which = f"stroke {i + 1} of {len(recipe.strokes)}: " if len(recipe.strokes) > 1 else ""
             try:
@@ -278,8 +279,8 @@ class Deformation:
             for placed in maps:
                 if i < placed.after <= last:
                     same = whole is made
-                    made = made._with(placed)
-                    whole = made if same else whole._with(placed)
+                    made = made._with(placed, warn)
+                    whole = made if same else whole._with(placed, False)
         return made
 
     def without_strokes(self) -> Self:
@@ -474,18 +475,24 @@ class Deformation:
         ------
         SuppleError
             If the field has another number of axes, or does not overlap the domain (unless an affine map comes before).
+
+        Warns
+        -----
+        FoldWarning
+            If it is inverted and folds: where folded cells are mapped to, the inverse is one of several points.
         """
         if not isinstance(field, Field):
             refuse("field", "a Field (Field.from_array makes one)", field)
         return self._with(Placed(field, inverse))
 
-    def _with(self, placed: Placed) -> Self:
+    def _with(self, placed: Placed, warn: bool = True) -> Self:
         if placed.map.ndim != self.ndim:
             what = "field" if isinstance(placed.map, Field) else "affine map"
             raise SuppleError(f"the {what} has {placed.map.ndim} axes, and the shape {self.shape} has {self.ndim}")
         if isinstance(placed.map, Field) and not any(isinstance(each.map, Affine) for each in self.maps):
             check_overlap(placed.map, self.grid)  # an affine map before it may bring them together
-        warn_of_folds(placed)
+        if warn:
+            warn_of(Certificate(0.0, 0.0), math.inf, 4, folds_of([placed]))
         here = replace(placed, after=len(self.strokes), row=len(self._table))
         return self._changed(maps=(*self.maps, here))
 
@@ -748,7 +755,7 @@ class Deformation:
 
     def _moved(self, placed: Placed, points: Floats) -> Floats:
         """Return points (N, 3) of the domain as one map alone moves them."""
-        composite = self.without_strokes()._with(placed).space.composite
+        composite = self.without_strokes()._with(placed, False).space.composite
         assert composite is not None
         return composite.through(points, False, False, np.zeros(len(points), np.uint8))[0]
 

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import math
 import os
-import warnings
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal, Self, get_args
 
@@ -16,7 +15,7 @@ from supple import _core, checks
 from supple.checks import FieldReport
 from supple.domain import FREE, choice, number, refuse
 from supple.engines.base import Certificate, certificate_of_status, warn_of
-from supple.errors import FoldWarning, SuppleError, shown
+from supple.errors import SuppleError, shown
 from supple.geometry import Grid
 
 Floats = npt.NDArray[np.float64]
@@ -431,15 +430,15 @@ class Placed:
         return "affine", matrix_rows(np.linalg.inv(frame) @ self.map.matrix @ frame), self.inverse
 
 
-def warn_of_folds(placed: Placed) -> None:
-    """Warn if a field that is to be inverted folds anywhere."""
-    if placed.inverse and isinstance(placed.map, Field) and (count := int(np.count_nonzero(placed.map.folded_cells()))):
-        warnings.warn(
-            f"{placed.name or 'the field'} folds in {count} of its cells: where they are mapped to, its inverse is one "
-            "of several points (supple check shows where)",
-            FoldWarning,
-            stacklevel=4,
-        )
+def folds_of(maps: Iterable[Placed]) -> str:
+    """Return in words which of the fields that are inverted fold, and in how many cells; "" if none does."""
+    told = []
+    for placed in maps:
+        if placed.inverse and isinstance(placed.map, Field):
+            cells = placed.map.folded_cells()
+            if count := int(np.count_nonzero(cells)):
+                told.append(f"{placed.name or 'the field'} folds in {count:,} of its {cells.size:,} cells")
+    return ", and ".join(told)
 
 
 def read_maps(path: PathLike, convention: str | None = None, *, source: Grid | None = None) -> tuple[Map, ...]:
@@ -476,18 +475,20 @@ def compose(maps: Sequence[Map | Placed], grid: Grid) -> Field:
     Warns
     -----
     FoldWarning
-        If a field that is inverted folds at some samples.
+        If a field that is inverted folds.
     OutsideWarning
         If to some samples no point of an inverted field's grid is mapped.
     """
-    n, parts = grid.ndim, []
-    for each in maps:
-        placed = each if isinstance(each, Placed) else Placed(each)
+    n, moved = grid.ndim, False
+    given = [each if isinstance(each, Placed) else Placed(each) for each in maps]
+    for placed in given:
+        what = placed.name or ("the field" if isinstance(placed.map, Field) else "the affine map")
         if placed.map.ndim != n:
-            what = "field" if isinstance(placed.map, Field) else "affine map"
-            raise SuppleError(f"the {what} has {placed.map.ndim} axes, and the grid has {n}")
-        warn_of_folds(placed)
-        parts.append(placed.packed(np.eye(n + 1)))
+            raise SuppleError(f"{what} has {placed.map.ndim} axes, and the grid has {n}")
+        if isinstance(placed.map, Field) and not moved:
+            check_overlap(placed.map, grid, what, "the grid of the result")
+        moved |= isinstance(placed.map, Affine)  # which may bring together what lies apart
+    parts = [placed.packed(np.eye(n + 1)) for placed in given]
     composite = _core.Composite(n, np.array([FREE] * 3), parts)
     values = np.empty((*grid.shape, n), np.float32)
     height, width = grid.shape[-2:]
@@ -503,7 +504,7 @@ def compose(maps: Sequence[Map | Placed], grid: Grid) -> Field:
         found, _, _ = composite.through(points, False, False, status)
         (values[z] if n == 3 else values)[...] = (found[:, :n] - here).reshape(height, width, n)
         certificate |= certificate_of_status(status)
-    warn_of(certificate, 1.0, 3)
+    warn_of(certificate, 1.0, 3, folds_of(given))
     return Field(values, grid)
 
 

@@ -72,16 +72,21 @@ def certificate_of_status(status: npt.NDArray[np.uint8]) -> Certificate:
     return Certificate(0.0, 0.0, int(bits[4:].sum()), int(bits[1] + bits[3]), int(bits[2] + bits[3]))
 
 
-def warn_of(certificate: Certificate, tolerance: float, stacklevel: int) -> None:
-    """Warn if a map may be less accurate than the tolerance, or has folds or gaps."""
+def warn_of(certificate: Certificate, tolerance: float, stacklevel: int, folds: str = "") -> None:
+    """Warn if a map may be less accurate than the tolerance, or has folds or gaps.
+
+    ``folds`` says which of the fields that are inverted fold, if any: all that is known of folds is one warning.
+    """
+    told = [f"{folds}: where they are mapped to, the inverse is one of several points"] if folds else []
     if certificate.unknown or certificate.folded:
-        warnings.warn(
-            f"a field folds: {certificate.folded} of the points solved lie where its Jacobian determinant is not above "
-            f"0, and for {certificate.unknown} no solution was found; what is shown there is one of several points, or "
-            "a guess (supple check shows where)",
-            FoldWarning,
-            stacklevel=stacklevel,
-        )
+        told += [
+            f"{'' if folds else 'a field folds: '}{certificate.folded} of the points solved lie where "
+            f"{'a' if folds else 'its'} Jacobian determinant is not above 0, and for {certificate.unknown} no solution "
+            "was found",
+            "what is shown there is one of several points, or a guess",
+        ]
+    if told:
+        warnings.warn(f"{'; '.join(told)} (supple check shows where)", FoldWarning, stacklevel=stacklevel)
     if certificate.outside:
         warnings.warn(
             f"to {certificate.outside} of the points solved, no point of a field's grid is mapped: what is shown there "

@@ -19,7 +19,7 @@ from supple.domain import choice, refuse
 from supple.engines.base import Sampling, warn_of
 from supple.engines.choice import DEVICES, check_device, check_host
 from supple.errors import SuppleError, shown
-from supple.fields import Placed
+from supple.fields import Placed, folds_of
 from supple.files.clips import SUFFIXES_OUT as CLIPS_OUT
 from supple.files.clips import ClipOptions, WarpedClip, check_clip_target, is_clip, refuse_places, warp_clip
 from supple.files.grids import GridOptions, check_maps, grid_on, picture_grid
@@ -233,7 +233,7 @@ def warp_file(
         fitted = fit_recipe(recipe, (width, height), fit, shown(source))
         own = Grid((height, width))
         check_maps(maps, own, shown(source))
-        deformation = Deformation.from_recipe(fitted, own, maps=maps)
+        deformation = Deformation.from_recipe(fitted, own, maps=maps, warn=False)
         regrid = grid_on(grid, own, shown(source), maps)
         space = replace(deformation.space_on(regrid), count=picture.pages)
         if space.is_identity and quality is None and not lossless and _suffix(source) == _suffix(target):
@@ -254,7 +254,7 @@ def warp_file(
         if bounded and not space.is_identity:
             for k in range(picture.pages):  # each by itself
                 clamp_to(picture.pixels[k * height : (k + 1) * height], pixels[k * rows : (k + 1) * rows], sampling)
-        warn_of(certificate, tolerance, 3)
+        warn_of(certificate, tolerance, 3, folds_of(maps))
         # Only the header of the input is still needed: free its pixels for the encoder.
         like = replace(picture, pixels=np.empty((0, *picture.pixels.shape[1:]), picture.pixels.dtype))
         del picture, pages

@@ -223,7 +223,8 @@ def invert_file(
         else:
             grid = wanted or read.grid
             assert grid is not None
-            maps = (compose([Placed(each, inverse=True) for each in reversed(read.maps)], grid),)
+            parts = [Placed(each, inverse=True, name=shown(source)) for each in reversed(read.maps)]
+            maps = (compose(parts, grid),)
         # The inverse leads to the image that the field is on.
         here = read.grid if fields else wanted
         write_file(places[target], maps, known, source=here, reference=moving)
@@ -350,7 +351,7 @@ def compose_files(
         parts: list[Placed] = []
         for file in read:
             ordered = file.maps[::-1] if file.inverse else file.maps
-            parts += [Placed(one, inverse=file.inverse) for one in ordered]
+            parts += [Placed(one, inverse=file.inverse, name=shown(file.path)) for one in ordered]
         made = compose(parts, grid)
         write_file(place, (made,), known, source=read[-1].grid if inputs[-1].inverse else moving[-1], reference=wanted)
     written = MapFile(Path(target), known, how, (made,))
@@ -399,7 +400,8 @@ def convert_file(
                 f"{shown(source)} holds an affine map, and {shown(target)} a field: give the image whose grid the "
                 "field shall have (--reference)"
             )
-        maps = (compose(read.maps, wanted),) if as_field and wanted is not None else read.maps
+        parts = [Placed(each, name=shown(source)) for each in read.maps]
+        maps = (compose(parts, wanted),) if as_field and wanted is not None else read.maps
         write_file(place, maps, known, source=moving, reference=wanted)
     return Written((read,), MapFile(Path(target), known, how, maps), time.perf_counter() - began)
 
