@@ -316,7 +316,14 @@ class Field:
         return type(self)(made.values, made.grid)
 
     @classmethod
-    def read(cls, path: PathLike, convention: str | None = None, *, source: Grid | None = None) -> Self:
+    def read(
+        cls,
+        path: PathLike,
+        convention: str | None = None,
+        *,
+        source: Grid | None = None,
+        reference: Grid | None = None,
+    ) -> Self:
         """Read a displacement field.
 
         Parameters
@@ -327,15 +334,16 @@ class Field:
             The program whose convention the file follows: ``"itk"`` (ITK, ANTs, 3D Slicer), ``"fsl-relative"``,
             ``"fsl-absolute"``, ``"afni"``, ``"mrtrix"``, ``"ngff"``, ``"opencv"``, ``"stmap"``, ... By default, that
             which the file itself shows without doubt.
-        source : Grid, optional
-            The grid of the input image, where the convention refers to it.
+        source, reference : Grid, optional
+            The grids of the input (moving) and of the output (fixed) image, where the convention refers to them: fields
+            of FSL to the first, matrices of FLIRT to both.
 
         Raises
         ------
         SuppleError
             If the file cannot be read, is of another convention, or holds anything but one field.
         """
-        found = read_maps(path, convention, source=source)
+        found = read_maps(path, convention, source=source, reference=reference)
         only = found[0] if len(found) == 1 else None
         if not isinstance(only, Field):
             kinds = " and ".join("a field" if isinstance(each, Field) else "an affine map" for each in found)
@@ -441,14 +449,16 @@ def folds_of(maps: Iterable[Placed]) -> str:
     return ", and ".join(told)
 
 
-def read_maps(path: PathLike, convention: str | None = None, *, source: Grid | None = None) -> tuple[Map, ...]:
+def read_maps(
+    path: PathLike, convention: str | None = None, *, source: Grid | None = None, reference: Grid | None = None
+) -> tuple[Map, ...]:
     """Read the affine maps and fields of a file, in the order in which a point of the output goes through them.
 
     Parameters and errors are those of `Field.read`.
     """
     from supple.media import transforms
 
-    found = transforms.read(path, convention, source=source)
+    found = transforms.read(path, convention, source=source, reference=reference)
     return tuple(Field(*each) if isinstance(each, transforms.Displacements) else Affine(each) for each in found)
 
 

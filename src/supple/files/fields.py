@@ -27,6 +27,8 @@ from supple.files.maps import (
     write_file,
     write_image,
 )
+from supple.geometry import Grid
+from supple.media import transforms
 from supple.media.files import check_output, replacing_together
 from supple.media.volume import suffix_of
 
@@ -336,13 +338,18 @@ def compose_files(
         raise SuppleError("there is nothing to compose: give files of fields or affine maps, the first first")
     wanted = None if reference is None else grid_of(reference)
     with replacing_together([target], force=force) as (place,):
-        read, moving = [], []
+        read: list[MapFile] = []
+        moving: list[Grid | None] = []
+        here = wanted  # the grid of the image on the side of the output, as far as it is known
         for each in inputs:
-            moving.append(None if each.source is None else grid_of(each.source))
-            file = read_file(each.path, each.convention, source=moving[-1], reference=wanted)
+            there = None if each.source is None else grid_of(each.source)
+            file = _read_among(inputs, len(read), there or (here if each.inverse else None), here)
             read.append(replace(file, inverse=each.inverse))
+            moving.append(there)
+            here = file.grid if each.inverse else there
         shared = {each.convention for each in read}
-        known, how = convention_out(target, to, shared.pop() if len(shared) == 1 else None)
+        alike = len(shared) == 1 and shared != {"fsl-affine"}  # which holds no field
+        known, how = convention_out(target, to, shared.pop() if alike else None)
         grid = wanted or next((each.grid for each in read if each.grid is not None), None)
         if grid is None:
             raise SuppleError(
@@ -404,6 +411,21 @@ def convert_file(
         maps = (compose(parts, wanted),) if as_field and wanted is not None else read.maps
         write_file(place, maps, known, source=moving, reference=wanted)
     return Written((read,), MapFile(Path(target), known, how, maps), time.perf_counter() - began)
+
+
+def _read_among(inputs: Sequence[Input], k: int, source: Grid | None, reference: Grid | None) -> MapFile:
+    """Read one of several files that a point goes through in turn; an inverse leads away from its source."""
+    each = inputs[k]
+    try:
+        return read_file(each.path, each.convention, source=source, reference=None if each.inverse else reference)
+    except transforms.MissingGridError as error:
+        if source is None or (k == 0 and not each.inverse):
+            raise
+        before = inputs[k - 1]
+        advice = f"give --source of {shown(before.path)}, which leads to it"
+        if each.inverse or before.inverse:
+            advice = "convert it by itself first (supple convert)"
+        raise SuppleError(f"{str(error).rpartition(': ')[0]}: {advice}") from None
 
 
 def _warn_of(counts: Mapping[str, int], name: str) -> None:
