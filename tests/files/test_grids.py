@@ -198,12 +198,13 @@ class TestMapsOnFiles:
         values[:, :, 8:] = -6.0 * np.array(grid.direction)[:, 0]
         placed = Placed(Field(values, grid), True, name="u.nii")
         said = (
-            r"^u\.nii folds in [\d,]+ of its 3,315 cells: where they are mapped to, the inverse is one of several points; "
-            r"\d+ of the points solved lie where a Jacobian determinant is not above 0, and for \d+ no solution was found; "
-            r"what is shown there is one of several points, or a guess \(supple check shows where\)$"
+            r"^u\.nii folds in [\d,]+ of its 3,315 cells: where they are mapped to, the inverse is one of several "
+            r"points; \d+ of the points solved lie where a Jacobian determinant is not above 0, and for \d+ no solution "
+            r"was found; what is shown there is one of several points, or a guess \(supple check shows where\)$"
         )
         options = VolumeOptions(save_field="field.mha")  # of the same map: it is not told of twice
-        with pytest.warns(UserWarning) as caught:
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
             done = warp_file("in.nii", "out.nii", EMPTY, maps=[placed], filter="linear", volume=options)
         assert done.folded + done.unsolved > 0
         assert {each.category for each in caught} <= {FoldWarning, OutsideWarning}
@@ -213,7 +214,8 @@ class TestMapsOnFiles:
         flat = np.zeros((40, 50, 2), np.float32)
         flat[:, 25:, 0] = -6.0
         maps = [Placed(Field(flat, Grid((40, 50))), True, after=1)]
-        with pytest.warns(UserWarning) as caught:
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
             picture = warp_file("in.png", "out.png", FLAT, maps=maps)
         (text,) = (str(each.message) for each in caught if each.category is FoldWarning)
         assert text.startswith("the field folds in 39 of its 1,911 cells: ")
