@@ -17,7 +17,7 @@ from supple.engines.base import Certificate, Sampling, Space, warn_of
 from supple.engines.choice import DEVICES, engine_at
 from supple.engines.native import NATIVE, measured, plan_of
 from supple.errors import FoldWarning, MissWarning, OutsideWarning, SuppleError
-from supple.fields import Affine, Field, Placed, check_overlap, folds_of, matrix_rows
+from supple.fields import Affine, Field, Placed, check_path, folds_of, matrix_rows
 from supple.folding import Resolved, described, resolve
 from supple.geometry import Grid
 from supple.strokes import REACH, STROKE_DTYPE, FoldPolicy, Point, Recipe, Stroke, numbers, spoken
@@ -318,10 +318,20 @@ class Deformation:
     @property
     def space(self) -> Space:
         """The packed map and domain, as engines take them."""
-        return self.space_on(None)
+        return self._space(None)
 
     def space_on(self, grid: Grid | None) -> Space:
-        """Return the packed map, with the grid of the output if it is not that of the input."""
+        """Return the packed map, with the grid of the output if it is not that of the input.
+
+        Raises
+        ------
+        SuppleError
+            If a field lies apart from that grid, or from what the maps before it lead to.
+        """
+        check_path(reversed(self.maps), self.grid if grid is None else grid)
+        return self._space(grid)
+
+    def _space(self, grid: Grid | None) -> Space:
         count = self.shape[0] if self.ndim == 3 else 1
         shape = (self.shape[-2], self.shape[-1])
         frame = np.eye(self.ndim + 1)  # from the domain's coordinates, index times spacing, to positions
@@ -474,7 +484,7 @@ class Deformation:
         Raises
         ------
         SuppleError
-            If the field has another number of axes, or does not overlap the domain (unless an affine map comes before).
+            If the field has another number of axes.
 
         Warns
         -----
@@ -489,8 +499,6 @@ class Deformation:
         if placed.map.ndim != self.ndim:
             what = "field" if isinstance(placed.map, Field) else "affine map"
             raise SuppleError(f"the {what} has {placed.map.ndim} axes, and the shape {self.shape} has {self.ndim}")
-        if isinstance(placed.map, Field) and not any(isinstance(each.map, Affine) for each in self.maps):
-            check_overlap(placed.map, self.grid)  # an affine map before it may bring them together
         if warn:
             warn_of(Certificate(0.0, 0.0), math.inf, 4, folds_of([placed]))
         here = replace(placed, after=len(self.strokes), row=len(self._table))
@@ -565,7 +573,7 @@ class Deformation:
         engine = engine_at(like)
         if like is not None and engine is NATIVE:
             refuse("like", "an array on a CUDA device, or left out", like)
-        found, certificate = engine.inverse_map(self.space, tolerance, like)
+        found, certificate = engine.inverse_map(self.space_on(None), tolerance, like)
         warn_of(certificate, tolerance, 3)
         return found  # type: ignore[no-any-return]
 
@@ -659,13 +667,12 @@ class Deformation:
             between=between, time_filter=time_filter,
         )  # fmt: skip
         clamp = flag("clamp", clamp)
-        space = self.space
         if grid is not None:
             if not isinstance(grid, Grid):
                 refuse("grid", "a Grid", grid)
             if grid.ndim != self.ndim:
                 refuse("grid", f"a grid of {self.ndim} axes, as the deformation is", f"one of {grid.ndim}")
-            space = self.space_on(grid)
+        space = self.space_on(grid)
         if callable(source):
             if grid is not None:
                 refuse("grid", "left out for a function of points", grid)

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import math
 import os
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
+from itertools import product
 from typing import Any, Literal, Self, get_args
 
 import numpy as np
@@ -16,7 +16,8 @@ from supple.checks import FieldReport
 from supple.domain import FREE, choice, number, refuse
 from supple.engines.base import Certificate, certificate_of_status, warn_of
 from supple.errors import SuppleError, shown
-from supple.geometry import Grid
+from supple.geometry import Box, Grid, extent, overlap
+from supple.splines import coefficients
 
 Floats = npt.NDArray[np.float64]
 Array = npt.NDArray[Any]
@@ -176,7 +177,7 @@ class Field:
         to_index = np.linalg.inv(self.grid.matrix)
         sizes = self.grid.sizes
         own = self.interpolation == "bspline"  # the coefficients at the ends are beyond the field
-        values = _coefficients(self.values) if self.interpolation == "cubic" else self.values
+        values = coefficients(self.values) if self.interpolation == "cubic" else self.values
         matrix = to_index @ frame
         return _core.Sampled(
             values,
@@ -210,12 +211,14 @@ class Field:
         Raises
         ------
         SuppleError
-            If the grid has another number of axes, or does not overlap the field's.
+            If the grid has another number of axes, or lies apart from the field and all that it leads to.
         """
         n = self.ndim
         tolerance = number("tolerance", tolerance, "a number of voxels above 0", 1e-9, 1e9)
         held = own_grid(self) if grid is None else grid
-        check_overlap(self, held)
+        if held.ndim != n:
+            raise SuppleError(f"a field of {n} axes needs a grid of as many, found {held.ndim}")
+        check_path([Placed(self, inverse=True)], held, "the grid of the inverse")
         to_index = np.linalg.inv(self.grid.matrix) @ held.matrix
         dtype = self.values.dtype
         values, error = np.empty((*held.shape, n), dtype), np.empty(held.shape, np.float32)
@@ -431,6 +434,11 @@ class Placed:
     row: int = field(default=0, repr=False)
     name: str = field(default="", repr=False, compare=False)
 
+    @property
+    def told(self) -> str:
+        """The name, or what it is."""
+        return self.name or ("the field" if isinstance(self.map, Field) else "the affine map")
+
     def packed(self, frame: Floats) -> _core.Part:
         """Return the map as the core takes it, from the coordinates of `Field.packed`, as a part of the pull map."""
         if isinstance(self.map, Field):
@@ -445,7 +453,7 @@ def folds_of(maps: Iterable[Placed]) -> str:
         if placed.inverse and isinstance(placed.map, Field):
             cells = placed.map.folded_cells()
             if count := int(np.count_nonzero(cells)):
-                told.append(f"{placed.name or 'the field'} folds in {count:,} of its {cells.size:,} cells")
+                told.append(f"{placed.told} folds in {count:,} of its {cells.size:,} cells")
     return ", and ".join(told)
 
 
@@ -480,7 +488,8 @@ def compose(maps: Sequence[Map | Placed], grid: Grid) -> Field:
     Raises
     ------
     SuppleError
-        If a map has another number of axes than the grid, or a field's grid does not overlap the grid.
+        If a map has another number of axes than the grid, or a field lies apart from the grid, or from what the maps
+        before it lead to.
 
     Warns
     -----
@@ -489,15 +498,12 @@ def compose(maps: Sequence[Map | Placed], grid: Grid) -> Field:
     OutsideWarning
         If to some samples no point of an inverted field's grid is mapped.
     """
-    n, moved = grid.ndim, False
+    n = grid.ndim
     given = [each if isinstance(each, Placed) else Placed(each) for each in maps]
     for placed in given:
-        what = placed.name or ("the field" if isinstance(placed.map, Field) else "the affine map")
         if placed.map.ndim != n:
-            raise SuppleError(f"{what} has {placed.map.ndim} axes, and the grid has {n}")
-        if isinstance(placed.map, Field) and not moved:
-            check_overlap(placed.map, grid, what, "the grid of the result")
-        moved |= isinstance(placed.map, Affine)  # which may bring together what lies apart
+            raise SuppleError(f"{placed.told} has {placed.map.ndim} axes, and the grid has {n}")
+    check_path(given, grid, "the grid of the result")
     parts = [placed.packed(np.eye(n + 1)) for placed in given]
     composite = _core.Composite(n, np.array([FREE] * 3), parts)
     values = np.empty((*grid.shape, n), np.float32)
@@ -538,60 +544,59 @@ def sampled(field: Field) -> Array:
     return checks.values_at(field.packed(np.eye(field.ndim + 1)), own_grid(field))
 
 
-def check_overlap(field: Field, grid: Grid, what: str = "the field's grid", where: str = "the image's") -> None:
-    """Raise SuppleError for a grid of another number of axes, or one that does not overlap the field's.
+def check_path(
+    maps: Iterable[Placed],
+    output: Grid,
+    where: str = "the grid of the output",
+    *,
+    source: Grid | None = None,
+    name: str = "the input",
+) -> None:
+    """Raise SuppleError for maps that cannot meet: a field that no point of the output comes near, for example.
 
-    ``what`` and ``where`` name the grids in the message.
+    Parameters
+    ----------
+    maps : iterable of Placed
+        A point of the output goes through the first one first.
+    output : Grid
+        The grid of the output; of a part, the whole counts.
+    where, name : str
+        What has the grids of the output and of the source, for the message.
+    source : Grid, optional
+        The grid that the last map shall lead to; by default, it may lead anywhere.
     """
-    if grid.ndim != field.ndim:
-        raise SuppleError(f"a field of {field.ndim} axes needs a grid of as many, found {grid.ndim}")
-    if not overlap(field.grid, grid):
+    box = output.uncropped().box
+    given = list(maps)
+    for k, placed in enumerate(given):
+        held, what = placed.map, placed.told
+        if isinstance(held, Affine):
+            box, where = _led_by_affine(held.inverse() if placed.inverse else held, box), f"what {what} leads to"
+            continue
+        own = own_grid(held).box
+        _check_boxes(_led(held, own) if placed.inverse else own, what, box, where)
+        if k < len(given) - 1 or source is not None:
+            box, where = _led(held, box, placed.inverse), f"what {what} leads to"
+    if source is not None:
+        _check_boxes(box, where, source.box, name)
+
+
+def _check_boxes(one: Box, what: str, other: Box, where: str) -> None:
+    if not overlap(one, other):
         raise SuppleError(
-            f"{what} and {where} do not overlap: {extent(field.grid)}, and {extent(grid)}: "
-            "check their positions in space"
+            f"{what} and {where} do not overlap: {extent(one)}, and {extent(other)}: check their positions in space"
         )
 
 
-def overlap(one: Grid, other: Grid) -> bool:
-    """Return whether the boxes around two grids overlap."""
-    (low, high), (least, most) = _box(one), _box(other)
-    return bool(np.all(low <= most) and np.all(least <= high))
+def _led_by_affine(affine: Affine, box: Box) -> Box:
+    """Return a box around where an affine map leads a box."""
+    corners = affine(np.array(list(product(*zip(*box, strict=True)))))
+    return corners.min(axis=0), corners.max(axis=0)
 
 
-def _box(grid: Grid) -> tuple[Floats, Floats]:
-    n = grid.ndim
-    corners = np.array(np.meshgrid(*[(-0.5, size - 0.5) for size in grid.sizes])).reshape(n, -1).T
-    places = grid.positions(corners)
-    return places.min(axis=0), places.max(axis=0)
-
-
-def extent(grid: Grid) -> str:
-    """Return the box around a grid in words."""
-    low, high = _box(grid)
-    return f"from ({', '.join(f'{x:.4g}' for x in low)}) to ({', '.join(f'{x:.4g}' for x in high)})"
-
-
-_POLE = math.sqrt(3.0) - 2.0  # of the filter that inverts the cubic B-spline's samples (1, 4, 1) / 6
-_HORIZON = 40  # samples after which its response is below 1e-22
-
-
-def _coefficients(values: Array) -> Array:
-    """Return the coefficients of the cubic B-spline through values that are mirrored about the ends of each axis.
-
-    By the recursive filter of Unser, Aldroubi and Eden (1991), along one axis after the other.
-    """
-    made = values.astype(np.float64)
-    for axis in range(values.ndim - 1):
-        c = np.moveaxis(made, axis, 0)
-        n = len(c)
-        if n == 1:
-            continue
-        mirrored = np.abs((np.arange(_HORIZON) + n - 1) % (2 * n - 2) - n + 1)
-        c[0] = np.tensordot(_POLE ** np.arange(_HORIZON), c[mirrored], 1)
-        for k in range(1, n):
-            c[k] += _POLE * c[k - 1]
-        c[-1] = _POLE / (_POLE * _POLE - 1.0) * (c[-1] + _POLE * c[-2])
-        for k in range(n - 2, -1, -1):
-            c[k] = _POLE * (c[k + 1] - c[k])
-        c *= 6.0
-    return made.astype(values.dtype)
+def _led(field: Field, box: Box, inverse: bool = False) -> Box:
+    """Return a box around another one and where a field, or its inverse, may lead it."""
+    planes = field.values.reshape(-1, *field.values.shape[-2:])
+    low = np.min([plane.min(axis=(0, 1)) for plane in planes], axis=0)
+    high = np.max([plane.max(axis=(0, 1)) for plane in planes], axis=0)
+    least, most = (-high, -low) if inverse else (low, high)
+    return box[0] + np.minimum(least, 0.0), box[1] + np.maximum(most, 0.0)

@@ -22,7 +22,7 @@ from supple.errors import SuppleError, shown
 from supple.fields import Placed, folds_of
 from supple.files.clips import SUFFIXES_OUT as CLIPS_OUT
 from supple.files.clips import ClipOptions, WarpedClip, check_clip_target, is_clip, refuse_places, warp_clip
-from supple.files.grids import GridOptions, check_maps, grid_on, picture_grid
+from supple.files.grids import GridOptions, grid_on, picture_grid
 from supple.files.volumes import VolumeOptions, WarpedVolume, check_volume_target, is_volume_job, warp_volume
 from supple.geometry import Grid
 from supple.media.codecs import SUFFIXES as CLIPS
@@ -232,9 +232,8 @@ def warp_file(
         height, width = len(picture.pixels) // picture.pages, picture.pixels.shape[1]
         fitted = fit_recipe(recipe, (width, height), fit, shown(source))
         own = Grid((height, width))
-        check_maps(maps, own, shown(source))
-        deformation = Deformation.from_recipe(fitted, own, maps=maps, warn=False)
         regrid = grid_on(grid, own, shown(source), maps)
+        deformation = Deformation.from_recipe(fitted, own, maps=maps, warn=False)
         space = replace(deformation.space_on(regrid), count=picture.pages)
         if space.is_identity and quality is None and not lossless and _suffix(source) == _suffix(target):
             # Encoding a lossy image again would change it.

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from supple.domain import checked_spacing, integer, items, refuse
 from supple.errors import SuppleError, shown
-from supple.fields import Affine, Field, Placed, check_overlap, extent, overlap
+from supple.fields import Affine, Placed, check_path
 from supple.geometry import Grid
 from supple.media import volume as volumes
 from supple.media.codecs import SUFFIXES as CLIPS
@@ -127,41 +127,31 @@ def picture_grid(path: PathLike) -> Grid:
 
 
 def grid_on(options: GridOptions | None, grid: Grid, name: str, maps: Sequence[Placed]) -> Grid | None:
-    """Return the grid of the output of a file; None if it is that of the input.
+    """Return the grid of the output of a file, with maps; None if it is that of the input.
 
     Raises
     ------
     SuppleError
-        As in `GridOptions.of`; or if a reference and the input do not overlap, and no map brings them together.
+        As in `GridOptions.of`; or if a map has another number of axes; or if the grid, the fields and the input lie
+        apart, and no map brings them together.
     """
-    if options is None:
-        return None
-    made = options.of(grid)
-    if options.reference is not None and not maps and not overlap(made, grid):
-        raise SuppleError(
-            f"{shown(options.reference)} and {name} do not overlap: {extent(made)}, and {extent(grid)}: "
-            "check their positions in space"
-        )
+    for each in maps:
+        n = each.map.ndim
+        if n != grid.ndim:
+            kinds = ("picture", "volume")[:: 1 if n == 2 else -1]
+            raise SuppleError(
+                f"{each.told} is for {kinds[0]}s, with {n} axes, and {name} is a {kinds[1]}: give one of {grid.ndim} "
+                "axes"
+            )
+    made = grid if options is None else options.of(grid)
+    other = options is not None and options.reference is not None
+    # an affine map may lead out of sight, as one wishes
+    source = grid if other and not any(isinstance(each.map, Affine) for each in maps) else None
+    where = shown(options.reference) if options is not None and options.reference is not None else name
+    check_path(reversed(maps), made, where, source=source, name=name)
     return None if made == grid else made
 
 
 def listed(numbers: object) -> str:
     """Return numbers as the command line takes them."""
     return ",".join(f"{x:g}" for x in numbers) if isinstance(numbers, Sequence) else f"{numbers:g}"
-
-
-def check_maps(maps: Sequence[Placed], grid: Grid, name: str) -> None:
-    """Raise SuppleError for maps that are not for a file: of another number of axes, or somewhere else in space."""
-    moved = False
-    for each in maps:
-        n = each.map.ndim
-        is_field = isinstance(each.map, Field)
-        what = each.name or ("the field" if is_field else "the affine map")
-        if n != grid.ndim:
-            kinds = ("picture", "volume")[:: 1 if n == 2 else -1]
-            raise SuppleError(
-                f"{what} is for {kinds[0]}s, with {n} axes, and {name} is a {kinds[1]}: give one of {grid.ndim} axes"
-            )
-        if isinstance(each.map, Field) and not moved:
-            check_overlap(each.map, grid, what, name)
-        moved |= isinstance(each.map, Affine)

@@ -21,7 +21,7 @@ from supple.engines.base import Certificate, Sampling, Space, warn_of
 from supple.engines.choice import check_device, engine_for
 from supple.errors import GapWarning, SuppleError, VolumeWarning, shown
 from supple.fields import Placed, folds_of
-from supple.files.grids import GridOptions, check_maps, grid_on
+from supple.files.grids import GridOptions, grid_on
 from supple.files.transforms import write_transform
 from supple.geometry import Geometry, Grid
 from supple.media import transforms
@@ -166,7 +166,7 @@ def deformation_of(
     ------
     SuppleError
         If a stroke has no third coordinate; if points are in space, but the volume has no position; if the recipe was
-        made for another size, without ``fit``; if a map is not for this volume; or as in `Deformation.from_recipe`.
+        made for another size, without ``fit``; or as in `Deformation.from_recipe`.
     """
     for i, stroke in enumerate(recipe.strokes):
         if stroke.ndim != 3 and not stroke.hidden:
@@ -174,7 +174,6 @@ def deformation_of(
             raise SuppleError(f"{which}a volume's points have three numbers, x, y and z, and {stroke.at} has two")
     known = fit_recipe(in_space(recipe, volume.geometry, volume.name, world), volume.sizes, fit, volume.name)
     made = indexed(known, volume.geometry, volume.name)
-    check_maps(maps, volume.grid, volume.name)
     return Deformation.from_recipe(made, volume.grid, maps=maps, warn=False)
 
 
@@ -285,8 +284,8 @@ def warp_volume(
         check_target(target, volume, force=force)
     if known.labels and (broken := _first_fraction(volume.samples)) is not None:
         raise SuppleError(f"labels is for whole numbers, and {volume.name} holds {broken:g}: leave it out")
-    deformation = deformation_of(recipe, volume, world=known.world, fit=fit, maps=maps)
     regrid = grid_on(grid, volume.grid, volume.name, maps)
+    deformation = deformation_of(recipe, volume, world=known.world, fit=fit, maps=maps)
     like = volume if grid is None or regrid is None else _moved(volume, regrid, grid)
     if grid is not None:
         check_target(target, like, force=force)
