@@ -244,9 +244,11 @@ def _inverted(made: InvertedFile) -> str:
     if made.counts is not None:
         whole = sum(made.counts.values())
         shares = [f"{count:,} {status} ({_share(count, whole)})" for status, count in made.counts.items()]
-        lines.append(_line("voxels", ", ".join(shares)))
-        worst = "no voxel is ok" if made.error is None else f"up to {made.error:.2g} mm among the ok"
-        lines.append(_line("error", f"{worst}; the tolerance is {made.tolerance:g} voxels"))
+        grid = made.target.grid
+        unit, what = (_unit(grid), "pixel" if grid.ndim == 2 else "voxel") if grid is not None else ("mm", "voxel")
+        lines.append(_line(f"{what}s", ", ".join(shares)))
+        worst = f"no {what} is ok" if made.error is None else f"up to {made.error:.2g} {unit} among the ok"
+        lines.append(_line("error", f"{worst}; the tolerance is {made.tolerance:g} {what}s"))
     lines.append(_line("time", f"{made.seconds:.2g} s"))
     return "\n".join(lines)
 

@@ -231,15 +231,23 @@ class Maps:
 
         with self._lock:
             if self._known is None or self._known[0] != source:
-                fixed = None
-                if self._reference is not None and source is not None:
-                    fixed = reference_grid(self._reference, source.ndim)
+                fixed, refused = None, None
+                try:
+                    if self._reference is not None and source is not None:
+                        fixed = reference_grid(self._reference, source.ndim)
+                except SuppleError as error:
+                    refused = error  # unless it is not needed: pages become a volume by what the maps are
                 most = len(self._entries) - 1
                 ends = [(source if k == 0 else None, fixed if k == most else None) for k in range(most + 1)]
-                read = [
-                    entry.read(*known, last=k == most)
-                    for k, (entry, known) in enumerate(zip(self._entries, ends, strict=True))
-                ]
+                try:
+                    read = [
+                        entry.read(*known, last=k == most)
+                        for k, (entry, known) in enumerate(zip(self._entries, ends, strict=True))
+                    ]
+                except SuppleError:
+                    if refused is not None:
+                        raise refused from None
+                    raise
                 self._known = source, read
             return self._known[1]
 
@@ -294,5 +302,5 @@ def describe_map(facts: dict[str, Any]) -> str:
 
 def describe_grid(facts: dict[str, Any], units: str) -> str:
     """Return what is told of a grid, in words."""
-    sizes, steps, origin = (" x ".join(f"{x:g}" for x in facts[name]) for name in ("size", "spacing", "origin"))
+    sizes, steps, origin = (" x ".join(f"{x + 0.0:g}" for x in facts[name]) for name in ("size", "spacing", "origin"))
     return f"{sizes} samples, spacing {steps} {units}, from ({origin.replace(' x ', ', ')})"

@@ -340,6 +340,7 @@ def grid_of(
     recipe: Recipe,
     *,
     volume: VolumeOptions | None = None,
+    maps: Sequence[Placed] = (),
     grid: GridOptions | None = None,
 ) -> Grid | None:
     """Return the grid of a file that `warp_file` would warp with these arguments; None of a clip.
@@ -349,7 +350,7 @@ def grid_of(
     SuppleError
         If the file cannot be read.
     """
-    if is_volume_job(source, target, recipe, volume, grid=grid):
+    if is_volume_job(source, target, recipe, volume, maps=maps, grid=grid):
         known = volume or VolumeOptions()
         return volume_grid(source, raw=known.layout, series=known.series)
     return None if is_clip(source, target, recipe) else picture_grid(source)

@@ -15,10 +15,11 @@ import numpy.typing as npt
 
 from supple.checks import FieldReport
 from supple.errors import FoldWarning, SuppleError, shown
-from supple.fields import OK, Affine, Field, Map, Placed, compose, own_grid
+from supple.fields import OK, Affine, Field, Map, Placed, check_path, compose, own_grid
 from supple.files.maps import (
     MapFile,
     check_images,
+    check_reference,
     convention_out,
     grid_of,
     only_field,
@@ -203,6 +204,7 @@ def invert_file(
     wanted = None if reference is None else grid_of(reference)
     moving = None if image is None else grid_of(image)
     read = read_file(source, convention, source=moving, reference=wanted)
+    check_reference(read, wanted, reference)
     known = to or read.convention
     fields = [each for each in read.maps if isinstance(each, Field)]
     if (len(read.maps) != 1 or not fields) and (error is not None or status is not None):
@@ -216,6 +218,8 @@ def invert_file(
         if not fields:
             maps: tuple[Map, ...] = tuple(each.inverse() for each in reversed(read.maps) if isinstance(each, Affine))
         elif len(read.maps) == 1:
+            if wanted is not None:
+                check_path([Placed(fields[0], inverse=True, name=shown(source))], wanted, shown(reference or ""))
             inverted = fields[0].invert(wanted, tolerance=tolerance)
             maps, counts = (inverted.field,), inverted.counts
             fine = inverted.error[inverted.status == OK]
@@ -344,6 +348,7 @@ def compose_files(
         for each in inputs:
             there = None if each.source is None else grid_of(each.source)
             file = _read_among(inputs, len(read), there or (here if each.inverse else None), here)
+            check_reference(file, wanted, reference)
             read.append(replace(file, inverse=each.inverse))
             moving.append(there)
             here = file.grid if each.inverse else there
@@ -400,6 +405,7 @@ def convert_file(
     wanted = None if reference is None else grid_of(reference)
     with replacing_together([target], force=force) as (place,):
         read = read_file(source, convention, source=moving, reference=wanted)
+        check_reference(read, wanted, reference)
         affine = len(read.maps) == 1 and isinstance(read.maps[0], Affine)
         as_field = not affine or suffix_of(target) in _IMAGES
         if affine and as_field and wanted is None:

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import os
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 from supple.domain import checked_spacing, integer, items, refuse
-from supple.errors import SuppleError, shown
+from supple.errors import SuppleError, VolumeWarning, shown
 from supple.fields import Affine, Placed, check_path
-from supple.geometry import Grid
+from supple.geometry import Geometry, Grid
 from supple.media import volume as volumes
 from supple.media.codecs import SUFFIXES as CLIPS
-from supple.media.image import info
+from supple.media.image import SUFFIXES, info
 
 PathLike = str | os.PathLike[str]
 
@@ -112,12 +113,29 @@ def reference_grid(path: PathLike, ndim: int) -> Grid:
         If it cannot be read, or has another number of axes.
     """
     is_volume = volumes.is_volume(path) or (ndim == 3 and volumes.has_pages(path))
-    if is_volume != (ndim == 3) or volumes.suffix_of(path) in CLIPS:
-        found = "volume" if is_volume else "clip" if volumes.suffix_of(path) in CLIPS else "picture"
+    suffix = volumes.suffix_of(path)
+    if (is_volume != (ndim == 3) or suffix in CLIPS) and os.path.exists(path):
         wanted = "volume" if ndim == 3 else "picture"
-        if os.path.exists(path):
-            raise SuppleError(f"{shown(path)} is a {found}, and the grid of a {wanted} is needed: name a {wanted}")
-    return volumes.grid_of(path) if ndim == 3 else picture_grid(path)
+        found = "a volume" if is_volume else "a clip" if suffix in CLIPS else "a picture"
+        if found == "a picture" and (os.path.isdir(path) or suffix not in SUFFIXES):
+            found = "no volume"
+        raise SuppleError(f"{shown(path)} is {found}, and the grid of a {wanted} is needed: name a {wanted}")
+    if ndim == 2:
+        return picture_grid(path)
+    geometry, shape = volumes.place_of(path)
+    warn_of_place(geometry, shown(path))
+    return geometry.grid(shape)
+
+
+def warn_of_place(geometry: Geometry, name: str) -> None:
+    """Warn of a volume that does not say where it lies, where positions in space count."""
+    if geometry.convention == "array":
+        warnings.warn(
+            f"{name} does not say where its voxels lie in space: its first one is taken to lie at (0, 0, 0), and its "
+            "axes along those of LPS",
+            VolumeWarning,
+            stacklevel=3,
+        )
 
 
 def picture_grid(path: PathLike) -> Grid:

@@ -21,7 +21,7 @@ from supple.engines.base import Certificate, Sampling, Space, warn_of
 from supple.engines.choice import check_device, engine_for
 from supple.errors import GapWarning, SuppleError, VolumeWarning, shown
 from supple.fields import Placed, folds_of
-from supple.files.grids import GridOptions, grid_on
+from supple.files.grids import GridOptions, grid_on, warn_of_place
 from supple.files.transforms import write_transform
 from supple.geometry import Geometry, Grid
 from supple.media import transforms
@@ -284,6 +284,8 @@ def warp_volume(
         check_target(target, volume, force=force)
     if known.labels and (broken := _first_fraction(volume.samples)) is not None:
         raise SuppleError(f"labels is for whole numbers, and {volume.name} holds {broken:g}: leave it out")
+    if maps:
+        warn_of_place(volume.geometry, volume.name)
     regrid = grid_on(grid, volume.grid, volume.name, maps)
     deformation = deformation_of(recipe, volume, world=known.world, fit=fit, maps=maps)
     like = volume if grid is None or regrid is None else _moved(volume, regrid, grid)

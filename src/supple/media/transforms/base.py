@@ -122,7 +122,10 @@ def check_code(path: PathLike, code: int) -> None:
 def check_count(path: PathLike, found: int) -> None:
     """Raise SuppleError for another number of values for each voxel than three."""
     if found != _COMPONENTS:
-        told = {1: "one value for each voxel, as an image or a mask", 2: "two, as a field of a picture"}.get(found)
+        told = {
+            1: "one value for each voxel, as an image or a mask",
+            2: "two values for each voxel, as a field of a picture",
+        }.get(found)
         told = told or f"{found} values for each voxel"
         raise unreadable(path, f"it holds {told}", "give a field with three, one for each axis of space")
 
