@@ -121,9 +121,10 @@ class Field:
     def __init__(
         self, values: npt.ArrayLike, grid: Grid, interpolation: Interpolation = "linear", beyond: Beyond = "zero"
     ) -> None:
+        check_grid(grid)
         n = grid.ndim
         shape = "(H, W, 2)" if n == 2 else "(Z, H, W, 3)"
-        given = np.asarray(values)
+        given = _array(values)
         if given.dtype.kind not in "iuf" or given.dtype.itemsize > 8:
             refuse("values", f"real numbers, as an array of shape {shape}", f"{given.dtype} of shape {given.shape}")
         if given.shape != (*grid.shape, n):
@@ -155,7 +156,7 @@ class Field:
         beyond: Beyond = "zero",
     ) -> Self:
         """Return a field of an array; see `Field` and `Grid` for the parameters."""
-        given = np.asarray(values)
+        given = _array(values)
         if given.ndim not in (3, 4) or given.shape[-1] != given.ndim - 1 or 0 in given.shape:
             refuse("values", "an array of shape (H, W, 2) or (Z, H, W, 3)", f"shape {given.shape}")
         return cls(given, Grid(given.shape[:-1], spacing, origin, direction), interpolation, beyond)
@@ -215,7 +216,7 @@ class Field:
         """
         n = self.ndim
         tolerance = number("tolerance", tolerance, "a number of voxels above 0", 1e-9, 1e9)
-        held = own_grid(self) if grid is None else grid
+        held = own_grid(self) if grid is None else check_grid(grid)
         if held.ndim != n:
             raise SuppleError(f"a field of {n} axes needs a grid of as many, found {held.ndim}")
         check_path([Placed(self, inverse=True)], held, "the grid of the inverse")
@@ -273,6 +274,8 @@ class Field:
 
         NaN where this field maps a sample to a point beyond the other one's grid, farther than half a sample.
         """
+        if not isinstance(inverse, Field):
+            refuse("inverse", "a Field", inverse)
         if inverse.ndim != self.ndim:
             raise SuppleError(f"a field of {self.ndim} axes has no inverse of {inverse.ndim}")
         one, other = (field.packed(np.eye(self.ndim + 1)) for field in (self, inverse))
@@ -434,6 +437,10 @@ class Placed:
     row: int = field(default=0, repr=False)
     name: str = field(default="", repr=False, compare=False)
 
+    def __post_init__(self) -> None:
+        if not isinstance(self.map, Affine | Field):
+            refuse("a map", "a Field, an Affine, or a Placed with one", self.map)
+
     @property
     def told(self) -> str:
         """The name, or what it is."""
@@ -498,7 +505,7 @@ def compose(maps: Sequence[Map | Placed], grid: Grid) -> Field:
     OutsideWarning
         If to some samples no point of an inverted field's grid is mapped.
     """
-    n = grid.ndim
+    n = check_grid(grid).ndim
     given = [each if isinstance(each, Placed) else Placed(each) for each in maps]
     for placed in given:
         if placed.map.ndim != n:
@@ -522,6 +529,20 @@ def compose(maps: Sequence[Map | Placed], grid: Grid) -> Field:
         certificate |= certificate_of_status(status)
     warn_of(certificate, 1.0, 3, folds_of(given))
     return Field(values, grid)
+
+
+def check_grid(grid: Grid) -> Grid:
+    """Return a grid as it is; SuppleError if it is none."""
+    if not isinstance(grid, Grid):
+        refuse("grid", "a Grid", grid)
+    return grid
+
+
+def _array(values: npt.ArrayLike) -> Array:
+    try:
+        return np.asarray(values)
+    except ValueError:
+        refuse("values", "an array of numbers, of shape (H, W, 2) or (Z, H, W, 3)", values)
 
 
 def matrix_rows(matrix: Floats) -> tuple[Floats, Floats]:
