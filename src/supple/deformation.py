@@ -12,12 +12,13 @@ import numpy as np
 import numpy.typing as npt
 
 from supple import _core
+from supple.affine import Affine, matrix_rows
 from supple.domain import BorderProfile, Domain, choice, colours_hint, flag, integer, number, refuse
 from supple.engines.base import Certificate, Sampling, Space, warn_of
 from supple.engines.choice import DEVICES, engine_at
 from supple.engines.native import NATIVE, measured, plan_of
 from supple.errors import FoldWarning, MissWarning, OutsideWarning, SuppleError
-from supple.fields import Affine, Field, Placed, check_path, folds_of, matrix_rows
+from supple.fields import Field, Placed, check_path, folds_of
 from supple.folding import Resolved, described, resolve
 from supple.geometry import Grid
 from supple.strokes import REACH, STROKE_DTYPE, FoldPolicy, Point, Recipe, Stroke, numbers, spoken

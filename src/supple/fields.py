@@ -1,22 +1,22 @@
-"""Displacement fields and affine maps: values, files, inverses and compositions."""
+"""Displacement fields: values, files and inverses; and compositions of fields and affine maps."""
 
 from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
-from itertools import product
 from typing import Any, Literal, Self, get_args
 
 import numpy as np
 import numpy.typing as npt
 
 from supple import _core, checks
+from supple.affine import Affine, matrix_rows
 from supple.checks import FieldReport
 from supple.domain import FREE, choice, number, refuse
 from supple.engines.base import Certificate, certificate_of_status, warn_of
 from supple.errors import SuppleError, shown
-from supple.geometry import Box, Grid, extent, overlap
+from supple.geometry import Box, Grid, check_boxes
 from supple.splines import coefficients
 
 Floats = npt.NDArray[np.float64]
@@ -30,62 +30,6 @@ _ROUNDING = 1e-6  # samples: the outermost samples of a field may be just outsid
 OK, FOLDED, OUTSIDE, UNCONVERGED = range(4)
 STATUS = ("ok", "folded", "outside", "unconverged")
 """The names of the codes in `Inverted.status`."""
-
-
-@dataclass(frozen=True, slots=True, eq=False, init=False)
-class Affine:
-    """An affine map of positions, x → A x + b.
-
-    Parameters
-    ----------
-    matrix : array_like, shape (D + 1, D + 1) or (D, D + 1)
-        The homogeneous matrix; positions are in the units of the grids that it is used with (millimetres in LPS for
-        volumes).
-
-    Raises
-    ------
-    SuppleError
-        If the matrix has another shape, is not finite, or is singular.
-    """
-
-    matrix: Floats
-
-    def __init__(self, matrix: npt.ArrayLike) -> None:
-        wanted = "an array of shape (3, 3) or (2, 3) for pictures, (4, 4) or (3, 4) for volumes"
-        try:
-            given = np.array(matrix, np.float64)
-        except (TypeError, ValueError):
-            refuse("matrix", wanted, matrix)
-        if (
-            given.ndim != 2
-            or given.shape[1] not in (3, 4)
-            or given.shape[0] not in (given.shape[1] - 1, given.shape[1])
-        ):
-            refuse("matrix", wanted, f"shape {given.shape}")
-        n = given.shape[1] - 1
-        if len(given) == n:
-            given = np.vstack([given, np.eye(n + 1)[-1]])
-        if not np.isfinite(given).all() or not np.array_equal(given[-1], np.eye(n + 1)[-1]):
-            raise SuppleError(f"an affine matrix is finite, and its last row is {n} zeros and a one, found {given}")
-        scale = np.abs(given[:-1, :-1]).max(initial=0.0)
-        if not abs(np.linalg.det(given[:-1, :-1] / (scale or 1.0))) > 1e-12:
-            raise SuppleError("the affine map is singular: it has no inverse")
-        given.flags.writeable = False
-        object.__setattr__(self, "matrix", given)
-
-    @property
-    def ndim(self) -> int:
-        """The number of coordinates: 2 or 3."""
-        return len(self.matrix) - 1
-
-    def inverse(self) -> Self:
-        """Return the inverse map."""
-        return type(self)(np.linalg.inv(self.matrix))
-
-    def __call__(self, positions: npt.ArrayLike) -> Floats:
-        """Return the positions (..., D) that positions (..., D) are mapped to."""
-        given = np.asarray(positions, np.float64)
-        return np.asarray(given @ self.matrix[:-1, :-1].T + self.matrix[:-1, -1])
 
 
 @dataclass(frozen=True, slots=True, eq=False, init=False)
@@ -545,12 +489,6 @@ def _array(values: npt.ArrayLike) -> Array:
         refuse("values", "an array of numbers, of shape (H, W, 2) or (Z, H, W, 3)", values)
 
 
-def matrix_rows(matrix: Floats) -> tuple[Floats, Floats]:
-    """Return the rows of a homogeneous matrix, and of its inverse, as the core takes them."""
-    n = len(matrix) - 1
-    return np.ascontiguousarray(matrix[:n]), np.ascontiguousarray(np.linalg.inv(matrix)[:n])
-
-
 def own_grid(field: Field) -> Grid:
     """Return the grid of the samples of a field; of B-spline coefficients, without those beyond the field."""
     if field.interpolation != "bspline":
@@ -573,7 +511,7 @@ def check_path(
     source: Grid | None = None,
     name: str = "the input",
 ) -> None:
-    """Raise SuppleError for maps that cannot meet: a field that no point of the output comes near, for example.
+    """Raise SuppleError for fields, up to the first affine map, that no point of the output comes near.
 
     Parameters
     ----------
@@ -584,34 +522,20 @@ def check_path(
     where, name : str
         What has the grids of the output and of the source, for the message.
     source : Grid, optional
-        The grid that the last map shall lead to; by default, it may lead anywhere.
+        The grid that the last field shall lead to; by default, it may lead anywhere.
     """
     box = output.uncropped().box
     given = list(maps)
     for k, placed in enumerate(given):
         held, what = placed.map, placed.told
         if isinstance(held, Affine):
-            box, where = _led_by_affine(held.inverse() if placed.inverse else held, box), f"what {what} leads to"
-            continue
-        own = own_grid(held).box
-        _check_boxes(_led(held, own) if placed.inverse else own, what, box, where)
+            return  # it may lead to another part, as one wishes
+        own = held.grid.box
+        check_boxes(_led(held, own) if placed.inverse else own, what, box, where)
         if k < len(given) - 1 or source is not None:
             box, where = _led(held, box, placed.inverse), f"what {what} leads to"
     if source is not None:
-        _check_boxes(box, where, source.box, name)
-
-
-def _check_boxes(one: Box, what: str, other: Box, where: str) -> None:
-    if not overlap(one, other):
-        raise SuppleError(
-            f"{what} and {where} do not overlap: {extent(one)}, and {extent(other)}: check their positions in space"
-        )
-
-
-def _led_by_affine(affine: Affine, box: Box) -> Box:
-    """Return a box around where an affine map leads a box."""
-    corners = affine(np.array(list(product(*zip(*box, strict=True)))))
-    return corners.min(axis=0), corners.max(axis=0)
+        check_boxes(box, where, source.box, name)
 
 
 def _led(field: Field, box: Box, inverse: bool = False) -> Box:
@@ -619,5 +543,7 @@ def _led(field: Field, box: Box, inverse: bool = False) -> Box:
     planes = field.values.reshape(-1, *field.values.shape[-2:])
     low = np.min([plane.min(axis=(0, 1)) for plane in planes], axis=0)
     high = np.max([plane.max(axis=(0, 1)) for plane in planes], axis=0)
+    if field.interpolation == "cubic":  # which leaves the range of the values, by less than 1.5 of it in space
+        low, high = low - 1.5 * (high - low), high + 1.5 * (high - low)
     least, most = (-high, -low) if inverse else (low, high)
     return box[0] + np.minimum(least, 0.0), box[1] + np.maximum(most, 0.0)

@@ -274,7 +274,13 @@ def overlap(one: Box, other: Box) -> bool:
     return bool(np.all(low <= most) and np.all(least <= high))
 
 
-def extent(box: Box) -> str:
-    """Return a box in words."""
+def check_boxes(one: Box, what: str, other: Box, where: str) -> None:
+    """Raise SuppleError for boxes that lie apart; ``what`` and ``where`` name them."""
+    if not overlap(one, other):
+        found = ", and ".join(map(_told, (one, other)))
+        raise SuppleError(f"{what} and {where} do not overlap: {found}: check their positions in space")
+
+
+def _told(box: Box) -> str:
     low, high = (", ".join(f"{x + 0.0:.4g}" for x in corner) for corner in box)
     return f"from ({low}) to ({high})"

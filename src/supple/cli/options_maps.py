@@ -13,7 +13,8 @@ from cyclopts import Group, Parameter
 from supple.errors import SuppleError, shown
 
 if TYPE_CHECKING:
-    from supple.fields import Affine, Placed
+    from supple.affine import Affine
+    from supple.fields import Placed
     from supple.files.grids import GridOptions
     from supple.geometry import Grid
 
@@ -185,7 +186,7 @@ class _Entry:
         return placed if self.inverse else placed[::-1], file.convention
 
     def _affine(self) -> Affine:
-        from supple.fields import Affine
+        from supple.affine import Affine
 
         wanted = "6 numbers (pictures) or 12 (volumes), the rows of its matrix, or a file"
         try:

@@ -13,9 +13,10 @@ from typing import Any, NamedTuple
 
 import numpy.typing as npt
 
+from supple.affine import Affine
 from supple.checks import FieldReport
 from supple.errors import FoldWarning, SuppleError, shown
-from supple.fields import OK, Affine, Field, Map, Placed, check_path, compose, own_grid
+from supple.fields import OK, Field, Map, Placed, check_path, compose, own_grid
 from supple.files.maps import (
     MapFile,
     check_images,

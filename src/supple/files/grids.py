@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 from supple.domain import checked_spacing, integer, items, refuse
 from supple.errors import SuppleError, VolumeWarning, shown
-from supple.fields import Affine, Placed, check_path
+from supple.fields import Placed, check_path
 from supple.geometry import Geometry, Grid
 from supple.media import volume as volumes
 from supple.media.codecs import SUFFIXES as CLIPS
@@ -162,11 +162,10 @@ def grid_on(options: GridOptions | None, grid: Grid, name: str, maps: Sequence[P
                 "axes"
             )
     made = grid if options is None else options.of(grid)
-    other = options is not None and options.reference is not None
-    # an affine map may lead out of sight, as one wishes
-    source = grid if other and not any(isinstance(each.map, Affine) for each in maps) else None
-    where = shown(options.reference) if options is not None and options.reference is not None else name
-    check_path(reversed(maps), made, where, source=source, name=name)
+    if options is not None and options.reference is not None:
+        check_path(reversed(maps), made, shown(options.reference), source=grid, name=name)
+    else:  # what is seen of the input itself may lead out of it, as one wishes
+        check_path(reversed(maps), made, name)
     return None if made == grid else made
 
 

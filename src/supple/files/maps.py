@@ -11,8 +11,9 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from supple.affine import Affine
 from supple.errors import SuppleError, shown
-from supple.fields import Affine, Field, Map, own_grid
+from supple.fields import Field, Map, own_grid
 from supple.geometry import Geometry, Grid
 from supple.media import transforms, volume
 from supple.media.volume import is_volume, suffix_of
