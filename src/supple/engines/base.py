@@ -79,12 +79,15 @@ def warn_of(certificate: Certificate, tolerance: float, stacklevel: int, folds: 
     """
     told = [f"{folds}: where they are mapped to, the inverse is one of several points"] if folds else []
     if certificate.unknown or certificate.folded:
-        told += [
-            f"{'' if folds else 'a field folds: '}{certificate.folded} of the points solved lie where "
-            f"{'a' if folds else 'its'} Jacobian determinant is not above 0, and for {certificate.unknown} no solution "
-            "was found",
-            "what is shown there is one of several points, or a guess",
-        ]
+        found, whose = [], "a" if folds else "its"
+        if certificate.folded:
+            found.append(
+                f"{certificate.folded} of the points solved lie where {whose} Jacobian determinant is not above 0"
+            )
+        if certificate.unknown:
+            found.append(f"for {certificate.unknown} {'' if found else 'points '}no solution was found")
+        told.append(f"{'' if folds else 'a field folds: '}{', and '.join(found)}")
+        told.append(f"what is shown there is one of several points{', or a guess' if certificate.unknown else ''}")
     if told:
         warnings.warn(f"{'; '.join(told)} (supple check shows where)", FoldWarning, stacklevel=stacklevel)
     if certificate.outside:
