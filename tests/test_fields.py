@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from supple.deformation import Deformation
 from supple.errors import FoldWarning, OutsideWarning, SuppleError
 from supple.fields import FOLDED, OK, OUTSIDE, Affine, Field, Placed, compose, own_grid
 from supple.geometry import Grid
@@ -227,10 +229,58 @@ def test_compositions_are_those_of_the_maps(shape: tuple[int, ...], interpolatio
 def test_compositions_warn_of_folds_and_of_what_is_outside() -> None:
     places = np.interp(np.arange(40.0), [0, 15, 20, 39], [0, 22, 12, 39])
     folded, away = along_x(places), along_x(np.arange(20.0) + 6)
-    with pytest.warns(FoldWarning):
-        compose([Placed(folded, True)], Grid((4, 40)))
+    with pytest.warns(
+        FoldWarning, match=r"^u\.nii folds in 15 of its 117 cells: where they are mapped to, the"
+    ) as told:
+        compose([Placed(folded, True, name="u.nii")], Grid((4, 40)))
+    assert len(told) == 1
     with pytest.warns(OutsideWarning):
         compose([Placed(away, True)], Grid((4, 20)))
+
+
+def test_a_composition_begins_on_the_grid_of_the_result() -> None:
+    field, far = along_x(np.arange(20.0)), Grid((4, 20), origin=(500.0, 0.0))
+    with pytest.raises(SuppleError, match=r"the field and the grid of the result do not overlap: from \("):
+        compose([field], far)
+    with pytest.raises(SuppleError, match="the affine map has 3 axes, and the grid has 2"):
+        compose([Affine(np.eye(4))], far)
+    compose([Affine([[1, 0, -500], [0, 1, 0]]), field], far)
+
+
+FLAT = Field.from_array(np.zeros((4, 5, 2)))
+WRONG: list[tuple[Callable[[], Any], str]] = [
+    (lambda: Field(np.zeros((4, 5, 2)), (4, 5)), r"grid must be a Grid, found \(4, 5\)"),  # type: ignore[arg-type]
+    (lambda: Field(np.zeros((4, 5, 3)), Grid((4, 5))), r"values must be an array of shape \(4, 5, 2\), as the grid is"),
+    (lambda: Field.from_array(np.zeros((4, 5, 3))), r"values must be an array of shape \(H, W, 2\) or \(Z, H, W, 3\)"),
+    (lambda: Field.from_array(np.zeros((4, 5, 2), complex)), "values must be real numbers, .*complex128 of shape"),
+    (lambda: Field.from_array([[1, 2], [3]]), "values must be an array of numbers"),
+    (lambda: Field.from_array(np.full((4, 5, 2), np.nan)), "the field holds NaN or infinity"),
+    (lambda: FLAT.invert((4, 5)), "grid must be a Grid"),  # type: ignore[arg-type]
+    (lambda: FLAT.check("u.nii"), "inverse must be a Field, found 'u.nii'"),  # type: ignore[arg-type]
+    (lambda: FLAT.check(Field.from_array(np.zeros((4, 5, 6, 3)))), "a field of 2 axes has no inverse of 3"),
+    (lambda: FLAT.compose("u.nii"), "a map must be a Field, an Affine, or a Placed with one"),  # type: ignore[arg-type]
+    (lambda: FLAT.compose(FLAT, grid=3), "grid must be a Grid"),  # type: ignore[arg-type]
+    (lambda: compose([FLAT], None), "grid must be a Grid"),  # type: ignore[arg-type]
+    (lambda: compose([FLAT, Affine(np.eye(4))], Grid((4, 5))), "the affine map has 3 axes, and the grid has 2"),
+    (lambda: Placed(np.eye(3)), "a map must be a Field, an Affine"),  # type: ignore[arg-type]
+    (lambda: Deformation((4, 5)).field(np.zeros((4, 5, 2))), "field must be a Field"),  # type: ignore[arg-type]
+    (lambda: Deformation((4, 5, 6)).field(FLAT), "the field has 2 axes, and the shape"),
+    (
+        lambda: Deformation(Grid((4, 5), 1.0, (90, 0))).field(FLAT).inverse_map(),
+        "the grid of the output do not overlap",
+    ),
+    (
+        lambda: Deformation((4, 5)).field(FLAT).warp(np.zeros((4, 5)), grid=Grid((4, 5), 1.0, (90, 0))),
+        "the field and the grid of the output do not overlap",
+    ),
+]
+
+
+@pytest.mark.parametrize(("make", "said"), WRONG)
+def test_what_is_wrong_is_told_in_a_line(make: Callable[[], Any], said: str) -> None:
+    with pytest.raises(SuppleError, match=said) as caught:
+        make()
+    assert "\n" not in str(caught.value)
 
 
 def test_affine_maps() -> None:

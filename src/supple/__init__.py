@@ -4,6 +4,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from supple.affine import Affine
     from supple.arrays import warp_batch
     from supple.checks import FieldReport
     from supple.deformation import Arrival, Deformation, Inverse, Report
@@ -17,7 +18,7 @@ if TYPE_CHECKING:
         SuppleError,
         ToleranceWarning,
     )
-    from supple.fields import Affine, Field, Inverted, Placed, compose, read_maps
+    from supple.fields import Field, Inverted, Placed, compose, read_maps
     from supple.files import warp_file
     from supple.files.grids import GridOptions
     from supple.geometry import Grid
@@ -57,7 +58,7 @@ __all__ = [
 
 # The module of each name. Modules are loaded on first use, as image libraries and engines take time.
 _HOMES = {
-    "Affine": "fields",
+    "Affine": "affine",
     "Arrival": "deformation",
     "Deformation": "deformation",
     "DeviceWarning": "errors",

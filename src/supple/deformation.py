@@ -12,12 +12,13 @@ import numpy as np
 import numpy.typing as npt
 
 from supple import _core
+from supple.affine import Affine, matrix_rows
 from supple.domain import BorderProfile, Domain, choice, colours_hint, flag, integer, number, refuse
 from supple.engines.base import Certificate, Sampling, Space, warn_of
 from supple.engines.choice import DEVICES, engine_at
 from supple.engines.native import NATIVE, measured, plan_of
 from supple.errors import FoldWarning, MissWarning, OutsideWarning, SuppleError
-from supple.fields import Affine, Field, Placed, check_overlap, matrix_rows, warn_of_folds
+from supple.fields import Field, Placed, check_path, folds_of
 from supple.folding import Resolved, described, resolve
 from supple.geometry import Grid
 from supple.strokes import REACH, STROKE_DTYPE, FoldPolicy, Point, Recipe, Stroke, numbers, spoken
@@ -215,10 +216,11 @@ class Deformation:
         spacing: float | Sequence[float] = 1.0,
         time: bool = False,
         maps: Sequence[Placed] = (),
+        warn: bool = True,
     ) -> Self:
         """Return a recipe's strokes on a domain, without hidden ones; errors and warnings name the stroke.
 
-        ``maps`` are fields and affine maps between the strokes.
+        ``maps`` are fields and affine maps between the strokes; ``warn``, whether to warn of those that fold.
 
         If the recipe has an amount, or a stroke a strength, below 1, that fraction of the stroke's drag is applied. The
         point at which a later stroke begins is carried along with the material, which has then moved less: it is mapped
@@ -237,7 +239,7 @@ class Deformation:
         OutsideWarning
             If a stroke starts outside the domain.
         FoldWarning, MissWarning
-            As `grab` does.
+            As `grab` and `field` do.
         """
         if not isinstance(recipe, Recipe):
             refuse("a recipe", "a Recipe (Recipe.from_json reads one)", recipe)
@@ -261,7 +263,7 @@ class Deformation:
         whole: Deformation = made  # at full strength; the same object as ``made`` as long as they are equal
         for placed in maps:
             if placed.after == 0:
-                made = whole = made._with(placed)
+                made = whole = made._with(placed, warn)
         for k, (i, stroke) in enumerate(visible):
             which = f"stroke {i + 1} of {len(recipe.strokes)}: " if len(recipe.strokes) > 1 else ""
             try:
@@ -278,8 +280,8 @@ class Deformation:
             for placed in maps:
                 if i < placed.after <= last:
                     same = whole is made
-                    made = made._with(placed)
-                    whole = made if same else whole._with(placed)
+                    made = made._with(placed, warn)
+                    whole = made if same else whole._with(placed, False)
         return made
 
     def without_strokes(self) -> Self:
@@ -317,10 +319,20 @@ class Deformation:
     @property
     def space(self) -> Space:
         """The packed map and domain, as engines take them."""
-        return self.space_on(None)
+        return self._space(None)
 
     def space_on(self, grid: Grid | None) -> Space:
-        """Return the packed map, with the grid of the output if it is not that of the input."""
+        """Return the packed map, with the grid of the output if it is not that of the input.
+
+        Raises
+        ------
+        SuppleError
+            If a field lies apart from that grid, or from what the maps before it lead to.
+        """
+        check_path(reversed(self.maps), self.grid if grid is None else grid)
+        return self._space(grid)
+
+    def _space(self, grid: Grid | None) -> Space:
         count = self.shape[0] if self.ndim == 3 else 1
         shape = (self.shape[-2], self.shape[-1])
         frame = np.eye(self.ndim + 1)  # from the domain's coordinates, index times spacing, to positions
@@ -473,19 +485,23 @@ class Deformation:
         Raises
         ------
         SuppleError
-            If the field has another number of axes, or does not overlap the domain (unless an affine map comes before).
+            If the field has another number of axes.
+
+        Warns
+        -----
+        FoldWarning
+            If it is inverted and folds: where folded cells are mapped to, the inverse is one of several points.
         """
         if not isinstance(field, Field):
             refuse("field", "a Field (Field.from_array makes one)", field)
         return self._with(Placed(field, inverse))
 
-    def _with(self, placed: Placed) -> Self:
+    def _with(self, placed: Placed, warn: bool = True) -> Self:
         if placed.map.ndim != self.ndim:
             what = "field" if isinstance(placed.map, Field) else "affine map"
             raise SuppleError(f"the {what} has {placed.map.ndim} axes, and the shape {self.shape} has {self.ndim}")
-        if isinstance(placed.map, Field) and not any(isinstance(each.map, Affine) for each in self.maps):
-            check_overlap(placed.map, self.grid)  # an affine map before it may bring them together
-        warn_of_folds(placed)
+        if warn:
+            warn_of(Certificate(0.0, 0.0), math.inf, 4, folds_of([placed]))
         here = replace(placed, after=len(self.strokes), row=len(self._table))
         return self._changed(maps=(*self.maps, here))
 
@@ -558,7 +574,7 @@ class Deformation:
         engine = engine_at(like)
         if like is not None and engine is NATIVE:
             refuse("like", "an array on a CUDA device, or left out", like)
-        found, certificate = engine.inverse_map(self.space, tolerance, like)
+        found, certificate = engine.inverse_map(self.space_on(None), tolerance, like)
         warn_of(certificate, tolerance, 3)
         return found  # type: ignore[no-any-return]
 
@@ -652,13 +668,12 @@ class Deformation:
             between=between, time_filter=time_filter,
         )  # fmt: skip
         clamp = flag("clamp", clamp)
-        space = self.space
         if grid is not None:
             if not isinstance(grid, Grid):
                 refuse("grid", "a Grid", grid)
             if grid.ndim != self.ndim:
                 refuse("grid", f"a grid of {self.ndim} axes, as the deformation is", f"one of {grid.ndim}")
-            space = self.space_on(grid)
+        space = self.space_on(grid)
         if callable(source):
             if grid is not None:
                 refuse("grid", "left out for a function of points", grid)
@@ -748,7 +763,7 @@ class Deformation:
 
     def _moved(self, placed: Placed, points: Floats) -> Floats:
         """Return points (N, 3) of the domain as one map alone moves them."""
-        composite = self.without_strokes()._with(placed).space.composite
+        composite = self.without_strokes()._with(placed, False).space.composite
         assert composite is not None
         return composite.through(points, False, False, np.zeros(len(points), np.uint8))[0]
 

@@ -1,11 +1,9 @@
-"""Displacement fields and affine maps: values, files, inverses and compositions."""
+"""Displacement fields: values, files and inverses; and compositions of fields and affine maps."""
 
 from __future__ import annotations
 
-import math
 import os
-import warnings
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal, Self, get_args
 
@@ -13,11 +11,13 @@ import numpy as np
 import numpy.typing as npt
 
 from supple import _core, checks
+from supple.affine import Affine, matrix_rows
 from supple.checks import FieldReport
 from supple.domain import FREE, choice, number, refuse
 from supple.engines.base import Certificate, certificate_of_status, warn_of
-from supple.errors import FoldWarning, SuppleError, shown
-from supple.geometry import Grid
+from supple.errors import SuppleError, shown
+from supple.geometry import Box, Grid, check_boxes
+from supple.splines import coefficients
 
 Floats = npt.NDArray[np.float64]
 Array = npt.NDArray[Any]
@@ -25,67 +25,11 @@ PathLike = str | os.PathLike[str]
 Interpolation = Literal["linear", "cubic", "bspline"]
 Beyond = Literal["zero", "edge"]
 
-_ROUNDING = 1e-6  # samples: the outermost samples of a field may be just outside of it by rounding
+ROUNDING = 1e-6  # samples: the outermost samples of a field may be just outside of it by rounding
 
 OK, FOLDED, OUTSIDE, UNCONVERGED = range(4)
 STATUS = ("ok", "folded", "outside", "unconverged")
 """The names of the codes in `Inverted.status`."""
-
-
-@dataclass(frozen=True, slots=True, eq=False, init=False)
-class Affine:
-    """An affine map of positions, x → A x + b.
-
-    Parameters
-    ----------
-    matrix : array_like, shape (D + 1, D + 1) or (D, D + 1)
-        The homogeneous matrix; positions are in the units of the grids that it is used with (millimetres in LPS for
-        volumes).
-
-    Raises
-    ------
-    SuppleError
-        If the matrix has another shape, is not finite, or is singular.
-    """
-
-    matrix: Floats
-
-    def __init__(self, matrix: npt.ArrayLike) -> None:
-        wanted = "an array of shape (3, 3) or (2, 3) for pictures, (4, 4) or (3, 4) for volumes"
-        try:
-            given = np.array(matrix, np.float64)
-        except (TypeError, ValueError):
-            refuse("matrix", wanted, matrix)
-        if (
-            given.ndim != 2
-            or given.shape[1] not in (3, 4)
-            or given.shape[0] not in (given.shape[1] - 1, given.shape[1])
-        ):
-            refuse("matrix", wanted, f"shape {given.shape}")
-        n = given.shape[1] - 1
-        if len(given) == n:
-            given = np.vstack([given, np.eye(n + 1)[-1]])
-        if not np.isfinite(given).all() or not np.array_equal(given[-1], np.eye(n + 1)[-1]):
-            raise SuppleError(f"an affine matrix is finite, and its last row is {n} zeros and a one, found {given}")
-        scale = np.abs(given[:-1, :-1]).max(initial=0.0)
-        if not abs(np.linalg.det(given[:-1, :-1] / (scale or 1.0))) > 1e-12:
-            raise SuppleError("the affine map is singular: it has no inverse")
-        given.flags.writeable = False
-        object.__setattr__(self, "matrix", given)
-
-    @property
-    def ndim(self) -> int:
-        """The number of coordinates: 2 or 3."""
-        return len(self.matrix) - 1
-
-    def inverse(self) -> Self:
-        """Return the inverse map."""
-        return type(self)(np.linalg.inv(self.matrix))
-
-    def __call__(self, positions: npt.ArrayLike) -> Floats:
-        """Return the positions (..., D) that positions (..., D) are mapped to."""
-        given = np.asarray(positions, np.float64)
-        return np.asarray(given @ self.matrix[:-1, :-1].T + self.matrix[:-1, -1])
 
 
 @dataclass(frozen=True, slots=True, eq=False, init=False)
@@ -121,9 +65,10 @@ class Field:
     def __init__(
         self, values: npt.ArrayLike, grid: Grid, interpolation: Interpolation = "linear", beyond: Beyond = "zero"
     ) -> None:
+        check_grid(grid)
         n = grid.ndim
         shape = "(H, W, 2)" if n == 2 else "(Z, H, W, 3)"
-        given = np.asarray(values)
+        given = _array(values)
         if given.dtype.kind not in "iuf" or given.dtype.itemsize > 8:
             refuse("values", f"real numbers, as an array of shape {shape}", f"{given.dtype} of shape {given.shape}")
         if given.shape != (*grid.shape, n):
@@ -155,7 +100,7 @@ class Field:
         beyond: Beyond = "zero",
     ) -> Self:
         """Return a field of an array; see `Field` and `Grid` for the parameters."""
-        given = np.asarray(values)
+        given = _array(values)
         if given.ndim not in (3, 4) or given.shape[-1] != given.ndim - 1 or 0 in given.shape:
             refuse("values", "an array of shape (H, W, 2) or (Z, H, W, 3)", f"shape {given.shape}")
         return cls(given, Grid(given.shape[:-1], spacing, origin, direction), interpolation, beyond)
@@ -177,14 +122,14 @@ class Field:
         to_index = np.linalg.inv(self.grid.matrix)
         sizes = self.grid.sizes
         own = self.interpolation == "bspline"  # the coefficients at the ends are beyond the field
-        values = _coefficients(self.values) if self.interpolation == "cubic" else self.values
+        values = coefficients(self.values) if self.interpolation == "cubic" else self.values
         matrix = to_index @ frame
         return _core.Sampled(
             values,
             1 if self.interpolation == "linear" else 3,
             [1.0 if own else 0.0] * n,
             [size - (2.0 if own else 1.0) for size in sizes],
-            _ROUNDING if own else 0.5,
+            ROUNDING if own else 0.5,
             self.beyond == "zero",
             np.ascontiguousarray(matrix[:n]),
             np.ascontiguousarray(np.linalg.inv(matrix[:n, :n])),
@@ -211,12 +156,14 @@ class Field:
         Raises
         ------
         SuppleError
-            If the grid has another number of axes, or does not overlap the field's.
+            If the grid has another number of axes, or lies apart from the field and all that it leads to.
         """
         n = self.ndim
         tolerance = number("tolerance", tolerance, "a number of voxels above 0", 1e-9, 1e9)
-        held = own_grid(self) if grid is None else grid
-        check_overlap(self, held)
+        held = own_grid(self) if grid is None else check_grid(grid)
+        if held.ndim != n:
+            raise SuppleError(f"a field of {n} axes needs a grid of as many, found {held.ndim}")
+        check_path([Placed(self, inverse=True)], held, "the grid of the inverse")
         to_index = np.linalg.inv(self.grid.matrix) @ held.matrix
         dtype = self.values.dtype
         values, error = np.empty((*held.shape, n), dtype), np.empty(held.shape, np.float32)
@@ -271,10 +218,12 @@ class Field:
 
         NaN where this field maps a sample to a point beyond the other one's grid, farther than half a sample.
         """
+        if not isinstance(inverse, Field):
+            refuse("inverse", "a Field", inverse)
         if inverse.ndim != self.ndim:
             raise SuppleError(f"a field of {self.ndim} axes has no inverse of {inverse.ndim}")
         one, other = (field.packed(np.eye(self.ndim + 1)) for field in (self, inverse))
-        margin = _ROUNDING if inverse.interpolation == "bspline" else 0.5
+        margin = ROUNDING if inverse.interpolation == "bspline" else 0.5
         return checks.distances(one, other, own_grid(self), own_grid(inverse), margin)
 
     def reported(
@@ -317,7 +266,14 @@ class Field:
         return type(self)(made.values, made.grid)
 
     @classmethod
-    def read(cls, path: PathLike, convention: str | None = None, *, source: Grid | None = None) -> Self:
+    def read(
+        cls,
+        path: PathLike,
+        convention: str | None = None,
+        *,
+        source: Grid | None = None,
+        reference: Grid | None = None,
+    ) -> Self:
         """Read a displacement field.
 
         Parameters
@@ -328,15 +284,16 @@ class Field:
             The program whose convention the file follows: ``"itk"`` (ITK, ANTs, 3D Slicer), ``"fsl-relative"``,
             ``"fsl-absolute"``, ``"afni"``, ``"mrtrix"``, ``"ngff"``, ``"opencv"``, ``"stmap"``, ... By default, that
             which the file itself shows without doubt.
-        source : Grid, optional
-            The grid of the input image, where the convention refers to it.
+        source, reference : Grid, optional
+            The grids of the input (moving) and of the output (fixed) image, where the convention refers to them: fields
+            of FSL to the first, matrices of FLIRT to both.
 
         Raises
         ------
         SuppleError
             If the file cannot be read, is of another convention, or holds anything but one field.
         """
-        found = read_maps(path, convention, source=source)
+        found = read_maps(path, convention, source=source, reference=reference)
         only = found[0] if len(found) == 1 else None
         if not isinstance(only, Field):
             kinds = " and ".join("a field" if isinstance(each, Field) else "an affine map" for each in found)
@@ -424,6 +381,15 @@ class Placed:
     row: int = field(default=0, repr=False)
     name: str = field(default="", repr=False, compare=False)
 
+    def __post_init__(self) -> None:
+        if not isinstance(self.map, Affine | Field):
+            refuse("a map", "a Field, an Affine, or a Placed with one", self.map)
+
+    @property
+    def told(self) -> str:
+        """The name, or what it is."""
+        return self.name or ("the field" if isinstance(self.map, Field) else "the affine map")
+
     def packed(self, frame: Floats) -> _core.Part:
         """Return the map as the core takes it, from the coordinates of `Field.packed`, as a part of the pull map."""
         if isinstance(self.map, Field):
@@ -431,25 +397,27 @@ class Placed:
         return "affine", matrix_rows(np.linalg.inv(frame) @ self.map.matrix @ frame), self.inverse
 
 
-def warn_of_folds(placed: Placed) -> None:
-    """Warn if a field that is to be inverted folds anywhere."""
-    if placed.inverse and isinstance(placed.map, Field) and (count := int(np.count_nonzero(placed.map.folded_cells()))):
-        warnings.warn(
-            f"{placed.name or 'the field'} folds in {count} of its cells: where they are mapped to, its inverse is one "
-            "of several points (supple check shows where)",
-            FoldWarning,
-            stacklevel=4,
-        )
+def folds_of(maps: Iterable[Placed]) -> str:
+    """Return in words which of the fields that are inverted fold, and in how many cells; "" if none does."""
+    told = []
+    for placed in maps:
+        if placed.inverse and isinstance(placed.map, Field):
+            cells = placed.map.folded_cells()
+            if count := int(np.count_nonzero(cells)):
+                told.append(f"{placed.told} folds in {count:,} of its {cells.size:,} cells")
+    return ", and ".join(told)
 
 
-def read_maps(path: PathLike, convention: str | None = None, *, source: Grid | None = None) -> tuple[Map, ...]:
+def read_maps(
+    path: PathLike, convention: str | None = None, *, source: Grid | None = None, reference: Grid | None = None
+) -> tuple[Map, ...]:
     """Read the affine maps and fields of a file, in the order in which a point of the output goes through them.
 
     Parameters and errors are those of `Field.read`.
     """
     from supple.media import transforms
 
-    found = transforms.read(path, convention, source=source)
+    found = transforms.read(path, convention, source=source, reference=reference)
     return tuple(Field(*each) if isinstance(each, transforms.Displacements) else Affine(each) for each in found)
 
 
@@ -471,23 +439,23 @@ def compose(maps: Sequence[Map | Placed], grid: Grid) -> Field:
     Raises
     ------
     SuppleError
-        If a map has another number of axes than the grid, or a field's grid does not overlap the grid.
+        If a map has another number of axes than the grid, or a field lies apart from the grid, or from what the maps
+        before it lead to.
 
     Warns
     -----
     FoldWarning
-        If a field that is inverted folds at some samples.
+        If a field that is inverted folds.
     OutsideWarning
         If to some samples no point of an inverted field's grid is mapped.
     """
-    n, parts = grid.ndim, []
-    for each in maps:
-        placed = each if isinstance(each, Placed) else Placed(each)
+    n = check_grid(grid).ndim
+    given = [each if isinstance(each, Placed) else Placed(each) for each in maps]
+    for placed in given:
         if placed.map.ndim != n:
-            what = "field" if isinstance(placed.map, Field) else "affine map"
-            raise SuppleError(f"the {what} has {placed.map.ndim} axes, and the grid has {n}")
-        warn_of_folds(placed)
-        parts.append(placed.packed(np.eye(n + 1)))
+            raise SuppleError(f"{placed.told} has {placed.map.ndim} axes, and the grid has {n}")
+    check_path(given, grid, "the grid of the result")
+    parts = [placed.packed(np.eye(n + 1)) for placed in given]
     composite = _core.Composite(n, np.array([FREE] * 3), parts)
     values = np.empty((*grid.shape, n), np.float32)
     height, width = grid.shape[-2:]
@@ -503,14 +471,22 @@ def compose(maps: Sequence[Map | Placed], grid: Grid) -> Field:
         found, _, _ = composite.through(points, False, False, status)
         (values[z] if n == 3 else values)[...] = (found[:, :n] - here).reshape(height, width, n)
         certificate |= certificate_of_status(status)
-    warn_of(certificate, 1.0, 3)
+    warn_of(certificate, 1.0, 3, folds_of(given))
     return Field(values, grid)
 
 
-def matrix_rows(matrix: Floats) -> tuple[Floats, Floats]:
-    """Return the rows of a homogeneous matrix, and of its inverse, as the core takes them."""
-    n = len(matrix) - 1
-    return np.ascontiguousarray(matrix[:n]), np.ascontiguousarray(np.linalg.inv(matrix)[:n])
+def check_grid(grid: Grid) -> Grid:
+    """Return a grid as it is; SuppleError if it is none."""
+    if not isinstance(grid, Grid):
+        refuse("grid", "a Grid", grid)
+    return grid
+
+
+def _array(values: npt.ArrayLike) -> Array:
+    try:
+        return np.asarray(values)
+    except ValueError:
+        refuse("values", "an array of numbers, of shape (H, W, 2) or (Z, H, W, 3)", values)
 
 
 def own_grid(field: Field) -> Grid:
@@ -527,60 +503,47 @@ def sampled(field: Field) -> Array:
     return checks.values_at(field.packed(np.eye(field.ndim + 1)), own_grid(field))
 
 
-def check_overlap(field: Field, grid: Grid, what: str = "the field's grid", where: str = "the image's") -> None:
-    """Raise SuppleError for a grid of another number of axes, or one that does not overlap the field's.
+def check_path(
+    maps: Iterable[Placed],
+    output: Grid,
+    where: str = "the grid of the output",
+    *,
+    source: Grid | None = None,
+    name: str = "the input",
+) -> None:
+    """Raise SuppleError for fields, up to the first affine map, that no point of the output comes near.
 
-    ``what`` and ``where`` name the grids in the message.
+    Parameters
+    ----------
+    maps : iterable of Placed
+        A point of the output goes through the first one first.
+    output : Grid
+        The grid of the output; of a part, the whole counts.
+    where, name : str
+        What has the grids of the output and of the source, for the message.
+    source : Grid, optional
+        The grid that the last field shall lead to; by default, it may lead anywhere.
     """
-    if grid.ndim != field.ndim:
-        raise SuppleError(f"a field of {field.ndim} axes needs a grid of as many, found {grid.ndim}")
-    if not overlap(field.grid, grid):
-        raise SuppleError(
-            f"{what} and {where} do not overlap: {extent(field.grid)}, and {extent(grid)}: "
-            "check their positions in space"
-        )
+    box = output.uncropped().box
+    given = list(maps)
+    for k, placed in enumerate(given):
+        held, what = placed.map, placed.told
+        if isinstance(held, Affine):
+            return  # it may lead to another part, as one wishes
+        own = held.grid.box
+        check_boxes(_led(held, own) if placed.inverse else own, what, box, where)
+        if k < len(given) - 1 or source is not None:
+            box, where = _led(held, box, placed.inverse), f"what {what} leads to"
+    if source is not None:
+        check_boxes(box, where, source.box, name)
 
 
-def overlap(one: Grid, other: Grid) -> bool:
-    """Return whether the boxes around two grids overlap."""
-    (low, high), (least, most) = _box(one), _box(other)
-    return bool(np.all(low <= most) and np.all(least <= high))
-
-
-def _box(grid: Grid) -> tuple[Floats, Floats]:
-    n = grid.ndim
-    corners = np.array(np.meshgrid(*[(-0.5, size - 0.5) for size in grid.sizes])).reshape(n, -1).T
-    places = grid.positions(corners)
-    return places.min(axis=0), places.max(axis=0)
-
-
-def extent(grid: Grid) -> str:
-    """Return the box around a grid in words."""
-    low, high = _box(grid)
-    return f"from ({', '.join(f'{x:.4g}' for x in low)}) to ({', '.join(f'{x:.4g}' for x in high)})"
-
-
-_POLE = math.sqrt(3.0) - 2.0  # of the filter that inverts the cubic B-spline's samples (1, 4, 1) / 6
-_HORIZON = 40  # samples after which its response is below 1e-22
-
-
-def _coefficients(values: Array) -> Array:
-    """Return the coefficients of the cubic B-spline through values that are mirrored about the ends of each axis.
-
-    By the recursive filter of Unser, Aldroubi and Eden (1991), along one axis after the other.
-    """
-    made = values.astype(np.float64)
-    for axis in range(values.ndim - 1):
-        c = np.moveaxis(made, axis, 0)
-        n = len(c)
-        if n == 1:
-            continue
-        mirrored = np.abs((np.arange(_HORIZON) + n - 1) % (2 * n - 2) - n + 1)
-        c[0] = np.tensordot(_POLE ** np.arange(_HORIZON), c[mirrored], 1)
-        for k in range(1, n):
-            c[k] += _POLE * c[k - 1]
-        c[-1] = _POLE / (_POLE * _POLE - 1.0) * (c[-1] + _POLE * c[-2])
-        for k in range(n - 2, -1, -1):
-            c[k] = _POLE * (c[k + 1] - c[k])
-        c *= 6.0
-    return made.astype(values.dtype)
+def _led(field: Field, box: Box, inverse: bool = False) -> Box:
+    """Return a box around another one and where a field, or its inverse, may lead it."""
+    planes = field.values.reshape(-1, *field.values.shape[-2:])
+    low = np.min([plane.min(axis=(0, 1)) for plane in planes], axis=0)
+    high = np.max([plane.max(axis=(0, 1)) for plane in planes], axis=0)
+    if field.interpolation == "cubic":  # which leaves the range of the values, by less than 1.5 of it in space
+        low, high = low - 1.5 * (high - low), high + 1.5 * (high - low)
+    least, most = (-high, -low) if inverse else (low, high)
+    return box[0] + np.minimum(least, 0.0), box[1] + np.maximum(most, 0.0)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from itertools import product
 from typing import Any, Self
 
 import numpy as np
@@ -14,6 +15,9 @@ from supple.domain import checked_shape, checked_spacing, choice, integer, items
 from supple.errors import SuppleError
 
 Floats = npt.NDArray[np.float64]
+
+Box = tuple[Floats, Floats]
+"""The least and the largest coordinates of what is within a box along the axes of space."""
 
 CONVENTIONS = ("LPS", "RAS", "array")
 _FLIP = np.array([-1.0, -1.0, 1.0])
@@ -194,6 +198,13 @@ class Grid:
         made[:-1, -1] = self.origin
         return made
 
+    @property
+    def box(self) -> Box:
+        """The box around the grid, up to half a sample beyond its outermost samples."""
+        corners = np.array(list(product(*[(-0.5, size - 0.5) for size in self.sizes])))
+        places = self.positions(corners)
+        return places.min(axis=0), places.max(axis=0)
+
     def positions(self, indices: npt.ArrayLike) -> Floats:
         """Return the positions of indices (..., D), x first."""
         matrix = self.matrix
@@ -255,3 +266,21 @@ class Grid:
         corners = np.array(np.meshgrid(*[(0, n - 1) for n in self.sizes])).reshape(self.ndim, -1).T
         off = self.indices(other.positions(corners)) - corners
         return bool(np.abs(off).max() < 1e-3)
+
+
+def overlap(one: Box, other: Box) -> bool:
+    """Return whether two boxes overlap."""
+    (low, high), (least, most) = one, other
+    return bool(np.all(low <= most) and np.all(least <= high))
+
+
+def check_boxes(one: Box, what: str, other: Box, where: str) -> None:
+    """Raise SuppleError for boxes that lie apart; ``what`` and ``where`` name them."""
+    if not overlap(one, other):
+        found = ", and ".join(map(_told, (one, other)))
+        raise SuppleError(f"{what} and {where} do not overlap: {found}: check their positions in space")
+
+
+def _told(box: Box) -> str:
+    low, high = (", ".join(f"{x + 0.0:.4g}" for x in corner) for corner in box)
+    return f"from ({low}) to ({high})"

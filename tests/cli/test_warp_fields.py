@@ -15,6 +15,7 @@ import pytest
 from supple import Affine, Deformation, Field, Grid, SuppleError
 from supple.cli.options_maps import MapOptions
 from supple.fields import Map
+from supple.files.maps import MapFile
 from supple.geometry import Geometry
 from supple.media import image
 from supple.media import volume as media
@@ -45,7 +46,7 @@ FILES: dict[str, tuple[Map, ...]] = {
     "both.h5": (SOLID, TURN),
     "far.nii": (smooth(Grid(SHAPE, 1.0, (900.0, 0.0, 0.0))),),
 }
-Asked = list[tuple[str, str | None, Grid | None]]
+Asked = list[tuple[str, str | None, Grid | None, Grid | None]]
 
 
 @pytest.fixture
@@ -53,13 +54,15 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> Asked:
     """A reader of a few names, and what it was asked."""
     seen: Asked = []
 
-    def read(path: str, convention: str | None = None, *, source: Grid | None = None) -> tuple[Map, ...]:
-        seen.append((path, convention, source))
+    def read(
+        path: str, convention: str | None = None, *, source: Grid | None = None, reference: Grid | None = None
+    ) -> MapFile:
+        seen.append((path, convention, source, reference))
         if path not in FILES:
             raise SuppleError(f"cannot read {path}: it is no field of a known kind: give another")
-        return FILES[path]
+        return MapFile(Path(path), convention or "itk", "as given", FILES[path])
 
-    monkeypatch.setattr("supple.fields.read_maps", read)
+    monkeypatch.setattr("supple.files.maps.read_file", read)
     return seen
 
 
@@ -107,8 +110,12 @@ def test_maps_and_grabs_in_their_order(run: Run, asked: Asked) -> None:
         run_told = told(run("warp", "in.png", f"out{k}.png", *options, "--json"))
         np.testing.assert_array_equal(pixels(f"out{k}.png"), wanted.warp(pixels("in.png")), str(options))
         assert run_told["strokes"] == len(wanted.strokes)
-    assert {(name, convention) for name, convention, _ in asked} == {("flat.npy", None)}
-    assert all(grid == Grid((40, 48)) for _, _, grid in asked)
+    assert {(name, convention) for name, convention, _, _ in asked} == {("flat.npy", None)}
+    # of the input image alone, and of no image between two maps, is the grid known
+    own = Grid((40, 48))
+    assert [(source, reference) for _, _, source, reference in asked] == [
+        (own, None), (None, own), (own, None), (own, None), (own, None), (None, None), (None, None), (own, None)
+    ]  # fmt: skip
 
 
 def test_a_recipe_comes_before_grabs(run: Run, asked: Asked) -> None:
@@ -154,7 +161,8 @@ def test_volumes(run: Run, asked: Asked, head: npt.NDArray[Any]) -> None:
     assert (turn["kind"], turn["direction"], turn["after"]) == ("affine", "pull", 1)
     np.testing.assert_array_equal(turn["matrix"], TURN.matrix)
     assert (made["folded"], made["unsolved"]) == (0, 0)
-    assert asked == [("solid.nii", "itk", grid), ("turn.mat", None, grid)]
+    assert asked == [("solid.nii", "itk", None, grid), ("turn.mat", None, None, None)]
+    assert turn["convention"] == "itk"
     numbers = ",".join(f"{x:g}" for x in TURN.matrix[:3].ravel())
     for options, wanted in (
         (("--affine", numbers), Deformation(grid).affine(TURN)),
@@ -188,7 +196,7 @@ def test_output_grids(run: Run, asked: Asked, head: npt.NDArray[Any]) -> None:
     assert (status, out) == (0, "")
     assert (
         "supple: solid.nii: a field on 14 x 16 x 12 samples, spacing 1 x 1.5 x 2 mm, from (5, -6, 7), in mm in LPS, "
-        "from the output to the input, after stroke 1\n" in err
+        "convention itk, from the output to the input, after stroke 1\n" in err
     )
     assert "supple: again.nii.gz is written on 10 x 16 x 16 samples, spacing 1.5 x 1.5 x 1.5 mm, from (" in err
     assert run("warp", "head.nii.gz", "mute.nii.gz", "--resample", "1.5", "--quiet") == (0, "", "")

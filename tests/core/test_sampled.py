@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 
 from supple import _core
 from supple.domain import FREE
-from supple.fields import FOLDED, OK, OUTSIDE, Field, overlap
-from supple.geometry import Grid
+from supple.fields import FOLDED, OK, OUTSIDE, Field
+from supple.geometry import Grid, overlap
 from tests.fields import OPTIONS, along_x, checked, drawn, drawn_grid, moved, on_grid, positions_of, settled, solutions
 
 Floats = npt.NDArray[np.float64]
@@ -122,7 +122,7 @@ def test_one_axis_is_solved_exactly(seed: int, tolerance: float, turning: float,
     sizes = int(rng.integers(1, 200)), 17
     step, start = float(rng.uniform(0.02, 1.0)), float(rng.uniform(-4, 20))
     grid = Grid(sizes[::-1], (step, 0.1), (start, 0.7))
-    if not overlap(field.grid, grid):
+    if not overlap(field.grid.box, grid.box):
         return
     found = field.invert(grid, tolerance=tolerance)
     ends = (-0.5, 39.5) if beyond == "zero" else (-np.inf, np.inf)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+import warnings
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -14,7 +16,19 @@ import pyvips
 import SimpleITK
 from scipy import ndimage
 
-from supple import Affine, Deformation, Field, Grid, GridOptions, Placed, Recipe, Stroke, SuppleError
+from supple import (
+    Affine,
+    Deformation,
+    Field,
+    FoldWarning,
+    Grid,
+    GridOptions,
+    OutsideWarning,
+    Placed,
+    Recipe,
+    Stroke,
+    SuppleError,
+)
 from supple.files import check_job, warp_file
 from supple.files.volumes import VolumeOptions
 from supple.geometry import Geometry
@@ -182,16 +196,34 @@ class TestMapsOnFiles:
         grid = media.grid_of(_named("in.nii"))
         values = np.zeros((*grid.shape, 3), np.float32)
         values[:, :, 8:] = -6.0 * np.array(grid.direction)[:, 0]
-        folding = Placed(Field(values, grid), True)
-        with pytest.warns(UserWarning, match="a field folds|no point of a field"):
-            done = warp_file("in.nii", "out.nii", EMPTY, maps=[folding], filter="linear")
+        placed = Placed(Field(values, grid), True, name="u.nii")
+        said = (
+            r"^u\.nii folds in [\d,]+ of its 3,315 cells: where they are mapped to, the inverse is one of several "
+            r"points; (\d+ of the points solved lie where a Jacobian determinant is not above 0(, and )?)?"
+            r"(for \d+ (points )?no solution was found)?; what is shown there is one of several points(, or a guess)? "
+            r"\(supple check shows where\)$"
+        )
+        options = VolumeOptions(save_field="field.mha")  # of the same map: it is not told of twice
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            done = warp_file("in.nii", "out.nii", EMPTY, maps=[placed], filter="linear", volume=options)
         assert done.folded + done.unsolved > 0
+        assert {each.category for each in caught} <= {FoldWarning, OutsideWarning}
+        (text,) = (str(each.message) for each in caught if each.category is FoldWarning)
+        assert re.match(said, text), text
         pictured("in.png", 40, 50)
         flat = np.zeros((40, 50, 2), np.float32)
         flat[:, 25:, 0] = -6.0
-        with pytest.warns(UserWarning, match="a field folds|no point of a field"):
-            picture = warp_file("in.png", "out.png", EMPTY, maps=[Placed(Field(flat, Grid((40, 50))), True)])
+        maps = [Placed(Field(flat, Grid((40, 50))), True, after=1)]
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            picture = warp_file("in.png", "out.png", FLAT, maps=maps)
+        (text,) = (str(each.message) for each in caught if each.category is FoldWarning)
+        assert text.startswith("the field folds in 39 of its 1,911 cells: ")
         assert picture.folded + picture.unsolved > 0
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", FoldWarning)  # which would be that of the field once more
+            picture.report()
 
     def test_a_field_that_is_saved(self, here: Path) -> None:
         """On another grid: the saved field does by ITK what the warp did."""

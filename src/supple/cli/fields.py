@@ -243,11 +243,12 @@ def _inverted(made: InvertedFile) -> str:
     lines = [_written(made)]
     if made.counts is not None:
         whole = sum(made.counts.values())
-        unit, samples = ("mm", "voxels") if made.target.maps[0].ndim == 3 else ("px", "pixels")
         shares = [f"{count:,} {status} ({_share(count, whole)})" for status, count in made.counts.items()]
-        lines.append(_line(samples, ", ".join(shares)))
-        worst = f"none of the {samples} is ok" if made.error is None else f"up to {made.error:.2g} {unit} among the ok"
-        lines.append(_line("error", f"{worst}; the tolerance is {made.tolerance:g} {samples}"))
+        grid = made.target.grid
+        unit, what = (_unit(grid), "pixel" if grid.ndim == 2 else "voxel") if grid is not None else ("mm", "voxel")
+        lines.append(_line(f"{what}s", ", ".join(shares)))
+        worst = f"no {what} is ok" if made.error is None else f"up to {made.error:.2g} {unit} among the ok"
+        lines.append(_line("error", f"{worst}; the tolerance is {made.tolerance:g} {what}s"))
     lines.append(_line("time", f"{made.seconds:.2g} s"))
     return "\n".join(lines)
 

@@ -13,7 +13,8 @@ from cyclopts import Group, Parameter
 from supple.errors import SuppleError, shown
 
 if TYPE_CHECKING:
-    from supple.fields import Affine, Placed
+    from supple.affine import Affine
+    from supple.fields import Placed
     from supple.files.grids import GridOptions
     from supple.geometry import Grid
 
@@ -123,7 +124,7 @@ class MapOptions:
         for entry in entries:
             if entry.convention is not None and entry.is_numbers:
                 raise SuppleError(f"--convention is for files, and {entry.told} is none: leave it out")
-        return Maps(entries)
+        return Maps(entries, self.reference)
 
 
 def _ordered(arguments: Sequence[str]) -> list[tuple[str, str]]:
@@ -158,20 +159,34 @@ class _Entry:
     def told(self) -> str:
         return f"{self.option} {self.text}" if self.is_numbers else f"{self.option} {shown(self.text)}"
 
-    def read(self, source: Grid | None) -> list[Placed]:
-        """Return the maps in the order of the elements of a deformation: the last is the first of the output's."""
+    def read(self, here: Grid | None, there: Grid | None, *, last: bool) -> tuple[list[Placed], str | None]:
+        """Return the maps in the order of the elements of a deformation, and the convention of the file.
+
+        Of these elements, the last is the first of the output's. ``here`` is the grid of the image that a point of the
+        output is led to, and ``there`` that of the image that it comes from, as far as they are known: they are if this
+        is the first entry, or the ``last``.
+        """
         from supple import fields
+        from supple.files import maps
+        from supple.media.transforms import MissingGridError
 
         if self.is_numbers:
-            return [fields.Placed(self._affine(), self.inverse, self.after, name=self.told)]
-        found = fields.read_maps(self.text, self.convention, source=source)
+            return [fields.Placed(self._affine(), self.inverse, self.after, name=self.told)], None
+        source, reference = (there, here) if self.inverse else (here, there)
+        try:
+            file = maps.read_file(self.text, self.convention, source=source, reference=reference)
+        except MissingGridError as error:
+            known = here is not None and last
+            advice = "give it by --reference" if known else "convert it by itself first (supple convert)"
+            raise SuppleError(f"{str(error).rpartition(': ')[0]}: {advice}") from None
+        found = file.maps
         if self.option == "--affine" and any(isinstance(each, fields.Field) for each in found):
             raise SuppleError(f"{shown(self.text)} holds a field, and --affine is for affine maps: give it by --field")
         placed = [fields.Placed(each, self.inverse, self.after, name=shown(self.text)) for each in found]
-        return placed if self.inverse else placed[::-1]
+        return placed if self.inverse else placed[::-1], file.convention
 
     def _affine(self) -> Affine:
-        from supple.fields import Affine
+        from supple.affine import Affine
 
         wanted = "6 numbers (pictures) or 12 (volumes), the rows of its matrix, or a file"
         try:
@@ -193,10 +208,11 @@ class Maps:
     Of several inputs on one grid, files are read once.
     """
 
-    def __init__(self, entries: Sequence[_Entry]) -> None:
+    def __init__(self, entries: Sequence[_Entry], reference: str | None = None) -> None:
         self._entries = list(entries)
+        self._reference = reference
         self._lock = threading.Lock()
-        self._known: tuple[Grid | None, list[list[Placed]]] | None = None
+        self._known: tuple[Grid | None, list[tuple[list[Placed], str | None]]] | None = None
 
     def __bool__(self) -> bool:
         return bool(self._entries)
@@ -209,31 +225,50 @@ class Maps:
 
     def read(self, source: Grid | None) -> tuple[Placed, ...]:
         """Return the maps for an input on this grid, in the order in which they apply."""
-        return tuple(placed for some in self._read(source) for placed in some)
+        return tuple(placed for some, _ in self._read(source) for placed in some)
 
-    def _read(self, source: Grid | None) -> list[list[Placed]]:
+    def _read(self, source: Grid | None) -> list[tuple[list[Placed], str | None]]:
+        from supple.files.grids import reference_grid
+
         with self._lock:
             if self._known is None or self._known[0] != source:
-                self._known = source, [entry.read(source) for entry in self._entries]
+                fixed, refused = None, None
+                try:
+                    if self._reference is not None and source is not None:
+                        fixed = reference_grid(self._reference, source.ndim)
+                except SuppleError as error:
+                    refused = error  # unless it is not needed: pages become a volume by what the maps are
+                most = len(self._entries) - 1
+                ends = [(source if k == 0 else None, fixed if k == most else None) for k in range(most + 1)]
+                try:
+                    read = [
+                        entry.read(*known, last=k == most)
+                        for k, (entry, known) in enumerate(zip(self._entries, ends, strict=True))
+                    ]
+                except SuppleError:
+                    if refused is not None:
+                        raise refused from None
+                    raise
+                self._known = source, read
             return self._known[1]
 
     def facts(self, source: Grid | None) -> list[dict[str, Any]]:
         """Return what is told of each map, as JSON holds it."""
         return [
-            _facts(entry, placed)
-            for entry, some in zip(self._entries, self._read(source), strict=True)
+            _facts(entry, placed, convention)
+            for entry, (some, convention) in zip(self._entries, self._read(source), strict=True)
             for placed in some
         ]
 
 
-def _facts(entry: _Entry, placed: Placed) -> dict[str, Any]:
+def _facts(entry: _Entry, placed: Placed, convention: str | None) -> dict[str, Any]:
     from supple.fields import Field
 
     held = placed.map
     facts: dict[str, Any] = {
         "file": None if entry.is_numbers else entry.text,
         "kind": "field" if isinstance(held, Field) else "affine",
-        "convention": entry.convention,
+        "convention": convention,
         "direction": "inverse" if entry.inverse else "pull",
         "after": entry.after,
         "units": "mm" if held.ndim == 3 else "pixels",
@@ -268,5 +303,5 @@ def describe_map(facts: dict[str, Any]) -> str:
 
 def describe_grid(facts: dict[str, Any], units: str) -> str:
     """Return what is told of a grid, in words."""
-    sizes, steps, origin = (" x ".join(f"{x:g}" for x in facts[name]) for name in ("size", "spacing", "origin"))
+    sizes, steps, origin = (" x ".join(f"{x + 0.0:g}" for x in facts[name]) for name in ("size", "spacing", "origin"))
     return f"{sizes} samples, spacing {steps} {units}, from ({origin.replace(' x ', ', ')})"

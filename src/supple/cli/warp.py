@@ -122,6 +122,7 @@ def warp(
     from supple.errors import shown
     from supple.files import check_job, grid_of, warp_file, write_recipe
     from supple.files.clips import is_clip
+    from supple.files.grids import grid_on
     from supple.files.volumes import holds_volumes, is_volume_job
 
     if len(paths) < 2:
@@ -187,7 +188,11 @@ def warp(
         known = {key: sampling[key] for key in ("linear_light", "clamp", "quality", "lossless", "force", "clip")}
         if check_job(source, target, recipe, volume=reading, grid=sampling["grid"], **known) == "clip":
             return None  # which warp_file refuses, of any maps
-        own = grid_of(source, target, recipe, volume=reading, grid=sampling["grid"])
+        known = {"volume": reading, "grid": sampling["grid"]}
+        own = grid_of(source, target, recipe, **known)
+        own = grid_of(source, target, recipe, maps=elements.read(own), **known)  # pages are a volume, if maps say so
+        if own is not None:  # what is refused is not told of before
+            grid_on(sampling["grid"], own, shown(source), elements.read(own))
         for facts in elements.facts(own):
             console.note(describe_map(facts))
         return own

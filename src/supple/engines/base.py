@@ -72,16 +72,24 @@ def certificate_of_status(status: npt.NDArray[np.uint8]) -> Certificate:
     return Certificate(0.0, 0.0, int(bits[4:].sum()), int(bits[1] + bits[3]), int(bits[2] + bits[3]))
 
 
-def warn_of(certificate: Certificate, tolerance: float, stacklevel: int) -> None:
-    """Warn if a map may be less accurate than the tolerance, or has folds or gaps."""
+def warn_of(certificate: Certificate, tolerance: float, stacklevel: int, folds: str = "") -> None:
+    """Warn if a map may be less accurate than the tolerance, or has folds or gaps.
+
+    ``folds`` says which of the fields that are inverted fold, if any: all that is known of folds is one warning.
+    """
+    told = [f"{folds}: where they are mapped to, the inverse is one of several points"] if folds else []
     if certificate.unknown or certificate.folded:
-        warnings.warn(
-            f"a field folds: {certificate.folded} of the points solved lie where its Jacobian determinant is not above "
-            f"0, and for {certificate.unknown} no solution was found; what is shown there is one of several points, or "
-            "a guess (supple check shows where)",
-            FoldWarning,
-            stacklevel=stacklevel,
-        )
+        found, whose = [], "a" if folds else "its"
+        if certificate.folded:
+            found.append(
+                f"{certificate.folded} of the points solved lie where {whose} Jacobian determinant is not above 0"
+            )
+        if certificate.unknown:
+            found.append(f"for {certificate.unknown} {'' if found else 'points '}no solution was found")
+        told.append(f"{'' if folds else 'a field folds: '}{', and '.join(found)}")
+        told.append(f"what is shown there is one of several points{', or a guess' if certificate.unknown else ''}")
+    if told:
+        warnings.warn(f"{'; '.join(told)} (supple check shows where)", FoldWarning, stacklevel=stacklevel)
     if certificate.outside:
         warnings.warn(
             f"to {certificate.outside} of the points solved, no point of a field's grid is mapped: what is shown there "

@@ -19,10 +19,10 @@ from supple.domain import choice, refuse
 from supple.engines.base import Sampling, warn_of
 from supple.engines.choice import DEVICES, check_device, check_host
 from supple.errors import SuppleError, shown
-from supple.fields import Placed
+from supple.fields import Placed, folds_of
 from supple.files.clips import SUFFIXES_OUT as CLIPS_OUT
 from supple.files.clips import ClipOptions, WarpedClip, check_clip_target, is_clip, refuse_places, warp_clip
-from supple.files.grids import GridOptions, check_maps, grid_on, picture_grid
+from supple.files.grids import GridOptions, grid_on, picture_grid
 from supple.files.volumes import VolumeOptions, WarpedVolume, check_volume_target, is_volume_job, warp_volume
 from supple.geometry import Grid
 from supple.media.codecs import SUFFIXES as CLIPS
@@ -232,9 +232,8 @@ def warp_file(
         height, width = len(picture.pixels) // picture.pages, picture.pixels.shape[1]
         fitted = fit_recipe(recipe, (width, height), fit, shown(source))
         own = Grid((height, width))
-        check_maps(maps, own, shown(source))
-        deformation = Deformation.from_recipe(fitted, own, maps=maps)
         regrid = grid_on(grid, own, shown(source), maps)
+        deformation = Deformation.from_recipe(fitted, own, maps=maps, warn=False)
         space = replace(deformation.space_on(regrid), count=picture.pages)
         if space.is_identity and quality is None and not lossless and _suffix(source) == _suffix(target):
             # Encoding a lossy image again would change it.
@@ -254,7 +253,7 @@ def warp_file(
         if bounded and not space.is_identity:
             for k in range(picture.pages):  # each by itself
                 clamp_to(picture.pixels[k * height : (k + 1) * height], pixels[k * rows : (k + 1) * rows], sampling)
-        warn_of(certificate, tolerance, 3)
+        warn_of(certificate, tolerance, 3, folds_of(maps))
         # Only the header of the input is still needed: free its pixels for the encoder.
         like = replace(picture, pixels=np.empty((0, *picture.pixels.shape[1:]), picture.pixels.dtype))
         del picture, pages
@@ -341,6 +340,7 @@ def grid_of(
     recipe: Recipe,
     *,
     volume: VolumeOptions | None = None,
+    maps: Sequence[Placed] = (),
     grid: GridOptions | None = None,
 ) -> Grid | None:
     """Return the grid of a file that `warp_file` would warp with these arguments; None of a clip.
@@ -350,7 +350,7 @@ def grid_of(
     SuppleError
         If the file cannot be read.
     """
-    if is_volume_job(source, target, recipe, volume, grid=grid):
+    if is_volume_job(source, target, recipe, volume, maps=maps, grid=grid):
         known = volume or VolumeOptions()
         return volume_grid(source, raw=known.layout, series=known.series)
     return None if is_clip(source, target, recipe) else picture_grid(source)

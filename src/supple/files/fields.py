@@ -13,12 +13,14 @@ from typing import Any, NamedTuple
 
 import numpy.typing as npt
 
+from supple.affine import Affine
 from supple.checks import FieldReport
 from supple.errors import FoldWarning, SuppleError, shown
-from supple.fields import OK, Affine, Field, Map, Placed, compose, own_grid
+from supple.fields import OK, Field, Map, Placed, check_path, compose, own_grid
 from supple.files.maps import (
     MapFile,
     check_images,
+    check_reference,
     convention_out,
     grid_of,
     only_field,
@@ -27,6 +29,8 @@ from supple.files.maps import (
     write_file,
     write_image,
 )
+from supple.geometry import Grid
+from supple.media import transforms
 from supple.media.files import check_output, replacing_together
 from supple.media.volume import suffix_of
 
@@ -201,6 +205,7 @@ def invert_file(
     wanted = None if reference is None else grid_of(reference)
     moving = None if image is None else grid_of(image)
     read = read_file(source, convention, source=moving, reference=wanted)
+    check_reference(read, wanted, reference)
     known = to or read.convention
     fields = [each for each in read.maps if isinstance(each, Field)]
     if (len(read.maps) != 1 or not fields) and (error is not None or status is not None):
@@ -214,6 +219,8 @@ def invert_file(
         if not fields:
             maps: tuple[Map, ...] = tuple(each.inverse() for each in reversed(read.maps) if isinstance(each, Affine))
         elif len(read.maps) == 1:
+            if wanted is not None:
+                check_path([Placed(fields[0], inverse=True, name=shown(source))], wanted, shown(reference or ""))
             inverted = fields[0].invert(wanted, tolerance=tolerance)
             maps, counts = (inverted.field,), inverted.counts
             fine = inverted.error[inverted.status == OK]
@@ -223,7 +230,8 @@ def invert_file(
         else:
             grid = wanted or read.grid
             assert grid is not None
-            maps = (compose([Placed(each, inverse=True) for each in reversed(read.maps)], grid),)
+            parts = [Placed(each, inverse=True, name=shown(source)) for each in reversed(read.maps)]
+            maps = (compose(parts, grid),)
         # The inverse leads to the image that the field is on.
         here = read.grid if fields else wanted
         write_file(places[target], maps, known, source=here, reference=moving)
@@ -335,13 +343,19 @@ def compose_files(
         raise SuppleError("there is nothing to compose: give files of fields or affine maps, the first first")
     wanted = None if reference is None else grid_of(reference)
     with replacing_together([target], force=force) as (place,):
-        read, moving = [], []
+        read: list[MapFile] = []
+        moving: list[Grid | None] = []
+        here = wanted  # the grid of the image on the side of the output, as far as it is known
         for each in inputs:
-            moving.append(None if each.source is None else grid_of(each.source))
-            file = read_file(each.path, each.convention, source=moving[-1], reference=wanted)
+            there = None if each.source is None else grid_of(each.source)
+            file = _read_among(inputs, len(read), there or (here if each.inverse else None), here)
+            check_reference(file, wanted, reference)
             read.append(replace(file, inverse=each.inverse))
+            moving.append(there)
+            here = file.grid if each.inverse else there
         shared = {each.convention for each in read}
-        known, how = convention_out(target, to, shared.pop() if len(shared) == 1 else None)
+        alike = len(shared) == 1 and shared != {"fsl-affine"}  # which holds no field
+        known, how = convention_out(target, to, shared.pop() if alike else None)
         grid = wanted or next((each.grid for each in read if each.grid is not None), None)
         if grid is None:
             raise SuppleError(
@@ -350,7 +364,7 @@ def compose_files(
         parts: list[Placed] = []
         for file in read:
             ordered = file.maps[::-1] if file.inverse else file.maps
-            parts += [Placed(one, inverse=file.inverse) for one in ordered]
+            parts += [Placed(one, inverse=file.inverse, name=shown(file.path)) for one in ordered]
         made = compose(parts, grid)
         write_file(place, (made,), known, source=read[-1].grid if inputs[-1].inverse else moving[-1], reference=wanted)
     written = MapFile(Path(target), known, how, (made,))
@@ -392,6 +406,7 @@ def convert_file(
     wanted = None if reference is None else grid_of(reference)
     with replacing_together([target], force=force) as (place,):
         read = read_file(source, convention, source=moving, reference=wanted)
+        check_reference(read, wanted, reference)
         affine = len(read.maps) == 1 and isinstance(read.maps[0], Affine)
         as_field = not affine or suffix_of(target) in _IMAGES
         if affine and as_field and wanted is None:
@@ -399,9 +414,25 @@ def convert_file(
                 f"{shown(source)} holds an affine map, and {shown(target)} a field: give the image whose grid the "
                 "field shall have (--reference)"
             )
-        maps = (compose(read.maps, wanted),) if as_field and wanted is not None else read.maps
+        parts = [Placed(each, name=shown(source)) for each in read.maps]
+        maps = (compose(parts, wanted),) if as_field and wanted is not None else read.maps
         write_file(place, maps, known, source=moving, reference=wanted)
     return Written((read,), MapFile(Path(target), known, how, maps), time.perf_counter() - began)
+
+
+def _read_among(inputs: Sequence[Input], k: int, source: Grid | None, reference: Grid | None) -> MapFile:
+    """Read one of several files that a point goes through in turn; an inverse leads away from its source."""
+    each = inputs[k]
+    try:
+        return read_file(each.path, each.convention, source=source, reference=None if each.inverse else reference)
+    except transforms.MissingGridError as error:
+        if source is None or (k == 0 and not each.inverse):
+            raise
+        before = inputs[k - 1]
+        advice = f"give --source of {shown(before.path)}, which leads to it"
+        if each.inverse or before.inverse:
+            advice = "convert it by itself first (supple convert)"
+        raise SuppleError(f"{str(error).rpartition(': ')[0]}: {advice}") from None
 
 
 def _warn_of(counts: Mapping[str, int], name: str) -> None:

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import os
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 from supple.domain import checked_spacing, integer, items, refuse
-from supple.errors import SuppleError, shown
-from supple.fields import Affine, Field, Placed, check_overlap, extent, overlap
-from supple.geometry import Grid
+from supple.errors import SuppleError, VolumeWarning, shown
+from supple.fields import Placed, check_path
+from supple.geometry import Geometry, Grid
 from supple.media import volume as volumes
 from supple.media.codecs import SUFFIXES as CLIPS
-from supple.media.image import info
+from supple.media.image import SUFFIXES, info
 
 PathLike = str | os.PathLike[str]
 
@@ -112,12 +113,29 @@ def reference_grid(path: PathLike, ndim: int) -> Grid:
         If it cannot be read, or has another number of axes.
     """
     is_volume = volumes.is_volume(path) or (ndim == 3 and volumes.has_pages(path))
-    if is_volume != (ndim == 3) or volumes.suffix_of(path) in CLIPS:
-        found = "volume" if is_volume else "clip" if volumes.suffix_of(path) in CLIPS else "picture"
+    suffix = volumes.suffix_of(path)
+    if (is_volume != (ndim == 3) or suffix in CLIPS) and os.path.exists(path):
         wanted = "volume" if ndim == 3 else "picture"
-        if os.path.exists(path):
-            raise SuppleError(f"{shown(path)} is a {found}, and the grid of a {wanted} is needed: name a {wanted}")
-    return volumes.grid_of(path) if ndim == 3 else picture_grid(path)
+        found = "a volume" if is_volume else "a clip" if suffix in CLIPS else "a picture"
+        if found == "a picture" and (os.path.isdir(path) or suffix not in SUFFIXES):
+            found = "no volume"
+        raise SuppleError(f"{shown(path)} is {found}, and the grid of a {wanted} is needed: name a {wanted}")
+    if ndim == 2:
+        return picture_grid(path)
+    geometry, shape = volumes.place_of(path)
+    warn_of_place(geometry, shown(path))
+    return geometry.grid(shape)
+
+
+def warn_of_place(geometry: Geometry, name: str) -> None:
+    """Warn of a volume that does not say where it lies, where positions in space count."""
+    if geometry.convention == "array":
+        warnings.warn(
+            f"{name} does not say where its voxels lie in space: its first one is taken to lie at (0, 0, 0), and its "
+            "axes along those of LPS",
+            VolumeWarning,
+            stacklevel=3,
+        )
 
 
 def picture_grid(path: PathLike) -> Grid:
@@ -127,41 +145,30 @@ def picture_grid(path: PathLike) -> Grid:
 
 
 def grid_on(options: GridOptions | None, grid: Grid, name: str, maps: Sequence[Placed]) -> Grid | None:
-    """Return the grid of the output of a file; None if it is that of the input.
+    """Return the grid of the output of a file, with maps; None if it is that of the input.
 
     Raises
     ------
     SuppleError
-        As in `GridOptions.of`; or if a reference and the input do not overlap, and no map brings them together.
+        As in `GridOptions.of`; or if a map has another number of axes; or if the grid, the fields and the input lie
+        apart, and no map brings them together.
     """
-    if options is None:
-        return None
-    made = options.of(grid)
-    if options.reference is not None and not maps and not overlap(made, grid):
-        raise SuppleError(
-            f"{shown(options.reference)} and {name} do not overlap: {extent(made)}, and {extent(grid)}: "
-            "check their positions in space"
-        )
+    for each in maps:
+        n = each.map.ndim
+        if n != grid.ndim:
+            kinds = ("picture", "volume")[:: 1 if n == 2 else -1]
+            raise SuppleError(
+                f"{each.told} is for {kinds[0]}s, with {n} axes, and {name} is a {kinds[1]}: give one of {grid.ndim} "
+                "axes"
+            )
+    made = grid if options is None else options.of(grid)
+    if options is not None and options.reference is not None:
+        check_path(reversed(maps), made, shown(options.reference), source=grid, name=name)
+    else:  # what is seen of the input itself may lead out of it, as one wishes
+        check_path(reversed(maps), made, name)
     return None if made == grid else made
 
 
 def listed(numbers: object) -> str:
     """Return numbers as the command line takes them."""
     return ",".join(f"{x:g}" for x in numbers) if isinstance(numbers, Sequence) else f"{numbers:g}"
-
-
-def check_maps(maps: Sequence[Placed], grid: Grid, name: str) -> None:
-    """Raise SuppleError for maps that are not for a file: of another number of axes, or somewhere else in space."""
-    moved = False
-    for each in maps:
-        n = each.map.ndim
-        is_field = isinstance(each.map, Field)
-        what = each.name or ("the field" if is_field else "the affine map")
-        if n != grid.ndim:
-            kinds = ("picture", "volume")[:: 1 if n == 2 else -1]
-            raise SuppleError(
-                f"{what} is for {kinds[0]}s, with {n} axes, and {name} is a {kinds[1]}: give one of {grid.ndim} axes"
-            )
-        if isinstance(each.map, Field) and not moved:
-            check_overlap(each.map, grid, what, name)
-        moved |= isinstance(each.map, Affine)

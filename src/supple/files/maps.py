@@ -11,8 +11,9 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from supple.affine import Affine
 from supple.errors import SuppleError, shown
-from supple.fields import Affine, Field, Map, own_grid
+from supple.fields import Field, Map, own_grid
 from supple.geometry import Geometry, Grid
 from supple.media import transforms, volume
 from supple.media.volume import is_volume, suffix_of
@@ -120,10 +121,19 @@ def grid_of(path: PathLike) -> Grid:
 
         facts = info(path)
         return Grid((int(str(facts["height"])), int(str(facts["width"]))))
-    found = volume.read(path)
-    if found.geometry.convention == "array":
+    geometry, shape = volume.place_of(path)
+    if geometry.convention == "array":
         raise SuppleError(f"{shown(path)} does not say where its voxels lie in space: give an image that does")
-    return found.geometry.grid(found.sizes[::-1])
+    return geometry.grid(shape)
+
+
+def check_reference(read: MapFile, grid: Grid | None, path: PathLike | None) -> None:
+    """Raise SuppleError for the grid of a reference that has another number of axes than the maps."""
+    if grid is not None and path is not None and any(each.ndim != grid.ndim for each in read.maps):
+        kinds = ("picture", "volume")[:: 1 if grid.ndim == 2 else -1]
+        raise SuppleError(
+            f"{shown(path)} is a {kinds[0]}, and {shown(read.path)} is for {kinds[1]}s: give the grid of a {kinds[1]}"
+        )
 
 
 def convention_out(target: PathLike, to: str | None, otherwise: str | None) -> tuple[str, str]:

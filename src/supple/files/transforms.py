@@ -32,6 +32,7 @@ def displacement_of(
     tolerance: float = 0.01,
     out: npt.NDArray[np.float32] | None = None,
     grid: Grid | None = None,
+    warn: bool = True,
 ) -> npt.NDArray[np.float32]:
     """Return the displacement from each voxel of the output to its source point in the input.
 
@@ -47,6 +48,8 @@ def displacement_of(
         The array for the result; it may be mapped from a file.
     grid : Grid, optional
         The grid of the output, if it is not that of the input; the deformation must then know its place in space.
+    warn : bool
+        Whether to warn.
 
     Returns
     -------
@@ -88,7 +91,8 @@ def displacement_of(
         at = here if grid is None else here @ turned.T + shift
         np.matmul(points - at, matrix.T, out=made[k], casting="same_kind")
         certificate |= certificate_of(plan)
-    warn_of(certificate, tolerance, 3)
+    if warn:
+        warn_of(certificate, tolerance, 3)
     return made
 
 
@@ -100,6 +104,7 @@ def write_transform(
     tolerance: float = 0.01,
     force: bool = False,
     grid: Grid | None = None,
+    warn: bool = True,
 ) -> None:
     """Write a deformation of a volume as a displacement field for ITK, ANTs and 3D Slicer.
 
@@ -111,6 +116,8 @@ def write_transform(
         As in `displacement_of`.
     force : bool
         Whether to replace an existing file.
+    warn : bool
+        Whether to warn as `displacement_of` does.
 
     Raises
     ------
@@ -122,7 +129,7 @@ def write_transform(
     _check(deformation)
     shape = deformation.shape if grid is None else grid.shape
     with beside(target, (*shape, 3), np.float32, MOST) as out:
-        made = displacement_of(deformation, geometry, tolerance=tolerance, out=out, grid=grid)
+        made = displacement_of(deformation, geometry, tolerance=tolerance, out=out, grid=grid, warn=warn)
         write_field(target, made, geometry, force=force)
 
 

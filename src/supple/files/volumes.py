@@ -20,8 +20,8 @@ from supple.deformation import Deformation, Report
 from supple.engines.base import Certificate, Sampling, Space, warn_of
 from supple.engines.choice import check_device, engine_for
 from supple.errors import GapWarning, SuppleError, VolumeWarning, shown
-from supple.fields import Placed
-from supple.files.grids import GridOptions, check_maps, grid_on
+from supple.fields import Placed, folds_of
+from supple.files.grids import GridOptions, grid_on, warn_of_place
 from supple.files.transforms import write_transform
 from supple.geometry import Geometry, Grid
 from supple.media import transforms
@@ -166,7 +166,7 @@ def deformation_of(
     ------
     SuppleError
         If a stroke has no third coordinate; if points are in space, but the volume has no position; if the recipe was
-        made for another size, without ``fit``; if a map is not for this volume; or as in `Deformation.from_recipe`.
+        made for another size, without ``fit``; or as in `Deformation.from_recipe`.
     """
     for i, stroke in enumerate(recipe.strokes):
         if stroke.ndim != 3 and not stroke.hidden:
@@ -174,8 +174,7 @@ def deformation_of(
             raise SuppleError(f"{which}a volume's points have three numbers, x, y and z, and {stroke.at} has two")
     known = fit_recipe(in_space(recipe, volume.geometry, volume.name, world), volume.sizes, fit, volume.name)
     made = indexed(known, volume.geometry, volume.name)
-    check_maps(maps, volume.grid, volume.name)
-    return Deformation.from_recipe(made, volume.grid, maps=maps)
+    return Deformation.from_recipe(made, volume.grid, maps=maps, warn=False)
 
 
 def in_space(recipe: Recipe, geometry: Geometry, name: str, world: bool) -> Recipe:
@@ -285,8 +284,10 @@ def warp_volume(
         check_target(target, volume, force=force)
     if known.labels and (broken := _first_fraction(volume.samples)) is not None:
         raise SuppleError(f"labels is for whole numbers, and {volume.name} holds {broken:g}: leave it out")
-    deformation = deformation_of(recipe, volume, world=known.world, fit=fit, maps=maps)
+    if maps:
+        warn_of_place(volume.geometry, volume.name)
     regrid = grid_on(grid, volume.grid, volume.name, maps)
+    deformation = deformation_of(recipe, volume, world=known.world, fit=fit, maps=maps)
     like = volume if grid is None or regrid is None else _moved(volume, regrid, grid)
     if grid is not None:
         check_target(target, like, force=force)
@@ -301,8 +302,8 @@ def warp_volume(
         if known.save_field is not None:
             # It is renamed together with the volume: if either cannot be written, neither is.
             place = stack.enter_context(replacing(known.save_field, force=force))
-            write_transform(place, deformation, like.geometry, tolerance=tolerance, force=True, grid=regrid)
-        found = _written(volume, like, source, target, space, sampling, clamp, device, force, tell)
+            write_transform(place, deformation, like.geometry, tolerance=tolerance, force=True, grid=regrid, warn=False)
+        found = _written(volume, like, source, target, space, sampling, clamp, device, force, tell, folds_of(maps))
     count = len(volume.samples) if volume.series else 1
     made = Path(source), Path(target), deformation, volume.geometry, tolerance, found.error, count, regrid
     return WarpedVolume(*made, found.folded, found.outside, found.unknown)
@@ -395,6 +396,7 @@ def _written(
     device: str,
     force: bool,
     tell: Tell,
+    folds: str,
 ) -> Certificate:
     """Warp and write a volume, of the sizes and with the header of another one; return the accuracy of the map."""
     series = volume.samples if volume.series else volume.samples[None]
@@ -416,7 +418,7 @@ def _written(
                 certificate |= known
             if clamp and not space.is_identity:
                 clamp_to(series, out, sampling)
-            warn_of(certificate, sampling.tolerance, 4)  # before the target is renamed
+            warn_of(certificate, sampling.tolerance, 4, folds)  # before the target is renamed
             tell("write", 0, 1)
             write(target, out if volume.series else out[0], like, force=force)
     return certificate

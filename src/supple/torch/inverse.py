@@ -16,9 +16,10 @@ from supple.engines.torch.newton import solve
 from supple.engines.torch.sampled import Samples, add_gradient, coefficients, coefficients_gradient
 from supple.engines.torch.tears import folded
 from supple.errors import FoldWarning, OutsideWarning, SuppleError, ToleranceWarning
-from supple.fields import FOLDED, OK, OUTSIDE, STATUS, UNCONVERGED, Beyond, Field, Interpolation
+from supple.fields import FOLDED, OK, OUTSIDE, ROUNDING, STATUS, UNCONVERGED, Beyond, Field, Interpolation
 
 _TOGETHER = 1 << 20  # points in memory at once
+_CONVERGED = 1e-8  # samples; as in the core (`fields.cpp`)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -224,21 +225,23 @@ def solved_on_device(values: torch.Tensor, job: _Job) -> tuple[torch.Tensor, tor
             numbers = torch.arange(part.start, part.stop, device=values.device)
             at, item, base = _points(numbers, samples)
             target = torch.stack(at).double()
-            got = solve(samples, target, base, 0.125 * job.tolerance)
-            off = (got.points - target) * torch.tensor(job.spacing, device=values.device, dtype=target.dtype)[:, None]
+            got = solve(samples, target, base, min(0.125 * job.tolerance, _CONVERGED))
+            spacing = torch.tensor(job.spacing, device=values.device, dtype=target.dtype)[:, None]
+            off = (got.points - target) * spacing
             kept = off.to(values.dtype)
             made[item, :, numbers % _count(samples)] = kept.T
-            rounding = (kept.double() - off).square().sum(0).sqrt()
-            bound = 4 * got.step2.sqrt() * spread + rounding
+            lost, left = kept.double() - off, 4 * got.step2.sqrt()
+            bound = left * spread + lost.square().sum(0).sqrt()
+            exact = got.done & (left + (lost / spacing).square().sum(0).sqrt() <= job.tolerance)
             flat_error[part] = torch.where(got.done, bound * (1 + 1e-6), torch.inf).float()
             within = torch.ones_like(got.done)
             if samples.zero:
-                margin = 0.0 if job.edge else 0.5
+                margin = ROUNDING if job.edge else 0.5
                 for x, (first, last) in zip(got.points, samples.ends, strict=True):
                     within &= (x >= first - margin) & (x <= last + margin)
             known = torch.where(within, OK, OUTSIDE)
             known = torch.where((got.determinant > 0) & ~folds.flatten()[part], known, FOLDED)
-            flat_status[part] = torch.where(got.done, known, UNCONVERGED).to(torch.uint8)
+            flat_status[part] = torch.where(exact, known, UNCONVERGED).to(torch.uint8)
         return found, error, status
 
 

@@ -16,6 +16,7 @@ from supple.engines.torch.sampled import Samples, displaced
 _ROUNDS, _FEWER = 24, 12  # evaluations of one solution, and of one on the way to another
 _LEAST = 2.0**-12  # the least part of a step
 _TRIES = 200
+_RELAXED = 100  # iterations of the fixed point
 
 
 @dataclass(slots=True, eq=False)
@@ -70,7 +71,7 @@ def solve(samples: Samples, target: torch.Tensor, base: torch.Tensor, tolerance:
         The largest distance to the solution, in samples.
     """
     found = _newton(samples, target, base, target, tolerance, _ROUNDS)
-    for attempt in range(3):
+    for attempt in range(4):
         left = (~found.done).nonzero()[:, 0]
         if not len(left):
             break
@@ -80,6 +81,10 @@ def solve(samples: Samples, target: torch.Tensor, base: torch.Tensor, tolerance:
             start = goal - torch.stack(displaced(samples, list(goal), own)[0])
         elif attempt == 2:
             start = found.points[:, left]
+        elif attempt == 3:  # by the residual alone, which passes folds
+            for _ in range(_RELAXED):
+                there = start + torch.stack(displaced(samples, list(start), own)[0])
+                start = start - 0.5 * (there - goal)
         other = _followed(samples, goal, own, start, tolerance)
         found.put(left[other.done], other.part(other.done))
     return found

@@ -14,7 +14,7 @@ from supple.errors import SuppleError, shown
 from supple.geometry import Grid
 from supple.media.files import PathLike
 from supple.media.transforms import afni, freesurfer, fsl, itk_files, mrtrix, ngff, opencv, stmap
-from supple.media.transforms.base import Content, Displacements, Grids
+from supple.media.transforms.base import Content, Displacements, Grids, MissingGridError
 from supple.media.transforms.guess import convention_in, convention_of
 from supple.media.transforms.itk import SUFFIXES_OUT, check_target, write_field
 
@@ -23,6 +23,7 @@ __all__ = [
     "SUFFIXES_OUT",
     "Content",
     "Displacements",
+    "MissingGridError",
     "check_target",
     "convention_in",
     "convention_of",

@@ -40,6 +40,10 @@ Content = Matrix | Displacements
 """The homogeneous matrix of an affine map, or a displacement field. Those of a file apply in order, the first first."""
 
 
+class MissingGridError(SuppleError):
+    """A file is of a convention that counts in an image's voxels, and its grid is not given."""
+
+
 class Grids(NamedTuple):
     """The grids that some conventions need beside the file: of the input (source) and of the output (reference)."""
 
@@ -51,7 +55,7 @@ class Grids(NamedTuple):
         grid: Grid | None = getattr(self, name)
         whose = {"source": "the input (moving) image", "reference": "the output (fixed) image"}[name]
         if grid is None:
-            raise SuppleError(
+            raise MissingGridError(
                 f"cannot {verb} {shown(path)}: {convention} counts in the voxels of {whose}, which is not given: "
                 f"give its grid as {name}="
             )
@@ -118,7 +122,10 @@ def check_code(path: PathLike, code: int) -> None:
 def check_count(path: PathLike, found: int) -> None:
     """Raise SuppleError for another number of values for each voxel than three."""
     if found != _COMPONENTS:
-        told = {1: "one value for each voxel, as an image or a mask", 2: "two, as a field of a picture"}.get(found)
+        told = {
+            1: "one value for each voxel, as an image or a mask",
+            2: "two values for each voxel, as a field of a picture",
+        }.get(found)
         told = told or f"{found} values for each voxel"
         raise unreadable(path, f"it holds {told}", "give a field with three, one for each axis of space")
 

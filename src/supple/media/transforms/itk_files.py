@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from supple.geometry import Geometry
-from supple.media.files import PathLike, head_of, replacing, unreadable, unwritable
+from supple.media.files import PathLike, check_suffix, head_of, replacing, unreadable, unwritable
 from supple.media.transforms.base import (
     Content,
     Displacements,
@@ -36,6 +36,8 @@ _VECTOR, _DISPLACEMENT = 1007, 1006
 _KIND = re.compile(rb"Transform(?:Base)?_(?:double|float)_\d_\d")
 _SIZES = {0: 8, 1: 4}  # bytes of a number in a file of MATLAB
 _MANY = (".h5", ".tfm")
+_OUT = tuple(dict.fromkeys((*SUFFIXES_OUT, *TRANSFORMS)))
+_NONE = "is of no transform of ITK"
 
 
 def read(path: PathLike, grids: Grids) -> tuple[Content, ...]:
@@ -43,9 +45,7 @@ def read(path: PathLike, grids: Grids) -> tuple[Content, ...]:
     suffix = suffix_of(path, (*IMAGES, *TRANSFORMS))
     if suffix in IMAGES:
         return (_field(path, IMAGES[suffix]),)
-    if suffix not in TRANSFORMS:
-        known = ", ".join((*IMAGES, *TRANSFORMS))
-        raise unreadable(path, f"the suffix {suffix} is of no transform of ITK", f"use {known}")
+    check_suffix(path, suffix, TRANSFORMS, _NONE, f"use {', '.join((*IMAGES, *TRANSFORMS))}", "read")
     return _transforms(path)
 
 
@@ -166,6 +166,7 @@ def write(path: PathLike, contents: Sequence[Content], grids: Grids, *, force: b
             path, only.values, Geometry((x, y, z), (a, b, c), np.array(only.grid.direction), "LPS"), force=force
         )
         return
+    check_suffix(path, suffix, _OUT, _NONE, f"use {', '.join(_OUT)}")
     if suffix not in TRANSFORMS:
         known = ", ".join(_MANY)
         raise unwritable(path, f"a {suffix} file of ITK holds one field, interpolated linearly", f"use {known}")

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from supple.errors import SuppleError
-from supple.geometry import Grid
+from supple.geometry import Geometry, Grid
 from supple.media.files import PathLike, check_output, check_suffix, head_of, unreadable, unwritable
 from supple.media.volume import pages as stack
 from supple.media.volume import raw
@@ -130,17 +130,27 @@ def grid_of(path: PathLike, *, raw: RawLayout | None = None, series: str | None 
 
     Parameters and errors are those of `read`.
     """
+    geometry, shape = place_of(path, raw=raw, series=series)
+    return geometry.grid(shape)
+
+
+def place_of(
+    path: PathLike, *, raw: RawLayout | None = None, series: str | None = None
+) -> tuple[Geometry, tuple[int, int, int]]:
+    """Return the geometry of a volume, and its shape (Z, H, W); as `grid_of` does."""
     if raw is None:
         form = _format(path)
         if form == "NIfTI":
             from supple.media.volume import nifti
 
-            return nifti.read_grid(path)
+            return nifti.read_place(path)
         if form in ("NRRD", "MetaImage"):
             from supple.media.volume import itk
 
-            return itk.read_grid(path, form)
-    return read(path, raw=raw, series=series).grid
+            return itk.read_place(path, form)
+    found = read(path, raw=raw, series=series)
+    width, height, depth = found.sizes
+    return found.geometry, (depth, height, width)
 
 
 def _raw(path: PathLike, layout: RawLayout | None) -> Volume:

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from supple.errors import need, shown
-from supple.geometry import Geometry, Grid
+from supple.geometry import Geometry
 from supple.media.files import PathLike, check_output, head_of, replacing, unreadable, unwritable
 from supple.media.volume.data import (
     DTYPES,
@@ -102,8 +102,8 @@ def read(path: PathLike, form: str) -> Volume:
     return Volume(samples, geometry, shown(path), form, series, header, interval=interval)
 
 
-def read_grid(path: PathLike, form: str) -> Grid:
-    """Return the grid of a NRRD or a MetaImage file, from its header alone; errors as in `read`."""
+def read_place(path: PathLike, form: str) -> tuple[Geometry, tuple[int, int, int]]:
+    """Return geometry and shape (Z, H, W) of a NRRD or a MetaImage file, from its header alone; errors as in `read`."""
     sitk = imported()
     fields, _ = _fields(path, form)
     reader = sitk.ImageFileReader()
@@ -113,7 +113,7 @@ def read_grid(path: PathLike, form: str) -> Grid:
         reader.ReadImageInformation()
     _check_place(path, fields, reader.GetDimension())
     x, y, z = (*reader.GetSize(), 1)[:3]
-    return geometry_of(path, reader).grid((z, y, x))
+    return geometry_of(path, reader), (z, y, x)
 
 
 def check_voxels(path: PathLike, sitk: Any, reader: Any) -> None:

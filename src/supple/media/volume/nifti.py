@@ -14,7 +14,7 @@ from typing import IO, Any, Literal, cast
 import numpy as np
 
 from supple.errors import VolumeWarning, need, shown
-from supple.geometry import Geometry, Grid
+from supple.geometry import Geometry
 from supple.media.files import PathLike, head_of, replacing, unreadable
 from supple.media.volume.data import (
     DTYPES,
@@ -95,13 +95,13 @@ def outline(path: PathLike) -> tuple[Any, tuple[int, ...], int, bool]:
     return header, *_axes(path, header)
 
 
-def read_grid(path: PathLike) -> Grid:
-    """Return the grid of a NIfTI file, from its header alone; errors as in `read`."""
+def read_place(path: PathLike) -> tuple[Geometry, tuple[int, int, int]]:
+    """Return the geometry and the shape (Z, H, W) of a NIfTI file, from its header alone; errors as in `read`."""
     first, _ = _pair(path)
     header, _ = _header(first)
     x, y, z = _axes(path, header)[0][:3]
     unit = _MILLIMETRES.get(int(header["xyzt_units"]) & 7, 1.0)
-    return _geometry(path, first, header, (x, y, z), unit).grid((z, y, x))
+    return _geometry(path, first, header, (x, y, z), unit), (z, y, x)
 
 
 def _pair(path: PathLike) -> tuple[Path, Path]:

@@ -1,0 +1,36 @@
+"""Cubic B-splines through the samples of a grid."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+Array = npt.NDArray[Any]
+
+_POLE = math.sqrt(3.0) - 2.0  # of the filter that inverts the cubic B-spline's samples (1, 4, 1) / 6
+_HORIZON = 40  # samples after which its response is below 1e-22
+
+
+def coefficients(values: Array) -> Array:
+    """Return the coefficients of the cubic B-spline through values that are mirrored about the ends of each axis.
+
+    By the recursive filter of Unser, Aldroubi and Eden (1991), along one axis after the other.
+    """
+    made = values.astype(np.float64)
+    for axis in range(values.ndim - 1):
+        c = np.moveaxis(made, axis, 0)
+        n = len(c)
+        if n == 1:
+            continue
+        mirrored = np.abs((np.arange(_HORIZON) + n - 1) % (2 * n - 2) - n + 1)
+        c[0] = np.tensordot(_POLE ** np.arange(_HORIZON), c[mirrored], 1)
+        for k in range(1, n):
+            c[k] += _POLE * c[k - 1]
+        c[-1] = _POLE / (_POLE * _POLE - 1.0) * (c[-1] + _POLE * c[-2])
+        for k in range(n - 2, -1, -1):
+            c[k] = _POLE * (c[k + 1] - c[k])
+        c *= 6.0
+    return made.astype(values.dtype)

@@ -1,0 +1,233 @@
+"""Bad files, grids and options of fields: one line that names them, exit status 2, and nothing left behind."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import nibabel
+import numpy as np
+import pytest
+import SimpleITK as sitk  # noqa: N813
+
+from supple import Field, SuppleError
+from supple.media import image
+from tests.children import ROOT
+from tests.cli.commands import Run, noise, one_line
+
+PLACE = np.diag([2.0, 2.0, 2.0, 1.0])
+FAR = PLACE + np.outer([1, 1, 1, 0], [0, 0, 0, 900.0])
+WAVES = np.zeros((9, 8, 7, 1, 3), np.float32)
+WAVES[..., 0] = np.sin(np.arange(9) / 3)[:, None, None, None]
+GREY = np.arange(504, dtype=np.float32).reshape(9, 8, 7)
+
+
+def nifti(name: str, values: Any, code: int = 0, matrix: Any = PLACE, dtype: Any = np.float32) -> None:
+    made = nibabel.Nifti1Image(np.asarray(values, dtype), matrix)
+    made.header["intent_code"] = code
+    if matrix is None:
+        made.header["sform_code"] = made.header["qform_code"] = 0
+    nibabel.save(made, name)
+
+
+@pytest.fixture(autouse=True)
+def _files(here: Path) -> None:
+    for name, matrix in (("", PLACE), ("far-", FAR), ("nowhere-", None)):
+        nifti(f"{name}head.nii", GREY, matrix=matrix)
+        nifti(f"{name}u.nii", WAVES, 1007, matrix)
+    nifti("code.nii", WAVES, 1002)
+    nifti("complex.nii", WAVES, 1007, dtype=np.complex64)
+    gapped = WAVES.copy()
+    gapped[2, 3, 4] = np.nan
+    nifti("nan.nii", gapped, 1007)
+    nifti("mask.nii", GREY > 200, dtype=np.uint8)
+    nifti("two.nii", WAVES[..., :2], 1007)
+    nifti("four.nii", WAVES[..., [0, 1, 2, 0]], 1007)
+    whole = Path("u.nii").read_bytes()
+    Path("cut.nii").write_bytes(whole[:-9])
+    nibabel.save(nibabel.load("u.nii"), "whole.nii.gz")
+    Path("cut.nii.gz").write_bytes(Path("whole.nii.gz").read_bytes()[:-20])
+    for name in ("empty.nii", "empty.nii.gz", "empty.npy", "empty.tfm"):
+        Path(name).write_bytes(b"")
+    for name in ("folder.nii", "folder"):
+        Path(name).mkdir()
+    places = np.moveaxis(np.indices((40, 48))[::-1], 0, -1).astype(np.float32)
+    np.save("flow.npy", places + np.sin(places / 5))
+    np.save("one.npy", places[..., 0])
+    np.save("complex.npy", places.astype(np.complex64))
+    places[3, 4] = np.nan
+    np.save("nan.npy", places)
+    Path("cut.npy").write_bytes(Path("flow.npy").read_bytes()[:-9])
+    sitk.WriteTransform(sitk.AffineTransform(3), "a.tfm")
+    image.write("old.png", noise(4, 4))
+
+
+FILES: list[tuple[str, str | None, str]] = [
+    ("code.nii", None, "of the intent code 1002, which several programs write: give the convention: afni, itk"),
+    ("code.nii", "itk", "5 axes and the intent code 1002, and a field of ITK has 5 and the code 1007"),
+    ("u.nii", "mrtrix", "its intent code is 1007, and that of a field in the convention mrtrix is 0"),
+    ("u.nii", "opencv", "the suffix .nii is of no map of OpenCV's"),
+    ("flow.npy", "itk", "the suffix .npy is of no transform of ITK: use .nii, "),
+    ("a.tfm", "freesurfer", "it holds no maps: give a .lta file of one affine map"),
+    ("u.nii", "spm", "convention must be one of itk, fsl-relative, "),
+    ("nowhere-u.nii", None, "it does not say where its voxels lie (its sform and qform have the code 0)"),
+    ("complex.nii", None, "its voxels are of complex64"),
+    ("complex.npy", None, "it holds complex64 of shape (40, 48, 2): give real numbers"),
+    ("nan.nii", None, "1 voxel of 504 hold NaN or infinity: give a field that is finite everywhere"),
+    ("nan.npy", None, "1 of its 1920 positions are NaN or infinite: fill them first"),
+    ("mask.nii", None, "it holds one value for each voxel, as an image or a mask: give a field with three"),
+    ("mask.nii", "fsl-relative", "it holds one value for each voxel, as an image or a mask"),
+    ("two.nii", None, "it holds two values for each voxel, as a field of a picture: give a field with three"),
+    ("four.nii", None, "it holds 4 values for each voxel: give a field with three"),
+    ("one.npy", None, "it holds float32 of shape (40, 48): give an array (H, W, 2) of source positions"),
+    ("empty.nii", None, "it is empty"),
+    ("empty.nii.gz", "itk", "it is empty"),
+    ("empty.npy", None, "it is empty"),
+    ("empty.tfm", None, "it is empty"),
+    ("cut.nii", None, "its header promises"),
+    ("cut.nii.gz", None, "it is cut short"),
+    ("cut.npy", None, "it is no array of NumPy's, or cut short"),
+    ("folder.nii", None, "it is a folder or no plain file"),
+    ("folder", None, "a name without suffix: give the convention"),
+    ("folder", "itk", "a name without suffix is of no transform of ITK"),
+    ("gone.nii", None, "No such file or directory"),
+]
+
+
+@pytest.mark.parametrize(("name", "convention", "said"), FILES)
+def test_a_file_that_holds_no_field_is_named_by_every_command_and_in_python(
+    run: Run, name: str, convention: str | None, said: str
+) -> None:
+    options = () if convention is None else ("--convention", convention)
+    source = ("--source", "head.nii") if convention == "fsl-relative" else ()
+    shown = "in.png" if name.endswith(".npy") else "head.nii"
+    before = sorted(os.listdir())
+    for line in (
+        ("invert", name, "v.mha", *options, *source),
+        ("check", name, *options, *source),
+        ("compose", name, *options, *source, "--out", "v.mha"),
+        ("convert", name, "v.mha", *(("--from", *options[1:]) if options else ()), *source),
+        ("warp", shown, f"out-{shown}", "--field", name, *options),
+    ):
+        status, out, err = run(*line)
+        assert (status, out) == (2, ""), line
+        assert said in one_line(err), line
+        assert name in err or "convention must be" in err
+        assert sorted(os.listdir()) == before, line
+    with pytest.raises(SuppleError) as caught:
+        Field.read(name, convention, source=Field.read("u.nii").grid if source else None)
+    assert said in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+APART = "do not overlap: from ("
+LINES: list[tuple[str, str]] = [
+    # grids that lie apart
+    ("warp head.nii o.nii --field far-u.nii", f"far-u.nii and head.nii {APART}-917, "),
+    ("warp head.nii o.nii --field far-u.nii --inverse", f"far-u.nii and head.nii {APART}"),
+    ("warp head.nii o.nii --field u.nii --reference far-head.nii", f"u.nii and far-head.nii {APART}"),
+    ("warp head.nii o.nii --field far-u.nii --reference far-head.nii", f"what far-u.nii leads to and head.nii {APART}"),
+    ("invert u.nii v.mha --reference far-head.nii", f"u.nii and far-head.nii {APART}"),
+    ("compose u.nii far-u.nii --out v.mha", f"far-u.nii and what u.nii leads to {APART}"),
+    ("compose u.nii --out v.mha --reference far-head.nii", f"u.nii and the grid of the result {APART}"),
+    ("convert u.nii v.mha --reference far-head.nii", f"u.nii and the grid of the result {APART}"),
+    # of another number of axes
+    ("warp head.nii o.nii --field flow.npy", "flow.npy is for pictures, with 2 axes, and head.nii is a volume"),
+    ("warp in.png o.png --field u.nii", "u.nii is for volumes, with 3 axes, and in.png is a picture"),
+    ("invert u.nii v.mha --reference in.png", "in.png is a picture, and u.nii is for volumes: give the grid of a vol"),
+    ("invert flow.npy v.npy --reference head.nii", "head.nii is a volume, and flow.npy is for pictures"),
+    ("convert u.nii v.mha --reference in.png", "in.png is a picture, and u.nii is for volumes"),
+    ("compose u.nii --reference in.png --out v.mha", "in.png is a picture, and u.nii is for volumes"),
+    ("compose flow.npy u.nii --out v.mha", "u.nii has 3 axes, and the grid has 2"),
+    ("compose a.tfm flow.npy --out v.mha", "a.tfm has 3 axes, and the grid has 2"),
+    ("check u.nii flow.npy", "a field of 3 axes has no inverse of 2"),
+    ("convert flow.npy v.mha", "it takes maps of volumes, found one of 2 coordinates"),
+    ("convert u.nii v.npy", "a map of OpenCV's is of a picture, and the field is of a volume"),
+    # references
+    ("warp head.nii o.nii --field u.nii --reference a.tfm", "a.tfm is no volume, and the grid of a volume is needed"),
+    ("warp head.nii o.nii --field u.nii --reference folder", "folder is no volume, and the grid of a volume is need"),
+    ("warp head.nii o.nii --field u.nii --reference empty.nii", "cannot read empty.nii: it is empty"),
+    ("warp head.nii o.nii --field u.nii --reference gone.nii", "cannot read gone.nii: No such file"),
+    ("warp in.png o.png --field flow.npy --reference flow.npy", "cannot read flow.npy: it is no image"),
+    ("invert u.nii v.mha --reference a.tfm", "cannot read a.tfm: it is no image"),
+    ("invert u.nii v.mha --reference nowhere-head.nii", "nowhere-head.nii does not say where its voxels lie in spa"),
+    ("invert u.nii v.mha --source empty.nii", "cannot read empty.nii: it is empty"),
+    # options
+    ("warp in.png o.png --inverse --field flow.npy", "--inverse is for the --field or --affine before it"),
+    ("compose --inverse u.nii --out v.mha", "--inverse is about the file before it, and there is none"),
+    ("warp in.png o.png --field flow.npy --crop 40,0,9,9", "--crop must be within the grid of 48 x 40 samples"),
+    ("warp head.nii o.nii --field u.nii --crop 0,0,5,5", "--crop must be 6 numbers, as the input is a volume"),
+    ("warp in.png o.png --field flow.npy --resample 0", "--resample must be a spacing above 0"),
+    ("warp in.png o.png --field flow.npy --resample 1,2,3", "--resample must be one number or 2 of them"),
+    ("warp in.png o.png --field flow.npy --resample 1e-9", "resample to 1e-09 makes no picture"),
+    # places
+    ("invert u.nii far-u.nii", "far-u.nii exists already: pass --force to replace it"),
+    ("invert u.nii v.mha --status head.nii", "head.nii exists already: pass --force to replace it"),
+    ("invert u.nii v.mha --report folder --force", "cannot write folder: it is a folder"),
+    ("invert u.nii none/v.mha", "cannot write none/v.mha: there is no folder"),
+    ("invert u.nii v.mha --error v.mha", "v.mha is to be written twice"),
+    ("invert u.nii v.xyz", "cannot write v.xyz: the suffix .xyz is of no transform of ITK: use .nii, "),
+    ("invert u.nii v", "cannot write v: a name without suffix is of no transform of ITK: use .nii, "),
+    ("check u.nii --map head.nii", "head.nii exists already: pass --force to replace it"),
+    ("check u.nii --picture old.png", "old.png exists already: pass --force to replace it"),
+    ("compose u.nii --out none/v.mha", "cannot write none/v.mha: there is no folder"),
+    ("compose u.nii --out head.nii", "head.nii exists already: pass --force to replace it"),
+    ("convert u.nii head.nii --to itk", "head.nii exists already: pass --force to replace it"),
+    ("warp head.nii far-head.nii --field u.nii", "far-head.nii exists already: pass --force to replace it"),
+    # affine maps
+    ("invert a.tfm v.mha", "cannot write v.mha: a .mha file of ITK holds one field, interpolated linearly: use .h5"),
+    ("check u.nii a.tfm", "a.tfm holds an affine map, and not one field"),
+    ("check u.nii mask.nii", "cannot read mask.nii: it holds one value for each voxel"),
+]
+
+
+@pytest.mark.parametrize(("line", "said"), LINES)
+def test_what_does_not_fit_together(run: Run, line: str, said: str) -> None:
+    before = {name: os.path.getmtime(name) for name in sorted(os.listdir())}
+    status, out, err = run(*line.split())
+    assert (status, out) == (2, ""), err
+    assert said in one_line(err)
+    assert {name: os.path.getmtime(name) for name in sorted(os.listdir())} == before
+
+
+def test_a_process_ends_so_too() -> None:
+    made = subprocess.run(
+        [sys.executable, "-m", "supple", "check", "nan.nii"],
+        capture_output=True,
+        encoding="utf-8",
+        env={**os.environ, "PYTHONPATH": str(ROOT / "src")},
+        check=False,
+    )
+    assert (made.returncode, made.stdout) == (2, "")
+    assert "hold NaN or infinity" in one_line(made.stderr)
+
+
+def test_a_field_that_leads_to_a_far_image_is_taken(run: Run) -> None:
+    """It holds the affine part: its grid is that of the output, and the input lies elsewhere."""
+    leading = WAVES + np.array([-900.0, -900.0, 900.0], np.float32)  # LPS
+    nifti("there.nii", leading, 1007)
+    line = ("warp", "far-head.nii", "o.nii", "--field", "there.nii", "--reference", "head.nii", "--filter", "linear")
+    assert run(*line, "--quiet") == (0, "", "")
+    assert run("warp", "head.nii", "same.nii", "--field", "u.nii", "--filter", "linear", "--quiet") == (0, "", "")
+    made, same = (nibabel.load(name) for name in ("o.nii", "same.nii"))
+    np.testing.assert_allclose(made.affine, PLACE)
+    np.testing.assert_allclose(made.get_fdata()[1:-1], same.get_fdata()[1:-1], atol=0.02)
+    assert run("invert", "there.nii", "back.mha", "--reference", "far-head.nii", "--quiet") == (0, "", "")
+    known = json.loads(run("check", "there.nii", "back.mha", "--json")[1])["consistency"]
+    assert known["count"] > 400
+    assert known["largest"] < 0.1
+    with pytest.raises(SuppleError, match="do not overlap"):
+        Field.read("u.nii").invert(Field.read("far-u.nii").grid)
+
+
+def test_a_volume_that_does_not_say_where_it_lies_is_told(run: Run) -> None:
+    said = "does not say where its voxels lie in space: its first one is taken to lie at (0, 0, 0), and its axes along"
+    status, _, err = run("warp", "nowhere-head.nii", "o.nii", "--affine", "1,0,0,1,0,1,0,0,0,0,1,0")
+    assert status == 0
+    assert f"supple: warning: nowhere-head.nii {said}" in err
+    status, _, err = run("warp", "head.nii", "p.nii", "--reference", "nowhere-head.nii")
+    assert f"supple: warning: nowhere-head.nii {said}" in err
