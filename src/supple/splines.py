@@ -19,8 +19,14 @@ def coefficients(values: Array) -> Array:
 
     By the recursive filter of Unser, Aldroubi and Eden (1991), along one axis after the other.
     """
-    made = values.astype(np.float64)
-    for axis in range(values.ndim - 1):
+    made = np.empty_like(values)
+    for component in range(values.shape[-1]):  # in float64, and in little memory
+        made[..., component] = _filtered(values[..., component].astype(np.float64))
+    return made
+
+
+def _filtered(made: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    for axis in range(made.ndim):
         c = np.moveaxis(made, axis, 0)
         n = len(c)
         if n == 1:
@@ -33,4 +39,4 @@ def coefficients(values: Array) -> Array:
         for k in range(n - 2, -1, -1):
             c[k] = _POLE * (c[k + 1] - c[k])
         c *= 6.0
-    return made.astype(values.dtype)
+    return made

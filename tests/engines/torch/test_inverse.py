@@ -21,6 +21,8 @@ else:
     torch = pytest.importorskip("torch")
 
 import supple.torch as bending
+from supple import splines
+from supple.engines.torch.sampled import coefficients
 from supple.torch import inverse
 from tests.engines.torch.test_gradients import picture
 
@@ -171,10 +173,8 @@ def test_gradients_in_single_precision_are_as_good(interpolation: Any) -> None:
 
 @pytest.mark.parametrize("shape", [(7, 9), (1, 6), (4, 5, 3)])
 def test_coefficients_are_those_of_fields_and_their_gradients_exact(shape: tuple[int, ...]) -> None:
-    from supple.splines import coefficients
-
     given = picture(2, *shape)
-    wanted = coefficients(given.movedim(0, -1).numpy())
+    wanted = splines.coefficients(given.movedim(0, -1).numpy())
     assert np.allclose(coefficients(given, len(shape)).movedim(0, -1).numpy(), wanted, rtol=0, atol=1e-14)
     assert torch.autograd.gradcheck(lambda x: coefficients(x, len(shape)), given.requires_grad_())
 
