@@ -10,7 +10,6 @@ import SimpleITK as sitk  # noqa: N813
 import supple
 from supple.fields import OK
 from supple.files.fields import check_file
-from supple.files.maps import grid_of
 from supple.media import image
 
 HEAD = Path(supple.__file__).parent / "examples" / "data" / "head.nii.gz"
@@ -44,7 +43,7 @@ def main(folder: Path) -> None:
 
     # To the fixed head, and back again: each is one map, and the head is sampled once.
     head = sitk.GetArrayFromImage(moving).astype(np.uint8)
-    there = supple.Deformation(grid_of(HEAD), border=None).field(field)
+    there = supple.Deformation(supple.grid_of(HEAD), border=None).field(field)
     back = there.field(found.field)
     with warnings.catch_warnings(record=True) as said:
         warnings.simplefilter("always")

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from supple.fields import Field, Inverted, Placed, compose, read_maps
     from supple.files import warp_file
     from supple.files.grids import GridOptions
+    from supple.files.maps import grid_of
     from supple.geometry import Grid
     from supple.strokes import Recipe, Stroke
     from supple.viewer.window.launch import view
@@ -50,6 +51,7 @@ __all__ = [
     "SuppleError",
     "ToleranceWarning",
     "compose",
+    "grid_of",
     "read_maps",
     "view",
     "warp_batch",
@@ -80,6 +82,7 @@ _HOMES = {
     "SuppleError": "errors",
     "ToleranceWarning": "errors",
     "compose": "fields",
+    "grid_of": "files.maps",
     "read_maps": "fields",
     "view": "viewer.window.launch",
     "warp_batch": "arrays",

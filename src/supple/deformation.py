@@ -640,7 +640,8 @@ class Deformation:
         out : array, optional
             The array for the result, of its shape and type, and not overlapping ``source``.
         grid : Grid, optional
-            The grid of the output; by default, that of the input. ``d.grid.crop(…)`` is a part of it: the result
+            The grid of the output; by default, that of the input. `supple.grid_of` reads that of another image;
+            ``d.grid.crop(…)`` is a part of the grid: the result
             equals that part of the whole, bit for bit, at a cost in proportion.
 
         Returns
