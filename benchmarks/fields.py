@@ -51,6 +51,11 @@ OURS_IS_THERE = hasattr(FIELD, "read") and hasattr(FIELD, "invert")  # else only
 WAYS = {"ITK's": 0.0, "ITK's, a mean will do": 0.001}  # its thresholds of the mean, in voxels
 SLOW = {"IterativeInverseDisplacementField": 256, "InverseDisplacementField": 64}  # peers, and the side that they bear
 ROOM = 100.0  # megabytes above the field and the result that inverting may take
+ALONE = {  # what reads and inverts, in a process of its own
+    "ours": "import sys, supple; made = supple.Field.read(sys.argv[1]).invert()",
+    "ITK's": "import sys, SimpleITK as sitk; made = sitk.InvertDisplacementField("
+    "sitk.ReadImage(sys.argv[1], sitk.sitkVectorFloat32), maximumNumberOfIterations=5)",
+}
 
 
 # Ours: to read a field, and to invert it.
@@ -216,7 +221,7 @@ def memory(what: str, path: Path) -> Iterator[Row]:
     field = 12 * values / 1e6
     bar = field + (12 + 4 + 1) * values / 1e6 + ROOM
     for whose in (*(["ours"] if OURS_IS_THERE else []), "ITK's"):
-        peak = run([sys.executable, __file__, "--alone", whose, str(path)])[1]
+        peak = run([sys.executable, "-c", ALONE[whose], str(path)])[1]
         limit, holds = (f"≤ {bar:.0f}", peak <= bar) if whose == "ours" else ("", None)
         yield Row(f"{what}: peak memory, {whose}", value=f"{peak:.0f} MB", bar=limit, holds=holds)
 
@@ -300,14 +305,6 @@ def slow_rows(kind: str, path: Path) -> Iterator[Row]:
         yield Row(f"{kind} {side}³: ITK's {name}", "", f"{seconds:.2f} s", over)
 
 
-def alone(whose: str, path: Path) -> None:
-    """Read and invert, in a process whose memory is measured."""
-    if whose == "ours":
-        ours_inverted(ours_read(path))
-    else:
-        itk_inverted(itk_read(path), times=5)  # no more memory for more
-
-
 def cache() -> Path:
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "supple-benchmarks"
 
@@ -322,11 +319,7 @@ def main() -> int:
     parser.add_argument("--runs", type=int, default=3, help="pairs of runs (3)")
     parser.add_argument("--slow", action="store_true", help="ITK's slower filters too, on fewer samples")
     parser.add_argument("--keep", type=Path, help="a folder for the inverses and their errors")
-    parser.add_argument("--alone", nargs=2, metavar=("WHOSE", "FIELD"), help=argparse.SUPPRESS)
     asked = parser.parse_args()
-    if asked.alone:
-        alone(asked.alone[0], Path(asked.alone[1]))
-        return 0
     for path in (asked.fixed, asked.moving):
         if path is not None and not path.exists():
             parser.error(f"{path} does not exist; --help says how to get two heads")

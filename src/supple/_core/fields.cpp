@@ -93,12 +93,14 @@ struct Inversion {
 };
 
 // A short step is no proof where slopes jump, or the field turns back: Newton's method goes on to here, in samples.
-constexpr double CONVERGED = 1e-8;
+constexpr double CONVERGED = 1e-8, IN_CELLS = 1e-6;  // within a cell of a linear field, it is a proof
 
-// Guesses of i - target along a row: by the two rows before it, or by the samples before it.
+// Guesses of i - target along a row: by the two rows before it, or by the samples before it. [component][x]
 struct Guesses {
+    int stride, rows = 0;
     std::vector<double> off, slope;  // of the row before, and its difference from that before it
-    int rows = 0;
+
+    Guesses(int width, int ndim) : stride(width + LANES), off((size_t)stride * ndim), slope((size_t)stride * ndim) {}
 };
 
 // A row of the result.
@@ -119,12 +121,12 @@ void invert_row(const Inversion& job, int y, int z, Guesses& guesses) {
         for (int a = 0; a < D; a++) {
             target[a] = splat<Lanes>(job.grid[a][3]);
             for (int b = 0; b < D; b++) target[a] += job.grid[a][b] * q[b];
-            for (int l = 0; l < LANES; l++) {
-                const size_t at = (size_t)(x + std::min(l, n - 1)) * D + a;
-                found.i[a][l] = target[a][l] + (guesses.rows ? guesses.off[at] + guesses.slope[at] : near[a]);
-            }
+            const size_t at = (size_t)a * guesses.stride + x;
+            found.i[a] = target[a] +
+                         (guesses.rows ? loaded(&guesses.off[at]) + loaded(&guesses.slope[at]) : splat<Lanes>(near[a]));
         }
-        undo_field_surely<D, Lanes>(k, target, std::min(0.125 * job.tolerance, CONVERGED), found);
+        undo_field_surely<D, Lanes>(k, target, std::min(0.125 * job.tolerance, CONVERGED), found,
+                                    std::min(0.125 * job.tolerance, IN_CELLS));
         Lanes off[D], place[D];
         for (int a = 0; a < D; a++) off[a] = found.i[a] - target[a];
         const Mask all = Mask{} == 0;
@@ -158,14 +160,17 @@ void invert_row(const Inversion& job, int y, int z, Guesses& guesses) {
         }
         const Lanes left = 4.0 * root(found.step2), error = left * stretch + root(space2);
         const Mask exact = both(found.done, left + root(samples2) <= job.tolerance), upright = found.determinant > 0.0;
+        for (int a = 0; a < D; a++) {
+            const size_t at = (size_t)a * guesses.stride + x;
+            Lanes now = choose(found.done, off[a], Lanes{}), slope{};
+            if (guesses.rows) slope = choose(found.done, now - loaded(&guesses.off[at]), Lanes{});
+            memcpy(&guesses.off[at], &now, sizeof now);
+            memcpy(&guesses.slope[at], &slope, sizeof slope);
+            near[a] = now[n - 1];
+        }
         for (int l = 0; l < n; l++) {
-            const size_t own = (size_t)(x + l) * D, at = start + x + l;
-            for (int a = 0; a < D; a++) {
-                values[own + a] = kept[a][l];
-                near[a] = found.done[l] ? off[a][l] : 0;
-                guesses.slope[own + a] = guesses.rows && found.done[l] ? near[a] - guesses.off[own + a] : 0;
-                guesses.off[own + a] = near[a];
-            }
+            const size_t at = start + x + l;
+            for (int a = 0; a < D; a++) values[(size_t)(x + l) * D + a] = kept[a][l];
             job.error[at] = found.done[l] ? (float)error[l] * (1 + 1e-6f) : std::numeric_limits<float>::infinity();
             uint8_t known = !exact[l] ? UNCONVERGED : !upright[l] ? FOLDED : !in[l] ? OUTSIDE : OK;
             if (known != OK && (job.status[at] != FOLDED || known == UNCONVERGED)) job.status[at] = known;
@@ -203,9 +208,7 @@ void invert_all(const Inversion& job) {
     constexpr int BLOCK = 32;  // rows that are solved in order, each from the one before
     const int down = (job.size[1] + BLOCK - 1) / BLOCK;
     parallel(down * job.size[2], [&](int item, int) {
-        Guesses guesses;
-        guesses.off.resize((size_t)job.size[0] * D);
-        guesses.slope.resize((size_t)job.size[0] * D);
+        Guesses guesses(job.size[0], D);
         const int z = item / down, first = item % down * BLOCK;
         for (int y = first; y < std::min(first + BLOCK, job.size[1]); y++, guesses.rows++)
             job.wide ? invert_row<D, double>(job, y, z, guesses) : invert_row<D, float>(job, y, z, guesses);

@@ -207,9 +207,12 @@ INLINE V determinant_of(const V (*t)[3]) {
 
 // Newton's method on the polynomial of the cell of a linear field in which the guess `found.i` lies, and of those that
 // it leads to: samples are read once for a cell. A solution in its cell is one of the field, whatever lies beside it;
-// for other guesses, nothing is changed.
+// it is proved by Kantorovich's theorem. For other guesses, nothing is changed.
+//
+// If `finish`, the last step is taken, and the polynomial's residual after it is known without another evaluation: the
+// derivatives in `found` are then those before the step.
 template <int D, class T, class V>
-NOINLINE void undo_in_cells(const Sampled& k, const V* target, double tolerance, Undone<D, V>& found) {
+NOINLINE void undo_in_cells(const Sampled& k, const V* target, double tolerance, bool finish, Undone<D, V>& found) {
     typedef typename Masked<V>::type M;
     constexpr int N = Masked<V>::lanes, CORNERS = 1 << D;
     V f[D], whole[D], c[CORNERS][D];  // c: of xyz, the powers whose bits are set in the index
@@ -220,6 +223,7 @@ NOINLINE void undo_in_cells(const Sampled& k, const V* target, double tolerance,
         for (int l = 0; l < N; l++) set_lane(whole[d], l, most(0.0, least((double)(int)lane(p, l), k.size[d] - 2.0)));
         f[d] = p - whole[d];
     }
+    V bend{};  // a bound of the second derivatives
     bool moved = true;
     for (int round = 0; round < 12 && any(without(going, found.done)); round++) {
         if (moved) {
@@ -246,9 +250,12 @@ NOINLINE void undo_in_cells(const Sampled& k, const V* target, double tolerance,
             for (int d = 0; d < D; d++)
                 for (int q = 0; q < CORNERS; q++)
                     for (int r = 0; q >> d & 1 && r < D; r++) c[q][r] -= c[q - (1 << d)][r];
+            bend = V{};
+            for (int q = 3; q < CORNERS; q++)
+                for (int r = 0; q != 4 && r < D; r++) bend += (q == 7 ? 6.0 : 2.0) * magnitude(c[q][r]);
             moved = false;
         }
-        V e[D], t[D][D], m[D][D], step[D], d2{};
+        V e[D], t[D][D], m[D][D], step[D], d2{}, m2{};
         for (int r = 0; r < D; r++) {
             V a = c[0][r] + f[0] * c[1][r], b = c[2][r] + f[0] * c[3][r];
             V w = a + f[1] * b;
@@ -269,17 +276,40 @@ NOINLINE void undo_in_cells(const Sampled& k, const V* target, double tolerance,
         for (int d = 0; d < D; d++) {
             step[d] = -times<D>(m, e, d);
             d2 += step[d] * step[d];
+            for (int j = 0; j < D; j++) m2 += m[j][d] * m[j][d];
         }
-        M active = without(going, found.done), hit = both(active, d2 <= tolerance * tolerance), out = d2 < 0.0;
+        V left2 = d2;  // the squared distance to the solution, to first order
+        if (finish) {
+            left2 = V{};
+            V rest[D];
+            for (int r = 0; r < D; r++) {
+                rest[r] = c[3][r] * (step[0] * step[1]);
+                if constexpr (D == 3) {
+                    rest[r] = (c[3][r] + f[2] * c[7][r]) * (step[0] * step[1]) +
+                              (c[5][r] + f[1] * c[7][r]) * (step[0] * step[2]) +
+                              (c[6][r] + f[0] * c[7][r]) * (step[1] * step[2]) +
+                              c[7][r] * (step[0] * step[1] * step[2]);
+                }
+            }
+            for (int d = 0; d < D; d++) {
+                V v = times<D>(m, rest, d);
+                left2 += v * v;
+            }
+        }
+        M active = without(going, found.done), out = d2 < 0.0;
+        // Then there is a solution within 2 |step|, and no other is near.
+        M hit = both(active, both(left2 <= tolerance * tolerance, 16.0 * bend * bend * m2 * d2 <= 1.0));
         found.steps += choose(active, splat<V>(1.0), V{});
-        V near = 4.0 * root(d2);  // the solution must not be on the other side of a face
-        for (int d = 0; d < D; d++) hit = both(hit, both(f[d] >= near, f[d] + near <= 1.0));
+        for (int d = 0; d < D; d++) {  // it must not be on the other side of a face
+            V near = least(f[d], V(1.0 - f[d]));
+            hit = both(hit, both(near >= 0.0, near * near >= 16.0 * d2));
+        }
         for (int d = 0; d < D; d++) {
-            found.i[d] = choose(hit, V(whole[d] + f[d]), found.i[d]);
+            found.i[d] = choose(hit, V(whole[d] + (finish ? f[d] + step[d] : f[d])), found.i[d]);
             for (int j = 0; j < D; j++) found.m[j][d] = choose(hit, m[j][d], found.m[j][d]);
         }
         found.determinant = choose(hit, determinant, found.determinant);
-        found.step2 = choose(hit, d2, found.step2);
+        found.step2 = choose(hit, left2, found.step2);
         found.done = either(found.done, hit);
         going = both(going, both(determinant > 1e-3, d2 <= 1.0));
         active = without(going, found.done);
@@ -383,11 +413,12 @@ NOINLINE bool follow_field(const Sampled& k, const double* target, const double*
 
 // Solve for a batch, with other starts where Newton's method fails from the guess in `found.i`.
 template <int D, class V>
-INLINE void undo_field_surely(const Sampled& k, const V* target, double tolerance, Undone<D, V>& found) {
+INLINE void undo_field_surely(const Sampled& k, const V* target, double tolerance, Undone<D, V>& found,
+                              double in_cells = 0) {
     const auto all = splat<V>(0.0) <= 0.0;
     if (k.order == 1)
-        k.wide ? undo_in_cells<D, double, V>(k, target, tolerance, found)
-               : undo_in_cells<D, float, V>(k, target, tolerance, found);
+        k.wide ? undo_in_cells<D, double, V>(k, target, most(in_cells, tolerance), in_cells > 0, found)
+               : undo_in_cells<D, float, V>(k, target, most(in_cells, tolerance), in_cells > 0, found);
     if (!any(without(all, found.done))) return;
     undo_field<D, V>(k, target, tolerance, 24, found);
     if (!any(without(all, found.done))) return;

@@ -87,6 +87,11 @@ struct Masked<Lanes> {
     typedef Mask type;
     static constexpr int lanes = LANES;
 };
+INLINE Lanes loaded(const double* from) {
+    Lanes v;
+    memcpy(&v, from, sizeof v);
+    return v;
+}
 INLINE double lane(double x, int) { return x; }
 INLINE double lane(Lanes x, int i) { return x[i]; }
 INLINE bool lane(bool x, int) { return x; }

@@ -26,64 +26,75 @@ inline void each_line(int step, F f) {
         for (int inner = 0; inner < step; inner++) f(outer * step * N + inner);
 }
 
-// Bounds of the determinant of the derivatives of a patch: its least value is above 0, or not.
-template <int D, int N>
-inline bool surely_upright(const Patch<D, N>& p) {
-    double mid[D][D], off[D][D];  // [b][a]: ∂a/∂b, by its range
-    int step = 1;
-    for (int b = 0; b < D; b++, step *= N)
+// Whether the determinant is above 0 for all matrices between low and high, as far as this is quickly known; [b][a].
+template <int D, class V>
+INLINE typename Masked<V>::type surely_above_0(const V (*low)[D], const V (*high)[D]) {
+    typedef typename Masked<V>::type M;
+    V mid[D][D], off[D][D], size[D][D];
+    for (int b = 0; b < D; b++)
         for (int a = 0; a < D; a++) {
-            double low = 1e300, high = -1e300;
-            each_line<D, N>(step, [&](int first) {
-                for (int i = 1; i < N; i++) {
-                    double v = p.c[a][first + i * step] - p.c[a][first + (i - 1) * step];
-                    low = std::min(low, v);
-                    high = std::max(high, v);
-                }
-            });
-            mid[b][a] = 0.5 * (low + high);
-            off[b][a] = 0.5 * (high - low);
+            mid[b][a] = 0.5 * (low[b][a] + high[b][a]);
+            off[b][a] = 0.5 * (high[b][a] - low[b][a]);
+            size[b][a] = magnitude(mid[b][a]);
         }
-    bool dominant = true;  // by rows, which is quick, and enough for what bends little
-    for (int a = 0; a < D && dominant; a++) {
-        double own = mid[a][a] - off[a][a];
+    M dominant = mid[0][0] == mid[0][0];  // by rows, which is quick, and enough for what bends little
+    for (int a = 0; a < D; a++) {
+        V own = low[a][a];
         for (int b = 0; b < D; b++)
-            if (b != a) own -= fabs(mid[b][a]) + off[b][a];
-        dominant = own > 0;
+            if (b != a) own -= size[b][a] + off[b][a];
+        dominant = both(dominant, own > 1e-9);
     }
-    if (dominant) return true;
+    if (!any(without(mid[0][0] == mid[0][0], dominant))) return dominant;
     // Multilinear in its columns: bound every term that has a deviation.
-    auto permanent = [](const double* x, const double* y, const double* z) {
+    auto permanent = [](const V* x, const V* y, const V* z) INLINE_LAMBDA -> V {
         if constexpr (D == 2) return x[0] * y[1] + x[1] * y[0];
         return x[0] * (y[1] * z[2] + y[2] * z[1]) + x[1] * (y[0] * z[2] + y[2] * z[0]) +
                x[2] * (y[0] * z[1] + y[1] * z[0]);
     };
-    double size[D][D], bound = determinant_of(mid), scale = 0;
-    for (int b = 0; b < D; b++)
-        for (int a = 0; a < D; a++) size[b][a] = fabs(mid[b][a]);
+    V bound = determinant_of(mid), scale{};
     for (int set = 0; set < 1 << D; set++) {
-        const double* row[3] = {};
+        const V* row[3] = {};
         for (int b = 0; b < D; b++) row[b] = set >> b & 1 ? off[b] : size[b];
-        double term = permanent(row[0], row[1], row[2]);
         if (set == 0)
-            scale = term;
+            scale = permanent(row[0], row[1], row[2]);
         else if (set & (set - 1))
-            bound -= term;
+            bound -= permanent(row[0], row[1], row[2]);
         else {  // one deviation: by cofactors
             int b = set == 1 ? 0 : set == 2 ? 1 : 2;
             for (int a = 0; a < D; a++) {
-                double cofactor;
+                V cofactor;
                 if constexpr (D == 2)
                     cofactor = mid[1 - b][1 - a];
                 else {
                     int p = (b + 1) % 3, q = (b + 2) % 3, r = (a + 1) % 3, s = (a + 2) % 3;
                     cofactor = mid[p][r] * mid[q][s] - mid[p][s] * mid[q][r];
                 }
-                bound -= off[b][a] * fabs(cofactor);
+                bound -= off[b][a] * magnitude(cofactor);
             }
         }
     }
-    return bound > 1e-12 * (1 + scale);
+    return either(dominant, bound > 1e-12 * (1.0 + scale));
+}
+
+// Whether the determinant of the derivatives of a patch is above 0 in all of it.
+template <int D, int N>
+inline bool surely_upright(const Patch<D, N>& p) {
+    double low[D][D], high[D][D];  // [b][a]: ∂a/∂b
+    int step = 1;
+    for (int b = 0; b < D; b++, step *= N)
+        for (int a = 0; a < D; a++) {
+            low[b][a] = 1e300;
+            high[b][a] = -1e300;
+            each_line<D, N>(step, [&](int first) {
+                for (int i = 1; i < N; i++) {
+                    double v = p.c[a][first + i * step] - p.c[a][first + (i - 1) * step];
+                    low[b][a] = std::min(low[b][a], v);
+                    high[b][a] = std::max(high[b][a], v);
+                }
+            });
+        }
+    // Along an axis, all derivatives are the differences of control points times N - 1.
+    return surely_above_0<D, double>(low, high);
 }
 
 // The part of a patch in one of the 2^D octants.
@@ -168,7 +179,7 @@ struct Spot {
     int low[D], high[D];
 };
 
-// Collect what folds of a patch.
+// Collect what folds of a patch that is not surely upright.
 template <int D, int N>
 inline void find_folds(const Patch<D, N>& p, const double (*out)[4], double growth, int cuts, const bool* low_end,
                        const bool* high_end, const int* size, std::vector<Spot<D>>& spots) {
@@ -184,18 +195,7 @@ inline void find_folds(const Patch<D, N>& p, const double (*out)[4], double grow
             low[a] = std::min(low[a], v);
             high[a] = std::max(high[a], v);
         }
-    bool beyond = false, unending = false;  // the result's grid; of an end of the field
-    for (int a = 0; a < D; a++) {
-        widest = std::max(widest, high[a] - low[a]);
-        beyond = beyond || high[a] < -1 || low[a] > size[a];
-        unending = unending || low_end[a] || high_end[a];
-    }
-    if ((beyond && !unending) || surely_upright(p)) return;
-    if (cuts < CUTS && widest > FINE) {
-        for (int which = 0; which < 1 << D; which++)
-            find_folds(octant(p, which), out, growth, cuts + 1, low_end, high_end, size, spots);
-        return;
-    }
+    for (int a = 0; a < D; a++) widest = std::max(widest, high[a] - low[a]);
     for (int b = 0; b < D; b++)  // an end of the field, whose continuation has no end
         if (low_end[b] || high_end[b])
             for (int a = 0; a < D; a++) {
@@ -207,9 +207,15 @@ inline void find_folds(const Patch<D, N>& p, const double (*out)[4], double grow
     for (int a = 0; a < D; a++) {
         spot.low[a] = (int)std::clamp(ceil(low[a] - 1e-6), 0.0, (double)size[a]);
         spot.high[a] = (int)std::clamp(floor(high[a] + 1e-6) + 1, 0.0, (double)size[a]);
-        if (spot.low[a] >= spot.high[a]) return;
+        if (spot.low[a] >= spot.high[a]) return;  // between the samples, or beyond the result's grid
     }
-    spots.push_back(spot);
+    if (cuts > 0 && surely_upright(p)) return;
+    if (cuts == CUTS || widest <= FINE) {
+        spots.push_back(spot);
+        return;
+    }
+    for (int which = 0; which < 1 << D; which++)
+        find_folds(octant(p, which), out, growth, cuts + 1, low_end, high_end, size, spots);
 }
 
 // Rows of w about a line of cells, kept while y ascends, by which most cells are known not to fold.
@@ -217,12 +223,17 @@ template <int D, int N>
 class Lines {
 public:
     explicit Lines(const Sampled& k)
-        : k(k), n(k.size[0]), held((size_t)N * DEEP * D * n), worst((size_t)D * D * n), sure(n) {}
+        : k(k),
+          n(k.size[0]),
+          padded(n + LANES + N),
+          held((size_t)N * DEEP * D * padded),
+          low((size_t)D * D * padded),
+          high(low.size()),
+          sure(padded) {}
 
-    // For each cell of a line, whether the derivatives are dominated by their diagonal everywhere in the cell. They lie
-    // between the differences of neighbouring samples that the cell depends on. Not for cells that depend on samples
-    // beyond an end.
-    const std::vector<char>& dominated(int y, int z) {
+    // For each cell of a line, whether the map is surely upright in all of it: its derivatives lie between the
+    // differences of the samples around. Not for cells that depend on samples beyond an end.
+    const std::vector<char>& upright(int y, int z) {
         std::fill(sure.begin(), sure.end(), 0);
         const int first[3] = {LEFT, y, z};
         for (int d = 1; d < D; d++)
@@ -232,7 +243,8 @@ public:
             if (z != at_z || y - LEFT + m >= next_y || y - LEFT < next_y - N) load(y - LEFT + m, z);
         at_z = z;
         next_y = y - LEFT + N;
-        std::fill(worst.begin(), worst.end(), -1e300);
+        std::fill(low.begin(), low.end(), 1e300);
+        std::fill(high.begin(), high.end(), -1e300);
         for (int j = 0; j < DEEP; j++)
             for (int m = 0; m < N; m++)
                 for (int a = 0; a < D; a++) {
@@ -241,33 +253,36 @@ public:
                     if (m + 1 < N) widen(1, a, row, of(y - LEFT + m + 1, j, a), n);
                     if (j + 1 < DEEP) widen(2, a, row, of(y - LEFT + m, j + 1, a), n);
                 }
-        for (int x = LEFT; x + N - LEFT <= n; x++) {
-            char all = 1;
-            for (int a = 0; a < D; a++) {
-                double sum = 0;
-                for (int b = 0; b < D; b++) {
-                    const double* w = &worst[(size_t)(b * D + a) * n + x - LEFT];
-                    double most = w[0];
-                    for (int i = 1; i < N - (b == 0); i++) most = w[i] > most ? w[i] : most;
-                    sum += most;
+        for (int x = LEFT; x + N - LEFT <= n; x += LANES) {
+            Lanes least_of[D][D], most_of[D][D];
+            for (int b = 0; b < D; b++)
+                for (int a = 0; a < D; a++) {
+                    const size_t at = (size_t)(b * D + a) * padded + x - LEFT;
+                    Lanes lowest = loaded(&low[at]), highest = loaded(&high[at]);
+                    for (int i = 1; i < N - (b == 0); i++) {
+                        lowest = least(lowest, loaded(&low[at + i]));
+                        highest = most(highest, loaded(&high[at + i]));
+                    }
+                    least_of[b][a] = lowest + double(a == b);
+                    most_of[b][a] = highest + double(a == b);
                 }
-                all &= sum < -1e-9;
-            }
-            sure[x] = all;
+            const Mask all = surely_above_0<D, Lanes>(least_of, most_of);
+            for (int l = 0; l < LANES; l++) sure[x + l] = all[l] != 0;
         }
+        std::fill(sure.begin() + n - N + LEFT + 1, sure.end(), 0);
         return sure;
     }
 
 private:
     static constexpr int DEEP = D == 3 ? N : 1, LEFT = N / 2 - 1;
     const Sampled& k;
-    const int n;
-    int at_z = -1, next_y = 0;  // the plane, and the row after the last that is held
-    std::vector<double> held;   // [y, as a ring][z][component][x]
-    std::vector<double> worst;  // [b][a][x]: the largest |∂w_a/∂b|, or -(1 + ∂w_a/∂a)
+    const int n, padded;
+    int at_z = -1, next_y = 0;      // the plane, and the row after the last that is held
+    std::vector<double> held;       // [y, as a ring][z][component][x]
+    std::vector<double> low, high;  // [b][a][x]: of ∂w_a/∂b
     std::vector<char> sure;
 
-    double* of(int y, int j, int a) { return &held[(((size_t)(y % N) * DEEP + j) * D + a) * n]; }
+    double* of(int y, int j, int a) { return &held[(((size_t)(y % N) * DEEP + j) * D + a) * padded]; }
     template <class T>
     void read(int y, int z) {
         for (int j = 0; j < DEEP; j++) {
@@ -284,18 +299,14 @@ private:
         }
     }
     void load(int y, int z) { k.wide ? read<double>(y, z) : read<float>(y, z); }
-    void widen(int b, int a, const double* __restrict low, const double* __restrict high, int count) {
-        double* __restrict to = &worst[(size_t)(b * D + a) * n];
-        if (a == b)
-            for (int x = 0; x < count; x++) {
-                double v = low[x] - high[x] - 1;
-                to[x] = v > to[x] ? v : to[x];
-            }
-        else
-            for (int x = 0; x < count; x++) {
-                double v = fabs(high[x] - low[x]);
-                to[x] = v > to[x] ? v : to[x];
-            }
+    void widen(int b, int a, const double* __restrict from, const double* __restrict to, int count) {
+        double* __restrict least_of = &low[(size_t)(b * D + a) * padded];
+        double* __restrict most_of = &high[(size_t)(b * D + a) * padded];
+        for (int x = 0; x < count; x++) {
+            double v = to[x] - from[x];
+            least_of[x] = v < least_of[x] ? v : least_of[x];
+            most_of[x] = v > most_of[x] ? v : most_of[x];
+        }
     }
 };
 
@@ -313,7 +324,7 @@ void each_bad_cell(const Sampled& k, bool ends, Visit visit) {
         Lines<D, N> lines(k);
         int at[3] = {0, from[1] + item % blocks * BLOCK, from[2] + item / blocks};
         for (int end = std::min(at[1] + BLOCK, to[1]); at[1] < end; at[1]++) {
-            const std::vector<char>& sure = lines.dominated(at[1], at[2]);
+            const std::vector<char>& sure = lines.upright(at[1], at[2]);
             for (at[0] = from[0]; at[0] < to[0]; at[0]++) {
                 if (at[0] >= 0 && at[0] < k.size[0] && sure[at[0]]) continue;
                 Patch<D, N> p = patch_of<D, N>(k, at);
