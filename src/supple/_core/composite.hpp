@@ -110,7 +110,7 @@ NOINLINE void pass_field(const Sampled& k, bool solved, Jet<D, TANGENTS, MIXED, 
         Undone<D, V> found{};
         field_at<D, 0, V>(k, jet.x, nullptr, nullptr, at);
         for (int a = 0; a < D; a++) found.i[a] = jet.x[a] - at.w[a];
-        undo_field_surely<D, V>(k, jet.x, 1e-10, found);
+        undo_field_surely<D, false, V>(k, jet.x, 1e-10, 1e-10, found);
         // Beyond a field that is zero there, points stay; unless they are seen within, too.
         M in = on_grid<D>(k, found.i), outside = without(in == in, in);
         V stays = V{};

@@ -125,8 +125,8 @@ void invert_row(const Inversion& job, int y, int z, Guesses& guesses) {
             found.i[a] = target[a] +
                          (guesses.rows ? loaded(&guesses.off[at]) + loaded(&guesses.slope[at]) : splat<Lanes>(near[a]));
         }
-        undo_field_surely<D, Lanes>(k, target, std::min(0.125 * job.tolerance, CONVERGED), found,
-                                    std::min(0.125 * job.tolerance, IN_CELLS));
+        undo_field_surely<D, true, Lanes>(k, target, std::min(0.125 * job.tolerance, CONVERGED),
+                                          std::min(0.125 * job.tolerance, IN_CELLS), found);
         Lanes off[D], place[D];
         for (int a = 0; a < D; a++) off[a] = found.i[a] - target[a];
         const Mask all = Mask{} == 0;
@@ -301,7 +301,12 @@ void bind_fields(nb::module_& m) {
                 fill_matrix(to_place, n, n, matrix);
                 for (int i = 0; i < n; i++) std::copy(matrix[i], matrix[i] + n, k.to_place[i]);
                 fill_matrix(vectors, n, n, matrix);
-                for (int i = 0; i < n; i++) std::copy(matrix[i], matrix[i] + n, k.vectors[i]);
+                k.diagonal = true;
+                for (int i = 0; i < n; i++)
+                    for (int j = 0; j < n; j++) {
+                        k.vectors[i][j] = matrix[i][j];
+                        k.diagonal = k.diagonal && (i == j || matrix[i][j] == 0);
+                    }
             },
             "values"_a, "order"_a, "first"_a, "last"_a, "margin"_a, "zero"_a, "to_index"_a, "to_place"_a, "vectors"_a)
         .def("folded_cells", &folded_cells, "cells"_a.noconvert(), "Mark the cells in which it may fold.")

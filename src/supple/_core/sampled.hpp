@@ -19,6 +19,7 @@ struct Sampled {
     double to_index[3][4];  // A and b
     double to_place[3][3];  // A⁻¹
     double vectors[3][3];   // from a value to a displacement of the index
+    bool diagonal;          // of `vectors`: there is nothing else
 };
 
 // w at an index, its derivatives dw[b][a] = ∂w_a/∂i_b, and its second derivative along two directions.
@@ -209,10 +210,10 @@ INLINE V determinant_of(const V (*t)[3]) {
 // it leads to: samples are read once for a cell. A solution in its cell is one of the field, whatever lies beside it;
 // it is proved by Kantorovich's theorem. For other guesses, nothing is changed.
 //
-// If `finish`, the last step is taken, and the polynomial's residual after it is known without another evaluation: the
-// derivatives in `found` are then those before the step.
-template <int D, class T, class V>
-NOINLINE void undo_in_cells(const Sampled& k, const V* target, double tolerance, bool finish, Undone<D, V>& found) {
+// If FINISH, the last step is taken, and the polynomial's residual after it is known without another evaluation;
+// `found` then has no derivatives, but the determinant before the step.
+template <int D, bool FINISH, class T, class V>
+NOINLINE void undo_in_cells(const Sampled& k, const V* target, double tolerance, Undone<D, V>& found) {
     typedef typename Masked<V>::type M;
     constexpr int N = Masked<V>::lanes, CORNERS = 1 << D;
     V f[D], whole[D], c[CORNERS][D];  // c: of xyz, the powers whose bits are set in the index
@@ -243,8 +244,9 @@ NOINLINE void undo_in_cells(const Sampled& k, const V* target, double tolerance,
                 for (int d = 0; d < D; d++)
                     for (int l = 0; l < N; l++) set_lane(raw[d], l, start[l][offset + d]);
                 for (int r = 0; r < D; r++) {
-                    c[q][r] = V{};
-                    for (int d = 0; d < D; d++) c[q][r] += k.vectors[r][d] * raw[d];
+                    c[q][r] = k.vectors[r][r] * raw[r];
+                    for (int d = 0; d < D && !k.diagonal; d++)
+                        if (d != r) c[q][r] += k.vectors[r][d] * raw[d];
                 }
             }
             for (int d = 0; d < D; d++)
@@ -279,7 +281,7 @@ NOINLINE void undo_in_cells(const Sampled& k, const V* target, double tolerance,
             for (int j = 0; j < D; j++) m2 += m[j][d] * m[j][d];
         }
         V left2 = d2;  // the squared distance to the solution, to first order
-        if (finish) {
+        if constexpr (FINISH) {
             left2 = V{};
             V rest[D];
             for (int r = 0; r < D; r++) {
@@ -305,8 +307,8 @@ NOINLINE void undo_in_cells(const Sampled& k, const V* target, double tolerance,
             hit = both(hit, both(near >= 0.0, near * near >= 16.0 * d2));
         }
         for (int d = 0; d < D; d++) {
-            found.i[d] = choose(hit, V(whole[d] + (finish ? f[d] + step[d] : f[d])), found.i[d]);
-            for (int j = 0; j < D; j++) found.m[j][d] = choose(hit, m[j][d], found.m[j][d]);
+            found.i[d] = choose(hit, V(whole[d] + (FINISH ? f[d] + step[d] : f[d])), found.i[d]);
+            for (int j = 0; j < D && !FINISH; j++) found.m[j][d] = choose(hit, m[j][d], found.m[j][d]);
         }
         found.determinant = choose(hit, determinant, found.determinant);
         found.step2 = choose(hit, left2, found.step2);
@@ -411,14 +413,15 @@ NOINLINE bool follow_field(const Sampled& k, const double* target, const double*
     return way >= 1;
 }
 
-// Solve for a batch, with other starts where Newton's method fails from the guess in `found.i`.
-template <int D, class V>
-INLINE void undo_field_surely(const Sampled& k, const V* target, double tolerance, Undone<D, V>& found,
-                              double in_cells = 0) {
+// Solve for a batch, with other starts where Newton's method fails from the guess in `found.i`. Within a cell of a
+// linear field, the distance to the solution is proved, and may be `in_cells`; FINISH as in `undo_in_cells`.
+template <int D, bool FINISH, class V>
+INLINE void undo_field_surely(const Sampled& k, const V* target, double tolerance, double in_cells,
+                              Undone<D, V>& found) {
     const auto all = splat<V>(0.0) <= 0.0;
     if (k.order == 1)
-        k.wide ? undo_in_cells<D, double, V>(k, target, most(in_cells, tolerance), in_cells > 0, found)
-               : undo_in_cells<D, float, V>(k, target, most(in_cells, tolerance), in_cells > 0, found);
+        k.wide ? undo_in_cells<D, FINISH, double, V>(k, target, in_cells, found)
+               : undo_in_cells<D, FINISH, float, V>(k, target, in_cells, found);
     if (!any(without(all, found.done))) return;
     undo_field<D, V>(k, target, tolerance, 24, found);
     if (!any(without(all, found.done))) return;

@@ -223,13 +223,7 @@ template <int D, int N>
 class Lines {
 public:
     explicit Lines(const Sampled& k)
-        : k(k),
-          n(k.size[0]),
-          padded(n + LANES + N),
-          held((size_t)N * DEEP * D * padded),
-          low((size_t)D * D * padded),
-          high(low.size()),
-          sure(padded) {}
+        : k(k), n(k.size[0]), padded(n + LANES + N), held((size_t)N * DEEP * D * padded), sure(padded) {}
 
     // For each cell of a line, whether the map is surely upright in all of it: its derivatives lie between the
     // differences of the samples around. Not for cells that depend on samples beyond an end.
@@ -243,30 +237,32 @@ public:
             if (z != at_z || y - LEFT + m >= next_y || y - LEFT < next_y - N) load(y - LEFT + m, z);
         at_z = z;
         next_y = y - LEFT + N;
-        std::fill(low.begin(), low.end(), 1e300);
-        std::fill(high.begin(), high.end(), -1e300);
-        for (int j = 0; j < DEEP; j++)
-            for (int m = 0; m < N; m++)
-                for (int a = 0; a < D; a++) {
-                    const double* row = of(y - LEFT + m, j, a);
-                    widen(0, a, row, row + 1, n - 1);
-                    if (m + 1 < N) widen(1, a, row, of(y - LEFT + m + 1, j, a), n);
-                    if (j + 1 < DEEP) widen(2, a, row, of(y - LEFT + m, j + 1, a), n);
-                }
         for (int x = LEFT; x + N - LEFT <= n; x += LANES) {
-            Lanes least_of[D][D], most_of[D][D];
-            for (int b = 0; b < D; b++)
-                for (int a = 0; a < D; a++) {
-                    const size_t at = (size_t)(b * D + a) * padded + x - LEFT;
-                    Lanes lowest = loaded(&low[at]), highest = loaded(&high[at]);
-                    for (int i = 1; i < N - (b == 0); i++) {
-                        lowest = least(lowest, loaded(&low[at + i]));
-                        highest = most(highest, loaded(&high[at + i]));
-                    }
-                    least_of[b][a] = lowest + double(a == b);
-                    most_of[b][a] = highest + double(a == b);
+            Lanes low[D][D], high[D][D];
+            for (int a = 0; a < D; a++) {
+                for (int b = 0; b < D; b++) {
+                    low[b][a] = splat<Lanes>(1e300);
+                    high[b][a] = splat<Lanes>(-1e300);
                 }
-            const Mask all = surely_above_0<D, Lanes>(least_of, most_of);
+                auto widen = [&](int b, Lanes v) INLINE_LAMBDA {
+                    low[b][a] = least(low[b][a], v);
+                    high[b][a] = most(high[b][a], v);
+                };
+                Lanes w[DEEP][N][N];
+                for (int j = 0; j < DEEP; j++)
+                    for (int m = 0; m < N; m++) {
+                        const double* row = of(y - LEFT + m, j, a) + x - LEFT;
+                        for (int i = 0; i < N; i++) {
+                            w[j][m][i] = loaded(row + i);
+                            if (i > 0) widen(0, w[j][m][i] - w[j][m][i - 1]);
+                            if (m > 0) widen(1, w[j][m][i] - w[j][m - 1][i]);
+                            if (j > 0) widen(D - 1, w[j][m][i] - w[j - 1][m][i]);
+                        }
+                    }
+                low[a][a] += 1.0;
+                high[a][a] += 1.0;
+            }
+            const Mask all = surely_above_0<D, Lanes>(low, high);
             for (int l = 0; l < LANES; l++) sure[x + l] = all[l] != 0;
         }
         std::fill(sure.begin() + n - N + LEFT + 1, sure.end(), 0);
@@ -277,9 +273,8 @@ private:
     static constexpr int DEEP = D == 3 ? N : 1, LEFT = N / 2 - 1;
     const Sampled& k;
     const int n, padded;
-    int at_z = -1, next_y = 0;      // the plane, and the row after the last that is held
-    std::vector<double> held;       // [y, as a ring][z][component][x]
-    std::vector<double> low, high;  // [b][a][x]: of ∂w_a/∂b
+    int at_z = -1, next_y = 0;  // the plane, and the row after the last that is held
+    std::vector<double> held;   // [y, as a ring][z][component][x]
     std::vector<char> sure;
 
     double* of(int y, int j, int a) { return &held[(((size_t)(y % N) * DEEP + j) * D + a) * padded]; }
@@ -290,24 +285,18 @@ private:
             const T* from = (const T*)k.values + (row * k.size[1] + y) * n * D;
             for (int a = 0; a < D; a++) {
                 double* to = of(y, j, a);
-                for (int x = 0; x < n; x++) {
-                    double w = 0;
-                    for (int c = 0; c < D; c++) w += k.vectors[a][c] * from[x * D + c];
-                    to[x] = w;
-                }
+                if (k.diagonal)
+                    for (int x = 0; x < n; x++) to[x] = k.vectors[a][a] * from[x * D + a];
+                else
+                    for (int x = 0; x < n; x++) {
+                        double w = 0;
+                        for (int c = 0; c < D; c++) w += k.vectors[a][c] * from[x * D + c];
+                        to[x] = w;
+                    }
             }
         }
     }
     void load(int y, int z) { k.wide ? read<double>(y, z) : read<float>(y, z); }
-    void widen(int b, int a, const double* __restrict from, const double* __restrict to, int count) {
-        double* __restrict least_of = &low[(size_t)(b * D + a) * padded];
-        double* __restrict most_of = &high[(size_t)(b * D + a) * padded];
-        for (int x = 0; x < count; x++) {
-            double v = to[x] - from[x];
-            least_of[x] = v < least_of[x] ? v : least_of[x];
-            most_of[x] = v > most_of[x] ? v : most_of[x];
-        }
-    }
 };
 
 // Visit the cells of a field in which it may fold: visit(cell, patch), with those beyond its ends if `ends`.
