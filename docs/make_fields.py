@@ -131,7 +131,8 @@ def slices(path: Path, folded: Array, status: Array, errors: dict[str, Array]) -
     legend = {FOLDED: "folded: more than one point", UNCONVERGED: "unconverged: no point found"}
     for code, colour in COLOURS.items():
         second.imshow(flat(status[PART_Z, PART_Y, MIDLINE], code, colour), origin="lower", extent=box)
-    handles = [Patch(color=COLOURS[code], label=label) for code, label in legend.items()]
+    seen = status[PART_Z, PART_Y, MIDLINE]
+    handles = [Patch(color=COLOURS[code], label=label) for code, label in legend.items() if (seen == code).any()]
     second.legend(handles=handles, loc="lower right", framealpha=0.9, title="all else: ok", alignment="left")
     titles = ("ITK’s inverse, 10 iterations (its default): off by …", "ITK’s inverse, 100 iterations: off by …")
     for axes, name, way in zip(below, titles, WAYS, strict=False):
