@@ -339,9 +339,10 @@ class Inverted:
         A bound on the distance of x from the true inverse of the interpolant, in the grid's units (millimetres); inf
         where it is not known.
     status : uint8 array, of the grid's shape
-        For each sample: `OK`; `FOLDED`, if the field folds there, or what folds elsewhere is mapped to there, so that
-        several points may be mapped to this one; `OUTSIDE`, if only a point beyond the field's grid could be mapped to
-        it; or `UNCONVERGED`, if none was found.
+        For each sample: `OK`, if x is on the field's grid, and no other point is mapped there, not even of the field as
+        its edge continues it; `FOLDED`, if several points may be mapped there, since something that folds is, perhaps
+        beyond the grid; `OUTSIDE`, if x is beyond the grid, on the field as its edge continues it; or `UNCONVERGED`, if
+        no x was found within the tolerance.
     """
 
     field: Field

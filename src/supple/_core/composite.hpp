@@ -120,7 +120,7 @@ NOINLINE void pass_field(const Sampled& k, bool solved, Jet<D, TANGENTS, MIXED, 
             in = either(in, same);
         }
         const M still = stays > 0.0;
-        if (k.zero) passed.within = both(passed.within, in);
+        passed.within = both(passed.within, in);
         passed.upright = both(passed.upright, either(still, found.determinant > 0.0));
         passed.done = both(passed.done, either(still, found.done));
         passed.steps += found.steps + 1.0;

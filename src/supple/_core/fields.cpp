@@ -138,8 +138,7 @@ void invert_row(const Inversion& job, int y, int z, Guesses& guesses) {
             found.determinant = choose(same, splat<Lanes>(1.0), found.determinant);
             found.done = either(found.done, same);
             in = either(in, same);
-        } else
-            in = all;
+        }
         for (int a = 0; a < D; a++) {
             place[a] = Lanes{};
             for (int b = 0; b < D; b++) place[a] += k.to_place[a][b] * off[b];
@@ -178,6 +177,8 @@ void invert_row(const Inversion& job, int y, int z, Guesses& guesses) {
     }
 }
 
+// The field is continued beyond its ends, whatever is beyond: of two points that are mapped to one, or of their
+// continuations, there is always a third that is turned over.
 template <int D, int N>
 void mark_folds(const Inversion& job) {
     std::vector<Spot<D>> spots;
@@ -187,8 +188,8 @@ void mark_folds(const Inversion& job) {
         std::vector<Spot<D>> some;
         bool low[D], high[D];
         for (int d = 0; d < D; d++) {
-            low[d] = !k.zero && at[d] < k.first[d];
-            high[d] = !k.zero && at[d] >= k.last[d];
+            low[d] = at[d] < k.first[d];
+            high[d] = at[d] >= k.last[d];
         }
         find_folds(p, job.back, 1e9, 0, low, high, job.size, some);
         std::lock_guard guard(lock);

@@ -61,6 +61,11 @@ class _Job:
         """The number of coefficients at each end of an axis that are beyond the field."""
         return 1 if self.interpolation == "bspline" else 0
 
+    @property
+    def solved(self) -> tuple[int, ...]:
+        """The statuses that have gradients: beyond its grid, too, a field goes on by its edge, but not by zero."""
+        return (OK, OUTSIDE) if self.beyond == "edge" else (OK,)
+
     def samples(self, values: torch.Tensor) -> Samples:
         """Return fields (N, D, *shape) as samples, differentiably."""
         n, sizes = values.shape[1], tuple(values.shape[:1:-1])
@@ -122,7 +127,8 @@ def invert(
     Warns
     -----
     FoldWarning, OutsideWarning, ToleranceWarning
-        If gradients are wanted, and are zero at samples whose status is folded, outside or unconverged.
+        If gradients are wanted, and are zero at samples whose status is folded, unconverged, or, of a field that is
+        zero beyond its grid, outside.
 
     Notes
     -----
@@ -136,10 +142,11 @@ def invert(
     tolerance = number("tolerance", tolerance, "a number of samples above 0", 1e-9, 1e9)
     if interpolation == "bspline" and min(many.shape[2:]) < 4:
         raise SuppleError(f"a cubic B-spline needs 4 coefficients along each axis, found {tuple(many.shape[2:])}")
-    found, error, status = _Inverse.apply(many, _Job(steps, interpolation, beyond, tolerance))
+    job = _Job(steps, interpolation, beyond, tolerance)
+    found, error, status = _Inverse.apply(many, job)
     made = Inverted(found[0], error[0], status[0]) if single else Inverted(found, error, status)
     if found.requires_grad:
-        _warn(made)
+        _warn(made, job)
     return made
 
 
@@ -160,9 +167,9 @@ def _checked(values: object) -> tuple[torch.Tensor, bool]:
     return (values if batch else values[None]), not batch
 
 
-def _warn(made: Inverted) -> None:
-    counts = made.counts
-    lost = {name: count for name, count in counts.items() if count and name != STATUS[OK]}
+def _warn(made: Inverted, job: _Job) -> None:
+    counts, solved = made.counts, [STATUS[code] for code in job.solved]
+    lost = {name: count for name, count in counts.items() if count and name not in solved}
     if not lost:
         return
     kinds = {STATUS[FOLDED]: FoldWarning, STATUS[OUTSIDE]: OutsideWarning, STATUS[UNCONVERGED]: ToleranceWarning}
@@ -235,10 +242,9 @@ def solved_on_device(values: torch.Tensor, job: _Job) -> tuple[torch.Tensor, tor
             exact = got.done & (left + (lost / spacing).square().sum(0).sqrt() <= job.tolerance)
             flat_error[part] = torch.where(got.done, bound * (1 + 1e-6), torch.inf).float()
             within = torch.ones_like(got.done)
-            if samples.zero:
-                margin = ROUNDING if job.edge else 0.5
-                for x, (first, last) in zip(got.points, samples.ends, strict=True):
-                    within &= (x >= first - margin) & (x <= last + margin)
+            margin = ROUNDING if job.edge else 0.5
+            for x, (first, last) in zip(got.points, samples.ends, strict=True):
+                within &= (x >= first - margin) & (x <= last + margin)
             known = torch.where(within, OK, OUTSIDE)
             known = torch.where((got.determinant > 0) & ~folds.flatten()[part], known, FOLDED)
             flat_status[part] = torch.where(exact, known, UNCONVERGED).to(torch.uint8)
@@ -270,7 +276,7 @@ def _gradient(
         part = slice(start, min(start + _TOGETHER, len(found) * count))
         numbers = torch.arange(part.start, part.stop, device=values.device)
         at, _, base = _points(numbers, samples)
-        well = status.flatten()[part] == OK
+        well = torch.isin(status.flatten()[part], torch.tensor(job.solved, device=status.device))
         at, base = [x[well] for x in at], base[well]
         offsets, slopes = ([row[part][well].double() for row in rows] for rows in flat)
         points = [i + x / step for i, x, step in zip(at, offsets, job.spacing, strict=True)]

@@ -133,7 +133,7 @@ def _patches(samples: Samples, at: Sequence[torch.Tensor], field: torch.Tensor) 
         shape = [1] * n + [len(cell)]
         shape[axis - 1] = taps
         points[axis - 1] += (place[:, None] + cell).reshape(shape)
-    return _Patches(points, field, torch.stack(befores) & (not samples.zero), torch.stack(afters) & (not samples.zero))
+    return _Patches(points, field, torch.stack(befores), torch.stack(afters))
 
 
 def _upright(points: torch.Tensor) -> torch.Tensor:
