@@ -12,6 +12,7 @@ import nibabel
 import numpy as np
 import numpy.typing as npt
 import pytest
+import SimpleITK as sitk  # noqa: N813
 
 from supple import Affine, Field, FoldWarning, Grid, OutsideWarning, SuppleError
 from supple.files import fields as verbs
@@ -192,8 +193,8 @@ def test_all_outputs_or_none(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
     assert sorted(os.listdir(tmp_path)) == ["deep", "u.mha"]
     whole = verbs.write_image
 
-    def breaking(path: Path, values: Array, grid: Grid | None) -> None:
-        whole(path, values, grid)
+    def breaking(path: Path, values: Array, *rest: Any, **named: Any) -> None:
+        whole(path, values, *rest, **named)
         if values.dtype == np.uint8:
             raise SuppleError(f"cannot write {path}: the disk is full: make room")
 
@@ -239,6 +240,42 @@ def test_a_field_is_checked_with_its_inverse(tmp_path: Path) -> None:
     assert facts["folds"] is False
 
 
+@pytest.mark.parametrize("suffix", [".nii", ".nii.gz", ".nrrd", ".mha", ".tif"])
+def test_what_is_not_known_is_no_zero_in_itk(tmp_path: Path, suffix: str) -> None:
+    """ITK reads inf and NaN in NIfTI as 0, which is no error, and no change of volume."""
+    field = Field(np.random.default_rng(0).normal(0, 2, (*GRID.shape, 3)), GRID)
+    inverse, logarithms = field.invert(), field.log_jacobian()
+    assert np.isinf(inverse.error).any()
+    assert np.isnan(logarithms).any()
+    put(tmp_path / "u.mha", field)
+    made = invert_file(
+        tmp_path / "u.mha", tmp_path / "v.mha", error=tmp_path / f"e{suffix}", status=tmp_path / f"s{suffix}"
+    )
+    assert made.counts == inverse.counts
+    check_file(tmp_path / "u.mha", map=tmp_path / f"j{suffix}")
+    error, status, found = (
+        sitk.GetArrayFromImage(sitk.ReadImage(os.fspath(tmp_path / f"{name}{suffix}"))) for name in "esj"
+    )
+    np.testing.assert_array_equal(status, inverse.status)
+    for seen, meant, nifti in ((error, inverse.error, np.finfo("f4").max), (found, logarithms, np.finfo("f4").min)):
+        assert seen.dtype == np.float32
+        known = np.isfinite(meant)
+        np.testing.assert_array_equal(seen[known], meant[known])
+        if suffix.startswith(".nii"):
+            assert (seen[~known] == nifti).all()
+        else:
+            np.testing.assert_array_equal(seen, meant)
+    assert (np.exp(found[np.isnan(logarithms)].astype(float)) == 0).all() or not suffix.startswith(".nii")
+
+
+def test_itk_reads_nan_in_nifti_as_zero(tmp_path: Path) -> None:
+    """The day it does not, inf and NaN can be written."""
+    samples = np.array([1, np.inf, -np.inf, np.nan], np.float32).reshape(1, 1, 4)
+    volume.write(tmp_path / "a.nii", samples, volume.Volume(samples, Geometry()))
+    np.testing.assert_array_equal(nibabel.load(tmp_path / "a.nii").get_fdata().ravel(), samples.ravel())
+    assert sitk.GetArrayFromImage(sitk.ReadImage(os.fspath(tmp_path / "a.nii"))).ravel().tolist() == [1, 0, 0, 0]
+
+
 def test_json_has_no_nan(tmp_path: Path) -> None:
     put(tmp_path / "u.mha", Field(np.full((*GRID.shape, 3), 500.0), GRID))
     facts = check_file(tmp_path / "u.mha", tmp_path / "u.mha").facts()
@@ -250,7 +287,11 @@ def test_one_field_is_checked(tmp_path: Path) -> None:
     with pytest.raises(SuppleError, match=r"both.h5 holds an affine map and a field, and not one field: supple compo"):
         check_file(tmp_path / "both.h5")
     put(tmp_path / "u.mha", smooth())
-    for name, text in (("j.xyz", "the suffix .xyz is no format that volumes are written in"), ("j", "a name without")):
+    for name, text in (
+        ("j.xyz", "the suffix .xyz is no format that volumes are written in"),
+        ("j", "a name without"),
+        ("j.mhd", r"j.mhd: its data would be in a second file: use .mha"),
+    ):
         with pytest.raises(SuppleError, match=text):
             check_file(tmp_path / "u.mha", map=tmp_path / name)
     with pytest.raises(SuppleError, match=r"a plot's name must end in .png, .svg, .pdf"):
@@ -331,6 +372,24 @@ def test_there_and_back(tmp_path: Path, to: str) -> None:
     np.testing.assert_allclose(read(tmp_path / "v.nrrd").values, field.values, atol=2e-5)
     facts = there.facts()
     assert (facts["written"]["holds"], facts["written"]["units"]) == (KINDS[to].holds, "mm")
+
+
+def test_an_oblique_field_stays_one_in_ome_zarr(tmp_path: Path) -> None:
+    field = smooth(size=0.6, dtype=np.float32)
+    put(tmp_path / "u.nii.gz", field)
+    convert_file(tmp_path / "u.nii.gz", tmp_path / "u.zarr")
+    again = Field.read(tmp_path / "u.zarr")
+    assert again.grid.is_same_space(GRID)
+    np.testing.assert_allclose(again.values, field.values, rtol=0, atol=1e-6)
+    one, other = (check_file(tmp_path / name).report for name in ("u.nii.gz", "u.zarr"))
+    assert (one.folded, one.samples) == (other.folded, other.samples)
+    assert one.determinant == pytest.approx(other.determinant, abs=1e-5)
+    invert_file(tmp_path / "u.zarr", tmp_path / "v.nii.gz", to="itk", error=tmp_path / "e.nii.gz")
+    assert read(tmp_path / "v.nii.gz").grid.is_same_space(GRID)
+    compose_files([Input(tmp_path / "u.zarr")], tmp_path / "w.nii.gz", to="itk")
+    composed = read(tmp_path / "w.nii.gz")
+    assert composed.grid.is_same_space(GRID)
+    np.testing.assert_allclose(composed.values, field.values, rtol=0, atol=1e-6)
 
 
 def test_what_a_convention_needs_or_cannot_hold(tmp_path: Path) -> None:

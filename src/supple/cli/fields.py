@@ -60,7 +60,8 @@ def invert(
     tolerance
         Largest allowed error, in voxels of FIELD.
     error
-        Also write an image of the error of each voxel, in millimetres: inf where it is not known.
+        Also write an image of the error of each voxel, in millimetres: inf where it is not known; in NIfTI, where
+        ITK reads inf as 0, 3.4028235e38.
     status
         Also write an image of what became of each voxel: 0 ok, 1 folded, 2 outside, 3 unconverged.
     report
@@ -113,7 +114,7 @@ def check(
         The input (moving) image of FIELD, which FSL's conventions need.
     map
         Also write an image of the logarithm of the Jacobian determinant, by central differences: NaN where the
-        determinant is not above 0.
+        determinant is not above 0; in NIfTI, where ITK reads NaN as 0, -3.4028235e38.
     picture
         Also draw a slice: the grid, the logarithm of the determinant and the folds (PNG, SVG or PDF).
     """

@@ -11,6 +11,7 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
 import numpy.typing as npt
 
 from supple.affine import Affine
@@ -38,6 +39,9 @@ Array = npt.NDArray[Any]
 PathLike = str | os.PathLike[str]
 
 _IMAGES = (".nii", ".nii.gz", ".nrrd", ".nhdr", ".mha", ".mhd", ".mif", ".mif.gz", ".mgz")
+# In NIfTI, in place of inf and NaN, which ITK reads there as 0: no error, no change of volume. No threshold for errors
+# takes the largest number for a small one. The exponential of the least number is 0: no volume at all is left.
+_UNKNOWN_ERROR, _NO_LOGARITHM = float(np.finfo(np.float32).max), float(np.finfo(np.float32).min)
 
 
 class Input(NamedTuple):
@@ -181,7 +185,8 @@ def invert_file(
     tolerance : float
         As in `Field.invert`.
     error, status : str or os.PathLike, optional
-        Images of `Inverted.error` (float32) and `Inverted.status` (uint8), on the grid of the inverse; of one field.
+        Images of `Inverted.error` (float32) and `Inverted.status` (uint8), on the grid of the inverse; of one field. In
+        NIfTI, the largest float32 (3.4028235e38) stands in place of inf, which ITK reads there as 0.
     report : str or os.PathLike, optional
         A JSON file of the figures.
     force : bool
@@ -236,7 +241,8 @@ def invert_file(
         here = read.grid if fields else wanted
         write_file(places[target], maps, known, source=here, reference=moving)
         for path, values in extra.items():
-            write_image(places[path], values, own_grid(maps[0]) if isinstance(maps[0], Field) else None)
+            grid = own_grid(maps[0]) if isinstance(maps[0], Field) else None
+            write_image(places[path], values, grid, in_nifti=_UNKNOWN_ERROR if path is error else None)
         how = "as asked" if to else "as it was read"
         written = MapFile(Path(target), known, how, maps)
         made = InvertedFile((read,), written, time.perf_counter() - began, counts, worst, tolerance)
@@ -268,7 +274,8 @@ def check_file(
     image : str or os.PathLike, optional
         The input (moving) image of the source, which FSL's conventions need.
     map : str or os.PathLike, optional
-        The image for the logarithm of the Jacobian determinant, float32, as `Field.log_jacobian` returns it.
+        The image for the logarithm of the Jacobian determinant, float32, as `Field.log_jacobian` returns it. In NIfTI,
+        the most negative float32 (-3.4028235e38) stands in place of NaN, which ITK reads there as 0.
     picture : str or os.PathLike, optional
         A PNG, SVG or PDF file for `supple.plot.fields.draw_check`.
     force : bool
@@ -298,7 +305,7 @@ def check_file(
         with replacing_together(outputs, force=force) as hidden:
             places = dict(zip(outputs, hidden, strict=True))
             if map is not None:
-                write_image(places[map], logarithms, report.grid)
+                write_image(places[map], logarithms, report.grid, in_nifti=_NO_LOGARITHM)
             if picture is not None:
                 from supple.plot.fields import draw_check
 

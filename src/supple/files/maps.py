@@ -16,6 +16,7 @@ from supple.errors import SuppleError, shown
 from supple.fields import Field, Map, own_grid
 from supple.geometry import Geometry, Grid
 from supple.media import transforms, volume
+from supple.media.files import unwritable
 from supple.media.volume import is_volume, suffix_of
 
 Array = npt.NDArray[Any]
@@ -177,17 +178,25 @@ def write_file(
 
 
 def check_images(*paths: PathLike | None) -> None:
-    """Raise SuppleError for names of neither a volume nor a picture."""
+    """Raise SuppleError for names of neither a volume nor a picture, and of volumes that are two files."""
     from supple.media import image
 
     for path in paths:
+        if path is not None and suffix_of(path) == ".mhd":  # outputs that appear together are one file each
+            raise unwritable(path, "its data would be in a second file", "use .mha")
         if path is not None and suffix_of(path) not in image.SUFFIXES_OUT:
             volume.check_target(path)
 
 
-def write_image(path: PathLike, values: Array, grid: Grid | None) -> None:
-    """Write values of the samples of a grid as a volume or a picture."""
+def write_image(path: PathLike, values: Array, grid: Grid | None, *, in_nifti: float | None = None) -> None:
+    """Write values of the samples of a grid as a volume or a picture.
+
+    ``in_nifti`` is written to NIfTI files in place of inf and NaN: ITK, and so SimpleITK, ANTs and 3D Slicer, reads
+    these as 0 there, but keeps them in all other formats.
+    """
     assert grid is not None
+    if in_nifti is not None and suffix_of(path).startswith(".nii"):
+        values = np.where(np.isfinite(values), values, values.dtype.type(in_nifti))
     if grid.ndim == 2:
         from supple.media import image
 

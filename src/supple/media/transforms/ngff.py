@@ -45,8 +45,9 @@ def read(path: PathLike, *, source: Grid | None = None) -> tuple[Content, ...]:
     -------
     tuple of Content
         x first. Lengths that have a unit are in millimetres, those without are left as they are; axes that have an
-        anatomical orientation are turned to LPS, others are left as they are. Neither does the format say what a field
-        is beyond its edges: it is taken as no displacement.
+        anatomical orientation are turned to LPS, others are left as they are. A field between an affine map and its
+        inverse, as `write` makes them, is one field on an oriented grid, if its axes are at right angles. The format
+        does not say what a field is beyond its edges: it is taken as no displacement.
 
     Raises
     ------
@@ -61,8 +62,8 @@ def write(path: PathLike, contents: Sequence[Content], *, source: Grid | None = 
     """Write a map as an OME-Zarr scene of version 0.6, whose transformation leads from the output to the input image.
 
     Fields of volumes are in millimetres, those of pictures in pixels. A field whose grid is turned is written as a
-    sequence: an affine map, the field along its own axes, and the map back. What a field is beyond its edges, the
-    format does not say.
+    sequence: an affine map, the field along its own axes, and the map back; `read` makes one field of it. What a field
+    is beyond its edges, the format does not say.
 
     Parameters
     ----------

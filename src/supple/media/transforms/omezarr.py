@@ -13,6 +13,7 @@ from supple.errors import SuppleError, need
 from supple.geometry import Grid
 from supple.media.files import PathLike, unreadable
 from supple.media.transforms.base import Array, Content, Displacements, Matrix
+from supple.media.transforms.sequences import shortened
 
 _PREFIXES = {
     "": 0, "yocto": -24, "zepto": -21, "atto": -18, "femto": -15, "pico": -12, "nano": -9, "micro": -6, "milli": -3,
@@ -100,7 +101,7 @@ class Store:
         tail = after @ np.linalg.inv(before)
         if not np.allclose(tail, np.eye(len(tail)), rtol=0, atol=1e-12):
             turned.append(_homogeneous(tail))
-        return tuple(_merged(turned))
+        return tuple(shortened(turned))
 
     def _only(self) -> tuple[Json, Json]:
         """Return the only transformation, and the object that it is listed in."""
@@ -361,14 +362,3 @@ def _turned(part: Matrix | _Raw, axes: Matrix) -> Content:
     dtype = np.float64 if part.values.dtype.itemsize == 8 else np.float32
     values = part.values.transpose([*order[::-1], n]) @ axes.T.astype(dtype)
     return Displacements(np.ascontiguousarray(values, dtype), grid, part.interpolation)
-
-
-def _merged(parts: list[Content]) -> list[Content]:
-    """Return the parts with matrices that follow each other multiplied."""
-    made: list[Content] = []
-    for part in parts:
-        if made and isinstance(part, np.ndarray) and isinstance(made[-1], np.ndarray):
-            made[-1] = np.asarray(part @ made[-1])
-        else:
-            made.append(part)
-    return made
