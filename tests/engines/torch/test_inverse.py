@@ -13,7 +13,7 @@ import pytest
 
 import supple
 from supple.errors import FoldWarning, OutsideWarning, SuppleError
-from supple.fields import FOLDED, OK, Affine, Field
+from supple.fields import FOLDED, OK, OUTSIDE, Affine, Field
 
 if os.environ.get("SUPPLE_TEST_TORCH") == "1":
     import torch
@@ -101,7 +101,8 @@ def test_operations_of_pytorch_on_a_smooth_field(shape: tuple[int, ...], interpo
     job = inverse._Job((1.0,) * len(shape), interpolation, "edge", 1e-4)
     (values, error, status), others = inverse.solved_by_core(given, job), inverse.solved_on_device(given, job)
     assert torch.equal(status, others[2])
-    assert (status == OK).double().mean() > 0.95
+    assert ((status == OK) | (status == OUTSIDE)).all()
+    assert (status == OK).double().mean() > 0.9
     assert ((values - others[0]).norm(dim=1) <= error + others[1] + 1e-13)[status == OK].all()
 
 
@@ -129,9 +130,9 @@ def test_gradients_of_a_field(shape: tuple[int, ...], beyond: Any, interpolation
     options: Any = {"spacing": STEPS[: shape[batch]], "interpolation": interpolation, "beyond": beyond}
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", OutsideWarning)
-        well = (bending.invert(given, tolerance=1e-9, **options).status == OK).unsqueeze(
-            -len(STEPS[: shape[batch]]) - 1
-        )
+        status = bending.invert(given, tolerance=1e-9, **options).status
+        well = (status == OK) | ((status == OUTSIDE) & (beyond == "edge"))
+        well = well.unsqueeze(-len(STEPS[: shape[batch]]) - 1)
         if interpolation != "bspline" or beyond == "edge":
             assert well.all()
 
@@ -149,7 +150,7 @@ def test_gradients_against_differences_of_fields(interpolation: Any) -> None:
     weights, way = picture(*given.shape, seed=1), picture(*given.shape, seed=2)
     options: Any = {"spacing": STEPS, "interpolation": interpolation}
     made = bending.invert(given, tolerance=1e-9, **options)
-    assert made.counts["ok"] == made.status.numel()
+    assert made.counts["ok"] + made.counts["outside"] == made.status.numel()
     (slope,) = torch.autograd.grad((made.values * weights).sum(), given)
     seen = []
     for step in (-1e-6, 1e-6):
@@ -205,7 +206,7 @@ def test_where_it_folds_gradients_are_zero_and_one_warning_counts() -> None:
     ) as told:
         made = bending.invert(given)
     assert len(told) == 1
-    lost = made.status != OK
+    lost = (made.status != OK) & (made.status != OUTSIDE)
     assert (made.status == FOLDED).any()
     assert not lost.all()
     huge = torch.where(lost[:, None], torch.nan, made.values.detach())
