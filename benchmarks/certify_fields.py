@@ -28,7 +28,19 @@ from supple.geometry import Grid
 
 Floats = npt.NDArray[np.float64]
 Rng = np.random.Generator
-KINDS = ("smooth", "rough", "folded", "cut", "blocks", "sliding", "one axis", "squeezed", "constant", "collapsed")
+KINDS = (
+    "smooth",
+    "rough",
+    "folded",
+    "cut",
+    "blocks",
+    "sliding",
+    "one axis",
+    "squeezed",
+    "constant",
+    "collapsed",
+    "bent",
+)
 
 
 @dataclass(frozen=True)
@@ -104,6 +116,13 @@ def displacement(rng: Rng, kind: str, shape: tuple[int, ...]) -> Floats:
         return made
     if kind == "constant":
         return np.asarray(np.zeros((*shape, n)) + rng.normal(size=n) * rng.choice([0.0, 0.5, 10.0, 1e3, 1e5]))
+    if kind == "bent":  # a strip, along a part of a circle or more than one: its ends may lie on each other
+        index = np.stack(np.indices(shape)[::-1], -1).astype(np.float64)
+        made, (sizes, turn) = np.zeros((*shape, n)), (shape[:-3:-1], rng.uniform(1, 9))
+        radius, angle = sizes[0] / turn + sizes[1] / 2 - index[..., 1], turn * index[..., 0] / sizes[0]
+        made[..., 0] = sizes[0] / 2 + radius * np.sin(angle) - index[..., 0]
+        made[..., 1] = sizes[1] / 2 - radius * np.cos(angle) - index[..., 1]
+        return made
     made = waves(rng, shape, width, 0.3)  # collapsed: part of it is mapped to a plane, a line or a point
     index = np.stack(np.indices(shape)[::-1], -1).astype(np.float64)
     some = rng.random(n) < 0.6

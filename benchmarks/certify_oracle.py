@@ -16,7 +16,7 @@ from scipy import ndimage
 from supple.fields import Field, Inverted
 
 Floats = npt.NDArray[np.float64]
-FINE, NONE, OFF, LOOSE, MARGIN, TURNED, FOLDED = range(7)
+FINE, NONE, OFF, LOOSE, MARGIN, TURNED, FOLDED, SEVERAL = range(8)
 VERDICTS = (
     "within the error",
     "without a solution nearby",
@@ -25,6 +25,7 @@ VERDICTS = (
     "with a solution beyond the grid",
     "with a solution that folds",
     "that what folds is mapped to",
+    "with another solution",
 )
 MOST = 64  # solutions of one sample that are collected
 MOST_SUSPECTS = 5000  # of a case, which are searched for their solutions
@@ -534,6 +535,9 @@ def check(field: Field, found: Inverted, tolerance: float, search: npt.NDArray[n
         count, unknown = searched(int(k), np.array([goal - most - 1e-6, goal + most + 1e-6]))
         undecided += unknown > 0
         bad = [i for i in range(count) if dets[i] < -1e-9]
+        apart = [i for i in range(count) if np.abs(solutions[i, :n] - solutions[0, :n]).max() > 1e-4]
+        if apart and not bad:
+            wrong.append((int(k), SEVERAL, f"target {targets[k].tolist()}, {solutions[[0, apart[0]], :n].tolist()}"))
         if bad:
             text = f"target {targets[k].tolist()}, found {(targets[k] + moved[k]).tolist()}, folds at "
             text += f"{solutions[bad[0], :n].tolist()} with {dets[bad[0]]:.3g}"

@@ -221,6 +221,36 @@ def test_a_plane_that_hardly_moves_is_the_same_in_a_part() -> None:
         np.testing.assert_array_equal(part[0], whole[z])
 
 
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("kind", ["strokes", "affine", "linear", "cubic", "bspline"])
+@pytest.mark.parametrize("inverse", [False, True])
+def test_what_is_mirrored_does_not_fold(kind: str, inverse: bool) -> None:
+    rng = np.random.default_rng(5)
+    grid = Grid((60, 70))
+    made = Deformation(grid, border=None).grab((30, 28), by=(5, 3), radius=12)
+    if kind == "affine":
+        made = made.affine([[-1, 0, 69], [0, 1, 0]])
+    elif kind != "strokes":
+        coarse = Grid((12, 13), 8.0, (-12, -12))
+        made = made.field(drawn(rng, coarse, 0.2, interpolation=kind, beyond="edge"), inverse=inverse)
+    image = rng.normal(size=grid.shape)
+    mirrored = Grid((60, 70), 1.0, (69, 0), [[-1, 0], [0, 1]])
+    out = made.warp(image, filter="linear", grid=mirrored, tolerance=1e-4)
+    assert made.report().folds == 0
+    np.testing.assert_allclose(out[:, ::-1], made.warp(image, filter="linear", tolerance=1e-4), atol=2e-3)
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_a_point_does_not_depend_on_those_beside_it() -> None:
+    rng = np.random.default_rng(8)
+    field = drawn(rng, Grid((30, 31)), 2.5, width=1.0, beyond="edge")
+    made = Deformation((30, 31), border=None).field(field, inverse=True)
+    points = rng.uniform(0, 29, (4000, 2))
+    order = rng.permutation(len(points))
+    for through in (made.forward, lambda given: made.inverse(given).points):
+        np.testing.assert_array_equal(through(points)[order], through(points[order]))
+
+
 @pytest.mark.parametrize("scale", [0.04, 0.2, 5.0, 30.0])
 @pytest.mark.parametrize("shape", [(150, 130), (9, 60, 50)])
 def test_parts_of_maps_that_shrink_or_enlarge_much(shape: tuple[int, ...], scale: float) -> None:

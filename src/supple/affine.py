@@ -35,7 +35,10 @@ class Affine:
     def __init__(self, matrix: npt.ArrayLike) -> None:
         wanted = "an array of shape (3, 3) or (2, 3) for pictures, (4, 4) or (3, 4) for volumes"
         try:
-            given = np.array(matrix, np.float64)
+            given = np.asarray(matrix)
+            if given.dtype.kind == "c":
+                refuse("matrix", wanted, "complex numbers")
+            given = np.array(given, np.float64)
         except (TypeError, ValueError):
             refuse("matrix", wanted, matrix)
         if (
@@ -48,7 +51,9 @@ class Affine:
         if len(given) == n:
             given = np.vstack([given, np.eye(n + 1)[-1]])
         if not np.isfinite(given).all() or not np.array_equal(given[-1], np.eye(n + 1)[-1]):
-            raise SuppleError(f"an affine matrix is finite, and its last row is {n} zeros and a one, found {given}")
+            raise SuppleError(
+                f"an affine matrix is finite, and its last row is {n} zeros and a one, found {given.tolist()}"
+            )
         scale = np.abs(given[:-1, :-1]).max(initial=0.0)
         if not abs(np.linalg.det(given[:-1, :-1] / (scale or 1.0))) > 1e-12:
             raise SuppleError("the affine map is singular: it has no inverse")

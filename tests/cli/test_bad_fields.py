@@ -147,6 +147,9 @@ LINES: list[tuple[str, str]] = [
     ("check u.nii flow.npy", "a field of 3 axes has no inverse of 2"),
     ("convert flow.npy v.mha", "it takes maps of volumes, found one of 2 coordinates"),
     ("convert u.nii v.npy", "a map of OpenCV's is of a picture, and the field is of a volume"),
+    # outputs that are inputs
+    ("check u.nii --map u.nii --force", "u.nii is read: --force does not replace it, so choose another name"),
+    ("invert u.nii v.mha --error u.nii --force", "u.nii is read: --force does not replace it"),
     # references
     ("warp head.nii o.nii --field u.nii --reference a.tfm", "a.tfm is no volume, and the grid of a volume is needed"),
     ("warp head.nii o.nii --field u.nii --reference folder", "folder is no volume, and the grid of a volume is need"),

@@ -181,7 +181,6 @@ void invert_row(const Inversion& job, int y, int z, Guesses& guesses) {
 // continuations, there is always a third that is turned over.
 template <int D, int N>
 void mark_folds(const Inversion& job) {
-    std::vector<Spot<D>> spots;
     std::mutex lock;
     const Sampled& k = job.field;
     each_bad_cell<D, N>(k, true, [&](const int* at, const Patch<D, N>& p) {
@@ -193,14 +192,13 @@ void mark_folds(const Inversion& job) {
         }
         find_folds(p, job.back, 1e9, 0, low, high, job.size, some);
         std::lock_guard guard(lock);
-        spots.insert(spots.end(), some.begin(), some.end());
+        for (const Spot<D>& s : some)
+            for (int z = D == 3 ? s.low[D - 1] : 0; z < (D == 3 ? s.high[D - 1] : 1); z++)
+                for (int y = s.low[1]; y < s.high[1]; y++) {
+                    uint8_t* row = job.status + ((size_t)z * job.size[1] + y) * job.size[0];
+                    std::fill(row + s.low[0], row + s.high[0], (uint8_t)FOLDED);
+                }
     });
-    for (const Spot<D>& s : spots)
-        for (int z = D == 3 ? s.low[D - 1] : 0; z < (D == 3 ? s.high[D - 1] : 1); z++)
-            for (int y = s.low[1]; y < s.high[1]; y++) {
-                uint8_t* row = job.status + ((size_t)z * job.size[1] + y) * job.size[0];
-                std::fill(row + s.low[0], row + s.high[0], (uint8_t)FOLDED);
-            }
 }
 
 template <int D>

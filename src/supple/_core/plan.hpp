@@ -372,7 +372,7 @@ void Plan<D>::keep(Work& w, const Solution<D, Lanes>& found, const Lanes (&mixed
                           m[0][1] * (m[1][0] * m[2][2] - m[1][2] * m[2][0]) +
                           m[0][2] * (m[1][0] * m[2][1] - m[1][1] * m[2][0]);
         }
-        w.band->folds += !(determinant > 0);
+        w.band->folds += !map && !(determinant > 0);  // a composite may mirror, and knows what folds
         w.band->widest = std::max(w.band->widest, widest_of(plane[0][0], plane[1][0], plane[0][1], plane[1][1]));
     }
 }
@@ -412,7 +412,10 @@ void Plan<D>::solve(Work& w, Guess guess) {
             for (int j = 0; j < 2; j++) known.smooth2[j] = jet.smooth2[j];
             known.at.steps = passed.steps;
             known.at.done = passed.done;
-            for (int i = 0; i < LANES && start + i < count; i++) w.band->outside += !passed.within[i];
+            for (int i = 0; i < LANES && start + i < count; i++) {
+                w.band->outside += !passed.within[i];
+                w.band->folds += !passed.upright[i];
+            }
             keep(w, known.at, known.mixed, known.smooth2, start);
             continue;
         }
@@ -575,7 +578,7 @@ template <int D>
 void Plan<D>::solve_pixels(int index) {
     const int i = index % across, j = index / across;
     const int left = column(i), top = line(j), right = past(0, column(i + 1)), bottom = past(1, line(j + 1));
-    if (right <= box[0] || left >= box[1]) return;
+    if (right <= box[0] || left >= box[1] || bottom <= box[2] || top >= box[3]) return;
     Root& root = roots[index];
     Band& band = bands[root.band];
     const int own = (j % BAND) * across + i;

@@ -178,7 +178,7 @@ nb::tuple warp_stack(const Doubles& table, const Doubles& rows, int height, int 
             // A plane is copied where all of it moves by less than the tolerance: a part of it, too.
             auto unmoved = [&](const Plan<3>& p) { return p.identity || p.extent().moved * sqrt(3.0) <= tolerance; };
             bool still = !composite && unmoved(plan);
-            if (still && wanted && box != Box{0, width, 0, height})
+            if (still && !plan.identity && wanted && box != Box{0, width, 0, height})
                 still = unmoved(Plan<3>(strokes, axes.data(), width, height, planes[i], tolerance));
             for (const Sampling* s : all) {
                 Job job = s->job;

@@ -355,7 +355,8 @@ NOINLINE void undo_field(const Sampled& k, const V* target, double tolerance, in
             e2 += e[d] * e[d];
             at.dw[d][d] += 1.0;
         }
-        M taken = without(e2 <= error * (1.0 - 1e-4 * part), done);
+        // Lanes that have given up do not change, whatever the others need.
+        M taken = without(both(e2 <= error * (1.0 - 1e-4 * part), part > 0x1p-12), done);
         V determinant = determinant_of(at.dw), m[D][D], d2{};
         invert(at.dw, m);
         V next[D];

@@ -32,7 +32,7 @@ from supple.files.maps import (
 )
 from supple.geometry import Grid
 from supple.media import transforms
-from supple.media.files import check_output, replacing_together
+from supple.media.files import check_output, replacing_together, same_file
 from supple.media.volume import suffix_of
 
 Array = npt.NDArray[Any]
@@ -205,7 +205,7 @@ def invert_file(
     began = time.perf_counter()
     outputs = [path for path in (target, error, status, report) if path is not None]
     for path in outputs[1:]:
-        check_output(path, force=force)
+        check_beside(path, source, force=force)
     check_images(error, status)
     wanted = None if reference is None else grid_of(reference)
     moving = None if image is None else grid_of(image)
@@ -251,6 +251,14 @@ def invert_file(
     return made
 
 
+def check_beside(path: PathLike, *sources: PathLike | None, force: bool) -> None:
+    """Raise SuppleError if an output beside the main one cannot be written, or is one of the files that are read."""
+    for source in sources:
+        if source is not None and same_file(path, source):
+            raise SuppleError(f"{shown(path)} is read: --force does not replace it, so choose another name")
+    check_output(path, force=force)
+
+
 def check_file(
     source: PathLike,
     inverse: PathLike | None = None,
@@ -289,7 +297,7 @@ def check_file(
     began = time.perf_counter()
     outputs = [path for path in (map, picture) if path is not None]
     for path in outputs:
-        check_output(path, force=force)
+        check_beside(path, source, inverse, force=force)
     check_images(map)
     if picture is not None:
         from supple.plot import check_plot
