@@ -51,12 +51,13 @@ def _files(here: Path) -> None:
     Path("cut.nii").write_bytes(whole[:-9])
     nibabel.save(nibabel.load("u.nii"), "whole.nii.gz")
     Path("cut.nii.gz").write_bytes(Path("whole.nii.gz").read_bytes()[:-20])
-    for name in ("empty.nii", "empty.nii.gz", "empty.npy", "empty.tfm"):
+    for name in ("empty.nii", "empty.nii.gz", "empty.npy", "empty.tfm", "photo.jpg", "clip.mp4"):
         Path(name).write_bytes(b"")
     for name in ("folder.nii", "folder"):
         Path(name).mkdir()
     places = np.moveaxis(np.indices((40, 48))[::-1], 0, -1).astype(np.float32)
     np.save("flow.npy", places + np.sin(places / 5))
+    Field.from_array(np.sin(places / 5)).write("flow.yml")
     np.save("one.npy", places[..., 0])
     np.save("complex.npy", places.astype(np.complex64))
     places[3, 4] = np.nan
@@ -73,26 +74,31 @@ FILES: list[tuple[str, str | None, str]] = [
     ("u.nii", "opencv", "the suffix .nii is of no map of OpenCV's"),
     ("flow.npy", "itk", "the suffix .npy is of no transform of ITK: use .nii, "),
     ("a.tfm", "freesurfer", "it holds no maps: give a .lta file of one affine map"),
-    ("u.nii", "spm", "convention must be one of itk, fsl-relative, "),
+    ("u.nii", "spm", " must be one of itk, fsl-relative, "),
     ("nowhere-u.nii", None, "it does not say where its voxels lie (its sform and qform have the code 0)"),
     ("complex.nii", None, "its voxels are of complex64"),
-    ("complex.npy", None, "it holds complex64 of shape (40, 48, 2): give real numbers"),
+    ("complex.npy", "opencv", "it holds complex64 of shape (40, 48, 2): give real numbers"),
     ("nan.nii", None, "1 voxel of 504 hold NaN or infinity: give a field that is finite everywhere"),
-    ("nan.npy", None, "1 of its 1920 positions are NaN or infinite: fill them first"),
+    ("nan.npy", "opencv", "1 of its 1920 positions are NaN or infinite: fill them first"),
     ("mask.nii", None, "it holds one value for each voxel, as an image or a mask: give a field with three"),
     ("mask.nii", "fsl-relative", "it holds one value for each voxel, as an image or a mask"),
     ("two.nii", None, "it holds two values for each voxel, as a field of a picture: give a field with three"),
     ("four.nii", None, "it holds 4 values for each voxel: give a field with three"),
-    ("one.npy", None, "it holds float32 of shape (40, 48): give an array (H, W, 2) of source positions"),
+    ("one.npy", "opencv", "it holds float32 of shape (40, 48): give an array (H, W, 2) of source positions"),
     ("empty.nii", None, "it is empty"),
     ("empty.nii.gz", "itk", "it is empty"),
-    ("empty.npy", None, "it is empty"),
+    ("empty.npy", "opencv", "it is empty"),
     ("empty.tfm", None, "it is empty"),
     ("cut.nii", None, "its header promises"),
     ("cut.nii.gz", None, "it is cut short"),
-    ("cut.npy", None, "it is no array of NumPy's, or cut short"),
+    ("cut.npy", "opencv", "it is no array of NumPy's, or cut short"),
     ("folder.nii", None, "it is a folder or no plain file"),
-    ("folder", None, "a name without suffix: give the convention"),
+    ("folder", None, "a name without suffix tells no convention: give the convention"),
+    ("flow.npy", None, "its numbers may be positions, as of OpenCV's maps, or displacements: give "),
+    ("gone.jpg", None, "No such file or directory"),
+    ("in.png", None, "it may be an STMap, or any other picture: give "),
+    ("photo.jpg", None, "the suffix .jpg is of a picture, and of no field"),
+    ("clip.mp4", None, "the suffix .mp4 is of a clip, and of no field"),
     ("folder", "itk", "a name without suffix is of no transform of ITK"),
     ("gone.nii", None, "No such file or directory"),
 ]
@@ -104,7 +110,7 @@ def test_a_file_that_holds_no_field_is_named_by_every_command_and_in_python(
 ) -> None:
     options = () if convention is None else ("--convention", convention)
     source = ("--source", "head.nii") if convention == "fsl-relative" else ()
-    shown = "in.png" if name.endswith(".npy") else "head.nii"
+    shown = "in.png" if name.endswith((".npy", ".png")) else "head.nii"
     before = sorted(os.listdir())
     for line in (
         ("invert", name, "v.mha", *options, *source),
@@ -116,7 +122,7 @@ def test_a_file_that_holds_no_field_is_named_by_every_command_and_in_python(
         status, out, err = run(*line)
         assert (status, out) == (2, ""), line
         assert said in one_line(err), line
-        assert name in err or "convention must be" in err
+        assert name in err or " must be one of" in err
         assert sorted(os.listdir()) == before, line
     with pytest.raises(SuppleError) as caught:
         Field.read(name, convention, source=Field.read("u.nii").grid if source else None)
@@ -136,34 +142,35 @@ LINES: list[tuple[str, str]] = [
     ("compose u.nii --out v.mha --reference far-head.nii", f"u.nii and the grid of the result {APART}"),
     ("convert u.nii v.mha --reference far-head.nii", f"u.nii and the grid of the result {APART}"),
     # of another number of axes
-    ("warp head.nii o.nii --field flow.npy", "flow.npy is for pictures, with 2 axes, and head.nii is a volume"),
+    ("warp head.nii o.nii --field flow.yml", "flow.yml is for pictures, with 2 axes, and head.nii is a volume"),
     ("warp in.png o.png --field u.nii", "u.nii is for volumes, with 3 axes, and in.png is a picture"),
     ("invert u.nii v.mha --reference in.png", "in.png is a picture, and u.nii is for volumes: give the grid of a vol"),
-    ("invert flow.npy v.npy --reference head.nii", "head.nii is a volume, and flow.npy is for pictures"),
+    ("invert flow.yml v.npy --reference head.nii", "head.nii is a volume, and flow.yml is for pictures"),
     ("convert u.nii v.mha --reference in.png", "in.png is a picture, and u.nii is for volumes"),
     ("compose u.nii --reference in.png --out v.mha", "in.png is a picture, and u.nii is for volumes"),
-    ("compose flow.npy u.nii --out v.mha", "u.nii has 3 axes, and the grid has 2"),
-    ("compose a.tfm flow.npy --out v.mha", "a.tfm has 3 axes, and the grid has 2"),
-    ("check u.nii flow.npy", "a field of 3 axes has no inverse of 2"),
-    ("convert flow.npy v.mha", "it takes maps of volumes, found one of 2 coordinates"),
+    ("compose flow.yml u.nii --out v.mha", "u.nii has 3 axes, and the grid has 2"),
+    ("compose a.tfm flow.yml --out v.mha", "a.tfm has 3 axes, and the grid has 2"),
+    ("check u.nii flow.yml", "a field of 3 axes has no inverse of 2"),
+    ("convert flow.yml v.mha", "it takes maps of volumes, found one of 2 coordinates"),
     ("convert u.nii v.npy", "a map of OpenCV's is of a picture, and the field is of a volume"),
     # references
     ("warp head.nii o.nii --field u.nii --reference a.tfm", "a.tfm is no volume, and the grid of a volume is needed"),
     ("warp head.nii o.nii --field u.nii --reference folder", "folder is no volume, and the grid of a volume is need"),
     ("warp head.nii o.nii --field u.nii --reference empty.nii", "cannot read empty.nii: it is empty"),
     ("warp head.nii o.nii --field u.nii --reference gone.nii", "cannot read gone.nii: No such file"),
-    ("warp in.png o.png --field flow.npy --reference flow.npy", "cannot read flow.npy: it is no image"),
+    ("warp in.png o.png --field flow.yml --reference flow.yml", "cannot read flow.yml: it is no image"),
     ("invert u.nii v.mha --reference a.tfm", "cannot read a.tfm: it is no image"),
     ("invert u.nii v.mha --reference nowhere-head.nii", "nowhere-head.nii does not say where its voxels lie in spa"),
     ("invert u.nii v.mha --source empty.nii", "cannot read empty.nii: it is empty"),
     # options
-    ("warp in.png o.png --inverse --field flow.npy", "--inverse is for the --field or --affine before it"),
+    ("warp in.png o.png --inverse --field flow.yml", "--inverse is for the --field or --affine before it"),
     ("compose --inverse u.nii --out v.mha", "--inverse is about the file before it, and there is none"),
-    ("warp in.png o.png --field flow.npy --crop 40,0,9,9", "--crop must be within the grid of 48 x 40 samples"),
+    ("warp in.png o.png --field flow.yml --crop 40,0,9,9", "--crop must be within the grid of 48 x 40 samples"),
+    ("warp head.nii o.nii --field u.nii --resample 1e-4", "resample to 0.0001 makes a volume of 180,000 x 160,000 x 140,000 voxels, too many: "),
     ("warp head.nii o.nii --field u.nii --crop 0,0,5,5", "--crop must be 6 numbers, as the input is a volume"),
-    ("warp in.png o.png --field flow.npy --resample 0", "--resample must be a spacing above 0"),
-    ("warp in.png o.png --field flow.npy --resample 1,2,3", "--resample must be one number or 2 of them"),
-    ("warp in.png o.png --field flow.npy --resample 1e-9", "resample to 1e-09 makes no picture"),
+    ("warp in.png o.png --field flow.yml --resample 0", "--resample must be a spacing above 0"),
+    ("warp in.png o.png --field flow.yml --resample 1,2,3", "--resample must be one number or 2 of them"),
+    ("warp in.png o.png --field flow.yml --resample 1e-9", "resample to 1e-09 makes no picture"),
     # places
     ("invert u.nii far-u.nii", "far-u.nii exists already: pass --force to replace it"),
     ("invert u.nii v.mha --status head.nii", "head.nii exists already: pass --force to replace it"),

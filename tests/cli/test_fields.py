@@ -68,7 +68,7 @@ def test_invert_says_what_it_read_and_how_well_it_went(run: Run) -> None:
 def test_the_inverse_of_a_picture_is_told_in_pixels(run: Run) -> None:
     x, y = np.meshgrid(np.arange(30.0), np.arange(20.0))
     np.save("map.npy", np.stack([x + 0.25, y], axis=-1))
-    _, out, _ = run("invert", "map.npy", "back.npy")
+    _, out, _ = run("invert", "map.npy", "back.npy", "--convention", "opencv")
     told = [line for line in out.splitlines() if line.startswith(("  pixels ", "  error "))]
     assert told[0].startswith("  pixels      600 ok (100 %), 0 folded")
     assert told[1].endswith(" px among the ok; the tolerance is 0.01 pixels")

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+import contextlib
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Group, Parameter
@@ -187,9 +189,10 @@ def convert(
     console = _started(options, source_file)
     from supple.files.fields import convert_file
 
-    made = convert_file(
-        source_file, target, convention=convention, to=to, image=source, reference=reference, force=options.force
-    )
+    with _from():
+        made = convert_file(
+            source_file, target, convention=convention, to=to, image=source, reference=reference, force=options.force
+        )
     _tell(console, options, made.facts, lambda: _written(made))
 
 
@@ -222,6 +225,15 @@ def parse_maps(words: Sequence[str]) -> list[Input]:
             raise SuppleError(f"{name} is given twice for {shown(last.path)}: leave one out")
         made[-1] = last._replace(convention=given) if key == "convention" else last._replace(source=given)
     return made
+
+
+@contextlib.contextmanager
+def _from() -> Iterator[None]:
+    """Call the convention of IN by its option, --from, in errors."""
+    try:
+        yield
+    except SuppleError as error:
+        raise SuppleError(re.sub(r'^convention(?= must be )|\bconvention(?==")', "from", str(error))) from None
 
 
 def _started(options: RunOptions, file: str) -> Console:
