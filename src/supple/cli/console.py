@@ -41,7 +41,8 @@ _ASIDE = re.compile(rf" \((?:{_NAMES})={_VALUE}\)")  # --force (force=True)
 _GIVEN = re.compile(rf"(?<![\w-])({_NAMES})={_VALUE}")  # on_fold='flow'
 # Also common words, which are options only at the beginning of a message.
 _WORDS = (
-    "clamp|crop|density|distance|elevation|resample|roll|shape|size|step|supersampling|target|to|transfer|turntable|up"
+    "clamp|crop|density|distance|elevation|error|map|resample|roll|shape|size|status|step|supersampling|target|to|transfer|"
+    "turntable|up"
 )
 _FIRST = re.compile(rf"^((?:--grab \S+: )?)({_NAMES}|{_WORDS})(?= is for | must be | needs )")
 _WORD = re.compile(rf"(?<![\w/.-])({_UNDERSCORED})(?![\w/.-])")

@@ -270,6 +270,8 @@ def _written(made: Written) -> str:
 
 
 def _checked(made: CheckedFile) -> str:
+    from supple.files.fields import doubt_of
+
     report = made.report
     grid = report.grid
     unit = _unit(grid)
@@ -284,6 +286,8 @@ def _checked(made: CheckedFile) -> str:
         )
     else:
         lines.append(_line("folds", f"nowhere: the determinant is above 0 in all of {report.cells:,} cells"))
+    if doubt := doubt_of(made.source, report.folded, report.cells):
+        lines.append(_line("", doubt))
     place = ", ".join(f"{x + 0.0:.5g}" for x in report.at)
     lines.append(_line("determinant", f"the least is {report.determinant:.4g}, at ({place}) {unit}"))
     share = f"{report.negative:,} of {report.samples:,} samples ({_share(report.negative, report.samples)})"

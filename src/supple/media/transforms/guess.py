@@ -16,6 +16,7 @@ _FSL = ("fsl-relative", "fsl-absolute")
 _MRTRIX = ("mrtrix", "mrtrix-displacement")
 _WARPS = (2006, 2018)  # of FNIRT and topup
 _NIFTI = (".nii", ".nii.gz")
+_COLOURS = (128, 2304)  # the datatypes RGB24 and RGBA32 of NIfTI
 # the conventions of a suffix
 _SUFFIXES: dict[str, tuple[str, ...]] = {
     **dict.fromkeys((".h5", ".hdf5", ".tfm", ".mha", ".mhd", ".nrrd", ".nhdr"), ("itk",)),
@@ -30,7 +31,10 @@ _SUFFIXES: dict[str, tuple[str, ...]] = {
 }
 # what holds maps of one convention, and as often something else: the convention is given
 _NAMED = {
-    **dict.fromkeys((".npy", ".npz"), ("opencv", "its numbers may be positions, as of OpenCV's maps, or displacements", "if they are positions")),
+    **dict.fromkeys(
+        (".npy", ".npz"),
+        ("opencv", "its numbers may be positions, as of OpenCV's maps, or displacements", "if they are positions"),
+    ),
     **dict.fromkeys((".tif", ".tiff", ".png"), ("stmap", "it may be an STMap, or any other picture", "if it is one")),
 }
 _WRITTEN = (".npy", ".npz")  # of these, what is written is of one convention
@@ -43,8 +47,6 @@ def convention_of(path: PathLike) -> str:
 
 def convention_in(path: PathLike) -> str:
     """Return the convention of a file; SuppleError if it may have more than one."""
-    if not os.path.exists(path):
-        raise unreadable(path, "No such file or directory", "check the name and its rights")
     known = _candidates(path, "read")
     if len(known) > 1:
         suffix = suffix_of(path, tuple(_SUFFIXES))
@@ -57,6 +59,8 @@ def convention_in(path: PathLike) -> str:
 def _candidates(path: PathLike, verb: str) -> tuple[str, ...]:
     suffix = suffix_of(path, tuple(_SUFFIXES))
     refused = unreadable if verb == "read" else unwritable
+    if (suffix in _NAMED or suffix not in _SUFFIXES) and verb == "read" and not os.path.exists(path):
+        raise unreadable(path, "No such file or directory", "check the name and its rights")
     if suffix in _NAMED and not (verb == "write" and suffix in _WRITTEN):
         name, what, fits = _NAMED[suffix]
         if verb == "read":
@@ -84,6 +88,8 @@ def _in_nifti(path: PathLike) -> tuple[str, tuple[str, ...]]:
     if five and code == 1007:
         return "", ("itk",)
     check_code(path, code)
+    if int(header["datatype"]) in _COLOURS:
+        raise unreadable(path, "its voxels are colours (RGB), as of a picture", "give a field of float32 or float64")
     count = sizes[3] if series else components
     check_count(path, count)
     if code == 1006:
