@@ -58,7 +58,8 @@ def invert(
     source
         The input (moving) image of FIELD, which FSL's conventions need.
     reference
-        Image or field whose grid the inverse gets (default: the grid of FIELD).
+        Image or field whose grid the inverse gets (default: the grid of FIELD). A B-spline needs it, as its control
+        points lie far apart.
     tolerance
         Largest allowed error, in voxels of FIELD.
     error

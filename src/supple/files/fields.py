@@ -177,8 +177,8 @@ def invert_file(
     to : str, optional
         That of the target; by default, that of the source.
     reference : str or os.PathLike, optional
-        An image or a field whose grid the inverse gets; by default, it is that of the (first) field. For an affine map
-        of FSL, the output image.
+        An image or a field whose grid the inverse gets; by default, it is that of the (first) field. A B-spline, whose
+        grid is coarse, needs it. For an affine map of FSL, the output image.
     image : str or os.PathLike, optional
         The input (moving) image of the source, which FSL's conventions need.
     tolerance : float
@@ -222,8 +222,8 @@ def invert_file(
     if wanted is None and fields and fields[0].interpolation == "bspline":
         points = " x ".join(map(str, fields[0].grid.sizes))
         raise SuppleError(
-            f"{shown(source)} is a B-spline, and its grid of {points} control points is too coarse for an inverse: "
-            "give the image whose grid the inverse shall have (--reference)"
+            f"the field of {shown(source)} is a B-spline, and its grid of {points} control points is too coarse for "
+            "an inverse: give the image whose grid the inverse shall have (--reference)"
         )
     # The inverse leads to the image that the field is on.
     here = read.grid if fields else wanted
