@@ -289,7 +289,7 @@ class Maps:
         ends = {0: (source, name), len(self._entries): (output, shown(self._reference or name))}
         within: dict[int, list[tuple[_Entry, Grid]]] = {}
         for k, (entry, (placed, convention)) in enumerate(zip(self._entries, self._read(source), strict=True)):
-            held = placed[0].map
+            held = placed[0].map if placed else None
             # one that does not begin at the first pixel is of more than the picture, or of a part
             if convention not in _ON_PIXELS or not isinstance(held, Field) or any(held.grid.origin):
                 continue

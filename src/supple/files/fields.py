@@ -227,8 +227,9 @@ def invert_file(
         )
     # The inverse leads to the image that the field is on.
     here = read.grid if fields else wanted
-    check_images(read.maps[0].ndim, error=error, status=status)
-    check_written(target, read.maps[0].ndim, known, grid, source=here, reference=moving)
+    ndim = read.maps[0].ndim if read.maps else 3
+    check_images(ndim, error=error, status=status)
+    check_written(target, ndim, known, grid, source=here, reference=moving)
     counts, worst, extra = None, None, {}
     with replacing_together(outputs, force=force) as hidden:
         places = dict(zip(outputs, hidden, strict=True))
