@@ -26,7 +26,7 @@ def main(folder: Path) -> None:
     shape = plate.shape[:2]
     np.save(folder / "undistort.npy", straightened(shape))  # for cv2.remap
 
-    undistort = supple.Field.read(folder / "undistort.npy")
+    undistort = supple.Field.read(folder / "undistort.npy", "opencv")
     undistort.write(folder / "undistort.exr", force=True)  # an STMap, for a compositor
     again = supple.Field.read(folder / "undistort.exr")
     print(f"OpenCV's map and the STMap agree within {np.abs(again.values - undistort.values).max():.5f} px")

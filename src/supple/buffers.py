@@ -72,7 +72,7 @@ def beside(
 
     def full(size: str, folder: str, reason: str) -> str:
         beside = f"there is no room for it beside {shown(target)} ({reason})"
-        return f"the result takes {size}, and {beside}: choose another place"
+        return f"the result takes {size}, and {beside}: choose another place, or make it smaller"
 
     with buffers([shape], dtype, memory, full, os.path.dirname(os.path.realpath(target))) as (array,):
         yield array

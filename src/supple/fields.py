@@ -398,6 +398,12 @@ class Placed:
         return "affine", matrix_rows(np.linalg.inv(frame) @ self.map.matrix @ frame), self.inverse
 
 
+def only_name(maps: Iterable[Placed]) -> str:
+    """Return the name of the only field among maps; "a field" if it has none, or there are more."""
+    fields = [placed for placed in maps if isinstance(placed.map, Field)]
+    return fields[0].name if len(fields) == 1 and fields[0].name else "a field"
+
+
 def folds_of(maps: Iterable[Placed]) -> str:
     """Return in words which of the fields that are inverted fold, and in how many cells; "" if none does."""
     told = []
@@ -405,7 +411,8 @@ def folds_of(maps: Iterable[Placed]) -> str:
         if placed.inverse and isinstance(placed.map, Field):
             cells = placed.map.folded_cells()
             if count := int(np.count_nonzero(cells)):
-                told.append(f"{placed.told} folds in {count:,} of its {cells.size:,} cells")
+                doubt = " (is its convention another?)" if placed.name and 4 * count > cells.size else ""
+                told.append(f"{placed.told} folds in {count:,} of its {cells.size:,} cells{doubt}")
     return ", and ".join(told)
 
 
@@ -472,7 +479,7 @@ def compose(maps: Sequence[Map | Placed], grid: Grid) -> Field:
         found, _, _ = composite.through(points, False, False, status)
         (values[z] if n == 3 else values)[...] = (found[:, :n] - here).reshape(height, width, n)
         certificate |= certificate_of_status(status)
-    warn_of(certificate, 1.0, 3, folds_of(given))
+    warn_of(certificate, 1.0, 3, folds_of(given), only_name(given))
     return Field(values, grid)
 
 

@@ -68,7 +68,7 @@ def test_invert_says_what_it_read_and_how_well_it_went(run: Run) -> None:
 def test_the_inverse_of_a_picture_is_told_in_pixels(run: Run) -> None:
     x, y = np.meshgrid(np.arange(30.0), np.arange(20.0))
     np.save("map.npy", np.stack([x + 0.25, y], axis=-1))
-    _, out, _ = run("invert", "map.npy", "back.npy")
+    _, out, _ = run("invert", "map.npy", "back.npy", "--convention", "opencv")
     told = [line for line in out.splitlines() if line.startswith(("  pixels ", "  error "))]
     assert told[0].startswith("  pixels      600 ok (100 %), 0 folded")
     assert told[1].endswith(" px among the ok; the tolerance is 0.01 pixels")
@@ -103,6 +103,7 @@ def test_check_tells_of_folds_and_is_no_error(run: Run) -> None:
         "folded.mha:",
         f"  moves       up to 1.5 mm, {report.mean:.4g} mm on average",
         f"  folds       {report.folded:,} of 1,500 cells ({100 * report.folded / 1500:.3g} %)",
+        "              is it of the convention itk, from its suffix .mha? --convention says another",
         f"  determinant the least is {report.determinant:.4g}, at ({report.at[0]:.5g}, 0, 0) mm",
         f"              not above 0 at {report.negative:,} of 2,520 samples ({100 * report.negative / 2520:.3g} %), "
         "by central differences",
@@ -197,7 +198,7 @@ def test_convert_tells_both_ends(run: Run) -> None:
         (("check", "u.nii.gz", "--picture", "p.gif"), "a plot's name must end in .png, .svg, .pdf"),
         (("compose", "a.tfm", "--out", "d.mha"), "the maps are affine, and have no grid"),
         (("compose", "u.nii.gz", "--typo", "--out", "d.mha"), "Unknown option: --typo"),
-        (("compose", "u.nii.gz"), "requires an argument"),
+        (("compose", "u.nii.gz"), "give --out FILE"),
         (("convert", "u.nii.gz", "w.nii.gz"), "give the convention"),
         (("convert", "u.nii.gz", "w.nii.gz", "--to", "fsl-relative"), "give its grid as --source"),
     ],

@@ -399,7 +399,7 @@ def test_what_a_convention_needs_or_cannot_hold(tmp_path: Path) -> None:
     cases: list[tuple[str, str, dict[str, Any], str]] = [
         ("u.mha", "w.nii.gz", {"to": "fsl-relative"}, "voxels of the input"),
         ("u.mha", "w.nii.gz", {}, r"its suffix does not say .* \(--to NAME\)"),
-        ("u.mha", "w.mat", {"to": "fsl-affine"}, "one affine map, found 1 field"),
+        ("u.mha", "w.mat", {"to": "fsl-affine"}, "a .mat file holds one affine map, and .* a field: use"),
         ("c.h5", "w.mha", {}, "one field"),
         ("b.tfm", "w.mha", {}, "give the image whose grid the field shall have"),
         ("u.mha", "w.mha", {"to": "nobody"}, "nobody"),

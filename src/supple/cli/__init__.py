@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import itertools
 import os
+import re
 import sys
 from collections.abc import Sequence
 from typing import NoReturn
@@ -94,6 +95,7 @@ _COMMANDS = (
 )
 
 
+_LEFT_OUT = re.compile(r'Command "\w+" parameter (--out) requires an argument')
 _OF_FILES = ("--recipe", "--save-recipe", "--save-field", "--on", "--field", "--affine", "--reference")
 
 
@@ -149,6 +151,8 @@ def _advised(text: str) -> str:
         return f"{wrong} --device gpu is for warp, render and demo, and info --gpu tells what there is"
     if '"cuda" for --device' in wrong:
         return "--device cuda is for warp, of pictures and volumes: here it is cpu, gpu or auto"
+    if left_out := _LEFT_OUT.fullmatch(wrong):
+        return f"give {left_out[1]} FILE"
     if "option: --device" in wrong:
         return f"{wrong} It is for warp, render and demo"
     return text

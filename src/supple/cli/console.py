@@ -31,8 +31,8 @@ PIPE_CLOSED = 141  # 128 + SIGPIPE, which Windows does not name
 
 # Arguments of the library that are options of the command; those with an underscore are options only.
 _NAMES = (
-    "between|border|border_profile|codec|crf|device|field_of_view|fill|filter|fit|force|frame|labels|linear_light|lossless|"
-    "memory|mode|on_fold|outside|pixel_format|poisson|preset|quality|radius|rate|raw|reach|save_field|scales|series|"
+    "between|border|border_profile|codec|convention|crf|device|field_of_view|fill|filter|fit|force|frame|from|labels|linear_light|"
+    "lossless|memory|mode|on_fold|outside|pixel_format|poisson|preset|quality|radius|rate|raw|reach|save_field|scales|series|"
     "spacing|time_filter|time_scale|tolerance|world"
 )
 _UNDERSCORED = "|".join(name for name in _NAMES.split("|") if "_" in name)
@@ -41,7 +41,8 @@ _ASIDE = re.compile(rf" \((?:{_NAMES})={_VALUE}\)")  # --force (force=True)
 _GIVEN = re.compile(rf"(?<![\w-])({_NAMES})={_VALUE}")  # on_fold='flow'
 # Also common words, which are options only at the beginning of a message.
 _WORDS = (
-    "clamp|crop|density|distance|elevation|resample|roll|shape|size|step|supersampling|target|transfer|turntable|up"
+    "clamp|crop|density|distance|elevation|error|map|resample|roll|shape|size|status|step|supersampling|target|to|transfer|"
+    "turntable|up"
 )
 _FIRST = re.compile(rf"^((?:--grab \S+: )?)({_NAMES}|{_WORDS})(?= is for | must be | needs )")
 _WORD = re.compile(rf"(?<![\w/.-])({_UNDERSCORED})(?![\w/.-])")

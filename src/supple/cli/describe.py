@@ -58,6 +58,8 @@ def describe(name: str, *, layout: RawLayout | None = None, series: str | None =
 
     if layout is not None or series is not None or volume.is_volume(name):
         facts = volume.info(name, raw=layout, series=series)
+        if facts.get("format") == "NIfTI" and facts.get("components") == 3:
+            facts |= _field(name)
         return {"file": name, "kind": "volume", **facts}, _volume(name, facts)
     if is_sequence(name) and not os.path.isfile(name):
         from supple.media import sequence
@@ -83,6 +85,16 @@ def describe(name: str, *, layout: RawLayout | None = None, series: str | None =
     if facts["format"] in ("GIF", "PNG") and facts["pages"] != 1:
         return _described_video(name)
     return {"file": name, "kind": "image", **facts}, _picture(name, facts)
+
+
+def _field(name: str) -> dict[str, Any]:
+    """Return the convention of a NIfTI file that is a displacement field without doubt."""
+    from supple.media import transforms
+
+    try:
+        return {"field": transforms.convention_in(name)}
+    except SuppleError:
+        return {}
 
 
 def _described_video(name: str) -> tuple[dict[str, Any], str]:
@@ -159,6 +171,8 @@ def _volume(name: str, facts: Mapping[str, Any]) -> str:
         "spacing": f"{' x '.join(f'{s:.6g}' for s in facts['spacing'])} mm",
         "values": facts["dtype"] + (f", {facts['components']} components" if facts["components"] > 1 else ""),
     }
+    if "field" in facts:
+        lines["field"] = f"displacements, convention {facts['field']}: supple check tells what it does"
     if convention != "array":
         lines["origin"] = f"{spoken(facts['origin'])} ({convention})"
         leaning = f", oblique by up to {facts['oblique']:.3g}°" if facts["oblique"] else ""

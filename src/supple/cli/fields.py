@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+import contextlib
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Group, Parameter
@@ -56,7 +58,8 @@ def invert(
     source
         The input (moving) image of FIELD, which FSL's conventions need.
     reference
-        Image or field whose grid the inverse gets (default: the grid of FIELD).
+        Image or field whose grid the inverse gets (default: the grid of FIELD). A B-spline needs it, as its control
+        points lie far apart.
     tolerance
         Largest allowed error, in voxels of FIELD.
     error
@@ -188,9 +191,10 @@ def convert(
     console = _started(options, source_file)
     from supple.files.fields import convert_file
 
-    made = convert_file(
-        source_file, target, convention=convention, to=to, image=source, reference=reference, force=options.force
-    )
+    with _from():
+        made = convert_file(
+            source_file, target, convention=convention, to=to, image=source, reference=reference, force=options.force
+        )
     _tell(console, options, made.facts, lambda: _written(made))
 
 
@@ -223,6 +227,15 @@ def parse_maps(words: Sequence[str]) -> list[Input]:
             raise SuppleError(f"{name} is given twice for {shown(last.path)}: leave one out")
         made[-1] = last._replace(convention=given) if key == "convention" else last._replace(source=given)
     return made
+
+
+@contextlib.contextmanager
+def _from() -> Iterator[None]:
+    """Call the convention of IN by its option, --from, in errors."""
+    try:
+        yield
+    except SuppleError as error:
+        raise SuppleError(re.sub(r'^convention(?= must be )|\bconvention(?==")', "from", str(error))) from None
 
 
 def _started(options: RunOptions, file: str) -> Console:
@@ -259,6 +272,8 @@ def _written(made: Written) -> str:
 
 
 def _checked(made: CheckedFile) -> str:
+    from supple.files.fields import doubt_of
+
     report = made.report
     grid = report.grid
     unit = _unit(grid)
@@ -273,6 +288,8 @@ def _checked(made: CheckedFile) -> str:
         )
     else:
         lines.append(_line("folds", f"nowhere: the determinant is above 0 in all of {report.cells:,} cells"))
+    if doubt := doubt_of(made.source, report.folded, report.cells):
+        lines.append(_line("", doubt))
     place = ", ".join(f"{x + 0.0:.5g}" for x in report.at)
     lines.append(_line("determinant", f"the least is {report.determinant:.4g}, at ({place}) {unit}"))
     share = f"{report.negative:,} of {report.samples:,} samples ({_share(report.negative, report.samples)})"

@@ -99,15 +99,16 @@ class StrokeOptions:
             raise SuppleError("--amount is for strokes, and there are none: give --recipe or --grab, or leave it out")
         return self.fit
 
-    def to_recipe(self, *, world: bool = False, empty: bool = False) -> Recipe:
+    def to_recipe(self, *, world: bool = False, empty: bool = False, others: str = "") -> Recipe:
         """Read the recipe file, if one is given, and add the grabs.
 
-        ``world`` says that these are in millimetres; ``empty``, that there is something to do without strokes.
+        ``world`` says that these are in millimetres; ``empty``, that there is something to do without strokes;
+        ``others`` are the options that would do, too.
         """
         from supple.strokes import Recipe
 
         if not self.grab and self.recipe is None and not empty:
-            raise SuppleError("nothing to do: give --grab X,Y:X,Y --radius R, or --recipe FILE")
+            raise SuppleError(f"nothing to do: give --grab X,Y:X,Y --radius R, {others or 'or '}--recipe FILE")
         if self.recipe is None:
             made = Recipe()
         else:

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import itertools
+import os
 import re
 import threading
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Group, Parameter
 
-from supple.errors import SuppleError, shown
+from supple.errors import OutsideWarning, SuppleError, shown
 
 if TYPE_CHECKING:
     from supple.affine import Affine
@@ -21,7 +24,12 @@ if TYPE_CHECKING:
 MAPS = Group("Fields and affine maps", sort_key=1.3)
 OUTPUT = Group("Output grid", sort_key=1.6)
 
+OTHERS = "--field FILE, --affine FILE, --crop BOX, --resample S, --reference FILE or "
+"""What `supple warp` does without strokes."""
+
+_ON_PIXELS = ("opencv", "stmap")
 _ORDERED = ("--grab", "--field", "--affine", "--convention", "--recipe")
+_AFFINE = "6 numbers (pictures) or 12 (volumes), the rows of its matrix, or a file"
 _NUMBERS = re.compile(r"[-+\d.eE,\s]*\d[-+\d.eE,\s]*")
 
 
@@ -68,6 +76,11 @@ class MapOptions:
     def any(self) -> bool:
         """Return whether there is a map, or another grid."""
         return bool(self.field or self.affine) or self.to_grid() is not None
+
+    @property
+    def dangling(self) -> bool:
+        """Return whether there is something said of maps, but no map."""
+        return bool(self.inverse or self.convention) and not (self.field or self.affine)
 
     def to_grid(self) -> GridOptions | None:
         """Return the grid of the output as the library takes it."""
@@ -172,6 +185,8 @@ class _Entry:
 
         if self.is_numbers:
             return [fields.Placed(self._affine(), self.inverse, self.after, name=self.told)], None
+        if self.option == "--affine" and "," in self.text and not os.path.exists(self.text):
+            raise SuppleError(f"--affine must be {_AFFINE}, found {self.text!r}")
         source, reference = (there, here) if self.inverse else (here, there)
         try:
             file = maps.read_file(self.text, self.convention, source=source, reference=reference)
@@ -188,13 +203,12 @@ class _Entry:
     def _affine(self) -> Affine:
         from supple.affine import Affine
 
-        wanted = "6 numbers (pictures) or 12 (volumes), the rows of its matrix, or a file"
         try:
             numbers = [float(part) for part in self.text.split(",")]
         except ValueError:
             numbers = []
         if len(numbers) not in (6, 12):
-            raise SuppleError(f"--affine must be {wanted}, found {self.text!r}")
+            raise SuppleError(f"--affine must be {_AFFINE}, found {self.text!r}")
         width = 3 if len(numbers) == 6 else 4
         try:
             return Affine([numbers[k : k + width] for k in range(0, len(numbers), width)])
@@ -252,6 +266,60 @@ class Maps:
                 self._known = source, read
             return self._known[1]
 
+    def check_sizes(self, source: Grid, name: str) -> None:
+        """Refuse maps that have a value for each pixel of a picture, and are not of its size.
+
+        Each map leads from one picture to the next, from the input to the output, and has the size of the one after
+        it, or, if it is inverted, of the one before it. Only the first and the last are known: of another one, a
+        warning is given unless it is of a size that occurs.
+
+        Parameters
+        ----------
+        source : Grid
+            The grid of the input.
+        name : str
+            The name of the input.
+        """
+        from supple.fields import Field
+        from supple.files.grids import reference_grid
+
+        if source.ndim != 2:
+            return
+        output = source if self._reference is None else reference_grid(self._reference, 2)
+        ends = {0: (source, name), len(self._entries): (output, shown(self._reference or name))}
+        within: dict[int, list[tuple[_Entry, Grid]]] = {}
+        for k, (entry, (placed, convention)) in enumerate(zip(self._entries, self._read(source), strict=True)):
+            held = placed[0].map if placed else None
+            # one that does not begin at the first pixel is of more than the picture, or of a part
+            if convention not in _ON_PIXELS or not isinstance(held, Field) or any(held.grid.origin):
+                continue
+            at = k if entry.inverse else k + 1
+            if at not in ends:
+                within.setdefault(at, []).append((entry, held.grid))
+            elif held.grid.shape != ends[at][0].shape:
+                picture, whose = ends[at]
+                what = "which it is applied to" if at == 0 else "on whose pixels the result is written"
+                raise SuppleError(
+                    f"{shown(entry.text)} is a map of {_size(held.grid)} pixels, and {whose}, {what}, has "
+                    f"{_size(picture)}: give a {'map of its size' if at == 0 else 'picture of its size by --reference'}"
+                )
+        known = {source.shape, output.shape}
+        for found in within.values():
+            for (one, first), (other, second) in itertools.pairwise(found):
+                if first.shape != second.shape:
+                    raise SuppleError(
+                        f"{shown(one.text)} is a map of {_size(first)} pixels, and {shown(other.text)}, which takes "
+                        f"what it makes, of {_size(second)}: give maps of one size"
+                    )
+            if len(found) == 1 and found[0][1].shape not in known:
+                entry, grid = found[0]
+                warnings.warn(
+                    f"{shown(entry.text)} is a map of {_size(grid)} pixels, and {name} has {_size(source)}: beyond its "
+                    "edges, it goes on as there",
+                    OutsideWarning,
+                    stacklevel=2,
+                )
+
     def facts(self, source: Grid | None) -> list[dict[str, Any]]:
         """Return what is told of each map, as JSON holds it."""
         return [
@@ -259,6 +327,10 @@ class Maps:
             for entry, (some, convention) in zip(self._entries, self._read(source), strict=True)
             for placed in some
         ]
+
+
+def _size(grid: Grid) -> str:
+    return " x ".join(map(str, grid.sizes))
 
 
 def _facts(entry: _Entry, placed: Placed, convention: str | None) -> dict[str, Any]:

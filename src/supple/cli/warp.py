@@ -26,7 +26,7 @@ from supple.cli.console import (
     warn_of_software,
 )
 from supple.cli.options import RUNNING, RunOptions, StrokeOptions, VideoOptions, parse_fill, parse_number
-from supple.cli.options_maps import MapOptions, describe_grid, describe_map, grid_facts
+from supple.cli.options_maps import OTHERS, MapOptions, describe_grid, describe_map, grid_facts
 from supple.cli.options_volume import VOLUME, VolumeArguments
 from supple.engines.workers import workers
 from supple.errors import SuppleError
@@ -129,7 +129,7 @@ def warp(
         raise SuppleError("give a file to read and a name to write to: supple warp IN OUT --grab …")
     console.started(**options.asked(), file=paths[0] if len(paths) == 2 else "")
     check_filter(filter)
-    recipe = strokes.to_recipe(world=volume.world, empty=maps.any)
+    recipe = strokes.to_recipe(world=volume.world, empty=maps.any or maps.dangling, others=OTHERS)
     grabs = len(strokes.grab)
     elements = maps.to_maps(console.arguments, len(recipe.strokes) - grabs, grabs)
     if maps.any:
@@ -193,6 +193,7 @@ def warp(
         own = grid_of(source, target, recipe, maps=elements.read(own), **known)  # pages are a volume, if maps say so
         if own is not None:  # what is refused is not told of before
             grid_on(sampling["grid"], own, shown(source), elements.read(own))
+            elements.check_sizes(own, shown(source))
         for facts in elements.facts(own):
             console.note(describe_map(facts))
         return own

@@ -72,10 +72,13 @@ def certificate_of_status(status: npt.NDArray[np.uint8]) -> Certificate:
     return Certificate(0.0, 0.0, int(bits[4:].sum()), int(bits[1] + bits[3]), int(bits[2] + bits[3]))
 
 
-def warn_of(certificate: Certificate, tolerance: float, stacklevel: int, folds: str = "") -> None:
+def warn_of(
+    certificate: Certificate, tolerance: float, stacklevel: int, folds: str = "", field: str = "a field"
+) -> None:
     """Warn if a map may be less accurate than the tolerance, or has folds or gaps.
 
     ``folds`` says which of the fields that are inverted fold, if any: all that is known of folds is one warning.
+    ``field`` is the name of the only field, if there is only one.
     """
     told = [f"{folds}: where they are mapped to, the inverse is one of several points"] if folds else []
     if certificate.unknown or certificate.folded:
@@ -86,7 +89,7 @@ def warn_of(certificate: Certificate, tolerance: float, stacklevel: int, folds: 
             )
         if certificate.unknown:
             found.append(f"for {certificate.unknown} {'' if found else 'points '}no solution was found")
-        told.append(f"{'' if folds else 'a field folds: '}{', and '.join(found)}")
+        told.append(f"{'' if folds else f'{field} folds: '}{', and '.join(found)}")
         told.append(f"what is shown there is one of several points{', or a guess' if certificate.unknown else ''}")
     if told:
         warnings.warn(f"{'; '.join(told)} (supple check shows where)", FoldWarning, stacklevel=stacklevel)

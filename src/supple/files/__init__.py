@@ -19,7 +19,7 @@ from supple.domain import choice, refuse
 from supple.engines.base import Sampling, warn_of
 from supple.engines.choice import DEVICES, check_device, check_host
 from supple.errors import SuppleError, shown
-from supple.fields import Placed, folds_of
+from supple.fields import Placed, folds_of, only_name
 from supple.files.clips import SUFFIXES_OUT as CLIPS_OUT
 from supple.files.clips import ClipOptions, WarpedClip, check_clip_target, is_clip, refuse_places, warp_clip
 from supple.files.grids import GridOptions, grid_on, picture_grid
@@ -253,7 +253,7 @@ def warp_file(
         if bounded and not space.is_identity:
             for k in range(picture.pages):  # each by itself
                 clamp_to(picture.pixels[k * height : (k + 1) * height], pixels[k * rows : (k + 1) * rows], sampling)
-        warn_of(certificate, tolerance, 3, folds_of(maps))
+        warn_of(certificate, tolerance, 3, folds_of(maps), only_name(maps))
         # Only the header of the input is still needed: free its pixels for the encoder.
         like = replace(picture, pixels=np.empty((0, *picture.pixels.shape[1:]), picture.pixels.dtype))
         del picture, pages

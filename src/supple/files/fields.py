@@ -22,6 +22,7 @@ from supple.files.maps import (
     MapFile,
     check_images,
     check_reference,
+    check_written,
     convention_out,
     grid_of,
     only_field,
@@ -38,6 +39,7 @@ from supple.media.volume import suffix_of
 Array = npt.NDArray[Any]
 PathLike = str | os.PathLike[str]
 
+_MATRICES = (".txt", ".mat", ".lta", ".1d")
 _IMAGES = (".nii", ".nii.gz", ".nrrd", ".nhdr", ".mha", ".mhd", ".mif", ".mif.gz", ".mgz")
 # In NIfTI, in place of inf and NaN, which ITK reads there as 0: no error, no change of volume. No threshold for errors
 # takes the largest number for a small one. The exponential of the least number is 0: no volume at all is left.
@@ -178,8 +180,8 @@ def invert_file(
     to : str, optional
         That of the target; by default, that of the source.
     reference : str or os.PathLike, optional
-        An image or a field whose grid the inverse gets; by default, it is that of the (first) field. For an affine map
-        of FSL, the output image.
+        An image or a field whose grid the inverse gets; by default, it is that of the (first) field. A B-spline, whose
+        grid is coarse, needs it. For an affine map of FSL, the output image.
     image : str or os.PathLike, optional
         The input (moving) image of the source, which FSL's conventions need.
     tolerance : float
@@ -206,7 +208,9 @@ def invert_file(
     outputs = [path for path in (target, error, status, report) if path is not None]
     for path in outputs[1:]:
         check_beside(path, source, force=force)
-    check_images(error, status)
+    check_images(error=error, status=status)
+    if to is not None:
+        transforms.check_convention(to, "to")
     wanted = None if reference is None else grid_of(reference)
     moving = None if image is None else grid_of(image)
     read = read_file(source, convention, source=moving, reference=wanted)
@@ -218,6 +222,18 @@ def invert_file(
             f"{shown(source)} holds {told(read.maps)}: --error and --status are of the inverse of one field alone: "
             "leave them out"
         )
+    grid = wanted or read.grid if fields else None
+    if wanted is None and fields and fields[0].interpolation == "bspline":
+        points = " x ".join(map(str, fields[0].grid.sizes))
+        raise SuppleError(
+            f"the field of {shown(source)} is a B-spline, and its grid of {points} control points is too coarse for "
+            "an inverse: give the image whose grid the inverse shall have (--reference)"
+        )
+    # The inverse leads to the image that the field is on.
+    here = read.grid if fields else wanted
+    ndim = read.maps[0].ndim if read.maps else 3
+    check_images(ndim, error=error, status=status)
+    check_written(target, ndim, known, grid, source=here, reference=moving)
     counts, worst, extra = None, None, {}
     with replacing_together(outputs, force=force) as hidden:
         places = dict(zip(outputs, hidden, strict=True))
@@ -230,21 +246,18 @@ def invert_file(
             maps, counts = (inverted.field,), inverted.counts
             fine = inverted.error[inverted.status == OK]
             worst = float(fine.max()) if fine.size else None
-            _warn_of(counts, shown(source))
+            _warn_of(counts, read)
             extra = {path: image for path, image in ((error, inverted.error), (status, inverted.status)) if path}
         else:
-            grid = wanted or read.grid
             assert grid is not None
             parts = [Placed(each, inverse=True, name=shown(source)) for each in reversed(read.maps)]
             maps = (compose(parts, grid),)
-        # The inverse leads to the image that the field is on.
-        here = read.grid if fields else wanted
         write_file(places[target], maps, known, source=here, reference=moving)
         for path, values in extra.items():
             grid = own_grid(maps[0]) if isinstance(maps[0], Field) else None
             write_image(places[path], values, grid, in_nifti=_UNKNOWN_ERROR if path is error else None)
         how = "as asked" if to else "as it was read"
-        written = MapFile(Path(target), known, how, maps)
+        written = MapFile(Path(target), known, how, maps, written=True)
         made = InvertedFile((read,), written, time.perf_counter() - began, counts, worst, tolerance)
         if report is not None:
             places[report].write_text(json.dumps(made.facts(), indent=2) + "\n", "utf-8")
@@ -298,14 +311,19 @@ def check_file(
     outputs = [path for path in (map, picture) if path is not None]
     for path in outputs:
         check_beside(path, source, inverse, force=force)
-    check_images(map)
+    check_images(map=map)
     if picture is not None:
         from supple.plot import check_plot
 
         check_plot(picture, force=force)
     read = read_file(source, convention, source=None if image is None else grid_of(image))
     field = only_field(read)
+    check_images(field.ndim, map=map)
     other = None if inverse is None else read_file(inverse, convention, source=own_grid(field))
+    if other is not None and (n := only_field(other).ndim) != field.ndim:
+        raise SuppleError(
+            f"{shown(source)} is a field of {field.ndim} axes, and {shown(other.path)} of {n}: give two of as many"
+        )
     folded, logarithms = field.folded_cells(), field.log_jacobian()
     distances = None if other is None else field.distances(only_field(other))
     report = field.reported(folded, logarithms, distances)
@@ -382,7 +400,7 @@ def compose_files(
             parts += [Placed(one, inverse=file.inverse, name=shown(file.path)) for one in ordered]
         made = compose(parts, grid)
         write_file(place, (made,), known, source=read[-1].grid if inputs[-1].inverse else moving[-1], reference=wanted)
-    written = MapFile(Path(target), known, how, (made,))
+    written = MapFile(Path(target), known, how, (made,), written=True)
     return Written(tuple(read), written, time.perf_counter() - began)
 
 
@@ -416,7 +434,8 @@ def convert_file(
         If the source cannot be read, or the convention of the target cannot hold it.
     """
     began = time.perf_counter()
-    known, how = convention_out(target, to, None)
+    if to is not None:
+        transforms.check_convention(to, "to")
     moving = None if image is None else grid_of(image)
     wanted = None if reference is None else grid_of(reference)
     with replacing_together([target], force=force) as (place,):
@@ -424,15 +443,19 @@ def convert_file(
         check_reference(read, wanted, reference)
         affine = len(read.maps) == 1 and isinstance(read.maps[0], Affine)
         as_field = not affine or suffix_of(target) in _IMAGES
-        if affine and as_field and wanted is None:
+        if (affine or len(read.maps) > 1) and suffix_of(target) in _IMAGES and wanted is None:
             raise SuppleError(
-                f"{shown(source)} holds an affine map, and {shown(target)} a field: give the image whose grid the "
-                "field shall have (--reference)"
+                f"{shown(source)} holds {told(read.maps)}, and {shown(target)} one field: give the image whose grid "
+                "the field shall have (--reference)"
             )
+        if not affine and suffix_of(target) in _MATRICES:
+            what = f"a {suffix_of(target)} file holds one affine map, and {shown(source)} {told(read.maps)}"
+            raise SuppleError(f"cannot write {shown(target)}: {what}: use .nii.gz, .nrrd, .mha or .h5")
+        known, how = convention_out(target, to, None)
         parts = [Placed(each, name=shown(source)) for each in read.maps]
         maps = (compose(parts, wanted),) if as_field and wanted is not None else read.maps
         write_file(place, maps, known, source=moving, reference=wanted)
-    return Written((read,), MapFile(Path(target), known, how, maps), time.perf_counter() - began)
+    return Written((read,), MapFile(Path(target), known, how, maps, written=True), time.perf_counter() - began)
 
 
 def _read_among(inputs: Sequence[Input], k: int, source: Grid | None, reference: Grid | None) -> MapFile:
@@ -450,12 +473,26 @@ def _read_among(inputs: Sequence[Input], k: int, source: Grid | None, reference:
         raise SuppleError(f"{str(error).rpartition(': ')[0]}: {advice}") from None
 
 
-def _warn_of(counts: Mapping[str, int], name: str) -> None:
+def doubt_of(read: MapFile, folded: int, cells: int) -> str:
+    """Return what a file may be instead, if it folds in more than a quarter of its cells; "" otherwise."""
+    if 4 * folded <= cells:
+        return ""
+    return f"is it of the convention {read.convention}, {read.known}? --convention says another"
+
+
+def _warn_of(counts: Mapping[str, int], read: MapFile) -> None:
     found = [f"{count:,} {status}" for status, count in counts.items() if status != "ok" and count]
     if found:
+        whole, field, doubt = sum(counts.values()), only_field(read), ""
+        if counts["folded"] or counts["unconverged"]:
+            cells = field.folded_cells()
+            folded = int(np.count_nonzero(cells))
+            if hint := doubt_of(read, folded, cells.size):
+                doubt = f"; the field folds in {folded:,} of its {cells.size:,} cells: {hint}"
         warnings.warn(
-            f"{name}: of {sum(counts.values()):,} voxels of the inverse, {', '.join(found)}: they hold the nearest "
-            "that was found; nothing was smoothed or set to zero (--status shows where)",
+            f"{shown(read.path)}: of {whole:,} {'pixel' if field.ndim == 2 else 'voxel'}s of the inverse, "
+            f"{', '.join(found)}: they hold the nearest that was found; nothing was smoothed or set to zero (--status "
+            f"shows where){doubt}",
             FoldWarning,
             stacklevel=3,
         )

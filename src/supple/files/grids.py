@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import warnings
 from collections.abc import Sequence
@@ -16,6 +17,9 @@ from supple.media.codecs import SUFFIXES as CLIPS
 from supple.media.image import SUFFIXES, info
 
 PathLike = str | os.PathLike[str]
+
+_MOST = 1 << 40
+"""Samples of a result: beyond them, a spacing is a slip, and no disk the remedy."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,6 +105,9 @@ class GridOptions:
             if any(a + b > size for a, b, size in zip(first, sizes, made.sizes, strict=True)):
                 refuse("crop", f"within the grid of {' x '.join(map(str, made.sizes))} samples", listed(self.crop))
             made = made.crop(first, sizes)
+        if self.resample is not None and math.prod(made.shape) > _MOST:
+            what = f"a {kind} of {' x '.join(f'{size:,}' for size in made.sizes)} {'pixels' if n == 2 else 'voxels'}"
+            raise SuppleError(f"resample to {listed(self.resample)} makes {what}, too many: give a larger spacing")
         return made
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -51,6 +52,12 @@ KINDS = {
 }
 """What the files of each convention hold. In memory, all are displacements in millimetres in LPS, or in pixels."""
 
+WRITTEN = {
+    "freesurfer": KINDS["freesurfer"]._replace(holds="positions"),
+    "ngff": Kind("OME-Zarr", "displacements", "LPS", "mm"),
+}
+"""What is written, where the convention reads more."""
+
 
 @dataclass(frozen=True, slots=True)
 class MapFile:
@@ -67,6 +74,8 @@ class MapFile:
         In the order in which a point of the output goes through them.
     inverse : bool
         Whether their inverse is taken, among those that are composed.
+    written : bool
+        Whether the file is one that is written.
     """
 
     path: Path
@@ -74,10 +83,18 @@ class MapFile:
     known: str
     maps: tuple[Map, ...]
     inverse: bool = False
+    written: bool = False
 
     @property
     def kind(self) -> Kind:
         """What the convention's numbers are."""
+        if self.written and self.convention in WRITTEN:
+            kind = WRITTEN[self.convention]
+            return (
+                kind
+                if any(each.ndim == 3 for each in self.maps)
+                else kind._replace(space="the picture", units="pixels")
+            )
         return KINDS.get(self.convention, Kind(self.convention, "numbers", "its own", "its own units"))
 
     @property
@@ -140,6 +157,7 @@ def check_reference(read: MapFile, grid: Grid | None, path: PathLike | None) -> 
 def convention_out(target: PathLike, to: str | None, otherwise: str | None) -> tuple[str, str]:
     """Return the convention of a file to write, and how it is known."""
     if to is not None:
+        transforms.check_convention(to, "to")
         return to, "as asked"
     if otherwise is not None:
         return otherwise, "as all were read"
@@ -153,9 +171,11 @@ def only_field(read: MapFile) -> Field:
     """Return the only field of a file."""
     only = read.maps[0] if len(read.maps) == 1 else None
     if not isinstance(only, Field):
-        raise SuppleError(
-            f"{shown(read.path)} holds {told(read.maps)}, and not one field: supple compose makes one field of them"
-        )
+        if any(isinstance(each, Field) for each in read.maps):
+            advice = "supple compose makes one field of them"
+        else:
+            advice = "supple compose makes one, on the grid of an image (--reference)"
+        raise SuppleError(f"{shown(read.path)} holds {told(read.maps)}, and not one field: {advice}")
     return only
 
 
@@ -177,15 +197,46 @@ def write_file(
     transforms.write(path, contents, convention, source=source, reference=reference)
 
 
-def check_images(*paths: PathLike | None) -> None:
-    """Raise SuppleError for names of neither a volume nor a picture, and of volumes that are two files."""
+def check_images(ndim: int | None = None, **paths: PathLike | None) -> None:
+    """Raise SuppleError for names of no volume (of 3 axes), no picture (of 2), or neither, and of two files.
+
+    The message has the argument's name.
+    """
     from supple.media import image
 
-    for path in paths:
-        if path is not None and suffix_of(path) == ".mhd":  # outputs that appear together are one file each
-            raise unwritable(path, "its data would be in a second file", "use .mha")
-        if path is not None and suffix_of(path) not in image.SUFFIXES_OUT:
-            volume.check_target(path)
+    for name, path in paths.items():
+        try:
+            if path is None:
+                continue
+            if suffix_of(path) == ".mhd":  # outputs that appear together are one file each
+                raise unwritable(path, "its data would be in a second file", "use .mha")
+            if ndim == 2 or (ndim is None and suffix_of(path) in image.SUFFIXES_OUT):
+                image.check_target(path)
+            else:
+                volume.check_target(path)
+        except SuppleError as error:
+            raise SuppleError(f"{name} must be the name of an image: {error}") from None
+
+
+def check_written(
+    path: PathLike, ndim: int, convention: str, grid: Grid | None, *, source: Grid | None, reference: Grid | None
+) -> None:
+    """Raise SuppleError, before any work, for a name or a convention that holds no such map.
+
+    What is refused is known to the writer of each convention alone: it writes a map that changes nothing, a field of a
+    few samples of the grid, or an affine map without one, to a folder that is then removed.
+    """
+    one: transforms.Content = np.eye(ndim + 1)
+    if grid is not None:
+        few = grid.crop([0] * ndim, [min(size, 2) for size in grid.sizes])
+        one = transforms.Displacements(np.zeros((*few.shape, ndim), np.float32), few)
+    with tempfile.TemporaryDirectory() as folder:
+        trial = Path(folder) / Path(path).name
+        try:
+            transforms.write(trial, [one], convention, source=source, reference=reference)
+        except SuppleError as error:
+            text = str(error).replace(shown(trial), shown(path))
+            raise type(error)(text) from None
 
 
 def write_image(path: PathLike, values: Array, grid: Grid | None, *, in_nifti: float | None = None) -> None:

@@ -20,7 +20,7 @@ from supple.deformation import Deformation, Report
 from supple.engines.base import Certificate, Sampling, Space, warn_of
 from supple.engines.choice import check_device, engine_for
 from supple.errors import GapWarning, SuppleError, VolumeWarning, shown
-from supple.fields import Placed, folds_of
+from supple.fields import Placed, folds_of, only_name
 from supple.files.grids import GridOptions, grid_on, warn_of_place
 from supple.files.transforms import write_transform
 from supple.geometry import Geometry, Grid
@@ -303,7 +303,7 @@ def warp_volume(
             # It is renamed together with the volume: if either cannot be written, neither is.
             place = stack.enter_context(replacing(known.save_field, force=force))
             write_transform(place, deformation, like.geometry, tolerance=tolerance, force=True, grid=regrid, warn=False)
-        found = _written(volume, like, source, target, space, sampling, clamp, device, force, tell, folds_of(maps))
+        found = _written(volume, like, source, target, space, sampling, clamp, device, force, tell, maps)
     count = len(volume.samples) if volume.series else 1
     made = Path(source), Path(target), deformation, volume.geometry, tolerance, found.error, count, regrid
     return WarpedVolume(*made, found.folded, found.outside, found.unknown)
@@ -396,7 +396,7 @@ def _written(
     device: str,
     force: bool,
     tell: Tell,
-    folds: str,
+    maps: Sequence[Placed],
 ) -> Certificate:
     """Warp and write a volume, of the sizes and with the header of another one; return the accuracy of the map."""
     series = volume.samples if volume.series else volume.samples[None]
@@ -418,7 +418,8 @@ def _written(
                 certificate |= known
             if clamp and not space.is_identity:
                 clamp_to(series, out, sampling)
-            warn_of(certificate, sampling.tolerance, 4, folds)  # before the target is renamed
+            # before the target is renamed
+            warn_of(certificate, sampling.tolerance, 4, folds_of(maps), only_name(maps))
             tell("write", 0, 1)
             write(target, out if volume.series else out[0], like, force=force)
     return certificate

@@ -151,6 +151,19 @@ REFUSED: list[tuple[str, Callable[[Path], object], str | None, list[str]]] = [
     ("a.foo", lambda p: p.write_bytes(b"x"), None, ["the suffix .foo", "give the convention"]),
     ("a.foo", lambda p: p.write_bytes(b"x"), "itk", ["the suffix .foo"]),
     ("a", lambda p: p.write_bytes(b"x"), None, ["without suffix"]),
+    (
+        "a.npy",
+        lambda p: np.save(p, NOISE[0, ..., :2]),
+        None,
+        ["positions", "displacements", 'give convention="opencv"'],
+    ),
+    ("a.npz", lambda p: np.savez(p, NOISE[0, ..., :2]), None, ['give convention="opencv"']),
+    ("a.png", lambda p: p.write_bytes(b"x"), None, ['give convention="stmap"']),
+    ("a.tif", lambda p: p.write_bytes(b"x"), None, ['give convention="stmap"']),
+    ("a.jpg", lambda p: p.write_bytes(b"x"), None, ["of a picture, and of no field"]),
+    ("a.mp4", lambda p: p.write_bytes(b"x"), None, ["of a clip, and of no field"]),
+    ("a.tif", lambda p: None, None, ["No such file"]),
+    ("a.foo", lambda p: None, None, ["No such file"]),
 ]
 
 

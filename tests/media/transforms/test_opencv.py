@@ -26,7 +26,7 @@ RAMP = np.dstack([COLUMNS, ROWS, np.zeros(SHAPE)]).astype(np.float32)
 
 def places(path: Path) -> Array:
     """Return the source positions of a file's map."""
-    (field,) = read(path)
+    (field,) = read(path, "opencv")
     assert isinstance(field, Displacements)
     assert field.beyond == "edge"
     assert field.grid.is_same_space(Grid(field.values.shape[:2]))
@@ -81,7 +81,7 @@ def test_a_ramp_and_an_image_through_remap(tmp_path: Path) -> None:
     options = {"interpolation": cv2.INTER_LINEAR, "borderMode": cv2.BORDER_REPLICATE}
     np.testing.assert_allclose(places(tmp_path / "a.npz"), cv2.remap(RAMP, x, y, **options)[..., :2], atol=1e-5)
     image = cv2.GaussianBlur(np.random.default_rng(0).uniform(0, 255, (*SHAPE, 3)).astype("f4"), (0, 0), 2)
-    seen = sampled(image, read(tmp_path / "a.npz"), SHAPE)
+    seen = sampled(image, read(tmp_path / "a.npz", "opencv"), SHAPE)
     np.testing.assert_allclose(seen, cv2.remap(image, x, y, **options), atol=1e-3)
 
 
@@ -118,7 +118,7 @@ def test_what_is_no_map_is_refused(tmp_path: Path) -> None:
         elif arrays:
             np.savez(path, **arrays)
         with pytest.raises(SuppleError, match=match) as told:
-            read(path)
+            read(path, "opencv")
         assert name in str(told.value)
         assert "\n" not in str(told.value)
 

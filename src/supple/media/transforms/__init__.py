@@ -24,6 +24,7 @@ __all__ = [
     "Content",
     "Displacements",
     "MissingGridError",
+    "check_convention",
     "check_target",
     "convention_in",
     "convention_of",
@@ -139,8 +140,12 @@ def write(
     _found(known).write(path, contents, Grids(source, reference), force=force)
 
 
+def check_convention(convention: str, name: str = "convention") -> None:
+    """Raise SuppleError for an unknown convention; ``name`` is that of the argument."""
+    if convention not in CONVENTIONS:
+        raise SuppleError(f"{name} must be one of {', '.join(CONVENTIONS)}, found {shown(str(convention))}")
+
+
 def _found(convention: str) -> Convention:
-    known = CONVENTIONS.get(convention)
-    if known is None:
-        raise SuppleError(f"convention must be one of {', '.join(CONVENTIONS)}, found {shown(str(convention))}")
-    return known
+    check_convention(convention)
+    return CONVENTIONS[convention]

@@ -57,7 +57,7 @@ def read(path: PathLike, grids: Grids) -> tuple[Content, ...]:
     if suffix in DATASETS:
         values, grid = _dataset(path)
     else:
-        volume = read_nifti(path)
+        volume = read_nifti(path, "afni")
         check_intent(path, volume, "afni", (0, _VECTOR))
         values, grid = vectors_of(path, volume)
     _check_cardinal(path, grid, "its grid")

@@ -86,8 +86,8 @@ def to_ras(matrix: Matrix) -> Matrix:
     return np.asarray(_LPS @ matrix)
 
 
-def read_nifti(path: PathLike) -> Volume:
-    """Read a NIfTI file whose place is not in doubt."""
+def read_nifti(path: PathLike, convention: str) -> Volume:
+    """Read a NIfTI file of a convention, whose place is not in doubt."""
     with warnings.catch_warnings():
         warnings.simplefilter("error", VolumeWarning)
         try:
@@ -95,6 +95,11 @@ def read_nifti(path: PathLike) -> Volume:
         except VolumeWarning as error:
             what = "its qform and its sform disagree, and programs choose between them differently"
             raise unreadable(path, what, "make them the same in its header") from error
+        except SuppleError as error:
+            if "it is no NIfTI file" not in str(error):
+                raise
+            what = f"it is no NIfTI file, and those of the convention {convention} are"
+            raise unreadable(path, what, "check its name and its convention") from error
 
 
 def intent_of(volume: Volume) -> int:
@@ -207,7 +212,8 @@ def only_matrix(path: PathLike, contents: Sequence[Content], convention: str) ->
     """Return the only content, the matrix of an affine map of volumes; SuppleError for others."""
     found = contents[0] if len(contents) == 1 else None
     if found is None or isinstance(found, Displacements):
-        raise unwritable(path, f"{convention} holds one affine map, found {_told(contents)}", "write a field")
+        advice = "choose another convention, or another suffix"
+        raise unwritable(path, f"{convention} holds one affine map, found {_told(contents)}", advice)
     check_volume(path, found)
     return found
 

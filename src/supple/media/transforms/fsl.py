@@ -50,7 +50,7 @@ def to_fsl(grid: Grid) -> Matrix:
 def read(path: PathLike, grids: Grids, *, absolute: bool) -> tuple[Content, ...]:
     """Read a warp of FSL; needs the grid of the source."""
     convention = "fsl-absolute" if absolute else "fsl-relative"
-    volume = read_nifti(path)
+    volume = read_nifti(path, convention)
     check_intent(path, volume, convention, _INTENTS)
     values, grid = vectors_of(path, volume)
     steps = [abs(float(x)) for x in volume.header["pixdim"][1:4]]

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 from supple.errors import SuppleError, shown
-from supple.media.files import PathLike, head_of
+from supple.media import image
+from supple.media.codecs import SUFFIXES as CLIPS
+from supple.media.files import PathLike, head_of, unreadable, unwritable
 from supple.media.transforms.base import check_code, check_count, suffix_of
 from supple.media.volume import nifti
 
@@ -13,6 +16,7 @@ _FSL = ("fsl-relative", "fsl-absolute")
 _MRTRIX = ("mrtrix", "mrtrix-displacement")
 _WARPS = (2006, 2018)  # of FNIRT and topup
 _NIFTI = (".nii", ".nii.gz")
+_COLOURS = (128, 2304)  # the datatypes RGB24 and RGBA32 of NIfTI
 # the conventions of a suffix
 _SUFFIXES: dict[str, tuple[str, ...]] = {
     **dict.fromkeys((".h5", ".hdf5", ".tfm", ".mha", ".mhd", ".nrrd", ".nhdr"), ("itk",)),
@@ -25,16 +29,25 @@ _SUFFIXES: dict[str, tuple[str, ...]] = {
     **dict.fromkeys((".npy", ".npz", ".xml", ".yml", ".yaml"), ("opencv",)),
     **dict.fromkeys((".lta", ".m3z", ".m3d", ".mgz", ".mgh"), ("freesurfer",)),
 }
+# what holds maps of one convention, and as often something else: the convention is given
+_NAMED = {
+    **dict.fromkeys(
+        (".npy", ".npz"),
+        ("opencv", "its numbers may be positions, as of OpenCV's maps, or displacements", "if they are positions"),
+    ),
+    **dict.fromkeys((".tif", ".tiff", ".png"), ("stmap", "it may be an STMap, or any other picture", "if it is one")),
+}
+_WRITTEN = (".npy", ".npz")  # of these, what is written is of one convention
 
 
 def convention_of(path: PathLike) -> str:
     """Return the convention of a file to write; SuppleError if its suffix is of more than one, or of none."""
-    return _only(path, _candidates(path), "its suffix does not say in which convention to write", "write")
+    return _only(path, _candidates(path, "write"), "its suffix does not say in which convention to write", "write")
 
 
 def convention_in(path: PathLike) -> str:
     """Return the convention of a file; SuppleError if it may have more than one."""
-    known = _candidates(path)
+    known = _candidates(path, "read")
     if len(known) > 1:
         suffix = suffix_of(path, tuple(_SUFFIXES))
         what, known = _in_nifti(path) if suffix in _NIFTI else _in_text(path, known)
@@ -43,12 +56,23 @@ def convention_in(path: PathLike) -> str:
     return _only(path, known, what, "read")
 
 
-def _candidates(path: PathLike) -> tuple[str, ...]:
+def _candidates(path: PathLike, verb: str) -> tuple[str, ...]:
     suffix = suffix_of(path, tuple(_SUFFIXES))
+    refused = unreadable if verb == "read" else unwritable
+    if (suffix in _NAMED or suffix not in _SUFFIXES) and verb == "read" and not os.path.exists(path):
+        raise unreadable(path, "No such file or directory", "check the name and its rights")
+    if suffix in _NAMED and not (verb == "write" and suffix in _WRITTEN):
+        name, what, fits = _NAMED[suffix]
+        if verb == "read":
+            raise refused(path, what, f'give convention="{name}" {fits}')
+        raise refused(path, "a picture is not always an STMap", f"give the convention: {name}")
     known = _SUFFIXES.get(suffix)
     if known is None:
+        if suffix in CLIPS or suffix in image.SUFFIXES:
+            what = f"the suffix {suffix} is of a {'clip' if suffix in CLIPS else 'picture'}, and of no field"
+            raise refused(path, what, "name a file of a field or of an affine map")
         found = f"the suffix {shown(suffix)}" if suffix else "a name without suffix"
-        raise SuppleError(f"cannot tell the convention of {shown(path)}: {found}: give the convention")
+        raise refused(path, f"{found} tells no convention", "give the convention, or another name")
     return known
 
 
@@ -64,6 +88,8 @@ def _in_nifti(path: PathLike) -> tuple[str, tuple[str, ...]]:
     if five and code == 1007:
         return "", ("itk",)
     check_code(path, code)
+    if int(header["datatype"]) in _COLOURS:
+        raise unreadable(path, "its voxels are colours (RGB), as of a picture", "give a field of float32 or float64")
     count = sizes[3] if series else components
     check_count(path, count)
     if code == 1006:

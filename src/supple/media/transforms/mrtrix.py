@@ -38,8 +38,9 @@ def read(path: PathLike, grids: Grids, *, absolute: bool) -> tuple[Content, ...]
         values, matrix = _mif(path)
         grid = matrix_grid(path, matrix, values.shape[2::-1])
     else:
-        volume = read_nifti(path)
-        check_intent(path, volume, "mrtrix" if absolute else "mrtrix-displacement", (0,))
+        convention = "mrtrix" if absolute else "mrtrix-displacement"
+        volume = read_nifti(path, convention)
+        check_intent(path, volume, convention, (0,))
         values, grid = vectors_of(path, volume)
     check_finite(path, values, "MRtrix marks so what lies outside the input: crop the warp, or fill these voxels")
     made = moved(values, grid, None, _FLIP, np.eye(4) if absolute else None)

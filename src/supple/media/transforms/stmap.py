@@ -8,7 +8,10 @@ reads it with ``flip_t``.
 from __future__ import annotations
 
 import contextlib
+import io
 import os
+import re
+import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -21,6 +24,7 @@ from supple.media import image
 from supple.media.files import PathLike, check_suffix, head_of, replacing, unreadable, unwritable
 from supple.media.transforms.base import Array, Content
 from supple.media.transforms.positions import of_positions, to_positions
+from supple.media.volume.itk import silence
 
 SUFFIXES = (".exr", ".tif", ".tiff", ".png")
 SUFFIXES_OUT = (".exr", ".tif", ".tiff")
@@ -140,12 +144,24 @@ def _failing(path: PathLike) -> Iterator[None]:
         raise unreadable(path, f"it is no EXR, damaged or cut short ({str(error).splitlines()[0]})") from error
 
 
+@contextlib.contextmanager
+def _silence() -> Iterator[None]:
+    """Suppress what OpenEXR writes of a damaged file, to both streams; what other threads write is passed on."""
+    said = io.StringIO()
+    try:
+        with silence(), contextlib.redirect_stdout(said):
+            yield
+    finally:
+        if rest := re.sub(r"(?m)^Warning: .*\n", "", said.getvalue()):
+            sys.stdout.write(rest)
+
+
 def _exr(path: PathLike) -> _Planes:
     """Return s, t, the opacity, the first pixel and the size of an EXR."""
     module = imported()
     if not head_of(path, 4).startswith(b"v/1\x01"):
         raise unreadable(path, "it does not begin as an EXR does", "give the name of an EXR")
-    with _failing(path), module.File(os.fspath(path), separate_channels=True) as file:
+    with _failing(path), _silence(), module.File(os.fspath(path), separate_channels=True) as file:
         channels, header = dict(file.channels()), file.header()
         names = {
             name: channel for name, channel in channels.items() if (channel.xSampling, channel.ySampling) == (1, 1)

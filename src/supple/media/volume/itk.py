@@ -48,7 +48,7 @@ def imported() -> Any:
 
 @contextlib.contextmanager
 def silence() -> Iterator[None]:
-    """Suppress standard error: ITK's readers print the messages of their exceptions there."""
+    """Suppress standard error: ITK's readers, and OpenEXR's, print the messages of their exceptions there."""
     with _SILENCE, contextlib.ExitStack() as stack:
         try:
             kept = os.dup(2)
