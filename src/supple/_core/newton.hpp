@@ -94,7 +94,8 @@ INLINE void newton(const Chain& chain, const Axis* axes, const V* q, double tole
             x[i] -= q[i];
             e2 += x[i] * x[i];
         }
-        M taken = without(e2 <= error * (1.0 - DOWNHILL * part), done);
+        // Lanes that have given up do not change, whatever the others need.
+        M taken = without(both(e2 <= error * (1.0 - DOWNHILL * part), part > SHORTEST), done);
         V m[D][D], d[D], d2 = V{};
         invert(t, m);
         for (int i = 0; i < D; i++) {

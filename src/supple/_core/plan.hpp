@@ -170,7 +170,7 @@ private:
     int past(int axis, int pixel) const { return pixel == last[axis] ? size[axis] : pixel; }
     template <class RootOf>
     Chain chain_of(Work& w, RootOf root_of) const;
-    void find_reaching(int root_row);
+    void find_reaching(int root_row, int left, int right);
     void solve_band(int index);
     void solve_pixels(int root);
     Passed<Lanes> solve_composite(const Lanes (&q)[D], Jet<D, D, true, Lanes>& jet) const;
@@ -275,8 +275,9 @@ Chain Plan<D>::chain_of(Work& w, RootOf root_of) const {
 // A ball around each root of a row is carried back through the chain: its centre by a fixed point of each stroke that
 // it touches, its radius by a bound of that inverse's slope, or of the displacement.
 template <int D>
-void Plan<D>::find_reaching(int j) {
-    for (int first = 0; first < across; first += LANES) {
+void Plan<D>::find_reaching(int j, int left, int right) {
+    // The same groups of roots as of the whole row.
+    for (int first = left - left % LANES; first < std::min(right + 1, across); first += LANES) {
         Lanes low[D], high[D], centre[D], radius2{};
         for (int l = 0; l < LANES; l++) {
             int i = std::min(first + l, across - 1);
@@ -520,8 +521,14 @@ void Plan<D>::solve_band(int index) {
     if (line(first) >= box[3] || past(1, line(end)) <= box[2]) return;
     Work w;
     w.band = &bands[index];
+    // The columns and rows of roots that the box meets.
+    int left = 0, right = across, top = first, bottom = end;
+    while (left < across - 1 && past(0, column(left + 1)) <= box[0]) left++;
+    while (right > left + 1 && column(right - 1) >= box[1]) right--;
+    while (top < end - 1 && past(1, line(top + 1)) <= box[2]) top++;
+    while (bottom > top + 1 && line(bottom - 1) >= box[3]) bottom--;
     for (int j = first; j < end; j++) {
-        if (!map) find_reaching(j);
+        if (!map && j <= bottom) find_reaching(j, left, right);
         for (int i = 0; i < across; i++) roots[j * across + i].band = index;
     }
     if (map && !map->smooth) {
@@ -532,8 +539,8 @@ void Plan<D>::solve_band(int index) {
     }
     w.nodes.resize((size_t)(end - first + 1) * (across + 1));
     // Each row from the one above.
-    for (int j = first; j <= end; j++) {
-        for (int i = 0; i <= across; i++) {
+    for (int j = first; j <= bottom; j++) {
+        for (int i = left; i <= right; i++) {
             Ask a{};
             a.q[0] = column(i);
             a.q[1] = line(j);
@@ -552,8 +559,8 @@ void Plan<D>::solve_band(int index) {
         }
         solve(w, j > first ? POINT : NONE);
     }
-    for (int j = first; j < end; j++)
-        for (int i = 0; i < across; i++) {
+    for (int j = top; j < bottom; j++)
+        for (int i = left; i < right; i++) {
             int root = j * across + i, node = (j - first) * (across + 1) + i;
             const uint64_t* set = reaching.data() + (size_t)root * words;
             if (!map && std::all_of(set, set + words, [](uint64_t s) { return s == 0; })) continue;
@@ -570,7 +577,8 @@ void Plan<D>::solve_band(int index) {
         w.split.clear();
     }
     if (D == 3)
-        for (int root = first * across; root < end * across; root++) w.band->extent |= extent(root);
+        for (int j = top; j < bottom; j++)
+            for (int i = left; i < right; i++) w.band->extent |= extent(j * across + i);
 }
 
 // Solve every pixel of a root within the box's columns.
