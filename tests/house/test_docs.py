@@ -101,7 +101,7 @@ def test_every_option_that_is_named_exists_and_every_one_that_exists_is_named() 
         )
         helps[command] = set(re.findall(OPTION, result.stdout))
     text = "\n".join(page.read_text(encoding="utf-8") for page in PAGES)
-    named = set(re.findall(OPTION, re.sub(r"^(pip|make|git) .*$", "", text, flags=re.MULTILINE)))
+    named = set(re.findall(OPTION, re.sub(r"^(pip|make|git|python) .*$", "", text, flags=re.MULTILINE)))
     known = set().union(*helps.values())
     assert named <= known
     reference = (ROOT / "docs" / "command-line.md").read_text(encoding="utf-8")
