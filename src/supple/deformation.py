@@ -640,9 +640,9 @@ class Deformation:
         out : array, optional
             The array for the result, of its shape and type, and not overlapping ``source``.
         grid : Grid, optional
-            The grid of the output; by default, that of the input. `supple.grid_of` reads that of another image;
-            ``d.grid.crop(…)`` is a part of the grid: the result
-            equals that part of the whole, bit for bit, at a cost in proportion.
+            The grid of the output; by default, that of the input. `supple.grid_of` reads that of another image. Of
+            ``d.grid.crop(…)``, a part of the grid, the result equals that part of the whole, bit for bit, at a
+            cost in proportion.
 
         Returns
         -------

@@ -25,7 +25,7 @@ PathLike = str | os.PathLike[str]
 Interpolation = Literal["linear", "cubic", "bspline"]
 Beyond = Literal["zero", "edge"]
 
-ROUNDING = 1e-6  # samples: the outermost samples of a field may be just outside of it by rounding
+_ROUNDING = 1e-6  # samples: the outermost samples of a field may be just outside of it by rounding
 
 OK, FOLDED, OUTSIDE, UNCONVERGED = range(4)
 STATUS = ("ok", "folded", "outside", "unconverged")
@@ -129,7 +129,7 @@ class Field:
             1 if self.interpolation == "linear" else 3,
             [1.0 if own else 0.0] * n,
             [size - (2.0 if own else 1.0) for size in sizes],
-            ROUNDING if own else 0.5,
+            margin_of(self.interpolation),
             self.beyond == "zero",
             np.ascontiguousarray(matrix[:n]),
             np.ascontiguousarray(np.linalg.inv(matrix[:n, :n])),
@@ -223,8 +223,7 @@ class Field:
         if inverse.ndim != self.ndim:
             raise SuppleError(f"a field of {self.ndim} axes has no inverse of {inverse.ndim}")
         one, other = (field.packed(np.eye(self.ndim + 1)) for field in (self, inverse))
-        margin = ROUNDING if inverse.interpolation == "bspline" else 0.5
-        return checks.distances(one, other, own_grid(self), own_grid(inverse), margin)
+        return checks.distances(one, other, own_grid(self), own_grid(inverse), margin_of(inverse.interpolation))
 
     def reported(
         self, folded: Array, logarithms: npt.NDArray[np.float32], distances: npt.NDArray[np.float32] | None = None
@@ -258,9 +257,9 @@ class Field:
         grid : Grid, optional
             The grid of the result; by default, the field's own.
 
-        Raises, warns
-        -------------
-        As `compose` does.
+        Notes
+        -----
+        Errors and warnings are those of `compose`.
         """
         made = compose((self, *maps), own_grid(self) if grid is None else grid)
         return type(self)(made.values, made.grid)
@@ -296,10 +295,9 @@ class Field:
         found = read_maps(path, convention, source=source, reference=reference)
         only = found[0] if len(found) == 1 else None
         if not isinstance(only, Field):
-            kinds = " and ".join("a field" if isinstance(each, Field) else "an affine map" for each in found)
             raise SuppleError(
-                f"{shown(path)} holds {kinds}, and not one field: read_maps(path) reads them (supple compose makes one "
-                "field of them)"
+                f"{shown(path)} holds {told(found)}, and not one field: read_maps(path) reads them (supple compose "
+                "makes one field of them)"
             )
         return cls(only.values, only.grid, only.interpolation, only.beyond)
 
@@ -320,10 +318,7 @@ class Field:
         SuppleError
             If the file cannot be written, or the convention cannot hold the field.
         """
-        from supple.media import transforms
-
-        held = transforms.Displacements(self.values, self.grid, self.interpolation, self.beyond)
-        transforms.write(path, [held], convention, source=source, force=force)
+        write_maps(path, [self], convention, source=source, force=force)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -429,6 +424,35 @@ def read_maps(
     return tuple(Field(*each) if isinstance(each, transforms.Displacements) else Affine(each) for each in found)
 
 
+def write_maps(
+    path: PathLike,
+    maps: Sequence[Map],
+    convention: str | None = None,
+    *,
+    source: Grid | None = None,
+    reference: Grid | None = None,
+    force: bool = False,
+) -> None:
+    """Write affine maps and fields to a file, in the order of `read_maps`; it appears whole or not at all.
+
+    Parameters and errors are those of `Field.write`, and ``reference`` is that of `Field.read`.
+    """
+    from supple.media import transforms
+
+    contents: list[transforms.Content] = [
+        transforms.Displacements(each.values, each.grid, each.interpolation, each.beyond)
+        if isinstance(each, Field)
+        else each.matrix
+        for each in maps
+    ]
+    transforms.write(path, contents, convention, source=source, reference=reference, force=force)
+
+
+def told(maps: Sequence[Map]) -> str:
+    """Return what maps are, in words."""
+    return " and ".join("a field" if isinstance(each, Field) else "an affine map" for each in maps) or "nothing"
+
+
 def compose(maps: Sequence[Map | Placed], grid: Grid) -> Field:
     """Return the displacement field of several maps, one after the other, at the samples of a grid.
 
@@ -488,6 +512,11 @@ def check_grid(grid: Grid) -> Grid:
     if not isinstance(grid, Grid):
         refuse("grid", "a Grid", grid)
     return grid
+
+
+def margin_of(interpolation: Interpolation) -> float:
+    """Return how far beyond its outermost samples a field is defined, in samples; of a B-spline, `own_grid`'s."""
+    return _ROUNDING if interpolation == "bspline" else 0.5
 
 
 def _array(values: npt.ArrayLike) -> Array:

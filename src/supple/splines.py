@@ -10,8 +10,8 @@ import numpy.typing as npt
 
 Array = npt.NDArray[Any]
 
-_POLE = math.sqrt(3.0) - 2.0  # of the filter that inverts the cubic B-spline's samples (1, 4, 1) / 6
-_HORIZON = 40  # samples after which its response is below 1e-22
+POLE = math.sqrt(3.0) - 2.0  # of the filter that inverts the cubic B-spline's samples (1, 4, 1) / 6
+HORIZON = 40  # samples after which its response is below 1e-22
 
 
 def coefficients(values: Array) -> Array:
@@ -31,12 +31,12 @@ def _filtered(made: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
         n = len(c)
         if n == 1:
             continue
-        mirrored = np.abs((np.arange(_HORIZON) + n - 1) % (2 * n - 2) - n + 1)
-        c[0] = np.tensordot(_POLE ** np.arange(_HORIZON), c[mirrored], 1)
+        mirrored = np.abs((np.arange(HORIZON) + n - 1) % (2 * n - 2) - n + 1)
+        c[0] = np.tensordot(POLE ** np.arange(HORIZON), c[mirrored], 1)
         for k in range(1, n):
-            c[k] += _POLE * c[k - 1]
-        c[-1] = _POLE / (_POLE * _POLE - 1.0) * (c[-1] + _POLE * c[-2])
+            c[k] += POLE * c[k - 1]
+        c[-1] = POLE / (POLE * POLE - 1.0) * (c[-1] + POLE * c[-2])
         for k in range(n - 2, -1, -1):
-            c[k] = _POLE * (c[k + 1] - c[k])
+            c[k] = POLE * (c[k + 1] - c[k])
         c *= 6.0
     return made

@@ -239,11 +239,12 @@ void invert_field(const Field& field, const Doubles& grid, const Doubles& back, 
 template <int D, int N>
 void find_cells(const Sampled& k, uint8_t* cells, const int* shape) {
     each_bad_cell<D, N>(k, false, [&](const int* at, const Patch<D, N>& p) {
-        auto bad = [](auto&& self, const Patch<D, N>& p, int cuts) -> bool {
-            if (surely_upright(p)) return false;
+        auto bad = [](auto&& self, const Patch<D, N>& p, int cuts) -> bool {  // of one that is not surely upright
             if (cuts == CUTS + 1) return true;
-            for (int which = 0; which < 1 << D; which++)
-                if (self(self, octant(p, which), cuts + 1)) return true;
+            for (int which = 0; which < 1 << D; which++) {
+                const Patch<D, N> part = octant(p, which);
+                if (!surely_upright(part) && self(self, part, cuts + 1)) return true;
+            }
             return false;
         };
         if (!bad(bad, p, 0)) return;

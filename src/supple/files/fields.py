@@ -17,7 +17,7 @@ import numpy.typing as npt
 from supple.affine import Affine
 from supple.checks import FieldReport
 from supple.errors import FoldWarning, SuppleError, shown
-from supple.fields import OK, Field, Map, Placed, check_path, compose, own_grid
+from supple.fields import OK, Field, Map, Placed, check_path, compose, own_grid, told, write_maps
 from supple.files.maps import (
     MapFile,
     check_images,
@@ -27,8 +27,6 @@ from supple.files.maps import (
     grid_of,
     only_field,
     read_file,
-    told,
-    write_file,
     write_image,
 )
 from supple.geometry import Grid
@@ -252,7 +250,7 @@ def invert_file(
             assert grid is not None
             parts = [Placed(each, inverse=True, name=shown(source)) for each in reversed(read.maps)]
             maps = (compose(parts, grid),)
-        write_file(places[target], maps, known, source=here, reference=moving)
+        write_maps(places[target], maps, known, source=here, reference=moving)
         for path, values in extra.items():
             grid = own_grid(maps[0]) if isinstance(maps[0], Field) else None
             write_image(places[path], values, grid, in_nifti=_UNKNOWN_ERROR if path is error else None)
@@ -399,7 +397,7 @@ def compose_files(
             ordered = file.maps[::-1] if file.inverse else file.maps
             parts += [Placed(one, inverse=file.inverse, name=shown(file.path)) for one in ordered]
         made = compose(parts, grid)
-        write_file(place, (made,), known, source=read[-1].grid if inputs[-1].inverse else moving[-1], reference=wanted)
+        write_maps(place, (made,), known, source=read[-1].grid if inputs[-1].inverse else moving[-1], reference=wanted)
     written = MapFile(Path(target), known, how, (made,), written=True)
     return Written(tuple(read), written, time.perf_counter() - began)
 
@@ -454,7 +452,7 @@ def convert_file(
         known, how = convention_out(target, to, None)
         parts = [Placed(each, name=shown(source)) for each in read.maps]
         maps = (compose(parts, wanted),) if as_field and wanted is not None else read.maps
-        write_file(place, maps, known, source=moving, reference=wanted)
+        write_maps(place, maps, known, source=moving, reference=wanted)
     return Written((read,), MapFile(Path(target), known, how, maps, written=True), time.perf_counter() - began)
 
 

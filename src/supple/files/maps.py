@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from supple.affine import Affine
 from supple.errors import SuppleError, shown
-from supple.fields import Field, Map, own_grid
+from supple.fields import Field, Map, own_grid, read_maps, told
 from supple.geometry import Geometry, Grid
 from supple.media import transforms, volume
 from supple.media.files import unwritable
@@ -119,8 +119,7 @@ def read_file(
 ) -> MapFile:
     """Read a file of maps, and how its convention is known."""
     known = transforms.convention_in(path) if convention is None else convention
-    found = transforms.read(path, known, source=source, reference=reference)
-    maps = tuple(Field(*each) if isinstance(each, transforms.Displacements) else Affine(each) for each in found)
+    maps = read_maps(path, known, source=source, reference=reference)
     if convention is not None:
         how = "as given"
     elif suffix_of(path) in (".nii", ".nii.gz"):
@@ -177,24 +176,6 @@ def only_field(read: MapFile) -> Field:
             advice = "supple compose makes one, on the grid of an image (--reference)"
         raise SuppleError(f"{shown(read.path)} holds {told(read.maps)}, and not one field: {advice}")
     return only
-
-
-def told(maps: Sequence[Map]) -> str:
-    """Return what maps are, in words."""
-    return " and ".join("a field" if isinstance(each, Field) else "an affine map" for each in maps) or "nothing"
-
-
-def write_file(
-    path: PathLike, maps: Sequence[Map], convention: str, *, source: Grid | None, reference: Grid | None
-) -> None:
-    """Write maps, with the grids of the input (source) and the output image (reference) where they are known."""
-    contents: list[transforms.Content] = [
-        transforms.Displacements(each.values, each.grid, each.interpolation, each.beyond)
-        if isinstance(each, Field)
-        else each.matrix
-        for each in maps
-    ]
-    transforms.write(path, contents, convention, source=source, reference=reference)
 
 
 def check_images(ndim: int | None = None, **paths: PathLike | None) -> None:

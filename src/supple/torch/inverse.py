@@ -16,7 +16,7 @@ from supple.engines.torch.newton import solve
 from supple.engines.torch.sampled import Samples, add_gradient, coefficients, coefficients_gradient
 from supple.engines.torch.tears import folded
 from supple.errors import FoldWarning, OutsideWarning, SuppleError, ToleranceWarning
-from supple.fields import FOLDED, OK, OUTSIDE, ROUNDING, STATUS, UNCONVERGED, Beyond, Field, Interpolation
+from supple.fields import FOLDED, OK, OUTSIDE, STATUS, UNCONVERGED, Beyond, Field, Interpolation, margin_of
 
 _TOGETHER = 1 << 20  # points in memory at once
 _CONVERGED = 1e-8  # samples; as in the core (`fields.cpp`)
@@ -242,7 +242,7 @@ def solved_on_device(values: torch.Tensor, job: _Job) -> tuple[torch.Tensor, tor
             exact = got.done & (left + (lost / spacing).square().sum(0).sqrt() <= job.tolerance)
             flat_error[part] = torch.where(got.done, bound * (1 + 1e-6), torch.inf).float()
             within = torch.ones_like(got.done)
-            margin = ROUNDING if job.edge else 0.5
+            margin = margin_of(job.interpolation)
             for x, (first, last) in zip(got.points, samples.ends, strict=True):
                 within &= (x >= first - margin) & (x <= last + margin)
             known = torch.where(within, OK, OUTSIDE)

@@ -47,7 +47,7 @@ class Filter:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Tap:
+class Tap:
     """A sample of each value: its index, a mask of those inside, its weights and their derivatives by axis."""
 
     index: torch.Tensor
@@ -56,9 +56,11 @@ class _Tap:
     slopes: Columns
 
     def weight(self) -> torch.Tensor:
+        """Return the product of the weights along the axes."""
         return prod(self.weights[1:], start=self.weights[0])
 
     def slope(self, axis: int) -> torch.Tensor:
+        """Return the derivative of `weight` along an axis."""
         return prod((w for k, w in enumerate(self.weights) if k != axis), start=self.slopes[axis])
 
 
@@ -114,12 +116,12 @@ def spread(
     return found
 
 
-def _values(source: torch.Tensor, tap: _Tap, how: Filter, dtype: torch.dtype) -> torch.Tensor:
+def _values(source: torch.Tensor, tap: Tap, how: Filter, dtype: torch.dtype) -> torch.Tensor:
     values = source.index_select(1, tap.index).to(dtype)
     return values if tap.inside is None else torch.where(tap.inside, values, how.fill)
 
 
-def _taps(whole: Columns, rest: Columns, how: Filter) -> Iterator[_Tap]:
+def _taps(whole: Columns, rest: Columns, how: Filter) -> Iterator[Tap]:
     strides = itertools.accumulate((1, *how.sizes[:-1]), lambda a, b: a * b)
     axes = []
     for i, t, size, stride, kind in zip(whole, rest, how.sizes, strides, how.kinds, strict=True):
@@ -130,7 +132,7 @@ def _taps(whole: Columns, rest: Columns, how: Filter) -> Iterator[_Tap]:
         axes.append([(j * stride, inside, w, s) for (j, inside), w, s in zip(placed, *_weights(t, kind), strict=True)])
     for parts in itertools.product(*axes):
         inside = [part[1] for part in parts if part[1] is not None]
-        yield _Tap(
+        yield Tap(
             sum(part[0] for part in parts[1:]) + parts[0][0],
             prod(inside[1:], start=inside[0]) if inside else None,
             [part[2] for part in parts],

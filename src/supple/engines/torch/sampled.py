@@ -12,7 +12,6 @@ where S interpolates at the points i, and J = ∂w/∂i there.
 from __future__ import annotations
 
 import itertools
-import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from math import prod
@@ -21,9 +20,8 @@ from typing import Any
 import torch
 
 from supple.engines.torch.field import Columns, solved
-
-_POLE = math.sqrt(3.0) - 2.0  # of the filter that inverts the cubic B-spline's samples (1, 4, 1) / 6
-_HORIZON = 40  # samples after which its response is below 1e-22
+from supple.engines.torch.sample import Tap
+from supple.splines import HORIZON, POLE
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -66,21 +64,6 @@ class Samples:
         return [(self.edge, size - 1 - self.edge) for size in self.sizes]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Tap:
-    """A sample of each point: its index, its weights along the axes, and their derivatives."""
-
-    index: torch.Tensor
-    weights: Columns
-    slopes: Columns
-
-    def weight(self) -> torch.Tensor:
-        return prod(self.weights[1:], start=self.weights[0])
-
-    def slope(self, axis: int) -> torch.Tensor:
-        return prod((w for k, w in enumerate(self.weights) if k != axis), start=self.slopes[axis])
-
-
 def displaced(samples: Samples, points: Columns, base: torch.Tensor) -> tuple[Columns, list[Columns]]:
     """Return w at points, and the rows of I + J.
 
@@ -121,7 +104,7 @@ def add_gradient(samples: Samples, points: Columns, base: torch.Tensor, slopes: 
         into.index_add_(1, tap.index, tap.weight() * weights)
 
 
-def _taps(samples: Samples, points: Columns, base: torch.Tensor) -> Iterator[_Tap]:
+def _taps(samples: Samples, points: Columns, base: torch.Tensor) -> Iterator[Tap]:
     axes, stride = [], 1
     for i, size, (first, last) in zip(points, samples.sizes, samples.ends, strict=True):
         c = i.clamp(first, last)
@@ -140,7 +123,7 @@ def _taps(samples: Samples, points: Columns, base: torch.Tensor) -> Iterator[_Ta
         index = base
         for place, _, _ in parts:
             index = index + place
-        yield _Tap(index, [part[1] for part in parts], [part[2] for part in parts])
+        yield Tap(index, None, [part[1] for part in parts], [part[2] for part in parts])
 
 
 def mirrored(k: torch.Tensor, size: int) -> torch.Tensor:
@@ -200,14 +183,14 @@ class _Prefilter(torch.autograd.Function):
             n = len(c)
             if n == 1:
                 continue
-            steps = torch.arange(_HORIZON, device=c.device)
-            powers = _POLE ** steps.to(c.dtype)
+            steps = torch.arange(HORIZON, device=c.device)
+            powers = POLE ** steps.to(c.dtype)
             c[0] = torch.tensordot(powers, c[mirrored(steps, n)], 1)
             for k in range(1, n):
-                c[k] += _POLE * c[k - 1]
-            c[-1] = _POLE / (_POLE * _POLE - 1) * (c[-1] + _POLE * c[-2])
+                c[k] += POLE * c[k - 1]
+            c[-1] = POLE / (POLE * POLE - 1) * (c[-1] + POLE * c[-2])
             for k in range(n - 2, -1, -1):
-                c[k] = _POLE * (c[k + 1] - c[k])
+                c[k] = POLE * (c[k + 1] - c[k])
             c *= 6
         return made
 
