@@ -43,7 +43,8 @@ class Certificate:
     evaluations : float
         The number of evaluations of T.
     unknown : int
-        The number of points that could not be solved to the tolerance.
+        The number of points at which a field could not be solved to the tolerance: the error is infinite, as it is
+        where strokes could not be.
     folded, outside : int
         Of the solved points, the number of those where a field folds, and of those that are mapped to from beyond a
         field's grid.

@@ -75,8 +75,10 @@ def _part(grid: Grid) -> tuple[range, tuple[int, int, int, int]]:
     return planes, (x, x + width, y, y + height)
 
 
-def certificate_of(plan: _core.Plan) -> Certificate:
+def certificate_of(plan: _core.Plan, space: Space) -> Certificate:
     """Return the certificate of a plan from the checks of its cells, with their reserve."""
+    if space.composite is None:
+        return Certificate(plan.error, plan.evaluations)
     return Certificate(plan.error, plan.evaluations, plan.unsolved, plan.folds, plan.outside)
 
 
@@ -183,7 +185,7 @@ class Native:
             for k, z in enumerate(wanted):  # each frame is an image of its own
                 for each in samplings_of(work, [f[z : z + 1] for f in frames], [out[k] for out in outs], 1):
                     plan.sample(each)
-            yield len(wanted), certificate_of(plan)
+            yield len(wanted), certificate_of(plan, space)
             return
         together, table = _TOGETHER * _core.threads(), numbers(space.table)
         first, shape, box = 0, space.planned(step) if space.is_plain else space.shape, None
@@ -193,10 +195,11 @@ class Native:
         for start in range(0, len(wanted), together):
             some = [first + z for z in wanted[start : start + together]]
             given = samplings_of(work, frames, [out[start : start + len(some)] for out in outs], space.count)
-            error, steps, (folded, beyond, unknown) = _core.warp_stack(
+            error, steps, (folded, outside, unknown) = _core.warp_stack(
                 table, space.axes, *shape, some, tolerance, given, space.composite, box
             )
-            yield start + len(some), Certificate(error, steps, unknown, folded, beyond)
+            found = (0, 0, 0) if space.composite is None else (unknown, folded, outside)
+            yield start + len(some), Certificate(error, steps, *found)
 
     def stream(self, work: Work, window: Sequence[Array]) -> contextlib.AbstractContextManager[Planes]:
         """See `Engine.stream`."""
@@ -241,7 +244,7 @@ class Native:
         for z, plane in enumerate(out if space.ndim == 3 else [out]):
             plan = plan_of(space, z, tolerance)
             plan.points(plane)
-            certificate |= certificate_of(plan)
+            certificate |= certificate_of(plan, space)
         return out, certificate
 
 
@@ -295,7 +298,7 @@ class _Window:
             frames, count = [held[slot : slot + 1] for held in frames], 1
         for each in samplings_of(work, frames, outs, count):
             plan.sample(each)
-        return certificate_of(plan)
+        return certificate_of(plan, work.space)
 
 
 def _rows(space: Space, points: npt.ArrayLike) -> tuple[Floats, tuple[int, ...]]:

@@ -90,7 +90,7 @@ def displacement_of(
         here[..., 2] = first[2] + k
         at = here if grid is None else here @ turned.T + shift
         np.matmul(points - at, matrix.T, out=made[k], casting="same_kind")
-        certificate |= certificate_of(plan)
+        certificate |= certificate_of(plan, space)
     if warn:
         warn_of(certificate, tolerance, 3)
     return made

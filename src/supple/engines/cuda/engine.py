@@ -79,16 +79,16 @@ class Cuda:
             return
         from supple.engines.cuda.large import warp_host
 
-        unknown = 0
+        worst = 0.0
         try:
             with closing(warp_host(self.gpu, frames[0], outs[0], work)) as made:
                 for done, known in made:
-                    unknown += known.unknown
+                    worst = max(worst, known.error)
                     yield done, known
         except failures() as error:
             raise EngineError(" ".join(str(error).split())[:120] or type(error).__name__) from error
-        if unknown:
-            raise EngineError(f"{unknown} points could not be solved to the tolerance", lost=False)
+        if np.isinf(worst):
+            raise EngineError("some points could not be solved to the tolerance", lost=False)
 
     def start(
         self, work: Work, held: arrays.DeviceArray, result: arrays.DeviceArray, *, slab: int | None, stream: Any

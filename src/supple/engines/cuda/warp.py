@@ -309,5 +309,4 @@ def told_of(pieces: Pieces, stream: Any) -> Certificate:
 
 def certificate_of(told: Array, counts: Array) -> Certificate:
     """Return the certificate of a map from the results of its kernels."""
-    lost = int(counts[LOST])
-    return Certificate(np.inf if lost else float(told[WORST]), 0.0, lost)
+    return Certificate(np.inf if counts[LOST] else float(told[WORST]), 0.0)
