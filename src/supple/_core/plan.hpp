@@ -26,7 +26,8 @@ namespace supple {
 constexpr int ROOT = 32;           // pixels along the side of a root cell
 constexpr int SMALL = 4;           // a side of up to as many pixels is split into single ones at once
 constexpr int BAND = 4;            // rows of roots that are solved in order, each from the one before
-constexpr double RESERVE = 1.75;   // nine points miss a part of the largest error of a cell
+constexpr double RESERVE = 1.75;   // nine points miss a part of the largest error of a cell,
+constexpr double ROUGH = 2.5;      // and of splines, whose derivatives jump, a larger one
 constexpr double COARSEST = 0.25;  // of tolerances: beyond, the slopes of a patch bound the distance less well
 constexpr int STRIDE = 48;         // pixels of a row of a root, and padding for whole vectors
 
@@ -183,6 +184,7 @@ private:
     void widen(const Leaf<D>& leaf, Extent<D>& e) const;
     void mark(const Root& root, int index, const Grid& grid, int x, int y, int n, Row<D>& row) const;
     void fill_pixels(const Root& root, int index, int y, int n, Row<D>& row) const;
+    double reserve() const { return map ? ROUGH : RESERVE; }
     double finest() const {
         double least = std::min(axes[0].spacing, axes[1].spacing);
         return D == 3 ? std::min(least, axes[2].spacing) : least;
@@ -248,7 +250,7 @@ Plan<D>::Plan(std::vector<Stroke> table, const Axis* given, int width, int heigh
     bands.resize((down + BAND - 1) / BAND);
     parallel((int)bands.size(), [this](int i, int) { solve_band(i); });
     for (const Band& b : bands) {
-        error = std::max({error, RESERVE * sqrt(b.worst), b.rounding});
+        error = std::max({error, reserve() * sqrt(b.worst), b.rounding});
         evaluations += b.evaluations;
         unsolved += b.unsolved;
         folds += b.folds;
@@ -353,6 +355,7 @@ Passed<Lanes> Plan<D>::solve_composite(const Lanes (&q)[D], Jet<D, D, true, Lane
 template <int D>
 void Plan<D>::keep(Work& w, const Solution<D, Lanes>& found, const Lanes (&mixed)[D], const Lanes (&smooth2)[2],
                    int start) {
+    const Lanes determinant = determinant_of(found.m);
     for (int i = 0; i < LANES && start + i < (int)w.asks.size(); i++) {
         Node& node = w.nodes[w.asks[start + i].node];
         double plane[2][2];
@@ -366,14 +369,7 @@ void Plan<D>::keep(Work& w, const Solution<D, Lanes>& found, const Lanes (&mixed
         w.band->unsolved += !found.done[i];
         for (int d = 0; d < 2; d++)
             for (int e = 0; e < 2; e++) plane[d][e] = node.m[e][d];
-        double determinant = plane[0][0] * plane[1][1] - plane[0][1] * plane[1][0];
-        if constexpr (D == 3) {
-            const double (*m)[3] = node.m;
-            determinant = m[0][0] * (m[1][1] * m[2][2] - m[1][2] * m[2][1]) -
-                          m[0][1] * (m[1][0] * m[2][2] - m[1][2] * m[2][0]) +
-                          m[0][2] * (m[1][0] * m[2][1] - m[1][1] * m[2][0]);
-        }
-        w.band->folds += !map && !(determinant > 0);  // a composite may mirror, and knows what folds
+        w.band->folds += !map && !(determinant[i] > 0);  // a composite may mirror, and knows what folds
         w.band->widest = std::max(w.band->widest, widest_of(plane[0][0], plane[1][0], plane[0][1], plane[1][1]));
     }
 }
@@ -652,7 +648,7 @@ template <int D>
 void Plan<D>::check(Work& w) {
     static constexpr double AT[9][2] = {{.5, .5},   {.5, 0},    {.5, 1},    {0, .5},   {1, .5},
                                         {.25, .25}, {.75, .25}, {.25, .75}, {.75, .75}};
-    const double allowed = pow(std::min(tolerance, COARSEST) / RESERVE, 2);
+    const double allowed = pow(std::min(tolerance, COARSEST) / reserve(), 2);
     int count = (int)w.cells.size();
     for (int start = 0; start < count; start += LANES) {
         auto cell = [&](int i) -> const Cell& { return w.cells[std::min(start + i, count - 1)]; };

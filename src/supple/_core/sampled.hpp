@@ -285,8 +285,9 @@ NOINLINE void undo_in_cells(const Sampled& k, const V* target, double tolerance,
             left2 = V{};
             V rest[D];
             for (int r = 0; r < D; r++) {
-                rest[r] = c[3][r] * (step[0] * step[1]);
-                if constexpr (D == 3) {
+                if constexpr (D == 2) {
+                    rest[r] = c[3][r] * (step[0] * step[1]);
+                } else {
                     rest[r] = (c[3][r] + f[2] * c[7][r]) * (step[0] * step[1]) +
                               (c[5][r] + f[1] * c[7][r]) * (step[0] * step[2]) +
                               (c[6][r] + f[0] * c[7][r]) * (step[1] * step[2]) +

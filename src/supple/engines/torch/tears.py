@@ -149,7 +149,7 @@ def _upright(points: torch.Tensor) -> torch.Tensor:
     sure = torch.ones(count, dtype=torch.bool, device=points.device)
     for a in range(n):  # by rows
         rest = [mid[b][a].abs() + off[b][a] for b in range(n) if b != a]
-        sure &= mid[a][a] - off[a][a] - sum(rest[1:], rest[0]) > 0
+        sure &= mid[a][a] - off[a][a] - sum(rest[1:], rest[0]) > 1e-9
     size = [[x.abs() for x in row] for row in mid]
     scale = _expanded(size, 1)
     bound = _expanded(mid, -1)
