@@ -89,6 +89,8 @@ class Sampling:
         alpha: int,
         light: bool,
         white: float,
+        corner: tuple[int, int, int] | None = None,
+        size: tuple[int, int] | None = None,
     ) -> None: ...
 
 class Plan:
@@ -131,7 +133,25 @@ def warp_stack(
     samplings: list[Sampling],
     map: Composite | None = None,
     box: tuple[int, int, int, int] | None = None,
+    copied: list[bool] | None = None,
 ) -> tuple[float, float, tuple[int, int, int]]: ...
+def needed(
+    strokes: Floats,
+    axes: Floats,
+    ndim: int,
+    height: int,
+    width: int,
+    planes: Sequence[int],
+    tolerance: float,
+    count: int,
+    size: tuple[int, int],
+    filter: int,
+    between: int,
+    rule: int,
+    average: bool,
+    map: Composite | None,
+    box: tuple[int, int, int, int],
+) -> tuple[tuple[int, ...], list[float]]: ...
 
 # ---- folding
 

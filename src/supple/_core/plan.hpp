@@ -29,6 +29,7 @@ constexpr int BAND = 4;            // rows of roots that are solved in order, ea
 constexpr double RESERVE = 1.75;   // nine points miss a part of the largest error of a cell,
 constexpr double ROUGH = 2.5;      // and of splines, whose derivatives jump, a larger one
 constexpr double COARSEST = 0.25;  // of tolerances: beyond, the slopes of a patch bound the distance less well
+constexpr double FAR = 4096;       // pixels: the longest way to a source point that is not solved
 constexpr int STRIDE = 48;         // pixels of a row of a root, and padding for whole vectors
 
 // Samples that lie `step` pixels apart, the first at `offset`; `size` of them: the pixels themselves, or chroma.
@@ -117,6 +118,10 @@ public:
     void columns_of(const Grid& grid, int i, int& x0, int& x1) const {
         x0 = i == 0 ? 0 : grid.from(0, column(i));
         x1 = i == across - 1 ? grid.size[0] : grid.from(0, column(i + 1));
+    }
+    void rows_of(const Grid& grid, int j, int& y0, int& y1) const {
+        y0 = j == 0 ? 0 : grid.from(1, line(j));
+        y1 = j == down - 1 ? grid.size[1] : grid.from(1, line(j + 1));
     }
     // The largest distance to T⁻¹(q), measured at every pixel; and the number of pixels where it could not be measured.
     void measure(double finest, double& worst, long& unknown) const;
@@ -609,6 +614,10 @@ void Plan<D>::solve_pixels(int index) {
                 jet.x[d] /= axes[d].spacing;
                 for (int e = 0; e < D; e++) jet.t[e][d] *= axes[e].spacing / axes[d].spacing;
             }
+            for (int d = 0; d < D; d++) {  // a guess, which must not take the memory of all frames up to there
+                const Lanes at = q[d] / axes[d].spacing;
+                jet.x[d] = choose(passed.done, jet.x[d], most(least(jet.x[d], at + FAR), at - FAR));
+            }
             if (x == left && y == top)
                 for (int d = 0; d < D; d++) anchor[d] = (int)std::clamp(floor(jet.x[d][0]), -1e9, 1e9);
             for (int l = 0; l < n; l++) {
@@ -946,8 +955,8 @@ template <int D>
 template <class Use>
 void Plan<D>::each_row(const Grid& grid, int root_row, const int (&box)[4], bool slopes, Use use) const {
     Row<D> row{};  // vectors of eight read past a row's end
-    int top = root_row == 0 ? 0 : grid.from(1, line(root_row));
-    int bottom = root_row == down - 1 ? grid.size[1] : grid.from(1, line(root_row + 1));
+    int top, bottom;
+    rows_of(grid, root_row, top, bottom);
     // Whole rows, so that frames are read, and results written, in order.
     for (int y = std::max(top, box[2]); y < std::min(bottom, box[3]); y++) {
         const double at = y * grid.step[1] + grid.offset[1];
@@ -984,8 +993,10 @@ void Plan<D>::each_row(const Grid& grid, int root_row, const int (&box)[4], bool
 template <int D>
 void Plan<D>::widen(const Leaf<D>& leaf, Extent<D>& e) const {
     // The patch's Bézier points, whose hull contains it; and that of their differences its slopes. Samples lie up to
-    // the next leaf, or the last pixel, or a fixed face.
+    // the next leaf, or the last pixel, or a fixed face; of a composite, at its pixels, beyond which slopes at folds
+    // lead anywhere.
     auto reached = [this](int axis, double from, double to) {
+        if (map) return std::max(to - from - 1, 1e-3);
         if (to >= size[axis]) to = axes[axis].fixed() ? face_of(axes[axis]) : size[axis] - 1.0;
         return std::max(to - from, 1e-3);
     };

@@ -3,6 +3,7 @@
 #include <nanobind/stl/tuple.h>
 #include <nanobind/stl/vector.h>
 
+#include <atomic>
 #include <optional>
 #include <variant>
 
@@ -30,11 +31,13 @@ struct Sampling {
     Target out;  // (h, w, C); or (planes, h, w, C)
     std::vector<double> fill;
     Job job{};
+    bool partial;
 
+    // Of frames of a larger size, `frames` has the part from the sample (x, y) of frame k on: corner = (x, y, k).
     Sampling(Source frames, Target out, int count, std::tuple<int, int> step, std::tuple<double, double> offset,
              int filter, int between, int rule, bool average, std::vector<double> fill_, int alpha, bool light,
-             double white)
-        : frames(frames), out(out), fill(std::move(fill_)) {
+             double white, std::optional<std::tuple<int, int, int>> corner, std::optional<std::tuple<int, int>> size)
+        : frames(frames), out(out), fill(std::move(fill_)), partial(corner.has_value()) {
         if (frames.ndim() != 4 || out.ndim() < 3 || out.ndim() > 4)
             throw nb::value_error("frames must be (slots, h, w, C), out (h, w, C)");
         job.type = type_of(frames.dtype());
@@ -43,12 +46,19 @@ struct Sampling {
         if (type_of(out.dtype()) != job.type || out.shape(out.ndim() - 1) != frames.shape(3) ||
             (int)fill.size() != job.channels || alpha >= job.channels)
             throw nb::value_error("out must have the frames' type and channels, and fill a value for each");
-        job.frames = (const char*)frames.data();
         job.frame_bytes = (ptrdiff_t)(frames.shape(1) * frames.shape(2) * frames.shape(3) * frames.itemsize());
         job.count = count;
         job.capacity = (int)frames.shape(0);
-        job.h = (int)frames.shape(1);
-        job.w = (int)frames.shape(2);
+        const int h = (int)frames.shape(1), w = (int)frames.shape(2);
+        auto [x0, y0, from] = corner.value_or(std::tuple(0, 0, 0));
+        std::tie(job.h, job.w) = size.value_or(std::tuple(h, w));
+        if (x0 < 0 || y0 < 0 || from < 0 || x0 + w > job.w || y0 + h > job.h ||
+            (partial && from + job.capacity > count))
+            throw nb::value_error("frames must lie within frames of that size");
+        const int held[4] = {x0, x0 + w, y0, y0 + h};
+        std::copy(held, held + 4, job.held);
+        job.held_from = from;
+        job.frames = (const char*)frames.data() - ((ptrdiff_t)y0 * w + x0) * job.pixel_bytes();
         job.out = (char*)out.data();
         job.grid.step[0] = std::get<0>(step);
         job.grid.step[1] = std::get<1>(step);
@@ -72,6 +82,13 @@ struct Sampling {
 };
 
 typedef std::array<int, 4> Box;  // x0, x1, y0, y1
+
+// A part of the frames that is held must have all that is read.
+template <int D>
+bool suffices(const Plan<D>& plan, const Sampling& s, const Job& job) {
+    return !s.partial || held_of(job).holds(needed(plan, job));
+}
+void refuse_small() { throw nb::value_error("the samples read lie beyond the part of the frames that is held"); }
 
 // The size of a job's output: that of the part of the grid, or of the whole grid; of strokes alone, that of the frames.
 void check_size(const Job& job, bool composite, bool part, const Box& box, int width, int height) {
@@ -156,7 +173,8 @@ void points_of(const Plan<D>& plan, Points<T>& out) {
 // Sample planes of a stack, each by one thread. Returns the accuracy of the map, and the evaluations.
 nb::tuple warp_stack(const Doubles& table, const Doubles& rows, int height, int width, std::vector<int> planes,
                      double tolerance, nb::list samplings, std::optional<const AnyComposite*> map,
-                     std::optional<std::tuple<int, int, int, int>> wanted) {
+                     std::optional<std::tuple<int, int, int, int>> wanted, std::optional<std::vector<bool>> copied) {
+    if (copied && copied->size() != planes.size()) throw nb::value_error("copied must have a value for each plane");
     const Box box = checked_box(wanted, width, height);
     const std::shared_ptr<const Composite> composite = held(map);
     Axes axes = axes_of(rows);
@@ -169,6 +187,7 @@ nb::tuple warp_stack(const Doubles& table, const Doubles& rows, int height, int 
     for (const Sampling* s : all) check_size(s->job, composite != nullptr, wanted.has_value(), box, width, height);
     std::vector<double> errors(planes.size()), evaluations(planes.size());
     std::vector<std::array<long, 3>> bad(planes.size());
+    std::atomic<bool> small = false;
     unlocked([&] {
         parallel((int)planes.size(), [&](int i, int) {
             Plan<3> plan(strokes, axes.data(), width, height, planes[i], tolerance, composite, &box);
@@ -177,24 +196,26 @@ nb::tuple warp_stack(const Doubles& table, const Doubles& rows, int height, int 
             bad[i] = {plan.folds, plan.outside, plan.unsolved};
             // A plane is copied where all of it moves by less than the tolerance: a part of it, too.
             auto unmoved = [&](const Plan<3>& p) { return p.identity || p.extent().moved * sqrt(3.0) <= tolerance; };
-            bool still = !composite && unmoved(plan);
-            if (still && !plan.identity && wanted && box != Box{0, width, 0, height})
+            bool still = !composite && (copied ? (*copied)[i] : unmoved(plan));
+            if (!copied && still && !plan.identity && wanted && box != Box{0, width, 0, height})
                 still = unmoved(Plan<3>(strokes, axes.data(), width, height, planes[i], tolerance));
             for (const Sampling* s : all) {
                 Job job = s->job;
                 const size_t row = (size_t)job.grid.size[0] * job.pixel_bytes();
-                job.out += i * row * job.grid.size[1];
-                if (!still) {
-                    sample_plane(plan, wanted ? placed(job, box, width, height) : job);
-                    continue;
-                }
-                const size_t stride = (size_t)job.w * job.pixel_bytes(),
-                             first = wanted ? box[0] * job.pixel_bytes() : 0;
-                for (int y = 0; y < job.grid.size[1]; y++)
-                    memcpy(job.out + y * row, job.frame(planes[i]) + ((wanted ? box[2] : 0) + y) * stride + first, row);
+                const int height_out = job.grid.size[1];
+                job.out += i * row * height_out;
+                if (wanted) job = placed(job, box, width, height);
+                if (!suffices(plan, *s, job))
+                    small = true;
+                else if (!still)
+                    sample_plane(plan, job);
+                else
+                    for (int y = 0; y < height_out; y++)
+                        memcpy(job.out + y * row, job.sample(job.frame(planes[i]), box[0], box[2] + y), row);
             }
         });
     });
+    if (small) refuse_small();
     double error = 0, sum = 0;
     std::array<long, 3> all_bad{};
     for (size_t i = 0; i < planes.size(); i++) {
@@ -205,14 +226,53 @@ nb::tuple warp_stack(const Doubles& table, const Doubles& rows, int height, int 
     return nb::make_tuple(error, sum, nb::make_tuple(all_bad[0], all_bad[1], all_bad[2]));
 }
 
+// The part of the frames that a box of planes reads, and how far each plane moves there.
+template <int D>
+nb::tuple needed_by(const Doubles& table, const Doubles& rows, int height, int width, const std::vector<int>& planes,
+                    double tolerance, const Job& job, const std::shared_ptr<const Composite>& composite,
+                    const Box& box) {
+    Axes axes = axes_of(rows);
+    std::vector<Stroke> strokes = strokes_of(table, axes.data());
+    std::vector<Portion> parts(planes.size());
+    std::vector<double> moved(planes.size());
+    unlocked([&] {
+        parallel((int)planes.size(), [&](int i, int) {
+            Plan<D> plan(strokes, axes.data(), width, height, planes[i], tolerance, composite, &box);
+            parts[i] = needed(plan, job);
+            moved[i] = plan.identity ? -1 : plan.extent().moved;
+        });
+    });
+    Portion all;
+    for (const Portion& part : parts) all |= part;
+    return nb::make_tuple(nb::make_tuple(all.box[0], all.box[1], all.box[2], all.box[3], all.frames[0], all.frames[1]),
+                          moved);
+}
+nb::tuple needed_of(const Doubles& table, const Doubles& rows, int ndim, int height, int width, std::vector<int> planes,
+                    double tolerance, int count, std::tuple<int, int> size, int filter, int between, int rule,
+                    bool average, std::optional<const AnyComposite*> map, std::tuple<int, int, int, int> wanted) {
+    Job job{};
+    std::tie(job.h, job.w) = size;
+    job.count = count;
+    job.filter = filter;
+    job.between = between;
+    job.rule = rule;
+    job.average = average;
+    const Box box = checked_box(wanted, width, height);
+    job = placed(job, box, width, height);
+    const std::shared_ptr<const Composite> composite = held(map);
+    return ndim == 2 ? needed_by<2>(table, rows, height, width, planes, tolerance, job, composite, box)
+                     : needed_by<3>(table, rows, height, width, planes, tolerance, job, composite, box);
+}
+
 }  // namespace
 
 void bind_plans(nb::module_& m) {
     nb::class_<Sampling>(m, "Sampling", "What is sampled, how, and into what.")
         .def(nb::init<Source, Target, int, std::tuple<int, int>, std::tuple<double, double>, int, int, int, bool,
-                      std::vector<double>, int, bool, double>(),
+                      std::vector<double>, int, bool, double, std::optional<std::tuple<int, int, int>>,
+                      std::optional<std::tuple<int, int>>>(),
              "frames"_a, "out"_a, "count"_a, "step"_a, "offset"_a, "filter"_a, "between"_a, "rule"_a, "average"_a,
-             "fill"_a, "alpha"_a, "light"_a, "white"_a);
+             "fill"_a, "alpha"_a, "light"_a, "white"_a, "corner"_a = nb::none(), "size"_a = nb::none());
     nb::class_<AnyPlan>(m, "Plan", "T⁻¹ on one plane, ready to be filled in.")
         .def(
             "__init__",
@@ -281,14 +341,21 @@ void bind_plans(nb::module_& m) {
                         throw nb::value_error("the box must lie in the plane");
                     job.box[0] = x0, job.box[1] = x1, job.box[2] = y0, job.box[3] = y1;
                 }
-                p.with([&](auto& plan) { unlocked([&] { sample_plane(plan, job); }); });
+                p.with([&](auto& plan) {
+                    if (!suffices(plan, s, job)) refuse_small();
+                    unlocked([&] { sample_plane(plan, job); });
+                });
             },
             "sampling"_a, "box"_a = nb::none(),
             "Fill what a box (x0, x1, y0, y1) holds of a sampling's output, or all of it.");
     m.def("warp_stack", &warp_stack, "strokes"_a, "axes"_a, "height"_a, "width"_a, "planes"_a, "tolerance"_a,
-          "samplings"_a, "map"_a = nb::none(), "box"_a = nb::none(),
+          "samplings"_a, "map"_a = nb::none(), "box"_a = nb::none(), "copied"_a = nb::none(),
           "Sample planes of a stack, each by one thread; return the largest error, the evaluations, and how many nodes "
-          "or pixels fold, lie outside, and are not solved.");
+          "or pixels fold, lie outside, and are not solved. `copied` says which planes are copied, if it is known.");
+    m.def("needed", &needed_of, "strokes"_a, "axes"_a, "ndim"_a, "height"_a, "width"_a, "planes"_a, "tolerance"_a,
+          "count"_a, "size"_a, "filter"_a, "between"_a, "rule"_a, "average"_a, "map"_a, "box"_a,
+          "Return the part (x0, x1, y0, y1, k0, k1) of `count` frames of a size (h, w) that a box of planes reads, and "
+          "how far each plane's part moves: -1 for the identity.");
 }
 
 }  // namespace supple

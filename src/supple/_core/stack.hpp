@@ -21,12 +21,14 @@ inline int bytes_of(int type) {
 
 // A sampling job: source, options, and destination.
 struct Job {
-    // Frames of `count` in a window: frame k is the slot k modulo `capacity`.
+    // Frames of `count` in a window: frame k is the slot k - held_from modulo `capacity`. Of each, a part is in memory;
+    // `frames` is where the sample at (0, 0) of the first slot would be.
     const char* frames;
     ptrdiff_t frame_bytes;
-    int count, capacity;
-    int type, channels, w, h;  // contiguous rows of w * channels samples
-    char* out;                 // likewise, of grid.size
+    int count, capacity, held_from;
+    int type, channels, w, h;
+    int held[4];  // x0, x1, y0, y1 of the part: contiguous rows
+    char* out;    // likewise, of grid.size
     Grid grid;
     int box[4];         // x0, x1, y0, y1 of the wanted part
     int corner[2];      // the sample of the grid that `out` begins with
@@ -41,8 +43,10 @@ struct Job {
     ptrdiff_t pixel_bytes() const { return (ptrdiff_t)bytes_of(type) * channels; }
     const char* frame(int k) const {  // or null, for the fill value
         k = placed(k, count, rule);
-        return k < 0 ? nullptr : frames + (k % capacity) * frame_bytes;
+        return k < 0 ? nullptr : frames + ((k - held_from) % capacity) * frame_bytes;
     }
+    ptrdiff_t row() const { return held[1] - held[0]; }
+    const char* sample(const char* frame, int x, int y) const { return frame + (y * row() + x) * pixel_bytes(); }
     char* target(int x, int y) const { return out + ((y - corner[1]) * out_row + (x - corner[0])) * pixel_bytes(); }
     bool direct() const {
         bool known = type == U8 || type == U16 || type == F32 || (type == I16 && channels == 1);
@@ -160,7 +164,7 @@ struct Numbers {
         }
     }
     void convert(const char* frame, int x, int y, int n, int group, N* out) const {
-        const char* p = frame + ((ptrdiff_t)y * job.w + x) * job.pixel_bytes();
+        const char* p = job.sample(frame, x, y);
         switch (job.type) {
             case U8: return convert((const uint8_t*)p, n, group, out);
             case U16: return convert((const uint16_t*)p, n, group, out);
@@ -305,6 +309,15 @@ struct Putting {
 // ---- pyramids
 // -----------------------------------------------------------------------------------------------------------
 
+// The levels that a map needs, by its largest squared footprint (`Plan::widest`).
+inline int levels_of(const Job& job, double widest) {
+    int levels = 0, side = std::max(job.w, job.h);
+    if (job.filter != AUTO) return 0;
+    for (double want = widest * 1.2; want >= 3.2 && side > 1 && levels < LEVELS; want /= 4, side = (side + 1) / 2)
+        levels++;
+    return levels;
+}
+
 // Averages of the frames in `span`, as deep as a map's smallest singular values need.
 template <class N>
 struct Averages {
@@ -324,9 +337,11 @@ struct Averages {
     Averages(const Job& job, const Numbers<N>& numbers, int group, Span span, double widest) : first(span.first) {
         if (job.filter != AUTO) return;
         numbers.constant(group, fill);
-        int w = job.w, h = job.h, lanes = numbers.lanes;
-        for (double want = widest * 1.2; want >= 3.2 && std::max(w, h) > 1 && pyramid.levels < LEVELS; want /= 4) {
-            int half_w = (w + 1) / 2, half_h = (h + 1) / 2;
+        int w = job.w, h = job.h, lanes = numbers.lanes, depth = levels_of(job, widest);
+        int x0 = job.held[0], x1 = job.held[1], y0 = job.held[2], y1 = job.held[3];
+        while (pyramid.levels < depth) {
+            const int half[4] = {x0 / 2, (x1 + 1) / 2, y0 / 2, (y1 + 1) / 2};
+            const ptrdiff_t line = (ptrdiff_t)(half[1] - half[0]) * lanes, first = half[2] * line + half[0] * lanes;
             std::vector<const N*> level;
             for (int k = span.first; k <= span.last; k++) {
                 const char* frame = job.frame(k);
@@ -335,31 +350,33 @@ struct Averages {
                     level.push_back(nullptr);
                     continue;
                 }
-                std::vector<N> made((size_t)half_w * half_h * lanes + 32), rows((size_t)2 * w * lanes);
-                for (int y = 0; y < half_h; y++) {
+                const size_t wide = (size_t)(x1 - x0) * lanes;
+                std::vector<N> made((size_t)line * (half[3] - half[2]) + 32), rows(2 * wide);
+                for (int y = half[2]; y < half[3]; y++) {
                     for (int r = 0; r < 2; r++) {
-                        int line = std::min(2 * y + r, h - 1);
-                        N* row = rows.data() + (size_t)r * w * lanes;
+                        int from = std::min(2 * y + r, h - 1);
+                        N* row = rows.data() + r * wide;
                         if (above)
-                            memcpy(row, above + (size_t)line * w * lanes, sizeof(N) * w * lanes);
+                            memcpy(row, above + (ptrdiff_t)from * wide + (ptrdiff_t)x0 * lanes, sizeof(N) * wide);
                         else
-                            numbers.convert(frame, 0, line, w, group, row);
+                            numbers.convert(frame, x0, from, x1 - x0, group, row);
                     }
-                    for (int x = 0; x < half_w; x++)
+                    for (int x = half[0]; x < half[1]; x++)
                         for (int c = 0; c < lanes; c++) {
-                            int i = 2 * x * lanes + c, j = std::min(2 * x + 1, w - 1) * lanes + c;
-                            const N *a = rows.data(), *b = a + (size_t)w * lanes;
-                            made[((size_t)y * half_w + x) * lanes + c] = (a[i] + a[j] + b[i] + b[j]) / 4;
+                            int i = (2 * x - x0) * lanes + c, j = (std::min(2 * x + 1, w - 1) - x0) * lanes + c;
+                            const N *a = rows.data(), *b = a + wide;
+                            made[y * line + (ptrdiff_t)x * lanes + c - first] = (a[i] + a[j] + b[i] + b[j]) / 4;
                         }
                 }
                 samples.push_back(std::move(made));
-                level.push_back(samples.back().data());
+                level.push_back(samples.back().data() - first);
             }
             frames.push_back(std::move(level));
-            w = half_w;
-            h = half_h;
-            ptrdiff_t row = (ptrdiff_t)w * lanes;
-            pyramid.level[pyramid.levels++] = {frames.back().data(), w, h, row, row * h, job.rule, fill};
+            w = (w + 1) / 2;
+            h = (h + 1) / 2;
+            x0 = half[0], x1 = half[1], y0 = half[2], y1 = half[3];
+            const ptrdiff_t limit = line * y1 + (ptrdiff_t)x0 * lanes;
+            pyramid.level[pyramid.levels++] = {frames.back().data(), w, h, line, limit, job.rule, fill};
         }
     }
 };
@@ -454,11 +471,12 @@ struct Mixing {
 };
 
 INLINE void copy_same(const Job& job, const char* frame, int x, int y, int n, const bool* same) {
-    ptrdiff_t size = job.pixel_bytes(), at = ((ptrdiff_t)y * job.w + x) * size;
+    const ptrdiff_t size = job.pixel_bytes();
+    const char* from = job.sample(frame, x, y);
     for (int i = 0; i < n;) {
         int end = i;
         while (end < n && (!same || same[end])) end++;
-        if (end > i) memcpy(job.target(x + i, y), frame + at + i * size, (size_t)(end - i) * size);
+        if (end > i) memcpy(job.target(x + i, y), from + i * size, (size_t)(end - i) * size);
         i = end + 1;
     }
 }
@@ -506,7 +524,7 @@ void sample_nearest(const Plan<D>& plan, const Job& job) {
                 int v = placed(row.whole[1][at + i] + (row.part[1][at + i] >= 0.5f), job.h, job.rule);
                 const char* frame = own;
                 if constexpr (D == 3) frame = job.frame(row.whole[2][at + i] + (row.part[2][at + i] >= 0.5f));
-                const char* from = u < 0 || v < 0 || !frame ? fill.data() : frame + ((ptrdiff_t)v * job.w + u) * size;
+                const char* from = u < 0 || v < 0 || !frame ? fill.data() : job.sample(frame, u, v);
                 memcpy(to, from, size);
             }
         });
@@ -530,8 +548,8 @@ void sample_direct(const Plan<D>& plan, const Job& job) {
     for (int k = span.first; k <= span.last; k++) frames.push_back((const T*)job.frame(k));
     // A pyramid's groups have one channel or four; two or three channels are padded with a fourth.
     Averages<float> averages(job, numbers, 0, span, plan.widest);
-    ptrdiff_t line = (ptrdiff_t)job.w * C;
-    Frames<T> source{frames.data(), job.w, job.h, line, line * job.h, job.rule, job.fill};
+    ptrdiff_t line = job.row() * C, limit = line * job.held[3] + job.held[0] * C;
+    Frames<T> source{frames.data(), job.w, job.h, line, limit, job.rule, job.fill};
     const float high = (float)std::min((double)std::numeric_limits<T>::max(), job.white);
     parallel(plan.roots_down(), [&](int j, int) {
         Prints prints;
@@ -595,7 +613,7 @@ void sample_converted(const Plan<D>& plan, const Job& job) {
                 Extent<D> e = plan.extent(index);
                 Span span = whole;
                 if (D == 3) span = frames_of(job, e.low[D - 1], e.high[D - 1], e.rate);
-                seen(job, e, box);
+                seen(job, e, 0, box);
                 int across = box[1] - box[0], tall = box[3] - box[2];
                 ptrdiff_t line = (ptrdiff_t)across * C, size = line * tall;
                 tile.resize((size_t)size * (span.last - span.first + 1) + 64);
@@ -626,10 +644,11 @@ void sample_converted(const Plan<D>& plan, const Job& job) {
 // The samples of a frame that a root may read: its source points, their footprints, and the replacements of samples
 // beyond an edge.
 template <int D>
-inline void seen(const Job& job, const Extent<D>& e, int (&box)[4]) {
+inline void seen(const Job& job, const Extent<D>& e, int levels, int (&box)[4]) {
     int size[2] = {job.w, job.h};
     double ratio = (double)std::max(job.grid.step[0], job.grid.step[1]) / std::min(job.grid.step[0], job.grid.step[1]);
-    double margin = 4 + (job.filter == AUTO ? 0.5 * sqrt(std::min(e.spread * ratio * ratio, 1600.0)) : 0);
+    double longest = 1600.0 * (1 << 2 * levels), margin = 4 << levels;
+    if (job.filter == AUTO) margin += 0.5 * sqrt(std::min(e.spread * ratio * ratio, longest));
     for (int d = 0; d < 2; d++) {
         double low = (e.low[d] - job.grid.offset[d]) / job.grid.step[d] - margin;
         double high = (e.high[d] - job.grid.offset[d]) / job.grid.step[d] + margin;
@@ -642,6 +661,74 @@ inline void seen(const Job& job, const Extent<D>& e, int (&box)[4]) {
         box[2 * d] = first;
         box[2 * d + 1] = last + 1;
     }
+}
+
+// The part of the frames that the samples of job.box may read: columns and rows x0, x1, y0, y1, and the first frame and
+// the one after the last.
+struct Portion {
+    int box[4] = {INT32_MAX, 0, INT32_MAX, 0}, frames[2] = {INT32_MAX, 0};
+
+    bool holds(const Portion& o) const {
+        return box[0] <= o.box[0] && o.box[1] <= box[1] && box[2] <= o.box[2] && o.box[3] <= box[3] &&
+               frames[0] <= o.frames[0] && o.frames[1] <= frames[1];
+    }
+    Portion& operator|=(const Portion& o) {
+        for (int d = 0; d < 4; d += 2) {
+            box[d] = std::min(box[d], o.box[d]);
+            box[d + 1] = std::max(box[d + 1], o.box[d + 1]);
+        }
+        frames[0] = std::min(frames[0], o.frames[0]);
+        frames[1] = std::max(frames[1], o.frames[1]);
+        return *this;
+    }
+};
+inline Portion held_of(const Job& job) {
+    Portion held;
+    std::copy(job.held, job.held + 4, held.box);
+    held.frames[0] = job.held_from;
+    held.frames[1] = job.held_from + job.capacity;
+    return held;
+}
+template <int D>
+Portion needed(const Plan<D>& plan, const Job& job) {
+    Portion all;
+    const int levels = levels_of(job, plan.widest), apart = 1 << levels, size[2] = {job.w, job.h};
+    for (int j = 0; j < plan.roots_down(); j++)
+        for (int i = 0; i < plan.roots_across(); i++) {
+            Portion part;
+            int wanted[4];
+            plan.columns_of(job.grid, i, wanted[0], wanted[1]);
+            plan.rows_of(job.grid, j, wanted[2], wanted[3]);
+            bool some = true;
+            for (int d = 0; d < 2; d++)
+                some =
+                    some && std::max(wanted[2 * d], job.box[2 * d]) < std::min(wanted[2 * d + 1], job.box[2 * d + 1]);
+            if (!some) continue;
+            if (plan.is_still(j * plan.roots_across() + i)) {  // copied
+                for (int d = 0; d < 4; d += 2) {
+                    part.box[d] = std::max(wanted[d], job.box[d]);
+                    part.box[d + 1] = std::min(wanted[d + 1], job.box[d + 1]);
+                }
+            } else {
+                seen(job, plan.extent(j * plan.roots_across() + i), levels, part.box);
+                for (int d = 0; d < 2; d++) {  // samples of the pyramid are whole
+                    part.box[2 * d] &= -apart;
+                    part.box[2 * d + 1] = std::min((part.box[2 * d + 1] + apart - 1) & -apart, size[d]);
+                }
+            }
+            part.frames[0] = part.frames[1] = 0;
+            all |= part;
+        }
+    Span span = frames_of(plan, job);
+    all.frames[0] = job.count;
+    all.frames[1] = 0;
+    for (int k = span.first; k <= span.last; k++) {
+        int frame = placed(k, job.count, job.rule);
+        if (frame < 0) continue;
+        all.frames[0] = std::min(all.frames[0], frame);
+        all.frames[1] = std::max(all.frames[1], frame + 1);
+    }
+    return all;
 }
 
 // Fill job.out by sampling at the source points of a plan's grid.

@@ -21,6 +21,7 @@ from supple.engines.base import (
     Array,
     Certificate,
     Planes,
+    Sampling,
     Space,
     Steps,
     Work,
@@ -68,6 +69,36 @@ def plan_of(space: Space, z: float, tolerance: float, step: tuple[int, int] = (1
     return _core.Plan(table, space.axes, space.ndim, height, width, first + z, tolerance, space.composite, box)
 
 
+def needed(space: Space, sampling: Sampling) -> tuple[tuple[int, ...], list[float]]:
+    """Return the part of the source that a part of the output, ``space.grid``, reads.
+
+    Returns
+    -------
+    tuple of int
+        Its bounds x0, x1, y0, y1, and the first frame and that after the last.
+    list of float
+        How far each plane of the part moves, in pixels; -1 where no stroke reaches it.
+    """
+    assert space.grid is not None
+    planes, box = _part(space.grid)
+    return _core.needed(
+        numbers(space.table),
+        space.axes,
+        space.ndim,
+        *space.grid.whole[-2:],
+        list(planes),
+        sampling.tolerance,
+        space.count,
+        space.shape,
+        FILTERS[sampling.filter],
+        BETWEEN[sampling.between],
+        OUTSIDE[sampling.outside],
+        sampling.time_filter and sampling.between != "nearest",
+        space.composite,
+        box,
+    )
+
+
 def _part(grid: Grid) -> tuple[range, tuple[int, int, int, int]]:
     """Return the planes of the whole grid that a part of it has, and the box (x0, x1, y0, y1) in each."""
     (x, y, *z), (width, height, *depth) = grid.first, grid.sizes
@@ -88,7 +119,9 @@ def measured(plan: _core.Plan, tolerance: float) -> Certificate:
     return Certificate(error, plan.evaluations, unknown)
 
 
-def samplings_of(work: Work, frames: Sequence[Array], outs: Sequence[Array], count: int) -> list[_core.Sampling]:
+def samplings_of(
+    work: Work, frames: Sequence[Array], outs: Sequence[Array], count: int, corner: tuple[int, int, int] | None = None
+) -> list[_core.Sampling]:
     """Return the core's sampling jobs for some frames.
 
     Parameters
@@ -101,6 +134,8 @@ def samplings_of(work: Work, frames: Sequence[Array], outs: Sequence[Array], cou
         For each group, the destination: (h, w, channels) or (planes, h, w, channels), contiguous.
     count : int
         The number of frames of the clip.
+    corner : (int, int, int), optional
+        If ``frames`` are a part of those of the layout: the position x, y, and the frame, of their first sample.
     """
     sampling = work.sampling
     return [
@@ -118,6 +153,8 @@ def samplings_of(work: Work, frames: Sequence[Array], outs: Sequence[Array], cou
             group.channels - 1 if group.alpha else -1,
             sampling.light,
             work.layout.white,
+            corner,
+            None if corner is None else group.shape,
         )
         for group, held, fill, out in zip(work.layout.groups, frames, work.fills, outs, strict=True)
     ]
@@ -200,6 +237,56 @@ class Native:
             )
             found = (0, 0, 0) if space.composite is None else (unknown, folded, outside)
             yield start + len(some), Certificate(error, steps, *found)
+
+    def warp_part(
+        self,
+        work: Work,
+        frames: Sequence[Array],
+        outs: Sequence[Array],
+        corner: tuple[int, int, int],
+        copied: Sequence[bool],
+    ) -> Certificate:
+        """Sample a part of the output, ``work.space.grid``, from the part of the source that it reads (`needed`).
+
+        Parameters
+        ----------
+        work : Work
+            Its layout is that of whole frames, of one group.
+        frames : sequence of arrays
+            For each item that is warped alike, the part of the source (slots, h, w, channels).
+        outs : sequence of arrays
+            For each item, the part of the output (planes, h, w, channels).
+        corner : (int, int, int)
+            The position x, y, and the frame, of the first sample of ``frames``.
+        copied : sequence of bool
+            Which planes are copied, since all of them moves by less than the tolerance.
+        """
+        space, tolerance = work.space, work.sampling.tolerance
+        grid = space.grid
+        assert grid is not None
+        if space.ndim == 2:
+            plan = plan_of(space, 0, tolerance)
+            for held, out in zip(frames, outs, strict=True):
+                for each in samplings_of(work, [held], [out[0]], 1, corner):
+                    plan.sample(each)
+            return certificate_of(plan, space)
+        planes, box = _part(grid)
+        certificate, table = Certificate(0.0, 0.0), numbers(space.table)
+        together = _TOGETHER * _core.threads()
+        for start in range(0, len(planes), together):
+            some = planes[start : start + together]
+            given = [
+                each
+                for held, out in zip(frames, outs, strict=True)
+                for each in samplings_of(work, [held], [out[start : start + len(some)]], space.count, corner)
+            ]
+            error, steps, (folded, outside, unknown) = _core.warp_stack(
+                table, space.axes, *grid.whole[-2:], list(some), tolerance, given, space.composite, box,
+                list(copied[start : start + len(some)]),
+            )  # fmt: skip
+            found = (0, 0, 0) if space.composite is None else (unknown, folded, outside)
+            certificate |= Certificate(error, steps, *found)
+        return certificate
 
     def stream(self, work: Work, window: Sequence[Array]) -> contextlib.AbstractContextManager[Planes]:
         """See `Engine.stream`."""
