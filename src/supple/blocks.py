@@ -159,7 +159,7 @@ def warp_block(
     layout = Layout.of_array((*space.whole, *tail), part.dtype, space.whole, alpha=alpha, light=sampling.light)
     work = Work(space, layout, sampling.filled(layout.groups[0].channels, part.dtype))
     frames, outs = _planes(part, n), _planes(result, n)
-    held = [_viewed(one) for one in frames]
+    held = [one.astype(NATIVE.working_dtype(one.dtype), copy=False) for one in frames]
     made = [NATIVE.view(out) for out in outs]
     if any(one is None for one in made):  # a type of another size than the core's
         made = [np.empty(out.shape, NATIVE.working_dtype(out.dtype)) for out in outs]
@@ -177,8 +177,3 @@ def _planes(items: Array, n: int) -> list[Array]:
     deep = items if items.ndim > 1 + n else items[..., None]
     return [one if n == 3 else one[None] for one in deep]
 
-
-def _viewed(array: Array) -> Array:
-    """Return an array in the form that the core takes."""
-    held = NATIVE.view(array)
-    return np.ascontiguousarray(array, NATIVE.working_dtype(array.dtype)) if held is None else held

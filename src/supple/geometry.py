@@ -138,6 +138,7 @@ class Grid:
     direction: tuple[tuple[float, ...], ...]
     first: tuple[int, ...] = field(repr=False)
     whole: tuple[int, ...] = field(repr=False)
+    start: tuple[float, ...] = field(repr=False)
 
     def __init__(
         self,
@@ -157,7 +158,7 @@ class Grid:
             raise SuppleError(
                 "the grid's axes are not at right angles to each other, or not of unit length: resample it first"
             )
-        self._set(sizes, checked_spacing(spacing, n), start, turned, (0,) * n, sizes)
+        self._set(sizes, checked_spacing(spacing, n), start, turned, (0,) * n, sizes, start)
 
     def _set(
         self,
@@ -167,7 +168,9 @@ class Grid:
         direction: Floats,
         first: tuple[int, ...],
         whole: tuple[int, ...],
+        start: tuple[float, ...],
     ) -> Self:
+        """Set all values: ``start`` is the origin of the whole grid."""
         values = {
             "shape": shape,
             "spacing": spacing,
@@ -175,6 +178,7 @@ class Grid:
             "direction": tuple(tuple(row) for row in direction.tolist()),
             "first": first,
             "whole": whole,
+            "start": start,
         }
         for name, value in values.items():
             object.__setattr__(self, name, value)
@@ -240,15 +244,16 @@ class Grid:
         origin = tuple(self.positions(starts).tolist())
         within = tuple(a + b for a, b in zip(self.first, starts, strict=True))
         made = object.__new__(type(self))
-        return made._set(tuple(counts[::-1]), self.spacing, origin, np.array(self.direction), within, self.whole)
+        return made._set(
+            tuple(counts[::-1]), self.spacing, origin, np.array(self.direction), within, self.whole, self.start
+        )
 
     def uncropped(self) -> Self:
         """Return the grid that this one is a part of; itself if it is none."""
         if self.whole == self.shape:
             return self
-        origin = tuple(self.positions(-np.array(self.first)).tolist())
-        made = object.__new__(type(self))
-        return made._set(self.whole, self.spacing, origin, np.array(self.direction), (0,) * self.ndim, self.whole)
+        made, first = object.__new__(type(self)), (0,) * self.ndim
+        return made._set(self.whole, self.spacing, self.start, np.array(self.direction), first, self.whole, self.start)
 
     def resampled(self, spacing: float | Sequence[float]) -> Self:
         """Return a grid of another spacing that covers the same extent, from outer edge to outer edge."""

@@ -99,7 +99,7 @@ struct Windows {
     template <int C, class T>
     INLINE bool readable(const Frames<T>& f, int before, int after) const {
         return low <= 1 && wide * C + C <= 2 * BLOCK && x >= before && x + wide + after < f.w && y >= before &&
-               y + low + after < f.h && (y + low + after) * f.row + (x + after) * C + 2 * BLOCK <= f.limit;
+               y + low + after < f.h && f.has(y + low + after, (x + after) * C + 2 * BLOCK, C);
     }
 };
 
@@ -178,6 +178,12 @@ NOINLINE bool sample_block(const Frames<T>& f, const Row<D>& row, const Prints& 
 
 // ---- one by one -----------------------------------------------------------------------------------------------------
 
+// Pixels of a row whose positions choose the kernels: they do not depend on the wanted part, since kernels round
+// differently.
+struct Run {
+    int from, end;
+};
+
 // The reader of a row's samples: if `inside`, all are within the frames, with 32-bit indices.
 struct Places {
     alignas(64) int at[STRIDE];
@@ -194,13 +200,12 @@ struct Places {
             least_y = std::min(least_y, y[k]);
             most_y = std::max(most_y, y[k]);
         }
-        const ptrdiff_t row = f.row;
         inside = least_x >= LEFT && most_x < f.w - RIGHT && least_y >= LEFT && most_y < f.h - RIGHT &&
-                 (most_y + RIGHT) * row + (most_x - LEFT) * C + 20 <= f.limit && f.limit <= INT32_MAX;
+                 f.has(most_y + RIGHT, (most_x - LEFT) * C + 20, C) && f.limit <= INT32_MAX;
         // Prefetch the samples of a row four further down, in one frame.
         if constexpr (sizeof(T) <= 4)
             if (inside && most_y + 4 < f.h) {
-                const T* next = f.at[0] + at[from] + 4 * row;
+                const T* next = f.at[0] + at[from] + 4 * f.row;
                 if (next)
                     for (int o = 0; o < (end - from) * C; o += 64 / (int)sizeof(T)) __builtin_prefetch(next + o);
             }
@@ -208,12 +213,13 @@ struct Places {
 };
 
 template <Filter FILTER, class N, int C, bool SEVERAL, class T, int D, class MixOf, class Put>
-NOINLINE void sample_each(const Frames<T>& given, const Row<D>& row, int from, int end, MixOf mix_of, Put put) {
+NOINLINE void sample_each(const Frames<T>& given, const Row<D>& row, Run run, int from, int end, MixOf mix_of,
+                          Put put) {
     constexpr int left = FILTER == LINEAR ? 0 : 1, right = FILTER == LINEAR ? 1 : 2;
     const Frames<T> f = given;
     const int *x = row.whole[0], *y = row.whole[1];
     Places places;
-    places.find<left, right, C>(f, x, y, from, end);
+    places.find<left, right, C>(f, x, y, run.from, run.end);
     for (int k = from; k < end; k++) {
         const Mix<N> mix = mix_of(k);
         auto kernel = [&](auto taps, ptrdiff_t r) INLINE_LAMBDA {
@@ -231,11 +237,11 @@ NOINLINE void sample_each(const Frames<T>& given, const Row<D>& row, int from, i
 
 template <class N, int C, bool SEVERAL, class T, int D, class MixOf, class Put>
 NOINLINE void sample_footprints(const Frames<T>& given, const Pyramid<N>& pyramid, const Row<D>& row,
-                                const Prints& prints, int from, int end, MixOf mix_of, Put put) {
+                                const Prints& prints, Run run, int from, int end, MixOf mix_of, Put put) {
     const Frames<T> f = given;
     const int *x = row.whole[0], *y = row.whole[1];
     Places places;
-    places.find<2, 3, C>(f, x, y, from, end);
+    places.find<2, 3, C>(f, x, y, run.from, run.end);
     for (int k = from; k < end; k++) {
         const N fx = (N)row.part[0][k], fy = (N)row.part[1][k];
         const Mix<N> mix = mix_of(k);
@@ -269,13 +275,13 @@ NOINLINE void sample_footprints(const Frames<T>& given, const Pyramid<N>& pyrami
 template <class N, int C, bool SEVERAL, class T, int D, class MixOf, class Put>
 INLINE void sample_row(const Frames<T>& f, const Pyramid<N>& pyramid, int filter, const Row<D>& row,
                        const Prints& prints, int from, int end, MixOf mix_of, Put put) {
-    auto one_by_one = [&](int from, int end) {
+    auto one_by_one = [&](Run run, int from, int end) {
         if (filter == LINEAR)
-            sample_each<LINEAR, N, C, SEVERAL>(f, row, from, end, mix_of, put);
+            sample_each<LINEAR, N, C, SEVERAL>(f, row, run, from, end, mix_of, put);
         else if (filter == CUBIC || !prints.any)
-            sample_each<CUBIC, N, C, SEVERAL>(f, row, from, end, mix_of, put);
+            sample_each<CUBIC, N, C, SEVERAL>(f, row, run, from, end, mix_of, put);
         else
-            sample_footprints<N, C, SEVERAL>(f, pyramid, row, prints, from, end, mix_of, put);
+            sample_footprints<N, C, SEVERAL>(f, pyramid, row, prints, run, from, end, mix_of, put);
     };
 #if defined(__AVX2__)
     if constexpr (sizeof(N) == sizeof(float) && C <= 2) {
@@ -292,12 +298,12 @@ INLINE void sample_row(const Frames<T>& f, const Pyramid<N>& pyramid, int filter
             if (done)
                 put(k, first, last, v);
             else
-                one_by_one(first, last);
+                one_by_one({k, k + n}, first, last);
         }
         return;
     }
 #endif
-    one_by_one(from, end);
+    one_by_one({0, row.count}, from, end);
 }
 
 }  // namespace supple

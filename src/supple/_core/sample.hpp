@@ -162,9 +162,13 @@ struct Frames {
     const T* const* at;
     int w, h;
     ptrdiff_t row;
-    ptrdiff_t limit;  // the numbers that may be read from a frame's first on
+    ptrdiff_t limit;  // the numbers that may be read from a frame's first on; after a part of it, there is padding
     int rule;
     const double* fill;
+
+    // Whether n numbers of a row and what follows may be read. It is asked of the whole frame, even if a part of it is
+    // held: kernels that may not read beyond the end round differently.
+    INLINE bool has(int y, int n, int channels) const { return (ptrdiff_t)y * w * channels + n <= limit; }
 };
 
 // Frames `first` to `first + n - 1`, each with a weight; and the weight of the constant beyond a clip's ends.
@@ -202,8 +206,8 @@ INLINE Pixel<N> around(const Frames<T>& f, const Mix<N>& mix, int x, int y, Use 
     constexpr int reading =
         lanes_for((LEFT + 1 + RIGHT) * C > 16 ? 16 : (LEFT + 1 + RIGHT) * C) + (C == 4 && RIGHT == 3 ? 4 : 0);
     ptrdiff_t place = (ptrdiff_t)y * f.row + (ptrdiff_t)x * C;
-    bool inside = x >= LEFT && x < f.w - RIGHT && y >= LEFT && y < f.h - RIGHT &&
-                  place + RIGHT * f.row - LEFT * C + reading <= f.limit;
+    bool inside =
+        x >= LEFT && x < f.w - RIGHT && y >= LEFT && y < f.h - RIGHT && f.has(y + RIGHT, (x - LEFT) * C + reading, C);
     if (__builtin_expect(inside && mix.n > 0, 1)) return within<N, C, SEVERAL>(f, mix, place, use);
     N own[PATCH * (WINDOW + 1)] = {};
     gather<N, C>(f, mix, x, y, own);

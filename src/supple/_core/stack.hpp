@@ -375,7 +375,7 @@ struct Averages {
             w = (w + 1) / 2;
             h = (h + 1) / 2;
             x0 = half[0], x1 = half[1], y0 = half[2], y1 = half[3];
-            const ptrdiff_t limit = line * y1 + (ptrdiff_t)x0 * lanes;
+            const ptrdiff_t limit = (ptrdiff_t)w * h * lanes;
             pyramid.level[pyramid.levels++] = {frames.back().data(), w, h, line, limit, job.rule, fill};
         }
     }
@@ -548,7 +548,7 @@ void sample_direct(const Plan<D>& plan, const Job& job) {
     for (int k = span.first; k <= span.last; k++) frames.push_back((const T*)job.frame(k));
     // A pyramid's groups have one channel or four; two or three channels are padded with a fourth.
     Averages<float> averages(job, numbers, 0, span, plan.widest);
-    ptrdiff_t line = job.row() * C, limit = line * job.held[3] + job.held[0] * C;
+    ptrdiff_t line = job.row() * C, limit = (ptrdiff_t)job.w * job.h * C;
     Frames<T> source{frames.data(), job.w, job.h, line, limit, job.rule, job.fill};
     const float high = (float)std::min((double)std::numeric_limits<T>::max(), job.white);
     parallel(plan.roots_down(), [&](int j, int) {

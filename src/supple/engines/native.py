@@ -39,6 +39,7 @@ Floats = npt.NDArray[np.float64]
 CONVERGED = 1e-6
 """The largest residual |T(p) - q| of a converged point, in pixels."""
 
+_PADDING = 256  # bytes: more than a vector reads beyond the last sample
 _TOGETHER = 8  # planes for each thread between reports of progress
 _KINDS: dict[np.dtype[Any], np.dtype[Any]] = {
     np.dtype(np.float16): np.dtype(np.float32),
@@ -97,6 +98,14 @@ def needed(space: Space, sampling: Sampling) -> tuple[tuple[int, ...], list[floa
         space.composite,
         box,
     )
+
+
+def _padded(array: Array) -> Array:
+    """Return a copy of an array, followed by bytes that vectors may read."""
+    held = np.empty(array.nbytes + _PADDING, np.uint8)
+    made = held[: array.nbytes].view(array.dtype).reshape(array.shape)
+    made[...] = array
+    return made
 
 
 def _part(grid: Grid) -> tuple[range, tuple[int, int, int, int]]:
@@ -253,7 +262,8 @@ class Native:
         work : Work
             Its layout is that of whole frames, of one group.
         frames : sequence of arrays
-            For each item that is warped alike, the part of the source (slots, h, w, channels).
+            For each item that is warped alike, the part of the source (slots, h, w, channels), in any order of bytes
+            and axes.
         outs : sequence of arrays
             For each item, the part of the output (planes, h, w, channels).
         corner : (int, int, int)
@@ -264,6 +274,7 @@ class Native:
         space, tolerance = work.space, work.sampling.tolerance
         grid = space.grid
         assert grid is not None
+        frames = [_padded(held) for held in frames]
         if space.ndim == 2:
             plan = plan_of(space, 0, tolerance)
             for held, out in zip(frames, outs, strict=True):
