@@ -96,7 +96,7 @@ def image(
     version: str,
     *,
     names: str = "tczyx",
-    shape: tuple[int, ...] = (2, 3, 10, 37, 50),
+    shape: tuple[int, ...] = (2, 2, 6, 19, 30),
     chunks: tuple[int, ...] = (1, 2, 4, 8, 16),
     shards: tuple[int, ...] | None = None,
     count: int = 3,
@@ -176,7 +176,9 @@ def test_round_trips_of_images(where: str, form: int, version: str, sharded: boo
         pytest.skip("Zarr 2 has no shards")
     root = {"folder": str(tmp_path), "memory": memory, "file": tmp_path.as_uri()}[where]
     source, out = f"{root}/in.zarr", f"{root}/out.zarr"
-    before = image(source, form, version, shards=(1, 2, 8, 16, 32) if sharded else None)
+    # zarr's own file:// makes no folders
+    made = tmp_path / "in.zarr" if where == "file" else source
+    before = image(made, form, version, shards=(1, 2, 8, 16, 32) if sharded else None)
     like = open_image(source)
     assert (like.version, like.name, like.spatial) == (version, "cells", (2, 3, 4))
     assert [axis.name for axis in like.axes] == list("tczyx")
@@ -184,7 +186,7 @@ def test_round_trips_of_images(where: str, form: int, version: str, sharded: boo
     assert [axis.unit for axis in like.axes] == ["second", None, "micrometer", "micrometer", "micrometer"]
     np.testing.assert_allclose(like.spacing, (0.00025, 0.0005, 0.002), rtol=1e-12)
     assert like.origin == (0, 0, 0)
-    assert like.grid.shape == like.shape[2:] == (10, 37, 50)
+    assert like.grid.shape == like.shape[2:] == (6, 19, 30)
     target = create(out, like, job="a")
     assert target.block == ((1, 2, 8, 16, 32) if sharded else (1, 2, 4, 8, 16))
     assert target.factors == ((1,) * 5, (1, 1, 1, 2, 2), (1, 1, 1, 2, 2))
@@ -282,7 +284,7 @@ def test_another_grid_has_its_scale_and_translation_on_each_level(
     target = create(
         tmp_path / "out.zarr", like, shape=(6, 41, 81), scale=(1, 1.5, 3), translation=(7, -2, 0.25), job="a"
     )
-    shapes = [(2, 3, 6, 41, 81), (2, 3, 6, 21, 41), (2, 3, 6, 11, 21)]
+    shapes = [(2, 2, 6, 41, 81), (2, 2, 6, 21, 41), (2, 2, 6, 11, 21)]
     assert [array.shape for array in target.arrays] == shapes
     values = np.arange(np.prod(shapes[0])).reshape(shapes[0]) % 60_000
     fill(target, values.astype(np.uint16))
@@ -314,7 +316,7 @@ def test_no_translation_is_written_where_there_is_none_and_what_all_levels_share
     (tmp_path / "in.zarr" / ".zattrs").write_text(json.dumps(attributes))
     like = open_image(tmp_path / "in.zarr")
     assert like.levels[1].scale == (5, 1, 2, 1, 0.5)
-    target = create(tmp_path / "out.zarr", like, shape=(10, 37, 49), job="a")
+    target = create(tmp_path / "out.zarr", like, shape=(6, 19, 29), job="a")
     told = target.image.attributes["multiscales"][0]
     assert "coordinateTransformations" not in told
     assert "type" not in told
@@ -325,9 +327,9 @@ def test_no_translation_is_written_where_there_is_none_and_what_all_levels_share
 def test_levels_that_would_be_the_one_before_are_left_out(tmp_path: Path) -> None:
     image(tmp_path / "in.zarr", 3, "0.5")
     like = open_image(tmp_path / "in.zarr")
-    target = create(tmp_path / "out.zarr", like, shape=(10, 2, 1), job="a")
-    assert [array.shape for array in target.arrays] == [(2, 3, 10, 2, 1), (2, 3, 10, 1, 1)]
-    fill(target, np.ones((2, 3, 10, 2, 1)))
+    target = create(tmp_path / "out.zarr", like, shape=(6, 2, 1), job="a")
+    assert [array.shape for array in target.arrays] == [(2, 2, 6, 2, 1), (2, 2, 6, 1, 1)]
+    fill(target, np.ones((2, 2, 6, 2, 1)))
     target.finish()
     assert len(open_image(tmp_path / "out.zarr").levels) == 2
 
@@ -337,13 +339,13 @@ def test_chunks_of_ones_own(form: int, tmp_path: Path) -> None:
     image(tmp_path / "in.zarr", form, {2: "0.4", 3: "0.5"}[form])
     like = open_image(tmp_path / "in.zarr")
     target = create(tmp_path / "out.zarr", like, chunks=(10, 20, 30), job="a")
-    assert target.blocks == ((2, 3, 10, 20, 30),) * 3
+    assert target.blocks == ((2, 2, 10, 20, 30),) * 3
     if form == 3:
         image(tmp_path / "shards.zarr", 3, "0.5", shards=(1, 2, 8, 16, 32))
         target = create(tmp_path / "b.zarr", open_image(tmp_path / "shards.zarr"), chunks=(1, 1, 5, 5, 10), job="a")
         assert target.arrays[0].chunks == (1, 1, 5, 5, 10)
         assert target.block == (1, 2, 10, 15, 30)
-        fill(target, np.ones((2, 3, 10, 37, 50)))
+        fill(target, np.ones(target.arrays[0].shape))
         target.finish()
 
 
@@ -369,7 +371,7 @@ def test_without_units_all_is_in_pixels(tmp_path: Path) -> None:
         found = open_image(tmp_path / f"{k}.zarr")
         assert (found.spacing, found.origin) == ((1, 1, 1), (0, 0, 0))
         assert (found.level_grid(1).spacing, found.level_grid(1).origin) == ((2, 2, 1), (0.5, 0.5, 0))
-        assert open_image(tmp_path / f"{k}.zarr", ndim=2).grid.shape == (37, 50)
+        assert open_image(tmp_path / f"{k}.zarr", ndim=2).grid.shape == (19, 30)
 
 
 def break_metadata(change: Any) -> Any:
@@ -882,10 +884,10 @@ def test_a_finish_that_was_interrupted_is_finished_again(
             raise KeyboardInterrupt
         rename(before, after)
 
-    def removed(path: Any) -> None:
+    def removed(path: Any, **more: Any) -> None:
         if step == "marker":
             raise KeyboardInterrupt
-        unlink(path)
+        unlink(path, **more)
 
     with monkeypatch.context() as patched:
         patched.setattr(os, "rename", counted)
@@ -898,6 +900,10 @@ def test_a_finish_that_was_interrupted_is_finished_again(
         again.finish()
     np.testing.assert_array_equal(open_image(tmp_path / "out.zarr").levels[0].array[...], values + 1)
     assert not (tmp_path / "out.zarr.partial").exists()
+
+
+class Stopped(Exception):  # noqa: N818
+    """An interrupt. Python's own would end the thread in which zarr waits for stores."""
 
 
 def test_a_clearing_that_was_interrupted_begins_again(memory: str, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -913,12 +919,12 @@ def test_a_clearing_that_was_interrupted_begins_again(memory: str, monkeypatch: 
     async def counted(self: Any, key: str) -> None:
         calls.append(key)
         if len(calls) == 3:
-            raise KeyboardInterrupt
+            raise Stopped
         await delete(self, key)
 
     with monkeypatch.context() as patched:
         patched.setattr(FsspecStore, "delete", counted)
-        with pytest.raises(KeyboardInterrupt):
+        with pytest.raises(Stopped):
             create(out, like, job="two", force=True)
     with pytest.raises(SuppleError, match="unfinished"):
         open_image(out)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import json
 import os
@@ -22,6 +23,8 @@ _ATOMIC = {"s3", "s3a", "gs", "gcs", "abfs", "abfss", "az", "oci", "memory"}
 """Protocols of stores in which an object appears whole or not at all."""
 _CLIENTS = {"adlfs", "aiobotocore", "aiohttp", "azure", "botocore", "fsspec", "gcsfs", "google", "ocifs", "paramiko"}
 """Packages whose errors are no OSErrors, and say that a store was not reached."""
+_PATIENCE = 10  # seconds
+_SETTLING = "supple waits for zarr"  # by this name, two that wait do not wait for each other
 
 
 class Place:
@@ -128,8 +131,10 @@ class Place:
         except SuppleError:
             raise
         except OSError as error:
+            _settle()
             raise _refused(self.address, error) from error
         except Exception as error:
+            _settle()
             if isinstance(error, NotImplementedError) or type(error).__module__.split(".")[0] in _CLIENTS:
                 raise self.unwritable(_said(error), "choose another place") from error
             raise
@@ -181,6 +186,21 @@ def put(store: Any, key: str, data: bytes) -> None:
     from zarr.core.sync import sync
 
     sync(store.set(key, default_buffer_prototype().buffer.from_bytes(data)))
+
+
+def _settle() -> None:
+    """Wait until the chunks that were written beside one that failed are through: else Python reports them at its end."""
+    from zarr.core.sync import sync
+
+    async def waited() -> None:
+        own = asyncio.current_task()
+        assert own is not None
+        own.set_name(_SETTLING)
+        others = [task for task in asyncio.all_tasks() if task.get_name() != _SETTLING]
+        if others:
+            await asyncio.wait(others, timeout=_PATIENCE)
+
+    sync(waited())
 
 
 @contextlib.contextmanager

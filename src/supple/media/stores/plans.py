@@ -138,10 +138,7 @@ def _datasets(
 def _group(path: str, like: StoredImage, attributes: dict[str, Any]) -> dict[str, bytes]:
     prefix = f"{path}/" if path else ""
     if like.levels[0].array.metadata.zarr_format == 2:
-        files = {f"{prefix}.zgroup": _json({"zarr_format": 2})}
-        if attributes or not path:
-            files[f"{prefix}.zattrs"] = _json(attributes)
-        return files
+        return {f"{prefix}.zgroup": _json({"zarr_format": 2}), f"{prefix}.zattrs": _json(attributes)}
     return {f"{prefix}zarr.json": _json({"zarr_format": 3, "node_type": "group", "attributes": attributes})}
 
 
@@ -161,10 +158,7 @@ def _array(level: Level, shape: tuple[int, ...], chunks: Sequence[int] | None) -
         told |= _chunked(metadata, chunks)
     files = dataclasses.replace(metadata, **told).to_buffer_dict(default_buffer_prototype())
     prefix = f"{level.path}/" if level.path else ""
-    made = {f"{prefix}{key}": bytes(data.to_bytes()) for key, data in files.items()}
-    if not metadata.attributes and metadata.zarr_format == 2:
-        del made[f"{prefix}.zattrs"]
-    return made
+    return {f"{prefix}{key}": bytes(data.to_bytes()) for key, data in files.items()}
 
 
 def _chunked(metadata: Any, chunks: Sequence[int]) -> dict[str, Any]:

@@ -393,16 +393,16 @@ def _publish(place: Place, folder: Path, job: str, force: bool) -> None:
     put(Place(folder).store(read_only=False), MARKER, _told(job, "complete"))
     assert place.folder is not None
     target = check_store(place.folder, force=force)
+    old = target.with_name(f".{os.urandom(6).hex()}-old")
     if os.path.lexists(target):
-        old = target.with_name(f".{os.urandom(6).hex()}-old")
         os.rename(target, old)
         try:
             os.rename(folder, target)
         except OSError:
             os.rename(old, target)
             raise
-        shutil.rmtree(old, ignore_errors=True)
     else:
         os.rename(folder, target)
-    with contextlib.suppress(FileNotFoundError):
+    with contextlib.suppress(OSError):  # it says that the output is complete
         os.unlink(target / MARKER)
+    shutil.rmtree(old, ignore_errors=True)
