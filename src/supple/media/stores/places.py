@@ -153,7 +153,9 @@ class Place:
                 return None
         else:
             try:
-                found = read(self.store(read_only=True), MARKER)
+                store = self.store(read_only=True)
+                refresh(store)
+                found = read(store, MARKER)
             except Exception:  # what cannot be reached is told when the store itself is opened
                 return None
             if found is None:
@@ -169,6 +171,13 @@ class Place:
         """Raise SuppleError for an output that is not finished."""
         if self.job() is not None:
             raise self.unreadable("it is an unfinished output of Supple", "run the command that writes it again")
+
+
+def refresh(store: Any) -> None:
+    """Forget what a client of fsspec has listed: other processes write as well."""
+    client = getattr(store, "fs", None)
+    if client is not None:
+        client.invalidate_cache()
 
 
 def read(store: Any, key: str) -> bytes | None:
@@ -189,7 +198,7 @@ def put(store: Any, key: str, data: bytes) -> None:
 
 
 def _settle() -> None:
-    """Wait until the chunks that were written beside one that failed are through: else Python reports them at its end."""
+    """Wait for chunks that were written beside one that failed: else Python reports them when it ends."""
     from zarr.core.sync import sync
 
     async def waited() -> None:

@@ -19,7 +19,7 @@ import numpy.typing as npt
 from supple.errors import SuppleError, shown
 from supple.media.files import PathLike, check_store
 from supple.media.stores.image import Level, StoredImage, described
-from supple.media.stores.places import MARKER, ROOTS, Place, put, quiet, read
+from supple.media.stores.places import MARKER, ROOTS, Place, put, quiet, read, refresh
 from supple.media.stores.plans import planned
 from supple.media.stores.pyramid import Mode, Step, reduced
 
@@ -160,10 +160,12 @@ class Target:
             return all(_size(folder / key) > 0 for key in keys)
         with self._place.reading("its chunks cannot be listed"):
             if level not in self._seen:
+                refresh(array.store)
                 self._seen[level] = set(_run(_listed(array.store, array.path)))
             seen = self._seen[level]
             for key in keys:
                 if key not in seen:
+                    refresh(array.store)
                     if not _run(array.store.exists(key)):
                         return False
                     seen.add(key)
@@ -289,6 +291,13 @@ async def _listed(store: Any, path: str) -> list[str]:
     return [key async for key in store.list_prefix(f"{path}/" if path else "")]
 
 
+async def _cleared(store: Any) -> None:
+    """Remove all but the marker; a client removes many objects of a folder at a time."""
+    for name in [name.strip("/") async for name in store.list_dir("")]:
+        if name not in ("", MARKER):
+            await store.delete_dir(name)
+
+
 async def _copied(source: Any, target: Any, pairs: Iterable[tuple[str, str]]) -> list[int]:
     from zarr.core.buffer import default_buffer_prototype
 
@@ -359,10 +368,11 @@ def _claim_address(place: Place, files: dict[str, bytes], job: str, force: bool)
     """Prepare the address that is written in place; one of the same job is left as it is."""
     store = place.store(read_only=False)
     found = place.marker()
-    if found is None and not _run(store.is_empty("")):
+    zarr = found is None and any(read(store, name) is not None for name in ROOTS)
+    if zarr or (found is None and not _run(store.is_empty(""))):  # which may list all that is there
         if not force:
             raise SuppleError(f"{shown(place.address)} exists already: pass --force (force=True) to replace it")
-        if not any(read(store, name) is not None for name in ROOTS):
+        if not zarr:
             raise place.unwritable("what is there is no Zarr store", "give another name")
     elif found is None:
         put(store, MARKER, _told(job, "unfinished"))
@@ -378,9 +388,7 @@ def _claim_address(place: Place, files: dict[str, bytes], job: str, force: bool)
         return
     # the marker comes first, and stays: if clearing is interrupted, it begins again
     put(store, MARKER, _told(job, "clearing"))
-    for key in _run(_listed(store, "")):
-        if key != MARKER:
-            _run(store.delete(key))
+    _run(_cleared(store))
     put(store, MARKER, _told(job, "unfinished"))
 
 
