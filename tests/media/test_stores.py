@@ -1061,3 +1061,15 @@ def test_a_client_that_remembers_listings_sees_what_others_wrote(memory: str, mo
     assert not target.is_done(0, whole(target))
     create(f"{memory}/out.zarr", like, job="a").write(0, whole(target), values)
     assert target.is_done(0, whole(target))
+
+
+def test_an_address_that_is_not_reached(memory: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    from zarr.storage import FsspecStore
+
+    async def failing(self: Any, key: str, *more: Any, **named: Any) -> None:
+        raise PermissionError("Forbidden")
+
+    small(f"{memory}/in.zarr")
+    monkeypatch.setattr(FsspecStore, "get", failing)
+    with pytest.raises(SuppleError, match=r"it cannot be reached \(Forbidden\): check the address, your rights"):
+        open_image(f"{memory}/in.zarr")

@@ -263,7 +263,7 @@ def _multiscale(place: Place, group: Any, attributes: Mapping[str, Any], ndim: i
 
 def _array(place: Place, group: Any, path: str) -> Any:
     try:
-        with place.reading(f"its array {path} is damaged, or cannot be reached"), quiet():
+        with place.reading(f"its array {path} is damaged"), quiet():
             array = group[path]
     except SuppleError as error:
         if isinstance(error.__cause__, KeyError):

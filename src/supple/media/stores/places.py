@@ -96,7 +96,7 @@ class Place:
                 raise self.unreadable("it is no folder", "give the folder of a Zarr store")
         store = self.store(read_only=True)
         try:
-            with self.reading("it is damaged, or cannot be reached"), quiet():
+            with self.reading("it is damaged"), quiet():
                 return zarr.open(store, mode="r")
         except SuppleError as error:
             if isinstance(error.__cause__, NodeNotFoundError):
@@ -116,6 +116,11 @@ class Place:
         except (UnknownCodecError, OldUnknown) as error:
             raise self.no_codec(error) from error
         except Exception as error:
+            _settle()
+            client = type(error).__module__.split(".")[0] in _CLIENTS
+            if self.folder is None and (client or (isinstance(error, OSError) and not _is_missing(error))):
+                advice = "check the address, your rights and the network"
+                raise self.unreadable(f"it cannot be reached ({_said(error)})", advice) from error
             raise self.unreadable(f"{what} ({_said(error)})") from error
 
     def no_codec(self, error: Exception) -> SuppleError:
@@ -227,6 +232,10 @@ def _protocol(address: str) -> str:
     """Return the protocol of an address of fsspec, the first of a chain; empty for a path."""
     head = address.partition("::")[0] if "::" in address else address.partition("://")[0]
     return head.partition("://")[0].lower() if "://" in address or "::" in address else ""
+
+
+def _is_missing(error: Exception) -> bool:
+    return isinstance(error, FileNotFoundError | KeyError)
 
 
 def _said(error: BaseException) -> str:

@@ -346,7 +346,7 @@ def _claim_folder(place: Place, site: Place, files: dict[str, bytes], job: str, 
             raise place.unwritable(what, "rename it, or choose another name")
         if found is not None and (found["job"] != job or not _agrees(store, files)):
             if not force:
-                raise place.unwritable(*_of_another(folder.name))
+                raise place.unwritable(*_of_another(shown(folder.name)))
             shutil.rmtree(folder)
     folder.mkdir(exist_ok=True)
     if site.marker() is None:
@@ -354,7 +354,7 @@ def _claim_folder(place: Place, site: Place, files: dict[str, bytes], job: str, 
 
 
 def _of_another(name: str) -> tuple[str, str]:
-    return f"{shown(name)} is the unfinished output of another job", "choose another name, or --force starts anew"
+    return f"{name} is the unfinished output of another job", "choose another name, or --force starts anew"
 
 
 def _check_apart(place: Place, like: StoredImage) -> None:
@@ -379,7 +379,7 @@ def _claim_address(place: Place, files: dict[str, bytes], job: str, force: bool)
         return
     elif found["job"] != job or not _agrees(store, files):
         if not force:
-            raise place.unwritable(*_of_another(place.address))
+            raise place.unwritable(*_of_another("it"))
     elif not place.atomic:
         if not force:
             what = "it is unfinished, and objects there may be incomplete"
