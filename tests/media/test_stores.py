@@ -1073,3 +1073,25 @@ def test_an_address_that_is_not_reached(memory: str, monkeypatch: pytest.MonkeyP
     monkeypatch.setattr(FsspecStore, "get", failing)
     with pytest.raises(SuppleError, match=r"it cannot be reached \(Forbidden\): check the address, your rights"):
         open_image(f"{memory}/in.zarr")
+
+
+@pytest.mark.filterwarnings("ignore:Numcodecs codecs are not in the Zarr version 3")
+def test_codecs_of_numcodecs_are_looked_for_at_once(tmp_path: Path) -> None:
+    """Zarr itself looks for them at the first chunk."""
+    values = np.arange(64, dtype=np.uint16).reshape(8, 8)
+    codec = zarr.codecs.numcodecs.BZ2(level=1)
+    zarr.create_array(str(tmp_path / "in.zarr"), data=values, chunks=(4, 4), compressors=[codec])
+    target = create(tmp_path / "out.zarr", open_image(tmp_path / "in.zarr"), job="a")
+    fill(target, values)
+    target.finish()
+    np.testing.assert_array_equal(open_image(tmp_path / "out.zarr").levels[0].array[...], values)
+    told = json.loads((tmp_path / "in.zarr" / "zarr.json").read_text())
+    told["codecs"] = [{"name": "numcodecs.pcodec", "configuration": {}}]
+    (tmp_path / "in.zarr" / "zarr.json").write_text(json.dumps(told))
+    try:
+        import pcodec
+    except ImportError:
+        with pytest.raises(SuppleError, match="'pcodec', which is not available: install that codec"):
+            open_image(tmp_path / "in.zarr")
+    else:
+        assert pcodec

@@ -7,7 +7,7 @@ import contextlib
 import json
 import os
 import warnings
-from collections.abc import Iterator
+from collections.abc import Coroutine, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -178,6 +178,13 @@ class Place:
             raise self.unreadable("it is an unfinished output of Supple", "run the command that writes it again")
 
 
+def run(work: Coroutine[Any, Any, Any]) -> Any:
+    """Return what a coroutine of a store returns."""
+    from zarr.core.sync import sync
+
+    return sync(work)
+
+
 def refresh(store: Any) -> None:
     """Forget what a client of fsspec has listed: other processes write as well."""
     client = getattr(store, "fs", None)
@@ -188,23 +195,20 @@ def refresh(store: Any) -> None:
 def read(store: Any, key: str) -> bytes | None:
     """Return what a store holds for a key; None if there is nothing."""
     from zarr.core.buffer import default_buffer_prototype
-    from zarr.core.sync import sync
 
-    found = sync(store.get(key, prototype=default_buffer_prototype()))
+    found = run(store.get(key, prototype=default_buffer_prototype()))
     return None if found is None else bytes(found.to_bytes())
 
 
 def put(store: Any, key: str, data: bytes) -> None:
     """Write a key of a store."""
     from zarr.core.buffer import default_buffer_prototype
-    from zarr.core.sync import sync
 
-    sync(store.set(key, default_buffer_prototype().buffer.from_bytes(data)))
+    run(store.set(key, default_buffer_prototype().buffer.from_bytes(data)))
 
 
 def _settle() -> None:
     """Wait for chunks that were written beside one that failed: else Python reports them when it ends."""
-    from zarr.core.sync import sync
 
     async def waited() -> None:
         own = asyncio.current_task()
@@ -214,7 +218,7 @@ def _settle() -> None:
         if others:
             await asyncio.wait(others, timeout=_PATIENCE)
 
-    sync(waited())
+    run(waited())
 
 
 @contextlib.contextmanager

@@ -6,9 +6,7 @@ import asyncio
 import contextlib
 import json
 import os
-import re
-import shutil
-from collections.abc import Coroutine, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -16,17 +14,17 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from supple.errors import SuppleError, shown
+from supple.errors import SuppleError
 from supple.media.files import PathLike, check_store
+from supple.media.stores.claims import check_apart, claim_address, claim_folder, publish
 from supple.media.stores.image import Level, StoredImage, described
-from supple.media.stores.places import MARKER, ROOTS, Place, put, quiet, read, refresh
+from supple.media.stores.places import MARKER, Place, put, quiet, read, refresh, run
 from supple.media.stores.plans import planned
 from supple.media.stores.pyramid import Mode, Step, reduced
 
 Box = Sequence[tuple[int, int]]
 """The first sample and the one after the last, along each axis."""
 
-_LEFT_OVER = re.compile(r"\.[0-9a-f]{32}\.partial$")  # of zarr's local store, where a writer was killed
 _AT_ONCE = 16  # requests
 
 
@@ -83,11 +81,11 @@ def create(
         if place.folder is not None:
             target = check_store(place.folder, force=force)
             site = Place(target.with_name(f"{target.name}.partial"))
-            _claim_folder(place, site, plan.files, job, force)
+            claim_folder(place, site, plan.files, job, force)
         else:
             site = place
-            _check_apart(place, like)
-            _claim_address(place, plan.files, job, force)
+            check_apart(place, like)
+            claim_address(place, plan.files, job, force)
         store = site.store(read_only=False)
         for key, data in plan.files.items():
             if read(store, key) is None:
@@ -161,12 +159,12 @@ class Target:
         with self._place.reading("its chunks cannot be listed"):
             if level not in self._seen:
                 refresh(array.store)
-                self._seen[level] = set(_run(_listed(array.store, array.path)))
+                self._seen[level] = set(run(_listed(array.store, array.path)))
             seen = self._seen[level]
             for key in keys:
                 if key not in seen:
                     refresh(array.store)
-                    if not _run(array.store.exists(key)):
+                    if not run(array.store.exists(key)):
                         return False
                     seen.add(key)
         return True
@@ -204,7 +202,7 @@ class Target:
             return None
         pairs = list(zip(self._keys(level, box, source.array), names, strict=True))
         with self.writing():
-            return int(sum(_run(_copied(source.array.store, array.store, pairs))))
+            return int(sum(run(_copied(source.array.store, array.store, pairs))))
 
     def reduce(self, level: int, box: Box, mode: Mode = "mean") -> None:
         """Compute an aligned box of a level from the level before, and write it.
@@ -237,9 +235,9 @@ class Target:
         """Make the output appear under its name, and return its address. Call it once, when all is written."""
         with self.writing():
             if self._site.folder is None:
-                _run(self._site.store(read_only=False).delete(MARKER))
+                run(self._site.store(read_only=False).delete(MARKER))
             else:
-                _publish(self._place, self._site.folder, self._job, self._force)
+                publish(self._place, self._site.folder, self._job, self._force)
         return self.address
 
     def _check(self, level: int, box: Box) -> None:
@@ -281,21 +279,8 @@ def _size(path: Path) -> int:
         return 0
 
 
-def _run(work: Coroutine[Any, Any, Any]) -> Any:
-    from zarr.core.sync import sync
-
-    return sync(work)
-
-
 async def _listed(store: Any, path: str) -> list[str]:
     return [key async for key in store.list_prefix(f"{path}/" if path else "")]
-
-
-async def _cleared(store: Any) -> None:
-    """Remove all but the marker; a client removes many objects of a folder at a time."""
-    for name in [name.strip("/") async for name in store.list_dir("")]:
-        if name not in ("", MARKER):
-            await store.delete_dir(name)
 
 
 async def _copied(source: Any, target: Any, pairs: Iterable[tuple[str, str]]) -> list[int]:
@@ -312,105 +297,3 @@ async def _copied(source: Any, target: Any, pairs: Iterable[tuple[str, str]]) ->
             return len(data)
 
     return list(await asyncio.gather(*(one(before, after) for before, after in pairs)))
-
-
-def _told(job: str, state: str) -> bytes:
-    return json.dumps({"program": "supple", "state": state, "job": job}).encode()
-
-
-def _agrees(store: Any, files: dict[str, bytes]) -> bool:
-    """Return whether what a store has of the metadata is what would be written."""
-    for key, data in files.items():
-        found = read(store, key)
-        with contextlib.suppress(ValueError):
-            if found is not None and _plain(json.loads(found)) != _plain(json.loads(data)):
-                return False
-    return True
-
-
-def _plain(value: Any) -> str:
-    return json.dumps(value, sort_keys=True)  # NaN is not equal to itself, but its text is
-
-
-def _claim_folder(place: Place, site: Place, files: dict[str, bytes], job: str, force: bool) -> None:
-    """Prepare the folder that is written; one of the same job is left as it is."""
-    folder = site.folder
-    assert folder is not None
-    store = site.store(read_only=False)
-    if os.path.lexists(folder):
-        found = site.marker()
-        # killed before the marker was there, it left nothing else
-        empty = folder.is_dir() and all(_LEFT_OVER.search(name) for name in os.listdir(folder))
-        if found is None and not empty:
-            what = f"{shown(folder.name)} beside it is in the way, and no unfinished output of Supple"
-            raise place.unwritable(what, "rename it, or choose another name")
-        if found is not None and (found["job"] != job or not _agrees(store, files)):
-            if not force:
-                raise place.unwritable(*_of_another(shown(folder.name)))
-            shutil.rmtree(folder)
-    folder.mkdir(exist_ok=True)
-    if site.marker() is None:
-        put(store, MARKER, _told(job, "unfinished"))
-
-
-def _of_another(name: str) -> tuple[str, str]:
-    return f"{name} is the unfinished output of another job", "choose another name, or --force starts anew"
-
-
-def _check_apart(place: Place, like: StoredImage) -> None:
-    """Raise SuppleError for an output that would overwrite its input."""
-    here, there = (address.rstrip("/") + "/" for address in (place.address, like.address))
-    if there.startswith(here):
-        raise place.unwritable("it is the input too", "choose another name")
-
-
-def _claim_address(place: Place, files: dict[str, bytes], job: str, force: bool) -> None:
-    """Prepare the address that is written in place; one of the same job is left as it is."""
-    store = place.store(read_only=False)
-    found = place.marker()
-    zarr = found is None and any(read(store, name) is not None for name in ROOTS)
-    if zarr or (found is None and not _run(store.is_empty(""))):  # which may list all that is there
-        if not force:
-            raise SuppleError(f"{shown(place.address)} exists already: pass --force (force=True) to replace it")
-        if not zarr:
-            raise place.unwritable("what is there is no Zarr store", "give another name")
-    elif found is None:
-        put(store, MARKER, _told(job, "unfinished"))
-        return
-    elif found["job"] != job or not _agrees(store, files):
-        if not force:
-            raise place.unwritable(*_of_another("it"))
-    elif not place.atomic:
-        if not force:
-            what = "it is unfinished, and objects there may be incomplete"
-            raise place.unwritable(what, "choose another name, or --force starts anew")
-    elif found["state"] == "unfinished":
-        return
-    # the marker comes first, and stays: if clearing is interrupted, it begins again
-    put(store, MARKER, _told(job, "clearing"))
-    _run(_cleared(store))
-    put(store, MARKER, _told(job, "unfinished"))
-
-
-def _publish(place: Place, folder: Path, job: str, force: bool) -> None:
-    """Rename a finished folder; if it cannot be renamed, all is as it was."""
-    for root, _, names in os.walk(folder):
-        for name in names:
-            if _LEFT_OVER.search(name):
-                os.unlink(os.path.join(root, name))
-    put(Place(folder).store(read_only=False), MARKER, _told(job, "complete"))
-    assert place.folder is not None
-    target = check_store(place.folder, force=force)
-    old = target.with_name(f".{os.urandom(6).hex()}-old")
-    if os.path.lexists(target):
-        os.rename(target, old)
-        try:
-            os.rename(folder, target)
-        except OSError:
-            os.rename(old, target)
-            raise
-    else:
-        os.rename(folder, target)
-    with contextlib.suppress(OSError):  # it says that the output is complete
-        os.unlink(target / MARKER)
-    shutil.rmtree(old, ignore_errors=True)
