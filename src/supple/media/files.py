@@ -113,6 +113,25 @@ def check_output(path: PathLike, *, force: bool = False) -> Path:
     return target
 
 
+def check_store(path: PathLike, *, force: bool = False) -> Path:
+    """Raise SuppleError for a Zarr store, a folder, that cannot be written; return its path: absolute, without links.
+
+    What is there is replaced, if `force` is true, only if it is a Zarr store too.
+    """
+    try:
+        target = Path(os.path.realpath(path))
+        there = os.path.lexists(target)
+    except ValueError:
+        return check_output(path)  # its sentence on names that no file can have
+    if not there:
+        return check_output(path)
+    if not force:
+        raise _exists(path)
+    if not any((target / name).is_file() for name in ("zarr.json", ".zgroup", ".zarray")):
+        raise unwritable(path, "what is there is no Zarr store", "give another name")
+    return target
+
+
 @contextlib.contextmanager
 def replacing(path: PathLike, *, force: bool = False) -> Iterator[Path]:
     """Write a temporary file beside its target, and rename it when it is complete.

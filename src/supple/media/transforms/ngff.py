@@ -15,9 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from supple.errors import SuppleError, shown
 from supple.geometry import Grid
-from supple.media.files import PathLike, check_output, check_suffix, unwritable
+from supple.media.files import PathLike, check_store, check_suffix, unwritable
 from supple.media.transforms.base import Content, Displacements, Matrix
 from supple.media.transforms.omezarr import Store, imported
 
@@ -158,16 +157,10 @@ def _write_field(group: Any, field: Displacements, turn: Matrix) -> None:
 @contextlib.contextmanager
 def _replacing_store(path: PathLike, force: bool) -> Iterator[Path]:
     """Write a hidden folder beside a store's place, and move it there when it is complete."""
-    target = Path(os.path.realpath(path))
+    target = check_store(path, force=force)
     exists = os.path.lexists(target)
-    if exists and not force:
-        raise SuppleError(f"{shown(path)} exists already: pass --force (force=True) to replace it")
-    if exists and not any((target / name).is_file() for name in ("zarr.json", ".zgroup")):
-        raise unwritable(path, "what is there is no Zarr store", "give another name")
     token = f".{os.urandom(6).hex()}"
     temporary, old = target.with_name(f"{token}-{target.name[-40:]}"), target.with_name(f"{token}-old")
-    if not exists:
-        check_output(path)
     try:
         temporary.mkdir()
         yield temporary

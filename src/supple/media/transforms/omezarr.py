@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -43,12 +43,48 @@ _TYPES = (*_LINEAR, "sequence", "bijection", *_KINDS)
 Json = Mapping[str, Any]
 
 
-def imported() -> Any:
-    """Return the module zarr, imported at the first use."""
-    need("zarr", "transformations of OME-Zarr", "zarr")
+def imported(what: str = "transformations of OME-Zarr") -> Any:
+    """Return the module zarr, imported at the first use; ``what`` says in an error what needs it."""
+    need("zarr", what, "zarr")
     import zarr
 
     return zarr
+
+
+def space_matrix(axes: Sequence[Json], units: Sequence[str | None], error: Callable[[str, str], SuppleError]) -> Matrix:
+    """Return the matrix from coordinates along axes, as stored, to millimetres in LPS, x first.
+
+    Parameters
+    ----------
+    axes : sequence of mapping
+        The descriptions of two or three axes: their names, and their types and orientations if they have any.
+    units : sequence of str or None
+        Those of the axes; what has none is left as it is.
+    error : callable
+        It returns the error to raise, from what was found and what would do.
+    """
+    names = [str(axis["name"]) for axis in axes]
+    n, listed = len(axes), ", ".join(names)
+    odd = [str(axis.get("type")) for axis in axes if axis.get("type") not in (None, "space", "array")]
+    if n not in (2, 3) or odd:
+        what = f"its axes are {listed}" + (f", of the type {odd[0]} too" if odd else "")
+        raise error(what, "give a transformation of two or three space axes")
+    lower = [name.lower() for name in names]
+    order = ["xyz".index(name) for name in lower] if set(lower) == set("xyz"[:n]) else list(range(n))[::-1]
+    signs = [1.0] * n
+    told = [axis.get("orientation") for axis in axes]
+    if any(told):
+        values = [one.get("value") if isinstance(one, Mapping) else one for one in told]
+        turns = [_ORIENTATIONS.get(str(value), (-1, 1.0)) for value in values]
+        if {axis for axis, _ in turns} != set(range(n)):
+            raise error(f"its axes have the orientations {values}", f"use {', '.join(_ORIENTATIONS)}")
+        order, signs = [axis for axis, _ in turns], [sign for _, sign in turns]
+    made = np.zeros((n, n))
+    for i, unit in enumerate(units):
+        if unit and unit not in _UNITS:
+            raise error(f"its axis {names[i]} has the unit {unit!r}", "use a length, as millimeter")
+        made[order[i], i] = signs[i] * (_UNITS[unit] if unit else 1.0)
+    return made
 
 
 class Store:
@@ -129,7 +165,7 @@ class Store:
         units = [[axis.get("unit") for axis in end] for end in ends]
         for one, other in (units, units[::-1]):
             one[:] = [a or b for a, b in zip(one, other, strict=True)]
-        return self._matrix_of(ends[0], units[0]), self._matrix_of(ends[1], units[1])
+        return space_matrix(ends[0], units[0], self.error), space_matrix(ends[1], units[1], self.error)
 
     def _axes(self, end: Any, holder: Json) -> list[Json] | None:
         """Return the axes of a coordinate system; None if the store describes none at all."""
@@ -156,30 +192,6 @@ class Store:
         if found["type"] in _KINDS:
             return [axis for axis in self._field(found)[1] if axis.get("type") != _KINDS[found["type"]]]
         return [{"name": name} for name in "zyx"[-(self._size(found) or 3) :]]
-
-    def _matrix_of(self, axes: list[Json], units: list[str | None]) -> Matrix:
-        names = [str(axis["name"]) for axis in axes]
-        n, listed = len(axes), ", ".join(names)
-        odd = [str(axis.get("type")) for axis in axes if axis.get("type") not in (None, "space", "array")]
-        if n not in (2, 3) or odd:
-            what = f"its axes are {listed}" + (f", of the type {odd[0]} too" if odd else "")
-            raise self.error(what, "give a transformation of two or three space axes")
-        lower = [name.lower() for name in names]
-        order = ["xyz".index(name) for name in lower] if set(lower) == set("xyz"[:n]) else list(range(n))[::-1]
-        signs = [1.0] * n
-        told = [axis.get("orientation") for axis in axes]
-        if any(told):
-            values = [one.get("value") if isinstance(one, Mapping) else one for one in told]
-            turns = [_ORIENTATIONS.get(str(value), (-1, 1.0)) for value in values]
-            if {axis for axis, _ in turns} != set(range(n)):
-                raise self.error(f"its axes have the orientations {values}", f"use {', '.join(_ORIENTATIONS)}")
-            order, signs = [axis for axis, _ in turns], [sign for _, sign in turns]
-        made = np.zeros((n, n))
-        for i, unit in enumerate(units):
-            if unit and unit not in _UNITS:
-                raise self.error(f"its axis {names[i]} has the unit {unit!r}", "use a length, as millimeter")
-            made[order[i], i] = signs[i] * (_UNITS[unit] if unit else 1.0)
-        return made
 
     def _parts(self, found: Json, n: int) -> list[Matrix | _Raw]:
         """Return the parts of a transformation, in coordinates as they are stored."""

@@ -1,0 +1,127 @@
+"""The place of an output, while it is written: taken, given back to the same job, and left when it is finished."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import re
+import shutil
+from pathlib import Path
+from typing import Any
+
+from supple.errors import SuppleError, shown
+from supple.media.files import check_store
+from supple.media.stores.image import StoredImage
+from supple.media.stores.places import MARKER, ROOTS, Place, put, read, run
+
+_LEFT_OVER = re.compile(r"\.[0-9a-f]{32}\.partial$")  # of zarr's local store, where a writer was killed
+
+
+def _told(job: str, state: str) -> bytes:
+    return json.dumps({"program": "supple", "state": state, "job": job}).encode()
+
+
+def _agrees(store: Any, files: dict[str, bytes]) -> bool:
+    """Return whether what a store has of the metadata is what would be written."""
+    for key, data in files.items():
+        found = read(store, key)
+        with contextlib.suppress(ValueError):
+            if found is not None and _plain(json.loads(found)) != _plain(json.loads(data)):
+                return False
+    return True
+
+
+def _plain(value: Any) -> str:
+    return json.dumps(value, sort_keys=True)  # NaN is not equal to itself, but its text is
+
+
+def claim_folder(place: Place, site: Place, files: dict[str, bytes], job: str, force: bool) -> None:
+    """Prepare the folder that is written; one of the same job is left as it is."""
+    folder = site.folder
+    assert folder is not None
+    store = site.store(read_only=False)
+    if os.path.lexists(folder):
+        found = site.marker()
+        # killed before the marker was there, it left nothing else
+        empty = folder.is_dir() and all(_LEFT_OVER.search(name) for name in os.listdir(folder))
+        if found is None and not empty:
+            what = f"{shown(folder.name)} beside it is in the way, and no unfinished output of Supple"
+            raise place.unwritable(what, "rename it, or choose another name")
+        if found is not None and (found["job"] != job or not _agrees(store, files)):
+            if not force:
+                raise place.unwritable(*_of_another(shown(folder.name)))
+            shutil.rmtree(folder)
+    folder.mkdir(exist_ok=True)
+    if site.marker() is None:
+        put(store, MARKER, _told(job, "unfinished"))
+
+
+def _of_another(name: str) -> tuple[str, str]:
+    return f"{name} is the unfinished output of another job", "choose another name, or --force starts anew"
+
+
+def check_apart(place: Place, like: StoredImage) -> None:
+    """Raise SuppleError for an output that would overwrite its input."""
+    here, there = (address.rstrip("/") + "/" for address in (place.address, like.address))
+    if there.startswith(here):
+        raise place.unwritable("it is the input too", "choose another name")
+
+
+def claim_address(place: Place, files: dict[str, bytes], job: str, force: bool) -> None:
+    """Prepare the address that is written in place; one of the same job is left as it is."""
+    store = place.store(read_only=False)
+    found = place.marker()
+    zarr = found is None and any(read(store, name) is not None for name in ROOTS)
+    if zarr or (found is None and not run(store.is_empty(""))):  # which may list all that is there
+        if not force:
+            raise SuppleError(f"{shown(place.address)} exists already: pass --force (force=True) to replace it")
+        if not zarr:
+            raise place.unwritable("what is there is no Zarr store", "give another name")
+    elif found is None:
+        put(store, MARKER, _told(job, "unfinished"))
+        return
+    elif found["job"] != job or not _agrees(store, files):
+        if not force:
+            raise place.unwritable(*_of_another("it"))
+    elif not place.atomic:
+        if not force:
+            what = "it is unfinished, and objects there may be incomplete"
+            raise place.unwritable(what, "choose another name, or --force starts anew")
+    elif found["state"] == "unfinished":
+        return
+    # the marker comes first, and stays: if clearing is interrupted, it begins again
+    put(store, MARKER, _told(job, "clearing"))
+    run(_cleared(store))
+    put(store, MARKER, _told(job, "unfinished"))
+
+
+def publish(place: Place, folder: Path, job: str, force: bool) -> None:
+    """Rename a finished folder; if it cannot be renamed, all is as it was."""
+    for root, _, names in os.walk(folder):
+        for name in names:
+            if _LEFT_OVER.search(name):
+                os.unlink(os.path.join(root, name))
+    put(Place(folder).store(read_only=False), MARKER, _told(job, "complete"))
+    assert place.folder is not None
+    target = check_store(place.folder, force=force)
+    old = target.with_name(f".{os.urandom(6).hex()}-old")
+    if os.path.lexists(target):
+        os.rename(target, old)
+        try:
+            os.rename(folder, target)
+        except OSError:
+            os.rename(old, target)
+            raise
+    else:
+        os.rename(folder, target)
+    with contextlib.suppress(OSError):  # it says that the output is complete
+        os.unlink(target / MARKER)
+    shutil.rmtree(old, ignore_errors=True)
+
+
+async def _cleared(store: Any) -> None:
+    """Remove all but the marker; a client removes many objects of a folder at a time."""
+    for name in [name.strip("/") async for name in store.list_dir("")]:
+        if name not in ("", MARKER):
+            await store.delete_dir(name)

@@ -1,0 +1,299 @@
+"""Outputs in Zarr stores that many processes write block by block, and that go on where they were interrupted."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import os
+from collections.abc import Iterable, Iterator, Sequence
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from supple.errors import SuppleError
+from supple.media.files import PathLike, check_store
+from supple.media.stores.claims import check_apart, claim_address, claim_folder, publish
+from supple.media.stores.image import Level, StoredImage, described
+from supple.media.stores.places import MARKER, Place, put, quiet, read, refresh, run
+from supple.media.stores.plans import planned
+from supple.media.stores.pyramid import Mode, Step, reduced
+
+Box = Sequence[tuple[int, int]]
+"""The first sample and the one after the last, along each axis."""
+
+_AT_ONCE = 16  # requests
+
+
+def create(
+    address: PathLike,
+    like: StoredImage,
+    *,
+    shape: Sequence[int] | None = None,
+    scale: Sequence[float] | None = None,
+    translation: Sequence[float] | None = None,
+    chunks: Sequence[int] | None = None,
+    force: bool = False,
+    job: str,
+) -> Target:
+    """Create an output like a stored image, or go on with one that was interrupted.
+
+    It has the same Zarr format, axes, units, chunks, shards, codecs, fill value, attributes and levels. A folder
+    ``NAME`` is written as ``NAME.partial`` and appears when it is finished. Elsewhere, objects are written in place,
+    with a file ``supple.json`` while it is unfinished.
+
+    Parameters
+    ----------
+    address : str or os.PathLike
+        The folder or address of the output.
+    like : StoredImage
+        The image that it is made from.
+    shape : sequence of int, optional
+        The shape of the finest level along the axes of space; by default, that of ``like``. Coarser levels have the
+        same factors, as long as they become smaller.
+    scale, translation : sequence of float, optional
+        Of the finest level, for all axes or the last ones, in array order and in the units of the axes. By default,
+        those of ``like``. Coarser levels follow by the convention of ``like``: their translations are those of the
+        means, or the same as that of the finest.
+    chunks : sequence of int, optional
+        The shape of chunks, for all axes or the last ones; the first are then whole.
+    force : bool
+        Whether to replace an existing Zarr store, and an unfinished output of another job. Where an output is a folder,
+        the old one stays until the new one is finished.
+    job : str
+        What identifies the work: an unfinished output of the same job is continued, with `force` too.
+
+    Returns
+    -------
+    Target
+
+    Raises
+    ------
+    SuppleError
+        If there is something else already, an argument does not fit, or nothing can be written there.
+    """
+    place = Place(address)
+    plan = planned(place, like, shape, scale, translation, chunks)
+    with place.writing():
+        if place.folder is not None:
+            target = check_store(place.folder, force=force)
+            site = Place(target.with_name(f"{target.name}.partial"))
+            claim_folder(place, site, plan.files, job, force)
+        else:
+            site = place
+            check_apart(place, like)
+            claim_address(place, plan.files, job, force)
+        store = site.store(read_only=False)
+        for key, data in plan.files.items():
+            if read(store, key) is None:
+                put(store, key, data)
+    with place.reading("what was written cannot be read"), quiet():
+        import zarr
+
+        made = described(site, zarr.open(store, mode="r+"), len(like.spatial))
+    return Target(place, site, made, plan.steps, job, force)
+
+
+class Target:
+    """An output that is being written.
+
+    It can be sent to other processes, unless it lies in memory; each writes blocks of its own.
+
+    Attributes
+    ----------
+    address : str
+        As it was given.
+    image : StoredImage
+        What is written: its axes, its grid, and its levels, whose arrays are those of `arrays`.
+    arrays : tuple of zarr.Array
+        The levels, the finest first. Each chunk that is written is stored, also if it holds nothing but the fill value.
+    blocks : tuple of tuple of int
+        For each level, the shape of the smallest region that processes may write independently: of a shard, or of a
+        chunk without shards.
+    """
+
+    def __init__(
+        self,
+        place: Place,
+        site: Place,
+        image: StoredImage,
+        steps: tuple[tuple[Step, ...], ...],
+        job: str,
+        force: bool,
+    ) -> None:
+        self.address = place.address
+        self._place, self._site, self._steps, self._job, self._force = place, site, steps, job, force
+        levels = tuple(Level(a.path, _writable(a.array), a.scale, a.translation) for a in image.levels)
+        self.image = StoredImage(
+            place.address, image.version, image.axes, levels, image.spatial, image.name, image.attributes
+        )
+        self.arrays = tuple(level.array for level in levels)
+        self.blocks = tuple(tuple(array.metadata.chunk_grid.chunk_shape) for array in self.arrays)
+        self._seen: dict[int, set[str]] = {}
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "_seen": {}}
+
+    @property
+    def block(self) -> tuple[int, ...]:
+        """The block of the finest level."""
+        return self.blocks[0]
+
+    @property
+    def factors(self) -> tuple[tuple[int, ...], ...]:
+        """For each level, by how much each axis is smaller than that of the level before; 1 for the finest."""
+        ones = (1,) * len(self.image.axes)
+        return (ones, *(tuple(axis.factor for axis in step) for step in self._steps))
+
+    def is_done(self, level: int, box: Box) -> bool:
+        """Return whether all blocks of an aligned box are stored; none is decoded."""
+        array = self.arrays[level]
+        keys = self._keys(level, box, array)
+        folder = self._site.folder
+        if folder is not None:
+            # a file without content is what some file systems leave after a power failure
+            return all(_size(folder / key) > 0 for key in keys)
+        with self._place.reading("its chunks cannot be listed"):
+            if level not in self._seen:
+                refresh(array.store)
+                self._seen[level] = set(run(_listed(array.store, array.path)))
+            seen = self._seen[level]
+            for key in keys:
+                if key not in seen:
+                    refresh(array.store)
+                    if not run(array.store.exists(key)):
+                        return False
+                    seen.add(key)
+        return True
+
+    def write(self, level: int, box: Box, values: npt.ArrayLike) -> None:
+        """Write the samples of an aligned box; SuppleError if they cannot be stored."""
+        self._check(level, box)
+        with self.writing():
+            self.arrays[level][tuple(slice(a, b) for a, b in box)] = values
+
+    def copy(self, level: int, box: Box, source: Level) -> int | None:
+        """Copy an aligned box of a level as it is compressed.
+
+        Parameters
+        ----------
+        level : int
+            The level that is written.
+        box : sequence of (int, int)
+            Along each axis. It is the same in both.
+        source : Level
+            Where it is read.
+
+        Returns
+        -------
+        int or None
+            The number of bytes; blocks that the source does not store are left out, as they hold its fill value. None
+            if chunks, codecs, types, fill values or formats differ: then the samples must be written.
+        """
+        array = self.arrays[level]
+        names = list(self._keys(level, box, array))
+        shape = tuple(source.array.shape)
+        if len(shape) != array.ndim or _encoding(array) != _encoding(source.array):
+            return None
+        if any(stop > size for (_, stop), size in zip(box, shape, strict=True)):
+            return None
+        pairs = list(zip(self._keys(level, box, source.array), names, strict=True))
+        with self.writing():
+            return int(sum(run(_copied(source.array.store, array.store, pairs))))
+
+    def reduce(self, level: int, box: Box, mode: Mode = "mean") -> None:
+        """Compute an aligned box of a level from the level before, and write it.
+
+        Parameters
+        ----------
+        level : int
+            From 1 on.
+        box : sequence of (int, int)
+            Along each axis.
+        mode : {"mean", "nearest"}
+            Means, rounded half to even for integers, of as many samples as there are at the edges; or the first sample,
+            for labels.
+        """
+        if not 1 <= level < len(self.arrays):
+            raise SuppleError(f"level must be from 1 to {len(self.arrays) - 1}, not {level}")
+        self._check(level, box)
+        source, factors = self.arrays[level - 1], self.factors[level]
+        ends = zip(box, factors, source.shape, strict=True)
+        region = tuple(slice(a * factor, min(b * factor, size)) for (a, b), factor, size in ends)
+        with self._place.reading(f"its level {level - 1} cannot be read"):
+            values = np.asarray(source[region])
+        self.write(level, box, reduced(values, factors, mode))
+
+    def writing(self) -> contextlib.AbstractContextManager[None]:
+        """Return a context in which errors of the file system become one sentence that names the output."""
+        return self._place.writing()
+
+    def finish(self) -> str:
+        """Make the output appear under its name, and return its address. Call it once, when all is written."""
+        with self.writing():
+            if self._site.folder is None:
+                run(self._site.store(read_only=False).delete(MARKER))
+            else:
+                publish(self._place, self._site.folder, self._job, self._force)
+        return self.address
+
+    def _check(self, level: int, box: Box) -> None:
+        array, block = self.arrays[level], self.blocks[level]
+        spans = list(zip(box, array.shape, block, strict=False))
+        good = all(0 <= a < b <= size and a % n == 0 and (b % n == 0 or b == size) for (a, b), size, n in spans)
+        if len(box) != array.ndim or not good:
+            told, shape = ", ".join(f"{a} to {b}" for a, b in box), tuple(array.shape)
+            raise SuppleError(f"the box {told} of level {level}, of shape {shape}, is not aligned to blocks of {block}")
+
+    def _keys(self, level: int, box: Box, array: Any) -> Iterator[str]:
+        """Return the keys of the blocks of a box, in the store of an array."""
+        self._check(level, box)
+        prefix = f"{array.path}/" if array.path else ""
+        ranges = [range(a // n, -(-b // n)) for (a, b), n in zip(box, self.blocks[level], strict=True)]
+        return (prefix + array.metadata.encode_chunk_key(place) for place in product(*ranges))
+
+
+def _writable(array: Any) -> Any:
+    """Return an array that stores each chunk that is written."""
+    import zarr
+
+    settings: Any = {"order": "C", "write_empty_chunks": True}
+    return zarr.Array(zarr.AsyncArray(metadata=array.metadata, store_path=array.store_path, config=settings))
+
+
+def _encoding(array: Any) -> str:
+    """Return all that determines how a chunk is stored; as text, in which NaN equals NaN."""
+    told = dict(array.metadata.to_dict())
+    for name in ("shape", "attributes", "chunk_key_encoding", "dimension_separator", "dimension_names"):
+        told.pop(name, None)
+    return json.dumps(told, sort_keys=True, default=repr)
+
+
+def _size(path: Path) -> int:
+    try:
+        return os.stat(path).st_size
+    except OSError:
+        return 0
+
+
+async def _listed(store: Any, path: str) -> list[str]:
+    return [key async for key in store.list_prefix(f"{path}/" if path else "")]
+
+
+async def _copied(source: Any, target: Any, pairs: Iterable[tuple[str, str]]) -> list[int]:
+    from zarr.core.buffer import default_buffer_prototype
+
+    prototype, places = default_buffer_prototype(), asyncio.Semaphore(_AT_ONCE)
+
+    async def one(before: str, after: str) -> int:
+        async with places:
+            data = await source.get(before, prototype=prototype)
+            if data is None:
+                return 0
+            await target.set(after, data)
+            return len(data)
+
+    return list(await asyncio.gather(*(one(before, after) for before, after in pairs)))
