@@ -151,7 +151,7 @@ def needed(
     average: bool,
     map: Composite | None,
     box: tuple[int, int, int, int],
-) -> tuple[tuple[int, ...], list[float]]: ...
+) -> tuple[tuple[int, ...], list[float], float, tuple[int, int, int]]: ...
 
 # ---- folding
 

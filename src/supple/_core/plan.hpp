@@ -69,7 +69,7 @@ struct Leaf {
 // Bounds of source points: of each coordinate; of the distance to q; of |∂p/∂x|² + |∂p/∂y|² in the plane; of |∂p_z/∂q|.
 template <int D>
 struct Extent {
-    double low[D], high[D], moved = 0, spread = 2, rate = 1;
+    double low[D], high[D], moved = 0, spread = 2, rate = 1, widest = 1;
     Extent() {
         std::fill(low, low + D, 1e300);
         std::fill(high, high + D, -1e300);
@@ -82,6 +82,7 @@ struct Extent {
         moved = std::max(moved, o.moved);
         spread = std::max(spread, o.spread);
         rate = std::max(rate, o.rate);
+        widest = std::max(widest, o.widest);
         return *this;
     }
 };
@@ -101,7 +102,7 @@ public:
     double evaluations = 0;  // of T with its Jacobian
     long unsolved = 0, folds = 0;
     long outside = 0;   // points beyond the grids of a composite's fields
-    double widest = 1;  // the largest max(λ₋, λ₊/400) of MMᵀ at a node: it determines the depth of a pyramid
+    double widest = 1;  // a bound of max(λ₋, λ₊/400) of MMᵀ: it determines the depth of a pyramid
     bool identity = true;
 
     int roots_down() const { return down; }
@@ -159,7 +160,7 @@ private:
         std::vector<Extent<D>> extents;
         std::vector<Leaf<D>> leaves;
         std::vector<int> next;  // the next leaf of the same root
-        double worst = 0, rounding = 0, evaluations = 0, widest = 1;
+        double worst = 0, rounding = 0, evaluations = 0;
         long unsolved = 0, folds = 0, outside = 0;
         Extent<D> extent;  // of a plane in a stack, which determines its frames
     };
@@ -260,7 +261,7 @@ Plan<D>::Plan(std::vector<Stroke> table, const Axis* given, int width, int heigh
         unsolved += b.unsolved;
         folds += b.folds;
         outside += b.outside;
-        widest = std::max(widest, b.widest);
+        widest = std::max(widest, b.extent.widest);
         identity = identity && b.leaves.empty() && b.pixels.empty();
     }
     if (unsolved) error = std::numeric_limits<double>::infinity();
@@ -363,7 +364,6 @@ void Plan<D>::keep(Work& w, const Solution<D, Lanes>& found, const Lanes (&mixed
     const Lanes determinant = determinant_of(found.m);
     for (int i = 0; i < LANES && start + i < (int)w.asks.size(); i++) {
         Node& node = w.nodes[w.asks[start + i].node];
-        double plane[2][2];
         for (int d = 0; d < D; d++) {
             node.p[d] = found.p[d][i] / axes[d].spacing;
             node.mixed[d] = mixed[d][i] * axes[0].spacing * axes[1].spacing / axes[d].spacing;
@@ -372,10 +372,7 @@ void Plan<D>::keep(Work& w, const Solution<D, Lanes>& found, const Lanes (&mixed
         for (int j = 0; j < 2; j++) node.smooth[j] = sqrt(smooth2[j][i]) / axes[j].spacing;
         w.band->evaluations += found.steps[i];
         w.band->unsolved += !found.done[i];
-        for (int d = 0; d < 2; d++)
-            for (int e = 0; e < 2; e++) plane[d][e] = node.m[e][d];
         w.band->folds += !map && !(determinant[i] > 0);  // a composite may mirror, and knows what folds
-        w.band->widest = std::max(w.band->widest, widest_of(plane[0][0], plane[1][0], plane[0][1], plane[1][1]));
     }
 }
 
@@ -577,9 +574,8 @@ void Plan<D>::solve_band(int index) {
         w.cells.swap(w.split);
         w.split.clear();
     }
-    if (D == 3)
-        for (int j = top; j < bottom; j++)
-            for (int i = left; i < right; i++) w.band->extent |= extent(j * across + i);
+    for (int j = top; j < bottom; j++)
+        for (int i = left; i < right; i++) w.band->extent |= extent(j * across + i);
 }
 
 // Solve every pixel of a root within the box's columns.
@@ -641,15 +637,15 @@ void Plan<D>::solve_pixels(int index) {
                 extent.moved = std::max(extent.moved, moved);
                 extent.spread = std::max(extent.spread, spread);
                 extent.rate = std::max(extent.rate, sqrt(rate));
-                band.widest =
-                    std::max(band.widest, widest_of(jet.t[0][0][l], jet.t[0][1][l], jet.t[1][0][l], jet.t[1][1][l]));
+                extent.widest =
+                    std::max(extent.widest, widest_of(jet.t[0][0][l], jet.t[0][1][l], jet.t[1][0][l], jet.t[1][1][l]));
                 band.evaluations += passed.steps[l];
                 band.unsolved += !passed.done[l];
                 band.folds += !passed.upright[l];
                 band.outside += !passed.within[l];
             }
         }
-    if (D == 3) band.extent |= extent;
+    band.extent |= extent;
 }
 
 // Keep the good cells, split the others.
@@ -1007,7 +1003,7 @@ void Plan<D>::widen(const Leaf<D>& leaf, Extent<D>& e) const {
         c[2 * step] = c0 + 2 * c1 / 3 + c2 / 3;
         c[3 * step] = c0 + c1 + c2 + c3;
     };
-    double spread = 0, rate = 0;
+    double spread[2] = {0, 0}, rate = 0;
     for (int d = 0; d < D; d++) {
         double b[16], slope[2] = {0, 0};
         for (int i = 0; i < 16; i++) b[i] = leaf.c[d][i];
@@ -1023,7 +1019,7 @@ void Plan<D>::widen(const Leaf<D>& leaf, Extent<D>& e) const {
                 if (i < 3) slope[0] = std::max(slope[0], fabs(b[4 * j + i + 1] - b[4 * j + i]) * 3 / side[0]);
                 if (j < 3) slope[1] = std::max(slope[1], fabs(b[4 * j + i + 4] - b[4 * j + i]) * 3 / side[1]);
             }
-        (d < 2 ? spread : rate) += slope[0] * slope[0] + slope[1] * slope[1];
+        for (int j = 0; j < 2; j++) (d < 2 ? spread[j] : rate) += slope[j] * slope[j];
     }
     if constexpr (D == 3) {
         const float* r = leaf.depth;
@@ -1032,7 +1028,9 @@ void Plan<D>::widen(const Leaf<D>& leaf, Extent<D>& e) const {
             for (double t : {0.0, (double)leaf.h}) own = std::max(own, fabs(r[0] + s * r[1] + t * (r[2] + s * r[3])));
         e.rate = std::max(e.rate, sqrt(rate + own * own));
     }
-    e.spread = std::max(e.spread, spread);
+    e.spread = std::max(e.spread, spread[0] + spread[1]);
+    // No eigenvalue of MᵀM is above its trace, and the least is at most the least of its diagonal.
+    e.widest = std::max({e.widest, std::min(spread[0], spread[1]), (spread[0] + spread[1]) / 400});
 }
 
 template <int D>
@@ -1056,15 +1054,7 @@ Extent<D> Plan<D>::extent(int index) const {
 template <int D>
 Extent<D> Plan<D>::extent() const {
     Extent<D> all;
-    if (D == 3)
-        for (const Band& b : bands) all |= b.extent;
-    else
-        for (int j = 0; j < down; j++)
-            for (int i = 0; i < across; i++) {
-                bool wanted = line(j) < box[3] && past(1, line(j + 1)) > box[2] && column(i) < box[1] &&
-                              past(0, column(i + 1)) > box[0];
-                if (wanted) all |= extent(j * across + i);
-            }
+    for (const Band& b : bands) all |= b.extent;
     return all;
 }
 

@@ -234,18 +234,25 @@ nb::tuple needed_by(const Doubles& table, const Doubles& rows, int height, int w
     Axes axes = axes_of(rows);
     std::vector<Stroke> strokes = strokes_of(table, axes.data());
     std::vector<Portion> parts(planes.size());
-    std::vector<double> moved(planes.size());
+    std::vector<double> moved(planes.size()), errors(planes.size());
+    std::vector<std::array<long, 3>> bad(planes.size());
     unlocked([&] {
         parallel((int)planes.size(), [&](int i, int) {
             Plan<D> plan(strokes, axes.data(), width, height, planes[i], tolerance, composite, &box);
             parts[i] = needed(plan, job);
             moved[i] = plan.identity ? -1 : plan.extent().moved;
+            errors[i] = plan.error;
+            bad[i] = {plan.unsolved, plan.folds, plan.outside};
         });
     });
     Portion all;
     for (const Portion& part : parts) all |= part;
+    long sums[3] = {};
+    for (const auto& each : bad)
+        for (int n = 0; n < 3; n++) sums[n] += each[n];
     return nb::make_tuple(nb::make_tuple(all.box[0], all.box[1], all.box[2], all.box[3], all.frames[0], all.frames[1]),
-                          moved);
+                          moved, *std::max_element(errors.begin(), errors.end()),
+                          nb::make_tuple(sums[0], sums[1], sums[2]));
 }
 nb::tuple needed_of(const Doubles& table, const Doubles& rows, int ndim, int height, int width, std::vector<int> planes,
                     double tolerance, int count, std::tuple<int, int> size, int filter, int between, int rule,
@@ -355,7 +362,8 @@ void bind_plans(nb::module_& m) {
     m.def("needed", &needed_of, "strokes"_a, "axes"_a, "ndim"_a, "height"_a, "width"_a, "planes"_a, "tolerance"_a,
           "count"_a, "size"_a, "filter"_a, "between"_a, "rule"_a, "average"_a, "map"_a, "box"_a,
           "Return the part (x0, x1, y0, y1, k0, k1) of `count` frames of a size (h, w) that a box of planes reads, and "
-          "how far each plane's part moves: -1 for the identity.");
+          "how far each plane's part moves (-1 for the identity), the largest error, and how many nodes or pixels are "
+          "not solved, fold, and lie outside.");
 }
 
 }  // namespace supple

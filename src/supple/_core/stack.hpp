@@ -313,7 +313,8 @@ struct Putting {
 inline int levels_of(const Job& job, double widest) {
     int levels = 0, side = std::max(job.w, job.h);
     if (job.filter != AUTO) return 0;
-    for (double want = widest * 1.2; want >= 3.2 && side > 1 && levels < LEVELS; want /= 4, side = (side + 1) / 2)
+    for (double want = widest * (1 + 1e-5); want >= 3.2 && side > 1 && levels < LEVELS;
+         want /= 4, side = (side + 1) / 2)
         levels++;
     return levels;
 }
@@ -668,7 +669,9 @@ inline void seen(const Job& job, const Extent<D>& e, int levels, int (&box)[4]) 
 struct Portion {
     int box[4] = {INT32_MAX, 0, INT32_MAX, 0}, frames[2] = {INT32_MAX, 0};
 
+    bool empty() const { return frames[0] >= frames[1]; }  // nothing but the fill value
     bool holds(const Portion& o) const {
+        if (o.empty()) return true;
         return box[0] <= o.box[0] && o.box[1] <= box[1] && box[2] <= o.box[2] && o.box[3] <= box[3] &&
                frames[0] <= o.frames[0] && o.frames[1] <= frames[1];
     }
@@ -728,7 +731,7 @@ Portion needed(const Plan<D>& plan, const Job& job) {
         all.frames[0] = std::min(all.frames[0], frame);
         all.frames[1] = std::max(all.frames[1], frame + 1);
     }
-    return all;
+    return all.empty() ? Portion() : all;
 }
 
 // Fill job.out by sampling at the source points of a plan's grid.

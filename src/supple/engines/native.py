@@ -70,7 +70,7 @@ def plan_of(space: Space, z: float, tolerance: float, step: tuple[int, int] = (1
     return _core.Plan(table, space.axes, space.ndim, height, width, first + z, tolerance, space.composite, box)
 
 
-def needed(space: Space, sampling: Sampling) -> tuple[tuple[int, ...], list[float]]:
+def needed(space: Space, sampling: Sampling) -> tuple[tuple[int, ...], list[float], Certificate]:
     """Return the part of the source that a part of the output, ``space.grid``, reads.
 
     Returns
@@ -79,10 +79,12 @@ def needed(space: Space, sampling: Sampling) -> tuple[tuple[int, ...], list[floa
         Its bounds x0, x1, y0, y1, and the first frame and that after the last.
     list of float
         How far each plane of the part moves, in pixels; -1 where no stroke reaches it.
+    Certificate
+        The accuracy of the map there.
     """
     assert space.grid is not None
     planes, box = _part(space.grid)
-    return _core.needed(
+    part, moved, error, found = _core.needed(
         numbers(space.table),
         space.axes,
         space.ndim,
@@ -98,6 +100,7 @@ def needed(space: Space, sampling: Sampling) -> tuple[tuple[int, ...], list[floa
         space.composite,
         box,
     )
+    return part, moved, Certificate(error, 0.0, *((0, 0, 0) if space.composite is None else found))
 
 
 def _padded(array: Array) -> Array:
