@@ -76,8 +76,8 @@ class Warp:
     def reads(self, box: Box) -> Read:
         """Return the part of the source that a block reads, how far its planes move, and the map's certificate.
 
-        The lattice of every plane of the block is solved and checked, so that the part is exact (MATH: the hull of the
-        Bézier points of its patches).
+        The lattice of every plane of the block is solved and checked, so that the part is exact: the hull of the Bézier
+        points of its patches.
         """
         (x0, x1, y0, y1, first, end), moved, certificate = needed(self.space(box), self.sampling)
         if x1 <= x0 or y1 <= y0 or end <= first:  # the fill value alone: any sample will do
@@ -166,6 +166,11 @@ class Warp:
                 with np.errstate(over="ignore"):
                     out[...] = one
         return result, certificate
+
+    def along(self, part: Array, block: Block, first: int) -> tuple[Array, Certificate]:
+        """Sample a block of an array whose axes before ``first`` are carried along, as `block` does."""
+        made, certificate = self.block(part.reshape(-1, *part.shape[first:]), block)
+        return made.reshape(*part.shape[:first], *made.shape[1:]), certificate
 
 
 def boxes_of(chunks: Chunks) -> Iterator[Box]:

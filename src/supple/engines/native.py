@@ -88,7 +88,8 @@ def needed(space: Space, sampling: Sampling) -> tuple[tuple[int, ...], list[floa
         numbers(space.table),
         space.axes,
         space.ndim,
-        *space.grid.whole[-2:],
+        space.grid.whole[-2],
+        space.grid.whole[-1],
         list(planes),
         sampling.tolerance,
         space.count,
@@ -295,7 +296,7 @@ class Native:
                 for each in samplings_of(work, [held], [out[start : start + len(some)]], space.count, corner)
             ]
             error, steps, (folded, outside, unknown) = _core.warp_stack(
-                table, space.axes, *grid.whole[-2:], list(some), tolerance, given, space.composite, box,
+                table, space.axes, grid.whole[-2], grid.whole[-1], list(some), tolerance, given, space.composite, box,
                 list(copied[start : start + len(some)]),
             )  # fmt: skip
             found = (0, 0, 0) if space.composite is None else (unknown, folded, outside)

@@ -1,0 +1,259 @@
+"""Warps of arrays that are larger than memory, by Dask: each task reads the part of the source that its block needs."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from supple.blocks import Block, Box, Read, Warp, boxes_of
+from supple.deformation import Deformation
+from supple.domain import refuse
+from supple.engines.base import Layout, Sampling, warn_of
+from supple.errors import SuppleError, need
+from supple.geometry import Grid
+
+need("zarr", "supple.dask", "dask")
+import dask  # noqa: E402
+import dask.array as da  # noqa: E402
+from dask.base import tokenize  # noqa: E402
+from dask.highlevelgraph import HighLevelGraph  # noqa: E402
+
+__all__ = ["warp"]
+
+_TOGETHER = 16  # blocks of which one task finds the parts
+_DEFAULT = 1 << 26  # bytes of a block of an array without chunks
+
+
+def warp(
+    array: Any,
+    deformation: Deformation,
+    grid: Grid | None = None,
+    chunks: Any = None,
+    *,
+    axes: Sequence[int] | None = None,
+    filter: str = "auto",
+    tolerance: float = 0.01,
+    outside: str = "edge",
+    fill: float | Sequence[float] = 0.0,
+    alpha: bool | None = None,
+    linear_light: bool = False,
+    between: str | None = None,
+    time_filter: bool = False,
+) -> Any:
+    """Warp an array lazily: block by block, on threads, processes or a cluster.
+
+    Of the source, each task reads the part that its block of the output needs, which is known exactly from the map's
+    certificate. Where strokes have a reach, blocks beyond it are copies.
+
+    Parameters
+    ----------
+    array : dask.array.Array, xarray.DataArray, or array
+        The source. Of an array that is sliced when it is read (Zarr's, HDF5's, a memory map), each task reads its own
+        part, and memory does not grow with the array. Chunks of a Dask array are computed once, and shared by the tasks
+        that need them.
+    deformation : Deformation
+    grid : Grid, optional
+        The grid of the output; by default, that of the input.
+    chunks : int or tuple, optional
+        The chunks of the output, as in Dask; by default, those of the source.
+    axes : sequence of int, optional
+        The axes that are bent, in ascending order, side by side. By default the last ones, if they have the shape of
+        the deformation, and the first ones otherwise, as of images with channels. Axes before them are carried along:
+        times, channels, positions. An axis after them holds channels, the last of which may be opacity.
+    filter, tolerance, outside, fill, alpha, linear_light, between, time_filter
+        As in `Deformation.warp`.
+
+    Returns
+    -------
+    dask.array.Array or xarray.DataArray
+        Of the source's type, and equal to what `Deformation.warp` returns, bit for bit. A DataArray keeps its name, its
+        attributes, and the coordinates of axes that are not bent; on another grid, those of bent axes are the grid's
+        positions, if its axes are those of space.
+
+    Raises
+    ------
+    SuppleError
+        If an argument does not fit.
+
+    Warns
+    -----
+    ToleranceWarning, FoldWarning, OutsideWarning
+        As in `Deformation.warp`, at once.
+    """
+    if not isinstance(deformation, Deformation):
+        refuse("deformation", "a Deformation", deformation)
+    if getattr(grid, "ndim", deformation.ndim) != deformation.ndim or not isinstance(grid, Grid | None):
+        refuse("grid", f"a Grid of {deformation.ndim} axes", grid)
+    sampling = Sampling.checked(
+        deformation.ndim, filter=filter, tolerance=tolerance, outside=outside, fill=fill, linear_light=linear_light,
+        between=between, time_filter=time_filter,
+    )  # fmt: skip
+    job = Warp(deformation, sampling, grid, alpha)
+    if type(array).__module__.partition(".")[0] == "xarray":
+        return _of_xarray(array, job, chunks, axes)
+    for name in ("shape", "dtype", "__getitem__"):
+        if not hasattr(array, name):
+            refuse("array", "an array with a shape, a dtype and slices", array)
+    return _warped(array, job, chunks, _first_axis(array.shape, deformation.shape, axes))
+
+
+def _first_axis(shape: tuple[int, ...], bent: tuple[int, ...], axes: Sequence[int] | None) -> int:
+    """Return the first of the axes that are bent."""
+    n, dims = len(bent), len(shape)
+    if axes is not None:
+        wanted = tuple(int(axis) % dims if -dims <= axis < dims else dims for axis in axes)
+        if wanted != tuple(range(wanted[0], wanted[0] + n)) or wanted[-1] >= dims or dims - wanted[-1] > 2:
+            refuse("axes", f"{n} axes side by side in ascending order, after which there is at most one", axes)
+        first = wanted[0]
+        if shape[first : first + n] != bent:
+            raise SuppleError(f"the deformation has shape {bent}, and axes {wanted} of the array {shape}")
+        return first
+    for first in (dims - n, 0, dims - n - 1):
+        if first >= 0 and shape[first : first + n] == bent and dims - first - n <= 1:
+            return first
+    raise SuppleError(
+        f"the deformation has shape {bent}, and the array {shape}: the last axes must be those, or"
+        " those before channels"
+    )
+
+
+def _warped(array: Any, job: Warp, chunks: Any, first: int) -> da.Array:
+    n, dims = job.deformation.ndim, len(array.shape)
+    last = first + n  # the axis after those that are bent
+    dtype = np.dtype(array.dtype)
+    # Checks the type and the channels.
+    Layout.of_array(
+        (*job.deformation.shape, *array.shape[last:]),
+        dtype,
+        job.deformation.shape,
+        alpha=job.alpha,
+        light=job.sampling.light,
+    )
+    shape = (*array.shape[:first], *job.shape, *array.shape[last:])
+    blocks = _chunks(array, chunks, shape, dtype, first, n)
+    if isinstance(array, da.Array):
+        array = array.rechunk(dict.fromkeys(range(last, dims), -1))  # type: ignore[no-untyped-call]
+    boxes = list(boxes_of(blocks[first:last]))
+    planned, certificate = job.plan(boxes, _everywhere)
+    warn_of(certificate, job.sampling.tolerance, 4)
+
+    name = f"warp-{tokenize(array, job.deformation, job.sampling, job.grid, job.alpha, blocks)}"
+    graph: dict[Any, Any] = {(name, "job"): job}
+    own = isinstance(array, da.Array)
+    if not own:
+        graph[name, "source"] = array
+    leads = list(itertools.product(*[range(len(sizes)) for sizes in blocks[:first]]))
+    spans = [list(boxes_of([sizes])) for sizes in blocks]
+    numbers = itertools.product(*[range(len(sizes)) for sizes in blocks[first:last]])
+    tail: Box = tuple((0, size) for size in shape[last:])
+    for number, block in zip(numbers, planned, strict=True):
+        for lead in leads:
+            before: Box = tuple(spans[axis][k][0] for axis, k in enumerate(lead))
+            box = (*before, *block.part, *tail)
+            key = (name, *lead, *number, *[0] * len(tail))
+            if own:
+                graph[key] = (_warp_pieces, (name, "job"), block, first, *_pieces(array, box, graph, key))
+            else:
+                graph[key] = (_warp_read, (name, "job"), block, first, (name, "source"), box)
+    dependencies = [array] if own else []
+    meta: npt.NDArray[Any] = np.empty((0,) * dims, dtype)
+    layers = HighLevelGraph.from_collections(name, graph, dependencies)
+    return da.Array(layers, name, blocks, meta=meta)  # type: ignore[no-untyped-call]
+
+
+def _everywhere(reads: Callable[[Box], Read], boxes: Sequence[Box]) -> list[Read]:
+    """Find the parts that blocks read, by Dask: on the threads here, or the cluster that is connected."""
+    some = [boxes[k : k + _TOGETHER] for k in range(0, len(boxes), _TOGETHER)]
+    if len(some) == 1:
+        return [reads(box) for box in boxes]
+    found = dask.compute(*[dask.delayed(_each)(reads, part) for part in some])  # type: ignore[attr-defined, no-untyped-call]
+    return [read for part in found for read in part]
+
+
+def _each(reads: Callable[[Box], Read], boxes: Sequence[Box]) -> list[Read]:
+    return [reads(box) for box in boxes]
+
+
+def _chunks(
+    array: Any, chunks: Any, shape: tuple[int, ...], dtype: np.dtype[Any], first: int, n: int
+) -> tuple[tuple[int, ...], ...]:
+    """Return the chunks of the output; an axis of channels has one."""
+    if chunks is None:
+        own = getattr(array, "shards", None) or getattr(array, "chunks", None)
+        if own is None:
+            side = max(1, round((_DEFAULT / dtype.itemsize) ** (1 / n)))
+            own = (*[1] * first, *[side] * n, *shape[first + n :])
+        # On another grid, blocks of the source's size.
+        chunks = tuple(
+            sizes if isinstance(sizes, int) or sum(sizes) == size else max(sizes)
+            for sizes, size in zip(own, shape, strict=True)
+        )
+    elif isinstance(chunks, int) or len(chunks) == n:
+        sizes = (chunks,) * n if isinstance(chunks, int) else tuple(chunks)
+        chunks = (*[1] * first, *sizes, *shape[first + n :])
+    try:
+        made = da.core.normalize_chunks(chunks, shape, dtype=dtype)  # type: ignore[no-untyped-call]
+    except (ValueError, TypeError) as error:
+        raise SuppleError(f"chunks do not fit the output's shape {shape}: {error}") from None
+    return (*made[: first + n], *[(size,) for size in shape[first + n :]])
+
+
+def _pieces(array: da.Array, box: Box, graph: dict[Any, Any], key: Any) -> tuple[Any, ...]:
+    """Return where the pieces of a part of an array go, and the pieces: copies of parts of chunks, as tasks."""
+    ranges = []
+    for (start, stop), sizes in zip(box, array.chunks, strict=True):
+        ends = np.cumsum(sizes)
+        met = range(int(np.searchsorted(ends, start, "right")), int(np.searchsorted(ends, stop, "left")) + 1)
+        ranges.append([(k, int(ends[k]) - sizes[k], int(ends[k])) for k in met])
+    shape, places, pieces = tuple(b - a for a, b in box), [], []
+    for number, chosen in enumerate(itertools.product(*ranges)):
+        cut = [(max(a, start), min(b, stop)) for (_, start, stop), (a, b) in zip(chosen, box, strict=True)]
+        places.append(tuple((p - a, q - a) for (p, q), (a, _) in zip(cut, box, strict=True)))
+        within = tuple((p - start, q - start) for (p, q), (_, start, _) in zip(cut, chosen, strict=True))
+        source = (array.name, *[k for k, _, _ in chosen])
+        piece = (f"{key[0]}-cut", *key[1:], number)
+        graph[piece] = (_cut, source, within)
+        pieces.append(piece)
+    return shape, places, pieces
+
+
+def _cut(chunk: npt.NDArray[Any], within: Box) -> npt.NDArray[Any]:
+    """Return a copy of a part, so that the chunk can be freed; a chunk of which all is needed is not copied."""
+    if all(b - a == size for (a, b), size in zip(within, chunk.shape, strict=True)):
+        return chunk
+    return np.array(chunk[tuple(slice(*each) for each in within)])
+
+
+def _warp_pieces(
+    job: Warp, block: Block, first: int, shape: tuple[int, ...], places: Sequence[Box], pieces: Sequence[Any]
+) -> npt.NDArray[Any]:
+    part = np.empty(shape, pieces[0].dtype)
+    for place, piece in zip(places, pieces, strict=True):
+        part[tuple(slice(*each) for each in place)] = piece
+    return job.along(part, block, first)[0]
+
+
+def _warp_read(job: Warp, block: Block, first: int, source: Any, box: Box) -> npt.NDArray[Any]:
+    return job.along(np.asarray(source[tuple(slice(*each) for each in box)]), block, first)[0]
+
+
+def _of_xarray(array: Any, job: Warp, chunks: Any, axes: Sequence[int] | None) -> Any:
+    import xarray
+
+    if not isinstance(array, xarray.DataArray):
+        refuse("array", "a DataArray (choose a variable of the Dataset)", array)
+    first = _first_axis(array.shape, job.deformation.shape, axes)
+    made = _warped(array.data, job, chunks, first)
+    bent = array.dims[first : first + job.deformation.ndim]
+    coords = dict(array.coords)
+    grid = job.grid
+    if grid is not None:
+        coords = {name: value for name, value in coords.items() if not set(value.dims) & set(bent)}
+        if np.array_equal(grid.direction, np.eye(grid.ndim)):
+            for dim, size, step, start in zip(bent[::-1], grid.sizes, grid.spacing, grid.origin, strict=True):
+                coords[dim] = (dim, start + step * np.arange(size))
+    return xarray.DataArray(made, coords, array.dims, array.name, array.attrs)
