@@ -17,6 +17,7 @@ from scipy import ndimage
 from scipy.stats import special_ortho_group
 
 from supple import Deformation
+from supple.engines.native import plan_of
 from supple.errors import SuppleError
 from supple.fields import Field
 from supple.geometry import Grid
@@ -320,3 +321,43 @@ def test_threads_do_not_matter() -> None:
         for threads in ("1", "2", "3")
     }
     assert len(found) == 1
+
+
+@pytest.mark.parametrize(("seed", "spacing"), [(1, 0.7), (2, 1.6), (3, 2.3)])
+@pytest.mark.parametrize("n", [2, 3])
+def test_parts_of_rough_maps_on_other_grids(seed: int, spacing: float, n: int) -> None:
+    """What shrinks between nodes, what is rounded by the origin of a part, and what lies at the edge of a frame."""
+    rng = np.random.default_rng(seed)
+    shape = (170, 150) if n == 2 else (20, 60, 70)
+    values = 2.0 * rng.normal(size=(*[-(-size // 8) + 3 for size in shape], n))
+    made = Deformation(shape, border=None).grab([30.0] * (n - 1) + [9.0], by=[4.0] * n, radius=9, reach=20)
+    made = made.field(Field(values, Grid(values.shape[:-1], 8.0, [-8.0] * n), "cubic", "edge"))
+    image = rng.normal(size=shape).astype(np.float32)
+    grid = made.grid.resampled(spacing)
+    whole = made.warp(image, grid=grid, outside="reflect")
+    for _ in range(12):
+        first = [int(rng.integers(0, size)) for size in grid.sizes]
+        sizes = [int(rng.integers(1, size - a + 1)) for a, size in zip(first, grid.sizes, strict=True)]
+        box = tuple(slice(a, a + b) for a, b in zip(first[::-1], sizes[::-1], strict=True))
+        np.testing.assert_array_equal(made.warp(image, grid=grid.crop(first, sizes), outside="reflect"), whole[box])
+
+
+def test_a_part_of_a_part_knows_the_whole() -> None:
+    grid = Grid((402, 496), 0.7, (-0.25, -0.35))
+    part = grid.crop((486, 3), (10, 43)).crop((1, 2), (5, 6))
+    assert part.first == (487, 5)
+    assert part.uncropped() == grid
+    assert part.uncropped().origin == grid.origin
+    np.testing.assert_allclose(part.origin, grid.positions((487, 5)))
+
+
+def test_folds_take_no_memory() -> None:
+    """Slopes at folds, and points that are not solved, lead anywhere: mirrored frames must not be held up to there."""
+    rng = np.random.default_rng(12)
+    values = 2.0 * rng.normal(size=(9, 15, 15, 3))
+    made = Deformation((41, 99, 95), border=None)
+    made = made.field(Field(values, Grid((9, 15, 15), 8.0, (-8, -8, -8)), "cubic", "edge"), inverse=True)
+    extents = [plan_of(made.space, z, 0.01).extent() for z in range(41)]
+    assert max(moved for _, _, moved, _ in extents) < 8000
+    image = rng.integers(0, 100, (41, 99, 95, 3)).astype(np.int32)
+    assert np.isfinite(made.warp(image, outside="reflect", between="cubic")).all()
