@@ -361,3 +361,18 @@ def test_folds_take_no_memory() -> None:
     assert max(moved for _, _, moved, _ in extents) < 8000
     image = rng.integers(0, 100, (41, 99, 95, 3)).astype(np.int32)
     assert np.isfinite(made.warp(image, outside="reflect", between="cubic")).all()
+
+
+@pytest.mark.parametrize("seed", [4, 5, 8])
+def test_parts_of_what_shrinks_between_nodes(seed: int) -> None:
+    """Averages are as deep as the steepest slopes need: those of the part must not be deeper, or less deep."""
+    rng = np.random.default_rng(seed)
+    values = 3.0 * rng.normal(size=(18, 22, 2))
+    made = Deformation((120, 150), border=None)
+    made = made.field(Field(values, Grid((18, 22), 8.0, (-8, -8)), "cubic", "edge"))
+    image = rng.normal(size=(120, 150)).astype(np.float32)
+    whole = made.warp(image)
+    for y, x in np.ndindex(4, 5):
+        sizes = min(32, 150 - 32 * x), min(32, 120 - 32 * y)
+        part = made.warp(image, grid=made.grid.crop((32 * x, 32 * y), sizes))
+        np.testing.assert_array_equal(part, whole[32 * y : 32 * y + sizes[1], 32 * x : 32 * x + sizes[0]])
