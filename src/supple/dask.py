@@ -181,7 +181,7 @@ def _everywhere(reads: Callable[[Box], Read], boxes: Sequence[Box]) -> list[Read
     if len(some) == 1:
         return [reads(box) for box in boxes]
     # The map, which may hold a large field, is sent once, and not with each task.
-    held = dask.delayed(reads, traverse=False)  # type: ignore[attr-defined, no-untyped-call]
+    held = dask.delayed(reads, traverse=False)  # type: ignore[attr-defined]
     found = dask.compute(*[dask.delayed(_each)(held, part) for part in some])  # type: ignore[attr-defined, no-untyped-call]
     return [read for part in found for read in part]
 
