@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import operator
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -98,6 +99,8 @@ def warp(
     for name in ("shape", "dtype", "__getitem__"):
         if not hasattr(array, name):
             refuse("array", "an array with a shape, a dtype and slices", array)
+    if 0 in array.shape:
+        refuse("array", "an array with samples", f"shape {array.shape}")
     return _warped(array, job, chunks, _first_axis(array.shape, deformation.shape, axes))
 
 
@@ -105,12 +108,17 @@ def _first_axis(shape: tuple[int, ...], bent: tuple[int, ...], axes: Sequence[in
     """Return the first of the axes that are bent."""
     n, dims = len(bent), len(shape)
     if axes is not None:
-        wanted = tuple(int(axis) % dims if -dims <= axis < dims else dims for axis in axes)
-        if wanted != tuple(range(wanted[0], wanted[0] + n)) or wanted[-1] >= dims or dims - wanted[-1] > 2:
+        try:
+            given = [operator.index(axis) for axis in axes]
+        except TypeError:
+            given = []
+        wanted = tuple(axis % dims if -dims <= axis < dims else dims for axis in given)
+        if not wanted or wanted != tuple(range(wanted[0], wanted[0] + n)) or not dims - 2 <= wanted[-1] < dims:
             refuse("axes", f"{n} axes side by side in ascending order, after which there is at most one", axes)
         first = wanted[0]
         if shape[first : first + n] != bent:
-            raise SuppleError(f"the deformation has shape {bent}, and axes {wanted} of the array {shape}")
+            sizes = shape[first : first + n]
+            raise SuppleError(f"the deformation has shape {bent}, and axes {wanted} of the array have {sizes}")
         return first
     for first in (dims - n, 0, dims - n - 1):
         if first >= 0 and shape[first : first + n] == bent and dims - first - n <= 1:
@@ -121,25 +129,27 @@ def _first_axis(shape: tuple[int, ...], bent: tuple[int, ...], axes: Sequence[in
     )
 
 
-def _warped(array: Any, job: Warp, chunks: Any, first: int) -> da.Array:
+def _warped(array: Any, job: Warp, chunks: Any, first: int, stacklevel: int = 4) -> da.Array:
+    """Return the warped array; warnings are of the line that called `warp`."""
     n, dims = job.deformation.ndim, len(array.shape)
     last = first + n  # the axis after those that are bent
     dtype = np.dtype(array.dtype)
     # Checks the type and the channels.
-    Layout.of_array(
+    layout = Layout.of_array(
         (*job.deformation.shape, *array.shape[last:]),
         dtype,
         job.deformation.shape,
         alpha=job.alpha,
         light=job.sampling.light,
     )
+    job.sampling.filled(layout.groups[0].channels, dtype)
     shape = (*array.shape[:first], *job.shape, *array.shape[last:])
     blocks = _chunks(array, chunks, shape, dtype, first, n)
     if isinstance(array, da.Array):
         array = array.rechunk(dict.fromkeys(range(last, dims), -1))  # type: ignore[no-untyped-call]
     boxes = list(boxes_of(blocks[first:last]))
     planned, certificate = job.plan(boxes, _everywhere)
-    warn_of(certificate, job.sampling.tolerance, 4)
+    warn_of(certificate, job.sampling.tolerance, stacklevel)
 
     name = f"warp-{tokenize(array, job.deformation, job.sampling, job.grid, job.alpha, blocks)}"
     graph: dict[Any, Any] = {(name, "job"): job}
@@ -170,7 +180,9 @@ def _everywhere(reads: Callable[[Box], Read], boxes: Sequence[Box]) -> list[Read
     some = [boxes[k : k + _TOGETHER] for k in range(0, len(boxes), _TOGETHER)]
     if len(some) == 1:
         return [reads(box) for box in boxes]
-    found = dask.compute(*[dask.delayed(_each)(reads, part) for part in some])  # type: ignore[attr-defined, no-untyped-call]
+    # The map, which may hold a large field, is sent once, and not with each task.
+    held = dask.delayed(reads, traverse=False)  # type: ignore[attr-defined]
+    found = dask.compute(*[dask.delayed(_each)(held, part) for part in some])  # type: ignore[attr-defined, no-untyped-call]
     return [read for part in found for read in part]
 
 
@@ -182,6 +194,7 @@ def _chunks(
     array: Any, chunks: Any, shape: tuple[int, ...], dtype: np.dtype[Any], first: int, n: int
 ) -> tuple[tuple[int, ...], ...]:
     """Return the chunks of the output; an axis of channels has one."""
+    given = chunks
     if chunks is None:
         own = getattr(array, "shards", None) or getattr(array, "chunks", None)
         if own is None:
@@ -192,13 +205,17 @@ def _chunks(
             sizes if isinstance(sizes, int) or sum(sizes) == size else max(sizes)
             for sizes, size in zip(own, shape, strict=True)
         )
-    elif isinstance(chunks, int) or len(chunks) == n:
-        sizes = (chunks,) * n if isinstance(chunks, int) else tuple(chunks)
-        chunks = (*[1] * first, *sizes, *shape[first + n :])
+    elif isinstance(chunks, int | np.integer):
+        chunks = (*[1] * first, *[int(chunks)] * n, *shape[first + n :])
+    elif isinstance(chunks, tuple | list) and len(chunks) == n:
+        chunks = (*[1] * first, *chunks, *shape[first + n :])
     try:
         made = da.core.normalize_chunks(chunks, shape, dtype=dtype)  # type: ignore[no-untyped-call]
-    except (ValueError, TypeError) as error:
-        raise SuppleError(f"chunks do not fit the output's shape {shape}: {error}") from None
+        if any(size < 1 for sizes in made for size in sizes):
+            raise ValueError("a chunk has at least one sample along each axis")
+    except (ValueError, TypeError, IndexError, KeyError, ArithmeticError, AttributeError) as error:
+        told = " ".join(str(error).split()) or type(error).__name__
+        refuse("chunks", f"sizes that fit the output's shape {shape}, as in Dask ({told})", given)
     return (*made[: first + n], *[(size,) for size in shape[first + n :]])
 
 
@@ -247,7 +264,7 @@ def _of_xarray(array: Any, job: Warp, chunks: Any, axes: Sequence[int] | None) -
     if not isinstance(array, xarray.DataArray):
         refuse("array", "a DataArray (choose a variable of the Dataset)", array)
     first = _first_axis(array.shape, job.deformation.shape, axes)
-    made = _warped(array.data, job, chunks, first)
+    made = _warped(array.data, job, chunks, first, 5)
     bent = array.dims[first : first + job.deformation.ndim]
     coords = dict(array.coords)
     grid = job.grid

@@ -22,6 +22,11 @@ SAYS = {
         "centre: more than 5, 50, 95 % red from frames 29, 30, 30 on",
         "half red at t = 29.30; damping 1.000",
     ],
+    "warp_large": [
+        "36 blocks of (32, 32, 32)",
+        "the blocks are equal to the whole, bit for bit",
+        "at 4 mm: (46, 55, 46) instead of (91, 109, 91)",
+    ],
 }
 # What depends on the machine, and on rounding.
 MATCHES = {
@@ -64,7 +69,7 @@ MATCHES = {
 def test_there_are_examples() -> None:
     stills = {"augment", "fractal", "heart", "key_points", "portrait", "remap", "stmap"}
     clips = {"delay", "smile", "spacetime", "transition"}
-    volumes = {"asymmetry", "head", "invert_field", "landmarks", "modes"}
+    volumes = {"asymmetry", "head", "invert_field", "landmarks", "modes", "warp_large"}
     assert {path.stem for path in EXAMPLES} >= stills | clips | volumes
 
 

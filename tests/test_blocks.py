@@ -1,0 +1,268 @@
+"""Blocks of an output: equal to the whole, bit for bit, and made of the part of the source that they say they read."""
+
+from __future__ import annotations
+
+import pickle
+import warnings
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from supple.blocks import Block, Box, Warp, boxes_of
+from supple.deformation import Deformation
+from supple.engines.base import Certificate, Sampling
+from supple.errors import SuppleError
+from supple.geometry import Grid
+from tests.fields import drawn
+
+Array = npt.NDArray[Any]
+TYPES = ["?", "u1", "u2", "i2", "i4", "f2", "f4", "f8", ">f4"]
+SEEDS = st.integers(0, 2**32 - 1)
+
+
+def slices(box: Box) -> tuple[slice, ...]:
+    return tuple(slice(*each) for each in box)
+
+
+def divided(size: int, step: int) -> tuple[int, ...]:
+    """The sizes of blocks along an axis, the last of which is what is left."""
+    return tuple(min(step, size - start) for start in range(0, size, step))
+
+
+def strokes_on(shape: tuple[int, ...], rng: np.random.Generator, reach: float | None, border: Any) -> Deformation:
+    """One to three strokes; some flow, so that they are more."""
+    made = Deformation(shape, border=border)
+    for _ in range(rng.integers(1, 4)):
+        at = rng.uniform(0.15, 0.85, len(shape)) * shape[::-1]
+        by = rng.normal(size=len(shape)) * rng.choice([0.3, 4.0, 12.0])
+        try:
+            made = made.grab(tuple(at), by=tuple(by), radius=rng.uniform(6, 25), reach=reach)
+        except SuppleError:  # the border holds it back
+            continue
+    return made
+
+
+def samples(shape: tuple[int, ...], dtype: str, rng: np.random.Generator) -> Array:
+    made = rng.random(shape) * 200
+    return made > 100 if dtype == "?" else made.astype(dtype)
+
+
+def in_blocks(warp: Warp, source: Array, steps: list[int]) -> tuple[Array, list[Block], Certificate]:
+    """Warp an array block by block."""
+    tail = source.shape[warp.deformation.ndim :]
+    made = np.empty((*warp.shape, *tail), source.dtype)
+    boxes = list(boxes_of([divided(size, step) for size, step in zip(warp.shape, steps, strict=True)]))
+    blocks, certificate = warp.plan(boxes)
+    for block in blocks:
+        made[slices(block.box)] = warp.block(source[slices(block.part)][None], block)[0][0]
+    return made, blocks, certificate
+
+
+def whole(warp: Warp, source: Array, grid: Grid | None = None) -> Array:
+    """What `Deformation.warp` makes of it, on the warp's own grid or another."""
+    s = warp.sampling
+    more = {} if warp.deformation.ndim == 2 else {"between": s.between, "time_filter": s.time_filter}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        return warp.deformation.warp(
+            source, filter=s.filter, outside=s.outside, fill=s.fill, linear_light=s.light, tolerance=s.tolerance,
+            alpha=warp.alpha, grid=warp.grid if grid is None else grid, **more,
+        )  # fmt: skip
+
+
+def assert_equal(made: Array, expected: Array) -> None:
+    assert (made.shape, made.dtype) == (expected.shape, expected.dtype)
+    assert made.tobytes() == expected.tobytes()
+
+
+@st.composite
+def samplings(draw: st.DrawFn, ndim: int) -> Sampling:
+    way = draw(st.sampled_from(["auto", "auto", "cubic", "linear", "nearest"]))
+    outside = draw(st.sampled_from(["edge", "constant", "reflect"]))
+    more: dict[str, Any] = {"filter": way, "outside": outside, "fill": 7.0 if outside == "constant" else 0.0}
+    if ndim == 3 and way != "nearest":
+        more |= {"between": draw(st.sampled_from(["nearest", "linear", "cubic"])), "time_filter": draw(st.booleans())}
+    return Sampling.checked(ndim, **more)
+
+
+@st.composite
+def cases(draw: st.DrawFn) -> tuple[Warp, Array, list[int]]:
+    rng = np.random.default_rng(draw(SEEDS))
+    ndim = draw(st.sampled_from([2, 3]))
+    shape = tuple(rng.integers(20, 75, 3).tolist() if ndim == 3 else rng.integers(60, 280, 2).tolist())
+    d = strokes_on(shape, rng, draw(st.sampled_from([None, 2.5, 4.0])), draw(st.sampled_from([None, "auto"])))
+    for kind in draw(st.lists(st.sampled_from(["field", "inverse", "affine"]), max_size=2, unique=True)):
+        if kind == "affine":
+            matrix = np.eye(ndim, ndim + 1) + rng.normal(size=(ndim, ndim + 1)) * 0.03
+            d = d.affine(matrix)
+        else:
+            coarse = Grid([size // 8 + 4 for size in shape], 8.0, (-8.0,) * ndim)
+            d = d.field(drawn(rng, coarse, 0.4, interpolation="cubic", beyond="edge"), inverse=kind == "inverse")
+    scale = draw(st.sampled_from([None, None, 0.7, 1.6, 3.0]))
+    grid = None if scale is None else d.grid.resampled(scale)
+    channels = draw(st.sampled_from([0, 0, 1, 3, 4]))
+    source = samples((*shape, *([channels] if channels else [])), draw(st.sampled_from(TYPES)), rng)
+    steps = rng.integers(11, 70, ndim).tolist()
+    return Warp(d, draw(samplings(ndim)), grid), source, steps
+
+
+@given(cases())
+@settings(max_examples=40, deadline=None)
+def test_blocks_are_the_whole_bit_for_bit(case: tuple[Warp, Array, list[int]]) -> None:
+    warp, source, steps = case
+    made, blocks, _ = in_blocks(warp, source, steps)
+    expected = whole(warp, source)
+    assert_equal(made, expected)
+    # And so is any part of the grid, as `Deformation.warp` makes it.
+    block = blocks[len(blocks) // 2]
+    first, sizes = [a for a, _ in block.box[::-1]], list(block.shape[::-1])
+    part = (warp.deformation.grid if warp.grid is None else warp.grid).crop(first, sizes)
+    assert_equal(whole(warp, source, part), expected[slices(block.box)])
+
+
+@given(cases())
+@settings(max_examples=15, deadline=None)
+def test_nothing_but_the_part_is_read(case: tuple[Warp, Array, list[int]]) -> None:
+    """As `Deformation.warp` makes a block from a whole source whose samples beyond the part are all wrong."""
+    warp, source, steps = case
+    wrong = np.nan if source.dtype.kind == "f" else True if source.dtype.kind == "b" else np.iinfo(source.dtype).max
+    made, blocks, _ = in_blocks(warp, source, steps)
+    grid = warp.deformation.grid if warp.grid is None else warp.grid
+    for block in blocks[:: 1 + len(blocks) // 4]:
+        assert all(0 <= a < b <= n for (a, b), n in zip(block.part, source.shape, strict=False))
+        poisoned = np.full_like(source, wrong)
+        poisoned[slices(block.part)] = source[slices(block.part)]
+        part = grid.crop([a for a, _ in block.box[::-1]], list(block.shape[::-1]))
+        assert_equal(whole(warp, poisoned, part), made[slices(block.box)])
+
+
+@pytest.mark.parametrize("options", [{"alpha": True}, {"linear_light": True}, {"fill": (1, 2, 3, 255)}])
+def test_colours_and_opacity(options: dict[str, Any]) -> None:
+    rng = np.random.default_rng(3)
+    d = strokes_on((90, 120), rng, None, None).affine([[1, 0.1, -9], [0, 1, 4]])
+    source = rng.integers(0, 256, (90, 120, 4), np.uint8)
+    alpha = options.pop("alpha", None)
+    warp = Warp(d, Sampling.checked(2, outside="constant", **options), alpha=alpha)
+    assert_equal(in_blocks(warp, source, [33, 50])[0], whole(warp, source))
+
+
+def test_axes_before_are_carried_along() -> None:
+    rng = np.random.default_rng(4)
+    d = strokes_on((30, 40, 50), rng, 3.0, "auto")
+    source = rng.random((2, 3, 30, 40, 50), np.float32)
+    warp = Warp(d, Sampling.checked())
+    blocks, _ = warp.plan(list(boxes_of([(13, 17), (40,), (25, 25)])))
+    for block in blocks:
+        made, _ = warp.along(source[(..., *slices(block.part))], block, 2)
+        expected = np.stack([[d.warp(each)[slices(block.box)] for each in row] for row in source])
+        assert_equal(made, expected)
+
+
+def test_blocks_beyond_the_reach_are_copies_of_themselves() -> None:
+    d = Deformation((64, 128, 192)).grab((30, 30, 30), by=(4, 0, 2), radius=8, reach=2.5)
+    warp = Warp(d, Sampling.checked())
+    blocks, _ = warp.plan(list(boxes_of([(32, 32), (64, 64), (64, 64, 64)])))
+    reached = [block for block in blocks if not block.identity]
+    assert [block.box for block in reached] == [((a, a + 32), (0, 64), (0, 64)) for a in (0, 32)]
+    for block in blocks:
+        if block.identity:
+            assert block.part == block.box
+            part = np.random.default_rng(0).integers(0, 9, (1, *block.shape))
+            assert_equal(warp.block(part, block)[0], part)
+
+
+@pytest.mark.parametrize("filter", ["auto", "linear"])
+@pytest.mark.parametrize("n", [2, 3])
+def test_a_part_is_hardly_larger_than_the_block(n: int, filter: str) -> None:
+    """Of blocks at multiples of 64, at which patches of the lattice begin; those of others read the rest of a patch."""
+    shift, shape = 3.0, (256,) * n
+    d = Deformation(shape, border=None).affine(np.c_[np.eye(n), np.full(n, shift)])
+    warp = Warp(d, Sampling.checked(n, filter=filter, tolerance=0.01))
+    box = ((64, 128),) * n
+    part, moved, certificate = warp.reads(box)
+    assert certificate.error <= 0.01
+    assert max(moved) == pytest.approx(shift, rel=1e-3)  # along the axis that moves most
+    margin = 6 if filter == "linear" else 8
+    for axis, (start, stop) in enumerate(part):
+        least, most = (64 + shift, 128 + shift)
+        assert least - margin <= start <= least
+        assert most <= stop <= most + margin
+        if n == 3 and axis == 0:  # slices are counted one by one
+            assert 65 <= start <= 67
+            assert 131 <= stop <= 133
+
+
+def test_parts_grow_by_the_rest_of_a_patch_at_most() -> None:
+    d = Deformation((300, 300), border=None).grab((100, 100), by=(3, 0), radius=20)
+    warp = Warp(d, Sampling.checked(2))
+    for start, stop in ((80, 112), (1, 2), (60, 70), (100, 300)):
+        ((y0, y1), (x0, x1)), _, _ = warp.reads(((start, stop), (start, stop)))
+        low, high = start // 64 * 64, -(-stop // 64) * 64
+        assert min(y0, x0) >= max(low - 10, 0)
+        assert max(y1, x1) <= min(high + 10, 300)
+
+
+@pytest.mark.parametrize("axis", range(3))
+@pytest.mark.parametrize("side", ["first", "last"])
+def test_the_core_refuses_a_part_that_is_too_small(axis: int, side: str) -> None:
+    d = Deformation((64, 64, 64), border=None).grab((32, 32, 32), by=(5, 3, 2), radius=14)
+    warp = Warp(d, Sampling.checked())
+    (block,), _ = warp.plan([((20, 44), (20, 44), (20, 44))])
+    source = np.random.default_rng(5).random((64, 64, 64), np.float32)
+    expected = warp.block(source[slices(block.part)][None], block)[0]
+    part = list(block.part)
+    # In the plane, patches are read in steps; a slice less is a slice too few.
+    start, stop = part[axis]
+    part[axis] = (start + 1, stop) if side == "first" else (start, stop - 1)
+    less = Block(block.box, tuple(part), block.copied, block.identity)
+    with pytest.raises(ValueError, match="lie beyond the part of the frames that is held"):
+        warp.block(source[slices(less.part)][None], less)
+    # More than is read changes nothing.
+    part[axis] = (max(0, start - 3), min(64, stop + 3))
+    more = Block(block.box, tuple(part), block.copied, block.identity)
+    assert_equal(warp.block(source[slices(more.part)][None], more)[0], expected)
+
+
+def test_where_nothing_is_seen_but_the_fill_value() -> None:
+    d = Deformation((40, 50), border=None).affine([[1, 0, 500], [0, 1, 0]])
+    warp = Warp(d, Sampling.checked(2, outside="constant", fill=3))
+    source = np.ones((40, 50), np.int16)
+    made, blocks, _ = in_blocks(warp, source, [16, 16])
+    assert_equal(made, np.full((40, 50), 3, np.int16))
+    assert max(np.prod([b - a for a, b in block.part]) for block in blocks) <= 40 * 50
+
+
+def test_the_certificate_is_that_of_all_blocks() -> None:
+    rng = np.random.default_rng(6)
+    d = Deformation((120, 90), border=None).field(drawn(rng, Grid((15, 12), 8.0), 0.4), inverse=True)
+    warp = Warp(d, Sampling.checked(2))
+    boxes = list(boxes_of([(50, 50, 20), (64, 26)]))
+    _, together = warp.plan(boxes)
+    assert together.error == max(warp.reads(box)[2].error for box in boxes) <= 0.01
+    assert together.outside == sum(warp.reads(box)[2].outside for box in boxes) > 0
+
+
+def test_a_warp_and_its_blocks_can_be_sent() -> None:
+    d = Deformation((30, 40)).grab((20, 15), by=(4, 1), radius=8)
+    warp = Warp(d, Sampling.checked(2), d.grid.resampled(2.0))
+    (block,), _ = warp.plan([((3, 12), (4, 18))])
+    sent, taken = pickle.loads(pickle.dumps((warp, block)))
+    assert taken == block
+    source = np.random.default_rng(7).random((30, 40))
+    part = source[slices(block.part)][None]
+    assert_equal(sent.block(part, taken)[0], warp.block(part, block)[0])
+    assert len(pickle.dumps(warp)) < 5000
+    assert len(pickle.dumps(block)) < 1000
+
+
+def test_boxes_cover_the_output_once() -> None:
+    seen = np.zeros((5, 7), int)
+    boxes = list(boxes_of([(2, 3), (3, 3, 1)]))
+    assert boxes[:2] == [((0, 2), (0, 3)), ((0, 2), (3, 6))]
+    for box in boxes:
+        seen[slices(box)] += 1
+    assert np.all(seen == 1)
