@@ -38,7 +38,7 @@ def strokes_on(shape: tuple[int, ...], rng: np.random.Generator, reach: float | 
     made = Deformation(shape, border=border)
     for _ in range(rng.integers(1, 4)):
         at = rng.uniform(0.15, 0.85, len(shape)) * shape[::-1]
-        by = rng.normal(size=len(shape)) * rng.choice([0.3, 4.0, 12.0])
+        by = rng.normal(size=len(shape)) * rng.choice([0.02, 0.3, 4.0, 12.0])
         try:
             made = made.grab(tuple(at), by=tuple(by), radius=rng.uniform(6, 25), reach=reach)
         except SuppleError:  # the border holds it back
@@ -93,7 +93,7 @@ def samplings(draw: st.DrawFn, ndim: int) -> Sampling:
 def cases(draw: st.DrawFn) -> tuple[Warp, Array, list[int]]:
     rng = np.random.default_rng(draw(SEEDS))
     ndim = draw(st.sampled_from([2, 3]))
-    shape = tuple(rng.integers(20, 75, 3).tolist() if ndim == 3 else rng.integers(60, 280, 2).tolist())
+    shape = tuple(rng.integers(24, 75, 3).tolist() if ndim == 3 else rng.integers(60, 280, 2).tolist())
     d = strokes_on(shape, rng, draw(st.sampled_from([None, 2.5, 4.0])), draw(st.sampled_from([None, "auto"])))
     for kind in draw(st.lists(st.sampled_from(["field", "inverse", "affine"]), max_size=2, unique=True)):
         if kind == "affine":
@@ -104,6 +104,8 @@ def cases(draw: st.DrawFn) -> tuple[Warp, Array, list[int]]:
             d = d.field(drawn(rng, coarse, 0.4, interpolation="cubic", beyond="edge"), inverse=kind == "inverse")
     scale = draw(st.sampled_from([None, None, 0.7, 1.6, 3.0]))
     grid = None if scale is None else d.grid.resampled(scale)
+    if draw(st.integers(0, 3)) == 0:  # a part of the one or the other
+        grid = (grid or d.grid).crop((3,) * ndim, [size - 5 for size in (grid or d.grid).sizes])
     channels = draw(st.sampled_from([0, 0, 1, 3, 4]))
     source = samples((*shape, *([channels] if channels else [])), draw(st.sampled_from(TYPES)), rng)
     steps = rng.integers(11, 70, ndim).tolist()
@@ -173,6 +175,19 @@ def test_blocks_beyond_the_reach_are_copies_of_themselves() -> None:
             assert block.part == block.box
             part = np.random.default_rng(0).integers(0, 9, (1, *block.shape))
             assert_equal(warp.block(part, block)[0], part)
+
+
+@pytest.mark.parametrize("by", [0.01, 0.02, 0.03, 0.05, 0.2])
+def test_planes_of_a_part_of_the_grid_are_copied_where_the_whole_planes_are(by: float) -> None:
+    """Far from a small stroke without a reach, all moves by less than the tolerance: what is near it decides."""
+    d = Deformation((40, 64, 200), border=None).grab((20, 32, 20), by=(by, 0, 0), radius=8, reach=None)
+    source = np.random.default_rng(8).random(d.shape, np.float32)
+    expected = d.warp(source)
+    assert_equal(in_blocks(Warp(d, Sampling.checked()), source, [40, 64, 128])[0], expected)
+    part = d.grid.crop((128, 10, 3), (72, 50, 30))
+    made, blocks, _ = in_blocks(Warp(d, Sampling.checked(), part), source, [30, 50, 40])
+    assert_equal(made, expected[3:33, 10:60, 128:])
+    assert any(blocks[0].copied) == (by <= 0.02)
 
 
 @pytest.mark.parametrize("filter", ["auto", "linear"])

@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import numpy.typing as npt
 
 from supple.deformation import Deformation
 from supple.engines.base import Array, Certificate, Layout, Sampling, Space, Work
@@ -112,7 +113,8 @@ class Warp:
         Certificate
             The accuracy of the map.
         """
-        found = [self.reads(box) for box in boxes] if each is None else each(self.reads, boxes)
+        each = each or (lambda reads, some: [reads(box) for box in some])
+        found = each(self.reads, boxes)
         certificate = Certificate(0.0, 0.0)
         deep = self.deformation.ndim == 3
         plain = self.deformation.space_on(self.grid).composite is None
@@ -124,12 +126,31 @@ class Warp:
             far = np.array(moved)
             still[planes] &= far * math.sqrt(3) <= self.sampling.tolerance if deep else far < 0
             certificate |= known
+        if deep and plain and self.grid is not None and self.grid.shape[1:] != self.grid.whole[1:]:
+            self._widen(still, [(box, moved) for box, (_, moved, _) in zip(boxes, found, strict=True)], each)
         made = []
         for box, (part, moved, _) in zip(boxes, found, strict=True):
             copied = tuple(still[slice(*box[0]) if deep else slice(1)].tolist())
             identity = plain and (max(moved) < 0 or all(copied))
             made.append(Block(box, box if identity else part, copied, identity))
         return made, certificate
+
+    def _widen(
+        self,
+        still: npt.NDArray[np.bool_],
+        found: Sequence[tuple[Box, tuple[float, ...]]],
+        each: Callable[[Callable[[Box], Read], Sequence[Box]], Sequence[Read]],
+    ) -> None:
+        """Keep of the planes of which a part moves hardly those of which the whole does not."""
+        assert self.grid is not None
+        reached = np.zeros(len(still), np.bool_)
+        for box, moved in found:
+            reached[slice(*box[0])] |= np.array(moved) >= 0
+        doubtful = np.flatnonzero(still & reached)
+        first, whole = self.grid.first[2], [(0, size) for size in self.grid.whole[1:]]
+        planes: list[Box] = [((first + int(z), first + int(z) + 1), *whole) for z in doubtful]
+        for z, (_, moved, _) in zip(doubtful, each(replace(self, grid=None).reads, planes), strict=True):
+            still[z] = moved[0] * math.sqrt(3) <= self.sampling.tolerance
 
     def block(self, part: Array, block: Block) -> tuple[Array, Certificate]:
         """Sample a block from the part of the source that it reads.
