@@ -175,6 +175,12 @@ def test_blocks_beyond_the_reach_are_copies_of_themselves() -> None:
             assert block.part == block.box
             part = np.random.default_rng(0).integers(0, 9, (1, *block.shape))
             assert_equal(warp.block(part, block)[0], part)
+    # Of a part of the grid, they are copies of the same part of the source.
+    (far,), _ = Warp(d, Sampling.checked(), d.grid.crop((100, 70, 10), (20, 30, 40))).plan(
+        [((0, 40), (5, 30), (3, 20))]
+    )
+    assert far.identity
+    assert far.part == ((10, 50), (75, 100), (103, 120))
 
 
 @pytest.mark.parametrize("by", [0.01, 0.02, 0.03, 0.05, 0.2])

@@ -129,10 +129,13 @@ class Warp:
         if deep and plain and self.grid is not None and self.grid.shape[1:] != self.grid.whole[1:]:
             self._widen(still, [(box, moved) for box, (_, moved, _) in zip(boxes, found, strict=True)], each)
         made = []
+        corner = (0,) * self.deformation.ndim if self.grid is None else self.grid.first[::-1]
         for box, (part, moved, _) in zip(boxes, found, strict=True):
             copied = tuple(still[slice(*box[0]) if deep else slice(1)].tolist())
             identity = plain and (max(moved) < 0 or all(copied))
-            made.append(Block(box, box if identity else part, copied, identity))
+            if identity:  # of a part of the grid, the same part of the source
+                part = tuple((start + at, stop + at) for (start, stop), at in zip(box, corner, strict=True))
+            made.append(Block(box, part, copied, identity))
         return made, certificate
 
     def _widen(
