@@ -280,6 +280,21 @@ def test_a_warp_and_its_blocks_can_be_sent() -> None:
     assert len(pickle.dumps(block)) < 1000
 
 
+def test_a_field_is_prepared_once_for_all_blocks_and_is_not_sent_prepared(monkeypatch: pytest.MonkeyPatch) -> None:
+    calls: list[object] = []
+    prepared = Deformation.space_on
+    monkeypatch.setattr(Deformation, "space_on", lambda self, grid: calls.append(grid) or prepared(self, grid))
+    rng = np.random.default_rng(9)
+    field = drawn(rng, Grid((12, 16), 8.0), 0.3, interpolation="cubic", beyond="edge")
+    warp = Warp(Deformation((80, 100), border=None).field(field), Sampling.checked(2))
+    small = len(pickle.dumps(warp))
+    source = rng.random((80, 100))
+    made, _, _ = in_blocks(warp, source, [30, 40])
+    assert len(calls) == 1
+    assert len(pickle.dumps(warp)) == small
+    assert_equal(made, whole(warp, source))
+
+
 def test_boxes_cover_the_output_once() -> None:
     seen = np.zeros((5, 7), int)
     boxes = list(boxes_of([(2, 3), (3, 3, 1)]))

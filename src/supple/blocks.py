@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import itertools
 import math
+import threading
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -21,6 +23,8 @@ Chunks = Sequence[Sequence[int]]
 """The sizes of the blocks along each axis, in the order of an array's axes, as in Dask."""
 Read = tuple[Box, tuple[float, ...], Certificate]
 """The part of the source that a block reads, how far each of its planes moves, and the certificate of the map."""
+
+_PACKING = threading.Lock()
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,6 +72,11 @@ class Warp:
     sampling: Sampling
     grid: Grid | None = None
     alpha: bool | None = None
+    _packed: list[Space] = field(default_factory=list, init=False, repr=False, compare=False)
+
+    def __reduce__(self) -> tuple[type[Warp], tuple[Any, ...]]:
+        """Leave out what is packed: the core's maps stay in their process."""
+        return Warp, (self.deformation, self.sampling, self.grid, self.alpha)
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -90,8 +99,16 @@ class Warp:
         """Return the map of a block."""
         whole = self.deformation.grid if self.grid is None else self.grid
         first, end = np.array(box)[::-1].T
-        part = whole.crop(first.tolist(), (end - first).tolist())
-        return replace(self.deformation.space_on(part), grid=part)
+        return replace(self._space(), grid=whole.crop(first.tolist(), (end - first).tolist()))
+
+    def _space(self) -> Space:
+        """Return the packed map, which all blocks share: to prepare a large cubic field takes long."""
+        with _PACKING:
+            if not self._packed:
+                self._packed.append(
+                    self.deformation.space_on(self.deformation.grid if self.grid is None else self.grid)
+                )
+            return self._packed[0]
 
     def plan(
         self, boxes: Sequence[Box], each: Callable[[Callable[[Box], Read], Sequence[Box]], Sequence[Read]] | None = None
@@ -117,7 +134,7 @@ class Warp:
         found = each(self.reads, boxes)
         certificate = Certificate(0.0, 0.0)
         deep = self.deformation.ndim == 3
-        plain = self.deformation.space_on(self.grid).composite is None
+        plain = self._space().composite is None
         still = np.full(self.shape[0] if deep else 1, plain)
         for box, (_, moved, known) in zip(boxes, found, strict=True):
             planes = slice(*box[0]) if deep else slice(1)
