@@ -38,7 +38,7 @@ def strokes_on(shape: tuple[int, ...], rng: np.random.Generator, reach: float | 
     made = Deformation(shape, border=border)
     for _ in range(rng.integers(1, 4)):
         at = rng.uniform(0.15, 0.85, len(shape)) * shape[::-1]
-        by = rng.normal(size=len(shape)) * rng.choice([0.3, 4.0, 12.0])
+        by = rng.normal(size=len(shape)) * rng.choice([0.02, 0.3, 4.0, 12.0])
         try:
             made = made.grab(tuple(at), by=tuple(by), radius=rng.uniform(6, 25), reach=reach)
         except SuppleError:  # the border holds it back
@@ -93,7 +93,7 @@ def samplings(draw: st.DrawFn, ndim: int) -> Sampling:
 def cases(draw: st.DrawFn) -> tuple[Warp, Array, list[int]]:
     rng = np.random.default_rng(draw(SEEDS))
     ndim = draw(st.sampled_from([2, 3]))
-    shape = tuple(rng.integers(20, 75, 3).tolist() if ndim == 3 else rng.integers(60, 280, 2).tolist())
+    shape = tuple(rng.integers(24, 75, 3).tolist() if ndim == 3 else rng.integers(60, 280, 2).tolist())
     d = strokes_on(shape, rng, draw(st.sampled_from([None, 2.5, 4.0])), draw(st.sampled_from([None, "auto"])))
     for kind in draw(st.lists(st.sampled_from(["field", "inverse", "affine"]), max_size=2, unique=True)):
         if kind == "affine":
@@ -104,6 +104,8 @@ def cases(draw: st.DrawFn) -> tuple[Warp, Array, list[int]]:
             d = d.field(drawn(rng, coarse, 0.4, interpolation="cubic", beyond="edge"), inverse=kind == "inverse")
     scale = draw(st.sampled_from([None, None, 0.7, 1.6, 3.0]))
     grid = None if scale is None else d.grid.resampled(scale)
+    if draw(st.integers(0, 3)) == 0:  # a part of the one or the other
+        grid = (grid or d.grid).crop((3,) * ndim, [size - 5 for size in (grid or d.grid).sizes])
     channels = draw(st.sampled_from([0, 0, 1, 3, 4]))
     source = samples((*shape, *([channels] if channels else [])), draw(st.sampled_from(TYPES)), rng)
     steps = rng.integers(11, 70, ndim).tolist()
@@ -173,6 +175,25 @@ def test_blocks_beyond_the_reach_are_copies_of_themselves() -> None:
             assert block.part == block.box
             part = np.random.default_rng(0).integers(0, 9, (1, *block.shape))
             assert_equal(warp.block(part, block)[0], part)
+    # Of a part of the grid, they are copies of the same part of the source.
+    (far,), _ = Warp(d, Sampling.checked(), d.grid.crop((100, 70, 10), (20, 30, 40))).plan(
+        [((0, 40), (5, 30), (3, 20))]
+    )
+    assert far.identity
+    assert far.part == ((10, 50), (75, 100), (103, 120))
+
+
+@pytest.mark.parametrize("by", [0.01, 0.02, 0.03, 0.05, 0.2])
+def test_planes_of_a_part_of_the_grid_are_copied_where_the_whole_planes_are(by: float) -> None:
+    """Far from a small stroke without a reach, all moves by less than the tolerance: what is near it decides."""
+    d = Deformation((40, 64, 200), border=None).grab((20, 32, 20), by=(by, 0, 0), radius=8, reach=None)
+    source = np.random.default_rng(8).random(d.shape, np.float32)
+    expected = d.warp(source)
+    assert_equal(in_blocks(Warp(d, Sampling.checked()), source, [40, 64, 128])[0], expected)
+    part = d.grid.crop((128, 10, 3), (72, 50, 30))
+    made, blocks, _ = in_blocks(Warp(d, Sampling.checked(), part), source, [30, 50, 40])
+    assert_equal(made, expected[3:33, 10:60, 128:])
+    assert any(blocks[0].copied) == (by <= 0.02)
 
 
 @pytest.mark.parametrize("filter", ["auto", "linear"])
@@ -257,6 +278,21 @@ def test_a_warp_and_its_blocks_can_be_sent() -> None:
     assert_equal(sent.block(part, taken)[0], warp.block(part, block)[0])
     assert len(pickle.dumps(warp)) < 5000
     assert len(pickle.dumps(block)) < 1000
+
+
+def test_a_field_is_prepared_once_for_all_blocks_and_is_not_sent_prepared(monkeypatch: pytest.MonkeyPatch) -> None:
+    calls: list[object] = []
+    prepared = Deformation.space_on
+    monkeypatch.setattr(Deformation, "space_on", lambda self, grid: calls.append(grid) or prepared(self, grid))
+    rng = np.random.default_rng(9)
+    field = drawn(rng, Grid((12, 16), 8.0), 0.3, interpolation="cubic", beyond="edge")
+    warp = Warp(Deformation((80, 100), border=None).field(field), Sampling.checked(2))
+    small = len(pickle.dumps(warp))
+    source = rng.random((80, 100))
+    made, _, _ = in_blocks(warp, source, [30, 40])
+    assert len(calls) == 1
+    assert len(pickle.dumps(warp)) == small
+    assert_equal(made, whole(warp, source))
 
 
 def test_boxes_cover_the_output_once() -> None:

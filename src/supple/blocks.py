@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import itertools
 import math
+import threading
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from supple.deformation import Deformation
 from supple.engines.base import Array, Certificate, Layout, Sampling, Space, Work
@@ -20,6 +23,8 @@ Chunks = Sequence[Sequence[int]]
 """The sizes of the blocks along each axis, in the order of an array's axes, as in Dask."""
 Read = tuple[Box, tuple[float, ...], Certificate]
 """The part of the source that a block reads, how far each of its planes moves, and the certificate of the map."""
+
+_PACKING = threading.Lock()
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,6 +72,11 @@ class Warp:
     sampling: Sampling
     grid: Grid | None = None
     alpha: bool | None = None
+    _packed: list[Space] = field(default_factory=list, init=False, repr=False, compare=False)
+
+    def __reduce__(self) -> tuple[type[Warp], tuple[Any, ...]]:
+        """Leave out what is packed: the core's maps stay in their process."""
+        return Warp, (self.deformation, self.sampling, self.grid, self.alpha)
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -89,8 +99,16 @@ class Warp:
         """Return the map of a block."""
         whole = self.deformation.grid if self.grid is None else self.grid
         first, end = np.array(box)[::-1].T
-        part = whole.crop(first.tolist(), (end - first).tolist())
-        return replace(self.deformation.space_on(part), grid=part)
+        return replace(self._space(), grid=whole.crop(first.tolist(), (end - first).tolist()))
+
+    def _space(self) -> Space:
+        """Return the packed map, which all blocks share: to prepare a large cubic field takes long."""
+        with _PACKING:
+            if not self._packed:
+                self._packed.append(
+                    self.deformation.space_on(self.deformation.grid if self.grid is None else self.grid)
+                )
+            return self._packed[0]
 
     def plan(
         self, boxes: Sequence[Box], each: Callable[[Callable[[Box], Read], Sequence[Box]], Sequence[Read]] | None = None
@@ -112,10 +130,11 @@ class Warp:
         Certificate
             The accuracy of the map.
         """
-        found = [self.reads(box) for box in boxes] if each is None else each(self.reads, boxes)
+        each = each or (lambda reads, some: [reads(box) for box in some])
+        found = each(self.reads, boxes)
         certificate = Certificate(0.0, 0.0)
         deep = self.deformation.ndim == 3
-        plain = self.deformation.space_on(self.grid).composite is None
+        plain = self._space().composite is None
         still = np.full(self.shape[0] if deep else 1, plain)
         for box, (_, moved, known) in zip(boxes, found, strict=True):
             planes = slice(*box[0]) if deep else slice(1)
@@ -124,12 +143,34 @@ class Warp:
             far = np.array(moved)
             still[planes] &= far * math.sqrt(3) <= self.sampling.tolerance if deep else far < 0
             certificate |= known
+        if deep and plain and self.grid is not None and self.grid.shape[1:] != self.grid.whole[1:]:
+            self._widen(still, [(box, moved) for box, (_, moved, _) in zip(boxes, found, strict=True)], each)
         made = []
+        corner = (0,) * self.deformation.ndim if self.grid is None else self.grid.first[::-1]
         for box, (part, moved, _) in zip(boxes, found, strict=True):
             copied = tuple(still[slice(*box[0]) if deep else slice(1)].tolist())
             identity = plain and (max(moved) < 0 or all(copied))
-            made.append(Block(box, box if identity else part, copied, identity))
+            if identity:  # of a part of the grid, the same part of the source
+                part = tuple((start + at, stop + at) for (start, stop), at in zip(box, corner, strict=True))
+            made.append(Block(box, part, copied, identity))
         return made, certificate
+
+    def _widen(
+        self,
+        still: npt.NDArray[np.bool_],
+        found: Sequence[tuple[Box, tuple[float, ...]]],
+        each: Callable[[Callable[[Box], Read], Sequence[Box]], Sequence[Read]],
+    ) -> None:
+        """Keep of the planes of which a part moves hardly those of which the whole does not."""
+        assert self.grid is not None
+        reached = np.zeros(len(still), np.bool_)
+        for box, moved in found:
+            reached[slice(*box[0])] |= np.array(moved) >= 0
+        doubtful = np.flatnonzero(still & reached)
+        first, whole = self.grid.first[2], [(0, size) for size in self.grid.whole[1:]]
+        planes: list[Box] = [((first + int(z), first + int(z) + 1), *whole) for z in doubtful]
+        for z, (_, moved, _) in zip(doubtful, each(replace(self, grid=None).reads, planes), strict=True):
+            still[z] = moved[0] * math.sqrt(3) <= self.sampling.tolerance
 
     def block(self, part: Array, block: Block) -> tuple[Array, Certificate]:
         """Sample a block from the part of the source that it reads.

@@ -17,7 +17,7 @@ from supple.engines.base import Layout, Sampling, warn_of
 from supple.errors import SuppleError, need
 from supple.geometry import Grid
 
-need("zarr", "supple.dask", "dask")
+need("zarr", "warps by Dask", "dask")
 import dask  # noqa: E402
 import dask.array as da  # noqa: E402
 from dask.base import tokenize  # noqa: E402

@@ -100,3 +100,18 @@ brought = {name.partition(".")[0] for name in set(sys.modules) - before} - set(s
 assert brought <= {"supple", "numpy"}, brought
 """
     assert without([*ALL, "pyvips", "cyclopts", "rich"], program, here=here) == (0, "")
+
+
+def test_dask_is_asked_for_by_name_alone(here: Path) -> None:
+    program = """
+import supple
+supple.Deformation((3, 3)).grab((1, 1), by=(0.1, 0), radius=2).warp
+assert "dask" not in sys.modules
+try:
+    import supple.dask
+except supple.SuppleError as error:
+    sys.exit(str(error))
+"""
+    told = "warps by Dask need dask, which is not installed: pip install 'supple[zarr]'\n"
+    assert without(["dask"], program, here=here) == (1, told)
+    assert without(["xarray", "distributed", "zarr"], program, here=here) == (0, "")
