@@ -126,8 +126,14 @@ class Warp:
         for box, (part, moved, _) in zip(boxes, found, strict=True):
             copied = tuple(still[slice(*box[0]) if deep else slice(1)].tolist())
             identity = plain and (max(moved) < 0 or all(copied))
-            made.append(Block(box, box if identity else part, copied, identity))
+            made.append(Block(box, self._same(box) if identity else part, copied, identity))
         return made, certificate
+
+    def _same(self, box: Box) -> Box:
+        """Return the part of the source that lies where a block does."""
+        if self.grid is None:
+            return box
+        return tuple((start + a, start + b) for start, (a, b) in zip(self.grid.first[::-1], box, strict=True))
 
     def block(self, part: Array, block: Block) -> tuple[Array, Certificate]:
         """Sample a block from the part of the source that it reads.

@@ -138,6 +138,11 @@ class StoredImage:
         return Grid([one.array.shape[axis] for axis in self.spatial], scale, origin)
 
     @property
+    def placed(self) -> bool:
+        """Whether the axes of space have units, so that the grid is in millimetres."""
+        return any((self.axes[axis].unit or "").lower() not in _PIXELS for axis in self.spatial)
+
+    @property
     def spacing(self) -> tuple[float, ...]:
         """The distance between samples of the finest level, x first: millimetres, or 1.0 pixels without units."""
         return self.grid.spacing
