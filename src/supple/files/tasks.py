@@ -221,7 +221,7 @@ def check_shared(addresses: Sequence[str | os.PathLike[str]]) -> None:
     for address in addresses:
         if os.fspath(address).partition("://")[0].lower() == "memory":
             raise SuppleError(
-                f"{os.fspath(address)} is in the memory of this process, which workers do not see: leave workers out"
+                f"{os.fspath(address)} is in the memory of this process, which workers do not see: name a folder or a bucket"
             )
 
 
