@@ -24,7 +24,7 @@ from supple.files.plans import Medium, check_options, chunks_of, medium_of, open
 from supple.files.tasks import Runner, Running, check_shared, runner_of
 from supple.files.volumes import VolumeOptions
 from supple.geometry import Geometry, Grid
-from supple.media.files import unwritable
+from supple.media.files import check_store, unwritable
 from supple.media.stores import Place, StoredImage, Target, create
 from supple.pipeline import Tell
 from supple.strokes import Fit, Recipe
@@ -162,6 +162,9 @@ def warp_store(
     check_options(known)
     if where.elsewhere:
         check_shared((source, target))
+    folder = Place(target).folder
+    if folder is not None:
+        check_store(folder if "://" in os.fspath(target) else target, force=force)  # before workers are started
     image = open_stored(source, recipe, maps=maps, grid=grid)
     medium = medium_of(image)
     warp = warp_on(

@@ -7,6 +7,8 @@ import functools
 import logging
 import os
 import pickle
+import signal
+import threading
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol, TypeVar
@@ -182,10 +184,11 @@ def _processes(count: int) -> Iterator[Runner]:
     distributed = _distributed()
     # Each process has its share of the cores: tasks side by side, since chunks are decoded by one thread each.
     share = max(1, round(threads() / count))
-    cluster = distributed.LocalCluster(
-        n_workers=count, threads_per_worker=share, processes=True, dashboard_address=None,
-        silence_logs=logging.CRITICAL, env={"SUPPLE_THREADS": str(share)},
-    )  # fmt: skip
+    with _ignored():
+        cluster = distributed.LocalCluster(
+            n_workers=count, threads_per_worker=share, processes=True, dashboard_address=None,
+            silence_logs=logging.CRITICAL, env={"SUPPLE_THREADS": str(share)}, preload=[__name__],
+        )  # fmt: skip
     try:
         client = distributed.Client(cluster, timeout=_PATIENCE)
         try:
@@ -196,6 +199,25 @@ def _processes(count: int) -> Iterator[Runner]:
     finally:
         with contextlib.suppress(Exception):
             cluster.close(timeout=_PATIENCE)
+
+
+@contextlib.contextmanager
+def _ignored() -> Iterator[None]:
+    """Let no interrupt reach what is started here: a terminal sends it to all processes, and this one ends them."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)  # which processes inherit
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+def dask_setup(worker: object) -> None:
+    """Ignore interrupts in a process that has taken the place of one that ended; Dask calls this by its name."""
+    with contextlib.suppress(ValueError):  # not the main thread
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 @contextlib.contextmanager
@@ -221,7 +243,8 @@ def check_shared(addresses: Sequence[str | os.PathLike[str]]) -> None:
     for address in addresses:
         if os.fspath(address).partition("://")[0].lower() == "memory":
             raise SuppleError(
-                f"{os.fspath(address)} is in the memory of this process, which workers do not see: name a folder or a bucket"
+                f"{os.fspath(address)} is in the memory of this process, which workers do not see: name a folder or a "
+                "bucket"
             )
 
 
