@@ -120,7 +120,8 @@ class Warp:
         for box, (_, moved, known) in zip(boxes, found, strict=True):
             planes = slice(*box[0]) if deep else slice(1)
             # As of whole planes in memory: a plane of a stack is copied if none of it moves by more than the tolerance.
-            still[planes] &= np.array(moved) * (math.sqrt(3) if deep else math.inf) <= self.sampling.tolerance
+            far = np.array(moved)
+            still[planes] &= far * math.sqrt(3) <= self.sampling.tolerance if deep else far < 0
             certificate |= known
         made = []
         for box, (part, moved, _) in zip(boxes, found, strict=True):

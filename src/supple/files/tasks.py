@@ -87,12 +87,27 @@ def runner_of(running: Running) -> Iterator[Runner]:
         yield _Threads()
         return
     need("zarr", "workers", "distributed")
-    logging.getLogger("distributed").setLevel(logging.CRITICAL)  # what goes wrong becomes one sentence
     with contextlib.ExitStack() as stack:
+        stack.enter_context(_quiet())
         if running.scheduler is None:
             yield stack.enter_context(_processes(running.workers or 1))
         else:
             yield stack.enter_context(_cluster(running.scheduler))
+
+
+@contextlib.contextmanager
+def _quiet() -> Iterator[None]:
+    """Keep Dask from telling of what goes wrong: it becomes one sentence."""
+    _distributed()  # which sets levels when it is imported
+    loggers = [logging.getLogger(name) for name in logging.root.manager.loggerDict if name.startswith("distributed")]
+    before = [one.level for one in loggers]
+    for one in loggers:
+        one.setLevel(logging.CRITICAL)
+    try:
+        yield
+    finally:
+        for one, level in zip(loggers, before, strict=True):
+            one.setLevel(level)
 
 
 class _Threads:
@@ -223,7 +238,7 @@ def dask_setup(worker: object) -> None:
 @contextlib.contextmanager
 def _cluster(address: str) -> Iterator[Runner]:
     try:
-        client = _distributed().Client(address, timeout=_PATIENCE, set_as_default=False)
+        client = _distributed().Client(address, timeout=_PATIENCE)
     except (OSError, ValueError, TypeError, ImportError) as error:
         raise SuppleError(
             f"the scheduler {address} does not answer ({_said(error)}): check the address, as tcp://HOST:8786, and "
