@@ -250,7 +250,7 @@ def _multiscale(place: Place, group: Any, attributes: Mapping[str, Any], ndim: i
     axes = tuple(StoredAxis(a["name"], a["type"], a.get("unit") or None, a.get("orientation")) for a in told.axes)
     space = sum(axis.kind == "space" for axis in axes)
     if ndim is not None and ndim > space:
-        raise place.unreadable(f"its image has {space} axes of space", f"give ndim={space}, not {ndim}")
+        raise place.unreadable(f"its image has {space} axes of space", f"give at most {space} for ndim")
     levels: list[Level] = []
     for dataset in told.datasets:
         array = _array(place, group, dataset.path)
