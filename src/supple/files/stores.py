@@ -31,6 +31,8 @@ from supple.strokes import Fit, Recipe
 
 PathLike = str | os.PathLike[str]
 
+_AT_ONCE = 4096  # tasks that wait at a time, each of which takes a few kilobytes
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WarpedStore:
@@ -173,10 +175,11 @@ def warp_store(
     )  # fmt: skip
     placement = _placement(image, medium, warp.grid, target)
     job = _job(image, warp, recipe, known)
+    begun = _is_begun(target)
     with runner_of(where) as runner:
         made = create(target, image, force=force, job=job, **placement)
         work = Work(image, made, warp)
-        counts, blocks = _write_blocks(work, runner, tell, maps)
+        counts, blocks = _write_blocks(work, runner, tell, maps, begun)
         _write_levels(work, runner, tell, "nearest" if known.labels else "mean")
     made.finish()
     found = counts.certificate
@@ -238,7 +241,14 @@ def _job(image: StoredImage, warp: Warp, recipe: Recipe, options: VolumeOptions)
     return f"warp {address}, {digest.hexdigest()}"
 
 
-def _write_blocks(work: Work, runner: Runner, tell: Tell, maps: Sequence[Placed]) -> tuple[_Counts, int]:
+def _is_begun(target: PathLike) -> bool:
+    """Return whether some blocks may be there. Of a new output none is asked for, which takes a request each."""
+    place = Place(target)
+    folder = place.folder
+    return place.job() is not None if folder is None else os.path.lexists(f"{os.path.realpath(folder)}.partial")
+
+
+def _write_blocks(work: Work, runner: Runner, tell: Tell, maps: Sequence[Placed], begun: bool) -> tuple[_Counts, int]:
     """Write the finest level; return what was done, and the number of blocks."""
     carried, target = work.carried, work.target
     shape = tuple(target.arrays[0].shape)
@@ -257,14 +267,13 @@ def _write_blocks(work: Work, runner: Runner, tell: Tell, maps: Sequence[Placed]
 
     tell("warp", 0, total)
     for portion in plans.portions(plans.layers(chunks[carried:])):
-        wanted = []
-        for layer in portion:
-            here = [not all(target.is_done(0, (*lead, *box)) for lead in leads) for box in layer]
-            if any(here):
-                wanted.append(layer)
-            else:
-                counts.done += len(layer) * len(leads)
-                ready += len(layer) * len(leads)
+        wanted = portion
+        if begun:
+            there = runner.each(_is_there, work, [(layer, leads) for layer in portion], lambda: None)
+            wanted = [layer for layer, done in zip(portion, there, strict=True) if not done]
+            there_already = (sum(map(len, portion)) - sum(map(len, wanted))) * len(leads)
+            counts.done += there_already
+            ready += there_already
         boxes = list(itertools.chain.from_iterable(wanted))
         planned += sum(map(len, portion))
         blocks: list[Block] = []
@@ -274,13 +283,20 @@ def _write_blocks(work: Work, runner: Runner, tell: Tell, maps: Sequence[Placed]
         tell("plan", planned, boxes_total)
         if planned == boxes_total:  # before the rest is written, if warnings are errors
             warn_of(certificate, work.warp.sampling.tolerance, 4, folds_of(maps), only_name(maps))
-        items = [(lead, block) for block in blocks for lead in leads]
-        for done, copied, read in runner.each(_warp_block, work, items, advance):
-            counts.done += done
-            counts.copied += copied
-            counts.read += read
+        items = itertools.product(leads, blocks)
+        while some := list(itertools.islice(items, _AT_ONCE)):
+            for done, copied, read in runner.each(_warp_block, work, some, advance):
+                counts.done += done
+                counts.copied += copied
+                counts.read += read
     counts.certificate = certificate
     return counts, total
+
+
+def _is_there(work: Work, item: tuple[list[Box], list[Box]]) -> bool:
+    """Return whether all blocks of a layer are stored."""
+    layer, leads = item
+    return all(work.target.is_done(0, (*lead, *box)) for box in layer for lead in leads)
 
 
 def _warp_block(work: Work, item: tuple[Box, Block]) -> tuple[bool, bool, int]:

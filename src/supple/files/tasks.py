@@ -136,7 +136,7 @@ class _Distributed:
 
     def __init__(self, client: Any, told: str) -> None:
         self._client, self._told = client, told
-        self._held: tuple[object, Any] = (None, None)
+        self._held: dict[int, tuple[object, Any]] = {}
 
     @property
     def slots(self) -> int:
@@ -150,10 +150,11 @@ class _Distributed:
         futures: list[Any] = []
         with self._failing():
             try:
-                if self._held[0] is not job:
+                if id(job) not in self._held:
                     # a task, not data: where its worker is lost, it is done again
-                    self._held = (job, self._client.submit(pickle.loads, pickle.dumps(job), pure=False))
-                futures = self._client.map(_swapped, list(items), function=function, job=self._held[1], pure=False)
+                    self._held[id(job)] = job, self._client.submit(pickle.loads, pickle.dumps(job), pure=False)
+                held = self._held[id(job)][1]
+                futures = self._client.map(_swapped, list(items), function=function, job=held, pure=False)
                 for future in _distributed().as_completed(futures):
                     if future.status != "finished":
                         future.result()  # which raises its error
