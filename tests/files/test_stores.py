@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import shutil
 import signal
@@ -28,7 +29,7 @@ from supple.files.plans import chunks_of, plan_file, task_shape  # noqa: E402
 from supple.files.stores import WarpedStore, warp_store  # noqa: E402
 from supple.files.tasks import Running  # noqa: E402
 from supple.files.volumes import VolumeOptions  # noqa: E402
-from supple.media.stores import open_image  # noqa: E402
+from supple.media.stores import Target, open_image  # noqa: E402
 from supple.media.stores.pyramid import reduced  # noqa: E402
 from tests.children import ROOT, SOURCE  # noqa: E402
 
@@ -427,3 +428,27 @@ def test_plans_of_files_read_the_header_alone() -> None:
     image.write("in.png", RNG.integers(0, 255, (40, 50, 3), np.uint8))
     told = plan_file("in.png", FLAT)
     assert (told.shape, told.dtype, told.size) == ((3, 40, 50), "uint8", 6000)
+
+
+@pytest.mark.parametrize("where", ["folder", "memory"])
+def test_a_store_that_fails_in_the_middle(where: str, memory: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    values = ome("in.zarr", "0.5", "zyx", (8, 40, 44), (4, 16, 16))
+    target = "out.zarr" if where == "folder" else f"{memory}/out.zarr"
+    real, calls = Target.write, []
+
+    def failing(self: Target, level: int, box: Any, values: Any) -> None:
+        calls.append(box)
+        if len(calls) > 5:
+            with self.writing():
+                raise OSError(errno.ENOSPC, "No space left on device")
+        real(self, level, box, values)
+
+    monkeypatch.setattr(Target, "write", failing)
+    with pytest.raises(SuppleError, match=r"^cannot write .*out\.zarr: No space left on device"):
+        warp_store("in.zarr", target, DEEP)
+    monkeypatch.setattr(Target, "write", real)
+    with pytest.raises(SuppleError, match="unfinished"):
+        open_image("out.zarr.partial" if where == "folder" else target)
+    made = warp_store("in.zarr", target, DEEP)
+    assert 0 < made.done < made.blocks
+    assert np.array_equal(arrays(target)[0], whole(made, values))
