@@ -258,7 +258,10 @@ def sanitize(tests: Sequence[str]) -> int:
     command = [sys.executable, "-m", "pytest", "-q", "--capture=sys", "-p", "no:cacheprovider"]
     command += ["-n", "auto", "-o", f"pythonpath={folder}"]
     if subprocess.run(
-        [*command, *(tests or ["tests/core", "tests/engines/test_native.py", "tests/test_blocks.py"])], cwd=ROOT, env=environment, check=False
+        [*command, *(tests or ["tests/core", "tests/engines/test_native.py", "tests/test_blocks.py"])],
+        cwd=ROOT,
+        env=environment,
+        check=False,
     ).returncode:
         raise BuildError("A test failed, or the sanitizers found an error, which is above.")
     return 0

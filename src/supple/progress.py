@@ -56,7 +56,7 @@ def counted(
             if step in ("read", "write"):
                 return
             if step not in tasks:
-                names = {"plan": "planning", "warp": unit, "render": "rendering"}
+                names = {"plan": "planning", "warp": unit, "render": "rendering", "reduce": "levels"}
                 tasks[step] = bar.add_task(names[step], total=total)
             bar.update(tasks[step], completed=done)
 

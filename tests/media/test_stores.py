@@ -513,7 +513,7 @@ def test_other_things_that_cannot_be_opened(tmp_path: Path, memory: str) -> None
             open_image(address)
         assert "\n" not in str(found.value)
     image(tmp_path / "in.zarr", 3, "0.5", names="yx", shape=(9, 9), chunks=(4, 4), count=1)
-    with pytest.raises(SuppleError, match="has 2 axes of space: give ndim=2, not 3"):
+    with pytest.raises(SuppleError, match="has 2 axes of space: give at most 2 for ndim"):
         open_image(tmp_path / "in.zarr", ndim=3)
     with pytest.raises(SuppleError, match="ndim must be 2 or 3, not 4"):
         open_image(tmp_path / "in.zarr", ndim=4)

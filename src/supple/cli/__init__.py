@@ -30,7 +30,14 @@ Examples:
   supple warp clip.mp4 late.mp4 --grab 350,120,38:350,120,52 --radius 60
   supple warp frames/%05d.png bent/%05d.png --recipe strokes.json
   supple warp head.nii.gz bent.nii.gz --grab 45,88,62:45,76,58 --radius 40
+  supple warp cells.zarr bent.zarr --recipe strokes.json --workers 8
   supple warp moving.nii.gz seen.nii.gz --affine 0GenericAffine.mat --field 1Warp.nii.gz --reference fixed.nii.gz
+"""
+_PLAN_EXAMPLES = """\
+Examples:
+
+  supple plan cells.zarr --recipe strokes.json
+  supple plan s3://bucket/brain.zarr --grab 900,800,400:930,800,400 --radius 0.5 --workers 8
 """
 _RENDER_EXAMPLES = """\
 Examples:
@@ -85,6 +92,7 @@ _COMMANDS = (
     ("cli.plot:plot", f"plot IN OUT.png {_GRAB}", ""),
     ("cli.volume:render", f"render VOLUME OUT [{_GRAB}]", _RENDER_EXAMPLES),
     ("cli.volume:points", f"points IN OUT --on FILE {_GRAB}", _POINTS_EXAMPLES),
+    ("cli.stores:plan", f"plan IN {_GRAB}", _PLAN_EXAMPLES),
     ("cli.info:info", "info FILE... [--gpu] [--json]", ""),
     ("cli.view:view", "view FILE [--serve] [OPTIONS]", _VIEW_EXAMPLES),
     ("cli.fields:invert", "invert FIELD OUT [OPTIONS]", _INVERT_EXAMPLES),

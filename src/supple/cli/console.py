@@ -32,8 +32,8 @@ PIPE_CLOSED = 141  # 128 + SIGPIPE, which Windows does not name
 # Arguments of the library that are options of the command; those with an underscore are options only.
 _NAMES = (
     "between|border|border_profile|codec|convention|crf|device|field_of_view|fill|filter|fit|force|frame|from|labels|linear_light|"
-    "lossless|memory|mode|on_fold|outside|pixel_format|poisson|preset|quality|radius|rate|raw|reach|save_field|scales|series|"
-    "spacing|time_filter|time_scale|tolerance|world"
+    "lossless|memory|mode|on_fold|outside|pixel_format|poisson|preset|quality|radius|rate|raw|reach|save_field|scales|scheduler|series|"
+    "spacing|time_filter|time_scale|tolerance|workers|world"
 )
 _UNDERSCORED = "|".join(name for name in _NAMES.split("|") if "_" in name)
 _VALUE = r"""(?:'([^']*)'|"([^"]*)"|(None|True|False|[\w.]+(?:\(\.\.\.\))?))"""
@@ -125,6 +125,7 @@ class Console:
         self.arguments: tuple[str, ...] = ()  # of the command line, in order
         self.all = File()  # warnings without a file, or about a single one
         self.bar: Any = None
+        self.goes_on = ""  # what is left of work that is interrupted, and what to do about it
         self.names: dict[str, str] = {}  # user-visible names of temporary files
         self._said: set[str] = set()
         self._lock = threading.Lock()
@@ -262,10 +263,10 @@ def run(command: Callable[[Console], object]) -> int:
         console.say(error)
         return REFUSED
     except KeyboardInterrupt:
-        console.say("interrupted")
+        console.say(f"interrupted: {console.goes_on}" if console.goes_on else "interrupted")
         return INTERRUPTED
     except Terminated:
-        console.say("terminated")
+        console.say(f"terminated: {console.goes_on}" if console.goes_on else "terminated")
         return TERMINATED
     except BrokenPipeError:
         _close_output()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 from collections.abc import Mapping
 from fractions import Fraction
@@ -27,12 +28,13 @@ _TAGS = {"primaries": _PRIMARIES, "transfer": _TRANSFERS, "matrix": _MATRICES}
 
 
 def describe(name: str, *, layout: RawLayout | None = None, series: str | None = None) -> tuple[dict[str, Any], str]:
-    """Describe a picture, a video, an image sequence, a volume, or a recipe.
+    """Describe a picture, a video, an image sequence, a volume, a Zarr store, or a recipe.
 
     Parameters
     ----------
     name : str
-        A picture, a video or a volume; a pattern or a folder of pictures; or a recipe, whose name ends in .json.
+        A picture, a video, a volume or a Zarr store; a pattern or a folder of pictures; or a recipe, whose name ends in
+        .json.
     layout, series
         As `supple.media.volume.read` takes them.
 
@@ -55,7 +57,10 @@ def describe(name: str, *, layout: RawLayout | None = None, series: str | None =
         recipe = read_recipe(name)
         return {"file": name, "kind": "recipe", **json.loads(recipe.to_json())}, _recipe(name, recipe)
     from supple.media import volume
+    from supple.media.stores import is_store
 
+    if is_store(name) and layout is None:
+        return _stored(name)
     if layout is not None or series is not None or volume.is_volume(name):
         facts = volume.info(name, raw=layout, series=series)
         if facts.get("format") == "NIfTI" and facts.get("components") == 3:
@@ -85,6 +90,55 @@ def describe(name: str, *, layout: RawLayout | None = None, series: str | None =
     if facts["format"] in ("GIF", "PNG") and facts["pages"] != 1:
         return _described_video(name)
     return {"file": name, "kind": "image", **facts}, _picture(name, facts)
+
+
+def _stored(name: str) -> tuple[dict[str, Any], str]:
+    """Return the facts on a Zarr array or an OME-Zarr image; no sample is read."""
+    from supple.media.stores import open_image
+
+    image = open_image(name)
+    unit = "mm" if image.placed else "pixels"
+    levels: list[dict[str, Any]] = [
+        {
+            "path": level.path,
+            "shape": list(level.array.shape),
+            "chunks": list(level.array.chunks),
+            "shards": list(level.array.shards) if level.array.shards else None,
+            "scale": list(level.scale),
+            "translation": list(level.translation),
+        }
+        for level in image.levels
+    ]
+    facts: dict[str, Any] = {
+        "file": name,
+        "kind": "store",
+        "format": f"OME-Zarr {image.version}" if image.version else "Zarr array",
+        "zarr": image.levels[0].array.metadata.zarr_format,
+        "name": image.name,
+        "axes": [{"name": axis.name, "type": axis.kind, "unit": axis.unit} for axis in image.axes],
+        "space": list(image.spatial),
+        "shape": list(image.shape),
+        "dtype": str(image.dtype),
+        "bytes": image.dtype.itemsize * math.prod(image.shape),
+        "spacing": list(image.spacing),
+        "origin": list(image.origin),
+        "units": unit,
+        "levels": levels,
+    }
+    told = [f"{axis.name or k}{f' ({axis.unit})' if axis.unit else ''}" for k, axis in enumerate(image.axes)]
+    lines = {
+        "format": f"{facts['format']}, Zarr format {facts['zarr']}",
+        "axes": f"{', '.join(told)}: {'a picture' if len(image.spatial) == 2 else 'a volume'}",
+        "size": " x ".join(map(str, image.shape)),
+        "values": str(image.dtype),
+        "bytes": f"{facts['bytes']:,}, decoded",
+        "spacing": f"{' x '.join(f'{step:.6g}' for step in image.spacing)} {unit}",
+    }
+    for k, level in enumerate(levels):
+        shards = f", in shards of {' x '.join(map(str, level['shards']))}" if level["shards"] else ""
+        sizes, chunks = (" x ".join(map(str, level[key])) for key in ("shape", "chunks"))
+        lines[f"level {k}"] = f"{sizes}, in chunks of {chunks}{shards}"
+    return facts, _listed(name, lines)
 
 
 def _field(name: str) -> dict[str, Any]:

@@ -19,12 +19,13 @@ def info(
     json: Annotated[bool, Parameter(negative=())] = False,
     volume: VolumeArguments = _VOLUME,
 ) -> None:
-    """Describe pictures, videos, volumes and recipes, or list the GPUs.
+    """Describe pictures, videos, volumes, Zarr stores and recipes, or list the GPUs.
 
     Parameters
     ----------
     files
-        Pictures, videos, image sequences (a pattern or a folder), volumes, or recipes in JSON.
+        Pictures, videos, image sequences (a pattern or a folder), volumes, Zarr arrays and OME-Zarr
+        images, or recipes in JSON.
     gpu
         List the GPUs, software ones too. The first is the one that is used.
     json

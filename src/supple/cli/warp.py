@@ -27,6 +27,7 @@ from supple.cli.console import (
 )
 from supple.cli.options import RUNNING, RunOptions, StrokeOptions, VideoOptions, parse_fill, parse_number
 from supple.cli.options_maps import OTHERS, MapOptions, describe_grid, describe_map, grid_facts
+from supple.cli.options_stores import WorkerOptions
 from supple.cli.options_volume import VOLUME, VolumeArguments
 from supple.engines.workers import workers
 from supple.errors import SuppleError
@@ -36,6 +37,7 @@ if TYPE_CHECKING:
     from supple.deformation import Deformation, Report
     from supple.files import Warped
     from supple.files.clips import WarpedClip
+    from supple.files.stores import WarpedStore
     from supple.files.volumes import WarpedVolume
     from supple.geometry import Grid
     from supple.strokes import Recipe
@@ -53,6 +55,7 @@ _STROKES = StrokeOptions()
 _VIDEO = VideoOptions()
 _VOLUME = VolumeArguments()
 _MAPS = MapOptions()
+_WORKERS = WorkerOptions()
 
 
 def warp(
@@ -72,6 +75,7 @@ def warp(
     labels: Annotated[bool, Parameter(group=VOLUME)] = False,
     save_field: Annotated[str | None, Parameter(group=VOLUME, metavar="FILE")] = None,
     volume: VolumeArguments = _VOLUME,
+    running: WorkerOptions = _WORKERS,
     device: Annotated[Warper, Parameter(group=RUNNING)] = "cpu",
     options: RunOptions = _RUN,
 ) -> None:
@@ -79,7 +83,8 @@ def warp(
 
     Several files, a folder or a pattern in quotes are written to a folder under the same names. Numbered pictures
     (frames/%05d.png) are a video, and so is a folder of pictures if the strokes have a time. A folder of DICOM
-    slices is a volume.
+    slices is a volume. A Zarr array or an OME-Zarr image, in a folder or at an address, is written block by block to
+    another one, and goes on where it was interrupted.
 
     Parameters
     ----------
@@ -124,6 +129,7 @@ def warp(
     from supple.files.clips import is_clip
     from supple.files.grids import grid_on
     from supple.files.volumes import holds_volumes, is_volume_job
+    from supple.media.stores import is_store
 
     if len(paths) < 2:
         raise SuppleError("give a file to read and a name to write to: supple warp IN OUT --grab …")
@@ -166,6 +172,17 @@ def warp(
     if not paths[-1]:
         raise SuppleError("cannot write '': name a file, or a folder, last")
     reading = sampling["volume"]
+    if any(map(is_store, paths[:-1])):
+        from supple.cli.stores import warp_stored
+
+        if save_recipe is not None:
+            check_recipe_file(save_recipe, [(Path(paths[0]), Path(paths[-1]))], options.force)
+        stored = warp_stored(console, paths, recipe, elements, sampling, running.to_running(), json=options.json)
+        if save_recipe is not None:
+            write_recipe(save_recipe, _kept(recipe, stored, reading.world), force=options.force)
+        return
+    if running.given is not None:
+        raise SuppleError(f"{running.given} is for Zarr stores, and {shown(paths[0])} is none: leave it out")
     single = len(paths) == 2 and not _stands_for_several(paths[0]) and not holds_volumes(paths[0])
     if single and (
         is_volume_job(paths[0], paths[1], recipe, reading, grid=sampling["grid"]) or is_clip(paths[0], paths[1], recipe)
@@ -253,7 +270,7 @@ def _alone(console: Console, job: Job, do: Callable[[Job, bool], None], failed: 
         raise
 
 
-def _kept(recipe: Recipe, made: Warped | WarpedClip | WarpedVolume, world: bool) -> Recipe:
+def _kept(recipe: Recipe, made: Warped | WarpedClip | WarpedVolume | WarpedStore, world: bool) -> Recipe:
     """Return a recipe as it is saved: with the size that it is for, and what its points are."""
     size, space = recipe.size or made.deformation.shape[::-1], recipe.space or "pixels"
     if world:

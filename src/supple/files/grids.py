@@ -119,6 +119,10 @@ def reference_grid(path: PathLike, ndim: int) -> Grid:
     SuppleError
         If it cannot be read, or has another number of axes.
     """
+    from supple.media.stores import is_store
+
+    if is_store(path):
+        return _stored_grid(path, ndim)
     is_volume = volumes.is_volume(path) or (ndim == 3 and volumes.has_pages(path))
     suffix = volumes.suffix_of(path)
     if (is_volume != (ndim == 3) or suffix in CLIPS) and os.path.exists(path):
@@ -132,6 +136,20 @@ def reference_grid(path: PathLike, ndim: int) -> Grid:
     geometry, shape = volumes.place_of(path)
     warn_of_place(geometry, shown(path))
     return geometry.grid(shape)
+
+
+def _stored_grid(path: PathLike, ndim: int) -> Grid:
+    """Return the grid of a Zarr store: of a volume in millimetres, of a picture in pixels."""
+    from supple.media.stores import open_image
+
+    image = open_image(path)
+    if len(image.spatial) != ndim:
+        found, wanted = ("a picture", "volume") if ndim == 3 else ("a volume", "picture")
+        raise SuppleError(f"{shown(path)} is {found}, and the grid of a {wanted} is needed: name a {wanted}")
+    if ndim == 2:
+        return Grid([image.shape[axis] for axis in image.spatial])
+    warn_of_place(Geometry(convention="LPS" if image.placed else "array"), shown(path))
+    return image.grid
 
 
 def warn_of_place(geometry: Geometry, name: str) -> None:

@@ -138,6 +138,11 @@ class StoredImage:
         return Grid([one.array.shape[axis] for axis in self.spatial], scale, origin)
 
     @property
+    def placed(self) -> bool:
+        """Whether the axes of space have units, so that the grid is in millimetres."""
+        return any((self.axes[axis].unit or "").lower() not in _PIXELS for axis in self.spatial)
+
+    @property
     def spacing(self) -> tuple[float, ...]:
         """The distance between samples of the finest level, x first: millimetres, or 1.0 pixels without units."""
         return self.grid.spacing
@@ -245,7 +250,7 @@ def _multiscale(place: Place, group: Any, attributes: Mapping[str, Any], ndim: i
     axes = tuple(StoredAxis(a["name"], a["type"], a.get("unit") or None, a.get("orientation")) for a in told.axes)
     space = sum(axis.kind == "space" for axis in axes)
     if ndim is not None and ndim > space:
-        raise place.unreadable(f"its image has {space} axes of space", f"give ndim={space}, not {ndim}")
+        raise place.unreadable(f"its image has {space} axes of space", f"give at most {space} for ndim")
     levels: list[Level] = []
     for dataset in told.datasets:
         array = _array(place, group, dataset.path)

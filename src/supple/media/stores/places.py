@@ -178,6 +178,14 @@ class Place:
             raise self.unreadable("it is an unfinished output of Supple", "run the command that writes it again")
 
 
+def is_store(address: PathLike) -> bool:
+    """Return whether a name is that of a Zarr store: an address of fsspec, a folder with one, or ``NAME.zarr``."""
+    text = os.fspath(address)
+    if _protocol(text) or text.rstrip("/").lower().endswith(".zarr"):
+        return True
+    return any(os.path.isfile(os.path.join(text, name)) for name in ROOTS)
+
+
 def run(work: Coroutine[Any, Any, Any]) -> Any:
     """Return what a coroutine of a store returns."""
     from zarr.core.sync import sync

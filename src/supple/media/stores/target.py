@@ -148,6 +148,11 @@ class Target:
         ones = (1,) * len(self.image.axes)
         return (ones, *(tuple(axis.factor for axis in step) for step in self._steps))
 
+    @property
+    def site(self) -> Place:
+        """Where it is written until it is finished."""
+        return self._site
+
     def is_done(self, level: int, box: Box) -> bool:
         """Return whether all blocks of an aligned box are stored; none is decoded."""
         array = self.arrays[level]

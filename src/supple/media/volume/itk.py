@@ -116,6 +116,22 @@ def read_place(path: PathLike, form: str) -> tuple[Geometry, tuple[int, int, int
     return geometry_of(path, reader), (z, y, x)
 
 
+def read_kind(path: PathLike, form: str) -> tuple[tuple[int, ...], np.dtype[Any], bool]:
+    """Return the shape of the samples as `read` has them, their type, and whether they are a series, of the header."""
+    sitk = imported()
+    reader = sitk.ImageFileReader()
+    reader.SetFileName(os.fspath(path))
+    reader.SetImageIO(_LOADERS[form])
+    with failing(path, form):
+        reader.ReadImageInformation()
+    check_voxels(path, sitk, reader)
+    kind = _kind(sitk, reader)
+    letter = "f" if "float" in kind else "u" if "unsigned" in kind else "i"
+    sizes, components = tuple(reader.GetSize()), reader.GetNumberOfComponents()
+    shape = (*([1] if len(sizes) < 3 else []), *sizes[::-1], *([components] if components > 1 else []))
+    return shape, np.dtype(f"{letter}{int(re.findall(r'([0-9]+)-bit', kind)[0]) // 8}"), len(sizes) == 4
+
+
 def check_voxels(path: PathLike, sitk: Any, reader: Any) -> None:
     """Raise SuppleError for voxels that are not real numbers."""
     kind = _kind(sitk, reader)

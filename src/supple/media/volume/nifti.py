@@ -104,6 +104,16 @@ def read_place(path: PathLike) -> tuple[Geometry, tuple[int, int, int]]:
     return _geometry(path, first, header, (x, y, z), unit), (z, y, x)
 
 
+def read_kind(path: PathLike) -> tuple[tuple[int, ...], np.dtype[Any], bool]:
+    """Return the shape of the samples as `read` has them, their type, and whether they are a series, of the header."""
+    header, _ = _header(_pair(path)[0])
+    sizes, components, series = _axes(path, header)
+    colours = _COLOURS.get(int(header["datatype"]), 0)
+    after = (components,) if components > 1 else (colours,) if colours else ()
+    shape = sizes[::-1] if series else (*sizes[2::-1], *after)
+    return shape, _dtype(path, header).newbyteorder("="), series
+
+
 def _pair(path: PathLike) -> tuple[Path, Path]:
     """Return the files of the header and of the voxels, which may be the same."""
     file = Path(path)

@@ -1,0 +1,259 @@
+"""Commands on Zarr stores: how one is bent, and what a warp in blocks would read and write."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+from cyclopts import Group, Parameter
+
+from supple.cli.console import STREAM, Console, File, Terminated, about, as_options, current, one_line, say_convention
+from supple.cli.console import told as told_of
+from supple.cli.options import RUNNING, StrokeOptions, parse_fill, parse_number
+from supple.cli.options_maps import OTHERS, MapOptions, Maps, describe_grid, describe_map, grid_facts
+from supple.cli.options_stores import WorkerOptions
+from supple.cli.options_volume import VOLUME, VolumeArguments
+from supple.errors import SuppleError, shown
+
+if TYPE_CHECKING:
+    from supple.files.plans import Planned
+    from supple.files.stores import WarpedStore
+    from supple.files.tasks import Running
+    from supple.geometry import Grid
+    from supple.strokes import Recipe
+
+Outside = Literal["edge", "constant", "reflect"]
+SAMPLING = Group("Sampling", sort_key=2)
+
+_STROKES = StrokeOptions()
+_MAPS = MapOptions()
+_VOLUME = VolumeArguments()
+_WORKERS = WorkerOptions()
+_UNITS = ("bytes", "kB", "MB", "GB", "TB", "PB")
+
+
+def warp_stored(
+    console: Console, paths: Sequence[str], recipe: Recipe, maps: Maps, known: Mapping[str, Any], running: Running,
+    *, json: bool,
+) -> WarpedStore:  # fmt: skip
+    """Warp one store to another, as `supple warp` was asked to; ``known`` are the options of `warp_file`."""
+    from supple.files.stores import warp_store
+    from supple.progress import counted
+
+    source, target = _pair(paths)
+    check_known(source, known)
+    given = {key: known[key] for key in ("filter", "tolerance", "outside", "fill", "fit", "grid", "force")}
+    blocks: dict[str, tuple[int, int]] = {}
+
+    def tell(step: str, done: int, total: int) -> None:
+        blocks[step] = done, total
+        counts(step, done, total)
+
+    try:
+        with about(File(source, target)), counted(console.terminal, "blocks") as counts:
+            own = refer(console, source, recipe, maps, known)
+            made = warp_store(
+                source, target, recipe, **given, options=known["volume"], maps=maps.read(own), running=running,
+                tell=tell,
+            )  # fmt: skip
+    except (KeyboardInterrupt, Terminated):
+        if "warp" in blocks:
+            done, total = blocks["warp"]
+            console.goes_on = f"{done} of {total} blocks of {shown(target)} are written, the same command goes on"
+        raise
+    except SuppleError as error:
+        if json:
+            console.tell({"input": source, "output": target, "error": as_options(one_line(error))})
+        raise
+    if json:
+        used = {"maps": maps.facts(own)} if maps else {}
+        console.tell({**_facts(made), **used})
+    if made.done:
+        what = f"{made.done} of {made.blocks} blocks were there already"
+        console.note(f"{shown(target)}: {what}, of a job that was interrupted")
+    if made.grid is not None:
+        units = "mm" if made.geometry is not None and made.geometry.convention != "array" else "pixels"
+        console.note(f"{shown(target)} is written on {describe_grid(grid_facts(made.grid), units)}")
+    say_convention(console, known["volume"].world, made.geometry, source)
+    return made
+
+
+def refer(console: Console, source: str, recipe: Recipe, maps: Maps, known: Mapping[str, Any]) -> Grid | None:
+    """Return the grid of a store, where maps refer to it; tell of them."""
+    from supple.files.grids import grid_on
+    from supple.files.plans import medium_of, open_stored
+
+    if not maps:
+        return None
+    own = medium_of(open_stored(source, recipe, grid=known["grid"])).grid
+    read = maps.read(own)
+    own = medium_of(open_stored(source, recipe, maps=read, grid=known["grid"])).grid
+    grid_on(known["grid"], own, shown(source), maps.read(own))
+    maps.check_sizes(own, shown(source))
+    for facts in maps.facts(own):
+        console.note(describe_map(facts))
+    return own
+
+
+def _pair(paths: Sequence[str]) -> tuple[str, str]:
+    """Return the input and the output; SuppleError for more of them, or an output that is no store."""
+    from supple.files import is_media_name
+    from supple.media.stores import is_store
+
+    *sources, target = paths
+    if len(sources) > 1:
+        stored = next(path for path in sources if is_store(path))
+        raise SuppleError(f"{shown(stored)} is a Zarr store, and stores are bent one at a time: give one, and OUT")
+    if target == STREAM or is_media_name(target):
+        name = "standard output" if target == STREAM else shown(target)
+        raise SuppleError(
+            f"{shown(sources[0])} is a Zarr store, and becomes one, which {name} is not: name one, such as out.zarr"
+        )
+    return sources[0], target
+
+
+def check_known(source: str, known: Mapping[str, Any]) -> None:
+    """Raise SuppleError for an option that does not apply to stores; the message names it."""
+    from dataclasses import fields
+
+    from supple.files.clips import ClipOptions
+
+    wrong = [f"--{name.replace('_', '-')}" for name in ("linear_light", "quality", "lossless") if known.get(name)]
+    if known.get("clamp") is not None:
+        wrong.append("--clamp" if known["clamp"] else "--no-clamp")
+    clip, usual = known.get("clip") or ClipOptions(), ClipOptions()
+    names = [each.name for each in fields(clip) if getattr(clip, each.name) != getattr(usual, each.name)]
+    wrong += ["--" + {"rate": "fps"}.get(name, name).replace("_", "-") for name in names]
+    volume = known["volume"]
+    for option, value in (("--save-field", volume.save_field), ("--series", volume.series), ("--shape", volume.layout)):
+        wrong += [option] if value is not None else []
+    if known.get("device", "cpu") not in ("cpu", "auto"):
+        wrong.append(f"--device {known['device']}")
+    if wrong:
+        raise SuppleError(f"{wrong[0]} is not for Zarr stores, and {shown(source)} is one: leave it out")
+
+
+def _facts(made: WarpedStore) -> dict[str, Any]:
+    grid = made.grid or made.deformation.grid
+    facts: dict[str, Any] = {
+        "input": made.source,
+        "output": made.target,
+        **dict(zip(("width", "height", "depth"), grid.sizes, strict=False)),
+        "shape": list(made.shape),
+        "levels": made.levels,
+        "blocks": made.blocks,
+        "done": made.done,
+        "copied": made.copied,
+        "read": made.read,
+        "spacing": list(grid.spacing),
+        "tolerance": made.tolerance,
+        "error": made.error if math.isfinite(made.error) else None,
+        **told_of(made.deformation),
+    }
+    if made.grid is not None:
+        facts["grid"] = grid_facts(made.grid)
+    if made.deformation.maps:
+        facts |= {"folded": made.folded, "outside": made.outside, "unsolved": made.unsolved}
+    return facts
+
+
+def plan(
+    source: Annotated[str, Parameter(name="IN")],
+    /,
+    *,
+    strokes: StrokeOptions = _STROKES,
+    maps: MapOptions = _MAPS,
+    filter: Annotated[str, Parameter(group=SAMPLING, metavar="auto|cubic|linear|nearest")] = "auto",
+    outside: Annotated[Outside, Parameter(group=SAMPLING)] = "edge",
+    fill: Annotated[str | None, Parameter(group=SAMPLING, metavar="V", allow_leading_hyphen=True)] = None,
+    tolerance: Annotated[str, Parameter(group=SAMPLING, metavar="PX", allow_leading_hyphen=True)] = "0.01",
+    labels: Annotated[bool, Parameter(group=VOLUME)] = False,
+    volume: VolumeArguments = _VOLUME,
+    workers: WorkerOptions = _WORKERS,
+    json: Annotated[bool, Parameter(group=RUNNING)] = False,
+    quiet: Annotated[bool, Parameter(group=RUNNING)] = False,
+    threads: Annotated[int | None, Parameter(group=RUNNING, metavar="N", allow_leading_hyphen=True)] = None,
+) -> None:
+    """Tell what a warp in blocks would read and write, without reading a sample.
+
+    Parameters
+    ----------
+    source
+        A Zarr array or an OME-Zarr image, a volume, or a picture.
+    filter
+        Interpolation, as of warp.
+    outside
+        What to show beyond the edges of the input, as of warp.
+    fill
+        Fill value of --outside constant.
+    tolerance
+        Largest allowed error of the inverse map, in pixels.
+    labels
+        The input is a label map, as of warp.
+    json
+        Print one JSON object to standard output.
+    quiet
+        Print no warnings and no progress bar.
+    threads
+        Number of threads (default: all cores).
+    """
+    from dataclasses import asdict
+
+    from supple.files import grid_of
+    from supple.files.plans import plan_file
+    from supple.media.stores import is_store
+    from supple.progress import counted
+
+    console = current()
+    console.started(quiet=quiet, threads=threads, file=source)
+    recipe = strokes.to_recipe(world=volume.world, empty=maps.any or maps.dangling, others=OTHERS)
+    elements = maps.to_maps(console.arguments, len(recipe.strokes) - len(strokes.grab), len(strokes.grab))
+    if fill is not None and outside != "constant":
+        raise SuppleError(f"--fill is the constant of --outside constant, and --outside is {outside}: give both")
+    known: dict[str, Any] = {"volume": volume.to_reading(labels=labels), "grid": maps.to_grid()}
+    own = None
+    if elements and is_store(source):
+        own = refer(console, source, recipe, elements, known)
+    elif elements:
+        own = grid_of(source, source, recipe, volume=known["volume"], grid=known["grid"])
+    exact = parse_number("--tolerance", tolerance, "a number of pixels above 0")
+    with counted(console.terminal, "blocks") as tell:
+        found = plan_file(
+            source,
+            recipe,
+            filter=filter,
+            tolerance=exact,
+            outside=outside,
+            fill=parse_fill("0" if fill is None else fill),
+            options=known["volume"],
+            fit=strokes.to_fit(),
+            maps=elements.read(own) if elements else (),
+            grid=known["grid"],
+            running=workers.to_running(),
+            tell=tell,
+        )
+    if json:
+        facts = {"file": source, **asdict(found)}
+        console.tell({**facts, "error": found.error if math.isfinite(found.error) else None})
+    else:
+        print(_described(source, found))
+
+
+def _described(name: str, found: Planned) -> str:
+    each = " x ".join(map(str, found.block))
+    work = f"{found.copied} of them copies ({bytes_of(found.copied_bytes)})" if found.copied else "none of them a copy"
+    lines = {
+        "output": f"{' x '.join(map(str, found.shape))} {found.dtype}, {bytes_of(found.size)} with all levels, decoded",
+        "blocks": f"{found.blocks} of {each}, {work}",
+        "to read": f"{bytes_of(found.read)}, decoded",
+        "memory": f"{bytes_of(found.memory)} of a worker, for {found.tasks} blocks at a time",
+        "error": f"{found.error:.2g} px",
+    }
+    return "\n".join([f"{shown(name)}:", *(f"  {key:<12}{value}" for key, value in lines.items())])
+
+
+def bytes_of(count: float) -> str:
+    """Return a number of bytes, in words."""
+    power = min(int(math.log(max(count, 1), 1000)), len(_UNITS) - 1)
+    return f"{count} bytes" if power == 0 else f"{count / 1000**power:.3g} {_UNITS[power]}"

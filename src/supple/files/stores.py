@@ -1,0 +1,360 @@
+"""Zarr stores warped block by block: arrays larger than memory, on threads, processes or a cluster."""
+
+from __future__ import annotations
+
+import hashlib
+import itertools
+import json
+import math
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from supple.blocks import Block, Box, Warp, boxes_of
+from supple.deformation import Deformation, Report
+from supple.engines.base import Certificate, warn_of
+from supple.errors import SuppleError, shown
+from supple.fields import Field, Placed, folds_of, only_name
+from supple.files import plans
+from supple.files.grids import GridOptions
+from supple.files.plans import Medium, check_options, chunks_of, medium_of, open_stored, plan_boxes, task_shape, warp_on
+from supple.files.tasks import Runner, Running, check_shared, runner_of
+from supple.files.volumes import VolumeOptions
+from supple.geometry import Geometry, Grid
+from supple.media.files import check_store, unwritable
+from supple.media.stores import Place, StoredImage, Target, create
+from supple.pipeline import Tell
+from supple.strokes import Fit, Recipe
+
+PathLike = str | os.PathLike[str]
+
+_AT_ONCE = 4096  # tasks that wait at a time, each of which takes a few kilobytes
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WarpedStore:
+    """A Zarr store that was written.
+
+    Parameters
+    ----------
+    source, target : str
+        The addresses of the input and the output.
+    deformation : Deformation
+        The strokes, on the shape along the axes of space.
+    geometry : Geometry or None
+        The place of the voxels in space; None of a picture.
+    tolerance : float
+        The largest distance of a source point from T⁻¹(q), in samples.
+    error : float
+        The error estimate from the checks of the map, of the blocks that were planned.
+    shape : tuple of int
+        The shape of the output, of all axes.
+    levels : int
+        The number of its levels.
+    blocks : int
+        The number of blocks of the finest level.
+    done : int
+        Blocks that were there already, from a job that was interrupted.
+    copied : int
+        Blocks whose chunks were copied as they were compressed.
+    read : int
+        Bytes of samples that were read, decoded, and of chunks that were copied.
+    grid : Grid, optional
+        The grid of the output, if it is not that of the input.
+    folded, outside, unsolved : int
+        As in `supple.files.Warped`.
+    """
+
+    source: str
+    target: str
+    deformation: Deformation
+    geometry: Geometry | None
+    tolerance: float
+    error: float
+    shape: tuple[int, ...]
+    levels: int
+    blocks: int
+    done: int
+    copied: int
+    read: int
+    grid: Grid | None = None
+    folded: int = 0
+    outside: int = 0
+    unsolved: int = 0
+
+    def report(self) -> Report:
+        """Return the report on the strokes and the certified error, measured at every sample; this is slow."""
+        return self.deformation.report(tolerance=self.tolerance, grid=self.grid)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Work:
+    """What all tasks of a job share: a few kilobytes, and the fields of the map."""
+
+    image: StoredImage
+    target: Target
+    warp: Warp
+
+    @property
+    def carried(self) -> int:
+        """The number of axes that are carried along."""
+        return len(self.image.axes) - len(self.image.spatial)
+
+
+@dataclass(slots=True)
+class _Counts:
+    done: int = 0
+    copied: int = 0
+    read: int = 0
+    certificate: Certificate = field(default_factory=lambda: Certificate(0.0, 0.0))
+
+
+def warp_store(
+    source: PathLike,
+    target: PathLike,
+    recipe: Recipe,
+    *,
+    filter: str = "auto",
+    tolerance: float = 0.01,
+    outside: str = "edge",
+    fill: float | Sequence[float] = 0.0,
+    force: bool = False,
+    options: VolumeOptions | None = None,
+    fit: Fit | None = None,
+    maps: Sequence[Placed] = (),
+    grid: GridOptions | None = None,
+    running: Running | None = None,
+    tell: Tell = lambda step, done, total: None,
+) -> WarpedStore:
+    """Warp a Zarr array or an OME-Zarr image to another, block by block.
+
+    The output is of the input's format: chunks, shards, codecs, levels and metadata. Each task reads the part of the
+    input that its block needs; blocks that no stroke reaches are copied as they are compressed. If the work is
+    interrupted, the same call goes on with it. The result equals that of `Deformation.warp`, bit for bit.
+
+    Parameters
+    ----------
+    source, target : str or os.PathLike
+        Folders, or addresses that fsspec knows (``s3://``, ``gs://``, ``memory://``, ...). What has two axes of space
+        is a picture, in pixels; three are a volume, in millimetres where its axes have units. Other axes are carried
+        along. If strokes have points of two numbers, the planes of a volume are pictures.
+    recipe, filter, tolerance, outside, fill, force, fit, maps, grid
+        As in `warp_file`.
+    options : VolumeOptions, optional
+        ``world`` and ``labels``.
+    running : Running, optional
+        Where the tasks run: by default, on threads of this process.
+    tell : function of (str, int, int)
+        Called with ``"plan"``, ``"warp"`` and ``"reduce"``, and the finished and the total number of blocks.
+
+    Returns
+    -------
+    WarpedStore
+
+    Raises
+    ------
+    SuppleError
+        If the source cannot be read or a chunk of it not decoded, the target exists or cannot be written, an option
+        does not fit, or workers are lost. What is written stays, and the same call goes on.
+    """
+    known, where = options or VolumeOptions(), running or Running()
+    check_options(known)
+    if where.elsewhere:
+        check_shared((source, target))
+    folder = Place(target).folder
+    if folder is not None:
+        check_store(folder if "://" in os.fspath(target) else target, force=force)  # before workers are started
+    image = open_stored(source, recipe, maps=maps, grid=grid)
+    medium = medium_of(image)
+    warp = warp_on(
+        medium, recipe, filter=filter, tolerance=tolerance, outside=outside, fill=fill, options=known, fit=fit,
+        maps=maps, grid=grid,
+    )  # fmt: skip
+    placement = _placement(image, medium, warp.grid, target)
+    job = _job(image, warp, recipe, known)
+    begun = _is_begun(target)
+    with runner_of(where) as runner:
+        made = create(target, image, force=force, job=job, **placement)
+        work = Work(image, made, warp)
+        counts, blocks = _write_blocks(work, runner, tell, maps, begun)
+        _write_levels(work, runner, tell, "nearest" if known.labels else "mean")
+    made.finish()
+    found = counts.certificate
+    return WarpedStore(
+        os.fspath(source), os.fspath(target), warp.deformation, medium.geometry, tolerance, found.error,
+        tuple(made.arrays[0].shape), len(made.arrays), blocks, counts.done, counts.copied, counts.read, warp.grid,
+        found.folded, found.outside, found.unknown,
+    )  # fmt: skip
+
+
+def _placement(image: StoredImage, medium: Medium, grid: Grid | None, target: PathLike) -> dict[str, Any]:
+    """Return the shape of an output on another grid, and its scale and translation, in array order."""
+    if grid is None:
+        return {}
+    if not image.version:
+        return {"shape": grid.shape}
+    own, n = medium.grid, grid.ndim
+    if not np.allclose(grid.direction, own.direction, atol=1e-6):
+        raise unwritable(
+            target,
+            "the axes of its grid are turned against those of the input, which scales and translations cannot say",
+            "give a reference whose axes are parallel to them, or resample it first",
+        )
+    if grid.uncropped().is_same_space(own):
+        first, steps = np.array(grid.first, float), np.ones(n)
+    else:
+        first, steps = own.indices(grid.origin), np.divide(grid.spacing, own.spacing)
+    level, axes = image.levels[0], list(image.spatial)
+    scale, translation = np.array(level.scale), np.array(level.translation)
+    translation[axes] += scale[axes] * first[::-1]
+    scale[axes] *= steps[::-1]
+    return {"shape": grid.shape, "scale": scale.tolist(), "translation": translation.tolist()}
+
+
+def _job(image: StoredImage, warp: Warp, recipe: Recipe, options: VolumeOptions) -> str:
+    """Return what identifies the work: the input, the recipe and all options that change a sample."""
+    folder = Place(image.address).folder
+    address = image.address if folder is None else str(folder)
+    deformation, grid = warp.deformation, warp.deformation.grid if warp.grid is None else warp.grid
+    told = {
+        "shape": image.shape,
+        "type": str(image.dtype),
+        "space": len(image.spatial),
+        "recipe": recipe.to_json(),
+        "size": deformation.shape,
+        "sampling": repr(warp.sampling),
+        "options": repr(options),
+        "grid": [grid.shape, grid.spacing, grid.origin, grid.direction, grid.first],
+    }
+    digest = hashlib.sha256(json.dumps(told, sort_keys=True, default=float).encode())
+    for each in deformation.maps:
+        held = each.map
+        digest.update(repr((each.inverse, each.after)).encode())
+        if isinstance(held, Field):
+            digest.update(repr((held.grid, held.interpolation, held.beyond)).encode())
+            digest.update(held.values.data)
+        else:
+            digest.update(np.ascontiguousarray(held.matrix).data)
+    return f"warp {address}, {digest.hexdigest()}"
+
+
+def _is_begun(target: PathLike) -> bool:
+    """Return whether some blocks may be there. Of a new output none is asked for, which takes a request each."""
+    place = Place(target)
+    folder = place.folder
+    return place.job() is not None if folder is None else os.path.lexists(f"{os.path.realpath(folder)}.partial")
+
+
+def _write_blocks(work: Work, runner: Runner, tell: Tell, maps: Sequence[Placed], begun: bool) -> tuple[_Counts, int]:
+    """Write the finest level; return what was done, and the number of blocks."""
+    carried, target = work.carried, work.target
+    shape = tuple(target.arrays[0].shape)
+    task = task_shape(target.block, shape, work.image.dtype.itemsize, carried, runner.slots)
+    chunks = chunks_of(task, shape)
+    leads = list(boxes_of(chunks[:carried]))
+    total = math.prod(map(len, chunks))
+    counts, ready = _Counts(), 0
+    planned, certificate = 0, Certificate(0.0, 0.0)
+    boxes_total = total // len(leads)
+
+    def advance() -> None:
+        nonlocal ready
+        ready += 1
+        tell("warp", ready, total)
+
+    tell("warp", 0, total)
+    for portion in plans.portions(plans.layers(chunks[carried:])):
+        wanted = portion
+        if begun:
+            there = runner.each(_is_there, work, [(layer, leads) for layer in portion], lambda: None)
+            wanted = [layer for layer, done in zip(portion, there, strict=True) if not done]
+            there_already = (sum(map(len, portion)) - sum(map(len, wanted))) * len(leads)
+            counts.done += there_already
+            ready += there_already
+        boxes = list(itertools.chain.from_iterable(wanted))
+        planned += sum(map(len, portion))
+        blocks: list[Block] = []
+        if boxes:
+            blocks, found = plan_boxes(work.warp, boxes, runner)
+            certificate |= found
+        tell("plan", planned, boxes_total)
+        if planned == boxes_total:  # before the rest is written, if warnings are errors
+            warn_of(certificate, work.warp.sampling.tolerance, 4, folds_of(maps), only_name(maps))
+        items = itertools.product(leads, blocks)
+        while some := list(itertools.islice(items, _AT_ONCE)):
+            for done, copied, read in runner.each(_warp_block, work, some, advance):
+                counts.done += done
+                counts.copied += copied
+                counts.read += read
+    counts.certificate = certificate
+    return counts, total
+
+
+def _is_there(work: Work, item: tuple[list[Box], list[Box]]) -> bool:
+    """Return whether all blocks of a layer are stored."""
+    layer, leads = item
+    return all(work.target.is_done(0, (*lead, *box)) for box in layer for lead in leads)
+
+
+def _warp_block(work: Work, item: tuple[Box, Block]) -> tuple[bool, bool, int]:
+    """Write a block; return whether it was there, whether it was copied, and the bytes that were read."""
+    lead, block = item
+    image, target, source = work.image, work.target, work.image.levels[0]
+    _check_seen(image.address, target)
+    box = (*lead, *block.box)
+    if target.is_done(0, box):
+        return True, False, 0
+    if block.identity and block.part == block.box:
+        count = target.copy(0, box, source)
+        if count is not None:
+            return False, True, count
+    place = Place(image.address)
+    with place.reading(f"samples of it cannot be decoded, at {_told((*lead, *block.part))}"):
+        part = np.asarray(source.array[tuple(slice(*each) for each in (*lead, *block.part))])
+    made, _ = work.warp.along(part, block, work.carried)
+    target.write(0, box, made)
+    return False, False, part.nbytes
+
+
+def _told(box: Box) -> str:
+    return ", ".join(f"{a}:{b}" for a, b in box)
+
+
+def _check_seen(address: str, target: Target) -> None:
+    """Raise SuppleError on a worker that does not see the folders: to Zarr, it looks like a store of fill values."""
+    for name, place in ((address, Place(address)), (target.address, target.site)):
+        if place.folder is not None and not place.folder.is_dir():
+            raise SuppleError(
+                f"a worker does not see {shown(name)}: give addresses that all workers reach, and start them where "
+                "these are"
+            )
+
+
+def _write_levels(work: Work, runner: Runner, tell: Tell, mode: str) -> None:
+    """Write the coarser levels, one after the other."""
+    target = work.target
+    levels = []
+    for level in range(1, len(target.arrays)):
+        shape = tuple(target.arrays[level].shape)
+        limit = max(1, plans.TASK // math.prod(target.factors[level]))
+        task = task_shape(target.blocks[level], shape, work.image.dtype.itemsize, work.carried, runner.slots, limit)
+        levels.append([(level, box, mode) for box in boxes_of(chunks_of(task, shape))])
+    total, ready = sum(map(len, levels)), 0
+
+    def advance() -> None:
+        nonlocal ready
+        ready += 1
+        tell("reduce", ready, total)
+
+    for items in levels:
+        runner.each(_reduce_block, work, items, advance)
+
+
+def _reduce_block(work: Work, item: tuple[int, Box, Any]) -> None:
+    level, box, mode = item
+    _check_seen(work.image.address, work.target)
+    if not work.target.is_done(level, box):
+        work.target.reduce(level, box, mode)

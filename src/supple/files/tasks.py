@@ -1,0 +1,275 @@
+"""Tasks of one job, done by Dask: on threads here, on processes of this machine, or on a cluster."""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import logging
+import os
+import pickle
+import signal
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol, TypeVar
+
+from supple.domain import refuse
+from supple.engines.workers import threads
+from supple.errors import SuppleError, need
+
+Job = TypeVar("Job")
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+Advance = Callable[[], None]
+
+_PATIENCE = 10  # seconds until a scheduler has answered
+
+
+@dataclass(frozen=True, slots=True)
+class Running:
+    """Where the tasks of a job run; by default, on threads of this process.
+
+    Parameters
+    ----------
+    workers : int, optional
+        The number of processes on this machine.
+    scheduler : str, optional
+        The address of the scheduler of a cluster of Dask, such as ``tcp://node1:8786``.
+
+    Raises
+    ------
+    SuppleError
+        If both are given, or one is invalid.
+    """
+
+    workers: int | None = None
+    scheduler: str | None = None
+
+    def __post_init__(self) -> None:
+        given: object = self.workers  # user input of any type
+        if given is not None and (not isinstance(given, int) or isinstance(given, bool) or given < 1):
+            refuse("workers", "a number of processes from 1", given)
+        if self.workers is not None and self.scheduler is not None:
+            raise SuppleError("workers are processes of this machine, and scheduler is another's: give one of them")
+
+    @property
+    def elsewhere(self) -> bool:
+        """Whether tasks run in other processes."""
+        return self.workers is not None or self.scheduler is not None
+
+
+class Runner(Protocol):
+    """What does tasks."""
+
+    @property
+    def slots(self) -> int:
+        """The number of tasks that run at a time."""
+        ...
+
+    def each(
+        self, function: Callable[[Job, Item], Result], job: Job, items: Sequence[Item], advance: Advance
+    ) -> list[Result]:
+        """Compute a function of the job and of each item; ``advance`` is called whenever one is done."""
+        ...
+
+
+@contextlib.contextmanager
+def runner_of(running: Running) -> Iterator[Runner]:
+    """Return what does the tasks of a job.
+
+    Raises
+    ------
+    SuppleError
+        If Dask is not installed, or the scheduler does not answer.
+    """
+    need("zarr", "outputs that are written block by block", "dask")
+    if not running.elsewhere:
+        yield _Threads()
+        return
+    need("zarr", "workers", "distributed")
+    with contextlib.ExitStack() as stack:
+        stack.enter_context(_quiet())
+        if running.scheduler is None:
+            yield stack.enter_context(_processes(running.workers or 1))
+        else:
+            yield stack.enter_context(_cluster(running.scheduler))
+
+
+@contextlib.contextmanager
+def _quiet() -> Iterator[None]:
+    """Keep Dask from telling of what goes wrong: it becomes one sentence."""
+    _distributed()  # which sets levels when it is imported
+    loggers = [logging.getLogger(name) for name in logging.root.manager.loggerDict if name.startswith("distributed")]
+    before = [one.level for one in loggers]
+    for one in loggers:
+        one.setLevel(logging.CRITICAL)
+    try:
+        yield
+    finally:
+        for one, level in zip(loggers, before, strict=True):
+            one.setLevel(level)
+
+
+class _Threads:
+    """Threads of this process."""
+
+    @property
+    def slots(self) -> int:
+        return threads()
+
+    def each(
+        self, function: Callable[[Job, Item], Result], job: Job, items: Sequence[Item], advance: Advance
+    ) -> list[Result]:
+        import dask.threaded
+        from dask.callbacks import Callback
+
+        # without arguments, since Dask would look for its own tasks in them
+        graph = {("supple", k): (functools.partial(function, job, item),) for k, item in enumerate(items)}
+        if not graph:
+            return []
+        with Callback(posttask=lambda *rest: advance()):  # type: ignore[no-untyped-call]
+            return list(dask.threaded.get(graph, list(graph), num_workers=self.slots))
+
+
+class _Distributed:
+    """Workers of a cluster."""
+
+    def __init__(self, client: Any, told: str) -> None:
+        self._client, self._told = client, told
+        self._held: dict[int, tuple[object, Any]] = {}
+
+    @property
+    def slots(self) -> int:
+        return max(1, int(sum(self._client.nthreads().values())))
+
+    def each(
+        self, function: Callable[[Job, Item], Result], job: Job, items: Sequence[Item], advance: Advance
+    ) -> list[Result]:
+        if not items:
+            return []
+        futures: list[Any] = []
+        with self._failing():
+            try:
+                if id(job) not in self._held:
+                    # a task, not data: where its worker is lost, it is done again
+                    self._held[id(job)] = job, self._client.submit(pickle.loads, pickle.dumps(job), pure=False)
+                held = self._held[id(job)][1]
+                futures = self._client.map(_swapped, list(items), function=function, job=held, pure=False)
+                for future in _distributed().as_completed(futures):
+                    if future.status != "finished":
+                        future.result()  # which raises its error
+                    advance()
+                return list(self._client.gather(futures))
+            except BaseException:
+                with contextlib.suppress(Exception):
+                    self._client.cancel(futures, force=True)
+                raise
+
+    @contextlib.contextmanager
+    def _failing(self) -> Iterator[None]:
+        """Convert errors of the cluster to one sentence; those of tasks that are one already stay."""
+        from asyncio import CancelledError
+        from concurrent.futures import CancelledError as Cancelled
+
+        try:
+            yield
+        except SuppleError:
+            raise
+        except _distributed().KilledWorker as error:
+            raise SuppleError(
+                f"{self._told} ended again and again at the same block, as they do when their memory is full: give "
+                "fewer workers, or workers with more memory; the same command goes on"
+            ) from error
+        except (ImportError, AttributeError) as error:
+            raise SuppleError(
+                f"{self._told} cannot do this ({_said(error)}): install the same versions of Supple and of its "
+                "packages there"
+            ) from error
+        except (OSError, CancelledError, Cancelled) as error:
+            raise SuppleError(
+                f"{self._told} were lost ({_said(error)}): start them again; the same command goes on"
+            ) from error
+
+
+def _swapped(item: Item, *, function: Callable[[Job, Item], Result], job: Job) -> Result:
+    return function(job, item)
+
+
+@contextlib.contextmanager
+def _processes(count: int) -> Iterator[Runner]:
+    distributed = _distributed()
+    # Each process has its share of the cores: tasks side by side, since chunks are decoded by one thread each.
+    share = max(1, round(threads() / count))
+    with _ignored():
+        cluster = distributed.LocalCluster(
+            n_workers=count, threads_per_worker=share, processes=True, dashboard_address=None,
+            silence_logs=logging.CRITICAL, env={"SUPPLE_THREADS": str(share)}, preload=[__name__],
+        )  # fmt: skip
+    try:
+        client = distributed.Client(cluster, timeout=_PATIENCE)
+        try:
+            yield _Distributed(client, "the processes that work")
+        finally:
+            with contextlib.suppress(Exception):
+                client.close(timeout=_PATIENCE)
+    finally:
+        with contextlib.suppress(Exception):
+            cluster.close(timeout=_PATIENCE)
+
+
+@contextlib.contextmanager
+def _ignored() -> Iterator[None]:
+    """Let no interrupt reach what is started here: a terminal sends it to all processes, and this one ends them."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)  # which processes inherit
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+def dask_setup(worker: object) -> None:
+    """Ignore interrupts in a process that has taken the place of one that ended; Dask calls this by its name."""
+    with contextlib.suppress(ValueError):  # not the main thread
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+@contextlib.contextmanager
+def _cluster(address: str) -> Iterator[Runner]:
+    try:
+        client = _distributed().Client(address, timeout=_PATIENCE)
+    except (OSError, ValueError, TypeError, ImportError) as error:
+        raise SuppleError(
+            f"the scheduler {address} does not answer ({_said(error)}): check the address, as tcp://HOST:8786, and "
+            "that it runs"
+        ) from error
+    try:
+        if not client.nthreads():
+            raise SuppleError(f"the scheduler {address} has no workers: start some (dask worker {address})")
+        yield _Distributed(client, f"the workers of {address}")
+    finally:
+        with contextlib.suppress(Exception):
+            client.close(timeout=_PATIENCE)
+
+
+def check_shared(addresses: Sequence[str | os.PathLike[str]]) -> None:
+    """Raise SuppleError for a store that other processes do not see."""
+    for address in addresses:
+        if os.fspath(address).partition("://")[0].lower() == "memory":
+            raise SuppleError(
+                f"{os.fspath(address)} is in the memory of this process, which workers do not see: name a folder or a "
+                "bucket"
+            )
+
+
+def _distributed() -> Any:
+    """Return the module, which is imported only where it is used."""
+    import distributed
+
+    return distributed
+
+
+def _said(error: BaseException) -> str:
+    return (str(error).splitlines() or [""])[0] or type(error).__name__

@@ -1,0 +1,189 @@
+"""Zarr stores on the command line: bent, planned, described, interrupted and refused."""
+
+from __future__ import annotations
+
+import json
+import os
+import resource
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+zarr = pytest.importorskip("zarr")
+pytest.importorskip("dask")
+
+from supple import Recipe, Stroke  # noqa: E402
+from supple.files.stores import warp_store  # noqa: E402
+from tests.children import HEARING, SOURCE  # noqa: E402
+from tests.cli.commands import Run, one_line  # noqa: E402
+
+FLAT = ("--grab", "14,12:17,14", "--radius", "5")
+DEEP = ("--grab", "14,12,4:16,13,5", "--radius", "3")
+
+
+def store(name: str, shape: tuple[int, ...], chunk: int = 16, **more: object) -> None:
+    values = np.random.default_rng(0).integers(0, 200, shape).astype(np.uint16)
+    zarr.create_array(name, data=values, chunks=tuple(min(chunk, size) for size in shape), **more)
+
+
+def test_a_store_is_bent(run: Run) -> None:
+    store("in.zarr", (40, 48))
+    status, out, err = run("warp", "in.zarr", "out.zarr", *FLAT, "--json", "--save-recipe", "strokes.json")
+    assert (status, err) == (0, "")
+    facts = json.loads(out)
+    assert (facts["width"], facts["height"], facts["shape"]) == (48, 40, [40, 48])
+    assert facts["blocks"] >= 1
+    assert facts["done"] == 0
+    stroke = Stroke.grab((14, 12), to=(17, 14), radius=5)
+    warp_store("in.zarr", "same.zarr", Recipe(strokes=[stroke]))
+    assert np.array_equal(zarr.open("out.zarr")[...], zarr.open("same.zarr")[...])
+    assert run("warp", "in.zarr", "again.zarr", "--recipe", "strokes.json")[0] == 0
+    assert np.array_equal(zarr.open("again.zarr")[...], zarr.open("same.zarr")[...])
+
+
+def test_maps_and_parts(run: Run) -> None:
+    store("in.zarr", (40, 48))
+    line = ("--affine", "1,0,3,0,1,2", "--crop", "4,5,20,30", "--filter", "nearest")
+    status, _, err = run("warp", "in.zarr", "out.zarr", *line)
+    assert status == 0, err
+    assert "20 x 30 samples" in err
+    assert np.array_equal(zarr.open("out.zarr")[...], zarr.open("in.zarr")[7:37, 7:27])
+    status, _, err = run("warp", "in.png", "same.png", "--affine", "1,0,3,0,1,2", "--reference", "out.zarr", "--quiet")
+    assert status == 0, err
+
+
+def test_a_plan_reads_no_sample(run: Run) -> None:
+    store("in.zarr", (64, 96))
+    for chunk in Path("in.zarr/c").rglob("*"):
+        if chunk.is_file():
+            chunk.write_bytes(b"nothing that is decoded")
+    status, out, err = run("plan", "in.zarr", *FLAT)
+    assert (status, err) == (0, "")
+    for word in ("output", "blocks", "copies", "to read", "memory"):
+        assert word in out
+    status, out, _ = run("plan", "in.zarr", *FLAT, "--crop", "0,0,32,32", "--workers", "1", "--json")
+    facts = json.loads(out)
+    assert (status, facts["shape"], facts["size"], facts["dtype"]) == (0, [32, 32], 2048, "uint16")
+    assert run("plan", "in.png", *FLAT)[0] == 0
+    assert "nothing to do" in one_line(run("plan", "in.png")[2])
+    assert sorted(os.listdir()) == ["in.png", "in.zarr"]
+
+
+def test_a_store_is_described(run: Run) -> None:
+    store("in.zarr", (3, 40, 48), shards=(3, 32, 32))
+    status, out, _ = run("info", "in.zarr")
+    assert status == 0
+    for word in ("Zarr array", "3 x 40 x 48", "uint16", "in chunks of 3 x 16 x 16, in shards of 3 x 32 x 32"):
+        assert word in out
+    status, out, _ = run("info", "in.zarr", "--json")
+    facts = json.loads(out)
+    assert (facts["kind"], facts["shape"], facts["units"]) == ("store", [3, 40, 48], "pixels")
+    assert facts["levels"][0]["shards"] == [3, 32, 32]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("in.zarr", "in.zarr", *FLAT), ("in.zarr", "exists", "--force")),
+        (("in.zarr", "there.zarr", *FLAT), ("there.zarr exists already", "--force")),
+        (("in.zarr", "in.zarr", "out.zarr", *FLAT), ("one at a time",)),
+        (("in.zarr", "out.png", *FLAT), ("in.zarr", "out.png", "out.zarr")),
+        (("in.zarr", "-", *FLAT), ("standard output",)),
+        (("none.zarr", "out.zarr", *FLAT), ("none.zarr", "no such folder")),
+        (("in.zarr", "out.zarr", *DEEP), ("in.zarr is a picture", "two numbers")),
+        (("in.zarr", "out.zarr", *FLAT, "--quality", "9"), ("--quality is not for Zarr stores",)),
+        (("in.zarr", "out.zarr", *FLAT, "--lossless"), ("--lossless is not for Zarr stores",)),
+        (("in.zarr", "out.zarr", *FLAT, "--linear-light"), ("--linear-light is not for Zarr stores",)),
+        (("in.zarr", "out.zarr", *FLAT, "--clamp"), ("--clamp is not for Zarr stores",)),
+        (("in.zarr", "out.zarr", *FLAT, "--no-clamp"), ("--no-clamp is not for Zarr stores",)),
+        (("in.zarr", "out.zarr", *FLAT, "--between", "cubic"), ("--between is not for Zarr stores",)),
+        (("in.zarr", "out.zarr", *FLAT, "--time-scale", "2"), ("--time-scale is not for Zarr stores",)),
+        (("in.zarr", "out.zarr", *FLAT, "--fps", "2"), ("--fps is not for Zarr stores",)),
+        (("in.zarr", "out.zarr", *FLAT, "--save-field", "f.nii"), ("--save-field is not for Zarr stores",)),
+        (("in.zarr", "out.zarr", *FLAT, "--series", "2"), ("--series is not for Zarr stores",)),
+        (("in.zarr", "out.zarr", *FLAT, "--world"), ("--world is for volumes",)),
+        (("in.zarr", "out.zarr", *FLAT, "--fill", "3"), ("--outside constant",)),
+        (("in.zarr", "out.zarr", *FLAT, "--workers", "0"), ("--workers must be",)),
+        (("in.zarr", "out.zarr", *FLAT, "--workers", "1", "--scheduler", "tcp://a:1"), ("give one of them",)),
+        (("in.zarr", "out.zarr", *FLAT, "--scheduler", "nowhere"), ("nowhere does not answer",)),
+        (("memory://none/in.zarr", "out.zarr", *FLAT, "--workers", "2"), ("memory of this process",)),
+        (("in.png", "out.png", *FLAT, "--workers", "2"), ("--workers is for Zarr stores, and in.png is none",)),
+        (("in.zarr", "out.zarr", *FLAT, "--crop", "0,0,99,99"), ("--crop must be within",)),
+        (("in.zarr", "missing/out.zarr", *FLAT), ("missing",)),
+    ],
+)
+def test_refusals_are_one_line_and_leave_nothing(run: Run, arguments: tuple[str, ...], words: tuple[str, ...]) -> None:
+    store("in.zarr", (40, 48))
+    store("there.zarr", (4, 4))
+    before = sorted(os.listdir())
+    status, out, err = run("warp", *arguments)
+    assert (status, out) == (2, "")
+    for word in words:
+        assert word in one_line(err)
+    assert sorted(os.listdir()) == before
+
+
+def test_without_dask(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    from supple.errors import SuppleError
+    from supple.files import tasks
+
+    def need(extra: str, what: str, *modules: str) -> None:
+        raise SuppleError(f"{what} need {modules[0]}, which is not installed: pip install 'supple[{extra}]'")
+
+    store("in.zarr", (40, 48))
+    monkeypatch.setattr(tasks, "need", need)
+    status, _, err = run("warp", "in.zarr", "out.zarr", *FLAT)
+    assert status == 2
+    assert "dask, which is not installed: pip install 'supple[zarr]'" in one_line(err)
+    assert not os.path.exists("out.zarr")
+
+
+def start(*arguments: str, **options: object) -> subprocess.Popen[str]:
+    return subprocess.Popen(
+        [sys.executable, "-m", "supple", *arguments],
+        env={**os.environ, "PYTHONPATH": SOURCE},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        encoding="utf-8",
+        preexec_fn=options.pop("preexec_fn", HEARING),  # type: ignore[call-overload]
+        **options,
+    )
+
+
+@pytest.mark.parametrize("workers", [(), ("--workers", "1")], ids=["threads", "processes"])
+def test_an_interrupt_is_one_line_and_the_same_command_goes_on(here: Path, workers: tuple[str, ...]) -> None:
+    store("in.zarr", (48, 512, 512), 32)
+    line = ("warp", "in.zarr", "out.zarr", *DEEP, "--reach", "none", "--threads", "1")
+    process = start(*line, *workers, start_new_session=True)
+    end = time.monotonic() + 100
+    while not any(path.is_file() for path in Path("out.zarr.partial").rglob("c/*/*/*")):
+        assert process.poll() is None, process.communicate()
+        assert time.monotonic() < end
+        time.sleep(0.002)
+    os.killpg(process.pid, signal.SIGINT)  # as a terminal does
+    _, err = process.communicate(timeout=100)
+    assert process.returncode == 130
+    assert "blocks of out.zarr are written, the same command goes on" in one_line(err)
+    assert "interrupted: " in err
+    assert sorted(os.listdir()) == ["in.png", "in.zarr", "out.zarr.partial"]
+    out, err = start(*line, "--json").communicate(timeout=300)
+    assert json.loads(out)["output"] == "out.zarr", err
+    assert sorted(os.listdir()) == ["in.png", "in.zarr", "out.zarr"]
+
+
+def test_a_full_disk_is_one_line(here: Path) -> None:
+    store("in.zarr", (200, 300), 128)
+
+    def little() -> None:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096))
+
+    process = start("warp", "in.zarr", "out.zarr", *FLAT, "--reach", "none", preexec_fn=little)
+    out, err = process.communicate(timeout=100)
+    assert (process.returncode, out) == (2, "")
+    assert "cannot write out.zarr" in one_line(err)
+    assert not os.path.exists("out.zarr")

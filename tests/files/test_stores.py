@@ -1,0 +1,454 @@
+"""Zarr stores warped block by block: equal to the whole, copied where nothing moves, and continued."""
+
+from __future__ import annotations
+
+import errno
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import textwrap
+from collections.abc import Iterator
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+zarr = pytest.importorskip("zarr")
+pytest.importorskip("dask")
+
+from supple import Affine, Recipe, Stroke, SuppleError  # noqa: E402
+from supple.fields import Placed  # noqa: E402
+from supple.files import plans, tasks  # noqa: E402
+from supple.files.grids import GridOptions  # noqa: E402
+from supple.files.plans import chunks_of, plan_file, task_shape  # noqa: E402
+from supple.files.stores import WarpedStore, warp_store  # noqa: E402
+from supple.files.tasks import Running  # noqa: E402
+from supple.files.volumes import VolumeOptions  # noqa: E402
+from supple.media.stores import Target, open_image  # noqa: E402
+from supple.media.stores.pyramid import reduced  # noqa: E402
+from tests.children import ROOT, SOURCE  # noqa: E402
+
+Array = npt.NDArray[Any]
+
+RNG = np.random.default_rng(5)
+KINDS = {"t": "time", "c": "channel", "z": "space", "y": "space", "x": "space"}
+FLAT = Recipe(strokes=[Stroke.grab((14, 12), to=(17, 14), radius=3)])
+DEEP = Recipe(strokes=[Stroke.grab((14, 12, 4), to=(16, 13, 5), radius=2)])
+
+
+@pytest.fixture(autouse=True)
+def small(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Tasks of a few chunks, in an empty folder."""
+    monkeypatch.setattr(plans, "TASK", 1 << 12)
+    monkeypatch.chdir(tmp_path)
+
+
+@pytest.fixture
+def memory() -> Iterator[str]:
+    fsspec = pytest.importorskip("fsspec")
+    address = f"memory://supple-{os.urandom(4).hex()}"
+    yield address
+    if fsspec.filesystem("memory").exists(address):
+        fsspec.filesystem("memory").rm(address, recursive=True)
+
+
+def plain(name: str, values: Array, chunks: tuple[int, ...], **more: Any) -> Array:
+    made = zarr.create_array(name, shape=values.shape, dtype=values.dtype, chunks=chunks, **more)
+    made[...] = values
+    return values
+
+
+def ome(
+    name: str, version: str, axes: str, shape: tuple[int, ...], chunks: tuple[int, ...], *, levels: int = 2,
+    shards: tuple[int, ...] | None = None, unit: str | None = "millimeter", dtype: str = "uint16",
+) -> Array:  # fmt: skip
+    """Write an image whose levels are half as large in the plane; return the finest."""
+    values = RNG.integers(0, 250, shape).astype(dtype)
+    told = [{"name": n, "type": KINDS[n], **({"unit": unit} if unit and KINDS[n] == "space" else {})} for n in axes]
+    datasets = [
+        {
+            "path": str(k),
+            "coordinateTransformations": [
+                {"type": "scale", "scale": [2.0**k if n in "yx" else 1.0 for n in axes]},
+                {"type": "translation", "translation": [(2.0**k - 1) / 2 if n in "yx" else 0.0 for n in axes]},
+            ],
+        }
+        for k in range(levels)
+    ]
+    image = {"name": "cells", "axes": told, "datasets": datasets}
+    old = version == "0.4"
+    attributes: dict[str, Any] = {"multiscales": [{"version": "0.4", **image}]}
+    if not old:
+        attributes = {"ome": {"version": version, "multiscales": [image]}}
+    group = zarr.create_group(name, zarr_format=2 if old else 3, attributes=attributes)
+    level = values
+    for k in range(levels):
+        more: dict[str, Any] = {"chunk_key_encoding": {"name": "v2", "separator": "/"}} if old else {"shards": shards}
+        made = group.create_array(str(k), shape=level.shape, dtype=level.dtype, chunks=chunks, **more)
+        made[...] = level
+        level = reduced(level, [2 if n in "yx" else 1 for n in axes], "mean")
+    return values
+
+
+def whole(made: WarpedStore, values: Array, **options: Any) -> Array:
+    """Return what `Deformation.warp` makes of each picture or volume in memory."""
+    deformation, n = made.deformation, made.deformation.ndim
+    sampling = {"between": "cubic", "time_filter": True} if n == 3 else {}
+    items = values.reshape(-1, *values.shape[-n:])
+    out = [deformation.warp(one, grid=made.grid, **{**sampling, **options}) for one in items]
+    return np.array(out).reshape(*values.shape[:-n], *out[0].shape)
+
+
+def arrays(name: str) -> list[Array]:
+    return [np.asarray(level.array[...]) for level in open_image(name).levels]
+
+
+CASES = {
+    "flat": ("yx", (60, 70), (16, 16), None),
+    "flat-carried": ("tcyx", (2, 3, 30, 41), (1, 2, 16, 16), None),
+    "flat-sharded": ("cyx", (2, 50, 60), (1, 8, 8), (2, 16, 24)),
+    "deep": ("zyx", (14, 40, 44), (4, 16, 16), None),
+    "deep-carried": ("tczyx", (2, 2, 10, 30, 36), (1, 1, 4, 16, 16), None),
+    "deep-sharded": ("zyx", (12, 40, 44), (2, 8, 8), (4, 16, 24)),
+}
+
+
+@pytest.mark.parametrize("version", ["", "0.4", "0.5"])
+@pytest.mark.parametrize("case", CASES)
+def test_stores_are_warped_as_arrays_are(version: str, case: str) -> None:
+    axes, shape, chunks, shards = CASES[case]
+    if shards and version == "0.4":
+        pytest.skip("Zarr format 2 has no shards")
+    recipe = DEEP if "z" in axes else FLAT
+    if version:
+        values = ome("in.zarr", version, axes, shape, chunks, shards=shards)
+    else:
+        values = plain("in.zarr", RNG.random(shape).astype(np.float32), chunks, shards=shards)
+    made = warp_store("in.zarr", "out.zarr", recipe)
+    levels = arrays("out.zarr")
+    assert np.array_equal(levels[0], whole(made, values))
+    assert not np.array_equal(levels[0], values)
+    assert made.blocks > 1
+    for fine, coarse in pairwise(levels):
+        assert np.array_equal(coarse, reduced(fine, [2 if n in "yx" else 1 for n in axes], "mean"))
+    source, target = zarr.open("in.zarr"), zarr.open("out.zarr")
+    assert dict(source.attrs) == dict(target.attrs)
+    assert sorted(os.listdir()) == ["in.zarr", "out.zarr"]
+
+
+def test_planes_of_a_volume_are_pictures_for_points_of_two_numbers() -> None:
+    values = ome("in.zarr", "0.5", "zyx", (5, 40, 44), (2, 16, 16))
+    made = warp_store("in.zarr", "out.zarr", FLAT)
+    assert np.array_equal(arrays("out.zarr")[0], whole(made, values))
+
+
+@pytest.mark.parametrize("outside", ["edge", "constant", "reflect"])
+@pytest.mark.parametrize("filter", ["auto", "cubic", "linear", "nearest"])
+def test_options_are_those_of_arrays(filter: str, outside: str) -> None:
+    values = plain("in.zarr", RNG.integers(0, 200, (50, 60)).astype(np.uint8), (16, 16))
+    recipe = Recipe(strokes=[Stroke.grab((5, 12), to=(9, 14), radius=5)], border=None)
+    made = warp_store("in.zarr", "out.zarr", recipe, filter=filter, outside=outside, fill=9, tolerance=0.02)
+    expected = whole(made, values, filter=filter, outside=outside, fill=9, tolerance=0.02)
+    assert np.array_equal(arrays("out.zarr")[0], expected)
+
+
+def test_labels_are_kept_in_all_levels() -> None:
+    values = ome("in.zarr", "0.5", "zyx", (8, 40, 44), (4, 16, 16))
+    warp_store("in.zarr", "out.zarr", DEEP, options=VolumeOptions(labels=True))
+    fine, coarse = arrays("out.zarr")
+    assert np.array_equal(coarse, fine[:, ::2, ::2])
+    assert set(np.unique(fine)) <= set(np.unique(values))
+    with pytest.raises(SuppleError, match='labels needs filter "nearest"'):
+        warp_store("in.zarr", "more.zarr", DEEP, filter="linear", options=VolumeOptions(labels=True))
+
+
+@pytest.mark.parametrize(
+    "grid",
+    [GridOptions(crop=(12, 3, 1, 21, 30, 7)), GridOptions(resample=(2.0, 1.5, 1.0)), GridOptions(crop=(9, 9, 20, 20))],
+    ids=["crop", "resample", "flat crop"],
+)
+def test_other_grids(grid: GridOptions) -> None:
+    flat = grid.ndim == 2
+    values = ome("in.zarr", "0.5", "yx" if flat else "zyx", (10, 40, 44)[flat:], (4, 16, 16)[flat:])
+    made = warp_store("in.zarr", "out.zarr", FLAT if flat else DEEP, grid=grid)
+    fine = arrays("out.zarr")[0]
+    assert np.array_equal(fine, whole(made, values))
+    written = open_image("out.zarr")
+    assert made.grid is not None
+    assert written.grid.sizes == made.grid.sizes
+    if not flat:
+        assert np.allclose(written.grid.matrix, made.grid.matrix)
+        plain_recipe = Recipe(strokes=[Stroke.grab((1, 1, 1), to=(1, 1, 1), radius=1)])
+        warp_store("in.zarr", "same.zarr", plain_recipe, grid=GridOptions(reference="out.zarr"))
+        assert open_image("same.zarr").grid.sizes == written.grid.sizes
+
+
+def test_a_part_without_strokes_is_that_part() -> None:
+    values = plain("in.zarr", RNG.random((60, 70)).astype(np.float32), (16, 16))
+    warp_store("in.zarr", "out.zarr", FLAT, grid=GridOptions(crop=(40, 33, 29, 25)))
+    assert np.array_equal(arrays("out.zarr")[0], values[33:58, 40:69])
+
+
+def test_affine_maps_and_positions_in_space() -> None:
+    values = ome("in.zarr", "0.5", "zyx", (8, 30, 34), (4, 16, 16))
+    turn = Affine([[1, 0.05, 0, -1], [-0.05, 1, 0, 1.5], [0, 0, 1, 0.3]])
+    made = warp_store("in.zarr", "out.zarr", DEEP, maps=[Placed(turn, after=1)])
+    assert np.array_equal(arrays("out.zarr")[0], whole(made, values))
+    world = warp_store("in.zarr", "world.zarr", DEEP, options=VolumeOptions(world=True))
+    assert world.geometry is not None
+    assert world.geometry.convention == "LPS"
+
+
+def chunk_files(folder: str) -> dict[str, bytes]:
+    return {
+        os.path.relpath(os.path.join(root, name), folder): Path(root, name).read_bytes()
+        for root, _, names in os.walk(folder)
+        for name in names
+        if name[0].isdigit() or "c" in Path(root).parts
+    }
+
+
+def test_blocks_beyond_the_strokes_are_copied_as_they_are_stored() -> None:
+    plain("in.zarr", RNG.integers(0, 9, (64, 96)).astype(np.uint8), (16, 16))
+    broken = Path("in.zarr/c/3/5")
+    broken.write_bytes(b"not decoded")
+    Path("in.zarr/c/2/5").unlink()
+    made = warp_store("in.zarr", "out.zarr", FLAT)
+    assert 0 < made.copied < made.blocks
+    before, after = chunk_files("in.zarr"), chunk_files("out.zarr")
+    assert set(before) == set(after)
+    same = [name for name in before if before[name] == after[name]]
+    assert "c/3/5" in same
+    assert len(same) >= made.copied
+
+
+def test_no_strokes_copy_everything() -> None:
+    values = ome("in.zarr", "0.5", "zyx", (6, 20, 20), (4, 16, 16))
+    made = warp_store("in.zarr", "out.zarr", Recipe())
+    assert made.copied == made.blocks
+    assert np.array_equal(arrays("out.zarr")[0], values)
+
+
+def test_in_memory(memory: str) -> None:
+    values = RNG.random((40, 44)).astype(np.float32)
+    plain(f"{memory}/in.zarr", values, (16, 16))
+    made = warp_store(f"{memory}/in.zarr", f"{memory}/out.zarr", FLAT)
+    assert np.array_equal(arrays(f"{memory}/out.zarr")[0], whole(made, values))
+    with pytest.raises(SuppleError, match="memory of this process"):
+        warp_store(f"{memory}/in.zarr", "out.zarr", FLAT, running=Running(workers=2))
+    assert not os.path.exists("out.zarr")
+
+
+KILLED = """
+import os, signal, sys
+from supple import Recipe, Stroke
+from supple.files import plans, stores
+plans.TASK = 1 << 12
+real, calls = stores._warp_block, []
+def killing(work, item):
+    calls.append(item)
+    if len(calls) > 5:
+        os.kill(os.getpid(), signal.SIGKILL)
+    return real(work, item)
+stores._warp_block = killing
+stores.warp_store("in.zarr", "out.zarr", Recipe.from_json(sys.argv[1]))
+"""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no SIGKILL")
+@pytest.mark.parametrize("version", ["0.4", "0.5"])
+def test_a_killed_job_goes_on(version: str) -> None:
+    values = ome("in.zarr", version, "zyx", (8, 40, 44), (4, 16, 16))
+    child = subprocess.run(
+        [sys.executable, "-c", textwrap.dedent(KILLED), DEEP.to_json()],
+        env={**os.environ, "PYTHONPATH": SOURCE, "SUPPLE_THREADS": "1"},
+        capture_output=True,
+        check=False,
+    )
+    assert child.returncode == -signal.SIGKILL, child.stderr
+    assert sorted(os.listdir()) == ["in.zarr", "out.zarr.partial"]
+    with pytest.raises(SuppleError, match="unfinished output of another job"):
+        warp_store("in.zarr", "out.zarr", DEEP, filter="linear")
+    made = warp_store("in.zarr", "out.zarr", DEEP)
+    assert 0 < made.done < made.blocks
+    assert np.array_equal(arrays("out.zarr")[0], whole(made, values))
+    assert sorted(os.listdir()) == ["in.zarr", "out.zarr"]
+
+
+def test_a_damaged_chunk_is_one_sentence_and_the_rest_is_kept() -> None:
+    values = plain("in.zarr", RNG.integers(0, 9, (64, 96)).astype(np.uint8), (16, 16))
+    chunk = Path("in.zarr/c/0/0")
+    whole_chunk = chunk.read_bytes()
+    chunk.write_bytes(whole_chunk[:-5])
+    with pytest.raises(SuppleError, match=r"^cannot read in.zarr: samples of it cannot be decoded, at 0:"):
+        warp_store("in.zarr", "out.zarr", FLAT)
+    assert not os.path.exists("out.zarr")
+    chunk.write_bytes(whole_chunk)
+    made = warp_store("in.zarr", "out.zarr", FLAT)
+    assert np.array_equal(arrays("out.zarr")[0], whole(made, values))
+
+
+def test_what_is_there_is_not_replaced() -> None:
+    plain("in.zarr", RNG.random((20, 20)).astype(np.float32), (16, 16))
+    plain("out.zarr", np.ones((4, 4)), (4, 4))
+    with pytest.raises(SuppleError, match=r"out\.zarr exists already: pass --force"):
+        warp_store("in.zarr", "out.zarr", FLAT)
+    assert zarr.open("out.zarr").shape == (4, 4)
+    warp_store("in.zarr", "out.zarr", FLAT, force=True)
+    assert zarr.open("out.zarr").shape == (20, 20)
+    Path("folder").mkdir()
+    with pytest.raises(SuppleError, match="no Zarr store"):
+        warp_store("in.zarr", "folder", FLAT, force=True)
+
+
+@pytest.mark.parametrize(
+    ("options", "told"),
+    [
+        ({"recipe": DEEP}, "is a picture, with 2 axes of space"),
+        ({"options": VolumeOptions(world=True)}, "world is for volumes"),
+        ({"options": VolumeOptions(save_field="field.nii")}, "save_field is not for Zarr stores"),
+        ({"options": VolumeOptions(series="1")}, "series is not for Zarr stores"),
+        ({"grid": GridOptions(crop=(0, 0, 99, 3))}, "crop must be within the grid"),
+        ({"filter": "sharp"}, "filter must be"),
+    ],
+)
+def test_refusals(options: dict[str, Any], told: str) -> None:
+    ome("in.zarr", "0.5", "yx", (20, 24), (16, 16))
+    with pytest.raises(SuppleError, match=told):
+        warp_store("in.zarr", "out.zarr", **{"recipe": FLAT, **options})
+    assert os.listdir() == ["in.zarr"]
+
+
+def test_axes_whose_units_are_no_lengths_are_refused() -> None:
+    ome("in.zarr", "0.5", "zyx", (4, 20, 24), (4, 16, 16), unit="second")
+    with pytest.raises(SuppleError, match=r"in\.zarr"):
+        warp_store("in.zarr", "out.zarr", DEEP)
+
+
+def test_a_turned_reference_is_refused() -> None:
+    nibabel = pytest.importorskip("nibabel")
+    ome("in.zarr", "0.5", "zyx", (8, 20, 24), (4, 16, 16))
+    turned = np.eye(4)
+    turned[:2, :2] = [[0.8, -0.6], [0.6, 0.8]]
+    nibabel.save(nibabel.Nifti1Image(np.zeros((20, 20, 8), np.float32), turned), "turned.nii")
+    with pytest.raises(SuppleError, match="turned against those of the input"):
+        warp_store("in.zarr", "out.zarr", DEEP, grid=GridOptions(reference="turned.nii"))
+
+
+def test_processes_make_the_same() -> None:
+    pytest.importorskip("distributed")
+    values = ome("in.zarr", "0.5", "zyx", (8, 40, 44), (4, 16, 16))
+    turn = Affine([[1, 0.05, 0, -1], [-0.05, 1, 0, 1.5], [0, 0, 1, 0.3]])
+    made = warp_store("in.zarr", "out.zarr", DEEP, maps=[Placed(turn)], running=Running(workers=2))
+    fine, coarse = arrays("out.zarr")
+    assert np.array_equal(fine, whole(made, values))
+    assert np.array_equal(coarse, reduced(fine, [1, 2, 2], "mean"))
+
+
+def ends(job: str, item: int) -> int:
+    if item == 3:
+        os._exit(1)
+    return item
+
+
+def test_workers_that_end_are_one_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("distributed")
+    import dask
+
+    monkeypatch.setenv("PYTHONPATH", f"{ROOT}{os.pathsep}{SOURCE}")
+    with (
+        dask.config.set({"distributed.scheduler.allowed-failures": 0}),
+        tasks.runner_of(Running(workers=1)) as runner,
+        pytest.raises(SuppleError, match="ended again and again at the same block"),
+    ):
+        runner.each(ends, "job", range(6), lambda: None)
+
+
+def test_a_scheduler_that_is_not_there(monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("distributed")
+    plain("in.zarr", RNG.random((20, 20)).astype(np.float32), (16, 16))
+    monkeypatch.setattr(tasks, "_PATIENCE", 0.5)
+    for address in ("tcp://127.0.0.1:9", "nowhere"):
+        with pytest.raises(SuppleError, match=f"the scheduler {address} does not answer"):
+            warp_store("in.zarr", "out.zarr", FLAT, running=Running(scheduler=address))
+    assert os.listdir() == ["in.zarr"]
+
+
+def test_where_tasks_run_is_checked() -> None:
+    for count in (0, -1, 1.5, True):
+        with pytest.raises(SuppleError, match="workers must be"):
+            Running(workers=count)  # type: ignore[arg-type]
+    with pytest.raises(SuppleError, match="give one of them"):
+        Running(workers=1, scheduler="tcp://127.0.0.1:9")
+
+
+def test_a_worker_that_does_not_see_the_folders(tmp_path: Path) -> None:
+    plain("in.zarr", RNG.random((40, 40)).astype(np.float32), (16, 16))
+
+    def moved(step: str, done: int, total: int) -> None:
+        if step == "plan" and os.path.exists("in.zarr"):
+            shutil.move("in.zarr", "away.zarr")
+
+    with pytest.raises(SuppleError, match=r"a worker does not see in\.zarr"):
+        warp_store("in.zarr", "out.zarr", FLAT, tell=moved)
+
+
+def test_tasks_are_whole_blocks_of_some_size() -> None:
+    assert task_shape((1, 8, 8), (5, 100, 100), 1, 1, 1, limit=1000) == (1, 32, 16)
+    assert task_shape((1, 64, 64), (9, 64, 64), 1, 1, 1, limit=1 << 13) == (2, 64, 64)
+    assert task_shape((64, 64), (50, 70), 1, 0, 1) == (50, 64)
+    assert chunks_of((16, 3), (40, 6)) == [(16, 16, 8), (3, 3)]
+
+
+def test_a_plan_says_what_the_job_does() -> None:
+    plain("in.zarr", RNG.random((64, 96)).astype(np.float32), (16, 16))
+    told = plan_file("in.zarr", FLAT)
+    shutil.rmtree("in.zarr/c")  # no sample is read
+    assert plan_file("in.zarr", FLAT) == told
+    plain("in.zarr", RNG.random((64, 96)).astype(np.float32), (16, 16), overwrite=True)
+    made = warp_store("in.zarr", "out.zarr", FLAT)
+    assert (told.blocks, told.copied) == (made.blocks, made.copied)
+    assert told.size == 64 * 96 * 4
+    assert told.read > 0
+    assert told.memory > told.tasks * 16 * 16 * 4
+
+
+def test_plans_of_files_read_the_header_alone() -> None:
+    nibabel = pytest.importorskip("nibabel")
+    from supple.media import image
+
+    nibabel.save(nibabel.Nifti1Image(np.zeros((30, 28, 9, 2), np.int16), np.eye(4)), "series.nii.gz")
+    told = plan_file("series.nii.gz", DEEP)
+    assert (told.shape, told.dtype) == ((2, 9, 28, 30), "int16")
+    image.write("in.png", RNG.integers(0, 255, (40, 50, 3), np.uint8))
+    told = plan_file("in.png", FLAT)
+    assert (told.shape, told.dtype, told.size) == ((3, 40, 50), "uint8", 6000)
+
+
+@pytest.mark.parametrize("where", ["folder", "memory"])
+def test_a_store_that_fails_in_the_middle(where: str, memory: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    values = ome("in.zarr", "0.5", "zyx", (8, 40, 44), (4, 16, 16))
+    target = "out.zarr" if where == "folder" else f"{memory}/out.zarr"
+    real, calls = Target.write, []
+
+    def failing(self: Target, level: int, box: Any, values: Any) -> None:
+        calls.append(box)
+        if len(calls) > 5:
+            with self.writing():
+                raise OSError(errno.ENOSPC, "No space left on device")
+        real(self, level, box, values)
+
+    monkeypatch.setattr(Target, "write", failing)
+    with pytest.raises(SuppleError, match=r"^cannot write .*out\.zarr: No space left on device"):
+        warp_store("in.zarr", target, DEEP)
+    monkeypatch.setattr(Target, "write", real)
+    with pytest.raises(SuppleError, match="unfinished"):
+        open_image("out.zarr.partial" if where == "folder" else target)
+    made = warp_store("in.zarr", target, DEEP)
+    assert 0 < made.done < made.blocks
+    assert np.array_equal(arrays(target)[0], whole(made, values))
