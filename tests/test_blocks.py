@@ -112,9 +112,8 @@ def cases(draw: st.DrawFn) -> tuple[Warp, Array, list[int]]:
     return Warp(d, draw(samplings(ndim)), grid), source, steps
 
 
-# The same examples each time, as long as what the test after these two shows is not mended.
 @given(cases())
-@settings(max_examples=40, deadline=None, derandomize=True)
+@settings(max_examples=40, deadline=None)
 def test_blocks_are_the_whole_bit_for_bit(case: tuple[Warp, Array, list[int]]) -> None:
     warp, source, steps = case
     made, blocks, _ = in_blocks(warp, source, steps)
@@ -128,7 +127,7 @@ def test_blocks_are_the_whole_bit_for_bit(case: tuple[Warp, Array, list[int]]) -
 
 
 @given(cases())
-@settings(max_examples=15, deadline=None, derandomize=True)
+@settings(max_examples=15, deadline=None)
 def test_nothing_but_the_part_is_read(case: tuple[Warp, Array, list[int]]) -> None:
     """As `Deformation.warp` makes a block from a whole source whose samples beyond the part are all wrong."""
     warp, source, steps = case
@@ -143,8 +142,6 @@ def test_nothing_but_the_part_is_read(case: tuple[Warp, Array, list[int]]) -> No
         assert_equal(whole(warp, poisoned, part), made[slices(block.box)])
 
 
-# Which examples it concerns depends on how many points the vectors of the instruction set have.
-@pytest.mark.xfail(strict=False, reason="some source points differ by 1e-4 pixels, well within the tolerance")
 @pytest.mark.parametrize("first", [64, 66])
 def test_a_part_without_the_first_patch_is_that_of_the_whole(first: int) -> None:
     """Two strokes with a reach, of which one does not reach the last patch, of columns 64 to 69."""

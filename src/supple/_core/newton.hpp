@@ -180,10 +180,11 @@ NOINLINE void undo(const Chain& chain, const Axis* axes, const V* q, double tole
 // Take one more Newton step from p with m ≈ (∂T/∂p)⁻¹ in `found`, which makes m exact to second order, and find
 // ∂²p/∂q₀∂q₁ = -m T''(m₀, m₁); it is done if that step is shorter than `tolerance`, the residual
 // than STEEP times that, and m was close. `smooth2`: how far
-// the map stays as it is here along q₀ and q₁, squared.
+// the map stays as it is here along q₀ and q₁, squared; `reached` has a bit for each lane that a stroke of the chain
+// concerns, so that its neighbours do not split what belongs to others.
 template <int D, class V>
-INLINE void polish(const Chain& chain, const Axis* axes, const V* q, double tolerance, Solution<D, V>& found, V* mixed,
-                   V* smooth2) {
+INLINE void polish(const Chain& chain, const uint8_t* reached, const Axis* axes, const V* q, double tolerance,
+                   Solution<D, V>& found, V* mixed, V* smooth2) {
     Jet<D, D, true, V> jet;
     for (int i = 0; i < D; i++) {
         jet.x[i] = found.p[i];
@@ -191,7 +192,12 @@ INLINE void polish(const Chain& chain, const Axis* axes, const V* q, double tole
         for (int j = 0; j < D; j++) jet.t[j][i] = found.m[j][i];
     }
     jet.smooth2[0] = jet.smooth2[1] = splat<V>(1e300);
-    for (int k = 0; k < chain.count; k++) carry(chain[k], axes, jet);
+    for (int k = 0; k < chain.count; k++) {
+        V before[2] = {jet.smooth2[0], jet.smooth2[1]}, own{};
+        for (int l = 0; l < Masked<V>::lanes; l++) set_lane(own, l, !reached || reached[k] >> l & 1);
+        carry(chain[k], axes, jet);
+        for (int j = 0; j < 2; j++) jet.smooth2[j] = choose(own > 0.5, jet.smooth2[j], before[j]);
+    }
     for (int j = 0; j < 2; j++) smooth2[j] = jet.smooth2[j];
     // jet.t = (∂T/∂p) m ≈ I, so that its inverse is 2I - jet.t but for squares.
     V better[D][D], e[D];

@@ -169,7 +169,8 @@ private:
         std::vector<Node> nodes;
         std::vector<Cell> cells, split;
         std::vector<Ask> asks;
-        std::vector<int> list;
+        std::vector<int> list;         // of the strokes that reach some roots, one for each lane
+        std::vector<uint8_t> reached;  // for each stroke of the list, the lanes whose roots it reaches
     };
 
     int column(int i) const { return i < across ? i * ROOT : last[0]; }
@@ -272,10 +273,18 @@ template <int D>
 template <class RootOf>
 Chain Plan<D>::chain_of(Work& w, RootOf root_of) const {
     w.list.clear();
+    w.reached.clear();
     for (size_t word = 0; word < words; word++) {
         uint64_t set = 0;
         for (int i = 0; i < LANES; i++) set |= reaching[(size_t)root_of(i) * words + word];
-        for (; set; set &= set - 1) w.list.push_back((int)(64 * word) + __builtin_ctzll(set));
+        for (; set; set &= set - 1) {
+            const int bit = __builtin_ctzll(set);
+            uint8_t lanes = 0;
+            for (int i = 0; i < LANES; i++)
+                lanes |= (uint8_t)((reaching[(size_t)root_of(i) * words + word] >> bit & 1) << i);
+            w.list.push_back((int)(64 * word) + bit);
+            w.reached.push_back(lanes);
+        }
     }
     return {strokes.data(), w.list.data(), (int)w.list.size()};
 }
@@ -421,7 +430,7 @@ void Plan<D>::solve(Work& w, Guess guess) {
         Chain chain = chain_of(w, [&](int i) { return ask(i).root; });
         auto polished = [&](const Solution<D, Lanes>& s, double tolerance) {
             Solved made{s, {}, {}};
-            polish<D>(chain, axes, q, tolerance, made.at, made.mixed, made.smooth2);
+            polish<D>(chain, w.reached.data(), axes, q, tolerance, made.at, made.mixed, made.smooth2);
             return made;
         };
         auto merged = [&](const Solved& a, const Solved& b) {

@@ -61,9 +61,6 @@ INLINE void spline_weights(V f, V (*w)[TAPS]) {
     }
 }
 
-INLINE void set_lane(double& x, int, double v) { x = v; }
-INLINE void set_lane(Lanes& x, int l, double v) { x[l] = v; }
-
 template <int D, int TAPS, int ORDER, class T, class V>
 INLINE void sum_samples(const Sampled& k, const V* i, const V* a, const V* b, Local<D, V>& found) {
     constexpr int N = Masked<V>::lanes, LEFT = TAPS / 2 - 1;

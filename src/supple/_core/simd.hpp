@@ -96,5 +96,7 @@ INLINE double lane(double x, int) { return x; }
 INLINE double lane(Lanes x, int i) { return x[i]; }
 INLINE bool lane(bool x, int) { return x; }
 INLINE bool lane(Mask x, int i) { return x[i] != 0; }
+INLINE void set_lane(double& x, int, double v) { x = v; }
+INLINE void set_lane(Lanes& x, int l, double v) { x[l] = v; }
 
 }  // namespace supple
